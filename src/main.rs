@@ -1,0 +1,3 @@
+//! The `planagent` program; everything lives in the library.
+
+fn main() {}
