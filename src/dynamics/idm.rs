@@ -28,7 +28,7 @@ pub struct Lead {
 
 impl IdmParameters {
     /// Acceleration of a vehicle of `speed` behind `lead` (`None`: free road), m/s², within [−b, a]; paper equation 1, with
-    /// s* = s0 + v·T + v·(v − v_l)/(2·√(a·b)) and the gap held at s0 or above.
+    /// s* = s0 + v·T + v·Δv/(2·√(a·b)) and the gap held at s0 or above.
     pub fn acceleration(&self, speed: f64, lead: Option<Lead>) -> f64 {
         let free = (speed / self.target_velocity).powi(self.exponent);
         let interaction = lead.map_or(0.0, |lead| {

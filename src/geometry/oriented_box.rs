@@ -67,7 +67,7 @@ impl OrientedBox {
 
     /// Whether two boxes share a point; touching counts.
     pub fn overlaps(&self, other: &Self) -> bool {
-        let reach = (self.diagonal() + other.diagonal()) / 2.0;
+        let reach = f64::midpoint(self.diagonal(), other.diagonal());
         if (self.center.position() - other.center.position()).norm_squared() > reach * reach {
             return false;
         }
