@@ -20,9 +20,9 @@ const STEP: f64 = 0.5;
 /// The path from the ego's centre to where it first leaves the view; `None` when the road ends under the ego.
 fn path_in_view(centerline: &Centerline, view: View) -> Option<Polyline> {
     let line = &centerline.path.centerline;
-    let ahead = (0..)
+    let most = (line.length() - centerline.ego_s).clamp(0.0, VIEW_METRES);
+    let ahead = (0..=(most / STEP) as u32)
         .map(|i| f64::from(i) * STEP)
-        .take_while(|d| centerline.ego_s + d <= line.length())
         .take_while(|d| view.holds(line.point_at(centerline.ego_s + d)))
         .last()?;
     line.slice(centerline.ego_s, centerline.ego_s + ahead)

@@ -129,8 +129,8 @@ fn what_stands_in_the_way_blocks() {
 
 #[test]
 fn side_lanes_are_free_or_occupied() {
-    let sides = |drawn: Drawn| (facts(&drawn).left_lane, facts(&drawn).right_lane);
     use SideLane::{Free, None, Occupied};
+    let sides = |drawn: Drawn| (facts(&drawn).left_lane, facts(&drawn).right_lane);
     assert_eq!(sides(road()), (Free, Free));
     assert_eq!(sides(sketch::straight(2, 1, 0, 8.0)), (None, Free));
     assert_eq!(sides(sketch::straight(1, 1, 0, 8.0)), (None, None));
