@@ -4,5 +4,5 @@
 mod path;
 mod rollout;
 
-pub use path::{onto_centerline, straight_ahead};
+pub use path::onto_centerline;
 pub use rollout::{GeneratedPlanner, LeadPolicy, Rollout};

@@ -1,6 +1,6 @@
 //! The path that a planner drives: from where the ego is, smoothly onto the followed centreline.
 
-use crate::geometry::{Point, Polyline, Pose, wrap_angle};
+use crate::geometry::{GeometryError, Point, Polyline, Pose, wrap_angle};
 use crate::world::EgoState;
 
 /// Time in which a lateral offset of one lane width decays, seconds; a smaller offset decays in proportionally less.
@@ -20,7 +20,10 @@ const STEEPEST: f64 = 0.7;
 ///
 /// In the centreline's frame the lateral offset d(s) is the quintic with the ego's offset and slope and no curvature at the
 /// start, and d = d' = d'' = 0 at the end of the decay.
-pub fn onto_centerline(ego: &EgoState, centerline: &Polyline, length: f64) -> Polyline {
+///
+/// # Errors
+/// When the ego's pose is not finite.
+pub fn onto_centerline(ego: &EgoState, centerline: &Polyline, length: f64) -> Result<Polyline, GeometryError> {
     let rear = ego.rear_axle;
     let foot = centerline.project(rear.position());
     let offset = foot.lateral;
@@ -36,17 +39,12 @@ pub fn onto_centerline(ego: &EgoState, centerline: &Polyline, length: f64) -> Po
     });
     let path = Polyline::new(std::iter::once(rear.position()).chain(points));
     // An ego at the very end of its centreline goes straight on.
-    path.unwrap_or_else(|_| straight_ahead(rear, length))
+    path.or_else(|_| straight_ahead(rear, length))
 }
 
 /// A straight line from a pose.
-pub fn straight_ahead(from: Pose, length: f64) -> Polyline {
-    let ahead = from.translated(length.max(SPACING), 0.0).position();
-    Polyline::new([from.position(), ahead]).unwrap_or_else(|_| {
-        // Only a pose that is not finite gets here; the simulator refuses such states.
-        #[expect(clippy::expect_used, reason = "two distinct constants are a line")]
-        Polyline::new([Point::origin(), Point::new(1.0, 0.0)]).expect("two distinct points")
-    })
+fn straight_ahead(from: Pose, length: f64) -> Result<Polyline, GeometryError> {
+    Polyline::new([from.position(), from.translated(length.max(SPACING), 0.0).position()])
 }
 
 /// d(s) with d(0) = offset, d'(0) = slope, d''(0) = 0 and d = d' = d'' = 0 at `length`; 0 beyond.
@@ -78,7 +76,7 @@ mod tests {
 
     #[test]
     fn starts_at_the_ego_and_ends_on_the_centerline() {
-        let path = onto_centerline(&ego(10.0, -3.5, 0.05, 10.0), &road(), 100.0);
+        let path = onto_centerline(&ego(10.0, -3.5, 0.05, 10.0), &road(), 100.0).unwrap();
         assert!((path.start() - Point::new(10.0, -3.5)).norm() < 1e-12);
         assert!((path.heading_at(0.0) - 0.05).abs() < 0.02);
         assert!(path.project(Point::new(60.0, 0.0)).distance < 1e-9);
@@ -87,21 +85,21 @@ mod tests {
 
     #[test]
     fn the_offset_decays_without_overshoot_from_parallel() {
-        let path = onto_centerline(&ego(0.0, 3.5, 0.0, 8.0), &road(), 80.0);
+        let path = onto_centerline(&ego(0.0, 3.5, 0.0, 8.0), &road(), 80.0).unwrap();
         assert!(path.vertices().windows(2).all(|w| w[1].y <= w[0].y + 1e-9 && w[1].y >= -1e-9));
     }
 
     #[test]
     fn a_lane_change_stays_within_comfortable_curvature() {
         let speed = 10.0;
-        let path = onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), 80.0);
+        let path = onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), 80.0).unwrap();
         let lateral_accel = (0..60).map(|i| path.curvature_at(f64::from(i)).abs() * speed * speed).fold(0.0, f64::max);
         assert!(lateral_accel < 2.5, "{lateral_accel}");
     }
 
     #[test]
     fn the_end_of_the_road_is_not_the_end_of_the_path() {
-        let path = onto_centerline(&ego(300.0, 0.0, 0.0, 10.0), &road(), 50.0);
+        let path = onto_centerline(&ego(300.0, 0.0, 0.0, 10.0), &road(), 50.0).unwrap();
         assert!(path.length() >= 1.0);
     }
 }

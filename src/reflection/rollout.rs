@@ -2,11 +2,11 @@
 
 use super::path::onto_centerline;
 use crate::dynamics::{IdmParameters, Lead};
-use crate::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector};
+use crate::geometry::{Corridor, GeometryError, OrientedBox, Polyline, Pose, Vector};
 use crate::reasoning::PlannerCode;
 use crate::world::{
-    EgoState, LanePath, PACIFICA, STEP_S, STEP_US, Scene, TrackToken, TrackedObject, Trajectory, TrajectoryError,
-    TrajectoryState,
+    EgoState, LanePath, PACIFICA, STEP_S, STEP_US, Scene, SignalStatus, TrackToken, TrackedObject, Trajectory,
+    TrajectoryError, TrajectoryState,
 };
 
 /// Exponent δ of the generated planner's IDM (PDM-Closed's).
@@ -59,6 +59,9 @@ pub struct Rollout {
 impl GeneratedPlanner {
     /// The planner of `code` from the present state on, along `lanes`, for roll-outs of up to `horizon_s` seconds and the
     /// planning interval after it.
+    ///
+    /// # Errors
+    /// When the ego's pose is not finite.
     pub fn new(
         scene: &Scene<'_>,
         code: PlannerCode,
@@ -66,11 +69,11 @@ impl GeneratedPlanner {
         leader: Option<TrackToken>,
         lead_policy: LeadPolicy,
         horizon_s: f64,
-    ) -> Self {
+    ) -> Result<Self, GeometryError> {
         let fastest = code.target_speed.max(scene.ego.speed());
         let length = fastest * horizon_s + PATH_MARGIN;
-        let path = onto_centerline(scene.ego, &lanes.centerline, length);
-        Self { code, lanes, leader, lead_policy, path }
+        let path = onto_centerline(scene.ego, &lanes.centerline, length)?;
+        Ok(Self { code, lanes, leader, lead_policy, path })
     }
 
     /// The path of the rear axle, from where the ego was when the planner was made.
@@ -213,7 +216,6 @@ fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
 
 /// Arc length on the path at which the first red light ahead begins to matter: the start of its connector.
 fn red_light(planner: &GeneratedPlanner, scene: &Scene<'_>) -> Option<f64> {
-    use crate::world::SignalStatus;
     let here = planner.lanes.centerline.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
     let lanes = planner.lanes.lanes.iter().zip(&planner.lanes.starts);
     let red = lanes
