@@ -1,1 +1,14 @@
-//! Placeholder until the stage is written.
+//! Multimodal language models, run in this process on the CPU.
+//!
+//! A model is a [`Mllm`]; a planning call opens a [`Conversation`] with it and asks round after round. [`Llava`] opens a
+//! Hugging Face `LlavaForConditionalGeneration` folder as it is; [`Replay`] answers from a recording.
+//! [`ModelRegistry`] finds a model by name, folder or hub id.
+
+mod conversation;
+mod error;
+
+pub use conversation::{
+    Answer, Constraint, Conversation, FinishReason, Mark, Mllm, ModelDescription, Opening, Request,
+    RoundTime, Sampling, TokenCounts, Turn, prompt_hash,
+};
+pub use error::MllmError;
