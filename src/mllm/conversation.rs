@@ -19,11 +19,7 @@ pub trait Mllm: Send + Sync {
     ///
     /// # Errors
     /// When the opening cannot be rendered by the model's chat template or its image cannot be used.
-    fn converse<'a>(
-        &'a self,
-        opening: &Opening,
-        seed: u64,
-    ) -> Result<Box<dyn Conversation + 'a>, MllmError>;
+    fn converse<'a>(&'a self, opening: &Opening, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError>;
 }
 
 /// A chat in progress: the rounds of a planning call continue one another.

@@ -186,7 +186,9 @@ pub enum MllmError {
         problem: String,
     },
     /// No model goes by this name.
-    #[error("no model {name:?}: it is neither a description in {models}, nor a folder, nor a hub id; described: {known}")]
+    #[error(
+        "no model {name:?}: it is neither a description in {models}, nor a folder, nor a hub id; described: {known}"
+    )]
     UnknownModel {
         /// The name that was asked for.
         name: String,

@@ -4,11 +4,19 @@
 //! Hugging Face `LlavaForConditionalGeneration` folder as it is; [`Replay`] answers from a recording.
 //! [`ModelRegistry`] finds a model by name, folder or hub id.
 
+mod checkpoint;
 mod conversation;
+mod decoder;
 mod error;
+mod linear;
+mod llava;
+mod sampling;
+mod text;
+mod vision;
 
 pub use conversation::{
-    Answer, Constraint, Conversation, FinishReason, Mark, Mllm, ModelDescription, Opening, Request,
-    RoundTime, Sampling, TokenCounts, Turn, prompt_hash,
+    Answer, Constraint, Conversation, FinishReason, Mark, Mllm, ModelDescription, Opening, Request, RoundTime,
+    Sampling, TokenCounts, Turn, prompt_hash,
 };
 pub use error::MllmError;
+pub use llava::Llava;
