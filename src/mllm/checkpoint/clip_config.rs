@@ -6,7 +6,7 @@ use crate::mllm::MllmError;
 
 /// A CLIP vision tower (`CLIPVisionConfig`).
 #[derive(Debug, Clone, PartialEq)]
-pub struct ClipVisionConfig {
+pub(crate) struct ClipVisionConfig {
     /// Width of the hidden states.
     pub hidden: usize,
     /// Width of the feed-forward layers.
@@ -87,7 +87,7 @@ impl ClipVisionConfig {
     }
 
     /// Patches of an image.
-    pub fn patches(&self) -> usize {
+    pub(crate) fn patches(&self) -> usize {
         let side = self.image_size / self.patch_size;
         side * side
     }

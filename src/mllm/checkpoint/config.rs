@@ -13,7 +13,7 @@ use crate::mllm::MllmError;
 
 /// A LLaVA model: which vision tower, which decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LlavaConfig {
+pub(crate) struct LlavaConfig {
     /// The CLIP vision tower.
     pub vision: ClipVisionConfig,
     /// The LLaMA decoder.
@@ -35,7 +35,7 @@ pub struct LlavaConfig {
 
 /// Which rows of a hidden state become image tokens (`vision_feature_select_strategy`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum FeatureSelect {
+pub(crate) enum FeatureSelect {
     /// The patches, without the class token.
     Default,
     /// All rows, class token first.
@@ -44,7 +44,7 @@ pub enum FeatureSelect {
 
 /// Activation functions by their names in Hugging Face configurations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Activation {
+pub(crate) enum Activation {
     /// `gelu`: with the error function.
     Gelu,
     /// `gelu_new`, `gelu_pytorch_tanh`: with tanh.
@@ -62,7 +62,7 @@ impl LlavaConfig {
     ///
     /// # Errors
     /// When a key has the wrong type or range, is unsupported, or contradicts another.
-    pub fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
+    pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
         let empty = Map::new();
         let root = Section::root(path, value)?;
         let absent = Value::Object(empty);
@@ -119,7 +119,7 @@ impl LlavaConfig {
     }
 
     /// Tokens that one image becomes.
-    pub fn image_tokens(&self) -> usize {
+    pub(crate) fn image_tokens(&self) -> usize {
         let class_token = usize::from(self.feature_select == FeatureSelect::Full);
         self.vision.patches() + class_token
     }

@@ -6,7 +6,7 @@ use crate::mllm::MllmError;
 
 /// A LLaMA decoder (`LlamaConfig`).
 #[derive(Debug, Clone, PartialEq)]
-pub struct LlamaConfig {
+pub(crate) struct LlamaConfig {
     /// Number of token ids.
     pub vocabulary: usize,
     /// Width of the hidden states.
@@ -35,7 +35,7 @@ pub struct LlamaConfig {
 
 /// Rotary position embedding: base and scaling of its frequencies.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Rope {
+pub(crate) struct Rope {
     /// Base of the frequencies.
     pub theta: f64,
     /// How they are stretched for contexts longer than trained.
@@ -44,7 +44,7 @@ pub struct Rope {
 
 /// Frequency scaling of rotary embeddings (`rope_type`).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum RopeScaling {
+pub(crate) enum RopeScaling {
     /// `default`: none.
     None,
     /// `linear`: all frequencies divided by the factor.

@@ -10,9 +10,9 @@ use std::path::Path;
 
 use serde_json::Value;
 
-pub use clip_config::ClipVisionConfig;
-pub use config::{Activation, FeatureSelect, LlavaConfig};
-pub use llama_config::{LlamaConfig, Rope, RopeScaling};
+pub(crate) use clip_config::ClipVisionConfig;
+pub(crate) use config::{Activation, FeatureSelect, LlavaConfig};
+pub(crate) use llama_config::{LlamaConfig, Rope, RopeScaling};
 pub(crate) use section::Section;
 pub(crate) use weights::Weights;
 

@@ -6,7 +6,7 @@ mod tower;
 
 use candle_core::{D, Tensor};
 
-pub use processor::ClipImageProcessor;
+pub(crate) use processor::ClipImageProcessor;
 pub(crate) use tower::ClipVisionTower;
 
 use super::MllmError;

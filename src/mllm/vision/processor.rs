@@ -20,7 +20,7 @@ const DEFAULT_SIDE: usize = 224;
 
 /// `CLIPImageProcessor`: resize, centre crop, rescale, normalise.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ClipImageProcessor {
+pub(crate) struct ClipImageProcessor {
     path: PathBuf,
     resize: Option<(TargetSize, Filter)>,
     /// Height and width.
@@ -43,7 +43,7 @@ impl ClipImageProcessor {
     ///
     /// # Errors
     /// When neither file is there, or a key has a wrong type or an unsupported value.
-    pub fn open(folder: &Path) -> Result<Self, MllmError> {
+    pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
         let path = folder.join("preprocessor_config.json");
         if path.is_file() {
             let value = read_json(&path)?;
@@ -109,7 +109,7 @@ impl ClipImageProcessor {
     ///
     /// # Errors
     /// When the configured size is another.
-    pub fn check_side(&self, side: usize) -> Result<(), MllmError> {
+    pub(crate) fn check_side(&self, side: usize) -> Result<(), MllmError> {
         let (key, height, width) = match (self.crop, self.resize) {
             (Some((height, width)), _) => ("crop_size", height, width),
             (None, Some((TargetSize::Exact { height, width }, _))) => ("size", height, width),
@@ -129,7 +129,7 @@ impl ClipImageProcessor {
     ///
     /// # Errors
     /// When the image is empty, or does not become a square of that side.
-    pub fn process(&self, image: &RgbImage, side: usize) -> Result<Tensor, MllmError> {
+    pub(crate) fn process(&self, image: &RgbImage, side: usize) -> Result<Tensor, MllmError> {
         if image.width() == 0 || image.height() == 0 {
             return Err(MllmError::Image { problem: "it has no pixels".into() });
         }
