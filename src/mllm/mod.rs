@@ -10,6 +10,8 @@ mod decoder;
 mod error;
 mod linear;
 mod llava;
+mod registry;
+mod replay;
 mod sampling;
 mod text;
 mod vision;
@@ -20,3 +22,7 @@ pub use conversation::{
 };
 pub use error::MllmError;
 pub use llava::Llava;
+pub use registry::{
+    Architecture, GenerationSettings, HubAccess, ModelRegistry, ModelSource, ModelSpec, PromptSet, RoundTokens,
+};
+pub use replay::{RecordedAnswer, Replay};
