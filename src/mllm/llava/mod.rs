@@ -6,6 +6,8 @@ mod session;
 
 #[cfg(test)]
 mod reference_tests;
+#[cfg(test)]
+mod determinism_tests;
 
 use std::collections::VecDeque;
 use std::path::Path;
