@@ -1,1 +1,57 @@
-//! Placeholder until the stage is written.
+//! Poses, polylines, boxes, polygons, corridors and a spatial index, all in local metres (f64).
+//!
+//! Everything here is plain data without meaning on a road; [`crate::world`] gives it one. Angles are radians,
+//! counter-clockwise; lateral offsets are positive to the left.
+
+mod angle;
+mod corridor;
+mod index;
+mod oriented_box;
+mod polygon;
+mod polyline;
+mod pose;
+
+pub use angle::{unwrap_angles, wrap_angle};
+pub use corridor::Corridor;
+pub use index::{Bounds, SpatialIndex};
+pub use oriented_box::OrientedBox;
+pub use polygon::Polygon;
+pub use polyline::{Polyline, Projection};
+pub use pose::Pose;
+
+/// A position in metres.
+pub type Point = nalgebra::Point2<f64>;
+/// A displacement, velocity or acceleration.
+pub type Vector = nalgebra::Vector2<f64>;
+
+/// Why a shape cannot be made of the given numbers.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum GeometryError {
+    /// A coordinate is NaN or infinite.
+    #[error("vertex {index} is not finite: ({x}, {y})")]
+    NotFinite {
+        /// Which vertex.
+        index: usize,
+        /// Its x.
+        x: f64,
+        /// Its y.
+        y: f64,
+    },
+    /// Fewer distinct vertices than the shape needs.
+    #[error("{shape} needs at least {needed} distinct vertices, got {got}")]
+    TooFewVertices {
+        /// What was to be made.
+        shape: &'static str,
+        /// How many it needs.
+        needed: usize,
+        /// How many there are.
+        got: usize,
+    },
+}
+
+pub(crate) fn check_finite(points: &[Point]) -> Result<(), GeometryError> {
+    match points.iter().position(|p| !p.x.is_finite() || !p.y.is_finite()) {
+        Some(index) => Err(GeometryError::NotFinite { index, x: points[index].x, y: points[index].y }),
+        None => Ok(()),
+    }
+}

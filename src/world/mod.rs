@@ -1,1 +1,32 @@
-//! Placeholder until the stage is written.
+//! The vocabulary of a drive, with nuPlan's names: the ego and its vehicle, the objects around it, the lane map, traffic
+//! lights, trajectories, history, and the [`Scene`]: all that a planner may see at one instant.
+//!
+//! Plain data only. Time is in integer microseconds, space in local metres of the map frame.
+
+mod ego;
+mod history;
+mod map;
+mod map_query;
+mod object;
+mod path;
+mod scene;
+mod signal;
+mod trajectory;
+
+pub use ego::{EgoState, PACIFICA, VehicleParameters};
+pub use history::{HISTORY_SAMPLES, History, HistorySample};
+pub use map::{
+    Lane, LaneId, LaneKind, LaneMap, MapError, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId,
+};
+pub use object::{ObjectKind, TrackToken, TrackedObject};
+pub use path::LanePath;
+pub use scene::{Route, Scene};
+pub use signal::{SignalStatus, TrafficLights};
+pub use trajectory::{Trajectory, TrajectoryError, TrajectoryState};
+
+/// Microseconds in a second.
+pub const MICROS_PER_SECOND: f64 = 1e6;
+/// Length of a simulation step, microseconds: nuPlan's 10 Hz.
+pub const STEP_US: i64 = 100_000;
+/// Length of a simulation step, seconds.
+pub const STEP_S: f64 = 0.1;

@@ -1,0 +1,143 @@
+//! Rectangles with a heading: the shape of every agent.
+
+use super::{Bounds, Point, Polygon, Pose};
+use parry2d_f64::math::{Pose as Isometry, Vector as GlamVector};
+use parry2d_f64::query;
+use parry2d_f64::shape::Cuboid;
+
+/// A rectangle, `length` along its heading and `width` across, metres.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct OrientedBox {
+    /// Centre and heading.
+    pub center: Pose,
+    /// Extent along the heading, metres.
+    pub length: f64,
+    /// Extent across the heading, metres.
+    pub width: f64,
+}
+
+impl OrientedBox {
+    /// A box around `center`.
+    pub fn new(center: Pose, length: f64, width: f64) -> Self {
+        Self { center, length, width }
+    }
+
+    /// Corners in nuPlan's order: front left, rear left, rear right, front right.
+    pub fn corners(&self) -> [Point; 4] {
+        let (l, w) = (self.length / 2.0, self.width / 2.0);
+        [(l, w), (-l, w), (-l, -w), (l, -w)].map(|(x, y)| self.center.to_map(Point::new(x, y)))
+    }
+
+    /// The two ends of the front edge: left, right.
+    pub fn front_edge(&self) -> [Point; 2] {
+        let [front_left, _, _, front_right] = self.corners();
+        [front_left, front_right]
+    }
+
+    /// Length of the diagonal, metres.
+    pub fn diagonal(&self) -> f64 {
+        self.length.hypot(self.width)
+    }
+
+    /// The box as a polygon.
+    pub fn to_polygon(&self) -> Polygon {
+        Polygon::from_convex(self.corners().to_vec())
+    }
+
+    /// Smallest axis-aligned rectangle around the box.
+    pub fn bounds(&self) -> Bounds {
+        Bounds::around(&self.corners())
+    }
+
+    /// Whether a point lies in the box or on its edge.
+    pub fn contains(&self, point: Point) -> bool {
+        let local = self.center.to_local(point);
+        local.x.abs() <= self.length / 2.0 && local.y.abs() <= self.width / 2.0
+    }
+
+    /// The same box at another centre pose.
+    pub fn moved_to(&self, center: Pose) -> Self {
+        Self { center, ..*self }
+    }
+
+    fn shape(&self) -> (Isometry, Cuboid) {
+        let at = Isometry::new(GlamVector::new(self.center.x, self.center.y), self.center.heading);
+        (at, Cuboid::new(GlamVector::new(self.length / 2.0, self.width / 2.0)))
+    }
+
+    /// Whether two boxes share a point; touching counts.
+    pub fn overlaps(&self, other: &Self) -> bool {
+        let reach = f64::midpoint(self.diagonal(), other.diagonal());
+        if (self.center.position() - other.center.position()).norm_squared() > reach * reach {
+            return false;
+        }
+        let ((a_at, a), (b_at, b)) = (self.shape(), other.shape());
+        query::details::intersection_test_cuboid_cuboid(&a_at.inv_mul(&b_at), &a, &b)
+    }
+
+    /// Distance between two boxes, metres; 0 when they overlap.
+    pub fn distance(&self, other: &Self) -> f64 {
+        let ((a_at, a), (b_at, b)) = (self.shape(), other.shape());
+        query::details::distance_support_map_support_map(&a_at.inv_mul(&b_at), &a, &b)
+    }
+
+    /// Whether the segment between two points meets the box; touching counts.
+    pub fn meets_segment(&self, from: Point, to: Point) -> bool {
+        // Clip the segment against the slab of each axis of the box.
+        let (a, b) = (self.center.to_local(from), self.center.to_local(to));
+        let (mut enter, mut leave) = (0.0f64, 1.0f64);
+        for (start, end, half) in [(a.x, b.x, self.length / 2.0), (a.y, b.y, self.width / 2.0)] {
+            let step = end - start;
+            if step.abs() < f64::EPSILON {
+                if start.abs() > half {
+                    return false;
+                }
+                continue;
+            }
+            let (t1, t2) = ((-half - start) / step, (half - start) / step);
+            enter = enter.max(t1.min(t2));
+            leave = leave.min(t1.max(t2));
+        }
+        enter <= leave
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square(x: f64, heading: f64) -> OrientedBox {
+        OrientedBox::new(Pose::new(x, 0.0, heading), 2.0, 2.0)
+    }
+
+    #[test]
+    fn corners_come_in_nuplan_order() {
+        let corners = OrientedBox::new(Pose::new(0.0, 0.0, 0.0), 4.0, 2.0).corners();
+        assert_eq!(corners[0], Point::new(2.0, 1.0));
+        assert_eq!(corners[1], Point::new(-2.0, 1.0));
+        assert_eq!(corners[2], Point::new(-2.0, -1.0));
+        assert_eq!(corners[3], Point::new(2.0, -1.0));
+    }
+
+    #[test]
+    fn touching_boxes_overlap_and_apart_ones_have_distance() {
+        assert!(square(0.0, 0.0).overlaps(&square(2.0, 0.0)));
+        assert!(!square(0.0, 0.0).overlaps(&square(2.01, 0.0)));
+        assert!((square(0.0, 0.0).distance(&square(5.0, 0.0)) - 3.0).abs() < 1e-9);
+        assert!(square(0.0, 0.0).distance(&square(1.0, 0.3)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_turned_box_reaches_further() {
+        let turned = square(2.3, std::f64::consts::FRAC_PI_4);
+        assert!(square(0.0, 0.0).overlaps(&turned));
+    }
+
+    #[test]
+    fn segments_meet_the_box() {
+        let b = square(0.0, 0.3);
+        assert!(b.meets_segment(Point::new(-5.0, 0.1), Point::new(5.0, 0.1)));
+        assert!(b.meets_segment(Point::new(0.0, 0.0), Point::new(0.1, 0.0)));
+        assert!(!b.meets_segment(Point::new(-5.0, 2.0), Point::new(5.0, 2.0)));
+    }
+}

@@ -1,0 +1,348 @@
+//! The lane map: nuPlan's layers as plain data with checked relations.
+
+use crate::geometry::{Polygon, Polyline, SpatialIndex};
+use std::collections::BTreeMap;
+use std::ops::Index;
+
+macro_rules! map_id {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+        #[serde(transparent)]
+        pub struct $name(pub u32);
+
+        impl $name {
+            /// Position in the map's list.
+            pub fn index(self) -> usize {
+                self.0 as usize
+            }
+        }
+    };
+}
+
+map_id!(
+    /// A lane or lane connector: its place in [`LaneMap::lanes`].
+    LaneId
+);
+map_id!(
+    /// A roadblock or roadblock connector: its place in [`LaneMap::roadblocks`].
+    RoadblockId
+);
+map_id!(
+    /// A stop line: its place in [`LaneMap::stop_lines`].
+    StopLineId
+);
+
+/// The two kinds of nuPlan's graph edges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LaneKind {
+    /// A lane of a road.
+    Lane,
+    /// A way across an intersection.
+    Connector,
+}
+
+/// A neighbouring lane of the same direction, along a part of this lane.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Neighbor {
+    /// The lane beside.
+    pub lane: LaneId,
+    /// Where on this lane's centreline the neighbourhood begins, metres.
+    pub from_s: f64,
+    /// Where it ends, metres.
+    pub to_s: f64,
+}
+
+/// A lane or a lane connector.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lane {
+    /// Its place in the map.
+    pub id: LaneId,
+    /// Its id in the source (Waymo feature id, nuPlan fid).
+    pub source_id: i64,
+    /// Lane or connector.
+    pub kind: LaneKind,
+    /// The baseline path, in driving direction.
+    pub centerline: Polyline,
+    /// The area of the lane.
+    pub polygon: Polygon,
+    /// Edges that lead into this one.
+    pub incoming: Vec<LaneId>,
+    /// Edges that this one leads to.
+    pub outgoing: Vec<LaneId>,
+    /// Lanes of the same direction to the left.
+    pub left: Vec<Neighbor>,
+    /// Lanes of the same direction to the right.
+    pub right: Vec<Neighbor>,
+    /// The roadblock that holds it.
+    pub roadblock: RoadblockId,
+    /// Speed limit, m/s; connectors of nuPlan have none.
+    pub speed_limit: Option<f64>,
+    /// Whether a traffic light ever governs it.
+    pub has_traffic_lights: bool,
+    /// Where to stop before it.
+    pub stop_lines: Vec<StopLineId>,
+}
+
+impl Lane {
+    /// Whether this is a lane connector.
+    pub fn is_connector(&self) -> bool {
+        self.kind == LaneKind::Connector
+    }
+
+    /// The left neighbour at arc length `s`.
+    pub fn left_at(&self, s: f64) -> Option<LaneId> {
+        neighbor_at(&self.left, s)
+    }
+
+    /// The right neighbour at arc length `s`.
+    pub fn right_at(&self, s: f64) -> Option<LaneId> {
+        neighbor_at(&self.right, s)
+    }
+}
+
+fn neighbor_at(neighbors: &[Neighbor], s: f64) -> Option<LaneId> {
+    neighbors.iter().find(|n| n.from_s <= s && s <= n.to_s).map(|n| n.lane)
+}
+
+/// Lanes side by side in one direction, or the connectors that join two such sets.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Roadblock {
+    /// Its place in the map.
+    pub id: RoadblockId,
+    /// Its id in the source.
+    pub source_id: i64,
+    /// Of lanes (a roadblock) or of connectors (a roadblock connector).
+    pub kind: LaneKind,
+    /// Its lanes.
+    pub lanes: Vec<LaneId>,
+    /// Its area, as pieces.
+    pub areas: Vec<Polygon>,
+    /// Roadblocks that lead into it.
+    pub incoming: Vec<RoadblockId>,
+    /// Roadblocks that it leads to.
+    pub outgoing: Vec<RoadblockId>,
+}
+
+/// A stop line as a thin polygon across the lane.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StopLine {
+    /// Its area.
+    pub polygon: Polygon,
+    /// The edges that must stop there.
+    pub lanes: Vec<LaneId>,
+    /// Whether it belongs to a stop sign rather than a traffic light.
+    pub stop_sign: bool,
+}
+
+/// The layers of a map before their relations are checked.
+#[derive(Debug, Clone, Default)]
+pub struct MapParts {
+    /// Name of the map or its origin, for people.
+    pub name: String,
+    /// Lanes and connectors; the n-th must have id n.
+    pub lanes: Vec<Lane>,
+    /// Roadblocks and their connectors; the n-th must have id n.
+    pub roadblocks: Vec<Roadblock>,
+    /// Stop lines.
+    pub stop_lines: Vec<StopLine>,
+    /// Intersections.
+    pub intersections: Vec<Polygon>,
+    /// Crosswalks.
+    pub crosswalks: Vec<Polygon>,
+    /// Drivable area beside roadblocks and intersections (nuPlan: `generic_drivable_areas`).
+    pub generic_drivable: Vec<Polygon>,
+    /// Car parks.
+    pub carparks: Vec<Polygon>,
+}
+
+/// Why layers do not make a map.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum MapError {
+    /// No lane at all.
+    #[error("the map has no lanes")]
+    NoLanes,
+    /// An element does not stand at the place that its id names.
+    #[error("{layer} number {index} has id {id}")]
+    Misplaced {
+        /// Which layer.
+        layer: &'static str,
+        /// Place in the list.
+        index: usize,
+        /// Its id.
+        id: u32,
+    },
+    /// A relation names an element that does not exist.
+    #[error("{layer} {id} (source id {source_id}): its {relation} names number {target}, which does not exist")]
+    Dangling {
+        /// Which layer.
+        layer: &'static str,
+        /// Which element.
+        id: u32,
+        /// Its id in the source.
+        source_id: i64,
+        /// Which relation.
+        relation: &'static str,
+        /// The missing target.
+        target: u32,
+    },
+}
+
+/// A map whose every relation is known to hold, with spatial indices over its layers.
+#[derive(Debug, Clone)]
+pub struct LaneMap {
+    pub(super) parts: MapParts,
+    pub(super) by_source: BTreeMap<i64, LaneId>,
+    pub(super) lane_index: SpatialIndex,
+    pub(super) block_index: SpatialIndex,
+    /// Areas of all roadblocks in one list, with the roadblock of each.
+    pub(super) block_areas: Vec<(RoadblockId, usize)>,
+    pub(super) intersection_index: SpatialIndex,
+    pub(super) crosswalk_index: SpatialIndex,
+    pub(super) generic_index: SpatialIndex,
+    pub(super) carpark_index: SpatialIndex,
+}
+
+impl LaneMap {
+    /// Checks the relations and builds the indices.
+    ///
+    /// # Errors
+    /// When there is no lane, an id does not match its place, or a relation dangles.
+    pub fn new(parts: MapParts) -> Result<Self, MapError> {
+        check(&parts)?;
+        let by_source = parts.lanes.iter().map(|lane| (lane.source_id, lane.id)).collect();
+        let block_areas: Vec<(RoadblockId, usize)> =
+            parts.roadblocks.iter().flat_map(|b| (0..b.areas.len()).map(move |i| (b.id, i))).collect();
+        let areas = |polygons: &[Polygon]| SpatialIndex::new(polygons.iter().map(Polygon::bounds));
+        Ok(Self {
+            by_source,
+            lane_index: SpatialIndex::new(parts.lanes.iter().map(|lane| lane.polygon.bounds())),
+            block_index: SpatialIndex::new(parts.roadblocks.iter().flat_map(|b| b.areas.iter().map(Polygon::bounds))),
+            block_areas,
+            intersection_index: areas(&parts.intersections),
+            crosswalk_index: areas(&parts.crosswalks),
+            generic_index: areas(&parts.generic_drivable),
+            carpark_index: areas(&parts.carparks),
+            parts,
+        })
+    }
+
+    /// Name of the map.
+    pub fn name(&self) -> &str {
+        &self.parts.name
+    }
+
+    /// All lanes and connectors.
+    pub fn lanes(&self) -> &[Lane] {
+        &self.parts.lanes
+    }
+
+    /// All roadblocks and roadblock connectors.
+    pub fn roadblocks(&self) -> &[Roadblock] {
+        &self.parts.roadblocks
+    }
+
+    /// All stop lines.
+    pub fn stop_lines(&self) -> &[StopLine] {
+        &self.parts.stop_lines
+    }
+
+    /// All intersections.
+    pub fn intersections(&self) -> &[Polygon] {
+        &self.parts.intersections
+    }
+
+    /// All crosswalks.
+    pub fn crosswalks(&self) -> &[Polygon] {
+        &self.parts.crosswalks
+    }
+
+    /// Drivable area beside roadblocks and intersections.
+    pub fn generic_drivable(&self) -> &[Polygon] {
+        &self.parts.generic_drivable
+    }
+
+    /// Car parks.
+    pub fn carparks(&self) -> &[Polygon] {
+        &self.parts.carparks
+    }
+
+    /// The lane with this id in the source.
+    pub fn lane_by_source(&self, source_id: i64) -> Option<LaneId> {
+        self.by_source.get(&source_id).copied()
+    }
+}
+
+impl Index<LaneId> for LaneMap {
+    type Output = Lane;
+
+    fn index(&self, id: LaneId) -> &Lane {
+        &self.parts.lanes[id.index()]
+    }
+}
+
+impl Index<RoadblockId> for LaneMap {
+    type Output = Roadblock;
+
+    fn index(&self, id: RoadblockId) -> &Roadblock {
+        &self.parts.roadblocks[id.index()]
+    }
+}
+
+impl Index<StopLineId> for LaneMap {
+    type Output = StopLine;
+
+    fn index(&self, id: StopLineId) -> &StopLine {
+        &self.parts.stop_lines[id.index()]
+    }
+}
+
+fn check(parts: &MapParts) -> Result<(), MapError> {
+    if parts.lanes.is_empty() {
+        return Err(MapError::NoLanes);
+    }
+    let (lanes, blocks, stops) = (parts.lanes.len(), parts.roadblocks.len(), parts.stop_lines.len());
+    for (index, lane) in parts.lanes.iter().enumerate() {
+        if lane.id.index() != index {
+            return Err(MapError::Misplaced { layer: "lane", index, id: lane.id.0 });
+        }
+        let neighbors = |side: &[Neighbor]| side.iter().map(|n| n.lane.0).collect::<Vec<_>>();
+        let ids = |list: &[LaneId]| list.iter().map(|id| id.0).collect::<Vec<_>>();
+        for (relation, targets, count) in [
+            ("incoming", ids(&lane.incoming), lanes),
+            ("outgoing", ids(&lane.outgoing), lanes),
+            ("left", neighbors(&lane.left), lanes),
+            ("right", neighbors(&lane.right), lanes),
+            ("roadblock", vec![lane.roadblock.0], blocks),
+            ("stop_lines", lane.stop_lines.iter().map(|id| id.0).collect(), stops),
+        ] {
+            if let Some(&target) = targets.iter().find(|&&t| t as usize >= count) {
+                let (id, source_id) = (lane.id.0, lane.source_id);
+                return Err(MapError::Dangling { layer: "lane", id, source_id, relation, target });
+            }
+        }
+    }
+    for (index, block) in parts.roadblocks.iter().enumerate() {
+        if block.id.index() != index {
+            return Err(MapError::Misplaced { layer: "roadblock", index, id: block.id.0 });
+        }
+        for (relation, targets, count) in [
+            ("lanes", block.lanes.iter().map(|id| id.0).collect::<Vec<_>>(), lanes),
+            ("incoming", block.incoming.iter().map(|id| id.0).collect(), blocks),
+            ("outgoing", block.outgoing.iter().map(|id| id.0).collect(), blocks),
+        ] {
+            if let Some(&target) = targets.iter().find(|&&t| t as usize >= count) {
+                let (id, source_id) = (block.id.0, block.source_id);
+                return Err(MapError::Dangling { layer: "roadblock", id, source_id, relation, target });
+            }
+        }
+    }
+    for (index, stop) in parts.stop_lines.iter().enumerate() {
+        if let Some(lane) = stop.lanes.iter().find(|lane| lane.index() >= lanes) {
+            let (id, source_id) = (index as u32, index as i64);
+            return Err(MapError::Dangling { layer: "stop line", id, source_id, relation: "lanes", target: lane.0 });
+        }
+    }
+    Ok(())
+}

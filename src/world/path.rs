@@ -1,0 +1,90 @@
+//! The way along lanes that a vehicle will follow from where it is.
+
+use super::{LaneId, LaneMap, Route};
+use crate::geometry::Polyline;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+/// A chain of connected lanes with its centreline in one piece.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LanePath {
+    /// The lanes in driving order.
+    pub lanes: Vec<LaneId>,
+    /// Arc length on [`Self::centerline`] at which each lane begins, metres.
+    pub starts: Vec<f64>,
+    /// Their centrelines joined.
+    pub centerline: Polyline,
+}
+
+impl LanePath {
+    /// Joins a chain of lanes; `None` when it is empty.
+    pub fn of(map: &LaneMap, lanes: Vec<LaneId>) -> Option<Self> {
+        let (&first, rest) = lanes.split_first()?;
+        let mut starts = vec![0.0];
+        let mut centerline = map[first].centerline.clone();
+        for &lane in rest {
+            starts.push(centerline.length());
+            centerline = centerline.joined(&map[lane].centerline);
+        }
+        Some(Self { lanes, starts, centerline })
+    }
+
+    /// The way from the start of `first` on that stays on the route as long as it can, then goes on along the straightest
+    /// successor, until at least `length` metres (from the start of `first`) or a dead end.
+    pub fn along(map: &LaneMap, route: &Route, first: LaneId, length: f64) -> Self {
+        let mut lanes = longest_on_route(map, &route.lanes(map), first);
+        let mut covered: f64 = lanes.iter().map(|&lane| map[lane].centerline.length()).sum();
+        while covered < length {
+            let Some(next) = lanes.last().and_then(|&last| straightest_successor(map, last)) else { break };
+            if lanes.contains(&next) {
+                break;
+            }
+            covered += map[next].centerline.length();
+            lanes.push(next);
+        }
+        while lanes.len() > 1 && covered - map[lanes[lanes.len() - 1]].centerline.length() >= length {
+            covered -= map[lanes[lanes.len() - 1]].centerline.length();
+            lanes.pop();
+        }
+        let single = Self { lanes: vec![first], starts: vec![0.0], centerline: map[first].centerline.clone() };
+        Self::of(map, lanes).unwrap_or(single)
+    }
+
+    /// The lane at arc length `s` of the joined centreline (clamped).
+    pub fn lane_at(&self, s: f64) -> LaneId {
+        let place = self.starts.partition_point(|&start| start <= s).saturating_sub(1);
+        self.lanes[place]
+    }
+}
+
+/// Of the chains that leave `first` through lanes of the route, the one with most lanes; the first found wins ties.
+fn longest_on_route(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, first: LaneId) -> Vec<LaneId> {
+    let mut parent: BTreeMap<LaneId, LaneId> = BTreeMap::new();
+    let mut queue = VecDeque::from([first]);
+    let mut last = first;
+    while let Some(lane) = queue.pop_front() {
+        last = lane;
+        let mut onward: Vec<LaneId> = map[lane].outgoing.iter().copied().filter(|l| route_lanes.contains(l)).collect();
+        onward.sort_by(|a, b| bend(map, *a).total_cmp(&bend(map, *b)));
+        for next in onward {
+            if next != first && !parent.contains_key(&next) {
+                parent.insert(next, lane);
+                queue.push_back(next);
+            }
+        }
+    }
+    let mut lanes = vec![last];
+    while let Some(&before) = parent.get(&lanes[lanes.len() - 1]) {
+        lanes.push(before);
+    }
+    lanes.reverse();
+    lanes
+}
+
+fn bend(map: &LaneMap, lane: LaneId) -> f64 {
+    map[lane].centerline.curvature_at(0.0).abs()
+}
+
+/// The successor that bends least at its start.
+fn straightest_successor(map: &LaneMap, lane: LaneId) -> Option<LaneId> {
+    map[lane].outgoing.iter().copied().min_by(|a, b| bend(map, *a).total_cmp(&bend(map, *b)))
+}

@@ -1,0 +1,43 @@
+//! All that a planner may see at one instant.
+
+use super::{EgoState, History, LaneId, LaneMap, RoadblockId, TrackedObject, TrafficLights};
+use crate::geometry::Pose;
+use std::collections::BTreeSet;
+
+/// Where the ego is meant to go.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Route {
+    /// The chain of roadblocks, from the start on.
+    pub roadblocks: Vec<RoadblockId>,
+    /// nuPlan's mission goal: where the recorded drive ends up; `None` when unknown.
+    pub goal: Option<Pose>,
+}
+
+impl Route {
+    /// All lanes and connectors of the route's roadblocks.
+    pub fn lanes(&self, map: &LaneMap) -> BTreeSet<LaneId> {
+        self.roadblocks.iter().flat_map(|&block| map[block].lanes.iter().copied()).collect()
+    }
+
+    /// Whether a roadblock belongs to the route.
+    pub fn contains(&self, block: RoadblockId) -> bool {
+        self.roadblocks.contains(&block)
+    }
+}
+
+/// A view on the present and the recent past; there is no future in it.
+#[derive(Debug, Clone, Copy)]
+pub struct Scene<'a> {
+    /// The static map.
+    pub map: &'a LaneMap,
+    /// Where to go.
+    pub route: &'a Route,
+    /// The ego now.
+    pub ego: &'a EgoState,
+    /// Objects now.
+    pub objects: &'a [TrackedObject],
+    /// Traffic lights now.
+    pub lights: &'a TrafficLights,
+    /// The last two seconds, the present included as the newest sample.
+    pub history: &'a History,
+}
