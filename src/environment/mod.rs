@@ -10,9 +10,13 @@
 mod choice;
 
 pub mod bev;
+pub mod lane_graph;
+pub mod text;
 
 #[cfg(test)]
 mod sketch;
 
 pub use bev::{BevError, BevView};
 pub use choice::UnknownChoice;
+pub use lane_graph::{AgentName, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, LaneGraphError, NodePlace};
+pub use text::{Description, PromptSet};

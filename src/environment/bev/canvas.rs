@@ -87,10 +87,11 @@ impl Canvas {
         self.fill(builder.finish(), fill);
     }
 
-    /// Fills a circle of a diameter in pixels.
-    pub(super) fn disc(&mut self, center: Point, diameter_px: f64, fill: Rgb) {
+    /// Fills a circle of a diameter in metres.
+    pub(super) fn disc(&mut self, center: Point, diameter: f64, fill: Rgb) {
         let (x, y) = self.pixel(center);
-        self.fill(PathBuilder::from_circle(x, y, (diameter_px / 2.0) as f32), fill);
+        let radius = diameter * self.view.scale() / 2.0;
+        self.fill(PathBuilder::from_circle(x, y, radius as f32), fill);
     }
 
     /// Draws lines of a width in pixels; the parts outside the image are left out.

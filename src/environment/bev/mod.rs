@@ -4,8 +4,8 @@
 //! and connector areas, crosswalks, centrelines (on lanes with arrowheads in driving direction, 10 m apart), static
 //! obstacles, vehicles, bicycles, pedestrians, the ego, and last a red arrow for each moving agent, the ego included: from
 //! the centre of its box, [`ARROW_SECONDS`] long at its present velocity. Within an element objects are drawn by track
-//! token. Small things are drawn larger than they are, so that they stay visible (see [`MIN_BOX_PX`],
-//! [`MIN_PEDESTRIAN_PX`]); lines are at least a pixel wide. Neither the route nor the traffic lights are drawn.
+//! token. Small things are drawn larger than they are, so that they stay visible (see [`MIN_SIZE_PX`], [`MIN_SIZE_SHARE`]);
+//! pedestrians are discs; lines are at least a pixel wide. Neither the route nor the traffic lights are drawn.
 
 mod canvas;
 mod palette;
@@ -13,7 +13,7 @@ mod road;
 mod traffic;
 
 pub use palette::{ARROW, BACKGROUND, BevElement, Palette, Rgb};
-pub use traffic::{ARROW_SECONDS, MIN_BOX_PX, MIN_PEDESTRIAN_PX, MOVING_SPEED};
+pub use traffic::{ARROW_SECONDS, MIN_SIZE_PX, MIN_SIZE_SHARE, MOVING_SPEED};
 
 use crate::geometry::{Point, Pose};
 use crate::world::Scene;

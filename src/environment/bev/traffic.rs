@@ -9,10 +9,10 @@ use crate::world::{Scene, TrackedObject};
 pub const ARROW_SECONDS: f64 = 0.8;
 /// Slower agents stand still and get no arrow, m/s.
 pub const MOVING_SPEED: f64 = 0.5;
-/// Least length and width of a drawn box, pixels.
-pub const MIN_BOX_PX: f64 = 3.0;
-/// Least diameter of a pedestrian, pixels; pedestrians are discs.
-pub const MIN_PEDESTRIAN_PX: f64 = 4.0;
+/// Least length and width of a drawn object, pixels: a pedestrian or a cone stays visible beside its arrow.
+pub const MIN_SIZE_PX: f64 = 4.0;
+/// Least length and width of a drawn object as a share of the image's side: large images go to towers with large patches.
+pub const MIN_SIZE_SHARE: f64 = 1.0 / 56.0;
 /// Width of an arrow's shaft, metres.
 const SHAFT_M: f64 = 0.35;
 /// Least width of an arrow's shaft, pixels.
@@ -49,18 +49,23 @@ fn may_show(canvas: &Canvas, object: &TrackedObject) -> bool {
     distance <= canvas.reach() + object.shape.diagonal() + ARROW_SECONDS * object.speed()
 }
 
+/// Least length and width of an object, metres.
+fn least_size(canvas: &Canvas) -> f64 {
+    let view = canvas.view();
+    MIN_SIZE_PX.max(MIN_SIZE_SHARE * f64::from(view.pixels())) / view.scale()
+}
+
 fn draw_object(canvas: &mut Canvas, object: &TrackedObject, element: BevElement) {
     if element == BevElement::Pedestrians {
-        let extent = object.shape.length.max(object.shape.width) * canvas.view().scale();
-        let center = object.shape.center.position();
-        canvas.disc(center, extent.max(MIN_PEDESTRIAN_PX), Palette::color(element));
+        let diameter = object.shape.length.max(object.shape.width).max(least_size(canvas));
+        canvas.disc(object.shape.center.position(), diameter, Palette::color(element));
     } else {
         draw_box(canvas, &object.shape, element);
     }
 }
 
 fn draw_box(canvas: &mut Canvas, shape: &OrientedBox, element: BevElement) {
-    let least = MIN_BOX_PX / canvas.view().scale();
+    let least = least_size(canvas);
     let visible = OrientedBox::new(shape.center, shape.length.max(least), shape.width.max(least));
     canvas.area(&visible.corners(), Palette::color(element));
 }
