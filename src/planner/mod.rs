@@ -1,8 +1,12 @@
 //! Stage 6: the planners. The simulator knows an agent only through [`Planner`], whose shape is nuPlan's.
 
 mod log_replay;
+mod plan_agent;
+mod record;
 
 pub use log_replay::LogReplay;
+pub use plan_agent::{AfterMaxExec, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, generated_planner, names};
+pub use record::{Attempt, Decision, PlanningCall};
 
 use crate::world::{LaneMap, Route, Scene, Trajectory, TrajectoryError};
 use std::sync::Arc;

@@ -3,7 +3,7 @@
 
 use super::record::{Attempt, Decision, PlanningCall};
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
-use crate::environment::text::TextForm;
+use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
 use crate::mllm::{Mllm, Opening};
@@ -126,21 +126,21 @@ impl PlanAgent {
 
     /// The Environment Transformation: what the model is shown.
     fn look(&self, scene: &Scene<'_>, graph: &LaneGraph) -> Result<ScenarioPrompt, PlannerError> {
-        let form = TextForm::from(self.prompts.forms().scene_text);
+        let form = self.prompts.forms().scene_text;
         let pixels = self.model.describe().image_size;
         let image = match (self.settings.view_m, pixels) {
             (Some(metres), Some(pixels)) => {
-                let view = BevView { pixels, metres };
-                let drawn = bev::render(scene, &view);
-                Some(drawn.map_err(|e| PlannerError::Failed { doing: "drawing the BEV map", source: Box::new(e) })?)
+                let view = BevView::new(pixels, metres)
+                    .map_err(|e| PlannerError::Failed { doing: "drawing the BEV map", source: Box::new(e) })?;
+                Some(bev::render(scene, &view))
             }
             _ => None,
         };
         Ok(ScenarioPrompt {
             image,
-            text: self.settings.lane_graph.then(|| form.describe(graph)),
+            text: self.settings.lane_graph.then(|| text::write(&Description::of(graph), form)),
             names: names(graph),
-            legend: bev::legend(),
+            legend: legend(),
         })
     }
 

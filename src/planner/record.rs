@@ -12,9 +12,9 @@ pub enum Decision {
     Execute(usize),
     /// All attempts were refused; the planner of this attempt drives all the same, as the paper prescribes.
     Exhausted(usize),
-    /// No attempt gave a planner that can be read; the one in force goes on.
-    KeepInForce,
-    /// No attempt gave a planner and none was in force: the ego brakes to a stop along its lane.
+    /// No attempt gave a planner; the one in force goes on. The text says why.
+    KeepInForce(String),
+    /// No attempt gave a planner and none was in force: the ego brakes straight ahead. The text says why.
     Brake(String),
 }
 
@@ -59,6 +59,20 @@ pub struct PlanningCall {
 }
 
 impl PlanningCall {
+    /// A call that could not even begin.
+    pub(super) fn without_attempts(iteration: usize, decision: Decision, total_ms: f64) -> Self {
+        Self {
+            iteration,
+            image: None,
+            image_hash: None,
+            scene_text: None,
+            attempts: Vec::new(),
+            decision,
+            environment_ms: total_ms,
+            total_ms,
+        }
+    }
+
     /// Attempts after the first.
     pub fn rethinks(&self) -> usize {
         self.attempts.len().saturating_sub(1)
@@ -73,7 +87,7 @@ impl PlanningCall {
     pub fn driving(&self) -> Option<&Attempt> {
         match self.decision {
             Decision::Execute(index) | Decision::Exhausted(index) => self.attempts.get(index),
-            Decision::KeepInForce | Decision::Brake(_) => None,
+            Decision::KeepInForce(_) | Decision::Brake(_) => None,
         }
     }
 }

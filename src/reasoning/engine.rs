@@ -140,8 +140,8 @@ impl<'a> Reasoning<'a> {
             let context = context! {
                 scene_text => scene_text.take().unwrap_or_default(),
                 feedback => feedback.take(),
-                centerlines => names.centerlines,
-                leaders => names.leaders,
+                centerlines => &names.centerlines,
+                leaders => &names.leaders,
             };
             let prompt = self.prompts.round(round, context)?;
             let answer = self.conversation.ask(&prompt, &self.request(round))?;
@@ -189,7 +189,7 @@ pub fn system_prompt(prompts: &PromptSet, legend: &str) -> Result<String, Prompt
 pub fn feedback_text(prompts: &PromptSet, feedback: &Feedback) -> Result<String, PromptError> {
     let rounded = |value: f64| format!("{value:.2}");
     prompts.feedback(context! {
-        code => feedback.code,
+        code => &feedback.code,
         score => feedback.score.map(rounded),
         threshold => feedback.threshold,
         parts => feedback.parts.iter().map(|(name, value)| (name.clone(), rounded(*value))).collect::<Vec<_>>(),

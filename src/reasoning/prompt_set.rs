@@ -1,22 +1,13 @@
 //! Prompt sets: folders of templates with a `set.toml`, two of them built in.
 
 use super::round::Round;
+use crate::environment::text::PromptSet as TextForm;
 use minijinja::{Environment, UndefinedBehavior, Value};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// File names of the templates.
 const TEMPLATES: [&str; 5] = ["system", "understanding", "instruction", "code", "feedback"];
-
-/// Which of the two lane-graph texts a set uses, by the name of `environment`'s text forms.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SceneTextForm {
-    /// Readable English.
-    Paper,
-    /// Fixed places, few tokens.
-    Compact,
-}
 
 /// How round 1 is answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
@@ -66,7 +57,7 @@ impl TokenBudget {
 #[serde(deny_unknown_fields)]
 pub struct PromptForms {
     /// Form of the lane-graph text.
-    pub scene_text: SceneTextForm,
+    pub scene_text: TextForm,
     /// Form of round 1.
     pub understanding: UnderstandingForm,
     /// Form of round 2.
@@ -164,7 +155,6 @@ impl PromptSet {
             .map_err(|source| PromptError::Settings { path: path.to_owned(), source: Box::new(source) })?;
         let mut templates = Environment::new();
         templates.set_undefined_behavior(UndefinedBehavior::Strict);
-        templates.set_trim_blocks(false);
         for (template, source) in TEMPLATES.into_iter().zip(sources) {
             templates.add_template_owned(template, source).map_err(|source| PromptError::Template {
                 set: name.to_owned(),
