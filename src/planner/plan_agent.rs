@@ -140,7 +140,7 @@ impl PlanAgent {
             image,
             text: self.settings.lane_graph.then(|| text::write(&Description::of(graph), form)),
             names: names(graph),
-            legend: legend(),
+            legend: bev::Palette::legend(),
         })
     }
 
