@@ -1,7 +1,9 @@
 //! Stage 6: the planners. The simulator knows an agent only through [`Planner`], whose shape is nuPlan's.
 
+mod idm;
 mod log_replay;
 
+pub use idm::IdmPlanner;
 pub use log_replay::LogReplay;
 
 use crate::world::{LaneMap, Route, Scene, Trajectory, TrajectoryError};
