@@ -72,8 +72,8 @@ fn interpolate(values: &[f64], place: f64) -> f64 {
     values[before] + (values[after] - values[before]) * (place - before as f64)
 }
 
-/// Speeds v that minimise Σ (dt·v_k − p_k)² + λ·‖R a‖², where p_k is the displacement k along the heading at its start,
-/// a_k = (v_{k+1} − v_k)/dt, and R is what `penalty` says.
+/// Speeds v that minimise `Σ (dt·v_k − p_k)² + λ·‖R a‖²`, where `p_k` is the displacement k along the heading at its start,
+/// `a_k = (v_{k+1} − v_k)/dt`, and R is what `penalty` says.
 fn fit_velocity(poses: &[Pose], penalty: JerkPenalty) -> Vec<f64> {
     let along = |w: &[Pose]| {
         let (sin, cos) = w[0].heading.sin_cos();
@@ -95,7 +95,7 @@ fn fit_velocity(poses: &[Pose], penalty: JerkPenalty) -> Vec<f64> {
     normal.solve(rhs)
 }
 
-/// Curvatures κ that minimise Σ (v_k·dt·κ_k − Δθ_k)² + λ_c·Σ ((κ_{k+1} − κ_k)/dt)² + ε·κ_0².
+/// Curvatures κ that minimise `Σ (v_k·dt·κ_k − Δθ_k)² + λ_c·Σ ((κ_{k+1} − κ_k)/dt)² + ε·κ_0²`.
 ///
 /// The matrix is a chain Laplacian plus a non-negative diagonal. Eliminating the diagonal's excess instead of the diagonal
 /// needs no subtraction, so that a nearly standing reference loses no digits.
@@ -144,7 +144,7 @@ impl Pentadiagonal {
         }
     }
 
-    /// Solves for `rhs` by an LDLᵀ factorisation within the bands.
+    /// Solves for `rhs` by an `LDLᵀ` factorisation within the bands.
     fn solve(mut self, mut rhs: Vec<f64>) -> Vec<f64> {
         let size = rhs.len();
         for i in 0..size {
@@ -181,7 +181,7 @@ mod tests {
     use nalgebra::{DMatrix, DVector};
     use proptest::prelude::*;
 
-    /// The velocity fit as nuPlan states it: dense, for [v0, a_0, …], by the pseudo-inverse.
+    /// The velocity fit as nuPlan states it: dense, for `[v0, a_0, …]`, by the pseudo-inverse.
     fn dense_velocity(poses: &[Pose], penalty: JerkPenalty) -> Vec<f64> {
         let m = poses.len() - 1;
         let mut a = DMatrix::zeros(2 * m, m);

@@ -17,7 +17,7 @@ pub fn drive(ego: &EgoState, trajectory: &Trajectory, dt_us: i64) -> Result<EgoS
 }
 
 /// Rolls an ego out along a fixed reference of rear-axle poses 0.1 s apart, the first at the time of `start`: PDM-Closed's
-/// proposal simulation (tuplan_garage `pdm_simulator.py`). The profiles are fitted once, and the pose with the same index
+/// proposal simulation (`tuplan_garage`'s `pdm_simulator.py`). The profiles are fitted once, and the pose with the same index
 /// is tracked without interpolation. Gives as many states as poses, `start` first; with fewer than two poses `start` alone.
 pub fn simulate_proposal(start: &EgoState, reference: &[Pose], penalty: JerkPenalty) -> Vec<EgoState> {
     let mut states = Vec::with_capacity(reference.len().max(1));

@@ -66,3 +66,53 @@ impl Planner for LogReplay {
         Ok(trajectory)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dynamics::test_road::{Stretch, ego_at, straight_road, whole_route};
+    use crate::world::{History, STEP_US, Scene, TrafficLights};
+
+    fn recorded(samples: usize) -> LogReplay {
+        LogReplay::new((0..samples).map(|k| ego_at(k as i64 * STEP_US, k as f64, 10.0)).collect())
+    }
+
+    fn ask(planner: &mut LogReplay, iteration: usize) -> Result<Trajectory, PlannerError> {
+        let map = straight_road(&[Stretch::Lane(100.0)], None);
+        let (route, lights, history) = (whole_route(&map), TrafficLights::default(), History::default());
+        let ego = ego_at(0, 0.0, 0.0);
+        let scene = Scene { map: &map, route: &route, ego: &ego, objects: &[], lights: &lights, history: &history };
+        planner.compute_trajectory(&PlannerInput { iteration, scene })
+    }
+
+    #[test]
+    fn gives_seventeen_states_over_eight_seconds() {
+        let trajectory = ask(&mut recorded(151), 30).unwrap();
+        assert_eq!(trajectory.states().len(), 17);
+        assert_eq!((trajectory.start_us(), trajectory.end_us()), (3_000_000, 11_000_000));
+        assert!((trajectory.at(3_700_000).unwrap().rear_axle.x - 37.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn keeps_its_trajectory_near_the_end_of_the_recording() {
+        let mut planner = recorded(151);
+        let last_full = ask(&mut planner, 70).unwrap();
+        assert_eq!(last_full.end_us(), 15_000_000);
+        assert_eq!(ask(&mut planner, 71).unwrap(), last_full);
+        assert_eq!(ask(&mut planner, 149).unwrap(), last_full);
+    }
+
+    #[test]
+    fn replays_a_short_recording_to_its_end() {
+        let mut planner = recorded(53);
+        let trajectory = ask(&mut planner, 0).unwrap();
+        assert_eq!(trajectory.end_us(), 5_200_000);
+        assert_eq!(ask(&mut planner, 51).unwrap(), trajectory);
+    }
+
+    #[test]
+    fn has_nothing_to_replay_after_the_end() {
+        let error = ask(&mut recorded(53), 52).unwrap_err();
+        assert!(matches!(error, PlannerError::NoRecordedFuture { iteration: 52, samples: 53 }));
+    }
+}

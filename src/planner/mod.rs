@@ -1,9 +1,11 @@
 //! Stage 6: the planners. The simulator knows an agent only through [`Planner`], whose shape is nuPlan's.
 
+mod idm;
 mod log_replay;
 mod plan_agent;
 mod record;
 
+pub use idm::IdmPlanner;
 pub use log_replay::LogReplay;
 pub use plan_agent::{AfterMaxExec, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, generated_planner, names};
 pub use record::{Attempt, Decision, PlanningCall};

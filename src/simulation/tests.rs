@@ -142,7 +142,9 @@ fn a_drive_can_be_forked() {
 }
 
 /// Gives whatever it is told to, to see what the loop makes of it.
-struct Scripted(Box<dyn FnMut(&PlannerInput<'_>) -> Result<Trajectory, PlannerError> + Send>);
+struct Scripted(Box<Script>);
+
+type Script = dyn FnMut(&PlannerInput<'_>) -> Result<Trajectory, PlannerError> + Send;
 
 impl Planner for Scripted {
     fn name(&self) -> &'static str {

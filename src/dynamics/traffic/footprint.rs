@@ -1,9 +1,11 @@
 //! The area that a road user claims: its box and the strip of road that it is about to sweep.
 
-use crate::geometry::{Bounds, OrientedBox, Point, Polygon, Pose, wrap_angle};
+use crate::geometry::{Bounds, OrientedBox, Point, Polygon, Pose, Vector, wrap_angle};
 
 /// Bends sharper than this are rounded on their outside, radians. Below it the missing wedge is under half a millimetre deep.
 const ROUNDED_BEND: f64 = 0.05;
+/// A line that strays less than this from its first segment's direction goes straight on, metres.
+const STRAIGHT: f64 = 1e-3;
 
 /// A convex or simple part of a footprint.
 #[derive(Debug, Clone)]
@@ -82,6 +84,30 @@ fn polygon_distance(a: &Polygon, b: &Polygon) -> f64 {
     one_way(a, b).min(one_way(b, a))
 }
 
+/// The line of poses as segments, those that go straight on joined to one.
+fn straight_runs(poses: &[Pose]) -> Vec<(Point, Point)> {
+    let mut runs: Vec<(Point, Point)> = Vec::new();
+    let mut direction = Vector::zeros();
+    for pair in poses.windows(2) {
+        let (a, b) = (pair[0].position(), pair[1].position());
+        let along = b - a;
+        let length = along.norm();
+        if length <= f64::EPSILON {
+            continue;
+        }
+        if let Some((start, end)) = runs.last_mut()
+            && direction.dot(&along) > 0.0
+            && direction.perp(&(b - *start)).abs() <= STRAIGHT
+        {
+            *end = b;
+            continue;
+        }
+        direction = along / length;
+        runs.push((a, b));
+    }
+    runs
+}
+
 /// A union of boxes, round bends and polygons.
 #[derive(Debug, Clone)]
 pub(super) struct Footprint {
@@ -105,22 +131,17 @@ impl Footprint {
 
     /// The strip of `half_width` metres to both sides of a line of poses, its ends flat; `None` when the line has no length.
     pub(super) fn of_strip(poses: &[Pose], half_width: f64) -> Option<Self> {
-        let mut pieces = Vec::with_capacity(poses.len());
+        let mut pieces = Vec::new();
         let mut last_heading = None;
-        for pair in poses.windows(2) {
-            let (a, b) = (pair[0].position(), pair[1].position());
+        for (a, b) in straight_runs(poses) {
             let along = b - a;
-            let length = along.norm();
-            if length <= f64::EPSILON {
-                continue;
-            }
             let heading = along.y.atan2(along.x);
             if last_heading.is_some_and(|last: f64| wrap_angle(heading - last).abs() > ROUNDED_BEND) {
                 pieces.push(Piece::disc(a, half_width));
             }
             last_heading = Some(heading);
             let center = Pose::at(nalgebra::center(&a, &b), heading);
-            pieces.push(Piece::from_box(OrientedBox::new(center, length, 2.0 * half_width)));
+            pieces.push(Piece::from_box(OrientedBox::new(center, along.norm(), 2.0 * half_width)));
         }
         let corners: Vec<Point> = poses.iter().map(Pose::position).collect();
         (!pieces.is_empty()).then(|| Self { pieces, bounds: Bounds::around(&corners).grown(half_width) })
