@@ -1,7 +1,6 @@
 //! Grouped-query attention over the cache.
 
-use candle_core::{D, DType, Device, Tensor};
-use candle_nn::attention::{AttnMask, flash_attn};
+use candle_core::{Device, Tensor};
 
 use super::cache::KvCache;
 use super::rotary::RotaryTable;
@@ -59,25 +58,16 @@ impl Attention {
         let queries = rotary.rotate(&queries, start)?;
         let keys = rotary.rotate(&keys, start)?;
         let (keys, values) = cache.write(layer, &keys, &values)?;
-        let mixed = if tokens == 1 {
-            let scale = 1.0 / (self.head_dim as f32).sqrt();
-            let mask = AttnMask::causal_with_offset(start);
-            flash_attn::<f32>(&queries, &keys, &values, scale, mask, None, None)?
-        } else {
-            self.attend_blocks(&queries, &keys, &values, start)?
-        };
+        let mixed = self.attend(&queries, &keys, &values, start)?;
         self.out.forward(&mixed.reshape((tokens, self.heads * self.head_dim))?)
     }
 
-    /// Attention of many queries (1, tokens, heads, width) as matrix products, a block of queries at a time. The query
-    /// heads that share a key head are stacked as rows, so keys and values are never repeated.
-    fn attend_blocks(
-        &self,
-        queries: &Tensor,
-        keys: &Tensor,
-        values: &Tensor,
-        start: usize,
-    ) -> candle_core::Result<Tensor> {
+    /// Attention of queries (1, tokens, heads, width) as matrix products, a block of queries at a time. The query heads
+    /// that share a key head are stacked as rows, so keys and values are never repeated.
+    ///
+    /// candle-nn's `flash_attn` is not used: its kernels run on a pool of spinning threads, which costs a decoding step of
+    /// a small model twenty times its own time as soon as another process wants a core.
+    fn attend(&self, queries: &Tensor, keys: &Tensor, values: &Tensor, start: usize) -> candle_core::Result<Tensor> {
         let tokens = queries.dim(1)?;
         let scale = 1.0 / (self.head_dim as f64).sqrt();
         // (heads, tokens, width), (key heads, positions, width)
@@ -88,32 +78,30 @@ impl Attention {
         for first in (0..tokens).step_by(QUERY_BLOCK) {
             let rows = QUERY_BLOCK.min(tokens - first);
             let seen = start + first + rows;
-            let block = queries.narrow(1, first, rows)?.reshape((
-                self.kv_heads,
-                self.heads / self.kv_heads * rows,
-                self.head_dim,
-            ))?;
-            let scores = block
-                .matmul(&keys.narrow(1, 0, seen)?.t()?)?
-                .reshape((self.heads, rows, seen))?
-                .broadcast_add(&causal_mask(rows, seen)?)?;
-            let weights = candle_nn::ops::softmax_last_dim(&scores)?.reshape((
-                self.kv_heads,
-                self.heads / self.kv_heads * rows,
-                seen,
-            ))?;
-            let mixed = weights.matmul(&values.narrow(1, 0, seen)?)?.reshape((self.heads, rows, self.head_dim))?;
-            blocks.push(mixed.transpose(0, 1)?);
+            let stacked = (self.kv_heads, self.heads / self.kv_heads * rows, self.head_dim);
+            let block = queries.narrow(1, first, rows)?.reshape(stacked)?;
+            let mut scores = block.matmul(&keys.narrow(1, 0, seen)?.t()?)?;
+            if rows > 1 {
+                let mask = causal_mask(rows, seen)?;
+                scores = scores.reshape((self.heads, rows, seen))?.broadcast_add(&mask)?;
+            }
+            let weights = candle_nn::ops::softmax_last_dim(&scores)?;
+            let mixed = weights.reshape((self.kv_heads, stacked.1, seen))?.matmul(&values.narrow(1, 0, seen)?)?;
+            blocks.push(mixed.reshape((self.heads, rows, self.head_dim))?.transpose(0, 1)?);
         }
-        Tensor::cat(&blocks, 0)?.flatten_from(D::Minus2)
+        if let [block] = blocks.as_slice() {
+            return block.contiguous();
+        }
+        Tensor::cat(&blocks, 0)
     }
 }
 
 /// Minus infinity where a row would look ahead: the last `rows` of `seen` positions are the rows' own.
 fn causal_mask(rows: usize, seen: usize) -> candle_core::Result<Tensor> {
     let before = seen - rows;
-    let mask: Vec<f32> = (0..rows)
-        .flat_map(|row| (0..seen).map(move |position| if position <= before + row { 0.0 } else { f32::NEG_INFINITY }))
-        .collect();
-    Tensor::from_vec(mask, (rows, seen), &Device::Cpu)?.to_dtype(DType::F32)
+    let mut mask = vec![0f32; rows * seen];
+    for (row, columns) in mask.chunks_exact_mut(seen).enumerate() {
+        columns[before + row + 1..].fill(f32::NEG_INFINITY);
+    }
+    Tensor::from_vec(mask, (rows, seen), &Device::Cpu)
 }

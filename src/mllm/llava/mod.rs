@@ -5,9 +5,9 @@ mod model;
 mod session;
 
 #[cfg(test)]
-mod reference_tests;
-#[cfg(test)]
 mod determinism_tests;
+#[cfg(test)]
+mod reference_tests;
 
 use std::collections::VecDeque;
 use std::path::Path;
