@@ -1,8 +1,9 @@
 //! The resolved configuration: defaults, then the file, then the flags.
 
 use crate::environment::DEFAULT_NODE_LENGTH;
+use crate::mllm::{GenerationSettings, Sampling};
 use crate::planner::{AfterMaxExec, PlanAgentSettings};
-use crate::reasoning::Round;
+use crate::reasoning::{ReasoningSettings, Round};
 use crate::reflection::LeadPolicy;
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
@@ -70,9 +71,7 @@ pub struct ReasoningConfig {
     pub rounds: Vec<Round>,
     /// Iterations of 0.1 s between planning calls (the paper: 20).
     pub interval: usize,
-    /// Temperature of the first attempt; 0 takes the likeliest token.
-    pub temperature: f64,
-    /// Temperature of later attempts; 0 would repeat the refused answer.
+    /// Temperature of later attempts; 0 takes the likeliest token again. The first attempt goes by the model's description.
     pub rethink_temperature: f64,
     /// Whether answers are decoded under grammars.
     pub grammar: bool,
@@ -84,7 +83,6 @@ impl Default for ReasoningConfig {
             prompt_set: None,
             rounds: Round::ALL.to_vec(),
             interval: 20,
-            temperature: 0.0,
             rethink_temperature: 0.7,
             grammar: true,
         }
@@ -111,14 +109,13 @@ pub struct ReflectionConfig {
 
 impl Default for ReflectionConfig {
     fn default() -> Self {
-        let settings = PlanAgentSettings::default();
         Self {
-            enabled: settings.reflect,
-            threshold: settings.threshold,
-            max_exec: settings.max_exec,
-            horizon_s: settings.horizon_s,
-            after_max_exec: settings.after_max_exec,
-            lead_policy: settings.lead_policy,
+            enabled: true,
+            threshold: 0.75,
+            max_exec: 3,
+            horizon_s: 4.0,
+            after_max_exec: AfterMaxExec::Last,
+            lead_policy: LeadPolicy::Nearest,
         }
     }
 }
@@ -138,6 +135,35 @@ impl Config {
         let config: Self = toml::from_str(&text).with_context(|| format!("in the configuration {}", path.display()))?;
         config.check().with_context(|| format!("in the configuration {}", path.display()))?;
         Ok(config)
+    }
+
+    /// What the agent needs of it, for a model with these generation settings.
+    pub fn agent_settings(&self, generation: GenerationSettings) -> PlanAgentSettings {
+        let Self { seed, environment, reasoning, reflection, .. } = self;
+        let rethink_sampling = if reasoning.rethink_temperature > 0.0 {
+            Sampling::Sample { temperature: reasoning.rethink_temperature, top_p: 1.0 }
+        } else {
+            Sampling::Greedy
+        };
+        PlanAgentSettings {
+            view_m: environment.bev.then_some(environment.view_m),
+            lane_graph: environment.lane_graph,
+            node_length_m: environment.node_length_m,
+            reasoning: ReasoningSettings {
+                rounds: reasoning.rounds.clone(),
+                generation,
+                rethink_sampling,
+                grammar: reasoning.grammar,
+            },
+            interval: reasoning.interval,
+            reflect: reflection.enabled,
+            threshold: reflection.threshold,
+            max_exec: reflection.max_exec,
+            horizon_s: reflection.horizon_s,
+            after_max_exec: reflection.after_max_exec,
+            lead_policy: reflection.lead_policy,
+            seed: *seed,
+        }
     }
 
     /// Refuses values that are of the right type but make no sense.
@@ -160,13 +186,8 @@ impl Config {
         if self.reflection.max_exec == 0 || self.reasoning.interval == 0 {
             bail!("reflection.max_exec and reasoning.interval must be 1 or more");
         }
-        for (key, value) in [
-            ("reasoning.temperature", self.reasoning.temperature),
-            ("reasoning.rethink_temperature", self.reasoning.rethink_temperature),
-        ] {
-            if !(0.0..=10.0).contains(&value) {
-                bail!("{key} is {value}; it must lie in 0 to 10");
-            }
+        if !(0.0..=10.0).contains(&self.reasoning.rethink_temperature) {
+            bail!("reasoning.rethink_temperature is {}; it must lie in 0 to 10", self.reasoning.rethink_temperature);
         }
         if self.reasoning.rounds.last() != Some(&Round::Code) || !self.reasoning.rounds.is_sorted_by(|a, b| a < b) {
             bail!("reasoning.rounds must be some of understanding, instruction, code, in this order, ending with code");

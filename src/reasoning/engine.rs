@@ -7,7 +7,7 @@ use super::instruction::MotionInstruction;
 use super::prompt_set::{PromptError, PromptSet};
 use super::round::Round;
 use crate::mllm::{
-    Answer, Constraint, Conversation, FinishReason, Mark, Mllm, MllmError, Opening, Request, RoundTime, Sampling,
+    Answer, Constraint, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, Opening, Request, RoundTime, Sampling,
     TokenCounts,
 };
 use image::RgbImage;
@@ -88,12 +88,23 @@ pub enum ReasoningError {
 pub struct ReasoningSettings {
     /// Which rounds are asked, in order; the last must be [`Round::Code`].
     pub rounds: Vec<Round>,
-    /// How the first attempt chooses its tokens.
-    pub sampling: Sampling,
-    /// How later attempts do.
+    /// Most tokens of an answer and how the first attempt chooses them: the model's own settings.
+    pub generation: GenerationSettings,
+    /// How later attempts choose their tokens.
     pub rethink_sampling: Sampling,
     /// Whether rounds are decoded under their grammars. Without, answers are free and may fail to parse.
     pub grammar: bool,
+}
+
+impl ReasoningSettings {
+    fn max_new_tokens(&self, round: Round) -> usize {
+        let limits = self.generation.max_new_tokens;
+        match round {
+            Round::Understanding => limits.scene,
+            Round::Instruction => limits.motion,
+            Round::Code => limits.code,
+        }
+    }
 }
 
 /// The conversation of one planning call.
@@ -163,8 +174,8 @@ impl<'a> Reasoning<'a> {
             Round::Instruction => grammar::instruction(forms.instruction),
             Round::Code => grammar::code(&self.scenario.names),
         };
-        let sampling = if self.attempts > 1 { self.settings.rethink_sampling } else { self.settings.sampling };
-        Request { constraint, max_new_tokens: forms.max_new_tokens.of(round), sampling }
+        let sampling = if self.attempts > 1 { self.settings.rethink_sampling } else { self.settings.generation.sampling };
+        Request { constraint, max_new_tokens: self.settings.max_new_tokens(round), sampling }
     }
 }
 

@@ -29,29 +29,6 @@ pub enum InstructionForm {
     Choices,
 }
 
-/// Most tokens of the answers, by round.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct TokenBudget {
-    /// Round 1.
-    pub understanding: usize,
-    /// Round 2.
-    pub instruction: usize,
-    /// Round 3.
-    pub code: usize,
-}
-
-impl TokenBudget {
-    /// The budget of one round.
-    pub fn of(&self, round: Round) -> usize {
-        match round {
-            Round::Understanding => self.understanding,
-            Round::Instruction => self.instruction,
-            Round::Code => self.code,
-        }
-    }
-}
-
 /// `set.toml`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
 #[serde(deny_unknown_fields)]
@@ -62,8 +39,6 @@ pub struct PromptForms {
     pub understanding: UnderstandingForm,
     /// Form of round 2.
     pub instruction: InstructionForm,
-    /// Lengths of the answers.
-    pub max_new_tokens: TokenBudget,
 }
 
 /// Why a prompt set cannot be used.
