@@ -10,6 +10,7 @@
 mod choice;
 
 pub mod bev;
+pub mod facts;
 pub mod lane_graph;
 pub mod text;
 
@@ -18,5 +19,6 @@ mod sketch;
 
 pub use bev::{BevError, BevView};
 pub use choice::UnknownChoice;
+pub use facts::SceneFacts;
 pub use lane_graph::{AgentName, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, LaneGraphError, NodePlace};
 pub use text::{Description, PromptSet};

@@ -173,6 +173,20 @@ impl Drawn {
         self
     }
 
+    /// The same without areas of intersections.
+    pub(super) fn without_intersections(mut self) -> Self {
+        let map = &self.map;
+        self.map = LaneMap::new(MapParts {
+            lanes: map.lanes().to_vec(),
+            roadblocks: map.roadblocks().to_vec(),
+            stop_lines: map.stop_lines().to_vec(),
+            crosswalks: map.crosswalks().to_vec(),
+            ..MapParts::default()
+        })
+        .unwrap();
+        self
+    }
+
     /// The lane or connector that leads from a lane to another.
     pub(super) fn between(&self, from: LaneId, to: LaneId) -> LaneId {
         let onward = &self.map[from].outgoing;

@@ -25,6 +25,7 @@ mod sighting;
 pub use agent::{AgentClass, AgentName, GraphAgent, Heading, UnknownAgent};
 pub use centerline::{Centerline, CenterlineName, LIGHT_REACH, LightAhead, Turn};
 pub use sighting::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
+pub(in crate::environment) use sighting::{Sighting, Window};
 
 use super::choice::choice;
 use crate::world::{LaneId, Scene};

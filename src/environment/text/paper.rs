@@ -34,11 +34,11 @@ fn node(node: Option<&NodeDescription>) -> String {
     if node.agents.is_empty() {
         return format!("{apart}free");
     }
-    let agents: Vec<String> = node.agents.iter().map(agent).collect();
+    let agents: Vec<String> = node.agents.iter().copied().map(agent).collect();
     format!("{apart}{}", agents.join(", "))
 }
 
-fn agent(agent: &AgentDescription) -> String {
+fn agent(agent: AgentDescription) -> String {
     let moves = match agent.heading {
         Heading::Along => String::new(),
         Heading::Crossing | Heading::Oncoming => format!(" {}", agent.heading),
