@@ -36,7 +36,8 @@ impl Sampler {
         }
     }
 
-    /// Chooses among the allowed tokens. `position` is the position in the chat that the logits were computed at.
+    /// Chooses among the allowed tokens, never `banned`. `position` is the position in the chat that the logits were
+    /// computed at.
     ///
     /// # Errors
     /// When a logit is not finite, or no token is allowed.
@@ -44,6 +45,7 @@ impl Sampler {
         &mut self,
         mut logits: Vec<f32>,
         allowed: Option<&SimpleVob>,
+        banned: u32,
         position: usize,
     ) -> Result<u32, MllmError> {
         if let Some(token) = logits.iter().position(|logit| !logit.is_finite()) {
@@ -55,6 +57,9 @@ impl Sampler {
                     *logit = f32::NEG_INFINITY;
                 }
             }
+        }
+        if let Some(logit) = logits.get_mut(banned as usize) {
+            *logit = f32::NEG_INFINITY;
         }
         let best = likeliest(&logits).ok_or_else(|| MllmError::Request { problem: "no token is allowed".into() })?;
         match self {
@@ -92,8 +97,11 @@ pub(crate) fn answer_seed(conversation: u64, answer: u64) -> u64 {
 mod tests {
     use super::*;
 
+    /// The likeliest token of the tests, which must never be chosen.
+    const BANNED: u32 = 4;
+
     fn only(tokens: &[u32]) -> SimpleVob {
-        let mut allowed = SimpleVob::alloc(4);
+        let mut allowed = SimpleVob::alloc(5);
         for token in tokens {
             allowed.allow_token(*token);
         }
@@ -103,28 +111,30 @@ mod tests {
     #[test]
     fn greedy_takes_the_first_largest_allowed() {
         let mut sampler = Sampler::new(Sampling::Greedy, 0).unwrap();
-        let logits = vec![1.0, 3.0, 2.0, 3.0];
-        assert_eq!(sampler.choose(logits.clone(), None, 0).unwrap(), 1);
-        assert_eq!(sampler.choose(logits.clone(), Some(&only(&[0, 2])), 0).unwrap(), 2);
-        assert!(matches!(sampler.choose(logits, Some(&only(&[])), 0), Err(MllmError::Request { .. })));
+        let logits = vec![1.0, 3.0, 2.0, 3.0, 9.0];
+        assert_eq!(sampler.choose(logits.clone(), None, BANNED, 0).unwrap(), 1);
+        assert_eq!(sampler.choose(logits.clone(), Some(&only(&[0, 2])), BANNED, 0).unwrap(), 2);
+        assert!(matches!(sampler.choose(logits, Some(&only(&[])), BANNED, 0), Err(MllmError::Request { .. })));
     }
 
     #[test]
     fn draws_follow_the_seed_and_stay_in_the_nucleus() {
         let draws = |seed, top_p| -> Vec<u32> {
             let mut sampler = Sampler::new(Sampling::Sample { temperature: 1.0, top_p }, seed).unwrap();
-            (0..64).map(|_| sampler.choose(vec![0.0, 2.0, 1.0, 1.5], Some(&only(&[0, 1, 3])), 0).unwrap()).collect()
+            (0..64)
+                .map(|_| sampler.choose(vec![0.0, 2.0, 1.0, 1.5, 9.0], Some(&only(&[0, 1, 3, 4])), BANNED, 0).unwrap())
+                .collect()
         };
         assert_eq!(draws(7, 1.0), draws(7, 1.0));
         assert_ne!(draws(7, 1.0), draws(8, 1.0));
-        assert!(draws(7, 1.0).iter().all(|token| *token != 2));
+        assert!(draws(7, 1.0).iter().all(|token| [0, 1, 3].contains(token)));
         assert!(draws(7, 0.5).iter().all(|token| *token == 1));
     }
 
     #[test]
     fn logits_that_are_no_numbers_are_an_error() {
         let mut sampler = Sampler::new(Sampling::Greedy, 0).unwrap();
-        let error = sampler.choose(vec![0.0, f32::NAN], None, 12).unwrap_err();
+        let error = sampler.choose(vec![0.0, f32::NAN], None, BANNED, 12).unwrap_err();
         assert!(matches!(error, MllmError::NonFiniteLogits { position: 12, token: 1, .. }));
     }
 

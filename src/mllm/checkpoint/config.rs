@@ -16,7 +16,7 @@ use crate::mllm::MllmError;
 pub(crate) struct LlavaConfig {
     /// The CLIP vision tower.
     pub vision: ClipVisionConfig,
-    /// The LLaMA decoder.
+    /// The Llama decoder.
     pub text: LlamaConfig,
     /// Token id that stands for an image patch in the prompt.
     pub image_token: u32,
@@ -154,5 +154,60 @@ pub(super) fn activation(section: &Section<'_>, key: &str, default: Activation) 
         Some("relu") => Ok(Activation::Relu),
         Some("silu" | "swish") => Ok(Activation::Silu),
         Some(other) => Err(section.error(key, format!("activation {other:?} is not supported"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mllm::checkpoint::{Rope, RopeScaling};
+    use serde_json::json;
+
+    fn parse(value: &Value) -> Result<LlavaConfig, MllmError> {
+        LlavaConfig::from_json(Path::new("config.json"), value)
+    }
+
+    #[test]
+    fn an_empty_configuration_is_what_transformers_makes_of_it() {
+        // LlavaConfig() has no image token below LlamaConfig()'s vocabulary, so one is named here.
+        let config = parse(&json!({"image_token_index": 5})).unwrap();
+        assert_eq!((config.vision.hidden, config.vision.layers, config.vision.heads), (1024, 24, 16));
+        assert_eq!((config.vision.patches(), config.image_tokens()), (576, 576));
+        assert_eq!((config.text.hidden, config.text.layers, config.text.kv_heads), (4096, 32, 32));
+        assert_eq!((config.text.head_dim, config.text.context, config.text.vocabulary), (128, 2048, 32_000));
+        assert_eq!(config.feature_layers, [23]);
+        assert_eq!(config.text.rope, Rope { theta: 10_000.0, scaling: RopeScaling::None });
+        assert!(matches!(parse(&json!({})), Err(MllmError::Config { key, .. }) if key == "image_token_index"));
+    }
+
+    #[test]
+    fn the_configuration_of_llava_1_5_is_read() {
+        let config = parse(&json!({
+            "architectures": ["LlavaForConditionalGeneration"], "ignore_index": -100, "image_token_index": 32000,
+            "model_type": "llava", "pad_token_id": 32001, "projector_hidden_act": "gelu",
+            "text_config": {"_name_or_path": "lmsys/vicuna-7b-v1.5", "max_position_embeddings": 4096,
+                "model_type": "llama", "rms_norm_eps": 1e-05, "torch_dtype": "float16", "vocab_size": 32064},
+            "torch_dtype": "float16",
+            "vision_config": {"hidden_size": 1024, "image_size": 336, "intermediate_size": 4096,
+                "model_type": "clip_vision_model", "num_attention_heads": 16, "num_hidden_layers": 24, "patch_size": 14,
+                "projection_dim": 768, "vocab_size": 32000},
+            "vision_feature_layer": -2, "vision_feature_select_strategy": "default", "vocab_size": 32064,
+        }))
+        .unwrap();
+        assert_eq!((config.text.context, config.text.vocabulary, config.image_tokens()), (4096, 32_064, 576));
+        assert!((config.text.rms_norm_eps - 1e-5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn scaled_rotary_embeddings_are_read_in_old_and_new_form() {
+        let rope =
+            |text: Value| parse(&json!({"image_token_index": 5, "text_config": text})).map(|config| config.text.rope);
+        let linear = Rope { theta: 500.0, scaling: RopeScaling::Linear { factor: 2.0 } };
+        let old = json!({"rope_theta": 500, "rope_scaling": {"type": "linear", "factor": 2.0}});
+        assert_eq!(rope(old).unwrap(), linear);
+        let new = json!({"rope_parameters": {"rope_type": "linear", "factor": 2, "rope_theta": 500}});
+        assert_eq!(rope(new).unwrap(), linear);
+        let incomplete = json!({"rope_parameters": {"rope_type": "llama3", "factor": 8}});
+        assert!(matches!(rope(incomplete), Err(MllmError::Config { key, .. }) if key.ends_with("low_freq_factor")));
     }
 }

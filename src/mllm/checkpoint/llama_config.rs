@@ -1,10 +1,10 @@
-//! The `text_config` part of a configuration: a LLaMA decoder.
+//! The `text_config` part of a configuration: a Llama decoder.
 
 use super::config::{Activation, activation};
 use super::section::Section;
 use crate::mllm::MllmError;
 
-/// A LLaMA decoder (`LlamaConfig`).
+/// A Llama decoder (`LlamaConfig`).
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LlamaConfig {
     /// Number of token ids.
@@ -65,6 +65,9 @@ pub(crate) enum RopeScaling {
     },
 }
 
+/// Longest context, positions: bounds the table of rotary angles.
+const MAX_CONTEXT: usize = 1 << 20;
+
 impl LlamaConfig {
     pub(super) fn from_section(section: &Section<'_>) -> Result<Self, MllmError> {
         match section.text("model_type")? {
@@ -91,6 +94,10 @@ impl LlamaConfig {
         if !head_dim.is_multiple_of(2) {
             return Err(section.error("head_dim", format!("{head_dim} is odd, rotary embeddings need pairs")));
         }
+        let context = section.count("max_position_embeddings", 2048)?;
+        if context > MAX_CONTEXT {
+            return Err(section.error("max_position_embeddings", format!("at most {MAX_CONTEXT}")));
+        }
         Ok(Self {
             vocabulary: section.count("vocab_size", 32_000)?,
             hidden,
@@ -99,7 +106,7 @@ impl LlamaConfig {
             heads,
             kv_heads,
             head_dim,
-            context: section.count("max_position_embeddings", 2048)?,
+            context,
             rms_norm_eps: section.positive("rms_norm_eps", 1e-6)?,
             rope: Rope::from_section(section)?,
             attention_bias: section.flag("attention_bias", false)?,

@@ -1,4 +1,4 @@
-//! The LLaMA decoder: RMS norm, rotary embedding, grouped-query attention, SwiGLU.
+//! The Llama decoder: RMS norm, rotary embedding, grouped-query attention, `SwiGLU`.
 
 mod attention;
 mod cache;
@@ -15,7 +15,7 @@ use super::MllmError;
 use super::checkpoint::{LlamaConfig, LlavaConfig, Weights};
 use super::linear::Linear;
 
-/// A LLaMA decoder with its embedding and output layer.
+/// A Llama decoder with its embedding and output layer.
 #[derive(Debug)]
 pub(crate) struct LlamaDecoder {
     embedding: Tensor,

@@ -129,7 +129,8 @@ impl Generation<'_> {
             None => Vec::new(),
         };
         let position = self.sequence.ids().len().saturating_sub(1);
-        sampler.choose(logits, allowed, position)
+        // An answer has no image of its own, so the placeholder of one is no word of it.
+        sampler.choose(logits, allowed, self.model.config().image_token, position)
     }
 
     fn push_free(&mut self, token: u32) {

@@ -28,7 +28,7 @@ pub struct ModelSpec {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Architecture {
-    /// CLIP vision tower, projector, LLaMA decoder ([`Llava`](crate::mllm::Llava)).
+    /// CLIP vision tower, projector, Llama decoder ([`Llava`](crate::mllm::Llava)).
     Llava,
 }
 

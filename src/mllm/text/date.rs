@@ -3,7 +3,7 @@
 use minijinja::{Error, ErrorKind};
 
 /// `strftime_now` of chat templates. The same chat must give the same prompt on every day, so it is always
-/// 26 July 2024, 00:00:00: the date that LLaMA 3's own template takes when it is told none.
+/// 26 July 2024, 00:00:00: the date that Llama 3's own template takes when it is told none.
 pub(super) fn format_fixed_date(format: &str) -> Result<String, Error> {
     let mut out = String::with_capacity(format.len());
     let mut characters = format.chars();

@@ -87,22 +87,19 @@ impl GrammarEngine {
             let compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
             compiled.get(constraint).map(Matcher::deep_clone)
         };
-        let matcher = match known {
-            Some(matcher) => matcher,
-            None => {
-                let matcher =
-                    Matcher::new(catch_unwind(std::panic::AssertUnwindSafe(|| self.factory.create_parser(grammar))));
-                if let Some(problem) = matcher.get_error() {
-                    return Err(fail(problem));
-                }
-                let mut compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
-                if compiled.len() >= KEPT_GRAMMARS {
-                    compiled.clear();
-                }
-                compiled.insert(constraint.clone(), matcher.deep_clone());
-                matcher
-            }
-        };
+        if let Some(matcher) = known {
+            return Ok(Some(GrammarState { matcher, shown }));
+        }
+        let create = std::panic::AssertUnwindSafe(|| self.factory.create_parser(grammar));
+        let matcher = Matcher::new(catch_unwind(create));
+        if let Some(problem) = matcher.get_error() {
+            return Err(fail(problem));
+        }
+        let mut compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
+        if compiled.len() >= KEPT_GRAMMARS {
+            compiled.clear();
+        }
+        compiled.insert(constraint.clone(), matcher.deep_clone());
         Ok(Some(GrammarState { matcher, shown }))
     }
 }
@@ -221,4 +218,73 @@ fn shown(constraint: &Constraint) -> String {
 
 fn first_line(text: &str) -> String {
     text.lines().next().unwrap_or_default().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// A tokenizer as Llama 2 has it: a space before every text, `▁` for spaces, bytes for what is not in the vocabulary.
+    fn sentence_piece() -> (tempfile::TempDir, ChatTokenizer) {
+        let mut vocabulary = serde_json::Map::new();
+        let bytes = (0..256).map(|byte| format!("<0x{byte:02X}>"));
+        let words = ["\u{2581}", "k", "e", "p", "l", "a", "n", "ke", "ep", "keep", "\u{2581}l", "\u{2581}la", "ne"];
+        let tokens = ["<unk>", "<s>", "</s>"].map(String::from).into_iter().chain(bytes).chain(words.map(String::from));
+        for (id, token) in tokens.enumerate() {
+            vocabulary.insert(token, json!(id));
+        }
+        let special = |id: u32, content: &str| {
+            json!({"id": id, "content": content, "single_word": false, "lstrip": false, "rstrip": false,
+                "normalized": false, "special": true})
+        };
+        let file = json!({
+            "version": "1.0", "truncation": null, "padding": null,
+            "added_tokens": [special(0, "<unk>"), special(1, "<s>"), special(2, "</s>")],
+            "normalizer": {"type": "Sequence", "normalizers": [
+                {"type": "Prepend", "prepend": "\u{2581}"},
+                {"type": "Replace", "pattern": {"String": " "}, "content": "\u{2581}"}]},
+            "pre_tokenizer": null, "post_processor": null,
+            "decoder": {"type": "Sequence", "decoders": [
+                {"type": "Replace", "pattern": {"String": "\u{2581}"}, "content": " "},
+                {"type": "ByteFallback"}, {"type": "Fuse"}, {"type": "Strip", "content": " ", "start": 1, "stop": 0}]},
+            "model": {"type": "BPE", "dropout": null, "unk_token": "<unk>", "continuing_subword_prefix": null,
+                "end_of_word_suffix": null, "fuse_unk": true, "byte_fallback": true, "ignore_merges": false,
+                "vocab": vocabulary,
+                "merges": [["k", "e"], ["e", "p"], ["ke", "ep"], ["\u{2581}", "l"], ["\u{2581}l", "a"], ["n", "e"]]},
+        });
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("tokenizer.json"), file.to_string()).unwrap();
+        let tokenizer = ChatTokenizer::open(folder.path(), 280).unwrap();
+        (folder, tokenizer)
+    }
+
+    #[test]
+    fn sentence_piece_answers_are_forced_in_the_tokenizers_spelling_without_its_space() {
+        let (_folder, tokenizer) = sentence_piece();
+        let engine = GrammarEngine::new(&tokenizer, &[2]).unwrap();
+        let mut state = engine.begin(&Constraint::Choice(vec!["keep lane\n".into()])).unwrap().unwrap();
+        let forced = state.take_forced().unwrap();
+        let spelled: Vec<String> = forced.iter().filter_map(|id| tokenizer.token(*id)).collect();
+        assert_eq!(spelled, ["keep", "\u{2581}la", "ne", "<0x0A>"]);
+        assert_eq!(tokenizer.decode_verbatim(&forced), "keep lane\n");
+        assert!(state.is_complete());
+    }
+
+    #[test]
+    fn a_grammar_is_followed_byte_by_byte() {
+        let (_folder, tokenizer) = sentence_piece();
+        let engine = GrammarEngine::new(&tokenizer, &[2]).unwrap();
+        let mut state = engine.begin(&Constraint::Regex("(keep| lane)?".into())).unwrap().unwrap();
+        assert!(state.take_forced().unwrap().is_empty());
+        let allowed = state.allowed().unwrap();
+        let allows = |token: &str| allowed.is_allowed(tokenizer.id(token).unwrap());
+        for token in ["keep", "k", "ke", "\u{2581}", "\u{2581}la", "<0x20>", "</s>"] {
+            assert!(allows(token), "{token}");
+        }
+        for token in ["ep", "l", "<s>", "<unk>", "<0x0A>"] {
+            assert!(!allows(token), "{token}");
+        }
+        assert!(state.consume(&[tokenizer.id("ep").unwrap()]).is_err());
+    }
 }

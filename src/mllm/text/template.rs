@@ -81,7 +81,8 @@ impl ChatTemplate {
         }
         for (index, turn) in turns.iter().enumerate() {
             say("user", image && index == 0, &turn.prompt);
-            say("assistant", false, &turn.answer);
+            // A model may write the placeholder's name; the chat still has only the images that it was given.
+            say("assistant", false, &turn.answer.replace(&self.image_token, ""));
         }
         say("user", image && turns.is_empty(), prompt);
         let special = Value::from_pairs(self.special.iter().map(|(role, token)| (role.as_str(), token.as_str())));

@@ -12,7 +12,7 @@ const LONGEST_TOKEN: usize = 1000;
 enum Spelling {
     /// GPT-2: every byte is one printable character.
     ByteLevel,
-    /// SentencePiece: `▁` is a space, `<0x0A>` a byte.
+    /// `SentencePiece`: `▁` is a space, `<0x0A>` a byte.
     SentencePiece,
 }
 
