@@ -73,10 +73,10 @@ def build(prompts: Iterable[str], answers: Iterable[str]) -> Tokenizer:
     room = VOCABULARY - len(SPECIAL) - len(alphabet)
     # dict keeps the first occurrence: an answer's word never loses its place to a frequent prompt word.
     kept = [word for word in dict.fromkeys(words) if word not in set(alphabet)][:room]
-    tokens = [*SPECIAL, *alphabet, *kept]
+    # The added tokens stand behind the model's own, which are all spelt in the byte-level alphabet.
+    vocabulary = {token: i for i, token in enumerate([*alphabet, *kept])}
     # Matrix kernels like a multiple of 16.
-    unused = [f"<unused{i}>" for i in range(-len(tokens) % 16)]
-    vocabulary = {token: i for i, token in enumerate([*tokens, *unused])}
+    unused = [f"<unused{i}>" for i in range(-(len(vocabulary) + len(SPECIAL)) % 16)]
 
     tokenizer = Tokenizer(models.BPE(vocab=vocabulary, merges=[], ignore_merges=True))
     tokenizer.pre_tokenizer = pre_tokenizer(pattern)
