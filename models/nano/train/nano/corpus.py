@@ -151,3 +151,10 @@ def load(cache: Path) -> Corpus:
 def special_ids(tokenizer: Tokenizer) -> dict[str, int]:
     """Ids of the added tokens that the training code needs by name."""
     return {token: tokenizer.token_to_id(token) for token in (IMAGE, ASSISTANT, EOS)}
+
+
+def colours(corpus: Corpus, images: int = 500) -> tuple[list[float], list[float]]:
+    """Mean and standard deviation of red, green and blue (0 to 1), rounded so that they stand exactly in JSON."""
+    step = max(1, len(corpus) // images)
+    pixels = corpus.images[::step].reshape(-1, 3).astype(np.float64) / 255
+    return [round(float(v), 3) for v in pixels.mean(0)], [max(round(float(v), 3), 0.01) for v in pixels.std(0)]

@@ -90,8 +90,10 @@ def stock_weights(model: NanoLlava) -> dict[str, Tensor]:
     return {name: weight.clone() for name, weight in out.items()}
 
 
-def write_processing(folder: Path, shape: Shape, tokenizer: Tokenizer) -> None:
+def write_processing(folder: Path, model: NanoLlava, tokenizer: Tokenizer) -> None:
     """Tokenizer, chat template and image processor files."""
+    shape = model.shape
+    mean, std = ([round(v, 3) for v in buffer.tolist()] for buffer in (model.image_mean, model.image_std))
     tokenizer.save(str(folder / "tokenizer.json"))
     files = {
         "tokenizer_config.json": {
@@ -104,7 +106,7 @@ def write_processing(folder: Path, shape: Shape, tokenizer: Tokenizer) -> None:
             "do_resize": True, "size": {"height": shape.image_pixels, "width": shape.image_pixels}, "resample": 3,
             # The resize is exact, so there is nothing to crop.
             "do_center_crop": False, "crop_size": {"height": shape.image_pixels, "width": shape.image_pixels},
-            "do_rescale": True, "rescale_factor": 1 / 255, "do_normalize": True, "image_mean": [0.5] * 3, "image_std": [0.5] * 3,
+            "do_rescale": True, "rescale_factor": 1 / 255, "do_normalize": True, "image_mean": mean, "image_std": std,
         },
         "processor_config.json": {
             "processor_class": "LlavaProcessor", "patch_size": shape.patch, "image_token": IMAGE,
@@ -133,7 +135,7 @@ def write(out: Path, folder: Path, dtype: str, reference: Path | None) -> float:
         bos_token_id=config.text_config.bos_token_id, eos_token_id=config.text_config.eos_token_id,
         pad_token_id=config.text_config.pad_token_id, do_sample=False, max_new_tokens=128,
     ).save_pretrained(folder)  # fmt: skip
-    write_processing(folder, model.shape, tokenizer)
+    write_processing(folder, model, tokenizer)
     large = [file.name for file in folder.iterdir() if file.stat().st_size > LARGEST_FILE]
     if large:
         raise ValueError(f"too large to ship: {', '.join(large)}")
@@ -145,7 +147,8 @@ def check(out: Path, folder: Path, model: NanoLlava, tokenizer: Tokenizer, store
     """Opens the folder with stock transformers: text, image and logits must be what training used."""
     processor = AutoProcessor.from_pretrained(folder)
     stock = LlavaForConditionalGeneration.from_pretrained(folder, dtype=torch.float32).eval()
-    model.load_state_dict({name: weight.to(stored).float() for name, weight in model.state_dict().items()})
+    for parameter in model.parameters():
+        parameter.copy_(parameter.to(stored).float())
     corpus = corpora.load(out / "cache" / "validation")
     collator = Collator(corpus, tokenizer.token_to_id(IMAGE), model.shape.image_tokens, 1.0)
     worst = 0.0

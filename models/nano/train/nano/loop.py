@@ -74,10 +74,16 @@ def share_done(recipe: Recipe, progress: Progress) -> float:
 class Trainer:
     """A worker: `rank` of `world`, each with its own copy of the weights and its share of every batch."""
 
-    def __init__(self, recipe: Recipe, shape: Shape, vocabulary: int, rank: int, world: int, device: torch.device) -> None:
+    def __init__(
+        self, recipe: Recipe, shape: Shape, vocabulary: int, colours: tuple[list[float], list[float]], rank: int, world: int, device: torch.device
+    ) -> None:
         torch.manual_seed(recipe.seed)
         self.recipe, self.rank, self.world, self.device = recipe, rank, world, device
-        self.model = NanoLlava(shape, vocabulary).to(device)
+        self.model = NanoLlava(shape, vocabulary)
+        mean, std = colours
+        self.model.image_mean.copy_(torch.tensor(mean))
+        self.model.image_std.copy_(torch.tensor(std))
+        self.model.to(device)
         self.forward = torch.compile(self.model) if recipe.compile else self.model
         self.dtype = getattr(torch, recipe.precision)
         self.progress = Progress()

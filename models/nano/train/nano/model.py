@@ -18,6 +18,10 @@ from torch import Tensor, nn
 from .shapes import Shape
 
 
+#: Amplitude of the positions at the start, about that of a patch's embedding.
+POSITION_SIZE = 0.5
+
+
 class VisionBlock(nn.Module):
     """A pre-norm CLIP encoder layer (biases everywhere, GELU)."""
 
@@ -50,7 +54,7 @@ class VisionTower(nn.Module):
         width = shape.vision_width
         self.class_embedding = nn.Parameter(torch.randn(width) * 0.02)
         self.patch = nn.Linear(3 * shape.patch**2, width, bias=False)
-        self.position = nn.Parameter(torch.randn(1 + shape.image_tokens, width) * 0.02)
+        self.position = nn.Parameter(grid_positions(shape))
         self.pre_norm = nn.LayerNorm(width, eps=shape.norm_eps)
         self.blocks = nn.ModuleList(
             VisionBlock(width, shape.vision_heads, shape.vision_mlp, shape.norm_eps) for _ in range(shape.vision_layers)
@@ -120,6 +124,9 @@ class NanoLlava(nn.Module):
         self.norm = nn.RMSNorm(shape.width, eps=shape.norm_eps)
         self.head = nn.Linear(shape.width, vocabulary, bias=False)
         cos, sin = rotary(shape)
+        # Colours as the dataset has them: the background becomes nearly zero, so that what is drawn stands out.
+        self.register_buffer("image_mean", torch.full((3,), 0.5))
+        self.register_buffer("image_std", torch.full((3,), 0.5))
         self.register_buffer("cos", cos, persistent=False)
         self.register_buffer("sin", sin, persistent=False)
         self.reset()
@@ -135,13 +142,13 @@ class NanoLlava(nn.Module):
                     nn.init.zeros_(module.bias)
             elif isinstance(module, nn.Embedding):
                 nn.init.normal_(module.weight, std=0.02)
-        # A patch has hundreds of inputs of size one: the fan-in rule keeps its embedding near the positions' size.
+        # The fan-in rule keeps a patch's embedding near the positions' size: what is where must survive the norm that follows.
         nn.init.normal_(self.tower.patch.weight, std=1 / math.sqrt(self.tower.patch.in_features))
         nn.init.normal_(self.project1.weight, std=1 / math.sqrt(self.project1.in_features))
 
     def image_features(self, images: Tensor, dtype: torch.dtype) -> Tensor:
         """uint8 images (B, pixels, pixels, 3) to decoder inputs (B, P, W)."""
-        features = self.tower(patchify(images, self.shape, dtype))
+        features = self.tower(patchify(images, self.shape, self.image_mean, self.image_std, dtype))
         return linear(F.gelu(linear(features, self.project1)), self.project2)
 
     def embeddings(self, ids: Tensor, images: Tensor, image_places: Tensor, dtype: torch.dtype) -> Tensor:
@@ -165,11 +172,25 @@ class NanoLlava(nn.Module):
         return linear(norm(x, self.norm), self.head).float()
 
 
-def patchify(images: Tensor, shape: Shape, dtype: torch.dtype) -> Tensor:
-    """uint8 (B, pixels, pixels, 3) to (B, P, 3 * patch^2): channel, row, column, as CLIP's convolution has them; [-1, 1]."""
+def grid_positions(shape: Shape) -> Tensor:
+    """Start of the learned positions, (1 + P, V): sines and cosines of row and column (zero for the class token).
+
+    Random small positions drown in the patch's own embedding, and the tower then takes long to learn where anything is.
+    """
+    n, quarter = shape.image_pixels // shape.patch, shape.vision_width // 4
+    rates = 1.0 / 100.0 ** (torch.arange(quarter, dtype=torch.float32) / quarter)
+    waves = torch.outer(torch.arange(n, dtype=torch.float32), rates)
+    along = torch.cat([waves.sin(), waves.cos()], dim=1)
+    rows, columns = along[:, None].expand(n, n, -1), along[None, :].expand(n, n, -1)
+    grid = torch.cat([rows, columns], dim=-1).reshape(n * n, 4 * quarter)
+    return torch.cat([torch.zeros(1, 4 * quarter), grid]) * POSITION_SIZE
+
+
+def patchify(images: Tensor, shape: Shape, mean: Tensor, std: Tensor, dtype: torch.dtype) -> Tensor:
+    """uint8 (B, pixels, pixels, 3) to normalised (B, P, 3 * patch^2): channel, row, column, as CLIP's convolution has them."""
     b, p, n = images.shape[0], shape.patch, shape.image_pixels // shape.patch
-    pieces = images.view(b, n, p, n, p, 3).permute(0, 1, 3, 5, 2, 4).reshape(b, n * n, 3 * p * p)
-    return (pieces.to(torch.float32) * (2 / 255) - 1).to(dtype)
+    normal = ((images.float() / 255 - mean) / std).to(dtype)
+    return normal.view(b, n, p, n, p, 3).permute(0, 1, 3, 5, 2, 4).reshape(b, n * n, 3 * p * p)
 
 
 def linear(x: Tensor, layer: nn.Linear) -> Tensor:

@@ -69,7 +69,7 @@ def worker(rank: int, world: int, meeting: str, recipe: Recipe, out: Path, devic
     path = out / "tokenizer.json"
     train, check = corpora.load(out / "cache" / "train"), corpora.load(out / "cache" / "validation")
     vocabulary = tokenizers.load(path).get_vocab_size()
-    trainer = Trainer(recipe, SHAPES[recipe.shape], vocabulary, rank, world, torch.device(device))
+    trainer = Trainer(recipe, SHAPES[recipe.shape], vocabulary, corpora.colours(train), rank, world, torch.device(device))
     if (out / "checkpoint.pt").exists():
         trainer.restore(out / "checkpoint.pt")
     pair = (collator_of(recipe, train, path), collator_of(recipe, check, path))
