@@ -1,6 +1,6 @@
 //! Where scenarios come from, by the words of the command line.
 
-use crate::scenario::generator::{self, GeneratorError, Spec, SpecError};
+use crate::scenario::generator::{self, GeneratorError, Spec};
 use crate::scenario::womd::{self, Pick, WomdError};
 use crate::scenario::Scenario;
 use std::path::{Path, PathBuf};
@@ -30,12 +30,9 @@ pub enum SourceError {
     /// The recording cannot be read.
     #[error(transparent)]
     Recording(#[from] WomdError),
-    /// The generator finds no scene for this seed.
+    /// Not the id of a generated scenario, or the generator finds no scene for its seed.
     #[error(transparent)]
     Generator(#[from] GeneratorError),
-    /// Not an id of a generated scenario.
-    #[error("{0}")]
-    Spec(#[from] SpecError),
     /// Nothing there.
     #[error("there is no file or folder {}; a generated scenario is called generated/TYPE/SEED", .0.display())]
     Missing(PathBuf),
