@@ -4,6 +4,21 @@
 mod code;
 mod code_lexer;
 mod code_parser;
+mod engine;
+mod grammar;
+mod instruction;
+mod prompt_set;
+mod round;
 
 pub use code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range, TARGET_SPEED};
 pub use code_parser::{ParseError, Parsed, parse};
+pub use engine::{
+    Feedback, Reasoning, ReasoningError, ReasoningSettings, RoundRecord, ScenarioPrompt, Thought, feedback_text,
+    round_prompt, system_prompt,
+};
+pub use grammar::{ACCELERATIONS, DECELERATIONS};
+pub use instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction};
+pub use prompt_set::{
+    InstructionForm, PromptError, PromptForms, PromptSet, UnderstandingForm,
+};
+pub use round::Round;
