@@ -1,15 +1,17 @@
 //! Affine layers and activations on matrices of one row a token.
 
-use candle_core::quantized::QMatMul;
-use candle_core::{Module, Result, Tensor};
+use candle_core::{Result, Tensor};
 
 use super::MllmError;
 use super::checkpoint::{Activation, Weights};
 
-/// y = x Wᵀ + b on a matrix of shape (tokens, inputs). The weight may be dense or quantised.
+/// y = x Wᵀ + b on a matrix of shape (tokens, inputs).
+///
+/// The weight is kept transposed, (inputs, outputs): for few rows, which is what decoding has, the matrix product would
+/// otherwise spend most of its time on transposing blocks of it.
 #[derive(Debug, Clone)]
 pub(crate) struct Linear {
-    weight: QMatMul,
+    weight: Tensor,
     bias: Option<Tensor>,
 }
 
@@ -47,22 +49,26 @@ impl Linear {
             }
         }
         let bias = if bias { Some(Tensor::cat(&biases, 0)?) } else { None };
-        Ok(Self { weight: QMatMul::Tensor(Tensor::cat(&matrices, 0)?), bias })
+        Ok(Self { weight: transposed(&Tensor::cat(&matrices, 0)?)?, bias })
     }
 
     /// A layer without bias around a matrix of shape (outputs, inputs).
-    pub(crate) fn from_matrix(matrix: Tensor) -> Self {
-        Self { weight: QMatMul::Tensor(matrix), bias: None }
+    pub(crate) fn from_matrix(matrix: &Tensor) -> Result<Self> {
+        Ok(Self { weight: transposed(matrix)?, bias: None })
     }
 
     /// Applies the layer to (tokens, inputs).
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let y = self.weight.forward(x)?;
+        let y = x.matmul(&self.weight)?;
         match &self.bias {
             None => Ok(y),
             Some(bias) => y.broadcast_add(bias),
         }
     }
+}
+
+fn transposed(matrix: &Tensor) -> Result<Tensor> {
+    matrix.t()?.contiguous()
 }
 
 impl Activation {

@@ -69,7 +69,7 @@ impl LlamaDecoder {
             embedding,
             layers,
             norm: rms_norm(weights, "language_model.norm", text)?,
-            head: Linear::from_matrix(head),
+            head: Linear::from_matrix(&head)?,
             rotary: RotaryTable::new(text)?,
             config: text.clone(),
         })

@@ -47,7 +47,7 @@ impl ClipVisionTower {
         layers.truncate(depth);
         Ok(Self {
             class_embedding: weights.take(&format!("{embeddings}.class_embedding"), &[hidden])?.unsqueeze(0)?,
-            patch_embedding: Linear::from_matrix(patch_kernel.flatten_from(1)?),
+            patch_embedding: Linear::from_matrix(&patch_kernel.flatten_from(1)?)?,
             position_embedding: weights
                 .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches() + 1, hidden])?,
             // The misspelling is CLIP's own and stands in every checkpoint.
