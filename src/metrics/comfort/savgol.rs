@@ -110,10 +110,12 @@ pub fn differentiated(values: &[f64], step: f64, filter: SavitzkyGolay) -> Resul
     filter.apply(values, step).map(rounded)
 }
 
-/// Mean time between states, seconds; 0 for fewer than two.
+/// Mean time between states, seconds; 0 for fewer than two. As nuPlan, it turns the times into seconds before it takes their difference: with
+/// times since 1970 that rounds the step in the tenth decimal, which shows in the eighth of a jerk.
 pub fn mean_step_s(states: &[EgoState]) -> f64 {
+    let seconds = |state: &EgoState| state.time_us as f64 / MICROS_PER_SECOND;
     match states {
-        [first, .., last] => (last.time_us - first.time_us) as f64 / MICROS_PER_SECOND / (states.len() - 1) as f64,
+        [first, .., last] => (seconds(last) - seconds(first)) / (states.len() - 1) as f64,
         _ => 0.0,
     }
 }
