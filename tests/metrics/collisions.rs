@@ -36,7 +36,8 @@ fn a_lateral_collision_is_at_fault_only_between_lanes() {
 #[test]
 fn each_track_counts_once_at_its_first_touch() {
     let map = straight();
-    // The ego's front is 2.588 m ahead of its centre; a car standing at x = 20 has its rear at 18: first overlap at centre 15.5.
+    // The ego's front is 2.588 m ahead of its centre; a car standing at x = 20 has its rear at 18: first overlap at
+    // centre 15.5.
     let (found, score) = collisions(&map, &cruise(60, 0.0, 0.0, 5.0), &[car(7, 20.0, 0.0, 0.0)]);
     assert_eq!(found.len(), 1);
     assert_eq!((found[0].sample, found[0].collision_type), (31, CollisionType::StoppedTrack));

@@ -90,7 +90,8 @@ fn kind(name: &str) -> StatisticKind {
     serde_json::from_value(Value::String(name.to_owned())).unwrap()
 }
 
-/// Compares the statistics in their order, and the series where there is one; `with_boolean` keeps truth values that hang on thresholds.
+/// Compares the statistics in their order, and the series where there is one; `with_boolean` keeps truth values that
+/// hang on thresholds.
 fn check(file: &str, vector: &Value, result: &MetricResult, with_boolean: bool) {
     let keep = |k: StatisticKind| with_boolean || k != StatisticKind::Boolean;
     let expected: Vec<(StatisticKind, f64)> = vector["expected"]["statistics"]

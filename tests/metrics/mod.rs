@@ -1,5 +1,7 @@
 //! nuPlan's metrics and PDM's scorer: published vectors, golden vectors and hand-worked cases on small maps.
 
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests are tests")]
+
 mod aggregate;
 mod collisions;
 mod comfort;

@@ -1,4 +1,5 @@
-//! PDM's scorer beside the recorded scores of tuplan_garage: 9 cases of 15 proposals, simulated here with PDM's tracker.
+//! PDM's scorer beside the recorded scores of `tuplan_garage`: 9 cases of 15 proposals, simulated here with PDM's
+//! tracker.
 
 use super::road::{Road, cruise, ego, object, straight};
 use planagent::dynamics::{JerkPenalty, simulate_proposal};

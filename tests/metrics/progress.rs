@@ -1,4 +1,5 @@
-//! Progress along the expert's route on a chain of three roadblocks: a lane (0–50 m), a connector (50–60 m), a lane (60–200 m).
+//! Progress along the expert's route on a chain of three roadblocks: a lane (0–50 m), a connector (50–60 m), a lane
+//! (60–200 m).
 
 use super::road::{Road, cruise};
 use planagent::geometry::{Point, Pose};

@@ -84,8 +84,9 @@ pub struct Forecast {
 }
 
 impl Forecast {
-    /// Forecasts what is near: at most 50 static objects, 50 vehicles, 25 pedestrians and 10 bicycles, the nearest ones within
-    /// [`MAX_DISTANCE`], and the connectors of the route that show red. What the ego touches now is added to `collided` and left out from now on.
+    /// Forecasts what is near: at most 50 static objects, 50 vehicles, 25 pedestrians and 10 bicycles, the nearest ones
+    /// within [`MAX_DISTANCE`], and the connectors of the route that show red. What the ego touches now is added to
+    /// `collided` and left out from now on.
     pub fn new(
         map: &LaneMap,
         route_lanes: &BTreeSet<LaneId>,
@@ -116,7 +117,8 @@ impl Forecast {
         &self.objects
     }
 
-    /// Connectors of the route that show red; their polygons stand in the way for the whole forecast. The scorer ignores them.
+    /// Connectors of the route that show red; their polygons stand in the way for the whole forecast. The scorer
+    /// ignores them.
     pub fn red_lights(&self) -> &[LaneId] {
         &self.red_lights
     }
