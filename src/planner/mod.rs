@@ -2,9 +2,13 @@
 
 mod idm;
 mod log_replay;
+mod plan_agent;
+mod record;
 
 pub use idm::IdmPlanner;
 pub use log_replay::LogReplay;
+pub use plan_agent::{AfterMaxExec, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, generated_planner, names};
+pub use record::{Attempt, Decision, PlanningCall};
 
 use crate::world::{LaneMap, Route, Scene, Trajectory, TrajectoryError};
 use std::sync::Arc;
