@@ -28,7 +28,7 @@ macro_rules! choice {
             pub const TEXTS: &'static [&'static str] = &[$($text),+];
 
             /// The text of the variant.
-            pub fn as_str(self) -> &'static str {
+            pub const fn as_str(self) -> &'static str {
                 match self {
                     $(Self::$variant => $text,)+
                 }

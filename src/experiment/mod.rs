@@ -1,4 +1,5 @@
 //! Stage 9: what drives many loops. Simulation runs; label search and datasets.
 
+pub mod dataset;
 pub mod run;
 pub mod source;

@@ -169,7 +169,7 @@ fn drive_scenario(
             (simulate(&mut planner)?, planner.calls().to_vec())
         }
         PlannerKind::LogReplay => (simulate(&mut LogReplay::new(expert.clone()))?, Vec::new()),
-        PlannerKind::Idm => (simulate(&mut IdmPlanner::new())?, Vec::new()),
+        PlannerKind::Idm => (simulate(&mut IdmPlanner::default())?, Vec::new()),
     };
     let drive = Drive { map: &scenario.map, samples: &log.samples, expert: &expert };
     let evaluation = metrics::evaluate(&drive).map_err(|error| with_causes(&error))?;

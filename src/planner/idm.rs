@@ -22,11 +22,19 @@ const SAMPLE_S: f64 = 0.5;
 /// Objects whose centre is nearer than this to the centre of the ego are seen, metres.
 const RADIUS: f64 = 40.0;
 
-/// The IDM planner. Its path and its target velocity are chosen at the first iteration and kept.
+/// The IDM planner. Its path and its target velocity are chosen at the first iteration and kept. Where the map does not join
+/// the roadblocks of the route (an unmapped U-turn), the path ends before the gap and so does the drive, as in nuPlan.
 #[derive(Debug, Clone, Default)]
 pub struct IdmPlanner {
     road: Option<Road>,
     way: Option<Way>,
+}
+
+impl IdmPlanner {
+    /// A planner that has not been initialised yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
 }
 
 /// What the planner knows from its initialisation.
@@ -234,7 +242,7 @@ mod tests {
         let map = Arc::new(straight_road(&ROAD, Some(12.0)));
         let route = whole_route(&map);
         let lights: TrafficLights = [(LaneId(1), light)].into_iter().collect();
-        let mut planner = IdmPlanner::default();
+        let mut planner = IdmPlanner::new();
         planner.initialize(&PlannerInitialization { map: &map, route: &route }).unwrap();
         let history = History::default();
         let scene = Scene { map: &map, route: &route, ego, objects, lights: &lights, history: &history };
@@ -290,7 +298,7 @@ mod tests {
     #[test]
     fn says_when_it_cannot_plan() {
         let map = Arc::new(straight_road(&ROAD, None));
-        let mut planner = IdmPlanner::default();
+        let mut planner = IdmPlanner::new();
         let nowhere = planner.initialize(&PlannerInitialization { map: &map, route: &Route::default() });
         assert!(matches!(nowhere, Err(PlannerError::EmptyRoute)));
         let (route, lights, history) = (whole_route(&map), TrafficLights::default(), History::default());

@@ -148,13 +148,7 @@ impl<'a> Reasoning<'a> {
         let mut instruction = None;
         for &round in &self.settings.rounds {
             let names = &self.scenario.names;
-            let context = context! {
-                scene_text => scene_text.take().unwrap_or_default(),
-                feedback => feedback.take(),
-                centerlines => &names.centerlines,
-                leaders => &names.leaders,
-            };
-            let prompt = self.prompts.round(round, context)?;
+            let prompt = round_prompt(self.prompts, round, names, scene_text.take(), feedback.take().as_deref())?;
             let answer = self.conversation.ask(&prompt, &self.request(round))?;
             if round == Round::Instruction {
                 instruction = MotionInstruction::find(&answer.text);
@@ -191,6 +185,26 @@ pub fn system_prompt(prompts: &PromptSet, legend: &str) -> Result<String, Prompt
             v0 => TARGET_SPEED.to_string(), acc => ACCEL_MAX.to_string(), dec => DECEL_MAX.to_string(),
         },
     })
+}
+
+/// The prompt of a round; the first round that is asked carries the scene text and the feedback.
+///
+/// # Errors
+/// When the template names something that does not exist.
+pub fn round_prompt(
+    prompts: &PromptSet,
+    round: Round,
+    names: &Names,
+    scene_text: Option<&str>,
+    feedback: Option<&str>,
+) -> Result<String, PromptError> {
+    let context = context! {
+        scene_text => scene_text.unwrap_or_default(),
+        feedback => feedback,
+        centerlines => &names.centerlines,
+        leaders => &names.leaders,
+    };
+    prompts.round(round, context)
 }
 
 /// What is said to the model about a refused planner.

@@ -3,7 +3,7 @@
 use super::code::{FUNCTION, Names};
 use super::instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason};
 use super::prompt_set::{InstructionForm, UnderstandingForm};
-use crate::environment::SceneFacts;
+use crate::environment::facts::Question;
 use crate::mllm::Constraint;
 
 /// Desired speeds that a model may write under the compact form, m/s: whole numbers up to this.
@@ -24,12 +24,12 @@ pub(super) fn understanding(form: UnderstandingForm) -> Constraint {
     match form {
         UnderstandingForm::Free => Constraint::Free,
         UnderstandingForm::Choices => {
-            let parts: Vec<String> = SceneFacts::QUESTIONS
+            let parts: Vec<String> = Question::ALL
                 .iter()
                 .enumerate()
                 .map(|(i, question)| {
                     let space = if i == 0 { "" } else { " " };
-                    format!("{:?} {}", format!("{space}{}=", question.key), any_of(question.choices))
+                    format!("{:?} {}", format!("{space}{}=", question.as_str()), any_of(question.choices()))
                 })
                 .collect();
             Constraint::Lark(format!("start: {}", parts.join(" ")))

@@ -14,7 +14,7 @@ pub use code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range, TARGET
 pub use code_parser::{ParseError, Parsed, parse};
 pub use engine::{
     Feedback, Reasoning, ReasoningError, ReasoningSettings, RoundRecord, ScenarioPrompt, Thought, feedback_text,
-    system_prompt,
+    round_prompt, system_prompt,
 };
 pub use grammar::{ACCELERATIONS, DECELERATIONS};
 pub use instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction};

@@ -118,7 +118,7 @@ impl RunFolder {
 
     fn file(&self, name: &str, bytes: &[u8]) -> Result<(), ReportError> {
         let path = self.path.join(name);
-        let mut write = || fs::File::create(&path).and_then(|mut file| file.write_all(bytes));
+        let write = || fs::File::create(&path).and_then(|mut file| file.write_all(bytes));
         write().map_err(|source| ReportError::Write { path: path.clone(), source })
     }
 }

@@ -10,7 +10,7 @@ const SHORT_NAMES: [&str; 8] = ["coll", "area", "prog", "dir", "rate", "ttc", "s
 
 fn table(width: u16) -> Table {
     let mut table = Table::new();
-    table.load_preset(presets::UTF8_HORIZONTAL_ONLY);
+    table.load_style(presets::UTF8_HORIZONTAL_ONLY);
     table.set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
     table
 }

@@ -110,3 +110,13 @@ fn impossible_sampling_is_an_error() {
     request.sampling = Sampling::Sample { temperature: -1.0, top_p: 0.5 };
     assert!(matches!(conversation.ask(FIRST, &request), Err(MllmError::Request { .. })));
 }
+
+#[test]
+fn a_placeholder_in_an_answer_is_text_and_the_chat_goes_on() {
+    let model = open();
+    let mut conversation = model.converse(&opening(), 0).unwrap();
+    let answer = conversation.ask(FIRST, &request(texts(&["see <image> </s>"]), 60)).unwrap();
+    assert_eq!(answer.text, "see <image> </s>");
+    let next = conversation.ask("And now?", &request(texts(&["yes", "no"]), 8)).unwrap();
+    assert!(["yes", "no"].contains(&next.text.as_str()));
+}

@@ -5,6 +5,7 @@
 mod broken;
 mod constraints;
 mod conversation;
+mod hub;
 mod layouts;
 
 use std::collections::BTreeMap;

@@ -40,9 +40,29 @@ choice! {
     }
 }
 
+/// A question's key and the answers that it allows, as texts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct QuestionForm {
+    /// The key: [`Question::as_str`].
+    pub key: &'static str,
+    /// The texts of the answers: [`Question::choices`].
+    pub choices: &'static [&'static str],
+}
+
 impl Question {
+    /// Every question as texts, in order of [`Self::ALL`].
+    pub const FORMS: [QuestionForm; Self::ALL.len()] = {
+        let mut forms = [QuestionForm { key: "", choices: &[] }; Self::ALL.len()];
+        let mut i = 0;
+        while i < forms.len() {
+            forms[i] = QuestionForm { key: Self::ALL[i].as_str(), choices: Self::ALL[i].choices() };
+            i += 1;
+        }
+        forms
+    };
+
     /// The answers that there are.
-    pub fn choices(self) -> &'static [&'static str] {
+    pub const fn choices(self) -> &'static [&'static str] {
         match self {
             Self::SceneType => SceneType::TEXTS,
             Self::Light => Light::TEXTS,

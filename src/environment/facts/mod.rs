@@ -11,7 +11,8 @@ mod roundabout;
 mod traffic;
 
 pub use answers::{
-    Ahead, EgoSpeed, LaneCount, LaneIndex, LeadSpeed, Light, Oncoming, Question, SceneType, SideLane, VehicleCount,
+    Ahead, EgoSpeed, LaneCount, LaneIndex, LeadSpeed, Light, Oncoming, Question, QuestionForm, SceneType, SideLane,
+    VehicleCount,
 };
 pub use road::{CURVE, ONCOMING_REACH};
 pub use roundabout::{ROUNDABOUT_LENGTH, ROUNDNESS};
@@ -62,6 +63,9 @@ pub struct SceneFacts {
 }
 
 impl SceneFacts {
+    /// What is asked, in the order of the answers.
+    pub const QUESTIONS: &'static [QuestionForm] = &Question::FORMS;
+
     /// The facts of a scene whose lane graph is `graph`.
     pub fn of(scene: &Scene<'_>, graph: &LaneGraph) -> Self {
         let view = View { center: scene.ego.center() };
@@ -90,6 +94,11 @@ impl SceneFacts {
             ego_speed: EgoSpeed::of(scene.ego.speed()),
             turn: graph.ego_lane().turn,
         }
+    }
+
+    /// Every question's key with its answer, in order of [`Question::ALL`].
+    pub fn answers(&self) -> impl Iterator<Item = (&'static str, &'static str)> + '_ {
+        Question::ALL.iter().map(|&question| (question.as_str(), self.answer(question)))
     }
 
     /// The answer to one question: one of [`Question::choices`].

@@ -34,7 +34,7 @@ pub(crate) struct GrammarState {
 /// The tokens that a grammar works with.
 struct Vocabulary {
     trie: TokTrie,
-    tokenizer: Arc<Tokenizer>,
+    tokenizer: Tokenizer,
     /// Whether the tokenizer puts a space before a text that does not begin with one.
     prepends_space: bool,
 }
@@ -56,10 +56,10 @@ impl GrammarEngine {
         let first_end = *end.first().ok_or_else(|| broken("no token ends an answer".into()))?;
         let factory = catch_unwind(std::panic::AssertUnwindSafe(|| {
             let trie = TokTrie::from(&TokRxInfo::new(words.len() as u32, first_end), words).with_eos_tokens(end);
-            let shared = tokenizer.shared();
+            let plain = tokenizer.for_plain_text();
             let prepends_space =
-                shared.encode_fast("a", false).is_ok_and(|encoding| trie.decode(encoding.get_ids()) != b"a");
-            let vocabulary: TokEnv = Arc::new(Vocabulary { trie, tokenizer: shared, prepends_space });
+                plain.encode_fast("a", false).is_ok_and(|encoding| trie.decode(encoding.get_ids()) != b"a");
+            let vocabulary: TokEnv = Arc::new(Vocabulary { trie, tokenizer: plain, prepends_space });
             let capabilities = InferenceCapabilities { ff_tokens: true, ..InferenceCapabilities::default() };
             let mut factory = ParserFactory::new(&vocabulary, capabilities, &[])?;
             factory.quiet();
@@ -170,7 +170,7 @@ impl Vocabulary {
         };
         // What the tokenizer spells otherwise than asked, down to the last byte, must not be forced on an answer.
         match ids {
-            Ok(ids) if self.trie.decode(&ids) == text.as_bytes() => ids,
+            Ok(ids) if self.trie.decode_raw(&ids) == text.as_bytes() => ids,
             _ => self.trie.greedy_tokenize(text.as_bytes()),
         }
     }

@@ -60,9 +60,11 @@ impl ChatTokenizer {
         &self.special
     }
 
-    /// The underlying tokenizer, to be shared.
-    pub(crate) fn shared(&self) -> Arc<Tokenizer> {
-        Arc::clone(&self.tokenizer)
+    /// The underlying tokenizer, made to take the names of special tokens for text.
+    pub(crate) fn for_plain_text(&self) -> Tokenizer {
+        let mut tokenizer = (*self.tokenizer).clone();
+        tokenizer.set_encode_special_tokens(true);
+        tokenizer
     }
 
     /// What each token id stands for in an answer; see [`token_bytes`].

@@ -59,13 +59,21 @@ pub enum RecordingFault {
         /// The id.
         id: i64,
     },
-    /// A map coordinate is NaN, infinite or farther than any place on Earth.
-    #[error("map feature {feature}: point {point} is no place")]
+    /// A map coordinate is NaN, infinite or farther from the ego than any map reaches.
+    #[error("map feature {feature}: point {point} is no place near the ego")]
     NoPlace {
         /// Id of the feature.
         feature: i64,
         /// Which of its points.
         point: usize,
+    },
+    /// A line of the map is longer than any road that fits the map.
+    #[error("map feature {feature} is {length} m long")]
+    EndlessLine {
+        /// Id of the feature.
+        feature: i64,
+        /// Its length, m.
+        length: f64,
     },
     /// The map's relations do not hold.
     #[error("map: {0}")]

@@ -1,7 +1,7 @@
 //! Intersections: clusters of connectors that cross, and the union of their areas.
 //!
 //! Connectors belong together when they cross, leave the same lane or enter the same one; a cluster in which none cross (a fork
-//! of a freeway) is no intersection. Holes of the union are filled, unless a road edge runs through one: then it is the island
+//! of a freeway, a right turn) is no intersection. Holes of the union are filled, unless a road edge runs through one: then it is the island
 //! of a roundabout, and the connectors' areas stand for the intersection one by one.
 
 use super::features::MapFeatures;
@@ -9,8 +9,17 @@ use super::trace::Segments;
 use crate::geometry::{Bounds, Polygon};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Sets of connectors that make an intersection, each in order.
-pub(super) fn clusters(map: &MapFeatures, connector: &[bool], crossings: &BTreeSet<(usize, usize)>) -> Vec<Vec<usize>> {
+/// Connectors that belong together.
+#[derive(Debug, Clone)]
+pub(super) struct Cluster {
+    /// Places of the connectors, in order.
+    pub(super) lanes: Vec<usize>,
+    /// Whether any of them cross.
+    pub(super) crossing: bool,
+}
+
+/// All clusters, in order of their first connector.
+pub(super) fn clusters(map: &MapFeatures, connector: &[bool], crossings: &BTreeSet<(usize, usize)>) -> Vec<Cluster> {
     let mut root: Vec<usize> = (0..map.lanes.len()).collect();
     let siblings = map.lanes.iter().flat_map(|lane| [&lane.exits, &lane.entries]).flat_map(|ends| {
         let ends: Vec<usize> = ends.iter().copied().filter(|&lane| connector[lane]).collect();
@@ -25,7 +34,7 @@ pub(super) fn clusters(map: &MapFeatures, connector: &[bool], crossings: &BTreeS
         clusters.entry(find(&mut root, lane)).or_default().push(lane);
     }
     let crossing: BTreeSet<usize> = crossings.iter().map(|&(a, _)| find(&mut root, a)).collect();
-    clusters.into_iter().filter(|(cluster, _)| crossing.contains(cluster)).map(|(_, lanes)| lanes).collect()
+    clusters.into_iter().map(|(root, lanes)| Cluster { lanes, crossing: crossing.contains(&root) }).collect()
 }
 
 fn find(root: &mut [usize], mut item: usize) -> usize {
@@ -36,13 +45,14 @@ fn find(root: &mut [usize], mut item: usize) -> usize {
     item
 }
 
-/// The area of each cluster, as one or more polygons.
-pub(super) fn intersections(map: &MapFeatures, clusters: &[Vec<usize>], areas: &[Polygon]) -> Vec<Polygon> {
+/// The area of each cluster in which connectors cross, as one or more polygons.
+pub(super) fn intersections(map: &MapFeatures, clusters: &[Cluster], areas: &[Polygon]) -> Vec<Polygon> {
     let edges = Segments::of(&map.edges);
     clusters
         .iter()
+        .filter(|cluster| cluster.crossing)
         .flat_map(|cluster| {
-            let members: Vec<Polygon> = cluster.iter().map(|&lane| areas[lane].clone()).collect();
+            let members: Vec<Polygon> = cluster.lanes.iter().map(|&lane| areas[lane].clone()).collect();
             let filled = Polygon::union_of(&members);
             let island = filled.iter().any(|outline| holds_island(outline, &members, &edges));
             if island { members } else { filled }

@@ -20,6 +20,8 @@ pub(super) const DEFAULT_HALF: f64 = 1.75;
 const WIDEST_HALF: f64 = 2.75;
 /// A line nearer than this is the centreline's own marking, metres.
 const NARROWEST_HALF: f64 = 0.9;
+/// Another centreline nearer than this has not yet parted from this one, or no longer, metres.
+const NEAREST_LANE: f64 = 2.0 * NARROWEST_HALF;
 /// Distance between stations, metres.
 pub(super) const STATION_STEP: f64 = 1.0;
 /// Vertices that move an outline by less are left out, metres.
@@ -107,14 +109,16 @@ fn lane_strip(map: &MapFeatures, place: usize, connector: &[bool], centerlines: 
             from: lane.trace.line.point_at(s),
             direction: side.of(along),
             height: lane.trace.height_at(s),
-            reach: 2.0 * WIDEST_HALF,
+            reach: WIDEST_HALF,
         };
-        let beside = centerlines.first_hit(&ray, |other| {
+        let outside =
+            Ray { from: ray.from + ray.direction * NEAREST_LANE, reach: 2.0 * WIDEST_HALF - NEAREST_LANE, ..ray };
+        let beside = centerlines.first_hit(&outside, |other| {
             other.owner != place
                 && !connector[other.owner]
                 && (other.to - other.from).normalize().dot(&along).abs() > ALONG
         });
-        let half_way = beside.map(|distance| distance / 2.0);
+        let half_way = beside.map(|distance| f64::midpoint(distance, NEAREST_LANE));
         let bounds: Vec<usize> = lane
             .boundaries
             .at(side)
@@ -122,9 +126,8 @@ fn lane_strip(map: &MapFeatures, place: usize, connector: &[bool], centerlines: 
             .filter(|b| b.from_s - STATION_STEP <= s && s <= b.to_s + STATION_STEP)
             .map(|b| b.line)
             .collect();
-        let bound = lines
-            .first_hit(&Ray { reach: WIDEST_HALF, ..ray }, |line| bounds.contains(&line.owner))
-            .filter(|&distance| distance > NARROWEST_HALF);
+        let bound =
+            lines.first_hit(&ray, |line| bounds.contains(&line.owner)).filter(|&distance| distance > NARROWEST_HALF);
         match (bound, half_way) {
             (Some(bound), Some(half)) => bound.min(half),
             (Some(bound), None) => bound,

@@ -6,6 +6,7 @@
 use prost::{Enumeration, Message, Oneof};
 
 /// A recording.
+#[allow(clippy::struct_field_names)] // The field is named as in the published message.
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct Scenario {
     /// Unique name.

@@ -2,11 +2,15 @@
 
 use super::error::RecordingFault;
 use super::proto::MapPoint;
-use super::tracks::FARTHEST;
 use crate::geometry::{Bounds, Point, Polyline, SpatialIndex, Vector};
 
 /// Two places nearer in height than this are on one level: less than a bridge is high, more than a road is banked, metres.
 pub(super) const SAME_LEVEL: f64 = 3.0;
+
+/// A map ends nearer to the ego than this, metres: Waymo's end after some hundred.
+const FARTHEST: f64 = 20_000.0;
+/// No line of a map is longer, metres.
+const LONGEST: f64 = 100_000.0;
 
 /// A line of the map in local coordinates.
 #[derive(Debug, Clone)]
@@ -22,7 +26,7 @@ impl Trace {
     /// `None` when the points are not two distinct ones: Waymo has such features, and they bound nothing.
     ///
     /// # Errors
-    /// When a coordinate is no place.
+    /// When a coordinate is no place, or the line is endless.
     pub(super) fn of(feature: i64, points: &[MapPoint], origin: Vector) -> Result<Option<Self>, RecordingFault> {
         /// Points nearer than this are one, metres.
         const SAME_POINT: f64 = 1e-6;
@@ -37,6 +41,9 @@ impl Trace {
                 heights.push(if message.z.is_finite() { message.z } else { 0.0 });
             }
             point_s.push(s);
+        }
+        if s > LONGEST {
+            return Err(RecordingFault::EndlessLine { feature, length: s });
         }
         Ok(Polyline::new(vertices).ok().map(|line| Self { line, heights, point_s }))
     }
@@ -121,16 +128,24 @@ impl Segments {
     }
 
     /// Segments whose bounds meet the given ones.
-    pub(super) fn within(&self, bounds: &Bounds) -> impl Iterator<Item = &Segment> {
+    pub(super) fn within<'a>(&'a self, bounds: &Bounds) -> impl Iterator<Item = &'a Segment> + use<'a> {
         self.index.within(bounds).into_iter().map(|i| &self.list[i])
     }
 
-    /// Distance from `from` along the unit vector `direction` to the first segment on its level that `counts`, up to `reach`
-    /// metres.
+    /// Distance along the ray to the first segment on its level that `counts`.
     pub(super) fn first_hit(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> Option<f64> {
+        self.hits(ray, counts).min_by(f64::total_cmp)
+    }
+
+    /// Distance along the ray to the last segment on its level that `counts`.
+    pub(super) fn last_hit(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> Option<f64> {
+        self.hits(ray, counts).max_by(f64::total_cmp)
+    }
+
+    fn hits(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> impl Iterator<Item = f64> {
         let bounds = Bounds::around(&[ray.from, ray.from + ray.direction * ray.reach]);
-        let hits = self.within(&bounds).filter(|s| (s.height - ray.height).abs() < SAME_LEVEL && counts(s));
-        hits.filter_map(|segment| ray.meets(segment.from, segment.to)).min_by(f64::total_cmp)
+        let level = self.within(&bounds).filter(move |s| (s.height - ray.height).abs() < SAME_LEVEL && counts(s));
+        level.filter_map(|segment| ray.meets(segment.from, segment.to))
     }
 }
 

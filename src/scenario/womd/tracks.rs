@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// Longest gap of the ego that is interpolated, steps.
 pub(super) const LONGEST_EGO_GAP: usize = 5;
 /// Coordinates beyond this are no place on Earth, metres.
-pub(super) const FARTHEST: f64 = 1e8;
+const FARTHEST: f64 = 1e8;
 /// Speeds beyond this are no road user's, m/s.
 const FASTEST: f64 = 200.0;
 /// Boxes beyond this are no road user's, metres.
