@@ -45,7 +45,8 @@ pub enum CollisionType {
 }
 
 impl CollisionType {
-    /// Whether the ego could have prevented it. A lateral collision is its fault only when it was in multiple lanes or off the road.
+    /// Whether the ego could have prevented it. A lateral collision is its fault only when it was in multiple lanes or
+    /// off the road.
     pub fn is_at_fault(self, in_multiple_lanes_or_off_road: bool) -> bool {
         match self {
             Self::StoppedTrack | Self::ActiveFront => true,

@@ -40,8 +40,8 @@ impl DrivenLanes {
         Self { center: driven_route(map, &centers), corners, agreement }
     }
 
-    /// Whether all corners are in one lane, or in lanes that follow one another, at this sample. Elsewhere the ego counts as in
-    /// multiple lanes or off the road.
+    /// Whether all corners are in one lane, or in lanes that follow one another, at this sample. Elsewhere the ego
+    /// counts as in multiple lanes or off the road.
     pub fn in_common(&self, sample: usize) -> bool {
         matches!(self.agreement.get(sample), Some(CornerAgreement::Shared(_)))
     }

@@ -8,8 +8,8 @@ use crate::world::{EgoState, LaneId, LaneMap};
 /// Corners outside by less than this are tolerated, metres (devkit `drivable_area_compliance_statistics.yaml`).
 pub const MAX_DISTANCE_OUTSIDE: f64 = 0.3;
 
-/// Judges the corners of every sample. Gives two results: the scored metric, and `corners_in_drivable_area`, which knows no tolerance
-/// and has no score.
+/// Judges the corners of every sample. Gives two results: the scored metric, and `corners_in_drivable_area`, which
+/// knows no tolerance and has no score.
 pub fn drivable_area_compliance(map: &LaneMap, states: &[EgoState], lanes: &DrivenLanes) -> [MetricResult; 2] {
     let mut complies = true;
     let mut inside = Vec::with_capacity(states.len());

@@ -52,8 +52,8 @@ pub fn driving_direction_compliance(map: &LaneMap, states: &[EgoState], center_l
     }
 }
 
-/// Samples before the present one that the window holds: 10 at 10 Hz, 9 when the mean step is any longer. Counted in microseconds, because
-/// a rounded step in seconds could lose the tenth.
+/// Samples before the present one that the window holds: 10 at 10 Hz, 9 when the mean step is any longer. Counted in
+/// microseconds, because a rounded step in seconds could lose the tenth.
 fn samples_in_horizon(states: &[EgoState]) -> usize {
     let [first, .., last] = states else { return 0 };
     let mean_step_us = (last.time_us - first.time_us) as f64 / (states.len() - 1) as f64;

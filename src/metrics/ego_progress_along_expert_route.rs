@@ -5,7 +5,8 @@ use super::{MetricName, MetricResult, Statistic, StatisticKind, TimeSeries};
 use crate::geometry::{Point, Polyline, Pose};
 use crate::world::{EgoState, LaneId, LaneMap, RoadblockId};
 
-/// Distances below this count as this much, metres. The devkit's documentation says 0.1; its configuration, which decides, 2.
+/// Distances below this count as this much, metres. The devkit's documentation says 0.1; its configuration, which
+/// decides, 2.
 pub const SCORE_PROGRESS: f64 = 2.0;
 
 /// A roadblock of the expert's route with the centreline along which progress in it is measured.
@@ -93,7 +94,8 @@ fn simplified(route: &[Vec<LaneId>]) -> Vec<LaneId> {
     parts.into_iter().filter_map(|lanes| lanes.first().copied()).collect()
 }
 
-/// The score: 0 when the ego went back by more than 2 m, else the ratio of the distances, each held at 2 m or above, at most 1.
+/// The score: 0 when the ego went back by more than 2 m, else the ratio of the distances, each held at 2 m or above, at
+/// most 1.
 pub fn progress_ratio(ego_total: f64, expert_total: f64) -> f64 {
     if ego_total < -SCORE_PROGRESS {
         0.0

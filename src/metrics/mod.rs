@@ -1,13 +1,14 @@
-//! Stage 8: nuPlan's closed-loop metrics of a driven trajectory, their aggregation into scores, and PDM's scorer of short
-//! proposals, made of the same primitives.
+//! Stage 8: nuPlan's closed-loop metrics of a driven trajectory, their aggregation into scores, and PDM's scorer of
+//! short proposals, made of the same primitives.
 //!
-//! [`evaluate`] takes a [`Drive`] (what a simulation saved and what the expert did) and gives the eight scored metrics with
-//! their statistics, names and units as nuPlan's devkit writes them, and the [`Score`]. [`aggregate`] joins the scores of many
-//! scenarios. [`pdm`] scores simulated proposals against a constant-velocity forecast.
+//! [`evaluate`] takes a [`Drive`] (what a simulation saved and what the expert did) and gives the eight scored metrics
+//! with their statistics, names and units as nuPlan's devkit writes them, and the [`Score`]. [`aggregate`] joins the
+//! scores of many scenarios. [`pdm`] scores simulated proposals against a constant-velocity forecast.
 //!
-//! Thresholds and quirks are those of `motional/nuplan-devkit` at `e924167`; where a behaviour looks unintended but decides
-//! scores, it is kept and the comment says so. One deviation: nuPlan asserts that at most one lane holds a point; maps derived
-//! from recordings without nuPlan's layers may hold several, and then the best by heading and distance counts (see [`lanes_at`]).
+//! Thresholds and quirks are those of `motional/nuplan-devkit` at `e924167`; where a behaviour looks unintended but
+//! decides scores, it is kept and the comment says so. One deviation: nuPlan asserts that at most one lane holds a
+//! point; maps derived from recordings without nuPlan's layers may hold several, and then the best by heading and
+//! distance counts (see [`lanes_at`]).
 
 mod aggregate;
 mod collision;

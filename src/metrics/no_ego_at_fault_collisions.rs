@@ -1,5 +1,5 @@
-//! `no_ego_at_fault_collisions`: a multiplier that is 0 after an avoidable collision with anyone on the road, and 0.5 after one
-//! with a thing.
+//! `no_ego_at_fault_collisions`: a multiplier that is 0 after an avoidable collision with anyone on the road, and 0.5
+//! after one with a thing.
 
 use super::collision::{Collision, CollisionGroup, classify_collision, delta_v, in_collision};
 use super::corners::DrivenLanes;

@@ -118,7 +118,7 @@ mod tests {
     #[test]
     fn ninetieth_percentile_takes_numpys_closest_observation() {
         let upto = |n: i32| (0..n).map(f64::from).collect::<Vec<_>>();
-        // numpy 1.23.5: np.percentile(range(n), 90, method="closest_observation").
+        // Position 0.9 n − 1.5: the next observation above, unless the position is a whole, even number.
         for (n, expected) in [(1, 0.0), (5, 4.0), (10, 8.0), (12, 10.0), (15, 12.0), (149, 133.0)] {
             assert!((percentile_90(&upto(n)) - expected).abs() < 1e-12, "{n}");
         }

@@ -8,8 +8,8 @@ const CONNECTOR_REACH: f64 = 5.0;
 
 /// The lane that holds a point, or all connectors that do, or none.
 ///
-/// nuPlan asserts that no two lanes hold a point. Where a derived map breaks that, the lane counts that fits `pose` (the centre of the
-/// vehicle whose point this is) best by heading and distance.
+/// nuPlan asserts that no two lanes hold a point. Where a derived map breaks that, the lane counts that fits `pose`
+/// (the centre of the vehicle whose point this is) best by heading and distance.
 pub fn lanes_at(map: &LaneMap, point: Point, pose: Pose) -> Vec<LaneId> {
     one_lane_or_connectors(map, map.lanes_at(point), pose)
 }
@@ -33,8 +33,8 @@ pub(super) fn lanes_from(map: &LaneMap, candidates: &[LaneId], point: Point, pos
     }
 }
 
-/// The lanes (a lane alone, or one or several connectors, or none) at each pose of a path, each sample continuing where the one
-/// before it was. Ambiguous connectors are resolved by where the path ends up.
+/// The lanes (a lane alone, or one or several connectors, or none) at each pose of a path, each sample continuing where
+/// the one before it was. Ambiguous connectors are resolved by where the path ends up.
 pub fn driven_route(map: &LaneMap, centers: &[Pose]) -> Vec<Vec<LaneId>> {
     let mut route: Vec<Vec<LaneId>> = Vec::with_capacity(centers.len());
     for (i, &pose) in centers.iter().enumerate() {

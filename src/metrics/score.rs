@@ -101,8 +101,8 @@ impl Weighting {
     }
 }
 
-/// Product of the multipliers times the weighted mean of the other metrics. A metric without score leaves both sums; without
-/// any weighted score the mean is 0.
+/// Product of the multipliers times the weighted mean of the other metrics. A metric without score leaves both sums;
+/// without any weighted score the mean is 0.
 pub fn combine<'a>(metrics: impl IntoIterator<Item = (&'a str, Option<f64>)>, weighting: &Weighting) -> f64 {
     let (mut product, mut sum, mut weights) = (1.0, 0.0, 0.0);
     for (name, score) in metrics {

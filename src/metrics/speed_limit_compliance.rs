@@ -27,8 +27,8 @@ pub fn speed_limit_compliance(map: &LaneMap, states: &[EgoState], center_lanes: 
     }
 }
 
-/// The limit that holds in these lanes, m/s: a lane's own; in connectors the highest of the lanes before and after them, when all have one.
-/// (nuPlan fails on connectors without any such lane; here they have no limit.)
+/// The limit that holds in these lanes, m/s: a lane's own; in connectors the highest of the lanes before and after
+/// them, when all have one. (nuPlan fails on connectors without any such lane; here they have no limit.)
 fn limit_of(map: &LaneMap, lanes: &[LaneId]) -> Option<f64> {
     let first = map.lanes().get(lanes.first()?.index())?;
     let limits: Vec<Option<f64>> = if first.is_connector() {

@@ -1,4 +1,5 @@
-//! `time_to_collision_within_bound`: whether, were everyone to go on as they do, a collision was ever less than 0.95 s away.
+//! `time_to_collision_within_bound`: whether, were everyone to go on as they do, a collision was ever less than 0.95 s
+//! away.
 
 use super::collision::{Collision, in_collision, is_ahead, is_behind};
 use super::corners::DrivenLanes;
@@ -40,7 +41,8 @@ impl Moving {
     }
 }
 
-/// Time to collision at every sample, seconds; infinite where nothing is hit within `horizon` seconds, 0 at a collision at fault.
+/// Time to collision at every sample, seconds; infinite where nothing is hit within `horizon` seconds, 0 at a collision
+/// at fault.
 pub fn time_to_collision(
     map: &LaneMap,
     samples: &[HistorySample],

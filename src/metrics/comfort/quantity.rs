@@ -1,5 +1,5 @@
-//! The quantities of comfort with nuPlan's names, filters and bounds, and `ego_is_comfortable` (devkit `ego_*_acceleration.py`,
-//! `ego_*jerk.py`, `ego_yaw_*.py`, `ego_is_comfortable.py`, `state_extractors.py`).
+//! The quantities of comfort with nuPlan's names, filters and bounds, and `ego_is_comfortable` (devkit
+//! `ego_*_acceleration.py`, `ego_*jerk.py`, `ego_yaw_*.py`, `ego_is_comfortable.py`, `state_extractors.py`).
 
 use super::super::{MetricError, MetricName, MetricResult, Statistic, TimeSeries};
 use super::savgol::{SavitzkyGolay, differentiated, mean_step_s, smoothed};
@@ -92,7 +92,8 @@ impl ComfortQuantity {
         }
     }
 
-    /// The bounds of comfort, SI units (devkit `simulation_metric/low_level/*.yaml`); `None` for quantities that are only reported.
+    /// The bounds of comfort, SI units (devkit `simulation_metric/low_level/*.yaml`); `None` for quantities that are
+    /// only reported.
     pub fn bound(self) -> Option<Bound> {
         match self {
             Self::LonAcceleration => Some(Bound { min: -4.05, max: 2.40 }),

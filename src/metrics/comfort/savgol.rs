@@ -16,9 +16,9 @@ pub struct SavitzkyGolay {
 }
 
 impl SavitzkyGolay {
-    /// Filters equally spaced values, `step` apart. The first and last half windows come from the fit to the first and last window; inside,
-    /// an even window of size w around sample i spans i − w/2 + 1 … i + w/2 and is evaluated in its middle, half a sample late: scipy's
-    /// behaviour, on which nuPlan's accelerations rest.
+    /// Filters equally spaced values, `step` apart. The first and last half windows come from the fit to the first and
+    /// last window; inside, an even window of size w around sample i spans i − w/2 + 1 … i + w/2 and is evaluated in
+    /// its middle, half a sample late: scipy's behaviour, on which nuPlan's accelerations rest.
     ///
     /// # Errors
     /// When there are not more samples than the order of the polynomial.
@@ -45,7 +45,8 @@ impl SavitzkyGolay {
     }
 }
 
-/// Least-squares polynomial fits to `window` equally spaced samples: the coefficients as linear functions of the samples.
+/// Least-squares polynomial fits to `window` equally spaced samples: the coefficients as linear functions of the
+/// samples.
 struct Fit {
     /// Coefficients by samples, for abscissas scaled to [−1, 1].
     solver: DMatrix<f64>,
@@ -66,7 +67,8 @@ impl Fit {
         Some(Self { solver, middle, scale })
     }
 
-    /// Weights of the samples in the derivative of the fit at a position counted in samples from the first of the window.
+    /// Weights of the samples in the derivative of the fit at a position counted in samples from the first of the
+    /// window.
     fn weights(&self, position: f64, derivative: usize, step: f64) -> Weights {
         let x = (position - self.middle) / self.scale;
         let basis = RowDVector::from_fn(self.solver.nrows(), |_, j| {
@@ -110,10 +112,13 @@ pub fn differentiated(values: &[f64], step: f64, filter: SavitzkyGolay) -> Resul
     filter.apply(values, step).map(rounded)
 }
 
-/// Mean time between states, seconds; 0 for fewer than two.
+/// Mean time between states, seconds; 0 for fewer than two. As nuPlan, it turns the times into seconds before it takes
+/// their difference: with times since 1970 that rounds the step in the tenth decimal, which shows in the eighth of a
+/// jerk.
 pub fn mean_step_s(states: &[EgoState]) -> f64 {
+    let seconds = |state: &EgoState| state.time_us as f64 / MICROS_PER_SECOND;
     match states {
-        [first, .., last] => (last.time_us - first.time_us) as f64 / MICROS_PER_SECOND / (states.len() - 1) as f64,
+        [first, .., last] => (seconds(last) - seconds(first)) / (states.len() - 1) as f64,
         _ => 0.0,
     }
 }

@@ -13,8 +13,8 @@ pub const MAP_RADIUS: f64 = 50.0;
 pub enum DrivableLayers {
     /// Lanes, connectors and car parks: PDM's choice, made for maps whose lanes tile the road.
     Lanes,
-    /// Also whatever nuPlan's drivable area holds: roadblocks, intersections, generic drivable areas. For maps derived from recordings, whose
-    /// lane polygons leave gaps.
+    /// Also whatever nuPlan's drivable area holds: roadblocks, intersections, generic drivable areas. For maps derived
+    /// from recordings, whose lane polygons leave gaps.
     DrivableArea,
 }
 
@@ -50,8 +50,8 @@ pub struct DrivableMap<'a> {
 }
 
 impl<'a> DrivableMap<'a> {
-    /// All lanes and connectors of the roadblocks that meet the square of [`MAP_RADIUS`] around `center` (the centre of the ego), and the
-    /// car parks there.
+    /// All lanes and connectors of the roadblocks that meet the square of [`MAP_RADIUS`] around `center` (the centre of
+    /// the ego), and the car parks there.
     pub fn around(map: &'a LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point, layers: DrivableLayers) -> Self {
         let blocks: BTreeSet<_> =
             map.lanes_near(center, MAP_RADIUS).into_iter().map(|lane| map[lane].roadblock).collect();

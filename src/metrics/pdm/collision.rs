@@ -20,8 +20,8 @@ pub struct FirstTouch {
     pub state: Option<usize>,
 }
 
-/// 0 after a collision at fault with a vehicle, pedestrian or bicycle, 0.5 after one with a thing. A track that the ego first touches
-/// without fault is never its fault later. `areas` has one entry a state.
+/// 0 after a collision at fault with a vehicle, pedestrian or bicycle, 0.5 after one with a thing. A track that the ego
+/// first touches without fault is never its fault later. `areas` has one entry a state.
 pub fn no_at_fault_collisions(states: &[EgoState], areas: &[EgoAreas], forecast: &Forecast) -> FirstTouch {
     let mut ignored: BTreeSet<TrackToken> = BTreeSet::new();
     let mut result = FirstTouch { score: 1.0, state: None };
@@ -42,9 +42,9 @@ pub fn no_at_fault_collisions(states: &[EgoState], areas: &[EgoAreas], forecast:
     result
 }
 
-/// 0 when, going straight on at its speed, the ego would touch someone relevant within 0.9 s. Tracks ahead are relevant; those beside only
-/// while the ego is in multiple lanes, off the road or in an intersection. A track that was touched while not relevant is ignored from
-/// then on: PDM's behaviour.
+/// 0 when, going straight on at its speed, the ego would touch someone relevant within 0.9 s. Tracks ahead are
+/// relevant; those beside only while the ego is in multiple lanes, off the road or in an intersection. A track that was
+/// touched while not relevant is ignored from then on: PDM's behaviour.
 pub fn time_to_collision(map: &LaneMap, states: &[EgoState], areas: &[EgoAreas], forecast: &Forecast) -> FirstTouch {
     let mut ignored: BTreeSet<TrackToken> = BTreeSet::new();
     for (i, (ego, areas)) in states.iter().zip(areas).enumerate() {

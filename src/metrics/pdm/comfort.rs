@@ -1,12 +1,14 @@
-//! The comfort term of a proposal: nuPlan's bounds on differently filtered signals (`tuplan_garage` `pdm_comfort_metrics.py`).
+//! The comfort term of a proposal: nuPlan's bounds on differently filtered signals (`tuplan_garage`
+//! `pdm_comfort_metrics.py`).
 
 use super::super::comfort::{ACCELERATION_WINDOW, YAW_WINDOW};
 use super::super::{ComfortQuantity, MetricError, SavitzkyGolay, differentiated, mean_step_s, smoothed};
 use crate::geometry::unwrap_angles;
 use crate::world::EgoState;
 
-/// Whether the six bounded quantities stay strictly within nuPlan's bounds. Accelerations are those of the rear axle, smoothed by a single
-/// quadratic over all states; jerks are the derivative of a single quadratic over the acceleration smoothed with nuPlan's window.
+/// Whether the six bounded quantities stay strictly within nuPlan's bounds. Accelerations are those of the rear axle,
+/// smoothed by a single quadratic over all states; jerks are the derivative of a single quadratic over the acceleration
+/// smoothed with nuPlan's window.
 ///
 /// # Errors
 /// When there are fewer than 4 states.

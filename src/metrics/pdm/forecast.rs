@@ -52,6 +52,8 @@ pub struct ForecastObject {
     pub track: TrackedObject,
     /// Forecast velocity in the map frame, m/s: along the axis of the box; zero for static objects.
     pub velocity: Vector,
+    /// Half the diagonal of the box, metres.
+    radius: f64,
 }
 
 impl ForecastObject {
@@ -60,14 +62,18 @@ impl ForecastObject {
         let heading = track.shape.center.heading;
         let backwards = wrap_angle(heading - track.velocity.y.atan2(track.velocity.x)).abs() >= FRAC_PI_2;
         let along = track.shape.center.direction() * speed;
-        Self { track: *track, velocity: if backwards { -along } else { along } }
+        Self { track: *track, velocity: if backwards { -along } else { along }, radius: track.shape.diagonal() / 2.0 }
+    }
+
+    /// The centre after so many steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
+    fn center_at(&self, step: usize) -> Point {
+        let seconds = (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S;
+        self.track.shape.center.position() + self.velocity * seconds
     }
 
     /// The box after so many steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
     pub fn shape_at(&self, step: usize) -> OrientedBox {
-        let seconds = (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S;
-        let center = self.track.shape.center;
-        self.track.shape.moved_to(Pose::at(center.position() + self.velocity * seconds, center.heading))
+        self.track.shape.moved_to(Pose::at(self.center_at(step), self.track.shape.center.heading))
     }
 
     /// The object as it is forecast after so many steps; its velocity is the observed one.
@@ -84,8 +90,9 @@ pub struct Forecast {
 }
 
 impl Forecast {
-    /// Forecasts what is near: at most 50 static objects, 50 vehicles, 25 pedestrians and 10 bicycles, the nearest ones within
-    /// [`MAX_DISTANCE`], and the connectors of the route that show red. What the ego touches now is added to `collided` and left out from now on.
+    /// Forecasts what is near: at most 50 static objects, 50 vehicles, 25 pedestrians and 10 bicycles, the nearest ones
+    /// within [`MAX_DISTANCE`], and the connectors of the route that show red. What the ego touches now is added to
+    /// `collided` and left out from now on.
     pub fn new(
         map: &LaneMap,
         route_lanes: &BTreeSet<LaneId>,
@@ -116,14 +123,20 @@ impl Forecast {
         &self.objects
     }
 
-    /// Connectors of the route that show red; their polygons stand in the way for the whole forecast. The scorer ignores them.
+    /// Connectors of the route that show red; their polygons stand in the way for the whole forecast. The scorer
+    /// ignores them.
     pub fn red_lights(&self) -> &[LaneId] {
         &self.red_lights
     }
 
     /// The objects whose forecast box meets `shape` after so many steps of 0.1 s, as they are forecast then.
     pub fn touching<'a>(&'a self, shape: &'a OrientedBox, step: usize) -> impl Iterator<Item = TrackedObject> + 'a {
-        self.objects.iter().map(move |o| o.track_at(step)).filter(move |o| in_collision(shape, &o.shape))
+        let radius = shape.diagonal() / 2.0;
+        let near = move |o: &&ForecastObject| {
+            (o.center_at(step) - shape.center.position()).norm_squared() < (o.radius + radius).powi(2)
+        };
+        let tracks = self.objects.iter().filter(near).map(move |o| o.track_at(step));
+        tracks.filter(move |o| shape.overlaps(&o.shape))
     }
 }
 

@@ -60,8 +60,8 @@ impl ProposalScore {
     }
 }
 
-/// Scores proposals: each a sequence of simulated states 0.1 s apart, the present one first. The horizon is their length; PDM's is 41.
-/// The n-th score belongs to the n-th proposal.
+/// Scores proposals: each a sequence of simulated states 0.1 s apart, the present one first. The horizon is their
+/// length; PDM's is 41. The n-th score belongs to the n-th proposal.
 ///
 /// # Errors
 /// When a proposal has fewer than 4 states.
