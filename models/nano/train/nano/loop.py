@@ -114,6 +114,7 @@ class Trainer:
                 log.write(json.dumps(row) + "\n")
                 log.flush()
                 recent = []
+                self.save(out / "checkpoint.pt")
         if log is not None:
             log.close()
             self.save(out / "checkpoint.pt")
