@@ -62,7 +62,7 @@ def arguments() -> argparse.ArgumentParser:
 
     selftest = commands.add_parser("selftest", help="the whole pipeline on stand-in scenes; fails unless it learns")
     selftest.add_argument("--folder", type=Path, help="keep the files here")
-    selftest.add_argument("--seconds", type=float, default=60.0)
+    selftest.add_argument("--steps", type=int, default=320)
 
     bench = commands.add_parser("bench", help="states per second of a training step")
     bench.add_argument("--shape", choices=SHAPES, default="smallest")
@@ -109,7 +109,7 @@ def main() -> int:
     elif options.command == "selftest":
         from . import selftest
 
-        selftest.run(options.folder, options.seconds)
+        selftest.run(options.folder, options.steps)
     elif options.command == "bench":
         from . import bench
 

@@ -50,20 +50,21 @@ class Corpus:
 def question_names(content: str, spans: tuple[tuple[int, int], ...], answer: int) -> list[str]:
     """What each informative span answers: the key before it.
 
-    A repeated key belongs to the key before it (`lon_because`, `lat_because`); arguments of a call are `code.c`, `code.v0`, ...
+    A repeated key is named after the key it stands beside (`why=.. lat=.. why=.. lon=..`: `lat_why`, `lon_why`); arguments of a
+    call are `code.c`, `code.v0`, ...
     """
     keys = []
     for place, (start, _) in enumerate(spans):
         match = _KEY.search(content[:start])
         keys.append(match.group(1) if match else f"answer{answer}_{place}")
     prefix = "code." if _CALL.match(content) else ""
-    names, last = [], ""
-    for key in keys:
-        if keys.count(key) > 1:
-            names.append(f"{prefix}{last}_{key}" if last else prefix + key)
-        else:
-            names.append(prefix + key)
-            last = key
+    own = [key for key in keys if keys.count(key) == 1]
+    names = []
+    for place, key in enumerate(keys):
+        # A reason stands before what it explains or after it, throughout an answer.
+        beside = keys[place:] if keys.count(keys[0]) > 1 else keys[place::-1]
+        whose = next((k for k in beside if k in own), None) if keys.count(key) > 1 else None
+        names.append(f"{prefix}{whose}_{key}" if whose else prefix + key)
     if len(set(names)) != len(names):
         names = [f"{name}.{i}" if names.count(name) > 1 else name for i, name in enumerate(names)]
     return names

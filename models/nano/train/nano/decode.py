@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -139,8 +140,6 @@ def values_of(corpus: Corpus, limit: int = 20_000) -> dict[str, list[Value]]:
 @torch.no_grad()
 def prefill_rows(model: NanoLlava, collator: Collator, rows: list[int], firsts: list[int], images_of: list[int], room: int) -> tuple[Decoder, Tensor]:
     """Prefills each row's tokens before `firsts`, with the images of `images_of`."""
-    import numpy as np
-
     batch = collator.collate(np.array(rows), images_of=np.array(images_of))
     extra = collator.image_tokens - 1
     lengths = torch.tensor([first + extra for first in firsts])

@@ -94,20 +94,24 @@ def score(
     drives = np.array([corpus.names[row].rpartition("@")[0] for row in rows])
     labels = [truths(corpus, row) for row in rows]
     table = []
-    for question, name in enumerate(corpus.questions):
-        asked = [i for i in range(len(rows)) if question in labels[i]]
+    code = tuple(i for i, name in enumerate(corpus.questions) if name.startswith("code."))
+    # Beside the questions one by one, the code as a whole.
+    asked_for = [(name, (i,)) for i, name in enumerate(corpus.questions)] + ([("code, all arguments", code)] if code else [])
+    for name, parts in asked_for:
+        asked = [i for i in range(len(rows)) if all(part in labels[i] for part in parts)]
         if not asked:
             continue
-        hits = np.array([found[i].get(question) == labels[i][question] for i in asked], float)
-        without = np.array([shuffled[i].get(question) == labels[i][question] for i in asked], float)
-        counts = Counter(labels[i][question] for i in asked)
-        value, times = counts.most_common(1)[0]
+        hits = np.array([all(found[i].get(p) == labels[i][p] for p in parts) for i in asked], float)
+        without = np.array([all(shuffled[i].get(p) == labels[i][p] for p in parts) for i in asked], float)
+        counts = Counter(tuple(labels[i][p] for p in parts) for i in asked)
+        common, times = counts.most_common(1)[0]
+        value = " ".join(tokenizer.decode(list(tokens)) for tokens in common)
         low = min(wilson(int(hits.sum()), len(asked))[0], by_groups(hits, drives[asked])[0])
         high = max(wilson(int(hits.sum()), len(asked))[1], by_groups(hits, drives[asked])[1])
         table.append(
             {
                 "question": name, "states": len(asked), "accuracy": round(float(hits.mean()), 4), "low95": round(low, 4), "high95": round(high, 4),
-                "majority": round(times / len(asked), 4), "majority_value": tokenizer.decode(list(value)), "values": len(counts),
+                "majority": round(times / len(asked), 4), "majority_value": value, "values": len(counts),
                 "shuffled_image": round(float(without.mean()), 4), "above_both": bool(low > max(times / len(asked), without.mean())),
             }
         )  # fmt: skip

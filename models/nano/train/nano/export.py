@@ -136,6 +136,9 @@ def write(out: Path, folder: Path, dtype: str, reference: Path | None) -> float:
         pad_token_id=config.text_config.pad_token_id, do_sample=False, max_new_tokens=128,
     ).save_pretrained(folder)  # fmt: skip
     write_processing(folder, model, tokenizer)
+    for file in folder.iterdir():
+        # safetensors makes files that only their owner can read.
+        file.chmod(0o644)
     large = [file.name for file in folder.iterdir() if file.stat().st_size > LARGEST_FILE]
     if large:
         raise ValueError(f"too large to ship: {', '.join(large)}")

@@ -31,7 +31,7 @@ class Recipe:
     shape: str = "smallest"
     steps: int = 0
     minutes: float = 0.0
-    batch: int = 128
+    batch: int = 64
     micro: int = 16
     rate: float = 1e-3
     final_rate: float = 0.05
@@ -114,6 +114,7 @@ class Trainer:
                 log.write(json.dumps(row) + "\n")
                 log.flush()
                 recent = []
+                self.save(out / "checkpoint.pt")
         if log is not None:
             log.close()
             self.save(out / "checkpoint.pt")

@@ -15,34 +15,35 @@ from . import tokenizer as tokenizers
 from .chat import BOS, EOS, TEMPLATE, render
 from .loop import Recipe
 
-#: Questions that the tiny shape must have learnt within the test: some from the text, some from the image.
-LEARNT = ("light", "lane", "lon", "code.v0")
-SEEN = ("lane",)
+#: Questions that the tiny shape must have learnt within the test; without the right image they fall back.
+SEEN = ("scene", "lanes", "lane")
+#: Learnt from the text.
+READ = ("light",)
+#: Minutes after which the first leg ends.
+FIRST_LEG = 0.1
 
 
-def run(folder: Path | None, seconds: float) -> None:
+def run(folder: Path | None, steps: int) -> None:
     """Runs it in `folder`, or in a temporary one."""
     if folder is None:
         with tempfile.TemporaryDirectory() as temporary:
-            run(Path(temporary), seconds)
+            run(Path(temporary), steps)
         return
     data, out = folder / "data", folder / "run"
-    synthetic.write(data, train=4_000, validation=1_000, seed=1)
+    synthetic.write(data, train=4_000, validation=500, seed=1)
     train.prepare(data, out)
     check_text(data, out)
-    recipe = Recipe(shape="tiny-ci", minutes=seconds / 60, batch=64, image_only=0.0, check_every=100)
+    recipe = Recipe(shape="tiny-ci", steps=steps, batch=64, check_every=100)
     # Two legs: the second goes on where the first ended.
-    train.run(recipe, out, "cpu", workers=1, leg_minutes=seconds / 120, resume=False)
+    train.run(recipe, out, "cpu", workers=1, leg_minutes=FIRST_LEG, resume=False)
     train.run(recipe, out, "cpu", workers=1, leg_minutes=1e9, resume=True)
     worst = export.write(out, folder / "model", "float32", folder / "reference")
-    report = evaluate.run(out, 1_000)
+    report = evaluate.run(out, 500)
     rows = {row["question"]: row for row in report["questions"]}
-    for name in LEARNT:
-        row = rows[name]
-        assert row["low95"] > row["majority"], f"{name} is not above its majority: {row}"
     for name in SEEN:
-        assert rows[name]["low95"] > rows[name]["shuffled_image"], f"{name} does not come from the image: {rows[name]}"
-    assert report["without_grammar"]["valid_code"] > 0.9, report["without_grammar"]
+        assert rows[name]["above_both"], f"{name} is not read from the image: {rows[name]}"
+    for name in READ:
+        assert rows[name]["low95"] > rows[name]["majority"], f"{name} is not read from the text: {rows[name]}"
     print(f"selftest passed: logits within {worst:.1e}, load {os.getloadavg()[0]:.1f}", file=sys.stderr)
 
 

@@ -23,9 +23,8 @@ LANE = 3.5 / SCALE
 #: Drawn larger and made smaller again for smooth edges.
 OVERSAMPLE = 2
 
-SYSTEM = "You drive. Read the map and the lanes. Answer briefly."
-ASK_MOTION = "Instruction?"
-ASK_CODE = "Code?"
+SYSTEM, ASK_SCENE, ASK_MOTION, ASK_CODE = "drive", "scene?", "motion?", "code?"
+NODES = ("ego", "front", "front_left", "front_right", "left", "right", "rear", "rear_left", "rear_right")
 
 BACKGROUND, ROAD, LINE, CROSSWALK = (245, 245, 245), (205, 205, 205), (120, 120, 120), (255, 200, 60)
 EGO_COLOUR, VEHICLE, PEDESTRIAN, ARROW = (30, 160, 60), (50, 90, 220), (230, 90, 200), (220, 20, 20)
@@ -116,14 +115,17 @@ def paint(scene: Scene, rng: np.random.Generator) -> np.ndarray:
 
 
 def text(scene: Scene, rng: np.random.Generator) -> str:
-    """The stand-in's scene text: nodes at fixed places, two of whose facts (light, limit) the image lacks."""
-    nodes = ["ego", "front", "front_left", "front_right", "left", "right", "rear", "rear_left", "rear_right"]
-    parts = [f"speed={scene.speed} limit={scene.limit} light={scene.light}"]
-    for node in nodes:
-        exists = "left" not in node or scene.lane > 1
-        exists = exists and ("right" not in node or scene.lane < scene.lanes)
-        parts.append(f"{node}: agent={rng.choice(['none', 'vehicle1', 'vehicle2'])} dist={rng.integers(0, 60)}" if exists else f"{node}: none")
-    return "\n".join(parts)
+    """The stand-in's scene text in the manner of the compact prompts: words at fixed places; light and limit are not in the image."""
+    light = f"{scene.light} {rng.integers(5, 60)}" if scene.light != "none" else "none -"
+    parts = [f"speed {scene.speed} limit {scene.limit} light {light} turn {rng.choice(['left', 'right', 'straight'])}"]
+    for node in NODES:
+        if "left" in node and scene.lane == 1 or "right" in node and scene.lane == scene.lanes:
+            parts.append(f"{node} none - -")
+        elif rng.random() < 0.7:
+            parts.append(f"{node} free - -")
+        else:
+            parts.append(f"{node} vehicle{rng.integers(1, 9)} {rng.integers(0, 60)} {rng.integers(0, 20)}")
+    return " ".join(parts) + f" rest {rng.integers(0, 12)}"
 
 
 def marked(template: str, values: dict[str, str]) -> dict:
@@ -163,10 +165,10 @@ def conversation(scene: Scene, rng: np.random.Generator) -> list[dict]:
     motion_facts = {"lon": motion[0], "why": motion[1], "lat": lateral[0], "what": lateral[1]}
     return [
         {"role": "system", "content": SYSTEM},
-        {"role": "user", "content": f"<image>\n{text(scene, rng)}"},
+        {"role": "user", "content": f"<image>\n{text(scene, rng)}\n{ASK_SCENE}"},
         marked(" ".join(f"{key}={{{key}}}" for key in facts), facts),
         {"role": "user", "content": ASK_MOTION},
-        marked("lon={lon} because={why} lat={lat} because={what}", motion_facts),
+        marked("why={what} lat={lat} why={why} lon={lon}", motion_facts),
         {"role": "user", "content": ASK_CODE},
         marked("Generate_IDM_Planner(c={c}, la={la}, v0={v0}, acc={acc}, dec={dec})", code),
     ]

@@ -86,6 +86,8 @@ def run(recipe: Recipe, out: Path, device: str, workers: int, leg_minutes: float
     """Trains a leg; a started run goes on only with `resume` and only with the recipe it began with."""
     if not recipe.steps and not recipe.minutes:
         raise ValueError("a budget is needed: steps or minutes")
+    if recipe.batch < recipe.micro * workers:
+        raise ValueError(f"a batch of {recipe.batch} has too few micro-batches of {recipe.micro} for {workers} workers")
     recorded = out / "recipe.json"
     wanted = json.loads(json.dumps(asdict(recipe)))
     if (out / "checkpoint.pt").exists() and not resume:
