@@ -5,9 +5,7 @@ use super::recipe::SETTLING;
 use super::traffic::Traffic;
 use crate::geometry::{Vector, wrap_angle};
 use crate::scenario::Frame;
-use crate::world::{
-    EgoState, HISTORY_SAMPLES, LaneId, LaneMap, ObjectKind, STEP_S, STEP_US, TrackedObject,
-};
+use crate::world::{EgoState, HISTORY_SAMPLES, LaneId, LaneMap, ObjectKind, STEP_S, STEP_US, TrackedObject};
 use std::sync::Arc;
 
 /// Iterations of a drive: 15 s at 10 Hz, both ends included.
@@ -158,12 +156,13 @@ impl Drive {
     /// Gap to and speed of the vehicle ahead of the ego in its lane at a frame.
     fn lead(frame: &Frame) -> Option<(f64, &TrackedObject)> {
         let (front, own) = (frame.ego.center(), frame.ego.footprint());
-        let leads = frame.objects.iter().filter(|object| object.kind == ObjectKind::Vehicle).filter_map(move |object| {
-            let local = front.to_local(object.shape.center.position());
-            let turned = wrap_angle(object.shape.center.heading - front.heading).abs();
-            let ahead = local.x > 0.0 && local.y.abs() < 1.2 + 0.03 * local.x && turned < 0.6;
-            ahead.then(|| (own.distance(&object.shape), object))
-        });
+        let leads =
+            frame.objects.iter().filter(|object| object.kind == ObjectKind::Vehicle).filter_map(move |object| {
+                let local = front.to_local(object.shape.center.position());
+                let turned = wrap_angle(object.shape.center.heading - front.heading).abs();
+                let ahead = local.x > 0.0 && local.y.abs() < 1.2 + 0.03 * local.x && turned < 0.6;
+                ahead.then(|| (own.distance(&object.shape), object))
+            });
         leads.min_by(|a, b| a.0.total_cmp(&b.0))
     }
 
@@ -228,7 +227,10 @@ impl Drive {
             frame.ego.speed() < 1.5
                 && frame.objects.iter().any(|object| {
                     let local = front.to_local(object.shape.center.position());
-                    object.kind == ObjectKind::Pedestrian && object.speed() > 0.3 && local.x > 0.0 && local.coords.norm() < 20.0
+                    object.kind == ObjectKind::Pedestrian
+                        && object.speed() > 0.3
+                        && local.x > 0.0
+                        && local.coords.norm() < 20.0
                 })
         })
     }
@@ -241,26 +243,18 @@ impl Drive {
         };
         self.driven().filter(|(_, frame)| near(frame)).count() >= 15
     }
-
-    /// Duration of the log, seconds.
-    #[cfg(test)]
-    pub(super) fn seconds(&self) -> f64 {
-        let (first, last) = (&self.frames[0].ego, &self.frames[self.frames.len() - 1].ego);
-        (last.time_us - first.time_us) as f64 / MICROS_PER_SECOND
-    }
 }
 
 fn vehicles_within(frame: &Frame, reach: f64) -> usize {
     let center = frame.ego.center();
-    let near = |object: &&TrackedObject| {
-        object.kind == ObjectKind::Vehicle && object.shape.center.distance(&center) < reach
-    };
+    let near =
+        |object: &&TrackedObject| object.kind == ObjectKind::Vehicle && object.shape.center.distance(&center) < reach;
     frame.objects.iter().filter(near).count()
 }
 
 /// Curvature of the path that the rear axle drives, 1/m: by the headings a little before and after.
 fn path_curvature(ego: &super::traffic::Mover) -> f64 {
-    const SPAN: f64 = 0.75;
+    const SPAN: f64 = 1.2;
     let heading = |s: f64| {
         let (lateral, slope) = ego.shift.at(s);
         ego.track.pose_at(s).heading + slope.atan2(1.0 - ego.track.curvature_at(s) * lateral)
@@ -270,10 +264,8 @@ fn path_curvature(ego: &super::traffic::Mover) -> f64 {
 
 /// Whether two of the objects near a place overlap; people may stand close together.
 fn collide(objects: &[TrackedObject], ego: crate::geometry::Point) -> bool {
-    let solid: Vec<&TrackedObject> = objects
-        .iter()
-        .filter(|object| (object.shape.center.position() - ego).norm() < WATCHED)
-        .collect();
+    let solid: Vec<&TrackedObject> =
+        objects.iter().filter(|object| (object.shape.center.position() - ego).norm() < WATCHED).collect();
     solid.iter().enumerate().any(|(i, a)| {
         solid[i + 1..].iter().any(|b| {
             let moves = a.speed() > 0.0 || b.speed() > 0.0;

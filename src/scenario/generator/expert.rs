@@ -127,9 +127,9 @@ fn blocked(traffic: &Traffic<'_>) -> Option<Obstacle> {
         if s + reach < ego.rear_s() - 1.0 || lateral.abs() - across > half + NUDGE_ROOM {
             continue;
         }
-        let offset = if lateral < 0.0 { lateral + across + half + NUDGE_ROOM } else { lateral - across - half - NUDGE_ROOM };
-        let obstacle =
-            if offset.abs() > NUDGE_MOST { Obstacle::Lane } else { Obstacle::Edge(offset) };
+        let offset =
+            if lateral < 0.0 { lateral + across + half + NUDGE_ROOM } else { lateral - across - half - NUDGE_ROOM };
+        let obstacle = if offset.abs() > NUDGE_MOST { Obstacle::Lane } else { Obstacle::Edge(offset) };
         if nearest.as_ref().is_none_or(|(near, _)| s < *near) {
             nearest = Some((s, obstacle));
         }
@@ -152,7 +152,8 @@ fn leaves_way(traffic: &Traffic<'_>) -> Option<bool> {
     if own > place || best <= own {
         return None;
     }
-    let target = (0..lanes.len()).filter(|&i| roads.reach(place, lanes[i]) == best).min_by_key(|&i| i.abs_diff(here))?;
+    let target =
+        (0..lanes.len()).filter(|&i| roads.reach(place, lanes[i]) == best).min_by_key(|&i| i.abs_diff(here))?;
     Some(target < here)
 }
 

@@ -84,7 +84,8 @@ impl FromStr for Spec {
 
     fn from_str(id: &str) -> Result<Self, Self::Err> {
         let mut parts = id.split('/');
-        let (Some(SOURCE), Some(kind), Some(seed), None) = (parts.next(), parts.next(), parts.next(), parts.next()) else {
+        let (Some(SOURCE), Some(kind), Some(seed), None) = (parts.next(), parts.next(), parts.next(), parts.next())
+        else {
             return Err(GeneratorError::Form(id.to_owned()));
         };
         let scenario_type = kind.parse()?;

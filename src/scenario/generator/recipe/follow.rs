@@ -57,8 +57,11 @@ pub(super) fn cast_following(stage: &mut Stage<'_, '_>, task: Task) -> Task {
 /// Somebody from a neighbouring lane moves in before the ego.
 pub(super) fn cut_in(stage: &mut Stage<'_, '_>, probability: f64) {
     let way = &stage.roads().way[0];
-    let sides: Vec<bool> =
-        [(stage.ego_lane > 0, true), (stage.ego_lane + 1 < way.len(), false)].into_iter().filter(|s| s.0).map(|s| s.1).collect();
+    let sides: Vec<bool> = [(stage.ego_lane > 0, true), (stage.ego_lane + 1 < way.len(), false)]
+        .into_iter()
+        .filter(|s| s.0)
+        .map(|s| s.1)
+        .collect();
     if sides.is_empty() || !stage.dice.chance(probability) {
         return;
     }
@@ -70,8 +73,10 @@ pub(super) fn cut_in(stage: &mut Stage<'_, '_>, probability: f64) {
     if let Some(i) = stage.put(Make::Car, chain, s, speed, 0.0) {
         let (at, share) = (stage.dice.between(-1.0, 6.0), stage.dice.between(0.7, 1.0));
         stage.traffic.movers[i].ceiling = (speed * 1.05).max(3.0);
-        stage.traffic.movers[i].script =
-            vec![Act::Limit { at: at + 2.5, speed: (speed * share).max(3.0) }, Act::ChangeLane { at, left: !from_left }];
+        stage.traffic.movers[i].script = vec![
+            Act::Limit { at: at + 2.5, speed: (speed * share).max(3.0) },
+            Act::ChangeLane { at, left: !from_left },
+        ];
     }
 }
 

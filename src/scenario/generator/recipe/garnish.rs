@@ -39,8 +39,11 @@ impl Stage<'_, '_> {
         let walks = self.roads().map.crosswalks().to_vec();
         for walk in &walks {
             if self.dice.chance(0.3) {
-                let departure =
-                    if self.dice.chance(0.6) { Departure::WhenClear(self.dice.between(-3.0, 12.0)) } else { Departure::Never };
+                let departure = if self.dice.chance(0.6) {
+                    Departure::WhenClear(self.dice.between(-3.0, 12.0))
+                } else {
+                    Departure::Never
+                };
                 let other_way = self.dice.chance(0.5);
                 self.wait_at(walk, departure, other_way);
             }

@@ -76,7 +76,10 @@ pub(super) fn cast(stage: &mut Stage<'_, '_>, mut task: Task) -> Task {
 /// A vehicle stands in the ego's lane `ahead` metres before the ego, `aside` metres right of the middle.
 pub(super) fn double_park(stage: &mut Stage<'_, '_>, ahead: f64, aside: f64) {
     let pose = stage.ego().track.pose_at(stage.ego().s + ahead).translated(0.0, -aside);
-    let (length, width) =
-        if stage.dice.chance(0.75) { (stage.dice.between(4.3, 5.2), 1.9) } else { (stage.dice.between(7.0, 10.0), 2.4) };
+    let (length, width) = if stage.dice.chance(0.75) {
+        (stage.dice.between(4.3, 5.2), 1.9)
+    } else {
+        (stage.dice.between(7.0, 10.0), 2.4)
+    };
     stage.put_fixture(ObjectKind::Vehicle, pose, length, width);
 }

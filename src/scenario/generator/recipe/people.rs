@@ -2,7 +2,9 @@
 
 use super::garnish::walker;
 use super::lanes::double_park;
-use super::setting::{BEHIND, LIMITS, LightWish, Setting, anywhere, course, crossing, extend, needed_ahead, style, town};
+use super::setting::{
+    BEHIND, LIMITS, LightWish, Setting, anywhere, course, crossing, extend, needed_ahead, style, town,
+};
 use super::stage::Stage;
 use crate::geometry::{GeometryError, Point};
 use crate::scenario::generator::dice::Dice;
@@ -70,6 +72,9 @@ pub(super) fn cast_waiting(stage: &mut Stage<'_, '_>, task: Task) -> Task {
 fn jaywalker(stage: &mut Stage<'_, '_>) {
     let ego = stage.ego();
     let (s, reach) = (ego.s + stage.dice.between(50.0, 110.0), 14.0);
+    if stage.ego().track.span_at(s).connector {
+        return;
+    }
     let pose = stage.ego().track.pose_at(s);
     let side = stage.dice.sign();
     let (from, to) = (pose.to_map(Point::new(0.0, side * reach)), pose.to_map(Point::new(2.0, -side * reach)));

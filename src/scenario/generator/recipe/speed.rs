@@ -1,7 +1,7 @@
 //! Scenes of free driving: fast, and through bends.
 
-use super::setting::{BEHIND, LIMITS, Setting, anywhere, bend_for, corridor, extend, needed_ahead, style};
 use super::follow::cut_in;
+use super::setting::{BEHIND, LIMITS, Setting, anywhere, bend_for, corridor, extend, needed_ahead, style};
 use super::stage::{Make, Stage};
 use crate::geometry::GeometryError;
 use crate::scenario::generator::dice::Dice;

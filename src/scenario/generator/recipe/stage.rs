@@ -88,8 +88,7 @@ impl<'a, 'd> Stage<'a, 'd> {
         let track = Arc::new(Track::along(roads, chain)?);
         let speed = setting.start_speed * track.allowed_at(setting.start_s) * EXPERT.haste;
         let ego = Mover::ego(track, setting.start_s, speed, EXPERT);
-        let traffic =
-            Traffic { roads, movers: vec![ego], walkers: Vec::new(), fixtures: Vec::new(), time: -LEAD_IN };
+        let traffic = Traffic { roads, movers: vec![ego], walkers: Vec::new(), fixtures: Vec::new(), time: -LEAD_IN };
         Some(Self { dice, traffic, ego_lane, tokens: 0 })
     }
 
@@ -125,14 +124,7 @@ impl<'a, 'd> Stage<'a, 'd> {
     }
 
     /// Puts a vehicle on a track; see [`Self::put`].
-    pub(super) fn put_on(
-        &mut self,
-        make: Make,
-        track: Arc<Track>,
-        s: f64,
-        speed: f64,
-        lateral: f64,
-    ) -> Option<usize> {
+    pub(super) fn put_on(&mut self, make: Make, track: Arc<Track>, s: f64, speed: f64, lateral: f64) -> Option<usize> {
         let ((length, width), temper) = (self.size(make), temper(self.dice));
         if s < length / 2.0 + 1.0 || s + length / 2.0 + 3.0 > track.length() {
             return None;
@@ -274,7 +266,7 @@ impl<'a, 'd> Stage<'a, 'd> {
                         continue;
                     }
                     let gap = (s - body.shape.length / 2.0 - me.front_s() - 2.0).max(0.0);
-                    let ahead = body.velocity.dot(&place.direction()).max(0.0);
+                    let ahead = (body.direction.dot(&place.direction()) * body.speed).max(0.0);
                     speed = speed.min((ahead * ahead + 2.0 * BRAKING * gap).sqrt());
                 }
                 self.traffic.movers[i].speed = speed;

@@ -115,10 +115,8 @@ impl Network {
     /// # Errors
     /// When the two ends coincide.
     pub(crate) fn join(&mut self, before: RoadIndex, after: RoadIndex) -> Result<(), GeometryError> {
-        let arms = [
-            Arm { road: before, end: End::Finish, minor: false },
-            Arm { road: after, end: End::Start, minor: false },
-        ];
+        let arms =
+            [Arm { road: before, end: End::Finish, minor: false }, Arm { road: after, end: End::Start, minor: false }];
         let junction = self.open_junction(&arms)?;
         for (from, to) in [(arms[0], arms[1]), (arms[1], arms[0])] {
             let (arriving, leaving) = (self.arriving(from).to_vec(), self.leaving(to).to_vec());

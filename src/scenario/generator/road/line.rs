@@ -6,6 +6,8 @@ use crate::geometry::{Point, Pose, wrap_angle};
 const TURN_PER_SAMPLE: f64 = 0.02;
 /// Largest distance between two samples of a straight line, metres.
 const SAMPLE_SPACING: f64 = 10.0;
+/// Largest distance between two samples of a bend, metres.
+const BEND_SPACING: f64 = 2.0;
 /// Step of the integration along a line, metres.
 const INTEGRATION_STEP: f64 = 0.25;
 /// Length over which the curvature of a road builds up, metres.
@@ -53,16 +55,14 @@ pub(crate) fn trace(start: Pose, stretches: &[Stretch]) -> Vec<Pose> {
         for i in 0..steps {
             let share = (i as f64 + 0.5) / steps as f64;
             let turn = (stretch.from + (stretch.to - stretch.from) * share) * step;
-            if since > 0.0 && (since + step > SAMPLE_SPACING || (turned + turn).abs() > TURN_PER_SAMPLE) {
+            let spacing = if turned + turn == 0.0 { SAMPLE_SPACING } else { BEND_SPACING };
+            if since > 0.0 && (since + step > spacing + 1e-9 || (turned + turn).abs() > TURN_PER_SAMPLE) {
                 line.push(pose);
                 (since, turned) = (0.0, 0.0);
             }
             let middle = pose.heading + turn / 2.0;
-            pose = Pose::new(
-                pose.x + step * middle.cos(),
-                pose.y + step * middle.sin(),
-                wrap_angle(pose.heading + turn),
-            );
+            pose =
+                Pose::new(pose.x + step * middle.cos(), pose.y + step * middle.sin(), wrap_angle(pose.heading + turn));
             since += step;
             turned += turn;
         }
@@ -104,11 +104,8 @@ pub(crate) fn connection(from: Pose, to: Pose) -> Vec<Pose> {
         (chord.norm() / 2.0, chord.norm() / 2.0)
     };
     // Tangents that do not meet ahead of both ends give an S-shaped line over half the chord each.
-    let (leg_in, leg_out) = if leg_in > 0.5 && leg_out > 0.5 {
-        (leg_in, leg_out)
-    } else {
-        (chord.norm() / 2.0, chord.norm() / 2.0)
-    };
+    let (leg_in, leg_out) =
+        if leg_in > 0.5 && leg_out > 0.5 { (leg_in, leg_out) } else { (chord.norm() / 2.0, chord.norm() / 2.0) };
     let (a, b) = (SHARE * leg_in, SHARE * leg_out);
     let control = [
         from.position(),

@@ -3,9 +3,7 @@
 use super::line::shifted;
 use super::signal::SignalPlan;
 use crate::geometry::{GeometryError, Point, Polygon, Polyline, Pose};
-use crate::world::{
-    Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId,
-};
+use crate::world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId};
 
 /// How a road is built. Lanes in the direction of the line lie to its right, oncoming ones to its left.
 #[derive(Debug, Clone)]

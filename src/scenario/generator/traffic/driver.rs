@@ -3,7 +3,6 @@
 use super::right_of_way::Claims;
 use super::{Body, Mover, Traffic};
 use crate::dynamics::Lead;
-use crate::geometry::wrap_angle;
 use crate::world::TrafficLights;
 
 /// Clearance to the side under which something counts as in the way, metres.
@@ -26,8 +25,15 @@ impl Traffic<'_> {
     ) -> f64 {
         let me = &self.movers[i];
         let mut wanted = self.free_acceleration(me);
+        let (place, ahead) = (me.track.pose_at(me.s).position(), me.track.direction_at(me.s));
         for body in bodies.iter().filter(|body| body.mover != Some(i)) {
-            if let Some(lead) = me.lead(body) {
+            // Most bodies are out of sight or behind; a cheap look comes first.
+            let to = body.shape.center.position() - place;
+            let (sight, reach) = (me.sight(), body.shape.length / 2.0);
+            if to.norm_squared() > (sight + reach).powi(2) || ahead.dot(&to) < -(reach + 8.0) {
+                continue;
+            }
+            if let Some(lead) = me.lead(body, sight + reach) {
                 wanted = wanted.min(me.following(lead));
             }
         }
@@ -72,20 +78,17 @@ impl Mover {
         25.0 + 4.0 * self.speed
     }
 
-    /// The lead that a body is to this driver, if it is in the way.
-    fn lead(&self, body: &Body) -> Option<Lead> {
-        let pose = self.track.pose_at(self.s);
-        let to = body.shape.center.position() - pose.position();
-        let (sight, reach) = (self.sight(), body.shape.length / 2.0);
-        if to.norm_squared() > (sight + reach).powi(2) || pose.direction().dot(&to) < -(reach + 8.0) {
+    /// The lead that a body within `sight` metres is to this driver, if it is in the way.
+    fn lead(&self, body: &Body, sight: f64) -> Option<Lead> {
+        /// What is further beside the track than this, half its length apart, is of no concern, metres.
+        const ASIDE: f64 = 6.0;
+        let (s, lateral) = self.track.project(body.shape.center.position(), self.s - 10.0, self.s + sight);
+        let sideways_reach = if body.speed > 0.0 { body.speed * SIDE_LOOKAHEAD } else { 0.0 };
+        if lateral.abs() > ASIDE + body.shape.length / 2.0 + sideways_reach || s <= self.s {
             return None;
         }
-        let (s, lateral) = self.track.project(body.shape.center.position(), self.s - 10.0, self.s + sight + reach);
-        if lateral.abs() > 14.0 + reach || s <= self.s {
-            return None;
-        }
-        let turned = wrap_angle(body.shape.center.heading - self.track.pose_at(s).heading);
-        let (sin, cos) = turned.sin_cos();
+        let along_track = self.track.direction_at(s);
+        let (sin, cos) = (along_track.perp(&body.direction), along_track.dot(&body.direction));
         let (half_length, half_width) = (body.shape.length / 2.0, body.shape.width / 2.0);
         let along = (half_length * cos).abs() + (half_width * sin).abs();
         let across = (half_length * sin).abs() + (half_width * cos).abs();
@@ -117,8 +120,7 @@ impl Mover {
         if s <= self.front_s() - 0.5 || lateral.abs() > 25.0 {
             return None;
         }
-        let heading = self.track.pose_at(s).heading;
-        let sideways = walker.velocity().dot(&nalgebra::Vector2::new(-heading.sin(), heading.cos()));
+        let sideways = self.track.direction_at(s).perp(&walker.velocity());
         let offset = lateral - self.shift.at(s).0;
         let half = self.width / 2.0 + walker.size / 2.0 + 0.5;
         let approaching = offset * sideways < 0.0;

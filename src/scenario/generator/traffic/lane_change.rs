@@ -63,8 +63,7 @@ impl Traffic<'_> {
                 let ego = &mut self.movers[0];
                 if !ego.is_changing() && (ego.shift.to_d - lateral).abs() > 0.05 {
                     let length = (ego.speed * 2.5).max(9.0);
-                    ego.shift =
-                        Shift { from_s: ego.s, to_s: ego.s + length, from_d: ego.shift.to_d, to_d: lateral };
+                    ego.shift = Shift { from_s: ego.s, to_s: ego.s + length, from_d: ego.shift.to_d, to_d: lateral };
                 }
             }
         }

@@ -22,8 +22,8 @@ use right_of_way::Claims;
 pub(crate) struct Body {
     /// Its box.
     pub(crate) shape: OrientedBox,
-    /// Its velocity, map frame.
-    pub(crate) velocity: Vector,
+    /// Unit vector along its heading.
+    pub(crate) direction: Vector,
     /// Norm of it, m/s.
     pub(crate) speed: f64,
     /// Which mover it is; `None` for what stands still.
@@ -53,18 +53,10 @@ impl Traffic<'_> {
 
     /// Everything solid now: movers in order, then fixtures.
     pub(crate) fn bodies(&self) -> Vec<Body> {
-        let movers = self.movers.iter().enumerate().filter(|(_, mover)| !mover.gone).map(|(i, mover)| Body {
-            shape: mover.shape(),
-            velocity: mover.velocity(),
-            speed: mover.speed,
-            mover: Some(i),
-        });
-        let fixtures = self.fixtures.iter().map(|object| Body {
-            shape: object.shape,
-            velocity: Vector::zeros(),
-            speed: 0.0,
-            mover: None,
-        });
+        let body = |shape: OrientedBox, speed, mover| Body { shape, direction: shape.center.direction(), speed, mover };
+        let movers = self.movers.iter().enumerate().filter(|(_, mover)| !mover.gone);
+        let movers = movers.map(|(i, mover)| body(mover.shape(), mover.speed, Some(i)));
+        let fixtures = self.fixtures.iter().map(|object| body(object.shape, 0.0, None));
         movers.chain(fixtures).collect()
     }
 
@@ -99,7 +91,7 @@ impl Traffic<'_> {
         let middle = nalgebra::center(&walker.from, &walker.to);
         bodies.iter().all(|body| {
             let to = middle - body.shape.center.position();
-            let closing = to.normalize().dot(&body.velocity);
+            let closing = to.normalize().dot(&body.direction) * body.speed;
             let distance = to.norm() - body.shape.length / 2.0 - walker.distance() / 2.0;
             closing < 0.7 || distance > closing * TIME_GAP
         })

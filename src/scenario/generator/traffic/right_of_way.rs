@@ -152,7 +152,9 @@ fn must_stop_at_light(me: &Mover, line: f64, status: Option<SignalStatus>) -> bo
             let needed = me.speed * me.speed / (2.0 * (line - me.front_s()).max(0.1));
             needed < me.temper.hardest + 1.0 || me.speed < 1.0
         }
-        Some(SignalStatus::Yellow) => me.speed * me.speed / (2.0 * (line - me.front_s()).max(0.1)) < YELLOW_DECELERATION,
+        Some(SignalStatus::Yellow) => {
+            me.speed * me.speed / (2.0 * (line - me.front_s()).max(0.1)) < YELLOW_DECELERATION
+        }
         _ => false,
     }
 }

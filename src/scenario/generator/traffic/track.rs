@@ -1,6 +1,6 @@
 //! The line that a driver follows, sampled evenly so that questions to it are cheap.
 
-use crate::geometry::{Point, Polyline, Pose, wrap_angle};
+use crate::geometry::{Point, Polyline, Pose, Vector, unwrap_angles};
 use crate::scenario::generator::road::Roads;
 use crate::world::{LaneId, LanePath};
 
@@ -12,6 +12,9 @@ const LATERAL_ACCELERATION: f64 = 1.8;
 const ANTICIPATION: f64 = 0.9;
 /// Speed where no limit applies, m/s.
 const UNLIMITED: f64 = 13.4;
+
+/// Samples to each side over which headings are averaged.
+const SMOOTHED: usize = 2;
 
 /// A lane of the track and where on it it lies.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,7 +32,10 @@ pub(crate) struct Span {
 /// A line along lanes with the speed that it allows.
 #[derive(Debug, Clone)]
 pub(crate) struct Track {
+    /// Even samples; their headings run on without jumps.
     poses: Vec<Pose>,
+    /// Unit vectors along the headings.
+    directions: Vec<Vector>,
     curvature: Vec<f64>,
     allowed: Vec<f64>,
     /// The lanes in driving order.
@@ -46,11 +52,12 @@ impl Track {
         let path = LanePath::of(map, lanes)?;
         let length = path.centerline.length();
         let poses = sample(&path.centerline);
+        let directions = poses.iter().map(Pose::direction).collect();
         let last = poses.len() - 1;
         let curvature: Vec<f64> = (0..=last)
             .map(|i| {
                 let (a, b) = (i.saturating_sub(1), (i + 1).min(last));
-                wrap_angle(poses[b].heading - poses[a].heading) / ((b - a) as f64 * SPACING)
+                (poses[b].heading - poses[a].heading) / ((b - a) as f64 * SPACING)
             })
             .collect();
         let ends = path.starts.iter().skip(1).copied().chain([length]);
@@ -77,7 +84,7 @@ impl Track {
             let onward: f64 = allowed[i + 1];
             allowed[i] = allowed[i].min((onward * onward + 2.0 * ANTICIPATION * SPACING).sqrt());
         }
-        let mut track = Self { poses, curvature, allowed, spans, crosswalks: Vec::new(), length };
+        let mut track = Self { poses, directions, curvature, allowed, spans, crosswalks: Vec::new(), length };
         track.crosswalks = track.find_crosswalks(roads);
         Some(track)
     }
@@ -109,15 +116,11 @@ impl Track {
         (i, at - i as f64)
     }
 
-    /// Pose at arc length `s` (clamped).
+    /// Pose at arc length `s` (clamped); its heading is not wrapped.
     pub(crate) fn pose_at(&self, s: f64) -> Pose {
         let (i, share) = self.place(s);
         let (a, b) = (self.poses[i], self.poses[i + 1]);
-        Pose::new(
-            a.x + (b.x - a.x) * share,
-            a.y + (b.y - a.y) * share,
-            wrap_angle(a.heading + wrap_angle(b.heading - a.heading) * share),
-        )
+        Pose::new(a.x + (b.x - a.x) * share, a.y + (b.y - a.y) * share, a.heading + (b.heading - a.heading) * share)
     }
 
     /// Curvature at arc length `s`, 1/m.
@@ -156,8 +159,13 @@ impl Track {
                 (nearest, best) = (distance, i);
             }
         }
-        let local = self.poses[best].to_local(point);
-        (best as f64 * SPACING + local.x, local.y)
+        let (d, along) = (point - self.poses[best].position(), self.directions[best]);
+        (best as f64 * SPACING + along.dot(&d), along.perp(&d))
+    }
+
+    /// Unit vector along the track near arc length `s`.
+    pub(crate) fn direction_at(&self, s: f64) -> Vector {
+        self.directions[((s / SPACING).round().max(0.0) as usize).min(self.directions.len() - 1)]
     }
 
     /// The span at arc length `s`.
@@ -171,11 +179,14 @@ impl Track {
 fn sample(line: &Polyline) -> Vec<Pose> {
     let count = (line.length() / SPACING).floor().max(1.0) as usize;
     let points: Vec<Point> = (0..=count).map(|i| line.point_at(i as f64 * SPACING)).collect();
-    (0..=count)
-        .map(|i| {
-            let (a, b) = (points[i.saturating_sub(1)], points[(i + 1).min(count)]);
-            let d = b - a;
-            Pose::at(points[i], d.y.atan2(d.x))
-        })
-        .collect()
+    let chords: Vec<f64> =
+        (0..=count).map(|i| points[(i + 1).min(count)] - points[i.saturating_sub(1)]).map(|d| d.y.atan2(d.x)).collect();
+    let chords = unwrap_angles(&chords);
+    // Lines have corners at their vertices; drivers do not steer around each of them.
+    let headings = (0..=count).map(|i| {
+        // The same number of samples to both sides, so that the average stays in place.
+        let reach = SMOOTHED.min(i).min(count - i);
+        chords[i - reach..=i + reach].iter().sum::<f64>() / (2 * reach + 1) as f64
+    });
+    points.into_iter().zip(headings).map(|(point, heading)| Pose::at(point, heading)).collect()
 }
