@@ -54,6 +54,12 @@ impl Palette {
         Self::COLORS[element as usize].2
     }
 
+    /// The elements and their colours in one sentence, for prompts.
+    pub fn legend() -> String {
+        let parts = Self::COLORS.iter().map(|(element, color, _)| format!("{} {color}", element.as_str().replace('_', " ")));
+        format!("Colours: {}.", parts.collect::<Vec<_>>().join(", "))
+    }
+
     /// The name of an element's colour.
     pub const fn color_name(element: BevElement) -> &'static str {
         Self::COLORS[element as usize].1

@@ -31,8 +31,10 @@ pub(super) fn crossings(lanes: &[LaneFeature]) -> BTreeSet<(usize, usize)> {
         for b in segments.within(&Bounds::around(&[a.from, a.to])).filter(|b| b.owner > a.owner) {
             let across = b.to - b.from;
             let angle = along.perp(&across).atan2(along.dot(&across)).abs();
+            // Where one lane follows the other they meet in a point, however sharp the bend.
+            let follow = lanes[a.owner].exits.contains(&b.owner) || lanes[b.owner].exits.contains(&a.owner);
             let steep = angle > CROSSING_ANGLE && angle < std::f64::consts::PI - CROSSING_ANGLE;
-            if steep && (a.height - b.height).abs() < SAME_LEVEL && cross(a.from, a.to, b.from, b.to) {
+            if steep && !follow && (a.height - b.height).abs() < SAME_LEVEL && cross(a.from, a.to, b.from, b.to) {
                 pairs.insert((a.owner, b.owner));
             }
         }
@@ -40,9 +42,10 @@ pub(super) fn crossings(lanes: &[LaneFeature]) -> BTreeSet<(usize, usize)> {
     pairs
 }
 
+/// Whether two segments cross; a line through a vertex crosses one of the two segments that meet there.
 fn cross(a: Point, b: Point, c: Point, d: Point) -> bool {
-    let side = |p: Point, q: Point, r: Point| (q - p).perp(&(r - p));
-    side(c, d, a) * side(c, d, b) < 0.0 && side(a, b, c) * side(a, b, d) < 0.0
+    let left = |p: Point, q: Point, r: Point| (q - p).perp(&(r - p)) > 0.0;
+    left(c, d, a) != left(c, d, b) && left(a, b, c) != left(a, b, d)
 }
 
 /// For each lane whether it is a connector; `governed` are the lanes behind a traffic light's stop point.

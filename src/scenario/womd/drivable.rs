@@ -31,7 +31,7 @@ pub(super) fn beside_lanes(map: &MapFeatures, clusters: &[Cluster], areas: &[Pol
     let strips = map.lanes.iter().enumerate().flat_map(|(place, lane)| {
         let hull = hull_of.get(&place).copied();
         let other_lane = |ray: &Ray| centerlines.last_hit(ray, |other| other.owner != place);
-        Strip::measured(lane, |side, s| width_of_road(lane, side, s, &edges, other_lane, hull)).areas(lane)
+        Strip::measured(lane, |side, s| width_of_road(lane, side, s, &edges, other_lane, hull)).pieces(lane)
     });
     strips.chain(map.driveways.iter().cloned()).collect()
 }

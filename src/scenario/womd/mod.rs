@@ -21,6 +21,8 @@ mod proto;
 mod roadblocks;
 mod route;
 mod signals;
+#[cfg(test)]
+mod tests;
 mod tfrecord;
 mod trace;
 mod tracks;

@@ -27,6 +27,9 @@ pub(super) const STATION_STEP: f64 = 1.0;
 /// Vertices that move an outline by less are left out, metres.
 const SIMPLER_BY: f64 = 0.02;
 
+/// Stations of a piece of a strip: a strip that comes back to itself is no simple polygon.
+const LONGEST_PIECE: usize = 50;
+
 /// How far a strip reaches to either side at its stations.
 #[derive(Debug, Clone)]
 pub(super) struct Strip {
@@ -44,15 +47,35 @@ impl Strip {
         Self { stations, reach }
     }
 
-    /// Its area as simple pieces, the largest first; more than one only when the strip laps over itself.
-    pub(super) fn areas(&self, lane: &LaneFeature) -> Vec<Polygon> {
+    /// Its area as pieces in driving order; one where the strip is short and does not fold.
+    pub(super) fn pieces(&self, lane: &LaneFeature) -> Vec<Polygon> {
         let [left, right] = Side::BOTH.map(|side| self.border(lane, side));
-        let folds = Side::BOTH.into_iter().zip([&left, &right]).any(|(_, border)| folds(lane, &self.stations, border));
-        let ring = left.iter().chain(right.iter().rev()).copied();
-        let mut areas = if folds { quilt(&left, &right) } else { Polygon::new(ring).into_iter().collect() };
-        areas = areas.iter().map(simplified).filter(|area| area.area() > 0.0).collect();
-        areas.sort_by(|a, b| b.area().total_cmp(&a.area()));
-        areas
+        let folded: Vec<bool> = (0..self.stations.len() - 1)
+            .map(|i| {
+                let along = lane.trace.direction_at(self.stations[i]);
+                [&left, &right].iter().any(|border| (border[i + 1] - border[i]).dot(&along) < 0.0)
+            })
+            .collect();
+        let mut pieces = Vec::new();
+        let mut from = 0;
+        while from < folded.len() {
+            let same = folded[from..].iter().take_while(|&&f| !f).take(LONGEST_PIECE).count();
+            let to = from + same.max(1);
+            let ring = left[from..=to].iter().chain(right[from..=to].iter().rev()).copied();
+            let piece = if folded[from] { Polygon::convex_hull(&ring.collect::<Vec<_>>()) } else { Polygon::new(ring) };
+            pieces.extend(piece.ok().map(|piece| simplified(&piece)).filter(|piece| piece.area() > 0.0));
+            from = to;
+        }
+        pieces
+    }
+
+    /// Its area as one polygon; `None` when it has none.
+    fn area(&self, lane: &LaneFeature) -> Option<Polygon> {
+        let mut pieces = self.pieces(lane);
+        if pieces.len() > 1 {
+            pieces = Polygon::union_of(&pieces);
+        }
+        pieces.into_iter().max_by(|a, b| a.area().total_cmp(&b.area()))
     }
 
     /// The line along which the strip ends on one side.
@@ -61,19 +84,6 @@ impl Strip {
         let stations = self.stations.iter().zip(self.reach.at(side));
         stations.map(|(&s, &reach)| line.point_at(s) + side.of(lane.trace.direction_at(s)) * reach).collect()
     }
-}
-
-/// Whether a border runs backwards somewhere: the inner side of a bend that is tighter than the strip is wide.
-fn folds(lane: &LaneFeature, stations: &[f64], border: &[Point]) -> bool {
-    border.windows(2).zip(stations).any(|(pair, &s)| (pair[1] - pair[0]).dot(&lane.trace.direction_at(s)) < 0.0)
-}
-
-/// A strip as the union of its pieces between two stations.
-fn quilt(left: &[Point], right: &[Point]) -> Vec<Polygon> {
-    let pieces = left.windows(2).zip(right.windows(2));
-    let hulls: Vec<Polygon> =
-        pieces.filter_map(|(l, r)| Polygon::convex_hull(&[l[0], l[1], r[1], r[0]]).ok()).collect();
-    Polygon::union_of(&hulls)
 }
 
 /// Areas of all lanes, in order.
@@ -85,7 +95,7 @@ pub(super) fn lane_areas(map: &MapFeatures, connector: &[bool]) -> Vec<Polygon> 
         .collect();
     let areas = map.lanes.iter().zip(&lane_strips).enumerate().map(|(place, (lane, strip))| {
         let strip = strip.clone().unwrap_or_else(|| connector_strip(map, place, &lane_strips));
-        strip.areas(lane).into_iter().next().unwrap_or_else(|| speck(lane))
+        strip.area(lane).unwrap_or_else(|| speck(lane))
     });
     let mut areas: Vec<Polygon> = areas.collect();
     separate(&mut areas, connector);
