@@ -1,5 +1,7 @@
 //! Waymo Open Motion: every recording at hand opens, its derived map keeps the rules, and driving as recorded complies.
 
+#![expect(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests are tests")]
+
 use planagent::geometry::{Point, wrap_angle};
 use planagent::scenario::womd::{self, Pick, WomdError};
 use planagent::scenario::{Frame, Scenario};
