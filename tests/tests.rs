@@ -3,3 +3,4 @@
 mod environment;
 mod metrics;
 mod mllm;
+mod womd;
