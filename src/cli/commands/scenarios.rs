@@ -32,8 +32,8 @@ pub fn run(command: &ScenariosCommand, printer: Printer) -> anyhow::Result<Exit>
 
 fn list_types(printer: Printer) -> anyhow::Result<Exit> {
     printer.note("types of generated scenarios; name one as generated/TYPE/SEED");
-    for kind in ScenarioType::ALL {
-        let id = Spec { scenario_type: *kind, seed: 0 }.to_string();
+    for &kind in &ScenarioType::ALL {
+        let id = Spec { scenario_type: kind, seed: 0 }.to_string();
         printer.line(&id);
         if printer.is_json() {
             printer.json(&json!({"id": id, "scenario_type": kind.to_string()}))?;

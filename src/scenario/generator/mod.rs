@@ -1,1 +1,155 @@
-//! Seeded generator of drives.
+//! Seeded generator of drives: no download, any number, the same bytes for the same name.
+//!
+//! A drive is drawn in three steps: a recipe of its [`ScenarioType`] lays roads and puts people on them; the traffic is run
+//! with an expert at the wheel ([`expert`] says how it drives); the recording is judged and, where the expert touched something,
+//! left the road or the drive is not of its type, drawn again from the next sub-seed.
+
+mod dice;
+mod drive;
+mod expert;
+mod recipe;
+mod road;
+mod scenario_type;
+#[cfg(test)]
+mod tests;
+mod traffic;
+
+pub use drive::Discard;
+pub use scenario_type::ScenarioType;
+
+use super::Scenario;
+use crate::world::Route;
+use dice::Dice;
+use drive::{Drive, PAST};
+use expert::Expert;
+use recipe::Stage;
+use road::Roads;
+use std::fmt;
+use std::str::FromStr;
+
+/// First part of the id of every generated drive.
+pub const SOURCE: &str = "generated";
+/// How often a drive is drawn anew at most.
+pub const MAX_DRAWS: usize = 60;
+
+/// The name of a generated drive; it determines the drive wholly. Written `generated/<scenario type>/<seed>`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Spec {
+    /// What kind of drive.
+    pub scenario_type: ScenarioType,
+    /// Which one.
+    pub seed: u64,
+}
+
+/// A drive worth seeing first: the ego comes up to a blocked lane and goes round.
+pub const DEFAULT: Spec = Spec { scenario_type: ScenarioType::ChangingLane, seed: 3 };
+
+/// Why there is no such drive.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum GeneratorError {
+    /// The name has another form.
+    #[error("`{0}` does not name a generated scenario: expected generated/<scenario type>/<seed>")]
+    Form(String),
+    /// No such type.
+    #[error("`{0}` is not a scenario type that the generator makes")]
+    UnknownType(String),
+    /// The seed is not a whole number.
+    #[error("the seed `{seed}` of `{id}` is not a whole number from 0 to 2^64 - 1")]
+    Seed {
+        /// The seed as written.
+        seed: String,
+        /// The whole name.
+        id: String,
+    },
+    /// Every draw was thrown away.
+    #[error("no drive for {id} after {draws} draws; the last one was thrown away because {last}")]
+    Exhausted {
+        /// The name.
+        id: String,
+        /// How many draws.
+        draws: usize,
+        /// Why the last one was thrown away.
+        last: Discard,
+    },
+}
+
+impl fmt::Display for Spec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{SOURCE}/{}/{}", self.scenario_type, self.seed)
+    }
+}
+
+impl FromStr for Spec {
+    type Err = GeneratorError;
+
+    fn from_str(id: &str) -> Result<Self, Self::Err> {
+        let mut parts = id.split('/');
+        let (Some(SOURCE), Some(kind), Some(seed), None) = (parts.next(), parts.next(), parts.next(), parts.next())
+        else {
+            return Err(GeneratorError::Form(id.to_owned()));
+        };
+        let scenario_type = kind.parse()?;
+        let seed = seed.parse().map_err(|_| GeneratorError::Seed { seed: seed.to_owned(), id: id.to_owned() })?;
+        Ok(Self { scenario_type, seed })
+    }
+}
+
+/// A generated drive and how it came about.
+#[derive(Debug, Clone)]
+pub struct Generated {
+    /// The drive.
+    pub scenario: Scenario,
+    /// Why each draw before it was thrown away, in order.
+    pub discarded: Vec<Discard>,
+}
+
+/// Makes the drive of a name: 2.1 s of history, then 15 s driven by the expert.
+///
+/// # Errors
+/// When [`MAX_DRAWS`] draws were thrown away.
+pub fn generate(spec: &Spec) -> Result<Scenario, GeneratorError> {
+    generate_with_record(spec).map(|generated| generated.scenario)
+}
+
+/// As [`generate`], with the draws that were thrown away.
+///
+/// # Errors
+/// When [`MAX_DRAWS`] draws were thrown away.
+pub fn generate_with_record(spec: &Spec) -> Result<Generated, GeneratorError> {
+    let mut discarded = Vec::new();
+    for sub_seed in 0..MAX_DRAWS {
+        match draw(spec, sub_seed as u64) {
+            Ok(scenario) => return Ok(Generated { scenario, discarded }),
+            Err(reason) => discarded.push(reason),
+        }
+    }
+    let last = discarded.last().copied().unwrap_or(Discard::Roads);
+    Err(GeneratorError::Exhausted { id: spec.to_string(), draws: MAX_DRAWS, last })
+}
+
+/// One draw.
+fn draw(spec: &Spec, sub_seed: u64) -> Result<Scenario, Discard> {
+    let kind = spec.scenario_type;
+    let mut dice = Dice::new(spec.seed, (kind as u64 + 1) * 1000 + sub_seed);
+    let mut setting = recipe::setting(kind, &mut dice).map_err(|_| Discard::Roads)?;
+    let layout = std::mem::take(&mut setting.layout);
+    let mut roads = Roads::new(layout, spec.to_string()).map_err(|_| Discard::Roads)?;
+    let (chain, ego_lane) = recipe::prepare(&mut roads, &setting, &mut dice);
+    let mut stage = Stage::new(&roads, chain, ego_lane, &setting, &mut dice).ok_or(Discard::Roads)?;
+    let task = recipe::cast(kind, &mut stage, setting.task);
+    let (traffic, task) = stage.finish(task);
+    let drive = Drive::record(traffic, Expert::new(task))?;
+    if !recipe::holds(kind, &drive) {
+        return Err(Discard::OtherType);
+    }
+    let goal = drive.frames.last().map(|frame| frame.ego.center());
+    Ok(Scenario {
+        id: spec.to_string(),
+        scenario_type: kind.name().to_owned(),
+        log_name: format!("{SOURCE}-{}", spec.seed),
+        map: roads.map.clone(),
+        route: Route { roadblocks: roads.route(), goal },
+        frames: drive.frames,
+        start: PAST,
+    })
+}

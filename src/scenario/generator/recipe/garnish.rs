@@ -1,0 +1,196 @@
+//! What makes a street a street: parked cars, cyclists, people on the pavement and at crosswalks, cones.
+
+use super::stage::{Make, Stage};
+use crate::geometry::{Point, Polygon, Pose, wrap_angle};
+use crate::scenario::generator::traffic::{Departure, Walker};
+use crate::world::{LaneId, ObjectKind, TrackToken};
+use std::f64::consts::PI;
+
+/// A parking strip is at least this wide, metres.
+const PARKING: f64 = 2.4;
+/// A strip at the kerb that bicycles use is at least this wide, metres.
+const BICYCLES: f64 = 1.4;
+
+impl Stage<'_, '_> {
+    /// The rightmost lanes of all roads with what lies beside them: lane width and width of the strip.
+    fn kerb_lanes(&self) -> Vec<(LaneId, f64, f64)> {
+        let roads = self.roads();
+        let kerb = |lane: &LaneId| roads.map[*lane].right.is_empty();
+        roads
+            .road_lanes()
+            .filter(kerb)
+            .filter_map(|lane| roads.facts[lane.index()].map(|f| (lane, f.lane_width, f.shoulder[0])))
+            .collect()
+    }
+
+    /// Everything that is not traffic proper, as the dice will have it.
+    pub(super) fn garnish(&mut self) {
+        let (parked, cyclists, strollers) = (self.dice.between(0.2, 0.8), self.dice.chance(0.5), self.dice.whole(0, 4));
+        for (lane, lane_width, strip) in self.kerb_lanes() {
+            if strip >= PARKING {
+                self.park_along(lane, lane_width / 2.0 + strip / 2.0 + 0.1, parked);
+            } else if strip >= BICYCLES && cyclists && self.dice.chance(0.6) {
+                self.cycle_along(lane, -(lane_width / 2.0 + 0.75));
+            }
+        }
+        for _ in 0..strollers {
+            self.stroll();
+        }
+        let walks = self.roads().map.crosswalks().to_vec();
+        for walk in &walks {
+            if self.dice.chance(0.3) {
+                let departure = if self.dice.chance(0.6) {
+                    Departure::WhenClear(self.dice.between(-3.0, 12.0))
+                } else {
+                    Departure::Never
+                };
+                let other_way = self.dice.chance(0.5);
+                self.wait_at(walk, departure, other_way);
+            }
+        }
+        if self.dice.chance(0.12) {
+            self.road_works_beside();
+        }
+    }
+
+    /// Parks cars in a row beside a lane, `offset` metres right of its centreline.
+    fn park_along(&mut self, lane: LaneId, offset: f64, share: f64) {
+        let line = self.roads().map[lane].centerline.clone();
+        let mut s = 9.0;
+        while s < line.length() - 9.0 && self.traffic.fixtures.len() < 40 {
+            if self.dice.chance(share) {
+                let pose = line.pose_at(s).translated(0.0, -offset);
+                let (length, width) = (self.dice.between(4.2, 5.0), self.dice.between(1.75, 1.95));
+                self.put_fixture(ObjectKind::Vehicle, pose, length, width);
+            }
+            s += 6.6;
+        }
+    }
+
+    /// Sends a cyclist along a lane, `lateral` metres left of its centreline.
+    pub(super) fn cycle_along(&mut self, lane: LaneId, lateral: f64) {
+        let length = self.roads().map[lane].centerline.length();
+        let (s, pace) = (self.dice.between(3.0, (length - 6.0).max(4.0)), self.dice.between(3.0, 6.0));
+        let chain = self.roads().straight_chain(lane);
+        if let Some(i) = self.put(Make::Bicycle, chain, s, pace, lateral) {
+            self.traffic.movers[i].ceiling = pace;
+        }
+    }
+
+    /// Somebody walks along the pavement.
+    fn stroll(&mut self) {
+        let kerbs = self.kerb_lanes();
+        let (lane, lane_width, strip) = self.dice.pick(&kerbs);
+        let line = &self.roads().map[lane].centerline;
+        if line.length() < 50.0 {
+            return;
+        }
+        let offset = lane_width / 2.0 + strip + self.dice.between(1.0, 2.2);
+        let s = self.dice.between(5.0, line.length() - 40.0);
+        let (a, b) = (line.frenet_to_map(s, -offset), line.frenet_to_map(s + 32.0, -offset));
+        let (from, to) = if self.dice.chance(0.5) { (a, b) } else { (b, a) };
+        let pace = self.dice.between(0.9, 1.6);
+        self.put_walker(Walker { pace, departure: Departure::At(-10.0), crosses: false, ..walker(from, to) });
+    }
+
+    /// Somebody stands at a crosswalk and crosses at the departure.
+    pub(super) fn wait_at(&mut self, walk: &Polygon, departure: Departure, other_way: bool) {
+        let (a, b) = ends(walk);
+        let (from, to) = if other_way { (b, a) } else { (a, b) };
+        let aside = Pose::at(from, 0.0).translated(self.dice.between(-0.6, 0.6), self.dice.between(-0.6, 0.6));
+        let pace = self.dice.between(1.0, 1.7);
+        self.put_walker(Walker { pace, departure, crosses: true, ..walker(aside.position(), to) });
+    }
+
+    /// Fills the kerb-side bays with standing vehicles and with people beside them.
+    pub(super) fn fill_bay(&mut self) {
+        let bays = self.roads().map.carparks().to_vec();
+        for bay in &bays {
+            // The ring runs along the road on its left edge first, then back along the right one.
+            let ring = bay.ring();
+            let (left, right) = ((ring[0], ring[1]), (ring[3], ring[2]));
+            let heading = (left.1 - left.0).y.atan2((left.1 - left.0).x);
+            let start = Pose::at(nalgebra::center(&left.0, &right.0), heading);
+            let (length, depth) = ((left.1 - left.0).norm(), (right.0 - left.0).norm());
+            let share = self.dice.between(0.3, 0.8);
+            let mut s = 4.5;
+            while s < length - 4.0 {
+                if self.dice.chance(share) {
+                    let (long, wide) = (self.dice.between(4.3, 5.1), self.dice.between(1.8, 2.0));
+                    self.put_fixture(ObjectKind::Vehicle, start.translated(s, 0.0), long, wide);
+                }
+                if self.dice.chance(0.35) {
+                    let at = start.translated(s + 2.0, -depth / 2.0 - self.dice.between(0.6, 1.6)).position();
+                    let ahead = start.translated(s + 9.0, -depth / 2.0 - 1.2).position();
+                    let walks = self.dice.chance(0.3);
+                    let departure = if walks { Departure::At(self.dice.between(-3.0, 8.0)) } else { Departure::Never };
+                    self.put_walker(Walker { departure, crosses: false, ..walker(at, ahead) });
+                }
+                s += 7.0;
+            }
+        }
+    }
+
+    /// Cones and a sign on the strip beside a road.
+    fn road_works_beside(&mut self) {
+        let kerbs = self.kerb_lanes();
+        let (lane, lane_width, strip) = self.dice.pick(&kerbs);
+        let line = self.roads().map[lane].centerline.clone();
+        if line.length() < 60.0 {
+            return;
+        }
+        let start = self.dice.between(10.0, line.length() - 40.0);
+        let offset = -(lane_width / 2.0 + strip.min(1.0) * 0.6);
+        for k in 0..5 {
+            let s = start + 5.0 * f64::from(k);
+            let kind = if k == 0 { ObjectKind::CzoneSign } else { ObjectKind::TrafficCone };
+            self.put_fixture(kind, Pose::at(line.frenet_to_map(s, offset), line.heading_at(s)), 0.4, 0.4);
+        }
+    }
+
+    /// Closes a lane for good from arc length `s` on with barriers and cones over `length` metres.
+    pub(super) fn close_lane(&mut self, lane: LaneId, s: f64, length: f64, width: f64) {
+        let line = self.roads().map[lane].centerline.clone();
+        let at = |s: f64, d: f64| Pose::at(line.frenet_to_map(s, d), line.heading_at(s));
+        // A taper of cones, then barriers across and cones along.
+        for k in 0..4 {
+            let share = f64::from(k) / 3.0;
+            let pose = at(s - 12.0 + 12.0 * share, (-0.5 + share * 0.8) * width);
+            self.put_fixture(ObjectKind::TrafficCone, pose, 0.35, 0.35);
+        }
+        let barrier = at(s + 1.0, 0.0);
+        let across = Pose::new(barrier.x, barrier.y, wrap_angle(barrier.heading + PI / 2.0));
+        self.put_fixture(ObjectKind::Barrier, across, 0.7 * width, 0.5);
+        let mut along = 6.0;
+        while along < length {
+            self.put_fixture(ObjectKind::TrafficCone, at(s + along, 0.32 * width), 0.35, 0.35);
+            along += 6.0;
+        }
+        self.put_fixture(ObjectKind::CzoneSign, at(s - 14.0, -0.42 * width), 0.5, 0.5);
+    }
+}
+
+/// A pedestrian who stays where it is until told otherwise.
+pub(super) fn walker(from: Point, to: Point) -> Walker {
+    Walker {
+        token: TrackToken(0),
+        from,
+        to,
+        pace: 1.3,
+        departure: Departure::Never,
+        crosses: true,
+        walked: 0.0,
+        moving: false,
+        size: 0.6,
+    }
+}
+
+/// The two places on the pavement that a crosswalk joins.
+pub(super) fn ends(walk: &Polygon) -> (Point, Point) {
+    /// Distance from the kerb, metres.
+    const BACK: f64 = 1.1;
+    let ring = walk.ring();
+    let (a, b) = (nalgebra::center(&ring[0], &ring[1]), nalgebra::center(&ring[2], &ring[3]));
+    let along = (b - a).normalize() * BACK;
+    (a - along, b + along)
+}

@@ -1,0 +1,121 @@
+//! Scenes about people: at crosswalks, stepping out between them, and where they get in and out of cars.
+
+use super::garnish::walker;
+use super::lanes::double_park;
+use super::setting::{
+    BEHIND, LIMITS, LightWish, Setting, anywhere, course, crossing, extend, needed_ahead, style, town,
+};
+use super::stage::Stage;
+use crate::geometry::{GeometryError, Point};
+use crate::scenario::generator::dice::Dice;
+use crate::scenario::generator::expert::Task;
+use crate::scenario::generator::road::{Control, Course, Layout, Turn};
+use crate::scenario::generator::traffic::{Departure, Walker};
+
+pub(super) fn waiting(dice: &mut Dice) -> Result<Setting, GeometryError> {
+    let style = style(dice, [1, 3], [0, 2], &LIMITS[..3]);
+    if dice.chance(0.4) {
+        // A crosswalk at a crossing, on the way in or after a turn.
+        let turn = dice.pick(&[Turn::Left, Turn::Straight, Turn::Right]);
+        let mut style = style;
+        style.oncoming = style.oncoming.max(1);
+        let mut plan = crossing(dice, &style, turn);
+        plan.crosswalks = [true; 4];
+        if turn == Turn::Straight {
+            plan.control = Control::Priority;
+            plan.from_minor = false;
+        }
+        let before = dice.between(30.0, 60.0);
+        let (layout, start) = town(dice, &style, &plan, before)?;
+        let mut setting = Setting::new(layout, start - 4.1, dice.between(0.5, 0.9));
+        setting.light = LightWish::GreenFrom(dice.between(-3.0, 1.0));
+        return Ok(setting);
+    }
+    let start = anywhere(dice);
+    let before = dice.between(45.0, 95.0);
+    let first = course(dice, BEHIND + before, &style, 0.3);
+    let mut layout = Layout::begin(start, &style, first)?;
+    let next = Course::straight(dice.between(120.0, 180.0));
+    layout.joint(dice.between(8.0, 12.0), true, &style, next)?;
+    extend(&mut layout, dice, &style, needed_ahead(&style) - before - next.length, 0.3)?;
+    Ok(Setting::new(layout, BEHIND, dice.between(0.5, 0.95)))
+}
+
+pub(super) fn cast_waiting(stage: &mut Stage<'_, '_>, task: Task) -> Task {
+    let speed = stage.ego().speed;
+    let first = stage.ego().track.crosswalks.iter().find(|walk| walk[0] > stage.ego().s + 15.0).copied();
+    if let Some(span) = first {
+        let at = stage.ego().track.pose_at(f64::midpoint(span[0], span[1])).position();
+        let walks = stage.roads().map.crosswalks().to_vec();
+        let walk = walks.iter().find(|walk| walk.contains(at)).cloned();
+        let arrives = (span[0] - stage.ego().front_s()) / speed.max(3.0) - super::LEAD_IN;
+        if let Some(walk) = walk {
+            for k in 0..stage.dice.whole(1, 4) {
+                // The first one is on the way when the ego comes near.
+                let early = if k == 0 { stage.dice.between(2.0, 4.5) } else { stage.dice.between(-2.0, 5.0) };
+                let other_way = stage.dice.chance(0.5);
+                stage.wait_at(&walk, Departure::At(arrives - early), other_way);
+            }
+        }
+    }
+    if stage.dice.chance(0.2) {
+        jaywalker(stage);
+    }
+    let density = stage.dice.between(0.2, 1.2);
+    let ahead = stage.dice.between(20.0, 90.0);
+    stage.populate(density, [ahead, 14.0]);
+    stage.garnish();
+    task
+}
+
+/// Somebody who crosses the road away from any crosswalk.
+fn jaywalker(stage: &mut Stage<'_, '_>) {
+    let ego = stage.ego();
+    let (s, reach) = (ego.s + stage.dice.between(50.0, 110.0), 14.0);
+    if stage.ego().track.span_at(s).connector {
+        return;
+    }
+    let pose = stage.ego().track.pose_at(s);
+    let side = stage.dice.sign();
+    let (from, to) = (pose.to_map(Point::new(0.0, side * reach)), pose.to_map(Point::new(2.0, -side * reach)));
+    let arrives = (s - stage.ego().s) / stage.ego().speed.max(3.0) - super::LEAD_IN;
+    let departure = Departure::At(arrives - stage.dice.between(8.0, 12.0));
+    let pace = stage.dice.between(1.2, 1.9);
+    stage.put_walker(Walker { departure, pace, ..walker(from, to) });
+}
+
+pub(super) fn pickup(dice: &mut Dice) -> Result<Setting, GeometryError> {
+    let mut style = style(dice, [1, 3], [0, 2], &LIMITS[..3]);
+    style.shoulder[0] = dice.between(0.5, 0.8);
+    let start = anywhere(dice);
+    let before = dice.between(15.0, 50.0);
+    let bay = dice.between(45.0, 80.0);
+    let mut layout = Layout::begin(start, &style, Course::straight(BEHIND + before + bay + 15.0))?;
+    layout.bay(dice.between(2.5, 3.0), BEHIND + before, bay)?;
+    extend(&mut layout, dice, &style, needed_ahead(&style) - before - bay, 0.3)?;
+    Ok(Setting::new(layout, BEHIND, dice.between(0.4, 0.9)))
+}
+
+pub(super) fn cast_pickup(stage: &mut Stage<'_, '_>, task: Task) -> Task {
+    let single = stage.roads().way[0].len() == 1;
+    stage.fill_bay();
+    if stage.dice.chance(0.55) {
+        let ahead = stage.dice.between(45.0, 95.0);
+        // Where there is no lane to move to, it stands so far to the side that it can be passed within the lane.
+        let rightmost = stage.ego_lane + 1 == stage.roads().way[0].len();
+        if !single && rightmost {
+            let aside = stage.dice.between(0.0, 0.4);
+            double_park(stage, ahead, aside);
+        } else if single {
+            let aside = stage.dice.between(1.7, 2.4);
+            double_park(stage, ahead, aside);
+        }
+    }
+    if stage.dice.chance(0.25) {
+        jaywalker(stage);
+    }
+    let density = stage.dice.between(0.2, 1.2);
+    stage.populate(density, [105.0, 14.0]);
+    stage.garnish();
+    task
+}

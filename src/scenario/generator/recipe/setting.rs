@@ -1,0 +1,240 @@
+//! The stage before anybody enters it: roads, where the ego starts, what its light will do.
+
+use crate::geometry::{GeometryError, Pose};
+use crate::scenario::generator::dice::Dice;
+use crate::scenario::generator::expert::Task;
+use crate::scenario::generator::road::{CirclePlan, Control, Course, CrossingPlan, Layout, RoadStyle, Turn};
+use std::f64::consts::PI;
+
+/// Speed limits of city roads, m/s (20 to 45 mph).
+pub(super) const LIMITS: [f64; 6] = [8.9, 11.2, 13.4, 15.6, 17.9, 20.1];
+
+/// Seconds that the traffic runs before the log begins, so that everybody has settled.
+pub(crate) const SETTLING: f64 = 2.0;
+/// Seconds from the first instant of the traffic to iteration 0: settling and the history.
+pub(crate) const LEAD_IN: f64 = SETTLING + 2.1;
+/// Seconds driven from iteration 0 on.
+const DRIVEN: f64 = 15.0;
+/// Road that must lie ahead of the ego when it is done, metres.
+const LOOKAHEAD: f64 = 165.0;
+/// Road behind the ego when it starts, metres.
+pub(super) const BEHIND: f64 = 62.0;
+
+/// Which of the lanes that stay on the way longest the ego takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum LanePick {
+    /// Any of them.
+    Any,
+    /// The leftmost.
+    Leftmost,
+    /// The rightmost.
+    Rightmost,
+    /// Any lane at all, also one that leads off the way.
+    Whichever,
+}
+
+/// What the first light on the ego's way does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum LightWish {
+    /// Whatever.
+    Any,
+    /// Turns green at this moment, seconds.
+    GreenFrom(f64),
+    /// Turns yellow at this moment, seconds.
+    GreenUntil(f64),
+}
+
+/// Roads and the ego's part on them.
+#[derive(Debug)]
+pub(crate) struct Setting {
+    /// The roads.
+    pub(crate) layout: Layout,
+    /// Rear axle of the ego along the first road when the traffic starts, metres.
+    pub(crate) start_s: f64,
+    /// Its speed then as a share of what the road allows.
+    pub(crate) start_speed: f64,
+    /// Its lane.
+    pub(crate) pick: LanePick,
+    /// Its light.
+    pub(crate) light: LightWish,
+    /// What its driver is to do.
+    pub(crate) task: Task,
+}
+
+impl Setting {
+    /// A setting in which the ego starts with `start_speed` of the allowed speed at `start_s` on its first road.
+    pub(super) fn new(layout: Layout, start_s: f64, start_speed: f64) -> Self {
+        let task = Task { change: None, overtakes: false };
+        Self { layout, start_s, start_speed, pick: LanePick::Any, light: LightWish::Any, task }
+    }
+}
+
+/// A start anywhere, looking anywhere.
+pub(super) fn anywhere(dice: &mut Dice) -> Pose {
+    Pose::new(dice.between(-40.0, 40.0), dice.between(-40.0, 40.0), dice.between(-PI, PI))
+}
+
+/// A cross-section with the given numbers of lanes and one of the limits.
+pub(super) fn style(dice: &mut Dice, own: [usize; 2], oncoming: [usize; 2], limits: &[f64]) -> RoadStyle {
+    // A kerb margin, a strip wide enough for bicycles, or a parking strip.
+    let shoulder = |dice: &mut Dice| {
+        let kind = dice.unit();
+        if kind < 0.5 {
+            dice.between(0.5, 0.9)
+        } else if kind < 0.75 {
+            dice.between(1.5, 1.9)
+        } else {
+            dice.between(2.5, 2.8)
+        }
+    };
+    let (own, oncoming) = (dice.whole(own[0], own[1]), dice.whole(oncoming[0], oncoming[1]));
+    let left = if oncoming == 0 { 0.6 } else { shoulder(dice) };
+    RoadStyle {
+        own,
+        oncoming,
+        lane_width: dice.between(3.2, 3.8),
+        speed_limit: dice.pick(limits),
+        shoulder: [shoulder(dice), left],
+    }
+}
+
+/// Length of road that the ego needs ahead of its start.
+pub(super) fn needed_ahead(style: &RoadStyle) -> f64 {
+    style.speed_limit * (DRIVEN + LEAD_IN) + LOOKAHEAD
+}
+
+/// Sharpest bend that still allows a share of the speed limit, 1/m.
+pub(super) fn bend_for(style: &RoadStyle, share: f64) -> f64 {
+    1.8 / (style.speed_limit * share).powi(2)
+}
+
+/// A gentle course.
+pub(super) fn course(dice: &mut Dice, length: f64, style: &RoadStyle, bendiness: f64) -> Course {
+    if dice.chance(bendiness) {
+        let curvature = dice.sign() * dice.between(0.3, 0.95) * bend_for(style, 1.0).min(0.02);
+        Course { length, curvature, lead: dice.between(0.0, 0.3) * length }
+    } else {
+        Course::straight(length)
+    }
+}
+
+/// A road without crossings, long enough to drive along.
+pub(super) fn corridor(dice: &mut Dice, style: &RoadStyle, bendiness: f64) -> Result<Layout, GeometryError> {
+    let start = anywhere(dice);
+    let total = BEHIND + 25.0 + needed_ahead(style);
+    let first = dice.between(130.0, 240.0).min(total);
+    let first_course = course(dice, first, style, bendiness);
+    let mut layout = Layout::begin(start, style, first_course)?;
+    extend(&mut layout, dice, style, total - first, bendiness)?;
+    Ok(layout)
+}
+
+/// Goes on for `length` metres: joints, now and then with a crosswalk, and now and then a crossing.
+pub(super) fn extend(
+    layout: &mut Layout,
+    dice: &mut Dice,
+    style: &RoadStyle,
+    length: f64,
+    bendiness: f64,
+) -> Result<(), GeometryError> {
+    let mut left = length;
+    while left > 0.0 {
+        let piece = dice.between(110.0, 230.0).min(left.max(60.0));
+        let next = course(dice, piece, style, bendiness);
+        if dice.chance(0.25) && style.speed_limit < 18.0 {
+            let plan = crossing(dice, style, Turn::Straight);
+            layout.crossing(&plan, style, next, dice)?;
+        } else {
+            layout.joint(dice.between(8.0, 14.0), dice.chance(0.3), style, next)?;
+        }
+        left -= piece + 10.0;
+    }
+    Ok(())
+}
+
+/// A crossing for a way that turns so.
+pub(super) fn crossing(dice: &mut Dice, style: &RoadStyle, turn: Turn) -> CrossingPlan {
+    let mut arms = [true; 3];
+    if dice.chance(0.3) {
+        // A T-junction lacks an arm that the way does not need.
+        let spare = match turn {
+            Turn::Left => [1, 2],
+            Turn::Straight => [0, 2],
+            Turn::Right => [0, 1],
+        };
+        arms[dice.pick(&spare)] = false;
+    }
+    let width = dice.whole(1, 2);
+    let mut side = self::style(dice, [width, width], [width, width], &LIMITS[..3]);
+    side.lane_width = style.lane_width;
+    let kind = dice.unit();
+    let control = if kind < 0.6 {
+        Control::Signals { protected_left: dice.chance(0.4) }
+    } else if kind < 0.85 {
+        Control::StopSigns
+    } else {
+        Control::Priority
+    };
+    let from_minor = match control {
+        Control::Signals { .. } => false,
+        _ => style.own == 1 && dice.chance(0.4),
+    };
+    let walks = dice.chance(0.7);
+    let mut walk = || walks && dice.chance(0.8);
+    let crosswalks = [walk(), walk(), walk(), walk()];
+    CrossingPlan {
+        control,
+        turn,
+        arms,
+        crosswalks,
+        side,
+        from_minor,
+        skew: if dice.chance(0.4) { dice.between(-0.22, 0.22) } else { 0.0 },
+        corner: dice.between(4.5, 9.0),
+        arm_length: dice.between(75.0, 120.0),
+    }
+}
+
+/// A way up to a crossing, across it and on; the ego starts `before` metres before it.
+pub(super) fn town(
+    dice: &mut Dice,
+    style: &RoadStyle,
+    plan: &CrossingPlan,
+    before: f64,
+) -> Result<(Layout, f64), GeometryError> {
+    let start = anywhere(dice);
+    let approach = BEHIND + before + dice.between(0.0, 25.0);
+    let course_in = course(dice, approach, style, 0.25);
+    let mut layout = Layout::begin(start, style, course_in)?;
+    let onward = if plan.turn == Turn::Straight { *style } else { plan.side };
+    let need = needed_ahead(&onward) - before;
+    let piece = dice.between(120.0, 190.0).min(need.max(60.0));
+    let next = course(dice, piece, &onward, 0.3);
+    layout.crossing(plan, &onward, next, dice)?;
+    extend(&mut layout, dice, &onward, need - piece, 0.3)?;
+    Ok((layout, approach - before))
+}
+
+/// A way up to a roundabout, through it and on; the ego starts `before` metres before it.
+pub(super) fn circus(dice: &mut Dice, style: &RoadStyle, before: f64) -> Result<(Layout, f64), GeometryError> {
+    let start = anywhere(dice);
+    let approach = BEHIND + before + dice.between(0.0, 25.0);
+    let mut layout = Layout::begin(start, style, Course::straight(approach))?;
+    let arms = dice.whole(3, 4);
+    let lanes = style.own.min(2);
+    let mut side = self::style(dice, [lanes, lanes], [lanes, lanes], &LIMITS[..3]);
+    side.lane_width = style.lane_width;
+    let plan = CirclePlan {
+        island: dice.between(10.0, 17.0),
+        lanes,
+        arms,
+        exit: dice.whole(0, arms - 2),
+        side,
+        arm_length: dice.between(75.0, 110.0),
+    };
+    let need = needed_ahead(style) - before;
+    let piece = dice.between(120.0, 180.0).min(need.max(60.0));
+    layout.roundabout(&plan, style, Course::straight(piece))?;
+    extend(&mut layout, dice, style, need - piece, 0.3)?;
+    Ok((layout, approach - before))
+}

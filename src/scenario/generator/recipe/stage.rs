@@ -1,0 +1,282 @@
+//! Putting people and vehicles on the roads.
+
+use super::setting::{LEAD_IN, LanePick, LightWish, Setting};
+use crate::geometry::{OrientedBox, Pose};
+use crate::scenario::generator::dice::Dice;
+use crate::scenario::generator::expert::{EXPERT, Task};
+use crate::scenario::generator::road::Roads;
+use crate::scenario::generator::traffic::{Mover, Shift, Temper, Track, Traffic, Walker};
+use crate::world::{LaneId, ObjectKind, SignalStatus, TrackToken, TrackedObject};
+use std::sync::Arc;
+
+/// What kind of vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Make {
+    /// A passenger car or van.
+    Car,
+    /// A truck or bus.
+    Long,
+    /// A bicycle.
+    Bicycle,
+}
+
+/// The roads with everybody on them.
+pub(crate) struct Stage<'a, 'd> {
+    /// The draws.
+    pub(super) dice: &'d mut Dice,
+    /// Everybody; the ego is the first mover.
+    pub(super) traffic: Traffic<'a>,
+    /// Place of the ego's lane on the first road, 0 the leftmost.
+    pub(super) ego_lane: usize,
+    tokens: u32,
+}
+
+/// Sets the lights and picks the ego's lane: its chain of lanes, and its number on the first road.
+pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, dice: &mut Dice) -> (Vec<LaneId>, usize) {
+    let first = &roads.way[0];
+    let best = first.iter().map(|&lane| roads.reach(0, lane)).max().unwrap_or(0);
+    let good: Vec<usize> = (0..first.len()).filter(|&i| roads.reach(0, first[i]) == best).collect();
+    let place = match setting.pick {
+        LanePick::Any => dice.pick(&good),
+        LanePick::Leftmost => good[0],
+        LanePick::Rightmost => good[good.len() - 1],
+        LanePick::Whichever => dice.whole(0, first.len() - 1),
+    };
+    let chain = roads.chain_on_way(0, first[place]);
+    for n in 0..roads.signals.len() {
+        let governed: Vec<LaneId> = roads.signals[n].connectors().collect();
+        let own = chain.iter().copied().find(|lane| governed.contains(lane));
+        let is_first = own.is_some_and(|own| {
+            let before = chain.iter().take_while(|&&lane| lane != own);
+            !before.into_iter().any(|lane| roads.map[*lane].has_traffic_lights)
+        });
+        let connector = own.unwrap_or(governed[0]);
+        match setting.light {
+            LightWish::GreenFrom(time) if is_first => roads.signals[n].start_green_at(connector, time),
+            LightWish::GreenUntil(time) if is_first => roads.signals[n].end_green_at(connector, time),
+            _ => roads.signals[n].start_green_at(connector, dice.between(0.0, 40.0)),
+        }
+    }
+    (chain, place)
+}
+
+/// A driver's temper, from timid to aggressive.
+pub(super) fn temper(dice: &mut Dice) -> Temper {
+    let boldness = dice.unit();
+    let mix = |timid: f64, bold: f64| timid + (bold - timid) * boldness;
+    Temper {
+        haste: mix(0.8, 1.08),
+        min_gap: mix(3.0, 1.5),
+        headway: mix(1.9, 0.8),
+        accel: mix(1.0, 2.4),
+        decel: mix(1.6, 3.0),
+        gap_margin: mix(2.5, 0.8),
+        jerk: mix(2.5, 6.0),
+        hardest: 7.0,
+    }
+}
+
+impl<'a, 'd> Stage<'a, 'd> {
+    /// The roads with the ego alone; `None` when its lanes give no track.
+    pub(crate) fn new(
+        roads: &'a Roads,
+        chain: Vec<LaneId>,
+        ego_lane: usize,
+        setting: &Setting,
+        dice: &'d mut Dice,
+    ) -> Option<Self> {
+        let track = Arc::new(Track::along(roads, chain)?);
+        let speed = setting.start_speed * track.allowed_at(setting.start_s) * EXPERT.haste;
+        let ego = Mover::ego(track, setting.start_s, speed, EXPERT);
+        let traffic = Traffic { roads, movers: vec![ego], walkers: Vec::new(), fixtures: Vec::new(), time: -LEAD_IN };
+        Some(Self { dice, traffic, ego_lane, tokens: 0 })
+    }
+
+    /// The roads.
+    pub(super) fn roads(&self) -> &'a Roads {
+        self.traffic.roads
+    }
+
+    /// The ego.
+    pub(super) fn ego(&self) -> &Mover {
+        &self.traffic.movers[0]
+    }
+
+    fn token(&mut self) -> TrackToken {
+        self.tokens += 1;
+        TrackToken(self.tokens)
+    }
+
+    /// Length and width of a vehicle, metres.
+    fn size(&mut self, make: Make) -> (f64, f64) {
+        match make {
+            Make::Car => (self.dice.between(4.2, 5.3), self.dice.between(1.8, 2.1)),
+            Make::Long => (self.dice.between(8.5, 13.0), self.dice.between(2.4, 2.6)),
+            Make::Bicycle => (1.8, 0.65),
+        }
+    }
+
+    /// Puts a vehicle on a chain of lanes, its centre at `s` of the chain; its place among the movers, or `None` when the
+    /// place is taken.
+    pub(super) fn put(&mut self, make: Make, chain: Vec<LaneId>, s: f64, speed: f64, lateral: f64) -> Option<usize> {
+        let track = Arc::new(Track::along(self.roads(), chain)?);
+        self.put_on(make, track, s, speed, lateral)
+    }
+
+    /// Puts a vehicle on a track; see [`Self::put`].
+    pub(super) fn put_on(&mut self, make: Make, track: Arc<Track>, s: f64, speed: f64, lateral: f64) -> Option<usize> {
+        let ((length, width), temper) = (self.size(make), temper(self.dice));
+        if s < length / 2.0 + 1.0 || s + length / 2.0 + 3.0 > track.length() {
+            return None;
+        }
+        let mover = Mover {
+            token: TrackToken(0),
+            kind: if make == Make::Bicycle { ObjectKind::Bicycle } else { ObjectKind::Vehicle },
+            length,
+            width,
+            front: length / 2.0,
+            track,
+            s,
+            speed: speed.max(0.0),
+            accel: 0.0,
+            shift: Shift::constant(lateral),
+            temper,
+            ceiling: f64::INFINITY,
+            script: Vec::new(),
+            served: None,
+            gone: false,
+        };
+        if !self.is_free(&mover.shape(), 2.5, 0.15) {
+            return None;
+        }
+        let token = self.token();
+        self.traffic.movers.push(Mover { token, ..mover });
+        Some(self.traffic.movers.len() - 1)
+    }
+
+    /// Puts a vehicle ahead of the ego (or behind it), bumper to bumper `gap` metres away, on the ego's own track.
+    pub(super) fn put_ahead(&mut self, make: Make, gap: f64, speed: f64) -> Option<usize> {
+        let (track, front) = (self.ego().track.clone(), self.ego().front_s());
+        // The length is drawn inside; half a long vehicle is kept free for it.
+        let half = if make == Make::Long { 5.4 } else { 2.4 };
+        self.put_on(make, track, front + gap + half, speed, 0.0)
+    }
+
+    /// Whether a box, longer and wider by these margins on every side, touches nothing.
+    pub(super) fn is_free(&self, shape: &OrientedBox, along: f64, across: f64) -> bool {
+        let grown = OrientedBox::new(shape.center, shape.length + 2.0 * along, shape.width + 2.0 * across);
+        let movers = self.traffic.movers.iter().map(Mover::shape);
+        movers.chain(self.traffic.fixtures.iter().map(|f| f.shape)).all(|other| !other.overlaps(&grown))
+            && self.traffic.walkers.iter().all(|walker| !walker.shape().overlaps(&grown))
+    }
+
+    /// Puts something that stands still; whether there was room.
+    pub(super) fn put_fixture(&mut self, kind: ObjectKind, center: Pose, length: f64, width: f64) -> bool {
+        let shape = OrientedBox::new(center, length, width);
+        let free = self.is_free(&shape, 0.3, 0.1);
+        if free {
+            let token = self.token();
+            let velocity = crate::geometry::Vector::zeros();
+            self.traffic.fixtures.push(TrackedObject { token, kind, shape, velocity });
+        }
+        free
+    }
+
+    /// Puts a pedestrian.
+    pub(super) fn put_walker(&mut self, walker: Walker) {
+        let token = self.token();
+        self.traffic.walkers.push(Walker { token, ..walker });
+    }
+
+    /// A chain of lanes from `lane` that turns at random.
+    pub(super) fn wander(&mut self, lane: LaneId) -> Vec<LaneId> {
+        let roads = self.roads();
+        let mut chain = vec![lane];
+        while chain.len() < 9 {
+            let onward = &roads.map[chain[chain.len() - 1]].outgoing;
+            if onward.is_empty() {
+                break;
+            }
+            let next = self.dice.pick(onward);
+            if chain.contains(&next) {
+                break;
+            }
+            chain.push(next);
+        }
+        chain
+    }
+
+    /// Fills all lanes with drivers, on average `density` a hundred metres of lane; none within `clear` metres ahead of or
+    /// behind the ego in its own lane.
+    pub(super) fn populate(&mut self, density: f64, clear: [f64; 2]) {
+        const MOST: usize = 34;
+        let lanes: Vec<LaneId> = self.roads().road_lanes().collect();
+        let ego = self.ego().clone();
+        for lane in lanes {
+            let length = self.roads().map[lane].centerline.length();
+            let mut s = self.dice.between(4.0, 30.0 + 40.0 / density.max(0.2));
+            while s < length - 4.0 && self.traffic.movers.len() < MOST {
+                let spacing = 9.0 + self.dice.between(0.2, 1.8) * (100.0 / density.max(0.05) - 9.0).max(0.0);
+                let at = self.roads().map[lane].centerline.point_at(s);
+                let (along, lateral) = ego.track.project(at, ego.s - 80.0, ego.s + 120.0);
+                let near = (at - ego.track.pose_at(along).position()).norm();
+                let in_own_lane = lateral.abs() < 2.0 && near < 3.0;
+                let ahead = along - ego.s;
+                if !(in_own_lane && ahead > -clear[1] && ahead < clear[0]) {
+                    let make = if self.dice.chance(0.1) { Make::Long } else { Make::Car };
+                    let chain = self.wander(lane);
+                    self.put_settled(make, chain, s);
+                }
+                s += spacing;
+            }
+        }
+    }
+
+    /// Puts a vehicle with a speed that suits what lies ahead of it.
+    fn put_settled(&mut self, make: Make, chain: Vec<LaneId>, s: f64) {
+        let Some(track) = Track::along(self.roads(), chain).map(Arc::new) else { return };
+        let lights = self.traffic.lights();
+        let allowed = track.allowed_at(s) * self.dice.between(0.7, 1.0);
+        let roads = self.roads();
+        let halt = track.spans.iter().filter(|span| span.connector && span.from > s).find(|span| {
+            let passage = roads.passages[span.lane.index()].as_ref();
+            match lights.status(span.lane) {
+                Some(status) => status != SignalStatus::Green,
+                None => passage.is_some_and(|p| p.stop_sign || p.conflicts.iter().any(|c| c.gives_way)),
+            }
+        });
+        let room = halt.map_or(f64::INFINITY, |span| (span.from - s - 6.0).max(0.0));
+        let speed = allowed.min((2.0 * 1.4 * room).sqrt());
+        self.put_on(make, track, s, speed, 0.0);
+    }
+
+    /// Slows everybody down who would otherwise run up to a slower one ahead.
+    pub(super) fn settle(&mut self) {
+        const BRAKING: f64 = 1.3;
+        for _ in 0..3 {
+            let bodies = self.traffic.bodies();
+            for i in 1..self.traffic.movers.len() {
+                let me = &self.traffic.movers[i];
+                let mut speed = me.speed;
+                for body in bodies.iter().filter(|body| body.mover != Some(i)) {
+                    let (s, lateral) = me.track.project(body.shape.center.position(), me.s, me.s + 70.0);
+                    let place = me.track.pose_at(s);
+                    let near = (place.position() - body.shape.center.position()).norm();
+                    if s <= me.s + 0.5 || lateral.abs() > (me.width + body.shape.width) / 2.0 || near > 3.0 {
+                        continue;
+                    }
+                    let gap = (s - body.shape.length / 2.0 - me.front_s() - 2.0).max(0.0);
+                    let ahead = (body.direction.dot(&place.direction()) * body.speed).max(0.0);
+                    speed = speed.min((ahead * ahead + 2.0 * BRAKING * gap).sqrt());
+                }
+                self.traffic.movers[i].speed = speed;
+            }
+        }
+    }
+
+    /// Everybody, ready to start, with the ego's task.
+    pub(crate) fn finish(mut self, task: Task) -> (Traffic<'a>, Task) {
+        self.settle();
+        (self.traffic, task)
+    }
+}

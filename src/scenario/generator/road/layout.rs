@@ -1,0 +1,277 @@
+//! Lays roads one after another along the way that the ego will take.
+
+use super::junction::{Arm, Control, End, Turn};
+use super::line::{bend, straight, trace};
+use super::network::{Network, RoadIndex, RoadPlan, band};
+use super::roundabout::Ring;
+use crate::geometry::{GeometryError, Point, Pose, wrap_angle};
+use crate::scenario::generator::dice::Dice;
+use std::f64::consts::{FRAC_PI_2, PI};
+
+/// Turn that a road's bend may make at most, radians.
+const MOST_TURN: f64 = 0.9;
+
+/// Cross-section and limit of a road.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct RoadStyle {
+    /// Lanes along the way.
+    pub(crate) own: usize,
+    /// Oncoming lanes.
+    pub(crate) oncoming: usize,
+    /// Width of a lane, metres.
+    pub(crate) lane_width: f64,
+    /// Speed limit, m/s.
+    pub(crate) speed_limit: f64,
+    /// Paved width beside the outermost lanes: right, left, metres.
+    pub(crate) shoulder: [f64; 2],
+}
+
+impl RoadStyle {
+    /// Distance from the line to the further edge of the pavement, metres.
+    fn reach(&self) -> f64 {
+        let right = self.own as f64 * self.lane_width + self.shoulder[0];
+        right.max(self.oncoming as f64 * self.lane_width + self.shoulder[1])
+    }
+}
+
+/// The course of one road: how long and how it bends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Course {
+    /// Length, metres.
+    pub(crate) length: f64,
+    /// Curvature of its bend, 1/m; 0 for a straight road.
+    pub(crate) curvature: f64,
+    /// Straight piece before the bend, metres.
+    pub(crate) lead: f64,
+}
+
+impl Course {
+    /// A straight road.
+    pub(crate) fn straight(length: f64) -> Self {
+        Self { length, curvature: 0.0, lead: 0.0 }
+    }
+
+    fn line(&self, start: Pose) -> Vec<Pose> {
+        if self.curvature == 0.0 {
+            return trace(start, &straight(self.length));
+        }
+        let room = (self.length - self.lead - 5.0).max(0.0);
+        let bent = room.min(MOST_TURN / self.curvature.abs() + 18.0);
+        trace(start, &bend(self.lead, bent, self.curvature, self.length - self.lead - bent))
+    }
+}
+
+/// A crossing as it is to be laid.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CrossingPlan {
+    /// Who goes first.
+    pub(crate) control: Control,
+    /// Which way the ego's way goes.
+    pub(crate) turn: Turn,
+    /// Whether there are arms to the left, ahead, to the right.
+    pub(crate) arms: [bool; 3],
+    /// Whether each of them and, last, the approach has a crosswalk.
+    pub(crate) crosswalks: [bool; 4],
+    /// Cross-section of the crossing road.
+    pub(crate) side: RoadStyle,
+    /// Whether the ego comes from the lesser road.
+    pub(crate) from_minor: bool,
+    /// Turn of the crossing road away from the right angle, radians.
+    pub(crate) skew: f64,
+    /// Radius left for the kerbs at the corners, metres.
+    pub(crate) corner: f64,
+    /// Length of the arms that the way does not take, metres.
+    pub(crate) arm_length: f64,
+}
+
+/// A roundabout as it is to be laid.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CirclePlan {
+    /// Radius of the island, metres.
+    pub(crate) island: f64,
+    /// Circulating lanes.
+    pub(crate) lanes: usize,
+    /// Arms, the approach included: 3 or 4.
+    pub(crate) arms: usize,
+    /// Which exit the way takes, counted from the first one after the approach (0).
+    pub(crate) exit: usize,
+    /// Cross-section of the other arms.
+    pub(crate) side: RoadStyle,
+    /// Length of the arms that the way does not take, metres.
+    pub(crate) arm_length: f64,
+}
+
+/// Roads along a way, growing at its end.
+#[derive(Debug, Default)]
+pub(crate) struct Layout {
+    /// All that has been laid.
+    pub(crate) network: Network,
+    /// The roads of the way, in driving order; all are driven along their line.
+    pub(crate) way: Vec<RoadIndex>,
+}
+
+impl Layout {
+    /// Begins a way with its first road.
+    ///
+    /// # Errors
+    /// When the course has no extent.
+    pub(crate) fn begin(start: Pose, style: &RoadStyle, course: Course) -> Result<Self, GeometryError> {
+        let mut layout = Self::default();
+        layout.extend(start, style, course)?;
+        Ok(layout)
+    }
+
+    /// Where the way ends at present.
+    pub(crate) fn end(&self) -> Pose {
+        self.network.roads[self.last()].end()
+    }
+
+    fn last(&self) -> RoadIndex {
+        self.way[self.way.len() - 1]
+    }
+
+    fn extend(&mut self, start: Pose, style: &RoadStyle, course: Course) -> Result<RoadIndex, GeometryError> {
+        let road = self.add(start, style, course)?;
+        self.way.push(road);
+        Ok(road)
+    }
+
+    fn add(&mut self, start: Pose, style: &RoadStyle, course: Course) -> Result<RoadIndex, GeometryError> {
+        self.network.add_road(RoadPlan {
+            line: course.line(start),
+            forward: style.own,
+            backward: style.oncoming,
+            lane_width: style.lane_width,
+            speed_limit: style.speed_limit,
+            shoulder: style.shoulder,
+        })
+    }
+
+    /// Goes on with a road behind a joint of `gap` metres, with a crosswalk on it if wanted.
+    ///
+    /// # Errors
+    /// When the course has no extent.
+    pub(crate) fn joint(
+        &mut self,
+        gap: f64,
+        crosswalk: bool,
+        style: &RoadStyle,
+        course: Course,
+    ) -> Result<(), GeometryError> {
+        let (before, end) = (self.last(), self.end());
+        let after = self.extend(end.translated(gap, 0.0), style, course)?;
+        self.network.join(before, after)?;
+        if crosswalk {
+            let middle = [end.translated(gap / 2.0 - 1.5, 0.0), end.translated(gap / 2.0 + 1.5, 0.0)];
+            let road = &self.network.roads[before];
+            let area = band(&middle, road.left_edge(), -road.right_edge())?;
+            self.network.parts.crosswalks.push(area);
+        }
+        Ok(())
+    }
+
+    /// Goes on across a crossing, then along `course`.
+    ///
+    /// # Errors
+    /// When a course has no extent.
+    pub(crate) fn crossing(
+        &mut self,
+        plan: &CrossingPlan,
+        style: &RoadStyle,
+        course: Course,
+        dice: &mut Dice,
+    ) -> Result<(), GeometryError> {
+        let (before, end) = (self.last(), self.end());
+        let walks = if plan.crosswalks.iter().any(|&c| c) { 5.0 } else { 0.0 };
+        let slack = plan.skew.abs() * 12.0;
+        let radius = style.reach().max(plan.side.reach()) + walks + plan.corner + slack;
+        let center = end.translated(radius, 0.0);
+        // Counter-clockwise from the approach: right, ahead, left.
+        let ways = [
+            (Turn::Right, plan.arms[2], end.heading - FRAC_PI_2 + plan.skew, plan.crosswalks[2]),
+            (Turn::Straight, plan.arms[1], end.heading, plan.crosswalks[1]),
+            (Turn::Left, plan.arms[0], end.heading + FRAC_PI_2 + plan.skew, plan.crosswalks[0]),
+        ];
+        let mut arms = vec![Arm { road: before, end: End::Finish, minor: plan.from_minor }];
+        let mut crosswalks = vec![plan.crosswalks[3]];
+        for (turn, wanted, heading, crosswalk) in ways {
+            if !wanted {
+                continue;
+            }
+            let start = Pose::at(center.position(), wrap_angle(heading)).translated(radius, 0.0);
+            let ahead = turn == Turn::Straight;
+            let style = if ahead { style } else { &plan.side };
+            let road = if turn == plan.turn {
+                self.extend(start, style, course)?
+            } else {
+                let curvature = if dice.chance(0.4) { dice.sign() * dice.between(0.002, 0.008) } else { 0.0 };
+                let length = plan.arm_length * dice.between(0.85, 1.15);
+                self.add(start, style, Course { length, curvature, lead: 30.0 })?
+            };
+            arms.push(Arm { road, end: End::Start, minor: plan.from_minor == ahead });
+            crosswalks.push(crosswalk);
+        }
+        self.network.cross(&arms, plan.control, &crosswalks)
+    }
+
+    /// Goes on through a roundabout, then along `course`.
+    ///
+    /// # Errors
+    /// When a course has no extent.
+    pub(crate) fn roundabout(
+        &mut self,
+        plan: &CirclePlan,
+        style: &RoadStyle,
+        course: Course,
+    ) -> Result<(), GeometryError> {
+        const LANE_WIDTH: f64 = 4.6;
+        const SPEED_LIMIT: f64 = 8.9;
+        let (before, end) = (self.last(), self.end());
+        let half_opening = if plan.arms == 4 { 0.6 } else { 0.7 };
+        let outer = plan.island + plan.lanes as f64 * LANE_WIDTH;
+        let radius = outer + 9.0;
+        let center: Point = end.translated(radius, 0.0).position();
+        let ring = Ring {
+            center,
+            island: plan.island,
+            lanes: plan.lanes,
+            lane_width: LANE_WIDTH,
+            speed_limit: SPEED_LIMIT,
+            half_opening,
+        };
+        let mut arms = vec![Arm { road: before, end: End::Finish, minor: true }];
+        let mut exit_road = None;
+        for i in 0..plan.arms - 1 {
+            let heading = end.heading + PI + 2.0 * PI * (i + 1) as f64 / plan.arms as f64;
+            let start = Pose::at(center, wrap_angle(heading)).translated(radius, 0.0);
+            let road = if i == plan.exit {
+                let road = self.add(start, style, course)?;
+                exit_road = Some(road);
+                road
+            } else {
+                self.add(start, &plan.side, Course::straight(plan.arm_length))?
+            };
+            arms.push(Arm { road, end: End::Start, minor: true });
+        }
+        let around = self.network.circle(&ring, &arms)?;
+        self.way.extend(around.iter().take(plan.exit + 1));
+        if let Some(road) = exit_road {
+            self.way.push(road);
+        }
+        Ok(())
+    }
+
+    /// Adds a kerb-side bay of `depth` metres right of the last road, over `length` metres from arc length `from` on; the
+    /// road must be straight there.
+    ///
+    /// # Errors
+    /// When the bay has no extent.
+    pub(crate) fn bay(&mut self, depth: f64, from: f64, length: f64) -> Result<(), GeometryError> {
+        let road = &self.network.roads[self.last()];
+        let edge = road.right_edge();
+        let start = road.plan.line[0].translated(from, 0.0);
+        let area = band(&[start, start.translated(length, 0.0)], -edge, -edge - depth)?;
+        self.network.parts.carparks.push(area);
+        Ok(())
+    }
+}

@@ -1,0 +1,315 @@
+//! The road network while it is being laid: roads with their lanes, junctions with their connectors.
+
+use super::line::shifted;
+use super::signal::SignalPlan;
+use crate::geometry::{GeometryError, Point, Polygon, Polyline, Pose};
+use crate::world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId};
+
+/// How a road is built. Lanes in the direction of the line lie to its right, oncoming ones to its left.
+#[derive(Debug, Clone)]
+pub(crate) struct RoadPlan {
+    /// The line between the two directions, with true tangents.
+    pub(crate) line: Vec<Pose>,
+    /// Lanes along the line.
+    pub(crate) forward: usize,
+    /// Lanes against it.
+    pub(crate) backward: usize,
+    /// Width of a lane, metres.
+    pub(crate) lane_width: f64,
+    /// Speed limit, m/s.
+    pub(crate) speed_limit: f64,
+    /// Paved width beside the outermost lanes (kerb margin, bicycle strip or parking strip), metres: right of the line, left of it.
+    pub(crate) shoulder: [f64; 2],
+}
+
+/// A road in the network.
+#[derive(Debug, Clone)]
+pub(crate) struct Road {
+    /// How it was built.
+    pub(crate) plan: RoadPlan,
+    /// Lanes along the line, leftmost first.
+    pub(crate) forward: Vec<LaneId>,
+    /// Lanes against it, leftmost (for their drivers) first.
+    pub(crate) backward: Vec<LaneId>,
+    /// Outline from kerb to kerb.
+    pub(crate) outline: Polygon,
+}
+
+impl Road {
+    /// Distance from the line to the right edge of the pavement, metres.
+    pub(crate) fn right_edge(&self) -> f64 {
+        self.plan.forward as f64 * self.plan.lane_width + self.plan.shoulder[0]
+    }
+
+    /// Distance from the line to the left edge of the pavement, metres.
+    pub(crate) fn left_edge(&self) -> f64 {
+        self.plan.backward as f64 * self.plan.lane_width + self.plan.shoulder[1]
+    }
+
+    /// Pose of the line at the end of the road.
+    pub(crate) fn end(&self) -> Pose {
+        self.plan.line[self.plan.line.len() - 1]
+    }
+}
+
+/// Place of a road in [`Network::roads`].
+pub(crate) type RoadIndex = usize;
+
+/// What a connector means for the right of way.
+#[derive(Debug, Clone)]
+pub(crate) struct Passage {
+    /// Which junction it crosses.
+    pub(crate) junction: usize,
+    /// Higher ranks go first.
+    pub(crate) rank: u8,
+    /// Whether everybody must come to a stop before it.
+    pub(crate) stop_sign: bool,
+    /// Where other connectors of the junction come too near.
+    pub(crate) conflicts: Vec<Conflict>,
+}
+
+/// Two connectors that cannot be driven at once.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Conflict {
+    /// The other connector.
+    pub(crate) other: LaneId,
+    /// Where on this connector it begins and ends, metres.
+    pub(crate) own: [f64; 2],
+    /// Where on the other.
+    pub(crate) others: [f64; 2],
+    /// Whether this one gives way.
+    pub(crate) gives_way: bool,
+}
+
+/// Layers under construction.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Network {
+    /// The map so far.
+    pub(crate) parts: MapParts,
+    /// The roads so far.
+    pub(crate) roads: Vec<Road>,
+    /// Right of way, by lane; `None` for lanes of roads.
+    pub(crate) passages: Vec<Option<Passage>>,
+    /// Lights of the junctions that have them.
+    pub(crate) signals: Vec<SignalPlan>,
+    /// The roads that each intersection polygon touches.
+    pub(crate) touching: Vec<Vec<RoadIndex>>,
+}
+
+impl Network {
+    /// Adds a road with its lanes, roadblocks and margins.
+    ///
+    /// # Errors
+    /// When the plan has no extent.
+    pub(crate) fn add_road(&mut self, plan: RoadPlan) -> Result<RoadIndex, GeometryError> {
+        let width = plan.lane_width;
+        let forward = self.add_side(&plan, plan.forward, true)?;
+        let backward = self.add_side(&plan, plan.backward, false)?;
+        let right = plan.forward as f64 * width;
+        let left = plan.backward as f64 * width;
+        let strips = [(-right, -right - plan.shoulder[0]), (left + plan.shoulder[1], left)];
+        for (upper, lower) in strips {
+            self.parts.generic_drivable.push(band(&plan.line, upper, lower)?);
+        }
+        let outline = band(&plan.line, left + plan.shoulder[1], -right - plan.shoulder[0])?;
+        self.roads.push(Road { plan, forward, backward, outline });
+        Ok(self.roads.len() - 1)
+    }
+
+    /// The lanes of one direction with their roadblock; leftmost first for their drivers.
+    fn add_side(&mut self, plan: &RoadPlan, count: usize, along: bool) -> Result<Vec<LaneId>, GeometryError> {
+        if count == 0 {
+            return Ok(Vec::new());
+        }
+        let side = if along { -1.0 } else { 1.0 };
+        let edge = |lanes: usize| -> Vec<Point> {
+            let line = shifted(&plan.line, side * lanes as f64 * plan.lane_width);
+            if along { line } else { line.into_iter().rev().collect() }
+        };
+        let block = RoadblockId(self.parts.roadblocks.len() as u32);
+        let first = self.parts.lanes.len() as u32;
+        let mut lanes = Vec::with_capacity(count);
+        for i in 0..count {
+            let center = shifted(&plan.line, side * (i as f64 + 0.5) * plan.lane_width);
+            let center = if along { center } else { center.into_iter().rev().collect() };
+            let centerline = Polyline::new(center)?;
+            let length = centerline.length();
+            let beside = |j: usize| vec![Neighbor { lane: LaneId(first + j as u32), from_s: 0.0, to_s: length }];
+            let id = LaneId(first + i as u32);
+            lanes.push(id);
+            self.parts.lanes.push(Lane {
+                id,
+                source_id: i64::from(id.0),
+                kind: LaneKind::Lane,
+                polygon: ring(edge(i), edge(i + 1))?,
+                incoming: Vec::new(),
+                outgoing: Vec::new(),
+                left: if i > 0 { beside(i - 1) } else { Vec::new() },
+                right: if i + 1 < count { beside(i + 1) } else { Vec::new() },
+                roadblock: block,
+                speed_limit: Some(plan.speed_limit),
+                has_traffic_lights: false,
+                stop_lines: Vec::new(),
+                centerline,
+            });
+            self.passages.push(None);
+        }
+        self.parts.roadblocks.push(Roadblock {
+            id: block,
+            source_id: i64::from(block.0),
+            kind: LaneKind::Lane,
+            lanes: lanes.clone(),
+            areas: vec![ring(edge(0), edge(count))?],
+            incoming: Vec::new(),
+            outgoing: Vec::new(),
+        });
+        Ok(lanes)
+    }
+
+    /// Width of a lane of a road, metres.
+    pub(crate) fn width_of(&self, lane: LaneId) -> f64 {
+        let owner = self.roads.iter().find(|road| road.forward.contains(&lane) || road.backward.contains(&lane));
+        owner.map_or(3.5, |road| road.plan.lane_width)
+    }
+
+    /// Adds a connector along `line` from the end of one lane to the start of another.
+    ///
+    /// # Errors
+    /// When the line has no extent.
+    pub(crate) fn connect(
+        &mut self,
+        from: LaneId,
+        to: LaneId,
+        line: &[Pose],
+        passage: Passage,
+    ) -> Result<LaneId, GeometryError> {
+        let (w0, w1) = (self.width_of(from) / 2.0, self.width_of(to) / 2.0);
+        let last = (line.len() - 1) as f64;
+        let edge = |side: f64| -> Vec<Point> {
+            let half = |i: usize| w0 + (w1 - w0) * i as f64 / last;
+            line.iter().enumerate().map(|(i, pose)| pose.to_map(Point::new(0.0, side * half(i)))).collect()
+        };
+        let polygon = ring(edge(1.0), edge(-1.0))?;
+        let id = LaneId(self.parts.lanes.len() as u32);
+        let block = self.connector_block(from, to);
+        self.parts.roadblocks[block.index()].lanes.push(id);
+        self.parts.roadblocks[block.index()].areas.push(polygon.clone());
+        self.parts.lanes[from.index()].outgoing.push(id);
+        self.parts.lanes[to.index()].incoming.push(id);
+        self.parts.lanes.push(Lane {
+            id,
+            source_id: i64::from(id.0),
+            kind: LaneKind::Connector,
+            centerline: Polyline::new(line.iter().map(Pose::position))?,
+            polygon,
+            incoming: vec![from],
+            outgoing: vec![to],
+            left: Vec::new(),
+            right: Vec::new(),
+            roadblock: block,
+            speed_limit: None,
+            has_traffic_lights: false,
+            stop_lines: Vec::new(),
+        });
+        self.passages.push(Some(passage));
+        Ok(id)
+    }
+
+    /// The roadblock connector between the roadblocks of two lanes.
+    fn connector_block(&mut self, from: LaneId, to: LaneId) -> RoadblockId {
+        let (before, after) = (self.parts.lanes[from.index()].roadblock, self.parts.lanes[to.index()].roadblock);
+        let known = self.parts.roadblocks.iter().find(|b| {
+            b.kind == LaneKind::Connector && b.incoming.first() == Some(&before) && b.outgoing.first() == Some(&after)
+        });
+        if let Some(block) = known {
+            return block.id;
+        }
+        let id = RoadblockId(self.parts.roadblocks.len() as u32);
+        self.parts.roadblocks.push(Roadblock {
+            id,
+            source_id: i64::from(id.0),
+            kind: LaneKind::Connector,
+            lanes: Vec::new(),
+            areas: Vec::new(),
+            incoming: vec![before],
+            outgoing: vec![after],
+        });
+        self.parts.roadblocks[before.index()].outgoing.push(id);
+        self.parts.roadblocks[after.index()].incoming.push(id);
+        id
+    }
+
+    /// Makes connectors that run side by side from neighbouring lanes to neighbouring lanes neighbours of each other.
+    pub(crate) fn adjoin(&mut self, left: LaneId, right: LaneId) {
+        let length = |network: &Self, lane: LaneId| network.parts.lanes[lane.index()].centerline.length();
+        let (of_left, of_right) = (length(self, left), length(self, right));
+        self.parts.lanes[left.index()].right.push(Neighbor { lane: right, from_s: 0.0, to_s: of_left });
+        self.parts.lanes[right.index()].left.push(Neighbor { lane: left, from_s: 0.0, to_s: of_right });
+    }
+
+    /// Puts a stop line across the first metre of the connectors that leave `lane`.
+    ///
+    /// # Errors
+    /// When the lane has no width.
+    pub(crate) fn add_stop_line(&mut self, lane: LaneId, stop_sign: bool) -> Result<(), GeometryError> {
+        /// Distance of the line's two edges behind the end of the lane, metres.
+        const PAINTED: [f64; 2] = [0.2, 0.7];
+        let half = self.width_of(lane) / 2.0;
+        let end = self.end_of(lane);
+        let corner = |forward: f64, left: f64| end.to_map(Point::new(forward, left));
+        let polygon = Polygon::new([
+            corner(PAINTED[0], half),
+            corner(PAINTED[1], half),
+            corner(PAINTED[1], -half),
+            corner(PAINTED[0], -half),
+        ])?;
+        let id = StopLineId(self.parts.stop_lines.len() as u32);
+        let lanes = self.parts.lanes[lane.index()].outgoing.clone();
+        for connector in &lanes {
+            let connector = &mut self.parts.lanes[connector.index()];
+            connector.stop_lines.push(id);
+            connector.has_traffic_lights |= !stop_sign;
+        }
+        self.parts.stop_lines.push(StopLine { polygon, lanes, stop_sign });
+        Ok(())
+    }
+
+    /// End of a road's lane with the road's own tangent there.
+    pub(crate) fn end_of(&self, lane: LaneId) -> Pose {
+        let centerline = &self.parts.lanes[lane.index()].centerline;
+        Pose::at(centerline.end(), self.tangent(lane, false))
+    }
+
+    /// Start of a road's lane with the road's own tangent there.
+    pub(crate) fn start_of(&self, lane: LaneId) -> Pose {
+        let centerline = &self.parts.lanes[lane.index()].centerline;
+        Pose::at(centerline.start(), self.tangent(lane, true))
+    }
+
+    /// True tangent at an end of a lane: that of its road's line.
+    fn tangent(&self, lane: LaneId, at_start: bool) -> f64 {
+        let turned = crate::geometry::wrap_angle;
+        for road in &self.roads {
+            let line = &road.plan.line;
+            if road.forward.contains(&lane) {
+                return if at_start { line[0].heading } else { line[line.len() - 1].heading };
+            }
+            if road.backward.contains(&lane) {
+                let pose = if at_start { line[line.len() - 1] } else { line[0] };
+                return turned(pose.heading + std::f64::consts::PI);
+            }
+        }
+        let centerline = &self.parts.lanes[lane.index()].centerline;
+        centerline.heading_at(if at_start { 0.0 } else { centerline.length() })
+    }
+}
+
+/// The area between two parallels of a line, the first to the left of the second.
+pub(crate) fn band(line: &[Pose], left: f64, right: f64) -> Result<Polygon, GeometryError> {
+    ring(shifted(line, left), shifted(line, right))
+}
+
+/// The area between a left and a right edge that run the same way.
+fn ring(left: Vec<Point>, right: Vec<Point>) -> Result<Polygon, GeometryError> {
+    Polygon::new(left.into_iter().chain(right.into_iter().rev()))
+}

@@ -1,0 +1,27 @@
+//! What must hold for every generated drive.
+
+mod distribution;
+mod drives;
+mod maps;
+mod names;
+
+use super::{Generated, ScenarioType, Spec, generate_with_record};
+use rayon::prelude::*;
+use std::sync::LazyLock;
+
+/// Seeds of each type that the tests look at.
+const SEEDS: u64 = 20;
+
+/// The drives of all types with the first seeds.
+static CORPUS: LazyLock<Vec<Generated>> = LazyLock::new(|| {
+    let specs: Vec<Spec> = ScenarioType::ALL
+        .into_iter()
+        .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec { scenario_type, seed }))
+        .collect();
+    specs.par_iter().map(|spec| generate_with_record(spec).unwrap_or_else(|error| panic!("{error}"))).collect()
+});
+
+/// One drive of each type.
+fn one_each() -> impl Iterator<Item = &'static Generated> {
+    CORPUS.iter().step_by(SEEDS as usize)
+}

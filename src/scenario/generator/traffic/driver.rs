@@ -1,0 +1,143 @@
+//! What a driver does about everything ahead: the intelligent driver model against whatever is nearest in time.
+
+use super::right_of_way::Claims;
+use super::{Body, Mover, Traffic};
+use crate::dynamics::Lead;
+use crate::world::TrafficLights;
+
+/// Clearance to the side under which something counts as in the way, metres.
+const SIDE_MARGIN: f64 = 0.25;
+/// Look-ahead for what moves sideways into the way, seconds.
+const SIDE_LOOKAHEAD: f64 = 1.0;
+/// Where to stand before a stop line or a yield line, metres.
+const BEFORE_LINE: f64 = 0.8;
+/// Where to stand before a pedestrian's way, metres.
+const BEFORE_WALKER: f64 = 1.8;
+
+impl Traffic<'_> {
+    /// Acceleration that the driver of mover `i` wants, m/s².
+    pub(super) fn wanted_acceleration(
+        &self,
+        i: usize,
+        bodies: &[Body],
+        claims: &Claims,
+        lights: &TrafficLights,
+    ) -> f64 {
+        let me = &self.movers[i];
+        let mut wanted = self.free_acceleration(me);
+        let (place, ahead) = (me.track.pose_at(me.s).position(), me.track.direction_at(me.s));
+        for body in bodies.iter().filter(|body| body.mover != Some(i)) {
+            // Most bodies are out of sight or behind; a cheap look comes first.
+            let to = body.shape.center.position() - place;
+            let (sight, reach) = (me.sight(), body.shape.length / 2.0);
+            if to.norm_squared() > (sight + reach).powi(2) || ahead.dot(&to) < -(reach + 8.0) {
+                continue;
+            }
+            if let Some(lead) = me.lead(body, sight + reach) {
+                wanted = wanted.min(me.following(lead));
+            }
+        }
+        if let Some(s) = self.place_to_stop(i, claims, lights) {
+            wanted = wanted.min(me.stopping(s - BEFORE_LINE));
+        }
+        for walker in self.walkers.iter().filter(|walker| walker.is_crossing()) {
+            if let Some(s) = me.give_way_to(walker) {
+                wanted = wanted.min(me.stopping(s - BEFORE_WALKER));
+            }
+        }
+        wanted
+    }
+
+    fn free_acceleration(&self, me: &Mover) -> f64 {
+        let allowed = me.track.allowed_at(me.s) * me.temper.haste;
+        me.temper.law(allowed.min(me.ceiling)).acceleration(me.speed, None)
+    }
+}
+
+impl Mover {
+    /// Acceleration behind a lead: the law of following, and harder braking where that would come too late.
+    fn following(&self, lead: Lead) -> f64 {
+        let allowed = (self.track.allowed_at(self.s) * self.temper.haste).min(self.ceiling);
+        let by_law = self.temper.law(allowed).acceleration(self.speed, Some(lead));
+        let closing = self.speed - lead.speed;
+        if closing <= 0.0 {
+            return by_law;
+        }
+        let needed = closing * closing / (2.0 * (lead.gap - 0.5).max(0.2));
+        if needed > self.temper.decel { by_law.min(-needed) } else { by_law }
+    }
+
+    /// Acceleration towards a standstill with the front at arc length `s`.
+    fn stopping(&self, s: f64) -> f64 {
+        // The law keeps its own gap to a lead, so the lead is put that much further.
+        self.following(Lead { gap: s - self.front_s() + self.temper.min_gap, speed: 0.0 })
+    }
+
+    /// Distance that must be looked at, metres.
+    pub(super) fn sight(&self) -> f64 {
+        25.0 + 4.0 * self.speed
+    }
+
+    /// The lead that a body within `sight` metres is to this driver, if it is in the way.
+    fn lead(&self, body: &Body, sight: f64) -> Option<Lead> {
+        /// What is further beside the track than this, half its length apart, is of no concern, metres.
+        const ASIDE: f64 = 6.0;
+        let (s, lateral) = self.track.project(body.shape.center.position(), self.s - 10.0, self.s + sight);
+        let sideways_reach = if body.speed > 0.0 { body.speed * SIDE_LOOKAHEAD } else { 0.0 };
+        if lateral.abs() > ASIDE + body.shape.length / 2.0 + sideways_reach || s <= self.s {
+            return None;
+        }
+        let along_track = self.track.direction_at(s);
+        let (sin, cos) = (along_track.perp(&body.direction), along_track.dot(&body.direction));
+        let (half_length, half_width) = (body.shape.length / 2.0, body.shape.width / 2.0);
+        let along = (half_length * cos).abs() + (half_width * sin).abs();
+        let across = (half_length * sin).abs() + (half_width * cos).abs();
+        let sideways = body.speed * sin;
+        let now = self.clearance(s - along, s + along, lateral, across);
+        let soon = self.clearance(s - along, s + along, lateral + sideways * SIDE_LOOKAHEAD, across);
+        let in_the_way = now < SIDE_MARGIN || (sideways.abs() > 0.4 && soon < 0.0 && now < 3.0);
+        in_the_way.then(|| Lead { gap: s - along - self.front_s(), speed: (body.speed * cos).max(0.0) })
+    }
+
+    /// Room between this vehicle, when it passes from `from` to `to` along its track, and something `across` metres to both
+    /// sides of `lateral`; negative when they would touch.
+    fn clearance(&self, from: f64, to: f64, lateral: f64, across: f64) -> f64 {
+        let (a, b) = (self.shift.at(from.max(self.s)).0, self.shift.at(to.max(self.s)).0);
+        let half = self.width / 2.0;
+        let (right, left) = (a.min(b) - half, a.max(b) + half);
+        (lateral - across - left).max(right - (lateral + across))
+    }
+
+    /// Where this driver must stop for a pedestrian on the way across, if it must: the near edge of the crosswalk, or of
+    /// the pedestrian's path where there is none.
+    fn give_way_to(&self, walker: &super::Walker) -> Option<f64> {
+        let sight = self.sight().min(50.0);
+        let position = walker.position();
+        if (position - self.track.pose_at(self.s).position()).norm() > sight + 10.0 {
+            return None;
+        }
+        let (s, lateral) = self.track.project(position, self.s, self.s + sight + 5.0);
+        if s <= self.front_s() - 0.5 || lateral.abs() > 25.0 {
+            return None;
+        }
+        let sideways = self.track.direction_at(s).perp(&walker.velocity());
+        let offset = lateral - self.shift.at(s).0;
+        let half = self.width / 2.0 + walker.size / 2.0 + 0.5;
+        let approaching = offset * sideways < 0.0;
+        if offset.abs() > half {
+            if !approaching || sideways.abs() < 0.1 {
+                return None;
+            }
+            let enters = (offset.abs() - half) / sideways.abs();
+            let gap = (s - self.front_s()).max(0.0);
+            let passed = (gap + self.length + 2.0) / self.speed.max(0.5);
+            let left = (offset.abs() + half) / sideways.abs();
+            if passed + 1.0 < enters || (enters > 6.0 && gap > 15.0) || gap > self.speed * (left + 2.0) + 8.0 {
+                return None;
+            }
+        }
+        let edge = self.track.crosswalks.iter().find(|walk| walk[0] - 1.5 < s && s < walk[1] + 1.5).map(|walk| walk[0]);
+        let stop = edge.unwrap_or(s - walker.size / 2.0);
+        (stop > self.front_s() - 1.0 || s > self.front_s() + 0.3).then_some(stop.max(self.front_s() - 1.0))
+    }
+}

@@ -1,0 +1,141 @@
+//! Moving over to a neighbouring lane: where it leads, whether there is room, how it is driven.
+
+use super::{Act, Body, Mover, Shift, Track, Traffic};
+use crate::geometry::wrap_angle;
+use std::sync::Arc;
+
+/// What the ego wants to do with its place across the road.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Wish {
+    /// Stay.
+    Keep,
+    /// Move over to the neighbouring lane as soon as there is room.
+    Change {
+        /// To the left or to the right.
+        left: bool,
+    },
+    /// Keep to the lane but this far beside its centreline, metres to the left.
+    Nudge(f64),
+}
+
+/// How much room somebody wants for a lane change.
+#[derive(Debug, Clone, Copy)]
+struct Room {
+    /// Clear distance to both sides at least, metres.
+    gap: f64,
+    /// Time kept to whoever comes from behind, seconds.
+    behind: f64,
+}
+
+const POLITE: Room = Room { gap: 4.0, behind: 0.9 };
+const PUSHY: Room = Room { gap: 3.5, behind: 0.15 };
+
+impl Traffic<'_> {
+    /// Carries out what the scripts say for now.
+    pub(super) fn play_scripts(&mut self, bodies: &[Body]) {
+        /// How soon a lane change that found no room is tried again, seconds.
+        const RETRY: f64 = 0.3;
+        for i in 0..self.movers.len() {
+            while let Some(&act) = self.movers[i].script.last().filter(|act| act.at() <= self.time) {
+                self.movers[i].script.pop();
+                match act {
+                    Act::Limit { speed, .. } => self.movers[i].ceiling = speed,
+                    Act::ChangeLane { left, .. } => {
+                        if !self.change_lane(i, left, PUSHY, bodies) {
+                            let again = Act::ChangeLane { at: self.time + RETRY, left };
+                            let place = self.movers[i].script.partition_point(|act| act.at() > again.at());
+                            self.movers[i].script.insert(place, again);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Carries out the ego's wish if it can be.
+    pub(super) fn follow_wish(&mut self, wish: Wish, bodies: &[Body]) {
+        match wish {
+            Wish::Keep => {}
+            Wish::Change { left } => {
+                self.change_lane(0, left, POLITE, bodies);
+            }
+            Wish::Nudge(lateral) => {
+                let ego = &mut self.movers[0];
+                if !ego.is_changing() && (ego.shift.to_d - lateral).abs() > 0.05 {
+                    let length = (ego.speed * 2.5).max(9.0);
+                    ego.shift = Shift { from_s: ego.s, to_s: ego.s + length, from_d: ego.shift.to_d, to_d: lateral };
+                }
+            }
+        }
+    }
+
+    /// Moves a mover over if it is on a lane with such a neighbour and there is room; whether it did.
+    fn change_lane(&mut self, i: usize, left: bool, room: Room, bodies: &[Body]) -> bool {
+        let mover = &self.movers[i];
+        let Some(track) = self.track_beside(mover, left) else { return false };
+        let reference = mover.pose().position();
+        let (s, lateral) = track.project(reference, 0.0, track.length());
+        let length = (mover.speed * 4.0).clamp(14.0, 70.0);
+        if mover.is_changing() || s + length > track.length() {
+            return false;
+        }
+        // The manoeuvre ends before the next junction.
+        if track.span_at(s + length * 0.8).lane != track.span_at(s).lane && !self.runs_on(&track, s, s + length) {
+            return false;
+        }
+        if !has_room(mover, &track, s, room, bodies, i) {
+            return false;
+        }
+        self.movers[i].go_over(Arc::new(track), s, lateral, length);
+        true
+    }
+
+    /// Whether the track has only joints (no crossings) between two arc lengths.
+    fn runs_on(&self, track: &Track, from: f64, to: f64) -> bool {
+        let within = track.spans.iter().filter(|span| span.connector && span.to > from && span.from < to);
+        within.into_iter().all(|span| {
+            self.roads.passages[span.lane.index()].as_ref().is_none_or(|passage| passage.conflicts.is_empty())
+        })
+    }
+
+    /// The track that begins on the lane beside a mover's own; the ego's stays on its way.
+    fn track_beside(&self, mover: &Mover, left: bool) -> Option<Track> {
+        let span = mover.track.span_at(mover.s);
+        let along = mover.s - span.from;
+        let lane = &self.roads.map[span.lane];
+        let beside = if left { lane.left_at(along) } else { lane.right_at(along) }?;
+        if lane.is_connector() {
+            return None;
+        }
+        let place = self.roads.way.iter().position(|lanes| lanes.contains(&beside));
+        let chain = match place {
+            Some(place) => self.roads.chain_on_way(place, beside),
+            None => self.roads.straight_chain(beside),
+        };
+        Track::along(self.roads, chain)
+    }
+}
+
+/// Whether a mover finds room on a track at arc length `s`.
+fn has_room(mover: &Mover, track: &Track, s: f64, room: Room, bodies: &[Body], i: usize) -> bool {
+    let (front, rear) = (s + mover.front, s - mover.back());
+    bodies.iter().filter(|body| body.mover != Some(i)).all(|body| {
+        let half = body.shape.length / 2.0;
+        let center = body.shape.center.position();
+        let (at, lateral) = track.project(center, s - 60.0, s + 60.0);
+        let turned = wrap_angle(body.shape.center.heading - track.pose_at(at).heading);
+        let across = (half * turned.sin()).abs() + (body.shape.width / 2.0 * turned.cos()).abs();
+        if lateral.abs() > across + mover.width / 2.0 + 0.3 {
+            return true;
+        }
+        let speed = body.speed * turned.cos();
+        let along = (half * turned.cos()).abs() + (body.shape.width / 2.0 * turned.sin()).abs();
+        if at >= s {
+            let closing = (mover.speed - speed).max(0.0);
+            at - along - front > room.gap + closing * closing / 3.0 + closing
+        } else {
+            let closing = (speed - mover.speed).max(0.0);
+            rear - at - along > room.gap + speed * room.behind + 2.0 * closing
+        }
+    })
+}

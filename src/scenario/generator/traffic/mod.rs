@@ -1,0 +1,121 @@
+//! Traffic that reacts to the ego and to itself: one step at a time, everybody deciding on the same instant.
+
+mod driver;
+mod lane_change;
+mod mover;
+mod right_of_way;
+mod track;
+mod walker;
+
+pub(crate) use lane_change::Wish;
+pub(crate) use mover::{Act, Mover, Shift, Temper};
+pub(crate) use track::Track;
+pub(crate) use walker::{Departure, Walker};
+
+use super::road::Roads;
+use crate::geometry::{OrientedBox, Vector};
+use crate::world::{ObjectKind, STEP_S, TrackedObject, TrafficLights};
+use right_of_way::Claims;
+
+/// Something to keep clear of, as it is now.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Body {
+    /// Its box.
+    pub(crate) shape: OrientedBox,
+    /// Unit vector along its heading.
+    pub(crate) direction: Vector,
+    /// Norm of it, m/s.
+    pub(crate) speed: f64,
+    /// Which mover it is; `None` for what stands still.
+    pub(crate) mover: Option<usize>,
+}
+
+/// All that moves, stands or walks on the roads. The first mover is the ego.
+#[derive(Debug, Clone)]
+pub(crate) struct Traffic<'a> {
+    /// Where it drives.
+    pub(crate) roads: &'a Roads,
+    /// Drivers; the first is the ego.
+    pub(crate) movers: Vec<Mover>,
+    /// People on foot.
+    pub(crate) walkers: Vec<Walker>,
+    /// Parked vehicles, cones, barriers and the like.
+    pub(crate) fixtures: Vec<TrackedObject>,
+    /// Time of the present state, seconds; 0 is iteration 0.
+    pub(crate) time: f64,
+}
+
+impl Traffic<'_> {
+    /// The lights now.
+    pub(crate) fn lights(&self) -> TrafficLights {
+        self.roads.lights(self.time)
+    }
+
+    /// Everything solid now: movers in order, then fixtures.
+    pub(crate) fn bodies(&self) -> Vec<Body> {
+        let body = |shape: OrientedBox, speed, mover| Body { shape, direction: shape.center.direction(), speed, mover };
+        let movers = self.movers.iter().enumerate().filter(|(_, mover)| !mover.gone);
+        let movers = movers.map(|(i, mover)| body(mover.shape(), mover.speed, Some(i)));
+        let fixtures = self.fixtures.iter().map(|object| body(object.shape, 0.0, None));
+        movers.chain(fixtures).collect()
+    }
+
+    /// One step of 0.1 s; `wish` is the ego's wish for a lane.
+    pub(crate) fn step(&mut self, wish: Wish) {
+        let lights = self.lights();
+        let bodies = self.bodies();
+        self.play_scripts(&bodies);
+        self.follow_wish(wish, &bodies);
+        let claims = Claims::new(self);
+        let wanted: Vec<f64> = (0..self.movers.len())
+            .map(|i| if self.movers[i].gone { 0.0 } else { self.wanted_acceleration(i, &bodies, &claims, &lights) })
+            .collect();
+        let clear: Vec<bool> = self.walkers.iter().map(|walker| self.leaves_room(walker, &bodies)).collect();
+        for (mover, &acceleration) in self.movers.iter_mut().zip(&wanted) {
+            if !mover.gone {
+                mover.advance(acceleration);
+            }
+        }
+        self.note_stops();
+        for (walker, &clear) in self.walkers.iter_mut().zip(&clear) {
+            walker.advance(self.time, clear);
+        }
+        self.time += STEP_S;
+    }
+
+    /// Whether the drivers leave room for a pedestrian to step onto the carriageway: everybody near is far in time, stands
+    /// or has passed.
+    fn leaves_room(&self, walker: &Walker, bodies: &[Body]) -> bool {
+        /// Time that an approaching vehicle must be away, seconds.
+        const TIME_GAP: f64 = 4.5;
+        let middle = nalgebra::center(&walker.from, &walker.to);
+        bodies.iter().all(|body| {
+            let to = middle - body.shape.center.position();
+            let closing = to.normalize().dot(&body.direction) * body.speed;
+            let distance = to.norm() - body.shape.length / 2.0 - walker.distance() / 2.0;
+            closing < 0.7 || distance > closing * TIME_GAP
+        })
+    }
+
+    /// What a planner would see: everything within `reach` metres of the ego.
+    pub(crate) fn objects(&self, reach: f64) -> Vec<TrackedObject> {
+        let ego = self.movers[0].shape().center.position();
+        let near = |object: &TrackedObject| (object.shape.center.position() - ego).norm() <= reach;
+        let movers = self.movers[1..].iter().filter(|mover| !mover.gone).map(|mover| TrackedObject {
+            token: mover.token,
+            kind: mover.kind,
+            shape: mover.shape(),
+            velocity: mover.velocity(),
+        });
+        let walkers = self.walkers.iter().map(|walker| TrackedObject {
+            token: walker.token,
+            kind: ObjectKind::Pedestrian,
+            shape: walker.shape(),
+            velocity: walker.velocity(),
+        });
+        let mut seen: Vec<TrackedObject> =
+            movers.chain(walkers).chain(self.fixtures.iter().copied()).filter(near).collect();
+        seen.sort_by_key(|object| object.token);
+        seen
+    }
+}

@@ -1,0 +1,232 @@
+//! Whatever drives: cars, long vehicles, bicycles and the ego, each on its track.
+
+use super::track::Track;
+use crate::dynamics::IdmParameters;
+use crate::geometry::{OrientedBox, Pose, Vector, wrap_angle};
+use crate::world::{LaneId, ObjectKind, PACIFICA, STEP_S, TrackToken};
+use std::sync::Arc;
+
+/// How somebody drives.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Temper {
+    /// Desired speed as a share of what the road allows.
+    pub(crate) haste: f64,
+    /// Gap kept at standstill, metres.
+    pub(crate) min_gap: f64,
+    /// Time headway, seconds.
+    pub(crate) headway: f64,
+    /// Acceleration, m/s².
+    pub(crate) accel: f64,
+    /// Comfortable deceleration, m/s².
+    pub(crate) decel: f64,
+    /// Time that must remain after clearing a crossing path, seconds.
+    pub(crate) gap_margin: f64,
+    /// Largest rise of the acceleration, m/s³.
+    pub(crate) jerk: f64,
+    /// Hardest braking, m/s².
+    pub(crate) hardest: f64,
+}
+
+impl Temper {
+    /// The law of following for a desired speed.
+    pub(crate) fn law(&self, target_velocity: f64) -> IdmParameters {
+        IdmParameters {
+            target_velocity: target_velocity.max(0.1),
+            min_gap: self.min_gap,
+            headway: self.headway,
+            accel_max: self.accel,
+            decel_max: self.decel,
+            exponent: 4,
+        }
+    }
+}
+
+/// A lateral move along the track: from one offset to another with neither slope nor curvature at its ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Shift {
+    /// Where it begins, metres along the track.
+    pub(crate) from_s: f64,
+    /// Where it ends.
+    pub(crate) to_s: f64,
+    /// Offset before it, metres to the left.
+    pub(crate) from_d: f64,
+    /// Offset after it.
+    pub(crate) to_d: f64,
+}
+
+impl Shift {
+    /// A constant offset.
+    pub(crate) fn constant(lateral: f64) -> Self {
+        Self { from_s: 0.0, to_s: 0.0, from_d: lateral, to_d: lateral }
+    }
+
+    /// Offset at `s` and its slope.
+    pub(crate) fn at(&self, s: f64) -> (f64, f64) {
+        let length = self.to_s - self.from_s;
+        if length <= 0.0 || s >= self.to_s {
+            return (self.to_d, 0.0);
+        }
+        if s <= self.from_s {
+            return (self.from_d, 0.0);
+        }
+        let t = (s - self.from_s) / length;
+        let share = t.powi(3) * (10.0 - 15.0 * t + 6.0 * t * t);
+        let slope = 30.0 * t * t * (1.0 - t).powi(2);
+        let by = self.to_d - self.from_d;
+        (self.from_d + by * share, by * slope / length)
+    }
+}
+
+/// Something that happens at its time, whatever the driver thinks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Act {
+    /// From now on no faster than this, m/s.
+    Limit {
+        /// When, seconds.
+        at: f64,
+        /// Speed, m/s.
+        speed: f64,
+    },
+    /// Moves over to the neighbouring lane.
+    ChangeLane {
+        /// When, seconds.
+        at: f64,
+        /// To the left or to the right.
+        left: bool,
+    },
+}
+
+impl Act {
+    /// When it happens, seconds.
+    pub(crate) fn at(&self) -> f64 {
+        match *self {
+            Self::Limit { at, .. } | Self::ChangeLane { at, .. } => at,
+        }
+    }
+}
+
+/// A driver with a vehicle. Its reference point is the centre of its box, for the ego the rear axle.
+#[derive(Debug, Clone)]
+pub(crate) struct Mover {
+    /// Its track token; the ego's is not used.
+    pub(crate) token: TrackToken,
+    /// What it is.
+    pub(crate) kind: ObjectKind,
+    /// Length, metres.
+    pub(crate) length: f64,
+    /// Width, metres.
+    pub(crate) width: f64,
+    /// From the reference point to the front, metres.
+    pub(crate) front: f64,
+    /// The line it follows.
+    pub(crate) track: Arc<Track>,
+    /// Reference point along the track, metres.
+    pub(crate) s: f64,
+    /// Speed, m/s.
+    pub(crate) speed: f64,
+    /// Acceleration, m/s².
+    pub(crate) accel: f64,
+    /// Its place across the track.
+    pub(crate) shift: Shift,
+    /// How it is driven.
+    pub(crate) temper: Temper,
+    /// Speed that it must not exceed, m/s.
+    pub(crate) ceiling: f64,
+    /// What is to happen, soonest last.
+    pub(crate) script: Vec<Act>,
+    /// The connector before which it has already stopped for the sign.
+    pub(crate) served: Option<LaneId>,
+    /// Whether it has left the roads.
+    pub(crate) gone: bool,
+}
+
+impl Mover {
+    /// From the reference point to the rear, metres.
+    pub(crate) fn back(&self) -> f64 {
+        self.length - self.front
+    }
+
+    /// Front bumper along the track, metres.
+    pub(crate) fn front_s(&self) -> f64 {
+        self.s + self.front
+    }
+
+    /// Rear bumper along the track, metres.
+    pub(crate) fn rear_s(&self) -> f64 {
+        self.s - self.back()
+    }
+
+    /// Pose of the reference point.
+    pub(crate) fn pose(&self) -> Pose {
+        let base = self.track.pose_at(self.s);
+        let (lateral, slope) = self.shift.at(self.s);
+        let along = 1.0 - self.track.curvature_at(self.s) * lateral;
+        let moved = base.translated(0.0, lateral);
+        Pose::new(moved.x, moved.y, wrap_angle(base.heading + slope.atan2(along)))
+    }
+
+    /// Its box.
+    pub(crate) fn shape(&self) -> OrientedBox {
+        let ahead = self.front - self.length / 2.0;
+        OrientedBox::new(self.pose().translated(ahead, 0.0), self.length, self.width)
+    }
+
+    /// Its velocity, map frame.
+    pub(crate) fn velocity(&self) -> Vector {
+        self.pose().direction() * self.speed
+    }
+
+    /// Whether it is between two lanes.
+    pub(crate) fn is_changing(&self) -> bool {
+        let (from_s, to_s) = (self.shift.from_s, self.shift.to_s);
+        to_s > from_s && self.s < to_s
+    }
+
+    /// Moves on for one step with the wanted acceleration, within the jerk that its driver allows.
+    pub(crate) fn advance(&mut self, wanted: f64) {
+        let rise = self.temper.jerk * STEP_S;
+        // Braking harder than comfort asks for may build up faster.
+        let fall = if wanted < -self.temper.decel - 0.5 { 3.0 * rise } else { 1.2 * rise };
+        self.accel = wanted.clamp(self.accel - fall, self.accel + rise).clamp(-self.temper.hardest, self.temper.accel);
+        let speed = (self.speed + self.accel * STEP_S).max(0.0);
+        let driven = f64::midpoint(self.speed, speed) * STEP_S;
+        if speed == 0.0 {
+            self.accel = 0.0;
+        }
+        self.speed = speed;
+        let (lateral, slope) = self.shift.at(self.s);
+        let along = 1.0 - self.track.curvature_at(self.s) * lateral;
+        self.s += driven / along.hypot(slope).max(0.2);
+        // Out of sight before the line ends, so that nobody is seen to vanish near the ego.
+        self.gone |= self.front_s() + 1.0 > self.track.length();
+    }
+
+    /// Goes over to another track, from which it is now `lateral` metres away at `s`, within `length` metres.
+    pub(crate) fn go_over(&mut self, track: Arc<Track>, s: f64, lateral: f64, length: f64) {
+        self.track = track;
+        self.s = s;
+        self.shift = Shift { from_s: s, to_s: s + length, from_d: lateral, to_d: 0.0 };
+        self.served = None;
+    }
+
+    /// The ego at a place of its track.
+    pub(crate) fn ego(track: Arc<Track>, s: f64, speed: f64, temper: Temper) -> Self {
+        Self {
+            token: TrackToken(0),
+            kind: ObjectKind::Vehicle,
+            length: PACIFICA.length(),
+            width: PACIFICA.width,
+            front: PACIFICA.front_length,
+            track,
+            s,
+            speed,
+            accel: 0.0,
+            shift: Shift::constant(0.0),
+            temper,
+            ceiling: f64::INFINITY,
+            script: Vec::new(),
+            served: None,
+            gone: false,
+        }
+    }
+}
