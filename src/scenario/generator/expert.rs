@@ -106,13 +106,14 @@ enum Obstacle {
     Edge(f64),
 }
 
-/// The nearest thing ahead in the ego's lane that will not move.
+/// What stands for good in the ego's lane ahead.
 fn blocked(traffic: &Traffic<'_>) -> Option<Obstacle> {
     let ego = &traffic.movers[0];
     let half = ego.width / 2.0;
     let standing = traffic.fixtures.iter().map(|object| object.shape);
     let broken = traffic.movers[1..].iter().filter(|m| !m.gone && m.ceiling < 0.3 && m.speed < 0.3).map(|m| m.shape());
-    let mut nearest: Option<(f64, Obstacle)> = None;
+    // What stands to the right pushes the ego to the left and the other way round.
+    let (mut to_left, mut to_right) = (0.0f64, 0.0f64);
     for shape in standing.chain(broken) {
         let reach = shape.length / 2.0;
         let pose = ego.track.pose_at(ego.s);
@@ -127,14 +128,19 @@ fn blocked(traffic: &Traffic<'_>) -> Option<Obstacle> {
         if s + reach < ego.rear_s() - 1.0 || lateral.abs() - across > half + NUDGE_ROOM {
             continue;
         }
-        let offset =
-            if lateral < 0.0 { lateral + across + half + NUDGE_ROOM } else { lateral - across - half - NUDGE_ROOM };
-        let obstacle = if offset.abs() > NUDGE_MOST { Obstacle::Lane } else { Obstacle::Edge(offset) };
-        if nearest.as_ref().is_none_or(|(near, _)| s < *near) {
-            nearest = Some((s, obstacle));
+        if lateral < 0.0 {
+            to_left = to_left.max(lateral + across + half + NUDGE_ROOM);
+        } else {
+            to_right = to_right.min(lateral - across - half - NUDGE_ROOM);
         }
     }
-    nearest.map(|(_, obstacle)| obstacle)
+    if to_left > NUDGE_MOST || to_right < -NUDGE_MOST || (to_left > 0.0 && to_right < 0.0) {
+        Some(Obstacle::Lane)
+    } else if to_left > 0.0 || to_right < 0.0 {
+        Some(Obstacle::Edge(to_left + to_right))
+    } else {
+        None
+    }
 }
 
 /// Whether the present lane leads off the way while a neighbour stays on it, and on which side that one is.

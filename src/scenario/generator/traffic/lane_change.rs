@@ -27,7 +27,7 @@ struct Room {
     behind: f64,
 }
 
-const POLITE: Room = Room { gap: 4.0, behind: 0.9 };
+const POLITE: Room = Room { gap: 3.0, behind: 0.6 };
 const PUSHY: Room = Room { gap: 3.5, behind: 0.15 };
 
 impl Traffic<'_> {
@@ -135,7 +135,7 @@ fn has_room(mover: &Mover, track: &Track, s: f64, room: Room, bodies: &[Body], i
             at - along - front > room.gap + closing * closing / 3.0 + closing
         } else {
             let closing = (speed - mover.speed).max(0.0);
-            rear - at - along > room.gap + speed * room.behind + 2.0 * closing
+            rear - at - along > room.gap + speed * room.behind + 1.5 * closing
         }
     })
 }
