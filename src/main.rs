@@ -1,3 +1,5 @@
 //! The `planagent` program; everything lives in the library.
 
-fn main() {}
+fn main() -> std::process::ExitCode {
+    planagent::cli::run()
+}

@@ -1,1 +1,53 @@
-//! Placeholder until the stage is written.
+//! The command line: flags, configuration, commands, exit codes.
+
+mod args;
+mod commands;
+mod config;
+mod exit;
+mod model;
+mod printer;
+
+use args::{Arguments, Command};
+use clap::Parser;
+use std::process::ExitCode;
+
+pub use config::{Config, EnvironmentConfig, MllmConfig, ReasoningConfig, ReflectionConfig};
+pub use exit::Exit;
+pub use printer::Printer;
+
+/// Runs the program with the arguments of the process.
+pub fn run() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // Help and version are no errors; clap prints each where it belongs.
+            let _ = error.print();
+            return if error.use_stderr() { Exit::Error.into() } else { Exit::Success.into() };
+        }
+    };
+    let printer = Printer::new(arguments.json, arguments.quiet);
+    match execute(&arguments, printer) {
+        Ok(exit) => exit.into(),
+        Err(error) => {
+            printer.error(&error);
+            Exit::Error.into()
+        }
+    }
+}
+
+fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
+    let mut config = Config::load(arguments.config.as_deref())?;
+    if let Some(seed) = arguments.seed {
+        config.seed = seed;
+    }
+    if let Some(model) = &arguments.model {
+        config.mllm.model.clone_from(model);
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads.unwrap_or(0)).build()?;
+    pool.install(|| match &arguments.command {
+        Command::Simulate(flags) => commands::simulate::run(flags, &config, printer),
+        Command::Plan(flags) => commands::plan::run(flags, &config, printer),
+        Command::Scenarios(command) => commands::scenarios::run(command, printer),
+        Command::Dataset(flags) => commands::dataset::run(flags, &config, printer),
+    })
+}

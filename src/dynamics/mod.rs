@@ -1,5 +1,20 @@
 //! How things move: the intelligent driver model, the kinematic bicycle, the LQR tracker and reactive IDM traffic.
 
+mod bicycle;
 mod idm;
+mod lqr;
+mod profile;
+mod progress_path;
+mod traffic;
+mod two_stage;
 
+#[cfg(test)]
+pub(crate) mod test_road;
+
+pub use bicycle::{Command, advance};
 pub use idm::{IdmParameters, Lead};
+pub use lqr::{TrackingError, track};
+pub use profile::{JerkPenalty, MotionProfile};
+pub use progress_path::ProgressPath;
+pub use traffic::{IDM_AGENT, IdmTraffic};
+pub use two_stage::{drive, simulate_proposal};

@@ -1,1 +1,24 @@
-//! Placeholder until the stage is written.
+//! Stage 2, the paper's Environment Transformation: a [`crate::world::Scene`] becomes the two prompts of the paper, the
+//! BEV map (global) and the lane-graph text (local), and, for training and evaluation, the true answers to what the
+//! first round asks about them.
+//!
+//! - [`bev`]: the image, ego-centred, heading up.
+//! - [`lane_graph`]: the node under the ego, its eight neighbours, who is on them, and the centrelines to follow.
+//! - [`text`]: the lane graph in words, in two prompt sets, and the way back.
+//! - [`facts`]: what is true of the scene, as choices.
+
+mod choice;
+
+pub mod bev;
+pub mod facts;
+pub mod lane_graph;
+pub mod text;
+
+#[cfg(test)]
+mod sketch;
+
+pub use bev::{BevError, BevView};
+pub use choice::UnknownChoice;
+pub use facts::SceneFacts;
+pub use lane_graph::{AgentName, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, LaneGraphError, NodePlace};
+pub use text::{Description, PromptSet};

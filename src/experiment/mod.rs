@@ -1,1 +1,5 @@
-//! Placeholder until the stage is written.
+//! Stage 9: what drives many loops. Simulation runs; label search and datasets.
+
+pub mod dataset;
+pub mod run;
+pub mod source;

@@ -1,1 +1,24 @@
-//! Placeholder until the stage is written.
+//! Stage 4: the Reasoning Engine of the paper. It asks the model three rounds, scene understanding, motion instruction and
+//! planner code, and reads the answers.
+
+mod code;
+mod code_lexer;
+mod code_parser;
+mod engine;
+mod grammar;
+mod instruction;
+mod prompt_set;
+mod round;
+
+pub use code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range, TARGET_SPEED};
+pub use code_parser::{ParseError, Parsed, parse};
+pub use engine::{
+    Feedback, Reasoning, ReasoningError, ReasoningSettings, RoundRecord, ScenarioPrompt, Thought, feedback_text,
+    round_prompt, system_prompt,
+};
+pub use grammar::{ACCELERATIONS, DECELERATIONS};
+pub use instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction};
+pub use prompt_set::{
+    InstructionForm, PromptError, PromptForms, PromptSet, UnderstandingForm,
+};
+pub use round::Round;

@@ -1,1 +1,12 @@
-//! Placeholder until the stage is written.
+//! Stage 5: the Reflection module of the paper. A generated planner is rolled out over a short horizon and scored before it
+//! may drive.
+
+mod judge;
+mod path;
+mod report;
+mod rollout;
+
+pub use judge::{Judge, ReflectionError};
+pub use path::onto_centerline;
+pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
+pub use rollout::{GeneratedPlanner, LeadPolicy, Rollout};

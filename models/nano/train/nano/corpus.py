@@ -1,0 +1,161 @@
+"""A split as arrays: token ids, which tokens carry loss, where each question's answer stands, images.
+
+Built once from the shards and kept beside the run as memory-mapped files, so that every leg and every worker starts at once and
+shares one copy (an image is 48 KiB: 100,000 states are 4.9 GB on disk, of which memory holds what fits).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from tokenizers import Tokenizer
+
+from . import shards
+from .chat import ASSISTANT, EOS, IMAGE, Piece, pieces
+
+#: Roles of a token in the loss.
+PROMPT, TEMPLATE, INFORMATIVE = 0, 1, 2
+
+_KEY = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)\s*[=:]\s*$")
+_CALL = re.compile(r"[A-Za-z_]\w*\(")
+
+
+@dataclass(frozen=True)
+class Corpus:
+    """Row i has the tokens `ids[starts[i]:starts[i + 1]]`, its `<image>` as one token."""
+
+    ids: np.ndarray
+    roles: np.ndarray
+    starts: np.ndarray
+    #: (rows, 2): the scene text within the row, for the image-only stage.
+    scene: np.ndarray
+    #: (slots, 4): row, question, first token within the row, number of tokens.
+    slots: np.ndarray
+    images: np.ndarray
+    questions: list[str]
+    names: list[str]
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def row(self, i: int) -> np.ndarray:
+        """Token ids of a row."""
+        return self.ids[self.starts[i] : self.starts[i + 1]]
+
+
+def question_names(content: str, spans: tuple[tuple[int, int], ...], answer: int) -> list[str]:
+    """What each informative span answers: the key before it.
+
+    A repeated key is named after the key it stands beside (`why=.. lat=.. why=.. lon=..`: `lat_why`, `lon_why`); arguments of a
+    call are `code.c`, `code.v0`, ...
+    """
+    keys = []
+    for place, (start, _) in enumerate(spans):
+        match = _KEY.search(content[:start])
+        keys.append(match.group(1) if match else f"answer{answer}_{place}")
+    prefix = "code." if _CALL.match(content) else ""
+    own = [key for key in keys if keys.count(key) == 1]
+    names = []
+    for place, key in enumerate(keys):
+        # A reason stands before what it explains or after it, throughout an answer.
+        beside = keys[place:] if keys.count(keys[0]) > 1 else keys[place::-1]
+        whose = next((k for k in beside if k in own), None) if keys.count(key) > 1 else None
+        names.append(f"{prefix}{whose}_{key}" if whose else prefix + key)
+    if len(set(names)) != len(names):
+        names = [f"{name}.{i}" if names.count(name) > 1 else name for i, name in enumerate(names)]
+    return names
+
+
+def tokenise(tokenizer: Tokenizer, conversation: list[dict]) -> tuple[list[int], list[int], list[tuple[str, int, int]], tuple[int, int]]:
+    """Ids, roles, slots (question, first token, tokens) and the scene text's token span of a conversation."""
+    ids: list[int] = []
+    roles: list[int] = []
+    slots: list[tuple[str, int, int]] = []
+    scene = (0, 0)
+    for piece in pieces(conversation):
+        first = len(ids)
+        if piece.special:
+            ids.append(tokenizer.token_to_id(piece.text))
+            roles.append(TEMPLATE if piece.text == EOS else PROMPT)
+            continue
+        encoded = tokenizer.encode(piece.text, add_special_tokens=False)
+        ids += encoded.ids
+        if piece.scene:
+            scene = (first, len(ids))
+        if piece.answer < 0:
+            roles += [PROMPT] * len(encoded.ids)
+            continue
+        informative = spans_of_tokens(piece, encoded.offsets)
+        roles += [INFORMATIVE if any(a <= t < b for a, b in informative) else TEMPLATE for t in range(len(encoded.ids))]
+        names = question_names(piece.text, piece.learn, piece.answer)
+        slots += [(name, first + a, b - a) for name, (a, b) in zip(names, informative, strict=True)]
+    return ids, roles, slots, scene
+
+
+def spans_of_tokens(piece: Piece, offsets: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The tokens that each of the piece's character spans touches."""
+    out = []
+    for start, end in piece.learn:
+        touched = [t for t, (a, b) in enumerate(offsets) if a < end and b > start]
+        if not touched:
+            raise ValueError(f"the span {start}..{end} of {piece.text!r} holds no token")
+        out.append((touched[0], touched[-1] + 1))
+    return out
+
+
+def build(folder: Path, split: str, tokenizer: Tokenizer, cache: Path, limit: int | None = None) -> Corpus:
+    """Tokenises a split (its first `limit` states) into the cache folder and opens it."""
+    pixels = int(shards.meta(folder)["image_pixels"])
+    cache.mkdir(parents=True, exist_ok=True)
+    questions: dict[str, int] = {}
+    ids: list[np.ndarray] = []
+    roles: list[np.ndarray] = []
+    lengths, scenes, slots, names = [], [], [], []
+    with (cache / "images.u8").open("wb") as out:
+        for shard in shards.shards(folder, split):
+            if limit is not None and len(names) >= limit:
+                break
+            picture = shards.images(shard, pixels)
+            for state in shards.states(shard):
+                if limit is not None and len(names) >= limit:
+                    break
+                row_ids, row_roles, row_slots, scene = tokenise(tokenizer, state.conversation)
+                slots += [(len(names), questions.setdefault(q, len(questions)), a, n) for q, a, n in row_slots]
+                ids.append(np.array(row_ids, np.int16))
+                roles.append(np.array(row_roles, np.uint8))
+                lengths.append(len(row_ids))
+                scenes.append(scene)
+                names.append(state.name)
+                out.write(picture[state.image].tobytes())
+    np.save(cache / "ids.npy", np.concatenate(ids))
+    np.save(cache / "roles.npy", np.concatenate(roles))
+    np.save(cache / "starts.npy", np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64))
+    np.save(cache / "scene.npy", np.array(scenes, np.int32))
+    np.save(cache / "slots.npy", np.array(slots, np.int32).reshape(-1, 4))
+    (cache / "index.json").write_text(json.dumps({"questions": list(questions), "names": names, "pixels": pixels}))
+    return load(cache)
+
+
+def load(cache: Path) -> Corpus:
+    """Opens a cache folder, memory-mapped."""
+    index = json.loads((cache / "index.json").read_text())
+    pixels = index["pixels"]
+    arrays = {name: np.load(cache / f"{name}.npy", mmap_mode="r") for name in ("ids", "roles", "starts", "scene", "slots")}
+    images = np.memmap(cache / "images.u8", np.uint8, "r", shape=(len(index["names"]), pixels, pixels, 3))
+    return Corpus(images=images, questions=index["questions"], names=index["names"], **arrays)
+
+
+def special_ids(tokenizer: Tokenizer) -> dict[str, int]:
+    """Ids of the added tokens that the training code needs by name."""
+    return {token: tokenizer.token_to_id(token) for token in (IMAGE, ASSISTANT, EOS)}
+
+
+def colours(corpus: Corpus, images: int = 500) -> tuple[list[float], list[float]]:
+    """Mean and standard deviation of red, green and blue (0 to 1), rounded so that they stand exactly in JSON."""
+    step = max(1, len(corpus) // images)
+    pixels = corpus.images[::step].reshape(-1, 3).astype(np.float64) / 255
+    return [round(float(v), 3) for v in pixels.mean(0)], [max(round(float(v), 3), 0.01) for v in pixels.std(0)]

@@ -1,0 +1,71 @@
+"""Reads the dataset folder that `planagent dataset` writes (format 1).
+
+`meta.json`, and per shard `<split>-NNNNN.jsonl` (a labelled state a line) beside `<split>-NNNNN.png` (the shard's images one
+below the other). A line: `state` ("<scenario>@<time>"), `image` (row number in the PNG), `conversation`, `facts`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+# A shard is one tall picture, not an attack.
+Image.MAX_IMAGE_PIXELS = None
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class State:
+    """One labelled state."""
+
+    name: str
+    image: int
+    conversation: list[dict]
+
+    @property
+    def scenario(self) -> str:
+        """The drive that the state is cut from: states of one drive are not independent."""
+        return self.name.rpartition("@")[0] or self.name
+
+
+def meta(folder: Path) -> dict:
+    """The dataset's `meta.json`, its format checked."""
+    data = json.loads((folder / "meta.json").read_text())
+    if data.get("format") != FORMAT:
+        raise ValueError(f"{folder / 'meta.json'}: format {data.get('format')!r}, this program reads {FORMAT}")
+    return data
+
+
+def shards(folder: Path, split: str) -> list[Path]:
+    """The split's JSONL files in order; at least one."""
+    found = sorted(folder.glob(f"{split}-*.jsonl"))
+    if not found:
+        raise FileNotFoundError(f"{folder}: no {split}-*.jsonl")
+    return found
+
+
+def states(shard: Path) -> Iterator[State]:
+    """The shard's states in file order."""
+    with shard.open() as lines:
+        for number, line in enumerate(lines, 1):
+            try:
+                row = json.loads(line)
+                yield State(row["state"], int(row["image"]), row["conversation"])
+            except (ValueError, KeyError, TypeError) as error:
+                raise ValueError(f"{shard}:{number}: {error!r}") from error
+
+
+def images(shard: Path, pixels: int) -> np.ndarray:
+    """The shard's images, uint8 (n, pixels, pixels, 3)."""
+    path = shard.with_suffix(".png")
+    with Image.open(path) as picture:
+        data = np.asarray(picture.convert("RGB"))
+    if data.shape[1] != pixels or data.shape[0] % pixels:
+        raise ValueError(f"{path}: {data.shape[1]} x {data.shape[0]}, wanted a column of {pixels}-pixel squares")
+    return data.reshape(-1, pixels, pixels, 3)

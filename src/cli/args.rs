@@ -1,0 +1,126 @@
+//! The flags, as typed.
+
+use clap::{Args, Parser, Subcommand};
+use std::path::PathBuf;
+
+/// A driving agent that plans with a multimodal language model, offline, on the CPU.
+#[derive(Debug, Parser)]
+#[command(name = "planagent", version, max_term_width = 100)]
+pub struct Arguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Configuration file [default: planagent.toml in the working directory, if it is there].
+    #[arg(long, global = true, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Model: a name from models/, a folder in Hugging Face's layout, or a hub id.
+    #[arg(long, global = true, value_name = "MODEL")]
+    pub model: Option<String>,
+    /// Seed of everything that is drawn at random.
+    #[arg(long, global = true)]
+    pub seed: Option<u64>,
+    /// Number of threads [default: all cores].
+    #[arg(long, global = true, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Data on stdout as JSON.
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Nothing but errors on stderr.
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Drive scenarios in closed loop and score them with nuPlan's metrics.
+    Simulate(SimulateArguments),
+    /// Make one planning call and show what was seen, thought, written and judged.
+    Plan(PlanArguments),
+    /// List, show and generate scenarios.
+    #[command(subcommand)]
+    Scenarios(ScenariosCommand),
+    /// Write labelled states for training: BEV images and the three rounds with their answers.
+    Dataset(DatasetArguments),
+}
+
+/// Flags of `simulate`.
+#[derive(Debug, Args)]
+pub struct SimulateArguments {
+    /// Scenarios: TFRecord files, folders of them, or generated/TYPE/SEED [default: one generated scene].
+    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
+    pub scenarios: Vec<String>,
+    /// Planners, separated by commas: plan-agent, log-replay, idm.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "plan-agent")]
+    pub planner: Vec<String>,
+    /// Traffic: nonreactive (replayed), reactive (IDM) or both.
+    #[arg(long, default_value = "nonreactive")]
+    pub challenge: String,
+    /// Folder for the results; must be new or empty [default: the next free runs/NNNN].
+    #[arg(long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+}
+
+/// Flags of `plan`.
+#[derive(Debug, Args)]
+pub struct PlanArguments {
+    /// The scenario: a TFRecord file or generated/TYPE/SEED [default: one generated scene].
+    #[arg(long, value_name = "SCENARIO")]
+    pub scenario: Option<String>,
+    /// Seconds after the start of the window.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    pub at: f64,
+    /// Write the BEV map to this PNG.
+    #[arg(long, value_name = "FILE")]
+    pub image: Option<PathBuf>,
+}
+
+/// Subcommands of `scenarios`.
+#[derive(Debug, Subcommand)]
+pub enum ScenariosCommand {
+    /// List scenarios: the records of files and folders, or the types that can be generated.
+    List {
+        /// TFRecord files or folders.
+        sources: Vec<PathBuf>,
+    },
+    /// Show one scenario: its map, route, objects and lights; with --image a picture.
+    Show {
+        /// A TFRecord file or generated/TYPE/SEED.
+        scenario: String,
+        /// Seconds after the start of the window.
+        #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+        at: f64,
+        /// Write a BEV picture to this PNG.
+        #[arg(long, value_name = "FILE")]
+        image: Option<PathBuf>,
+        /// Side of the picture, metres.
+        #[arg(long, value_name = "METRES", default_value_t = 128.0)]
+        view: f64,
+    },
+    /// Generate scenarios and drive them with their expert: a line each.
+    Generate {
+        /// Types [default: all].
+        #[arg(long = "type", value_name = "TYPE")]
+        types: Vec<String>,
+        /// First seed.
+        #[arg(long, default_value_t = 0)]
+        from: u64,
+        /// How many seeds of each type.
+        #[arg(long, default_value_t = 1)]
+        count: u64,
+    },
+}
+
+/// Flags of `dataset`.
+#[derive(Debug, Args)]
+pub struct DatasetArguments {
+    /// Folder for the shards; an interrupted run goes on where it stopped.
+    #[arg(long, value_name = "FOLDER")]
+    pub out: PathBuf,
+    /// Labelled states to make for training.
+    #[arg(long, default_value_t = 20_000)]
+    pub states: usize,
+    /// Labelled states to make for validation, from seeds of their own.
+    #[arg(long, default_value_t = 2_000)]
+    pub validation: usize,
+}

@@ -1,0 +1,123 @@
+//! `planagent plan`.
+
+use crate::cli::args::PlanArguments;
+use crate::cli::{Config, Exit, Printer, model};
+use crate::experiment::run::{DriveRecord, PlannerKind};
+use crate::experiment::source::ScenarioSource;
+use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
+use crate::report::{CallTimes, attempt_markdown, call_record};
+use crate::scenario::{Scenario, generator};
+use crate::simulation::Challenge;
+use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Scene, Trajectory};
+use anyhow::{Context, bail};
+use serde_json::{Value, json};
+
+/// One planning call at an instant of the recorded drive.
+///
+/// # Errors
+/// When the input or the model cannot be used, or the instant lies outside the window.
+pub fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    let scenario = scenario(flags.scenario.as_deref())?;
+    let iteration = (flags.at / STEP_S).round();
+    if !(0.0..scenario.iterations() as f64).contains(&iteration) {
+        let end = (scenario.iterations() - 1) as f64 * STEP_S;
+        bail!("--at {} lies outside the window of {}, which ends at {end:.1} s", flags.at, scenario.id);
+    }
+    let iteration = iteration as usize;
+    let loaded = model::load(config, printer)?;
+    let mut agent = loaded.parts.agent(&scenario.id);
+    agent.initialize(&PlannerInitialization { map: &scenario.map, route: &scenario.route })?;
+    let trajectory = compute(&scenario, iteration, &mut agent)?;
+    // The planner counts calls from iteration 0; the record tells where in the drive this one was made.
+    let call = agent.calls().last().context("the planner made no call")?;
+    let call = PlanningCall { iteration, ..call.clone() };
+    if let (Some(path), Some(image)) = (&flags.image, &call.image) {
+        image.save(path).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    if printer.is_json() {
+        printer.json(&with_trajectory(&scenario, &call, &trajectory))?;
+    } else {
+        show(&scenario, &call, &trajectory, printer);
+    }
+    Ok(Exit::Success)
+}
+
+/// The one scenario that is meant.
+///
+/// # Errors
+/// When the word names none or several.
+pub fn scenario(word: Option<&str>) -> anyhow::Result<Scenario> {
+    let mut sources = match word {
+        Some(word) => ScenarioSource::find(word)?,
+        None => vec![ScenarioSource::Generated(generator::DEFAULT)],
+    };
+    match (sources.pop(), sources.len()) {
+        (Some(source), 0) => Ok(source.open()?),
+        (_, more) => bail!("{} names {} scenarios; name one", word.unwrap_or("nothing"), more + 1),
+    }
+}
+
+/// The scene of an iteration of the log, as a planner would see it.
+fn compute(scenario: &Scenario, iteration: usize, agent: &mut dyn Planner) -> anyhow::Result<Trajectory> {
+    let mut history = History::default();
+    for frame in scenario.frames.iter().take(scenario.start + iteration + 1) {
+        history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });
+    }
+    let frame = scenario.frame(iteration).context("the instant lies outside the window")?;
+    let scene = Scene {
+        map: &scenario.map,
+        route: &scenario.route,
+        ego: &frame.ego,
+        objects: &frame.objects,
+        lights: &frame.lights,
+        history: &history,
+    };
+    Ok(agent.compute_trajectory(&PlannerInput { iteration: 0, scene })?)
+}
+
+/// The call's record with the trajectory: seconds from now, x, y, heading (map frame), speed.
+fn with_trajectory(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory) -> Value {
+    let drive = DriveRecord {
+        scenario: scenario.id.clone(),
+        scenario_type: scenario.scenario_type.clone(),
+        log_name: scenario.log_name.clone(),
+        planner: PlannerKind::PlanAgent,
+        challenge: Challenge::ClosedLoopNonreactiveAgents,
+        outcome: Err("a single planning call".to_owned()),
+    };
+    let mut record = call_record(&drive, call);
+    let start = trajectory.start_us();
+    let states = trajectory.states().iter().map(|state| {
+        let pose = state.rear_axle;
+        json!({
+            "t": (state.time_us - start) as f64 / MICROS_PER_SECOND,
+            "x": pose.x, "y": pose.y, "heading": pose.heading, "speed": state.velocity.x,
+        })
+    });
+    if let Some(fields) = record.as_object_mut() {
+        fields.remove("challenge");
+        fields.insert("trajectory".to_owned(), states.collect());
+    }
+    record
+}
+
+fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, printer: Printer) {
+    printer.line(format!("{} at {:.1} s\n", scenario.id, call.iteration as f64 * STEP_S));
+    for (i, attempt) in call.attempts.iter().enumerate() {
+        printer.line(format!("Attempt {}\n", i + 1));
+        printer.line(attempt_markdown(attempt));
+    }
+    printer.line(format!("Decision: {:?}", call.decision));
+    printer.line("Trajectory: time s, forward m, left m, speed m/s");
+    let ego = trajectory.states()[0].rear_axle;
+    for state in trajectory.states().iter().step_by(10) {
+        let at = ego.to_local(state.rear_axle.position());
+        let seconds = (state.time_us - trajectory.start_us()) as f64 / MICROS_PER_SECOND;
+        printer.line(format!("{seconds:5.1} {:8.2} {:7.2} {:7.2}", at.x, at.y, state.velocity.x));
+    }
+    let time = CallTimes::of(call);
+    printer.line(format!(
+        "\nTime {:.1} ms: environment {:.1}, image encode {:.1}, prefill {:.1}, decode {:.1}, reflection {:.1}",
+        time.total, time.environment, time.image_encode, time.prefill, time.decode, time.reflection
+    ));
+}

@@ -1,0 +1,197 @@
+//! The resolved configuration: defaults, then the file, then the flags.
+
+use crate::environment::DEFAULT_NODE_LENGTH;
+use crate::mllm::{GenerationSettings, Sampling};
+use crate::planner::{AfterMaxExec, PlanAgentSettings};
+use crate::reasoning::{ReasoningSettings, Round};
+use crate::reflection::LeadPolicy;
+use anyhow::{Context, bail};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Everything that can be configured. The file `planagent.toml` at the root of the project shows every key with its default.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Seed of everything that is drawn at random.
+    pub seed: u64,
+    /// The language model.
+    pub mllm: MllmConfig,
+    /// What the model is shown.
+    pub environment: EnvironmentConfig,
+    /// How it is asked.
+    pub reasoning: ReasoningConfig,
+    /// How its planners are judged.
+    pub reflection: ReflectionConfig,
+}
+
+/// Section `mllm`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MllmConfig {
+    /// Name of a `models/NAME.toml`, a folder in Hugging Face's layout, or a hub id `org/name`.
+    pub model: String,
+    /// Never use the network: a hub id must be in the cache.
+    pub offline: bool,
+}
+
+impl Default for MllmConfig {
+    fn default() -> Self {
+        Self { model: "nano".to_owned(), offline: false }
+    }
+}
+
+/// Section `environment`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnvironmentConfig {
+    /// Whether the model gets the BEV map.
+    pub bev: bool,
+    /// Whether it gets the lane-graph text.
+    pub lane_graph: bool,
+    /// Side of the square that the BEV map shows, metres.
+    pub view_m: f64,
+    /// Length of a lane-graph node, metres.
+    pub node_length_m: f64,
+}
+
+impl Default for EnvironmentConfig {
+    fn default() -> Self {
+        Self { bev: true, lane_graph: true, view_m: 64.0, node_length_m: DEFAULT_NODE_LENGTH }
+    }
+}
+
+/// Section `reasoning`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReasoningConfig {
+    /// `paper`, `compact` or a folder; by default what the model's description names.
+    pub prompt_set: Option<String>,
+    /// The rounds that are asked; the last must be `code`.
+    pub rounds: Vec<Round>,
+    /// Iterations of 0.1 s between planning calls (the paper: 20).
+    pub interval: usize,
+    /// Temperature of later attempts; 0 takes the likeliest token again. The first attempt goes by the model's description.
+    pub rethink_temperature: f64,
+    /// Whether answers are decoded under grammars.
+    pub grammar: bool,
+}
+
+impl Default for ReasoningConfig {
+    fn default() -> Self {
+        Self {
+            prompt_set: None,
+            rounds: Round::ALL.to_vec(),
+            interval: 20,
+            rethink_temperature: 0.7,
+            grammar: true,
+        }
+    }
+}
+
+/// Section `reflection`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReflectionConfig {
+    /// Whether planners are judged at all; without, the first that can be read drives.
+    pub enabled: bool,
+    /// λ: a planner that scores this or more drives (the paper: 0.75).
+    pub threshold: f64,
+    /// max_exec: attempts of a planning call (the paper: 3).
+    pub max_exec: usize,
+    /// Length of the roll-out that is scored, seconds.
+    pub horizon_s: f64,
+    /// Which planner drives when all attempts were refused.
+    pub after_max_exec: AfterMaxExec,
+    /// Whom the generated IDM planner follows.
+    pub lead_policy: LeadPolicy,
+}
+
+impl Default for ReflectionConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            threshold: 0.75,
+            max_exec: 3,
+            horizon_s: 4.0,
+            after_max_exec: AfterMaxExec::Last,
+            lead_policy: LeadPolicy::Nearest,
+        }
+    }
+}
+
+impl Config {
+    /// Reads a file; `None` looks for `planagent.toml` in the working directory and takes the defaults when there is none.
+    ///
+    /// # Errors
+    /// When the file cannot be read, has a wrong key or type (with its line), or a value is out of range.
+    pub fn load(path: Option<&Path>) -> anyhow::Result<Self> {
+        let found: Option<PathBuf> = match path {
+            Some(path) => Some(path.to_owned()),
+            None => Some(PathBuf::from("planagent.toml")).filter(|default| default.is_file()),
+        };
+        let Some(path) = found else { return Ok(Self::default()) };
+        let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read the configuration {}", path.display()))?;
+        let config: Self = toml::from_str(&text).with_context(|| format!("in the configuration {}", path.display()))?;
+        config.check().with_context(|| format!("in the configuration {}", path.display()))?;
+        Ok(config)
+    }
+
+    /// What the agent needs of it, for a model with these generation settings.
+    pub fn agent_settings(&self, generation: GenerationSettings) -> PlanAgentSettings {
+        let Self { seed, environment, reasoning, reflection, .. } = self;
+        let rethink_sampling = if reasoning.rethink_temperature > 0.0 {
+            Sampling::Sample { temperature: reasoning.rethink_temperature, top_p: 1.0 }
+        } else {
+            Sampling::Greedy
+        };
+        PlanAgentSettings {
+            view_m: environment.bev.then_some(environment.view_m),
+            lane_graph: environment.lane_graph,
+            node_length_m: environment.node_length_m,
+            reasoning: ReasoningSettings {
+                rounds: reasoning.rounds.clone(),
+                generation,
+                rethink_sampling,
+                grammar: reasoning.grammar,
+            },
+            interval: reasoning.interval,
+            reflect: reflection.enabled,
+            threshold: reflection.threshold,
+            max_exec: reflection.max_exec,
+            horizon_s: reflection.horizon_s,
+            after_max_exec: reflection.after_max_exec,
+            lead_policy: reflection.lead_policy,
+            seed: *seed,
+        }
+    }
+
+    /// Refuses values that are of the right type but make no sense.
+    ///
+    /// # Errors
+    /// Names the key, what it is and what it must be.
+    pub fn check(&self) -> anyhow::Result<()> {
+        let positive = |key: &str, value: f64| {
+            if value.is_finite() && value > 0.0 { Ok(()) } else { bail!("{key} is {value}; it must be above 0") }
+        };
+        positive("environment.view_m", self.environment.view_m)?;
+        positive("environment.node_length_m", self.environment.node_length_m)?;
+        positive("reflection.horizon_s", self.reflection.horizon_s)?;
+        if !(1.0..=8.0).contains(&self.reflection.horizon_s) {
+            bail!("reflection.horizon_s is {}; it must lie in 1 to 8 s", self.reflection.horizon_s);
+        }
+        if !(0.0..=1.0).contains(&self.reflection.threshold) {
+            bail!("reflection.threshold is {}; scores lie in 0 to 1", self.reflection.threshold);
+        }
+        if self.reflection.max_exec == 0 || self.reasoning.interval == 0 {
+            bail!("reflection.max_exec and reasoning.interval must be 1 or more");
+        }
+        if !(0.0..=10.0).contains(&self.reasoning.rethink_temperature) {
+            bail!("reasoning.rethink_temperature is {}; it must lie in 0 to 10", self.reasoning.rethink_temperature);
+        }
+        if self.reasoning.rounds.last() != Some(&Round::Code) || !self.reasoning.rounds.is_sorted_by(|a, b| a < b) {
+            bail!("reasoning.rounds must be some of understanding, instruction, code, in this order, ending with code");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,62 @@
+//! Finds and loads the model that the configuration names, with its prompts.
+
+use super::{Config, Printer};
+use crate::experiment::run::AgentParts;
+use crate::mllm::{HubAccess, Mllm, ModelRegistry, PromptSet as PromptSetName};
+use crate::reasoning::PromptSet;
+use anyhow::Context;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Folder of model descriptions, beside the working directory or the program.
+const MODELS: &str = "models";
+/// Environment variable that names it.
+const MODELS_VARIABLE: &str = "PLANAGENT_MODELS";
+
+/// A loaded model, ready to drive.
+pub struct Loaded {
+    /// What `plan-agent` is made of.
+    pub parts: AgentParts,
+    /// How long loading took, seconds.
+    pub load_s: f64,
+}
+
+/// Loads the configured model and its prompt set.
+///
+/// # Errors
+/// When there is no such model, its files are broken, or the prompt set cannot be used.
+pub fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> {
+    let started = Instant::now();
+    let hub = HubAccess { offline: config.mllm.offline, ..HubAccess::default() };
+    let registry = ModelRegistry::new(models_folder(), hub);
+    let spec = registry.find(&config.mllm.model)?;
+    let set = config.reasoning.prompt_set.as_deref().unwrap_or(match spec.prompt_set {
+        PromptSetName::Compact => "compact",
+        PromptSetName::Paper => "paper",
+    });
+    let prompts = Arc::new(PromptSet::open(set)?);
+    let model: Arc<dyn Mllm> =
+        Arc::from(registry.open(&spec).with_context(|| format!("cannot load the model '{}'", spec.name))?);
+    let load_s = started.elapsed().as_secs_f64();
+    let about = model.describe();
+    printer.note(format!(
+        "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
+        about.name,
+        about.parameters / 1_000_000,
+        about.dtype,
+        about.image_tokens
+    ));
+    Ok(Loaded { parts: AgentParts { model, prompts, settings: config.agent_settings(spec.generation) }, load_s })
+}
+
+/// `$PLANAGENT_MODELS`, else `models` in the working directory, else beside the program or the package being run.
+fn models_folder() -> PathBuf {
+    if let Some(folder) = std::env::var_os(MODELS_VARIABLE) {
+        return folder.into();
+    }
+    let beside_program = std::env::current_exe().ok().and_then(|exe| exe.parent().map(|folder| folder.join(MODELS)));
+    let package = std::env::var_os("CARGO_MANIFEST_DIR").map(|folder| PathBuf::from(folder).join(MODELS));
+    let places = [Some(PathBuf::from(MODELS)), beside_program, package];
+    places.into_iter().flatten().find(|folder| folder.is_dir()).unwrap_or_else(|| PathBuf::from(MODELS))
+}

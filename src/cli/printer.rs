@@ -1,0 +1,77 @@
+//! The one place that prints: data to stdout, talk and progress to stderr, colours only where they are wanted.
+
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "this is the printer")]
+
+use console::{Style, Term};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::Write;
+
+/// Prints for one invocation.
+#[derive(Debug, Clone, Copy)]
+pub struct Printer {
+    json: bool,
+    quiet: bool,
+}
+
+impl Printer {
+    /// A printer; with `json`, people's output is left out of stdout; with `quiet`, stderr carries errors alone.
+    pub fn new(json: bool, quiet: bool) -> Self {
+        Self { json, quiet }
+    }
+
+    /// Whether stdout carries JSON.
+    pub fn is_json(&self) -> bool {
+        self.json
+    }
+
+    /// A line for people on stdout; nothing when stdout carries JSON.
+    pub fn line(&self, text: impl AsRef<str>) {
+        if !self.json {
+            write_line(text.as_ref());
+        }
+    }
+
+    /// A value on stdout, as one line of JSON.
+    ///
+    /// # Errors
+    /// When the value cannot be serialised.
+    pub fn json(&self, value: &impl serde::Serialize) -> anyhow::Result<()> {
+        write_line(&serde_json::to_string(value)?);
+        Ok(())
+    }
+
+    /// Talk on stderr.
+    pub fn note(&self, text: impl AsRef<str>) {
+        if !self.quiet {
+            eprintln!("{}", text.as_ref());
+        }
+    }
+
+    /// An error with its causes, and a hint where there is one.
+    pub fn error(&self, error: &anyhow::Error) {
+        let red = Style::new().for_stderr().red().bold();
+        eprintln!("{} {error:#}", red.apply_to("error:"));
+    }
+
+    /// A progress bar on stderr; hidden when quiet or when stderr is no terminal.
+    pub fn progress(&self, length: u64, unit: &str) -> ProgressBar {
+        let target = if self.quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        let bar = ProgressBar::with_draw_target(Some(length), target);
+        let template = format!("{{bar:30}} {{pos}}/{{len}} {unit} {{elapsed}} {{wide_msg}}");
+        if let Ok(style) = ProgressStyle::with_template(&template) {
+            bar.set_style(style);
+        }
+        bar
+    }
+
+    /// Columns of the terminal on stdout; 80 when it is none.
+    pub fn width(&self) -> u16 {
+        Term::stdout().size_checked().map_or(80, |(_, columns)| columns)
+    }
+}
+
+/// Writes a line to stdout; a closed pipe ends the output, not the program.
+fn write_line(text: &str) {
+    let mut stdout = std::io::stdout().lock();
+    let _ = writeln!(stdout, "{text}");
+}

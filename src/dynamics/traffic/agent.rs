@@ -1,0 +1,142 @@
+//! One reactive vehicle: where it is on its path, where it goes on, how fast (devkit `idm_agent.py`).
+
+use super::footprint::Footprint;
+use crate::dynamics::idm::{IdmParameters, Lead};
+use crate::dynamics::progress_path::ProgressPath;
+use crate::geometry::{OrientedBox, Pose};
+use crate::world::{LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Length of way that an agent wants ahead of itself, beside its headway, metres.
+const MIN_PATH_LENGTH: f64 = 20.0;
+/// Segments that an agent remembers of its route.
+const ROUTE_SEGMENTS: usize = 5;
+
+/// A vehicle on its path. Its size stays that of iteration 0.
+#[derive(Debug, Clone)]
+pub(super) struct IdmAgent {
+    token: TrackToken,
+    length: f64,
+    width: f64,
+    idm: IdmParameters,
+    route: VecDeque<LaneId>,
+    path: Arc<ProgressPath>,
+    /// Metres along the path; may run a little past its end, where the pose stays.
+    progress: f64,
+    speed: f64,
+    footprint: Arc<Footprint>,
+}
+
+impl IdmAgent {
+    /// An agent for a recorded vehicle, snapped to the baseline of `lane`; `None` when that baseline makes no path.
+    pub(super) fn snapped(
+        vehicle: &TrackedObject,
+        speed: f64,
+        map: &LaneMap,
+        lane: LaneId,
+        idm: IdmParameters,
+    ) -> Option<Self> {
+        let baseline = &map[lane].centerline;
+        let center = vehicle.shape.center.position();
+        let snapped = vehicle.shape.moved_to(baseline.nearest_pose(center));
+        Some(Self {
+            token: vehicle.token,
+            length: vehicle.shape.length,
+            width: vehicle.shape.width,
+            idm,
+            route: VecDeque::from([lane]),
+            path: Arc::new(ProgressPath::new(&ProgressPath::baseline_poses(baseline))?),
+            progress: baseline.project(center).s,
+            speed,
+            footprint: Arc::new(Footprint::of_box(snapped)),
+        })
+    }
+
+    /// Speed along the path, m/s.
+    pub(super) fn speed(&self) -> f64 {
+        self.speed
+    }
+
+    /// The segments of its way, the oldest first.
+    pub(super) fn route(&self) -> impl Iterator<Item = LaneId> {
+        self.route.iter().copied()
+    }
+
+    /// What it occupied after the update before.
+    pub(super) fn footprint(&self) -> &Footprint {
+        &self.footprint
+    }
+
+    /// Pose of its centre.
+    pub(super) fn pose(&self) -> Pose {
+        self.path.pose_at(self.progress)
+    }
+
+    fn shape(&self) -> OrientedBox {
+        OrientedBox::new(self.pose(), self.length, self.width)
+    }
+
+    /// How it is seen by others.
+    pub(super) fn object(&self) -> TrackedObject {
+        let shape = self.shape();
+        let velocity = shape.center.direction() * self.speed;
+        TrackedObject { token: self.token, kind: ObjectKind::Vehicle, shape, velocity }
+    }
+
+    /// Appends lanes until enough way lies ahead: of those that may be entered, the one that bends least at its start. An
+    /// edge with traffic lights may be entered when it shows green, any other when it does not show red.
+    pub(super) fn extend_route(&mut self, map: &LaneMap, lights: &TrafficLights) {
+        while self.path.length() - self.progress < MIN_PATH_LENGTH + self.idm.target_velocity * self.idm.headway {
+            let Some(&last) = self.route.back() else { return };
+            let may_enter = |lane: &LaneId| {
+                let status = lights.status(*lane);
+                if map[*lane].has_traffic_lights {
+                    status == Some(SignalStatus::Green)
+                } else {
+                    status != Some(SignalStatus::Red)
+                }
+            };
+            let bend = |lane: &LaneId| map[*lane].centerline.curvature_at(0.0).abs();
+            let open = map[last].outgoing.iter().copied().filter(may_enter);
+            let Some(next) = open.min_by(|a, b| bend(a).total_cmp(&bend(b))) else { return };
+            let mut poses = self.path.between(self.progress, self.path.length());
+            poses.extend(ProgressPath::baseline_poses(&map[next].centerline));
+            let Some(path) = ProgressPath::new(&poses) else { return };
+            self.path = Arc::new(path);
+            self.progress = 0.0;
+            if self.route.len() == ROUTE_SEGMENTS {
+                self.route.pop_front();
+            }
+            self.route.push_back(next);
+        }
+    }
+
+    /// The strip of its width from its centre to the end of its path; `None` at the very end.
+    pub(super) fn way_ahead(&self) -> Option<Footprint> {
+        Footprint::of_strip(&self.path.between(self.progress, self.path.length()), self.width / 2.0)
+    }
+
+    /// Drives on for `dt` seconds behind `lead`; without one it treats the end of its path as a standing obstacle.
+    pub(super) fn propagate(&mut self, lead: Option<Lead>, map: &LaneMap, dt: f64) {
+        if let Some(limit) = self.route.back().and_then(|&lane| map[lane].speed_limit).filter(|&limit| limit > 0.0) {
+            self.idm.target_velocity = limit;
+        }
+        let path_end = Lead { gap: self.path.length() - self.progress - self.length / 2.0, speed: 0.0 };
+        let acceleration = self.idm.acceleration(self.speed, Some(lead.unwrap_or(path_end)));
+        self.progress += dt * self.speed;
+        self.speed = (self.speed + dt * acceleration).max(0.0);
+        self.footprint = Arc::new(self.projected_footprint());
+    }
+
+    /// Its box and the strip that it covers within its headway.
+    fn projected_footprint(&self) -> Footprint {
+        let from = self.progress - self.length / 2.0;
+        let to = self.progress + self.length / 2.0 + self.speed * self.idm.headway;
+        let own = Footprint::of_box(self.shape());
+        match Footprint::of_strip(&self.path.between(from, to), self.width / 2.0) {
+            Some(strip) => own.united(strip),
+            None => own,
+        }
+    }
+}

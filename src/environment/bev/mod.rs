@@ -1,0 +1,113 @@
+//! The BEV map: the paper's eight elements seen from above, ego-centred, the ego's heading up.
+//!
+//! The centre of the ego's box lies in the centre of the image. Drawn in this order, later over earlier: background, lane
+//! and connector areas, crosswalks, centrelines (on lanes with arrowheads in driving direction, 10 m apart), static
+//! obstacles, vehicles, bicycles, pedestrians, the ego, and last a red arrow for each moving agent, the ego included: from
+//! the centre of its box, [`ARROW_SECONDS`] long at its present velocity. Within an element objects are drawn by track
+//! token. Small things are drawn larger than they are, so that they stay visible (see [`MIN_SIZE_PX`], [`MIN_SIZE_SHARE`]);
+//! pedestrians are discs; lines are at least a pixel wide. Neither the route nor the traffic lights are drawn.
+
+mod canvas;
+mod palette;
+mod road;
+mod traffic;
+
+pub use palette::{ARROW, BACKGROUND, BevElement, Palette, Rgb};
+pub use traffic::{ARROW_SECONDS, MIN_SIZE_PX, MIN_SIZE_SHARE, MOVING_SPEED};
+
+use crate::geometry::{Point, Pose};
+use crate::world::Scene;
+use canvas::Canvas;
+use image::RgbImage;
+
+/// Which part of the world becomes how large an image; always square.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BevView {
+    pixels: u32,
+    metres: f64,
+}
+
+/// Why a view cannot be drawn.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum BevError {
+    /// Too few or too many pixels.
+    #[error("a BEV image needs between {min} and {max} pixels a side, got {0}", min = BevView::MIN_PIXELS, max = BevView::MAX_PIXELS)]
+    Pixels(u32),
+    /// No sensible extent.
+    #[error("a BEV view needs between {min} and {max} metres a side, got {0}", min = BevView::MIN_METRES, max = BevView::MAX_METRES)]
+    Metres(f64),
+}
+
+impl Default for BevView {
+    /// What the nano model looks at: 64 m in 128 pixels.
+    fn default() -> Self {
+        Self { pixels: 128, metres: Self::DEFAULT_METRES }
+    }
+}
+
+impl BevView {
+    /// Side of the view unless told otherwise, metres.
+    pub const DEFAULT_METRES: f64 = 64.0;
+    /// Fewest pixels a side.
+    pub const MIN_PIXELS: u32 = 16;
+    /// Most pixels a side.
+    pub const MAX_PIXELS: u32 = 4096;
+    /// Smallest view, metres.
+    pub const MIN_METRES: f64 = 8.0;
+    /// Largest view, metres.
+    pub const MAX_METRES: f64 = 1000.0;
+
+    /// A view of `metres` a side in `pixels` a side.
+    ///
+    /// # Errors
+    /// When either lies outside its range.
+    pub fn new(pixels: u32, metres: f64) -> Result<Self, BevError> {
+        if !(Self::MIN_PIXELS..=Self::MAX_PIXELS).contains(&pixels) {
+            return Err(BevError::Pixels(pixels));
+        }
+        if !(Self::MIN_METRES..=Self::MAX_METRES).contains(&metres) {
+            return Err(BevError::Metres(metres));
+        }
+        Ok(Self { pixels, metres })
+    }
+
+    /// Pixels a side.
+    pub fn pixels(&self) -> u32 {
+        self.pixels
+    }
+
+    /// Metres a side.
+    pub fn metres(&self) -> f64 {
+        self.metres
+    }
+
+    /// Pixels per metre.
+    pub fn scale(&self) -> f64 {
+        f64::from(self.pixels) / self.metres
+    }
+
+    /// Whether a point of the map lies in the view around `center` (the ego's box centre).
+    pub fn holds(&self, center: Pose, point: Point) -> bool {
+        let local = center.to_local(point);
+        let half = self.metres / 2.0;
+        local.x.abs() <= half && local.y.abs() <= half
+    }
+
+    /// Where a point of the map falls in the image around `center`: pixels right of and below its top left corner.
+    pub fn to_pixel(&self, center: Pose, point: Point) -> (f64, f64) {
+        let local = center.to_local(point);
+        let half = f64::from(self.pixels) / 2.0;
+        (half - local.y * self.scale(), half - local.x * self.scale())
+    }
+}
+
+/// Draws the scene; see the module for what and how. The same scene and view give the same bytes.
+pub fn render(scene: &Scene<'_>, view: &BevView) -> RgbImage {
+    let mut canvas = Canvas::new(*view, scene.ego.center());
+    road::draw(&mut canvas, scene.map);
+    traffic::draw(&mut canvas, scene);
+    canvas.into_image()
+}
+
+#[cfg(test)]
+mod tests;

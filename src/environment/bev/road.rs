@@ -1,0 +1,49 @@
+//! The map layers of the BEV map: lanes, crosswalks, centrelines.
+
+use super::canvas::Canvas;
+use super::{BevElement, Palette};
+use crate::geometry::{Point, Polyline};
+use crate::world::{Lane, LaneMap};
+
+/// Width of a centreline, metres.
+const LINE_WIDTH_M: f64 = 0.2;
+/// Least width of a line, pixels.
+const MIN_LINE_PX: f64 = 1.0;
+/// Distance between the arrowheads that show a lane's direction, metres.
+const HEAD_SPACING_M: f64 = 10.0;
+/// Length and width of such an arrowhead, metres.
+const HEAD_M: f64 = 1.5;
+/// Least length and width of an arrowhead, pixels: enough to tell its point from its base.
+const MIN_HEAD_PX: f64 = 4.0;
+
+/// Draws the road.
+pub(super) fn draw(canvas: &mut Canvas, map: &LaneMap) {
+    let (center, reach) = (canvas.center().position(), canvas.reach());
+    let lanes: Vec<&Lane> = map.lanes_near(center, reach).into_iter().map(|id| &map[id]).collect();
+    canvas.areas(lanes.iter().map(|lane| &lane.polygon), Palette::color(BevElement::Lanes));
+    canvas.areas(map.crosswalks_near(center, reach), Palette::color(BevElement::Crosswalks));
+    let width = (LINE_WIDTH_M * canvas.view().scale()).max(MIN_LINE_PX);
+    let lines = lanes.iter().map(|lane| lane.centerline.vertices());
+    canvas.lines(lines, width, Palette::color(BevElement::Centerlines));
+    // Connectors cross each other; heads there would hide each other.
+    for lane in lanes.iter().filter(|lane| !lane.is_connector()) {
+        draw_heads(canvas, &lane.centerline);
+    }
+}
+
+/// Marks the driving direction along a line.
+fn draw_heads(canvas: &mut Canvas, line: &Polyline) {
+    let size = HEAD_M.max(MIN_HEAD_PX / canvas.view().scale());
+    let (center, reach) = (canvas.center().position(), canvas.reach() + size);
+    let count = (line.length() / HEAD_SPACING_M).round().max(1.0);
+    let spacing = line.length() / count;
+    for i in 0..count as usize {
+        let pose = line.pose_at((i as f64 + 0.5) * spacing);
+        if (pose.position() - center).norm() > reach {
+            continue;
+        }
+        let corners = [(0.5, 0.0), (-0.5, 0.5), (-0.5, -0.5)];
+        let head = corners.map(|(x, y)| pose.to_map(Point::new(x * size, y * size)));
+        canvas.area(&head, Palette::color(BevElement::Centerlines));
+    }
+}

@@ -1,0 +1,61 @@
+//! Enums that are words: every variant has one text, and the text gives the variant back.
+
+/// A text that names no variant of the expected choice.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{got}` is no {choice} (expected one of: {expected})")]
+pub struct UnknownChoice {
+    /// Name of the choice.
+    pub choice: &'static str,
+    /// What was read.
+    pub got: String,
+    /// The texts that are known, separated by commas.
+    pub expected: String,
+}
+
+/// Declares an enum with a text per variant: `ALL`, `as_str`, `Display`, `FromStr` and serde by that text.
+macro_rules! choice {
+    ($(#[$meta:meta])* pub enum $name:ident { $($(#[$variant_meta:meta])* $variant:ident = $text:literal,)+ }) => {
+        $(#[$meta])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+        pub enum $name {
+            $($(#[$variant_meta])* #[serde(rename = $text)] $variant,)+
+        }
+
+        impl $name {
+            /// Every variant, in order of declaration.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),+];
+            /// The texts of [`Self::ALL`], in the same order.
+            pub const TEXTS: &'static [&'static str] = &[$($text),+];
+
+            /// The text of the variant.
+            pub const fn as_str(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $text,)+
+                }
+            }
+        }
+
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str(self.as_str())
+            }
+        }
+
+        impl std::str::FromStr for $name {
+            type Err = $crate::environment::UnknownChoice;
+
+            fn from_str(text: &str) -> Result<Self, Self::Err> {
+                match text {
+                    $($text => Ok(Self::$variant),)+
+                    other => Err($crate::environment::UnknownChoice {
+                        choice: stringify!($name),
+                        got: other.to_owned(),
+                        expected: Self::TEXTS.join(", "),
+                    }),
+                }
+            }
+        }
+    };
+}
+
+pub(super) use choice;

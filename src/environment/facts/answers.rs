@@ -1,0 +1,298 @@
+//! The choices that the questions allow.
+
+use super::traffic::{SAME_SPEED, STOPPED};
+use crate::environment::choice::choice;
+use crate::environment::lane_graph::Turn;
+
+choice! {
+    /// What is asked; the text is the key in labels and results.
+    pub enum Question {
+        /// Kind of place.
+        SceneType = "scene_type",
+        /// Next light.
+        Light = "light",
+        /// Lanes of the own direction.
+        LaneCount = "lane_count",
+        /// The ego's of them.
+        LaneIndex = "lane_index",
+        /// Crosswalk ahead.
+        Crosswalk = "crosswalk",
+        /// Leading vehicle's distance.
+        LeadDistance = "lead_distance",
+        /// Leading vehicle's speed.
+        LeadSpeed = "lead_speed",
+        /// Pedestrian ahead.
+        Pedestrian = "pedestrian",
+        /// Something that blocks the ego's lane.
+        Blocked = "blocked",
+        /// The lane to the left.
+        LeftLane = "left_lane",
+        /// The lane to the right.
+        RightLane = "right_lane",
+        /// Vehicles in view.
+        VehicleCount = "vehicle_count",
+        /// Lanes of the other direction.
+        Oncoming = "oncoming",
+        /// Speed of the ego.
+        EgoSpeed = "ego_speed",
+        /// Turn of the route.
+        Turn = "turn",
+    }
+}
+
+/// A question's key and the answers that it allows, as texts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct QuestionForm {
+    /// The key: [`Question::as_str`].
+    pub key: &'static str,
+    /// The texts of the answers: [`Question::choices`].
+    pub choices: &'static [&'static str],
+}
+
+impl Question {
+    /// Every question as texts, in order of [`Self::ALL`].
+    pub const FORMS: [QuestionForm; Self::ALL.len()] = {
+        let mut forms = [QuestionForm { key: "", choices: &[] }; Self::ALL.len()];
+        let mut i = 0;
+        while i < forms.len() {
+            forms[i] = QuestionForm { key: Self::ALL[i].as_str(), choices: Self::ALL[i].choices() };
+            i += 1;
+        }
+        forms
+    };
+
+    /// The answers that there are.
+    pub const fn choices(self) -> &'static [&'static str] {
+        match self {
+            Self::SceneType => SceneType::TEXTS,
+            Self::Light => Light::TEXTS,
+            Self::LaneCount => LaneCount::TEXTS,
+            Self::LaneIndex => LaneIndex::TEXTS,
+            Self::Crosswalk | Self::LeadDistance | Self::Pedestrian | Self::Blocked => Ahead::TEXTS,
+            Self::LeadSpeed => LeadSpeed::TEXTS,
+            Self::LeftLane | Self::RightLane => SideLane::TEXTS,
+            Self::VehicleCount => VehicleCount::TEXTS,
+            Self::Oncoming => Oncoming::TEXTS,
+            Self::EgoSpeed => EgoSpeed::TEXTS,
+            Self::Turn => Turn::TEXTS,
+        }
+    }
+}
+
+choice! {
+    /// Kind of place.
+    pub enum SceneType {
+        /// None of the others.
+        Straight = "straight",
+        /// The path turns left by more than [`super::CURVE`] within the view.
+        CurveLeft = "curve_left",
+        /// The path turns right by more than that.
+        CurveRight = "curve_right",
+        /// The path meets an intersection within the view.
+        Intersection = "intersection",
+        /// A round cycle of lanes, shorter than [`super::ROUNDABOUT_LENGTH`], begins ahead within the view.
+        Roundabout = "roundabout",
+    }
+}
+
+choice! {
+    /// The next traffic light.
+    pub enum Light {
+        /// None near.
+        None = "none",
+        /// Green.
+        Green = "green",
+        /// Yellow.
+        Yellow = "yellow",
+        /// Red.
+        Red = "red",
+    }
+}
+
+choice! {
+    /// How many lanes of one direction lie side by side.
+    pub enum LaneCount {
+        /// One.
+        One = "1",
+        /// Two.
+        Two = "2",
+        /// Three.
+        Three = "3",
+        /// Four or more.
+        FourOrMore = "4+",
+    }
+}
+
+impl LaneCount {
+    pub(super) fn of(count: usize) -> Self {
+        match count {
+            0 | 1 => Self::One,
+            2 => Self::Two,
+            3 => Self::Three,
+            _ => Self::FourOrMore,
+        }
+    }
+}
+
+choice! {
+    /// Which lane of one direction, counted from the left.
+    pub enum LaneIndex {
+        /// The leftmost.
+        First = "1",
+        /// The second.
+        Second = "2",
+        /// The third.
+        Third = "3",
+        /// The fourth or one further right.
+        FourthOrMore = "4+",
+    }
+}
+
+impl LaneIndex {
+    pub(super) fn of(lanes_to_the_left: usize) -> Self {
+        match lanes_to_the_left {
+            0 => Self::First,
+            1 => Self::Second,
+            2 => Self::Third,
+            _ => Self::FourthOrMore,
+        }
+    }
+}
+
+choice! {
+    /// How far ahead along the path, from the ego's front bumper.
+    pub enum Ahead {
+        /// Nothing within [`Ahead::FAR`], or not in view.
+        None = "none",
+        /// Nearer than [`Ahead::NEAR`].
+        Near = "near",
+        /// Nearer than [`Ahead::MID`].
+        Mid = "mid",
+        /// Up to [`Ahead::FAR`].
+        Far = "far",
+    }
+}
+
+impl Ahead {
+    /// Near ends here, metres.
+    pub const NEAR: f64 = 12.0;
+    /// Mid ends here, metres.
+    pub const MID: f64 = 24.0;
+    /// Far ends here, metres.
+    pub const FAR: f64 = 32.0;
+
+    pub(super) fn of(distance: Option<f64>) -> Self {
+        match distance {
+            Some(d) if d < Self::NEAR => Self::Near,
+            Some(d) if d < Self::MID => Self::Mid,
+            Some(d) if d <= Self::FAR => Self::Far,
+            _ => Self::None,
+        }
+    }
+}
+
+choice! {
+    /// Speed of the leading vehicle.
+    pub enum LeadSpeed {
+        /// There is none in view.
+        None = "none",
+        /// Slower than [`super::STOPPED`].
+        Stopped = "stopped",
+        /// Slower than the ego by more than [`super::SAME_SPEED`].
+        Slower = "slower",
+        /// Neither.
+        SameOrFaster = "same_or_faster",
+    }
+}
+
+impl LeadSpeed {
+    pub(super) fn of(lead: f64, ego: f64) -> Self {
+        if lead < STOPPED {
+            Self::Stopped
+        } else if lead < ego - SAME_SPEED {
+            Self::Slower
+        } else {
+            Self::SameOrFaster
+        }
+    }
+}
+
+choice! {
+    /// A lane of the same direction beside the ego's.
+    pub enum SideLane {
+        /// There is none.
+        None = "none",
+        /// Nobody is beside the ego or near.
+        Free = "free",
+        /// Somebody is.
+        Occupied = "occupied",
+    }
+}
+
+choice! {
+    /// Vehicles in view, the ego not counted.
+    pub enum VehicleCount {
+        /// None.
+        Zero = "0",
+        /// One or two.
+        Few = "1-2",
+        /// Three to five.
+        Some = "3-5",
+        /// Six or more.
+        Many = "6+",
+    }
+}
+
+impl VehicleCount {
+    pub(super) fn of(count: usize) -> Self {
+        match count {
+            0 => Self::Zero,
+            1 | 2 => Self::Few,
+            3..=5 => Self::Some,
+            _ => Self::Many,
+        }
+    }
+}
+
+choice! {
+    /// Whether there are lanes of the other direction.
+    pub enum Oncoming {
+        /// There are.
+        Yes = "yes",
+        /// There are none.
+        No = "no",
+    }
+}
+
+choice! {
+    /// Speed of the ego.
+    pub enum EgoSpeed {
+        /// Slower than [`super::STOPPED`].
+        Stopped = "stopped",
+        /// Slower than [`EgoSpeed::SLOW`].
+        Slow = "slow",
+        /// Slower than [`EgoSpeed::MEDIUM`].
+        Medium = "medium",
+        /// Faster.
+        Fast = "fast",
+    }
+}
+
+impl EgoSpeed {
+    /// Slow ends here, m/s.
+    pub const SLOW: f64 = 5.0;
+    /// Medium ends here, m/s.
+    pub const MEDIUM: f64 = 10.0;
+
+    pub(super) fn of(speed: f64) -> Self {
+        if speed < STOPPED {
+            Self::Stopped
+        } else if speed < Self::SLOW {
+            Self::Slow
+        } else if speed < Self::MEDIUM {
+            Self::Medium
+        } else {
+            Self::Fast
+        }
+    }
+}

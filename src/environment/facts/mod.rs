@@ -1,0 +1,145 @@
+//! What is true of a scene, from the map and the objects alone: the answers to what the first round asks. Training takes
+//! them as labels, evaluation as the truth.
+//!
+//! Only what the view of [`VIEW_METRES`] shows counts; the light and the turn of the route, which no image shows, are those
+//! of the scene text. *The path* is the ego's centreline of the [`LaneGraph`] from the ego's box centre on, as far as it is
+//! in view. Distances are along the path from the ego's front bumper, in three steps (see [`Ahead`]).
+
+mod answers;
+mod road;
+mod roundabout;
+mod traffic;
+
+pub use answers::{
+    Ahead, EgoSpeed, LaneCount, LaneIndex, LeadSpeed, Light, Oncoming, Question, QuestionForm, SceneType, SideLane,
+    VehicleCount,
+};
+pub use road::{CURVE, ONCOMING_REACH};
+pub use roundabout::{ROUNDABOUT_LENGTH, ROUNDNESS};
+pub use traffic::{CORRIDOR_MARGIN, SAME_SPEED, SIDE_GAP, STOPPED};
+
+use super::bev::BevView;
+use super::lane_graph::{LaneGraph, Turn};
+use crate::geometry::{OrientedBox, Point, Pose};
+use crate::world::{Scene, SignalStatus};
+
+/// Side of the square around the ego's box centre, along its heading, in which things count, metres: the default BEV view.
+pub const VIEW_METRES: f64 = BevView::DEFAULT_METRES;
+
+/// The true answers for one scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct SceneFacts {
+    /// What kind of place it is: the first that holds of roundabout, intersection, curve, straight.
+    pub scene_type: SceneType,
+    /// The next light on the ego's way, as in the scene text; `none` also where it was not observed.
+    pub light: Light,
+    /// Lanes of the ego's direction side by side at its place.
+    pub lane_count: LaneCount,
+    /// Which of them the ego is on, from the left.
+    pub lane_index: LaneIndex,
+    /// Where the path next meets a crosswalk.
+    pub crosswalk: Ahead,
+    /// The nearest vehicle or bicycle that moves along (or stands on) the path in the ego's way.
+    pub lead_distance: Ahead,
+    /// Its speed.
+    pub lead_speed: LeadSpeed,
+    /// The nearest pedestrian with its centre in the corridor of the path: the ego's width and [`CORRIDOR_MARGIN`] to both
+    /// sides.
+    pub pedestrian: Ahead,
+    /// The nearest static obstacle or stopped vehicle in the ego's way on the path.
+    pub blocked: Ahead,
+    /// Whether there is a lane to the left and whether anybody is on it within [`SIDE_GAP`] of the ego's bumpers.
+    pub left_lane: SideLane,
+    /// The same to the right.
+    pub right_lane: SideLane,
+    /// Other vehicles with their centre in view.
+    pub vehicle_count: VehicleCount,
+    /// Whether a lane of the opposite direction passes beside the ego within [`ONCOMING_REACH`].
+    pub oncoming: Oncoming,
+    /// Speed of the ego.
+    pub ego_speed: EgoSpeed,
+    /// Which way the route goes at the next intersection, as in the scene text.
+    pub turn: Turn,
+}
+
+impl SceneFacts {
+    /// What is asked, in the order of the answers.
+    pub const QUESTIONS: &'static [QuestionForm] = &Question::FORMS;
+
+    /// The facts of a scene whose lane graph is `graph`.
+    pub fn of(scene: &Scene<'_>, graph: &LaneGraph) -> Self {
+        let view = View { center: scene.ego.center() };
+        let light = match graph.ego_lane().light.map(|light| light.status) {
+            Some(SignalStatus::Green) => Light::Green,
+            Some(SignalStatus::Yellow) => Light::Yellow,
+            Some(SignalStatus::Red) => Light::Red,
+            Some(SignalStatus::Unknown) | None => Light::None,
+        };
+        let (lane_count, lane_index) = road::lanes_abreast(scene, graph);
+        let traffic = traffic::seen(scene, graph, view);
+        Self {
+            scene_type: road::scene_type(scene, graph, view),
+            light,
+            lane_count,
+            lane_index,
+            crosswalk: road::crosswalk(scene, graph, view),
+            lead_distance: traffic.lead_distance,
+            lead_speed: traffic.lead_speed,
+            pedestrian: traffic.pedestrian,
+            blocked: traffic.blocked,
+            left_lane: traffic.left_lane,
+            right_lane: traffic.right_lane,
+            vehicle_count: traffic.vehicle_count,
+            oncoming: road::oncoming(scene, graph),
+            ego_speed: EgoSpeed::of(scene.ego.speed()),
+            turn: graph.ego_lane().turn,
+        }
+    }
+
+    /// Every question's key with its answer, in order of [`Question::ALL`].
+    pub fn answers(&self) -> impl Iterator<Item = (&'static str, &'static str)> + '_ {
+        Question::ALL.iter().map(|&question| (question.as_str(), self.answer(question)))
+    }
+
+    /// The answer to one question: one of [`Question::choices`].
+    pub fn answer(&self, question: Question) -> &'static str {
+        match question {
+            Question::SceneType => self.scene_type.as_str(),
+            Question::Light => self.light.as_str(),
+            Question::LaneCount => self.lane_count.as_str(),
+            Question::LaneIndex => self.lane_index.as_str(),
+            Question::Crosswalk => self.crosswalk.as_str(),
+            Question::LeadDistance => self.lead_distance.as_str(),
+            Question::LeadSpeed => self.lead_speed.as_str(),
+            Question::Pedestrian => self.pedestrian.as_str(),
+            Question::Blocked => self.blocked.as_str(),
+            Question::LeftLane => self.left_lane.as_str(),
+            Question::RightLane => self.right_lane.as_str(),
+            Question::VehicleCount => self.vehicle_count.as_str(),
+            Question::Oncoming => self.oncoming.as_str(),
+            Question::EgoSpeed => self.ego_speed.as_str(),
+            Question::Turn => self.turn.as_str(),
+        }
+    }
+}
+
+/// The square that counts.
+#[derive(Debug, Clone, Copy)]
+struct View {
+    center: Pose,
+}
+
+impl View {
+    fn holds(self, point: Point) -> bool {
+        let local = self.center.to_local(point);
+        local.x.abs() <= VIEW_METRES / 2.0 && local.y.abs() <= VIEW_METRES / 2.0
+    }
+
+    /// Whether the centre or a corner of a box is in view.
+    fn shows(self, shape: &OrientedBox) -> bool {
+        self.holds(shape.center.position()) || shape.corners().iter().any(|&corner| self.holds(corner))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,139 @@
+//! Facts of the map: kind of place, lanes, crosswalk, the other direction.
+
+use super::{Ahead, LaneCount, LaneIndex, Oncoming, SceneType, VIEW_METRES, View, roundabout};
+use crate::environment::lane_graph::{Centerline, LaneGraph};
+use crate::geometry::{Point, Polyline, wrap_angle};
+use crate::world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, Scene};
+use std::collections::BTreeSet;
+
+/// A path that turns by more than this within the view is a curve, radians (15 degrees).
+pub const CURVE: f64 = std::f64::consts::PI / 12.0;
+/// How far to the side a lane of the other direction counts, metres.
+pub const ONCOMING_REACH: f64 = 20.0;
+/// It must pass the ego's centre no further ahead or behind than this, metres.
+const ABREAST: f64 = 5.0;
+/// Lanes whose directions differ by more than this are opposite, radians (135 degrees).
+const OPPOSITE: f64 = 3.0 * std::f64::consts::FRAC_PI_4;
+/// Spacing of the places on the path that are looked at, metres.
+const STEP: f64 = 0.5;
+
+/// The path from the ego's centre to where it first leaves the view; `None` when the road ends under the ego.
+fn path_in_view(centerline: &Centerline, view: View) -> Option<Polyline> {
+    let line = &centerline.path.centerline;
+    let most = (line.length() - centerline.ego_s).clamp(0.0, VIEW_METRES);
+    let ahead = (0..=(most / STEP) as u32)
+        .map(|i| f64::from(i) * STEP)
+        .take_while(|d| view.holds(line.point_at(centerline.ego_s + d)))
+        .last()?;
+    line.slice(centerline.ego_s, centerline.ego_s + ahead)
+}
+
+pub(super) fn scene_type(scene: &Scene<'_>, graph: &LaneGraph, view: View) -> SceneType {
+    if roundabout::ahead(scene.map, view) {
+        return SceneType::Roundabout;
+    }
+    let Some(path) = path_in_view(graph.ego_lane(), view) else { return SceneType::Straight };
+    if meets_intersection(scene.map, graph.ego_lane(), &path) {
+        return SceneType::Intersection;
+    }
+    let turn = turned(&path);
+    if turn > CURVE {
+        SceneType::CurveLeft
+    } else if turn < -CURVE {
+        SceneType::CurveRight
+    } else {
+        SceneType::Straight
+    }
+}
+
+/// Sum of the heading changes along a line, radians, positive to the left.
+fn turned(line: &Polyline) -> f64 {
+    line.vertex_headings().windows(2).map(|w| wrap_angle(w[1] - w[0])).sum()
+}
+
+/// Whether the path enters an intersection's area, or one of its connectors is crossed by another.
+fn meets_intersection(map: &LaneMap, centerline: &Centerline, path: &Polyline) -> bool {
+    let inside = path.resampled(STEP).vertices().iter().any(|&point| map.in_intersection(point));
+    inside || lanes_under(centerline, path).any(|lane| map[lane].is_connector() && crossed(map, &map[lane], path))
+}
+
+fn lanes_under<'a>(centerline: &'a Centerline, path: &Polyline) -> impl Iterator<Item = LaneId> + 'a {
+    let (from, to) = (centerline.ego_s, centerline.ego_s + path.length());
+    let ends = centerline.path.starts.iter().skip(1).copied().chain(std::iter::once(f64::INFINITY));
+    let spans = centerline.path.lanes.iter().copied().zip(centerline.path.starts.iter().copied().zip(ends));
+    spans.filter(move |&(_, (start, end))| start <= to && end > from).map(|(lane, _)| lane)
+}
+
+/// Whether a connector that neither starts nor ends with this one crosses the path.
+fn crossed(map: &LaneMap, connector: &Lane, path: &Polyline) -> bool {
+    let middle = path.point_at(path.length() / 2.0);
+    map.lanes_near(middle, path.length()).into_iter().map(|id| &map[id]).any(|other| {
+        let apart = |own: &[LaneId], others: &[LaneId]| !own.iter().any(|lane| others.contains(lane));
+        other.is_connector()
+            && other.id != connector.id
+            && apart(&connector.incoming, &other.incoming)
+            && apart(&connector.outgoing, &other.outgoing)
+            && lines_cross(&other.centerline, path)
+    })
+}
+
+fn lines_cross(a: &Polyline, b: &Polyline) -> bool {
+    let side = |p: Point, q: Point, r: Point| (q - p).perp(&(r - p));
+    a.vertices().windows(2).any(|v| {
+        b.vertices().windows(2).any(|w| {
+            side(v[0], v[1], w[0]) * side(v[0], v[1], w[1]) < 0.0
+                && side(w[0], w[1], v[0]) * side(w[0], w[1], v[1]) < 0.0
+        })
+    })
+}
+
+/// Lanes of the ego's direction at its place, and which of them is the ego's: neighbours of neighbours.
+pub(super) fn lanes_abreast(scene: &Scene<'_>, graph: &LaneGraph) -> (LaneCount, LaneIndex) {
+    let ego = graph.ego_lane();
+    let lane = ego.path.lane_at(ego.ego_s);
+    let left = count_beside(scene, lane, |lane| &lane.left);
+    let right = count_beside(scene, lane, |lane| &lane.right);
+    (LaneCount::of(left + 1 + right), LaneIndex::of(left))
+}
+
+fn count_beside(scene: &Scene<'_>, from: LaneId, side: impl Fn(&Lane) -> &[Neighbor]) -> usize {
+    let ego = scene.ego.center().position();
+    let mut seen = BTreeSet::from([from]);
+    let mut lane = &scene.map[from];
+    loop {
+        let s = lane.centerline.project(ego).s;
+        let beside = side(lane).iter().find(|neighbor| neighbor.from_s <= s && s <= neighbor.to_s);
+        match beside {
+            Some(neighbor) if seen.insert(neighbor.lane) => lane = &scene.map[neighbor.lane],
+            _ => return seen.len() - 1,
+        }
+    }
+}
+
+pub(super) fn crosswalk(scene: &Scene<'_>, graph: &LaneGraph, view: View) -> Ahead {
+    let ego = graph.ego_lane();
+    let line = &ego.path.centerline;
+    let front = ego.ego_s + PACIFICA.length() / 2.0;
+    let distance = (0..=(Ahead::FAR / STEP) as u32)
+        .map(|i| f64::from(i) * STEP)
+        .take_while(|d| front + d <= line.length())
+        .map(|d| (d, line.point_at(front + d)))
+        .find(|&(_, point)| view.holds(point) && scene.map.on_crosswalk(point))
+        .map(|(d, _)| d);
+    Ahead::of(distance)
+}
+
+pub(super) fn oncoming(scene: &Scene<'_>, graph: &LaneGraph) -> Oncoming {
+    let center = scene.ego.center();
+    let heading = graph.ego_lane().path.centerline.heading_at(graph.ego_lane().ego_s);
+    let found = scene.map.lanes_near(center.position(), ONCOMING_REACH.min(VIEW_METRES / 2.0)).into_iter().any(|id| {
+        let lane = &scene.map[id];
+        let foot = lane.centerline.project(center.position());
+        let local = center.to_local(foot.point);
+        !lane.is_connector()
+            && wrap_angle(foot.heading - heading).abs() > OPPOSITE
+            && local.x.abs() <= ABREAST
+            && local.y.abs() <= ONCOMING_REACH
+    });
+    if found { Oncoming::Yes } else { Oncoming::No }
+}

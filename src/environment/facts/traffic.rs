@@ -1,0 +1,75 @@
+//! Facts of the objects: who leads, walks, blocks, is beside.
+
+use super::{Ahead, LeadSpeed, SideLane, VehicleCount, View};
+use crate::environment::lane_graph::{CenterlineName, Heading, LaneGraph, Sighting, Window};
+use crate::world::{ObjectKind, PACIFICA, Scene, TrackedObject};
+
+/// Slower is stopped, m/s.
+pub const STOPPED: f64 = 0.5;
+/// A leading vehicle that is slower than the ego by no more than this drives the same speed, m/s.
+pub const SAME_SPEED: f64 = 1.0;
+/// How far beside the ego's sides a pedestrian counts as in the corridor of its path, metres.
+pub const CORRIDOR_MARGIN: f64 = 2.0;
+/// A lane beside is occupied when somebody on it is nearer to the ego's bumpers than this, ahead or behind, metres.
+pub const SIDE_GAP: f64 = 8.0;
+/// How far beyond the last distance that counts centres are looked for, metres: half a long vehicle.
+const LONG_VEHICLE: f64 = 12.0;
+
+pub(super) struct Traffic {
+    pub(super) lead_distance: Ahead,
+    pub(super) lead_speed: LeadSpeed,
+    pub(super) pedestrian: Ahead,
+    pub(super) blocked: Ahead,
+    pub(super) left_lane: SideLane,
+    pub(super) right_lane: SideLane,
+    pub(super) vehicle_count: VehicleCount,
+}
+
+pub(super) fn seen(scene: &Scene<'_>, graph: &LaneGraph, view: View) -> Traffic {
+    let objects: Vec<&TrackedObject> = scene.objects.iter().filter(|object| view.shows(&object.shape)).collect();
+    let half_length = PACIFICA.length() / 2.0;
+    let window = Window::new(graph.ego_lane(), half_length, half_length + Ahead::FAR + LONG_VEHICLE);
+    let ahead: Vec<(&TrackedObject, Sighting)> = objects
+        .iter()
+        .filter_map(|&object| Some((object, window.as_ref()?.sight(object)?)))
+        .filter(|(_, sighting)| sighting.offset > 0.0)
+        .collect();
+    let nearest = |counts: &dyn Fn(&TrackedObject, &Sighting) -> bool| {
+        let counted = ahead.iter().filter(|(object, sighting)| counts(object, sighting)).map(|(_, sighting)| sighting);
+        counted.min_by(|a, b| a.gap.total_cmp(&b.gap)).filter(|sighting| sighting.gap <= Ahead::FAR)
+    };
+    let lead = nearest(&|object, sighting| {
+        let drives = matches!(object.kind, ObjectKind::Vehicle | ObjectKind::Bicycle);
+        drives && sighting.in_way && sighting.heading == Heading::Along
+    });
+    let pedestrian = nearest(&|object, sighting| {
+        let in_corridor = sighting.lateral.abs() <= PACIFICA.width / 2.0 + CORRIDOR_MARGIN;
+        object.kind == ObjectKind::Pedestrian && in_corridor
+    });
+    let blocked = nearest(&|object, sighting| {
+        let stands = !object.kind.is_agent() || (object.kind == ObjectKind::Vehicle && object.speed() < STOPPED);
+        stands && sighting.in_way
+    });
+    let vehicles = scene.objects.iter().filter(|object| object.kind == ObjectKind::Vehicle);
+    let side_lane = |name| side_lane(graph, name, &objects);
+    Traffic {
+        lead_distance: Ahead::of(lead.map(|lead| lead.gap)),
+        lead_speed: lead.map_or(LeadSpeed::None, |lead| LeadSpeed::of(lead.along_speed, graph.ego_speed)),
+        pedestrian: Ahead::of(pedestrian.map(|sighting| sighting.gap)),
+        blocked: Ahead::of(blocked.map(|sighting| sighting.gap)),
+        left_lane: side_lane(CenterlineName::LeftLane),
+        right_lane: side_lane(CenterlineName::RightLane),
+        vehicle_count: VehicleCount::of(vehicles.filter(|v| view.holds(v.shape.center.position())).count()),
+    }
+}
+
+fn side_lane(graph: &LaneGraph, name: CenterlineName, objects: &[&TrackedObject]) -> SideLane {
+    let Some(centerline) = graph.centerline(name) else { return SideLane::None };
+    let reach = PACIFICA.length() / 2.0 + SIDE_GAP + LONG_VEHICLE;
+    let window = Window::new(centerline, reach, reach);
+    let occupied = objects
+        .iter()
+        .filter_map(|object| window.as_ref()?.sight(object))
+        .any(|sighting| (sighting.on_lane || sighting.in_way) && sighting.gap < SIDE_GAP);
+    if occupied { SideLane::Occupied } else { SideLane::Free }
+}

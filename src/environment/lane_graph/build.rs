@@ -1,0 +1,214 @@
+//! Building the graph: the lane under the ego, the lanes beside it, the nodes, the agents, their names.
+
+use super::sighting::{Sighting, Window};
+use super::{
+    AgentClass, AgentName, Centerline, CenterlineName, Connection, GraphAgent, LaneGraph, LaneGraphError, LaneNode,
+    MAX_NODE_LENGTH, MIN_NODE_LENGTH, NodePlace, OFF_ROAD_REACH,
+};
+use crate::geometry::wrap_angle;
+use crate::world::{LaneId, LaneMap, PACIFICA, Scene, TrackedObject};
+use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_3;
+
+/// A route lane that turns away from the ego's heading by more than this does not hold the ego, radians.
+const ROUTE_LANE_TURN: f64 = FRAC_PI_3;
+/// Lines no further apart than this, metres, and no more turned than [`PARALLEL_TURN`] run side by side.
+const BESIDE: f64 = 5.5;
+/// See [`BESIDE`], radians (20 degrees).
+const PARALLEL_TURN: f64 = 0.35;
+/// Lines nearer than this have become one, metres.
+const MERGED: f64 = 1.0;
+
+pub(super) fn build(scene: &Scene<'_>, node_length: f64) -> Result<LaneGraph, LaneGraphError> {
+    if !(MIN_NODE_LENGTH..=MAX_NODE_LENGTH).contains(&node_length) {
+        return Err(LaneGraphError::NodeLength(node_length));
+    }
+    let center = scene.ego.center();
+    if !center.is_finite() {
+        return Err(LaneGraphError::NotFinite { x: center.x, y: center.y, heading: center.heading });
+    }
+    let lane = ego_lane(scene).ok_or(LaneGraphError::OffRoad { x: center.x, y: center.y })?;
+    let mut centerlines = centerlines(scene, lane, 2.0 * node_length);
+    let nodes = nodes(scene.map, &centerlines, node_length);
+    let sighted = sight(scene.objects, &centerlines, &nodes, node_length);
+    let agents = name(&sighted);
+    for (place, centerline) in centerlines.iter_mut().enumerate() {
+        centerline.leader = leader(&sighted, &agents, place);
+    }
+    Ok(LaneGraph { node_length, ego_speed: scene.ego.speed(), nodes, centerlines, agents })
+}
+
+/// The lane under the ego: of those of the route the best fitting, else of all.
+fn ego_lane(scene: &Scene<'_>) -> Option<LaneId> {
+    let (map, pose) = (scene.map, scene.ego.center());
+    let on_route: Vec<LaneId> = map
+        .lanes_at(pose.position())
+        .into_iter()
+        .filter(|&lane| scene.route.contains(map[lane].roadblock))
+        .filter(|&lane| {
+            let heading = map[lane].centerline.project(pose.position()).heading;
+            wrap_angle(heading - pose.heading).abs() <= ROUTE_LANE_TURN
+        })
+        .collect();
+    map.best_fit(&on_route, pose).or_else(|| map.lane_of(pose, OFF_ROAD_REACH))
+}
+
+fn centerlines(scene: &Scene<'_>, lane: LaneId, behind: f64) -> Vec<Centerline> {
+    let s = scene.map[lane].centerline.project(scene.ego.center().position()).s;
+    let beside = [
+        (CenterlineName::EgoLane, Some(lane)),
+        (CenterlineName::LeftLane, scene.map[lane].left_at(s)),
+        (CenterlineName::RightLane, scene.map[lane].right_at(s)),
+    ];
+    beside.into_iter().filter_map(|(name, lane)| Some(Centerline::through(scene, name, lane?, behind))).collect()
+}
+
+/// Where the three nodes of a centreline begin, from the ego's centre, metres: beside, ahead, behind.
+fn node_starts(node_length: f64) -> [f64; 3] {
+    let rear = -PACIFICA.length() / 2.0;
+    [rear, rear + node_length, rear - node_length]
+}
+
+fn nodes(map: &LaneMap, centerlines: &[Centerline], node_length: f64) -> Vec<LaneNode> {
+    let mut nodes: Vec<LaneNode> = vec![];
+    for centerline in centerlines {
+        let length = centerline.path.centerline.length();
+        for (place, start) in NodePlace::on(centerline.name).into_iter().zip(node_starts(node_length)) {
+            let from_s = centerline.ego_s + start;
+            let middle = from_s + node_length / 2.0;
+            // The node under the ego exists because the ego does.
+            let exists = place == NodePlace::Ego || (0.0..=length).contains(&middle);
+            let middle = middle.clamp(0.0, length);
+            let Some(connection) = connection(map, place, centerline, &centerlines[0], middle) else { continue };
+            if exists {
+                let (from_s, to_s) = (from_s.max(0.0), (from_s + node_length).min(length));
+                nodes.push(LaneNode { place, lane: centerline.path.lane_at(middle), connection, from_s, to_s });
+            }
+        }
+    }
+    nodes
+}
+
+/// How a node with its middle at `middle` hangs together with the ego's lane; `None` where its lane has merged into it.
+fn connection(map: &LaneMap, place: NodePlace, own: &Centerline, ego: &Centerline, middle: f64) -> Option<Connection> {
+    match place {
+        NodePlace::Ego => return Some(Connection::Itself),
+        NodePlace::Front => return Some(Connection::Successor),
+        NodePlace::Back => return Some(Connection::Predecessor),
+        _ => {}
+    }
+    let ego_middle = ego.ego_s + middle - own.ego_s;
+    let (lane, ego_lane) = (own.path.lane_at(middle), ego.path.lane_at(ego_middle));
+    let (here, there) = (own.path.centerline.pose_at(middle), ego.path.centerline.pose_at(ego_middle));
+    let apart = ego.path.centerline.distance_to(here.position());
+    if lane == ego_lane || apart < MERGED {
+        return None;
+    }
+    let listed = map[ego_lane].left.iter().chain(&map[ego_lane].right).any(|neighbor| neighbor.lane == lane);
+    let parallel = apart <= BESIDE && wrap_angle(here.heading - there.heading).abs() <= PARALLEL_TURN;
+    Some(if listed || parallel { Connection::Neighbor } else { Connection::Apart })
+}
+
+/// An object on a node, with how it lies to every centreline.
+struct Sighted<'a> {
+    object: &'a TrackedObject,
+    /// In the order of the centrelines.
+    sightings: Vec<Option<Sighting>>,
+    /// The centreline on whose node it is.
+    home: usize,
+    place: NodePlace,
+}
+
+impl Sighted<'_> {
+    fn at_home(&self) -> Option<&Sighting> {
+        self.sightings[self.home].as_ref()
+    }
+}
+
+/// The objects on the nodes, in the order in which they are numbered.
+fn sight<'a>(
+    objects: &'a [TrackedObject],
+    centerlines: &[Centerline],
+    nodes: &[LaneNode],
+    node_length: f64,
+) -> Vec<Sighted<'a>> {
+    let [_, front, back] = node_starts(node_length);
+    let windows: Vec<Option<Window>> =
+        centerlines.iter().map(|centerline| Window::new(centerline, -back, front + node_length)).collect();
+    let mut sighted: Vec<Sighted<'a>> = objects
+        .iter()
+        .filter_map(|object| {
+            let sightings: Vec<Option<Sighting>> =
+                windows.iter().map(|window| window.as_ref().and_then(|window| window.sight(object))).collect();
+            let home = home(&sightings)?;
+            let place = place(centerlines[home].name, sightings[home].as_ref()?.offset, node_length);
+            nodes.iter().any(|node| node.place == place).then_some(Sighted { object, sightings, home, place })
+        })
+        .collect();
+    sighted.sort_by(|a, b| order(a).partial_cmp(&order(b)).unwrap_or(std::cmp::Ordering::Equal));
+    sighted
+}
+
+/// The centreline that an object counts for: the ego's where it stands in the way there, else the nearest that it is on.
+fn home(sightings: &[Option<Sighting>]) -> Option<usize> {
+    let on = |sighting: &Sighting| sighting.on_lane || sighting.in_way;
+    if sightings.first().is_some_and(|ego| ego.is_some_and(|ego| ego.in_way)) {
+        return Some(0);
+    }
+    let near = sightings.iter().enumerate().filter_map(|(i, s)| s.as_ref().filter(|s| on(s)).map(|s| (i, s.lateral)));
+    near.min_by(|a, b| a.1.abs().total_cmp(&b.1.abs())).map(|(i, _)| i)
+}
+
+fn place(centerline: CenterlineName, offset: f64, node_length: f64) -> NodePlace {
+    let [beside, ahead, behind] = NodePlace::on(centerline);
+    let [start, end, _] = node_starts(node_length);
+    if offset < start {
+        behind
+    } else if offset < end {
+        beside
+    } else {
+        ahead
+    }
+}
+
+/// By centreline; those ahead before those behind; the nearest first; by track where all is equal.
+fn order(sighted: &Sighted<'_>) -> (usize, bool, f64, u32) {
+    let offset = sighted.at_home().map_or(0.0, |sighting| sighting.offset);
+    (sighted.home, offset < 0.0, offset.abs(), sighted.object.token.0)
+}
+
+fn name(sighted: &[Sighted<'_>]) -> Vec<GraphAgent> {
+    let mut numbers: BTreeMap<AgentClass, u16> = BTreeMap::new();
+    sighted
+        .iter()
+        .filter_map(|found| {
+            let at = found.at_home()?;
+            let class = AgentClass::from(found.object.kind);
+            let number = numbers.entry(class).and_modify(|n| *n = n.saturating_add(1)).or_insert(1);
+            Some(GraphAgent {
+                name: AgentName { class, number: *number },
+                token: found.object.token,
+                kind: found.object.kind,
+                place: found.place,
+                offset: at.offset,
+                gap: at.gap,
+                lateral: at.lateral,
+                speed: found.object.speed(),
+                along_speed: at.along_speed,
+                heading: at.heading,
+            })
+        })
+        .collect()
+}
+
+/// Of those that stand in the way on a centreline ahead of the ego, the nearest.
+fn leader(sighted: &[Sighted<'_>], agents: &[GraphAgent], centerline: usize) -> Option<AgentName> {
+    sighted
+        .iter()
+        .filter_map(|found| {
+            let sighting = found.sightings[centerline].filter(|s| s.in_way && s.offset > 0.0)?;
+            Some((found.object.token, sighting.gap, sighting.offset))
+        })
+        .min_by(|a, b| a.1.total_cmp(&b.1).then(a.2.total_cmp(&b.2)))
+        .and_then(|(token, _, _)| agents.iter().find(|agent| agent.token == token).map(|agent| agent.name))
+}

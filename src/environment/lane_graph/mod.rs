@@ -1,0 +1,202 @@
+//! The lane graph: the way ahead of the ego and of the lanes beside it, cut into nodes of equal length; who is on the nodes
+//! around the ego; and the centrelines that planner code may follow.
+//!
+//! **Centrelines.** `ego_lane`, and where there is a lane of the same direction beside the ego, `left_lane` and
+//! `right_lane`. Each is a [`LanePath`] that prefers the route.
+//!
+//! **Nodes.** All have the same length. They are cut so that a node begins at the ego's rear bumper: the node under the ego
+//! reaches from there one node length ahead, `front` is the next one, `back` the one before; the nodes of the lanes beside
+//! are cut at the same distances from the point beside the ego. A node exists when its middle lies on the centreline, and
+//! does not when the lane beside has merged into the ego's there.
+//!
+//! **Agents.** An agent or obstacle is on a centreline where its box meets the strip that the ego would sweep (its half
+//! width and [`SWEEP_MARGIN`]; pedestrians and cyclists also by where they will be within [`CROSSING_SECONDS`] at their
+//! present velocity), or where its centre lies within half a lane width of the line (pedestrians: [`KERB_MARGIN`] more). On
+//! several, it counts for the ego's lane if it stands in the ego's way there, else for the nearest line. Only agents on one
+//! of the nine nodes are part of the graph.
+//!
+//! **Distances** are along the lane from bumper to bumper (0: side by side).
+
+mod agent;
+mod build;
+mod centerline;
+mod sighting;
+
+pub use agent::{AgentClass, AgentName, GraphAgent, Heading, UnknownAgent};
+pub use centerline::{Centerline, CenterlineName, LIGHT_REACH, LightAhead, Turn};
+pub use sighting::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
+pub(in crate::environment) use sighting::{Sighting, Window};
+
+use super::choice::choice;
+use crate::world::{LaneId, Scene};
+
+/// Node length unless told otherwise, metres.
+pub const DEFAULT_NODE_LENGTH: f64 = 20.0;
+/// How far beside every lane the ego still counts as on the nearest one, metres.
+pub const OFF_ROAD_REACH: f64 = 3.0;
+
+choice! {
+    /// A node's place, seen from the ego; in the order in which the text names them.
+    pub enum NodePlace {
+        /// Under the ego, from its rear bumper on.
+        Ego = "ego",
+        /// Ahead in the ego's lane.
+        Front = "front",
+        /// Behind in the ego's lane.
+        Back = "back",
+        /// Beside on the left.
+        Left = "left",
+        /// Ahead on the left.
+        FrontLeft = "front_left",
+        /// Behind on the left.
+        BackLeft = "back_left",
+        /// Beside on the right.
+        Right = "right",
+        /// Ahead on the right.
+        FrontRight = "front_right",
+        /// Behind on the right.
+        BackRight = "back_right",
+    }
+}
+
+impl NodePlace {
+    /// The centreline on which the node lies.
+    pub fn centerline(self) -> CenterlineName {
+        match self {
+            Self::Ego | Self::Front | Self::Back => CenterlineName::EgoLane,
+            Self::Left | Self::FrontLeft | Self::BackLeft => CenterlineName::LeftLane,
+            Self::Right | Self::FrontRight | Self::BackRight => CenterlineName::RightLane,
+        }
+    }
+
+    /// The nodes of a centreline: beside (or under) the ego, ahead, behind.
+    pub fn on(centerline: CenterlineName) -> [Self; 3] {
+        match centerline {
+            CenterlineName::EgoLane => [Self::Ego, Self::Front, Self::Back],
+            CenterlineName::LeftLane => [Self::Left, Self::FrontLeft, Self::BackLeft],
+            CenterlineName::RightLane => [Self::Right, Self::FrontRight, Self::BackRight],
+        }
+    }
+}
+
+choice! {
+    /// How a node hangs together with the node under the ego or, for the corners, with the node ahead or behind.
+    pub enum Connection {
+        /// The node under the ego itself.
+        Itself = "itself",
+        /// The ego's lane leads on to it.
+        Successor = "successor",
+        /// It leads to the ego's lane.
+        Predecessor = "predecessor",
+        /// Side by side with the ego's lane: a change is possible there.
+        Neighbor = "neighbor",
+        /// Its lane goes another way there.
+        Apart = "apart",
+    }
+}
+
+/// A piece of a centreline.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LaneNode {
+    /// Where it is, seen from the ego.
+    pub place: NodePlace,
+    /// The lane that holds its middle.
+    pub lane: LaneId,
+    /// How it hangs together with the ego's lane.
+    pub connection: Connection,
+    /// Where it begins on its centreline's path, metres.
+    pub from_s: f64,
+    /// Where it ends, metres; a node at the end of a path may be shorter than the others.
+    pub to_s: f64,
+}
+
+/// Why a scene has no lane graph.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LaneGraphError {
+    /// The ego's state holds NaN or infinity.
+    #[error("the ego's pose is not finite: ({x}, {y}), heading {heading}")]
+    NotFinite {
+        /// x of the box centre, map frame.
+        x: f64,
+        /// y of the box centre, map frame.
+        y: f64,
+        /// Heading, radians.
+        heading: f64,
+    },
+    /// No lane holds the ego or is near it.
+    #[error("the ego at ({x:.1}, {y:.1}) is off the road: no lane within {OFF_ROAD_REACH} m")]
+    OffRoad {
+        /// x of the box centre, map frame.
+        x: f64,
+        /// y of the box centre, map frame.
+        y: f64,
+    },
+    /// No sensible node length.
+    #[error("a node length must lie between {MIN_NODE_LENGTH} and {MAX_NODE_LENGTH} m, got {0}")]
+    NodeLength(f64),
+}
+
+/// Shortest node, metres: the ego fits in.
+pub const MIN_NODE_LENGTH: f64 = 6.0;
+/// Longest node, metres.
+pub const MAX_NODE_LENGTH: f64 = 100.0;
+
+/// The lane graph of one scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LaneGraph {
+    /// Length of every node, metres.
+    pub node_length: f64,
+    /// Speed of the ego, m/s.
+    pub ego_speed: f64,
+    /// The nodes that exist, in order of [`NodePlace::ALL`]; the first is the ego's.
+    pub nodes: Vec<LaneNode>,
+    /// The centrelines that can be followed, in order of [`CenterlineName::ALL`]; the first is the ego's.
+    pub centerlines: Vec<Centerline>,
+    /// Who is on the nodes, ordered by centreline; on each those ahead, nearest first, then those behind, nearest first.
+    /// Names are numbered in this order.
+    pub agents: Vec<GraphAgent>,
+}
+
+impl LaneGraph {
+    /// Builds the graph of a scene with nodes of `node_length` metres ([`DEFAULT_NODE_LENGTH`] unless there is a reason).
+    ///
+    /// # Errors
+    /// When the ego is off the road or not finite, or the node length is out of range.
+    pub fn build(scene: &Scene<'_>, node_length: f64) -> Result<Self, LaneGraphError> {
+        build::build(scene, node_length)
+    }
+
+    /// The node at a place, if there is one.
+    pub fn node(&self, place: NodePlace) -> Option<&LaneNode> {
+        self.nodes.iter().find(|node| node.place == place)
+    }
+
+    /// The centreline of this name, if it can be followed.
+    pub fn centerline(&self, name: CenterlineName) -> Option<&Centerline> {
+        self.centerlines.iter().find(|centerline| centerline.name == name)
+    }
+
+    /// The ego's own centreline.
+    pub fn ego_lane(&self) -> &Centerline {
+        &self.centerlines[0]
+    }
+
+    /// The agent of this name, if it is in the graph.
+    pub fn agent(&self, name: AgentName) -> Option<&GraphAgent> {
+        self.agents.iter().find(|agent| agent.name == name)
+    }
+
+    /// The agents on a node, in order of their names' numbering.
+    pub fn agents_on(&self, place: NodePlace) -> impl Iterator<Item = &GraphAgent> {
+        self.agents.iter().filter(move |agent| agent.place == place)
+    }
+
+    /// The nearest agent or obstacle that stands in the ego's way ahead on a centreline.
+    pub fn leader(&self, centerline: CenterlineName) -> Option<&GraphAgent> {
+        let name = self.centerline(centerline)?.leader?;
+        self.agent(name)
+    }
+}
+
+#[cfg(test)]
+mod tests;

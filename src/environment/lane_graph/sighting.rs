@@ -1,0 +1,111 @@
+//! How an object lies to a centreline.
+
+use super::{Centerline, Heading};
+use crate::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector, wrap_angle};
+use crate::world::{ObjectKind, PACIFICA, TrackedObject};
+
+/// Half a usual lane's width: a centre nearer to the centreline is on the lane, metres.
+pub const HALF_LANE: f64 = 1.75;
+/// Pedestrians this much further out still count: they may step on the road, metres.
+pub const KERB_MARGIN: f64 = 2.0;
+/// Free space that the ego wants beside itself, metres.
+pub const SWEEP_MARGIN: f64 = 0.3;
+/// Pedestrians and cyclists count where they will be within this time, seconds.
+pub const CROSSING_SECONDS: f64 = 2.0;
+/// Slower objects stand still, m/s.
+pub(in crate::environment) const STANDING_SPEED: f64 = 0.5;
+
+/// Where along and beside a centreline an object is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::environment) struct Sighting {
+    /// From the ego's centre to its centre along the line, metres.
+    pub offset: f64,
+    /// Of its centre, metres, positive to the left.
+    pub lateral: f64,
+    /// From bumper to bumper along the line, metres; 0 when side by side.
+    pub gap: f64,
+    /// Whether its centre is on the lane.
+    pub on_lane: bool,
+    /// Whether it stands (or, on foot or bicycle, soon will stand) where the ego would drive.
+    pub in_way: bool,
+    /// Velocity along the line, m/s.
+    pub along_speed: f64,
+    /// Which way it moves.
+    pub heading: Heading,
+}
+
+/// The stretch of a centreline around the ego on which objects are looked for.
+pub(in crate::environment) struct Window {
+    line: Polyline,
+    /// Arc length on `line` of the point at (or beside) the ego's centre.
+    ego_s: f64,
+    sweep: Corridor,
+}
+
+impl Window {
+    /// From `behind` metres behind to `ahead` metres ahead of the ego's centre, as far as the path goes; `None` when there
+    /// is no path there.
+    pub(in crate::environment) fn new(centerline: &Centerline, behind: f64, ahead: f64) -> Option<Self> {
+        let from = (centerline.ego_s - behind).max(0.0);
+        let line = centerline.path.centerline.slice(from, centerline.ego_s + ahead)?;
+        let sweep = Corridor::new(line.clone(), PACIFICA.width / 2.0 + SWEEP_MARGIN);
+        Some(Self { line, ego_s: centerline.ego_s - from, sweep })
+    }
+
+    /// How the object lies to this stretch; `None` when its box lies wholly before or after it.
+    pub(in crate::environment) fn sight(&self, object: &TrackedObject) -> Option<Sighting> {
+        let foot = self.line.project(object.shape.center.position());
+        let along = Pose::at(foot.point, foot.heading);
+        let extent = half_extent(&object.shape, foot.heading);
+        let beyond = along.to_local(object.shape.center.position()).x.abs();
+        let at_end = foot.s <= 0.0 || foot.s >= self.line.length();
+        if at_end && beyond > extent {
+            return None;
+        }
+        let offset = foot.s - self.ego_s;
+        let kerb = if object.kind == ObjectKind::Pedestrian { KERB_MARGIN } else { 0.0 };
+        let velocity = along_frame(&along, object.velocity);
+        Some(Sighting {
+            offset,
+            lateral: foot.lateral,
+            gap: (offset.abs() - extent - PACIFICA.length() / 2.0).max(0.0),
+            on_lane: foot.lateral.abs() <= HALF_LANE + kerb,
+            in_way: self.blocks(object),
+            along_speed: velocity.x,
+            heading: heading_of(velocity),
+        })
+    }
+
+    fn blocks(&self, object: &TrackedObject) -> bool {
+        /// Steps between the places that are looked at, seconds: a walker moves less than its own size meanwhile.
+        const STEP: f64 = 0.25;
+        let steps = if object.kind.is_vulnerable() { (CROSSING_SECONDS / STEP) as u32 } else { 0 };
+        (0..=steps).any(|i| {
+            let moved = object.velocity * (f64::from(i) * STEP);
+            let center = Pose::at(object.shape.center.position() + moved, object.shape.center.heading);
+            self.sweep.meets_box(&object.shape.moved_to(center))
+        })
+    }
+}
+
+/// Half the length that a box takes up along a direction, metres.
+pub(in crate::environment) fn half_extent(shape: &OrientedBox, heading: f64) -> f64 {
+    let turn = wrap_angle(shape.center.heading - heading);
+    f64::midpoint(shape.length * turn.cos().abs(), shape.width * turn.sin().abs())
+}
+
+fn along_frame(along: &Pose, velocity: Vector) -> Vector {
+    let (sin, cos) = along.heading.sin_cos();
+    Vector::new(cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x)
+}
+
+fn heading_of(velocity: Vector) -> Heading {
+    let angle = velocity.y.atan2(velocity.x).abs();
+    if velocity.norm() < STANDING_SPEED || angle <= Heading::CROSSING {
+        Heading::Along
+    } else if angle <= Heading::ONCOMING {
+        Heading::Crossing
+    } else {
+        Heading::Oncoming
+    }
+}

@@ -1,0 +1,204 @@
+use super::*;
+use crate::environment::sketch::{self, Drawn};
+use crate::world::ObjectKind::{Barrier, Bicycle, Pedestrian, TrafficCone, Vehicle};
+use crate::world::SignalStatus;
+use proptest::prelude::*;
+use std::f64::consts::{FRAC_PI_2, PI};
+
+fn graph(drawn: &Drawn) -> LaneGraph {
+    LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap()
+}
+
+fn places(graph: &LaneGraph) -> Vec<&'static str> {
+    graph.nodes.iter().map(|node| node.place.as_str()).collect()
+}
+
+#[test]
+fn a_three_lane_road_has_nine_nodes_of_one_length() {
+    let graph = graph(&sketch::straight(3, 2, 1, 9.0));
+    assert_eq!(places(&graph), NodePlace::TEXTS);
+    for node in &graph.nodes {
+        assert!((node.to_s - node.from_s - DEFAULT_NODE_LENGTH).abs() < 1e-9, "{node:?}");
+    }
+    let connections: Vec<&str> = graph.nodes.iter().map(|node| node.connection.as_str()).collect();
+    let beside = ["neighbor"; 6];
+    assert_eq!(connections[..3], ["itself", "successor", "predecessor"]);
+    assert_eq!(connections[3..], beside);
+    let names: Vec<&str> = graph.centerlines.iter().map(|c| c.name.as_str()).collect();
+    assert_eq!(names, ["ego_lane", "left_lane", "right_lane"]);
+    assert!(graph.centerlines.iter().all(|c| c.ahead() >= 8.0 * 13.4 && c.speed_limit == Some(13.4)));
+}
+
+#[test]
+fn the_outer_lanes_have_a_side_less() {
+    assert_eq!(graph(&sketch::straight(3, 2, 0, 9.0)).centerline(CenterlineName::LeftLane), None);
+    assert_eq!(graph(&sketch::straight(3, 2, 2, 9.0)).centerline(CenterlineName::RightLane), None);
+    assert_eq!(places(&graph(&sketch::straight(1, 2, 0, 9.0))), ["ego", "front", "back"]);
+}
+
+#[test]
+fn nodes_that_the_map_does_not_reach_do_not_exist() {
+    // The lane ends where the bend of a quarter circle does, 10 + 31.4 m ahead; a node there needs its middle at 27.4 m.
+    assert_eq!(places(&graph(&sketch::curve(20.0, 10.0, 5.0))), ["ego", "front", "back"]);
+    assert_eq!(places(&graph(&sketch::curve(20.0, -8.0, 5.0))), ["ego", "back"]);
+    // 100 m of road lie before the bend.
+    assert_eq!(places(&graph(&sketch::curve(20.0, 97.0, 5.0))), ["ego", "front"]);
+}
+
+#[test]
+fn agents_are_named_by_lane_nearest_ahead_first() {
+    let drawn = sketch::straight(3, 1, 1, 9.0)
+        .put(Vehicle, -9.0, 0.0, 0.0, 8.0)
+        .put(Vehicle, 30.0, 0.0, 0.0, 8.0)
+        .put(Vehicle, 14.0, 0.2, 0.0, 6.0)
+        .put(Vehicle, 6.0, 3.5, 0.0, 7.0)
+        .put(Bicycle, 20.0, -3.5, 0.0, 4.0)
+        .put(TrafficCone, 22.0, -3.0, 0.0, 0.0)
+        .put(Vehicle, 60.0, 0.0, 0.0, 8.0)
+        .put(Vehicle, 10.0, 7.0, PI, 8.0);
+    let graph = graph(&drawn);
+    let named: Vec<(String, u32, &str)> =
+        graph.agents.iter().map(|a| (a.name.to_string(), a.token.0, a.place.as_str())).collect();
+    let expected = [
+        ("vehicle1", 2, "ego"),
+        ("vehicle2", 1, "front"),
+        ("vehicle3", 0, "back"),
+        ("vehicle4", 3, "left"),
+        ("bicycle1", 4, "front_right"),
+        ("obstacle1", 5, "front_right"),
+    ];
+    assert_eq!(named, expected.map(|(name, token, place)| (name.to_owned(), token, place)));
+    let leader = |name| graph.leader(name).map(|agent| agent.name.to_string());
+    assert_eq!(leader(CenterlineName::EgoLane).unwrap(), "vehicle1");
+    assert_eq!(leader(CenterlineName::LeftLane).unwrap(), "vehicle4");
+    assert_eq!(leader(CenterlineName::RightLane).unwrap(), "bicycle1");
+    let first = &graph.agents[0];
+    assert!((first.offset - 14.0).abs() < 1e-9 && (first.gap - (14.0 - 2.588 - 2.3)).abs() < 1e-9);
+    assert!((first.lateral - 0.2).abs() < 1e-9 && (first.along_speed - 6.0).abs() < 1e-9);
+}
+
+#[test]
+fn who_reaches_into_the_ego_lane_leads_there() {
+    // A vehicle that cuts in: its centre is still on the left lane, its side in the ego's way.
+    let drawn = sketch::straight(2, 0, 1, 9.0).put(Vehicle, 12.0, 2.2, -0.1, 7.0);
+    let graph = graph(&drawn);
+    assert_eq!(graph.agents[0].place, NodePlace::Ego);
+    assert_eq!(graph.leader(CenterlineName::EgoLane), Some(&graph.agents[0]));
+    assert_eq!(graph.leader(CenterlineName::LeftLane), Some(&graph.agents[0]));
+}
+
+#[test]
+fn pedestrians_lead_when_they_are_about_to_cross() {
+    let leader = |left: f64, turn: f64, speed: f64| {
+        let drawn = sketch::straight(1, 0, 0, 5.0).put(Pedestrian, 12.0, left, turn, speed);
+        let graph = graph(&drawn);
+        (graph.agents.len(), graph.leader(CenterlineName::EgoLane).is_some())
+    };
+    assert_eq!(leader(3.0, -FRAC_PI_2, 1.4), (1, true), "walks towards the lane");
+    assert_eq!(leader(3.0, FRAC_PI_2, 1.4), (1, false), "walks away from it");
+    assert_eq!(leader(3.0, 0.0, 0.0), (1, false), "waits at the kerb");
+    assert_eq!(leader(6.0, 0.0, 0.0), (0, false), "is far from it");
+    assert_eq!(leader(0.5, 0.0, 0.0), (1, true), "stands on it");
+}
+
+#[test]
+fn headings_are_told_apart() {
+    let heading = |turn: f64, speed: f64| {
+        graph(&sketch::straight(1, 0, 0, 5.0).put(Vehicle, 14.0, 0.0, turn, speed)).agents[0].heading
+    };
+    assert_eq!(heading(0.5, 4.0), Heading::Along);
+    assert_eq!(heading(FRAC_PI_2, 4.0), Heading::Crossing);
+    assert_eq!(heading(PI, 4.0), Heading::Oncoming);
+    assert_eq!(heading(PI, 0.1), Heading::Along);
+}
+
+#[test]
+fn lights_are_found_with_the_distance_to_the_stop_line() {
+    let light = |before: f64| {
+        let (drawn, _) = sketch::crossing(1, 0, before, 5.0);
+        graph(&drawn.all_lights(SignalStatus::Red)).ego_lane().light
+    };
+    // The stop line lies one metre before the connector, the front bumper 2.588 m before the ego's centre.
+    let found = light(20.0).unwrap();
+    assert_eq!(found.status, SignalStatus::Red);
+    assert!((found.distance - (20.0 - 1.0 - 2.588)).abs() < 1e-6, "{}", found.distance);
+    assert!(light(2.0).unwrap().distance.abs() < 1e-9);
+    assert_eq!(light(0.0), None, "already under way");
+    assert_eq!(light(70.0), None, "too far");
+    let unseen = graph(&sketch::crossing(1, 0, 20.0, 5.0).0).ego_lane().light.unwrap();
+    assert_eq!(unseen.status, SignalStatus::Unknown);
+}
+
+#[test]
+fn the_route_decides_the_turn_and_lanes_that_leave_it_lie_apart() {
+    let (drawn, arms) = sketch::crossing(2, 0, 10.0, 5.0);
+    let (from, to) = (arms.inbound[0][0], arms.outbound[1][0]);
+    let by = drawn.between(from, to);
+    let graph = graph(&drawn.route_through(&[from, by, to]));
+    assert_eq!(graph.ego_lane().turn, Turn::Left);
+    assert!(graph.ego_lane().path.lanes.contains(&by));
+    assert_eq!(graph.node(NodePlace::FrontRight).unwrap().connection, Connection::Apart);
+    assert_eq!(graph.node(NodePlace::Right).unwrap().connection, Connection::Neighbor);
+}
+
+#[test]
+fn on_a_crossing_the_route_decides_the_lane() {
+    let (drawn, arms) = sketch::crossing(1, 0, 0.5, 5.0);
+    for arm in [0, 1, 3] {
+        let (from, to) = (arms.inbound[0][0], arms.outbound[arm][0]);
+        let by = drawn.between(from, to);
+        let mut there = sketch::crossing(1, 0, -1.0, 5.0).0;
+        there = there.route_through(&[from, by, to]);
+        let graph = graph(&there);
+        assert_eq!(graph.node(NodePlace::Ego).unwrap().lane, by);
+    }
+}
+
+#[test]
+fn off_the_road_there_is_an_error_and_no_panic() {
+    let mut drawn = sketch::straight(1, 0, 0, 5.0).put(Barrier, 5.0, 0.0, 0.0, 0.0);
+    drawn.ego.rear_axle.y = 40.0;
+    assert!(matches!(LaneGraph::build(&drawn.scene(), 20.0), Err(LaneGraphError::OffRoad { .. })));
+    drawn.ego.rear_axle.y = f64::NAN;
+    assert!(matches!(LaneGraph::build(&drawn.scene(), 20.0), Err(LaneGraphError::NotFinite { .. })));
+    assert_eq!(LaneGraph::build(&drawn.scene(), 0.0), Err(LaneGraphError::NodeLength(0.0)));
+    drawn.ego.rear_axle.y = 3.5;
+    assert!(LaneGraph::build(&drawn.scene(), 20.0).is_ok(), "just beside the road");
+}
+
+proptest! {
+    #[test]
+    fn every_agent_is_on_a_node_that_exists_and_names_are_unique(
+        lane in 0..3u32,
+        objects in prop::collection::vec((-60.0..60.0f64, -12.0..12.0f64, -3.2..3.2f64, 0.0..15.0f64, 0..4usize), 0..20),
+    ) {
+        let kinds = [Vehicle, Bicycle, Pedestrian, TrafficCone];
+        let mut drawn = sketch::straight(3, 1, lane, 8.0);
+        for (forward, left, turn, speed, kind) in objects {
+            drawn = drawn.put(kinds[kind], forward, left, turn, speed);
+        }
+        let graph = graph(&drawn);
+        let mut names: Vec<AgentName> = graph.agents.iter().map(|agent| agent.name).collect();
+        names.sort_unstable();
+        names.dedup();
+        prop_assert_eq!(names.len(), graph.agents.len());
+        for agent in &graph.agents {
+            prop_assert!(graph.node(agent.place).is_some());
+            prop_assert!(agent.gap >= 0.0 && agent.gap <= agent.offset.abs());
+        }
+        for &name in CenterlineName::ALL {
+            if let Some(leader) = graph.leader(name) {
+                prop_assert!(leader.offset > 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn any_pose_gives_a_graph_or_an_error(x in -150.0..150.0f64, y in -40.0..40.0f64, heading in -3.2..3.2f64) {
+        let (mut drawn, _) = sketch::crossing(2, 0, 10.0, 5.0);
+        drawn.ego.rear_axle = crate::geometry::Pose::new(x, y, heading);
+        if let Ok(graph) = LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH) {
+            prop_assert_eq!(graph.nodes[0].place, NodePlace::Ego);
+        }
+    }
+}

@@ -1,0 +1,310 @@
+//! Hand-drawn roads for the tests of this stage. Right-hand traffic, lanes 3.5 m wide, limit 13.4 m/s.
+
+use crate::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
+use crate::world::{
+    EgoState, History, Lane, LaneId, LaneKind, LaneMap, MapParts, Neighbor, ObjectKind, PACIFICA, Roadblock,
+    RoadblockId, Route, Scene, SignalStatus, StopLine, StopLineId, TrackToken, TrackedObject, TrafficLights,
+};
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+pub(super) const WIDTH: f64 = 3.5;
+const LIMIT: f64 = 13.4;
+
+/// A map being drawn.
+#[derive(Default)]
+pub(super) struct Sketch {
+    parts: MapParts,
+    groups: Vec<Vec<LaneId>>,
+}
+
+impl Sketch {
+    pub(super) fn lane(&mut self, points: Vec<Point>, kind: LaneKind) -> LaneId {
+        let id = LaneId(self.parts.lanes.len() as u32);
+        let centerline = Polyline::new(points).unwrap().resampled(1.0);
+        let polygon = Polygon::between(&centerline.offset(WIDTH / 2.0), &centerline.offset(-WIDTH / 2.0)).unwrap();
+        self.parts.lanes.push(Lane {
+            id,
+            source_id: i64::from(id.0) + 1000,
+            kind,
+            centerline,
+            polygon,
+            incoming: vec![],
+            outgoing: vec![],
+            left: vec![],
+            right: vec![],
+            roadblock: RoadblockId(0),
+            speed_limit: (kind == LaneKind::Lane).then_some(LIMIT),
+            has_traffic_lights: false,
+            stop_lines: vec![],
+        });
+        id
+    }
+
+    fn connect(&mut self, from: LaneId, to: LaneId) {
+        self.parts.lanes[from.index()].outgoing.push(to);
+        self.parts.lanes[to.index()].incoming.push(from);
+    }
+
+    /// A connector along a smooth bend from the end of one lane to the start of another.
+    fn join(&mut self, from: LaneId, to: LaneId) -> LaneId {
+        let (a, b) = (&self.parts.lanes[from.index()].centerline, &self.parts.lanes[to.index()].centerline);
+        let (start, end) = (a.pose_at(a.length()), b.pose_at(0.0));
+        let pull = start.distance(&end) * 0.5;
+        let (p1, p2) = (start.translated(pull, 0.0).position(), end.translated(-pull, 0.0).position());
+        let bend = (0..=24).map(|i| {
+            let t = f64::from(i) / 24.0;
+            let (u, t2) = (1.0 - t, t * t);
+            let at = start.position().coords * u.powi(3)
+                + p1.coords * (3.0 * u * u * t)
+                + p2.coords * (3.0 * u * t2)
+                + end.position().coords * (t2 * t);
+            Point::from(at)
+        });
+        let connector = self.lane(bend.collect(), LaneKind::Connector);
+        self.connect(from, connector);
+        self.connect(connector, to);
+        connector
+    }
+
+    /// Makes lanes, left to right, neighbours and one roadblock.
+    fn abreast(&mut self, lanes: &[LaneId]) {
+        for pair in lanes.windows(2) {
+            let (left, right) = (pair[0], pair[1]);
+            let length = |id: LaneId| self.parts.lanes[id.index()].centerline.length();
+            let (left_length, right_length) = (length(left), length(right));
+            let to = |lane, to_s| Neighbor { lane, from_s: 0.0, to_s };
+            self.parts.lanes[left.index()].right.push(to(right, left_length));
+            self.parts.lanes[right.index()].left.push(to(left, right_length));
+        }
+        self.groups.push(lanes.to_vec());
+    }
+
+    fn stop_line(&mut self, connector: LaneId) {
+        let id = StopLineId(self.parts.stop_lines.len() as u32);
+        let at = self.parts.lanes[connector.index()].centerline.pose_at(0.0).translated(-1.0, 0.0);
+        let polygon = OrientedBox::new(at, 0.4, WIDTH).to_polygon();
+        self.parts.stop_lines.push(StopLine { polygon, lanes: vec![connector], stop_sign: false });
+        let lane = &mut self.parts.lanes[connector.index()];
+        lane.stop_lines.push(id);
+        lane.has_traffic_lights = true;
+    }
+
+    fn finish(mut self) -> LaneMap {
+        for id in self.parts.lanes.iter().map(|lane| lane.id).collect::<Vec<_>>() {
+            if !self.groups.iter().any(|group| group.contains(&id)) {
+                self.groups.push(vec![id]);
+            }
+        }
+        for (i, lanes) in self.groups.iter().enumerate() {
+            let id = RoadblockId(i as u32);
+            for lane in lanes {
+                self.parts.lanes[lane.index()].roadblock = id;
+            }
+            let kind = self.parts.lanes[lanes[0].index()].kind;
+            let areas = lanes.iter().map(|lane| self.parts.lanes[lane.index()].polygon.clone()).collect();
+            let (source_id, lanes) = (i64::from(id.0), lanes.clone());
+            self.parts.roadblocks.push(Roadblock {
+                id,
+                source_id,
+                kind,
+                lanes,
+                areas,
+                incoming: vec![],
+                outgoing: vec![],
+            });
+        }
+        LaneMap::new(self.parts).unwrap()
+    }
+}
+
+/// A scene that owns its parts.
+pub(super) struct Drawn {
+    pub(super) map: LaneMap,
+    pub(super) route: Route,
+    pub(super) ego: EgoState,
+    pub(super) objects: Vec<TrackedObject>,
+    pub(super) lights: TrafficLights,
+    history: History,
+}
+
+impl Drawn {
+    fn new(map: LaneMap, center: Pose, speed: f64) -> Self {
+        let ego = EgoState::from_log(0, PACIFICA.rear_axle_of(center), Vector::new(speed, 0.0), Vector::zeros());
+        let (route, lights) = (Route::default(), TrafficLights::default());
+        Self { map, route, ego, objects: vec![], lights, history: History::default() }
+    }
+
+    pub(super) fn scene(&self) -> Scene<'_> {
+        Scene {
+            map: &self.map,
+            route: &self.route,
+            ego: &self.ego,
+            objects: &self.objects,
+            lights: &self.lights,
+            history: &self.history,
+        }
+    }
+
+    /// Puts an object `forward` and `left` of the ego's box centre, turned by `turn`, moving along its heading.
+    pub(super) fn put(mut self, kind: ObjectKind, forward: f64, left: f64, turn: f64, speed: f64) -> Self {
+        let (length, width) = match kind {
+            ObjectKind::Vehicle => (4.6, 1.9),
+            ObjectKind::Bicycle => (1.8, 0.7),
+            ObjectKind::Pedestrian => (0.7, 0.7),
+            ObjectKind::TrafficCone => (0.4, 0.4),
+            ObjectKind::Barrier | ObjectKind::CzoneSign | ObjectKind::GenericObject => (2.0, 0.6),
+        };
+        let mut center = self.ego.center().translated(forward, left);
+        center.heading += turn;
+        let token = TrackToken(self.objects.len() as u32);
+        let shape = OrientedBox::new(center, length, width);
+        self.objects.push(TrackedObject { token, kind, shape, velocity: center.direction() * speed });
+        self
+    }
+
+    pub(super) fn route_through(mut self, lanes: &[LaneId]) -> Self {
+        self.route.roadblocks = lanes.iter().map(|&lane| self.map[lane].roadblock).collect();
+        self
+    }
+
+    /// Sets every light.
+    pub(super) fn all_lights(mut self, status: SignalStatus) -> Self {
+        self.lights = self.map.lanes().iter().filter(|l| l.has_traffic_lights).map(|lane| (lane.id, status)).collect();
+        self
+    }
+
+    /// The same without areas of intersections.
+    pub(super) fn without_intersections(mut self) -> Self {
+        let map = &self.map;
+        self.map = LaneMap::new(MapParts {
+            lanes: map.lanes().to_vec(),
+            roadblocks: map.roadblocks().to_vec(),
+            stop_lines: map.stop_lines().to_vec(),
+            crosswalks: map.crosswalks().to_vec(),
+            ..MapParts::default()
+        })
+        .unwrap();
+        self
+    }
+
+    /// The lane or connector that leads from a lane to another.
+    pub(super) fn between(&self, from: LaneId, to: LaneId) -> LaneId {
+        let onward = &self.map[from].outgoing;
+        *onward.iter().find(|&&lane| self.map[lane].outgoing.contains(&to)).unwrap()
+    }
+}
+
+fn line(frame: Pose, from: f64, to: f64, left: f64) -> Vec<Point> {
+    vec![frame.to_map(Point::new(from, left)), frame.to_map(Point::new(to, left))]
+}
+
+/// A straight road along x with `own` lanes (number 0 on the left, at y = 0) and `oncoming` ones left of them, each of two
+/// pieces that meet at x = 40; the ego's box centre at x = 0 on lane `ego_lane`, with `speed`.
+pub(super) fn straight(own: u32, oncoming: u32, ego_lane: u32, speed: f64) -> Drawn {
+    let mut sketch = Sketch::default();
+    let east = Pose::new(0.0, 0.0, 0.0);
+    let west = Pose::new(40.0, 0.0, std::f64::consts::PI);
+    let mut road = |frame: Pose, spans: [(f64, f64); 2], offsets: Vec<f64>| {
+        let pieces = spans.map(|(from, to)| {
+            let lanes: Vec<LaneId> =
+                offsets.iter().map(|&left| sketch.lane(line(frame, from, to, left), LaneKind::Lane)).collect();
+            sketch.abreast(&lanes);
+            lanes
+        });
+        for (&from, &to) in pieces[0].iter().zip(&pieces[1]) {
+            sketch.connect(from, to);
+        }
+    };
+    road(east, [(-100.0, 40.0), (40.0, 200.0)], (0..own).map(|i| -WIDTH * f64::from(i)).collect());
+    if oncoming > 0 {
+        road(west, [(-160.0, 0.0), (0.0, 140.0)], (0..oncoming).map(|i| -WIDTH * f64::from(i + 1)).collect());
+    }
+    Drawn::new(sketch.finish(), Pose::new(0.0, -WIDTH * f64::from(ego_lane), 0.0), speed)
+}
+
+/// A single lane that runs straight for 100 m, then bends with `radius` metres (positive: left) for a quarter circle; the
+/// ego's box centre `before` metres in front of the bend.
+pub(super) fn curve(radius: f64, before: f64, speed: f64) -> Drawn {
+    let mut sketch = Sketch::default();
+    let bend = (0..=40).map(|i| {
+        let a = f64::from(i) / 40.0 * FRAC_PI_2;
+        Point::new(radius.abs() * a.sin(), radius * (1.0 - a.cos()))
+    });
+    sketch.lane(std::iter::once(Point::new(-100.0, 0.0)).chain(bend).collect(), LaneKind::Lane);
+    Drawn::new(sketch.finish(), Pose::new(-before, 0.0, 0.0), speed)
+}
+
+/// Half the width of the crossing's middle, metres.
+pub(super) const MIDDLE: f64 = 14.0;
+
+/// The lanes of a crossing: `inbound[arm][k]` and `outbound[arm][k]`, k from the left; arm 0 drives along +x, then by
+/// quarter turns to the left.
+pub(super) struct Arms {
+    pub(super) inbound: Vec<Vec<LaneId>>,
+    pub(super) outbound: Vec<Vec<LaneId>>,
+}
+
+/// A four-armed signalled crossing around the origin, `lanes` each way, crosswalks over every arm; the ego drives along +x
+/// on inbound lane `ego_lane`, its box centre `before` metres from the middle's edge. All lights are unset.
+pub(super) fn crossing(lanes: u32, ego_lane: u32, before: f64, speed: f64) -> (Drawn, Arms) {
+    let mut sketch = Sketch::default();
+    let right = |k: u32| -WIDTH * (f64::from(k) + 0.5);
+    let mut arms = Arms { inbound: vec![], outbound: vec![] };
+    for arm in 0..4 {
+        let frame = Pose::new(0.0, 0.0, FRAC_PI_2 * f64::from(arm));
+        let mut both = |from, to| {
+            let road: Vec<LaneId> =
+                (0..lanes).map(|k| sketch.lane(line(frame, from, to, right(k)), LaneKind::Lane)).collect();
+            sketch.abreast(&road);
+            road
+        };
+        arms.inbound.push(both(-120.0, -MIDDLE));
+        arms.outbound.push(both(MIDDLE, 120.0));
+        let across = OrientedBox::new(frame.translated(-MIDDLE + 2.0, 0.0), 3.0, 2.0 * WIDTH * f64::from(lanes));
+        sketch.parts.crosswalks.push(across.to_polygon());
+    }
+    for arm in 0..4 {
+        let last = lanes as usize - 1;
+        let straight: Vec<LaneId> =
+            (0..=last).map(|k| sketch.join(arms.inbound[arm][k], arms.outbound[arm][k])).collect();
+        sketch.abreast(&straight);
+        let left = sketch.join(arms.inbound[arm][0], arms.outbound[(arm + 1) % 4][0]);
+        let right = sketch.join(arms.inbound[arm][last], arms.outbound[(arm + 3) % 4][last]);
+        for connector in straight.into_iter().chain([left, right]) {
+            sketch.stop_line(connector);
+        }
+    }
+    let side = 2.0 * MIDDLE;
+    sketch.parts.intersections.push(OrientedBox::new(Pose::default(), side, side).to_polygon());
+    (Drawn::new(sketch.finish(), Pose::new(-MIDDLE - before, right(ego_lane), 0.0), speed), arms)
+}
+
+/// A roundabout of `radius` metres around the origin with four arms; the ego drives along +x towards it, its box centre
+/// `before` metres from the end of its lane.
+pub(super) fn roundabout(radius: f64, before: f64, speed: f64) -> Drawn {
+    /// Half the angle between exit and entry of an arm.
+    const OPENING: f64 = 0.45;
+    let mut sketch = Sketch::default();
+    let mut arc = |from: f64, to: f64| {
+        let points = (0..=12).map(|i| {
+            let a = from + (to - from) * f64::from(i) / 12.0;
+            Point::new(radius * a.cos(), radius * a.sin())
+        });
+        sketch.lane(points.collect(), LaneKind::Lane)
+    };
+    let arm_angle = |arm: usize| TAU / 2.0 + FRAC_PI_2 * arm as f64;
+    let gates: Vec<LaneId> = (0..4).map(|a| arc(arm_angle(a) - OPENING, arm_angle(a) + OPENING)).collect();
+    let sides: Vec<LaneId> = (0..4).map(|a| arc(arm_angle(a) + OPENING, arm_angle(a + 1) - OPENING)).collect();
+    for arm in 0..4 {
+        sketch.connect(gates[arm], sides[arm]);
+        sketch.connect(sides[arm], gates[(arm + 1) % 4]);
+        let frame = Pose::new(0.0, 0.0, FRAC_PI_2 * arm as f64);
+        let end = -radius - 10.0;
+        let inbound = sketch.lane(line(frame, end - 80.0, end, -WIDTH / 2.0), LaneKind::Lane);
+        let back = Pose::new(0.0, 0.0, frame.heading + TAU / 2.0);
+        let outbound = sketch.lane(line(back, -end, 80.0 - end, -WIDTH / 2.0), LaneKind::Lane);
+        sketch.join(inbound, sides[arm]);
+        sketch.join(sides[(arm + 3) % 4], outbound);
+    }
+    Drawn::new(sketch.finish(), Pose::new(-radius - 10.0 - before, -WIDTH / 2.0, 0.0), speed)
+}

@@ -1,0 +1,120 @@
+//! What the texts say, as data.
+
+use crate::environment::lane_graph::{
+    AgentName, CenterlineName, Connection, GraphAgent, Heading, LaneGraph, NodePlace, Turn,
+};
+use crate::world::SignalStatus;
+
+/// Larger numbers are written as this one: metres and metres per second beyond it make no difference to the next seconds.
+pub const MAX_NUMBER: u8 = 60;
+
+/// A traffic light ahead.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LightDescription {
+    /// What it shows.
+    pub status: SignalStatus,
+    /// Whole metres from the ego's front bumper to the stop line.
+    pub distance: u8,
+}
+
+/// An agent or obstacle on a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct AgentDescription {
+    /// Its name; planner code uses the same.
+    pub name: AgentName,
+    /// Whole metres from bumper to bumper along the lane.
+    pub distance: u8,
+    /// Speed in whole m/s.
+    pub speed: u8,
+    /// Which way it moves.
+    pub heading: Heading,
+}
+
+/// A node that exists.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct NodeDescription {
+    /// Whether its lane goes another way there than the ego's.
+    pub apart: bool,
+    /// Who is on it, in the order of the graph: ahead nearest first, then behind nearest first.
+    pub agents: Vec<AgentDescription>,
+}
+
+/// The facts that scene text states.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Description {
+    /// Speed of the ego, whole m/s.
+    pub speed: u8,
+    /// Speed limit, whole m/s.
+    pub limit: Option<u8>,
+    /// The next light on the ego's way.
+    pub light: Option<LightDescription>,
+    /// Which way the route goes at the next intersection.
+    pub turn: Turn,
+    /// The nodes in order of [`NodePlace::ALL`]; `None` where there is none. The ego's own always exists.
+    pub nodes: [Option<NodeDescription>; 9],
+    /// How many agents on the nodes are not named; 0 unless reduced.
+    pub rest: u8,
+}
+
+impl Description {
+    /// What there is to say of a lane graph.
+    pub fn of(graph: &LaneGraph) -> Self {
+        let ego_lane = graph.ego_lane();
+        let light =
+            ego_lane.light.map(|light| LightDescription { status: light.status, distance: whole(light.distance) });
+        let nodes = std::array::from_fn(|i| {
+            let node = graph.node(NodePlace::ALL[i])?;
+            let agents = graph.agents_on(node.place).map(describe).collect();
+            Some(NodeDescription { apart: node.connection == Connection::Apart, agents })
+        });
+        Self {
+            speed: whole(graph.ego_speed),
+            limit: ego_lane.speed_limit.map(whole),
+            light,
+            turn: ego_lane.turn,
+            nodes,
+            rest: 0,
+        }
+    }
+
+    /// The node at a place.
+    pub fn node(&self, place: NodePlace) -> Option<&NodeDescription> {
+        self.nodes[place as usize].as_ref()
+    }
+
+    /// Whether a lane can be followed: its node beside (or under) the ego exists.
+    pub fn has(&self, centerline: CenterlineName) -> bool {
+        self.node(NodePlace::on(centerline)[0]).is_some()
+    }
+
+    /// All agents in order of the nodes.
+    pub fn agents(&self) -> impl Iterator<Item = &AgentDescription> {
+        self.nodes.iter().flatten().flat_map(|node| &node.agents)
+    }
+
+    /// What the compact text says: of each node the nearest agent, without its speed when it does not move along the lane,
+    /// and the number of the others; without what lies apart.
+    pub fn reduced(&self) -> Self {
+        let mut rest = usize::from(self.rest);
+        let nodes = std::array::from_fn(|i| {
+            let node = self.nodes[i].as_ref()?;
+            let nearest = node.agents.iter().copied().min_by_key(|agent| agent.distance);
+            rest += node.agents.len() - usize::from(nearest.is_some());
+            let agents = nearest.map(|agent| match agent.heading {
+                Heading::Along => agent,
+                Heading::Crossing | Heading::Oncoming => AgentDescription { speed: 0, ..agent },
+            });
+            Some(NodeDescription { apart: false, agents: agents.into_iter().collect() })
+        });
+        Self { nodes, rest: u8::try_from(rest).unwrap_or(MAX_NUMBER).min(MAX_NUMBER), ..*self }
+    }
+}
+
+fn describe(agent: &GraphAgent) -> AgentDescription {
+    AgentDescription { name: agent.name, distance: whole(agent.gap), speed: whole(agent.speed), heading: agent.heading }
+}
+
+/// Rounded to a whole number between 0 and [`MAX_NUMBER`].
+fn whole(value: f64) -> u8 {
+    value.round().clamp(0.0, f64::from(MAX_NUMBER)) as u8
+}

@@ -1,0 +1,66 @@
+//! The lane graph in words, and the way back.
+//!
+//! A [`Description`] holds the facts that are put into words, already rounded to what the words say: whole metres and
+//! whole metres per second, both at most [`MAX_NUMBER`]. [`PromptSet::Paper`] puts all of it into short English lines for
+//! general models; [`PromptSet::Compact`] says its [`Description::reduced`] part in words at fixed places for a small model.
+//! [`parse`] reads either text back: `parse(write(d)) = d` (for the compact set: of the reduced description).
+//!
+//! **Paper set**, four lines; every agent on the nine nodes is named:
+//!
+//! ```text
+//! Ego: 9 m/s, limit 13 m/s, route straight, light red in 24 m.
+//! ego_lane: ego free; front vehicle1 12 m 5 m/s; back free.
+//! left_lane: left free; front_left vehicle2 8 m 9 m/s, vehicle3 20 m 9 m/s; back_left free.
+//! right_lane: none.
+//! ```
+//!
+//! `free`: nobody on the node; `none`: no such node; `(apart)` before what is on it: its lane goes another way there;
+//! `crossing` or `oncoming` after a speed: the agent moves across or against the lane.
+//!
+//! **Compact set**, one line of [`COMPACT_WORDS`] words, whatever the scene: ego speed, limit (`-` if unknown), light and
+//! distance to its stop line (`none -`), turn of the route; for each of the nine nodes its name and the nearest agent on it,
+//! its distance, its speed (`crossing` or `oncoming` instead when it moves so), or `free - -`, or `none - -`; the number of
+//! agents left out. So at most the nearest on the ego's node and the nearest on the one ahead are named in the ego's lane.
+
+mod compact;
+mod description;
+mod lexer;
+mod paper;
+
+pub use compact::COMPACT_WORDS;
+pub use description::{AgentDescription, Description, LightDescription, MAX_NUMBER, NodeDescription};
+pub use lexer::TextError;
+
+use super::choice::choice;
+
+choice! {
+    /// The two ways of putting a scene into words.
+    pub enum PromptSet {
+        /// Readable English, for general models.
+        Paper = "paper",
+        /// Few words at fixed places, for a small model of our own.
+        Compact = "compact",
+    }
+}
+
+/// The description in words; ends without a newline.
+pub fn write(description: &Description, set: PromptSet) -> String {
+    match set {
+        PromptSet::Paper => paper::write(description),
+        PromptSet::Compact => compact::write(description),
+    }
+}
+
+/// Reads a text of the given set back.
+///
+/// # Errors
+/// Everything that is not as [`write()`] would have written it, each with its place.
+pub fn parse(text: &str, set: PromptSet) -> Result<Description, Vec<TextError>> {
+    match set {
+        PromptSet::Paper => paper::parse(text),
+        PromptSet::Compact => compact::parse(text),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,177 @@
+use super::*;
+use crate::environment::lane_graph::{AgentClass, AgentName, DEFAULT_NODE_LENGTH, Heading, LaneGraph, NodePlace, Turn};
+use crate::environment::sketch::{self, Drawn};
+use crate::world::{ObjectKind, SignalStatus};
+use proptest::prelude::*;
+use std::path::Path;
+
+fn described(drawn: &Drawn) -> Description {
+    Description::of(&LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap())
+}
+
+fn road() -> Drawn {
+    sketch::straight(3, 2, 1, 9.0)
+        .put(ObjectKind::Vehicle, 18.0, 0.0, 0.0, 5.0)
+        .put(ObjectKind::Vehicle, 33.0, 0.0, 0.0, 6.0)
+        .put(ObjectKind::Vehicle, -9.0, 3.5, 0.0, 12.0)
+        .put(ObjectKind::Vehicle, 8.0, 7.0, std::f64::consts::PI, 10.0)
+        .put(ObjectKind::Bicycle, 12.0, -4.4, 0.0, 4.0)
+        .put(ObjectKind::TrafficCone, 20.0, -3.5, 0.0, 0.0)
+        .put(ObjectKind::Pedestrian, 24.0, -4.4, 1.57, 1.4)
+}
+
+fn crossing() -> Drawn {
+    let (drawn, arms) = sketch::crossing(2, 0, 12.0, 7.0);
+    let route = [arms.inbound[0][0], drawn.between(arms.inbound[0][0], arms.outbound[1][0]), arms.outbound[1][0]];
+    drawn
+        .route_through(&route)
+        .all_lights(SignalStatus::Red)
+        .put(ObjectKind::Vehicle, 7.0, -3.5, 0.0, 3.0)
+        .put(ObjectKind::Pedestrian, 13.0, -2.0, 1.57, 1.3)
+        .put(ObjectKind::Vehicle, 30.0, 4.0, std::f64::consts::PI, 8.0)
+}
+
+#[test]
+fn golden_texts() {
+    let update = std::env::var_os("PLANAGENT_UPDATE_GOLDEN").is_some();
+    let narrow = sketch::straight(1, 1, 0, 0.0);
+    for (name, drawn) in [("road", road()), ("crossing", crossing()), ("narrow", narrow)] {
+        for &set in PromptSet::ALL {
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/text/{name}.{set}.txt"));
+            let text = write(&described(&drawn), set) + "\n";
+            if update {
+                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                std::fs::write(&path, &text).unwrap();
+            }
+            let golden = std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+            assert_eq!(golden, text, "{}", path.display());
+        }
+    }
+}
+
+#[test]
+fn described_facts_are_parsed_back() {
+    for drawn in [road(), crossing(), sketch::roundabout(16.0, 5.0, 4.0), sketch::curve(30.0, 5.0, 6.0)] {
+        let description = described(&drawn);
+        assert_eq!(parse(&write(&description, PromptSet::Paper), PromptSet::Paper), Ok(description.clone()));
+        assert_eq!(parse(&write(&description, PromptSet::Compact), PromptSet::Compact), Ok(description.reduced()));
+    }
+}
+
+#[test]
+fn all_agents_on_the_nodes_stand_in_the_paper_text_and_the_rest_is_counted_in_the_compact_one() {
+    let drawn = road().put(ObjectKind::Vehicle, 26.0, -3.5, 0.0, 3.0);
+    let graph = LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap();
+    let text = write(&Description::of(&graph), PromptSet::Paper);
+    assert!(graph.agents.len() >= 6);
+    for agent in &graph.agents {
+        assert!(text.contains(&agent.name.to_string()), "{} is missing in:\n{text}", agent.name);
+    }
+    let reduced = Description::of(&graph).reduced();
+    assert_eq!(reduced.agents().count() + usize::from(reduced.rest), graph.agents.len());
+}
+
+fn error_at(text: &str, set: PromptSet) -> (usize, usize) {
+    let errors = parse(text, set).unwrap_err();
+    (errors[0].line, errors[0].column)
+}
+
+#[test]
+fn errors_say_where() {
+    let text = write(&described(&road()), PromptSet::Paper);
+    assert_eq!(error_at("", PromptSet::Paper), (1, 1));
+    assert_eq!(error_at(&text.replace("Ego: 9", "Ego: 99"), PromptSet::Paper), (1, 6));
+    assert_eq!(error_at(&text.replace("left_lane", "over_lane"), PromptSet::Paper), (3, 1));
+    assert_eq!(error_at(&format!("{text} more"), PromptSet::Paper).0, 4);
+    let two = text.replace("Ego: 9", "Ego: ?").replace("left_lane: left", "left_lane: lift");
+    let lines: Vec<usize> = parse(&two, PromptSet::Paper).unwrap_err().iter().map(|e| e.line).collect();
+    assert_eq!(lines, [1, 3]);
+    let compact = write(&described(&road()), PromptSet::Compact);
+    assert_eq!(error_at(&compact.replace("speed 9", "speed -1"), PromptSet::Compact), (1, 7));
+    assert_eq!(error_at(&format!("{compact} 5"), PromptSet::Compact), (1, compact.len() + 2));
+}
+
+fn agents() -> impl Strategy<Value = Vec<AgentDescription>> {
+    let class = prop::sample::select(AgentClass::ALL);
+    let heading = prop::sample::select(Heading::ALL);
+    let agent = (class, 1..500u16, 0..=MAX_NUMBER, 0..=MAX_NUMBER, heading).prop_map(
+        |(class, number, distance, speed, heading)| AgentDescription {
+            name: AgentName { class, number },
+            distance,
+            speed,
+            heading,
+        },
+    );
+    prop::collection::vec(agent, 0..4)
+}
+
+fn node() -> impl Strategy<Value = NodeDescription> {
+    (any::<bool>(), agents()).prop_map(|(apart, agents)| NodeDescription { apart, agents })
+}
+
+fn description() -> impl Strategy<Value = Description> {
+    use SignalStatus::{Green, Red, Unknown, Yellow};
+    let status = prop::sample::select(vec![Green, Yellow, Red, Unknown]);
+    let light = (status, 0..=MAX_NUMBER).prop_map(|(status, distance)| LightDescription { status, distance });
+    let number = 0..=MAX_NUMBER;
+    let nodes = (node(), prop::collection::vec(prop::option::of(node()), 8));
+    let turn = prop::sample::select(Turn::ALL);
+    (number.clone(), prop::option::of(number.clone()), prop::option::of(light), turn, nodes, number).prop_map(
+        |(speed, limit, light, turn, (ego, others), rest)| {
+            let mut nodes: [Option<NodeDescription>; 9] = std::array::from_fn(|_| None);
+            nodes[0] = Some(ego);
+            nodes[1..].clone_from_slice(&others);
+            Description { speed, limit, light, turn, nodes, rest }
+        },
+    )
+}
+
+proptest! {
+    #[test]
+    fn paper_text_round_trips(description in description()) {
+        let text = write(&description, PromptSet::Paper);
+        let back = parse(&text, PromptSet::Paper);
+        prop_assert_eq!(back.as_ref(), Ok(&description));
+        prop_assert_eq!(write(&back.unwrap(), PromptSet::Paper), text);
+    }
+
+    #[test]
+    fn compact_text_round_trips_with_the_same_number_of_words(description in description()) {
+        let text = write(&description, PromptSet::Compact);
+        prop_assert_eq!(text.split_whitespace().count(), COMPACT_WORDS);
+        let back = parse(&text, PromptSet::Compact);
+        prop_assert_eq!(back.as_ref(), Ok(&description.reduced()));
+        prop_assert_eq!(write(&back.unwrap(), PromptSet::Compact), text);
+    }
+
+    #[test]
+    fn compact_words_stand_at_fixed_places(a in description(), b in description()) {
+        let (a, b) = (write(&a, PromptSet::Compact), write(&b, PromptSet::Compact));
+        for (i, (x, y)) in a.split(' ').zip(b.split(' ')).enumerate() {
+            let label = x == "speed" || x == "limit" || x == "light" || x == "turn" || x == "rest"
+                || (i >= 9 && (i - 9) % 4 == 0 && x.parse::<NodePlace>().is_ok());
+            if label {
+                prop_assert_eq!(x, y);
+            }
+        }
+    }
+
+    #[test]
+    fn any_text_is_read_without_panic(text in "[ -~\\n\u{e9}]{0,200}") {
+        for &set in PromptSet::ALL {
+            prop_assert!(parse(&text, set).is_err());
+        }
+    }
+
+    #[test]
+    fn damaged_text_is_read_without_panic(description in description(), at in 0..400usize, put in "[ -~\u{e9}\\n]{0,3}") {
+        for &set in PromptSet::ALL {
+            let mut text = write(&description, set);
+            let at = at.min(text.len());
+            text.replace_range(at..(at + 2).min(text.len()), &put);
+            if let Ok(read) = parse(&text, set) {
+                prop_assert_eq!(parse(&write(&read, set), set), Ok(read));
+            }
+        }
+    }
+}

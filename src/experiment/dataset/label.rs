@@ -1,0 +1,199 @@
+//! A labelled state: the three rounds with their answers, built from the facts of the scene and of the search.
+
+use super::search::Tried;
+use crate::environment::facts::{Ahead, LeadSpeed, Light, Question};
+use crate::environment::text::{self, Description};
+use crate::environment::{CenterlineName, LaneGraph, SceneFacts};
+use crate::planner::names;
+use crate::reasoning::{
+    Lateral, LateralReason, Longitudinal, LongitudinalReason, PromptError, PromptSet, Round, round_prompt, system_prompt,
+};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// A change of speed within 3 s that counts as an instruction, m/s.
+const SPEED_CHANGE: f64 = 0.7;
+/// From this share of the limit on, the limit is what holds the speed.
+const NEAR_LIMIT: f64 = 0.85;
+
+/// One turn of the conversation.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Message {
+    role: &'static str,
+    content: String,
+    /// Of an answer: the spans of characters that are not forced by the grammar.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    learn: Vec<[usize; 2]>,
+}
+
+/// A line of a shard.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LabelledState {
+    /// Scenario and time.
+    pub state: String,
+    /// Row of the image in the shard's PNG.
+    pub image: usize,
+    /// System prompt, then prompts and answers.
+    pub conversation: Vec<Message>,
+    /// All answers by question: round 1, then `lateral`, `longitudinal`, and the search's `code`.
+    pub facts: BTreeMap<String, String>,
+    /// nuPlan's score of the labelled planner over the search's horizon.
+    pub score: f64,
+}
+
+/// An answer in pieces, some of which are to be learnt.
+#[derive(Default)]
+struct Answer {
+    text: String,
+    learn: Vec<[usize; 2]>,
+}
+
+impl Answer {
+    /// Words that the grammar forces.
+    fn fixed(mut self, text: &str) -> Self {
+        self.text.push_str(text);
+        self
+    }
+
+    /// Words that the model chooses.
+    fn chosen(mut self, text: &str) -> Self {
+        let start = self.text.chars().count();
+        self.text.push_str(text);
+        self.learn.push([start, self.text.chars().count()]);
+        self
+    }
+
+    fn message(self) -> Message {
+        Message { role: "assistant", content: self.text, learn: self.learn }
+    }
+}
+
+/// What the search says to do and why.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Instruction {
+    lateral: Lateral,
+    why_lateral: LateralReason,
+    longitudinal: Longitudinal,
+    why_longitudinal: LongitudinalReason,
+}
+
+/// The label of a state. `feedback` is what the first prompt says of a refused planner, if anything.
+///
+/// # Errors
+/// When a prompt template names something that does not exist.
+pub fn label(
+    state: String,
+    graph: &LaneGraph,
+    facts: &SceneFacts,
+    best: &Tried,
+    prompts: &PromptSet,
+    feedback: Option<&str>,
+) -> Result<LabelledState, PromptError> {
+    let scene_text = text::write(&Description::of(graph), prompts.forms().scene_text);
+    let instruction = instruction(graph, facts, best);
+    let names = names(graph);
+    let mut conversation = vec![Message { role: "system", content: system_prompt(prompts, "")?, learn: vec![] }];
+    for round in Round::ALL {
+        let first = round == Round::Understanding;
+        let prompt =
+            round_prompt(prompts, round, &names, first.then_some(scene_text.as_str()), feedback.filter(|_| first))?;
+        let content = if first { format!("<image>\n{prompt}") } else { prompt };
+        conversation.push(Message { role: "user", content, learn: vec![] });
+        conversation.push(match round {
+            Round::Understanding => understanding_answer(facts),
+            Round::Instruction => instruction_answer(instruction),
+            Round::Code => code_answer(best),
+        });
+    }
+    let mut answers: BTreeMap<String, String> =
+        Question::ALL.iter().map(|&q| (q.to_string(), facts.answer(q).to_owned())).collect();
+    answers.insert("lateral".to_owned(), instruction.lateral.to_string());
+    answers.insert("longitudinal".to_owned(), instruction.longitudinal.to_string());
+    answers.insert("code".to_owned(), best.code.to_string());
+    Ok(LabelledState { state, image: 0, conversation, facts: answers, score: best.score })
+}
+
+fn understanding_answer(facts: &SceneFacts) -> Message {
+    let mut answer = Answer::default();
+    for (i, &question) in Question::ALL.iter().enumerate() {
+        let space = if i == 0 { "" } else { " " };
+        answer = answer.fixed(&format!("{space}{question}=")).chosen(facts.answer(question));
+    }
+    answer.message()
+}
+
+fn instruction_answer(instruction: Instruction) -> Message {
+    Answer::default()
+        .fixed("why=")
+        .chosen(instruction.why_lateral.as_str())
+        .fixed(" lat=")
+        .chosen(instruction.lateral.as_str())
+        .fixed(" why=")
+        .chosen(instruction.why_longitudinal.as_str())
+        .fixed(" lon=")
+        .chosen(instruction.longitudinal.as_str())
+        .message()
+}
+
+fn code_answer(best: &Tried) -> Message {
+    let code = &best.code;
+    Answer::default()
+        .fixed(&format!("{}(c=", crate::reasoning::FUNCTION))
+        .chosen(&code.centerline)
+        .fixed(", la=")
+        .chosen(code.leader.as_deref().unwrap_or("None"))
+        .fixed(", v0=")
+        .chosen(&code.target_speed.to_string())
+        .fixed(", acc=")
+        .chosen(&code.accel_max.to_string())
+        .fixed(", dec=")
+        .chosen(&code.decel_max.to_string())
+        .fixed(")")
+        .message()
+}
+
+fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Tried) -> Instruction {
+    let lateral = match best.code.centerline.parse() {
+        Ok(CenterlineName::LeftLane) => Lateral::ChangeLeft,
+        Ok(CenterlineName::RightLane) => Lateral::ChangeRight,
+        _ => Lateral::Keep,
+    };
+    let why_lateral = match lateral {
+        Lateral::Keep => LateralReason::LaneServes,
+        _ if facts.blocked != Ahead::None => LateralReason::Blocked,
+        _ if matches!(facts.lead_speed, LeadSpeed::Stopped | LeadSpeed::Slower) => LateralReason::SlowLead,
+        _ => LateralReason::Route,
+    };
+    let change = best.speed_later - graph.ego_speed;
+    let longitudinal = if change > SPEED_CHANGE {
+        Longitudinal::Accelerate
+    } else if change < -SPEED_CHANGE {
+        Longitudinal::Decelerate
+    } else {
+        Longitudinal::Maintain
+    };
+    Instruction { lateral, why_lateral, longitudinal, why_longitudinal: why_longitudinal(graph, facts, best, lateral) }
+}
+
+/// What limits the speed most, of what can be seen.
+fn why_longitudinal(graph: &LaneGraph, facts: &SceneFacts, best: &Tried, lateral: Lateral) -> LongitudinalReason {
+    let limit = graph.ego_lane().speed_limit.unwrap_or(f64::INFINITY);
+    if best.speed_later > NEAR_LIMIT * limit {
+        return LongitudinalReason::SpeedLimit;
+    }
+    if matches!(facts.pedestrian, Ahead::Near | Ahead::Mid) {
+        return LongitudinalReason::Person;
+    }
+    if matches!(facts.light, Light::Red | Light::Yellow) {
+        return LongitudinalReason::Light;
+    }
+    if lateral == Lateral::Keep {
+        if facts.lead_distance != Ahead::None {
+            return LongitudinalReason::Lead;
+        }
+        if facts.blocked != Ahead::None {
+            return LongitudinalReason::Obstacle;
+        }
+    }
+    LongitudinalReason::FreeRoad
+}

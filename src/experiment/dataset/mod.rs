@@ -1,0 +1,188 @@
+//! Labelled states for training: generated scenes, driven by noisy search, each state labelled by what search found best.
+//!
+//! The seeds of training, validation and test scenes never meet (see [`Split`]).
+
+mod label;
+pub mod search;
+mod shard;
+
+pub use label::LabelledState;
+pub use shard::{FORMAT, Meta, ShardError};
+
+use crate::environment::{BevError, BevView, LaneGraph, SceneFacts, bev};
+use crate::reasoning::{Feedback, PromptError, PromptSet, feedback_text};
+use crate::reflection::{Judge, Verdict};
+use crate::scenario::generator::{self, ScenarioType, Spec};
+use crate::simulation::{Challenge, ClosedLoop};
+use image::RgbImage;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+use search::Tried;
+use std::path::Path;
+
+/// Scenes per shard.
+const SCENES_PER_SHARD: u64 = 48;
+/// Iterations between two states of a drive, drawn evenly.
+const GAP: std::ops::RangeInclusive<usize> = 14..=24;
+/// Share of states from which the drive goes on with another planner than the best, so that off-track states are seen too.
+const EXPLORE: f64 = 0.35;
+/// Share of states whose prompt tells of a refused planner.
+const RETHINK: f64 = 0.15;
+/// λ for those, and the length of their roll-outs, seconds: Reflection's defaults.
+const THRESHOLD: f64 = 0.75;
+/// See [`THRESHOLD`].
+const HORIZON_S: f64 = 4.0;
+
+/// Which part of the seeds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Split {
+    /// Scenes that models are trained on.
+    Train,
+    /// Scenes by which training is judged.
+    Validation,
+}
+
+impl Split {
+    /// Name in file names.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Validation => "validation",
+        }
+    }
+
+    /// First seed of the split. Seeds under 1,000,000 are for tests and demonstrations.
+    pub fn first_seed(self) -> u64 {
+        match self {
+            Self::Train => 10_000_000,
+            Self::Validation => 20_000_000,
+        }
+    }
+}
+
+/// How a dataset is made.
+pub struct Settings<'a> {
+    /// Seed of the exploration.
+    pub seed: u64,
+    /// Prompts of the conversations.
+    pub prompts: &'a PromptSet,
+    /// What the images show.
+    pub view: BevView,
+}
+
+/// Why a dataset cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum DatasetError {
+    /// A shard cannot be written.
+    #[error(transparent)]
+    Shard(#[from] ShardError),
+    /// A prompt cannot be made.
+    #[error(transparent)]
+    Prompt(#[from] PromptError),
+    /// The view cannot be drawn.
+    #[error(transparent)]
+    View(#[from] BevError),
+}
+
+/// Writes shards until a split has `states` labelled states; complete shards of an earlier run are kept. Gives the number of
+/// states. `on_states` is told how many came.
+///
+/// # Errors
+/// When a shard cannot be written or a prompt cannot be made.
+pub fn write_split(
+    folder: &Path,
+    split: Split,
+    states: usize,
+    settings: &Settings<'_>,
+    on_states: &dyn Fn(usize),
+) -> Result<usize, DatasetError> {
+    shard::open_folder(folder, &meta(settings))?;
+    let mut count = 0;
+    let mut number = 0;
+    while count < states {
+        let made = match shard::complete(folder, split.as_str(), number) {
+            Some(present) => present,
+            None => write_shard(folder, split, number, settings)?,
+        };
+        on_states(made);
+        count += made;
+        number += 1;
+    }
+    Ok(count)
+}
+
+fn meta(settings: &Settings<'_>) -> Meta {
+    Meta {
+        format: FORMAT,
+        image_pixels: settings.view.pixels(),
+        view_m: settings.view.metres(),
+        prompt_set: settings.prompts.name().to_owned(),
+        seed: settings.seed,
+        planagent: env!("CARGO_PKG_VERSION").to_owned(),
+    }
+}
+
+fn write_shard(folder: &Path, split: Split, number: usize, settings: &Settings<'_>) -> Result<usize, DatasetError> {
+    let first = split.first_seed() + number as u64 * SCENES_PER_SHARD;
+    let scenes: Vec<Spec> = (first..first + SCENES_PER_SHARD)
+        .map(|seed| Spec { scenario_type: ScenarioType::ALL[seed as usize % ScenarioType::ALL.len()], seed })
+        .collect();
+    let labelled: Vec<Vec<(LabelledState, RgbImage)>> =
+        scenes.par_iter().map(|spec| label_scene(spec, settings)).collect::<Result<_, PromptError>>()?;
+    let states: Vec<_> = labelled.into_iter().flatten().collect();
+    let made = states.len();
+    shard::write(folder, split.as_str(), number, states, settings.view.pixels())?;
+    Ok(made)
+}
+
+/// Labelled states of one scene. A scene that cannot be generated gives none; the generator's seeds are not all fruitful.
+fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledState, RgbImage)>, PromptError> {
+    let mut random = Pcg64Mcg::seed_from_u64(settings.seed ^ spec.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));
+    let Ok(scenario) = generator::generate(spec) else { return Ok(Vec::new()) };
+    let challenge = Challenge::ALL[usize::from(random.random_bool(0.5))];
+    let Ok(mut drive) = ClosedLoop::new(&scenario, challenge) else { return Ok(Vec::new()) };
+    let mut states = Vec::new();
+    loop {
+        let scene = drive.scene();
+        let Ok(graph) = LaneGraph::build(&scene, crate::environment::DEFAULT_NODE_LENGTH) else { break };
+        let tried = search::search(&drive, &graph);
+        let Some(best) = search::best(&tried) else { break };
+        let facts = SceneFacts::of(&scene, &graph);
+        let feedback = if random.random_bool(RETHINK) {
+            refused(&drive, &graph, &tried[random.random_range(0..tried.len())], settings.prompts)?
+        } else {
+            None
+        };
+        let name = format!("{}@{:.1}", scenario.id, drive.iteration() as f64 * crate::world::STEP_S);
+        let labelled = label::label(name, &graph, &facts, best, settings.prompts, feedback.as_deref())?;
+        states.push((labelled, bev::render(&scene, &settings.view)));
+        let next = if random.random_bool(EXPLORE) { &tried[random.random_range(0..tried.len())] } else { best };
+        let Some(planner) = search::planner(&drive, &graph, next.code.clone()) else { break };
+        if search::follow(&mut drive, &planner, random.random_range(GAP)).is_none() {
+            break;
+        }
+    }
+    Ok(states)
+}
+
+/// What a prompt says of a planner that Reflection refuses; `None` when it would accept it.
+fn refused(
+    drive: &ClosedLoop<'_>,
+    graph: &LaneGraph,
+    tried: &Tried,
+    prompts: &PromptSet,
+) -> Result<Option<String>, PromptError> {
+    let scene = drive.scene();
+    let judged = search::planner(drive, graph, tried.code.clone())
+        .and_then(|planner| Judge::new(&scene, graph, HORIZON_S).ok()?.reflect(&planner, THRESHOLD).ok());
+    let Some(report) = judged.filter(|report| report.verdict == Verdict::Rethink) else { return Ok(None) };
+    let feedback = Feedback {
+        code: Some(tried.code.to_string()),
+        score: Some(report.score),
+        threshold: THRESHOLD,
+        parts: report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec(),
+        errors: Vec::new(),
+    };
+    feedback_text(prompts, &feedback).map(Some)
+}

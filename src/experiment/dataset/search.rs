@@ -1,0 +1,131 @@
+//! Privileged search: from a state, many planners are driven in the true simulation, and the best becomes the label.
+
+use crate::environment::{CenterlineName, LaneGraph};
+use crate::metrics::{self, Drive};
+use crate::planner::generated_planner;
+use crate::reasoning::PlannerCode;
+use crate::reflection::{GeneratedPlanner, LeadPolicy};
+use crate::simulation::ClosedLoop;
+use crate::world::{EgoState, HistorySample, STEP_S};
+
+/// Length of the search, iterations: long enough for a lane change and what comes of it.
+pub const HORIZON: usize = 60;
+/// Iterations that one roll-out is followed before the next.
+const REPLAN: usize = 5;
+/// Length of the roll-outs, seconds.
+const ROLLOUT_S: f64 = 4.0;
+/// Desired speeds that are tried, as fractions of the limit.
+const SPEED_FRACTIONS: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
+/// Fractions that are tried with a lane change: to change lanes in order to crawl is never wanted.
+const LANE_CHANGE_FRACTIONS: [f64; 2] = [1.0, 0.7];
+/// Limit where the map has none, m/s.
+const FALLBACK_LIMIT: f64 = 15.0;
+/// acc and dec unless others do better, m/s².
+pub const USUAL: (f64, f64) = (1.5, 3.0);
+/// Other pairs that are tried with the best centreline and speed, m/s²: gentle, firm, emergency.
+const REFINEMENTS: [(f64, f64); 3] = [(1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
+/// What full progress at the limit adds to a score. nuPlan's progress is capped by the expert's, so it leaves ties.
+const PROGRESS_BONUS: f64 = 0.1;
+/// What a lane change must gain.
+const LANE_CHANGE_COST: f64 = 0.03;
+/// What an unusual acc and dec must gain.
+const REFINEMENT_COST: f64 = 0.02;
+
+/// A planner that was tried.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tried {
+    /// Its code.
+    pub code: PlannerCode,
+    /// nuPlan's score over the horizon.
+    pub score: f64,
+    /// The score with the terms that break ties.
+    pub value: f64,
+    /// Speed after 3 s, m/s.
+    pub speed_later: f64,
+}
+
+/// Drives every candidate from the present state of `drive` and gives them in the order in which they were tried.
+/// Candidates that the simulation or the metrics refuse are left out.
+pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
+    let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
+    let mut tried: Vec<Tried> = Vec::new();
+    for centerline in &graph.centerlines {
+        let fractions: &[f64] = match centerline.name {
+            CenterlineName::EgoLane => &SPEED_FRACTIONS,
+            _ => &LANE_CHANGE_FRACTIONS,
+        };
+        for fraction in fractions {
+            let code = code(graph, centerline.name, (fraction * limit).round(), USUAL);
+            if !tried.iter().any(|t| t.code == code) {
+                tried.extend(attempt(drive, graph, code, limit));
+            }
+        }
+    }
+    if let Some(best) = best(&tried).cloned() {
+        for (accel_max, decel_max) in REFINEMENTS {
+            let code = PlannerCode { accel_max, decel_max, ..best.code.clone() };
+            tried.extend(attempt(drive, graph, code, limit));
+        }
+    }
+    tried
+}
+
+/// The one with the highest value; the first tried wins ties.
+pub fn best(tried: &[Tried]) -> Option<&Tried> {
+    tried.iter().rev().max_by(|a, b| a.value.total_cmp(&b.value))
+}
+
+fn code(graph: &LaneGraph, centerline: CenterlineName, target_speed: f64, (accel_max, decel_max): (f64, f64)) -> PlannerCode {
+    PlannerCode {
+        centerline: centerline.to_string(),
+        leader: graph.leader(centerline).map(|agent| agent.name.to_string()),
+        target_speed,
+        accel_max,
+        decel_max,
+    }
+}
+
+/// Drives one candidate and judges it.
+fn attempt(drive: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode, limit: f64) -> Option<Tried> {
+    let planner = planner(drive, graph, code)?;
+    let mut future = drive.clone();
+    let samples = follow(&mut future, &planner, HORIZON)?;
+    let scenario = drive.scenario();
+    let from = scenario.start + drive.iteration();
+    let expert: Vec<EgoState> = scenario.frames.get(from..=from + samples.len())?.iter().map(|frame| frame.ego).collect();
+    let judged = Drive { map: &scenario.map, samples: &samples, expert: &expert };
+    let score = metrics::evaluate(&judged).ok()?.score.value;
+    let way: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
+    let possible = limit.max(1.0) * HORIZON as f64 * STEP_S;
+    let unusual = (planner.code.accel_max, planner.code.decel_max) != USUAL;
+    let changes = planner.code.centerline != CenterlineName::EgoLane.as_str();
+    let value = score + PROGRESS_BONUS * (way / possible).min(1.0)
+        - if changes { LANE_CHANGE_COST } else { 0.0 }
+        - if unusual { REFINEMENT_COST } else { 0.0 };
+    let speed_later = samples.get(30).or(samples.last())?.ego.speed();
+    Some(Tried { code: planner.code, score, value, speed_later })
+}
+
+/// The planner of a code at the present state of a drive.
+pub fn planner(drive: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode) -> Option<GeneratedPlanner> {
+    generated_planner(&drive.scene(), graph, code, LeadPolicy::Nearest, ROLLOUT_S).ok().flatten()
+}
+
+/// Drives a planner for so many iterations; the samples begin with the present. `None` when the drive ends or fails before.
+pub fn follow(drive: &mut ClosedLoop<'_>, planner: &GeneratedPlanner, iterations: usize) -> Option<Vec<HistorySample>> {
+    let steps = (ROLLOUT_S / STEP_S).round() as usize;
+    let mut samples = Vec::with_capacity(iterations + 1);
+    let mut trajectory = None;
+    for i in 0..iterations {
+        if drive.is_over() {
+            return None;
+        }
+        if i % REPLAN == 0 {
+            let scene = drive.scene();
+            trajectory = Some(planner.roll_out(&scene, steps).to_trajectory(scene.ego).ok()?);
+        }
+        samples.push(drive.present().clone());
+        drive.advance(trajectory.as_ref()?, "search").ok()?;
+    }
+    Some(samples)
+}

@@ -1,0 +1,114 @@
+//! Shards on disk: a JSONL file of labelled states and a PNG with their images, one below the other.
+
+use super::label::LabelledState;
+use image::{ImageError, RgbImage};
+use serde::Serialize;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Version of the layout.
+pub const FORMAT: u32 = 1;
+
+/// Why a shard cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum ShardError {
+    /// A file cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The image cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Image {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: ImageError,
+    },
+    /// A state cannot be put into JSON.
+    #[error("cannot serialise a labelled state")]
+    Json(#[from] serde_json::Error),
+    /// The folder holds a dataset that was made in another way.
+    #[error("{} was made with other settings; name a new folder", .0.display())]
+    OtherSettings(PathBuf),
+}
+
+/// `meta.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Meta {
+    /// [`FORMAT`].
+    pub format: u32,
+    /// Side of an image, pixels.
+    pub image_pixels: u32,
+    /// Side of what an image shows, metres.
+    pub view_m: f64,
+    /// Prompt set of the conversations.
+    pub prompt_set: String,
+    /// Seed.
+    pub seed: u64,
+    /// Version of the program.
+    pub planagent: String,
+}
+
+/// Makes the folder and writes `meta.json`; a folder with the same `meta.json` is gone on with.
+///
+/// # Errors
+/// When the folder cannot be written or holds another dataset.
+pub fn open_folder(folder: &Path, meta: &Meta) -> Result<(), ShardError> {
+    let failed = |source| ShardError::Write { path: folder.to_owned(), source };
+    fs::create_dir_all(folder).map_err(failed)?;
+    let path = folder.join("meta.json");
+    let text = serde_json::to_string_pretty(meta)? + "\n";
+    match fs::read_to_string(&path) {
+        Ok(present) if present == text => Ok(()),
+        Ok(_) => Err(ShardError::OtherSettings(folder.to_owned())),
+        Err(_) => fs::write(&path, text).map_err(|source| ShardError::Write { path, source }),
+    }
+}
+
+/// Where the files of a shard lie: JSONL and PNG.
+pub fn paths(folder: &Path, split: &str, shard: usize) -> (PathBuf, PathBuf) {
+    let base = folder.join(format!("{split}-{shard:05}"));
+    (base.with_extension("jsonl"), base.with_extension("png"))
+}
+
+/// Number of states in a shard that is complete; the JSONL file is written last, so its presence says so.
+pub fn complete(folder: &Path, split: &str, shard: usize) -> Option<usize> {
+    fs::read_to_string(paths(folder, split, shard).0).ok().map(|text| text.lines().count())
+}
+
+/// Writes a shard: each file under another name first, the PNG before the JSONL.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write(
+    folder: &Path,
+    split: &str,
+    shard: usize,
+    states: Vec<(LabelledState, RgbImage)>,
+    pixels: u32,
+) -> Result<(), ShardError> {
+    let (jsonl, png) = paths(folder, split, shard);
+    let mut stack = RgbImage::new(pixels, pixels * (states.len() as u32).max(1));
+    let mut lines = String::new();
+    for (row, (mut state, image)) in states.into_iter().enumerate() {
+        image::imageops::replace(&mut stack, &image, 0, i64::from(pixels) * row as i64);
+        state.image = row;
+        lines.push_str(&serde_json::to_string(&state)?);
+        lines.push('\n');
+    }
+    let unfinished = png.with_extension("unfinished.png");
+    stack.save(&unfinished).map_err(|source| ShardError::Image { path: unfinished.clone(), source })?;
+    rename(&unfinished, &png)?;
+    let unfinished = jsonl.with_extension("unfinished.jsonl");
+    fs::write(&unfinished, lines).map_err(|source| ShardError::Write { path: unfinished.clone(), source })?;
+    rename(&unfinished, &jsonl)
+}
+
+fn rename(from: &Path, to: &Path) -> Result<(), ShardError> {
+    fs::rename(from, to).map_err(|source| ShardError::Write { path: to.to_owned(), source })
+}

@@ -1,0 +1,110 @@
+//! Where scenarios come from, by the words of the command line.
+
+use crate::scenario::generator::{self, GeneratorError, Spec};
+use crate::scenario::womd::{self, Pick, WomdError};
+use crate::scenario::Scenario;
+use std::path::{Path, PathBuf};
+
+/// Prefix of the ids of generated scenarios.
+const GENERATED: &str = "generated/";
+/// Ending of recordings in a folder.
+const RECORDING: &str = "tfrecord";
+
+/// A scenario that can be opened.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ScenarioSource {
+    /// One that is generated on the spot.
+    Generated(Spec),
+    /// A recording: its file and its place in it.
+    Recording {
+        /// The TFRecord file.
+        path: PathBuf,
+        /// Which record, from 0.
+        record: usize,
+    },
+}
+
+/// Why there is no scenario.
+#[derive(Debug, thiserror::Error)]
+pub enum SourceError {
+    /// The recording cannot be read.
+    #[error(transparent)]
+    Recording(#[from] WomdError),
+    /// Not the id of a generated scenario, or the generator finds no scene for its seed.
+    #[error(transparent)]
+    Generator(#[from] GeneratorError),
+    /// Nothing there.
+    #[error("there is no file or folder {}; a generated scenario is called generated/TYPE/SEED", .0.display())]
+    Missing(PathBuf),
+    /// The folder cannot be listed.
+    #[error("cannot list the folder {}: {source}", path.display())]
+    Folder {
+        /// Which folder.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The folder holds no recordings.
+    #[error("the folder {} holds no *.{RECORDING} files", .0.display())]
+    Empty(PathBuf),
+}
+
+impl ScenarioSource {
+    /// All scenarios that a word names: a generated one, the records of a file, or those of all files in a folder.
+    ///
+    /// # Errors
+    /// When it names none, or a file is no sound recording.
+    pub fn find(word: &str) -> Result<Vec<Self>, SourceError> {
+        if word.starts_with(GENERATED) {
+            return Ok(vec![Self::Generated(word.parse()?)]);
+        }
+        let path = Path::new(word);
+        if path.is_dir() {
+            let files = recordings_in(path)?;
+            return files.iter().map(|file| Self::records_of(file)).collect::<Result<Vec<_>, _>>().map(|all| all.concat());
+        }
+        if !path.exists() {
+            return Err(SourceError::Missing(path.to_owned()));
+        }
+        Self::records_of(path)
+    }
+
+    fn records_of(path: &Path) -> Result<Vec<Self>, SourceError> {
+        let summaries = womd::summaries(path)?.collect::<Result<Vec<_>, _>>()?;
+        Ok(summaries.iter().map(|s| Self::Recording { path: path.to_owned(), record: s.record }).collect())
+    }
+
+    /// Opens the scenario.
+    ///
+    /// # Errors
+    /// When the recording is broken or the generator finds no scene.
+    pub fn open(&self) -> Result<Scenario, SourceError> {
+        match self {
+            Self::Generated(spec) => Ok(generator::generate(spec)?),
+            Self::Recording { path, record } => Ok(womd::open_one(path, &Pick::Index(*record))?),
+        }
+    }
+}
+
+/// The recordings of a folder, by name.
+///
+/// # Errors
+/// When it cannot be listed or holds none.
+pub fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
+    let failed = |source| SourceError::Folder { path: folder.to_owned(), source };
+    let entries = std::fs::read_dir(folder).map_err(failed)?;
+    let mut files = entries.map(|entry| entry.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(failed)?;
+    files.retain(|path| path.extension().is_some_and(|ending| ending == RECORDING));
+    files.sort();
+    if files.is_empty() { Err(SourceError::Empty(folder.to_owned())) } else { Ok(files) }
+}
+
+impl std::fmt::Display for ScenarioSource {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Generated(spec) => spec.fmt(f),
+            Self::Recording { path, record: 0 } => path.display().fmt(f),
+            Self::Recording { path, record } => write!(f, "{} record {record}", path.display()),
+        }
+    }
+}

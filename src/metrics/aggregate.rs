@@ -1,0 +1,133 @@
+//! From the scores of many scenarios to those of a scenario type and of a planner (devkit
+//! `weighted_average_metric_aggregator.py`).
+
+use super::score::{Weighting, combine};
+
+/// The metric scores of one simulated scenario. A scenario whose simulation failed has no row at all.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScenarioRow {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Log that it was cut from.
+    pub log_name: String,
+    /// nuPlan's scenario type.
+    pub scenario_type: String,
+    /// Who drove.
+    pub planner: String,
+    /// Metric scores by name; `None` where a metric gives none.
+    pub metrics: Vec<(String, Option<f64>)>,
+}
+
+/// What a row of the aggregate stands for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum RowKind {
+    /// One scenario of a log.
+    Scenario {
+        /// Its name.
+        scenario: String,
+        /// Its log.
+        log_name: String,
+        /// Its type.
+        scenario_type: String,
+    },
+    /// All scenarios of a type. Its metric columns are sums, its score is a mean: nuPlan's behaviour.
+    ScenarioType {
+        /// The type.
+        scenario_type: String,
+        /// How many scenarios.
+        scenarios: usize,
+    },
+    /// All scenarios of a planner.
+    FinalScore {
+        /// How many scenarios.
+        scenarios: usize,
+    },
+}
+
+/// One row of the aggregate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AggregateRow {
+    /// What it stands for.
+    pub kind: RowKind,
+    /// Who drove.
+    pub planner: String,
+    /// Metric values by name, in the order in which the names first appear; `None` where no scenario has one.
+    pub metrics: Vec<(String, Option<f64>)>,
+    /// The weighted score, in [0, 1].
+    pub score: f64,
+}
+
+/// Rows of every planner in order of first appearance: its scenarios, then its scenario types, then its final score.
+pub fn aggregate(rows: &[ScenarioRow], weighting: &Weighting) -> Vec<AggregateRow> {
+    let columns = distinct(rows.iter().flat_map(|r| r.metrics.iter().map(|(name, _)| name)));
+    let mut table = Vec::new();
+    for planner in distinct(rows.iter().map(|r| &r.planner)) {
+        let own: Vec<&ScenarioRow> = rows.iter().filter(|r| r.planner == *planner).collect();
+        let scenarios: Vec<AggregateRow> = own.iter().map(|row| scenario_row(row, &columns, weighting)).collect();
+        let mut types = Vec::new();
+        for scenario_type in distinct(own.iter().map(|r| &r.scenario_type)) {
+            let of_type: Vec<&AggregateRow> =
+                scenarios.iter().zip(&own).filter(|(_, r)| r.scenario_type == *scenario_type).map(|(s, _)| s).collect();
+            types.push(type_row(scenario_type, &of_type, &columns));
+        }
+        let last = final_row(planner, scenarios.len(), &types, &columns);
+        table.extend(scenarios);
+        table.extend(types.into_iter().map(|(_, row)| row));
+        table.push(last);
+    }
+    table
+}
+
+fn distinct<'a>(names: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
+    let mut seen: Vec<&String> = Vec::new();
+    for name in names {
+        if !seen.contains(&name) {
+            seen.push(name);
+        }
+    }
+    seen
+}
+
+fn scenario_row(row: &ScenarioRow, columns: &[&String], weighting: &Weighting) -> AggregateRow {
+    let value = |column: &str| row.metrics.iter().find(|(name, _)| name == column).and_then(|&(_, score)| score);
+    AggregateRow {
+        kind: RowKind::Scenario {
+            scenario: row.scenario.clone(),
+            log_name: row.log_name.clone(),
+            scenario_type: row.scenario_type.clone(),
+        },
+        planner: row.planner.clone(),
+        metrics: columns.iter().map(|&c| (c.clone(), value(c))).collect(),
+        score: combine(row.metrics.iter().map(|(name, score)| (name.as_str(), *score)), weighting),
+    }
+}
+
+/// The sum of a column over rows that have a value; `None` when none has.
+fn column_sum<'a>(rows: impl Iterator<Item = &'a AggregateRow>, column: usize) -> Option<f64> {
+    rows.filter_map(|row| row.metrics.get(column).and_then(|&(_, value)| value))
+        .fold(None, |sum, value| Some(sum.unwrap_or(0.0) + value))
+}
+
+/// A type's row with its number of scenarios.
+fn type_row(scenario_type: &str, rows: &[&AggregateRow], columns: &[&String]) -> (usize, AggregateRow) {
+    let scenarios = rows.len();
+    let metrics = columns.iter().enumerate();
+    let row = AggregateRow {
+        kind: RowKind::ScenarioType { scenario_type: scenario_type.to_owned(), scenarios },
+        planner: rows.first().map(|row| row.planner.clone()).unwrap_or_default(),
+        metrics: metrics.map(|(i, &c)| (c.clone(), column_sum(rows.iter().copied(), i))).collect(),
+        score: rows.iter().map(|row| row.score).sum::<f64>() / scenarios as f64,
+    };
+    (scenarios, row)
+}
+
+fn final_row(planner: &str, scenarios: usize, types: &[(usize, AggregateRow)], columns: &[&String]) -> AggregateRow {
+    let total = scenarios as f64;
+    let mean = |i| column_sum(types.iter().map(|(_, row)| row), i).map(|sum| sum / total);
+    AggregateRow {
+        kind: RowKind::FinalScore { scenarios },
+        planner: planner.to_owned(),
+        metrics: columns.iter().enumerate().map(|(i, &c)| (c.clone(), mean(i))).collect(),
+        score: types.iter().map(|(n, row)| row.score * *n as f64).sum::<f64>() / total,
+    }
+}

@@ -1,0 +1,203 @@
+//! What a collision is and whose fault it is: nuPlan's rules, shared by its metrics and by PDM's scorer (devkit
+//! `collision_utils.py`, `no_ego_at_fault_collisions.py`, `observation/idm/utils.py`).
+
+use crate::geometry::{OrientedBox, Point, Pose};
+use crate::world::{EgoState, ObjectKind, TrackToken, TrackedObject};
+use std::f64::consts::PI;
+
+/// Speeds up to this count as standing in the classification of collisions, m/s.
+pub const STOPPED_SPEED: f64 = 0.05;
+/// What lies less than this angle off the heading is ahead, radians (30°).
+pub const AHEAD_ANGLE: f64 = PI / 6.0;
+/// What lies more than this angle off the heading is behind, radians (150°).
+pub const BEHIND_ANGLE: f64 = PI * 5.0 / 6.0;
+
+/// Whether a point (the centre of an object) lies ahead of a rear axle.
+pub fn is_ahead(rear_axle: Pose, point: Point) -> bool {
+    rear_axle.bearing_to(point) < AHEAD_ANGLE
+}
+
+/// Whether a point (the centre of an object) lies behind a rear axle.
+pub fn is_behind(rear_axle: Pose, point: Point) -> bool {
+    rear_axle.bearing_to(point) > BEHIND_ANGLE
+}
+
+/// nuPlan's overlap test: centres nearer than half the sum of the diagonals, and shapes that share a point.
+pub fn in_collision(a: &OrientedBox, b: &OrientedBox) -> bool {
+    let reach = f64::midpoint(a.diagonal(), b.diagonal());
+    (a.center.position() - b.center.position()).norm_squared() < reach * reach && a.overlaps(b)
+}
+
+/// How the ego and a track came to touch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CollisionType {
+    /// The ego stood.
+    StoppedEgo,
+    /// The track stood, or is a thing that never moves.
+    StoppedTrack,
+    /// Both moved; the front edge of the ego touches the track.
+    ActiveFront,
+    /// Both moved; the track is behind the ego.
+    ActiveRear,
+    /// Both moved; anything else.
+    ActiveLateral,
+}
+
+impl CollisionType {
+    /// Whether the ego could have prevented it. A lateral collision is its fault only when it was in multiple lanes or
+    /// off the road.
+    pub fn is_at_fault(self, in_multiple_lanes_or_off_road: bool) -> bool {
+        match self {
+            Self::StoppedTrack | Self::ActiveFront => true,
+            Self::ActiveLateral => in_multiple_lanes_or_off_road,
+            Self::StoppedEgo | Self::ActiveRear => false,
+        }
+    }
+}
+
+/// The type of a collision between the ego and an object that overlaps it, the first rule that holds deciding.
+pub fn classify_collision(ego: &EgoState, track: &TrackedObject) -> CollisionType {
+    if ego.speed() <= STOPPED_SPEED {
+        return CollisionType::StoppedEgo;
+    }
+    if !track.kind.is_agent() || track.speed() <= STOPPED_SPEED {
+        return CollisionType::StoppedTrack;
+    }
+    if is_behind(ego.rear_axle, track.shape.center.position()) {
+        return CollisionType::ActiveRear;
+    }
+    let [left, right] = ego.footprint().front_edge();
+    if track.shape.meets_segment(left, right) { CollisionType::ActiveFront } else { CollisionType::ActiveLateral }
+}
+
+/// nuPlan's "collision energy": the change of the ego's velocity when both masses are equal, m/s.
+pub fn delta_v(ego: &EgoState, track: &TrackedObject) -> f64 {
+    let (own, other) = (ego.speed(), if track.kind.is_agent() { track.speed() } else { 0.0 });
+    let turn = ego.rear_axle.heading - track.shape.center.heading;
+    let squared = own.powi(2) + other.powi(2) - 2.0 * own * other * turn.cos();
+    0.5 * squared.max(0.0).sqrt()
+}
+
+/// Groups of track types that are counted apart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CollisionGroup {
+    /// Vulnerable road users: pedestrians and bicycles.
+    Vru,
+    /// Vehicles.
+    Vehicle,
+    /// Things that never move.
+    Object,
+}
+
+impl CollisionGroup {
+    /// In nuPlan's order.
+    pub const ALL: [Self; 3] = [Self::Vru, Self::Vehicle, Self::Object];
+
+    /// The group of a kind of object.
+    pub fn of(kind: ObjectKind) -> Self {
+        match kind {
+            ObjectKind::Pedestrian | ObjectKind::Bicycle => Self::Vru,
+            ObjectKind::Vehicle => Self::Vehicle,
+            ObjectKind::TrafficCone | ObjectKind::Barrier | ObjectKind::CzoneSign | ObjectKind::GenericObject => {
+                Self::Object
+            }
+        }
+    }
+
+    /// nuPlan's word for the group in the names of statistics.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Vru => "VRUs",
+            Self::Vehicle => "vehicles",
+            Self::Object => "objects",
+        }
+    }
+
+    /// At-fault collisions that are still tolerated (devkit `no_ego_at_fault_collisions_statistics.yaml`).
+    pub fn tolerated(self) -> usize {
+        match self {
+            Self::Vru | Self::Vehicle => 0,
+            Self::Object => 1,
+        }
+    }
+}
+
+/// The first touch of the ego with a track.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Collision {
+    /// At which sample.
+    pub sample: usize,
+    /// When, µs.
+    pub time_us: i64,
+    /// Which track.
+    pub token: TrackToken,
+    /// What it is.
+    pub kind: ObjectKind,
+    /// How it came to it.
+    pub collision_type: CollisionType,
+    /// Whether the ego could have prevented it.
+    pub at_fault: bool,
+    /// Change of the ego's velocity, m/s.
+    pub delta_v: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Vector;
+
+    fn ego(speed: f64) -> EgoState {
+        EgoState::from_log(0, Pose::default(), Vector::new(speed, 0.0), Vector::zeros())
+    }
+
+    fn track(kind: ObjectKind, center: Pose, speed: f64) -> TrackedObject {
+        let velocity = center.direction() * speed;
+        TrackedObject { token: TrackToken(1), kind, shape: OrientedBox::new(center, 4.0, 2.0), velocity }
+    }
+
+    #[test]
+    fn the_first_rule_that_holds_decides() {
+        let vehicle = |x, y, speed| track(ObjectKind::Vehicle, Pose::new(x, y, 0.0), speed);
+        // The ego's box reaches from x = −1.127 to 4.049 and |y| ≤ 1.1485.
+        let cases = [
+            (ego(0.05), vehicle(5.0, 0.0, 5.0), CollisionType::StoppedEgo),
+            (ego(5.0), vehicle(5.0, 0.0, 0.05), CollisionType::StoppedTrack),
+            (ego(5.0), track(ObjectKind::TrafficCone, Pose::new(-3.0, 0.0, 0.0), 0.0), CollisionType::StoppedTrack),
+            (ego(5.0), vehicle(-3.0, 0.5, 6.0), CollisionType::ActiveRear),
+            (ego(5.0), vehicle(5.5, 0.5, 3.0), CollisionType::ActiveFront),
+            (ego(5.0), vehicle(0.0, 2.0, 6.0), CollisionType::ActiveLateral),
+        ];
+        for (ego, track, expected) in cases {
+            assert!(in_collision(&ego.footprint(), &track.shape));
+            assert_eq!(classify_collision(&ego, &track), expected, "{track:?}");
+        }
+    }
+
+    #[test]
+    fn only_lateral_collisions_depend_on_the_lane() {
+        for kind in [CollisionType::StoppedTrack, CollisionType::ActiveFront] {
+            assert!(kind.is_at_fault(false) && kind.is_at_fault(true));
+        }
+        assert!(CollisionType::ActiveLateral.is_at_fault(true) && !CollisionType::ActiveLateral.is_at_fault(false));
+        for kind in [CollisionType::StoppedEgo, CollisionType::ActiveRear] {
+            assert!(!kind.is_at_fault(true));
+        }
+    }
+
+    #[test]
+    fn sectors_have_open_limits() {
+        let at = |degrees: f64| Point::new(degrees.to_radians().cos(), degrees.to_radians().sin());
+        let axle = Pose::default();
+        assert!(is_ahead(axle, at(29.9)) && !is_ahead(axle, at(30.1)) && is_ahead(axle, at(-29.9)));
+        assert!(is_behind(axle, at(150.1)) && !is_behind(axle, at(149.9)));
+    }
+
+    #[test]
+    fn equal_masses_share_the_velocity_difference() {
+        let head_on = track(ObjectKind::Vehicle, Pose::new(4.0, 0.0, PI), 3.0);
+        assert!((delta_v(&ego(5.0), &head_on) - 4.0).abs() < 1e-12);
+        let cone = track(ObjectKind::TrafficCone, Pose::new(4.0, 0.0, PI), 0.0);
+        assert!((delta_v(&ego(5.0), &cone) - 2.5).abs() < 1e-12);
+    }
+}

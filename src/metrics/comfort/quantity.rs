@@ -1,0 +1,174 @@
+//! The quantities of comfort with nuPlan's names, filters and bounds, and `ego_is_comfortable` (devkit
+//! `ego_*_acceleration.py`, `ego_*jerk.py`, `ego_yaw_*.py`, `ego_is_comfortable.py`, `state_extractors.py`).
+
+use super::super::{MetricError, MetricName, MetricResult, Statistic, TimeSeries};
+use super::savgol::{SavitzkyGolay, differentiated, mean_step_s, smoothed};
+use crate::geometry::unwrap_angles;
+use crate::world::EgoState;
+
+/// Window of the acceleration filter, samples. It is even, which shifts the signal by half a sample; nuPlan's value.
+pub(crate) const ACCELERATION_WINDOW: usize = 8;
+/// Window of the jerk filter, samples.
+const JERK_WINDOW: usize = 15;
+/// Window of the yaw filters, samples. The devkit declares 15 but never passes it on.
+pub(crate) const YAW_WINDOW: usize = 5;
+
+/// Open bounds: a value must lie strictly between them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bound {
+    /// Lower limit.
+    pub min: f64,
+    /// Upper limit.
+    pub max: f64,
+}
+
+impl Bound {
+    /// Bounds on the magnitude.
+    pub const fn magnitude(limit: f64) -> Self {
+        Self { min: -limit, max: limit }
+    }
+
+    /// Whether all values lie strictly within.
+    pub fn holds(&self, values: &[f64]) -> bool {
+        values.iter().all(|&v| v > self.min && v < self.max)
+    }
+}
+
+/// A signal of the ego's motion that nuPlan filters and reports.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ComfortQuantity {
+    /// Norm of the rear-axle acceleration; unbounded.
+    Acceleration,
+    /// Forward acceleration of the centre.
+    LonAcceleration,
+    /// Sideways acceleration of the centre.
+    LatAcceleration,
+    /// Derivative of the norm of the rear-axle acceleration.
+    Jerk,
+    /// Derivative of the forward acceleration.
+    LonJerk,
+    /// Derivative of the sideways acceleration; unbounded.
+    LatJerk,
+    /// Derivative of the heading.
+    YawRate,
+    /// Second derivative of the heading.
+    YawAcceleration,
+}
+
+impl ComfortQuantity {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Jerk,
+        Self::LatJerk,
+        Self::LonJerk,
+        Self::Acceleration,
+        Self::LatAcceleration,
+        Self::LonAcceleration,
+        Self::YawAcceleration,
+        Self::YawRate,
+    ];
+
+    /// nuPlan's name of the metric.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Acceleration => "ego_acceleration",
+            Self::LonAcceleration => "ego_lon_acceleration",
+            Self::LatAcceleration => "ego_lat_acceleration",
+            Self::Jerk => "ego_jerk",
+            Self::LonJerk => "ego_lon_jerk",
+            Self::LatJerk => "ego_lat_jerk",
+            Self::YawRate => "ego_yaw_rate",
+            Self::YawAcceleration => "ego_yaw_acceleration",
+        }
+    }
+
+    /// nuPlan's name of its unit.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Acceleration | Self::LonAcceleration | Self::LatAcceleration => "meters_per_second_squared",
+            Self::Jerk | Self::LonJerk | Self::LatJerk => "meters_per_second_cubed",
+            Self::YawRate => "radians_per_second",
+            Self::YawAcceleration => "radians_per_second_squared",
+        }
+    }
+
+    /// The bounds of comfort, SI units (devkit `simulation_metric/low_level/*.yaml`); `None` for quantities that are
+    /// only reported.
+    pub fn bound(self) -> Option<Bound> {
+        match self {
+            Self::LonAcceleration => Some(Bound { min: -4.05, max: 2.40 }),
+            Self::LatAcceleration => Some(Bound::magnitude(4.89)),
+            Self::Jerk => Some(Bound::magnitude(8.37)),
+            Self::LonJerk => Some(Bound::magnitude(4.13)),
+            Self::YawRate => Some(Bound::magnitude(0.95)),
+            Self::YawAcceleration => Some(Bound::magnitude(1.93)),
+            Self::Acceleration | Self::LatJerk => None,
+        }
+    }
+
+    /// The filtered signal along a sequence of states.
+    ///
+    /// # Errors
+    /// When there are fewer states than the filter needs (3, and 4 for the yaw acceleration).
+    pub fn signal(self, states: &[EgoState]) -> Result<Vec<f64>, MetricError> {
+        let of = |read: fn(&EgoState) -> f64| states.iter().map(read).collect::<Vec<f64>>();
+        let step = mean_step_s(states);
+        let jerk_of = |acceleration: Self| {
+            let filter = SavitzkyGolay { window: JERK_WINDOW, order: 2, derivative: 1 };
+            differentiated(&acceleration.signal(states)?, step, filter)
+        };
+        let heading = || unwrap_angles(&of(|s| s.rear_axle.heading));
+        match self {
+            Self::Acceleration => smoothed(&of(|s| s.acceleration.norm()), ACCELERATION_WINDOW),
+            Self::LonAcceleration => smoothed(&of(|s| s.center_acceleration().x), ACCELERATION_WINDOW),
+            Self::LatAcceleration => smoothed(&of(|s| s.center_acceleration().y), ACCELERATION_WINDOW),
+            Self::Jerk => jerk_of(Self::Acceleration),
+            Self::LonJerk => jerk_of(Self::LonAcceleration),
+            Self::LatJerk => jerk_of(Self::LatAcceleration),
+            Self::YawRate => {
+                differentiated(&heading(), step, SavitzkyGolay { window: YAW_WINDOW, order: 2, derivative: 1 })
+            }
+            Self::YawAcceleration => {
+                differentiated(&heading(), step, SavitzkyGolay { window: YAW_WINDOW, order: 3, derivative: 2 })
+            }
+        }
+    }
+
+    /// The quantity as a metric without score: its statistics, and whether it stays within its bounds.
+    ///
+    /// # Errors
+    /// As [`Self::signal`].
+    pub fn evaluate(self, states: &[EgoState]) -> Result<MetricResult, MetricError> {
+        let name = self.name();
+        let series = TimeSeries {
+            unit: self.unit().to_owned(),
+            time_stamps: states.iter().map(|s| s.time_us).collect(),
+            values: self.signal(states)?,
+        };
+        let mut statistics = series.statistics(name);
+        if let Some(bound) = self.bound() {
+            statistics.push(Statistic::boolean(format!("abs_{name}_within_bounds"), bound.holds(&series.values)));
+        }
+        Ok(MetricResult { name: name.to_owned(), score: None, statistics, time_series: Some(series) })
+    }
+}
+
+/// `ego_is_comfortable`: 1 when every bounded quantity stays within its bounds at every sample, else 0.
+///
+/// # Errors
+/// As [`ComfortQuantity::signal`].
+pub fn ego_is_comfortable(states: &[EgoState]) -> Result<MetricResult, MetricError> {
+    let name = MetricName::EgoIsComfortable.as_str();
+    let mut comfortable = true;
+    for quantity in ComfortQuantity::ALL {
+        if let Some(bound) = quantity.bound() {
+            comfortable &= bound.holds(&quantity.signal(states)?);
+        }
+    }
+    Ok(MetricResult {
+        name: name.to_owned(),
+        score: Some(f64::from(u8::from(comfortable))),
+        statistics: vec![Statistic::boolean(name, comfortable)],
+        time_series: None,
+    })
+}

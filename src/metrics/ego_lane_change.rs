@@ -1,0 +1,74 @@
+//! `ego_lane_change`: how often and how long the ego changed lanes. It has no score; other metrics use its lanes.
+
+use super::corners::{CornerAgreement, DrivenLanes};
+use super::{MetricResult, Statistic, StatisticKind};
+use crate::world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
+use std::collections::BTreeSet;
+
+/// Share of failed lane changes that is still acceptable (devkit `ego_lane_change.yaml`).
+const MAX_FAIL_RATE: f64 = 0.3;
+
+/// One lane change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LaneChange {
+    /// When the corners first were in different lanes, µs.
+    pub start_us: i64,
+    /// How long until they agreed again or the drive ended, µs.
+    pub duration_us: i64,
+    /// Whether the ego ended in a lane that neither is nor follows the one it left.
+    pub success: bool,
+}
+
+/// Finds the lane changes of a drive.
+pub fn find_lane_changes(map: &LaneMap, states: &[EgoState], agreement: &[CornerAgreement]) -> Vec<LaneChange> {
+    let mut found = Vec::new();
+    let mut open: Option<(i64, &BTreeSet<LaneId>)> = None;
+    for (pair, state) in agreement.windows(2).zip(states.iter().skip(1)) {
+        match (open, &pair[1]) {
+            (None, CornerAgreement::Split) => {
+                if let CornerAgreement::Shared(initial) = &pair[0] {
+                    open = Some((state.time_us, initial));
+                }
+            }
+            (Some((start_us, initial)), CornerAgreement::Shared(last)) => {
+                let success = !last
+                    .iter()
+                    .any(|id| initial.contains(id) || initial.iter().any(|&i| map[i].outgoing.contains(id)));
+                found.push(LaneChange { start_us, duration_us: state.time_us - start_us, success });
+                open = None;
+            }
+            (Some((start_us, _)), CornerAgreement::Outside) => {
+                found.push(LaneChange { start_us, duration_us: state.time_us - start_us, success: false });
+                open = None;
+            }
+            _ => {}
+        }
+    }
+    if let (Some((start_us, _)), Some(last)) = (open, states.last()) {
+        found.push(LaneChange { start_us, duration_us: last.time_us - start_us, success: false });
+    }
+    found
+}
+
+/// Counts the lane changes of a drive.
+pub fn ego_lane_change(map: &LaneMap, states: &[EgoState], lanes: &DrivenLanes) -> MetricResult {
+    const NAME: &str = "ego_lane_change";
+    let changes = find_lane_changes(map, states, &lanes.agreement);
+    let mut statistics = vec![Statistic::count(format!("number_of_{NAME}"), changes.len())];
+    let mut acceptable = true;
+    if !changes.is_empty() {
+        let seconds: Vec<f64> = changes.iter().map(|c| c.duration_us as f64 / MICROS_PER_SECOND).collect();
+        let total = changes.len() as f64;
+        let failed = changes.iter().filter(|c| !c.success).count() as f64 / total;
+        acceptable = failed <= MAX_FAIL_RATE;
+        let longest = seconds.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let mean = seconds.iter().sum::<f64>() / total;
+        statistics.extend([
+            Statistic::new(StatisticKind::Max, format!("max_{NAME}_duration"), "seconds", longest),
+            Statistic::new(StatisticKind::Mean, format!("avg_{NAME}_duration"), "seconds", mean),
+            Statistic::new(StatisticKind::Ratio, format!("ratio_of_failed_{NAME}"), "ratio", failed),
+        ]);
+    }
+    statistics.push(Statistic::boolean(format!("{NAME}_fail_rate_below_threshold"), acceptable));
+    MetricResult { name: NAME.to_owned(), score: None, statistics, time_series: None }
+}

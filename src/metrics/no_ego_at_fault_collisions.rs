@@ -1,0 +1,69 @@
+//! `no_ego_at_fault_collisions`: a multiplier that is 0 after an avoidable collision with anyone on the road, and 0.5
+//! after one with a thing.
+
+use super::collision::{Collision, CollisionGroup, classify_collision, delta_v, in_collision};
+use super::corners::DrivenLanes;
+use super::{MetricName, MetricResult, Statistic, StatisticKind};
+use crate::world::{HistorySample, TrackToken};
+use std::collections::BTreeSet;
+
+/// The collisions of a drive, each track counted once, at the first sample at which it touches the ego.
+pub fn find_collisions(samples: &[HistorySample], lanes: &DrivenLanes) -> Vec<Collision> {
+    let mut collided: BTreeSet<TrackToken> = BTreeSet::new();
+    let mut found = Vec::new();
+    for (i, sample) in samples.iter().enumerate() {
+        let shape = sample.ego.footprint();
+        for track in sample.objects.iter() {
+            if !in_collision(&shape, &track.shape) || !collided.insert(track.token) {
+                continue;
+            }
+            let collision_type = classify_collision(&sample.ego, track);
+            found.push(Collision {
+                sample: i,
+                time_us: sample.ego.time_us,
+                token: track.token,
+                kind: track.kind,
+                collision_type,
+                at_fault: collision_type.is_at_fault(!lanes.in_common(i)),
+                delta_v: delta_v(&sample.ego, track),
+            });
+        }
+    }
+    found
+}
+
+/// Scores the collisions of a drive: 1 without any at fault, else the product over the groups of
+/// max(0, 1 − number / (tolerated + 1)).
+pub fn no_ego_at_fault_collisions(collisions: &[Collision]) -> MetricResult {
+    let name = MetricName::NoEgoAtFaultCollisions.as_str();
+    let by_group: Vec<(CollisionGroup, Vec<f64>)> = CollisionGroup::ALL
+        .into_iter()
+        .map(|group| {
+            let own = collisions.iter().filter(|c| c.at_fault && CollisionGroup::of(c.kind) == group);
+            (group, own.map(|c| c.delta_v).collect())
+        })
+        .collect();
+    let total: usize = by_group.iter().map(|(_, energies)| energies.len()).sum();
+    let score = by_group
+        .iter()
+        .map(|(group, energies)| (1.0 - energies.len() as f64 / (group.tolerated() + 1) as f64).max(0.0))
+        .product();
+    let mut statistics =
+        vec![Statistic::boolean(name, total == 0), Statistic::count("number_of_all_at_fault_collisions", total)];
+    for (group, energies) in &by_group {
+        let group = group.as_str();
+        statistics.push(Statistic::count(format!("number_of_at_fault_collisions_with_{group}"), energies.len()));
+    }
+    for (group, energies) in by_group.iter().filter(|(_, energies)| !energies.is_empty()) {
+        let of = |kind, prefix: &str, value| {
+            let name = format!("{prefix}_collision_energy_with_{}", group.as_str());
+            Statistic::new(kind, name, "meters_per_second", value)
+        };
+        statistics.extend([
+            of(StatisticKind::Max, "max", energies.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
+            of(StatisticKind::Min, "min", energies.iter().copied().fold(f64::INFINITY, f64::min)),
+            of(StatisticKind::Mean, "mean", energies.iter().sum::<f64>() / energies.len() as f64),
+        ]);
+    }
+    MetricResult { name: name.to_owned(), score: Some(score), statistics, time_series: None }
+}

@@ -1,0 +1,123 @@
+//! The score of proposals (`tuplan_garage` `pdm_scorer.py`).
+
+use super::super::{MetricError, direction_score};
+use super::{DrivableMap, EgoAreas, Forecast, is_comfortable, no_at_fault_collisions, time_to_collision};
+use crate::geometry::Polyline;
+use crate::world::{EgoState, STEP_S};
+use serde::{Deserialize, Serialize};
+
+/// Weight of progress.
+pub const WEIGHT_PROGRESS: f64 = 5.0;
+/// Weight of the time to collision.
+pub const WEIGHT_TTC: f64 = 5.0;
+/// Weight of comfort.
+pub const WEIGHT_COMFORT: f64 = 2.0;
+/// Below this best progress, standing still is as good as any, metres.
+const PROGRESS_THRESHOLD: f64 = 0.1;
+
+/// What proposals are scored in.
+#[derive(Clone, Copy)]
+pub struct ScoringScene<'a> {
+    /// The drivable polygons around the ego.
+    pub drivable: &'a DrivableMap<'a>,
+    /// Everyone else.
+    pub forecast: &'a Forecast,
+    /// The line along which progress is measured.
+    pub centerline: &'a Polyline,
+    /// Progress of something outside the batch that counts as a rival, metres; 0 when the batch is all there is.
+    pub rival_progress: f64,
+}
+
+/// The score of one proposal and what it is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ProposalScore {
+    /// Product of the multipliers times the weighted mean of progress, time to collision and comfort, in [0, 1].
+    pub total: f64,
+    /// Multiplier: 1, 0.5 (an object) or 0.
+    pub no_at_fault_collisions: f64,
+    /// Multiplier: 1 or 0.
+    pub drivable_area: f64,
+    /// Multiplier: 1, 0.5 or 0.
+    pub driving_direction: f64,
+    /// Weight 5: progress beside the best of the batch, in [0, 1].
+    pub progress: f64,
+    /// Weight 5: 1 or 0.
+    pub time_to_collision: f64,
+    /// Weight 2: 1 or 0.
+    pub comfort: f64,
+    /// Progress along the centreline, metres, not below 0.
+    pub progress_m: f64,
+    /// Time of the first collision at fault, seconds from the first state.
+    pub first_at_fault_s: Option<f64>,
+    /// Time of the first state from which a collision was less than 0.9 s away, seconds from the first state.
+    pub first_ttc_s: Option<f64>,
+}
+
+impl ProposalScore {
+    /// Product of the three multipliers.
+    pub fn multiplier(&self) -> f64 {
+        self.no_at_fault_collisions * self.drivable_area * self.driving_direction
+    }
+}
+
+/// Scores proposals: each a sequence of simulated states 0.1 s apart, the present one first. The horizon is their
+/// length; PDM's is 41. The n-th score belongs to the n-th proposal.
+///
+/// # Errors
+/// When a proposal has fewer than 4 states.
+pub fn score_proposals(
+    scene: &ScoringScene<'_>,
+    proposals: &[Vec<EgoState>],
+) -> Result<Vec<ProposalScore>, MetricError> {
+    let mut scores = proposals.iter().map(|states| judge(scene, states)).collect::<Result<Vec<_>, _>>()?;
+    let best = scores.iter().map(|s| s.progress_m * s.multiplier()).chain([scene.rival_progress]).fold(0.0, f64::max);
+    for score in &mut scores {
+        score.progress = if best > PROGRESS_THRESHOLD {
+            score.progress_m * score.multiplier() / best
+        } else {
+            f64::from(u8::from(score.multiplier() > 0.0))
+        };
+        let weighted =
+            WEIGHT_PROGRESS * score.progress + WEIGHT_TTC * score.time_to_collision + WEIGHT_COMFORT * score.comfort;
+        score.total = score.multiplier() * weighted / (WEIGHT_PROGRESS + WEIGHT_TTC + WEIGHT_COMFORT);
+    }
+    Ok(scores)
+}
+
+/// All terms of a proposal but the share of its progress, which needs the whole batch.
+fn judge(scene: &ScoringScene<'_>, states: &[EgoState]) -> Result<ProposalScore, MetricError> {
+    let areas: Vec<EgoAreas> = states.iter().map(|ego| scene.drivable.areas_of(ego)).collect();
+    let collisions = no_at_fault_collisions(states, &areas, scene.forecast);
+    let ttc = time_to_collision(scene.drivable.map(), states, &areas, scene.forecast);
+    let seconds = |state: Option<usize>| state.map(|i| i as f64 * STEP_S);
+    Ok(ProposalScore {
+        total: 0.0,
+        no_at_fault_collisions: collisions.score,
+        drivable_area: f64::from(u8::from(!areas.iter().any(|a| a.non_drivable))),
+        driving_direction: direction_score(longest_oncoming(states, &areas)),
+        progress: 0.0,
+        time_to_collision: ttc.score,
+        comfort: f64::from(u8::from(is_comfortable(states)?)),
+        progress_m: progress(scene.centerline, states),
+        first_at_fault_s: seconds(collisions.state),
+        first_ttc_s: seconds(ttc.state),
+    })
+}
+
+/// The longest way of the centre in one stretch off the route, metres.
+fn longest_oncoming(states: &[EgoState], areas: &[EgoAreas]) -> f64 {
+    let (mut longest, mut stretch) = (0.0f64, 0.0);
+    for (pair, areas) in states.windows(2).zip(areas.iter().skip(1)) {
+        stretch = if areas.oncoming { stretch + pair[0].center().distance(&pair[1].center()) } else { 0.0 };
+        longest = longest.max(stretch);
+    }
+    longest
+}
+
+fn progress(centerline: &Polyline, states: &[EgoState]) -> f64 {
+    let along = |ego: &EgoState| centerline.project(ego.center().position()).s;
+    match states {
+        [first, .., last] => (along(last) - along(first)).max(0.0),
+        _ => 0.0,
+    }
+}

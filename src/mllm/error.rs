@@ -1,0 +1,225 @@
+//! What can go wrong between a model folder and an answer.
+
+use std::path::PathBuf;
+
+/// Everything that can go wrong while opening or running a multimodal language model.
+///
+/// Each variant names the file, the key or the tensor that is at fault, so that a broken checkpoint can be repaired
+/// from the message alone.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MllmError {
+    /// A file that every model folder must hold is not there.
+    #[error("{folder}: no {file} in this model folder")]
+    MissingFile {
+        /// The model folder.
+        folder: PathBuf,
+        /// The file, or the alternatives that were looked for.
+        file: String,
+    },
+    /// A file exists but cannot be read.
+    #[error("{path}: cannot be read: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// A JSON file is not JSON, or not of the shape that its format asks for.
+    #[error("{path}: {source}")]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// Line, column and problem.
+        source: serde_json::Error,
+    },
+    /// A configuration key is missing, of the wrong type, unsupported, or contradicts another.
+    #[error("{path}: {key}: {problem}")]
+    Config {
+        /// The configuration file.
+        path: PathBuf,
+        /// The key, with dots for nesting (`text_config.hidden_size`).
+        key: String,
+        /// What is wrong with its value.
+        problem: String,
+    },
+    /// A weight file is truncated or its header is broken.
+    #[error("{path}: broken safetensors file: {problem}")]
+    Safetensors {
+        /// The weight file.
+        path: PathBuf,
+        /// What the format check found.
+        problem: String,
+    },
+    /// A tensor that the configuration asks for is in none of the weight files.
+    #[error("{folder}: tensor {name} is missing from the checkpoint")]
+    MissingTensor {
+        /// The model folder.
+        folder: PathBuf,
+        /// The tensor, by its name in the current Hugging Face layout.
+        name: String,
+    },
+    /// A tensor has another shape than the configuration asks for.
+    #[error("{path}: tensor {name} has shape {found:?}, the configuration asks for {expected:?}")]
+    TensorShape {
+        /// The weight file.
+        path: PathBuf,
+        /// The tensor, by its name in the file.
+        name: String,
+        /// The shape that follows from `config.json`.
+        expected: Vec<usize>,
+        /// The shape in the file.
+        found: Vec<usize>,
+    },
+    /// A tensor is stored in a number format that is not read.
+    #[error("{path}: tensor {name} is stored as {found}; f32, f16 and bf16 are read")]
+    TensorType {
+        /// The weight file.
+        path: PathBuf,
+        /// The tensor, by its name in the file.
+        name: String,
+        /// Its number format.
+        found: String,
+    },
+    /// A weight is NaN or infinite.
+    #[error("{path}: tensor {name} holds {value} at element {element}")]
+    NonFiniteWeight {
+        /// The weight file.
+        path: PathBuf,
+        /// The tensor, by its name in the file.
+        name: String,
+        /// Index of the first such element, row-major.
+        element: usize,
+        /// Its value.
+        value: f32,
+    },
+    /// The tokenizer file cannot be used.
+    #[error("{path}: {problem}")]
+    Tokenizer {
+        /// The tokenizer file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The tokenizer makes token ids that the model has no embedding for.
+    #[error("token {token:?} has id {id}, but the model's vocabulary has {vocabulary} entries")]
+    Vocabulary {
+        /// The token.
+        token: String,
+        /// Its id.
+        id: u32,
+        /// Number of rows of the model's embedding.
+        vocabulary: usize,
+    },
+    /// The rendered prompt does not hold the image placeholder exactly as often as there are images.
+    #[error("the rendered prompt holds the image token {found} times, expected {expected}")]
+    ImagePlaceholder {
+        /// How often it should stand there: 1 with an image, 0 without.
+        expected: usize,
+        /// How often it stands there.
+        found: usize,
+    },
+    /// The image given to a conversation cannot be used.
+    #[error("the image cannot be used: {problem}")]
+    Image {
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The chat template cannot be compiled or rendered.
+    #[error("{path}: chat template: {problem}")]
+    ChatTemplate {
+        /// The file that the template came from.
+        path: PathBuf,
+        /// What the template engine said.
+        problem: String,
+    },
+    /// A grammar cannot be compiled or followed. It is never silently dropped.
+    #[error("constraint {constraint}: {problem}")]
+    Grammar {
+        /// The constraint, shortened.
+        constraint: String,
+        /// What the grammar engine said.
+        problem: String,
+    },
+    /// A request asks for something impossible, such as a temperature below zero.
+    #[error("request: {problem}")]
+    Request {
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The prompt does not fit into the model's context.
+    #[error("the prompt has {tokens} tokens, the model's context holds {context}")]
+    PromptTooLong {
+        /// Tokens of the whole chat so far, image tokens included.
+        tokens: usize,
+        /// The model's `max_position_embeddings`.
+        context: usize,
+    },
+    /// The model computed NaN or infinite logits.
+    #[error("the model computed the logit {value} for token {token} at position {position}")]
+    NonFiniteLogits {
+        /// Position in the chat.
+        position: usize,
+        /// Token id of the first such logit.
+        token: usize,
+        /// Its value.
+        value: f32,
+    },
+    /// A recorded answer does not belong to the question that is asked.
+    #[error("replay of call {call}, attempt {attempt}, round {round}: {problem}")]
+    Replay {
+        /// Index of the planning call in the recording.
+        call: usize,
+        /// Index of the attempt in the call.
+        attempt: usize,
+        /// Index of the round in the attempt.
+        round: usize,
+        /// What differs.
+        problem: String,
+    },
+    /// A model description (`models/NAME.toml`) cannot be read as one.
+    #[error("{path}: {problem}")]
+    Description {
+        /// The description file.
+        path: PathBuf,
+        /// Line and problem.
+        problem: String,
+    },
+    /// No model goes by this name.
+    #[error(
+        "no model {name:?}: it is neither a description in {models}, nor a folder, nor a hub id; described: {known}"
+    )]
+    UnknownModel {
+        /// The name that was asked for.
+        name: String,
+        /// The folder of model descriptions.
+        models: PathBuf,
+        /// The names that exist there, joined by commas.
+        known: String,
+    },
+    /// A model of the hub is not in the local cache and must not be downloaded.
+    #[error("{id} (revision {revision}): {file} is not in the cache {cache}, and downloads are off")]
+    NotInCache {
+        /// The hub id, `organisation/name`.
+        id: String,
+        /// The revision that was asked for.
+        revision: String,
+        /// The missing file.
+        file: String,
+        /// The cache folder that was searched.
+        cache: PathBuf,
+    },
+    /// The hub could not be reached or refused.
+    #[error("{id} (revision {revision}): {problem}")]
+    Hub {
+        /// The hub id, `organisation/name`.
+        id: String,
+        /// The revision that was asked for.
+        revision: String,
+        /// What the hub client said.
+        problem: String,
+    },
+    /// A tensor operation failed.
+    #[error("tensor operation failed: {0}")]
+    Tensor(#[from] candle_core::Error),
+}

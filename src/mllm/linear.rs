@@ -1,0 +1,85 @@
+//! Affine layers and activations on matrices of one row a token.
+
+use candle_core::{Result, Tensor};
+
+use super::MllmError;
+use super::checkpoint::{Activation, Weights};
+
+/// y = x Wᵀ + b on a matrix of shape (tokens, inputs).
+///
+/// The weight is kept transposed, (inputs, outputs): for few rows, which is what decoding has, the matrix product would
+/// otherwise spend most of its time on transposing blocks of it.
+#[derive(Debug, Clone)]
+pub(crate) struct Linear {
+    weight: Tensor,
+    bias: Option<Tensor>,
+}
+
+impl Linear {
+    /// Takes `NAME.weight` of shape (outputs, inputs), and `NAME.bias` if there is one.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+        bias: bool,
+    ) -> std::result::Result<Self, MllmError> {
+        Self::take_fused(weights, &[(name.to_string(), outputs)], inputs, bias)
+    }
+
+    /// Takes several layers of the same input as one, their outputs side by side: one pass over the input instead of many.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(crate) fn take_fused(
+        weights: &mut Weights,
+        parts: &[(String, usize)],
+        inputs: usize,
+        bias: bool,
+    ) -> std::result::Result<Self, MllmError> {
+        let mut matrices = Vec::with_capacity(parts.len());
+        let mut biases = Vec::with_capacity(parts.len());
+        for (name, outputs) in parts {
+            matrices.push(weights.take(&format!("{name}.weight"), &[*outputs, inputs])?);
+            if bias {
+                biases.push(weights.take(&format!("{name}.bias"), &[*outputs])?);
+            }
+        }
+        let bias = if bias { Some(Tensor::cat(&biases, 0)?) } else { None };
+        Ok(Self { weight: transposed(&Tensor::cat(&matrices, 0)?)?, bias })
+    }
+
+    /// A layer without bias around a matrix of shape (outputs, inputs).
+    pub(crate) fn from_matrix(matrix: &Tensor) -> Result<Self> {
+        Ok(Self { weight: transposed(matrix)?, bias: None })
+    }
+
+    /// Applies the layer to (tokens, inputs).
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let y = x.matmul(&self.weight)?;
+        match &self.bias {
+            None => Ok(y),
+            Some(bias) => y.broadcast_add(bias),
+        }
+    }
+}
+
+fn transposed(matrix: &Tensor) -> Result<Tensor> {
+    matrix.t()?.contiguous()
+}
+
+impl Activation {
+    /// Applies the activation.
+    pub(crate) fn forward(self, x: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::Gelu => x.gelu_erf(),
+            Self::GeluTanh => x.gelu(),
+            Self::QuickGelu => x * candle_nn::ops::sigmoid(&(x * 1.702)?)?,
+            Self::Relu => x.relu(),
+            Self::Silu => x.silu(),
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! `models/NAME.toml`: what a model is, where it lies and how it is asked.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::mllm::checkpoint::read_text;
+use crate::mllm::{MllmError, Sampling};
+
+/// A model as `models/NAME.toml` describes it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelSpec {
+    /// The name under which results are reported.
+    pub name: String,
+    /// Kind of model.
+    pub architecture: Architecture,
+    /// Where its files are.
+    pub source: ModelSource,
+    /// Which prompts it is asked with.
+    pub prompt_set: PromptSet,
+    /// How its answers are generated.
+    #[serde(default)]
+    pub generation: GenerationSettings,
+}
+
+/// Kinds of models that can be run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Architecture {
+    /// CLIP vision tower, projector, Llama decoder ([`Llava`](crate::mllm::Llava)).
+    Llava,
+}
+
+/// Where the files of a model are.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged, deny_unknown_fields)]
+pub enum ModelSource {
+    /// A folder; a relative one lies beside the description.
+    Folder {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A repository of the Hugging Face hub.
+    Hub {
+        /// `organisation/name`.
+        hub: String,
+        /// Branch, tag or commit.
+        #[serde(default = "default_revision")]
+        revision: String,
+    },
+}
+
+/// The revision of a hub repository that is taken when none is named.
+pub(super) fn default_revision() -> String {
+    "main".into()
+}
+
+/// The prompt sets under `prompts/`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PromptSet {
+    /// Few tokens, for models trained on them.
+    Compact,
+    /// The paper's wording, for general models.
+    Paper,
+}
+
+/// How answers are generated.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GenerationSettings {
+    /// Most tokens of an answer, a limit a round.
+    pub max_new_tokens: RoundTokens,
+    /// How free tokens are chosen.
+    pub sampling: Sampling,
+}
+
+/// A number of tokens for each of the three rounds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RoundTokens {
+    /// Scene understanding.
+    pub scene: usize,
+    /// Motion instruction.
+    pub motion: usize,
+    /// Planner code.
+    pub code: usize,
+}
+
+impl Default for GenerationSettings {
+    fn default() -> Self {
+        Self { max_new_tokens: RoundTokens::default(), sampling: Sampling::Greedy }
+    }
+}
+
+impl Default for RoundTokens {
+    fn default() -> Self {
+        Self { scene: 1024, motion: 512, code: 128 }
+    }
+}
+
+impl ModelSpec {
+    /// Reads a description.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no TOML, or has a missing, unknown or wrongly typed key.
+    pub fn open(path: &Path) -> Result<Self, MllmError> {
+        Self::parse(path, &read_text(path)?)
+    }
+
+    /// Parses a description; `path` is for messages and for relative folders.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn parse(path: &Path, text: &str) -> Result<Self, MllmError> {
+        let broken = |problem: String| MllmError::Description { path: path.to_path_buf(), problem };
+        let mut spec: Self = toml::from_str(text).map_err(|error| broken(error.to_string()))?;
+        if spec.name.trim().is_empty() {
+            return Err(broken("name is empty".into()));
+        }
+        let tokens = spec.generation.max_new_tokens;
+        if [tokens.scene, tokens.motion, tokens.code].contains(&0) {
+            return Err(broken("generation.max_new_tokens: a round needs at least one token".into()));
+        }
+        if let (ModelSource::Folder { folder }, Some(beside)) = (&mut spec.source, path.parent()) {
+            *folder = beside.join(&*folder);
+        }
+        Ok(spec)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<ModelSpec, MllmError> {
+        ModelSpec::parse(Path::new("models/x.toml"), text)
+    }
+
+    #[test]
+    fn folders_lie_beside_the_description_and_settings_have_defaults() {
+        let spec = parse(
+            "name = 'nano'\narchitecture = 'llava'\nsource = { folder = 'nano' }\nprompt_set = 'compact'\n[generation.max_new_tokens]\ncode = 40",
+        )
+        .unwrap();
+        assert_eq!(spec.source, ModelSource::Folder { folder: "models/nano".into() });
+        assert_eq!(spec.generation.max_new_tokens, RoundTokens { code: 40, ..RoundTokens::default() });
+        assert_eq!(spec.generation.sampling, Sampling::Greedy);
+    }
+
+    #[test]
+    fn hub_sources_and_sampling_are_read() {
+        let spec = parse(
+            "name = 'l'\narchitecture = 'llava'\nsource = { hub = 'a/b' }\nprompt_set = 'paper'\n[generation]\nsampling = { sample = { temperature = 0.7, top_p = 0.9 } }",
+        )
+        .unwrap();
+        assert_eq!(spec.source, ModelSource::Hub { hub: "a/b".into(), revision: "main".into() });
+        assert_eq!(spec.generation.sampling, Sampling::Sample { temperature: 0.7, top_p: 0.9 });
+    }
+
+    #[test]
+    fn wrong_keys_and_types_are_errors() {
+        let valid = "name = 'n'\narchitecture = 'llava'\nsource = { folder = 'f' }\nprompt_set = 'paper'\n";
+        assert!(parse(valid).is_ok());
+        for wrong in [
+            "",
+            &valid.replace("llava", "cogvlm"),
+            &valid.replace("paper", "long"),
+            &valid.replace("folder", "file"),
+            &valid.replace("'n'", "''"),
+            &format!("{valid}colour = 'red'"),
+            &format!("{valid}[generation]\nmax_new_tokens = 3"),
+            &format!("{valid}[generation.max_new_tokens]\nscene = 0"),
+        ] {
+            assert!(matches!(parse(wrong), Err(MllmError::Description { .. })), "{wrong}");
+        }
+    }
+}

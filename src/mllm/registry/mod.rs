@@ -1,0 +1,149 @@
+//! Models by name: a description in `models/`, a folder, or a repository of the hub.
+
+mod description;
+mod hub;
+
+use std::path::{Path, PathBuf};
+
+pub use description::{Architecture, GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
+pub use hub::HubAccess;
+
+use super::{Llava, Mllm, MllmError};
+
+/// Finds and opens models.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ModelRegistry {
+    /// The folder of descriptions.
+    models: PathBuf,
+    hub: HubAccess,
+}
+
+impl ModelRegistry {
+    /// A registry of the descriptions `models/*.toml`.
+    pub fn new(models: impl Into<PathBuf>, hub: HubAccess) -> Self {
+        Self { models: models.into(), hub }
+    }
+
+    /// The names of the described models, sorted.
+    ///
+    /// # Errors
+    /// When the folder of descriptions exists but cannot be read.
+    pub fn names(&self) -> Result<Vec<String>, MllmError> {
+        let failed = |source| MllmError::Read { path: self.models.clone(), source };
+        if !self.models.is_dir() {
+            return Ok(Vec::new());
+        }
+        let mut names = Vec::new();
+        for entry in std::fs::read_dir(&self.models).map_err(failed)? {
+            let path = entry.map_err(failed)?.path();
+            if path.extension().is_some_and(|extension| extension == "toml") {
+                names.extend(path.file_stem().map(|stem| stem.to_string_lossy().into_owned()));
+            }
+        }
+        names.sort();
+        Ok(names)
+    }
+
+    /// Finds a model: a name described in the folder of descriptions, the path of a description, the path of a model
+    /// folder, or a hub id, tried in this order. Folders and hub models without a description are taken for general
+    /// LLaVA models, asked with the paper's prompts.
+    ///
+    /// # Errors
+    /// When nothing goes by this name, or its description is broken.
+    pub fn find(&self, name: &str) -> Result<ModelSpec, MllmError> {
+        let described = self.models.join(format!("{name}.toml"));
+        if !name.is_empty() && !name.contains(['/', '\\']) && described.is_file() {
+            return ModelSpec::open(&described);
+        }
+        let path = Path::new(name);
+        if path.extension().is_some_and(|extension| extension == "toml") && path.is_file() {
+            return ModelSpec::open(path);
+        }
+        let source = if !name.is_empty() && path.is_dir() {
+            ModelSource::Folder { folder: path.to_path_buf() }
+        } else if hub::split_id(name).is_some() {
+            ModelSource::Hub { hub: name.to_string(), revision: description::default_revision() }
+        } else {
+            return Err(MllmError::UnknownModel {
+                name: name.to_string(),
+                models: self.models.clone(),
+                known: self.names()?.join(", "),
+            });
+        };
+        Ok(ModelSpec {
+            name: path.file_name().map_or_else(|| name.to_string(), |last| last.to_string_lossy().into_owned()),
+            architecture: Architecture::Llava,
+            source,
+            prompt_set: PromptSet::Paper,
+            generation: GenerationSettings::default(),
+        })
+    }
+
+    /// The folder with a model's files; a hub model is downloaded if need be and allowed.
+    ///
+    /// # Errors
+    /// When a hub model cannot be had.
+    pub fn folder(&self, spec: &ModelSpec) -> Result<PathBuf, MllmError> {
+        match &spec.source {
+            ModelSource::Folder { folder } => Ok(folder.clone()),
+            ModelSource::Hub { hub, revision } => self.hub.fetch(hub, revision),
+        }
+    }
+
+    /// Opens a model.
+    ///
+    /// # Errors
+    /// When its files cannot be had or are broken.
+    pub fn open(&self, spec: &ModelSpec) -> Result<Box<dyn Mllm>, MllmError> {
+        let folder = self.folder(spec)?;
+        match spec.architecture {
+            Architecture::Llava => Ok(Box::new(Llava::open(&spec.name, &folder)?)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn registry() -> (tempfile::TempDir, ModelRegistry) {
+        let models = tempfile::tempdir().unwrap();
+        let described =
+            "name = 'Nano'\narchitecture = 'llava'\nsource = { folder = 'weights' }\nprompt_set = 'compact'\n";
+        std::fs::write(models.path().join("nano.toml"), described).unwrap();
+        std::fs::write(models.path().join("broken.toml"), "name = 3").unwrap();
+        let registry = ModelRegistry::new(models.path(), HubAccess { offline: true, ..HubAccess::default() });
+        (models, registry)
+    }
+
+    #[test]
+    fn names_folders_and_ids_are_found() {
+        let (models, registry) = registry();
+        assert_eq!(registry.names().unwrap(), ["broken", "nano"]);
+        let nano = registry.find("nano").unwrap();
+        assert_eq!((nano.name.as_str(), nano.prompt_set), ("Nano", PromptSet::Compact));
+        assert_eq!(registry.folder(&nano).unwrap(), models.path().join("weights"));
+        let by_path = models.path().join("nano.toml");
+        assert_eq!(registry.find(by_path.to_str().unwrap()).unwrap(), nano);
+        let folder = registry.find(models.path().to_str().unwrap()).unwrap();
+        assert_eq!(folder.source, ModelSource::Folder { folder: models.path().to_path_buf() });
+        let hub = registry.find("llava-hf/llava-1.5-7b-hf").unwrap();
+        assert_eq!(hub.name, "llava-1.5-7b-hf");
+        assert!(matches!(hub.source, ModelSource::Hub { .. }));
+    }
+
+    #[test]
+    fn unknown_and_broken_models_are_errors() {
+        let (_models, registry) = registry();
+        match registry.find("nanoo") {
+            Err(MllmError::UnknownModel { known, .. }) => assert_eq!(known, "broken, nano"),
+            other => panic!("{other:?}"),
+        }
+        for name in ["", "../nano", "a b"] {
+            assert!(matches!(registry.find(name), Err(MllmError::UnknownModel { .. })), "{name}");
+        }
+        assert!(matches!(registry.find("broken"), Err(MllmError::Description { .. })));
+        let nano = registry.find("nano").unwrap();
+        assert!(matches!(registry.open(&nano), Err(MllmError::MissingFile { .. })));
+    }
+}

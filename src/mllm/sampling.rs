@@ -1,0 +1,147 @@
+//! From logits to a token.
+
+use candle_core::{Device, Tensor};
+use candle_transformers::generation::{LogitsProcessor, Sampling as Draw};
+use toktrie::SimpleVob;
+
+use super::{MllmError, Sampling};
+
+/// Chooses the free tokens of one answer.
+pub(crate) enum Sampler {
+    /// The likeliest.
+    Greedy,
+    /// Drawn by a seeded generator.
+    Draw(Box<LogitsProcessor>),
+}
+
+impl Sampler {
+    /// The sampler of a request.
+    ///
+    /// # Errors
+    /// When its temperature or nucleus is out of range.
+    pub(crate) fn new(sampling: Sampling, seed: u64) -> Result<Self, MllmError> {
+        match sampling {
+            Sampling::Greedy => Ok(Self::Greedy),
+            Sampling::Sample { temperature, top_p }
+                if temperature.is_finite() && temperature > 0.0 && top_p > 0.0 && top_p <= 1.0 =>
+            {
+                let draw = Draw::TopP { p: top_p, temperature };
+                Ok(Self::Draw(Box::new(LogitsProcessor::from_sampling(seed, draw))))
+            }
+            Sampling::Sample { temperature, top_p } => Err(MllmError::Request {
+                problem: format!(
+                    "sampling needs a temperature above 0 and top_p in (0, 1], found {temperature} and {top_p}"
+                ),
+            }),
+        }
+    }
+
+    /// Chooses among the allowed tokens, never `banned`. `position` is the position in the chat that the logits were
+    /// computed at.
+    ///
+    /// # Errors
+    /// When a logit is not finite, or no token is allowed.
+    pub(crate) fn choose(
+        &mut self,
+        mut logits: Vec<f32>,
+        allowed: Option<&SimpleVob>,
+        banned: u32,
+        position: usize,
+    ) -> Result<u32, MllmError> {
+        if let Some(token) = logits.iter().position(|logit| !logit.is_finite()) {
+            return Err(MllmError::NonFiniteLogits { position, token, value: logits[token] });
+        }
+        if let Some(allowed) = allowed {
+            for (token, logit) in logits.iter_mut().enumerate() {
+                if !allowed.is_allowed(token as u32) {
+                    *logit = f32::NEG_INFINITY;
+                }
+            }
+        }
+        if let Some(logit) = logits.get_mut(banned as usize) {
+            *logit = f32::NEG_INFINITY;
+        }
+        let best = likeliest(&logits).ok_or_else(|| MllmError::Request { problem: "no token is allowed".into() })?;
+        match self {
+            Self::Greedy => Ok(best),
+            Self::Draw(processor) => {
+                let count = logits.len();
+                Ok(processor.sample(&Tensor::from_vec(logits, count, &Device::Cpu)?)?)
+            }
+        }
+    }
+}
+
+/// The first of the largest logits above minus infinity.
+fn likeliest(logits: &[f32]) -> Option<u32> {
+    let mut best = None;
+    let mut highest = f32::NEG_INFINITY;
+    for (token, logit) in logits.iter().enumerate() {
+        if *logit > highest {
+            highest = *logit;
+            best = Some(token as u32);
+        }
+    }
+    best
+}
+
+/// Spreads a conversation's seed over its answers (the finaliser of `SplitMix64`).
+pub(crate) fn answer_seed(conversation: u64, answer: u64) -> u64 {
+    let mut z = conversation.wrapping_add(answer.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The likeliest token of the tests, which must never be chosen.
+    const BANNED: u32 = 4;
+
+    fn only(tokens: &[u32]) -> SimpleVob {
+        let mut allowed = SimpleVob::alloc(5);
+        for token in tokens {
+            allowed.allow_token(*token);
+        }
+        allowed
+    }
+
+    #[test]
+    fn greedy_takes_the_first_largest_allowed() {
+        let mut sampler = Sampler::new(Sampling::Greedy, 0).unwrap();
+        let logits = vec![1.0, 3.0, 2.0, 3.0, 9.0];
+        assert_eq!(sampler.choose(logits.clone(), None, BANNED, 0).unwrap(), 1);
+        assert_eq!(sampler.choose(logits.clone(), Some(&only(&[0, 2])), BANNED, 0).unwrap(), 2);
+        assert!(matches!(sampler.choose(logits, Some(&only(&[])), BANNED, 0), Err(MllmError::Request { .. })));
+    }
+
+    #[test]
+    fn draws_follow_the_seed_and_stay_in_the_nucleus() {
+        let draws = |seed, top_p| -> Vec<u32> {
+            let mut sampler = Sampler::new(Sampling::Sample { temperature: 1.0, top_p }, seed).unwrap();
+            (0..64)
+                .map(|_| sampler.choose(vec![0.0, 2.0, 1.0, 1.5, 9.0], Some(&only(&[0, 1, 3, 4])), BANNED, 0).unwrap())
+                .collect()
+        };
+        assert_eq!(draws(7, 1.0), draws(7, 1.0));
+        assert_ne!(draws(7, 1.0), draws(8, 1.0));
+        assert!(draws(7, 1.0).iter().all(|token| [0, 1, 3].contains(token)));
+        assert!(draws(7, 0.5).iter().all(|token| *token == 1));
+    }
+
+    #[test]
+    fn logits_that_are_no_numbers_are_an_error() {
+        let mut sampler = Sampler::new(Sampling::Greedy, 0).unwrap();
+        let error = sampler.choose(vec![0.0, f32::NAN], None, BANNED, 12).unwrap_err();
+        assert!(matches!(error, MllmError::NonFiniteLogits { position: 12, token: 1, .. }));
+    }
+
+    #[test]
+    fn impossible_sampling_is_an_error() {
+        for (temperature, top_p) in [(0.0, 1.0), (f64::NAN, 1.0), (1.0, 0.0), (1.0, 1.5)] {
+            assert!(Sampler::new(Sampling::Sample { temperature, top_p }, 0).is_err());
+        }
+    }
+}

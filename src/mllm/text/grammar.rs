@@ -1,0 +1,290 @@
+//! Decoding under a grammar: which tokens may come next, and which must.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use llguidance::api::TopLevelGrammar;
+use llguidance::panic_utils::catch_unwind;
+use llguidance::{Matcher, ParserFactory, regex_to_lark};
+use tokenizers::Tokenizer;
+use toktrie::{InferenceCapabilities, SimpleVob, TokEnv, TokRxInfo, TokTrie, TokenId, TokenizerEnv};
+
+use super::tokenizer::ChatTokenizer;
+use crate::mllm::{Constraint, MllmError};
+
+/// Compiled grammars that are kept; a run uses a handful.
+const KEPT_GRAMMARS: usize = 64;
+/// Characters of a constraint that an error message shows.
+const SHOWN: usize = 200;
+/// A control character that no tokenizer merges with text; see [`Vocabulary::tokenize`].
+const SENTINEL: &str = "\u{2}";
+
+/// Compiles constraints for one vocabulary.
+pub(crate) struct GrammarEngine {
+    factory: ParserFactory,
+    compiled: Mutex<BTreeMap<Constraint, Matcher>>,
+}
+
+/// A constraint being followed.
+pub(crate) struct GrammarState {
+    matcher: Matcher,
+    shown: String,
+}
+
+/// The tokens that a grammar works with.
+struct Vocabulary {
+    trie: TokTrie,
+    tokenizer: Tokenizer,
+    /// Whether the tokenizer puts a space before a text that does not begin with one.
+    prepends_space: bool,
+}
+
+impl std::fmt::Debug for GrammarEngine {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("GrammarEngine").finish_non_exhaustive()
+    }
+}
+
+impl GrammarEngine {
+    /// The engine of a tokenizer; `end` are the ids that end an answer, not empty.
+    ///
+    /// # Errors
+    /// When the vocabulary cannot be indexed.
+    pub(crate) fn new(tokenizer: &ChatTokenizer, end: &[u32]) -> Result<Self, MllmError> {
+        let broken = |problem: String| MllmError::Tokenizer { path: tokenizer.path().to_path_buf(), problem };
+        let words = tokenizer.bytes();
+        let first_end = *end.first().ok_or_else(|| broken("no token ends an answer".into()))?;
+        let factory = catch_unwind(std::panic::AssertUnwindSafe(|| {
+            let trie = TokTrie::from(&TokRxInfo::new(words.len() as u32, first_end), words).with_eos_tokens(end);
+            let plain = tokenizer.for_plain_text();
+            let prepends_space =
+                plain.encode_fast("a", false).is_ok_and(|encoding| trie.decode(encoding.get_ids()) != b"a");
+            let vocabulary: TokEnv = Arc::new(Vocabulary { trie, tokenizer: plain, prepends_space });
+            let capabilities = InferenceCapabilities { ff_tokens: true, ..InferenceCapabilities::default() };
+            let mut factory = ParserFactory::new(&vocabulary, capabilities, &[])?;
+            factory.quiet();
+            factory.limits_mut().verbose_errors = false;
+            Ok(factory)
+        }))
+        .map_err(|error| broken(first_line(&error.to_string())))?;
+        Ok(Self { factory, compiled: Mutex::new(BTreeMap::new()) })
+    }
+
+    /// Begins to follow a constraint; none for [`Constraint::Free`].
+    ///
+    /// # Errors
+    /// When the constraint does not compile, or nothing can fulfil it.
+    pub(crate) fn begin(&self, constraint: &Constraint) -> Result<Option<GrammarState>, MllmError> {
+        let shown = shown(constraint);
+        let fail = |problem: String| MllmError::Grammar { constraint: shown.clone(), problem };
+        let grammar = match constraint {
+            Constraint::Free => return Ok(None),
+            Constraint::Choice(texts) => TopLevelGrammar::from_lark(choice_grammar(texts).map_err(fail)?),
+            Constraint::Regex(pattern) => TopLevelGrammar::from_lark(regex_grammar(pattern).map_err(fail)?),
+            Constraint::Lark(grammar) => TopLevelGrammar::from_lark(grammar.clone()),
+        };
+        let known = {
+            let compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
+            compiled.get(constraint).map(Matcher::deep_clone)
+        };
+        if let Some(matcher) = known {
+            return Ok(Some(GrammarState { matcher, shown }));
+        }
+        let create = std::panic::AssertUnwindSafe(|| self.factory.create_parser(grammar));
+        let matcher = Matcher::new(catch_unwind(create));
+        if let Some(problem) = matcher.get_error() {
+            return Err(fail(problem));
+        }
+        let mut compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
+        if compiled.len() >= KEPT_GRAMMARS {
+            compiled.clear();
+        }
+        compiled.insert(constraint.clone(), matcher.deep_clone());
+        Ok(Some(GrammarState { matcher, shown }))
+    }
+}
+
+impl GrammarState {
+    /// Whether the constraint is fulfilled and allows nothing more.
+    pub(crate) fn is_complete(&self) -> bool {
+        self.matcher.is_stopped() && !self.matcher.is_error()
+    }
+
+    /// The tokens that must come next, in the tokenizer's own spelling; they are taken as generated.
+    ///
+    /// # Errors
+    /// When the grammar engine gives up.
+    pub(crate) fn take_forced(&mut self) -> Result<Vec<TokenId>, MllmError> {
+        if self.matcher.is_stopped() {
+            self.check()?;
+            return Ok(Vec::new());
+        }
+        let forced = self.matcher.compute_ff_tokens();
+        self.check()?;
+        if !forced.is_empty() {
+            self.consume(&forced)?;
+        }
+        Ok(forced)
+    }
+
+    /// The tokens that may come next; an end token is among them where the text may end.
+    ///
+    /// # Errors
+    /// When the grammar engine gives up.
+    pub(crate) fn allowed(&mut self) -> Result<SimpleVob, MllmError> {
+        self.matcher.compute_mask().map_err(|error| self.error(&error.to_string()))
+    }
+
+    /// Takes tokens as generated.
+    ///
+    /// # Errors
+    /// When the constraint does not allow them.
+    pub(crate) fn consume(&mut self, tokens: &[TokenId]) -> Result<(), MllmError> {
+        self.matcher.consume_tokens(tokens).map_err(|error| self.error(&error.to_string()))
+    }
+
+    fn check(&self) -> Result<(), MllmError> {
+        match self.matcher.get_error() {
+            None => Ok(()),
+            Some(problem) => Err(self.error(&problem)),
+        }
+    }
+
+    fn error(&self, problem: &str) -> MllmError {
+        MllmError::Grammar { constraint: self.shown.clone(), problem: first_line(problem) }
+    }
+}
+
+impl Vocabulary {
+    /// Ids of a text in the middle of an answer. A tokenizer that puts a space before every text is given a sentinel to put
+    /// it before; the sentinel's tokens are cut off again.
+    fn tokenize(&self, text: &str) -> Vec<TokenId> {
+        let encode = |text: &str| self.tokenizer.encode_fast(text, false).map(|encoding| encoding.get_ids().to_vec());
+        let ids = if self.prepends_space {
+            match (encode(SENTINEL), encode(&format!("{SENTINEL}{text}"))) {
+                (Ok(sentinel), Ok(mut ids)) if ids.starts_with(&sentinel) => Ok(ids.split_off(sentinel.len())),
+                (_, other) => other,
+            }
+        } else {
+            encode(text)
+        };
+        // What the tokenizer spells otherwise than asked, down to the last byte, must not be forced on an answer.
+        match ids {
+            Ok(ids) if self.trie.decode_raw(&ids) == text.as_bytes() => ids,
+            _ => self.trie.greedy_tokenize(text.as_bytes()),
+        }
+    }
+}
+
+impl TokenizerEnv for Vocabulary {
+    fn tok_trie(&self) -> &TokTrie {
+        &self.trie
+    }
+
+    fn tokenize_bytes(&self, bytes: &[u8]) -> Vec<TokenId> {
+        self.trie.tokenize_with_greedy_fallback(bytes, |text| self.tokenize(text))
+    }
+}
+
+/// A grammar of alternatives.
+fn choice_grammar(texts: &[String]) -> Result<String, String> {
+    if texts.is_empty() {
+        return Err("there is nothing to choose from".into());
+    }
+    if texts.iter().any(String::is_empty) {
+        return Err("an empty text cannot be chosen".into());
+    }
+    let alternatives: Vec<String> =
+        texts.iter().map(|text| serde_json::Value::from(text.as_str()).to_string()).collect();
+    Ok(format!("start: {}", alternatives.join(" | ")))
+}
+
+/// A grammar of one regular expression.
+fn regex_grammar(pattern: &str) -> Result<String, String> {
+    let escapes = pattern.len() - pattern.trim_end_matches('\\').len();
+    if pattern.is_empty() || escapes % 2 == 1 {
+        return Err("the regular expression is empty or ends in a backslash".into());
+    }
+    Ok(format!("start: /{}/", regex_to_lark(pattern, "")))
+}
+
+fn shown(constraint: &Constraint) -> String {
+    let text = format!("{constraint:?}");
+    match text.char_indices().nth(SHOWN) {
+        None => text,
+        Some((end, _)) => format!("{}...", &text[..end]),
+    }
+}
+
+fn first_line(text: &str) -> String {
+    text.lines().next().unwrap_or_default().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// A tokenizer as Llama 2 has it: a space before every text, `▁` for spaces, bytes for what is not in the vocabulary.
+    fn sentence_piece() -> (tempfile::TempDir, ChatTokenizer) {
+        let mut vocabulary = serde_json::Map::new();
+        let bytes = (0..256).map(|byte| format!("<0x{byte:02X}>"));
+        let words = ["\u{2581}", "k", "e", "p", "l", "a", "n", "ke", "ep", "keep", "\u{2581}l", "\u{2581}la", "ne"];
+        let tokens = ["<unk>", "<s>", "</s>"].map(String::from).into_iter().chain(bytes).chain(words.map(String::from));
+        for (id, token) in tokens.enumerate() {
+            vocabulary.insert(token, json!(id));
+        }
+        let special = |id: u32, content: &str| {
+            json!({"id": id, "content": content, "single_word": false, "lstrip": false, "rstrip": false,
+                "normalized": false, "special": true})
+        };
+        let file = json!({
+            "version": "1.0", "truncation": null, "padding": null,
+            "added_tokens": [special(0, "<unk>"), special(1, "<s>"), special(2, "</s>")],
+            "normalizer": {"type": "Sequence", "normalizers": [
+                {"type": "Prepend", "prepend": "\u{2581}"},
+                {"type": "Replace", "pattern": {"String": " "}, "content": "\u{2581}"}]},
+            "pre_tokenizer": null, "post_processor": null,
+            "decoder": {"type": "Sequence", "decoders": [
+                {"type": "Replace", "pattern": {"String": "\u{2581}"}, "content": " "},
+                {"type": "ByteFallback"}, {"type": "Fuse"}, {"type": "Strip", "content": " ", "start": 1, "stop": 0}]},
+            "model": {"type": "BPE", "dropout": null, "unk_token": "<unk>", "continuing_subword_prefix": null,
+                "end_of_word_suffix": null, "fuse_unk": true, "byte_fallback": true, "ignore_merges": false,
+                "vocab": vocabulary,
+                "merges": [["k", "e"], ["e", "p"], ["ke", "ep"], ["\u{2581}", "l"], ["\u{2581}l", "a"], ["n", "e"]]},
+        });
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("tokenizer.json"), file.to_string()).unwrap();
+        let tokenizer = ChatTokenizer::open(folder.path(), 280).unwrap();
+        (folder, tokenizer)
+    }
+
+    #[test]
+    fn sentence_piece_answers_are_forced_in_the_tokenizers_spelling_without_its_space() {
+        let (_folder, tokenizer) = sentence_piece();
+        let engine = GrammarEngine::new(&tokenizer, &[2]).unwrap();
+        let mut state = engine.begin(&Constraint::Choice(vec!["keep lane\n".into()])).unwrap().unwrap();
+        let forced = state.take_forced().unwrap();
+        let spelled: Vec<String> = forced.iter().filter_map(|id| tokenizer.token(*id)).collect();
+        assert_eq!(spelled, ["keep", "\u{2581}la", "ne", "<0x0A>"]);
+        assert_eq!(tokenizer.decode_verbatim(&forced), "keep lane\n");
+        assert!(state.is_complete());
+    }
+
+    #[test]
+    fn a_grammar_is_followed_byte_by_byte() {
+        let (_folder, tokenizer) = sentence_piece();
+        let engine = GrammarEngine::new(&tokenizer, &[2]).unwrap();
+        let mut state = engine.begin(&Constraint::Regex("(keep| lane)?".into())).unwrap().unwrap();
+        assert!(state.take_forced().unwrap().is_empty());
+        let allowed = state.allowed().unwrap();
+        let allows = |token: &str| allowed.is_allowed(tokenizer.id(token).unwrap());
+        for token in ["keep", "k", "ke", "\u{2581}", "\u{2581}la", "<0x20>", "</s>"] {
+            assert!(allows(token), "{token}");
+        }
+        for token in ["ep", "l", "<s>", "<unk>", "<0x0A>"] {
+            assert!(!allows(token), "{token}");
+        }
+        assert!(state.consume(&[tokenizer.id("ep").unwrap()]).is_err());
+    }
+}

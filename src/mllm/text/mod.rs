@@ -1,0 +1,11 @@
+//! Text around the model: tokenizer, chat template, grammars.
+
+mod date;
+mod grammar;
+mod template;
+mod token_bytes;
+mod tokenizer;
+
+pub(crate) use grammar::{GrammarEngine, GrammarState};
+pub(crate) use template::ChatTemplate;
+pub(crate) use tokenizer::ChatTokenizer;

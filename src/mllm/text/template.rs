@@ -1,0 +1,253 @@
+//! The chat template of a model folder: from a list of messages to the text that the model was trained on.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use minijinja::syntax::SyntaxConfig;
+use minijinja::value::Value;
+use minijinja::{Environment, Error, ErrorKind, context};
+
+use super::date::format_fixed_date;
+use crate::mllm::checkpoint::{Section, read_json, read_text};
+use crate::mllm::{MllmError, Turn};
+
+/// A compiled chat template.
+#[derive(Debug)]
+pub(crate) struct ChatTemplate {
+    environment: Environment<'static>,
+    path: PathBuf,
+    special: BTreeMap<String, String>,
+    content: Content,
+    image_token: String,
+}
+
+/// What a template takes as the content of a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Content {
+    /// A list of parts, each an image or a text, as multimodal templates do.
+    Parts,
+    /// One text, as templates of language models do; the image's placeholder is put in front of it.
+    Text,
+}
+
+const NAME: &str = "chat";
+
+impl ChatTemplate {
+    /// Opens `chat_template.jinja`, `chat_template.json` or the `chat_template` of `tokenizer_config.json`, whichever comes
+    /// first. `special` are the special tokens by role, `image_token` the placeholder of an image.
+    ///
+    /// # Errors
+    /// When there is none, it does not compile, or it renders neither lists of parts nor texts.
+    pub(crate) fn open(
+        folder: &Path,
+        special: &BTreeMap<String, String>,
+        image_token: &str,
+    ) -> Result<Self, MllmError> {
+        let (path, source) = find_source(folder)?;
+        let environment = environment(&source).map_err(|error| failure(&path, &error))?;
+        let mut template = Self {
+            environment,
+            path,
+            special: special.clone(),
+            content: Content::Parts,
+            image_token: image_token.to_string(),
+        };
+        template.content = template.accepted_content()?;
+        Ok(template)
+    }
+
+    /// Renders a chat that ends with `prompt` and the beginning of the model's answer.
+    ///
+    /// # Errors
+    /// When the template refuses the chat.
+    pub(crate) fn render(&self, system: &str, image: bool, turns: &[Turn], prompt: &str) -> Result<String, MllmError> {
+        self.render_as(self.content, system, image, turns, prompt).map_err(|error| failure(&self.path, &error))
+    }
+
+    fn render_as(
+        &self,
+        content: Content,
+        system: &str,
+        image: bool,
+        turns: &[Turn],
+        prompt: &str,
+    ) -> Result<String, Error> {
+        let mut messages = Vec::with_capacity(2 * turns.len() + 2);
+        let mut say = |role: &str, image, text: &str| {
+            messages.push(context! { role, content => self.content(content, image, text) });
+        };
+        if !system.is_empty() {
+            say("system", false, system);
+        }
+        for (index, turn) in turns.iter().enumerate() {
+            say("user", image && index == 0, &turn.prompt);
+            // A model may write the placeholder's name; the chat still has only the images that it was given.
+            say("assistant", false, &turn.answer.replace(&self.image_token, ""));
+        }
+        say("user", image && turns.is_empty(), prompt);
+        let special = Value::from_pairs(self.special.iter().map(|(role, token)| (role.as_str(), token.as_str())));
+        self.environment.get_template(NAME)?.render(context! { messages, add_generation_prompt => true, ..special })
+    }
+
+    fn content(&self, content: Content, image: bool, text: &str) -> Value {
+        match content {
+            Content::Parts => {
+                let mut parts = Vec::with_capacity(2);
+                if image {
+                    parts.push(context! { type => "image" });
+                }
+                parts.push(context! { type => "text", text });
+                Value::from(parts)
+            }
+            Content::Text if image => Value::from(format!("{}\n{text}", self.image_token)),
+            Content::Text => Value::from(text),
+        }
+    }
+
+    /// Tries which form of content the template carries through to its output.
+    fn accepted_content(&self) -> Result<Content, MllmError> {
+        const PROBE: &str = "probe";
+        let mut last = None;
+        for content in [Content::Parts, Content::Text] {
+            match self.render_as(content, "", true, &[], PROBE) {
+                // A template for texts may print the list itself, so the keys of the parts must not show.
+                Ok(text)
+                    if text.matches(&self.image_token).count() == 1
+                        && text.contains(PROBE)
+                        && !text.contains("\"type\"") =>
+                {
+                    return Ok(content);
+                }
+                Ok(text) => last = Some(format!("a message with an image and the text {PROBE:?} renders as {text:?}")),
+                Err(error) => last = Some(describe(&error)),
+            }
+        }
+        Err(MllmError::ChatTemplate { path: self.path.clone(), problem: last.unwrap_or_default() })
+    }
+}
+
+/// The template engine as transformers sets it up, with one template.
+fn environment(source: &str) -> Result<Environment<'static>, Error> {
+    let mut environment = Environment::new();
+    environment.set_syntax(SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).build()?);
+    environment.set_unknown_method_callback(minijinja_contrib::pycompat::unknown_method_callback);
+    environment.add_function("raise_exception", |message: String| {
+        Err::<Value, Error>(Error::new(ErrorKind::InvalidOperation, message))
+    });
+    environment.add_function("strftime_now", |format: String| format_fixed_date(&format));
+    environment.add_template_owned(NAME, without_generation_tags(source))?;
+    Ok(environment)
+}
+
+/// The template of a folder and the file that it stands in.
+fn find_source(folder: &Path) -> Result<(PathBuf, String), MllmError> {
+    let path = folder.join("chat_template.jinja");
+    if path.is_file() {
+        let source = read_text(&path)?;
+        return Ok((path, source));
+    }
+    for file in ["chat_template.json", "tokenizer_config.json"] {
+        let path = folder.join(file);
+        if !path.is_file() {
+            continue;
+        }
+        let value = read_json(&path)?;
+        let root = Section::root(&path, &value)?;
+        let source = match root.get("chat_template") {
+            None => continue,
+            Some(serde_json::Value::Array(named)) => {
+                named.iter().find(|entry| entry["name"] == "default").and_then(|entry| entry["template"].as_str())
+            }
+            Some(value) => value.as_str(),
+        };
+        let source = source
+            .ok_or_else(|| root.error("chat_template", "expected a text, or a list with one named default".into()))?;
+        return Ok((path.clone(), source.to_string()));
+    }
+    Err(MllmError::MissingFile {
+        folder: folder.to_path_buf(),
+        file: "chat_template.jinja (nor a chat_template in chat_template.json or tokenizer_config.json)".into(),
+    })
+}
+
+/// `{% generation %}` marks the model's words for training; here it becomes a block that changes nothing.
+fn without_generation_tags(source: &str) -> String {
+    let mut out = String::with_capacity(source.len());
+    let mut rest = source;
+    while let Some(begin) = rest.find("{%") {
+        let (before, tag) = rest.split_at(begin);
+        out.push_str(before);
+        let Some(end) = tag.find("%}") else {
+            rest = tag;
+            break;
+        };
+        let (tag, after) = tag.split_at(end + 2);
+        match tag.trim_start_matches(['{', '%', '-', '+']).trim_end_matches(['}', '%', '-', '+']).trim() {
+            "generation" => out.push_str(&tag.replacen("generation", "if true", 1)),
+            "endgeneration" => out.push_str(&tag.replacen("endgeneration", "endif", 1)),
+            _ => out.push_str(tag),
+        }
+        rest = after;
+    }
+    out.push_str(rest);
+    out
+}
+
+fn failure(path: &Path, error: &Error) -> MllmError {
+    MllmError::ChatTemplate { path: path.to_path_buf(), problem: describe(error) }
+}
+
+fn describe(error: &Error) -> String {
+    let line = error.line().map_or_else(String::new, |line| format!("line {line}: "));
+    let detail = error.detail().map_or_else(|| error.kind().to_string(), ToString::to_string);
+    format!("{line}{detail}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn open(source: &str) -> Result<ChatTemplate, MllmError> {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("chat_template.jinja"), source).unwrap();
+        let special = BTreeMap::from([("bos_token".to_string(), "<s>".to_string())]);
+        ChatTemplate::open(folder.path(), &special, "<image>")
+    }
+
+    const LLAVA: &str = "{% for message in messages %}{% if message['role'] != 'system' %}{{ message['role'].upper() + ': '}}{% endif %}{% for content in message['content'] | selectattr('type', 'equalto', 'image') %}{{ '<image>\\n' }}{% endfor %}{% for content in message['content'] | selectattr('type', 'equalto', 'text') %}{% generation %}{{ content['text'] + ' '}}{% endgeneration %}{% endfor %}{% endfor %}{% if add_generation_prompt %}{{ 'ASSISTANT:' }}{% endif %}";
+
+    #[test]
+    fn a_llava_template_renders_parts() {
+        let template = open(LLAVA).unwrap();
+        let turns = [Turn { prompt: "one".into(), answer: "two".into() }];
+        assert_eq!(
+            template.render("Drive.", true, &turns, "three").unwrap(),
+            "Drive. USER: <image>\none ASSISTANT: two USER: three ASSISTANT:"
+        );
+        assert_eq!(template.render("", false, &[], "one").unwrap(), "USER: one ASSISTANT:");
+    }
+
+    #[test]
+    fn a_template_of_a_language_model_gets_texts() {
+        let template =
+            open("{{ bos_token }}{% for m in messages %}[{{ m.role }}] {{ m.content | trim }}\n{% endfor %}").unwrap();
+        assert_eq!(template.render("s", true, &[], "hello ").unwrap(), "<s>[system] s\n[user] <image>\nhello\n");
+    }
+
+    #[test]
+    fn broken_and_refusing_templates_are_errors() {
+        for (source, expected) in [
+            ("{% for %}", "line 1"),
+            ("{{ raise_exception('no images') }}", "no images"),
+            ("constant", "probe"),
+            ("{{ messages[0].content[0].nothing.at_all }}", "undefined"),
+        ] {
+            match open(source) {
+                Err(MllmError::ChatTemplate { problem, .. }) => {
+                    assert!(problem.contains(expected), "{source}: {problem}");
+                }
+                other => panic!("{source}: {other:?}"),
+            }
+        }
+    }
+}

@@ -1,0 +1,310 @@
+//! nuPlan's built-in IDM planner: along the route's centreline behind whatever stands in the way (devkit `idm_planner.py`,
+//! `abstract_idm_planner.py`, `breadth_first_search.py`).
+
+use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use crate::dynamics::{IdmParameters, Lead, ProgressPath};
+use crate::geometry::{Corridor, OrientedBox, Polyline, wrap_angle};
+use crate::world::{
+    EgoState, LaneId, LaneMap, LanePath, PACIFICA, Route, Scene, TrackedObject, Trajectory, TrajectoryState,
+};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// nuPlan's parameters; the target velocity is that of a lane without a limit.
+const LAW: IdmParameters =
+    IdmParameters { target_velocity: 10.0, min_gap: 1.0, headway: 1.5, accel_max: 1.0, decel_max: 3.0, exponent: 4 };
+/// Samples of a trajectory beside the first.
+const SAMPLES: usize = 16;
+/// Time between samples, µs.
+const SAMPLE_US: i64 = 500_000;
+/// Time between samples, seconds.
+const SAMPLE_S: f64 = 0.5;
+/// Objects whose centre is nearer than this to the centre of the ego are seen, metres.
+const RADIUS: f64 = 40.0;
+
+/// The IDM planner. Its path and its target velocity are chosen at the first iteration and kept. Where the map does not join
+/// the roadblocks of the route (an unmapped U-turn), the path ends before the gap and so does the drive, as in nuPlan.
+#[derive(Debug, Clone, Default)]
+pub struct IdmPlanner {
+    road: Option<Road>,
+    way: Option<Way>,
+}
+
+impl IdmPlanner {
+    /// A planner that has not been initialised yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+}
+
+/// What the planner knows from its initialisation.
+#[derive(Debug, Clone)]
+struct Road {
+    map: Arc<LaneMap>,
+    route: Route,
+    lanes: BTreeSet<LaneId>,
+}
+
+/// The path that is driven.
+#[derive(Debug, Clone)]
+struct Way {
+    path: ProgressPath,
+    line: Polyline,
+    law: IdmParameters,
+}
+
+/// Where the ego is on its path.
+#[derive(Debug, Clone, Copy)]
+struct Progress {
+    s: f64,
+    speed: f64,
+}
+
+impl Planner for IdmPlanner {
+    fn name(&self) -> &'static str {
+        "idm"
+    }
+
+    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+        let lanes = initialization.route.lanes(initialization.map);
+        if lanes.is_empty() {
+            return Err(PlannerError::EmptyRoute);
+        }
+        let (map, route) = (Arc::clone(initialization.map), initialization.route.clone());
+        *self = Self { road: Some(Road { map, route, lanes }), way: None };
+        Ok(())
+    }
+
+    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        let road = self.road.as_ref().ok_or(PlannerError::NotInitialized)?;
+        let scene = &input.scene;
+        if self.way.is_none() {
+            self.way = Some(road.way(scene.ego)?);
+        }
+        let way = self.way.as_ref().ok_or(PlannerError::NotInitialized)?;
+        let obstacles = Obstacles::seen(scene, road);
+        way.roll_out(scene.ego, &obstacles)
+    }
+}
+
+impl Road {
+    /// The path from the lane of the ego to the end of the route, with its target velocity: the limit of the first lane, or
+    /// the speed of the ego if that is higher.
+    fn way(&self, ego: &EgoState) -> Result<Way, PlannerError> {
+        let start = self.starting_lane(ego).ok_or(PlannerError::EmptyRoute)?;
+        let lanes = self.route_plan(start);
+        let poses: Vec<_> =
+            lanes.iter().flat_map(|&lane| ProgressPath::baseline_poses(&self.map[lane].centerline)).collect();
+        let path = ProgressPath::new(&poses).ok_or(PlannerError::EmptyRoute)?;
+        let line = LanePath::of(&self.map, lanes).ok_or(PlannerError::EmptyRoute)?.centerline;
+        let limit = self.map[start].speed_limit.filter(|&limit| limit > 0.0).unwrap_or(LAW.target_velocity);
+        Ok(Way { path, line, law: IdmParameters { target_velocity: limit.max(ego.speed()), ..LAW } })
+    }
+
+    /// Of the lanes of the first two roadblocks the first that holds the centre of the ego, else the nearest to its box.
+    fn starting_lane(&self, ego: &EgoState) -> Option<LaneId> {
+        let center = ego.center().position();
+        let footprint = ego.footprint();
+        let blocks = self.route.roadblocks.iter().take(2);
+        let lanes: Vec<LaneId> = blocks.flat_map(|&block| self.map[block].lanes.iter().copied()).collect();
+        let holding = lanes.iter().copied().find(|&lane| self.map[lane].polygon.contains(center));
+        let distance = |lane: &LaneId| self.map[*lane].polygon.distance_to_box(&footprint);
+        holding.or_else(|| lanes.iter().copied().min_by(|a, b| distance(a).total_cmp(&distance(b))))
+    }
+
+    /// Breadth-first search along lanes of the route for a lane of its last roadblock at the depth that the route has; when
+    /// there is none, the chain to the lane found last.
+    fn route_plan(&self, start: LaneId) -> Vec<LaneId> {
+        let blocks = &self.route.roadblocks;
+        let in_second = blocks.get(1) == Some(&self.map[start].roadblock);
+        let depth = if in_second { blocks.len() - 1 } else { blocks.len() };
+        let is_goal = |lane: LaneId| blocks.last() == Some(&self.map[lane].roadblock);
+        let mut level = vec![start];
+        let mut parents: Vec<BTreeMap<LaneId, LaneId>> = Vec::new();
+        let mut end = start;
+        for at in 1..=depth {
+            if at == depth
+                && let Some(&goal) = level.iter().find(|&&lane| is_goal(lane))
+            {
+                end = goal;
+                break;
+            }
+            let mut next = Vec::new();
+            let mut parent = BTreeMap::new();
+            for &lane in &level {
+                for &onward in self.map[lane].outgoing.iter().filter(|onward| self.lanes.contains(onward)) {
+                    if parent.insert(onward, lane).is_none() {
+                        next.push(onward);
+                    }
+                    end = onward;
+                }
+            }
+            if next.is_empty() {
+                break;
+            }
+            parents.push(parent);
+            level = next;
+        }
+        chain(end, &parents)
+    }
+}
+
+/// The lanes from the start to `end`, which lies on the last level that holds it.
+fn chain(end: LaneId, parents: &[BTreeMap<LaneId, LaneId>]) -> Vec<LaneId> {
+    let mut lanes = vec![end];
+    let reached = parents.iter().rposition(|parent| parent.contains_key(&end)).map_or(0, |level| level + 1);
+    let mut lane = end;
+    for parent in parents[..reached].iter().rev() {
+        let Some(&before) = parent.get(&lane) else { break };
+        lanes.push(before);
+        lane = before;
+    }
+    lanes.reverse();
+    lanes
+}
+
+/// What may stand in the way, frozen at the present.
+struct Obstacles<'a> {
+    objects: Vec<&'a TrackedObject>,
+    red: Vec<LaneId>,
+    map: &'a LaneMap,
+}
+
+impl<'a> Obstacles<'a> {
+    fn seen(scene: &Scene<'a>, road: &Road) -> Self {
+        let center = scene.ego.center();
+        let near = |object: &&TrackedObject| object.shape.center.distance(&center) < RADIUS;
+        Self {
+            objects: scene.objects.iter().filter(near).collect(),
+            red: scene.lights.red().filter(|lane| road.lanes.contains(lane)).collect(),
+            map: scene.map,
+        }
+    }
+
+    /// The nearest obstacle to an ego box that meets it or the corridor ahead of it.
+    fn nearest(&self, ego: &OrientedBox, corridor: Option<&Corridor>) -> Option<Lead> {
+        let objects = self.objects.iter().filter(|object| {
+            ego.overlaps(&object.shape) || corridor.is_some_and(|corridor| corridor.meets_box(&object.shape))
+        });
+        let leads = objects.map(|object| {
+            let along = wrap_angle(object.shape.center.heading - ego.center.heading).cos();
+            let speed = if object.kind.is_agent() { object.speed() * along } else { 0.0 };
+            Lead { gap: ego.distance(&object.shape), speed }
+        });
+        let polygons = self.red.iter().map(|&lane| &self.map[lane].polygon).filter(|polygon| {
+            polygon.meets_box(ego) || corridor.is_some_and(|corridor| corridor.meets_polygon(polygon))
+        });
+        let lights = polygons.map(|polygon| Lead { gap: polygon.distance_to_box(ego), speed: 0.0 });
+        leads.chain(lights).min_by(|a, b| a.gap.total_cmp(&b.gap))
+    }
+}
+
+impl Way {
+    /// The trajectory from the projection of the ego on the path, by forward Euler at 0.5 s.
+    fn roll_out(&self, ego: &EgoState, obstacles: &Obstacles<'_>) -> Result<Trajectory, PlannerError> {
+        let mut at = Progress { s: self.line.project(ego.center().position()).s, speed: ego.center_velocity().x };
+        let mut states = vec![self.state(at, ego.time_us)];
+        let mut footprint = ego.footprint();
+        for sample in 1..=SAMPLES {
+            let reach = self.law.target_velocity.abs() * SAMPLES as f64 * SAMPLE_S;
+            let ahead = self.line.slice(at.s, at.s + reach);
+            let corridor = ahead.map(|line| Corridor::with_square_caps(&line, PACIFICA.width / 2.0));
+            let lead = obstacles.nearest(&footprint, corridor.as_ref());
+            at = self.propagate(at, lead);
+            let state = self.state(at, ego.time_us + sample as i64 * SAMPLE_US);
+            footprint = PACIFICA.footprint(state.rear_axle);
+            states.push(state);
+        }
+        Ok(Trajectory::new(states)?)
+    }
+
+    /// One sample on; without a lead the end of the path is a standing obstacle.
+    fn propagate(&self, at: Progress, lead: Option<Lead>) -> Progress {
+        let path_end = Lead { gap: self.path.length() - at.s - PACIFICA.length() / 2.0, speed: 0.0 };
+        let acceleration = self.law.acceleration(at.speed, Some(lead.unwrap_or(path_end)));
+        Progress { s: at.s + SAMPLE_S * at.speed, speed: (at.speed + SAMPLE_S * acceleration).max(0.0) }
+    }
+
+    fn state(&self, at: Progress, time_us: i64) -> TrajectoryState {
+        TrajectoryState::moving(time_us, PACIFICA.rear_axle_of(self.path.pose_at(at.s)), at.speed, 0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dynamics::test_road::{Stretch, ego_at, object, straight_road, whole_route};
+    use crate::world::{History, ObjectKind, SignalStatus, TrafficLights};
+
+    const ROAD: [Stretch; 3] = [Stretch::Lane(60.0), Stretch::Signal(20.0), Stretch::Lane(150.0)];
+
+    fn plan(ego: &EgoState, objects: &[TrackedObject], light: SignalStatus) -> Trajectory {
+        let map = Arc::new(straight_road(&ROAD, Some(12.0)));
+        let route = whole_route(&map);
+        let lights: TrafficLights = [(LaneId(1), light)].into_iter().collect();
+        let mut planner = IdmPlanner::new();
+        planner.initialize(&PlannerInitialization { map: &map, route: &route }).unwrap();
+        let history = History::default();
+        let scene = Scene { map: &map, route: &route, ego, objects, lights: &lights, history: &history };
+        planner.compute_trajectory(&PlannerInput { iteration: 0, scene }).unwrap()
+    }
+
+    fn end(trajectory: &Trajectory) -> TrajectoryState {
+        trajectory.states()[SAMPLES]
+    }
+
+    #[test]
+    fn a_free_road_is_driven_towards_the_limit() {
+        let trajectory = plan(&ego_at(7, 5.0, 8.0), &[], SignalStatus::Green);
+        assert_eq!(trajectory.states().len(), SAMPLES + 1);
+        assert_eq!((trajectory.start_us(), trajectory.end_us()), (7, 7 + 8_000_000));
+        assert!((trajectory.states()[0].rear_axle.x - 5.0).abs() < 1e-9);
+        // The first sample by hand: the end of the path (the last vertex dropped) is the lead.
+        let gap = 229.0 - (5.0 + PACIFICA.rear_axle_to_center()) - PACIFICA.length() / 2.0;
+        let desired: f64 = 1.0 + 8.0 * 1.5 + 64.0 / (2.0 * 3.0f64.sqrt());
+        let acceleration = 1.0 - (8.0f64 / 12.0).powi(4) - (desired / gap).powi(2);
+        let first = trajectory.states()[1];
+        assert!((first.velocity.x - (8.0 + 0.5 * acceleration)).abs() < 1e-9);
+        assert!((first.rear_axle.x - 9.0).abs() < 1e-9);
+        assert!(end(&trajectory).velocity.x > 9.0);
+    }
+
+    #[test]
+    fn stops_for_a_red_light_and_a_standing_vehicle() {
+        let red = end(&plan(&ego_at(0, 5.0, 8.0), &[], SignalStatus::Red));
+        assert!(red.rear_axle.x + PACIFICA.front_length < 60.0 && red.velocity.x < 1.5);
+        let parked = [object(1, ObjectKind::Vehicle, 42.0, 0.0, 0.0)];
+        let behind = end(&plan(&ego_at(0, 5.0, 8.0), &parked, SignalStatus::Green));
+        assert!(behind.rear_axle.x + PACIFICA.front_length < 39.7);
+        let beside = [object(1, ObjectKind::Vehicle, 42.0, 3.6, 0.0)];
+        let past = end(&plan(&ego_at(0, 5.0, 8.0), &beside, SignalStatus::Green));
+        assert!(past.rear_axle.x > 60.0);
+    }
+
+    #[test]
+    fn objects_beyond_its_radius_are_not_seen() {
+        let far = [object(1, ObjectKind::Vehicle, 47.0, 0.0, 0.0)];
+        let trajectory = plan(&ego_at(0, 5.0, 8.0), &far, SignalStatus::Green);
+        assert!(end(&trajectory).rear_axle.x > 60.0);
+    }
+
+    #[test]
+    fn the_plan_starts_in_the_second_block_too() {
+        let trajectory = plan(&ego_at(0, 65.0, 8.0), &[], SignalStatus::Green);
+        assert!((trajectory.states()[0].rear_axle.x - 65.0).abs() < 1e-9);
+        assert!(end(&trajectory).rear_axle.x > 120.0);
+    }
+
+    #[test]
+    fn says_when_it_cannot_plan() {
+        let map = Arc::new(straight_road(&ROAD, None));
+        let mut planner = IdmPlanner::new();
+        let nowhere = planner.initialize(&PlannerInitialization { map: &map, route: &Route::default() });
+        assert!(matches!(nowhere, Err(PlannerError::EmptyRoute)));
+        let (route, lights, history) = (whole_route(&map), TrafficLights::default(), History::default());
+        let ego = ego_at(0, 5.0, 8.0);
+        let scene = Scene { map: &map, route: &route, ego: &ego, objects: &[], lights: &lights, history: &history };
+        let unprepared = planner.compute_trajectory(&PlannerInput { iteration: 0, scene });
+        assert!(matches!(unprepared, Err(PlannerError::NotInitialized)));
+    }
+}

@@ -1,0 +1,322 @@
+//! The agent of the paper: every 20 iterations it looks, thinks, writes a planner and reflects on it; in between the planner
+//! in force drives.
+
+use super::record::{Attempt, Decision, PlanningCall};
+use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use crate::environment::text::{self, Description};
+use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
+use crate::geometry::Pose;
+use crate::mllm::{Mllm, Opening};
+use crate::reasoning::{
+    Feedback, Names, ParseError, PlannerCode, PromptSet, Reasoning, ReasoningSettings, ScenarioPrompt, Thought,
+};
+use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict};
+use crate::world::{Scene, Trajectory};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Name of the planner in results.
+pub const NAME: &str = "plan-agent";
+/// Deceleration of the planner of last resort, m/s².
+const BRAKE: f64 = 3.0;
+
+/// Which planner drives when all attempts were refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AfterMaxExec {
+    /// The last one (the paper).
+    #[default]
+    Last,
+    /// The one with the best score.
+    Best,
+}
+
+/// Settings of the agent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanAgentSettings {
+    /// Side of the BEV map, metres; `None` leaves the image out.
+    pub view_m: Option<f64>,
+    /// Whether the model gets the lane-graph text.
+    pub lane_graph: bool,
+    /// Length of a lane-graph node, metres.
+    pub node_length_m: f64,
+    /// How the model is asked.
+    pub reasoning: ReasoningSettings,
+    /// Iterations between planning calls.
+    pub interval: usize,
+    /// Whether planners are judged.
+    pub reflect: bool,
+    /// λ.
+    pub threshold: f64,
+    /// Most attempts of a planning call.
+    pub max_exec: usize,
+    /// Length of the roll-outs, seconds.
+    pub horizon_s: f64,
+    /// Which planner drives when all attempts were refused.
+    pub after_max_exec: AfterMaxExec,
+    /// Whom generated planners follow.
+    pub lead_policy: LeadPolicy,
+    /// Seed of the run; each planning call draws from its own stream.
+    pub seed: u64,
+}
+
+/// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
+pub struct PlanAgent {
+    model: Arc<dyn Mllm>,
+    prompts: Arc<PromptSet>,
+    settings: PlanAgentSettings,
+    in_force: Option<GeneratedPlanner>,
+    calls: Vec<PlanningCall>,
+}
+
+impl PlanAgent {
+    /// An agent that thinks with this model.
+    pub fn new(model: Arc<dyn Mllm>, prompts: Arc<PromptSet>, settings: PlanAgentSettings) -> Self {
+        Self { model, prompts, settings, in_force: None, calls: Vec::new() }
+    }
+
+    /// The records of all planning calls since the last initialisation.
+    pub fn calls(&self) -> &[PlanningCall] {
+        &self.calls
+    }
+
+    /// The planner that drives now.
+    pub fn in_force(&self) -> Option<&GeneratedPlanner> {
+        self.in_force.as_ref()
+    }
+
+    fn steps(&self) -> usize {
+        (self.settings.horizon_s / crate::world::STEP_S).round() as usize
+    }
+
+    /// One planning call: everything from the scene to the planner that drives from now on.
+    fn call(&mut self, iteration: usize, scene: &Scene<'_>) -> Result<(), PlannerError> {
+        let started = Instant::now();
+        let graph = match LaneGraph::build(scene, self.settings.node_length_m) {
+            Ok(graph) => graph,
+            Err(error) => {
+                let decision = match &self.in_force {
+                    Some(_) => Decision::KeepInForce(error.to_string()),
+                    None => Decision::Brake(error.to_string()),
+                };
+                self.calls.push(PlanningCall::without_attempts(iteration, decision, milliseconds(started)));
+                return Ok(());
+            }
+        };
+        let scenario = self.look(scene, &graph)?;
+        let environment_ms = milliseconds(started);
+        let (attempts, planners) = self.think(iteration, scene, &graph, &scenario)?;
+        let decision = self.decide(&attempts, &planners);
+        if let Decision::Execute(index) | Decision::Exhausted(index) = decision {
+            self.in_force = planners.into_iter().nth(index).flatten();
+        }
+        let image_hash = Opening { system: String::new(), image: scenario.image.clone() }.image_hash();
+        self.calls.push(PlanningCall {
+            iteration,
+            image: scenario.image,
+            image_hash,
+            scene_text: scenario.text,
+            attempts,
+            decision,
+            environment_ms,
+            total_ms: milliseconds(started),
+        });
+        Ok(())
+    }
+
+    /// The Environment Transformation: what the model is shown.
+    fn look(&self, scene: &Scene<'_>, graph: &LaneGraph) -> Result<ScenarioPrompt, PlannerError> {
+        let form = self.prompts.forms().scene_text;
+        let pixels = self.model.describe().image_size;
+        let image = match (self.settings.view_m, pixels) {
+            (Some(metres), Some(pixels)) => {
+                let view = BevView::new(pixels, metres)
+                    .map_err(|e| PlannerError::Failed { doing: "drawing the BEV map", source: Box::new(e) })?;
+                Some(bev::render(scene, &view))
+            }
+            _ => None,
+        };
+        Ok(ScenarioPrompt {
+            image,
+            text: self.settings.lane_graph.then(|| text::write(&Description::of(graph), form)),
+            names: names(graph),
+            legend: bev::Palette::legend(),
+        })
+    }
+
+    /// Attempts until one is accepted or `max_exec` are made; the n-th planner belongs to the n-th attempt.
+    fn think(
+        &self,
+        iteration: usize,
+        scene: &Scene<'_>,
+        graph: &LaneGraph,
+        scenario: &ScenarioPrompt,
+    ) -> Result<(Vec<Attempt>, Vec<Option<GeneratedPlanner>>), PlannerError> {
+        let settings = &self.settings;
+        let seed = settings.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64);
+        let failed = |doing| move |error| PlannerError::Failed { doing, source: Box::new(error) };
+        let mut reasoning =
+            Reasoning::open(self.model.as_ref(), &self.prompts, &settings.reasoning, scenario, seed)
+                .map_err(failed("opening the conversation"))?;
+        let judge = if settings.reflect {
+            Some(Judge::new(scene, graph, settings.horizon_s).map_err(reflection_failed)?)
+        } else {
+            None
+        };
+        let (mut attempts, mut planners): (Vec<Attempt>, Vec<_>) = (Vec::new(), Vec::new());
+        while attempts.len() < settings.max_exec {
+            let feedback = attempts.last().map(|last| feedback(last, settings.threshold));
+            let thought = reasoning.think(feedback.as_ref()).map_err(failed("asking the model"))?;
+            let started = Instant::now();
+            let (planner, errors) = self.build(scene, graph, &thought)?;
+            let reflection = match (&judge, &planner) {
+                (Some(judge), Some(planner)) => {
+                    Some(judge.reflect(planner, settings.threshold).map_err(reflection_failed)?)
+                }
+                _ => None,
+            };
+            let accepted = planner.is_some() && reflection.as_ref().is_none_or(|r| r.verdict == Verdict::Execute);
+            attempts.push(attempt(thought, errors, planner.as_ref(), reflection, milliseconds(started)));
+            planners.push(planner);
+            if accepted {
+                break;
+            }
+        }
+        Ok((attempts, planners))
+    }
+
+    /// The planner that a thought means, with everything that was wrong with the answer.
+    fn build(
+        &self,
+        scene: &Scene<'_>,
+        graph: &LaneGraph,
+        thought: &Thought,
+    ) -> Result<(Option<GeneratedPlanner>, Vec<ParseError>), PlannerError> {
+        let errors = thought.parsed.errors.clone();
+        let Some(code) = thought.parsed.code.clone() else { return Ok((None, errors)) };
+        let planner = generated_planner(scene, graph, code, self.settings.lead_policy, self.settings.horizon_s)?;
+        Ok((planner, errors))
+    }
+
+    fn decide(&self, attempts: &[Attempt], planners: &[Option<GeneratedPlanner>]) -> Decision {
+        let score = |i: usize| attempts[i].reflection.as_ref().map_or(0.0, |r| r.score);
+        let usable: Vec<usize> = (0..attempts.len()).filter(|&i| planners[i].is_some()).collect();
+        let accepted = usable.iter().copied().find(|&i| {
+            attempts[i].reflection.as_ref().is_none_or(|r| r.verdict == Verdict::Execute)
+        });
+        let refused = match self.settings.after_max_exec {
+            AfterMaxExec::Last => usable.last().copied(),
+            AfterMaxExec::Best => usable.iter().copied().rev().max_by(|&a, &b| score(a).total_cmp(&score(b))),
+        };
+        let unread = || "no attempt gave a planner that can be read".to_owned();
+        match (accepted, refused, &self.in_force) {
+            (Some(index), ..) => Decision::Execute(index),
+            (None, Some(index), _) => Decision::Exhausted(index),
+            (None, None, Some(_)) => Decision::KeepInForce(unread()),
+            (None, None, None) => Decision::Brake(unread()),
+        }
+    }
+}
+
+impl Planner for PlanAgent {
+    fn name(&self) -> &str {
+        NAME
+    }
+
+    fn initialize(&mut self, _: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+        self.in_force = None;
+        self.calls.clear();
+        Ok(())
+    }
+
+    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        if input.iteration.is_multiple_of(self.settings.interval) {
+            self.call(input.iteration, &input.scene)?;
+        }
+        let ego = input.scene.ego;
+        match &self.in_force {
+            Some(planner) => Ok(planner.roll_out(&input.scene, self.steps()).to_trajectory(ego)?),
+            None => Ok(brake(ego, self.steps())?),
+        }
+    }
+}
+
+/// The names that planner code may use in a scene.
+pub fn names(graph: &LaneGraph) -> Names {
+    Names {
+        centerlines: graph.centerlines.iter().map(|centerline| centerline.name.to_string()).collect(),
+        leaders: graph.agents.iter().map(|agent| agent.name.to_string()).collect(),
+    }
+}
+
+/// The planner that a code means in a scene; `None` when its names are not of this scene.
+///
+/// # Errors
+/// When the ego's pose is not finite.
+pub fn generated_planner(
+    scene: &Scene<'_>,
+    graph: &LaneGraph,
+    code: PlannerCode,
+    lead_policy: LeadPolicy,
+    horizon_s: f64,
+) -> Result<Option<GeneratedPlanner>, PlannerError> {
+    let centerline = code.centerline.parse::<CenterlineName>().ok().and_then(|name| graph.centerline(name));
+    let Some(centerline) = centerline else { return Ok(None) };
+    let named = code.leader.as_ref().and_then(|name| name.parse::<AgentName>().ok());
+    let leader = named.and_then(|name| graph.agent(name)).map(|agent| agent.token);
+    GeneratedPlanner::new(scene, code, centerline.path.clone(), leader, lead_policy, horizon_s)
+        .map(Some)
+        .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })
+}
+
+fn reflection_failed(error: crate::reflection::ReflectionError) -> PlannerError {
+    PlannerError::Failed { doing: "reflecting on the planner", source: Box::new(error) }
+}
+
+fn attempt(
+    thought: Thought,
+    errors: Vec<ParseError>,
+    planner: Option<&GeneratedPlanner>,
+    reflection: Option<ReflectionReport>,
+    reflection_ms: f64,
+) -> Attempt {
+    Attempt {
+        rounds: thought.rounds,
+        instruction: thought.instruction,
+        code: thought.parsed.code,
+        errors,
+        reflection,
+        path: planner.map_or_else(Vec::new, |planner| planner.path().vertex_poses()),
+        reflection_ms,
+    }
+}
+
+fn feedback(last: &Attempt, threshold: f64) -> Feedback {
+    let named = |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
+    Feedback {
+        code: last.code.as_ref().map(ToString::to_string),
+        score: last.reflection.as_ref().map(|report| report.score),
+        threshold,
+        parts: last.reflection.as_ref().map(named).unwrap_or_default(),
+        errors: last.errors.clone(),
+    }
+}
+
+/// Straight ahead, braking to a stop.
+fn brake(ego: &crate::world::EgoState, steps: usize) -> Result<Trajectory, crate::world::TrajectoryError> {
+    use crate::world::{STEP_S, STEP_US, TrajectoryState};
+    let mut speed = ego.velocity.x.max(0.0);
+    let mut way = 0.0;
+    let mut states = vec![TrajectoryState::from(ego)];
+    for step in 1..=steps {
+        way += speed * STEP_S;
+        speed = (speed - BRAKE * STEP_S).max(0.0);
+        let pose: Pose = ego.rear_axle.translated(way, 0.0);
+        states.push(TrajectoryState::moving(ego.time_us + step as i64 * STEP_US, pose, speed, -BRAKE));
+    }
+    Trajectory::new(states)
+}
+
+fn milliseconds(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
+}

@@ -1,0 +1,93 @@
+//! The record that every planning call leaves.
+
+use crate::geometry::Pose;
+use crate::reasoning::{MotionInstruction, ParseError, PlannerCode, RoundRecord};
+use crate::reflection::ReflectionReport;
+use image::RgbImage;
+
+/// What a planning call ended with.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Decision {
+    /// The planner of this attempt (from 0) scored λ or more and drives.
+    Execute(usize),
+    /// All attempts were refused; the planner of this attempt drives all the same, as the paper prescribes.
+    Exhausted(usize),
+    /// No attempt gave a planner; the one in force goes on. The text says why.
+    KeepInForce(String),
+    /// No attempt gave a planner and none was in force: the ego brakes straight ahead. The text says why.
+    Brake(String),
+}
+
+/// One attempt: three rounds, a planner, its reflection.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Attempt {
+    /// The rounds as they were asked and answered.
+    pub rounds: Vec<RoundRecord>,
+    /// The motion instruction, if it was given.
+    pub instruction: Option<MotionInstruction>,
+    /// The planner code, if the answer held one.
+    pub code: Option<PlannerCode>,
+    /// What could not be read.
+    pub errors: Vec<ParseError>,
+    /// What Reflection said; `None` without code or with Reflection switched off.
+    pub reflection: Option<ReflectionReport>,
+    /// Path of the planner, map frame.
+    pub path: Vec<Pose>,
+    /// Wall time of the roll-out and its scoring, milliseconds.
+    pub reflection_ms: f64,
+}
+
+/// All attempts at one instant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanningCall {
+    /// Iteration at which it was made.
+    pub iteration: usize,
+    /// The BEV map as the model saw it.
+    pub image: Option<RgbImage>,
+    /// BLAKE3 of the image.
+    pub image_hash: Option<String>,
+    /// The lane-graph text.
+    pub scene_text: Option<String>,
+    /// The attempts, in order.
+    pub attempts: Vec<Attempt>,
+    /// How it ended.
+    pub decision: Decision,
+    /// Wall time of the environment transformation, milliseconds.
+    pub environment_ms: f64,
+    /// Wall time of the whole call, milliseconds.
+    pub total_ms: f64,
+}
+
+impl PlanningCall {
+    /// A call that could not even begin.
+    pub(super) fn without_attempts(iteration: usize, decision: Decision, total_ms: f64) -> Self {
+        Self {
+            iteration,
+            image: None,
+            image_hash: None,
+            scene_text: None,
+            attempts: Vec::new(),
+            decision,
+            environment_ms: total_ms,
+            total_ms,
+        }
+    }
+
+    /// Attempts after the first.
+    pub fn rethinks(&self) -> usize {
+        self.attempts.len().saturating_sub(1)
+    }
+
+    /// Errors in all answers.
+    pub fn parse_errors(&self) -> usize {
+        self.attempts.iter().map(|attempt| attempt.errors.len()).sum()
+    }
+
+    /// The attempt whose planner drives from here on, if one of this call does.
+    pub fn driving(&self) -> Option<&Attempt> {
+        match self.decision {
+            Decision::Execute(index) | Decision::Exhausted(index) => self.attempts.get(index),
+            Decision::KeepInForce(_) | Decision::Brake(_) => None,
+        }
+    }
+}

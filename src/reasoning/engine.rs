@@ -1,0 +1,235 @@
+//! Asks a model the rounds of an attempt and reads its answers.
+
+use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, TARGET_SPEED};
+use super::code_parser::{ParseError, Parsed, parse};
+use super::grammar;
+use super::instruction::MotionInstruction;
+use super::prompt_set::{PromptError, PromptSet};
+use super::round::Round;
+use crate::mllm::{
+    Answer, Constraint, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, Opening, Request, RoundTime, Sampling,
+    TokenCounts,
+};
+use image::RgbImage;
+use minijinja::context;
+
+/// What a planning call shows to the model.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ScenarioPrompt {
+    /// The BEV map; `None` leaves the image out.
+    pub image: Option<RgbImage>,
+    /// The lane-graph text; `None` leaves it out.
+    pub text: Option<String>,
+    /// The names that planner code may use.
+    pub names: Names,
+    /// What the colours of the image mean, for the system prompt.
+    pub legend: String,
+}
+
+/// Why a refused planner was refused.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Feedback {
+    /// The planner, as it was read.
+    pub code: Option<String>,
+    /// Its score; `None` when there was nothing to simulate.
+    pub score: Option<f64>,
+    /// The score that is needed.
+    pub threshold: f64,
+    /// The parts of the score by name.
+    pub parts: Vec<(String, f64)>,
+    /// What could not be read.
+    pub errors: Vec<ParseError>,
+}
+
+/// Record of one round: prompt, answer, and what it cost.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct RoundRecord {
+    /// Which round.
+    pub round: Round,
+    /// What was asked.
+    pub prompt: String,
+    /// BLAKE3 of all text that the model had been told.
+    pub prompt_hash: String,
+    /// What was answered.
+    pub answer: String,
+    /// Why the answer ends.
+    pub finish: FinishReason,
+    /// Tokens read and written.
+    pub tokens: TokenCounts,
+    /// Wall time; kept apart from the rest of a record.
+    #[serde(skip)]
+    pub time: RoundTime,
+}
+
+/// The outcome of one attempt's rounds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Thought {
+    /// The rounds that were asked.
+    pub rounds: Vec<RoundRecord>,
+    /// The motion instruction, if round 2 was asked and its words were found.
+    pub instruction: Option<MotionInstruction>,
+    /// The planner code and what could not be read.
+    pub parsed: Parsed,
+}
+
+/// Why reasoning failed as a whole. A wrong answer is no such failure.
+#[derive(Debug, thiserror::Error)]
+pub enum ReasoningError {
+    /// The model failed.
+    #[error(transparent)]
+    Model(#[from] MllmError),
+    /// A prompt could not be made.
+    #[error(transparent)]
+    Prompt(#[from] PromptError),
+}
+
+/// How the rounds are asked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReasoningSettings {
+    /// Which rounds are asked, in order; the last must be [`Round::Code`].
+    pub rounds: Vec<Round>,
+    /// Most tokens of an answer and how the first attempt chooses them: the model's own settings.
+    pub generation: GenerationSettings,
+    /// How later attempts choose their tokens.
+    pub rethink_sampling: Sampling,
+    /// Whether rounds are decoded under their grammars. Without, answers are free and may fail to parse.
+    pub grammar: bool,
+}
+
+impl ReasoningSettings {
+    fn max_new_tokens(&self, round: Round) -> usize {
+        let limits = self.generation.max_new_tokens;
+        match round {
+            Round::Understanding => limits.scene,
+            Round::Instruction => limits.motion,
+            Round::Code => limits.code,
+        }
+    }
+}
+
+/// The conversation of one planning call.
+pub struct Reasoning<'a> {
+    conversation: Box<dyn Conversation + 'a>,
+    start: Mark,
+    prompts: &'a PromptSet,
+    settings: &'a ReasoningSettings,
+    scenario: &'a ScenarioPrompt,
+    attempts: usize,
+}
+
+impl<'a> Reasoning<'a> {
+    /// Opens the conversation of a planning call.
+    ///
+    /// # Errors
+    /// When the system prompt cannot be made or the model cannot take the image.
+    pub fn open(
+        model: &'a dyn Mllm,
+        prompts: &'a PromptSet,
+        settings: &'a ReasoningSettings,
+        scenario: &'a ScenarioPrompt,
+        seed: u64,
+    ) -> Result<Self, ReasoningError> {
+        let system = system_prompt(prompts, &scenario.legend)?;
+        let conversation = model.converse(&Opening { system, image: scenario.image.clone() }, seed)?;
+        let start = conversation.mark();
+        Ok(Self { conversation, start, prompts, settings, scenario, attempts: 0 })
+    }
+
+    /// One attempt: all rounds from the start, with what was wrong with the last attempt in the first prompt.
+    ///
+    /// # Errors
+    /// When the model fails or a prompt cannot be made; answers that make no sense are no error.
+    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<Thought, ReasoningError> {
+        self.conversation.rewind(self.start);
+        self.attempts += 1;
+        let mut feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
+        let mut scene_text = self.scenario.text.as_deref();
+        let mut rounds = Vec::with_capacity(self.settings.rounds.len());
+        let mut instruction = None;
+        for &round in &self.settings.rounds {
+            let names = &self.scenario.names;
+            let prompt = round_prompt(self.prompts, round, names, scene_text.take(), feedback.take().as_deref())?;
+            let answer = self.conversation.ask(&prompt, &self.request(round))?;
+            if round == Round::Instruction {
+                instruction = MotionInstruction::find(&answer.text);
+            }
+            rounds.push(record(round, prompt, answer));
+        }
+        let code = rounds.last().filter(|last| last.round == Round::Code).map_or("", |last| last.answer.as_str());
+        let parsed = parse(code, &self.scenario.names);
+        Ok(Thought { instruction, parsed, rounds })
+    }
+
+    fn request(&self, round: Round) -> Request {
+        let forms = self.prompts.forms();
+        let constraint = match round {
+            _ if !self.settings.grammar => Constraint::Free,
+            Round::Understanding => grammar::understanding(forms.understanding),
+            Round::Instruction => grammar::instruction(forms.instruction),
+            Round::Code => grammar::code(&self.scenario.names),
+        };
+        let sampling = if self.attempts > 1 { self.settings.rethink_sampling } else { self.settings.generation.sampling };
+        Request { constraint, max_new_tokens: self.settings.max_new_tokens(round), sampling }
+    }
+}
+
+/// The system prompt of a set: the same for all calls of a run.
+///
+/// # Errors
+/// When the template names something that does not exist.
+pub fn system_prompt(prompts: &PromptSet, legend: &str) -> Result<String, PromptError> {
+    prompts.system(context! {
+        function => FUNCTION,
+        legend => legend,
+        ranges => context! {
+            v0 => TARGET_SPEED.to_string(), acc => ACCEL_MAX.to_string(), dec => DECEL_MAX.to_string(),
+        },
+    })
+}
+
+/// The prompt of a round; the first round that is asked carries the scene text and the feedback.
+///
+/// # Errors
+/// When the template names something that does not exist.
+pub fn round_prompt(
+    prompts: &PromptSet,
+    round: Round,
+    names: &Names,
+    scene_text: Option<&str>,
+    feedback: Option<&str>,
+) -> Result<String, PromptError> {
+    let context = context! {
+        scene_text => scene_text.unwrap_or_default(),
+        feedback => feedback,
+        centerlines => &names.centerlines,
+        leaders => &names.leaders,
+    };
+    prompts.round(round, context)
+}
+
+/// What is said to the model about a refused planner.
+///
+/// # Errors
+/// When the template names something that does not exist.
+pub fn feedback_text(prompts: &PromptSet, feedback: &Feedback) -> Result<String, PromptError> {
+    let rounded = |value: f64| format!("{value:.2}");
+    prompts.feedback(context! {
+        code => &feedback.code,
+        score => feedback.score.map(rounded),
+        threshold => feedback.threshold,
+        parts => feedback.parts.iter().map(|(name, value)| (name.clone(), rounded(*value))).collect::<Vec<_>>(),
+        errors => feedback.errors.iter().map(ToString::to_string).collect::<Vec<_>>(),
+    })
+}
+
+fn record(round: Round, prompt: String, answer: Answer) -> RoundRecord {
+    RoundRecord {
+        round,
+        prompt,
+        prompt_hash: answer.prompt_hash,
+        answer: answer.text,
+        finish: answer.finish,
+        tokens: answer.tokens,
+        time: answer.time,
+    }
+}

@@ -1,0 +1,129 @@
+//! Round 2: the longitudinal and lateral motion instruction of the paper, with reasons.
+
+use std::fmt;
+
+macro_rules! words {
+    ($(#[$doc:meta])* $name:ident { $($(#[$variant_doc:meta])* $variant:ident = $word:literal),+ $(,)? }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+        pub enum $name {
+            $($(#[$variant_doc])* #[serde(rename = $word)] $variant),+
+        }
+
+        impl $name {
+            /// All of them, in the order in which they are offered.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),+];
+
+            /// The word of the answer.
+            pub fn as_str(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $word),+
+                }
+            }
+
+            /// The one with this word.
+            pub fn from_word(word: &str) -> Option<Self> {
+                Self::ALL.iter().copied().find(|one| one.as_str() == word)
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(self.as_str())
+            }
+        }
+    };
+}
+
+words!(
+    /// What to do along the road.
+    Longitudinal {
+        /// Go faster.
+        Accelerate = "accelerate",
+        /// Go slower or stop.
+        Decelerate = "decelerate",
+        /// Keep the speed.
+        Maintain = "maintain",
+    }
+);
+
+words!(
+    /// What to do across the road.
+    Lateral {
+        /// Into the lane to the left.
+        ChangeLeft = "change_left",
+        /// Into the lane to the right.
+        ChangeRight = "change_right",
+        /// Stay in the lane.
+        Keep = "keep",
+    }
+);
+
+words!(
+    /// Why the longitudinal instruction was given: what limits the speed most.
+    LongitudinalReason {
+        /// Nothing ahead, below the limit.
+        FreeRoad = "free_road",
+        /// At the speed limit.
+        SpeedLimit = "speed_limit",
+        /// A slower or stopped vehicle ahead.
+        Lead = "lead",
+        /// A red or yellow light.
+        Light = "light",
+        /// Somebody on foot or on a bicycle on the way.
+        Person = "person",
+        /// An obstacle on the way.
+        Obstacle = "obstacle",
+    }
+);
+
+words!(
+    /// Why the lateral instruction was given.
+    LateralReason {
+        /// The lane serves.
+        LaneServes = "lane_serves",
+        /// Something stands in the lane.
+        Blocked = "blocked",
+        /// Somebody slow drives in the lane.
+        SlowLead = "slow_lead",
+        /// The way goes on in the other lane.
+        Route = "route",
+    }
+);
+
+/// The answer of round 2.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct MotionInstruction {
+    /// Along the road.
+    pub longitudinal: Longitudinal,
+    /// Across the road.
+    pub lateral: Lateral,
+}
+
+impl MotionInstruction {
+    /// Reads the two words out of an answer of either form: the first longitudinal and the first lateral word in it.
+    pub fn find(answer: &str) -> Option<Self> {
+        let words: Vec<String> = answer
+            .split(|c: char| !(c.is_alphanumeric() || c == '_'))
+            .map(str::to_lowercase)
+            .filter(|word| !word.is_empty())
+            .collect();
+        let longitudinal = words.iter().find_map(|word| Longitudinal::from_word(word))?;
+        let lateral = words.iter().find_map(|word| Lateral::from_word(word))?;
+        Some(Self { longitudinal, lateral })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reads_both_forms() {
+        let expected = Some(MotionInstruction { longitudinal: Longitudinal::Decelerate, lateral: Lateral::Keep });
+        assert_eq!(MotionInstruction::find("lon=decelerate because=light lat=keep because=lane_serves"), expected);
+        let sentences = "Longitudinal: decelerate, because the light is red\nLateral: keep, because it serves";
+        assert_eq!(MotionInstruction::find(sentences), expected);
+        assert_eq!(MotionInstruction::find("slow down"), None);
+    }
+}

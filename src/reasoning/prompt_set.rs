@@ -1,0 +1,202 @@
+//! Prompt sets: folders of templates with a `set.toml`, two of them built in.
+
+use super::round::Round;
+use crate::environment::text::PromptSet as TextForm;
+use minijinja::{Environment, UndefinedBehavior, Value};
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// File names of the templates.
+const TEMPLATES: [&str; 5] = ["system", "understanding", "instruction", "code", "feedback"];
+
+/// How round 1 is answered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum UnderstandingForm {
+    /// In sentences.
+    Free,
+    /// `key=value` for each question, under a grammar.
+    Choices,
+}
+
+/// How round 2 is answered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InstructionForm {
+    /// Two lines with a reason in words, under a grammar.
+    Reasoned,
+    /// `key=value`, under a grammar.
+    Choices,
+}
+
+/// `set.toml`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct PromptForms {
+    /// Form of the lane-graph text.
+    pub scene_text: TextForm,
+    /// Form of round 1.
+    pub understanding: UnderstandingForm,
+    /// Form of round 2.
+    pub instruction: InstructionForm,
+}
+
+/// Why a prompt set cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum PromptError {
+    /// Neither a built-in name nor a folder.
+    #[error("prompt set '{0}' is neither built in (paper, compact) nor a folder with a set.toml")]
+    Unknown(String),
+    /// A file cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// `set.toml` is wrong.
+    #[error("{path}: {source}")]
+    Settings {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong and where.
+        source: Box<toml::de::Error>,
+    },
+    /// A template is wrong or names something that does not exist.
+    #[error("prompt template {name} of set '{set}': {source}")]
+    Template {
+        /// Which set.
+        set: String,
+        /// Which template.
+        name: &'static str,
+        /// What is wrong.
+        source: minijinja::Error,
+    },
+}
+
+/// A set of prompts: its forms and its compiled templates.
+#[derive(Debug)]
+pub struct PromptSet {
+    name: String,
+    forms: PromptForms,
+    templates: Environment<'static>,
+}
+
+macro_rules! built_in {
+    ($name:literal) => {
+        (
+            $name,
+            include_str!(concat!("../../prompts/", $name, "/set.toml")),
+            [
+                include_str!(concat!("../../prompts/", $name, "/system.jinja")),
+                include_str!(concat!("../../prompts/", $name, "/understanding.jinja")),
+                include_str!(concat!("../../prompts/", $name, "/instruction.jinja")),
+                include_str!(concat!("../../prompts/", $name, "/code.jinja")),
+                include_str!(concat!("../../prompts/", $name, "/feedback.jinja")),
+            ],
+        )
+    };
+}
+
+/// The sets that are compiled into the program: name, settings, templates in the order of [`TEMPLATES`].
+const BUILT_IN: [(&str, &str, [&str; 5]); 2] = [built_in!("paper"), built_in!("compact")];
+
+impl PromptSet {
+    /// A built-in set by name, or the set in a folder.
+    ///
+    /// # Errors
+    /// When there is none of that name, a file is missing, or a template does not compile.
+    pub fn open(name_or_folder: &str) -> Result<Self, PromptError> {
+        if let Some((name, settings, sources)) = BUILT_IN.iter().find(|(name, ..)| *name == name_or_folder) {
+            return Self::compile(name, Path::new("set.toml"), settings, sources.map(str::to_owned));
+        }
+        let folder = Path::new(name_or_folder);
+        let settings_path = folder.join("set.toml");
+        if !settings_path.is_file() {
+            return Err(PromptError::Unknown(name_or_folder.to_owned()));
+        }
+        let read = |path: PathBuf| std::fs::read_to_string(&path).map_err(|source| PromptError::Read { path, source });
+        let settings = read(settings_path.clone())?;
+        let mut sources: [String; 5] = Default::default();
+        for (source, name) in sources.iter_mut().zip(TEMPLATES) {
+            *source = read(folder.join(name).with_extension("jinja"))?;
+        }
+        Self::compile(name_or_folder, &settings_path, &settings, sources)
+    }
+
+    fn compile(name: &str, path: &Path, settings: &str, sources: [String; 5]) -> Result<Self, PromptError> {
+        let forms = toml::from_str(settings)
+            .map_err(|source| PromptError::Settings { path: path.to_owned(), source: Box::new(source) })?;
+        let mut templates = Environment::new();
+        templates.set_undefined_behavior(UndefinedBehavior::Strict);
+        for (template, source) in TEMPLATES.into_iter().zip(sources) {
+            templates.add_template_owned(template, source).map_err(|source| PromptError::Template {
+                set: name.to_owned(),
+                name: template,
+                source,
+            })?;
+        }
+        Ok(Self { name: name.to_owned(), forms, templates })
+    }
+
+    /// The name or folder it was opened by.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// How answers look.
+    pub fn forms(&self) -> &PromptForms {
+        &self.forms
+    }
+
+    /// The system prompt.
+    pub(super) fn system(&self, context: Value) -> Result<String, PromptError> {
+        self.render("system", context)
+    }
+
+    /// The prompt of a round.
+    pub(super) fn round(&self, round: Round, context: Value) -> Result<String, PromptError> {
+        self.render(round.as_str(), context)
+    }
+
+    /// What is said of a refused planner.
+    pub(super) fn feedback(&self, context: Value) -> Result<String, PromptError> {
+        self.render("feedback", context)
+    }
+
+    fn render(&self, name: &'static str, context: Value) -> Result<String, PromptError> {
+        let rendered = self.templates.get_template(name).and_then(|template| template.render(context));
+        rendered.map(|text| text.trim().to_owned()).map_err(|source| PromptError::Template {
+            set: self.name.clone(),
+            name,
+            source,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn built_in_sets_compile() {
+        for (name, ..) in BUILT_IN {
+            assert_eq!(PromptSet::open(name).unwrap().name(), name);
+        }
+    }
+
+    #[test]
+    fn wrong_sets_say_what_is_wrong() {
+        assert!(matches!(PromptSet::open("nowhere"), Err(PromptError::Unknown(_))));
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("set.toml"), "scene_text = 'compact'\nunderstandng = 'free'").unwrap();
+        let missing = PromptSet::open(folder.path().to_str().unwrap()).unwrap_err().to_string();
+        assert!(missing.contains("system.jinja"), "{missing}");
+        for name in TEMPLATES {
+            std::fs::write(folder.path().join(name).with_extension("jinja"), "x").unwrap();
+        }
+        let settings = PromptSet::open(folder.path().to_str().unwrap()).unwrap_err().to_string();
+        assert!(settings.contains("understandng"), "{settings}");
+    }
+}

@@ -1,0 +1,105 @@
+//! The path that a planner drives: from where the ego is, smoothly onto the followed centreline.
+
+use crate::geometry::{GeometryError, Point, Polyline, Pose, wrap_angle};
+use crate::world::EgoState;
+
+/// Time in which a lateral offset of one lane width decays, seconds; a smaller offset decays in proportionally less.
+const LANE_CHANGE_S: f64 = 3.5;
+/// Time in which the smallest offset decays, seconds.
+const SETTLE_S: f64 = 1.2;
+/// A usual lane width, metres.
+const LANE_WIDTH: f64 = 3.5;
+/// The decay is never shorter than this, metres, so that a slow ego does not have to turn on the spot.
+const SHORTEST_DECAY: f64 = 8.0;
+/// Distance between the vertices of the path, metres.
+const SPACING: f64 = 1.0;
+/// Largest slope (tangent of the heading error) from which the path starts: beyond it the ego is not driving along the lane.
+const STEEPEST: f64 = 0.7;
+
+/// The path of the rear axle from the ego's present pose onto `centerline`, then along it for `length` metres.
+///
+/// In the centreline's frame the lateral offset d(s) is the quintic with the ego's offset and slope and no curvature at the
+/// start, and d = d' = d'' = 0 at the end of the decay.
+///
+/// # Errors
+/// When the ego's pose is not finite.
+pub fn onto_centerline(ego: &EgoState, centerline: &Polyline, length: f64) -> Result<Polyline, GeometryError> {
+    let rear = ego.rear_axle;
+    let foot = centerline.project(rear.position());
+    let offset = foot.lateral;
+    let slope = wrap_angle(rear.heading - centerline.smooth_pose_at(foot.s).heading).tan().clamp(-STEEPEST, STEEPEST);
+    let seconds = SETTLE_S + (LANE_CHANGE_S - SETTLE_S) * (offset.abs() / LANE_WIDTH).min(1.0);
+    let decay = (ego.speed() * seconds).max(SHORTEST_DECAY);
+    let lateral = quintic(offset, slope, decay);
+    let end = (foot.s + length).min(centerline.length());
+    let count = ((end - foot.s) / SPACING).ceil().max(1.0) as usize;
+    let points = (1..=count).map(|i| {
+        let s = (foot.s + i as f64 * SPACING).min(end);
+        centerline.smooth_pose_at(s).to_map(Point::new(0.0, lateral(s - foot.s)))
+    });
+    let path = Polyline::new(std::iter::once(rear.position()).chain(points));
+    // An ego at the very end of its centreline goes straight on.
+    path.or_else(|_| straight_ahead(rear, length))
+}
+
+/// A straight line from a pose.
+fn straight_ahead(from: Pose, length: f64) -> Result<Polyline, GeometryError> {
+    Polyline::new([from.position(), from.translated(length.max(SPACING), 0.0).position()])
+}
+
+/// d(s) with d(0) = offset, d'(0) = slope, d''(0) = 0 and d = d' = d'' = 0 at `length`; 0 beyond.
+fn quintic(offset: f64, slope: f64, length: f64) -> impl Fn(f64) -> f64 {
+    let slope = slope * length;
+    move |s: f64| {
+        let u = s / length;
+        if u >= 1.0 {
+            return 0.0;
+        }
+        let u3 = u * u * u;
+        offset * (1.0 - 10.0 * u3 + 15.0 * u3 * u - 6.0 * u3 * u * u)
+            + slope * (u - 6.0 * u3 + 8.0 * u3 * u - 3.0 * u3 * u * u)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Vector;
+
+    fn ego(x: f64, y: f64, heading: f64, speed: f64) -> EgoState {
+        EgoState::from_log(0, Pose::new(x, y, heading), Vector::new(speed, 0.0), Vector::zeros())
+    }
+
+    fn road() -> Polyline {
+        Polyline::new((0..=300).map(|i| Point::new(f64::from(i), 0.0))).unwrap()
+    }
+
+    #[test]
+    fn starts_at_the_ego_and_ends_on_the_centerline() {
+        let path = onto_centerline(&ego(10.0, -3.5, 0.05, 10.0), &road(), 100.0).unwrap();
+        assert!((path.start() - Point::new(10.0, -3.5)).norm() < 1e-12);
+        assert!((path.heading_at(0.0) - 0.05).abs() < 0.02);
+        assert!(path.project(Point::new(60.0, 0.0)).distance < 1e-9);
+        assert!((path.end().x - 110.0).abs() < 1.0);
+    }
+
+    #[test]
+    fn the_offset_decays_without_overshoot_from_parallel() {
+        let path = onto_centerline(&ego(0.0, 3.5, 0.0, 8.0), &road(), 80.0).unwrap();
+        assert!(path.vertices().windows(2).all(|w| w[1].y <= w[0].y + 1e-9 && w[1].y >= -1e-9));
+    }
+
+    #[test]
+    fn a_lane_change_stays_within_comfortable_curvature() {
+        let speed = 10.0;
+        let path = onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), 80.0).unwrap();
+        let lateral_accel = (0..60).map(|i| path.curvature_at(f64::from(i)).abs() * speed * speed).fold(0.0, f64::max);
+        assert!(lateral_accel < 2.5, "{lateral_accel}");
+    }
+
+    #[test]
+    fn the_end_of_the_road_is_not_the_end_of_the_path() {
+        let path = onto_centerline(&ego(300.0, 0.0, 0.0, 10.0), &road(), 50.0).unwrap();
+        assert!(path.length() >= 1.0);
+    }
+}

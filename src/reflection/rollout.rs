@@ -1,0 +1,225 @@
+//! The generated planner, rolled out: IDM along its path behind whatever leads.
+
+use super::path::onto_centerline;
+use crate::dynamics::{IdmParameters, Lead};
+use crate::geometry::{Corridor, GeometryError, OrientedBox, Polyline, Pose, Vector};
+use crate::reasoning::PlannerCode;
+use crate::world::{
+    EgoState, LanePath, PACIFICA, STEP_S, STEP_US, Scene, SignalStatus, TrackToken, TrackedObject, Trajectory,
+    TrajectoryError, TrajectoryState,
+};
+
+/// Exponent δ of the generated planner's IDM (PDM-Closed's).
+const EXPONENT: i32 = 10;
+/// Gap at standstill s0, m (PDM-Closed's).
+const MIN_GAP: f64 = 1.0;
+/// Headway T, s (PDM-Closed's).
+const HEADWAY: f64 = 1.5;
+/// A desired speed below this means: stand still, m/s.
+const STANDSTILL: f64 = 0.05;
+/// Steps after which the lead is looked up anew; in between it is carried on (PDM-Closed looks every second step).
+const LEAD_REFRESH: usize = 2;
+/// Metres of path kept beyond what the fastest roll-out can reach.
+const PATH_MARGIN: f64 = 30.0;
+
+/// Which objects the generated planner follows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LeadPolicy {
+    /// The named leader alone: exactly what the code says.
+    Named,
+    /// The nearest of the named leader, everything on the path, and red lights (as PDM-Closed's own roll-out looks).
+    #[default]
+    Nearest,
+}
+
+/// A planner that can be driven: the code, and the path that it follows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GeneratedPlanner {
+    /// The code that the model wrote.
+    pub code: PlannerCode,
+    /// Lanes of the followed centreline.
+    pub lanes: LanePath,
+    /// Track of the named leader.
+    pub leader: Option<TrackToken>,
+    /// Which objects are followed.
+    pub lead_policy: LeadPolicy,
+    path: Polyline,
+}
+
+/// A roll-out: poses of the rear axle with speeds, every 0.1 s, the present one first.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rollout {
+    /// Rear-axle poses, map frame.
+    pub poses: Vec<Pose>,
+    /// Speed at each pose, m/s.
+    pub speeds: Vec<f64>,
+}
+
+impl GeneratedPlanner {
+    /// The planner of `code` from the present state on, along `lanes`, for roll-outs of up to `horizon_s` seconds and the
+    /// planning interval after it.
+    ///
+    /// # Errors
+    /// When the ego's pose is not finite.
+    pub fn new(
+        scene: &Scene<'_>,
+        code: PlannerCode,
+        lanes: LanePath,
+        leader: Option<TrackToken>,
+        lead_policy: LeadPolicy,
+        horizon_s: f64,
+    ) -> Result<Self, GeometryError> {
+        let fastest = code.target_speed.max(scene.ego.speed());
+        let length = fastest * horizon_s + PATH_MARGIN;
+        let path = onto_centerline(scene.ego, &lanes.centerline, length)?;
+        Ok(Self { code, lanes, leader, lead_policy, path })
+    }
+
+    /// The path of the rear axle, from where the ego was when the planner was made.
+    pub fn path(&self) -> &Polyline {
+        &self.path
+    }
+
+    /// Drives on from the present state for `steps` steps of 0.1 s. Other objects keep their velocity.
+    pub fn roll_out(&self, scene: &Scene<'_>, steps: usize) -> Rollout {
+        let idm = IdmParameters {
+            target_velocity: self.code.target_speed,
+            min_gap: MIN_GAP,
+            headway: HEADWAY,
+            accel_max: self.code.accel_max,
+            decel_max: self.code.decel_max,
+            exponent: EXPONENT,
+        };
+        let road = Road::new(self, scene, steps);
+        let mut progress = self.path.project(scene.ego.rear_axle.position()).s;
+        let mut speed = scene.ego.velocity.x.max(0.0);
+        let mut lead = None;
+        let mut rollout = Rollout { poses: vec![self.path.smooth_pose_at(progress)], speeds: vec![speed] };
+        for step in 0..steps {
+            if step % LEAD_REFRESH == 0 {
+                lead = road.lead(progress, step as f64 * STEP_S);
+            }
+            let accel = if self.code.target_speed >= STANDSTILL {
+                idm.acceleration(speed, lead.map(|lead| lead.behind(progress)))
+            } else {
+                -self.code.decel_max
+            };
+            progress += STEP_S * speed;
+            speed = (speed + STEP_S * accel).max(0.0);
+            rollout.poses.push(self.path.smooth_pose_at(progress));
+            rollout.speeds.push(speed);
+        }
+        rollout
+    }
+}
+
+impl Rollout {
+    /// The roll-out as a trajectory that begins at the present state.
+    ///
+    /// # Errors
+    /// When a pose is not finite.
+    pub fn to_trajectory(&self, ego: &EgoState) -> Result<Trajectory, TrajectoryError> {
+        let planned = self.poses.iter().zip(&self.speeds).enumerate().skip(1).map(|(i, (&pose, &speed))| {
+            let accel = (speed - self.speeds[i - 1]) / STEP_S;
+            TrajectoryState::moving(ego.time_us + i as i64 * STEP_US, pose, speed, accel)
+        });
+        Trajectory::new(std::iter::once(TrajectoryState::from(ego)).chain(planned).collect())
+    }
+
+    /// Length of the way, metres.
+    pub fn distance(&self) -> f64 {
+        self.poses.windows(2).map(|w| w[0].distance(&w[1])).sum()
+    }
+}
+
+/// Something to stay behind: where its rear is on the path, and how fast it goes along it.
+#[derive(Debug, Clone, Copy)]
+struct LeadOnPath {
+    rear_s: f64,
+    speed: f64,
+}
+
+impl LeadOnPath {
+    /// As seen by the ego whose rear axle is at arc length `progress`.
+    fn behind(self, progress: f64) -> Lead {
+        Lead { gap: self.rear_s - progress - PACIFICA.front_length, speed: self.speed }
+    }
+}
+
+/// What may lead along one path during one roll-out.
+struct Road<'a> {
+    path: &'a Polyline,
+    corridor: Corridor,
+    /// Objects that may come onto the corridor within the horizon.
+    objects: Vec<TrackedObject>,
+    named: Option<TrackedObject>,
+    /// Where the front bumper must stand, arc length, for a red light or the end of the path.
+    stop_s: f64,
+}
+
+impl<'a> Road<'a> {
+    fn new(planner: &'a GeneratedPlanner, scene: &Scene<'_>, steps: usize) -> Self {
+        let path = &planner.path;
+        let corridor = Corridor::new(path.clone(), PACIFICA.width / 2.0);
+        let seconds = steps as f64 * STEP_S;
+        let footprint = scene.ego.footprint();
+        let may_come = |object: &&TrackedObject| {
+            let later = moved(object, seconds);
+            let sweep = object.shape.bounds().joined(later.bounds());
+            corridor.bounds().overlaps(&sweep) && !object.shape.overlaps(&footprint)
+        };
+        let objects = match planner.lead_policy {
+            LeadPolicy::Named => Vec::new(),
+            LeadPolicy::Nearest => scene.objects.iter().filter(may_come).copied().collect(),
+        };
+        let named = planner.leader.and_then(|token| scene.objects.iter().find(|o| o.token == token).copied());
+        let stop_s = match planner.lead_policy {
+            LeadPolicy::Named => path.length(),
+            LeadPolicy::Nearest => red_light(planner, scene).unwrap_or(f64::INFINITY).min(path.length()),
+        };
+        Self { path, corridor, objects, named, stop_s }
+    }
+
+    /// What leads after `seconds`, seen from arc length `progress`.
+    fn lead(&self, progress: f64, seconds: f64) -> Option<LeadOnPath> {
+        let front = progress + PACIFICA.front_length;
+        let on_path = self.objects.iter().filter_map(|object| {
+            let shape = moved(object, seconds);
+            if !self.corridor.meets_box(&shape) {
+                return None;
+            }
+            self.place(object, &shape, progress)
+        });
+        let named = self.named.iter().filter_map(|object| self.place(object, &moved(object, seconds), progress));
+        let stop = (self.stop_s > front - MIN_GAP).then_some(LeadOnPath { rear_s: self.stop_s, speed: 0.0 });
+        on_path.chain(named).chain(stop).min_by(|a, b| a.rear_s.total_cmp(&b.rear_s))
+    }
+
+    /// Where a box is on the path; `None` when its centre lies behind the ego's rear axle.
+    fn place(&self, object: &TrackedObject, shape: &OrientedBox, progress: f64) -> Option<LeadOnPath> {
+        let foot = self.path.project(shape.center.position());
+        if foot.s <= progress {
+            return None;
+        }
+        let rear_s = shape.corners().iter().map(|&corner| self.path.project(corner).s).fold(f64::INFINITY, f64::min);
+        let along = Vector::new(foot.heading.cos(), foot.heading.sin());
+        Some(LeadOnPath { rear_s, speed: object.velocity.dot(&along).max(0.0) })
+    }
+}
+
+/// The box of an object that keeps its velocity.
+fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
+    let at = object.shape.center.position() + object.velocity * seconds;
+    object.shape.moved_to(Pose::at(at, object.shape.center.heading))
+}
+
+/// Arc length on the path at which the first red light ahead begins to matter: the start of its connector.
+fn red_light(planner: &GeneratedPlanner, scene: &Scene<'_>) -> Option<f64> {
+    let here = planner.lanes.centerline.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
+    let lanes = planner.lanes.lanes.iter().zip(&planner.lanes.starts);
+    let red = lanes
+        .filter(|&(&lane, &start)| start >= here - MIN_GAP && scene.lights.status(lane) == Some(SignalStatus::Red));
+    let start = red.map(|(_, &start)| start).next()?;
+    Some(planner.path.project(planner.lanes.centerline.point_at(start)).s)
+}

@@ -1,0 +1,77 @@
+//! A line of `calls.jsonl`: one planning call, attempts and rounds inside it. Measured times stand under the key `time`.
+
+use super::timing::CallTimes;
+use crate::experiment::run::DriveRecord;
+use crate::planner::{Attempt, Decision, PlanningCall};
+use crate::reasoning::PlannerCode;
+use crate::world::STEP_S;
+use serde_json::{Value, json};
+
+/// The record of a call of a drive.
+pub fn call_record(drive: &DriveRecord, call: &PlanningCall) -> Value {
+    json!({
+        "scenario": drive.scenario,
+        "planner": drive.planner.as_str(),
+        "challenge": drive.challenge.to_string(),
+        "iteration": call.iteration,
+        "at_s": call.iteration as f64 * STEP_S,
+        "image_blake3": call.image_hash,
+        "scene_text": call.scene_text,
+        "attempts": call.attempts.iter().map(attempt).collect::<Vec<_>>(),
+        "decision": decision(&call.decision),
+        "time": time(call),
+    })
+}
+
+fn decision(decision: &Decision) -> Value {
+    match decision {
+        Decision::Execute(index) => json!({"kind": "execute", "attempt": index}),
+        Decision::Exhausted(index) => json!({"kind": "exhausted", "attempt": index}),
+        Decision::KeepInForce(why) => json!({"kind": "keep_in_force", "why": why}),
+        Decision::Brake(why) => json!({"kind": "brake", "why": why}),
+    }
+}
+
+fn attempt(attempt: &Attempt) -> Value {
+    json!({
+        "rounds": attempt.rounds,
+        "instruction": attempt.instruction,
+        "code": attempt.code.as_ref().map(code),
+        "errors": attempt.errors,
+        "reflection": attempt.reflection.as_ref().map(|reflection| json!({
+            "score": reflection.score,
+            "parts": reflection.parts,
+            "progress_reference": reflection.progress_reference,
+            "verdict": reflection.verdict,
+        })),
+    })
+}
+
+fn code(code: &PlannerCode) -> Value {
+    json!({
+        "text": code.to_string(),
+        "c": code.centerline,
+        "la": code.leader,
+        "v0": code.target_speed,
+        "acc": code.accel_max,
+        "dec": code.decel_max,
+    })
+}
+
+/// Milliseconds: of the call by part, of each attempt, of each round.
+fn time(call: &PlanningCall) -> Value {
+    let rounds = |attempt: &Attempt| attempt.rounds.iter().map(|round| json!(round.time)).collect::<Vec<_>>();
+    let attempts: Vec<Value> = call
+        .attempts
+        .iter()
+        .map(|attempt| {
+            let thinking: f64 = attempt.rounds.iter().map(|round| round.time.total).sum();
+            json!({
+                "rounds": rounds(attempt),
+                "reflection": attempt.reflection_ms,
+                "total": thinking + attempt.reflection_ms,
+            })
+        })
+        .collect();
+    json!({"call": CallTimes::of(call), "attempts": attempts})
+}

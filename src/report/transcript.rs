@@ -1,0 +1,85 @@
+//! The transcript of a drive as Markdown: what was seen, asked, answered, written and judged.
+
+use super::timing::CallTimes;
+use crate::experiment::run::{DriveRecord, Driven};
+use crate::metrics::MetricName;
+use crate::planner::{Attempt, Decision, PlanningCall};
+use crate::world::STEP_S;
+use std::fmt::Write;
+
+/// The transcript of a drive; `image` gives the place of a call's BEV map, relative to the transcript.
+pub fn transcript(record: &DriveRecord, driven: &Driven, image: impl Fn(&PlanningCall) -> Option<String>) -> String {
+    let mut text = format!("# {} · {} · {}\n\n", record.scenario, record.planner, record.challenge);
+    let score = &driven.score;
+    let _ = writeln!(text, "Scenario type `{}`. Score **{:.4}**.\n", record.scenario_type, score.value);
+    text.push_str("| metric | score |\n|---|---|\n");
+    for name in MetricName::ALL {
+        let _ = writeln!(text, "| `{name}` | {:.4} |", score.metric(name));
+    }
+    for call in &driven.calls {
+        text.push('\n');
+        text.push_str(&call_markdown(call, driven, image(call)));
+    }
+    text
+}
+
+fn call_markdown(call: &PlanningCall, driven: &Driven, image: Option<String>) -> String {
+    let mut text = format!("## {:.1} s (iteration {})\n\n", call.iteration as f64 * STEP_S, call.iteration);
+    if let Some(sample) = driven.log.samples.get(call.iteration) {
+        let _ = writeln!(text, "Ego at {:.1} m/s.\n", sample.ego.speed());
+    }
+    if let Some(image) = image {
+        let _ = writeln!(text, "![BEV map]({image})\n");
+    }
+    for (i, attempt) in call.attempts.iter().enumerate() {
+        let _ = writeln!(text, "### Attempt {}\n", i + 1);
+        text.push_str(&attempt_markdown(attempt));
+    }
+    let _ = writeln!(text, "**Decision:** {}.\n", decision(&call.decision));
+    let time = CallTimes::of(call);
+    let _ = writeln!(
+        text,
+        "Time: {:.1} ms (environment {:.1}, image {:.1}, prefill {:.1}, decode {:.1}, reflection {:.1}).",
+        time.total, time.environment, time.image_encode, time.prefill, time.decode, time.reflection
+    );
+    text
+}
+
+/// One attempt: its rounds, its code, its reflection.
+pub fn attempt_markdown(attempt: &Attempt) -> String {
+    let mut text = String::new();
+    for round in &attempt.rounds {
+        let _ = writeln!(text, "*{}*\n\n{}\n\n{}\n", round.round, fenced(&round.prompt), quoted(&round.answer));
+    }
+    for error in &attempt.errors {
+        let _ = writeln!(text, "- not understood: {error}");
+    }
+    if let Some(code) = &attempt.code {
+        let _ = writeln!(text, "Code: `{code}`\n");
+    }
+    if let Some(reflection) = &attempt.reflection {
+        let parts: Vec<String> = reflection.parts.named().iter().map(|(name, v)| format!("{name} {v:.2}")).collect();
+        let _ = writeln!(text, "Reflection: **{:.2}** ({})\n", reflection.score, parts.join(", "));
+    }
+    text
+}
+
+fn decision(decision: &Decision) -> String {
+    match decision {
+        Decision::Execute(index) => format!("attempt {} drives", index + 1),
+        Decision::Exhausted(index) => format!("all attempts refused; attempt {} drives", index + 1),
+        Decision::KeepInForce(why) => format!("the planner in force goes on ({why})"),
+        Decision::Brake(why) => format!("brake ({why})"),
+    }
+}
+
+/// A fenced block, its fence longer than any run of backticks inside.
+fn fenced(text: &str) -> String {
+    let longest = text.split(|c| c != '`').map(str::len).max().unwrap_or(0);
+    let fence = "`".repeat(longest.max(2) + 1);
+    format!("{fence}text\n{text}\n{fence}")
+}
+
+fn quoted(text: &str) -> String {
+    text.lines().map(|line| format!("> {line}")).collect::<Vec<_>>().join("\n")
+}

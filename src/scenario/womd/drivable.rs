@@ -1,0 +1,69 @@
+//! What is drivable beside lanes and connectors.
+//!
+//! Waymo gives road edges, not areas. From every station of every lane, to each side, one looks for the first road edge of the
+//! same level: what lies between is road (shoulders, parking strips, bike lanes, turning bays), when the edge is at most
+//! [`FARTHEST_EDGE`] away. Without an edge in reach the road ends at the last lane in that reach: between two
+//! lanes without an edge between them is road; or else where the lane itself ends. The look from a connector that crosses, leaves or
+//! meets others goes on to a road edge, or to where it leaves the convex hull of them all:
+//! that closes the gaps between them. Driveways are drivable as they are drawn.
+
+use super::features::{LaneFeature, MapFeatures, Side};
+use super::junctions::Cluster;
+use super::outline::{DEFAULT_HALF, Strip};
+use super::trace::{Ray, Segments};
+use crate::geometry::{Point, Polygon};
+use std::collections::BTreeMap;
+
+/// A road edge farther from a centreline than this bounds something else, metres: a lane's half, a bike lane, a parking strip and
+/// a bay of the same width.
+const FARTHEST_EDGE: f64 = 12.0;
+
+/// The drivable area beside the lanes: a strip a lane, then the driveways.
+pub(super) fn beside_lanes(map: &MapFeatures, clusters: &[Cluster], areas: &[Polygon]) -> Vec<Polygon> {
+    let edges = Segments::of(&map.edges);
+    let centerlines = Segments::of(map.lanes.iter().map(|lane| &lane.trace));
+    let hulls: Vec<Option<Polygon>> = clusters.iter().map(|cluster| hull(&cluster.lanes, areas)).collect();
+    let hull_of: BTreeMap<usize, &Polygon> = clusters
+        .iter()
+        .zip(&hulls)
+        .flat_map(|(cluster, hull)| cluster.lanes.iter().filter_map(move |&lane| Some((lane, hull.as_ref()?))))
+        .collect();
+    let strips = map.lanes.iter().enumerate().flat_map(|(place, lane)| {
+        let hull = hull_of.get(&place).copied();
+        let other_lane = |ray: &Ray| centerlines.last_hit(ray, |other| other.owner != place);
+        Strip::measured(lane, |side, s| width_of_road(lane, side, s, &edges, other_lane, hull)).pieces(lane)
+    });
+    strips.chain(map.driveways.iter().cloned()).collect()
+}
+
+fn hull(cluster: &[usize], areas: &[Polygon]) -> Option<Polygon> {
+    let points: Vec<Point> = cluster.iter().flat_map(|&lane| areas[lane].ring()).copied().collect();
+    Polygon::convex_hull(&points).ok()
+}
+
+/// Metres of road from the centreline to one side.
+fn width_of_road(
+    lane: &LaneFeature,
+    side: Side,
+    s: f64,
+    edges: &Segments,
+    other_lane: impl Fn(&Ray) -> Option<f64>,
+    hull: Option<&Polygon>,
+) -> f64 {
+    let from = lane.trace.line.point_at(s);
+    let direction = side.of(lane.trace.direction_at(s));
+    let ray = Ray { from, direction, height: lane.trace.height_at(s), reach: FARTHEST_EDGE };
+    let edge = |reach: f64| edges.first_hit(&Ray { reach, ..ray }, |_| true);
+    if let Some(edge) = edge(FARTHEST_EDGE) {
+        return edge;
+    }
+    let out_of_hull = hull.filter(|hull| hull.contains(from)).and_then(|hull| way_out(hull, &ray));
+    let open = [out_of_hull, other_lane(&ray)].into_iter().flatten().fold(DEFAULT_HALF, f64::max);
+    edge(open).unwrap_or(open)
+}
+
+/// Distance along a ray from inside a convex polygon to its border.
+fn way_out(hull: &Polygon, ray: &Ray) -> Option<f64> {
+    let unlimited = Ray { reach: f64::MAX, ..*ray };
+    hull.edges().filter_map(|(from, to)| unlimited.meets(from, to)).max_by(f64::total_cmp)
+}

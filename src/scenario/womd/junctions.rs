@@ -1,0 +1,73 @@
+//! Intersections: clusters of connectors that cross, and the union of their areas.
+//!
+//! Connectors belong together when they cross, leave the same lane or enter the same one; a cluster in which none cross (a fork
+//! of a freeway, a right turn) is no intersection. Holes of the union are filled, unless a road edge runs through one: then it is the island
+//! of a roundabout, and the connectors' areas stand for the intersection one by one.
+
+use super::features::MapFeatures;
+use super::trace::Segments;
+use crate::geometry::{Bounds, Polygon};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Connectors that belong together.
+#[derive(Debug, Clone)]
+pub(super) struct Cluster {
+    /// Places of the connectors, in order.
+    pub(super) lanes: Vec<usize>,
+    /// Whether any of them cross.
+    pub(super) crossing: bool,
+}
+
+/// All clusters, in order of their first connector.
+pub(super) fn clusters(map: &MapFeatures, connector: &[bool], crossings: &BTreeSet<(usize, usize)>) -> Vec<Cluster> {
+    let mut root: Vec<usize> = (0..map.lanes.len()).collect();
+    let siblings = map.lanes.iter().flat_map(|lane| [&lane.exits, &lane.entries]).flat_map(|ends| {
+        let ends: Vec<usize> = ends.iter().copied().filter(|&lane| connector[lane]).collect();
+        ends.windows(2).map(|pair| (pair[0], pair[1])).collect::<Vec<_>>()
+    });
+    for (a, b) in crossings.iter().copied().chain(siblings) {
+        let (a, b) = (find(&mut root, a), find(&mut root, b));
+        root[a.max(b)] = a.min(b);
+    }
+    let mut clusters: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for lane in (0..map.lanes.len()).filter(|&lane| connector[lane]) {
+        clusters.entry(find(&mut root, lane)).or_default().push(lane);
+    }
+    let crossing: BTreeSet<usize> = crossings.iter().map(|&(a, _)| find(&mut root, a)).collect();
+    clusters.into_iter().map(|(root, lanes)| Cluster { lanes, crossing: crossing.contains(&root) }).collect()
+}
+
+fn find(root: &mut [usize], mut item: usize) -> usize {
+    while root[item] != item {
+        root[item] = root[root[item]];
+        item = root[item];
+    }
+    item
+}
+
+/// The area of each cluster in which connectors cross, as one or more polygons.
+pub(super) fn intersections(map: &MapFeatures, clusters: &[Cluster], areas: &[Polygon]) -> Vec<Polygon> {
+    let edges = Segments::of(&map.edges);
+    clusters
+        .iter()
+        .filter(|cluster| cluster.crossing)
+        .flat_map(|cluster| {
+            let members: Vec<Polygon> = cluster.lanes.iter().map(|&lane| areas[lane].clone()).collect();
+            let filled = Polygon::union_of(&members);
+            let island = filled.iter().any(|outline| holds_island(outline, &members, &edges));
+            if island { members } else { filled }
+        })
+        .collect()
+}
+
+/// Whether a road edge runs inside the outline well off every connector.
+fn holds_island(outline: &Polygon, members: &[Polygon], edges: &Segments) -> bool {
+    /// A kerb nearer than this to the connectors is their border, metres.
+    const WELL_OFF: f64 = 1.0;
+    let bounds: Bounds = outline.bounds();
+    edges.within(&bounds).any(|edge| {
+        outline.contains(edge.from)
+            && outline.edge_distance(edge.from) > WELL_OFF
+            && members.iter().all(|member| member.distance_to(edge.from) > WELL_OFF)
+    })
+}

@@ -1,0 +1,169 @@
+//! The invariants of ARCHITECTURE.md, read off the sources.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Stages by rank: a module uses only modules of a smaller rank.
+const RANKS: [(&str, u8); 14] = [
+    ("geometry", 0),
+    ("world", 1),
+    ("dynamics", 2),
+    ("scenario", 3),
+    ("environment", 3),
+    ("metrics", 3),
+    ("mllm", 3),
+    ("reasoning", 4),
+    ("reflection", 5),
+    ("planner", 6),
+    ("simulation", 7),
+    ("experiment", 8),
+    ("report", 9),
+    ("cli", 10),
+];
+
+/// Modules that may write to disk, and nothing else may.
+const WRITERS: [&str; 3] = ["src/report/", "src/experiment/dataset/", "src/cli/"];
+
+fn sources() -> Vec<(String, String)> {
+    fn walk(folder: &Path, found: &mut Vec<PathBuf>) {
+        let mut entries: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+        entries.sort();
+        for path in entries {
+            if path.is_dir() {
+                walk(&path, found);
+            } else if path.extension().is_some_and(|e| e == "rs") {
+                found.push(path);
+            }
+        }
+    }
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut found = Vec::new();
+    walk(&root.join("src"), &mut found);
+    assert!(found.len() > 50, "only {} sources found", found.len());
+    found
+        .into_iter()
+        .map(|path| {
+            let text = fs::read_to_string(&path).unwrap();
+            (path.strip_prefix(root).unwrap().to_string_lossy().into_owned(), text)
+        })
+        .collect()
+}
+
+/// Lines of code before the tests of a file, with their numbers from 1; comments and doc comments are left out.
+fn code_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines()
+        .enumerate()
+        .map(|(i, line)| (i + 1, line))
+        .take_while(|(_, line)| line.trim() != "#[cfg(test)]")
+        .filter(|(_, line)| !line.trim_start().starts_with("//"))
+}
+
+fn rank(module: &str) -> Option<u8> {
+    RANKS.iter().find(|(name, _)| *name == module).map(|&(_, rank)| rank)
+}
+
+/// The stage that a source file belongs to.
+fn stage(file: &str) -> Option<&str> {
+    file.strip_prefix("src/")?.split_once('/').map(|(stage, _)| stage)
+}
+
+/// All `crate::stage` that a line names, those in braces included.
+fn used_stages(line: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    for (at, _) in line.match_indices("crate::") {
+        let rest = &line[at + "crate::".len()..];
+        if let Some(inside) = rest.strip_prefix('{') {
+            found.extend(inside.split(',').map(|part| part.trim_start()).map(first_name));
+        } else {
+            found.push(first_name(rest));
+        }
+    }
+    found
+}
+
+fn first_name(text: &str) -> String {
+    text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
+}
+
+#[test]
+fn a_stage_uses_only_what_stands_before_it() {
+    let mut wrong = Vec::new();
+    for (file, text) in sources() {
+        let Some(own) = stage(&file) else { continue };
+        let own_rank = rank(own).unwrap_or_else(|| panic!("{file} lies in no known stage"));
+        for (number, line) in code_lines(&text) {
+            for used in used_stages(line) {
+                if used != own && rank(&used).is_some_and(|r| r >= own_rank) {
+                    wrong.push(format!("{file}:{number}: {own} uses {used}"));
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "against the dependency order:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn only_named_modules_write_to_disk() {
+    let writes = ["fs::write", "File::create", "create_dir", "OpenOptions", "fs::rename", "remove_file", "remove_dir", ".save("];
+    let mut wrong = Vec::new();
+    for (file, text) in sources() {
+        if WRITERS.iter().any(|writer| file.starts_with(writer)) {
+            continue;
+        }
+        for (number, line) in code_lines(&text) {
+            if let Some(write) = writes.iter().find(|write| line.contains(**write)) {
+                wrong.push(format!("{file}:{number}: {write}"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "writes outside {WRITERS:?}:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn only_the_printer_prints() {
+    let prints = ["println!", "eprintln!", "print!(", "eprint!(", "dbg!"];
+    let mut wrong = Vec::new();
+    for (file, text) in sources() {
+        if file == "src/cli/printer.rs" {
+            continue;
+        }
+        for (number, line) in code_lines(&text) {
+            if let Some(print) = prints.iter().find(|print| line.contains(**print)) {
+                wrong.push(format!("{file}:{number}: {print}"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "prints outside the printer:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_planner_input_holds_no_future() {
+    let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/planner/mod.rs")).unwrap();
+    let start = text.find("pub struct PlannerInput").expect("PlannerInput is defined in src/planner/mod.rs");
+    let body = &text[start..start + text[start..].find('}').unwrap()];
+    let fields: Vec<&str> = body.lines().filter(|line| line.trim_start().starts_with("pub ") && line.contains(':')).collect();
+    let allowed = ["iteration", "scene"];
+    for field in &fields {
+        assert!(allowed.iter().any(|name| field.contains(&format!("pub {name}:"))), "unexpected field: {field}");
+    }
+    assert_eq!(fields.len(), allowed.len(), "{body}");
+}
+
+#[test]
+fn files_stay_readable() {
+    /// A file longer than this holds more than one idea.
+    const MOST_LINES: usize = 500;
+    let long: Vec<String> = sources()
+        .into_iter()
+        .filter(|(_, text)| text.lines().count() > MOST_LINES)
+        .map(|(file, text)| format!("{file}: {} lines", text.lines().count()))
+        .collect();
+    assert!(long.is_empty(), "files over {MOST_LINES} lines:\n{}", long.join("\n"));
+}
+
+#[test]
+fn the_scanner_sees_what_it_should() {
+    assert_eq!(used_stages("use crate::{geometry::Pose, cli};"), ["geometry", "cli"]);
+    assert_eq!(used_stages("    let x = crate::report::table();"), ["report"]);
+    assert_eq!(code_lines("a\n// crate::cli\n#[cfg(test)]\nb").collect::<Vec<_>>(), [(1, "a")]);
+}

@@ -1,0 +1,15 @@
+//! nuPlan's metrics and PDM's scorer: published vectors, golden vectors and hand-worked cases on small maps.
+
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests are tests")]
+
+mod aggregate;
+mod collisions;
+mod comfort;
+mod compliance;
+mod devkit;
+mod forecast;
+mod lanes;
+mod pdm;
+mod progress;
+mod road;
+mod score;

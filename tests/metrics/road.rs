@@ -1,0 +1,114 @@
+//! Small hand-made maps and drives on them.
+
+use planagent::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
+use planagent::world::{
+    EgoState, HistorySample, Lane, LaneId, LaneKind, LaneMap, MapParts, ObjectKind, PACIFICA, Roadblock, RoadblockId,
+    TrackToken, TrackedObject,
+};
+
+/// Lane of every hand-made map: 4 m wide.
+pub(super) const LANE_WIDTH: f64 = 4.0;
+
+/// Builds maps of straight pieces, each its own roadblock unless joined.
+#[derive(Default)]
+pub(super) struct Road {
+    pub(super) parts: MapParts,
+}
+
+impl Road {
+    /// Adds a straight piece of 4 m width; returns its id.
+    pub(super) fn piece(&mut self, kind: LaneKind, from: (f64, f64), to: (f64, f64), limit: Option<f64>) -> LaneId {
+        let centerline = Polyline::new([from, to].map(|(x, y)| Point::new(x, y))).unwrap();
+        let middle = centerline.pose_at(centerline.length() / 2.0);
+        let polygon = OrientedBox::new(middle, centerline.length(), LANE_WIDTH).to_polygon();
+        let id = LaneId(self.parts.lanes.len() as u32);
+        let roadblock = RoadblockId(self.parts.roadblocks.len() as u32);
+        self.parts.roadblocks.push(Roadblock {
+            id: roadblock,
+            source_id: i64::from(roadblock.0) + 1000,
+            kind,
+            lanes: vec![id],
+            areas: vec![polygon.clone()],
+            incoming: vec![],
+            outgoing: vec![],
+        });
+        self.parts.lanes.push(Lane {
+            id,
+            source_id: i64::from(id.0),
+            kind,
+            centerline,
+            polygon,
+            incoming: vec![],
+            outgoing: vec![],
+            left: vec![],
+            right: vec![],
+            roadblock,
+            speed_limit: limit,
+            has_traffic_lights: false,
+            stop_lines: vec![],
+        });
+        id
+    }
+
+    pub(super) fn lane(&mut self, from: (f64, f64), to: (f64, f64)) -> LaneId {
+        self.piece(LaneKind::Lane, from, to, Some(15.0))
+    }
+
+    pub(super) fn connector(&mut self, from: (f64, f64), to: (f64, f64)) -> LaneId {
+        self.piece(LaneKind::Connector, from, to, None)
+    }
+
+    /// Makes `b` follow `a`.
+    pub(super) fn link(&mut self, a: LaneId, b: LaneId) {
+        self.parts.lanes[a.index()].outgoing.push(b);
+        self.parts.lanes[b.index()].incoming.push(a);
+    }
+
+    pub(super) fn build(self) -> LaneMap {
+        LaneMap::new(self.parts).unwrap()
+    }
+}
+
+pub(super) fn rectangle(x: (f64, f64), y: (f64, f64)) -> Polygon {
+    Polygon::new([(x.0, y.0), (x.1, y.0), (x.1, y.1), (x.0, y.1)].map(|(x, y)| Point::new(x, y))).unwrap()
+}
+
+/// One lane along the x axis from −100 to 400 m.
+pub(super) fn straight() -> LaneMap {
+    let mut road = Road::default();
+    road.lane((-100.0, 0.0), (400.0, 0.0));
+    road.build()
+}
+
+/// Two lanes along the x axis, centred at y = 0 and y = 4, without a road around them.
+pub(super) fn two_lanes() -> LaneMap {
+    let mut road = Road::default();
+    road.lane((-100.0, 0.0), (400.0, 0.0));
+    road.lane((-100.0, 4.0), (400.0, 4.0));
+    road.build()
+}
+
+/// An ego whose box is centred at (x, y).
+pub(super) fn ego(step: i64, x: f64, y: f64, heading: f64, speed: f64) -> EgoState {
+    let rear = PACIFICA.rear_axle_of(Pose::new(x, y, heading));
+    EgoState::from_log(step * 100_000, rear, Vector::new(speed, 0.0), Vector::zeros())
+}
+
+/// `n` states 0.1 s apart at constant speed along the x axis; a negative speed backs up.
+pub(super) fn cruise(n: usize, x: f64, y: f64, speed: f64) -> Vec<EgoState> {
+    (0..n).map(|k| ego(k as i64, x + 0.1 * speed * k as f64, y, 0.0, speed)).collect()
+}
+
+pub(super) fn object(token: u32, kind: ObjectKind, center: Pose, size: (f64, f64), speed: f64) -> TrackedObject {
+    TrackedObject {
+        token: TrackToken(token),
+        kind,
+        shape: OrientedBox::new(center, size.0, size.1),
+        velocity: center.direction() * speed,
+    }
+}
+
+/// Samples of an ego among objects that are the same at every instant.
+pub(super) fn samples(states: &[EgoState], objects: &[TrackedObject]) -> Vec<HistorySample> {
+    states.iter().map(|&ego| HistorySample { ego, objects: objects.into() }).collect()
+}

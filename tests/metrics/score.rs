@@ -1,0 +1,100 @@
+//! Whole drives on a hand-made road: what `evaluate` says of them, and what it refuses.
+
+use super::road::{cruise, ego, object, samples, straight};
+use planagent::geometry::Pose;
+use planagent::metrics::{Drive, Evaluation, MetricError, MetricName, evaluate};
+use planagent::world::{EgoState, LaneMap, ObjectKind, TrackedObject};
+
+fn judge(map: &LaneMap, states: &[EgoState], expert: &[EgoState], objects: &[TrackedObject]) -> Evaluation {
+    evaluate(&Drive { map, samples: &samples(states, objects), expert }).unwrap()
+}
+
+#[test]
+fn log_replay_on_a_free_road_loses_only_the_last_step_of_progress() {
+    let map = straight();
+    let expert = cruise(150, 0.0, 0.0, 10.0);
+    let evaluation = judge(&map, &expert[..149], &expert, &[]);
+    // The expert has one state more than the simulation saved: 148 m of 149 m.
+    let ratio = 148.0 / 149.0;
+    assert!((evaluation.score.ego_progress_along_expert_route - ratio).abs() < 1e-9);
+    assert!((evaluation.score.value - (5.0 * ratio + 11.0) / 16.0).abs() < 1e-9);
+    assert_eq!(evaluation.score.zeroed_by, None);
+}
+
+#[test]
+fn every_metric_has_nuplans_name_and_comes_once() {
+    let map = straight();
+    let expert = cruise(30, 0.0, 0.0, 5.0);
+    let evaluation = judge(&map, &expert[..29], &expert, &[]);
+    let names: Vec<&str> = evaluation.metrics.iter().map(|m| m.name.as_str()).collect();
+    for name in MetricName::ALL {
+        assert_eq!(names.iter().filter(|n| **n == name.as_str()).count(), 1, "{name}");
+    }
+    assert!(evaluation.metric("corners_in_drivable_area").unwrap().score.is_none());
+    for metric in &evaluation.metrics {
+        if let Some(series) = &metric.time_series {
+            assert_eq!((series.values.len(), series.time_stamps.len()), (29, 29), "{}", metric.name);
+        }
+    }
+}
+
+#[test]
+fn standing_still_while_the_expert_drives_is_named_as_the_cause_of_zero() {
+    let map = straight();
+    let evaluation = judge(&map, &cruise(149, 0.0, 0.0, 0.0), &cruise(150, 0.0, 0.0, 10.0), &[]);
+    // 0 m counts as 2 m: 2/149 is below a fifth.
+    assert!((evaluation.score.ego_progress_along_expert_route - 2.0 / 149.0).abs() < 1e-9);
+    assert!(evaluation.score.value.abs() < 1e-12);
+    assert_eq!(evaluation.score.zeroed_by, Some(MetricName::EgoIsMakingProgress));
+}
+
+#[test]
+fn standing_still_beside_a_standing_expert_is_perfect() {
+    let map = straight();
+    let still = cruise(150, 0.0, 0.0, 0.0);
+    let cone = object(1, ObjectKind::TrafficCone, Pose::new(4.0, 0.0, 0.0), (0.5, 0.5), 0.0);
+    // A standing ego is never at fault, not even for what stands inside its box.
+    assert!((judge(&map, &still[..149], &still, &[cone]).score.value - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn one_cone_halves_and_the_time_to_collision_goes() {
+    let map = straight();
+    let expert = cruise(150, 0.0, 0.0, 10.0);
+    let cone = object(1, ObjectKind::TrafficCone, Pose::new(60.0, 0.0, 0.0), (0.5, 0.5), 0.0);
+    let score = judge(&map, &expert[..149], &expert, &[cone]).score;
+    assert!((score.no_ego_at_fault_collisions - 0.5).abs() < 1e-12);
+    assert!(score.time_to_collision_within_bound.abs() < 1e-12);
+    let ratio = 148.0 / 149.0;
+    assert!((score.value - 0.5 * (5.0 * ratio + 6.0) / 16.0).abs() < 1e-9);
+}
+
+#[test]
+fn drives_that_cannot_be_judged_are_refused() {
+    let map = straight();
+    let expert = cruise(10, 0.0, 0.0, 5.0);
+    let of = |states: &[EgoState], expert: &[EgoState]| {
+        evaluate(&Drive { map: &map, samples: &samples(states, &[]), expert }).unwrap_err()
+    };
+    assert_eq!(of(&expert[..3], &expert), MetricError::TooFewSamples { got: 3, needed: 4 });
+    assert_eq!(of(&[], &expert), MetricError::TooFewSamples { got: 0, needed: 4 });
+    assert_eq!(of(&expert, &[]), MetricError::NoExpert);
+    let mut stuck = expert.clone();
+    stuck[4].time_us = stuck[3].time_us;
+    assert_eq!(of(&stuck, &expert), MetricError::TimeNotIncreasing { index: 4, time_us: 300_000 });
+    let mut lost = expert.clone();
+    lost[2] = ego(2, f64::NAN, 0.0, 0.0, 5.0);
+    assert_eq!(of(&lost, &expert), MetricError::NotFinite { whose: "ego", index: 2 });
+    assert_eq!(of(&expert, &lost), MetricError::NotFinite { whose: "expert", index: 2 });
+}
+
+#[test]
+fn off_every_lane_there_is_no_expert_route_and_progress_is_free() {
+    let map = straight();
+    let away = cruise(20, 0.0, 500.0, 5.0);
+    let evaluation = judge(&map, &away, &away, &[]);
+    assert!((evaluation.score.ego_progress_along_expert_route - 1.0).abs() < 1e-12);
+    let progress = evaluation.metric("ego_progress_along_expert_route").unwrap();
+    assert_eq!(progress.statistic("ego_total_progress_along_route"), None);
+    assert_eq!(evaluation.score.zeroed_by, Some(MetricName::DrivableAreaCompliance));
+}
