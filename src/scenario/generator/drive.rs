@@ -80,7 +80,8 @@ impl Drive {
                 }
                 drive.take(&traffic, (step - settling) as i64 - PAST as i64, lights.clone())?;
             }
-            let wish = expert.wish(&traffic);
+            let (wish, halt) = (expert.wish(&traffic), Expert::halt(&traffic));
+            traffic.movers[0].halt = halt;
             let track = traffic.movers[0].track.clone();
             traffic.step(wish);
             if !Arc::ptr_eq(&track, &traffic.movers[0].track) {
@@ -122,7 +123,7 @@ impl Drive {
         });
         self.lanes.push(ego.track.span_at(ego.s + crate::world::PACIFICA.rear_axle_to_center()).lane);
         self.curvatures.push(curvature);
-        self.changing.push(ego.is_changing());
+        self.changing.push(ego.is_between_lanes());
         Ok(())
     }
 

@@ -23,6 +23,8 @@ pub(crate) const EXPERT: Temper = Temper {
 };
 /// How far ahead the expert looks for what blocks its lane, metres.
 const BLOCKED_SIGHT: f64 = 75.0;
+/// How far ahead it looks for what it can pass within its lane, metres.
+const NUDGE_SIGHT: f64 = 35.0;
 /// A lead slower than this share of the allowed speed is worth passing.
 const SLOW_SHARE: f64 = 0.6;
 /// How far before its lane leads off the way the expert leaves it, metres.
@@ -55,10 +57,21 @@ impl Expert {
         Self { task, changed: false, slowed_for: 0.0 }
     }
 
+    /// Where it wants to stop of its own accord: so far before a closed lane that there is room to leave it.
+    pub(crate) fn halt(traffic: &Traffic<'_>) -> Option<f64> {
+        /// Distance kept to what closes the lane, metres.
+        const ROOM_TO_LEAVE: f64 = 9.5;
+        match blocked(traffic) {
+            Some(Obstacle::Lane(at)) if !traffic.movers[0].is_between_lanes() => Some(at - ROOM_TO_LEAVE),
+            _ => None,
+        }
+    }
+
     /// What it wants to do with its place across the road now.
     pub(crate) fn wish(&mut self, traffic: &Traffic<'_>) -> Wish {
         let ego = &traffic.movers[0];
-        if ego.is_changing() {
+        // A lane change is finished first; keeping clear within the lane may be given up for one when it has come to a stop.
+        if ego.is_changing() && (ego.is_between_lanes() || ego.speed > 1.0) {
             return Wish::Keep;
         }
         if let Some((moment, left)) = self.task.change.filter(|task| !self.changed && traffic.time >= task.0) {
@@ -66,16 +79,16 @@ impl Expert {
             self.changed = self.changed || traffic.time > moment + 8.0;
             let target = traffic.roads.map[lane].left.iter().chain(&traffic.roads.map[lane].right).any(|_| true);
             if target {
-                return Wish::Change { left };
+                return Wish::Change { left, within: f64::INFINITY };
             }
         }
         if let Some(left) = leaves_way(traffic) {
-            return Wish::Change { left };
+            return Wish::Change { left, within: f64::INFINITY };
         }
         let nudge = match blocked(traffic) {
-            Some(Obstacle::Lane) => {
+            Some(Obstacle::Lane(at)) => {
                 if let Some(left) = better_side(traffic) {
-                    return Wish::Change { left };
+                    return Wish::Change { left, within: at - ego.front_s() };
                 }
                 0.0
             }
@@ -86,7 +99,7 @@ impl Expert {
         if self.slowed_for > 1.5
             && let Some(left) = better_side(traffic)
         {
-            return Wish::Change { left };
+            return Wish::Change { left, within: f64::INFINITY };
         }
         Wish::Nudge(nudge)
     }
@@ -100,19 +113,20 @@ impl Expert {
 
 /// What stands in the ego's lane for good.
 enum Obstacle {
-    /// The lane is closed.
-    Lane,
+    /// The lane is closed from this arc length on.
+    Lane(f64),
     /// There is room to pass at this offset, metres to the left.
     Edge(f64),
 }
 
-/// The nearest thing ahead in the ego's lane that will not move.
+/// What stands for good in the ego's lane ahead.
 fn blocked(traffic: &Traffic<'_>) -> Option<Obstacle> {
     let ego = &traffic.movers[0];
     let half = ego.width / 2.0;
     let standing = traffic.fixtures.iter().map(|object| object.shape);
     let broken = traffic.movers[1..].iter().filter(|m| !m.gone && m.ceiling < 0.3 && m.speed < 0.3).map(|m| m.shape());
-    let mut nearest: Option<(f64, Obstacle)> = None;
+    // What stands to the right pushes the ego to the left and the other way round.
+    let (mut to_left, mut to_right, mut begins) = (0.0f64, 0.0f64, f64::INFINITY);
     for shape in standing.chain(broken) {
         let reach = shape.length / 2.0;
         let pose = ego.track.pose_at(ego.s);
@@ -127,14 +141,25 @@ fn blocked(traffic: &Traffic<'_>) -> Option<Obstacle> {
         if s + reach < ego.rear_s() - 1.0 || lateral.abs() - across > half + NUDGE_ROOM {
             continue;
         }
-        let offset =
-            if lateral < 0.0 { lateral + across + half + NUDGE_ROOM } else { lateral - across - half - NUDGE_ROOM };
-        let obstacle = if offset.abs() > NUDGE_MOST { Obstacle::Lane } else { Obstacle::Edge(offset) };
-        if nearest.as_ref().is_none_or(|(near, _)| s < *near) {
-            nearest = Some((s, obstacle));
+        let pushes = if lateral < 0.0 { lateral + across } else { across - lateral } + half + NUDGE_ROOM;
+        if pushes <= NUDGE_MOST && s - ego.front_s() > NUDGE_SIGHT {
+            continue;
+        }
+        let along = (reach * turned.cos()).abs() + (shape.width / 2.0 * turned.sin()).abs();
+        begins = begins.min(s - along);
+        if lateral < 0.0 {
+            to_left = to_left.max(lateral + across + half + NUDGE_ROOM);
+        } else {
+            to_right = to_right.min(lateral - across - half - NUDGE_ROOM);
         }
     }
-    nearest.map(|(_, obstacle)| obstacle)
+    if to_left > NUDGE_MOST || to_right < -NUDGE_MOST || (to_left > 0.0 && to_right < 0.0) {
+        Some(Obstacle::Lane(begins))
+    } else if to_left > 0.0 || to_right < 0.0 {
+        Some(Obstacle::Edge(to_left + to_right))
+    } else {
+        None
+    }
 }
 
 /// Whether the present lane leads off the way while a neighbour stays on it, and on which side that one is.

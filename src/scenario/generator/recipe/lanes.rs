@@ -37,14 +37,18 @@ pub(super) fn cast(stage: &mut Stage<'_, '_>, mut task: Task) -> Task {
     let must_move = roads.reach(0, lanes[stage.ego_lane]) == 0 && roads.way.len() > 1;
     let cause = stage.dice.whole(0, 4);
     let ahead = speed * stage.dice.between(5.0, 7.5) + 20.0;
+    // A lane is closed where it is a lane, with room before the next junction.
+    let at = stage.ego().s + ahead;
+    let span = stage.ego().track.span_at(at);
+    let room = span.to - at - 10.0;
+    let length = stage.dice.between(10.0, 45.0).min(room);
+    let closable = !span.connector && room > 8.0 && at - span.from > 16.0;
+    let closure = closable.then_some((span.lane, at - span.from, length));
     if must_move {
         task.overtakes = false;
-    } else if cause == 0 {
-        let (lane, s) = (stage.ego().track.span_at(stage.ego().s + ahead), stage.ego().s + ahead);
-        let width = roads.facts[lane.lane.index()].map_or(3.4, |f| f.lane_width);
-        let room = (lane.to - s - 6.0).clamp(0.0, 40.0);
-        let length = stage.dice.between(10.0, 45.0).min(room);
-        stage.close_lane(lane.lane, s - lane.from, length, width);
+    } else if let Some((lane, s, length)) = closure.filter(|_| cause == 0) {
+        let width = roads.facts[lane.index()].map_or(3.4, |f| f.lane_width);
+        stage.close_lane(lane, s, length, width);
     } else if cause == 1 {
         double_park(stage, ahead, 0.0);
     } else if cause == 2 {

@@ -3,7 +3,7 @@
 use super::garnish::walker;
 use super::lanes::double_park;
 use super::setting::{
-    BEHIND, LIMITS, LightWish, Setting, anywhere, course, crossing, extend, needed_ahead, style, town,
+    BEHIND, LIMITS, LanePick, LightWish, Setting, anywhere, course, crossing, extend, needed_ahead, style, town,
 };
 use super::stage::Stage;
 use crate::geometry::{GeometryError, Point};
@@ -93,7 +93,11 @@ pub(super) fn pickup(dice: &mut Dice) -> Result<Setting, GeometryError> {
     let mut layout = Layout::begin(start, &style, Course::straight(BEHIND + before + bay + 15.0))?;
     layout.bay(dice.between(2.5, 3.0), BEHIND + before, bay)?;
     extend(&mut layout, dice, &style, needed_ahead(&style) - before - bay, 0.3)?;
-    Ok(Setting::new(layout, BEHIND, dice.between(0.4, 0.9)))
+    let mut setting = Setting::new(layout, BEHIND, dice.between(0.4, 0.9));
+    if dice.chance(0.7) {
+        setting.pick = LanePick::Rightmost;
+    }
+    Ok(setting)
 }
 
 pub(super) fn cast_pickup(stage: &mut Stage<'_, '_>, task: Task) -> Task {

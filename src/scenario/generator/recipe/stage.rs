@@ -142,6 +142,7 @@ impl<'a, 'd> Stage<'a, 'd> {
             shift: Shift::constant(lateral),
             temper,
             ceiling: f64::INFINITY,
+            halt: None,
             script: Vec::new(),
             served: None,
             gone: false,

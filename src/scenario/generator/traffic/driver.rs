@@ -40,6 +40,9 @@ impl Traffic<'_> {
         if let Some(s) = self.place_to_stop(i, claims, lights) {
             wanted = wanted.min(me.stopping(s - BEFORE_LINE));
         }
+        if let Some(s) = me.halt {
+            wanted = wanted.min(me.stopping(s));
+        }
         for walker in self.walkers.iter().filter(|walker| walker.is_crossing()) {
             if let Some(s) = me.give_way_to(walker) {
                 wanted = wanted.min(me.stopping(s - BEFORE_WALKER));

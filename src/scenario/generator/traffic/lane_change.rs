@@ -13,6 +13,8 @@ pub(crate) enum Wish {
     Change {
         /// To the left or to the right.
         left: bool,
+        /// Distance within which it must be done, metres.
+        within: f64,
     },
     /// Keep to the lane but this far beside its centreline, metres to the left.
     Nudge(f64),
@@ -27,7 +29,9 @@ struct Room {
     behind: f64,
 }
 
-const POLITE: Room = Room { gap: 4.0, behind: 0.9 };
+/// Shortest lane change, metres.
+const SHORTEST: f64 = 12.0;
+const POLITE: Room = Room { gap: 3.0, behind: 0.6 };
 const PUSHY: Room = Room { gap: 3.5, behind: 0.15 };
 
 impl Traffic<'_> {
@@ -41,7 +45,7 @@ impl Traffic<'_> {
                 match act {
                     Act::Limit { speed, .. } => self.movers[i].ceiling = speed,
                     Act::ChangeLane { left, .. } => {
-                        if !self.change_lane(i, left, PUSHY, bodies) {
+                        if !self.change_lane(i, left, f64::INFINITY, PUSHY, bodies) {
                             let again = Act::ChangeLane { at: self.time + RETRY, left };
                             let place = self.movers[i].script.partition_point(|act| act.at() > again.at());
                             self.movers[i].script.insert(place, again);
@@ -56,8 +60,8 @@ impl Traffic<'_> {
     pub(super) fn follow_wish(&mut self, wish: Wish, bodies: &[Body]) {
         match wish {
             Wish::Keep => {}
-            Wish::Change { left } => {
-                self.change_lane(0, left, POLITE, bodies);
+            Wish::Change { left, within } => {
+                self.change_lane(0, left, within, POLITE, bodies);
             }
             Wish::Nudge(lateral) => {
                 let ego = &mut self.movers[0];
@@ -70,13 +74,13 @@ impl Traffic<'_> {
     }
 
     /// Moves a mover over if it is on a lane with such a neighbour and there is room; whether it did.
-    fn change_lane(&mut self, i: usize, left: bool, room: Room, bodies: &[Body]) -> bool {
+    fn change_lane(&mut self, i: usize, left: bool, within: f64, room: Room, bodies: &[Body]) -> bool {
         let mover = &self.movers[i];
         let Some(track) = self.track_beside(mover, left) else { return false };
         let reference = mover.pose().position();
         let (s, lateral) = track.project(reference, 0.0, track.length());
-        let length = (mover.speed * 4.0).clamp(14.0, 70.0);
-        if mover.is_changing() || s + length > track.length() {
+        let length = (mover.speed * 4.0).min(within).clamp(SHORTEST, 70.0);
+        if mover.is_between_lanes() || (mover.is_changing() && mover.speed > 1.0) || s + length > track.length() {
             return false;
         }
         // The manoeuvre ends before the next junction.
@@ -135,7 +139,7 @@ fn has_room(mover: &Mover, track: &Track, s: f64, room: Room, bodies: &[Body], i
             at - along - front > room.gap + closing * closing / 3.0 + closing
         } else {
             let closing = (speed - mover.speed).max(0.0);
-            rear - at - along > room.gap + speed * room.behind + 2.0 * closing
+            rear - at - along > room.gap + speed * room.behind + 1.5 * closing
         }
     })
 }

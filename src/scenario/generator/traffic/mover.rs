@@ -132,6 +132,8 @@ pub(crate) struct Mover {
     pub(crate) temper: Temper,
     /// Speed that it must not exceed, m/s.
     pub(crate) ceiling: f64,
+    /// Arc length that its front must not pass for now, of its driver's own accord.
+    pub(crate) halt: Option<f64>,
     /// What is to happen, soonest last.
     pub(crate) script: Vec<Act>,
     /// The connector before which it has already stopped for the sign.
@@ -182,6 +184,12 @@ impl Mover {
         to_s > from_s && self.s < to_s
     }
 
+    /// Whether it is on its way from one lane to another, not only keeping clear of something within its lane.
+    pub(crate) fn is_between_lanes(&self) -> bool {
+        const WITHIN_LANE: f64 = 1.6;
+        self.is_changing() && (self.shift.to_d - self.shift.from_d).abs() > WITHIN_LANE
+    }
+
     /// Moves on for one step with the wanted acceleration, within the jerk that its driver allows.
     pub(crate) fn advance(&mut self, wanted: f64) {
         let rise = self.temper.jerk * STEP_S;
@@ -207,6 +215,7 @@ impl Mover {
         self.s = s;
         self.shift = Shift { from_s: s, to_s: s + length, from_d: lateral, to_d: 0.0 };
         self.served = None;
+        self.halt = None;
     }
 
     /// The ego at a place of its track.
@@ -224,6 +233,7 @@ impl Mover {
             shift: Shift::constant(0.0),
             temper,
             ceiling: f64::INFINITY,
+            halt: None,
             script: Vec::new(),
             served: None,
             gone: false,
