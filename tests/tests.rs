@@ -1,5 +1,7 @@
 //! The one integration-test binary; a module a subject.
 
+mod architecture;
+mod cli;
 mod environment;
 mod metrics;
 mod mllm;

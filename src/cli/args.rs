@@ -6,33 +6,33 @@ use std::path::PathBuf;
 /// A driving agent that plans with a multimodal language model, offline, on the CPU.
 #[derive(Debug, Parser)]
 #[command(name = "planagent", version, max_term_width = 100)]
-pub struct Arguments {
+pub(super) struct Arguments {
     /// What to do.
     #[command(subcommand)]
-    pub command: Command,
+    pub(super) command: Command,
     /// Configuration file [default: planagent.toml in the working directory, if it is there].
     #[arg(long, global = true, value_name = "FILE")]
-    pub config: Option<PathBuf>,
+    pub(super) config: Option<PathBuf>,
     /// Model: a name from models/, a folder in Hugging Face's layout, or a hub id.
     #[arg(long, global = true, value_name = "MODEL")]
-    pub model: Option<String>,
+    pub(super) model: Option<String>,
     /// Seed of everything that is drawn at random.
     #[arg(long, global = true)]
-    pub seed: Option<u64>,
+    pub(super) seed: Option<u64>,
     /// Number of threads [default: all cores].
     #[arg(long, global = true, value_name = "N")]
-    pub threads: Option<usize>,
+    pub(super) threads: Option<usize>,
     /// Data on stdout as JSON.
     #[arg(long, global = true)]
-    pub json: bool,
+    pub(super) json: bool,
     /// Nothing but errors on stderr.
     #[arg(long, short, global = true)]
-    pub quiet: bool,
+    pub(super) quiet: bool,
 }
 
 /// The subcommands.
 #[derive(Debug, Subcommand)]
-pub enum Command {
+pub(super) enum Command {
     /// Drive scenarios in closed loop and score them with nuPlan's metrics.
     Simulate(SimulateArguments),
     /// Make one planning call and show what was seen, thought, written and judged.
@@ -46,38 +46,38 @@ pub enum Command {
 
 /// Flags of `simulate`.
 #[derive(Debug, Args)]
-pub struct SimulateArguments {
+pub(super) struct SimulateArguments {
     /// Scenarios: TFRecord files, folders of them, or generated/TYPE/SEED [default: one generated scene].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
-    pub scenarios: Vec<String>,
+    pub(super) scenarios: Vec<String>,
     /// Planners, separated by commas: plan-agent, log-replay, idm.
     #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "plan-agent")]
-    pub planner: Vec<String>,
+    pub(super) planner: Vec<String>,
     /// Traffic: nonreactive (replayed), reactive (IDM) or both.
     #[arg(long, default_value = "nonreactive")]
-    pub challenge: String,
+    pub(super) challenge: String,
     /// Folder for the results; must be new or empty [default: the next free runs/NNNN].
     #[arg(long, value_name = "FOLDER")]
-    pub out: Option<PathBuf>,
+    pub(super) out: Option<PathBuf>,
 }
 
 /// Flags of `plan`.
 #[derive(Debug, Args)]
-pub struct PlanArguments {
+pub(super) struct PlanArguments {
     /// The scenario: a TFRecord file or generated/TYPE/SEED [default: one generated scene].
     #[arg(long, value_name = "SCENARIO")]
-    pub scenario: Option<String>,
+    pub(super) scenario: Option<String>,
     /// Seconds after the start of the window.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
-    pub at: f64,
+    pub(super) at: f64,
     /// Write the BEV map to this PNG.
     #[arg(long, value_name = "FILE")]
-    pub image: Option<PathBuf>,
+    pub(super) image: Option<PathBuf>,
 }
 
 /// Subcommands of `scenarios`.
 #[derive(Debug, Subcommand)]
-pub enum ScenariosCommand {
+pub(super) enum ScenariosCommand {
     /// List scenarios: the records of files and folders, or the types that can be generated.
     List {
         /// TFRecord files or folders.
@@ -113,14 +113,14 @@ pub enum ScenariosCommand {
 
 /// Flags of `dataset`.
 #[derive(Debug, Args)]
-pub struct DatasetArguments {
+pub(super) struct DatasetArguments {
     /// Folder for the shards; an interrupted run goes on where it stopped.
     #[arg(long, value_name = "FOLDER")]
-    pub out: PathBuf,
+    pub(super) out: PathBuf,
     /// Labelled states to make for training.
     #[arg(long, default_value_t = 20_000)]
-    pub states: usize,
+    pub(super) states: usize,
     /// Labelled states to make for validation, from seeds of their own.
     #[arg(long, default_value_t = 2_000)]
-    pub validation: usize,
+    pub(super) validation: usize,
 }

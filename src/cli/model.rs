@@ -15,18 +15,18 @@ const MODELS: &str = "models";
 const MODELS_VARIABLE: &str = "PLANAGENT_MODELS";
 
 /// A loaded model, ready to drive.
-pub struct Loaded {
+pub(super) struct Loaded {
     /// What `plan-agent` is made of.
-    pub parts: AgentParts,
+    pub(super) parts: AgentParts,
     /// How long loading took, seconds.
-    pub load_s: f64,
+    pub(super) load_s: f64,
 }
 
 /// Loads the configured model and its prompt set.
 ///
 /// # Errors
 /// When there is no such model, its files are broken, or the prompt set cannot be used.
-pub fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> {
+pub(crate) fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> {
     let started = Instant::now();
     let hub = HubAccess { offline: config.mllm.offline, ..HubAccess::default() };
     let registry = ModelRegistry::new(models_folder(), hub);

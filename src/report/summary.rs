@@ -136,13 +136,12 @@ fn aggregates(records: &[DriveRecord]) -> Vec<Aggregate> {
         let (planner, challenge) = (record.planner.to_string(), record.challenge.to_string());
         let known = rows.iter_mut().find(|row| row.planner == planner && row.challenge == challenge);
         let score = record.outcome.as_ref().ok().map(|driven| driven.score.value);
-        match known {
-            Some(row) => row.count(score),
-            None => {
-                let mut row = Aggregate { planner, challenge, scenarios: 0, failed: 0, score: None };
-                row.count(score);
-                rows.push(row);
-            }
+        if let Some(row) = known {
+            row.count(score);
+        } else {
+            let mut row = Aggregate { planner, challenge, scenarios: 0, failed: 0, score: None };
+            row.count(score);
+            rows.push(row);
         }
     }
     rows

@@ -1,51 +1,74 @@
 //! Tables for the terminal, readable at 80 columns.
 
+use super::summary::Aggregate;
 use crate::experiment::run::DriveRecord;
 use crate::metrics::MetricName;
-use crate::report::Aggregate;
-use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
+use comfy_table::{CellAlignment, Table, presets};
+use console::style;
 
 /// Heads of the metric columns, in the order of [`MetricName::ALL`].
 const SHORT_NAMES: [&str; 8] = ["coll", "area", "prog", "dir", "rate", "ttc", "speed", "comf"];
+/// More drives than this are left to `summary.json`; the means stand for them.
+const MOST_ROWS: usize = 60;
 
-fn table(width: u16) -> Table {
-    let mut table = Table::new();
-    table.load_style(presets::UTF8_HORIZONTAL_ONLY);
-    table.set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
-    table
+/// A row a drive under the name of its scenario, with score x 100 and the eight metrics, then a legend, the causes of
+/// scores of 0, and the mean of each planner and challenge.
+pub fn main_table(records: &[DriveRecord], aggregates: &[Aggregate], width: u16) -> String {
+    let parts = [drives(records), legend(width), zeroed(records), means(aggregates)];
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
 }
 
-/// A row a drive with score x 100 and the eight metrics, a legend, and the mean of each planner and challenge.
-pub fn main_table(records: &[DriveRecord], aggregates: &[Aggregate], width: u16) -> String {
-    let mut drives = table(width);
-    drives.set_header(["scenario", "planner", "", "score"].into_iter().chain(SHORT_NAMES).chain(["calls"]));
-    for record in records {
-        let Ok(driven) = &record.outcome else { continue };
-        let name = record.scenario.strip_prefix("generated/").unwrap_or(&record.scenario).to_owned();
-        let head = [name, record.planner.to_string(), short(&record.challenge.to_string()).to_owned()];
-        let metrics = MetricName::ALL.into_iter().map(|name| compact(driven.score.metric(name)));
-        let calls = if driven.calls.is_empty() { "-".to_owned() } else { driven.calls.len().to_string() };
-        drives.add_row(head.into_iter().chain([percent(driven.score.value)]).chain(metrics).chain([calls]));
+/// A table without frame, its numbers to the right from column `numbers` on.
+fn plain(header: &[&str], rows: Vec<Vec<String>>, numbers: usize) -> String {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING);
+    table.set_header(header);
+    table.add_rows(rows);
+    for (i, column) in table.column_iter_mut().enumerate() {
+        column.set_padding((0, 2));
+        if i >= numbers {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
     }
-    for column in drives.column_iter_mut().skip(3) {
-        column.set_cell_alignment(CellAlignment::Right);
-        column.set_padding((0, 1));
+    table.lines().map(|line| line.trim_end().to_owned()).collect::<Vec<_>>().join("\n")
+}
+
+fn drives(records: &[DriveRecord]) -> String {
+    let shown: Vec<&DriveRecord> = records.iter().filter(|r| r.outcome.is_ok()).take(MOST_ROWS).collect();
+    let rows = shown.iter().map(|record| row(record)).collect();
+    let header: Vec<&str> = ["planner", "", "score"].into_iter().chain(SHORT_NAMES).chain(["calls"]).collect();
+    let table = plain(&header, rows, 2);
+    let mut lines = table.lines();
+    let mut text: Vec<String> = lines.next().map(str::to_owned).into_iter().collect();
+    let mut scenario = "";
+    for (record, line) in shown.iter().zip(lines) {
+        if record.scenario != scenario {
+            scenario = &record.scenario;
+            text.push(style(scenario).bold().to_string());
+        }
+        text.push(line.to_owned());
     }
-    let mut means = table(width);
-    means.set_header(["planner", "challenge", "drives", "failed", "score"]);
-    for row in aggregates {
+    let left_out = records.iter().filter(|r| r.outcome.is_ok()).count() - shown.len();
+    if left_out > 0 {
+        text.push(format!("and {left_out} more drives in summary.json"));
+    }
+    text.join("\n")
+}
+
+fn row(record: &DriveRecord) -> Vec<String> {
+    let Ok(driven) = &record.outcome else { return Vec::new() };
+    let metrics = MetricName::ALL.into_iter().map(|name| compact(driven.score.metric(name)));
+    let calls = if driven.calls.is_empty() { "-".to_owned() } else { driven.calls.len().to_string() };
+    let head = [format!("  {}", record.planner), short(record), percent(driven.score.value)];
+    head.into_iter().chain(metrics).chain([calls]).collect()
+}
+
+fn means(aggregates: &[Aggregate]) -> String {
+    let rows = aggregates.iter().map(|row| {
         let score = row.score.map_or_else(|| "-".to_owned(), percent);
-        means.add_row([
-            row.planner.clone(),
-            row.challenge.clone(),
-            row.scenarios.to_string(),
-            row.failed.to_string(),
-            score,
-        ]);
-    }
-    let legend = legend(width);
-    let zeroed = zeroed(records);
-    [drives.to_string(), legend, zeroed, means.to_string()].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
+        vec![row.planner.clone(), row.challenge.clone(), row.scenarios.to_string(), row.failed.to_string(), score]
+    });
+    plain(&["planner", "challenge", "drives", "failed", "score"], rows.collect(), 2)
 }
 
 /// What the short heads mean.
@@ -63,8 +86,8 @@ fn legend(width: u16) -> String {
             last.push_str(&part);
         }
     }
-    lines.push("NR = non-reactive, R = reactive traffic; score = nuPlan's closed-loop score x 100".to_owned());
-    lines.join("\n")
+    lines.push("NR: replayed traffic, R: reactive traffic. Score: nuPlan's closed-loop score x 100.".to_owned());
+    lines.iter().map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
 }
 
 /// A line for each score of 0: the multipliers that made it.
@@ -72,9 +95,8 @@ fn zeroed(records: &[DriveRecord]) -> String {
     let lines = records.iter().filter_map(|record| {
         let driven = record.outcome.as_ref().ok()?;
         let names: Vec<&str> = driven.score.zero_multipliers().map(MetricName::as_str).collect();
-        let challenge = short(&record.challenge.to_string()).to_owned();
-        (!names.is_empty())
-            .then(|| format!("{} {} {challenge}: 0 because of {}", record.scenario, record.planner, names.join(", ")))
+        let who = format!("{} {} {}", record.scenario, record.planner, short(record));
+        (!names.is_empty()).then(|| format!("{who}: 0 because of {}", names.join(", ")))
     });
     lines.collect::<Vec<_>>().join("\n")
 }
@@ -85,8 +107,12 @@ pub fn failures(records: &[DriveRecord]) -> Vec<String> {
     failed.map(|(r, error)| format!("{} ({}, {}): {error}", r.scenario, r.planner, r.challenge)).collect()
 }
 
-fn short(challenge: &str) -> &'static str {
-    if challenge.contains("nonreactive") { "NR" } else { "R" }
+fn short(record: &DriveRecord) -> String {
+    use crate::simulation::Challenge;
+    match record.challenge {
+        Challenge::ClosedLoopNonreactiveAgents => "NR".to_owned(),
+        Challenge::ClosedLoopReactiveAgents => "R".to_owned(),
+    }
 }
 
 fn percent(score: f64) -> String {

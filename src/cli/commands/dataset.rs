@@ -13,7 +13,7 @@ const PROMPT_SET: &str = "compact";
 ///
 /// # Errors
 /// When the folder cannot be written or holds another dataset.
-pub fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let prompts = PromptSet::open(config.reasoning.prompt_set.as_deref().unwrap_or(PROMPT_SET))?;
     let view = BevView::new(BevView::default().pixels(), config.environment.view_m)?;
     let settings = Settings { seed: config.seed, prompts: &prompts, view };

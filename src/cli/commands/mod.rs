@@ -1,6 +1,6 @@
 //! One file a subcommand.
 
-pub mod dataset;
-pub mod plan;
-pub mod scenarios;
-pub mod simulate;
+pub(super) mod dataset;
+pub(super) mod plan;
+pub(super) mod scenarios;
+pub(super) mod simulate;

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 ///
 /// # Errors
 /// When the input or the model cannot be used, or the instant lies outside the window.
-pub fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let scenario = scenario(flags.scenario.as_deref())?;
     let iteration = (flags.at / STEP_S).round();
     if !(0.0..scenario.iterations() as f64).contains(&iteration) {
@@ -46,7 +46,7 @@ pub fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::
 ///
 /// # Errors
 /// When the word names none or several.
-pub fn scenario(word: Option<&str>) -> anyhow::Result<Scenario> {
+pub(in crate::cli) fn scenario(word: Option<&str>) -> anyhow::Result<Scenario> {
     let mut sources = match word {
         Some(word) => ScenarioSource::find(word)?,
         None => vec![ScenarioSource::Generated(generator::DEFAULT)],

@@ -15,7 +15,7 @@ use std::time::Instant;
 ///
 /// # Errors
 /// When the input, the model or the output folder cannot be used; a failed drive is no such error.
-pub fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let started = Instant::now();
     let assignments = assignments(flags)?;
     let folder = RunFolder::create(flags.out.as_deref())?;

@@ -58,7 +58,7 @@ pub struct Meta {
 ///
 /// # Errors
 /// When the folder cannot be written or holds another dataset.
-pub fn open_folder(folder: &Path, meta: &Meta) -> Result<(), ShardError> {
+pub(super) fn open_folder(folder: &Path, meta: &Meta) -> Result<(), ShardError> {
     let failed = |source| ShardError::Write { path: folder.to_owned(), source };
     fs::create_dir_all(folder).map_err(failed)?;
     let path = folder.join("meta.json");
@@ -71,13 +71,13 @@ pub fn open_folder(folder: &Path, meta: &Meta) -> Result<(), ShardError> {
 }
 
 /// Where the files of a shard lie: JSONL and PNG.
-pub fn paths(folder: &Path, split: &str, shard: usize) -> (PathBuf, PathBuf) {
+pub(super) fn paths(folder: &Path, split: &str, shard: usize) -> (PathBuf, PathBuf) {
     let base = folder.join(format!("{split}-{shard:05}"));
     (base.with_extension("jsonl"), base.with_extension("png"))
 }
 
 /// Number of states in a shard that is complete; the JSONL file is written last, so its presence says so.
-pub fn complete(folder: &Path, split: &str, shard: usize) -> Option<usize> {
+pub(super) fn complete(folder: &Path, split: &str, shard: usize) -> Option<usize> {
     fs::read_to_string(paths(folder, split, shard).0).ok().map(|text| text.lines().count())
 }
 
@@ -85,7 +85,7 @@ pub fn complete(folder: &Path, split: &str, shard: usize) -> Option<usize> {
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write(
+pub(super) fn write(
     folder: &Path,
     split: &str,
     shard: usize,

@@ -1,0 +1,301 @@
+//! The program as its user runs it: output, exit codes, files.
+
+use assert_cmd::Command;
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// A generated scene that every planner drives in a second or two.
+const SCENE: &str = "generated/changing_lane/3";
+
+fn planagent() -> Command {
+    let mut command = Command::cargo_bin("planagent").unwrap();
+    // The package's models and configuration, whatever the working directory.
+    command.env("PLANAGENT_MODELS", concat!(env!("CARGO_MANIFEST_DIR"), "/models")).env("NO_COLOR", "1");
+    command
+}
+
+/// Runs and gives exit code, stdout and stderr.
+fn run(arguments: &[&str]) -> (i32, String, String) {
+    let output = planagent().args(arguments).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.code().expect("no exit code"), text(output.stdout), text(output.stderr))
+}
+
+/// Runs what must fail as bad input: exit code 2, nothing on stdout, no panic; gives stderr.
+fn refused(arguments: &[&str]) -> String {
+    let (code, stdout, stderr) = run(arguments);
+    assert_eq!(code, 2, "{arguments:?}: {stderr}");
+    assert!(stdout.is_empty(), "{stdout}");
+    assert!(stderr.contains("error:") && !stderr.contains("panicked"), "{stderr}");
+    stderr
+}
+
+fn read_json(path: &Path) -> Value {
+    serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// The folder of recordings; says so when it is missing.
+fn recordings() -> Option<PathBuf> {
+    let data = std::env::var_os("PLANAGENT_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    let folder = data.join("womd");
+    if !folder.is_dir() {
+        eprintln!("SKIPPED: no recordings at {}", folder.display());
+        return None;
+    }
+    Some(folder)
+}
+
+fn drive(out: &Path, threads: &str) -> Vec<u8> {
+    let out = out.to_str().unwrap();
+    let arguments = ["simulate", "--scenario", SCENE, "generated/stopping_with_lead/1", "--challenge", "both"];
+    let (code, _, stderr) =
+        run(&[&arguments[..], &["--planner", "plan-agent,idm", "--threads", threads, "--out", out]].concat());
+    assert_eq!(code, 0, "{stderr}");
+    fs::read(Path::new(out).join("summary.json")).unwrap()
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_at_any_thread_count() {
+    let folder = TempDir::new().unwrap();
+    let one = drive(&folder.path().join("one"), "1");
+    let two = drive(&folder.path().join("two"), "2");
+    assert!(one == two, "{}\n{}", String::from_utf8_lossy(&one), String::from_utf8_lossy(&two));
+    let calls = |run: &str| {
+        let text = fs::read_to_string(folder.path().join(run).join("calls.jsonl")).unwrap();
+        let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+        lines.map(|mut call| call.as_object_mut().unwrap().remove("time").map(|_| call).unwrap()).collect::<Vec<_>>()
+    };
+    assert_eq!(calls("one"), calls("two"));
+}
+
+#[test]
+fn a_run_leaves_what_the_readme_says() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("run");
+    let (code, stdout, stderr) = run(&["simulate", "--scenario", SCENE, "--out", out.to_str().unwrap()]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stdout.contains("plan-agent") && stdout.contains("no_ego_at_fault_collisions"), "{stdout}");
+    assert!(stdout.lines().all(|line| line.chars().count() <= 80), "wider than 80 columns:\n{stdout}");
+
+    let summary = read_json(&out.join("summary.json"));
+    let row = &summary["scenarios"][0];
+    assert_eq!(row["id"], SCENE);
+    assert_eq!(row["scenario_type"], "changing_lane");
+    assert_eq!(row["challenge"], "closed_loop_nonreactive_agents");
+    let product: f64 = [
+        "no_ego_at_fault_collisions",
+        "drivable_area_compliance",
+        "ego_is_making_progress",
+        "driving_direction_compliance",
+    ]
+    .iter()
+    .map(|name| row[*name].as_f64().unwrap())
+    .product();
+    let weights = [
+        ("ego_progress_along_expert_route", 5.0),
+        ("time_to_collision_within_bound", 5.0),
+        ("speed_limit_compliance", 4.0),
+        ("ego_is_comfortable", 2.0),
+    ];
+    let mean: f64 = weights.iter().map(|(name, weight)| row[*name].as_f64().unwrap() * weight).sum::<f64>() / 16.0;
+    assert!((row["score"].as_f64().unwrap() - product * mean).abs() < 1e-12);
+
+    // 15 s at 10 Hz with a call every 20 iterations, the first at iteration 0.
+    let calls: Vec<Value> = fs::read_to_string(out.join("calls.jsonl"))
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    assert_eq!(calls.len(), 8);
+    assert_eq!(row["planning_calls"], 8);
+    for (i, call) in calls.iter().enumerate() {
+        assert_eq!(call["iteration"], 20 * i);
+        let attempt = &call["attempts"][0];
+        let rounds: Vec<&str> =
+            attempt["rounds"].as_array().unwrap().iter().map(|round| round["round"].as_str().unwrap()).collect();
+        assert_eq!(rounds, ["understanding", "instruction", "code"]);
+        let first = &attempt["rounds"][0]["tokens"];
+        assert!(first["image"].as_u64().unwrap() > 0 && first["cached"].as_u64().unwrap() > 0, "{first}");
+        assert_eq!(attempt["rounds"][1]["tokens"]["image"], 0);
+        assert!(attempt["reflection"]["score"].as_f64().is_some());
+        assert!(call["time"]["call"]["total"].as_f64().unwrap() > 0.0);
+    }
+    let drive = out.join("generated_changing_lane_3-nonreactive");
+    let transcript = fs::read_to_string(drive.join("transcript.md")).unwrap();
+    assert!(transcript.contains("Generate_IDM_Planner(") && transcript.contains("bev/020.png"), "{transcript}");
+    assert!(image::open(drive.join("bev/020.png")).unwrap().width() > 16);
+    assert!(read_json(&out.join("timing.json"))["planning_call_ms"]["total"]["p50"].as_f64().unwrap() > 0.0);
+    let config = fs::read_to_string(out.join("config.toml")).unwrap();
+    assert!(config.contains("threshold = 0.75"), "{config}");
+
+    let again = refused(&["simulate", "--scenario", SCENE, "--out", out.to_str().unwrap()]);
+    assert!(again.contains("not empty"), "{again}");
+}
+
+#[test]
+fn plan_makes_one_call_for_people_and_for_programs() {
+    let folder = TempDir::new().unwrap();
+    let image = folder.path().join("bev.png");
+    let arguments = ["plan", "--scenario", SCENE, "--at", "3.0", "--image", image.to_str().unwrap()];
+    let (code, stdout, stderr) = run(&arguments);
+    assert_eq!(code, 0, "{stderr}");
+    for part in ["scene?", "lat=", "Generate_IDM_Planner(", "Reflection:", "Trajectory"] {
+        assert!(stdout.contains(part), "no {part} in\n{stdout}");
+    }
+    assert!(image::open(&image).is_ok());
+    let (code, stdout, _) = run(&[&arguments[..], &["--json"]].concat());
+    assert_eq!(code, 0);
+    let record: Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!(record["at_s"], 3.0);
+    assert_eq!(record["trajectory"].as_array().unwrap().len(), 41);
+    let late = refused(&["plan", "--scenario", SCENE, "--at", "99"]);
+    assert!(late.contains("outside the window"), "{late}");
+}
+
+#[test]
+fn scenarios_are_listed_shown_and_generated() {
+    let (code, stdout, _) = run(&["scenarios", "list"]);
+    assert_eq!(code, 0);
+    assert!(stdout.contains("generated/following_lane_with_lead/0"), "{stdout}");
+    let (code, stdout, _) = run(&["scenarios", "show", SCENE, "--json"]);
+    assert_eq!(code, 0);
+    let shown: Value = serde_json::from_str(&stdout).unwrap();
+    assert!(shown["map"]["lanes"].as_u64().unwrap() > 0 && !shown["route"].as_array().unwrap().is_empty());
+    let (code, stdout, _) = run(&["scenarios", "generate", "--type", "changing_lane", "--count", "2"]);
+    assert_eq!((code, stdout.lines().count()), (0, 2), "{stdout}");
+}
+
+#[test]
+fn a_dataset_is_written_and_gone_on_with() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("data");
+    let arguments = ["dataset", "--out", out.to_str().unwrap(), "--states", "1", "--validation", "1", "--quiet"];
+    assert_eq!(run(&arguments).0, 0);
+    let lines = fs::read_to_string(out.join("train-00000.jsonl")).unwrap();
+    let first: Value = serde_json::from_str(lines.lines().next().unwrap()).unwrap();
+    let answer = &first["conversation"][2];
+    let content: Vec<char> = answer["content"].as_str().unwrap().chars().collect();
+    let [start, end] = [0, 1].map(|i| answer["learn"][0][i].as_u64().unwrap() as usize);
+    let scene_type: String = content[start..end].iter().collect();
+    assert_eq!(first["facts"]["scene_type"], scene_type);
+    let image = image::open(out.join("train-00000.png")).unwrap();
+    assert_eq!((image.width(), image.height()), (128, 128 * lines.lines().count() as u32));
+    let before = fs::metadata(out.join("train-00000.jsonl")).unwrap().modified().unwrap();
+    assert_eq!(run(&arguments).0, 0);
+    assert_eq!(fs::metadata(out.join("train-00000.jsonl")).unwrap().modified().unwrap(), before);
+    let other = refused(&[&arguments[..], &["--seed", "1"]].concat());
+    assert!(other.contains("other settings"), "{other}");
+}
+
+#[test]
+fn bad_input_is_refused_with_what_and_where() {
+    let folder = TempDir::new().unwrap();
+    let config = folder.path().join("wrong.toml");
+    fs::write(&config, "[reflection]\nthreshhold = 0.5\n").unwrap();
+    let wrong_key = refused(&["simulate", "--config", config.to_str().unwrap()]);
+    assert!(
+        wrong_key.contains("wrong.toml") && wrong_key.contains("threshhold") && wrong_key.contains("line 2"),
+        "{wrong_key}"
+    );
+    fs::write(&config, "[reflection]\nthreshold = 7.5\n").unwrap();
+    let out_of_range = refused(&["simulate", "--config", config.to_str().unwrap()]);
+    assert!(out_of_range.contains("reflection.threshold is 7.5"), "{out_of_range}");
+
+    let missing = refused(&["simulate", "--scenario", "nowhere.tfrecord"]);
+    assert!(missing.contains("nowhere.tfrecord"), "{missing}");
+    let kind = refused(&["simulate", "--scenario", "generated/flying/1"]);
+    assert!(kind.contains("flying"), "{kind}");
+    let planner = refused(&["simulate", "--planner", "telepathy"]);
+    assert!(planner.contains("telepathy") && planner.contains("log-replay"), "{planner}");
+    let model = refused(&["simulate", "--model", "no-such-model", "--out", folder.path().join("x").to_str().unwrap()]);
+    assert!(model.contains("no-such-model"), "{model}");
+
+    let file = folder.path().join("file");
+    fs::write(&file, "").unwrap();
+    let unwritable = file.join("run");
+    let folder_error = refused(&["simulate", "--planner", "idm", "--out", unwritable.to_str().unwrap()]);
+    assert!(folder_error.contains("cannot write"), "{folder_error}");
+}
+
+#[test]
+fn broken_recordings_are_refused() {
+    let Some(folder) = recordings() else { return };
+    let whole = fs::read(folder.join("8799c31b5be1f312.tfrecord")).unwrap();
+    let work = TempDir::new().unwrap();
+    let broken = work.path().join("broken.tfrecord");
+    let name = broken.to_str().unwrap();
+    fs::write(&broken, &whole[..whole.len() / 2]).unwrap();
+    let truncated = refused(&["simulate", "--planner", "idm", "--scenario", name]);
+    assert!(truncated.contains("broken.tfrecord"), "{truncated}");
+    let mut flipped = whole;
+    let middle = flipped.len() / 2;
+    flipped[middle] ^= 1;
+    fs::write(&broken, flipped).unwrap();
+    let checksum = refused(&["simulate", "--planner", "idm", "--scenario", name]);
+    assert!(checksum.to_lowercase().contains("crc") || checksum.contains("checksum"), "{checksum}");
+}
+
+#[test]
+fn log_replay_keeps_to_road_and_direction_on_every_recording() {
+    let Some(folder) = recordings() else { return };
+    let work = TempDir::new().unwrap();
+    let out = work.path().join("run");
+    let (code, _, stderr) = run(&[
+        "simulate",
+        "--scenario",
+        folder.to_str().unwrap(),
+        "--planner",
+        "log-replay",
+        "--out",
+        out.to_str().unwrap(),
+    ]);
+    assert_eq!(code, 0, "{stderr}");
+    let summary = read_json(&out.join("summary.json"));
+    let rows = summary["scenarios"].as_array().unwrap();
+    assert!(rows.len() >= 11, "{} recordings", rows.len());
+    for row in rows {
+        assert_eq!(row["drivable_area_compliance"], 1.0, "{row}");
+        assert_eq!(row["driving_direction_compliance"], 1.0, "{row}");
+    }
+}
+
+#[test]
+fn plan_agent_drives_every_recording() {
+    let Some(folder) = recordings() else { return };
+    let work = TempDir::new().unwrap();
+    let out = work.path().join("run");
+    let (code, _, stderr) = run(&[
+        "simulate",
+        "--scenario",
+        folder.to_str().unwrap(),
+        "--challenge",
+        "both",
+        "--out",
+        out.to_str().unwrap(),
+    ]);
+    assert_eq!(code, 0, "{stderr}");
+    for row in read_json(&out.join("summary.json"))["scenarios"].as_array().unwrap() {
+        assert!(row["planning_calls"].as_u64().unwrap() >= 3, "{row}");
+        let score = row["score"].as_f64().unwrap();
+        assert_eq!(score <= 0.0, !row["zeroed_by"].as_array().unwrap().is_empty(), "{row}");
+    }
+}
+
+#[test]
+fn the_example_configuration_shows_every_default() {
+    let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/planagent.toml")).unwrap();
+    let example: planagent::cli::Config = toml::from_str(&text).unwrap();
+    assert_eq!(example, planagent::cli::Config::default());
+    let defaults: toml::Table = toml::Table::try_from(planagent::cli::Config::default()).unwrap();
+    let shown: toml::Table = toml::from_str(&text).unwrap();
+    for (section, value) in &defaults {
+        let keys = value.as_table().map(|table| table.keys().cloned().collect::<Vec<_>>()).unwrap_or_default();
+        assert!(shown.contains_key(section), "{section} is not shown");
+        for key in keys {
+            assert!(shown[section].as_table().unwrap().contains_key(&key), "{section}.{key} is not shown");
+        }
+    }
+}
