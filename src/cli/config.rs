@@ -79,13 +79,7 @@ pub struct ReasoningConfig {
 
 impl Default for ReasoningConfig {
     fn default() -> Self {
-        Self {
-            prompt_set: None,
-            rounds: Round::ALL.to_vec(),
-            interval: 20,
-            rethink_temperature: 0.7,
-            grammar: true,
-        }
+        Self { prompt_set: None, rounds: Round::ALL.to_vec(), interval: 20, rethink_temperature: 0.7, grammar: true }
     }
 }
 
@@ -131,7 +125,8 @@ impl Config {
             None => Some(PathBuf::from("planagent.toml")).filter(|default| default.is_file()),
         };
         let Some(path) = found else { return Ok(Self::default()) };
-        let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read the configuration {}", path.display()))?;
+        let text = std::fs::read_to_string(&path)
+            .with_context(|| format!("cannot read the configuration {}", path.display()))?;
         let config: Self = toml::from_str(&text).with_context(|| format!("in the configuration {}", path.display()))?;
         config.check().with_context(|| format!("in the configuration {}", path.display()))?;
         Ok(config)

@@ -72,10 +72,7 @@ impl AgentParts {
     /// An agent for one scenario: the scenario's name goes into its seed, so that no drive depends on another.
     pub fn agent(&self, scenario_id: &str) -> PlanAgent {
         let mut settings = self.settings.clone();
-        let hash = blake3::Hasher::new()
-            .update(&settings.seed.to_le_bytes())
-            .update(scenario_id.as_bytes())
-            .finalize();
+        let hash = blake3::Hasher::new().update(&settings.seed.to_le_bytes()).update(scenario_id.as_bytes()).finalize();
         settings.seed = hash.as_bytes().iter().take(8).fold(0, |seed, &byte| seed << 8 | u64::from(byte));
         PlanAgent::new(Arc::clone(&self.model), Arc::clone(&self.prompts), settings)
     }

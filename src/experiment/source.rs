@@ -1,8 +1,8 @@
 //! Where scenarios come from, by the words of the command line.
 
+use crate::scenario::Scenario;
 use crate::scenario::generator::{self, GeneratorError, Spec};
 use crate::scenario::womd::{self, Pick, WomdError};
-use crate::scenario::Scenario;
 use std::path::{Path, PathBuf};
 
 /// Prefix of the ids of generated scenarios.
@@ -61,7 +61,11 @@ impl ScenarioSource {
         let path = Path::new(word);
         if path.is_dir() {
             let files = recordings_in(path)?;
-            return files.iter().map(|file| Self::records_of(file)).collect::<Result<Vec<_>, _>>().map(|all| all.concat());
+            return files
+                .iter()
+                .map(|file| Self::records_of(file))
+                .collect::<Result<Vec<_>, _>>()
+                .map(|all| all.concat());
         }
         if !path.exists() {
             return Err(SourceError::Missing(path.to_owned()));

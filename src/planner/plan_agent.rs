@@ -155,9 +155,8 @@ impl PlanAgent {
         let settings = &self.settings;
         let seed = settings.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64);
         let failed = |doing| move |error| PlannerError::Failed { doing, source: Box::new(error) };
-        let mut reasoning =
-            Reasoning::open(self.model.as_ref(), &self.prompts, &settings.reasoning, scenario, seed)
-                .map_err(failed("opening the conversation"))?;
+        let mut reasoning = Reasoning::open(self.model.as_ref(), &self.prompts, &settings.reasoning, scenario, seed)
+            .map_err(failed("opening the conversation"))?;
         let judge = if settings.reflect {
             Some(Judge::new(scene, graph, settings.horizon_s).map_err(reflection_failed)?)
         } else {
@@ -201,9 +200,10 @@ impl PlanAgent {
     fn decide(&self, attempts: &[Attempt], planners: &[Option<GeneratedPlanner>]) -> Decision {
         let score = |i: usize| attempts[i].reflection.as_ref().map_or(0.0, |r| r.score);
         let usable: Vec<usize> = (0..attempts.len()).filter(|&i| planners[i].is_some()).collect();
-        let accepted = usable.iter().copied().find(|&i| {
-            attempts[i].reflection.as_ref().is_none_or(|r| r.verdict == Verdict::Execute)
-        });
+        let accepted = usable
+            .iter()
+            .copied()
+            .find(|&i| attempts[i].reflection.as_ref().is_none_or(|r| r.verdict == Verdict::Execute));
         let refused = match self.settings.after_max_exec {
             AfterMaxExec::Last => usable.last().copied(),
             AfterMaxExec::Best => usable.iter().copied().rev().max_by(|&a, &b| score(a).total_cmp(&score(b))),

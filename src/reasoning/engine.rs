@@ -7,8 +7,8 @@ use super::instruction::MotionInstruction;
 use super::prompt_set::{PromptError, PromptSet};
 use super::round::Round;
 use crate::mllm::{
-    Answer, Constraint, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, Opening, Request, RoundTime, Sampling,
-    TokenCounts,
+    Answer, Constraint, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, Opening, Request,
+    RoundTime, Sampling, TokenCounts,
 };
 use image::RgbImage;
 use minijinja::context;
@@ -168,7 +168,8 @@ impl<'a> Reasoning<'a> {
             Round::Instruction => grammar::instruction(forms.instruction),
             Round::Code => grammar::code(&self.scenario.names),
         };
-        let sampling = if self.attempts > 1 { self.settings.rethink_sampling } else { self.settings.generation.sampling };
+        let sampling =
+            if self.attempts > 1 { self.settings.rethink_sampling } else { self.settings.generation.sampling };
         Request { constraint, max_new_tokens: self.settings.max_new_tokens(round), sampling }
     }
 }

@@ -18,7 +18,5 @@ pub use engine::{
 };
 pub use grammar::{ACCELERATIONS, DECELERATIONS};
 pub use instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction};
-pub use prompt_set::{
-    InstructionForm, PromptError, PromptForms, PromptSet, UnderstandingForm,
-};
+pub use prompt_set::{InstructionForm, PromptError, PromptForms, PromptSet, UnderstandingForm};
 pub use round::Round;

@@ -6,7 +6,9 @@ use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::geometry::GeometryError;
 use crate::metrics::MetricError;
-use crate::metrics::pdm::{Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals};
+use crate::metrics::pdm::{
+    Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals,
+};
 use crate::reasoning::PlannerCode;
 use crate::world::{EgoState, STEP_S, Scene};
 

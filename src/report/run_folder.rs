@@ -98,7 +98,8 @@ impl RunFolder {
         if driven.calls.is_empty() {
             return Ok(());
         }
-        let safe: String = record.scenario.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
+        let safe: String =
+            record.scenario.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
         let folder = format!("{safe}-{}", record.challenge.short_name());
         self.folder(&format!("{folder}/bev"))?;
         for call in &driven.calls {
@@ -107,7 +108,8 @@ impl RunFolder {
                 image.save(&path).map_err(|source| ReportError::Image { path, source })?;
             }
         }
-        let text = transcript(record, driven, |call| call.image.as_ref().map(|_| format!("bev/{:03}.png", call.iteration)));
+        let text =
+            transcript(record, driven, |call| call.image.as_ref().map(|_| format!("bev/{:03}.png", call.iteration)));
         self.file(&format!("{folder}/transcript.md"), text.as_bytes())
     }
 
@@ -141,5 +143,8 @@ fn call_lines(records: &[DriveRecord]) -> Result<String, serde_json::Error> {
 /// The first `runs/NNNN` that does not exist.
 fn next_free() -> PathBuf {
     let runs = Path::new(RUNS);
-    (1u32..).map(|number| runs.join(format!("{number:04}"))).find(|path| !path.exists()).unwrap_or_else(|| runs.to_owned())
+    (1u32..)
+        .map(|number| runs.join(format!("{number:04}")))
+        .find(|path| !path.exists())
+        .unwrap_or_else(|| runs.to_owned())
 }

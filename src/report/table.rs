@@ -45,7 +45,11 @@ pub fn main_table(records: &[DriveRecord], aggregates: &[Aggregate], width: u16)
     }
     let legend = legend(width);
     let zeroed = zeroed(records);
-    [drives.to_string(), legend, zeroed, means.to_string()].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
+    [drives.to_string(), legend, zeroed, means.to_string()]
+        .into_iter()
+        .filter(|part| !part.is_empty())
+        .collect::<Vec<_>>()
+        .join("\n\n")
 }
 
 /// What the short heads mean.

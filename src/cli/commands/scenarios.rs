@@ -93,7 +93,11 @@ fn show(scenario: &Scenario, at: f64, image: Option<&Path>, view: f64, printer: 
         }))?;
     }
     printer.line(format!("{} ({}), log {}", scenario.id, scenario.scenario_type, scenario.log_name));
-    printer.line(format!("window      {end:.1} s, {} iterations, {} frames of history", scenario.iterations(), scenario.start));
+    printer.line(format!(
+        "window      {end:.1} s, {} iterations, {} frames of history",
+        scenario.iterations(),
+        scenario.start
+    ));
     printer.line(format!(
         "map         {} lanes, {} connectors, {} roadblocks, {} intersections, {} crosswalks, {} stop lines",
         lanes(LaneKind::Lane),
@@ -103,7 +107,11 @@ fn show(scenario: &Scenario, at: f64, image: Option<&Path>, view: f64, printer: 
         map.crosswalks().len(),
         map.stop_lines().len()
     ));
-    printer.line(format!("route       {} roadblocks: {}", route.len(), route.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")));
+    printer.line(format!(
+        "route       {} roadblocks: {}",
+        route.len(),
+        route.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
+    ));
     printer.line(format!("at {at:>5.1} s  ego {:.1} m/s, {} objects", frame.ego.speed(), frame.objects.len()));
     printer.line(format!(
         "lights      {} green, {} yellow, {} red, {} unknown",

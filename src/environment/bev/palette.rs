@@ -56,7 +56,8 @@ impl Palette {
 
     /// The elements and their colours in one sentence, for prompts.
     pub fn legend() -> String {
-        let parts = Self::COLORS.iter().map(|(element, color, _)| format!("{} {color}", element.as_str().replace('_', " ")));
+        let parts =
+            Self::COLORS.iter().map(|(element, color, _)| format!("{} {color}", element.as_str().replace('_', " ")));
         format!("Colours: {}.", parts.collect::<Vec<_>>().join(", "))
     }
 

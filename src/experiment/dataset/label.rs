@@ -6,7 +6,8 @@ use crate::environment::text::{self, Description};
 use crate::environment::{CenterlineName, LaneGraph, SceneFacts};
 use crate::planner::names;
 use crate::reasoning::{
-    Lateral, LateralReason, Longitudinal, LongitudinalReason, PromptError, PromptSet, Round, round_prompt, system_prompt,
+    Lateral, LateralReason, Longitudinal, LongitudinalReason, PromptError, PromptSet, Round, round_prompt,
+    system_prompt,
 };
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -75,7 +75,12 @@ pub fn best(tried: &[Tried]) -> Option<&Tried> {
     tried.iter().rev().max_by(|a, b| a.value.total_cmp(&b.value))
 }
 
-fn code(graph: &LaneGraph, centerline: CenterlineName, target_speed: f64, (accel_max, decel_max): (f64, f64)) -> PlannerCode {
+fn code(
+    graph: &LaneGraph,
+    centerline: CenterlineName,
+    target_speed: f64,
+    (accel_max, decel_max): (f64, f64),
+) -> PlannerCode {
     PlannerCode {
         centerline: centerline.to_string(),
         leader: graph.leader(centerline).map(|agent| agent.name.to_string()),
@@ -92,7 +97,8 @@ fn attempt(drive: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode, limit: 
     let samples = follow(&mut future, &planner, HORIZON)?;
     let scenario = drive.scenario();
     let from = scenario.start + drive.iteration();
-    let expert: Vec<EgoState> = scenario.frames.get(from..=from + samples.len())?.iter().map(|frame| frame.ego).collect();
+    let expert: Vec<EgoState> =
+        scenario.frames.get(from..=from + samples.len())?.iter().map(|frame| frame.ego).collect();
     let judged = Drive { map: &scenario.map, samples: &samples, expert: &expert };
     let score = metrics::evaluate(&judged).ok()?.score.value;
     let way: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
