@@ -1,4 +1,6 @@
 //! The one integration-test binary; a module a subject.
 
+mod environment;
 mod metrics;
 mod mllm;
+mod womd;

@@ -173,14 +173,15 @@ impl Drawn {
         self
     }
 
-    /// The same without areas of intersections.
-    pub(super) fn without_intersections(mut self) -> Self {
+    /// The same with these areas of intersections in place of its own.
+    pub(super) fn with_intersections(mut self, intersections: Vec<Polygon>) -> Self {
         let map = &self.map;
         self.map = LaneMap::new(MapParts {
             lanes: map.lanes().to_vec(),
             roadblocks: map.roadblocks().to_vec(),
             stop_lines: map.stop_lines().to_vec(),
             crosswalks: map.crosswalks().to_vec(),
+            intersections,
             ..MapParts::default()
         })
         .unwrap();

@@ -1,7 +1,8 @@
 //! Simple polygons: areas of the map and footprints, with the queries that the simulation asks millions of times.
 
 use super::{Bounds, GeometryError, OrientedBox, Point, Polyline, check_finite};
-use geo::{Area, BooleanOps, Centroid, ConvexHull};
+use geo::orient::Direction;
+use geo::{Area, BooleanOps, Centroid, ConvexHull, Orient};
 
 /// A simple polygon (no holes), its ring stored once without repeating the first vertex.
 #[derive(Debug, Clone, PartialEq)]
@@ -141,7 +142,8 @@ impl Polygon {
 
     /// The union of several polygons as simple outlines; holes are filled.
     pub fn union_of(polygons: &[Self]) -> Vec<Self> {
-        let all: Vec<geo::Polygon<f64>> = polygons.iter().map(Self::to_geo).collect();
+        // Rings that run opposite ways would cut each other out.
+        let all: Vec<geo::Polygon<f64>> = polygons.iter().map(|p| p.to_geo().orient(Direction::Default)).collect();
         geo::unary_union(&all).into_iter().filter_map(|p| Self::from_geo(&p)).collect()
     }
 
@@ -227,6 +229,8 @@ mod tests {
         let union = Polygon::union_of(&[left.clone(), right.clone()]);
         assert_eq!(union.len(), 1);
         assert!((union[0].area() - 14.0).abs() < 1e-9);
+        let reversed = Polygon::new(right.ring().iter().rev().copied()).unwrap();
+        assert!((Polygon::union_of(&[left.clone(), reversed])[0].area() - 14.0).abs() < 1e-9);
         assert!((left.shared_area(&right) - 2.0).abs() < 1e-9);
     }
 

@@ -84,10 +84,10 @@ words!(
         LaneServes = "lane_serves",
         /// Something stands in the lane.
         Blocked = "blocked",
-        /// Somebody slow drives in the lane.
+        /// Somebody drives ahead in the lane.
         SlowLead = "slow_lead",
-        /// The way goes on in the other lane.
-        Route = "route",
+        /// The other lane gets on better.
+        FasterLane = "faster_lane",
     }
 );
 

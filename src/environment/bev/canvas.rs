@@ -1,12 +1,12 @@
 //! Shapes in map metres onto pixels, anti-aliased.
 
 use super::{BACKGROUND, BevView, Rgb};
-use crate::geometry::{Point, Polygon, Pose};
+use crate::geometry::{Point, Polygon, Pose, Vector};
 use image::RgbImage;
 use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, Transform};
 
-/// Vertices nearer than this to their predecessor are left out, pixels: they change no visible coverage.
-const DETAIL_PX: f32 = 0.4;
+/// Vertices nearer than this to the line past them are left out, pixels: they change no visible coverage.
+const DETAIL_PX: f32 = 0.04;
 /// Lines are followed this far beyond the image, pixels: more than half of any line's width.
 const MARGIN_PX: f32 = 8.0;
 
@@ -17,6 +17,8 @@ pub(super) struct Canvas {
     pixmap: Option<Pixmap>,
     view: BevView,
     center: Pose,
+    /// Map to pixels, rows (x, y, 1): worked out once, for it is asked for every vertex.
+    to_pixel: [[f64; 3]; 2],
 }
 
 impl Canvas {
@@ -27,7 +29,15 @@ impl Canvas {
         if let Some(pixmap) = &mut pixmap {
             pixmap.fill(color(BACKGROUND));
         }
-        Self { pixmap, view, center }
+        let (at_origin, at_x, at_y) = (
+            view.to_pixel(center, center.position()),
+            view.to_pixel(center, center.position() + Vector::x()),
+            view.to_pixel(center, center.position() + Vector::y()),
+        );
+        let (xx, xy) = (at_x.0 - at_origin.0, at_y.0 - at_origin.0);
+        let (yx, yy) = (at_x.1 - at_origin.1, at_y.1 - at_origin.1);
+        let to_pixel = [[xx, xy, at_origin.0], [yx, yy, at_origin.1]];
+        Self { pixmap, view, center, to_pixel }
     }
 
     /// The view that is drawn.
@@ -46,19 +56,23 @@ impl Canvas {
     }
 
     fn pixel(&self, point: Point) -> Pixel {
-        let (x, y) = self.view.to_pixel(self.center, point);
+        let d = point - self.center.position();
+        let [x, y] = self.to_pixel.map(|[by_x, by_y, offset]| by_x * d.x + by_y * d.y + offset);
         (x as f32, y as f32)
     }
 
+    /// The points in pixels, without those that lie on the way from the last kept one to the next.
     fn pixels(&self, points: &[Point]) -> Vec<Pixel> {
         let mut kept: Vec<Pixel> = Vec::with_capacity(points.len());
-        for (i, &point) in points.iter().enumerate() {
-            let at = self.pixel(point);
-            let near = kept.last().is_some_and(|last| (at.0 - last.0).hypot(at.1 - last.1) < DETAIL_PX);
-            if near && i + 1 < points.len() {
-                continue;
+        let mut points = points.iter().map(|&p| self.pixel(p)).peekable();
+        while let Some(at) = points.next() {
+            let needless = match (kept.last(), points.peek()) {
+                (Some(&last), Some(&next)) => offset_from(at, last, next) < DETAIL_PX,
+                _ => false,
+            };
+            if !needless {
+                kept.push(at);
             }
-            kept.push(at);
         }
         kept
     }
@@ -78,12 +92,13 @@ impl Canvas {
         self.fill(builder.finish(), fill);
     }
 
-    /// Fills one area given in map coordinates.
-    pub(super) fn area(&mut self, ring: &[Point], fill: Rgb) {
-        let ring: Vec<Pixel> = ring.iter().map(|&p| self.pixel(p)).collect();
+    /// Fills outlines given in map coordinates, all turning the same way, in one go.
+    pub(super) fn outlines<const N: usize>(&mut self, rings: impl IntoIterator<Item = [Point; N]>, fill: Rgb) {
         let mut builder = PathBuilder::new();
-        push_line(&mut builder, &ring);
-        builder.close();
+        for ring in rings {
+            push_line(&mut builder, &ring.map(|p| self.pixel(p)));
+            builder.close();
+        }
         self.fill(builder.finish(), fill);
     }
 
@@ -113,7 +128,7 @@ impl Canvas {
             }
         }
         let pen =
-            Stroke { width: width_px as f32, line_cap: LineCap::Butt, line_join: LineJoin::Round, ..Stroke::default() };
+            Stroke { width: width_px as f32, line_cap: LineCap::Butt, line_join: LineJoin::Bevel, ..Stroke::default() };
         if let (Some(pixmap), Some(path)) = (&mut self.pixmap, builder.finish()) {
             pixmap.stroke_path(&path, &paint(stroke), &pen, Transform::identity(), None);
         }
@@ -151,6 +166,17 @@ fn push_line(builder: &mut PathBuilder, line: &[Pixel]) {
             builder.line_to(x, y);
         }
     }
+}
+
+/// Distance of a point from the straight line between two others; from the first where they are one, pixels.
+fn offset_from(point: Pixel, from: Pixel, to: Pixel) -> f32 {
+    let (along, off) = ((to.0 - from.0, to.1 - from.1), (point.0 - from.0, point.1 - from.1));
+    let length = along.0.hypot(along.1);
+    let ahead = off.0 * along.0 + off.1 * along.1;
+    if length <= f32::EPSILON || ahead < 0.0 || ahead > length * length {
+        return off.0.hypot(off.1);
+    }
+    (along.0 * off.1 - along.1 * off.0).abs() / length
 }
 
 fn signed_area(ring: &[Pixel]) -> f32 {

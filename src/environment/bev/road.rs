@@ -2,7 +2,7 @@
 
 use super::canvas::Canvas;
 use super::{BevElement, Palette};
-use crate::geometry::{Point, Polyline};
+use crate::geometry::{Bounds, Point, Polyline};
 use crate::world::{Lane, LaneMap};
 
 /// Width of a centreline, metres.
@@ -25,25 +25,23 @@ pub(super) fn draw(canvas: &mut Canvas, map: &LaneMap) {
     let width = (LINE_WIDTH_M * canvas.view().scale()).max(MIN_LINE_PX);
     let lines = lanes.iter().map(|lane| lane.centerline.vertices());
     canvas.lines(lines, width, Palette::color(BevElement::Centerlines));
+    let size = HEAD_M.max(MIN_HEAD_PX / canvas.view().scale());
     // Connectors cross each other; heads there would hide each other.
-    for lane in lanes.iter().filter(|lane| !lane.is_connector()) {
-        draw_heads(canvas, &lane.centerline);
-    }
+    let heads: Vec<[Point; 3]> = lanes
+        .iter()
+        .filter(|lane| !lane.is_connector())
+        .flat_map(|lane| heads(&lane.centerline, size, Bounds::square(center, reach)))
+        .collect();
+    canvas.outlines(heads, Palette::color(BevElement::Centerlines));
 }
 
-/// Marks the driving direction along a line.
-fn draw_heads(canvas: &mut Canvas, line: &Polyline) {
-    let size = HEAD_M.max(MIN_HEAD_PX / canvas.view().scale());
-    let (center, reach) = (canvas.center().position(), canvas.reach() + size);
+/// Arrowheads along a line in its direction, as far as they lie within `bounds`.
+fn heads(line: &Polyline, size: f64, bounds: Bounds) -> Vec<[Point; 3]> {
     let count = (line.length() / HEAD_SPACING_M).round().max(1.0);
     let spacing = line.length() / count;
-    for i in 0..count as usize {
-        let pose = line.pose_at((i as f64 + 0.5) * spacing);
-        if (pose.position() - center).norm() > reach {
-            continue;
-        }
-        let corners = [(0.5, 0.0), (-0.5, 0.5), (-0.5, -0.5)];
-        let head = corners.map(|(x, y)| pose.to_map(Point::new(x * size, y * size)));
-        canvas.area(&head, Palette::color(BevElement::Centerlines));
-    }
+    (0..count as usize)
+        .map(|i| line.pose_at((i as f64 + 0.5) * spacing))
+        .filter(|pose| bounds.contains(pose.position()))
+        .map(|pose| [(0.5, 0.0), (-0.5, 0.5), (-0.5, -0.5)].map(|(x, y)| pose.to_map(Point::new(x * size, y * size))))
+        .collect()
 }

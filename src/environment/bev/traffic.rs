@@ -31,16 +31,22 @@ pub(super) fn draw(canvas: &mut Canvas, scene: &Scene<'_>) {
     let mut objects: Vec<&TrackedObject> = scene.objects.iter().filter(|object| may_show(canvas, object)).collect();
     objects.sort_by_key(|object| object.token);
     for element in ORDER {
-        for object in objects.iter().filter(|object| BevElement::of(object.kind) == element) {
-            draw_object(canvas, object, element);
+        let drawn: Vec<&TrackedObject> =
+            objects.iter().copied().filter(|object| BevElement::of(object.kind) == element).collect();
+        if element == BevElement::Pedestrians {
+            draw_discs(canvas, &drawn);
+        } else {
+            let boxes: Vec<OrientedBox> = drawn.iter().map(|object| object.shape).collect();
+            draw_boxes(canvas, &boxes, element);
         }
     }
-    let ego = scene.ego;
-    draw_box(canvas, &ego.footprint(), BevElement::Ego);
-    for object in objects.iter().filter(|object| object.kind.is_agent()) {
-        draw_arrow(canvas, object.shape.center.position(), object.velocity);
+    draw_boxes(canvas, &[scene.ego.footprint()], BevElement::Ego);
+    let agents = objects.iter().filter(|object| object.kind.is_agent());
+    let moving = agents.map(|object| (object.shape.center.position(), object.velocity));
+    let ego = (scene.ego.center().position(), scene.ego.rear_axle.rotate(scene.ego.center_velocity()));
+    for (from, velocity) in moving.chain(std::iter::once(ego)).filter(|(_, v)| v.norm() >= MOVING_SPEED) {
+        draw_arrow(canvas, from, velocity);
     }
-    draw_arrow(canvas, ego.center().position(), ego.rear_axle.rotate(ego.center_velocity()));
 }
 
 /// Whether the object or its arrow may reach into the image.
@@ -55,25 +61,21 @@ fn least_size(canvas: &Canvas) -> f64 {
     MIN_SIZE_PX.max(MIN_SIZE_SHARE * f64::from(view.pixels())) / view.scale()
 }
 
-fn draw_object(canvas: &mut Canvas, object: &TrackedObject, element: BevElement) {
-    if element == BevElement::Pedestrians {
-        let diameter = object.shape.length.max(object.shape.width).max(least_size(canvas));
-        canvas.disc(object.shape.center.position(), diameter, Palette::color(element));
-    } else {
-        draw_box(canvas, &object.shape, element);
+fn draw_discs(canvas: &mut Canvas, pedestrians: &[&TrackedObject]) {
+    for pedestrian in pedestrians {
+        let shape = pedestrian.shape;
+        let diameter = shape.length.max(shape.width).max(least_size(canvas));
+        canvas.disc(shape.center.position(), diameter, Palette::color(BevElement::Pedestrians));
     }
 }
 
-fn draw_box(canvas: &mut Canvas, shape: &OrientedBox, element: BevElement) {
+fn draw_boxes(canvas: &mut Canvas, boxes: &[OrientedBox], element: BevElement) {
     let least = least_size(canvas);
-    let visible = OrientedBox::new(shape.center, shape.length.max(least), shape.width.max(least));
-    canvas.area(&visible.corners(), Palette::color(element));
+    let visible = boxes.iter().map(|b| OrientedBox::new(b.center, b.length.max(least), b.width.max(least)).corners());
+    canvas.outlines(visible, Palette::color(element));
 }
 
 fn draw_arrow(canvas: &mut Canvas, from: Point, velocity: Vector) {
-    if velocity.norm() < MOVING_SPEED {
-        return;
-    }
     let length = ARROW_SECONDS * velocity.norm();
     let tail = Pose::at(from, velocity.y.atan2(velocity.x));
     let shaft = SHAFT_M.max(MIN_SHAFT_PX / canvas.view().scale());
@@ -88,5 +90,5 @@ fn draw_arrow(canvas: &mut Canvas, from: Point, velocity: Vector) {
         (neck, -shaft / 2.0),
         (0.0, -shaft / 2.0),
     ];
-    canvas.area(&outline.map(|(x, y)| tail.to_map(Point::new(x, y))), ARROW);
+    canvas.outlines([outline.map(|(x, y)| tail.to_map(Point::new(x, y)))], ARROW);
 }

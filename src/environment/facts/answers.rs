@@ -88,7 +88,7 @@ choice! {
         CurveLeft = "curve_left",
         /// The path turns right by more than that.
         CurveRight = "curve_right",
-        /// The path meets an intersection within the view.
+        /// The path meets, within the view, an intersection in which ways cross.
         Intersection = "intersection",
         /// A round cycle of lanes, shorter than [`super::ROUNDABOUT_LENGTH`], begins ahead within the view.
         Roundabout = "roundabout",

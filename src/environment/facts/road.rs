@@ -2,7 +2,7 @@
 
 use super::{Ahead, LaneCount, LaneIndex, Oncoming, SceneType, VIEW_METRES, View, roundabout};
 use crate::environment::lane_graph::{Centerline, LaneGraph};
-use crate::geometry::{Point, Polyline, wrap_angle};
+use crate::geometry::{Point, Polygon, Polyline, Pose, wrap_angle};
 use crate::world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, Scene};
 use std::collections::BTreeSet;
 
@@ -14,6 +14,8 @@ pub const ONCOMING_REACH: f64 = 20.0;
 const ABREAST: f64 = 5.0;
 /// Lanes whose directions differ by more than this are opposite, radians (135 degrees).
 const OPPOSITE: f64 = 3.0 * std::f64::consts::FRAC_PI_4;
+/// Ways that differ by more than this, and by less than a straight angle less this, cross, radians (30 degrees).
+const ACROSS: f64 = std::f64::consts::FRAC_PI_6;
 /// Spacing of the places on the path that are looked at, metres.
 const STEP: f64 = 0.5;
 
@@ -51,10 +53,27 @@ fn turned(line: &Polyline) -> f64 {
     line.vertex_headings().windows(2).map(|w| wrap_angle(w[1] - w[0])).sum()
 }
 
-/// Whether the path enters an intersection's area, or one of its connectors is crossed by another.
+/// Whether the path enters an intersection's area in which a connector leads another way (an area around a mere crosswalk
+/// is none to the eye), or one of the path's connectors is crossed by another.
 fn meets_intersection(map: &LaneMap, centerline: &Centerline, path: &Polyline) -> bool {
-    let inside = path.resampled(STEP).vertices().iter().any(|&point| map.in_intersection(point));
-    inside || lanes_under(centerline, path).any(|lane| map[lane].is_connector() && crossed(map, &map[lane], path))
+    let places = path.resampled(STEP);
+    let mut entered = map.intersections().iter().filter_map(|area| {
+        let entry = places.vertex_poses().into_iter().find(|pose| area.contains(pose.position()))?;
+        Some((area, entry))
+    });
+    entered.any(|(area, entry)| leads_elsewhere(map, area, entry))
+        || lanes_under(centerline, path).any(|lane| map[lane].is_connector() && crossed(map, &map[lane], path))
+}
+
+/// Whether a connector within the area runs across the direction in which the path enters it.
+fn leads_elsewhere(map: &LaneMap, area: &Polygon, entry: Pose) -> bool {
+    let connectors = map.lanes_near(entry.position(), VIEW_METRES / 2.0).into_iter().map(|id| &map[id]);
+    connectors.filter(|lane| lane.is_connector()).any(|lane| {
+        lane.centerline.vertex_poses().iter().any(|pose| {
+            let turn = wrap_angle(pose.heading - entry.heading).abs();
+            turn > ACROSS && turn < std::f64::consts::PI - ACROSS && area.contains(pose.position())
+        })
+    })
 }
 
 fn lanes_under<'a>(centerline: &'a Centerline, path: &Polyline) -> impl Iterator<Item = LaneId> + 'a {

@@ -7,9 +7,9 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// A longer cycle of lanes is a block of streets, metres round.
 pub const ROUNDABOUT_LENGTH: f64 = 250.0;
-/// A cycle must enclose at least this share of the area of a circle of the same length: 1 is a circle; two lanes joined by
-/// U-turns have far less.
-pub const ROUNDNESS: f64 = 0.6;
+/// A cycle must enclose at least this share of the area of a circle of the same length: an ellipse of 3:2 has 0.94, a rounded
+/// block of streets 0.85, two lanes joined by U-turns far less.
+pub const ROUNDNESS: f64 = 0.9;
 /// Only cycles with a part no further behind the ego's centre than this count, metres: the ego's length.
 const BEHIND: f64 = 5.0;
 

@@ -27,9 +27,15 @@ fn scene_types() {
 #[test]
 fn crossing_connectors_make_an_intersection_without_an_area() {
     let (with, _) = sketch::crossing(1, 0, 10.0, 8.0);
-    let without = with.without_intersections();
+    let without = with.with_intersections(vec![]);
     assert!(without.map.intersections().is_empty());
     assert_eq!(facts(&without).scene_type, SceneType::Intersection);
+}
+
+#[test]
+fn an_area_in_which_no_ways_cross_is_no_intersection() {
+    let area = OrientedBox::new(Pose::new(15.0, 0.0, 0.0), 10.0, 30.0).to_polygon();
+    assert_eq!(facts(&road().with_intersections(vec![area])).scene_type, SceneType::Straight);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //! around the ego; and the centrelines that planner code may follow.
 //!
 //! **Centrelines.** `ego_lane`, and where there is a lane of the same direction beside the ego, `left_lane` and
-//! `right_lane`. Each is a [`LanePath`] that prefers the route.
+//! `right_lane`. Each is a [`crate::world::LanePath`] that prefers the route.
 //!
 //! **Nodes.** All have the same length. They are cut so that a node begins at the ego's rear bumper: the node under the ego
 //! reaches from there one node length ahead, `front` is the next one, `back` the one before; the nodes of the lanes beside

@@ -167,6 +167,8 @@ fn off_the_road_there_is_an_error_and_no_panic() {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
     #[test]
     fn every_agent_is_on_a_node_that_exists_and_names_are_unique(
         lane in 0..3u32,

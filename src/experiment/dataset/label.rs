@@ -1,7 +1,7 @@
 //! A labelled state: the three rounds with their answers, built from the facts of the scene and of the search.
 
 use super::search::Tried;
-use crate::environment::facts::{Ahead, LeadSpeed, Light, Question};
+use crate::environment::facts::{Ahead, Light, Question};
 use crate::environment::text::{self, Description};
 use crate::environment::{CenterlineName, LaneGraph, SceneFacts};
 use crate::planner::names;
@@ -162,8 +162,8 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Tried) -> Instructi
     let why_lateral = match lateral {
         Lateral::Keep => LateralReason::LaneServes,
         _ if facts.blocked != Ahead::None => LateralReason::Blocked,
-        _ if matches!(facts.lead_speed, LeadSpeed::Stopped | LeadSpeed::Slower) => LateralReason::SlowLead,
-        _ => LateralReason::Route,
+        _ if graph.leader(CenterlineName::EgoLane).is_some() => LateralReason::SlowLead,
+        _ => LateralReason::FasterLane,
     };
     let change = best.speed_later - graph.ego_speed;
     let longitudinal = if change > SPEED_CHANGE {

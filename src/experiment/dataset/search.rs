@@ -1,5 +1,6 @@
 //! Privileged search: from a state, many planners are driven in the true simulation, and the best becomes the label.
 
+use crate::environment::lane_graph::Centerline;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::metrics::{self, Drive};
 use crate::planner::generated_planner;
@@ -15,19 +16,26 @@ const REPLAN: usize = 5;
 /// Length of the roll-outs, seconds.
 const ROLLOUT_S: f64 = 4.0;
 /// Desired speeds that are tried, as fractions of the limit.
-const SPEED_FRACTIONS: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
+const SPEED_FRACTIONS: [f64; 4] = [1.0, 0.7, 0.4, 0.0];
 /// Fractions that are tried with a lane change: to change lanes in order to crawl is never wanted.
 const LANE_CHANGE_FRACTIONS: [f64; 2] = [1.0, 0.7];
 /// Limit where the map has none, m/s.
 const FALLBACK_LIMIT: f64 = 15.0;
 /// acc and dec unless others do better, m/s².
 pub const USUAL: (f64, f64) = (1.5, 3.0);
-/// Other pairs that are tried with the best centreline and speed, m/s²: gentle, firm, emergency.
+/// Other pairs that are tried with the best centreline and speed, where these leave something to gain, m/s²: gentle, firm,
+/// emergency.
 const REFINEMENTS: [(f64, f64); 3] = [(1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
+/// A score from which on other accelerations are not tried.
+const GOOD: f64 = 0.95;
 /// What full progress at the limit adds to a score. nuPlan's progress is capped by the expert's, so it leaves ties.
-const PROGRESS_BONUS: f64 = 0.1;
+const PROGRESS_BONUS: f64 = 0.3;
+/// The speed at the end counts as if it were driven for so long, seconds: what it is worth to be rid of a slow leader.
+const TERMINAL_S: f64 = 4.0;
+/// A lane change must stay on the route for this long ahead of the ego, metres: what lies behind the horizon counts too.
+const ON_ROUTE_AHEAD: f64 = 120.0;
 /// What a lane change must gain.
-const LANE_CHANGE_COST: f64 = 0.03;
+const LANE_CHANGE_COST: f64 = 0.02;
 /// What an unusual acc and dec must gain.
 const REFINEMENT_COST: f64 = 0.02;
 
@@ -52,7 +60,8 @@ pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
     for centerline in &graph.centerlines {
         let fractions: &[f64] = match centerline.name {
             CenterlineName::EgoLane => &SPEED_FRACTIONS,
-            _ => &LANE_CHANGE_FRACTIONS,
+            _ if stays_on_route(drive, centerline) => &LANE_CHANGE_FRACTIONS,
+            _ => continue,
         };
         for fraction in fractions {
             let code = code(graph, centerline.name, (fraction * limit).round(), USUAL);
@@ -61,13 +70,27 @@ pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
             }
         }
     }
-    if let Some(best) = best(&tried).cloned() {
+    if let Some(best) = best(&tried).filter(|best| best.score < GOOD).cloned() {
         for (accel_max, decel_max) in REFINEMENTS {
             let code = PlannerCode { accel_max, decel_max, ..best.code.clone() };
             tried.extend(attempt(drive, graph, code, limit));
         }
     }
     tried
+}
+
+/// Whether a centreline keeps to the route as far as a lane change must, or to the route's end.
+fn stays_on_route(drive: &ClosedLoop<'_>, centerline: &Centerline) -> bool {
+    let scenario = drive.scenario();
+    let last = scenario.route.roadblocks.last();
+    let path = &centerline.path;
+    let ahead = path.lanes.iter().zip(&path.starts).filter(|&(_, &start)| start < centerline.ego_s + ON_ROUTE_AHEAD);
+    let mut blocks = ahead.map(|(&lane, _)| scenario.map[lane].roadblock);
+    let mut arrived = false;
+    blocks.all(|block| {
+        arrived |= Some(&block) == last;
+        arrived || scenario.route.contains(block)
+    })
 }
 
 /// The one with the highest value; the first tried wins ties.
@@ -101,8 +124,9 @@ fn attempt(drive: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode, limit: 
         scenario.frames.get(from..=from + samples.len())?.iter().map(|frame| frame.ego).collect();
     let judged = Drive { map: &scenario.map, samples: &samples, expert: &expert };
     let score = metrics::evaluate(&judged).ok()?.score.value;
-    let way: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
-    let possible = limit.max(1.0) * HORIZON as f64 * STEP_S;
+    let driven: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
+    let way = driven + samples.last()?.ego.speed() * TERMINAL_S;
+    let possible = limit.max(1.0) * (HORIZON as f64 * STEP_S + TERMINAL_S);
     let unusual = (planner.code.accel_max, planner.code.decel_max) != USUAL;
     let changes = planner.code.centerline != CenterlineName::EgoLane.as_str();
     let value = score + PROGRESS_BONUS * (way / possible).min(1.0)

@@ -45,6 +45,9 @@ fn find(root: &mut [usize], mut item: usize) -> usize {
     item
 }
 
+/// Pieces of a union under this are rounding, m².
+const SPLINTER: f64 = 0.1;
+
 /// The area of each cluster in which connectors cross, as one or more polygons.
 pub(super) fn intersections(map: &MapFeatures, clusters: &[Cluster], areas: &[Polygon]) -> Vec<Polygon> {
     let edges = Segments::of(&map.edges);
@@ -53,7 +56,8 @@ pub(super) fn intersections(map: &MapFeatures, clusters: &[Cluster], areas: &[Po
         .filter(|cluster| cluster.crossing)
         .flat_map(|cluster| {
             let members: Vec<Polygon> = cluster.lanes.iter().map(|&lane| areas[lane].clone()).collect();
-            let filled = Polygon::union_of(&members);
+            let mut filled = Polygon::union_of(&members);
+            filled.retain(|outline| outline.area() > SPLINTER);
             let island = filled.iter().any(|outline| holds_island(outline, &members, &edges));
             if island { members } else { filled }
         })

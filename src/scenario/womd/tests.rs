@@ -186,7 +186,7 @@ fn faults_are_told() {
     assert!(matches!(fault(|r| r.sdc_track_index = -1), RecordingFault::NoEgoTrack { index: -1, tracks: 2 }));
     assert!(matches!(fault(|r| r.sdc_track_index = 2), RecordingFault::NoEgoTrack { .. }));
     assert!(matches!(fault(|r| r.tracks[0].id = 9), RecordingFault::DuplicateId { layer: "track", id: 9 }));
-    assert!(matches!(fault(|r| drop(r.tracks[0].states.pop())), RecordingFault::TrackLength { track: 5, .. }));
+    assert!(matches!(fault(|r| r.tracks[0].states.truncate(9)), RecordingFault::TrackLength { track: 5, .. }));
     assert!(matches!(fault(|r| r.map_features[3].id = 1), RecordingFault::DuplicateId { id: 1, .. }));
     assert!(matches!(fault(|r| r.map_features.clear()), RecordingFault::Map(_)));
     assert!(matches!(fault(|r| r.timestamps_seconds.truncate(9)), RecordingFault::TooShort { steps: 9, .. }));

@@ -88,6 +88,8 @@ def start_training(options: argparse.Namespace) -> None:
 def main() -> int:
     """Runs a command; 0 when it did what it says."""
     options = arguments().parse_args()
+    # Threads that meet at every operation wait for the slowest; on a shared machine that costs more than it gives.
+    torch.set_num_threads(1)
     if options.command == "synthetic":
         synthetic.write(options.out, options.train, options.validation, options.seed)
     elif options.command == "train":

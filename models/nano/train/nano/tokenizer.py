@@ -4,7 +4,7 @@ The scene text and the answers use a few hundred words at fixed places, so the v
 up whole (`ignore_merges`), above the 256 bytes, which keep it lossless for any other text. One informative word is then one
 decision of the model: easiest to learn and cheapest to decode.
 
-A pre-token is a word with the separator before it and the `=`, `(` or `:` after it (`, la=`, ` lat=`, `Generate_IDM_Planner(`), a number (`12`, `1.5`), one
+A pre-token is a word with the separator before it and the `=`, `(` or `:` after it (`, la=`, ` lat=`, `Generate_IDM_Planner(`), a number or range (`12`, `1.5`, `3-5`, `6+`), one
 punctuation mark or one whitespace character. Integers up to two digits are always single tokens. Decimals are single tokens while they are few
 (a quantised grid); otherwise the fraction is split off.
 """
@@ -28,8 +28,9 @@ RARE = 5
 
 _WORD = r"(?:, ?|; ?| |\n)?[A-Za-z_][A-Za-z0-9_]*[=(:]?"
 _MARK = r" ?[^A-Za-z0-9_\s]|\s"
-_WHOLE = rf"{_WORD}| ?-?[0-9]{{1,3}}(?:\.[0-9]{{1,2}})?|{_MARK}"
-_SPLIT = rf"{_WORD}| ?-?[0-9]{{1,2}}|{_MARK}"
+_RANGE = r"[0-9]{1,2}-[0-9]{1,2}|[0-9]{1,2}\+"
+_WHOLE = rf"{_WORD}|{_RANGE}| ?-?[0-9]{{1,3}}(?:\.[0-9]{{1,2}})?|{_MARK}"
+_SPLIT = rf"{_WORD}|{_RANGE}| ?-?[0-9]{{1,2}}|{_MARK}"
 
 
 def pre_tokenizer(pattern: str) -> pre_tokenizers.PreTokenizer:
