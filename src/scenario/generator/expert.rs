@@ -7,7 +7,7 @@
 //! quintic path within about four seconds, if there is room. On a single lane it passes what stands at the kerb within its
 //! lane. What it knows beyond a planner: which vehicles stand for good, and what the recipe wants.
 
-use super::traffic::{Temper, Traffic, Wish};
+use super::traffic::{Mover, Temper, Traffic, Wish};
 use crate::geometry::wrap_angle;
 
 /// How the expert drives.
@@ -124,7 +124,7 @@ fn blocked(traffic: &Traffic<'_>) -> Option<Obstacle> {
     let ego = &traffic.movers[0];
     let half = ego.width / 2.0;
     let standing = traffic.fixtures.iter().map(|object| object.shape);
-    let broken = traffic.movers[1..].iter().filter(|m| !m.gone && m.ceiling < 0.3 && m.speed < 0.3).map(|m| m.shape());
+    let broken = traffic.movers[1..].iter().filter(|m| !m.gone && m.ceiling < 0.3 && m.speed < 0.3).map(Mover::shape);
     // What stands to the right pushes the ego to the left and the other way round.
     let (mut to_left, mut to_right, mut begins) = (0.0f64, 0.0f64, f64::INFINITY);
     for shape in standing.chain(broken) {

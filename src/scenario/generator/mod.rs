@@ -1,7 +1,7 @@
 //! Seeded generator of drives: no download, any number, the same bytes for the same name.
 //!
 //! A drive is drawn in three steps: a recipe of its [`ScenarioType`] lays roads and puts people on them; the traffic is run
-//! with an expert at the wheel ([`expert`] says how it drives); the recording is judged and, where the expert touched something,
+//! with a privileged rule-based expert at the wheel (documented in its module); the recording is judged and, where the expert touched something,
 //! left the road or the drive is not of its type, drawn again from the next sub-seed.
 
 mod dice;

@@ -104,7 +104,7 @@ pub(super) fn cast_stopping(stage: &mut Stage<'_, '_>, task: Task) -> Task {
         // At a light it stops by itself.
         if stage.roads().signals.is_empty() || stage.dice.chance(0.3) {
             stage.traffic.movers[lead].script = script;
-            stage.traffic.movers[lead].temper.decel = stage.dice.between(1.8, 3.2);
+            stage.traffic.movers[lead].temper.decel = stage.dice.between(1.4, 2.6);
         }
     }
     let density = stage.dice.between(0.3, 1.6);

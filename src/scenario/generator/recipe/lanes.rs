@@ -35,23 +35,13 @@ pub(super) fn cast(stage: &mut Stage<'_, '_>, mut task: Task) -> Task {
     let roads = stage.roads();
     let lanes = &roads.way[0];
     let must_move = roads.reach(0, lanes[stage.ego_lane]) == 0 && roads.way.len() > 1;
-    let cause = stage.dice.whole(0, 4);
+    let cause = stage.dice.whole(0, 5);
     let ahead = speed * stage.dice.between(5.0, 7.5) + 20.0;
-    // A lane is closed where it is a lane, with room before the next junction.
-    let at = stage.ego().s + ahead;
-    let span = stage.ego().track.span_at(at);
-    let room = span.to - at - 10.0;
-    let length = stage.dice.between(10.0, 45.0).min(room);
-    let closable = !span.connector && room > 8.0 && at - span.from > 16.0;
-    let closure = closable.then_some((span.lane, at - span.from, length));
-    if must_move {
+    if must_move || (cause <= 1 && close_ahead(stage, ahead)) {
         task.overtakes = false;
-    } else if let Some((lane, s, length)) = closure.filter(|_| cause == 0) {
-        let width = roads.facts[lane.index()].map_or(3.4, |f| f.lane_width);
-        stage.close_lane(lane, s, length, width);
-    } else if cause == 1 {
+    } else if cause <= 2 {
         double_park(stage, ahead, 0.0);
-    } else if cause == 2 {
+    } else if cause == 3 {
         let pace = speed * stage.dice.between(0.25, 0.5);
         let make = if stage.dice.chance(0.6) { Make::Car } else { Make::Long };
         if let Some(lead) = stage.put_ahead(make, ahead * 0.7, pace) {
@@ -75,6 +65,21 @@ pub(super) fn cast(stage: &mut Stage<'_, '_>, mut task: Task) -> Task {
     stage.populate(density, [ahead + 25.0, 16.0]);
     stage.garnish();
     task
+}
+
+/// Closes the ego's lane about `ahead` metres before it, where it is a lane with room before the next junction; whether it
+/// could be closed.
+pub(super) fn close_ahead(stage: &mut Stage<'_, '_>, ahead: f64) -> bool {
+    let at = stage.ego().s + ahead;
+    let span = stage.ego().track.span_at(at);
+    let room = span.to - at - 10.0;
+    let length = stage.dice.between(10.0, 45.0).min(room);
+    let closable = !span.connector && room > 8.0 && at - span.from > 16.0;
+    if closable {
+        let width = stage.roads().facts[span.lane.index()].map_or(3.4, |facts| facts.lane_width);
+        stage.close_lane(span.lane, at - span.from, length, width);
+    }
+    closable
 }
 
 /// A vehicle stands in the ego's lane `ahead` metres before the ego, `aside` metres right of the middle.

@@ -6,7 +6,7 @@ use super::setting::{
     BEHIND, LIMITS, LanePick, LightWish, Setting, anywhere, course, crossing, extend, needed_ahead, style, town,
 };
 use super::stage::Stage;
-use crate::geometry::{GeometryError, Point};
+use crate::geometry::{GeometryError, OrientedBox, Point};
 use crate::scenario::generator::dice::Dice;
 use crate::scenario::generator::expert::Task;
 use crate::scenario::generator::road::{Control, Course, Layout, Turn};
@@ -58,30 +58,37 @@ pub(super) fn cast_waiting(stage: &mut Stage<'_, '_>, task: Task) -> Task {
             }
         }
     }
-    if stage.dice.chance(0.2) {
-        jaywalker(stage);
-    }
     let density = stage.dice.between(0.2, 1.2);
     let ahead = stage.dice.between(20.0, 90.0);
     stage.populate(density, [ahead, 14.0]);
     stage.garnish();
+    if stage.dice.chance(0.2) {
+        jaywalker(stage);
+    }
     task
 }
 
-/// Somebody who crosses the road away from any crosswalk.
+/// Somebody who crosses the road away from any crosswalk, where nothing stands in the way.
 fn jaywalker(stage: &mut Stage<'_, '_>) {
-    let ego = stage.ego();
-    let (s, reach) = (ego.s + stage.dice.between(50.0, 110.0), 14.0);
-    if stage.ego().track.span_at(s).connector {
+    const REACH: f64 = 14.0;
+    const TRIES: usize = 5;
+    for _ in 0..TRIES {
+        let (s, side) = (stage.ego().s + stage.dice.between(50.0, 110.0), stage.dice.sign());
+        let early = stage.dice.between(8.0, 12.0);
+        let pose = stage.ego().track.pose_at(s);
+        let (from, to) = (pose.to_map(Point::new(0.0, side * REACH)), pose.to_map(Point::new(1.0, -side * REACH)));
+        let blocked = stage.traffic.fixtures.iter().any(|fixture| {
+            let wide = OrientedBox::new(fixture.shape.center, fixture.shape.length + 1.2, fixture.shape.width + 1.2);
+            wide.meets_segment(from, to)
+        });
+        if blocked || stage.ego().track.span_at(s).connector {
+            continue;
+        }
+        let arrives = (s - stage.ego().s) / stage.ego().speed.max(3.0) - super::LEAD_IN;
+        let pace = stage.dice.between(1.2, 1.9);
+        stage.put_walker(Walker { pace, departure: Departure::At(arrives - early), ..walker(from, to) });
         return;
     }
-    let pose = stage.ego().track.pose_at(s);
-    let side = stage.dice.sign();
-    let (from, to) = (pose.to_map(Point::new(0.0, side * reach)), pose.to_map(Point::new(2.0, -side * reach)));
-    let arrives = (s - stage.ego().s) / stage.ego().speed.max(3.0) - super::LEAD_IN;
-    let departure = Departure::At(arrives - stage.dice.between(8.0, 12.0));
-    let pace = stage.dice.between(1.2, 1.9);
-    stage.put_walker(Walker { departure, pace, ..walker(from, to) });
 }
 
 pub(super) fn pickup(dice: &mut Dice) -> Result<Setting, GeometryError> {
@@ -115,11 +122,11 @@ pub(super) fn cast_pickup(stage: &mut Stage<'_, '_>, task: Task) -> Task {
             double_park(stage, ahead, aside);
         }
     }
-    if stage.dice.chance(0.25) {
-        jaywalker(stage);
-    }
     let density = stage.dice.between(0.2, 1.2);
     stage.populate(density, [105.0, 14.0]);
     stage.garnish();
+    if stage.dice.chance(0.3) {
+        jaywalker(stage);
+    }
     task
 }

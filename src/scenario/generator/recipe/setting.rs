@@ -25,8 +25,6 @@ pub(super) const BEHIND: f64 = 62.0;
 pub(crate) enum LanePick {
     /// Any of them.
     Any,
-    /// The leftmost.
-    Leftmost,
     /// The rightmost.
     Rightmost,
     /// Any lane at all, also one that leads off the way.

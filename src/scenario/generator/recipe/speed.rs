@@ -1,6 +1,7 @@
 //! Scenes of free driving: fast, and through bends.
 
 use super::follow::cut_in;
+use super::lanes::close_ahead;
 use super::setting::{BEHIND, LIMITS, Setting, anywhere, bend_for, corridor, extend, needed_ahead, style};
 use super::stage::{Make, Stage};
 use crate::geometry::GeometryError;
@@ -31,7 +32,11 @@ pub(super) fn high_lateral(dice: &mut Dice) -> Result<Setting, GeometryError> {
 
 pub(super) fn cast(stage: &mut Stage<'_, '_>, task: Task) -> Task {
     let speed = stage.ego().speed;
-    if stage.dice.chance(0.4) {
+    let several = stage.roads().way[0].len() > 1;
+    if several && stage.dice.chance(0.2) {
+        let ahead = speed * stage.dice.between(6.0, 11.0) + 20.0;
+        close_ahead(stage, ahead);
+    } else if stage.dice.chance(0.4) {
         let gap = 15.0 + speed * stage.dice.between(1.2, 3.0);
         let pace = speed * stage.dice.between(0.55, 1.1);
         if let Some(lead) = stage.put_ahead(Make::Car, gap, pace) {

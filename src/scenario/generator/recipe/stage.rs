@@ -38,7 +38,6 @@ pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, dice: &mut Dice) -> 
     let good: Vec<usize> = (0..first.len()).filter(|&i| roads.reach(0, first[i]) == best).collect();
     let place = match setting.pick {
         LanePick::Any => dice.pick(&good),
-        LanePick::Leftmost => good[0],
         LanePick::Rightmost => good[good.len() - 1],
         LanePick::Whichever => dice.whole(0, first.len() - 1),
     };
@@ -263,7 +262,7 @@ impl<'a, 'd> Stage<'a, 'd> {
                     let (s, lateral) = me.track.project(body.shape.center.position(), me.s, me.s + 70.0);
                     let place = me.track.pose_at(s);
                     let near = (place.position() - body.shape.center.position()).norm();
-                    if s <= me.s + 0.5 || lateral.abs() > (me.width + body.shape.width) / 2.0 || near > 3.0 {
+                    if s <= me.s + 0.5 || lateral.abs() > f64::midpoint(me.width, body.shape.width) || near > 3.0 {
                         continue;
                     }
                     let gap = (s - body.shape.length / 2.0 - me.front_s() - 2.0).max(0.0);

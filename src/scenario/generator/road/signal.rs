@@ -66,6 +66,7 @@ impl SignalPlan {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use SignalStatus::{Green, Red, Yellow};
 
     #[test]
     fn phases_follow_one_another() {
@@ -77,7 +78,6 @@ mod tests {
             plan.show(time, &mut lights);
             (lights.status(a), lights.status(b))
         };
-        use SignalStatus::{Green, Red, Yellow};
         assert_eq!(at(3.9), (Some(Red), Some(Red)));
         assert_eq!(at(0.0), (Some(Yellow), Some(Red)));
         assert_eq!(at(4.0), (Some(Red), Some(Green)));

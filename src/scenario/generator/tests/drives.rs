@@ -49,8 +49,8 @@ fn velocities_agree_with_positions() {
             let (a, b) = (&pair[0].ego, &pair[1].ego);
             let moved = b.rear_axle.position() - a.rear_axle.position();
             let expected = f64::midpoint(a.speed(), b.speed()) * STEP_S;
-            assert!((moved.norm() - expected).abs() < 0.03, "{}: {moved} {expected}", generated.scenario.id);
-            assert!(moved.dot(&a.rear_axle.direction()) > -1e-9, "forwards only");
+            assert!((moved.norm() - expected).abs() < 0.01, "{}: {moved} {expected}", generated.scenario.id);
+            assert!(moved.dot(&a.rear_axle.direction()) > -1e-3, "{}: backwards by {moved}", generated.scenario.id);
             assert!((b.speed() - a.speed() - b.acceleration.x * STEP_S).abs() < 0.05 || b.speed() < 0.05);
             let turned = wrap_angle(b.rear_axle.heading - a.rear_axle.heading).abs() / STEP_S;
             assert!(turned < 0.95, "{}: yaw rate {turned}", generated.scenario.id);

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use std::sync::LazyLock;
 
 /// Seeds of each type that the tests look at.
-const SEEDS: u64 = 20;
+const SEEDS: u64 = 10;
 
 /// The drives of all types with the first seeds.
 static CORPUS: LazyLock<Vec<Generated>> = LazyLock::new(|| {

@@ -24,7 +24,7 @@ impl Traffic<'_> {
         lights: &TrafficLights,
     ) -> f64 {
         let me = &self.movers[i];
-        let mut wanted = self.free_acceleration(me);
+        let mut wanted = me.free_acceleration();
         let (place, ahead) = (me.track.pose_at(me.s).position(), me.track.direction_at(me.s));
         for body in bodies.iter().filter(|body| body.mover != Some(i)) {
             // Most bodies are out of sight or behind; a cheap look comes first.
@@ -43,25 +43,29 @@ impl Traffic<'_> {
         if let Some(s) = me.halt {
             wanted = wanted.min(me.stopping(s));
         }
-        for walker in self.walkers.iter().filter(|walker| walker.is_crossing()) {
-            if let Some(s) = me.give_way_to(walker) {
+        for walker in &self.walkers {
+            if let Some(s) = walker.crosses_in(self.time).and_then(|wait| me.give_way_to(walker, wait)) {
                 wanted = wanted.min(me.stopping(s - BEFORE_WALKER));
             }
         }
         wanted
     }
-
-    fn free_acceleration(&self, me: &Mover) -> f64 {
-        let allowed = me.track.allowed_at(me.s) * me.temper.haste;
-        me.temper.law(allowed.min(me.ceiling)).acceleration(me.speed, None)
-    }
 }
 
 impl Mover {
+    /// Speed that the driver wants here, m/s.
+    fn desired_speed(&self) -> f64 {
+        (self.track.allowed_at(self.s) * self.temper.haste).min(self.ceiling)
+    }
+
+    /// Acceleration on a free road.
+    fn free_acceleration(&self) -> f64 {
+        self.temper.law(self.desired_speed()).acceleration(self.speed, None)
+    }
+
     /// Acceleration behind a lead: the law of following, and harder braking where that would come too late.
     fn following(&self, lead: Lead) -> f64 {
-        let allowed = (self.track.allowed_at(self.s) * self.temper.haste).min(self.ceiling);
-        let by_law = self.temper.law(allowed).acceleration(self.speed, Some(lead));
+        let by_law = self.temper.law(self.desired_speed()).acceleration(self.speed, Some(lead));
         let closing = self.speed - lead.speed;
         if closing <= 0.0 {
             return by_law;
@@ -111,9 +115,9 @@ impl Mover {
         (lateral - across - left).max(right - (lateral + across))
     }
 
-    /// Where this driver must stop for a pedestrian on the way across, if it must: the near edge of the crosswalk, or of
-    /// the pedestrian's path where there is none.
-    fn give_way_to(&self, walker: &super::Walker) -> Option<f64> {
+    /// Where this driver must stop for a pedestrian who is on the way across in `wait` seconds, if it must: the near edge of
+    /// the crosswalk, or of the pedestrian's path where there is none.
+    fn give_way_to(&self, walker: &super::Walker, wait: f64) -> Option<f64> {
         let sight = self.sight().min(50.0);
         let position = walker.position();
         if (position - self.track.pose_at(self.s).position()).norm() > sight + 10.0 {
@@ -123,7 +127,7 @@ impl Mover {
         if s <= self.front_s() - 0.5 || lateral.abs() > 25.0 {
             return None;
         }
-        let sideways = self.track.direction_at(s).perp(&walker.velocity());
+        let sideways = self.track.direction_at(s).perp(&walker.stride());
         let offset = lateral - self.shift.at(s).0;
         let half = self.width / 2.0 + walker.size / 2.0 + 0.5;
         let approaching = offset * sideways < 0.0;
@@ -131,10 +135,10 @@ impl Mover {
             if !approaching || sideways.abs() < 0.1 {
                 return None;
             }
-            let enters = (offset.abs() - half) / sideways.abs();
+            let enters = wait + (offset.abs() - half) / sideways.abs();
             let gap = (s - self.front_s()).max(0.0);
             let passed = (gap + self.length + 2.0) / self.speed.max(0.5);
-            let left = (offset.abs() + half) / sideways.abs();
+            let left = wait + (offset.abs() + half) / sideways.abs();
             if passed + 1.0 < enters || (enters > 6.0 && gap > 15.0) || gap > self.speed * (left + 2.0) + 8.0 {
                 return None;
             }

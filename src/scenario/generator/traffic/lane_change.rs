@@ -67,7 +67,8 @@ impl Traffic<'_> {
                 let ego = &mut self.movers[0];
                 if !ego.is_changing() && (ego.shift.to_d - lateral).abs() > 0.05 {
                     let length = (ego.speed * 2.5).max(9.0);
-                    ego.shift = Shift { from_s: ego.s, to_s: ego.s + length, from_d: ego.shift.to_d, to_d: lateral };
+                    let (from_d, from_slope) = ego.shift.at(ego.s);
+                    ego.shift = Shift { from_s: ego.s, to_s: ego.s + length, from_d, to_d: lateral, from_slope };
                 }
             }
         }
@@ -78,7 +79,7 @@ impl Traffic<'_> {
         let mover = &self.movers[i];
         let Some(track) = self.track_beside(mover, left) else { return false };
         let reference = mover.pose().position();
-        let (s, lateral) = track.project(reference, 0.0, track.length());
+        let (s, lateral) = track.project_exactly(reference);
         let length = (mover.speed * 4.0).min(within).clamp(SHORTEST, 70.0);
         if mover.is_between_lanes() || (mover.is_changing() && mover.speed > 1.0) || s + length > track.length() {
             return false;

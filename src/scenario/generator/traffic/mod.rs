@@ -70,7 +70,7 @@ impl Traffic<'_> {
         let wanted: Vec<f64> = (0..self.movers.len())
             .map(|i| if self.movers[i].gone { 0.0 } else { self.wanted_acceleration(i, &bodies, &claims, &lights) })
             .collect();
-        let clear: Vec<bool> = self.walkers.iter().map(|walker| self.leaves_room(walker, &bodies)).collect();
+        let clear: Vec<bool> = self.walkers.iter().map(|walker| leaves_room(walker, &bodies)).collect();
         for (mover, &acceleration) in self.movers.iter_mut().zip(&wanted) {
             if !mover.gone {
                 mover.advance(acceleration);
@@ -81,20 +81,6 @@ impl Traffic<'_> {
             walker.advance(self.time, clear);
         }
         self.time += STEP_S;
-    }
-
-    /// Whether the drivers leave room for a pedestrian to step onto the carriageway: everybody near is far in time, stands
-    /// or has passed.
-    fn leaves_room(&self, walker: &Walker, bodies: &[Body]) -> bool {
-        /// Time that an approaching vehicle must be away, seconds.
-        const TIME_GAP: f64 = 4.5;
-        let middle = nalgebra::center(&walker.from, &walker.to);
-        bodies.iter().all(|body| {
-            let to = middle - body.shape.center.position();
-            let closing = to.normalize().dot(&body.direction) * body.speed;
-            let distance = to.norm() - body.shape.length / 2.0 - walker.distance() / 2.0;
-            closing < 0.7 || distance > closing * TIME_GAP
-        })
     }
 
     /// What a planner would see: everything within `reach` metres of the ego.
@@ -118,4 +104,18 @@ impl Traffic<'_> {
         seen.sort_by_key(|object| object.token);
         seen
     }
+}
+
+/// Whether the drivers leave room for a pedestrian to step onto the carriageway: everybody near is far in time, stands
+/// or has passed.
+fn leaves_room(walker: &Walker, bodies: &[Body]) -> bool {
+    /// Time that an approaching vehicle must be away, seconds.
+    const TIME_GAP: f64 = 4.5;
+    let middle = nalgebra::center(&walker.from, &walker.to);
+    bodies.iter().all(|body| {
+        let to = middle - body.shape.center.position();
+        let closing = to.normalize().dot(&body.direction) * body.speed;
+        let distance = to.norm() - body.shape.length / 2.0 - walker.distance() / 2.0;
+        closing < 0.7 || distance > closing * TIME_GAP
+    })
 }

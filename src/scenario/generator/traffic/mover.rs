@@ -41,7 +41,7 @@ impl Temper {
     }
 }
 
-/// A lateral move along the track: from one offset to another with neither slope nor curvature at its ends.
+/// A lateral move along the track: from one offset and slope to another offset, a quintic without curvature at its ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Shift {
     /// Where it begins, metres along the track.
@@ -52,12 +52,14 @@ pub(crate) struct Shift {
     pub(crate) from_d: f64,
     /// Offset after it.
     pub(crate) to_d: f64,
+    /// Slope of the offset where it begins.
+    pub(crate) from_slope: f64,
 }
 
 impl Shift {
     /// A constant offset.
     pub(crate) fn constant(lateral: f64) -> Self {
-        Self { from_s: 0.0, to_s: 0.0, from_d: lateral, to_d: lateral }
+        Self { from_s: 0.0, to_s: 0.0, from_d: lateral, to_d: lateral, from_slope: 0.0 }
     }
 
     /// Offset at `s` and its slope.
@@ -67,13 +69,17 @@ impl Shift {
             return (self.to_d, 0.0);
         }
         if s <= self.from_s {
-            return (self.from_d, 0.0);
+            return (self.from_d, self.from_slope);
         }
         let t = (s - self.from_s) / length;
         let share = t.powi(3) * (10.0 - 15.0 * t + 6.0 * t * t);
         let slope = 30.0 * t * t * (1.0 - t).powi(2);
         let by = self.to_d - self.from_d;
-        (self.from_d + by * share, by * slope / length)
+        // The part that takes up the slope with which it begins.
+        let lead_in = t - 6.0 * t.powi(3) + 8.0 * t.powi(4) - 3.0 * t.powi(5);
+        let lead_in_slope = 1.0 - 18.0 * t * t + 32.0 * t.powi(3) - 15.0 * t.powi(4);
+        let offset = self.from_d + by * share + self.from_slope * length * lead_in;
+        (offset, by * slope / length + self.from_slope * lead_in_slope)
     }
 }
 
@@ -209,11 +215,13 @@ impl Mover {
         self.gone |= self.front_s() + 1.0 > self.track.length();
     }
 
-    /// Goes over to another track, from which it is now `lateral` metres away at `s`, within `length` metres.
+    /// Goes over to another track, from which it is now `lateral` metres away at `s`, within `length` metres; its pose stays.
     pub(crate) fn go_over(&mut self, track: Arc<Track>, s: f64, lateral: f64, length: f64) {
+        let turned = wrap_angle(self.pose().heading - track.pose_at(s).heading);
+        let from_slope = turned.tan() * (1.0 - track.curvature_at(s) * lateral);
         self.track = track;
         self.s = s;
-        self.shift = Shift { from_s: s, to_s: s + length, from_d: lateral, to_d: 0.0 };
+        self.shift = Shift { from_s: s, to_s: s + length, from_d: lateral, to_d: 0.0, from_slope };
         self.served = None;
         self.halt = None;
     }

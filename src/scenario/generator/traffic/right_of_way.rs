@@ -2,7 +2,7 @@
 
 use super::{Mover, Traffic};
 use crate::scenario::generator::road::{Conflict, Passage};
-use crate::world::{LaneId, SignalStatus, TrafficLights};
+use crate::world::{SignalStatus, TrafficLights};
 
 /// How far before a junction its drivers are noticed, metres.
 const NOTICED: f64 = 70.0;
@@ -53,7 +53,7 @@ impl Traffic<'_> {
                     return Some(span.from);
                 }
             }
-            if let Some(conflict) = self.conflict_ahead(i, span.lane, span.from, passage, claims, lights) {
+            if let Some(conflict) = self.conflict_ahead(i, span.from, passage, claims, lights) {
                 let edge = span.from + conflict.own[0] - 1.0;
                 if before {
                     return Some(span.from);
@@ -70,7 +70,6 @@ impl Traffic<'_> {
     fn conflict_ahead(
         &self,
         i: usize,
-        lane: LaneId,
         start: f64,
         passage: &Passage,
         claims: &Claims,
@@ -87,7 +86,6 @@ impl Traffic<'_> {
                     .iter()
                     .any(|&(j, begins)| j != i && self.must_let_go(me, start, conflict, j, begins, lights))
         };
-        let _ = lane;
         passage.conflicts.iter().filter(gives_way).min_by(|a, b| a.own[0].total_cmp(&b.own[0])).copied()
     }
 
@@ -126,7 +124,7 @@ impl Traffic<'_> {
             (to_enter / speed, (leaves + other.length - other.front_s()) / speed)
         };
         let mine_in = travel_time(start + conflict.own[0] - me.front_s(), me.speed);
-        let mine_out = travel_time(start + conflict.own[1] + me.back() + me.front - me.front_s(), me.speed);
+        let mine_out = travel_time(start + conflict.own[1] + me.length - me.front_s(), me.speed);
         let margin = me.temper.gap_margin;
         mine_out + margin > arrives && mine_in < clears + 0.5
     }

@@ -163,6 +163,18 @@ impl Track {
         (best as f64 * SPACING + along.dot(&d), along.perp(&d))
     }
 
+    /// As [`Self::project`] over the whole track, consistent with [`Self::pose_at`] to less than a millimetre.
+    pub(crate) fn project_exactly(&self, point: Point) -> (f64, f64) {
+        const STEPS: usize = 4;
+        let (mut s, mut lateral) = self.project(point, 0.0, self.length);
+        for _ in 0..STEPS {
+            let local = self.pose_at(s).to_local(point);
+            s = (s + local.x).clamp(0.0, self.length);
+            lateral = local.y;
+        }
+        (s, lateral)
+    }
+
     /// Unit vector along the track near arc length `s`.
     pub(crate) fn direction_at(&self, s: f64) -> Vector {
         self.directions[((s / SPACING).round().max(0.0) as usize).min(self.directions.len() - 1)]

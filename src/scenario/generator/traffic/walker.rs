@@ -15,7 +15,7 @@ pub(crate) enum Departure {
 }
 
 /// A pedestrian who walks from one point to another.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Walker {
     /// Its track token.
     pub(crate) token: TrackToken,
@@ -54,7 +54,7 @@ impl Walker {
 
     /// Its velocity, m/s.
     pub(crate) fn velocity(&self) -> Vector {
-        if self.moving { self.direction() * self.pace } else { Vector::zeros() }
+        if self.moving { self.stride() } else { Vector::zeros() }
     }
 
     /// Its box.
@@ -63,9 +63,26 @@ impl Walker {
         OrientedBox::new(Pose::at(self.position(), d.y.atan2(d.x)), self.size, self.size)
     }
 
-    /// Whether drivers must mind it: it is on its way across.
-    pub(crate) fn is_crossing(&self) -> bool {
-        self.crosses && self.moving
+    /// Velocity while it walks, m/s.
+    pub(crate) fn stride(&self) -> Vector {
+        self.direction() * self.pace
+    }
+
+    /// Seconds until it is on its way across, 0 when it is; `None` when drivers need not mind it. Drivers see shortly before
+    /// that somebody is about to set off; who waits for a gap does not count.
+    pub(crate) fn crosses_in(&self, time: f64) -> Option<f64> {
+        /// How long before somebody sets off it can be seen, seconds.
+        const FORESEEN: f64 = 2.5;
+        if !self.crosses {
+            return None;
+        }
+        match self.departure {
+            _ if self.moving => Some(0.0),
+            Departure::At(moment) if self.walked == 0.0 => {
+                Some((moment - time).max(0.0)).filter(|&wait| wait < FORESEEN)
+            }
+            _ => None,
+        }
     }
 
     /// One step; `clear` tells whether the drivers leave room now.
