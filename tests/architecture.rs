@@ -79,7 +79,7 @@ fn used_stages(line: &str) -> Vec<String> {
     for (at, _) in line.match_indices("crate::") {
         let rest = &line[at + "crate::".len()..];
         if let Some(inside) = rest.strip_prefix('{') {
-            found.extend(inside.split(',').map(|part| part.trim_start()).map(first_name));
+            found.extend(inside.split(',').map(str::trim_start).map(first_name));
         } else {
             found.push(first_name(rest));
         }

@@ -1,4 +1,10 @@
 //! The one integration-test binary; a module a subject.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stderr,
+    reason = "a test that cannot go on fails, and says aloud what it skips"
+)]
 
 mod architecture;
 mod cli;
