@@ -21,8 +21,8 @@ use rayon::prelude::*;
 use search::Tried;
 use std::path::Path;
 
-/// Scenes per shard.
-const SCENES_PER_SHARD: u64 = 120;
+/// Scenes per shard: one of each place in the mix.
+const SCENES_PER_SHARD: u64 = MIX.len() as u64;
 /// Iterations between two states of a drive, drawn evenly.
 const GAP: std::ops::RangeInclusive<usize> = 14..=24;
 /// Share of states from which the drive goes on with another planner than the best, so that off-track states are seen too.
