@@ -99,6 +99,8 @@ pub struct ReflectionConfig {
     pub after_max_exec: AfterMaxExec,
     /// Whom the generated IDM planner follows.
     pub lead_policy: LeadPolicy,
+    /// Whether PDM-Closed's emergency brake may overrule the planner in force.
+    pub emergency_brake: bool,
 }
 
 impl Default for ReflectionConfig {
@@ -110,6 +112,7 @@ impl Default for ReflectionConfig {
             horizon_s: 4.0,
             after_max_exec: AfterMaxExec::Last,
             lead_policy: LeadPolicy::Nearest,
+            emergency_brake: true,
         }
     }
 }
@@ -157,6 +160,7 @@ impl Config {
             horizon_s: reflection.horizon_s,
             after_max_exec: reflection.after_max_exec,
             lead_policy: reflection.lead_policy,
+            emergency_brake: reflection.emergency_brake,
             seed: *seed,
         }
     }

@@ -10,15 +10,15 @@ use crate::mllm::{Mllm, Opening};
 use crate::reasoning::{
     Feedback, Names, ParseError, PlannerCode, PromptSet, Reasoning, ReasoningSettings, ScenarioPrompt, Thought,
 };
-use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict};
+use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, needs_emergency_brake};
 use crate::world::{Scene, Trajectory};
 use std::sync::Arc;
 use std::time::Instant;
 
 /// Name of the planner in results.
 pub const NAME: &str = "plan-agent";
-/// Deceleration of the planner of last resort, m/s².
-const BRAKE: f64 = 3.0;
+/// Deceleration of a stop that no code asked for, m/s²: within nuPlan's comfort bound of 4.05.
+const BRAKE: f64 = 4.0;
 
 /// Which planner drives when all attempts were refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -56,6 +56,8 @@ pub struct PlanAgentSettings {
     pub after_max_exec: AfterMaxExec,
     /// Whom generated planners follow.
     pub lead_policy: LeadPolicy,
+    /// Whether PDM-Closed's emergency brake may overrule the planner in force.
+    pub emergency_brake: bool,
     /// Seed of the run; each planning call draws from its own stream.
     pub seed: u64,
 }
@@ -118,6 +120,7 @@ impl PlanAgent {
             scene_text: scenario.text,
             attempts,
             decision,
+            emergency_brakes: 0,
             environment_ms,
             total_ms: milliseconds(started),
         });
@@ -234,10 +237,15 @@ impl Planner for PlanAgent {
             self.call(input.iteration, &input.scene)?;
         }
         let ego = input.scene.ego;
-        match &self.in_force {
-            Some(planner) => Ok(planner.roll_out(&input.scene, self.steps()).to_trajectory(ego)?),
-            None => Ok(brake(ego, self.steps())?),
+        let Some(planner) = &self.in_force else { return Ok(brake(ego, self.steps())?) };
+        let rollout = planner.roll_out(&input.scene, self.steps());
+        if self.settings.emergency_brake && needs_emergency_brake(&input.scene, &rollout) {
+            if let Some(call) = self.calls.last_mut() {
+                call.emergency_brakes += 1;
+            }
+            return Ok(brake(ego, self.steps())?);
         }
+        Ok(rollout.to_trajectory(ego)?)
     }
 }
 

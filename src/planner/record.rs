@@ -52,6 +52,8 @@ pub struct PlanningCall {
     pub attempts: Vec<Attempt>,
     /// How it ended.
     pub decision: Decision,
+    /// Iterations after this call in which the emergency brake overruled the planner in force.
+    pub emergency_brakes: usize,
     /// Wall time of the environment transformation, milliseconds.
     pub environment_ms: f64,
     /// Wall time of the whole call, milliseconds.
@@ -68,6 +70,7 @@ impl PlanningCall {
             scene_text: None,
             attempts: Vec::new(),
             decision,
+            emergency_brakes: 0,
             environment_ms: total_ms,
             total_ms,
         }

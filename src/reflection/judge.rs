@@ -1,13 +1,14 @@
 //! Scores generated planners by PDM's measure over a short horizon.
 
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
-use super::rollout::{GeneratedPlanner, LeadPolicy};
+use super::rollout::{GeneratedPlanner, LeadPolicy, Rollout};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::geometry::GeometryError;
 use crate::metrics::MetricError;
 use crate::metrics::pdm::{
-    Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals,
+    Collided, DrivableLayers, DrivableMap, EgoAreas, Forecast, ProposalScore, ScoringScene, no_at_fault_collisions,
+    score_proposals,
 };
 use crate::reasoning::PlannerCode;
 use crate::world::{EgoState, STEP_S, Scene};
@@ -20,6 +21,28 @@ const FALLBACK_LIMIT: f64 = 15.0;
 const PROPOSAL_ACCEL: f64 = 1.5;
 /// Maximum deceleration of the proposals, m/s² (PDM-Closed's).
 const PROPOSAL_DECEL: f64 = 3.0;
+
+/// The emergency brake looks this far ahead, seconds (PDM-Closed's).
+const EMERGENCY_S: f64 = 2.0;
+/// It overrules only at this speed or below, m/s (PDM-Closed's).
+const EMERGENCY_SPEED: f64 = 5.0;
+
+/// Whether PDM-Closed's emergency brake would overrule this roll-out: the ego is slow and would be at fault for a collision
+/// within two seconds.
+pub fn needs_emergency_brake(scene: &Scene<'_>, rollout: &Rollout) -> bool {
+    if scene.ego.speed() > EMERGENCY_SPEED {
+        return false;
+    }
+    let steps = (EMERGENCY_S / STEP_S).round() as usize;
+    let reference = rollout.poses.get(..=steps).unwrap_or(&rollout.poses);
+    let states = simulate_proposal(scene.ego, reference, JerkPenalty::PdmClosed);
+    let Scene { map, ego, objects, lights, .. } = *scene;
+    let route_lanes = scene.route.lanes(map);
+    let forecast = Forecast::new(map, &route_lanes, ego, objects, lights, &mut Collided::default());
+    let drivable = DrivableMap::around(map, &route_lanes, ego.center().position(), DrivableLayers::DrivableArea);
+    let areas: Vec<EgoAreas> = states.iter().map(|state| drivable.areas_of(state)).collect();
+    no_at_fault_collisions(&states, &areas, &forecast).state.is_some()
+}
 
 /// Why a planner cannot be judged at all.
 #[derive(Debug, thiserror::Error)]

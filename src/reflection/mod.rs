@@ -6,7 +6,7 @@ mod path;
 mod report;
 mod rollout;
 
-pub use judge::{Judge, ReflectionError};
+pub use judge::{Judge, ReflectionError, needs_emergency_brake};
 pub use path::onto_centerline;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 pub use rollout::{GeneratedPlanner, LeadPolicy, Rollout};

@@ -19,6 +19,7 @@ pub fn call_record(drive: &DriveRecord, call: &PlanningCall) -> Value {
         "scene_text": call.scene_text,
         "attempts": call.attempts.iter().map(attempt).collect::<Vec<_>>(),
         "decision": decision(&call.decision),
+        "emergency_brakes": call.emergency_brakes,
         "time": time(call),
     })
 }

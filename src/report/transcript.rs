@@ -36,6 +36,9 @@ fn call_markdown(call: &PlanningCall, driven: &Driven, image: Option<String>) ->
         text.push_str(&attempt_markdown(attempt));
     }
     let _ = writeln!(text, "**Decision:** {}.\n", decision(&call.decision));
+    if call.emergency_brakes > 0 {
+        let _ = writeln!(text, "The emergency brake overruled it in {} iterations.\n", call.emergency_brakes);
+    }
     let time = CallTimes::of(call);
     let _ = writeln!(
         text,
