@@ -185,8 +185,8 @@ pub enum FinishReason {
     ContextFull,
 }
 
-/// A point of a conversation, from [`Conversation::mark`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+/// A point of a conversation, from [`Conversation::mark`]; the default is its beginning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Mark(pub(super) usize);
 
 /// What a model is.

@@ -109,8 +109,11 @@ impl PlanAgent {
         let environment_ms = milliseconds(started);
         let (attempts, planners) = self.think(iteration, scene, &graph, &scenario)?;
         let decision = self.decide(&attempts, &planners);
-        if let Decision::Execute(index) | Decision::Exhausted(index) = decision {
-            self.in_force = planners.into_iter().nth(index).flatten();
+        match decision {
+            Decision::Execute(index) | Decision::Exhausted(index) => {
+                self.in_force = planners.into_iter().nth(index).flatten();
+            }
+            Decision::KeepInForce(_) | Decision::Brake(_) => self.follow_on(scene, &graph)?,
         }
         let image_hash = Opening { system: String::new(), image: scenario.image.clone() }.image_hash();
         self.calls.push(PlanningCall {
@@ -198,6 +201,17 @@ impl PlanAgent {
         let Some(code) = thought.parsed.code.clone() else { return Ok((None, errors)) };
         let planner = generated_planner(scene, graph, code, self.settings.lead_policy, self.settings.horizon_s)?;
         Ok((planner, errors))
+    }
+
+    /// Lengthens the path of a planner that stays in force, along the centreline that it is bound for.
+    fn follow_on(&mut self, scene: &Scene<'_>, graph: &LaneGraph) -> Result<(), PlannerError> {
+        let Some(planner) = &mut self.in_force else { return Ok(()) };
+        let lane = planner.lane_now(scene);
+        let bound = graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));
+        let path = bound.unwrap_or(graph.ego_lane()).path.clone();
+        planner
+            .follow_on(scene, path, self.settings.horizon_s)
+            .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })
     }
 
     fn decide(&self, attempts: &[Attempt], planners: &[Option<GeneratedPlanner>]) -> Decision {

@@ -5,7 +5,7 @@ use crate::dynamics::{IdmParameters, Lead};
 use crate::geometry::{Corridor, GeometryError, OrientedBox, Polyline, Pose, Vector};
 use crate::reasoning::PlannerCode;
 use crate::world::{
-    EgoState, LanePath, PACIFICA, STEP_S, STEP_US, Scene, SignalStatus, TrackToken, TrackedObject, Trajectory,
+    EgoState, LaneId, LanePath, PACIFICA, STEP_S, STEP_US, Scene, SignalStatus, TrackToken, TrackedObject, Trajectory,
     TrajectoryError, TrajectoryState,
 };
 
@@ -70,10 +70,23 @@ impl GeneratedPlanner {
         lead_policy: LeadPolicy,
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
-        let fastest = code.target_speed.max(scene.ego.speed());
-        let length = fastest * horizon_s + PATH_MARGIN;
-        let path = onto_centerline(scene.ego, &lanes.centerline, length)?;
+        let path = lay_path(scene, &code, &lanes, horizon_s)?;
         Ok(Self { code, lanes, leader, lead_policy, path })
+    }
+
+    /// The lane that the planner is bound for at the ego's present place.
+    pub fn lane_now(&self, scene: &Scene<'_>) -> LaneId {
+        self.lanes.lane_at(self.lanes.centerline.project(scene.ego.center().position()).s)
+    }
+
+    /// Goes on along `lanes`, which reach further: for a planner that stays in force longer than its path was laid for.
+    ///
+    /// # Errors
+    /// When the ego's pose is not finite.
+    pub fn follow_on(&mut self, scene: &Scene<'_>, lanes: LanePath, horizon_s: f64) -> Result<(), GeometryError> {
+        self.path = lay_path(scene, &self.code, &lanes, horizon_s)?;
+        self.lanes = lanes;
+        Ok(())
     }
 
     /// The path of the rear axle, from where the ego was when the planner was made.
@@ -112,6 +125,17 @@ impl GeneratedPlanner {
         }
         rollout
     }
+}
+
+/// The path of a planner from the present state on, long enough for its fastest roll-out and what follows.
+fn lay_path(
+    scene: &Scene<'_>,
+    code: &PlannerCode,
+    lanes: &LanePath,
+    horizon_s: f64,
+) -> Result<Polyline, GeometryError> {
+    let fastest = code.target_speed.max(scene.ego.speed());
+    onto_centerline(scene.ego, &lanes.centerline, fastest * horizon_s + PATH_MARGIN)
 }
 
 impl Rollout {

@@ -1,0 +1,229 @@
+//! The agent with a scripted model: what it does with answers of every kind.
+
+use planagent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
+use planagent::mllm::{
+    Answer, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, ModelDescription, Opening, Request,
+    RoundTime, Sampling, TokenCounts,
+};
+use planagent::planner::{AfterMaxExec, Decision, PlanAgent, PlanAgentSettings, generated_planner};
+use planagent::reasoning::{PlannerCode, PromptSet, ReasoningSettings, Round};
+use planagent::reflection::{Judge, LeadPolicy, Verdict, needs_emergency_brake};
+use planagent::scenario::{Scenario, generator};
+use planagent::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
+use std::sync::{Arc, Mutex};
+
+/// Answers the n-th question with the n-th answer, from the start again at the end; remembers the questions.
+struct Script {
+    answers: Vec<&'static str>,
+    asked: Mutex<Vec<String>>,
+}
+
+/// A conversation with a [`Script`].
+struct Scripted<'a>(&'a Script);
+
+impl Mllm for Script {
+    fn name(&self) -> &'static str {
+        "script"
+    }
+
+    fn describe(&self) -> ModelDescription {
+        ModelDescription {
+            name: "script".to_owned(),
+            architecture: "script".to_owned(),
+            parameters: 0,
+            dtype: "none".to_owned(),
+            image_size: Some(64),
+            image_tokens: 0,
+            vocabulary: 0,
+            context: 0,
+            weights_blake3: String::new(),
+        }
+    }
+
+    fn converse<'a>(&'a self, _: &Opening, _: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
+        Ok(Box::new(Scripted(self)))
+    }
+}
+
+impl Conversation for Scripted<'_> {
+    fn ask(&mut self, prompt: &str, _: &Request) -> Result<Answer, MllmError> {
+        let mut asked = self.0.asked.lock().unwrap();
+        let text = self.0.answers[asked.len() % self.0.answers.len()].to_owned();
+        asked.push(prompt.to_owned());
+        Ok(Answer {
+            text,
+            tokens: TokenCounts::default(),
+            time: RoundTime::default(),
+            finish: FinishReason::Complete,
+            prompt_hash: String::new(),
+        })
+    }
+
+    fn mark(&self) -> Mark {
+        // A script has no state to go back to; any mark of a real conversation would do.
+        Mark::default()
+    }
+
+    fn rewind(&mut self, _: Mark) {}
+}
+
+fn settings(rounds: &[Round]) -> PlanAgentSettings {
+    PlanAgentSettings {
+        view_m: Some(64.0),
+        lane_graph: true,
+        node_length_m: DEFAULT_NODE_LENGTH,
+        reasoning: ReasoningSettings {
+            rounds: rounds.to_vec(),
+            generation: GenerationSettings::default(),
+            rethink_sampling: Sampling::Greedy,
+            grammar: false,
+        },
+        interval: 20,
+        reflect: true,
+        threshold: 0.75,
+        max_exec: 3,
+        horizon_s: 4.0,
+        after_max_exec: AfterMaxExec::Last,
+        lead_policy: LeadPolicy::Nearest,
+        emergency_brake: true,
+        seed: 0,
+    }
+}
+
+fn scenario(id: &str) -> Scenario {
+    generator::generate(&id.parse().unwrap()).unwrap()
+}
+
+/// Drives a scene with scripted answers; gives the agent, the log and the questions.
+fn drive(answers: &[&'static str], settings: PlanAgentSettings, id: &str) -> (PlanAgent, SimulationLog, Vec<String>) {
+    let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
+    let model: Arc<dyn Mllm> = script.clone();
+    let mut agent = PlanAgent::new(model, Arc::new(PromptSet::open("paper").unwrap()), settings);
+    let log = simulate(&scenario(id), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let asked = script.asked.lock().unwrap().clone();
+    (agent, log, asked)
+}
+
+#[test]
+fn readable_code_drives_and_three_rounds_are_asked() {
+    let answers = [
+        "A straight road.",
+        "Longitudinal: maintain, because free\nLateral: keep, because it serves",
+        "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=3)",
+    ];
+    let (agent, log, asked) = drive(&answers, settings(&Round::ALL), "generated/high_magnitude_speed/1");
+    assert_eq!(agent.calls().len(), 8);
+    assert!(asked[0].contains("Ego:") && asked[0].contains("Step 1"), "{}", asked[0]);
+    assert!(asked[1].contains("Step 2") && !asked[1].contains("Ego:"));
+    assert!(asked[2].contains("ego_lane"));
+    let call = &agent.calls()[0];
+    assert_eq!(call.parse_errors(), 0);
+    assert!(call.driving().unwrap().instruction.is_some());
+    // The code asks for 8 m/s and for no more.
+    assert!((log.samples.last().unwrap().ego.speed() - 8.0).abs() < 0.5);
+}
+
+#[test]
+fn unreadable_answers_are_told_back_counted_and_end_in_a_stop() {
+    let answers = ["drive on, it looks fine"];
+    let (agent, log, asked) = drive(&answers, settings(&[Round::Code]), "generated/high_magnitude_speed/1");
+    let call = &agent.calls()[0];
+    assert_eq!((call.attempts.len(), call.parse_errors(), call.rethinks()), (3, 3, 2));
+    assert!(matches!(call.decision, Decision::Brake(_)), "{:?}", call.decision);
+    assert!(!asked[0].contains("refused") && asked[1].contains("no call of Generate_IDM_Planner"), "{}", asked[1]);
+    assert!(asked[0].contains("Ego:"), "the first round that is asked carries the scene");
+    assert!(log.samples.last().unwrap().ego.speed() < 0.3);
+}
+
+#[test]
+fn a_planner_in_force_goes_on_when_later_answers_fail() {
+    // Eight calls: one readable code, then answers that no attempt can read.
+    let mut answers = vec!["nothing to read"; 60];
+    answers[0] = "Generate_IDM_Planner(c=ego_lane, la=None, v0=6, acc=1, dec=3)";
+    let mut settings = settings(&[Round::Code]);
+    settings.reflect = false;
+    let (agent, log, _) = drive(&answers, settings, "generated/high_magnitude_speed/1");
+    assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
+    assert!(agent.calls()[1..].iter().all(|call| matches!(call.decision, Decision::KeepInForce(_))));
+    assert!((log.samples.last().unwrap().ego.speed() - 6.0).abs() < 0.5);
+}
+
+#[test]
+fn a_refused_planner_is_told_its_parts_and_the_last_one_drives() {
+    // A crawl on a free road makes no progress beside the proposals, so it scores under the threshold.
+    let answers = ["Generate_IDM_Planner(c=ego_lane, la=None, v0=1, acc=0.5, dec=3)"];
+    let (agent, _, asked) = drive(&answers, settings(&[Round::Code]), "generated/high_magnitude_speed/1");
+    let refused = agent.calls().iter().find(|call| call.rethinks() == 2).expect("a crawl is refused somewhere");
+    assert_eq!(refused.decision, Decision::Exhausted(2));
+    assert!(refused.attempts.iter().all(|a| a.reflection.as_ref().unwrap().verdict == Verdict::Rethink));
+    assert!(asked.iter().any(|prompt| prompt.contains("progress 0.")), "{:?}", asked.last());
+}
+
+/// A planner of the ego's lane at the start of a scene.
+fn planner_at<'a>(
+    drive: &'a ClosedLoop<'a>,
+    graph: &LaneGraph,
+    target_speed: f64,
+    lead_policy: LeadPolicy,
+) -> planagent::reflection::GeneratedPlanner {
+    let code = PlannerCode {
+        centerline: CenterlineName::EgoLane.to_string(),
+        leader: None,
+        target_speed,
+        accel_max: 2.0,
+        decel_max: 3.0,
+    };
+    generated_planner(&drive.scene(), graph, code, lead_policy, 4.0).unwrap().unwrap()
+}
+
+#[test]
+fn reflection_refuses_to_run_into_the_leader_and_accepts_to_follow_it() {
+    let mut seen = 0;
+    for seed in 0..12 {
+        let scenario = scenario(&format!("generated/stationary_in_traffic/{seed}"));
+        let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+        let scene = drive.scene();
+        let Ok(graph) = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH) else { continue };
+        let close = graph.leader(CenterlineName::EgoLane).is_some_and(|leader| leader.gap < 6.0 && leader.speed < 0.5);
+        if !close {
+            continue;
+        }
+        seen += 1;
+        let judge = Judge::new(&scene, &graph, 4.0).unwrap();
+        let blind = planner_at(&drive, &graph, 10.0, LeadPolicy::Named);
+        let report = judge.reflect(&blind, 0.75).unwrap();
+        assert_eq!(report.verdict, Verdict::Rethink, "seed {seed}: {:?}", report.parts);
+        assert!(report.parts.no_collision < 1.0, "seed {seed}: {:?}", report.parts);
+        assert!(needs_emergency_brake(&scene, &blind.roll_out(&scene, 40)) || report.parts.no_collision > 0.0);
+        let careful = planner_at(&drive, &graph, 10.0, LeadPolicy::Nearest);
+        let report = judge.reflect(&careful, 0.75).unwrap();
+        assert_eq!(report.verdict, Verdict::Execute, "seed {seed}: {:?}", report.parts);
+        assert!(!needs_emergency_brake(&scene, &careful.roll_out(&scene, 40)));
+    }
+    assert!(seen >= 3, "only {seen} scenes have a standing leader close ahead");
+}
+
+#[test]
+fn a_roll_out_stops_before_a_red_light() {
+    let mut seen = 0;
+    for seed in 0..30 {
+        let id = format!("generated/starting_straight_traffic_light_intersection_traversal/{seed}");
+        let scenario = scenario(&id);
+        let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+        let scene = drive.scene();
+        let Ok(graph) = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH) else { continue };
+        let red = graph.ego_lane().light.filter(|light| light.status == planagent::world::SignalStatus::Red);
+        let Some(light) = red.filter(|light| light.distance > 12.0) else { continue };
+        seen += 1;
+        let planner = planner_at(&drive, &graph, 15.0, LeadPolicy::Nearest);
+        let rollout = planner.roll_out(&scene, 150);
+        assert!(
+            rollout.distance() < light.distance + 2.5,
+            "{id}: {} m, light in {} m",
+            rollout.distance(),
+            light.distance
+        );
+        assert!(rollout.speeds[150] < 0.5, "{id}: {} m/s at the end", rollout.speeds[150]);
+    }
+    assert!(seen >= 3, "only {seen} scenes start before a red light");
+}
