@@ -133,3 +133,20 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_transformers() {
         assert_eq!(greedy(&llava.model, &mut sequence, &ids, &features, expected.len()), expected);
     }
 }
+
+#[test]
+fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
+    let reference = Reference::open(&fixture("nano_reference").join("reference.safetensors"));
+    let llava = Llava::open("nano", &Path::new(env!("CARGO_MANIFEST_DIR")).join("models/nano")).unwrap();
+    let image = image::open(fixture("nano_reference").join("image.png")).unwrap().into_rgb8();
+    let pixels = llava.processor.process(&image, llava.model.config().vision.image_size).unwrap();
+    let corner = pixels.narrow(1, 0, 4).unwrap().narrow(2, 0, 4).unwrap();
+    assert!(difference(&corner, reference.tensor("pixel_corner")) < 1e-5);
+    let features = llava.model.encode_image(&pixels).unwrap();
+    let ids = reference.ids("input_ids");
+    let expected = reference.tensor("logits");
+    let all = logits_in_pieces(&llava.model, &ids, &features, &[]);
+    let kept = all.narrow(0, ids.len() - expected.dims()[0], expected.dims()[0]).unwrap();
+    let found = difference(&kept, expected);
+    assert!(found < TOLERANCE, "the logits differ by {found}");
+}
