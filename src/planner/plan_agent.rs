@@ -268,6 +268,7 @@ pub fn names(graph: &LaneGraph) -> Names {
     Names {
         centerlines: graph.centerlines.iter().map(|centerline| centerline.name.to_string()).collect(),
         leaders: graph.agents.iter().map(|agent| agent.name.to_string()).collect(),
+        speed_limit: graph.ego_lane().speed_limit.map(|limit| limit.round() as u32),
     }
 }
 

@@ -216,6 +216,7 @@ mod tests {
         Names {
             centerlines: ["ego_lane", "left_lane"].map(String::from).to_vec(),
             leaders: ["vehicle1", "pedestrian2"].map(String::from).to_vec(),
+            speed_limit: None,
         }
     }
 

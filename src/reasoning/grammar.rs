@@ -6,7 +6,7 @@ use super::prompt_set::{InstructionForm, UnderstandingForm};
 use crate::environment::facts::Question;
 use crate::mllm::Constraint;
 
-/// Desired speeds that a model may write under the compact form, m/s: whole numbers up to this.
+/// Desired speeds that a model may write, m/s: whole numbers up to the speed limit, or up to this where it is unknown.
 const FASTEST: u32 = 30;
 /// Accelerations that a model may write, m/s².
 pub const ACCELERATIONS: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
@@ -59,7 +59,7 @@ pub(super) fn instruction(form: InstructionForm) -> Constraint {
 pub(super) fn code(names: &Names) -> Constraint {
     let centerline = any_of(&names.centerlines);
     let leader = any_of(names.leaders.iter().map(String::as_str).chain(["None"]));
-    let speed = any_of((0..=FASTEST).map(|v| v.to_string()));
+    let speed = any_of((0..=names.speed_limit.unwrap_or(FASTEST)).map(|v| v.to_string()));
     let accel = any_of(ACCELERATIONS.iter().map(ToString::to_string));
     let decel = any_of(DECELERATIONS.iter().map(ToString::to_string));
     Constraint::Lark(format!(
@@ -73,8 +73,10 @@ mod tests {
 
     #[test]
     fn the_code_grammar_offers_the_names_of_the_scene() {
-        let names = Names { centerlines: vec!["ego_lane".into()], leaders: vec!["vehicle1".into()] };
+        let names =
+            Names { centerlines: vec!["ego_lane".into()], leaders: vec!["vehicle1".into()], speed_limit: Some(2) };
         let Constraint::Lark(grammar) = code(&names) else { panic!("not a grammar") };
+        assert!(grammar.contains("(\"0\" | \"1\" | \"2\")"), "{grammar}");
         assert!(grammar.contains("(\"ego_lane\")") && grammar.contains("(\"vehicle1\" | \"None\")"), "{grammar}");
     }
 }

@@ -1,7 +1,7 @@
 //! The way along lanes that a vehicle will follow from where it is.
 
 use super::{LaneId, LaneMap, Route};
-use crate::geometry::Polyline;
+use crate::geometry::{Polyline, wrap_angle};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// A chain of connected lanes with its centreline in one piece.
@@ -80,11 +80,13 @@ fn longest_on_route(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, first: LaneId
     lanes
 }
 
+/// How far a lane turns from its start to its end, radians, without sign.
 fn bend(map: &LaneMap, lane: LaneId) -> f64 {
-    map[lane].centerline.curvature_at(0.0).abs()
+    let line = &map[lane].centerline;
+    wrap_angle(line.heading_at(line.length()) - line.heading_at(0.0)).abs()
 }
 
-/// The successor that bends least at its start.
+/// The successor that turns least.
 fn straightest_successor(map: &LaneMap, lane: LaneId) -> Option<LaneId> {
     map[lane].outgoing.iter().copied().min_by(|a, b| bend(map, *a).total_cmp(&bend(map, *b)))
 }
