@@ -220,6 +220,50 @@ fn bad_input_is_refused_with_what_and_where() {
     assert!(folder_error.contains("cannot write"), "{folder_error}");
 }
 
+/// A copy of the model that ships, to be broken.
+fn copied_model(folder: &Path) -> PathBuf {
+    let copy = folder.join("model");
+    fs::create_dir(&copy).unwrap();
+    for entry in fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_file() {
+            fs::copy(&path, copy.join(path.file_name().unwrap())).unwrap();
+        }
+    }
+    copy
+}
+
+#[test]
+fn broken_checkpoints_are_refused() {
+    use candle_core::{Device, Tensor};
+    type Tensors = std::collections::HashMap<String, Tensor>;
+    const NORM: &str = "language_model.model.norm.weight";
+    let change = |tensors: &mut Tensors, what: &str| {
+        let norm = tensors.remove(NORM).unwrap();
+        match what {
+            "missing" => None,
+            "misshapen" => tensors.insert(NORM.to_owned(), norm.narrow(0, 0, 7).unwrap()),
+            _ => tensors.insert(NORM.to_owned(), (norm * f64::NAN).unwrap()),
+        };
+    };
+    for what in ["missing", "misshapen", "NaN"] {
+        let work = TempDir::new().unwrap();
+        let model = copied_model(work.path());
+        let weights = model.join("model.safetensors");
+        let mut tensors = candle_core::safetensors::load(&weights, &Device::Cpu).unwrap();
+        change(&mut tensors, what);
+        candle_core::safetensors::save(&tensors, &weights).unwrap();
+        let out = work.path().join("run");
+        let stderr = refused(&["simulate", "--model", model.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+        assert!(stderr.contains("norm.weight"), "{what}: {stderr}");
+    }
+    let work = TempDir::new().unwrap();
+    let model = copied_model(work.path());
+    fs::remove_file(model.join("tokenizer.json")).unwrap();
+    let stderr = refused(&["plan", "--model", model.to_str().unwrap()]);
+    assert!(stderr.contains("tokenizer.json"), "{stderr}");
+}
+
 #[test]
 fn broken_recordings_are_refused() {
     let Some(folder) = recordings() else { return };

@@ -41,8 +41,8 @@ pub struct Spec {
     pub seed: u64,
 }
 
-/// A drive worth seeing first: the ego comes up to a blocked lane and goes round.
-pub const DEFAULT: Spec = Spec { scenario_type: ScenarioType::ChangingLane, seed: 3 };
+/// A drive worth seeing first: a slow leader, and a free lane beside it.
+pub const DEFAULT: Spec = Spec { scenario_type: ScenarioType::ChangingLane, seed: 2 };
 
 /// Why there is no such drive.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
