@@ -32,7 +32,7 @@ fn engine(c: &mut Criterion) {
     c.bench_function("draw the BEV map, 128 px", |b| b.iter(|| bev::render(black_box(&scene), &BevView::default())));
     c.bench_function("build the lane graph", |b| b.iter(|| LaneGraph::build(black_box(&scene), DEFAULT_NODE_LENGTH)));
     c.bench_function("write the compact text", |b| {
-        b.iter(|| text::write(&Description::of(black_box(&graph)), text::PromptSet::Compact));
+        b.iter(|| text::write(&Description::of(black_box(&graph)), text::TextForm::Compact));
     });
     c.bench_function("roll a planner out, 4 s", |b| b.iter(|| planner.roll_out(black_box(&scene), 40)));
     c.bench_function("reflect on a planner, proposals included", |b| {

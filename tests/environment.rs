@@ -1,7 +1,7 @@
 //! Every frame of recorded and generated drives as prompts: a graph, two texts that parse back, facts, an image.
 
 use planagent::environment::facts::Question;
-use planagent::environment::{BevView, DEFAULT_NODE_LENGTH, Description, LaneGraph, PromptSet, SceneFacts, bev, text};
+use planagent::environment::{BevView, DEFAULT_NODE_LENGTH, Description, LaneGraph, SceneFacts, TextForm, bev, text};
 use planagent::scenario::generator::{self, ScenarioType, Spec};
 use planagent::scenario::{Frame, Scenario, womd};
 use planagent::world::{History, Scene};
@@ -30,11 +30,11 @@ fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts
     let place = format!("{} at {} us", scenario.id, frame.ego.time_us);
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap_or_else(|e| panic!("{place}: {e}"));
     let description = Description::of(&graph);
-    let paper = text::write(&description, PromptSet::Paper);
-    assert_eq!(text::parse(&paper, PromptSet::Paper), Ok(description.clone()), "{place}: {paper}");
-    let compact = text::write(&description, PromptSet::Compact);
+    let paper = text::write(&description, TextForm::Paper);
+    assert_eq!(text::parse(&paper, TextForm::Paper), Ok(description.clone()), "{place}: {paper}");
+    let compact = text::write(&description, TextForm::Compact);
     assert_eq!(compact.split_whitespace().count(), text::COMPACT_WORDS);
-    assert_eq!(text::parse(&compact, PromptSet::Compact), Ok(description.reduced()), "{place}: {compact}");
+    assert_eq!(text::parse(&compact, TextForm::Compact), Ok(description.reduced()), "{place}: {compact}");
     for agent in &graph.agents {
         assert!(paper.contains(&agent.name.to_string()), "{place}: {} is missing in {paper}", agent.name);
     }

@@ -7,7 +7,7 @@
 //! - [`text`]: the lane graph in words, in two prompt sets, and the way back.
 //! - [`facts`]: what is true of the scene, as choices.
 
-mod choice;
+pub(crate) mod choice;
 
 pub mod bev;
 pub mod facts;
@@ -21,4 +21,4 @@ pub use bev::{BevError, BevView};
 pub use choice::UnknownChoice;
 pub use facts::SceneFacts;
 pub use lane_graph::{AgentName, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, LaneGraphError, NodePlace};
-pub use text::{Description, PromptSet};
+pub use text::{Description, TextForm};

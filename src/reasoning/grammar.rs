@@ -39,12 +39,12 @@ pub(super) fn understanding(form: UnderstandingForm) -> Constraint {
 
 /// What answers of round 2 look like.
 pub(super) fn instruction(form: InstructionForm) -> Constraint {
-    let longitudinal = any_of(Longitudinal::ALL.iter().map(|word| word.as_str()));
-    let lateral = any_of(Lateral::ALL.iter().map(|word| word.as_str()));
+    let longitudinal = any_of(Longitudinal::TEXTS);
+    let lateral = any_of(Lateral::TEXTS);
     Constraint::Lark(match form {
         InstructionForm::Choices => {
-            let why_lateral = any_of(LateralReason::ALL.iter().map(|word| word.as_str()));
-            let why_longitudinal = any_of(LongitudinalReason::ALL.iter().map(|word| word.as_str()));
+            let why_lateral = any_of(LateralReason::TEXTS);
+            let why_longitudinal = any_of(LongitudinalReason::TEXTS);
             format!(
                 "start: \"why=\" {why_lateral} \" lat=\" {lateral} \" why=\" {why_longitudinal} \" lon=\" {longitudinal}"
             )

@@ -1,43 +1,10 @@
 //! Round 2: the longitudinal and lateral motion instruction of the paper, with reasons.
 
-use std::fmt;
+use crate::environment::choice::choice;
 
-macro_rules! words {
-    ($(#[$doc:meta])* $name:ident { $($(#[$variant_doc:meta])* $variant:ident = $word:literal),+ $(,)? }) => {
-        $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
-        pub enum $name {
-            $($(#[$variant_doc])* #[serde(rename = $word)] $variant),+
-        }
-
-        impl $name {
-            /// All of them, in the order in which they are offered.
-            pub const ALL: &'static [Self] = &[$(Self::$variant),+];
-
-            /// The word of the answer.
-            pub fn as_str(self) -> &'static str {
-                match self {
-                    $(Self::$variant => $word),+
-                }
-            }
-
-            /// The one with this word.
-            pub fn from_word(word: &str) -> Option<Self> {
-                Self::ALL.iter().copied().find(|one| one.as_str() == word)
-            }
-        }
-
-        impl fmt::Display for $name {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str(self.as_str())
-            }
-        }
-    };
-}
-
-words!(
+choice! {
     /// What to do along the road.
-    Longitudinal {
+    pub enum Longitudinal {
         /// Go faster.
         Accelerate = "accelerate",
         /// Go slower or stop.
@@ -45,11 +12,11 @@ words!(
         /// Keep the speed.
         Maintain = "maintain",
     }
-);
+}
 
-words!(
+choice! {
     /// What to do across the road.
-    Lateral {
+    pub enum Lateral {
         /// Into the lane to the left.
         ChangeLeft = "change_left",
         /// Into the lane to the right.
@@ -57,11 +24,11 @@ words!(
         /// Stay in the lane.
         Keep = "keep",
     }
-);
+}
 
-words!(
+choice! {
     /// Why the longitudinal instruction was given: what limits the speed most.
-    LongitudinalReason {
+    pub enum LongitudinalReason {
         /// Nothing ahead, below the limit.
         FreeRoad = "free_road",
         /// At the speed limit.
@@ -75,11 +42,11 @@ words!(
         /// An obstacle on the way.
         Obstacle = "obstacle",
     }
-);
+}
 
-words!(
+choice! {
     /// Why the lateral instruction was given.
-    LateralReason {
+    pub enum LateralReason {
         /// The lane serves.
         LaneServes = "lane_serves",
         /// Something stands in the lane.
@@ -89,7 +56,7 @@ words!(
         /// The other lane gets on better.
         FasterLane = "faster_lane",
     }
-);
+}
 
 /// The answer of round 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -108,8 +75,8 @@ impl MotionInstruction {
             .map(str::to_lowercase)
             .filter(|word| !word.is_empty())
             .collect();
-        let longitudinal = words.iter().find_map(|word| Longitudinal::from_word(word))?;
-        let lateral = words.iter().find_map(|word| Lateral::from_word(word))?;
+        let longitudinal = words.iter().find_map(|word| word.parse().ok())?;
+        let lateral = words.iter().find_map(|word| word.parse().ok())?;
         Some(Self { longitudinal, lateral })
     }
 }

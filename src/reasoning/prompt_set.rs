@@ -1,7 +1,7 @@
 //! Prompt sets: folders of templates with a `set.toml`, two of them built in.
 
 use super::round::Round;
-use crate::environment::text::PromptSet as TextForm;
+use crate::environment::text::TextForm;
 use minijinja::{Environment, UndefinedBehavior, Value};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,8 @@
 //! The lane graph in words, and the way back.
 //!
 //! A [`Description`] holds the facts that are put into words, already rounded to what the words say: whole metres and
-//! whole metres per second, both at most [`MAX_NUMBER`]. [`PromptSet::Paper`] puts all of it into short English lines for
-//! general models; [`PromptSet::Compact`] says its [`Description::reduced`] part in words at fixed places for a small model.
+//! whole metres per second, both at most [`MAX_NUMBER`]. [`TextForm::Paper`] puts all of it into short English lines for
+//! general models; [`TextForm::Compact`] says its [`Description::reduced`] part in words at fixed places for a small model.
 //! [`parse`] reads either text back: `parse(write(d)) = d` (for the compact set: of the reduced description).
 //!
 //! **Paper set**, four lines; every agent on the nine nodes is named:
@@ -35,7 +35,7 @@ use super::choice::choice;
 
 choice! {
     /// The two ways of putting a scene into words.
-    pub enum PromptSet {
+    pub enum TextForm {
         /// Readable English, for general models.
         Paper = "paper",
         /// Few words at fixed places, for a small model of our own.
@@ -44,10 +44,10 @@ choice! {
 }
 
 /// The description in words; ends without a newline.
-pub fn write(description: &Description, set: PromptSet) -> String {
+pub fn write(description: &Description, set: TextForm) -> String {
     match set {
-        PromptSet::Paper => paper::write(description),
-        PromptSet::Compact => compact::write(description),
+        TextForm::Paper => paper::write(description),
+        TextForm::Compact => compact::write(description),
     }
 }
 
@@ -55,10 +55,10 @@ pub fn write(description: &Description, set: PromptSet) -> String {
 ///
 /// # Errors
 /// Everything that is not as [`write()`] would have written it, each with its place.
-pub fn parse(text: &str, set: PromptSet) -> Result<Description, Vec<TextError>> {
+pub fn parse(text: &str, set: TextForm) -> Result<Description, Vec<TextError>> {
     match set {
-        PromptSet::Paper => paper::parse(text),
-        PromptSet::Compact => compact::parse(text),
+        TextForm::Paper => paper::parse(text),
+        TextForm::Compact => compact::parse(text),
     }
 }
 

@@ -36,7 +36,7 @@ fn golden_texts() {
     let update = std::env::var_os("PLANAGENT_UPDATE_GOLDEN").is_some();
     let narrow = sketch::straight(1, 1, 0, 0.0);
     for (name, drawn) in [("road", road()), ("crossing", crossing()), ("narrow", narrow)] {
-        for &set in PromptSet::ALL {
+        for &set in TextForm::ALL {
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/text/{name}.{set}.txt"));
             let text = write(&described(&drawn), set) + "\n";
             if update {
@@ -53,8 +53,8 @@ fn golden_texts() {
 fn described_facts_are_parsed_back() {
     for drawn in [road(), crossing(), sketch::roundabout(16.0, 5.0, 4.0), sketch::curve(30.0, 5.0, 6.0)] {
         let description = described(&drawn);
-        assert_eq!(parse(&write(&description, PromptSet::Paper), PromptSet::Paper), Ok(description.clone()));
-        assert_eq!(parse(&write(&description, PromptSet::Compact), PromptSet::Compact), Ok(description.reduced()));
+        assert_eq!(parse(&write(&description, TextForm::Paper), TextForm::Paper), Ok(description.clone()));
+        assert_eq!(parse(&write(&description, TextForm::Compact), TextForm::Compact), Ok(description.reduced()));
     }
 }
 
@@ -62,7 +62,7 @@ fn described_facts_are_parsed_back() {
 fn all_agents_on_the_nodes_stand_in_the_paper_text_and_the_rest_is_counted_in_the_compact_one() {
     let drawn = road().put(ObjectKind::Vehicle, 26.0, -3.5, 0.0, 3.0);
     let graph = LaneGraph::build(&drawn.scene(), DEFAULT_NODE_LENGTH).unwrap();
-    let text = write(&Description::of(&graph), PromptSet::Paper);
+    let text = write(&Description::of(&graph), TextForm::Paper);
     assert!(graph.agents.len() >= 6);
     for agent in &graph.agents {
         assert!(text.contains(&agent.name.to_string()), "{} is missing in:\n{text}", agent.name);
@@ -71,24 +71,24 @@ fn all_agents_on_the_nodes_stand_in_the_paper_text_and_the_rest_is_counted_in_th
     assert_eq!(reduced.agents().count() + usize::from(reduced.rest), graph.agents.len());
 }
 
-fn error_at(text: &str, set: PromptSet) -> (usize, usize) {
+fn error_at(text: &str, set: TextForm) -> (usize, usize) {
     let errors = parse(text, set).unwrap_err();
     (errors[0].line, errors[0].column)
 }
 
 #[test]
 fn errors_say_where() {
-    let text = write(&described(&road()), PromptSet::Paper);
-    assert_eq!(error_at("", PromptSet::Paper), (1, 1));
-    assert_eq!(error_at(&text.replace("Ego: 9", "Ego: 99"), PromptSet::Paper), (1, 6));
-    assert_eq!(error_at(&text.replace("left_lane", "over_lane"), PromptSet::Paper), (3, 1));
-    assert_eq!(error_at(&format!("{text} more"), PromptSet::Paper).0, 4);
+    let text = write(&described(&road()), TextForm::Paper);
+    assert_eq!(error_at("", TextForm::Paper), (1, 1));
+    assert_eq!(error_at(&text.replace("Ego: 9", "Ego: 99"), TextForm::Paper), (1, 6));
+    assert_eq!(error_at(&text.replace("left_lane", "over_lane"), TextForm::Paper), (3, 1));
+    assert_eq!(error_at(&format!("{text} more"), TextForm::Paper).0, 4);
     let two = text.replace("Ego: 9", "Ego: ?").replace("left_lane: left", "left_lane: lift");
-    let lines: Vec<usize> = parse(&two, PromptSet::Paper).unwrap_err().iter().map(|e| e.line).collect();
+    let lines: Vec<usize> = parse(&two, TextForm::Paper).unwrap_err().iter().map(|e| e.line).collect();
     assert_eq!(lines, [1, 3]);
-    let compact = write(&described(&road()), PromptSet::Compact);
-    assert_eq!(error_at(&compact.replace("speed 9", "speed -1"), PromptSet::Compact), (1, 7));
-    assert_eq!(error_at(&format!("{compact} 5"), PromptSet::Compact), (1, compact.len() + 2));
+    let compact = write(&described(&road()), TextForm::Compact);
+    assert_eq!(error_at(&compact.replace("speed 9", "speed -1"), TextForm::Compact), (1, 7));
+    assert_eq!(error_at(&format!("{compact} 5"), TextForm::Compact), (1, compact.len() + 2));
 }
 
 fn agents() -> impl Strategy<Value = Vec<AgentDescription>> {
@@ -129,24 +129,24 @@ fn description() -> impl Strategy<Value = Description> {
 proptest! {
     #[test]
     fn paper_text_round_trips(description in description()) {
-        let text = write(&description, PromptSet::Paper);
-        let back = parse(&text, PromptSet::Paper);
+        let text = write(&description, TextForm::Paper);
+        let back = parse(&text, TextForm::Paper);
         prop_assert_eq!(back.as_ref(), Ok(&description));
-        prop_assert_eq!(write(&back.unwrap(), PromptSet::Paper), text);
+        prop_assert_eq!(write(&back.unwrap(), TextForm::Paper), text);
     }
 
     #[test]
     fn compact_text_round_trips_with_the_same_number_of_words(description in description()) {
-        let text = write(&description, PromptSet::Compact);
+        let text = write(&description, TextForm::Compact);
         prop_assert_eq!(text.split_whitespace().count(), COMPACT_WORDS);
-        let back = parse(&text, PromptSet::Compact);
+        let back = parse(&text, TextForm::Compact);
         prop_assert_eq!(back.as_ref(), Ok(&description.reduced()));
-        prop_assert_eq!(write(&back.unwrap(), PromptSet::Compact), text);
+        prop_assert_eq!(write(&back.unwrap(), TextForm::Compact), text);
     }
 
     #[test]
     fn compact_words_stand_at_fixed_places(a in description(), b in description()) {
-        let (a, b) = (write(&a, PromptSet::Compact), write(&b, PromptSet::Compact));
+        let (a, b) = (write(&a, TextForm::Compact), write(&b, TextForm::Compact));
         for (i, (x, y)) in a.split(' ').zip(b.split(' ')).enumerate() {
             let label = x == "speed" || x == "limit" || x == "light" || x == "turn" || x == "rest"
                 || (i >= 9 && (i - 9) % 4 == 0 && x.parse::<NodePlace>().is_ok());
@@ -158,14 +158,14 @@ proptest! {
 
     #[test]
     fn any_text_is_read_without_panic(text in "[ -~\\n\u{e9}]{0,200}") {
-        for &set in PromptSet::ALL {
+        for &set in TextForm::ALL {
             prop_assert!(parse(&text, set).is_err());
         }
     }
 
     #[test]
     fn damaged_text_is_read_without_panic(description in description(), at in 0..400usize, put in "[ -~\u{e9}\\n]{0,3}") {
-        for &set in PromptSet::ALL {
+        for &set in TextForm::ALL {
             let mut text = write(&description, set);
             let at = at.min(text.len());
             text.replace_range(at..(at + 2).min(text.len()), &put);
