@@ -90,15 +90,18 @@ fn legend(width: u16) -> String {
     lines.iter().map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
 }
 
-/// A line for each score of 0: the multipliers that made it.
+/// For each score of 0 the multipliers that made it, a line each.
 fn zeroed(records: &[DriveRecord]) -> String {
-    let lines = records.iter().filter_map(|record| {
-        let driven = record.outcome.as_ref().ok()?;
-        let names: Vec<&str> = driven.score.zero_multipliers().map(MetricName::as_str).collect();
-        let who = format!("{} {} {}", record.scenario, record.planner, short(record));
-        (!names.is_empty()).then(|| format!("{who}: 0 because of {}", names.join(", ")))
-    });
-    lines.collect::<Vec<_>>().join("\n")
+    let mut lines = Vec::new();
+    for record in records {
+        let Ok(driven) = &record.outcome else { continue };
+        let mut names = driven.score.zero_multipliers().peekable();
+        if names.peek().is_some() {
+            lines.push(record.scenario.clone());
+        }
+        lines.extend(names.map(|name| format!("  {} {}: 0 because of {name}", record.planner, short(record))));
+    }
+    lines.join("\n")
 }
 
 /// A line a failed drive.
