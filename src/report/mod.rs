@@ -12,4 +12,4 @@ pub use run_folder::{ReportError, RunFolder};
 pub use summary::{Aggregate, ScenarioRow, Summary};
 pub use table::{failures, main_table};
 pub use timing::{CallTimes, Timing};
-pub use transcript::{attempt_markdown, transcript};
+pub use transcript::{attempt_markdown, decision_words, transcript};

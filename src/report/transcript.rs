@@ -35,7 +35,7 @@ fn call_markdown(call: &PlanningCall, driven: &Driven, image: Option<String>) ->
         let _ = writeln!(text, "### Attempt {}\n", i + 1);
         text.push_str(&attempt_markdown(attempt));
     }
-    let _ = writeln!(text, "**Decision:** {}.\n", decision(&call.decision));
+    let _ = writeln!(text, "**Decision:** {}.\n", decision_words(&call.decision));
     if call.emergency_brakes > 0 {
         let _ = writeln!(text, "The emergency brake overruled it in {} iterations.\n", call.emergency_brakes);
     }
@@ -67,7 +67,8 @@ pub fn attempt_markdown(attempt: &Attempt) -> String {
     text
 }
 
-fn decision(decision: &Decision) -> String {
+/// How a planning call ended, in words.
+pub fn decision_words(decision: &Decision) -> String {
     match decision {
         Decision::Execute(index) => format!("attempt {} drives", index + 1),
         Decision::Exhausted(index) => format!("all attempts refused; attempt {} drives", index + 1),

@@ -5,7 +5,7 @@ use crate::cli::{Config, Exit, Printer, model};
 use crate::experiment::run::{DriveRecord, PlannerKind};
 use crate::experiment::source::ScenarioSource;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
-use crate::report::{CallTimes, attempt_markdown, call_record};
+use crate::report::{CallTimes, attempt_markdown, call_record, decision_words};
 use crate::scenario::{Scenario, generator};
 use crate::simulation::Challenge;
 use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Scene, Trajectory};
@@ -107,7 +107,7 @@ fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, print
         printer.line(format!("Attempt {}\n", i + 1));
         printer.line(attempt_markdown(attempt));
     }
-    printer.line(format!("Decision: {:?}", call.decision));
+    printer.line(format!("Decision: {}", decision_words(&call.decision)));
     printer.line("Trajectory: time s, forward m, left m, speed m/s");
     let ego = trajectory.states()[0].rear_axle;
     for state in trajectory.states().iter().step_by(10) {

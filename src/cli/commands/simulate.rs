@@ -18,9 +18,9 @@ use std::time::Instant;
 pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let started = Instant::now();
     let assignments = assignments(flags)?;
-    let folder = RunFolder::create(flags.out.as_deref())?;
     let needs_model = assignments.iter().any(|a| a.planner == PlannerKind::PlanAgent);
     let loaded = if needs_model { Some(model::load(config, printer)?) } else { None };
+    let folder = RunFolder::create(flags.out.as_deref())?;
     let parts = loaded.as_ref().map(|loaded: &Loaded| &loaded.parts);
     let bar = printer.progress(assignments.len() as u64, "drives");
     let iterations = std::sync::atomic::AtomicUsize::new(0);
