@@ -202,7 +202,13 @@ fn bad_input_is_refused_with_what_and_where() {
     );
     fs::write(&config, "[reflection]\nthreshold = 7.5\n").unwrap();
     let out_of_range = refused(&["simulate", "--config", config.to_str().unwrap()]);
-    assert!(out_of_range.contains("reflection.threshold is 7.5"), "{out_of_range}");
+    assert!(out_of_range.contains("reflection.threshold is 7.5e0"), "{out_of_range}");
+
+    fs::write(&config, "[environment]\nnode_length_m = 1e300\n").unwrap();
+    let node = refused(&["simulate", "--config", config.to_str().unwrap()]);
+    assert!(node.contains("environment.node_length_m") && node.contains("6 to 100"), "{node}");
+    let threads = refused(&["simulate", "--threads", "1000000"]);
+    assert!(threads.contains("--threads"), "{threads}");
 
     let missing = refused(&["simulate", "--scenario", "nowhere.tfrecord"]);
     assert!(missing.contains("nowhere.tfrecord"), "{missing}");
@@ -218,6 +224,13 @@ fn bad_input_is_refused_with_what_and_where() {
     let unwritable = file.join("run");
     let folder_error = refused(&["simulate", "--planner", "idm", "--out", unwritable.to_str().unwrap()]);
     assert!(folder_error.contains("cannot write"), "{folder_error}");
+    assert_eq!(folder_error.matches("os error").count(), 1, "a cause is told once: {folder_error}");
+
+    let foreign = folder.path().join("foreign");
+    fs::create_dir(&foreign).unwrap();
+    fs::write(foreign.join("notes.txt"), "mine").unwrap();
+    let dataset = refused(&["dataset", "--out", foreign.to_str().unwrap(), "--states", "1"]);
+    assert!(dataset.contains("foreign"), "{dataset}");
 }
 
 /// A copy of the model that ships, to be broken.

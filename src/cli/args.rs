@@ -19,7 +19,7 @@ pub(super) struct Arguments {
     /// Seed of everything that is drawn at random.
     #[arg(long, global = true)]
     pub(super) seed: Option<u64>,
-    /// Number of threads [default: all cores].
+    /// Number of threads; 0 takes all cores.
     #[arg(long, global = true, value_name = "N")]
     pub(super) threads: Option<usize>,
     /// Data on stdout as JSON.
@@ -117,10 +117,10 @@ pub(super) struct DatasetArguments {
     /// Folder for the shards; an interrupted run goes on where it stopped.
     #[arg(long, value_name = "FOLDER")]
     pub(super) out: PathBuf,
-    /// Labelled states to make for training.
+    /// Labelled states to make for training; whole shards are made, so there may be more.
     #[arg(long, default_value_t = 20_000)]
     pub(super) states: usize,
-    /// Labelled states to make for validation, from seeds of their own.
+    /// Labelled states to make for validation, from seeds of their own; likewise.
     #[arg(long, default_value_t = 2_000)]
     pub(super) validation: usize,
 }

@@ -1,6 +1,7 @@
 //! The resolved configuration: defaults, then the file, then the flags.
 
-use crate::environment::DEFAULT_NODE_LENGTH;
+use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
+use crate::environment::{BevView, DEFAULT_NODE_LENGTH};
 use crate::mllm::{GenerationSettings, Sampling};
 use crate::planner::{AfterMaxExec, PlanAgentSettings};
 use crate::reasoning::{ReasoningSettings, Round};
@@ -170,24 +171,20 @@ impl Config {
     /// # Errors
     /// Names the key, what it is and what it must be.
     pub fn check(&self) -> anyhow::Result<()> {
-        let positive = |key: &str, value: f64| {
-            if value.is_finite() && value > 0.0 { Ok(()) } else { bail!("{key} is {value}; it must be above 0") }
+        let within = |key: &str, value: f64, range: std::ops::RangeInclusive<f64>| {
+            if range.contains(&value) {
+                return Ok(());
+            }
+            bail!("{key} is {value:e}; it must lie in {} to {}", range.start(), range.end())
         };
-        positive("environment.view_m", self.environment.view_m)?;
-        positive("environment.node_length_m", self.environment.node_length_m)?;
-        positive("reflection.horizon_s", self.reflection.horizon_s)?;
-        if !(1.0..=8.0).contains(&self.reflection.horizon_s) {
-            bail!("reflection.horizon_s is {}; it must lie in 1 to 8 s", self.reflection.horizon_s);
-        }
-        if !(0.0..=1.0).contains(&self.reflection.threshold) {
-            bail!("reflection.threshold is {}; scores lie in 0 to 1", self.reflection.threshold);
-        }
-        if self.reflection.max_exec == 0 || self.reasoning.interval == 0 {
-            bail!("reflection.max_exec and reasoning.interval must be 1 or more");
-        }
-        if !(0.0..=10.0).contains(&self.reasoning.rethink_temperature) {
-            bail!("reasoning.rethink_temperature is {}; it must lie in 0 to 10", self.reasoning.rethink_temperature);
-        }
+        let Self { environment, reasoning, reflection, .. } = self;
+        within("environment.view_m", environment.view_m, BevView::MIN_METRES..=BevView::MAX_METRES)?;
+        within("environment.node_length_m", environment.node_length_m, MIN_NODE_LENGTH..=MAX_NODE_LENGTH)?;
+        within("reflection.horizon_s", reflection.horizon_s, 1.0..=8.0)?;
+        within("reflection.threshold", reflection.threshold, 0.0..=1.0)?;
+        within("reflection.max_exec", reflection.max_exec as f64, 1.0..=100.0)?;
+        within("reasoning.interval", reasoning.interval as f64, 1.0..=1000.0)?;
+        within("reasoning.rethink_temperature", reasoning.rethink_temperature, 0.0..=10.0)?;
         if self.reasoning.rounds.last() != Some(&Round::Code) || !self.reasoning.rounds.is_sorted_by(|a, b| a < b) {
             bail!("reasoning.rounds must be some of understanding, instruction, code, in this order, ending with code");
         }

@@ -7,6 +7,7 @@ mod exit;
 mod model;
 mod printer;
 
+use anyhow::bail;
 use args::{Arguments, Command};
 use clap::Parser;
 use std::process::ExitCode;
@@ -14,6 +15,9 @@ use std::process::ExitCode;
 pub use config::{Config, EnvironmentConfig, MllmConfig, ReasoningConfig, ReflectionConfig};
 pub use exit::Exit;
 pub use printer::Printer;
+
+/// Most threads that may be asked for.
+const MOST_THREADS: usize = 512;
 
 /// Runs the program with the arguments of the process.
 pub fn run() -> ExitCode {
@@ -26,7 +30,8 @@ pub fn run() -> ExitCode {
         }
     };
     let printer = Printer::new(arguments.json, arguments.quiet);
-    match execute(&arguments, printer) {
+    let outcome = execute(&arguments, printer).and_then(|exit| printer.finish().map(|()| exit));
+    match outcome {
         Ok(exit) => exit.into(),
         Err(error) => {
             printer.error(&error);
@@ -43,7 +48,11 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     if let Some(model) = &arguments.model {
         config.mllm.model.clone_from(model);
     }
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads.unwrap_or(0)).build()?;
+    let threads = arguments.threads.unwrap_or(0);
+    if threads > MOST_THREADS {
+        bail!("--threads is {threads}; more than {MOST_THREADS} would only wait for one another");
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     pool.install(|| match &arguments.command {
         Command::Simulate(flags) => commands::simulate::run(flags, &config, printer),
         Command::Plan(flags) => commands::plan::run(flags, &config, printer),

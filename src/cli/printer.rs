@@ -4,7 +4,8 @@
 
 use console::{Style, Term};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::Write;
+use std::io::{ErrorKind, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Prints for one invocation.
 #[derive(Debug, Clone, Copy)]
@@ -50,7 +51,28 @@ impl Printer {
     /// An error with its causes, and a hint where there is one.
     pub fn error(&self, error: &anyhow::Error) {
         let red = Style::new().for_stderr().red().bold();
-        eprintln!("{} {error:#}", red.apply_to("error:"));
+        let mut text = String::new();
+        for cause in error.chain().map(ToString::to_string) {
+            // Many errors tell their cause themselves; it is told once.
+            if text.is_empty() {
+                text = cause;
+            } else if !text.contains(&cause) {
+                text = format!("{text}: {cause}");
+            }
+        }
+        eprintln!("{} {text}", red.apply_to("error:"));
+    }
+
+    /// Says whether all data reached stdout.
+    ///
+    /// # Errors
+    /// When some could not be written, for want of space for instance; a reader that went away is none.
+    pub fn finish(&self) -> anyhow::Result<()> {
+        let flushed = std::io::stdout().lock().flush();
+        if STDOUT_FAILED.load(Ordering::Relaxed) || flushed.is_err_and(|e| e.kind() != ErrorKind::BrokenPipe) {
+            anyhow::bail!("stdout cannot be written; the output is not complete");
+        }
+        Ok(())
     }
 
     /// A progress bar on stderr; hidden when quiet or when stderr is no terminal.
@@ -70,8 +92,13 @@ impl Printer {
     }
 }
 
+/// Whether a line was lost.
+static STDOUT_FAILED: AtomicBool = AtomicBool::new(false);
+
 /// Writes a line to stdout; a closed pipe ends the output, not the program.
 fn write_line(text: &str) {
-    let mut stdout = std::io::stdout().lock();
-    let _ = writeln!(stdout, "{text}");
+    let written = writeln!(std::io::stdout().lock(), "{text}");
+    if written.is_err_and(|e| e.kind() != ErrorKind::BrokenPipe) {
+        STDOUT_FAILED.store(true, Ordering::Relaxed);
+    }
 }

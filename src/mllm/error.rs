@@ -148,7 +148,9 @@ pub enum MllmError {
         problem: String,
     },
     /// The prompt does not fit into the model's context.
-    #[error("the prompt has {tokens} tokens, the model's context holds {context}")]
+    #[error(
+        "the prompt has {tokens} tokens, the model's context holds {context}; a shorter prompt set may fit (reasoning.prompt_set)"
+    )]
     PromptTooLong {
         /// Tokens of the whole chat so far, image tokens included.
         tokens: usize,

@@ -86,18 +86,20 @@ fn legend(width: u16) -> String {
             last.push_str(&part);
         }
     }
-    lines.push("NR: replayed traffic, R: reactive traffic. Score: nuPlan's closed-loop score x 100.".to_owned());
+    lines.push("NR, R = replayed, reactive traffic  score = nuPlan's closed-loop score x 100".to_owned());
     lines.iter().map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
 }
 
 /// For each score of 0 the multipliers that made it, a line each.
 fn zeroed(records: &[DriveRecord]) -> String {
-    let mut lines = Vec::new();
+    let mut lines: Vec<String> = Vec::new();
+    let mut scenario = None;
     for record in records {
         let Ok(driven) = &record.outcome else { continue };
         let mut names = driven.score.zero_multipliers().peekable();
-        if names.peek().is_some() {
+        if names.peek().is_some() && scenario != Some(&record.scenario) {
             lines.push(record.scenario.clone());
+            scenario = Some(&record.scenario);
         }
         lines.extend(names.map(|name| format!("  {} {}: 0 because of {name}", record.planner, short(record))));
     }

@@ -99,7 +99,7 @@ fn show(scenario: &Scenario, at: f64, image: Option<&Path>, view: f64, printer: 
         scenario.start
     ));
     printer.line(format!(
-        "map         {} lanes, {} connectors, {} roadblocks, {} intersections, {} crosswalks, {} stop lines",
+        "map         {} lanes, {} connectors, {} roadblocks,\n            {} intersections, {} crosswalks, {} stop lines",
         lanes(LaneKind::Lane),
         lanes(LaneKind::Connector),
         map.roadblocks().len(),

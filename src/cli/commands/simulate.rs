@@ -71,10 +71,13 @@ fn assignments(flags: &SimulateArguments) -> anyhow::Result<Vec<Assignment>> {
     if flags.scenarios.is_empty() {
         sources.push(ScenarioSource::Generated(generator::DEFAULT));
     }
-    let mut all = Vec::new();
+    let mut all: Vec<Assignment> = Vec::new();
     for source in &sources {
         for &planner in &planners {
-            all.extend(challenges.iter().map(|&challenge| Assignment { source: source.clone(), planner, challenge }));
+            let drives = challenges.iter().map(|&challenge| Assignment { source: source.clone(), planner, challenge });
+            // A scenario or planner that is named twice is driven once, or it would count twice in the means.
+            let new: Vec<Assignment> = drives.filter(|drive| !all.contains(drive)).collect();
+            all.extend(new);
         }
     }
     Ok(all)

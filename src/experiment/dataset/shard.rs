@@ -33,7 +33,7 @@ pub enum ShardError {
     #[error("cannot serialise a labelled state")]
     Json(#[from] serde_json::Error),
     /// The folder holds a dataset that was made in another way.
-    #[error("{} was made with other settings; name a new folder", .0.display())]
+    #[error("{} holds something else, or a dataset made with other settings; name a new folder", .0.display())]
     OtherSettings(PathBuf),
 }
 
@@ -66,6 +66,9 @@ pub(super) fn open_folder(folder: &Path, meta: &Meta) -> Result<(), ShardError> 
     match fs::read_to_string(&path) {
         Ok(present) if present == text => Ok(()),
         Ok(_) => Err(ShardError::OtherSettings(folder.to_owned())),
+        Err(_) if fs::read_dir(folder).map_err(failed)?.next().is_some() => {
+            Err(ShardError::OtherSettings(folder.to_owned()))
+        }
         Err(_) => fs::write(&path, text).map_err(|source| ShardError::Write { path, source }),
     }
 }
