@@ -158,6 +158,17 @@ fn a_planner_input_holds_no_future() {
 }
 
 #[test]
+fn the_simulator_knows_an_agent_only_by_the_trait() {
+    let known = ["PlanAgent", "plan_agent", "IdmPlanner", "LogReplay", "reasoning", "reflection", "mllm"];
+    let simulation = sources().into_iter().filter(|(file, _)| stage(file) == Some("simulation"));
+    for (file, text) in simulation {
+        for (number, line) in code_lines(&text) {
+            assert!(!known.iter().any(|name| line.contains(name)), "{file}:{number}: {line}");
+        }
+    }
+}
+
+#[test]
 fn files_stay_readable() {
     /// A file longer than this holds more than one idea.
     const MOST_LINES: usize = 500;

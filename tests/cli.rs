@@ -295,25 +295,22 @@ fn broken_recordings_are_refused() {
     assert!(checksum.to_lowercase().contains("crc") || checksum.contains("checksum"), "{checksum}");
 }
 
-#[test]
-fn log_replay_keeps_to_road_and_direction_on_every_recording() {
-    let Some(folder) = recordings() else { return };
+/// Drives every recording; gives the rows of the summary, or nothing where there are no recordings.
+fn drive_recordings(flags: &[&str]) -> Option<Vec<Value>> {
+    let folder = recordings()?;
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
-    let (code, _, stderr) = run(&[
-        "simulate",
-        "--scenario",
-        folder.to_str().unwrap(),
-        "--planner",
-        "log-replay",
-        "--out",
-        out.to_str().unwrap(),
-    ]);
+    let arguments = ["simulate", "--scenario", folder.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let (code, _, stderr) = run(&[&arguments[..], flags].concat());
     assert_eq!(code, 0, "{stderr}");
-    let summary = read_json(&out.join("summary.json"));
-    let rows = summary["scenarios"].as_array().unwrap();
+    let rows = read_json(&out.join("summary.json"))["scenarios"].as_array().unwrap().clone();
     assert!(rows.len() >= 11, "{} recordings", rows.len());
-    for row in rows {
+    Some(rows)
+}
+
+#[test]
+fn log_replay_keeps_to_road_and_direction_on_every_recording() {
+    for row in drive_recordings(&["--planner", "log-replay"]).unwrap_or_default() {
         assert_eq!(row["drivable_area_compliance"], 1.0, "{row}");
         assert_eq!(row["driving_direction_compliance"], 1.0, "{row}");
     }
@@ -321,20 +318,7 @@ fn log_replay_keeps_to_road_and_direction_on_every_recording() {
 
 #[test]
 fn plan_agent_drives_every_recording() {
-    let Some(folder) = recordings() else { return };
-    let work = TempDir::new().unwrap();
-    let out = work.path().join("run");
-    let (code, _, stderr) = run(&[
-        "simulate",
-        "--scenario",
-        folder.to_str().unwrap(),
-        "--challenge",
-        "both",
-        "--out",
-        out.to_str().unwrap(),
-    ]);
-    assert_eq!(code, 0, "{stderr}");
-    for row in read_json(&out.join("summary.json"))["scenarios"].as_array().unwrap() {
+    for row in drive_recordings(&["--challenge", "both"]).unwrap_or_default() {
         assert!(row["planning_calls"].as_u64().unwrap() >= 3, "{row}");
         let score = row["score"].as_f64().unwrap();
         assert_eq!(score <= 0.0, !row["zeroed_by"].as_array().unwrap().is_empty(), "{row}");
