@@ -7,7 +7,7 @@
 //! 2. [`environment`] turns a [`world::Scene`] into the two prompts of the paper: the BEV map and the lane-graph text.
 //! 3. [`mllm`] runs a multimodal language model on the CPU.
 //! 4. [`reasoning`] asks it three rounds and parses the planner code that it writes.
-//! 5. [`reflection`] rolls that planner out, scores it, and accepts it or asks to rethink.
+//! 5. [`reflection`] rolls that planner out, scores it by [`pdm`]'s measure, and accepts it or asks to rethink.
 //! 6. [`planner`] is the one trait the simulator knows; `PlanAgent` and the baselines implement it.
 //! 7. [`simulation`] closes the loop at 10 Hz.
 //! 8. [`metrics`] scores the driven trajectory with nuPlan's closed-loop metrics.
@@ -24,6 +24,7 @@ pub mod experiment;
 pub mod geometry;
 pub mod metrics;
 pub mod mllm;
+pub mod pdm;
 pub mod planner;
 pub mod reasoning;
 pub mod reflection;

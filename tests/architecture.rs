@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 14] = [
+const RANKS: [(&str, u8); 15] = [
     ("geometry", 0),
     ("world", 1),
     ("dynamics", 2),
@@ -12,6 +12,7 @@ const RANKS: [(&str, u8); 14] = [
     ("environment", 3),
     ("metrics", 3),
     ("mllm", 3),
+    ("pdm", 4),
     ("reasoning", 4),
     ("reflection", 5),
     ("planner", 6),

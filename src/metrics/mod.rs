@@ -1,9 +1,8 @@
-//! Stage 8: nuPlan's closed-loop metrics of a driven trajectory, their aggregation into scores, and PDM's scorer of
-//! short proposals, made of the same primitives.
+//! Stage 8: nuPlan's closed-loop metrics of a driven trajectory and their aggregation into scores.
 //!
 //! [`evaluate`] takes a [`Drive`] (what a simulation saved and what the expert did) and gives the eight scored metrics
 //! with their statistics, names and units as nuPlan's devkit writes them, and the [`Score`]. [`aggregate`] joins the
-//! scores of many scenarios. [`pdm`] scores simulated proposals against a constant-velocity forecast.
+//! scores of many scenarios.
 //!
 //! Thresholds and quirks are those of `motional/nuplan-devkit` at `e924167`; where a behaviour looks unintended but
 //! decides scores, it is kept and the comment says so. One deviation: nuPlan asserts that at most one lane holds a
@@ -21,7 +20,6 @@ mod ego_is_making_progress;
 mod ego_lane_change;
 mod ego_progress_along_expert_route;
 mod no_ego_at_fault_collisions;
-pub mod pdm;
 mod result;
 mod route;
 mod score;
@@ -33,6 +31,7 @@ pub use collision::{
     AHEAD_ANGLE, BEHIND_ANGLE, Collision, CollisionGroup, CollisionType, STOPPED_SPEED, classify_collision, delta_v,
     in_collision, is_ahead, is_behind,
 };
+pub(crate) use comfort::{ACCELERATION_WINDOW, YAW_WINDOW};
 pub use comfort::{Bound, ComfortQuantity, SavitzkyGolay, differentiated, ego_is_comfortable, mean_step_s, smoothed};
 pub use corners::{CornerAgreement, CornerLanes, DrivenLanes};
 pub use drivable_area_compliance::{MAX_DISTANCE_OUTSIDE, drivable_area_compliance};

@@ -6,7 +6,7 @@ use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::geometry::GeometryError;
 use crate::metrics::MetricError;
-use crate::metrics::pdm::{
+use crate::pdm::{
     Collided, DrivableLayers, DrivableMap, EgoAreas, Forecast, ProposalScore, ScoringScene, no_at_fault_collisions,
     score_proposals,
 };

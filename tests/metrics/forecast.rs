@@ -2,7 +2,7 @@
 
 use super::road::{Road, cruise, ego, object, rectangle, straight};
 use planagent::geometry::{Pose, Vector};
-use planagent::metrics::pdm::{Collided, DrivableLayers, DrivableMap, Forecast};
+use planagent::pdm::{Collided, DrivableLayers, DrivableMap, Forecast};
 use planagent::world::{EgoState, LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
 use std::collections::BTreeSet;
 

@@ -5,9 +5,7 @@ use super::road::{Road, cruise, ego, object, straight};
 use planagent::dynamics::{JerkPenalty, simulate_proposal};
 use planagent::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
 use planagent::metrics::MetricError;
-use planagent::metrics::pdm::{
-    Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals,
-};
+use planagent::pdm::{Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals};
 use planagent::world::{
     EgoState, LaneId, LaneKind, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights,
 };

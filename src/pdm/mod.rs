@@ -1,4 +1,4 @@
-//! PDM's scorer: how good are simulated proposals against a constant-velocity forecast of everyone else
+//! PDM-Closed, the rule-based planner whose scorer Reflection uses. So far its scorer: how good are simulated proposals against a constant-velocity forecast of everyone else
 //! (`autonomousvision/tuplan_garage` at `b51d5d0`, `pdm_planner/{scoring,observation}`).
 //!
 //! It is a second aggregation of the primitives of nuPlan's metrics. It differs from them in these points: other agents

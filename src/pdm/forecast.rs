@@ -1,8 +1,8 @@
 //! Where everyone else will be, were they to keep speed and direction (`tuplan_garage` `pdm_observation.py`,
 //! `pdm_object_manager.py`).
 
-use super::super::in_collision;
 use crate::geometry::{OrientedBox, Point, Pose, Vector, wrap_angle};
+use crate::metrics::in_collision;
 use crate::world::{EgoState, LaneId, LaneMap, ObjectKind, STEP_S, TrackToken, TrackedObject, TrafficLights};
 use std::collections::BTreeSet;
 use std::f64::consts::FRAC_PI_2;

@@ -1,8 +1,8 @@
 //! The collision multiplier and the time-to-collision term of a proposal (`tuplan_garage` `pdm_scorer.py`).
 
-use super::super::{CollisionGroup, classify_collision, is_ahead, is_behind};
 use super::{EgoAreas, Forecast};
 use crate::geometry::Pose;
+use crate::metrics::{CollisionGroup, classify_collision, is_ahead, is_behind};
 use crate::world::{EgoState, LaneMap, STEP_S, TrackToken};
 use std::collections::BTreeSet;
 

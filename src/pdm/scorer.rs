@@ -1,8 +1,8 @@
 //! The score of proposals (`tuplan_garage` `pdm_scorer.py`).
 
-use super::super::{MetricError, direction_score};
 use super::{DrivableMap, EgoAreas, Forecast, is_comfortable, no_at_fault_collisions, time_to_collision};
 use crate::geometry::Polyline;
+use crate::metrics::{MetricError, direction_score};
 use crate::world::{EgoState, STEP_S};
 use serde::{Deserialize, Serialize};
 

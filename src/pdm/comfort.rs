@@ -1,9 +1,10 @@
 //! The comfort term of a proposal: nuPlan's bounds on differently filtered signals (`tuplan_garage`
 //! `pdm_comfort_metrics.py`).
 
-use super::super::comfort::{ACCELERATION_WINDOW, YAW_WINDOW};
-use super::super::{ComfortQuantity, MetricError, SavitzkyGolay, differentiated, mean_step_s, smoothed};
 use crate::geometry::unwrap_angles;
+use crate::metrics::{
+    ACCELERATION_WINDOW, ComfortQuantity, MetricError, SavitzkyGolay, YAW_WINDOW, differentiated, mean_step_s, smoothed,
+};
 use crate::world::EgoState;
 
 /// Whether the six bounded quantities stay strictly within nuPlan's bounds. Accelerations are those of the rear axle,
