@@ -3,7 +3,9 @@
 use super::source::ScenarioSource;
 use crate::metrics::{self, Drive, Score};
 use crate::mllm::Mllm;
-use crate::planner::{IdmPlanner, LogReplay, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlanningCall};
+use crate::planner::{
+    IdmPlanner, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall,
+};
 use crate::reasoning::PromptSet;
 use crate::scenario::Scenario;
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
@@ -22,11 +24,13 @@ pub enum PlannerKind {
     LogReplay,
     /// nuPlan's IDM planner.
     Idm,
+    /// PDM-Closed.
+    PdmClosed,
 }
 
 impl PlannerKind {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::PlanAgent, Self::LogReplay, Self::Idm];
+    pub const ALL: [Self; 4] = [Self::PlanAgent, Self::LogReplay, Self::Idm, Self::PdmClosed];
 
     /// The name on the command line and in results.
     pub fn as_str(self) -> &'static str {
@@ -34,6 +38,7 @@ impl PlannerKind {
             Self::PlanAgent => PLAN_AGENT,
             Self::LogReplay => "log-replay",
             Self::Idm => "idm",
+            Self::PdmClosed => "pdm-closed",
         }
     }
 }
@@ -46,7 +51,7 @@ impl fmt::Display for PlannerKind {
 
 /// A name that is no planner.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown planner '{0}'; known are plan-agent, log-replay, idm")]
+#[error("unknown planner '{0}'; known are plan-agent, log-replay, idm, pdm-closed")]
 pub struct UnknownPlanner(String);
 
 impl FromStr for PlannerKind {
@@ -167,6 +172,7 @@ fn drive_scenario(
         }
         PlannerKind::LogReplay => (simulate(&mut LogReplay::new(expert.clone()))?, Vec::new()),
         PlannerKind::Idm => (simulate(&mut IdmPlanner::default())?, Vec::new()),
+        PlannerKind::PdmClosed => (simulate(&mut PdmClosed::new())?, Vec::new()),
     };
     let drive = Drive { map: &scenario.map, samples: &log.samples, expert: &expert };
     let evaluation = metrics::evaluate(&drive).map_err(|error| with_causes(&error))?;
