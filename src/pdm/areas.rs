@@ -47,8 +47,9 @@ impl DrivableLayers {
 fn crossings(map: &LaneMap, lane: LaneId) -> Vec<(Point, Point)> {
     let lane = &map[lane];
     let line = &lane.centerline;
-    let beside = (0..=(line.length() / TILING_STEP) as usize).flat_map(|i| {
-        let s = i as f64 * TILING_STEP;
+    // Places between the steps: the ends themselves lie on an edge.
+    let beside = (0..(line.length() / TILING_STEP).round() as usize).flat_map(|i| {
+        let s = (i as f64 + 0.5) * TILING_STEP;
         let here = line.point_at(s);
         let neighbors = lane.left_at(s).into_iter().chain(lane.right_at(s));
         neighbors.map(move |other| (here, map[other].centerline.project(here).point))
