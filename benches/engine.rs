@@ -6,7 +6,9 @@ use planagent::environment::text::{self, Description};
 use planagent::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, bev};
 use planagent::geometry::{OrientedBox, Vector};
 use planagent::metrics::{Drive, evaluate};
-use planagent::pdm::{Collided, PROPOSAL_STEPS, PdmInstant, Way, plan_along, score_proposals, simulate_proposals};
+use planagent::pdm::{
+    Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, Way, plan_along, score_proposals, simulate_proposals,
+};
 use planagent::planner::{IdmPlanner, LogReplay, generated_planner};
 use planagent::reasoning::PlannerCode;
 use planagent::reflection::{Judge, LeadPolicy};
@@ -53,8 +55,8 @@ fn pdm_closed(c: &mut Criterion) {
     let objects = crowd(&drive.scene());
     let scene = Scene { objects: &objects, ..drive.scene() };
     let way = Way::find(scene.map, scene.route, scene.ego).unwrap();
-    let instant = PdmInstant::new(&scene, &way, &mut Collided::default());
-    let proposals = instant.proposals(PROPOSAL_STEPS);
+    let instant = PdmInstant::along(&way, &scene, &mut Collided::default());
+    let proposals = instant.proposals(&way, scene.ego, PROPOSAL_STEPS);
     let simulated = simulate_proposals(scene.ego, proposals.all());
 
     c.bench_function("choose the way of pdm-closed", |b| {
@@ -64,14 +66,16 @@ fn pdm_closed(c: &mut Criterion) {
         b.iter(|| plan_along(&way, black_box(&scene), &mut Collided::default()).unwrap());
     });
     c.bench_function("a step of pdm-closed: look", |b| {
-        b.iter(|| PdmInstant::new(black_box(&scene), &way, &mut Collided::default()));
+        b.iter(|| PdmInstant::along(&way, black_box(&scene), &mut Collided::default()));
     });
-    c.bench_function("a step of pdm-closed: generate", |b| b.iter(|| black_box(&instant).proposals(PROPOSAL_STEPS)));
+    c.bench_function("a step of pdm-closed: generate", |b| {
+        b.iter(|| instant.proposals(&way, black_box(scene.ego), PROPOSAL_STEPS));
+    });
     c.bench_function("a step of pdm-closed: simulate", |b| {
         b.iter(|| simulate_proposals(black_box(scene.ego), proposals.all()));
     });
     c.bench_function("a step of pdm-closed: score", |b| {
-        b.iter(|| score_proposals(&instant.scoring(0.0), black_box(&simulated)).unwrap());
+        b.iter(|| score_proposals(&instant.scoring(way.centerline().line(), 0.0), black_box(&simulated)).unwrap());
     });
 }
 
@@ -98,7 +102,12 @@ fn engine(c: &mut Criterion) {
     });
     c.bench_function("roll a planner out, 4 s", |b| b.iter(|| planner.roll_out(black_box(&scene), 40)));
     c.bench_function("reflect on a planner, proposals included", |b| {
-        b.iter(|| Judge::new(black_box(&scene), &graph, 4.0).unwrap().reflect(&planner, 0.75).unwrap());
+        b.iter(|| {
+            Judge::new(black_box(&scene), &graph, 4.0, &mut PdmMemory::default())
+                .unwrap()
+                .reflect(&planner, 0.75)
+                .unwrap()
+        });
     });
     c.bench_function("drive 15 s, idm, reactive", |b| {
         b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::ClosedLoopReactiveAgents).unwrap());
