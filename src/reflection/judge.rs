@@ -7,8 +7,8 @@ use crate::environment::LaneGraph;
 use crate::geometry::Polyline;
 use crate::metrics::MetricError;
 use crate::pdm::{
-    self, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, MAP_RADIUS, PdmInstant, PdmMemory, ProposalScore, ScoringScene,
-    Way, no_at_fault_collisions, score_proposals, simulate_proposals,
+    self, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PdmInstant, PdmMemory, ProposalScore, ScoringScene, Way,
+    no_at_fault_collisions, score_proposals, simulate_proposals,
 };
 use crate::world::{EgoState, STEP_S, Scene};
 
@@ -34,9 +34,9 @@ fn look<'a>(scene: &Scene<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
     if let Some(way) = way {
         return PdmInstant::along(way, scene, collided);
     }
-    let near = scene.map.lanes_near(scene.ego.center().position(), MAP_RADIUS).into_iter().collect();
-    let layers = DrivableLayers::of(scene.map, &near);
-    PdmInstant::new(scene, &scene.route.lanes(scene.map), layers, collided)
+    let lanes = scene.route.lanes(scene.map);
+    let layers = DrivableLayers::of(scene.map, &lanes, scene.ego.center().position());
+    PdmInstant::new(scene, &lanes, layers, collided)
 }
 
 /// Why a planner cannot be judged at all.

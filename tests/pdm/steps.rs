@@ -1,7 +1,7 @@
 //! Hand-worked cases of what happens over several steps, and of the branches that the record does not reach.
 
 use super::town::{Town, route};
-use planagent::geometry::{OrientedBox, Polygon, Pose, Vector};
+use planagent::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
 use planagent::pdm::{
     Collided, DrivableLayers, EgoAreas, Forecast, NoWay, PdmError, PdmMemory, Way, plan, plan_along, time_to_collision,
 };
@@ -129,7 +129,7 @@ fn beside_an_ego_in_an_intersection_everyone_is_relevant() {
         town.lane((-50.0, 0.0), (50.0, 0.0));
         if inside {
             let corners = [(-1.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-1.0, 5.0)];
-            let points = corners.map(|(x, y)| planagent::geometry::Point::new(x, y));
+            let points = corners.map(|(x, y)| Point::new(x, y));
             town.parts.intersections.push(Polygon::new(points).unwrap());
         }
         let map = town.build();
@@ -149,14 +149,14 @@ fn lanes_tile_the_road_or_leave_gaps() {
         let left = town.lane((0.0, 4.0 + gap), (100.0, 4.0 + gap));
         town.parts.lanes[0].left.push(Neighbor { lane: left, from_s: 0.0, to_s: 100.0 });
         town.parts.lanes[1].right.push(Neighbor { lane: right, from_s: 0.0, to_s: 100.0 });
-        DrivableLayers::of(&town.build(), &BTreeSet::from([right]))
+        DrivableLayers::of(&town.build(), &BTreeSet::from([right]), Point::origin())
     };
     assert_eq!(layers(0.0), DrivableLayers::Lanes);
     assert_eq!(layers(1.0), DrivableLayers::DrivableArea);
     let mut town = Town::default();
     let (a, b) = (town.lane((0.0, 0.0), (50.0, 0.0)), town.lane((51.0, 0.0), (100.0, 0.0)));
     town.link(a, b);
-    assert_eq!(DrivableLayers::of(&town.build(), &BTreeSet::from([a])), DrivableLayers::DrivableArea);
+    assert_eq!(DrivableLayers::of(&town.build(), &BTreeSet::from([a]), Point::origin()), DrivableLayers::DrivableArea);
 }
 
 #[test]
