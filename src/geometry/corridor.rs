@@ -1,6 +1,6 @@
 //! The strip that a vehicle of some width sweeps along a line.
 
-use super::polygon::segment_distance;
+use super::polyline::{BLOCK, block_bounds};
 use super::{Bounds, OrientedBox, Point, Polygon, Polyline, Pose};
 
 /// A line widened to both sides, with flat ends and round outer bends: `shapely`'s buffer with flat caps.
@@ -9,6 +9,8 @@ pub struct Corridor {
     line: Polyline,
     half_width: f64,
     pieces: Vec<OrientedBox>,
+    /// Bounds of each run of [`BLOCK`] pieces, widened.
+    blocks: Vec<Bounds>,
     bounds: Bounds,
 }
 
@@ -24,8 +26,10 @@ impl Corridor {
                 OrientedBox::new(center, along.norm(), 2.0 * half_width)
             })
             .collect();
+        let blocks: Vec<Bounds> =
+            block_bounds(line.vertices()).into_iter().map(|bounds| bounds.grown(half_width)).collect();
         let bounds = Bounds::around(line.vertices()).grown(half_width);
-        Self { line, half_width, pieces, bounds }
+        Self { line, half_width, pieces, blocks, bounds }
     }
 
     /// The same strip lengthened at both ends by its half width: square caps.
@@ -62,13 +66,22 @@ impl Corridor {
 
     /// Whether a box and the strip share a point.
     pub fn meets_box(&self, shape: &OrientedBox) -> bool {
-        self.bounds.overlaps(&shape.bounds())
-            && (self.pieces.iter().any(|piece| piece.overlaps(shape))
-                || self.bends().iter().any(|&bend| {
-                    let corners = shape.corners();
-                    shape.contains(bend)
-                        || (0..4).any(|i| segment_distance(bend, corners[i], corners[(i + 1) % 4]) <= self.half_width)
-                }))
+        let bounds = shape.bounds();
+        if !self.bounds.overlaps(&bounds) {
+            return false;
+        }
+        let frame = shape.frame();
+        let meets = |piece: &OrientedBox| {
+            let reach = self.half_width.powi(2) + (piece.length / 2.0).powi(2);
+            frame.distance_squared(piece.center.position()) <= reach && piece.overlaps(shape)
+        };
+        // The bend at the end of each piece lies in the bounds of the piece.
+        let bends_near = |bend: &Point| frame.distance_squared(*bend) <= self.half_width.powi(2);
+        self.blocks.iter().enumerate().filter(|(_, block)| block.overlaps(&bounds)).any(|(block, _)| {
+            let pieces = block * BLOCK..((block + 1) * BLOCK).min(self.pieces.len());
+            let bends = pieces.start..pieces.end.min(self.bends().len());
+            self.pieces[pieces].iter().any(meets) || self.bends()[bends].iter().any(bends_near)
+        })
     }
 
     /// Whether a polygon and the strip share a point.
