@@ -13,3 +13,4 @@ mod pdm;
 mod progress;
 mod road;
 mod score;
+mod vectors;
