@@ -11,6 +11,6 @@ mod forecast;
 mod lanes;
 mod pdm;
 mod progress;
-mod road;
+pub(crate) mod road;
 mod score;
 mod vectors;
