@@ -13,4 +13,5 @@ mod pdm;
 mod progress;
 pub(crate) mod road;
 mod score;
+mod stop_lines;
 mod vectors;
