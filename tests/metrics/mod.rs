@@ -7,6 +7,7 @@ mod collisions;
 mod comfort;
 mod compliance;
 mod devkit;
+mod documented;
 mod forecast;
 mod lanes;
 mod pdm;

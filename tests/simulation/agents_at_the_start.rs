@@ -16,7 +16,7 @@ fn of_several_lanes_the_nearest_heading_counts_without_wrapping() {
     let north = road.dense(LaneKind::Connector, (0.0, -40.0), (0.0, 40.0), None);
     road.parts.intersections.push(crate::metrics::road::rectangle((-40.0, 40.0), (-40.0, 40.0)));
     let map = Arc::new(road.build());
-    assert!(map[west].centerline.heading_at(0.0) < -3.14 && map[north].centerline.heading_at(0.0) > 1.57);
+    assert!(map[west].centerline.heading_at(0.0) < -3.1 && map[north].centerline.heading_at(0.0) > 1.57);
     let heading_of = |heading: f64| {
         let vehicle = [car(1, Pose::new(0.0, 0.0, heading), 0.0)];
         IdmTraffic::new(&map, &vehicle, &bystander()).objects()[0].shape.center.heading
