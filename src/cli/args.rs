@@ -50,10 +50,10 @@ pub(super) struct SimulateArguments {
     /// Scenarios: TFRecord files, folders of them, or generated/TYPE/SEED [default: one generated scene].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
     pub(super) scenarios: Vec<String>,
-    /// Planners, separated by commas: plan-agent, log-replay, idm.
+    /// Planners, separated by commas: plan-agent, log-replay, idm, simple.
     #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "plan-agent")]
     pub(super) planner: Vec<String>,
-    /// Traffic: nonreactive (replayed), reactive (IDM) or both.
+    /// Traffic: nonreactive (replayed), reactive (IDM) or both; open-loop compares plans with the log.
     #[arg(long, default_value = "nonreactive")]
     pub(super) challenge: String,
     /// Folder for the results; must be new or empty [default: the next free runs/NNNN].

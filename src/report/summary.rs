@@ -1,9 +1,10 @@
 //! `summary.json`: scores only, no measured times, the same bytes for the same seed.
 
 use crate::experiment::run::DriveRecord;
-use crate::metrics::{MetricName, Score};
+use crate::metrics::Score;
 use crate::mllm::ModelDescription;
-use serde::Serialize;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
 
 /// One drive.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -23,7 +24,7 @@ pub struct ScenarioRow {
     /// Why not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
-    /// nuPlan's score in [0, 1] with the eight metrics.
+    /// nuPlan's score in [0, 1] with its metrics.
     #[serde(flatten)]
     pub score: Option<ScoreColumns>,
     /// Planning calls that were made.
@@ -34,36 +35,25 @@ pub struct ScenarioRow {
     pub parse_errors: usize,
 }
 
-/// The score and the eight metrics under nuPlan's names.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ScoreColumns {
-    score: f64,
-    no_ego_at_fault_collisions: f64,
-    drivable_area_compliance: f64,
-    ego_is_making_progress: f64,
-    driving_direction_compliance: f64,
-    ego_progress_along_expert_route: f64,
-    time_to_collision_within_bound: f64,
-    speed_limit_compliance: f64,
-    ego_is_comfortable: f64,
-    /// The multipliers that made the score 0.
-    zeroed_by: Vec<MetricName>,
-}
+/// The score, the metrics that it is made of under nuPlan's names, and the multipliers that made it 0 (`zeroed_by`).
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScoreColumns(Score);
 
 impl From<&Score> for ScoreColumns {
     fn from(score: &Score) -> Self {
-        Self {
-            score: score.value,
-            no_ego_at_fault_collisions: score.no_ego_at_fault_collisions,
-            drivable_area_compliance: score.drivable_area_compliance,
-            ego_is_making_progress: score.ego_is_making_progress,
-            driving_direction_compliance: score.driving_direction_compliance,
-            ego_progress_along_expert_route: score.ego_progress_along_expert_route,
-            time_to_collision_within_bound: score.time_to_collision_within_bound,
-            speed_limit_compliance: score.speed_limit_compliance,
-            ego_is_comfortable: score.ego_is_comfortable,
-            zeroed_by: score.zero_multipliers().collect(),
+        Self(score.clone())
+    }
+}
+
+impl Serialize for ScoreColumns {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        map.serialize_entry("score", &self.0.value)?;
+        for part in &self.0.parts {
+            map.serialize_entry(part.name.as_str(), &part.score)?;
         }
+        map.serialize_entry("zeroed_by", &self.0.zero_multipliers().collect::<Vec<_>>())?;
+        map.end()
     }
 }
 

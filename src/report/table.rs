@@ -2,20 +2,39 @@
 
 use super::summary::Aggregate;
 use crate::experiment::run::DriveRecord;
-use crate::metrics::MetricName;
+use crate::metrics::{MetricList, MetricName};
 use comfy_table::{CellAlignment, Table, presets};
 use console::style;
 
-/// Heads of the metric columns, in the order of [`MetricName::ALL`].
-const SHORT_NAMES: [&str; 8] = ["coll", "area", "prog", "dir", "rate", "ttc", "speed", "comf"];
+/// Head of the column of a metric.
+fn short_name(name: MetricName) -> &'static str {
+    match name {
+        MetricName::NoEgoAtFaultCollisions => "coll",
+        MetricName::DrivableAreaCompliance => "area",
+        MetricName::EgoIsMakingProgress => "prog",
+        MetricName::DrivingDirectionCompliance => "dir",
+        MetricName::EgoProgressAlongExpertRoute => "rate",
+        MetricName::TimeToCollisionWithinBound => "ttc",
+        MetricName::SpeedLimitCompliance => "speed",
+        MetricName::EgoIsComfortable => "comf",
+        MetricName::PlannerMissRateWithinBound => "miss",
+        MetricName::PlannerExpertAverageL2ErrorWithinBound => "ADE",
+        MetricName::PlannerExpertFinalL2ErrorWithinBound => "FDE",
+        MetricName::PlannerExpertAverageHeadingErrorWithinBound => "AHE",
+        MetricName::PlannerExpertFinalHeadingErrorWithinBound => "FHE",
+    }
+}
+
 /// More drives than this are left to `summary.json`; the means stand for them.
 const MOST_ROWS: usize = 60;
 
-/// A row a drive under the name of its scenario, with score x 100 and the eight metrics, then a legend, the causes of
-/// scores of 0, and the mean of each planner and challenge.
+/// A row a drive under the name of its scenario, with score x 100 and its metrics, then a legend, for each list of metrics;
+/// then the causes of scores of 0, and the mean of each planner and challenge.
 pub fn main_table(records: &[DriveRecord], aggregates: &[Aggregate], width: u16) -> String {
-    let parts = [drives(records), legend(width), zeroed(records), means(aggregates)];
-    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
+    let lists = [MetricList::ClosedLoop, MetricList::OpenLoop];
+    let driven = lists.into_iter().filter(|list| records.iter().any(|r| r.challenge.metric_list() == *list));
+    let drives = driven.flat_map(|list| [drives(records, list), legend(list, width)]);
+    drives.chain([zeroed(records), means(aggregates)]).filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
 }
 
 /// A table without frame, its numbers to the right from column `numbers` on.
@@ -33,10 +52,15 @@ fn plain(header: &[&str], rows: Vec<Vec<String>>, numbers: usize) -> String {
     table.lines().map(|line| line.trim_end().to_owned()).collect::<Vec<_>>().join("\n")
 }
 
-fn drives(records: &[DriveRecord]) -> String {
-    let shown: Vec<&DriveRecord> = records.iter().filter(|r| r.outcome.is_ok()).take(MOST_ROWS).collect();
+fn drives(records: &[DriveRecord], list: MetricList) -> String {
+    let ended: Vec<&DriveRecord> =
+        records.iter().filter(|r| r.outcome.is_ok() && r.challenge.metric_list() == list).collect();
+    let shown = &ended[..ended.len().min(MOST_ROWS)];
     let rows = shown.iter().map(|record| row(record)).collect();
-    let header: Vec<&str> = ["planner", "", "score"].into_iter().chain(SHORT_NAMES).chain(["calls"]).collect();
+    let header: Vec<&str> = {
+        let metrics = list.scored().iter().map(|&name| short_name(name));
+        ["planner", "", "score"].into_iter().chain(metrics).chain(["calls"]).collect()
+    };
     let table = plain(&header, rows, 2);
     let mut lines = table.lines();
     let mut text: Vec<String> = lines.next().map(str::to_owned).into_iter().collect();
@@ -48,7 +72,7 @@ fn drives(records: &[DriveRecord]) -> String {
         }
         text.push(line.to_owned());
     }
-    let left_out = records.iter().filter(|r| r.outcome.is_ok()).count() - shown.len();
+    let left_out = ended.len() - shown.len();
     if left_out > 0 {
         text.push(format!("and {left_out} more drives in summary.json"));
     }
@@ -57,7 +81,7 @@ fn drives(records: &[DriveRecord]) -> String {
 
 fn row(record: &DriveRecord) -> Vec<String> {
     let Ok(driven) = &record.outcome else { return Vec::new() };
-    let metrics = MetricName::ALL.into_iter().map(|name| compact(driven.score.metric(name)));
+    let metrics = driven.score.parts.iter().map(|part| compact(part.score));
     let calls = if driven.calls.is_empty() { "-".to_owned() } else { driven.calls.len().to_string() };
     let head = [format!("  {}", record.planner), short(record), percent(driven.score.value)];
     head.into_iter().chain(metrics).chain([calls]).collect()
@@ -72,10 +96,10 @@ fn means(aggregates: &[Aggregate]) -> String {
 }
 
 /// What the short heads mean.
-fn legend(width: u16) -> String {
+fn legend(list: MetricList, width: u16) -> String {
     let mut lines = vec![String::new()];
-    for (short, name) in SHORT_NAMES.into_iter().zip(MetricName::ALL) {
-        let part = format!("{short} = {name}");
+    for &name in list.scored() {
+        let part = format!("{} = {name}", short_name(name));
         let line = lines.last_mut().map_or(0, |line| line.chars().count());
         if line > 0 && line + part.len() + 2 > usize::from(width) {
             lines.push(part);
@@ -86,7 +110,13 @@ fn legend(width: u16) -> String {
             last.push_str(&part);
         }
     }
-    lines.push("NR, R = replayed, reactive traffic  score = nuPlan's closed-loop score x 100".to_owned());
+    lines.push(
+        match list {
+            MetricList::ClosedLoop => "NR, R = replayed, reactive traffic  score = nuPlan's closed-loop score x 100",
+            MetricList::OpenLoop => "OL = the ego does what was recorded  score = nuPlan's open-loop score x 100",
+        }
+        .to_owned(),
+    );
     lines.iter().map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
 }
 
@@ -117,6 +147,7 @@ fn short(record: &DriveRecord) -> String {
     match record.challenge {
         Challenge::ClosedLoopNonreactiveAgents => "NR".to_owned(),
         Challenge::ClosedLoopReactiveAgents => "R".to_owned(),
+        Challenge::OpenLoopBoxes => "OL".to_owned(),
     }
 }
 

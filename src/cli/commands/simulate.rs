@@ -60,8 +60,8 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
 /// Every scenario with every planner in every challenge.
 fn assignments(flags: &SimulateArguments) -> anyhow::Result<Vec<Assignment>> {
     let challenges = match flags.challenge.as_str() {
-        "both" => Challenge::ALL.to_vec(),
-        one => vec![one.parse::<Challenge>().context("--challenge takes nonreactive, reactive or both")?],
+        "both" => Challenge::CLOSED_LOOP.to_vec(),
+        one => vec![one.parse::<Challenge>().context("--challenge takes nonreactive, reactive, both or open-loop")?],
     };
     let planners = flags.planner.iter().map(|name| name.parse()).collect::<Result<Vec<PlannerKind>, _>>()?;
     let mut sources = Vec::new();
