@@ -63,10 +63,11 @@ pub(super) struct SimulateArguments {
     /// Only the first N scenarios.
     #[arg(long, value_name = "N")]
     pub(super) limit: Option<usize>,
-    /// Planners, separated by commas: plan-agent, log-replay, idm [default: plan-agent].
+    /// Planners, separated by commas: plan-agent, log-replay, idm, simple [default: plan-agent].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) planner: Vec<String>,
-    /// Traffic, separated by commas: nonreactive (replayed), reactive (IDM) or both [default: nonreactive].
+    /// Challenges, separated by commas: nonreactive (replayed traffic), reactive (IDM traffic), both of these, open-loop
+    /// (plans compared with the log) [default: nonreactive].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) challenge: Vec<String>,
     /// Folder for the results; must be new or empty [default: the next free runs/NNNN].

@@ -2,13 +2,14 @@
 
 use super::caught::caught;
 use super::source::ScenarioSource;
-use crate::metrics::{self, Drive, Evaluation, MetricResult, Score};
+use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::mllm::Mllm;
-use crate::planner::{IdmPlanner, LogReplay, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlanningCall};
+use crate::planner::{
+    IdmPlanner, LogReplay, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlanningCall, SimplePlanner,
+};
 use crate::reasoning::PromptSet;
 use crate::scenario::Scenario;
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
-use crate::world::EgoState;
 use rayon::prelude::*;
 use std::fmt;
 use std::str::FromStr;
@@ -24,11 +25,13 @@ pub enum PlannerKind {
     LogReplay,
     /// nuPlan's IDM planner.
     Idm,
+    /// nuPlan's planner that goes straight on.
+    Simple,
 }
 
 impl PlannerKind {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::PlanAgent, Self::LogReplay, Self::Idm];
+    pub const ALL: [Self; 4] = [Self::PlanAgent, Self::LogReplay, Self::Idm, Self::Simple];
 
     /// The name on the command line and in results.
     pub fn as_str(self) -> &'static str {
@@ -36,6 +39,7 @@ impl PlannerKind {
             Self::PlanAgent => PLAN_AGENT,
             Self::LogReplay => "log-replay",
             Self::Idm => "idm",
+            Self::Simple => "simple",
         }
     }
 }
@@ -48,7 +52,7 @@ impl fmt::Display for PlannerKind {
 
 /// A name that is no planner.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown planner '{0}'; known are plan-agent, log-replay, idm")]
+#[error("unknown planner '{0}'; known are plan-agent, log-replay, idm, simple")]
 pub struct UnknownPlanner(String);
 
 impl FromStr for PlannerKind {
@@ -197,7 +201,6 @@ fn drive_scenario(
     agent: Option<&AgentParts>,
     on_iteration: &(dyn Fn(Progress) + Sync),
 ) -> Result<Driven, String> {
-    let expert: Vec<EgoState> = scenario.expert().copied().collect();
     let simulate = |planner: &mut dyn Planner| {
         simulate_with_progress(scenario, planner, challenge, &mut |progress| on_iteration(progress))
             .map_err(|error| with_causes(&error))
@@ -208,11 +211,11 @@ fn drive_scenario(
             let mut planner = parts.agent(&scenario.id);
             (simulate(&mut planner)?, planner.calls().to_vec())
         }
-        PlannerKind::LogReplay => (simulate(&mut LogReplay::new(expert.clone()))?, Vec::new()),
+        PlannerKind::LogReplay => (simulate(&mut LogReplay::new(scenario.recorded().copied().collect()))?, Vec::new()),
         PlannerKind::Idm => (simulate(&mut IdmPlanner::default())?, Vec::new()),
+        PlannerKind::Simple => (simulate(&mut SimplePlanner::default())?, Vec::new()),
     };
-    let drive = Drive { map: &scenario.map, samples: &log.samples, expert: &expert };
-    let Evaluation { score, metrics } = metrics::evaluate(&drive).map_err(|error| with_causes(&error))?;
+    let Evaluation { score, metrics } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
     Ok(Driven { score, metrics, calls, log })
 }
 

@@ -34,7 +34,7 @@ impl RunFolder {
             }
             write_metric_files(&metrics, self.metrics(own().filter(|row| row.score.is_some()))?)?;
             let name = format!("{challenge}_weighted_average_metrics_{}.parquet", manifest.started);
-            write_aggregator(&aggregator.join(name), &aggregated(own()))?;
+            write_aggregator(&aggregator.join(name), &aggregated(challenge, own()))?;
             write_runner_report(&folder.join("runner_report.parquet"), &own().collect::<Vec<_>>())?;
         }
         self.write("timing.json", pretty(timing)?.as_bytes())?;

@@ -1,7 +1,7 @@
 //! `summary.json`: scores only, no measured times, the same bytes for the same seed.
 
 use super::drive_row::DriveRow;
-use crate::metrics::{AggregateRow, MetricName, RowKind, Weighting, aggregate};
+use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate};
 use crate::mllm::ModelDescription;
 use crate::simulation::Challenge;
 use serde::Serialize;
@@ -28,7 +28,7 @@ pub struct ScenarioSummary {
     /// nuPlan's score in [0, 1].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub score: Option<f64>,
-    /// The metrics that have a score, by nuPlan's names, and `zeroed_by`: the multipliers that made the score 0.
+    /// The metrics of the score by nuPlan's names, multipliers first, and `zeroed_by`: the multipliers that made the score 0.
     #[serde(flatten)]
     pub metrics: Map<String, Value>,
     /// Planning calls that were made.
@@ -43,8 +43,8 @@ impl From<&DriveRow> for ScenarioSummary {
     fn from(row: &DriveRow) -> Self {
         let mut metrics = Map::new();
         if row.score.is_some() {
-            let scored = in_order_of_the_score(row);
-            metrics.extend(scored.into_iter().map(|(name, score)| (name.to_owned(), json!(score))));
+            let scored = row.challenge.metric_list().scored().iter().map(|name| name.as_str());
+            metrics.extend(scored.filter_map(|name| Some((name.to_owned(), json!(row.metric(name)?)))));
             metrics.insert("zeroed_by".to_owned(), json!(row.zeroed_by));
         }
         Self {
@@ -62,15 +62,6 @@ impl From<&DriveRow> for ScenarioSummary {
             parse_errors: row.parse_errors,
         }
     }
-}
-
-/// The metrics with a score: nuPlan's eight in their order, multipliers first, then others.
-fn in_order_of_the_score(row: &DriveRow) -> Vec<(&str, f64)> {
-    let mut scored: Vec<(&str, f64)> =
-        row.metrics.iter().filter_map(|metric| Some((metric.name.as_str(), metric.score?))).collect();
-    let place = |name: &str| MetricName::ALL.iter().position(|m| m.as_str() == name).unwrap_or(MetricName::ALL.len());
-    scored.sort_by_key(|(name, _)| place(name));
-    scored
 }
 
 /// Mean score of one planner in one challenge, over the drives that came to their end (nuPlan's rule).
@@ -120,7 +111,7 @@ impl Summary {
                 if own.is_empty() {
                     continue;
                 }
-                let table = aggregated(own.iter().copied());
+                let table = aggregated(*challenge, own.iter().copied());
                 aggregates.push(mean(&table, &own, planner, *challenge, None));
                 for scenario_type in distinct(own.iter().map(|row| &row.scenario_type)) {
                     scenario_types.push(mean(&table, &own, planner, *challenge, Some(scenario_type)));
@@ -139,9 +130,9 @@ impl Summary {
 }
 
 /// nuPlan's aggregation of the drives of one challenge.
-pub(super) fn aggregated<'a>(rows: impl Iterator<Item = &'a DriveRow>) -> Vec<AggregateRow> {
+pub(super) fn aggregated<'a>(challenge: Challenge, rows: impl Iterator<Item = &'a DriveRow>) -> Vec<AggregateRow> {
     let scored: Vec<_> = rows.filter_map(DriveRow::scenario_row).collect();
-    aggregate(&scored, &Weighting::closed_loop())
+    aggregate(&scored, &Weighting::of(challenge.metric_list()))
 }
 
 fn mean(

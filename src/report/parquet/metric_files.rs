@@ -1,7 +1,7 @@
 //! `metrics/METRIC.parquet`: a file a metric, a row a drive.
 
 use super::table::{Column, Columns, TableWriter};
-use crate::metrics::{MetricResult, Statistic, StatisticKind};
+use crate::metrics::{MetricResult, ScoreUnit, Statistic, StatisticKind};
 use crate::report::{DriveRow, ReportError};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -91,9 +91,11 @@ fn columns(schema: &Schema, rows: &[Row<'_>]) -> Columns {
         ("scenario_name".to_owned(), of_drive(|drive| &drive.scenario)),
         ("scenario_type".to_owned(), of_drive(|drive| &drive.scenario_type)),
         ("planner_name".to_owned(), of_drive(|drive| &drive.planner)),
-        ("metric_computator".to_owned(), of_metric(|metric| Some(&metric.name))),
+        ("metric_computator".to_owned(), of_metric(|metric| Some(&metric.computator))),
         ("metric_statistics_name".to_owned(), of_metric(|metric| Some(&metric.name))),
         ("metric_score".to_owned(), Column::Float(rows.iter().map(|(_, metric)| metric.score).collect())),
+        ("metric_score_unit".to_owned(), of_metric(|metric| metric.score_unit.map(ScoreUnit::as_str))),
+        ("metric_category".to_owned(), of_metric(|metric| Some(metric.category.as_str()))),
     ];
     for (name, kind) in schema {
         let found: Vec<Option<&Statistic>> =
@@ -123,12 +125,16 @@ fn time_series(rows: &[Row<'_>]) -> Columns {
     let units = series().map(|series| series.map(|s| s.unit.clone())).collect();
     let times = series().map(|series| series.map(|s| s.time_stamps.clone())).collect();
     let values = series().map(|series| series.map(|s| s.values.clone())).collect();
+    let frames = series().map(|series| {
+        let frames = series.and_then(|s| s.selected_frames.as_ref());
+        frames.map(|frames| frames.iter().map(|&frame| frame as i64).collect())
+    });
+    let frames = frames.collect();
     vec![
         ("time_series_unit".to_owned(), Column::Text(units)),
         ("time_series_timestamps".to_owned(), Column::Integers(times)),
         ("time_series_values".to_owned(), Column::Floats(values)),
-        // The devkit has the column for metrics that look at some frames only; those of the closed loop look at all.
-        ("time_series_selected_frames".to_owned(), Column::Integers(vec![None; rows.len()])),
+        ("time_series_selected_frames".to_owned(), Column::Integers(frames)),
     ]
 }
 

@@ -1,20 +1,38 @@
 //! The drives one by one: their metrics, what made scores 0, what failed.
 
 use super::{percent_or_dash, plain, short};
-use crate::metrics::MetricName;
+use crate::metrics::{MetricList, MetricName};
 use crate::report::drive_row::DriveRow;
 use console::style;
 
-/// Heads of the metric columns, in the order of [`MetricName::ALL`].
-const SHORT_NAMES: [&str; 8] = ["coll", "area", "prog", "dir", "rate", "ttc", "speed", "comf"];
+/// Head of the column of a metric.
+fn short_name(name: MetricName) -> &'static str {
+    match name {
+        MetricName::NoEgoAtFaultCollisions => "coll",
+        MetricName::DrivableAreaCompliance => "area",
+        MetricName::EgoIsMakingProgress => "prog",
+        MetricName::DrivingDirectionCompliance => "dir",
+        MetricName::EgoProgressAlongExpertRoute => "rate",
+        MetricName::TimeToCollisionWithinBound => "ttc",
+        MetricName::SpeedLimitCompliance => "speed",
+        MetricName::EgoIsComfortable => "comf",
+        MetricName::PlannerMissRateWithinBound => "miss",
+        MetricName::PlannerExpertAverageL2ErrorWithinBound => "ADE",
+        MetricName::PlannerExpertFinalL2ErrorWithinBound => "FDE",
+        MetricName::PlannerExpertAverageHeadingErrorWithinBound => "AHE",
+        MetricName::PlannerExpertFinalHeadingErrorWithinBound => "FHE",
+    }
+}
+
 /// More drives than this are left to `summary.json`; the means stand for them.
 const MOST_ROWS: usize = 60;
 
-/// A row a drive under the name of its scenario: score x 100 and the metrics.
-pub(super) fn drives(rows: &[DriveRow]) -> String {
-    let driven = || rows.iter().filter(|row| row.score.is_some());
+/// A row a drive under the name of its scenario: score x 100 and the metrics of the list.
+pub(super) fn drives(rows: &[DriveRow], list: MetricList) -> String {
+    let driven = || rows.iter().filter(|row| row.score.is_some() && row.challenge.metric_list() == list);
     let shown: Vec<&DriveRow> = driven().take(MOST_ROWS).collect();
-    let header = ["drive", "", "score"].into_iter().chain(SHORT_NAMES).chain(["calls"]);
+    let metrics = list.scored().iter().map(|&name| short_name(name));
+    let header = ["drive", "", "score"].into_iter().chain(metrics).chain(["calls"]);
     let table = plain(&header.map(str::to_owned).collect::<Vec<_>>(), shown.iter().map(|row| cells(row)).collect(), 2);
     let mut lines = table.lines();
     let mut text: Vec<String> = lines.next().map(str::to_owned).into_iter().collect();
@@ -34,18 +52,18 @@ pub(super) fn drives(rows: &[DriveRow]) -> String {
 }
 
 fn cells(row: &DriveRow) -> Vec<String> {
-    let metrics =
-        MetricName::ALL.into_iter().map(|name| row.metric(name.as_str()).map_or_else(|| "-".to_owned(), compact));
+    let list = row.challenge.metric_list().scored().iter();
+    let metrics = list.map(|name| row.metric(name.as_str()).map_or_else(|| "-".to_owned(), compact));
     let calls = if row.planning_calls == 0 { "-".to_owned() } else { row.planning_calls.to_string() };
     let head = [format!("  {}", row.planner), short(row.challenge).to_owned(), percent_or_dash(row.score)];
     head.into_iter().chain(metrics).chain([calls]).collect()
 }
 
 /// What the short heads mean.
-pub(super) fn legend(width: u16) -> String {
+pub(super) fn legend(list: MetricList, width: u16) -> String {
     let mut lines = vec![String::new()];
-    for (short, name) in SHORT_NAMES.into_iter().zip(MetricName::ALL) {
-        let part = format!("{short} = {name}");
+    for &name in list.scored() {
+        let part = format!("{} = {name}", short_name(name));
         let line = lines.last_mut().map_or(0, |line| line.chars().count());
         if line > 0 && line + part.len() + 2 > usize::from(width) {
             lines.push(part);
@@ -56,7 +74,13 @@ pub(super) fn legend(width: u16) -> String {
             last.push_str(&part);
         }
     }
-    lines.push("NR, R = replayed, reactive traffic  score = nuPlan's closed-loop score x 100".to_owned());
+    lines.push(
+        match list {
+            MetricList::ClosedLoop => "NR, R = replayed, reactive traffic  score = nuPlan's closed-loop score x 100",
+            MetricList::OpenLoop => "OLS = the ego does what was recorded  score = nuPlan's open-loop score x 100",
+        }
+        .to_owned(),
+    );
     lines.iter().map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
 }
 

@@ -6,22 +6,22 @@ mod overview;
 use super::drive_row::DriveRow;
 use super::summary::Summary;
 use super::timing::PlannerTiming;
+use crate::metrics::MetricList;
 use crate::simulation::Challenge;
 use comfy_table::{CellAlignment, Table, presets};
 
 pub use drives::failures;
 
 /// The main table (a row a planner), the scenario types when there are several, the drives with their metrics up to a
-/// number, a legend, and what made scores 0.
+/// number and a legend for each list of metrics, and what made scores 0.
 pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[DriveRow], width: u16) -> String {
-    let parts = [
-        overview::planners(summary, planners),
-        overview::scenario_types(summary, width),
-        drives::drives(rows),
-        drives::legend(width),
-        drives::zeroed(rows),
-    ];
-    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
+    let lists = [MetricList::ClosedLoop, MetricList::OpenLoop];
+    let driven = lists.into_iter().filter(|list| rows.iter().any(|row| row.challenge.metric_list() == *list));
+    let mut parts = vec![overview::planners(summary, planners), overview::scenario_types(summary, width)];
+    parts.extend(driven.flat_map(|list| [drives::drives(rows, list), drives::legend(list, width)]));
+    parts.push(drives::zeroed(rows));
+    parts.retain(|part| !part.is_empty());
+    parts.join("\n\n")
 }
 
 /// A table without frame, its numbers to the right from column `numbers` on.
@@ -44,6 +44,7 @@ fn short(challenge: Challenge) -> &'static str {
     match challenge {
         Challenge::ClosedLoopNonreactiveAgents => "NR",
         Challenge::ClosedLoopReactiveAgents => "R",
+        Challenge::OpenLoopBoxes => "OLS",
     }
 }
 

@@ -59,15 +59,14 @@ pub(super) fn scenario_types(summary: &Summary, width: u16) -> String {
 }
 
 fn block(rows: &[Aggregate], types: &[&str], planners: &[&str], challenges: &[Challenge], group: usize) -> String {
-    let cells = |of: &dyn Fn(&str, Challenge) -> String| {
-        let groups = planners.iter().map(|planner| {
-            let scores: String =
-                challenges.iter().map(|&challenge| format!("{:>SCORE$}", of(planner, challenge))).collect();
-            format!("{scores:>group$}")
-        });
-        groups.collect::<String>()
+    let cells = |of: &dyn Fn(&str, Challenge) -> String| -> String {
+        let scores = |planner: &str| -> Vec<String> {
+            challenges.iter().map(|&challenge| format!("{:>SCORE$}", of(planner, challenge))).collect()
+        };
+        let groups = planners.iter().map(|planner| format!("{:>group$}", scores(planner).concat()));
+        groups.collect::<Vec<_>>().concat()
     };
-    let names: String = planners.iter().map(|planner| format!("{planner:>group$}")).collect();
+    let names = planners.iter().map(|planner| format!("{planner:>group$}")).collect::<Vec<_>>().concat();
     let mut lines = vec![
         format!("{:<COUNT$}{names}", "type"),
         format!("{:>COUNT$}{}", "n", cells(&|_, challenge| short(challenge).to_owned())),

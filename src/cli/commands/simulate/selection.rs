@@ -86,8 +86,6 @@ fn planners(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec
 }
 
 fn challenges(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<Challenge>> {
-    /// The two challenges of the closed loop.
-    const BOTH: [Challenge; 2] = [Challenge::ClosedLoopNonreactiveAgents, Challenge::ClosedLoopReactiveAgents];
     let names = match manifest {
         Some(manifest) if flags.is_empty() => &manifest.challenges,
         _ => flags,
@@ -95,8 +93,8 @@ fn challenges(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<V
     let mut challenges: Vec<Challenge> = Vec::new();
     for name in names {
         let named = match name.as_str() {
-            "both" => BOTH.to_vec(),
-            one => vec![one.parse().context("--challenge takes the names of challenges, or both")?],
+            "both" => Challenge::CLOSED_LOOP.to_vec(),
+            one => vec![one.parse().context("--challenge takes nonreactive, reactive, both or open-loop")?],
         };
         for challenge in named {
             if !challenges.contains(&challenge) {
