@@ -5,7 +5,7 @@ use super::source::ScenarioSource;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::mllm::Mllm;
 use crate::planner::{
-    IdmPlanner, LogReplay, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlanningCall, SimplePlanner,
+    IdmPlanner, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall, SimplePlanner,
 };
 use crate::reasoning::PromptSet;
 use crate::scenario::Scenario;
@@ -27,11 +27,13 @@ pub enum PlannerKind {
     Idm,
     /// nuPlan's planner that goes straight on.
     Simple,
+    /// PDM-Closed.
+    PdmClosed,
 }
 
 impl PlannerKind {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::PlanAgent, Self::LogReplay, Self::Idm, Self::Simple];
+    pub const ALL: [Self; 5] = [Self::PlanAgent, Self::LogReplay, Self::Idm, Self::Simple, Self::PdmClosed];
 
     /// The name on the command line and in results.
     pub fn as_str(self) -> &'static str {
@@ -40,6 +42,7 @@ impl PlannerKind {
             Self::LogReplay => "log-replay",
             Self::Idm => "idm",
             Self::Simple => "simple",
+            Self::PdmClosed => "pdm-closed",
         }
     }
 }
@@ -52,7 +55,7 @@ impl fmt::Display for PlannerKind {
 
 /// A name that is no planner.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown planner '{0}'; known are plan-agent, log-replay, idm, simple")]
+#[error("unknown planner '{0}'; known are plan-agent, log-replay, idm, simple, pdm-closed")]
 pub struct UnknownPlanner(String);
 
 impl FromStr for PlannerKind {
@@ -214,6 +217,7 @@ fn drive_scenario(
         PlannerKind::LogReplay => (simulate(&mut LogReplay::new(scenario.recorded().copied().collect()))?, Vec::new()),
         PlannerKind::Idm => (simulate(&mut IdmPlanner::default())?, Vec::new()),
         PlannerKind::Simple => (simulate(&mut SimplePlanner::default())?, Vec::new()),
+        PlannerKind::PdmClosed => (simulate(&mut PdmClosed::new())?, Vec::new()),
     };
     let Evaluation { score, metrics } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
     Ok(Driven { score, metrics, calls, log })
