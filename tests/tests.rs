@@ -13,4 +13,5 @@ mod environment;
 mod metrics;
 mod mllm;
 mod pdm;
+mod runner;
 mod womd;

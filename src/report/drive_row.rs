@@ -113,14 +113,19 @@ impl DriveRow {
         self.metrics.iter().find(|metric| metric.name == name).and_then(|metric| metric.score)
     }
 
-    /// The drive as the aggregation takes it; none for a failed one, which does not count.
+    /// The drive as the aggregation takes it; none for a failed one, which does not count. The metrics of the score come
+    /// first and in its order, so that the aggregation's sums are the score's to the last bit.
     pub fn scenario_row(&self) -> Option<ScenarioRow> {
+        let scored = self.challenge.metric_list().scored();
+        let place = |name: &str| scored.iter().position(|metric| metric.as_str() == name).unwrap_or(scored.len());
+        let mut metrics: Vec<_> = self.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect();
+        metrics.sort_by_key(|(name, _)| place(name));
         self.score.map(|_| ScenarioRow {
             scenario: self.scenario.clone(),
             log_name: self.log_name.clone(),
             scenario_type: self.scenario_type.clone(),
             planner: self.planner.clone(),
-            metrics: self.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect(),
+            metrics,
         })
     }
 }
