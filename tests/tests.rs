@@ -12,5 +12,7 @@ mod cli;
 mod environment;
 mod metrics;
 mod mllm;
+mod pdm;
+mod runner;
 mod simulation;
 mod womd;

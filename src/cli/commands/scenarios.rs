@@ -5,6 +5,7 @@ use crate::cli::args::ScenariosCommand;
 use crate::cli::{Exit, Printer};
 use crate::environment::{BevView, bev};
 use crate::experiment::source::recordings_in;
+use crate::experiment::split::split;
 use crate::scenario::generator::{ScenarioType, Spec, generate};
 use crate::scenario::{Scenario, womd};
 use crate::world::{History, HistorySample, LaneKind, STEP_S, Scene, SignalStatus};
@@ -21,8 +22,13 @@ const PICTURE: u32 = 1024;
 /// When a source cannot be read or a picture cannot be written.
 pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyhow::Result<Exit> {
     match command {
-        ScenariosCommand::List { sources } if sources.is_empty() => list_types(printer),
-        ScenariosCommand::List { sources } => list(sources, printer),
+        ScenariosCommand::List { sources, split } if sources.is_empty() && split.splits.is_empty() => {
+            list_types(printer)
+        }
+        ScenariosCommand::List { sources, split } => {
+            list_splits(&split.splits, printer)?;
+            list(sources, printer)
+        }
         ScenariosCommand::Show { scenario: word, at, image, view } => {
             show(&scenario(Some(word))?, *at, image.as_deref(), *view, printer)
         }
@@ -40,6 +46,19 @@ fn list_types(printer: Printer) -> anyhow::Result<Exit> {
         }
     }
     Ok(Exit::Success)
+}
+
+/// A line a scenario: the word that names it.
+fn list_splits(names: &[String], printer: Printer) -> anyhow::Result<()> {
+    for name in names {
+        for source in split(name)? {
+            printer.line(source.to_string());
+            if printer.is_json() {
+                printer.json(&json!({"id": source.to_string(), "split": name}))?;
+            }
+        }
+    }
+    Ok(())
 }
 
 fn list(sources: &[PathBuf], printer: Printer) -> anyhow::Result<Exit> {
