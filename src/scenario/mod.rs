@@ -3,8 +3,13 @@
 use crate::world::{EgoState, LaneMap, Route, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
+
 pub mod generator;
+mod recording;
 pub mod womd;
+
+pub use recording::trace::LineFault;
+pub use recording::window::TimeFault;
 
 /// One instant of the log.
 #[derive(Debug, Clone, PartialEq)]
