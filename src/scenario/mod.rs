@@ -3,7 +3,7 @@
 use crate::world::{EgoState, LaneMap, Route, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
-
+pub mod argoverse2;
 pub mod generator;
 mod recording;
 pub mod womd;

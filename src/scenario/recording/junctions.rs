@@ -14,8 +14,8 @@ use std::collections::{BTreeMap, BTreeSet};
 pub(in crate::scenario) struct Cluster {
     /// Places of the connectors, in order.
     pub(in crate::scenario) lanes: Vec<usize>,
-    /// Whether any of them cross.
-    pub(in crate::scenario) crossing: bool,
+    /// Whether they make an intersection: by default, whether any of them cross.
+    pub(in crate::scenario) intersection: bool,
 }
 
 /// All clusters, in order of their first connector.
@@ -38,7 +38,7 @@ pub(in crate::scenario) fn clusters(
         clusters.entry(find(&mut root, lane)).or_default().push(lane);
     }
     let crossing: BTreeSet<usize> = crossings.iter().map(|&(a, _)| find(&mut root, a)).collect();
-    clusters.into_iter().map(|(root, lanes)| Cluster { lanes, crossing: crossing.contains(&root) }).collect()
+    clusters.into_iter().map(|(root, lanes)| Cluster { lanes, intersection: crossing.contains(&root) }).collect()
 }
 
 fn find(root: &mut [usize], mut item: usize) -> usize {
@@ -52,12 +52,12 @@ fn find(root: &mut [usize], mut item: usize) -> usize {
 /// Pieces of a union under this are rounding, m².
 const SPLINTER: f64 = 0.1;
 
-/// The area of each cluster in which connectors cross, as one or more polygons.
+/// The area of each cluster that makes an intersection, as one or more polygons.
 pub(in crate::scenario) fn intersections(edges: &[Trace], clusters: &[Cluster], areas: &[Polygon]) -> Vec<Polygon> {
     let edges = Segments::of(edges);
     clusters
         .iter()
-        .filter(|cluster| cluster.crossing)
+        .filter(|cluster| cluster.intersection)
         .flat_map(|cluster| {
             let members: Vec<Polygon> = cluster.lanes.iter().map(|&lane| areas[lane].clone()).collect();
             let mut filled = Polygon::union_of(&members);

@@ -93,7 +93,7 @@ pub(in crate::scenario) struct Beside {
 
 impl Beside {
     /// Whether it runs in the direction of the lane along `trace`, in the middle of their common way.
-    fn one_direction(&self, trace: &Trace, lanes: &[RecordedLane]) -> bool {
+    pub(in crate::scenario) fn one_direction(&self, trace: &Trace, lanes: &[RecordedLane]) -> bool {
         let middle = trace.line.pose_at(f64::midpoint(self.from_s, self.to_s));
         let other = lanes[self.lane].trace.line.project(middle.position());
         wrap_angle(other.heading - middle.heading).abs() < std::f64::consts::FRAC_PI_4

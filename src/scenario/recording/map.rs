@@ -59,5 +59,14 @@ pub(in crate::scenario) fn lane_map(layers: Layers<'_>) -> Result<LaneMap, MapEr
     });
     let lanes = lanes.collect();
     let carparks = Vec::new();
-    LaneMap::new(MapParts { name, lanes, roadblocks, stop_lines, intersections, crosswalks, generic_drivable, carparks })
+    LaneMap::new(MapParts {
+        name,
+        lanes,
+        roadblocks,
+        stop_lines,
+        intersections,
+        crosswalks,
+        generic_drivable,
+        carparks,
+    })
 }

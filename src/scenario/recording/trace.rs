@@ -107,7 +107,11 @@ impl Trace {
 ///
 /// # Errors
 /// When one is no place.
-pub(in crate::scenario) fn local_points(feature: i64, points: &[Place], origin: Vector) -> Result<Vec<Point>, LineFault> {
+pub(in crate::scenario) fn local_points(
+    feature: i64,
+    points: &[Place],
+    origin: Vector,
+) -> Result<Vec<Point>, LineFault> {
     let local: Vec<Point> = points.iter().map(|p| Point::new(p.x - origin.x, p.y - origin.y)).collect();
     match local.iter().position(|p| !p.coords.norm().is_finite() || p.coords.norm() > FARTHEST) {
         Some(point) => Err(LineFault::NoPlace { feature, point }),

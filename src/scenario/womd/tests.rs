@@ -190,7 +190,10 @@ fn faults_are_told() {
     assert!(matches!(fault(|r| r.tracks[0].states.truncate(9)), RecordingFault::TrackLength { track: 5, .. }));
     assert!(matches!(fault(|r| r.map_features[3].id = 1), RecordingFault::DuplicateId { id: 1, .. }));
     assert!(matches!(fault(|r| r.map_features.clear()), RecordingFault::Map(_)));
-    assert!(matches!(fault(|r| r.timestamps_seconds.truncate(9)), RecordingFault::Time(TimeFault::TooShort { steps: 9, .. })));
+    assert!(matches!(
+        fault(|r| r.timestamps_seconds.truncate(9)),
+        RecordingFault::Time(TimeFault::TooShort { steps: 9, .. })
+    ));
     let lost = fault(|r| r.tracks[1].states.iter_mut().for_each(|s| s.valid = false));
     assert!(matches!(lost, RecordingFault::EgoMissing { step: 0, missing: 131 }));
     let far = fault(|r| {
