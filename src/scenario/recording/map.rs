@@ -58,15 +58,16 @@ pub(in crate::scenario) fn lane_map(layers: Layers<'_>) -> Result<LaneMap, MapEr
             .collect(),
     });
     let lanes = lanes.collect();
-    let carparks = Vec::new();
-    LaneMap::new(MapParts {
+    let parts = MapParts {
         name,
         lanes,
         roadblocks,
         stop_lines,
         intersections,
         crosswalks,
+        road_segments: Vec::new(),
         generic_drivable,
-        carparks,
-    })
+        carparks: Vec::new(),
+    };
+    LaneMap::new(parts.with_roadblocks_as_road())
 }
