@@ -3,7 +3,8 @@
 //! * The recording car is the track `AV`. Its position is that of its own frame's origin, the rear axle: in bends it does not
 //!   slide sideways. All others are told by the middle of their boxes.
 //! * The dataset has no sizes. They are those of usual road users (table in [`Kind::of`]).
-//! * An agent's velocity is taken as recorded. Static kinds have none, as in nuPlan.
+//! * Velocities are taken as recorded, the ego's too: its positions are smoothed, and run off within the first and last second
+//!   of a scenario. Static kinds have no velocity, as in nuPlan.
 //!
 //! | Argoverse 2 | nuPlan |
 //! |---|---|
@@ -118,13 +119,14 @@ fn seconds(steps: &[usize]) -> Vec<f64> {
 pub(super) fn drive(path: &Path, map: &Path, id: String) -> Result<Drive, Argoverse2Error> {
     let tracks = within(path, Tracks::read(&Table::parquet(path)?))?;
     let seconds = seconds(&tracks.steps);
-    let egos = within(path, ego_poses(&tracks, seconds.len()))?;
-    let origin = egos.first().map_or_else(Vector::zeros, |pose| pose.position().coords.map(f64::round));
+    let egos = within(path, ego_rows(&tracks, seconds.len()))?;
+    let origin = egos.first().map_or_else(Vector::zeros, |&row| tracks.poses[row].position().coords.map(f64::round));
     let objects = within(path, objects(&tracks, seconds.len(), origin))?;
     let file = MapFile::read(map)?;
     let map = within(map, lane_map(&file, &tracks.city, origin))?;
-    let rear_axles = egos.iter().map(|&pose| moved(pose, origin)).collect();
-    Ok(Drive { id, seconds, rear_axles, objects, map })
+    let rear_axles = egos.iter().map(|&row| moved(tracks.poses[row], origin)).collect();
+    let velocities = egos.iter().map(|&row| tracks.velocities[row]).collect();
+    Ok(Drive { id, seconds, rear_axles, velocities, objects, map })
 }
 
 /// What a scenario holds, without deriving anything.
@@ -142,15 +144,15 @@ fn moved(pose: Pose, origin: Vector) -> Pose {
     Pose::at(pose.position() - origin, pose.heading)
 }
 
-/// The ego's pose at every step, city frame.
-fn ego_poses(tracks: &Tracks, count: usize) -> Result<Vec<Pose>, LogFault> {
-    let mut poses: Vec<Option<Pose>> = vec![None; count];
+/// The ego's row at every step.
+fn ego_rows(tracks: &Tracks, count: usize) -> Result<Vec<usize>, LogFault> {
+    let mut rows: Vec<Option<usize>> = vec![None; count];
     for (row, track) in tracks.tracks.iter().enumerate().filter(|(_, track)| *track == EGO) {
-        if poses[tracks.steps[row]].replace(tracks.poses[row]).is_some() {
+        if rows[tracks.steps[row]].replace(row).is_some() {
             return Err(LogFault::Twice { row, track: track.clone() });
         }
     }
-    poses.into_iter().enumerate().map(|(step, pose)| pose.ok_or(LogFault::NoEgo { step })).collect()
+    rows.into_iter().enumerate().map(|(step, row)| row.ok_or(LogFault::NoEgo { step })).collect()
 }
 
 /// The objects of every step, in order of track.
