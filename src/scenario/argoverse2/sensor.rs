@@ -1,6 +1,7 @@
 //! A log of the sensor dataset to a drive.
 //!
-//! The steps are the annotated LiDAR sweeps. The ego's velocity is the slope of its position over five of them. Coordinates are moved to an origin near the ego's first place, in whole metres.
+//! The steps are the annotated sweeps of the laser scanner, 10 a second. The ego's velocity is the slope of its position over
+//! five of them. Coordinates are moved to an origin near the ego's first place, in whole metres.
 
 use super::annotations::{Annotations, sweeps, track_count};
 use super::drive::{Drive, velocities_of};
