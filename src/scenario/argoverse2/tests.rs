@@ -469,3 +469,29 @@ proptest! {
         drop(open(&folder));
     }
 }
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Boundaries that cross themselves and each other, and relations at random.
+    #[test]
+    fn odd_maps_never_panic(
+        moves in prop::collection::vec((0..13usize, any::<bool>(), 0..4usize, -200.0..200.0f64, -200.0..200.0f64), 1..40),
+        links in prop::collection::vec((0..13usize, 0..60i64, 0..60i64), 0..12),
+    ) {
+        let mut log = log(21);
+        let segments = log.map["lane_segments"].as_object_mut().unwrap();
+        let ids: Vec<String> = segments.keys().cloned().collect();
+        for (lane, left, place, x, y) in moves {
+            let boundary = if left { "left_lane_boundary" } else { "right_lane_boundary" };
+            let points = segments[&ids[lane]][boundary].as_array_mut().unwrap();
+            let place = place % points.len();
+            points[place] = json!({"x": CITY.0 + x, "y": CITY.1 + y, "z": 7.0});
+        }
+        for (lane, successor, neighbor) in links {
+            segments[&ids[lane]]["successors"].as_array_mut().unwrap().push(json!(successor));
+            segments[&ids[lane]]["left_neighbor_id"] = json!(neighbor);
+        }
+        prop_assert!(log.opened().is_ok());
+    }
+}
