@@ -46,7 +46,7 @@ impl QuestionFormat {
             text.push('\n');
         }
         for turn in chat.turns {
-            text += &format!("{} {asked} {}\nQuestion: ", turn.prompt, turn.answer);
+            text.extend([&turn.prompt, " ", asked, " ", &turn.answer, "\nQuestion: "]);
         }
         text + &format!("{} {asked}", chat.prompt)
     }
@@ -56,7 +56,7 @@ fn vicuna(chat: &Chat<'_>) -> String {
     let mut text = String::from(if chat.system.is_empty() { VICUNA_SYSTEM } else { chat.system });
     text.push(' ');
     for turn in chat.turns {
-        text += &format!("USER: {} ASSISTANT: {}\n", turn.prompt, turn.answer);
+        text.extend(["USER: ", &turn.prompt, " ASSISTANT: ", &turn.answer, "\n"]);
     }
     text + &format!("USER: {} ASSISTANT:", chat.prompt)
 }

@@ -21,7 +21,6 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
 }
 
 /// A folder of the reference data that is not part of the package; says so when it is not there.
-#[expect(clippy::print_stderr, reason = "a test says aloud what it skips")]
 pub(crate) fn shared_reference(name: &str) -> Option<PathBuf> {
     let data = std::env::var_os("PLANAGENT_DATA")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
