@@ -174,12 +174,12 @@ fn log_replay_complies_and_idm_drives() {
             MetricName::DrivingDirectionCompliance,
             MetricName::EgoIsMakingProgress,
         ] {
-            let score = replayed.metric(name);
+            let score = replayed.metric(name).unwrap();
             assert!((score - 1.0).abs() < 1e-12, "{}: {} is {score}", scenario.id, name.as_str());
         }
         for challenge in [Challenge::ClosedLoopNonreactiveAgents, Challenge::ClosedLoopReactiveAgents] {
             let driven = scores(&scenario, &mut IdmPlanner::default(), challenge);
-            let on_road = driven.metric(MetricName::DrivableAreaCompliance);
+            let on_road = driven.metric(MetricName::DrivableAreaCompliance).unwrap();
             assert!((on_road - 1.0).abs() < 1e-12, "{}", scenario.id);
         }
     }
