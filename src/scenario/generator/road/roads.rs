@@ -75,7 +75,7 @@ impl Roads {
         for block in &mut network.parts.roadblocks {
             block.source_id += lanes;
         }
-        let map = Arc::new(LaneMap::new(network.parts)?);
+        let map = Arc::new(LaneMap::new(network.parts.with_roadblocks_as_road())?);
         Ok(Self { map, passages: network.passages, signals: network.signals, way, facts })
     }
 
