@@ -43,7 +43,11 @@ pub(super) struct Blocking<'a> {
 
 #[derive(Debug, Clone, Copy)]
 enum Obstacle<'a> {
-    Track(TrackedObject),
+    Track {
+        track: TrackedObject,
+        /// Half the diagonal of its box, metres.
+        radius: f64,
+    },
     RedLight(&'a Polygon),
 }
 
@@ -51,16 +55,14 @@ impl Obstacle<'_> {
     /// A distance that the distance to a box around `center`, whose corners are `reach` away, is not below.
     fn least_distance(&self, center: Point, reach: f64) -> f64 {
         match self {
-            Self::Track(track) => {
-                (track.shape.center.position() - center).norm() - track.shape.diagonal() / 2.0 - reach
-            }
+            Self::Track { track, radius } => (track.shape.center.position() - center).norm() - radius - reach,
             Self::RedLight(polygon) => polygon.bounds().distance_squared(center).sqrt() - reach,
         }
     }
 
     fn distance(&self, ego: &OrientedBox) -> f64 {
         match self {
-            Self::Track(track) => track.shape.distance(ego),
+            Self::Track { track, .. } => track.shape.distance(ego),
             Self::RedLight(polygon) => polygon.distance_to_box(ego),
         }
     }
@@ -82,17 +84,18 @@ impl<'a> PathTraffic<'a> {
 
     fn nearby(&self, object: &'a ForecastObject) -> Option<Nearby<'a>> {
         if object.velocity == Vector::zeros() {
-            return self.in_corridor(object.track).map(Nearby::Standing);
+            return self.in_corridor(object, 0).map(Nearby::Standing);
         }
         let ends = [object.center_at(0), object.center_at(TRAJECTORY_STEPS)];
         let sweep = Bounds::around(&ends).grown(object.radius);
         self.corridor.bounds().overlaps(&sweep).then_some(Nearby::Moving(object))
     }
 
-    fn in_corridor(&self, track: TrackedObject) -> Option<Blocking<'a>> {
+    fn in_corridor(&self, object: &ForecastObject, step: usize) -> Option<Blocking<'a>> {
+        let track = object.track_at(step);
         self.corridor.meets_box(&track.shape).then(|| Blocking {
             progress: self.path.project(track.shape.center.position()),
-            obstacle: Obstacle::Track(track),
+            obstacle: Obstacle::Track { track, radius: object.radius },
         })
     }
 
@@ -100,7 +103,7 @@ impl<'a> PathTraffic<'a> {
     pub(super) fn blocking(&self, step: usize) -> Vec<Blocking<'a>> {
         let objects = self.objects.iter().filter_map(|object| match object {
             Nearby::Standing(blocking) => Some(*blocking),
-            Nearby::Moving(object) => self.in_corridor(object.track_at(step)),
+            Nearby::Moving(object) => self.in_corridor(object, step),
         });
         objects.chain(self.red_lights.iter().copied()).collect()
     }
@@ -126,7 +129,7 @@ impl<'a> PathTraffic<'a> {
             return;
         };
         lead.progress = progress + distance;
-        if let Obstacle::Track(track) = obstacle {
+        if let Obstacle::Track { track, .. } = obstacle {
             let along = (track.shape.center.heading - ego.center.heading).cos();
             lead.velocity = if track.kind.is_agent() { track.speed() * along } else { 0.0 };
         }
