@@ -8,9 +8,12 @@
 
 mod agent;
 mod architecture;
+mod argoverse2;
 mod cli;
 mod environment;
 mod metrics;
 mod mllm;
+mod pdm;
+mod runner;
 mod simulation;
 mod womd;
