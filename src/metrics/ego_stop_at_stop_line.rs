@@ -5,7 +5,7 @@
 use super::route::lanes_at;
 use super::{MetricCategory, MetricResult, Statistic, StatisticKind, TimeSeries};
 use crate::dynamics::ProgressPath;
-use crate::geometry::{Corridor, Point, Polyline, Pose};
+use crate::geometry::{Bounds, Corridor, Point, Polyline, Pose};
 use crate::world::{HistorySample, LaneId, LaneMap, PACIFICA, StopLine, StopLineId};
 
 /// Stops farther than this from the line are none, metres (devkit `ego_stop_at_stop_line_statistics.yaml`).
@@ -91,15 +91,18 @@ fn lane_at(map: &LaneMap, point: Point, pose: Pose) -> Option<LaneId> {
     lanes_at(map, point, pose).into_iter().next().filter(|&lane| !map[lane].is_connector())
 }
 
-/// The stop line nearest to the middle of the front edge, if that middle is in a lane and the line crosses this lane.
+/// The stop line nearest to the middle of the front edge, if that middle is in a lane and the line crosses this lane. Lines
+/// out of reach of the edge are not looked for: the nearest would not meet it.
 fn nearest_stop_line<'m>(map: &'m LaneMap, front: &Polyline, pose: Pose) -> Option<(StopLineId, &'m StopLine)> {
     let middle = front.point_at(front.length() / 2.0);
     let lane = lane_at(map, middle, pose)?;
     let distance = |line: &StopLine| {
         if line.polygon.contains(middle) { 0.0 } else { line.polygon.edge_distance(middle) }
     };
+    let reach = Bounds::square(middle, front.length() / 2.0);
     let lines = map.stop_lines().iter().enumerate().map(|(i, line)| (StopLineId(i as u32), line));
-    let nearest = lines.min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)))?;
+    let near = lines.filter(|(_, line)| line.polygon.bounds().overlaps(&reach));
+    let nearest = near.min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)))?;
     nearest.1.polygon.overlaps(&map[lane].polygon).then_some(nearest)
 }
 
