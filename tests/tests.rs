@@ -10,6 +10,7 @@ mod agent;
 mod architecture;
 mod cli;
 mod environment;
+mod generator;
 mod metrics;
 mod mllm;
 mod womd;
