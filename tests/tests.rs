@@ -8,9 +8,13 @@
 
 mod agent;
 mod architecture;
+mod argoverse2;
 mod cli;
 mod environment;
 mod generator;
 mod metrics;
 mod mllm;
+mod pdm;
+mod runner;
+mod simulation;
 mod womd;

@@ -44,21 +44,42 @@ pub(super) enum Command {
     Dataset(DatasetArguments),
 }
 
+/// Flags that name lists of scenarios.
+#[derive(Debug, Args)]
+pub(super) struct SplitArguments {
+    /// List of scenarios by name: generated (16 types x 10 seeds).
+    #[arg(long = "split", value_name = "NAME")]
+    pub(super) splits: Vec<String>,
+}
+
 /// Flags of `simulate`.
 #[derive(Debug, Args)]
 pub(super) struct SimulateArguments {
     /// Scenarios: TFRecord files, folders of them, or generated/TYPE/SEED [default: one generated scene].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
     pub(super) scenarios: Vec<String>,
-    /// Planners, separated by commas: plan-agent, log-replay, idm.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "plan-agent")]
+    #[command(flatten)]
+    pub(super) split: SplitArguments,
+    /// Only the first N scenarios.
+    #[arg(long, value_name = "N")]
+    pub(super) limit: Option<usize>,
+    /// Planners, separated by commas: plan-agent, log-replay, idm, simple,
+    /// pdm-closed [default: plan-agent].
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) planner: Vec<String>,
-    /// Traffic: nonreactive (replayed), reactive (IDM) or both.
-    #[arg(long, default_value = "nonreactive")]
-    pub(super) challenge: String,
+    /// Challenges, separated by commas: nonreactive (replayed traffic), reactive (IDM traffic), both of these, open-loop
+    /// (plans compared with the log) [default: nonreactive].
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub(super) challenge: Vec<String>,
     /// Folder for the results; must be new or empty [default: the next free runs/NNNN].
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
     pub(super) out: Option<PathBuf>,
+    /// Go on with the run in this folder, with what it was started with; drives that have ended are kept.
+    #[arg(long, value_name = "FOLDER")]
+    pub(super) resume: Option<PathBuf>,
+    /// With --resume: make drives that failed once more.
+    #[arg(long, requires = "resume")]
+    pub(super) retry_failed: bool,
 }
 
 /// Flags of `plan`.
@@ -82,6 +103,8 @@ pub(super) enum ScenariosCommand {
     List {
         /// TFRecord files or folders.
         sources: Vec<PathBuf>,
+        #[command(flatten)]
+        split: SplitArguments,
     },
     /// Show one scenario: its map, route, objects and lights; with --image a picture.
     Show {

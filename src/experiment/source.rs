@@ -1,6 +1,7 @@
 //! Where scenarios come from, by the words of the command line.
 
 use crate::scenario::Scenario;
+use crate::scenario::argoverse2::{self, Argoverse2Error};
 use crate::scenario::generator::{self, GeneratorError, Spec};
 use crate::scenario::womd::{self, Pick, WomdError};
 use std::path::{Path, PathBuf};
@@ -22,6 +23,8 @@ pub enum ScenarioSource {
         /// Which record, from 0.
         record: usize,
     },
+    /// An Argoverse 2 log: its folder.
+    Argoverse2(PathBuf),
 }
 
 /// Why there is no scenario.
@@ -30,6 +33,9 @@ pub enum SourceError {
     /// The recording cannot be read.
     #[error(transparent)]
     Recording(#[from] WomdError),
+    /// The Argoverse 2 log cannot be read.
+    #[error(transparent)]
+    Argoverse2(#[from] Argoverse2Error),
     /// Not the id of a generated scenario, or the generator finds no scene for its seed.
     #[error(transparent)]
     Generator(#[from] GeneratorError),
@@ -45,12 +51,13 @@ pub enum SourceError {
         source: std::io::Error,
     },
     /// The folder holds no recordings.
-    #[error("the folder {} holds no *.{RECORDING} files", .0.display())]
+    #[error("the folder {} is no Argoverse 2 log and holds neither *.{RECORDING} files nor such logs", .0.display())]
     Empty(PathBuf),
 }
 
 impl ScenarioSource {
-    /// All scenarios that a word names: a generated one, the records of a file, or those of all files in a folder.
+    /// All scenarios that a word names: a generated one, the records of a file, an Argoverse 2 log, or what a folder holds of
+    /// either kind.
     ///
     /// # Errors
     /// When it names none, or a file is no sound recording.
@@ -59,13 +66,18 @@ impl ScenarioSource {
             return Ok(vec![Self::Generated(word.parse()?)]);
         }
         let path = Path::new(word);
+        if argoverse2::is_log(path) {
+            return Ok(vec![Self::Argoverse2(path.to_owned())]);
+        }
         if path.is_dir() {
-            let files = recordings_in(path)?;
-            return files
-                .iter()
-                .map(|file| Self::records_of(file))
-                .collect::<Result<Vec<_>, _>>()
-                .map(|all| all.concat());
+            let logs = argoverse2::logs_in(path)?;
+            let files = match recordings_in(path) {
+                Err(SourceError::Empty(_)) if !logs.is_empty() => Vec::new(),
+                files => files?,
+            };
+            let mut all = files.iter().map(|file| Self::records_of(file)).collect::<Result<Vec<_>, _>>()?.concat();
+            all.extend(logs.into_iter().map(Self::Argoverse2));
+            return Ok(all);
         }
         if !path.exists() {
             return Err(SourceError::Missing(path.to_owned()));
@@ -86,6 +98,7 @@ impl ScenarioSource {
         match self {
             Self::Generated(spec) => Ok(generator::generate(spec)?),
             Self::Recording { path, record } => Ok(womd::open_one(path, &Pick::Index(*record))?),
+            Self::Argoverse2(folder) => Ok(argoverse2::open(folder)?),
         }
     }
 }
@@ -107,7 +120,7 @@ impl std::fmt::Display for ScenarioSource {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Generated(spec) => spec.fmt(f),
-            Self::Recording { path, record: 0 } => path.display().fmt(f),
+            Self::Recording { path, record: 0 } | Self::Argoverse2(path) => path.display().fmt(f),
             Self::Recording { path, record } => write!(f, "{} record {record}", path.display()),
         }
     }

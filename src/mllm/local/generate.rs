@@ -1,0 +1,174 @@
+//! The generation loop.
+
+use std::time::Instant;
+
+use candle_core::Tensor;
+use toktrie::SimpleVob;
+
+use super::sequence::Sequence;
+use super::session::milliseconds;
+use super::vlm::VisionLanguageModel;
+use crate::mllm::decoder::Logits;
+use crate::mllm::sampling::Sampler;
+use crate::mllm::text::GrammarState;
+use crate::mllm::{FinishReason, MllmError};
+
+/// The tokens of an answer. Times are milliseconds.
+#[derive(Debug)]
+pub(super) struct Generated {
+    /// The answer, without the token that ended it.
+    pub(super) ids: Vec<u32>,
+    /// How many of them the grammar forced.
+    pub(super) forced: usize,
+    /// Why it ended.
+    pub(super) finish: FinishReason,
+    /// Duration of the first forward pass, which computes the prompt.
+    pub(super) prefill: f64,
+    /// End of the first forward pass since the start of the round; without one, the start of generation.
+    pub(super) prefill_end: f64,
+    /// When the first free token was chosen, since the start of the round; zero if none was.
+    pub(super) first_token: f64,
+}
+
+/// Where an answer ends.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct End<'a> {
+    /// The tokens that end it.
+    pub(super) tokens: &'a [u32],
+    /// Most tokens of the answer.
+    pub(super) max_new_tokens: usize,
+    /// Most tokens of the chat.
+    pub(super) context: usize,
+}
+
+/// What is being generated.
+struct Generation<'a> {
+    model: &'a dyn VisionLanguageModel,
+    sequence: &'a mut Sequence,
+    features: Option<&'a Tensor>,
+    /// Tokens that the model has not computed yet: the rest of the prompt, then what was appended since. Forced tokens
+    /// gather here and are computed in one pass when the next free token needs it.
+    pending: Vec<u32>,
+    out: Generated,
+    passes: usize,
+    start: Instant,
+}
+
+/// Generates an answer behind `prompt`, the part of the prompt that `sequence` does not hold yet.
+///
+/// # Errors
+/// When the constraint cannot be followed, or the model computes something that is not finite.
+#[expect(clippy::too_many_arguments, reason = "one call, and each argument is of another kind")]
+pub(super) fn generate(
+    model: &dyn VisionLanguageModel,
+    sequence: &mut Sequence,
+    features: Option<&Tensor>,
+    prompt: &[u32],
+    mut grammar: Option<GrammarState>,
+    mut sampler: Sampler,
+    end: &End<'_>,
+    start: Instant,
+) -> Result<Generated, MllmError> {
+    let room = end.context.saturating_sub(sequence.ids().len() + prompt.len());
+    let (budget, at_budget) = if end.max_new_tokens <= room {
+        (end.max_new_tokens, FinishReason::Length)
+    } else {
+        (room, FinishReason::ContextFull)
+    };
+    let mut generation = Generation {
+        model,
+        sequence,
+        features,
+        pending: prompt.to_vec(),
+        out: Generated {
+            ids: Vec::new(),
+            forced: 0,
+            finish: at_budget,
+            prefill: 0.0,
+            prefill_end: milliseconds(start),
+            first_token: 0.0,
+        },
+        passes: 0,
+        start,
+    };
+    loop {
+        if let Some(grammar) = &mut grammar {
+            let mut forced = grammar.take_forced()?;
+            let left = budget - generation.out.ids.len();
+            let cut = forced.len() > left;
+            forced.truncate(left);
+            generation.push_forced(&forced);
+            if grammar.is_complete() && !cut {
+                generation.out.finish = FinishReason::Complete;
+                break;
+            }
+        }
+        if generation.out.ids.len() >= budget {
+            break;
+        }
+        let allowed = grammar.as_mut().map(GrammarState::allowed).transpose()?;
+        let (token, free) = match allowed.as_ref().and_then(only_token) {
+            Some(token) => (token, false),
+            None => (generation.choose(&mut sampler, allowed.as_ref())?, true),
+        };
+        if end.tokens.contains(&token) {
+            generation.out.finish = FinishReason::EndOfSequence;
+            break;
+        }
+        if free {
+            generation.push_free(token);
+        } else {
+            generation.push_forced(&[token]);
+        }
+        if let Some(grammar) = &mut grammar {
+            grammar.consume(&[token])?;
+        }
+    }
+    Ok(generation.out)
+}
+
+impl Generation<'_> {
+    /// Computes what is pending and lets the sampler choose.
+    fn choose(&mut self, sampler: &mut Sampler, allowed: Option<&SimpleVob>) -> Result<u32, MllmError> {
+        let pass_start = Instant::now();
+        let logits = self.sequence.append(self.model, &self.pending, self.features, Logits::Last)?;
+        self.pending.clear();
+        if self.passes == 0 {
+            self.out.prefill = milliseconds(pass_start);
+            self.out.prefill_end = milliseconds(self.start);
+        }
+        self.passes += 1;
+        let logits = match logits {
+            Some(logits) => logits.flatten_all()?.to_vec1()?,
+            None => Vec::new(),
+        };
+        let position = self.sequence.ids().len().saturating_sub(1);
+        // An answer has no image of its own, so the placeholder of one is no word of it.
+        sampler.choose(logits, allowed, self.model.facts().image_token, position)
+    }
+
+    fn push_free(&mut self, token: u32) {
+        if self.out.first_token == 0.0 {
+            self.out.first_token = milliseconds(self.start);
+        }
+        self.push(token);
+    }
+
+    fn push_forced(&mut self, tokens: &[u32]) {
+        for token in tokens {
+            self.push(*token);
+        }
+        self.out.forced += tokens.len();
+    }
+
+    fn push(&mut self, token: u32) {
+        self.out.ids.push(token);
+        self.pending.push(token);
+    }
+}
+
+/// The one token that is allowed, if it is one.
+fn only_token(allowed: &SimpleVob) -> Option<u32> {
+    let first = allowed.first_bit_set()?;
+    (allowed.num_set() == 1).then_some(first as u32)
+}

@@ -1,0 +1,154 @@
+//! A conversation with a model.
+
+use std::time::Instant;
+
+use candle_core::Tensor;
+
+use super::LocalModel;
+use super::generate::{End, Generated, generate};
+use super::sequence::Sequence;
+use super::vlm::Chat;
+use crate::mllm::sampling::{Sampler, answer_seed};
+use crate::mllm::{
+    Answer, Constraint, Conversation, Mark, MllmError, Opening, Request, RoundTime, TokenCounts, Turn, prompt_hash,
+};
+
+/// A chat, and what the model has computed of it so far.
+///
+/// Each round renders the whole chat with the model's template and compares the tokens with those already computed: what
+/// agrees is kept, the rest is computed. So the template decides alone what the model reads, and rounds, rewinds and
+/// the system prompt cost nothing twice.
+pub(super) struct LocalConversation<'a> {
+    local: &'a LocalModel,
+    opening: Opening,
+    /// Tokens that the opening's image becomes; none without one.
+    image_tokens: Option<usize>,
+    seed: u64,
+    answers: u64,
+    turns: Vec<Turn>,
+    sequence: Sequence,
+    features: Option<Tensor>,
+    /// Time spent on the system prompt before the first round, milliseconds.
+    opening_time: f64,
+}
+
+impl<'a> LocalConversation<'a> {
+    /// Opens a conversation and computes or fetches what stands before the image.
+    ///
+    /// # Errors
+    /// When the template refuses the opening, the image cannot be used, or the system prompt is longer than the context.
+    pub(super) fn open(local: &'a LocalModel, opening: &Opening, seed: u64) -> Result<Self, MllmError> {
+        let start = Instant::now();
+        let image_tokens =
+            opening.image.as_ref().map(|image| local.model.image_tokens(image.width(), image.height())).transpose()?;
+        let prefix = local.call_prefix(&opening.system, image_tokens)?;
+        let mut sequence = Sequence::new(&*local.model);
+        sequence.restore(&prefix.sequence)?;
+        Ok(Self {
+            local,
+            opening: opening.clone(),
+            image_tokens,
+            seed,
+            answers: 0,
+            turns: Vec::new(),
+            sequence,
+            features: None,
+            opening_time: milliseconds(start),
+        })
+    }
+
+    /// Encodes the image if a token of it is to be computed and it is not encoded yet.
+    fn encode_image(&mut self, ids: &[u32]) -> Result<(), MllmError> {
+        if self.features.is_some() || !ids.contains(&self.local.model.facts().image_token) {
+            return Ok(());
+        }
+        if let Some(image) = &self.opening.image {
+            self.features = Some(self.local.model.encode_image(image)?);
+        }
+        Ok(())
+    }
+
+    fn decode(&self, request: &Request, ids: &[u32]) -> Result<String, MllmError> {
+        match request.constraint {
+            Constraint::Free => self.local.tokenizer.decode(ids),
+            // The constraint is on the bytes of the tokens, so these are the answer.
+            _ => Ok(self.local.tokenizer.decode_verbatim(ids)),
+        }
+    }
+}
+
+impl Conversation for LocalConversation<'_> {
+    fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError> {
+        let start = Instant::now();
+        let local = self.local;
+        let image_token = local.model.facts().image_token;
+        let context = local.model.context(self.image_tokens.unwrap_or(0));
+        let sampler = Sampler::new(request.sampling, answer_seed(self.seed, self.answers))?;
+        let grammar = local.grammars.begin(&request.constraint)?;
+        let chat = Chat { system: &self.opening.system, image_tokens: self.image_tokens, turns: &self.turns, prompt };
+        let ids = local.prompt_ids(&chat)?;
+        if ids.len() >= context {
+            return Err(MllmError::PromptTooLong { tokens: ids.len(), context });
+        }
+        let agree = self.sequence.ids().iter().zip(&ids).take_while(|(a, b)| a == b).count();
+        // The last token is always computed: its logits choose the first word of the answer.
+        let cached = agree.min(ids.len().saturating_sub(1));
+        self.sequence.truncate(cached);
+        let rest = ids.get(cached..).unwrap_or_default();
+
+        let encode_start = Instant::now();
+        let encoded_before = self.features.is_some();
+        self.encode_image(rest)?;
+        let image_encode = if self.features.is_some() && !encoded_before { milliseconds(encode_start) } else { 0.0 };
+
+        let image_tokens = rest.iter().filter(|id| **id == image_token).count();
+        let generated: Generated = generate(
+            &*local.model,
+            &mut self.sequence,
+            self.features.as_ref(),
+            rest,
+            grammar,
+            sampler,
+            &End { tokens: &local.end_tokens, max_new_tokens: request.max_new_tokens, context },
+            start,
+        )?;
+        let text = self.decode(request, &generated.ids)?;
+        let opening_time = std::mem::take(&mut self.opening_time);
+        let answer = Answer {
+            prompt_hash: prompt_hash(&self.opening.system, &self.turns, prompt),
+            tokens: TokenCounts {
+                text: rest.len() - image_tokens,
+                image: image_tokens,
+                cached,
+                forced: generated.forced,
+                free: generated.ids.len() - generated.forced,
+            },
+            time: RoundTime {
+                image_encode,
+                prefill: opening_time + generated.prefill,
+                first_token: if generated.first_token > 0.0 { opening_time + generated.first_token } else { 0.0 },
+                decode: milliseconds(start) - generated.prefill_end,
+                total: opening_time + milliseconds(start),
+            },
+            finish: generated.finish,
+            text,
+        };
+        self.turns.push(Turn { prompt: prompt.to_string(), answer: answer.text.clone() });
+        self.answers += 1;
+        Ok(answer)
+    }
+
+    fn mark(&self) -> Mark {
+        Mark(self.turns.len())
+    }
+
+    fn rewind(&mut self, mark: Mark) {
+        // The computed tokens stay: the next round keeps as many as still agree.
+        self.turns.truncate(mark.0);
+    }
+}
+
+/// Milliseconds since an instant.
+pub(super) fn milliseconds(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
+}

@@ -1,0 +1,208 @@
+//! The route: the chain of roadblocks that the recorded ego followed.
+//!
+//! The recorded poses, from the start to the end of the recording, are matched to lanes as a whole (Viterbi): a lane fits a
+//! pose by its distance and heading, and a step from one lane to another costs little when the lane graph allows it within the
+//! way driven, more to a neighbour, much when it does not. The lanes' roadblocks, with what the graph needs in between, are
+//! the route.
+
+use crate::geometry::{Point, Pose, wrap_angle};
+use crate::world::{Lane, LaneId, LaneMap, RoadblockId};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+/// Poses nearer than this are one place, metres.
+const SAMPLE_STEP: f64 = 1.0;
+/// A centreline farther than this is not driven on, metres.
+const REACH: f64 = 6.0;
+/// Distance from a centreline that is as usual as not, metres.
+const USUAL_OFFSET: f64 = 1.0;
+/// Turn from a lane's heading that is as usual as not, radians.
+const USUAL_TURN: f64 = 0.3;
+/// Cost of following the graph to another lane: a little, so that the fewest lanes win.
+const FOLLOW: f64 = 0.2;
+/// Cost of a lane change.
+const CHANGE: f64 = 3.0;
+/// Cost of a step that the graph does not allow.
+const BREAK: f64 = 30.0;
+/// Cost of a metre backwards on a lane.
+const BACKWARDS: f64 = 3.0;
+
+/// The chain of roadblocks along the poses; one at least.
+pub(in crate::scenario) fn route(map: &LaneMap, poses: &[Pose]) -> Vec<RoadblockId> {
+    let samples = spaced(poses);
+    let matched = matched_lanes(map, &samples);
+    if matched.is_empty() {
+        // Parked off the road: the lane that it would enter.
+        return samples
+            .first()
+            .and_then(|&pose| nearest_lane(map, pose))
+            .map(|lane| map[lane].roadblock)
+            .into_iter()
+            .collect();
+    }
+    let mut lanes: Vec<LaneId> = Vec::new();
+    for lane in matched {
+        if let Some(&last) = lanes.last()
+            && last != lane
+            && let Some(between) = way(map, last, lane, f64::INFINITY)
+        {
+            lanes.extend(between);
+        }
+        if lanes.last() != Some(&lane) {
+            lanes.push(lane);
+        }
+    }
+    let mut blocks: Vec<RoadblockId> = Vec::new();
+    for block in lanes.into_iter().map(|lane| map[lane].roadblock) {
+        let Some(&last) = blocks.last() else {
+            blocks.push(block);
+            continue;
+        };
+        if last != block {
+            blocks.extend(block_way(map, last, block));
+            blocks.push(block);
+        }
+    }
+    blocks
+}
+
+/// The poses at least [`SAMPLE_STEP`] apart, and the last.
+fn spaced(poses: &[Pose]) -> Vec<Pose> {
+    let mut samples: Vec<Pose> = Vec::new();
+    for &pose in poses {
+        if samples.last().is_none_or(|last| last.distance(&pose) >= SAMPLE_STEP) {
+            samples.push(pose);
+        }
+    }
+    samples
+}
+
+fn nearest_lane(map: &LaneMap, pose: Pose) -> Option<LaneId> {
+    let distance = |lane: &Lane| lane.polygon.distance_to(pose.position());
+    map.lanes().iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).map(|lane| lane.id)
+}
+
+/// A lane that a pose may be on.
+#[derive(Debug, Clone, Copy)]
+struct Candidate {
+    lane: LaneId,
+    s: f64,
+    misfit: f64,
+}
+
+fn candidates(map: &LaneMap, pose: Pose) -> Vec<Candidate> {
+    let near = map.lanes_near(pose.position(), REACH).into_iter().filter_map(|lane| {
+        let foot = map[lane].centerline.project(pose.position());
+        let turn = wrap_angle(foot.heading - pose.heading).abs();
+        let misfit = (foot.distance / USUAL_OFFSET).powi(2) / 2.0 + (turn / USUAL_TURN).powi(2) / 2.0;
+        (foot.distance < REACH && turn < std::f64::consts::FRAC_PI_2).then_some(Candidate { lane, s: foot.s, misfit })
+    });
+    near.collect()
+}
+
+/// The best chain of lanes, a lane a sample; samples without a lane in reach are left out.
+fn matched_lanes(map: &LaneMap, samples: &[Pose]) -> Vec<LaneId> {
+    struct Stage {
+        at: Point,
+        candidates: Vec<Candidate>,
+        costs: Vec<f64>,
+        from: Vec<usize>,
+    }
+    let mut stages: Vec<Stage> = Vec::new();
+    for &pose in samples {
+        let found = candidates(map, pose);
+        if found.is_empty() {
+            continue;
+        }
+        let (mut costs, mut from) = (Vec::new(), Vec::new());
+        for candidate in &found {
+            let (cost, best) = match stages.last() {
+                None => (0.0, 0),
+                Some(last) => {
+                    let moved = (pose.position() - last.at).norm();
+                    let steps = last.candidates.iter().zip(&last.costs);
+                    let steps = steps.map(|(before, cost)| cost + step_cost(map, *before, *candidate, moved));
+                    let best = steps.enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
+                    best.map_or((0.0, 0), |(i, cost)| (cost, i))
+                }
+            };
+            costs.push(cost + candidate.misfit);
+            from.push(best);
+        }
+        stages.push(Stage { at: pose.position(), candidates: found, costs, from });
+    }
+    let Some(last) = stages.last() else { return Vec::new() };
+    let mut best = last.costs.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i);
+    let mut lanes = Vec::with_capacity(stages.len());
+    for stage in stages.iter().rev() {
+        lanes.push(stage.candidates[best].lane);
+        best = stage.from[best];
+    }
+    lanes.reverse();
+    lanes
+}
+
+fn step_cost(map: &LaneMap, before: Candidate, after: Candidate, moved: f64) -> f64 {
+    /// Metres by which the way along the graph may be longer than the way driven.
+    const SLACK: f64 = 4.0;
+    if before.lane == after.lane {
+        return BACKWARDS * (before.s - after.s - 0.5).max(0.0);
+    }
+    let left = map[before.lane].centerline.length() - before.s;
+    if let Some(between) = way(map, before.lane, after.lane, moved + SLACK - left - after.s) {
+        return FOLLOW * (between.len() + 1) as f64;
+    }
+    let beside = map[before.lane].left.iter().chain(&map[before.lane].right);
+    if beside.into_iter().any(|neighbor| neighbor.lane == after.lane) { CHANGE } else { BREAK }
+}
+
+/// The fewest lanes between two, at most four, with at most `spare` metres in all; empty when one leads to the other.
+fn way(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<Vec<LaneId>> {
+    const MOST: usize = 4;
+    if map[from].outgoing.contains(&to) {
+        return (spare >= 0.0).then(Vec::new);
+    }
+    let mut open: VecDeque<(Vec<LaneId>, f64)> = VecDeque::from([(Vec::new(), 0.0)]);
+    while let Some((between, covered)) = open.pop_front() {
+        let last = between.last().copied().unwrap_or(from);
+        for &next in &map[last].outgoing {
+            if next == to {
+                return Some(between);
+            }
+            let covered = covered + map[next].centerline.length();
+            if between.len() < MOST && covered <= spare && next != from && !between.contains(&next) {
+                open.push_back((between.iter().copied().chain([next]).collect(), covered));
+            }
+        }
+    }
+    None
+}
+
+/// The fewest roadblocks between two that do not follow each other, at most six; none when the graph does not join them.
+fn block_way(map: &LaneMap, from: RoadblockId, to: RoadblockId) -> Vec<RoadblockId> {
+    const MOST: usize = 6;
+    let mut parent: BTreeMap<RoadblockId, RoadblockId> = BTreeMap::new();
+    let mut level = BTreeSet::from([from]);
+    for _ in 0..=MOST {
+        let mut next_level = BTreeSet::new();
+        for &block in &level {
+            for &next in map[block].outgoing.iter().filter(|&&next| next != from) {
+                if let std::collections::btree_map::Entry::Vacant(entry) = parent.entry(next) {
+                    entry.insert(block);
+                    next_level.insert(next);
+                }
+            }
+        }
+        if parent.contains_key(&to) {
+            break;
+        }
+        level = next_level;
+    }
+    let mut between = Vec::new();
+    let mut block = to;
+    while let Some(&before) = parent.get(&block).filter(|&&before| before != from) {
+        between.push(before);
+        block = before;
+    }
+    between.reverse();
+    between
+}
