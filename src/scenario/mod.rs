@@ -4,6 +4,7 @@ use crate::world::{EgoState, LaneMap, Route, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
 pub mod generator;
+pub mod nuplan;
 pub mod womd;
 
 /// One instant of the log.

@@ -1,0 +1,4 @@
+//! nuPlan's formats: the log database, the map package, and what both rest on.
+
+pub mod geometry_blob;
+pub mod projection;
