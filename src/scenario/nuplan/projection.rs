@@ -90,7 +90,7 @@ impl Utm {
     /// When the point lies outside the projection's domain or is not finite.
     pub fn to_utm(&self, lon_deg: f64, lat_deg: f64) -> Result<(f64, f64), ProjectionError> {
         let start = (lon_deg.to_radians(), lat_deg.to_radians());
-        self.project(&self.degrees, &self.metres, start).map_err(|reason| self.failed(lon_deg, lat_deg, reason))
+        project(&self.degrees, &self.metres, start).map_err(|reason| self.failed(lon_deg, lat_deg, reason))
     }
 
     /// Longitude and latitude, degrees, of an easting and northing, metres.
@@ -98,23 +98,22 @@ impl Utm {
     /// # Errors
     /// When the point lies outside the projection's domain or is not finite.
     pub fn to_geographic(&self, x: f64, y: f64) -> Result<(f64, f64), ProjectionError> {
-        let (lon, lat) =
-            self.project(&self.metres, &self.degrees, (x, y)).map_err(|reason| self.failed(x, y, reason))?;
+        let (lon, lat) = project(&self.metres, &self.degrees, (x, y)).map_err(|reason| self.failed(x, y, reason))?;
         Ok((lon.to_degrees(), lat.to_degrees()))
-    }
-
-    fn project(&self, from: &Proj, to: &Proj, point: (f64, f64)) -> Result<(f64, f64), String> {
-        let mut point = (point.0, point.1, 0.0);
-        transform(from, to, &mut point).map_err(|error| error.to_string())?;
-        if point.0.is_finite() && point.1.is_finite() {
-            Ok((point.0, point.1))
-        } else {
-            Err("the result is not finite".to_owned())
-        }
     }
 
     fn failed(&self, x: f64, y: f64, reason: String) -> ProjectionError {
         ProjectionError::Failed { epsg: self.epsg, x, y, reason }
+    }
+}
+
+fn project(from: &Proj, to: &Proj, point: (f64, f64)) -> Result<(f64, f64), String> {
+    let mut point = (point.0, point.1, 0.0);
+    transform(from, to, &mut point).map_err(|error| error.to_string())?;
+    if point.0.is_finite() && point.1.is_finite() {
+        Ok((point.0, point.1))
+    } else {
+        Err("the result is not finite".to_owned())
     }
 }
 
