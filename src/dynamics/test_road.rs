@@ -70,7 +70,7 @@ pub(crate) fn straight_road(stretches: &[Stretch], speed_limit: Option<f64>) -> 
         });
         from += length;
     }
-    LaneMap::new(parts).unwrap()
+    LaneMap::new(parts.with_roadblocks_as_road()).unwrap()
 }
 
 /// The route along a whole straight road.

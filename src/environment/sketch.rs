@@ -113,7 +113,7 @@ impl Sketch {
                 outgoing: vec![],
             });
         }
-        LaneMap::new(self.parts).unwrap()
+        LaneMap::new(self.parts.with_roadblocks_as_road()).unwrap()
     }
 }
 
@@ -182,6 +182,7 @@ impl Drawn {
             stop_lines: map.stop_lines().to_vec(),
             crosswalks: map.crosswalks().to_vec(),
             intersections,
+            road_segments: map.road_segments().to_vec(),
             ..MapParts::default()
         })
         .unwrap();

@@ -1,13 +1,14 @@
-//! Simple polygons: areas of the map and footprints, with the queries that the simulation asks millions of times.
+//! Polygons: areas of the map and footprints, with the queries that the simulation asks millions of times.
 
 use super::{Bounds, GeometryError, OrientedBox, Point, Polyline, check_finite};
 use geo::orient::Direction;
 use geo::{Area, BooleanOps, Centroid, ConvexHull, Orient};
 
-/// A simple polygon (no holes), its ring stored once without repeating the first vertex.
+/// A polygon: its ring, stored once without repeating the first vertex, and the rings of its holes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Polygon {
     ring: Vec<Point>,
+    holes: Vec<Vec<Point>>,
     bounds: Bounds,
 }
 
@@ -17,22 +18,22 @@ impl Polygon {
     /// # Errors
     /// When a coordinate is not finite or fewer than three distinct vertices remain.
     pub fn new(points: impl IntoIterator<Item = Point>) -> Result<Self, GeometryError> {
-        let mut ring: Vec<Point> = points.into_iter().collect();
-        check_finite(&ring)?;
-        ring.dedup();
-        while ring.len() > 1 && ring.first() == ring.last() {
-            ring.pop();
-        }
-        if ring.len() < 3 {
-            return Err(GeometryError::TooFewVertices { shape: "polygon", needed: 3, got: ring.len() });
-        }
-        Ok(Self::from_convex(ring))
+        Ok(Self::from_convex(sound_ring(points)?))
+    }
+
+    /// The polygon with a hole cut out; the hole must lie inside it and clear of its other holes.
+    ///
+    /// # Errors
+    /// When a coordinate is not finite or fewer than three distinct vertices remain.
+    pub fn with_hole(mut self, points: impl IntoIterator<Item = Point>) -> Result<Self, GeometryError> {
+        self.holes.push(sound_ring(points)?);
+        Ok(self)
     }
 
     /// A ring known to be sound (made from a box).
     pub(super) fn from_convex(ring: Vec<Point>) -> Self {
         let bounds = Bounds::around(&ring);
-        Self { ring, bounds }
+        Self { ring, holes: Vec::new(), bounds }
     }
 
     /// The area between two lines that run the same way, left and right.
@@ -43,9 +44,18 @@ impl Polygon {
         Self::new(left.vertices().iter().chain(right.vertices().iter().rev()).copied())
     }
 
-    /// The vertices in order; the first is not repeated.
+    /// The vertices of the outer ring in order; the first is not repeated.
     pub fn ring(&self) -> &[Point] {
         &self.ring
+    }
+
+    /// The rings of the holes, as [`Self::ring`] gives the outer one.
+    pub fn holes(&self) -> &[Vec<Point>] {
+        &self.holes
+    }
+
+    fn rings(&self) -> impl Iterator<Item = &Vec<Point>> {
+        std::iter::once(&self.ring).chain(&self.holes)
     }
 
     /// Smallest axis-aligned rectangle around the polygon.
@@ -53,28 +63,16 @@ impl Polygon {
         self.bounds
     }
 
-    /// The edges, the closing one included.
+    /// The edges of all rings, the closing ones included.
     pub fn edges(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
-        (0..self.ring.len()).map(|i| (self.ring[i], self.ring[(i + 1) % self.ring.len()]))
+        self.rings().flat_map(|ring| (0..ring.len()).map(|i| (ring[i], ring[(i + 1) % ring.len()])))
     }
 
     /// Whether a point lies inside (even-odd rule); a point exactly on an edge may count either way.
     pub fn contains(&self, point: Point) -> bool {
-        if !self.bounds.contains(point) {
-            return false;
-        }
-        let mut inside = false;
-        let mut previous = self.ring[self.ring.len() - 1];
-        for &vertex in &self.ring {
-            if (vertex.y > point.y) != (previous.y > point.y) {
-                let x = vertex.x + (point.y - vertex.y) / (previous.y - vertex.y) * (previous.x - vertex.x);
-                if point.x < x {
-                    inside = !inside;
-                }
-            }
-            previous = vertex;
-        }
-        inside
+        self.bounds.contains(point)
+            && ring_holds(&self.ring, point)
+            && !self.holes.iter().any(|hole| ring_holds(hole, point))
     }
 
     /// Distance from a point to the polygon, metres; 0 inside.
@@ -97,7 +95,7 @@ impl Polygon {
 
     /// Whether the box lies wholly inside the polygon.
     pub fn holds_box(&self, shape: &OrientedBox) -> bool {
-        shape.corners().iter().all(|&c| self.contains(c)) && !self.ring.iter().any(|&v| shape.contains(v))
+        shape.corners().iter().all(|&c| self.contains(c)) && !self.rings().flatten().any(|&v| shape.contains(v))
     }
 
     /// Distance between a box and the polygon, metres; 0 when they overlap.
@@ -107,7 +105,7 @@ impl Polygon {
         }
         let corners = shape.corners();
         let from_corners = corners.iter().map(|&c| self.edge_distance(c));
-        let from_vertices = self.ring.iter().map(|&v| {
+        let from_vertices = self.rings().flatten().map(|&v| {
             (0..4).map(|i| segment_distance(v, corners[i], corners[(i + 1) % 4])).fold(f64::INFINITY, f64::min)
         });
         from_corners.chain(from_vertices).fold(f64::INFINITY, f64::min)
@@ -164,13 +162,43 @@ impl Polygon {
     }
 
     fn to_geo(&self) -> geo::Polygon<f64> {
-        let ring: Vec<(f64, f64)> = self.ring.iter().map(|p| (p.x, p.y)).collect();
-        geo::Polygon::new(geo::LineString::from(ring), vec![])
+        let line = |ring: &Vec<Point>| geo::LineString::from(ring.iter().map(|p| (p.x, p.y)).collect::<Vec<_>>());
+        geo::Polygon::new(line(&self.ring), self.holes.iter().map(line).collect())
     }
 
     fn from_geo(polygon: &geo::Polygon<f64>) -> Option<Self> {
         Self::new(polygon.exterior().coords().map(|c| Point::new(c.x, c.y))).ok()
     }
+}
+
+/// The vertices of a ring without repetitions.
+fn sound_ring(points: impl IntoIterator<Item = Point>) -> Result<Vec<Point>, GeometryError> {
+    let mut ring: Vec<Point> = points.into_iter().collect();
+    check_finite(&ring)?;
+    ring.dedup();
+    while ring.len() > 1 && ring.first() == ring.last() {
+        ring.pop();
+    }
+    if ring.len() < 3 {
+        return Err(GeometryError::TooFewVertices { shape: "polygon", needed: 3, got: ring.len() });
+    }
+    Ok(ring)
+}
+
+/// Whether a point lies inside a ring (even-odd rule).
+fn ring_holds(ring: &[Point], point: Point) -> bool {
+    let mut inside = false;
+    let mut previous = ring[ring.len() - 1];
+    for &vertex in ring {
+        if (vertex.y > point.y) != (previous.y > point.y) {
+            let x = vertex.x + (point.y - vertex.y) / (previous.y - vertex.y) * (previous.x - vertex.x);
+            if point.x < x {
+                inside = !inside;
+            }
+        }
+        previous = vertex;
+    }
+    inside
 }
 
 /// Distance from a point to the segment between two others, metres.
@@ -211,6 +239,21 @@ mod tests {
         assert!(!ell().contains(Point::new(6.0, 6.0)));
         assert!((ell().distance_to(Point::new(6.0, 6.0)) - 2.0).abs() < 1e-12);
         assert!(ell().distance_to(Point::new(1.0, 1.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_hole_is_outside() {
+        let square = |low: f64, high: f64| [(low, low), (high, low), (high, high), (low, high)];
+        let points = |low, high| square(low, high).map(|(x, y)| Point::new(x, y));
+        let ring = Polygon::new(points(0.0, 10.0)).unwrap().with_hole(points(3.0, 7.0)).unwrap();
+        assert!(ring.contains(Point::new(1.0, 5.0)) && !ring.contains(Point::new(5.0, 5.0)));
+        assert!((ring.distance_to(Point::new(5.0, 4.5)) - 1.5).abs() < 1e-12);
+        assert!((ring.area() - 84.0).abs() < 1e-9);
+        let inside = OrientedBox::new(Pose::new(5.0, 5.0, 0.0), 2.0, 2.0);
+        assert!(!ring.meets_box(&inside) && (ring.distance_to_box(&inside) - 1.0).abs() < 1e-12);
+        assert!(ring.meets_box(&OrientedBox::new(Pose::new(5.0, 5.0, 0.0), 5.0, 2.0)));
+        assert!(!ring.holds_box(&OrientedBox::new(Pose::new(5.0, 5.0, 0.0), 9.0, 9.0)));
+        assert!(ring.with_hole([Point::new(f64::NAN, 0.0); 3]).is_err());
     }
 
     #[test]

@@ -151,10 +151,20 @@ pub struct MapParts {
     pub intersections: Vec<Polygon>,
     /// Crosswalks.
     pub crosswalks: Vec<Polygon>,
-    /// Drivable area beside roadblocks and intersections (nuPlan: `generic_drivable_areas`).
+    /// The road itself, lanes and shoulders (nuPlan: `road_segments`); a part of the drivable area, unlike roadblocks.
+    pub road_segments: Vec<Polygon>,
+    /// Drivable area beside road segments and intersections (nuPlan: `generic_drivable_areas`).
     pub generic_drivable: Vec<Polygon>,
     /// Car parks.
     pub carparks: Vec<Polygon>,
+}
+
+impl MapParts {
+    /// Adds the areas of all roadblocks to the road segments: for sources that do not draw that layer.
+    pub fn with_roadblocks_as_road(mut self) -> Self {
+        self.road_segments.extend(self.roadblocks.iter().flat_map(|block| block.areas.iter().cloned()));
+        self
+    }
 }
 
 /// Why layers do not make a map.
@@ -200,6 +210,7 @@ pub struct LaneMap {
     pub(super) block_areas: Vec<(RoadblockId, usize)>,
     pub(super) intersection_index: SpatialIndex,
     pub(super) crosswalk_index: SpatialIndex,
+    pub(super) road_index: SpatialIndex,
     pub(super) generic_index: SpatialIndex,
     pub(super) carpark_index: SpatialIndex,
 }
@@ -222,6 +233,7 @@ impl LaneMap {
             block_areas,
             intersection_index: areas(&parts.intersections),
             crosswalk_index: areas(&parts.crosswalks),
+            road_index: areas(&parts.road_segments),
             generic_index: areas(&parts.generic_drivable),
             carpark_index: areas(&parts.carparks),
             parts,
@@ -258,7 +270,12 @@ impl LaneMap {
         &self.parts.crosswalks
     }
 
-    /// Drivable area beside roadblocks and intersections.
+    /// The road itself, lanes and shoulders.
+    pub fn road_segments(&self) -> &[Polygon] {
+        &self.parts.road_segments
+    }
+
+    /// Drivable area beside road segments and intersections.
     pub fn generic_drivable(&self) -> &[Polygon] {
         &self.parts.generic_drivable
     }

@@ -57,18 +57,19 @@ impl LaneMap {
         any_holds(&self.crosswalk_index, &self.parts.crosswalks, point)
     }
 
-    /// Whether the point lies in nuPlan's drivable area: roadblocks, intersections, generic drivable areas, car parks.
+    /// Whether the point lies in nuPlan's drivable area: road segments, intersections, generic drivable areas, car parks.
     pub fn is_drivable(&self, point: Point) -> bool {
-        any_holds(&self.intersection_index, &self.parts.intersections, point)
+        any_holds(&self.road_index, &self.parts.road_segments, point)
+            || any_holds(&self.intersection_index, &self.parts.intersections, point)
             || any_holds(&self.generic_index, &self.parts.generic_drivable, point)
             || any_holds(&self.carpark_index, &self.parts.carparks, point)
-            || !self.roadblocks_at(point).is_empty()
     }
 
     /// Distance from a point to the drivable area, metres, searched up to `reach`; `None` when there is none so near.
     pub fn distance_to_drivable(&self, point: Point, reach: f64) -> Option<f64> {
         let patch = Bounds::square(point, reach);
         let layers = [
+            (&self.road_index, &self.parts.road_segments),
             (&self.intersection_index, &self.parts.intersections),
             (&self.generic_index, &self.parts.generic_drivable),
             (&self.carpark_index, &self.parts.carparks),
@@ -76,11 +77,7 @@ impl LaneMap {
         let areas = layers
             .into_iter()
             .flat_map(|(index, polygons)| index.within(&patch).into_iter().map(|i| polygons[i].distance_to(point)));
-        let blocks = self.block_index.within(&patch).into_iter().map(|i| {
-            let (block, area) = self.block_areas[i];
-            self[block].areas[area].distance_to(point)
-        });
-        let nearest = areas.chain(blocks).fold(f64::INFINITY, f64::min);
+        let nearest = areas.fold(f64::INFINITY, f64::min);
         (nearest <= reach).then_some(nearest)
     }
 

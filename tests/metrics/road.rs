@@ -65,7 +65,7 @@ impl Road {
     }
 
     pub(super) fn build(self) -> LaneMap {
-        LaneMap::new(self.parts).unwrap()
+        LaneMap::new(self.parts.with_roadblocks_as_road()).unwrap()
     }
 }
 

@@ -55,8 +55,18 @@ pub(super) fn lane_map(
     let lanes = lanes.collect();
     let name = format!("waymo open motion, origin ({}, {})", origin.x, origin.y);
     let (crosswalks, carparks) = (map.crosswalks, Vec::new());
-    let parts = MapParts { name, lanes, roadblocks, stop_lines, intersections, crosswalks, generic_drivable, carparks };
-    Ok(LaneMap::new(parts)?)
+    let parts = MapParts {
+        name,
+        lanes,
+        roadblocks,
+        stop_lines,
+        intersections,
+        crosswalks,
+        road_segments: Vec::new(),
+        generic_drivable,
+        carparks,
+    };
+    Ok(LaneMap::new(parts.with_roadblocks_as_road())?)
 }
 
 /// Connectors with a light at their beginning, or whose only ways in have one at their end.

@@ -70,7 +70,7 @@ impl Roads {
         }
         let way = way.iter().map(|&road| network.roads[road].forward.clone()).collect();
         network.parts.name = name;
-        let map = Arc::new(LaneMap::new(network.parts)?);
+        let map = Arc::new(LaneMap::new(network.parts.with_roadblocks_as_road())?);
         Ok(Self { map, passages: network.passages, signals: network.signals, way, facts })
     }
 
