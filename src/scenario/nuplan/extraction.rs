@@ -85,7 +85,7 @@ pub const UNKNOWN_TYPE: &str = "unknown";
 pub const ROWS_PER_STEP: usize = 2;
 
 /// Length of a row at the nominal rate, s (the devkit's database interval).
-pub const ROW_S: f64 = 0.05;
+pub(super) const ROW_S: f64 = 0.05;
 
 /// The part of a log around the tagged row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
