@@ -3,13 +3,15 @@
 //! * `logs`, `schema`, `database`, `side_index`: finding and reading logs, without ever writing to them;
 //! * `filter`, `filter_file`, `search`, `thinning`: which scenarios there are and which of them are wanted;
 //! * `extraction`, `rows`, `open`, `route`: a scenario as [`super::Scenario`];
-//! * `map_store`, `layers`, `lane_map`, [`geometry_blob`], [`projection`]: the map around it.
+//! * `map_store`, `layers`, `lane_map`, [`geometry_blob`], [`projection`]: the map around it;
+//! * [`export`]: the way back, from any scenario to a log and its map.
 //!
 //! Logs and maps are read as the nuPlan devkit's queries read them. What is damaged is an error that names file, table, row and
 //! column.
 
 mod database;
 mod error;
+pub mod export;
 mod extraction;
 mod filter;
 mod filter_file;
