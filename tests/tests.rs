@@ -12,6 +12,7 @@ mod cli;
 mod environment;
 mod metrics;
 mod mllm;
+mod nuplan_input;
 mod pdm;
 mod runner;
 mod womd;

@@ -1,5 +1,6 @@
 //! The flags, as typed.
 
+use crate::scenario::nuplan::DataRoots;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -44,18 +45,41 @@ pub(super) enum Command {
     Dataset(DatasetArguments),
 }
 
-/// Flags that name lists of scenarios.
+/// Flags that name lists of scenarios, and where nuPlan's data lies.
 #[derive(Debug, Args)]
 pub(super) struct SplitArguments {
-    /// List of scenarios by name: generated (16 types x 10 seeds).
+    /// List of scenarios: generated (16 types x 10 seeds), val14, reduced-val14, test14-hard, or a scenario filter
+    /// FILE.yaml.
     #[arg(long = "split", value_name = "NAME")]
     pub(super) splits: Vec<String>,
+    #[command(flatten)]
+    pub(super) roots: RootArguments,
+}
+
+/// Flags that say where nuPlan's data lies.
+#[derive(Debug, Args)]
+pub(super) struct RootArguments {
+    /// Folder with nuPlan's logs (*.db), in it or below.
+    #[arg(long, env = "NUPLAN_DATA_ROOT", value_name = "FOLDER")]
+    pub(super) data_root: Option<PathBuf>,
+    /// Folder with nuPlan's maps.
+    #[arg(long, env = "NUPLAN_MAPS_ROOT", value_name = "FOLDER")]
+    pub(super) maps_root: Option<PathBuf>,
+}
+
+impl RootArguments {
+    /// The folders; a variable that is set to nothing names none.
+    pub(super) fn data_roots(&self) -> DataRoots {
+        let named = |folder: &Option<PathBuf>| folder.clone().filter(|path| !path.as_os_str().is_empty());
+        DataRoots { data: named(&self.data_root), maps: named(&self.maps_root) }
+    }
 }
 
 /// Flags of `simulate`.
 #[derive(Debug, Args)]
 pub(super) struct SimulateArguments {
-    /// Scenarios: TFRecord files, folders of them, or generated/TYPE/SEED [default: one generated scene].
+    /// Scenarios: TFRecord files, Argoverse 2 logs, nuPlan logs (LOG.db or LOG.db#TOKEN), folders of them, or
+    /// generated/TYPE/SEED [default: one generated scene].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
     pub(super) scenarios: Vec<String>,
     #[command(flatten)]

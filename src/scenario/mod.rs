@@ -3,8 +3,14 @@
 use crate::world::{EgoState, LaneMap, Route, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
+pub mod argoverse2;
 pub mod generator;
+pub mod nuplan;
+mod recording;
 pub mod womd;
+
+pub use recording::trace::LineFault;
+pub use recording::window::TimeFault;
 
 /// Most frames of [`Scenario::future`]: eight seconds at 10 Hz, the farthest that nuPlan looks ahead.
 pub const FUTURE_FRAMES: usize = 80;

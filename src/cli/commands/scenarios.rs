@@ -1,13 +1,14 @@
 //! `planagent scenarios list|show|generate`.
 
 use super::plan::scenario;
-use crate::cli::args::ScenariosCommand;
+use crate::cli::args::{ScenariosCommand, SplitArguments};
 use crate::cli::{Exit, Printer};
 use crate::environment::{BevView, bev};
-use crate::experiment::source::recordings_in;
+use crate::experiment::nuplan_data::NuPlanData;
+use crate::experiment::source::{SourceError, recordings_in};
 use crate::experiment::split::split;
 use crate::scenario::generator::{ScenarioType, Spec, generate};
-use crate::scenario::{Scenario, womd};
+use crate::scenario::{Scenario, argoverse2, womd};
 use crate::world::{History, HistorySample, LaneKind, STEP_S, Scene, SignalStatus};
 use anyhow::{Context, bail};
 use serde_json::json;
@@ -26,8 +27,8 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
             list_types(printer)
         }
         ScenariosCommand::List { sources, split } => {
-            list_splits(&split.splits, printer)?;
-            list(sources, printer)
+            let complete = list_splits(split, printer)?;
+            list(sources, printer).map(|exit| if complete { exit } else { Exit::SomeFailed })
         }
         ScenariosCommand::Show { scenario: word, at, image, view } => {
             show(&scenario(Some(word))?, *at, image.as_deref(), *view, printer)
@@ -48,44 +49,80 @@ fn list_types(printer: Printer) -> anyhow::Result<Exit> {
     Ok(Exit::Success)
 }
 
-/// A line a scenario: the word that names it.
-fn list_splits(names: &[String], printer: Printer) -> anyhow::Result<()> {
-    for name in names {
-        for source in split(name)? {
+/// A line a scenario: the word that names it. Says whether the splits are complete.
+fn list_splits(flags: &SplitArguments, printer: Printer) -> anyhow::Result<bool> {
+    let data = NuPlanData::new(flags.roots.data_roots());
+    let mut complete = true;
+    for name in &flags.splits {
+        let found = split(name, &data, &|_, _| ())?;
+        for note in &found.notes {
+            printer.note(note);
+        }
+        for source in found.sources {
             printer.line(source.to_string());
             if printer.is_json() {
                 printer.json(&json!({"id": source.to_string(), "split": name}))?;
             }
         }
+        if !found.missing.is_empty() {
+            complete = false;
+            printer.note(format!("failed: split {name}: {}", found.missing));
+        }
     }
-    Ok(())
+    Ok(complete)
 }
 
 fn list(sources: &[PathBuf], printer: Printer) -> anyhow::Result<Exit> {
     for source in sources {
-        let files = if source.is_dir() { recordings_in(source)? } else { vec![source.clone()] };
+        if argoverse2::is_log(source) {
+            list_log(source, printer)?;
+            continue;
+        }
+        let logs = if source.is_dir() { argoverse2::logs_in(source)? } else { Vec::new() };
+        for log in &logs {
+            list_log(log, printer)?;
+        }
+        let files = if source.is_dir() { recordings_in(source) } else { Ok(vec![source.clone()]) };
+        let files = match files {
+            Err(SourceError::Empty(_)) if !logs.is_empty() => Vec::new(),
+            files => files?,
+        };
         for file in files {
             for summary in womd::summaries(&file)? {
                 let found = summary?;
-                let driven = (found.iterations.saturating_sub(1)) as f64 * STEP_S;
-                printer.line(format!(
-                    "{:<20} {:>4} steps {driven:>5.1} s driven {:>4} tracks {:>4} lanes  {}",
-                    found.id,
-                    found.steps,
-                    found.tracks,
-                    found.lanes,
-                    file.display()
-                ));
-                if printer.is_json() {
-                    printer.json(&json!({
-                        "id": found.id, "file": file, "record": found.record, "steps": found.steps,
-                        "iterations": found.iterations, "tracks": found.tracks, "lanes": found.lanes,
-                    }))?;
-                }
+                let counts = [found.steps, found.iterations, found.tracks, found.lanes];
+                list_one(&found.id, counts, &file, Some(found.record), printer)?;
             }
         }
     }
     Ok(Exit::Success)
+}
+
+fn list_log(folder: &Path, printer: Printer) -> anyhow::Result<()> {
+    let found = argoverse2::summary(folder)?;
+    list_one(&found.id, [found.steps, found.iterations, found.tracks, found.lanes], folder, None, printer)
+}
+
+/// A line for a recording; `record` is its place in a file of several.
+fn list_one(
+    id: &str,
+    [steps, iterations, tracks, lanes]: [usize; 4],
+    place: &Path,
+    record: Option<usize>,
+    printer: Printer,
+) -> anyhow::Result<()> {
+    let driven = (iterations.saturating_sub(1)) as f64 * STEP_S;
+    let place_name = place.display();
+    printer.line(format!(
+        "{id:<20} {steps:>4} steps {driven:>5.1} s driven {tracks:>4} tracks {lanes:>4} lanes  {place_name}"
+    ));
+    if printer.is_json() {
+        printer.json(&json!({
+            "id": id, "file": place, "record": record, "steps": steps,
+            "iterations": iterations, "tracks": tracks, "lanes": lanes,
+        }))?;
+    }
+    Ok(())
 }
 
 fn show(scenario: &Scenario, at: f64, image: Option<&Path>, view: f64, printer: Printer) -> anyhow::Result<Exit> {

@@ -24,6 +24,9 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
     let started = Instant::now();
     let before = flags.resume.as_deref().map(RunFolder::manifest).transpose()?;
     let selection = Selection::of(flags, before.as_ref())?;
+    for note in &selection.notes {
+        printer.note(note);
+    }
     let assignments = &selection.assignments;
     let needs_model = selection.planners.contains(&PlannerKind::PlanAgent);
     let loaded = if needs_model { Some(model::load(config, printer)?) } else { None };
@@ -61,7 +64,11 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
     };
     let timing = Timing::new(session, &rows);
     folder.finish(&manifest, &summary, &timing, &rows)?;
-    tell(&summary, &timing, &rows, folder.path(), printer)
+    let exit = tell(&summary, &timing, &rows, folder.path(), printer)?;
+    for line in &selection.missing {
+        printer.note(format!("failed: {line}"));
+    }
+    Ok(if selection.missing.is_empty() { exit } else { Exit::SomeFailed })
 }
 
 /// What this run would be started with.

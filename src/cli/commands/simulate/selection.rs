@@ -1,6 +1,7 @@
 //! What a run drives: from the flags, else from the run that is gone on with, else by default.
 
 use crate::cli::args::SimulateArguments;
+use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::run::{Assignment, PlannerKind};
 use crate::experiment::source::ScenarioSource;
 use crate::experiment::split::split;
@@ -20,6 +21,10 @@ pub(super) struct Selection {
     pub(super) challenges: Vec<Challenge>,
     /// Every scenario with every planner in every challenge.
     pub(super) assignments: Vec<Assignment>,
+    /// Scenarios of splits that are not there, a line a split: the run is not the whole split.
+    pub(super) missing: Vec<String>,
+    /// What a user should know about the scenarios.
+    pub(super) notes: Vec<String>,
 }
 
 impl Selection {
@@ -28,43 +33,56 @@ impl Selection {
     /// # Errors
     /// When a planner, challenge, split or scenario is unknown or cannot be read, or nothing is left.
     pub(super) fn of(flags: &SimulateArguments, manifest: Option<&Manifest>) -> anyhow::Result<Self> {
-        let named = !flags.scenarios.is_empty() || !flags.split.splits.is_empty() || flags.limit.is_some();
+        let selects = !flags.scenarios.is_empty() || !flags.split.splits.is_empty() || flags.limit.is_some();
         let (words, splits, limit) = match manifest {
-            Some(manifest) if !named => {
+            Some(manifest) if !selects => {
                 let list = &manifest.scenarios;
                 (list.words.clone(), list.splits.clone(), list.limit)
             }
             _ => (flags.scenarios.clone(), flags.split.splits.clone(), flags.limit),
         };
-        let sources = sources(&words, &splits, limit)?;
+        let data = NuPlanData::new(flags.split.roots.data_roots());
+        let Named { sources, missing, notes } = named(&words, &splits, limit, &data)?;
         let planners = planners(&flags.planner, manifest)?;
         let challenges = challenges(&flags.challenge, manifest)?;
         let names = sources.iter().map(ToString::to_string);
         let list = ScenarioList { words, splits, limit, count: sources.len(), blake3: ScenarioList::digest(names) };
         let assignments = assignments(&sources, &planners, &challenges);
-        Ok(Self { list, planners, challenges, assignments })
+        Ok(Self { list, planners, challenges, assignments, missing, notes })
     }
 }
 
-fn sources(words: &[String], splits: &[String], limit: Option<usize>) -> anyhow::Result<Vec<ScenarioSource>> {
-    let mut found = Vec::new();
+/// The scenarios that words and splits name.
+struct Named {
+    sources: Vec<ScenarioSource>,
+    missing: Vec<String>,
+    notes: Vec<String>,
+}
+
+fn named(words: &[String], splits: &[String], limit: Option<usize>, data: &NuPlanData) -> anyhow::Result<Named> {
+    let mut named = Named { sources: Vec::new(), missing: Vec::new(), notes: Vec::new() };
     for name in splits {
-        found.extend(split(name)?);
+        let found = split(name, data, &|_, _| ())?;
+        named.sources.extend(found.sources);
+        named.notes.extend(found.notes);
+        if !found.missing.is_empty() {
+            named.missing.push(format!("split {name}: {}", found.missing));
+        }
     }
     for word in words {
-        found.extend(ScenarioSource::find(word)?);
+        named.sources.extend(ScenarioSource::find(word, data)?);
     }
     if splits.is_empty() && words.is_empty() {
-        found.push(ScenarioSource::Generated(generator::DEFAULT));
+        named.sources.push(ScenarioSource::Generated(generator::DEFAULT));
     }
     // A scenario that is named twice is driven once, or it would count twice in the means.
     let mut seen = BTreeSet::new();
-    found.retain(|source| seen.insert(source.to_string()));
-    found.truncate(limit.unwrap_or(usize::MAX));
-    if found.is_empty() {
+    named.sources.retain(|source| seen.insert(source.to_string()));
+    named.sources.truncate(limit.unwrap_or(usize::MAX));
+    if named.sources.is_empty() {
         bail!("no scenario is left to drive");
     }
-    Ok(found)
+    Ok(named)
 }
 
 fn planners(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<PlannerKind>> {
