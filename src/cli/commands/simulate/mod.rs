@@ -65,6 +65,9 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
     let timing = Timing::new(session, &rows);
     folder.finish(&manifest, &summary, &timing, &rows)?;
     let exit = tell(&summary, &timing, &rows, folder.path(), printer)?;
+    for note in selection.nuplan.notes() {
+        printer.note(note);
+    }
     for line in &selection.missing {
         printer.note(format!("failed: {line}"));
     }

@@ -7,9 +7,11 @@ use crate::experiment::source::ScenarioSource;
 use crate::experiment::split::split;
 use crate::report::{Manifest, ScenarioList};
 use crate::scenario::generator;
+use crate::scenario::nuplan::DataRoots;
 use crate::simulation::Challenge;
 use anyhow::{Context, bail};
 use std::collections::BTreeSet;
+use std::path::PathBuf;
 
 /// What a run drives.
 pub(super) struct Selection {
@@ -25,6 +27,8 @@ pub(super) struct Selection {
     pub(super) missing: Vec<String>,
     /// What a user should know about the scenarios.
     pub(super) notes: Vec<String>,
+    /// nuPlan's logs and maps, as far as they were opened.
+    pub(super) nuplan: NuPlanData,
 }
 
 impl Selection {
@@ -41,15 +45,24 @@ impl Selection {
             }
             _ => (flags.scenarios.clone(), flags.split.splits.clone(), flags.limit),
         };
-        let data = NuPlanData::new(flags.split.roots.data_roots());
-        let Named { sources, missing, notes } = named(&words, &splits, limit, &data)?;
+        let DataRoots { data, maps } = roots(flags, manifest);
+        let nuplan = NuPlanData::new(DataRoots { data: data.clone(), maps: maps.clone() });
+        let Named { sources, missing, notes } = named(&words, &splits, limit, &nuplan)?;
         let planners = planners(&flags.planner, manifest)?;
         let challenges = challenges(&flags.challenge, manifest)?;
         let names = sources.iter().map(ToString::to_string);
-        let list = ScenarioList { words, splits, limit, count: sources.len(), blake3: ScenarioList::digest(names) };
+        let (count, blake3) = (sources.len(), ScenarioList::digest(names));
+        let list = ScenarioList { words, splits, data_root: data, maps_root: maps, limit, count, blake3 };
         let assignments = assignments(&sources, &planners, &challenges);
-        Ok(Self { list, planners, challenges, assignments, missing, notes })
+        Ok(Self { list, planners, challenges, assignments, missing, notes, nuplan })
     }
+}
+
+/// The folders of the flags, else of the run that is gone on with.
+fn roots(flags: &SimulateArguments, manifest: Option<&Manifest>) -> DataRoots {
+    let DataRoots { data, maps } = flags.split.roots.data_roots();
+    let before = |of: fn(&ScenarioList) -> &Option<PathBuf>| manifest.and_then(|m| of(&m.scenarios).clone());
+    DataRoots { data: data.or_else(|| before(|l| &l.data_root)), maps: maps.or_else(|| before(|l| &l.maps_root)) }
 }
 
 /// The scenarios that words and splits name.
