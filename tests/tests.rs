@@ -8,6 +8,7 @@
 
 mod agent;
 mod architecture;
+mod argoverse2;
 mod cli;
 mod environment;
 mod metrics;
@@ -15,4 +16,5 @@ mod mllm;
 mod nuplan_input;
 mod pdm;
 mod runner;
+mod simulation;
 mod womd;
