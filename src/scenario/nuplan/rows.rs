@@ -69,6 +69,12 @@ impl Rows {
         Ok(Self { window, past })
     }
 
+    /// First and last time of all rows, µs.
+    pub(super) fn times(&self) -> (i64, i64) {
+        let first = self.past.first().or(self.window.first()).map_or(0, |row| row.time_us);
+        (first, self.window.last().map_or(0, |row| row.time_us))
+    }
+
     /// The rows of the iterations.
     pub(super) fn iterations(&self) -> impl Iterator<Item = &Sweep> {
         self.window.iter().step_by(ROWS_PER_STEP)
