@@ -12,4 +12,5 @@ mod cli;
 mod environment;
 mod metrics;
 mod mllm;
+mod nuplan;
 mod womd;

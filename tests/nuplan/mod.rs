@@ -1,0 +1,5 @@
+//! nuPlan's formats: what is written reads back, by our reader and by the public ones.
+
+mod compare;
+mod public_readers;
+mod round_trip;
