@@ -2,4 +2,5 @@
 
 mod compare;
 mod public_readers;
+mod recorded;
 mod round_trip;

@@ -36,7 +36,11 @@ pub(super) fn read_back(exported: &Exported, settings: &ExportSettings, cache: &
 }
 
 /// Scores of a planner on a scenario: the score, and each metric's.
-fn score(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> (f64, Vec<(String, Option<f64>)>) {
+pub(super) fn score(
+    scenario: &Scenario,
+    planner: &mut dyn Planner,
+    challenge: Challenge,
+) -> (f64, Vec<(String, Option<f64>)>) {
     let log = simulate(scenario, planner, challenge).unwrap();
     let expert: Vec<EgoState> = scenario.expert().copied().collect();
     let drive = Drive { map: &scenario.map, samples: &log.samples, expert: &expert };
