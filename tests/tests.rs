@@ -12,5 +12,6 @@ mod cli;
 mod environment;
 mod metrics;
 mod mllm;
+mod nuplan;
 mod nuplan_input;
 mod womd;
