@@ -14,4 +14,7 @@ mod metrics;
 mod mllm;
 mod nuplan;
 mod nuplan_input;
+mod pdm;
+mod runner;
+mod simulation;
 mod womd;

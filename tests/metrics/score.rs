@@ -2,8 +2,10 @@
 
 use super::road::{cruise, ego, object, samples, straight};
 use planagent::geometry::Pose;
-use planagent::metrics::{Drive, Evaluation, MetricError, MetricName, evaluate};
+use planagent::metrics::{Drive, Evaluation, MetricError, MetricName, ScoreUnit, evaluate};
 use planagent::world::{EgoState, LaneMap, ObjectKind, TrackedObject};
+
+const PROGRESS: MetricName = MetricName::EgoProgressAlongExpertRoute;
 
 fn judge(map: &LaneMap, states: &[EgoState], expert: &[EgoState], objects: &[TrackedObject]) -> Evaluation {
     evaluate(&Drive { map, samples: &samples(states, objects), expert }).unwrap()
@@ -16,9 +18,9 @@ fn log_replay_on_a_free_road_loses_only_the_last_step_of_progress() {
     let evaluation = judge(&map, &expert[..149], &expert, &[]);
     // The expert has one state more than the simulation saved: 148 m of 149 m.
     let ratio = 148.0 / 149.0;
-    assert!((evaluation.score.ego_progress_along_expert_route - ratio).abs() < 1e-9);
+    assert!((evaluation.score.metric(PROGRESS).unwrap() - ratio).abs() < 1e-9);
     assert!((evaluation.score.value - (5.0 * ratio + 11.0) / 16.0).abs() < 1e-9);
-    assert_eq!(evaluation.score.zeroed_by, None);
+    assert_eq!(evaluation.score.zero_multipliers().next(), None);
 }
 
 #[test]
@@ -27,7 +29,7 @@ fn every_metric_has_nuplans_name_and_comes_once() {
     let expert = cruise(30, 0.0, 0.0, 5.0);
     let evaluation = judge(&map, &expert[..29], &expert, &[]);
     let names: Vec<&str> = evaluation.metrics.iter().map(|m| m.name.as_str()).collect();
-    for name in MetricName::ALL {
+    for name in MetricName::CLOSED_LOOP {
         assert_eq!(names.iter().filter(|n| **n == name.as_str()).count(), 1, "{name}");
     }
     assert!(evaluation.metric("corners_in_drivable_area").unwrap().score.is_none());
@@ -43,9 +45,9 @@ fn standing_still_while_the_expert_drives_is_named_as_the_cause_of_zero() {
     let map = straight();
     let evaluation = judge(&map, &cruise(149, 0.0, 0.0, 0.0), &cruise(150, 0.0, 0.0, 10.0), &[]);
     // 0 m counts as 2 m: 2/149 is below a fifth.
-    assert!((evaluation.score.ego_progress_along_expert_route - 2.0 / 149.0).abs() < 1e-9);
+    assert!((evaluation.score.metric(PROGRESS).unwrap() - 2.0 / 149.0).abs() < 1e-9);
     assert!(evaluation.score.value.abs() < 1e-12);
-    assert_eq!(evaluation.score.zeroed_by, Some(MetricName::EgoIsMakingProgress));
+    assert_eq!(evaluation.score.zero_multipliers().next(), Some(MetricName::EgoIsMakingProgress));
 }
 
 #[test]
@@ -63,8 +65,8 @@ fn one_cone_halves_and_the_time_to_collision_goes() {
     let expert = cruise(150, 0.0, 0.0, 10.0);
     let cone = object(1, ObjectKind::TrafficCone, Pose::new(60.0, 0.0, 0.0), (0.5, 0.5), 0.0);
     let score = judge(&map, &expert[..149], &expert, &[cone]).score;
-    assert!((score.no_ego_at_fault_collisions - 0.5).abs() < 1e-12);
-    assert!(score.time_to_collision_within_bound.abs() < 1e-12);
+    assert!((score.metric(MetricName::NoEgoAtFaultCollisions).unwrap() - 0.5).abs() < 1e-12);
+    assert!(score.metric(MetricName::TimeToCollisionWithinBound).unwrap().abs() < 1e-12);
     let ratio = 148.0 / 149.0;
     assert!((score.value - 0.5 * (5.0 * ratio + 6.0) / 16.0).abs() < 1e-9);
 }
@@ -93,8 +95,50 @@ fn off_every_lane_there_is_no_expert_route_and_progress_is_free() {
     let map = straight();
     let away = cruise(20, 0.0, 500.0, 5.0);
     let evaluation = judge(&map, &away, &away, &[]);
-    assert!((evaluation.score.ego_progress_along_expert_route - 1.0).abs() < 1e-12);
+    assert!((evaluation.score.metric(PROGRESS).unwrap() - 1.0).abs() < 1e-12);
     let progress = evaluation.metric("ego_progress_along_expert_route").unwrap();
     assert_eq!(progress.statistic("ego_total_progress_along_route"), None);
-    assert_eq!(evaluation.score.zeroed_by, Some(MetricName::DrivableAreaCompliance));
+    assert_eq!(evaluation.score.zero_multipliers().next(), Some(MetricName::DrivableAreaCompliance));
+}
+
+/// nuPlan's categories and score units (devkit `simulation_metric/**/*.yaml`).
+#[test]
+fn every_result_carries_nuplans_category_unit_and_computator() {
+    let map = straight();
+    let expert = cruise(30, 0.0, 0.0, 5.0);
+    let evaluation = judge(&map, &expert[..29], &expert, &[]);
+    let expected = [
+        ("ego_mean_speed", "Dynamics", None),
+        ("ego_expert_L2_error", "Planning", None),
+        ("ego_expert_l2_error_with_yaw", "Planning", None),
+        ("ego_lane_change", "Planning", None),
+        ("ego_jerk", "Dynamics", None),
+        ("ego_lat_jerk", "Dynamics", None),
+        ("ego_lon_jerk", "Dynamics", None),
+        ("ego_acceleration", "Dynamics", None),
+        ("ego_lat_acceleration", "Dynamics", None),
+        ("ego_lon_acceleration", "Dynamics", None),
+        ("ego_yaw_acceleration", "Dynamics", None),
+        ("ego_yaw_rate", "Dynamics", None),
+        ("ego_progress_along_expert_route", "Planning", Some("float")),
+        ("drivable_area_compliance", "Planning", Some("bool")),
+        ("corners_in_drivable_area", "Planning", None),
+        ("no_ego_at_fault_collisions", "Dynamics", Some("float")),
+        ("time_to_collision_within_bound", "Planning", Some("bool")),
+        ("speed_limit_compliance", "Violations", Some("float")),
+        ("ego_is_comfortable", "Violations", Some("bool")),
+        ("ego_is_making_progress", "Planning", Some("bool")),
+        ("driving_direction_compliance", "Planning", Some("bool")),
+    ];
+    let found: Vec<_> = evaluation
+        .metrics
+        .iter()
+        .map(|m| (m.name.as_str(), m.category.as_str(), m.score_unit.map(ScoreUnit::as_str)))
+        .collect();
+    assert_eq!(found, expected);
+    for metric in &evaluation.metrics {
+        let second = metric.name == "corners_in_drivable_area";
+        assert_eq!(metric.computator, if second { "drivable_area_compliance" } else { &metric.name });
+        assert_eq!(metric.score.is_some(), metric.score_unit.is_some(), "{}", metric.name);
+    }
 }

@@ -10,6 +10,7 @@ pub use label::LabelledState;
 pub use shard::{FORMAT, Meta, ShardError};
 
 use crate::environment::{BevError, BevView, CenterlineName, LaneGraph, SceneFacts, bev};
+use crate::pdm::PdmMemory;
 use crate::reasoning::{Feedback, PromptError, PromptSet, feedback_text};
 use crate::reflection::{Judge, Verdict};
 use crate::scenario::generator::{self, ScenarioType, Spec};
@@ -167,7 +168,7 @@ fn write_shard(folder: &Path, split: Split, number: usize, settings: &Settings<'
 fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledState, RgbImage)>, PromptError> {
     let mut random = Pcg64Mcg::seed_from_u64(settings.seed ^ spec.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));
     let Ok(scenario) = generator::generate(spec) else { return Ok(Vec::new()) };
-    let challenge = Challenge::ALL[usize::from(random.random_bool(0.5))];
+    let challenge = Challenge::CLOSED_LOOP[usize::from(random.random_bool(0.5))];
     let Ok(mut drive) = ClosedLoop::new(&scenario, challenge) else { return Ok(Vec::new()) };
     let mut states = Vec::new();
     loop {
@@ -205,8 +206,10 @@ fn refused(
     prompts: &PromptSet,
 ) -> Result<Option<String>, PromptError> {
     let scene = drive.scene();
-    let judged = search::planner(drive, graph, tried.code.clone())
-        .and_then(|planner| Judge::new(&scene, graph, HORIZON_S).ok()?.reflect(&planner, THRESHOLD).ok());
+    let judged = search::planner(drive, graph, tried.code.clone()).and_then(|planner| {
+        let judge = Judge::new(&scene, graph, HORIZON_S, &mut PdmMemory::default()).ok()?;
+        judge.reflect(&planner, THRESHOLD).ok()
+    });
     let Some(report) = judged.filter(|report| report.verdict == Verdict::Rethink) else { return Ok(None) };
     let feedback = Feedback {
         code: Some(tried.code.to_string()),

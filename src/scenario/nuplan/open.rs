@@ -29,9 +29,11 @@ pub fn open(maps: &MapStore, found: &Found) -> Result<Scenario, NuPlanError> {
     let route = read_route(&database, found, &map)?;
     let mut reader = Reader { database: &database, indices: &indices, map: &map, tracks: Tracks::default() };
     let frames = rows.past.iter().chain(rows.iterations()).map(|sweep| reader.frame(sweep));
+    let frames = frames.collect::<Result<_, _>>()?;
     Ok(Scenario {
-        frames: frames.collect::<Result<_, _>>()?,
+        frames,
         start: rows.past.len(),
+        future: rows.future.iter().map(|sweep| reader.ego(sweep)).collect::<Result<_, _>>()?,
         id: found.token.to_string(),
         scenario_type: found.scenario_type.clone(),
         log_name: found.log.name.clone(),

@@ -1,0 +1,148 @@
+//! What a run drives: from the flags, else from the run that is gone on with, else by default.
+
+use crate::cli::Printer;
+use crate::cli::args::SimulateArguments;
+use crate::experiment::nuplan_data::NuPlanData;
+use crate::experiment::run::{Assignment, PlannerKind};
+use crate::experiment::source::ScenarioSource;
+use crate::experiment::split::split;
+use crate::report::{Manifest, ScenarioList};
+use crate::scenario::generator;
+use crate::simulation::Challenge;
+use anyhow::{Context, bail};
+use std::collections::BTreeSet;
+
+/// What a run drives.
+pub(super) struct Selection {
+    /// The scenarios, as the manifest tells of them.
+    pub(super) list: ScenarioList,
+    /// Planners in their order.
+    pub(super) planners: Vec<PlannerKind>,
+    /// Challenges in their order.
+    pub(super) challenges: Vec<Challenge>,
+    /// Every scenario with every planner in every challenge.
+    pub(super) assignments: Vec<Assignment>,
+    /// What the splits name and the data does not hold, a line a split.
+    pub(super) missing: Vec<String>,
+}
+
+/// What words and splits name.
+struct Found {
+    sources: Vec<ScenarioSource>,
+    missing: Vec<String>,
+}
+
+impl Selection {
+    /// Finds everything that is to be driven.
+    ///
+    /// # Errors
+    /// When a planner, challenge, split or scenario is unknown or cannot be read, or nothing is left.
+    pub(super) fn of(flags: &SimulateArguments, manifest: Option<&Manifest>, printer: Printer) -> anyhow::Result<Self> {
+        let named = !flags.scenarios.is_empty() || !flags.split.splits.is_empty() || flags.limit.is_some();
+        let (words, splits, limit) = match manifest {
+            Some(manifest) if !named => {
+                let list = &manifest.scenarios;
+                (list.words.clone(), list.splits.clone(), list.limit)
+            }
+            _ => (flags.scenarios.clone(), flags.split.splits.clone(), flags.limit),
+        };
+        let Found { sources, missing } = find(&words, &splits, limit, &flags.split.data.data(), printer)?;
+        let planners = planners(&flags.planner, manifest)?;
+        let challenges = challenges(&flags.challenge, manifest)?;
+        let names = sources.iter().map(ToString::to_string);
+        let list = ScenarioList { words, splits, limit, count: sources.len(), blake3: ScenarioList::digest(names) };
+        let assignments = assignments(&sources, &planners, &challenges);
+        Ok(Self { list, planners, challenges, assignments, missing })
+    }
+}
+
+fn find(
+    words: &[String],
+    splits: &[String],
+    limit: Option<usize>,
+    data: &NuPlanData,
+    printer: Printer,
+) -> anyhow::Result<Found> {
+    let (mut found, mut missing) = (Vec::new(), Vec::new());
+    for name in splits {
+        let bar = printer.progress(0, "logs");
+        let of_split = split(name, data, &|done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        });
+        bar.finish_and_clear();
+        let of_split = of_split?;
+        found.extend(of_split.sources);
+        for note in of_split.notes {
+            printer.note(format!("{name}: {note}"));
+        }
+        if !of_split.missing.is_empty() {
+            missing.push(format!("{name}: {}", of_split.missing));
+        }
+    }
+    for word in words {
+        found.extend(ScenarioSource::find(word, data)?);
+    }
+    if splits.is_empty() && words.is_empty() {
+        found.push(ScenarioSource::Generated(generator::DEFAULT));
+    }
+    // A scenario that is named twice is driven once, or it would count twice in the means.
+    let mut seen = BTreeSet::new();
+    found.retain(|source| seen.insert(source.to_string()));
+    found.truncate(limit.unwrap_or(usize::MAX));
+    if found.is_empty() {
+        bail!("no scenario is left to drive");
+    }
+    Ok(Found { sources: found, missing })
+}
+
+fn planners(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<PlannerKind>> {
+    let names = match manifest {
+        Some(manifest) if flags.is_empty() => &manifest.planners,
+        _ => flags,
+    };
+    let mut planners: Vec<PlannerKind> = Vec::new();
+    for name in names {
+        let planner = name.parse()?;
+        if !planners.contains(&planner) {
+            planners.push(planner);
+        }
+    }
+    if planners.is_empty() {
+        planners.push(PlannerKind::PlanAgent);
+    }
+    Ok(planners)
+}
+
+fn challenges(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<Challenge>> {
+    let names = match manifest {
+        Some(manifest) if flags.is_empty() => &manifest.challenges,
+        _ => flags,
+    };
+    let mut challenges: Vec<Challenge> = Vec::new();
+    for name in names {
+        let named = match name.as_str() {
+            "both" => Challenge::CLOSED_LOOP.to_vec(),
+            one => vec![one.parse().context("--challenge takes nonreactive, reactive, both or open-loop")?],
+        };
+        for challenge in named {
+            if !challenges.contains(&challenge) {
+                challenges.push(challenge);
+            }
+        }
+    }
+    if challenges.is_empty() {
+        challenges.push(Challenge::ClosedLoopNonreactiveAgents);
+    }
+    Ok(challenges)
+}
+
+fn assignments(sources: &[ScenarioSource], planners: &[PlannerKind], challenges: &[Challenge]) -> Vec<Assignment> {
+    let mut all = Vec::with_capacity(sources.len() * planners.len() * challenges.len());
+    for source in sources {
+        for &planner in planners {
+            all.extend(challenges.iter().map(|&challenge| Assignment { source: source.clone(), planner, challenge }));
+        }
+    }
+    all
+}

@@ -1,0 +1,139 @@
+//! One step of PDM-Closed: forecast, proposals, simulation, score, and what is driven (`tuplan_garage`
+//! `abstract_pdm_closed_planner.py`).
+
+use super::emergency_brake::{emergency_brake, needs_emergency_brake, standing};
+use super::proposals::{PROPOSAL_STEPS, Proposals, TRAJECTORY_STEPS};
+use super::{
+    Collided, DrivableLayers, DrivableMap, Forecast, NoWay, Proposal, ProposalScore, ScoringScene, Way, score_proposals,
+};
+use crate::dynamics::{JerkPenalty, simulate_proposal};
+use crate::geometry::Polyline;
+use crate::metrics::MetricError;
+use crate::world::{EgoState, LaneId, STEP_US, Scene, Trajectory, TrajectoryError};
+use std::collections::BTreeSet;
+
+/// Why PDM-Closed gives no plan.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PdmError {
+    /// There is no way to drive.
+    #[error(transparent)]
+    NoWay(#[from] NoWay),
+    /// The proposals cannot be scored.
+    #[error("the proposals cannot be scored")]
+    Score(#[from] MetricError),
+    /// The planned states are not finite.
+    #[error("the planned states make no trajectory")]
+    Trajectory(#[from] TrajectoryError),
+}
+
+/// What one PDM-Closed planner remembers over its iterations.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PdmMemory {
+    /// What the ego has touched.
+    pub collided: Collided,
+    /// The way that was chosen; PDM-Closed chooses at its first iteration and keeps it.
+    pub way: Option<Way>,
+}
+
+/// What PDM-Closed sees at one instant.
+pub struct PdmInstant<'a> {
+    /// The drivable polygons around the ego.
+    pub drivable: DrivableMap<'a>,
+    /// Everyone else.
+    pub forecast: Forecast,
+}
+
+impl<'a> PdmInstant<'a> {
+    /// Looks at a scene from a route of these lanes. What the ego touches now is added to `collided`.
+    pub fn new(
+        scene: &Scene<'a>,
+        route_lanes: &BTreeSet<LaneId>,
+        layers: DrivableLayers,
+        collided: &mut Collided,
+    ) -> Self {
+        let Scene { map, ego, objects, lights, .. } = *scene;
+        let forecast = Forecast::new(map, route_lanes, ego, objects, lights, collided);
+        let drivable = DrivableMap::around(map, route_lanes, ego.center().position(), layers);
+        Self { drivable, forecast }
+    }
+
+    /// Looks at a scene along a way.
+    pub fn along(way: &Way, scene: &Scene<'a>, collided: &mut Collided) -> Self {
+        Self::new(scene, way.lane_set(), way.layers(), collided)
+    }
+
+    /// The proposals along a way from the present state of the ego, rolled out for `steps` steps of 0.1 s.
+    pub fn proposals<'s>(&'s self, way: &'s Way, ego: &EgoState, steps: usize) -> Proposals<'s> {
+        let map = self.drivable.map();
+        Proposals::generate(map, way.paths(), &self.forecast, ego, way.speed_limit(map, ego), steps)
+    }
+
+    /// What a score needs beside its proposals, progress measured along `centerline`; `rival_progress` as [`ScoringScene`]
+    /// has it.
+    pub fn scoring<'s>(&'s self, centerline: &'s Polyline, rival_progress: f64) -> ScoringScene<'s> {
+        ScoringScene { drivable: &self.drivable, forecast: &self.forecast, centerline, rival_progress }
+    }
+}
+
+/// The proposals as PDM's tracker would drive them from the present state, 0.1 s apart.
+pub fn simulate_proposals(ego: &EgoState, proposals: &[Proposal]) -> Vec<Vec<EgoState>> {
+    proposals.iter().map(|proposal| simulate_proposal(ego, &proposal.poses, JerkPenalty::PdmClosed)).collect()
+}
+
+/// What came out of one step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PdmPlan {
+    /// The proposals; the best one is rolled out over the whole trajectory.
+    pub proposals: Vec<Proposal>,
+    /// Each as the ego would drive it.
+    pub simulated: Vec<Vec<EgoState>>,
+    /// Their scores.
+    pub scores: Vec<ProposalScore>,
+    /// The best proposal, the first of equals.
+    pub best: usize,
+    /// Whether the emergency brake overrules it.
+    pub emergency_brake: bool,
+    /// What is to be driven: 81 states 0.1 s apart, of which only the poses are planned.
+    pub trajectory: Trajectory,
+}
+
+/// One step of PDM-Closed along a way.
+///
+/// # Errors
+/// When the proposals cannot be scored or are not finite.
+pub fn plan_along(way: &Way, scene: &Scene<'_>, collided: &mut Collided) -> Result<PdmPlan, PdmError> {
+    let ego = scene.ego;
+    let instant = PdmInstant::along(way, scene, collided);
+    let mut proposals = instant.proposals(way, ego, PROPOSAL_STEPS);
+    let simulated = simulate_proposals(ego, proposals.all());
+    let scores = score_proposals(&instant.scoring(way.centerline().line(), 0.0), &simulated)?;
+    let best = best_of(&scores);
+    let brake = needs_emergency_brake(scores[best].first_at_fault_s, ego);
+    let trajectory = if brake {
+        emergency_brake(ego, TRAJECTORY_STEPS)?
+    } else {
+        let poses = proposals.continued(best, TRAJECTORY_STEPS).iter().enumerate();
+        Trajectory::new(poses.map(|(step, &pose)| standing(ego.time_us + step as i64 * STEP_US, pose)).collect())?
+    };
+    let proposals = proposals.into_all();
+    Ok(PdmPlan { proposals, simulated, scores, best, emergency_brake: brake, trajectory })
+}
+
+/// One step of PDM-Closed; the way is chosen at the first one and kept in `memory`.
+///
+/// # Errors
+/// When there is no way, or the proposals cannot be scored or are not finite.
+pub fn plan(memory: &mut PdmMemory, scene: &Scene<'_>) -> Result<PdmPlan, PdmError> {
+    let PdmMemory { collided, way } = memory;
+    let way = match way {
+        Some(way) => way,
+        none => none.insert(Way::find(scene.map, scene.route, scene.ego)?),
+    };
+    plan_along(way, scene, collided)
+}
+
+/// The first of the best.
+fn best_of(scores: &[ProposalScore]) -> usize {
+    let better = |best: usize, index: usize| if scores[index].total > scores[best].total { index } else { best };
+    (0..scores.len()).fold(0, better)
+}
