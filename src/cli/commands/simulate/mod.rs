@@ -62,6 +62,9 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
     let timing = Timing::new(session, &rows);
     folder.finish(&manifest, &summary, &timing, &rows)?;
     let all_well = tell(&summary, &timing, &rows, folder.path(), printer)?;
+    for note in selection.data.notes() {
+        printer.note(note);
+    }
     for line in &selection.missing {
         printer.note(format!("not driven: {line}"));
     }

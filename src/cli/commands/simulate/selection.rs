@@ -24,6 +24,8 @@ pub(super) struct Selection {
     pub(super) assignments: Vec<Assignment>,
     /// What the splits name and the data does not hold, a line a split.
     pub(super) missing: Vec<String>,
+    /// nuPlan's data, with what there is to know about the maps and logs that were opened.
+    pub(super) data: NuPlanData,
 }
 
 /// What words and splits name.
@@ -46,13 +48,14 @@ impl Selection {
             }
             _ => (flags.scenarios.clone(), flags.split.splits.clone(), flags.limit),
         };
-        let Found { sources, missing } = find(&words, &splits, limit, &flags.split.data.data(), printer)?;
+        let data = flags.split.data.data();
+        let Found { sources, missing } = find(&words, &splits, limit, &data, printer)?;
         let planners = planners(&flags.planner, manifest)?;
         let challenges = challenges(&flags.challenge, manifest)?;
         let names = sources.iter().map(ToString::to_string);
         let list = ScenarioList { words, splits, limit, count: sources.len(), blake3: ScenarioList::digest(names) };
         let assignments = assignments(&sources, &planners, &challenges);
-        Ok(Self { list, planners, challenges, assignments, missing })
+        Ok(Self { list, planners, challenges, assignments, missing, data })
     }
 }
 
