@@ -13,6 +13,7 @@ mod cli;
 mod environment;
 mod metrics;
 mod mllm;
+mod nuplan;
 mod nuplan_input;
 mod pdm;
 mod runner;

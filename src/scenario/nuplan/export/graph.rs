@@ -148,8 +148,8 @@ struct Fitting<'m> {
 
 impl<'m> Fitting<'m> {
     fn new(map: &'m LaneMap) -> Self {
-        let lane_fids = feature_ids(map.lanes().iter().map(|lane| lane.source_id));
-        let block_fids = feature_ids(map.roadblocks().iter().map(|block| block.source_id));
+        let lane_fids = feature_ids(map.lanes().iter().map(|lane| (lane.kind, lane.source_id)));
+        let block_fids = feature_ids(map.roadblocks().iter().map(|block| (block.kind, block.source_id)));
         Self {
             map,
             free: FreeIds::after(&lane_fids),

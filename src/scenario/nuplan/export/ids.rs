@@ -1,10 +1,20 @@
-//! Feature ids of a layer.
+//! Feature ids of lanes and roadblocks.
 
-/// Ids for a list of elements: those of the source when they ascend (readers go by id, and order can matter), else from 1 on.
-pub(super) fn feature_ids(of_source: impl Iterator<Item = i64>) -> Vec<i64> {
-    let ids: Vec<i64> = of_source.collect();
-    let ascending = ids.first().is_none_or(|&first| first >= 0) && ids.windows(2).all(|pair| pair[0] < pair[1]);
-    if ascending { ids } else { (1..).take(ids.len()).collect() }
+use crate::world::LaneKind;
+use std::collections::BTreeSet;
+
+/// Ids for a list of lanes or roadblocks, by their kinds and their ids in the source. The latter are kept where they are all different
+/// and ascend within each kind, which has a layer of its own (readers go by id, and order can matter); else they count from 1 on.
+pub(super) fn feature_ids(elements: impl Iterator<Item = (LaneKind, i64)>) -> Vec<i64> {
+    let elements: Vec<(LaneKind, i64)> = elements.collect();
+    let of = |wanted: LaneKind| elements.iter().filter(move |(kind, _)| *kind == wanted).map(|&(_, id)| id);
+    let ascends = |kind: LaneKind| of(kind).zip(of(kind).skip(1)).all(|(id, next)| id < next);
+    let different: BTreeSet<i64> = elements.iter().map(|&(_, id)| id).collect();
+    let kept = ascends(LaneKind::Lane)
+        && ascends(LaneKind::Connector)
+        && different.len() == elements.len()
+        && different.first().is_none_or(|&first| first >= 0);
+    if kept { elements.into_iter().map(|(_, id)| id).collect() } else { (1..).take(elements.len()).collect() }
 }
 
 /// Gives out the ids after those in use.
@@ -30,13 +40,16 @@ impl FreeIds {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use LaneKind::{Connector, Lane};
 
     #[test]
-    fn ids_of_the_source_are_kept_where_they_ascend() {
-        assert_eq!(feature_ids([0, 1, 5].into_iter()), [0, 1, 5]);
-        assert_eq!(feature_ids([0, 5, 1].into_iter()), [1, 2, 3]);
-        assert_eq!(feature_ids([3, 3].into_iter()), [1, 2]);
-        assert_eq!(feature_ids([-1, 3].into_iter()), [1, 2]);
+    fn ids_of_the_source_are_kept_where_they_ascend_within_a_kind() {
+        let ids = |elements: &[(LaneKind, i64)]| feature_ids(elements.iter().copied());
+        assert_eq!(ids(&[(Lane, 0), (Connector, 1), (Lane, 5)]), [0, 1, 5]);
+        assert_eq!(ids(&[(Lane, 3), (Lane, 5), (Connector, 1), (Connector, 4)]), [3, 5, 1, 4]);
+        assert_eq!(ids(&[(Lane, 0), (Lane, 5), (Lane, 1)]), [1, 2, 3]);
+        assert_eq!(ids(&[(Lane, 3), (Connector, 3)]), [1, 2]);
+        assert_eq!(ids(&[(Lane, -1), (Lane, 3)]), [1, 2]);
         let mut free = FreeIds::after(&[0, 7, 5]);
         assert_eq!((free.take(), free.take(), FreeIds::after(&[]).take()), (8, 9, 1));
     }

@@ -49,8 +49,6 @@ CREATE TABLE gpkg_geometry_columns (
     CONSTRAINT fk_gc_srs FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys (srs_id)
 );
 CREATE TABLE meta (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, key TEXT, value TEXT);
-INSERT INTO gpkg_contents (table_name, data_type, identifier, last_change, srs_id)
-    VALUES ('meta', 'attributes', 'meta', '1970-01-01T00:00:00.000Z', 0);
 ";
 
 /// One row of a layer. Columns that are not named are NULL.
@@ -111,6 +109,11 @@ fn write_reference_systems(transaction: &Transaction<'_>) -> rusqlite::Result<()
             params![name, id, organization, number, definition],
         )?;
     }
+    transaction.execute(
+        "INSERT INTO gpkg_contents (table_name, data_type, identifier, last_change, srs_id) \
+         VALUES ('meta', 'attributes', 'meta', ?, 0)",
+        params![LAST_CHANGE],
+    )?;
     Ok(())
 }
 
