@@ -14,6 +14,8 @@ mod environment;
 mod generator;
 mod metrics;
 mod mllm;
+mod nuplan;
+mod nuplan_input;
 mod pdm;
 mod runner;
 mod simulation;
