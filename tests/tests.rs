@@ -13,4 +13,5 @@ mod environment;
 mod metrics;
 mod mllm;
 mod nuplan;
+mod nuplan_input;
 mod womd;

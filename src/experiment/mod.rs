@@ -1,5 +1,7 @@
 //! Stage 9: what drives many loops. Simulation runs; label search and datasets.
 
 pub mod dataset;
+pub mod nuplan_data;
 pub mod run;
 pub mod source;
+pub mod split;

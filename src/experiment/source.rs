@@ -1,9 +1,13 @@
 //! Where scenarios come from, by the words of the command line.
 
+use super::nuplan_data::{NuPlanData, NuPlanDataError};
 use crate::scenario::Scenario;
+use crate::scenario::argoverse2::{self, Argoverse2Error};
 use crate::scenario::generator::{self, GeneratorError, Spec};
+use crate::scenario::nuplan::{self, Found, MapStore, NuPlanError};
 use crate::scenario::womd::{self, Pick, WomdError};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Prefix of the ids of generated scenarios.
 const GENERATED: &str = "generated/";
@@ -22,6 +26,15 @@ pub enum ScenarioSource {
         /// Which record, from 0.
         record: usize,
     },
+    /// An Argoverse 2 log: its folder.
+    Argoverse2(PathBuf),
+    /// A scenario of a nuPlan log, and the maps that it may need.
+    NuPlan {
+        /// Which scenario.
+        found: Found,
+        /// The maps, shared by all scenarios.
+        maps: Arc<MapStore>,
+    },
 }
 
 /// Why there is no scenario.
@@ -30,6 +43,15 @@ pub enum SourceError {
     /// The recording cannot be read.
     #[error(transparent)]
     Recording(#[from] WomdError),
+    /// The Argoverse 2 log cannot be read.
+    #[error(transparent)]
+    Argoverse2(#[from] Argoverse2Error),
+    /// nuPlan's log or map cannot be read.
+    #[error(transparent)]
+    NuPlan(#[from] NuPlanError),
+    /// The word names no scenario of a nuPlan log.
+    #[error(transparent)]
+    NuPlanData(#[from] NuPlanDataError),
     /// Not the id of a generated scenario, or the generator finds no scene for its seed.
     #[error(transparent)]
     Generator(#[from] GeneratorError),
@@ -45,27 +67,38 @@ pub enum SourceError {
         source: std::io::Error,
     },
     /// The folder holds no recordings.
-    #[error("the folder {} holds no *.{RECORDING} files", .0.display())]
+    #[error("the folder {} is no Argoverse 2 log and holds no such logs, no *.{RECORDING} files and no nuPlan logs (*.db)", .0.display())]
     Empty(PathBuf),
 }
 
 impl ScenarioSource {
-    /// All scenarios that a word names: a generated one, the records of a file, or those of all files in a folder.
+    /// All scenarios that a word names: a generated one, the records of a file, an Argoverse 2 log, the scenarios of a nuPlan log
+    /// (`LOG.db`, or one as `LOG.db#TOKEN`), or what a folder holds of these.
     ///
     /// # Errors
     /// When it names none, or a file is no sound recording.
-    pub fn find(word: &str) -> Result<Vec<Self>, SourceError> {
+    pub fn find(word: &str, data: &NuPlanData) -> Result<Vec<Self>, SourceError> {
         if word.starts_with(GENERATED) {
             return Ok(vec![Self::Generated(word.parse()?)]);
         }
+        if NuPlanData::names_log(word) {
+            return Ok(data.in_log(word)?);
+        }
         let path = Path::new(word);
+        if argoverse2::is_log(path) {
+            return Ok(vec![Self::Argoverse2(path.to_owned())]);
+        }
         if path.is_dir() {
-            let files = recordings_in(path)?;
-            return files
-                .iter()
-                .map(|file| Self::records_of(file))
-                .collect::<Result<Vec<_>, _>>()
-                .map(|all| all.concat());
+            let logs = argoverse2::logs_in(path)?;
+            let of_nuplan = data.in_folder(path)?;
+            let files = match recordings_in(path) {
+                Err(SourceError::Empty(_)) if !(logs.is_empty() && of_nuplan.is_empty()) => Vec::new(),
+                files => files?,
+            };
+            let mut all = files.iter().map(|file| Self::records_of(file)).collect::<Result<Vec<_>, _>>()?.concat();
+            all.extend(logs.into_iter().map(Self::Argoverse2));
+            all.extend(of_nuplan);
+            return Ok(all);
         }
         if !path.exists() {
             return Err(SourceError::Missing(path.to_owned()));
@@ -86,6 +119,8 @@ impl ScenarioSource {
         match self {
             Self::Generated(spec) => Ok(generator::generate(spec)?),
             Self::Recording { path, record } => Ok(womd::open_one(path, &Pick::Index(*record))?),
+            Self::Argoverse2(folder) => Ok(argoverse2::open(folder)?),
+            Self::NuPlan { found, maps } => Ok(nuplan::open(maps, found)?),
         }
     }
 }
@@ -107,8 +142,9 @@ impl std::fmt::Display for ScenarioSource {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Generated(spec) => spec.fmt(f),
-            Self::Recording { path, record: 0 } => path.display().fmt(f),
+            Self::Recording { path, record: 0 } | Self::Argoverse2(path) => path.display().fmt(f),
             Self::Recording { path, record } => write!(f, "{} record {record}", path.display()),
+            Self::NuPlan { found, .. } => write!(f, "{}#{}", found.log.path.display(), found.token),
         }
     }
 }

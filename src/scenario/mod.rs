@@ -3,9 +3,14 @@
 use crate::world::{EgoState, LaneMap, Route, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
+pub mod argoverse2;
 pub mod generator;
 pub mod nuplan;
+mod recording;
 pub mod womd;
+
+pub use recording::trace::LineFault;
+pub use recording::window::TimeFault;
 
 /// One instant of the log.
 #[derive(Debug, Clone, PartialEq)]

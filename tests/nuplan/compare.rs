@@ -97,7 +97,9 @@ impl Pair<'_> {
             } else {
                 assert_eq!(ids(before, a), ids(after, b), "{name}");
                 assert!(
-                    a.iter().zip(b).all(|(a, b)| (a.to_s - b.to_s).abs() < CLOSE && a.from_s == b.from_s),
+                    a.iter()
+                        .zip(b)
+                        .all(|(a, b)| (a.to_s - b.to_s).abs() < CLOSE && (a.from_s - b.from_s).abs() < CLOSE),
                     "{name}"
                 );
             }

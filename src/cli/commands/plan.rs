@@ -2,10 +2,12 @@
 
 use crate::cli::args::PlanArguments;
 use crate::cli::{Config, Exit, Printer, model};
+use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::run::{DriveRecord, PlannerKind};
 use crate::experiment::source::ScenarioSource;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
 use crate::report::{CallTimes, attempt_markdown, call_record, decision_words};
+use crate::scenario::nuplan::DataRoots;
 use crate::scenario::{Scenario, generator};
 use crate::simulation::Challenge;
 use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Scene, Trajectory};
@@ -48,7 +50,7 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
 /// When the word names none or several.
 pub(in crate::cli) fn scenario(word: Option<&str>) -> anyhow::Result<Scenario> {
     let mut sources = match word {
-        Some(word) => ScenarioSource::find(word)?,
+        Some(word) => ScenarioSource::find(word, &NuPlanData::new(DataRoots::from_environment()))?,
         None => vec![ScenarioSource::Generated(generator::DEFAULT)],
     };
     match (sources.pop(), sources.len()) {

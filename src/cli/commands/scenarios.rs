@@ -1,12 +1,12 @@
-//! `planagent scenarios list|show|generate`.
+//! `planagent scenarios list|show|generate`; `export` has a file of its own.
 
 use super::plan::scenario;
 use crate::cli::args::ScenariosCommand;
 use crate::cli::{Exit, Printer};
 use crate::environment::{BevView, bev};
-use crate::experiment::source::recordings_in;
+use crate::experiment::source::{SourceError, recordings_in};
 use crate::scenario::generator::{ScenarioType, Spec, generate};
-use crate::scenario::{Scenario, womd};
+use crate::scenario::{Scenario, argoverse2, womd};
 use crate::world::{History, HistorySample, LaneKind, STEP_S, Scene, SignalStatus};
 use anyhow::{Context, bail};
 use serde_json::json;
@@ -27,6 +27,7 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
             show(&scenario(Some(word))?, *at, image.as_deref(), *view, printer)
         }
         ScenariosCommand::Generate { types, from, count } => generated(types, *from, *count, printer),
+        ScenariosCommand::Export(arguments) => super::export::run(arguments, printer),
     }
 }
 
@@ -44,29 +45,55 @@ fn list_types(printer: Printer) -> anyhow::Result<Exit> {
 
 fn list(sources: &[PathBuf], printer: Printer) -> anyhow::Result<Exit> {
     for source in sources {
-        let files = if source.is_dir() { recordings_in(source)? } else { vec![source.clone()] };
+        if argoverse2::is_log(source) {
+            list_log(source, printer)?;
+            continue;
+        }
+        let logs = if source.is_dir() { argoverse2::logs_in(source)? } else { Vec::new() };
+        for log in &logs {
+            list_log(log, printer)?;
+        }
+        let files = if source.is_dir() { recordings_in(source) } else { Ok(vec![source.clone()]) };
+        let files = match files {
+            Err(SourceError::Empty(_)) if !logs.is_empty() => Vec::new(),
+            files => files?,
+        };
         for file in files {
             for summary in womd::summaries(&file)? {
                 let found = summary?;
-                let driven = (found.iterations.saturating_sub(1)) as f64 * STEP_S;
-                printer.line(format!(
-                    "{:<20} {:>4} steps {driven:>5.1} s driven {:>4} tracks {:>4} lanes  {}",
-                    found.id,
-                    found.steps,
-                    found.tracks,
-                    found.lanes,
-                    file.display()
-                ));
-                if printer.is_json() {
-                    printer.json(&json!({
-                        "id": found.id, "file": file, "record": found.record, "steps": found.steps,
-                        "iterations": found.iterations, "tracks": found.tracks, "lanes": found.lanes,
-                    }))?;
-                }
+                let counts = [found.steps, found.iterations, found.tracks, found.lanes];
+                list_one(&found.id, counts, &file, Some(found.record), printer)?;
             }
         }
     }
     Ok(Exit::Success)
+}
+
+fn list_log(folder: &Path, printer: Printer) -> anyhow::Result<()> {
+    let found = argoverse2::summary(folder)?;
+    list_one(&found.id, [found.steps, found.iterations, found.tracks, found.lanes], folder, None, printer)
+}
+
+/// A line for a recording; `record` is its place in a file of several.
+fn list_one(
+    id: &str,
+    [steps, iterations, tracks, lanes]: [usize; 4],
+    place: &Path,
+    record: Option<usize>,
+    printer: Printer,
+) -> anyhow::Result<()> {
+    let driven = (iterations.saturating_sub(1)) as f64 * STEP_S;
+    let place_name = place.display();
+    printer.line(format!(
+        "{id:<20} {steps:>4} steps {driven:>5.1} s driven {tracks:>4} tracks {lanes:>4} lanes  {place_name}"
+    ));
+    if printer.is_json() {
+        printer.json(&json!({
+            "id": id, "file": place, "record": record, "steps": steps,
+            "iterations": iterations, "tracks": tracks, "lanes": lanes,
+        }))?;
+    }
+    Ok(())
 }
 
 fn show(scenario: &Scenario, at: f64, image: Option<&Path>, view: f64, printer: Printer) -> anyhow::Result<Exit> {

@@ -3,10 +3,12 @@
 use crate::cli::args::SimulateArguments;
 use crate::cli::model::{self, Loaded};
 use crate::cli::{Config, Exit, Printer};
+use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::run::{self, Assignment, PlannerKind};
 use crate::experiment::source::ScenarioSource;
 use crate::report::{RunFolder, Summary, Timing, failures, main_table};
 use crate::scenario::generator;
+use crate::scenario::nuplan::DataRoots;
 use crate::simulation::Challenge;
 use anyhow::Context;
 use std::time::Instant;
@@ -64,9 +66,10 @@ fn assignments(flags: &SimulateArguments) -> anyhow::Result<Vec<Assignment>> {
         one => vec![one.parse::<Challenge>().context("--challenge takes nonreactive, reactive or both")?],
     };
     let planners = flags.planner.iter().map(|name| name.parse()).collect::<Result<Vec<PlannerKind>, _>>()?;
+    let data = NuPlanData::new(DataRoots::from_environment());
     let mut sources = Vec::new();
     for word in &flags.scenarios {
-        sources.extend(ScenarioSource::find(word)?);
+        sources.extend(ScenarioSource::find(word, &data)?);
     }
     if flags.scenarios.is_empty() {
         sources.push(ScenarioSource::Generated(generator::DEFAULT));

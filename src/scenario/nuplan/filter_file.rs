@@ -176,7 +176,6 @@ impl Reader<'_> {
         let filter = &mut self.filter;
         match key {
             "_target_" => return target(string(value).unwrap_or_default()).map_err(|fault| (line, fault)),
-            "_convert_" => {}
             "defaults" => self.notes.push(format!("line {key_line}: the files that `defaults` names are not read")),
             "scenario_types" => filter.scenario_types = names(key, value)?,
             "scenario_tokens" => self.filter.scenario_tokens = self.tokens(key, value)?,
@@ -206,7 +205,7 @@ impl Reader<'_> {
             "speed_noise_tolerance" => filter.speed_noise_tolerance = amount()?,
             "ego_route_radius" => filter.ego_route_radius = amount()?,
             "expand_scenarios" if flag()? => return Err((line, FilterFault::ExpandScenarios)),
-            "expand_scenarios" => {}
+            "_convert_" | "expand_scenarios" => {}
             "remove_invalid_goals" => filter.remove_invalid_goals = flag()?,
             "shuffle" => filter.shuffle = flag()?,
             "token_set_path" if is_null(value) => {}

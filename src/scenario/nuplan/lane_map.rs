@@ -298,3 +298,28 @@ fn stop_lines_of(baseline: &Polyline, named: &[StopLineId], stops: &[StopRow]) -
     let nearest = named.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
     nearest.into_iter().collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Point;
+
+    fn stop(fid: i64, x: f64, y: f64) -> StopRow {
+        let ring = [(x, y), (x + 1.0, y), (x + 1.0, y + 3.0), (x, y + 3.0)];
+        let area = Polygon::new(ring.map(|(x, y)| Point::new(x, y))).unwrap();
+        StopRow { fid, kind: 2, connectors: Vec::new(), area }
+    }
+
+    #[test]
+    fn stop_lines_meet_the_baseline_or_the_nearest_is_taken() {
+        let baseline = Polyline::new([Point::new(0.0, 0.0), Point::new(20.0, 0.0)]).unwrap();
+        let stops = [stop(1, 2.0, -1.0), stop(2, 4.0, 1.0), stop(3, 18.0, -1.0), stop(4, -3.0, 1.0)];
+        let lines = |named: &[u32]| {
+            let named: Vec<StopLineId> = named.iter().map(|&id| StopLineId(id)).collect();
+            stop_lines_of(&baseline, &named, &stops).into_iter().map(|id| id.0).collect::<Vec<_>>()
+        };
+        assert_eq!(lines(&[0, 1, 2]), [0, 2], "those that meet the baseline");
+        assert_eq!(lines(&[1, 3]), [3], "none does: the one nearest to its start");
+        assert_eq!(lines(&[]), [0; 0]);
+    }
+}

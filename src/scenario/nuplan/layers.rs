@@ -134,7 +134,7 @@ impl Layers {
                 scope.spawn(|| source.each(LANE_GROUPS, |source, r| Ok((r.fid("fid")?, source.areas(r)?))));
             let group_connectors = scope.spawn(|| source.each(GROUP_CONNECTORS, Source::group_connector));
             let drivable = scope.spawn(|| {
-                let of = |table| source.each(table, |source, r| source.areas(r)).map(|rows| rows.concat());
+                let of = |table| source.each(table, Source::areas).map(|rows| rows.concat());
                 Ok([of(ROAD_SEGMENTS)?, of(GENERIC_DRIVABLE)?, of(CARPARKS)?, of(INTERSECTIONS)?, of(CROSSWALKS)?])
             });
             let stops = source.each(STOPS, Source::stop)?;
@@ -323,5 +323,8 @@ fn fids(record: &Record<'_>, column: &'static str) -> Result<Vec<i64>, NuPlanErr
 
 /// The largest part of an area that should have one only.
 pub(super) fn largest(areas: Vec<Polygon>) -> Option<Polygon> {
+    if areas.len() == 1 {
+        return areas.into_iter().next();
+    }
     areas.into_iter().max_by(|a, b| a.area().total_cmp(&b.area()))
 }

@@ -84,6 +84,12 @@ impl Logs {
 }
 
 impl DataRoots {
+    /// The folders that the environment names.
+    pub fn from_environment() -> Self {
+        let folder = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        Self { data: folder("NUPLAN_DATA_ROOT"), maps: folder("NUPLAN_MAPS_ROOT") }
+    }
+
     /// The logs of the data root.
     ///
     /// # Errors

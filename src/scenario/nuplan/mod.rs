@@ -38,5 +38,5 @@ pub use logs::{DataRoots, Log, Logs};
 pub use map_store::{MAPS_INDEX, MapStore, NuPlanMap};
 pub use open::open;
 pub use route::RouteFault;
-pub use search::{Findings, Found, Refusal, find};
+pub use search::{Findings, Found, Refusal, find, tag_types};
 pub use token::{TOKEN_BYTES, Token, TokenError};

@@ -63,7 +63,7 @@ fn read_route(database: &Database, found: &Found, map: &NuPlanMap) -> Result<Rou
         fault: ScenarioFault::Route { scene, fault },
     })?;
     let goal = match goal {
-        Some(pose) => database.first(EGO_POSE, "WHERE token = ?1", [pose], |record| pose_of(record))?,
+        Some(pose) => database.first(EGO_POSE, "WHERE token = ?1", [pose], pose_of)?,
         None => None,
     };
     Ok(Route { roadblocks, goal: goal.map(|goal| map.to_local(goal)) })

@@ -113,6 +113,19 @@ pub fn find(
     Ok(Findings { found, absent, refused: refused.into_iter().collect() })
 }
 
+/// All types that tags of these logs name, in alphabetical order.
+///
+/// # Errors
+/// When a log cannot be read.
+pub fn tag_types(logs: &[Arc<Log>]) -> Result<Vec<String>, NuPlanError> {
+    let of_log = |log: &Arc<Log>| {
+        let tags = tags(&open_log(log)?, None)?;
+        Ok(tags.into_values().collect::<BTreeSet<String>>())
+    };
+    let types = logs.par_iter().map(of_log).collect::<Result<Vec<_>, NuPlanError>>()?;
+    Ok(types.into_iter().flatten().collect::<BTreeSet<String>>().into_iter().collect())
+}
+
 /// What one log holds of a filter.
 #[derive(Default)]
 struct InLog {

@@ -8,7 +8,6 @@ use super::extraction::{ROW_S, ROWS_PER_STEP, UNKNOWN_TYPE};
 use super::filter::{Limit, SPEED_NOISE, ScenarioFilter, TokenSet};
 use super::map_store::MapStore;
 use super::open::{ego_of, route_ids};
-use super::route;
 use super::rows::Rows;
 use super::schema::{EGO_POSE, open_log};
 use super::search::Found;
@@ -76,12 +75,12 @@ fn limited(mut by_type: ByType, limit: Limit, dice: Option<&mut Pcg64Mcg>) -> By
         return by_type;
     }
     let surplus = total - wanted;
-    if let Some(unknown) = by_type.remove(UNKNOWN_TYPE) {
-        if surplus < unknown.len() {
-            let kept = unknown.len() - surplus;
-            by_type.insert(UNKNOWN_TYPE.to_owned(), sample(unknown, kept, dice));
-            return by_type;
-        }
+    if let Some(unknown) = by_type.remove(UNKNOWN_TYPE)
+        && surplus < unknown.len()
+    {
+        let kept = unknown.len() - surplus;
+        by_type.insert(UNKNOWN_TYPE.to_owned(), sample(unknown, kept, dice));
+        return by_type;
     }
     let mut all: Vec<Found> = by_type.into_values().flatten().collect();
     all.sort_by_key(|one| one.token);
@@ -115,8 +114,20 @@ fn read_token_set(set: &TokenSet) -> Result<(BTreeSet<Token>, f64), NuPlanError>
     Ok((tokens.collect::<Result<_, _>>()?, set.fraction))
 }
 
-/// The filters that look at the rows of a scenario.
+/// Whether a scenario passes the filters that look at its rows. One that could not be driven (too short, without route) does not.
 fn passes(
+    found: &Found,
+    filter: &ScenarioFilter,
+    set: Option<&(BTreeSet<Token>, f64)>,
+    maps: &MapStore,
+) -> Result<bool, NuPlanError> {
+    match passes_inside(found, filter, set, maps) {
+        Err(NuPlanError::Scenario { .. }) => Ok(false),
+        passes => passes,
+    }
+}
+
+fn passes_inside(
     found: &Found,
     filter: &ScenarioFilter,
     set: Option<&(BTreeSet<Token>, f64)>,
@@ -159,7 +170,7 @@ fn passes(
     if let Some(radius) = filter.ego_route_radius {
         let map = maps.map(&found.map_name)?;
         let (_, _, ids) = route_ids(&database, found.token)?;
-        let on_route: BTreeSet<_> = route::roadblocks(&ids, &map).unwrap_or_default().into_iter().collect();
+        let on_route: BTreeSet<_> = ids.iter().filter_map(|&id| map.roadblock(id)).collect();
         let here = map.to_local(start.rear_axle).position();
         return Ok(map
             .lanes

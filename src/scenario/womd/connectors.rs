@@ -12,42 +12,13 @@
 //!
 //! Connectors may overlap each other and lanes; two lanes may not, which the rules 4 and 5 see to.
 
-use super::features::{LaneFeature, MapFeatures, Side};
-use super::trace::{SAME_LEVEL, Segments};
-use crate::geometry::{Bounds, Point, Pose, wrap_angle};
+use super::features::MapFeatures;
+use crate::geometry::{Pose, wrap_angle};
+use crate::scenario::recording::lanes::{RecordedLane, Side};
 use std::collections::BTreeSet;
 
 /// No way across an intersection is longer, metres: the recordings' longest flagged lane is 55 m.
 const LONGEST_CONNECTOR: f64 = 60.0;
-/// Centrelines that meet at a smaller angle merge or run against each other, radians.
-const CROSSING_ANGLE: f64 = std::f64::consts::PI / 12.0;
-
-/// Pairs (smaller place first) of lanes whose centrelines cross on one level.
-pub(super) fn crossings(lanes: &[LaneFeature]) -> BTreeSet<(usize, usize)> {
-    let segments = Segments::of(lanes.iter().map(|lane| &lane.trace));
-    let mut pairs = BTreeSet::new();
-    for a in segments.list() {
-        let along = a.to - a.from;
-        for b in segments.within(&Bounds::around(&[a.from, a.to])).filter(|b| b.owner > a.owner) {
-            let across = b.to - b.from;
-            let angle = along.perp(&across).atan2(along.dot(&across)).abs();
-            // Where one lane follows the other they meet in a point, however sharp the bend.
-            let follow = lanes[a.owner].exits.contains(&b.owner) || lanes[b.owner].exits.contains(&a.owner);
-            let steep = angle > CROSSING_ANGLE && angle < std::f64::consts::PI - CROSSING_ANGLE;
-            if steep && !follow && (a.height - b.height).abs() < SAME_LEVEL && cross(a.from, a.to, b.from, b.to) {
-                pairs.insert((a.owner, b.owner));
-            }
-        }
-    }
-    pairs
-}
-
-/// Whether two segments cross; a line through a vertex crosses one of the two segments that meet there.
-fn cross(a: Point, b: Point, c: Point, d: Point) -> bool {
-    let left = |p: Point, q: Point, r: Point| (q - p).perp(&(r - p)) > 0.0;
-    left(c, d, a) != left(c, d, b) && left(a, b, c) != left(a, b, d)
-}
-
 /// For each lane whether it is a connector; `governed` are the lanes behind a traffic light's stop point.
 pub(super) fn classify(
     map: &MapFeatures,
@@ -61,16 +32,16 @@ pub(super) fn classify(
     let beside: Vec<usize> = (0..lanes.len()).filter(|&lane| runs_beside(lanes, lane, &within)).collect();
     within.extend(beside);
     (0..lanes.len())
-        .map(|place| lanes[place].interpolating || within.contains(&place) || joins_or_bends(lanes, place))
+        .map(|place| lanes[place].flagged || within.contains(&place) || joins_or_bends(lanes, place))
         .collect()
 }
 
-fn is_short(lane: &LaneFeature) -> bool {
+fn is_short(lane: &RecordedLane) -> bool {
     lane.length() <= LONGEST_CONNECTOR
 }
 
 /// Rule 6.
-fn runs_beside(lanes: &[LaneFeature], place: usize, within: &BTreeSet<usize>) -> bool {
+fn runs_beside(lanes: &[RecordedLane], place: usize, within: &BTreeSet<usize>) -> bool {
     /// Ends nearer than this along the road are the same, metres.
     const SAME_END: f64 = 6.0;
     let lane = &lanes[place];
@@ -86,14 +57,14 @@ fn runs_beside(lanes: &[LaneFeature], place: usize, within: &BTreeSet<usize>) ->
 }
 
 /// Rules 4 and 5.
-fn joins_or_bends(lanes: &[LaneFeature], place: usize) -> bool {
-    let siblings = |near: &[usize], onward: fn(&LaneFeature) -> &Vec<usize>| -> BTreeSet<usize> {
+fn joins_or_bends(lanes: &[RecordedLane], place: usize) -> bool {
+    let siblings = |near: &[usize], onward: fn(&RecordedLane) -> &Vec<usize>| -> BTreeSet<usize> {
         near.iter().flat_map(|&lane| onward(&lanes[lane])).copied().collect()
     };
     let lane = &lanes[place];
     let forked = siblings(&lane.entries, |entry| &entry.exits);
     let merged = siblings(&lane.exits, |exit| &exit.entries);
-    let straightest = |among: &BTreeSet<usize>, deviation: fn(&LaneFeature) -> f64| {
+    let straightest = |among: &BTreeSet<usize>, deviation: fn(&RecordedLane) -> f64| {
         let best = among.iter().copied().min_by(|&a, &b| deviation(&lanes[a]).total_cmp(&deviation(&lanes[b])));
         best.is_none_or(|best| best == place)
     };
@@ -104,13 +75,13 @@ fn joins_or_bends(lanes: &[LaneFeature], place: usize) -> bool {
 }
 
 /// How far a lane leaves the straight line of its beginning: metres aside plus metres for the turn.
-fn leaving_deviation(lane: &LaneFeature) -> f64 {
+fn leaving_deviation(lane: &RecordedLane) -> f64 {
     let line = &lane.trace.line;
     deviation(line.pose_at(0.0), line.pose_at(COMPARED))
 }
 
 /// How far a lane comes from beside the straight line of its end.
-fn joining_deviation(lane: &LaneFeature) -> f64 {
+fn joining_deviation(lane: &RecordedLane) -> f64 {
     let line = &lane.trace.line;
     deviation(line.pose_at(lane.length()), line.pose_at(lane.length() - COMPARED))
 }

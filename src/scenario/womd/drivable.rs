@@ -7,11 +7,12 @@
 //! meets others goes on to a road edge, or to where it leaves the convex hull of them all:
 //! that closes the gaps between them. Driveways are drivable as they are drawn.
 
-use super::features::{LaneFeature, MapFeatures, Side};
-use super::junctions::Cluster;
+use super::features::MapFeatures;
 use super::outline::{DEFAULT_HALF, Strip};
-use super::trace::{Ray, Segments};
 use crate::geometry::{Point, Polygon};
+use crate::scenario::recording::junctions::Cluster;
+use crate::scenario::recording::lanes::{RecordedLane, Side};
+use crate::scenario::recording::trace::{Ray, Segments};
 use std::collections::BTreeMap;
 
 /// A road edge farther from a centreline than this bounds something else, metres: a lane's half, a bike lane, a parking strip and
@@ -43,7 +44,7 @@ fn hull(cluster: &[usize], areas: &[Polygon]) -> Option<Polygon> {
 
 /// Metres of road from the centreline to one side.
 fn width_of_road(
-    lane: &LaneFeature,
+    lane: &RecordedLane,
     side: Side,
     s: f64,
     edges: &Segments,

@@ -2,6 +2,7 @@
 
 use super::Pick;
 use super::tfrecord::TfRecordError;
+use crate::scenario::{LineFault, TimeFault};
 use crate::world::MapError;
 use std::io;
 use std::path::PathBuf;
@@ -9,22 +10,9 @@ use std::path::PathBuf;
 /// What is wrong with the content of a record whose bytes are sound.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RecordingFault {
-    /// Too few steps to be driven.
-    #[error("{steps} steps are too few: {needed} are needed")]
-    TooShort {
-        /// Steps of the recording.
-        steps: usize,
-        /// Steps that a drive needs at least.
-        needed: usize,
-    },
-    /// Steps are not a tenth of a second apart.
-    #[error("step {step} lies {seconds} s after its predecessor; recordings have 10 Hz")]
-    StepTime {
-        /// Which step.
-        step: usize,
-        /// Its distance from the step before, s.
-        seconds: f64,
-    },
+    /// Its steps cannot be driven.
+    #[error(transparent)]
+    Time(#[from] TimeFault),
     /// The index of the recording car names no track.
     #[error("sdc_track_index is {index}, but there are {tracks} tracks")]
     NoEgoTrack {
@@ -59,22 +47,9 @@ pub enum RecordingFault {
         /// The id.
         id: i64,
     },
-    /// A map coordinate is NaN, infinite or farther from the ego than any map reaches.
-    #[error("map feature {feature}: point {point} is no place near the ego")]
-    NoPlace {
-        /// Id of the feature.
-        feature: i64,
-        /// Which of its points.
-        point: usize,
-    },
-    /// A line of the map is longer than any road that fits the map.
-    #[error("map feature {feature} is {length} m long")]
-    EndlessLine {
-        /// Id of the feature.
-        feature: i64,
-        /// Its length, m.
-        length: f64,
-    },
+    /// A line or outline of the map is unsound.
+    #[error(transparent)]
+    Line(#[from] LineFault),
     /// The map's relations do not hold.
     #[error("map: {0}")]
     Map(#[from] MapError),

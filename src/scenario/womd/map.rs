@@ -1,16 +1,17 @@
-//! The lane map of a recording, by the rules of the modules beside this one.
+//! The lane map of a Waymo recording, by the rules of the modules beside this one and those for every recording.
 
-use super::connectors::{classify, crossings};
+use super::connectors::classify;
 use super::drivable::beside_lanes;
 use super::error::RecordingFault;
-use super::features::{Beside, LaneFeature, MapFeatures, Side};
-use super::junctions::{clusters, intersections};
+use super::features::MapFeatures;
 use super::outline::lane_areas;
 use super::proto::{DynamicMapState, MapFeature};
-use super::roadblocks::roadblocks;
 use super::signals::{governed_lanes, stop_lines};
-use crate::geometry::{Vector, wrap_angle};
-use crate::world::{Lane, LaneId, LaneKind, LaneMap, MapParts, Neighbor, StopLineId};
+use crate::geometry::Vector;
+use crate::scenario::recording::crossings::crossings;
+use crate::scenario::recording::junctions::clusters;
+use crate::scenario::recording::map::{self, Layers};
+use crate::world::LaneMap;
 use std::collections::BTreeSet;
 
 /// Derives the map; `origin` becomes the place (0, 0) and is kept in the map's name.
@@ -27,46 +28,23 @@ pub(super) fn lane_map(
     let governed = governed_lanes(&map, lights, origin);
     let connector = classify(&map, &crossings, &governed);
     let areas = lane_areas(&map, &connector);
-    let (roadblocks, block_of) = roadblocks(&map, &connector, &areas);
-    let clusters = clusters(&map, &connector, &crossings);
+    let clusters = clusters(&map.lanes, &connector, &crossings);
     let lit = lit_connectors(&map, lights, &connector, &governed);
     let stop_lines = stop_lines(&map, &connector, &lit);
     let generic_drivable = beside_lanes(&map, &clusters, &areas);
-    let intersections = intersections(&map, &clusters, &areas);
-    let ids = |places: &[usize]| places.iter().map(|&place| LaneId(place as u32)).collect::<Vec<_>>();
-    let lanes = map.lanes.iter().zip(areas).enumerate().map(|(place, (lane, polygon))| Lane {
-        id: LaneId(place as u32),
-        source_id: lane.id,
-        kind: if connector[place] { LaneKind::Connector } else { LaneKind::Lane },
-        centerline: lane.trace.line.clone(),
-        polygon,
-        incoming: ids(&lane.entries),
-        outgoing: ids(&lane.exits),
-        left: neighbors(&map, lane, Side::Left),
-        right: neighbors(&map, lane, Side::Right),
-        roadblock: block_of[place],
-        speed_limit: lane.speed_limit,
-        has_traffic_lights: lit.contains(&place),
-        stop_lines: (0..stop_lines.len())
-            .filter(|&line| stop_lines[line].lanes.contains(&LaneId(place as u32)))
-            .map(|line| StopLineId(line as u32))
-            .collect(),
-    });
-    let lanes = lanes.collect();
-    let name = format!("waymo open motion, origin ({}, {})", origin.x, origin.y);
-    let (crosswalks, carparks) = (map.crosswalks, Vec::new());
-    let parts = MapParts {
-        name,
-        lanes,
-        roadblocks,
+    let layers = Layers {
+        name: format!("waymo open motion, origin ({}, {})", origin.x, origin.y),
+        lanes: &map.lanes,
+        connector: &connector,
+        areas,
+        clusters: &clusters,
+        edges: &map.edges,
+        lit,
         stop_lines,
-        intersections,
-        crosswalks,
-        road_segments: Vec::new(),
+        crosswalks: map.crosswalks,
         generic_drivable,
-        carparks,
     };
-    Ok(LaneMap::new(parts.with_roadblocks_as_road())?)
+    Ok(map::lane_map(layers)?)
 }
 
 /// Connectors with a light at their beginning, or whose only ways in have one at their end.
@@ -81,20 +59,4 @@ fn lit_connectors(
         map.lanes.iter().enumerate().filter(|(place, lane)| named.contains(&lane.id) && !governed.contains(place));
     let behind = behind.flat_map(|(_, lane)| lane.exits.iter().copied()).filter(|&lane| connector[lane]);
     governed.iter().copied().chain(behind).collect()
-}
-
-/// Lanes beside a lane that run in its direction there.
-fn neighbors(map: &MapFeatures, lane: &LaneFeature, side: Side) -> Vec<Neighbor> {
-    let listed = lane.neighbors.at(side).iter().filter(|beside| one_direction(map, lane, beside));
-    let mut neighbors: Vec<Neighbor> = listed
-        .map(|beside| Neighbor { lane: LaneId(beside.lane as u32), from_s: beside.from_s, to_s: beside.to_s })
-        .collect();
-    neighbors.sort_by(|a, b| a.from_s.total_cmp(&b.from_s).then(a.lane.cmp(&b.lane)));
-    neighbors
-}
-
-fn one_direction(map: &MapFeatures, lane: &LaneFeature, beside: &Beside) -> bool {
-    let middle = lane.trace.line.pose_at(f64::midpoint(beside.from_s, beside.to_s));
-    let other = map.lanes[beside.lane].trace.line.project(middle.position());
-    wrap_angle(other.heading - middle.heading).abs() < std::f64::consts::FRAC_PI_4
 }

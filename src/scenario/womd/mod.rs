@@ -5,7 +5,9 @@
 //!
 //! * `convert`: time, coordinates, the part that is driven; `tracks`: ego and objects of each step;
 //! * `features`, `connectors`: which lanes there are and which of them are connectors; `outline`: their areas;
-//! * `roadblocks`, `junctions`, `drivable`, `signals`: nuPlan's other layers and the lights; `route`: the route.
+//! * `drivable`, `signals`: what is drivable beside them, and the lights.
+//!
+//! The rest (window, roadblocks, intersections, route) is derived as for every recording, in `scenario::recording`.
 //!
 //! Bytes that cannot be trusted are an error that names file, record and offset; nothing that a file holds makes this panic.
 
@@ -14,23 +16,20 @@ mod convert;
 mod drivable;
 mod error;
 mod features;
-mod junctions;
 mod map;
 mod outline;
 mod proto;
-mod roadblocks;
-mod route;
 mod signals;
 #[cfg(test)]
 mod tests;
 mod tfrecord;
-mod trace;
 mod tracks;
 
 pub use error::{RecordingFault, WomdError};
 pub use tfrecord::{FramingFault, Record, Records, TfRecordError};
 
 use super::Scenario;
+use super::recording::window::window;
 use prost::Message;
 use std::fmt;
 use std::fs::File;
@@ -152,7 +151,7 @@ impl Decoded {
             id: self.recording.scenario_id.clone(),
             record: self.record,
             steps: seconds.len(),
-            iterations: convert::window(&times_us).len(),
+            iterations: window(&times_us).len(),
             tracks: self.recording.tracks.len(),
             lanes,
         }

@@ -9,10 +9,11 @@
 //! where lanes fork or merge at a sharp angle, is left to the lane that comes first: at most one lane holds a point, as nuPlan's
 //! metrics assume. A connector is as wide as the lanes that it joins, in between in proportion.
 
-use super::features::{LaneFeature, MapFeatures, Side, Sides};
-use super::trace::{Ray, Segments};
+use super::features::MapFeatures;
 use crate::geometry::{OrientedBox, Point, Polygon};
-use geo::{BooleanOps, Simplify};
+use crate::scenario::recording::exclusive::{separate, simplified};
+use crate::scenario::recording::lanes::{RecordedLane, Side, Sides};
+use crate::scenario::recording::trace::{Ray, Segments};
 
 /// Half of a lane's width where nothing tells it, metres.
 pub(super) const DEFAULT_HALF: f64 = 1.75;
@@ -41,14 +42,14 @@ pub(super) struct Strip {
 
 impl Strip {
     /// Measures both sides of a lane at every station.
-    pub(super) fn measured(lane: &LaneFeature, measure: impl Fn(Side, f64) -> f64) -> Self {
+    pub(super) fn measured(lane: &RecordedLane, measure: impl Fn(Side, f64) -> f64) -> Self {
         let stations = lane.trace.stations(STATION_STEP);
         let reach = Sides::each(|side| stations.iter().map(|&s| measure(side, s)).collect());
         Self { stations, reach }
     }
 
     /// Its area as pieces in driving order; one where the strip is short and does not fold.
-    pub(super) fn pieces(&self, lane: &LaneFeature) -> Vec<Polygon> {
+    pub(super) fn pieces(&self, lane: &RecordedLane) -> Vec<Polygon> {
         let [left, right] = Side::BOTH.map(|side| self.border(lane, side));
         let folded: Vec<bool> = (0..self.stations.len() - 1)
             .map(|i| {
@@ -63,14 +64,14 @@ impl Strip {
             let to = from + same.max(1);
             let ring = left[from..=to].iter().chain(right[from..=to].iter().rev()).copied();
             let piece = if folded[from] { Polygon::convex_hull(&ring.collect::<Vec<_>>()) } else { Polygon::new(ring) };
-            pieces.extend(piece.ok().map(|piece| simplified(&piece)).filter(|piece| piece.area() > 0.0));
+            pieces.extend(piece.ok().map(|piece| simplified(&piece, SIMPLER_BY)).filter(|piece| piece.area() > 0.0));
             from = to;
         }
         pieces
     }
 
     /// Its area as one polygon; `None` when it has none.
-    fn area(&self, lane: &LaneFeature) -> Option<Polygon> {
+    fn area(&self, lane: &RecordedLane) -> Option<Polygon> {
         let mut pieces = self.pieces(lane);
         if pieces.len() > 1 {
             pieces = Polygon::union_of(&pieces);
@@ -79,7 +80,7 @@ impl Strip {
     }
 
     /// The line along which the strip ends on one side.
-    fn border(&self, lane: &LaneFeature, side: Side) -> Vec<Point> {
+    fn border(&self, lane: &RecordedLane, side: Side) -> Vec<Point> {
         let line = &lane.trace.line;
         let stations = self.stations.iter().zip(self.reach.at(side));
         stations.map(|(&s, &reach)| line.point_at(s) + side.of(lane.trace.direction_at(s)) * reach).collect()
@@ -103,7 +104,7 @@ pub(super) fn lane_areas(map: &MapFeatures, connector: &[bool]) -> Vec<Polygon> 
 }
 
 /// The area of a lane that is too short to have an outline.
-fn speck(lane: &LaneFeature) -> Polygon {
+fn speck(lane: &RecordedLane) -> Polygon {
     /// Metres.
     const LENGTH: f64 = 0.1;
     OrientedBox::new(lane.trace.line.pose_at(0.0), LENGTH, 2.0 * DEFAULT_HALF).to_polygon()
@@ -129,8 +130,7 @@ fn lane_strip(map: &MapFeatures, place: usize, connector: &[bool], centerlines: 
                 && (other.to - other.from).normalize().dot(&along).abs() > ALONG
         });
         let half_way = beside.map(|distance| f64::midpoint(distance, NEAREST_LANE));
-        let bounds: Vec<usize> = lane
-            .boundaries
+        let bounds: Vec<usize> = map.boundaries[place]
             .at(side)
             .iter()
             .filter(|b| b.from_s - STATION_STEP <= s && s <= b.to_s + STATION_STEP)
@@ -159,41 +159,4 @@ fn connector_strip(map: &MapFeatures, place: usize, lane_strips: &[Option<Strip>
         let (from, to) = *widths.at(side);
         from + (to - from) * s / lane.length()
     })
-}
-
-/// Takes from every lane what an earlier one holds; a lane that would be left with nothing keeps its area.
-fn separate(areas: &mut [Polygon], connector: &[bool]) {
-    /// Overlaps under this are rounding, m².
-    const NOTHING: f64 = 1e-6;
-    for later in (0..areas.len()).filter(|&i| !connector[i]) {
-        for earlier in (0..later).filter(|&i| !connector[i]) {
-            let (a, b) = (&areas[earlier], &areas[later]);
-            if a.overlaps(b)
-                && a.shared_area(b) > NOTHING
-                && let Some(rest) = without(b, a)
-            {
-                areas[later] = rest;
-            }
-        }
-    }
-}
-
-/// The largest piece of what a polygon does not share with another.
-fn without(polygon: &Polygon, other: &Polygon) -> Option<Polygon> {
-    let rest = to_geo(polygon).difference(&to_geo(other));
-    let pieces = rest.into_iter().filter_map(|piece| from_geo(&piece));
-    pieces.max_by(|a, b| a.area().total_cmp(&b.area()))
-}
-
-fn simplified(polygon: &Polygon) -> Polygon {
-    from_geo(&to_geo(polygon).simplify(SIMPLER_BY)).unwrap_or_else(|| polygon.clone())
-}
-
-fn to_geo(polygon: &Polygon) -> geo::Polygon<f64> {
-    let ring: Vec<(f64, f64)> = polygon.ring().iter().map(|p| (p.x, p.y)).collect();
-    geo::Polygon::new(geo::LineString::from(ring), vec![])
-}
-
-fn from_geo(polygon: &geo::Polygon<f64>) -> Option<Polygon> {
-    Polygon::new(polygon.exterior().coords().map(|c| Point::new(c.x, c.y))).ok()
 }

@@ -7,6 +7,7 @@ use super::proto::{
 use super::tfrecord::frame;
 use super::*;
 use crate::geometry::Point;
+use crate::scenario::{LineFault, TimeFault};
 use crate::world::{LaneId, LaneKind, SignalStatus};
 use proptest::prelude::*;
 use prost::Message;
@@ -189,7 +190,10 @@ fn faults_are_told() {
     assert!(matches!(fault(|r| r.tracks[0].states.truncate(9)), RecordingFault::TrackLength { track: 5, .. }));
     assert!(matches!(fault(|r| r.map_features[3].id = 1), RecordingFault::DuplicateId { id: 1, .. }));
     assert!(matches!(fault(|r| r.map_features.clear()), RecordingFault::Map(_)));
-    assert!(matches!(fault(|r| r.timestamps_seconds.truncate(9)), RecordingFault::TooShort { steps: 9, .. }));
+    assert!(matches!(
+        fault(|r| r.timestamps_seconds.truncate(9)),
+        RecordingFault::Time(TimeFault::TooShort { steps: 9, .. })
+    ));
     let lost = fault(|r| r.tracks[1].states.iter_mut().for_each(|s| s.valid = false));
     assert!(matches!(lost, RecordingFault::EgoMissing { step: 0, missing: 131 }));
     let far = fault(|r| {
@@ -197,7 +201,7 @@ fn faults_are_told() {
             lane.polyline[4].x = f64::INFINITY;
         }
     });
-    assert_eq!(far, RecordingFault::NoPlace { feature: 2, point: 4 });
+    assert_eq!(far, RecordingFault::Line(LineFault::NoPlace { feature: 2, point: 4 }));
 }
 
 /// A file in a folder that lasts as long as the guard.

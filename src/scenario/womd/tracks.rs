@@ -4,12 +4,13 @@
 //!   not been seen. A box must have a length and a width.
 //! * The recording car's own size is replaced by nuPlan's vehicle around the same box centre: all scores assume that vehicle.
 //! * Short gaps of the ego are interpolated; longer ones, and gaps at either end, are an error.
-//! * Waymo records no acceleration. It is the slope of the rear-axle velocity (map frame) fitted by least squares over five
-//!   samples, turned into the body frame: central differences that are smooth under measurement noise.
+//! * Waymo records no acceleration. It is the slope of the rear-axle velocity (map frame) over five samples
+//!   (`recording::motion`), turned into the body frame.
 
 use super::error::RecordingFault;
 use super::proto::{ObjectState, ObjectType, Track};
 use crate::geometry::{OrientedBox, Point, Pose, Vector, unwrap_angles, wrap_angle};
+use crate::scenario::recording::motion::slope;
 use crate::world::{EgoState, MICROS_PER_SECOND, ObjectKind, PACIFICA, TrackToken, TrackedObject};
 use std::sync::Arc;
 
@@ -21,8 +22,6 @@ const FARTHEST: f64 = 1e8;
 const FASTEST: f64 = 200.0;
 /// Boxes beyond this are no road user's, metres.
 const LONGEST: f64 = 100.0;
-/// Samples to either side over which a slope is fitted.
-const SLOPE_REACH: usize = 2;
 
 /// The centre of a box and its velocity, map frame.
 #[derive(Debug, Clone, Copy)]
@@ -108,20 +107,6 @@ fn fill_gaps(seen: &[Option<Sighting>], times_us: &[i64]) -> Result<Vec<Sighting
         step += missing;
     }
     Ok(filled)
-}
-
-/// Slope of the straight line fitted to the samples around `i`.
-fn slope(times: &[f64], values: &[f64], i: usize) -> f64 {
-    let (from, to) = (i.saturating_sub(SLOPE_REACH), (i + SLOPE_REACH).min(times.len() - 1));
-    let count = (to - from + 1) as f64;
-    let mean = |list: &[f64]| list[from..=to].iter().sum::<f64>() / count;
-    let (mean_time, mean_value) = (mean(times), mean(values));
-    let (mut rise, mut run) = (0.0, 0.0);
-    for (time, value) in times[from..=to].iter().zip(&values[from..=to]) {
-        rise += (time - mean_time) * (value - mean_value);
-        run += (time - mean_time).powi(2);
-    }
-    if run > 0.0 { rise / run } else { 0.0 }
 }
 
 /// What stands around the ego at a step, in order of track.

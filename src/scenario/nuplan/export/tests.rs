@@ -137,7 +137,9 @@ fn numbers_of_lanes_say_who_lies_beside_whom() {
     lanes[0].right.push(beside(1, 20.0));
     lanes[1].left.push(beside(0, 20.0));
     let block = Roadblock { lanes: [0, 1, 2, 3].map(LaneId).to_vec(), ..map.roadblocks()[0].clone() };
-    lanes.iter_mut().for_each(|lane| lane.roadblock = RoadblockId(0));
+    for lane in &mut lanes {
+        lane.roadblock = RoadblockId(0);
+    }
     let map = LaneMap::new(MapParts { lanes, roadblocks: vec![block], ..MapParts::default() }).unwrap();
     let indices = lane_order::lane_indices(&map, &map.roadblocks()[0]);
     assert_eq!(

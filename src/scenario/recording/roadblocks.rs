@@ -1,11 +1,11 @@
 //! Roadblocks: lanes side by side in one direction, and the connectors that join two such sets.
 //!
-//! Lanes that Waymo lists as neighbours (always of one direction) share a roadblock, the longest neighbourhoods first, unless
+//! Lanes that the source lists as neighbours of one direction share a roadblock, the longest neighbourhoods first, unless
 //! that would put a lane and its successor into one block: a long lane beside two short ones goes with the one that it
 //! accompanies longer. Connectors share a roadblock connector when they join the same roadblocks (or, where one follows
 //! another connector, the same connectors).
 
-use super::features::{MapFeatures, Side};
+use super::lanes::{RecordedLane, Side};
 use crate::geometry::Polygon;
 use crate::world::{LaneId, LaneKind, Roadblock, RoadblockId};
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,28 +18,28 @@ enum Joint {
 }
 
 /// The roadblocks and, for each lane, its own.
-pub(super) fn roadblocks(
-    map: &MapFeatures,
+pub(in crate::scenario) fn roadblocks(
+    lanes: &[RecordedLane],
     connector: &[bool],
     areas: &[Polygon],
 ) -> (Vec<Roadblock>, Vec<RoadblockId>) {
-    let mut groups = lane_groups(map, connector);
-    let mut block_of: Vec<usize> = vec![usize::MAX; map.lanes.len()];
+    let mut groups = lane_groups(lanes, connector);
+    let mut block_of: Vec<usize> = vec![usize::MAX; lanes.len()];
     mark(&groups, &mut block_of);
-    groups.extend(connector_groups(map, connector, &block_of));
+    groups.extend(connector_groups(lanes, connector, &block_of));
     mark(&groups, &mut block_of);
-    let blocks = groups.iter().enumerate().map(|(number, lanes)| {
-        let around = |near: fn(&super::features::LaneFeature) -> &Vec<usize>| -> Vec<RoadblockId> {
+    let blocks = groups.iter().enumerate().map(|(number, members)| {
+        let around = |near: fn(&RecordedLane) -> &Vec<usize>| -> Vec<RoadblockId> {
             let others: BTreeSet<usize> =
-                lanes.iter().flat_map(|&lane| near(&map.lanes[lane])).map(|&lane| block_of[lane]).collect();
+                members.iter().flat_map(|&lane| near(&lanes[lane])).map(|&lane| block_of[lane]).collect();
             others.into_iter().filter(|&other| other != number).map(|other| RoadblockId(other as u32)).collect()
         };
         Roadblock {
             id: RoadblockId(number as u32),
-            source_id: lanes.first().map_or(0, |&lane| map.lanes[lane].id),
-            kind: if lanes.iter().any(|&lane| connector[lane]) { LaneKind::Connector } else { LaneKind::Lane },
-            lanes: lanes.iter().map(|&lane| LaneId(lane as u32)).collect(),
-            areas: lanes.iter().map(|&lane| areas[lane].clone()).collect(),
+            source_id: members.first().map_or(0, |&lane| lanes[lane].id),
+            kind: if members.iter().any(|&lane| connector[lane]) { LaneKind::Connector } else { LaneKind::Lane },
+            lanes: members.iter().map(|&lane| LaneId(lane as u32)).collect(),
+            areas: members.iter().map(|&lane| areas[lane].clone()).collect(),
             incoming: around(|lane| &lane.entries),
             outgoing: around(|lane| &lane.exits),
         }
@@ -49,17 +49,17 @@ pub(super) fn roadblocks(
 }
 
 fn mark(groups: &[Vec<usize>], block_of: &mut [usize]) {
-    for (number, lanes) in groups.iter().enumerate() {
-        for &lane in lanes {
+    for (number, members) in groups.iter().enumerate() {
+        for &lane in members {
             block_of[lane] = number;
         }
     }
 }
 
 /// Sets of lanes side by side, in order of their first lane.
-fn lane_groups(map: &MapFeatures, connector: &[bool]) -> Vec<Vec<usize>> {
+fn lane_groups(lanes: &[RecordedLane], connector: &[bool]) -> Vec<Vec<usize>> {
     let mut beside: Vec<(f64, usize, usize)> = Vec::new();
-    for (place, lane) in map.lanes.iter().enumerate().filter(|&(place, _)| !connector[place]) {
+    for (place, lane) in lanes.iter().enumerate().filter(|&(place, _)| !connector[place]) {
         for other in Side::BOTH.into_iter().flat_map(|side| lane.neighbors.at(side)) {
             if !connector[other.lane] {
                 beside.push((other.to_s - other.from_s, place.min(other.lane), place.max(other.lane)));
@@ -67,11 +67,11 @@ fn lane_groups(map: &MapFeatures, connector: &[bool]) -> Vec<Vec<usize>> {
         }
     }
     beside.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-    let mut group_of: Vec<usize> = (0..map.lanes.len()).collect();
-    let mut members: Vec<Vec<usize>> = (0..map.lanes.len()).map(|lane| vec![lane]).collect();
+    let mut group_of: Vec<usize> = (0..lanes.len()).collect();
+    let mut members: Vec<Vec<usize>> = (0..lanes.len()).map(|lane| vec![lane]).collect();
     for (_, a, b) in beside {
         let (into, from) = (group_of[a].min(group_of[b]), group_of[a].max(group_of[b]));
-        if into == from || follow_each_other(map, &members[into], &members[from]) {
+        if into == from || follow_each_other(lanes, &members[into], &members[from]) {
             continue;
         }
         let moved = std::mem::take(&mut members[from]);
@@ -88,20 +88,20 @@ fn lane_groups(map: &MapFeatures, connector: &[bool]) -> Vec<Vec<usize>> {
 }
 
 /// Whether a lane of one set leads, directly or over one more lane, to a lane of the other.
-fn follow_each_other(map: &MapFeatures, a: &[usize], b: &[usize]) -> bool {
+fn follow_each_other(lanes: &[RecordedLane], a: &[usize], b: &[usize]) -> bool {
     let leads = |from: &[usize], to: &[usize]| {
         from.iter()
-            .flat_map(|&lane| &map.lanes[lane].exits)
-            .any(|exit| to.contains(exit) || map.lanes[*exit].exits.iter().any(|next| to.contains(next)))
+            .flat_map(|&lane| &lanes[lane].exits)
+            .any(|exit| to.contains(exit) || lanes[*exit].exits.iter().any(|next| to.contains(next)))
     };
     leads(a, b) || leads(b, a)
 }
 
-fn connector_groups(map: &MapFeatures, connector: &[bool], block_of: &[usize]) -> Vec<Vec<usize>> {
+fn connector_groups(lanes: &[RecordedLane], connector: &[bool], block_of: &[usize]) -> Vec<Vec<usize>> {
     let joint = |lane: &usize| if connector[*lane] { Joint::Connector(*lane) } else { Joint::Block(block_of[*lane]) };
     let mut groups: BTreeMap<(Vec<Joint>, Vec<Joint>), Vec<usize>> = BTreeMap::new();
     let mut loose = Vec::new();
-    for (place, lane) in map.lanes.iter().enumerate().filter(|&(place, _)| connector[place]) {
+    for (place, lane) in lanes.iter().enumerate().filter(|&(place, _)| connector[place]) {
         let joints = |near: &[usize]| near.iter().map(joint).collect::<BTreeSet<_>>().into_iter().collect::<Vec<_>>();
         if lane.entries.is_empty() || lane.exits.is_empty() {
             loose.push(vec![place]);

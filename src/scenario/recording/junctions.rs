@@ -4,24 +4,28 @@
 //! of a freeway, a right turn) is no intersection. Holes of the union are filled, unless a road edge runs through one: then it is the island
 //! of a roundabout, and the connectors' areas stand for the intersection one by one.
 
-use super::features::MapFeatures;
-use super::trace::Segments;
+use super::lanes::RecordedLane;
+use super::trace::{Segments, Trace};
 use crate::geometry::{Bounds, Polygon};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Connectors that belong together.
 #[derive(Debug, Clone)]
-pub(super) struct Cluster {
+pub(in crate::scenario) struct Cluster {
     /// Places of the connectors, in order.
-    pub(super) lanes: Vec<usize>,
-    /// Whether any of them cross.
-    pub(super) crossing: bool,
+    pub(in crate::scenario) lanes: Vec<usize>,
+    /// Whether they make an intersection: by default, whether any of them cross.
+    pub(in crate::scenario) intersection: bool,
 }
 
 /// All clusters, in order of their first connector.
-pub(super) fn clusters(map: &MapFeatures, connector: &[bool], crossings: &BTreeSet<(usize, usize)>) -> Vec<Cluster> {
-    let mut root: Vec<usize> = (0..map.lanes.len()).collect();
-    let siblings = map.lanes.iter().flat_map(|lane| [&lane.exits, &lane.entries]).flat_map(|ends| {
+pub(in crate::scenario) fn clusters(
+    lanes: &[RecordedLane],
+    connector: &[bool],
+    crossings: &BTreeSet<(usize, usize)>,
+) -> Vec<Cluster> {
+    let mut root: Vec<usize> = (0..lanes.len()).collect();
+    let siblings = lanes.iter().flat_map(|lane| [&lane.exits, &lane.entries]).flat_map(|ends| {
         let ends: Vec<usize> = ends.iter().copied().filter(|&lane| connector[lane]).collect();
         ends.windows(2).map(|pair| (pair[0], pair[1])).collect::<Vec<_>>()
     });
@@ -30,11 +34,11 @@ pub(super) fn clusters(map: &MapFeatures, connector: &[bool], crossings: &BTreeS
         root[a.max(b)] = a.min(b);
     }
     let mut clusters: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for lane in (0..map.lanes.len()).filter(|&lane| connector[lane]) {
+    for lane in (0..lanes.len()).filter(|&lane| connector[lane]) {
         clusters.entry(find(&mut root, lane)).or_default().push(lane);
     }
     let crossing: BTreeSet<usize> = crossings.iter().map(|&(a, _)| find(&mut root, a)).collect();
-    clusters.into_iter().map(|(root, lanes)| Cluster { lanes, crossing: crossing.contains(&root) }).collect()
+    clusters.into_iter().map(|(root, lanes)| Cluster { lanes, intersection: crossing.contains(&root) }).collect()
 }
 
 fn find(root: &mut [usize], mut item: usize) -> usize {
@@ -48,12 +52,12 @@ fn find(root: &mut [usize], mut item: usize) -> usize {
 /// Pieces of a union under this are rounding, m².
 const SPLINTER: f64 = 0.1;
 
-/// The area of each cluster in which connectors cross, as one or more polygons.
-pub(super) fn intersections(map: &MapFeatures, clusters: &[Cluster], areas: &[Polygon]) -> Vec<Polygon> {
-    let edges = Segments::of(&map.edges);
+/// The area of each cluster that makes an intersection, as one or more polygons.
+pub(in crate::scenario) fn intersections(edges: &[Trace], clusters: &[Cluster], areas: &[Polygon]) -> Vec<Polygon> {
+    let edges = Segments::of(edges);
     clusters
         .iter()
-        .filter(|cluster| cluster.crossing)
+        .filter(|cluster| cluster.intersection)
         .flat_map(|cluster| {
             let members: Vec<Polygon> = cluster.lanes.iter().map(|&lane| areas[lane].clone()).collect();
             let mut filled = Polygon::union_of(&members);

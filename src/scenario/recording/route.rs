@@ -27,7 +27,7 @@ const BREAK: f64 = 30.0;
 const BACKWARDS: f64 = 3.0;
 
 /// The chain of roadblocks along the poses; one at least.
-pub(super) fn route(map: &LaneMap, poses: &[Pose]) -> Vec<RoadblockId> {
+pub(in crate::scenario) fn route(map: &LaneMap, poses: &[Pose]) -> Vec<RoadblockId> {
     let samples = spaced(poses);
     let matched = matched_lanes(map, &samples);
     if matched.is_empty() {

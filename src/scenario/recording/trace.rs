@@ -1,61 +1,83 @@
 //! Lines of the map with their height, and rays that look for them.
 
-use super::error::RecordingFault;
-use super::proto::MapPoint;
 use crate::geometry::{Bounds, Point, Polyline, SpatialIndex, Vector};
 
-/// Two places nearer in height than this are on one level: less than a bridge is high, more than a road is banked, metres.
-pub(super) const SAME_LEVEL: f64 = 3.0;
+/// A place of a recorded map: east, north, up, metres.
+pub(in crate::scenario) type Place = nalgebra::Point3<f64>;
 
-/// A map ends nearer to the ego than this, metres: Waymo's end after some hundred.
+/// Two places nearer in height than this are on one level: less than a bridge is high, more than a road is banked, metres.
+pub(in crate::scenario) const SAME_LEVEL: f64 = 3.0;
+
+/// A map ends nearer to the ego than this, metres: recorded maps end after some hundred.
 const FARTHEST: f64 = 20_000.0;
 /// No line of a map is longer, metres.
 const LONGEST: f64 = 100_000.0;
 
+/// Why points are no line or outline of a map.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum LineFault {
+    /// A map coordinate is NaN, infinite or farther from the ego than any map reaches.
+    #[error("map feature {feature}: point {point} is no place near the ego")]
+    NoPlace {
+        /// Id of the feature.
+        feature: i64,
+        /// Which of its points.
+        point: usize,
+    },
+    /// A line of the map is longer than any road that fits the map.
+    #[error("map feature {feature} is {length} m long")]
+    EndlessLine {
+        /// Id of the feature.
+        feature: i64,
+        /// Its length, m.
+        length: f64,
+    },
+}
+
 /// A line of the map in local coordinates.
 #[derive(Debug, Clone)]
-pub(super) struct Trace {
-    pub(super) line: Polyline,
+pub(in crate::scenario) struct Trace {
+    pub(in crate::scenario) line: Polyline,
     /// Height of each vertex of the line, metres.
     heights: Vec<f64>,
-    /// Arc length of each point of the message; duplicates share one.
-    pub(super) point_s: Vec<f64>,
+    /// Arc length of each recorded point; duplicates share one.
+    pub(in crate::scenario) point_s: Vec<f64>,
 }
 
 impl Trace {
-    /// `None` when the points are not two distinct ones: Waymo has such features, and they bound nothing.
+    /// `None` when the points are not two distinct ones: there are such features, and they bound nothing.
     ///
     /// # Errors
     /// When a coordinate is no place, or the line is endless.
-    pub(super) fn of(feature: i64, points: &[MapPoint], origin: Vector) -> Result<Option<Self>, RecordingFault> {
+    pub(in crate::scenario) fn of(feature: i64, points: &[Place], origin: Vector) -> Result<Option<Self>, LineFault> {
         /// Points nearer than this are one, metres.
         const SAME_POINT: f64 = 1e-6;
         let local = local_points(feature, points, origin)?;
         let (mut vertices, mut heights, mut point_s): (Vec<Point>, Vec<f64>, Vec<f64>) = Default::default();
         let mut s = 0.0;
-        for (&point, message) in local.iter().zip(points) {
+        for (&point, place) in local.iter().zip(points) {
             let step = vertices.last().map_or(f64::INFINITY, |last| (point - last).norm());
             if step > SAME_POINT {
                 s += if step.is_finite() { step } else { 0.0 };
                 vertices.push(point);
-                heights.push(if message.z.is_finite() { message.z } else { 0.0 });
+                heights.push(if place.z.is_finite() { place.z } else { 0.0 });
             }
             point_s.push(s);
         }
         if s > LONGEST {
-            return Err(RecordingFault::EndlessLine { feature, length: s });
+            return Err(LineFault::EndlessLine { feature, length: s });
         }
         Ok(Polyline::new(vertices).ok().map(|line| Self { line, heights, point_s }))
     }
 
-    /// Arc length of a point of the message, clamped to the line.
-    pub(super) fn s_of(&self, point: i32) -> f64 {
+    /// Arc length of a recorded point, clamped to the line.
+    pub(in crate::scenario) fn s_of(&self, point: i32) -> f64 {
         let last = self.point_s.len().saturating_sub(1);
         self.point_s.get((point.max(0) as usize).min(last)).copied().unwrap_or(0.0)
     }
 
     /// Height at an arc length, metres.
-    pub(super) fn height_at(&self, s: f64) -> f64 {
+    pub(in crate::scenario) fn height_at(&self, s: f64) -> f64 {
         let arcs = self.line.arc_lengths();
         let after = arcs.partition_point(|&a| a < s).min(arcs.len() - 1);
         let before = after.saturating_sub(1);
@@ -65,7 +87,7 @@ impl Trace {
     }
 
     /// Unit vector along the line at an arc length, smoothed over a lane's sampling distance.
-    pub(super) fn direction_at(&self, s: f64) -> Vector {
+    pub(in crate::scenario) fn direction_at(&self, s: f64) -> Vector {
         /// Half the distance over which the direction is taken, metres.
         const REACH: f64 = 0.75;
         let s = s.clamp(0.0, self.line.length());
@@ -74,44 +96,48 @@ impl Trace {
     }
 
     /// Arc lengths about `step` metres apart, both ends included.
-    pub(super) fn stations(&self, step: f64) -> Vec<f64> {
+    pub(in crate::scenario) fn stations(&self, step: f64) -> Vec<f64> {
         let length = self.line.length();
         let count = (length / step).ceil().max(1.0) as usize;
         (0..=count).map(|i| length * i as f64 / count as f64).collect()
     }
 }
 
-/// The points of a message in local coordinates.
+/// Recorded points in local coordinates.
 ///
 /// # Errors
 /// When one is no place.
-pub(super) fn local_points(feature: i64, points: &[MapPoint], origin: Vector) -> Result<Vec<Point>, RecordingFault> {
+pub(in crate::scenario) fn local_points(
+    feature: i64,
+    points: &[Place],
+    origin: Vector,
+) -> Result<Vec<Point>, LineFault> {
     let local: Vec<Point> = points.iter().map(|p| Point::new(p.x - origin.x, p.y - origin.y)).collect();
     match local.iter().position(|p| !p.coords.norm().is_finite() || p.coords.norm() > FARTHEST) {
-        Some(point) => Err(RecordingFault::NoPlace { feature, point }),
+        Some(point) => Err(LineFault::NoPlace { feature, point }),
         None => Ok(local),
     }
 }
 
 /// A piece of a line with the number of the line that it belongs to.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Segment {
-    pub(super) from: Point,
-    pub(super) to: Point,
-    pub(super) height: f64,
-    pub(super) owner: usize,
+pub(in crate::scenario) struct Segment {
+    pub(in crate::scenario) from: Point,
+    pub(in crate::scenario) to: Point,
+    pub(in crate::scenario) height: f64,
+    pub(in crate::scenario) owner: usize,
 }
 
 /// Many lines, cut into segments and indexed.
 #[derive(Debug)]
-pub(super) struct Segments {
+pub(in crate::scenario) struct Segments {
     list: Vec<Segment>,
     index: SpatialIndex,
 }
 
 impl Segments {
     /// The segments of all lines; the n-th line's have owner n.
-    pub(super) fn of<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
+    pub(in crate::scenario) fn of<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
         let mut list = Vec::new();
         for (owner, trace) in traces.into_iter().enumerate() {
             for (i, pair) in trace.line.vertices().windows(2).enumerate() {
@@ -123,22 +149,22 @@ impl Segments {
         Self { list, index }
     }
 
-    pub(super) fn list(&self) -> &[Segment] {
+    pub(in crate::scenario) fn list(&self) -> &[Segment] {
         &self.list
     }
 
     /// Segments whose bounds meet the given ones.
-    pub(super) fn within<'a>(&'a self, bounds: &Bounds) -> impl Iterator<Item = &'a Segment> + use<'a> {
+    pub(in crate::scenario) fn within<'a>(&'a self, bounds: &Bounds) -> impl Iterator<Item = &'a Segment> + use<'a> {
         self.index.within(bounds).into_iter().map(|i| &self.list[i])
     }
 
     /// Distance along the ray to the first segment on its level that `counts`.
-    pub(super) fn first_hit(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> Option<f64> {
+    pub(in crate::scenario) fn first_hit(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> Option<f64> {
         self.hits(ray, counts).min_by(f64::total_cmp)
     }
 
     /// Distance along the ray to the last segment on its level that `counts`.
-    pub(super) fn last_hit(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> Option<f64> {
+    pub(in crate::scenario) fn last_hit(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> Option<f64> {
         self.hits(ray, counts).max_by(f64::total_cmp)
     }
 
@@ -151,17 +177,17 @@ impl Segments {
 
 /// A look sideways.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Ray {
-    pub(super) from: Point,
+pub(in crate::scenario) struct Ray {
+    pub(in crate::scenario) from: Point,
     /// Unit vector.
-    pub(super) direction: Vector,
-    pub(super) height: f64,
-    pub(super) reach: f64,
+    pub(in crate::scenario) direction: Vector,
+    pub(in crate::scenario) height: f64,
+    pub(in crate::scenario) reach: f64,
 }
 
 impl Ray {
     /// Distance at which the ray meets a segment, if it does.
-    pub(super) fn meets(&self, from: Point, to: Point) -> Option<f64> {
+    pub(in crate::scenario) fn meets(&self, from: Point, to: Point) -> Option<f64> {
         let along = to - from;
         let turn = self.direction.perp(&along);
         if turn.abs() < 1e-12 {
@@ -178,7 +204,7 @@ mod tests {
     use super::*;
 
     fn trace(points: &[(f64, f64, f64)]) -> Trace {
-        let points: Vec<MapPoint> = points.iter().map(|&(x, y, z)| MapPoint { x, y, z }).collect();
+        let points: Vec<Place> = points.iter().map(|&(x, y, z)| Place::new(x, y, z)).collect();
         Trace::of(1, &points, Vector::zeros()).unwrap().unwrap()
     }
 
@@ -203,9 +229,9 @@ mod tests {
 
     #[test]
     fn no_place_is_refused() {
-        let points = [MapPoint { x: 0.0, y: 0.0, z: 0.0 }, MapPoint { x: f64::NAN, y: 0.0, z: 0.0 }];
+        let points = [Place::origin(), Place::new(f64::NAN, 0.0, 0.0)];
         let fault = Trace::of(9, &points, Vector::zeros()).unwrap_err();
-        assert_eq!(fault, RecordingFault::NoPlace { feature: 9, point: 1 });
+        assert_eq!(fault, LineFault::NoPlace { feature: 9, point: 1 });
         assert!(Trace::of(9, &points[..1], Vector::zeros()).unwrap().is_none());
     }
 }

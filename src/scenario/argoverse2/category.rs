@@ -1,0 +1,74 @@
+//! Argoverse 2's categories as nuPlan's kinds of objects.
+//!
+//! | Argoverse 2 | nuPlan |
+//! |---|---|
+//! | `REGULAR_VEHICLE`, `LARGE_VEHICLE`, `BUS`, `ARTICULATED_BUS`, `SCHOOL_BUS`, `BOX_TRUCK`, `TRUCK`, `TRUCK_CAB`, `VEHICULAR_TRAILER`, `RAILED_VEHICLE`, `MESSAGE_BOARD_TRAILER`, `TRAFFIC_LIGHT_TRAILER` | vehicle |
+//! | `PEDESTRIAN`, `OFFICIAL_SIGNALER`, `STROLLER`, `WHEELCHAIR` | pedestrian |
+//! | `BICYCLE`, `BICYCLIST`, `MOTORCYCLE`, `MOTORCYCLIST`, `WHEELED_DEVICE`, `WHEELED_RIDER` | bicycle |
+//! | `CONSTRUCTION_CONE`, `CONSTRUCTION_BARREL` | traffic cone |
+//! | `MOBILE_PEDESTRIAN_CROSSING_SIGN` | construction-zone sign |
+//! | `BOLLARD`, `SIGN`, `ANIMAL`, `DOG` | generic object |
+//! | `EGO_VEHICLE`, `STOP_SIGN` | none |
+//!
+//! * nuPlan's bicycles are two-wheelers of any drive, its generic objects permanent poles and animals too.
+//! * A rider and what is ridden are two boxes here and two objects: they overlap, as annotated.
+//! * nuPlan's trailers are vehicles, so trailers that carry signs are.
+//! * `EGO_VEHICLE` is a row that scenario mining adds to the annotations (`annotations_with_ego.feather`): the recording car at
+//!   the origin of its own frame. A stop sign belongs to the map, and nuPlan's objects have none.
+
+use crate::world::ObjectKind;
+
+/// What a category is to nuPlan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Meaning {
+    /// An object.
+    Object(ObjectKind),
+    /// Nothing that stands around the ego.
+    NoObject,
+}
+
+/// Reads a category of the sensor dataset; `None` when it has no such category.
+pub(super) fn of_annotation(word: &str) -> Option<Meaning> {
+    let kind = match word {
+        "REGULAR_VEHICLE"
+        | "LARGE_VEHICLE"
+        | "BUS"
+        | "ARTICULATED_BUS"
+        | "SCHOOL_BUS"
+        | "BOX_TRUCK"
+        | "TRUCK"
+        | "TRUCK_CAB"
+        | "VEHICULAR_TRAILER"
+        | "RAILED_VEHICLE"
+        | "MESSAGE_BOARD_TRAILER"
+        | "TRAFFIC_LIGHT_TRAILER" => ObjectKind::Vehicle,
+        "PEDESTRIAN" | "OFFICIAL_SIGNALER" | "STROLLER" | "WHEELCHAIR" => ObjectKind::Pedestrian,
+        "BICYCLE" | "BICYCLIST" | "MOTORCYCLE" | "MOTORCYCLIST" | "WHEELED_DEVICE" | "WHEELED_RIDER" => {
+            ObjectKind::Bicycle
+        }
+        "CONSTRUCTION_CONE" | "CONSTRUCTION_BARREL" => ObjectKind::TrafficCone,
+        "MOBILE_PEDESTRIAN_CROSSING_SIGN" => ObjectKind::CzoneSign,
+        "BOLLARD" | "SIGN" | "ANIMAL" | "DOG" => ObjectKind::GenericObject,
+        "EGO_VEHICLE" | "STOP_SIGN" => return Some(Meaning::NoObject),
+        _ => return None,
+    };
+    Some(Meaning::Object(kind))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signs_on_poles_stand_still_and_the_ego_is_no_object() {
+        let static_kinds = ["SIGN", "BOLLARD", "CONSTRUCTION_BARREL", "MOBILE_PEDESTRIAN_CROSSING_SIGN", "DOG"];
+        for word in static_kinds {
+            assert!(matches!(of_annotation(word), Some(Meaning::Object(kind)) if !kind.is_agent()), "{word}");
+        }
+        for word in ["STROLLER", "WHEELCHAIR", "BICYCLIST", "MOTORCYCLE"] {
+            assert!(matches!(of_annotation(word), Some(Meaning::Object(kind)) if kind.is_vulnerable()), "{word}");
+        }
+        assert_eq!(of_annotation("EGO_VEHICLE"), Some(Meaning::NoObject));
+        assert_eq!(of_annotation("SPACESHIP"), None);
+    }
+}

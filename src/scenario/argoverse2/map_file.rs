@@ -1,0 +1,80 @@
+//! The vector map of a log: `log_map_archive_*.json`, as Argoverse 2 writes it.
+
+use super::error::{Argoverse2Error, LogFault};
+use crate::scenario::recording::trace::Place;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// The map, as it stands in the file.
+#[derive(Debug, Deserialize)]
+pub(super) struct MapFile {
+    /// By a key that repeats the id.
+    pub(super) lane_segments: BTreeMap<String, LaneSegment>,
+    pub(super) pedestrian_crossings: BTreeMap<String, PedestrianCrossing>,
+    pub(super) drivable_areas: BTreeMap<String, DrivableArea>,
+}
+
+/// A lane segment. Its paint and the centreline that some maps add are not read.
+#[derive(Debug, Clone, Deserialize)]
+pub(super) struct LaneSegment {
+    pub(super) id: i64,
+    pub(super) is_intersection: bool,
+    pub(super) lane_type: LaneType,
+    pub(super) left_lane_boundary: Vec<Waypoint>,
+    pub(super) right_lane_boundary: Vec<Waypoint>,
+    pub(super) predecessors: Vec<i64>,
+    pub(super) successors: Vec<i64>,
+    pub(super) left_neighbor_id: Option<i64>,
+    pub(super) right_neighbor_id: Option<i64>,
+}
+
+/// Who may use a lane.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
+pub(super) enum LaneType {
+    Vehicle,
+    Bike,
+    Bus,
+}
+
+/// A crosswalk between two edges along which one walks.
+#[derive(Debug, Deserialize)]
+pub(super) struct PedestrianCrossing {
+    pub(super) id: i64,
+    pub(super) edge1: Vec<Waypoint>,
+    pub(super) edge2: Vec<Waypoint>,
+}
+
+/// An area that can be driven on.
+#[derive(Debug, Deserialize)]
+pub(super) struct DrivableArea {
+    pub(super) id: i64,
+    pub(super) area_boundary: Vec<Waypoint>,
+}
+
+/// A place in the city frame, metres.
+#[derive(Debug, Clone, Copy, Deserialize)]
+pub(super) struct Waypoint {
+    pub(super) x: f64,
+    pub(super) y: f64,
+    pub(super) z: f64,
+}
+
+/// The places of a line or outline.
+pub(super) fn places(points: &[Waypoint]) -> Vec<Place> {
+    points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect()
+}
+
+impl MapFile {
+    /// Reads the file.
+    ///
+    /// # Errors
+    /// When it cannot be read or is no such map.
+    pub(super) fn read(path: &Path) -> Result<Self, Argoverse2Error> {
+        let failed = |source| Argoverse2Error::Read { path: path.to_owned(), source };
+        let bytes = std::fs::read(path).map_err(failed)?;
+        serde_json::from_slice(&bytes)
+            .map_err(|fault| Argoverse2Error::Content { path: path.to_owned(), fault: LogFault::Json(fault) })
+    }
+}
