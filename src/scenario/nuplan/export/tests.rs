@@ -240,7 +240,7 @@ fn every_table_is_there_and_types_without_a_window_are_tagged_at_their_start() {
     }
     assert_eq!(
         (count(0, "category"), count(0, "scene"), count(0, "scenario_tag"), count(1, "scenario_tag")),
-        (7, 5, 1, 0)
+        (7, 5, 1, 1)
     );
     let rows = scenarios[0].frames.len() as i64 * 2 - 1;
     assert_eq!((count(0, "lidar_pc"), count(0, "ego_pose")), (rows, rows + 1), "the goal is a pose more");
