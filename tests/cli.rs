@@ -2,6 +2,7 @@
 
 use assert_cmd::Command;
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -9,7 +10,7 @@ use tempfile::TempDir;
 /// A generated scene that every planner drives in a second or two.
 const SCENE: &str = "generated/changing_lane/3";
 
-fn planagent() -> Command {
+pub(crate) fn planagent() -> Command {
     let mut command = Command::cargo_bin("planagent").unwrap();
     // The package's models and configuration, whatever the working directory.
     command.env("PLANAGENT_MODELS", concat!(env!("CARGO_MANIFEST_DIR"), "/models")).env("NO_COLOR", "1");
@@ -17,14 +18,14 @@ fn planagent() -> Command {
 }
 
 /// Runs and gives exit code, stdout and stderr.
-fn run(arguments: &[&str]) -> (i32, String, String) {
+pub(crate) fn run(arguments: &[&str]) -> (i32, String, String) {
     let output = planagent().args(arguments).output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
     (output.status.code().expect("no exit code"), text(output.stdout), text(output.stderr))
 }
 
 /// Runs what must fail as bad input: exit code 2, nothing on stdout, no panic; gives stderr.
-fn refused(arguments: &[&str]) -> String {
+pub(crate) fn refused(arguments: &[&str]) -> String {
     let (code, stdout, stderr) = run(arguments);
     assert_eq!(code, 2, "{arguments:?}: {stderr}");
     assert!(stdout.is_empty(), "{stdout}");
@@ -32,7 +33,7 @@ fn refused(arguments: &[&str]) -> String {
     stderr
 }
 
-fn read_json(path: &Path) -> Value {
+pub(crate) fn read_json(path: &Path) -> Value {
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
 }
 
@@ -69,6 +70,25 @@ fn the_same_seed_gives_the_same_bytes_at_any_thread_count() {
         lines.map(|mut call| call.as_object_mut().unwrap().remove("time").map(|_| call).unwrap()).collect::<Vec<_>>()
     };
     assert_eq!(calls("one"), calls("two"));
+    let [one, two] = ["one", "two"].map(|run| parquet_values(&folder.path().join(run)));
+    assert!(one.len() > 30, "only {} Parquet files", one.len());
+    let differing: Vec<&String> = one.keys().filter(|name| one.get(*name) != two.get(*name)).collect();
+    assert!(differing.is_empty() && one.len() == two.len(), "these differ: {differing:?}");
+}
+
+/// The bytes of every Parquet file but the measured ones, by name; the stamp of the start is cut out.
+fn parquet_values(run: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for challenge in ["closed_loop_nonreactive_agents", "closed_loop_reactive_agents"] {
+        for folder in ["metrics", "aggregator_metric"] {
+            for entry in fs::read_dir(run.join(challenge).join(folder)).unwrap() {
+                let path = entry.unwrap().path();
+                let name = path.file_name().unwrap().to_str().unwrap().split("_metrics_").next().unwrap();
+                found.insert(format!("{challenge}/{folder}/{name}"), fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
 }
 
 #[test]
@@ -123,7 +143,7 @@ fn a_run_leaves_what_the_readme_says() {
         assert!(attempt["reflection"]["score"].as_f64().is_some());
         assert!(call["time"]["call"]["total"].as_f64().unwrap() > 0.0);
     }
-    let drive = out.join("generated_changing_lane_3-nonreactive");
+    let drive = out.join("drives/000000-generated_changing_lane_3-plan-agent-nonreactive");
     let transcript = fs::read_to_string(drive.join("transcript.md")).unwrap();
     assert!(transcript.contains("Generate_IDM_Planner(") && transcript.contains("bev/020.png"), "{transcript}");
     assert!(image::open(drive.join("bev/020.png")).unwrap().width() > 16);
@@ -132,7 +152,12 @@ fn a_run_leaves_what_the_readme_says() {
     assert!(config.contains("threshold = 0.75"), "{config}");
 
     let again = refused(&["simulate", "--scenario", SCENE, "--out", out.to_str().unwrap()]);
-    assert!(again.contains("not empty"), "{again}");
+    assert!(again.contains("holds a run") && again.contains("--resume"), "{again}");
+    let foreign = folder.path().join("foreign");
+    fs::create_dir(&foreign).unwrap();
+    fs::write(foreign.join("notes.txt"), "mine").unwrap();
+    let full = refused(&["simulate", "--scenario", SCENE, "--out", foreign.to_str().unwrap()]);
+    assert!(full.contains("not empty"), "{full}");
 }
 
 #[test]

@@ -14,4 +14,6 @@ mod metrics;
 mod mllm;
 mod nuplan;
 mod nuplan_input;
+mod pdm;
+mod runner;
 mod womd;

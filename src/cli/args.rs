@@ -1,5 +1,6 @@
 //! The flags, as typed.
 
+use crate::scenario::nuplan::DataRoots;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -44,21 +45,65 @@ pub(super) enum Command {
     Dataset(DatasetArguments),
 }
 
+/// Flags that name lists of scenarios, and where nuPlan's data lies.
+#[derive(Debug, Args)]
+pub(super) struct SplitArguments {
+    /// List of scenarios: generated (16 types x 10 seeds), val14, reduced-val14, test14-hard, or a scenario filter
+    /// FILE.yaml.
+    #[arg(long = "split", value_name = "NAME")]
+    pub(super) splits: Vec<String>,
+    #[command(flatten)]
+    pub(super) roots: RootArguments,
+}
+
+/// Flags that say where nuPlan's data lies.
+#[derive(Debug, Args)]
+pub(super) struct RootArguments {
+    /// Folder with nuPlan's logs (*.db), in it or below.
+    #[arg(long, env = "NUPLAN_DATA_ROOT", value_name = "FOLDER")]
+    pub(super) data_root: Option<PathBuf>,
+    /// Folder with nuPlan's maps.
+    #[arg(long, env = "NUPLAN_MAPS_ROOT", value_name = "FOLDER")]
+    pub(super) maps_root: Option<PathBuf>,
+}
+
+impl RootArguments {
+    /// The folders; a variable that is set to nothing names none.
+    pub(super) fn data_roots(&self) -> DataRoots {
+        let named = |folder: &Option<PathBuf>| folder.clone().filter(|path| !path.as_os_str().is_empty());
+        DataRoots { data: named(&self.data_root), maps: named(&self.maps_root) }
+    }
+}
+
 /// Flags of `simulate`.
 #[derive(Debug, Args)]
 pub(super) struct SimulateArguments {
-    /// Scenarios: TFRecord files, folders of them, or generated/TYPE/SEED [default: one generated scene].
+    /// Scenarios: TFRecord files, Argoverse 2 logs, nuPlan logs (LOG.db or LOG.db#TOKEN), folders of them, or
+    /// generated/TYPE/SEED [default: one generated scene].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
     pub(super) scenarios: Vec<String>,
-    /// Planners, separated by commas: plan-agent, log-replay, idm.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "plan-agent")]
+    #[command(flatten)]
+    pub(super) split: SplitArguments,
+    /// Only the first N scenarios.
+    #[arg(long, value_name = "N")]
+    pub(super) limit: Option<usize>,
+    /// Planners, separated by commas: plan-agent, log-replay, idm, simple,
+    /// pdm-closed [default: plan-agent].
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) planner: Vec<String>,
-    /// Traffic: nonreactive (replayed), reactive (IDM) or both.
-    #[arg(long, default_value = "nonreactive")]
-    pub(super) challenge: String,
+    /// Challenges, separated by commas: nonreactive (replayed traffic), reactive (IDM traffic), both of these, open-loop
+    /// (plans compared with the log) [default: nonreactive].
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub(super) challenge: Vec<String>,
     /// Folder for the results; must be new or empty [default: the next free runs/NNNN].
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
     pub(super) out: Option<PathBuf>,
+    /// Go on with the run in this folder, with what it was started with; drives that have ended are kept.
+    #[arg(long, value_name = "FOLDER")]
+    pub(super) resume: Option<PathBuf>,
+    /// With --resume: make drives that failed once more.
+    #[arg(long, requires = "resume")]
+    pub(super) retry_failed: bool,
 }
 
 /// Flags of `plan`.
@@ -82,6 +127,8 @@ pub(super) enum ScenariosCommand {
     List {
         /// TFRecord files or folders.
         sources: Vec<PathBuf>,
+        #[command(flatten)]
+        split: SplitArguments,
     },
     /// Show one scenario: its map, route, objects and lights; with --image a picture.
     Show {

@@ -6,9 +6,11 @@ mod config;
 mod exit;
 mod model;
 mod printer;
+mod progress;
 
-use anyhow::bail;
-use args::{Arguments, Command};
+use crate::report::RunFolder;
+use anyhow::{Context, bail};
+use args::{Arguments, Command, SimulateArguments};
 use clap::Parser;
 use std::process::ExitCode;
 
@@ -41,7 +43,7 @@ pub fn run() -> ExitCode {
 }
 
 fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
-    let mut config = Config::load(arguments.config.as_deref())?;
+    let mut config = configuration(arguments)?;
     if let Some(seed) = arguments.seed {
         config.seed = seed;
     }
@@ -59,4 +61,18 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
         Command::Dataset(flags) => commands::dataset::run(flags, &config, printer),
     })
+}
+
+/// The file that `--config` names; without it, for a run that is gone on with, what that was started with.
+fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
+    match &arguments.command {
+        Command::Simulate(SimulateArguments { resume: Some(folder), .. }) if arguments.config.is_none() => {
+            let manifest = RunFolder::manifest(folder)?;
+            manifest
+                .config
+                .try_into()
+                .with_context(|| format!("in the configuration of the run in {}", folder.display()))
+        }
+        _ => Config::load(arguments.config.as_deref()),
+    }
 }

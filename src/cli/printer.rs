@@ -86,6 +86,11 @@ impl Printer {
         bar
     }
 
+    /// Whether nothing but errors may go to stderr.
+    pub fn is_quiet(&self) -> bool {
+        self.quiet
+    }
+
     /// Columns of the terminal on stdout; 80 when it is none.
     pub fn width(&self) -> u16 {
         Term::stdout().size_checked().map_or(80, |(_, columns)| columns)

@@ -1,5 +1,6 @@
 //! Stage 9: what drives many loops. Simulation runs; label search and datasets.
 
+mod caught;
 pub mod dataset;
 pub mod nuplan_data;
 pub mod run;

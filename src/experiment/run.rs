@@ -1,17 +1,20 @@
-//! Many drives: scenarios x planners x challenges on all cores, each recorded with its score or its error.
+//! Many drives: scenarios x planners x challenges on all cores, each handed over with its score or its error when it ends.
 
+use super::caught::caught;
 use super::source::ScenarioSource;
-use crate::metrics::{self, Drive, Score};
+use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::mllm::Mllm;
-use crate::planner::{IdmPlanner, LogReplay, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlanningCall};
+use crate::planner::{
+    IdmPlanner, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall, SimplePlanner,
+};
 use crate::reasoning::PromptSet;
 use crate::scenario::Scenario;
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
-use crate::world::EgoState;
 use rayon::prelude::*;
 use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The planners that can be run by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,11 +25,15 @@ pub enum PlannerKind {
     LogReplay,
     /// nuPlan's IDM planner.
     Idm,
+    /// nuPlan's planner that goes straight on.
+    Simple,
+    /// PDM-Closed.
+    PdmClosed,
 }
 
 impl PlannerKind {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::PlanAgent, Self::LogReplay, Self::Idm];
+    pub const ALL: [Self; 5] = [Self::PlanAgent, Self::LogReplay, Self::Idm, Self::Simple, Self::PdmClosed];
 
     /// The name on the command line and in results.
     pub fn as_str(self) -> &'static str {
@@ -34,6 +41,8 @@ impl PlannerKind {
             Self::PlanAgent => PLAN_AGENT,
             Self::LogReplay => "log-replay",
             Self::Idm => "idm",
+            Self::Simple => "simple",
+            Self::PdmClosed => "pdm-closed",
         }
     }
 }
@@ -46,7 +55,7 @@ impl fmt::Display for PlannerKind {
 
 /// A name that is no planner.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown planner '{0}'; known are plan-agent, log-replay, idm")]
+#[error("unknown planner '{0}'; known are plan-agent, log-replay, idm, simple, pdm-closed")]
 pub struct UnknownPlanner(String);
 
 impl FromStr for PlannerKind {
@@ -89,11 +98,19 @@ pub struct Assignment {
     pub challenge: Challenge,
 }
 
+impl fmt::Display for Assignment {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} by {} in {}", self.source, self.planner, self.challenge)
+    }
+}
+
 /// A drive that came to its end.
 #[derive(Debug, Clone)]
 pub struct Driven {
     /// What it scored.
     pub score: Score,
+    /// All metrics with their statistics and time series, in nuPlan's order.
+    pub metrics: Vec<MetricResult>,
     /// The planning calls, for `plan-agent`.
     pub calls: Vec<PlanningCall>,
     /// What happened.
@@ -103,6 +120,8 @@ pub struct Driven {
 /// The record of one assignment.
 #[derive(Debug, Clone)]
 pub struct DriveRecord {
+    /// The source in the words of the command line.
+    pub source: String,
     /// Name of the scenario; of the source, when it could not be opened.
     pub scenario: String,
     /// nuPlan's type of the scenario.
@@ -113,37 +132,68 @@ pub struct DriveRecord {
     pub planner: PlannerKind,
     /// Among which traffic.
     pub challenge: Challenge,
+    /// When the drive began, seconds since 1970. A measurement.
+    pub started_s: f64,
+    /// When it ended, seconds since 1970. A measurement.
+    pub ended_s: f64,
     /// The drive, or why there is none.
     pub outcome: Result<Driven, String>,
 }
 
-/// Makes all drives, on all threads of the current pool; records come in the order of the assignments.
-/// `on_iteration` is called after every iteration of every drive, from any thread.
-pub fn run(
+/// Makes the drives `todo` (places in `assignments`, in growing order) on all threads of the current pool. Each record is
+/// given to `on_drive` as soon as its drive has ended, from any thread and in any order, and is not kept. `on_iteration` is
+/// called after every iteration of every drive. A drive that fails or panics is recorded with its error.
+///
+/// # Errors
+/// The first error of `on_drive`; no further drive begins after it.
+pub fn run<E: Send>(
     assignments: &[Assignment],
+    todo: &[usize],
     agent: Option<&AgentParts>,
     on_iteration: &(dyn Fn(Progress) + Sync),
-) -> Vec<DriveRecord> {
-    assignments.par_iter().map(|assignment| drive(assignment, agent, on_iteration)).collect()
+    on_drive: &(dyn Fn(usize, DriveRecord) -> Result<(), E> + Sync),
+) -> Result<(), E> {
+    let drives: Vec<(usize, &Assignment)> = todo.iter().filter_map(|&i| Some((i, assignments.get(i)?))).collect();
+    // Neighbours of one source share the scenario: opening a recording can cost more than driving it.
+    let groups: Vec<&[(usize, &Assignment)]> = drives.chunk_by(|(_, a), (_, b)| a.source == b.source).collect();
+    groups.par_iter().try_for_each(|group| {
+        let Some((_, first)) = group.first() else { return Ok(()) };
+        let opened = caught(|| first.source.open().map_err(|error| with_causes(&error)));
+        group.par_iter().try_for_each(|&(i, assignment)| {
+            let scenario = opened.as_ref().map_err(String::as_str);
+            on_drive(i, drive(assignment, scenario, agent, on_iteration))
+        })
+    })
 }
 
-fn drive(assignment: &Assignment, agent: Option<&AgentParts>, on_iteration: &(dyn Fn(Progress) + Sync)) -> DriveRecord {
+fn drive(
+    assignment: &Assignment,
+    scenario: Result<&Scenario, &str>,
+    agent: Option<&AgentParts>,
+    on_iteration: &(dyn Fn(Progress) + Sync),
+) -> DriveRecord {
     let Assignment { source, planner, challenge } = assignment;
-    let record = |scenario: &str, scenario_type: &str, log_name: &str, outcome| DriveRecord {
-        scenario: scenario.to_owned(),
-        scenario_type: scenario_type.to_owned(),
-        log_name: log_name.to_owned(),
+    let started_s = now_s();
+    let outcome = scenario
+        .map_err(str::to_owned)
+        .and_then(|scenario| caught(|| drive_scenario(scenario, *planner, *challenge, agent, on_iteration)));
+    let name = |of: fn(&Scenario) -> &str| scenario.map_or("unknown", of).to_owned();
+    DriveRecord {
+        source: source.to_string(),
+        scenario: scenario.map_or_else(|_| source.to_string(), |scenario| scenario.id.clone()),
+        scenario_type: name(|scenario| &scenario.scenario_type),
+        log_name: name(|scenario| &scenario.log_name),
         planner: *planner,
         challenge: *challenge,
+        started_s,
+        ended_s: now_s(),
         outcome,
-    };
-    match source.open() {
-        Ok(scenario) => {
-            let outcome = drive_scenario(&scenario, *planner, *challenge, agent, on_iteration);
-            record(&scenario.id, &scenario.scenario_type, &scenario.log_name, outcome)
-        }
-        Err(error) => record(&source.to_string(), "unknown", "unknown", Err(with_causes(&error))),
     }
+}
+
+/// Seconds since 1970.
+fn now_s() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
 }
 
 /// One drive with its score.
@@ -154,7 +204,6 @@ fn drive_scenario(
     agent: Option<&AgentParts>,
     on_iteration: &(dyn Fn(Progress) + Sync),
 ) -> Result<Driven, String> {
-    let expert: Vec<EgoState> = scenario.expert().copied().collect();
     let simulate = |planner: &mut dyn Planner| {
         simulate_with_progress(scenario, planner, challenge, &mut |progress| on_iteration(progress))
             .map_err(|error| with_causes(&error))
@@ -165,12 +214,13 @@ fn drive_scenario(
             let mut planner = parts.agent(&scenario.id);
             (simulate(&mut planner)?, planner.calls().to_vec())
         }
-        PlannerKind::LogReplay => (simulate(&mut LogReplay::new(expert.clone()))?, Vec::new()),
+        PlannerKind::LogReplay => (simulate(&mut LogReplay::new(scenario.recorded().copied().collect()))?, Vec::new()),
         PlannerKind::Idm => (simulate(&mut IdmPlanner::default())?, Vec::new()),
+        PlannerKind::Simple => (simulate(&mut SimplePlanner::default())?, Vec::new()),
+        PlannerKind::PdmClosed => (simulate(&mut PdmClosed::new())?, Vec::new()),
     };
-    let drive = Drive { map: &scenario.map, samples: &log.samples, expert: &expert };
-    let evaluation = metrics::evaluate(&drive).map_err(|error| with_causes(&error))?;
-    Ok(Driven { score: evaluation.score, calls, log })
+    let Evaluation { score, metrics } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
+    Ok(Driven { score, metrics, calls, log })
 }
 
 /// An error with all its causes in one line.

@@ -210,7 +210,7 @@ pub(super) fn segment_distance(point: Point, from: Point, to: Point) -> f64 {
 }
 
 /// Whether two closed segments share a point.
-fn segments_cross(a: Point, b: Point, c: Point, d: Point) -> bool {
+pub(super) fn segments_cross(a: Point, b: Point, c: Point, d: Point) -> bool {
     let side = |p: Point, q: Point, r: Point| (q - p).perp(&(r - p));
     let (d1, d2, d3, d4) = (side(c, d, a), side(c, d, b), side(a, b, c), side(a, b, d));
     if d1 * d2 < 0.0 && d3 * d4 < 0.0 {

@@ -1,5 +1,6 @@
 //! Lines of vertices with arc length: projection, interpolation, cutting.
 
+use super::polygon::segments_cross;
 use super::{GeometryError, Point, Pose, Vector, check_finite, wrap_angle};
 
 /// Two vertices nearer than this are one, metres.
@@ -181,6 +182,19 @@ impl Polyline {
     /// Distance from a point to the line, metres.
     pub fn distance_to(&self, point: Point) -> f64 {
         self.project(point).distance
+    }
+
+    /// Distance between two lines, metres; 0 when they share a point.
+    pub fn distance_to_line(&self, other: &Self) -> f64 {
+        let edges = |line: &Self| line.vertices.windows(2).map(|w| (w[0], w[1])).collect::<Vec<_>>();
+        let (own, theirs) = (edges(self), edges(other));
+        if own.iter().any(|&(a, b)| theirs.iter().any(|&(c, d)| segments_cross(a, b, c, d))) {
+            return 0.0;
+        }
+        let nearest = |from: &Self, to: &Self| {
+            from.vertices.iter().map(|&vertex| to.distance_to(vertex)).fold(f64::INFINITY, f64::min)
+        };
+        nearest(self, other).min(nearest(other, self))
     }
 
     /// Signed curvature (1/m, positive when turning left) of the circle through three points around `s`, 2 m apart

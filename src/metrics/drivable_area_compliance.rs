@@ -7,6 +7,8 @@ use crate::world::{EgoState, LaneId, LaneMap};
 
 /// Corners outside by less than this are tolerated, metres (devkit `drivable_area_compliance_statistics.yaml`).
 pub const MAX_DISTANCE_OUTSIDE: f64 = 0.3;
+/// nuPlan's name of the second result.
+const CORNERS_NAME: &str = "corners_in_drivable_area";
 
 /// Judges the corners of every sample. Gives two results: the scored metric, and `corners_in_drivable_area`, which
 /// knows no tolerance and has no score.
@@ -25,26 +27,17 @@ pub fn drivable_area_compliance(map: &LaneMap, states: &[EgoState], lanes: &Driv
         complies &= !outside.iter().any(|&corner| is_far(map, center_lanes, corner));
         inside.push(outside.is_empty());
     }
-    let name = MetricName::DrivableAreaCompliance.as_str();
-    let series = TimeSeries {
-        unit: "boolean".to_owned(),
-        time_stamps: states.iter().map(|s| s.time_us).collect(),
-        values: inside.iter().map(|&ok| f64::from(u8::from(ok))).collect(),
+    let metric = MetricName::DrivableAreaCompliance;
+    let statistics = vec![Statistic::boolean(metric.as_str(), complies)];
+    let scored = MetricResult::scored(metric, f64::from(u8::from(complies)), statistics);
+
+    let all_inside = Statistic::boolean(CORNERS_NAME, inside.iter().all(|&ok| ok));
+    let values = inside.iter().map(|&ok| f64::from(u8::from(ok))).collect();
+    let corners = MetricResult {
+        computator: metric.to_string(),
+        ..MetricResult::unscored(CORNERS_NAME, metric.category(), vec![all_inside])
     };
-    [
-        MetricResult {
-            name: name.to_owned(),
-            score: Some(f64::from(u8::from(complies))),
-            statistics: vec![Statistic::boolean(name, complies)],
-            time_series: None,
-        },
-        MetricResult {
-            name: "corners_in_drivable_area".to_owned(),
-            score: None,
-            statistics: vec![Statistic::boolean("corners_in_drivable_area", inside.iter().all(|&ok| ok))],
-            time_series: Some(series),
-        },
-    ]
+    [scored, corners.with_series(TimeSeries::of_states("boolean", states, values))]
 }
 
 fn is_far(map: &LaneMap, center_lanes: &[LaneId], corner: Point) -> bool {

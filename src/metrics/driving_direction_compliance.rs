@@ -23,7 +23,7 @@ pub fn direction_score(meters_against: f64) -> f64 {
 
 /// Scores the worst second of a drive, along the lanes at the ego's centre (`center_lanes`, one entry a state).
 pub fn driving_direction_compliance(map: &LaneMap, states: &[EgoState], center_lanes: &[Vec<LaneId>]) -> MetricResult {
-    let name = MetricName::DrivingDirectionCompliance.as_str();
+    let metric = MetricName::DrivingDirectionCompliance;
     let progress = progress_along_lanes(map, states, center_lanes);
     let window = samples_in_horizon(states);
     let sums: Vec<f64> =
@@ -32,24 +32,13 @@ pub fn driving_direction_compliance(map: &LaneMap, states: &[EgoState], center_l
     let worst = sums.iter().copied().fold(f64::INFINITY, f64::min);
     let against = if worst.is_finite() { worst.abs() } else { 0.0 };
     let score = direction_score(against);
-    MetricResult {
-        name: name.to_owned(),
-        score: Some(score),
-        statistics: vec![
-            Statistic::new(StatisticKind::Value, format!("{name}_score"), "value", score),
-            Statistic::new(
-                StatisticKind::Min,
-                "min_progress_along_driving_direction_in_1_second_interval",
-                "meters",
-                -against,
-            ),
-        ],
-        time_series: Some(TimeSeries {
-            unit: "progress_along_driving_direction_in_last_1_seconds_[m]".to_owned(),
-            time_stamps: states.iter().map(|s| s.time_us).collect(),
-            values: sums,
-        }),
-    }
+    let least = "min_progress_along_driving_direction_in_1_second_interval";
+    let statistics = vec![
+        Statistic::new(StatisticKind::Value, format!("{metric}_score"), "value", score),
+        Statistic::new(StatisticKind::Min, least, "meters", -against),
+    ];
+    let unit = "progress_along_driving_direction_in_last_1_seconds_[m]";
+    MetricResult::scored(metric, score, statistics).with_series(TimeSeries::of_states(unit, states, sums))
 }
 
 /// Samples before the present one that the window holds: 10 at 10 Hz, 9 when the mean step is any longer. Counted in

@@ -7,12 +7,8 @@ pub const MIN_PROGRESS_RATIO: f64 = 0.2;
 
 /// Scores the ratio that `ego_progress_along_expert_route` found.
 pub fn ego_is_making_progress(progress_ratio: f64) -> MetricResult {
-    let name = MetricName::EgoIsMakingProgress.as_str();
+    let metric = MetricName::EgoIsMakingProgress;
     let progresses = progress_ratio >= MIN_PROGRESS_RATIO;
-    MetricResult {
-        name: name.to_owned(),
-        score: Some(f64::from(u8::from(progresses))),
-        statistics: vec![Statistic::boolean(name, progresses)],
-        time_series: None,
-    }
+    let statistics = vec![Statistic::boolean(metric.as_str(), progresses)];
+    MetricResult::scored(metric, f64::from(u8::from(progresses)), statistics)
 }

@@ -1,7 +1,7 @@
 //! `ego_lane_change`: how often and how long the ego changed lanes. It has no score; other metrics use its lanes.
 
 use super::corners::{CornerAgreement, DrivenLanes};
-use super::{MetricResult, Statistic, StatisticKind};
+use super::{MetricCategory, MetricResult, Statistic, StatisticKind};
 use crate::world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
 use std::collections::BTreeSet;
 
@@ -70,5 +70,5 @@ pub fn ego_lane_change(map: &LaneMap, states: &[EgoState], lanes: &DrivenLanes) 
         ]);
     }
     statistics.push(Statistic::boolean(format!("{NAME}_fail_rate_below_threshold"), acceptable));
-    MetricResult { name: NAME.to_owned(), score: None, statistics, time_series: None }
+    MetricResult::unscored(NAME, MetricCategory::Planning, statistics)
 }

@@ -106,14 +106,15 @@ pub fn progress_ratio(ego_total: f64, expert_total: f64) -> f64 {
 
 /// Scores the progress of a drive. Without an expert route the score is 1.
 pub fn ego_progress_along_expert_route(map: &LaneMap, states: &[EgoState], expert: &[EgoState]) -> MetricResult {
-    let name = MetricName::EgoProgressAlongExpertRoute.as_str();
+    let metric = MetricName::EgoProgressAlongExpertRoute;
     let expert_centers: Vec<Pose> = expert.iter().map(EgoState::center).collect();
     let route = RouteProgress::along(map, &expert_centers);
     let value = |name: &str, value| Statistic::new(StatisticKind::Value, name, "meters", value);
     let ratio = |value| Statistic::new(StatisticKind::Ratio, "ego_expert_progress_along_route_ratio", "ratio", value);
     if route.is_empty() {
         let statistics = vec![value("expert_total_progress_along_route", 0.0), ratio(1.0)];
-        return MetricResult { name: name.to_owned(), score: Some(1.0), statistics, time_series: None };
+        // Here nuPlan forgets to pass the unit on.
+        return MetricResult { score_unit: None, ..MetricResult::scored(metric, 1.0, statistics) };
     }
     let centers: Vec<Point> = states.iter().map(|s| s.center().position()).collect();
     let progress = route.per_frame(&centers);
@@ -121,18 +122,10 @@ pub fn ego_progress_along_expert_route(map: &LaneMap, states: &[EgoState], exper
     let expert_points: Vec<Point> = expert_centers.iter().map(Pose::position).collect();
     let expert_total: f64 = route.per_frame(&expert_points).iter().sum();
     let score = progress_ratio(ego_total, expert_total);
-    MetricResult {
-        name: name.to_owned(),
-        score: Some(score),
-        statistics: vec![
-            value("expert_total_progress_along_route", expert_total),
-            value("ego_total_progress_along_route", ego_total),
-            ratio(score),
-        ],
-        time_series: Some(TimeSeries {
-            unit: "meters".to_owned(),
-            time_stamps: states.iter().map(|s| s.time_us).collect(),
-            values: progress,
-        }),
-    }
+    let statistics = vec![
+        value("expert_total_progress_along_route", expert_total),
+        value("ego_total_progress_along_route", ego_total),
+        ratio(score),
+    ];
+    MetricResult::scored(metric, score, statistics).with_series(TimeSeries::of_states("meters", states, progress))
 }

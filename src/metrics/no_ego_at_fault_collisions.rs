@@ -35,7 +35,7 @@ pub fn find_collisions(samples: &[HistorySample], lanes: &DrivenLanes) -> Vec<Co
 /// Scores the collisions of a drive: 1 without any at fault, else the product over the groups of
 /// max(0, 1 − number / (tolerated + 1)).
 pub fn no_ego_at_fault_collisions(collisions: &[Collision]) -> MetricResult {
-    let name = MetricName::NoEgoAtFaultCollisions.as_str();
+    let metric = MetricName::NoEgoAtFaultCollisions;
     let by_group: Vec<(CollisionGroup, Vec<f64>)> = CollisionGroup::ALL
         .into_iter()
         .map(|group| {
@@ -48,8 +48,10 @@ pub fn no_ego_at_fault_collisions(collisions: &[Collision]) -> MetricResult {
         .iter()
         .map(|(group, energies)| (1.0 - energies.len() as f64 / (group.tolerated() + 1) as f64).max(0.0))
         .product();
-    let mut statistics =
-        vec![Statistic::boolean(name, total == 0), Statistic::count("number_of_all_at_fault_collisions", total)];
+    let mut statistics = vec![
+        Statistic::boolean(metric.as_str(), total == 0),
+        Statistic::count("number_of_all_at_fault_collisions", total),
+    ];
     for (group, energies) in &by_group {
         let group = group.as_str();
         statistics.push(Statistic::count(format!("number_of_at_fault_collisions_with_{group}"), energies.len()));
@@ -65,5 +67,5 @@ pub fn no_ego_at_fault_collisions(collisions: &[Collision]) -> MetricResult {
             of(StatisticKind::Mean, "mean", energies.iter().sum::<f64>() / energies.len() as f64),
         ]);
     }
-    MetricResult { name: name.to_owned(), score: Some(score), statistics, time_series: None }
+    MetricResult::scored(metric, score, statistics)
 }

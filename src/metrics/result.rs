@@ -1,6 +1,54 @@
-//! What a metric gives: a score, statistics and a time series, under nuPlan's names and units.
+//! What a metric gives: a score, statistics and a time series, under nuPlan's names, categories and units.
 
+use super::MetricName;
+use crate::world::EgoState;
 use serde::{Deserialize, Serialize};
+
+/// nuPlan's category of a metric (devkit `simulation_metric/**/*.yaml`, key `category`): the groups of its `nuBoard`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum MetricCategory {
+    /// How the ego moves; collisions too.
+    Dynamics,
+    /// What it drives, beside road, route and expert.
+    Planning,
+    /// Rules that it breaks.
+    Violations,
+    /// Metrics of some scenario types only.
+    #[serde(rename = "Scenario dependent")]
+    ScenarioDependent,
+}
+
+impl MetricCategory {
+    /// nuPlan's word.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Dynamics => "Dynamics",
+            Self::Planning => "Planning",
+            Self::Violations => "Violations",
+            Self::ScenarioDependent => "Scenario dependent",
+        }
+    }
+}
+
+/// nuPlan's `metric_score_unit`: what a score is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScoreUnit {
+    /// A truth value; nuPlan says so of `driving_direction_compliance` too, which may be 0.5.
+    Bool,
+    /// A number in [0, 1].
+    Float,
+}
+
+impl ScoreUnit {
+    /// nuPlan's word.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Bool => "bool",
+            Self::Float => "float",
+        }
+    }
+}
 
 /// nuPlan's `MetricStatisticsType`, as far as the closed-loop metrics use it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,9 +111,25 @@ pub struct TimeSeries {
     pub time_stamps: Vec<i64>,
     /// The values, as many as times.
     pub values: Vec<f64>,
+    /// Which samples of the drive these are, for a series that does not have them all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub selected_frames: Option<Vec<usize>>,
 }
 
 impl TimeSeries {
+    /// A series with a value at every state.
+    pub fn of_states(unit: impl Into<String>, states: &[EgoState], values: Vec<f64>) -> Self {
+        let time_stamps = states.iter().map(|state| state.time_us).collect();
+        Self { unit: unit.into(), time_stamps, values, selected_frames: None }
+    }
+
+    /// The statistics of these kinds, in nuPlan's words; NaN is ignored. Kinds other than maximum, minimum, mean and 90th
+    /// percentile are no statistics of a series and are left out.
+    pub fn statistics_of(&self, metric: &str, kinds: &[StatisticKind]) -> Vec<Statistic> {
+        let all = self.statistics(metric);
+        kinds.iter().filter_map(|kind| all.iter().find(|s| s.kind == *kind).cloned()).collect()
+    }
+
     /// nuPlan's four statistics of a series, in its order: maximum, minimum, mean, 90th percentile; NaN is ignored.
     pub fn statistics(&self, metric: &str) -> Vec<Statistic> {
         let mut known: Vec<f64> = self.values.iter().copied().filter(|v| !v.is_nan()).collect();
@@ -94,10 +158,16 @@ fn percentile_90(sorted: &[f64]) -> f64 {
 /// What one metric says about a drive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MetricResult {
-    /// nuPlan's name of the metric.
+    /// nuPlan's name of the result (`metric_statistics_name`).
     pub name: String,
+    /// nuPlan's name of the metric that computed it (`metric_computator`): `name`, except for second results.
+    pub computator: String,
+    /// nuPlan's category.
+    pub category: MetricCategory,
     /// Its score in [0, 1]; `None` for metrics that do not enter the score.
     pub score: Option<f64>,
+    /// What the score is; `None` without one.
+    pub score_unit: Option<ScoreUnit>,
     /// Its statistics, in nuPlan's order.
     pub statistics: Vec<Statistic>,
     /// Its value at every sample, for metrics that have one.
@@ -105,6 +175,33 @@ pub struct MetricResult {
 }
 
 impl MetricResult {
+    /// A result without score.
+    pub fn unscored(name: &str, category: MetricCategory, statistics: Vec<Statistic>) -> Self {
+        Self {
+            name: name.to_owned(),
+            computator: name.to_owned(),
+            category,
+            score: None,
+            score_unit: None,
+            statistics,
+            time_series: None,
+        }
+    }
+
+    /// The result of a metric that enters a score, with the metric's own category and unit.
+    pub fn scored(metric: MetricName, score: f64, statistics: Vec<Statistic>) -> Self {
+        Self {
+            score: Some(score),
+            score_unit: Some(metric.score_unit()),
+            ..Self::unscored(metric.as_str(), metric.category(), statistics)
+        }
+    }
+
+    /// The same with a time series.
+    pub fn with_series(self, series: TimeSeries) -> Self {
+        Self { time_series: Some(series), ..self }
+    }
+
     /// A statistic by its name.
     pub fn statistic(&self, name: &str) -> Option<f64> {
         self.statistics.iter().find(|s| s.name == name).map(|s| s.value)

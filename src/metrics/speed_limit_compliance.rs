@@ -8,23 +8,19 @@ pub const MAX_OVERSPEED: f64 = 2.23;
 
 /// Scores a drive along the lanes at the ego's centre (`center_lanes`, one entry a state).
 pub fn speed_limit_compliance(map: &LaneMap, states: &[EgoState], center_lanes: &[Vec<LaneId>]) -> MetricResult {
-    let name = MetricName::SpeedLimitCompliance.as_str();
+    let metric = MetricName::SpeedLimitCompliance;
     let over: Vec<f64> = states
         .iter()
         .zip(center_lanes)
         .map(|(state, lanes)| limit_of(map, lanes).map_or(0.0, |limit| (state.speed() - limit).max(0.0)))
         .collect();
     let times: Vec<i64> = states.iter().map(|s| s.time_us).collect();
-    MetricResult {
-        name: name.to_owned(),
-        score: Some(score(&over, &times)),
-        statistics: statistics(name, &violations(&over, &times)),
-        time_series: Some(TimeSeries {
-            unit: "over_speeding[meters_per_second]".to_owned(),
-            time_stamps: times,
-            values: over,
-        }),
-    }
+    let statistics = statistics(metric.as_str(), &violations(&over, &times));
+    MetricResult::scored(metric, score(&over, &times), statistics).with_series(TimeSeries::of_states(
+        "over_speeding[meters_per_second]",
+        states,
+        over,
+    ))
 }
 
 /// The limit that holds in these lanes, m/s: a lane's own; in connectors the highest of the lanes before and after
@@ -84,9 +80,11 @@ fn violations(over: &[f64], times: &[i64]) -> Vec<Violation> {
     found
 }
 
+/// Whether the limit was kept; where it was not, first how often and how far it was not.
 fn statistics(name: &str, violations: &[Violation]) -> Vec<Statistic> {
-    let mut statistics = vec![Statistic::count(format!("number_of_{name}"), violations.len())];
+    let mut statistics = Vec::new();
     if !violations.is_empty() {
+        statistics.push(Statistic::count(format!("number_of_violations_of_{name}"), violations.len()));
         let unit = "meters_per_second";
         let extrema = || violations.iter().map(|v| v.extremum);
         let durations: f64 = violations.iter().map(|v| v.duration).sum();
@@ -94,11 +92,11 @@ fn statistics(name: &str, violations: &[Violation]) -> Vec<Statistic> {
         let mean = violations.iter().map(|v| v.mean * v.duration).sum::<f64>() / durations;
         let (max, min) = (extrema().fold(f64::NEG_INFINITY, f64::max), extrema().fold(f64::INFINITY, f64::min));
         statistics.extend([
-            Statistic::new(StatisticKind::Max, format!("max_violating_{name}"), unit, max),
-            Statistic::new(StatisticKind::Min, format!("min_violating_{name}"), unit, min),
-            Statistic::new(StatisticKind::Mean, format!("mean_{name}"), unit, mean),
+            Statistic::new(StatisticKind::Max, format!("max_violation_of_{name}"), unit, max),
+            Statistic::new(StatisticKind::Min, format!("min_violation_of_{name}"), unit, min),
+            Statistic::new(StatisticKind::Mean, format!("mean_violation_of_{name}"), unit, mean),
         ]);
     }
-    statistics.push(Statistic::boolean(format!("no_{name}"), violations.is_empty()));
+    statistics.push(Statistic::boolean(name, violations.is_empty()));
     statistics
 }

@@ -97,20 +97,14 @@ fn first_contact<'a>(ego: &EgoState, tracks: impl Iterator<Item = &'a TrackedObj
 
 /// Scores the times to collision (one a state): 1 when all are longer than 0.95 s, else 0.
 pub fn time_to_collision_within_bound(states: &[EgoState], ttc: Vec<f64>, horizon: f64) -> MetricResult {
-    let name = MetricName::TimeToCollisionWithinBound.as_str();
+    let metric = MetricName::TimeToCollisionWithinBound;
     let within = ttc.iter().all(|&t| t > LEAST_MIN_TTC);
     let least = ttc.iter().copied().fold(f64::INFINITY, f64::min);
-    MetricResult {
-        name: name.to_owned(),
-        score: Some(f64::from(u8::from(within))),
-        statistics: vec![
-            Statistic::new(StatisticKind::Min, "min_time_to_collision", "seconds", least),
-            Statistic::boolean(name, within),
-        ],
-        time_series: Some(TimeSeries {
-            unit: format!("time_to_collision_under_{horizon:.1}_seconds [s]"),
-            time_stamps: states.iter().map(|s| s.time_us).collect(),
-            values: ttc,
-        }),
-    }
+    let statistics = vec![
+        Statistic::new(StatisticKind::Min, "min_time_to_collision", "seconds", least),
+        Statistic::boolean(metric.as_str(), within),
+    ];
+    let unit = format!("time_to_collision_under_{horizon:.1}_seconds [s]");
+    MetricResult::scored(metric, f64::from(u8::from(within)), statistics)
+        .with_series(TimeSeries::of_states(unit, states, ttc))
 }

@@ -18,6 +18,48 @@ pub enum DrivableLayers {
     DrivableArea,
 }
 
+/// Distance between the places along a lane at which it is looked whether lanes tile the road, metres.
+const TILING_STEP: f64 = 5.0;
+/// Distance between the points that are looked at there, across the lane, metres.
+const TILING_WIDTH_STEP: f64 = 0.25;
+/// Lanes tile the road when so great a share of the points lies on lanes.
+const TILING_SHARE: f64 = 0.98;
+
+impl DrivableLayers {
+    /// The layers for a map, by how its lanes lie along a route: [`Self::Lanes`] where they tile the road. Looked at are
+    /// points from each lane of the route across to the middle of its neighbours, every 5 m, and to the first pose of its
+    /// successors; at least 98 % must lie on some lane.
+    pub fn of(map: &LaneMap, route_lanes: &BTreeSet<LaneId>) -> Self {
+        let (mut on_lanes, mut all) = (0usize, 0usize);
+        for (from, to) in route_lanes.iter().flat_map(|&lane| crossings(map, lane)) {
+            let steps = ((to - from).norm() / TILING_WIDTH_STEP).ceil().max(1.0) as usize;
+            for step in 0..=steps {
+                let point = from + (to - from) * (step as f64 / steps as f64);
+                on_lanes += usize::from(!map.lanes_at(point).is_empty());
+                all += 1;
+            }
+        }
+        if on_lanes as f64 >= TILING_SHARE * all as f64 { Self::Lanes } else { Self::DrivableArea }
+    }
+}
+
+/// Ways across the borders of a lane: to the middle of its neighbours and into its successors.
+fn crossings(map: &LaneMap, lane: LaneId) -> Vec<(Point, Point)> {
+    let lane = &map[lane];
+    let line = &lane.centerline;
+    let beside = (0..=(line.length() / TILING_STEP) as usize).flat_map(|i| {
+        let s = i as f64 * TILING_STEP;
+        let here = line.point_at(s);
+        let neighbors = lane.left_at(s).into_iter().chain(lane.right_at(s));
+        neighbors.map(move |other| (here, map[other].centerline.project(here).point))
+    });
+    let onward = lane.outgoing.iter().flat_map(|&next| {
+        let (end, start) = (line.pose_at(line.length()), map[next].centerline.pose_at(0.0));
+        [-1.0, 0.0, 1.0].map(|left| (end.translated(-1.0, left).position(), start.translated(1.0, left).position()))
+    });
+    beside.chain(onward).collect()
+}
+
 /// Where the ego is at one instant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct EgoAreas {

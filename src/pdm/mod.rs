@@ -1,20 +1,45 @@
-//! PDM-Closed, the rule-based planner whose scorer Reflection uses. So far its scorer: how good are simulated proposals against a constant-velocity forecast of everyone else
-//! (`autonomousvision/tuplan_garage` at `b51d5d0`, `pdm_planner/{scoring,observation}`).
+//! PDM-Closed, the rule-based planner whose scorer is Reflection's (`autonomousvision/tuplan_garage` at `b51d5d0`,
+//! `pdm_planner/`). A step of it, in order: a constant-velocity [`Forecast`] of everyone else; [`Proposals`], fifteen IDM
+//! roll-outs along the centreline of the [`Way`] and beside it; their simulation by a tracker; [`score_proposals`]; the
+//! emergency brake. [`plan`] ties them together.
 //!
-//! It is a second aggregation of the primitives of nuPlan's metrics. It differs from them in these points: other agents
-//! come from a [`Forecast`]; a corner outside the drivable polygons counts without tolerance; movement against the
+//! The score is a second aggregation of the primitives of nuPlan's metrics. It differs from them in these points: other
+//! agents come from a forecast; a corner outside the drivable polygons counts without tolerance; movement against the
 //! direction is summed over whole stretches off the route; progress is relative to the best proposal; times to
 //! collision are tested at 0, 0.3, 0.6 and 0.9 s; comfort uses the rear-axle acceleration and wider filters; there is
 //! no speed-limit and no making-progress term.
 
 mod areas;
+mod centerline;
+mod closed;
 mod collision;
 mod comfort;
+mod current_lane;
+mod emergency_brake;
 mod forecast;
+mod lead;
+mod path;
+mod proposals;
+mod route;
 mod scorer;
+mod search;
+mod way;
 
 pub use areas::{DrivableLayers, DrivableMap, EgoAreas, MAP_RADIUS};
+pub use centerline::{centerline_poses, lane_chain};
+pub use closed::{PdmError, PdmInstant, PdmMemory, PdmPlan, plan, plan_along, simulate_proposals};
 pub use collision::{FirstTouch, no_at_fault_collisions, time_to_collision};
 pub use comfort::is_comfortable;
+pub use current_lane::{StartingBlock, current_lane, starting_block};
+pub use emergency_brake::{EMERGENCY_SPEED, EMERGENCY_TIME_S, braking_speed, emergency_brake, needs_emergency_brake};
 pub use forecast::{Collided, Forecast, ForecastObject, MAX_DISTANCE, RESOLUTION_STEPS};
+pub use lead::LeadState;
+pub use path::PdmPath;
+pub use proposals::{
+    FALLBACK_LIMIT, IdmState, LATERAL_OFFSETS, PROPOSAL_STEPS, PROPOSALS, Proposal, Proposals, SPEED_FRACTIONS,
+    TRAJECTORY_STEPS,
+};
+pub use route::corrected_route;
 pub use scorer::{ProposalScore, ScoringScene, WEIGHT_COMFORT, WEIGHT_PROGRESS, WEIGHT_TTC, score_proposals};
+pub use search::{SearchDirection, roadblock_chain};
+pub use way::{NoWay, Way};

@@ -19,7 +19,8 @@ pub struct LogReplay {
 }
 
 impl LogReplay {
-    /// A planner that replays the recorded states, one an iteration from iteration 0 on.
+    /// A planner that replays the recorded states, one an iteration from iteration 0 on; those after the end of the scenario
+    /// belong to it.
     pub fn new(expert: Vec<EgoState>) -> Self {
         Self { expert, current: None }
     }

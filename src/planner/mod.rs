@@ -2,13 +2,17 @@
 
 mod idm;
 mod log_replay;
+mod pdm_closed;
 mod plan_agent;
 mod record;
+mod simple;
 
 pub use idm::IdmPlanner;
 pub use log_replay::LogReplay;
+pub use pdm_closed::PdmClosed;
 pub use plan_agent::{AfterMaxExec, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, generated_planner, names};
 pub use record::{Attempt, Decision, PlanningCall};
+pub use simple::SimplePlanner;
 
 use crate::world::{LaneMap, Route, Scene, Trajectory, TrajectoryError};
 use std::sync::Arc;

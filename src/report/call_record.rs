@@ -1,18 +1,26 @@
 //! A line of `calls.jsonl`: one planning call, attempts and rounds inside it. Measured times stand under the key `time`.
 
 use super::timing::CallTimes;
-use crate::experiment::run::DriveRecord;
 use crate::planner::{Attempt, Decision, PlanningCall};
 use crate::reasoning::PlannerCode;
+use crate::simulation::Challenge;
 use crate::world::STEP_S;
 use serde_json::{Value, json};
 
-/// The record of a call of a drive.
-pub fn call_record(drive: &DriveRecord, call: &PlanningCall) -> Value {
+/// The record of a call that `planner` made in a scenario; without challenge for a call that belongs to no drive.
+pub fn call_record(scenario: &str, planner: &str, challenge: Option<Challenge>, call: &PlanningCall) -> Value {
+    let mut record = json!({"scenario": scenario, "planner": planner});
+    if let (Some(fields), Some(challenge)) = (record.as_object_mut(), challenge) {
+        fields.insert("challenge".to_owned(), json!(challenge));
+    }
+    if let (Some(fields), Value::Object(rest)) = (record.as_object_mut(), contents(call)) {
+        fields.extend(rest);
+    }
+    record
+}
+
+fn contents(call: &PlanningCall) -> Value {
     json!({
-        "scenario": drive.scenario,
-        "planner": drive.planner.as_str(),
-        "challenge": drive.challenge.to_string(),
         "iteration": call.iteration,
         "at_s": call.iteration as f64 * STEP_S,
         "image_blake3": call.image_hash,

@@ -1,15 +1,26 @@
 //! Stage 10: what people and programs read of a run.
 
+mod atomic;
 mod call_record;
+mod drive_row;
+mod error;
+mod finish;
+mod manifest;
+mod parquet;
 mod run_folder;
+mod stamp;
 mod summary;
 mod table;
 mod timing;
 mod transcript;
 
 pub use call_record::call_record;
-pub use run_folder::{ReportError, RunFolder};
-pub use summary::{Aggregate, ScenarioRow, Summary};
+pub use drive_row::{DriveRow, DriveTime, MetricScore};
+pub use error::ReportError;
+pub use manifest::{MANIFEST, Manifest, ScenarioList};
+pub use run_folder::{Recorded, RunFolder};
+pub use stamp::stamp;
+pub use summary::{Aggregate, ScenarioSummary, Summary};
 pub use table::{failures, main_table};
-pub use timing::{CallTimes, Timing};
+pub use timing::{CallTimes, DriveTiming, PlannerTiming, Quantiles, Session, Timing};
 pub use transcript::{attempt_markdown, decision_words, transcript};

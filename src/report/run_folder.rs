@@ -1,68 +1,126 @@
-//! The folder that a run leaves: `summary.json`, `calls.jsonl`, `timing.json`, `config.toml`, and for each drive its
-//! transcript and BEV maps.
+//! The folder of a run. It grows drive by drive: a drive that has ended has a folder of its own under `drives/`, which gets
+//! its name when it is complete, so that a kill at any moment loses no more than the drives under way.
 
+use super::atomic::{self, UNFINISHED};
 use super::call_record::call_record;
-use super::summary::Summary;
-use super::timing::Timing;
+use super::drive_row::DriveRow;
+use super::error::ReportError;
+use super::manifest::{MANIFEST, Manifest};
 use super::transcript::transcript;
-use crate::experiment::run::{DriveRecord, Driven};
-use std::fs;
-use std::io::Write;
+use crate::experiment::run::{Assignment, DriveRecord, Driven};
+use crate::metrics::MetricResult;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 
 /// Parent of the folders that are numbered.
 const RUNS: &str = "runs";
+/// Folder of the drives.
+const DRIVES: &str = "drives";
+/// What a drive's folder holds: the row of the drive,
+const RECORD: &str = "record.toml";
+/// its metrics with statistics and time series,
+const METRICS: &str = "metrics.toml";
+/// and its planning calls.
+pub(super) const CALLS: &str = "calls.jsonl";
+/// File that a running process holds locked.
+const LOCK: &str = ".lock";
+/// Digits of a drive's number in the name of its folder.
+const DIGITS: usize = 6;
+/// Most characters of the scenario's name in the name of a folder; file systems end at 255 bytes.
+const MOST_NAME: usize = 80;
 
-/// Why results cannot be written.
-#[derive(Debug, thiserror::Error)]
-pub enum ReportError {
-    /// The folder holds something already.
-    #[error("the folder {} is not empty; name a new one, so that no result is lost", .0.display())]
-    NotEmpty(PathBuf),
-    /// A file or folder cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
-    Write {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// A BEV map cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
-    Image {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        source: image::ImageError,
-    },
-    /// A value cannot be put into JSON.
-    #[error("cannot serialise the results")]
-    Json(#[from] serde_json::Error),
-}
-
-/// An empty folder that is known to be writable.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// The folder of a run, locked against other processes for as long as this lives.
+#[derive(Debug)]
 pub struct RunFolder {
     path: PathBuf,
+    _lock: File,
+}
+
+/// The drives that a folder holds.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Recorded {
+    /// What was read, by number.
+    pub rows: Vec<DriveRow>,
+    /// Records that are damaged (a disk that lost power); they count as not driven.
+    pub damaged: Vec<PathBuf>,
+}
+
+/// `metrics.toml`.
+#[derive(Serialize, Deserialize)]
+struct MetricsFile {
+    metrics: Vec<MetricResult>,
 }
 
 impl RunFolder {
-    /// Makes the folder; without a name, the next free `runs/NNNN`. Called before the drives, so that hours of driving do
-    /// not end at a folder that cannot be written.
+    /// Makes the folder of a new run with its manifest; without a name, the next free `runs/NNNN`. Called before the
+    /// drives, so that hours of driving do not end at a folder that cannot be written.
     ///
     /// # Errors
-    /// When it cannot be made or written, or is not empty.
-    pub fn create(path: Option<&Path>) -> Result<Self, ReportError> {
+    /// When it cannot be made or written, is not empty, or holds a run.
+    pub fn create(path: Option<&Path>, manifest: &Manifest) -> Result<Self, ReportError> {
         let path = path.map_or_else(next_free, Path::to_owned);
-        let failed = |source| ReportError::Write { path: path.clone(), source };
-        fs::create_dir_all(&path).map_err(failed)?;
-        if fs::read_dir(&path).map_err(failed)?.next().is_some() {
-            return Err(ReportError::NotEmpty(path));
+        if path.join(MANIFEST).exists() {
+            return Err(ReportError::AlreadyRun(path));
         }
-        let probe = path.join(".probe");
-        fs::write(&probe, b"").map_err(failed)?;
-        fs::remove_file(&probe).map_err(failed)?;
-        Ok(Self { path })
+        atomic::folder(&path)?;
+        let entries = fs::read_dir(&path).map_err(ReportError::read(&path))?;
+        for entry in entries {
+            let name = entry.map_err(ReportError::read(&path))?.file_name();
+            let name = name.to_string_lossy();
+            // A process that was killed before its manifest was there left nothing of worth.
+            if name != LOCK && !name.starts_with(UNFINISHED) {
+                return Err(ReportError::NotEmpty(path));
+            }
+        }
+        let folder = Self::locked(path)?;
+        if folder.path.join(MANIFEST).exists() {
+            return Err(ReportError::AlreadyRun(folder.path));
+        }
+        folder.write("config.toml", toml::to_string_pretty(&manifest.config)?.as_bytes())?;
+        folder.write(MANIFEST, toml::to_string_pretty(manifest)?.as_bytes())?;
+        atomic::folder(&folder.path.join(DRIVES))?;
+        Ok(folder)
+    }
+
+    /// The manifest of the run in a folder.
+    ///
+    /// # Errors
+    /// When there is none, or it cannot be read.
+    pub fn manifest(path: &Path) -> Result<Manifest, ReportError> {
+        let file = path.join(MANIFEST);
+        if !file.is_file() {
+            return Err(ReportError::NoRun(path.to_owned()));
+        }
+        parse(&file)
+    }
+
+    /// Opens the folder of a run to go on with it; `now` is what it would be started with today.
+    ///
+    /// # Errors
+    /// When there is none, another process is at it, or it was started otherwise.
+    pub fn resume(path: &Path, now: &Manifest) -> Result<(Self, Manifest), ReportError> {
+        let manifest = Self::manifest(path)?;
+        let differences = manifest.differences(now);
+        if !differences.is_empty() {
+            return Err(ReportError::Differs { path: path.to_owned(), differences });
+        }
+        let folder = Self::locked(path.to_owned())?;
+        atomic::folder(&folder.path.join(DRIVES))?;
+        atomic::sweep(&folder.path)?;
+        atomic::sweep(&folder.path.join(DRIVES))?;
+        Ok((folder, manifest))
+    }
+
+    fn locked(path: PathBuf) -> Result<Self, ReportError> {
+        let file = path.join(LOCK);
+        let lock = File::options().create(true).append(true).open(&file).map_err(ReportError::write(&file))?;
+        match lock.try_lock() {
+            Ok(()) => Ok(Self { path, _lock: lock }),
+            Err(TryLockError::WouldBlock) => Err(ReportError::Locked(path)),
+            Err(TryLockError::Error(source)) => Err(ReportError::Write { path: file, source }),
+        }
     }
 
     /// Where it is.
@@ -70,74 +128,153 @@ impl RunFolder {
         &self.path
     }
 
-    /// Writes everything.
+    /// Writes what is kept of a drive: its row, its metrics, its calls with transcript and BEV maps. All of it is there
+    /// afterwards, or nothing.
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn write(
+    pub fn commit(&self, number: usize, record: &DriveRecord) -> Result<(), ReportError> {
+        let folder = self.path.join(DRIVES).join(folder_name(number, record));
+        let unfinished = atomic::unfinished(&folder);
+        atomic::folder(&unfinished)?;
+        if let Ok(driven) = &record.outcome {
+            write_calls(&unfinished, record, driven)?;
+            let metrics = MetricsFile { metrics: driven.metrics.clone() };
+            atomic::create(&unfinished.join(METRICS), toml::to_string(&metrics)?.as_bytes())?;
+        }
+        let row = toml::to_string(&DriveRow::new(number, record))?;
+        atomic::create(&unfinished.join(RECORD), row.as_bytes())?;
+        fs::rename(&unfinished, &folder).map_err(ReportError::write(&folder))
+    }
+
+    /// The folders of the drives that have ended, by number.
+    fn folders(&self) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
+        let drives = self.path.join(DRIVES);
+        let mut found = BTreeMap::new();
+        for entry in fs::read_dir(&drives).map_err(ReportError::read(&drives))? {
+            let path = entry.map_err(ReportError::read(&drives))?.path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            let number = name.split_once('-').and_then(|(digits, _)| digits.parse().ok());
+            if let Some(number) = number {
+                found.insert(number, path);
+            }
+        }
+        Ok(found)
+    }
+
+    /// The drives that have ended, checked against what the run is made of.
+    ///
+    /// # Errors
+    /// When a record cannot be read or belongs to another drive.
+    pub fn recorded(&self, assignments: &[Assignment]) -> Result<Recorded, ReportError> {
+        let mut recorded = Recorded::default();
+        for (number, folder) in self.folders()? {
+            let path = folder.join(RECORD);
+            let row: DriveRow = match parse(&path) {
+                Ok(row) => row,
+                Err(ReportError::Parse { .. }) => {
+                    recorded.damaged.push(folder);
+                    continue;
+                }
+                Err(error) => return Err(error),
+            };
+            let expected = assignments.get(number).map_or_else(|| "nothing".to_owned(), Assignment::to_string);
+            if row.number != number || row.identity() != expected {
+                return Err(ReportError::Foreign { path, found: row.identity(), expected });
+            }
+            recorded.rows.push(row);
+        }
+        for folder in &recorded.damaged {
+            remove(folder)?;
+        }
+        Ok(recorded)
+    }
+
+    /// Takes back a drive that has ended, so that it can be made again.
+    ///
+    /// # Errors
+    /// When its folder cannot be removed.
+    pub fn take_back(&self, number: usize) -> Result<(), ReportError> {
+        self.folders()?.get(&number).map_or(Ok(()), |folder| remove(folder))
+    }
+
+    /// The metrics of drives, in the order of their numbers.
+    pub(super) fn metrics<'a>(
         &self,
-        config: &str,
-        summary: &Summary,
-        timing: &Timing,
-        records: &[DriveRecord],
-    ) -> Result<(), ReportError> {
-        self.file("config.toml", config.as_bytes())?;
-        self.file("summary.json", pretty(summary)?.as_bytes())?;
-        self.file("timing.json", pretty(timing)?.as_bytes())?;
-        self.file("calls.jsonl", call_lines(records)?.as_bytes())?;
-        for record in records {
-            if let Ok(driven) = &record.outcome {
-                self.drive(record, driven)?;
+        rows: impl Iterator<Item = &'a DriveRow> + Clone,
+    ) -> Result<impl Iterator<Item = Result<(&'a DriveRow, Vec<MetricResult>), ReportError>> + Clone, ReportError> {
+        let folders = self.folders()?;
+        Ok(rows.filter_map(move |row| folders.get(&row.number).map(|folder| (row, folder.join(METRICS)))).map(
+            |(row, path)| {
+                let file: MetricsFile = parse(&path)?;
+                Ok((row, file.metrics))
+            },
+        ))
+    }
+
+    /// Joins the planning calls of all drives to one file.
+    pub(super) fn join_calls(&self) -> Result<(), ReportError> {
+        let path = self.path.join(CALLS);
+        let temporary = atomic::unfinished(&path);
+        let mut all = File::create(&temporary).map_err(ReportError::write(&temporary))?;
+        for folder in self.folders()?.values() {
+            let part = folder.join(CALLS);
+            if part.is_file() {
+                let mut part = File::open(&part).map_err(ReportError::read(&part))?;
+                std::io::copy(&mut part, &mut all).map_err(ReportError::write(&temporary))?;
             }
         }
-        Ok(())
+        fs::rename(&temporary, &path).map_err(ReportError::write(&path))
     }
 
-    /// Transcript and BEV maps of a drive.
-    fn drive(&self, record: &DriveRecord, driven: &Driven) -> Result<(), ReportError> {
-        if driven.calls.is_empty() {
-            return Ok(());
-        }
-        let safe: String =
-            record.scenario.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
-        let folder = format!("{safe}-{}", record.challenge.short_name());
-        self.folder(&format!("{folder}/bev"))?;
-        for call in &driven.calls {
-            if let Some(image) = &call.image {
-                let path = self.path.join(format!("{folder}/bev/{:03}.png", call.iteration));
-                image.save(&path).map_err(|source| ReportError::Image { path, source })?;
-            }
-        }
-        let text =
-            transcript(record, driven, |call| call.image.as_ref().map(|_| format!("bev/{:03}.png", call.iteration)));
-        self.file(&format!("{folder}/transcript.md"), text.as_bytes())
-    }
-
-    fn folder(&self, name: &str) -> Result<(), ReportError> {
-        let path = self.path.join(name);
-        fs::create_dir_all(&path).map_err(|source| ReportError::Write { path, source })
-    }
-
-    fn file(&self, name: &str, bytes: &[u8]) -> Result<(), ReportError> {
-        let path = self.path.join(name);
-        let write = || fs::File::create(&path).and_then(|mut file| file.write_all(bytes));
-        write().map_err(|source| ReportError::Write { path: path.clone(), source })
+    /// Writes a file of the folder, whole or not at all.
+    pub(super) fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ReportError> {
+        atomic::write(&self.path.join(name), bytes)
     }
 }
 
-fn pretty(value: &impl serde::Serialize) -> Result<String, serde_json::Error> {
-    serde_json::to_string_pretty(value).map(|text| text + "\n")
-}
-
-fn call_lines(records: &[DriveRecord]) -> Result<String, serde_json::Error> {
+/// Calls, transcript and BEV maps of a drive with planning calls.
+fn write_calls(folder: &Path, record: &DriveRecord, driven: &Driven) -> Result<(), ReportError> {
+    if driven.calls.is_empty() {
+        return Ok(());
+    }
     let mut lines = String::new();
-    for record in records {
-        for call in record.outcome.iter().flat_map(|driven| &driven.calls) {
-            lines.push_str(&serde_json::to_string(&call_record(record, call))?);
-            lines.push('\n');
+    let planner = record.planner.as_str();
+    for call in &driven.calls {
+        let value = call_record(&record.scenario, planner, Some(record.challenge), call);
+        lines.push_str(&serde_json::to_string(&value)?);
+        lines.push('\n');
+    }
+    atomic::create(&folder.join(CALLS), lines.as_bytes())?;
+    atomic::folder(&folder.join("bev"))?;
+    let image_name = |iteration: usize| format!("bev/{iteration:03}.png");
+    for call in &driven.calls {
+        if let Some(image) = &call.image {
+            let path = folder.join(image_name(call.iteration));
+            image.save(&path).map_err(|source| ReportError::Image { path, source })?;
         }
     }
-    Ok(lines)
+    let text = transcript(record, driven, |call| call.image.as_ref().map(|_| image_name(call.iteration)));
+    atomic::create(&folder.join("transcript.md"), text.as_bytes())
+}
+
+/// Removes a drive's folder; a kill in between leaves nothing that looks whole.
+fn remove(folder: &Path) -> Result<(), ReportError> {
+    let condemned = atomic::unfinished(folder);
+    fs::rename(folder, &condemned).map_err(ReportError::write(folder))?;
+    fs::remove_dir_all(&condemned).map_err(ReportError::write(&condemned))
+}
+
+/// `NNNNNN-SCENARIO-PLANNER-CHALLENGE`, in characters that every file system takes.
+fn folder_name(number: usize, record: &DriveRecord) -> String {
+    let safe = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+    let scenario: String = record.scenario.chars().map(safe).take(MOST_NAME).collect();
+    format!("{number:0DIGITS$}-{scenario}-{}-{}", record.planner, record.challenge.short_name())
+}
+
+fn parse<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, ReportError> {
+    let text = fs::read_to_string(path).map_err(ReportError::read(path))?;
+    toml::from_str(&text).map_err(|source| ReportError::Parse { path: path.to_owned(), source: Box::new(source) })
 }
 
 /// The first `runs/NNNN` that does not exist.

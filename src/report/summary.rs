@@ -1,13 +1,15 @@
 //! `summary.json`: scores only, no measured times, the same bytes for the same seed.
 
-use crate::experiment::run::DriveRecord;
-use crate::metrics::{MetricName, Score};
+use super::drive_row::DriveRow;
+use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate};
 use crate::mllm::ModelDescription;
+use crate::simulation::Challenge;
 use serde::Serialize;
+use serde_json::{Map, Value, json};
 
 /// One drive.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ScenarioRow {
+pub struct ScenarioSummary {
     /// Name of the scenario.
     pub id: String,
     /// nuPlan's type.
@@ -17,15 +19,18 @@ pub struct ScenarioRow {
     /// Who drove.
     pub planner: String,
     /// Among which traffic.
-    pub challenge: String,
+    pub challenge: Challenge,
     /// Whether the drive came to its end.
     pub succeeded: bool,
     /// Why not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
-    /// nuPlan's score in [0, 1] with the eight metrics.
+    /// nuPlan's score in [0, 1].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub score: Option<f64>,
+    /// The metrics of the score by nuPlan's names, multipliers first, and `zeroed_by`: the multipliers that made the score 0.
     #[serde(flatten)]
-    pub score: Option<ScoreColumns>,
+    pub metrics: Map<String, Value>,
     /// Planning calls that were made.
     pub planning_calls: usize,
     /// Attempts after the first of their call.
@@ -34,55 +39,27 @@ pub struct ScenarioRow {
     pub parse_errors: usize,
 }
 
-/// The score and the eight metrics under nuPlan's names.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ScoreColumns {
-    score: f64,
-    no_ego_at_fault_collisions: f64,
-    drivable_area_compliance: f64,
-    ego_is_making_progress: f64,
-    driving_direction_compliance: f64,
-    ego_progress_along_expert_route: f64,
-    time_to_collision_within_bound: f64,
-    speed_limit_compliance: f64,
-    ego_is_comfortable: f64,
-    /// The multipliers that made the score 0.
-    zeroed_by: Vec<MetricName>,
-}
-
-impl From<&Score> for ScoreColumns {
-    fn from(score: &Score) -> Self {
-        Self {
-            score: score.value,
-            no_ego_at_fault_collisions: score.no_ego_at_fault_collisions,
-            drivable_area_compliance: score.drivable_area_compliance,
-            ego_is_making_progress: score.ego_is_making_progress,
-            driving_direction_compliance: score.driving_direction_compliance,
-            ego_progress_along_expert_route: score.ego_progress_along_expert_route,
-            time_to_collision_within_bound: score.time_to_collision_within_bound,
-            speed_limit_compliance: score.speed_limit_compliance,
-            ego_is_comfortable: score.ego_is_comfortable,
-            zeroed_by: score.zero_multipliers().collect(),
+impl From<&DriveRow> for ScenarioSummary {
+    fn from(row: &DriveRow) -> Self {
+        let mut metrics = Map::new();
+        if row.score.is_some() {
+            let scored = row.challenge.metric_list().scored().iter().map(|name| name.as_str());
+            metrics.extend(scored.filter_map(|name| Some((name.to_owned(), json!(row.metric(name)?)))));
+            metrics.insert("zeroed_by".to_owned(), json!(row.zeroed_by));
         }
-    }
-}
-
-impl From<&DriveRecord> for ScenarioRow {
-    fn from(record: &DriveRecord) -> Self {
-        let driven = record.outcome.as_ref().ok();
-        let calls = driven.map_or(&[][..], |driven| driven.calls.as_slice());
         Self {
-            id: record.scenario.clone(),
-            scenario_type: record.scenario_type.clone(),
-            log_name: record.log_name.clone(),
-            planner: record.planner.to_string(),
-            challenge: record.challenge.to_string(),
-            succeeded: driven.is_some(),
-            error: record.outcome.as_ref().err().cloned(),
-            score: driven.map(|driven| ScoreColumns::from(&driven.score)),
-            planning_calls: calls.len(),
-            rethinks: calls.iter().map(crate::planner::PlanningCall::rethinks).sum(),
-            parse_errors: calls.iter().map(crate::planner::PlanningCall::parse_errors).sum(),
+            id: row.scenario.clone(),
+            scenario_type: row.scenario_type.clone(),
+            log_name: row.log_name.clone(),
+            planner: row.planner.clone(),
+            challenge: row.challenge,
+            succeeded: row.error.is_none(),
+            error: row.error.clone(),
+            score: row.score,
+            metrics,
+            planning_calls: row.planning_calls,
+            rethinks: row.rethinks,
+            parse_errors: row.parse_errors,
         }
     }
 }
@@ -93,7 +70,10 @@ pub struct Aggregate {
     /// Who drove.
     pub planner: String,
     /// Among which traffic.
-    pub challenge: String,
+    pub challenge: Challenge,
+    /// Which scenarios; all of them without a type.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scenario_type: Option<String>,
     /// Drives that count.
     pub scenarios: usize,
     /// Drives that failed and do not count.
@@ -112,50 +92,80 @@ pub struct Summary {
     /// The model, when one was loaded.
     pub model: Option<ModelDescription>,
     /// A row a drive, in the order in which they were asked for.
-    pub scenarios: Vec<ScenarioRow>,
+    pub scenarios: Vec<ScenarioSummary>,
     /// A row a planner and challenge.
     pub aggregates: Vec<Aggregate>,
+    /// A row a scenario type, planner and challenge.
+    pub scenario_types: Vec<Aggregate>,
 }
 
 impl Summary {
     /// The summary of all drives of a run.
-    pub fn new(seed: u64, model: Option<ModelDescription>, records: &[DriveRecord]) -> Self {
+    pub fn new(seed: u64, model: Option<ModelDescription>, rows: &[DriveRow]) -> Self {
+        let mut aggregates = Vec::new();
+        let mut scenario_types = Vec::new();
+        for planner in distinct(rows.iter().map(|row| &row.planner)) {
+            for challenge in distinct(rows.iter().map(|row| &row.challenge)) {
+                let own: Vec<&DriveRow> =
+                    rows.iter().filter(|row| row.planner == *planner && row.challenge == *challenge).collect();
+                if own.is_empty() {
+                    continue;
+                }
+                let table = aggregated(*challenge, own.iter().copied());
+                aggregates.push(mean(&table, &own, planner, *challenge, None));
+                for scenario_type in distinct(own.iter().map(|row| &row.scenario_type)) {
+                    scenario_types.push(mean(&table, &own, planner, *challenge, Some(scenario_type)));
+                }
+            }
+        }
         Self {
             planagent: env!("CARGO_PKG_VERSION").to_owned(),
             seed,
             model,
-            scenarios: records.iter().map(ScenarioRow::from).collect(),
-            aggregates: aggregates(records),
+            scenarios: rows.iter().map(ScenarioSummary::from).collect(),
+            aggregates,
+            scenario_types,
         }
     }
 }
 
-fn aggregates(records: &[DriveRecord]) -> Vec<Aggregate> {
-    let mut rows: Vec<Aggregate> = Vec::new();
-    for record in records {
-        let (planner, challenge) = (record.planner.to_string(), record.challenge.to_string());
-        let known = rows.iter_mut().find(|row| row.planner == planner && row.challenge == challenge);
-        let score = record.outcome.as_ref().ok().map(|driven| driven.score.value);
-        if let Some(row) = known {
-            row.count(score);
-        } else {
-            let mut row = Aggregate { planner, challenge, scenarios: 0, failed: 0, score: None };
-            row.count(score);
-            rows.push(row);
-        }
-    }
-    rows
+/// nuPlan's aggregation of the drives of one challenge.
+pub(super) fn aggregated<'a>(challenge: Challenge, rows: impl Iterator<Item = &'a DriveRow>) -> Vec<AggregateRow> {
+    let scored: Vec<_> = rows.filter_map(DriveRow::scenario_row).collect();
+    aggregate(&scored, &Weighting::of(challenge.metric_list()))
 }
 
-impl Aggregate {
-    /// Takes one more drive into the mean.
-    fn count(&mut self, score: Option<f64>) {
-        let Some(score) = score else {
-            self.failed += 1;
-            return;
-        };
-        let sum = self.score.unwrap_or(0.0) * self.scenarios as f64 + score;
-        self.scenarios += 1;
-        self.score = Some(sum / self.scenarios as f64);
+fn mean(
+    table: &[AggregateRow],
+    own: &[&DriveRow],
+    planner: &str,
+    challenge: Challenge,
+    scenario_type: Option<&String>,
+) -> Aggregate {
+    let row = table.iter().find(|row| match (&row.kind, scenario_type) {
+        (RowKind::FinalScore { .. }, None) => true,
+        (RowKind::ScenarioType { scenario_type: kind, .. }, Some(wanted)) => kind == wanted,
+        _ => false,
+    });
+    let counted = own.iter().filter(|row| scenario_type.is_none_or(|wanted| row.scenario_type == *wanted));
+    let failed = counted.clone().filter(|row| row.score.is_none()).count();
+    Aggregate {
+        planner: planner.to_owned(),
+        challenge,
+        scenario_type: scenario_type.cloned(),
+        scenarios: counted.count() - failed,
+        failed,
+        score: row.map(|row| row.score),
     }
+}
+
+/// The values in the order in which they first appear.
+pub(super) fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
+    let mut seen: Vec<T> = Vec::new();
+    for value in values {
+        if !seen.contains(&value) {
+            seen.push(value);
+        }
+    }
+    seen
 }

@@ -1,11 +1,14 @@
 //! `timing.json`: what was measured, apart from the scores, with the machine it was measured on.
 
-use crate::experiment::run::DriveRecord;
+use super::drive_row::DriveRow;
+use super::summary::distinct;
 use crate::planner::PlanningCall;
-use serde::Serialize;
+use crate::simulation::Challenge;
+use serde::{Deserialize, Serialize};
 
 /// Wall time of a planning call by part, milliseconds.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct CallTimes {
     /// Lane graph, text and BEV map.
     pub environment: f64,
@@ -71,46 +74,65 @@ pub struct CallQuantiles {
 
 /// The time of one drive.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct DriveTime {
+pub struct DriveTiming {
     id: String,
     planner: String,
-    challenge: String,
+    challenge: Challenge,
     /// Wall time of the planner over all iterations, seconds.
     planner_s: f64,
     /// Per iteration, milliseconds.
     iteration_ms: Option<Quantiles>,
 }
 
-/// The whole file.
+/// What a planner takes for one iteration, over all its drives in all challenges.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Timing {
+pub struct PlannerTiming {
+    /// Which planner.
+    pub planner: String,
+    /// Iterations that the quantiles are of.
+    pub iterations: usize,
+    /// Per iteration, milliseconds.
+    pub iteration_ms: Option<Quantiles>,
+}
+
+/// The machine and the session that ended the run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Session {
     /// Processor, as the system names it.
     pub cpu: String,
     /// Threads of the run.
     pub threads: usize,
-    /// Wall time of the run, loading of the model included, seconds.
+    /// Wall time of the session, loading of the model included, seconds.
     pub wall_s: f64,
+    /// Drives that this session made; a run that was gone on with has others.
+    pub drives: usize,
     /// Time to load the model, seconds.
     pub load_s: Option<f64>,
+}
+
+/// The whole file.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Timing {
+    /// The machine and the session that ended the run.
+    #[serde(flatten)]
+    pub session: Session,
     /// Planning calls that the quantiles are of.
     pub planning_calls: usize,
     /// Milliseconds per planning call.
     pub planning_call_ms: CallQuantiles,
+    /// A row a planner.
+    pub planners: Vec<PlannerTiming>,
     /// A row a drive.
-    pub drives: Vec<DriveTime>,
+    pub drive_times: Vec<DriveTiming>,
 }
 
 impl Timing {
     /// The times of a run.
-    pub fn new(cpu: String, threads: usize, wall_s: f64, load_s: Option<f64>, records: &[DriveRecord]) -> Self {
-        let driven = || records.iter().filter_map(|record| record.outcome.as_ref().ok().map(|driven| (record, driven)));
-        let calls: Vec<CallTimes> = driven().flat_map(|(_, driven)| driven.calls.iter().map(CallTimes::of)).collect();
+    pub fn new(session: Session, rows: &[DriveRow]) -> Self {
+        let calls: Vec<CallTimes> = rows.iter().flat_map(|row| &row.time.calls).copied().collect();
         let part = |of: fn(&CallTimes) -> f64| Quantiles::of(calls.iter().map(of).collect());
         Self {
-            cpu,
-            threads,
-            wall_s,
-            load_s,
+            session,
             planning_calls: calls.len(),
             planning_call_ms: CallQuantiles {
                 environment: part(|t| t.environment),
@@ -120,16 +142,30 @@ impl Timing {
                 reflection: part(|t| t.reflection),
                 total: part(|t| t.total),
             },
-            drives: driven()
-                .map(|(record, driven)| DriveTime {
-                    id: record.scenario.clone(),
-                    planner: record.planner.to_string(),
-                    challenge: record.challenge.to_string(),
-                    planner_s: driven.log.runtimes_s.iter().sum(),
-                    iteration_ms: Quantiles::of(driven.log.runtimes_s.iter().map(|s| s * 1e3).collect()),
+            planners: distinct(rows.iter().map(|row| &row.planner))
+                .into_iter()
+                .map(|planner| PlannerTiming::of(planner, rows))
+                .collect(),
+            drive_times: rows
+                .iter()
+                .filter(|row| row.score.is_some())
+                .map(|row| DriveTiming {
+                    id: row.scenario.clone(),
+                    planner: row.planner.clone(),
+                    challenge: row.challenge,
+                    planner_s: row.time.planner_s.iter().sum(),
+                    iteration_ms: Quantiles::of(row.time.planner_s.iter().map(|s| s * 1e3).collect()),
                 })
                 .collect(),
         }
+    }
+}
+
+impl PlannerTiming {
+    fn of(planner: &str, rows: &[DriveRow]) -> Self {
+        let own = rows.iter().filter(|row| row.planner == planner);
+        let steps: Vec<f64> = own.flat_map(|row| &row.time.planner_s).map(|s| s * 1e3).collect();
+        Self { planner: planner.to_owned(), iterations: steps.len(), iteration_ms: Quantiles::of(steps) }
     }
 }
 

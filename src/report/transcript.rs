@@ -2,7 +2,6 @@
 
 use super::timing::CallTimes;
 use crate::experiment::run::{DriveRecord, Driven};
-use crate::metrics::MetricName;
 use crate::planner::{Attempt, Decision, PlanningCall};
 use crate::world::STEP_S;
 use std::fmt::Write;
@@ -13,8 +12,8 @@ pub fn transcript(record: &DriveRecord, driven: &Driven, image: impl Fn(&Plannin
     let score = &driven.score;
     let _ = writeln!(text, "Scenario type `{}`. Score **{:.4}**.\n", record.scenario_type, score.value);
     text.push_str("| metric | score |\n|---|---|\n");
-    for name in MetricName::ALL {
-        let _ = writeln!(text, "| `{name}` | {:.4} |", score.metric(name));
+    for part in &score.parts {
+        let _ = writeln!(text, "| `{}` | {:.4} |", part.name, part.score);
     }
     for call in &driven.calls {
         text.push('\n');

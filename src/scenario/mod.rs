@@ -12,6 +12,9 @@ pub mod womd;
 pub use recording::trace::LineFault;
 pub use recording::window::TimeFault;
 
+/// Most frames of [`Scenario::future`]: eight seconds at 10 Hz, the farthest that nuPlan looks ahead.
+pub const FUTURE_FRAMES: usize = 80;
+
 /// One instant of the log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
@@ -40,6 +43,9 @@ pub struct Scenario {
     pub frames: Vec<Frame>,
     /// Which frame is iteration 0.
     pub start: usize,
+    /// The recorded ego after the last frame at 10 Hz, as far as the recording goes and eight seconds at most. The simulation
+    /// ends before it; log replay and the open-loop metrics look at it, as in nuPlan.
+    pub future: Vec<EgoState>,
 }
 
 impl Scenario {
@@ -56,6 +62,11 @@ impl Scenario {
     /// The recorded ego from iteration 0 on: nuPlan's expert trajectory, N states.
     pub fn expert(&self) -> impl Iterator<Item = &EgoState> {
         self.frames[self.start..].iter().map(|frame| &frame.ego)
+    }
+
+    /// The recorded ego from iteration 0 on, over the end of the scenario.
+    pub fn recorded(&self) -> impl Iterator<Item = &EgoState> {
+        self.expert().chain(&self.future)
     }
 
     /// The frames before iteration 0, oldest first.

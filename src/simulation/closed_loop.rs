@@ -1,19 +1,20 @@
 //! The state of a drive and its step from iteration to iteration (devkit `simulation.py`).
 
+use super::controller::EgoController;
 use super::error::SimulationError;
 use super::observation::{Challenge, Observation};
-use crate::dynamics::drive;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput};
 use crate::scenario::{Frame, Scenario};
 use crate::world::{EgoState, History, HistorySample, Scene, Trajectory};
 
-/// A drive in progress. It can be cloned at any iteration, so that several planners can be tried from one state.
+/// A drive in progress; in `open_loop_boxes` the loop is not closed, and the ego does what was recorded. It can be cloned at any iteration, so that several planners can be tried from one state.
 #[derive(Debug, Clone)]
 pub struct ClosedLoop<'a> {
     scenario: &'a Scenario,
     iteration: usize,
     present: HistorySample,
     history: History,
+    controller: EgoController,
     observation: Observation,
 }
 
@@ -37,7 +38,8 @@ impl<'a> ClosedLoop<'a> {
         }
         let present = HistorySample { ego: first.ego, objects: observation.objects(first) };
         history.push(present.clone());
-        Ok(Self { scenario, iteration: 0, present, history, observation })
+        let controller = EgoController::of(challenge);
+        Ok(Self { scenario, iteration: 0, present, history, controller, observation })
     }
 
     /// The scenario that is driven.
@@ -110,7 +112,8 @@ impl<'a> ClosedLoop<'a> {
         }
         let next = self.frame(1);
         let dt_us = next.ego.time_us - self.frame(0).ego.time_us;
-        let ego = drive(&self.present.ego, trajectory, dt_us).map_err(|source| SimulationError::Tracking {
+        let moved = self.controller.update(&self.present.ego, trajectory, next);
+        let ego = moved.map_err(|source| SimulationError::Tracking {
             planner: planner.to_owned(),
             scenario: self.scenario.id.clone(),
             iteration: self.iteration,

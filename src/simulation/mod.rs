@@ -6,6 +6,7 @@
 //! moves to k+1 while it still sees the ego at k.
 
 mod closed_loop;
+mod controller;
 mod error;
 mod observation;
 mod run;

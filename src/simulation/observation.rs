@@ -1,13 +1,14 @@
 //! The objects around the ego: replayed from the log or driven by the intelligent driver model.
 
 use crate::dynamics::IdmTraffic;
+use crate::metrics::MetricList;
 use crate::scenario::{Frame, Scenario};
 use crate::world::{EgoState, MICROS_PER_SECOND, TrackedObject};
 use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
-/// nuPlan's two closed-loop challenges.
+/// nuPlan's three challenges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 pub enum Challenge {
     /// Everything but the ego does what was recorded.
@@ -16,17 +17,31 @@ pub enum Challenge {
     /// Vehicles follow the lanes by the intelligent driver model and react to the ego.
     #[serde(rename = "closed_loop_reactive_agents")]
     ClosedLoopReactiveAgents,
+    /// Everything does what was recorded, the ego too; the plans are compared with the log.
+    #[serde(rename = "open_loop_boxes")]
+    OpenLoopBoxes,
 }
 
 impl Challenge {
-    /// Both, the non-reactive one first.
-    pub const ALL: [Self; 2] = [Self::ClosedLoopNonreactiveAgents, Self::ClosedLoopReactiveAgents];
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::ClosedLoopNonreactiveAgents, Self::ClosedLoopReactiveAgents, Self::OpenLoopBoxes];
+    /// The two in which the planner drives, the non-reactive one first.
+    pub const CLOSED_LOOP: [Self; 2] = [Self::ClosedLoopNonreactiveAgents, Self::ClosedLoopReactiveAgents];
 
-    /// Short name: `nonreactive` or `reactive`.
+    /// Short name: `nonreactive`, `reactive` or `open-loop`.
     pub fn short_name(self) -> &'static str {
         match self {
             Self::ClosedLoopNonreactiveAgents => "nonreactive",
             Self::ClosedLoopReactiveAgents => "reactive",
+            Self::OpenLoopBoxes => "open-loop",
+        }
+    }
+
+    /// The metrics that it is scored by.
+    pub fn metric_list(self) -> MetricList {
+        match self {
+            Self::ClosedLoopNonreactiveAgents | Self::ClosedLoopReactiveAgents => MetricList::ClosedLoop,
+            Self::OpenLoopBoxes => MetricList::OpenLoop,
         }
     }
 }
@@ -36,13 +51,14 @@ impl fmt::Display for Challenge {
         f.write_str(match self {
             Self::ClosedLoopNonreactiveAgents => "closed_loop_nonreactive_agents",
             Self::ClosedLoopReactiveAgents => "closed_loop_reactive_agents",
+            Self::OpenLoopBoxes => "open_loop_boxes",
         })
     }
 }
 
 /// A name that is no challenge.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown challenge {0:?}; known are nonreactive and reactive")]
+#[error("unknown challenge {0:?}; known are nonreactive, reactive and open-loop")]
 pub struct UnknownChallenge(String);
 
 impl FromStr for Challenge {
@@ -67,7 +83,7 @@ impl Observation {
     /// The observation of a challenge at iteration 0, `first` being its frame.
     pub(super) fn new(challenge: Challenge, scenario: &Scenario, first: &Frame) -> Self {
         match challenge {
-            Challenge::ClosedLoopNonreactiveAgents => Self::LogTracks,
+            Challenge::ClosedLoopNonreactiveAgents | Challenge::OpenLoopBoxes => Self::LogTracks,
             Challenge::ClosedLoopReactiveAgents => {
                 Self::IdmAgents(Box::new(IdmTraffic::new(&scenario.map, &first.objects, &first.ego)))
             }
@@ -101,6 +117,6 @@ mod tests {
             assert_eq!(challenge.short_name().parse(), Ok(challenge));
             assert_eq!(serde_json::to_value(challenge).unwrap(), challenge.to_string());
         }
-        assert!("open_loop_boxes".parse::<Challenge>().is_err());
+        assert!("open_loop".parse::<Challenge>().is_err());
     }
 }

@@ -3,9 +3,10 @@
 use super::closed_loop::ClosedLoop;
 use super::error::SimulationError;
 use super::observation::Challenge;
+use crate::metrics::{Drive, Evaluation, MetricError, MetricList, OpenLoopDrive, evaluate, evaluate_open_loop};
 use crate::planner::Planner;
 use crate::scenario::Scenario;
-use crate::world::{HistorySample, Trajectory};
+use crate::world::{EgoState, HistorySample, Trajectory};
 use std::time::Instant;
 
 /// What happened in a drive of N iterations.
@@ -21,6 +22,25 @@ pub struct SimulationLog {
     pub trajectories: Vec<Trajectory>,
     /// Wall time that the planner took at each of them, seconds. A measurement: it differs from run to run.
     pub runtimes_s: Vec<f64>,
+}
+
+impl SimulationLog {
+    /// Judges the drive by the metrics of its challenge; `scenario` is the one that was driven.
+    ///
+    /// # Errors
+    /// As [`evaluate`] and [`evaluate_open_loop`].
+    pub fn evaluate(&self, scenario: &Scenario) -> Result<Evaluation, MetricError> {
+        let expert: Vec<EgoState> = scenario.expert().copied().collect();
+        match self.challenge.metric_list() {
+            MetricList::ClosedLoop => evaluate(&Drive { map: &scenario.map, samples: &self.samples, expert: &expert }),
+            MetricList::OpenLoop => evaluate_open_loop(&OpenLoopDrive {
+                samples: &self.samples,
+                trajectories: &self.trajectories,
+                expert: &expert,
+                future: &scenario.future,
+            }),
+        }
+    }
 }
 
 /// How far a drive has come.

@@ -30,11 +30,12 @@ fn straight_drive(speed: f64, objects: impl Fn(i64) -> Vec<TrackedObject>) -> Sc
         map: Arc::new(map),
         frames: (0..PAST + ITERATIONS).map(frame).collect(),
         start: PAST,
+        future: vec![],
     }
 }
 
 fn log_replay(scenario: &Scenario) -> LogReplay {
-    LogReplay::new(scenario.expert().copied().collect())
+    LogReplay::new(scenario.recorded().copied().collect())
 }
 
 #[test]

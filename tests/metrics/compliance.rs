@@ -136,9 +136,9 @@ fn a_violation_ends_at_the_first_sample_that_keeps_the_limit() {
     }
     states[20].velocity.x = 18.0;
     let result = speeding(&map, &states);
-    assert_eq!(result.statistic("number_of_speed_limit_compliance"), Some(2.0));
-    assert_eq!(result.statistic("max_violating_speed_limit_compliance"), Some(3.0));
-    assert_eq!(result.statistic("min_violating_speed_limit_compliance"), Some(1.0));
+    assert_eq!(result.statistic("number_of_violations_of_speed_limit_compliance"), Some(2.0));
+    assert_eq!(result.statistic("max_violation_of_speed_limit_compliance"), Some(3.0));
+    assert_eq!(result.statistic("min_violation_of_speed_limit_compliance"), Some(1.0));
     // The one at the last sample has no duration and leaves the mean: (1·0.3 + 3·0)/0.3.
-    assert!((result.statistic("mean_speed_limit_compliance").unwrap() - 1.0).abs() < 1e-9);
+    assert!((result.statistic("mean_violation_of_speed_limit_compliance").unwrap() - 1.0).abs() < 1e-9);
 }

@@ -3,13 +3,12 @@
 use crate::cli::args::PlanArguments;
 use crate::cli::{Config, Exit, Printer, model};
 use crate::experiment::nuplan_data::NuPlanData;
-use crate::experiment::run::{DriveRecord, PlannerKind};
+use crate::experiment::run::PlannerKind;
 use crate::experiment::source::ScenarioSource;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
 use crate::report::{CallTimes, attempt_markdown, call_record, decision_words};
 use crate::scenario::nuplan::DataRoots;
 use crate::scenario::{Scenario, generator};
-use crate::simulation::Challenge;
 use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Scene, Trajectory};
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
@@ -79,15 +78,7 @@ fn compute(scenario: &Scenario, iteration: usize, agent: &mut dyn Planner) -> an
 
 /// The call's record with the trajectory: seconds from now, x, y, heading (map frame), speed.
 fn with_trajectory(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory) -> Value {
-    let drive = DriveRecord {
-        scenario: scenario.id.clone(),
-        scenario_type: scenario.scenario_type.clone(),
-        log_name: scenario.log_name.clone(),
-        planner: PlannerKind::PlanAgent,
-        challenge: Challenge::ClosedLoopNonreactiveAgents,
-        outcome: Err("a single planning call".to_owned()),
-    };
-    let mut record = call_record(&drive, call);
+    let mut record = call_record(&scenario.id, PlannerKind::PlanAgent.as_str(), None, call);
     let start = trajectory.start_us();
     let states = trajectory.states().iter().map(|state| {
         let pose = state.rear_axle;
@@ -97,7 +88,6 @@ fn with_trajectory(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajec
         })
     });
     if let Some(fields) = record.as_object_mut() {
-        fields.remove("challenge");
         fields.insert("trajectory".to_owned(), states.collect());
     }
     record

@@ -1,10 +1,12 @@
 //! `planagent scenarios list|show|generate`; `export` has a file of its own.
 
 use super::plan::scenario;
-use crate::cli::args::ScenariosCommand;
+use crate::cli::args::{ScenariosCommand, SplitArguments};
 use crate::cli::{Exit, Printer};
 use crate::environment::{BevView, bev};
+use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::source::{SourceError, recordings_in};
+use crate::experiment::split::split;
 use crate::scenario::generator::{ScenarioType, Spec, generate};
 use crate::scenario::{Scenario, argoverse2, womd};
 use crate::world::{History, HistorySample, LaneKind, STEP_S, Scene, SignalStatus};
@@ -21,8 +23,13 @@ const PICTURE: u32 = 1024;
 /// When a source cannot be read or a picture cannot be written.
 pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyhow::Result<Exit> {
     match command {
-        ScenariosCommand::List { sources } if sources.is_empty() => list_types(printer),
-        ScenariosCommand::List { sources } => list(sources, printer),
+        ScenariosCommand::List { sources, split } if sources.is_empty() && split.splits.is_empty() => {
+            list_types(printer)
+        }
+        ScenariosCommand::List { sources, split } => {
+            let complete = list_splits(split, printer)?;
+            list(sources, printer).map(|exit| if complete { exit } else { Exit::SomeFailed })
+        }
         ScenariosCommand::Show { scenario: word, at, image, view } => {
             show(&scenario(Some(word))?, *at, image.as_deref(), *view, printer)
         }
@@ -41,6 +48,29 @@ fn list_types(printer: Printer) -> anyhow::Result<Exit> {
         }
     }
     Ok(Exit::Success)
+}
+
+/// A line a scenario: the word that names it. Says whether the splits are complete.
+fn list_splits(flags: &SplitArguments, printer: Printer) -> anyhow::Result<bool> {
+    let data = NuPlanData::new(flags.roots.data_roots());
+    let mut complete = true;
+    for name in &flags.splits {
+        let found = split(name, &data, &|_, _| ())?;
+        for note in &found.notes {
+            printer.note(note);
+        }
+        for source in found.sources {
+            printer.line(source.to_string());
+            if printer.is_json() {
+                printer.json(&json!({"id": source.to_string(), "split": name}))?;
+            }
+        }
+        if !found.missing.is_empty() {
+            complete = false;
+            printer.note(format!("failed: split {name}: {}", found.missing));
+        }
+    }
+    Ok(complete)
 }
 
 fn list(sources: &[PathBuf], printer: Printer) -> anyhow::Result<Exit> {

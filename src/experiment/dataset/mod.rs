@@ -167,7 +167,7 @@ fn write_shard(folder: &Path, split: Split, number: usize, settings: &Settings<'
 fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledState, RgbImage)>, PromptError> {
     let mut random = Pcg64Mcg::seed_from_u64(settings.seed ^ spec.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15));
     let Ok(scenario) = generator::generate(spec) else { return Ok(Vec::new()) };
-    let challenge = Challenge::ALL[usize::from(random.random_bool(0.5))];
+    let challenge = Challenge::CLOSED_LOOP[usize::from(random.random_bool(0.5))];
     let Ok(mut drive) = ClosedLoop::new(&scenario, challenge) else { return Ok(Vec::new()) };
     let mut states = Vec::new();
     loop {

@@ -4,5 +4,5 @@ mod quantity;
 mod savgol;
 
 pub(crate) use quantity::{ACCELERATION_WINDOW, YAW_WINDOW};
-pub use quantity::{Bound, ComfortQuantity, ego_is_comfortable};
+pub use quantity::{Bound, ComfortQuantity};
 pub use savgol::{SavitzkyGolay, differentiated, mean_step_s, smoothed};

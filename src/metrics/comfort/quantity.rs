@@ -1,7 +1,7 @@
-//! The quantities of comfort with nuPlan's names, filters and bounds, and `ego_is_comfortable` (devkit
-//! `ego_*_acceleration.py`, `ego_*jerk.py`, `ego_yaw_*.py`, `ego_is_comfortable.py`, `state_extractors.py`).
+//! The quantities of comfort with nuPlan's names, filters and bounds (devkit `ego_*acceleration.py`, `ego_*jerk.py`,
+//! `ego_yaw_*.py`, `within_bound_metric_base.py`, `state_extractors.py`): eight metrics that differ in a row of a table.
 
-use super::super::{MetricError, MetricName, MetricResult, Statistic, TimeSeries};
+use super::super::{MetricCategory, MetricError, MetricResult, Statistic, TimeSeries};
 use super::savgol::{SavitzkyGolay, differentiated, mean_step_s, smoothed};
 use crate::geometry::unwrap_angles;
 use crate::world::EgoState;
@@ -140,35 +140,11 @@ impl ComfortQuantity {
     /// As [`Self::signal`].
     pub fn evaluate(self, states: &[EgoState]) -> Result<MetricResult, MetricError> {
         let name = self.name();
-        let series = TimeSeries {
-            unit: self.unit().to_owned(),
-            time_stamps: states.iter().map(|s| s.time_us).collect(),
-            values: self.signal(states)?,
-        };
+        let series = TimeSeries::of_states(self.unit(), states, self.signal(states)?);
         let mut statistics = series.statistics(name);
         if let Some(bound) = self.bound() {
             statistics.push(Statistic::boolean(format!("abs_{name}_within_bounds"), bound.holds(&series.values)));
         }
-        Ok(MetricResult { name: name.to_owned(), score: None, statistics, time_series: Some(series) })
+        Ok(MetricResult::unscored(name, MetricCategory::Dynamics, statistics).with_series(series))
     }
-}
-
-/// `ego_is_comfortable`: 1 when every bounded quantity stays within its bounds at every sample, else 0.
-///
-/// # Errors
-/// As [`ComfortQuantity::signal`].
-pub fn ego_is_comfortable(states: &[EgoState]) -> Result<MetricResult, MetricError> {
-    let name = MetricName::EgoIsComfortable.as_str();
-    let mut comfortable = true;
-    for quantity in ComfortQuantity::ALL {
-        if let Some(bound) = quantity.bound() {
-            comfortable &= bound.holds(&quantity.signal(states)?);
-        }
-    }
-    Ok(MetricResult {
-        name: name.to_owned(),
-        score: Some(f64::from(u8::from(comfortable))),
-        statistics: vec![Statistic::boolean(name, comfortable)],
-        time_series: None,
-    })
 }

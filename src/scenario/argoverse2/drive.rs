@@ -5,7 +5,7 @@ use crate::geometry::{Pose, Vector};
 use crate::scenario::recording::motion::slope;
 use crate::scenario::recording::route::route;
 use crate::scenario::recording::window::{step_times, window};
-use crate::scenario::{Frame, Scenario};
+use crate::scenario::{FUTURE_FRAMES, Frame, Scenario};
 use crate::world::{EgoState, LaneMap, Route, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
@@ -34,6 +34,7 @@ impl Drive {
         let centers: Vec<Pose> = egos.iter().skip(window.start).map(EgoState::center).collect();
         let route = Route { roadblocks: route(&self.map, &centers), goal: self.rear_axles.last().copied() };
         let lights = Arc::new(TrafficLights::default());
+        let future = egos.iter().copied().skip(window.end).take(FUTURE_FRAMES).collect();
         let frames = egos.into_iter().zip(self.objects).take(window.end);
         let frames = frames.map(|(ego, objects)| Frame { ego, objects: objects.into(), lights: lights.clone() });
         Ok(Scenario {
@@ -44,6 +45,7 @@ impl Drive {
             route,
             frames: frames.collect(),
             start: window.start,
+            future,
         })
     }
 }

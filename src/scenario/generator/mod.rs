@@ -151,5 +151,6 @@ fn draw(spec: &Spec, sub_seed: u64) -> Result<Scenario, Discard> {
         route: Route { roadblocks: roads.route(), goal },
         frames: drive.frames,
         start: PAST,
+        future: Vec::new(),
     })
 }

@@ -32,6 +32,7 @@ pub fn open(maps: &MapStore, found: &Found) -> Result<Scenario, NuPlanError> {
     Ok(Scenario {
         frames: frames.collect::<Result<_, _>>()?,
         start: rows.past.len(),
+        future: rows.future.iter().map(|sweep| reader.ego(sweep)).collect::<Result<_, _>>()?,
         id: found.token.to_string(),
         scenario_type: found.scenario_type.clone(),
         log_name: found.log.name.clone(),

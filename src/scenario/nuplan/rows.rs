@@ -6,6 +6,7 @@ use super::extraction::{Extraction, ROWS_PER_STEP};
 use super::schema::{CHANNEL, LIDAR, LIDAR_PC};
 use super::search::Found;
 use super::token::Token;
+use crate::scenario::FUTURE_FRAMES;
 use crate::world::{HISTORY_SAMPLES, MICROS_PER_SECOND};
 
 /// A scenario spans at least this, s; a shorter one is over before the look-ahead of the metrics ends.
@@ -29,6 +30,8 @@ pub(super) struct Rows {
     pub(super) window: Vec<Sweep>,
     /// Those that the history is sampled from: every second one back from iteration 0, oldest first.
     pub(super) past: Vec<Sweep>,
+    /// Those after the window at which the recorded ego is looked up: every second one on from the last iteration.
+    pub(super) future: Vec<Sweep>,
 }
 
 impl Rows {
@@ -66,7 +69,13 @@ impl Rows {
             let (before, after, time_us) = (pair[0].token, pair[1].token, pair[0].time_us);
             return Err(failed(ScenarioFault::SameTime { before, after, time_us }));
         }
-        Ok(Self { window, past })
+        let mut after = Vec::new();
+        let later = format!("WHERE timestamp > ?1 AND {OF_SENSOR} ORDER BY timestamp, lidar_pc.rowid LIMIT ?2");
+        read(database, &later, (end, (ROWS_PER_STEP * FUTURE_FRAMES) as i64), &mut after)?;
+        after.dedup_by_key(|sweep| sweep.time_us);
+        let skipped = (ROWS_PER_STEP - window.len() % ROWS_PER_STEP) % ROWS_PER_STEP;
+        let future = after.into_iter().skip(skipped).step_by(ROWS_PER_STEP).collect();
+        Ok(Self { window, past, future })
     }
 
     /// The rows of the iterations.

@@ -13,7 +13,7 @@ use super::tracks::{ego_states, first_position, objects_at};
 use crate::geometry::{Pose, Vector};
 use crate::scenario::recording::route::route;
 use crate::scenario::recording::window::{step_times, window};
-use crate::scenario::{Frame, Scenario};
+use crate::scenario::{FUTURE_FRAMES, Frame, Scenario};
 use crate::world::Route;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -54,6 +54,7 @@ pub(super) fn scenario(recording: &proto::Scenario, log_name: &str) -> Result<Sc
         route,
         frames,
         start: window.start,
+        future: egos[window.end..].iter().copied().take(FUTURE_FRAMES).collect(),
     })
 }
 

@@ -1,0 +1,152 @@
+//! `planagent simulate`.
+
+mod selection;
+
+use crate::cli::args::SimulateArguments;
+use crate::cli::model::{self, Loaded};
+use crate::cli::progress::DriveProgress;
+use crate::cli::{Config, Exit, Printer};
+use crate::experiment::run::{self, Assignment, PlannerKind};
+use crate::report::{
+    DriveRow, Manifest, ReportError, RunFolder, Session, Summary, Timing, failures, main_table, stamp,
+};
+use anyhow::bail;
+use selection::Selection;
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::time::{Instant, SystemTime};
+
+/// Drives and scores; the results go to a folder, the table to stdout.
+///
+/// # Errors
+/// When the input, the model or the output folder cannot be used; a failed drive is no such error.
+pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    let started = Instant::now();
+    let before = flags.resume.as_deref().map(RunFolder::manifest).transpose()?;
+    let selection = Selection::of(flags, before.as_ref())?;
+    for note in &selection.notes {
+        printer.note(note);
+    }
+    let assignments = &selection.assignments;
+    let needs_model = selection.planners.contains(&PlannerKind::PlanAgent);
+    let loaded = if needs_model { Some(model::load(config, printer)?) } else { None };
+    let now = manifest(&selection, config, loaded.as_ref())?;
+    let (folder, manifest) = match &flags.resume {
+        Some(path) => RunFolder::resume(path, &now)?,
+        None => (RunFolder::create(flags.out.as_deref(), &now)?, now),
+    };
+
+    let kept = kept(&folder, assignments, flags, printer)?;
+    let todo: Vec<usize> = (0..assignments.len()).filter(|number| !kept.contains(number)).collect();
+    let parts = loaded.as_ref().map(|loaded| &loaded.parts);
+    let progress = DriveProgress::new(printer, todo.len());
+    let driven: Result<(), ReportError> =
+        run::run(assignments, &todo, parts, &|_| progress.iteration(), &|number, record| {
+            folder.commit(number, &record)?;
+            progress.drive_ended(record.outcome.is_err());
+            Ok(())
+        });
+    progress.finish();
+    driven?;
+
+    let rows = folder.recorded(assignments)?.rows;
+    if rows.len() != assignments.len() {
+        let missing = assignments.len() - rows.len();
+        bail!("{missing} of {} drives left no record in {}", assignments.len(), folder.path().display());
+    }
+    let summary = Summary::new(config.seed, parts.map(|parts| parts.model.describe()), &rows);
+    let session = Session {
+        cpu: cpu(),
+        threads: rayon::current_num_threads(),
+        wall_s: started.elapsed().as_secs_f64(),
+        drives: todo.len(),
+        load_s: loaded.as_ref().map(|loaded| loaded.load_s),
+    };
+    let timing = Timing::new(session, &rows);
+    folder.finish(&manifest, &summary, &timing, &rows)?;
+    let exit = tell(&summary, &timing, &rows, folder.path(), printer)?;
+    for note in selection.nuplan.notes() {
+        printer.note(note);
+    }
+    for line in &selection.missing {
+        printer.note(format!("failed: {line}"));
+    }
+    Ok(if selection.missing.is_empty() { exit } else { Exit::SomeFailed })
+}
+
+/// What this run would be started with.
+fn manifest(selection: &Selection, config: &Config, loaded: Option<&Loaded>) -> anyhow::Result<Manifest> {
+    Ok(Manifest {
+        planagent: env!("CARGO_PKG_VERSION").to_owned(),
+        started: stamp(SystemTime::now()),
+        planners: selection.planners.iter().map(ToString::to_string).collect(),
+        challenges: selection.challenges.iter().map(ToString::to_string).collect(),
+        scenarios: selection.list.clone(),
+        model: loaded.map(|loaded| toml::Table::try_from(loaded.parts.model.describe())).transpose()?,
+        config: toml::Table::try_from(config)?,
+    })
+}
+
+/// The numbers of the drives that have ended in an earlier session and are not made again.
+fn kept(
+    folder: &RunFolder,
+    assignments: &[Assignment],
+    flags: &SimulateArguments,
+    printer: Printer,
+) -> anyhow::Result<BTreeSet<usize>> {
+    let recorded = folder.recorded(assignments)?;
+    for path in &recorded.damaged {
+        printer.note(format!("the record in {} is damaged; its drive is made again", path.display()));
+    }
+    let mut kept = BTreeSet::new();
+    let mut again = 0;
+    for row in recorded.rows {
+        if flags.retry_failed && row.error.is_some() {
+            folder.take_back(row.number)?;
+            again += 1;
+        } else {
+            kept.insert(row.number);
+        }
+    }
+    if flags.resume.is_some() {
+        let left = assignments.len() - kept.len();
+        let failed = if again > 0 { format!(", {again} of them had failed") } else { String::new() };
+        printer.note(format!("{} of {} drives are done, {left} are left{failed}", kept.len(), assignments.len()));
+    }
+    Ok(kept)
+}
+
+/// Tables to stdout, place and failures to stderr.
+fn tell(
+    summary: &Summary,
+    timing: &Timing,
+    rows: &[DriveRow],
+    folder: &Path,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    if printer.is_json() {
+        printer.json(summary)?;
+    } else {
+        printer.line(main_table(summary, &timing.planners, rows, printer.width()));
+        if let Some(total) = timing.planning_call_ms.total {
+            let count = timing.planning_calls;
+            printer.line(format!("\n{count} planning calls: p50 {:.0} ms, p95 {:.0} ms", total.p50, total.p95));
+        }
+    }
+    printer.note(format!("results in {}", folder.display()));
+    let failed = failures(rows);
+    for line in &failed {
+        printer.note(format!("failed: {line}"));
+    }
+    if !failed.is_empty() {
+        printer.note(format!("{} of {} drives failed", failed.len(), rows.len()));
+    }
+    Ok(if failed.is_empty() { Exit::Success } else { Exit::SomeFailed })
+}
+
+/// The processor's name as the system gives it.
+fn cpu() -> String {
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = info.lines().find_map(|line| line.strip_prefix("model name")).and_then(|rest| rest.split_once(':'));
+    model.map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, name)| name.trim().to_owned())
+}

@@ -1,0 +1,150 @@
+//! What a run drives: from the flags, else from the run that is gone on with, else by default.
+
+use crate::cli::args::SimulateArguments;
+use crate::experiment::nuplan_data::NuPlanData;
+use crate::experiment::run::{Assignment, PlannerKind};
+use crate::experiment::source::ScenarioSource;
+use crate::experiment::split::split;
+use crate::report::{Manifest, ScenarioList};
+use crate::scenario::generator;
+use crate::scenario::nuplan::DataRoots;
+use crate::simulation::Challenge;
+use anyhow::{Context, bail};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+/// What a run drives.
+pub(super) struct Selection {
+    /// The scenarios, as the manifest tells of them.
+    pub(super) list: ScenarioList,
+    /// Planners in their order.
+    pub(super) planners: Vec<PlannerKind>,
+    /// Challenges in their order.
+    pub(super) challenges: Vec<Challenge>,
+    /// Every scenario with every planner in every challenge.
+    pub(super) assignments: Vec<Assignment>,
+    /// Scenarios of splits that are not there, a line a split: the run is not the whole split.
+    pub(super) missing: Vec<String>,
+    /// What a user should know about the scenarios.
+    pub(super) notes: Vec<String>,
+    /// nuPlan's logs and maps, as far as they were opened.
+    pub(super) nuplan: NuPlanData,
+}
+
+impl Selection {
+    /// Finds everything that is to be driven.
+    ///
+    /// # Errors
+    /// When a planner, challenge, split or scenario is unknown or cannot be read, or nothing is left.
+    pub(super) fn of(flags: &SimulateArguments, manifest: Option<&Manifest>) -> anyhow::Result<Self> {
+        let selects = !flags.scenarios.is_empty() || !flags.split.splits.is_empty() || flags.limit.is_some();
+        let (words, splits, limit) = match manifest {
+            Some(manifest) if !selects => {
+                let list = &manifest.scenarios;
+                (list.words.clone(), list.splits.clone(), list.limit)
+            }
+            _ => (flags.scenarios.clone(), flags.split.splits.clone(), flags.limit),
+        };
+        let DataRoots { data, maps } = roots(flags, manifest);
+        let nuplan = NuPlanData::new(DataRoots { data: data.clone(), maps: maps.clone() });
+        let Named { sources, missing, notes } = named(&words, &splits, limit, &nuplan)?;
+        let planners = planners(&flags.planner, manifest)?;
+        let challenges = challenges(&flags.challenge, manifest)?;
+        let names = sources.iter().map(ToString::to_string);
+        let (count, blake3) = (sources.len(), ScenarioList::digest(names));
+        let list = ScenarioList { words, splits, data_root: data, maps_root: maps, limit, count, blake3 };
+        let assignments = assignments(&sources, &planners, &challenges);
+        Ok(Self { list, planners, challenges, assignments, missing, notes, nuplan })
+    }
+}
+
+/// The folders of the flags, else of the run that is gone on with.
+fn roots(flags: &SimulateArguments, manifest: Option<&Manifest>) -> DataRoots {
+    let DataRoots { data, maps } = flags.split.roots.data_roots();
+    let before = |of: fn(&ScenarioList) -> &Option<PathBuf>| manifest.and_then(|m| of(&m.scenarios).clone());
+    DataRoots { data: data.or_else(|| before(|l| &l.data_root)), maps: maps.or_else(|| before(|l| &l.maps_root)) }
+}
+
+/// The scenarios that words and splits name.
+struct Named {
+    sources: Vec<ScenarioSource>,
+    missing: Vec<String>,
+    notes: Vec<String>,
+}
+
+fn named(words: &[String], splits: &[String], limit: Option<usize>, data: &NuPlanData) -> anyhow::Result<Named> {
+    let mut named = Named { sources: Vec::new(), missing: Vec::new(), notes: Vec::new() };
+    for name in splits {
+        let found = split(name, data, &|_, _| ())?;
+        named.sources.extend(found.sources);
+        named.notes.extend(found.notes);
+        if !found.missing.is_empty() {
+            named.missing.push(format!("split {name}: {}", found.missing));
+        }
+    }
+    for word in words {
+        named.sources.extend(ScenarioSource::find(word, data)?);
+    }
+    if splits.is_empty() && words.is_empty() {
+        named.sources.push(ScenarioSource::Generated(generator::DEFAULT));
+    }
+    // A scenario that is named twice is driven once, or it would count twice in the means.
+    let mut seen = BTreeSet::new();
+    named.sources.retain(|source| seen.insert(source.to_string()));
+    named.sources.truncate(limit.unwrap_or(usize::MAX));
+    if named.sources.is_empty() {
+        bail!("no scenario is left to drive");
+    }
+    Ok(named)
+}
+
+fn planners(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<PlannerKind>> {
+    let names = match manifest {
+        Some(manifest) if flags.is_empty() => &manifest.planners,
+        _ => flags,
+    };
+    let mut planners: Vec<PlannerKind> = Vec::new();
+    for name in names {
+        let planner = name.parse()?;
+        if !planners.contains(&planner) {
+            planners.push(planner);
+        }
+    }
+    if planners.is_empty() {
+        planners.push(PlannerKind::PlanAgent);
+    }
+    Ok(planners)
+}
+
+fn challenges(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<Challenge>> {
+    let names = match manifest {
+        Some(manifest) if flags.is_empty() => &manifest.challenges,
+        _ => flags,
+    };
+    let mut challenges: Vec<Challenge> = Vec::new();
+    for name in names {
+        let named = match name.as_str() {
+            "both" => Challenge::CLOSED_LOOP.to_vec(),
+            one => vec![one.parse().context("--challenge takes nonreactive, reactive, both or open-loop")?],
+        };
+        for challenge in named {
+            if !challenges.contains(&challenge) {
+                challenges.push(challenge);
+            }
+        }
+    }
+    if challenges.is_empty() {
+        challenges.push(Challenge::ClosedLoopNonreactiveAgents);
+    }
+    Ok(challenges)
+}
+
+fn assignments(sources: &[ScenarioSource], planners: &[PlannerKind], challenges: &[Challenge]) -> Vec<Assignment> {
+    let mut all = Vec::with_capacity(sources.len() * planners.len() * challenges.len());
+    for source in sources {
+        for &planner in planners {
+            all.extend(challenges.iter().map(|&challenge| Assignment { source: source.clone(), planner, challenge }));
+        }
+    }
+    all
+}

@@ -1,0 +1,117 @@
+//! `ego_stop_at_stop_line`: whether the ego, first in its lane, stood when its front was nearest to a stop line (devkit
+//! `scenario_dependent/ego_stop_at_stop_line.py`). It is in none of nuPlan's challenge lists and has no score here; nuPlan
+//! would always give it a 1.
+
+use super::route::lanes_at;
+use super::{MetricCategory, MetricResult, Statistic, StatisticKind, TimeSeries};
+use crate::dynamics::ProgressPath;
+use crate::geometry::{Corridor, Point, Polyline, Pose};
+use crate::world::{HistorySample, LaneId, LaneMap, PACIFICA, StopLine, StopLineId};
+
+/// Stops farther than this from the line are none, metres (devkit `ego_stop_at_stop_line_statistics.yaml`).
+const DISTANCE_THRESHOLD: f64 = 5.0;
+/// A slower ego stands, m/s.
+const VELOCITY_THRESHOLD: f64 = 0.1;
+
+/// The ego while its front edge is on one stop line.
+struct Approach {
+    stop_line: StopLineId,
+    samples: Vec<usize>,
+    speeds: Vec<f64>,
+    /// Distance of the front edge from the first edge of the line's polygon, metres.
+    distances: Vec<f64>,
+}
+
+impl Approach {
+    /// Distance and speed where the ego was nearest to the line.
+    fn nearest(&self) -> (f64, f64) {
+        let pairs = self.distances.iter().copied().zip(self.speeds.iter().copied());
+        pairs.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, f64::NAN))
+    }
+
+    fn stopped(&self) -> bool {
+        let (distance, speed) = self.nearest();
+        distance < DISTANCE_THRESHOLD && speed < VELOCITY_THRESHOLD
+    }
+}
+
+/// Looks at every stop line that the front of the ego came upon as the first of its lane; `None` when there was none, where
+/// nuPlan has no result either.
+pub fn ego_stop_at_stop_line(map: &LaneMap, samples: &[HistorySample]) -> Option<MetricResult> {
+    let approaches = approaches(map, samples);
+    if approaches.is_empty() {
+        return None;
+    }
+    let mean = |read: fn(&Approach) -> f64| approaches.iter().map(read).sum::<f64>() / approaches.len() as f64;
+    let stops = approaches.iter().filter(|approach| approach.stopped()).count();
+    let value = |name: &str, unit: &str, value| Statistic::new(StatisticKind::Value, name, unit, value);
+    let statistics = vec![
+        Statistic::count("number_of_ego_stop_before_stop_line", stops),
+        Statistic::count("number_of_ego_before_stop_line", approaches.len()),
+        value("mean_ego_min_distance_to_stop_line", "meters", mean(|a| a.nearest().0)),
+        // nuPlan's word for this unit of speed.
+        value("mean_ego_min_velocity_before_stop_line", "meters_per_second_squared", mean(|a| a.nearest().1)),
+    ];
+    let frames: Vec<usize> = approaches.iter().flat_map(|a| a.samples.iter().copied()).collect();
+    let series = TimeSeries {
+        unit: "meters_per_second_squared".to_owned(),
+        time_stamps: frames.iter().map(|&i| samples[i].ego.time_us).collect(),
+        values: approaches.iter().flat_map(|a| a.speeds.iter().copied()).collect(),
+        selected_frames: Some(frames),
+    };
+    let name = "ego_stop_at_stop_line";
+    Some(MetricResult::unscored(name, MetricCategory::ScenarioDependent, statistics).with_series(series))
+}
+
+/// The samples with the front edge on a stop line and nobody ahead, joined while the line stays the same.
+fn approaches(map: &LaneMap, samples: &[HistorySample]) -> Vec<Approach> {
+    let mut found: Vec<Approach> = Vec::new();
+    for (i, sample) in samples.iter().enumerate() {
+        let footprint = sample.ego.footprint();
+        let Ok(front) = Polyline::new(footprint.front_edge()) else { continue };
+        let Some((stop_line, shape)) = nearest_stop_line(map, &front, footprint.center) else { continue };
+        if !shape.polygon.meets_line(&front) || has_leader(map, sample) {
+            continue;
+        }
+        let Ok(line) = Polyline::new(shape.polygon.ring().iter().copied().take(2)) else { continue };
+        if found.last().is_none_or(|last| last.stop_line != stop_line) {
+            found.push(Approach { stop_line, samples: vec![], speeds: vec![], distances: vec![] });
+        }
+        if let Some(open) = found.last_mut() {
+            open.samples.push(i);
+            open.speeds.push(sample.ego.speed());
+            open.distances.push(line.distance_to_line(&front));
+        }
+    }
+    found
+}
+
+/// The lane that holds a point; a connector is none.
+fn lane_at(map: &LaneMap, point: Point, pose: Pose) -> Option<LaneId> {
+    lanes_at(map, point, pose).into_iter().next().filter(|&lane| !map[lane].is_connector())
+}
+
+/// The stop line nearest to the middle of the front edge, if that middle is in a lane and the line crosses this lane.
+fn nearest_stop_line<'m>(map: &'m LaneMap, front: &Polyline, pose: Pose) -> Option<(StopLineId, &'m StopLine)> {
+    let middle = front.point_at(front.length() / 2.0);
+    let lane = lane_at(map, middle, pose)?;
+    let distance = |line: &StopLine| {
+        if line.polygon.contains(middle) { 0.0 } else { line.polygon.edge_distance(middle) }
+    };
+    let lines = map.stop_lines().iter().enumerate().map(|(i, line)| (StopLineId(i as u32), line));
+    let nearest = lines.min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)))?;
+    nearest.1.polygon.overlaps(&map[lane].polygon).then_some(nearest)
+}
+
+/// Whether anything stands on the strip, as wide as the ego, from its centre to the end of its lane. (nuPlan fails where the
+/// front is in a lane and the centre is not; here nobody leads there.)
+fn has_leader(map: &LaneMap, sample: &HistorySample) -> bool {
+    let center = sample.ego.center();
+    let Some(lane) = lane_at(map, center.position(), center) else { return false };
+    let baseline = &map[lane].centerline;
+    let Some(path) = ProgressPath::new(&ProgressPath::baseline_poses(baseline)) else { return false };
+    let ahead = path.between(baseline.project(center.position()).s, path.length());
+    let Ok(line) = Polyline::new(ahead.iter().map(Pose::position)) else { return false };
+    let strip = Corridor::new(line, PACIFICA.width / 2.0);
+    sample.objects.iter().any(|object| strip.meets_box(&object.shape))
+}

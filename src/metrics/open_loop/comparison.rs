@@ -1,0 +1,159 @@
+//! Planned trajectories beside the recorded drive, second by second (devkit
+//! `planner_expert_average_l2_error_within_bound.py`, `expert_comparisons.py`, `metric_base.py`).
+
+use super::super::{MetricError, MetricName, MetricResult, Statistic, StatisticKind, TimeSeries};
+use crate::geometry::{Pose, wrap_angle};
+use crate::world::{EgoState, PACIFICA, Trajectory, TrajectoryError, TrajectoryState};
+
+/// How far ahead planner and expert are compared, seconds (devkit `comparison_horizon`).
+pub const COMPARISON_HORIZONS_S: [usize; 3] = [3, 5, 8];
+/// The farthest of them.
+const FARTHEST_S: usize = COMPARISON_HORIZONS_S[2];
+/// Frames of a scenario in one second: the comparison is made at 1 Hz (devkit `comparison_frequency`).
+pub const FRAMES_PER_SECOND: usize = 10;
+
+/// The errors of one planned trajectory within one horizon. Positions are those of the box centre.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HorizonErrors {
+    /// Mean distance, metres.
+    pub average_displacement: f64,
+    /// Largest distance, metres.
+    pub maximum_displacement: f64,
+    /// Distance at the end of the horizon, metres.
+    pub final_displacement: f64,
+    /// Mean turn between the headings, radians.
+    pub average_heading: f64,
+    /// Turn between the headings at the end of the horizon, radians.
+    pub final_heading: f64,
+}
+
+/// The errors of a drive: an entry a second, in it one for each of [`COMPARISON_HORIZONS_S`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlannerExpertErrors {
+    /// Which samples of the drive were compared.
+    pub frames: Vec<usize>,
+    /// Their times, µs.
+    pub time_stamps: Vec<i64>,
+    /// Their errors.
+    pub errors: Vec<[HorizonErrors; 3]>,
+}
+
+impl PlannerExpertErrors {
+    /// One of the errors of all frames within a horizon (a place in [`COMPARISON_HORIZONS_S`]).
+    pub(super) fn within(&self, horizon: usize, read: fn(&HorizonErrors) -> f64) -> impl Iterator<Item = f64> {
+        self.errors.iter().map(move |of_frame| read(&of_frame[horizon]))
+    }
+
+    /// The result of a metric that holds a mean error under a threshold: the mean of each horizon, whether the mean over all
+    /// is within, that mean; the score falls from 1 to 0 as that mean grows to the threshold. `short` is nuPlan's name of the
+    /// error (`planner_expert_ADE`).
+    pub(super) fn mean_within(
+        &self,
+        metric: MetricName,
+        (short, unit): (&str, &str),
+        threshold: f64,
+        read: fn(&HorizonErrors) -> f64,
+    ) -> MetricResult {
+        let mean_statistic = |name: String, value| Statistic::new(StatisticKind::Mean, name, unit, value);
+        let mut statistics: Vec<Statistic> = COMPARISON_HORIZONS_S
+            .iter()
+            .enumerate()
+            .map(|(i, horizon)| mean_statistic(format!("{short}_horizon_{horizon}"), mean(self.within(i, read))))
+            .collect();
+        let by_frame: Vec<f64> = self.errors.iter().map(|of_frame| mean(of_frame.iter().map(read))).collect();
+        let overall = mean(self.errors.iter().flatten().map(read));
+        let averaged = format!("avg_{short}_over_all_horizons");
+        statistics.push(Statistic::boolean(metric.as_str(), overall <= threshold));
+        statistics.push(mean_statistic(averaged.clone(), overall));
+        let series = TimeSeries {
+            unit: format!("{averaged} [{unit}]"),
+            time_stamps: self.time_stamps.clone(),
+            values: by_frame,
+            selected_frames: Some(self.frames.clone()),
+        };
+        MetricResult::scored(metric, (1.0 - overall / threshold).max(0.0), statistics).with_series(series)
+    }
+}
+
+pub(super) fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0usize), |(sum, count), value| (sum + value, count + 1));
+    sum / count as f64
+}
+
+/// Compares the trajectories (one a sample of the drive) with the recorded drive: `expert` from iteration 0 to the end of the
+/// scenario, `future` what was recorded after it, both with `frames_per_second` states a second.
+///
+/// As in nuPlan a trajectory that ends less than a second before the farthest horizon is compared at its own end. nuPlan's
+/// logs go on after every scenario; seconds whose next eight are not recorded are left out here (the time series names those
+/// that count). Kept: where the last state of the scenario lies on a full second, nuPlan counts it twice, as the last of the
+/// scenario and as the first of the future.
+///
+/// # Errors
+/// When a trajectory does not reach far enough, or no second has a recorded future.
+pub fn compare_with_expert(
+    trajectories: &[Trajectory],
+    expert: &[EgoState],
+    future: &[EgoState],
+    frames_per_second: usize,
+) -> Result<PlannerExpertErrors, MetricError> {
+    let frames: Vec<usize> = (0..trajectories.len()).step_by(frames_per_second).collect();
+    let recorded = sampled(expert, future, frames.last().copied().unwrap_or(0), frames_per_second);
+    let mut found = PlannerExpertErrors { frames: Vec::new(), time_stamps: Vec::new(), errors: Vec::new() };
+    for (second, &frame) in frames.iter().enumerate() {
+        let Some(ahead) = recorded.get(second..=second + FARTHEST_S) else { break };
+        let at_frame = |source| MetricError::Trajectory { sample: frame, source };
+        let (planned, driven) = compared_poses(&trajectories[frame], ahead).map_err(at_frame)?;
+        if planned.len() != driven.len() {
+            let reach_us = trajectories[frame].end_us() - ahead[0].time_us;
+            return Err(MetricError::TrajectoryTooShort { sample: frame, reach_us });
+        }
+        found.frames.push(frame);
+        found.time_stamps.push(ahead[0].time_us);
+        found.errors.push(COMPARISON_HORIZONS_S.map(|horizon| errors(&planned[..horizon], &driven[..horizon])));
+    }
+    if found.errors.is_empty() {
+        let recorded_s = (expert.len() + future.len()).saturating_sub(1) / frames_per_second;
+        return Err(MetricError::NoRecordedFuture { recorded_s, needed_s: FARTHEST_S });
+    }
+    Ok(found)
+}
+
+/// The recorded states that are compared: every second of the scenario, then eight more after its last compared frame.
+fn sampled<'a>(expert: &'a [EgoState], future: &'a [EgoState], last: usize, step: usize) -> Vec<&'a EgoState> {
+    let after = (1..=FARTHEST_S).map_while(|second| {
+        let index = last + second * step;
+        expert.get(index).or_else(|| future.get(index - expert.len()))
+    });
+    expert.iter().step_by(step).chain(after).collect()
+}
+
+/// Centres of planner and expert at the eight seconds after the first of `ahead`.
+fn compared_poses(trajectory: &Trajectory, ahead: &[&EgoState]) -> Result<(Vec<Pose>, Vec<Pose>), TrajectoryError> {
+    let center = |state: &TrajectoryState| state.rear_axle.translated(PACIFICA.rear_axle_to_center(), 0.0);
+    let end_us = trajectory.end_us();
+    let covered = ahead.iter().filter(|state| state.time_us <= end_us);
+    let mut planned: Vec<Pose> =
+        covered.map(|state| trajectory.at(state.time_us).map(|s| center(&s))).collect::<Result<_, _>>()?;
+    let mut driven: Vec<Pose> = ahead[1..].iter().map(|state| state.center()).collect();
+    if planned.len() < ahead.len() {
+        planned.push(center(&trajectory.at(end_us)?));
+        let mut states: Vec<TrajectoryState> = ahead.iter().map(|&state| TrajectoryState::from(state)).collect();
+        states.dedup_by_key(|state| state.time_us);
+        driven.pop();
+        driven.push(center(&Trajectory::new(states)?.at(end_us)?));
+    }
+    planned.remove(0);
+    Ok((planned, driven))
+}
+
+fn errors(planned: &[Pose], driven: &[Pose]) -> HorizonErrors {
+    let distances: Vec<f64> = planned.iter().zip(driven).map(|(p, d)| p.distance(d)).collect();
+    let turns: Vec<f64> = planned.iter().zip(driven).map(|(p, d)| wrap_angle(p.heading - d.heading).abs()).collect();
+    HorizonErrors {
+        average_displacement: mean(distances.iter().copied()),
+        maximum_displacement: distances.iter().copied().fold(0.0, f64::max),
+        final_displacement: distances.last().copied().unwrap_or(f64::NAN),
+        average_heading: mean(turns.iter().copied()),
+        final_heading: turns.last().copied().unwrap_or(f64::NAN),
+    }
+}

@@ -1,0 +1,131 @@
+//! What is kept of a drive when it has ended: `record.toml` of its folder.
+
+use super::timing::CallTimes;
+use crate::experiment::run::DriveRecord;
+use crate::metrics::ScenarioRow;
+use crate::planner::PlanningCall;
+use crate::simulation::Challenge;
+use serde::{Deserialize, Serialize};
+
+/// A drive that was made, or why it could not be.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DriveRow {
+    /// Its number in the run, from 0.
+    pub number: usize,
+    /// The source in the words of the command line.
+    pub source: String,
+    /// Name of the scenario.
+    pub scenario: String,
+    /// nuPlan's type.
+    pub scenario_type: String,
+    /// Name of the log.
+    pub log_name: String,
+    /// Who drove.
+    pub planner: String,
+    /// Among which traffic.
+    pub challenge: Challenge,
+    /// Why there is no result.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<String>,
+    /// nuPlan's score in [0, 1]; none for a failed drive.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub score: Option<f64>,
+    /// The multipliers that made the score 0.
+    #[serde(default)]
+    pub zeroed_by: Vec<String>,
+    /// Planning calls that were made.
+    pub planning_calls: usize,
+    /// Attempts after the first of their call.
+    pub rethinks: usize,
+    /// What could not be read of the answers.
+    pub parse_errors: usize,
+    /// What was measured.
+    pub time: DriveTime,
+    /// The metrics' scores, in nuPlan's order of computation; their statistics lie in `metrics.toml`.
+    #[serde(default)]
+    pub metrics: Vec<MetricScore>,
+}
+
+/// The score of one metric.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MetricScore {
+    /// nuPlan's name.
+    pub name: String,
+    /// Its score in [0, 1]; none for metrics that do not enter the score.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub score: Option<f64>,
+}
+
+/// What was measured of a drive.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DriveTime {
+    /// Begin, seconds since 1970.
+    pub started_s: f64,
+    /// End, seconds since 1970.
+    pub ended_s: f64,
+    /// Time that the planner took at each iteration, seconds.
+    pub planner_s: Vec<f64>,
+    /// The planning calls by part.
+    pub calls: Vec<CallTimes>,
+}
+
+impl DriveRow {
+    /// What is kept of a record.
+    pub fn new(number: usize, record: &DriveRecord) -> Self {
+        let driven = record.outcome.as_ref().ok();
+        let calls = driven.map_or(&[][..], |driven| driven.calls.as_slice());
+        let score = driven.map(|driven| &driven.score);
+        let metrics = driven.map_or(&[][..], |driven| driven.metrics.as_slice());
+        Self {
+            number,
+            source: record.source.clone(),
+            scenario: record.scenario.clone(),
+            scenario_type: record.scenario_type.clone(),
+            log_name: record.log_name.clone(),
+            planner: record.planner.to_string(),
+            challenge: record.challenge,
+            error: record.outcome.as_ref().err().cloned(),
+            score: score.map(|score| score.value),
+            zeroed_by: score.map_or_else(Vec::new, |score| score.zero_multipliers().map(|m| m.to_string()).collect()),
+            planning_calls: calls.len(),
+            rethinks: calls.iter().map(PlanningCall::rethinks).sum(),
+            parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
+            time: DriveTime {
+                started_s: record.started_s,
+                ended_s: record.ended_s,
+                planner_s: driven.map_or_else(Vec::new, |driven| driven.log.runtimes_s.clone()),
+                calls: calls.iter().map(CallTimes::of).collect(),
+            },
+            metrics: metrics.iter().map(|m| MetricScore { name: m.name.clone(), score: m.score }).collect(),
+        }
+    }
+
+    /// Which drive of a run this is, in words.
+    pub fn identity(&self) -> String {
+        format!("{} by {} in {}", self.source, self.planner, self.challenge)
+    }
+
+    /// The score of a metric.
+    pub fn metric(&self, name: &str) -> Option<f64> {
+        self.metrics.iter().find(|metric| metric.name == name).and_then(|metric| metric.score)
+    }
+
+    /// The drive as the aggregation takes it; none for a failed one, which does not count. The metrics of the score come
+    /// first and in its order, so that the aggregation's sums are the score's to the last bit.
+    pub fn scenario_row(&self) -> Option<ScenarioRow> {
+        let scored = self.challenge.metric_list().scored();
+        let place = |name: &str| scored.iter().position(|metric| metric.as_str() == name).unwrap_or(scored.len());
+        let mut metrics: Vec<_> = self.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect();
+        metrics.sort_by_key(|(name, _)| place(name));
+        self.score.map(|_| ScenarioRow {
+            scenario: self.scenario.clone(),
+            log_name: self.log_name.clone(),
+            scenario_type: self.scenario_type.clone(),
+            planner: self.planner.clone(),
+            metrics,
+        })
+    }
+}

@@ -1,0 +1,47 @@
+//! The files of a run that has ended: made of the drives' folders, so that it does not matter in how many sessions the
+//! drives were made.
+
+use super::atomic;
+use super::drive_row::DriveRow;
+use super::error::ReportError;
+use super::manifest::Manifest;
+use super::parquet::{write_aggregator, write_metric_files, write_runner_report};
+use super::run_folder::RunFolder;
+use super::summary::{Summary, aggregated, distinct};
+use super::timing::Timing;
+
+impl RunFolder {
+    /// Writes `summary.json`, `timing.json`, `calls.jsonl`, and for each challenge nuPlan's result tree.
+    ///
+    /// # Errors
+    /// When a file cannot be written, or a drive's metrics cannot be read.
+    pub fn finish(
+        &self,
+        manifest: &Manifest,
+        summary: &Summary,
+        timing: &Timing,
+        rows: &[DriveRow],
+    ) -> Result<(), ReportError> {
+        self.join_calls()?;
+        for challenge in distinct(rows.iter().map(|row| row.challenge)) {
+            let own = || rows.iter().filter(|row| row.challenge == challenge);
+            let folder = self.path().join(challenge.to_string());
+            let metrics = folder.join("metrics");
+            let aggregator = folder.join("aggregator_metric");
+            for folder in [&metrics, &aggregator] {
+                atomic::folder(folder)?;
+                atomic::sweep(folder)?;
+            }
+            write_metric_files(&metrics, self.metrics(own().filter(|row| row.score.is_some()))?)?;
+            let name = format!("{challenge}_weighted_average_metrics_{}.parquet", manifest.started);
+            write_aggregator(&aggregator.join(name), &aggregated(challenge, own()))?;
+            write_runner_report(&folder.join("runner_report.parquet"), &own().collect::<Vec<_>>())?;
+        }
+        self.write("timing.json", pretty(timing)?.as_bytes())?;
+        self.write("summary.json", pretty(summary)?.as_bytes())
+    }
+}
+
+fn pretty(value: &impl serde::Serialize) -> Result<String, serde_json::Error> {
+    serde_json::to_string_pretty(value).map(|text| text + "\n")
+}

@@ -1,0 +1,153 @@
+//! `metrics/METRIC.parquet`: a file a metric, a row a drive.
+
+use super::table::{Column, Columns, TableWriter};
+use crate::metrics::{MetricResult, ScoreUnit, Statistic, StatisticKind};
+use crate::report::{DriveRow, ReportError};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Drives that are held in memory at a time.
+const BATCH: usize = 256;
+
+/// Statistics of a metric in the order in which they first appear. Some are there in some drives only, such as the energies
+/// of collisions.
+type Schema = Vec<(String, StatisticKind)>;
+
+/// A row to be: the drive and its result.
+type Row<'a> = (&'a DriveRow, MetricResult);
+
+/// Writes the files. The drives are gone through twice: once for the columns, once for the values.
+pub(in crate::report) fn write_metric_files<'a>(
+    folder: &Path,
+    drives: impl Iterator<Item = Result<(&'a DriveRow, Vec<MetricResult>), ReportError>> + Clone,
+) -> Result<(), ReportError> {
+    let mut schemas: BTreeMap<String, Schema> = BTreeMap::new();
+    for drive in drives.clone() {
+        for metric in drive?.1 {
+            let schema = schemas.entry(metric.name).or_default();
+            for statistic in metric.statistics {
+                if !schema.iter().any(|(name, _)| *name == statistic.name) {
+                    schema.push((statistic.name, statistic.kind));
+                }
+            }
+        }
+    }
+    let mut tables: BTreeMap<String, MetricTable<'a>> = schemas
+        .into_iter()
+        .map(|(name, schema)| (name, MetricTable { schema, waiting: Vec::new(), writer: None }))
+        .collect();
+    for drive in drives {
+        let (row, metrics) = drive?;
+        for metric in metrics {
+            let name = metric.name.clone();
+            if let Some(table) = tables.get_mut(&name) {
+                table.waiting.push((row, metric));
+                if table.waiting.len() == BATCH {
+                    table.flush(folder, &name)?;
+                }
+            }
+        }
+    }
+    for (name, mut table) in tables {
+        table.flush(folder, &name)?;
+        if let Some(writer) = table.writer {
+            writer.finish()?;
+        }
+    }
+    Ok(())
+}
+
+/// A file under way.
+struct MetricTable<'a> {
+    schema: Schema,
+    waiting: Vec<Row<'a>>,
+    writer: Option<TableWriter>,
+}
+
+impl MetricTable<'_> {
+    fn flush(&mut self, folder: &Path, name: &str) -> Result<(), ReportError> {
+        if self.waiting.is_empty() {
+            return Ok(());
+        }
+        let columns = columns(&self.schema, &self.waiting);
+        self.waiting.clear();
+        if let Some(writer) = &mut self.writer {
+            writer.append(columns)
+        } else {
+            self.writer = Some(TableWriter::begin(&folder.join(format!("{name}.parquet")), columns)?);
+            Ok(())
+        }
+    }
+}
+
+/// The columns of the devkit's `construct_dataframe` and `MetricStatistics.serialize_dataframe`.
+fn columns(schema: &Schema, rows: &[Row<'_>]) -> Columns {
+    let of_drive = |of: fn(&DriveRow) -> &str| Column::text(rows.iter().map(|(drive, _)| of(drive)));
+    let of_metric = |of: fn(&MetricResult) -> Option<&str>| {
+        Column::Text(rows.iter().map(|(_, metric)| of(metric).map(str::to_owned)).collect())
+    };
+    let mut all = vec![
+        ("log_name".to_owned(), of_drive(|drive| &drive.log_name)),
+        ("scenario_name".to_owned(), of_drive(|drive| &drive.scenario)),
+        ("scenario_type".to_owned(), of_drive(|drive| &drive.scenario_type)),
+        ("planner_name".to_owned(), of_drive(|drive| &drive.planner)),
+        ("metric_computator".to_owned(), of_metric(|metric| Some(&metric.computator))),
+        ("metric_statistics_name".to_owned(), of_metric(|metric| Some(&metric.name))),
+        ("metric_score".to_owned(), Column::Float(rows.iter().map(|(_, metric)| metric.score).collect())),
+        ("metric_score_unit".to_owned(), of_metric(|metric| metric.score_unit.map(ScoreUnit::as_str))),
+        ("metric_category".to_owned(), of_metric(|metric| Some(metric.category.as_str()))),
+    ];
+    for (name, kind) in schema {
+        let found: Vec<Option<&Statistic>> =
+            rows.iter().map(|(_, metric)| metric.statistics.iter().find(|s| s.name == *name)).collect();
+        let kinds = found.iter().map(|statistic| statistic.map(|s| kind_name(s.kind).to_owned()));
+        let units = found.iter().map(|statistic| statistic.map(|s| s.unit.clone()));
+        all.push((format!("{name}_stat_type"), Column::Text(kinds.collect())));
+        all.push((format!("{name}_stat_unit"), Column::Text(units.collect())));
+        all.push((format!("{name}_stat_value"), values(*kind, &found)));
+    }
+    all.extend(time_series(rows));
+    all
+}
+
+/// Truth values and counts have their own types, as in the devkit.
+fn values(kind: StatisticKind, found: &[Option<&Statistic>]) -> Column {
+    let values = found.iter().map(|statistic| statistic.map(|s| s.value));
+    match kind {
+        StatisticKind::Boolean => Column::Boolean(values.map(|value| value.map(|v| v > 0.5)).collect()),
+        StatisticKind::Count => Column::Integer(values.map(|value| value.map(|v| v as i64)).collect()),
+        _ => Column::Float(values.collect()),
+    }
+}
+
+fn time_series(rows: &[Row<'_>]) -> Columns {
+    let series = || rows.iter().map(|(_, metric)| metric.time_series.as_ref());
+    let units = series().map(|series| series.map(|s| s.unit.clone())).collect();
+    let times = series().map(|series| series.map(|s| s.time_stamps.clone())).collect();
+    let values = series().map(|series| series.map(|s| s.values.clone())).collect();
+    let frames = series().map(|series| {
+        let frames = series.and_then(|s| s.selected_frames.as_ref());
+        frames.map(|frames| frames.iter().map(|&frame| frame as i64).collect())
+    });
+    let frames = frames.collect();
+    vec![
+        ("time_series_unit".to_owned(), Column::Text(units)),
+        ("time_series_timestamps".to_owned(), Column::Integers(times)),
+        ("time_series_values".to_owned(), Column::Floats(values)),
+        ("time_series_selected_frames".to_owned(), Column::Integers(frames)),
+    ]
+}
+
+/// nuPlan's `MetricStatisticsType`.
+fn kind_name(kind: StatisticKind) -> &'static str {
+    match kind {
+        StatisticKind::Max => "MAX",
+        StatisticKind::Min => "MIN",
+        StatisticKind::P90 => "P90",
+        StatisticKind::Mean => "MEAN",
+        StatisticKind::Count => "COUNT",
+        StatisticKind::Value => "VALUE",
+        StatisticKind::Ratio => "RATIO",
+        StatisticKind::Boolean => "BOOLEAN",
+    }
+}

@@ -1,0 +1,65 @@
+//! `runner_report.parquet`: a row a drive, failed ones included.
+
+use super::table::{Column, Columns, TableWriter};
+use crate::report::{DriveRow, ReportError};
+use std::path::Path;
+
+/// Writes the table. Columns as the devkit's `save_runner_reports` makes them of `RunnerReport` and `PlannerReport`; times
+/// are seconds, `start_time` and `end_time` since 1970.
+pub(in crate::report) fn write_runner_report(path: &Path, rows: &[&DriveRow]) -> Result<(), ReportError> {
+    TableWriter::begin(path, columns(rows))?.finish()
+}
+
+fn columns(rows: &[&DriveRow]) -> Columns {
+    let text = |of: fn(&DriveRow) -> &str| Column::text(rows.iter().map(|row| of(row)));
+    let float = |of: fn(&DriveRow) -> Option<f64>| Column::Float(rows.iter().map(|row| of(row)).collect());
+    let all = [
+        ("succeeded", Column::Boolean(rows.iter().map(|row| Some(row.error.is_none())).collect())),
+        ("error_message", Column::Text(rows.iter().map(|row| row.error.clone()).collect())),
+        ("start_time", float(|row| Some(row.time.started_s))),
+        ("end_time", float(|row| Some(row.time.ended_s))),
+        ("scenario_name", text(|row| &row.scenario)),
+        ("planner_name", text(|row| &row.planner)),
+        ("log_name", text(|row| &row.log_name)),
+        ("compute_trajectory_runtimes_mean", float(|row| mean(&row.time.planner_s))),
+        ("compute_trajectory_runtimes_median", float(|row| median(&row.time.planner_s))),
+        ("compute_trajectory_runtimes_std", float(|row| deviation(&row.time.planner_s))),
+        ("duration", float(|row| Some(row.time.ended_s - row.time.started_s))),
+    ];
+    all.into_iter().map(|(name, column)| (name.to_owned(), column)).collect()
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// numpy's: the mean of the middle two for an even number.
+fn median(values: &[f64]) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let upper = *sorted.get(sorted.len() / 2)?;
+    if sorted.len() % 2 == 1 {
+        return Some(upper);
+    }
+    sorted.get(sorted.len() / 2 - 1).map(|lower| f64::midpoint(*lower, upper))
+}
+
+/// numpy's: of the population.
+fn deviation(values: &[f64]) -> Option<f64> {
+    let mean = mean(values)?;
+    Some((values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statistics_are_numpys() {
+        let values = [4.0, 1.0, 3.0, 2.0];
+        assert_eq!((mean(&values), median(&values)), (Some(2.5), Some(2.5)));
+        assert!((deviation(&values).unwrap() - 1.25f64.sqrt()).abs() < 1e-15);
+        assert_eq!(median(&values[..3]), Some(3.0));
+        assert_eq!((mean(&[]), median(&[]), deviation(&[])), (None, None, None));
+    }
+}

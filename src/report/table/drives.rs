@@ -1,0 +1,110 @@
+//! The drives one by one: their metrics, what made scores 0, what failed.
+
+use super::{percent_or_dash, plain, short};
+use crate::metrics::{MetricList, MetricName};
+use crate::report::drive_row::DriveRow;
+use console::style;
+
+/// Head of the column of a metric.
+fn short_name(name: MetricName) -> &'static str {
+    match name {
+        MetricName::NoEgoAtFaultCollisions => "coll",
+        MetricName::DrivableAreaCompliance => "area",
+        MetricName::EgoIsMakingProgress => "prog",
+        MetricName::DrivingDirectionCompliance => "dir",
+        MetricName::EgoProgressAlongExpertRoute => "rate",
+        MetricName::TimeToCollisionWithinBound => "ttc",
+        MetricName::SpeedLimitCompliance => "speed",
+        MetricName::EgoIsComfortable => "comf",
+        MetricName::PlannerMissRateWithinBound => "miss",
+        MetricName::PlannerExpertAverageL2ErrorWithinBound => "ADE",
+        MetricName::PlannerExpertFinalL2ErrorWithinBound => "FDE",
+        MetricName::PlannerExpertAverageHeadingErrorWithinBound => "AHE",
+        MetricName::PlannerExpertFinalHeadingErrorWithinBound => "FHE",
+    }
+}
+
+/// More drives than this are left to `summary.json`; the means stand for them.
+const MOST_ROWS: usize = 60;
+
+/// A row a drive under the name of its scenario: score x 100 and the metrics of the list.
+pub(super) fn drives(rows: &[DriveRow], list: MetricList) -> String {
+    let driven = || rows.iter().filter(|row| row.score.is_some() && row.challenge.metric_list() == list);
+    let shown: Vec<&DriveRow> = driven().take(MOST_ROWS).collect();
+    let metrics = list.scored().iter().map(|&name| short_name(name));
+    let header = ["drive", "", "score"].into_iter().chain(metrics).chain(["calls"]);
+    let table = plain(&header.map(str::to_owned).collect::<Vec<_>>(), shown.iter().map(|row| cells(row)).collect(), 2);
+    let mut lines = table.lines();
+    let mut text: Vec<String> = lines.next().map(str::to_owned).into_iter().collect();
+    let mut scenario = "";
+    for (row, line) in shown.iter().zip(lines) {
+        if row.scenario != scenario {
+            scenario = &row.scenario;
+            text.push(style(scenario).bold().to_string());
+        }
+        text.push(line.to_owned());
+    }
+    let left_out = driven().count() - shown.len();
+    if left_out > 0 {
+        text.push(format!("and {left_out} more drives in summary.json"));
+    }
+    text.join("\n")
+}
+
+fn cells(row: &DriveRow) -> Vec<String> {
+    let list = row.challenge.metric_list().scored().iter();
+    let metrics = list.map(|name| row.metric(name.as_str()).map_or_else(|| "-".to_owned(), compact));
+    let calls = if row.planning_calls == 0 { "-".to_owned() } else { row.planning_calls.to_string() };
+    let head = [format!("  {}", row.planner), short(row.challenge).to_owned(), percent_or_dash(row.score)];
+    head.into_iter().chain(metrics).chain([calls]).collect()
+}
+
+/// What the short heads mean.
+pub(super) fn legend(list: MetricList, width: u16) -> String {
+    let mut lines = vec![String::new()];
+    for &name in list.scored() {
+        let part = format!("{} = {name}", short_name(name));
+        let line = lines.last_mut().map_or(0, |line| line.chars().count());
+        if line > 0 && line + part.len() + 2 > usize::from(width) {
+            lines.push(part);
+        } else if let Some(last) = lines.last_mut() {
+            if !last.is_empty() {
+                last.push_str("  ");
+            }
+            last.push_str(&part);
+        }
+    }
+    lines.push(
+        match list {
+            MetricList::ClosedLoop => "NR, R = replayed, reactive traffic  score = nuPlan's closed-loop score x 100",
+            MetricList::OpenLoop => "OLS = the ego does what was recorded  score = nuPlan's open-loop score x 100",
+        }
+        .to_owned(),
+    );
+    lines.iter().map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
+}
+
+/// For each score of 0 the multipliers that made it, a line each.
+pub(super) fn zeroed(rows: &[DriveRow]) -> String {
+    let mut lines: Vec<String> = Vec::new();
+    let mut scenario = None;
+    for row in rows.iter().filter(|row| !row.zeroed_by.is_empty()) {
+        if scenario != Some(&row.scenario) {
+            lines.push(row.scenario.clone());
+            scenario = Some(&row.scenario);
+        }
+        let names = row.zeroed_by.iter();
+        lines.extend(names.map(|name| format!("  {} {}: 0 because of {name}", row.planner, short(row.challenge))));
+    }
+    lines.join("\n")
+}
+
+/// A line a failed drive.
+pub fn failures(rows: &[DriveRow]) -> Vec<String> {
+    let failed = rows.iter().filter_map(|row| row.error.as_ref().map(|error| (row, error)));
+    failed.map(|(row, error)| format!("{} ({}, {}): {error}", row.scenario, row.planner, row.challenge)).collect()
+}
+
+fn compact(value: f64) -> String {
+    if (value - value.round()).abs() < 1e-9 { format!("{value:.0}") } else { format!("{value:.2}") }
+}

@@ -1,0 +1,57 @@
+//! Tables for the terminal, readable at 80 columns.
+
+mod drives;
+mod overview;
+
+use super::drive_row::DriveRow;
+use super::summary::Summary;
+use super::timing::PlannerTiming;
+use crate::metrics::MetricList;
+use crate::simulation::Challenge;
+use comfy_table::{CellAlignment, Table, presets};
+
+pub use drives::failures;
+
+/// The main table (a row a planner), the scenario types when there are several, the drives with their metrics up to a
+/// number and a legend for each list of metrics, and what made scores 0.
+pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[DriveRow], width: u16) -> String {
+    let lists = [MetricList::ClosedLoop, MetricList::OpenLoop];
+    let driven = lists.into_iter().filter(|list| rows.iter().any(|row| row.challenge.metric_list() == *list));
+    let mut parts = vec![overview::planners(summary, planners), overview::scenario_types(summary, width)];
+    parts.extend(driven.flat_map(|list| [drives::drives(rows, list), drives::legend(list, width)]));
+    parts.push(drives::zeroed(rows));
+    parts.retain(|part| !part.is_empty());
+    parts.join("\n\n")
+}
+
+/// A table without frame, its numbers to the right from column `numbers` on.
+fn plain(header: &[String], rows: Vec<Vec<String>>, numbers: usize) -> String {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING);
+    table.set_header(header);
+    table.add_rows(rows);
+    for (i, column) in table.column_iter_mut().enumerate() {
+        column.set_padding((0, 2));
+        if i >= numbers {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table.lines().map(|line| line.trim_end().to_owned()).collect::<Vec<_>>().join("\n")
+}
+
+/// Names of the challenges in tables, as papers write them.
+fn short(challenge: Challenge) -> &'static str {
+    match challenge {
+        Challenge::ClosedLoopNonreactiveAgents => "NR",
+        Challenge::ClosedLoopReactiveAgents => "R",
+        Challenge::OpenLoopBoxes => "OLS",
+    }
+}
+
+fn percent(score: f64) -> String {
+    format!("{:.2}", score * 100.0)
+}
+
+fn percent_or_dash(score: Option<f64>) -> String {
+    score.map_or_else(|| "-".to_owned(), percent)
+}

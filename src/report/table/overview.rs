@@ -1,0 +1,84 @@
+//! The paper's main table, over all scenarios and by scenario type.
+
+use super::{percent_or_dash, plain, short};
+use crate::report::summary::{Aggregate, Summary, distinct};
+use crate::report::timing::PlannerTiming;
+use crate::simulation::Challenge;
+use console::style;
+
+/// A row a planner: its mean scores, what it takes for a step, how many drives it made.
+pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
+    let challenges = distinct(summary.aggregates.iter().map(|row| row.challenge));
+    let head = ["planner"].into_iter().chain(challenges.iter().map(|&c| short(c)));
+    let header: Vec<String> = head.chain(["ms/step p50", "p95", "drives", "failed"]).map(str::to_owned).collect();
+    let planners = distinct(summary.aggregates.iter().map(|row| row.planner.as_str()));
+    let rows = planners.into_iter().map(|planner| {
+        let own = || summary.aggregates.iter().filter(|row| row.planner == planner);
+        let score = |challenge| own().find(|row| row.challenge == challenge).and_then(|row| row.score);
+        let step = timings.iter().find(|timing| timing.planner == planner).and_then(|timing| timing.iteration_ms);
+        let ms = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), milliseconds);
+        let drives: usize = own().map(|row| row.scenarios + row.failed).sum();
+        let failed: usize = own().map(|row| row.failed).sum();
+        let scores = challenges.iter().map(|&challenge| percent_or_dash(score(challenge)));
+        let counts = [ms(step.map(|q| q.p50)), ms(step.map(|q| q.p95)), drives.to_string(), failed.to_string()];
+        [planner.to_owned()].into_iter().chain(scores).chain(counts).collect()
+    });
+    plain(&header, rows.collect(), 1)
+}
+
+/// Three figures at most.
+fn milliseconds(ms: f64) -> String {
+    match ms {
+        ms if ms < 0.1 => format!("{ms:.4}"),
+        ms if ms < 10.0 => format!("{ms:.2}"),
+        ms if ms < 100.0 => format!("{ms:.1}"),
+        ms => format!("{ms:.0}"),
+    }
+}
+
+/// Columns that a score takes: `100.00` and a gap.
+const SCORE: usize = 7;
+/// Columns before the scores.
+const COUNT: usize = 6;
+
+/// Two lines a scenario type: its name, then how many scenarios and each planner's scores. As many planners side by side
+/// as the width holds, the others below.
+pub(super) fn scenario_types(summary: &Summary, width: u16) -> String {
+    let rows = &summary.scenario_types;
+    let types = distinct(rows.iter().filter_map(|row| row.scenario_type.as_deref()));
+    if types.len() < 2 {
+        return String::new();
+    }
+    let challenges = distinct(rows.iter().map(|row| row.challenge));
+    let planners = distinct(rows.iter().map(|row| row.planner.as_str()));
+    let longest = planners.iter().map(|name| name.chars().count() + 2).max().unwrap_or(0);
+    let group = (challenges.len() * SCORE).max(longest);
+    let beside = (usize::from(width).saturating_sub(COUNT) / group).max(1);
+    let blocks = planners.chunks(beside).map(|planners| block(rows, &types, planners, &challenges, group));
+    blocks.collect::<Vec<_>>().join("\n\n")
+}
+
+fn block(rows: &[Aggregate], types: &[&str], planners: &[&str], challenges: &[Challenge], group: usize) -> String {
+    let cells = |of: &dyn Fn(&str, Challenge) -> String| -> String {
+        let scores = |planner: &str| -> Vec<String> {
+            challenges.iter().map(|&challenge| format!("{:>SCORE$}", of(planner, challenge))).collect()
+        };
+        let groups = planners.iter().map(|planner| format!("{:>group$}", scores(planner).concat()));
+        groups.collect::<Vec<_>>().concat()
+    };
+    let names = planners.iter().map(|planner| format!("{planner:>group$}")).collect::<Vec<_>>().concat();
+    let mut lines = vec![
+        format!("{:<COUNT$}{names}", "type"),
+        format!("{:>COUNT$}{}", "n", cells(&|_, challenge| short(challenge).to_owned())),
+    ];
+    for name in types {
+        let of_type = || rows.iter().filter(|row| row.scenario_type.as_deref() == Some(*name));
+        let n = of_type().map(|row| row.scenarios + row.failed).max().unwrap_or(0);
+        let score = |planner: &str, challenge| {
+            of_type().find(|row| row.planner == planner && row.challenge == challenge).and_then(|row| row.score)
+        };
+        lines.push(style(name).bold().to_string());
+        lines.push(format!("{n:>COUNT$}{}", cells(&|planner, challenge| percent_or_dash(score(planner, challenge)))));
+    }
+    lines.join("\n")
+}

@@ -1,0 +1,4 @@
+//! PDM-Closed: the record of upstream's own runs, and hand-worked cases.
+
+mod record;
+mod town;

@@ -1,0 +1,93 @@
+//! A drive that fails is recorded, and the run goes on.
+
+use super::{assert_same_results, drives};
+use crate::cli::{read_json, run};
+use planagent::experiment::run::{self as runner, Assignment, DriveRecord, PlannerKind};
+use planagent::experiment::source::ScenarioSource;
+use planagent::scenario::generator;
+use planagent::simulation::Challenge;
+use std::collections::BTreeMap;
+use std::fs;
+use std::sync::Mutex;
+use tempfile::TempDir;
+
+fn assignments() -> Vec<Assignment> {
+    let missing = ScenarioSource::Recording { path: "nowhere.tfrecord".into(), record: 0 };
+    let of = |source: &ScenarioSource, planner| Assignment {
+        source: source.clone(),
+        planner,
+        challenge: Challenge::ClosedLoopNonreactiveAgents,
+    };
+    let scene = ScenarioSource::Generated(generator::DEFAULT);
+    vec![of(&missing, PlannerKind::Simple), of(&scene, PlannerKind::PlanAgent), of(&scene, PlannerKind::Simple)]
+}
+
+/// All records of a run of [`assignments`], by number.
+fn records(on_iteration: &(dyn Fn() + Sync)) -> BTreeMap<usize, DriveRecord> {
+    let records = Mutex::new(BTreeMap::new());
+    let outcome: Result<(), ()> =
+        runner::run(&assignments(), &[0, 1, 2], None, &|_| on_iteration(), &|number, record| {
+            assert!(records.lock().unwrap().insert(number, record).is_none());
+            Ok(())
+        });
+    outcome.unwrap();
+    records.into_inner().unwrap()
+}
+
+#[test]
+fn an_error_is_recorded_and_the_run_goes_on() {
+    let records = records(&|| ());
+    let error = |number: usize| records[&number].outcome.as_ref().unwrap_err().clone();
+    assert!(error(0).contains("nowhere.tfrecord"), "{}", error(0));
+    assert!(error(1).contains("needs a model"), "{}", error(1));
+    let driven = records[&2].outcome.as_ref().unwrap();
+    assert_eq!(records[&2].scenario, generator::DEFAULT.to_string());
+    assert!(driven.metrics.len() > 8 && driven.log.runtimes_s.len() == driven.log.samples.len());
+}
+
+#[test]
+fn a_panic_is_recorded_with_its_place_and_the_run_goes_on() {
+    let records = records(&|| panic!("a wheel came off"));
+    let error = records[&2].outcome.as_ref().unwrap_err();
+    assert!(error.contains("a wheel came off") && error.contains("failures.rs"), "{error}");
+    assert_eq!(records.len(), 3);
+}
+
+#[test]
+fn nothing_is_begun_after_a_record_that_cannot_be_kept() {
+    let outcome =
+        runner::run(&assignments(), &[0, 1, 2], None, &|_| (), &|number, _| Err(format!("disk full at {number}")));
+    assert!(outcome.unwrap_err().starts_with("disk full at"));
+}
+
+#[test]
+fn failed_drives_are_listed_and_made_again_only_on_demand() {
+    let work = TempDir::new().unwrap();
+    let [whole, mended] = ["whole", "mended"].map(|name| work.path().join(name));
+    for out in [&whole, &mended] {
+        let flags = ["simulate", "--split", "generated", "--limit", "2", "--planner", "simple", "--quiet"];
+        assert_eq!(run(&[&flags[..], &["--out", out.to_str().unwrap()]].concat()).0, 0);
+    }
+    // A drive of the run failed, as its record says.
+    let record = drives(&mended)[1].join("record.toml");
+    let text = fs::read_to_string(&record).unwrap();
+    let lines =
+        text.lines().map(|line| if line.starts_with("score = ") { "error = \"a wheel came off\"" } else { line });
+    let header: Vec<&str> = lines.take_while(|line| *line != "[[metrics]]").collect();
+    fs::write(&record, header.join("\n")).unwrap();
+
+    let resume = ["simulate", "--resume", mended.to_str().unwrap()];
+    let (code, stdout, stderr) = run(&resume);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("a wheel came off") && stderr.contains("1 of 2 drives failed"), "{stderr}");
+    assert!(stdout.lines().any(|line| line.starts_with("simple") && line.ends_with('1')), "{stdout}");
+    let summary = read_json(&mended.join("summary.json"));
+    assert_eq!(summary["scenarios"][1]["error"], "a wheel came off");
+    assert_eq!(summary["scenarios"][1]["succeeded"], false);
+    assert_eq!(summary["aggregates"][0]["failed"], 1);
+    assert_eq!(summary["aggregates"][0]["score"], summary["scenarios"][0]["score"], "a failed drive does not count");
+
+    let (code, _, stderr) = run(&[&resume[..], &["--retry-failed"]].concat());
+    assert_eq!(code, 0, "{stderr}");
+    assert_same_results(&whole, &mended);
+}

@@ -1,0 +1,56 @@
+//! Runs of many drives: written drive by drive, gone on with, and read by others.
+
+mod failures;
+mod parquet;
+mod resume;
+mod splits;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The flags of a run of `scenarios` generated scenes with planners that are quick.
+fn quick_run(scenarios: usize) -> Vec<String> {
+    let count = scenarios.to_string();
+    let flags = ["simulate", "--split", "generated", "--limit", &count, "--planner", "log-replay,simple", "--quiet"];
+    flags.into_iter().chain(["--challenge", "both"]).map(str::to_owned).collect()
+}
+
+/// Folders of the drives that have ended, by name.
+fn drives(run: &Path) -> Vec<PathBuf> {
+    let Ok(entries) = fs::read_dir(run.join("drives")) else { return Vec::new() };
+    let mut found: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    found.retain(|path| !path.file_name().unwrap().to_str().unwrap().starts_with('.'));
+    found.sort();
+    found
+}
+
+/// Everything in a run's folder whose bytes may not depend on the clock, by name; the stamp of the start is cut out.
+fn results(run: &Path) -> BTreeMap<String, Vec<u8>> {
+    fn walk(folder: &Path, root: &Path, found: &mut BTreeMap<String, Vec<u8>>) {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.strip_prefix(root).unwrap().to_str().unwrap().to_owned();
+            if path.is_dir() {
+                walk(&path, root, found);
+            } else if !["timing.json", "manifest.toml", ".lock"].contains(&name.as_str())
+                && !name.ends_with("record.toml")
+                && !name.ends_with("runner_report.parquet")
+            {
+                let name = name.split("_metrics_").next().unwrap().to_owned();
+                assert!(found.insert(name, fs::read(&path).unwrap()).is_none());
+            }
+        }
+    }
+    let mut found = BTreeMap::new();
+    walk(run, run, &mut found);
+    found
+}
+
+/// Fails with the names of the files that differ.
+fn assert_same_results(one: &Path, other: &Path) {
+    let (one, other) = (results(one), results(other));
+    let differing: Vec<&String> =
+        one.keys().chain(other.keys()).filter(|name| one.get(*name) != other.get(*name)).collect();
+    assert!(differing.is_empty(), "these differ: {differing:?}");
+}
