@@ -4,14 +4,80 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use planagent::environment::text::{self, Description};
 use planagent::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, bev};
+use planagent::geometry::{OrientedBox, Vector};
 use planagent::metrics::{Drive, evaluate};
+use planagent::pdm::{
+    Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, Way, plan_along, score_proposals, simulate_proposals,
+};
 use planagent::planner::{IdmPlanner, LogReplay, generated_planner};
 use planagent::reasoning::PlannerCode;
 use planagent::reflection::{Judge, LeadPolicy};
 use planagent::scenario::generator::{DEFAULT, generate};
 use planagent::simulation::{Challenge, ClosedLoop, simulate};
-use planagent::world::EgoState;
+use planagent::world::{EgoState, ObjectKind, Scene, TrackToken, TrackedObject};
 use std::hint::black_box;
+
+/// Agents within PDM-Closed's sight in its bench.
+const CROWD: u32 = 50;
+
+/// Cars, pedestrians and cones on the lanes around the ego, as many as [`CROWD`], all within 50 m and none touching it:
+/// half of them stand, the others drive along their lane.
+fn crowd(scene: &Scene<'_>) -> Vec<TrackedObject> {
+    let center = scene.ego.center();
+    let lanes = scene.map.lanes_near(center.position(), 45.0);
+    let places = lanes.iter().flat_map(|&lane| {
+        let line = &scene.map[lane].centerline;
+        (0..(line.length() / 7.0) as usize).map(|i| line.pose_at(3.5 + 7.0 * i as f64))
+    });
+    let near = places.filter(|pose| (8.0..45.0).contains(&pose.distance(&center)));
+    let objects: Vec<TrackedObject> = near
+        .zip(0..)
+        .map(|(pose, token)| {
+            let (kind, length, width) = match token % 5 {
+                0 => (ObjectKind::Pedestrian, 0.7, 0.7),
+                1 => (ObjectKind::TrafficCone, 0.4, 0.4),
+                _ => (ObjectKind::Vehicle, 4.6, 1.9),
+            };
+            let speed = if kind == ObjectKind::Vehicle && token % 2 == 0 { 6.0 } else { 0.0 };
+            let shape = OrientedBox::new(pose.translated(0.0, if speed > 0.0 { 0.0 } else { 3.0 }), length, width);
+            let velocity: Vector = pose.direction() * speed;
+            TrackedObject { token: TrackToken(token), kind, shape, velocity }
+        })
+        .take(CROWD as usize)
+        .collect();
+    assert_eq!(objects.len(), CROWD as usize, "the bench needs a crowd");
+    objects
+}
+
+fn pdm_closed(c: &mut Criterion) {
+    let scenario = generate(&DEFAULT).unwrap();
+    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let objects = crowd(&drive.scene());
+    let scene = Scene { objects: &objects, ..drive.scene() };
+    let way = Way::find(scene.map, scene.route, scene.ego).unwrap();
+    let instant = PdmInstant::along(&way, &scene, &mut Collided::default());
+    let proposals = instant.proposals(&way, scene.ego, PROPOSAL_STEPS);
+    let simulated = simulate_proposals(scene.ego, proposals.all());
+
+    c.bench_function("choose the way of pdm-closed", |b| {
+        b.iter(|| Way::find(black_box(scene.map), scene.route, scene.ego));
+    });
+    c.bench_function("a step of pdm-closed, 50 agents", |b| {
+        b.iter(|| plan_along(&way, black_box(&scene), &mut Collided::default()).unwrap());
+    });
+    c.bench_function("a step of pdm-closed: look", |b| {
+        b.iter(|| PdmInstant::along(&way, black_box(&scene), &mut Collided::default()));
+    });
+    c.bench_function("a step of pdm-closed: generate", |b| {
+        b.iter(|| instant.proposals(&way, black_box(scene.ego), PROPOSAL_STEPS));
+    });
+    c.bench_function("a step of pdm-closed: simulate", |b| {
+        b.iter(|| simulate_proposals(black_box(scene.ego), proposals.all()));
+    });
+    c.bench_function("a step of pdm-closed: score", |b| {
+        b.iter(|| score_proposals(&instant.scoring(way.centerline().line(), 0.0), black_box(&simulated)).unwrap());
+    });
+}
 
 fn engine(c: &mut Criterion) {
     let scenario = generate(&DEFAULT).unwrap();
@@ -36,7 +102,12 @@ fn engine(c: &mut Criterion) {
     });
     c.bench_function("roll a planner out, 4 s", |b| b.iter(|| planner.roll_out(black_box(&scene), 40)));
     c.bench_function("reflect on a planner, proposals included", |b| {
-        b.iter(|| Judge::new(black_box(&scene), &graph, 4.0).unwrap().reflect(&planner, 0.75).unwrap());
+        b.iter(|| {
+            Judge::new(black_box(&scene), &graph, 4.0, &mut PdmMemory::default())
+                .unwrap()
+                .reflect(&planner, 0.75)
+                .unwrap()
+        });
     });
     c.bench_function("drive 15 s, idm, reactive", |b| {
         b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::ClosedLoopReactiveAgents).unwrap());
@@ -47,5 +118,5 @@ fn engine(c: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, engine);
+criterion_group!(benches, engine, pdm_closed);
 criterion_main!(benches);

@@ -5,6 +5,7 @@ use planagent::mllm::{
     Answer, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, ModelDescription, Opening, Request,
     RoundTime, Sampling, TokenCounts,
 };
+use planagent::pdm::PdmMemory;
 use planagent::planner::{AfterMaxExec, Decision, PlanAgent, PlanAgentSettings, generated_planner};
 use planagent::reasoning::{PlannerCode, PromptSet, ReasoningSettings, Round};
 use planagent::reflection::{Judge, LeadPolicy, Verdict, needs_emergency_brake};
@@ -192,8 +193,9 @@ fn reflection_refuses_to_run_into_the_leader_and_accepts_to_follow_it() {
         braked += usize::from(needs_emergency_brake(
             &scene,
             &planner_at(&drive, &graph, 10.0, LeadPolicy::Named).roll_out(&scene, 40),
+            &mut PdmMemory::default(),
         ));
-        let judge = Judge::new(&scene, &graph, 4.0).unwrap();
+        let judge = Judge::new(&scene, &graph, 4.0, &mut PdmMemory::default()).unwrap();
         let blind = planner_at(&drive, &graph, 10.0, LeadPolicy::Named);
         let report = judge.reflect(&blind, 0.75).unwrap();
         assert_eq!(report.verdict, Verdict::Rethink, "seed {seed}: {:?}", report.parts);
@@ -201,7 +203,7 @@ fn reflection_refuses_to_run_into_the_leader_and_accepts_to_follow_it() {
         let careful = planner_at(&drive, &graph, 10.0, LeadPolicy::Nearest);
         let report = judge.reflect(&careful, 0.75).unwrap();
         assert_eq!(report.verdict, Verdict::Execute, "seed {seed}: {:?}", report.parts);
-        assert!(!needs_emergency_brake(&scene, &careful.roll_out(&scene, 40)));
+        assert!(!needs_emergency_brake(&scene, &careful.roll_out(&scene, 40), &mut PdmMemory::default()));
     }
     assert!(seen >= 3, "only {seen} scenes have a standing leader close ahead");
     assert!(braked >= 1, "the emergency brake never overrules a planner that does not see its leader");

@@ -8,6 +8,7 @@
 
 mod agent;
 mod architecture;
+mod argoverse2;
 mod cli;
 mod environment;
 mod metrics;
@@ -16,4 +17,5 @@ mod nuplan;
 mod nuplan_input;
 mod pdm;
 mod runner;
+mod simulation;
 mod womd;

@@ -75,9 +75,16 @@ impl ProgressPath {
         Pose::new(mix(a.x, b.x), mix(a.y, b.y), wrap_angle(mix(a.heading, b.heading)))
     }
 
-    /// The poses from `from` to `to` (clamped), both ends interpolated.
+    /// The poses from `from` to `to` (clamped), both ends interpolated. As in nuPlan what begins at the very end are the last
+    /// two poses of the path, and what ends at the very start its first two (devkit `trim_path`, `trim_path_up_to_progress`).
     pub fn between(&self, from: f64, to: f64) -> Vec<Pose> {
         let (from, to) = (from.clamp(0.0, self.length()), to.clamp(0.0, self.length()));
+        if from >= self.length() {
+            return self.poses[self.poses.len() - 2..].to_vec();
+        }
+        if to <= 0.0 {
+            return self.poses[..2].to_vec();
+        }
         let first = self.progress.partition_point(|&p| p <= from);
         let after = self.progress.partition_point(|&p| p < to).max(first);
         let inner = self.poses[first..after].iter().copied();
@@ -132,6 +139,16 @@ mod tests {
         let part = ProgressPath::new(&straight(11)).unwrap().between(1.5, 4.0);
         let xs: Vec<f64> = part.iter().map(|pose| pose.x).collect();
         assert_eq!(xs, [1.5, 2.0, 3.0, 4.0]);
+    }
+
+    #[test]
+    fn at_its_ends_a_path_gives_its_outermost_poses() {
+        let path = ProgressPath::new(&straight(11)).unwrap();
+        let xs = |from: f64, to: f64| path.between(from, to).iter().map(|pose| pose.x).collect::<Vec<_>>();
+        assert_eq!(xs(9.0, 9.0), [8.0, 9.0]);
+        assert_eq!(xs(12.0, 15.0), [8.0, 9.0]);
+        assert_eq!(xs(-4.0, 0.0), [0.0, 1.0]);
+        assert_eq!(xs(8.5, 20.0), [8.5, 9.0]);
     }
 
     #[test]

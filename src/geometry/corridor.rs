@@ -1,7 +1,7 @@
 //! The strip that a vehicle of some width sweeps along a line.
 
 use super::polygon::segment_distance;
-use super::{Bounds, OrientedBox, Point, Polygon, Polyline, Pose};
+use super::{Bounds, OrientedBox, Point, Polygon, Polyline, Pose, wrap_angle};
 
 /// A line widened to both sides, with flat ends and round outer bends: `shapely`'s buffer with flat caps.
 #[derive(Debug, Clone, PartialEq)]
@@ -9,8 +9,14 @@ pub struct Corridor {
     line: Polyline,
     half_width: f64,
     pieces: Vec<OrientedBox>,
+    /// Centres of the round bends.
+    bends: Vec<Point>,
     bounds: Bounds,
 }
+
+/// Bends sharper than this are rounded on their outside, radians. Below it the missing wedge is under half a millimetre deep;
+/// rounded, a vertex near a flat end would stick out of it.
+const ROUNDED_BEND: f64 = 0.05;
 
 impl Corridor {
     /// The strip of `half_width` metres to both sides of `line`.
@@ -24,8 +30,11 @@ impl Corridor {
                 OrientedBox::new(center, along.norm(), 2.0 * half_width)
             })
             .collect();
+        let turns = |pair: &[OrientedBox]| wrap_angle(pair[1].center.heading - pair[0].center.heading).abs();
+        let interior = line.vertices().iter().skip(1).zip(pieces.windows(2));
+        let bends = interior.filter(|(_, pair)| turns(pair) > ROUNDED_BEND).map(|(&vertex, _)| vertex).collect();
         let bounds = Bounds::around(line.vertices()).grown(half_width);
-        Self { line, half_width, pieces, bounds }
+        Self { line, half_width, pieces, bends, bounds }
     }
 
     /// The same strip lengthened at both ends by its half width: square caps.
@@ -47,24 +56,18 @@ impl Corridor {
         self.bounds
     }
 
-    /// Interior vertices of the line: the centres of the round bends.
-    fn bends(&self) -> &[Point] {
-        let vertices = self.line.vertices();
-        &vertices[1..vertices.len() - 1]
-    }
-
     /// Whether a point lies in the strip.
     pub fn contains(&self, point: Point) -> bool {
         self.bounds.contains(point)
             && (self.pieces.iter().any(|piece| piece.contains(point))
-                || self.bends().iter().any(|bend| (point - bend).norm() <= self.half_width))
+                || self.bends.iter().any(|bend| (point - bend).norm() <= self.half_width))
     }
 
     /// Whether a box and the strip share a point.
     pub fn meets_box(&self, shape: &OrientedBox) -> bool {
         self.bounds.overlaps(&shape.bounds())
             && (self.pieces.iter().any(|piece| piece.overlaps(shape))
-                || self.bends().iter().any(|&bend| {
+                || self.bends.iter().any(|&bend| {
                     let corners = shape.corners();
                     shape.contains(bend)
                         || (0..4).any(|i| segment_distance(bend, corners[i], corners[(i + 1) % 4]) <= self.half_width)
@@ -75,7 +78,7 @@ impl Corridor {
     pub fn meets_polygon(&self, polygon: &Polygon) -> bool {
         self.bounds.overlaps(&polygon.bounds())
             && (self.pieces.iter().any(|piece| polygon.meets_box(piece))
-                || self.bends().iter().any(|&bend| polygon.distance_to(bend) <= self.half_width))
+                || self.bends.iter().any(|&bend| polygon.distance_to(bend) <= self.half_width))
     }
 }
 
@@ -90,6 +93,14 @@ mod tests {
         assert!(flat.contains(Point::new(5.0, 0.9)) && !flat.contains(Point::new(-0.5, 0.0)));
         assert!(flat.contains(Point::new(10.6, -0.6)) && !flat.contains(Point::new(10.9, -0.9)));
         assert!(Corridor::with_square_caps(&line, 1.0).contains(Point::new(-0.5, 0.9)));
+    }
+
+    #[test]
+    fn a_vertex_near_a_flat_end_does_not_stick_out() {
+        let line = Polyline::new([0.0, 9.0, 10.0].map(|x| Point::new(x, 0.0))).unwrap();
+        let strip = Corridor::new(line, 1.2);
+        assert!(strip.contains(Point::new(10.0, 1.1)) && !strip.contains(Point::new(10.1, 0.0)));
+        assert!(!strip.meets_box(&OrientedBox::new(Pose::new(12.1, 0.0, 0.0), 4.0, 2.0)));
     }
 
     #[test]

@@ -51,17 +51,21 @@ pub struct AggregateRow {
     pub kind: RowKind,
     /// Who drove.
     pub planner: String,
-    /// Metric values by name, in the order in which the names first appear; `None` where no scenario has one.
+    /// Metric values, sorted by name; `None` where no scenario has one.
     pub metrics: Vec<(String, Option<f64>)>,
     /// The weighted score, in [0, 1].
     pub score: f64,
 }
 
-/// Rows of every planner in order of first appearance: its scenarios, then its scenario types, then its final score.
+/// Rows of every planner by name: its scenarios, then its scenario types, both in order of first appearance, then its final
+/// score. Metric columns go by name, as nuPlan's do.
 pub fn aggregate(rows: &[ScenarioRow], weighting: &Weighting) -> Vec<AggregateRow> {
-    let columns = distinct(rows.iter().flat_map(|r| r.metrics.iter().map(|(name, _)| name)));
+    let mut columns = distinct(rows.iter().flat_map(|r| r.metrics.iter().map(|(name, _)| name)));
+    columns.sort();
+    let mut planners = distinct(rows.iter().map(|r| &r.planner));
+    planners.sort();
     let mut table = Vec::new();
-    for planner in distinct(rows.iter().map(|r| &r.planner)) {
+    for planner in planners {
         let own: Vec<&ScenarioRow> = rows.iter().filter(|r| r.planner == *planner).collect();
         let scenarios: Vec<AggregateRow> = own.iter().map(|row| scenario_row(row, &columns, weighting)).collect();
         let mut types = Vec::new();

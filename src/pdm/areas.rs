@@ -19,23 +19,24 @@ pub enum DrivableLayers {
 }
 
 /// Distance between the places along a lane at which it is looked whether lanes tile the road, metres.
-const TILING_STEP: f64 = 5.0;
-/// Distance between the points that are looked at there, across the lane, metres.
+const TILING_STEP: f64 = 10.0;
+/// Distance between the points that are looked at there, across the border, metres.
 const TILING_WIDTH_STEP: f64 = 0.25;
-/// Lanes tile the road when so great a share of the points lies on lanes.
-const TILING_SHARE: f64 = 0.98;
+/// Lanes tile the road when so great a share of the points lies on lanes. Generated maps have 0.996 and more; of eleven maps
+/// derived from Waymo's recordings eight have 0.987 and less.
+const TILING_SHARE: f64 = 0.99;
 
 impl DrivableLayers {
-    /// The layers for a map, by how its lanes lie along a route: [`Self::Lanes`] where they tile the road. Looked at are
-    /// points from each lane of the route across to the middle of its neighbours, every 5 m, and to the first pose of its
-    /// successors; at least 98 % must lie on some lane.
-    pub fn of(map: &LaneMap, route_lanes: &BTreeSet<LaneId>) -> Self {
+    /// The layers for a map, by how its lanes lie on a route and within [`MAP_RADIUS`] of the ego: [`Self::Lanes`] where they
+    /// tile the road. Looked at are points every 10 m along each lane, from its baseline across to that of its neighbours,
+    /// and from its end into its successors; at least 99 % must lie on some lane.
+    pub fn of(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
+        let near = map.lanes_near(center, MAP_RADIUS);
+        let lanes: BTreeSet<LaneId> = route_lanes.iter().copied().chain(near).collect();
         let (mut on_lanes, mut all) = (0usize, 0usize);
-        for (from, to) in route_lanes.iter().flat_map(|&lane| crossings(map, lane)) {
-            let steps = ((to - from).norm() / TILING_WIDTH_STEP).ceil().max(1.0) as usize;
-            for step in 0..=steps {
-                let point = from + (to - from) * (step as f64 / steps as f64);
-                on_lanes += usize::from(!map.lanes_at(point).is_empty());
+        for crossing in lanes.into_iter().flat_map(|lane| crossings(map, lane)) {
+            for point in crossing.points() {
+                on_lanes += usize::from(crossing.is_on_lane(map, point));
                 all += 1;
             }
         }
@@ -43,19 +44,44 @@ impl DrivableLayers {
     }
 }
 
-/// Ways across the borders of a lane: to the middle of its neighbours and into its successors.
-fn crossings(map: &LaneMap, lane: LaneId) -> Vec<(Point, Point)> {
-    let lane = &map[lane];
+/// A way over the border of two lanes.
+#[derive(Debug, Clone, Copy)]
+struct Crossing {
+    lanes: [LaneId; 2],
+    from: Point,
+    to: Point,
+}
+
+impl Crossing {
+    fn points(self) -> impl Iterator<Item = Point> {
+        let way = self.to - self.from;
+        let steps = (way.norm() / TILING_WIDTH_STEP).ceil().max(1.0) as usize;
+        (0..=steps).map(move |step| self.from + way * (step as f64 / steps as f64))
+    }
+
+    fn is_on_lane(self, map: &LaneMap, point: Point) -> bool {
+        self.lanes.iter().any(|&lane| map[lane].polygon.contains(point)) || !map.lanes_at(point).is_empty()
+    }
+}
+
+/// Ways from a lane to the middle of its neighbours and into its successors.
+fn crossings(map: &LaneMap, id: LaneId) -> Vec<Crossing> {
+    let lane = &map[id];
     let line = &lane.centerline;
-    let beside = (0..=(line.length() / TILING_STEP) as usize).flat_map(|i| {
-        let s = i as f64 * TILING_STEP;
-        let here = line.point_at(s);
+    // Places between the steps: the ends themselves lie on an edge.
+    let places = (0..(line.length() / TILING_STEP).round() as usize).map(|i| (i as f64 + 0.5) * TILING_STEP);
+    let beside = places.flat_map(|s| {
+        let from = line.point_at(s);
         let neighbors = lane.left_at(s).into_iter().chain(lane.right_at(s));
-        neighbors.map(move |other| (here, map[other].centerline.project(here).point))
+        neighbors.map(move |other| Crossing { lanes: [id, other], from, to: map[other].centerline.project(from).point })
     });
     let onward = lane.outgoing.iter().flat_map(|&next| {
         let (end, start) = (line.pose_at(line.length()), map[next].centerline.pose_at(0.0));
-        [-1.0, 0.0, 1.0].map(|left| (end.translated(-1.0, left).position(), start.translated(1.0, left).position()))
+        [-1.0, 0.0, 1.0].map(|left| Crossing {
+            lanes: [id, next],
+            from: end.translated(-1.0, left).position(),
+            to: start.translated(1.0, left).position(),
+        })
     });
     beside.chain(onward).collect()
 }

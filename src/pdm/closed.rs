@@ -3,10 +3,14 @@
 
 use super::emergency_brake::{emergency_brake, needs_emergency_brake, standing};
 use super::proposals::{PROPOSAL_STEPS, Proposals, TRAJECTORY_STEPS};
-use super::{Collided, DrivableMap, Forecast, NoWay, Proposal, ProposalScore, ScoringScene, Way, score_proposals};
+use super::{
+    Collided, DrivableLayers, DrivableMap, Forecast, NoWay, Proposal, ProposalScore, ScoringScene, Way, score_proposals,
+};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
+use crate::geometry::Polyline;
 use crate::metrics::MetricError;
-use crate::world::{EgoState, STEP_US, Scene, Trajectory, TrajectoryError};
+use crate::world::{EgoState, LaneId, STEP_US, Scene, Trajectory, TrajectoryError};
+use std::collections::BTreeSet;
 
 /// Why PDM-Closed gives no plan.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -27,40 +31,47 @@ pub enum PdmError {
 pub struct PdmMemory {
     /// What the ego has touched.
     pub collided: Collided,
-    /// The way that was chosen at the first iteration.
+    /// The way that was chosen; PDM-Closed chooses at its first iteration and keeps it.
     pub way: Option<Way>,
 }
 
-/// What PDM-Closed sees and proposes at one instant.
+/// What PDM-Closed sees at one instant.
 pub struct PdmInstant<'a> {
     /// The drivable polygons around the ego.
     pub drivable: DrivableMap<'a>,
     /// Everyone else.
     pub forecast: Forecast,
-    way: &'a Way,
-    scene: &'a Scene<'a>,
 }
 
 impl<'a> PdmInstant<'a> {
-    /// Looks at a scene along a way. What the ego touches now is added to `collided`.
-    pub fn new(scene: &'a Scene<'a>, way: &'a Way, collided: &mut Collided) -> Self {
+    /// Looks at a scene from a route of these lanes. What the ego touches now is added to `collided`.
+    pub fn new(
+        scene: &Scene<'a>,
+        route_lanes: &BTreeSet<LaneId>,
+        layers: DrivableLayers,
+        collided: &mut Collided,
+    ) -> Self {
         let Scene { map, ego, objects, lights, .. } = *scene;
-        let forecast = Forecast::new(map, way.lane_set(), ego, objects, lights, collided);
-        let drivable = DrivableMap::around(map, way.lane_set(), ego.center().position(), way.layers());
-        Self { drivable, forecast, way, scene }
+        let forecast = Forecast::new(map, route_lanes, ego, objects, lights, collided);
+        let drivable = DrivableMap::around(map, route_lanes, ego.center().position(), layers);
+        Self { drivable, forecast }
     }
 
-    /// The proposals, rolled out for `steps` steps of 0.1 s.
-    pub fn proposals(&self, steps: usize) -> Proposals<'_> {
-        let Scene { map, ego, .. } = *self.scene;
-        let speed_limit = self.way.speed_limit(map, ego);
-        Proposals::generate(map, self.way.paths(), &self.forecast, ego, speed_limit, steps)
+    /// Looks at a scene along a way.
+    pub fn along(way: &Way, scene: &Scene<'a>, collided: &mut Collided) -> Self {
+        Self::new(scene, way.lane_set(), way.layers(), collided)
     }
 
-    /// What a score needs; `rival_progress` as [`ScoringScene`] has it.
-    pub fn scoring(&self, rival_progress: f64) -> ScoringScene<'_> {
-        let (drivable, forecast, centerline) = (&self.drivable, &self.forecast, self.way.centerline().line());
-        ScoringScene { drivable, forecast, centerline, rival_progress }
+    /// The proposals along a way from the present state of the ego, rolled out for `steps` steps of 0.1 s.
+    pub fn proposals<'s>(&'s self, way: &'s Way, ego: &EgoState, steps: usize) -> Proposals<'s> {
+        let map = self.drivable.map();
+        Proposals::generate(map, way.paths(), &self.forecast, ego, way.speed_limit(map, ego), steps)
+    }
+
+    /// What a score needs beside its proposals, progress measured along `centerline`; `rival_progress` as [`ScoringScene`]
+    /// has it.
+    pub fn scoring<'s>(&'s self, centerline: &'s Polyline, rival_progress: f64) -> ScoringScene<'s> {
+        ScoringScene { drivable: &self.drivable, forecast: &self.forecast, centerline, rival_progress }
     }
 }
 
@@ -92,10 +103,10 @@ pub struct PdmPlan {
 /// When the proposals cannot be scored or are not finite.
 pub fn plan_along(way: &Way, scene: &Scene<'_>, collided: &mut Collided) -> Result<PdmPlan, PdmError> {
     let ego = scene.ego;
-    let instant = PdmInstant::new(scene, way, collided);
-    let mut proposals = instant.proposals(PROPOSAL_STEPS);
+    let instant = PdmInstant::along(way, scene, collided);
+    let mut proposals = instant.proposals(way, ego, PROPOSAL_STEPS);
     let simulated = simulate_proposals(ego, proposals.all());
-    let scores = score_proposals(&instant.scoring(0.0), &simulated)?;
+    let scores = score_proposals(&instant.scoring(way.centerline().line(), 0.0), &simulated)?;
     let best = best_of(&scores);
     let brake = needs_emergency_brake(scores[best].first_at_fault_s, ego);
     let trajectory = if brake {
@@ -116,7 +127,7 @@ pub fn plan(memory: &mut PdmMemory, scene: &Scene<'_>) -> Result<PdmPlan, PdmErr
     let PdmMemory { collided, way } = memory;
     let way = match way {
         Some(way) => way,
-        None => way.insert(Way::find(scene.map, scene.route, scene.ego)?),
+        none => none.insert(Way::find(scene.map, scene.route, scene.ego)?),
     };
     plan_along(way, scene, collided)
 }

@@ -41,18 +41,18 @@ impl Way {
         let lanes = lanes_of(map, &blocks);
         let start = current_lane(map, &lanes, ego).ok_or(NoWay::EmptyRoute)?;
         let chain = lane_chain(map, &blocks, &lanes, start);
-        Self::along(map, &blocks, &centerline_poses(map, &chain))
+        Self::along(map, &blocks, &centerline_poses(map, &chain), ego)
     }
 
-    /// The way along a given centreline (rear-axle poses, map frame) on a given route.
+    /// The way of an ego along a given centreline (rear-axle poses, map frame) on a given route.
     ///
     /// # Errors
     /// When the poses make no line.
-    pub fn along(map: &LaneMap, route: &[RoadblockId], centerline: &[Pose]) -> Result<Self, NoWay> {
+    pub fn along(map: &LaneMap, route: &[RoadblockId], centerline: &[Pose], ego: &EgoState) -> Result<Self, NoWay> {
         let lanes = lanes_of(map, route);
         let lane_set: BTreeSet<LaneId> = lanes.iter().copied().collect();
-        let layers = DrivableLayers::of(map, &lane_set);
         let center = PdmPath::new(centerline)?;
+        let layers = DrivableLayers::of(map, &lane_set, ego.center().position());
         let [_, right, left] = LATERAL_OFFSETS;
         let (right, left) = (center.offset(right)?, center.offset(left)?);
         Ok(Self { lanes, lane_set, layers, paths: [center, right, left] })

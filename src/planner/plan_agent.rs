@@ -7,6 +7,7 @@ use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
 use crate::mllm::{Mllm, Opening};
+use crate::pdm::PdmMemory;
 use crate::reasoning::{
     Feedback, Names, ParseError, PlannerCode, PromptSet, Reasoning, ReasoningSettings, ScenarioPrompt, Thought,
 };
@@ -68,13 +69,15 @@ pub struct PlanAgent {
     prompts: Arc<PromptSet>,
     settings: PlanAgentSettings,
     in_force: Option<GeneratedPlanner>,
+    /// What PDM's rules know of this drive: what was touched, and the way of the last planning call.
+    memory: PdmMemory,
     calls: Vec<PlanningCall>,
 }
 
 impl PlanAgent {
     /// An agent that thinks with this model.
     pub fn new(model: Arc<dyn Mllm>, prompts: Arc<PromptSet>, settings: PlanAgentSettings) -> Self {
-        Self { model, prompts, settings, in_force: None, calls: Vec::new() }
+        Self { model, prompts, settings, in_force: None, memory: PdmMemory::default(), calls: Vec::new() }
     }
 
     /// The records of all planning calls since the last initialisation.
@@ -152,7 +155,7 @@ impl PlanAgent {
 
     /// Attempts until one is accepted or `max_exec` are made; the n-th planner belongs to the n-th attempt.
     fn think(
-        &self,
+        &mut self,
         iteration: usize,
         scene: &Scene<'_>,
         graph: &LaneGraph,
@@ -164,7 +167,7 @@ impl PlanAgent {
         let mut reasoning = Reasoning::open(self.model.as_ref(), &self.prompts, &settings.reasoning, scenario, seed)
             .map_err(failed("opening the conversation"))?;
         let judge = if settings.reflect {
-            Some(Judge::new(scene, graph, settings.horizon_s).map_err(reflection_failed)?)
+            Some(Judge::new(scene, graph, settings.horizon_s, &mut self.memory).map_err(reflection_failed)?)
         } else {
             None
         };
@@ -242,6 +245,7 @@ impl Planner for PlanAgent {
 
     fn initialize(&mut self, _: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
         self.in_force = None;
+        self.memory = PdmMemory::default();
         self.calls.clear();
         Ok(())
     }
@@ -253,7 +257,7 @@ impl Planner for PlanAgent {
         let ego = input.scene.ego;
         let Some(planner) = &self.in_force else { return Ok(brake(ego, self.steps())?) };
         let rollout = planner.roll_out(&input.scene, self.steps());
-        if self.settings.emergency_brake && needs_emergency_brake(&input.scene, &rollout) {
+        if self.settings.emergency_brake && needs_emergency_brake(&input.scene, &rollout, &mut self.memory) {
             if let Some(call) = self.calls.last_mut() {
                 call.emergency_brakes += 1;
             }

@@ -44,7 +44,8 @@ impl SimplePlanner {
         let mut states = vec![TrajectoryState::from(&state)];
         for _ in 0..self.horizon_us / self.sampling_us.max(1) {
             if state.speed() > self.max_velocity {
-                // The excess is taken for an acceleration as it is, whatever the length of a sample.
+                // Kept: the excess is taken for an acceleration whatever the length of a sample, and that acceleration stays
+                // when the limit is met. With nuPlan's quarter of a second the speed falls towards the limit from above.
                 state.acceleration = Vector::new(self.max_velocity - state.speed(), 0.0);
             }
             let kept = Command { acceleration: state.acceleration.x, steering_rate: 0.0 };
@@ -90,9 +91,11 @@ mod tests {
         for (i, speed) in [9.0, 8.0, 7.25, 6.6875].into_iter().enumerate() {
             assert!((trajectory.states()[i].velocity.x - speed).abs() < 1e-12, "{i}");
         }
-        // With samples of a second the limit is met at once: 9 m in the first, 5 m in each of the others.
+        // With samples of a second the limit is met at once and the braking goes on below it, through a standstill.
         let coarse = SimplePlanner { sampling_us: 1_000_000, ..SimplePlanner::default() };
-        let last = coarse.trajectory(&ego_at(0, 0.0, 9.0)).unwrap().states()[10];
-        assert!((last.rear_axle.x - (9.0 + 9.0 * 5.0)).abs() < 1e-9);
+        let trajectory = coarse.trajectory(&ego_at(0, 0.0, 9.0)).unwrap();
+        for (i, speed) in [9.0, 5.0, 1.0, -3.0, -7.0, -9.0].into_iter().enumerate() {
+            assert!((trajectory.states()[i].velocity.x - speed).abs() < 1e-12, "{i}");
+        }
     }
 }

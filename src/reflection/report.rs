@@ -16,9 +16,11 @@ pub enum Verdict {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ProgressReference {
-    /// The best progress among this planner and five IDM roll-outs along the ego's own centreline, at 20, 40, 60, 80 and
-    /// 100 % of the speed limit: PDM-Closed's proposals without its lateral offsets.
-    CenterlineProposals,
+    /// The best progress among this planner and PDM-Closed's 15 proposals of the same instant.
+    PdmProposals,
+    /// The planner's own: PDM-Closed found no way here (a route without lanes), so there are no proposals to compare with, and
+    /// whoever moves without fault has all of the term.
+    OwnProgress,
 }
 
 /// The parts of the score (PDM's, with its weights).

@@ -4,7 +4,7 @@ use super::road::{Road, cruise, object, rectangle, samples, straight, two_lanes}
 use planagent::geometry::Pose;
 use planagent::metrics::{
     Collision, CollisionType, DrivenLanes, TTC_HORIZON_S, find_collisions, no_ego_at_fault_collisions,
-    time_to_collision,
+    time_to_collision, time_to_collision_within_bound,
 };
 use planagent::world::{EgoState, LaneMap, ObjectKind, TrackedObject};
 
@@ -102,4 +102,34 @@ fn a_stopped_ego_hits_no_one_and_a_hit_track_is_left_out_afterwards() {
     assert!(least_ttc(&map, &cruise(5, 0.0, 0.0, 5.0), &[car(1, -4.0, 0.0, 9.0)]).is_infinite());
     // Touching a standing car is at fault: 0 at that sample.
     assert!(least_ttc(&map, &cruise(5, 0.0, 0.0, 5.0), &[car(1, 4.0, 0.0, 0.0)]).abs() < 1e-12);
+}
+
+#[test]
+fn those_behind_never_count_and_those_within_thirty_degrees_always_do() {
+    let map = two_lanes();
+    let astride = cruise(1, 0.0, 1.5, 5.0);
+    // A faster car close behind, even while the ego is between lanes: 15 m back at 20 m/s would be 0.7 s.
+    assert!(least_ttc(&map, &astride, &[car(1, -15.0, 1.5, 20.0)]).is_infinite());
+    // 150° off the heading, seen from the rear axle at −1.461: a centre 10 m back counts from 5.774 m to the side on.
+    let behind = |y: f64| object(1, ObjectKind::Vehicle, Pose::new(-11.461, 1.5 + y, -0.5), CAR, 15.0);
+    assert!(least_ttc(&map, &astride, &[behind(5.7)]).is_infinite());
+    assert!(least_ttc(&map, &astride, &[behind(5.85)]).is_finite());
+    // 30° off: 10 m ahead of the rear axle less than 5.774 m to the side, in one lane as well.
+    let crossing = |y: f64| object(1, ObjectKind::Vehicle, Pose::new(8.539, y, -1.2), CAR, 4.0);
+    let within = cruise(1, 0.0, 0.0, 5.0);
+    assert!(least_ttc(&map, &within, &[crossing(5.7)]).is_finite());
+    assert!(least_ttc(&map, &within, &[crossing(5.85)]).is_infinite());
+}
+
+#[test]
+fn a_tenth_of_a_second_decides_the_bound() {
+    let map = straight();
+    let score = |gap: f64| {
+        let states = cruise(1, 0.0, 0.0, 10.0);
+        let samples = samples(&states, &[car(1, 4.588 + gap, 0.0, 0.0)]);
+        let ttc = time_to_collision(&map, &samples, &DrivenLanes::of(&map, &states), &[], TTC_HORIZON_S);
+        time_to_collision_within_bound(&states, ttc, TTC_HORIZON_S).score
+    };
+    assert_eq!(score(9.1), Some(1.0), "1.0 s");
+    assert_eq!(score(8.9), Some(0.0), "0.9 s");
 }

@@ -14,8 +14,11 @@ fn worst(found: &[f64], expected: &[f64]) -> f64 {
     found.iter().zip(expected).map(|(f, e)| (f - e).abs()).fold(0.0, f64::max)
 }
 
-#[test]
-fn filters_match_scipy_at_every_length() {
+/// Tolerance of what the reference computed: it rounds to 8 decimals.
+pub(super) const TOLERANCE: f64 = 1e-8;
+
+/// How many sequences each filter was run on and its greatest deviation from scipy's.
+pub(super) fn filters() -> Vec<(&'static str, usize, f64)> {
     let vectors: Value = serde_json::from_str(include_str!("../fixtures/metrics/savgol.json")).unwrap();
     let cases = vectors["cases"].as_array().unwrap();
     assert_eq!(cases.len(), 11);
@@ -25,47 +28,32 @@ fn filters_match_scipy_at_every_length() {
         ("yaw_rate_w5_p2_d1", SavitzkyGolay { window: 5, order: 2, derivative: 1 }),
         ("yaw_acc_w5_p3_d2", SavitzkyGolay { window: 5, order: 3, derivative: 2 }),
     ];
-    let mut compared = 0;
-    for case in cases {
-        let (x, dt) = (numbers(&case["x"]), case["dt"].as_f64().unwrap());
-        for (name, filter) in filters {
-            if let Some(expected) = case.get(name).filter(|v| v.is_array()) {
-                let difference = worst(&filter.apply(&x, dt).unwrap(), &numbers(expected));
-                assert!(difference < 1e-8, "{name}, n = {}: {difference:e}", x.len());
-                compared += 1;
-            }
-        }
-    }
-    assert!(compared >= 33, "{compared}");
+    let compare = |(name, filter): (&'static str, SavitzkyGolay)| {
+        let known = cases.iter().filter_map(|case| Some((case, case.get(name).filter(|v| v.is_array())?)));
+        let off = known.map(|(case, expected)| {
+            let (x, dt) = (numbers(&case["x"]), case["dt"].as_f64().unwrap());
+            worst(&filter.apply(&x, dt).unwrap(), &numbers(expected))
+        });
+        let off: Vec<f64> = off.collect();
+        (name, off.len(), off.into_iter().fold(0.0, f64::max))
+    };
+    filters.into_iter().map(compare).collect()
 }
 
 #[test]
-fn signals_match_the_devkits_extractors() {
-    let vectors: Value = serde_json::from_str(include_str!("../fixtures/metrics/comfort_extractors.json")).unwrap();
-    let states: Vec<EgoState> = vectors["ego_states"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|s| {
-            let of = |key: &str| s[key].as_f64().unwrap();
-            EgoState {
-                time_us: s["time_us"].as_i64().unwrap(),
-                rear_axle: Pose::new(of("x"), of("y"), of("heading")),
-                velocity: Vector::new(of("vx"), of("vy")),
-                acceleration: Vector::new(of("ax"), of("ay")),
-                steering_angle: of("steer"),
-                steering_rate: of("steer_rate"),
-                angular_velocity: of("ang_vel"),
-                angular_acceleration: of("ang_acc"),
-            }
-        })
-        .collect();
-    for (state, row) in states.iter().zip(vectors["ego_states"].as_array().unwrap()) {
-        let of = |key: &str| row[key].as_f64().unwrap();
-        assert!((state.center().x - of("center_x")).abs() < 1e-9);
-        assert!((state.center_velocity().y - of("center_vy")).abs() < 1e-12);
-        assert!((state.center_acceleration().x - of("center_ax")).abs() < 1e-12);
+fn filters_match_scipy_at_every_length() {
+    let compared = filters();
+    for (name, _, worst) in &compared {
+        assert!(*worst < TOLERANCE, "{name}: {worst:e}");
     }
+    assert!(compared.iter().map(|c| c.1).sum::<usize>() >= 33, "{compared:?}");
+}
+
+/// nuPlan's name of each signal of a drive of 149 states and its greatest deviation from the devkit's extractor.
+pub(super) fn extractors() -> Vec<(&'static str, f64)> {
+    let vectors: Value = serde_json::from_str(include_str!("../fixtures/metrics/comfort_extractors.json")).unwrap();
+    let states: Vec<EgoState> = vectors["ego_states"].as_array().unwrap().iter().map(state).collect();
+    assert_eq!(states.len(), 149);
     let pairs = [
         ("lon_accel", ComfortQuantity::LonAcceleration),
         ("lat_accel", ComfortQuantity::LatAcceleration),
@@ -75,9 +63,34 @@ fn signals_match_the_devkits_extractors() {
         ("yaw_rate", ComfortQuantity::YawRate),
         ("yaw_accel", ComfortQuantity::YawAcceleration),
     ];
-    for (name, quantity) in pairs {
-        let difference = worst(&quantity.signal(&states).unwrap(), &numbers(&vectors[name]));
-        assert!(difference < 1e-8, "{name}: {difference:e}");
+    let compare = |(key, quantity): (&str, ComfortQuantity)| {
+        (quantity.name(), worst(&quantity.signal(&states).unwrap(), &numbers(&vectors[key])))
+    };
+    pairs.into_iter().map(compare).collect()
+}
+
+fn state(row: &Value) -> EgoState {
+    let of = |key: &str| row[key].as_f64().unwrap();
+    let state = EgoState {
+        time_us: row["time_us"].as_i64().unwrap(),
+        rear_axle: Pose::new(of("x"), of("y"), of("heading")),
+        velocity: Vector::new(of("vx"), of("vy")),
+        acceleration: Vector::new(of("ax"), of("ay")),
+        steering_angle: of("steer"),
+        steering_rate: of("steer_rate"),
+        angular_velocity: of("ang_vel"),
+        angular_acceleration: of("ang_acc"),
+    };
+    assert!((state.center().x - of("center_x")).abs() < 1e-9);
+    assert!((state.center_velocity().y - of("center_vy")).abs() < 1e-12);
+    assert!((state.center_acceleration().x - of("center_ax")).abs() < 1e-12);
+    state
+}
+
+#[test]
+fn signals_match_the_devkits_extractors() {
+    for (name, worst) in extractors() {
+        assert!(worst < TOLERANCE, "{name}: {worst:e}");
     }
 }
 

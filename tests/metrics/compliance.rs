@@ -1,6 +1,6 @@
 //! Drivable area, driving direction and speed limit on hand-made roads, each a number worked out by hand.
 
-use super::road::{Road, cruise, rectangle, straight};
+use super::road::{Road, cruise, ego, rectangle, straight};
 use planagent::metrics::{
     DrivenLanes, MetricResult, drivable_area_compliance, driving_direction_compliance, speed_limit_compliance,
 };
@@ -88,6 +88,19 @@ fn after_each_change_of_lane_two_samples_count_nothing() {
         let expected: f64 = steps[i.saturating_sub(10)..=i].iter().sum();
         assert!((sum - expected).abs() < 1e-9, "{i}: {sum} {expected}");
     }
+}
+
+#[test]
+fn an_arc_length_of_exactly_zero_counts_as_a_missing_one() {
+    let mut road = Road::default();
+    road.lane((0.0, 0.0), (100.0, 0.0));
+    // The lane's area begins before its line: there every point projects to its start.
+    road.parts.lanes[0].polygon = rectangle((-20.0, 100.0), (-2.0, 2.0));
+    let map = road.build();
+    let states: Vec<EgoState> =
+        [0.5, -0.5, 1.0].iter().enumerate().map(|(k, &x)| ego(k as i64, x, 0.0, 0.0, 5.0)).collect();
+    // From 0.5 back to the start is no movement of −0.5; from there on 1 m ahead is.
+    assert_eq!(direction(&map, &states).time_series.unwrap().values, [0.0, 0.0, 1.0]);
 }
 
 fn speeding(map: &LaneMap, states: &[EgoState]) -> MetricResult {

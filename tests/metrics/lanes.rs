@@ -114,3 +114,69 @@ fn where_lanes_overlap_the_best_by_heading_and_distance_counts() {
     assert!((0..50).all(|i| lanes.in_common(i)));
     assert!(lanes.center.iter().all(|l| l == &[east]));
 }
+
+#[test]
+fn at_the_second_sample_what_one_corner_finds_binds_the_corners_after_it() {
+    let mut road = Road::default();
+    let a = road.connector((0.0, 0.0), (50.0, 0.0));
+    // Ahead of it two that overlap: the right front corner (y = −1.15) is in both, the left one in `b` alone.
+    let (b, c) = (road.connector((50.0, 0.0), (100.0, 0.0)), road.connector((50.0, -2.0), (100.0, -2.0)));
+    let map = road.build();
+    let front_right = |xs: &[f64]| {
+        let states: Vec<EgoState> = xs.iter().enumerate().map(|(k, &x)| ego(k as i64, x, 0.0, 0.0, 10.0)).collect();
+        let mut corners = DrivenLanes::of(&map, &states).corners;
+        let [fl, rl, rr, fr] = corners.pop().unwrap();
+        assert_eq!((fl, rl, rr), (vec![b], vec![a], vec![a]));
+        fr
+    };
+    // The front is 2.588 m before the centre: over the joint at 48.5, not at 45.
+    assert_eq!(front_right(&[45.0, 48.5]), [b]);
+    assert_eq!(front_right(&[45.0, 45.0, 48.5]), [b, c]);
+}
+
+#[test]
+fn connectors_that_end_nowhere_lose_all_their_samples() {
+    let mut road = Road::default();
+    let a = road.lane((0.0, 0.0), (50.0, 0.0));
+    let (one, two) = (road.connector((50.0, 0.0), (80.0, 0.0)), road.connector((50.0, 1.0), (80.0, 1.0)));
+    road.link(a, one);
+    road.link(a, two);
+    let map = road.build();
+    let poses: Vec<Pose> = (0..60).map(|k| Pose::new(40.0 + f64::from(k), 0.0, 0.0)).collect();
+    let route = driven_route(&map, &poses);
+    // Off the map after 80 m. An empty sample counts as a part of the two connectors before it and empties them, and so on
+    // backwards; a single lane is not touched.
+    assert!(route[..10].iter().all(|lanes| lanes == &[a]));
+    assert!(route[10..].iter().all(Vec::is_empty), "{:?}", &route[10..]);
+    // On a single connector there is nothing to resolve.
+    let beside: Vec<Pose> = (0..60).map(|k| Pose::new(40.0 + f64::from(k), 2.5, 0.0)).collect();
+    assert!(driven_route(&map, &beside)[12..39].iter().all(|lanes| lanes == &[two]));
+}
+
+#[test]
+fn a_lane_change_that_leaves_the_road_fails_and_one_into_the_next_lane_of_the_same_road_is_none() {
+    let map = two_lanes();
+    // Off to the right: the corners disagree from −0.9 on (the right side passes −2) and are all outside from −3.2 on.
+    let states = drift(0.0, -8.0, 80);
+    let lanes = DrivenLanes::of(&map, &states);
+    let changes = find_lane_changes(&map, &states, &lanes.agreement);
+    assert_eq!(changes.len(), 1);
+    assert!(!changes[0].success);
+    assert_eq!((changes[0].start_us, changes[0].duration_us), (900_000, 2_300_000));
+    // A failure alone: a rate of 1 is above 0.3.
+    let result = ego_lane_change(&map, &states, &lanes);
+    assert_eq!(result.statistic("ratio_of_failed_ego_lane_change"), Some(1.0));
+    assert_eq!(result.statistic("max_ego_lane_change_duration"), Some(2.3));
+
+    // Over a gap of 2 m between a lane and its successor first the front corners and then the rear ones are in no lane. Both
+    // times the ego ends in the lane it left or in one that follows it: failed.
+    let mut road = Road::default();
+    let (a, b) = (road.lane((0.0, 0.0), (50.0, 0.0)), road.lane((52.0, 0.0), (150.0, 0.0)));
+    road.link(a, b);
+    let map = road.build();
+    let states = cruise(40, 40.0, 0.0, 10.0);
+    let lanes = DrivenLanes::of(&map, &states);
+    let changes = find_lane_changes(&map, &states, &lanes.agreement);
+    assert_eq!(changes.len(), 2);
+    assert!(changes.iter().all(|change| !change.success && change.duration_us == 200_000), "{changes:?}");
+}

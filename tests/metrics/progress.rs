@@ -84,3 +84,23 @@ fn a_fifth_of_the_experts_way_is_progress() {
     assert!((result.statistic("ego_total_progress_along_route").unwrap() - 37.0).abs() < 1e-9);
     assert!((result.score.unwrap() - 37.0 / 149.0).abs() < 1e-12);
 }
+
+#[test]
+fn of_several_skipped_roadblocks_each_counts_what_lies_between_its_neighbours() {
+    let mut road = Road::default();
+    let a = road.lane((0.0, 0.0), (50.0, 0.0));
+    let b = road.connector((50.0, 0.0), (60.0, 0.0));
+    // Its line begins 4 m before the end of the connector and ends 5 m after the start of the last lane.
+    let c = road.lane((56.0, 1.0), (85.0, 1.0));
+    let d = road.lane((80.0, 0.0), (200.0, 0.0));
+    for (from, to) in [(a, b), (b, c), (c, d)] {
+        road.link(from, to);
+    }
+    let map = road.build();
+    let expert: Vec<Pose> = cruise(150, 10.0, 0.0, 10.0).iter().map(EgoState::center).collect();
+    let route = RouteProgress::along(&map, &expert);
+    let steps = route.per_frame(&[Point::new(48.0, 0.0), Point::new(90.0, 0.0)]);
+    // 2 m in the first; skipped: 6 m of the connector, from the first's end to the start of the third, and 20 m of the third,
+    // from the connector's end to the start of the last; in the last 10 m from the first's end, which lies before its start.
+    assert!((steps[1] - (2.0 + 6.0 + 20.0 + 10.0)).abs() < 1e-9, "{steps:?}");
+}

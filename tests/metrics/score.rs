@@ -2,7 +2,7 @@
 
 use super::road::{cruise, ego, object, samples, straight};
 use planagent::geometry::Pose;
-use planagent::metrics::{Drive, Evaluation, MetricError, MetricName, evaluate};
+use planagent::metrics::{Drive, Evaluation, MetricError, MetricName, ScoreUnit, evaluate};
 use planagent::world::{EgoState, LaneMap, ObjectKind, TrackedObject};
 
 const PROGRESS: MetricName = MetricName::EgoProgressAlongExpertRoute;
@@ -99,4 +99,46 @@ fn off_every_lane_there_is_no_expert_route_and_progress_is_free() {
     let progress = evaluation.metric("ego_progress_along_expert_route").unwrap();
     assert_eq!(progress.statistic("ego_total_progress_along_route"), None);
     assert_eq!(evaluation.score.zero_multipliers().next(), Some(MetricName::DrivableAreaCompliance));
+}
+
+/// nuPlan's categories and score units (devkit `simulation_metric/**/*.yaml`).
+#[test]
+fn every_result_carries_nuplans_category_unit_and_computator() {
+    let map = straight();
+    let expert = cruise(30, 0.0, 0.0, 5.0);
+    let evaluation = judge(&map, &expert[..29], &expert, &[]);
+    let expected = [
+        ("ego_mean_speed", "Dynamics", None),
+        ("ego_expert_L2_error", "Planning", None),
+        ("ego_expert_l2_error_with_yaw", "Planning", None),
+        ("ego_lane_change", "Planning", None),
+        ("ego_jerk", "Dynamics", None),
+        ("ego_lat_jerk", "Dynamics", None),
+        ("ego_lon_jerk", "Dynamics", None),
+        ("ego_acceleration", "Dynamics", None),
+        ("ego_lat_acceleration", "Dynamics", None),
+        ("ego_lon_acceleration", "Dynamics", None),
+        ("ego_yaw_acceleration", "Dynamics", None),
+        ("ego_yaw_rate", "Dynamics", None),
+        ("ego_progress_along_expert_route", "Planning", Some("float")),
+        ("drivable_area_compliance", "Planning", Some("bool")),
+        ("corners_in_drivable_area", "Planning", None),
+        ("no_ego_at_fault_collisions", "Dynamics", Some("float")),
+        ("time_to_collision_within_bound", "Planning", Some("bool")),
+        ("speed_limit_compliance", "Violations", Some("float")),
+        ("ego_is_comfortable", "Violations", Some("bool")),
+        ("ego_is_making_progress", "Planning", Some("bool")),
+        ("driving_direction_compliance", "Planning", Some("bool")),
+    ];
+    let found: Vec<_> = evaluation
+        .metrics
+        .iter()
+        .map(|m| (m.name.as_str(), m.category.as_str(), m.score_unit.map(ScoreUnit::as_str)))
+        .collect();
+    assert_eq!(found, expected);
+    for metric in &evaluation.metrics {
+        let second = metric.name == "corners_in_drivable_area";
+        assert_eq!(metric.computator, if second { "drivable_area_compliance" } else { &metric.name });
+        assert_eq!(metric.score.is_some(), metric.score_unit.is_some(), "{}", metric.name);
+    }
 }

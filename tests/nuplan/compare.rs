@@ -145,6 +145,13 @@ impl Pair<'_> {
         for (a, b) in before.frames.iter().zip(&after.frames) {
             self.check_frame(a, b, &mut tracks);
         }
+        // States for which nuPlan's window leaves no place are left out all together.
+        if !after.future.is_empty() {
+            assert_eq!(before.future.len(), after.future.len(), "{}", before.id);
+        }
+        for (a, b) in before.future.iter().zip(&after.future) {
+            assert!(a.time_us == b.time_us && self.same_pose(a.rear_axle, b.rear_axle), "{}", before.id);
+        }
         assert_eq!(tracks.values().collect::<BTreeSet<_>>().len(), tracks.len(), "two tracks became one");
         match (before.route.goal, after.route.goal) {
             (Some(a), Some(b)) => assert!(self.same_pose(a, b)),

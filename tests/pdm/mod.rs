@@ -1,4 +1,6 @@
 //! PDM-Closed: the record of upstream's own runs, and hand-worked cases.
 
 mod record;
+mod route;
+mod steps;
 mod town;

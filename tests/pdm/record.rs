@@ -95,7 +95,7 @@ impl Case {
 
     /// Planned along the recorded centreline.
     fn plan(&self) -> PdmPlan {
-        let way = Way::along(&self.map, &self.route.roadblocks, &self.centerline).unwrap();
+        let way = Way::along(&self.map, &self.route.roadblocks, &self.centerline, &self.ego).unwrap();
         assert_eq!(way.layers(), DrivableLayers::Lanes, "{}", self.name);
         plan_along(&way, &self.scene(), &mut Collided::default()).unwrap()
     }

@@ -55,6 +55,7 @@ fn said_otherwise(departures: &Departures) -> String {
         (departures.open_ends_closed, "lanes put at open ends of connectors"),
         (departures.connectors_repeated, "connectors repeated for more lanes"),
         (departures.stop_lines_put_in, "stop lines put in"),
+        (departures.future_left_out, "recorded states after the end left out"),
         (departures.neighbors_changed, "neighbourhoods not said as they are"),
     ];
     let some = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));

@@ -53,6 +53,11 @@ impl IdmAgent {
         })
     }
 
+    /// Which track it was.
+    pub(super) fn token(&self) -> TrackToken {
+        self.token
+    }
+
     /// Speed along the path, m/s.
     pub(super) fn speed(&self) -> f64 {
         self.speed
@@ -85,7 +90,8 @@ impl IdmAgent {
     }
 
     /// Appends lanes until enough way lies ahead: of those that may be entered, the one that bends least at its start. An
-    /// edge with traffic lights may be entered when it shows green, any other when it does not show red.
+    /// edge with traffic lights may be entered when it shows green, any other when it does not show red. An agent that stands
+    /// at the very end of its path starts the longer one at the last pose but one, as in nuPlan.
     pub(super) fn extend_route(&mut self, map: &LaneMap, lights: &TrafficLights) {
         while self.path.length() - self.progress < MIN_PATH_LENGTH + self.idm.target_velocity * self.idm.headway {
             let Some(&last) = self.route.back() else { return };
@@ -112,7 +118,8 @@ impl IdmAgent {
         }
     }
 
-    /// The strip of its width from its centre to the end of its path; `None` at the very end.
+    /// The strip of its width from its centre to the end of its path; at the very end the last piece of the path, which lies
+    /// behind its centre.
     pub(super) fn way_ahead(&self) -> Option<Footprint> {
         Footprint::of_strip(&self.path.between(self.progress, self.path.length()), self.width / 2.0)
     }

@@ -6,7 +6,7 @@ use crate::geometry::OrientedBox;
 use crate::world::{EgoState, LaneId, LaneKind, LaneMap, ObjectKind, TrackedObject};
 
 /// The agents of iteration 0 in the order of the log: vehicles on a lane or a connector, snapped to its baseline, unless the
-/// snapped box meets the ego, a replayed object or an agent before it.
+/// snapped box meets the ego, a replayed object or an agent before it, or that agent is the same track.
 pub(super) fn agents(
     map: &LaneMap,
     objects: &[TrackedObject],
@@ -20,6 +20,9 @@ pub(super) fn agents(
     // The limit of a lane also becomes the target of the agents after it that have none, as in nuPlan.
     let mut running = law;
     for vehicle in objects.iter().filter(|object| object.kind == ObjectKind::Vehicle) {
+        if agents.iter().any(|agent: &IdmAgent| agent.token() == vehicle.token) {
+            continue;
+        }
         let Some(lane) = lane_of(map, vehicle) else { continue };
         let nearest = map[lane].centerline.nearest_pose(vehicle.shape.center.position());
         let snapped = vehicle.shape.moved_to(nearest);

@@ -3,8 +3,9 @@
 //!
 //! nuPlan's ways are kept, odd ones included: bicycles do not exist in it; only vehicles on a lane at iteration 0 become
 //! agents; one that falls more than 100 m behind or ahead of the ego is gone for good; the end of a path is an obstacle.
-//! Two differences: upstream a scenario fails when an agent has reached the very end of its path, here it brakes there; and
-//! identities are compared as wholes, where upstream compares substrings (nuPlan's equally long tokens never differ in it).
+//! One difference: identities are compared as wholes, where upstream compares substrings (nuPlan's equally long tokens never
+//! differ in it). Where several things are at distance 0 from an agent, upstream takes whichever its tree finds first; here
+//! agents come before the ego, replayed objects and stop lines.
 
 mod agent;
 mod build;

@@ -10,6 +10,7 @@ pub use label::LabelledState;
 pub use shard::{FORMAT, Meta, ShardError};
 
 use crate::environment::{BevError, BevView, CenterlineName, LaneGraph, SceneFacts, bev};
+use crate::pdm::PdmMemory;
 use crate::reasoning::{Feedback, PromptError, PromptSet, feedback_text};
 use crate::reflection::{Judge, Verdict};
 use crate::scenario::generator::{self, ScenarioType, Spec};
@@ -205,8 +206,10 @@ fn refused(
     prompts: &PromptSet,
 ) -> Result<Option<String>, PromptError> {
     let scene = drive.scene();
-    let judged = search::planner(drive, graph, tried.code.clone())
-        .and_then(|planner| Judge::new(&scene, graph, HORIZON_S).ok()?.reflect(&planner, THRESHOLD).ok());
+    let judged = search::planner(drive, graph, tried.code.clone()).and_then(|planner| {
+        let judge = Judge::new(&scene, graph, HORIZON_S, &mut PdmMemory::default()).ok()?;
+        judge.reflect(&planner, THRESHOLD).ok()
+    });
     let Some(report) = judged.filter(|report| report.verdict == Verdict::Rethink) else { return Ok(None) };
     let feedback = Feedback {
         code: Some(tried.code.to_string()),

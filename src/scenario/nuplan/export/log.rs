@@ -177,7 +177,7 @@ impl Writer<'_> {
             ])?;
         }
         let mut insert = self.transaction.prepare_cached(sql::LIGHT)?;
-        let lights = row.lights.iter().flat_map(|(lane, status)| {
+        let lights = row.lights.into_iter().flat_map(crate::world::TrafficLights::iter).flat_map(|(lane, status)| {
             self.facts.connectors.get(&lane).into_iter().flatten().map(move |&connector| (connector, status))
         });
         for (connector, status) in lights {
