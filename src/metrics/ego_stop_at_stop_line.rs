@@ -5,7 +5,7 @@
 use super::route::lanes_at;
 use super::{MetricCategory, MetricResult, Statistic, StatisticKind, TimeSeries};
 use crate::dynamics::ProgressPath;
-use crate::geometry::{Bounds, Corridor, Point, Polyline, Pose};
+use crate::geometry::{Corridor, Point, Polyline, Pose};
 use crate::world::{HistorySample, LaneId, LaneMap, PACIFICA, StopLine, StopLineId};
 
 /// Stops farther than this from the line are none, metres (devkit `ego_stop_at_stop_line_statistics.yaml`).
