@@ -1,6 +1,8 @@
 //! The flags, as typed.
 
-use clap::{Args, Parser, Subcommand};
+use crate::experiment::nuplan_data::NuPlanData;
+use crate::scenario::nuplan::DataRoots;
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
 /// A driving agent that plans with a multimodal language model, offline, on the CPU.
@@ -44,18 +46,46 @@ pub(super) enum Command {
     Dataset(DatasetArguments),
 }
 
+/// Flags that say where nuPlan's data lies.
+#[derive(Debug, Args)]
+pub(super) struct DataArguments {
+    /// Folder of nuPlan's logs, with folders below [default: $NUPLAN_DATA_ROOT].
+    #[arg(long, value_name = "FOLDER")]
+    data_root: Option<PathBuf>,
+    /// Folder of nuPlan's maps [default: $NUPLAN_MAPS_ROOT].
+    #[arg(long, value_name = "FOLDER")]
+    maps_root: Option<PathBuf>,
+}
+
+impl DataArguments {
+    /// The folders by these flags, else by the environment.
+    pub(super) fn roots(&self) -> DataRoots {
+        let known = DataRoots::from_environment();
+        DataRoots { data: self.data_root.clone().or(known.data), maps: self.maps_root.clone().or(known.maps) }
+    }
+
+    /// nuPlan's data in these folders.
+    pub(super) fn data(&self) -> NuPlanData {
+        NuPlanData::new(self.roots())
+    }
+}
+
 /// Flags that name lists of scenarios.
 #[derive(Debug, Args)]
 pub(super) struct SplitArguments {
-    /// List of scenarios by name: generated (16 types x 10 seeds).
+    /// List of scenarios: val14, test14-hard, reduced-val14, generated (16 types x 10 seeds), or a nuPlan scenario filter
+    /// FILE.yaml.
     #[arg(long = "split", value_name = "NAME")]
     pub(super) splits: Vec<String>,
+    #[command(flatten)]
+    pub(super) data: DataArguments,
 }
 
 /// Flags of `simulate`.
 #[derive(Debug, Args)]
 pub(super) struct SimulateArguments {
-    /// Scenarios: TFRecord files, folders of them, or generated/TYPE/SEED [default: one generated scene].
+    /// Scenarios: TFRecord files, nuPlan logs (LOG.db, or one scenario as LOG.db#TOKEN), Argoverse 2 logs, folders of these, or
+    /// generated/TYPE/SEED [default: one generated scene].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
     pub(super) scenarios: Vec<String>,
     #[command(flatten)]
@@ -85,9 +115,11 @@ pub(super) struct SimulateArguments {
 /// Flags of `plan`.
 #[derive(Debug, Args)]
 pub(super) struct PlanArguments {
-    /// The scenario: a TFRecord file or generated/TYPE/SEED [default: one generated scene].
+    /// The scenario: a TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED [default: one generated scene].
     #[arg(long, value_name = "SCENARIO")]
     pub(super) scenario: Option<String>,
+    #[command(flatten)]
+    pub(super) data: DataArguments,
     /// Seconds after the start of the window.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub(super) at: f64,
@@ -101,15 +133,17 @@ pub(super) struct PlanArguments {
 pub(super) enum ScenariosCommand {
     /// List scenarios: the records of files and folders, or the types that can be generated.
     List {
-        /// TFRecord files or folders.
+        /// TFRecord files, nuPlan logs, Argoverse 2 logs, or folders of these.
         sources: Vec<PathBuf>,
         #[command(flatten)]
         split: SplitArguments,
     },
     /// Show one scenario: its map, route, objects and lights; with --image a picture.
     Show {
-        /// A TFRecord file or generated/TYPE/SEED.
+        /// A TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED.
         scenario: String,
+        #[command(flatten)]
+        data: DataArguments,
         /// Seconds after the start of the window.
         #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
         at: f64,
@@ -132,6 +166,38 @@ pub(super) enum ScenariosCommand {
         #[arg(long, default_value_t = 1)]
         count: u64,
     },
+    /// Write scenarios as another tool's files.
+    Export(ExportArguments),
+}
+
+/// Flags of `scenarios export`.
+#[derive(Debug, Args)]
+pub(super) struct ExportArguments {
+    /// Scenarios, as `simulate` takes them.
+    #[arg(required = true, value_name = "SCENARIO")]
+    pub(super) scenarios: Vec<String>,
+    /// Which files: nuplan writes a log for each scenario and a map for each map.
+    #[arg(long, value_enum)]
+    pub(super) format: ExportFormat,
+    /// Folder for them; must be new or empty.
+    #[arg(long, value_name = "FOLDER")]
+    pub(super) out: PathBuf,
+    /// Name of the map; without it maps are named by their content.
+    #[arg(long, value_name = "NAME")]
+    pub(super) location: Option<String>,
+    /// UTM zone in which the scenarios are put, as an EPSG code.
+    #[arg(long, value_name = "CODE", default_value_t = 32_611)]
+    pub(super) epsg: u32,
+    /// Easting and northing at which their origin is put, metres.
+    #[arg(long, value_name = "METRES", num_args = 2, default_values_t = [664_000.0, 3_998_000.0], allow_negative_numbers = true)]
+    pub(super) origin: Vec<f64>,
+}
+
+/// What `scenarios export` writes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum ExportFormat {
+    /// nuPlan's log databases and map packages.
+    Nuplan,
 }
 
 /// Flags of `dataset`.

@@ -2,6 +2,7 @@
 
 mod caught;
 pub mod dataset;
+pub mod nuplan_data;
 pub mod run;
 pub mod source;
 pub mod split;

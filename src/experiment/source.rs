@@ -1,10 +1,13 @@
 //! Where scenarios come from, by the words of the command line.
 
+use super::nuplan_data::{NuPlanData, NuPlanDataError};
 use crate::scenario::Scenario;
 use crate::scenario::argoverse2::{self, Argoverse2Error};
 use crate::scenario::generator::{self, GeneratorError, Spec};
+use crate::scenario::nuplan::{self, Found, MapStore, NuPlanError};
 use crate::scenario::womd::{self, Pick, WomdError};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Prefix of the ids of generated scenarios.
 const GENERATED: &str = "generated/";
@@ -25,6 +28,13 @@ pub enum ScenarioSource {
     },
     /// An Argoverse 2 log: its folder.
     Argoverse2(PathBuf),
+    /// A scenario of a nuPlan log, and the maps that it may need.
+    NuPlan {
+        /// Which scenario.
+        found: Found,
+        /// The maps, shared by all scenarios.
+        maps: Arc<MapStore>,
+    },
 }
 
 /// Why there is no scenario.
@@ -36,6 +46,12 @@ pub enum SourceError {
     /// The Argoverse 2 log cannot be read.
     #[error(transparent)]
     Argoverse2(#[from] Argoverse2Error),
+    /// nuPlan's log or map cannot be read.
+    #[error(transparent)]
+    NuPlan(#[from] NuPlanError),
+    /// The word names no scenario of a nuPlan log.
+    #[error(transparent)]
+    NuPlanData(#[from] NuPlanDataError),
     /// Not the id of a generated scenario, or the generator finds no scene for its seed.
     #[error(transparent)]
     Generator(#[from] GeneratorError),
@@ -51,19 +67,22 @@ pub enum SourceError {
         source: std::io::Error,
     },
     /// The folder holds no recordings.
-    #[error("the folder {} is no Argoverse 2 log and holds neither *.{RECORDING} files nor such logs", .0.display())]
+    #[error("the folder {} is no Argoverse 2 log and holds no such logs, no *.{RECORDING} files and no nuPlan logs (*.db)", .0.display())]
     Empty(PathBuf),
 }
 
 impl ScenarioSource {
-    /// All scenarios that a word names: a generated one, the records of a file, an Argoverse 2 log, or what a folder holds of
-    /// either kind.
+    /// All scenarios that a word names: a generated one, the records of a file, an Argoverse 2 log, the scenarios of a nuPlan log
+    /// (`LOG.db`, or one as `LOG.db#TOKEN`), or what a folder holds of these.
     ///
     /// # Errors
     /// When it names none, or a file is no sound recording.
-    pub fn find(word: &str) -> Result<Vec<Self>, SourceError> {
+    pub fn find(word: &str, data: &NuPlanData) -> Result<Vec<Self>, SourceError> {
         if word.starts_with(GENERATED) {
             return Ok(vec![Self::Generated(word.parse()?)]);
+        }
+        if NuPlanData::names_log(word) {
+            return Ok(data.in_log(word)?);
         }
         let path = Path::new(word);
         if argoverse2::is_log(path) {
@@ -71,12 +90,14 @@ impl ScenarioSource {
         }
         if path.is_dir() {
             let logs = argoverse2::logs_in(path)?;
+            let of_nuplan = Self::of_nuplan(word, data)?;
             let files = match recordings_in(path) {
-                Err(SourceError::Empty(_)) if !logs.is_empty() => Vec::new(),
+                Err(SourceError::Empty(_)) if !(logs.is_empty() && of_nuplan.is_empty()) => Vec::new(),
                 files => files?,
             };
             let mut all = files.iter().map(|file| Self::records_of(file)).collect::<Result<Vec<_>, _>>()?.concat();
             all.extend(logs.into_iter().map(Self::Argoverse2));
+            all.extend(of_nuplan);
             return Ok(all);
         }
         if !path.exists() {
@@ -90,6 +111,27 @@ impl ScenarioSource {
         Ok(summaries.iter().map(|s| Self::Recording { path: path.to_owned(), record: s.record }).collect())
     }
 
+    /// The scenarios of nuPlan logs among what a word names: all of a log, or those of the logs in a folder.
+    ///
+    /// # Errors
+    /// When a log cannot be read.
+    pub fn of_nuplan(word: &str, data: &NuPlanData) -> Result<Vec<Self>, SourceError> {
+        if NuPlanData::names_log(word) {
+            return Ok(data.in_log(word)?);
+        }
+        let path = Path::new(word);
+        if path.is_dir() { Ok(data.in_folder(path)?) } else { Ok(Vec::new()) }
+    }
+
+    /// nuPlan's scenario type, as far as it is known before the scenario is opened.
+    pub fn scenario_type(&self) -> Option<&str> {
+        match self {
+            Self::Generated(spec) => Some(spec.scenario_type.name()),
+            Self::NuPlan { found, .. } => Some(&found.scenario_type),
+            Self::Recording { .. } | Self::Argoverse2(_) => None,
+        }
+    }
+
     /// Opens the scenario.
     ///
     /// # Errors
@@ -99,6 +141,7 @@ impl ScenarioSource {
             Self::Generated(spec) => Ok(generator::generate(spec)?),
             Self::Recording { path, record } => Ok(womd::open_one(path, &Pick::Index(*record))?),
             Self::Argoverse2(folder) => Ok(argoverse2::open(folder)?),
+            Self::NuPlan { found, maps } => Ok(nuplan::open(maps, found)?),
         }
     }
 }
@@ -122,6 +165,7 @@ impl std::fmt::Display for ScenarioSource {
             Self::Generated(spec) => spec.fmt(f),
             Self::Recording { path, record: 0 } | Self::Argoverse2(path) => path.display().fmt(f),
             Self::Recording { path, record } => write!(f, "{} record {record}", path.display()),
+            Self::NuPlan { found, .. } => write!(f, "{}#{}", found.log.path.display(), found.token),
         }
     }
 }

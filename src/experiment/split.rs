@@ -1,42 +1,217 @@
-//! Lists of scenarios that have a name.
+//! Lists of scenarios that have a name: the published nuPlan splits, filter files, and the generated scenes.
 
+use super::nuplan_data::{MissingTokens, NuPlanData};
 use super::source::ScenarioSource;
 use crate::scenario::generator::{ScenarioType, Spec};
+use crate::scenario::nuplan::{FilterError, FilterFile, NuPlanError, Token};
+use std::path::{Path, PathBuf};
 
 /// Name of the list of generated scenes.
 pub const GENERATED: &str = "generated";
 /// Seeds of each type in it, from 0 on.
 const GENERATED_SEEDS: u64 = 10;
+/// Folder for filter files that is looked into first; then `splits`, then `splits` in `$PLANAGENT_DATA`.
+const SPLITS_ROOT: &str = "NUPLAN_SPLITS_ROOT";
 
-/// A name that is no list.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown split '{0}'; known is {GENERATED}")]
-pub struct UnknownSplit(String);
+/// A published list of nuPlan scenarios.
+struct Published {
+    /// Its name on the command line.
+    name: &'static str,
+    /// Names of the file that holds it.
+    files: &'static [&'static str],
+    /// Where it is published.
+    origin: &'static str,
+    /// Number of its tokens.
+    tokens: usize,
+    /// BLAKE3 of the sorted tokens, each followed by a newline.
+    blake3: &'static str,
+}
 
-/// The scenarios of a split. `generated`: every type of the generator with the seeds 0 to 9.
+/// The published lists, as downloaded from the repositories named.
+const PUBLISHED: [Published; 3] = [
+    Published {
+        name: "val14",
+        files: &["val14_split.yaml", "tuplan_garage__val14_split.yaml", "val14.yaml"],
+        origin: "autonomousvision/tuplan_garage: val14_split.yaml",
+        tokens: 1118,
+        blake3: "e20b650606d77b6ce6b83d6286ca5504bc15b5d100e6964f88d4ec81fe8669cb",
+    },
+    Published {
+        name: "reduced-val14",
+        files: &["reduced_val14_split.yaml", "tuplan_garage__reduced_val14_split.yaml"],
+        origin: "autonomousvision/tuplan_garage: reduced_val14_split.yaml",
+        tokens: 318,
+        blake3: "fd3bcbe460caca701859b47a08251643fe50dc01c9b2c14825133e9809269b88",
+    },
+    Published {
+        name: "test14-hard",
+        files: &["test14-hard.yaml", "planTF__test14-hard.yaml"],
+        origin: "jchengai/planTF: test14-hard.yaml",
+        tokens: 272,
+        blake3: "5baddae5b2ecc5667d7b7c19984da56f955f0d6c9eafe9581fef202c4465db1f",
+    },
+];
+
+/// The scenarios of a list.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Split {
+    /// Those that there are.
+    pub sources: Vec<ScenarioSource>,
+    /// Those that there are not: a run of the list is not the whole list.
+    pub missing: MissingTokens,
+    /// What a user should know, for example that a file is not the published one.
+    pub notes: Vec<String>,
+}
+
+/// Why there is no list.
+#[derive(Debug, thiserror::Error)]
+pub enum SplitError {
+    /// No such name.
+    #[error("unknown split `{name}`: there are {}; or name a scenario filter as FILE.yaml", known.join(", "))]
+    Unknown {
+        /// The name.
+        name: String,
+        /// The known ones.
+        known: Vec<&'static str>,
+    },
+    /// The file of a published list is nowhere.
+    #[error("split {name} is published in {origin}; put that file into one of {}, or name it as FILE.yaml",
+        folders.iter().map(|f| f.display().to_string()).collect::<Vec<_>>().join(", "))]
+    NoFile {
+        /// The name.
+        name: &'static str,
+        /// Where it is published.
+        origin: &'static str,
+        /// Where it was looked for.
+        folders: Vec<PathBuf>,
+    },
+    /// The file cannot be used.
+    #[error(transparent)]
+    Filter(#[from] FilterError),
+    /// The logs cannot be searched.
+    #[error(transparent)]
+    NuPlan(#[from] NuPlanError),
+    /// Nothing of it is there.
+    #[error("split {name}: no scenario found: {missing}; is --data-root the folder with its logs?")]
+    NothingFound {
+        /// The name.
+        name: String,
+        /// What was looked for.
+        missing: MissingTokens,
+    },
+}
+
+/// The scenarios of a split: `generated` (every type of the generator with the seeds 0 to 9), a published one by its name, or those of
+/// a scenario filter `FILE.yaml`. `progress` is told how many logs of how many are searched.
 ///
 /// # Errors
-/// When there is no such split.
-pub fn split(name: &str) -> Result<Vec<ScenarioSource>, UnknownSplit> {
-    if name != GENERATED {
-        return Err(UnknownSplit(name.to_owned()));
+/// When there is no such split, its file cannot be used, the logs cannot be read, or they hold none of its scenarios.
+pub fn split(name: &str, data: &NuPlanData, progress: &(dyn Fn(usize, usize) + Sync)) -> Result<Split, SplitError> {
+    if name == GENERATED {
+        return Ok(generated());
     }
+    let is_file = Path::new(name).extension().is_some_and(|ending| ending == "yaml" || ending == "yml");
+    let published = PUBLISHED.iter().find(|published| published.name == name);
+    let (file, mut notes) = match published {
+        _ if is_file => (FilterFile::open(Path::new(name))?, Vec::new()),
+        Some(published) => published.open()?,
+        None => {
+            let known = [GENERATED].into_iter().chain(PUBLISHED.iter().map(|published| published.name)).collect();
+            return Err(SplitError::Unknown { name: name.to_owned(), known });
+        }
+    };
+    notes.extend(file.notes);
+    let (sources, found_notes, missing) = data.search(&file.filter, progress)?;
+    notes.extend(found_notes);
+    if sources.is_empty() {
+        return Err(SplitError::NothingFound { name: name.to_owned(), missing });
+    }
+    Ok(Split { sources, missing, notes })
+}
+
+fn generated() -> Split {
     let specs = ScenarioType::ALL
         .into_iter()
         .flat_map(|scenario_type| (0..GENERATED_SEEDS).map(move |seed| Spec { scenario_type, seed }));
-    Ok(specs.map(ScenarioSource::Generated).collect())
+    Split { sources: specs.map(ScenarioSource::Generated).collect(), ..Split::default() }
+}
+
+impl Published {
+    /// Its file, and a note when that is not what was published.
+    fn open(&self) -> Result<(FilterFile, Vec<String>), SplitError> {
+        let folders = folders();
+        let path = folders.iter().flat_map(|folder| self.files.iter().map(|file| folder.join(file)));
+        let Some(path) = path.into_iter().find(|path| path.is_file()) else {
+            return Err(SplitError::NoFile { name: self.name, origin: self.origin, folders });
+        };
+        let file = FilterFile::open(&path)?;
+        let tokens = file.filter.scenario_tokens.as_deref().unwrap_or_default();
+        let note = (digest(tokens) != self.blake3).then(|| {
+            format!(
+                "{}: not the published list {}: {} tokens instead of {}, or others; results do not compare",
+                path.display(),
+                self.name,
+                tokens.len(),
+                self.tokens
+            )
+        });
+        Ok((file, note.into_iter().collect()))
+    }
+}
+
+fn folders() -> Vec<PathBuf> {
+    let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let data = variable("PLANAGENT_DATA").map(|data| data.join("splits"));
+    variable(SPLITS_ROOT).into_iter().chain([PathBuf::from("splits")]).chain(data).collect()
+}
+
+/// BLAKE3 of the sorted tokens, each followed by a newline.
+fn digest(tokens: &[Token]) -> String {
+    let mut lines: Vec<String> = tokens.iter().map(|token| format!("{token}\n")).collect();
+    lines.sort();
+    blake3::hash(lines.concat().as_bytes()).to_hex().to_string()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scenario::nuplan::DataRoots;
+
+    fn no_data() -> NuPlanData {
+        NuPlanData::new(DataRoots::default())
+    }
 
     #[test]
     fn the_generated_split_has_ten_seeds_of_each_type() {
-        let sources = split(GENERATED).unwrap();
+        let sources = split(GENERATED, &no_data(), &|_, _| {}).unwrap().sources;
         assert_eq!(sources.len(), 160);
         assert_eq!(sources[0].to_string(), "generated/starting_left_turn/0");
         assert_eq!(sources[159].to_string(), "generated/traversing_roundabout/9");
-        assert!(split("val15").unwrap_err().to_string().contains("val15"));
+    }
+
+    #[test]
+    fn unknown_names_and_files_say_what_to_do() {
+        let told = |name: &str| split(name, &no_data(), &|_, _| {}).unwrap_err().to_string();
+        assert!(told("val15").contains("generated, val14, reduced-val14, test14-hard"), "{}", told("val15"));
+        assert!(told("nowhere.yaml").contains("nowhere.yaml: cannot open"));
+    }
+
+    #[test]
+    fn published_lists_are_known_by_their_tokens() {
+        let data = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data"));
+        let data = std::env::var_os("PLANAGENT_DATA").map_or_else(|| data.to_owned(), PathBuf::from);
+        for published in &PUBLISHED {
+            let file = published.files.iter().map(|file| data.join("splits").join(file)).find(|path| path.is_file());
+            let Some(file) = file else {
+                eprintln!("SKIPPED: no file of split {} in {}", published.name, data.display());
+                continue;
+            };
+            let filter = FilterFile::open(&file).unwrap().filter;
+            let tokens = filter.scenario_tokens.unwrap();
+            assert_eq!((tokens.len(), digest(&tokens).as_str()), (published.tokens, published.blake3));
+            assert_ne!(digest(&tokens[1..]), published.blake3);
+            assert_eq!(filter.scenario_types.unwrap().len(), 14);
+            assert!(filter.remove_invalid_goals && filter.timestamp_threshold_s == Some(15.0));
+        }
     }
 }

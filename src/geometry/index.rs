@@ -60,6 +60,12 @@ impl Bounds {
         self.min.x <= other.max.x && other.min.x <= self.max.x && self.min.y <= other.max.y && other.min.y <= self.max.y
     }
 
+    /// Distance from a point to the rectangle, metres; 0 inside.
+    pub fn distance_to(&self, p: Point) -> f64 {
+        let outside = |low: f64, at: f64, high: f64| (low - at).max(at - high).max(0.0);
+        outside(self.min.x, p.x, self.max.x).hypot(outside(self.min.y, p.y, self.max.y))
+    }
+
     fn envelope(&self) -> AABB<[f64; 2]> {
         AABB::from_corners([self.min.x, self.min.y], [self.max.x, self.max.y])
     }

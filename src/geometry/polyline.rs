@@ -276,7 +276,7 @@ impl Nearest {
             let along = vertices[segment + 1] - from;
             let share = ((point - from).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
             let squared = (point - (from + along * share)).norm_squared();
-            if squared < self.squared || (squared == self.squared && segment < self.segment) {
+            if squared.total_cmp(&self.squared).then(segment.cmp(&self.segment)).is_lt() {
                 *self = Self { squared, segment, share };
             }
         }

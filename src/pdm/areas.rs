@@ -126,7 +126,7 @@ impl<'a> DrivableMap<'a> {
             map.lanes_near(center, MAP_RADIUS).into_iter().map(|lane| map[lane].roadblock).collect();
         let lanes: BTreeSet<LaneId> = blocks.iter().flat_map(|&block| map[block].lanes.iter().copied()).collect();
         let patch = Bounds::square(center, MAP_RADIUS);
-        let carparks = map.carparks().iter().filter(|polygon| polygon.bounds().overlaps(&patch));
+        let carparks = map.carparks_within(&patch);
         let areas = lanes
             .into_iter()
             .map(|id| Area { polygon: &map[id].polygon, on_route: route_lanes.contains(&id) })

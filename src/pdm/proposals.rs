@@ -69,7 +69,7 @@ impl Proposal {
 pub struct Proposals<'a> {
     paths: [&'a PdmPath; LATERAL_OFFSETS.len()],
     traffic: [PathTraffic<'a>; LATERAL_OFFSETS.len()],
-    proposals: Vec<Proposal>,
+    rolled_out: Vec<Proposal>,
 }
 
 impl<'a> Proposals<'a> {
@@ -96,7 +96,7 @@ impl<'a> Proposals<'a> {
             poses: vec![paths[path].pose_at(starts[path])],
         };
         let all = (0..paths.len()).flat_map(|path| targets.map(|target| (path, target)));
-        let mut proposals = Self { paths: paths.each_ref(), traffic, proposals: all.map(begun).collect() };
+        let mut proposals = Self { paths: paths.each_ref(), traffic, rolled_out: all.map(begun).collect() };
         for batch in 0..paths.len() {
             let members = batch * SPEED_FRACTIONS.len()..(batch + 1) * SPEED_FRACTIONS.len();
             for step in 1..=steps {
@@ -108,32 +108,32 @@ impl<'a> Proposals<'a> {
 
     /// The proposals in their order.
     pub fn all(&self) -> &[Proposal] {
-        &self.proposals
+        &self.rolled_out
     }
 
     /// The proposals, taken out.
     pub fn into_all(self) -> Vec<Proposal> {
-        self.proposals
+        self.rolled_out
     }
 
     /// Rolls one proposal out further, alone, up to `steps` steps from the present, and gives its poses.
     pub fn continued(&mut self, index: usize, steps: usize) -> &[Pose] {
-        for step in self.proposals[index].states.len()..=steps {
+        for step in self.rolled_out[index].states.len()..=steps {
             self.advance(index..index + 1, step);
         }
-        &self.proposals[index].poses
+        &self.rolled_out[index].poses
     }
 
     /// One step of proposals that share a path. At even steps the lead is looked up where each was the step before; the
     /// record of the lead is one for all of them in turn, as upstream's, so that what is not set for one is inherited from
     /// the one before. At odd steps each keeps its lead.
     fn advance(&mut self, members: std::ops::Range<usize>, step: usize) {
-        let Some(path) = self.proposals.get(members.start).map(|proposal| proposal.path) else { return };
+        let Some(path) = self.rolled_out.get(members.start).map(|proposal| proposal.path) else { return };
         let traffic = &self.traffic[path];
         let refresh = step.is_multiple_of(LEAD_REFRESH);
         let blocking = if refresh { traffic.blocking(step) } else { Vec::new() };
         let mut shared = LeadState::default();
-        for proposal in &mut self.proposals[members] {
+        for proposal in &mut self.rolled_out[members] {
             let last = proposal.states.len() - 1;
             if refresh {
                 traffic.find_lead(&blocking, proposal.states[last].progress, proposal.poses[last], &mut shared);

@@ -21,7 +21,7 @@ pub fn corrected_route(map: &LaneMap, route: &[RoadblockId], rear_axle: Pose) ->
     let mut seen = BTreeSet::new();
     let route: Vec<RoadblockId> = route.iter().copied().filter(|&block| seen.insert(block)).collect();
     let begun = begun_at(map, route, rear_axle);
-    without_loops(map, &without_gaps(map, begun))
+    without_loops(map, &without_gaps(map, &begun))
 }
 
 /// The route, begun at the roadblock under the ego: back from its first roadblock, or forward to one of its first three.
@@ -45,7 +45,7 @@ fn begun_at(map: &LaneMap, route: Vec<RoadblockId>, rear_axle: Pose) -> Vec<Road
 }
 
 /// The route with the roadblocks that lead over each gap put in.
-fn without_gaps(map: &LaneMap, route: Vec<RoadblockId>) -> Vec<RoadblockId> {
+fn without_gaps(map: &LaneMap, route: &[RoadblockId]) -> Vec<RoadblockId> {
     let mut whole: Vec<RoadblockId> = route.first().copied().into_iter().collect();
     for pair in route.windows(2) {
         if !map[pair[1]].incoming.contains(&pair[0]) {

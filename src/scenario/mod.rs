@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 pub mod argoverse2;
 pub mod generator;
+pub mod nuplan;
 mod recording;
 pub mod womd;
 

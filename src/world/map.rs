@@ -213,6 +213,7 @@ pub struct LaneMap {
     pub(super) road_index: SpatialIndex,
     pub(super) generic_index: SpatialIndex,
     pub(super) carpark_index: SpatialIndex,
+    pub(super) stop_index: SpatialIndex,
 }
 
 impl LaneMap {
@@ -236,6 +237,7 @@ impl LaneMap {
             road_index: areas(&parts.road_segments),
             generic_index: areas(&parts.generic_drivable),
             carpark_index: areas(&parts.carparks),
+            stop_index: SpatialIndex::new(parts.stop_lines.iter().map(|line| line.polygon.bounds())),
             parts,
         })
     }

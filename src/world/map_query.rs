@@ -1,6 +1,6 @@
 //! Questions to the lane map: what lies here, what is near, where does the road go.
 
-use super::{Lane, LaneId, LaneKind, LaneMap, RoadblockId};
+use super::{Lane, LaneId, LaneKind, LaneMap, RoadblockId, StopLineId};
 use crate::geometry::{Bounds, OrientedBox, Point, Polygon, Pose, SpatialIndex, wrap_angle};
 
 fn any_holds(index: &SpatialIndex, polygons: &[Polygon], point: Point) -> bool {
@@ -42,9 +42,46 @@ impl LaneMap {
         found
     }
 
+    /// Roadblocks (and connectors) whose area meets the square patch of `half_size` metres around `point`, in map order.
+    pub fn roadblocks_near(&self, point: Point, half_size: f64) -> Vec<RoadblockId> {
+        let side = 2.0 * half_size;
+        let square = OrientedBox::new(Pose::at(point, 0.0), side, side);
+        let areas = self.block_index.within(&Bounds::square(point, half_size)).into_iter().map(|i| self.block_areas[i]);
+        let met = areas.filter(|&(block, area)| self[block].areas[area].meets_box(&square));
+        let mut found: Vec<RoadblockId> = met.map(|(block, _)| block).collect();
+        found.dedup();
+        found
+    }
+
     /// Whether the area of a roadblock holds the point.
     pub fn roadblock_holds(&self, block: RoadblockId, point: Point) -> bool {
         self[block].areas.iter().any(|area| area.contains(point))
+    }
+
+    /// Intersections whose bounds meet the given ones, in map order.
+    pub fn intersections_within(&self, bounds: &Bounds) -> impl Iterator<Item = &Polygon> {
+        self.intersection_index.within(bounds).into_iter().map(|i| &self.parts.intersections[i])
+    }
+
+    /// Car parks whose bounds meet the given ones, in map order.
+    pub fn carparks_within(&self, bounds: &Bounds) -> impl Iterator<Item = &Polygon> {
+        self.carpark_index.within(bounds).into_iter().map(|i| &self.parts.carparks[i])
+    }
+
+    /// The stop line nearest to a point, of equally near ones the first; `None` when the map has none.
+    pub fn nearest_stop_line(&self, point: Point) -> Option<StopLineId> {
+        let mut best: Option<(f64, usize)> = None;
+        for place in self.stop_index.nearest(point) {
+            let polygon = &self.parts.stop_lines[place].polygon;
+            let distance = polygon.distance_to(point);
+            match best {
+                // The shapes come by growing distance of their bounds, which is never more than their own.
+                Some((least, _)) if polygon.bounds().distance_to(point) > least => break,
+                Some(known) if (distance, place) >= known => {}
+                _ => best = Some((distance, place)),
+            }
+        }
+        best.map(|(_, place)| StopLineId(place as u32))
     }
 
     /// Whether the point lies in an intersection.
@@ -115,4 +152,75 @@ fn misfit(lane: &Lane, pose: Pose) -> f64 {
     const METRES_PER_RADIAN: f64 = 3.5;
     let foot = lane.centerline.project(pose.position());
     foot.distance + METRES_PER_RADIAN * wrap_angle(foot.heading - pose.heading).abs()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::{MapParts, StopLine};
+    use proptest::prelude::*;
+
+    /// Squares as stop lines, car parks and intersections of a map with one lane far away.
+    fn map(squares: &[(f64, f64, f64)]) -> LaneMap {
+        let polygons: Vec<Polygon> = squares
+            .iter()
+            .map(|&(x, y, heading)| OrientedBox::new(Pose::new(x, y, heading), 8.0, 1.0).to_polygon())
+            .collect();
+        let line = crate::geometry::Polyline::new([Point::new(1e4, 0.0), Point::new(1e4, 9.0)]).unwrap();
+        let lane = Lane {
+            id: LaneId(0),
+            source_id: 0,
+            kind: LaneKind::Lane,
+            polygon: OrientedBox::new(line.pose_at(4.0), 8.0, 4.0).to_polygon(),
+            centerline: line,
+            incoming: vec![],
+            outgoing: vec![],
+            left: vec![],
+            right: vec![],
+            roadblock: RoadblockId(0),
+            speed_limit: None,
+            has_traffic_lights: false,
+            stop_lines: vec![],
+        };
+        let block = crate::world::Roadblock {
+            id: RoadblockId(0),
+            source_id: 0,
+            kind: LaneKind::Lane,
+            lanes: vec![LaneId(0)],
+            areas: polygons.clone(),
+            incoming: vec![],
+            outgoing: vec![],
+        };
+        let stop = |polygon: &Polygon| StopLine { polygon: polygon.clone(), lanes: vec![], stop_sign: false };
+        LaneMap::new(MapParts {
+            lanes: vec![lane],
+            roadblocks: vec![block],
+            stop_lines: polygons.iter().map(stop).collect(),
+            intersections: polygons.clone(),
+            carparks: polygons,
+            ..MapParts::default()
+        })
+        .unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn queries_answer_like_plain_scans(
+            squares in prop::collection::vec((-60.0..60.0f64, -60.0..60.0f64, -3.0..3.0f64), 0..30),
+            x in -60.0..60.0f64, y in -60.0..60.0f64, r in 0.1..30.0f64,
+        ) {
+            let map = map(&squares);
+            let point = Point::new(x, y);
+            let distance = |i: usize| map.stop_lines()[i].polygon.distance_to(point);
+            let nearest = (0..squares.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+            prop_assert_eq!(map.nearest_stop_line(point).map(StopLineId::index), nearest);
+            let square = OrientedBox::new(Pose::at(point, 0.0), 2.0 * r, 2.0 * r);
+            let meets = map.intersections().iter().any(|area| area.meets_box(&square));
+            prop_assert_eq!(!map.roadblocks_near(point, r).is_empty(), meets);
+            let patch = Bounds::square(point, r);
+            let plain: Vec<&Polygon> = map.carparks().iter().filter(|area| area.bounds().overlaps(&patch)).collect();
+            prop_assert_eq!(map.carparks_within(&patch).collect::<Vec<_>>(), plain.clone());
+            prop_assert_eq!(map.intersections_within(&patch).collect::<Vec<_>>(), plain);
+        }
+    }
 }

@@ -2,12 +2,14 @@
 
 #![expect(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests are tests")]
 
+use planagent::experiment::nuplan_data::NuPlanData;
 use planagent::experiment::source::ScenarioSource;
 use planagent::geometry::wrap_angle;
 use planagent::metrics::{self, MetricName};
 use planagent::planner::{IdmPlanner, LogReplay, Planner};
 use planagent::scenario::Scenario;
 use planagent::scenario::argoverse2::{self, Argoverse2Error};
+use planagent::scenario::nuplan::DataRoots;
 use planagent::simulation::{Challenge, simulate};
 use planagent::world::{EgoState, LaneKind, PACIFICA};
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,6 +25,11 @@ fn logs(dataset: &str) -> Vec<PathBuf> {
         return Vec::new();
     }
     argoverse2::logs_in(&folder).unwrap()
+}
+
+/// No folder of nuPlan's.
+fn no_nuplan() -> NuPlanData {
+    NuPlanData::new(DataRoots::default())
 }
 
 fn all_logs() -> Vec<PathBuf> {
@@ -51,11 +58,11 @@ fn logs_open_with_their_window() {
         assert!(scenario.frames.iter().all(|frame| frame.ego.rear_axle.position().coords.norm() < 500.0), "{id}");
         assert!(scenario.frames.iter().all(|frame| !frame.objects.is_empty()), "{id}");
         assert_eq!(
-            ScenarioSource::find(&log.to_string_lossy()).unwrap(),
+            ScenarioSource::find(&log.to_string_lossy(), &no_nuplan()).unwrap(),
             vec![ScenarioSource::Argoverse2(log.clone())]
         );
         let above = log.parent().unwrap().to_string_lossy();
-        assert!(ScenarioSource::find(&above).unwrap().contains(&ScenarioSource::Argoverse2(log)));
+        assert!(ScenarioSource::find(&above, &no_nuplan()).unwrap().contains(&ScenarioSource::Argoverse2(log)));
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{Ahead, LaneCount, LaneIndex, Oncoming, SceneType, VIEW_METRES, View, roundabout};
 use crate::environment::lane_graph::{Centerline, LaneGraph};
-use crate::geometry::{Point, Polygon, Polyline, Pose, wrap_angle};
+use crate::geometry::{Bounds, Point, Polygon, Polyline, Pose, wrap_angle};
 use crate::world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, Scene};
 use std::collections::BTreeSet;
 
@@ -57,8 +57,10 @@ fn turned(line: &Polyline) -> f64 {
 /// is none to the eye), or one of the path's connectors is crossed by another.
 fn meets_intersection(map: &LaneMap, centerline: &Centerline, path: &Polyline) -> bool {
     let places = path.resampled(STEP);
-    let mut entered = map.intersections().iter().filter_map(|area| {
-        let entry = places.vertex_poses().into_iter().find(|pose| area.contains(pose.position()))?;
+    let poses = places.vertex_poses();
+    let bounds = Bounds::around(places.vertices());
+    let mut entered = map.intersections_within(&bounds).filter_map(|area| {
+        let entry = poses.iter().copied().find(|pose| area.contains(pose.position()))?;
         Some((area, entry))
     });
     entered.any(|(area, entry)| leads_elsewhere(map, area, entry))

@@ -1,14 +1,18 @@
 //! What a run drives: from the flags, else from the run that is gone on with, else by default.
 
+use crate::cli::Printer;
 use crate::cli::args::SimulateArguments;
+use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::run::{Assignment, PlannerKind};
 use crate::experiment::source::ScenarioSource;
 use crate::experiment::split::split;
 use crate::report::{Manifest, ScenarioList};
 use crate::scenario::generator;
+use crate::scenario::nuplan::DataRoots;
 use crate::simulation::Challenge;
 use anyhow::{Context, bail};
 use std::collections::BTreeSet;
+use std::path::PathBuf;
 
 /// What a run drives.
 pub(super) struct Selection {
@@ -20,6 +24,16 @@ pub(super) struct Selection {
     pub(super) challenges: Vec<Challenge>,
     /// Every scenario with every planner in every challenge.
     pub(super) assignments: Vec<Assignment>,
+    /// What the splits name and the data does not hold, a line a split.
+    pub(super) missing: Vec<String>,
+    /// nuPlan's data, with what there is to know about the maps and logs that were opened.
+    pub(super) data: NuPlanData,
+}
+
+/// What words and splits name.
+struct Found {
+    sources: Vec<ScenarioSource>,
+    missing: Vec<String>,
 }
 
 impl Selection {
@@ -27,7 +41,7 @@ impl Selection {
     ///
     /// # Errors
     /// When a planner, challenge, split or scenario is unknown or cannot be read, or nothing is left.
-    pub(super) fn of(flags: &SimulateArguments, manifest: Option<&Manifest>) -> anyhow::Result<Self> {
+    pub(super) fn of(flags: &SimulateArguments, manifest: Option<&Manifest>, printer: Printer) -> anyhow::Result<Self> {
         let named = !flags.scenarios.is_empty() || !flags.split.splits.is_empty() || flags.limit.is_some();
         let (words, splits, limit) = match manifest {
             Some(manifest) if !named => {
@@ -36,23 +50,52 @@ impl Selection {
             }
             _ => (flags.scenarios.clone(), flags.split.splits.clone(), flags.limit),
         };
-        let sources = sources(&words, &splits, limit)?;
+        let roots = roots(flags, manifest);
+        let data = NuPlanData::new(roots.clone());
+        let Found { sources, missing } = find(&words, &splits, limit, &data, printer)?;
         let planners = planners(&flags.planner, manifest)?;
         let challenges = challenges(&flags.challenge, manifest)?;
         let names = sources.iter().map(ToString::to_string);
-        let list = ScenarioList { words, splits, limit, count: sources.len(), blake3: ScenarioList::digest(names) };
+        let (count, blake3) = (sources.len(), ScenarioList::digest(names));
+        let list = ScenarioList { words, splits, data_root: roots.data, maps_root: roots.maps, limit, count, blake3 };
         let assignments = assignments(&sources, &planners, &challenges);
-        Ok(Self { list, planners, challenges, assignments })
+        Ok(Self { list, planners, challenges, assignments, missing, data })
     }
 }
 
-fn sources(words: &[String], splits: &[String], limit: Option<usize>) -> anyhow::Result<Vec<ScenarioSource>> {
-    let mut found = Vec::new();
+/// The folders of nuPlan's data by flags or environment, else those of the run that is gone on with.
+fn roots(flags: &SimulateArguments, manifest: Option<&Manifest>) -> DataRoots {
+    let DataRoots { data, maps } = flags.split.data.roots();
+    let before = |of: fn(&ScenarioList) -> &Option<PathBuf>| manifest.and_then(|m| of(&m.scenarios).clone());
+    DataRoots { data: data.or_else(|| before(|l| &l.data_root)), maps: maps.or_else(|| before(|l| &l.maps_root)) }
+}
+
+fn find(
+    words: &[String],
+    splits: &[String],
+    limit: Option<usize>,
+    data: &NuPlanData,
+    printer: Printer,
+) -> anyhow::Result<Found> {
+    let (mut found, mut missing) = (Vec::new(), Vec::new());
     for name in splits {
-        found.extend(split(name)?);
+        let bar = printer.progress(0, "logs");
+        let of_split = split(name, data, &|done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        });
+        bar.finish_and_clear();
+        let of_split = of_split?;
+        found.extend(of_split.sources);
+        for note in of_split.notes {
+            printer.note(format!("{name}: {note}"));
+        }
+        if !of_split.missing.is_empty() {
+            missing.push(format!("{name}: {}", of_split.missing));
+        }
     }
     for word in words {
-        found.extend(ScenarioSource::find(word)?);
+        found.extend(ScenarioSource::find(word, data)?);
     }
     if splits.is_empty() && words.is_empty() {
         found.push(ScenarioSource::Generated(generator::DEFAULT));
@@ -64,7 +107,7 @@ fn sources(words: &[String], splits: &[String], limit: Option<usize>) -> anyhow:
     if found.is_empty() {
         bail!("no scenario is left to drive");
     }
-    Ok(found)
+    Ok(Found { sources: found, missing })
 }
 
 fn planners(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<PlannerKind>> {

@@ -1,0 +1,296 @@
+//! An `SQLite` file that is only ever read, with checks of what it holds.
+//!
+//! Files are opened as immutable: nothing is locked, and no journal or shared-memory file appears beside the user's data.
+
+use super::error::{CellFault, NuPlanError, Place, RowName};
+use super::token::{TOKEN_BYTES, Token};
+use rusqlite::types::ValueRef;
+use rusqlite::{Connection, ErrorCode, OpenFlags, Params, Row};
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// First bytes of every `SQLite` file.
+const MAGIC: &[u8; 16] = b"SQLite format 3\0";
+
+/// Columns of a table that are read together; the first names the row.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Table {
+    pub(super) name: &'static str,
+    /// The column that names a row (`token`, `fid`), then the others.
+    pub(super) columns: &'static [&'static str],
+}
+
+/// An open file.
+#[derive(Debug)]
+pub(super) struct Database {
+    pub(super) path: PathBuf,
+    pub(super) connection: Connection,
+}
+
+impl Database {
+    /// Opens a file for reading.
+    pub(super) fn open(path: &Path) -> Result<Self, NuPlanError> {
+        check_bytes(path)?;
+        check_finished(path)?;
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let connection = Connection::open_with_flags(immutable_uri(path), flags)
+            .map_err(|source| NuPlanError::Sqlite { path: path.to_owned(), reading: "the file".to_owned(), source })?;
+        Ok(Self { path: path.to_owned(), connection })
+    }
+
+    /// Checks that a table has its columns; `kind` says what the file should be.
+    pub(super) fn require(&self, table: Table, kind: &'static str) -> Result<(), NuPlanError> {
+        let present = self.columns(table.name)?;
+        if present.is_empty() {
+            return Err(NuPlanError::MissingTable { path: self.path.clone(), table: table.name, kind });
+        }
+        match table.columns.iter().find(|&&column| !present.iter().any(|p| p == column)) {
+            Some(&column) => Err(NuPlanError::MissingColumn { path: self.path.clone(), table: table.name, column }),
+            None => Ok(()),
+        }
+    }
+
+    fn columns(&self, table: &str) -> Result<Vec<String>, NuPlanError> {
+        let read = || {
+            let mut statement = self.connection.prepare("SELECT name FROM pragma_table_info(?1)")?;
+            let names = statement.query_map([table], |row| row.get::<_, String>(0))?;
+            names.collect::<rusqlite::Result<Vec<_>>>()
+        };
+        read().map_err(|source| self.failed("the list of tables", source))
+    }
+
+    /// Whether an index begins with this column, so that rows are found by it at once.
+    pub(super) fn is_indexed(&self, table: &str, column: &str) -> Result<bool, NuPlanError> {
+        let found = self.connection.query_row(
+            "SELECT EXISTS(SELECT 1 FROM pragma_index_list(?1) AS l, pragma_index_info(l.name) AS i \
+             WHERE i.seqno = 0 AND i.name = ?2 AND l.partial = 0)",
+            [table, column],
+            |row| row.get(0),
+        );
+        found.map_err(|source| self.failed(table, source))
+    }
+
+    /// Calls `take` with each row of a table; `rest` is the query behind its name.
+    pub(super) fn each(
+        &self,
+        table: Table,
+        rest: &str,
+        params: impl Params,
+        mut take: impl FnMut(&Record<'_>) -> Result<(), NuPlanError>,
+    ) -> Result<(), NuPlanError> {
+        let columns: Vec<String> = table.columns.iter().map(|column| format!("{}.\"{column}\"", table.name)).collect();
+        let query = format!("SELECT {}, {}.rowid FROM {} {rest}", columns.join(", "), table.name, table.name);
+        self.each_of(table, &query, params, &mut take)
+    }
+
+    /// Calls `take` with each row of a query that selects the table's columns, then its rowid.
+    pub(super) fn each_of(
+        &self,
+        table: Table,
+        query: &str,
+        params: impl Params,
+        take: &mut dyn FnMut(&Record<'_>) -> Result<(), NuPlanError>,
+    ) -> Result<(), NuPlanError> {
+        let failed = |source| self.failed(table.name, source);
+        let mut statement = self.connection.prepare_cached(query).map_err(failed)?;
+        let mut rows = statement.query(params).map_err(failed)?;
+        while let Some(row) = rows.next().map_err(failed)? {
+            take(&Record { database: self, table, row })?;
+        }
+        Ok(())
+    }
+
+    /// The first row of a query, if there is one.
+    pub(super) fn first<T>(
+        &self,
+        table: Table,
+        rest: &str,
+        params: impl Params,
+        mut take: impl FnMut(&Record<'_>) -> Result<T, NuPlanError>,
+    ) -> Result<Option<T>, NuPlanError> {
+        let mut found = None;
+        self.each(table, &format!("{rest} LIMIT 1"), params, |record| {
+            found = Some(take(record)?);
+            Ok(())
+        })?;
+        Ok(found)
+    }
+
+    /// The error of `SQLite` while it read a table.
+    pub(super) fn failed(&self, reading: &str, source: rusqlite::Error) -> NuPlanError {
+        let (path, reading) = (self.path.clone(), format!("table {reading}"));
+        match source.sqlite_error_code() {
+            Some(ErrorCode::NotADatabase) => NuPlanError::NotADatabase(path),
+            Some(ErrorCode::DatabaseCorrupt | ErrorCode::SystemIoFailure) => {
+                NuPlanError::Damaged { path, reading, source }
+            }
+            _ => NuPlanError::Sqlite { path, reading, source },
+        }
+    }
+}
+
+/// An empty file would pass for an empty database; both are no nuPlan data.
+fn check_bytes(path: &Path) -> Result<(), NuPlanError> {
+    let io = |source| NuPlanError::Io { path: path.to_owned(), doing: "open", source };
+    let mut start = Vec::with_capacity(MAGIC.len());
+    File::open(path).map_err(io)?.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(io)?;
+    if start == MAGIC { Ok(()) } else { Err(NuPlanError::NotADatabase(path.to_owned())) }
+}
+
+/// Refuses a database whose last changes lie in a file beside it: reading without them would be wrong, and taking them in writes.
+fn check_finished(path: &Path) -> Result<(), NuPlanError> {
+    for ending in ["-wal", "-journal"] {
+        let mut name = path.as_os_str().to_owned();
+        name.push(ending);
+        let beside = PathBuf::from(name);
+        if std::fs::metadata(&beside).is_ok_and(|file| file.len() > 0) {
+            return Err(NuPlanError::Unfinished { path: path.to_owned(), beside });
+        }
+    }
+    Ok(())
+}
+
+/// The name by which `SQLite` opens a file without ever writing to it or beside it.
+pub(super) fn immutable_uri(path: &Path) -> String {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/-._~".contains(&byte);
+    let bytes = path.as_os_str().as_encoded_bytes().iter();
+    let name = bytes.map(|&byte| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") });
+    format!("file:{}?mode=ro&immutable=1", name.collect::<Vec<_>>().concat())
+}
+
+/// One row; every getter says where it failed.
+pub(super) struct Record<'a> {
+    database: &'a Database,
+    table: Table,
+    row: &'a Row<'a>,
+}
+
+impl Record<'_> {
+    fn value(&self, column: &'static str) -> ValueRef<'_> {
+        let place = self.table.columns.iter().position(|&c| c == column);
+        place.and_then(|place| self.row.get_ref(place).ok()).unwrap_or(ValueRef::Null)
+    }
+
+    /// The row by its name, else by its number.
+    fn name(&self) -> RowName {
+        let number = self.row.get::<_, i64>(self.table.columns.len()).unwrap_or_default();
+        let key = self.table.columns.first().copied().unwrap_or_default();
+        match (key, self.value(key)) {
+            (_, ValueRef::Blob(bytes)) => match <[u8; TOKEN_BYTES]>::try_from(bytes) {
+                Ok(bytes) => RowName::Token(Token::new(bytes)),
+                Err(_) => RowName::Number(number),
+            },
+            ("fid", ValueRef::Integer(fid)) => RowName::Fid(fid),
+            _ => RowName::Number(number),
+        }
+    }
+
+    /// An error about a cell of this row.
+    pub(super) fn fault(&self, column: &'static str, fault: impl Into<CellFault>) -> NuPlanError {
+        let place =
+            Place { path: self.database.path.clone(), table: self.table.name.to_owned(), column, row: self.name() };
+        NuPlanError::Cell { place: Box::new(place), fault: Box::new(fault.into()) }
+    }
+
+    fn wrong(&self, column: &'static str, expected: &'static str) -> NuPlanError {
+        let got = match self.value(column) {
+            ValueRef::Null => return self.fault(column, CellFault::Null),
+            ValueRef::Integer(_) => "an integer",
+            ValueRef::Real(_) => "a number",
+            ValueRef::Text(_) => "a text",
+            ValueRef::Blob(_) => "bytes",
+        };
+        self.fault(column, CellFault::Type { expected, got })
+    }
+
+    /// A number; `None` where it is NULL, which is also how `SQLite` stores NaN.
+    pub(super) fn maybe_float(&self, column: &'static str) -> Result<Option<f64>, NuPlanError> {
+        match self.value(column) {
+            ValueRef::Null => Ok(None),
+            ValueRef::Real(number) => Ok(Some(number)),
+            ValueRef::Integer(number) => Ok(Some(number as f64)),
+            _ => Err(self.wrong(column, "a number")),
+        }
+    }
+
+    /// A finite number.
+    pub(super) fn float(&self, column: &'static str) -> Result<f64, NuPlanError> {
+        let number = self.maybe_float(column)?.ok_or_else(|| self.fault(column, CellFault::Null))?;
+        if number.is_finite() {
+            Ok(number)
+        } else {
+            Err(self.fault(column, CellFault::Number { got: number, expected: "a finite number" }))
+        }
+    }
+
+    /// An integer.
+    pub(super) fn integer(&self, column: &'static str) -> Result<i64, NuPlanError> {
+        match self.value(column) {
+            ValueRef::Integer(number) => Ok(number),
+            _ => Err(self.wrong(column, "an integer")),
+        }
+    }
+
+    /// A feature id; `None` where it is NULL or NaN. Columns of ids with gaps come as numbers with a fraction of 0 or as text.
+    pub(super) fn maybe_fid(&self, column: &'static str) -> Result<Option<i64>, NuPlanError> {
+        match self.value(column) {
+            ValueRef::Null => Ok(None),
+            ValueRef::Integer(fid) => Ok(Some(fid)),
+            ValueRef::Real(fid) if fid.is_nan() => Ok(None),
+            ValueRef::Real(fid) if fid.fract() == 0.0 => Ok(Some(fid as i64)),
+            ValueRef::Text(text) => {
+                let text = String::from_utf8_lossy(text);
+                match text.trim() {
+                    "" => Ok(None),
+                    fid => fid.parse().map(Some).map_err(|_| self.wrong(column, "an id")),
+                }
+            }
+            _ => Err(self.wrong(column, "an id")),
+        }
+    }
+
+    /// A feature id.
+    pub(super) fn fid(&self, column: &'static str) -> Result<i64, NuPlanError> {
+        self.maybe_fid(column)?.ok_or_else(|| self.fault(column, CellFault::Null))
+    }
+
+    /// A text; `None` where it is NULL.
+    pub(super) fn maybe_text(&self, column: &'static str) -> Result<Option<String>, NuPlanError> {
+        match self.value(column) {
+            ValueRef::Null => Ok(None),
+            ValueRef::Text(text) => Ok(Some(String::from_utf8_lossy(text).into_owned())),
+            _ => Err(self.wrong(column, "a text")),
+        }
+    }
+
+    /// A text.
+    pub(super) fn text(&self, column: &'static str) -> Result<String, NuPlanError> {
+        self.maybe_text(column)?.ok_or_else(|| self.fault(column, CellFault::Null))
+    }
+
+    /// A token; `None` where it is NULL.
+    pub(super) fn maybe_token(&self, column: &'static str) -> Result<Option<Token>, NuPlanError> {
+        match self.value(column) {
+            ValueRef::Null => Ok(None),
+            ValueRef::Blob(bytes) => match <[u8; TOKEN_BYTES]>::try_from(bytes) {
+                Ok(bytes) => Ok(Some(Token::new(bytes))),
+                Err(_) => Err(self.fault(column, CellFault::TokenLength(bytes.len()))),
+            },
+            _ => Err(self.wrong(column, "a token of 8 bytes")),
+        }
+    }
+
+    /// A token.
+    pub(super) fn token(&self, column: &'static str) -> Result<Token, NuPlanError> {
+        self.maybe_token(column)?.ok_or_else(|| self.fault(column, CellFault::Null))
+    }
+
+    /// Bytes.
+    pub(super) fn blob(&self, column: &'static str) -> Result<&[u8], NuPlanError> {
+        match self.value(column) {
+            ValueRef::Blob(bytes) => Ok(bytes),
+            _ => Err(self.wrong(column, "bytes")),
+        }
+    }
+}

@@ -1,0 +1,339 @@
+//! The lane graph in nuPlan's shape.
+//!
+//! In nuPlan a lane connector leads from exactly one lane to exactly one lane, and lanes follow each other only over connectors. Maps
+//! derived from recordings are freer. What does not fit is rewritten so that the driven geometry stays:
+//!
+//! * lanes that follow each other directly get a connector between them: the last [`STITCH`] metres of the first lane, cut
+//!   off its centreline, or the straight line over the gap where there is one;
+//! * connectors that follow each other get a lane between them, cut off in the same way;
+//! * a connector that begins or ends nowhere gets a lane of [`OPEN_END`] metres there;
+//! * a connector that joins several lanes is written once for each pair.
+//!
+//! Maps in nuPlan's shape (all generated ones) pass unchanged. [`Departures`] counts what was done.
+
+use super::Departures;
+use super::ids::{FreeIds, feature_ids};
+use crate::geometry::{GeometryError, OrientedBox, Point, Polygon, Polyline};
+use crate::world::{Lane, LaneId, LaneMap, RoadblockId};
+use std::collections::BTreeMap;
+
+/// Length that is cut off where a lane or connector must be put in, metres.
+pub const STITCH: f64 = 0.1;
+/// Length of the lane at an open end of a connector, metres.
+pub const OPEN_END: f64 = 1.0;
+/// Width of lanes and connectors that are put in, metres.
+const WIDTH: f64 = 3.5;
+/// Ends nearer than this touch, metres.
+const TOUCHING: f64 = 1e-3;
+
+/// A row of `lanes_polygons` with its baseline path.
+#[derive(Debug, Clone)]
+pub(super) struct LaneRow {
+    /// Its id.
+    pub(super) fid: i64,
+    /// Its baseline path.
+    pub(super) centerline: Polyline,
+    /// Its area.
+    pub(super) polygon: Polygon,
+    /// Its roadblock.
+    pub(super) group: i64,
+    /// The lane that it is; `None` when it was put in.
+    pub(super) source: Option<LaneId>,
+}
+
+/// A row of `lane_connectors` with its area and baseline path.
+#[derive(Debug, Clone)]
+pub(super) struct ConnectorRow {
+    /// Its id.
+    pub(super) fid: i64,
+    /// Its baseline path.
+    pub(super) centerline: Polyline,
+    /// Its area.
+    pub(super) polygon: Polygon,
+    /// The lane that it comes from.
+    pub(super) exit_lane: i64,
+    /// The lane that it leads to.
+    pub(super) entry_lane: i64,
+    /// Its roadblock connector.
+    pub(super) group: i64,
+    /// The connector that it is; `None` when it was put in.
+    pub(super) source: Option<LaneId>,
+}
+
+/// A row of `lane_groups_polygons`.
+#[derive(Debug, Clone)]
+pub(super) struct GroupRow {
+    /// Its id.
+    pub(super) fid: i64,
+    /// Its area, as pieces.
+    pub(super) areas: Vec<Polygon>,
+}
+
+/// A row of `lane_group_connectors`.
+#[derive(Debug, Clone)]
+pub(super) struct GroupConnectorRow {
+    /// Its id.
+    pub(super) fid: i64,
+    /// Its area, as pieces.
+    pub(super) areas: Vec<Polygon>,
+    /// The roadblock that it comes from.
+    pub(super) from: i64,
+    /// The roadblock that it leads to.
+    pub(super) to: i64,
+    /// The roadblock connector that it is; `None` when it was put in.
+    pub(super) source: Option<RoadblockId>,
+}
+
+/// Lanes, connectors and their groups with nuPlan's relations.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Graph {
+    /// Lanes, by id.
+    pub(super) lanes: Vec<LaneRow>,
+    /// Connectors, by id.
+    pub(super) connectors: Vec<ConnectorRow>,
+    /// Roadblocks, by id.
+    pub(super) groups: Vec<GroupRow>,
+    /// Roadblock connectors, by id.
+    pub(super) group_connectors: Vec<GroupConnectorRow>,
+    /// Id of each roadblock and roadblock connector of the map, by its place.
+    pub(super) block_fids: Vec<i64>,
+    /// What was done to fit the map in.
+    pub(super) departures: Departures,
+}
+
+/// Where a connector comes from or leads to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum End {
+    /// A lane of the map.
+    Lane(LaneId),
+    /// The lane put between two connectors.
+    Between(LaneId, LaneId),
+    /// The lane put where this connector begins.
+    OpenStart(LaneId),
+    /// The lane put where this connector ends.
+    OpenFinish(LaneId),
+}
+
+impl Graph {
+    /// The graph of a map.
+    ///
+    /// # Errors
+    /// When a piece that must be put in has no extent.
+    pub(super) fn of(map: &LaneMap) -> Result<Self, GeometryError> {
+        Fitting::new(map).fit()
+    }
+
+    /// Ids of the connectors that stand for each connector of the map.
+    pub(super) fn connectors_by_lane(&self) -> BTreeMap<LaneId, Vec<i64>> {
+        let mut by_lane: BTreeMap<LaneId, Vec<i64>> = BTreeMap::new();
+        for row in &self.connectors {
+            if let Some(lane) = row.source {
+                by_lane.entry(lane).or_default().push(row.fid);
+            }
+        }
+        by_lane
+    }
+}
+
+struct Fitting<'m> {
+    map: &'m LaneMap,
+    lane_fids: Vec<i64>,
+    free: FreeIds,
+    free_blocks: FreeIds,
+    ends: BTreeMap<End, i64>,
+    group_of_lane: BTreeMap<i64, i64>,
+    group_connectors: BTreeMap<(Option<RoadblockId>, i64, i64), i64>,
+    graph: Graph,
+}
+
+impl<'m> Fitting<'m> {
+    fn new(map: &'m LaneMap) -> Self {
+        let lane_fids = feature_ids(map.lanes().iter().map(|lane| (lane.kind, lane.source_id)));
+        let block_fids = feature_ids(map.roadblocks().iter().map(|block| (block.kind, block.source_id)));
+        Self {
+            map,
+            free: FreeIds::after(&lane_fids),
+            free_blocks: FreeIds::after(&block_fids),
+            lane_fids,
+            ends: BTreeMap::new(),
+            group_of_lane: BTreeMap::new(),
+            group_connectors: BTreeMap::new(),
+            graph: Graph { block_fids, ..Graph::default() },
+        }
+    }
+
+    fn fit(mut self) -> Result<Graph, GeometryError> {
+        for block in self.map.roadblocks().iter().filter(|block| block.kind == crate::world::LaneKind::Lane) {
+            let fid = self.graph.block_fids[block.id.index()];
+            self.graph.groups.push(GroupRow { fid, areas: block.areas.clone() });
+        }
+        for lane in self.map.lanes().iter().filter(|lane| !lane.is_connector()) {
+            self.add_lane(lane);
+        }
+        for lane in self.map.lanes() {
+            if lane.is_connector() {
+                self.add_connector(lane)?;
+            } else {
+                self.join_directly(lane)?;
+            }
+        }
+        let graph = &mut self.graph;
+        graph.lanes.sort_by_key(|row| row.fid);
+        graph.connectors.sort_by_key(|row| row.fid);
+        graph.groups.sort_by_key(|row| row.fid);
+        graph.group_connectors.sort_by_key(|row| row.fid);
+        Ok(self.graph)
+    }
+
+    /// A lane of the map, shortened where a connector is cut off it.
+    fn add_lane(&mut self, lane: &Lane) {
+        let stitched = lane.outgoing.iter().any(|&next| {
+            let next = &self.map[next];
+            !next.is_connector() && touch(lane, next)
+        });
+        let whole = &lane.centerline;
+        let cut = stitched.then(|| whole.slice(0.0, whole.length() - stitch(lane))).flatten();
+        let fid = self.lane_fids[lane.id.index()];
+        let group = self.graph.block_fids[lane.roadblock.index()];
+        self.ends.insert(End::Lane(lane.id), fid);
+        self.group_of_lane.insert(fid, group);
+        let centerline = cut.unwrap_or_else(|| whole.clone());
+        self.graph.lanes.push(LaneRow { fid, centerline, polygon: lane.polygon.clone(), group, source: Some(lane.id) });
+    }
+
+    /// Connectors from a lane to the lanes that follow it directly.
+    fn join_directly(&mut self, lane: &Lane) -> Result<(), GeometryError> {
+        for &next in lane.outgoing.iter().filter(|&&next| !self.map[next].is_connector()) {
+            let centerline = joint(lane, &self.map[next])?;
+            let fid = self.free.take();
+            let (exit_lane, entry_lane) = (self.lane_fids[lane.id.index()], self.lane_fids[next.index()]);
+            let polygon = strip(&centerline)?;
+            let group = self.group_connector(None, exit_lane, entry_lane, std::slice::from_ref(&polygon));
+            self.graph.departures.connectors_put_in += 1;
+            let row = ConnectorRow { fid, centerline, polygon, exit_lane, entry_lane, group, source: None };
+            self.graph.connectors.push(row);
+        }
+        Ok(())
+    }
+
+    /// A connector of the map, once for each pair of lanes that it joins.
+    fn add_connector(&mut self, lane: &Lane) -> Result<(), GeometryError> {
+        let end = |id: LaneId, between: End| if self.map[id].is_connector() { between } else { End::Lane(id) };
+        let mut starts: Vec<End> = lane.incoming.iter().map(|&i| end(i, End::Between(i, lane.id))).collect();
+        let mut finishes: Vec<End> = lane.outgoing.iter().map(|&o| end(o, End::Between(lane.id, o))).collect();
+        if starts.is_empty() {
+            starts.push(End::OpenStart(lane.id));
+        }
+        if finishes.is_empty() {
+            finishes.push(End::OpenFinish(lane.id));
+        }
+        let mut own = Some(self.lane_fids[lane.id.index()]);
+        for &start in &starts {
+            for &finish in &finishes {
+                let (exit_lane, entry_lane) = (self.end_lane(start)?, self.end_lane(finish)?);
+                let fid = own.take().unwrap_or_else(|| {
+                    self.graph.departures.connectors_repeated += 1;
+                    self.free.take()
+                });
+                let areas = &self.map[lane.roadblock].areas;
+                let group = self.group_connector(Some(lane.roadblock), exit_lane, entry_lane, areas);
+                let whole = &lane.centerline;
+                let cut = match finish {
+                    End::Between(_, next) if touch(lane, &self.map[next]) => {
+                        whole.slice(0.0, whole.length() - stitch(lane))
+                    }
+                    _ => None,
+                };
+                self.graph.connectors.push(ConnectorRow {
+                    fid,
+                    centerline: cut.unwrap_or_else(|| whole.clone()),
+                    polygon: lane.polygon.clone(),
+                    exit_lane,
+                    entry_lane,
+                    group,
+                    source: Some(lane.id),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// The lane at an end of a connector, put in if need be.
+    fn end_lane(&mut self, end: End) -> Result<i64, GeometryError> {
+        if let Some(&fid) = self.ends.get(&end) {
+            return Ok(fid);
+        }
+        let centerline = match end {
+            // Every lane of the map was entered before.
+            End::Lane(lane) => return Ok(self.lane_fids[lane.index()]),
+            End::Between(first, second) => {
+                self.graph.departures.lanes_put_in += 1;
+                joint(&self.map[first], &self.map[second])?
+            }
+            End::OpenStart(lane) => {
+                self.graph.departures.open_ends_closed += 1;
+                let start = self.map[lane].centerline.pose_at(0.0);
+                Polyline::new([start.translated(-OPEN_END, 0.0).position(), start.position()])?
+            }
+            End::OpenFinish(lane) => {
+                self.graph.departures.open_ends_closed += 1;
+                let line = &self.map[lane].centerline;
+                let finish = line.pose_at(line.length());
+                Polyline::new([finish.position(), finish.translated(OPEN_END, 0.0).position()])?
+            }
+        };
+        let (fid, group) = (self.free.take(), self.free_blocks.take());
+        let polygon = strip(&centerline)?;
+        self.graph.groups.push(GroupRow { fid: group, areas: vec![polygon.clone()] });
+        self.graph.lanes.push(LaneRow { fid, centerline, polygon, group, source: None });
+        self.ends.insert(end, fid);
+        self.group_of_lane.insert(fid, group);
+        Ok(fid)
+    }
+
+    /// The roadblock connector between the roadblocks of two lanes that stands for `source`.
+    fn group_connector(&mut self, source: Option<RoadblockId>, exit: i64, entry: i64, areas: &[Polygon]) -> i64 {
+        let group = |lane: i64| self.group_of_lane.get(&lane).copied().unwrap_or_default();
+        let (from, to) = (group(exit), group(entry));
+        if let Some(&fid) = self.group_connectors.get(&(source, from, to)) {
+            return fid;
+        }
+        let taken = self.graph.group_connectors.iter().any(|row| row.source == source);
+        let own = source.filter(|_| !taken).map(|block| self.graph.block_fids[block.index()]);
+        let fid = own.unwrap_or_else(|| self.free_blocks.take());
+        self.group_connectors.insert((source, from, to), fid);
+        self.graph.group_connectors.push(GroupConnectorRow { fid, areas: areas.to_vec(), from, to, source });
+        fid
+    }
+}
+
+/// Whether one lane begins where the other ends.
+fn touch(lane: &Lane, next: &Lane) -> bool {
+    (next.centerline.start() - lane.centerline.end()).norm() < TOUCHING
+}
+
+/// Length to cut off the end of a lane.
+fn stitch(lane: &Lane) -> f64 {
+    STITCH.min(lane.centerline.length() / 2.0)
+}
+
+/// The piece between two lanes that follow each other: the end of the first, or the line over the gap.
+fn joint(lane: &Lane, next: &Lane) -> Result<Polyline, GeometryError> {
+    let whole = &lane.centerline;
+    if touch(lane, next) {
+        let from = whole.point_at(whole.length() - stitch(lane));
+        whole
+            .slice(whole.length() - stitch(lane), whole.length())
+            .map_or_else(|| Polyline::new([from, whole.end()]), Ok)
+    } else {
+        Polyline::new([whole.end(), next.centerline.start()])
+    }
+}
+
+/// The area along a short line.
+fn strip(line: &Polyline) -> Result<Polygon, GeometryError> {
+    let (from, to): (Point, Point) = (line.start(), line.end());
+    let along = to - from;
+    let middle = crate::geometry::Pose::at(nalgebra::center(&from, &to), along.y.atan2(along.x));
+    Polygon::new(OrientedBox::new(middle, along.norm(), WIDTH).corners())
+}

@@ -1,0 +1,267 @@
+//! Writes the log database of one scenario.
+
+use super::log_schema as sql;
+use super::naming::Tokens;
+use super::timeline::{Row, Timeline};
+use crate::geometry::{Point, Pose};
+use crate::scenario::Scenario;
+use crate::scenario::nuplan::token::Token;
+use crate::world::{EgoState, LaneId, MICROS_PER_SECOND, ObjectKind, TrackToken, TrackedObject};
+use rusqlite::{Connection, Transaction, params};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// The channel that the devkit takes scenarios from.
+const CHANNEL: &str = "MergedPointCloud";
+/// Python pickle (protocol 0) of `[0.0, 0.0, 0.0]`: the lidar sits at the ego's origin.
+const NO_TRANSLATION: &[u8] = b"(lp0\nF0.0\naF0.0\naF0.0\na.";
+/// Python pickle (protocol 0) of `[1.0, 0.0, 0.0, 0.0]`, a quaternion: it is not turned.
+const NO_ROTATION: &[u8] = b"(lp0\nF1.0\naF0.0\naF0.0\naF0.0\na.";
+/// Categories in the order of the devkit's enumeration, with heights that nothing reads, metres.
+const CATEGORIES: [(ObjectKind, f64); 7] = [
+    (ObjectKind::Vehicle, 1.7),
+    (ObjectKind::Pedestrian, 1.7),
+    (ObjectKind::Bicycle, 1.7),
+    (ObjectKind::TrafficCone, 0.7),
+    (ObjectKind::Barrier, 1.0),
+    (ObjectKind::CzoneSign, 1.5),
+    (ObjectKind::GenericObject, 1.0),
+];
+/// Names of the scenes, in order of time. The devkit takes scenarios only from scenes with two before and two after them.
+const SCENES: [&str; 5] = ["scene-000", "scene-001", "scene-002", "scene-003", "scene-004"];
+/// The scene of the tagged row, which has it for itself: a log gives one scenario.
+const ANCHOR_SCENE: usize = 2;
+
+/// What a log says beside its rows.
+#[derive(Debug, Clone)]
+pub(super) struct LogFacts<'a> {
+    /// Name of the log, which is the stem of its file.
+    pub(super) log: &'a str,
+    /// Name of its map.
+    pub(super) location: &'a str,
+    /// EPSG code of the map's projection.
+    pub(super) epsg: u32,
+    /// Easting and northing of the scenario's own origin, metres.
+    pub(super) origin: Point,
+    /// Ids of the map's lane connectors by lane.
+    pub(super) connectors: &'a BTreeMap<LaneId, Vec<i64>>,
+    /// Ids of the route's roadblocks.
+    pub(super) route: &'a [i64],
+}
+
+/// Token of the row that names the scenario.
+pub(super) fn anchor_token(log: &str, timeline: &Timeline<'_>) -> Token {
+    Tokens::new(log).of("lidar_pc", timeline.anchor as u64)
+}
+
+/// Writes a new database.
+///
+/// # Errors
+/// What SQLite says.
+pub(super) fn write_log(
+    path: &Path,
+    facts: &LogFacts<'_>,
+    scenario: &Scenario,
+    timeline: &Timeline<'_>,
+) -> rusqlite::Result<()> {
+    let mut connection = Connection::open(path)?;
+    connection.execute_batch("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")?;
+    let transaction = connection.transaction()?;
+    transaction.execute_batch(sql::TABLES)?;
+    let writer = Writer { transaction: &transaction, facts, tokens: Tokens::new(facts.log), timeline };
+    writer.write_frame_of_reference(scenario)?;
+    writer.write_tracks()?;
+    let mut boxes = 0;
+    for (number, row) in timeline.rows.iter().enumerate() {
+        writer.write_row(number, row, &mut boxes)?;
+    }
+    let anchor = anchor_token(facts.log, timeline);
+    transaction.execute(sql::TAG, params![writer.tokens.of("scenario_tag", 0), anchor, scenario.scenario_type])?;
+    transaction.commit()?;
+    connection.close().map_err(|(_, error)| error)
+}
+
+struct Writer<'a> {
+    transaction: &'a Transaction<'a>,
+    facts: &'a LogFacts<'a>,
+    tokens: Tokens<'a>,
+    timeline: &'a Timeline<'a>,
+}
+
+impl Writer<'_> {
+    /// Log, lidar, categories, scenes and the goal.
+    fn write_frame_of_reference(&self, scenario: &Scenario) -> rusqlite::Result<()> {
+        let log = self.tokens.of("log", 0);
+        let first_us = self.timeline.rows.first().map_or(0, |row| row.ego.time_us);
+        self.transaction.execute(
+            sql::LOG,
+            params![
+                log,
+                "planagent",
+                date(first_us),
+                first_us,
+                self.facts.log,
+                self.facts.location,
+                self.facts.location
+            ],
+        )?;
+        let lidar = self.tokens.of("lidar", 0);
+        self.transaction.execute(sql::LIDAR, params![lidar, log, CHANNEL, "none", NO_TRANSLATION, NO_ROTATION])?;
+        for (kind, _) in CATEGORIES {
+            self.transaction.execute(sql::CATEGORY, params![self.category(kind), kind.to_string(), ""])?;
+        }
+        let goal = scenario.route.goal.map(|goal| self.write_goal(goal)).transpose()?;
+        let route: Vec<String> = self.facts.route.iter().map(ToString::to_string).collect();
+        for (number, name) in SCENES.into_iter().enumerate() {
+            let token = self.tokens.of("scene", number as u64);
+            self.transaction.execute(sql::SCENE, params![token, log, name, goal, route.join(" ")])?;
+        }
+        Ok(())
+    }
+
+    /// The goal is an ego pose after the last row, which no row uses.
+    fn write_goal(&self, goal: Pose) -> rusqlite::Result<Token> {
+        let after_us = self.timeline.rows.last().map_or(0, |row| row.ego.time_us) + MICROS_PER_SECOND as i64;
+        let state =
+            EgoState::from_log(after_us, goal, crate::geometry::Vector::zeros(), crate::geometry::Vector::zeros());
+        self.write_ego(self.timeline.rows.len(), &state)
+    }
+
+    /// A track an object, in order of track, with its size where it is first seen.
+    fn write_tracks(&self) -> rusqlite::Result<()> {
+        let mut first: BTreeMap<TrackToken, &TrackedObject> = BTreeMap::new();
+        for object in self.timeline.rows.iter().flat_map(|row| row.objects.iter()) {
+            first.entry(object.token).or_insert(object);
+        }
+        let mut insert = self.transaction.prepare_cached(sql::TRACK)?;
+        for (track, object) in first {
+            let shape = object.shape;
+            let (token, category) = (self.track(track), self.category(object.kind));
+            insert.execute(params![token, category, shape.width, shape.length, height(object.kind)])?;
+        }
+        Ok(())
+    }
+
+    /// A row with its ego, boxes and lights; `boxes` counts the boxes of the log.
+    fn write_row(&self, number: usize, row: &Row<'_>, boxes: &mut u64) -> rusqlite::Result<()> {
+        let time = |number: usize| self.tokens.of("lidar_pc", number as u64);
+        let token = time(number);
+        let ego = self.write_ego(number, &row.ego)?;
+        let next = (number + 1 < self.timeline.rows.len()).then(|| time(number + 1));
+        let previous = number.checked_sub(1).map(time);
+        let scene = self.tokens.of("scene", self.scene_of(number) as u64);
+        let file = format!("{}/{CHANNEL}/{token}.pcd", self.facts.log);
+        let lidar = self.tokens.of("lidar", 0);
+        let mut insert = self.transaction.prepare_cached(sql::LIDAR_PC)?;
+        insert.execute(params![token, next, previous, ego, lidar, scene, file, row.ego.time_us])?;
+        let mut insert = self.transaction.prepare_cached(sql::LIDAR_BOX)?;
+        for object in row.objects.iter() {
+            let own = self.tokens.of("lidar_box", *boxes);
+            *boxes += 1;
+            let (shape, at) = (object.shape, self.projected(object.shape.center));
+            let (tall, velocity) = (height(object.kind), object.velocity);
+            let (track, yaw) = (self.track(object.token), shape.center.heading);
+            insert.execute(params![
+                own,
+                token,
+                track,
+                at.x,
+                at.y,
+                tall / 2.0,
+                shape.width,
+                shape.length,
+                tall,
+                velocity.x,
+                velocity.y,
+                yaw
+            ])?;
+        }
+        let mut insert = self.transaction.prepare_cached(sql::LIGHT)?;
+        let lights = row.lights.into_iter().flat_map(crate::world::TrafficLights::iter).flat_map(|(lane, status)| {
+            self.facts.connectors.get(&lane).into_iter().flatten().map(move |&connector| (connector, status))
+        });
+        for (connector, status) in lights {
+            let own = self.tokens.of(&format!("traffic_light_status/{number}"), connector as u64);
+            insert.execute(params![own, token, connector, status.to_string()])?;
+        }
+        Ok(())
+    }
+
+    fn write_ego(&self, number: usize, ego: &EgoState) -> rusqlite::Result<Token> {
+        let token = self.tokens.of("ego_pose", number as u64);
+        let at = self.projected(ego.rear_axle);
+        let (sin, cos) = (ego.rear_axle.heading / 2.0).sin_cos();
+        let (velocity, acceleration) = (ego.velocity, ego.acceleration);
+        let mut insert = self.transaction.prepare_cached(sql::EGO_POSE)?;
+        insert.execute(params![
+            token,
+            ego.time_us,
+            at.x,
+            at.y,
+            cos,
+            sin,
+            velocity.x,
+            velocity.y,
+            acceleration.x,
+            acceleration.y,
+            ego.angular_velocity,
+            self.facts.epsg,
+            self.tokens.of("log", 0)
+        ])?;
+        Ok(token)
+    }
+
+    /// Before, at and after the tagged row; the very first and the very last row stand for the outer scenes.
+    fn scene_of(&self, number: usize) -> usize {
+        let last = self.timeline.rows.len() - 1;
+        match number.cmp(&self.timeline.anchor) {
+            std::cmp::Ordering::Equal => ANCHOR_SCENE,
+            std::cmp::Ordering::Less => usize::from(number > 0),
+            std::cmp::Ordering::Greater => ANCHOR_SCENE + if number < last { 1 } else { 2 },
+        }
+    }
+
+    fn projected(&self, pose: Pose) -> Point {
+        pose.position() + self.facts.origin.coords
+    }
+
+    fn track(&self, track: TrackToken) -> Token {
+        self.tokens.of("track", u64::from(track.0))
+    }
+
+    fn category(&self, kind: ObjectKind) -> Token {
+        self.tokens.of(&format!("category/{kind}"), 0)
+    }
+}
+
+fn height(kind: ObjectKind) -> f64 {
+    CATEGORIES.iter().find(|(listed, _)| *listed == kind).map_or(0.0, |&(_, height)| height)
+}
+
+/// The day of a Unix time, `YYYY-MM-DD`.
+fn date(time_us: i64) -> String {
+    const DAY_US: i64 = 86_400_000_000;
+    // Days from civil epoch, with years that begin in March (H. Hinnant, "chrono-compatible low-level date algorithms").
+    let days = time_us.div_euclid(DAY_US) + 719_468;
+    let era = days.div_euclid(146_097);
+    let of_era = days.rem_euclid(146_097);
+    let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year + year / 4 - year / 100);
+    let month = (5 * of_year + 2) / 153;
+    let day = of_year - (153 * month + 2) / 5 + 1;
+    let month = if month < 10 { month + 3 } else { month - 9 };
+    format!("{:04}-{month:02}-{day:02}", year + era * 400 + i64::from(month <= 2))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::date;
+
+    #[test]
+    fn days_have_their_dates() {
+        let days = [(0, "1970-01-01"), (18_780, "2021-06-02"), (19_782, "2024-02-29"), (-1, "1969-12-31")];
+        for (day, text) in days {
+            assert_eq!(date(day * 86_400_000_000 + 86_399_999_999), text);
+        }
+    }
+}

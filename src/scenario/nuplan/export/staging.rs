@@ -1,0 +1,104 @@
+//! Writing a folder in one piece: everything goes to a folder beside it, which takes the name at the end.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// A folder being written; dropped before it is finished, it disappears.
+#[derive(Debug)]
+pub(super) struct Staging {
+    target: PathBuf,
+    folder: PathBuf,
+    finished: bool,
+}
+
+impl Staging {
+    /// Begins to write `target`, which must not exist or be an empty folder.
+    ///
+    /// # Errors
+    /// `AlreadyExists` when there is something, or what the system says.
+    pub(super) fn begin(target: &Path) -> io::Result<Self> {
+        if is_taken(target)? {
+            return Err(io::ErrorKind::AlreadyExists.into());
+        }
+        let name = target.file_name().ok_or(io::ErrorKind::InvalidInput)?;
+        let parent = target.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        fs::create_dir_all(parent)?;
+        let folder = parent.join(format!(".{}.{}.part", name.to_string_lossy(), std::process::id()));
+        fs::create_dir(&folder)?;
+        Ok(Self { target: target.to_owned(), folder, finished: false })
+    }
+
+    /// Where a file of the finished folder is to be written now; its folder exists.
+    ///
+    /// # Errors
+    /// When its folder cannot be made.
+    pub(super) fn path(&self, inside: &Path) -> io::Result<PathBuf> {
+        let path = self.folder.join(inside);
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent)?;
+        }
+        Ok(path)
+    }
+
+    /// Writes a text file.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub(super) fn write(&self, inside: &Path, text: &str) -> io::Result<()> {
+        fs::write(self.path(inside)?, text)
+    }
+
+    /// Gives the folder its name.
+    ///
+    /// # Errors
+    /// When something has taken the name meanwhile.
+    pub(super) fn finish(mut self) -> io::Result<()> {
+        fs::rename(&self.folder, &self.target)?;
+        self.finished = true;
+        Ok(())
+    }
+}
+
+impl Drop for Staging {
+    fn drop(&mut self) {
+        if !self.finished {
+            // Nobody is left to tell should even this fail; what remains is a hidden folder that says it is a part.
+            let _ = fs::remove_dir_all(&self.folder);
+        }
+    }
+}
+
+/// Whether anything but an empty folder is there.
+fn is_taken(path: &Path) -> io::Result<bool> {
+    match fs::read_dir(path) {
+        Ok(mut entries) => Ok(entries.next().is_some()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) if error.kind() == io::ErrorKind::NotADirectory => Ok(true),
+        Err(error) => Err(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_folder_appears_whole_or_not_at_all() {
+        let home = tempfile::tempdir().unwrap();
+        let target = home.path().join("deep").join("out");
+        let staging = Staging::begin(&target).unwrap();
+        staging.write(Path::new("a/b.txt"), "b").unwrap();
+        assert!(!target.exists());
+        drop(staging);
+        assert_eq!(fs::read_dir(target.parent().unwrap()).unwrap().count(), 0);
+        let staging = Staging::begin(&target).unwrap();
+        staging.write(Path::new("a/b.txt"), "b").unwrap();
+        staging.finish().unwrap();
+        assert_eq!(fs::read_to_string(target.join("a/b.txt")).unwrap(), "b");
+        assert_eq!(Staging::begin(&target).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        assert_eq!(Staging::begin(&target.join("a/b.txt")).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        fs::create_dir(home.path().join("empty")).unwrap();
+        Staging::begin(&home.path().join("empty")).unwrap().finish().unwrap();
+    }
+}

@@ -1,0 +1,257 @@
+//! Maps that nuPlan cannot say as they are, and folders that must not be written.
+
+use super::graph::{ConnectorRow, Graph, LaneRow};
+use super::route::route_ids;
+use super::stops::stop_rows;
+use super::*;
+use crate::geometry::{OrientedBox, Polyline, Pose};
+use crate::scenario::generator::{ScenarioType, Spec, generate};
+use crate::world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId};
+use rusqlite::Connection;
+
+/// A map of straight lanes along the x axis, each in a roadblock of its own: kind, start and end, and the lanes that it leads to.
+fn road(pieces: &[(LaneKind, f64, f64, &[u32])]) -> LaneMap {
+    let ids = |list: &[u32]| list.iter().map(|&id| LaneId(id)).collect::<Vec<_>>();
+    let before = |id: usize| -> Vec<u32> {
+        (0..pieces.len() as u32).filter(|&other| pieces[other as usize].3.contains(&(id as u32))).collect()
+    };
+    let area = |from: f64, to: f64| {
+        OrientedBox::new(Pose::new(f64::midpoint(from, to), 0.0, 0.0), to - from, 3.0).to_polygon()
+    };
+    let lanes = pieces.iter().enumerate().map(|(id, &(kind, from, to, onward))| Lane {
+        id: LaneId(id as u32),
+        source_id: id as i64 + 10,
+        kind,
+        centerline: Polyline::new([Point::new(from, 0.0), Point::new(to, 0.0)]).unwrap(),
+        polygon: area(from, to),
+        incoming: ids(&before(id)),
+        outgoing: ids(onward),
+        left: vec![],
+        right: vec![],
+        roadblock: RoadblockId(id as u32),
+        speed_limit: Some(10.0),
+        has_traffic_lights: false,
+        stop_lines: vec![],
+    });
+    let blocks = pieces.iter().enumerate().map(|(id, &(kind, from, to, onward))| Roadblock {
+        id: RoadblockId(id as u32),
+        source_id: id as i64 + 100,
+        kind,
+        lanes: vec![LaneId(id as u32)],
+        areas: vec![area(from, to)],
+        incoming: before(id).into_iter().map(RoadblockId).collect(),
+        outgoing: onward.iter().map(|&id| RoadblockId(id)).collect(),
+    });
+    let parts = MapParts {
+        name: "road".to_owned(),
+        lanes: lanes.collect(),
+        roadblocks: blocks.collect(),
+        ..MapParts::default()
+    };
+    LaneMap::new(parts.with_roadblocks_as_road()).unwrap()
+}
+
+use LaneKind::{Connector as C, Lane as L};
+
+fn lane(graph: &Graph, fid: i64) -> &LaneRow {
+    graph.lanes.iter().find(|row| row.fid == fid).unwrap()
+}
+
+/// The connectors with the lanes that they join.
+fn joints(graph: &Graph) -> Vec<(i64, i64, i64)> {
+    graph
+        .connectors
+        .iter()
+        .map(|&ConnectorRow { fid, exit_lane, entry_lane, .. }| (fid, exit_lane, entry_lane))
+        .collect()
+}
+
+#[test]
+fn lanes_that_follow_each_other_get_a_connector() {
+    let map = road(&[(L, 0.0, 50.0, &[1]), (L, 50.0, 90.0, &[2]), (L, 95.0, 99.0, &[])]);
+    let graph = Graph::of(&map).unwrap();
+    assert_eq!(joints(&graph), [(13, 10, 11), (14, 11, 12)]);
+    assert_eq!(graph.departures, Departures { connectors_put_in: 2, ..Departures::default() });
+    assert!((lane(&graph, 10).centerline.length() - (50.0 - STITCH)).abs() < 1e-9);
+    assert_eq!(lane(&graph, 11).centerline, map.lanes()[1].centerline, "a gap needs no cut");
+    assert_eq!(lane(&graph, 10).polygon, map.lanes()[0].polygon);
+    let ends = |i: usize| (graph.connectors[i].centerline.start().x, graph.connectors[i].centerline.end().x);
+    assert_eq!((ends(0), ends(1)), ((50.0 - STITCH, 50.0), (90.0, 95.0)));
+    let between: Vec<(i64, i64)> = graph.group_connectors.iter().map(|row| (row.from, row.to)).collect();
+    assert_eq!(between, [(100, 101), (101, 102)]);
+    let route = [0, 1, 2].map(RoadblockId);
+    assert_eq!(route_ids(&map, &graph, &route), [100, 103, 101, 104, 102]);
+}
+
+#[test]
+fn connectors_lead_from_a_lane_to_a_lane() {
+    let map = road(&[
+        (C, 0.0, 10.0, &[1]),
+        (C, 10.0, 20.0, &[2, 3]),
+        (L, 20.0, 60.0, &[]),
+        (L, 20.0, 70.0, &[4]),
+        (C, 70.0, 80.0, &[]),
+    ]);
+    let graph = Graph::of(&map).unwrap();
+    let put_in = Departures { lanes_put_in: 1, open_ends_closed: 2, connectors_repeated: 1, ..Departures::default() };
+    assert_eq!(graph.departures, put_in);
+    // 15 opens the road, 16 lies between 10 and 11, 17 is 11 once more, 18 ends the road.
+    assert_eq!(joints(&graph), [(10, 15, 16), (11, 16, 12), (14, 13, 18), (17, 16, 13)]);
+    let spans = [15, 16, 18].map(|fid| (lane(&graph, fid).centerline.start().x, lane(&graph, fid).centerline.end().x));
+    assert_eq!(spans, [(-OPEN_END, 0.0), (10.0 - STITCH, 10.0), (80.0, 80.0 + OPEN_END)]);
+    assert_eq!(graph.connectors_by_lane()[&LaneId(1)], [11, 17]);
+    let route = [0, 1, 3, 4].map(RoadblockId);
+    let ids = route_ids(&map, &graph, &route);
+    let group = |fid: i64| graph.connectors.iter().find(|row| row.fid == fid).unwrap().group;
+    assert_eq!(ids, [100, lane(&graph, 16).group, group(17), 103, 104]);
+}
+
+#[test]
+fn a_light_without_a_stop_line_gets_one() {
+    let mut map = road(&[(L, 0.0, 50.0, &[1]), (C, 50.0, 70.0, &[2]), (L, 70.0, 90.0, &[])]);
+    let mut lanes = map.lanes().to_vec();
+    lanes[1].has_traffic_lights = true;
+    map = LaneMap::new(MapParts { lanes, roadblocks: map.roadblocks().to_vec(), ..MapParts::default() }).unwrap();
+    let graph = Graph::of(&map).unwrap();
+    assert_eq!(graph.departures, Departures::default());
+    let stops = stop_rows(&map, &graph);
+    assert_eq!(
+        stops.iter().map(|stop| (stop.fid, stop.put_in, stop.governs.clone())).collect::<Vec<_>>(),
+        [(1, true, vec![11])]
+    );
+    assert!(stops[0].polygon.meets_line(&lanes_line(&map, 1)) && !stops[0].polygon.meets_line(&lanes_line(&map, 2)));
+}
+
+fn lanes_line(map: &LaneMap, lane: usize) -> Polyline {
+    map.lanes()[lane].centerline.clone()
+}
+
+#[test]
+fn numbers_of_lanes_say_who_lies_beside_whom() {
+    let map = road(&[(L, 0.0, 50.0, &[] as &[u32]); 4]);
+    let mut lanes = map.lanes().to_vec();
+    let beside = |lane: u32, to_s: f64| Neighbor { lane: LaneId(lane), from_s: 0.0, to_s };
+    // 2 lies left of 0, all along; 1 right of 0 for a while; 3 beside nobody.
+    lanes[2].right.push(beside(0, 50.0));
+    lanes[0].left.push(beside(2, 50.0));
+    lanes[0].right.push(beside(1, 20.0));
+    lanes[1].left.push(beside(0, 20.0));
+    let block = Roadblock { lanes: [0, 1, 2, 3].map(LaneId).to_vec(), ..map.roadblocks()[0].clone() };
+    for lane in &mut lanes {
+        lane.roadblock = RoadblockId(0);
+    }
+    let map = LaneMap::new(MapParts { lanes, roadblocks: vec![block], ..MapParts::default() }).unwrap();
+    let indices = lane_order::lane_indices(&map, &map.roadblocks()[0]);
+    assert_eq!(
+        indices.into_iter().map(|(lane, index)| (lane.0, index)).collect::<Vec<_>>(),
+        [(0, 1), (1, 2), (2, 0), (3, 4)]
+    );
+    let indices = lane_order::lane_indices(&map, &map.roadblocks()[0]);
+    assert_eq!(lane_order::changed_neighbors(&map, &indices), 2, "those for a while");
+}
+
+fn scenario(kind: ScenarioType, seed: u64) -> Scenario {
+    generate(&Spec { scenario_type: kind, seed }).unwrap()
+}
+
+#[test]
+fn a_folder_is_written_whole_or_not_at_all() {
+    let home = tempfile::tempdir().unwrap();
+    let (folder, settings) = (home.path().join("out"), ExportSettings::default());
+    let one = scenario(ScenarioType::FollowingLaneWithLead, 1);
+    let left = || std::fs::read_dir(home.path()).unwrap().count();
+    let refused = |scenarios: &[Scenario], settings: &ExportSettings| {
+        let error = write_scenarios(scenarios, &folder, settings).unwrap_err();
+        assert_eq!(left(), 0, "{error}");
+        error
+    };
+    assert!(matches!(refused(&[], &settings), ExportError::Nothing));
+    assert!(matches!(refused(&[one.clone(), one.clone()], &settings), ExportError::SameLog(_)));
+    let outside = ExportSettings { location: Some("../maps".to_owned()), ..settings.clone() };
+    assert!(matches!(refused(std::slice::from_ref(&one), &outside), ExportError::Location(_)));
+    let nowhere = ExportSettings { epsg: 4326, ..settings.clone() };
+    assert!(matches!(refused(std::slice::from_ref(&one), &nowhere), ExportError::Zone(ProjectionError::NotUtm(4326))));
+    let off_earth = ExportSettings { origin: Point::new(f64::NAN, 0.0), ..settings.clone() };
+    assert!(matches!(refused(std::slice::from_ref(&one), &off_earth), ExportError::Shape { .. }));
+    let named = ExportSettings { location: Some("here".to_owned()), ..settings.clone() };
+    let other = scenario(ScenarioType::FollowingLaneWithLead, 2);
+    assert!(matches!(refused(&[one.clone(), other], &named), ExportError::MapsDiffer { .. }));
+    let mut short = one.clone();
+    short.frames.truncate(one.start + 10);
+    assert!(matches!(refused(&[short], &settings), ExportError::Timeline { fault: TimelineError::Window { .. }, .. }));
+    write_scenario(&one, &folder, &named).unwrap();
+    let again = write_scenario(&one, &folder, &named).unwrap_err();
+    assert!(matches!(again, ExportError::Exists(path) if path == folder));
+    assert_eq!(left(), 1);
+}
+
+#[test]
+fn the_same_scenarios_give_the_same_bytes_and_equal_maps_are_one() {
+    let home = tempfile::tempdir().unwrap();
+    let one = scenario(ScenarioType::StartingRightTurn, 1);
+    let renamed = Scenario { id: "another".to_owned(), ..one.clone() };
+    let settings = ExportSettings::default();
+    let write =
+        |name: &str| write_scenarios(&[one.clone(), renamed.clone()], &home.path().join(name), &settings).unwrap();
+    let (first, second) = (write("first"), write("second"));
+    assert_eq!(first.logs, second.logs);
+    assert_eq!(first.logs[0].location, first.logs[1].location);
+    assert_ne!(first.logs[0].token, first.logs[1].token);
+    for log in &first.logs {
+        let bytes = |exported: &Exported| std::fs::read(exported.data.join(format!("{}.db", log.log))).unwrap();
+        assert!(bytes(&first) == bytes(&second), "{}", log.log);
+    }
+    let map = |exported: &Exported| {
+        std::fs::read(exported.maps.join(&exported.logs[0].location).join(MAP_VERSION).join("map.gpkg")).unwrap()
+    };
+    assert!(map(&first) == map(&second));
+    assert_eq!(std::fs::read_dir(&first.maps).unwrap().count(), 2, "the list and one map");
+}
+
+#[test]
+fn every_table_is_there_and_types_without_a_window_are_tagged_at_their_start() {
+    let home = tempfile::tempdir().unwrap();
+    let scenarios = [scenario(ScenarioType::TraversingRoundabout, 1), {
+        let one = scenario(ScenarioType::FollowingLaneWithLead, 1);
+        Scenario { scenario_type: "unknown".to_owned(), ..one }
+    }];
+    let exported = write_scenarios(&scenarios, &home.path().join("out"), &ExportSettings::default()).unwrap();
+    let database =
+        |place: usize| Connection::open(exported.data.join(format!("{}.db", exported.logs[place].log))).unwrap();
+    let tables = [
+        "log",
+        "ego_pose",
+        "lidar",
+        "lidar_pc",
+        "lidar_box",
+        "track",
+        "category",
+        "scene",
+        "scenario_tag",
+        "traffic_light_status",
+        "image",
+        "camera",
+    ];
+    let count = |place: usize, table: &str| -> i64 {
+        database(place).query_row(&format!("SELECT COUNT(*) FROM {table}"), [], |row| row.get(0)).unwrap()
+    };
+    for table in tables {
+        assert!(count(0, table) >= i64::from(!["image", "camera", "traffic_light_status"].contains(&table)), "{table}");
+    }
+    assert_eq!(
+        (count(0, "category"), count(0, "scene"), count(0, "scenario_tag"), count(1, "scenario_tag")),
+        (7, 5, 1, 1)
+    );
+    let rows = scenarios[0].frames.len() as i64 * 2 - 1;
+    assert_eq!((count(0, "lidar_pc"), count(0, "ego_pose")), (rows, rows + 1), "the goal is a pose more");
+    for (place, scenario) in scenarios.iter().enumerate() {
+        let time: i64 = database(place)
+            .query_row(
+                "SELECT timestamp FROM lidar_pc WHERE lower(hex(token)) = ?",
+                [&exported.logs[place].token],
+                |row| row.get(0),
+            )
+            .unwrap();
+        assert_eq!(time, scenario.frame(0).unwrap().ego.time_us);
+    }
+}

@@ -1,0 +1,117 @@
+//! Where logs and maps lie on disk.
+
+use super::error::NuPlanError;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Ending of log databases.
+const LOG_ENDING: &str = "db";
+/// Folders of a nuPlan tree in which no logs lie, but very many files.
+const WITHOUT_LOGS: [&str; 2] = ["sensor_blobs", "maps"];
+/// Folders below the data root are searched so deep; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
+const DEEPEST: usize = 5;
+
+/// The two folders of nuPlan's data, as nuPlan's variables name them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct DataRoots {
+    /// `NUPLAN_DATA_ROOT`: the logs lie in it or in the folders below.
+    pub data: Option<PathBuf>,
+    /// `NUPLAN_MAPS_ROOT`: holds `nuplan-maps-v1.0.json` and a folder a location.
+    pub maps: Option<PathBuf>,
+}
+
+/// A log: one database file.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Log {
+    /// Its name: that of the file, without the ending.
+    pub name: String,
+    /// The file.
+    pub path: PathBuf,
+}
+
+impl Log {
+    /// The log of a file, which need not exist.
+    pub fn at(path: impl Into<PathBuf>) -> Self {
+        let path = path.into();
+        let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+        Self { name, path }
+    }
+}
+
+/// Logs, and what a user should know about the search for them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Logs {
+    /// In order of their name.
+    pub logs: Vec<Arc<Log>>,
+    /// For example that one log lies in two folders.
+    pub notes: Vec<String>,
+}
+
+impl Logs {
+    /// The log of a file, or all logs in a folder and the folders below. A log that lies in several folders (nuPlan's mini split
+    /// repeats logs) counts once: the first in order of their paths.
+    ///
+    /// # Errors
+    /// When a folder cannot be listed or there is no log.
+    pub fn under(path: &Path) -> Result<Self, NuPlanError> {
+        let io = |source| NuPlanError::Io { path: path.to_owned(), doing: "open", source };
+        if !std::fs::metadata(path).map_err(io)?.is_dir() {
+            return Ok(Self { logs: vec![Arc::new(Log::at(path))], notes: Vec::new() });
+        }
+        let mut files = Vec::new();
+        walk(path, DEEPEST, &mut files)?;
+        files.sort();
+        let mut by_name: BTreeMap<String, Arc<Log>> = BTreeMap::new();
+        let mut again = Vec::new();
+        for file in files {
+            let log = Log::at(file);
+            match by_name.entry(log.name.clone()) {
+                std::collections::btree_map::Entry::Vacant(free) => {
+                    free.insert(Arc::new(log));
+                }
+                std::collections::btree_map::Entry::Occupied(_) => again.push(log),
+            }
+        }
+        if by_name.is_empty() {
+            return Err(NuPlanError::NoLogs(path.to_owned()));
+        }
+        let notes = again.first().map(|log| {
+            format!("{} log(s) lie in two folders and are read once, for example {}", again.len(), log.path.display())
+        });
+        Ok(Self { logs: by_name.into_values().collect(), notes: notes.into_iter().collect() })
+    }
+}
+
+impl DataRoots {
+    /// The folders that the environment names.
+    pub fn from_environment() -> Self {
+        let folder = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        Self { data: folder("NUPLAN_DATA_ROOT"), maps: folder("NUPLAN_MAPS_ROOT") }
+    }
+
+    /// The logs of the data root.
+    ///
+    /// # Errors
+    /// When there is no data root, or as [`Logs::under`].
+    pub fn logs(&self) -> Result<Logs, NuPlanError> {
+        Logs::under(self.data.as_deref().ok_or(NuPlanError::NoDataRoot)?)
+    }
+}
+
+fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), NuPlanError> {
+    let io = |source| NuPlanError::Io { path: folder.to_owned(), doing: "list", source };
+    for entry in std::fs::read_dir(folder).map_err(io)? {
+        let entry = entry.map_err(io)?;
+        let path = entry.path();
+        if path.is_dir() {
+            let name = entry.file_name();
+            if depth > 0 && !WITHOUT_LOGS.iter().any(|skipped| name == *skipped) {
+                walk(&path, depth - 1, files)?;
+            }
+        } else if path.extension().is_some_and(|ending| ending == LOG_ENDING) {
+            files.push(path);
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,154 @@
+//! Maps by location, each read once in a process.
+
+use super::database::Database;
+use super::error::NuPlanError;
+use super::{lane_map, side_index};
+use crate::geometry::{Pose, Vector};
+use crate::world::{LaneId, LaneMap, RoadblockId};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The list of locations in the maps folder.
+pub const MAPS_INDEX: &str = "nuplan-maps-v1.0.json";
+/// The map of a version of a location.
+const MAP_FILE: &str = "map.gpkg";
+
+/// The map of a location in local metres.
+#[derive(Debug, Clone)]
+pub struct NuPlanMap {
+    /// The map; its name says location, version, projection and origin.
+    pub lanes: Arc<LaneMap>,
+    /// The place of the projection (easting, northing, metres) that is (0, 0) of the map.
+    pub origin: Vector,
+    /// Lane connectors by their fid.
+    pub(super) connectors: BTreeMap<i64, LaneId>,
+    /// Roadblocks by their fid.
+    pub(super) roadblocks: BTreeMap<i64, RoadblockId>,
+    /// Roadblock connectors by their fid.
+    pub(super) roadblock_connectors: BTreeMap<i64, RoadblockId>,
+}
+
+impl NuPlanMap {
+    /// The roadblock of this fid, else the roadblock connector.
+    pub fn roadblock(&self, fid: i64) -> Option<RoadblockId> {
+        self.roadblocks.get(&fid).or_else(|| self.roadblock_connectors.get(&fid)).copied()
+    }
+
+    /// The lane connector of this fid.
+    pub fn connector(&self, fid: i64) -> Option<LaneId> {
+        self.connectors.get(&fid).copied()
+    }
+
+    /// A pose of the projection in the map's metres.
+    pub fn to_local(&self, pose: Pose) -> Pose {
+        Pose { x: pose.x - self.origin.x, y: pose.y - self.origin.y, ..pose }
+    }
+}
+
+type Slot = Arc<Mutex<Option<Arc<NuPlanMap>>>>;
+
+/// The maps of a maps folder, and the indices of the logs that are opened with them.
+#[derive(Debug)]
+pub struct MapStore {
+    root: Option<PathBuf>,
+    indices: side_index::SideIndices,
+    maps: Mutex<BTreeMap<String, Slot>>,
+    notes: Mutex<BTreeSet<String>>,
+}
+
+impl MapStore {
+    /// The maps below `NUPLAN_MAPS_ROOT`; nothing is read before a scenario asks for it. Indices of logs go to
+    /// `$PLANAGENT_CACHE`, else to the platform's cache folder.
+    pub fn new(root: Option<PathBuf>) -> Self {
+        Self::with_cache(root, side_index::default_folder())
+    }
+
+    /// As [`Self::new`], with the folder for the indices of logs.
+    pub fn with_cache(root: Option<PathBuf>, cache: Option<PathBuf>) -> Self {
+        Self { root, indices: side_index::SideIndices::new(cache), maps: Mutex::default(), notes: Mutex::default() }
+    }
+
+    /// The map of a location, as `us-ma-boston`.
+    ///
+    /// # Errors
+    /// When the maps folder, the location or its version is missing, or the map is unsound.
+    pub fn map(&self, location: &str) -> Result<Arc<NuPlanMap>, NuPlanError> {
+        let slot = lock(&self.maps).entry(location.to_owned()).or_default().clone();
+        // Others who want this map wait here until it is read.
+        let mut slot = lock(&slot);
+        if let Some(map) = &*slot {
+            return Ok(map.clone());
+        }
+        let (path, version) = self.file(location)?;
+        let (map, notes) = lane_map::read(&path, location, &version)?;
+        lock(&self.notes).extend(notes);
+        let map = Arc::new(map);
+        *slot = Some(map.clone());
+        Ok(map)
+    }
+
+    /// What a user should know about the maps and logs that were opened so far, in alphabetical order.
+    pub fn notes(&self) -> Vec<String> {
+        lock(&self.notes).iter().cloned().collect()
+    }
+
+    /// Makes sure that the rows of a log from one time to another (µs) are found quickly.
+    pub(super) fn attach_index(&self, log: &Database, times: (i64, i64)) -> Result<side_index::Found, NuPlanError> {
+        let found = self.indices.attach(log, times)?;
+        lock(&self.notes).extend(found.note.clone());
+        Ok(found)
+    }
+
+    /// The file of a location and its version.
+    fn file(&self, location: &str) -> Result<(PathBuf, String), NuPlanError> {
+        let root = self.root.as_deref().ok_or(NuPlanError::NoMapsRoot)?;
+        let index = root.join(MAPS_INDEX);
+        let text = std::fs::read_to_string(&index).map_err(|source| NuPlanError::Io {
+            path: index.clone(),
+            doing: "open",
+            source,
+        })?;
+        let wrong = |reason: String| NuPlanError::MapsIndex { path: index.clone(), reason };
+        let known: BTreeMap<String, Value> =
+            serde_json::from_str(&text).map_err(|error| wrong(format!("not a JSON object: {error}")))?;
+        let Some(entry) = known.get(location) else {
+            let (location, known) = (location.to_owned(), known.into_keys().collect());
+            return Err(NuPlanError::UnknownLocation { path: index, location, known });
+        };
+        let version = entry.get("version").and_then(Value::as_str);
+        let version = version.ok_or_else(|| wrong(format!("`{location}` has no version")))?.to_owned();
+        let path = root.join(location).join(&version).join(MAP_FILE);
+        if path.is_file() {
+            Ok((path, version))
+        } else {
+            let found = versions_in(&root.join(location));
+            Err(NuPlanError::MissingMap { path, found })
+        }
+    }
+}
+
+impl PartialEq for MapStore {
+    /// Stores of one folder give the same maps.
+    fn eq(&self, other: &Self) -> bool {
+        self.root == other.root
+    }
+}
+
+impl Eq for MapStore {}
+
+/// A poisoned lock only means that a reader of another map panicked; what is stored is whole.
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn versions_in(location: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(location).into_iter().flatten().flatten();
+    let mut found: Vec<String> = entries
+        .filter(|entry| entry.path().join(MAP_FILE).is_file())
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    found.sort();
+    found
+}

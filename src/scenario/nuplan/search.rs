@@ -1,0 +1,285 @@
+//! Finding scenarios in logs: nuPlan's scenario query, then the filters in the devkit's order.
+
+use super::database::{Database, Table};
+use super::error::NuPlanError;
+use super::extraction::UNKNOWN_TYPE;
+use super::filter::ScenarioFilter;
+use super::logs::Log;
+use super::map_store::MapStore;
+use super::schema::{EGO_POSE, LIDAR, LIDAR_PC, LOG, SCENARIO_TAG, SCENE, open_log};
+use super::thinning;
+use super::token::Token;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// A scenario that a log holds.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Found {
+    /// Its log.
+    pub log: Arc<Log>,
+    /// Token of the tagged `lidar_pc` row.
+    pub token: Token,
+    /// Alphabetically last of its tags that were asked for; `unknown` without a tag.
+    pub scenario_type: String,
+    /// Time of the tagged row, µs.
+    pub timestamp_us: i64,
+    /// Name of the map (column `map_version` of table `log`).
+    pub map_name: String,
+}
+
+/// Why a token that was asked for is in a log, but not among the scenarios.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refusal {
+    /// Its scene is one of the first two or last two of the log, or none.
+    SceneAtEdge,
+    /// It has no tag of the types that were asked for.
+    OtherType,
+    /// Its map is not one of those that were asked for.
+    OtherMap,
+    /// Its log is not one of those that were asked for.
+    OtherLog,
+    /// Its scene has no mission goal.
+    NoGoal,
+    /// A limit or one of the filters of time, motion or route took it out.
+    Filtered,
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::SceneAtEdge => "its scene is among the first two or last two of the log",
+            Self::OtherType => "it has no tag of the listed scenario types",
+            Self::OtherMap => "its map is not listed",
+            Self::OtherLog => "its log is not listed",
+            Self::NoGoal => "its scene has no mission goal",
+            Self::Filtered => "a limit or filter took it out",
+        })
+    }
+}
+
+/// What a search gives.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Findings {
+    /// The scenarios, in order of their tokens, or shuffled.
+    pub found: Vec<Found>,
+    /// Tokens of the filter that no log holds, in order.
+    pub absent: Vec<Token>,
+    /// Tokens of the filter that a log holds but that are no scenario of this filter, in order.
+    pub refused: Vec<(Token, Refusal)>,
+}
+
+/// Finds the scenarios of a filter in logs, on all threads; `progress` is told how many logs of how many are searched.
+///
+/// # Errors
+/// When a log cannot be read, or two hold the same scenario.
+pub fn find(
+    logs: &[Arc<Log>],
+    filter: &ScenarioFilter,
+    maps: &MapStore,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<Findings, NuPlanError> {
+    let done = AtomicUsize::new(0);
+    let searched = logs.par_iter().map(|log| {
+        let found = search_log(log, filter);
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1, logs.len());
+        found
+    });
+    let searched = searched.collect::<Result<Vec<_>, _>>()?;
+    let mut held: BTreeMap<Token, &Log> = BTreeMap::new();
+    let mut refused: BTreeMap<Token, Refusal> = BTreeMap::new();
+    let mut found = Vec::new();
+    for (log, in_log) in logs.iter().zip(searched) {
+        for token in in_log.found.iter().map(|f| f.token).chain(in_log.refused.iter().map(|(token, _)| *token)) {
+            if let Some(first) = held.insert(token, log) {
+                let (first, second) = (first.path.clone(), log.path.clone());
+                return Err(NuPlanError::TwoLogs { token, first, second });
+            }
+        }
+        found.extend(in_log.found);
+        refused.extend(in_log.refused);
+    }
+    let before: BTreeSet<Token> = found.iter().map(|f| f.token).collect();
+    let found = thinning::thin(found, filter, maps)?;
+    let Some(wanted) = &filter.scenario_tokens else {
+        return Ok(Findings { found, ..Findings::default() });
+    };
+    let kept: BTreeSet<Token> = found.iter().map(|f| f.token).collect();
+    refused.extend(before.difference(&kept).map(|&token| (token, Refusal::Filtered)));
+    let wanted: BTreeSet<Token> = wanted.iter().copied().collect();
+    let absent = wanted.into_iter().filter(|token| !held.contains_key(token)).collect();
+    Ok(Findings { found, absent, refused: refused.into_iter().collect() })
+}
+
+/// All types that tags of these logs name, in alphabetical order.
+///
+/// # Errors
+/// When a log cannot be read.
+pub fn tag_types(logs: &[Arc<Log>]) -> Result<Vec<String>, NuPlanError> {
+    let of_log = |log: &Arc<Log>| {
+        let tags = tags(&open_log(log)?, None)?;
+        Ok(tags.into_values().collect::<BTreeSet<String>>())
+    };
+    let types = logs.par_iter().map(of_log).collect::<Result<Vec<_>, NuPlanError>>()?;
+    Ok(types.into_iter().flatten().collect::<BTreeSet<String>>().into_iter().collect())
+}
+
+/// What one log holds of a filter.
+#[derive(Default)]
+struct InLog {
+    found: Vec<Found>,
+    refused: Vec<(Token, Refusal)>,
+}
+
+/// A row that may be a scenario.
+struct Candidate {
+    token: Token,
+    time_us: i64,
+    lidar: Token,
+    scene: Option<Token>,
+}
+
+/// Columns of `lidar_pc` that the search reads.
+const CANDIDATE: Table = Table { name: "lidar_pc", columns: &["token", "lidar_token", "scene_token", "timestamp"] };
+
+/// nuPlan's scenario query on one log: in order of time, all rows of a valid scene that pass the filter.
+fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<InLog, NuPlanError> {
+    let named = filter.log_names.as_ref().is_none_or(|names| names.contains(&log.name));
+    if !named && filter.scenario_tokens.is_none() {
+        return Ok(InLog::default());
+    }
+    let database = open_log(log)?;
+    let candidates = candidates(&database, filter)?;
+    if candidates.is_empty() {
+        return Ok(InLog::default());
+    }
+    let tags = tags(&database, filter.scenario_types.as_deref())?;
+    let scenes = scenes(&database)?;
+    let maps = map_names(&database)?;
+    let mut in_log = InLog::default();
+    for candidate in candidates {
+        let tag = tags.get(&candidate.token);
+        let map_name = maps.get(&candidate.lidar);
+        let scene = candidate.scene.and_then(|scene| scenes.get(&scene));
+        let refusal = if !named {
+            Some(Refusal::OtherLog)
+        } else if !scene.is_some_and(|scene| scene.is_valid) || map_name.is_none() {
+            Some(Refusal::SceneAtEdge)
+        } else if filter.scenario_types.is_some() && tag.is_none() {
+            Some(Refusal::OtherType)
+        } else if map_name.is_some_and(|map| filter.map_names.as_ref().is_some_and(|names| !names.contains(map))) {
+            Some(Refusal::OtherMap)
+        } else if filter.remove_invalid_goals && !scene.is_some_and(|scene| scene.has_goal) {
+            Some(Refusal::NoGoal)
+        } else {
+            None
+        };
+        match refusal {
+            None => in_log.found.push(Found {
+                log: log.clone(),
+                token: candidate.token,
+                scenario_type: tag.cloned().unwrap_or_else(|| UNKNOWN_TYPE.to_owned()),
+                timestamp_us: candidate.time_us,
+                map_name: map_name.cloned().unwrap_or_default(),
+            }),
+            Some(refusal) if filter.scenario_tokens.is_some() => in_log.refused.push((candidate.token, refusal)),
+            Some(_) => {}
+        }
+    }
+    Ok(in_log)
+}
+
+/// The rows of the filter's tokens, of its types, or all, in order of time.
+fn candidates(database: &Database, filter: &ScenarioFilter) -> Result<Vec<Candidate>, NuPlanError> {
+    let mut found = Vec::new();
+    let mut take = |record: &super::database::Record<'_>| {
+        found.push(Candidate {
+            token: record.token("token")?,
+            time_us: record.integer("timestamp")?,
+            lidar: record.token("lidar_token")?,
+            scene: record.maybe_token("scene_token")?,
+        });
+        Ok(())
+    };
+    match &filter.scenario_tokens {
+        Some(tokens) if database.is_indexed(LIDAR_PC.name, "token")? => {
+            for token in tokens {
+                database.each(CANDIDATE, "WHERE token = ?1", [token], &mut take)?;
+            }
+        }
+        Some(tokens) => {
+            let wanted: BTreeSet<Token> = tokens.iter().copied().collect();
+            database.each(CANDIDATE, "", [], |record| {
+                if wanted.contains(&record.token("token")?) { take(record) } else { Ok(()) }
+            })?;
+        }
+        None if filter.scenario_types.is_some() => {
+            database.each(CANDIDATE, "WHERE token IN (SELECT lidar_pc_token FROM scenario_tag)", [], &mut take)?;
+        }
+        None => database.each(CANDIDATE, "", [], &mut take)?,
+    }
+    found.sort_by_key(|candidate| (candidate.time_us, candidate.token));
+    Ok(found)
+}
+
+/// The alphabetically last of the wanted types of each tagged row.
+fn tags(database: &Database, types: Option<&[String]>) -> Result<BTreeMap<Token, String>, NuPlanError> {
+    let mut tags: BTreeMap<Token, String> = BTreeMap::new();
+    database.each(SCENARIO_TAG, "", [], |record| {
+        let Some(name) = record.maybe_text("type")? else { return Ok(()) };
+        if types.is_none_or(|types| types.contains(&name)) {
+            let tag = tags.entry(record.token("lidar_pc_token")?).or_default();
+            if *tag < name {
+                *tag = name;
+            }
+        }
+        Ok(())
+    })?;
+    Ok(tags)
+}
+
+/// A scene of a log.
+struct SceneFacts {
+    /// At least two scenes lie before it and two behind it, in order of their names.
+    is_valid: bool,
+    /// Its mission goal exists.
+    has_goal: bool,
+}
+
+fn scenes(database: &Database) -> Result<BTreeMap<Token, SceneFacts>, NuPlanError> {
+    let mut rows: Vec<(Token, Option<Token>)> = Vec::new();
+    database.each(SCENE, "ORDER BY name ASC, scene.rowid", [], |record| {
+        rows.push((record.token("token")?, record.maybe_token("goal_ego_pose_token")?));
+        Ok(())
+    })?;
+    let count = rows.len();
+    let mut scenes = BTreeMap::new();
+    for (place, (token, goal)) in rows.into_iter().enumerate() {
+        let has_goal = match goal {
+            Some(goal) => database.first(EGO_POSE, "WHERE token = ?1", [goal], |_| Ok(()))?.is_some(),
+            None => false,
+        };
+        let number = place + 1;
+        scenes.insert(token, SceneFacts { is_valid: number >= 3 && number + 1 < count, has_goal });
+    }
+    Ok(scenes)
+}
+
+/// The map of each lidar of a log.
+fn map_names(database: &Database) -> Result<BTreeMap<Token, String>, NuPlanError> {
+    let mut of_log: BTreeMap<Token, String> = BTreeMap::new();
+    database.each(LOG, "", [], |record| {
+        of_log.insert(record.token("token")?, record.text("map_version")?);
+        Ok(())
+    })?;
+    let mut of_lidar = BTreeMap::new();
+    database.each(LIDAR, "", [], |record| {
+        if let Some(map) = of_log.get(&record.token("log_token")?) {
+            of_lidar.insert(record.token("token")?, map.clone());
+        }
+        Ok(())
+    })?;
+    Ok(of_lidar)
+}

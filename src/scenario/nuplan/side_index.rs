@@ -1,0 +1,245 @@
+//! Indices that a log lacks, in a file of their own.
+//!
+//! Official logs need not have an index on `lidar_box (lidar_pc_token)`, and without one every frame would read the whole table. The
+//! user's files are never written; the index is a small database in the cache folder, named by path, size and modification
+//! time of the log, so that a changed log gets a new one. It appears under its name only when it is complete.
+
+use super::database::{Database, Table, immutable_uri};
+use super::error::NuPlanError;
+use super::schema::{EGO_POSE, LIDAR_BOX, TRACK, TRAFFIC_LIGHT_STATUS};
+use rusqlite::{Connection, OpenFlags};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::UNIX_EPOCH;
+
+/// Grows when the layout of the file changes.
+const VERSION: u32 = 1;
+/// Ending of the files.
+const ENDING: &str = "index";
+/// The tables that are searched by a column, frame by frame.
+const SEARCHED: [(Table, &str); 4] =
+    [(LIDAR_BOX, "lidar_pc_token"), (TRAFFIC_LIGHT_STATUS, "lidar_pc_token"), (EGO_POSE, "token"), (TRACK, "token")];
+
+/// The folder of the indices.
+#[derive(Debug)]
+pub(super) struct SideIndices {
+    /// `None` when the system names no cache folder.
+    folder: Option<PathBuf>,
+    /// A lock a log, so that two threads do not build one index twice.
+    building: Mutex<BTreeMap<PathBuf, Arc<Mutex<()>>>>,
+}
+
+/// How rows of a log are found by a column.
+#[derive(Debug, Default)]
+pub(super) struct Found {
+    /// The tables that are searched by an index of ours.
+    aside: Vec<&'static str>,
+    /// Where that index is: the attached file, or memory.
+    schema: &'static str,
+    /// What kept the index from being made, for the user.
+    pub(super) note: Option<String>,
+}
+
+impl Found {
+    /// The query behind the name of a table that finds rows by a column: with the attached index, else by the table's own.
+    pub(super) fn search(&self, table: Table, column: &str) -> String {
+        let (name, schema) = (table.name, self.schema);
+        let columns: Vec<String> = table.columns.iter().map(|column| format!("{name}.\"{column}\"")).collect();
+        let selected = format!("SELECT {}, {name}.rowid", columns.join(", "));
+        if self.aside.contains(&name) {
+            format!(
+                "{selected} FROM {schema}.{name}_{column} AS i CROSS JOIN {name} ON {name}.rowid = i.number \
+                 WHERE i.key = ?1 ORDER BY i.number"
+            )
+        } else {
+            format!("{selected} FROM {name} WHERE {name}.\"{column}\" = ?1 ORDER BY {name}.rowid")
+        }
+    }
+}
+
+impl SideIndices {
+    /// Indices in `$PLANAGENT_CACHE`, else in the cache folder of the platform.
+    pub(super) fn new(folder: Option<PathBuf>) -> Self {
+        Self { folder, building: Mutex::default() }
+    }
+
+    /// Makes sure that each searched table has an index, and attaches the file that holds the missing ones. Where no file can be
+    /// kept, the rows from one time to another (µs) are looked up once and remembered in memory.
+    pub(super) fn attach(&self, log: &Database, times: (i64, i64)) -> Result<Found, NuPlanError> {
+        let mut missing = Vec::new();
+        for (table, column) in SEARCHED {
+            if !log.is_indexed(table.name, column)? {
+                missing.push((table.name, column));
+            }
+        }
+        if missing.is_empty() {
+            return Ok(Found::default());
+        }
+        match self.file_for(log, &missing) {
+            Ok(file) => {
+                let attached = log.connection.execute("ATTACH DATABASE ?1 AS side", [immutable_uri(&file)]);
+                attached.map_err(|source| log.failed("the attached index", source))?;
+                Ok(Found { aside: missing.into_iter().map(|(table, _)| table).collect(), schema: "side", note: None })
+            }
+            Err(IndexError::Log(error)) => Err(error),
+            Err(IndexError::Cache(reason)) => {
+                remember(log, &missing, times)?;
+                Ok(Found {
+                    aside: missing.into_iter().map(|(table, _)| table).collect(),
+                    schema: "temp",
+                    note: Some(format!(
+                        "no index for logs can be kept ({reason}): each scenario reads its whole log; set PLANAGENT_CACHE to a \
+                         folder that can be written"
+                    )),
+                })
+            }
+        }
+    }
+
+    fn file_for(&self, log: &Database, missing: &[(&'static str, &'static str)]) -> Result<PathBuf, IndexError> {
+        let folder = self.folder.as_deref().ok_or_else(|| IndexError::Cache("no cache folder is known".to_owned()))?;
+        let (stem, name) = file_name(&log.path).map_err(IndexError::Log)?;
+        let file = folder.join(&name);
+        let lock = {
+            let mut all = self.building.lock().unwrap_or_else(PoisonError::into_inner);
+            all.entry(file.clone()).or_default().clone()
+        };
+        let _building = lock.lock().unwrap_or_else(PoisonError::into_inner);
+        if !is_complete(&file, missing) {
+            fs::create_dir_all(folder).map_err(|e| IndexError::Cache(format!("{}: {e}", folder.display())))?;
+            build(log, missing, &file)?;
+            remove_stale(folder, &stem, &name);
+        }
+        Ok(file)
+    }
+}
+
+/// Indexes in memory what belongs to the rows of some time.
+fn remember(log: &Database, missing: &[(&'static str, &'static str)], times: (i64, i64)) -> Result<(), NuPlanError> {
+    let run = |query: &str| log.connection.execute_batch(query);
+    run("PRAGMA temp_store = MEMORY").map_err(|source| log.failed("the index in memory", source))?;
+    for (table, column) in missing {
+        let name = format!("{table}_{column}");
+        let wanted = if *column == "lidar_pc_token" {
+            let (from, to) = times;
+            format!("IN (SELECT token FROM lidar_pc WHERE timestamp >= {from} AND timestamp <= {to})")
+        } else {
+            "IS NOT NULL".to_owned()
+        };
+        let filled = run(&created("temp", &name)).and_then(|()| {
+            run(&format!(
+                "INSERT INTO temp.{name} SELECT \"{column}\", rowid FROM main.{table} WHERE \"{column}\" {wanted}"
+            ))
+        });
+        filled.map_err(|source| log.failed(table, source))?;
+    }
+    Ok(())
+}
+
+/// The query that makes an index.
+fn created(schema: &str, name: &str) -> String {
+    format!("CREATE TABLE {schema}.{name} (key BLOB, number INTEGER, PRIMARY KEY (key, number)) WITHOUT ROWID")
+}
+
+/// Why there is no index.
+enum IndexError {
+    /// The log itself cannot be read.
+    Log(NuPlanError),
+    /// The cache cannot be used.
+    Cache(String),
+}
+
+/// The part of the name that all indices of a log share, and the name.
+fn file_name(log: &Path) -> Result<(String, String), NuPlanError> {
+    let io = |source| NuPlanError::Io { path: log.to_owned(), doing: "open", source };
+    let real = fs::canonicalize(log).map_err(io)?;
+    let file = fs::metadata(&real).map_err(io)?;
+    let modified = file.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok()).unwrap_or_default();
+    let stem = blake3::hash(real.as_os_str().as_encoded_bytes()).to_hex();
+    let stem = stem.get(..24).unwrap_or_default().to_owned();
+    let name = format!("{stem}-{}-{}.{VERSION}.{ENDING}", file.len(), modified.as_nanos());
+    Ok((stem, name))
+}
+
+/// Whether a file is a whole index with all that is asked of it.
+fn is_complete(file: &Path, missing: &[(&str, &str)]) -> bool {
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let Ok(index) = Connection::open_with_flags(immutable_uri(file), flags) else { return false };
+    let number = |query: &str, name: &str| index.query_row(query, [name], |row| row.get::<_, i64>(0)).ok();
+    let length = number("SELECT page_count * page_size FROM pragma_page_count, pragma_page_size WHERE ?1 = ''", "");
+    let holds = |(table, column): &(&str, &str)| {
+        number("SELECT 1 FROM complete WHERE name = ?1", &format!("{table}_{column}")).is_some()
+    };
+    length.is_some_and(|length| fs::metadata(file).is_ok_and(|found| found.len() as i64 == length))
+        && missing.iter().all(holds)
+}
+
+fn build(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) -> Result<(), IndexError> {
+    /// Tells apart the files that threads of this process write.
+    static NUMBER: AtomicU64 = AtomicU64::new(0);
+    let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+    let unfinished = file.with_extension(format!("{}-{number}.tmp", std::process::id()));
+    let written = write(log, missing, &unfinished).and_then(|()| {
+        fs::rename(&unfinished, file).map_err(|e| IndexError::Cache(format!("{}: {e}", file.display())))
+    });
+    if written.is_err() {
+        // What is left over is of no use; when it cannot be removed either, the first error is the one to tell.
+        let _ = fs::remove_file(&unfinished);
+    }
+    written
+}
+
+fn write(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) -> Result<(), IndexError> {
+    let cache = |source: rusqlite::Error| IndexError::Cache(format!("{}: {source}", file.display()));
+    let index = Connection::open(file).map_err(cache)?;
+    index
+        .execute_batch("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA temp_store = MEMORY;")
+        .map_err(cache)?;
+    index.execute("ATTACH DATABASE ?1 AS log", [immutable_uri(&log.path)]).map_err(cache)?;
+    index.execute_batch("CREATE TABLE complete (name TEXT PRIMARY KEY)").map_err(cache)?;
+    for (table, column) in missing {
+        let name = format!("{table}_{column}");
+        index.execute_batch(&created("main", &name)).map_err(cache)?;
+        // A row without the column belongs to no frame; it is no row that a search by the column could find.
+        let filled = format!(
+            "INSERT INTO {name} SELECT \"{column}\", rowid FROM log.{table} WHERE \"{column}\" IS NOT NULL ORDER BY 1, 2"
+        );
+        index.execute(&filled, []).map_err(|source| match source.sqlite_error_code() {
+            Some(rusqlite::ErrorCode::DatabaseCorrupt) => IndexError::Log(log.failed(table, source)),
+            _ => cache(source),
+        })?;
+        index.execute("INSERT INTO complete VALUES (?1)", [name]).map_err(cache)?;
+    }
+    index.close().map_err(|(_, source)| cache(source))
+}
+
+/// Removes the indices of former states of a log. They are not used; what cannot be removed stays.
+fn remove_stale(folder: &Path, stem: &str, current: &str) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        if name.starts_with(stem) && name.ends_with(&format!(".{ENDING}")) && name != current {
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
+/// `$PLANAGENT_CACHE`, else the folder in which the platform keeps caches, with a folder of ours in it.
+pub(super) fn default_folder() -> Option<PathBuf> {
+    let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let own = variable("PLANAGENT_CACHE").or_else(|| {
+        let platform = if cfg!(target_os = "macos") {
+            variable("HOME").map(|home| home.join("Library/Caches"))
+        } else if cfg!(windows) {
+            variable("LOCALAPPDATA")
+        } else {
+            variable("XDG_CACHE_HOME").or_else(|| variable("HOME").map(|home| home.join(".cache")))
+        };
+        platform.map(|folder| folder.join("planagent"))
+    });
+    own.map(|folder| folder.join("nuplan"))
+}

@@ -1,0 +1,153 @@
+//! Scenarios written as nuPlan's files and read again.
+
+use super::compare::{Pair, blocks};
+use planagent::geometry::{Point, Vector};
+use planagent::metrics::{self, Drive, Score};
+use planagent::planner::{IdmPlanner, LogReplay, Planner};
+use planagent::scenario::Scenario;
+use planagent::scenario::generator::{ScenarioType, Spec, generate};
+use planagent::scenario::nuplan::export::{Departures, ExportSettings, Exported, write_scenarios};
+use planagent::scenario::nuplan::{DataRoots, Findings, MapStore, ScenarioFilter, find, open};
+use planagent::simulation::{Challenge, simulate};
+use planagent::world::EgoState;
+use rayon::prelude::*;
+use std::path::Path;
+
+/// Differences of scores up to this are rounding.
+const SAME_SCORE: f64 = 1e-6;
+
+pub(super) fn generated(kind: ScenarioType, seed: u64) -> Scenario {
+    generate(&Spec { scenario_type: kind, seed }).unwrap()
+}
+
+/// The scenarios that a written folder holds, with how far their origins moved.
+pub(super) fn read_back(exported: &Exported, settings: &ExportSettings, cache: &Path) -> Vec<(Scenario, Vector)> {
+    let roots = DataRoots { data: Some(exported.data.clone()), maps: Some(exported.maps.clone()) };
+    let maps = MapStore::with_cache(roots.maps.clone(), Some(cache.to_owned()));
+    let logs = roots.logs().unwrap().logs;
+    let Findings { found, .. } = find(&logs, &ScenarioFilter::default(), &maps, &|_, _| ()).unwrap();
+    assert_eq!(found.len(), exported.logs.len(), "a log is a scenario");
+    let read = exported.logs.iter().map(|log| {
+        let one = found.iter().find(|one| one.token.to_string() == log.token).unwrap();
+        let origin = maps.map(&log.location).unwrap().origin;
+        (open(&maps, one).unwrap(), settings.origin.coords - origin)
+    });
+    read.collect()
+}
+
+/// Scores of a planner on a scenario: the score, and each metric's.
+fn score(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> (f64, Vec<(String, Option<f64>)>) {
+    let log = simulate(scenario, planner, challenge).unwrap();
+    let expert: Vec<EgoState> = scenario.expert().copied().collect();
+    let drive = Drive { map: &scenario.map, samples: &log.samples, expert: &expert };
+    let evaluation = metrics::evaluate(&drive).unwrap();
+    let Score { value, .. } = evaluation.score;
+    (value, evaluation.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect())
+}
+
+/// The planners and challenges that are compared.
+const DRIVES: [(bool, Challenge); 4] = [
+    (false, Challenge::ClosedLoopNonreactiveAgents),
+    (true, Challenge::ClosedLoopReactiveAgents),
+    (false, Challenge::ClosedLoopReactiveAgents),
+    (true, Challenge::ClosedLoopNonreactiveAgents),
+];
+
+/// Drives both with IDM or as recorded and compares every metric: verdicts must be the same, the rest within `close`.
+pub(super) fn check_scores(before: &Scenario, after: &Scenario, (idm, challenge): (bool, Challenge), close: f64) {
+    let driven = |scenario: &Scenario| {
+        if idm {
+            score(scenario, &mut IdmPlanner::default(), challenge)
+        } else {
+            score(scenario, &mut LogReplay::new(scenario.expert().copied().collect()), challenge)
+        }
+    };
+    let ((value, metrics), (value_after, metrics_after)) = (driven(before), driven(after));
+    assert!((value - value_after).abs() <= close, "{} {challenge:?}: {value} {value_after}", before.id);
+    for ((name, score), (_, score_after)) in metrics.iter().zip(&metrics_after) {
+        let same = match (score, score_after) {
+            // Whole and half scores are verdicts, which must not move at all.
+            (Some(a), Some(b)) if [0.0, 0.5, 1.0].contains(a) => a.total_cmp(b).is_eq(),
+            (Some(a), Some(b)) => (a - b).abs() <= close,
+            (a, b) => a == b,
+        };
+        assert!(same, "{} {challenge:?} {name}: {score:?} {score_after:?}", before.id);
+    }
+}
+
+#[test]
+fn every_generated_type_comes_back_with_its_scores() {
+    let settings = ExportSettings::default();
+    let scenarios: Vec<Scenario> = ScenarioType::ALL.into_par_iter().map(|kind| generated(kind, 3)).collect();
+    let home = tempfile::tempdir().unwrap();
+    let exported = write_scenarios(&scenarios, &home.path().join("out"), &settings).unwrap();
+    let read = read_back(&exported, &settings, home.path());
+    // Unoptimised, all four drives of all types take minutes: each type gets one of them in turn, unless asked for all.
+    let all_drives = std::env::var_os("PLANAGENT_TEST_ALL_DRIVES").is_some();
+    scenarios.par_iter().zip(&read).zip(&exported.logs).enumerate().for_each(
+        |(place, ((before, (after, shift)), log))| {
+            let pair = Pair { before, after, shift: *shift };
+            assert_eq!(before.scenario_type, after.scenario_type);
+            pair.check_map();
+            pair.check_drive();
+            let names = |scenario: &Scenario| -> Vec<i64> {
+                scenario.route.roadblocks.iter().map(|&block| scenario.map[block].source_id).collect()
+            };
+            assert_eq!(names(before), names(after), "{}", before.id);
+            let connectors_beside = |lane: &&planagent::world::Lane| lane.is_connector();
+            let lost: usize =
+                before.map.lanes().iter().filter(connectors_beside).map(|l| l.left.len() + l.right.len()).sum();
+            assert_eq!(
+                log.departures,
+                Departures { neighbors_changed: lost, ..Departures::default() },
+                "{}",
+                before.id
+            );
+            for (a, b) in before.frames.iter().zip(&after.frames) {
+                let lights = |scenario: &Scenario,
+                              frame: &planagent::scenario::Frame|
+                 -> Vec<(i64, planagent::world::SignalStatus)> {
+                    frame.lights.iter().map(|(lane, status)| (scenario.map[lane].source_id, status)).collect()
+                };
+                assert_eq!(lights(before, a), lights(after, b));
+            }
+            let drives = if all_drives { &DRIVES[..] } else { std::slice::from_ref(&DRIVES[place % DRIVES.len()]) };
+            for &drive in drives {
+                check_scores(before, after, drive, SAME_SCORE);
+            }
+        },
+    );
+}
+
+#[test]
+fn other_zones_and_origins_do_as_well() {
+    let scenario = generated(ScenarioType::StartingLeftTurn, 5);
+    for (epsg, origin) in [(32_619, Point::new(331_000.5, 4_690_000.25)), (32_748, Point::new(365_000.0, 9_300_000.0))]
+    {
+        let settings = ExportSettings { location: Some("somewhere".to_owned()), epsg, origin };
+        let home = tempfile::tempdir().unwrap();
+        let exported = write_scenarios(std::slice::from_ref(&scenario), &home.path().join("out"), &settings).unwrap();
+        let read = read_back(&exported, &settings, home.path());
+        let (after, shift) = &read[0];
+        let pair = Pair { before: &scenario, after, shift: *shift };
+        pair.check_map();
+        pair.check_drive();
+        assert!(after.map.name().contains(&format!("EPSG:{epsg}")), "{}", after.map.name());
+    }
+}
+
+#[test]
+fn what_was_read_writes_and_reads_again() {
+    let settings = ExportSettings::default();
+    let first = generated(ScenarioType::ChangingLane, 4);
+    let home = tempfile::tempdir().unwrap();
+    let exported = write_scenarios(std::slice::from_ref(&first), &home.path().join("one"), &settings).unwrap();
+    let (second, _) = read_back(&exported, &settings, home.path()).remove(0);
+    let exported = write_scenarios(std::slice::from_ref(&second), &home.path().join("two"), &settings).unwrap();
+    assert_eq!(exported.logs[0].departures, Departures::default(), "nuPlan can say what it said");
+    let (third, shift) = read_back(&exported, &settings, home.path()).remove(0);
+    let pair = Pair { before: &second, after: &third, shift };
+    pair.check_map();
+    pair.check_drive();
+    assert_eq!(blocks(&second.map, &second.route.roadblocks), blocks(&third.map, &third.route.roadblocks));
+}

@@ -1,0 +1,35 @@
+//! Filter files: errors name file and line.
+
+use planagent::scenario::nuplan::FilterFile;
+use std::path::{Path, PathBuf};
+
+fn told(content: &str) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("split.yaml");
+    std::fs::write(&path, content).unwrap();
+    FilterFile::open(&path).unwrap_err().to_string()
+}
+
+#[test]
+fn errors_name_file_and_line() {
+    let unquoted = told("scenario_types: null\nscenario_tokens:\n  - '0488dbdf03b55f00'\n  - 1234567890123456\n");
+    assert!(unquoted.contains("split.yaml, line 4: the token `1234567890123456` is read as a number"), "{unquoted}");
+    assert!(unquoted.contains("put it in quotes"), "{unquoted}");
+    let twice = told("scenario_tokens: ['0488dbdf03b55f00',\n  '0488dbdf03b55f00']\n");
+    assert!(twice.contains("line 2: the token 0488dbdf03b55f00 stands in line 1 already"), "{twice}");
+    let broken = told("scenario_tokens: [\n");
+    assert!(broken.contains("split.yaml, line") && broken.contains("not YAML"), "{broken}");
+}
+
+#[test]
+fn interplan_is_refused_with_the_reason() {
+    let data = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data"));
+    let data = std::env::var_os("PLANAGENT_DATA").map_or_else(|| data.to_owned(), PathBuf::from);
+    let path = data.join("splits/interPlan__interplan10.yaml");
+    if !path.is_file() {
+        eprintln!("SKIPPED: {} is missing", path.display());
+        return;
+    }
+    let told = FilterFile::open(&path).unwrap_err().to_string();
+    assert!(told.contains("line 1: this is interPlan's filter"), "{told}");
+}

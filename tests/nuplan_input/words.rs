@@ -1,0 +1,58 @@
+//! The words that name nuPlan scenarios on the command line, and splits.
+
+use super::fixture::DataSet;
+use planagent::experiment::nuplan_data::NuPlanData;
+use planagent::experiment::source::ScenarioSource;
+use planagent::experiment::split::split;
+use planagent::scenario::nuplan::DataRoots;
+
+fn found(word: &str, data: &NuPlanData) -> Vec<String> {
+    ScenarioSource::find(word, data).unwrap().iter().map(ToString::to_string).collect()
+}
+
+#[test]
+fn logs_folders_and_tokens() {
+    let set = DataSet::new();
+    let data = NuPlanData::new(set.roots());
+    let log = set.log.display().to_string();
+    let only = vec![format!("{log}#{}", set.token)];
+    assert_eq!(found(&log, &data), only);
+    assert_eq!(found(&only[0], &data), only);
+    assert_eq!(found(&set.folder.path().join("data").display().to_string(), &data), only);
+    let source = ScenarioSource::find(&only[0], &data).unwrap().remove(0);
+    assert_eq!(source.open().unwrap().id, set.token.to_string());
+    let told = |word: String| ScenarioSource::find(&word, &data).unwrap_err().to_string();
+    assert!(told(format!("{log}#12")).contains("`12` is no token"));
+    assert!(told(format!("{log}#00000000000000aa")).contains("the log does not hold it"));
+    assert!(told("nowhere.db".to_owned()).contains("nowhere.db: cannot open"));
+    assert!(told(set.folder.path().join("maps").display().to_string()).contains("no nuPlan logs (*.db)"));
+    let untagged = DataSet::log_with("DELETE FROM scenario_tag");
+    assert!(told(untagged.log.display().to_string()).contains("name one as FILE.db#TOKEN"));
+}
+
+#[test]
+fn a_split_tells_what_is_missing() {
+    let set = DataSet::new();
+    let data = NuPlanData::new(set.roots());
+    let file = set.folder.path().join("mine.yaml");
+    let write = |tokens: &str| {
+        std::fs::write(&file, format!("scenario_tokens:\n{tokens}log_names: ${{splitter.x}}\n")).unwrap();
+    };
+    let name = file.display().to_string();
+    write(&format!("  - '{}'\n  - '00000000000000aa'\n", set.token));
+    let searched = std::sync::atomic::AtomicUsize::new(0);
+    let found = split(&name, &data, &|done, all| {
+        assert!(done <= all);
+        searched.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+    })
+    .unwrap();
+    assert_eq!(searched.into_inner(), 1, "one log, told once");
+    assert_eq!(found.sources.len(), 1);
+    assert_eq!(found.missing.to_string(), "1 of 2 scenarios are missing; 1 in no log: 00000000000000aa");
+    assert!(found.notes[0].contains("log_names refers to ${splitter.x}"), "{:?}", found.notes);
+    write("  - '00000000000000aa'\n");
+    let told = split(&name, &data, &|_, _| {}).unwrap_err().to_string();
+    assert!(told.contains("no scenario found") && told.contains("--data-root"), "{told}");
+    let told = split(&name, &NuPlanData::new(DataRoots::default()), &|_, _| {}).unwrap_err().to_string();
+    assert!(told.contains("NUPLAN_DATA_ROOT"), "{told}");
+}
