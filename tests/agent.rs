@@ -8,9 +8,10 @@ use planagent::mllm::{
 use planagent::pdm::PdmMemory;
 use planagent::planner::{AfterMaxExec, Decision, PlanAgent, PlanAgentSettings, generated_planner};
 use planagent::reasoning::{PlannerCode, PromptSet, ReasoningSettings, Round};
-use planagent::reflection::{Judge, LeadPolicy, Verdict, needs_emergency_brake};
+use planagent::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
 use planagent::scenario::{Scenario, generator};
 use planagent::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
+use planagent::world::{Route, Scene};
 use std::sync::{Arc, Mutex};
 
 /// Answers the n-th question with the n-th answer, from the start again at the end; remembers the questions.
@@ -207,6 +208,26 @@ fn reflection_refuses_to_run_into_the_leader_and_accepts_to_follow_it() {
     }
     assert!(seen >= 3, "only {seen} scenes have a standing leader close ahead");
     assert!(braked >= 1, "the emergency brake never overrules a planner that does not see its leader");
+}
+
+#[test]
+fn a_report_names_what_progress_was_compared_with() {
+    let scenario = scenario("generated/high_magnitude_speed/1");
+    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let scene = drive.scene();
+    let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
+    let planner = planner_at(&drive, &graph, 3.0, LeadPolicy::Nearest);
+    let report = |scene: &Scene<'_>| {
+        let mut memory = PdmMemory::default();
+        let report = Judge::new(scene, &graph, 4.0, &mut memory).unwrap().reflect(&planner, 0.75).unwrap();
+        (report.progress_reference, report.parts.progress, memory.way.is_some())
+    };
+    let (reference, progress, found) = report(&scene);
+    assert!(reference == ProgressReference::PdmProposals && found && progress < 0.9, "{progress}");
+    let nowhere = Route::default();
+    let (reference, progress, found) = report(&Scene { route: &nowhere, ..scene });
+    assert!(reference == ProgressReference::OwnProgress && !found, "without a route PDM-Closed has no proposals");
+    assert!(progress <= 1.0);
 }
 
 #[test]
