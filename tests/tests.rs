@@ -8,6 +8,7 @@
 
 mod agent;
 mod architecture;
+mod argoverse2;
 mod cli;
 mod environment;
 mod metrics;

@@ -1,6 +1,5 @@
 //! The flags, as typed.
 
-use crate::experiment::nuplan_data::NuPlanData;
 use crate::scenario::nuplan::DataRoots;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
@@ -46,43 +45,40 @@ pub(super) enum Command {
     Dataset(DatasetArguments),
 }
 
-/// Flags that say where nuPlan's data lies.
-#[derive(Debug, Args)]
-pub(super) struct DataArguments {
-    /// Folder of nuPlan's logs, with folders below [default: $NUPLAN_DATA_ROOT].
-    #[arg(long, value_name = "FOLDER")]
-    data_root: Option<PathBuf>,
-    /// Folder of nuPlan's maps [default: $NUPLAN_MAPS_ROOT].
-    #[arg(long, value_name = "FOLDER")]
-    maps_root: Option<PathBuf>,
-}
-
-impl DataArguments {
-    /// nuPlan's data by these flags, else by the environment.
-    pub(super) fn data(&self) -> NuPlanData {
-        let known = DataRoots::from_environment();
-        NuPlanData::new(DataRoots {
-            data: self.data_root.clone().or(known.data),
-            maps: self.maps_root.clone().or(known.maps),
-        })
-    }
-}
-
-/// Flags that name lists of scenarios.
+/// Flags that name lists of scenarios, and where nuPlan's data lies.
 #[derive(Debug, Args)]
 pub(super) struct SplitArguments {
-    /// List of scenarios: val14, test14-hard, reduced-val14, generated (16 types x 10 seeds), or a nuPlan scenario filter
+    /// List of scenarios: generated (16 types x 10 seeds), val14, reduced-val14, test14-hard, or a scenario filter
     /// FILE.yaml.
     #[arg(long = "split", value_name = "NAME")]
     pub(super) splits: Vec<String>,
     #[command(flatten)]
-    pub(super) data: DataArguments,
+    pub(super) roots: RootArguments,
+}
+
+/// Flags that say where nuPlan's data lies.
+#[derive(Debug, Args)]
+pub(super) struct RootArguments {
+    /// Folder with nuPlan's logs (*.db), in it or below.
+    #[arg(long, env = "NUPLAN_DATA_ROOT", value_name = "FOLDER")]
+    pub(super) data_root: Option<PathBuf>,
+    /// Folder with nuPlan's maps.
+    #[arg(long, env = "NUPLAN_MAPS_ROOT", value_name = "FOLDER")]
+    pub(super) maps_root: Option<PathBuf>,
+}
+
+impl RootArguments {
+    /// The folders; a variable that is set to nothing names none.
+    pub(super) fn data_roots(&self) -> DataRoots {
+        let named = |folder: &Option<PathBuf>| folder.clone().filter(|path| !path.as_os_str().is_empty());
+        DataRoots { data: named(&self.data_root), maps: named(&self.maps_root) }
+    }
 }
 
 /// Flags of `simulate`.
 #[derive(Debug, Args)]
 pub(super) struct SimulateArguments {
-    /// Scenarios: TFRecord files, nuPlan logs (LOG.db, or one scenario as LOG.db#TOKEN), Argoverse 2 logs, folders of these, or
+    /// Scenarios: TFRecord files, Argoverse 2 logs, nuPlan logs (LOG.db or LOG.db#TOKEN), folders of them, or
     /// generated/TYPE/SEED [default: one generated scene].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
     pub(super) scenarios: Vec<String>,
@@ -113,11 +109,9 @@ pub(super) struct SimulateArguments {
 /// Flags of `plan`.
 #[derive(Debug, Args)]
 pub(super) struct PlanArguments {
-    /// The scenario: a TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED [default: one generated scene].
+    /// The scenario: a TFRecord file or generated/TYPE/SEED [default: one generated scene].
     #[arg(long, value_name = "SCENARIO")]
     pub(super) scenario: Option<String>,
-    #[command(flatten)]
-    pub(super) data: DataArguments,
     /// Seconds after the start of the window.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub(super) at: f64,
@@ -131,17 +125,15 @@ pub(super) struct PlanArguments {
 pub(super) enum ScenariosCommand {
     /// List scenarios: the records of files and folders, or the types that can be generated.
     List {
-        /// TFRecord files, nuPlan logs, Argoverse 2 logs, or folders of these.
+        /// TFRecord files or folders.
         sources: Vec<PathBuf>,
         #[command(flatten)]
         split: SplitArguments,
     },
     /// Show one scenario: its map, route, objects and lights; with --image a picture.
     Show {
-        /// A TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED.
+        /// A TFRecord file or generated/TYPE/SEED.
         scenario: String,
-        #[command(flatten)]
-        data: DataArguments,
         /// Seconds after the start of the window.
         #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
         at: f64,

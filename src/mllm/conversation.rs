@@ -7,7 +7,7 @@ use super::MllmError;
 
 /// A multimodal language model that can be talked to.
 ///
-/// Backends: [`Llava`](super::Llava) computes the answers in this process, [`Replay`](super::Replay) gives recorded ones.
+/// Backends: [`LocalModel`](super::LocalModel) computes the answers in this process, [`Replay`](super::Replay) gives recorded ones.
 pub trait Mllm: Send + Sync {
     /// The name under which results are reported.
     fn name(&self) -> &str;
@@ -194,7 +194,7 @@ pub struct Mark(pub(super) usize);
 pub struct ModelDescription {
     /// The name under which results are reported.
     pub name: String,
-    /// Kind of model (`llava`, `replay`).
+    /// Kind of model (`llava`, `llava-next`, `cogvlm`, `replay`).
     pub architecture: String,
     /// Number of weights.
     pub parameters: u64,
@@ -202,11 +202,11 @@ pub struct ModelDescription {
     pub dtype: String,
     /// Side of the square image that the vision tower sees, pixels; none if it takes no images.
     pub image_size: Option<u32>,
-    /// Tokens that an image becomes.
+    /// Tokens that an image becomes; the most, where that depends on its shape.
     pub image_tokens: usize,
     /// Number of token ids.
     pub vocabulary: usize,
-    /// Most tokens of a chat.
+    /// Most tokens of a chat; of `CogVLM` most positions, of which an image takes three.
     pub context: usize,
     /// BLAKE3 of the weight files in the order of their names, hexadecimal; empty if there are none.
     pub weights_blake3: String,

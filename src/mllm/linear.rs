@@ -5,7 +5,8 @@ use candle_core::{Result, Tensor};
 use super::MllmError;
 use super::checkpoint::{Activation, Weights};
 
-/// y = x Wᵀ + b on a matrix of shape (tokens, inputs).
+/// y = x Wᵀ + b on a matrix of shape (tokens, inputs). All matrices of all models are held and multiplied here, the
+/// embedding's excepted, so this is the place that decides in which form they are stored.
 ///
 /// The weight is kept transposed, (inputs, outputs): for few rows, which is what decoding has, the matrix product would
 /// otherwise spend most of its time on transposing blocks of it.
@@ -52,9 +53,9 @@ impl Linear {
         Ok(Self { weight: transposed(&Tensor::cat(&matrices, 0)?)?, bias })
     }
 
-    /// A layer without bias around a matrix of shape (outputs, inputs).
-    pub(crate) fn from_matrix(matrix: &Tensor) -> Result<Self> {
-        Ok(Self { weight: transposed(matrix)?, bias: None })
+    /// A layer around a matrix of shape (outputs, inputs) and a bias of shape (outputs).
+    pub(crate) fn from_matrix(matrix: &Tensor, bias: Option<Tensor>) -> Result<Self> {
+        Ok(Self { weight: transposed(matrix)?, bias })
     }
 
     /// Applies the layer to (tokens, inputs).

@@ -1,15 +1,23 @@
 //! Multimodal language models, run in this process on the CPU.
 //!
-//! A model is a [`Mllm`]; a planning call opens a [`Conversation`] with it and asks round after round. [`Llava`] opens a
-//! Hugging Face `LlavaForConditionalGeneration` folder as it is; [`Replay`] answers from a recording.
-//! [`ModelRegistry`] finds a model by name, folder or hub id.
+//! A model is a [`Mllm`]; a planning call opens a [`Conversation`] with it and asks round after round. [`LocalModel`] opens
+//! a Hugging Face folder as it is, of any [`Architecture`]; [`Replay`] answers from a recording. [`ModelRegistry`] finds a
+//! model by name, folder or hub id.
+//!
+//! A family of models is a folder: `llava`, `llava_next`, `cogvlm`, each with its configuration, preprocessing, vision
+//! tower, connector and language model as far as it does not share them (`vision`, `decoder`). `local` runs whatever
+//! implements its `VisionLanguageModel`.
 
 mod checkpoint;
+mod cogvlm;
 mod conversation;
 mod decoder;
 mod error;
+mod layer_norm;
 mod linear;
 mod llava;
+mod llava_next;
+mod local;
 mod registry;
 mod replay;
 mod sampling;
@@ -21,8 +29,8 @@ pub use conversation::{
     Sampling, TokenCounts, Turn, prompt_hash,
 };
 pub use error::MllmError;
-pub use llava::Llava;
+pub use local::{Architecture, LocalModel};
 pub use registry::{
-    Architecture, GenerationSettings, HubAccess, ModelRegistry, ModelSource, ModelSpec, PromptSet, RoundTokens,
+    GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec, PromptSet, RoundTokens,
 };
 pub use replay::{RecordedAnswer, Replay};

@@ -1,6 +1,7 @@
 //! `manifest.toml`: what a run is made of, written before its first drive.
 
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// Name of the file.
 pub const MANIFEST: &str = "manifest.toml";
@@ -34,6 +35,12 @@ pub struct ScenarioList {
     pub words: Vec<String>,
     /// Names or files of splits.
     pub splits: Vec<String>,
+    /// Where nuPlan's logs lie.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub data_root: Option<PathBuf>,
+    /// Where nuPlan's maps lie.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub maps_root: Option<PathBuf>,
     /// Only the first so many.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit: Option<usize>,
@@ -55,8 +62,8 @@ impl ScenarioList {
 }
 
 impl Manifest {
-    /// What differs from `now`, a line each, by dotted keys; the time of the start and the words that name the scenarios
-    /// may differ.
+    /// What differs from `now`, a line each, by dotted keys; the time of the start, and the words and folders that the
+    /// scenarios were found by, may differ.
     pub fn differences(&self, now: &Self) -> Vec<String> {
         let (then, now) = (self.flat(), now.flat());
         let text = |value: Option<&String>| value.map_or("none", String::as_str).to_owned();

@@ -11,17 +11,18 @@ const GATE: &str = "language_model.model.layers.1.mlp.gate_proj.weight";
 
 #[test]
 fn every_file_that_is_needed_is_missed() {
-    for file in
-        ["config.json", "model.safetensors", "tokenizer.json", "preprocessor_config.json", "chat_template.jinja"]
-    {
-        let copy = Copy::new();
-        std::fs::remove_file(copy.path(file)).unwrap();
-        match copy.error() {
-            MllmError::MissingFile { file: missing, .. } => assert!(missing.contains(file), "{missing}"),
-            other => panic!("{file}: {other}"),
+    let all = ["config.json", "model.safetensors", "tokenizer.json", "preprocessor_config.json", "chat_template.jinja"];
+    for (name, files) in [("tiny_llava", &all[..]), ("tiny_llava_next", &all), ("tiny_cogvlm", &all[..3])] {
+        for file in files {
+            let copy = Copy::of(name);
+            std::fs::remove_file(copy.path(file)).unwrap();
+            match copy.error() {
+                MllmError::MissingFile { file: missing, .. } => assert!(missing.contains(file), "{missing}"),
+                other => panic!("{name}, {file}: {other}"),
+            }
         }
     }
-    let nowhere = planagent::mllm::Llava::open("x", std::path::Path::new("/nonexistent/model"));
+    let nowhere = planagent::mllm::LocalModel::open("x", std::path::Path::new("/nonexistent/model"));
     assert!(matches!(nowhere, Err(MllmError::MissingFile { .. })));
 }
 
@@ -36,6 +37,80 @@ fn a_missing_tensor_is_named() {
             MllmError::MissingTensor { name: missing, .. } => assert_eq!(missing, name.replace(".model.", ".")),
             other => panic!("{other}"),
         }
+    }
+}
+
+#[test]
+fn a_missing_or_misshapen_tensor_of_any_family_is_named() {
+    for (folder, name) in [
+        ("tiny_llava_next", "image_newline"),
+        ("tiny_llava_next_mistral", "language_model.model.layers.0.self_attn.k_proj.weight"),
+        ("tiny_cogvlm", "model.vision.boi"),
+        ("tiny_cogvlm", "model.vision.patch_embedding.proj.bias"),
+        ("tiny_cogvlm", "model.vision.transformer.layers.2.attention.query_key_value.weight"),
+        ("tiny_cogvlm", "model.vision.linear_proj.gate_proj.weight"),
+        ("tiny_cogvlm", "model.layers.1.self_attn.vision_expert_query_key_value.weight"),
+        ("tiny_cogvlm", "model.layers.1.mlp.language_mlp.down_proj.weight"),
+        ("tiny_cogvlm", "lm_head.weight"),
+    ] {
+        let copy = Copy::of(folder);
+        copy.edit_tensors(|tensors| drop(tensors.remove(name).unwrap()));
+        let canonical =
+            name.replacen("model.", "", usize::from(name.starts_with("model."))).replace("_model.model.", "_model.");
+        assert!(matches!(copy.error(), MllmError::MissingTensor { name, .. } if name == canonical), "{name}");
+
+        let copy = Copy::of(folder);
+        copy.edit_tensors(|tensors| tensors.get_mut(name).unwrap().1.push(1));
+        assert!(matches!(copy.error(), MllmError::TensorShape { name: found, .. } if found == name), "{name}");
+    }
+}
+
+#[test]
+fn wrong_keys_of_other_families_are_named() {
+    for (folder, key, value, named) in [
+        ("tiny_llava_next", "model_type", json!("llava_onevision"), "model_type"),
+        ("tiny_llava_next", "image_grid_pinpoints", json!([[32, 33]]), "image_grid_pinpoints"),
+        ("tiny_llava_next", "image_grid_pinpoints", json!([[64, 64]]), "image_grid_pinpoints"),
+        ("tiny_llava_next", "vision_feature_select_strategy", json!("full"), "vision_feature_select_strategy"),
+        ("tiny_llava_next_mistral", "text_config.sliding_window", json!(0), "text_config.sliding_window"),
+        ("tiny_llava_next_mistral", "text_config.model_type", json!("mixtral"), "text_config.model_type"),
+        ("tiny_cogvlm", "architectures", json!(["CogVLMVideoForCausalLM"]), "architectures"),
+        ("tiny_cogvlm", "architectures", json!([]), "model_type"),
+        ("tiny_cogvlm", "num_multi_query_heads", json!(8), "num_multi_query_heads"),
+        ("tiny_cogvlm", "template_version", json!("base"), "template_version"),
+        ("tiny_cogvlm", "bos_token_id", json!(344), "bos_token_id"),
+        ("tiny_cogvlm", "hidden_act", json!("gelu"), "hidden_act"),
+        ("tiny_cogvlm", "hidden_size", json!(1_u64 << 50), "hidden_size"),
+        ("tiny_cogvlm", "num_attention_heads", json!(5), "hidden_size"),
+        ("tiny_cogvlm", "max_position_embeddings", json!(-1), "max_position_embeddings"),
+        ("tiny_cogvlm", "vision_config.num_positions", json!(18), "vision_config.num_positions"),
+        ("tiny_cogvlm", "vision_config.num_heads", json!(7), "vision_config.hidden_size"),
+        ("tiny_cogvlm", "vision_config.in_channels", json!(1), "vision_config.in_channels"),
+        ("tiny_cogvlm", "vision_config.patch_size", json!(57), "vision_config.patch_size"),
+        ("tiny_cogvlm", "vision_config.image_size", json!(100_000), "vision_config.image_size"),
+    ] {
+        let copy = Copy::of(folder);
+        copy.edit("config.json", |config| set(config, key, value.clone()));
+        match copy.error() {
+            MllmError::Config { key: found, .. } => assert_eq!(found, named, "{folder}: {key} = {value}"),
+            other => panic!("{folder}: {key} = {value}: {other}"),
+        }
+    }
+}
+
+#[test]
+fn preprocessors_of_another_kind_or_size_are_named() {
+    for (key, value) in [
+        ("image_processor_type", json!("CLIPImageProcessor")),
+        ("size", json!({"shortest_edge": 48})),
+        ("crop_size", json!(64)),
+        ("image_grid_pinpoints", json!([[32, 64]])),
+        ("resample", json!(9)),
+        ("image_std", json!([0, 1, 1])),
+    ] {
+        let copy = Copy::of("tiny_llava_next");
+        copy.edit("preprocessor_config.json", |config| config[key] = value);
+        assert!(matches!(copy.error(), MllmError::Config { key: found, .. } if found == key), "{key}");
     }
 }
 
@@ -171,6 +246,18 @@ fn sizes_that_the_weights_do_not_have_are_errors_before_anything_is_built() {
         let error = copy.error();
         assert!(matches!(error, MllmError::TensorShape { .. } | MllmError::MissingTensor { .. }), "{key}: {error}");
     }
+    for (key, value) in [
+        ("vocab_size", json!(4_000_000)),
+        ("num_hidden_layers", json!(4_000_000)),
+        ("intermediate_size", json!(4_000_000)),
+        ("vision_config.num_hidden_layers", json!(4_000_000)),
+        ("vision_config.hidden_size", json!(3_000_000)),
+    ] {
+        let copy = Copy::of("tiny_cogvlm");
+        copy.edit("config.json", |config| set(config, key, value));
+        let error = copy.error();
+        assert!(matches!(error, MllmError::TensorShape { .. } | MllmError::MissingTensor { .. }), "{key}: {error}");
+    }
 }
 
 #[test]
@@ -263,6 +350,29 @@ proptest! {
         ],
     ) {
         let copy = Copy::new();
+        copy.edit("config.json", |config| set(config, key, value));
+        if let Ok(model) = copy.open() {
+            let _ = model.converse(&opening(), 0).and_then(|mut conversation| conversation.ask(FIRST, &free(2)));
+        }
+    }
+
+    #[test]
+    fn no_configuration_of_another_family_makes_it_panic(
+        (folder, key) in prop_oneof![
+            Just(("tiny_llava_next", "image_grid_pinpoints")), Just(("tiny_llava_next", "vision_config.image_size")),
+            Just(("tiny_llava_next", "vision_config.patch_size")),
+            Just(("tiny_llava_next_mistral", "text_config.sliding_window")),
+            Just(("tiny_cogvlm", "hidden_size")), Just(("tiny_cogvlm", "num_attention_heads")),
+            Just(("tiny_cogvlm", "max_position_embeddings")), Just(("tiny_cogvlm", "vocab_size")),
+            Just(("tiny_cogvlm", "vision_config.image_size")), Just(("tiny_cogvlm", "vision_config.patch_size")),
+            Just(("tiny_cogvlm", "vision_config")), Just(("tiny_cogvlm", "bos_token_id")),
+        ],
+        value in prop_oneof![
+            any::<i64>().prop_map(Value::from), (0i64..120).prop_map(Value::from), any::<f64>().prop_map(Value::from),
+            Just(json!([[32, 32]])), Just(json!([[1, 1], [32]])), Just(json!({})), Just(json!([])), Just(Value::Null),
+        ],
+    ) {
+        let copy = Copy::of(folder);
         copy.edit("config.json", |config| set(config, key, value));
         if let Ok(model) = copy.open() {
             let _ = model.converse(&opening(), 0).and_then(|mut conversation| conversation.ask(FIRST, &free(2)));

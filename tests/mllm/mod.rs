@@ -1,10 +1,11 @@
-//! The language model stage, through its public interface, on the complete tiny checkpoint of `fixtures/tiny_llava`.
+//! The language model stage, through its public interface, on the complete tiny checkpoints of `fixtures/tiny_*`.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "helpers of tests are tests")]
 
 mod broken;
 mod constraints;
 mod conversation;
+mod families;
 mod hub;
 mod layouts;
 
@@ -12,18 +13,23 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use planagent::mllm::{Constraint, Llava, MllmError, Opening, Request, Sampling};
+use planagent::mllm::{Constraint, LocalModel, MllmError, Opening, Request, Sampling};
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// The committed checkpoint.
-fn tiny() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/tiny_llava")
+/// A committed checkpoint.
+fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
 }
 
-fn open() -> Llava {
-    Llava::open("tiny", &tiny()).unwrap()
+/// The committed LLaVA.
+fn tiny() -> PathBuf {
+    fixture("tiny_llava")
+}
+
+fn open() -> LocalModel {
+    LocalModel::open("tiny", &tiny()).unwrap()
 }
 
 fn picture() -> RgbImage {
@@ -56,20 +62,28 @@ type Tensors = BTreeMap<String, (Dtype, Vec<usize>, Vec<u8>)>;
 
 impl Copy {
     fn new() -> Self {
+        Self::of("tiny_llava")
+    }
+
+    fn of(name: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        for entry in std::fs::read_dir(tiny()).unwrap() {
+        for entry in std::fs::read_dir(fixture(name)).unwrap() {
             let path = entry.unwrap().path();
             std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
         }
         Self(folder)
     }
 
+    fn folder(&self) -> &Path {
+        self.0.path()
+    }
+
     fn path(&self, file: &str) -> PathBuf {
         self.0.path().join(file)
     }
 
-    fn open(&self) -> Result<Llava, MllmError> {
-        Llava::open("copy", self.0.path())
+    fn open(&self) -> Result<LocalModel, MllmError> {
+        LocalModel::open("copy", self.0.path())
     }
 
     /// The error that opening it gives.

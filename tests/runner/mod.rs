@@ -3,6 +3,7 @@
 mod failures;
 mod parquet;
 mod resume;
+mod splits;
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -1,6 +1,6 @@
 //! The `vision_config` part of a configuration: a CLIP vision tower.
 
-use super::config::{Activation, activation};
+use super::activation::Activation;
 use super::section::Section;
 use crate::mllm::MllmError;
 
@@ -26,7 +26,7 @@ pub(crate) struct ClipVisionConfig {
 }
 
 /// Defaults of `CLIPVisionConfig`.
-pub(super) const CLIP_BASE: ClipVisionConfig = ClipVisionConfig {
+pub(crate) const CLIP_BASE: ClipVisionConfig = ClipVisionConfig {
     hidden: 768,
     intermediate: 3072,
     layers: 12,
@@ -37,8 +37,8 @@ pub(super) const CLIP_BASE: ClipVisionConfig = ClipVisionConfig {
     layer_norm_eps: 1e-5,
 };
 
-/// What `LlavaConfig` takes when it has no `vision_config` at all: CLIP ViT-L/14 at 336 pixels.
-pub(super) const LLAVA_TOWER: ClipVisionConfig = ClipVisionConfig {
+/// What `LlavaConfig` and `LlavaNextConfig` take when they have no `vision_config` at all: CLIP ViT-L/14 at 336 pixels.
+pub(crate) const LLAVA_TOWER: ClipVisionConfig = ClipVisionConfig {
     hidden: 1024,
     intermediate: 4096,
     layers: 24,
@@ -50,7 +50,11 @@ pub(super) const LLAVA_TOWER: ClipVisionConfig = ClipVisionConfig {
 };
 
 impl ClipVisionConfig {
-    pub(super) fn from_section(section: &Section<'_>, default: &Self) -> Result<Self, MllmError> {
+    /// Reads the section.
+    ///
+    /// # Errors
+    /// When a key has the wrong type or range, or is unsupported.
+    pub(crate) fn from_section(section: &Section<'_>, default: &Self) -> Result<Self, MllmError> {
         match section.text("model_type")? {
             None | Some("clip_vision_model") => {}
             Some(other) => {
@@ -65,7 +69,7 @@ impl ClipVisionConfig {
             heads: section.count("num_attention_heads", default.heads)?,
             image_size: section.count("image_size", default.image_size)?,
             patch_size: section.count("patch_size", default.patch_size)?,
-            act: activation(section, "hidden_act", default.act)?,
+            act: Activation::from_section(section, "hidden_act", default.act)?,
             layer_norm_eps: section.positive("layer_norm_eps", default.layer_norm_eps)?,
         };
         if section.count("num_channels", 3)? != 3 {

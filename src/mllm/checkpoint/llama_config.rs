@@ -1,10 +1,10 @@
-//! The `text_config` part of a configuration: a Llama decoder.
+//! The `text_config` part of a configuration: a Llama or Mistral decoder.
 
-use super::config::{Activation, activation};
+use super::activation::Activation;
 use super::section::Section;
 use crate::mllm::MllmError;
 
-/// A Llama decoder (`LlamaConfig`).
+/// A Llama decoder (`LlamaConfig`), or a Mistral one (`MistralConfig`), which differs in its defaults and its window.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LlamaConfig {
     /// Number of token ids.
@@ -31,6 +31,8 @@ pub(crate) struct LlamaConfig {
     pub attention_bias: bool,
     /// Whether the feed-forward layers have biases.
     pub mlp_bias: bool,
+    /// Positions that a token sees, its own among them (`sliding_window`); none for all.
+    pub window: Option<usize>,
 }
 
 /// Rotary position embedding: base and scaling of its frequencies.
@@ -68,20 +70,72 @@ pub(crate) enum RopeScaling {
 /// Longest context, positions: bounds the table of rotary angles.
 const MAX_CONTEXT: usize = 1 << 20;
 
-impl LlamaConfig {
-    pub(super) fn from_section(section: &Section<'_>) -> Result<Self, MllmError> {
-        match section.text("model_type")? {
-            None | Some("llama") => {}
-            Some(other) => {
-                return Err(section.error("model_type", format!("decoder {other:?} is not supported; llama is")));
-            }
+/// What a decoder's kind takes for absent keys.
+struct Defaults {
+    intermediate: usize,
+    /// None for as many as query heads.
+    kv_heads: Option<usize>,
+    context: usize,
+    /// None if the kind has no window at all.
+    window: Option<usize>,
+    rms_norm_eps: f64,
+}
+
+/// Defaults of `LlamaConfig`.
+const LLAMA: Defaults =
+    Defaults { intermediate: 11_008, kv_heads: None, context: 2048, window: None, rms_norm_eps: 1e-6 };
+
+/// Defaults of `CogVLMConfig`.
+const COGVLM: Defaults = Defaults { rms_norm_eps: 1e-5, ..LLAMA };
+
+/// Defaults of `MistralConfig`.
+const MISTRAL: Defaults =
+    Defaults { intermediate: 14_336, kv_heads: Some(8), context: 131_072, window: Some(4096), rms_norm_eps: 1e-6 };
+
+impl Defaults {
+    /// Reads `sliding_window`, whose null says that there is no window.
+    fn window(&self, section: &Section<'_>) -> Result<Option<usize>, MllmError> {
+        const KEY: &str = "sliding_window";
+        match self.window {
+            Some(default) if !section.is_null(KEY) => section.count(KEY, default).map(Some),
+            _ => Ok(None),
         }
-        if activation(section, "hidden_act", Activation::Silu)? != Activation::Silu {
+    }
+}
+
+impl LlamaConfig {
+    /// Reads the section.
+    ///
+    /// # Errors
+    /// When a key has the wrong type or range, is unsupported, or contradicts another.
+    pub(crate) fn from_section(section: &Section<'_>) -> Result<Self, MllmError> {
+        let default = match section.text("model_type")? {
+            None | Some("llama") => &LLAMA,
+            Some("mistral") => &MISTRAL,
+            Some(other) => {
+                return Err(
+                    section.error("model_type", format!("decoder {other:?} is not supported; llama and mistral are"))
+                );
+            }
+        };
+        Self::read(section, default)
+    }
+
+    /// Reads the decoder's keys of a `CogVLMConfig`, which stand beside all others.
+    ///
+    /// # Errors
+    /// As [`Self::from_section`].
+    pub(crate) fn from_cogvlm_section(section: &Section<'_>) -> Result<Self, MllmError> {
+        Self::read(section, &COGVLM)
+    }
+
+    fn read(section: &Section<'_>, default: &Defaults) -> Result<Self, MllmError> {
+        if Activation::from_section(section, "hidden_act", Activation::Silu)? != Activation::Silu {
             return Err(section.error("hidden_act", "only silu is supported".into()));
         }
         let hidden = section.count("hidden_size", 4096)?;
         let heads = section.count("num_attention_heads", 32)?;
-        let kv_heads = section.count("num_key_value_heads", heads)?;
+        let kv_heads = section.count("num_key_value_heads", default.kv_heads.unwrap_or(heads))?;
         if !hidden.is_multiple_of(heads) {
             return Err(section.error("hidden_size", format!("{hidden} is no multiple of {heads} attention heads")));
         }
@@ -94,23 +148,24 @@ impl LlamaConfig {
         if !head_dim.is_multiple_of(2) {
             return Err(section.error("head_dim", format!("{head_dim} is odd, rotary embeddings need pairs")));
         }
-        let context = section.count("max_position_embeddings", 2048)?;
+        let context = section.count("max_position_embeddings", default.context)?;
         if context > MAX_CONTEXT {
             return Err(section.error("max_position_embeddings", format!("at most {MAX_CONTEXT}")));
         }
         Ok(Self {
             vocabulary: section.count("vocab_size", 32_000)?,
             hidden,
-            intermediate: section.count("intermediate_size", 11_008)?,
+            intermediate: section.count("intermediate_size", default.intermediate)?,
             layers: section.count("num_hidden_layers", 32)?,
             heads,
             kv_heads,
             head_dim,
             context,
-            rms_norm_eps: section.positive("rms_norm_eps", 1e-6)?,
+            rms_norm_eps: section.positive("rms_norm_eps", default.rms_norm_eps)?,
             rope: Rope::from_section(section)?,
             attention_bias: section.flag("attention_bias", false)?,
             mlp_bias: section.flag("mlp_bias", false)?,
+            window: default.window(section)?,
         })
     }
 }

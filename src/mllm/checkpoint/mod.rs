@@ -1,7 +1,7 @@
-//! A model folder as Hugging Face writes it: configuration and weights.
+//! A model folder as Hugging Face writes it: weights, and the parts of configurations that several families share.
 
+mod activation;
 mod clip_config;
-mod config;
 mod llama_config;
 mod section;
 mod weights;
@@ -10,8 +10,8 @@ use std::path::Path;
 
 use serde_json::Value;
 
-pub(crate) use clip_config::ClipVisionConfig;
-pub(crate) use config::{Activation, FeatureSelect, LlavaConfig};
+pub(crate) use activation::Activation;
+pub(crate) use clip_config::{CLIP_BASE, ClipVisionConfig, LLAVA_TOWER};
 pub(crate) use llama_config::{LlamaConfig, Rope, RopeScaling};
 pub(crate) use section::Section;
 pub(crate) use weights::Weights;

@@ -9,7 +9,8 @@ use crate::mllm::MllmError;
 /// Largest count that a configuration may hold: no width, layer count or context of a model that fits a machine is above.
 const MAX_COUNT: u64 = 1 << 22;
 
-/// A JSON object of a configuration file, with the path of keys that leads to it. `null` counts as absent.
+/// A JSON object of a configuration file, with the path of keys that leads to it. `null` counts as absent, but for
+/// [`Section::is_null`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Section<'a> {
     path: &'a Path,
@@ -43,6 +44,11 @@ impl<'a> Section<'a> {
     /// The value of a key that is present and not null.
     pub(crate) fn get(&self, key: &str) -> Option<&'a Value> {
         self.object.get(key).filter(|value| !value.is_null())
+    }
+
+    /// Whether a key is present and null, for keys where that differs from absence.
+    pub(crate) fn is_null(&self, key: &str) -> bool {
+        self.object.get(key).is_some_and(Value::is_null)
     }
 
     /// A positive integer, or the default.

@@ -19,13 +19,16 @@ const INDEX: &str = "model.safetensors.index.json";
 
 /// The tensors of a checkpoint in f32, each checked to be finite, by their canonical names.
 ///
-/// Canonical are the names that transformers 5 writes for a LLaVA, without the `model.` prefixes:
-/// `vision_tower.*`, `multi_modal_projector.*`, `language_model.*` (embedding, layers, norm) and `lm_head.weight`.
+/// Canonical are the names that transformers 5 writes, without the `model.` prefixes. Of a LLaVA: `vision_tower.*`,
+/// `multi_modal_projector.*`, `image_newline`, `language_model.*` (embedding, layers, norm) and `lm_head.weight`; of a
+/// `CogVLM`: `vision.*`, `embed_tokens.weight`, `layers.*`, `norm.weight` and `lm_head.weight`.
 #[derive(Debug)]
 pub(crate) struct Weights {
     folder: PathBuf,
     tensors: BTreeMap<String, StoredTensor>,
     blake3: String,
+    #[cfg(test)]
+    invented: Option<rand_pcg::Pcg64Mcg>,
 }
 
 #[derive(Debug)]
@@ -41,7 +44,7 @@ impl Weights {
     /// # Errors
     /// When a file is missing or broken, or a tensor has an unknown number format or is not finite.
     pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
-        let mut weights = Self { folder: folder.to_path_buf(), tensors: BTreeMap::new(), blake3: String::new() };
+        let mut weights = Self::empty(folder);
         let mut hasher = blake3::Hasher::new();
         for file in weight_files(folder)? {
             let bytes = std::fs::read(&file).map_err(|source| MllmError::Read { path: file.clone(), source })?;
@@ -50,6 +53,16 @@ impl Weights {
         }
         weights.blake3 = hasher.finalize().to_hex().to_string();
         Ok(weights)
+    }
+
+    fn empty(folder: &Path) -> Self {
+        Self {
+            folder: folder.to_path_buf(),
+            tensors: BTreeMap::new(),
+            blake3: String::new(),
+            #[cfg(test)]
+            invented: None,
+        }
     }
 
     /// BLAKE3 of the weight files in the order of their names.
@@ -86,6 +99,12 @@ impl Weights {
     /// # Errors
     /// When it is missing or has another shape.
     pub(crate) fn take(&mut self, name: &str, shape: &[usize]) -> Result<Tensor, MllmError> {
+        #[cfg(test)]
+        if let Some(random) = &mut self.invented {
+            let count = shape.iter().product();
+            let values: Vec<f32> = (0..count).map(|_| rand::RngExt::random_range(random, -0.1..0.1)).collect();
+            return Ok(Tensor::from_vec(values, shape, &Device::Cpu)?);
+        }
         let stored = self
             .tensors
             .remove(name)
@@ -100,6 +119,22 @@ impl Weights {
                 found: stored.tensor.dims().to_vec(),
             })
         }
+    }
+}
+
+#[cfg(test)]
+impl Weights {
+    /// Weights that hold whatever is asked for, at random.
+    pub(crate) fn invented(seed: u64) -> Self {
+        let random = rand::SeedableRng::seed_from_u64(seed);
+        Self { invented: Some(random), ..Self::empty(Path::new("")) }
+    }
+
+    /// Gives two tensors each the other's name.
+    pub(crate) fn swap(&mut self, one: &str, other: &str) {
+        let first = self.tensors.remove(one).unwrap();
+        let second = self.tensors.insert(other.to_string(), first).unwrap();
+        self.tensors.insert(one.to_string(), second);
     }
 }
 
@@ -198,6 +233,9 @@ mod tests {
             ("language_model.lm_head.weight", "lm_head.weight"),
             ("lm_head.weight", "lm_head.weight"),
             ("model.multi_modal_projector.linear_1.bias", "multi_modal_projector.linear_1.bias"),
+            ("model.image_newline", "image_newline"),
+            ("model.vision.boi", "vision.boi"),
+            ("model.layers.0.mlp.vision_mlp.up_proj.weight", "layers.0.mlp.vision_mlp.up_proj.weight"),
         ] {
             assert_eq!(canonical_name(name).as_deref(), Some(canonical));
         }
@@ -219,7 +257,7 @@ mod tests {
     proptest! {
         #[test]
         fn hostile_files_are_errors_or_tensors(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
-            let mut weights = Weights { folder: PathBuf::new(), tensors: BTreeMap::new(), blake3: String::new() };
+            let mut weights = Weights::empty(Path::new(""));
             let _ = weights.add_file(Path::new("w"), &bytes);
         }
 
@@ -233,7 +271,7 @@ mod tests {
             let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
             bytes.extend(header.bytes());
             bytes.extend([0; 12]);
-            let mut weights = Weights { folder: PathBuf::new(), tensors: BTreeMap::new(), blake3: String::new() };
+            let mut weights = Weights::empty(Path::new(""));
             let _ = weights.add_file(Path::new("w"), &bytes);
         }
     }

@@ -3,63 +3,41 @@
 use candle_core::{Device, Tensor};
 
 use super::cache::KvCache;
-use super::rotary::RotaryTable;
-use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, Weights};
-use crate::mllm::linear::Linear;
+use super::layer::Pass;
+use crate::mllm::checkpoint::LlamaConfig;
 
 /// Query rows whose scores are computed at once: bounds the score matrix for long prompts.
 const QUERY_BLOCK: usize = 256;
 
-/// The attention of one layer; query, key and value projections are one matrix.
-#[derive(Debug)]
-pub(super) struct Attention {
-    qkv: Linear,
-    out: Linear,
+/// Causal attention of one layer, between its projections: it has no weights of its own.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CausalAttention {
     heads: usize,
     kv_heads: usize,
     head_dim: usize,
+    window: Option<usize>,
 }
 
-impl Attention {
-    /// Takes the weights of the attention called `name`.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
-    pub(super) fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError> {
-        let queries = config.heads * config.head_dim;
-        let keys = config.kv_heads * config.head_dim;
-        let parts =
-            [(format!("{name}.q_proj"), queries), (format!("{name}.k_proj"), keys), (format!("{name}.v_proj"), keys)];
-        let bias = config.attention_bias;
-        Ok(Self {
-            qkv: Linear::take_fused(weights, &parts, config.hidden, bias)?,
-            out: Linear::take(weights, &format!("{name}.o_proj"), queries, config.hidden, bias)?,
-            heads: config.heads,
-            kv_heads: config.kv_heads,
-            head_dim: config.head_dim,
-        })
+impl CausalAttention {
+    /// The attention of a decoder's layers.
+    pub(crate) fn new(config: &LlamaConfig) -> Self {
+        Self { heads: config.heads, kv_heads: config.kv_heads, head_dim: config.head_dim, window: config.window }
     }
 
-    /// Attends from rows (tokens, hidden) that follow what the cache holds to all positions up to their own.
-    pub(super) fn forward(
-        &self,
-        x: &Tensor,
-        layer: usize,
-        rotary: &RotaryTable,
-        cache: &mut KvCache,
-    ) -> candle_core::Result<Tensor> {
-        let tokens = x.dim(0)?;
+    /// Attends from rows that follow what the cache holds to all positions up to their own. `qkv` are their queries, keys
+    /// and values side by side, (tokens, (heads + 2 · key heads) · head width); the result is (tokens, heads · head width).
+    pub(crate) fn forward(&self, qkv: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
+        let tokens = qkv.dim(0)?;
         let start = cache.len();
-        let qkv = self.qkv.forward(x)?.reshape((1, tokens, self.heads + 2 * self.kv_heads, self.head_dim))?;
+        let qkv = qkv.reshape((1, tokens, self.heads + 2 * self.kv_heads, self.head_dim))?;
         let queries = qkv.narrow(2, 0, self.heads)?.contiguous()?;
         let keys = qkv.narrow(2, self.heads, self.kv_heads)?.contiguous()?;
         let values = qkv.narrow(2, self.heads + self.kv_heads, self.kv_heads)?.contiguous()?;
-        let queries = rotary.rotate(&queries, start)?;
-        let keys = rotary.rotate(&keys, start)?;
-        let (keys, values) = cache.write(layer, &keys, &values)?;
+        let queries = pass.rotary.rotate(&queries)?;
+        let keys = pass.rotary.rotate(&keys)?;
+        let (keys, values) = cache.write(pass.layer, &keys, &values)?;
         let mixed = self.attend(&queries, &keys, &values, start)?;
-        self.out.forward(&mixed.reshape((tokens, self.heads * self.head_dim))?)
+        mixed.reshape((tokens, self.heads * self.head_dim))
     }
 
     /// Attention of queries (1, tokens, heads, width) as matrix products, a block of queries at a time. The query heads
@@ -81,8 +59,8 @@ impl Attention {
             let stacked = (self.kv_heads, self.heads / self.kv_heads * rows, self.head_dim);
             let block = queries.narrow(1, first, rows)?.reshape(stacked)?;
             let mut scores = block.matmul(&keys.narrow(1, 0, seen)?.t()?)?;
-            if rows > 1 {
-                let mask = causal_mask(rows, seen)?;
+            if rows > 1 || self.window.is_some_and(|window| window < seen) {
+                let mask = causal_mask(rows, seen, self.window)?;
                 scores = scores.reshape((self.heads, rows, seen))?.broadcast_add(&mask)?;
             }
             let weights = candle_nn::ops::softmax_last_dim(&scores)?;
@@ -96,12 +74,33 @@ impl Attention {
     }
 }
 
-/// Minus infinity where a row would look ahead: the last `rows` of `seen` positions are the rows' own.
-fn causal_mask(rows: usize, seen: usize) -> candle_core::Result<Tensor> {
+/// Minus infinity where a row would look ahead, or back beyond the window: the last `rows` of `seen` positions are the
+/// rows' own.
+fn causal_mask(rows: usize, seen: usize, window: Option<usize>) -> candle_core::Result<Tensor> {
     let before = seen - rows;
     let mut mask = vec![0f32; rows * seen];
     for (row, columns) in mask.chunks_exact_mut(seen).enumerate() {
-        columns[before + row + 1..].fill(f32::NEG_INFINITY);
+        let own = before + row;
+        columns[own + 1..].fill(f32::NEG_INFINITY);
+        if let Some(window) = window {
+            columns[..(own + 1).saturating_sub(window)].fill(f32::NEG_INFINITY);
+        }
     }
     Tensor::from_vec(mask, (rows, seen), &Device::Cpu)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_sees_its_window_and_nothing_ahead() {
+        let open = |rows, seen, window| -> Vec<Vec<u8>> {
+            let mask = causal_mask(rows, seen, window).unwrap().to_vec2::<f32>().unwrap();
+            mask.iter().map(|row| row.iter().map(|value| u8::from(*value == 0.0)).collect()).collect()
+        };
+        assert_eq!(open(2, 4, None), [[1, 1, 1, 0], [1, 1, 1, 1]]);
+        assert_eq!(open(2, 4, Some(2)), [[0, 1, 1, 0], [0, 0, 1, 1]]);
+        assert_eq!(open(1, 3, Some(9)), [[1, 1, 1]]);
+    }
 }

@@ -2,8 +2,6 @@
 
 use candle_core::{DType, Device, Result, Tensor};
 
-use crate::mllm::checkpoint::LlamaConfig;
-
 /// Positions by which a cache grows at least.
 const BLOCK: usize = 256;
 
@@ -12,6 +10,7 @@ const BLOCK: usize = 256;
 #[derive(Debug)]
 pub(crate) struct KvCache {
     layers: Vec<LayerCache>,
+    depth: usize,
     len: usize,
     capacity: usize,
     limit: usize,
@@ -33,15 +32,9 @@ pub(crate) struct KvPrefix {
 }
 
 impl KvCache {
-    /// An empty cache for a decoder.
-    pub(crate) fn new(config: &LlamaConfig) -> Self {
-        Self {
-            layers: Vec::with_capacity(config.layers),
-            len: 0,
-            capacity: 0,
-            limit: config.context,
-            row: (config.kv_heads, config.head_dim),
-        }
+    /// An empty cache of `depth` layers for at most `limit` positions; `row` are the number and width of the key heads.
+    pub(crate) fn new(depth: usize, row: (usize, usize), limit: usize) -> Self {
+        Self { layers: Vec::with_capacity(depth), depth, len: 0, capacity: 0, limit, row }
     }
 
     /// Positions held.
@@ -54,20 +47,20 @@ impl KvCache {
         self.len = self.len.min(len);
     }
 
-    /// Makes room for `tokens` more positions of `layers` layers.
-    pub(crate) fn reserve(&mut self, layers: usize, tokens: usize) -> Result<()> {
+    /// Makes room for `tokens` more positions.
+    pub(crate) fn reserve(&mut self, tokens: usize) -> Result<()> {
         let needed = self.len + tokens;
         if needed > self.limit {
             candle_core::bail!("{needed} positions do not fit into a context of {}", self.limit);
         }
-        if needed <= self.capacity && self.layers.len() == layers {
+        if needed <= self.capacity && self.layers.len() == self.depth {
             return Ok(());
         }
         let capacity = needed.max(self.capacity * 2).next_multiple_of(BLOCK).min(self.limit).max(needed);
         let shape = (1, capacity, self.row.0, self.row.1);
         let len = self.len;
-        let mut grown = Vec::with_capacity(layers);
-        for index in 0..layers {
+        let mut grown = Vec::with_capacity(self.depth);
+        for index in 0..self.depth {
             let layer = LayerCache {
                 keys: Tensor::zeros(shape, DType::F32, &Device::Cpu)?,
                 values: Tensor::zeros(shape, DType::F32, &Device::Cpu)?,
@@ -120,7 +113,10 @@ impl KvCache {
     /// Fills an empty cache with a prefix.
     pub(crate) fn restore(&mut self, prefix: &KvPrefix) -> Result<()> {
         self.truncate(0);
-        self.reserve(prefix.layers.len(), prefix.len)?;
+        if prefix.len == 0 {
+            return Ok(());
+        }
+        self.reserve(prefix.len)?;
         for (layer, saved) in self.layers.iter().zip(&prefix.layers) {
             layer.keys.slice_set(&saved.keys, 1, 0)?;
             layer.values.slice_set(&saved.values, 1, 0)?;

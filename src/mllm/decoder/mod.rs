@@ -1,29 +1,48 @@
-//! The Llama decoder: RMS norm, rotary embedding, grouped-query attention, `SwiGLU`.
+//! Decoders of the Llama kind: embedding, layers over a cache of keys and values, RMS norm, output layer.
+//!
+//! [`LlamaLayer`] is the layer of Llama and Mistral; a family with another one brings it along.
 
 mod attention;
 mod cache;
+mod layer;
+mod llama;
 mod rotary;
+
+use std::ops::Range;
 
 use candle_core::Tensor;
 use candle_nn::{Module, RmsNorm};
 
-use attention::Attention;
+pub(crate) use attention::CausalAttention;
 pub(crate) use cache::{KvCache, KvPrefix};
+pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
+pub(crate) use llama::LlamaLayer;
 use rotary::RotaryTable;
 
 use super::MllmError;
-use super::checkpoint::{LlamaConfig, LlavaConfig, Weights};
+use super::checkpoint::{LlamaConfig, Weights};
 use super::linear::Linear;
 
-/// A Llama decoder with its embedding and output layer.
+/// A decoder with its embedding and output layer.
 #[derive(Debug)]
-pub(crate) struct LlamaDecoder {
+pub(crate) struct Decoder<L> {
     embedding: Tensor,
-    layers: Vec<Layer>,
+    layers: Vec<L>,
     norm: RmsNorm,
     head: Linear,
     rotary: RotaryTable,
-    config: LlamaConfig,
+    cache_row: (usize, usize),
+}
+
+/// What a decoder reads in one pass.
+#[derive(Debug)]
+pub(crate) struct DecoderInput {
+    /// Input rows, (tokens, hidden).
+    pub rows: Tensor,
+    /// Position of each row, for its rotary embedding.
+    pub positions: Vec<u32>,
+    /// The rows that are parts of an image, for layers that treat them apart.
+    pub vision: Range<usize>,
 }
 
 /// Of which positions of a forward pass the logits are wanted.
@@ -38,46 +57,42 @@ pub(crate) enum Logits {
     All,
 }
 
-#[derive(Debug)]
-struct Layer {
-    input_norm: RmsNorm,
-    attention: Attention,
-    post_norm: RmsNorm,
-    gate_up: Linear,
-    down: Linear,
-}
-
-impl LlamaDecoder {
-    /// Takes the decoder's weights.
+impl<L: DecoderLayer> Decoder<L> {
+    /// Takes the decoder's weights, whose names begin with `prefix` (the output layer's is `lm_head.weight` in all
+    /// families). `tied` tells that the output layer may be the embedding.
     ///
     /// # Errors
     /// When a tensor is missing or misshapen.
-    pub(crate) fn take(weights: &mut Weights, config: &LlavaConfig) -> Result<Self, MllmError> {
-        let text = &config.text;
-        let matrix = [text.vocabulary, text.hidden];
-        let embedding = weights.take("language_model.embed_tokens.weight", &matrix)?;
+    pub(crate) fn take(
+        weights: &mut Weights,
+        config: &LlamaConfig,
+        prefix: &str,
+        tied: bool,
+    ) -> Result<Self, MllmError> {
+        let matrix = [config.vocabulary, config.hidden];
+        let embedding = weights.take(&format!("{prefix}embed_tokens.weight"), &matrix)?;
         // A checkpoint that holds both with the tying flag set is not tied (transformers: `tie_weights`).
-        let head = if config.tie_word_embeddings && !weights.contains("lm_head.weight") {
+        let head = if tied && !weights.contains("lm_head.weight") {
             embedding.clone()
         } else {
             weights.take("lm_head.weight", &matrix)?
         };
-        let layers = (0..text.layers)
-            .map(|index| Layer::take(weights, text, &format!("language_model.layers.{index}")))
+        let layers = (0..config.layers)
+            .map(|index| L::take(weights, config, &format!("{prefix}layers.{index}")))
             .collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
             embedding,
             layers,
-            norm: rms_norm(weights, "language_model.norm", text)?,
-            head: Linear::from_matrix(&head)?,
-            rotary: RotaryTable::new(text)?,
-            config: text.clone(),
+            norm: rms_norm(weights, &format!("{prefix}norm"), config)?,
+            head: Linear::from_matrix(&head, None)?,
+            rotary: RotaryTable::new(config)?,
+            cache_row: (config.kv_heads, config.head_dim),
         })
     }
 
-    /// An empty cache for this decoder.
-    pub(crate) fn new_cache(&self) -> KvCache {
-        KvCache::new(&self.config)
+    /// An empty cache for at most `limit` tokens.
+    pub(crate) fn new_cache(&self, limit: usize) -> KvCache {
+        KvCache::new(self.layers.len(), self.cache_row, limit)
     }
 
     /// The input rows of tokens, shape (tokens, hidden).
@@ -86,19 +101,21 @@ impl LlamaDecoder {
         self.embedding.index_select(&ids, 0)
     }
 
-    /// Runs input rows (tokens, hidden) that follow what the cache holds, adds them to the cache, and gives the logits of
-    /// shape (wanted positions, vocabulary).
+    /// Runs input rows that follow what the cache holds, adds them to the cache, and gives the logits of shape (wanted
+    /// positions, vocabulary).
     pub(crate) fn forward(
         &self,
-        input: &Tensor,
+        input: &DecoderInput,
         cache: &mut KvCache,
         wanted: Logits,
     ) -> candle_core::Result<Option<Tensor>> {
-        let tokens = input.dim(0)?;
-        cache.reserve(self.layers.len(), tokens)?;
-        let mut x = input.clone();
+        let tokens = input.rows.dim(0)?;
+        cache.reserve(tokens)?;
+        let mut pass = Pass { layer: 0, rotary: self.rotary.rows(&input.positions)?, vision: input.vision.clone() };
+        let mut x = input.rows.clone();
         for (index, layer) in self.layers.iter().enumerate() {
-            x = layer.forward(&x, index, &self.rotary, cache)?;
+            pass.layer = index;
+            x = layer.forward(&x, &pass, cache)?;
         }
         cache.advance(tokens);
         let x = match wanted {
@@ -108,39 +125,4 @@ impl LlamaDecoder {
         };
         Ok(Some(self.head.forward(&self.norm.forward(&x)?)?))
     }
-}
-
-impl Layer {
-    fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError> {
-        let (hidden, wide) = (config.hidden, config.intermediate);
-        let gate_up = [(format!("{name}.mlp.gate_proj"), wide), (format!("{name}.mlp.up_proj"), wide)];
-        Ok(Self {
-            input_norm: rms_norm(weights, &format!("{name}.input_layernorm"), config)?,
-            attention: Attention::take(weights, config, &format!("{name}.self_attn"))?,
-            post_norm: rms_norm(weights, &format!("{name}.post_attention_layernorm"), config)?,
-            gate_up: Linear::take_fused(weights, &gate_up, hidden, config.mlp_bias)?,
-            down: Linear::take(weights, &format!("{name}.mlp.down_proj"), wide, hidden, config.mlp_bias)?,
-        })
-    }
-
-    fn forward(
-        &self,
-        x: &Tensor,
-        index: usize,
-        rotary: &RotaryTable,
-        cache: &mut KvCache,
-    ) -> candle_core::Result<Tensor> {
-        let x = (x + self.attention.forward(&self.input_norm.forward(x)?, index, rotary, cache)?)?;
-        let gate_up = self.gate_up.forward(&self.post_norm.forward(&x)?)?;
-        let wide = gate_up.dim(1)? / 2;
-        // Contiguous halves: element-wise operations on strided rows are several times slower than the copy.
-        let gate = gate_up.narrow(1, 0, wide)?.contiguous()?;
-        let up = gate_up.narrow(1, wide, wide)?.contiguous()?;
-        &x + self.down.forward(&(gate.silu()? * up)?)?
-    }
-}
-
-fn rms_norm(weights: &mut Weights, name: &str, config: &LlamaConfig) -> Result<RmsNorm, MllmError> {
-    let weight = weights.take(&format!("{name}.weight"), &[config.hidden])?;
-    Ok(RmsNorm::new(weight, config.rms_norm_eps))
 }

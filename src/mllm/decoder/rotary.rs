@@ -11,6 +11,13 @@ pub(crate) struct RotaryTable {
     sin: Tensor,
 }
 
+/// Cosines and sines of the rows of one pass, shape (tokens, head width / 2) each.
+#[derive(Debug)]
+pub(crate) struct RotaryRows {
+    cos: Tensor,
+    sin: Tensor,
+}
+
 impl RotaryTable {
     /// The table of a decoder.
     pub(crate) fn new(config: &LlamaConfig) -> Result<Self> {
@@ -27,12 +34,17 @@ impl RotaryTable {
         })
     }
 
-    /// Rotates queries or keys of shape (1, tokens, heads, head width) that stand at `start` and behind.
-    pub(crate) fn rotate(&self, x: &Tensor, start: usize) -> Result<Tensor> {
-        let tokens = x.dim(1)?;
-        let cos = self.cos.narrow(0, start, tokens)?;
-        let sin = self.sin.narrow(0, start, tokens)?;
-        candle_nn::rotary_emb::rope_thd(x, &cos, &sin)
+    /// The angles of rows at these positions, each below the context.
+    pub(crate) fn rows(&self, positions: &[u32]) -> Result<RotaryRows> {
+        let positions = Tensor::new(positions, &Device::Cpu)?;
+        Ok(RotaryRows { cos: self.cos.index_select(&positions, 0)?, sin: self.sin.index_select(&positions, 0)? })
+    }
+}
+
+impl RotaryRows {
+    /// Rotates queries or keys of shape (1, tokens, heads, head width).
+    pub(crate) fn rotate(&self, x: &Tensor) -> Result<Tensor> {
+        candle_nn::rotary_emb::rope_thd(x, &self.cos, &self.sin)
     }
 }
 

@@ -1,198 +1,165 @@
-//! LLaVA: a Hugging Face `LlavaForConditionalGeneration` folder, opened as it is and run on the CPU.
+//! LLaVA 1.5 (Liu et al., "Improved Baselines with Visual Instruction Tuning"): the patches of one image through a CLIP
+//! tower and a two-layer projector into a Llama decoder.
 
-mod generate;
-mod model;
-mod session;
+mod chat;
+mod config;
+mod connector;
+mod vision;
 
-#[cfg(test)]
-mod determinism_tests;
 #[cfg(test)]
 mod reference_tests;
 
-use std::collections::VecDeque;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
 
-use model::{LlavaModel, SequencePrefix};
-use session::LlavaConversation;
+use candle_core::Tensor;
+use image::RgbImage;
 
-use super::checkpoint::{Section, read_json};
-use super::decoder::Logits;
-use super::text::{ChatTemplate, ChatTokenizer, GrammarEngine};
+pub(crate) use chat::TemplateFormat;
+pub(crate) use config::{FeatureSelect, LlavaConfig};
+pub(crate) use vision::ImageEncoder;
+
+use super::MllmError;
+use super::checkpoint::{Weights, read_required_json};
+use super::decoder::{Decoder, DecoderInput, KvCache, LlamaLayer, Logits};
+use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
+use super::text::ChatTokenizer;
 use super::vision::ClipImageProcessor;
-use super::{Conversation, Mllm, MllmError, ModelDescription, Opening, Turn};
 
-/// System prompts whose keys and values are kept; a run uses one or two.
-const KEPT_PREFIXES: usize = 8;
-
-/// A LLaVA model with all that stands around it: preprocessor, chat template, tokenizer, grammars.
+/// A LLaVA model.
 #[derive(Debug)]
-pub struct Llava {
-    name: String,
-    model: LlavaModel,
+pub(crate) struct Llava {
+    core: LlavaCore,
     processor: ClipImageProcessor,
-    tokenizer: ChatTokenizer,
-    template: ChatTemplate,
-    grammars: GrammarEngine,
-    end_tokens: Vec<u32>,
-    prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
+    facts: ModelFacts,
 }
 
-/// What all conversations of one system prompt begin with, computed once.
+/// What LLaVA and LLaVA-NeXT have in common: tower, projector, decoder.
 #[derive(Debug)]
-struct CallPrefix {
-    system: String,
-    image: bool,
-    sequence: SequencePrefix,
+pub(crate) struct LlavaCore {
+    /// The configuration.
+    pub config: LlavaConfig,
+    /// Vision tower and projector.
+    pub encoder: ImageEncoder,
+    /// The decoder.
+    pub decoder: Decoder<LlamaLayer>,
+}
+
+impl LlavaCore {
+    /// Takes the weights of a configuration.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(crate) fn take(weights: &mut Weights, config: LlavaConfig) -> Result<Self, MllmError> {
+        let encoder = ImageEncoder::take(weights, &config)?;
+        let decoder = Decoder::take(weights, &config.text, "language_model.", config.tie_word_embeddings)?;
+        Ok(Self { config, encoder, decoder })
+    }
+
+    /// An empty cache.
+    pub(crate) fn new_cache(&self) -> KvCache {
+        self.decoder.new_cache(self.config.text.context)
+    }
+
+    /// Runs rows through the decoder; every token has its own position.
+    pub(crate) fn forward(
+        &self,
+        rows: &PlacedRows,
+        cache: &mut KvCache,
+        wanted: Logits,
+    ) -> candle_core::Result<Option<Tensor>> {
+        let end = rows.start + rows.rows.dim(0)?;
+        if end > self.config.text.context {
+            candle_core::bail!("{end} positions do not fit into a context of {}", self.config.text.context);
+        }
+        let positions = (rows.start as u32..end as u32).collect();
+        self.decoder.forward(&DecoderInput { rows: rows.rows.clone(), positions, vision: 0..0 }, cache, wanted)
+    }
 }
 
 impl Llava {
-    /// Opens a model folder: `config.json`, safetensors (whole or sharded), `tokenizer.json`, `preprocessor_config.json`, a
-    /// chat template, and, if there, `tokenizer_config.json` and `generation_config.json`. `name` is what results call it.
+    /// Opens the configuration, the preprocessor and the weights of a folder.
     ///
     /// # Errors
-    /// When a file is missing or broken, or the files contradict each other; the error names file, key or tensor.
-    pub fn open(name: &str, folder: &Path) -> Result<Self, MllmError> {
-        if !folder.is_dir() {
-            return Err(MllmError::MissingFile {
-                folder: folder.to_path_buf(),
-                file: "such folder, and so no config.json".into(),
-            });
-        }
-        let model = LlavaModel::open(folder)?;
-        let config = model.config();
+    /// When one of them is missing or broken.
+    pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
+        let config_json = read_required_json(folder, "config.json")?;
+        let config = LlavaConfig::from_json(&folder.join("config.json"), &config_json)?;
         let processor = ClipImageProcessor::open(folder)?;
         processor.check_side(config.vision.image_size)?;
-        let tokenizer = ChatTokenizer::open(folder, config.text.vocabulary)?;
-        let image_token = image_token(&tokenizer, config.image_token)?;
-        let template = ChatTemplate::open(folder, tokenizer.special(), &image_token)?;
-        let end_tokens = end_tokens(folder, &tokenizer, config.text.vocabulary)?;
-        Ok(Self {
-            name: name.to_string(),
-            grammars: GrammarEngine::new(&tokenizer, &end_tokens)?,
-            model,
-            processor,
-            tokenizer,
-            template,
-            end_tokens,
-            prefixes: Mutex::new(VecDeque::new()),
-        })
+        Self::take(&mut Weights::open(folder)?, config, processor)
     }
 
-    /// Token ids of a chat that ends with `prompt`, each image as its image tokens.
-    fn prompt_ids(&self, system: &str, image: bool, turns: &[Turn], prompt: &str) -> Result<Vec<u32>, MllmError> {
-        let rendered = self.template.render(system, image, turns, prompt)?;
-        let config = self.model.config();
-        let mut found = 0;
-        let mut ids = Vec::new();
-        for id in self.tokenizer.encode_chat(&rendered)? {
-            if id == config.image_token {
-                found += 1;
-                ids.extend(std::iter::repeat_n(id, config.image_tokens()));
-            } else {
-                ids.push(id);
-            }
-        }
-        let expected = usize::from(image);
-        if found == expected { Ok(ids) } else { Err(MllmError::ImagePlaceholder { expected, found }) }
-    }
-
-    /// What stands before the image and the first prompt. It is always computed on its own, so that it is the same
-    /// whichever conversation comes first.
-    fn call_prefix(&self, system: &str, image: bool) -> Result<Arc<CallPrefix>, MllmError> {
-        let same = |prefix: &&Arc<CallPrefix>| prefix.image == image && prefix.system == system;
-        let known = {
-            let prefixes = self.prefixes.lock().unwrap_or_else(PoisonError::into_inner);
-            prefixes.iter().find(same).map(Arc::clone)
-        };
-        if let Some(prefix) = known {
-            return Ok(prefix);
-        }
-        // Two prompts that share no character agree in what does not depend on the prompt.
-        let ids = self.prompt_ids(system, image, &[], "0")?;
-        let other = self.prompt_ids(system, image, &[], "z")?;
-        let image_token = self.model.config().image_token;
-        let len = ids.iter().zip(&other).take_while(|(a, b)| a == b && **a != image_token).count();
-        let mut sequence = self.model.new_sequence();
-        if len > self.model.config().text.context {
-            return Err(MllmError::PromptTooLong { tokens: ids.len(), context: self.model.config().text.context });
-        }
-        self.model.append(&mut sequence, &ids[..len], None, Logits::None)?;
-        let prefix = Arc::new(CallPrefix { system: system.to_string(), image, sequence: sequence.to_prefix()? });
-        let mut prefixes = self.prefixes.lock().unwrap_or_else(PoisonError::into_inner);
-        if !prefixes.iter().any(|known| same(&known)) {
-            if prefixes.len() >= KEPT_PREFIXES {
-                prefixes.pop_front();
-            }
-            prefixes.push_back(Arc::clone(&prefix));
-        }
-        Ok(prefix)
-    }
-}
-
-impl Mllm for Llava {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn describe(&self) -> ModelDescription {
-        let config = self.model.config();
-        ModelDescription {
-            name: self.name.clone(),
-            architecture: "llava".into(),
-            parameters: self.model.parameters(),
-            dtype: "f32".into(),
-            image_size: Some(config.vision.image_size as u32),
-            image_tokens: config.image_tokens(),
+    /// Takes the weights of a configuration.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(crate) fn take(
+        weights: &mut Weights,
+        config: LlavaConfig,
+        processor: ClipImageProcessor,
+    ) -> Result<Self, MllmError> {
+        let before = weights.elements();
+        let core = LlavaCore::take(weights, config)?;
+        let config = &core.config;
+        let facts = ModelFacts {
+            architecture: Architecture::Llava.name(),
+            image_token: config.image_token,
+            image_size: config.vision.image_size,
+            most_image_tokens: config.image_tokens(),
             vocabulary: config.text.vocabulary,
-            context: config.text.context,
-            weights_blake3: self.model.blake3().to_string(),
-        }
+            positions: config.text.context,
+            parameters: (before - weights.elements()) as u64,
+            blake3: weights.blake3().to_string(),
+        };
+        Ok(Self { core, processor, facts })
     }
 
-    fn converse<'a>(&'a self, opening: &Opening, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
-        Ok(Box::new(LlavaConversation::open(self, opening, seed)?))
+    /// Encodes pixel values (3, side, side) to image features (image tokens, decoder width).
+    fn encode_pixels(&self, pixels: &Tensor) -> Result<Tensor, MllmError> {
+        Ok(self.core.encoder.encode(pixels)?)
     }
 }
 
-/// The placeholder of an image, checked to be one token.
-fn image_token(tokenizer: &ChatTokenizer, id: u32) -> Result<String, MllmError> {
-    let broken = |problem: String| MllmError::Tokenizer { path: tokenizer.path().to_path_buf(), problem };
-    let token = tokenizer
-        .token(id)
-        .ok_or_else(|| broken(format!("the image token, id {id} (image_token_index), is missing")))?;
-    let ids = tokenizer.encode_chat(&token)?;
-    if ids.iter().filter(|found| **found == id).count() == 1 {
-        Ok(token)
-    } else {
-        Err(broken(format!("the image token {token:?}, id {id}, is split into the ids {ids:?}: it is no added token")))
+#[cfg(test)]
+impl Llava {
+    /// A model of this configuration with random weights.
+    pub(crate) fn invented(config: &serde_json::Value) -> Self {
+        let config = LlavaConfig::from_json(Path::new("config.json"), config).unwrap();
+        let processor = ClipImageProcessor::square(config.vision.image_size as u32);
+        Self::take(&mut Weights::invented(7), config, processor).unwrap()
     }
 }
 
-/// The tokens that end an answer: of `generation_config.json`, else of the decoder's configuration, else of the tokenizer.
-fn end_tokens(folder: &Path, tokenizer: &ChatTokenizer, vocabulary: usize) -> Result<Vec<u32>, MllmError> {
-    const KEY: &str = "eos_token_id";
-    for file in ["generation_config.json", "config.json"] {
-        let path = folder.join(file);
-        if !path.is_file() {
-            continue;
-        }
-        let value = read_json(&path)?;
-        let root = Section::root(&path, &value)?;
-        let nested = root.section("text_config", "text_config.")?;
-        for section in [Some(root), nested].into_iter().flatten() {
-            let ids = section.token_ids(KEY)?;
-            if let Some(id) = ids.iter().find(|id| **id as usize >= vocabulary) {
-                return Err(section.error(KEY, format!("{id} lies outside the vocabulary of {vocabulary}")));
-            }
-            if !ids.is_empty() {
-                return Ok(ids);
-            }
-        }
+impl VisionLanguageModel for Llava {
+    fn facts(&self) -> &ModelFacts {
+        &self.facts
     }
-    let named = tokenizer.special().get("eos_token").and_then(|token| tokenizer.id(token));
-    named.map(|id| vec![id]).ok_or_else(|| MllmError::Tokenizer {
-        path: tokenizer.path().to_path_buf(),
-        problem: "no end-of-sequence token: neither eos_token_id in the configurations nor eos_token".into(),
-    })
+
+    fn context(&self, _image_tokens: usize) -> usize {
+        self.facts.positions
+    }
+
+    fn image_tokens(&self, _width: u32, _height: u32) -> Result<usize, MllmError> {
+        Ok(self.facts.most_image_tokens)
+    }
+
+    fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
+        self.encode_pixels(&self.processor.process(image, self.facts.image_size)?)
+    }
+
+    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
+        self.core.decoder.embed(ids)
+    }
+
+    fn new_cache(&self) -> KvCache {
+        self.core.new_cache()
+    }
+
+    fn forward(&self, rows: &PlacedRows, cache: &mut KvCache, wanted: Logits) -> candle_core::Result<Option<Tensor>> {
+        self.core.forward(rows, cache, wanted)
+    }
+
+    fn chat_format(&self, folder: &Path, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+        Ok(Box::new(TemplateFormat::open(folder, tokenizer, self.facts.image_token)?))
+    }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::mllm::checkpoint::read_text;
-use crate::mllm::{MllmError, Sampling};
+use crate::mllm::{Architecture, MllmError, Sampling};
 
 /// A model as `models/NAME.toml` describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -13,23 +13,19 @@ use crate::mllm::{MllmError, Sampling};
 pub struct ModelSpec {
     /// The name under which results are reported.
     pub name: String,
-    /// Kind of model.
-    pub architecture: Architecture,
+    /// Family of the model; without it, what the `config.json` among its files says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub architecture: Option<Architecture>,
     /// Where its files are.
     pub source: ModelSource,
+    /// Where its tokenizer is, if it is not among its files.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tokenizer: Option<ModelSource>,
     /// Which prompts it is asked with.
     pub prompt_set: PromptSet,
     /// How its answers are generated.
     #[serde(default)]
     pub generation: GenerationSettings,
-}
-
-/// Kinds of models that can be run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Architecture {
-    /// CLIP vision tower, projector, Llama decoder ([`Llava`](crate::mllm::Llava)).
-    Llava,
 }
 
 /// Where the files of a model are.
@@ -123,8 +119,10 @@ impl ModelSpec {
         if [tokens.scene, tokens.motion, tokens.code].contains(&0) {
             return Err(broken("generation.max_new_tokens: a round needs at least one token".into()));
         }
-        if let (ModelSource::Folder { folder }, Some(beside)) = (&mut spec.source, path.parent()) {
-            *folder = beside.join(&*folder);
+        for source in [Some(&mut spec.source), spec.tokenizer.as_mut()].into_iter().flatten() {
+            if let (ModelSource::Folder { folder }, Some(beside)) = (source, path.parent()) {
+                *folder = beside.join(&*folder);
+            }
         }
         Ok(spec)
     }
@@ -152,11 +150,26 @@ mod tests {
     #[test]
     fn hub_sources_and_sampling_are_read() {
         let spec = parse(
-            "name = 'l'\narchitecture = 'llava'\nsource = { hub = 'a/b' }\nprompt_set = 'paper'\n[generation]\nsampling = { sample = { temperature = 0.7, top_p = 0.9 } }",
+            "name = 'l'\nsource = { hub = 'a/b' }\ntokenizer = { folder = 't' }\nprompt_set = 'paper'\n[generation]\nsampling = { sample = { temperature = 0.7, top_p = 0.9 } }",
         )
         .unwrap();
         assert_eq!(spec.source, ModelSource::Hub { hub: "a/b".into(), revision: "main".into() });
+        assert_eq!(
+            (spec.architecture, spec.tokenizer),
+            (None, Some(ModelSource::Folder { folder: "models/t".into() }))
+        );
         assert_eq!(spec.generation.sampling, Sampling::Sample { temperature: 0.7, top_p: 0.9 });
+    }
+
+    #[test]
+    fn every_architecture_has_the_name_that_results_call_it() {
+        for architecture in Architecture::ALL {
+            let name = architecture.name();
+            let spec = parse(&format!(
+                "name = 'm'\narchitecture = '{name}'\nsource = {{ folder = 'f' }}\nprompt_set = 'paper'"
+            ));
+            assert_eq!(spec.unwrap().architecture, Some(architecture));
+        }
     }
 
     #[test]
@@ -165,7 +178,7 @@ mod tests {
         assert!(parse(valid).is_ok());
         for wrong in [
             "",
-            &valid.replace("llava", "cogvlm"),
+            &valid.replace("llava", "blip"),
             &valid.replace("paper", "long"),
             &valid.replace("folder", "file"),
             &valid.replace("'n'", "''"),

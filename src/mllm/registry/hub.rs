@@ -6,12 +6,38 @@ use hf_hub::HFClientSync;
 
 use crate::mllm::MllmError;
 
-/// The files of a repository that a model is opened from.
-const WANTED: [&str; 3] = ["*.json", "*.jinja", "*.safetensors"];
-/// The files without which a snapshot is taken for incomplete.
-const REQUIRED: [&str; 2] = ["config.json", "tokenizer.json"];
 /// Either of these holds the weights, or says which files do.
 const WEIGHTS: [&str; 2] = ["model.safetensors", "model.safetensors.index.json"];
+
+/// What of a repository is wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum HubFiles {
+    /// Everything that a model is opened from.
+    Model,
+    /// The same, of a repository that has no tokenizer.
+    ModelWithoutTokenizer,
+    /// The tokenizer alone.
+    Tokenizer,
+}
+
+impl HubFiles {
+    /// The files that are downloaded, if they are there.
+    fn patterns(self) -> &'static [&'static str] {
+        match self {
+            Self::Model | Self::ModelWithoutTokenizer => &["*.json", "*.jinja", "*.safetensors"],
+            Self::Tokenizer => &["tokenizer.json", "tokenizer_config.json"],
+        }
+    }
+
+    /// The files without which a snapshot is taken for incomplete.
+    fn required(self) -> &'static [&'static str] {
+        match self {
+            Self::Model => &["config.json", "tokenizer.json"],
+            Self::ModelWithoutTokenizer => &["config.json"],
+            Self::Tokenizer => &["tokenizer.json"],
+        }
+    }
+}
 
 /// How the hub may be used.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -29,7 +55,7 @@ impl HubAccess {
     ///
     /// # Errors
     /// When the id is no id, the hub refuses, or (offline) a file is not in the cache.
-    pub fn fetch(&self, id: &str, revision: &str) -> Result<PathBuf, MllmError> {
+    pub fn fetch(&self, id: &str, revision: &str, files: HubFiles) -> Result<PathBuf, MllmError> {
         let failed = |problem: String| MllmError::Hub { id: id.to_string(), revision: revision.to_string(), problem };
         let (owner, name) = split_id(id).ok_or_else(|| failed("a hub id is written organisation/name".into()))?;
         let mut builder = hf_hub::HFClient::builder();
@@ -47,7 +73,7 @@ impl HubAccess {
             repository
                 .snapshot_download()
                 .revision(revision.to_string())
-                .allow_patterns(WANTED.map(String::from).to_vec())
+                .allow_patterns(files.patterns().iter().map(ToString::to_string).collect::<Vec<_>>())
                 .local_files_only(local_only)
                 .send()
         };
@@ -55,11 +81,11 @@ impl HubAccess {
         let pinned = revision.len() == 40 && revision.bytes().all(|byte| byte.is_ascii_hexdigit());
         if self.offline || pinned {
             let missing = match snapshot(true) {
-                Ok(folder) => match missing_file(&folder) {
+                Ok(folder) => match missing_file(&folder, files) {
                     None => return Ok(folder),
                     Some(file) => file,
                 },
-                Err(_) => REQUIRED[0].to_string(),
+                Err(_) => files.required().first().map(ToString::to_string).unwrap_or_default(),
             };
             if self.offline {
                 return Err(MllmError::NotInCache {
@@ -71,7 +97,7 @@ impl HubAccess {
             }
         }
         let folder = snapshot(false).map_err(|error| failed(error.to_string()))?;
-        match missing_file(&folder) {
+        match missing_file(&folder, files) {
             None => Ok(folder),
             Some(file) => Err(failed(format!("the repository has no {file}"))),
         }
@@ -89,9 +115,12 @@ pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
 }
 
 /// What an incomplete snapshot lacks: a required file, or a weight file that its index names.
-fn missing_file(folder: &Path) -> Option<String> {
-    if let Some(file) = REQUIRED.iter().find(|file| !folder.join(file).is_file()) {
+fn missing_file(folder: &Path, files: HubFiles) -> Option<String> {
+    if let Some(file) = files.required().iter().find(|file| !folder.join(file).is_file()) {
         return Some((*file).to_string());
+    }
+    if files == HubFiles::Tokenizer {
+        return None;
     }
     let [whole, index] = WEIGHTS;
     if folder.join(whole).is_file() {
@@ -138,10 +167,20 @@ mod tests {
     fn a_cached_model_is_found_without_network() {
         let (_cache, access) = cached(&["config.json", "tokenizer.json", "model.safetensors"]);
         for revision in ["main", COMMIT] {
-            assert!(access.fetch("org/model", revision).unwrap().ends_with(COMMIT));
+            assert!(access.fetch("org/model", revision, HubFiles::Model).unwrap().ends_with(COMMIT));
         }
         let online = HubAccess { offline: false, ..access };
-        assert!(online.fetch("org/model", COMMIT).is_ok(), "a pinned commit needs no network");
+        assert!(online.fetch("org/model", COMMIT, HubFiles::Model).is_ok(), "a pinned commit needs no network");
+    }
+
+    #[test]
+    fn a_model_and_its_tokenizer_may_lie_apart() {
+        let (_cache, weights) = cached(&["config.json", "model.safetensors"]);
+        assert!(weights.fetch("org/model", "main", HubFiles::ModelWithoutTokenizer).is_ok());
+        let missing = weights.fetch("org/model", "main", HubFiles::Tokenizer);
+        assert!(matches!(missing, Err(MllmError::NotInCache { file, .. }) if file == "tokenizer.json"));
+        let (_cache, tokenizer) = cached(&["tokenizer.json"]);
+        assert!(tokenizer.fetch("org/model", "main", HubFiles::Tokenizer).is_ok());
     }
 
     #[test]
@@ -152,11 +191,11 @@ mod tests {
             ("org/model", "v2", "config.json"),
             ("org/other", "main", "config.json"),
         ] {
-            match access.fetch(id, revision) {
+            match access.fetch(id, revision, HubFiles::Model) {
                 Err(MllmError::NotInCache { file, .. }) => assert_eq!(file, missing),
                 other => panic!("{id}: {other:?}"),
             }
         }
-        assert!(matches!(access.fetch("../x/y", "main"), Err(MllmError::Hub { .. })));
+        assert!(matches!(access.fetch("../x/y", "main", HubFiles::Model), Err(MllmError::Hub { .. })));
     }
 }

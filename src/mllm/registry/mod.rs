@@ -5,10 +5,10 @@ mod hub;
 
 use std::path::{Path, PathBuf};
 
-pub use description::{Architecture, GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
-pub use hub::HubAccess;
+pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
+pub use hub::{HubAccess, HubFiles};
 
-use super::{Llava, Mllm, MllmError};
+use super::{Architecture, LocalModel, Mllm, MllmError};
 
 /// Finds and opens models.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -46,7 +46,7 @@ impl ModelRegistry {
 
     /// Finds a model: a name described in the folder of descriptions, the path of a description, the path of a model
     /// folder, or a hub id, tried in this order. Folders and hub models without a description are taken for general
-    /// LLaVA models, asked with the paper's prompts.
+    /// models, asked with the paper's prompts.
     ///
     /// # Errors
     /// When nothing goes by this name, or its description is broken.
@@ -72,8 +72,9 @@ impl ModelRegistry {
         };
         Ok(ModelSpec {
             name: path.file_name().map_or_else(|| name.to_string(), |last| last.to_string_lossy().into_owned()),
-            architecture: Architecture::Llava,
+            architecture: None,
             source,
+            tokenizer: None,
             prompt_set: PromptSet::Paper,
             generation: GenerationSettings::default(),
         })
@@ -84,20 +85,42 @@ impl ModelRegistry {
     /// # Errors
     /// When a hub model cannot be had.
     pub fn folder(&self, spec: &ModelSpec) -> Result<PathBuf, MllmError> {
-        match &spec.source {
-            ModelSource::Folder { folder } => Ok(folder.clone()),
-            ModelSource::Hub { hub, revision } => self.hub.fetch(hub, revision),
-        }
+        let files = if spec.tokenizer.is_some() { HubFiles::ModelWithoutTokenizer } else { HubFiles::Model };
+        self.fetch(&spec.source, files)
     }
 
-    /// Opens a model.
+    /// Opens a model of whatever architecture its configuration names.
     ///
     /// # Errors
-    /// When its files cannot be had or are broken.
+    /// When its files cannot be had or are broken, or are of another architecture than its description says.
     pub fn open(&self, spec: &ModelSpec) -> Result<Box<dyn Mllm>, MllmError> {
         let folder = self.folder(spec)?;
-        match spec.architecture {
-            Architecture::Llava => Ok(Box::new(Llava::open(&spec.name, &folder)?)),
+        if let Some(expected) = spec.architecture {
+            let found = Architecture::detect(&folder)?;
+            if found != expected {
+                return Err(MllmError::Config {
+                    path: folder.join("config.json"),
+                    key: "model_type".into(),
+                    problem: format!(
+                        "this is a {} model, the description of {:?} says {}",
+                        found.name(),
+                        spec.name,
+                        expected.name()
+                    ),
+                });
+            }
+        }
+        let tokenizer = match &spec.tokenizer {
+            None => folder.clone(),
+            Some(source) => self.fetch(source, HubFiles::Tokenizer)?,
+        };
+        Ok(Box::new(LocalModel::open_with_tokenizer(&spec.name, &folder, &tokenizer)?))
+    }
+
+    fn fetch(&self, source: &ModelSource, files: HubFiles) -> Result<PathBuf, MllmError> {
+        match source {
+            ModelSource::Folder { folder } => Ok(folder.clone()),
+            ModelSource::Hub { hub, revision } => self.hub.fetch(hub, revision, files),
         }
     }
 }

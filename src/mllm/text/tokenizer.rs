@@ -95,6 +95,17 @@ impl ChatTokenizer {
             .map_err(|error| self.error(error.to_string()))
     }
 
+    /// Ids of a text, without special tokens around it.
+    ///
+    /// # Errors
+    /// When the tokenizer refuses the text.
+    pub(crate) fn encode_text(&self, text: &str) -> Result<Vec<u32>, MllmError> {
+        self.tokenizer
+            .encode_fast(text, false)
+            .map(|encoding| encoding.get_ids().to_vec())
+            .map_err(|error| self.error(error.to_string()))
+    }
+
     /// Text of an answer, without special tokens.
     ///
     /// # Errors

@@ -2,21 +2,18 @@
 
 use std::path::{Path, PathBuf};
 
-use candle_core::{Device, Tensor};
+use candle_core::Tensor;
 use image::RgbImage;
 use image::imageops;
 use serde_json::Value;
 
+use super::pixels::{PixelScale, check_not_empty};
 use super::resample::{Filter, resize};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{Section, read_json};
 
-/// Mean of the RGB channels that CLIP was trained with (`OPENAI_CLIP_MEAN` in transformers).
-const CLIP_MEAN: [f32; 3] = [0.481_454_66, 0.457_827_5, 0.408_210_73];
-/// Standard deviation of the RGB channels that CLIP was trained with (`OPENAI_CLIP_STD` in transformers).
-const CLIP_STD: [f32; 3] = [0.268_629_54, 0.261_302_6, 0.275_777_1];
 /// Side that `CLIPImageProcessor` resizes and crops to when its configuration does not say.
-const DEFAULT_SIDE: usize = 224;
+pub(crate) const DEFAULT_SIDE: u32 = 224;
 
 /// `CLIPImageProcessor`: resize, centre crop, rescale, normalise.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,8 +22,7 @@ pub(crate) struct ClipImageProcessor {
     resize: Option<(TargetSize, Filter)>,
     /// Height and width.
     crop: Option<(u32, u32)>,
-    rescale: Option<f64>,
-    normalise: Option<([f32; 3], [f32; 3])>,
+    scale: PixelScale,
 }
 
 /// The `size` of a preprocessor configuration.
@@ -44,65 +40,22 @@ impl ClipImageProcessor {
     /// # Errors
     /// When neither file is there, or a key has a wrong type or an unsupported value.
     pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
-        let path = folder.join("preprocessor_config.json");
-        if path.is_file() {
-            let value = read_json(&path)?;
-            return Self::from_section(&path, &Section::root(&path, &value)?);
-        }
-        let path = folder.join("processor_config.json");
-        if path.is_file() {
-            let value = read_json(&path)?;
-            if let Some(section) = Section::root(&path, &value)?.section("image_processor", "image_processor.")? {
-                return Self::from_section(&path, &section);
-            }
-        }
-        Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: "preprocessor_config.json".into() })
+        read_processor(folder, Self::from_section)
     }
 
     fn from_section(path: &Path, section: &Section<'_>) -> Result<Self, MllmError> {
-        if let Some(kind) = section.text("image_processor_type")?
-            && !kind.starts_with("CLIPImageProcessor")
-        {
-            return Err(
-                section.error("image_processor_type", format!("{kind:?} is not supported; CLIPImageProcessor is"))
-            );
-        }
+        check_processor(section, "CLIPImageProcessor")?;
         let resize = if section.flag("do_resize", true)? {
-            let number = match section.get("resample") {
-                None => Some(3),
-                Some(value) => value.as_u64(),
-            };
-            let filter = number
-                .and_then(Filter::from_pillow)
-                .ok_or_else(|| section.error("resample", "expected 1 (Lanczos), 2 (bilinear) or 3 (bicubic)".into()))?;
-            Some((target_size(section)?, filter))
+            Some((target_size(section)?, resample_filter(section)?))
         } else {
             None
         };
         let crop = if section.flag("do_center_crop", true)? {
-            Some(match sides(section, "crop_size")? {
-                None => (DEFAULT_SIDE as u32, DEFAULT_SIDE as u32),
-                Some(Sides::Exact { height, width }) => (height, width),
-                Some(Sides::One(side) | Sides::ShortestEdge(side)) => (side, side),
-            })
+            Some(sides(section, "crop_size")?.unwrap_or(Sides::One(DEFAULT_SIDE)).height_width())
         } else {
             None
         };
-        let rescale = if section.flag("do_rescale", true)? {
-            Some(section.positive("rescale_factor", 1.0 / 255.0)?)
-        } else {
-            None
-        };
-        let normalise = if section.flag("do_normalize", true)? {
-            let std = section.triple("image_std", CLIP_STD)?;
-            if std.contains(&0.0) {
-                return Err(section.error("image_std", "must not be zero".into()));
-            }
-            Some((section.triple("image_mean", CLIP_MEAN)?, std))
-        } else {
-            None
-        };
-        Ok(Self { path: path.to_path_buf(), resize, crop, rescale, normalise })
+        Ok(Self { path: path.to_path_buf(), resize, crop, scale: PixelScale::from_section(section)? })
     }
 
     /// Checks that every image comes out as a square of the vision tower's side, as far as that is known beforehand.
@@ -130,9 +83,7 @@ impl ClipImageProcessor {
     /// # Errors
     /// When the image is empty, or does not become a square of that side.
     pub(crate) fn process(&self, image: &RgbImage, side: usize) -> Result<Tensor, MllmError> {
-        if image.width() == 0 || image.height() == 0 {
-            return Err(MllmError::Image { problem: "it has no pixels".into() });
-        }
+        check_not_empty(image)?;
         let resized = match self.resize {
             None => None,
             Some((target, filter)) => {
@@ -154,22 +105,59 @@ impl ClipImageProcessor {
                 ),
             });
         }
-        let plane = side * side;
-        let mut values = vec![0f32; 3 * plane];
-        for (index, pixel) in pixels.pixels().enumerate() {
-            for (channel, value) in pixel.0.into_iter().enumerate() {
-                let mut value = match self.rescale {
-                    Some(factor) => (f64::from(value) * factor) as f32,
-                    None => f32::from(value),
-                };
-                if let Some((mean, std)) = self.normalise {
-                    value = (value - mean[channel]) / std[channel];
-                }
-                values[channel * plane + index] = value;
-            }
-        }
-        Ok(Tensor::from_vec(values, (3, side, side), &Device::Cpu)?)
+        Ok(self.scale.values(pixels)?)
     }
+}
+
+/// Reads the image processor of a folder: `preprocessor_config.json`, or the `image_processor` part of
+/// `processor_config.json` (transformers 5).
+///
+/// # Errors
+/// When neither file is there or is broken, and what `read` returns.
+pub(crate) fn read_processor<T>(
+    folder: &Path,
+    read: impl FnOnce(&Path, &Section<'_>) -> Result<T, MllmError>,
+) -> Result<T, MllmError> {
+    let path = folder.join("preprocessor_config.json");
+    if path.is_file() {
+        let value = read_json(&path)?;
+        return read(&path, &Section::root(&path, &value)?);
+    }
+    let path = folder.join("processor_config.json");
+    if path.is_file() {
+        let value = read_json(&path)?;
+        if let Some(section) = Section::root(&path, &value)?.section("image_processor", "image_processor.")? {
+            return read(&path, &section);
+        }
+    }
+    Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: "preprocessor_config.json".into() })
+}
+
+/// Checks that a section describes an image processor of this kind (its `Fast` and `Pil` forms compute the same).
+///
+/// # Errors
+/// When it names another.
+pub(crate) fn check_processor(section: &Section<'_>, expected: &str) -> Result<(), MllmError> {
+    match section.text("image_processor_type")? {
+        Some(kind) if !kind.starts_with(expected) => {
+            Err(section.error("image_processor_type", format!("{kind:?} is not supported; {expected} is")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Reads `resample`; bicubic if absent.
+///
+/// # Errors
+/// When the filter is not known.
+pub(crate) fn resample_filter(section: &Section<'_>) -> Result<Filter, MllmError> {
+    let number = match section.get("resample") {
+        None => return Ok(Filter::Bicubic),
+        Some(value) => value.as_u64(),
+    };
+    number
+        .and_then(Filter::from_pillow)
+        .ok_or_else(|| section.error("resample", "expected 1 (Lanczos), 2 (bilinear) or 3 (bicubic)".into()))
 }
 
 impl TargetSize {
@@ -193,13 +181,35 @@ impl TargetSize {
 const MAX_SIDE: usize = 1 << 16;
 
 /// How a configuration writes a size.
-enum Sides {
+pub(crate) enum Sides {
+    /// A number.
     One(u32),
+    /// `shortest_edge`.
     ShortestEdge(u32),
-    Exact { height: u32, width: u32 },
+    /// `height` and `width`.
+    Exact {
+        /// Rows.
+        height: u32,
+        /// Columns.
+        width: u32,
+    },
 }
 
-fn sides(section: &Section<'_>, key: &str) -> Result<Option<Sides>, MllmError> {
+impl Sides {
+    /// Height and width, where one number stands for a square.
+    pub(crate) fn height_width(&self) -> (u32, u32) {
+        match *self {
+            Self::One(side) | Self::ShortestEdge(side) => (side, side),
+            Self::Exact { height, width } => (height, width),
+        }
+    }
+}
+
+/// Reads a size; none if absent.
+///
+/// # Errors
+/// When it is none, or out of range.
+pub(crate) fn sides(section: &Section<'_>, key: &str) -> Result<Option<Sides>, MllmError> {
     let side = |value: &Value| {
         value
             .as_u64()
@@ -221,7 +231,7 @@ fn sides(section: &Section<'_>, key: &str) -> Result<Option<Sides>, MllmError> {
 
 fn target_size(section: &Section<'_>) -> Result<TargetSize, MllmError> {
     Ok(match sides(section, "size")? {
-        None => TargetSize::ShortestEdge(DEFAULT_SIDE as u32),
+        None => TargetSize::ShortestEdge(DEFAULT_SIDE),
         Some(Sides::One(edge) | Sides::ShortestEdge(edge)) => TargetSize::ShortestEdge(edge),
         Some(Sides::Exact { height, width }) => TargetSize::Exact { height, width },
     })
@@ -234,6 +244,19 @@ fn center_crop(image: &RgbImage, width: u32, height: u32) -> RgbImage {
     let mut cropped = RgbImage::new(width, height);
     imageops::replace(&mut cropped, image, -offset(image.width(), width), -offset(image.height(), height));
     cropped
+}
+
+#[cfg(test)]
+impl ClipImageProcessor {
+    /// CLIP's processor for squares of `side` pixels.
+    pub(crate) fn square(side: u32) -> Self {
+        Self {
+            path: PathBuf::new(),
+            resize: Some((TargetSize::ShortestEdge(side), Filter::Bicubic)),
+            crop: Some((side, side)),
+            scale: PixelScale::CLIP,
+        }
+    }
 }
 
 #[cfg(test)]

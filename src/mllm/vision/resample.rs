@@ -1,6 +1,7 @@
 //! Image resampling to the bit as Pillow does it, which is what the models were trained on.
 //!
-//! Separable convolution, first along rows, then along columns, with 8-bit results in between. When an image shrinks, the
+//! Separable convolution, first along rows, then along columns, with 8-bit results in between (Pillow before 13, which
+//! began to take the columns of tall images first). When an image shrinks, the
 //! filter is stretched by the same factor, so nothing aliases. Coefficients are 22-bit fixed point
 //! (Pillow, `libImaging/Resample.c`).
 

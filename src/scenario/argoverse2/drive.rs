@@ -18,6 +18,8 @@ pub(super) struct Drive {
     pub(super) seconds: Vec<f64>,
     /// Poses of the ego's rear axle.
     pub(super) rear_axles: Vec<Pose>,
+    /// Its velocities, map frame, m/s.
+    pub(super) velocities: Vec<Vector>,
     pub(super) objects: Vec<Vec<TrackedObject>>,
     pub(super) map: LaneMap,
 }
@@ -30,11 +32,11 @@ impl Drive {
     pub(super) fn scenario(self) -> Result<Scenario, LogFault> {
         let times_us = step_times(&self.seconds)?;
         let window = window(&times_us);
-        let egos = ego_states(&times_us, &self.seconds, &self.rear_axles);
+        let egos = ego_states(&times_us, &self.seconds, &self.rear_axles, &self.velocities);
         let centers: Vec<Pose> = egos.iter().skip(window.start).map(EgoState::center).collect();
         let route = Route { roadblocks: route(&self.map, &centers), goal: self.rear_axles.last().copied() };
         let lights = Arc::new(TrafficLights::default());
-        let future = egos.iter().skip(window.end).take(FUTURE_FRAMES).copied().collect();
+        let future = egos.iter().copied().skip(window.end).take(FUTURE_FRAMES).collect();
         let frames = egos.into_iter().zip(self.objects).take(window.end);
         let frames = frames.map(|(ego, objects)| Frame { ego, objects: objects.into(), lights: lights.clone() });
         Ok(Scenario {
@@ -50,18 +52,27 @@ impl Drive {
     }
 }
 
-/// The recorded ego: velocity and acceleration of its rear axle are slopes over five steps (`recording::motion`), in the body
-/// frame. nuPlan's vehicle stands in for the recording car, its rear axle in the same place.
-fn ego_states(times_us: &[i64], seconds: &[f64], rear_axles: &[Pose]) -> Vec<EgoState> {
-    let slopes = |values: &[f64]| -> Vec<f64> { (0..values.len()).map(|i| slope(seconds, values, i)).collect() };
-    let east = slopes(&rear_axles.iter().map(|pose| pose.x).collect::<Vec<_>>());
-    let north = slopes(&rear_axles.iter().map(|pose| pose.y).collect::<Vec<_>>());
-    let (east_rate, north_rate) = (slopes(&east), slopes(&north));
-    let states = rear_axles.iter().zip(times_us).enumerate().map(|(i, (&rear_axle, &time_us))| {
+/// Velocities from poses: slopes over five steps (`recording::motion`), map frame.
+pub(super) fn velocities_of(seconds: &[f64], poses: &[Pose]) -> Vec<Vector> {
+    let east: Vec<f64> = poses.iter().map(|pose| pose.x).collect();
+    let north: Vec<f64> = poses.iter().map(|pose| pose.y).collect();
+    slopes(seconds, &east, &north)
+}
+
+fn slopes(seconds: &[f64], east: &[f64], north: &[f64]) -> Vec<Vector> {
+    (0..seconds.len()).map(|i| Vector::new(slope(seconds, east, i), slope(seconds, north, i))).collect()
+}
+
+/// The recorded ego: its accelerations are slopes of the velocities over five steps. nuPlan's vehicle stands in for the
+/// recording car, its rear axle in the same place.
+fn ego_states(times_us: &[i64], seconds: &[f64], rear_axles: &[Pose], velocities: &[Vector]) -> Vec<EgoState> {
+    let east: Vec<f64> = velocities.iter().map(|v| v.x).collect();
+    let north: Vec<f64> = velocities.iter().map(|v| v.y).collect();
+    let accelerations = slopes(seconds, &east, &north);
+    let states = rear_axles.iter().zip(times_us).zip(velocities.iter().zip(accelerations));
+    let states = states.map(|((&rear_axle, &time_us), (&velocity, acceleration))| {
         let into_body = Pose::new(0.0, 0.0, -rear_axle.heading);
-        let velocity = into_body.rotate(Vector::new(east[i], north[i]));
-        let acceleration = into_body.rotate(Vector::new(east_rate[i], north_rate[i]));
-        EgoState::from_log(time_us, rear_axle, velocity, acceleration)
+        EgoState::from_log(time_us, rear_axle, into_body.rotate(velocity), into_body.rotate(acceleration))
     });
     states.collect()
 }
@@ -81,7 +92,7 @@ mod tests {
                 Pose::new(20.0 * angle.cos(), 20.0 * angle.sin(), angle + std::f64::consts::FRAC_PI_2)
             })
             .collect();
-        for state in &ego_states(&times_us, &seconds, &poses)[4..96] {
+        for state in &ego_states(&times_us, &seconds, &poses, &velocities_of(&seconds, &poses))[4..96] {
             assert!((state.velocity - Vector::new(5.0, 0.0)).norm() < 5e-3, "{state:?}");
             assert!((state.acceleration - Vector::new(0.0, 1.25)).norm() < 5e-3, "{state:?}");
         }

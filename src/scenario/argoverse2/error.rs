@@ -55,6 +55,17 @@ pub enum LogFault {
     /// No sound Arrow IPC file.
     #[error("not a sound Feather file: {0}")]
     Arrow(#[from] ArrowError),
+    /// A part of an Arrow IPC file that cannot be, or reaches beyond the end.
+    #[error("not a sound Feather file: damaged {part} {number}")]
+    Damaged {
+        /// File, footer or block of rows.
+        part: &'static str,
+        /// Which of them.
+        number: usize,
+    },
+    /// The reader of the format stopped at what it found.
+    #[error("not a sound file: its parts do not fit each other")]
+    Unreadable,
     /// No sound Parquet file.
     #[error("not a sound Parquet file: {0}")]
     Parquet(#[from] ParquetError),
@@ -122,7 +133,7 @@ pub enum LogFault {
         track: String,
     },
     /// The ego's pose at a sweep is not known.
-    #[error("no ego pose at {timestamp_ns} ns, nor one on either side within a tenth of a second")]
+    #[error("no ego pose at {timestamp_ns} ns, nor two around it within 0.15 s of each other")]
     NoPose {
         /// Time of the sweep.
         timestamp_ns: i64,

@@ -2,8 +2,9 @@
 //!
 //! * The recording car is the track `AV`. Its position is that of its own frame's origin, the rear axle: in bends it does not
 //!   slide sideways. All others are told by the middle of their boxes.
-//! * The dataset has no sizes. They are those of usual road users (table in [`Kind::of`]).
-//! * An agent's velocity is taken as recorded. Static kinds have none, as in nuPlan.
+//! * The dataset has no sizes. They are those of usual road users (table in [`RoadUser::of`]).
+//! * Velocities are taken as recorded, the ego's too: its positions are smoothed, and run off within the first and last second
+//!   of a scenario. Static kinds have no velocity, as in nuPlan.
 //!
 //! | Argoverse 2 | nuPlan |
 //! |---|---|
@@ -34,13 +35,13 @@ const FASTEST: f64 = 200.0;
 
 /// What a track is, and its assumed box, metres.
 #[derive(Debug, Clone, Copy)]
-struct Kind {
+struct RoadUser {
     kind: ObjectKind,
     length: f64,
     width: f64,
 }
 
-impl Kind {
+impl RoadUser {
     /// Reads an object type; `None` when the dataset has no such type.
     fn of(word: &str) -> Option<Self> {
         let (kind, length, width) = match word {
@@ -60,8 +61,8 @@ impl Kind {
 /// The table, column by column.
 struct Tracks {
     steps: Vec<usize>,
-    tracks: Vec<String>,
-    kinds: Vec<Kind>,
+    ids: Vec<String>,
+    kinds: Vec<RoadUser>,
     poses: Vec<Pose>,
     velocities: Vec<Vector>,
     city: String,
@@ -73,13 +74,13 @@ impl Tracks {
             .words("object_type")?
             .into_iter()
             .enumerate()
-            .map(|(row, word)| Kind::of(&word).ok_or(LogFault::Category { column: "object_type", row, word }));
+            .map(|(row, word)| RoadUser::of(&word).ok_or(LogFault::Category { column: "object_type", row, word }));
         let [x, y, heading] = [table.numbers("position_x")?, table.numbers("position_y")?, table.numbers("heading")?];
         let [east, north] = [speeds(table, "velocity_x")?, speeds(table, "velocity_y")?];
         let poses = (0..x.len()).map(|row| Pose::new(x[row], y[row], wrap_angle(heading[row])));
         Ok(Self {
             steps: steps(table)?,
-            tracks: table.words("track_id")?,
+            ids: table.words("track_id")?,
             kinds: kinds.collect::<Result<_, _>>()?,
             poses: poses.collect(),
             velocities: east.into_iter().zip(north).map(|(x, y)| Vector::new(x, y)).collect(),
@@ -118,13 +119,14 @@ fn seconds(steps: &[usize]) -> Vec<f64> {
 pub(super) fn drive(path: &Path, map: &Path, id: String) -> Result<Drive, Argoverse2Error> {
     let tracks = within(path, Tracks::read(&Table::parquet(path)?))?;
     let seconds = seconds(&tracks.steps);
-    let egos = within(path, ego_poses(&tracks, seconds.len()))?;
-    let origin = egos.first().map_or_else(Vector::zeros, |pose| pose.position().coords.map(f64::round));
+    let egos = within(path, ego_rows(&tracks, seconds.len()))?;
+    let origin = egos.first().map_or_else(Vector::zeros, |&row| tracks.poses[row].position().coords.map(f64::round));
     let objects = within(path, objects(&tracks, seconds.len(), origin))?;
     let file = MapFile::read(map)?;
     let map = within(map, lane_map(&file, &tracks.city, origin))?;
-    let rear_axles = egos.iter().map(|&pose| moved(pose, origin)).collect();
-    Ok(Drive { id, seconds, rear_axles, objects, map })
+    let rear_axles = egos.iter().map(|&row| moved(tracks.poses[row], origin)).collect();
+    let velocities = egos.iter().map(|&row| tracks.velocities[row]).collect();
+    Ok(Drive { id, seconds, rear_axles, velocities, objects, map })
 }
 
 /// What a scenario holds, without deriving anything.
@@ -142,21 +144,21 @@ fn moved(pose: Pose, origin: Vector) -> Pose {
     Pose::at(pose.position() - origin, pose.heading)
 }
 
-/// The ego's pose at every step, city frame.
-fn ego_poses(tracks: &Tracks, count: usize) -> Result<Vec<Pose>, LogFault> {
-    let mut poses: Vec<Option<Pose>> = vec![None; count];
-    for (row, track) in tracks.tracks.iter().enumerate().filter(|(_, track)| *track == EGO) {
-        if poses[tracks.steps[row]].replace(tracks.poses[row]).is_some() {
+/// The ego's row at every step.
+fn ego_rows(tracks: &Tracks, count: usize) -> Result<Vec<usize>, LogFault> {
+    let mut rows: Vec<Option<usize>> = vec![None; count];
+    for (row, track) in tracks.ids.iter().enumerate().filter(|(_, track)| *track == EGO) {
+        if rows[tracks.steps[row]].replace(row).is_some() {
             return Err(LogFault::Twice { row, track: track.clone() });
         }
     }
-    poses.into_iter().enumerate().map(|(step, pose)| pose.ok_or(LogFault::NoEgo { step })).collect()
+    rows.into_iter().enumerate().map(|(step, row)| row.ok_or(LogFault::NoEgo { step })).collect()
 }
 
 /// The objects of every step, in order of track.
 fn objects(tracks: &Tracks, count: usize, origin: Vector) -> Result<Vec<Vec<TrackedObject>>, LogFault> {
     let mut rows: BTreeMap<&str, BTreeMap<usize, usize>> = BTreeMap::new();
-    for (row, track) in tracks.tracks.iter().enumerate().filter(|(_, track)| *track != EGO) {
+    for (row, track) in tracks.ids.iter().enumerate().filter(|(_, track)| *track != EGO) {
         if rows.entry(track).or_default().insert(tracks.steps[row], row).is_some() {
             return Err(LogFault::Twice { row, track: track.clone() });
         }
@@ -164,7 +166,7 @@ fn objects(tracks: &Tracks, count: usize, origin: Vector) -> Result<Vec<Vec<Trac
     let mut objects: Vec<Vec<TrackedObject>> = vec![Vec::new(); count];
     for (number, track) in rows.into_values().enumerate() {
         for (step, row) in track {
-            let Kind { kind, length, width } = tracks.kinds[row];
+            let RoadUser { kind, length, width } = tracks.kinds[row];
             objects[step].push(TrackedObject {
                 token: TrackToken(number as u32),
                 kind,

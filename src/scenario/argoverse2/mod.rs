@@ -4,7 +4,7 @@
 //! [`open`] makes a drive of a log folder, [`summary`] only counts what is there, [`logs_in`] lists the logs of a folder.
 //! Everything that is derived is derived by a documented rule:
 //!
-//! * `files`, `table`, `map_file`: where a log has what, and its cells and fields as they are;
+//! * `files`, `table` (with `ipc_bounds`), `map_file`: where a log has what, and its cells and fields as they are;
 //! * `poses`, `annotations`, `category`: ego and objects of a sensor log; `forecasting`: those of a motion-forecasting scenario;
 //! * `map`: lanes, areas and crosswalks; `drive`: the part that is driven.
 //!
@@ -17,6 +17,7 @@ mod drive;
 mod error;
 mod files;
 mod forecasting;
+mod ipc_bounds;
 mod map;
 mod map_file;
 mod poses;

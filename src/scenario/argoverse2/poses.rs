@@ -9,8 +9,8 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 /// A quaternion whose norm differs from 1 by more is no rounding.
 const ROUNDING: f64 = 1e-2;
-/// Poses farther apart than this are not interpolated, ns.
-const LONGEST_GAP_NS: i64 = 100_000_000;
+/// Poses farther apart than this are not interpolated, ns: one and a half sweeps.
+const LONGEST_GAP_NS: i64 = 150_000_000;
 
 /// Poses of the ego frame in the city frame, by time.
 #[derive(Debug)]
@@ -34,7 +34,7 @@ impl EgoPoses {
     /// The pose at a time, ns: the recorded one, else between its neighbours.
     ///
     /// # Errors
-    /// When there is none, nor neighbours within a tenth of a second of each other.
+    /// When there is none, nor neighbours within 0.15 s of each other.
     pub(super) fn at(&self, timestamp_ns: i64) -> Result<Isometry3<f64>, LogFault> {
         let after = self.poses.partition_point(|&(time, _)| time < timestamp_ns);
         let missing = LogFault::NoPose { timestamp_ns };

@@ -1,9 +1,10 @@
 //! A log of the sensor dataset to a drive.
 //!
-//! The steps are the annotated LiDAR sweeps. Coordinates are moved to an origin near the ego's first place, in whole metres.
+//! The steps are the annotated sweeps of the laser scanner, 10 a second. The ego's velocity is the slope of its position over
+//! five of them. Coordinates are moved to an origin near the ego's first place, in whole metres.
 
 use super::annotations::{Annotations, sweeps, track_count};
-use super::drive::Drive;
+use super::drive::{Drive, velocities_of};
 use super::error::{Argoverse2Error, LogFault};
 use super::files::city_of;
 use super::map::{lane_count, lane_map};
@@ -45,11 +46,12 @@ pub(super) fn drive(files: SensorFiles<'_>, id: String) -> Result<Drive, Argover
     let seconds = seconds(&sweeps_ns);
     let map = MapFile::read(files.map)?;
     let map = within(files.map, lane_map(&map, city_of(files.map).unwrap_or("city"), origin))?;
-    let rear_axles = egos
+    let rear_axles: Vec<Pose> = egos
         .iter()
         .map(|ego| Pose::new(ego.translation.x - origin.x, ego.translation.y - origin.y, heading(ego)))
         .collect();
-    Ok(Drive { id, objects: annotations.objects(&seconds), seconds, rear_axles, map })
+    let velocities = velocities_of(&seconds, &rear_axles);
+    Ok(Drive { id, objects: annotations.objects(&seconds), seconds, rear_axles, velocities, map })
 }
 
 /// What a log holds, without deriving anything.

@@ -1,14 +1,17 @@
 //! Columns of Feather and Parquet tables, every cell checked.
 
 use super::error::{Argoverse2Error, LogFault};
+use super::ipc_bounds;
 use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
 use arrow::compute::{cast, concat_batches};
 use arrow::datatypes::{DataType, Float64Type, Int64Type, SchemaRef};
 use arrow::error::ArrowError;
 use arrow::ipc::reader::FileReader;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use parquet::errors::ParquetError;
 use std::fs::File;
 use std::io::Cursor;
+use std::panic::{UnwindSafe, catch_unwind};
 use std::path::Path;
 
 /// First bytes of a Feather file of version 1.
@@ -30,7 +33,8 @@ impl Table {
     pub(super) fn feather(path: &Path) -> Result<Self, Argoverse2Error> {
         let failed = |source| Argoverse2Error::Read { path: path.to_owned(), source };
         let bytes = std::fs::read(path).map_err(failed)?;
-        let table = if bytes.starts_with(FEATHER_1) { Err(LogFault::OldFeather) } else { Self::of_ipc(&bytes) };
+        let table =
+            if bytes.starts_with(FEATHER_1) { Err(LogFault::OldFeather) } else { guarded(|| Self::of_ipc(&bytes)) };
         table.map_err(|fault| Argoverse2Error::Content { path: path.to_owned(), fault })
     }
 
@@ -41,16 +45,18 @@ impl Table {
     pub(super) fn parquet(path: &Path) -> Result<Self, Argoverse2Error> {
         let failed = |source| Argoverse2Error::Read { path: path.to_owned(), source };
         let file = File::open(path).map_err(failed)?;
-        Self::of_parquet(file).map_err(|fault| Argoverse2Error::Content { path: path.to_owned(), fault })
+        guarded(|| Self::of_parquet(&file)).map_err(|fault| Argoverse2Error::Content { path: path.to_owned(), fault })
     }
 
     fn of_ipc(bytes: &[u8]) -> Result<Self, LogFault> {
+        ipc_bounds::check(bytes)?;
         let reader = FileReader::try_new(Cursor::new(bytes), None)?;
         let schema = reader.schema();
         Self::of_batches(&schema, reader)
     }
 
-    fn of_parquet(file: File) -> Result<Self, LogFault> {
+    fn of_parquet(file: &File) -> Result<Self, LogFault> {
+        let file = file.try_clone().map_err(ParquetError::from)?;
         let builder = ParquetRecordBatchReaderBuilder::try_new(file)?;
         let schema = builder.schema().clone();
         Self::of_batches(&schema, builder.build()?)
@@ -120,4 +126,10 @@ impl Table {
             None => Ok(values),
         }
     }
+}
+
+/// Reads a table, be it as damaged as it may: the readers of both formats stop with a panic at lengths that do not fit each
+/// other, and a damaged file is a fault of that file.
+fn guarded(read: impl FnOnce() -> Result<Table, LogFault> + UnwindSafe) -> Result<Table, LogFault> {
+    catch_unwind(read).unwrap_or(Err(LogFault::Unreadable))
 }

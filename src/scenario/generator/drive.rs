@@ -113,7 +113,7 @@ impl Drive {
         if !shape.corners().iter().all(|&corner| self.map.is_drivable(corner)) {
             return Err(Discard::OffRoad);
         }
-        let curvature = path_curvature(ego);
+        let curvature = ego.path_curvature(ego.s);
         let acceleration = Vector::new(ego.accel, curvature * ego.speed * ego.speed);
         let time_us = START_US + iteration * STEP_US;
         self.frames.push(Frame {
@@ -251,16 +251,6 @@ fn vehicles_within(frame: &Frame, reach: f64) -> usize {
     let near =
         |object: &&TrackedObject| object.kind == ObjectKind::Vehicle && object.shape.center.distance(&center) < reach;
     frame.objects.iter().filter(near).count()
-}
-
-/// Curvature of the path that the rear axle drives, 1/m: by the headings a little before and after.
-fn path_curvature(ego: &super::traffic::Mover) -> f64 {
-    const SPAN: f64 = 1.2;
-    let heading = |s: f64| {
-        let (lateral, slope) = ego.shift.at(s);
-        ego.track.pose_at(s).heading + slope.atan2(1.0 - ego.track.curvature_at(s) * lateral)
-    };
-    wrap_angle(heading(ego.s + SPAN) - heading(ego.s - SPAN)) / (2.0 * SPAN)
 }
 
 /// Whether two of the objects near a place overlap; people may stand close together.

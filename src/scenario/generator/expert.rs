@@ -2,12 +2,15 @@
 //!
 //! It drives along the lanes of its way with the intelligent driver model against everything that is in its way or about
 //! to be: leads, cut-ins, red lights, stop signs, pedestrians on their way across, drivers who go first. It slows down
-//! ahead of bends (1.8 m/s² across at most) and lower limits, never exceeds the limit, and limits its jerk. It changes lanes
+//! ahead of bends (1.8 m/s² across at most) and lower limits, never exceeds the limit, and limits its jerk. Where its own path
+//! bends more sharply than the lane (a lane change, a tight turn), it slows down until the front wheels turn at no more than
+//! 0.25 rad/s and the path asks for no more than 2.2 m/s² across: what nuPlan's tracker follows. It changes lanes
 //! where its own is blocked, where its lane leads off its way, to pass slow traffic, or when its recipe says so, along a
-//! quintic path within about four seconds, if there is room. On a single lane it passes what stands at the kerb within its
-//! lane. What it knows beyond a planner: which vehicles stand for good, and what the recipe wants.
+//! quintic path within about four seconds, if there is room; from nearer than 8 m behind an obstacle it stays. On a single
+//! lane it passes what stands at the kerb within its lane. What it knows beyond a planner: which vehicles stand for good,
+//! and what the recipe wants.
 
-use super::traffic::{Mover, Temper, Traffic, Wish};
+use super::traffic::{Mover, Steering, Temper, Traffic, Wish};
 use crate::geometry::wrap_angle;
 
 /// How the expert drives.
@@ -20,9 +23,18 @@ pub(crate) const EXPERT: Temper = Temper {
     gap_margin: 2.0,
     jerk: 2.6,
     hardest: 3.9,
+    steering: Some(Steering { rate: STEERING_RATE, lateral: LATERAL_ACCELERATION }),
 };
+/// How fast the expert turns the front wheels at most, rad/s. nuPlan's tracker follows a log that is sampled every 0.5 s
+/// within about a metre up to this rate; above it the tracked ego cuts corners and swings wide.
+const STEERING_RATE: f64 = 0.25;
+/// Lateral acceleration that the expert accepts on its path, m/s².
+const LATERAL_ACCELERATION: f64 = 2.2;
 /// How far ahead the expert looks for what blocks its lane, metres.
 const BLOCKED_SIGHT: f64 = 75.0;
+/// Nearer than this to what blocks its lane it no longer goes round it, metres: the wheels would have to be turned harder
+/// than nuPlan's tracker follows from a standstill.
+const ROOM_TO_GO_ROUND: f64 = 8.0;
 /// How far ahead it looks for what it can pass within its lane, metres.
 const NUDGE_SIGHT: f64 = 35.0;
 /// A lead slower than this share of the allowed speed is worth passing.
@@ -87,8 +99,9 @@ impl Expert {
         }
         let nudge = match blocked(traffic) {
             Some(Obstacle::Lane(at)) => {
-                if let Some(left) = better_side(traffic) {
-                    return Wish::Change { left, within: at - ego.front_s() };
+                let within = at - ego.front_s();
+                if let Some(left) = better_side(traffic).filter(|_| within > ROOM_TO_GO_ROUND) {
+                    return Wish::Change { left, within };
                 }
                 0.0
             }

@@ -1,8 +1,8 @@
 //! Intersections: clusters of connectors that cross, and the union of their areas.
 //!
 //! Connectors belong together when they cross, leave the same lane or enter the same one; a cluster in which none cross (a fork
-//! of a freeway, a right turn) is no intersection. Holes of the union are filled, unless a road edge runs through one: then it is the island
-//! of a roundabout, and the connectors' areas stand for the intersection one by one.
+//! of a freeway, a right turn) is no intersection, unless the source says so. Holes of the union are filled, unless a road edge
+//! runs through one: then it is the island of a roundabout, and the connectors' areas stand for the intersection one by one.
 
 use super::lanes::RecordedLane;
 use super::trace::{Segments, Trace};

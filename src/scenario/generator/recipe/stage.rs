@@ -72,6 +72,7 @@ pub(super) fn temper(dice: &mut Dice) -> Temper {
         gap_margin: mix(2.5, 0.8),
         jerk: mix(2.5, 6.0),
         hardest: 7.0,
+        steering: None,
     }
 }
 

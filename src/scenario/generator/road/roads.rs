@@ -70,6 +70,11 @@ impl Roads {
         }
         let way = way.iter().map(|&road| network.roads[road].forward.clone()).collect();
         network.parts.name = name;
+        // One number names one thing, whichever layer it lies in, as in nuPlan's maps: roadblocks count on behind the lanes.
+        let lanes = network.parts.lanes.len() as i64;
+        for block in &mut network.parts.roadblocks {
+            block.source_id += lanes;
+        }
         let map = Arc::new(LaneMap::new(network.parts.with_roadblocks_as_road())?);
         Ok(Self { map, passages: network.passages, signals: network.signals, way, facts })
     }

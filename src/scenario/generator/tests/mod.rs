@@ -1,5 +1,6 @@
 //! What must hold for every generated drive.
 
+mod contract;
 mod distribution;
 mod drives;
 mod maps;

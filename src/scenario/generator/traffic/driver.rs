@@ -1,9 +1,9 @@
 //! What a driver does about everything ahead: the intelligent driver model against whatever is nearest in time.
 
 use super::right_of_way::Claims;
-use super::{Body, Mover, Traffic};
+use super::{Body, Mover, Steering, Traffic};
 use crate::dynamics::Lead;
-use crate::world::TrafficLights;
+use crate::world::{PACIFICA, TrafficLights};
 
 /// Clearance to the side under which something counts as in the way, metres.
 const SIDE_MARGIN: f64 = 0.25;
@@ -11,6 +11,8 @@ const SIDE_MARGIN: f64 = 0.25;
 const SIDE_LOOKAHEAD: f64 = 1.0;
 /// Where to stand before a stop line or a yield line, metres.
 const BEFORE_LINE: f64 = 0.8;
+/// Deceleration with which a driver slows down towards what its own path asks for, m/s².
+const ANTICIPATION: f64 = 0.9;
 /// Where to stand before a pedestrian's way, metres.
 const BEFORE_WALKER: f64 = 1.8;
 
@@ -55,7 +57,25 @@ impl Traffic<'_> {
 impl Mover {
     /// Speed that the driver wants here, m/s.
     fn desired_speed(&self) -> f64 {
-        (self.track.allowed_at(self.s) * self.temper.haste).min(self.ceiling)
+        let by_path = self.temper.steering.map_or(f64::INFINITY, |steering| self.steerable_speed(steering));
+        (self.track.allowed_at(self.s) * self.temper.haste).min(self.ceiling).min(by_path)
+    }
+
+    /// Speed from which this vehicle can slow down comfortably to what its path allows within these bounds, m/s.
+    fn steerable_speed(&self, steering: Steering) -> f64 {
+        /// How far ahead the path is looked at, metres, and in which steps.
+        const AHEAD: usize = 30;
+        const STEP: f64 = 1.0;
+        let angle = |k: usize| (PACIFICA.wheel_base * self.path_curvature(self.s + (k as f64 - 1.0) * STEP)).atan();
+        let angles: Vec<f64> = (0..=AHEAD + 2).map(angle).collect();
+        let allowed = angles.windows(3).enumerate().map(|(k, window)| {
+            let curvature = window[1].tan() / PACIFICA.wheel_base;
+            let turned_per_metre = (window[2] - window[0]) / (2.0 * STEP);
+            let by_rate = steering.rate / turned_per_metre.abs().max(1e-6);
+            let by_lateral = (steering.lateral / curvature.abs().max(1e-6)).sqrt();
+            (by_rate.min(by_lateral).powi(2) + 2.0 * ANTICIPATION * k as f64 * STEP).sqrt()
+        });
+        allowed.fold(f64::INFINITY, f64::min)
     }
 
     /// Acceleration on a free road.

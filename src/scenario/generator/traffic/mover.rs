@@ -25,6 +25,17 @@ pub(crate) struct Temper {
     pub(crate) jerk: f64,
     /// Hardest braking, m/s².
     pub(crate) hardest: f64,
+    /// How it takes the bends of its own path; `None` where only the road's bends slow it down.
+    pub(crate) steering: Option<Steering>,
+}
+
+/// How calmly somebody steers: the speed goes down before the wheel would have to be turned faster.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Steering {
+    /// Largest rate of the front wheels' angle, rad/s.
+    pub(crate) rate: f64,
+    /// Largest lateral acceleration on the path, m/s².
+    pub(crate) lateral: f64,
 }
 
 impl Temper {
@@ -171,6 +182,18 @@ impl Mover {
         let along = 1.0 - self.track.curvature_at(self.s) * lateral;
         let moved = base.translated(0.0, lateral);
         Pose::new(moved.x, moved.y, wrap_angle(base.heading + slope.atan2(along)))
+    }
+
+    /// Heading of its path at arc length `s` of its track, radians, not wrapped.
+    pub(crate) fn heading_at(&self, s: f64) -> f64 {
+        let (lateral, slope) = self.shift.at(s);
+        self.track.pose_at(s).heading + slope.atan2(1.0 - self.track.curvature_at(s) * lateral)
+    }
+
+    /// Curvature of its path at arc length `s` of its track, 1/m: by the headings a little before and after.
+    pub(crate) fn path_curvature(&self, s: f64) -> f64 {
+        const SPAN: f64 = 1.2;
+        wrap_angle(self.heading_at(s + SPAN) - self.heading_at(s - SPAN)) / (2.0 * SPAN)
     }
 
     /// Its box.

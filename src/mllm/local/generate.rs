@@ -5,8 +5,9 @@ use std::time::Instant;
 use candle_core::Tensor;
 use toktrie::SimpleVob;
 
-use super::model::{LlavaModel, Sequence};
+use super::sequence::Sequence;
 use super::session::milliseconds;
+use super::vlm::VisionLanguageModel;
 use crate::mllm::decoder::Logits;
 use crate::mllm::sampling::Sampler;
 use crate::mllm::text::GrammarState;
@@ -29,9 +30,20 @@ pub(super) struct Generated {
     pub(super) first_token: f64,
 }
 
+/// Where an answer ends.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct End<'a> {
+    /// The tokens that end it.
+    pub(super) tokens: &'a [u32],
+    /// Most tokens of the answer.
+    pub(super) max_new_tokens: usize,
+    /// Most tokens of the chat.
+    pub(super) context: usize,
+}
+
 /// What is being generated.
 struct Generation<'a> {
-    model: &'a LlavaModel,
+    model: &'a dyn VisionLanguageModel,
     sequence: &'a mut Sequence,
     features: Option<&'a Tensor>,
     /// Tokens that the model has not computed yet: the rest of the prompt, then what was appended since. Forced tokens
@@ -48,19 +60,21 @@ struct Generation<'a> {
 /// When the constraint cannot be followed, or the model computes something that is not finite.
 #[expect(clippy::too_many_arguments, reason = "one call, and each argument is of another kind")]
 pub(super) fn generate(
-    model: &LlavaModel,
+    model: &dyn VisionLanguageModel,
     sequence: &mut Sequence,
     features: Option<&Tensor>,
     prompt: &[u32],
     mut grammar: Option<GrammarState>,
     mut sampler: Sampler,
-    end_tokens: &[u32],
-    max_new_tokens: usize,
+    end: &End<'_>,
     start: Instant,
 ) -> Result<Generated, MllmError> {
-    let room = model.config().text.context.saturating_sub(sequence.ids().len() + prompt.len());
-    let (budget, at_budget) =
-        if max_new_tokens <= room { (max_new_tokens, FinishReason::Length) } else { (room, FinishReason::ContextFull) };
+    let room = end.context.saturating_sub(sequence.ids().len() + prompt.len());
+    let (budget, at_budget) = if end.max_new_tokens <= room {
+        (end.max_new_tokens, FinishReason::Length)
+    } else {
+        (room, FinishReason::ContextFull)
+    };
     let mut generation = Generation {
         model,
         sequence,
@@ -97,7 +111,7 @@ pub(super) fn generate(
             Some(token) => (token, false),
             None => (generation.choose(&mut sampler, allowed.as_ref())?, true),
         };
-        if end_tokens.contains(&token) {
+        if end.tokens.contains(&token) {
             generation.out.finish = FinishReason::EndOfSequence;
             break;
         }
@@ -117,7 +131,7 @@ impl Generation<'_> {
     /// Computes what is pending and lets the sampler choose.
     fn choose(&mut self, sampler: &mut Sampler, allowed: Option<&SimpleVob>) -> Result<u32, MllmError> {
         let pass_start = Instant::now();
-        let logits = self.model.append(self.sequence, &self.pending, self.features, Logits::Last)?;
+        let logits = self.sequence.append(self.model, &self.pending, self.features, Logits::Last)?;
         self.pending.clear();
         if self.passes == 0 {
             self.out.prefill = milliseconds(pass_start);
@@ -130,7 +144,7 @@ impl Generation<'_> {
         };
         let position = self.sequence.ids().len().saturating_sub(1);
         // An answer has no image of its own, so the placeholder of one is no word of it.
-        sampler.choose(logits, allowed, self.model.config().image_token, position)
+        sampler.choose(logits, allowed, self.model.facts().image_token, position)
     }
 
     fn push_free(&mut self, token: u32) {

@@ -1,22 +1,21 @@
-//! `config.json` of a `LlavaForConditionalGeneration` checkpoint.
+//! `config.json` of a `LlavaForConditionalGeneration` checkpoint, and what LLaVA-NeXT's has in common with it.
 //!
-//! Absent keys take the defaults of Hugging Face transformers' `LlavaConfig`, `CLIPVisionConfig` and `LlamaConfig`.
+//! Absent keys take the defaults of Hugging Face transformers' `LlavaConfig`, `CLIPVisionConfig`, `LlamaConfig` and
+//! `MistralConfig`.
 
 use std::path::Path;
 
 use serde_json::{Map, Value};
 
-use super::clip_config::{CLIP_BASE, ClipVisionConfig, LLAVA_TOWER};
-use super::llama_config::LlamaConfig;
-use super::section::Section;
 use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{Activation, CLIP_BASE, ClipVisionConfig, LLAVA_TOWER, LlamaConfig, Section};
 
 /// A LLaVA model: which vision tower, which decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LlavaConfig {
     /// The CLIP vision tower.
     pub vision: ClipVisionConfig,
-    /// The Llama decoder.
+    /// The decoder.
     pub text: LlamaConfig,
     /// Token id that stands for an image patch in the prompt.
     pub image_token: u32,
@@ -42,21 +41,6 @@ pub(crate) enum FeatureSelect {
     Full,
 }
 
-/// Activation functions by their names in Hugging Face configurations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Activation {
-    /// `gelu`: with the error function.
-    Gelu,
-    /// `gelu_new`, `gelu_pytorch_tanh`: with tanh.
-    GeluTanh,
-    /// `quick_gelu`: x·σ(1.702 x).
-    QuickGelu,
-    /// `relu`.
-    Relu,
-    /// `silu`, `swish`.
-    Silu,
-}
-
 impl LlavaConfig {
     /// Reads a configuration; `path` is for messages.
     ///
@@ -66,12 +50,6 @@ impl LlavaConfig {
         let empty = Map::new();
         let root = Section::root(path, value)?;
         let absent = Value::Object(empty);
-        match root.text("model_type")? {
-            None | Some("llava") => {}
-            Some(other) => {
-                return Err(root.error("model_type", format!("{other:?} is not supported; llava is")));
-            }
-        }
         let vision = match root.section("vision_config", "vision_config.")? {
             Some(section) => ClipVisionConfig::from_section(&section, &CLIP_BASE)?,
             None => ClipVisionConfig::from_section(&Section::root(path, &absent)?, &LLAVA_TOWER)?,
@@ -108,7 +86,7 @@ impl LlavaConfig {
         Ok(Self {
             feature_layers: feature_layers(&root, vision.layers)?,
             feature_select,
-            projector_act: activation(&root, "projector_hidden_act", Activation::Gelu)?,
+            projector_act: Activation::from_section(&root, "projector_hidden_act", Activation::Gelu)?,
             projector_bias: root.flag("multimodal_projector_bias", true)?,
             tie_word_embeddings: root.flag("tie_word_embeddings", false)?
                 || text_section.flag("tie_word_embeddings", false)?,
@@ -118,7 +96,7 @@ impl LlavaConfig {
         })
     }
 
-    /// Tokens that one image becomes.
+    /// Tokens that one image, or one tile of it, becomes.
     pub(crate) fn image_tokens(&self) -> usize {
         let class_token = usize::from(self.feature_select == FeatureSelect::Full);
         self.vision.patches() + class_token
@@ -141,19 +119,6 @@ fn feature_layers(root: &Section<'_>, layers: usize) -> Result<Vec<usize>, MllmE
         None => Ok(vec![resolve(&Value::from(-2))?]),
         Some(Value::Array(values)) if !values.is_empty() => values.iter().map(resolve).collect(),
         Some(value) => Ok(vec![resolve(value)?]),
-    }
-}
-
-/// Reads an activation by its name.
-pub(super) fn activation(section: &Section<'_>, key: &str, default: Activation) -> Result<Activation, MllmError> {
-    match section.text(key)? {
-        None => Ok(default),
-        Some("gelu") => Ok(Activation::Gelu),
-        Some("gelu_new" | "gelu_pytorch_tanh") => Ok(Activation::GeluTanh),
-        Some("quick_gelu") => Ok(Activation::QuickGelu),
-        Some("relu") => Ok(Activation::Relu),
-        Some("silu" | "swish") => Ok(Activation::Silu),
-        Some(other) => Err(section.error(key, format!("activation {other:?} is not supported"))),
     }
 }
 

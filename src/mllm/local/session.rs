@@ -1,12 +1,13 @@
-//! A conversation with a LLaVA model.
+//! A conversation with a model.
 
 use std::time::Instant;
 
 use candle_core::Tensor;
 
-use super::Llava;
-use super::generate::{Generated, generate};
-use super::model::Sequence;
+use super::LocalModel;
+use super::generate::{End, Generated, generate};
+use super::sequence::Sequence;
+use super::vlm::Chat;
 use crate::mllm::sampling::{Sampler, answer_seed};
 use crate::mllm::{
     Answer, Constraint, Conversation, Mark, MllmError, Opening, Request, RoundTime, TokenCounts, Turn, prompt_hash,
@@ -17,9 +18,11 @@ use crate::mllm::{
 /// Each round renders the whole chat with the model's template and compares the tokens with those already computed: what
 /// agrees is kept, the rest is computed. So the template decides alone what the model reads, and rounds, rewinds and
 /// the system prompt cost nothing twice.
-pub(super) struct LlavaConversation<'a> {
-    llava: &'a Llava,
+pub(super) struct LocalConversation<'a> {
+    local: &'a LocalModel,
     opening: Opening,
+    /// Tokens that the opening's image becomes; none without one.
+    image_tokens: Option<usize>,
     seed: u64,
     answers: u64,
     turns: Vec<Turn>,
@@ -29,19 +32,22 @@ pub(super) struct LlavaConversation<'a> {
     opening_time: f64,
 }
 
-impl<'a> LlavaConversation<'a> {
+impl<'a> LocalConversation<'a> {
     /// Opens a conversation and computes or fetches what stands before the image.
     ///
     /// # Errors
-    /// When the template refuses the opening, or the system prompt is longer than the context.
-    pub(super) fn open(llava: &'a Llava, opening: &Opening, seed: u64) -> Result<Self, MllmError> {
+    /// When the template refuses the opening, the image cannot be used, or the system prompt is longer than the context.
+    pub(super) fn open(local: &'a LocalModel, opening: &Opening, seed: u64) -> Result<Self, MllmError> {
         let start = Instant::now();
-        let prefix = llava.call_prefix(&opening.system, opening.image.is_some())?;
-        let mut sequence = llava.model.new_sequence();
+        let image_tokens =
+            opening.image.as_ref().map(|image| local.model.image_tokens(image.width(), image.height())).transpose()?;
+        let prefix = local.call_prefix(&opening.system, image_tokens)?;
+        let mut sequence = Sequence::new(&*local.model);
         sequence.restore(&prefix.sequence)?;
         Ok(Self {
-            llava,
+            local,
             opening: opening.clone(),
+            image_tokens,
             seed,
             answers: 0,
             turns: Vec::new(),
@@ -53,38 +59,36 @@ impl<'a> LlavaConversation<'a> {
 
     /// Encodes the image if a token of it is to be computed and it is not encoded yet.
     fn encode_image(&mut self, ids: &[u32]) -> Result<(), MllmError> {
-        let config = self.llava.model.config();
-        if self.features.is_some() || !ids.contains(&config.image_token) {
+        if self.features.is_some() || !ids.contains(&self.local.model.facts().image_token) {
             return Ok(());
         }
-        let Some(image) = &self.opening.image else {
-            return Ok(());
-        };
-        let pixels = self.llava.processor.process(image, config.vision.image_size)?;
-        self.features = Some(self.llava.model.encode_image(&pixels)?);
+        if let Some(image) = &self.opening.image {
+            self.features = Some(self.local.model.encode_image(image)?);
+        }
         Ok(())
     }
 
     fn decode(&self, request: &Request, ids: &[u32]) -> Result<String, MllmError> {
         match request.constraint {
-            Constraint::Free => self.llava.tokenizer.decode(ids),
+            Constraint::Free => self.local.tokenizer.decode(ids),
             // The constraint is on the bytes of the tokens, so these are the answer.
-            _ => Ok(self.llava.tokenizer.decode_verbatim(ids)),
+            _ => Ok(self.local.tokenizer.decode_verbatim(ids)),
         }
     }
 }
 
-impl Conversation for LlavaConversation<'_> {
+impl Conversation for LocalConversation<'_> {
     fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError> {
         let start = Instant::now();
-        let llava = self.llava;
-        let config = llava.model.config();
+        let local = self.local;
+        let image_token = local.model.facts().image_token;
+        let context = local.model.context(self.image_tokens.unwrap_or(0));
         let sampler = Sampler::new(request.sampling, answer_seed(self.seed, self.answers))?;
-        let grammar = llava.grammars.begin(&request.constraint)?;
-        let image = self.opening.image.is_some();
-        let ids = llava.prompt_ids(&self.opening.system, image, &self.turns, prompt)?;
-        if ids.len() >= config.text.context {
-            return Err(MllmError::PromptTooLong { tokens: ids.len(), context: config.text.context });
+        let grammar = local.grammars.begin(&request.constraint)?;
+        let chat = Chat { system: &self.opening.system, image_tokens: self.image_tokens, turns: &self.turns, prompt };
+        let ids = local.prompt_ids(&chat)?;
+        if ids.len() >= context {
+            return Err(MllmError::PromptTooLong { tokens: ids.len(), context });
         }
         let agree = self.sequence.ids().iter().zip(&ids).take_while(|(a, b)| a == b).count();
         // The last token is always computed: its logits choose the first word of the answer.
@@ -97,16 +101,15 @@ impl Conversation for LlavaConversation<'_> {
         self.encode_image(rest)?;
         let image_encode = if self.features.is_some() && !encoded_before { milliseconds(encode_start) } else { 0.0 };
 
-        let image_tokens = rest.iter().filter(|id| **id == config.image_token).count();
+        let image_tokens = rest.iter().filter(|id| **id == image_token).count();
         let generated: Generated = generate(
-            &llava.model,
+            &*local.model,
             &mut self.sequence,
             self.features.as_ref(),
             rest,
             grammar,
             sampler,
-            &llava.end_tokens,
-            request.max_new_tokens,
+            &End { tokens: &local.end_tokens, max_new_tokens: request.max_new_tokens, context },
             start,
         )?;
         let text = self.decode(request, &generated.ids)?;

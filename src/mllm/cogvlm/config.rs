@@ -1,0 +1,192 @@
+//! `config.json` of a `CogVLMForCausalLM` checkpoint of the first version (`THUDM/cogvlm-chat-hf` and its kin).
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{Activation, LlamaConfig, Section};
+
+/// A `CogVLM` model.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct CogVlmConfig {
+    /// The EVA2-CLIP vision tower.
+    pub vision: EvaVisionConfig,
+    /// The decoder, as wide and deep as each of its two experts.
+    pub text: LlamaConfig,
+    /// The token that a chat begins with.
+    pub bos: u32,
+    /// How answers are asked for.
+    pub style: AnswerStyle,
+    /// Whether the output layer may share the embedding's weights.
+    pub tie_word_embeddings: bool,
+}
+
+/// An EVA2-CLIP vision tower (`CogVLMVisionConfig`); the defaults are those of `cogvlm-chat-hf`.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct EvaVisionConfig {
+    /// Width of the hidden states.
+    pub hidden: usize,
+    /// Width of the feed-forward layers.
+    pub intermediate: usize,
+    /// Number of layers.
+    pub layers: usize,
+    /// Number of attention heads.
+    pub heads: usize,
+    /// Side of the image, pixels.
+    pub image_size: usize,
+    /// Side of a patch, pixels.
+    pub patch_size: usize,
+    /// Activation of the feed-forward layers.
+    pub act: Activation,
+    /// Epsilon of the layer norms.
+    pub layer_norm_eps: f64,
+}
+
+/// What a question ends with (`template_version`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum AnswerStyle {
+    /// `chat`: `Answer:`.
+    Chat,
+    /// `vqa`: `Short answer:`.
+    Short,
+}
+
+/// Largest image side, pixels: beyond it a configuration is taken for broken.
+const MAX_IMAGE_SIZE: usize = 8192;
+
+impl CogVlmConfig {
+    /// Reads a configuration; `path` is for messages.
+    ///
+    /// # Errors
+    /// When a key has the wrong type or range, is unsupported, or contradicts another.
+    pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
+        let root = Section::root(path, value)?;
+        if root.get("num_multi_query_heads").is_some() {
+            return Err(root.error(
+                "num_multi_query_heads",
+                "this is CogVLM2, another architecture; the first version is supported".into(),
+            ));
+        }
+        let text = LlamaConfig::from_cogvlm_section(&root)?;
+        let style = match root.text("template_version")? {
+            None | Some("chat") => AnswerStyle::Chat,
+            Some("vqa") => AnswerStyle::Short,
+            Some(other) => {
+                return Err(root.error(
+                    "template_version",
+                    format!("{other:?} is not supported: it has no form for a chat; chat and vqa are"),
+                ));
+            }
+        };
+        let absent = Value::Object(serde_json::Map::new());
+        let vision = match root.section("vision_config", "vision_config.")? {
+            Some(section) => EvaVisionConfig::from_section(&section)?,
+            None => EvaVisionConfig::from_section(&Section::root(path, &absent)?)?,
+        };
+        let bos = root.token_ids("bos_token_id")?.first().copied().unwrap_or(1);
+        if bos as usize >= text.vocabulary {
+            return Err(root.error("bos_token_id", format!("{bos} lies outside the vocabulary of {}", text.vocabulary)));
+        }
+        let tie_word_embeddings = root.flag("tie_word_embeddings", false)?;
+        Ok(Self { vision, text, bos, style, tie_word_embeddings })
+    }
+
+    /// Tokens that an image becomes: its patches between a beginning and an end.
+    pub(crate) fn image_tokens(&self) -> usize {
+        self.vision.patches() + 2
+    }
+}
+
+impl EvaVisionConfig {
+    fn from_section(section: &Section<'_>) -> Result<Self, MllmError> {
+        let config = Self {
+            hidden: section.count("hidden_size", 1792)?,
+            intermediate: section.count("intermediate_size", 15_360)?,
+            layers: section.count("num_hidden_layers", 63)?,
+            heads: section.count("num_heads", 16)?,
+            image_size: section.count("image_size", 490)?,
+            patch_size: section.count("patch_size", 14)?,
+            act: Activation::from_section(section, "hidden_act", Activation::Gelu)?,
+            layer_norm_eps: section.positive("layer_norm_eps", 1e-6)?,
+        };
+        if section.count("in_channels", 3)? != 3 {
+            return Err(section.error("in_channels", "only 3 (RGB) is supported".into()));
+        }
+        if !config.hidden.is_multiple_of(config.heads) {
+            return Err(
+                section.error("hidden_size", format!("{} is no multiple of {} heads", config.hidden, config.heads))
+            );
+        }
+        if config.image_size > MAX_IMAGE_SIZE {
+            return Err(section.error("image_size", format!("at most {MAX_IMAGE_SIZE}")));
+        }
+        if config.patch_size > config.image_size {
+            return Err(section
+                .error("patch_size", format!("{} exceeds the image size {}", config.patch_size, config.image_size)));
+        }
+        let positions = config.patches() + 1;
+        let named = section.count("num_positions", positions)?;
+        if named != positions {
+            return Err(section.error(
+                "num_positions",
+                format!("{named}, but {} patches and a class token make {positions}", config.patches()),
+            ));
+        }
+        Ok(config)
+    }
+
+    /// Patches of an image.
+    pub(crate) fn patches(&self) -> usize {
+        let side = self.image_size / self.patch_size;
+        side * side
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn parse(value: &Value) -> Result<CogVlmConfig, MllmError> {
+        CogVlmConfig::from_json(Path::new("config.json"), value)
+    }
+
+    #[test]
+    fn the_configuration_of_cogvlm_chat_is_read() {
+        let config = parse(&json!({
+            "architectures": ["CogVLMForCausalLM"], "bos_token_id": 1, "eos_token_id": 2, "hidden_act": "silu",
+            "hidden_size": 4096, "intermediate_size": 11008, "max_position_embeddings": 2048,
+            "num_attention_heads": 32, "num_hidden_layers": 32, "pad_token_id": 0, "rms_norm_eps": 1e-05,
+            "template_version": "chat", "tie_word_embeddings": false, "vocab_size": 32000,
+            "vision_config": {"dropout_prob": 0.0, "hidden_act": "gelu", "in_channels": 3, "num_hidden_layers": 63,
+                "hidden_size": 1792, "patch_size": 14, "num_heads": 16, "intermediate_size": 15360,
+                "layer_norm_eps": 1e-06, "num_positions": 1226, "image_size": 490},
+        }))
+        .unwrap();
+        assert_eq!((config.image_tokens(), config.text.context, config.text.head_dim), (1227, 2048, 128));
+        assert_eq!((config.bos, config.style), (1, AnswerStyle::Chat));
+        // The defaults are this model's.
+        assert_eq!(parse(&json!({})).unwrap(), config);
+    }
+
+    #[test]
+    fn other_kinds_are_refused_by_name() {
+        for (key, value) in [
+            ("num_multi_query_heads", json!({"num_multi_query_heads": 8})),
+            ("template_version", json!({"template_version": "base"})),
+            ("bos_token_id", json!({"bos_token_id": 32_000})),
+            ("vision_config.num_positions", json!({"vision_config": {"image_size": 224}, "num_positions": 3})),
+            ("vision_config.hidden_size", json!({"vision_config": {"num_heads": 15}})),
+        ] {
+            let mut value = value;
+            if key.ends_with("num_positions") {
+                value["vision_config"]["num_positions"] = json!(1226);
+            }
+            match parse(&value) {
+                Err(MllmError::Config { key: found, .. }) => assert_eq!(found, key),
+                other => panic!("{key}: {other:?}"),
+            }
+        }
+    }
+}

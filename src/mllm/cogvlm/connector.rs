@@ -1,0 +1,53 @@
+//! The adapter from the vision tower to the decoder: a gated linear unit, and learned rows around the image.
+
+use candle_core::{Result, Tensor};
+
+use super::config::CogVlmConfig;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::Weights;
+use crate::mllm::decoder::{SwiGlu, SwiGluShape};
+use crate::mllm::layer_norm::LayerNorm;
+use crate::mllm::linear::Linear;
+
+/// Epsilon of the adapter's layer norm: the default of torch, which the model's code does not change.
+const NORM_EPS: f64 = 1e-5;
+
+/// The adapter of `CogVLM` (`linear_proj`, `boi`, `eoi`).
+#[derive(Debug)]
+pub(super) struct GluAdapter {
+    projection: Linear,
+    norm: LayerNorm,
+    glu: SwiGlu,
+    begin: Tensor,
+    end: Tensor,
+}
+
+impl GluAdapter {
+    /// Takes the adapter's weights.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(super) fn take(weights: &mut Weights, config: &CogVlmConfig) -> std::result::Result<Self, MllmError> {
+        const NAME: &str = "vision.linear_proj";
+        let hidden = config.text.hidden;
+        let shape = SwiGluShape {
+            names: ["gate_proj", "dense_h_to_4h", "dense_4h_to_h"],
+            hidden,
+            intermediate: config.text.intermediate,
+            bias: false,
+        };
+        Ok(Self {
+            projection: Linear::take(weights, &format!("{NAME}.linear_proj"), config.vision.hidden, hidden, false)?,
+            norm: LayerNorm::take(weights, &format!("{NAME}.norm1"), hidden, NORM_EPS)?,
+            glu: SwiGlu::take(weights, NAME, shape)?,
+            begin: weights.take("vision.boi", &[1, 1, hidden])?.squeeze(0)?,
+            end: weights.take("vision.eoi", &[1, 1, hidden])?.squeeze(0)?,
+        })
+    }
+
+    /// Maps (patches, tower width) to (2 + patches, decoder width).
+    pub(super) fn forward(&self, patches: &Tensor) -> Result<Tensor> {
+        let x = self.norm.forward(&self.projection.forward(patches)?)?.gelu_erf()?;
+        Tensor::cat(&[&self.begin, &self.glu.forward(&x)?, &self.end], 0)
+    }
+}

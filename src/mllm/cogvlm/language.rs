@@ -1,0 +1,142 @@
+//! The decoder with visual experts, and where the tokens of an image stand in it.
+
+use std::ops::Range;
+
+use candle_core::Tensor;
+use candle_nn::{Module, RmsNorm};
+
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{LlamaConfig, Weights};
+use crate::mllm::decoder::{CausalAttention, DecoderLayer, KvCache, Pass, SwiGlu, rms_norm};
+use crate::mllm::linear::Linear;
+
+/// Positions that an image takes: one for its beginning, one for all its patches, one for its end.
+pub(super) const IMAGE_POSITIONS: usize = 3;
+
+/// A Llama layer with two sets of matrices: text goes through one, the image through the other. Norms and attention are
+/// shared.
+#[derive(Debug)]
+pub(super) struct ExpertLayer {
+    input_norm: RmsNorm,
+    attention: CausalAttention,
+    post_norm: RmsNorm,
+    language: Expert,
+    vision: Expert,
+}
+
+/// The matrices of one expert.
+#[derive(Debug)]
+struct Expert {
+    qkv: Linear,
+    out: Linear,
+    mlp: SwiGlu,
+}
+
+impl Expert {
+    /// Takes the matrices of the expert `kind` (`language`, `vision`) of the layer called `name`.
+    fn take(weights: &mut Weights, config: &LlamaConfig, name: &str, kind: &str) -> Result<Self, MllmError> {
+        let queries = config.heads * config.head_dim;
+        let all = queries + 2 * config.kv_heads * config.head_dim;
+        let attention = format!("{name}.self_attn.{kind}_expert");
+        Ok(Self {
+            qkv: Linear::take(weights, &format!("{attention}_query_key_value"), config.hidden, all, false)?,
+            out: Linear::take(weights, &format!("{attention}_dense"), queries, config.hidden, false)?,
+            mlp: SwiGlu::take_mlp(weights, &format!("{name}.mlp.{kind}_mlp"), config)?,
+        })
+    }
+}
+
+impl ExpertLayer {
+    /// Applies a part of the vision expert to the rows of the image and of the language expert to the others.
+    fn route(
+        &self,
+        x: &Tensor,
+        vision: &Range<usize>,
+        part: impl Fn(&Expert, &Tensor) -> candle_core::Result<Tensor>,
+    ) -> candle_core::Result<Tensor> {
+        if vision.is_empty() {
+            return part(&self.language, x);
+        }
+        let spans = [
+            (&self.language, 0..vision.start),
+            (&self.vision, vision.clone()),
+            (&self.language, vision.end..x.dim(0)?),
+        ];
+        let routed = spans
+            .into_iter()
+            .filter(|(_, rows)| !rows.is_empty())
+            .map(|(expert, rows)| part(expert, &x.narrow(0, rows.start, rows.len())?))
+            .collect::<candle_core::Result<Vec<_>>>()?;
+        Tensor::cat(&routed, 0)
+    }
+}
+
+impl DecoderLayer for ExpertLayer {
+    fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError> {
+        Ok(Self {
+            input_norm: rms_norm(weights, &format!("{name}.input_layernorm"), config)?,
+            attention: CausalAttention::new(config),
+            post_norm: rms_norm(weights, &format!("{name}.post_attention_layernorm"), config)?,
+            language: Expert::take(weights, config, name, "language")?,
+            vision: Expert::take(weights, config, name, "vision")?,
+        })
+    }
+
+    fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
+        let normed = self.input_norm.forward(x)?;
+        let qkv = self.route(&normed, &pass.vision, |expert, rows| expert.qkv.forward(rows))?;
+        let mixed = self.attention.forward(&qkv, pass, cache)?;
+        let x = (x + self.route(&mixed, &pass.vision, |expert, rows| expert.out.forward(rows))?)?;
+        let normed = self.post_norm.forward(&x)?;
+        &x + self.route(&normed, &pass.vision, |expert, rows| expert.mlp.forward(rows))?
+    }
+}
+
+/// Positions of the tokens `tokens` of a chat whose image stands at `image` (empty for none): all patches share one
+/// (`build_position_ids` in the model's code).
+pub(super) fn positions(tokens: Range<usize>, image: &Range<usize>) -> Vec<u32> {
+    let position = |index: usize| {
+        if image.is_empty() || index <= image.start {
+            index
+        } else if index + 1 < image.end {
+            image.start + 1
+        } else {
+            (index + IMAGE_POSITIONS).saturating_sub(image.len())
+        }
+    };
+    tokens.map(|index| position(index) as u32).collect()
+}
+
+/// Which of the rows of the tokens `tokens` go through the vision expert: the image but its end, whose successor is text
+/// (`get_expert_mask` in the model's code).
+pub(super) fn vision_rows(tokens: &Range<usize>, image: &Range<usize>) -> Range<usize> {
+    let last = image.end.saturating_sub(1);
+    let begin = image.start.clamp(tokens.start, tokens.end);
+    let end = last.clamp(begin, tokens.end);
+    begin - tokens.start..end - tokens.start
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patches_share_a_position_and_text_goes_on_behind() {
+        // Begin 1, four patches 2 to 5, end 6.
+        let image = 1..7;
+        assert_eq!(positions(0..10, &image), [0, 1, 2, 2, 2, 2, 3, 4, 5, 6]);
+        assert_eq!(positions(4..8, &image), [2, 2, 3, 4]);
+        assert_eq!(positions(2..5, &(0..0)), [2, 3, 4]);
+    }
+
+    #[test]
+    fn the_end_of_the_image_is_text_to_the_experts() {
+        let image = 1..7;
+        assert_eq!(vision_rows(&(0..10), &image), 1..6);
+        assert_eq!(vision_rows(&(3..5), &image), 0..2);
+        assert_eq!(vision_rows(&(5..9), &image), 0..1);
+        assert!(vision_rows(&(6..9), &image).is_empty());
+        assert!(vision_rows(&(0..1), &image).is_empty());
+        assert!(vision_rows(&(0..5), &(0..0)).is_empty());
+    }
+}

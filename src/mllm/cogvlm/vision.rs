@@ -1,0 +1,97 @@
+//! The EVA2-CLIP vision transformer: norms stand behind each branch, and the last layer's output is used as it is.
+
+use candle_core::Tensor;
+
+use super::config::EvaVisionConfig;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{Activation, Weights};
+use crate::mllm::layer_norm::LayerNorm;
+use crate::mllm::linear::Linear;
+use crate::mllm::vision::{SelfAttention, unfold};
+
+/// The vision tower of `CogVLM`.
+#[derive(Debug)]
+pub(super) struct EvaVisionTower {
+    class_embedding: Tensor,
+    patch_embedding: Linear,
+    position_embedding: Tensor,
+    layers: Vec<Layer>,
+    patch_size: usize,
+}
+
+#[derive(Debug)]
+struct Layer {
+    attention: SelfAttention,
+    attention_norm: LayerNorm,
+    fc1: Linear,
+    act: Activation,
+    fc2: Linear,
+    mlp_norm: LayerNorm,
+}
+
+impl EvaVisionTower {
+    /// Takes the tower's weights.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(super) fn take(weights: &mut Weights, config: &EvaVisionConfig) -> Result<Self, MllmError> {
+        let (hidden, patch) = (config.hidden, config.patch_size);
+        let embeddings = "vision.patch_embedding";
+        let kernel = weights.take(&format!("{embeddings}.proj.weight"), &[hidden, 3, patch, patch])?;
+        let bias = weights.take(&format!("{embeddings}.proj.bias"), &[hidden])?;
+        Ok(Self {
+            class_embedding: weights.take(&format!("{embeddings}.cls_embedding"), &[1, hidden])?,
+            patch_embedding: Linear::from_matrix(&kernel.flatten_from(1)?, Some(bias))?,
+            position_embedding: weights
+                .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches() + 1, hidden])?,
+            layers: (0..config.layers)
+                .map(|index| Layer::take(weights, config, &format!("vision.transformer.layers.{index}")))
+                .collect::<Result<_, _>>()?,
+            patch_size: patch,
+        })
+    }
+
+    /// Encodes pixel values (3, side, side) to (patches, hidden), the class token left out.
+    pub(super) fn forward(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
+        let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
+        let mut x = (Tensor::cat(&[&self.class_embedding, &patches], 0)? + &self.position_embedding)?;
+        for layer in &self.layers {
+            x = layer.forward(&x)?;
+        }
+        x.narrow(0, 1, x.dim(0)? - 1)
+    }
+}
+
+#[cfg(test)]
+impl EvaVisionTower {
+    /// Leaves the last layer out.
+    pub(super) fn drop_last_layer(&mut self) {
+        self.layers.pop();
+    }
+}
+
+impl Layer {
+    fn take(weights: &mut Weights, config: &EvaVisionConfig, name: &str) -> Result<Self, MllmError> {
+        let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);
+        let attention = SelfAttention {
+            qkv: Linear::take(weights, &format!("{name}.attention.query_key_value"), hidden, 3 * hidden, true)?,
+            out: Linear::take(weights, &format!("{name}.attention.dense"), hidden, hidden, true)?,
+            heads: config.heads,
+        };
+        Ok(Self {
+            attention,
+            attention_norm: LayerNorm::take(weights, &format!("{name}.input_layernorm"), hidden, eps)?,
+            fc1: Linear::take(weights, &format!("{name}.mlp.fc1"), hidden, wide, true)?,
+            act: config.act,
+            fc2: Linear::take(weights, &format!("{name}.mlp.fc2"), wide, hidden, true)?,
+            mlp_norm: LayerNorm::take(weights, &format!("{name}.post_attention_layernorm"), hidden, eps)?,
+        })
+    }
+
+    /// x + norm(attention(x)), then x + norm(mlp(x)).
+    fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
+        let x = (x + self.attention_norm.forward(&self.attention.forward(x)?)?)?;
+        let wide = self.act.forward(&self.fc1.forward(&x)?)?;
+        &x + self.mlp_norm.forward(&self.fc2.forward(&wide)?)?
+    }
+}

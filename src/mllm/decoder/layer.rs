@@ -1,0 +1,103 @@
+//! What the layers of all decoders have in common.
+
+use std::ops::Range;
+
+use candle_core::Tensor;
+use candle_nn::RmsNorm;
+
+use super::cache::KvCache;
+use super::rotary::RotaryRows;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{LlamaConfig, Weights};
+use crate::mllm::linear::Linear;
+
+/// One layer of a decoder.
+pub(crate) trait DecoderLayer: Sized {
+    /// Takes the weights of the layer called `name`.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError>;
+
+    /// Maps rows (tokens, hidden) to as many, writing their keys and values to the cache.
+    fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor>;
+}
+
+/// A forward pass as a layer sees it.
+#[derive(Debug)]
+pub(crate) struct Pass {
+    /// Index of the layer.
+    pub layer: usize,
+    /// Angles of the rows' positions.
+    pub rotary: RotaryRows,
+    /// The rows that are parts of an image, for layers that treat them apart.
+    pub vision: Range<usize>,
+}
+
+/// The feed-forward part of a layer: `down(silu(gate(x)) · up(x))`. Gate and up projection are one matrix.
+#[derive(Debug)]
+pub(crate) struct SwiGlu {
+    gate_up: Linear,
+    down: Linear,
+}
+
+/// Names and widths of a [`SwiGlu`]'s matrices.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SwiGluShape<'a> {
+    /// Names of the gate, up and down projection.
+    pub names: [&'a str; 3],
+    /// Width of input and output.
+    pub hidden: usize,
+    /// Width between.
+    pub intermediate: usize,
+    /// Whether the projections have biases.
+    pub bias: bool,
+}
+
+impl SwiGlu {
+    /// Takes the weights that stand under `name`.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(crate) fn take(weights: &mut Weights, name: &str, shape: SwiGluShape<'_>) -> Result<Self, MllmError> {
+        let [gate, up, down] = shape.names.map(|part| format!("{name}.{part}"));
+        let wide = shape.intermediate;
+        Ok(Self {
+            gate_up: Linear::take_fused(weights, &[(gate, wide), (up, wide)], shape.hidden, shape.bias)?,
+            down: Linear::take(weights, &down, wide, shape.hidden, shape.bias)?,
+        })
+    }
+
+    /// Takes the weights of a decoder layer, which all families call alike.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(crate) fn take_mlp(weights: &mut Weights, name: &str, config: &LlamaConfig) -> Result<Self, MllmError> {
+        let shape = SwiGluShape {
+            names: ["gate_proj", "up_proj", "down_proj"],
+            hidden: config.hidden,
+            intermediate: config.intermediate,
+            bias: config.mlp_bias,
+        };
+        Self::take(weights, name, shape)
+    }
+
+    /// Applies it to (tokens, hidden).
+    pub(crate) fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
+        let gate_up = self.gate_up.forward(x)?;
+        let wide = gate_up.dim(1)? / 2;
+        // Contiguous halves: element-wise operations on strided rows are several times slower than the copy.
+        let gate = gate_up.narrow(1, 0, wide)?.contiguous()?;
+        let up = gate_up.narrow(1, wide, wide)?.contiguous()?;
+        self.down.forward(&(gate.silu()? * up)?)
+    }
+}
+
+/// Takes the RMS norm called `name`.
+///
+/// # Errors
+/// When it is missing or misshapen.
+pub(crate) fn rms_norm(weights: &mut Weights, name: &str, config: &LlamaConfig) -> Result<RmsNorm, MllmError> {
+    let weight = weights.take(&format!("{name}.weight"), &[config.hidden])?;
+    Ok(RmsNorm::new(weight, config.rms_norm_eps))
+}

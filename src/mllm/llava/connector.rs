@@ -1,0 +1,38 @@
+//! From the vision tower's states to rows of the decoder's input.
+
+use candle_core::{Result, Tensor};
+
+use super::config::LlavaConfig;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{Activation, Weights};
+use crate::mllm::linear::Linear;
+
+/// The projector of LLaVA: two linear layers with an activation between (`multi_modal_projector`).
+#[derive(Debug)]
+pub(crate) struct Projector {
+    linear1: Linear,
+    act: Activation,
+    linear2: Linear,
+}
+
+impl Projector {
+    /// Takes the projector's weights.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(crate) fn take(weights: &mut Weights, config: &LlavaConfig) -> std::result::Result<Self, MllmError> {
+        let hidden = config.text.hidden;
+        let features = config.vision.hidden * config.feature_layers.len();
+        let bias = config.projector_bias;
+        Ok(Self {
+            linear1: Linear::take(weights, "multi_modal_projector.linear_1", features, hidden, bias)?,
+            act: config.projector_act,
+            linear2: Linear::take(weights, "multi_modal_projector.linear_2", hidden, hidden, bias)?,
+        })
+    }
+
+    /// Maps (rows, tower width) to (rows, decoder width).
+    pub(crate) fn forward(&self, features: &Tensor) -> Result<Tensor> {
+        self.linear2.forward(&self.act.forward(&self.linear1.forward(features)?)?)
+    }
+}

@@ -1,0 +1,52 @@
+//! From pixel values to image features: CLIP tower, choice of its hidden states, projector.
+
+use candle_core::{D, Tensor};
+
+use super::config::{FeatureSelect, LlavaConfig};
+use super::connector::Projector;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::Weights;
+use crate::mllm::vision::ClipVisionTower;
+
+/// Vision tower and projector: pixels in, rows for the decoder's input out.
+#[derive(Debug)]
+pub(crate) struct ImageEncoder {
+    tower: ClipVisionTower,
+    feature_layers: Vec<usize>,
+    feature_select: FeatureSelect,
+    projector: Projector,
+}
+
+impl ImageEncoder {
+    /// Takes the weights of tower and projector.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(crate) fn take(weights: &mut Weights, config: &LlavaConfig) -> Result<Self, MllmError> {
+        let depth = config.feature_layers.iter().copied().max().unwrap_or(0);
+        Ok(Self {
+            tower: ClipVisionTower::take(weights, &config.vision, depth)?,
+            feature_layers: config.feature_layers.clone(),
+            feature_select: config.feature_select,
+            projector: Projector::take(weights, config)?,
+        })
+    }
+
+    /// Encodes pixel values (3, side, side) to (image tokens, decoder width).
+    pub(crate) fn encode(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
+        let states = self.tower.hidden_states(pixels)?;
+        let selected = self
+            .feature_layers
+            .iter()
+            .map(|index| {
+                let state =
+                    states.get(*index).ok_or_else(|| candle_core::Error::Msg(format!("no hidden state {index}")))?;
+                match self.feature_select {
+                    FeatureSelect::Default => state.narrow(0, 1, state.dim(0)? - 1),
+                    FeatureSelect::Full => Ok(state.clone()),
+                }
+            })
+            .collect::<candle_core::Result<Vec<_>>>()?;
+        self.projector.forward(&Tensor::cat(&selected, D::Minus1)?.contiguous()?)
+    }
+}

@@ -1,0 +1,33 @@
+//! From the features of tiles to those of the image.
+
+use candle_core::{Device, Result, Tensor};
+
+use super::grid::{TileGrids, Tiling};
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::Weights;
+
+/// Joins the tiles' features: puts them back into their grid, leaves the border out, and ends each row with a newline
+/// (`pack_image_features`).
+#[derive(Debug)]
+pub(crate) struct TilePacker {
+    /// The learned row that ends a line, (1, decoder width).
+    newline: Tensor,
+}
+
+impl TilePacker {
+    /// Takes the newline of decoder width `hidden`.
+    ///
+    /// # Errors
+    /// When it is missing or misshapen.
+    pub(crate) fn take(weights: &mut Weights, hidden: usize) -> std::result::Result<Self, MllmError> {
+        Ok(Self { newline: weights.take("image_newline", &[hidden])?.unsqueeze(0)? })
+    }
+
+    /// Packs features (patches, decoder width) of the whole image and of every tile to (image tokens, decoder width).
+    pub(crate) fn pack(&self, mut features: Vec<Tensor>, grids: &TileGrids, tiling: &Tiling) -> Result<Tensor> {
+        features.push(self.newline.clone());
+        let rows = grids.token_rows(tiling);
+        let count = rows.len();
+        Tensor::cat(&features, 0)?.index_select(&Tensor::from_vec(rows, count, &Device::Cpu)?, 0)
+    }
+}

@@ -1,0 +1,132 @@
+//! LLaVA 1.6, LLaVA-NeXT (Liu et al., "LLaVA-NeXT: Improved reasoning, OCR, and world knowledge"): a LLaVA that sees the
+//! image small and once more in tiles of a higher resolution.
+
+mod config;
+mod connector;
+mod grid;
+mod preprocess;
+
+#[cfg(test)]
+mod reference_tests;
+
+use std::path::Path;
+
+use candle_core::Tensor;
+use image::RgbImage;
+
+use config::LlavaNextConfig;
+use connector::TilePacker;
+use grid::{Resolution, TileGrids, Tiling};
+use preprocess::AnyresImageProcessor;
+
+use super::MllmError;
+use super::checkpoint::{Weights, read_required_json};
+use super::decoder::{KvCache, Logits};
+use super::llava::{LlavaCore, TemplateFormat};
+use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
+use super::text::ChatTokenizer;
+
+/// A LLaVA-NeXT model.
+#[derive(Debug)]
+pub(crate) struct LlavaNext {
+    core: LlavaCore,
+    packer: TilePacker,
+    grids: TileGrids,
+    processor: AnyresImageProcessor,
+    facts: ModelFacts,
+}
+
+impl LlavaNext {
+    /// Opens the configuration, the preprocessor and the weights of a folder.
+    ///
+    /// # Errors
+    /// When one of them is missing or broken.
+    pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
+        let config_json = read_required_json(folder, "config.json")?;
+        let config = LlavaNextConfig::from_json(&folder.join("config.json"), &config_json)?;
+        let processor = AnyresImageProcessor::open(folder, &config.grids, config.llava.vision.image_size as u32)?;
+        Self::take(&mut Weights::open(folder)?, config, processor)
+    }
+
+    /// Takes the weights of a configuration.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    fn take(
+        weights: &mut Weights,
+        config: LlavaNextConfig,
+        processor: AnyresImageProcessor,
+    ) -> Result<Self, MllmError> {
+        let before = weights.elements();
+        let core = LlavaCore::take(weights, config.llava)?;
+        let packer = TilePacker::take(weights, core.config.text.hidden)?;
+        let facts = ModelFacts {
+            architecture: Architecture::LlavaNext.name(),
+            image_token: core.config.image_token,
+            image_size: core.config.vision.image_size,
+            most_image_tokens: config.grids.most_tokens(),
+            vocabulary: core.config.text.vocabulary,
+            positions: core.config.text.context,
+            parameters: (before - weights.elements()) as u64,
+            blake3: weights.blake3().to_string(),
+        };
+        Ok(Self { core, packer, grids: config.grids, processor, facts })
+    }
+
+    /// Encodes pixel values (3, side, side) of the whole image and of each tile to (image tokens, decoder width).
+    fn encode_tiles(&self, pixels: &[Tensor], tiling: &Tiling) -> candle_core::Result<Tensor> {
+        let features =
+            pixels.iter().map(|pixels| self.core.encoder.encode(pixels)).collect::<candle_core::Result<Vec<_>>>()?;
+        self.packer.pack(features, &self.grids, tiling)
+    }
+}
+
+#[cfg(test)]
+impl LlavaNext {
+    /// A model of this configuration with random weights.
+    pub(crate) fn invented(config: &serde_json::Value) -> Self {
+        use super::vision::{Filter, PixelScale};
+        let config = LlavaNextConfig::from_json(Path::new("config.json"), config).unwrap();
+        let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
+        Self::take(&mut Weights::invented(7), config, processor).unwrap()
+    }
+}
+
+impl VisionLanguageModel for LlavaNext {
+    fn facts(&self) -> &ModelFacts {
+        &self.facts
+    }
+
+    fn context(&self, _image_tokens: usize) -> usize {
+        self.facts.positions
+    }
+
+    fn image_tokens(&self, width: u32, height: u32) -> Result<usize, MllmError> {
+        if width == 0 || height == 0 {
+            return Err(MllmError::Image { problem: "it has no pixels".into() });
+        }
+        Ok(self.grids.tokens(&self.grids.tiling(Resolution { height, width })))
+    }
+
+    fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
+        let tiling = self.grids.tiling(Resolution { height: image.height(), width: image.width() });
+        let pixels = self.processor.process(image, &tiling, self.facts.image_size as u32)?;
+        Ok(self.encode_tiles(&pixels, &tiling)?)
+    }
+
+    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
+        self.core.decoder.embed(ids)
+    }
+
+    fn new_cache(&self) -> KvCache {
+        self.core.new_cache()
+    }
+
+    fn forward(&self, rows: &PlacedRows, cache: &mut KvCache, wanted: Logits) -> candle_core::Result<Option<Tensor>> {
+        self.core.forward(rows, cache, wanted)
+    }
+
+    fn chat_format(&self, folder: &Path, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+        Ok(Box::new(TemplateFormat::open(folder, tokenizer, self.facts.image_token)?))
+    }
+}

@@ -1,0 +1,182 @@
+//! What the parity tests of all families share: reference files, and the ways to compute the same logits.
+
+use std::path::{Path, PathBuf};
+
+use candle_core::{Device, Tensor};
+
+use super::{Chat, LocalModel, Sequence, VisionLanguageModel};
+use crate::mllm::Turn;
+use crate::mllm::checkpoint::read_json;
+use crate::mllm::decoder::Logits;
+
+/// Largest difference of image features that the parity tests accept, as a part of the largest feature: torch's own f32
+/// results lie up to 1e-5 from its f64 ones where features reach 11 (`mllm_reference/llava_next`).
+pub(crate) const FEATURE_TOLERANCE: f32 = 1e-5;
+/// Largest difference of logits that the parity tests accept.
+pub(crate) const LOGIT_TOLERANCE: f32 = 1e-4;
+
+/// A folder of `tests/fixtures`.
+pub(crate) fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
+}
+
+/// A folder of the reference data that is not part of the package; says so when it is not there.
+pub(crate) fn shared_reference(name: &str) -> Option<PathBuf> {
+    let data = std::env::var_os("PLANAGENT_DATA")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
+    let folder = data.join("mllm_reference").join(name);
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    eprintln!("SKIPPED: no {} (set PLANAGENT_DATA to the data folder)", folder.display());
+    None
+}
+
+/// The tensors of a reference file.
+pub(crate) struct Reference(std::collections::HashMap<String, Tensor>);
+
+impl Reference {
+    pub(crate) fn open(path: &Path) -> Self {
+        Self(candle_core::safetensors::load(path, &Device::Cpu).unwrap())
+    }
+
+    pub(crate) fn tensor(&self, name: &str) -> &Tensor {
+        &self.0[name]
+    }
+
+    /// Token ids; a negative one stands for a token of the image.
+    pub(crate) fn ids(&self, name: &str, image_token: u32) -> Vec<u32> {
+        let ids = self.tensor(name).flatten_all().unwrap().to_vec1::<i64>().unwrap();
+        ids.into_iter().map(|id| if id < 0 { image_token } else { u32::try_from(id).unwrap() }).collect()
+    }
+}
+
+/// Largest difference of two tensors of as many elements.
+pub(crate) fn difference(found: &Tensor, expected: &Tensor) -> f32 {
+    let found = found.flatten_all().unwrap();
+    let expected = expected.flatten_all().unwrap();
+    assert_eq!(found.dims(), expected.dims());
+    let difference = (found - expected).unwrap().abs().unwrap().max(0).unwrap();
+    difference.to_scalar().unwrap()
+}
+
+/// Difference of image features as a part of the largest, or of 1.
+pub(crate) fn feature_difference(found: &Tensor, expected: &Tensor) -> f32 {
+    let largest = expected.abs().unwrap().flatten_all().unwrap().max(0).unwrap().to_scalar::<f32>().unwrap();
+    difference(found, expected) / largest.max(1.0)
+}
+
+/// The logits of all positions when the ids are appended in pieces.
+pub(crate) fn logits_in_pieces(
+    model: &dyn VisionLanguageModel,
+    ids: &[u32],
+    features: &Tensor,
+    pieces: &[usize],
+) -> Tensor {
+    let mut sequence = Sequence::new(model);
+    let mut rows = Vec::new();
+    let mut rest = ids;
+    for piece in pieces.iter().copied().chain([ids.len()]) {
+        let (now, later) = rest.split_at(piece.min(rest.len()));
+        rows.extend(sequence.append(model, now, Some(features), Logits::All).unwrap());
+        rest = later;
+    }
+    assert_eq!(sequence.ids(), ids);
+    Tensor::cat(&rows, 0).unwrap()
+}
+
+/// Greedy tokens that follow a sequence and `ids`.
+pub(crate) fn greedy(
+    model: &dyn VisionLanguageModel,
+    sequence: &mut Sequence,
+    ids: &[u32],
+    features: &Tensor,
+    count: usize,
+) -> Vec<u32> {
+    let mut tokens: Vec<u32> = Vec::new();
+    let mut next = ids.to_vec();
+    while tokens.len() < count {
+        let logits = sequence.append(model, &next, Some(features), Logits::Last).unwrap().unwrap();
+        let token = logits.argmax(1).unwrap().to_vec1::<u32>().unwrap()[0];
+        tokens.push(token);
+        next = vec![token];
+    }
+    tokens
+}
+
+/// Checks the logits of the last positions, as many as the reference has, in one piece, in several, token by token.
+pub(crate) fn assert_logits(model: &dyn VisionLanguageModel, ids: &[u32], features: &Tensor, expected: &Tensor) {
+    let one_by_one = vec![1; ids.len()];
+    for pieces in [&[][..], &[1], &[4, 3, 9], &[7, 12], &one_by_one] {
+        let logits = logits_in_pieces(model, ids, features, pieces);
+        let found = difference(&last_rows(&logits, expected), expected);
+        assert!(found < LOGIT_TOLERANCE, "in pieces of {pieces:?} the logits differ by {found}");
+    }
+}
+
+/// How far the logits of the whole prompt are from the reference.
+pub(crate) fn logits_deviation(
+    model: &dyn VisionLanguageModel,
+    ids: &[u32],
+    features: &Tensor,
+    expected: &Tensor,
+) -> f32 {
+    difference(&last_rows(&logits_in_pieces(model, ids, features, &[]), expected), expected)
+}
+
+fn last_rows(logits: &Tensor, expected: &Tensor) -> Tensor {
+    let vocabulary = logits.dims()[1];
+    let kept = expected.elem_count() / vocabulary;
+    logits.narrow(0, logits.dims()[0] - kept, kept).unwrap()
+}
+
+/// Checks greedy tokens, also after going back and from a copy.
+pub(crate) fn assert_greedy(model: &dyn VisionLanguageModel, ids: &[u32], features: &Tensor, expected: &[u32]) {
+    let mut sequence = Sequence::new(model);
+    let count = expected.len();
+    assert_eq!(greedy(model, &mut sequence, ids, features, count), expected);
+    // Going back and taking another way leaves no trace; 7 lies within an image that stands at the head.
+    sequence.truncate(7);
+    assert_eq!(greedy(model, &mut sequence, &ids[7..], features, count), expected);
+    let mut copy = Sequence::new(model);
+    sequence.truncate(20);
+    copy.restore(&sequence.to_prefix().unwrap()).unwrap();
+    assert_eq!(greedy(model, &mut copy, &ids[20..], features, count), expected);
+}
+
+/// Checks a complete folder: ids, features, logits and greedy tokens of the chat in its `prompts.json`.
+pub(crate) fn assert_chat(folder: &Path, rounds: &[&str]) {
+    let reference = Reference::open(&folder.join("reference.safetensors"));
+    let texts = read_json(&folder.join("prompts.json")).unwrap();
+    let text = |value: &serde_json::Value| value.as_str().unwrap().to_string();
+    let system = text(&texts["system"]);
+    let prompts = [text(&texts["prompts"][0]), text(&texts["prompts"][1])];
+    let local = LocalModel::open("tiny", folder).unwrap();
+    let model = &*local.model;
+
+    let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
+    let features = model.encode_image(&image).unwrap();
+    let image_tokens = model.image_tokens(image.width(), image.height()).unwrap();
+    assert_eq!(features.dims()[0], image_tokens);
+    let found = feature_difference(&features, reference.tensor("features"));
+    assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
+
+    let first = Turn { prompt: prompts[0].clone(), answer: text(&texts["first_answer"]) };
+    for name in rounds {
+        let (turns, prompt) = if *name == "chat_" { (vec![first.clone()], &prompts[1]) } else { (vec![], &prompts[0]) };
+        let image_tokens = (*name != "text_").then_some(image_tokens);
+        let ids = local.prompt_ids(&Chat { system: &system, image_tokens, turns: &turns, prompt }).unwrap();
+        assert_eq!(ids, reference.ids(&format!("{name}input_ids"), model.facts().image_token), "{name}");
+        assert_logits(model, &ids, &features, reference.tensor(&format!("{name}logits")));
+        if image_tokens.is_some() {
+            assert_greedy(model, &ids, &features, &reference.ids(&format!("{name}generated"), 0));
+        }
+    }
+}
+
+/// The image of noise and edges of `synthetic` in the generator scripts.
+pub(crate) fn synthetic(height: u32, width: u32) -> image::RgbImage {
+    image::RgbImage::from_fn(width, height, |x, y| {
+        image::Rgb([0, 1, 2].map(|c| ((x * 7 + y * 13 + c * 29 + (x * y) % 31 * 5 + (x ^ y)) % 256) as u8))
+    })
+}

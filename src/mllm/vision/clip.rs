@@ -1,0 +1,100 @@
+//! The CLIP vision transformer.
+
+use candle_core::Tensor;
+
+use super::attention::{SelfAttention, unfold};
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{Activation, ClipVisionConfig, Weights};
+use crate::mllm::layer_norm::LayerNorm;
+use crate::mllm::linear::Linear;
+
+/// A CLIP vision tower, as deep as its user needs it.
+#[derive(Debug)]
+pub(crate) struct ClipVisionTower {
+    class_embedding: Tensor,
+    patch_embedding: Linear,
+    position_embedding: Tensor,
+    pre_norm: LayerNorm,
+    layers: Vec<Layer>,
+    config: ClipVisionConfig,
+}
+
+#[derive(Debug)]
+struct Layer {
+    norm1: LayerNorm,
+    attention: SelfAttention,
+    norm2: LayerNorm,
+    fc1: Linear,
+    fc2: Linear,
+    act: Activation,
+}
+
+impl ClipVisionTower {
+    /// Takes the weights of the first `depth` layers, after checking that the others are there too.
+    ///
+    /// # Errors
+    /// When a tensor is missing or misshapen.
+    pub(crate) fn take(weights: &mut Weights, config: &ClipVisionConfig, depth: usize) -> Result<Self, MllmError> {
+        let hidden = config.hidden;
+        let patch = config.patch_size;
+        let embeddings = "vision_tower.embeddings";
+        let patch_kernel = weights.take(&format!("{embeddings}.patch_embedding.weight"), &[hidden, 3, patch, patch])?;
+        let mut layers = Vec::with_capacity(config.layers.min(depth));
+        for index in 0..config.layers {
+            let layer = Layer::take(weights, config, &format!("vision_tower.encoder.layers.{index}"))?;
+            if index < depth {
+                layers.push(layer);
+            }
+        }
+        Ok(Self {
+            class_embedding: weights.take(&format!("{embeddings}.class_embedding"), &[hidden])?.unsqueeze(0)?,
+            patch_embedding: Linear::from_matrix(&patch_kernel.flatten_from(1)?, None)?,
+            position_embedding: weights
+                .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches() + 1, hidden])?,
+            // The misspelling is CLIP's own and stands in every checkpoint.
+            pre_norm: LayerNorm::take(weights, "vision_tower.pre_layrnorm", hidden, config.layer_norm_eps)?,
+            layers,
+            config: config.clone(),
+        })
+    }
+
+    /// The hidden states of shape (1 + patches, hidden): of the embeddings, then after each layer.
+    ///
+    /// `pixels` has shape (3, side, side).
+    pub(crate) fn hidden_states(&self, pixels: &Tensor) -> candle_core::Result<Vec<Tensor>> {
+        let patches = self.patch_embedding.forward(&unfold(pixels, self.config.patch_size)?)?;
+        let embedded = (Tensor::cat(&[&self.class_embedding, &patches], 0)? + &self.position_embedding)?;
+        let mut states = vec![self.pre_norm.forward(&embedded)?];
+        for layer in &self.layers {
+            if let Some(last) = states.last() {
+                states.push(layer.forward(last)?);
+            }
+        }
+        Ok(states)
+    }
+}
+
+impl Layer {
+    fn take(weights: &mut Weights, config: &ClipVisionConfig, name: &str) -> Result<Self, MllmError> {
+        let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);
+        let qkv = ["q_proj", "k_proj", "v_proj"].map(|part| (format!("{name}.self_attn.{part}"), hidden));
+        Ok(Self {
+            norm1: LayerNorm::take(weights, &format!("{name}.layer_norm1"), hidden, eps)?,
+            attention: SelfAttention {
+                qkv: Linear::take_fused(weights, &qkv, hidden, true)?,
+                out: Linear::take(weights, &format!("{name}.self_attn.out_proj"), hidden, hidden, true)?,
+                heads: config.heads,
+            },
+            norm2: LayerNorm::take(weights, &format!("{name}.layer_norm2"), hidden, eps)?,
+            fc1: Linear::take(weights, &format!("{name}.mlp.fc1"), hidden, wide, true)?,
+            fc2: Linear::take(weights, &format!("{name}.mlp.fc2"), wide, hidden, true)?,
+            act: config.act,
+        })
+    }
+
+    fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
+        let x = (x + self.attention.forward(&self.norm1.forward(x)?)?)?;
+        let wide = self.act.forward(&self.fc1.forward(&self.norm2.forward(&x)?)?)?;
+        &x + self.fc2.forward(&wide)?
+    }
+}

@@ -1,0 +1,77 @@
+//! From 8-bit pixels to the numbers that a vision tower was trained on.
+
+use candle_core::{Device, Tensor};
+use image::RgbImage;
+
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::Section;
+
+/// Mean of the RGB channels that CLIP was trained with (`OPENAI_CLIP_MEAN` in transformers).
+const CLIP_MEAN: [f32; 3] = [0.481_454_66, 0.457_827_5, 0.408_210_73];
+/// Standard deviation of the RGB channels that CLIP was trained with (`OPENAI_CLIP_STD` in transformers).
+const CLIP_STD: [f32; 3] = [0.268_629_54, 0.261_302_6, 0.275_777_1];
+/// What takes an 8-bit channel to [0, 1].
+const UNIT: f64 = 1.0 / 255.0;
+
+/// Rescaling and normalising of pixel values.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct PixelScale {
+    rescale: Option<f64>,
+    /// Mean and standard deviation of the channels.
+    normalise: Option<([f32; 3], [f32; 3])>,
+}
+
+impl PixelScale {
+    /// To [0, 1], then by CLIP's mean and standard deviation.
+    pub(crate) const CLIP: Self = Self { rescale: Some(UNIT), normalise: Some((CLIP_MEAN, CLIP_STD)) };
+
+    /// Reads `do_rescale`, `rescale_factor`, `do_normalize`, `image_mean` and `image_std`; absent keys are CLIP's.
+    ///
+    /// # Errors
+    /// When a key has the wrong type or range.
+    pub(crate) fn from_section(section: &Section<'_>) -> Result<Self, MllmError> {
+        let rescale =
+            if section.flag("do_rescale", true)? { Some(section.positive("rescale_factor", UNIT)?) } else { None };
+        let normalise = if section.flag("do_normalize", true)? {
+            let std = section.triple("image_std", CLIP_STD)?;
+            if std.contains(&0.0) {
+                return Err(section.error("image_std", "must not be zero".into()));
+            }
+            Some((section.triple("image_mean", CLIP_MEAN)?, std))
+        } else {
+            None
+        };
+        Ok(Self { rescale, normalise })
+    }
+
+    /// Pixel values of shape (3, height, width).
+    pub(crate) fn values(&self, pixels: &RgbImage) -> candle_core::Result<Tensor> {
+        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+        let plane = width * height;
+        let mut values = vec![0f32; 3 * plane];
+        for (index, pixel) in pixels.pixels().enumerate() {
+            for (channel, value) in pixel.0.into_iter().enumerate() {
+                let mut value = match self.rescale {
+                    Some(factor) => (f64::from(value) * factor) as f32,
+                    None => f32::from(value),
+                };
+                if let Some((mean, std)) = self.normalise {
+                    value = (value - mean[channel]) / std[channel];
+                }
+                values[channel * plane + index] = value;
+            }
+        }
+        Tensor::from_vec(values, (3, height, width), &Device::Cpu)
+    }
+}
+
+/// Refuses an image without pixels.
+///
+/// # Errors
+/// When it has none.
+pub(crate) fn check_not_empty(image: &RgbImage) -> Result<(), MllmError> {
+    if image.width() == 0 || image.height() == 0 {
+        return Err(MllmError::Image { problem: "it has no pixels".into() });
+    }
+    Ok(())
+}

@@ -1,0 +1,216 @@
+//! Argoverse 2: the logs at hand open, their derived maps keep the rules, and driving as recorded complies.
+
+#![expect(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests are tests")]
+
+use planagent::experiment::nuplan_data::NuPlanData;
+use planagent::experiment::source::ScenarioSource;
+use planagent::geometry::wrap_angle;
+use planagent::metrics::{self, MetricName};
+use planagent::planner::{IdmPlanner, LogReplay, Planner};
+use planagent::scenario::Scenario;
+use planagent::scenario::argoverse2::{self, Argoverse2Error};
+use planagent::scenario::nuplan::DataRoots;
+use planagent::simulation::{Challenge, simulate};
+use planagent::world::{EgoState, LaneKind, PACIFICA};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// The logs of one of Argoverse 2's datasets, or nothing (and a loud word) where there are none.
+fn logs(dataset: &str) -> Vec<PathBuf> {
+    let data = std::env::var_os("PLANAGENT_DATA")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
+    let folder = data.join("argoverse2").join(dataset);
+    if !folder.is_dir() {
+        eprintln!("SKIPPED: no Argoverse 2 logs in {}", folder.display());
+        return Vec::new();
+    }
+    argoverse2::logs_in(&folder).unwrap()
+}
+
+/// No folder of nuPlan's.
+fn no_nuplan() -> NuPlanData {
+    NuPlanData::new(DataRoots::default())
+}
+
+fn all_logs() -> Vec<PathBuf> {
+    [logs("sensor"), logs("motion_forecasting")].concat()
+}
+
+/// The map of a log as it stands in its file.
+fn map_file(log: &Path) -> serde_json::Value {
+    let folder = if log.join("map").is_dir() { log.join("map") } else { log.to_owned() };
+    let mut files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let map = files.find(|path| path.file_name().unwrap().to_string_lossy().starts_with("log_map_archive_"));
+    serde_json::from_slice(&std::fs::read(map.unwrap()).unwrap()).unwrap()
+}
+
+#[test]
+fn logs_open_with_their_window() {
+    for log in all_logs() {
+        let scenario = argoverse2::open(&log).unwrap();
+        let summary = argoverse2::summary(&log).unwrap();
+        let id = &scenario.id;
+        assert_eq!(*id, log.file_name().unwrap().to_string_lossy());
+        assert_eq!((summary.iterations, &summary.id), (scenario.iterations(), id));
+        let sensor = log.join("map").is_dir();
+        assert_eq!(scenario.start, if sensor { 20 } else { 10 }, "{id}");
+        assert!(scenario.frames.windows(2).all(|pair| pair[1].ego.time_us > pair[0].ego.time_us), "{id}");
+        assert!(scenario.frames.iter().all(|frame| frame.ego.rear_axle.position().coords.norm() < 500.0), "{id}");
+        assert!(scenario.frames.iter().all(|frame| !frame.objects.is_empty()), "{id}");
+        assert_eq!(
+            ScenarioSource::find(&log.to_string_lossy(), &no_nuplan()).unwrap(),
+            vec![ScenarioSource::Argoverse2(log.clone())]
+        );
+        let above = log.parent().unwrap().to_string_lossy();
+        assert!(ScenarioSource::find(&above, &no_nuplan()).unwrap().contains(&ScenarioSource::Argoverse2(log)));
+    }
+}
+
+/// The sideways velocity of the point ahead of the rear axle by d is d times the yaw rate: a fit tells d.
+#[test]
+fn the_ego_frame_stands_on_the_rear_axle() {
+    for log in logs("sensor") {
+        let scenario = argoverse2::open(&log).unwrap();
+        let egos: Vec<&EgoState> = scenario.frames.iter().map(|frame| &frame.ego).collect();
+        let (mut product, mut square) = (0.0, 0.0);
+        for pair in egos.windows(3) {
+            let seconds = (pair[2].time_us - pair[0].time_us) as f64 / 1e6;
+            let yaw_rate = wrap_angle(pair[2].rear_axle.heading - pair[0].rear_axle.heading) / seconds;
+            product += yaw_rate * pair[1].velocity.y;
+            square += yaw_rate * yaw_rate;
+        }
+        assert!(square > 1.0, "the log turns too little");
+        let ahead = product / square;
+        assert!(ahead.abs() < 0.3, "{}: {ahead} m ahead of the rear axle", scenario.id);
+        assert!(ahead.abs() < PACIFICA.rear_axle_to_center() / 2.0);
+    }
+}
+
+#[test]
+fn the_recorded_motion_agrees_with_itself() {
+    for log in all_logs() {
+        let Scenario { id, frames, .. } = argoverse2::open(&log).unwrap();
+        for (i, pair) in frames.windows(2).enumerate() {
+            let (a, b) = (&pair[0].ego, &pair[1].ego);
+            let moved = (b.rear_axle.position() - a.rear_axle.position()) / ((b.time_us - a.time_us) as f64 / 1e6);
+            let told = a.rear_axle.rotate(a.velocity).lerp(&b.rear_axle.rotate(b.velocity), 0.5);
+            // Positions of a motion-forecasting scenario run off within its first and last second.
+            let smooth = log.join("map").is_dir() || (10..frames.len() - 11).contains(&i);
+            assert!(!smooth || (moved - told).norm() < 0.6, "{id} frame {i}: moved {moved:?}, velocity {told:?}");
+            assert!(a.velocity.y.abs() < 0.3, "{id} frame {i}: slides {:?}", a.velocity);
+            assert!(a.acceleration.norm() < 6.0, "{id} frame {i}: {:?}", a.acceleration);
+            for object in &*pair[0].objects {
+                // The recording car is none of the objects.
+                assert!(!object.shape.contains(a.rear_axle.position()), "{id} frame {i}: {object:?}");
+                assert!(object.kind.is_agent() || object.speed() == 0.0, "{id} frame {i}: {object:?}");
+                assert!(object.speed() < 40.0, "{id} frame {i}: {object:?}");
+            }
+        }
+        // Kinds of a track do not change, and most tracks are seen for long.
+        let mut kinds = BTreeMap::new();
+        let seen = frames.iter().flat_map(|frame| frame.objects.iter());
+        assert!(seen.clone().all(|object| *kinds.entry(object.token).or_insert(object.kind) == object.kind), "{id}");
+        assert!(seen.count() > 10 * kinds.len(), "{id}");
+    }
+}
+
+#[test]
+fn derived_maps_keep_the_rules() {
+    for log in all_logs() {
+        let Scenario { id, map, route, .. } = argoverse2::open(&log).unwrap();
+        let file = map_file(&log);
+        let wanted: BTreeMap<i64, bool> = file["lane_segments"]
+            .as_object()
+            .unwrap()
+            .values()
+            .filter(|lane| lane["lane_type"] != "BIKE")
+            .map(|lane| (lane["id"].as_i64().unwrap(), lane["is_intersection"].as_bool().unwrap()))
+            .collect();
+        let found: BTreeMap<i64, bool> = map.lanes().iter().map(|l| (l.source_id, l.is_connector())).collect();
+        assert_eq!(found, wanted, "{id}");
+        assert_eq!(map.crosswalks().len(), file["pedestrian_crossings"].as_object().unwrap().len(), "{id}");
+        assert_eq!(map.generic_drivable().len(), file["drivable_areas"].as_object().unwrap().len(), "{id}");
+        let lanes: Vec<_> = map.lanes().iter().filter(|lane| !lane.is_connector()).collect();
+        for (i, lane) in lanes.iter().enumerate() {
+            for other in &lanes[..i] {
+                let shared = lane.polygon.shared_area(&other.polygon);
+                assert!(shared < 1e-3, "{id}: {} and {} share {shared} m²", lane.source_id, other.source_id);
+            }
+        }
+        for lane in map.lanes() {
+            let middle = lane.centerline.pose_at(lane.centerline.length() / 2.0);
+            assert!(map.is_drivable(middle.position()), "{id}: lane {}", lane.source_id);
+            assert!(
+                lane.is_connector() || lane.polygon.distance_to(middle.position()) < 2.0,
+                "{id}: {}",
+                lane.source_id
+            );
+            for beside in lane.left.iter().chain(&lane.right) {
+                let foot = map[beside.lane].centerline.project(middle.position());
+                assert!(wrap_angle(foot.heading - middle.heading).abs() < 0.8, "{id}: lane {}", lane.source_id);
+            }
+            for &next in &lane.outgoing {
+                let gap = (map[next].centerline.start() - lane.centerline.end()).norm();
+                assert!(gap < 1.0, "{id}: {} m from {} to {}", gap, lane.source_id, map[next].source_id);
+                assert!(map[next].incoming.contains(&lane.id), "{id}");
+            }
+        }
+        let held: BTreeSet<_> = map.roadblocks().iter().flat_map(|block| block.lanes.iter().copied()).collect();
+        assert_eq!(held.len(), map.lanes().len(), "{id}");
+        assert!(map.lanes().iter().any(|lane| lane.kind == LaneKind::Connector), "{id}");
+        assert!(route.roadblocks.windows(2).all(|pair| map[pair[0]].outgoing.contains(&pair[1])), "{id}");
+    }
+}
+
+fn scores(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> metrics::Score {
+    let log = simulate(scenario, planner, challenge).unwrap();
+    let expert: Vec<EgoState> = scenario.expert().copied().collect();
+    let drive = metrics::Drive { map: &scenario.map, samples: &log.samples, expert: &expert };
+    metrics::evaluate(&drive).unwrap().score
+}
+
+#[test]
+fn log_replay_complies_and_idm_drives() {
+    for log in all_logs() {
+        let scenario = argoverse2::open(&log).unwrap();
+        let replay = &mut LogReplay::new(scenario.expert().copied().collect());
+        let replayed = scores(&scenario, replay, Challenge::ClosedLoopNonreactiveAgents);
+        for name in [
+            MetricName::NoEgoAtFaultCollisions,
+            MetricName::DrivableAreaCompliance,
+            MetricName::DrivingDirectionCompliance,
+            MetricName::EgoIsMakingProgress,
+        ] {
+            let score = replayed.metric(name).unwrap();
+            assert!((score - 1.0).abs() < 1e-12, "{}: {} is {score}", scenario.id, name.as_str());
+        }
+        for challenge in [Challenge::ClosedLoopNonreactiveAgents, Challenge::ClosedLoopReactiveAgents] {
+            let driven = scores(&scenario, &mut IdmPlanner::default(), challenge);
+            let on_road = driven.metric(MetricName::DrivableAreaCompliance).unwrap();
+            assert!((on_road - 1.0).abs() < 1e-12, "{}", scenario.id);
+        }
+    }
+}
+
+#[test]
+fn cut_logs_are_told_with_their_file() {
+    let Some(log) = logs("sensor").into_iter().next() else { return };
+    let copy = tempfile::tempdir().unwrap();
+    std::fs::create_dir(copy.path().join("map")).unwrap();
+    let map = "map/log_map_archive_cut____MIA_city_1.json";
+    std::fs::write(copy.path().join(map), map_file(&log).to_string()).unwrap();
+    let tables = ["annotations_with_ego.feather", "city_SE3_egovehicle.feather"];
+    let whole: Vec<Vec<u8>> = tables.iter().map(|table| std::fs::read(log.join(table)).unwrap()).collect();
+    let write =
+        || tables.iter().zip(&whole).for_each(|(table, bytes)| std::fs::write(copy.path().join(table), bytes).unwrap());
+    write();
+    assert_eq!(argoverse2::open(copy.path()).unwrap().frames, argoverse2::open(&log).unwrap().frames);
+    for (table, bytes) in tables.iter().zip(&whole) {
+        for cut in [1, bytes.len() / 2, bytes.len() - 1] {
+            std::fs::write(copy.path().join(table), &bytes[..cut]).unwrap();
+            let error = argoverse2::open(copy.path()).unwrap_err();
+            assert!(matches!(&error, Argoverse2Error::Content { path, .. } if path.ends_with(table)), "{error}");
+        }
+        write();
+    }
+}

@@ -1,0 +1,274 @@
+//! Every family through what the planner uses: the registry, conversations with rounds and rethinks, the agent itself.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use image::RgbImage;
+use planagent::environment::DEFAULT_NODE_LENGTH;
+use planagent::mllm::{
+    Architecture, Constraint, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry, ModelSource,
+    Opening, RoundTokens, Sampling,
+};
+use planagent::planner::{AfterMaxExec, PlanAgent, PlanAgentSettings};
+use planagent::reasoning::{PromptSet, ReasoningSettings, Round};
+use planagent::reflection::LeadPolicy;
+use planagent::scenario::generator;
+use planagent::simulation::{Challenge, simulate};
+use serde_json::json;
+
+use super::{Copy, FIRST, SECOND, fixture, free, request};
+
+/// Every family's tiny checkpoint.
+const FAMILIES: [(&str, Architecture); 4] = [
+    ("tiny_llava", Architecture::Llava),
+    ("tiny_llava_next", Architecture::LlavaNext),
+    ("tiny_llava_next_mistral", Architecture::LlavaNext),
+    ("tiny_cogvlm", Architecture::CogVlm),
+];
+
+fn registry() -> ModelRegistry {
+    ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() })
+}
+
+/// Opens a folder as `--model FOLDER` does.
+fn open_folder(folder: &Path) -> Box<dyn Mllm> {
+    let registry = registry();
+    registry.open(&registry.find(folder.to_str().unwrap()).unwrap()).unwrap()
+}
+
+/// The opening of the reference chat of a checkpoint.
+fn opening(folder: &Path) -> Opening {
+    let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
+    Opening { system: "Drive safely.".into(), image: Some(image) }
+}
+
+/// The text of a reference's greedy tokens.
+fn reference_answer(folder: &Path, name: &str) -> String {
+    let tensors =
+        candle_core::safetensors::load(folder.join("reference.safetensors"), &candle_core::Device::Cpu).unwrap();
+    let ids: Vec<u32> =
+        tensors[name].to_vec1::<i64>().unwrap().into_iter().map(|id| u32::try_from(id).unwrap()).collect();
+    tokenizers::Tokenizer::from_file(folder.join("tokenizer.json")).unwrap().decode(&ids, true).unwrap()
+}
+
+#[test]
+fn a_folder_is_opened_as_what_its_configuration_says_and_answers_as_the_reference() {
+    for (name, architecture) in FAMILIES {
+        let folder = fixture(name);
+        assert_eq!(Architecture::detect(&folder).unwrap(), architecture);
+        let model = open_folder(&folder);
+        let about = model.describe();
+        assert_eq!(about.architecture, architecture.name());
+        assert!(about.parameters > 60_000 && about.image_tokens > 0, "{about:?}");
+        let mut conversation = model.converse(&opening(&folder), 0).unwrap();
+        let answer = conversation.ask(FIRST, &free(12)).unwrap();
+        assert_eq!(answer.text, reference_answer(&folder, "generated"), "{name}");
+        assert!(answer.tokens.image > 0 && answer.tokens.image <= about.image_tokens, "{:?}", answer.tokens);
+        if name != "tiny_llava_next_mistral" {
+            let mut conversation = model.converse(&opening(&folder), 0).unwrap();
+            conversation.ask(FIRST, &request(Constraint::Choice(vec!["keep left".into()]), 12)).unwrap();
+            let second = conversation.ask(SECOND, &free(12)).unwrap();
+            assert_eq!(second.text, reference_answer(&folder, "chat_generated"), "{name}");
+        }
+    }
+}
+
+#[test]
+fn rounds_and_rethinks_compute_the_image_once() {
+    let code = r#"start: "Generate_IDM_Planner(c=" ("left" | "right") ", v0=" /[0-9]\.[0-9]/ ")""#;
+    for (name, architecture) in FAMILIES {
+        let folder = fixture(name);
+        let model = open_folder(&folder);
+        let mut conversation = model.converse(&opening(&folder), 7).unwrap();
+        let start = conversation.mark();
+        let mut whole = Vec::new();
+        for attempt in 0..2 {
+            let prompt = if attempt == 0 { "Look." } else { "Look again." };
+            let first = conversation.ask(prompt, &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
+            if attempt == 0 {
+                assert!(first.time.image_encode > 0.0 && first.tokens.image > 0);
+                // Nothing but the beginning-of-sequence token stands before the image of a CogVLM.
+                assert_eq!(first.tokens.cached == 0, architecture == Architecture::CogVlm, "{:?}", first.tokens);
+            } else {
+                assert!(first.time.image_encode.abs() < f64::EPSILON);
+                assert_eq!(first.tokens.image, 0);
+                assert!(first.tokens.cached > whole[0], "{:?}: the image stays computed", first.tokens);
+            }
+            whole.push(first.tokens.image);
+            let second = conversation.ask("Now?", &request(Constraint::Choice(vec!["keep".into()]), 8)).unwrap();
+            assert_eq!((second.text.as_str(), second.tokens.free, second.tokens.image), ("keep", 0, 0));
+            let third = conversation.ask("Code?", &request(Constraint::Lark(code.into()), 64)).unwrap();
+            assert_eq!(third.finish, FinishReason::Complete, "{name}: {third:?}");
+            assert!(third.text.starts_with("Generate_IDM_Planner(c=") && third.tokens.image == 0);
+            assert!(third.tokens.forced > third.tokens.free, "{:?}", third.tokens);
+            conversation.rewind(start);
+        }
+    }
+}
+
+#[test]
+fn a_rewound_round_is_answered_as_in_a_new_conversation() {
+    for (name, _) in FAMILIES {
+        let folder = fixture(name);
+        let model = open_folder(&folder);
+        let mut conversation = model.converse(&opening(&folder), 0).unwrap();
+        let start = conversation.mark();
+        conversation.ask(SECOND, &free(6)).unwrap();
+        conversation.rewind(start);
+        let again = conversation.ask(FIRST, &free(12)).unwrap();
+        assert_eq!(again.text, reference_answer(&folder, "generated"), "{name}");
+    }
+}
+
+#[test]
+fn images_of_any_shape_are_taken_and_empty_ones_refused() {
+    for (name, _) in FAMILIES {
+        let model = open_folder(&fixture(name));
+        let most = model.describe().image_tokens;
+        for (width, height) in [(336, 336), (90, 20), (3, 70), (1, 1)] {
+            let image = RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, 99]));
+            let opening = Opening { system: String::new(), image: Some(image) };
+            let answer = model.converse(&opening, 0).unwrap().ask("Go?", &free(2)).unwrap();
+            assert!(answer.tokens.image > 0 && answer.tokens.image <= most, "{name}, {width} x {height}");
+        }
+        let opening = Opening { system: String::new(), image: Some(RgbImage::new(0, 0)) };
+        let refused = model.converse(&opening, 0).and_then(|mut conversation| conversation.ask("Go?", &free(2)));
+        assert!(matches!(refused, Err(MllmError::Image { .. })), "{name}: {refused:?}");
+    }
+}
+
+#[test]
+fn an_image_takes_three_positions_of_cogvlm() {
+    let copy = Copy::of("tiny_cogvlm");
+    copy.edit("config.json", |config| config["max_position_embeddings"] = json!(60));
+    let model = open_folder(copy.folder());
+    assert_eq!(model.describe().context, 60);
+    let mut conversation = model.converse(&opening(copy.folder()), 0).unwrap();
+    let answer = conversation.ask(FIRST, &request(Constraint::Regex("[ab]{900}".into()), 1000)).unwrap();
+    assert_eq!(answer.finish, FinishReason::ContextFull);
+    let tokens = answer.tokens;
+    // 18 tokens of the image stand at three positions, so 15 more than 60 fit.
+    assert_eq!(tokens.text + tokens.image + tokens.cached + tokens.forced + tokens.free, 75, "{tokens:?}");
+    match conversation.ask(&"left ".repeat(40), &free(4)) {
+        Err(MllmError::PromptTooLong { tokens, context: 75 }) => assert!(tokens > 75),
+        other => panic!("{other:?}"),
+    }
+    let no_image = Opening { system: "Drive safely.".into(), image: None };
+    match model.converse(&no_image, 0).unwrap().ask(&"left ".repeat(40), &free(4)) {
+        Err(MllmError::PromptTooLong { context: 60, .. }) => {}
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn cogvlm_without_an_image_keeps_its_system_prompt() {
+    let model = open_folder(&fixture("tiny_cogvlm"));
+    let opening = Opening { system: "Drive safely.".into(), image: None };
+    let answer = model.converse(&opening, 0).unwrap().ask(FIRST, &free(3)).unwrap();
+    assert!(answer.tokens.cached > 5 && answer.tokens.image == 0, "{:?}", answer.tokens);
+}
+
+#[test]
+fn a_tokenizer_may_lie_in_another_folder() {
+    let copy = Copy::of("tiny_cogvlm");
+    let expected = reference_answer(copy.folder(), "generated");
+    let tokenizer = tempfile::tempdir().unwrap();
+    std::fs::rename(copy.path("tokenizer.json"), tokenizer.path().join("tokenizer.json")).unwrap();
+    let description = format!(
+        "name = 'cog'\nsource = {{ folder = '{}' }}\ntokenizer = {{ folder = '{}' }}\nprompt_set = 'paper'\n",
+        copy.folder().display(),
+        tokenizer.path().display()
+    );
+    std::fs::write(copy.path("cog.toml"), description).unwrap();
+    let model = open_folder(&copy.path("cog.toml"));
+    let answer = model.converse(&opening(copy.folder()), 0).unwrap().ask(FIRST, &free(12)).unwrap();
+    assert_eq!(answer.text, expected);
+    // Without it, the error says what to do.
+    assert!(copy.error().to_string().contains("copy it here"), "{}", copy.error());
+}
+
+#[test]
+fn a_description_of_another_architecture_is_refused() {
+    let registry = registry();
+    let mut spec = registry.find(fixture("tiny_llava_next").to_str().unwrap()).unwrap();
+    spec.architecture = Some(Architecture::CogVlm);
+    match registry.open(&spec).map(|_| ()) {
+        Err(MllmError::Config { key, problem, .. }) => {
+            assert_eq!(key, "model_type");
+            assert!(problem.contains("llava-next") && problem.contains("cogvlm"), "{problem}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn the_described_models_are_all_readable() {
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    let registry = ModelRegistry::new(&models, HubAccess { offline: true, ..HubAccess::default() });
+    let names = registry.names().unwrap();
+    for (name, architecture) in [
+        ("llava-1.5-7b", Architecture::Llava),
+        ("llava-1.5-13b", Architecture::Llava),
+        ("llava-v1.6-vicuna-7b", Architecture::LlavaNext),
+        ("llava-v1.6-vicuna-13b", Architecture::LlavaNext),
+        ("llava-v1.6-mistral-7b", Architecture::LlavaNext),
+        ("cogvlm-chat-17b", Architecture::CogVlm),
+    ] {
+        assert!(names.iter().any(|known| known == name), "{names:?}");
+        let spec = registry.find(name).unwrap();
+        assert_eq!((spec.name.as_str(), spec.architecture), (name, Some(architecture)));
+        assert!(matches!(spec.source, ModelSource::Hub { .. }));
+        assert_eq!(spec.tokenizer.is_some(), architecture == Architecture::CogVlm);
+    }
+}
+
+/// Drives the beginning of a generated scene with one planning call.
+fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
+    let max_new_tokens = RoundTokens { scene: 8, motion: 64, code: 64 };
+    let settings = PlanAgentSettings {
+        view_m: Some(64.0),
+        lane_graph: true,
+        node_length_m: DEFAULT_NODE_LENGTH,
+        reasoning: ReasoningSettings {
+            rounds: Round::ALL.to_vec(),
+            generation: GenerationSettings { max_new_tokens, sampling: Sampling::Greedy },
+            rethink_sampling: Sampling::Greedy,
+            grammar: true,
+        },
+        interval: 1000,
+        reflect: true,
+        threshold: 1.0,
+        max_exec: 2,
+        horizon_s: 4.0,
+        after_max_exec: AfterMaxExec::Last,
+        lead_policy: LeadPolicy::Nearest,
+        emergency_brake: true,
+        seed: 0,
+    };
+    let mut agent = PlanAgent::new(model, Arc::new(PromptSet::open("compact").unwrap()), settings);
+    let scenario = generator::generate(&"generated/high_magnitude_speed/1".parse().unwrap()).unwrap();
+    simulate(&scenario, &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    agent
+}
+
+#[test]
+fn the_agent_drives_with_every_family_and_nothing_else_changes() {
+    for (name, architecture) in FAMILIES {
+        let copy = Copy::of(name);
+        // Random weights spell long answers in single bytes, so the chat needs more room than the reference's.
+        copy.edit("config.json", |config| {
+            let text = if architecture == Architecture::CogVlm { config } else { &mut config["text_config"] };
+            text["max_position_embeddings"] = json!(4096);
+        });
+        let agent = drive(Arc::from(open_folder(copy.folder())));
+        let call = agent.calls().first().unwrap();
+        assert!(!call.attempts.is_empty(), "{name}: {call:?}");
+        for (index, attempt) in call.attempts.iter().enumerate() {
+            let rounds = &attempt.rounds;
+            assert_eq!(rounds.len(), 3, "{name}");
+            assert!(attempt.code.is_some(), "{name}: {}", rounds[2].answer);
+            let image = rounds.iter().map(|round| round.tokens.image).sum::<usize>();
+            assert_eq!(image > 0, index == 0, "{name}: the image is computed once, {image}");
+        }
+    }
+}

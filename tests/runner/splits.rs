@@ -1,0 +1,54 @@
+//! Lists of scenarios by name and file.
+
+use super::drives;
+use crate::cli::{read_json, refused, run};
+use planagent::scenario::generator::{ScenarioType, Spec, generate};
+use planagent::scenario::nuplan::export::{ExportSettings, write_scenario};
+use std::fs;
+use tempfile::TempDir;
+
+/// A token that no log holds.
+const ABSENT: &str = "00000000000000ff";
+
+#[test]
+fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
+    let work = TempDir::new().unwrap();
+    let scene = generate(&Spec { scenario_type: ScenarioType::ChangingLane, seed: 0 }).unwrap();
+    let exported = write_scenario(&scene, &work.path().join("nuplan"), &ExportSettings::default());
+    let token = exported.unwrap().logs[0].token.clone();
+    let filter = work.path().join("mine.yaml");
+    let text =
+        format!("scenario_tokens:\n  - \"{token}\"\n  - \"{ABSENT}\"\nremove_invalid_goals: false\nshuffle: false\n");
+    fs::write(&filter, text).unwrap();
+    let [data, maps, out] = ["nuplan/data", "nuplan/maps", "run"].map(|name| work.path().join(name));
+    let roots = ["--data-root", data.to_str().unwrap(), "--maps-root", maps.to_str().unwrap()];
+    let split = ["--split", filter.to_str().unwrap()];
+
+    let flags = ["simulate", "--planner", "log-replay", "--out", out.to_str().unwrap()];
+    let (code, stdout, stderr) = run(&[&flags[..], &split, &roots].concat());
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("1 of 2 scenarios are missing") && stderr.contains(ABSENT), "{stderr}");
+    assert!(stdout.contains("log-replay"), "{stdout}");
+    let summary = read_json(&out.join("summary.json"));
+    assert_eq!(summary["scenarios"].as_array().unwrap().len(), 1);
+    assert_eq!(summary["scenarios"][0]["id"], token);
+    assert_eq!(drives(&out).len(), 1);
+
+    // The run knows where its data lies.
+    let (code, _, stderr) = run(&["simulate", "--resume", out.to_str().unwrap()]);
+    assert!(code == 1 && stderr.contains("1 of 1 drives are done, 0 are left"), "{stderr}");
+
+    let (code, stdout, _) = run(&[&["scenarios", "list"][..], &split, &roots].concat());
+    assert_eq!((code, stdout.lines().count()), (1, 1), "{stdout}");
+    assert!(stdout.contains(&token), "{stdout}");
+    let nowhere = refused(&[&flags[..2], &["log-replay", "--split", filter.to_str().unwrap()]].concat());
+    assert!(nowhere.contains("NUPLAN_DATA_ROOT") || nowhere.contains("data-root"), "{nowhere}");
+}
+
+#[test]
+fn the_generated_split_is_listed_whole() {
+    let (code, stdout, _) = run(&["scenarios", "list", "--split", "generated"]);
+    assert_eq!((code, stdout.lines().count()), (0, 160), "{stdout}");
+    let unknown = refused(&["simulate", "--split", "val15"]);
+    assert!(unknown.contains("val15") && unknown.contains("generated"), "{unknown}");
+}
