@@ -1,4 +1,4 @@
-//! `planagent scenarios list|show|generate`.
+//! `planagent scenarios list|show|generate`; `export` has a file of its own.
 
 use super::plan::scenario;
 use crate::cli::args::{ScenariosCommand, SplitArguments};
@@ -34,6 +34,7 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
             show(&scenario(Some(word))?, *at, image.as_deref(), *view, printer)
         }
         ScenariosCommand::Generate { types, from, count } => generated(types, *from, *count, printer),
+        ScenariosCommand::Export(arguments) => super::export::run(arguments, printer),
     }
 }
 
