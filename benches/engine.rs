@@ -21,8 +21,8 @@ use std::hint::black_box;
 const CROWD: u32 = 50;
 
 /// Cars, pedestrians and cones on the lanes around the ego, as many as [`CROWD`], all within 50 m and none touching it:
-/// a third drives along its lane, a sixth walks, half of them stand.
-fn crowd(scene: &Scene<'_>) -> Vec<TrackedObject> {
+/// a third drives, a sixth walks, half of them stand; the way is clear.
+fn crowd(scene: &Scene<'_>, way: &Way) -> Vec<TrackedObject> {
     let center = scene.ego.center();
     let lanes = scene.map.lanes_near(center.position(), 49.0);
     let places = lanes.iter().flat_map(|&lane| {
@@ -30,8 +30,9 @@ fn crowd(scene: &Scene<'_>) -> Vec<TrackedObject> {
         (0..(line.length() / 7.0) as usize).map(|i| line.pose_at(3.5 + 7.0 * i as f64))
     });
     let near = places.filter(|pose| (14.0..49.0).contains(&pose.distance(&center)));
-    let beside = near.flat_map(|pose| [0.0, 3.0, -3.0].map(|left| pose.translated(0.0, left)));
-    let objects: Vec<TrackedObject> = beside
+    let beside = near.flat_map(|pose| [0.0, 3.0, -3.0, 6.0, -6.0].map(|left| pose.translated(0.0, left)));
+    let clear = beside.filter(|pose| way.centerline().line().distance_to(pose.position()) > 3.0);
+    let objects: Vec<TrackedObject> = clear
         .zip(0..CROWD)
         .map(|(pose, token)| {
             let (kind, length, width, speed) = match token % 6 {
@@ -52,9 +53,10 @@ fn crowd(scene: &Scene<'_>) -> Vec<TrackedObject> {
 fn pdm_closed(c: &mut Criterion) {
     let scenario = generate(&DEFAULT).unwrap();
     let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
-    let objects = crowd(&drive.scene());
-    let scene = Scene { objects: &objects, ..drive.scene() };
-    let way = Way::find(scene.map, scene.route, scene.ego).unwrap();
+    let base = drive.scene();
+    let way = Way::find(base.map, base.route, base.ego).unwrap();
+    let objects = crowd(&base, &way);
+    let scene = Scene { objects: &objects, ..base };
     let instant = PdmInstant::along(&way, &scene, &mut Collided::default());
     let proposals = instant.proposals(&way, scene.ego, PROPOSAL_STEPS);
     let simulated = simulate_proposals(scene.ego, proposals.all());

@@ -6,6 +6,7 @@
 mod angle;
 mod corridor;
 mod index;
+mod locator;
 mod oriented_box;
 mod polygon;
 mod polyline;
@@ -14,6 +15,7 @@ mod pose;
 pub use angle::{unwrap_angles, wrap_angle};
 pub use corridor::Corridor;
 pub use index::{Bounds, SpatialIndex};
+pub use locator::PointLocator;
 pub use oriented_box::OrientedBox;
 pub use polygon::Polygon;
 pub use polyline::{Polyline, Projection};

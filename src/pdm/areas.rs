@@ -1,7 +1,8 @@
 //! Where the ego is: in several lanes, off the drivable area, off the route (`tuplan_garage` `pdm_scorer.py`,
 //! `_calculate_ego_area`, and `pdm_observation_utils.py`, `get_drivable_area_map`).
 
-use crate::geometry::{Bounds, Point, Polygon, SpatialIndex};
+use super::Placed;
+use crate::geometry::{Bounds, Point, PointLocator, Polygon};
 use crate::world::{EgoState, LaneId, LaneMap};
 use std::collections::BTreeSet;
 
@@ -104,6 +105,7 @@ impl EgoAreas {
     }
 }
 
+/// A polygon of the drivable map.
 struct Area<'a> {
     polygon: &'a Polygon,
     on_route: bool,
@@ -113,7 +115,6 @@ struct Area<'a> {
 pub struct DrivableMap<'a> {
     map: &'a LaneMap,
     areas: Vec<Area<'a>>,
-    index: SpatialIndex,
     layers: DrivableLayers,
 }
 
@@ -126,13 +127,12 @@ impl<'a> DrivableMap<'a> {
         let lanes: BTreeSet<LaneId> = blocks.iter().flat_map(|&block| map[block].lanes.iter().copied()).collect();
         let patch = Bounds::square(center, MAP_RADIUS);
         let carparks = map.carparks_within(&patch);
-        let areas: Vec<Area<'a>> = lanes
+        let areas = lanes
             .into_iter()
             .map(|id| Area { polygon: &map[id].polygon, on_route: route_lanes.contains(&id) })
             .chain(carparks.map(|polygon| Area { polygon, on_route: false }))
             .collect();
-        let index = SpatialIndex::new(areas.iter().map(|area| area.polygon.bounds()));
-        Self { map, areas, index, layers }
+        Self { map, areas, layers }
     }
 
     /// The map that it was taken from.
@@ -142,25 +142,46 @@ impl<'a> DrivableMap<'a> {
 
     /// Where the ego is.
     pub fn areas_of(&self, ego: &EgoState) -> EgoAreas {
-        let shape = ego.footprint();
-        let corners = shape.corners();
+        let placed = Placed::of(ego);
+        self.near(&placed.bounds()).areas_of(&placed)
+    }
+
+    /// What of it meets some bounds, made ready for many questions.
+    pub(super) fn near(&self, bounds: &Bounds) -> NearAreas<'a> {
+        let near = self.areas.iter().filter(|area| area.polygon.bounds().overlaps(bounds));
+        let areas = near.map(|area| (PointLocator::new(area.polygon), area.on_route)).collect();
+        NearAreas { map: self.map, areas, layers: self.layers }
+    }
+}
+
+/// The drivable polygons within some bounds, each with whether it is on the route.
+pub(super) struct NearAreas<'a> {
+    map: &'a LaneMap,
+    areas: Vec<(PointLocator<'a>, bool)>,
+    layers: DrivableLayers,
+}
+
+impl NearAreas<'_> {
+    /// Where an ego within the bounds is.
+    pub(super) fn areas_of(&self, ego: &Placed) -> EgoAreas {
         let (mut covered, mut holders, mut whole) = ([false; 4], 0, false);
         let mut on_route = false;
-        for area in self.index.within(&shape.bounds()).into_iter().map(|i| &self.areas[i]) {
-            let inside = corners.map(|corner| area.polygon.contains(corner));
+        let bounds = ego.bounds();
+        for (polygon, is_route) in self.areas.iter().filter(|(polygon, _)| polygon.bounds().overlaps(&bounds)) {
+            let inside = ego.corners.map(|corner| polygon.contains(corner));
             holders += usize::from(inside.contains(&true));
             whole |= inside == [true; 4];
             for (covered, inside) in covered.iter_mut().zip(inside) {
                 *covered |= inside;
             }
-            on_route |= area.on_route && area.polygon.contains(shape.center.position());
+            on_route = on_route || (*is_route && polygon.contains(ego.shape.center.position()));
         }
         let off = |(corner, covered): (&Point, bool)| {
             !covered && (self.layers == DrivableLayers::Lanes || !self.map.is_drivable(*corner))
         };
         EgoAreas {
             multiple_lanes: holders > 1 && !whole,
-            non_drivable: corners.iter().zip(covered).any(off),
+            non_drivable: ego.corners.iter().zip(covered).any(off),
             oncoming: !on_route,
         }
     }

@@ -53,7 +53,7 @@ pub struct ForecastObject {
     /// Forecast velocity in the map frame, m/s: along the axis of the box; zero for static objects.
     pub velocity: Vector,
     /// Half the diagonal of the box, metres.
-    radius: f64,
+    pub(super) radius: f64,
 }
 
 impl ForecastObject {
@@ -66,7 +66,7 @@ impl ForecastObject {
     }
 
     /// The centre after so many steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
-    fn center_at(&self, step: usize) -> Point {
+    pub(super) fn center_at(&self, step: usize) -> Point {
         let seconds = (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S;
         self.track.shape.center.position() + self.velocity * seconds
     }
@@ -127,16 +127,6 @@ impl Forecast {
     /// ignores them.
     pub fn red_lights(&self) -> &[LaneId] {
         &self.red_lights
-    }
-
-    /// The objects whose forecast box meets `shape` after so many steps of 0.1 s, as they are forecast then.
-    pub fn touching<'a>(&'a self, shape: &'a OrientedBox, step: usize) -> impl Iterator<Item = TrackedObject> + 'a {
-        let radius = shape.diagonal() / 2.0;
-        let near = move |o: &&ForecastObject| {
-            (o.center_at(step) - shape.center.position()).norm_squared() < (o.radius + radius).powi(2)
-        };
-        let tracks = self.objects.iter().filter(near).map(move |o| o.track_at(step));
-        tracks.filter(move |o| shape.overlaps(&o.shape))
     }
 }
 

@@ -1,7 +1,8 @@
 //! Who leads a proposal along its path (`tuplan_garage` `pdm_generator.py`).
 
-use super::{Forecast, PdmPath};
-use crate::geometry::{Corridor, OrientedBox, Polygon};
+use super::proposals::TRAJECTORY_STEPS;
+use super::{Forecast, ForecastObject, PdmPath};
+use crate::geometry::{Bounds, Corridor, OrientedBox, Point, Polygon, Pose, Vector};
 use crate::world::{LaneMap, PACIFICA, TrackedObject};
 
 /// What a proposal stays behind.
@@ -18,28 +19,50 @@ pub struct LeadState {
 /// The corridor of one path and what of the forecast may come into it.
 pub(super) struct PathTraffic<'a> {
     path: &'a PdmPath,
-    forecast: &'a Forecast,
     corridor: Corridor,
-    red_lights: Vec<(f64, &'a Polygon)>,
+    /// In the order of the forecast.
+    objects: Vec<Nearby<'a>>,
+    red_lights: Vec<Blocking<'a>>,
+}
+
+/// An object near a corridor.
+enum Nearby<'a> {
+    /// It stands in the corridor.
+    Standing(Blocking<'a>),
+    /// It moves and may come into the corridor.
+    Moving(&'a ForecastObject),
 }
 
 /// Something in the corridor at one step.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Blocking<'a> {
+    /// Of its centre along the path, metres.
     progress: f64,
     obstacle: Obstacle<'a>,
 }
 
 #[derive(Debug, Clone, Copy)]
 enum Obstacle<'a> {
-    Track(TrackedObject),
+    Track {
+        track: TrackedObject,
+        /// Half the diagonal of its box, metres.
+        radius: f64,
+    },
     RedLight(&'a Polygon),
 }
 
 impl Obstacle<'_> {
+    /// A distance that the distance to a box around `center`, whose corners are `reach` away, is not below.
+    fn least_distance(&self, center: Point, reach: f64) -> f64 {
+        match self {
+            Self::Track { track, radius } => (track.shape.center.position() - center).norm() - radius - reach,
+            Self::RedLight(polygon) => polygon.bounds().distance_squared(center).sqrt() - reach,
+        }
+    }
+
     fn distance(&self, ego: &OrientedBox) -> f64 {
         match self {
-            Self::Track(track) => track.shape.distance(ego),
+            Self::Track { track, .. } => track.shape.distance(ego),
             Self::RedLight(polygon) => polygon.distance_to_box(ego),
         }
     }
@@ -50,40 +73,63 @@ impl<'a> PathTraffic<'a> {
     pub(super) fn new(map: &'a LaneMap, path: &'a PdmPath, forecast: &'a Forecast, from: f64, to: f64) -> Self {
         let corridor = Corridor::with_square_caps(&path.substring(from, to), PACIFICA.width / 2.0);
         let polygons = forecast.red_lights().iter().map(|&lane| &map[lane].polygon);
-        let red_lights = polygons
-            .filter(|polygon| corridor.meets_polygon(polygon))
-            .map(|polygon| (path.project(polygon.centroid()), polygon))
-            .collect();
-        Self { path, forecast, corridor, red_lights }
+        let red_lights = polygons.filter(|polygon| corridor.meets_polygon(polygon)).map(|polygon| Blocking {
+            progress: path.project(polygon.centroid()),
+            obstacle: Obstacle::RedLight(polygon),
+        });
+        let mut traffic = Self { path, red_lights: red_lights.collect(), corridor, objects: Vec::new() };
+        traffic.objects = forecast.objects().iter().filter_map(|object| traffic.nearby(object)).collect();
+        traffic
+    }
+
+    fn nearby(&self, object: &'a ForecastObject) -> Option<Nearby<'a>> {
+        if object.velocity == Vector::zeros() {
+            return self.in_corridor(object, 0).map(Nearby::Standing);
+        }
+        let ends = [object.center_at(0), object.center_at(TRAJECTORY_STEPS)];
+        let sweep = Bounds::around(&ends).grown(object.radius);
+        self.corridor.bounds().overlaps(&sweep).then_some(Nearby::Moving(object))
+    }
+
+    fn in_corridor(&self, object: &ForecastObject, step: usize) -> Option<Blocking<'a>> {
+        let track = object.track_at(step);
+        self.corridor.meets_box(&track.shape).then(|| Blocking {
+            progress: self.path.project(track.shape.center.position()),
+            obstacle: Obstacle::Track { track, radius: object.radius },
+        })
     }
 
     /// What is in the corridor after so many steps of 0.1 s.
     pub(super) fn blocking(&self, step: usize) -> Vec<Blocking<'a>> {
-        let tracks = self.forecast.objects().iter().map(|object| object.track_at(step));
-        let in_corridor = tracks.filter(|track| self.corridor.meets_box(&track.shape)).map(|track| Blocking {
-            progress: self.path.project(track.shape.center.position()),
-            obstacle: Obstacle::Track(track),
+        let objects = self.objects.iter().filter_map(|object| match object {
+            Nearby::Standing(blocking) => Some(*blocking),
+            Nearby::Moving(object) => self.in_corridor(object, step),
         });
-        let red = self
-            .red_lights
-            .iter()
-            .map(|&(progress, polygon)| Blocking { progress, obstacle: Obstacle::RedLight(polygon) });
-        in_corridor.chain(red).collect()
+        objects.chain(self.red_lights.iter().copied()).collect()
     }
 
-    /// Writes into `lead` who leads an ego at `progress`. What upstream does not set keeps the value that `lead` comes with:
-    /// a red light leaves the velocity, a free road the velocity, an obstacle the length.
-    pub(super) fn find_lead(&self, blocking: &[Blocking<'_>], progress: f64, lead: &mut LeadState) {
-        let ego = PACIFICA.footprint(self.path.pose_at(progress));
-        let ahead = blocking.iter().filter(|b| b.progress > progress);
-        let nearest = ahead.map(|b| (b.obstacle.distance(&ego), b)).min_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((distance, nearest)) = nearest else {
+    /// Writes into `lead` who leads an ego at `progress`, which is at `pose`. What upstream does not set keeps the value that
+    /// `lead` comes with: a red light leaves the velocity, a free road the velocity, an obstacle the length.
+    pub(super) fn find_lead(&self, blocking: &[Blocking<'_>], progress: f64, pose: Pose, lead: &mut LeadState) {
+        let ego = PACIFICA.footprint(pose);
+        let (center, reach) = (ego.center.position(), ego.diagonal() / 2.0);
+        let mut nearest: Option<(f64, &Obstacle<'_>)> = None;
+        for Blocking { obstacle, .. } in blocking.iter().filter(|b| b.progress > progress) {
+            let known = nearest.map_or(f64::INFINITY, |(distance, _)| distance);
+            if obstacle.least_distance(center, reach) <= known {
+                let distance = obstacle.distance(&ego);
+                if distance < known {
+                    nearest = Some((distance, obstacle));
+                }
+            }
+        }
+        let Some((distance, obstacle)) = nearest else {
             lead.progress = self.path.length();
             lead.length_rear = PACIFICA.length() / 2.0;
             return;
         };
         lead.progress = progress + distance;
-        if let Obstacle::Track(track) = nearest.obstacle {
+        if let Obstacle::Track { track, .. } = obstacle {
             let along = (track.shape.center.heading - ego.center.heading).cos();
             lead.velocity = if track.kind.is_agent() { track.speed() * along } else { 0.0 };
         }

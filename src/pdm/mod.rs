@@ -16,9 +16,11 @@ mod collision;
 mod comfort;
 mod current_lane;
 mod emergency_brake;
+mod encounters;
 mod forecast;
 mod lead;
 mod path;
+mod placed;
 mod proposals;
 mod route;
 mod scorer;
@@ -43,3 +45,5 @@ pub use route::corrected_route;
 pub use scorer::{ProposalScore, ScoringScene, WEIGHT_COMFORT, WEIGHT_PROGRESS, WEIGHT_TTC, score_proposals};
 pub use search::{SearchDirection, roadblock_chain};
 pub use way::{NoWay, Way};
+
+use placed::Placed;

@@ -136,7 +136,7 @@ impl<'a> Proposals<'a> {
         for proposal in &mut self.proposals[members] {
             let last = proposal.states.len() - 1;
             if refresh {
-                traffic.find_lead(&blocking, proposal.states[last].progress, &mut shared);
+                traffic.find_lead(&blocking, proposal.states[last].progress, proposal.poses[last], &mut shared);
             }
             let lead = if refresh { shared } else { proposal.leads[last] };
             proposal.advance(self.paths[path], lead);

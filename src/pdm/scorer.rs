@@ -1,7 +1,10 @@
 //! The score of proposals (`tuplan_garage` `pdm_scorer.py`).
 
-use super::{DrivableMap, EgoAreas, Forecast, is_comfortable, no_at_fault_collisions, time_to_collision};
-use crate::geometry::Polyline;
+use super::areas::NearAreas;
+use super::collision::{Driven, approach, collide};
+use super::encounters::Encounters;
+use super::{DrivableMap, EgoAreas, Forecast, Placed, is_comfortable};
+use crate::geometry::{Bounds, Polyline};
 use crate::metrics::{MetricError, direction_score};
 use crate::world::{EgoState, STEP_S};
 use serde::{Deserialize, Serialize};
@@ -69,7 +72,11 @@ pub fn score_proposals(
     scene: &ScoringScene<'_>,
     proposals: &[Vec<EgoState>],
 ) -> Result<Vec<ProposalScore>, MetricError> {
-    let mut scores = proposals.iter().map(|states| judge(scene, states)).collect::<Result<Vec<_>, _>>()?;
+    let batch: Vec<Vec<Placed>> = proposals.iter().map(|states| states.iter().map(Placed::of).collect()).collect();
+    let reach = batch.iter().flatten().fold(Bounds::around(&[]), |reach, placed| reach.joined(placed.bounds()));
+    let around = Around { areas: scene.drivable.near(&reach), encounters: Encounters::of(scene.forecast, &batch) };
+    let judged = proposals.iter().zip(&batch).map(|(states, placed)| judge(scene, &around, states, placed));
+    let mut scores = judged.collect::<Result<Vec<_>, _>>()?;
     let best = scores.iter().map(|s| s.progress_m * s.multiplier()).chain([scene.rival_progress]).fold(0.0, f64::max);
     for score in &mut scores {
         score.progress = if best > PROGRESS_THRESHOLD {
@@ -84,17 +91,29 @@ pub fn score_proposals(
     Ok(scores)
 }
 
+/// What a batch of proposals may touch.
+struct Around<'a> {
+    areas: NearAreas<'a>,
+    encounters: Encounters<'a>,
+}
+
 /// All terms of a proposal but the share of its progress, which needs the whole batch.
-fn judge(scene: &ScoringScene<'_>, states: &[EgoState]) -> Result<ProposalScore, MetricError> {
-    let areas: Vec<EgoAreas> = states.iter().map(|ego| scene.drivable.areas_of(ego)).collect();
-    let collisions = no_at_fault_collisions(states, &areas, scene.forecast);
-    let ttc = time_to_collision(scene.drivable.map(), states, &areas, scene.forecast);
+fn judge(
+    scene: &ScoringScene<'_>,
+    around: &Around<'_>,
+    states: &[EgoState],
+    placed: &[Placed],
+) -> Result<ProposalScore, MetricError> {
+    let areas: Vec<EgoAreas> = placed.iter().map(|placed| around.areas.areas_of(placed)).collect();
+    let driven = Driven { states, placed, areas: &areas };
+    let collisions = collide(driven, &around.encounters);
+    let ttc = approach(scene.drivable.map(), driven, &around.encounters);
     let seconds = |state: Option<usize>| state.map(|i| i as f64 * STEP_S);
     Ok(ProposalScore {
         total: 0.0,
         no_at_fault_collisions: collisions.score,
         drivable_area: f64::from(u8::from(!areas.iter().any(|a| a.non_drivable))),
-        driving_direction: direction_score(longest_oncoming(states, &areas)),
+        driving_direction: direction_score(longest_oncoming(placed, &areas)),
         progress: 0.0,
         time_to_collision: ttc.score,
         comfort: f64::from(u8::from(is_comfortable(states)?)),
@@ -105,10 +124,10 @@ fn judge(scene: &ScoringScene<'_>, states: &[EgoState]) -> Result<ProposalScore,
 }
 
 /// The longest way of the centre in one stretch off the route, metres.
-fn longest_oncoming(states: &[EgoState], areas: &[EgoAreas]) -> f64 {
+fn longest_oncoming(placed: &[Placed], areas: &[EgoAreas]) -> f64 {
     let (mut longest, mut stretch) = (0.0f64, 0.0);
-    for (pair, areas) in states.windows(2).zip(areas.iter().skip(1)) {
-        stretch = if areas.oncoming { stretch + pair[0].center().distance(&pair[1].center()) } else { 0.0 };
+    for (pair, areas) in placed.windows(2).zip(areas.iter().skip(1)) {
+        stretch = if areas.oncoming { stretch + pair[0].shape.center.distance(&pair[1].shape.center) } else { 0.0 };
         longest = longest.max(stretch);
     }
     longest
