@@ -1,5 +1,6 @@
 //! The flags, as typed.
 
+use crate::experiment::nuplan_data::NuPlanData;
 use crate::scenario::nuplan::DataRoots;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -45,40 +46,45 @@ pub(super) enum Command {
     Dataset(DatasetArguments),
 }
 
-/// Flags that name lists of scenarios, and where nuPlan's data lies.
+/// Flags that say where nuPlan's data lies.
+#[derive(Debug, Args)]
+pub(super) struct DataArguments {
+    /// Folder of nuPlan's logs, with folders below [default: $NUPLAN_DATA_ROOT].
+    #[arg(long, value_name = "FOLDER")]
+    data_root: Option<PathBuf>,
+    /// Folder of nuPlan's maps [default: $NUPLAN_MAPS_ROOT].
+    #[arg(long, value_name = "FOLDER")]
+    maps_root: Option<PathBuf>,
+}
+
+impl DataArguments {
+    /// The folders by these flags, else by the environment.
+    pub(super) fn roots(&self) -> DataRoots {
+        let known = DataRoots::from_environment();
+        DataRoots { data: self.data_root.clone().or(known.data), maps: self.maps_root.clone().or(known.maps) }
+    }
+
+    /// nuPlan's data in these folders.
+    pub(super) fn data(&self) -> NuPlanData {
+        NuPlanData::new(self.roots())
+    }
+}
+
+/// Flags that name lists of scenarios.
 #[derive(Debug, Args)]
 pub(super) struct SplitArguments {
-    /// List of scenarios: generated (16 types x 10 seeds), val14, reduced-val14, test14-hard, or a scenario filter
+    /// List of scenarios: val14, test14-hard, reduced-val14, generated (16 types x 10 seeds), or a nuPlan scenario filter
     /// FILE.yaml.
     #[arg(long = "split", value_name = "NAME")]
     pub(super) splits: Vec<String>,
     #[command(flatten)]
-    pub(super) roots: RootArguments,
-}
-
-/// Flags that say where nuPlan's data lies.
-#[derive(Debug, Args)]
-pub(super) struct RootArguments {
-    /// Folder with nuPlan's logs (*.db), in it or below.
-    #[arg(long, env = "NUPLAN_DATA_ROOT", value_name = "FOLDER")]
-    pub(super) data_root: Option<PathBuf>,
-    /// Folder with nuPlan's maps.
-    #[arg(long, env = "NUPLAN_MAPS_ROOT", value_name = "FOLDER")]
-    pub(super) maps_root: Option<PathBuf>,
-}
-
-impl RootArguments {
-    /// The folders; a variable that is set to nothing names none.
-    pub(super) fn data_roots(&self) -> DataRoots {
-        let named = |folder: &Option<PathBuf>| folder.clone().filter(|path| !path.as_os_str().is_empty());
-        DataRoots { data: named(&self.data_root), maps: named(&self.maps_root) }
-    }
+    pub(super) data: DataArguments,
 }
 
 /// Flags of `simulate`.
 #[derive(Debug, Args)]
 pub(super) struct SimulateArguments {
-    /// Scenarios: TFRecord files, Argoverse 2 logs, nuPlan logs (LOG.db or LOG.db#TOKEN), folders of them, or
+    /// Scenarios: TFRecord files, nuPlan logs (LOG.db, or one scenario as LOG.db#TOKEN), Argoverse 2 logs, folders of these, or
     /// generated/TYPE/SEED [default: one generated scene].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
     pub(super) scenarios: Vec<String>,
@@ -109,9 +115,11 @@ pub(super) struct SimulateArguments {
 /// Flags of `plan`.
 #[derive(Debug, Args)]
 pub(super) struct PlanArguments {
-    /// The scenario: a TFRecord file or generated/TYPE/SEED [default: one generated scene].
+    /// The scenario: a TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED [default: one generated scene].
     #[arg(long, value_name = "SCENARIO")]
     pub(super) scenario: Option<String>,
+    #[command(flatten)]
+    pub(super) data: DataArguments,
     /// Seconds after the start of the window.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     pub(super) at: f64,
@@ -125,15 +133,17 @@ pub(super) struct PlanArguments {
 pub(super) enum ScenariosCommand {
     /// List scenarios: the records of files and folders, or the types that can be generated.
     List {
-        /// TFRecord files or folders.
+        /// TFRecord files, nuPlan logs, Argoverse 2 logs, or folders of these.
         sources: Vec<PathBuf>,
         #[command(flatten)]
         split: SplitArguments,
     },
     /// Show one scenario: its map, route, objects and lights; with --image a picture.
     Show {
-        /// A TFRecord file or generated/TYPE/SEED.
+        /// A TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED.
         scenario: String,
+        #[command(flatten)]
+        data: DataArguments,
         /// Seconds after the start of the window.
         #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
         at: f64,
@@ -166,6 +176,8 @@ pub(super) struct ExportArguments {
     /// Scenarios, as `simulate` takes them.
     #[arg(required = true, value_name = "SCENARIO")]
     pub(super) scenarios: Vec<String>,
+    #[command(flatten)]
+    pub(super) data: DataArguments,
     /// Which files: nuplan writes a log for each scenario and a map for each map.
     #[arg(long, value_enum)]
     pub(super) format: ExportFormat,

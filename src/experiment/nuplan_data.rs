@@ -128,7 +128,7 @@ impl NuPlanData {
     }
 
     /// Whether a word has the form `LOG.db` or `LOG.db#TOKEN`.
-    pub(super) fn names_log(word: &str) -> bool {
+    pub fn names_log(word: &str) -> bool {
         split_token(word).0.ends_with(LOG_ENDING)
     }
 

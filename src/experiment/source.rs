@@ -90,7 +90,7 @@ impl ScenarioSource {
         }
         if path.is_dir() {
             let logs = argoverse2::logs_in(path)?;
-            let of_nuplan = data.in_folder(path)?;
+            let of_nuplan = Self::of_nuplan(word, data)?;
             let files = match recordings_in(path) {
                 Err(SourceError::Empty(_)) if !(logs.is_empty() && of_nuplan.is_empty()) => Vec::new(),
                 files => files?,
@@ -109,6 +109,27 @@ impl ScenarioSource {
     fn records_of(path: &Path) -> Result<Vec<Self>, SourceError> {
         let summaries = womd::summaries(path)?.collect::<Result<Vec<_>, _>>()?;
         Ok(summaries.iter().map(|s| Self::Recording { path: path.to_owned(), record: s.record }).collect())
+    }
+
+    /// The scenarios of nuPlan logs among what a word names: all of a log, or those of the logs in a folder.
+    ///
+    /// # Errors
+    /// When a log cannot be read.
+    pub fn of_nuplan(word: &str, data: &NuPlanData) -> Result<Vec<Self>, SourceError> {
+        if NuPlanData::names_log(word) {
+            return Ok(data.in_log(word)?);
+        }
+        let path = Path::new(word);
+        if path.is_dir() { Ok(data.in_folder(path)?) } else { Ok(Vec::new()) }
+    }
+
+    /// nuPlan's scenario type, as far as it is known before the scenario is opened.
+    pub fn scenario_type(&self) -> Option<&str> {
+        match self {
+            Self::Generated(spec) => Some(spec.scenario_type.name()),
+            Self::NuPlan { found, .. } => Some(&found.scenario_type),
+            Self::Recording { .. } | Self::Argoverse2(_) => None,
+        }
     }
 
     /// Opens the scenario.

@@ -91,16 +91,14 @@ fn lane_at(map: &LaneMap, point: Point, pose: Pose) -> Option<LaneId> {
     lanes_at(map, point, pose).into_iter().next().filter(|&lane| !map[lane].is_connector())
 }
 
-/// The stop line nearest to the middle of the front edge, if that middle is in a lane and the line crosses this lane.
+/// The stop line nearest to the middle of the front edge, if that middle is in a lane and the line crosses this lane. Lines
+/// out of reach of the edge are not looked for: the nearest would not meet it.
 fn nearest_stop_line<'m>(map: &'m LaneMap, front: &Polyline, pose: Pose) -> Option<(StopLineId, &'m StopLine)> {
     let middle = front.point_at(front.length() / 2.0);
     let lane = lane_at(map, middle, pose)?;
-    let distance = |line: &StopLine| {
-        if line.polygon.contains(middle) { 0.0 } else { line.polygon.edge_distance(middle) }
-    };
-    let lines = map.stop_lines().iter().enumerate().map(|(i, line)| (StopLineId(i as u32), line));
-    let nearest = lines.min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)))?;
-    nearest.1.polygon.overlaps(&map[lane].polygon).then_some(nearest)
+    let nearest = map.nearest_stop_line(middle)?;
+    let line = &map[nearest];
+    line.polygon.overlaps(&map[lane].polygon).then_some((nearest, line))
 }
 
 /// Whether anything stands on the strip, as wide as the ego, from its centre to the end of its lane. (nuPlan fails where the

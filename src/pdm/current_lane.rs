@@ -2,7 +2,7 @@
 //! `abstract_pdm_planner.py`).
 
 use crate::dynamics::ProgressPath;
-use crate::geometry::{OrientedBox, Point, Pose, wrap_angle};
+use crate::geometry::{Point, Pose, wrap_angle};
 use crate::world::{EgoState, Lane, LaneId, LaneKind, LaneMap, Roadblock, RoadblockId};
 use std::f64::consts::FRAC_PI_4;
 
@@ -64,14 +64,13 @@ pub fn starting_block(map: &LaneMap, route: &[RoadblockId], rear_axle: Pose) -> 
 
 /// Roadblocks, then roadblock connectors, that meet the square around a point; where there are none, the nearest of each.
 fn blocks_around(map: &LaneMap, point: Point) -> Vec<&Roadblock> {
-    let side = 2.0 * SEARCH_RADIUS;
-    let square = OrientedBox::new(Pose::at(point, 0.0), side, side);
-    let of_kind = |kind| map.roadblocks().iter().filter(move |b| b.kind == kind && !b.lanes.is_empty());
-    let meets = |block: &&Roadblock| block.areas.iter().any(|area| area.meets_box(&square));
-    let near: Vec<_> = of_kind(LaneKind::Lane).chain(of_kind(LaneKind::Connector)).filter(meets).collect();
+    let near = map.roadblocks_near(point, SEARCH_RADIUS).into_iter().map(|block| &map[block]);
+    let mut near: Vec<_> = near.filter(|block| !block.lanes.is_empty()).collect();
     if !near.is_empty() {
+        near.sort_by_key(|block| block.kind == LaneKind::Connector);
         return near;
     }
+    let of_kind = |kind| map.roadblocks().iter().filter(move |b| b.kind == kind && !b.lanes.is_empty());
     let distance = |block: &&Roadblock| {
         block.areas.iter().map(|area| area.distance_to(point)).min_by(f64::total_cmp).unwrap_or(f64::INFINITY)
     };

@@ -27,6 +27,11 @@ fn logs(dataset: &str) -> Vec<PathBuf> {
     argoverse2::logs_in(&folder).unwrap()
 }
 
+/// No folder of nuPlan's.
+fn no_nuplan() -> NuPlanData {
+    NuPlanData::new(DataRoots::default())
+}
+
 fn all_logs() -> Vec<PathBuf> {
     [logs("sensor"), logs("motion_forecasting")].concat()
 }
@@ -41,7 +46,6 @@ fn map_file(log: &Path) -> serde_json::Value {
 
 #[test]
 fn logs_open_with_their_window() {
-    let data = NuPlanData::new(DataRoots::default());
     for log in all_logs() {
         let scenario = argoverse2::open(&log).unwrap();
         let summary = argoverse2::summary(&log).unwrap();
@@ -54,11 +58,11 @@ fn logs_open_with_their_window() {
         assert!(scenario.frames.iter().all(|frame| frame.ego.rear_axle.position().coords.norm() < 500.0), "{id}");
         assert!(scenario.frames.iter().all(|frame| !frame.objects.is_empty()), "{id}");
         assert_eq!(
-            ScenarioSource::find(&log.to_string_lossy(), &data).unwrap(),
+            ScenarioSource::find(&log.to_string_lossy(), &no_nuplan()).unwrap(),
             vec![ScenarioSource::Argoverse2(log.clone())]
         );
         let above = log.parent().unwrap().to_string_lossy();
-        assert!(ScenarioSource::find(&above, &data).unwrap().contains(&ScenarioSource::Argoverse2(log)));
+        assert!(ScenarioSource::find(&above, &no_nuplan()).unwrap().contains(&ScenarioSource::Argoverse2(log)));
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::drives;
 use crate::cli::{read_json, refused, run};
-use planagent::scenario::generator::{DEFAULT, generate};
+use planagent::scenario::generator::{ScenarioType, Spec, generate};
 use planagent::scenario::nuplan::export::{ExportSettings, write_scenario};
 use std::fs;
 use tempfile::TempDir;
@@ -13,8 +13,8 @@ const ABSENT: &str = "00000000000000ff";
 #[test]
 fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
     let work = TempDir::new().unwrap();
-    let exported =
-        write_scenario(&generate(&DEFAULT).unwrap(), &work.path().join("nuplan"), &ExportSettings::default());
+    let scene = generate(&Spec { scenario_type: ScenarioType::ChangingLane, seed: 0 }).unwrap();
+    let exported = write_scenario(&scene, &work.path().join("nuplan"), &ExportSettings::default());
     let token = exported.unwrap().logs[0].token.clone();
     let filter = work.path().join("mine.yaml");
     let text =
@@ -31,7 +31,7 @@ fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
     assert!(stdout.contains("log-replay"), "{stdout}");
     let summary = read_json(&out.join("summary.json"));
     assert_eq!(summary["scenarios"].as_array().unwrap().len(), 1);
-    assert_eq!(summary["scenarios"][0]["id"], token.to_string());
+    assert_eq!(summary["scenarios"][0]["id"], token);
     assert_eq!(drives(&out).len(), 1);
 
     // The run knows where its data lies.
@@ -40,7 +40,7 @@ fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
 
     let (code, stdout, _) = run(&[&["scenarios", "list"][..], &split, &roots].concat());
     assert_eq!((code, stdout.lines().count()), (1, 1), "{stdout}");
-    assert!(stdout.contains(&token.to_string()), "{stdout}");
+    assert!(stdout.contains(&token), "{stdout}");
     let nowhere = refused(&[&flags[..2], &["log-replay", "--split", filter.to_str().unwrap()]].concat());
     assert!(nowhere.contains("NUPLAN_DATA_ROOT") || nowhere.contains("data-root"), "{nowhere}");
 }

@@ -7,7 +7,6 @@ use crate::experiment::run::PlannerKind;
 use crate::experiment::source::ScenarioSource;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
 use crate::report::{CallTimes, attempt_markdown, call_record, decision_words};
-use crate::scenario::nuplan::DataRoots;
 use crate::scenario::{Scenario, generator};
 use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Scene, Trajectory};
 use anyhow::{Context, bail};
@@ -18,7 +17,7 @@ use serde_json::{Value, json};
 /// # Errors
 /// When the input or the model cannot be used, or the instant lies outside the window.
 pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    let scenario = scenario(flags.scenario.as_deref())?;
+    let scenario = scenario(flags.scenario.as_deref(), &flags.data.data())?;
     let iteration = (flags.at / STEP_S).round();
     if !(0.0..scenario.iterations() as f64).contains(&iteration) {
         let end = (scenario.iterations() - 1) as f64 * STEP_S;
@@ -47,9 +46,9 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
 ///
 /// # Errors
 /// When the word names none or several.
-pub(in crate::cli) fn scenario(word: Option<&str>) -> anyhow::Result<Scenario> {
+pub(in crate::cli) fn scenario(word: Option<&str>, data: &NuPlanData) -> anyhow::Result<Scenario> {
     let mut sources = match word {
-        Some(word) => ScenarioSource::find(word, &NuPlanData::new(DataRoots::from_environment()))?,
+        Some(word) => ScenarioSource::find(word, data)?,
         None => vec![ScenarioSource::Generated(generator::DEFAULT)],
     };
     match (sources.pop(), sources.len()) {

@@ -1,11 +1,11 @@
 //! `planagent scenarios list|show|generate`; `export` has a file of its own.
 
 use super::plan::scenario;
-use crate::cli::args::{ScenariosCommand, SplitArguments};
+use crate::cli::args::ScenariosCommand;
 use crate::cli::{Exit, Printer};
 use crate::environment::{BevView, bev};
 use crate::experiment::nuplan_data::NuPlanData;
-use crate::experiment::source::{SourceError, recordings_in};
+use crate::experiment::source::{ScenarioSource, SourceError, recordings_in};
 use crate::experiment::split::split;
 use crate::scenario::generator::{ScenarioType, Spec, generate};
 use crate::scenario::{Scenario, argoverse2, womd};
@@ -27,11 +27,13 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
             list_types(printer)
         }
         ScenariosCommand::List { sources, split } => {
-            let complete = list_splits(split, printer)?;
-            list(sources, printer).map(|exit| if complete { exit } else { Exit::SomeFailed })
+            let data = split.data.data();
+            let complete = list_splits(&split.splits, &data, printer)?;
+            list(sources, &data, printer)?;
+            Ok(if complete { Exit::Success } else { Exit::SomeFailed })
         }
-        ScenariosCommand::Show { scenario: word, at, image, view } => {
-            show(&scenario(Some(word))?, *at, image.as_deref(), *view, printer)
+        ScenariosCommand::Show { scenario: word, data, at, image, view } => {
+            show(&scenario(Some(word), &data.data())?, *at, image.as_deref(), *view, printer)
         }
         ScenariosCommand::Generate { types, from, count } => generated(types, *from, *count, printer),
         ScenariosCommand::Export(arguments) => super::export::run(arguments, printer),
@@ -50,31 +52,46 @@ fn list_types(printer: Printer) -> anyhow::Result<Exit> {
     Ok(Exit::Success)
 }
 
-/// A line a scenario: the word that names it. Says whether the splits are complete.
-fn list_splits(flags: &SplitArguments, printer: Printer) -> anyhow::Result<bool> {
-    let data = NuPlanData::new(flags.roots.data_roots());
+/// A line a scenario: the word that names it. Says whether all scenarios of the splits are there.
+fn list_splits(names: &[String], data: &NuPlanData, printer: Printer) -> anyhow::Result<bool> {
     let mut complete = true;
-    for name in &flags.splits {
-        let found = split(name, &data, &|_, _| ())?;
-        for note in &found.notes {
-            printer.note(note);
-        }
+    for name in names {
+        let found = split(name, data, &|_, _| {})?;
         for source in found.sources {
-            printer.line(source.to_string());
-            if printer.is_json() {
-                printer.json(&json!({"id": source.to_string(), "split": name}))?;
-            }
+            list_source(&source, Some(name), printer)?;
+        }
+        for note in found.notes {
+            printer.note(format!("{name}: {note}"));
         }
         if !found.missing.is_empty() {
+            printer.note(format!("{name}: {}", found.missing));
             complete = false;
-            printer.note(format!("failed: split {name}: {}", found.missing));
         }
     }
     Ok(complete)
 }
 
-fn list(sources: &[PathBuf], printer: Printer) -> anyhow::Result<Exit> {
+fn list_source(source: &ScenarioSource, split: Option<&str>, printer: Printer) -> anyhow::Result<()> {
+    let scenario_type = source.scenario_type();
+    match scenario_type {
+        Some(scenario_type) => printer.line(format!("{source}  {scenario_type}")),
+        None => printer.line(source.to_string()),
+    }
+    if printer.is_json() {
+        printer.json(&json!({"id": source.to_string(), "split": split, "scenario_type": scenario_type}))?;
+    }
+    Ok(())
+}
+
+fn list(sources: &[PathBuf], data: &NuPlanData, printer: Printer) -> anyhow::Result<()> {
     for source in sources {
+        let of_nuplan = ScenarioSource::of_nuplan(&source.to_string_lossy(), data)?;
+        for found in &of_nuplan {
+            list_source(found, None, printer)?;
+        }
+        if NuPlanData::names_log(&source.to_string_lossy()) {
+            continue;
+        }
         if argoverse2::is_log(source) {
             list_log(source, printer)?;
             continue;
@@ -85,7 +102,7 @@ fn list(sources: &[PathBuf], printer: Printer) -> anyhow::Result<Exit> {
         }
         let files = if source.is_dir() { recordings_in(source) } else { Ok(vec![source.clone()]) };
         let files = match files {
-            Err(SourceError::Empty(_)) if !logs.is_empty() => Vec::new(),
+            Err(SourceError::Empty(_)) if !(logs.is_empty() && of_nuplan.is_empty()) => Vec::new(),
             files => files?,
         };
         for file in files {
@@ -96,7 +113,7 @@ fn list(sources: &[PathBuf], printer: Printer) -> anyhow::Result<Exit> {
             }
         }
     }
-    Ok(Exit::Success)
+    Ok(())
 }
 
 fn list_log(folder: &Path, printer: Printer) -> anyhow::Result<()> {

@@ -94,9 +94,9 @@ impl MapStore {
         lock(&self.notes).iter().cloned().collect()
     }
 
-    /// Makes sure that the rows of a log are found quickly.
-    pub(super) fn attach_index(&self, log: &Database) -> Result<side_index::Found, NuPlanError> {
-        let found = self.indices.attach(log)?;
+    /// Makes sure that the rows of a log from one time to another (µs) are found quickly.
+    pub(super) fn attach_index(&self, log: &Database, times: (i64, i64)) -> Result<side_index::Found, NuPlanError> {
+        let found = self.indices.attach(log, times)?;
         lock(&self.notes).extend(found.note.clone());
         Ok(found)
     }

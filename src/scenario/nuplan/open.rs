@@ -23,14 +23,15 @@ use std::sync::Arc;
 /// When the log, the map or the scenario is unsound; the error names the place.
 pub fn open(maps: &MapStore, found: &Found) -> Result<Scenario, NuPlanError> {
     let database = open_log(&found.log)?;
-    let indices = maps.attach_index(&database)?;
     let rows = Rows::read(&database, found)?;
+    let indices = maps.attach_index(&database, rows.times())?;
     let map = maps.map(&found.map_name)?;
     let route = read_route(&database, found, &map)?;
     let mut reader = Reader { database: &database, indices: &indices, map: &map, tracks: Tracks::default() };
     let frames = rows.past.iter().chain(rows.iterations()).map(|sweep| reader.frame(sweep));
+    let frames = frames.collect::<Result<_, _>>()?;
     Ok(Scenario {
-        frames: frames.collect::<Result<_, _>>()?,
+        frames,
         start: rows.past.len(),
         future: rows.future.iter().map(|sweep| reader.ego(sweep)).collect::<Result<_, _>>()?,
         id: found.token.to_string(),

@@ -30,7 +30,7 @@ pub(super) struct Rows {
     pub(super) window: Vec<Sweep>,
     /// Those that the history is sampled from: every second one back from iteration 0, oldest first.
     pub(super) past: Vec<Sweep>,
-    /// Those after the window at which the recorded ego is looked up: every second one on from the last iteration.
+    /// Every second row after the last iteration, eight seconds at most.
     pub(super) future: Vec<Sweep>,
 }
 
@@ -70,12 +70,18 @@ impl Rows {
             return Err(failed(ScenarioFault::SameTime { before, after, time_us }));
         }
         let mut after = Vec::new();
+        let last = window.iter().step_by(ROWS_PER_STEP).next_back().map_or(last.time_us, |row| row.time_us);
         let later = format!("WHERE timestamp > ?1 AND {OF_SENSOR} ORDER BY timestamp, lidar_pc.rowid LIMIT ?2");
-        read(database, &later, (end, (ROWS_PER_STEP * FUTURE_FRAMES) as i64), &mut after)?;
-        after.dedup_by_key(|sweep| sweep.time_us);
-        let skipped = (ROWS_PER_STEP - window.len() % ROWS_PER_STEP) % ROWS_PER_STEP;
-        let future = after.into_iter().skip(skipped).step_by(ROWS_PER_STEP).collect();
+        let limit = (ROWS_PER_STEP * FUTURE_FRAMES) as i64;
+        read(database, &later, (last, limit), &mut after)?;
+        let future = after.into_iter().skip(ROWS_PER_STEP - 1).step_by(ROWS_PER_STEP).collect();
         Ok(Self { window, past, future })
+    }
+
+    /// First and last time of all rows, µs.
+    pub(super) fn times(&self) -> (i64, i64) {
+        let first = self.past.first().or(self.window.first()).map_or(0, |row| row.time_us);
+        (first, self.window.last().map_or(0, |row| row.time_us))
     }
 
     /// The rows of the iterations.

@@ -35,8 +35,10 @@ pub(super) struct SideIndices {
 /// How rows of a log are found by a column.
 #[derive(Debug, Default)]
 pub(super) struct Found {
-    /// The tables that are searched by the attached index.
+    /// The tables that are searched by an index of ours.
     aside: Vec<&'static str>,
+    /// Where that index is: the attached file, or memory.
+    schema: &'static str,
     /// What kept the index from being made, for the user.
     pub(super) note: Option<String>,
 }
@@ -44,12 +46,12 @@ pub(super) struct Found {
 impl Found {
     /// The query behind the name of a table that finds rows by a column: with the attached index, else by the table's own.
     pub(super) fn search(&self, table: Table, column: &str) -> String {
-        let name = table.name;
+        let (name, schema) = (table.name, self.schema);
         let columns: Vec<String> = table.columns.iter().map(|column| format!("{name}.\"{column}\"")).collect();
         let selected = format!("SELECT {}, {name}.rowid", columns.join(", "));
         if self.aside.contains(&name) {
             format!(
-                "{selected} FROM side.{name}_{column} AS i CROSS JOIN {name} ON {name}.rowid = i.number \
+                "{selected} FROM {schema}.{name}_{column} AS i CROSS JOIN {name} ON {name}.rowid = i.number \
                  WHERE i.key = ?1 ORDER BY i.number"
             )
         } else {
@@ -64,8 +66,9 @@ impl SideIndices {
         Self { folder, building: Mutex::default() }
     }
 
-    /// Makes sure that each searched table has an index, and attaches the file that holds the missing ones.
-    pub(super) fn attach(&self, log: &Database) -> Result<Found, NuPlanError> {
+    /// Makes sure that each searched table has an index, and attaches the file that holds the missing ones. Where no file can be
+    /// kept, the rows from one time to another (µs) are looked up once and remembered in memory.
+    pub(super) fn attach(&self, log: &Database, times: (i64, i64)) -> Result<Found, NuPlanError> {
         let mut missing = Vec::new();
         for (table, column) in SEARCHED {
             if !log.is_indexed(table.name, column)? {
@@ -79,16 +82,20 @@ impl SideIndices {
             Ok(file) => {
                 let attached = log.connection.execute("ATTACH DATABASE ?1 AS side", [immutable_uri(&file)]);
                 attached.map_err(|source| log.failed("the attached index", source))?;
-                Ok(Found { aside: missing.into_iter().map(|(table, _)| table).collect(), note: None })
+                Ok(Found { aside: missing.into_iter().map(|(table, _)| table).collect(), schema: "side", note: None })
             }
             Err(IndexError::Log(error)) => Err(error),
-            Err(IndexError::Cache(reason)) => Ok(Found {
-                aside: Vec::new(),
-                note: Some(format!(
-                    "no index for logs can be kept ({reason}): reading a scenario takes seconds; set PLANAGENT_CACHE to a folder \
-                     that can be written"
-                )),
-            }),
+            Err(IndexError::Cache(reason)) => {
+                remember(log, &missing, times)?;
+                Ok(Found {
+                    aside: missing.into_iter().map(|(table, _)| table).collect(),
+                    schema: "temp",
+                    note: Some(format!(
+                        "no index for logs can be kept ({reason}): each scenario reads its whole log; set PLANAGENT_CACHE to a \
+                         folder that can be written"
+                    )),
+                })
+            }
         }
     }
 
@@ -108,6 +115,33 @@ impl SideIndices {
         }
         Ok(file)
     }
+}
+
+/// Indexes in memory what belongs to the rows of some time.
+fn remember(log: &Database, missing: &[(&'static str, &'static str)], times: (i64, i64)) -> Result<(), NuPlanError> {
+    let run = |query: &str| log.connection.execute_batch(query);
+    run("PRAGMA temp_store = MEMORY").map_err(|source| log.failed("the index in memory", source))?;
+    for (table, column) in missing {
+        let name = format!("{table}_{column}");
+        let wanted = if *column == "lidar_pc_token" {
+            let (from, to) = times;
+            format!("IN (SELECT token FROM lidar_pc WHERE timestamp >= {from} AND timestamp <= {to})")
+        } else {
+            "IS NOT NULL".to_owned()
+        };
+        let filled = run(&created("temp", &name)).and_then(|()| {
+            run(&format!(
+                "INSERT INTO temp.{name} SELECT \"{column}\", rowid FROM main.{table} WHERE \"{column}\" {wanted}"
+            ))
+        });
+        filled.map_err(|source| log.failed(table, source))?;
+    }
+    Ok(())
+}
+
+/// The query that makes an index.
+fn created(schema: &str, name: &str) -> String {
+    format!("CREATE TABLE {schema}.{name} (key BLOB, number INTEGER, PRIMARY KEY (key, number)) WITHOUT ROWID")
 }
 
 /// Why there is no index.
@@ -168,9 +202,7 @@ fn write(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) 
     index.execute_batch("CREATE TABLE complete (name TEXT PRIMARY KEY)").map_err(cache)?;
     for (table, column) in missing {
         let name = format!("{table}_{column}");
-        let created =
-            format!("CREATE TABLE {name} (key BLOB, number INTEGER, PRIMARY KEY (key, number)) WITHOUT ROWID");
-        index.execute_batch(&created).map_err(cache)?;
+        index.execute_batch(&created("main", &name)).map_err(cache)?;
         // A row without the column belongs to no frame; it is no row that a search by the column could find.
         let filled = format!(
             "INSERT INTO {name} SELECT \"{column}\", rowid FROM log.{table} WHERE \"{column}\" IS NOT NULL ORDER BY 1, 2"

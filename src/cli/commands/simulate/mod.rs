@@ -23,10 +23,7 @@ use std::time::{Instant, SystemTime};
 pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let started = Instant::now();
     let before = flags.resume.as_deref().map(RunFolder::manifest).transpose()?;
-    let selection = Selection::of(flags, before.as_ref())?;
-    for note in &selection.notes {
-        printer.note(note);
-    }
+    let selection = Selection::of(flags, before.as_ref(), printer)?;
     let assignments = &selection.assignments;
     let needs_model = selection.planners.contains(&PlannerKind::PlanAgent);
     let loaded = if needs_model { Some(model::load(config, printer)?) } else { None };
@@ -64,14 +61,14 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
     };
     let timing = Timing::new(session, &rows);
     folder.finish(&manifest, &summary, &timing, &rows)?;
-    let exit = tell(&summary, &timing, &rows, folder.path(), printer)?;
-    for note in selection.nuplan.notes() {
+    let all_well = tell(&summary, &timing, &rows, folder.path(), printer)?;
+    for note in selection.data.notes() {
         printer.note(note);
     }
     for line in &selection.missing {
-        printer.note(format!("failed: {line}"));
+        printer.note(format!("not driven: {line}"));
     }
-    Ok(if selection.missing.is_empty() { exit } else { Exit::SomeFailed })
+    Ok(if all_well && selection.missing.is_empty() { Exit::Success } else { Exit::SomeFailed })
 }
 
 /// What this run would be started with.
@@ -116,14 +113,14 @@ fn kept(
     Ok(kept)
 }
 
-/// Tables to stdout, place and failures to stderr.
+/// Tables to stdout, place and failures to stderr. Says whether every drive ended well.
 fn tell(
     summary: &Summary,
     timing: &Timing,
     rows: &[DriveRow],
     folder: &Path,
     printer: Printer,
-) -> anyhow::Result<Exit> {
+) -> anyhow::Result<bool> {
     if printer.is_json() {
         printer.json(summary)?;
     } else {
@@ -141,7 +138,7 @@ fn tell(
     if !failed.is_empty() {
         printer.note(format!("{} of {} drives failed", failed.len(), rows.len()));
     }
-    Ok(if failed.is_empty() { Exit::Success } else { Exit::SomeFailed })
+    Ok(failed.is_empty())
 }
 
 /// The processor's name as the system gives it.

@@ -1,5 +1,6 @@
 //! What a run drives: from the flags, else from the run that is gone on with, else by default.
 
+use crate::cli::Printer;
 use crate::cli::args::SimulateArguments;
 use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::run::{Assignment, PlannerKind};
@@ -23,12 +24,16 @@ pub(super) struct Selection {
     pub(super) challenges: Vec<Challenge>,
     /// Every scenario with every planner in every challenge.
     pub(super) assignments: Vec<Assignment>,
-    /// Scenarios of splits that are not there, a line a split: the run is not the whole split.
+    /// What the splits name and the data does not hold, a line a split.
     pub(super) missing: Vec<String>,
-    /// What a user should know about the scenarios.
-    pub(super) notes: Vec<String>,
-    /// nuPlan's logs and maps, as far as they were opened.
-    pub(super) nuplan: NuPlanData,
+    /// nuPlan's data, with what there is to know about the maps and logs that were opened.
+    pub(super) data: NuPlanData,
+}
+
+/// What words and splits name.
+struct Found {
+    sources: Vec<ScenarioSource>,
+    missing: Vec<String>,
 }
 
 impl Selection {
@@ -36,66 +41,73 @@ impl Selection {
     ///
     /// # Errors
     /// When a planner, challenge, split or scenario is unknown or cannot be read, or nothing is left.
-    pub(super) fn of(flags: &SimulateArguments, manifest: Option<&Manifest>) -> anyhow::Result<Self> {
-        let selects = !flags.scenarios.is_empty() || !flags.split.splits.is_empty() || flags.limit.is_some();
+    pub(super) fn of(flags: &SimulateArguments, manifest: Option<&Manifest>, printer: Printer) -> anyhow::Result<Self> {
+        let named = !flags.scenarios.is_empty() || !flags.split.splits.is_empty() || flags.limit.is_some();
         let (words, splits, limit) = match manifest {
-            Some(manifest) if !selects => {
+            Some(manifest) if !named => {
                 let list = &manifest.scenarios;
                 (list.words.clone(), list.splits.clone(), list.limit)
             }
             _ => (flags.scenarios.clone(), flags.split.splits.clone(), flags.limit),
         };
-        let DataRoots { data, maps } = roots(flags, manifest);
-        let nuplan = NuPlanData::new(DataRoots { data: data.clone(), maps: maps.clone() });
-        let Named { sources, missing, notes } = named(&words, &splits, limit, &nuplan)?;
+        let roots = roots(flags, manifest);
+        let data = NuPlanData::new(roots.clone());
+        let Found { sources, missing } = find(&words, &splits, limit, &data, printer)?;
         let planners = planners(&flags.planner, manifest)?;
         let challenges = challenges(&flags.challenge, manifest)?;
         let names = sources.iter().map(ToString::to_string);
         let (count, blake3) = (sources.len(), ScenarioList::digest(names));
-        let list = ScenarioList { words, splits, data_root: data, maps_root: maps, limit, count, blake3 };
+        let list = ScenarioList { words, splits, data_root: roots.data, maps_root: roots.maps, limit, count, blake3 };
         let assignments = assignments(&sources, &planners, &challenges);
-        Ok(Self { list, planners, challenges, assignments, missing, notes, nuplan })
+        Ok(Self { list, planners, challenges, assignments, missing, data })
     }
 }
 
-/// The folders of the flags, else of the run that is gone on with.
+/// The folders of nuPlan's data by flags or environment, else those of the run that is gone on with.
 fn roots(flags: &SimulateArguments, manifest: Option<&Manifest>) -> DataRoots {
-    let DataRoots { data, maps } = flags.split.roots.data_roots();
+    let DataRoots { data, maps } = flags.split.data.roots();
     let before = |of: fn(&ScenarioList) -> &Option<PathBuf>| manifest.and_then(|m| of(&m.scenarios).clone());
     DataRoots { data: data.or_else(|| before(|l| &l.data_root)), maps: maps.or_else(|| before(|l| &l.maps_root)) }
 }
 
-/// The scenarios that words and splits name.
-struct Named {
-    sources: Vec<ScenarioSource>,
-    missing: Vec<String>,
-    notes: Vec<String>,
-}
-
-fn named(words: &[String], splits: &[String], limit: Option<usize>, data: &NuPlanData) -> anyhow::Result<Named> {
-    let mut named = Named { sources: Vec::new(), missing: Vec::new(), notes: Vec::new() };
+fn find(
+    words: &[String],
+    splits: &[String],
+    limit: Option<usize>,
+    data: &NuPlanData,
+    printer: Printer,
+) -> anyhow::Result<Found> {
+    let (mut found, mut missing) = (Vec::new(), Vec::new());
     for name in splits {
-        let found = split(name, data, &|_, _| ())?;
-        named.sources.extend(found.sources);
-        named.notes.extend(found.notes);
-        if !found.missing.is_empty() {
-            named.missing.push(format!("split {name}: {}", found.missing));
+        let bar = printer.progress(0, "logs");
+        let of_split = split(name, data, &|done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        });
+        bar.finish_and_clear();
+        let of_split = of_split?;
+        found.extend(of_split.sources);
+        for note in of_split.notes {
+            printer.note(format!("{name}: {note}"));
+        }
+        if !of_split.missing.is_empty() {
+            missing.push(format!("{name}: {}", of_split.missing));
         }
     }
     for word in words {
-        named.sources.extend(ScenarioSource::find(word, data)?);
+        found.extend(ScenarioSource::find(word, data)?);
     }
     if splits.is_empty() && words.is_empty() {
-        named.sources.push(ScenarioSource::Generated(generator::DEFAULT));
+        found.push(ScenarioSource::Generated(generator::DEFAULT));
     }
     // A scenario that is named twice is driven once, or it would count twice in the means.
     let mut seen = BTreeSet::new();
-    named.sources.retain(|source| seen.insert(source.to_string()));
-    named.sources.truncate(limit.unwrap_or(usize::MAX));
-    if named.sources.is_empty() {
+    found.retain(|source| seen.insert(source.to_string()));
+    found.truncate(limit.unwrap_or(usize::MAX));
+    if found.is_empty() {
         bail!("no scenario is left to drive");
     }
-    Ok(named)
+    Ok(Found { sources: found, missing })
 }
 
 fn planners(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<PlannerKind>> {
