@@ -176,6 +176,8 @@ pub(super) struct ExportArguments {
     /// Scenarios, as `simulate` takes them.
     #[arg(required = true, value_name = "SCENARIO")]
     pub(super) scenarios: Vec<String>,
+    #[command(flatten)]
+    pub(super) data: DataArguments,
     /// Which files: nuplan writes a log for each scenario and a map for each map.
     #[arg(long, value_enum)]
     pub(super) format: ExportFormat,
