@@ -21,29 +21,29 @@ use std::hint::black_box;
 const CROWD: u32 = 50;
 
 /// Cars, pedestrians and cones on the lanes around the ego, as many as [`CROWD`], all within 50 m and none touching it:
-/// half of them stand, the others drive along their lane.
+/// a third drives along its lane, a sixth walks, half of them stand.
 fn crowd(scene: &Scene<'_>) -> Vec<TrackedObject> {
     let center = scene.ego.center();
-    let lanes = scene.map.lanes_near(center.position(), 45.0);
+    let lanes = scene.map.lanes_near(center.position(), 49.0);
     let places = lanes.iter().flat_map(|&lane| {
         let line = &scene.map[lane].centerline;
         (0..(line.length() / 7.0) as usize).map(|i| line.pose_at(3.5 + 7.0 * i as f64))
     });
-    let near = places.filter(|pose| (8.0..45.0).contains(&pose.distance(&center)));
-    let objects: Vec<TrackedObject> = near
-        .zip(0..)
+    let near = places.filter(|pose| (14.0..49.0).contains(&pose.distance(&center)));
+    let beside = near.flat_map(|pose| [0.0, 3.0, -3.0].map(|left| pose.translated(0.0, left)));
+    let objects: Vec<TrackedObject> = beside
+        .zip(0..CROWD)
         .map(|(pose, token)| {
-            let (kind, length, width) = match token % 5 {
-                0 => (ObjectKind::Pedestrian, 0.7, 0.7),
-                1 => (ObjectKind::TrafficCone, 0.4, 0.4),
-                _ => (ObjectKind::Vehicle, 4.6, 1.9),
+            let (kind, length, width, speed) = match token % 6 {
+                0 | 3 => (ObjectKind::Vehicle, 4.6, 1.9, 6.0),
+                1 => (ObjectKind::TrafficCone, 0.4, 0.4, 0.0),
+                2 => (ObjectKind::Pedestrian, 0.7, 0.7, 1.0),
+                _ => (ObjectKind::Vehicle, 4.6, 1.9, 0.0),
             };
-            let speed = if kind == ObjectKind::Vehicle && token % 2 == 0 { 6.0 } else { 0.0 };
-            let shape = OrientedBox::new(pose.translated(0.0, if speed > 0.0 { 0.0 } else { 3.0 }), length, width);
+            let shape = OrientedBox::new(pose, length, width);
             let velocity: Vector = pose.direction() * speed;
             TrackedObject { token: TrackToken(token), kind, shape, velocity }
         })
-        .take(CROWD as usize)
         .collect();
     assert_eq!(objects.len(), CROWD as usize, "the bench needs a crowd");
     objects

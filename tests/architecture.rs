@@ -28,7 +28,7 @@ const WRITERS: [&str; 5] = [
     "src/experiment/dataset/",
     "src/cli/",
     "src/scenario/nuplan/side_index.rs",
-    "src/scenario/nuplan/export/staging.rs",
+    "src/scenario/nuplan/export/",
 ];
 
 /// Files that hold nothing but unit tests or what only these use.

@@ -11,6 +11,7 @@ mod architecture;
 mod argoverse2;
 mod cli;
 mod environment;
+mod generator;
 mod metrics;
 mod mllm;
 mod nuplan;

@@ -2,7 +2,7 @@
 
 use crate::experiment::nuplan_data::NuPlanData;
 use crate::scenario::nuplan::DataRoots;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
 /// A driving agent that plans with a multimodal language model, offline, on the CPU.
@@ -49,10 +49,10 @@ pub(super) enum Command {
 /// Flags that say where nuPlan's data lies.
 #[derive(Debug, Args)]
 pub(super) struct DataArguments {
-    /// Folder of nuPlan's logs, with folders below [default: $NUPLAN_DATA_ROOT].
+    /// Folder of nuPlan's logs, with folders below [default: `$NUPLAN_DATA_ROOT`].
     #[arg(long, value_name = "FOLDER")]
     data_root: Option<PathBuf>,
-    /// Folder of nuPlan's maps [default: $NUPLAN_MAPS_ROOT].
+    /// Folder of nuPlan's maps [default: `$NUPLAN_MAPS_ROOT`].
     #[arg(long, value_name = "FOLDER")]
     maps_root: Option<PathBuf>,
 }
@@ -166,6 +166,38 @@ pub(super) enum ScenariosCommand {
         #[arg(long, default_value_t = 1)]
         count: u64,
     },
+    /// Write scenarios as another tool's files.
+    Export(ExportArguments),
+}
+
+/// Flags of `scenarios export`.
+#[derive(Debug, Args)]
+pub(super) struct ExportArguments {
+    /// Scenarios, as `simulate` takes them.
+    #[arg(required = true, value_name = "SCENARIO")]
+    pub(super) scenarios: Vec<String>,
+    /// Which files: nuplan writes a log for each scenario and a map for each map.
+    #[arg(long, value_enum)]
+    pub(super) format: ExportFormat,
+    /// Folder for them; must be new or empty.
+    #[arg(long, value_name = "FOLDER")]
+    pub(super) out: PathBuf,
+    /// Name of the map; without it maps are named by their content.
+    #[arg(long, value_name = "NAME")]
+    pub(super) location: Option<String>,
+    /// UTM zone in which the scenarios are put, as an EPSG code.
+    #[arg(long, value_name = "CODE", default_value_t = 32_611)]
+    pub(super) epsg: u32,
+    /// Easting and northing at which their origin is put, metres.
+    #[arg(long, value_name = "METRES", num_args = 2, default_values_t = [664_000.0, 3_998_000.0], allow_negative_numbers = true)]
+    pub(super) origin: Vec<f64>,
+}
+
+/// What `scenarios export` writes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum ExportFormat {
+    /// nuPlan's log databases and map packages.
+    Nuplan,
 }
 
 /// Flags of `dataset`.

@@ -1,6 +1,6 @@
 //! The strip that a vehicle of some width sweeps along a line.
 
-use super::polygon::segment_distance;
+use super::polyline::{BLOCK, block_bounds};
 use super::{Bounds, OrientedBox, Point, Polygon, Polyline, Pose, wrap_angle};
 
 /// A line widened to both sides, with flat ends and round outer bends: `shapely`'s buffer with flat caps.
@@ -9,6 +9,8 @@ pub struct Corridor {
     line: Polyline,
     half_width: f64,
     pieces: Vec<OrientedBox>,
+    /// Bounds of each run of [`BLOCK`] pieces, widened.
+    blocks: Vec<Bounds>,
     /// Centres of the round bends.
     bends: Vec<Point>,
     bounds: Bounds,
@@ -33,8 +35,10 @@ impl Corridor {
         let turns = |pair: &[OrientedBox]| wrap_angle(pair[1].center.heading - pair[0].center.heading).abs();
         let interior = line.vertices().iter().skip(1).zip(pieces.windows(2));
         let bends = interior.filter(|(_, pair)| turns(pair) > ROUNDED_BEND).map(|(&vertex, _)| vertex).collect();
+        let blocks: Vec<Bounds> =
+            block_bounds(line.vertices()).into_iter().map(|bounds| bounds.grown(half_width)).collect();
         let bounds = Bounds::around(line.vertices()).grown(half_width);
-        Self { line, half_width, pieces, bends, bounds }
+        Self { line, half_width, pieces, blocks, bends, bounds }
     }
 
     /// The same strip lengthened at both ends by its half width: square caps.
@@ -65,13 +69,18 @@ impl Corridor {
 
     /// Whether a box and the strip share a point.
     pub fn meets_box(&self, shape: &OrientedBox) -> bool {
-        self.bounds.overlaps(&shape.bounds())
-            && (self.pieces.iter().any(|piece| piece.overlaps(shape))
-                || self.bends.iter().any(|&bend| {
-                    let corners = shape.corners();
-                    shape.contains(bend)
-                        || (0..4).any(|i| segment_distance(bend, corners[i], corners[(i + 1) % 4]) <= self.half_width)
-                }))
+        let bounds = shape.bounds();
+        if !self.bounds.overlaps(&bounds) {
+            return false;
+        }
+        let frame = shape.frame();
+        let meets = |piece: &OrientedBox| {
+            let reach = self.half_width.powi(2) + (piece.length / 2.0).powi(2);
+            frame.distance_squared(piece.center.position()) <= reach && piece.overlaps(shape)
+        };
+        let near = self.blocks.iter().zip(self.pieces.chunks(BLOCK)).filter(|(block, _)| block.overlaps(&bounds));
+        near.flat_map(|(_, pieces)| pieces).any(meets)
+            || self.bends.iter().any(|&bend| frame.distance_squared(bend) <= self.half_width.powi(2))
     }
 
     /// Whether a polygon and the strip share a point.

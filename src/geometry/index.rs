@@ -48,6 +48,13 @@ impl Bounds {
         p.x >= self.min.x && p.x <= self.max.x && p.y >= self.min.y && p.y <= self.max.y
     }
 
+    /// Squared distance from a point, m²; 0 inside.
+    pub fn distance_squared(&self, p: Point) -> f64 {
+        let x = (self.min.x - p.x).max(p.x - self.max.x).max(0.0);
+        let y = (self.min.y - p.y).max(p.y - self.max.y).max(0.0);
+        x * x + y * y
+    }
+
     /// Whether two rectangles share a point.
     pub fn overlaps(&self, other: &Self) -> bool {
         self.min.x <= other.max.x && other.min.x <= self.max.x && self.min.y <= other.max.y && other.min.y <= self.max.y

@@ -75,10 +75,22 @@ impl OrientedBox {
         query::details::intersection_test_cuboid_cuboid(&a_at.inv_mul(&b_at), &a, &b)
     }
 
-    /// Distance between two boxes, metres; 0 when they overlap.
+    /// Distance between two boxes, metres; 0 when they overlap. Of boxes apart, a corner of one is nearest to the other.
     pub fn distance(&self, other: &Self) -> f64 {
-        let ((a_at, a), (b_at, b)) = (self.shape(), other.shape());
-        query::details::distance_support_map_support_map(&a_at.inv_mul(&b_at), &a, &b)
+        if self.overlaps(other) {
+            return 0.0;
+        }
+        let (a, b) = (self.frame(), other.frame());
+        let to_other = a.corners().into_iter().map(|corner| b.distance_squared(corner));
+        let to_self = b.corners().into_iter().map(|corner| a.distance_squared(corner));
+        to_other.chain(to_self).fold(f64::INFINITY, f64::min).sqrt()
+    }
+
+    /// The box with its heading resolved, for many questions.
+    pub(super) fn frame(&self) -> BoxFrame {
+        let (sin, cos) = self.center.heading.sin_cos();
+        let half = (self.length / 2.0, self.width / 2.0);
+        BoxFrame { center: self.center.position(), sin, cos, half }
     }
 
     /// Whether the segment between two points meets the box; touching counts.
@@ -99,6 +111,33 @@ impl OrientedBox {
             leave = leave.min(t1.max(t2));
         }
         enter <= leave
+    }
+}
+
+/// An [`OrientedBox`] with the sine and cosine of its heading.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BoxFrame {
+    center: Point,
+    sin: f64,
+    cos: f64,
+    /// Half length and half width, metres.
+    half: (f64, f64),
+}
+
+impl BoxFrame {
+    fn corners(&self) -> [Point; 4] {
+        let (l, w) = self.half;
+        [(l, w), (-l, w), (-l, -w), (l, -w)].map(|(x, y)| {
+            Point::new(self.center.x + self.cos * x - self.sin * y, self.center.y + self.sin * x + self.cos * y)
+        })
+    }
+
+    /// Squared distance from a point to the box, m²; 0 inside.
+    pub(super) fn distance_squared(&self, point: Point) -> f64 {
+        let d = point - self.center;
+        let x = ((self.cos * d.x + self.sin * d.y).abs() - self.half.0).max(0.0);
+        let y = ((self.cos * d.y - self.sin * d.x).abs() - self.half.1).max(0.0);
+        x * x + y * y
     }
 }
 
@@ -125,6 +164,18 @@ mod tests {
         assert!(!square(0.0, 0.0).overlaps(&square(2.01, 0.0)));
         assert!((square(0.0, 0.0).distance(&square(5.0, 0.0)) - 3.0).abs() < 1e-9);
         assert!(square(0.0, 0.0).distance(&square(1.0, 0.3)).abs() < 1e-12);
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn the_distance_is_that_of_the_general_algorithm(
+            x in -15.0..15.0f64, y in -15.0..15.0f64, heading in -3.2..3.2f64, l in 0.3..8.0f64, w in 0.3..4.0f64,
+        ) {
+            let (a, b) = (OrientedBox::new(Pose::new(x, y, heading), l, w), square(1.0, 0.7));
+            let ((a_at, a_shape), (b_at, b_shape)) = (a.shape(), b.shape());
+            let general = query::details::distance_support_map_support_map(&a_at.inv_mul(&b_at), &a_shape, &b_shape);
+            proptest::prop_assert!((a.distance(&b) - general).abs() < 1e-6, "{} {general}", a.distance(&b));
+        }
     }
 
     #[test]

@@ -103,12 +103,18 @@ impl Polygon {
         if self.meets_box(shape) {
             return 0.0;
         }
-        let corners = shape.corners();
-        let from_corners = corners.iter().map(|&c| self.edge_distance(c));
-        let from_vertices = self.rings().flatten().map(|&v| {
-            (0..4).map(|i| segment_distance(v, corners[i], corners[(i + 1) % 4])).fold(f64::INFINITY, f64::min)
-        });
-        from_corners.chain(from_vertices).fold(f64::INFINITY, f64::min)
+        let (corners, frame, center) = (shape.corners(), shape.frame(), shape.center.position());
+        let reach = shape.diagonal() / 2.0;
+        let mut nearest = f64::INFINITY;
+        for (from, to) in self.edges() {
+            // No point of the edge is nearer than this.
+            let least = (nalgebra::center(&from, &to) - center).norm() - (to - from).norm() / 2.0 - reach;
+            if least <= nearest {
+                let from_corners = corners.iter().map(|&corner| segment_distance(corner, from, to));
+                nearest = from_corners.fold(nearest, f64::min).min(frame.distance_squared(from).sqrt());
+            }
+        }
+        nearest
     }
 
     /// Whether two polygons share a point.

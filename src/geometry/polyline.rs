@@ -1,10 +1,12 @@
 //! Lines of vertices with arc length: projection, interpolation, cutting.
 
 use super::polygon::segments_cross;
-use super::{GeometryError, Point, Pose, Vector, check_finite, wrap_angle};
+use super::{Bounds, GeometryError, Point, Pose, Vector, check_finite, wrap_angle};
 
 /// Two vertices nearer than this are one, metres.
 const SAME_VERTEX: f64 = 1e-9;
+/// Segments of a long line that share one bounding rectangle in the search for the nearest point.
+pub(super) const BLOCK: usize = 16;
 /// Look-ahead of nuPlan's nearest-pose heading, metres (devkit `polyline_map_object`).
 const HEADING_LOOKAHEAD: f64 = 0.5;
 
@@ -13,6 +15,8 @@ const HEADING_LOOKAHEAD: f64 = 0.5;
 pub struct Polyline {
     vertices: Vec<Point>,
     arc_lengths: Vec<f64>,
+    /// Bounds of each run of [`BLOCK`] segments; none for a short line.
+    blocks: Vec<Bounds>,
 }
 
 /// Where a point falls on a [`Polyline`].
@@ -49,7 +53,8 @@ impl Polyline {
             s += (pair[1] - pair[0]).norm();
             arc_lengths.push(s);
         }
-        Ok(Self { vertices, arc_lengths })
+        let blocks = if vertices.len() > 2 * BLOCK { block_bounds(&vertices) } else { Vec::new() };
+        Ok(Self { vertices, arc_lengths, blocks })
     }
 
     /// The vertices, in order.
@@ -138,19 +143,9 @@ impl Polyline {
         self.pose_at(s).to_map(Point::new(0.0, lateral))
     }
 
-    /// Nearest point of the line.
+    /// Nearest point of the line; of several the first.
     pub fn project(&self, point: Point) -> Projection {
-        let mut best = (f64::INFINITY, 0, 0.0);
-        for segment in 0..self.vertices.len() - 1 {
-            let from = self.vertices[segment];
-            let along = self.vertices[segment + 1] - from;
-            let share = ((point - from).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
-            let distance = (point - (from + along * share)).norm_squared();
-            if distance < best.0 {
-                best = (distance, segment, share);
-            }
-        }
-        let (squared, segment, share) = best;
+        let Nearest { squared, segment, share } = self.nearest(point);
         let length = self.arc_lengths[segment + 1] - self.arc_lengths[segment];
         let direction = self.segment_direction(segment);
         let foot = self.vertices[segment] + direction * (share * length);
@@ -164,6 +159,28 @@ impl Polyline {
             point: foot,
             heading: self.segment_heading(segment),
         }
+    }
+
+    /// The nearest point by segment. Blocks whose bounds lie beyond what is found are passed over.
+    fn nearest(&self, point: Point) -> Nearest {
+        /// Rounding that the distance to bounds is allowed to be off by, as a share.
+        const MARGIN: f64 = 1e-9;
+        let mut nearest = Nearest { squared: f64::INFINITY, segment: 0, share: 0.0 };
+        let last = self.vertices.len() - 1;
+        let to_bounds = |block: usize| self.blocks[block].distance_squared(point);
+        let promising = (0..self.blocks.len()).min_by(|&a, &b| to_bounds(a).total_cmp(&to_bounds(b)));
+        let Some(promising) = promising else {
+            nearest.look(&self.vertices, point, 0..last);
+            return nearest;
+        };
+        let segments = |block: usize| block * BLOCK..((block + 1) * BLOCK).min(last);
+        nearest.look(&self.vertices, point, segments(promising));
+        for block in (0..self.blocks.len()).filter(|&block| block != promising) {
+            if to_bounds(block) * (1.0 - MARGIN) <= nearest.squared {
+                nearest.look(&self.vertices, point, segments(block));
+            }
+        }
+        nearest
     }
 
     /// nuPlan's nearest pose: the projected point with the heading towards the point 0.5 m further on.
@@ -245,6 +262,33 @@ impl Polyline {
     }
 }
 
+/// The nearest point so far.
+struct Nearest {
+    squared: f64,
+    segment: usize,
+    share: f64,
+}
+
+impl Nearest {
+    fn look(&mut self, vertices: &[Point], point: Point, segments: std::ops::Range<usize>) {
+        for segment in segments {
+            let from = vertices[segment];
+            let along = vertices[segment + 1] - from;
+            let share = ((point - from).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
+            let squared = (point - (from + along * share)).norm_squared();
+            if squared < self.squared || (squared == self.squared && segment < self.segment) {
+                *self = Self { squared, segment, share };
+            }
+        }
+    }
+}
+
+/// Bounds of each run of [`BLOCK`] segments.
+pub(super) fn block_bounds(vertices: &[Point]) -> Vec<Bounds> {
+    let last = vertices.len() - 1;
+    (0..last).step_by(BLOCK).map(|first| Bounds::around(&vertices[first..=(first + BLOCK).min(last)])).collect()
+}
+
 /// Signed curvature of the circle through three points; 0 when they are (nearly) in line.
 fn circle_curvature(p: Point, q: Point, r: Point) -> f64 {
     /// nuPlan treats a 16-fold squared area under this as a straight line, m⁴.
@@ -304,6 +348,24 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn long_lines_project_like_a_plain_scan(
+            turns in prop::collection::vec(-0.9..0.9f64, 40..120), x in -60.0..60.0f64, y in -60.0..60.0f64,
+        ) {
+            let mut at = Pose::default();
+            let points: Vec<Point> = turns.iter().map(|turn| {
+                at = Pose { heading: at.heading + turn, ..at }.translated(1.5, 0.0);
+                at.position()
+            }).collect();
+            let line = Polyline::new(points).unwrap();
+            let point = Point::new(x, y);
+            let mut plain = Nearest { squared: f64::INFINITY, segment: 0, share: 0.0 };
+            plain.look(line.vertices(), point, 0..line.vertices().len() - 1);
+            let found = line.nearest(point);
+            prop_assert!(!line.blocks.is_empty());
+            prop_assert_eq!((found.squared, found.segment, found.share), (plain.squared, plain.segment, plain.share));
+        }
+
         #[test]
         fn frenet_round_trip_on_a_straight(s in 0.1..99.9f64, d in -20.0..20.0f64, h in -3.0..3.0f64) {
             let start = Pose::new(5.0, -7.0, h);

@@ -91,7 +91,8 @@ fn lane_at(map: &LaneMap, point: Point, pose: Pose) -> Option<LaneId> {
     lanes_at(map, point, pose).into_iter().next().filter(|&lane| !map[lane].is_connector())
 }
 
-/// The stop line nearest to the middle of the front edge, if that middle is in a lane and the line crosses this lane.
+/// The stop line nearest to the middle of the front edge, if that middle is in a lane and the line crosses this lane. Lines
+/// out of reach of the edge are not looked for: the nearest would not meet it.
 fn nearest_stop_line<'m>(map: &'m LaneMap, front: &Polyline, pose: Pose) -> Option<(StopLineId, &'m StopLine)> {
     let middle = front.point_at(front.length() / 2.0);
     let lane = lane_at(map, middle, pose)?;

@@ -6,6 +6,9 @@ use rayon::prelude::*;
 use super::MllmError;
 use super::checkpoint::Weights;
 
+/// Fewest numbers that are worth waking other threads for.
+const PARALLEL: usize = 1 << 16;
+
 /// (x − mean) / sqrt(variance + ε) · weight + bias over the last dimension, in f32.
 ///
 /// Mean and variance are taken one after the other and summed in f64. candle-nn's layer norm takes the variance as
@@ -73,7 +76,11 @@ impl CustomOp1 for Rows<'_> {
             bail!("layer norm beyond the end of a tensor");
         };
         let mut out = vec![0f32; values.len()];
-        out.par_chunks_mut(width).zip(values.par_chunks(width)).for_each(|(out, row)| self.0.normalise(row, out));
+        if values.len() < PARALLEL {
+            out.chunks_mut(width).zip(values.chunks(width)).for_each(|(out, row)| self.0.normalise(row, out));
+        } else {
+            out.par_chunks_mut(width).zip(values.par_chunks(width)).for_each(|(out, row)| self.0.normalise(row, out));
+        }
         Ok((CpuStorage::F32(out), layout.shape().clone()))
     }
 }

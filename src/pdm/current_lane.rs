@@ -2,7 +2,7 @@
 //! `abstract_pdm_planner.py`).
 
 use crate::dynamics::ProgressPath;
-use crate::geometry::{OrientedBox, Point, Pose, wrap_angle};
+use crate::geometry::{Point, Pose, wrap_angle};
 use crate::world::{EgoState, Lane, LaneId, LaneKind, LaneMap, Roadblock, RoadblockId};
 use std::f64::consts::FRAC_PI_4;
 

@@ -4,9 +4,7 @@
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::dynamics::{IdmParameters, Lead, ProgressPath};
 use crate::geometry::{Corridor, OrientedBox, Polyline, wrap_angle};
-use crate::world::{
-    EgoState, LaneId, LaneMap, LanePath, PACIFICA, Route, Scene, TrackedObject, Trajectory, TrajectoryState,
-};
+use crate::world::{EgoState, LaneId, LaneMap, PACIFICA, Route, Scene, TrackedObject, Trajectory, TrajectoryState};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -96,7 +94,9 @@ impl Road {
         let poses: Vec<_> =
             lanes.iter().flat_map(|&lane| ProgressPath::baseline_poses(&self.map[lane].centerline)).collect();
         let path = ProgressPath::new(&poses).ok_or(PlannerError::EmptyRoute)?;
-        let line = LanePath::of(&self.map, lanes).ok_or(PlannerError::EmptyRoute)?.centerline;
+        // The ego is projected on the path as it is, its dropped last pose included.
+        let points = path.between(0.0, path.length()).into_iter().map(|pose| pose.position());
+        let line = Polyline::new(points).map_err(|_| PlannerError::EmptyRoute)?;
         let limit = self.map[start].speed_limit.filter(|&limit| limit > 0.0).unwrap_or(LAW.target_velocity);
         Ok(Way { path, line, law: IdmParameters { target_velocity: limit.max(ego.speed()), ..LAW } })
     }
@@ -204,7 +204,8 @@ impl Way {
     fn roll_out(&self, ego: &EgoState, obstacles: &Obstacles<'_>) -> Result<Trajectory, PlannerError> {
         let mut at = Progress { s: self.line.project(ego.center().position()).s, speed: ego.center_velocity().x };
         let mut states = vec![self.state(at, ego.time_us)];
-        let mut footprint = ego.footprint();
+        // At every sample, the first included, obstacles are looked for around the ego on its path, not where it really is.
+        let mut footprint = PACIFICA.footprint(states[0].rear_axle);
         for sample in 1..=SAMPLES {
             let reach = self.law.target_velocity.abs() * SAMPLES as f64 * SAMPLE_S;
             let ahead = self.line.slice(at.s, at.s + reach);
@@ -234,6 +235,7 @@ impl Way {
 mod tests {
     use super::*;
     use crate::dynamics::test_road::{Stretch, ego_at, object, straight_road, whole_route};
+    use crate::geometry::Pose;
     use crate::world::{History, ObjectKind, SignalStatus, TrafficLights};
 
     const ROAD: [Stretch; 3] = [Stretch::Lane(60.0), Stretch::Signal(20.0), Stretch::Lane(150.0)];
@@ -279,6 +281,50 @@ mod tests {
         let beside = [object(1, ObjectKind::Vehicle, 42.0, 3.6, 0.0)];
         let past = end(&plan(&ego_at(0, 5.0, 8.0), &beside, SignalStatus::Green));
         assert!(past.rear_axle.x > 60.0);
+    }
+
+    /// An ego that stands 0.8 m left of its path and is turned away from it: the gap is that of the box on the path.
+    #[test]
+    fn gaps_are_measured_from_the_path() {
+        let mut ego = ego_at(0, 5.0, 8.0);
+        ego.rear_axle = Pose::new(5.0, 0.8, 0.15);
+        let parked = [object(1, ObjectKind::Vehicle, 30.0, 0.0, 0.0)];
+        let trajectory = plan(&ego, &parked, SignalStatus::Green);
+        let s = 5.0 + PACIFICA.rear_axle_to_center() * 0.15f64.cos();
+        let gap = 30.0 - parked[0].shape.length / 2.0 - (s + PACIFICA.length() / 2.0);
+        let desired: f64 = 1.0 + 8.0 * 1.5 + 64.0 / (2.0 * 3.0f64.sqrt());
+        let acceleration = (1.0 - (8.0f64 / 12.0).powi(4) - (desired / gap).powi(2)).max(-3.0);
+        assert!((trajectory.states()[0].rear_axle.y).abs() < 1e-9);
+        assert!((trajectory.states()[1].velocity.x - (8.0 + 0.5 * acceleration)).abs() < 1e-9);
+    }
+
+    /// The corridor reaches the target velocity times 8 s from where the ego is, and its cap is square.
+    #[test]
+    fn the_corridor_ends_with_a_square_cap() {
+        let along = 5.0 + PACIFICA.rear_axle_to_center();
+        let reach = 1.0 * 8.0 + PACIFICA.width / 2.0;
+        let law = IdmParameters { target_velocity: 1.0, ..LAW };
+        let line =
+            Polyline::new([crate::geometry::Point::new(along, 0.0), crate::geometry::Point::new(along + 8.0, 0.0)]);
+        let corridor = Corridor::with_square_caps(&line.unwrap(), PACIFICA.width / 2.0);
+        let rear_at = |x: f64| OrientedBox::new(Pose::new(x + 2.0, 0.0, 0.0), 4.0, 2.0);
+        assert!(
+            corridor.meets_box(&rear_at(along + reach - 0.01)) && !corridor.meets_box(&rear_at(along + reach + 0.01))
+        );
+        assert!((law.target_velocity * SAMPLES as f64 * SAMPLE_S - 8.0).abs() < 1e-12);
+    }
+
+    /// A route of one roadblock and a search that never reaches the last one: the longest chain found.
+    #[test]
+    fn a_route_with_a_gap_ends_before_it() {
+        let map = Arc::new(straight_road(&ROAD, Some(12.0)));
+        let mut route = whole_route(&map);
+        route.roadblocks.truncate(2);
+        let mut planner = IdmPlanner::new();
+        planner.initialize(&PlannerInitialization { map: &map, route: &route }).unwrap();
+        let road = planner.road.as_ref().unwrap();
+        assert_eq!(road.route_plan(LaneId(0)), [LaneId(0), LaneId(1)]);
+        assert_eq!(road.route_plan(LaneId(1)), [LaneId(1)]);
     }
 
     #[test]

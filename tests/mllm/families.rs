@@ -154,7 +154,7 @@ fn an_image_takes_three_positions_of_cogvlm() {
         other => panic!("{other:?}"),
     }
     let no_image = Opening { system: "Drive safely.".into(), image: None };
-    match model.converse(&no_image, 0).unwrap().ask(&"left ".repeat(40), &free(4)) {
+    match model.converse(&no_image, 0).unwrap().ask(&"left ".repeat(60), &free(4)) {
         Err(MllmError::PromptTooLong { context: 60, .. }) => {}
         other => panic!("{other:?}"),
     }

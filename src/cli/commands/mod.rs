@@ -1,6 +1,7 @@
 //! One file a subcommand.
 
 pub(super) mod dataset;
+pub(super) mod export;
 pub(super) mod plan;
 pub(super) mod scenarios;
 pub(super) mod simulate;

@@ -1,4 +1,4 @@
-//! `planagent scenarios list|show|generate`.
+//! `planagent scenarios list|show|generate`; `export` has a file of its own.
 
 use super::plan::scenario;
 use crate::cli::args::ScenariosCommand;
@@ -36,6 +36,7 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
             show(&scenario(Some(word), &data.data())?, *at, image.as_deref(), *view, printer)
         }
         ScenariosCommand::Generate { types, from, count } => generated(types, *from, *count, printer),
+        ScenariosCommand::Export(arguments) => super::export::run(arguments, printer),
     }
 }
 

@@ -69,12 +69,15 @@ impl Expert {
         Self { task, changed: false, slowed_for: 0.0 }
     }
 
-    /// Where it wants to stop of its own accord: so far before a closed lane that there is room to leave it.
+    /// Where it wants to stop of its own accord: so far before a closed lane that there is room to leave it, or, when a
+    /// vehicle breaks down nearer than that, where it can stop comfortably.
     pub(crate) fn halt(traffic: &Traffic<'_>) -> Option<f64> {
         /// Distance kept to what closes the lane, metres.
         const ROOM_TO_LEAVE: f64 = 9.5;
+        let ego = &traffic.movers[0];
+        let comfortable = ego.front_s() + ego.speed * ego.speed / (2.0 * EXPERT.decel);
         match blocked(traffic) {
-            Some(Obstacle::Lane(at)) if !traffic.movers[0].is_between_lanes() => Some(at - ROOM_TO_LEAVE),
+            Some(Obstacle::Lane(at)) if !ego.is_between_lanes() => Some((at - ROOM_TO_LEAVE).max(comfortable)),
             _ => None,
         }
     }

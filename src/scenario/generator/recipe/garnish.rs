@@ -106,9 +106,9 @@ impl Stage<'_, '_> {
     pub(super) fn fill_bay(&mut self) {
         let bays = self.roads().map.carparks().to_vec();
         for bay in &bays {
-            // The ring runs along the road on its left edge first, then back along the right one.
+            // The ring runs along the road on its right edge first, then back along the left one.
             let ring = bay.ring();
-            let (left, right) = ((ring[0], ring[1]), (ring[3], ring[2]));
+            let (left, right) = ((ring[3], ring[2]), (ring[0], ring[1]));
             let heading = (left.1 - left.0).y.atan2((left.1 - left.0).x);
             let start = Pose::at(nalgebra::center(&left.0, &right.0), heading);
             let (length, depth) = ((left.1 - left.0).norm(), (right.0 - left.0).norm());

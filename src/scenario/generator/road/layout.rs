@@ -4,7 +4,7 @@ use super::junction::{Arm, Control, End, Turn};
 use super::line::{bend, straight, trace};
 use super::network::{Network, RoadIndex, RoadPlan, band};
 use super::roundabout::Ring;
-use crate::geometry::{GeometryError, Point, Pose, wrap_angle};
+use crate::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
 use crate::scenario::generator::dice::Dice;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -162,10 +162,11 @@ impl Layout {
         let after = self.extend(end.translated(gap, 0.0), style, course)?;
         self.network.join(before, after)?;
         if crosswalk {
-            let middle = [end.translated(gap / 2.0 - 1.5, 0.0), end.translated(gap / 2.0 + 1.5, 0.0)];
             let road = &self.network.roads[before];
-            let area = band(&middle, road.left_edge(), -road.right_edge())?;
-            self.network.parts.crosswalks.push(area);
+            let corner = |along: f64, lateral: f64| end.to_map(Point::new(gap / 2.0 + along, lateral));
+            let (left, right) = (road.left_edge(), -road.right_edge());
+            let area = [corner(1.5, left), corner(-1.5, left), corner(-1.5, right), corner(1.5, right)];
+            self.network.parts.crosswalks.push(Polygon::new(area)?);
         }
         Ok(())
     }

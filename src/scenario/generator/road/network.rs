@@ -258,10 +258,10 @@ impl Network {
         let end = self.end_of(lane);
         let corner = |forward: f64, left: f64| end.to_map(Point::new(forward, left));
         let polygon = Polygon::new([
-            corner(PAINTED[0], half),
-            corner(PAINTED[1], half),
-            corner(PAINTED[1], -half),
             corner(PAINTED[0], -half),
+            corner(PAINTED[1], -half),
+            corner(PAINTED[1], half),
+            corner(PAINTED[0], half),
         ])?;
         let id = StopLineId(self.parts.stop_lines.len() as u32);
         let lanes = self.parts.lanes[lane.index()].outgoing.clone();
@@ -309,7 +309,7 @@ pub(crate) fn band(line: &[Pose], left: f64, right: f64) -> Result<Polygon, Geom
     ring(shifted(line, left), shifted(line, right))
 }
 
-/// The area between a left and a right edge that run the same way.
+/// The area between a left and a right edge that run the same way; counter-clockwise: along the right edge, back along the left.
 fn ring(left: Vec<Point>, right: Vec<Point>) -> Result<Polygon, GeometryError> {
-    Polygon::new(left.into_iter().chain(right.into_iter().rev()))
+    Polygon::new(right.into_iter().chain(left.into_iter().rev()))
 }

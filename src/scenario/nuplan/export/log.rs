@@ -5,7 +5,6 @@ use super::naming::Tokens;
 use super::timeline::{Row, Timeline};
 use crate::geometry::{Point, Pose};
 use crate::scenario::Scenario;
-use crate::scenario::nuplan::extraction::UNKNOWN_TYPE;
 use crate::scenario::nuplan::token::Token;
 use crate::world::{EgoState, LaneId, MICROS_PER_SECOND, ObjectKind, TrackToken, TrackedObject};
 use rusqlite::{Connection, Transaction, params};
@@ -76,10 +75,8 @@ pub(super) fn write_log(
     for (number, row) in timeline.rows.iter().enumerate() {
         writer.write_row(number, row, &mut boxes)?;
     }
-    if scenario.scenario_type != UNKNOWN_TYPE {
-        let anchor = writer.tokens.of("lidar_pc", timeline.anchor as u64);
-        transaction.execute(sql::TAG, params![writer.tokens.of("scenario_tag", 0), anchor, scenario.scenario_type])?;
-    }
+    let anchor = anchor_token(facts.log, timeline);
+    transaction.execute(sql::TAG, params![writer.tokens.of("scenario_tag", 0), anchor, scenario.scenario_type])?;
     transaction.commit()?;
     connection.close().map_err(|(_, error)| error)
 }
@@ -180,7 +177,7 @@ impl Writer<'_> {
             ])?;
         }
         let mut insert = self.transaction.prepare_cached(sql::LIGHT)?;
-        let lights = row.lights.iter().flat_map(|(lane, status)| {
+        let lights = row.lights.into_iter().flat_map(crate::world::TrafficLights::iter).flat_map(|(lane, status)| {
             self.facts.connectors.get(&lane).into_iter().flatten().map(move |&connector| (connector, status))
         });
         for (connector, status) in lights {

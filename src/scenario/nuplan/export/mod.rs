@@ -83,6 +83,8 @@ pub struct Departures {
     pub connectors_repeated: usize,
     /// Stop lines put in for connectors that have lights but no stop line.
     pub stop_lines_put_in: usize,
+    /// Recorded states of the ego after the end that are left out, because nuPlan's window of the scenario's type would take them in.
+    pub future_left_out: usize,
     /// Neighbourhoods that are not said, or said for the whole lane instead of a part; nuPlan has none between connectors.
     pub neighbors_changed: usize,
 }
@@ -277,7 +279,7 @@ impl Writer<'_> {
             log::write_log(path, &facts, scenario, &timeline)
         })?;
         let token: Token = log::anchor_token(&log, &timeline);
-        let departures = graph.departures;
+        let departures = Departures { future_left_out: timeline.future_left_out, ..graph.departures };
         self.logs.push(ExportedLog { scenario: id(), token: token.to_string(), log, location, departures });
         Ok(())
     }

@@ -119,9 +119,10 @@ fn write_reference_systems(transaction: &Transaction<'_>) -> rusqlite::Result<()
 
 fn write_layer(transaction: &Transaction<'_>, filled: &Filled) -> rusqlite::Result<()> {
     let Layer { name, geometry, columns } = filled.layer;
-    let columns: String = columns.iter().map(|(column, kind)| format!(", {column} {kind}")).collect();
+    let columns: Vec<String> = columns.iter().map(|(column, kind)| format!("{column} {kind}")).collect();
+    let columns = columns.join(", ");
     transaction.execute_batch(&format!(
-        "CREATE TABLE {name} (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom {geometry}{columns})"
+        "CREATE TABLE {name} (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom {geometry}, {columns})"
     ))?;
     let bound = |i: usize| filled.bounds.map(|bounds| bounds[i]);
     transaction.execute(
@@ -135,10 +136,11 @@ fn write_layer(transaction: &Transaction<'_>, filled: &Filled) -> rusqlite::Resu
         params![name, geometry, WGS84],
     )?;
     for feature in &filled.features {
-        let named: String = feature.values.iter().map(|(column, _)| format!(", {column}")).collect();
+        let named: Vec<&str> =
+            ["fid", "geom"].into_iter().chain(feature.values.iter().map(|&(column, _)| column)).collect();
+        let named = named.join(", ");
         let places = ", ?".repeat(feature.values.len());
-        let mut insert =
-            transaction.prepare_cached(&format!("INSERT INTO {name} (fid, geom{named}) VALUES (?, ?{places})"))?;
+        let mut insert = transaction.prepare_cached(&format!("INSERT INTO {name} ({named}) VALUES (?, ?{places})"))?;
         let own = [Value::Integer(feature.fid), Value::Blob(feature.geometry.clone())];
         insert.execute(params_from_iter(own.iter().chain(feature.values.iter().map(|(_, value)| value))))?;
     }

@@ -137,7 +137,9 @@ fn numbers_of_lanes_say_who_lies_beside_whom() {
     lanes[0].right.push(beside(1, 20.0));
     lanes[1].left.push(beside(0, 20.0));
     let block = Roadblock { lanes: [0, 1, 2, 3].map(LaneId).to_vec(), ..map.roadblocks()[0].clone() };
-    lanes.iter_mut().for_each(|lane| lane.roadblock = RoadblockId(0));
+    for lane in &mut lanes {
+        lane.roadblock = RoadblockId(0);
+    }
     let map = LaneMap::new(MapParts { lanes, roadblocks: vec![block], ..MapParts::default() }).unwrap();
     let indices = lane_order::lane_indices(&map, &map.roadblocks()[0]);
     assert_eq!(
@@ -238,7 +240,7 @@ fn every_table_is_there_and_types_without_a_window_are_tagged_at_their_start() {
     }
     assert_eq!(
         (count(0, "category"), count(0, "scene"), count(0, "scenario_tag"), count(1, "scenario_tag")),
-        (7, 5, 1, 0)
+        (7, 5, 1, 1)
     );
     let rows = scenarios[0].frames.len() as i64 * 2 - 1;
     assert_eq!((count(0, "lidar_pc"), count(0, "ego_pose")), (rows, rows + 1), "the goal is a pose more");

@@ -1,10 +1,11 @@
 //! The rows of a log: nuPlan's 20 Hz from a scenario's 10 Hz.
 //!
-//! Every frame is a row as it is; between two frames stands one more, half-way. The devkit takes every second row, so that it
+//! Every frame is a row as it is; between two frames stands one more, half-way: the ego, and the objects that both frames hold, with
+//! the lights of the earlier one. Recorded states of the ego after the last frame follow in the same way. The devkit takes every second row, so that it
 //! sees the frames and nothing else. The tagged row is chosen so that the window that nuPlan cuts around it is the scenario's
 //! own, tried by the devkit's own rule.
 
-use crate::geometry::{OrientedBox, Point, Pose, wrap_angle};
+use crate::geometry::{Point, Pose, wrap_angle};
 use crate::scenario::nuplan::extraction::{Extraction, ROWS_PER_STEP};
 use crate::scenario::{Frame, Scenario};
 use crate::world::{EgoState, TrackedObject, TrafficLights};
@@ -18,8 +19,8 @@ pub(super) struct Row<'a> {
     pub(super) ego: EgoState,
     /// The boxes.
     pub(super) objects: Cow<'a, [TrackedObject]>,
-    /// The lights.
-    pub(super) lights: &'a TrafficLights,
+    /// The lights; `None` after the last frame, where only the ego is known.
+    pub(super) lights: Option<&'a TrafficLights>,
 }
 
 /// The rows of a scenario and the one that names it.
@@ -29,6 +30,8 @@ pub(super) struct Timeline<'a> {
     pub(super) rows: Vec<Row<'a>>,
     /// The tagged row.
     pub(super) anchor: usize,
+    /// Recorded states of the ego after the last frame for which there is no place: nuPlan's window would take them in.
+    pub(super) future_left_out: usize,
 }
 
 /// Why a scenario is no part of a nuPlan log.
@@ -65,24 +68,35 @@ impl<'a> Timeline<'a> {
     /// # Errors
     /// When frames do not follow each other in time, or nuPlan could not cut the scenario out again.
     pub(super) fn of(scenario: &'a Scenario) -> Result<Self, TimelineError> {
-        let rows = rows(&scenario.frames)?;
+        let mut rows = rows(&scenario.frames)?;
+        let frames = rows.len();
+        rows.extend(future_rows(scenario)?);
+        if let Some(anchor) = anchor(&rows, scenario) {
+            return Ok(Self { rows, anchor, future_left_out: 0 });
+        }
+        rows.truncate(frames);
         let extraction = Extraction::of(&scenario.scenario_type);
-        let times: Vec<i64> = rows.iter().map(|row| row.ego.time_us).collect();
-        let start = scenario.start * ROWS_PER_STEP;
-        let wanted = (start, scenario.iterations());
-        // Recorded times jitter: the row nearest to the nominal place first, then those around it.
-        let nominal = times.get(start).map_or(0, |&time| time.saturating_sub(extraction.offset_us));
-        let mut candidates: Vec<usize> = (0..rows.len()).collect();
-        candidates.sort_by_key(|&row| (times[row].abs_diff(nominal), row));
-        let anchor = candidates.into_iter().find(|&row| selected(&times, row, extraction) == Some(wanted));
-        let anchor = anchor.ok_or_else(|| TimelineError::Window {
+        let anchor = anchor(&rows, scenario).ok_or_else(|| TimelineError::Window {
             scenario_type: scenario.scenario_type.clone(),
             iterations: scenario.iterations(),
             duration_s: extraction.duration_us / 1_000_000,
             offset_s: extraction.offset_us / 1_000_000,
         })?;
-        Ok(Self { rows, anchor })
+        Ok(Self { rows, anchor, future_left_out: scenario.future.len() })
     }
+}
+
+/// The row around which nuPlan's window is the scenario; `None` when there is none.
+fn anchor(rows: &[Row<'_>], scenario: &Scenario) -> Option<usize> {
+    let extraction = Extraction::of(&scenario.scenario_type);
+    let times: Vec<i64> = rows.iter().map(|row| row.ego.time_us).collect();
+    let start = scenario.start * ROWS_PER_STEP;
+    let wanted = (start, scenario.iterations());
+    // Recorded times jitter: the row nearest to the nominal place first, then those around it.
+    let nominal = times.get(start)?.saturating_sub(extraction.offset_us);
+    let mut candidates: Vec<usize> = (0..rows.len()).collect();
+    candidates.sort_by_key(|&row| (times[row].abs_diff(nominal), row));
+    candidates.into_iter().find(|&row| selected(&times, row, extraction) == Some(wanted))
 }
 
 /// First row and number of rows that nuPlan takes around an anchor: every second one of the window, both ends included.
@@ -97,29 +111,34 @@ fn rows(frames: &[Frame]) -> Result<Vec<Row<'_>>, TimelineError> {
     let mut rows = Vec::with_capacity(frames.len() * ROWS_PER_STEP);
     for (index, frame) in frames.iter().enumerate() {
         if let Some(before) = index.checked_sub(1).and_then(|i| frames.get(i)) {
-            let step_us = frame.ego.time_us.saturating_sub(before.ego.time_us);
-            if step_us < 2 {
-                return Err(TimelineError::Step { frame: index, step_us });
-            }
-            rows.push(between(before, frame));
+            let ego = ego_between(&before.ego, &frame.ego, index)?;
+            rows.push(Row { ego, objects: objects_between(before, frame).into(), lights: Some(&before.lights) });
         }
-        rows.push(Row { ego: frame.ego, objects: Cow::Borrowed(&frame.objects), lights: &frame.lights });
+        rows.push(Row { ego: frame.ego, objects: Cow::Borrowed(&frame.objects), lights: Some(&frame.lights) });
     }
     Ok(rows)
 }
 
-/// The row half-way between two frames: the ego and the objects that both frames hold half-way, the lights of the earlier one.
-fn between<'a>(before: &'a Frame, after: &Frame) -> Row<'a> {
-    let (a, b) = (&before.ego, &after.ego);
-    let later: BTreeMap<_, _> = after.objects.iter().map(|object| (object.token, object)).collect();
-    let objects = before.objects.iter().filter_map(|object| {
-        let next = later.get(&object.token)?;
-        let shape =
-            OrientedBox::new(half_way(object.shape.center, next.shape.center), object.shape.length, object.shape.width);
-        Some(TrackedObject { shape, velocity: object.velocity.lerp(&next.velocity, 0.5), ..*object })
-    });
-    let ego = EgoState {
-        time_us: a.time_us + (b.time_us - a.time_us) / 2,
+/// The rows of the recorded ego after the last frame.
+fn future_rows(scenario: &Scenario) -> Result<Vec<Row<'static>>, TimelineError> {
+    let mut rows = Vec::with_capacity(scenario.future.len() * ROWS_PER_STEP);
+    let mut before = scenario.frames.last().map(|frame| frame.ego);
+    for (index, &ego) in scenario.future.iter().enumerate() {
+        let middle = before.replace(ego).map(|before| ego_between(&before, &ego, scenario.frames.len() + index));
+        let egos = [middle.transpose()?, Some(ego)];
+        rows.extend(egos.into_iter().flatten().map(|ego| Row { ego, objects: Cow::Borrowed(&[]), lights: None }));
+    }
+    Ok(rows)
+}
+
+/// The ego half-way between two frames, of which `frame` is the later one.
+fn ego_between(a: &EgoState, b: &EgoState, frame: usize) -> Result<EgoState, TimelineError> {
+    let step_us = b.time_us.saturating_sub(a.time_us);
+    if step_us < 2 {
+        return Err(TimelineError::Step { frame, step_us });
+    }
+    Ok(EgoState {
+        time_us: a.time_us + step_us / 2,
         rear_axle: half_way(a.rear_axle, b.rear_axle),
         velocity: a.velocity.lerp(&b.velocity, 0.5),
         acceleration: a.acceleration.lerp(&b.acceleration, 0.5),
@@ -127,8 +146,19 @@ fn between<'a>(before: &'a Frame, after: &Frame) -> Row<'a> {
         steering_rate: f64::midpoint(a.steering_rate, b.steering_rate),
         angular_velocity: f64::midpoint(a.angular_velocity, b.angular_velocity),
         angular_acceleration: f64::midpoint(a.angular_acceleration, b.angular_acceleration),
-    };
-    Row { ego, objects: objects.collect(), lights: &before.lights }
+    })
+}
+
+/// The objects that two frames hold, half-way between them.
+fn objects_between(before: &Frame, after: &Frame) -> Vec<TrackedObject> {
+    let later: BTreeMap<_, _> = after.objects.iter().map(|object| (object.token, object)).collect();
+    let between = before.objects.iter().filter_map(|object| {
+        let next = later.get(&object.token)?;
+        let center = half_way(object.shape.center, next.shape.center);
+        let shape = object.shape.moved_to(center);
+        Some(TrackedObject { shape, velocity: object.velocity.lerp(&next.velocity, 0.5), ..*object })
+    });
+    between.collect()
 }
 
 fn half_way(from: Pose, to: Pose) -> Pose {
@@ -140,7 +170,7 @@ fn half_way(from: Pose, to: Pose) -> Pose {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Vector;
+    use crate::geometry::{OrientedBox, Vector};
     use crate::scenario::generator::{ScenarioType, Spec, generate};
     use crate::world::{ObjectKind, TrackToken};
     use std::f64::consts::PI;
@@ -195,5 +225,21 @@ mod tests {
         assert!(matches!(cut(&scenario), Err(TimelineError::Window { iterations: 20, offset_s: -3, .. })));
         scenario.scenario_type = "unknown".to_owned();
         assert_eq!(cut(&scenario), Ok(scenario.start * 2));
+    }
+
+    #[test]
+    fn the_recorded_future_is_kept_where_the_window_does_not_reach_it() {
+        let mut scenario = generate(&Spec { scenario_type: ScenarioType::ChangingLane, seed: 1 }).unwrap();
+        let last = scenario.frames.last().unwrap().ego;
+        let later = |step: i64| EgoState { time_us: last.time_us + step * 100_000, ..last };
+        scenario.future = vec![later(1), later(2)];
+        let rows = scenario.frames.len() * 2 - 1;
+        let timeline = Timeline::of(&scenario).unwrap();
+        assert_eq!((timeline.rows.len(), timeline.future_left_out), (rows + 4, 0));
+        assert_eq!(timeline.rows[rows].ego.time_us, last.time_us + 50_000);
+        assert_eq!(timeline.rows[rows + 3].ego, later(2));
+        scenario.scenario_type = "unknown".to_owned();
+        let timeline = Timeline::of(&scenario).unwrap();
+        assert_eq!((timeline.rows.len(), timeline.future_left_out), (rows, 2));
     }
 }

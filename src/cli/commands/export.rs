@@ -1,0 +1,63 @@
+//! `planagent scenarios export`.
+
+use crate::cli::args::{ExportArguments, ExportFormat};
+use crate::cli::{Exit, Printer};
+use crate::experiment::nuplan_data::NuPlanData;
+use crate::experiment::source::ScenarioSource;
+use crate::geometry::Point;
+use crate::scenario::Scenario;
+use crate::scenario::nuplan::DataRoots;
+use crate::scenario::nuplan::export::{Departures, ExportSettings, write_scenarios};
+use anyhow::{Context, bail};
+use rayon::prelude::*;
+
+/// Writes scenarios in another format.
+///
+/// # Errors
+/// When a scenario cannot be opened or does not fit the format, or the folder cannot be written; then nothing is left behind.
+pub(in crate::cli) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Result<Exit> {
+    let data = NuPlanData::new(DataRoots::from_environment());
+    let found = arguments.scenarios.iter().map(|word| ScenarioSource::find(word, &data));
+    let sources: Vec<ScenarioSource> = found.collect::<Result<Vec<_>, _>>()?.concat();
+    let scenarios: Vec<Scenario> = sources
+        .par_iter()
+        .map(|source| source.open().with_context(|| format!("cannot open {source}")))
+        .collect::<Result<_, _>>()?;
+    match arguments.format {
+        ExportFormat::Nuplan => nuplan(arguments, &scenarios, printer),
+    }
+}
+
+fn nuplan(arguments: &ExportArguments, scenarios: &[Scenario], printer: Printer) -> anyhow::Result<Exit> {
+    let &[x, y] = arguments.origin.as_slice() else { bail!("--origin takes an easting and a northing") };
+    let settings =
+        ExportSettings { location: arguments.location.clone(), epsg: arguments.epsg, origin: Point::new(x, y) };
+    let exported = write_scenarios(scenarios, &arguments.out, &settings)?;
+    for log in &exported.logs {
+        printer.line(format!("{} {}  log {}  map {}", log.token, log.scenario, log.log, log.location));
+        if log.departures != Departures::default() {
+            printer.note(format!("{}: {}", log.scenario, said_otherwise(&log.departures)));
+        }
+        if printer.is_json() {
+            printer.json(log)?;
+        }
+    }
+    printer.note(format!("NUPLAN_DATA_ROOT={}", exported.data.display()));
+    printer.note(format!("NUPLAN_MAPS_ROOT={}", exported.maps.display()));
+    Ok(Exit::Success)
+}
+
+/// How a written map departs from the scenario's, in words.
+fn said_otherwise(departures: &Departures) -> String {
+    let counted = [
+        (departures.connectors_put_in, "connectors put between lanes"),
+        (departures.lanes_put_in, "lanes put between connectors"),
+        (departures.open_ends_closed, "lanes put at open ends of connectors"),
+        (departures.connectors_repeated, "connectors repeated for more lanes"),
+        (departures.stop_lines_put_in, "stop lines put in"),
+        (departures.future_left_out, "recorded states after the end left out"),
+        (departures.neighbors_changed, "neighbourhoods not said as they are"),
+    ];
+    let some = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
+    some.collect::<Vec<_>>().join(", ")
+}

@@ -1,0 +1,48 @@
+//! `planagent scenarios export`, and finding what it wrote.
+
+use assert_cmd::Command;
+use std::path::Path;
+
+/// Runs the program with `NUPLAN_MAPS_ROOT`; exit code, standard output and standard error.
+fn run(home: &Path, words: &[&str]) -> (i32, String, String) {
+    let mut command = Command::cargo_bin("planagent").unwrap();
+    let maps = home.join("out").join("maps");
+    let ran = command.args(words).env("NUPLAN_MAPS_ROOT", maps).env("PLANAGENT_CACHE", home).current_dir(home).output();
+    let output = ran.unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
+}
+
+#[test]
+fn an_exported_scenario_is_found_in_its_folder() {
+    let home = tempfile::tempdir().unwrap();
+    let export = ["scenarios", "export", "generated/stationary_in_traffic/1", "--format", "nuplan", "--out", "out"];
+    let (code, stdout, stderr) = run(home.path(), &export);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stdout.contains("generated/stationary_in_traffic/1  log generated"), "{stdout}");
+    assert!(stderr.contains("NUPLAN_DATA_ROOT=out/data") && stderr.contains("NUPLAN_MAPS_ROOT=out/maps"), "{stderr}");
+    let (code, _, stderr) = run(home.path(), &export);
+    assert!(code != 0 && stderr.contains("out exists and is not empty"), "{stderr}");
+    let token = stdout.split_whitespace().next().unwrap();
+    let (code, stdout, stderr) = run(home.path(), &["scenarios", "show", "out/data", "--json"]);
+    assert_eq!(code, 0, "{stderr}");
+    let shown: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!((&shown["id"], &shown["iterations"]), (&token.into(), &151.into()), "{shown}");
+    assert_eq!(shown["scenario_type"], "stationary_in_traffic");
+}
+
+#[test]
+fn what_cannot_be_exported_leaves_nothing_behind() {
+    let home = tempfile::tempdir().unwrap();
+    let export = |words: &[&str]| {
+        let all = [&["scenarios", "export", "--format", "nuplan", "--out", "out"], words].concat();
+        let (code, _, stderr) = run(home.path(), &all);
+        assert!(code != 0 && std::fs::read_dir(home.path()).unwrap().next().is_none(), "{stderr}");
+        stderr
+    };
+    assert!(export(&["generated/changing_lane/1", "--epsg", "4326"]).contains("not a UTM zone"));
+    assert!(export(&["generated/changing_lane/1", "--location", "a/b"]).contains("cannot name a map"));
+    assert!(export(&["generated/changing_lane/1", "generated/changing_lane/1"]).contains("must be given once"));
+    assert!(export(&["nowhere.tfrecord"]).contains("nowhere.tfrecord"));
+    assert!(export(&[]).contains("SCENARIO"));
+}
