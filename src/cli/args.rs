@@ -49,10 +49,10 @@ pub(super) enum Command {
 /// Flags that say where nuPlan's data lies.
 #[derive(Debug, Args)]
 pub(super) struct DataArguments {
-    /// Folder of nuPlan's logs, with folders below [default: $NUPLAN_DATA_ROOT].
+    /// Folder of nuPlan's logs, with folders below [default: `$NUPLAN_DATA_ROOT`].
     #[arg(long, value_name = "FOLDER")]
     data_root: Option<PathBuf>,
-    /// Folder of nuPlan's maps [default: $NUPLAN_MAPS_ROOT].
+    /// Folder of nuPlan's maps [default: `$NUPLAN_MAPS_ROOT`].
     #[arg(long, value_name = "FOLDER")]
     maps_root: Option<PathBuf>,
 }
@@ -176,6 +176,8 @@ pub(super) struct ExportArguments {
     /// Scenarios, as `simulate` takes them.
     #[arg(required = true, value_name = "SCENARIO")]
     pub(super) scenarios: Vec<String>,
+    #[command(flatten)]
+    pub(super) data: DataArguments,
     /// Which files: nuplan writes a log for each scenario and a map for each map.
     #[arg(long, value_enum)]
     pub(super) format: ExportFormat,

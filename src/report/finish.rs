@@ -11,7 +11,7 @@ use super::summary::{Summary, aggregated, distinct};
 use super::timing::Timing;
 
 impl RunFolder {
-    /// Writes `summary.json`, `timing.json`, `calls.jsonl`, and for each challenge nuPlan's result tree.
+    /// Writes `summary.json`, `timing.json`, `calls.jsonl`, `config.toml`, and for each challenge nuPlan's result tree.
     ///
     /// # Errors
     /// When a file cannot be written, or a drive's metrics cannot be read.
@@ -22,6 +22,7 @@ impl RunFolder {
         timing: &Timing,
         rows: &[DriveRow],
     ) -> Result<(), ReportError> {
+        self.write_config(manifest)?;
         self.join_calls()?;
         for challenge in distinct(rows.iter().map(|row| row.challenge)) {
             let own = || rows.iter().filter(|row| row.challenge == challenge);

@@ -10,7 +10,7 @@ use super::transcript::transcript;
 use crate::experiment::run::{Assignment, DriveRecord, Driven};
 use crate::metrics::MetricResult;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 
@@ -78,8 +78,9 @@ impl RunFolder {
         if folder.path.join(MANIFEST).exists() {
             return Err(ReportError::AlreadyRun(folder.path));
         }
-        folder.write("config.toml", toml::to_string_pretty(&manifest.config)?.as_bytes())?;
+        // The manifest comes first: from then on the folder is that of a run, which can be gone on with.
         folder.write(MANIFEST, toml::to_string_pretty(manifest)?.as_bytes())?;
+        folder.write_config(manifest)?;
         atomic::folder(&folder.path.join(DRIVES))?;
         Ok(folder)
     }
@@ -162,7 +163,7 @@ impl RunFolder {
         Ok(found)
     }
 
-    /// The drives that have ended, checked against what the run is made of.
+    /// The drives that have ended, checked against what the run is made of. Records that are damaged are removed.
     ///
     /// # Errors
     /// When a record cannot be read or belongs to another drive.
@@ -190,12 +191,13 @@ impl RunFolder {
         Ok(recorded)
     }
 
-    /// Takes back a drive that has ended, so that it can be made again.
+    /// Takes back drives that have ended, so that they can be made again.
     ///
     /// # Errors
-    /// When its folder cannot be removed.
-    pub fn take_back(&self, number: usize) -> Result<(), ReportError> {
-        self.folders()?.get(&number).map_or(Ok(()), |folder| remove(folder))
+    /// When a folder cannot be removed.
+    pub fn take_back(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
+        let folders = self.folders()?;
+        folders.iter().filter(|(number, _)| numbers.contains(number)).try_for_each(|(_, folder)| remove(folder))
     }
 
     /// The metrics of drives, in the order of their numbers.
@@ -225,6 +227,11 @@ impl RunFolder {
             }
         }
         fs::rename(&temporary, &path).map_err(ReportError::write(&path))
+    }
+
+    /// Writes the configuration as a file that `--config` takes.
+    pub(super) fn write_config(&self, manifest: &Manifest) -> Result<(), ReportError> {
+        self.write("config.toml", toml::to_string_pretty(&manifest.config)?.as_bytes())
     }
 
     /// Writes a file of the folder, whole or not at all.

@@ -59,7 +59,7 @@ pub(super) fn check_scores(before: &Scenario, after: &Scenario, (idm, challenge)
         if idm {
             score(scenario, &mut IdmPlanner::default(), challenge)
         } else {
-            score(scenario, &mut LogReplay::new(scenario.expert().copied().collect()), challenge)
+            score(scenario, &mut LogReplay::new(scenario.recorded().copied().collect()), challenge)
         }
     };
     let ((value, metrics), (value_after, metrics_after)) = (driven(before), driven(after));

@@ -2,11 +2,9 @@
 
 use crate::cli::args::{ExportArguments, ExportFormat};
 use crate::cli::{Exit, Printer};
-use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::source::ScenarioSource;
 use crate::geometry::Point;
 use crate::scenario::Scenario;
-use crate::scenario::nuplan::DataRoots;
 use crate::scenario::nuplan::export::{Departures, ExportSettings, write_scenarios};
 use anyhow::{Context, bail};
 use rayon::prelude::*;
@@ -16,7 +14,7 @@ use rayon::prelude::*;
 /// # Errors
 /// When a scenario cannot be opened or does not fit the format, or the folder cannot be written; then nothing is left behind.
 pub(in crate::cli) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Result<Exit> {
-    let data = NuPlanData::new(DataRoots::from_environment());
+    let data = arguments.data.data();
     let found = arguments.scenarios.iter().map(|word| ScenarioSource::find(word, &data));
     let sources: Vec<ScenarioSource> = found.collect::<Result<Vec<_>, _>>()?.concat();
     let scenarios: Vec<Scenario> = sources

@@ -82,3 +82,68 @@ fn block(rows: &[Aggregate], types: &[&str], planners: &[&str], challenges: &[Ch
     }
     lines.join("\n")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::timing::Quantiles;
+
+    const CHALLENGES: [Challenge; 2] = Challenge::CLOSED_LOOP;
+
+    fn row(planner: &str, challenge: Challenge, scenario_type: Option<&str>, score: Option<f64>) -> Aggregate {
+        let failed = usize::from(score.is_none());
+        Aggregate {
+            planner: planner.to_owned(),
+            challenge,
+            scenario_type: scenario_type.map(str::to_owned),
+            scenarios: 10 - failed,
+            failed,
+            score,
+        }
+    }
+
+    fn summary(planners: &[&str]) -> Summary {
+        let longest = "starting_straight_traffic_light_intersection_traversal";
+        let mut summary = Summary::new(0, None, &[]);
+        for planner in planners {
+            for (i, challenge) in CHALLENGES.into_iter().enumerate() {
+                let score = Some(0.9 - i as f64 / 10.0);
+                summary.aggregates.push(row(planner, challenge, None, score));
+                summary.scenario_types.push(row(planner, challenge, Some("changing_lane"), None));
+                summary.scenario_types.push(row(planner, challenge, Some(longest), Some(1.0)));
+            }
+        }
+        summary
+    }
+
+    fn words(line: &str) -> Vec<&str> {
+        line.split_whitespace().collect()
+    }
+
+    #[test]
+    fn a_planner_has_a_row_with_its_scores_and_its_time() {
+        let quantiles = Some(Quantiles { p50: 0.8, p95: 12.34 });
+        let timing = PlannerTiming { planner: "idm".to_owned(), iterations: 298, iteration_ms: quantiles };
+        let text = planners(&summary(&["idm", "pdm-closed"]), &[timing]);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "p50", "p95", "drives", "failed"]);
+        assert_eq!(words(lines[1]), ["idm", "90.00", "80.00", "0.80", "12.3", "20", "0"]);
+        assert_eq!(words(lines[2]), ["pdm-closed", "90.00", "80.00", "-", "-", "20", "0"]);
+    }
+
+    #[test]
+    fn types_stay_within_the_width_and_planners_that_do_not_fit_stand_below() {
+        console::set_colors_enabled(false);
+        let six = ["plan-agent", "log-replay", "idm", "simple", "pdm-closed", "a-planner-of-the-future"];
+        let text = scenario_types(&summary(&six), 80);
+        assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
+        let blocks: Vec<&str> = text.split("\n\n").collect();
+        assert_eq!(blocks.len(), 3, "{text}");
+        let lines: Vec<&str> = blocks[0].lines().collect();
+        assert_eq!(words(lines[0]), ["type", "plan-agent", "log-replay"]);
+        assert_eq!(words(lines[1]), ["n", "NR", "R", "NR", "R"]);
+        assert_eq!((lines[2], words(lines[3])), ("changing_lane", vec!["10", "-", "-", "-", "-"]));
+        assert_eq!(words(lines[5]), ["10", "100.00", "100.00", "100.00", "100.00"]);
+        assert_eq!(scenario_types(&Summary::new(0, None, &[]), 80), "", "one type is all there is");
+    }
+}

@@ -74,6 +74,7 @@ impl Rows {
         let later = format!("WHERE timestamp > ?1 AND {OF_SENSOR} ORDER BY timestamp, lidar_pc.rowid LIMIT ?2");
         let limit = (ROWS_PER_STEP * FUTURE_FRAMES) as i64;
         read(database, &later, (last, limit), &mut after)?;
+        after.dedup_by_key(|sweep| sweep.time_us);
         let future = after.into_iter().skip(ROWS_PER_STEP - 1).step_by(ROWS_PER_STEP).collect();
         Ok(Self { window, past, future })
     }

@@ -95,19 +95,17 @@ fn kept(
     for path in &recorded.damaged {
         printer.note(format!("the record in {} is damaged; its drive is made again", path.display()));
     }
-    let mut kept = BTreeSet::new();
-    let mut again = 0;
-    for row in recorded.rows {
-        if flags.retry_failed && row.error.is_some() {
-            folder.take_back(row.number)?;
-            again += 1;
-        } else {
-            kept.insert(row.number);
-        }
-    }
+    let all: BTreeSet<usize> = recorded.rows.iter().map(|row| row.number).collect();
+    let failed = recorded.rows.iter().filter(|row| flags.retry_failed && row.error.is_some());
+    let again: BTreeSet<usize> = failed.map(|row| row.number).collect();
+    folder.take_back(&again)?;
+    let kept: BTreeSet<usize> = all.difference(&again).copied().collect();
     if flags.resume.is_some() {
         let left = assignments.len() - kept.len();
-        let failed = if again > 0 { format!(", {again} of them had failed") } else { String::new() };
+        let failed = match again.len() {
+            0 => String::new(),
+            count => format!(", {count} of them had failed"),
+        };
         printer.note(format!("{} of {} drives are done, {left} are left{failed}", kept.len(), assignments.len()));
     }
     Ok(kept)
