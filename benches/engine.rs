@@ -2,20 +2,26 @@
 #![allow(missing_docs, clippy::unwrap_used, reason = "a benchmark is no interface and may stop at an error")]
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use planagent::dynamics::IdmTraffic;
 use planagent::environment::text::{self, Description};
 use planagent::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, bev};
+use planagent::experiment::nuplan_data::NuPlanData;
+use planagent::experiment::source::ScenarioSource;
 use planagent::geometry::{OrientedBox, Vector};
 use planagent::metrics::{Drive, evaluate};
 use planagent::pdm::{
     Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, Way, plan_along, score_proposals, simulate_proposals,
 };
-use planagent::planner::{IdmPlanner, LogReplay, generated_planner};
+use planagent::planner::{IdmPlanner, LogReplay, Planner, PlannerInput, generated_planner};
 use planagent::reasoning::PlannerCode;
 use planagent::reflection::{Judge, LeadPolicy};
 use planagent::scenario::generator::{DEFAULT, generate};
+use planagent::scenario::nuplan::DataRoots;
+use planagent::scenario::nuplan::export::{ExportSettings, write_scenario};
 use planagent::simulation::{Challenge, ClosedLoop, simulate};
-use planagent::world::{EgoState, ObjectKind, Scene, TrackToken, TrackedObject};
+use planagent::world::{EgoState, LaneMap, ObjectKind, STEP_S, Scene, TrackToken, TrackedObject, TrafficLights};
 use std::hint::black_box;
+use std::sync::Arc;
 
 /// Agents within PDM-Closed's sight in its bench.
 const CROWD: u32 = 50;
@@ -81,6 +87,71 @@ fn pdm_closed(c: &mut Criterion) {
     });
 }
 
+/// Vehicles in the bench of the reactive traffic.
+const TRAFFIC: usize = 100;
+
+/// Moving cars in the lanes around the ego, one behind the other: as many reactive agents as [`TRAFFIC`].
+fn busy_road(map: &Arc<LaneMap>, ego: &EgoState) -> IdmTraffic {
+    let center = ego.center();
+    let lanes = map.lanes_near(center.position(), 95.0);
+    let places = lanes.iter().filter(|&&lane| !map[lane].is_connector()).flat_map(|&lane| {
+        let line = &map[lane].centerline;
+        (0..(line.length() / 7.0) as usize).map(|i| line.pose_at(3.5 + 7.0 * i as f64))
+    });
+    let near = places.filter(|pose| (10.0..95.0).contains(&pose.distance(&center)));
+    let cars: Vec<TrackedObject> = near
+        .zip(0..)
+        .map(|(pose, token)| TrackedObject {
+            token: TrackToken(token),
+            kind: ObjectKind::Vehicle,
+            shape: OrientedBox::new(pose, 4.6, 1.9),
+            velocity: pose.direction() * 5.0,
+        })
+        .collect();
+    // Some places overlap and are left out: the least number of cars that gives enough agents.
+    let counts = TRAFFIC..=cars.len();
+    let traffic = counts.map(|count| IdmTraffic::new(map, &cars[..count], ego)).find(|t| t.agent_count() == TRAFFIC);
+    traffic.expect("the bench needs a busy road")
+}
+
+/// Planners and traffic, a step of the loop each.
+fn steps(c: &mut Criterion) {
+    let scenario = generate(&DEFAULT).unwrap();
+    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let scene = drive.scene();
+    let mut idm = IdmPlanner::new();
+    drive.initialize(&mut idm).unwrap();
+    c.bench_function("a step of idm", |b| {
+        b.iter(|| idm.compute_trajectory(&PlannerInput { iteration: 1, scene: black_box(scene) }).unwrap());
+    });
+
+    let roundabout = generate(&"generated/traversing_intersection/1".parse().unwrap()).unwrap();
+    let ego = roundabout.frames[roundabout.start].ego;
+    let traffic = busy_road(&roundabout.map, &ego);
+    c.bench_function("a step of reactive traffic, 100 agents", |b| {
+        b.iter_batched_ref(
+            || traffic.clone(),
+            |traffic| traffic.step(black_box(&ego), &[], &TrafficLights::default(), STEP_S),
+            criterion::BatchSize::SmallInput,
+        );
+    });
+}
+
+/// Opening a scenario: exported to nuPlan's formats, with its map read anew and with the map at hand.
+fn opening(c: &mut Criterion) {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("export");
+    write_scenario(&generate(&DEFAULT).unwrap(), &target, &ExportSettings::default()).unwrap();
+    let roots = || DataRoots { data: Some(target.join("data")), maps: Some(target.join("maps")) };
+    let open = |data: &NuPlanData| {
+        let sources = ScenarioSource::find(&target.join("data").to_string_lossy(), data).unwrap();
+        sources[0].open().unwrap()
+    };
+    c.bench_function("open a nuPlan scenario, map included", |b| b.iter(|| open(&NuPlanData::new(roots()))));
+    let warm = NuPlanData::new(roots());
+    c.bench_function("open a nuPlan scenario, map at hand", |b| b.iter(|| open(&warm)));
+}
+
 fn engine(c: &mut Criterion) {
     let scenario = generate(&DEFAULT).unwrap();
     let expert: Vec<EgoState> = scenario.expert().copied().collect();
@@ -111,6 +182,9 @@ fn engine(c: &mut Criterion) {
                 .unwrap()
         });
     });
+    c.bench_function("drive 15 s, idm, non-reactive", |b| {
+        b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::ClosedLoopNonreactiveAgents).unwrap());
+    });
     c.bench_function("drive 15 s, idm, reactive", |b| {
         b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::ClosedLoopReactiveAgents).unwrap());
     });
@@ -120,5 +194,5 @@ fn engine(c: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, engine, pdm_closed);
+criterion_group!(benches, engine, steps, pdm_closed, opening);
 criterion_main!(benches);

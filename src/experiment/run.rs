@@ -4,6 +4,7 @@ use super::caught::caught;
 use super::source::ScenarioSource;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::mllm::Mllm;
+use crate::pdm::DrivableLayers;
 use crate::planner::{
     IdmPlanner, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall, SimplePlanner,
 };
@@ -113,6 +114,8 @@ pub struct Driven {
     pub metrics: Vec<MetricResult>,
     /// The planning calls, for `plan-agent`.
     pub calls: Vec<PlanningCall>,
+    /// What counted as drivable, for `pdm-closed`; for `plan-agent` every reflection says it.
+    pub drivable_layers: Option<DrivableLayers>,
     /// What happened.
     pub log: SimulationLog,
 }
@@ -208,19 +211,28 @@ fn drive_scenario(
         simulate_with_progress(scenario, planner, challenge, &mut |progress| on_iteration(progress))
             .map_err(|error| with_causes(&error))
     };
-    let (log, calls) = match planner {
+    let mut calls = Vec::new();
+    let mut drivable_layers = None;
+    let log = match planner {
         PlannerKind::PlanAgent => {
             let parts = agent.ok_or_else(|| "plan-agent needs a model".to_owned())?;
             let mut planner = parts.agent(&scenario.id);
-            (simulate(&mut planner)?, planner.calls().to_vec())
+            let log = simulate(&mut planner)?;
+            calls = planner.calls().to_vec();
+            log
         }
-        PlannerKind::LogReplay => (simulate(&mut LogReplay::new(scenario.recorded().copied().collect()))?, Vec::new()),
-        PlannerKind::Idm => (simulate(&mut IdmPlanner::default())?, Vec::new()),
-        PlannerKind::Simple => (simulate(&mut SimplePlanner::default())?, Vec::new()),
-        PlannerKind::PdmClosed => (simulate(&mut PdmClosed::new())?, Vec::new()),
+        PlannerKind::LogReplay => simulate(&mut LogReplay::new(scenario.recorded().copied().collect()))?,
+        PlannerKind::Idm => simulate(&mut IdmPlanner::default())?,
+        PlannerKind::Simple => simulate(&mut SimplePlanner::default())?,
+        PlannerKind::PdmClosed => {
+            let mut planner = PdmClosed::new();
+            let log = simulate(&mut planner)?;
+            drivable_layers = planner.drivable_layers();
+            log
+        }
     };
     let Evaluation { score, metrics } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
-    Ok(Driven { score, metrics, calls, log })
+    Ok(Driven { score, metrics, calls, drivable_layers, log })
 }
 
 /// An error with all its causes in one line.

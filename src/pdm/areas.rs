@@ -10,7 +10,8 @@ use std::collections::BTreeSet;
 pub const MAP_RADIUS: f64 = 50.0;
 
 /// Which layers a corner may stand on without being off the drivable area.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum DrivableLayers {
     /// Lanes, connectors and car parks: PDM's choice, made for maps whose lanes tile the road.
     Lanes,
@@ -133,6 +134,11 @@ impl<'a> DrivableMap<'a> {
             .chain(carparks.map(|polygon| Area { polygon, on_route: false }))
             .collect();
         Self { map, areas, layers }
+    }
+
+    /// What counts as drivable.
+    pub fn layers(&self) -> DrivableLayers {
+        self.layers
     }
 
     /// The map that it was taken from.

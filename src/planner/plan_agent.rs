@@ -12,7 +12,7 @@ use crate::reasoning::{
     Feedback, Names, ParseError, PlannerCode, PromptSet, Reasoning, ReasoningSettings, ScenarioPrompt, Thought,
 };
 use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, needs_emergency_brake};
-use crate::world::{Scene, Trajectory};
+use crate::world::{STEP_S, Scene, Trajectory};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -20,6 +20,8 @@ use std::time::Instant;
 pub const NAME: &str = "plan-agent";
 /// Deceleration of a stop that no code asked for, m/s²: within nuPlan's comfort bound of 4.05.
 const BRAKE: f64 = 4.0;
+/// Steps of 0.1 s of the trajectory that drives: 8 s, what nuPlan's planners give and its open-loop metrics look at.
+const PLAN_STEPS: usize = 80;
 
 /// Which planner drives when all attempts were refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -90,8 +92,9 @@ impl PlanAgent {
         self.in_force.as_ref()
     }
 
-    fn steps(&self) -> usize {
-        (self.settings.horizon_s / crate::world::STEP_S).round() as usize
+    /// Seconds that the path of a planner is laid for.
+    fn path_s(&self) -> f64 {
+        self.settings.horizon_s.max(PLAN_STEPS as f64 * STEP_S)
     }
 
     /// One planning call: everything from the scene to the planner that drives from now on.
@@ -202,18 +205,19 @@ impl PlanAgent {
     ) -> Result<(Option<GeneratedPlanner>, Vec<ParseError>), PlannerError> {
         let errors = thought.parsed.errors.clone();
         let Some(code) = thought.parsed.code.clone() else { return Ok((None, errors)) };
-        let planner = generated_planner(scene, graph, code, self.settings.lead_policy, self.settings.horizon_s)?;
+        let planner = generated_planner(scene, graph, code, self.settings.lead_policy, self.path_s())?;
         Ok((planner, errors))
     }
 
     /// Lengthens the path of a planner that stays in force, along the centreline that it is bound for.
     fn follow_on(&mut self, scene: &Scene<'_>, graph: &LaneGraph) -> Result<(), PlannerError> {
+        let path_s = self.path_s();
         let Some(planner) = &mut self.in_force else { return Ok(()) };
         let lane = planner.lane_now(scene);
         let bound = graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));
         let path = bound.unwrap_or(graph.ego_lane()).path.clone();
         planner
-            .follow_on(scene, path, self.settings.horizon_s)
+            .follow_on(scene, path, path_s)
             .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })
     }
 
@@ -255,13 +259,13 @@ impl Planner for PlanAgent {
             self.call(input.iteration, &input.scene)?;
         }
         let ego = input.scene.ego;
-        let Some(planner) = &self.in_force else { return Ok(brake(ego, self.steps())?) };
-        let rollout = planner.roll_out(&input.scene, self.steps());
+        let Some(planner) = &self.in_force else { return Ok(brake(ego)?) };
+        let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
         if self.settings.emergency_brake && needs_emergency_brake(&input.scene, &rollout, &mut self.memory) {
             if let Some(call) = self.calls.last_mut() {
                 call.emergency_brakes += 1;
             }
-            return Ok(brake(ego, self.steps())?);
+            return Ok(brake(ego)?);
         }
         Ok(rollout.to_trajectory(ego)?)
     }
@@ -330,12 +334,12 @@ fn feedback(last: &Attempt, threshold: f64) -> Feedback {
 }
 
 /// Straight ahead, braking to a stop.
-fn brake(ego: &crate::world::EgoState, steps: usize) -> Result<Trajectory, crate::world::TrajectoryError> {
-    use crate::world::{STEP_S, STEP_US, TrajectoryState};
+fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::TrajectoryError> {
+    use crate::world::{STEP_US, TrajectoryState};
     let mut speed = ego.velocity.x.max(0.0);
     let mut way = 0.0;
     let mut states = vec![TrajectoryState::from(ego)];
-    for step in 1..=steps {
+    for step in 1..=PLAN_STEPS {
         way += speed * STEP_S;
         speed = (speed - BRAKE * STEP_S).max(0.0);
         let pose: Pose = ego.rear_axle.translated(way, 0.0);

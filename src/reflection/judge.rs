@@ -113,6 +113,7 @@ impl<'a> Judge<'a> {
             score: score.total,
             parts: parts(&score),
             progress_reference: self.reference,
+            drivable_layers: self.instant.drivable.layers(),
             verdict,
             states,
         })

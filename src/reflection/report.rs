@@ -1,5 +1,6 @@
 //! What Reflection says about a planner.
 
+use crate::pdm::DrivableLayers;
 use crate::world::EgoState;
 
 /// Whether a planner may drive (paper, section 3, Reflection).
@@ -63,6 +64,8 @@ pub struct ReflectionReport {
     pub parts: SubScores,
     /// How progress was normalised.
     pub progress_reference: ProgressReference,
+    /// What counted as drivable.
+    pub drivable_layers: DrivableLayers,
     /// Whether the planner may drive.
     pub verdict: Verdict,
     /// The simulated states, every 0.1 s, the present one first.

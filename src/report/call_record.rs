@@ -51,6 +51,7 @@ fn attempt(attempt: &Attempt) -> Value {
             "score": reflection.score,
             "parts": reflection.parts,
             "progress_reference": reflection.progress_reference,
+            "drivable_layers": reflection.drivable_layers,
             "verdict": reflection.verdict,
         })),
     })

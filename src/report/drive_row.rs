@@ -3,6 +3,7 @@
 use super::timing::CallTimes;
 use crate::experiment::run::DriveRecord;
 use crate::metrics::ScenarioRow;
+use crate::pdm::DrivableLayers;
 use crate::planner::PlanningCall;
 use crate::simulation::Challenge;
 use serde::{Deserialize, Serialize};
@@ -40,6 +41,9 @@ pub struct DriveRow {
     pub rethinks: usize,
     /// What could not be read of the answers.
     pub parse_errors: usize,
+    /// What counted as drivable, for `pdm-closed`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drivable_layers: Option<DrivableLayers>,
     /// What was measured.
     pub time: DriveTime,
     /// The metrics' scores, in nuPlan's order of computation; their statistics lie in `metrics.toml`.
@@ -93,6 +97,7 @@ impl DriveRow {
             planning_calls: calls.len(),
             rethinks: calls.iter().map(PlanningCall::rethinks).sum(),
             parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
+            drivable_layers: driven.and_then(|driven| driven.drivable_layers),
             time: DriveTime {
                 started_s: record.started_s,
                 ended_s: record.ended_s,

@@ -3,6 +3,7 @@
 use super::drive_row::DriveRow;
 use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate};
 use crate::mllm::ModelDescription;
+use crate::pdm::DrivableLayers;
 use crate::simulation::Challenge;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -37,6 +38,9 @@ pub struct ScenarioSummary {
     pub rethinks: usize,
     /// What could not be read of the answers.
     pub parse_errors: usize,
+    /// What counted as drivable, for `pdm-closed`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drivable_layers: Option<DrivableLayers>,
 }
 
 impl From<&DriveRow> for ScenarioSummary {
@@ -60,6 +64,7 @@ impl From<&DriveRow> for ScenarioSummary {
             planning_calls: row.planning_calls,
             rethinks: row.rethinks,
             parse_errors: row.parse_errors,
+            drivable_layers: row.drivable_layers,
         }
     }
 }

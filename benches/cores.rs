@@ -1,0 +1,63 @@
+//! What a second core brings: the same drives on one thread and on two, in turn, several times. Prints the wall times and the
+//! median of their ratio. `cargo bench --bench cores`.
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a benchmark is no interface and may stop at an error"
+)]
+
+use planagent::experiment::run::{Assignment, PlannerKind, run};
+use planagent::experiment::source::ScenarioSource;
+use planagent::scenario::generator::{ScenarioType, Spec};
+use planagent::simulation::Challenge;
+use std::time::Instant;
+
+/// Pairs of runs.
+const ROUNDS: usize = 9;
+/// Seeds of every type of scene.
+const SEEDS: u64 = 2;
+
+/// Every type of scene, driven by IDM and by PDM-Closed in both challenges.
+fn assignments() -> Vec<Assignment> {
+    let scenes = ScenarioType::ALL
+        .into_iter()
+        .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec { scenario_type, seed }));
+    scenes
+        .flat_map(|spec| {
+            [PlannerKind::Idm, PlannerKind::PdmClosed].into_iter().flat_map(move |planner| {
+                let source = ScenarioSource::Generated(spec);
+                Challenge::CLOSED_LOOP.map(|challenge| Assignment { source: source.clone(), planner, challenge })
+            })
+        })
+        .collect()
+}
+
+/// Seconds that all drives take on so many threads.
+fn seconds(assignments: &[Assignment], threads: usize) -> f64 {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let todo: Vec<usize> = (0..assignments.len()).collect();
+    let started = Instant::now();
+    pool.install(|| {
+        run(assignments, &todo, None, &|_| (), &|_, record| record.outcome.map(|_| ())).unwrap();
+    });
+    started.elapsed().as_secs_f64()
+}
+
+fn main() {
+    let assignments = assignments();
+    seconds(&assignments, 2);
+    let mut ratios: Vec<f64> = (0..ROUNDS)
+        .map(|round| {
+            let (one, two) = (seconds(&assignments, 1), seconds(&assignments, 2));
+            println!(
+                "round {round}: {} drives, one thread {one:.3} s, two threads {two:.3} s, ratio {:.3}",
+                assignments.len(),
+                one / two
+            );
+            one / two
+        })
+        .collect();
+    ratios.sort_by(f64::total_cmp);
+    println!("median ratio {:.3}", ratios[ROUNDS / 2]);
+}
