@@ -17,6 +17,7 @@ mod mllm;
 mod nuplan;
 mod nuplan_input;
 mod pdm;
+mod road;
 mod runner;
 mod simulation;
 mod womd;

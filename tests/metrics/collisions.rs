@@ -1,6 +1,6 @@
 //! Collisions and times to collision on a hand-made road with two lanes (centred at y = 0 and y = 4, each 4 m wide).
 
-use super::road::{Road, cruise, object, rectangle, samples, straight, two_lanes};
+use crate::road::{Road, cruise, object, rectangle, samples, straight, two_lanes};
 use planagent::geometry::Pose;
 use planagent::metrics::{
     Collision, CollisionType, DrivenLanes, TTC_HORIZON_S, find_collisions, no_ego_at_fault_collisions,

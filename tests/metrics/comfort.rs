@@ -99,7 +99,7 @@ fn bounds_are_strict_and_any_quantity_breaks_comfort() {
     let accelerating = |a: f64| -> Vec<EgoState> {
         (0..30)
             .map(|k| {
-                let mut state = super::road::ego(k, 0.0, 0.0, 0.0, 5.0);
+                let mut state = crate::road::ego(k, 0.0, 0.0, 0.0, 5.0);
                 state.acceleration = Vector::new(a, 0.0);
                 state
             })
@@ -112,7 +112,7 @@ fn bounds_are_strict_and_any_quantity_breaks_comfort() {
     assert_eq!(score(-4.05), Some(0.0));
 
     let turning = |rate: f64| -> Vec<EgoState> {
-        (0..30).map(|k| super::road::ego(k, 0.0, 0.0, rate * 0.1 * k as f64, 5.0)).collect()
+        (0..30).map(|k| crate::road::ego(k, 0.0, 0.0, rate * 0.1 * k as f64, 5.0)).collect()
     };
     assert_eq!(ego_is_comfortable(&turning(0.94)).unwrap().score, Some(1.0));
     assert_eq!(ego_is_comfortable(&turning(0.96)).unwrap().score, Some(0.0));

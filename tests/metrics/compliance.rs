@@ -1,6 +1,6 @@
 //! Drivable area, driving direction and speed limit on hand-made roads, each a number worked out by hand.
 
-use super::road::{Road, cruise, ego, rectangle, straight};
+use crate::road::{Road, cruise, ego, rectangle, straight};
 use planagent::metrics::{
     DrivenLanes, MetricResult, drivable_area_compliance, driving_direction_compliance, speed_limit_compliance,
 };

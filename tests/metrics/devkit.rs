@@ -140,7 +140,7 @@ fn collisions_at_fault() {
 }
 
 fn times() -> Option<Vec<Compared>> {
-    let map = super::road::straight();
+    let map = crate::road::straight();
     let names =
         ["ego_stopped", "in_collision", "no_collisions", "no_relevant_tracks", "time_to_collision_above_threshold"];
     let compare = |name: &str| {

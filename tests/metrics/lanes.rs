@@ -1,6 +1,6 @@
 //! Which lanes a driven path used, and whether the corners of the ego agree.
 
-use super::road::{Road, cruise, ego, two_lanes};
+use crate::road::{Road, cruise, ego, two_lanes};
 use planagent::geometry::Pose;
 use planagent::metrics::{CornerAgreement, DrivenLanes, driven_route, ego_lane_change, find_lane_changes, lanes_at};
 use planagent::world::{EgoState, LaneId};

@@ -1,4 +1,4 @@
-//! nuPlan's metrics and PDM's scorer: published vectors, golden vectors and hand-worked cases on small maps.
+//! nuPlan's metrics: published vectors, golden vectors and hand-worked cases on small maps.
 
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests are tests")]
 
@@ -8,11 +8,8 @@ mod comfort;
 mod compliance;
 mod devkit;
 mod documented;
-mod forecast;
 mod lanes;
-mod pdm;
 mod progress;
-pub(crate) mod road;
 mod score;
 mod stop_lines;
 mod vectors;

@@ -1,7 +1,7 @@
 //! Progress along the expert's route on a chain of three roadblocks: a lane (0–50 m), a connector (50–60 m), a lane
 //! (60–200 m).
 
-use super::road::{Road, cruise};
+use crate::road::{Road, cruise};
 use planagent::geometry::{Point, Pose};
 use planagent::metrics::{RouteProgress, ego_is_making_progress, ego_progress_along_expert_route, progress_ratio};
 use planagent::world::{EgoState, LaneMap};

@@ -1,6 +1,6 @@
 //! Whole drives on a hand-made road: what `evaluate` says of them, and what it refuses.
 
-use super::road::{cruise, ego, object, samples, straight};
+use crate::road::{cruise, ego, object, samples, straight};
 use planagent::geometry::Pose;
 use planagent::metrics::{Drive, Evaluation, MetricError, MetricName, ScoreUnit, evaluate};
 use planagent::world::{EgoState, LaneMap, ObjectKind, TrackedObject};

@@ -1,6 +1,6 @@
 //! `ego_stop_at_stop_line` on a lane of 60 m with a stop line from 58 to 58.5 m.
 
-use super::road::{Road, ego, object, samples};
+use crate::road::{Road, ego, object, samples};
 use planagent::geometry::Pose;
 use planagent::metrics::{MetricCategory, MetricResult, ego_stop_at_stop_line};
 use planagent::world::{EgoState, LaneKind, LaneMap, ObjectKind, TrackedObject};
@@ -65,7 +65,7 @@ fn the_nearest_line_must_cross_the_lane_of_the_ego() {
     road.stop_line(58.0, a);
     // A second line, of the other lane, but drawn nearer to where the front is at 30 m.
     let other = road.stop_line(30.0, b);
-    let polygon = super::road::rectangle((30.0, 30.5), (10.0, 14.0));
+    let polygon = crate::road::rectangle((30.0, 30.5), (10.0, 14.0));
     road.parts.stop_lines[other.index()].polygon = polygon;
     let map = road.build();
     assert_eq!(judge(&map, &[(30.2, 0.0)], &[]), None);

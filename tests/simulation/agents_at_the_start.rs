@@ -1,7 +1,7 @@
 //! Which vehicles become reactive agents, and where they start.
 
 use super::{bystander, car, ego, long_lane, object};
-use crate::metrics::road::Road;
+use crate::road::Road;
 use planagent::dynamics::IdmTraffic;
 use planagent::geometry::Pose;
 use planagent::world::{LaneKind, ObjectKind, STEP_S, TrafficLights};
@@ -14,7 +14,7 @@ fn of_several_lanes_the_nearest_heading_counts_without_wrapping() {
     // West-bound, its heading −π (the direction −0.0 makes atan2 say so); and north-bound.
     let west = road.dense(LaneKind::Connector, (40.0, -1e-9), (-40.0, -2e-9), None);
     let north = road.dense(LaneKind::Connector, (0.0, -40.0), (0.0, 40.0), None);
-    road.parts.intersections.push(crate::metrics::road::rectangle((-40.0, 40.0), (-40.0, 40.0)));
+    road.parts.intersections.push(crate::road::rectangle((-40.0, 40.0), (-40.0, 40.0)));
     let map = Arc::new(road.build());
     assert!(map[west].centerline.heading_at(0.0) < -3.1 && map[north].centerline.heading_at(0.0) > 1.57);
     let heading_of = |heading: f64| {

@@ -1,7 +1,7 @@
 //! How reactive agents move: routes, lights, leaders, removal.
 
 use super::{bystander, car, ego, law, lights, long_lane, object};
-use crate::metrics::road::Road;
+use crate::road::Road;
 use planagent::dynamics::IdmTraffic;
 use planagent::geometry::{Point, Polyline, Pose};
 use planagent::world::{

@@ -1,7 +1,7 @@
 //! The loop itself: times, lights, samples, and the challenge without a loop.
 
 use super::{car, ego};
-use crate::metrics::road::Road;
+use crate::road::Road;
 use planagent::geometry::Pose;
 use planagent::metrics::MetricName;
 use planagent::planner::{

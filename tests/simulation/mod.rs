@@ -5,7 +5,7 @@ mod agents_at_the_start;
 mod agents_on_their_way;
 mod loops;
 
-use crate::metrics::road::Road;
+use crate::road::Road;
 use planagent::geometry::{OrientedBox, Pose};
 use planagent::world::{
     EgoState, LaneId, LaneKind, LaneMap, ObjectKind, PACIFICA, SignalStatus, TrackToken, TrackedObject, TrafficLights,

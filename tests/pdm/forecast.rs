@@ -1,6 +1,6 @@
 //! What the forecast keeps, and where it puts it.
 
-use super::road::{Road, cruise, ego, object, rectangle, straight};
+use crate::road::{Road, cruise, ego, object, rectangle, straight};
 use planagent::geometry::{Pose, Vector};
 use planagent::pdm::{Collided, DrivableLayers, DrivableMap, Forecast};
 use planagent::world::{EgoState, LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
