@@ -175,7 +175,7 @@ fn plan_makes_one_call_for_people_and_for_programs() {
     assert_eq!(code, 0);
     let record: Value = serde_json::from_str(&stdout).unwrap();
     assert_eq!(record["at_s"], 3.0);
-    assert_eq!(record["trajectory"].as_array().unwrap().len(), 41);
+    assert_eq!(record["trajectory"].as_array().unwrap().len(), 81);
     let late = refused(&["plan", "--scenario", SCENE, "--at", "99"]);
     assert!(late.contains("outside the window"), "{late}");
 }
