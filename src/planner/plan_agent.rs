@@ -169,11 +169,14 @@ impl PlanAgent {
         let failed = |doing| move |error| PlannerError::Failed { doing, source: Box::new(error) };
         let mut reasoning = Reasoning::open(self.model.as_ref(), &self.prompts, &settings.reasoning, scenario, seed)
             .map_err(failed("opening the conversation"))?;
+        let looking = Instant::now();
         let judge = if settings.reflect {
             Some(Judge::new(scene, graph, settings.horizon_s, &mut self.memory).map_err(reflection_failed)?)
         } else {
             None
         };
+        // What all attempts are judged against is looked at once; the first attempt's reflection bears its time.
+        let mut looked_ms = milliseconds(looking);
         let (mut attempts, mut planners): (Vec<Attempt>, Vec<_>) = (Vec::new(), Vec::new());
         while attempts.len() < settings.max_exec {
             let feedback = attempts.last().map(|last| feedback(last, settings.threshold));
@@ -187,7 +190,8 @@ impl PlanAgent {
                 _ => None,
             };
             let accepted = planner.is_some() && reflection.as_ref().is_none_or(|r| r.verdict == Verdict::Execute);
-            attempts.push(attempt(thought, errors, planner.as_ref(), reflection, milliseconds(started)));
+            let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started);
+            attempts.push(attempt(thought, errors, planner.as_ref(), reflection, reflection_ms));
             planners.push(planner);
             if accepted {
                 break;
