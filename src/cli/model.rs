@@ -28,8 +28,7 @@ pub(super) struct Loaded {
 /// When there is no such model, its files are broken, or the prompt set cannot be used.
 pub(crate) fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> {
     let started = Instant::now();
-    let hub = HubAccess { offline: config.mllm.offline, ..HubAccess::default() };
-    let registry = ModelRegistry::new(models_folder(), hub);
+    let registry = registry(config);
     let spec = registry.find(&config.mllm.model)?;
     let set = config.reasoning.prompt_set.as_deref().unwrap_or(match spec.prompt_set {
         PromptSetName::Compact => "compact",
@@ -48,6 +47,12 @@ pub(crate) fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> 
         about.image_tokens
     ));
     Ok(Loaded { parts: AgentParts { model, prompts, settings: config.agent_settings(spec.generation) }, load_s })
+}
+
+/// The models that can be named.
+pub(super) fn registry(config: &Config) -> ModelRegistry {
+    let hub = HubAccess { offline: config.mllm.offline, ..HubAccess::default() };
+    ModelRegistry::new(models_folder(), hub)
 }
 
 /// `$PLANAGENT_MODELS`, else `models` in the working directory, else beside the program or the package being run.

@@ -13,6 +13,7 @@ mod cogvlm;
 mod conversation;
 mod decoder;
 mod error;
+mod latency;
 mod layer_norm;
 mod linear;
 mod llava;
@@ -30,6 +31,7 @@ pub use conversation::{
     Sampling, TokenCounts, Turn, prompt_hash,
 };
 pub use error::MllmError;
+pub use latency::{LatencyProbe, ModelShape, PassTime, ProbeDescription, Step, StepTime};
 pub use local::{Architecture, LocalModel};
 pub use matrix::{Storage, UnknownStorage};
 pub use registry::{

@@ -3,6 +3,7 @@
 mod activation;
 mod clip_config;
 mod llama_config;
+mod random;
 mod section;
 mod weights;
 

@@ -8,6 +8,7 @@ use half::{bf16, f16};
 use safetensors::{Dtype, SafeTensors};
 use serde_json::Value;
 
+use super::random::RandomWeights;
 use super::read_json;
 use super::section::Section;
 use crate::mllm::MllmError;
@@ -29,8 +30,10 @@ pub(crate) struct Weights {
     tensors: BTreeMap<String, StoredTensor>,
     blake3: String,
     storage: Storage,
-    #[cfg(test)]
-    invented: Option<rand_pcg::Pcg64Mcg>,
+    /// Numbers taken out so far.
+    taken: usize,
+    /// Where everything is made up.
+    random: Option<RandomWeights>,
 }
 
 #[derive(Debug)]
@@ -63,9 +66,14 @@ impl Weights {
             tensors: BTreeMap::new(),
             blake3: String::new(),
             storage: Storage::default(),
-            #[cfg(test)]
-            invented: None,
+            taken: 0,
+            random: None,
         }
+    }
+
+    /// Weights that hold whatever is asked for, at random, with matrices in this storage.
+    pub(crate) fn random(storage: Storage, seed: u64) -> Self {
+        Self { storage, random: Some(RandomWeights::new(seed)), ..Self::empty(Path::new("")) }
     }
 
     /// BLAKE3 of the weight files in the order of their names.
@@ -87,9 +95,9 @@ impl Weights {
         Ok(())
     }
 
-    /// Numbers in all tensors that are left.
-    pub(crate) fn elements(&self) -> usize {
-        self.tensors.values().map(|stored| stored.tensor.elem_count()).sum()
+    /// Numbers in all tensors that were taken.
+    pub(crate) fn taken(&self) -> usize {
+        self.taken
     }
 
     /// Whether the checkpoint holds this tensor.
@@ -102,11 +110,9 @@ impl Weights {
     /// # Errors
     /// When it is missing or has another shape.
     pub(crate) fn take(&mut self, name: &str, shape: &[usize]) -> Result<Tensor, MllmError> {
-        #[cfg(test)]
-        if let Some(random) = &mut self.invented {
-            let count = shape.iter().product();
-            let values: Vec<f32> = (0..count).map(|_| rand::RngExt::random_range(random, -0.1..0.1)).collect();
-            return Ok(Tensor::from_vec(values, shape, &Device::Cpu)?);
+        self.taken += shape.iter().product::<usize>();
+        if let Some(random) = &mut self.random {
+            return random.tensor(shape);
         }
         let stored = self
             .tensors
@@ -132,9 +138,14 @@ impl Weights {
     /// # Errors
     /// When it is missing or has another shape.
     pub(crate) fn take_matrix(&mut self, name: &str, shape: [usize; 2]) -> Result<Matrix, MllmError> {
-        let tensor = self.take(name, &shape)?;
         let [outputs, inputs] = shape;
-        match self.storage.or_finer(inputs) {
+        let storage = self.storage.or_finer(inputs);
+        if let Some(random) = &mut self.random {
+            self.taken += outputs * inputs;
+            return random.matrix(shape, storage);
+        }
+        let tensor = self.take(name, &shape)?;
+        match storage {
             Storage::F32 => Ok(Matrix::from_tensor(&tensor)?),
             storage => {
                 let values: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
@@ -146,12 +157,6 @@ impl Weights {
 
 #[cfg(test)]
 impl Weights {
-    /// Weights that hold whatever is asked for, at random.
-    pub(crate) fn invented(seed: u64) -> Self {
-        let random = rand::SeedableRng::seed_from_u64(seed);
-        Self { invented: Some(random), ..Self::empty(Path::new("")) }
-    }
-
     /// Gives two tensors each the other's name.
     pub(crate) fn swap(&mut self, one: &str, other: &str) {
         let first = self.tensors.remove(one).unwrap();

@@ -15,6 +15,7 @@ use std::path::Path;
 
 use candle_core::Tensor;
 use image::RgbImage;
+use serde_json::Value;
 
 use chat::QuestionFormat;
 use config::CogVlmConfig;
@@ -49,24 +50,31 @@ impl CogVlm {
         Self::take(&mut Weights::open(folder)?, config)
     }
 
+    /// A model of this configuration with any weights; `path` is for messages.
+    ///
+    /// # Errors
+    /// When the configuration is broken or a tensor is missing or misshapen.
+    pub(crate) fn with_weights(path: &Path, config: &Value, weights: &mut Weights) -> Result<Self, MllmError> {
+        Self::take(weights, CogVlmConfig::from_json(path, config)?)
+    }
+
     /// Takes the weights of a configuration.
     ///
     /// # Errors
     /// When a tensor is missing or misshapen.
     fn take(weights: &mut Weights, config: CogVlmConfig) -> Result<Self, MllmError> {
-        let before = weights.elements();
         let tower = EvaVisionTower::take(weights, &config.vision)?;
         let adapter = GluAdapter::take(weights, &config)?;
         let decoder = Decoder::take(weights, &config.text, "", config.tie_word_embeddings)?;
         let facts = ModelFacts {
-            architecture: Architecture::CogVlm.name(),
+            architecture: Architecture::CogVlm,
             // No token of the vocabulary stands for an image, so the first number behind it does.
             image_token: config.text.vocabulary as u32,
             image_size: config.vision.image_size,
             most_image_tokens: config.image_tokens(),
             vocabulary: config.text.vocabulary,
             positions: config.text.context,
-            parameters: (before - weights.elements()) as u64,
+            parameters: weights.taken() as u64,
             blake3: weights.blake3().to_string(),
         };
         Ok(Self { config, tower, adapter, decoder, facts })
@@ -75,15 +83,6 @@ impl CogVlm {
     /// Encodes pixel values (3, side, side) to (image tokens, decoder width).
     fn encode_pixels(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
         self.adapter.forward(&self.tower.forward(pixels)?)
-    }
-}
-
-#[cfg(test)]
-impl CogVlm {
-    /// A model of this configuration with random weights.
-    pub(crate) fn invented(config: &serde_json::Value) -> Self {
-        let config = CogVlmConfig::from_json(Path::new("config.json"), config).unwrap();
-        Self::take(&mut Weights::invented(7), config).unwrap()
     }
 }
 

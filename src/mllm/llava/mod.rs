@@ -13,6 +13,7 @@ use std::path::Path;
 
 use candle_core::Tensor;
 use image::RgbImage;
+use serde_json::Value;
 
 pub(crate) use chat::TemplateFormat;
 pub(crate) use config::{FeatureSelect, LlavaConfig};
@@ -89,6 +90,16 @@ impl Llava {
         Self::take(&mut Weights::open(folder)?, config, processor)
     }
 
+    /// A model of this configuration with any weights; `path` is for messages.
+    ///
+    /// # Errors
+    /// When the configuration is broken or a tensor is missing or misshapen.
+    pub(crate) fn with_weights(path: &Path, config: &Value, weights: &mut Weights) -> Result<Self, MllmError> {
+        let config = LlavaConfig::from_json(path, config)?;
+        let processor = ClipImageProcessor::square(config.vision.image_size as u32);
+        Self::take(weights, config, processor)
+    }
+
     /// Takes the weights of a configuration.
     ///
     /// # Errors
@@ -98,17 +109,16 @@ impl Llava {
         config: LlavaConfig,
         processor: ClipImageProcessor,
     ) -> Result<Self, MllmError> {
-        let before = weights.elements();
         let core = LlavaCore::take(weights, config)?;
         let config = &core.config;
         let facts = ModelFacts {
-            architecture: Architecture::Llava.name(),
+            architecture: Architecture::Llava,
             image_token: config.image_token,
             image_size: config.vision.image_size,
             most_image_tokens: config.image_tokens(),
             vocabulary: config.text.vocabulary,
             positions: config.text.context,
-            parameters: (before - weights.elements()) as u64,
+            parameters: weights.taken() as u64,
             blake3: weights.blake3().to_string(),
         };
         Ok(Self { core, processor, facts })
@@ -117,16 +127,6 @@ impl Llava {
     /// Encodes pixel values (3, side, side) to image features (image tokens, decoder width).
     fn encode_pixels(&self, pixels: &Tensor) -> Result<Tensor, MllmError> {
         Ok(self.core.encoder.encode(pixels)?)
-    }
-}
-
-#[cfg(test)]
-impl Llava {
-    /// A model of this configuration with random weights.
-    pub(crate) fn invented(config: &serde_json::Value) -> Self {
-        let config = LlavaConfig::from_json(Path::new("config.json"), config).unwrap();
-        let processor = ClipImageProcessor::square(config.vision.image_size as u32);
-        Self::take(&mut Weights::invented(7), config, processor).unwrap()
     }
 }
 

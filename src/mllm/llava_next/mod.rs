@@ -13,6 +13,7 @@ use std::path::Path;
 
 use candle_core::Tensor;
 use image::RgbImage;
+use serde_json::Value;
 
 use config::LlavaNextConfig;
 use connector::TilePacker;
@@ -25,6 +26,7 @@ use super::decoder::{KvCache, Logits};
 use super::llava::{LlavaCore, TemplateFormat};
 use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
 use super::text::ChatTokenizer;
+use super::vision::{Filter, PixelScale};
 
 /// A LLaVA-NeXT model.
 #[derive(Debug)]
@@ -48,6 +50,15 @@ impl LlavaNext {
         Self::take(&mut Weights::open(folder)?, config, processor)
     }
 
+    /// A model of this configuration with any weights; `path` is for messages.
+    ///
+    /// # Errors
+    /// When the configuration is broken or a tensor is missing or misshapen.
+    pub(crate) fn with_weights(path: &Path, config: &Value, weights: &mut Weights) -> Result<Self, MllmError> {
+        let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
+        Self::take(weights, LlavaNextConfig::from_json(path, config)?, processor)
+    }
+
     /// Takes the weights of a configuration.
     ///
     /// # Errors
@@ -57,17 +68,16 @@ impl LlavaNext {
         config: LlavaNextConfig,
         processor: AnyresImageProcessor,
     ) -> Result<Self, MllmError> {
-        let before = weights.elements();
         let core = LlavaCore::take(weights, config.llava)?;
         let packer = TilePacker::take(weights, core.config.text.hidden)?;
         let facts = ModelFacts {
-            architecture: Architecture::LlavaNext.name(),
+            architecture: Architecture::LlavaNext,
             image_token: core.config.image_token,
             image_size: core.config.vision.image_size,
             most_image_tokens: config.grids.most_tokens(),
             vocabulary: core.config.text.vocabulary,
             positions: core.config.text.context,
-            parameters: (before - weights.elements()) as u64,
+            parameters: weights.taken() as u64,
             blake3: weights.blake3().to_string(),
         };
         Ok(Self { core, packer, grids: config.grids, processor, facts })
@@ -78,17 +88,6 @@ impl LlavaNext {
         let features =
             pixels.iter().map(|pixels| self.core.encoder.encode(pixels)).collect::<candle_core::Result<Vec<_>>>()?;
         self.packer.pack(features, &self.grids, tiling)
-    }
-}
-
-#[cfg(test)]
-impl LlavaNext {
-    /// A model of this configuration with random weights.
-    pub(crate) fn invented(config: &serde_json::Value) -> Self {
-        use super::vision::{Filter, PixelScale};
-        let config = LlavaNextConfig::from_json(Path::new("config.json"), config).unwrap();
-        let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
-        Self::take(&mut Weights::invented(7), config, processor).unwrap()
     }
 }
 

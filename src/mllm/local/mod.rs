@@ -151,7 +151,7 @@ impl Mllm for LocalModel {
         let facts = self.model.facts();
         ModelDescription {
             name: self.name.clone(),
-            architecture: facts.architecture.into(),
+            architecture: facts.architecture.name().into(),
             parameters: facts.parameters,
             dtype: "f32".into(),
             image_size: Some(facts.image_size as u32),

@@ -8,7 +8,7 @@ use image::RgbImage;
 
 use crate::mllm::decoder::{KvCache, Logits};
 use crate::mllm::text::ChatTokenizer;
-use crate::mllm::{MllmError, Turn};
+use crate::mllm::{Architecture, MllmError, Turn};
 
 /// A vision-language model: what it computes, and how its prompts are written. One folder of the stage is one family.
 pub(crate) trait VisionLanguageModel: std::fmt::Debug + Send + Sync {
@@ -71,8 +71,8 @@ pub(crate) struct Chat<'a> {
 /// What a model is, as far as its users must know.
 #[derive(Debug, Clone)]
 pub(crate) struct ModelFacts {
-    /// Name of its family.
-    pub architecture: &'static str,
+    /// Its family.
+    pub architecture: Architecture,
     /// The id that stands for a token of the image. It need not be a token of the vocabulary.
     pub image_token: u32,
     /// Side of the square that the vision tower sees, pixels.

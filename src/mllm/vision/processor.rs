@@ -58,6 +58,16 @@ impl ClipImageProcessor {
         Ok(Self { path: path.to_path_buf(), resize, crop, scale: PixelScale::from_section(section)? })
     }
 
+    /// CLIP's processor for squares of `side` pixels.
+    pub(crate) fn square(side: u32) -> Self {
+        Self {
+            path: PathBuf::new(),
+            resize: Some((TargetSize::ShortestEdge(side), Filter::Bicubic)),
+            crop: Some((side, side)),
+            scale: PixelScale::CLIP,
+        }
+    }
+
     /// Checks that every image comes out as a square of the vision tower's side, as far as that is known beforehand.
     ///
     /// # Errors
@@ -244,19 +254,6 @@ fn center_crop(image: &RgbImage, width: u32, height: u32) -> RgbImage {
     let mut cropped = RgbImage::new(width, height);
     imageops::replace(&mut cropped, image, -offset(image.width(), width), -offset(image.height(), height));
     cropped
-}
-
-#[cfg(test)]
-impl ClipImageProcessor {
-    /// CLIP's processor for squares of `side` pixels.
-    pub(crate) fn square(side: u32) -> Self {
-        Self {
-            path: PathBuf::new(),
-            resize: Some((TargetSize::ShortestEdge(side), Filter::Bicubic)),
-            crop: Some((side, side)),
-            scale: PixelScale::CLIP,
-        }
-    }
 }
 
 #[cfg(test)]
