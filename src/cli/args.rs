@@ -235,7 +235,7 @@ pub(super) struct BenchArguments {
     /// them.
     #[arg(long, value_name = "SHAPES", value_delimiter = ',')]
     pub(super) random_weights: Vec<String>,
-    /// How matrices are stored: f32, f16, q8_0, q6_k or q4_k [default: as they are; random ones f16].
+    /// How matrices are stored: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k` [default: as they are; random ones f16].
     #[arg(long, value_name = "STORAGE")]
     pub(super) quantize: Option<Storage>,
     /// Planning calls of each model that do not count.

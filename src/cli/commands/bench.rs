@@ -32,15 +32,10 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
     let candidates = candidates(flags, config)?;
     let started = stamp(SystemTime::now());
     let metadata = metadata(flags, config, &candidates, &started)?;
+    let out = || flags.out.clone().unwrap_or_else(|| Path::new("runs").join(format!("bench-{started}")));
     let mut folder = match &flags.resume {
         Some(path) => BenchFolder::resume(path, &metadata)?,
-        None => {
-            let named = flags.out.clone();
-            BenchFolder::create(
-                &named.unwrap_or_else(|| Path::new("runs").join(format!("bench-{started}"))),
-                &metadata,
-            )?
-        }
+        None => BenchFolder::create(&out(), &metadata)?,
     };
     let left: Vec<Candidate> =
         candidates.into_iter().filter(|candidate| !folder.done().contains(candidate.name.as_str())).collect();

@@ -114,7 +114,7 @@ impl Bench<'_> {
         }
         let mut rows = Vec::new();
         for workload in &workloads {
-            match (self.misfit(workload, &engines), workload) {
+            match (Self::misfit(workload, &engines), workload) {
                 (None, _) => {}
                 (Some(misfit), Workload::Call(_)) => return Err(misfit),
                 (Some(misfit), Workload::Depth(_)) => {
@@ -162,7 +162,7 @@ impl Bench<'_> {
     }
 
     /// Why a workload cannot be done by these engines, if so.
-    fn misfit(&self, workload: &Workload, engines: &[Ready]) -> Option<EngineError> {
+    fn misfit(workload: &Workload, engines: &[Ready]) -> Option<EngineError> {
         engines.iter().find_map(|Ready { engine, loaded }| {
             let needed = workload.longest(loaded.image_tokens);
             let problem = format!("{} takes {needed} tokens, the context holds {}", workload.name(), loaded.context);

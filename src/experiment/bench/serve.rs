@@ -56,7 +56,7 @@ fn load(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, Late
     let version = env!("CARGO_PKG_VERSION").to_owned();
     let loaded = Loaded {
         parameters: about.parameters,
-        storage: about.quantisation,
+        storage: about.storage,
         image_side: about.image_side,
         image_tokens: about.image_tokens,
         context: about.context,

@@ -15,7 +15,7 @@ pub enum Workload {
 /// Tokens that are decoded behind a prompt whose depth is measured.
 const DECODED: usize = 64;
 /// Depths that engines are compared at, tokens.
-pub const DEPTHS: [usize; 2] = [512, 2048];
+pub(super) const DEPTHS: [usize; 2] = [512, 2048];
 
 impl Workload {
     /// Its name in rows.

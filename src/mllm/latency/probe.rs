@@ -52,7 +52,7 @@ impl LatencyProbe {
     /// # Errors
     /// When a file is missing or broken.
     pub fn open(folder: &Path, seed: u64) -> Result<Self, MllmError> {
-        Self::new(Architecture::detect(folder)?.open(folder)?, seed)
+        Ok(Self::new(Architecture::detect(folder)?.open(folder)?, seed))
     }
 
     /// Makes a model of a shape with random weights.
@@ -60,14 +60,14 @@ impl LatencyProbe {
     /// # Errors
     /// When the shape cannot be had in this storage.
     pub fn random(shape: &ModelShape, storage: Storage, seed: u64) -> Result<Self, MllmError> {
-        Self::new(shape.random(storage, seed)?, seed)
+        Ok(Self::new(shape.random(storage, seed)?, seed))
     }
 
-    fn new(model: Box<dyn VisionLanguageModel>, seed: u64) -> Result<Self, MllmError> {
+    fn new(model: Box<dyn VisionLanguageModel>, seed: u64) -> Self {
         let mut words = Pcg64Mcg::seed_from_u64(seed);
         let side = model.facts().image_size as u32;
         let image = RgbImage::from_fn(side, side, |_, _| image::Rgb(words.random()));
-        Ok(Self { sequence: Sequence::new(&*model), model, pending: Vec::new(), features: None, image, words })
+        Self { sequence: Sequence::new(&*model), model, pending: Vec::new(), features: None, image, words }
     }
 
     /// What is measured.

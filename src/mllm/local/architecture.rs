@@ -74,7 +74,7 @@ impl Architecture {
     ///
     /// # Errors
     /// When one of them is missing or broken.
-    pub(super) fn open(self, folder: &Path) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
+    pub(crate) fn open(self, folder: &Path) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
         Ok(match self {
             Self::Llava => Box::new(Llava::open(folder)?),
             Self::LlavaNext => Box::new(LlavaNext::open(folder)?),

@@ -188,7 +188,7 @@ impl Spread {
         values.sort_by(f64::total_cmp);
         let (least, most) = (*values.first()?, *values.last()?);
         let middle = |place: usize| values.get(place).copied().unwrap_or(most);
-        let median = (middle((values.len() - 1) / 2) + middle(values.len() / 2)) / 2.0;
+        let median = f64::midpoint(middle((values.len() - 1) / 2), middle(values.len() / 2));
         Some(Self { median, least, most })
     }
 }
@@ -214,7 +214,7 @@ mod tests {
     fn the_middle_of_an_even_number_is_a_mean() {
         let spread = Spread::of(vec![3.0, 1.0, 2.0, 10.0]).unwrap();
         assert_eq!(spread, Spread { median: 2.5, least: 1.0, most: 10.0 });
-        assert_eq!(Spread::of(vec![7.0]).unwrap().median, 7.0);
+        assert_eq!(Spread::of(vec![7.0]), Some(Spread { median: 7.0, least: 7.0, most: 7.0 }));
         assert_eq!(Spread::of(vec![]), None);
     }
 
