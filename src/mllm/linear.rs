@@ -4,15 +4,12 @@ use candle_core::{Result, Tensor};
 
 use super::MllmError;
 use super::checkpoint::{Activation, Weights};
+use super::matrix::Matrix;
 
-/// y = x Wᵀ + b on a matrix of shape (tokens, inputs). All matrices of all models are held and multiplied here, the
-/// embedding's excepted, so this is the place that decides in which form they are stored.
-///
-/// The weight is kept transposed, (inputs, outputs): for few rows, which is what decoding has, the matrix product would
-/// otherwise spend most of its time on transposing blocks of it.
+/// y = x Wᵀ + b on a matrix of shape (tokens, inputs).
 #[derive(Debug, Clone)]
 pub(crate) struct Linear {
-    weight: Tensor,
+    weight: Matrix,
     bias: Option<Tensor>,
 }
 
@@ -44,32 +41,28 @@ impl Linear {
         let mut matrices = Vec::with_capacity(parts.len());
         let mut biases = Vec::with_capacity(parts.len());
         for (name, outputs) in parts {
-            matrices.push(weights.take(&format!("{name}.weight"), &[*outputs, inputs])?);
+            matrices.push(weights.take_matrix(&format!("{name}.weight"), [*outputs, inputs])?);
             if bias {
                 biases.push(weights.take(&format!("{name}.bias"), &[*outputs])?);
             }
         }
         let bias = if bias { Some(Tensor::cat(&biases, 0)?) } else { None };
-        Ok(Self { weight: transposed(&Tensor::cat(&matrices, 0)?)?, bias })
+        Ok(Self { weight: Matrix::stack(matrices)?, bias })
     }
 
-    /// A layer around a matrix of shape (outputs, inputs) and a bias of shape (outputs).
-    pub(crate) fn from_matrix(matrix: &Tensor, bias: Option<Tensor>) -> Result<Self> {
-        Ok(Self { weight: transposed(matrix)?, bias })
+    /// A layer around a matrix and a bias of shape (outputs).
+    pub(crate) fn from_matrix(weight: Matrix, bias: Option<Tensor>) -> Self {
+        Self { weight, bias }
     }
 
     /// Applies the layer to (tokens, inputs).
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let y = x.matmul(&self.weight)?;
+        let y = self.weight.forward(x)?;
         match &self.bias {
             None => Ok(y),
             Some(bias) => y.broadcast_add(bias),
         }
     }
-}
-
-fn transposed(matrix: &Tensor) -> Result<Tensor> {
-    matrix.t()?.contiguous()
 }
 
 impl Activation {

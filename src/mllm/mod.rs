@@ -18,6 +18,7 @@ mod linear;
 mod llava;
 mod llava_next;
 mod local;
+mod matrix;
 mod registry;
 mod replay;
 mod sampling;
@@ -30,6 +31,7 @@ pub use conversation::{
 };
 pub use error::MllmError;
 pub use local::{Architecture, LocalModel};
+pub use matrix::{Storage, UnknownStorage};
 pub use registry::{
     GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec, PromptSet, RoundTokens,
 };

@@ -11,6 +11,7 @@ use serde_json::Value;
 use super::read_json;
 use super::section::Section;
 use crate::mllm::MllmError;
+use crate::mllm::matrix::{Matrix, Storage};
 
 /// The file of a checkpoint that is not sharded.
 const WEIGHTS: &str = "model.safetensors";
@@ -27,6 +28,7 @@ pub(crate) struct Weights {
     folder: PathBuf,
     tensors: BTreeMap<String, StoredTensor>,
     blake3: String,
+    storage: Storage,
     #[cfg(test)]
     invented: Option<rand_pcg::Pcg64Mcg>,
 }
@@ -60,6 +62,7 @@ impl Weights {
             folder: folder.to_path_buf(),
             tensors: BTreeMap::new(),
             blake3: String::new(),
+            storage: Storage::default(),
             #[cfg(test)]
             invented: None,
         }
@@ -118,6 +121,25 @@ impl Weights {
                 expected: shape.to_vec(),
                 found: stored.tensor.dims().to_vec(),
             })
+        }
+    }
+}
+
+impl Weights {
+    /// Takes a tensor of shape [outputs, inputs] as a matrix in the storage of these weights, or in the next finer one
+    /// that can hold it.
+    ///
+    /// # Errors
+    /// When it is missing or has another shape.
+    pub(crate) fn take_matrix(&mut self, name: &str, shape: [usize; 2]) -> Result<Matrix, MllmError> {
+        let tensor = self.take(name, &shape)?;
+        let [outputs, inputs] = shape;
+        match self.storage.or_finer(inputs) {
+            Storage::F32 => Ok(Matrix::from_tensor(&tensor)?),
+            storage => {
+                let values: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
+                Ok(Matrix::quantize(&values, outputs, inputs, storage)?)
+            }
         }
     }
 }

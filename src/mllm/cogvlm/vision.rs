@@ -7,6 +7,7 @@ use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{Activation, Weights};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
+use crate::mllm::matrix::Matrix;
 use crate::mllm::vision::{SelfAttention, unfold};
 
 /// The vision tower of `CogVLM`.
@@ -41,7 +42,7 @@ impl EvaVisionTower {
         let bias = weights.take(&format!("{embeddings}.proj.bias"), &[hidden])?;
         Ok(Self {
             class_embedding: weights.take(&format!("{embeddings}.cls_embedding"), &[1, hidden])?,
-            patch_embedding: Linear::from_matrix(&kernel.flatten_from(1)?, Some(bias))?,
+            patch_embedding: Linear::from_matrix(Matrix::from_tensor(&kernel.flatten_from(1)?)?, Some(bias)),
             position_embedding: weights
                 .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches() + 1, hidden])?,
             layers: (0..config.layers)

@@ -22,11 +22,12 @@ use rotary::RotaryTable;
 use super::MllmError;
 use super::checkpoint::{LlamaConfig, Weights};
 use super::linear::Linear;
+use super::matrix::Matrix;
 
 /// A decoder with its embedding and output layer.
 #[derive(Debug)]
 pub(crate) struct Decoder<L> {
-    embedding: Tensor,
+    embedding: Matrix,
     layers: Vec<L>,
     norm: RmsNorm,
     head: Linear,
@@ -70,12 +71,12 @@ impl<L: DecoderLayer> Decoder<L> {
         tied: bool,
     ) -> Result<Self, MllmError> {
         let matrix = [config.vocabulary, config.hidden];
-        let embedding = weights.take(&format!("{prefix}embed_tokens.weight"), &matrix)?;
+        let embedding = weights.take_matrix(&format!("{prefix}embed_tokens.weight"), matrix)?;
         // A checkpoint that holds both with the tying flag set is not tied (transformers: `tie_weights`).
         let head = if tied && !weights.contains("lm_head.weight") {
             embedding.clone()
         } else {
-            weights.take("lm_head.weight", &matrix)?
+            weights.take_matrix("lm_head.weight", matrix)?
         };
         let layers = (0..config.layers)
             .map(|index| L::take(weights, config, &format!("{prefix}layers.{index}")))
@@ -84,7 +85,7 @@ impl<L: DecoderLayer> Decoder<L> {
             embedding,
             layers,
             norm: rms_norm(weights, &format!("{prefix}norm"), config)?,
-            head: Linear::from_matrix(&head, None)?,
+            head: Linear::from_matrix(head, None),
             rotary: RotaryTable::new(config)?,
             cache_row: (config.kv_heads, config.head_dim),
         })
@@ -97,8 +98,7 @@ impl<L: DecoderLayer> Decoder<L> {
 
     /// The input rows of tokens, shape (tokens, hidden).
     pub(crate) fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
-        let ids = Tensor::new(ids, self.embedding.device())?;
-        self.embedding.index_select(&ids, 0)
+        self.embedding.rows(ids)
     }
 
     /// Runs input rows that follow what the cache holds, adds them to the cache, and gives the logits of shape (wanted

@@ -7,6 +7,7 @@ use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{Activation, ClipVisionConfig, Weights};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
+use crate::mllm::matrix::Matrix;
 
 /// A CLIP vision tower, as deep as its user needs it.
 #[derive(Debug)]
@@ -48,7 +49,7 @@ impl ClipVisionTower {
         }
         Ok(Self {
             class_embedding: weights.take(&format!("{embeddings}.class_embedding"), &[hidden])?.unsqueeze(0)?,
-            patch_embedding: Linear::from_matrix(&patch_kernel.flatten_from(1)?, None)?,
+            patch_embedding: Linear::from_matrix(Matrix::from_tensor(&patch_kernel.flatten_from(1)?)?, None),
             position_embedding: weights
                 .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches() + 1, hidden])?,
             // The misspelling is CLIP's own and stands in every checkpoint.

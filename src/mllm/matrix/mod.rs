@@ -1,0 +1,229 @@
+//! Weight matrices in the form they are stored in, and their products with rows of activations.
+
+mod blocks;
+mod storage;
+
+use std::io::{self, Write};
+use std::sync::Arc;
+
+use candle_core::quantized::QTensor;
+use candle_core::{Device, Result, Tensor, bail};
+
+pub use storage::{Storage, UnknownStorage};
+
+/// A matrix of shape (outputs, inputs) that is multiplied from the right: x Wᵀ. It holds one copy of its weights, and a
+/// clone shares it.
+#[derive(Debug, Clone)]
+pub(crate) struct Matrix {
+    inputs: usize,
+    outputs: usize,
+    /// Their outputs stand side by side. More than one where matrices of a layer were stacked.
+    parts: Vec<Arc<Part>>,
+}
+
+/// The rows of a matrix that are stored alike.
+#[derive(Debug)]
+struct Part {
+    storage: Storage,
+    inputs: usize,
+    outputs: usize,
+    weights: Weights,
+}
+
+#[derive(Debug)]
+enum Weights {
+    /// (inputs, outputs), transposed: for few rows, which is what decoding has, the product would otherwise spend most of
+    /// its time on transposing blocks of it.
+    Transposed(Tensor),
+    /// ggml's row-major blocks.
+    Blocks(Vec<u8>),
+}
+
+impl Matrix {
+    /// Whether a storage can hold a matrix of this shape.
+    pub(crate) fn fits(storage: Storage, outputs: usize, inputs: usize) -> bool {
+        outputs > 0 && inputs > 0 && storage.matrix_bytes(outputs, inputs).is_some()
+    }
+
+    /// Stores row-major values, whose blocks are chosen as ggml's reference quantisers choose them.
+    ///
+    /// # Errors
+    /// When the storage cannot hold this shape or the values are not as many.
+    pub(crate) fn quantize(values: &[f32], outputs: usize, inputs: usize, storage: Storage) -> Result<Self> {
+        check_shape(storage, outputs, inputs)?;
+        if outputs.checked_mul(inputs) != Some(values.len()) {
+            bail!("{} values are no matrix of {outputs} x {inputs}", values.len());
+        }
+        if storage == Storage::F32 {
+            let tensor = Tensor::from_slice(values, (outputs, inputs), &Device::Cpu)?;
+            return Self::from_tensor(&tensor);
+        }
+        let tensor = Tensor::from_slice(values, (outputs, inputs), &Device::Cpu)?;
+        let quantised = QTensor::quantize(&tensor, storage.ggml())?;
+        Self::from_blocks(storage, outputs, inputs, &quantised.data()?)
+    }
+
+    /// Stores ggml's row-major blocks, as they lie in a GGUF file.
+    ///
+    /// # Errors
+    /// When the storage cannot hold this shape or the bytes are not as many.
+    pub(crate) fn from_blocks(storage: Storage, outputs: usize, inputs: usize, bytes: &[u8]) -> Result<Self> {
+        check_shape(storage, outputs, inputs)?;
+        if storage.matrix_bytes(outputs, inputs) != Some(bytes.len()) {
+            bail!("{} bytes are no {storage} matrix of {outputs} x {inputs}", bytes.len());
+        }
+        if storage == Storage::F32 {
+            let mut values = vec![0.0; outputs * inputs];
+            blocks::decode_row(storage, bytes, &mut values);
+            return Self::from_tensor(&Tensor::from_vec(values, (outputs, inputs), &Device::Cpu)?);
+        }
+        Ok(Self::of(Part { storage, inputs, outputs, weights: Weights::Blocks(bytes.to_vec()) }))
+    }
+
+    /// Stores an f32 tensor of shape (outputs, inputs) as it is.
+    ///
+    /// # Errors
+    /// When it is no matrix of f32.
+    pub(crate) fn from_tensor(tensor: &Tensor) -> Result<Self> {
+        let (outputs, inputs) = tensor.dims2()?;
+        let weights = Weights::Transposed(tensor.t()?.contiguous()?);
+        Ok(Self::of(Part { storage: Storage::F32, inputs, outputs, weights }))
+    }
+
+    fn of(part: Part) -> Self {
+        Self { inputs: part.inputs, outputs: part.outputs, parts: vec![Arc::new(part)] }
+    }
+
+    /// Matrices of the same inputs as one, their outputs side by side: one pass over the input instead of many. They may be
+    /// stored differently.
+    ///
+    /// # Errors
+    /// When their inputs differ or there are none.
+    pub(crate) fn stack(matrices: Vec<Self>) -> Result<Self> {
+        let Some(inputs) = matrices.first().map(|matrix| matrix.inputs) else {
+            bail!("a stack of no matrices");
+        };
+        if let Some(other) = matrices.iter().find(|matrix| matrix.inputs != inputs) {
+            bail!("matrices of {inputs} and {} inputs cannot be stacked", other.inputs);
+        }
+        let outputs = matrices.iter().map(|matrix| matrix.outputs).sum();
+        Ok(Self { inputs, outputs, parts: matrices.into_iter().flat_map(|matrix| matrix.parts).collect() })
+    }
+
+    /// Width of the result.
+    pub(crate) fn outputs(&self) -> usize {
+        self.outputs
+    }
+
+    /// Width of the rows that it is multiplied with.
+    pub(crate) fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    /// How its rows are stored; of a stack, the first.
+    pub(crate) fn storage(&self) -> Storage {
+        self.parts.first().map_or_else(Storage::default, |part| part.storage)
+    }
+
+    /// Bytes in memory.
+    pub(crate) fn bytes(&self) -> usize {
+        self.parts.iter().map(|part| part.bytes()).sum()
+    }
+
+    /// Writes the row-major blocks that [`Self::from_blocks`] takes, bit for bit; of a stack, those of one matrix after the
+    /// other.
+    ///
+    /// # Errors
+    /// When writing fails.
+    pub(crate) fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
+        self.parts.iter().try_for_each(|part| part.write_blocks(out))
+    }
+
+    /// Rows of the matrix, (ids, inputs) in f32: as an embedding is read.
+    ///
+    /// # Errors
+    /// When an id is no row.
+    pub(crate) fn rows(&self, ids: &[u32]) -> Result<Tensor> {
+        let mut values = vec![0.0; ids.len() * self.inputs];
+        for (id, row) in ids.iter().zip(values.chunks_exact_mut(self.inputs)) {
+            let mut index = *id as usize;
+            let part = self.parts.iter().find(|part| {
+                let found = index < part.outputs;
+                if !found {
+                    index -= part.outputs;
+                }
+                found
+            });
+            let Some(part) = part else {
+                bail!("row {id} of a matrix of {} rows", self.outputs);
+            };
+            part.read_row(index, row)?;
+        }
+        Tensor::from_vec(values, (ids.len(), self.inputs), &Device::Cpu)
+    }
+
+    /// Multiplies rows (tokens, inputs) of f32 to (tokens, outputs).
+    ///
+    /// # Errors
+    /// When they have another width.
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let products = self.parts.iter().map(|part| part.forward(x)).collect::<Result<Vec<_>>>()?;
+        match products.as_slice() {
+            [product] => Ok(product.clone()),
+            products => Tensor::cat(products, 1)?.contiguous(),
+        }
+    }
+}
+
+impl Part {
+    fn bytes(&self) -> usize {
+        match &self.weights {
+            Weights::Transposed(tensor) => tensor.elem_count() * size_of::<f32>(),
+            Weights::Blocks(bytes) => bytes.len(),
+        }
+    }
+
+    fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
+        match &self.weights {
+            Weights::Blocks(bytes) => out.write_all(bytes),
+            Weights::Transposed(_) => {
+                let mut row = vec![0.0; self.inputs];
+                (0..self.outputs).try_for_each(|index| {
+                    self.read_row(index, &mut row).map_err(io::Error::other)?;
+                    row.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
+                })
+            }
+        }
+    }
+
+    fn read_row(&self, index: usize, row: &mut [f32]) -> Result<()> {
+        match &self.weights {
+            Weights::Transposed(tensor) => {
+                row.copy_from_slice(&tensor.narrow(1, index, 1)?.flatten_all()?.to_vec1::<f32>()?);
+            }
+            Weights::Blocks(bytes) => {
+                let width = bytes.len() / self.outputs;
+                blocks::decode_row(self.storage, &bytes[index * width..(index + 1) * width], row);
+            }
+        }
+        Ok(())
+    }
+
+    fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        match &self.weights {
+            Weights::Transposed(tensor) => x.matmul(tensor),
+            Weights::Blocks(bytes) => {
+                let mut values = vec![0.0; self.outputs * self.inputs];
+                blocks::decode_row(self.storage, bytes, &mut values);
+                x.matmul(&Tensor::from_vec(values, (self.outputs, self.inputs), &Device::Cpu)?.t()?)
+            }
+        }
+    }
+}
+
+fn check_shape(storage: Storage, outputs: usize, inputs: usize) -> Result<()> {
+    if !Matrix::fits(storage, outputs, inputs) {
+        bail!("{storage} cannot hold a matrix of {outputs} x {inputs}: rows are in blocks of {}", storage.block());
+    }
+    Ok(())
+}

@@ -1,0 +1,139 @@
+//! The forms in which the numbers of a weight matrix are kept.
+
+use std::fmt;
+use std::str::FromStr;
+
+use candle_core::quantized::GgmlDType;
+use serde::{Deserialize, Serialize};
+
+/// How the numbers of a weight matrix are stored; the names are those of ggml's formats.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Storage {
+    /// 32-bit floating point.
+    #[default]
+    F32,
+    /// 16-bit floating point, 5 bits of exponent.
+    F16,
+    /// 8 bits a number with a scale for every 32 (8.5 bits).
+    Q8_0,
+    /// 6 bits a number with a scale for every 16, in blocks of 256 (6.56 bits).
+    #[serde(rename = "q6_k")]
+    Q6K,
+    /// 4 bits a number with a scale and a minimum for every 32, in blocks of 256 (4.5 bits).
+    #[serde(rename = "q4_k")]
+    Q4K,
+}
+
+impl Storage {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::F32, Self::F16, Self::Q8_0, Self::Q6K, Self::Q4K];
+
+    /// The name in configurations and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::F16 => "f16",
+            Self::Q8_0 => "q8_0",
+            Self::Q6K => "q6_k",
+            Self::Q4K => "q4_k",
+        }
+    }
+
+    /// Numbers in a block.
+    pub(crate) fn block(self) -> usize {
+        match self {
+            Self::F32 | Self::F16 => 1,
+            Self::Q8_0 => 32,
+            Self::Q6K | Self::Q4K => 256,
+        }
+    }
+
+    /// Bytes of a block (ggml, `ggml-common.h`).
+    pub(crate) fn block_bytes(self) -> usize {
+        match self {
+            Self::F32 => 4,
+            Self::F16 => 2,
+            Self::Q8_0 => 34,
+            Self::Q6K => 210,
+            Self::Q4K => 144,
+        }
+    }
+
+    /// Bytes of a matrix of this shape; none if the storage cannot hold it or they cannot be counted.
+    pub(crate) fn matrix_bytes(self, outputs: usize, inputs: usize) -> Option<usize> {
+        let blocks = inputs.is_multiple_of(self.block()).then(|| inputs / self.block())?;
+        blocks.checked_mul(self.block_bytes())?.checked_mul(outputs)
+    }
+
+    /// The storage for a matrix with so many inputs where this one was asked for: itself if it can hold it, else the
+    /// next finer one that can.
+    pub(crate) fn or_finer(self, inputs: usize) -> Self {
+        let finer = match self {
+            Self::Q4K | Self::Q6K => Self::Q8_0,
+            Self::Q8_0 => Self::F16,
+            Self::F16 | Self::F32 => return self,
+        };
+        if inputs.is_multiple_of(self.block()) { self } else { finer.or_finer(inputs) }
+    }
+
+    pub(super) fn ggml(self) -> GgmlDType {
+        match self {
+            Self::F32 => GgmlDType::F32,
+            Self::F16 => GgmlDType::F16,
+            Self::Q8_0 => GgmlDType::Q8_0,
+            Self::Q6K => GgmlDType::Q6K,
+            Self::Q4K => GgmlDType::Q4K,
+        }
+    }
+}
+
+impl fmt::Display for Storage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A name that is none of [`Storage::ALL`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no storage of weights is called {name:?}; there are {}", Storage::ALL.map(Storage::name).join(", "))]
+pub struct UnknownStorage {
+    /// The name.
+    name: String,
+}
+
+impl FromStr for Storage {
+    type Err = UnknownStorage;
+
+    fn from_str(name: &str) -> Result<Self, UnknownStorage> {
+        Self::ALL
+            .into_iter()
+            .find(|storage| storage.name() == name)
+            .ok_or_else(|| UnknownStorage { name: name.to_string() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_back() {
+        for storage in Storage::ALL {
+            assert_eq!(storage.name().parse(), Ok(storage));
+            assert_eq!(serde_json::to_value(storage).unwrap(), storage.name());
+            assert_eq!(serde_json::from_value::<Storage>(storage.name().into()).unwrap(), storage);
+            assert_eq!(storage.block_bytes(), storage.ggml().type_size());
+            assert_eq!(storage.block(), storage.ggml().block_size());
+        }
+        assert!("q5_k".parse::<Storage>().unwrap_err().to_string().contains("q4_k"));
+    }
+
+    #[test]
+    fn odd_widths_fall_to_finer_storages() {
+        assert_eq!(Storage::Q4K.or_finer(512), Storage::Q4K);
+        assert_eq!(Storage::Q4K.or_finer(96), Storage::Q8_0);
+        assert_eq!(Storage::Q6K.or_finer(7), Storage::F16);
+        assert_eq!(Storage::F32.or_finer(7), Storage::F32);
+    }
+}
