@@ -74,6 +74,7 @@ impl Mllm for Replay {
             vocabulary: 0,
             context: 0,
             weights_blake3: String::new(),
+            load: LoadReport::default(),
         }
     }
 

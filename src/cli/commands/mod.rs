@@ -2,6 +2,7 @@
 
 pub(super) mod dataset;
 pub(super) mod export;
+pub(super) mod models;
 pub(super) mod plan;
 pub(super) mod scenarios;
 pub(super) mod simulate;

@@ -11,19 +11,17 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
-use std::path::Path;
-
 use candle_core::Tensor;
 use image::RgbImage;
 
 use chat::QuestionFormat;
-use config::CogVlmConfig;
+pub(crate) use config::CogVlmConfig;
 use connector::GluAdapter;
 use language::{ExpertLayer, IMAGE_POSITIONS, positions, vision_rows};
 use vision::EvaVisionTower;
 
 use super::MllmError;
-use super::checkpoint::{Weights, read_required_json};
+use super::checkpoint::{Checkpoint, ModelFiles, Weights};
 use super::decoder::{Decoder, DecoderInput, KvCache, Logits};
 use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
 use super::text::ChatTokenizer;
@@ -39,14 +37,13 @@ pub(crate) struct CogVlm {
 }
 
 impl CogVlm {
-    /// Opens the configuration and the weights of a folder.
+    /// Opens the configuration and the weights of a checkpoint.
     ///
     /// # Errors
     /// When one of them is missing or broken.
-    pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
-        let config_json = read_required_json(folder, "config.json")?;
-        let config = CogVlmConfig::from_json(&folder.join("config.json"), &config_json)?;
-        Self::take(&mut Weights::open(folder)?, config)
+    pub(crate) fn open(checkpoint: &mut Checkpoint) -> Result<Self, MllmError> {
+        let config = CogVlmConfig::open(&checkpoint.files)?;
+        Self::take(&mut checkpoint.weights, config)
     }
 
     /// Takes the weights of a configuration.
@@ -82,7 +79,7 @@ impl CogVlm {
 impl CogVlm {
     /// A model of this configuration with random weights.
     pub(crate) fn invented(config: &serde_json::Value) -> Self {
-        let config = CogVlmConfig::from_json(Path::new("config.json"), config).unwrap();
+        let config = CogVlmConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
         Self::take(&mut Weights::invented(7), config).unwrap()
     }
 }
@@ -122,7 +119,7 @@ impl VisionLanguageModel for CogVlm {
         self.decoder.forward(&DecoderInput { rows: rows.rows.clone(), positions, vision }, cache, wanted)
     }
 
-    fn chat_format(&self, _folder: &Path, _tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+    fn chat_format(&self, _files: &ModelFiles, _tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
         let format =
             QuestionFormat { bos: self.config.bos, image_token: self.facts.image_token, style: self.config.style };
         Ok(Box::new(format))

@@ -9,17 +9,15 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
-use std::path::Path;
-
 use candle_core::Tensor;
 use image::RgbImage;
 
 pub(crate) use chat::TemplateFormat;
-pub(crate) use config::{FeatureSelect, LlavaConfig};
+pub(crate) use config::{FeatureSelect, IMAGE_TOKEN_BEYOND, LlavaConfig};
 pub(crate) use vision::ImageEncoder;
 
 use super::MllmError;
-use super::checkpoint::{Weights, read_required_json};
+use super::checkpoint::{Checkpoint, ModelFiles, Weights};
 use super::decoder::{Decoder, DecoderInput, KvCache, LlamaLayer, Logits};
 use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
 use super::text::ChatTokenizer;
@@ -77,16 +75,16 @@ impl LlavaCore {
 }
 
 impl Llava {
-    /// Opens the configuration, the preprocessor and the weights of a folder.
+    /// Opens the configuration, the preprocessor and the weights of a checkpoint.
     ///
     /// # Errors
     /// When one of them is missing or broken.
-    pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
-        let config_json = read_required_json(folder, "config.json")?;
-        let config = LlavaConfig::from_json(&folder.join("config.json"), &config_json)?;
-        let processor = ClipImageProcessor::open(folder)?;
+    pub(crate) fn open(checkpoint: &mut Checkpoint) -> Result<Self, MllmError> {
+        let files = &checkpoint.files;
+        let config = LlavaConfig::open(files)?;
+        let processor = ClipImageProcessor::open(files)?;
         processor.check_side(config.vision.image_size)?;
-        Self::take(&mut Weights::open(folder)?, config, processor)
+        Self::take(&mut checkpoint.weights, config, processor)
     }
 
     /// Takes the weights of a configuration.
@@ -124,7 +122,7 @@ impl Llava {
 impl Llava {
     /// A model of this configuration with random weights.
     pub(crate) fn invented(config: &serde_json::Value) -> Self {
-        let config = LlavaConfig::from_json(Path::new("config.json"), config).unwrap();
+        let config = LlavaConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
         let processor = ClipImageProcessor::square(config.vision.image_size as u32);
         Self::take(&mut Weights::invented(7), config, processor).unwrap()
     }
@@ -159,7 +157,7 @@ impl VisionLanguageModel for Llava {
         self.core.forward(rows, cache, wanted)
     }
 
-    fn chat_format(&self, folder: &Path, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(folder, tokenizer, self.facts.image_token)?))
+    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.facts.image_token)?))
     }
 }

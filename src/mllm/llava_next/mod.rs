@@ -9,8 +9,6 @@ mod preprocess;
 #[cfg(test)]
 mod reference_tests;
 
-use std::path::Path;
-
 use candle_core::Tensor;
 use image::RgbImage;
 
@@ -20,7 +18,7 @@ use grid::{Resolution, TileGrids, Tiling};
 use preprocess::AnyresImageProcessor;
 
 use super::MllmError;
-use super::checkpoint::{Weights, read_required_json};
+use super::checkpoint::{Checkpoint, ModelFiles, Weights};
 use super::decoder::{KvCache, Logits};
 use super::llava::{LlavaCore, TemplateFormat};
 use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
@@ -37,15 +35,15 @@ pub(crate) struct LlavaNext {
 }
 
 impl LlavaNext {
-    /// Opens the configuration, the preprocessor and the weights of a folder.
+    /// Opens the configuration, the preprocessor and the weights of a checkpoint.
     ///
     /// # Errors
     /// When one of them is missing or broken.
-    pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
-        let config_json = read_required_json(folder, "config.json")?;
-        let config = LlavaNextConfig::from_json(&folder.join("config.json"), &config_json)?;
-        let processor = AnyresImageProcessor::open(folder, &config.grids, config.llava.vision.image_size as u32)?;
-        Self::take(&mut Weights::open(folder)?, config, processor)
+    pub(crate) fn open(checkpoint: &mut Checkpoint) -> Result<Self, MllmError> {
+        let files = &checkpoint.files;
+        let config = LlavaNextConfig::open(files)?;
+        let processor = AnyresImageProcessor::open(files, &config.grids, config.llava.vision.image_size as u32)?;
+        Self::take(&mut checkpoint.weights, config, processor)
     }
 
     /// Takes the weights of a configuration.
@@ -86,7 +84,7 @@ impl LlavaNext {
     /// A model of this configuration with random weights.
     pub(crate) fn invented(config: &serde_json::Value) -> Self {
         use super::vision::{Filter, PixelScale};
-        let config = LlavaNextConfig::from_json(Path::new("config.json"), config).unwrap();
+        let config = LlavaNextConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
         let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
         Self::take(&mut Weights::invented(7), config, processor).unwrap()
     }
@@ -126,7 +124,7 @@ impl VisionLanguageModel for LlavaNext {
         self.core.forward(rows, cache, wanted)
     }
 
-    fn chat_format(&self, folder: &Path, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(folder, tokenizer, self.facts.image_token)?))
+    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.facts.image_token)?))
     }
 }

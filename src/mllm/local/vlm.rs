@@ -1,11 +1,11 @@
 //! The one interface to every family of models that is computed here.
 
 use std::ops::Range;
-use std::path::Path;
 
 use candle_core::Tensor;
 use image::RgbImage;
 
+use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::decoder::{KvCache, Logits};
 use crate::mllm::text::ChatTokenizer;
 use crate::mllm::{MllmError, Turn};
@@ -39,11 +39,11 @@ pub(crate) trait VisionLanguageModel: std::fmt::Debug + Send + Sync {
     /// Runs rows through the decoder, adds them to the cache, and gives the logits (wanted positions, vocabulary).
     fn forward(&self, rows: &PlacedRows, cache: &mut KvCache, wanted: Logits) -> candle_core::Result<Option<Tensor>>;
 
-    /// How prompts are written, from the files of `folder`.
+    /// How prompts are written, from the model's files.
     ///
     /// # Errors
     /// When a file is missing or does not fit the model.
-    fn chat_format(&self, folder: &Path, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError>;
+    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError>;
 }
 
 /// How a family writes a chat as tokens.

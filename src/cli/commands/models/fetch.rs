@@ -1,0 +1,28 @@
+//! `planagent models fetch`.
+
+use crate::cli::{Exit, Printer};
+use crate::mllm::{ModelPlace, ModelRegistry, in_bytes};
+use anyhow::Context;
+use std::path::PathBuf;
+
+/// Downloads models of the hub, with their tokenizers; says where each lies.
+///
+/// # Errors
+/// When one does not exist or cannot be had.
+pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
+    for model in models {
+        let spec = registry.find(model)?;
+        let place = registry.fetch(&spec).with_context(|| format!("cannot fetch the model '{}'", spec.name))?;
+        let bytes = place.weight_bytes()?;
+        let place: PathBuf = match place {
+            ModelPlace::Folder(folder) => folder,
+            ModelPlace::Gguf { model, .. } => model,
+        };
+        if printer.is_json() {
+            printer.json(&serde_json::json!({"model": model, "place": place, "bytes": bytes}))?;
+        } else {
+            printer.line(format!("{model}: {} in {}", in_bytes(bytes), place.display()));
+        }
+    }
+    Ok(Exit::Success)
+}

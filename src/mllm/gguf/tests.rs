@@ -1,0 +1,1 @@
+//! Files that are hostile, and files that say what a checkpoint says.
