@@ -102,7 +102,9 @@ impl Printer {
     /// A progress bar of bytes on stderr; hidden when quiet or when stderr is no terminal.
     pub fn byte_progress(&self, length: u64) -> ProgressBar {
         let bar = self.progress(length, "bytes");
-        if let Ok(style) = ProgressStyle::with_template("{bar:24} {bytes}/{total_bytes} {bytes_per_sec} {eta} left {wide_msg}") {
+        if let Ok(style) =
+            ProgressStyle::with_template("{bar:24} {bytes}/{total_bytes} {bytes_per_sec} {eta} left {wide_msg}")
+        {
             bar.set_style(style);
         }
         bar

@@ -37,6 +37,7 @@ pub use gguf::{CreateFile, GgufPart};
 pub use local::{Architecture, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
 pub use matrix::{Storage, UnknownStorage};
 pub use registry::{
-    FetchListener, FetchProgress, GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec, PromptSet, RoundTokens,
+    FetchListener, FetchProgress, GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec,
+    PromptSet, RoundTokens,
 };
 pub use replay::{RecordedAnswer, Replay};

@@ -85,9 +85,8 @@ impl LoadReport {
 
     /// The report as lines for people: storages, exceptions, notes.
     pub fn lines(&self) -> Vec<String> {
-        let share = |share: &StorageShare| {
-            format!("{}: {} tensors, {}", share.storage, share.tensors, in_bytes(share.bytes))
-        };
+        let share =
+            |share: &StorageShare| format!("{}: {} tensors, {}", share.storage, share.tensors, in_bytes(share.bytes));
         let exception = |exception: &StorageException| {
             let StorageException { name, tensors, file, storage, reason } = exception;
             format!("{name} ({tensors}): {file} in the file, held in {storage}: {reason}")

@@ -12,7 +12,7 @@ use super::load_report::LoadReport;
 use super::read_json;
 use super::safetensors_header::read_header;
 use super::section::Section;
-use super::storage_plan::{FileKind, StoragePlan, held_as, is_matrix};
+use super::storage_plan::{StoragePlan, held_as, is_matrix};
 use super::weight_file::{TensorPlace, WeightFile, widen};
 use crate::mllm::MllmError;
 use crate::mllm::matrix::{Matrix, Storage};

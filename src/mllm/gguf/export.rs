@@ -146,7 +146,9 @@ fn parts(checkpoint: &mut Checkpoint, tokenizer: &ModelFiles, name: &str) -> Res
     let (decoder, tower) = match described? {
         Ok(described) => described,
         Err(what) => {
-            checkpoint.weights.note(format!("llama.cpp's format has no place for {what}: the file is for this program alone"));
+            checkpoint
+                .weights
+                .note(format!("llama.cpp's format has no place for {what}: the file is for this program alone"));
             let mut layout = Layout { metadata: [general(WHOLE_MODEL), packed].concat(), tensors: Vec::new() };
             let canonical = plan_tensors(&checkpoint.weights, &mut layout, |name| Some(name.to_string()));
             return Ok(vec![Part { part: GgufPart::Model, layout, canonical, heads: None }]);
@@ -187,7 +189,8 @@ fn llava_metadata(
         scale,
         projection: config.text.hidden,
     };
-    let owned = |metadata: Vec<(&str, Value)>| metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
+    let owned =
+        |metadata: Vec<(&str, Value)>| metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
     Ok(llama::metadata(&config.text).and_then(|decoder| Ok((owned(decoder), owned(clip::metadata(&tower)?)))))
 }
 

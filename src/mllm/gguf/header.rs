@@ -115,7 +115,9 @@ impl Reader<'_> {
         }
         let dimensions = self.u32()?;
         if dimensions == 0 || dimensions > MAX_DIMENSIONS {
-            return Err(self.error(format!("tensor {name} has {dimensions} dimensions, expected 1 to {MAX_DIMENSIONS}")));
+            return Err(
+                self.error(format!("tensor {name} has {dimensions} dimensions, expected 1 to {MAX_DIMENSIONS}"))
+            );
         }
         let mut shape = Vec::with_capacity(dimensions as usize);
         for _ in 0..dimensions {

@@ -17,7 +17,11 @@ mod value;
 mod writer;
 
 #[cfg(test)]
-mod tests;
+mod header_tests;
+#[cfg(test)]
+mod round_trip_tests;
+#[cfg(test)]
+mod tokenizer_tests;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -52,7 +56,8 @@ pub(crate) fn open(model: &Path, mmproj: Option<&Path>, quantize: Option<Storage
     let (header, file) = open_header(model)?;
     let architecture = header.architecture()?.to_string();
     if header.count("split.count")?.is_some_and(|parts| parts > 1) {
-        return Err(header.error("split.count", "a model in several files is not read; join them with llama-gguf-split --merge"));
+        return Err(header
+            .error("split.count", "a model in several files is not read; join them with llama-gguf-split --merge"));
     }
     let plan = StoragePlan { quantize, kind: FileKind::Gguf, tied: true };
     let mut weights = Weights::empty(model, plan);
@@ -161,7 +166,9 @@ fn files_of(folder: &Path, wanted: impl Fn(&str) -> bool) -> Result<Vec<PathBuf>
     for entry in std::fs::read_dir(listed).map_err(failed)? {
         let name = entry.map_err(failed)?.file_name();
         let path = folder.join(&name);
-        if path.extension().is_some_and(|extension| extension == "gguf") && wanted(open_header(&path)?.0.architecture()?) {
+        if path.extension().is_some_and(|extension| extension == "gguf")
+            && wanted(open_header(&path)?.0.architecture()?)
+        {
             found.push(path);
         }
     }
@@ -183,11 +190,7 @@ fn packed_files(header: &Header) -> Result<BTreeMap<String, String>, MllmError> 
 }
 
 /// What stands for the small files of a model of llama.cpp.
-fn made_files(
-    header: &Header,
-    tower: &Header,
-    notes: &mut Vec<String>,
-) -> Result<BTreeMap<String, String>, MllmError> {
+fn made_files(header: &Header, tower: &Header, notes: &mut Vec<String>) -> Result<BTreeMap<String, String>, MllmError> {
     let text = llama::text_config(header)?;
     let vocabulary = text["vocab_size"].as_u64().unwrap_or_default() as usize;
     let (mut config, note) = clip::config(tower)?;
@@ -270,7 +273,8 @@ fn row_order(header: &Header, name: &str, place: &TensorPlace) -> Result<RowOrde
 /// llama.cpp's older converter calls the first layer of the tower's feed-forward part `ffn_down` and the second `ffn_up`.
 /// The widths tell: the first takes the hidden states.
 fn unswapped(header: &Header, canonical: String, hidden: Option<usize>) -> String {
-    let Some(layer) = canonical.strip_prefix("vision_tower.encoder.layers.").and_then(|rest| rest.split('.').next()) else {
+    let Some(layer) = canonical.strip_prefix("vision_tower.encoder.layers.").and_then(|rest| rest.split('.').next())
+    else {
         return canonical;
     };
     let down = header.tensors.get(&format!("v.blk.{layer}.ffn_down.weight"));

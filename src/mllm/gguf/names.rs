@@ -41,10 +41,8 @@ const VISION_PARTS: [(&str, &str); 8] = [
 ];
 
 /// Layers: what their names begin with in GGUF and canonically, and their parts.
-const LAYERS: [(&str, &str, &[(&str, &str)]); 2] = [
-    ("blk.", "language_model.layers.", &DECODER_PARTS),
-    ("v.blk.", "vision_tower.encoder.layers.", &VISION_PARTS),
-];
+const LAYERS: [(&str, &str, &[(&str, &str)]); 2] =
+    [("blk.", "language_model.layers.", &DECODER_PARTS), ("v.blk.", "vision_tower.encoder.layers.", &VISION_PARTS)];
 
 /// The canonical name of a tensor of llama.cpp; none if a LLaVA has no such tensor.
 pub(super) fn to_canonical(name: &str) -> Option<String> {
@@ -95,7 +93,9 @@ mod tests {
             assert_eq!(to_canonical(name).as_deref(), Some(canonical));
             assert_eq!(from_canonical(canonical).as_deref(), Some(name));
         }
-        for name in ["", "blk.", "blk.x.attn_q.weight", "blk.1.attn_q", "blk.1.ffn_gate_exps.weight", "v.post_ln.weight"] {
+        for name in
+            ["", "blk.", "blk.x.attn_q.weight", "blk.1.attn_q", "blk.1.ffn_gate_exps.weight", "v.post_ln.weight"]
+        {
             assert_eq!(to_canonical(name), None, "{name}");
         }
     }

@@ -91,7 +91,8 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
         let key = format!("tokenizer.ggml.{role}_token_id");
         let Some(id) = header.metadata.get(&key).and_then(super::value::Value::as_u64) else { return Ok(None) };
         let token = pieces.tokens.get(id as usize);
-        let token = token.ok_or_else(|| header.error(&key, format!("{id} is none of {} tokens", pieces.tokens.len())))?;
+        let token =
+            token.ok_or_else(|| header.error(&key, format!("{id} is none of {} tokens", pieces.tokens.len())))?;
         Ok(Some((id as i64, token.as_str())))
     };
     let (bos, eos, unknown) = (special("bos")?, special("eos")?, special("unknown")?);
@@ -120,10 +121,9 @@ impl<'a> Pieces<'a> {
         const TOKENS: &str = "tokenizer.ggml.tokens";
         let tokens = header.required_texts(TOKENS)?;
         if tokens.len() > vocabulary {
-            return Err(header.error(
-                TOKENS,
-                format!("{} tokens, but the embedding has {vocabulary} rows", tokens.len()),
-            ));
+            return Err(
+                header.error(TOKENS, format!("{} tokens, but the embedding has {vocabulary} rows", tokens.len()))
+            );
         }
         if let Some((id, long)) = tokens.iter().enumerate().find(|(_, token)| token.len() > MAX_PIECE) {
             return Err(header.error(TOKENS, format!("token {id} has {} bytes", long.len())));
@@ -151,13 +151,13 @@ impl<'a> Pieces<'a> {
 
     /// Every way to make a piece of two, those of high scores first; of equal scores, as transformers orders them.
     fn merges(&self) -> Vec<[&'a str; 2]> {
-        let ids: HashMap<&str, usize> = self.tokens.iter().enumerate().map(|(id, token)| (token.as_str(), id)).collect();
+        let ids: HashMap<&str, usize> =
+            self.tokens.iter().enumerate().map(|(id, token)| (token.as_str(), id)).collect();
         let mut merges = Vec::new();
         for (id, token) in self.tokens.iter().enumerate().filter(|(id, _)| self.kinds[*id] == piece::NORMAL) {
             let halves = token.char_indices().skip(1).map(|(at, _)| token.split_at(at));
-            let mut pairs: Vec<(usize, usize, [&str; 2])> = halves
-                .filter_map(|(left, right)| Some((*ids.get(left)?, *ids.get(right)?, [left, right])))
-                .collect();
+            let mut pairs: Vec<(usize, usize, [&str; 2])> =
+                halves.filter_map(|(left, right)| Some((*ids.get(left)?, *ids.get(right)?, [left, right]))).collect();
             pairs.sort_unstable_by_key(|(left, right, _)| (*left, *right));
             merges.extend(pairs.into_iter().map(|(_, _, pair)| (self.scores[id], pair)));
         }

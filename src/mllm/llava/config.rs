@@ -8,9 +8,7 @@ use std::path::Path;
 use serde_json::{Map, Value};
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{
-    Activation, CLIP_BASE, ClipVisionConfig, LLAVA_TOWER, LlamaConfig, ModelFiles, Section,
-};
+use crate::mllm::checkpoint::{Activation, CLIP_BASE, ClipVisionConfig, LLAVA_TOWER, LlamaConfig, ModelFiles, Section};
 
 /// A LLaVA model: which vision tower, which decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]

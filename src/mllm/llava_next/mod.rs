@@ -12,7 +12,7 @@ mod reference_tests;
 use candle_core::Tensor;
 use image::RgbImage;
 
-use config::LlavaNextConfig;
+pub(crate) use config::LlavaNextConfig;
 use connector::TilePacker;
 use grid::{Resolution, TileGrids, Tiling};
 use preprocess::AnyresImageProcessor;

@@ -82,7 +82,7 @@ impl Architecture {
     ///
     /// # Errors
     /// When one of them is missing or broken.
-    pub(super) fn open(self, checkpoint: &mut Checkpoint) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
+    pub(crate) fn open(self, checkpoint: &mut Checkpoint) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
         Ok(match self {
             Self::Llava => Box::new(Llava::open(checkpoint)?),
             Self::LlavaNext => Box::new(LlavaNext::open(checkpoint)?),

@@ -28,8 +28,8 @@ pub(crate) use vlm::{Chat, ChatFormat, ModelFacts, PlacedRows, VisionLanguageMod
 use super::checkpoint::{Checkpoint, LoadReport, ModelFiles, ModelPlace, Section};
 use super::decoder::Logits;
 use super::gguf::{self, CreateFile};
-use super::text::{ChatTokenizer, GrammarEngine};
 use super::matrix::Storage;
+use super::text::{ChatTokenizer, GrammarEngine};
 use super::{Conversation, Mllm, MllmError, ModelDescription, Opening};
 
 /// System prompts whose keys and values are kept; a run uses one or two.

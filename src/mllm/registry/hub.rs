@@ -276,7 +276,8 @@ mod tests {
     #[test]
     fn gguf_files_are_asked_for_by_name() {
         let (_cache, access) = cached(&["model-q4_k.gguf", "mmproj.gguf"]);
-        let files = |mmproj: Option<&str>| HubFiles::Gguf { file: "model-q4_k.gguf".into(), mmproj: mmproj.map(Into::into) };
+        let files =
+            |mmproj: Option<&str>| HubFiles::Gguf { file: "model-q4_k.gguf".into(), mmproj: mmproj.map(Into::into) };
         assert!(access.fetch("org/model", "main", &files(None), None).is_ok());
         assert!(access.fetch("org/model", "main", &files(Some("mmproj.gguf")), None).is_ok());
         let missing = access.fetch("org/model", "main", &files(Some("mmproj-f16.gguf")), None);

@@ -156,8 +156,7 @@ impl ModelRegistry {
             ModelSource::Folder { folder } => ModelPlace::Folder(folder.clone()),
             ModelSource::File { file, mmproj } => ModelPlace::Gguf { model: file.clone(), mmproj: mmproj.clone() },
             ModelSource::Hub { hub: id, revision, file: None, .. } => {
-                let files =
-                    if spec.tokenizer.is_some() { HubFiles::ModelWithoutTokenizer } else { HubFiles::Model };
+                let files = if spec.tokenizer.is_some() { HubFiles::ModelWithoutTokenizer } else { HubFiles::Model };
                 ModelPlace::Folder(self.snapshot(hub, id, revision, &files)?)
             }
             ModelSource::Hub { hub: id, revision, file: Some(file), mmproj } => {

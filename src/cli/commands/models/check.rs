@@ -47,7 +47,11 @@ fn tell(row: &Row<'_>, printer: Printer) {
         return;
     };
     let family = check.architecture.map_or("unknown family", crate::mllm::Architecture::name);
-    let state = if check.problems.is_empty() { "can be opened".to_owned() } else { format!("{} problems", check.problems.len()) };
+    let state = if check.problems.is_empty() {
+        "can be opened".to_owned()
+    } else {
+        format!("{} problems", check.problems.len())
+    };
     printer.line(format!("{}: {family}, {} M parameters, {state}", row.model, check.parameters / 1_000_000));
     if let Some(need) = check.memory {
         printer.line(format!(

@@ -39,7 +39,8 @@ pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: 
         Err(error) => {
             // What is left of an earlier failure may be in the way of the next try; the first error is the one to tell.
             written.iter().for_each(|(_, partial)| drop(fs::remove_file(partial)));
-            return Err(error).with_context(|| format!("cannot write the model '{}' to {}", spec.name, flags.out.display()));
+            return Err(error)
+                .with_context(|| format!("cannot write the model '{}' to {}", spec.name, flags.out.display()));
         }
     };
     let mut files = Vec::new();
@@ -49,7 +50,8 @@ pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: 
         files.push((fs::metadata(&path)?.len(), path));
     }
     if printer.is_json() {
-        let files: Vec<_> = files.iter().map(|(bytes, path)| serde_json::json!({"path": path, "bytes": bytes})).collect();
+        let files: Vec<_> =
+            files.iter().map(|(bytes, path)| serde_json::json!({"path": path, "bytes": bytes})).collect();
         printer.json(&serde_json::json!({"model": flags.source, "files": files, "load": report}))?;
     } else {
         report.lines().iter().for_each(|line| printer.line(line));

@@ -1,1 +1,0 @@
-//! Files that are hostile, and files that say what a checkpoint says.
