@@ -1,9 +1,9 @@
-//! Affine layers and activations on matrices of one row a token.
+//! Affine layers on matrices of one row a token.
 
 use candle_core::{Result, Tensor};
 
 use super::MllmError;
-use super::checkpoint::{Activation, Weights};
+use super::checkpoint::Weights;
 use super::matrix::Matrix;
 
 /// y = x Wᵀ + b on a matrix of shape (tokens, inputs).
@@ -61,19 +61,6 @@ impl Linear {
         match &self.bias {
             None => Ok(y),
             Some(bias) => y.broadcast_add(bias),
-        }
-    }
-}
-
-impl Activation {
-    /// Applies the activation.
-    pub(crate) fn forward(self, x: &Tensor) -> Result<Tensor> {
-        match self {
-            Self::Gelu => x.gelu_erf(),
-            Self::GeluTanh => x.gelu(),
-            Self::QuickGelu => x * candle_nn::ops::sigmoid(&(x * 1.702)?)?,
-            Self::Relu => x.relu(),
-            Self::Silu => x.silu(),
         }
     }
 }

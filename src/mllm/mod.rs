@@ -20,6 +20,7 @@ mod llava;
 mod llava_next;
 mod local;
 mod matrix;
+mod pointwise;
 mod registry;
 mod replay;
 mod sampling;

@@ -1,14 +1,26 @@
 //! Weight matrices in the form they are stored in, and their products with rows of activations.
 
 mod blocks;
+mod float;
+mod format;
+mod line;
+mod panels;
+mod product;
+mod quantised;
+mod simd;
 mod storage;
+#[cfg(test)]
+mod tests;
 
 use std::io::{self, Write};
 use std::sync::Arc;
 
 use candle_core::quantized::QTensor;
-use candle_core::{Device, Result, Tensor, bail};
+use candle_core::{CpuStorage, CustomOp1, Device, Layout, Result, Shape, Tensor, bail};
 
+use panels::Panels;
+use product::Columns;
+pub(crate) use simd::{Instructions, Kernel, Simd};
 pub use storage::{Storage, UnknownStorage};
 
 /// A matrix of shape (outputs, inputs) that is multiplied from the right: x Wᵀ. It holds one copy of its weights, and a
@@ -23,20 +35,12 @@ pub(crate) struct Matrix {
 
 /// The rows of a matrix that are stored alike.
 #[derive(Debug)]
-struct Part {
-    storage: Storage,
-    inputs: usize,
-    outputs: usize,
-    weights: Weights,
-}
-
-#[derive(Debug)]
-enum Weights {
-    /// (inputs, outputs), transposed: for few rows, which is what decoding has, the product would otherwise spend most of
-    /// its time on transposing blocks of it.
+enum Part {
+    /// f32 of shape (inputs, outputs), transposed: for few rows, which is what decoding has, the product would otherwise
+    /// spend most of its time on transposing blocks of it.
     Transposed(Tensor),
-    /// ggml's row-major blocks.
-    Blocks(Vec<u8>),
+    /// Any other storage.
+    Panels(Panels),
 }
 
 impl Matrix {
@@ -77,7 +81,7 @@ impl Matrix {
             blocks::decode_row(storage, bytes, &mut values);
             return Self::from_tensor(&Tensor::from_vec(values, (outputs, inputs), &Device::Cpu)?);
         }
-        Ok(Self::of(Part { storage, inputs, outputs, weights: Weights::Blocks(bytes.to_vec()) }))
+        Ok(Self { inputs, outputs, parts: vec![Arc::new(Part::Panels(Panels::pack(storage, outputs, inputs, bytes)))] })
     }
 
     /// Stores an f32 tensor of shape (outputs, inputs) as it is.
@@ -86,12 +90,7 @@ impl Matrix {
     /// When it is no matrix of f32.
     pub(crate) fn from_tensor(tensor: &Tensor) -> Result<Self> {
         let (outputs, inputs) = tensor.dims2()?;
-        let weights = Weights::Transposed(tensor.t()?.contiguous()?);
-        Ok(Self::of(Part { storage: Storage::F32, inputs, outputs, weights }))
-    }
-
-    fn of(part: Part) -> Self {
-        Self { inputs: part.inputs, outputs: part.outputs, parts: vec![Arc::new(part)] }
+        Ok(Self { inputs, outputs, parts: vec![Arc::new(Part::Transposed(tensor.t()?.contiguous()?))] })
     }
 
     /// Matrices of the same inputs as one, their outputs side by side: one pass over the input instead of many. They may be
@@ -107,7 +106,15 @@ impl Matrix {
             bail!("matrices of {inputs} and {} inputs cannot be stacked", other.inputs);
         }
         let outputs = matrices.iter().map(|matrix| matrix.outputs).sum();
-        Ok(Self { inputs, outputs, parts: matrices.into_iter().flat_map(|matrix| matrix.parts).collect() })
+        let mut parts: Vec<Arc<Part>> = Vec::new();
+        for part in matrices.into_iter().flat_map(|matrix| matrix.parts) {
+            let apart = match parts.last_mut().and_then(Arc::get_mut) {
+                Some(last) => last.append(part)?,
+                None => Some(part),
+            };
+            parts.extend(apart);
+        }
+        Ok(Self { inputs, outputs, parts })
     }
 
     /// Width of the result.
@@ -122,7 +129,7 @@ impl Matrix {
 
     /// How its rows are stored; of a stack, the first.
     pub(crate) fn storage(&self) -> Storage {
-        self.parts.first().map_or_else(Storage::default, |part| part.storage)
+        self.parts.first().map_or_else(Storage::default, |part| part.storage())
     }
 
     /// Bytes in memory.
@@ -148,9 +155,9 @@ impl Matrix {
         for (id, row) in ids.iter().zip(values.chunks_exact_mut(self.inputs)) {
             let mut index = *id as usize;
             let part = self.parts.iter().find(|part| {
-                let found = index < part.outputs;
+                let found = index < part.outputs();
                 if !found {
-                    index -= part.outputs;
+                    index -= part.outputs();
                 }
                 found
             });
@@ -167,28 +174,87 @@ impl Matrix {
     /// # Errors
     /// When they have another width.
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let products = self.parts.iter().map(|part| part.forward(x)).collect::<Result<Vec<_>>>()?;
-        match products.as_slice() {
-            [product] => Ok(product.clone()),
-            products => Tensor::cat(products, 1)?.contiguous(),
+        if let [part] = self.parts.as_slice()
+            && let Part::Transposed(weights) = &**part
+        {
+            return x.matmul(weights);
         }
+        x.contiguous()?.apply_op1_no_bwd(&Product(self))
+    }
+}
+
+/// The product with a matrix as an operation on tensors.
+struct Product<'a>(&'a Matrix);
+
+impl CustomOp1 for Product<'_> {
+    fn name(&self) -> &'static str {
+        "matrix-product"
+    }
+
+    fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let (rows, width) = layout.shape().dims2()?;
+        let Matrix { inputs, outputs, parts } = self.0;
+        if width != *inputs {
+            bail!("rows of {width} numbers times a matrix of {inputs} inputs");
+        }
+        let x = match (storage, layout.contiguous_offsets()) {
+            (CpuStorage::F32(values), Some((start, end))) => values.get(start..end),
+            _ => None,
+        };
+        let Some(x) = x else {
+            bail!("a product with rows that are not contiguous f32");
+        };
+        let mut result = vec![0f32; rows * outputs];
+        let mut first = 0;
+        for part in parts {
+            part.multiply(x, *inputs, &mut result, *outputs, first)?;
+            first += part.outputs();
+        }
+        Ok((CpuStorage::F32(result), (rows, *outputs).into()))
     }
 }
 
 impl Part {
-    fn bytes(&self) -> usize {
-        match &self.weights {
-            Weights::Transposed(tensor) => tensor.elem_count() * size_of::<f32>(),
-            Weights::Blocks(bytes) => bytes.len(),
+    fn storage(&self) -> Storage {
+        match self {
+            Self::Transposed(_) => Storage::F32,
+            Self::Panels(panels) => panels.storage(),
         }
     }
 
+    fn outputs(&self) -> usize {
+        match self {
+            Self::Transposed(weights) => weights.dims().last().copied().unwrap_or(0),
+            Self::Panels(panels) => panels.outputs(),
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Transposed(weights) => weights.elem_count() * size_of::<f32>(),
+            Self::Panels(panels) => panels.bytes(),
+        }
+    }
+
+    /// Appends another part to this one, or gives it back if they cannot be one.
+    fn append(&mut self, other: Arc<Self>) -> Result<Option<Arc<Self>>> {
+        let appended = match (self, &*other) {
+            (Self::Transposed(weights), Self::Transposed(others)) => {
+                *weights = Tensor::cat(&[&*weights, others], 1)?.contiguous()?;
+                true
+            }
+            (Self::Panels(panels), Self::Panels(others)) => panels.append(others),
+            _ => false,
+        };
+        Ok((!appended).then_some(other))
+    }
+
     fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
-        match &self.weights {
-            Weights::Blocks(bytes) => out.write_all(bytes),
-            Weights::Transposed(_) => {
-                let mut row = vec![0.0; self.inputs];
-                (0..self.outputs).try_for_each(|index| {
+        match self {
+            Self::Panels(panels) => panels.write_blocks(out),
+            Self::Transposed(weights) => {
+                let mut row = vec![0.0; weights.dims().first().copied().unwrap_or(0)];
+                (0..self.outputs()).try_for_each(|index| {
                     self.read_row(index, &mut row).map_err(io::Error::other)?;
                     row.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
                 })
@@ -197,27 +263,31 @@ impl Part {
     }
 
     fn read_row(&self, index: usize, row: &mut [f32]) -> Result<()> {
-        match &self.weights {
-            Weights::Transposed(tensor) => {
-                row.copy_from_slice(&tensor.narrow(1, index, 1)?.flatten_all()?.to_vec1::<f32>()?);
+        match self {
+            Self::Transposed(weights) => {
+                row.copy_from_slice(&weights.narrow(1, index, 1)?.flatten_all()?.to_vec1::<f32>()?);
             }
-            Weights::Blocks(bytes) => {
-                let width = bytes.len() / self.outputs;
-                blocks::decode_row(self.storage, &bytes[index * width..(index + 1) * width], row);
-            }
+            Self::Panels(panels) => panels.read_row(index, row),
         }
         Ok(())
     }
 
-    fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        match &self.weights {
-            Weights::Transposed(tensor) => x.matmul(tensor),
-            Weights::Blocks(bytes) => {
-                let mut values = vec![0.0; self.outputs * self.inputs];
-                blocks::decode_row(self.storage, bytes, &mut values);
-                x.matmul(&Tensor::from_vec(values, (self.outputs, self.inputs), &Device::Cpu)?.t()?)
+    /// Multiplies rows of `inputs` numbers into the columns from `first` on of a result whose rows have `stride`.
+    fn multiply(&self, x: &[f32], inputs: usize, result: &mut [f32], stride: usize, first: usize) -> Result<()> {
+        match self {
+            Self::Panels(panels) => {
+                if let Some(columns) = Columns::new(result, stride, first, panels.outputs()) {
+                    product::multiply(panels, x, &columns, Instructions::best());
+                }
+            }
+            Self::Transposed(weights) => {
+                let product = Tensor::from_slice(x, (x.len() / inputs, inputs), &Device::Cpu)?.matmul(weights)?;
+                for (to, from) in result.chunks_exact_mut(stride).zip(product.to_vec2::<f32>()?) {
+                    to[first..first + from.len()].copy_from_slice(&from);
+                }
             }
         }
+        Ok(())
     }
 }
 

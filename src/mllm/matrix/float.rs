@@ -1,0 +1,72 @@
+//! Products of weights in 16-bit floating point with activations in 32 bits, summed in 32 bits.
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+
+use super::format::{Format, PANELS, Sums};
+use super::line::Line;
+use super::simd::{LANES, Simd};
+
+/// Numbers in a span: with two panels they fill half of a first-level cache.
+const SPAN: usize = 128;
+
+/// IEEE's 16-bit numbers, two of each output a line.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct F16;
+
+impl Format for F16 {
+    const SPAN: usize = SPAN;
+    const LINES: usize = SPAN / 2;
+    const WORDS: usize = SPAN;
+    type Block = [[f32; LANES]; SPAN];
+
+    fn zeros() -> Self::Block {
+        [[0.0; LANES]; SPAN]
+    }
+
+    #[inline(always)]
+    fn pack<S: Simd>(_: S, values: &[f32], words: &mut [i32]) {
+        for (word, value) in words.iter_mut().zip(values) {
+            *word = value.to_bits().cast_signed();
+        }
+    }
+
+    #[inline(always)]
+    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Self::Block) {
+        let (pairs, _) = block.as_chunks_mut::<2>();
+        for (numbers, line) in pairs.iter_mut().zip(lines) {
+            for (half, numbers) in numbers.iter_mut().enumerate() {
+                simd.store(simd.load_half(&line.halves(half)), numbers);
+            }
+        }
+        // Behind the end of a row the activations are zero, but what an earlier row left here need not be finite.
+        for numbers in &mut pairs[lines.len()..] {
+            *numbers = [[0.0; LANES]; 2];
+        }
+    }
+
+    #[inline(always)]
+    fn multiply<S: Simd, const ROWS: usize>(
+        simd: S,
+        blocks: &[Self::Block; PANELS],
+        words: &[i32],
+        sums: &mut [Sums; ROWS],
+    ) {
+        let mut totals = [[simd.floats(0.0); PANELS]; ROWS];
+        for (totals, sums) in totals.iter_mut().zip(&*sums) {
+            *totals = sums.each_ref().map(|sum| simd.load(sum));
+        }
+        for ((activations, first), second) in words.as_chunks::<ROWS>().0.iter().zip(&blocks[0]).zip(&blocks[1]) {
+            let weights = [simd.load(first), simd.load(second)];
+            for (totals, activation) in totals.iter_mut().zip(activations) {
+                let activation = simd.floats(f32::from_bits(activation.cast_unsigned()));
+                for (total, weights) in totals.iter_mut().zip(weights) {
+                    *total = simd.mul_add(activation, weights, *total);
+                }
+            }
+        }
+        for (sums, totals) in sums.iter_mut().zip(totals) {
+            for (sum, total) in sums.iter_mut().zip(totals) {
+                simd.store(total, sum);
+            }
+        }
+    }
+}

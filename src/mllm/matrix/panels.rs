@@ -1,0 +1,198 @@
+//! The layout of weights in memory: sixteen rows at a time, side by side.
+//!
+//! A panel holds sixteen rows of a matrix, so that a vector register holds one number, or four bytes, of each. Along its
+//! inputs it is cut into groups; a group holds the very bytes of the rows' blocks in another order, so the file is made of
+//! it again bit for bit, and memory holds hardly more than the file.
+
+use std::io::{self, Write};
+
+use rayon::prelude::*;
+
+use super::blocks::decode_row;
+use super::line::Line;
+use super::simd::LANES;
+use super::storage::Storage;
+
+/// Bytes of a line.
+const LINE: usize = size_of::<Line>();
+
+/// Where the bytes of a group lie.
+#[derive(Debug, Clone)]
+pub(super) struct Layout {
+    /// Numbers of a row in a group.
+    span: usize,
+    /// Bytes of a row in a group.
+    row_bytes: usize,
+    /// Lines of a group.
+    lines: usize,
+    runs: Vec<Run>,
+}
+
+/// Bytes of a row that stay together.
+#[derive(Debug, Clone, Copy)]
+struct Run {
+    /// Their place in the row's bytes.
+    from: usize,
+    width: usize,
+    /// Their place in the group, of row 0; the other rows follow.
+    to: usize,
+    /// What their bits are inverted with.
+    flip: u8,
+}
+
+/// Lays runs of bytes one behind the other.
+struct LayoutBuilder {
+    runs: Vec<Run>,
+    end: usize,
+}
+
+impl LayoutBuilder {
+    /// Lays `count` runs of `width` bytes of each row, which begin at `from`, behind what is laid.
+    fn lay(mut self, from: usize, width: usize, count: usize, flip: u8) -> Self {
+        for index in 0..count {
+            self.runs.push(Run { from: from + index * width, width, to: self.end, flip });
+            self.end += width * LANES;
+        }
+        self
+    }
+}
+
+impl Layout {
+    /// The layout of a storage.
+    pub(super) fn of(storage: Storage) -> Self {
+        let empty = LayoutBuilder { runs: Vec::new(), end: 0 };
+        let block = storage.block_bytes();
+        // Numbers of bytes come first, four of each row a line; then what belongs to whole blocks.
+        let (built, span) = match storage {
+            Storage::F32 => (empty.lay(0, 4, 1, 0), 1),
+            Storage::F16 => (empty.lay(0, 2, 2, 0), 2),
+            // Two blocks, so that their scales fill a line. Numbers become unsigned: 128 is added.
+            Storage::Q8_0 => {
+                let numbers = empty.lay(2, 4, 8, 0x80).lay(block + 2, 4, 8, 0x80);
+                (numbers.lay(0, 2, 1, 0).lay(block, 2, 1, 0), 64)
+            }
+            Storage::Q6K => (empty.lay(0, 4, 48, 0).lay(192, 1, 16, 0).lay(208, 2, 1, 0), 256),
+            Storage::Q4K => (empty.lay(16, 4, 32, 0).lay(0, 2, 2, 0).lay(4, 1, 12, 0), 256),
+        };
+        let row_bytes = span / storage.block() * block;
+        Self { span, row_bytes, lines: built.end.div_ceil(LINE), runs: built.runs }
+    }
+
+    /// Writes a row's bytes of a group, fewer at the end of a row whose blocks do not fill it.
+    fn pack(&self, row: usize, bytes: &[u8], group: &mut [Line]) {
+        for run in self.runs_within(bytes.len()) {
+            let to = run.to + row * run.width;
+            // No run crosses a line: its width divides one.
+            let line = &mut group[to / LINE].0[to % LINE..];
+            for (to, from) in line.iter_mut().zip(&bytes[run.from..run.from + run.width]) {
+                *to = from ^ run.flip;
+            }
+        }
+    }
+
+    /// Reads a row's bytes of a group back.
+    fn unpack(&self, row: usize, bytes: &mut [u8], group: &[Line]) {
+        for run in self.runs_within(bytes.len()) {
+            let from = run.to + row * run.width;
+            let line = &group[from / LINE].0[from % LINE..];
+            for (to, from) in bytes[run.from..run.from + run.width].iter_mut().zip(line) {
+                *to = from ^ run.flip;
+            }
+        }
+    }
+
+    fn runs_within(&self, bytes: usize) -> impl Iterator<Item = &Run> {
+        self.runs.iter().filter(move |run| run.from + run.width <= bytes)
+    }
+}
+
+/// The rows of a matrix that are stored alike, in panels; the last is filled up with zeros.
+#[derive(Debug)]
+pub(super) struct Panels {
+    storage: Storage,
+    outputs: usize,
+    inputs: usize,
+    layout: Layout,
+    lines: Vec<Line>,
+}
+
+impl Panels {
+    /// Lays out row-major blocks, of which there are exactly as many as the shape asks for.
+    pub(super) fn pack(storage: Storage, outputs: usize, inputs: usize, bytes: &[u8]) -> Self {
+        let layout = Layout::of(storage);
+        let mut panels = Self { storage, outputs, inputs, layout, lines: Vec::new() };
+        panels.lines = vec![Line::ZERO; outputs.div_ceil(LANES) * panels.panel_lines()];
+        let row_bytes = bytes.len() / outputs;
+        let layout = &panels.layout;
+        let rows = bytes.par_chunks(row_bytes * LANES);
+        panels.lines.par_chunks_mut(inputs.div_ceil(layout.span) * layout.lines).zip(rows).for_each(|(panel, rows)| {
+            for (row, bytes) in rows.chunks_exact(row_bytes).enumerate() {
+                for (group, bytes) in panel.chunks_exact_mut(layout.lines).zip(bytes.chunks(layout.row_bytes)) {
+                    layout.pack(row, bytes, group);
+                }
+            }
+        });
+        panels
+    }
+
+    /// Appends rows that are stored alike; says whether it could.
+    pub(super) fn append(&mut self, other: &Self) -> bool {
+        let whole = self.outputs.is_multiple_of(LANES);
+        let alike = whole && self.storage == other.storage && self.inputs == other.inputs;
+        if alike {
+            self.lines.extend_from_slice(&other.lines);
+            self.outputs += other.outputs;
+        }
+        alike
+    }
+
+    /// Rows of the matrix.
+    pub(super) fn outputs(&self) -> usize {
+        self.outputs
+    }
+
+    /// Numbers of a row.
+    pub(super) fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    /// How they are stored.
+    pub(super) fn storage(&self) -> Storage {
+        self.storage
+    }
+
+    /// Bytes in memory.
+    pub(super) fn bytes(&self) -> usize {
+        size_of_val(self.lines.as_slice())
+    }
+
+    /// Lines of a panel: its groups one after the other.
+    pub(super) fn panel_lines(&self) -> usize {
+        self.inputs.div_ceil(self.layout.span) * self.layout.lines
+    }
+
+    /// All panels, one after the other.
+    pub(super) fn lines(&self) -> &[Line] {
+        &self.lines
+    }
+
+    /// The blocks of a row as they were given.
+    fn row_blocks(&self, index: usize) -> Vec<u8> {
+        let mut bytes = vec![0; self.inputs / self.storage.block() * self.storage.block_bytes()];
+        let panel = self.lines.chunks_exact(self.panel_lines()).nth(index / LANES).unwrap_or_default();
+        for (bytes, group) in bytes.chunks_mut(self.layout.row_bytes).zip(panel.chunks_exact(self.layout.lines)) {
+            self.layout.unpack(index % LANES, bytes, group);
+        }
+        bytes
+    }
+
+    /// Decodes a row.
+    pub(super) fn read_row(&self, index: usize, row: &mut [f32]) {
+        decode_row(self.storage, &self.row_blocks(index), row);
+    }
+
+    /// Writes the row-major blocks, bit for bit as they were given.
+    pub(super) fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
+        (0..self.outputs).try_for_each(|index| out.write_all(&self.row_blocks(index)))
+    }
+}

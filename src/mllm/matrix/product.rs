@@ -1,0 +1,215 @@
+//! Rows of activations times a matrix in panels, over threads and instruction sets.
+#![allow(unsafe_code, reason = "threads write disjoint columns of one result")]
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+
+use std::marker::PhantomData;
+
+use rayon::prelude::*;
+
+use super::float::F16;
+use super::format::{Format, PANELS, Sums, TILE};
+use super::line::Line;
+use super::panels::Panels;
+use super::quantised::{Q4K, Q6K, Q8_0};
+use super::simd::{Instructions, Kernel, LANES, Simd};
+use super::storage::Storage;
+
+/// Outputs that a kernel computes at once.
+const COLUMNS: usize = PANELS * LANES;
+
+/// Bytes of packed activations that are multiplied with all weights before the next rows are: they stay in a core's
+/// second-level cache.
+const CACHED: usize = 1 << 20;
+
+/// Fewest multiplications that are worth waking other threads for: about 20 µs of one core.
+const PARALLEL: usize = 1 << 20;
+
+/// Pieces of work for each thread: the slower of two unequal cores gets fewer of them.
+const PIECES: usize = 4;
+
+/// The part of a result that a product fills: columns of a row-major matrix of `stride` columns.
+#[derive(Debug)]
+pub(super) struct Columns<'a> {
+    start: *mut f32,
+    stride: usize,
+    width: usize,
+    rows: usize,
+    result: PhantomData<&'a mut [f32]>,
+}
+
+// SAFETY: every thread writes other columns, as `multiply` hands them out.
+unsafe impl Sync for Columns<'_> {}
+
+impl<'a> Columns<'a> {
+    /// The columns from `first` on, `width` of them, of a result whose rows have `stride`; none if it has no such columns.
+    pub(super) fn new(result: &'a mut [f32], stride: usize, first: usize, width: usize) -> Option<Self> {
+        let rows = result.len().checked_div(stride)?;
+        if first.checked_add(width)? > stride || rows == 0 {
+            return None;
+        }
+        // SAFETY: `first` lies within the first row.
+        let start = unsafe { result.as_mut_ptr().add(first) };
+        Some(Self { start, stride, width, rows, result: PhantomData })
+    }
+
+    /// Writes the sums of a row from a column on, as far as there are columns.
+    ///
+    /// # Safety
+    /// No other thread may write these columns meanwhile.
+    #[inline(always)]
+    unsafe fn write(&self, row: usize, column: usize, sums: &Sums) {
+        assert!(row < self.rows && column < self.width, "a sum outside the result");
+        let sums = sums.as_flattened();
+        let count = sums.len().min(self.width - column);
+        // SAFETY: the row and `count` columns from `column` on lie within the result, as was just seen; nobody else writes
+        // them.
+        unsafe {
+            let to = self.start.add(row * self.stride + column);
+            std::ptr::copy_nonoverlapping(sums.as_ptr(), to, count);
+        }
+    }
+}
+
+/// Multiplies rows of activations (row-major, as wide as the panels' inputs) with panels; none are written if the storage
+/// has no kernel ([`Storage::F32`]).
+pub(super) fn multiply(panels: &Panels, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
+    match panels.storage() {
+        Storage::F32 => {}
+        Storage::F16 => multiply_as::<F16>(panels, x, out, instructions),
+        Storage::Q8_0 => multiply_as::<Q8_0>(panels, x, out, instructions),
+        Storage::Q6K => multiply_as::<Q6K>(panels, x, out, instructions),
+        Storage::Q4K => multiply_as::<Q4K>(panels, x, out, instructions),
+    }
+}
+
+fn multiply_as<F: Format>(panels: &Panels, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
+    let inputs = panels.inputs();
+    let spans = inputs.div_ceil(F::SPAN);
+    let row_words = spans * F::WORDS;
+    let chunk = (CACHED / size_of::<i32>() / row_words / TILE).max(1) * TILE;
+    let threads = rayon::current_num_threads();
+    for (index, rows) in x.chunks(chunk * inputs).enumerate() {
+        let count = rows.len() / inputs;
+        let parallel = threads > 1 && count * inputs * panels.outputs() >= PARALLEL;
+        let mut words = vec![0; count * row_words];
+        let tiles = words.chunks_mut(TILE * row_words).zip(rows.chunks(TILE * inputs));
+        if parallel && count > TILE {
+            let tiles = words.par_chunks_mut(TILE * row_words).zip(rows.par_chunks(TILE * inputs));
+            tiles.for_each(|(words, rows)| instructions.run(Pack::<F> { inputs, rows, words, format: PhantomData }));
+        } else {
+            tiles.for_each(|(words, rows)| instructions.run(Pack::<F> { inputs, rows, words, format: PhantomData }));
+        }
+        let product = |first: usize, lines: &[Line]| {
+            instructions.run(Product::<F> {
+                lines,
+                panel_lines: panels.panel_lines(),
+                words: &words,
+                row_words,
+                row: index * chunk,
+                first,
+                out,
+                format: PhantomData,
+            });
+        };
+        let pair = PANELS * panels.panel_lines();
+        if parallel {
+            let pairs = panels.lines().len().div_ceil(pair);
+            let piece = pairs.div_ceil(threads * PIECES);
+            let pieces = panels.lines().par_chunks(piece * pair).enumerate();
+            pieces.for_each(|(index, lines)| product(index * piece * COLUMNS, lines));
+        } else {
+            product(0, panels.lines());
+        }
+    }
+}
+
+/// Packs the rows of a tile.
+struct Pack<'a, F> {
+    inputs: usize,
+    rows: &'a [f32],
+    words: &'a mut [i32],
+    format: PhantomData<F>,
+}
+
+impl<F: Format> Kernel for Pack<'_, F> {
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let count = self.rows.len() / self.inputs;
+        let mut padded = vec![0.0; F::SPAN];
+        let mut packed = vec![0; F::WORDS];
+        for (row, values) in self.rows.chunks_exact(self.inputs).enumerate() {
+            for (values, words) in values.chunks(F::SPAN).zip(self.words.chunks_exact_mut(count * F::WORDS)) {
+                if values.len() == F::SPAN {
+                    F::pack(simd, values, &mut packed);
+                } else {
+                    padded[..values.len()].copy_from_slice(values);
+                    padded[values.len()..].fill(0.0);
+                    F::pack(simd, &padded, &mut packed);
+                }
+                for (word, packed) in words[row..].iter_mut().step_by(count).zip(&packed) {
+                    *word = *packed;
+                }
+            }
+        }
+    }
+}
+
+/// Multiplies packed rows with consecutive panels.
+struct Product<'a, F> {
+    lines: &'a [Line],
+    panel_lines: usize,
+    words: &'a [i32],
+    row_words: usize,
+    /// The first row's place in the result.
+    row: usize,
+    /// The first panel's place in the result.
+    first: usize,
+    out: &'a Columns<'a>,
+    format: PhantomData<F>,
+}
+
+impl<F: Format> Kernel for Product<'_, F> {
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let rows = self.words.len() / self.row_words;
+        let mut blocks: [F::Block; PANELS] = std::array::from_fn(|_| F::zeros());
+        let mut sums = vec![[[0.0; LANES]; PANELS]; rows];
+        for (index, pair) in self.lines.chunks(PANELS * self.panel_lines).enumerate() {
+            sums.fill([[0.0; LANES]; PANELS]);
+            for span in 0..self.row_words / F::WORDS {
+                for (panel, block) in pair.chunks_exact(self.panel_lines).zip(&mut blocks) {
+                    let end = self.panel_lines.min((span + 1) * F::LINES);
+                    F::unpack(simd, &panel[span * F::LINES..end], block);
+                }
+                let tiles = self.words.chunks(TILE * self.row_words);
+                for (words, sums) in tiles.zip(sums.chunks_mut(TILE)) {
+                    let words = &words[span * sums.len() * F::WORDS..][..sums.len() * F::WORDS];
+                    multiply_tile::<F, S>(simd, &blocks, words, sums);
+                }
+            }
+            let column = self.first + index * COLUMNS;
+            for (row, sums) in sums.iter().enumerate() {
+                // SAFETY: this thread alone has the outputs of these panels.
+                unsafe { self.out.write(self.row + row, column, sums) };
+            }
+        }
+    }
+}
+
+/// Multiplies a tile of as many rows as there are sums.
+#[inline(always)]
+fn multiply_tile<F: Format, S: Simd>(simd: S, blocks: &[F::Block; PANELS], words: &[i32], sums: &mut [Sums]) {
+    if let Some(sums) = <&mut [Sums; TILE]>::try_from(&mut *sums).ok() {
+        F::multiply(simd, blocks, words, sums);
+    } else if let Some(sums) = <&mut [Sums; 5]>::try_from(&mut *sums).ok() {
+        F::multiply(simd, blocks, words, sums);
+    } else if let Some(sums) = <&mut [Sums; 4]>::try_from(&mut *sums).ok() {
+        F::multiply(simd, blocks, words, sums);
+    } else if let Some(sums) = <&mut [Sums; 3]>::try_from(&mut *sums).ok() {
+        F::multiply(simd, blocks, words, sums);
+    } else if let Some(sums) = <&mut [Sums; 2]>::try_from(&mut *sums).ok() {
+        F::multiply(simd, blocks, words, sums);
+    } else if let Some(sums) = <&mut [Sums; 1]>::try_from(&mut *sums).ok() {
+        F::multiply(simd, blocks, words, sums);
+    }
+}

@@ -1,0 +1,321 @@
+//! Products of quantised weights: bytes by bytes, summed in integers as far as scales reach.
+//!
+//! Activations are quantised to eight bits with a scale for every span, as ggml does it for its k-quants (`block_q8_K`).
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+
+use super::format::{Format, PANELS, Sums};
+use super::line::Line;
+use super::simd::{LANES, Simd};
+
+/// Numbers in a span: a block of the k-quants.
+const SPAN: usize = 256;
+/// Groups of four bytes in a span.
+const STEPS: usize = SPAN / 4;
+/// Numbers whose activations are summed together: the shortest run with a scale of its own.
+const SUMMED: usize = 16;
+/// Largest magnitude of a quantised activation.
+const LIMIT: f32 = 127.0;
+
+/// Unpacked weights of sixteen outputs in a span.
+#[derive(Debug, Clone)]
+pub(super) struct Block {
+    /// Unsigned bytes, four of each output a line.
+    numbers: [Line; STEPS],
+    /// Scale of each run.
+    scales: [[f32; LANES]; SPAN / SUMMED],
+    /// What is subtracted for each run, two runs in an `i32`.
+    minima: [[i32; LANES]; 4],
+    /// Scale of the minima.
+    minimum_scale: [f32; LANES],
+}
+
+/// What tells the quantised formats apart.
+trait Quantised {
+    /// Storage lines of a panel in a span.
+    const LINES: usize;
+    /// Numbers with a scale of their own.
+    const RUN: usize;
+    /// Words with sums of activations, of a span: one for each run, or for two if there are minima.
+    const SUM_WORDS: usize;
+    /// Whether runs have minima beside scales.
+    const MINIMA: bool;
+
+    /// The word of sums `index`, from the sums of every [`SUMMED`] activations.
+    fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32;
+    /// Unpacks a span.
+    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Block);
+    /// The start of the sum of a run with this word of sums.
+    fn start<S: Simd>(simd: S, word: i32) -> S::Ints;
+    /// Adds the products of four numbers of each output.
+    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints;
+}
+
+impl<Q: Quantised> Format for Q {
+    const SPAN: usize = SPAN;
+    const LINES: usize = <Q as Quantised>::LINES;
+    /// Numbers, sums, scale.
+    const WORDS: usize = STEPS + Q::SUM_WORDS + 1;
+    type Block = Block;
+
+    fn zeros() -> Block {
+        Block {
+            numbers: [Line::ZERO; STEPS],
+            scales: [[0.0; LANES]; SPAN / SUMMED],
+            minima: [[0; LANES]; 4],
+            minimum_scale: [0.0; LANES],
+        }
+    }
+
+    #[inline(always)]
+    fn pack<S: Simd>(_: S, values: &[f32], words: &mut [i32]) {
+        let Some(values) = values.first_chunk::<SPAN>() else { return };
+        let (scale, numbers) = quantise(values);
+        let mut sums = [0; SPAN / SUMMED];
+        for (sum, numbers) in sums.iter_mut().zip(numbers.as_chunks::<SUMMED>().0) {
+            *sum = numbers.iter().map(|number| i32::from(*number)).sum();
+        }
+        let (packed, rest) = words.split_at_mut(STEPS);
+        for (word, bytes) in packed.iter_mut().zip(numbers.as_chunks::<4>().0) {
+            *word = i32::from_le_bytes(bytes.map(i8::cast_unsigned));
+        }
+        for (index, word) in rest.iter_mut().take(Q::SUM_WORDS).enumerate() {
+            *word = Q::sum_word(&sums, index);
+        }
+        if let Some(word) = rest.last_mut() {
+            *word = scale.to_bits().cast_signed();
+        }
+    }
+
+    #[inline(always)]
+    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Block) {
+        <Q as Quantised>::unpack(simd, lines, block);
+    }
+
+    #[inline(always)]
+    fn multiply<S: Simd, const ROWS: usize>(simd: S, blocks: &[Block; PANELS], words: &[i32], sums: &mut [Sums; ROWS]) {
+        let (rows, _) = words.as_chunks::<ROWS>();
+        let (numbers, rest) = rows.split_at(STEPS);
+        let (run_sums, scales) = rest.split_at(Q::SUM_WORDS);
+        let mut spans = [[simd.floats(0.0); PANELS]; ROWS];
+        let steps = Q::RUN / 4;
+        for (run, numbers) in numbers.chunks_exact(steps).enumerate() {
+            let mut products = [[simd.ints(0); PANELS]; ROWS];
+            if !Q::MINIMA {
+                for (products, word) in products.iter_mut().zip(&run_sums[run]) {
+                    *products = [Q::start(simd, *word); PANELS];
+                }
+            }
+            for (step, activations) in numbers.iter().enumerate() {
+                let weights = blocks.each_ref().map(|block| simd.bytes(&block.numbers[run * steps + step]));
+                for (products, activations) in products.iter_mut().zip(activations) {
+                    for (product, weights) in products.iter_mut().zip(weights) {
+                        *product = Q::dot(simd, *product, weights, *activations);
+                    }
+                }
+            }
+            let scales = blocks.each_ref().map(|block| simd.load(&block.scales[run]));
+            for (span, products) in spans.iter_mut().zip(products) {
+                for ((span, product), scale) in span.iter_mut().zip(products).zip(scales) {
+                    *span = simd.mul_add(simd.to_floats(product), scale, *span);
+                }
+            }
+        }
+        if Q::MINIMA {
+            let mut products = [[simd.ints(0); PANELS]; ROWS];
+            for (pair, sums) in run_sums.iter().enumerate() {
+                let minima = blocks.each_ref().map(|block| simd.load_ints(&block.minima[pair]));
+                for (products, sum) in products.iter_mut().zip(sums) {
+                    for (product, minima) in products.iter_mut().zip(minima) {
+                        *product = simd.dot_pairs(*product, minima, *sum);
+                    }
+                }
+            }
+            let scales = blocks.each_ref().map(|block| simd.load(&block.minimum_scale));
+            for (span, products) in spans.iter_mut().zip(products) {
+                for ((span, product), scale) in span.iter_mut().zip(products).zip(scales) {
+                    *span = simd.mul_sub_from(simd.to_floats(product), scale, *span);
+                }
+            }
+        }
+        for ((sums, span), scale) in sums.iter_mut().zip(spans).zip(&scales[0]) {
+            let scale = simd.floats(f32::from_bits(scale.cast_unsigned()));
+            for (sum, span) in sums.iter_mut().zip(span) {
+                simd.store(simd.mul_add(span, scale, simd.load(sum)), sum);
+            }
+        }
+    }
+}
+
+/// The scale of activations and they, divided by it and rounded. What is not finite makes the scale NaN, so that it is seen
+/// in the result.
+#[inline(always)]
+fn quantise(values: &[f32; SPAN]) -> (f32, [i8; SPAN]) {
+    let mut largest = [0f32; LANES];
+    let mut strange = [0f32; LANES];
+    for values in values.as_chunks::<LANES>().0 {
+        for lane in 0..LANES {
+            largest[lane] = largest[lane].max(values[lane].abs());
+            strange[lane] += values[lane] * 0.0;
+        }
+    }
+    let largest = largest.into_iter().fold(0.0, f32::max);
+    let strange: f32 = strange.into_iter().sum();
+    let inverse = if largest > 0.0 { LIMIT / largest } else { 0.0 };
+    let numbers = values.map(|value| (value * inverse).round_ties_even() as i8);
+    (largest / LIMIT + strange, numbers)
+}
+
+/// ggml's `q8_0`: w = scale · number, with a scale for every 32.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Q8_0;
+
+impl Quantised for Q8_0 {
+    /// Four groups of two blocks of eight lines and one with their scales.
+    const LINES: usize = 4 * 17;
+    const RUN: usize = 32;
+    const SUM_WORDS: usize = 8;
+    const MINIMA: bool = false;
+
+    #[inline(always)]
+    fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {
+        sums[2 * index] + sums[2 * index + 1]
+    }
+
+    #[inline(always)]
+    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Block) {
+        let (groups, _) = lines.as_chunks::<17>();
+        block.scales = [[0.0; LANES]; SPAN / SUMMED];
+        for (index, group) in groups.iter().enumerate() {
+            for (step, line) in group[..16].iter().enumerate() {
+                simd.store_bytes(simd.bytes(line), &mut block.numbers[16 * index + step]);
+            }
+            for half in 0..2 {
+                simd.store(simd.load_half(&group[16].halves(half)), &mut block.scales[2 * index + half]);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn start<S: Simd>(simd: S, word: i32) -> S::Ints {
+        simd.biased_start(word)
+    }
+
+    #[inline(always)]
+    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
+        simd.dot_biased(sum, weights, activations)
+    }
+}
+
+/// ggml's `q6_k`: w = d · scale · (number − 32), with a scale for every 16.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Q6K;
+
+impl Quantised for Q6K {
+    /// Low bits, high bits, scales, d.
+    const LINES: usize = 32 + 16 + 4 + 1;
+    const RUN: usize = 16;
+    const SUM_WORDS: usize = 16;
+    const MINIMA: bool = false;
+
+    #[inline(always)]
+    fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {
+        -32 * sums[index]
+    }
+
+    #[inline(always)]
+    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Block) {
+        let Some(lines) = lines.first_chunk::<53>() else { return };
+        for part in 0..2 {
+            for step in 0..8 {
+                let high = simd.bytes(&lines[32 + 8 * part + step]);
+                let first = simd.bytes(&lines[16 * part + step]);
+                let second = simd.bytes(&lines[16 * part + 8 + step]);
+                let at = 32 * part + step;
+                let numbers = [
+                    simd.with_two_bits::<0>(simd.low(first), high),
+                    simd.with_two_bits::<1>(simd.low(second), high),
+                    simd.with_two_bits::<2>(simd.high(first), high),
+                    simd.with_two_bits::<3>(simd.high(second), high),
+                ];
+                for (run, numbers) in numbers.into_iter().enumerate() {
+                    simd.store_bytes(numbers, &mut block.numbers[at + 8 * run]);
+                }
+            }
+        }
+        let scale = simd.load_half(&lines[52].halves(0));
+        for (run, scales) in block.scales.iter_mut().enumerate() {
+            simd.store(simd.mul(scale, simd.load_signed(&lines[48 + run / 4].quarter(run % 4))), scales);
+        }
+    }
+
+    #[inline(always)]
+    fn start<S: Simd>(simd: S, word: i32) -> S::Ints {
+        simd.ints(word)
+    }
+
+    #[inline(always)]
+    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
+        simd.dot(sum, weights, activations)
+    }
+}
+
+/// ggml's `q4_k`: w = d · scale · number − dmin · minimum, with a scale and a minimum for every 32.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Q4K;
+
+impl Quantised for Q4K {
+    /// Numbers, d and dmin, scales and minima of six bits.
+    const LINES: usize = 32 + 1 + 3;
+    const RUN: usize = 32;
+    const SUM_WORDS: usize = 4;
+    const MINIMA: bool = true;
+
+    #[inline(always)]
+    fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {
+        let run = |run: usize| sums[2 * run] + sums[2 * run + 1];
+        run(2 * index) & 0xffff | run(2 * index + 1) << 16
+    }
+
+    #[inline(always)]
+    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Block) {
+        let Some(lines) = lines.first_chunk::<36>() else { return };
+        for pair in 0..4 {
+            for step in 0..8 {
+                let both = simd.bytes(&lines[8 * pair + step]);
+                simd.store_bytes(simd.low(both), &mut block.numbers[16 * pair + step]);
+                simd.store_bytes(simd.high(both), &mut block.numbers[16 * pair + 8 + step]);
+            }
+        }
+        let packed: [[u8; LANES]; 12] = std::array::from_fn(|index| lines[33 + index / 4].quarter(index % 4));
+        let (mut scales, mut minima) = ([[0; LANES]; 8], [[0; LANES]; 8]);
+        for lane in 0..LANES {
+            for run in 0..4 {
+                let (first, second, third) = (packed[run][lane], packed[run + 4][lane], packed[run + 8][lane]);
+                scales[run][lane] = first & 63;
+                minima[run][lane] = second & 63;
+                scales[run + 4][lane] = third & 15 | first >> 6 << 4;
+                minima[run + 4][lane] = third >> 4 | second >> 6 << 4;
+            }
+        }
+        let scale = simd.load_half(&lines[32].halves(0));
+        for (out, scales) in block.scales.iter_mut().zip(&scales) {
+            simd.store(simd.mul(scale, simd.to_floats(simd.load_unsigned(scales))), out);
+        }
+        for (out, minima) in block.minima.iter_mut().zip(minima.as_chunks::<2>().0) {
+            for lane in 0..LANES {
+                out[lane] = i32::from(minima[0][lane]) | i32::from(minima[1][lane]) << 16;
+            }
+        }
+        simd.store(simd.load_half(&lines[32].halves(1)), &mut block.minimum_scale);
+    }
+
+    #[inline(always)]
+    fn start<S: Simd>(simd: S, _: i32) -> S::Ints {
+        simd.ints(0)
+    }
+
+    #[inline(always)]
+    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
+        simd.dot(sum, weights, activations)
+    }
+}

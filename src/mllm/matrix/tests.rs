@@ -1,0 +1,192 @@
+//! Products against plain arithmetic, in every instruction set that this machine has.
+
+use half::f16;
+use proptest::prelude::*;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use super::*;
+
+/// Storages that the kernels of this folder multiply.
+const PANELLED: [Storage; 4] = [Storage::F16, Storage::Q8_0, Storage::Q6K, Storage::Q4K];
+
+/// Random blocks of a matrix, whose scales are below `largest`.
+fn random_blocks(storage: Storage, outputs: usize, inputs: usize, largest: f32, random: &mut Pcg64Mcg) -> Vec<u8> {
+    let mut bytes = vec![0; storage.matrix_bytes(outputs, inputs).unwrap()];
+    random.fill_bytes(&mut bytes);
+    for block in bytes.chunks_exact_mut(storage.block_bytes()) {
+        let scales: &[usize] = match storage {
+            Storage::F32 => &[],
+            Storage::F16 | Storage::Q8_0 => &[0],
+            Storage::Q6K => &[208],
+            Storage::Q4K => &[0, 2],
+        };
+        for at in scales {
+            let scale = f16::from_f32(random.random_range(-largest..largest));
+            block[*at..at + 2].copy_from_slice(&scale.to_le_bytes());
+        }
+    }
+    bytes
+}
+
+fn random_rows(count: usize, inputs: usize, random: &mut Pcg64Mcg) -> Vec<f32> {
+    // A few numbers far larger than the others, as activations have them.
+    (0..count * inputs)
+        .map(|_| random.random_range(-1.0..1.0) * if random.random_range(0..50) == 0 { 40.0 } else { 1.0 })
+        .collect()
+}
+
+fn multiplied(panels: &Panels, x: &[f32], instructions: Instructions) -> Vec<f32> {
+    let mut result = vec![0.0; x.len() / panels.inputs() * panels.outputs()];
+    let columns = Columns::new(&mut result, panels.outputs(), 0, panels.outputs()).unwrap();
+    product::multiply(panels, x, &columns, instructions);
+    result
+}
+
+/// What quantised kernels make of a row of activations.
+fn rounded(row: &[f32]) -> Vec<f32> {
+    row.chunks(256)
+        .flat_map(|span| {
+            let largest = span.iter().fold(0f32, |largest, value| largest.max(value.abs()));
+            span.iter().map(move |value| (value * (127.0 / largest)).round_ties_even() * (largest / 127.0))
+        })
+        .collect()
+}
+
+/// The product in plain f64 and the sum of the magnitudes of its terms.
+fn plain(panels: &Panels, x: &[f32]) -> Vec<(f64, f64)> {
+    let mut weights = vec![0.0; panels.inputs()];
+    let mut result = vec![(0.0, 0.0); x.len() / panels.inputs() * panels.outputs()];
+    for output in 0..panels.outputs() {
+        panels.read_row(output, &mut weights);
+        for (row, results) in x.chunks_exact(panels.inputs()).zip(result.chunks_exact_mut(panels.outputs())) {
+            let row = if panels.storage() == Storage::F16 { row.to_vec() } else { rounded(row) };
+            for (weight, value) in weights.iter().zip(row) {
+                let term = f64::from(*weight) * f64::from(value);
+                results[output].0 += term;
+                results[output].1 += term.abs();
+            }
+        }
+    }
+    result
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Odd numbers of rows, tails of panels, spans and tiles, scales from the smallest to the largest.
+    #[test]
+    fn every_kernel_multiplies_as_plain_arithmetic_does(
+        outputs in 1usize..70, blocks in 1usize..4, rows in 1usize..15, exponent in -24i32..16, seed: u64,
+    ) {
+        let mut random = Pcg64Mcg::seed_from_u64(seed);
+        for storage in PANELLED {
+            let inputs = blocks * if storage == Storage::F16 { 75 } else { storage.block() };
+            let bytes = random_blocks(storage, outputs, inputs, 2f32.powi(exponent), &mut random);
+            let panels = Panels::pack(storage, outputs, inputs, &bytes);
+            let x = random_rows(rows, inputs, &mut random);
+            let expected = plain(&panels, &x);
+            for instructions in Instructions::available() {
+                let found = multiplied(&panels, &x, instructions);
+                for (index, (found, (value, magnitude))) in found.iter().zip(&expected).enumerate() {
+                    prop_assert!(
+                        (f64::from(*found) - value).abs() <= magnitude * 1e-5,
+                        "{storage} {outputs}x{inputs} {rows} rows {instructions:?} at {index}: {found} {value}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_come_back_bit_for_bit(outputs in 1usize..40, blocks in 1usize..4, seed: u64) {
+        let mut random = Pcg64Mcg::seed_from_u64(seed);
+        for storage in Storage::ALL {
+            let inputs = blocks * storage.block();
+            let bytes = random_blocks(storage, outputs, inputs, 1.0, &mut random);
+            let matrix = Matrix::from_blocks(storage, outputs, inputs, &bytes).unwrap();
+            let mut written = Vec::new();
+            matrix.write_blocks(&mut written).unwrap();
+            prop_assert_eq!(written, bytes, "{}", storage);
+        }
+    }
+}
+
+#[test]
+fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
+    let mut random = Pcg64Mcg::seed_from_u64(1);
+    let (outputs, inputs, rows) = (300, 512, 21);
+    for storage in PANELLED {
+        let bytes = random_blocks(storage, outputs, inputs, 1.0, &mut random);
+        let panels = Panels::pack(storage, outputs, inputs, &bytes);
+        let x = random_rows(rows, inputs, &mut random);
+        for instructions in Instructions::available() {
+            let together = multiplied(&panels, &x, instructions);
+            let alone: Vec<f32> = x.chunks(inputs).flat_map(|row| multiplied(&panels, row, instructions)).collect();
+            assert_eq!(together, alone, "{storage} {instructions:?}");
+            for threads in [1, 3] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                let there = pool.install(|| multiplied(&panels, &x, instructions));
+                assert_eq!(together, there, "{storage} {instructions:?}, {threads} threads");
+            }
+        }
+    }
+}
+
+#[test]
+fn numbers_that_are_not_finite_are_seen_in_the_result() {
+    let mut random = Pcg64Mcg::seed_from_u64(2);
+    for storage in PANELLED {
+        let bytes = random_blocks(storage, 20, 512, 1.0, &mut random);
+        let panels = Panels::pack(storage, 20, 512, &bytes);
+        for strange in [f32::NAN, f32::INFINITY] {
+            let mut x = random_rows(2, 512, &mut random);
+            x[700] = strange;
+            for instructions in Instructions::available() {
+                let result = multiplied(&panels, &x, instructions);
+                assert!(result[..20].iter().all(|value| value.is_finite()), "{storage}");
+                assert!(result[20..].iter().all(|value| !value.is_finite()), "{storage}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_stack_multiplies_and_reads_as_its_matrices_do() {
+    let mut random = Pcg64Mcg::seed_from_u64(3);
+    let inputs = 256;
+    let parts = [(Storage::Q4K, 32), (Storage::Q4K, 20), (Storage::Q6K, 17), (Storage::F32, 5), (Storage::F32, 3)];
+    let matrices: Vec<Matrix> = parts
+        .iter()
+        .map(|(storage, outputs)| {
+            let values = random_rows(*outputs, inputs, &mut random);
+            Matrix::quantize(&values, *outputs, inputs, *storage).unwrap()
+        })
+        .collect();
+    let x = Tensor::from_vec(random_rows(7, inputs, &mut random), (7, inputs), &Device::Cpu).unwrap();
+    let apart: Vec<Tensor> = matrices.iter().map(|matrix| matrix.forward(&x).unwrap()).collect();
+    let rows: Vec<Tensor> = matrices.iter().map(|matrix| matrix.rows(&[0, 2]).unwrap()).collect();
+    let bytes: usize = matrices.iter().map(Matrix::bytes).sum();
+    let stack = Matrix::stack(matrices).unwrap();
+    assert_eq!((stack.outputs(), stack.inputs(), stack.bytes()), (77, inputs, bytes));
+    assert_eq!(stack.parts.len(), 3, "matrices that are stored alike are one");
+    let expected = Tensor::cat(&apart, 1).unwrap().to_vec2::<f32>().unwrap();
+    assert_eq!(stack.forward(&x).unwrap().to_vec2::<f32>().unwrap(), expected);
+    let starts = [0, 32, 52, 69, 74];
+    for (start, rows) in starts.into_iter().zip(rows) {
+        let found = stack.rows(&[start, start + 2]).unwrap();
+        assert_eq!(found.to_vec2::<f32>().unwrap(), rows.to_vec2::<f32>().unwrap());
+    }
+    assert!(stack.rows(&[77]).is_err());
+    assert!(stack.forward(&Tensor::zeros((2, 255), candle_core::DType::F32, &Device::Cpu).unwrap()).is_err());
+}
+
+#[test]
+fn shapes_that_do_not_fit_are_errors() {
+    assert!(Matrix::fits(Storage::Q4K, 3, 512) && !Matrix::fits(Storage::Q4K, 3, 96));
+    assert!(Matrix::quantize(&[0.0; 96], 1, 96, Storage::Q6K).is_err());
+    assert!(Matrix::quantize(&[0.0; 96], 2, 96, Storage::Q8_0).is_err());
+    assert!(Matrix::from_blocks(Storage::Q4K, 1, 256, &[0; 143]).is_err());
+    assert!(Matrix::from_blocks(Storage::F16, 0, 256, &[]).is_err());
+    assert!(Matrix::stack(Vec::new()).is_err());
+}
