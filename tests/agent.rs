@@ -39,6 +39,7 @@ impl Mllm for Script {
             vocabulary: 0,
             context: 0,
             weights_blake3: String::new(),
+            load: planagent::mllm::LoadReport::default(),
         }
     }
 

@@ -16,9 +16,18 @@ pub(super) struct Arguments {
     /// Configuration file [default: planagent.toml in the working directory, if it is there].
     #[arg(long, global = true, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
-    /// Model: a name from models/, a folder in Hugging Face's layout, or a hub id.
+    /// Model: a name from models/, a folder in Hugging Face's layout, a GGUF file, or a hub id.
     #[arg(long, global = true, value_name = "MODEL")]
     pub(super) model: Option<String>,
+    /// Hold the model's weights in f32, f16, q8_0, q6_k or q4_k [default: as its files hold them, safetensors in f32].
+    #[arg(long, global = true, value_name = "KIND")]
+    pub(super) quantize: Option<Storage>,
+    /// Load the model even if it seems to need more memory than is free.
+    #[arg(long, global = true)]
+    pub(super) ignore_memory: bool,
+    /// Never use the network: models of the hub must be in the cache.
+    #[arg(long, global = true)]
+    pub(super) offline: bool,
     /// Seed of everything that is drawn at random.
     #[arg(long, global = true)]
     pub(super) seed: Option<u64>,
@@ -31,6 +40,9 @@ pub(super) struct Arguments {
     /// Nothing but errors on stderr.
     #[arg(long, short, global = true)]
     pub(super) quiet: bool,
+    /// More on stderr: how the weights of a model are held.
+    #[arg(long, short, global = true, conflicts_with = "quiet")]
+    pub(super) verbose: bool,
 }
 
 /// Name of the hidden subcommand that `bench` starts itself by.
@@ -46,6 +58,9 @@ pub(super) enum Command {
     /// List, show and generate scenarios.
     #[command(subcommand)]
     Scenarios(ScenariosCommand),
+    /// List, check, fetch and quantise language models.
+    #[command(subcommand)]
+    Models(ModelsCommand),
     /// Write labelled states for training: BEV images and the three rounds with their answers.
     Dataset(DatasetArguments),
     /// Measure what a planning call costs with local models, and beside llama.cpp.
@@ -211,6 +226,42 @@ pub(super) enum ExportFormat {
     Nuplan,
 }
 
+/// Subcommands of `models`.
+#[derive(Debug, Subcommand)]
+pub(super) enum ModelsCommand {
+    /// List the described models: family, source, where their files are, size.
+    List,
+    /// Look at the files of models without reading the weights, and say all that is wrong.
+    Check {
+        /// Models as `--model` takes them [default: all that are described and on this machine].
+        models: Vec<String>,
+    },
+    /// Download models of the hub.
+    Fetch {
+        /// Models as `--model` takes them.
+        #[arg(required = true)]
+        models: Vec<String>,
+    },
+    /// Write a model as GGUF, for a quicker start and for llama.cpp.
+    Quantize(QuantizeArguments),
+}
+
+/// Flags of `models quantize`.
+#[derive(Debug, Args)]
+pub(super) struct QuantizeArguments {
+    /// The model, as `--model` takes it.
+    pub(super) source: String,
+    /// How its weights are held: f32, f16, q8_0, q6_k or q4_k.
+    #[arg(long, value_name = "KIND")]
+    pub(super) to: Storage,
+    /// The file; a LLaVA's vision tower goes beside it as mmproj-FILE.
+    #[arg(long, value_name = "FILE.gguf")]
+    pub(super) out: PathBuf,
+    /// Replace files that are there.
+    #[arg(long)]
+    pub(super) force: bool,
+}
+
 /// Flags of `dataset`.
 #[derive(Debug, Args)]
 pub(super) struct DatasetArguments {
@@ -235,9 +286,6 @@ pub(super) struct BenchArguments {
     /// them.
     #[arg(long, value_name = "SHAPES", value_delimiter = ',')]
     pub(super) random_weights: Vec<String>,
-    /// How matrices are stored: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k` [default: as they are; random ones f16].
-    #[arg(long, value_name = "STORAGE")]
-    pub(super) quantize: Option<Storage>,
     /// Planning calls of each model that do not count.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(super) warm_up: usize,

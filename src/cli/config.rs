@@ -2,7 +2,7 @@
 
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use crate::environment::{BevView, DEFAULT_NODE_LENGTH};
-use crate::mllm::{GenerationSettings, Sampling};
+use crate::mllm::{GenerationSettings, Sampling, Storage};
 use crate::planner::{AfterMaxExec, PlanAgentSettings};
 use crate::reasoning::{ReasoningSettings, Round};
 use crate::reflection::LeadPolicy;
@@ -30,15 +30,21 @@ pub struct Config {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MllmConfig {
-    /// Name of a `models/NAME.toml`, a folder in Hugging Face's layout, or a hub id `org/name`.
+    /// Name of a `models/NAME.toml`, a folder in Hugging Face's layout, a GGUF file, or a hub id `org/name`
+    /// (`org/name/file.gguf`).
     pub model: String,
     /// Never use the network: a hub id must be in the cache.
     pub offline: bool,
+    /// How weights are held in memory; by default as their files hold them (safetensors in f32).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quantize: Option<Storage>,
+    /// Load a model even if it seems to need more memory than is free.
+    pub ignore_memory: bool,
 }
 
 impl Default for MllmConfig {
     fn default() -> Self {
-        Self { model: "nano".to_owned(), offline: false }
+        Self { model: "nano".to_owned(), offline: false, quantize: None, ignore_memory: false }
     }
 }
 

@@ -32,7 +32,7 @@ pub fn run() -> ExitCode {
             return if error.use_stderr() { Exit::Error.into() } else { Exit::Success.into() };
         }
     };
-    let printer = Printer::new(arguments.json, arguments.quiet);
+    let printer = Printer::new(arguments.json, arguments.quiet).with_details(arguments.verbose);
     let outcome = execute(&arguments, printer).and_then(|exit| printer.finish().map(|()| exit));
     match outcome {
         Ok(exit) => exit.into(),
@@ -51,6 +51,9 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     if let Some(model) = &arguments.model {
         config.mllm.model.clone_from(model);
     }
+    config.mllm.quantize = arguments.quantize.or(config.mllm.quantize);
+    config.mllm.ignore_memory |= arguments.ignore_memory;
+    config.mllm.offline |= arguments.offline;
     let threads = arguments.threads.unwrap_or(0);
     if threads > MOST_THREADS {
         bail!("--threads is {threads}; more than {MOST_THREADS} would only wait for one another");
@@ -60,9 +63,10 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Simulate(flags) => commands::simulate::run(flags, &config, printer),
         Command::Plan(flags) => commands::plan::run(flags, &config, printer),
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
+        Command::Models(command) => commands::models::run(command, &config, printer),
         Command::Dataset(flags) => commands::dataset::run(flags, &config, printer),
         Command::Bench(flags) => commands::bench::run(flags, &config, printer),
-        Command::BenchProcess => commands::bench::process(&config),
+        Command::BenchProcess => commands::bench::process(&config, printer),
     })
 }
 

@@ -2,11 +2,12 @@
 
 use super::{Config, Printer};
 use crate::experiment::run::AgentParts;
-use crate::mllm::{HubAccess, Mllm, ModelRegistry, PromptSet as PromptSetName};
+use crate::mllm::{FetchProgress, HubAccess, MemoryCheck, Mllm, ModelRegistry, PromptSet as PromptSetName};
 use crate::reasoning::PromptSet;
 use anyhow::Context;
+use indicatif::ProgressBar;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// Folder of model descriptions, beside the working directory or the program.
@@ -28,7 +29,7 @@ pub(super) struct Loaded {
 /// When there is no such model, its files are broken, or the prompt set cannot be used.
 pub(crate) fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> {
     let started = Instant::now();
-    let registry = registry(config);
+    let registry = registry(config, printer);
     let spec = registry.find(&config.mllm.model)?;
     let set = config.reasoning.prompt_set.as_deref().unwrap_or(match spec.prompt_set {
         PromptSetName::Compact => "compact",
@@ -39,6 +40,7 @@ pub(crate) fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> 
         Arc::from(registry.open(&spec).with_context(|| format!("cannot load the model '{}'", spec.name))?);
     let load_s = started.elapsed().as_secs_f64();
     let about = model.describe();
+    about.load.lines().iter().for_each(|line| printer.detail(line));
     printer.note(format!(
         "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
         about.name,
@@ -49,10 +51,29 @@ pub(crate) fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> 
     Ok(Loaded { parts: AgentParts { model, prompts, settings: config.agent_settings(spec.generation) }, load_s })
 }
 
-/// The models that can be named.
-pub(super) fn registry(config: &Config) -> ModelRegistry {
+/// The models that the configuration knows, with a bar for downloads.
+pub(crate) fn registry(config: &Config, printer: Printer) -> ModelRegistry {
     let hub = HubAccess { offline: config.mllm.offline, ..HubAccess::default() };
+    let memory = if config.mllm.ignore_memory { MemoryCheck::Ignore } else { MemoryCheck::Refuse };
+    let bar = Mutex::new(None);
     ModelRegistry::new(models_folder(), hub)
+        .with_quantize(config.mllm.quantize)
+        .with_memory_check(memory)
+        .with_listener(Arc::new(move |progress| show(&bar, progress, printer)))
+}
+
+/// Shows a download; the bar appears with the first byte that is still to come.
+fn show(bar: &Mutex<Option<ProgressBar>>, progress: FetchProgress, printer: Printer) {
+    let mut bar = bar.lock().unwrap_or_else(PoisonError::into_inner);
+    if progress.bytes >= progress.total {
+        if let Some(bar) = bar.take() {
+            bar.finish_and_clear();
+        }
+        return;
+    }
+    let bar = bar.get_or_insert_with(|| printer.byte_progress(progress.total));
+    bar.set_length(progress.total);
+    bar.set_position(progress.bytes);
 }
 
 /// `$PLANAGENT_MODELS`, else `models` in the working directory, else beside the program or the package being run.

@@ -12,12 +12,25 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Printer {
     json: bool,
     quiet: bool,
+    details: bool,
 }
 
 impl Printer {
     /// A printer; with `json`, people's output is left out of stdout; with `quiet`, stderr carries errors alone.
     pub fn new(json: bool, quiet: bool) -> Self {
-        Self { json, quiet }
+        Self { json, quiet, details: false }
+    }
+
+    /// With details on stderr too.
+    pub fn with_details(self, details: bool) -> Self {
+        Self { details, ..self }
+    }
+
+    /// Talk on stderr for those who want all of it.
+    pub fn detail(&self, text: impl AsRef<str>) {
+        if self.details {
+            self.note(text);
+        }
     }
 
     /// Whether stdout carries JSON.
@@ -81,6 +94,17 @@ impl Printer {
         let bar = ProgressBar::with_draw_target(Some(length), target);
         let template = format!("{{bar:30}} {{pos}}/{{len}} {unit} {{elapsed}} {{wide_msg}}");
         if let Ok(style) = ProgressStyle::with_template(&template) {
+            bar.set_style(style);
+        }
+        bar
+    }
+
+    /// A progress bar of bytes on stderr; hidden when quiet or when stderr is no terminal.
+    pub fn byte_progress(&self, length: u64) -> ProgressBar {
+        let bar = self.progress(length, "bytes");
+        if let Ok(style) =
+            ProgressStyle::with_template("{bar:24} {bytes}/{total_bytes} {bytes_per_sec} {eta} left {wide_msg}")
+        {
             bar.set_style(style);
         }
         bar

@@ -3,7 +3,7 @@
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
-use super::MllmError;
+use super::{LoadReport, MllmError};
 
 /// A multimodal language model that can be talked to.
 ///
@@ -210,4 +210,7 @@ pub struct ModelDescription {
     pub context: usize,
     /// BLAKE3 of the weight files in the order of their names, hexadecimal; empty if there are none.
     pub weights_blake3: String,
+    /// How its weights are held in memory; empty if it is not computed here.
+    #[serde(default)]
+    pub load: LoadReport,
 }

@@ -51,6 +51,38 @@ pub enum MllmError {
         /// What the format check found.
         problem: String,
     },
+    /// A GGUF file is truncated, or its header cannot be right.
+    #[error("{path}: broken GGUF file: {problem}")]
+    Gguf {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and at which byte or key.
+        problem: String,
+    },
+    /// Two tensors of a checkpoint mean the same weights.
+    #[error("{place}: tensor {name} stands twice in the checkpoint, perhaps under names of two layouts")]
+    TwiceStored {
+        /// The model folder or file.
+        place: PathBuf,
+        /// One of the two, by its name in the file.
+        name: String,
+    },
+    /// A file of a model cannot be written.
+    #[error("the {what} cannot be written: {source}")]
+    Write {
+        /// Which part of the model.
+        what: String,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// A model needs more memory than is free.
+    #[error("{place}: {problem}")]
+    Memory {
+        /// The model folder or file.
+        place: PathBuf,
+        /// What it needs, what is free, and what to do.
+        problem: String,
+    },
     /// A tensor that the configuration asks for is in none of the weight files.
     #[error("{folder}: tensor {name} is missing from the checkpoint")]
     MissingTensor {

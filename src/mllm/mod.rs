@@ -13,6 +13,7 @@ mod cogvlm;
 mod conversation;
 mod decoder;
 mod error;
+mod gguf;
 mod latency;
 mod layer_norm;
 mod linear;
@@ -27,15 +28,19 @@ mod sampling;
 mod text;
 mod vision;
 
+pub(crate) use checkpoint::in_bytes;
+pub use checkpoint::{LoadReport, ModelPlace, StorageException, StorageShare};
 pub use conversation::{
     Answer, Constraint, Conversation, FinishReason, Mark, Mllm, ModelDescription, Opening, Request, RoundTime,
     Sampling, TokenCounts, Turn, prompt_hash,
 };
 pub use error::MllmError;
+pub use gguf::{CreateFile, GgufPart};
 pub use latency::{LatencyProbe, ModelShape, PassTime, ProbeDescription, Step, StepTime};
-pub use local::{Architecture, LocalModel};
+pub use local::{Architecture, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
 pub use matrix::{Storage, UnknownStorage};
 pub use registry::{
-    GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec, PromptSet, RoundTokens,
+    FetchListener, FetchProgress, GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec,
+    PromptSet, RoundTokens,
 };
 pub use replay::{RecordedAnswer, Replay};

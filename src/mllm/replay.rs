@@ -7,8 +7,8 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Answer, Conversation, FinishReason, Mark, Mllm, MllmError, ModelDescription, Opening, Request, RoundTime,
-    TokenCounts, Turn, prompt_hash,
+    Answer, Conversation, FinishReason, LoadReport, Mark, Mllm, MllmError, ModelDescription, Opening, Request,
+    RoundTime, TokenCounts, Turn, prompt_hash,
 };
 
 /// One recorded answer.
@@ -74,6 +74,7 @@ impl Mllm for Replay {
             vocabulary: 0,
             context: 0,
             weights_blake3: String::new(),
+            load: LoadReport::default(),
         }
     }
 

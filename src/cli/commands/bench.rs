@@ -1,13 +1,12 @@
 //! `planagent bench`.
 
-use crate::cli::args::{BENCH_PROCESS, BenchArguments};
+use crate::cli::args::{BENCH_PROCESS, BenchArguments, OtherEngine};
+use crate::cli::commands::models::quantize::write as write_gguf;
 use crate::cli::machine::{commit, cpu, memory};
 use crate::cli::{Config, Exit, Printer, model};
-use crate::experiment::bench::protocol::ModelChoice;
-use crate::experiment::bench::{
-    BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, Versus, run as measure, serve,
-};
-use crate::mllm::{ModelShape, PromptSet, Storage};
+use crate::experiment::bench::protocol::{GgufPair, ModelChoice};
+use crate::experiment::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
+use crate::mllm::{GgufPart, LocalModel, ModelPlace, ModelRegistry, ModelShape, PromptSet};
 use crate::report::{BenchFigures, BenchFolder, BenchMetadata, ReportError, bench_markdown, bench_table, stamp};
 use anyhow::{Context, bail};
 use serde_json::{Map, Value, json};
@@ -18,8 +17,6 @@ use std::time::SystemTime;
 
 /// Environment variable that names the Python interpreter with llama.cpp.
 const LLAMA_PYTHON: &str = "PLANAGENT_LLAMA_PYTHON";
-/// Storage of random weights unless told otherwise: that of the files that are published.
-const RANDOM_STORAGE: Storage = Storage::F16;
 
 /// Measures models; the table goes to stdout, everything to a folder.
 ///
@@ -29,7 +26,8 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
     if flags.iterations == 0 {
         bail!("--iterations is 0; at least one planning call must count");
     }
-    let candidates = candidates(flags, config)?;
+    let registry = model::registry(config, printer);
+    let candidates = candidates(flags, config, &registry)?;
     let started = stamp(SystemTime::now());
     let metadata = metadata(flags, config, &candidates, &started)?;
     let out = || flags.out.clone().unwrap_or_else(|| Path::new("runs").join(format!("bench-{started}")));
@@ -37,14 +35,28 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
         Some(path) => BenchFolder::resume(path, &metadata)?,
         None => BenchFolder::create(&out(), &metadata)?,
     };
-    let left: Vec<Candidate> =
+    let mut left: Vec<Candidate> =
         candidates.into_iter().filter(|candidate| !folder.done().contains(candidate.name.as_str())).collect();
-    let settings = settings(flags, config, folder.path())?;
+    if flags.vs.is_some() {
+        let weights = flags.weights.clone().unwrap_or_else(|| folder.path().join("weights"));
+        for candidate in &mut left {
+            *candidate = as_gguf(candidate, &weights, config, &registry, printer)?;
+        }
+    }
+    let settings = BenchSettings {
+        warm_up: flags.warm_up,
+        iterations: flags.iterations,
+        threads: rayon::current_num_threads(),
+        seed: config.seed,
+        storage: config.mllm.quantize,
+        versus: llama_cpp(flags),
+    };
     let program =
         std::env::current_exe().context("cannot find this program, which measures in processes of its own")?;
     let own = || {
         let mut command = Command::new(&program);
         command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
+        command.args(config.mllm.ignore_memory.then_some("--ignore-memory"));
         command
     };
     let committed: Result<(), ReportError> =
@@ -74,14 +86,13 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
 ///
 /// # Errors
 /// When stdout is gone.
-pub(in crate::cli) fn process(config: &Config) -> anyhow::Result<Exit> {
-    serve(&model::registry(config), io::stdin().lock(), io::stdout().lock())?;
+pub(in crate::cli) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    serve(&model::registry(config, printer), io::stdin().lock(), io::stdout().lock())?;
     Ok(Exit::Success)
 }
 
 /// The models that are to be measured.
-fn candidates(flags: &BenchArguments, config: &Config) -> anyhow::Result<Vec<Candidate>> {
-    let registry = model::registry(config);
+fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry) -> anyhow::Result<Vec<Candidate>> {
     let configured = [config.mllm.model.clone()];
     let none = flags.models.is_empty() && flags.random_weights.is_empty();
     let named = if none { &configured[..] } else { &flags.models };
@@ -103,28 +114,56 @@ fn candidates(flags: &BenchArguments, config: &Config) -> anyhow::Result<Vec<Can
     Ok(all)
 }
 
-fn settings(flags: &BenchArguments, config: &Config, folder: &Path) -> anyhow::Result<BenchSettings> {
-    let versus = flags.vs.map(|_| {
-        let python = flags.llama_python.clone().or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
-        let llama_cpp = LlamaCpp { python: python.unwrap_or_else(|| "python3".into()) };
-        Versus { llama_cpp, weights: flags.weights.clone().unwrap_or_else(|| folder.join("weights")) }
-    });
-    if let Some(versus) = &versus {
-        std::fs::create_dir_all(&versus.weights)
-            .with_context(|| format!("cannot make the folder {}", versus.weights.display()))?;
+/// A model as files that llama.cpp reads too: its own, or written to a folder.
+fn as_gguf(
+    candidate: &Candidate,
+    folder: &Path,
+    config: &Config,
+    registry: &ModelRegistry,
+    printer: Printer,
+) -> anyhow::Result<Candidate> {
+    let (place, loading) = match &candidate.model {
+        ModelChoice::Gguf(_) => return Ok(candidate.clone()),
+        ModelChoice::Named(name) => {
+            let spec = registry.find(name)?;
+            (registry.place(&spec)?, registry.loading(&spec)?)
+        }
+        ModelChoice::Random(shape) => {
+            (ModelPlace::Random { shape: ModelShape::find(shape)?, seed: config.seed }, registry.plain_loading())
+        }
+    };
+    let pair = |decoder: &Path, projector: &Path| {
+        let files = GgufPair { decoder: decoder.to_owned(), projector: projector.to_owned() };
+        Candidate { model: ModelChoice::Gguf(files), ..candidate.clone() }
+    };
+    if let ModelPlace::Gguf { model, mmproj: Some(mmproj) } = &place {
+        return Ok(pair(model, mmproj));
     }
-    Ok(BenchSettings {
-        warm_up: flags.warm_up,
-        iterations: flags.iterations,
-        threads: rayon::current_num_threads(),
-        seed: config.seed,
-        storage: storage(flags),
-        versus,
-    })
+    let Some(storage) = config.mllm.quantize else {
+        bail!("--vs needs --quantize, or GGUF files with their mmproj named: both engines must read the same files");
+    };
+    let decoder = folder.join(format!("{}-{storage}-seed-{}.gguf", candidate.name, config.seed));
+    let projector = GgufPart::Tower.path(&decoder);
+    if !decoder.is_file() || !projector.is_file() {
+        printer.note(format!("{}: writing it as {}", candidate.name, decoder.display()));
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        write_gguf(&decoder, printer, |create, progress| {
+            LocalModel::export(&candidate.name, &place, &loading, create, progress)
+        })
+        .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
+    }
+    if !projector.is_file() {
+        bail!("{} cannot be compared: llama.cpp's format has no place for its vision tower", candidate.name);
+    }
+    Ok(pair(&decoder, &projector))
 }
 
-fn storage(flags: &BenchArguments) -> Option<Storage> {
-    flags.quantize.or((!flags.random_weights.is_empty()).then_some(RANDOM_STORAGE))
+/// How llama.cpp is run, if it is asked for.
+fn llama_cpp(flags: &BenchArguments) -> Option<LlamaCpp> {
+    flags.vs.map(|OtherEngine::LlamaCpp| {
+        let python = flags.llama_python.clone().or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
+        LlamaCpp { python: python.unwrap_or_else(|| "python3".into()) }
+    })
 }
 
 fn metadata(
@@ -146,7 +185,7 @@ fn metadata(
         "iterations": flags.iterations,
         "threads": rayon::current_num_threads(),
         "seed": config.seed,
-        "storage": storage(flags),
+        "quantize": config.mllm.quantize,
         "vs_llama_cpp": flags.vs.is_some(),
     });
     let Value::Object(settings) = settings else { bail!("the settings are no object") };
@@ -165,7 +204,6 @@ fn metadata(
 fn said(progress: Progress<'_>) -> String {
     match progress {
         Progress::Loading(engine, candidate) => format!("{}: {engine} loads it", candidate.name),
-        Progress::Writing(candidate) => format!("{}: writing it as GGUF", candidate.name),
         Progress::LeftOut(candidate, why) => format!("{}: left out: {why}", candidate.name),
         Progress::Done(row, of) => {
             let warm_up = if row.warm_up { ", warm-up" } else { "" };

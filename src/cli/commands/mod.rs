@@ -3,6 +3,7 @@
 pub(super) mod bench;
 pub(super) mod dataset;
 pub(super) mod export;
+pub(super) mod models;
 pub(super) mod plan;
 pub(super) mod scenarios;
 pub(super) mod simulate;

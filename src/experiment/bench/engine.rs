@@ -1,6 +1,6 @@
 //! A process that measures one model.
 
-use super::protocol::{GgufPair, LoadRequest, Loaded, Reply, Request};
+use super::protocol::{LoadRequest, Loaded, Reply, Request};
 use crate::mllm::{Step, StepTime};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -118,17 +118,6 @@ impl Engine {
         let count = steps.len();
         match self.ask(&Request::Run(steps))? {
             Reply::Ran(times) if times.len() == count => Ok(times),
-            other => Err(self.nonsense(&format!("{other:?}"))),
-        }
-    }
-
-    /// Writes the loaded model.
-    ///
-    /// # Errors
-    /// When the files cannot be written or the process fails.
-    pub fn write(&mut self, files: GgufPair) -> Result<(), EngineError> {
-        match self.ask(&Request::Write(files))? {
-            Reply::Written => Ok(()),
             other => Err(self.nonsense(&format!("{other:?}"))),
         }
     }

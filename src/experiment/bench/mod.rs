@@ -17,6 +17,6 @@ pub use budget::{AnswerPart, CallBudget, RoundBudget};
 pub use engine::{Engine, EngineError, EngineName};
 pub use llama_cpp::LlamaCpp;
 pub use row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
-pub use run::{BenchSettings, Candidate, Progress, Versus, run};
+pub use run::{BenchSettings, Candidate, Progress, run};
 pub use serve::serve;
 pub use workload::Workload;

@@ -13,8 +13,6 @@ pub enum Request {
     Load(LoadRequest),
     /// Do these steps.
     Run(Vec<Step>),
-    /// Write the loaded model's weights as GGUF files.
-    Write(GgufPair),
 }
 
 /// Which model, and how.
@@ -23,7 +21,7 @@ pub enum Request {
 pub struct LoadRequest {
     /// Which.
     pub model: ModelChoice,
-    /// How its matrices are to be stored; none for as they are.
+    /// How its matrices are to be held; none for as they are.
     pub storage: Option<Storage>,
     /// Threads to compute with.
     pub threads: usize,
@@ -73,8 +71,6 @@ pub enum Reply {
     Loaded(Loaded),
     /// The steps are done: a time for each.
     Ran(Vec<StepTime>),
-    /// The files are written.
-    Written,
     /// It did not work.
     Failed(String),
 }
@@ -84,7 +80,7 @@ pub enum Reply {
 pub struct Loaded {
     /// Number of weights.
     pub parameters: u64,
-    /// How they are stored.
+    /// How most of them are held.
     pub storage: String,
     /// Side of the square image that it is shown, pixels.
     pub image_side: u32,

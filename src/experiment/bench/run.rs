@@ -3,11 +3,10 @@
 use super::budget::CallBudget;
 use super::engine::{Engine, EngineError, EngineName};
 use super::llama_cpp::LlamaCpp;
-use super::protocol::{GgufPair, Like, LoadRequest, Loaded, ModelChoice};
+use super::protocol::{Like, LoadRequest, Loaded, ModelChoice};
 use super::row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
 use super::workload::{DEPTHS, Workload};
 use crate::mllm::{PromptSet, Storage};
-use std::path::PathBuf;
 use std::process::Command;
 
 /// A model that is to be measured.
@@ -34,17 +33,8 @@ pub struct BenchSettings {
     pub seed: u64,
     /// How matrices are stored; none for as they are.
     pub storage: Option<Storage>,
-    /// What llama.cpp is compared by, if it is.
-    pub versus: Option<Versus>,
-}
-
-/// A comparison with llama.cpp.
-#[derive(Debug)]
-pub struct Versus {
-    /// How it is run.
-    pub llama_cpp: LlamaCpp,
-    /// Folder for the GGUF files of models with random weights; what it holds already is taken.
-    pub weights: PathBuf,
+    /// How llama.cpp is run that is compared with, if it is; then all models must be GGUF files.
+    pub versus: Option<LlamaCpp>,
 }
 
 /// What is told while a bench runs.
@@ -52,8 +42,6 @@ pub struct Versus {
 pub enum Progress<'a> {
     /// A model is being loaded.
     Loading(EngineName, &'a Candidate),
-    /// A model's weights are being written for llama.cpp.
-    Writing(&'a Candidate),
     /// A depth is not measured, and why.
     LeftOut(&'a Candidate, &'a EngineError),
     /// A workload has been done once more, of so many times.
@@ -101,13 +89,12 @@ impl Bench<'_> {
         let mut workloads = vec![Workload::Call(CallBudget::of(self.candidate.prompts))];
         let mut engines = Vec::new();
         match &self.settings.versus {
-            None => engines.push(self.load(self.own()?, self.candidate.model.clone(), None)?),
-            Some(versus) => {
-                let files = self.gguf(versus)?;
-                let ours = self.load(self.own()?, ModelChoice::Gguf(files.clone()), None)?;
-                let theirs = Engine::start(EngineName::LlamaCpp, &mut versus.llama_cpp.command())?;
+            None => engines.push(self.load(self.own()?, None)?),
+            Some(llama_cpp) => {
+                let ours = self.load(self.own()?, None)?;
+                let theirs = Engine::start(EngineName::LlamaCpp, &mut llama_cpp.command())?;
                 let Loaded { context, image_side, .. } = ours.loaded;
-                let theirs = self.load(theirs, ModelChoice::Gguf(files), Some(Like { context, image_side }))?;
+                let theirs = self.load(theirs, Some(Like { context, image_side }))?;
                 engines.extend([ours, theirs]);
                 workloads.splice(0..0, DEPTHS.map(Workload::Depth));
             }
@@ -137,28 +124,12 @@ impl Bench<'_> {
         Engine::start(EngineName::PlanAgent, &mut (self.program)())
     }
 
-    fn load(&self, mut engine: Engine, model: ModelChoice, like: Option<Like>) -> Result<Ready, EngineError> {
+    fn load(&self, mut engine: Engine, like: Option<Like>) -> Result<Ready, EngineError> {
         (self.progress)(Progress::Loading(engine.name(), self.candidate));
         let BenchSettings { storage, threads, seed, .. } = *self.settings;
+        let model = self.candidate.model.clone();
         let loaded = engine.load(LoadRequest { model, storage, threads, like, seed })?;
         Ok(Ready { engine, loaded })
-    }
-
-    /// The model as files that both engines read.
-    fn gguf(&self, versus: &Versus) -> Result<GgufPair, EngineError> {
-        if let ModelChoice::Gguf(files) = &self.candidate.model {
-            return Ok(files.clone());
-        }
-        let storage = self.settings.storage.map_or("as-it-is", Storage::name);
-        let stem = format!("{}-{storage}-seed-{}", self.candidate.name, self.settings.seed);
-        let file = |part: &str| versus.weights.join(format!("{stem}{part}.gguf"));
-        let files = GgufPair { decoder: file(""), projector: file("-mmproj") };
-        if !files.decoder.is_file() || !files.projector.is_file() {
-            let Ready { mut engine, .. } = self.load(self.own()?, self.candidate.model.clone(), None)?;
-            (self.progress)(Progress::Writing(self.candidate));
-            engine.write(files.clone())?;
-        }
-        Ok(files)
     }
 
     /// Why a workload cannot be done by these engines, if so.

@@ -1,8 +1,8 @@
 //! The measuring process of this program.
 
 use super::budget::Layout;
-use super::protocol::{LoadRequest, Loaded, ModelChoice, Reply, Request};
-use crate::mllm::{Architecture, LatencyProbe, MllmError, ModelRegistry, ModelShape};
+use super::protocol::{GgufPair, LoadRequest, Loaded, ModelChoice, Reply, Request};
+use crate::mllm::{Architecture, LatencyProbe, MllmError, ModelPlace, ModelRegistry, ModelShape};
 use std::io::{self, BufRead, Write};
 use std::time::Instant;
 
@@ -26,27 +26,37 @@ pub fn serve(registry: &ModelRegistry, requests: impl BufRead, mut replies: impl
 }
 
 fn answer(registry: &ModelRegistry, probe: &mut Option<LatencyProbe>, request: Request) -> Result<Reply, MllmError> {
-    if let Request::Load(request) = request {
-        let (loaded, opened) = load(registry, &request)?;
-        *probe = Some(opened);
-        return Ok(Reply::Loaded(loaded));
-    }
-    let Some(probe) = probe else { return Ok(Reply::Failed("no model is loaded".into())) };
-    match request {
-        Request::Run(steps) => Ok(Reply::Ran(steps.into_iter().map(|step| probe.run(step)).collect::<Result<_, _>>()?)),
-        Request::Load(_) | Request::Write(_) => Ok(Reply::Failed("GGUF files cannot be written yet".into())),
-    }
+    Ok(match (request, probe) {
+        (Request::Load(request), probe) => {
+            let (loaded, opened) = load(registry, &request)?;
+            *probe = Some(opened);
+            Reply::Loaded(loaded)
+        }
+        (Request::Run(steps), Some(probe)) => {
+            Reply::Ran(steps.into_iter().map(|step| probe.run(step)).collect::<Result<_, _>>()?)
+        }
+        (Request::Run(_), None) => Reply::Failed("no model is loaded".into()),
+    })
 }
 
 fn load(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, LatencyProbe), MllmError> {
     let start = Instant::now();
-    let probe = match &request.model {
-        ModelChoice::Random(shape) => {
-            LatencyProbe::random(ModelShape::find(shape)?, request.storage.unwrap_or_default(), request.seed)?
+    let registry = registry.clone().with_quantize(request.storage);
+    let (place, loading) = match &request.model {
+        ModelChoice::Named(name) => {
+            let spec = registry.find(name)?;
+            (registry.place(&spec)?, registry.loading(&spec)?)
         }
-        ModelChoice::Named(name) => LatencyProbe::open(&registry.folder(&registry.find(name)?)?, request.seed)?,
-        ModelChoice::Gguf(_) => todo!(),
+        ModelChoice::Random(shape) => {
+            let place = ModelPlace::Random { shape: ModelShape::find(shape)?, seed: request.seed };
+            (place, registry.plain_loading())
+        }
+        ModelChoice::Gguf(GgufPair { decoder, projector }) => {
+            let place = ModelPlace::Gguf { model: decoder.clone(), mmproj: Some(projector.clone()) };
+            (place, registry.plain_loading())
+        }
     };
+    let probe = LatencyProbe::open(&place, &loading, request.seed)?;
     let load_s = start.elapsed().as_secs_f64();
     let about = probe.describe()?;
     let layout = match about.architecture {
@@ -56,7 +66,7 @@ fn load(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, Late
     let version = env!("CARGO_PKG_VERSION").to_owned();
     let loaded = Loaded {
         parameters: about.parameters,
-        storage: about.storage,
+        storage: about.storage.to_string(),
         image_side: about.image_side,
         image_tokens: about.image_tokens,
         context: about.context,

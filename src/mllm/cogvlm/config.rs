@@ -5,7 +5,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, LlamaConfig, Section};
+use crate::mllm::checkpoint::{Activation, LlamaConfig, ModelFiles, Section};
 
 /// A `CogVLM` model.
 #[derive(Debug, Clone, PartialEq)]
@@ -56,6 +56,14 @@ pub(crate) enum AnswerStyle {
 const MAX_IMAGE_SIZE: usize = 8192;
 
 impl CogVlmConfig {
+    /// Reads the `config.json` of a model.
+    ///
+    /// # Errors
+    /// When it is missing or broken.
+    pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
+        Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
+    }
+
     /// Reads a configuration; `path` is for messages.
     ///
     /// # Errors

@@ -11,20 +11,17 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
-use std::path::Path;
-
 use candle_core::Tensor;
 use image::RgbImage;
-use serde_json::Value;
 
 use chat::QuestionFormat;
-use config::CogVlmConfig;
+pub(crate) use config::CogVlmConfig;
 use connector::GluAdapter;
 use language::{ExpertLayer, IMAGE_POSITIONS, positions, vision_rows};
 use vision::EvaVisionTower;
 
 use super::MllmError;
-use super::checkpoint::{Weights, read_required_json};
+use super::checkpoint::{Checkpoint, ModelFiles, Weights};
 use super::decoder::{Decoder, DecoderInput, KvCache, Logits};
 use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
 use super::text::ChatTokenizer;
@@ -40,22 +37,13 @@ pub(crate) struct CogVlm {
 }
 
 impl CogVlm {
-    /// Opens the configuration and the weights of a folder.
+    /// Opens the configuration and the weights of a checkpoint.
     ///
     /// # Errors
     /// When one of them is missing or broken.
-    pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
-        let config_json = read_required_json(folder, "config.json")?;
-        let config = CogVlmConfig::from_json(&folder.join("config.json"), &config_json)?;
-        Self::take(&mut Weights::open(folder)?, config)
-    }
-
-    /// A model of this configuration with any weights; `path` is for messages.
-    ///
-    /// # Errors
-    /// When the configuration is broken or a tensor is missing or misshapen.
-    pub(crate) fn with_weights(path: &Path, config: &Value, weights: &mut Weights) -> Result<Self, MllmError> {
-        Self::take(weights, CogVlmConfig::from_json(path, config)?)
+    pub(crate) fn open(checkpoint: &mut Checkpoint) -> Result<Self, MllmError> {
+        let config = CogVlmConfig::open(&checkpoint.files)?;
+        Self::take(&mut checkpoint.weights, config)
     }
 
     /// Takes the weights of a configuration.
@@ -63,18 +51,19 @@ impl CogVlm {
     /// # Errors
     /// When a tensor is missing or misshapen.
     fn take(weights: &mut Weights, config: CogVlmConfig) -> Result<Self, MllmError> {
+        let before = weights.elements();
         let tower = EvaVisionTower::take(weights, &config.vision)?;
         let adapter = GluAdapter::take(weights, &config)?;
         let decoder = Decoder::take(weights, &config.text, "", config.tie_word_embeddings)?;
         let facts = ModelFacts {
-            architecture: Architecture::CogVlm,
+            architecture: Architecture::CogVlm.name(),
             // No token of the vocabulary stands for an image, so the first number behind it does.
             image_token: config.text.vocabulary as u32,
             image_size: config.vision.image_size,
             most_image_tokens: config.image_tokens(),
             vocabulary: config.text.vocabulary,
             positions: config.text.context,
-            parameters: weights.taken() as u64,
+            parameters: (before - weights.elements()) as u64,
             blake3: weights.blake3().to_string(),
         };
         Ok(Self { config, tower, adapter, decoder, facts })
@@ -83,6 +72,15 @@ impl CogVlm {
     /// Encodes pixel values (3, side, side) to (image tokens, decoder width).
     fn encode_pixels(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
         self.adapter.forward(&self.tower.forward(pixels)?)
+    }
+}
+
+#[cfg(test)]
+impl CogVlm {
+    /// A model of this configuration with random weights.
+    pub(crate) fn invented(config: &serde_json::Value) -> Self {
+        let config = CogVlmConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
+        Self::take(&mut Weights::invented(7), config).unwrap()
     }
 }
 
@@ -121,7 +119,7 @@ impl VisionLanguageModel for CogVlm {
         self.decoder.forward(&DecoderInput { rows: rows.rows.clone(), positions, vision }, cache, wanted)
     }
 
-    fn chat_format(&self, _folder: &Path, _tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+    fn chat_format(&self, _files: &ModelFiles, _tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
         let format =
             QuestionFormat { bos: self.config.bos, image_token: self.facts.image_token, style: self.config.style };
         Ok(Box::new(format))

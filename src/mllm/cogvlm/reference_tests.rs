@@ -12,7 +12,7 @@ use crate::mllm::checkpoint::{Weights, read_json};
 use crate::mllm::decoder::{DecoderInput, Logits};
 use crate::mllm::local::test_reference::{
     FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, assert_chat, assert_greedy, assert_logits, difference,
-    feature_difference, fixture, logits_deviation, shared_reference, synthetic,
+    feature_difference, fixture, logits_deviation, open_checkpoint, shared_reference, synthetic,
 };
 use crate::mllm::local::{Sequence, VisionLanguageModel};
 use crate::mllm::vision::{Filter, resize};
@@ -20,7 +20,7 @@ use crate::mllm::vision::{Filter, resize};
 /// Opens a folder with a change to its weights.
 fn open(folder: &Path, change: impl FnOnce(&mut Weights)) -> CogVlm {
     let path = folder.join("config.json");
-    let mut weights = Weights::open(folder).unwrap();
+    let mut weights = Weights::open(folder, None).unwrap();
     change(&mut weights);
     let config = CogVlmConfig::from_json(&path, &read_json(&path).unwrap()).unwrap();
     CogVlm::take(&mut weights, config).unwrap()
@@ -34,7 +34,7 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_the_reference() {
     let pixels = pixel_values(&image, 56).unwrap();
     let found = difference(&pixels, reference.tensor("pixel_values"));
     assert!(found < 1e-5, "the pixels differ by {found}");
-    let model = CogVlm::open(&folder).unwrap();
+    let model = CogVlm::open(&mut open_checkpoint(&folder)).unwrap();
     let found = feature_difference(&model.tower.forward(&pixels).unwrap(), reference.tensor("tower"));
     assert!(found < FEATURE_TOLERANCE, "the tower's output differs by {found}");
     assert_chat(&folder, &["", "chat_", "text_"]);

@@ -1,6 +1,5 @@
 //! A model that works off steps.
 
-use std::path::Path;
 use std::time::Instant;
 
 use candle_core::Tensor;
@@ -9,16 +8,17 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
-use super::shape::ModelShape;
 use super::step::{Step, StepTime};
 use crate::mllm::decoder::Logits;
 use crate::mllm::local::{Sequence, VisionLanguageModel};
 use crate::mllm::sampling::Sampler;
-use crate::mllm::{Architecture, MllmError, Sampling, Storage};
+use crate::mllm::{Architecture, LoadReport, Loading, MllmError, ModelPlace, Sampling, Storage};
 
 /// A model with one sequence of tokens, whose steps are timed.
 #[derive(Debug)]
 pub struct LatencyProbe {
+    architecture: Architecture,
+    load: LoadReport,
     model: Box<dyn VisionLanguageModel>,
     sequence: Sequence,
     /// Tokens that are appended and not computed.
@@ -36,8 +36,8 @@ pub struct ProbeDescription {
     pub architecture: Architecture,
     /// Number of weights.
     pub parameters: u64,
-    /// How its matrices are stored.
-    pub storage: String,
+    /// How most of them are held.
+    pub storage: Storage,
     /// Side of the square image that it is shown, pixels.
     pub image_side: u32,
     /// Tokens that the image becomes.
@@ -47,27 +47,27 @@ pub struct ProbeDescription {
 }
 
 impl LatencyProbe {
-    /// Opens the model in a folder.
+    /// Opens a model; `seed` draws the words that it reads.
     ///
     /// # Errors
-    /// When a file is missing or broken.
-    pub fn open(folder: &Path, seed: u64) -> Result<Self, MllmError> {
-        Ok(Self::new(Architecture::detect(folder)?.open(folder)?, seed))
-    }
-
-    /// Makes a model of a shape with random weights.
-    ///
-    /// # Errors
-    /// When the shape cannot be had in this storage.
-    pub fn random(shape: &ModelShape, storage: Storage, seed: u64) -> Result<Self, MllmError> {
-        Ok(Self::new(shape.random(storage, seed)?, seed))
-    }
-
-    fn new(model: Box<dyn VisionLanguageModel>, seed: u64) -> Self {
+    /// When a file is missing or broken, or there is too little memory.
+    pub fn open(place: &ModelPlace, loading: &Loading, seed: u64) -> Result<Self, MllmError> {
+        let mut checkpoint = loading.checkpoint(place)?;
+        let architecture = Architecture::of(&checkpoint.files)?;
+        let model = architecture.open(&mut checkpoint)?;
         let mut words = Pcg64Mcg::seed_from_u64(seed);
         let side = model.facts().image_size as u32;
         let image = RgbImage::from_fn(side, side, |_, _| image::Rgb(words.random()));
-        Self { sequence: Sequence::new(&*model), model, pending: Vec::new(), features: None, image, words }
+        Ok(Self {
+            architecture,
+            load: checkpoint.weights.report().clone(),
+            sequence: Sequence::new(&*model),
+            model,
+            pending: Vec::new(),
+            features: None,
+            image,
+            words,
+        })
     }
 
     /// What is measured.
@@ -78,9 +78,9 @@ impl LatencyProbe {
         let facts = self.model.facts();
         let image_tokens = self.image_tokens()?;
         Ok(ProbeDescription {
-            architecture: facts.architecture,
+            architecture: self.architecture,
             parameters: facts.parameters,
-            storage: Storage::F32.to_string(),
+            storage: self.load.storages.first().map_or_else(Storage::default, |share| share.storage),
             image_side: self.image.width(),
             image_tokens,
             context: self.model.context(image_tokens),

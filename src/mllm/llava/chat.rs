@@ -1,8 +1,7 @@
 //! Prompts as the chat template of a model folder writes them.
 
-use std::path::Path;
-
 use crate::mllm::MllmError;
+use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::local::{Chat, ChatFormat};
 use crate::mllm::text::{ChatTemplate, ChatTokenizer};
 
@@ -14,13 +13,13 @@ pub(crate) struct TemplateFormat {
 }
 
 impl TemplateFormat {
-    /// Opens the template of a folder for a model whose placeholder has this id.
+    /// Opens the template of a model whose placeholder has this id.
     ///
     /// # Errors
     /// When there is no template, it is broken, or the placeholder is no token.
-    pub(crate) fn open(folder: &Path, tokenizer: &ChatTokenizer, image_token: u32) -> Result<Self, MllmError> {
+    pub(crate) fn open(files: &ModelFiles, tokenizer: &ChatTokenizer, image_token: u32) -> Result<Self, MllmError> {
         let placeholder = placeholder(tokenizer, image_token)?;
-        Ok(Self { template: ChatTemplate::open(folder, tokenizer.special(), &placeholder)?, image_token })
+        Ok(Self { template: ChatTemplate::open(files, tokenizer.special(), &placeholder)?, image_token })
     }
 }
 

@@ -8,7 +8,7 @@ use std::path::Path;
 use serde_json::{Map, Value};
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, CLIP_BASE, ClipVisionConfig, LLAVA_TOWER, LlamaConfig, Section};
+use crate::mllm::checkpoint::{Activation, CLIP_BASE, ClipVisionConfig, LLAVA_TOWER, LlamaConfig, ModelFiles, Section};
 
 /// A LLaVA model: which vision tower, which decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +41,19 @@ pub(crate) enum FeatureSelect {
     Full,
 }
 
+/// The key that says that no token of the vocabulary stands for an image: checkpoints of llama.cpp have none, and their
+/// placeholder is the first id behind the vocabulary.
+pub(crate) const IMAGE_TOKEN_BEYOND: &str = "image_token_beyond_vocabulary";
+
 impl LlavaConfig {
+    /// Reads the `config.json` of a model.
+    ///
+    /// # Errors
+    /// When it is missing or broken.
+    pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
+        Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
+    }
+
     /// Reads a configuration; `path` is for messages.
     ///
     /// # Errors
@@ -59,20 +71,7 @@ impl LlavaConfig {
             None => Section::root(path, &absent)?,
         };
         let text = LlamaConfig::from_section(&text_section)?;
-        let image_token = ["image_token_id", "image_token_index"]
-            .into_iter()
-            .map(|key| root.token_ids(key))
-            .collect::<Result<Vec<_>, _>>()?
-            .concat()
-            .first()
-            .copied()
-            .unwrap_or(32_000);
-        if image_token as usize >= text.vocabulary {
-            return Err(root.error(
-                "image_token_index",
-                format!("{image_token} lies outside the vocabulary of {} (text_config.vocab_size)", text.vocabulary),
-            ));
-        }
+        let image_token = image_token(&root, text.vocabulary)?;
         let feature_select = match root.text("vision_feature_select_strategy")? {
             None | Some("default") => FeatureSelect::Default,
             Some("full") => FeatureSelect::Full,
@@ -101,6 +100,22 @@ impl LlavaConfig {
         let class_token = usize::from(self.feature_select == FeatureSelect::Full);
         self.vision.patches() + class_token
     }
+}
+
+/// Reads the id of the image's placeholder.
+fn image_token(root: &Section<'_>, vocabulary: usize) -> Result<u32, MllmError> {
+    if root.flag(IMAGE_TOKEN_BEYOND, false)? {
+        return Ok(vocabulary as u32);
+    }
+    let ids = [root.token_ids("image_token_id")?, root.token_ids("image_token_index")?].concat();
+    let id = ids.first().copied().unwrap_or(32_000);
+    if (id as usize) < vocabulary {
+        return Ok(id);
+    }
+    Err(root.error(
+        "image_token_index",
+        format!("{id} lies outside the vocabulary of {vocabulary} (text_config.vocab_size)"),
+    ))
 }
 
 /// Reads `vision_feature_layer`: one index or a list, negative ones counted from the last hidden state.

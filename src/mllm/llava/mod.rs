@@ -9,18 +9,15 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
-use std::path::Path;
-
 use candle_core::Tensor;
 use image::RgbImage;
-use serde_json::Value;
 
 pub(crate) use chat::TemplateFormat;
-pub(crate) use config::{FeatureSelect, LlavaConfig};
+pub(crate) use config::{FeatureSelect, IMAGE_TOKEN_BEYOND, LlavaConfig};
 pub(crate) use vision::ImageEncoder;
 
 use super::MllmError;
-use super::checkpoint::{Weights, read_required_json};
+use super::checkpoint::{Checkpoint, ModelFiles, Weights};
 use super::decoder::{Decoder, DecoderInput, KvCache, LlamaLayer, Logits};
 use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
 use super::text::ChatTokenizer;
@@ -78,26 +75,16 @@ impl LlavaCore {
 }
 
 impl Llava {
-    /// Opens the configuration, the preprocessor and the weights of a folder.
+    /// Opens the configuration, the preprocessor and the weights of a checkpoint.
     ///
     /// # Errors
     /// When one of them is missing or broken.
-    pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
-        let config_json = read_required_json(folder, "config.json")?;
-        let config = LlavaConfig::from_json(&folder.join("config.json"), &config_json)?;
-        let processor = ClipImageProcessor::open(folder)?;
+    pub(crate) fn open(checkpoint: &mut Checkpoint) -> Result<Self, MllmError> {
+        let files = &checkpoint.files;
+        let config = LlavaConfig::open(files)?;
+        let processor = ClipImageProcessor::open(files)?;
         processor.check_side(config.vision.image_size)?;
-        Self::take(&mut Weights::open(folder)?, config, processor)
-    }
-
-    /// A model of this configuration with any weights; `path` is for messages.
-    ///
-    /// # Errors
-    /// When the configuration is broken or a tensor is missing or misshapen.
-    pub(crate) fn with_weights(path: &Path, config: &Value, weights: &mut Weights) -> Result<Self, MllmError> {
-        let config = LlavaConfig::from_json(path, config)?;
-        let processor = ClipImageProcessor::square(config.vision.image_size as u32);
-        Self::take(weights, config, processor)
+        Self::take(&mut checkpoint.weights, config, processor)
     }
 
     /// Takes the weights of a configuration.
@@ -109,16 +96,17 @@ impl Llava {
         config: LlavaConfig,
         processor: ClipImageProcessor,
     ) -> Result<Self, MllmError> {
+        let before = weights.elements();
         let core = LlavaCore::take(weights, config)?;
         let config = &core.config;
         let facts = ModelFacts {
-            architecture: Architecture::Llava,
+            architecture: Architecture::Llava.name(),
             image_token: config.image_token,
             image_size: config.vision.image_size,
             most_image_tokens: config.image_tokens(),
             vocabulary: config.text.vocabulary,
             positions: config.text.context,
-            parameters: weights.taken() as u64,
+            parameters: (before - weights.elements()) as u64,
             blake3: weights.blake3().to_string(),
         };
         Ok(Self { core, processor, facts })
@@ -127,6 +115,16 @@ impl Llava {
     /// Encodes pixel values (3, side, side) to image features (image tokens, decoder width).
     fn encode_pixels(&self, pixels: &Tensor) -> Result<Tensor, MllmError> {
         Ok(self.core.encoder.encode(pixels)?)
+    }
+}
+
+#[cfg(test)]
+impl Llava {
+    /// A model of this configuration with random weights.
+    pub(crate) fn invented(config: &serde_json::Value) -> Self {
+        let config = LlavaConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
+        let processor = ClipImageProcessor::square(config.vision.image_size as u32);
+        Self::take(&mut Weights::invented(7), config, processor).unwrap()
     }
 }
 
@@ -159,7 +157,7 @@ impl VisionLanguageModel for Llava {
         self.core.forward(rows, cache, wanted)
     }
 
-    fn chat_format(&self, folder: &Path, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(folder, tokenizer, self.facts.image_token)?))
+    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.facts.image_token)?))
     }
 }

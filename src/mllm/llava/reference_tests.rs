@@ -12,7 +12,7 @@ use super::config::LlavaConfig;
 use crate::mllm::checkpoint::{Weights, read_json};
 use crate::mllm::local::test_reference::{
     FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, assert_chat, assert_greedy, assert_logits, difference,
-    feature_difference, fixture, logits_deviation,
+    feature_difference, fixture, logits_deviation, open_checkpoint,
 };
 use crate::mllm::local::{LocalModel, VisionLanguageModel};
 use crate::mllm::vision::ClipImageProcessor;
@@ -22,7 +22,7 @@ fn open(change: impl FnOnce(&mut Value, &mut Weights)) -> (Llava, Reference) {
     let folder = fixture("llava_reference");
     let path = folder.join("config.json");
     let mut config = read_json(&path).unwrap();
-    let mut weights = Weights::open(&folder).unwrap();
+    let mut weights = Weights::open(&folder, None).unwrap();
     change(&mut config, &mut weights);
     let config = LlavaConfig::from_json(&path, &config).unwrap();
     let processor = ClipImageProcessor::square(config.vision.image_size as u32);
@@ -78,7 +78,7 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_transformers() {
     let folder = fixture("tiny_llava");
     let reference = Reference::open(&folder.join("reference.safetensors"));
     let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
-    let pixels = ClipImageProcessor::open(&folder).unwrap().process(&image, 32).unwrap();
+    let pixels = ClipImageProcessor::open(&open_checkpoint(&folder).files).unwrap().process(&image, 32).unwrap();
     let found = difference(&pixels, reference.tensor("pixel_values"));
     assert!(found < 1e-5, "the pixels differ by {found}");
     assert_chat(&folder, &["", "chat_"]);
@@ -88,7 +88,7 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_transformers() {
 fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/nano");
     let reference = Reference::open(&fixture("nano_reference").join("reference.safetensors"));
-    let model = Llava::open(&folder).unwrap();
+    let model = Llava::open(&mut open_checkpoint(&folder)).unwrap();
     let image = image::open(fixture("nano_reference").join("image.png")).unwrap().into_rgb8();
     let pixels = model.processor.process(&image, model.facts.image_size).unwrap();
     let corner = pixels.narrow(1, 0, 4).unwrap().narrow(2, 0, 4).unwrap();

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::grid::{Resolution, TileGrids};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Section;
+use crate::mllm::checkpoint::{ModelFiles, Section};
 use crate::mllm::llava::{FeatureSelect, LlavaConfig};
 
 /// A LLaVA-NeXT model: a LLaVA with the resolutions that its images are brought to.
@@ -27,6 +27,14 @@ const MAX_PINPOINTS: usize = 64;
 const MAX_SIDE: u64 = 1 << 14;
 
 impl LlavaNextConfig {
+    /// Reads the `config.json` of a model.
+    ///
+    /// # Errors
+    /// When it is missing or broken.
+    pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
+        Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
+    }
+
     /// Reads a configuration; `path` is for messages.
     ///
     /// # Errors

@@ -9,24 +9,20 @@ mod preprocess;
 #[cfg(test)]
 mod reference_tests;
 
-use std::path::Path;
-
 use candle_core::Tensor;
 use image::RgbImage;
-use serde_json::Value;
 
-use config::LlavaNextConfig;
+pub(crate) use config::LlavaNextConfig;
 use connector::TilePacker;
 use grid::{Resolution, TileGrids, Tiling};
 use preprocess::AnyresImageProcessor;
 
 use super::MllmError;
-use super::checkpoint::{Weights, read_required_json};
+use super::checkpoint::{Checkpoint, ModelFiles, Weights};
 use super::decoder::{KvCache, Logits};
 use super::llava::{LlavaCore, TemplateFormat};
 use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
 use super::text::ChatTokenizer;
-use super::vision::{Filter, PixelScale};
 
 /// A LLaVA-NeXT model.
 #[derive(Debug)]
@@ -39,24 +35,15 @@ pub(crate) struct LlavaNext {
 }
 
 impl LlavaNext {
-    /// Opens the configuration, the preprocessor and the weights of a folder.
+    /// Opens the configuration, the preprocessor and the weights of a checkpoint.
     ///
     /// # Errors
     /// When one of them is missing or broken.
-    pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
-        let config_json = read_required_json(folder, "config.json")?;
-        let config = LlavaNextConfig::from_json(&folder.join("config.json"), &config_json)?;
-        let processor = AnyresImageProcessor::open(folder, &config.grids, config.llava.vision.image_size as u32)?;
-        Self::take(&mut Weights::open(folder)?, config, processor)
-    }
-
-    /// A model of this configuration with any weights; `path` is for messages.
-    ///
-    /// # Errors
-    /// When the configuration is broken or a tensor is missing or misshapen.
-    pub(crate) fn with_weights(path: &Path, config: &Value, weights: &mut Weights) -> Result<Self, MllmError> {
-        let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
-        Self::take(weights, LlavaNextConfig::from_json(path, config)?, processor)
+    pub(crate) fn open(checkpoint: &mut Checkpoint) -> Result<Self, MllmError> {
+        let files = &checkpoint.files;
+        let config = LlavaNextConfig::open(files)?;
+        let processor = AnyresImageProcessor::open(files, &config.grids, config.llava.vision.image_size as u32)?;
+        Self::take(&mut checkpoint.weights, config, processor)
     }
 
     /// Takes the weights of a configuration.
@@ -68,16 +55,17 @@ impl LlavaNext {
         config: LlavaNextConfig,
         processor: AnyresImageProcessor,
     ) -> Result<Self, MllmError> {
+        let before = weights.elements();
         let core = LlavaCore::take(weights, config.llava)?;
         let packer = TilePacker::take(weights, core.config.text.hidden)?;
         let facts = ModelFacts {
-            architecture: Architecture::LlavaNext,
+            architecture: Architecture::LlavaNext.name(),
             image_token: core.config.image_token,
             image_size: core.config.vision.image_size,
             most_image_tokens: config.grids.most_tokens(),
             vocabulary: core.config.text.vocabulary,
             positions: core.config.text.context,
-            parameters: weights.taken() as u64,
+            parameters: (before - weights.elements()) as u64,
             blake3: weights.blake3().to_string(),
         };
         Ok(Self { core, packer, grids: config.grids, processor, facts })
@@ -88,6 +76,17 @@ impl LlavaNext {
         let features =
             pixels.iter().map(|pixels| self.core.encoder.encode(pixels)).collect::<candle_core::Result<Vec<_>>>()?;
         self.packer.pack(features, &self.grids, tiling)
+    }
+}
+
+#[cfg(test)]
+impl LlavaNext {
+    /// A model of this configuration with random weights.
+    pub(crate) fn invented(config: &serde_json::Value) -> Self {
+        use super::vision::{Filter, PixelScale};
+        let config = LlavaNextConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
+        let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
+        Self::take(&mut Weights::invented(7), config, processor).unwrap()
     }
 }
 
@@ -125,7 +124,7 @@ impl VisionLanguageModel for LlavaNext {
         self.core.forward(rows, cache, wanted)
     }
 
-    fn chat_format(&self, folder: &Path, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(folder, tokenizer, self.facts.image_token)?))
+    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.facts.image_token)?))
     }
 }

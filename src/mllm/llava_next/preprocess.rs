@@ -1,14 +1,12 @@
 //! `LlavaNextImageProcessor`: the whole image small, then its tiles at a higher resolution.
 
-use std::path::Path;
-
 use candle_core::Tensor;
 use image::{RgbImage, imageops};
 
 use super::config::{PINPOINTS, pinpoints};
 use super::grid::{TileGrids, Tiling};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Section;
+use crate::mllm::checkpoint::{ModelFiles, Section};
 use crate::mllm::vision::{
     DEFAULT_SIDE, Filter, PixelScale, Sides, check_not_empty, check_processor, read_processor, resample_filter, resize,
     sides,
@@ -24,12 +22,12 @@ pub(crate) struct AnyresImageProcessor {
 }
 
 impl AnyresImageProcessor {
-    /// Reads the image processor of a folder for a model with these grids, whose tiles are of `side` pixels.
+    /// Reads the image processor of a model with these grids, whose tiles are of `side` pixels.
     ///
     /// # Errors
     /// When it is missing or broken, or makes other tiles than the model takes.
-    pub(crate) fn open(folder: &Path, grids: &TileGrids, side: u32) -> Result<Self, MllmError> {
-        read_processor(folder, |_, section| Self::from_section(section, grids, side))
+    pub(crate) fn open(files: &ModelFiles, grids: &TileGrids, side: u32) -> Result<Self, MllmError> {
+        read_processor(files, |_, section| Self::from_section(section, grids, side))
     }
 
     fn from_section(section: &Section<'_>, grids: &TileGrids, side: u32) -> Result<Self, MllmError> {

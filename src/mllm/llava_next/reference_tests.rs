@@ -13,7 +13,7 @@ use crate::mllm::checkpoint::{Weights, read_json};
 use crate::mllm::local::LocalModel;
 use crate::mllm::local::test_reference::{
     FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, assert_chat, assert_greedy, assert_logits, difference,
-    feature_difference, fixture, logits_deviation, shared_reference, synthetic,
+    feature_difference, fixture, logits_deviation, open_checkpoint, shared_reference, synthetic,
 };
 use crate::mllm::vision::{Filter, PixelScale};
 
@@ -21,7 +21,7 @@ use crate::mllm::vision::{Filter, PixelScale};
 fn open(folder: &Path, change: impl FnOnce(&mut Value, &mut Weights)) -> LlavaNext {
     let path = folder.join("config.json");
     let mut config = read_json(&path).unwrap();
-    let mut weights = Weights::open(folder).unwrap();
+    let mut weights = Weights::open(folder, None).unwrap();
     change(&mut config, &mut weights);
     let config = LlavaNextConfig::from_json(&path, &config).unwrap();
     let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
@@ -37,7 +37,7 @@ fn complete_folders_give_the_pixels_ids_logits_and_tokens_of_transformers() {
     for (name, rounds) in [("tiny_llava_next", &["", "chat_"][..]), ("tiny_llava_next_mistral", &[""])] {
         let folder = fixture(name);
         let reference = Reference::open(&folder.join("reference.safetensors"));
-        let model = LlavaNext::open(&folder).unwrap();
+        let model = LlavaNext::open(&mut open_checkpoint(&folder)).unwrap();
         let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
         let tiling = model.grids.tiling(Resolution { height: image.height(), width: image.width() });
         let pixels = model.processor.process(&image, &tiling, 32).unwrap();

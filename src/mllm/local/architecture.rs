@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use super::vlm::VisionLanguageModel;
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Section, read_required_json};
-use crate::mllm::cogvlm::CogVlm;
-use crate::mllm::llava::Llava;
+use crate::mllm::checkpoint::{Checkpoint, LlamaConfig, ModelFiles, Section};
+use crate::mllm::cogvlm::{CogVlm, CogVlmConfig};
+use crate::mllm::llava::{Llava, LlavaConfig};
 use crate::mllm::llava_next::LlavaNext;
 
 /// Families of models that are computed in this process.
@@ -52,8 +52,16 @@ impl Architecture {
     /// # Errors
     /// When there is no such file, it says nothing, or it names a family that is not supported.
     pub fn detect(folder: &Path) -> Result<Self, MllmError> {
-        let json = read_required_json(folder, "config.json")?;
-        let path = folder.join("config.json");
+        Self::of(&ModelFiles::folder(folder)?)
+    }
+
+    /// What the `config.json` of a model says, as [`Self::detect`].
+    ///
+    /// # Errors
+    /// As [`Self::detect`].
+    pub(crate) fn of(files: &ModelFiles) -> Result<Self, MllmError> {
+        let json = files.required_json("config.json")?;
+        let path = files.path("config.json");
         let root = Section::root(&path, &json)?;
         let (key, found) = match root.text("model_type")? {
             Some(kind) => ("model_type", Some(kind)),
@@ -70,15 +78,26 @@ impl Architecture {
         })
     }
 
-    /// Opens the configuration, the preprocessor and the weights of a folder.
+    /// Opens the configuration, the preprocessor and the weights of a checkpoint.
     ///
     /// # Errors
     /// When one of them is missing or broken.
-    pub(crate) fn open(self, folder: &Path) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
+    pub(crate) fn open(self, checkpoint: &mut Checkpoint) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
         Ok(match self {
-            Self::Llava => Box::new(Llava::open(folder)?),
-            Self::LlavaNext => Box::new(LlavaNext::open(folder)?),
-            Self::CogVlm => Box::new(CogVlm::open(folder)?),
+            Self::Llava => Box::new(Llava::open(checkpoint)?),
+            Self::LlavaNext => Box::new(LlavaNext::open(checkpoint)?),
+            Self::CogVlm => Box::new(CogVlm::open(checkpoint)?),
+        })
+    }
+
+    /// The configuration of the decoder.
+    ///
+    /// # Errors
+    /// When `config.json` is missing or broken.
+    pub(crate) fn decoder(self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
+        Ok(match self {
+            Self::Llava | Self::LlavaNext => LlavaConfig::open(files)?.text,
+            Self::CogVlm => CogVlmConfig::open(files)?.text,
         })
     }
 }

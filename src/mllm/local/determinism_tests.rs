@@ -9,8 +9,6 @@ use image::RgbImage;
 use serde_json::json;
 
 use super::{Sequence, VisionLanguageModel};
-use crate::mllm::Storage;
-use crate::mllm::checkpoint::Weights;
 use crate::mllm::cogvlm::CogVlm;
 use crate::mllm::decoder::Logits;
 use crate::mllm::llava::Llava;
@@ -34,12 +32,10 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     cogvlm["vision_config"] = vision;
     let picture =
         |width, height| RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]));
-    let path = Path::new("config.json");
-    let weights = &mut Weights::random(Storage::F32, 7);
     vec![
-        (Box::new(Llava::with_weights(path, &llava, weights).unwrap()), picture(128, 128)),
-        (Box::new(LlavaNext::with_weights(path, &llava, weights).unwrap()), picture(200, 90)),
-        (Box::new(CogVlm::with_weights(path, &cogvlm, weights).unwrap()), picture(140, 100)),
+        (Box::new(Llava::invented(&llava)), picture(128, 128)),
+        (Box::new(LlavaNext::invented(&llava)), picture(200, 90)),
+        (Box::new(CogVlm::invented(&cogvlm)), picture(140, 100)),
     ]
 }
 

@@ -1,7 +1,9 @@
 //! Models that are computed in this process: a folder as Hugging Face writes it, opened as it is and run on the CPU.
 
 mod architecture;
+mod check;
 mod generate;
+mod memory;
 mod sequence;
 mod session;
 mod vlm;
@@ -12,17 +14,21 @@ mod determinism_tests;
 pub(crate) mod test_reference;
 
 use std::collections::VecDeque;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 pub use architecture::Architecture;
+pub use check::ModelCheck;
+pub use memory::{MemoryCheck, MemoryNeed};
 pub(crate) use sequence::Sequence;
 use sequence::SequencePrefix;
 use session::LocalConversation;
 pub(crate) use vlm::{Chat, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
 
-use super::checkpoint::{Section, read_json};
+use super::checkpoint::{Checkpoint, LoadReport, ModelFiles, ModelPlace, Section};
 use super::decoder::Logits;
+use super::gguf::{self, CreateFile};
+use super::matrix::Storage;
 use super::text::{ChatTokenizer, GrammarEngine};
 use super::{Conversation, Mllm, MllmError, ModelDescription, Opening};
 
@@ -40,6 +46,7 @@ pub struct LocalModel {
     tokenizer: ChatTokenizer,
     grammars: GrammarEngine,
     end_tokens: Vec<u32>,
+    load: LoadReport,
     prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
 }
 
@@ -51,45 +58,100 @@ struct CallPrefix {
     sequence: SequencePrefix,
 }
 
+/// How a model is loaded.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Loading {
+    /// In which storage weights are held; none for that of the files (f32 where these are safetensors).
+    pub quantize: Option<Storage>,
+    /// The folder of its tokenizer, for models whose files hold none (`CogVLM`'s).
+    pub tokenizer: Option<PathBuf>,
+    /// What to do when there seems to be too little memory.
+    pub memory: MemoryCheck,
+    /// The family that the model must be of, and who says so; none for any.
+    pub expected: Option<(Architecture, String)>,
+}
+
+impl Loading {
+    /// Opens a model's small files and the headers of its weights, if it is of the expected family and there is memory.
+    ///
+    /// # Errors
+    /// When a file is missing or broken, the family is another, or there is too little memory.
+    pub(crate) fn checkpoint(&self, place: &ModelPlace) -> Result<Checkpoint, MllmError> {
+        let checkpoint = Checkpoint::open(place, self.quantize)?;
+        let architecture = self.architecture(&checkpoint.files)?;
+        if self.memory == MemoryCheck::Refuse {
+            let decoder = architecture.decoder(&checkpoint.files)?;
+            memory::check(&checkpoint, &decoder, self.quantize)?;
+        }
+        Ok(checkpoint)
+    }
+
+    /// The family of a model.
+    ///
+    /// # Errors
+    /// When its configuration does not say, or it is not the one that is expected.
+    fn architecture(&self, files: &ModelFiles) -> Result<Architecture, MllmError> {
+        let found = Architecture::of(files)?;
+        match &self.expected {
+            Some((expected, by)) if *expected != found => Err(MllmError::Config {
+                path: files.path("config.json"),
+                key: "model_type".into(),
+                problem: format!(
+                    "this is a {} model, the description of {by:?} says {}",
+                    found.name(),
+                    expected.name()
+                ),
+            }),
+            _ => Ok(found),
+        }
+    }
+
+    /// The files of a model's tokenizer.
+    ///
+    /// # Errors
+    /// When there are none.
+    fn tokenizer(&self, files: &ModelFiles, architecture: Architecture) -> Result<ModelFiles, MllmError> {
+        let tokenizer = match &self.tokenizer {
+            Some(folder) => ModelFiles::folder(folder)?,
+            None => files.clone(),
+        };
+        if architecture == Architecture::CogVlm && tokenizer.text("tokenizer.json")?.is_none() {
+            return Err(tokenizer.missing(
+                "tokenizer.json (CogVLM's repositories have none; that of a LLaMA fits: copy it here, or name it under \
+                 tokenizer in the model's description)",
+            ));
+        }
+        Ok(tokenizer)
+    }
+}
+
 impl LocalModel {
     /// Opens a model folder: `config.json`, safetensors (whole or sharded), `tokenizer.json`, for the LLaVA families
     /// `preprocessor_config.json` and a chat template, and, if there, `tokenizer_config.json` and
-    /// `generation_config.json`. The configuration says which [`Architecture`] it is. `name` is what results call it.
+    /// `generation_config.json`; or GGUF files. The configuration says which [`Architecture`] it is. `name` is what results
+    /// call it.
     ///
     /// # Errors
     /// When a file is missing or broken, or the files contradict each other; the error names file, key or tensor.
     pub fn open(name: &str, folder: &Path) -> Result<Self, MllmError> {
-        Self::open_with_tokenizer(name, folder, folder)
+        Self::load(name, &ModelPlace::Folder(folder.to_path_buf()), &Loading::default())
     }
 
-    /// Opens a model folder without a tokenizer (`CogVLM`'s repositories have none) with that of another folder.
+    /// Opens a model in a given way.
     ///
     /// # Errors
-    /// As [`Self::open`].
-    pub fn open_with_tokenizer(name: &str, folder: &Path, tokenizer: &Path) -> Result<Self, MllmError> {
-        for folder in [folder, tokenizer] {
-            if !folder.is_dir() {
-                return Err(MllmError::MissingFile {
-                    folder: folder.to_path_buf(),
-                    file: "such folder, and so no config.json".into(),
-                });
-            }
-        }
-        let architecture = Architecture::detect(folder)?;
-        let model = architecture.open(folder)?;
+    /// As [`Self::open`], and when there is too little memory.
+    pub fn load(name: &str, place: &ModelPlace, loading: &Loading) -> Result<Self, MllmError> {
+        let mut checkpoint = loading.checkpoint(place)?;
+        let architecture = loading.architecture(&checkpoint.files)?;
+        checkpoint.weights.hash()?;
+        let model = architecture.open(&mut checkpoint)?;
+        let Checkpoint { files, weights } = checkpoint;
         let vocabulary = model.facts().vocabulary;
-        if architecture == Architecture::CogVlm && !tokenizer.join("tokenizer.json").is_file() {
-            return Err(MllmError::MissingFile {
-                folder: tokenizer.to_path_buf(),
-                file:
-                    "tokenizer.json (CogVLM's repositories have none; that of a LLaMA fits: copy it here, or name it \
-                       under tokenizer in the model's description)"
-                        .into(),
-            });
-        }
-        let tokenizer = ChatTokenizer::open(tokenizer, vocabulary)?;
-        let format = model.chat_format(folder, &tokenizer)?;
-        let end_tokens = end_tokens(folder, &tokenizer, vocabulary)?;
+        let tokenizer = loading.tokenizer(&files, architecture)?;
+        let tokenizer = ChatTokenizer::open(&tokenizer, vocabulary, model.facts().image_token)?;
+        let format = model.chat_format(&files, &tokenizer)?;
+        let end_tokens = end_tokens(&files, &tokenizer, vocabulary)?;
         Ok(Self {
             name: name.to_string(),
             grammars: GrammarEngine::new(&tokenizer, &end_tokens)?,
@@ -97,8 +159,27 @@ impl LocalModel {
             format,
             tokenizer,
             end_tokens,
+            load: weights.report().clone(),
             prefixes: Mutex::new(VecDeque::new()),
         })
+    }
+
+    /// Writes a model as GGUF; see [`GgufPart`](crate::mllm::GgufPart) for the files. `progress` is told the bytes that are
+    /// written and their sum.
+    ///
+    /// # Errors
+    /// When the model is broken, or a file cannot be written.
+    pub fn export(
+        name: &str,
+        place: &ModelPlace,
+        loading: &Loading,
+        create: &mut CreateFile<'_>,
+        progress: &mut dyn FnMut(u64, u64),
+    ) -> Result<LoadReport, MllmError> {
+        let checkpoint = Checkpoint::open(place, loading.quantize)?;
+        let architecture = loading.architecture(&checkpoint.files)?;
+        let tokenizer = loading.tokenizer(&checkpoint.files, architecture)?;
+        gguf::export(checkpoint, &tokenizer, name, create, progress)
     }
 
     /// Token ids of a chat.
@@ -151,7 +232,7 @@ impl Mllm for LocalModel {
         let facts = self.model.facts();
         ModelDescription {
             name: self.name.clone(),
-            architecture: facts.architecture.name().into(),
+            architecture: facts.architecture.into(),
             parameters: facts.parameters,
             dtype: "f32".into(),
             image_size: Some(facts.image_size as u32),
@@ -159,6 +240,7 @@ impl Mllm for LocalModel {
             vocabulary: facts.vocabulary,
             context: facts.positions,
             weights_blake3: facts.blake3.clone(),
+            load: self.load.clone(),
         }
     }
 
@@ -168,14 +250,11 @@ impl Mllm for LocalModel {
 }
 
 /// The tokens that end an answer: of `generation_config.json`, else of the decoder's configuration, else of the tokenizer.
-fn end_tokens(folder: &Path, tokenizer: &ChatTokenizer, vocabulary: usize) -> Result<Vec<u32>, MllmError> {
+fn end_tokens(files: &ModelFiles, tokenizer: &ChatTokenizer, vocabulary: usize) -> Result<Vec<u32>, MllmError> {
     const KEY: &str = "eos_token_id";
     for file in ["generation_config.json", "config.json"] {
-        let path = folder.join(file);
-        if !path.is_file() {
-            continue;
-        }
-        let value = read_json(&path)?;
+        let Some(value) = files.json(file)? else { continue };
+        let path = files.path(file);
         let root = Section::root(&path, &value)?;
         let nested = root.section("text_config", "text_config.")?;
         for section in [Some(root), nested].into_iter().flatten() {

@@ -6,7 +6,7 @@ use candle_core::{Device, Tensor};
 
 use super::{Chat, LocalModel, Sequence, VisionLanguageModel};
 use crate::mllm::Turn;
-use crate::mllm::checkpoint::read_json;
+use crate::mllm::checkpoint::{Checkpoint, ModelPlace, read_json};
 use crate::mllm::decoder::Logits;
 
 /// Largest difference of image features that the parity tests accept, as a part of the largest feature: torch's own f32
@@ -30,6 +30,11 @@ pub(crate) fn shared_reference(name: &str) -> Option<PathBuf> {
     }
     eprintln!("SKIPPED: no {} (set PLANAGENT_DATA to the data folder)", folder.display());
     None
+}
+
+/// The checkpoint of a folder.
+pub(crate) fn open_checkpoint(folder: &Path) -> Checkpoint {
+    Checkpoint::open(&ModelPlace::Folder(folder.to_path_buf()), None).unwrap()
 }
 
 /// The tensors of a reference file.

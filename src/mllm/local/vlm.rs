@@ -1,14 +1,14 @@
 //! The one interface to every family of models that is computed here.
 
 use std::ops::Range;
-use std::path::Path;
 
 use candle_core::Tensor;
 use image::RgbImage;
 
+use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::decoder::{KvCache, Logits};
 use crate::mllm::text::ChatTokenizer;
-use crate::mllm::{Architecture, MllmError, Turn};
+use crate::mllm::{MllmError, Turn};
 
 /// A vision-language model: what it computes, and how its prompts are written. One folder of the stage is one family.
 pub(crate) trait VisionLanguageModel: std::fmt::Debug + Send + Sync {
@@ -39,11 +39,11 @@ pub(crate) trait VisionLanguageModel: std::fmt::Debug + Send + Sync {
     /// Runs rows through the decoder, adds them to the cache, and gives the logits (wanted positions, vocabulary).
     fn forward(&self, rows: &PlacedRows, cache: &mut KvCache, wanted: Logits) -> candle_core::Result<Option<Tensor>>;
 
-    /// How prompts are written, from the files of `folder`.
+    /// How prompts are written, from the model's files.
     ///
     /// # Errors
     /// When a file is missing or does not fit the model.
-    fn chat_format(&self, folder: &Path, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError>;
+    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError>;
 }
 
 /// How a family writes a chat as tokens.
@@ -71,8 +71,8 @@ pub(crate) struct Chat<'a> {
 /// What a model is, as far as its users must know.
 #[derive(Debug, Clone)]
 pub(crate) struct ModelFacts {
-    /// Its family.
-    pub architecture: Architecture,
+    /// Name of its family.
+    pub architecture: &'static str,
     /// The id that stands for a token of the image. It need not be a token of the vocabulary.
     pub image_token: u32,
     /// Side of the square that the vision tower sees, pixels.

@@ -77,7 +77,8 @@ impl Storage {
         if inputs.is_multiple_of(self.block()) { self } else { finer.or_finer(inputs) }
     }
 
-    pub(super) fn ggml(self) -> GgmlDType {
+    /// ggml's format of the same blocks.
+    pub(crate) fn ggml(self) -> GgmlDType {
         match self {
             Self::F32 => GgmlDType::F32,
             Self::F16 => GgmlDType::F16,

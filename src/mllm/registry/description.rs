@@ -1,5 +1,6 @@
 //! `models/NAME.toml`: what a model is, where it lies and how it is asked.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -37,6 +38,14 @@ pub enum ModelSource {
         /// The folder.
         folder: PathBuf,
     },
+    /// A GGUF file; a relative path starts beside the description.
+    File {
+        /// The decoder, or the whole model.
+        file: PathBuf,
+        /// The vision tower; without it, the one that lies beside the decoder.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        mmproj: Option<PathBuf>,
+    },
     /// A repository of the Hugging Face hub.
     Hub {
         /// `organisation/name`.
@@ -44,7 +53,44 @@ pub enum ModelSource {
         /// Branch, tag or commit.
         #[serde(default = "default_revision")]
         revision: String,
+        /// Of a repository with GGUF files, the one that is wanted.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        file: Option<String>,
+        /// The vision tower that belongs to it; without it, the repository's only one.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        mmproj: Option<String>,
     },
+}
+
+impl ModelSource {
+    /// Makes relative paths start at a folder.
+    fn start_at(&mut self, folder: &Path) {
+        let paths = match self {
+            Self::Folder { folder } => [Some(folder), None],
+            Self::File { file, mmproj } => [Some(file), mmproj.as_mut()],
+            Self::Hub { .. } => [None, None],
+        };
+        for path in paths.into_iter().flatten() {
+            *path = folder.join(&*path);
+        }
+    }
+}
+
+/// As in messages and lists: a path, or the id with revision and file.
+impl fmt::Display for ModelSource {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Folder { folder } => write!(out, "{}", folder.display()),
+            Self::File { file, .. } => write!(out, "{}", file.display()),
+            Self::Hub { hub, revision, file, .. } => {
+                write!(out, "{hub}")?;
+                if let Some(file) = file {
+                    write!(out, "/{file}")?;
+                }
+                if *revision == default_revision() { Ok(()) } else { write!(out, " ({revision})") }
+            }
+        }
+    }
 }
 
 /// The revision of a hub repository that is taken when none is named.
@@ -120,9 +166,7 @@ impl ModelSpec {
             return Err(broken("generation.max_new_tokens: a round needs at least one token".into()));
         }
         for source in [Some(&mut spec.source), spec.tokenizer.as_mut()].into_iter().flatten() {
-            if let (ModelSource::Folder { folder }, Some(beside)) = (source, path.parent()) {
-                *folder = beside.join(&*folder);
-            }
+            source.start_at(path.parent().unwrap_or(Path::new("")));
         }
         Ok(spec)
     }
@@ -153,7 +197,18 @@ mod tests {
             "name = 'l'\nsource = { hub = 'a/b' }\ntokenizer = { folder = 't' }\nprompt_set = 'paper'\n[generation]\nsampling = { sample = { temperature = 0.7, top_p = 0.9 } }",
         )
         .unwrap();
-        assert_eq!(spec.source, ModelSource::Hub { hub: "a/b".into(), revision: "main".into() });
+        let hub = |file: Option<&str>| ModelSource::Hub {
+            hub: "a/b".into(),
+            revision: "main".into(),
+            file: file.map(Into::into),
+            mmproj: None,
+        };
+        assert_eq!(spec.source, hub(None));
+        let gguf = parse("name = 'l'\nsource = { hub = 'a/b', file = 'm.gguf' }\nprompt_set = 'paper'").unwrap();
+        assert_eq!((gguf.source.to_string().as_str(), gguf.source), ("a/b/m.gguf", hub(Some("m.gguf"))));
+        let file = parse("name = 'l'\nsource = { file = 'm.gguf', mmproj = 'v.gguf' }\nprompt_set = 'paper'").unwrap();
+        let (model, tower) = ("models/m.gguf".into(), Some("models/v.gguf".into()));
+        assert_eq!(file.source, ModelSource::File { file: model, mmproj: tower });
         assert_eq!(
             (spec.architecture, spec.tokenizer),
             (None, Some(ModelSource::Folder { folder: "models/t".into() }))
@@ -180,7 +235,7 @@ mod tests {
             "",
             &valid.replace("llava", "blip"),
             &valid.replace("paper", "long"),
-            &valid.replace("folder", "file"),
+            &valid.replace("folder", "path"),
             &valid.replace("'n'", "''"),
             &format!("{valid}colour = 'red'"),
             &format!("{valid}[generation]\nmax_new_tokens = 3"),

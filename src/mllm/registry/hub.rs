@@ -1,8 +1,11 @@
 //! Models of the Hugging Face hub, through the cache that the `huggingface_hub` tools share.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use hf_hub::HFClientSync;
+use hf_hub::progress::{DownloadEvent, Progress, ProgressEvent, ProgressHandler};
 
 use crate::mllm::MllmError;
 
@@ -10,7 +13,7 @@ use crate::mllm::MllmError;
 const WEIGHTS: [&str; 2] = ["model.safetensors", "model.safetensors.index.json"];
 
 /// What of a repository is wanted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum HubFiles {
     /// Everything that a model is opened from.
     Model,
@@ -18,26 +21,65 @@ pub enum HubFiles {
     ModelWithoutTokenizer,
     /// The tokenizer alone.
     Tokenizer,
+    /// GGUF files.
+    Gguf {
+        /// The decoder, or the whole model.
+        file: String,
+        /// The vision tower; none for every one that the repository has.
+        mmproj: Option<String>,
+    },
 }
 
 impl HubFiles {
     /// The files that are downloaded, if they are there.
-    fn patterns(self) -> &'static [&'static str] {
+    fn patterns(&self) -> Vec<String> {
+        let all = |names: &[&str]| names.iter().map(ToString::to_string).collect();
         match self {
-            Self::Model | Self::ModelWithoutTokenizer => &["*.json", "*.jinja", "*.safetensors"],
-            Self::Tokenizer => &["tokenizer.json", "tokenizer_config.json"],
+            Self::Model | Self::ModelWithoutTokenizer => all(&["*.json", "*.jinja", "*.safetensors"]),
+            Self::Tokenizer => all(&["tokenizer.json", "tokenizer_config.json"]),
+            Self::Gguf { file, mmproj } => {
+                let tower = mmproj.clone().unwrap_or_else(|| "*mmproj*.gguf".to_string());
+                let mut names: Vec<String> = all(&["tokenizer.json", "tokenizer_config.json", "chat_template.jinja"]);
+                names.extend([file.clone(), tower]);
+                names
+            }
         }
     }
 
     /// The files without which a snapshot is taken for incomplete.
-    fn required(self) -> &'static [&'static str] {
+    fn required(&self) -> Vec<String> {
+        let all = |names: &[&str]| names.iter().map(ToString::to_string).collect();
         match self {
-            Self::Model => &["config.json", "tokenizer.json"],
-            Self::ModelWithoutTokenizer => &["config.json"],
-            Self::Tokenizer => &["tokenizer.json"],
+            Self::Model => all(&["config.json", "tokenizer.json"]),
+            Self::ModelWithoutTokenizer => all(&["config.json"]),
+            Self::Tokenizer => all(&["tokenizer.json"]),
+            Self::Gguf { file, mmproj } => std::iter::once(file).chain(mmproj).cloned().collect(),
+        }
+    }
+
+    /// What an incomplete snapshot lacks: a required file, or a weight file that its index names.
+    fn missing(&self, folder: &Path) -> Option<String> {
+        if let Some(file) = self.required().into_iter().find(|file| !folder.join(file).is_file()) {
+            return Some(file);
+        }
+        match self {
+            Self::Model | Self::ModelWithoutTokenizer => missing_weights(folder),
+            Self::Tokenizer | Self::Gguf { .. } => None,
         }
     }
 }
+
+/// How far a download is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct FetchProgress {
+    /// Bytes that have arrived.
+    pub bytes: u64,
+    /// Bytes of all files that are downloaded.
+    pub total: u64,
+}
+
+/// Who is told how far a download is.
+pub type FetchListener = dyn Fn(FetchProgress) + Send + Sync;
 
 /// How the hub may be used.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -51,11 +93,18 @@ pub struct HubAccess {
 }
 
 impl HubAccess {
-    /// The folder with the files of a repository, downloaded if need be and allowed.
+    /// The folder with the files of a repository, downloaded if need be and allowed. Files that are complete in the cache are
+    /// not downloaded again; one that was broken off is begun anew.
     ///
     /// # Errors
     /// When the id is no id, the hub refuses, or (offline) a file is not in the cache.
-    pub fn fetch(&self, id: &str, revision: &str, files: HubFiles) -> Result<PathBuf, MllmError> {
+    pub fn fetch(
+        &self,
+        id: &str,
+        revision: &str,
+        files: &HubFiles,
+        listener: Option<std::sync::Arc<FetchListener>>,
+    ) -> Result<PathBuf, MllmError> {
         let failed = |problem: String| MllmError::Hub { id: id.to_string(), revision: revision.to_string(), problem };
         let (owner, name) = split_id(id).ok_or_else(|| failed("a hub id is written organisation/name".into()))?;
         let mut builder = hf_hub::HFClient::builder();
@@ -69,23 +118,25 @@ impl HubAccess {
         let cache = client.cache_dir().to_path_buf();
         let client = HFClientSync::from_inner(client).map_err(|error| failed(error.to_string()))?;
         let repository = client.model(owner, name);
+        let progress = listener.map(|listener| Progress::new(Told { listener, state: Mutex::default() }));
         let snapshot = |local_only: bool| {
             repository
                 .snapshot_download()
                 .revision(revision.to_string())
-                .allow_patterns(files.patterns().iter().map(ToString::to_string).collect::<Vec<_>>())
+                .allow_patterns(files.patterns())
                 .local_files_only(local_only)
+                .maybe_progress(progress.clone())
                 .send()
         };
         // A commit never changes, so a complete snapshot of it needs no network.
         let pinned = revision.len() == 40 && revision.bytes().all(|byte| byte.is_ascii_hexdigit());
         if self.offline || pinned {
             let missing = match snapshot(true) {
-                Ok(folder) => match missing_file(&folder, files) {
+                Ok(folder) => match files.missing(&folder) {
                     None => return Ok(folder),
                     Some(file) => file,
                 },
-                Err(_) => files.required().first().map(ToString::to_string).unwrap_or_default(),
+                Err(_) => files.required().into_iter().next().unwrap_or_default(),
             };
             if self.offline {
                 return Err(MllmError::NotInCache {
@@ -97,11 +148,56 @@ impl HubAccess {
             }
         }
         let folder = snapshot(false).map_err(|error| failed(error.to_string()))?;
-        match missing_file(&folder, files) {
+        match files.missing(&folder) {
             None => Ok(folder),
             Some(file) => Err(failed(format!("the repository has no {file}"))),
         }
     }
+}
+
+/// Sums what the client says of each file.
+struct Told {
+    listener: std::sync::Arc<FetchListener>,
+    state: Mutex<DownloadState>,
+}
+
+#[derive(Default)]
+struct DownloadState {
+    total: u64,
+    files: HashMap<String, u64>,
+    /// Of files that come in pieces of the hub's own store, which is told for all of them at once.
+    pieces: u64,
+}
+
+impl ProgressHandler for Told {
+    fn on_progress(&self, event: &ProgressEvent) {
+        let ProgressEvent::Download(event) = event else { return };
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        match event {
+            DownloadEvent::Start { total_bytes, .. } => state.total = state.total.max(*total_bytes),
+            DownloadEvent::Progress { files } => {
+                for file in files {
+                    state.files.insert(file.filename.clone(), file.bytes_completed);
+                }
+            }
+            DownloadEvent::AggregateProgress { bytes_completed, .. } => state.pieces = *bytes_completed,
+            DownloadEvent::Complete => {}
+        }
+        let arrived = state.files.values().sum::<u64>().max(state.pieces);
+        (self.listener)(FetchProgress { bytes: arrived.min(state.total), total: state.total });
+    }
+}
+
+/// Splits `organisation/name` or `organisation/name/file.gguf` into id and file; none if it cannot be either.
+pub(super) fn split_file(name: &str) -> Option<(&str, Option<&str>)> {
+    if split_id(name).is_some() {
+        // Whoever names a file that is not there means no repository.
+        return (!super::is_gguf(Path::new(name))).then_some((name, None));
+    }
+    let (end, _) = name.match_indices('/').nth(1)?;
+    let (id, file) = (name.get(..end)?, name.get(end + 1..)?);
+    let plain = file.split('/').all(|part| !part.is_empty() && !part.starts_with('.'));
+    (split_id(id).is_some() && plain && super::is_gguf(Path::new(file))).then_some((id, Some(file)))
 }
 
 /// Splits `organisation/name`; none if it cannot be an id.
@@ -114,14 +210,8 @@ pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
     id.split_once('/').filter(|(owner, name)| valid(owner) && valid(name))
 }
 
-/// What an incomplete snapshot lacks: a required file, or a weight file that its index names.
-fn missing_file(folder: &Path, files: HubFiles) -> Option<String> {
-    if let Some(file) = files.required().iter().find(|file| !folder.join(file).is_file()) {
-        return Some((*file).to_string());
-    }
-    if files == HubFiles::Tokenizer {
-        return None;
-    }
+/// The weight file that a folder lacks.
+fn missing_weights(folder: &Path) -> Option<String> {
     let [whole, index] = WEIGHTS;
     if folder.join(whole).is_file() {
         return None;
@@ -167,20 +257,31 @@ mod tests {
     fn a_cached_model_is_found_without_network() {
         let (_cache, access) = cached(&["config.json", "tokenizer.json", "model.safetensors"]);
         for revision in ["main", COMMIT] {
-            assert!(access.fetch("org/model", revision, HubFiles::Model).unwrap().ends_with(COMMIT));
+            assert!(access.fetch("org/model", revision, &HubFiles::Model, None).unwrap().ends_with(COMMIT));
         }
         let online = HubAccess { offline: false, ..access };
-        assert!(online.fetch("org/model", COMMIT, HubFiles::Model).is_ok(), "a pinned commit needs no network");
+        assert!(online.fetch("org/model", COMMIT, &HubFiles::Model, None).is_ok(), "a pinned commit needs no network");
     }
 
     #[test]
     fn a_model_and_its_tokenizer_may_lie_apart() {
         let (_cache, weights) = cached(&["config.json", "model.safetensors"]);
-        assert!(weights.fetch("org/model", "main", HubFiles::ModelWithoutTokenizer).is_ok());
-        let missing = weights.fetch("org/model", "main", HubFiles::Tokenizer);
+        assert!(weights.fetch("org/model", "main", &HubFiles::ModelWithoutTokenizer, None).is_ok());
+        let missing = weights.fetch("org/model", "main", &HubFiles::Tokenizer, None);
         assert!(matches!(missing, Err(MllmError::NotInCache { file, .. }) if file == "tokenizer.json"));
         let (_cache, tokenizer) = cached(&["tokenizer.json"]);
-        assert!(tokenizer.fetch("org/model", "main", HubFiles::Tokenizer).is_ok());
+        assert!(tokenizer.fetch("org/model", "main", &HubFiles::Tokenizer, None).is_ok());
+    }
+
+    #[test]
+    fn gguf_files_are_asked_for_by_name() {
+        let (_cache, access) = cached(&["model-q4_k.gguf", "mmproj.gguf"]);
+        let files =
+            |mmproj: Option<&str>| HubFiles::Gguf { file: "model-q4_k.gguf".into(), mmproj: mmproj.map(Into::into) };
+        assert!(access.fetch("org/model", "main", &files(None), None).is_ok());
+        assert!(access.fetch("org/model", "main", &files(Some("mmproj.gguf")), None).is_ok());
+        let missing = access.fetch("org/model", "main", &files(Some("mmproj-f16.gguf")), None);
+        assert!(matches!(missing, Err(MllmError::NotInCache { file, .. }) if file == "mmproj-f16.gguf"));
     }
 
     #[test]
@@ -191,11 +292,11 @@ mod tests {
             ("org/model", "v2", "config.json"),
             ("org/other", "main", "config.json"),
         ] {
-            match access.fetch(id, revision, HubFiles::Model) {
+            match access.fetch(id, revision, &HubFiles::Model, None) {
                 Err(MllmError::NotInCache { file, .. }) => assert_eq!(file, missing),
                 other => panic!("{id}: {other:?}"),
             }
         }
-        assert!(matches!(access.fetch("../x/y", "main", HubFiles::Model), Err(MllmError::Hub { .. })));
+        assert!(matches!(access.fetch("../x/y", "main", &HubFiles::Model, None), Err(MllmError::Hub { .. })));
     }
 }

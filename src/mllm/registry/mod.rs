@@ -3,25 +3,64 @@
 mod description;
 mod hub;
 
+use std::fmt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
-pub use hub::{HubAccess, HubFiles};
+pub use hub::{FetchListener, FetchProgress, HubAccess, HubFiles};
 
-use super::{Architecture, LocalModel, Mllm, MllmError};
+use super::gguf::CreateFile;
+use super::{LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError, ModelCheck, ModelPlace, Storage};
 
 /// Finds and opens models.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Clone)]
 pub struct ModelRegistry {
     /// The folder of descriptions.
     models: PathBuf,
     hub: HubAccess,
+    loading: Loading,
+    listener: Option<Arc<FetchListener>>,
+}
+
+impl fmt::Debug for ModelRegistry {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { models, hub, loading, .. } = self;
+        out.debug_struct("ModelRegistry")
+            .field("models", models)
+            .field("hub", hub)
+            .field("loading", loading)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Whether a path is that of a GGUF file, by its name.
+fn is_gguf(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
 }
 
 impl ModelRegistry {
     /// A registry of the descriptions `models/*.toml`.
     pub fn new(models: impl Into<PathBuf>, hub: HubAccess) -> Self {
-        Self { models: models.into(), hub }
+        Self { models: models.into(), hub, loading: Loading::default(), listener: None }
+    }
+
+    /// Holds the weights of models in this storage; none for that of their files.
+    pub fn with_quantize(mut self, quantize: Option<Storage>) -> Self {
+        self.loading.quantize = quantize;
+        self
+    }
+
+    /// Says what to do when a model seems to need more memory than there is.
+    pub fn with_memory_check(mut self, memory: MemoryCheck) -> Self {
+        self.loading.memory = memory;
+        self
+    }
+
+    /// Tells how far downloads are; the listener must not wait for anything.
+    pub fn with_listener(mut self, listener: Arc<FetchListener>) -> Self {
+        self.listener = Some(listener);
+        self
     }
 
     /// The names of the described models, sorted.
@@ -44,9 +83,9 @@ impl ModelRegistry {
         Ok(names)
     }
 
-    /// Finds a model: a name described in the folder of descriptions, the path of a description, the path of a model
-    /// folder, or a hub id, tried in this order. Folders and hub models without a description are taken for general
-    /// models, asked with the paper's prompts.
+    /// Finds a model: a name described in the folder of descriptions, the path of a description, of a model folder or of a
+    /// GGUF file, a hub id, or a hub id with a GGUF file behind it (`org/name/file.gguf`), tried in this order. Models
+    /// without a description are taken for general ones, asked with the paper's prompts.
     ///
     /// # Errors
     /// When nothing goes by this name, or its description is broken.
@@ -61,8 +100,15 @@ impl ModelRegistry {
         }
         let source = if !name.is_empty() && path.is_dir() {
             ModelSource::Folder { folder: path.to_path_buf() }
-        } else if hub::split_id(name).is_some() {
-            ModelSource::Hub { hub: name.to_string(), revision: description::default_revision() }
+        } else if is_gguf(path) && path.is_file() {
+            ModelSource::File { file: path.to_path_buf(), mmproj: None }
+        } else if let Some((id, file)) = hub::split_file(name) {
+            ModelSource::Hub {
+                hub: id.to_string(),
+                revision: description::default_revision(),
+                file: file.map(ToString::to_string),
+                mmproj: None,
+            }
         } else {
             return Err(MllmError::UnknownModel {
                 name: name.to_string(),
@@ -80,48 +126,107 @@ impl ModelRegistry {
         })
     }
 
-    /// The folder with a model's files; a hub model is downloaded if need be and allowed.
+    /// Where a model's files are; a hub model is downloaded if need be and allowed.
     ///
     /// # Errors
     /// When a hub model cannot be had.
-    pub fn folder(&self, spec: &ModelSpec) -> Result<PathBuf, MllmError> {
-        let files = if spec.tokenizer.is_some() { HubFiles::ModelWithoutTokenizer } else { HubFiles::Model };
-        self.fetch(&spec.source, files)
+    pub fn place(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
+        self.place_by(&self.hub, spec)
+    }
+
+    /// Downloads a model and its tokenizer if need be and allowed, and says where its files are.
+    ///
+    /// # Errors
+    /// When they cannot be had.
+    pub fn fetch(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
+        self.loading(spec)?;
+        self.place(spec)
+    }
+
+    /// Where a model's files are, if they are on this machine.
+    ///
+    /// # Errors
+    /// When they are not; the error says what is missing.
+    pub fn place_here(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
+        self.place_by(&HubAccess { offline: true, ..self.hub.clone() }, spec)
+    }
+
+    fn place_by(&self, hub: &HubAccess, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
+        Ok(match &spec.source {
+            ModelSource::Folder { folder } => ModelPlace::Folder(folder.clone()),
+            ModelSource::File { file, mmproj } => ModelPlace::Gguf { model: file.clone(), mmproj: mmproj.clone() },
+            ModelSource::Hub { hub: id, revision, file: None, .. } => {
+                let files = if spec.tokenizer.is_some() { HubFiles::ModelWithoutTokenizer } else { HubFiles::Model };
+                ModelPlace::Folder(self.snapshot(hub, id, revision, &files)?)
+            }
+            ModelSource::Hub { hub: id, revision, file: Some(file), mmproj } => {
+                let files = HubFiles::Gguf { file: file.clone(), mmproj: mmproj.clone() };
+                let folder = self.snapshot(hub, id, revision, &files)?;
+                ModelPlace::Gguf { model: folder.join(file), mmproj: mmproj.as_ref().map(|name| folder.join(name)) }
+            }
+        })
+    }
+
+    fn snapshot(&self, hub: &HubAccess, id: &str, revision: &str, files: &HubFiles) -> Result<PathBuf, MllmError> {
+        hub.fetch(id, revision, files, self.listener.clone())
     }
 
     /// Opens a model of whatever architecture its configuration names.
     ///
     /// # Errors
-    /// When its files cannot be had or are broken, or are of another architecture than its description says.
+    /// When its files cannot be had or are broken, are of another architecture than its description says, or need more
+    /// memory than there is.
     pub fn open(&self, spec: &ModelSpec) -> Result<Box<dyn Mllm>, MllmError> {
-        let folder = self.folder(spec)?;
-        if let Some(expected) = spec.architecture {
-            let found = Architecture::detect(&folder)?;
-            if found != expected {
-                return Err(MllmError::Config {
-                    path: folder.join("config.json"),
-                    key: "model_type".into(),
-                    problem: format!(
-                        "this is a {} model, the description of {:?} says {}",
-                        found.name(),
-                        spec.name,
-                        expected.name()
-                    ),
-                });
-            }
-        }
-        let tokenizer = match &spec.tokenizer {
-            None => folder.clone(),
-            Some(source) => self.fetch(source, HubFiles::Tokenizer)?,
-        };
-        Ok(Box::new(LocalModel::open_with_tokenizer(&spec.name, &folder, &tokenizer)?))
+        let place = self.place(spec)?;
+        let loading = self.loading(spec)?;
+        Ok(Box::new(LocalModel::load(&spec.name, &place, &loading)?))
     }
 
-    fn fetch(&self, source: &ModelSource, files: HubFiles) -> Result<PathBuf, MllmError> {
-        match source {
-            ModelSource::Folder { folder } => Ok(folder.clone()),
-            ModelSource::Hub { hub, revision } => self.hub.fetch(hub, revision, files),
-        }
+    /// Looks at a model's files without reading its weights.
+    ///
+    /// # Errors
+    /// When the files are not on this machine.
+    pub fn check(&self, spec: &ModelSpec) -> Result<ModelCheck, MllmError> {
+        Ok(LocalModel::check(&self.place_here(spec)?, &self.loading(spec)?))
+    }
+
+    /// Writes a model as GGUF, its weights held in `storage`; see [`GgufPart`] for the files. `progress` is told the bytes
+    /// that are written and their sum.
+    ///
+    /// # Errors
+    /// When its files cannot be had or are broken, or a file cannot be written.
+    pub fn export(
+        &self,
+        spec: &ModelSpec,
+        storage: Storage,
+        create: &mut CreateFile<'_>,
+        progress: &mut dyn FnMut(u64, u64),
+    ) -> Result<LoadReport, MllmError> {
+        let place = self.place(spec)?;
+        let loading = Loading { quantize: Some(storage), ..self.loading(spec)? };
+        LocalModel::export(&spec.name, &place, &loading, create, progress)
+    }
+
+    /// How a model without a description is loaded: as this registry was told.
+    pub fn plain_loading(&self) -> Loading {
+        self.loading.clone()
+    }
+
+    /// How a model is loaded by its description and what this registry was told.
+    ///
+    /// # Errors
+    /// When its tokenizer cannot be had.
+    pub fn loading(&self, spec: &ModelSpec) -> Result<Loading, MllmError> {
+        let tokenizer = match &spec.tokenizer {
+            None => None,
+            Some(ModelSource::Folder { folder }) => Some(folder.clone()),
+            Some(ModelSource::File { file, .. }) => file.parent().map(Path::to_path_buf),
+            Some(ModelSource::Hub { hub, revision, .. }) => {
+                Some(self.snapshot(&self.hub, hub, revision, &HubFiles::Tokenizer)?)
+            }
+        };
+        let expected = spec.architecture.map(|architecture| (architecture, spec.name.clone()));
+        Ok(Loading { tokenizer, expected, ..self.loading.clone() })
     }
 }
 
@@ -145,14 +250,25 @@ mod tests {
         assert_eq!(registry.names().unwrap(), ["broken", "nano"]);
         let nano = registry.find("nano").unwrap();
         assert_eq!((nano.name.as_str(), nano.prompt_set), ("Nano", PromptSet::Compact));
-        assert_eq!(registry.folder(&nano).unwrap(), models.path().join("weights"));
+        assert_eq!(registry.place(&nano).unwrap(), ModelPlace::Folder(models.path().join("weights")));
         let by_path = models.path().join("nano.toml");
         assert_eq!(registry.find(by_path.to_str().unwrap()).unwrap(), nano);
         let folder = registry.find(models.path().to_str().unwrap()).unwrap();
         assert_eq!(folder.source, ModelSource::Folder { folder: models.path().to_path_buf() });
         let hub = registry.find("llava-hf/llava-1.5-7b-hf").unwrap();
         assert_eq!(hub.name, "llava-1.5-7b-hf");
-        assert!(matches!(hub.source, ModelSource::Hub { .. }));
+        assert!(matches!(hub.source, ModelSource::Hub { file: None, .. }));
+        let in_hub = registry.find("org/repo/sub/model-q4_k.gguf").unwrap();
+        match in_hub.source {
+            ModelSource::Hub { hub, file: Some(file), .. } => {
+                assert_eq!((hub.as_str(), file.as_str()), ("org/repo", "sub/model-q4_k.gguf"));
+            }
+            other => panic!("{other:?}"),
+        }
+        let file = models.path().join("model.gguf");
+        std::fs::write(&file, "GGUF").unwrap();
+        let here = registry.find(file.to_str().unwrap()).unwrap();
+        assert_eq!(here.source, ModelSource::File { file, mmproj: None });
     }
 
     #[test]
@@ -162,7 +278,7 @@ mod tests {
             Err(MllmError::UnknownModel { known, .. }) => assert_eq!(known, "broken, nano"),
             other => panic!("{other:?}"),
         }
-        for name in ["", "../nano", "a b"] {
+        for name in ["", "../nano", "a b", "a/b/c", "a/b/../c.gguf"] {
             assert!(matches!(registry.find(name), Err(MllmError::UnknownModel { .. })), "{name}");
         }
         assert!(matches!(registry.find("broken"), Err(MllmError::Description { .. })));

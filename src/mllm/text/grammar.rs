@@ -223,6 +223,7 @@ fn first_line(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mllm::checkpoint::ModelFiles;
     use serde_json::json;
 
     /// A tokenizer as Llama 2 has it: a space before every text, `▁` for spaces, bytes for what is not in the vocabulary.
@@ -255,7 +256,7 @@ mod tests {
         });
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("tokenizer.json"), file.to_string()).unwrap();
-        let tokenizer = ChatTokenizer::open(folder.path(), 280).unwrap();
+        let tokenizer = ChatTokenizer::open(&ModelFiles::folder(folder.path()).unwrap(), 280, 0).unwrap();
         (folder, tokenizer)
     }
 

@@ -8,4 +8,4 @@ mod tokenizer;
 
 pub(crate) use grammar::{GrammarEngine, GrammarState};
 pub(crate) use template::ChatTemplate;
-pub(crate) use tokenizer::ChatTokenizer;
+pub(crate) use tokenizer::{ChatTokenizer, special_tokens};

@@ -1,4 +1,4 @@
-//! The chat template of a model folder: from a list of messages to the text that the model was trained on.
+//! The chat template of a model: from a list of messages to the text that the model was trained on.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use minijinja::value::Value;
 use minijinja::{Environment, Error, ErrorKind, context};
 
 use super::date::format_fixed_date;
-use crate::mllm::checkpoint::{Section, read_json, read_text};
+use crate::mllm::checkpoint::{ModelFiles, Section};
 use crate::mllm::{MllmError, Turn};
 
 /// A compiled chat template.
@@ -39,11 +39,11 @@ impl ChatTemplate {
     /// # Errors
     /// When there is none, it does not compile, or it renders neither lists of parts nor texts.
     pub(crate) fn open(
-        folder: &Path,
+        files: &ModelFiles,
         special: &BTreeMap<String, String>,
         image_token: &str,
     ) -> Result<Self, MllmError> {
-        let (path, source) = find_source(folder)?;
+        let (path, source) = find_source(files)?;
         let environment = environment(&source).map_err(|error| failure(&path, &error))?;
         let mut template = Self {
             environment,
@@ -139,19 +139,15 @@ fn environment(source: &str) -> Result<Environment<'static>, Error> {
     Ok(environment)
 }
 
-/// The template of a folder and the file that it stands in.
-fn find_source(folder: &Path) -> Result<(PathBuf, String), MllmError> {
-    let path = folder.join("chat_template.jinja");
-    if path.is_file() {
-        let source = read_text(&path)?;
-        return Ok((path, source));
+/// The template of a model and the file that it stands in.
+fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
+    const NAME: &str = "chat_template.jinja";
+    if let Some(source) = files.text(NAME)? {
+        return Ok((files.path(NAME), source));
     }
     for file in ["chat_template.json", "tokenizer_config.json"] {
-        let path = folder.join(file);
-        if !path.is_file() {
-            continue;
-        }
-        let value = read_json(&path)?;
+        let Some(value) = files.json(file)? else { continue };
+        let path = files.path(file);
         let root = Section::root(&path, &value)?;
         let source = match root.get("chat_template") {
             None => continue,
@@ -164,10 +160,7 @@ fn find_source(folder: &Path) -> Result<(PathBuf, String), MllmError> {
             .ok_or_else(|| root.error("chat_template", "expected a text, or a list with one named default".into()))?;
         return Ok((path.clone(), source.to_string()));
     }
-    Err(MllmError::MissingFile {
-        folder: folder.to_path_buf(),
-        file: "chat_template.jinja (nor a chat_template in chat_template.json or tokenizer_config.json)".into(),
-    })
+    Err(files.missing("chat_template.jinja (nor a chat_template in chat_template.json or tokenizer_config.json)"))
 }
 
 /// `{% generation %}` marks the model's words for training; here it becomes a block that changes nothing.
@@ -211,7 +204,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("chat_template.jinja"), source).unwrap();
         let special = BTreeMap::from([("bos_token".to_string(), "<s>".to_string())]);
-        ChatTemplate::open(folder.path(), &special, "<image>")
+        ChatTemplate::open(&ModelFiles::folder(folder.path()).unwrap(), &special, "<image>")
     }
 
     const LLAVA: &str = "{% for message in messages %}{% if message['role'] != 'system' %}{{ message['role'].upper() + ': '}}{% endif %}{% for content in message['content'] | selectattr('type', 'equalto', 'image') %}{{ '<image>\\n' }}{% endfor %}{% for content in message['content'] | selectattr('type', 'equalto', 'text') %}{% generation %}{{ content['text'] + ' '}}{% endgeneration %}{% endfor %}{% endfor %}{% if add_generation_prompt %}{{ 'ASSISTANT:' }}{% endif %}";

@@ -1,4 +1,4 @@
-//! Text to token ids and back, from a model folder's `tokenizer.json`.
+//! Text to token ids and back, from a model's `tokenizer.json`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,9 +9,9 @@ use tokenizers::Tokenizer;
 
 use super::token_bytes::token_bytes;
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Section, read_json, read_required_json};
+use crate::mllm::checkpoint::{ModelFiles, Section};
 
-/// The tokenizer of a model folder, with the special tokens that its chat template may name.
+/// The tokenizer of a model, with the special tokens that its chat template may name.
 #[derive(Debug, Clone)]
 pub(crate) struct ChatTokenizer {
     tokenizer: Arc<Tokenizer>,
@@ -24,13 +24,14 @@ pub(crate) struct ChatTokenizer {
 const SPECIAL_TOKENS: [&str; 4] = ["bos_token", "eos_token", "unk_token", "pad_token"];
 
 impl ChatTokenizer {
-    /// Opens `tokenizer.json`, and `tokenizer_config.json` if it is there, for a model of `vocabulary` token ids.
+    /// Opens `tokenizer.json`, and `tokenizer_config.json` if it is there, for a model of `vocabulary` token ids, outside of
+    /// which only the placeholder of an image may lie.
     ///
     /// # Errors
     /// When the file is missing or broken, or makes ids outside of the vocabulary.
-    pub(crate) fn open(folder: &Path, vocabulary: usize) -> Result<Self, MllmError> {
-        let json = read_required_json(folder, "tokenizer.json")?;
-        let path = folder.join("tokenizer.json");
+    pub(crate) fn open(files: &ModelFiles, vocabulary: usize, image_token: u32) -> Result<Self, MllmError> {
+        let json = files.required_json("tokenizer.json")?;
+        let path = files.path("tokenizer.json");
         let broken = |problem: String| MllmError::Tokenizer { path: path.clone(), problem };
         let mut tokenizer: Tokenizer =
             serde_json::from_value(json.clone()).map_err(|error| broken(error.to_string()))?;
@@ -41,13 +42,13 @@ impl ChatTokenizer {
             .get_vocab(true)
             .into_iter()
             .map(|(token, id)| (id, token))
-            .filter(|(id, _)| *id as usize >= vocabulary)
+            .filter(|(id, _)| *id as usize >= vocabulary && *id != image_token)
             .min();
         if let Some((id, token)) = outside {
             return Err(MllmError::Vocabulary { token, id, vocabulary });
         }
         let bytes = token_bytes(&json, &tokenizer, vocabulary).map_err(broken)?;
-        Ok(Self { special: special_tokens(folder)?, tokenizer: Arc::new(tokenizer), path, bytes: Arc::new(bytes) })
+        Ok(Self { special: special_tokens(files)?, tokenizer: Arc::new(tokenizer), path, bytes: Arc::new(bytes) })
     }
 
     /// The file, for messages.
@@ -132,14 +133,17 @@ impl ChatTokenizer {
     }
 }
 
-/// Reads the special tokens, each a text or an object with its `content`.
-fn special_tokens(folder: &Path) -> Result<BTreeMap<String, String>, MllmError> {
-    let path = folder.join("tokenizer_config.json");
+/// Reads the special tokens of `tokenizer_config.json` by role, each a text or an object with its `content`.
+///
+/// # Errors
+/// When the file is broken.
+pub(crate) fn special_tokens(files: &ModelFiles) -> Result<BTreeMap<String, String>, MllmError> {
+    const NAME: &str = "tokenizer_config.json";
     let mut special = BTreeMap::new();
-    if !path.is_file() {
+    let Some(value) = files.json(NAME)? else {
         return Ok(special);
-    }
-    let value = read_json(&path)?;
+    };
+    let path = files.path(NAME);
     let root = Section::root(&path, &value)?;
     for key in SPECIAL_TOKENS {
         let text = match root.get(key) {

@@ -44,6 +44,12 @@ impl PixelScale {
         Ok(Self { rescale, normalise })
     }
 
+    /// Mean and standard deviation, of 8-bit pixels brought to [0, 1]; none if it does something else.
+    pub(crate) fn mean_and_deviation(&self) -> Option<[[f32; 3]; 2]> {
+        let to_unit = self.rescale.is_some_and(|factor| (factor - UNIT).abs() < 1e-9);
+        self.normalise.filter(|_| to_unit).map(|(mean, deviation)| [mean, deviation])
+    }
+
     /// Pixel values of shape (3, height, width).
     pub(crate) fn values(&self, pixels: &RgbImage) -> candle_core::Result<Tensor> {
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);

@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::pixels::{PixelScale, check_not_empty};
 use super::resample::{Filter, resize};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Section, read_json};
+use crate::mllm::checkpoint::{ModelFiles, Section};
 
 /// Side that `CLIPImageProcessor` resizes and crops to when its configuration does not say.
 pub(crate) const DEFAULT_SIDE: u32 = 224;
@@ -39,8 +39,8 @@ impl ClipImageProcessor {
     ///
     /// # Errors
     /// When neither file is there, or a key has a wrong type or an unsupported value.
-    pub(crate) fn open(folder: &Path) -> Result<Self, MllmError> {
-        read_processor(folder, Self::from_section)
+    pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
+        read_processor(files, Self::from_section)
     }
 
     fn from_section(path: &Path, section: &Section<'_>) -> Result<Self, MllmError> {
@@ -56,16 +56,6 @@ impl ClipImageProcessor {
             None
         };
         Ok(Self { path: path.to_path_buf(), resize, crop, scale: PixelScale::from_section(section)? })
-    }
-
-    /// CLIP's processor for squares of `side` pixels.
-    pub(crate) fn square(side: u32) -> Self {
-        Self {
-            path: PathBuf::new(),
-            resize: Some((TargetSize::ShortestEdge(side), Filter::Bicubic)),
-            crop: Some((side, side)),
-            scale: PixelScale::CLIP,
-        }
     }
 
     /// Checks that every image comes out as a square of the vision tower's side, as far as that is known beforehand.
@@ -119,28 +109,27 @@ impl ClipImageProcessor {
     }
 }
 
-/// Reads the image processor of a folder: `preprocessor_config.json`, or the `image_processor` part of
+/// Reads the image processor of a model: `preprocessor_config.json`, or the `image_processor` part of
 /// `processor_config.json` (transformers 5).
 ///
 /// # Errors
 /// When neither file is there or is broken, and what `read` returns.
 pub(crate) fn read_processor<T>(
-    folder: &Path,
+    files: &ModelFiles,
     read: impl FnOnce(&Path, &Section<'_>) -> Result<T, MllmError>,
 ) -> Result<T, MllmError> {
-    let path = folder.join("preprocessor_config.json");
-    if path.is_file() {
-        let value = read_json(&path)?;
+    const NAME: &str = "preprocessor_config.json";
+    if let Some(value) = files.json(NAME)? {
+        let path = files.path(NAME);
         return read(&path, &Section::root(&path, &value)?);
     }
-    let path = folder.join("processor_config.json");
-    if path.is_file() {
-        let value = read_json(&path)?;
+    if let Some(value) = files.json("processor_config.json")? {
+        let path = files.path("processor_config.json");
         if let Some(section) = Section::root(&path, &value)?.section("image_processor", "image_processor.")? {
             return read(&path, &section);
         }
     }
-    Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: "preprocessor_config.json".into() })
+    Err(files.missing(NAME))
 }
 
 /// Checks that a section describes an image processor of this kind (its `Fast` and `Pil` forms compute the same).
@@ -254,6 +243,19 @@ fn center_crop(image: &RgbImage, width: u32, height: u32) -> RgbImage {
     let mut cropped = RgbImage::new(width, height);
     imageops::replace(&mut cropped, image, -offset(image.width(), width), -offset(image.height(), height));
     cropped
+}
+
+#[cfg(test)]
+impl ClipImageProcessor {
+    /// CLIP's processor for squares of `side` pixels.
+    pub(crate) fn square(side: u32) -> Self {
+        Self {
+            path: PathBuf::new(),
+            resize: Some((TargetSize::ShortestEdge(side), Filter::Bicubic)),
+            crop: Some((side, side)),
+            scale: PixelScale::CLIP,
+        }
+    }
 }
 
 #[cfg(test)]

@@ -1,0 +1,71 @@
+//! `planagent models check`.
+
+use crate::cli::{Exit, Printer};
+use crate::mllm::{ModelCheck, ModelRegistry, in_bytes};
+use serde::Serialize;
+
+/// A model as it was found.
+#[derive(Debug, Serialize)]
+struct Row<'a> {
+    /// What was asked for.
+    model: &'a str,
+    /// What was found; none if the model is not on this machine.
+    #[serde(flatten)]
+    check: Option<ModelCheck>,
+    /// Why nothing was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    missing: Option<String>,
+}
+
+/// Checks models; without names, all that are described, of which those that are not on this machine are only told.
+///
+/// # Errors
+/// When a model that was named does not exist.
+pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
+    let all = models.is_empty();
+    let names = if all { registry.names()? } else { models.to_vec() };
+    let mut well = true;
+    for model in &names {
+        let found = registry.find(model).and_then(|spec| registry.check(&spec));
+        let row = match found {
+            Ok(check) => Row { model, check: Some(check), missing: None },
+            Err(error) => Row { model, check: None, missing: Some(error.to_string()) },
+        };
+        well &= row.check.as_ref().map_or(all, |check| check.problems.is_empty());
+        if printer.is_json() {
+            printer.json(&row)?;
+        } else {
+            tell(&row, printer);
+        }
+    }
+    Ok(if well { Exit::Success } else { Exit::SomeFailed })
+}
+
+fn tell(row: &Row<'_>, printer: Printer) {
+    let Some(check) = &row.check else {
+        printer.line(format!("{}: {}", row.model, row.missing.as_deref().unwrap_or_default()));
+        return;
+    };
+    let family = check.architecture.map_or("unknown family", crate::mllm::Architecture::name);
+    let state = if check.problems.is_empty() {
+        "can be opened".to_owned()
+    } else {
+        format!("{} problems", check.problems.len())
+    };
+    printer.line(format!("{}: {family}, {} M parameters, {state}", row.model, check.parameters / 1_000_000));
+    if let Some(need) = check.memory {
+        printer.line(format!(
+            "  memory: about {} (weights {}, cache {}, work {})",
+            in_bytes(need.total()),
+            in_bytes(need.weights),
+            in_bytes(need.cache),
+            in_bytes(need.work)
+        ));
+    }
+    for line in check.load.lines() {
+        printer.line(format!("  {line}"));
+    }
+    for problem in &check.problems {
+        printer.line(format!("  problem: {problem}"));
+    }
+}

@@ -1,0 +1,24 @@
+//! `planagent models fetch`.
+
+use crate::cli::{Exit, Printer};
+use crate::mllm::{ModelRegistry, in_bytes};
+use anyhow::Context;
+
+/// Downloads models of the hub, with their tokenizers; says where each lies.
+///
+/// # Errors
+/// When one does not exist or cannot be had.
+pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
+    for model in models {
+        let spec = registry.find(model)?;
+        let place = registry.fetch(&spec).with_context(|| format!("cannot fetch the model '{}'", spec.name))?;
+        let bytes = place.weight_bytes()?;
+        let place = place.path();
+        if printer.is_json() {
+            printer.json(&serde_json::json!({"model": model, "place": place, "bytes": bytes}))?;
+        } else {
+            printer.line(format!("{model}: {} in {}", in_bytes(bytes), place.display()));
+        }
+    }
+    Ok(Exit::Success)
+}

@@ -1,0 +1,58 @@
+//! `planagent models list`.
+
+use crate::cli::{Exit, Printer};
+use crate::mllm::{ModelRegistry, in_bytes};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// A described model as it is listed.
+#[derive(Debug, Default, Serialize)]
+struct Row {
+    /// What `--model` takes.
+    model: String,
+    /// Its family, as the description says; none to see from its files.
+    family: Option<&'static str>,
+    /// Where it comes from.
+    source: Option<String>,
+    /// Where its files are on this machine.
+    place: Option<PathBuf>,
+    /// Bytes of its weight files.
+    bytes: Option<u64>,
+    /// Why it cannot be used as it is.
+    problem: Option<String>,
+}
+
+/// Lists the described models.
+///
+/// # Errors
+/// When the folder of descriptions cannot be read.
+pub(super) fn run(registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
+    for name in registry.names()? {
+        let row = row(name, registry);
+        if printer.is_json() {
+            printer.json(&row)?;
+            continue;
+        }
+        let state = match (row.bytes, &row.source) {
+            (Some(bytes), _) => in_bytes(bytes),
+            (None, Some(_)) => "not here".to_owned(),
+            (None, None) => "broken".to_owned(),
+        };
+        let last = row.source.or(row.problem).unwrap_or_default();
+        printer.line(format!("{:<22} {:<10} {state:>9}  {last}", row.model, row.family.unwrap_or("-")));
+    }
+    Ok(Exit::Success)
+}
+
+fn row(name: String, registry: &ModelRegistry) -> Row {
+    let spec = match registry.find(&name) {
+        Ok(spec) => spec,
+        Err(error) => return Row { model: name, problem: Some(error.to_string()), ..Row::default() },
+    };
+    let family = spec.architecture.map(crate::mllm::Architecture::name);
+    let row = Row { model: name, family, source: Some(spec.source.to_string()), ..Row::default() };
+    match registry.place_here(&spec).and_then(|place| Ok((place.weight_bytes()?, place))) {
+        Ok((bytes, place)) => Row { place: Some(place.path().to_path_buf()), bytes: Some(bytes), ..row },
+        Err(error) => Row { problem: Some(error.to_string()), ..row },
+    }
+}

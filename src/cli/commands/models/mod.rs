@@ -1,0 +1,23 @@
+//! `planagent models`.
+
+mod check;
+mod fetch;
+mod list;
+pub(in crate::cli) mod quantize;
+
+use crate::cli::args::ModelsCommand;
+use crate::cli::{Config, Exit, Printer, model};
+
+/// Lists, checks, fetches or quantises models.
+///
+/// # Errors
+/// When a model does not exist, cannot be had or cannot be written.
+pub(in crate::cli) fn run(command: &ModelsCommand, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    let registry = model::registry(config, printer);
+    match command {
+        ModelsCommand::List => list::run(&registry, printer),
+        ModelsCommand::Check { models } => check::run(models, &registry, printer),
+        ModelsCommand::Fetch { models } => fetch::run(models, &registry, printer),
+        ModelsCommand::Quantize(flags) => quantize::run(flags, &registry, printer),
+    }
+}

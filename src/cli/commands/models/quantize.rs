@@ -1,0 +1,83 @@
+//! `planagent models quantize`.
+
+use crate::cli::args::QuantizeArguments;
+use crate::cli::{Exit, Printer};
+use crate::mllm::{CreateFile, GgufPart, LoadReport, MllmError, ModelRegistry, in_bytes};
+use anyhow::{Context, bail};
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// Writes a model as GGUF. The files get their names when they are whole.
+///
+/// # Errors
+/// When the model cannot be had or is broken, or a file is there or cannot be written.
+pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
+    if flags.out.extension().is_none_or(|extension| extension != "gguf") {
+        bail!("--out {}: the file must be called FILE.gguf, or it is not found as a model", flags.out.display());
+    }
+    let parts = [GgufPart::Model, GgufPart::Tower];
+    let there = parts.map(|part| part.path(&flags.out)).into_iter().find(|path| path.exists());
+    if let Some(path) = there.filter(|_| !flags.force) {
+        bail!("{} is there already; --force replaces it", path.display());
+    }
+    let spec = registry.find(&flags.source)?;
+    let (report, files) =
+        write(&flags.out, printer, |create, progress| registry.export(&spec, flags.to, create, progress))
+            .with_context(|| format!("cannot write the model '{}' to {}", spec.name, flags.out.display()))?;
+    if printer.is_json() {
+        let files: Vec<_> =
+            files.iter().map(|(bytes, path)| serde_json::json!({"path": path, "bytes": bytes})).collect();
+        printer.json(&serde_json::json!({"model": flags.source, "files": files, "load": report}))?;
+    } else {
+        report.lines().iter().for_each(|line| printer.line(line));
+        for (bytes, path) in &files {
+            printer.line(format!("{}: {}", path.display(), in_bytes(*bytes)));
+        }
+    }
+    Ok(Exit::Success)
+}
+
+/// Writes a model's GGUF files with a bar; they get their names when they are whole. Gives what became of the tensors, and
+/// each file with its length.
+///
+/// # Errors
+/// When `export` fails or a file cannot be written; then nothing is left behind.
+pub(in crate::cli) fn write(
+    out: &Path,
+    printer: Printer,
+    export: impl FnOnce(&mut CreateFile<'_>, &mut dyn FnMut(u64, u64)) -> Result<LoadReport, MllmError>,
+) -> anyhow::Result<(LoadReport, Vec<(u64, PathBuf)>)> {
+    let bar = printer.byte_progress(0);
+    let mut written = Vec::new();
+    let mut create = |part: GgufPart| -> io::Result<Box<dyn Write>> {
+        let partial = partial(&part.path(out));
+        written.push((part, partial.clone()));
+        Ok(Box::new(BufWriter::with_capacity(1 << 20, File::create(&partial)?)))
+    };
+    let exported = export(&mut create, &mut |bytes, total| {
+        bar.set_length(total);
+        bar.set_position(bytes);
+    });
+    bar.finish_and_clear();
+    let report = match exported {
+        Ok(report) => report,
+        Err(error) => {
+            // What is left of an earlier failure may be in the way of the next try; the first error is the one to tell.
+            written.iter().for_each(|(_, partial)| drop(fs::remove_file(partial)));
+            return Err(error.into());
+        }
+    };
+    let mut files = Vec::new();
+    for (part, partial) in written {
+        let path = part.path(out);
+        fs::rename(&partial, &path).with_context(|| format!("cannot write {}", path.display()))?;
+        files.push((fs::metadata(&path)?.len(), path));
+    }
+    Ok((report, files))
+}
+
+/// Where a file is written until it is whole.
+fn partial(path: &Path) -> PathBuf {
+    path.with_extension("gguf.partial")
+}

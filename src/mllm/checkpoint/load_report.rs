@@ -1,0 +1,139 @@
+//! What became of a checkpoint's tensors when they were loaded.
+
+use candle_core::quantized::GgmlDType;
+use serde::{Deserialize, Serialize};
+
+use super::storage_plan::{PlannedStorage, held_as};
+use crate::mllm::matrix::Storage;
+
+/// How the weights of a model are held in memory.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LoadReport {
+    /// The storage that was asked for (`mllm.quantize`); none to hold what the files hold.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quantize: Option<Storage>,
+    /// Tensors and bytes of each storage that is used.
+    pub storages: Vec<StorageShare>,
+    /// Tensors that are not held as was asked for, or as their file holds them.
+    pub exceptions: Vec<StorageException>,
+    /// What a user should know of the files.
+    pub notes: Vec<String>,
+}
+
+/// The tensors that are held alike.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StorageShare {
+    /// How.
+    pub storage: Storage,
+    /// How many.
+    pub tensors: usize,
+    /// Their bytes in memory.
+    pub bytes: u64,
+}
+
+/// Tensors of all layers that are not held as was asked for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StorageException {
+    /// Their name, the number of the layer as `*`.
+    pub name: String,
+    /// How many they are.
+    pub tensors: usize,
+    /// Their number format in the file.
+    pub file: String,
+    /// How they are held.
+    pub storage: Storage,
+    /// Why.
+    pub reason: String,
+}
+
+impl LoadReport {
+    /// Adds a matrix.
+    pub(super) fn add_matrix(&mut self, name: &str, format: GgmlDType, planned: PlannedStorage, bytes: u64) {
+        self.add(planned.storage, bytes);
+        let Some(reason) = planned.reason else { return };
+        let name = any_layer(name);
+        let file = held_as(format).map_or_else(|| format!("{format:?}").to_lowercase(), |storage| storage.to_string());
+        let same = |known: &&mut StorageException| {
+            known.name == name && known.storage == planned.storage && known.file == file && known.reason == reason
+        };
+        match self.exceptions.iter_mut().find(same) {
+            Some(known) => known.tensors += 1,
+            None => {
+                let (storage, reason) = (planned.storage, reason.to_string());
+                self.exceptions.push(StorageException { name, tensors: 1, file, storage, reason });
+            }
+        }
+    }
+
+    /// Adds a tensor to the count of a storage.
+    pub(super) fn add(&mut self, storage: Storage, bytes: u64) {
+        match self.storages.iter_mut().find(|share| share.storage == storage) {
+            Some(share) => {
+                share.tensors += 1;
+                share.bytes += bytes;
+            }
+            None => self.storages.push(StorageShare { storage, tensors: 1, bytes }),
+        }
+        self.storages.sort_by_key(|share| std::cmp::Reverse(share.bytes));
+    }
+
+    /// Bytes of all weights in memory.
+    pub fn bytes(&self) -> u64 {
+        self.storages.iter().map(|share| share.bytes).sum()
+    }
+
+    /// The report as lines for people: storages, exceptions, notes.
+    pub fn lines(&self) -> Vec<String> {
+        let share =
+            |share: &StorageShare| format!("{}: {} tensors, {}", share.storage, share.tensors, in_bytes(share.bytes));
+        let exception = |exception: &StorageException| {
+            let StorageException { name, tensors, file, storage, reason } = exception;
+            format!("{name} ({tensors}): {file} in the file, held in {storage}: {reason}")
+        };
+        self.storages
+            .iter()
+            .map(share)
+            .chain(self.exceptions.iter().map(exception))
+            .chain(self.notes.iter().cloned())
+            .collect()
+    }
+}
+
+/// The name of a tensor with the number of its layer as `*`.
+fn any_layer(name: &str) -> String {
+    let is_number = |part: &str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
+    name.split('.').map(|part| if is_number(part) { "*" } else { part }).collect::<Vec<_>>().join(".")
+}
+
+/// A number of bytes for people: GiB from 1 GiB on, else MiB.
+pub(crate) fn in_bytes(bytes: u64) -> String {
+    const MIB: f64 = 1_048_576.0;
+    let mebibytes = bytes as f64 / MIB;
+    if mebibytes >= 1024.0 { format!("{:.1} GiB", mebibytes / 1024.0) } else { format!("{mebibytes:.1} MiB") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tensors_of_all_layers_are_one_line() {
+        let mut report = LoadReport::default();
+        let planned = PlannedStorage { storage: Storage::Q8_0, reason: Some("because") };
+        for layer in 0..3 {
+            report.add_matrix(&format!("layers.{layer}.up.weight"), GgmlDType::F16, planned, 34);
+        }
+        report.add(Storage::F32, 400);
+        assert_eq!(
+            report.lines(),
+            [
+                "f32: 1 tensors, 0.0 MiB",
+                "q8_0: 3 tensors, 0.0 MiB",
+                "layers.*.up.weight (3): f16 in the file, held in q8_0: because"
+            ]
+        );
+        assert_eq!(report.bytes(), 502);
+        assert_eq!(in_bytes(3 << 29), "1.5 GiB");
+    }
+}

@@ -1,0 +1,195 @@
+//! In which storage each tensor of a checkpoint is held.
+
+use candle_core::quantized::GgmlDType;
+
+use crate::mllm::matrix::Storage;
+
+/// Decides how tensors are held, by what was asked for, what they are and how their file holds them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct StoragePlan {
+    /// The storage that was asked for; none to hold what the file holds.
+    pub quantize: Option<Storage>,
+    /// Whether safetensors are held in f32 when nothing was asked for, and GGUF as it is.
+    pub kind: FileKind,
+    /// Whether the embedding is the output layer too.
+    pub tied: bool,
+}
+
+/// What the weights come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum FileKind {
+    /// safetensors: made to be trained further, held in f32 unless something else is asked for.
+    #[default]
+    Safetensors,
+    /// GGUF: made to be run, held as it is.
+    Gguf,
+}
+
+/// How one matrix is held, and why not as was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct PlannedStorage {
+    /// The storage.
+    pub storage: Storage,
+    /// Why it is not what was asked for, or not what the file holds.
+    pub reason: Option<&'static str>,
+}
+
+/// What a matrix is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Role {
+    Decoder,
+    /// The output layer, where llama.cpp spends more bits too: it decides the token.
+    Output,
+    /// Vision tower and projector: a small part of the weights whose errors reach every image token.
+    Vision,
+}
+
+/// Whether a tensor of this name and shape is a matrix that rows are multiplied with or taken from. All others (norms,
+/// biases, positions, the patch kernel, learned rows) are few and stay in f32.
+pub(crate) fn is_matrix(name: &str, shape: &[usize]) -> bool {
+    shape.len() == 2 && name.ends_with(".weight") && !name.contains("position_embedding")
+}
+
+impl StoragePlan {
+    /// How a matrix with so many inputs, held in `format` by its file, is held in memory.
+    pub(crate) fn matrix(self, name: &str, format: GgmlDType, inputs: usize) -> PlannedStorage {
+        let (wanted, reason) = match self.quantize {
+            None => self.as_in_file(format),
+            Some(asked) => asked_for(asked, self.role(name), format),
+        };
+        let storage = wanted.or_finer(inputs);
+        let reason = if storage == wanted { reason } else { Some("its rows are no whole blocks of the storage") };
+        PlannedStorage { storage, reason }
+    }
+
+    fn as_in_file(self, format: GgmlDType) -> (Storage, Option<&'static str>) {
+        match (self.kind, held_as(format)) {
+            (FileKind::Safetensors, _) => (Storage::F32, None),
+            (FileKind::Gguf, Some(storage)) => (storage, None),
+            (FileKind::Gguf, None) => (replacement(format), Some("there is no fast product with the file's format")),
+        }
+    }
+
+    fn role(self, name: &str) -> Role {
+        let output = if self.tied { "embed_tokens.weight" } else { "lm_head.weight" };
+        if name.ends_with(output) {
+            Role::Output
+        } else if ["vision_tower.", "vision.", "multi_modal_projector."].iter().any(|part| name.starts_with(part)) {
+            Role::Vision
+        } else {
+            Role::Decoder
+        }
+    }
+}
+
+fn asked_for(asked: Storage, role: Role, format: GgmlDType) -> (Storage, Option<&'static str>) {
+    let (wanted, reason) = match role {
+        Role::Output if asked == Storage::Q4K => (Storage::Q6K, Some("the output layer is held in more bits")),
+        Role::Vision if matches!(asked, Storage::Q4K | Storage::Q6K) => {
+            (Storage::Q8_0, Some("vision tower and projector are held in 8 bits at least"))
+        }
+        _ => (asked, None),
+    };
+    match held_as(format) {
+        // What was rounded to few bits gains nothing from more.
+        Some(held) if held != Storage::F32 && bits(held) < bits(wanted) => {
+            (held, Some("the file holds no more than this"))
+        }
+        _ => (wanted, reason),
+    }
+}
+
+/// The storage that is the same as a file's format.
+pub(crate) fn held_as(format: GgmlDType) -> Option<Storage> {
+    match format {
+        GgmlDType::F32 => Some(Storage::F32),
+        GgmlDType::F16 => Some(Storage::F16),
+        GgmlDType::Q8_0 => Some(Storage::Q8_0),
+        GgmlDType::Q6K => Some(Storage::Q6K),
+        GgmlDType::Q4K => Some(Storage::Q4K),
+        _ => None,
+    }
+}
+
+/// The smallest storage with no fewer bits than a format that no storage is the same as. bf16 has f32's range, which f16
+/// has not.
+fn replacement(format: GgmlDType) -> Storage {
+    match format {
+        GgmlDType::Q2K | GgmlDType::Q3K | GgmlDType::Q4_0 => Storage::Q4K,
+        GgmlDType::Q4_1 | GgmlDType::Q5_0 | GgmlDType::Q5_1 | GgmlDType::Q5K => Storage::Q6K,
+        _ => Storage::F32,
+    }
+}
+
+/// Bits a number, times 32.
+fn bits(storage: Storage) -> usize {
+    storage.block_bytes() * 8 * 32 / storage.block()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DECODER: &str = "language_model.layers.0.mlp.up_proj.weight";
+    const TOWER: &str = "vision_tower.encoder.layers.3.mlp.fc1.weight";
+
+    fn asked(storage: Storage) -> StoragePlan {
+        StoragePlan { quantize: Some(storage), ..StoragePlan::default() }
+    }
+
+    #[test]
+    fn output_layer_and_vision_get_more_bits() {
+        let plan = asked(Storage::Q4K);
+        for (name, expected) in [
+            (DECODER, Storage::Q4K),
+            ("layers.1.self_attn.vision_expert_dense.weight", Storage::Q4K),
+            ("language_model.embed_tokens.weight", Storage::Q4K),
+            ("lm_head.weight", Storage::Q6K),
+            (TOWER, Storage::Q8_0),
+            ("vision.linear_proj.gate_proj.weight", Storage::Q8_0),
+        ] {
+            assert_eq!(plan.matrix(name, GgmlDType::F16, 512).storage, expected, "{name}");
+        }
+        let tied = StoragePlan { tied: true, ..plan };
+        assert_eq!(tied.matrix("language_model.embed_tokens.weight", GgmlDType::F16, 512).storage, Storage::Q6K);
+        assert_eq!(asked(Storage::F16).matrix(TOWER, GgmlDType::F32, 512).storage, Storage::F16);
+    }
+
+    #[test]
+    fn rows_that_are_no_whole_blocks_fall_to_the_next_storage() {
+        for (inputs, expected) in [(512, Storage::Q4K), (96, Storage::Q8_0), (100, Storage::F16)] {
+            let planned = asked(Storage::Q4K).matrix(DECODER, GgmlDType::F32, inputs);
+            assert_eq!((planned.storage, planned.reason.is_some()), (expected, inputs != 512));
+        }
+    }
+
+    #[test]
+    fn a_file_that_was_quantised_is_held_as_it_is() {
+        let plan = StoragePlan { kind: FileKind::Gguf, ..StoragePlan::default() };
+        for (format, expected, said) in [
+            (GgmlDType::Q4K, Storage::Q4K, false),
+            (GgmlDType::F16, Storage::F16, false),
+            (GgmlDType::Q4_0, Storage::Q4K, true),
+            (GgmlDType::Q5K, Storage::Q6K, true),
+            (GgmlDType::BF16, Storage::F32, true),
+        ] {
+            let planned = plan.matrix(DECODER, format, 512);
+            assert_eq!((planned.storage, planned.reason.is_some()), (expected, said), "{format:?}");
+        }
+        // Asking for more bits than it has changes nothing, asking for fewer does.
+        let again = |storage| StoragePlan { quantize: Some(storage), ..plan };
+        assert_eq!(again(Storage::Q8_0).matrix(DECODER, GgmlDType::Q4K, 512).storage, Storage::Q4K);
+        assert_eq!(again(Storage::Q4K).matrix(DECODER, GgmlDType::Q8_0, 512).storage, Storage::Q4K);
+        assert_eq!(StoragePlan::default().matrix(DECODER, GgmlDType::BF16, 512).storage, Storage::F32);
+    }
+
+    #[test]
+    fn matrices_are_told_from_the_rest() {
+        assert!(is_matrix("lm_head.weight", &[4, 4]));
+        assert!(is_matrix("vision.linear_proj.linear_proj.weight", &[4, 4]));
+        assert!(!is_matrix("vision_tower.embeddings.position_embedding.weight", &[4, 4]));
+        assert!(!is_matrix("vision_tower.embeddings.patch_embedding.weight", &[4, 3, 2, 2]));
+        assert!(!is_matrix("vision.patch_embedding.cls_embedding", &[1, 4]));
+        assert!(!is_matrix("language_model.norm.weight", &[4]));
+    }
+}

@@ -1,0 +1,149 @@
+//! Weight files, read a tensor at a time.
+//!
+//! Files are read, not mapped: pages of a mapped file count as the program's own memory, and a file that shrinks under a
+//! mapping ends the program.
+
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use candle_core::CpuStorage;
+use candle_core::quantized::GgmlDType;
+use half::{bf16, f16};
+
+use super::random::RandomTensors;
+use crate::mllm::MllmError;
+
+/// Where and how a tensor lies in a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct TensorPlace {
+    /// Number format of its blocks.
+    pub format: GgmlDType,
+    /// Shape, the slowest dimension first.
+    pub shape: Vec<usize>,
+    /// First byte in the file.
+    pub begin: u64,
+    /// Number of bytes.
+    pub bytes: u64,
+}
+
+/// An open weight file.
+#[derive(Debug)]
+pub(crate) struct WeightFile {
+    path: PathBuf,
+    source: Source,
+    bytes: u64,
+}
+
+/// Where the bytes of a file come from.
+#[derive(Debug)]
+enum Source {
+    File(File),
+    Random(RandomTensors),
+}
+
+impl WeightFile {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub(crate) fn open(path: &Path) -> Result<Self, MllmError> {
+        let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
+        let file = File::open(path).map_err(failed)?;
+        let bytes = file.metadata().map_err(failed)?.len();
+        Ok(Self { path: path.to_path_buf(), source: Source::File(file), bytes })
+    }
+
+    /// What stands for a file that is made up, called `path` in messages.
+    pub(super) fn random(path: &Path, tensors: RandomTensors) -> Self {
+        Self { path: path.to_path_buf(), source: Source::Random(tensors), bytes: 0 }
+    }
+
+    /// The file, for messages.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Its length, bytes.
+    pub(crate) fn len(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Reads it from its beginning.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub(crate) fn reader(&self) -> Result<impl Read, MllmError> {
+        match &self.source {
+            Source::File(file) => {
+                self.rewind(file, 0)?;
+                Ok(BufReader::with_capacity(1 << 20, file))
+            }
+            Source::Random(_) => Err(self.failed(io::ErrorKind::Unsupported.into())),
+        }
+    }
+
+    /// The bytes of a tensor.
+    ///
+    /// # Errors
+    /// When they cannot be read.
+    pub(crate) fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
+        match &self.source {
+            Source::File(file) => {
+                self.rewind(file, place.begin)?;
+                let mut bytes = vec![0; place.bytes as usize];
+                { file }.read_exact(&mut bytes).map_err(|source| self.failed(source))?;
+                Ok(bytes)
+            }
+            Source::Random(tensors) => tensors.bytes(place),
+        }
+    }
+
+    /// Adds its whole content to a hash.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub(crate) fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
+        match &self.source {
+            Source::File(file) => {
+                self.rewind(file, 0)?;
+                hasher.update_reader(file).map_err(|source| self.failed(source))?;
+            }
+            Source::Random(tensors) => {
+                hasher.update(&tensors.seed().to_le_bytes());
+            }
+        }
+        Ok(())
+    }
+
+    fn rewind(&self, mut file: &File, position: u64) -> Result<(), MllmError> {
+        file.seek(SeekFrom::Start(position)).map_err(|source| self.failed(source))?;
+        Ok(())
+    }
+
+    fn failed(&self, source: std::io::Error) -> MllmError {
+        MllmError::Read { path: self.path.clone(), source }
+    }
+}
+
+/// The values of blocks of any read format, as f32.
+///
+/// # Errors
+/// When the bytes are no whole blocks.
+pub(super) fn widen(format: GgmlDType, bytes: Vec<u8>) -> candle_core::Result<Vec<f32>> {
+    if !bytes.len().is_multiple_of(format.type_size()) {
+        candle_core::bail!("{} bytes are no whole blocks of {format:?}", bytes.len());
+    }
+    Ok(match format {
+        GgmlDType::F32 => bytes.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect(),
+        GgmlDType::F16 => bytes.as_chunks::<2>().0.iter().map(|bytes| f16::from_le_bytes(*bytes).to_f32()).collect(),
+        GgmlDType::BF16 => bytes.as_chunks::<2>().0.iter().map(|bytes| bf16::from_le_bytes(*bytes).to_f32()).collect(),
+        blocks => {
+            let count = bytes.len() / blocks.type_size() * blocks.block_size();
+            match blocks.from_data(bytes.into()).dequantize(count)? {
+                CpuStorage::F32(values) => values,
+                _ => candle_core::bail!("{format:?} is not widened to f32"),
+            }
+        }
+    })
+}

@@ -1,0 +1,178 @@
+//! The vision tower's configuration and preprocessor, from the metadata of a `clip` GGUF file ("mmproj").
+
+use serde_json::{Value as Json, json};
+
+use super::header::Header;
+use super::value::Value;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{Activation, ClipVisionConfig};
+
+/// The architecture that is read.
+pub(super) const ARCHITECTURE: &str = "clip";
+/// The tensor that LLaVA-NeXT has and LLaVA has not.
+const IMAGE_NEWLINE: &str = "model.image_newline";
+/// llama.cpp's key of the hidden states that are the features.
+const FEATURE_LAYER: &str = "clip.vision.feature_layer";
+/// Its key of the resolutions that an image may be brought to, flattened.
+const PINPOINTS: &str = "clip.vision.image_grid_pinpoints";
+
+/// Whether the tower belongs to a LLaVA-NeXT.
+pub(super) fn is_next(header: &Header) -> bool {
+    header.tensors.contains_key(IMAGE_NEWLINE)
+}
+
+/// The keys of `config.json` that tower and projector decide. A note says what the file leaves open.
+///
+/// # Errors
+/// When a key is missing, of the wrong type, or asks for what is not supported.
+pub(super) fn config(header: &Header) -> Result<(Json, Option<String>), MllmError> {
+    for key in ["clip.projector_type", "clip.vision.projector_type"] {
+        match header.text(key)? {
+            None | Some("mlp") => {}
+            Some(other) => return Err(header.error(key, format!("{other:?} is not supported; mlp (LLaVA's) is"))),
+        }
+    }
+    let layers = header.required_count("clip.vision.block_count")?;
+    let act = match (header.flag("clip.use_gelu")?, header.flag("clip.use_silu")?) {
+        (Some(true), _) => "gelu",
+        (_, Some(true)) => "silu",
+        _ => "quick_gelu",
+    };
+    let (features, note) = match header.integers(FEATURE_LAYER)? {
+        Some(features) => (json!(features), None),
+        None => {
+            let (layer, note) = default_feature_layer(layers);
+            (json!(layer), Some(note))
+        }
+    };
+    let mut config = json!({
+        "model_type": if is_next(header) { "llava_next" } else { "llava" },
+        "projector_hidden_act": "gelu",
+        "multimodal_projector_bias": header.tensors.contains_key("mm.0.bias"),
+        "vision_feature_layer": features,
+        "vision_config": {
+            "model_type": "clip_vision_model",
+            "hidden_size": header.required_count("clip.vision.embedding_length")?,
+            "intermediate_size": header.required_count("clip.vision.feed_forward_length")?,
+            "num_hidden_layers": layers,
+            "num_attention_heads": header.required_count("clip.vision.attention.head_count")?,
+            "image_size": header.required_count("clip.vision.image_size")?,
+            "patch_size": header.required_count("clip.vision.patch_size")?,
+            "layer_norm_eps": header.number("clip.vision.attention.layer_norm_epsilon")?,
+            "hidden_act": act,
+        },
+    });
+    if let Some(pinpoints) = pinpoints(header)? {
+        config["image_grid_pinpoints"] = pinpoints;
+    }
+    Ok((config, note))
+}
+
+/// The hidden state that a file without [`FEATURE_LAYER`] means: the last but one of the tower that LLaVA was trained with.
+/// llama.cpp's converter leaves the last layer out, and CLIP's towers have even numbers of layers, so of an odd number all
+/// are used.
+fn default_feature_layer(layers: usize) -> (usize, String) {
+    let layer = if layers.is_multiple_of(2) { layers - 1 } else { layers };
+    let note = format!(
+        "the vision tower's file does not say which layer's output is used ({FEATURE_LAYER}); of its {layers} layers, the \
+         output of layer {layer} is taken for the last but one of the whole tower, as LLaVA was trained"
+    );
+    (layer, note)
+}
+
+fn pinpoints(header: &Header) -> Result<Option<Json>, MllmError> {
+    let Some(flat) = header.integers(PINPOINTS)? else { return Ok(None) };
+    let (pairs, rest) = flat.as_chunks::<2>();
+    if !rest.is_empty() || pairs.is_empty() {
+        return Err(header.error(PINPOINTS, format!("{} numbers are no pairs of height and width", flat.len())));
+    }
+    Ok(Some(json!(pairs)))
+}
+
+/// `preprocessor_config.json` of the tower.
+///
+/// # Errors
+/// When a key is of the wrong type.
+pub(super) fn preprocessor(header: &Header) -> Result<Json, MllmError> {
+    let side = header.required_count("clip.vision.image_size")?;
+    let mut preprocessor = json!({
+        "image_processor_type": if is_next(header) { "LlavaNextImageProcessor" } else { "CLIPImageProcessor" },
+        "size": {"shortest_edge": side},
+        "crop_size": {"height": side, "width": side},
+        "resample": 3,
+    });
+    for key in ["image_mean", "image_std"] {
+        if let Some(values) = header.numbers(&format!("clip.vision.{key}"))? {
+            preprocessor[key] = json!(values);
+        }
+    }
+    if let Some(pinpoints) = pinpoints(header)? {
+        preprocessor["image_grid_pinpoints"] = pinpoints;
+    }
+    Ok(preprocessor)
+}
+
+/// What a tower is, for [`metadata`].
+pub(super) struct Tower<'a> {
+    /// Its configuration.
+    pub vision: &'a ClipVisionConfig,
+    /// The hidden states that are the features.
+    pub features: &'a [usize],
+    /// The resolutions that an image may be brought to (height, width), of a LLaVA-NeXT.
+    pub pinpoints: Option<Vec<[u32; 2]>>,
+    /// Mean and deviation of pixel values.
+    pub scale: [[f32; 3]; 2],
+    /// Width of the decoder.
+    pub projection: usize,
+}
+
+/// The metadata that says of a tower what [`config`] and [`preprocessor`] read.
+///
+/// # Errors
+/// When llama.cpp has no key for it.
+pub(super) fn metadata(tower: &Tower<'_>) -> Result<Vec<(&'static str, Value)>, &'static str> {
+    use Value::{Bool, Float, Floats, Integers, Text, Unsigned};
+    let Tower { vision, features, .. } = tower;
+    let count = |number: usize| Unsigned(number as u64);
+    let [mean, deviation] = tower.scale;
+    let mut metadata = vec![
+        ("clip.has_vision_encoder", Bool(true)),
+        ("clip.has_text_encoder", Bool(false)),
+        ("clip.has_llava_projector", Bool(true)),
+        ("clip.projector_type", Text("mlp".into())),
+        ("clip.vision.embedding_length", count(vision.hidden)),
+        ("clip.vision.feed_forward_length", count(vision.intermediate)),
+        ("clip.vision.block_count", count(vision.layers)),
+        ("clip.vision.attention.head_count", count(vision.heads)),
+        ("clip.vision.image_size", count(vision.image_size)),
+        ("clip.vision.patch_size", count(vision.patch_size)),
+        ("clip.vision.projection_dim", count(tower.projection)),
+        ("clip.vision.attention.layer_norm_epsilon", Float(vision.layer_norm_eps as f32)),
+        ("clip.vision.image_mean", Floats(mean.to_vec())),
+        ("clip.vision.image_std", Floats(deviation.to_vec())),
+        (FEATURE_LAYER, Integers(features.iter().map(|layer| *layer as i64).collect())),
+    ];
+    match vision.act {
+        Activation::QuickGelu => metadata.push(("clip.use_gelu", Bool(false))),
+        Activation::Gelu => metadata.push(("clip.use_gelu", Bool(true))),
+        Activation::Silu => metadata.push(("clip.use_silu", Bool(true))),
+        Activation::GeluTanh | Activation::Relu => return Err("the activation of the vision tower"),
+    }
+    if let Some(pinpoints) = &tower.pinpoints {
+        metadata.push((PINPOINTS, Integers(pinpoints.iter().flatten().map(|side| i64::from(*side)).collect())));
+        metadata.push(("clip.vision.mm_patch_merge_type", Text("spatial_unpad".into())));
+    }
+    Ok(metadata)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_but_one_layer_of_the_whole_tower_is_used() {
+        // CLIP ViT-L/14 has 24 layers, of which llama.cpp's converter writes 23.
+        assert_eq!(default_feature_layer(23).0, 23);
+        assert_eq!(default_feature_layer(24).0, 23);
+    }
+}

@@ -1,0 +1,325 @@
+//! The header of a GGUF file: metadata and the places of tensors, read as the hostile input that a downloaded file is.
+//!
+//! Every count and length is checked against the bytes that are left before anything is allocated. `candle_core`'s reader
+//! is not used: it divides by an alignment of 0, passes over names that stand twice, over texts that are not UTF-8 and
+//! over tensors that share bytes, and multiplies shapes without a check.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use candle_core::quantized::GgmlDType;
+
+use super::value::Value;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::TensorPlace;
+
+/// The first four bytes of every GGUF file.
+const MAGIC: &[u8; 4] = b"GGUF";
+/// Versions that are read: 2 and 3 differ in nothing but the byte order that a file may have, of which little-endian is read.
+const VERSIONS: [u32; 2] = [2, 3];
+/// Where data begins when the file does not say otherwise: at multiples of so many bytes.
+pub(super) const DEFAULT_ALIGNMENT: u64 = 32;
+/// Largest alignment, bytes: beyond it a file is taken for broken.
+const MAX_ALIGNMENT: u64 = 1 << 20;
+/// Most dimensions of a tensor (`GGML_MAX_DIMS`).
+const MAX_DIMENSIONS: u32 = 4;
+/// Longest name of a tensor, bytes (`GGML_MAX_NAME` less its end mark, with room for newer writers).
+const MAX_NAME: u64 = 1 << 10;
+/// Lists within lists; llama.cpp writes none.
+const MAX_DEPTH: u8 = 2;
+/// Longest header, bytes: those of models with 256 thousand tokens take 20 MB. It bounds what reading one allocates.
+const MAX_HEADER: u64 = 1 << 28;
+
+/// What stands before the tensors' data.
+#[derive(Debug)]
+pub(crate) struct Header {
+    /// The file.
+    pub path: PathBuf,
+    /// Metadata by key.
+    pub metadata: BTreeMap<String, Value>,
+    /// The tensors by their names in the file.
+    pub tensors: BTreeMap<String, TensorPlace>,
+}
+
+impl Header {
+    /// Reads the header at the beginning of a file of `file_bytes` bytes.
+    ///
+    /// # Errors
+    /// When it is none, or a count, length, type, name or place in it cannot be right; the error names the byte.
+    pub(crate) fn read(path: &Path, source: &mut dyn std::io::Read, file_bytes: u64) -> Result<Self, MllmError> {
+        Reader { path, source, position: 0, file_bytes }.header()
+    }
+}
+
+/// Reads forward and knows where it is.
+struct Reader<'a> {
+    path: &'a Path,
+    source: &'a mut dyn std::io::Read,
+    position: u64,
+    file_bytes: u64,
+}
+
+/// A tensor of the header before the place of the data is known.
+struct Declared {
+    name: String,
+    format: GgmlDType,
+    shape: Vec<usize>,
+    offset: u64,
+    bytes: u64,
+}
+
+impl Reader<'_> {
+    fn header(mut self) -> Result<Header, MllmError> {
+        if &self.array::<4>()? != MAGIC {
+            return Err(self.error("it does not begin with GGUF".into()));
+        }
+        let version = self.u32()?;
+        if !VERSIONS.contains(&version) {
+            return Err(self.error(if VERSIONS.contains(&version.swap_bytes()) {
+                "it is a big-endian file; little-endian ones are read".into()
+            } else {
+                format!("version {version} is not read; 2 and 3 are")
+            }));
+        }
+        // The least a tensor (length of its name, dimensions, type, offset) and an entry (length of its key, type, value) take.
+        let tensors = self.count("tensors", 24)?;
+        let entries = self.count("metadata entries", 13)?;
+        let mut metadata = BTreeMap::new();
+        for _ in 0..entries {
+            let key = self.text("a metadata key")?;
+            let kind = self.u32()?;
+            let value = self.value(kind, 0).map_err(|error| in_entry(error, &key))?;
+            if metadata.insert(key.clone(), value).is_some() {
+                return Err(self.error(format!("the metadata key {key:?} stands twice")));
+            }
+        }
+        let declared = (0..tensors).map(|_| self.tensor()).collect::<Result<Vec<_>, _>>()?;
+        let alignment = self.alignment(&metadata)?;
+        let tensors = self.places(declared, self.position.next_multiple_of(alignment), alignment)?;
+        Ok(Header { path: self.path.to_path_buf(), metadata, tensors })
+    }
+
+    fn alignment(&self, metadata: &BTreeMap<String, Value>) -> Result<u64, MllmError> {
+        const KEY: &str = "general.alignment";
+        let Some(value) = metadata.get(KEY) else { return Ok(DEFAULT_ALIGNMENT) };
+        value
+            .as_u64()
+            .filter(|alignment| alignment.is_power_of_two() && *alignment <= MAX_ALIGNMENT)
+            .ok_or_else(|| self.error(format!("{KEY} is {value}, expected a power of two up to {MAX_ALIGNMENT}")))
+    }
+
+    fn tensor(&mut self) -> Result<Declared, MllmError> {
+        let name = self.text("the name of a tensor")?;
+        if name.len() as u64 > MAX_NAME {
+            return Err(self.error(format!("the name of a tensor has {} bytes", name.len())));
+        }
+        let dimensions = self.u32()?;
+        if dimensions == 0 || dimensions > MAX_DIMENSIONS {
+            return Err(
+                self.error(format!("tensor {name} has {dimensions} dimensions, expected 1 to {MAX_DIMENSIONS}"))
+            );
+        }
+        let mut shape = Vec::with_capacity(dimensions as usize);
+        for _ in 0..dimensions {
+            shape.push(self.u64()?);
+        }
+        let number = self.u32()?;
+        let offset = self.u64()?;
+        let Some(format) = format_of(number) else {
+            return Err(self.error(format!("tensor {name} has the number format {number}, which is not read")));
+        };
+        // The first dimension of the file is the fastest: rows are made of whole blocks.
+        let fastest = shape.first().copied().unwrap_or_default();
+        let elements = shape.iter().try_fold(1_u64, |product, side| product.checked_mul(*side));
+        let bytes = elements
+            .filter(|elements| *elements > 0 && fastest.is_multiple_of(format.block_size() as u64))
+            .and_then(|elements| (elements / format.block_size() as u64).checked_mul(format.type_size() as u64))
+            .filter(|bytes| *bytes <= self.file_bytes);
+        let Some(bytes) = bytes else {
+            return Err(self.error(format!(
+                "tensor {name} of shape {shape:?} in {format:?} cannot lie in a file of {} bytes",
+                self.file_bytes
+            )));
+        };
+        let shape = shape.into_iter().rev().map(|side| side as usize).collect();
+        Ok(Declared { name, format, shape, offset, bytes })
+    }
+
+    /// Checks that every tensor lies within the file, where it may begin, and shares no byte with another.
+    fn places(
+        &self,
+        mut declared: Vec<Declared>,
+        data: u64,
+        alignment: u64,
+    ) -> Result<BTreeMap<String, TensorPlace>, MllmError> {
+        declared.sort_by_key(|tensor| tensor.offset);
+        let mut tensors = BTreeMap::new();
+        let mut free = 0;
+        for Declared { name, format, shape, offset, bytes } in declared {
+            let begin = data.checked_add(offset);
+            let end = begin.and_then(|begin| begin.checked_add(bytes)).filter(|end| *end <= self.file_bytes);
+            let (Some(begin), Some(_)) = (begin, end) else {
+                return Err(self.broken(format!(
+                    "tensor {name} takes {bytes} bytes from byte {offset} of the data, behind the file's end ({} bytes): it \
+                     is truncated",
+                    self.file_bytes
+                )));
+            };
+            if !offset.is_multiple_of(alignment) {
+                return Err(self.broken(format!("tensor {name} begins at byte {offset}, no multiple of {alignment}")));
+            }
+            if offset < free {
+                return Err(self.broken(format!("tensor {name} shares bytes with the one before it")));
+            }
+            free = offset + bytes;
+            if tensors.insert(name.clone(), TensorPlace { format, shape, begin, bytes }).is_some() {
+                return Err(self.broken(format!("tensor {name} stands twice")));
+            }
+        }
+        Ok(tensors)
+    }
+
+    fn value(&mut self, kind: u32, depth: u8) -> Result<Value, MllmError> {
+        Ok(match kind {
+            0 => Value::Unsigned(u64::from(u8::from_le_bytes(self.array()?))),
+            1 => Value::Signed(i64::from(i8::from_le_bytes(self.array()?))),
+            2 => Value::Unsigned(u64::from(u16::from_le_bytes(self.array()?))),
+            3 => Value::Signed(i64::from(i16::from_le_bytes(self.array()?))),
+            4 => Value::Unsigned(u64::from(self.u32()?)),
+            5 => Value::Signed(i64::from(i32::from_le_bytes(self.array()?))),
+            6 => Value::Float(f32::from_le_bytes(self.array()?)),
+            7 => match u8::from_le_bytes(self.array()?) {
+                0 => Value::Bool(false),
+                1 => Value::Bool(true),
+                other => return Err(self.error(format!("a truth value is {other}, expected 0 or 1"))),
+            },
+            8 => Value::Text(self.text("a text")?),
+            9 => self.list(depth)?,
+            10 => Value::Unsigned(self.u64()?),
+            11 => Value::Signed(i64::from_le_bytes(self.array()?)),
+            12 => Value::Double(f64::from_le_bytes(self.array()?)),
+            other => return Err(self.error(format!("a value is of type {other}, which GGUF does not have"))),
+        })
+    }
+
+    fn list(&mut self, depth: u8) -> Result<Value, MllmError> {
+        if depth >= MAX_DEPTH {
+            return Err(self.error("lists stand in lists in lists".into()));
+        }
+        let kind = self.u32()?;
+        let least = match kind {
+            0 | 1 | 7 => 1,
+            2 | 3 => 2,
+            4..=6 => 4,
+            8 | 10..=12 => 8,
+            9 => 12,
+            other => return Err(self.error(format!("a list is of type {other}, which GGUF does not have"))),
+        };
+        let count = self.count("values of a list", least)?;
+        // Numbers are kept as they lie in the file: a list of a million costs a million of them.
+        Ok(match kind {
+            0..=5 | 7 | 10 | 11 => {
+                Value::Integers(self.numbers(count, |reader| reader.value(kind, depth)?.as_i64_or(reader))?)
+            }
+            6 => Value::Floats(self.numbers(count, |reader| Ok(f32::from_le_bytes(reader.array()?)))?),
+            8 => Value::Texts(self.numbers(count, |reader| reader.text("a text of a list"))?),
+            _ => Value::List(self.numbers(count, |reader| reader.value(kind, depth + 1))?),
+        })
+    }
+
+    fn numbers<T>(
+        &mut self,
+        count: u64,
+        mut read: impl FnMut(&mut Self) -> Result<T, MllmError>,
+    ) -> Result<Vec<T>, MllmError> {
+        (0..count).map(|_| read(self)).collect()
+    }
+
+    /// A number of things of at least `least` bytes each, which must still be there.
+    fn count(&mut self, what: &str, least: u64) -> Result<u64, MllmError> {
+        let count = self.u64()?;
+        let left = self.file_bytes.min(MAX_HEADER).saturating_sub(self.position);
+        if count.checked_mul(least).is_none_or(|bytes| bytes > left) {
+            return Err(self.error(format!("{count} {what} are announced, but only {left} bytes are left for them")));
+        }
+        Ok(count)
+    }
+
+    fn text(&mut self, what: &str) -> Result<String, MllmError> {
+        let length = self.count(&format!("bytes of {what}"), 1)?;
+        let mut bytes = vec![0; length as usize];
+        self.fill(&mut bytes)?;
+        String::from_utf8(bytes).map_err(|_| self.error(format!("{what} is not UTF-8")))
+    }
+
+    fn u32(&mut self) -> Result<u32, MllmError> {
+        Ok(u32::from_le_bytes(self.array()?))
+    }
+
+    fn u64(&mut self) -> Result<u64, MllmError> {
+        Ok(u64::from_le_bytes(self.array()?))
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], MllmError> {
+        let mut bytes = [0; N];
+        self.fill(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn fill(&mut self, bytes: &mut [u8]) -> Result<(), MllmError> {
+        self.source.read_exact(bytes).map_err(|source| match source.kind() {
+            std::io::ErrorKind::UnexpectedEof => self.error("the file ends within its header: it is truncated".into()),
+            _ => MllmError::Read { path: self.path.to_path_buf(), source },
+        })?;
+        self.position += bytes.len() as u64;
+        Ok(())
+    }
+
+    fn error(&self, problem: String) -> MllmError {
+        self.broken(format!("at byte {}: {problem}", self.position))
+    }
+
+    fn broken(&self, problem: String) -> MllmError {
+        MllmError::Gguf { path: self.path.to_path_buf(), problem }
+    }
+}
+
+impl Value {
+    fn as_i64_or(&self, reader: &Reader<'_>) -> Result<i64, MllmError> {
+        self.as_i64().ok_or_else(|| reader.error(format!("the number {self} of a list is too large")))
+    }
+}
+
+fn in_entry(error: MllmError, key: &str) -> MllmError {
+    match error {
+        MllmError::Gguf { path, problem } => MllmError::Gguf { path, problem: format!("metadata {key}: {problem}") },
+        other => other,
+    }
+}
+
+/// Number formats by their numbers in GGUF (`ggml_type`).
+const FORMATS: [(u32, GgmlDType); 14] = [
+    (0, GgmlDType::F32),
+    (1, GgmlDType::F16),
+    (2, GgmlDType::Q4_0),
+    (3, GgmlDType::Q4_1),
+    (6, GgmlDType::Q5_0),
+    (7, GgmlDType::Q5_1),
+    (8, GgmlDType::Q8_0),
+    (10, GgmlDType::Q2K),
+    (11, GgmlDType::Q3K),
+    (12, GgmlDType::Q4K),
+    (13, GgmlDType::Q5K),
+    (14, GgmlDType::Q6K),
+    (15, GgmlDType::Q8K),
+    (30, GgmlDType::BF16),
+];
+
+fn format_of(number: u32) -> Option<GgmlDType> {
+    FORMATS.iter().find(|(known, _)| *known == number).map(|(_, format)| *format)
+}
+
+/// The number of a format in GGUF.
+pub(super) fn number_of(format: GgmlDType) -> Option<u32> {
+    FORMATS.iter().find(|(_, known)| *known == format).map(|(number, _)| *number)
+}

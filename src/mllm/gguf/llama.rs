@@ -1,0 +1,105 @@
+//! The decoder's configuration, from the metadata of a `llama` GGUF file.
+
+use serde_json::{Value as Json, json};
+
+use super::header::Header;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{LlamaConfig, RopeScaling};
+
+/// The architecture that is read.
+pub(super) const ARCHITECTURE: &str = "llama";
+
+/// `text_config` of the decoder.
+///
+/// # Errors
+/// When a key is missing, of the wrong type, or asks for what is not supported.
+pub(super) fn text_config(header: &Header) -> Result<Json, MllmError> {
+    let embedding = header.tensors.get("token_embd.weight").and_then(|place| place.shape.first().copied());
+    let Some(vocabulary) = embedding else {
+        return Err(MllmError::MissingTensor { folder: header.path.clone(), name: "token_embd.weight".into() });
+    };
+    if header.tensors.contains_key("rope_freqs.weight") {
+        return Err(header.error(
+            "rope_freqs.weight",
+            "frequencies of rotary embeddings that are scaled one by one (Llama 3.1) are not read from a tensor; open the \
+             safetensors, whose config.json says how they are scaled",
+        ));
+    }
+    if header.count("llama.expert_count")?.is_some() {
+        return Err(header.error("llama.expert_count", "a mixture of experts is not supported"));
+    }
+    let hidden = header.required_count("llama.embedding_length")?;
+    let heads = header.required_count("llama.attention.head_count")?;
+    let kv_heads = header.count("llama.attention.head_count_kv")?.unwrap_or(heads);
+    let head_dim = header.count("llama.attention.key_length")?.unwrap_or(hidden / heads);
+    if let Some(rotated) = header.count("llama.rope.dimension_count")?.filter(|rotated| *rotated != head_dim) {
+        return Err(header.error(
+            "llama.rope.dimension_count",
+            format!("{rotated} of {head_dim} dimensions of a head are rotated; all of them is supported"),
+        ));
+    }
+    let window = header.count("llama.attention.sliding_window")?;
+    let mut config = json!({
+        // Mistral differs by its window alone.
+        "model_type": if window.is_some() { "mistral" } else { "llama" },
+        "vocab_size": vocabulary,
+        "hidden_size": hidden,
+        "intermediate_size": header.required_count("llama.feed_forward_length")?,
+        "num_hidden_layers": header.required_count("llama.block_count")?,
+        "num_attention_heads": heads,
+        "num_key_value_heads": kv_heads,
+        "head_dim": head_dim,
+        "max_position_embeddings": header.required_count("llama.context_length")?,
+        "rms_norm_eps": header.number("llama.attention.layer_norm_rms_epsilon")?,
+        "rope_theta": header.number("llama.rope.freq_base")?,
+        "sliding_window": window,
+        "attention_bias": header.tensors.contains_key("blk.0.attn_q.bias"),
+        "mlp_bias": header.tensors.contains_key("blk.0.ffn_up.bias"),
+        "tie_word_embeddings": !header.tensors.contains_key("output.weight"),
+    });
+    match header.text("llama.rope.scaling.type")? {
+        None | Some("none") => {}
+        Some("linear") => {
+            config["rope_scaling"] = json!({"type": "linear", "factor": header.number("llama.rope.scaling.factor")?});
+        }
+        Some(other) => {
+            return Err(header.error("llama.rope.scaling.type", format!("{other:?} is not supported; linear is")));
+        }
+    }
+    Ok(config)
+}
+
+/// The metadata that says of a decoder what [`text_config`] reads.
+///
+/// # Errors
+/// When llama.cpp's `llama` has no key for it.
+pub(super) fn metadata(config: &LlamaConfig) -> Result<Vec<(&'static str, super::value::Value)>, &'static str> {
+    use super::value::Value::{Float, Text, Unsigned};
+    let count = |number: usize| Unsigned(number as u64);
+    let mut metadata = vec![
+        ("llama.vocab_size", count(config.vocabulary)),
+        ("llama.embedding_length", count(config.hidden)),
+        ("llama.feed_forward_length", count(config.intermediate)),
+        ("llama.block_count", count(config.layers)),
+        ("llama.attention.head_count", count(config.heads)),
+        ("llama.attention.head_count_kv", count(config.kv_heads)),
+        ("llama.attention.key_length", count(config.head_dim)),
+        ("llama.attention.value_length", count(config.head_dim)),
+        ("llama.context_length", count(config.context)),
+        ("llama.attention.layer_norm_rms_epsilon", Float(config.rms_norm_eps as f32)),
+        ("llama.rope.dimension_count", count(config.head_dim)),
+        ("llama.rope.freq_base", Float(config.rope.theta as f32)),
+    ];
+    if let Some(window) = config.window {
+        metadata.push(("llama.attention.sliding_window", count(window)));
+    }
+    match config.rope.scaling {
+        RopeScaling::None => {}
+        RopeScaling::Linear { factor } => {
+            metadata.push(("llama.rope.scaling.type", Text("linear".into())));
+            metadata.push(("llama.rope.scaling.factor", Float(factor as f32)));
+        }
+        RopeScaling::Llama3 { .. } => return Err("llama3 scaling of rotary embeddings"),
+    }
+    Ok(metadata)
+}

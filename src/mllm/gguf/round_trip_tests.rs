@@ -1,0 +1,238 @@
+//! Models written as GGUF and opened again.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use candle_core::Tensor;
+use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
+use serde_json::{Value as Json, json};
+
+use super::export::{GgufPart, tower_path};
+use super::header::Header;
+use super::writer::{Layout, PlannedTensor};
+use super::{FILE, open_header};
+use crate::mllm::checkpoint::{Checkpoint, ModelPlace};
+use crate::mllm::decoder::Logits;
+use crate::mllm::local::test_reference::{assert_chat, fixture, synthetic};
+use crate::mllm::local::{Architecture, Loading, LocalModel, Sequence, VisionLanguageModel};
+use crate::mllm::matrix::Storage;
+
+/// Writes a model of a folder to `m.gguf` in another.
+fn export(from: &Path, to: &Path, storage: Storage) -> PathBuf {
+    let model = to.join("m.gguf");
+    let mut create =
+        |part: GgufPart| -> std::io::Result<Box<dyn Write>> { Ok(Box::new(File::create(part.path(&model))?)) };
+    let loading = Loading { quantize: Some(storage), ..Loading::default() };
+    let mut written = (0, 1);
+    LocalModel::export("tiny", &ModelPlace::Folder(from.to_path_buf()), &loading, &mut create, &mut |bytes, total| {
+        assert!(written.0 < bytes);
+        written = (bytes, total);
+    })
+    .unwrap();
+    assert_eq!(written.0, written.1);
+    model
+}
+
+/// The files that [`assert_chat`] compares with.
+fn copy_reference(from: &Path, to: &Path) {
+    for file in ["reference.safetensors", "prompts.json", "image.png"] {
+        fs::copy(from.join(file), to.join(file)).unwrap();
+    }
+}
+
+/// Rewrites a file with other metadata.
+fn edit(path: &Path, change: impl FnOnce(&mut Header, &mut Vec<PlannedTensor>)) {
+    let bytes = fs::read(path).unwrap();
+    let (mut header, _) = open_header(path).unwrap();
+    let data: BTreeMap<String, Vec<u8>> = header
+        .tensors
+        .iter()
+        .map(|(name, place)| (name.clone(), bytes[place.begin as usize..][..place.bytes as usize].to_vec()))
+        .collect();
+    let planned = header.tensors.iter();
+    let mut tensors = planned
+        .map(|(name, place)| PlannedTensor { name: name.clone(), format: place.format, shape: place.shape.clone() })
+        .collect();
+    change(&mut header, &mut tensors);
+    let layout = Layout { metadata: header.metadata.into_iter().collect(), tensors };
+    let mut out = Vec::new();
+    layout.write_header(&mut out).unwrap();
+    // Tensors that got another name stand where they stood.
+    for (tensor, data) in layout.tensors.iter().zip(data.values()) {
+        Layout::write_data(&mut out, data).unwrap();
+        assert_eq!(tensor.bytes(), data.len() as u64);
+    }
+    fs::write(path, out).unwrap();
+}
+
+#[test]
+fn a_model_from_gguf_computes_what_transformers_computes() {
+    for (name, rounds) in [
+        ("tiny_llava", &["", "chat_"][..]),
+        ("tiny_llava_next", &["", "chat_"]),
+        ("tiny_llava_next_mistral", &[""]),
+        ("tiny_cogvlm", &["", "chat_"]),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let model = export(&fixture(name), folder.path(), Storage::F32);
+        assert_eq!(tower_path(&model).is_file(), name != "tiny_cogvlm");
+        copy_reference(&fixture(name), folder.path());
+        assert_chat(folder.path(), rounds);
+    }
+}
+
+/// A decoder and a tower as llama.cpp publishes them: nothing of ours in the metadata, the older names of the tower's
+/// feed-forward layers. The tokenizer, which is of a kind that is not read from GGUF, lies beside.
+#[test]
+fn a_model_of_llama_cpp_computes_what_transformers_computes() {
+    for name in ["tiny_llava", "tiny_llava_next"] {
+        let from = fixture(name);
+        let folder = tempfile::tempdir().unwrap();
+        let model = export(&from, folder.path(), Storage::F32);
+        edit(&model, |header, _| header.metadata.retain(|key, _| !key.starts_with(FILE)));
+        edit(&tower_path(&model), |_, tensors| {
+            for tensor in tensors {
+                tensor.name = if tensor.name.contains("ffn_up") {
+                    tensor.name.replace("ffn_up", "ffn_down")
+                } else {
+                    tensor.name.replace("ffn_down", "ffn_up")
+                };
+            }
+        });
+        for file in ["tokenizer.json", "tokenizer_config.json", "chat_template.jinja"] {
+            fs::copy(from.join(file), folder.path().join(file)).unwrap();
+        }
+        copy_reference(&from, folder.path());
+        assert_chat(folder.path(), &["", "chat_"]);
+    }
+}
+
+#[test]
+fn rows_in_the_wrong_order_are_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = export(&fixture("tiny_llava"), folder.path(), Storage::F32);
+    let place = ModelPlace::Folder(folder.path().to_path_buf());
+    let right = logits(&place, None);
+    // The rows of queries as Hugging Face has them, where llama.cpp's are expected.
+    let mut bytes = fs::read(&model).unwrap();
+    let (header, _) = open_header(&model).unwrap();
+    let query = &header.tensors["blk.0.attn_q.weight"];
+    let range = query.begin as usize..(query.begin + query.bytes) as usize;
+    let plain = crate::mllm::checkpoint::paired(&bytes[range.clone()], 32, 4);
+    bytes[range].copy_from_slice(&plain);
+    fs::write(&model, bytes).unwrap();
+    let wrong = logits(&place, None);
+    let difference = right.iter().zip(&wrong).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(difference > 1e-3, "{difference}");
+}
+
+/// Logits of an image and some tokens.
+fn logits(place: &ModelPlace, quantize: Option<Storage>) -> Vec<f32> {
+    let mut checkpoint = Checkpoint::open(place, quantize).unwrap();
+    let model = Architecture::of(&checkpoint.files).unwrap().open(&mut checkpoint).unwrap();
+    let model: &dyn VisionLanguageModel = &*model;
+    let features = model.encode_image(&synthetic(40, 50)).unwrap();
+    let image = model.facts().image_token;
+    let mut ids = vec![1, 5];
+    ids.extend(std::iter::repeat_n(image, features.dims()[0]));
+    ids.extend([7, 8, 9]);
+    let logits: Tensor = Sequence::new(model).append(model, &ids, Some(&features), Logits::All).unwrap().unwrap();
+    logits.flatten_all().unwrap().to_vec1().unwrap()
+}
+
+/// A checkpoint like a fixture, but wide enough for the k-quants: every side of 16, 24, 32, 48, 64, 72 or 96 is so many
+/// times longer, and the numbers are random.
+fn widened(name: &str) -> tempfile::TempDir {
+    let from = fixture(name);
+    let folder = tempfile::tempdir().unwrap();
+    for entry in fs::read_dir(&from).unwrap() {
+        let path = entry.unwrap().path();
+        fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
+    }
+    let wide = |side: usize| match side {
+        16 => 128,
+        32 => 256,
+        48 | 64 => 512,
+        24 | 96 => 768,
+        72 => 3 * 768,
+        other => other,
+    };
+    let mut config: Json = serde_json::from_str(&fs::read_to_string(from.join("config.json")).unwrap()).unwrap();
+    widen(&mut config, &|side| wide(side as usize) as u64);
+    fs::write(folder.path().join("config.json"), config.to_string()).unwrap();
+    let bytes = fs::read(from.join("model.safetensors")).unwrap();
+    let mut state = 1_u32;
+    let mut random = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / (1 << 24) as f32 - 0.5
+    };
+    let tensors: BTreeMap<String, (Vec<usize>, Vec<u8>)> = SafeTensors::deserialize(&bytes)
+        .unwrap()
+        .iter()
+        .map(|(name, view)| {
+            let shape: Vec<usize> = match view.shape() {
+                // Kernels of patches keep their sides.
+                [outputs, rest @ ..] if rest.len() == 3 => [&[wide(*outputs)], rest].concat(),
+                shape => shape.iter().map(|side| wide(*side)).collect(),
+            };
+            let values = (0..shape.iter().product::<usize>()).flat_map(|_| (random() * 0.2).to_le_bytes()).collect();
+            (name.to_string(), (shape, values))
+        })
+        .collect();
+    let views = tensors
+        .iter()
+        .map(|(name, (shape, values))| (name.clone(), TensorView::new(Dtype::F32, shape.clone(), values).unwrap()));
+    serialize_to_file(views, None, &folder.path().join("model.safetensors")).unwrap();
+    folder
+}
+
+fn widen(config: &mut Json, wide: &impl Fn(u64) -> u64) {
+    let Json::Object(object) = config else { return };
+    for (key, value) in object {
+        match value {
+            Json::Object(_) => widen(value, wide),
+            Json::Number(number) if ["hidden_size", "intermediate_size"].contains(&key.as_str()) => {
+                *value = json!(wide(number.as_u64().unwrap()));
+            }
+            Json::Number(number) if key == "head_dim" => *value = json!(number.as_u64().unwrap() * 8),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn a_quantised_model_from_gguf_is_the_same_to_the_bit() {
+    for name in ["tiny_llava", "tiny_llava_next", "tiny_cogvlm"] {
+        let checkpoint = widened(name);
+        let from = ModelPlace::Folder(checkpoint.path().to_path_buf());
+        for storage in Storage::ALL {
+            let folder = tempfile::tempdir().unwrap();
+            let model = export(checkpoint.path(), folder.path(), storage);
+            let place = ModelPlace::Gguf { model, mmproj: None };
+            let expected = logits(&from, Some(storage));
+            assert!(expected.iter().all(|logit| logit.is_finite()));
+            let bits = |logits: Vec<f32>| logits.into_iter().map(f32::to_bits).collect::<Vec<_>>();
+            let expected = bits(expected);
+            assert_eq!(bits(logits(&place, None)), expected, "{name}, {storage}");
+            assert_eq!(bits(logits(&place, Some(storage))), expected, "{name}, {storage}, asked for once more");
+        }
+    }
+}
+
+#[test]
+fn the_report_says_what_is_held_how() {
+    let checkpoint = widened("tiny_llava");
+    let place = ModelPlace::Folder(checkpoint.path().to_path_buf());
+    let mut opened = Checkpoint::open(&place, Some(Storage::Q4K)).unwrap();
+    let forecast = opened.weights.forecast(Some(Storage::Q4K));
+    Architecture::Llava.open(&mut opened).unwrap();
+    let report = opened.weights.report();
+    let tensors =
+        |storage| report.storages.iter().find(|share| share.storage == storage).map_or(0, |share| share.tensors);
+    assert_eq!((tensors(Storage::Q4K), tensors(Storage::Q6K), tensors(Storage::Q8_0)), (15, 1, 20));
+    assert!(report.exceptions.iter().any(|known| known.name == "lm_head.weight" && known.storage == Storage::Q6K));
+    // The forecast counts the norm behind the tower too, which no LLaVA uses.
+    assert_eq!(forecast.bytes(), report.bytes() + 2 * 4 * 256);
+}

@@ -1,0 +1,165 @@
+//! How much memory a model will need, and how much there is.
+
+use std::path::Path;
+
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{Checkpoint, LlamaConfig, in_bytes};
+use crate::mllm::matrix::Storage;
+
+/// What to do when a model seems to need more memory than is free.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum MemoryCheck {
+    /// Refuse to load it.
+    #[default]
+    Refuse,
+    /// Load it all the same.
+    Ignore,
+}
+
+/// Memory that a model needs, bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+pub struct MemoryNeed {
+    /// The weights.
+    pub weights: u64,
+    /// Keys and values of a chat.
+    pub cache: u64,
+    /// Activations of a prompt, or a tensor that is being quantised, whichever is more.
+    pub work: u64,
+}
+
+/// Tokens of a planning call with the long prompt set and the largest image (2928 tokens), rounded up.
+const CALL_TOKENS: u64 = 4096;
+/// Activations of a token that are alive at once: so many rows of the hidden width, and so many of the wide one between.
+const ROWS: (u64, u64) = (8, 3);
+
+impl MemoryNeed {
+    /// What a checkpoint with this decoder will need when its weights are held in `quantize`.
+    pub(crate) fn of(checkpoint: &Checkpoint, decoder: &LlamaConfig, quantize: Option<Storage>) -> Self {
+        let float = size_of::<f32>() as u64;
+        let tokens = CALL_TOKENS.min(decoder.context as u64);
+        let row = (decoder.kv_heads * decoder.head_dim) as u64;
+        let alive = ROWS.0 * decoder.hidden as u64 + ROWS.1 * decoder.intermediate as u64;
+        let elements = |shape: &[usize]| shape.iter().product::<usize>() as u64;
+        let largest = checkpoint.weights.shapes().map(|(_, shape)| elements(shape)).max().unwrap_or(0);
+        Self {
+            weights: checkpoint.weights.forecast(quantize).bytes(),
+            cache: 2 * float * tokens * row * decoder.layers as u64,
+            // As it lies in the file and widened.
+            work: (float * tokens * alive).max(2 * float * largest),
+        }
+    }
+
+    /// All of it.
+    pub fn total(&self) -> u64 {
+        [self.cache, self.work].into_iter().fold(self.weights, u64::saturating_add)
+    }
+}
+
+/// Refuses a model that does not fit into the memory that is free.
+///
+/// # Errors
+/// When it does not; the error says which storage would.
+pub(super) fn check(
+    checkpoint: &Checkpoint,
+    decoder: &LlamaConfig,
+    quantize: Option<Storage>,
+) -> Result<(), MllmError> {
+    let Some(free) = free_memory() else { return Ok(()) };
+    check_against(free, checkpoint, decoder, quantize)
+}
+
+fn check_against(
+    free: u64,
+    checkpoint: &Checkpoint,
+    decoder: &LlamaConfig,
+    quantize: Option<Storage>,
+) -> Result<(), MllmError> {
+    let need = MemoryNeed::of(checkpoint, decoder, quantize);
+    if need.total() <= free {
+        return Ok(());
+    }
+    let smaller = [Storage::Q8_0, Storage::Q4K]
+        .map(|storage| (storage, MemoryNeed::of(checkpoint, decoder, Some(storage)).total()))
+        .into_iter()
+        .filter(|(_, total)| *total < need.total());
+    let hints: Vec<String> =
+        smaller.map(|(storage, total)| format!("--quantize {storage} would take {}", in_bytes(total))).collect();
+    let hint = if hints.is_empty() { "no storage is smaller".to_string() } else { hints.join(", ") };
+    Err(MllmError::Memory {
+        place: checkpoint.files.place().to_path_buf(),
+        problem: format!(
+            "it needs about {} (weights {}, cache {}, work {}), but {} are free; {hint}; --ignore-memory loads it all the same",
+            in_bytes(need.total()),
+            in_bytes(need.weights),
+            in_bytes(need.cache),
+            in_bytes(need.work),
+            in_bytes(free)
+        ),
+    })
+}
+
+/// Memory that this process may still take, bytes: what the system can give without swapping, within the limit of its
+/// control group. None where neither can be read (systems other than Linux).
+fn free_memory() -> Option<u64> {
+    let system = available(&std::fs::read_to_string("/proc/meminfo").ok()?)?;
+    let group = std::fs::read_to_string("/proc/self/cgroup").ok().and_then(|text| group_left(&text));
+    Some(group.map_or(system, |left| left.min(system)))
+}
+
+/// `MemAvailable` of `/proc/meminfo`, bytes.
+fn available(meminfo: &str) -> Option<u64> {
+    let line = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
+}
+
+/// What the limits of the control group (version 2) and of those above it leave; none if there is no limit.
+fn group_left(cgroup: &str) -> Option<u64> {
+    let path = cgroup.lines().find_map(|line| line.strip_prefix("0::/"))?;
+    let root = Path::new("/sys/fs/cgroup");
+    let number = |file: &Path| std::fs::read_to_string(file).ok()?.trim().parse::<u64>().ok();
+    let left = |group: &Path| {
+        let limit = number(&group.join("memory.max"))?;
+        // Pages of files are given back when memory is short.
+        let file = std::fs::read_to_string(group.join("memory.stat")).ok().and_then(|stat| inactive_file(&stat));
+        Some(limit.saturating_sub(number(&group.join("memory.current"))?.saturating_sub(file.unwrap_or(0))))
+    };
+    root.join(path).ancestors().take_while(|group| group.starts_with(root)).filter_map(left).min()
+}
+
+fn inactive_file(stat: &str) -> Option<u64> {
+    stat.lines().find_map(|line| line.strip_prefix("inactive_file "))?.trim().parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mllm::checkpoint::ModelPlace;
+    use crate::mllm::local::Architecture;
+    use crate::mllm::local::test_reference::fixture;
+
+    #[test]
+    fn the_kernels_tables_are_read() {
+        assert_eq!(available("MemTotal: 9 kB\nMemAvailable:   24031204 kB\nBuffers: 1 kB"), Some(24_031_204 * 1024));
+        assert_eq!(available("MemTotal: 9 kB"), None);
+        assert_eq!(inactive_file("anon 3\ninactive_file 4096\n"), Some(4096));
+        assert_eq!(group_left("1:name=systemd:/"), None);
+        #[cfg(target_os = "linux")]
+        assert!(free_memory().unwrap() > 0);
+    }
+
+    #[test]
+    fn a_model_that_does_not_fit_is_refused_with_what_would() {
+        let place = ModelPlace::Folder(fixture("tiny_llava"));
+        let checkpoint = Checkpoint::open(&place, None).unwrap();
+        let decoder = Architecture::Llava.decoder(&checkpoint.files).unwrap();
+        let need = MemoryNeed::of(&checkpoint, &decoder, None);
+        // 299,352 bytes of f32, but for the header.
+        assert!((280_000..299_352).contains(&need.weights), "{need:?}");
+        // 256 positions, two layers, two heads of 8 numbers.
+        assert_eq!(need.cache, 2 * 4 * 256 * 16 * 2);
+        assert!(check_against(need.total(), &checkpoint, &decoder, None).is_ok());
+        let error = check_against(need.total() - 1, &checkpoint, &decoder, None).unwrap_err().to_string();
+        assert!(error.contains("--quantize q8_0 would take") && error.contains("--ignore-memory"), "{error}");
+        assert!(MemoryNeed::of(&checkpoint, &decoder, Some(Storage::Q8_0)).weights < need.weights / 2);
+    }
+}
