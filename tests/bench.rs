@@ -38,18 +38,26 @@ fn a_model_is_measured_by_its_steps() {
     let kinds: Vec<(&str, bool)> =
         rows.iter().map(|row| (row["row"].as_str().unwrap(), row["warm_up"] == true)).collect();
     assert_eq!(kinds, [("iteration", true), ("iteration", false), ("iteration", false), ("model", false)]);
-    // Every token of the budget was computed: those that are chosen last in an answer wait for the next prompt.
+    // Every token that something was chosen behind was computed, and no other: what is appended at an answer's end waits for
+    // the next prompt.
     let steps = rows[1]["steps"].as_array().unwrap();
-    let computed = |kind: &str| steps.iter().map(|timed| timed["time"][kind]["tokens"].as_u64().unwrap()).sum::<u64>();
-    let asked: u64 = steps
-        .iter()
-        .map(|timed| match &timed["step"] {
-            Value::String(name) if name == "image" => 64,
-            step => ["text", "forced", "free"].iter().filter_map(|key| step[key].as_u64()).sum(),
-        })
-        .sum();
-    let rewound = steps.iter().filter(|timed| timed["step"]["keep"].is_number()).count() as u64;
-    assert_eq!(computed("batch") + computed("single") + rewound, asked);
+    let (mut pending, mut expected, mut computed) = (0, 0, 0);
+    for timed in steps {
+        let tokens = |key: &str| timed["step"][key].as_u64();
+        if timed["step"] == "image" {
+            pending += 64;
+        } else if tokens("keep").is_some() {
+            pending = 0;
+        } else if let Some(free) = tokens("free") {
+            expected += pending + free - 1;
+            pending = 1;
+        } else {
+            pending += tokens("text").or(tokens("forced")).unwrap_or(0);
+        }
+        computed += ["batch", "single"].map(|kind| timed["time"][kind]["tokens"].as_u64().unwrap()).iter().sum::<u64>();
+    }
+    assert_eq!(computed, expected);
+    assert!(computed > 64);
 
     let metadata = read_json(&out.join("metadata.json"));
     assert!(metadata["cpu"].is_string() && metadata["settings"]["threads"] == 1, "{metadata}");

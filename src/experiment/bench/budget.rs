@@ -60,26 +60,29 @@ impl CallBudget {
         match prompts {
             PromptSet::Paper => Self {
                 opening: 665,
-                scene: 110,
-                feedback: 163,
+                scene: 89,
+                feedback: 126,
                 rounds: vec![
                     RoundBudget { question: 172, answer: [(0, 204)].map(part).into() },
                     RoundBudget { question: 81, answer: [(4, 1), (4, 15), (4, 1), (2, 13)].map(part).into() },
                     RoundBudget {
-                        question: 54,
+                        question: 46,
                         answer: [(11, 1), (5, 1), (2, 1), (4, 1), (3, 2), (4, 1), (1, 0)].map(part).into(),
                     },
                 ],
                 rethinks: 1,
             },
             PromptSet::Compact => Self {
-                opening: 2,
-                scene: 40,
-                feedback: 30,
+                opening: 3,
+                scene: 47,
+                feedback: 16,
                 rounds: vec![
-                    RoundBudget { question: 10, answer: [(0, 20)].map(part).into() },
-                    RoundBudget { question: 10, answer: [(0, 8)].map(part).into() },
-                    RoundBudget { question: 10, answer: [(0, 12)].map(part).into() },
+                    RoundBudget { question: 3, answer: [(1, 1); 15].map(part).into() },
+                    RoundBudget { question: 5, answer: [(1, 1); 4].map(part).into() },
+                    RoundBudget {
+                        question: 5,
+                        answer: [(2, 1), (1, 1), (1, 1), (1, 1), (1, 1), (1, 0)].map(part).into(),
+                    },
                 ],
                 rethinks: 1,
             },

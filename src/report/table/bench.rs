@@ -7,8 +7,9 @@ use std::fmt::Write as _;
 
 const MEBI: f64 = (1 << 20) as f64;
 const GIBI: f64 = (1 << 30) as f64;
-/// Weights in a billion.
+/// What large numbers of weights are counted in.
 const BILLION: f64 = 1e9;
+const MILLION: f64 = 1e6;
 
 /// One column of the table of models.
 struct Column {
@@ -20,11 +21,7 @@ struct Column {
 
 /// The columns that tell what was loaded, and those that tell what it costs; together too wide for a terminal.
 const LOADED: [Column; 6] = [
-    Column {
-        header: "params",
-        meaning: "weights, billions",
-        cell: |m| format!("{:.2}", m.about.loaded.parameters as f64 / BILLION),
-    },
+    Column { header: "params", meaning: "number of weights", cell: |m| count(m.about.loaded.parameters) },
     Column { header: "weights", meaning: "how they are stored", cell: |m| m.about.loaded.storage.clone() },
     Column { header: "image", meaning: "tokens of the image", cell: |m| m.about.loaded.image_tokens.to_string() },
     Column {
@@ -61,6 +58,13 @@ const COST: [Column; 7] = [
     Column { header: "calls", meaning: "planning calls measured", cell: |m| m.calls.to_string() },
 ];
 
+/// What the headers mean, in lines of 80 columns.
+const LEGEND: &str = "\
+image, prompt = tokens of the image, text tokens of a call's prompts
+load = time to load, s  peak = most memory of the process
+encode = image encode, ms  prefill = first prompt, tok/s
+first = time to first token, ms  decode = tok/s  call = planning call, ms";
+
 /// The tables for a terminal of 80 columns.
 pub fn bench_table(figures: &BenchFigures) -> String {
     let mut parts = Vec::new();
@@ -70,8 +74,7 @@ pub fn bench_table(figures: &BenchFigures) -> String {
             let rows = figures.models.iter().map(|model| cells(model, columns.iter())).collect();
             parts.push(plain(&header.collect::<Vec<_>>(), rows, 1));
         }
-        let all = LOADED.iter().chain(&COST);
-        parts.push(all.map(|column| format!("{} = {}", column.header, column.meaning)).collect::<Vec<_>>().join("\n"));
+        parts.push(LEGEND.to_owned());
     }
     if !figures.comparisons.is_empty() {
         let rows = figures.comparisons.iter().map(compared).collect();
@@ -145,6 +148,11 @@ fn figure(value: f64) -> String {
         medium if medium >= 10.0 => format!("{value:.1}"),
         _ => format!("{value:.2}"),
     }
+}
+
+fn count(weights: u64) -> String {
+    let weights = weights as f64;
+    if weights < BILLION { format!("{:.1} M", weights / MILLION) } else { format!("{:.2} B", weights / BILLION) }
 }
 
 fn memory(bytes: u64) -> String {
