@@ -110,6 +110,7 @@ fn results_of_a_run_in_which_all_failed_can_be_read() {
     let (code, stdout, stderr) = run(&["simulate", "--resume", out.to_str().unwrap()]);
     assert_eq!(code, 1, "{stderr}");
     assert!(stdout.lines().any(|line| line.starts_with("simple") && line.ends_with('4')), "{stdout}");
+    assert!(!stdout.contains("coll ="), "a legend of nothing: {stdout}");
     for challenge in Challenge::CLOSED_LOOP {
         let (columns, rows) = aggregator_table(&out, &challenge.to_string());
         assert_eq!(rows, 0);

@@ -17,7 +17,8 @@ pub use drives::failures;
 /// number and a legend for each list of metrics, and what made scores 0.
 pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[DriveRow], width: u16) -> String {
     let lists = [MetricList::ClosedLoop, MetricList::OpenLoop];
-    let driven = lists.into_iter().filter(|list| rows.iter().any(|row| row.challenge.metric_list() == *list));
+    let scored = |list| rows.iter().any(|row| row.score.is_some() && row.challenge.metric_list() == list);
+    let driven = lists.into_iter().filter(|&list| scored(list));
     let mut parts = vec![overview::planners(summary, planners), overview::scenario_types(summary, width)];
     parts.extend(driven.flat_map(|list| [drives::drives(rows, list), drives::legend(list, width)]));
     parts.push(drives::zeroed(rows));
