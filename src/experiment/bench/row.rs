@@ -114,11 +114,22 @@ impl IterationRow {
         sum
     }
 
-    /// The passes of one token.
+    /// The passes that computed answers: all but the first behind each prompt, which computes that. Forced tokens count.
     pub fn decode(&self) -> PassTime {
         let mut sum = PassTime::default();
-        for TimedStep { time, .. } in &self.steps {
-            sum += time.single;
+        let mut behind_prompt = false;
+        for TimedStep { step, time } in &self.steps {
+            match step {
+                Step::Text(_) | Step::Image => behind_prompt = true,
+                Step::Forced(_) | Step::Free(_) => {
+                    sum += time.single;
+                    if !behind_prompt {
+                        sum += time.batch;
+                    }
+                    behind_prompt &= time.batch.tokens == 0;
+                }
+                Step::Keep(_) | Step::Encode | Step::Compute => {}
+            }
         }
         sum
     }
@@ -146,12 +157,13 @@ mod tests {
                 timed(Step::Image, 40.0, None, (64, 40.0), (0, 0.0)),
                 timed(Step::Text(20), 0.0, None, (0, 0.0), (0, 0.0)),
                 timed(Step::Free(3), 30.0, Some(10.0), (20, 10.0), (2, 20.0)),
+                timed(Step::Forced(8), 0.0, None, (0, 0.0), (0, 0.0)),
                 timed(Step::Free(2), 25.0, Some(15.0), (9, 15.0), (1, 10.0)),
             ],
         };
         assert_eq!((row.total_ms(), row.image_encode_ms(), row.first_token_ms()), (195.0, Some(100.0), Some(150.0)));
         assert_eq!(row.prefill(), PassTime { tokens: 84, ms: 50.0 });
-        assert_eq!(row.decode(), PassTime { tokens: 3, ms: 30.0 });
+        assert_eq!(row.decode(), PassTime { tokens: 12, ms: 45.0 });
         let text = serde_json::to_string(&Row::Iteration(row.clone())).unwrap();
         assert_eq!(serde_json::from_str::<Row>(&text).unwrap(), Row::Iteration(row));
     }

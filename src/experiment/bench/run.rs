@@ -94,7 +94,10 @@ impl Bench<'_> {
                 let ours = self.load(self.own()?, None)?;
                 let theirs = Engine::start(EngineName::LlamaCpp, &mut llama_cpp.command())?;
                 let Loaded { context, image_side, .. } = ours.loaded;
-                let theirs = self.load(theirs, Some(Like { context, image_side }))?;
+                let mut theirs = self.load(theirs, Some(Like { context, image_side }))?;
+                // llama.cpp tells these of the decoder alone; the files are the same.
+                theirs.loaded.parameters = ours.loaded.parameters;
+                theirs.loaded.storage.clone_from(&ours.loaded.storage);
                 engines.extend([ours, theirs]);
                 workloads.splice(0..0, DEPTHS.map(Workload::Depth));
             }

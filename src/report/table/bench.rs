@@ -1,10 +1,12 @@
 //! The tables of a bench.
 
-use super::plain;
+use super::{fill, plain};
 use crate::experiment::bench::EngineName;
 use crate::report::{BenchFigures, Comparison, ModelFigures};
 use std::fmt::Write as _;
 
+/// Columns of a terminal that the tables are made for.
+const COLUMNS: usize = 80;
 const MEBI: f64 = (1 << 20) as f64;
 const GIBI: f64 = (1 << 30) as f64;
 /// What large numbers of weights are counted in.
@@ -21,49 +23,26 @@ struct Column {
 
 /// The columns that tell what was loaded, and those that tell what it costs; together too wide for a terminal.
 const LOADED: [Column; 6] = [
-    Column { header: "params", meaning: "number of weights", cell: |m| count(m.about.loaded.parameters) },
-    Column { header: "weights", meaning: "how they are stored", cell: |m| m.about.loaded.storage.clone() },
-    Column { header: "image", meaning: "tokens of the image", cell: |m| m.about.loaded.image_tokens.to_string() },
-    Column {
-        header: "prompt",
-        meaning: "text tokens of a call's prompts",
-        cell: |m| m.about.prompt_tokens.to_string(),
-    },
-    Column { header: "load", meaning: "time to load, s", cell: |m| format!("{:.1}", m.about.loaded.load_s) },
-    Column {
-        header: "peak",
-        meaning: "most memory of the process",
-        cell: |m| m.about.peak_memory.map_or_else(dash, memory),
-    },
+    Column { header: "params", meaning: "weights", cell: |m| count(m.about.loaded.parameters) },
+    Column { header: "weights", meaning: "how most are held", cell: |m| m.about.loaded.storage.clone() },
+    Column { header: "image", meaning: "its tokens", cell: |m| m.about.loaded.image_tokens.to_string() },
+    Column { header: "prompt", meaning: "text tokens of a call", cell: |m| m.about.prompt_tokens.to_string() },
+    Column { header: "load", meaning: "s", cell: |m| format!("{:.1}", m.about.loaded.load_s) },
+    Column { header: "peak", meaning: "most memory", cell: |m| m.about.peak_memory.map_or_else(dash, memory) },
 ];
 const COST: [Column; 7] = [
-    Column { header: "encode", meaning: "image encode, ms", cell: |m| m.image_encode_ms.map_or_else(dash, figure) },
-    Column {
-        header: "prefill",
-        meaning: "first prompt, tok/s",
-        cell: |m| m.prefill_tokens_per_s.map_or_else(dash, figure),
-    },
+    Column { header: "encode", meaning: "image, ms", cell: |m| m.image_encode_ms.map_or_else(dash, figure) },
+    Column { header: "prefill", meaning: "tok/s", cell: |m| m.prefill_tokens_per_s.map_or_else(dash, figure) },
     Column {
         header: "first",
         meaning: "time to first token, ms",
         cell: |m| m.first_token_ms.map_or_else(dash, figure),
     },
     Column { header: "decode", meaning: "tok/s", cell: |m| m.decode_tokens_per_s.map_or_else(dash, figure) },
-    Column {
-        header: "call p50",
-        meaning: "planning call, ms",
-        cell: |m| m.call_ms.map_or_else(dash, |q| figure(q.p50)),
-    },
+    Column { header: "p50", meaning: "planning call, ms", cell: |m| m.call_ms.map_or_else(dash, |q| figure(q.p50)) },
     Column { header: "p95", meaning: "planning call, ms", cell: |m| m.call_ms.map_or_else(dash, |q| figure(q.p95)) },
-    Column { header: "calls", meaning: "planning calls measured", cell: |m| m.calls.to_string() },
+    Column { header: "calls", meaning: "how many", cell: |m| m.calls.to_string() },
 ];
-
-/// What the headers mean, in lines of 80 columns.
-const LEGEND: &str = "\
-image, prompt = tokens of the image, text tokens of a call's prompts
-load = time to load, s  peak = most memory of the process
-encode = image encode, ms  prefill = first prompt, tok/s
-first = time to first token, ms  decode = tok/s  call = planning call, ms";
 
 /// The tables for a terminal of 80 columns.
 pub fn bench_table(figures: &BenchFigures) -> String {
@@ -74,11 +53,13 @@ pub fn bench_table(figures: &BenchFigures) -> String {
             let rows = figures.models.iter().map(|model| cells(model, columns.iter())).collect();
             parts.push(plain(&header.collect::<Vec<_>>(), rows, 1));
         }
-        parts.push(LEGEND.to_owned());
+        let meanings = LOADED.iter().chain(&COST).map(|column| format!("{} = {}", column.header, column.meaning));
+        parts.push(fill(meanings, COLUMNS).join("\n"));
     }
     if !figures.comparisons.is_empty() {
         let rows = figures.comparisons.iter().map(compared).collect();
         parts.push(plain(&COMPARISON.map(str::to_owned), rows, COMPARED_NAMES));
+        parts.push(format!("ratio = how many times as fast planagent is  {}", other_engine(figures)));
     }
     parts.extend(figures.failed.iter().map(|(model, problem)| format!("{model} could not be measured: {problem}")));
     parts.join("\n\n")
@@ -94,6 +75,7 @@ pub fn bench_markdown(figures: &BenchFigures, command: &str, machine: &str) -> S
         markdown(&mut text, &header, 1, figures.models.iter().map(|model| cells(model, all())));
     }
     if !figures.comparisons.is_empty() {
+        let _ = writeln!(text, "\nRatio: how many times as fast planagent is. {}.", other_engine(figures));
         markdown(&mut text, &COMPARISON.map(str::to_owned), COMPARED_NAMES, figures.comparisons.iter().map(compared));
     }
     for (model, problem) in &figures.failed {
@@ -101,6 +83,13 @@ pub fn bench_markdown(figures: &BenchFigures, command: &str, machine: &str) -> S
         let _ = writeln!(text, "\n{model} could not be measured: {problem}");
     }
     text
+}
+
+/// Which llama.cpp it was.
+fn other_engine(figures: &BenchFigures) -> String {
+    let other = figures.models.iter().find(|model| model.about.engine == EngineName::LlamaCpp);
+    let version = other.map_or_else(dash, |model| model.about.loaded.version.clone());
+    format!("{} = that of llama-cpp-python {version}", EngineName::LlamaCpp)
 }
 
 /// Columns of the comparison.
