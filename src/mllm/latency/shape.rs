@@ -161,12 +161,12 @@ mod tests {
     use crate::mllm::checkpoint::Checkpoint;
     use crate::mllm::matrix::Storage;
 
-    /// Weights of each shape in billions, as they are published (Liu et al. 2023, Wang et al. 2023) or follow from the
-    /// parts; and of the smallest what the shipped model has.
+    /// Billions of weights by the sizes of decoders and towers that their papers and model cards give; the tower's last
+    /// layer, which LLaVA leaves unused, is not among them.
     #[test]
     fn shapes_have_the_weights_that_their_names_say() {
         for (name, billions) in [
-            ("nano", 0.0044),
+            ("nano", 0.004_02),
             ("llava-1.1b", 1.41),
             ("llava-1.5-7b", 7.06),
             ("llava-1.5-13b", 13.35),
