@@ -6,6 +6,7 @@ use crate::scenario::nuplan::DataRoots;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
+#[expect(clippy::struct_excessive_bools, reason = "these are flags")]
 /// A driving agent that plans with a multimodal language model, offline, on the CPU.
 #[derive(Debug, Parser)]
 #[command(name = "planagent", version, max_term_width = 100)]
@@ -19,7 +20,7 @@ pub(super) struct Arguments {
     /// Model: a name from models/, a folder in Hugging Face's layout, a GGUF file, or a hub id.
     #[arg(long, global = true, value_name = "MODEL")]
     pub(super) model: Option<String>,
-    /// Hold the model's weights in f32, f16, q8_0, q6_k or q4_k [default: as its files hold them, safetensors in f32].
+    /// Hold the model's weights in `f32`, `f16`, `q8_0`, `q6_k` or `q4_k` [default: as its files hold them, safetensors in f32].
     #[arg(long, global = true, value_name = "KIND")]
     pub(super) quantize: Option<Storage>,
     /// Load the model even if it seems to need more memory than is free.
@@ -243,7 +244,7 @@ pub(super) enum ModelsCommand {
 pub(super) struct QuantizeArguments {
     /// The model, as `--model` takes it.
     pub(super) source: String,
-    /// How its weights are held: f32, f16, q8_0, q6_k or q4_k.
+    /// How its weights are held: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k`.
     #[arg(long, value_name = "KIND")]
     pub(super) to: Storage,
     /// The file; a LLaVA's vision tower goes beside it as mmproj-FILE.

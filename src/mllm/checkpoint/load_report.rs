@@ -57,12 +57,11 @@ impl LoadReport {
         let same = |known: &&mut StorageException| {
             known.name == name && known.storage == planned.storage && known.file == file && known.reason == reason
         };
-        match self.exceptions.iter_mut().find(same) {
-            Some(known) => known.tensors += 1,
-            None => {
-                let (storage, reason) = (planned.storage, reason.to_string());
-                self.exceptions.push(StorageException { name, tensors: 1, file, storage, reason });
-            }
+        if let Some(known) = self.exceptions.iter_mut().find(same) {
+            known.tensors += 1;
+        } else {
+            let (storage, reason) = (planned.storage, reason.to_string());
+            self.exceptions.push(StorageException { name, tensors: 1, file, storage, reason });
         }
     }
 
