@@ -77,6 +77,11 @@ impl LoadReport {
         self.storages.sort_by_key(|share| std::cmp::Reverse(share.bytes));
     }
 
+    /// Whether it says nothing.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
     /// Bytes of all weights in memory.
     pub fn bytes(&self) -> u64 {
         self.storages.iter().map(|share| share.bytes).sum()

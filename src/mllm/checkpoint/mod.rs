@@ -5,7 +5,8 @@ mod clip_config;
 mod files;
 mod llama_config;
 mod load_report;
-mod safetensors_header;
+mod row_order;
+mod safetensors_folder;
 mod section;
 mod storage_plan;
 mod weight_file;
@@ -21,10 +22,11 @@ pub(crate) use files::ModelFiles;
 pub(crate) use llama_config::{LlamaConfig, Rope, RopeScaling};
 pub(crate) use load_report::in_bytes;
 pub use load_report::{LoadReport, StorageException, StorageShare};
+pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use section::Section;
 pub(crate) use storage_plan::{FileKind, StoragePlan, is_matrix};
 pub(crate) use weight_file::{TensorPlace, WeightFile};
-pub(crate) use weights::{RowOrder, Weights, paired};
+pub(crate) use weights::Weights;
 
 use super::matrix::Storage;
 use super::{MllmError, gguf};
@@ -60,8 +62,8 @@ impl ModelPlace {
     /// When there are none.
     pub fn weight_bytes(&self) -> Result<u64, MllmError> {
         match self {
-            Self::Folder(folder) if weights::has_safetensors(folder) => {
-                weights::weight_files(folder)?.iter().map(|file| file_bytes(file)).sum()
+            Self::Folder(folder) if safetensors_folder::has_safetensors(folder) => {
+                safetensors_folder::weight_files(folder)?.iter().map(|file| file_bytes(file)).sum()
             }
             Self::Folder(folder) => match gguf::find(folder)? {
                 Some(model) => Self::Gguf { model, mmproj: None }.weight_bytes(),
@@ -99,14 +101,14 @@ impl Checkpoint {
             ModelPlace::Gguf { model, mmproj } => gguf::open(model, mmproj.as_deref(), quantize),
             ModelPlace::Folder(folder) => {
                 let files = ModelFiles::folder(folder)?;
-                if !weights::has_safetensors(folder)
+                if !safetensors_folder::has_safetensors(folder)
                     && let Some(model) = gguf::find(folder)?
                 {
                     return gguf::open(&model, None, quantize);
                 }
                 // A configuration that is missing is missed before weights are.
                 files.required_json("config.json")?;
-                Ok(Self { weights: Weights::open(folder, quantize)?, files })
+                Ok(Self { weights: safetensors_folder::open(folder, quantize)?, files })
             }
         }
     }
