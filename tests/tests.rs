@@ -9,6 +9,7 @@
 mod agent;
 mod architecture;
 mod argoverse2;
+mod bench;
 mod cli;
 mod environment;
 mod generator;

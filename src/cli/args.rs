@@ -46,6 +46,9 @@ pub(super) struct Arguments {
     pub(super) verbose: bool,
 }
 
+/// Name of the hidden subcommand that `bench` starts itself by.
+pub(super) const BENCH_PROCESS: &str = "bench-process";
+
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 pub(super) enum Command {
@@ -61,6 +64,11 @@ pub(super) enum Command {
     Models(ModelsCommand),
     /// Write labelled states for training: BEV images and the three rounds with their answers.
     Dataset(DatasetArguments),
+    /// Measure what a planning call costs with local models, and beside llama.cpp.
+    Bench(BenchArguments),
+    /// The measuring process of `bench`: requests on stdin, replies on stdout.
+    #[command(name = BENCH_PROCESS, hide = true)]
+    BenchProcess,
 }
 
 /// Flags that say where nuPlan's data lies.
@@ -267,4 +275,45 @@ pub(super) struct DatasetArguments {
     /// Labelled states to make for validation, from seeds of their own; likewise.
     #[arg(long, default_value_t = 2_000)]
     pub(super) validation: usize,
+}
+
+/// Flags of `bench`.
+#[derive(Debug, Args)]
+pub(super) struct BenchArguments {
+    /// Models, as --model takes them [default: the configured one, unless --random-weights is given].
+    #[arg(value_name = "MODEL")]
+    pub(super) models: Vec<String>,
+    /// Shapes of known models to be filled with random weights, separated by commas; nothing is downloaded. A wrong name lists
+    /// them.
+    #[arg(long, value_name = "SHAPES", value_delimiter = ',')]
+    pub(super) random_weights: Vec<String>,
+    /// Planning calls of each model that do not count.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(super) warm_up: usize,
+    /// Planning calls of each model that count.
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    pub(super) iterations: usize,
+    /// Compare with another engine on the same GGUF files, the two taking turns.
+    #[arg(long, value_name = "ENGINE", value_enum)]
+    pub(super) vs: Option<OtherEngine>,
+    /// Python interpreter that has the package llama-cpp-python [default: `$PLANAGENT_LLAMA_PYTHON`, else python3].
+    #[arg(long, value_name = "FILE", requires = "vs")]
+    pub(super) llama_python: Option<PathBuf>,
+    /// Folder in which the GGUF files of random weights are kept for --vs [default: weights in the folder of the results].
+    #[arg(long, value_name = "FOLDER", requires = "vs")]
+    pub(super) weights: Option<PathBuf>,
+    /// Folder for the results; must be new or empty [default: runs/bench-DATE].
+    #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
+    pub(super) out: Option<PathBuf>,
+    /// Go on with the bench in this folder; models that are done are kept.
+    #[arg(long, value_name = "FOLDER")]
+    pub(super) resume: Option<PathBuf>,
+}
+
+/// What `bench` can compare with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum OtherEngine {
+    /// llama.cpp, driven through llama-cpp-python's low-level interface.
+    #[value(name = "llama.cpp")]
+    LlamaCpp,
 }

@@ -4,6 +4,7 @@ mod args;
 mod commands;
 mod config;
 mod exit;
+mod machine;
 mod model;
 mod printer;
 mod progress;
@@ -64,6 +65,8 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
         Command::Models(command) => commands::models::run(command, &config, printer),
         Command::Dataset(flags) => commands::dataset::run(flags, &config, printer),
+        Command::Bench(flags) => commands::bench::run(flags, &config, printer),
+        Command::BenchProcess => commands::bench::process(&config, printer),
     })
 }
 

@@ -1,5 +1,6 @@
-//! Stage 9: what drives many loops. Simulation runs; label search and datasets.
+//! Stage 9: what drives many loops. Simulation runs; label search and datasets; what a planning call costs.
 
+pub mod bench;
 mod caught;
 pub mod dataset;
 pub mod nuplan_data;

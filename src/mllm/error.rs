@@ -231,6 +231,14 @@ pub enum MllmError {
         /// The names that exist there, joined by commas.
         known: String,
     },
+    /// No shape goes by this name.
+    #[error("no model shape {name:?}; known are {known}")]
+    UnknownShape {
+        /// The name that was asked for.
+        name: String,
+        /// The names that exist, joined by commas.
+        known: String,
+    },
     /// A model of the hub is not in the local cache and must not be downloaded.
     #[error("{id} (revision {revision}): {file} is not in the cache {cache}, and downloads are off")]
     NotInCache {

@@ -14,6 +14,7 @@ mod conversation;
 mod decoder;
 mod error;
 mod gguf;
+mod latency;
 mod layer_norm;
 mod linear;
 mod llava;
@@ -35,6 +36,7 @@ pub use conversation::{
 };
 pub use error::MllmError;
 pub use gguf::{CreateFile, GgufPart};
+pub use latency::{LatencyProbe, ModelShape, PassTime, ProbeDescription, Step, StepTime};
 pub use local::{Architecture, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
 pub use matrix::{Storage, UnknownStorage};
 pub use registry::{

@@ -52,6 +52,14 @@ pub enum ReportError {
         /// Why, with its place.
         source: Box<toml::de::Error>,
     },
+    /// A JSON file is not what this program writes.
+    #[error("{} cannot be understood: {source}", path.display())]
+    ParseJson {
+        /// Which file.
+        path: PathBuf,
+        /// Why, with its place.
+        source: serde_json::Error,
+    },
     /// A file or folder cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Write {

@@ -1,6 +1,7 @@
 //! Stage 10: what people and programs read of a run.
 
 mod atomic;
+mod bench;
 mod call_record;
 mod drive_row;
 mod error;
@@ -14,6 +15,7 @@ mod table;
 mod timing;
 mod transcript;
 
+pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures, Spread};
 pub use call_record::call_record;
 pub use drive_row::{DriveRow, DriveTime, MetricScore};
 pub use error::ReportError;
@@ -21,6 +23,6 @@ pub use manifest::{MANIFEST, Manifest, ScenarioList};
 pub use run_folder::{Recorded, RunFolder};
 pub use stamp::stamp;
 pub use summary::{Aggregate, ScenarioSummary, Summary};
-pub use table::{failures, main_table};
+pub use table::{bench_markdown, bench_table, failures, main_table};
 pub use timing::{CallTimes, DriveTiming, PlannerTiming, Quantiles, Session, Timing};
 pub use transcript::{attempt_markdown, decision_words, transcript};

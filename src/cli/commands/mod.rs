@@ -1,5 +1,6 @@
 //! One file a subcommand.
 
+pub(super) mod bench;
 pub(super) mod dataset;
 pub(super) mod export;
 pub(super) mod models;

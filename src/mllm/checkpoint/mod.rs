@@ -5,6 +5,7 @@ mod clip_config;
 mod files;
 mod llama_config;
 mod load_report;
+mod random;
 mod row_order;
 mod safetensors_folder;
 mod section;
@@ -29,7 +30,7 @@ pub(crate) use weight_file::{TensorPlace, WeightFile};
 pub(crate) use weights::Weights;
 
 use super::matrix::Storage;
-use super::{MllmError, gguf};
+use super::{MllmError, ModelShape, gguf};
 
 /// Reads a file as text.
 pub(crate) fn read_text(path: &Path) -> Result<String, MllmError> {
@@ -53,9 +54,27 @@ pub enum ModelPlace {
         /// The vision tower; none if it is in the same file, or for the one that lies beside it.
         mmproj: Option<PathBuf>,
     },
+    /// Random weights in the shape of a known model; [`RANDOM_STORAGE`] unless another storage is asked for.
+    Random {
+        /// The shape.
+        shape: &'static ModelShape,
+        /// Seed of the weights.
+        seed: u64,
+    },
 }
 
+/// Storage of random weights unless told otherwise: that of the weights that are published.
+const RANDOM_STORAGE: Storage = Storage::F16;
+
 impl ModelPlace {
+    /// The folder, or the file of the decoder; of random weights the name of their shape.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Folder(path) | Self::Gguf { model: path, .. } => path,
+            Self::Random { shape, .. } => Path::new(shape.name),
+        }
+    }
+
     /// Bytes of its weight files.
     ///
     /// # Errors
@@ -73,6 +92,7 @@ impl ModelPlace {
                 let files = gguf::files(model, mmproj.as_deref())?;
                 files.iter().map(|file| file_bytes(file)).sum()
             }
+            Self::Random { .. } => Ok(0),
         }
     }
 }
@@ -99,6 +119,9 @@ impl Checkpoint {
     pub(crate) fn open(place: &ModelPlace, quantize: Option<Storage>) -> Result<Self, MllmError> {
         match place {
             ModelPlace::Gguf { model, mmproj } => gguf::open(model, mmproj.as_deref(), quantize),
+            ModelPlace::Random { shape, seed } => {
+                Self::random(shape.files()?, quantize.unwrap_or(RANDOM_STORAGE), *seed)
+            }
             ModelPlace::Folder(folder) => {
                 let files = ModelFiles::folder(folder)?;
                 if !safetensors_folder::has_safetensors(folder)

@@ -4,13 +4,14 @@
 //! mapping ends the program.
 
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use candle_core::CpuStorage;
 use candle_core::quantized::GgmlDType;
 use half::{bf16, f16};
 
+use super::random::RandomTensors;
 use crate::mllm::MllmError;
 
 /// Where and how a tensor lies in a file.
@@ -30,8 +31,15 @@ pub(crate) struct TensorPlace {
 #[derive(Debug)]
 pub(crate) struct WeightFile {
     path: PathBuf,
-    file: File,
+    source: Source,
     bytes: u64,
+}
+
+/// Where the bytes of a file come from.
+#[derive(Debug)]
+enum Source {
+    File(File),
+    Random(RandomTensors),
 }
 
 impl WeightFile {
@@ -43,7 +51,12 @@ impl WeightFile {
         let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
         let file = File::open(path).map_err(failed)?;
         let bytes = file.metadata().map_err(failed)?.len();
-        Ok(Self { path: path.to_path_buf(), file, bytes })
+        Ok(Self { path: path.to_path_buf(), source: Source::File(file), bytes })
+    }
+
+    /// What stands for a file that is made up, called `path` in messages.
+    pub(super) fn random(path: &Path, tensors: RandomTensors) -> Self {
+        Self { path: path.to_path_buf(), source: Source::Random(tensors), bytes: 0 }
     }
 
     /// The file, for messages.
@@ -61,8 +74,13 @@ impl WeightFile {
     /// # Errors
     /// When it cannot be read.
     pub(crate) fn reader(&self) -> Result<impl Read, MllmError> {
-        self.seek(0)?;
-        Ok(BufReader::with_capacity(1 << 20, &self.file))
+        match &self.source {
+            Source::File(file) => {
+                self.rewind(file, 0)?;
+                Ok(BufReader::with_capacity(1 << 20, file))
+            }
+            Source::Random(_) => Err(self.failed(io::ErrorKind::Unsupported.into())),
+        }
     }
 
     /// The bytes of a tensor.
@@ -70,10 +88,15 @@ impl WeightFile {
     /// # Errors
     /// When they cannot be read.
     pub(crate) fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
-        self.seek(place.begin)?;
-        let mut bytes = vec![0; place.bytes as usize];
-        (&self.file).read_exact(&mut bytes).map_err(|source| self.failed(source))?;
-        Ok(bytes)
+        match &self.source {
+            Source::File(file) => {
+                self.rewind(file, place.begin)?;
+                let mut bytes = vec![0; place.bytes as usize];
+                { file }.read_exact(&mut bytes).map_err(|source| self.failed(source))?;
+                Ok(bytes)
+            }
+            Source::Random(tensors) => tensors.bytes(place),
+        }
     }
 
     /// Adds its whole content to a hash.
@@ -81,13 +104,20 @@ impl WeightFile {
     /// # Errors
     /// When it cannot be read.
     pub(crate) fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
-        self.seek(0)?;
-        hasher.update_reader(&self.file).map_err(|source| self.failed(source))?;
+        match &self.source {
+            Source::File(file) => {
+                self.rewind(file, 0)?;
+                hasher.update_reader(file).map_err(|source| self.failed(source))?;
+            }
+            Source::Random(tensors) => {
+                hasher.update(&tensors.seed().to_le_bytes());
+            }
+        }
         Ok(())
     }
 
-    fn seek(&self, position: u64) -> Result<(), MllmError> {
-        (&self.file).seek(SeekFrom::Start(position)).map_err(|source| self.failed(source))?;
+    fn rewind(&self, mut file: &File, position: u64) -> Result<(), MllmError> {
+        file.seek(SeekFrom::Start(position)).map_err(|source| self.failed(source))?;
         Ok(())
     }
 

@@ -30,6 +30,8 @@ pub(crate) struct Weights {
     blake3: String,
     /// When tensors are only looked for: which are missing or misshapen.
     problems: Option<Vec<MllmError>>,
+    /// When it is only listed what is asked for: names and shapes.
+    listed: Option<Vec<(String, Vec<usize>)>>,
     #[cfg(test)]
     invented: Option<rand_pcg::Pcg64Mcg>,
 }
@@ -61,6 +63,7 @@ impl Weights {
             report: LoadReport { quantize: plan.quantize, ..LoadReport::default() },
             blake3: String::new(),
             problems: None,
+            listed: None,
             #[cfg(test)]
             invented: None,
         }
@@ -147,11 +150,25 @@ impl Weights {
         self.problems.as_deref().unwrap_or_default()
     }
 
+    /// From now on gives stand-ins for tensors, whether there are any or not, and lists which are asked for.
+    pub(super) fn only_list(&mut self) {
+        self.listed = Some(Vec::new());
+    }
+
+    /// What [`Self::only_list`] listed.
+    pub(super) fn listed(&self) -> &[(String, Vec<usize>)] {
+        self.listed.as_deref().unwrap_or_default()
+    }
+
     /// Looks for a tensor; says whether that is all that is wanted.
     ///
     /// # Errors
     /// When too much is missing.
     fn looked(&mut self, name: &str, shape: &[usize]) -> Result<bool, MllmError> {
+        if let Some(listed) = &mut self.listed {
+            listed.push((name.to_string(), shape.to_vec()));
+            return Ok(true);
+        }
         if self.problems.is_none() {
             return Ok(false);
         }

@@ -72,6 +72,20 @@ pub struct Loading {
 }
 
 impl Loading {
+    /// Opens a model's small files and the headers of its weights, if it is of the expected family and there is memory.
+    ///
+    /// # Errors
+    /// When a file is missing or broken, the family is another, or there is too little memory.
+    pub(crate) fn checkpoint(&self, place: &ModelPlace) -> Result<Checkpoint, MllmError> {
+        let checkpoint = Checkpoint::open(place, self.quantize)?;
+        let architecture = self.architecture(&checkpoint.files)?;
+        if self.memory == MemoryCheck::Refuse {
+            let decoder = architecture.decoder(&checkpoint.files)?;
+            memory::check(&checkpoint, &decoder, self.quantize)?;
+        }
+        Ok(checkpoint)
+    }
+
     /// The family of a model.
     ///
     /// # Errors
@@ -128,12 +142,8 @@ impl LocalModel {
     /// # Errors
     /// As [`Self::open`], and when there is too little memory.
     pub fn load(name: &str, place: &ModelPlace, loading: &Loading) -> Result<Self, MllmError> {
-        let mut checkpoint = Checkpoint::open(place, loading.quantize)?;
+        let mut checkpoint = loading.checkpoint(place)?;
         let architecture = loading.architecture(&checkpoint.files)?;
-        if loading.memory == MemoryCheck::Refuse {
-            let decoder = architecture.decoder(&checkpoint.files)?;
-            memory::check(&checkpoint, &decoder, loading.quantize)?;
-        }
         checkpoint.weights.hash()?;
         let model = architecture.open(&mut checkpoint)?;
         let Checkpoint { files, weights } = checkpoint;

@@ -207,8 +207,16 @@ impl ModelRegistry {
         LocalModel::export(&spec.name, &place, &loading, create, progress)
     }
 
+    /// How a model without a description is loaded: as this registry was told.
+    pub fn plain_loading(&self) -> Loading {
+        self.loading.clone()
+    }
+
     /// How a model is loaded by its description and what this registry was told.
-    fn loading(&self, spec: &ModelSpec) -> Result<Loading, MllmError> {
+    ///
+    /// # Errors
+    /// When its tokenizer cannot be had.
+    pub fn loading(&self, spec: &ModelSpec) -> Result<Loading, MllmError> {
         let tokenizer = match &spec.tokenizer {
             None => None,
             Some(ModelSource::Folder { folder }) => Some(folder.clone()),

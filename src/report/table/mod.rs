@@ -1,5 +1,6 @@
 //! Tables for the terminal, readable at 80 columns.
 
+mod bench;
 mod drives;
 mod overview;
 
@@ -10,6 +11,7 @@ use crate::metrics::MetricList;
 use crate::simulation::Challenge;
 use comfy_table::{CellAlignment, Table, presets};
 
+pub use bench::{bench_markdown, bench_table};
 pub use drives::failures;
 
 /// The main table (a row a planner), the scenario types when there are several, the drives with their metrics up to a

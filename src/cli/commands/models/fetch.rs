@@ -1,9 +1,8 @@
 //! `planagent models fetch`.
 
 use crate::cli::{Exit, Printer};
-use crate::mllm::{ModelPlace, ModelRegistry, in_bytes};
+use crate::mllm::{ModelRegistry, in_bytes};
 use anyhow::Context;
-use std::path::PathBuf;
 
 /// Downloads models of the hub, with their tokenizers; says where each lies.
 ///
@@ -14,10 +13,7 @@ pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer)
         let spec = registry.find(model)?;
         let place = registry.fetch(&spec).with_context(|| format!("cannot fetch the model '{}'", spec.name))?;
         let bytes = place.weight_bytes()?;
-        let place: PathBuf = match place {
-            ModelPlace::Folder(folder) => folder,
-            ModelPlace::Gguf { model, .. } => model,
-        };
+        let place = place.path();
         if printer.is_json() {
             printer.json(&serde_json::json!({"model": model, "place": place, "bytes": bytes}))?;
         } else {

@@ -1,7 +1,7 @@
 //! `planagent models list`.
 
 use crate::cli::{Exit, Printer};
-use crate::mllm::{ModelPlace, ModelRegistry, in_bytes};
+use crate::mllm::{ModelRegistry, in_bytes};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -52,13 +52,7 @@ fn row(name: String, registry: &ModelRegistry) -> Row {
     let family = spec.architecture.map(crate::mllm::Architecture::name);
     let row = Row { model: name, family, source: Some(spec.source.to_string()), ..Row::default() };
     match registry.place_here(&spec).and_then(|place| Ok((place.weight_bytes()?, place))) {
-        Ok((bytes, place)) => {
-            let place = match place {
-                ModelPlace::Folder(folder) => folder,
-                ModelPlace::Gguf { model, .. } => model,
-            };
-            Row { place: Some(place), bytes: Some(bytes), ..row }
-        }
+        Ok((bytes, place)) => Row { place: Some(place.path().to_path_buf()), bytes: Some(bytes), ..row },
         Err(error) => Row { problem: Some(error.to_string()), ..row },
     }
 }

@@ -3,7 +3,7 @@
 mod check;
 mod fetch;
 mod list;
-mod quantize;
+pub(in crate::cli) mod quantize;
 
 use crate::cli::args::ModelsCommand;
 use crate::cli::{Config, Exit, Printer, model};

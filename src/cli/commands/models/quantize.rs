@@ -2,7 +2,7 @@
 
 use crate::cli::args::QuantizeArguments;
 use crate::cli::{Exit, Printer};
-use crate::mllm::{GgufPart, ModelRegistry, in_bytes};
+use crate::mllm::{CreateFile, GgufPart, LoadReport, MllmError, ModelRegistry, in_bytes};
 use anyhow::{Context, bail};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -22,35 +22,9 @@ pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: 
         bail!("{} is there already; --force replaces it", path.display());
     }
     let spec = registry.find(&flags.source)?;
-    let bar = printer.byte_progress(0);
-    let mut written = Vec::new();
-    let mut create = |part: GgufPart| -> io::Result<Box<dyn Write>> {
-        let partial = partial(&part.path(&flags.out));
-        written.push((part, partial.clone()));
-        Ok(Box::new(BufWriter::with_capacity(1 << 20, File::create(&partial)?)))
-    };
-    let exported = registry.export(&spec, flags.to, &mut create, &mut |bytes, total| {
-        bar.set_length(total);
-        bar.set_position(bytes);
-    });
-    bar.finish_and_clear();
-    let report = match exported {
-        Ok(report) => report,
-        Err(error) => {
-            // What is left of an earlier failure may be in the way of the next try; the first error is the one to tell.
-            for (_, partial) in &written {
-                let _ = fs::remove_file(partial);
-            }
-            return Err(error)
-                .with_context(|| format!("cannot write the model '{}' to {}", spec.name, flags.out.display()));
-        }
-    };
-    let mut files = Vec::new();
-    for (part, partial) in written {
-        let path = part.path(&flags.out);
-        fs::rename(&partial, &path).with_context(|| format!("cannot write {}", path.display()))?;
-        files.push((fs::metadata(&path)?.len(), path));
-    }
+    let (report, files) =
+        write(&flags.out, printer, |create, progress| registry.export(&spec, flags.to, create, progress))
+            .with_context(|| format!("cannot write the model '{}' to {}", spec.name, flags.out.display()))?;
     if printer.is_json() {
         let files: Vec<_> =
             files.iter().map(|(bytes, path)| serde_json::json!({"path": path, "bytes": bytes})).collect();
@@ -62,6 +36,47 @@ pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: 
         }
     }
     Ok(Exit::Success)
+}
+
+/// Writes a model's GGUF files with a bar; they get their names when they are whole. Gives what became of the tensors, and
+/// each file with its length.
+///
+/// # Errors
+/// When `export` fails or a file cannot be written; then nothing is left behind.
+pub(in crate::cli) fn write(
+    out: &Path,
+    printer: Printer,
+    export: impl FnOnce(&mut CreateFile<'_>, &mut dyn FnMut(u64, u64)) -> Result<LoadReport, MllmError>,
+) -> anyhow::Result<(LoadReport, Vec<(u64, PathBuf)>)> {
+    let bar = printer.byte_progress(0);
+    let mut written = Vec::new();
+    let mut create = |part: GgufPart| -> io::Result<Box<dyn Write>> {
+        let partial = partial(&part.path(out));
+        written.push((part, partial.clone()));
+        Ok(Box::new(BufWriter::with_capacity(1 << 20, File::create(&partial)?)))
+    };
+    let exported = export(&mut create, &mut |bytes, total| {
+        bar.set_length(total);
+        bar.set_position(bytes);
+    });
+    bar.finish_and_clear();
+    let report = match exported {
+        Ok(report) => report,
+        Err(error) => {
+            // What is left of an earlier failure may be in the way of the next try; the first error is the one to tell.
+            for (_, partial) in &written {
+                let _ = fs::remove_file(partial);
+            }
+            return Err(error.into());
+        }
+    };
+    let mut files = Vec::new();
+    for (part, partial) in written {
+        let path = part.path(out);
+        fs::rename(&partial, &path).with_context(|| format!("cannot write {}", path.display()))?;
+        files.push((fs::metadata(&path)?.len(), path));
+    }
+    Ok((report, files))
 }
 
 /// Where a file is written until it is whole.

@@ -3,6 +3,7 @@
 mod selection;
 
 use crate::cli::args::SimulateArguments;
+use crate::cli::machine::cpu;
 use crate::cli::model::{self, Loaded};
 use crate::cli::progress::DriveProgress;
 use crate::cli::{Config, Exit, Printer};
@@ -137,11 +138,4 @@ fn tell(
         printer.note(format!("{} of {} drives failed", failed.len(), rows.len()));
     }
     Ok(failed.is_empty())
-}
-
-/// The processor's name as the system gives it.
-fn cpu() -> String {
-    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = info.lines().find_map(|line| line.strip_prefix("model name")).and_then(|rest| rest.split_once(':'));
-    model.map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, name)| name.trim().to_owned())
 }

@@ -1,0 +1,214 @@
+//! `planagent bench`.
+
+use crate::cli::args::{BENCH_PROCESS, BenchArguments, OtherEngine};
+use crate::cli::commands::models::quantize::write as write_gguf;
+use crate::cli::machine::{commit, cpu, memory};
+use crate::cli::{Config, Exit, Printer, model};
+use crate::experiment::bench::protocol::{GgufPair, ModelChoice};
+use crate::experiment::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
+use crate::mllm::{GgufPart, LocalModel, ModelPlace, ModelRegistry, ModelShape, PromptSet};
+use crate::report::{BenchFigures, BenchFolder, BenchMetadata, ReportError, bench_markdown, bench_table, stamp};
+use anyhow::{Context, bail};
+use serde_json::{Map, Value, json};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::SystemTime;
+
+/// Environment variable that names the Python interpreter with llama.cpp.
+const LLAMA_PYTHON: &str = "PLANAGENT_LLAMA_PYTHON";
+
+/// Measures models; the table goes to stdout, everything to a folder.
+///
+/// # Errors
+/// When a model is not known, or the folder cannot be used. A model that cannot be measured is no such error.
+pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    if flags.iterations == 0 {
+        bail!("--iterations is 0; at least one planning call must count");
+    }
+    let registry = model::registry(config, printer);
+    let candidates = candidates(flags, config, &registry)?;
+    let started = stamp(SystemTime::now());
+    let metadata = metadata(flags, config, &candidates, &started)?;
+    let out = || flags.out.clone().unwrap_or_else(|| Path::new("runs").join(format!("bench-{started}")));
+    let mut folder = match &flags.resume {
+        Some(path) => BenchFolder::resume(path, &metadata)?,
+        None => BenchFolder::create(&out(), &metadata)?,
+    };
+    let mut left: Vec<Candidate> =
+        candidates.into_iter().filter(|candidate| !folder.done().contains(candidate.name.as_str())).collect();
+    if flags.vs.is_some() {
+        let weights = flags.weights.clone().unwrap_or_else(|| folder.path().join("weights"));
+        for candidate in &mut left {
+            *candidate = as_gguf(candidate, &weights, config, &registry, printer)?;
+        }
+    }
+    let settings = BenchSettings {
+        warm_up: flags.warm_up,
+        iterations: flags.iterations,
+        threads: rayon::current_num_threads(),
+        seed: config.seed,
+        storage: config.mllm.quantize,
+        versus: llama_cpp(flags),
+    };
+    let program =
+        std::env::current_exe().context("cannot find this program, which measures in processes of its own")?;
+    let own = || {
+        let mut command = Command::new(&program);
+        command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
+        command.args(config.mllm.ignore_memory.then_some("--ignore-memory"));
+        command
+    };
+    let committed: Result<(), ReportError> =
+        measure(&left, &settings, &own, &mut |rows| folder.commit(rows), &|progress| {
+            printer.note(said(progress));
+        });
+    committed?;
+
+    let figures = BenchFigures::of(folder.rows());
+    let machine = format!(
+        "{}, {} threads, commit {}",
+        metadata.cpu,
+        settings.threads,
+        metadata.commit.as_deref().unwrap_or("unknown")
+    );
+    folder.finish(&figures, &bench_markdown(&figures, &metadata.command.join(" "), &machine))?;
+    if printer.is_json() {
+        printer.json(&figures)?;
+    } else {
+        printer.line(bench_table(&figures));
+    }
+    printer.note(format!("results in {}", folder.path().display()));
+    Ok(if figures.failed.is_empty() { Exit::Success } else { Exit::SomeFailed })
+}
+
+/// The measuring process: works until stdin ends.
+///
+/// # Errors
+/// When stdout is gone.
+pub(in crate::cli) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    serve(&model::registry(config, printer), io::stdin().lock(), io::stdout().lock())?;
+    Ok(Exit::Success)
+}
+
+/// The models that are to be measured.
+fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry) -> anyhow::Result<Vec<Candidate>> {
+    let configured = [config.mllm.model.clone()];
+    let none = flags.models.is_empty() && flags.random_weights.is_empty();
+    let named = if none { &configured[..] } else { &flags.models };
+    let mut all = Vec::new();
+    for name in named {
+        let spec = registry.find(name)?;
+        all.push(Candidate { name: spec.name, model: ModelChoice::Named(name.clone()), prompts: spec.prompt_set });
+    }
+    for name in &flags.random_weights {
+        let shape = ModelShape::find(name)?;
+        let prompts = registry.find(name).map_or(PromptSet::Paper, |spec| spec.prompt_set);
+        all.push(Candidate { name: name.clone(), model: ModelChoice::Random(shape.name.to_owned()), prompts });
+    }
+    for (index, candidate) in all.iter().enumerate() {
+        if all.iter().take(index).any(|other| other.name == candidate.name) {
+            bail!("two models are called {}; measure them in two benches", candidate.name);
+        }
+    }
+    Ok(all)
+}
+
+/// A model as files that llama.cpp reads too: its own, or written to a folder.
+fn as_gguf(
+    candidate: &Candidate,
+    folder: &Path,
+    config: &Config,
+    registry: &ModelRegistry,
+    printer: Printer,
+) -> anyhow::Result<Candidate> {
+    let (place, loading) = match &candidate.model {
+        ModelChoice::Gguf(_) => return Ok(candidate.clone()),
+        ModelChoice::Named(name) => {
+            let spec = registry.find(name)?;
+            (registry.place(&spec)?, registry.loading(&spec)?)
+        }
+        ModelChoice::Random(shape) => {
+            (ModelPlace::Random { shape: ModelShape::find(shape)?, seed: config.seed }, registry.plain_loading())
+        }
+    };
+    let pair = |decoder: &Path, projector: &Path| {
+        let files = GgufPair { decoder: decoder.to_owned(), projector: projector.to_owned() };
+        Candidate { model: ModelChoice::Gguf(files), ..candidate.clone() }
+    };
+    if let ModelPlace::Gguf { model, mmproj: Some(mmproj) } = &place {
+        return Ok(pair(model, mmproj));
+    }
+    let Some(storage) = config.mllm.quantize else {
+        bail!("--vs needs --quantize, or GGUF files with their mmproj named: both engines must read the same files");
+    };
+    let decoder = folder.join(format!("{}-{storage}-seed-{}.gguf", candidate.name, config.seed));
+    let projector = GgufPart::Tower.path(&decoder);
+    if !decoder.is_file() || !projector.is_file() {
+        printer.note(format!("{}: writing it as {}", candidate.name, decoder.display()));
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        write_gguf(&decoder, printer, |create, progress| {
+            LocalModel::export(&candidate.name, &place, &loading, create, progress)
+        })
+        .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
+    }
+    if !projector.is_file() {
+        bail!("{} cannot be compared: llama.cpp's format has no place for its vision tower", candidate.name);
+    }
+    Ok(pair(&decoder, &projector))
+}
+
+/// How llama.cpp is run, if it is asked for.
+fn llama_cpp(flags: &BenchArguments) -> Option<LlamaCpp> {
+    flags.vs.map(|OtherEngine::LlamaCpp| {
+        let python = flags.llama_python.clone().or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
+        LlamaCpp { python: python.unwrap_or_else(|| "python3".into()) }
+    })
+}
+
+fn metadata(
+    flags: &BenchArguments,
+    config: &Config,
+    candidates: &[Candidate],
+    started: &str,
+) -> anyhow::Result<BenchMetadata> {
+    let models: Map<String, Value> = candidates
+        .iter()
+        .map(|candidate| {
+            let budget = CallBudget::of(candidate.prompts);
+            Ok((candidate.name.clone(), json!({"model": &candidate.model, "budget": budget})))
+        })
+        .collect::<anyhow::Result<_>>()?;
+    let settings = json!({
+        "models": models,
+        "warm_up": flags.warm_up,
+        "iterations": flags.iterations,
+        "threads": rayon::current_num_threads(),
+        "seed": config.seed,
+        "quantize": config.mllm.quantize,
+        "vs_llama_cpp": flags.vs.is_some(),
+    });
+    let Value::Object(settings) = settings else { bail!("the settings are no object") };
+    Ok(BenchMetadata {
+        planagent: env!("CARGO_PKG_VERSION").to_owned(),
+        commit: commit(),
+        started: started.to_owned(),
+        command: std::env::args().collect(),
+        cpu: cpu(),
+        memory: memory(),
+        settings,
+    })
+}
+
+/// A line about how far the bench is.
+fn said(progress: Progress<'_>) -> String {
+    match progress {
+        Progress::Loading(engine, candidate) => format!("{}: {engine} loads it", candidate.name),
+        Progress::LeftOut(candidate, why) => format!("{}: left out: {why}", candidate.name),
+        Progress::Done(row, of) => {
+            let warm_up = if row.warm_up { ", warm-up" } else { "" };
+            let done = row.iteration + 1;
+            format!("{}: {} {} {done}/{of}{warm_up}: {:.0} ms", row.model, row.engine, row.workload, row.total_ms())
+        }
+    }
+}

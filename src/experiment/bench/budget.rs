@@ -1,0 +1,178 @@
+//! How many tokens a planning call reads and writes.
+
+use crate::mllm::{PromptSet, Step};
+use serde::{Deserialize, Serialize};
+
+/// The tokens of a planning call: the same for every model and engine, whatever it would rather say.
+///
+/// The rounds, the places where answers are forced, and what stays computed between rounds and attempts are those of
+/// [`Reasoning`](crate::reasoning::Reasoning) with grammars on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CallBudget {
+    /// The system prompt with what the chat template puts around it. Where it stands before the image it is computed once
+    /// for all calls, else in every call.
+    pub opening: usize,
+    /// The lane-graph text.
+    pub scene: usize,
+    /// What a refused planner was refused for, in the first prompt of a later attempt.
+    pub feedback: usize,
+    /// The rounds in their order.
+    pub rounds: Vec<RoundBudget>,
+    /// Attempts after the first.
+    pub rethinks: usize,
+}
+
+/// The tokens of a round.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RoundBudget {
+    /// The question with what the chat template puts around it; scene text and feedback not counted.
+    pub question: usize,
+    /// The answer. No model ends it early.
+    pub answer: Vec<AnswerPart>,
+}
+
+/// A piece of an answer: first what its grammar forces, then what the model chooses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AnswerPart {
+    /// Tokens that are forced.
+    pub forced: usize,
+    /// Tokens that are chosen.
+    pub free: usize,
+}
+
+/// Where the system prompt of a family stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Layout {
+    /// Before the image (the LLaVA families).
+    OpeningFirst,
+    /// Behind the image (`CogVLM`).
+    ImageFirst,
+}
+
+impl CallBudget {
+    /// What a prompt set takes: the one source of these counts, which `docs/latency.md` explains.
+    pub fn of(prompts: PromptSet) -> Self {
+        let part = |(forced, free)| AnswerPart { forced, free };
+        match prompts {
+            PromptSet::Paper => Self {
+                opening: 665,
+                scene: 110,
+                feedback: 163,
+                rounds: vec![
+                    RoundBudget { question: 172, answer: [(0, 204)].map(part).into() },
+                    RoundBudget { question: 81, answer: [(4, 1), (4, 15), (4, 1), (2, 13)].map(part).into() },
+                    RoundBudget {
+                        question: 54,
+                        answer: [(11, 1), (5, 1), (2, 1), (4, 1), (3, 2), (4, 1), (1, 0)].map(part).into(),
+                    },
+                ],
+                rethinks: 1,
+            },
+            PromptSet::Compact => Self {
+                opening: 2,
+                scene: 40,
+                feedback: 30,
+                rounds: vec![
+                    RoundBudget { question: 10, answer: [(0, 20)].map(part).into() },
+                    RoundBudget { question: 10, answer: [(0, 8)].map(part).into() },
+                    RoundBudget { question: 10, answer: [(0, 12)].map(part).into() },
+                ],
+                rethinks: 1,
+            },
+        }
+    }
+
+    /// What must be done once before the first call.
+    pub fn opening_steps(&self, layout: Layout) -> Vec<Step> {
+        match layout {
+            Layout::OpeningFirst => vec![Step::Keep(0), Step::Text(self.opening), Step::Compute],
+            Layout::ImageFirst => vec![Step::Keep(0)],
+        }
+    }
+
+    /// The steps of a call, for a model whose image becomes `image` tokens.
+    pub fn call_steps(&self, layout: Layout, image: usize) -> Vec<Step> {
+        let mut steps = match layout {
+            Layout::OpeningFirst => vec![Step::Keep(self.opening), Step::Encode, Step::Image],
+            Layout::ImageFirst => vec![Step::Keep(0), Step::Encode, Step::Image, Step::Text(self.opening)],
+        };
+        steps.push(Step::Text(self.scene));
+        self.add_rounds(&mut steps);
+        for _ in 0..self.rethinks {
+            // The chats of two attempts agree up to the end of the lane-graph text.
+            steps.extend([Step::Keep(self.opening + image + self.scene), Step::Text(self.feedback)]);
+            self.add_rounds(&mut steps);
+        }
+        steps
+    }
+
+    fn add_rounds(&self, steps: &mut Vec<Step>) {
+        for round in &self.rounds {
+            steps.push(Step::Text(round.question));
+            for part in &round.answer {
+                steps.extend([Step::Forced(part.forced), Step::Free(part.free)]);
+            }
+        }
+        steps.retain(|step| !matches!(step, Step::Text(0) | Step::Forced(0) | Step::Free(0)));
+    }
+
+    /// Text tokens of the prompts of a call, what is computed in it or stays computed.
+    pub fn prompt_tokens(&self) -> usize {
+        let questions: usize = self.rounds.iter().map(|round| round.question).sum();
+        self.opening + self.scene + questions + self.rethinks * (self.feedback + questions)
+    }
+
+    /// Most tokens that the sequence holds at once, those of the image apart.
+    pub fn longest(&self) -> usize {
+        let answer = |round: &RoundBudget| round.answer.iter().map(|part| part.forced + part.free).sum::<usize>();
+        let rounds: usize = self.rounds.iter().map(|round| round.question + answer(round)).sum();
+        self.opening + self.scene + rounds + if self.rethinks > 0 { self.feedback } else { 0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn small() -> CallBudget {
+        let round = |question, forced, free| RoundBudget { question, answer: vec![AnswerPart { forced, free }] };
+        CallBudget { opening: 7, scene: 5, feedback: 3, rounds: vec![round(2, 0, 4), round(1, 6, 8)], rethinks: 1 }
+    }
+
+    #[test]
+    fn a_rethink_keeps_what_two_attempts_have_in_common() {
+        let steps = small().call_steps(Layout::OpeningFirst, 16);
+        let rounds = [Step::Text(2), Step::Free(4), Step::Text(1), Step::Forced(6), Step::Free(8)];
+        let first = [Step::Keep(7), Step::Encode, Step::Image, Step::Text(5)];
+        let again = [Step::Keep(7 + 16 + 5), Step::Text(3)];
+        assert_eq!(steps, [&first[..], &rounds, &again, &rounds].concat());
+        let behind = small().call_steps(Layout::ImageFirst, 16);
+        assert_eq!(behind[..4], [Step::Keep(0), Step::Encode, Step::Image, Step::Text(7)]);
+        assert_eq!(behind[4..], steps[3..]);
+    }
+
+    #[test]
+    fn tokens_are_counted_as_the_steps_append_them() {
+        for budget in [small(), CallBudget::of(PromptSet::Paper), CallBudget::of(PromptSet::Compact)] {
+            let (mut length, mut longest, mut prompt) = (0, 0, 0);
+            let steps = [budget.opening_steps(Layout::OpeningFirst), budget.call_steps(Layout::OpeningFirst, 0)];
+            for step in steps.concat() {
+                match step {
+                    Step::Keep(tokens) => length = tokens.min(length),
+                    Step::Text(tokens) => {
+                        length += tokens;
+                        prompt += tokens;
+                    }
+                    Step::Forced(tokens) | Step::Free(tokens) => length += tokens,
+                    Step::Encode | Step::Image | Step::Compute => {}
+                }
+                longest = longest.max(length);
+            }
+            assert_eq!((budget.prompt_tokens(), budget.longest()), (prompt, longest));
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! A process that measures one model.
+
+use super::protocol::{LoadRequest, Loaded, Reply, Request};
+use crate::mllm::{Step, StepTime};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+/// Which program computes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum EngineName {
+    /// This one.
+    #[serde(rename = "planagent")]
+    PlanAgent,
+    /// llama.cpp.
+    #[serde(rename = "llama.cpp")]
+    LlamaCpp,
+}
+
+impl fmt::Display for EngineName {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::PlanAgent => "planagent",
+            Self::LlamaCpp => "llama.cpp",
+        })
+    }
+}
+
+/// Why a model could not be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum EngineError {
+    /// The process cannot be started.
+    #[error("cannot start {program}: {source}")]
+    Start {
+        /// What was to be started.
+        program: String,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The process ended or went silent.
+    #[error("{engine} ended before it answered{status}")]
+    Ended {
+        /// Which engine.
+        engine: EngineName,
+        /// Its exit status.
+        status: String,
+    },
+    /// The process said something that is no answer.
+    #[error("{engine} answered {found}")]
+    Nonsense {
+        /// Which engine.
+        engine: EngineName,
+        /// What it said, shortened.
+        found: String,
+    },
+    /// The process could not do what it was asked.
+    #[error("{engine}: {problem}")]
+    Failed {
+        /// Which engine.
+        engine: EngineName,
+        /// What it said.
+        problem: String,
+    },
+}
+
+/// A running process that measures one model. It is ended when this is dropped.
+#[derive(Debug)]
+pub struct Engine {
+    name: EngineName,
+    child: Child,
+    requests: ChildStdin,
+    replies: BufReader<ChildStdout>,
+}
+
+/// Most characters of a strange answer that an error repeats.
+const MOST_SHOWN: usize = 200;
+
+impl Engine {
+    /// Starts a process that reads requests and writes replies; its stderr is ours.
+    ///
+    /// # Errors
+    /// When it cannot be started.
+    pub fn start(name: EngineName, command: &mut Command) -> Result<Self, EngineError> {
+        let program = command.get_program().to_string_lossy().into_owned();
+        let mut child = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(|source| EngineError::Start { program, source })?;
+        match (child.stdin.take(), child.stdout.take()) {
+            (Some(requests), Some(replies)) => Ok(Self { name, child, requests, replies: BufReader::new(replies) }),
+            _ => Err(EngineError::Ended { engine: name, status: String::new() }),
+        }
+    }
+
+    /// Which engine it is.
+    pub fn name(&self) -> EngineName {
+        self.name
+    }
+
+    /// Loads a model.
+    ///
+    /// # Errors
+    /// When the model cannot be loaded or the process fails.
+    pub fn load(&mut self, request: LoadRequest) -> Result<Loaded, EngineError> {
+        match self.ask(&Request::Load(request))? {
+            Reply::Loaded(loaded) => Ok(loaded),
+            other => Err(self.nonsense(&format!("{other:?}"))),
+        }
+    }
+
+    /// Does steps and gives a time for each.
+    ///
+    /// # Errors
+    /// When a step cannot be done or the process fails.
+    pub fn run(&mut self, steps: Vec<Step>) -> Result<Vec<StepTime>, EngineError> {
+        let count = steps.len();
+        match self.ask(&Request::Run(steps))? {
+            Reply::Ran(times) if times.len() == count => Ok(times),
+            other => Err(self.nonsense(&format!("{other:?}"))),
+        }
+    }
+
+    /// Most memory that the process has held so far, bytes (`VmHWM`); none where the system does not tell.
+    pub fn peak_memory(&self) -> Option<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+        let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+        Some(kibibytes * 1024)
+    }
+
+    fn ask(&mut self, request: &Request) -> Result<Reply, EngineError> {
+        let mut line = serde_json::to_string(request).map_err(|error| self.nonsense(&error.to_string()))?;
+        line.push('\n');
+        let sent = self.requests.write_all(line.as_bytes()).and_then(|()| self.requests.flush());
+        let mut answer = String::new();
+        let read = sent.and_then(|()| self.replies.read_line(&mut answer));
+        if !read.is_ok_and(|bytes| bytes > 0) {
+            return Err(self.ended());
+        }
+        match serde_json::from_str(&answer) {
+            Ok(Reply::Failed(problem)) => Err(EngineError::Failed { engine: self.name, problem }),
+            Ok(reply) => Ok(reply),
+            Err(_) => Err(self.nonsense(&answer)),
+        }
+    }
+
+    fn ended(&mut self) -> EngineError {
+        let status = self.child.wait().map_or_else(|_| String::new(), |status| format!(" ({status})"));
+        EngineError::Ended { engine: self.name, status }
+    }
+
+    fn nonsense(&self, found: &str) -> EngineError {
+        EngineError::Nonsense { engine: self.name, found: found.chars().take(MOST_SHOWN).collect() }
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        // Nothing is left to do where it has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

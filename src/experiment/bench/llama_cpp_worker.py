@@ -1,0 +1,274 @@
+"""The measuring process for llama.cpp: requests on stdin, replies on stdout, a line of JSON each.
+
+It works off the same steps on numbers of tokens as PlanAgent's own process, through llama.cpp's low-level interface, so
+nothing but the engines differs. Prompts stay in the key-value cache as far as a step says so (prompt cache on). All settings
+of llama.cpp are its defaults but threads and context. Tokens that a grammar forces are decoded one by one, since
+llama.cpp's grammar sampler takes them one by one.
+"""
+
+import ctypes
+import json
+import os
+import random
+import sys
+import time
+
+# Whatever the libraries print goes to stderr: stdout is for replies.
+REPLIES = os.fdopen(os.dup(1), "w")
+os.dup2(2, 1)
+
+
+class Problem(Exception):
+    """Something that the asking process is told."""
+
+
+def now_ms():
+    return time.perf_counter() * 1e3
+
+
+class StepTime:
+    """Wall time of a step, milliseconds, and of its passes of several tokens and of one."""
+
+    def __init__(self):
+        self.start = now_ms()
+        self.first_token_ms = None
+        self.batch = [0, 0.0]
+        self.single = [0, 0.0]
+
+    def add_pass(self, tokens, ms):
+        passes = self.single if tokens == 1 else self.batch
+        passes[0] += tokens
+        passes[1] += ms
+
+    def chosen(self):
+        if self.first_token_ms is None:
+            self.first_token_ms = now_ms() - self.start
+
+    def reply(self):
+        return {
+            "ms": now_ms() - self.start,
+            "first_token_ms": self.first_token_ms,
+            "batch": {"tokens": self.batch[0], "ms": self.batch[1]},
+            "single": {"tokens": self.single[0], "ms": self.single[1]},
+        }
+
+
+class Model:
+    """A decoder with its vision tower, and one sequence of tokens."""
+
+    def __init__(self, request):
+        try:
+            import llama_cpp
+            from llama_cpp import mtmd_cpp
+        except (ImportError, OSError) as error:
+            raise Problem(f"the Python package llama-cpp-python cannot be used: {error}") from error
+        self.api, self.vision_api = llama_cpp, mtmd_cpp
+        if "gguf" not in request["model"]:
+            raise Problem("llama.cpp loads GGUF files only")
+        if not request["like"]:
+            raise Problem("llama.cpp must be told how long its context and how large its image is")
+        files = request["model"]["gguf"]
+        start = now_ms()
+        self.quieten()
+        llama_cpp.llama_backend_init()
+        parameters = llama_cpp.llama_model_default_params()
+        parameters.n_gpu_layers = 0
+        self.model = llama_cpp.llama_model_load_from_file(files["decoder"].encode(), parameters)
+        if not self.model:
+            raise Problem(f"{files['decoder']} cannot be loaded")
+        settings = llama_cpp.llama_context_default_params()
+        settings.n_ctx = request["like"]["context"]
+        settings.n_threads = settings.n_threads_batch = request["threads"]
+        self.context = llama_cpp.llama_init_from_model(self.model, settings)
+        if not self.context:
+            raise Problem("no context can be made")
+        self.memory = llama_cpp.llama_get_memory(self.context)
+        self.most_in_batch = settings.n_batch
+        self.sampler = llama_cpp.llama_sampler_init_greedy()
+        self.words = random.Random(request["seed"])
+        self.vocabulary = llama_cpp.llama_vocab_n_tokens(llama_cpp.llama_model_get_vocab(self.model))
+        self.length = 0
+        self.pending = []
+        self.load_vision(files["projector"], request["threads"], request["like"]["image_side"])
+        self.load_s = (now_ms() - start) / 1e3
+
+    def quieten(self):
+        """Leaves warnings and errors on stderr, and nothing below."""
+        warning = 3
+
+        @self.api.llama_log_callback
+        def log(level, text, _):
+            if level >= warning and level <= warning + 1:
+                sys.stderr.write(text.decode(errors="replace"))
+
+        self.log = log
+        nothing = ctypes.c_void_p(0)
+        self.api.llama_log_set(log, nothing)
+        self.vision_api.mtmd_log_set(log, nothing)
+        self.vision_api.mtmd_helper_log_set(log, nothing)
+
+    def load_vision(self, projector, threads, side):
+        api = self.vision_api
+        settings = api.mtmd_context_params_default()
+        settings.use_gpu = False
+        settings.print_timings = False
+        settings.n_threads = threads
+        self.vision = api.mtmd_init_from_file(projector.encode(), self.model, settings)
+        if not self.vision:
+            raise Problem(f"{projector} cannot be loaded")
+        self.side = side
+        pixels = self.words.randbytes(3 * side * side)
+        self.bitmap = api.mtmd_bitmap_init(side, side, (ctypes.c_uint8 * len(pixels)).from_buffer_copy(pixels))
+        self.chunks = None
+        self.features = []
+        self.preprocess()
+        self.image_tokens = sum(api.mtmd_input_chunk_get_n_tokens(chunk) for chunk in self.image_chunks())
+        if self.image_tokens == 0:
+            raise Problem(f"{projector} makes no tokens of an image")
+
+    def describe(self):
+        name = ctypes.create_string_buffer(128)
+        self.api.llama_model_desc(self.model, name, len(name))
+        return {
+            "parameters": self.api.llama_model_n_params(self.model),
+            "storage": name.value.decode(errors="replace"),
+            "image_side": self.side,
+            "image_tokens": self.image_tokens,
+            "context": self.api.llama_n_ctx(self.context),
+            "layout": "opening_first",
+            "load_s": self.load_s,
+            "version": self.api.__version__,
+        }
+
+    def preprocess(self):
+        """Cuts and scales the image, as llama.cpp does while it tokenizes the marker of one."""
+        api = self.vision_api
+        if self.chunks:
+            api.mtmd_input_chunks_free(self.chunks)
+        self.chunks = api.mtmd_input_chunks_init()
+        marker = api.mtmd_default_marker()
+        text = api.mtmd_input_text(text=marker, text_len=len(marker), add_special=False, parse_special=True)
+        bitmaps = (api.mtmd_bitmap_p_ctypes * 1)(self.bitmap)
+        if api.mtmd_tokenize(self.vision, self.chunks, ctypes.byref(text), bitmaps, 1) != 0:
+            raise Problem("the image cannot be used")
+
+    def image_chunks(self):
+        api = self.vision_api
+        chunks = (api.mtmd_input_chunks_get(self.chunks, i) for i in range(api.mtmd_input_chunks_size(self.chunks)))
+        return [chunk for chunk in chunks if api.mtmd_input_chunk_get_type(chunk) == api.MTMD_INPUT_CHUNK_TYPE_IMAGE]
+
+    def encode(self):
+        api = self.vision_api
+        self.preprocess()
+        self.features = []
+        width = self.api.llama_model_n_embd_inp(self.model)
+        for chunk in self.image_chunks():
+            if api.mtmd_encode_chunk(self.vision, chunk) != 0:
+                raise Problem("the image cannot be encoded")
+            count = api.mtmd_input_chunk_get_n_tokens(chunk) * width
+            rows = (ctypes.c_float * count)()
+            ctypes.memmove(rows, api.mtmd_get_output_embd(self.vision), ctypes.sizeof(rows))
+            self.features.append((chunk, rows))
+
+    def append_image(self, step):
+        api = self.vision_api
+        self.compute(step)
+        for chunk, rows in self.features:
+            start = now_ms()
+            length = self.api.llama_pos(0)
+            no_callback = api.mtmd_helper_post_decode_callback(0)
+            outcome = api.mtmd_helper_decode_image_chunk(
+                self.vision,
+                self.context,
+                chunk,
+                rows,
+                self.length,
+                0,
+                self.most_in_batch,
+                ctypes.byref(length),
+                no_callback,
+                None,
+            )
+            if outcome != 0:
+                raise Problem("the image's tokens cannot be decoded")
+            self.api.llama_synchronize(self.context)
+            step.add_pass(api.mtmd_input_chunk_get_n_tokens(chunk), now_ms() - start)
+            self.length = length.value
+
+    def append(self, tokens):
+        self.pending.extend(self.words.randrange(self.vocabulary) for _ in range(tokens))
+
+    def compute(self, step):
+        """Decodes what is pending; the logits of its last token are there afterwards."""
+        for first in range(0, len(self.pending), self.most_in_batch):
+            part = self.pending[first : first + self.most_in_batch]
+            start = now_ms()
+            tokens = (self.api.llama_token * len(part))(*part)
+            if self.api.llama_decode(self.context, self.api.llama_batch_get_one(tokens, len(part))) != 0:
+                raise Problem(f"{len(part)} tokens at {self.length} cannot be decoded")
+            self.api.llama_synchronize(self.context)
+            step.add_pass(len(part), now_ms() - start)
+            self.length += len(part)
+        self.pending = []
+
+    def free(self, tokens, step):
+        for _ in range(tokens):
+            self.compute(step)
+            self.pending = [self.api.llama_sampler_sample(self.sampler, self.context, -1)]
+            step.chosen()
+
+    def forced(self, tokens, step):
+        """Each forced token is decoded alone: it costs what a free one does."""
+        for _ in range(tokens):
+            self.compute(step)
+            self.append(1)
+
+    def keep(self, tokens):
+        self.pending = []
+        if not self.api.llama_memory_seq_rm(self.memory, 0, tokens, -1):
+            raise Problem(f"the cache cannot go back to {tokens} tokens")
+        self.length = min(self.length, tokens)
+
+    def run(self, step):
+        name, count = next(iter(step.items())) if isinstance(step, dict) else (step, 0)
+        timed = StepTime()
+        if name == "keep":
+            self.keep(count)
+        elif name == "encode":
+            self.encode()
+        elif name == "image":
+            self.append_image(timed)
+        elif name == "text":
+            self.append(count)
+        elif name == "forced":
+            self.forced(count, timed)
+        elif name == "free":
+            self.free(count, timed)
+        elif name == "compute":
+            self.compute(timed)
+        else:
+            raise Problem(f"there is no step {name}")
+        return timed.reply()
+
+
+def main():
+    model = None
+    for line in sys.stdin:
+        try:
+            request = json.loads(line)
+            if "load" in request:
+                model = Model(request["load"])
+                reply = {"loaded": model.describe()}
+            elif "run" in request and model:
+                reply = {"ran": [model.run(step) for step in request["run"]]}
+            else:
+                reply = {"failed": "this cannot be asked of llama.cpp, or not before a model is loaded"}
+        except Problem as problem:
+            reply = {"failed": str(problem)}
+        except Exception as error:  # The asking process must hear of whatever it was.
+            reply = {"failed": f"{type(error).__name__}: {error}"}
+        REPLIES.write(json.dumps(reply) + "\n")
+        REPLIES.flush()
+
+
+main()

@@ -1,0 +1,158 @@
+//! What a bench leaves behind, row by row.
+
+use super::engine::EngineName;
+use super::protocol::Loaded;
+use crate::mllm::{PassTime, Step, StepTime};
+use serde::{Deserialize, Serialize};
+
+/// A row.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "row", rename_all = "snake_case")]
+pub enum Row {
+    /// A workload has been done once.
+    Iteration(IterationRow),
+    /// A model has been measured to the end by an engine.
+    Model(ModelRow),
+    /// A model could not be measured.
+    Failed(FailedRow),
+}
+
+/// A workload done once.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct IterationRow {
+    /// The model's name.
+    pub model: String,
+    /// Who computed.
+    pub engine: EngineName,
+    /// The workload's name.
+    pub workload: String,
+    /// How often it had been done before.
+    pub iteration: usize,
+    /// Whether it does not count.
+    pub warm_up: bool,
+    /// What was done and how long it took.
+    pub steps: Vec<TimedStep>,
+}
+
+/// A step with its time.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TimedStep {
+    /// What was done.
+    pub step: Step,
+    /// How long it took.
+    pub time: StepTime,
+}
+
+/// What was loaded, and the memory that all of it took.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ModelRow {
+    /// The model's name.
+    pub model: String,
+    /// Who computed.
+    pub engine: EngineName,
+    /// What was loaded.
+    pub loaded: Loaded,
+    /// Text tokens of the prompts of a call.
+    pub prompt_tokens: usize,
+    /// Most memory that the process held, bytes; none where the system does not tell.
+    pub peak_memory: Option<u64>,
+}
+
+/// Why a model was not measured.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FailedRow {
+    /// The model's name.
+    pub model: String,
+    /// Why.
+    pub problem: String,
+}
+
+impl Row {
+    /// The model's name.
+    pub fn model(&self) -> &str {
+        match self {
+            Self::Iteration(row) => &row.model,
+            Self::Model(row) => &row.model,
+            Self::Failed(row) => &row.model,
+        }
+    }
+}
+
+impl IterationRow {
+    /// Wall time of all steps, milliseconds.
+    pub fn total_ms(&self) -> f64 {
+        self.steps.iter().map(|timed| timed.time.ms).sum()
+    }
+
+    /// Wall time of encoding images, milliseconds; none if there was none.
+    pub fn image_encode_ms(&self) -> Option<f64> {
+        let encodings = self.steps.iter().filter(|timed| timed.step == Step::Encode);
+        encodings.map(|timed| timed.time.ms).reduce(|sum, ms| sum + ms)
+    }
+
+    /// From the start to the first token that the model chose, milliseconds.
+    pub fn first_token_ms(&self) -> Option<f64> {
+        let mut before = 0.0;
+        for TimedStep { time, .. } in &self.steps {
+            if let Some(within) = time.first_token_ms {
+                return Some(before + within);
+            }
+            before += time.ms;
+        }
+        None
+    }
+
+    /// The passes that computed the first prompt.
+    pub fn prefill(&self) -> PassTime {
+        let mut sum = PassTime::default();
+        for TimedStep { time, .. } in &self.steps {
+            sum += time.batch;
+            if time.first_token_ms.is_some() {
+                break;
+            }
+        }
+        sum
+    }
+
+    /// The passes of one token.
+    pub fn decode(&self) -> PassTime {
+        let mut sum = PassTime::default();
+        for TimedStep { time, .. } in &self.steps {
+            sum += time.single;
+        }
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn timed(step: Step, ms: f64, first_token_ms: Option<f64>, batch: (usize, f64), single: (usize, f64)) -> TimedStep {
+        let pass = |(tokens, ms)| PassTime { tokens, ms };
+        TimedStep { step, time: StepTime { ms, first_token_ms, batch: pass(batch), single: pass(single) } }
+    }
+
+    #[test]
+    fn figures_are_taken_from_the_steps_they_stand_for() {
+        let row = IterationRow {
+            model: "m".into(),
+            engine: EngineName::PlanAgent,
+            workload: "call".into(),
+            iteration: 0,
+            warm_up: false,
+            steps: vec![
+                timed(Step::Encode, 100.0, None, (0, 0.0), (0, 0.0)),
+                timed(Step::Image, 40.0, None, (64, 40.0), (0, 0.0)),
+                timed(Step::Text(20), 0.0, None, (0, 0.0), (0, 0.0)),
+                timed(Step::Free(3), 30.0, Some(10.0), (20, 10.0), (2, 20.0)),
+                timed(Step::Free(2), 25.0, Some(15.0), (9, 15.0), (1, 10.0)),
+            ],
+        };
+        assert_eq!((row.total_ms(), row.image_encode_ms(), row.first_token_ms()), (195.0, Some(100.0), Some(150.0)));
+        assert_eq!(row.prefill(), PassTime { tokens: 84, ms: 50.0 });
+        assert_eq!(row.decode(), PassTime { tokens: 3, ms: 30.0 });
+        let text = serde_json::to_string(&Row::Iteration(row.clone())).unwrap();
+        assert_eq!(serde_json::from_str::<Row>(&text).unwrap(), Row::Iteration(row));
+    }
+}

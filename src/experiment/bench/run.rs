@@ -1,0 +1,169 @@
+//! The bench: model after model, and engine beside engine.
+
+use super::budget::CallBudget;
+use super::engine::{Engine, EngineError, EngineName};
+use super::llama_cpp::LlamaCpp;
+use super::protocol::{Like, LoadRequest, Loaded, ModelChoice};
+use super::row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
+use super::workload::{DEPTHS, Workload};
+use crate::mllm::{PromptSet, Storage};
+use std::process::Command;
+
+/// A model that is to be measured.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Candidate {
+    /// The name in results.
+    pub name: String,
+    /// Which it is.
+    pub model: ModelChoice,
+    /// The prompts that its calls are budgeted for.
+    pub prompts: PromptSet,
+}
+
+/// How is measured.
+#[derive(Debug)]
+pub struct BenchSettings {
+    /// Iterations that do not count, of each workload.
+    pub warm_up: usize,
+    /// Iterations that count.
+    pub iterations: usize,
+    /// Threads of an engine.
+    pub threads: usize,
+    /// Seed of weights and words.
+    pub seed: u64,
+    /// How matrices are stored; none for as they are.
+    pub storage: Option<Storage>,
+    /// How llama.cpp is run that is compared with, if it is; then all models must be GGUF files.
+    pub versus: Option<LlamaCpp>,
+}
+
+/// What is told while a bench runs.
+#[derive(Debug, Clone, Copy)]
+pub enum Progress<'a> {
+    /// A model is being loaded.
+    Loading(EngineName, &'a Candidate),
+    /// A depth is not measured, and why.
+    LeftOut(&'a Candidate, &'a EngineError),
+    /// A workload has been done once more, of so many times.
+    Done(&'a IterationRow, usize),
+}
+
+/// Measures models. `program` starts a process of this program that runs [`serve`](super::serve()); `commit` gets all rows
+/// of a model at once. A model that cannot be measured leaves a [`Row::Failed`], and the next one follows.
+///
+/// # Errors
+/// What `commit` says.
+pub fn run<E>(
+    candidates: &[Candidate],
+    settings: &BenchSettings,
+    program: &dyn Fn() -> Command,
+    commit: &mut dyn FnMut(&[Row]) -> Result<(), E>,
+    progress: &dyn Fn(Progress<'_>),
+) -> Result<(), E> {
+    for candidate in candidates {
+        let bench = Bench { candidate, settings, program, progress };
+        let rows = bench.measure().unwrap_or_else(|error| {
+            vec![Row::Failed(FailedRow { model: candidate.name.clone(), problem: error.to_string() })]
+        });
+        commit(&rows)?;
+    }
+    Ok(())
+}
+
+/// The bench of one model.
+struct Bench<'a> {
+    candidate: &'a Candidate,
+    settings: &'a BenchSettings,
+    program: &'a dyn Fn() -> Command,
+    progress: &'a dyn Fn(Progress<'_>),
+}
+
+/// An engine with the model in it.
+struct Ready {
+    engine: Engine,
+    loaded: Loaded,
+}
+
+impl Bench<'_> {
+    fn measure(&self) -> Result<Vec<Row>, EngineError> {
+        let mut workloads = vec![Workload::Call(CallBudget::of(self.candidate.prompts))];
+        let mut engines = Vec::new();
+        match &self.settings.versus {
+            None => engines.push(self.load(self.own()?, None)?),
+            Some(llama_cpp) => {
+                let ours = self.load(self.own()?, None)?;
+                let theirs = Engine::start(EngineName::LlamaCpp, &mut llama_cpp.command())?;
+                let Loaded { context, image_side, .. } = ours.loaded;
+                let theirs = self.load(theirs, Some(Like { context, image_side }))?;
+                engines.extend([ours, theirs]);
+                workloads.splice(0..0, DEPTHS.map(Workload::Depth));
+            }
+        }
+        let mut rows = Vec::new();
+        for workload in &workloads {
+            match (Self::misfit(workload, &engines), workload) {
+                (None, _) => {}
+                (Some(misfit), Workload::Call(_)) => return Err(misfit),
+                (Some(misfit), Workload::Depth(_)) => {
+                    (self.progress)(Progress::LeftOut(self.candidate, &misfit));
+                    continue;
+                }
+            }
+            rows.extend(self.alternate(workload, &mut engines)?.into_iter().map(Row::Iteration));
+        }
+        let prompt_tokens = CallBudget::of(self.candidate.prompts).prompt_tokens();
+        rows.extend(engines.into_iter().map(|Ready { engine, loaded }| {
+            let peak_memory = engine.peak_memory();
+            let (model, engine) = (self.candidate.name.clone(), engine.name());
+            Row::Model(ModelRow { model, engine, loaded, prompt_tokens, peak_memory })
+        }));
+        Ok(rows)
+    }
+
+    fn own(&self) -> Result<Engine, EngineError> {
+        Engine::start(EngineName::PlanAgent, &mut (self.program)())
+    }
+
+    fn load(&self, mut engine: Engine, like: Option<Like>) -> Result<Ready, EngineError> {
+        (self.progress)(Progress::Loading(engine.name(), self.candidate));
+        let BenchSettings { storage, threads, seed, .. } = *self.settings;
+        let model = self.candidate.model.clone();
+        let loaded = engine.load(LoadRequest { model, storage, threads, like, seed })?;
+        Ok(Ready { engine, loaded })
+    }
+
+    /// Why a workload cannot be done by these engines, if so.
+    fn misfit(workload: &Workload, engines: &[Ready]) -> Option<EngineError> {
+        engines.iter().find_map(|Ready { engine, loaded }| {
+            let needed = workload.longest(loaded.image_tokens);
+            let problem = format!("{} takes {needed} tokens, the context holds {}", workload.name(), loaded.context);
+            (needed > loaded.context).then(|| EngineError::Failed { engine: engine.name(), problem })
+        })
+    }
+
+    /// Does a workload again and again, by one engine after the other each time.
+    fn alternate(&self, workload: &Workload, engines: &mut [Ready]) -> Result<Vec<IterationRow>, EngineError> {
+        for Ready { engine, loaded } in engines.iter_mut() {
+            engine.run(workload.first_steps(loaded.layout))?;
+        }
+        let BenchSettings { warm_up, iterations, .. } = *self.settings;
+        let mut rows = Vec::new();
+        for iteration in 0..warm_up + iterations {
+            for Ready { engine, loaded } in engines.iter_mut() {
+                let steps = workload.steps(loaded.layout, loaded.image_tokens);
+                let times = engine.run(steps.clone())?;
+                let row = IterationRow {
+                    model: self.candidate.name.clone(),
+                    engine: engine.name(),
+                    workload: workload.name(),
+                    iteration,
+                    warm_up: iteration < warm_up,
+                    steps: steps.into_iter().zip(times).map(|(step, time)| TimedStep { step, time }).collect(),
+                };
+                (self.progress)(Progress::Done(&row, warm_up + iterations));
+                rows.push(row);
+            }
+        }
+        Ok(rows)
+    }
+}

@@ -1,0 +1,146 @@
+//! Checkpoints whose weights are made up.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use candle_core::quantized::GgmlDType;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use super::storage_plan::held_as;
+use super::{Checkpoint, FileKind, ModelFiles, RowOrder, StoragePlan, TensorPlace, WeightFile, Weights, is_matrix};
+use crate::mllm::MllmError;
+use crate::mllm::local::Architecture;
+use crate::mllm::matrix::{Matrix, Storage};
+
+/// Rows that the matrices of one width and storage are composed of.
+const POOL: usize = 256;
+/// Largest magnitude of what is no matrix (norms, biases, positions).
+const VECTOR_RANGE: f32 = 0.1;
+
+/// Random tensors in the place of a weight file. A matrix is composed of stored rows out of a small pool, so that 17 billion
+/// weights take as long as copying them; how long it takes to multiply with them does not depend on their values.
+#[derive(Debug)]
+pub(super) struct RandomTensors {
+    seed: u64,
+    /// By the storage's name and the width.
+    pools: Mutex<BTreeMap<(&'static str, usize), Arc<Vec<u8>>>>,
+}
+
+impl RandomTensors {
+    /// The same seed gives the same tensor at the same place.
+    pub(super) fn new(seed: u64) -> Self {
+        Self { seed, pools: Mutex::new(BTreeMap::new()) }
+    }
+
+    /// The seed.
+    pub(super) fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Stored rows of one width, made when they are first asked for.
+    fn pool(&self, storage: Storage, inputs: usize) -> Result<Arc<Vec<u8>>, MllmError> {
+        let mut pools = self.pools.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pool) = pools.get(&(storage.name(), inputs)) {
+            return Ok(Arc::clone(pool));
+        }
+        let pool = Arc::new(pool(storage, inputs, self.seed)?);
+        pools.insert((storage.name(), inputs), Arc::clone(&pool));
+        Ok(pool)
+    }
+
+    /// The bytes of the tensor at a place.
+    ///
+    /// # Errors
+    /// When its format is none of ours.
+    pub(super) fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
+        let mut random = Pcg64Mcg::seed_from_u64(self.seed ^ place.begin);
+        let storage = held_as(place.format).unwrap_or_default();
+        match place.shape.as_slice() {
+            &[outputs, inputs] if outputs > POOL || storage != Storage::F32 => {
+                let pool = self.pool(storage, inputs)?;
+                let width = pool.len() / POOL;
+                let mut bytes = Vec::with_capacity(outputs * width);
+                for _ in 0..outputs {
+                    let row = random.random_range(0..POOL) * width;
+                    bytes.extend_from_slice(pool.get(row..row + width).unwrap_or_default());
+                }
+                Ok(bytes)
+            }
+            shape => {
+                let count = shape.iter().product();
+                Ok(values(&mut random, count, VECTOR_RANGE).flat_map(f32::to_le_bytes).collect())
+            }
+        }
+    }
+}
+
+/// Stored rows that keep the variance of what is multiplied with them.
+fn pool(storage: Storage, inputs: usize, seed: u64) -> Result<Vec<u8>, MllmError> {
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    let range = (3.0 / inputs as f32).sqrt();
+    let values: Vec<f32> = values(&mut random, POOL * inputs, range).collect();
+    let mut bytes = Vec::new();
+    Matrix::quantize(&values, POOL, inputs, storage)?.write_blocks(&mut bytes).map_err(candle_core::Error::from)?;
+    Ok(bytes)
+}
+
+fn values(random: &mut Pcg64Mcg, count: usize, range: f32) -> impl Iterator<Item = f32> {
+    (0..count).map(move |_| random.random_range(-range..range))
+}
+
+impl Checkpoint {
+    /// A checkpoint of the model that these files describe, with random weights held in `storage`.
+    ///
+    /// # Errors
+    /// When the files are broken.
+    pub(crate) fn random(files: ModelFiles, storage: Storage, seed: u64) -> Result<Self, MllmError> {
+        let plan = StoragePlan { quantize: Some(storage), kind: FileKind::Gguf, tied: false };
+        let mut asked = Self { weights: Weights::empty(files.place(), plan), files };
+        asked.weights.only_list();
+        Architecture::of(&asked.files)?.open(&mut asked)?;
+        let Self { files, weights: asked } = asked;
+        let mut weights = Weights::empty(files.place(), plan);
+        let tied = !asked.listed().iter().any(|(name, _)| name == "lm_head.weight");
+        let file = weights.add_file(WeightFile::random(files.place(), RandomTensors::new(seed)));
+        let mut begin = 0;
+        for (name, shape) in asked.listed() {
+            let storage = match shape.as_slice() {
+                [_, inputs] if is_matrix(name, shape) => {
+                    StoragePlan { tied, ..plan }.matrix(name, GgmlDType::F32, *inputs).storage
+                }
+                _ => Storage::F32,
+            };
+            let elements: usize = shape.iter().product();
+            let bytes = (elements / storage.block() * storage.block_bytes()) as u64;
+            let place = TensorPlace { format: storage.ggml(), shape: shape.clone(), begin, bytes };
+            weights.add(name.clone(), file, name.clone(), place, RowOrder::Plain)?;
+            begin += bytes;
+        }
+        Ok(Self { files, weights })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mllm::checkpoint::weight_file::widen;
+
+    #[test]
+    fn a_seed_gives_the_same_finite_numbers_in_every_storage() {
+        for storage in Storage::ALL {
+            let shape = vec![POOL + 40, 512];
+            let bytes = |seed, begin| {
+                let place = TensorPlace { format: storage.ggml(), shape: shape.clone(), begin, bytes: 0 };
+                RandomTensors::new(seed).bytes(&place).unwrap()
+            };
+            assert_eq!(bytes(1, 0).len(), storage.matrix_bytes(POOL + 40, 512).unwrap());
+            assert_eq!(bytes(1, 7), bytes(1, 7));
+            assert_ne!(bytes(1, 0), bytes(2, 0));
+            assert_ne!(bytes(1, 0), bytes(1, 7));
+            let values = widen(storage.ggml(), bytes(1, 0)).unwrap();
+            let variance = values.iter().map(|value| value * value).sum::<f32>() / values.len() as f32;
+            assert!((variance * 512.0 - 1.0).abs() < 0.1, "{storage}: {variance}");
+        }
+    }
+}

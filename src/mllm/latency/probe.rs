@@ -1,0 +1,168 @@
+//! A model that works off steps.
+
+use std::time::Instant;
+
+use candle_core::Tensor;
+use image::RgbImage;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
+
+use super::step::{Step, StepTime};
+use crate::mllm::decoder::Logits;
+use crate::mllm::local::{Sequence, VisionLanguageModel};
+use crate::mllm::sampling::Sampler;
+use crate::mllm::{Architecture, LoadReport, Loading, MllmError, ModelPlace, Sampling, Storage};
+
+/// A model with one sequence of tokens, whose steps are timed.
+#[derive(Debug)]
+pub struct LatencyProbe {
+    architecture: Architecture,
+    load: LoadReport,
+    model: Box<dyn VisionLanguageModel>,
+    sequence: Sequence,
+    /// Tokens that are appended and not computed.
+    pending: Vec<u32>,
+    /// Tokens of the image that was encoded last.
+    features: Option<Tensor>,
+    image: RgbImage,
+    words: Pcg64Mcg,
+}
+
+/// What is measured.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ProbeDescription {
+    /// Its family.
+    pub architecture: Architecture,
+    /// Number of weights.
+    pub parameters: u64,
+    /// How most of them are held.
+    pub storage: Storage,
+    /// Side of the square image that it is shown, pixels.
+    pub image_side: u32,
+    /// Tokens that the image becomes.
+    pub image_tokens: usize,
+    /// Most tokens of a sequence with the image in it.
+    pub context: usize,
+}
+
+impl LatencyProbe {
+    /// Opens a model; `seed` draws the words that it reads.
+    ///
+    /// # Errors
+    /// When a file is missing or broken, or there is too little memory.
+    pub fn open(place: &ModelPlace, loading: &Loading, seed: u64) -> Result<Self, MllmError> {
+        let mut checkpoint = loading.checkpoint(place)?;
+        let architecture = Architecture::of(&checkpoint.files)?;
+        let model = architecture.open(&mut checkpoint)?;
+        let mut words = Pcg64Mcg::seed_from_u64(seed);
+        let side = model.facts().image_size as u32;
+        let image = RgbImage::from_fn(side, side, |_, _| image::Rgb(words.random()));
+        Ok(Self {
+            architecture,
+            load: checkpoint.weights.report().clone(),
+            sequence: Sequence::new(&*model),
+            model,
+            pending: Vec::new(),
+            features: None,
+            image,
+            words,
+        })
+    }
+
+    /// What is measured.
+    ///
+    /// # Errors
+    /// When the image cannot be used.
+    pub fn describe(&self) -> Result<ProbeDescription, MllmError> {
+        let facts = self.model.facts();
+        let image_tokens = self.image_tokens()?;
+        Ok(ProbeDescription {
+            architecture: self.architecture,
+            parameters: facts.parameters,
+            storage: self.load.storages.first().map_or_else(Storage::default, |share| share.storage),
+            image_side: self.image.width(),
+            image_tokens,
+            context: self.model.context(image_tokens),
+        })
+    }
+
+    fn image_tokens(&self) -> Result<usize, MllmError> {
+        self.model.image_tokens(self.image.width(), self.image.height())
+    }
+
+    /// Does a step. After an error the sequence is of no use.
+    ///
+    /// # Errors
+    /// When the sequence outgrows the context, an image token has no image, or the model computes NaN.
+    pub fn run(&mut self, step: Step) -> Result<StepTime, MllmError> {
+        let start = Instant::now();
+        let mut time = StepTime::default();
+        match step {
+            Step::Keep(tokens) => {
+                self.pending.clear();
+                self.sequence.truncate(tokens);
+            }
+            Step::Encode => self.features = Some(self.model.encode_image(&self.image)?),
+            Step::Image => {
+                let tokens = self.image_tokens()?;
+                self.pending.extend(std::iter::repeat_n(self.model.facts().image_token, tokens));
+            }
+            Step::Text(tokens) | Step::Forced(tokens) => {
+                for _ in 0..tokens {
+                    let word = self.word();
+                    self.pending.push(word);
+                }
+            }
+            Step::Free(tokens) => {
+                for _ in 0..tokens {
+                    let logits = self.compute(Logits::Last, &mut time)?;
+                    let word = self.choose(logits)?;
+                    self.pending.push(word);
+                    time.first_token_ms.get_or_insert_with(|| milliseconds(start));
+                }
+            }
+            Step::Compute => {
+                self.compute(Logits::None, &mut time)?;
+            }
+        }
+        time.ms = milliseconds(start);
+        Ok(time)
+    }
+
+    /// Computes what is pending.
+    fn compute(&mut self, wanted: Logits, time: &mut StepTime) -> Result<Option<Tensor>, MllmError> {
+        let start = Instant::now();
+        let logits = self.sequence.append(&*self.model, &self.pending, self.features.as_ref(), wanted)?;
+        time.add_pass(self.pending.len(), milliseconds(start));
+        self.pending.clear();
+        Ok(logits)
+    }
+
+    /// The likeliest token.
+    fn choose(&self, logits: Option<Tensor>) -> Result<u32, MllmError> {
+        let Some(logits) = logits else {
+            return Err(MllmError::Request {
+                problem: "a token is to be chosen, and none was appended before it".into(),
+            });
+        };
+        let position = self.sequence.ids().len().saturating_sub(1);
+        let logits = logits.flatten_all()?.to_vec1()?;
+        Sampler::new(Sampling::Greedy, 0)?.choose(logits, None, self.model.facts().image_token, position)
+    }
+
+    /// Any token but that of the image.
+    fn word(&mut self) -> u32 {
+        let facts = self.model.facts();
+        loop {
+            let word = self.words.random_range(0..facts.vocabulary as u32);
+            if word != facts.image_token {
+                return word;
+            }
+        }
+    }
+}
+
+fn milliseconds(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
+}

@@ -1,0 +1,103 @@
+//! The steps that a planning call is made of.
+
+use serde::{Deserialize, Serialize};
+
+/// One thing that is asked of a model while it works off a planning call. Tokens that are appended are computed by the next
+/// step that needs their outcome, together, as in a conversation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Step {
+    /// Goes back to the first so many tokens of the sequence and forgets the rest.
+    Keep(usize),
+    /// Encodes a new image: preprocessing, vision tower, projector.
+    Encode,
+    /// Appends the image's tokens.
+    Image,
+    /// Appends tokens of a prompt.
+    Text(usize),
+    /// Appends tokens of an answer that its grammar leaves no choice about.
+    Forced(usize),
+    /// Lets the model choose so many tokens, one after the other; the last one is appended, and not computed yet.
+    Free(usize),
+    /// Computes what was appended and chooses nothing.
+    Compute,
+}
+
+/// Forward passes of one kind.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PassTime {
+    /// Tokens that they computed.
+    pub tokens: usize,
+    /// Wall time, milliseconds.
+    pub ms: f64,
+}
+
+impl PassTime {
+    /// Adds a pass.
+    pub fn add(&mut self, tokens: usize, ms: f64) {
+        self.tokens += tokens;
+        self.ms += ms;
+    }
+
+    /// Tokens a second; none without tokens or time.
+    pub fn rate(&self) -> Option<f64> {
+        (self.tokens > 0 && self.ms > 0.0).then(|| self.tokens as f64 * 1e3 / self.ms)
+    }
+}
+
+impl std::ops::AddAssign for PassTime {
+    fn add_assign(&mut self, other: Self) {
+        self.add(other.tokens, other.ms);
+    }
+}
+
+/// Wall time of a step.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StepTime {
+    /// The whole step, milliseconds.
+    pub ms: f64,
+    /// From its start to the first token that the model chose, milliseconds; none if it chose none.
+    pub first_token_ms: Option<f64>,
+    /// Passes of several tokens.
+    pub batch: PassTime,
+    /// Passes of one token.
+    pub single: PassTime,
+}
+
+impl StepTime {
+    /// Adds a forward pass of `tokens` tokens.
+    pub fn add_pass(&mut self, tokens: usize, ms: f64) {
+        match tokens {
+            0 => {}
+            1 => self.single.add(1, ms),
+            _ => self.batch.add(tokens, ms),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_are_written_in_a_word_and_a_number() {
+        let steps =
+            [Step::Keep(3), Step::Encode, Step::Image, Step::Text(9), Step::Forced(2), Step::Free(4), Step::Compute];
+        let text = serde_json::to_string(&steps).unwrap();
+        assert_eq!(text, r#"[{"keep":3},"encode","image",{"text":9},{"forced":2},{"free":4},"compute"]"#);
+        assert_eq!(serde_json::from_str::<Vec<Step>>(&text).unwrap(), steps);
+    }
+
+    #[test]
+    fn passes_are_told_apart_by_their_tokens() {
+        let mut time = StepTime::default();
+        for (tokens, ms) in [(0, 9.0), (1, 2.0), (8, 4.0), (1, 3.0)] {
+            time.add_pass(tokens, ms);
+        }
+        assert_eq!((time.batch, time.single), (PassTime { tokens: 8, ms: 4.0 }, PassTime { tokens: 2, ms: 5.0 }));
+        assert_eq!(time.batch.rate(), Some(2000.0));
+        assert_eq!(PassTime::default().rate(), None);
+    }
+}

@@ -1,0 +1,242 @@
+//! The figures of a bench.
+
+use crate::experiment::bench::{EngineName, IterationRow, ModelRow, Row};
+use crate::report::Quantiles;
+use serde::Serialize;
+
+/// The figures of a bench.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BenchFigures {
+    /// A line a model and engine.
+    pub models: Vec<ModelFigures>,
+    /// This program against llama.cpp; empty without a comparison.
+    pub comparisons: Vec<Comparison>,
+    /// Models that could not be measured, with the reason.
+    pub failed: Vec<(String, String)>,
+}
+
+/// What a model costs. Times are medians over the iterations that count.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ModelFigures {
+    /// What was loaded.
+    #[serde(flatten)]
+    pub about: ModelRow,
+    /// Planning calls that count.
+    pub calls: usize,
+    /// Preprocessing, vision tower and projector, milliseconds.
+    pub image_encode_ms: Option<f64>,
+    /// Tokens a second of the first prompt, the image's among them.
+    pub prefill_tokens_per_s: Option<f64>,
+    /// From the start of a call to the first token that the model chose, milliseconds.
+    pub first_token_ms: Option<f64>,
+    /// Tokens a second, one by one.
+    pub decode_tokens_per_s: Option<f64>,
+    /// A whole planning call, milliseconds.
+    pub call_ms: Option<Quantiles>,
+}
+
+/// This program against llama.cpp in one thing, pair by pair.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    /// The model's name.
+    pub model: String,
+    /// What was measured.
+    pub what: String,
+    /// In what: `tok/s` or `ms`.
+    pub unit: &'static str,
+    /// This program, median.
+    pub ours: f64,
+    /// llama.cpp, median.
+    pub theirs: f64,
+    /// How many times as fast this program is.
+    pub ratio: Spread,
+}
+
+/// Median and extremes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    /// The median (the mean of the middle two of an even number).
+    pub median: f64,
+    /// The least.
+    pub least: f64,
+    /// The most.
+    pub most: f64,
+}
+
+/// Units of comparisons: more is faster,
+const TOKENS_PER_S: &str = "tok/s";
+/// and less is faster.
+const MS: &str = "ms";
+
+/// The workload that the table of models is made of.
+const CALL: &str = "call";
+
+impl BenchFigures {
+    /// The figures of rows.
+    pub fn of(rows: &[Row]) -> Self {
+        let iterations: Vec<&IterationRow> = rows
+            .iter()
+            .filter_map(|row| match row {
+                Row::Iteration(row) if !row.warm_up => Some(row),
+                _ => None,
+            })
+            .collect();
+        let mut figures = Self { models: Vec::new(), comparisons: Vec::new(), failed: Vec::new() };
+        for row in rows {
+            match row {
+                Row::Model(about) => {
+                    figures.models.push(ModelFigures::of(about, &iterations));
+                    if about.engine == EngineName::PlanAgent {
+                        figures.comparisons.extend(comparisons(&about.model, &iterations));
+                    }
+                }
+                Row::Failed(row) => figures.failed.push((row.model.clone(), row.problem.clone())),
+                Row::Iteration(_) => {}
+            }
+        }
+        figures
+    }
+}
+
+impl ModelFigures {
+    fn of(about: &ModelRow, iterations: &[&IterationRow]) -> Self {
+        let calls: Vec<&IterationRow> = iterations
+            .iter()
+            .filter(|row| row.model == about.model && row.engine == about.engine && row.workload == CALL)
+            .copied()
+            .collect();
+        let median = |of: &dyn Fn(&IterationRow) -> Option<f64>| {
+            Spread::of(calls.iter().filter_map(|row| of(row)).collect()).map(|spread| spread.median)
+        };
+        Self {
+            about: about.clone(),
+            calls: calls.len(),
+            image_encode_ms: median(&IterationRow::image_encode_ms),
+            prefill_tokens_per_s: median(&|row| row.prefill().rate()),
+            first_token_ms: median(&IterationRow::first_token_ms),
+            decode_tokens_per_s: median(&|row| row.decode().rate()),
+            call_ms: Quantiles::of(calls.iter().map(|row| row.total_ms()).collect()),
+        }
+    }
+}
+
+/// A thing that is compared: its name, its unit, and how it is read off an iteration.
+type Compared = (String, &'static str, fn(&IterationRow) -> Option<f64>);
+
+fn comparisons(model: &str, iterations: &[&IterationRow]) -> Vec<Comparison> {
+    let mut workloads: Vec<&str> = Vec::new();
+    for row in iterations.iter().filter(|row| row.model == model) {
+        if !workloads.contains(&row.workload.as_str()) {
+            workloads.push(&row.workload);
+        }
+    }
+    let mut all = Vec::new();
+    for workload in workloads {
+        let of = |engine| {
+            iterations
+                .iter()
+                .filter(move |row| row.model == model && row.workload == workload && row.engine == engine)
+                .copied()
+        };
+        let pairs: Vec<_> = of(EngineName::PlanAgent).zip(of(EngineName::LlamaCpp)).collect();
+        for (what, unit, read) in compared(workload) {
+            all.extend(Comparison::of(model, what, unit, read, &pairs));
+        }
+    }
+    all
+}
+
+fn compared(workload: &str) -> Vec<Compared> {
+    match workload.strip_prefix("depth-") {
+        Some(depth) => vec![
+            (format!("prefill {depth}"), TOKENS_PER_S, |row| row.prefill().rate()),
+            (format!("decode at {depth}"), TOKENS_PER_S, |row| row.decode().rate()),
+        ],
+        None => vec![
+            ("image encode".to_owned(), MS, IterationRow::image_encode_ms),
+            ("first token".to_owned(), MS, IterationRow::first_token_ms),
+            ("planning call".to_owned(), MS, |row| Some(row.total_ms())),
+        ],
+    }
+}
+
+impl Comparison {
+    fn of(
+        model: &str,
+        what: String,
+        unit: &'static str,
+        read: fn(&IterationRow) -> Option<f64>,
+        pairs: &[(&IterationRow, &IterationRow)],
+    ) -> Option<Self> {
+        let values: Vec<(f64, f64)> =
+            pairs.iter().filter_map(|(ours, theirs)| Some((read(ours)?, read(theirs)?))).collect();
+        let faster = |&(ours, theirs): &(f64, f64)| if unit == MS { theirs / ours } else { ours / theirs };
+        Some(Self {
+            model: model.to_owned(),
+            what,
+            unit,
+            ours: Spread::of(values.iter().map(|pair| pair.0).collect())?.median,
+            theirs: Spread::of(values.iter().map(|pair| pair.1).collect())?.median,
+            ratio: Spread::of(values.iter().map(faster).collect())?,
+        })
+    }
+}
+
+impl Spread {
+    /// Of some values; none of none.
+    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+        values.sort_by(f64::total_cmp);
+        let (least, most) = (*values.first()?, *values.last()?);
+        let middle = |place: usize| values.get(place).copied().unwrap_or(most);
+        let median = f64::midpoint(middle((values.len() - 1) / 2), middle(values.len() / 2));
+        Some(Self { median, least, most })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::bench::TimedStep;
+    use crate::mllm::{Step, StepTime};
+
+    fn call(engine: EngineName, iteration: usize, ms: f64) -> Row {
+        Row::Iteration(IterationRow {
+            model: "m".into(),
+            engine,
+            workload: CALL.into(),
+            iteration,
+            warm_up: iteration == 0,
+            steps: vec![TimedStep { step: Step::Compute, time: StepTime { ms, ..StepTime::default() } }],
+        })
+    }
+
+    #[test]
+    fn the_middle_of_an_even_number_is_a_mean() {
+        let spread = Spread::of(vec![3.0, 1.0, 2.0, 10.0]).unwrap();
+        assert_eq!(spread, Spread { median: 2.5, least: 1.0, most: 10.0 });
+        assert_eq!(Spread::of(vec![7.0]), Some(Spread { median: 7.0, least: 7.0, most: 7.0 }));
+        assert_eq!(Spread::of(vec![]), None);
+    }
+
+    #[test]
+    fn ratios_are_of_pairs_and_warm_up_does_not_count() {
+        let rows: Vec<Row> = [(100.0, 1.0), (10.0, 20.0), (20.0, 30.0), (10.0, 30.0)]
+            .into_iter()
+            .enumerate()
+            .flat_map(|(i, (ours, theirs))| {
+                [call(EngineName::PlanAgent, i, ours), call(EngineName::LlamaCpp, i, theirs)]
+            })
+            .collect();
+        let iterations: Vec<&IterationRow> = rows
+            .iter()
+            .filter_map(|row| match row {
+                Row::Iteration(row) if !row.warm_up => Some(row),
+                _ => None,
+            })
+            .collect();
+        let found = comparisons("m", &iterations);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert_eq!((found[0].ours, found[0].theirs), (10.0, 30.0));
+        assert_eq!(found[0].ratio, Spread { median: 2.0, least: 1.5, most: 3.0 });
+    }
+}

@@ -1,0 +1,139 @@
+//! The folder of a bench: `metadata.json`, `rows.jsonl`, and at the end `figures.json` and `table.md`.
+
+use crate::experiment::bench::Row;
+use crate::report::ReportError;
+use crate::report::atomic;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const METADATA: &str = "metadata.json";
+const ROWS: &str = "rows.jsonl";
+const FIGURES: &str = "figures.json";
+const TABLE: &str = "table.md";
+
+/// What was measured where and how.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BenchMetadata {
+    /// Version of the program.
+    pub planagent: String,
+    /// Commit of the work tree that the program lies in, with `-dirty` if it was changed since; none if it lies in none.
+    pub commit: Option<String>,
+    /// When the bench was started: `YYYY.MM.DD.hh.mm.ss`, UTC.
+    pub started: String,
+    /// The command line.
+    pub command: Vec<String>,
+    /// Processor, as the system names it.
+    pub cpu: String,
+    /// Memory of the machine, bytes; none where the system does not tell.
+    pub memory: Option<u64>,
+    /// What two sessions of one bench must agree in.
+    pub settings: serde_json::Map<String, serde_json::Value>,
+}
+
+/// The folder of a bench. A model's rows are written when it is done, all at once.
+#[derive(Debug)]
+pub struct BenchFolder {
+    path: PathBuf,
+    rows: Vec<Row>,
+}
+
+impl BenchFolder {
+    /// Makes the folder of a new bench.
+    ///
+    /// # Errors
+    /// When it cannot be made or written, or is not empty.
+    pub fn create(path: &Path, metadata: &BenchMetadata) -> Result<Self, ReportError> {
+        atomic::folder(path)?;
+        if fs::read_dir(path).map_err(ReportError::read(path))?.next().is_some() {
+            return Err(ReportError::NotEmpty(path.to_owned()));
+        }
+        atomic::write(&path.join(METADATA), &json(metadata)?)?;
+        Ok(Self { path: path.to_owned(), rows: Vec::new() })
+    }
+
+    /// Opens the folder of a bench to go on with it; `now` is what it would be started with today.
+    ///
+    /// # Errors
+    /// When there is none, or it was started otherwise.
+    pub fn resume(path: &Path, now: &BenchMetadata) -> Result<Self, ReportError> {
+        let then: BenchMetadata = read_json(&path.join(METADATA))?;
+        let differences: Vec<String> = now
+            .settings
+            .iter()
+            .filter(|(key, value)| then.settings.get(*key) != Some(value))
+            .map(|(key, value)| {
+                let before = then.settings.get(key).map_or_else(|| "none".to_owned(), ToString::to_string);
+                format!("{key}: was {before}, is {value}")
+            })
+            .collect();
+        if !differences.is_empty() {
+            return Err(ReportError::Differs { path: path.to_owned(), differences });
+        }
+        let file = path.join(ROWS);
+        let text =
+            if file.is_file() { fs::read_to_string(&file).map_err(ReportError::read(&file))? } else { String::new() };
+        // A model that failed is tried again.
+        let rows: Vec<Row> =
+            parse_rows(&file, &text)?.into_iter().filter(|row| !matches!(row, Row::Failed(_))).collect();
+        Ok(Self { path: path.to_owned(), rows })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// All rows.
+    pub fn rows(&self) -> &[Row] {
+        &self.rows
+    }
+
+    /// The names of the models that are done.
+    pub fn done(&self) -> BTreeSet<&str> {
+        self.rows.iter().map(Row::model).collect()
+    }
+
+    /// Adds the rows of a model.
+    ///
+    /// # Errors
+    /// When they cannot be written.
+    pub fn commit(&mut self, rows: &[Row]) -> Result<(), ReportError> {
+        self.rows.extend_from_slice(rows);
+        let mut text = Vec::new();
+        for row in &self.rows {
+            serde_json::to_writer(&mut text, row)?;
+            text.push(b'\n');
+        }
+        atomic::write(&self.path.join(ROWS), &text)
+    }
+
+    /// Writes the figures and the table.
+    ///
+    /// # Errors
+    /// When they cannot be written.
+    pub fn finish(&self, figures: &impl Serialize, table: &str) -> Result<(), ReportError> {
+        atomic::write(&self.path.join(FIGURES), &json(figures)?)?;
+        atomic::write(&self.path.join(TABLE), table.as_bytes())
+    }
+}
+
+fn json(value: &impl Serialize) -> Result<Vec<u8>, ReportError> {
+    let mut text = serde_json::to_vec_pretty(value)?;
+    text.push(b'\n');
+    Ok(text)
+}
+
+fn read_json(path: &Path) -> Result<BenchMetadata, ReportError> {
+    let text = fs::read_to_string(path).map_err(ReportError::read(path))?;
+    serde_json::from_str(&text).map_err(|source| ReportError::ParseJson { path: path.to_owned(), source })
+}
+
+fn parse_rows(path: &Path, text: &str) -> Result<Vec<Row>, ReportError> {
+    serde_json::Deserializer::from_str(text)
+        .into_iter()
+        .collect::<Result<_, _>>()
+        .map_err(|source| ReportError::ParseJson { path: path.to_owned(), source })
+}

@@ -1,0 +1,149 @@
+//! `planagent bench`: what it prints, what it leaves behind, and that a model that fails fails alone.
+
+use crate::cli::{read_json, refused, run};
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use tempfile::TempDir;
+
+fn rows(folder: &Path) -> Vec<Value> {
+    let text = fs::read_to_string(folder.join("rows.jsonl")).unwrap();
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// Runs a bench into a folder, on one thread; gives the exit code and the figures.
+fn bench(arguments: &[&str], out: &Path) -> (i32, Value) {
+    let out = ["--threads", "1", "--json", "--out", out.to_str().unwrap()];
+    let (code, stdout, stderr) = run(&[&["bench"], arguments, &out].concat());
+    (code, serde_json::from_str(&stdout).unwrap_or_else(|_| panic!("{stdout}{stderr}")))
+}
+
+#[test]
+fn a_model_is_measured_by_its_steps() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("bench");
+    let (code, figures) = bench(&["nano", "--warm-up", "1", "--iterations", "2"], &out);
+    assert_eq!(code, 0);
+    let model = &figures["models"][0];
+    assert_eq!((&model["model"], &model["engine"], &model["calls"]), (&"nano".into(), &"planagent".into(), &2.into()));
+    for key in ["image_encode_ms", "prefill_tokens_per_s", "first_token_ms", "decode_tokens_per_s"] {
+        assert!(model[key].as_f64().unwrap() > 0.0, "{key}: {model}");
+    }
+    assert!(model["call_ms"]["p95"].as_f64() >= model["call_ms"]["p50"].as_f64());
+    assert_eq!(model["loaded"]["image_tokens"], 64);
+    assert!(model["peak_memory"].as_u64().unwrap() > 1 << 20);
+
+    let rows = rows(&out);
+    let kinds: Vec<(&str, bool)> =
+        rows.iter().map(|row| (row["row"].as_str().unwrap(), row["warm_up"] == true)).collect();
+    assert_eq!(kinds, [("iteration", true), ("iteration", false), ("iteration", false), ("model", false)]);
+    // Every token of the budget was computed: those that are chosen last in an answer wait for the next prompt.
+    let steps = rows[1]["steps"].as_array().unwrap();
+    let computed = |kind: &str| steps.iter().map(|timed| timed["time"][kind]["tokens"].as_u64().unwrap()).sum::<u64>();
+    let asked: u64 = steps
+        .iter()
+        .map(|timed| match &timed["step"] {
+            Value::String(name) if name == "image" => 64,
+            step => ["text", "forced", "free"].iter().filter_map(|key| step[key].as_u64()).sum(),
+        })
+        .sum();
+    let rewound = steps.iter().filter(|timed| timed["step"]["keep"].is_number()).count() as u64;
+    assert_eq!(computed("batch") + computed("single") + rewound, asked);
+
+    let metadata = read_json(&out.join("metadata.json"));
+    assert!(metadata["cpu"].is_string() && metadata["settings"]["threads"] == 1, "{metadata}");
+    let table = fs::read_to_string(out.join("table.md")).unwrap();
+    assert!(table.contains("| nano |"), "{table}");
+}
+
+#[test]
+fn random_weights_have_the_shape_of_the_real_ones() {
+    let folder = TempDir::new().unwrap();
+    let quick = ["--warm-up", "0", "--iterations", "1"];
+    let (_, real) = bench(&[&["nano"][..], &quick].concat(), &folder.path().join("real"));
+    let (_, random) = bench(&[&["--random-weights", "nano"][..], &quick].concat(), &folder.path().join("random"));
+    for key in ["parameters", "image_tokens", "context"] {
+        assert_eq!(real["models"][0]["loaded"][key], random["models"][0]["loaded"][key], "{key}");
+    }
+}
+
+#[test]
+fn a_bench_is_gone_on_with_and_only_by_the_same_settings() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("bench");
+    let arguments = ["nano", "--warm-up", "0", "--iterations", "1"];
+    assert_eq!(bench(&arguments, &out).0, 0);
+    let before = fs::read(out.join("rows.jsonl")).unwrap();
+    let resume = ["--threads", "1", "--resume", out.to_str().unwrap()];
+    let (code, _, stderr) = run(&[&["bench"], &arguments[..], &resume].concat());
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(fs::read(out.join("rows.jsonl")).unwrap(), before, "what is done is kept");
+    let otherwise = ["nano", "--warm-up", "0", "--iterations", "2"];
+    let stderr = refused(&[&["bench"], &otherwise[..], &resume].concat());
+    assert!(stderr.contains("iterations: was 1, is 2"), "{stderr}");
+    fs::write(out.join("rows.jsonl"), "{\"row\": 3}\n").unwrap();
+    let stderr = refused(&[&["bench"], &arguments[..], &resume].concat());
+    assert!(stderr.contains("rows.jsonl") && stderr.contains("line 1"), "{stderr}");
+}
+
+#[test]
+fn a_broken_model_fails_alone() {
+    let folder = TempDir::new().unwrap();
+    let broken = folder.path().join("broken");
+    fs::create_dir(&broken).unwrap();
+    let arguments = [broken.to_str().unwrap(), "nano", "--warm-up", "0", "--iterations", "1"];
+    let (code, figures) = bench(&arguments, &folder.path().join("bench"));
+    assert_eq!(code, 1);
+    assert!(figures["failed"][0][1].as_str().unwrap().contains("config.json"), "{figures}");
+    assert_eq!(figures["models"][0]["model"], "nano");
+}
+
+#[test]
+fn wrong_words_are_refused_with_what_there_is() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().to_str().unwrap();
+    for (arguments, expected) in [
+        (&["--random-weights", "llava-9b"][..], "llava-1.5-7b"),
+        (&["nano", "--quantize", "q3_k"], "q4_k"),
+        (&["nano", "nano"], "two models are called nano"),
+        (&["nano", "--iterations", "0"], "--iterations"),
+        (&["nano", "--vs", "vllm"], "llama.cpp"),
+        (&["nano", "--llama-python", "python3"], "--vs"),
+    ] {
+        let stderr = refused(&[&["bench", "--out", out], arguments].concat());
+        assert!(stderr.contains(expected), "{stderr}");
+    }
+}
+
+/// A Python interpreter with llama.cpp; says so when there is none.
+fn llama_python() -> Option<PathBuf> {
+    let python = std::env::var_os("PLANAGENT_LLAMA_PYTHON").map_or_else(|| PathBuf::from("python3"), PathBuf::from);
+    let mut command = Command::new(&python);
+    command.args(["-c", "import llama_cpp"]).stdout(Stdio::null()).stderr(Stdio::null());
+    if command.status().is_ok_and(|status| status.success()) {
+        return Some(python);
+    }
+    eprintln!("SKIPPED: {} has no llama_cpp; PLANAGENT_LLAMA_PYTHON may name one that has", python.display());
+    None
+}
+
+#[test]
+fn both_engines_work_off_the_same_steps() {
+    let Some(python) = llama_python() else { return };
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("bench");
+    let versus = ["--vs", "llama.cpp", "--llama-python", python.to_str().unwrap()];
+    let arguments = ["--random-weights", "nano", "--quantize", "q8_0", "--warm-up", "1", "--iterations", "2"];
+    let (code, figures) = bench(&[&arguments[..], &versus].concat(), &out);
+    assert_eq!(code, 0, "{figures}");
+    let rows = rows(&out);
+    let by = |engine: &str| {
+        let rows = rows.iter().filter(|row| row["row"] == "iteration" && row["engine"] == engine);
+        rows.map(|row| (row["workload"].clone(), row["steps"].as_array().unwrap().len())).collect::<Vec<_>>()
+    };
+    assert_eq!(by("planagent"), by("llama.cpp"));
+    let compared: Vec<&str> =
+        figures["comparisons"].as_array().unwrap().iter().map(|row| row["what"].as_str().unwrap()).collect();
+    assert_eq!(compared, ["prefill 512", "decode at 512", "image encode", "first token", "planning call"]);
+}
