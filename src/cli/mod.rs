@@ -6,6 +6,7 @@ mod config;
 mod exit;
 mod machine;
 mod model;
+mod picture;
 mod printer;
 mod progress;
 

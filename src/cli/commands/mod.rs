@@ -1,8 +1,7 @@
-//! One file a subcommand.
+//! One file or folder a subcommand.
 
 pub(super) mod bench;
 pub(super) mod dataset;
-pub(super) mod export;
 pub(super) mod models;
 pub(super) mod plan;
 pub(super) mod scenarios;
