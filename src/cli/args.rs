@@ -265,12 +265,13 @@ pub(super) enum ModelsCommand {
 #[derive(Debug, Args)]
 pub(super) struct QuantizeArguments {
     /// The model, as `--model` takes it.
+    #[arg(value_name = "MODEL")]
     pub(super) source: String,
     /// How its weights are held: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k`.
     #[arg(long, value_name = "KIND")]
     pub(super) to: Storage,
-    /// The file; a LLaVA's vision tower goes beside it as mmproj-FILE.
-    #[arg(long, value_name = "FILE.gguf")]
+    /// The file, called NAME.gguf; a LLaVA's vision tower goes beside it as mmproj-NAME.gguf.
+    #[arg(long, value_name = "FILE")]
     pub(super) out: PathBuf,
     /// Replace files that are there.
     #[arg(long)]

@@ -58,7 +58,7 @@ impl StoragePlan {
             Some(asked) => asked_for(asked, self.role(name), format),
         };
         let storage = wanted.or_finer(inputs);
-        let reason = if storage == wanted { reason } else { Some("its rows are no whole blocks of the storage") };
+        let reason = if storage == wanted { reason } else { Some("rows are no whole blocks of what was wanted") };
         PlannedStorage { storage, reason }
     }
 
