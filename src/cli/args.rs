@@ -8,6 +8,7 @@ use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
+#[expect(clippy::struct_excessive_bools, reason = "these are flags")]
 /// A driving agent that plans with a multimodal language model, offline, on the CPU.
 #[derive(Debug, Parser)]
 #[command(name = "planagent", version, max_term_width = 80)]
@@ -21,7 +22,7 @@ pub(super) struct Arguments {
     /// Model: a name from models/, a folder in Hugging Face's layout, a GGUF file, or a hub id.
     #[arg(long, global = true, value_name = "MODEL")]
     pub(super) model: Option<String>,
-    /// Hold the model's weights in f32, f16, q8_0, q6_k or q4_k [default: as its files hold them, safetensors in f32].
+    /// Hold the model's weights in `f32`, `f16`, `q8_0`, `q6_k` or `q4_k` [default: as its files hold them, safetensors in f32].
     #[arg(long, global = true, value_name = "KIND")]
     pub(super) quantize: Option<Storage>,
     /// Load the model even if it seems to need more memory than is free.
@@ -264,12 +265,13 @@ pub(super) enum ModelsCommand {
 #[derive(Debug, Args)]
 pub(super) struct QuantizeArguments {
     /// The model, as `--model` takes it.
+    #[arg(value_name = "MODEL")]
     pub(super) source: String,
-    /// How its weights are held: f32, f16, q8_0, q6_k or q4_k.
+    /// How its weights are held: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k`.
     #[arg(long, value_name = "KIND")]
     pub(super) to: Storage,
-    /// The file; a LLaVA's vision tower goes beside it as mmproj-FILE.
-    #[arg(long, value_name = "FILE.gguf")]
+    /// The file, called NAME.gguf; a LLaVA's vision tower goes beside it as mmproj-NAME.gguf.
+    #[arg(long, value_name = "FILE")]
     pub(super) out: PathBuf,
     /// Replace files that are there.
     #[arg(long)]

@@ -211,6 +211,6 @@ pub struct ModelDescription {
     /// BLAKE3 of the weight files in the order of their names, hexadecimal; empty if there are none.
     pub weights_blake3: String,
     /// How its weights are held in memory; empty if it is not computed here.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "LoadReport::is_empty")]
     pub load: LoadReport,
 }

@@ -1,8 +1,8 @@
 //! Multimodal language models, run in this process on the CPU.
 //!
 //! A model is a [`Mllm`]; a planning call opens a [`Conversation`] with it and asks round after round. [`LocalModel`] opens
-//! a Hugging Face folder as it is, of any [`Architecture`]; [`Replay`] answers from a recording. [`ModelRegistry`] finds a
-//! model by name, folder or hub id.
+//! a Hugging Face folder or GGUF files as they are, of any [`Architecture`]; [`Replay`] answers from a recording.
+//! [`ModelRegistry`] finds a model by name, folder, file or hub id.
 //!
 //! A family of models is a folder: `llava`, `llava_next`, `cogvlm`, each with its configuration, preprocessing, vision
 //! tower, connector and language model as far as it does not share them (`vision`, `decoder`). `local` runs whatever

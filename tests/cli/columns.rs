@@ -4,7 +4,7 @@ use super::{planagent, run};
 use tempfile::TempDir;
 
 /// Every command line that has a help of its own.
-const COMMANDS: [&str; 9] = [
+const COMMANDS: [&str; 15] = [
     "",
     "simulate",
     "plan",
@@ -14,6 +14,12 @@ const COMMANDS: [&str; 9] = [
     "scenarios generate",
     "scenarios export",
     "dataset",
+    "models",
+    "models list",
+    "models check",
+    "models fetch",
+    "models quantize",
+    "bench",
 ];
 /// The scenario type with the longest name.
 const LONGEST: &str = "starting_straight_traffic_light_intersection_traversal";

@@ -3,7 +3,11 @@
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 
-use planagent::mllm::{HubAccess, Mllm, MllmError, ModelRegistry};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+use planagent::mllm::{FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, Storage};
 
 use super::{FIRST, free, opening, tiny};
 
@@ -18,26 +22,61 @@ const FILES: [&str; 7] = [
     "model.safetensors",
 ];
 
-/// Serves the tiny checkpoint as `org/tiny` and nothing else; gives its address.
-fn serve() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = format!("http://{}", listener.local_addr().unwrap());
-    std::thread::spawn(move || {
-        for stream in listener.incoming().flatten() {
-            std::thread::spawn(move || answer(stream));
-        }
-    });
-    address
+/// A repository that is served.
+struct Repository {
+    folder: PathBuf,
+    files: Vec<String>,
+    /// Downloads of the weights that are still to be broken off in their middle.
+    broken: AtomicUsize,
+    /// The files that were sent, in this order.
+    sent: Mutex<Vec<String>>,
 }
 
-fn answer(mut stream: TcpStream) {
+impl Repository {
+    /// All of these files.
+    fn new(folder: &Path, files: &[&str]) -> Arc<Self> {
+        let files = files.iter().map(ToString::to_string).collect();
+        Arc::new(Self { folder: folder.to_path_buf(), files, broken: AtomicUsize::new(0), sent: Mutex::default() })
+    }
+
+    /// Serves it as `org/tiny` and nothing else; gives the address.
+    fn serve(self: &Arc<Self>) -> String {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = format!("http://{}", listener.local_addr().unwrap());
+        let repository = Arc::clone(self);
+        std::thread::spawn(move || {
+            for stream in listener.incoming().flatten() {
+                let repository = Arc::clone(&repository);
+                std::thread::spawn(move || answer(stream, &repository));
+            }
+        });
+        address
+    }
+
+    fn body(&self, path: &str) -> Option<Vec<u8>> {
+        if let Some(file) = path.strip_prefix(&format!("/org/tiny/resolve/{COMMIT}/")) {
+            let known = self.files.iter().any(|known| known == file);
+            return known.then(|| std::fs::read(self.folder.join(file)).unwrap());
+        }
+        if path.starts_with("/api/models/org/tiny/tree/") {
+            let size = |file: &String| std::fs::metadata(self.folder.join(file)).unwrap().len();
+            let entry = |file| serde_json::json!({"type": "file", "path": file, "oid": "0", "size": size(file)});
+            let entries: Vec<serde_json::Value> = self.files.iter().map(entry).collect();
+            return Some(serde_json::Value::from(entries).to_string().into_bytes());
+        }
+        path.starts_with("/api/models/org/tiny")
+            .then(|| serde_json::json!({"id": "org/tiny", "sha": COMMIT, "siblings": []}).to_string().into_bytes())
+    }
+}
+
+fn answer(mut stream: TcpStream, repository: &Repository) {
     let mut lines = BufReader::new(stream.try_clone().unwrap()).lines().map_while(Result::ok);
     let first = lines.next().unwrap_or_default();
     lines.take_while(|line| !line.is_empty()).for_each(drop);
     let mut words = first.split(' ');
     let (method, target) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
     let path = target.split('?').next().unwrap_or_default();
-    let (status, body) = match body(path) {
+    let (status, body) = match repository.body(path) {
         Some(body) => ("200 OK", body),
         None => ("404 Not Found", Vec::new()),
     };
@@ -47,24 +86,21 @@ fn answer(mut stream: TcpStream) {
         blake3::hash(&body).to_hex()
     );
     stream.write_all(head.as_bytes()).unwrap();
-    if method != "HEAD" {
-        stream.write_all(&body).unwrap();
+    if method == "HEAD" {
+        return;
     }
-}
-
-fn body(path: &str) -> Option<Vec<u8>> {
+    let is_weights = Path::new(path).extension().is_some_and(|extension| extension == "safetensors");
+    let broken = is_weights
+        && repository.broken.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(1)).is_ok();
+    if broken {
+        stream.write_all(&body[..body.len() / 2]).unwrap();
+        return;
+    }
     if let Some(file) = path.strip_prefix(&format!("/org/tiny/resolve/{COMMIT}/")) {
-        return FILES.contains(&file).then(|| std::fs::read(tiny().join(file)).unwrap());
+        repository.sent.lock().unwrap().push(file.to_string());
     }
-    if path.starts_with("/api/models/org/tiny/tree/") {
-        let entries: Vec<_> = FILES
-            .iter()
-            .map(|file| serde_json::json!({"type": "file", "path": file, "oid": "0", "size": std::fs::metadata(tiny().join(file)).unwrap().len()}))
-            .collect();
-        return Some(serde_json::Value::from(entries).to_string().into_bytes());
-    }
-    path.starts_with("/api/models/org/tiny")
-        .then(|| serde_json::json!({"id": "org/tiny", "sha": COMMIT, "siblings": []}).to_string().into_bytes())
+    // A client that has given up is no concern of the server's.
+    let _ = stream.write_all(&body);
 }
 
 #[test]
@@ -81,7 +117,7 @@ fn a_hub_model_is_downloaded_once_and_then_found_offline() {
     let before = registry(access(true, nowhere)).open(&spec).map(|_| ());
     assert!(matches!(before, Err(MllmError::NotInCache { .. })), "{before:?}");
 
-    let address = serve();
+    let address = Repository::new(&tiny(), &FILES).serve();
     let model = registry(access(false, &address)).open(&spec).unwrap();
     assert_eq!(model.name(), "tiny");
     let answer = |model: &dyn Mllm| model.converse(&opening(), 0).unwrap().ask(FIRST, &free(8)).unwrap().text;
@@ -93,4 +129,78 @@ fn a_hub_model_is_downloaded_once_and_then_found_offline() {
     let unknown = registry(access(false, &address)).find("org/other").unwrap();
     let refused = registry(access(false, &address)).open(&unknown).map(|_| ());
     assert!(matches!(refused, Err(MllmError::Hub { .. })), "{refused:?}");
+}
+
+/// A registry that fetches from a server into a cache, and what it is told on the way.
+fn listening(cache: &Path, endpoint: &str) -> (ModelRegistry, Arc<Mutex<Vec<FetchProgress>>>) {
+    let access = HubAccess { offline: false, cache: Some(cache.to_path_buf()), endpoint: Some(endpoint.to_string()) };
+    let told = Arc::new(Mutex::new(Vec::new()));
+    let listener = Arc::clone(&told);
+    let registry = ModelRegistry::new("models", access)
+        .with_listener(Arc::new(move |progress| listener.lock().unwrap().push(progress)));
+    (registry, told)
+}
+
+#[test]
+fn a_download_tells_how_far_it_is() {
+    let cache = tempfile::tempdir().unwrap();
+    let (registry, told) = listening(cache.path(), &Repository::new(&tiny(), &FILES).serve());
+    registry.fetch(&registry.find("org/tiny").unwrap()).unwrap();
+    let told = told.lock().unwrap();
+    let all: u64 = FILES.iter().map(|file| std::fs::metadata(tiny().join(file)).unwrap().len()).sum();
+    let last = told.last().unwrap();
+    assert_eq!((last.bytes, last.total), (all, all));
+    assert!(told.iter().any(|progress| progress.bytes < all));
+    assert!(told.is_sorted_by_key(|progress| progress.bytes), "{told:?}");
+}
+
+#[test]
+fn a_download_that_was_broken_off_is_taken_up_file_by_file() {
+    let cache = tempfile::tempdir().unwrap();
+    let repository = Repository::new(&tiny(), &FILES);
+    // More often than the client tries by itself.
+    repository.broken.store(100, Ordering::SeqCst);
+    let (registry, _) = listening(cache.path(), &repository.serve());
+    let spec = registry.find("org/tiny").unwrap();
+    let failed = registry.fetch(&spec);
+    assert!(matches!(failed, Err(MllmError::Hub { .. })), "{failed:?}");
+    assert!(registry.place_here(&spec).is_err(), "half a model is none");
+    let snapshot = cache.path().join("models--org--tiny/snapshots").join(COMMIT);
+    let kept: Vec<&str> = FILES.into_iter().filter(|file| snapshot.join(file).is_file()).collect();
+    repository.broken.store(0, Ordering::SeqCst);
+    registry.open(&spec).unwrap();
+    let sent = repository.sent.lock().unwrap().clone();
+    assert!(sent.contains(&"model.safetensors".to_string()));
+    for file in kept {
+        assert_eq!(sent.iter().filter(|name| *name == file).count(), 1, "{file} came twice: {sent:?}");
+    }
+}
+
+#[test]
+fn gguf_files_of_a_repository_are_fetched_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let local = ModelRegistry::new("models", HubAccess::default());
+    let spec = local.find(tiny().to_str().unwrap()).unwrap();
+    for (file, storage) in [("tiny-q8_0.gguf", Storage::Q8_0), ("tiny-f32.gguf", Storage::F32)] {
+        let mut create = |part: GgufPart| -> std::io::Result<Box<dyn Write>> {
+            let path =
+                if part == GgufPart::Model { folder.path().join(file) } else { folder.path().join("mmproj.gguf") };
+            Ok(Box::new(std::fs::File::create(path)?))
+        };
+        local.export(&spec, storage, &mut create, &mut |_, _| {}).unwrap();
+    }
+    let repository = Repository::new(folder.path(), &["tiny-q8_0.gguf", "tiny-f32.gguf", "mmproj.gguf"]);
+    let cache = tempfile::tempdir().unwrap();
+    let (registry, _) = listening(cache.path(), &repository.serve());
+    let model = registry.open(&registry.find("org/tiny/tiny-f32.gguf").unwrap()).unwrap();
+    let answer = |model: &dyn Mllm| model.converse(&opening(), 0).unwrap().ask(FIRST, &free(8)).unwrap().text;
+    assert_eq!(answer(&*model), answer(&super::open()));
+    let mut sent = repository.sent.lock().unwrap().clone();
+    sent.sort();
+    assert_eq!(sent, ["mmproj.gguf", "tiny-f32.gguf"], "and nothing else");
+    let missing = registry.open(&registry.find("org/tiny/tiny-q4_k.gguf").unwrap()).map(|_| ());
+    assert!(
+        matches!(&missing, Err(MllmError::Hub { problem, .. }) if problem.contains("tiny-q4_k.gguf")),
+        "{missing:?}"
+    );
 }

@@ -3,9 +3,11 @@
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "helpers of tests are tests")]
 
 mod broken;
+mod commands;
 mod constraints;
 mod conversation;
 mod families;
+mod gguf;
 mod hub;
 mod layouts;
 

@@ -66,13 +66,11 @@ impl ModelFiles {
     /// # Errors
     /// When it cannot be read.
     pub(crate) fn text(&self, name: &str) -> Result<Option<String>, MllmError> {
-        match &self.packed {
-            Some(packed) => Ok(packed.get(name).map(|(_, text)| text.clone())),
-            None => {
-                let path = self.place.join(name);
-                if path.is_file() { read_text(&path).map(Some) } else { Ok(None) }
-            }
+        if let Some(packed) = &self.packed {
+            return Ok(packed.get(name).map(|(_, text)| text.clone()));
         }
+        let path = self.place.join(name);
+        if path.is_file() { read_text(&path).map(Some) } else { Ok(None) }
     }
 
     /// What a JSON file says; none if it is not there.

@@ -57,12 +57,11 @@ impl LoadReport {
         let same = |known: &&mut StorageException| {
             known.name == name && known.storage == planned.storage && known.file == file && known.reason == reason
         };
-        match self.exceptions.iter_mut().find(same) {
-            Some(known) => known.tensors += 1,
-            None => {
-                let (storage, reason) = (planned.storage, reason.to_string());
-                self.exceptions.push(StorageException { name, tensors: 1, file, storage, reason });
-            }
+        if let Some(known) = self.exceptions.iter_mut().find(same) {
+            known.tensors += 1;
+        } else {
+            let (storage, reason) = (planned.storage, reason.to_string());
+            self.exceptions.push(StorageException { name, tensors: 1, file, storage, reason });
         }
     }
 
@@ -78,25 +77,34 @@ impl LoadReport {
         self.storages.sort_by_key(|share| std::cmp::Reverse(share.bytes));
     }
 
+    /// Whether it says nothing.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
     /// Bytes of all weights in memory.
     pub fn bytes(&self) -> u64 {
         self.storages.iter().map(|share| share.bytes).sum()
     }
 
-    /// The report as lines for people: storages, exceptions, notes.
+    /// The report as lines for people: storages, then what is held otherwise with the names, then notes.
     pub fn lines(&self) -> Vec<String> {
         let share =
             |share: &StorageShare| format!("{}: {} tensors, {}", share.storage, share.tensors, in_bytes(share.bytes));
-        let exception = |exception: &StorageException| {
-            let StorageException { name, tensors, file, storage, reason } = exception;
-            format!("{name} ({tensors}): {file} in the file, held in {storage}: {reason}")
-        };
-        self.storages
-            .iter()
-            .map(share)
-            .chain(self.exceptions.iter().map(exception))
-            .chain(self.notes.iter().cloned())
-            .collect()
+        let mut lines: Vec<String> = self.storages.iter().map(share).collect();
+        let mut told: Vec<(Storage, &str, &str)> = Vec::new();
+        for StorageException { file, storage, reason, .. } in &self.exceptions {
+            let kind = (*storage, file.as_str(), reason.as_str());
+            if told.contains(&kind) {
+                continue;
+            }
+            told.push(kind);
+            let alike = self.exceptions.iter().filter(|other| (other.storage, &*other.file, &*other.reason) == kind);
+            lines.push(format!("{file} held in {storage}: {reason}"));
+            lines.extend(alike.map(|exception| format!("  {} ({})", exception.name, exception.tensors)));
+        }
+        lines.extend(self.notes.iter().cloned());
+        lines
     }
 }
 
@@ -130,7 +138,8 @@ mod tests {
             [
                 "f32: 1 tensors, 0.0 MiB",
                 "q8_0: 3 tensors, 0.0 MiB",
-                "layers.*.up.weight (3): f16 in the file, held in q8_0: because"
+                "f16 held in q8_0: because",
+                "  layers.*.up.weight (3)"
             ]
         );
         assert_eq!(report.bytes(), 502);

@@ -6,7 +6,8 @@ mod files;
 mod llama_config;
 mod load_report;
 mod random;
-mod safetensors_header;
+mod row_order;
+mod safetensors_folder;
 mod section;
 mod storage_plan;
 mod weight_file;
@@ -22,10 +23,11 @@ pub(crate) use files::ModelFiles;
 pub(crate) use llama_config::{LlamaConfig, Rope, RopeScaling};
 pub(crate) use load_report::in_bytes;
 pub use load_report::{LoadReport, StorageException, StorageShare};
+pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use section::Section;
 pub(crate) use storage_plan::{FileKind, StoragePlan, is_matrix};
 pub(crate) use weight_file::{TensorPlace, WeightFile};
-pub(crate) use weights::{RowOrder, Weights, paired};
+pub(crate) use weights::Weights;
 
 use super::matrix::Storage;
 use super::{MllmError, ModelShape, gguf};
@@ -79,8 +81,8 @@ impl ModelPlace {
     /// When there are none.
     pub fn weight_bytes(&self) -> Result<u64, MllmError> {
         match self {
-            Self::Folder(folder) if weights::has_safetensors(folder) => {
-                weights::weight_files(folder)?.iter().map(|file| file_bytes(file)).sum()
+            Self::Folder(folder) if safetensors_folder::has_safetensors(folder) => {
+                safetensors_folder::weight_files(folder)?.iter().map(|file| file_bytes(file)).sum()
             }
             Self::Folder(folder) => match gguf::find(folder)? {
                 Some(model) => Self::Gguf { model, mmproj: None }.weight_bytes(),
@@ -122,14 +124,14 @@ impl Checkpoint {
             }
             ModelPlace::Folder(folder) => {
                 let files = ModelFiles::folder(folder)?;
-                if !weights::has_safetensors(folder)
+                if !safetensors_folder::has_safetensors(folder)
                     && let Some(model) = gguf::find(folder)?
                 {
                     return gguf::open(&model, None, quantize);
                 }
                 // A configuration that is missing is missed before weights are.
                 files.required_json("config.json")?;
-                Ok(Self { weights: Weights::open(folder, quantize)?, files })
+                Ok(Self { weights: safetensors_folder::open(folder, quantize)?, files })
             }
         }
     }

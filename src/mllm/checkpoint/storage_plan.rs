@@ -58,7 +58,7 @@ impl StoragePlan {
             Some(asked) => asked_for(asked, self.role(name), format),
         };
         let storage = wanted.or_finer(inputs);
-        let reason = if storage == wanted { reason } else { Some("its rows are no whole blocks of the storage") };
+        let reason = if storage == wanted { reason } else { Some("rows are no whole blocks of what was wanted") };
         PlannedStorage { storage, reason }
     }
 
@@ -92,9 +92,7 @@ fn asked_for(asked: Storage, role: Role, format: GgmlDType) -> (Storage, Option<
     };
     match held_as(format) {
         // What was rounded to few bits gains nothing from more.
-        Some(held) if held != Storage::F32 && bits(held) < bits(wanted) => {
-            (held, Some("the file holds no more than this"))
-        }
+        Some(held) if held.block() > 1 && bits(held) < bits(wanted) => (held, Some("the file holds no more than this")),
         _ => (wanted, reason),
     }
 }
@@ -153,6 +151,7 @@ mod tests {
         let tied = StoragePlan { tied: true, ..plan };
         assert_eq!(tied.matrix("language_model.embed_tokens.weight", GgmlDType::F16, 512).storage, Storage::Q6K);
         assert_eq!(asked(Storage::F16).matrix(TOWER, GgmlDType::F32, 512).storage, Storage::F16);
+        assert_eq!(asked(Storage::F32).matrix(TOWER, GgmlDType::F16, 512).storage, Storage::F32);
     }
 
     #[test]

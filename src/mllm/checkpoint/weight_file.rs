@@ -147,3 +147,17 @@ pub(super) fn widen(format: GgmlDType, bytes: Vec<u8>) -> candle_core::Result<Ve
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_precision_is_widened_exactly() {
+        let bytes = [f16::from_f32(1.5), f16::from_f32(-0.25)].iter().flat_map(|value| value.to_le_bytes()).collect();
+        assert_eq!(widen(GgmlDType::F16, bytes).unwrap(), [1.5, -0.25]);
+        let bytes = [half::bf16::from_f32(3.0)].iter().flat_map(|value| value.to_le_bytes()).collect();
+        assert_eq!(widen(GgmlDType::BF16, bytes).unwrap(), [3.0]);
+        assert!(widen(GgmlDType::Q4K, vec![0; 143]).is_err());
+    }
+}

@@ -6,21 +6,13 @@ use std::path::{Path, PathBuf};
 use candle_core::quantized::GgmlDType;
 use candle_core::{Device, Tensor};
 use half::f16;
-use serde_json::Value;
 
 use super::load_report::LoadReport;
-use super::read_json;
-use super::safetensors_header::read_header;
-use super::section::Section;
+use super::row_order::{RowOrder, unpaired};
 use super::storage_plan::{StoragePlan, held_as, is_matrix};
 use super::weight_file::{TensorPlace, WeightFile, widen};
 use crate::mllm::MllmError;
 use crate::mllm::matrix::{Matrix, Storage};
-
-/// The file of a checkpoint that is not sharded.
-const WEIGHTS: &str = "model.safetensors";
-/// The index of a sharded checkpoint: which tensor is in which file.
-const INDEX: &str = "model.safetensors.index.json";
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite and held as
 /// the [`StoragePlan`] says, so that there is never more than one tensor twice in memory.
@@ -60,39 +52,7 @@ struct StoredTensor {
     rows: RowOrder,
 }
 
-/// In which order a file has the rows of a tensor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum RowOrder {
-    /// As Hugging Face has them.
-    Plain,
-    /// The rows of each of so many heads in pairs, as llama.cpp's rotary embedding takes them: a row of the first half,
-    /// then its partner of the second.
-    Paired {
-        /// Number of heads.
-        heads: usize,
-    },
-}
-
 impl Weights {
-    /// Opens the safetensors of a folder.
-    ///
-    /// # Errors
-    /// When a file is missing or broken, or a tensor has an unknown number format.
-    pub(crate) fn open(folder: &Path, quantize: Option<Storage>) -> Result<Self, MllmError> {
-        let mut weights = Self::empty(folder, StoragePlan { quantize, ..StoragePlan::default() });
-        for path in weight_files(folder)? {
-            let file = WeightFile::open(&path)?;
-            let tensors = read_header(&path, &mut file.reader()?, file.len())?;
-            let index = weights.add_file(file);
-            for (name, place) in tensors {
-                if let Some(canonical) = canonical_name(&name) {
-                    weights.add(canonical, index, name, place, RowOrder::Plain)?;
-                }
-            }
-        }
-        Ok(weights)
-    }
-
     /// Weights without a tensor. `place` is what messages call them.
     pub(crate) fn empty(place: &Path, plan: StoragePlan) -> Self {
         Self {
@@ -372,92 +332,6 @@ fn f32_bytes(shape: &[usize]) -> u64 {
     shape.iter().fold(4, |product: u64, side| product.saturating_mul(*side as u64))
 }
 
-/// Puts rows that lie in pairs ([`RowOrder::Paired`]) back in order.
-fn unpaired(bytes: &[u8], rows: usize, heads: usize) -> Vec<u8> {
-    reordered(bytes, rows, heads, |row, half| if row < half { 2 * row } else { 2 * (row - half) + 1 })
-}
-
-/// The reverse of [`unpaired`].
-pub(crate) fn paired(bytes: &[u8], rows: usize, heads: usize) -> Vec<u8> {
-    reordered(bytes, rows, heads, |row, half| row / 2 + row % 2 * half)
-}
-
-/// Rows of which each head's are taken from where `source` says, by the row's number in its head and half the head's width.
-fn reordered(bytes: &[u8], rows: usize, heads: usize, source: impl Fn(usize, usize) -> usize) -> Vec<u8> {
-    let (width, head) = (bytes.len() / rows.max(1), rows / heads.max(1));
-    let mut out = Vec::with_capacity(bytes.len());
-    for first in (0..rows).step_by(head.max(1)) {
-        for row in 0..head {
-            let begin = (first + source(row, head / 2)) * width;
-            out.extend_from_slice(&bytes[begin..begin + width]);
-        }
-    }
-    out
-}
-
-/// Whether a folder holds the weights of a checkpoint, or says which files do.
-pub(super) fn has_safetensors(folder: &Path) -> bool {
-    [WEIGHTS, INDEX].iter().any(|file| folder.join(file).is_file())
-}
-
-/// The weight files of a folder in the order of their names.
-pub(super) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
-    let whole = folder.join(WEIGHTS);
-    if whole.is_file() {
-        return Ok(vec![whole]);
-    }
-    let index_path = folder.join(INDEX);
-    if !index_path.is_file() {
-        return Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: format!("{WEIGHTS} and no {INDEX}") });
-    }
-    let index: Value = read_json(&index_path)?;
-    let root = Section::root(&index_path, &index)?;
-    let Some(Value::Object(map)) = root.get("weight_map") else {
-        return Err(root.error("weight_map", "expected an object of tensor names and files".into()));
-    };
-    let mut files: Vec<PathBuf> = Vec::new();
-    for (tensor, file) in map {
-        let file = file
-            .as_str()
-            .filter(|file| !file.is_empty() && !file.contains(['/', '\\']) && *file != "..")
-            .ok_or_else(|| {
-                root.error(
-                    &format!("weight_map.{tensor}"),
-                    format!("expected the name of a file in this folder, found {file}"),
-                )
-            })?;
-        let path = folder.join(file);
-        if !path.is_file() {
-            return Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: file.to_string() });
-        }
-        files.push(path);
-    }
-    files.sort();
-    files.dedup();
-    Ok(files)
-}
-
-/// Whether a tensor is a table that older checkpoints hold beside the weights.
-pub(super) fn is_buffer(name: &str) -> bool {
-    name.ends_with("position_ids") || name.ends_with("rotary_emb.inv_freq")
-}
-
-/// Maps the names of all layouts to one; none for buffers that are no weights.
-fn canonical_name(name: &str) -> Option<String> {
-    if is_buffer(name) {
-        return None;
-    }
-    let name = name.strip_prefix("model.").unwrap_or(name);
-    let renamed = [
-        ("vision_tower.vision_model.", "vision_tower."),
-        ("language_model.model.", "language_model."),
-        ("language_model.lm_head.", "lm_head."),
-    ]
-    .into_iter()
-    .find_map(|(from, to)| name.strip_prefix(from).map(|rest| format!("{to}{rest}")));
-    Some(renamed.unwrap_or_else(|| name.to_string()))
-}
-
 #[cfg(test)]
 impl Weights {
     /// Weights that hold whatever is asked for, at random.
@@ -471,75 +345,5 @@ impl Weights {
         let first = self.tensors.remove(one).unwrap();
         let second = self.tensors.insert(other.to_string(), first).unwrap();
         self.tensors.insert(one.to_string(), second);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    #[test]
-    fn every_layout_has_one_canonical_name() {
-        for (name, canonical) in [
-            ("vision_tower.vision_model.encoder.layers.0.mlp.fc1.bias", "vision_tower.encoder.layers.0.mlp.fc1.bias"),
-            ("vision_tower.embeddings.class_embedding", "vision_tower.embeddings.class_embedding"),
-            ("model.vision_tower.vision_model.pre_layrnorm.bias", "vision_tower.pre_layrnorm.bias"),
-            ("model.vision_tower.pre_layrnorm.bias", "vision_tower.pre_layrnorm.bias"),
-            ("language_model.model.norm.weight", "language_model.norm.weight"),
-            ("model.language_model.norm.weight", "language_model.norm.weight"),
-            ("language_model.lm_head.weight", "lm_head.weight"),
-            ("lm_head.weight", "lm_head.weight"),
-            ("model.multi_modal_projector.linear_1.bias", "multi_modal_projector.linear_1.bias"),
-            ("model.image_newline", "image_newline"),
-            ("model.vision.boi", "vision.boi"),
-            ("model.layers.0.mlp.vision_mlp.up_proj.weight", "layers.0.mlp.vision_mlp.up_proj.weight"),
-        ] {
-            assert_eq!(canonical_name(name).as_deref(), Some(canonical));
-        }
-        assert_eq!(canonical_name("vision_tower.vision_model.embeddings.position_ids"), None);
-    }
-
-    fn places(bytes: &[u8]) -> Result<Vec<(String, TensorPlace)>, MllmError> {
-        read_header(Path::new("w"), &mut &*bytes, bytes.len() as u64)
-    }
-
-    #[test]
-    fn half_precision_is_widened_exactly() {
-        let bytes = [f16::from_f32(1.5), f16::from_f32(-0.25)].iter().flat_map(|value| value.to_le_bytes()).collect();
-        assert_eq!(widen(GgmlDType::F16, bytes).unwrap(), [1.5, -0.25]);
-        let bytes = [half::bf16::from_f32(3.0)].iter().flat_map(|value| value.to_le_bytes()).collect();
-        assert_eq!(widen(GgmlDType::BF16, bytes).unwrap(), [3.0]);
-        assert!(widen(GgmlDType::Q4K, vec![0; 143]).is_err());
-    }
-
-    proptest! {
-        #[test]
-        fn pairs_are_put_in_order_and_back(heads in 1_usize..4, half in 1_usize..5, width in 1_usize..4) {
-            let rows = heads * 2 * half;
-            let bytes: Vec<u8> = (0..rows * width).map(|byte| byte as u8).collect();
-            let pairs = paired(&bytes, rows, heads);
-            prop_assert_eq!(&pairs[..width], &bytes[..width]);
-            prop_assert_eq!(&pairs[width..2 * width], &bytes[half * width..(half + 1) * width], "the partner follows");
-            prop_assert_eq!(unpaired(&pairs, rows, heads), bytes);
-        }
-
-        #[test]
-        fn hostile_files_are_errors_or_tensors(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
-            let _ = places(&bytes);
-        }
-
-        #[test]
-        fn hostile_headers_are_errors_or_tensors(
-            shape in proptest::collection::vec(any::<u32>(), 0..3),
-            begin in 0u64..20, end in 0u64..20,
-            dtype in prop_oneof![Just("F32"), Just("BF16"), Just("I64"), Just("Q")],
-        ) {
-            let header = format!(r#"{{"t":{{"dtype":"{dtype}","shape":{shape:?},"data_offsets":[{begin},{end}]}}}}"#);
-            let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
-            bytes.extend(header.bytes());
-            bytes.extend([0; 12]);
-            let _ = places(&bytes);
-        }
     }
 }

@@ -20,7 +20,7 @@ use crate::mllm::vision::{Filter, resize};
 /// Opens a folder with a change to its weights.
 fn open(folder: &Path, change: impl FnOnce(&mut Weights)) -> CogVlm {
     let path = folder.join("config.json");
-    let mut weights = Weights::open(folder, None).unwrap();
+    let mut weights = open_checkpoint(folder).weights;
     change(&mut weights);
     let config = CogVlmConfig::from_json(&path, &read_json(&path).unwrap()).unwrap();
     CogVlm::take(&mut weights, config).unwrap()

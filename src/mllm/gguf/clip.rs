@@ -38,12 +38,11 @@ pub(super) fn config(header: &Header) -> Result<(Json, Option<String>), MllmErro
         (_, Some(true)) => "silu",
         _ => "quick_gelu",
     };
-    let (features, note) = match header.integers(FEATURE_LAYER)? {
-        Some(features) => (json!(features), None),
-        None => {
-            let (layer, note) = default_feature_layer(layers);
-            (json!(layer), Some(note))
-        }
+    let (features, note) = if let Some(features) = header.integers(FEATURE_LAYER)? {
+        (json!(features), None)
+    } else {
+        let (layer, note) = default_feature_layer(layers);
+        (json!(layer), Some(note))
     };
     let mut config = json!({
         "model_type": if is_next(header) { "llava_next" } else { "llava" },

@@ -75,8 +75,8 @@ pub(crate) fn export(
     let total = parts.iter().flat_map(|part| &part.layout.tensors).map(PlannedTensor::bytes).sum();
     let mut written = 0;
     for part in &parts {
-        let failed = |source| MllmError::Write { what: format!("{:?}", part.part).to_lowercase(), source };
-        let mut out = create(part.part).map_err(failed)?;
+        let failed = |source| MllmError::Write { what: format!("{:?}", part.kind).to_lowercase(), source };
+        let mut out = create(part.kind).map_err(failed)?;
         part.layout.write_header(&mut out).map_err(failed)?;
         for (tensor, canonical) in part.layout.tensors.iter().zip(&part.canonical) {
             let data = data(&mut checkpoint.weights, canonical, tensor)?;
@@ -95,7 +95,7 @@ pub(crate) fn export(
 
 /// One file with the canonical names of its tensors.
 struct Part {
-    part: GgufPart,
+    kind: GgufPart,
     layout: Layout,
     canonical: Vec<String>,
     /// Whether rows of queries and keys are written in pairs.
@@ -151,7 +151,7 @@ fn parts(checkpoint: &mut Checkpoint, tokenizer: &ModelFiles, name: &str) -> Res
                 .note(format!("llama.cpp's format has no place for {what}: the file is for this program alone"));
             let mut layout = Layout { metadata: [general(WHOLE_MODEL), packed].concat(), tensors: Vec::new() };
             let canonical = plan_tensors(&checkpoint.weights, &mut layout, |name| Some(name.to_string()));
-            return Ok(vec![Part { part: GgufPart::Model, layout, canonical, heads: None }]);
+            return Ok(vec![Part { kind: GgufPart::Model, layout, canonical, heads: None }]);
         }
     };
     let mut metadata = [general(llama::ARCHITECTURE), decoder].concat();
@@ -166,10 +166,10 @@ fn parts(checkpoint: &mut Checkpoint, tokenizer: &ModelFiles, name: &str) -> Res
     let wanted = |tower: bool| move |name: &str| names::from_canonical(name).filter(|name| is_tower(name) == tower);
     let canonical = plan_tensors(&checkpoint.weights, &mut model, wanted(false));
     let heads = Some(Heads { queries: text.heads, keys: text.kv_heads });
-    let model = Part { part: GgufPart::Model, layout: model, canonical, heads };
+    let model = Part { kind: GgufPart::Model, layout: model, canonical, heads };
     let mut layout = Layout { metadata: [general(clip::ARCHITECTURE), tower].concat(), tensors: Vec::new() };
     let canonical = plan_tensors(&checkpoint.weights, &mut layout, wanted(true));
-    Ok(vec![model, Part { part: GgufPart::Tower, layout, canonical, heads: None }])
+    Ok(vec![model, Part { kind: GgufPart::Tower, layout, canonical, heads: None }])
 }
 
 /// Metadata of a decoder and of a tower, or what llama.cpp has no key for.

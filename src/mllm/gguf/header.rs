@@ -71,7 +71,7 @@ struct Declared {
 impl Reader<'_> {
     fn header(mut self) -> Result<Header, MllmError> {
         if &self.array::<4>()? != MAGIC {
-            return Err(self.error("it does not begin with GGUF".into()));
+            return Err(self.error("it does not begin with GGUF"));
         }
         let version = self.u32()?;
         if !VERSIONS.contains(&version) {
@@ -204,7 +204,7 @@ impl Reader<'_> {
 
     fn list(&mut self, depth: u8) -> Result<Value, MllmError> {
         if depth >= MAX_DEPTH {
-            return Err(self.error("lists stand in lists in lists".into()));
+            return Err(self.error("lists stand in lists in lists"));
         }
         let kind = self.u32()?;
         let least = match kind {
@@ -268,15 +268,15 @@ impl Reader<'_> {
 
     fn fill(&mut self, bytes: &mut [u8]) -> Result<(), MllmError> {
         self.source.read_exact(bytes).map_err(|source| match source.kind() {
-            std::io::ErrorKind::UnexpectedEof => self.error("the file ends within its header: it is truncated".into()),
+            std::io::ErrorKind::UnexpectedEof => self.error("the file ends within its header: it is truncated"),
             _ => MllmError::Read { path: self.path.to_path_buf(), source },
         })?;
         self.position += bytes.len() as u64;
         Ok(())
     }
 
-    fn error(&self, problem: String) -> MllmError {
-        self.broken(format!("at byte {}: {problem}", self.position))
+    fn error(&self, problem: impl AsRef<str>) -> MllmError {
+        self.broken(format!("at byte {}: {}", self.position, problem.as_ref()))
     }
 
     fn broken(&self, problem: String) -> MllmError {

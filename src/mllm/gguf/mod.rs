@@ -46,7 +46,9 @@ const WHOLE_MODEL: &str = "planagent";
 /// The tokenizer, which a user may put beside a GGUF file to replace the one in its metadata.
 const TOKENIZER: &str = "tokenizer.json";
 /// Other files that may be put beside it.
-const BESIDE: [&str; 2] = ["tokenizer_config.json", "chat_template.jinja"];
+const BESIDE: [&str; 2] = ["tokenizer_config.json", TEMPLATE];
+/// The chat template.
+const TEMPLATE: &str = "chat_template.jinja";
 
 /// Opens a model: its decoder, and its vision tower, by default the one that lies beside it.
 ///
@@ -84,7 +86,9 @@ pub(crate) fn open(model: &Path, mmproj: Option<&Path>, quantize: Option<Storage
             files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;
             add_tensors(&mut weights, &header, file)?;
             add_tensors(&mut weights, &tower, tower_file)?;
-            notes.into_iter().for_each(|note| weights.note(note));
+            for note in notes {
+                weights.note(note);
+            }
             Ok(Checkpoint { files, weights })
         }
         clip::ARCHITECTURE => Err(header.error(
@@ -220,20 +224,22 @@ fn made_files(header: &Header, tower: &Header, notes: &mut Vec<String>) -> Resul
     put(TOKENIZER, &tokenizer);
     put("config.json", &config);
     put("preprocessor_config.json", &clip::preprocessor(tower)?);
-    let template = match header.text("tokenizer.chat_template")? {
-        Some(template) => template,
-        None => {
-            let file = header.path.file_stem().unwrap_or_default().to_string_lossy();
-            let name = header.text("general.name")?.unwrap_or(&file);
-            let (template, called) = template::by_name(name);
-            notes.push(format!(
-                "the file has no chat template; {called}'s form of a chat is taken, by the name {name:?} (a \
-                 chat_template.jinja beside the file replaces it)"
-            ));
-            template
-        }
+    if header.path.with_file_name(TEMPLATE).is_file() {
+        return Ok(files);
+    }
+    let template = if let Some(template) = header.text("tokenizer.chat_template")? {
+        template
+    } else {
+        let file = header.path.file_stem().unwrap_or_default().to_string_lossy();
+        let name = header.text("general.name")?.unwrap_or(&file);
+        let (template, called) = template::by_name(name);
+        notes.push(format!(
+            "the file has no chat template; {called}'s form of a chat is taken, by the name {name:?} (a {TEMPLATE} beside the \
+             file replaces it)"
+        ));
+        template
     };
-    files.insert("chat_template.jinja".to_string(), template.to_string());
+    files.insert(TEMPLATE.to_string(), template.to_string());
     Ok(files)
 }
 
@@ -254,12 +260,11 @@ fn add_tensors(weights: &mut Weights, header: &Header, file: WeightFile) -> Resu
 
 /// llama.cpp has the rows of queries and keys in pairs.
 fn row_order(header: &Header, name: &str, place: &TensorPlace) -> Result<RowOrder, MllmError> {
+    const HEADS: &str = "llama.attention.head_count";
+    const KEY_HEADS: &str = "llama.attention.head_count_kv";
     let key = match name.strip_prefix("blk.").and_then(|rest| rest.split('.').nth(1)) {
-        Some("attn_q") => "llama.attention.head_count",
-        Some("attn_k") if header.metadata.contains_key("llama.attention.head_count_kv") => {
-            "llama.attention.head_count_kv"
-        }
-        Some("attn_k") => "llama.attention.head_count",
+        Some("attn_k") if header.metadata.contains_key(KEY_HEADS) => KEY_HEADS,
+        Some("attn_q" | "attn_k") => HEADS,
         _ => return Ok(RowOrder::Plain),
     };
     let heads = header.required_count(key)?;

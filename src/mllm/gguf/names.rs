@@ -40,8 +40,11 @@ const VISION_PARTS: [(&str, &str); 8] = [
     ("ffn_down", "mlp.fc2"),
 ];
 
+/// GGUF's name of a part of a layer and the canonical one.
+type Part = (&'static str, &'static str);
+
 /// Layers: what their names begin with in GGUF and canonically, and their parts.
-const LAYERS: [(&str, &str, &[(&str, &str)]); 2] =
+const LAYERS: [(&str, &str, &[Part]); 2] =
     [("blk.", "language_model.layers.", &DECODER_PARTS), ("v.blk.", "vision_tower.encoder.layers.", &VISION_PARTS)];
 
 /// The canonical name of a tensor of llama.cpp; none if a LLaVA has no such tensor.

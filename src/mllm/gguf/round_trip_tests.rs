@@ -12,12 +12,13 @@ use serde_json::{Value as Json, json};
 use super::export::{GgufPart, tower_path};
 use super::header::Header;
 use super::writer::{Layout, PlannedTensor};
-use super::{FILE, open_header};
+use super::{FILE, open_header, tokenizer_tests};
 use crate::mllm::checkpoint::{Checkpoint, ModelPlace};
 use crate::mllm::decoder::Logits;
 use crate::mllm::local::test_reference::{assert_chat, fixture, synthetic};
 use crate::mllm::local::{Architecture, Loading, LocalModel, Sequence, VisionLanguageModel};
 use crate::mllm::matrix::Storage;
+use crate::mllm::{Constraint, Mllm, Opening, Request, Sampling};
 
 /// Writes a model of a folder to `m.gguf` in another.
 fn export(from: &Path, to: &Path, storage: Storage) -> PathBuf {
@@ -107,6 +108,29 @@ fn a_model_of_llama_cpp_computes_what_transformers_computes() {
         copy_reference(&from, folder.path());
         assert_chat(folder.path(), &["", "chat_"]);
     }
+}
+
+/// As most files of llama.cpp are: a SentencePiece tokenizer in the metadata, no token for the image, no chat template.
+#[test]
+fn a_model_of_llama_cpp_with_its_own_tokenizer_answers() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = export(&fixture("tiny_llava"), folder.path(), Storage::Q8_0);
+    edit(&path, |header, _| {
+        header.metadata.retain(|key, _| !key.starts_with(FILE) && !key.starts_with("tokenizer."));
+        header.metadata.extend(tokenizer_tests::metadata(&tokenizer_tests::small(), 352));
+    });
+    let place = ModelPlace::Folder(folder.path().to_path_buf());
+    let model = LocalModel::load("tiny", &place, &Loading::default()).unwrap();
+    let image = synthetic(32, 32);
+    let mut conversation = model.converse(&Opening { system: "keep lane".into(), image: Some(image) }, 0).unwrap();
+    let request = |constraint| Request { constraint, max_new_tokens: 8, sampling: Sampling::Greedy };
+    let first = conversation.ask("left?", &request(Constraint::Free)).unwrap().tokens;
+    assert_eq!(first.image, 16);
+    let second = conversation.ask("lane?", &request(Constraint::Choice(vec!["keep left".into()]))).unwrap();
+    assert_eq!(second.text, "keep left");
+    assert!(second.tokens.cached > 20 && second.tokens.image == 0, "{:?} after {first:?}", second.tokens);
+    let notes = model.describe().load.notes;
+    assert!(notes.iter().any(|note| note.contains("Vicuna's form of a chat")), "{notes:?}");
 }
 
 #[test]
@@ -204,10 +228,12 @@ fn widen(config: &mut Json, wide: &impl Fn(u64) -> u64) {
 
 #[test]
 fn a_quantised_model_from_gguf_is_the_same_to_the_bit() {
-    for name in ["tiny_llava", "tiny_llava_next", "tiny_cogvlm"] {
+    for (name, storages) in
+        [("tiny_llava", &Storage::ALL[..]), ("tiny_llava_next", &[Storage::Q8_0]), ("tiny_cogvlm", &[Storage::Q4K])]
+    {
         let checkpoint = widened(name);
         let from = ModelPlace::Folder(checkpoint.path().to_path_buf());
-        for storage in Storage::ALL {
+        for storage in storages.iter().copied() {
             let folder = tempfile::tempdir().unwrap();
             let model = export(checkpoint.path(), folder.path(), storage);
             let place = ModelPlace::Gguf { model, mmproj: None };
@@ -233,6 +259,7 @@ fn the_report_says_what_is_held_how() {
         |storage| report.storages.iter().find(|share| share.storage == storage).map_or(0, |share| share.tensors);
     assert_eq!((tensors(Storage::Q4K), tensors(Storage::Q6K), tensors(Storage::Q8_0)), (15, 1, 20));
     assert!(report.exceptions.iter().any(|known| known.name == "lm_head.weight" && known.storage == Storage::Q6K));
-    // The forecast counts the norm behind the tower too, which no LLaVA uses.
-    assert_eq!(forecast.bytes(), report.bytes() + 2 * 4 * 256);
+    // The forecast knows nothing of how the products want their blocks, and counts a norm that no LLaVA uses.
+    let (foreseen, held) = (forecast.bytes() as f64, report.bytes() as f64);
+    assert!((foreseen / held - 1.0).abs() < 0.01, "{foreseen} {held}");
 }

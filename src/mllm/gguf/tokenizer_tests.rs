@@ -41,11 +41,20 @@ const WORDS: [&str; 24] = [
 
 /// A tokenizer as Llama 2 has it, its merges in the order of the words: bytes, a space before every text, `▁` for spaces.
 fn llama(prefix: bool) -> Json {
+    made(prefix, ('!'..='~').chain(['\u{2581}', 'ü']), &WORDS)
+}
+
+/// One with few tokens.
+pub(super) fn small() -> Json {
+    made(true, ('a'..='z').chain(['\u{2581}', ':', '<', '>']), &["\u{2581}lane", "\u{2581}keep", "\u{2581}left"])
+}
+
+fn made(prefix: bool, characters: impl Iterator<Item = char>, words: &[&str]) -> Json {
     let mut tokens: Vec<String> = ["<unk>", "<s>", "</s>"].map(String::from).to_vec();
     tokens.extend((0..256).map(|byte| format!("<0x{byte:02X}>")));
-    tokens.extend(('!'..='~').chain(['\u{2581}', 'ü']).map(String::from));
+    tokens.extend(characters.map(String::from));
     let mut merges = Vec::new();
-    for word in WORDS {
+    for word in words {
         let characters: Vec<char> = word.chars().collect();
         for end in 2..=characters.len() {
             let piece: String = characters[..end].iter().collect();
@@ -97,11 +106,16 @@ fn llama(prefix: bool) -> Json {
 /// Rows of the embedding of the tests' models: more than there are tokens.
 const VOCABULARY: usize = 512;
 
-fn header(json: &Json) -> Header {
+/// GGUF's metadata of a tokenizer for a model of `vocabulary` rows.
+pub(super) fn metadata(json: &Json, vocabulary: usize) -> BTreeMap<String, Value> {
     let special = [("bos_token", "<s>"), ("eos_token", "</s>"), ("unk_token", "<unk>")];
     let special: BTreeMap<_, _> = special.map(|(role, token)| (role.to_string(), token.to_string())).into();
-    let metadata = tokenizer_metadata::metadata(json, &special, VOCABULARY).unwrap();
-    Header { path: PathBuf::from("m.gguf"), metadata: metadata.into_iter().collect(), tensors: BTreeMap::new() }
+    tokenizer_metadata::metadata(json, &special, vocabulary).unwrap().into_iter().collect()
+}
+
+fn header(json: &Json) -> Header {
+    let metadata = metadata(json, VOCABULARY);
+    Header { path: PathBuf::from("m.gguf"), metadata, tensors: BTreeMap::new() }
 }
 
 /// The tokenizer as it is, and as it comes back from GGUF.

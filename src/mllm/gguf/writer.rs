@@ -84,26 +84,24 @@ fn put_text(out: &mut Vec<u8>, text: &str) {
 fn put_value(out: &mut Vec<u8>, value: &Value) -> io::Result<()> {
     let kind = |out: &mut Vec<u8>, kind: u32| out.extend(kind.to_le_bytes());
     match value {
-        Value::Unsigned(number) => match u32::try_from(*number) {
-            Ok(number) => {
+        Value::Unsigned(number) => {
+            if let Ok(number) = u32::try_from(*number) {
                 kind(out, 4);
                 out.extend(number.to_le_bytes());
-            }
-            Err(_) => {
+            } else {
                 kind(out, 10);
                 out.extend(number.to_le_bytes());
             }
-        },
-        Value::Signed(number) => match i32::try_from(*number) {
-            Ok(number) => {
+        }
+        Value::Signed(number) => {
+            if let Ok(number) = i32::try_from(*number) {
                 kind(out, 5);
                 out.extend(number.to_le_bytes());
-            }
-            Err(_) => {
+            } else {
                 kind(out, 11);
                 out.extend(number.to_le_bytes());
             }
-        },
+        }
         Value::Float(number) => {
             kind(out, 6);
             out.extend(number.to_le_bytes());
@@ -124,17 +122,19 @@ fn put_value(out: &mut Vec<u8>, value: &Value) -> io::Result<()> {
             let narrow: Result<Vec<i32>, _> = list.iter().map(|number| i32::try_from(*number)).collect();
             put_list(out, if narrow.is_ok() { 5 } else { 11 }, list.len());
             match narrow {
-                Ok(list) => list.iter().for_each(|number| out.extend(number.to_le_bytes())),
-                Err(_) => list.iter().for_each(|number| out.extend(number.to_le_bytes())),
+                Ok(list) => out.extend(list.iter().flat_map(|number| number.to_le_bytes())),
+                Err(_) => out.extend(list.iter().flat_map(|number| number.to_le_bytes())),
             }
         }
         Value::Floats(list) => {
             put_list(out, 6, list.len());
-            list.iter().for_each(|number| out.extend(number.to_le_bytes()));
+            out.extend(list.iter().flat_map(|number| number.to_le_bytes()));
         }
         Value::Texts(list) => {
             put_list(out, 8, list.len());
-            list.iter().for_each(|text| put_text(out, text));
+            for text in list {
+                put_text(out, text);
+            }
         }
         Value::List(_) => return Err(io::Error::other("lists of lists are not written")),
     }

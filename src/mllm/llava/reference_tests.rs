@@ -22,7 +22,7 @@ fn open(change: impl FnOnce(&mut Value, &mut Weights)) -> (Llava, Reference) {
     let folder = fixture("llava_reference");
     let path = folder.join("config.json");
     let mut config = read_json(&path).unwrap();
-    let mut weights = Weights::open(&folder, None).unwrap();
+    let mut weights = open_checkpoint(&folder).weights;
     change(&mut config, &mut weights);
     let config = LlavaConfig::from_json(&path, &config).unwrap();
     let processor = ClipImageProcessor::square(config.vision.image_size as u32);

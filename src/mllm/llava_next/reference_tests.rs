@@ -21,7 +21,7 @@ use crate::mllm::vision::{Filter, PixelScale};
 fn open(folder: &Path, change: impl FnOnce(&mut Value, &mut Weights)) -> LlavaNext {
     let path = folder.join("config.json");
     let mut config = read_json(&path).unwrap();
-    let mut weights = Weights::open(folder, None).unwrap();
+    let mut weights = open_checkpoint(folder).weights;
     change(&mut config, &mut weights);
     let config = LlavaNextConfig::from_json(&path, &config).unwrap();
     let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };

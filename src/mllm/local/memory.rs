@@ -37,13 +37,17 @@ impl MemoryNeed {
     pub(crate) fn of(checkpoint: &Checkpoint, decoder: &LlamaConfig, quantize: Option<Storage>) -> Self {
         let float = size_of::<f32>() as u64;
         let tokens = CALL_TOKENS.min(decoder.context as u64);
-        let row = (decoder.kv_heads * decoder.head_dim) as u64;
-        let alive = ROWS.0 * decoder.hidden as u64 + ROWS.1 * decoder.intermediate as u64;
         let elements = |shape: &[usize]| shape.iter().product::<usize>() as u64;
-        let largest = checkpoint.weights.shapes().map(|(_, shape)| elements(shape)).max().unwrap_or(0);
+        let shapes = || checkpoint.weights.shapes().map(|(_, shape)| shape);
+        let largest = shapes().map(elements).max().unwrap_or(0);
+        // A configuration that asks for more than the weights have is refused when these are taken, with the key at fault.
+        let widest = shapes().flatten().copied().max().unwrap_or(0);
+        let width = |width: usize| width.min(widest) as u64;
+        let layers = decoder.layers.min(shapes().count()) as u64;
+        let alive = ROWS.0 * width(decoder.hidden) + ROWS.1 * width(decoder.intermediate);
         Self {
             weights: checkpoint.weights.forecast(quantize).bytes(),
-            cache: 2 * float * tokens * row * decoder.layers as u64,
+            cache: 2 * float * tokens * width(decoder.kv_heads * decoder.head_dim) * layers,
             // As it lies in the file and widened.
             work: (float * tokens * alive).max(2 * float * largest),
         }

@@ -64,7 +64,9 @@ pub(in crate::cli) fn write(
         Ok(report) => report,
         Err(error) => {
             // What is left of an earlier failure may be in the way of the next try; the first error is the one to tell.
-            written.iter().for_each(|(_, partial)| drop(fs::remove_file(partial)));
+            for (_, partial) in &written {
+                let _ = fs::remove_file(partial);
+            }
             return Err(error.into());
         }
     };
