@@ -1,4 +1,5 @@
 //! Activation functions, number by number: vectorised, over threads, in one pass.
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
 
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
@@ -52,7 +53,6 @@ struct EachKernel<'a> {
 
 impl Kernel for EachKernel<'_> {
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be inlined into the function that has the instructions")]
     fn run<S: Simd>(self, _: S) {
         let Self { activation, values, out } = self;
         match activation {
@@ -70,7 +70,6 @@ impl Kernel for EachKernel<'_> {
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "must be inlined into the function that has the instructions")]
 fn map(values: &[f32], out: &mut [f32], function: impl Fn(f32) -> f32) {
     for (out, value) in out.iter_mut().zip(values) {
         *out = function(*value);
@@ -112,7 +111,6 @@ struct SwiGluKernel<'a> {
 
 impl Kernel for SwiGluKernel<'_> {
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be inlined into the function that has the instructions")]
     fn run<S: Simd>(self, _: S) {
         for (out, row) in self.out.chunks_exact_mut(self.width).zip(self.values.chunks_exact(2 * self.width)) {
             let (gates, values) = row.split_at(self.width);
@@ -133,7 +131,6 @@ fn contiguous<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]>
 
 /// 1 / (1 + e⁻ˣ).
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "must be inlined into the function that has the instructions")]
 fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
 }
@@ -141,7 +138,6 @@ fn sigmoid(x: f32) -> f32 {
 /// eˣ to about two units in the last place, without branches: e^x = 2ⁿ e^r with |r| ≤ ln 2 / 2, the latter by its Taylor
 /// series. Beyond ±87 it stays what it is there.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "must be inlined into the function that has the instructions")]
 fn exp(x: f32) -> f32 {
     /// ln 2 in two parts (Cody and Waite): products of the first with small integers are exact.
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
@@ -156,7 +152,6 @@ fn exp(x: f32) -> f32 {
 /// x Φ(x), Φ the normal distribution, by a Chebyshev fit of the complementary error function with a relative error of
 /// 1.2 · 10⁻⁷ (Press et al., Numerical Recipes, `erfcc`): so the result keeps its digits where it vanishes.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "must be inlined into the function that has the instructions")]
 fn gelu(x: f32) -> f32 {
     const FIT: [f32; 10] = [
         0.170_872_77,
