@@ -23,6 +23,9 @@ const CACHED: usize = 1 << 20;
 /// Fewest multiplications that are worth waking other threads for: about 20 µs of one core.
 const PARALLEL: usize = 1 << 20;
 
+/// Lines between those that are unpacked and those that are asked for.
+const AHEAD: usize = 64;
+
 /// Pieces of work for each thread: the slower of two unequal cores gets fewer of them.
 const PIECES: usize = 4;
 
@@ -199,6 +202,9 @@ impl<F: Format> Kernel for Product<'_, F> {
             for span in 0..self.row_words / F::WORDS {
                 for (panel, block) in pair.chunks_exact(self.panel_lines).zip(&mut blocks) {
                     let end = self.panel_lines.min((span + 1) * F::LINES);
+                    for line in panel[end..].iter().skip(AHEAD).take(F::LINES) {
+                        simd.prefetch(line);
+                    }
                     F::unpack(simd, &panel[span * F::LINES..end], block);
                 }
                 let tiles = self.words.chunks(TILE * self.row_words);
