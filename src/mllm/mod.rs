@@ -24,8 +24,10 @@ mod matrix;
 mod pointwise;
 mod registry;
 mod replay;
+mod rms_norm;
 mod sampling;
 mod text;
+mod values;
 mod vision;
 
 pub(crate) use checkpoint::in_bytes;
@@ -38,7 +40,7 @@ pub use error::MllmError;
 pub use gguf::{CreateFile, GgufPart};
 pub use latency::{LatencyProbe, ModelShape, PassTime, ProbeDescription, Step, StepTime};
 pub use local::{Architecture, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
-pub use matrix::{Storage, UnknownStorage};
+pub use matrix::{Matrix, Storage, UnknownStorage};
 pub use registry::{
     FetchListener, FetchProgress, GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec,
     PromptSet, RoundTokens,

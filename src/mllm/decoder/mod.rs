@@ -11,7 +11,6 @@ mod rotary;
 use std::ops::Range;
 
 use candle_core::Tensor;
-use candle_nn::{Module, RmsNorm};
 
 pub(crate) use attention::CausalAttention;
 pub(crate) use cache::{KvCache, KvPrefix};
@@ -23,6 +22,7 @@ use super::MllmError;
 use super::checkpoint::{LlamaConfig, Weights};
 use super::linear::Linear;
 use super::matrix::Matrix;
+use super::rms_norm::RmsNorm;
 
 /// A decoder with its embedding and output layer.
 #[derive(Debug)]

@@ -2,11 +2,12 @@
 #![allow(unsafe_code, reason = "vector instructions; a value of Avx2 is proof that the machine has them")]
 
 use std::arch::x86_64::{
-    __m256, __m256i, _mm_loadl_epi64, _mm_loadu_si128, _mm256_abs_epi8, _mm256_add_epi32, _mm256_and_si256,
-    _mm256_cvtepi8_epi32, _mm256_cvtepi32_ps, _mm256_cvtepu8_epi32, _mm256_cvtph_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
-    _mm256_load_si256, _mm256_loadu_ps, _mm256_loadu_si256, _mm256_madd_epi16, _mm256_maddubs_epi16, _mm256_mul_ps,
-    _mm256_or_si256, _mm256_set1_epi8, _mm256_set1_epi16, _mm256_set1_epi32, _mm256_set1_ps, _mm256_setzero_si256,
-    _mm256_sign_epi8, _mm256_slli_epi16, _mm256_srli_epi16, _mm256_store_si256, _mm256_storeu_ps, _mm256_xor_si256,
+    __m256, __m256i, _MM_HINT_T0, _mm_loadl_epi64, _mm_loadu_si128, _mm_prefetch, _mm256_abs_epi8, _mm256_add_epi32,
+    _mm256_and_si256, _mm256_cvtepi8_epi32, _mm256_cvtepi32_ps, _mm256_cvtepu8_epi32, _mm256_cvtph_ps, _mm256_fmadd_ps,
+    _mm256_fnmadd_ps, _mm256_load_si256, _mm256_loadu_ps, _mm256_loadu_si256, _mm256_madd_epi16, _mm256_maddubs_epi16,
+    _mm256_mul_ps, _mm256_or_si256, _mm256_set1_epi8, _mm256_set1_epi16, _mm256_set1_epi32, _mm256_set1_ps,
+    _mm256_setzero_si256, _mm256_sign_epi8, _mm256_slli_epi16, _mm256_srli_epi16, _mm256_store_si256, _mm256_storeu_ps,
+    _mm256_xor_si256,
 };
 
 use super::{Kernel, LANES, Simd};
@@ -55,19 +56,25 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn bytes(self, line: &Line) -> Self::Bytes {
-        let start = line.0.as_ptr().cast::<__m256i>();
+    fn prefetch(self, line: &Line) {
         // SAFETY: as above.
-        unsafe { [_mm256_load_si256(start), _mm256_load_si256(start.add(1))] }
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(line.0.as_ptr().cast()) }
+    }
+
+    #[inline(always)]
+    fn bytes(self, line: &Line) -> Self::Bytes {
+        let start = line.0.as_ptr();
+        // SAFETY: as above.
+        unsafe { [_mm256_load_si256(start.cast()), _mm256_load_si256(start.add(32).cast())] }
     }
 
     #[inline(always)]
     fn store_bytes(self, bytes: Self::Bytes, line: &mut Line) {
-        let start = line.0.as_mut_ptr().cast::<__m256i>();
+        let start = line.0.as_mut_ptr();
         // SAFETY: as above.
         unsafe {
-            _mm256_store_si256(start, bytes[0]);
-            _mm256_store_si256(start.add(1), bytes[1]);
+            _mm256_store_si256(start.cast(), bytes[0]);
+            _mm256_store_si256(start.add(32).cast(), bytes[1]);
         }
     }
 
@@ -142,9 +149,9 @@ impl Simd for Avx2 {
 
     #[inline(always)]
     fn load_ints(self, values: &[i32; LANES]) -> Self::Ints {
-        let start = values.as_ptr().cast::<__m256i>();
+        let start = values.as_ptr();
         // SAFETY: as above.
-        unsafe { [_mm256_loadu_si256(start), _mm256_loadu_si256(start.add(1))] }
+        unsafe { [_mm256_loadu_si256(start.cast()), _mm256_loadu_si256(start.add(8).cast())] }
     }
 
     #[inline(always)]
