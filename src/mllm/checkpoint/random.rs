@@ -23,9 +23,11 @@ const VECTOR_RANGE: f32 = 0.1;
 #[derive(Debug)]
 pub(super) struct RandomTensors {
     seed: u64,
-    /// By the storage's name and the width.
-    pools: Mutex<BTreeMap<(&'static str, usize), Arc<Vec<u8>>>>,
+    pools: Mutex<Pools>,
 }
+
+/// Stored rows, by the storage's name and the width.
+type Pools = BTreeMap<(&'static str, usize), Arc<Vec<u8>>>;
 
 impl RandomTensors {
     /// The same seed gives the same tensor at the same place.
