@@ -1,6 +1,6 @@
 //! One request to the server, made again where that may help.
 
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, SystemTime};
 
 use backon::{BackoffBuilder, ExponentialBuilder};
 use reqwest::blocking::Response;
