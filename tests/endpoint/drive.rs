@@ -102,8 +102,16 @@ fn a_drive_goes_on_over_failures_of_every_kind() {
     let calls = run.calls();
     assert_eq!(calls.len(), 8);
     let decision = |call: &Value| call["decision"].clone();
-    let expected =
-        ["", "complete answer", "was closed", "no chat completion", "status 429", "(Retry-After)", "stream ended", ""];
+    let expected = [
+        "",
+        "complete answer",
+        "was closed",
+        "no chat completion",
+        "status 429",
+        "status 503: come back later",
+        "stream ended",
+        "",
+    ];
     for (call, why) in calls.iter().zip(expected) {
         if why.is_empty() {
             assert_eq!(decision(call)["kind"], "execute", "{call}");
