@@ -166,6 +166,23 @@ mod tests {
     }
 
     #[test]
+    fn every_description_that_ships_is_read() {
+        let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+        let registry = ModelRegistry::new(&models, HubAccess { offline: true, ..HubAccess::default() });
+        let names = registry.names().unwrap();
+        let servers = names.iter().filter(|name| match registry.find(name).unwrap().source {
+            ModelSource::Endpoint(settings) => settings.url().is_ok(),
+            ModelSource::Folder { .. } | ModelSource::Hub { .. } => false,
+        });
+        assert_eq!(servers.collect::<Vec<_>>(), ["local-server", "openai"]);
+        let openai = registry.find("openai").unwrap();
+        assert!(matches!(registry.open(&openai), Err(MllmError::Offline { .. })), "the network is off");
+        assert!(matches!(registry.folder(&openai), Err(MllmError::NoFiles { .. })));
+        let local = registry.open(&registry.find("local-server").unwrap()).unwrap();
+        assert_eq!(local.describe().server.unwrap().model, "default");
+    }
+
+    #[test]
     fn unknown_and_broken_models_are_errors() {
         let (_models, registry) = registry();
         match registry.find("nanoo") {
