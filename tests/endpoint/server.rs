@@ -1,5 +1,6 @@
 //! A server on this machine that answers, or fails, as a test wants it to.
 
+use std::fmt::Write as _;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -159,7 +160,7 @@ pub(crate) fn completion(text: &str) -> Reaction {
 /// A streamed chat completion of these parts; without an end it breaks off behind them.
 pub(crate) fn stream(parts: &[&str], ended: bool) -> Reaction {
     let mut body = String::from("HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Type: text/event-stream\r\n\r\n");
-    let mut event = |value: Value| body.push_str(&format!("data: {value}\n\n"));
+    let mut event = |value: Value| write!(body, "data: {value}\n\n").unwrap();
     for part in parts {
         event(json!({"choices": [{"index": 0, "delta": {"content": part}, "finish_reason": null}]}));
     }

@@ -48,7 +48,7 @@ fn nobody_listens() {
 #[test]
 fn a_connection_that_closes_is_tried_again() {
     let whole = String::from_utf8(response("200 OK", "", r#"{"choices": []}"#)).unwrap();
-    let half = whole[..whole.len() - 5].as_bytes().to_vec();
+    let half = whole.as_bytes()[..whole.len() - 5].to_vec();
     for sent in [Vec::new(), b"HTTP/1.1 200".to_vec(), half] {
         let server = Server::always(move || Reaction::Send(sent.clone()));
         let (failure, requests) = trouble(&server);
