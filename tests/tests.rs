@@ -11,6 +11,7 @@ mod architecture;
 mod argoverse2;
 mod bench;
 mod cli;
+mod endpoint;
 mod environment;
 mod generator;
 mod metrics;

@@ -2,7 +2,9 @@
 
 use super::{Config, Printer};
 use crate::experiment::run::AgentParts;
-use crate::mllm::{FetchProgress, HubAccess, MemoryCheck, Mllm, ModelRegistry, PromptSet as PromptSetName};
+use crate::mllm::{
+    FetchProgress, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, PromptSet as PromptSetName,
+};
 use crate::reasoning::PromptSet;
 use anyhow::Context;
 use indicatif::ProgressBar;
@@ -41,13 +43,7 @@ pub(crate) fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> 
     let load_s = started.elapsed().as_secs_f64();
     let about = model.describe();
     about.load.lines().iter().for_each(|line| printer.detail(line));
-    printer.note(format!(
-        "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
-        about.name,
-        about.parameters / 1_000_000,
-        about.dtype,
-        about.image_tokens
-    ));
+    printer.note(in_words(&about, load_s));
     Ok(Loaded { parts: AgentParts { model, prompts, settings: config.agent_settings(spec.generation) }, load_s })
 }
 
@@ -74,6 +70,20 @@ fn show(bar: &Mutex<Option<ProgressBar>>, progress: FetchProgress, printer: Prin
     let bar = bar.get_or_insert_with(|| printer.byte_progress(progress.total));
     bar.set_length(progress.total);
     bar.set_position(progress.bytes);
+}
+
+/// What a model is, for the reader of stderr.
+fn in_words(about: &ModelDescription, load_s: f64) -> String {
+    match &about.server {
+        Some(server) => format!("model {}: {} at {}", about.name, server.model, server.endpoint),
+        None => format!(
+            "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
+            about.name,
+            about.parameters / 1_000_000,
+            about.dtype,
+            about.image_tokens
+        ),
+    }
 }
 
 /// `$PLANAGENT_MODELS`, else `models` in the working directory, else beside the program or the package being run.

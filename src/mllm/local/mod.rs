@@ -241,6 +241,7 @@ impl Mllm for LocalModel {
             context: facts.positions,
             weights_blake3: facts.blake3.clone(),
             load: self.load.clone(),
+            server: None,
         }
     }
 

@@ -1,4 +1,4 @@
-//! Models by name: a description in `models/`, a folder, or a repository of the hub.
+//! Models by name: a description in `models/`, a folder, a repository of the hub, or a server.
 
 mod description;
 mod hub;
@@ -11,7 +11,10 @@ pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, Rou
 pub use hub::{FetchListener, FetchProgress, HubAccess, HubFiles};
 
 use super::gguf::CreateFile;
-use super::{LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError, ModelCheck, ModelPlace, Storage};
+use super::{
+    Endpoint, EndpointSettings, LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError, ModelCheck, ModelPlace,
+    Storage,
+};
 
 /// Finds and opens models.
 #[derive(Clone)]
@@ -32,6 +35,10 @@ impl fmt::Debug for ModelRegistry {
             .field("loading", loading)
             .finish_non_exhaustive()
     }
+}
+
+fn no_files(spec: &ModelSpec, settings: &EndpointSettings) -> MllmError {
+    MllmError::NoFiles { name: spec.name.clone(), endpoint: settings.endpoint.clone() }
 }
 
 /// Whether a path is that of a GGUF file, by its name.
@@ -129,7 +136,7 @@ impl ModelRegistry {
     /// Where a model's files are; a hub model is downloaded if need be and allowed.
     ///
     /// # Errors
-    /// When a hub model cannot be had.
+    /// When a hub model cannot be had, or a server computes the model.
     pub fn place(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         self.place_by(&self.hub, spec)
     }
@@ -153,6 +160,7 @@ impl ModelRegistry {
 
     fn place_by(&self, hub: &HubAccess, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         Ok(match &spec.source {
+            ModelSource::Endpoint(settings) => return Err(no_files(spec, settings)),
             ModelSource::Folder { folder } => ModelPlace::Folder(folder.clone()),
             ModelSource::File { file, mmproj } => ModelPlace::Gguf { model: file.clone(), mmproj: mmproj.clone() },
             ModelSource::Hub { hub: id, revision, file: None, .. } => {
@@ -171,12 +179,18 @@ impl ModelRegistry {
         hub.fetch(id, revision, files, self.listener.clone())
     }
 
-    /// Opens a model of whatever architecture its configuration names.
+    /// Opens a model of whatever architecture its configuration names, or prepares to ask the server that computes it.
     ///
     /// # Errors
     /// When its files cannot be had or are broken, are of another architecture than its description says, or need more
-    /// memory than there is.
+    /// memory than there is; when a server's key is missing, or the server lies beyond the network that must not be used.
     pub fn open(&self, spec: &ModelSpec) -> Result<Box<dyn Mllm>, MllmError> {
+        if let ModelSource::Endpoint(settings) = &spec.source {
+            if self.hub.offline && !settings.is_local() {
+                return Err(MllmError::Offline { endpoint: settings.endpoint.clone() });
+            }
+            return Ok(Box::new(Endpoint::open(&spec.name, settings)?));
+        }
         let place = self.place(spec)?;
         let loading = self.loading(spec)?;
         Ok(Box::new(LocalModel::load(&spec.name, &place, &loading)?))
@@ -219,6 +233,7 @@ impl ModelRegistry {
     pub fn loading(&self, spec: &ModelSpec) -> Result<Loading, MllmError> {
         let tokenizer = match &spec.tokenizer {
             None => None,
+            Some(ModelSource::Endpoint(settings)) => return Err(no_files(spec, settings)),
             Some(ModelSource::Folder { folder }) => Some(folder.clone()),
             Some(ModelSource::File { file, .. }) => file.parent().map(Path::to_path_buf),
             Some(ModelSource::Hub { hub, revision, .. }) => {
@@ -269,6 +284,23 @@ mod tests {
         std::fs::write(&file, "GGUF").unwrap();
         let here = registry.find(file.to_str().unwrap()).unwrap();
         assert_eq!(here.source, ModelSource::File { file, mmproj: None });
+    }
+
+    #[test]
+    fn every_description_that_ships_is_read() {
+        let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+        let registry = ModelRegistry::new(&models, HubAccess { offline: true, ..HubAccess::default() });
+        let names = registry.names().unwrap();
+        let servers = names.iter().filter(|name| match registry.find(name).unwrap().source {
+            ModelSource::Endpoint(settings) => settings.url().is_ok(),
+            ModelSource::Folder { .. } | ModelSource::File { .. } | ModelSource::Hub { .. } => false,
+        });
+        assert_eq!(servers.collect::<Vec<_>>(), ["local-server", "openai"]);
+        let openai = registry.find("openai").unwrap();
+        assert!(matches!(registry.open(&openai), Err(MllmError::Offline { .. })), "the network is off");
+        assert!(matches!(registry.place(&openai), Err(MllmError::NoFiles { .. })));
+        let local = registry.open(&registry.find("local-server").unwrap()).unwrap();
+        assert_eq!(local.describe().server.unwrap().model, "default");
     }
 
     #[test]

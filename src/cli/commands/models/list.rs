@@ -1,7 +1,7 @@
 //! `planagent models list`.
 
 use crate::cli::{Exit, Printer};
-use crate::mllm::{ModelRegistry, in_bytes};
+use crate::mllm::{ModelRegistry, ModelSource, in_bytes};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -14,6 +14,8 @@ struct Row {
     family: Option<&'static str>,
     /// Where it comes from.
     source: Option<String>,
+    /// Whether a server computes it.
+    server: bool,
     /// Where its files are on this machine.
     place: Option<PathBuf>,
     /// Bytes of its weight files.
@@ -35,6 +37,7 @@ pub(super) fn run(registry: &ModelRegistry, printer: Printer) -> anyhow::Result<
         }
         let state = match (row.bytes, &row.source) {
             (Some(bytes), _) => in_bytes(bytes),
+            _ if row.server => "server".to_owned(),
             (None, Some(_)) => "not here".to_owned(),
             (None, None) => "broken".to_owned(),
         };
@@ -51,6 +54,9 @@ fn row(name: String, registry: &ModelRegistry) -> Row {
     };
     let family = spec.architecture.map(crate::mllm::Architecture::name);
     let row = Row { model: name, family, source: Some(spec.source.to_string()), ..Row::default() };
+    if matches!(spec.source, ModelSource::Endpoint(_)) {
+        return Row { server: true, ..row };
+    }
     match registry.place_here(&spec).and_then(|place| Ok((place.weight_bytes()?, place))) {
         Ok((bytes, place)) => Row { place: Some(place.path().to_path_buf()), bytes: Some(bytes), ..row },
         Err(error) => Row { problem: Some(error.to_string()), ..row },
