@@ -43,9 +43,9 @@ fn multiplied(panels: &Panels, x: &[f32], instructions: Instructions) -> Vec<f32
     result
 }
 
-/// What quantised kernels make of a row of activations.
-fn rounded(row: &[f32]) -> Vec<f32> {
-    row.chunks(256)
+/// What quantised kernels make of a row of activations, of which so many have a scale of their own.
+fn rounded(row: &[f32], scaled: usize) -> Vec<f32> {
+    row.chunks(scaled)
         .flat_map(|span| {
             let largest = span.iter().fold(0f32, |largest, value| largest.max(value.abs()));
             span.iter().map(move |value| (value * (127.0 / largest)).round_ties_even() * (largest / 127.0))
@@ -60,7 +60,11 @@ fn plain(panels: &Panels, x: &[f32]) -> Vec<(f64, f64)> {
     for output in 0..panels.outputs() {
         panels.read_row(output, &mut weights);
         for (row, results) in x.chunks_exact(panels.inputs()).zip(result.chunks_exact_mut(panels.outputs())) {
-            let row = if panels.storage() == Storage::F16 { row.to_vec() } else { rounded(row) };
+            let row = match panels.storage() {
+                Storage::F32 | Storage::F16 => row.to_vec(),
+                Storage::Q8_0 => rounded(row, 32),
+                Storage::Q6K | Storage::Q4K => rounded(row, 256),
+            };
             for (weight, value) in weights.iter().zip(row) {
                 let term = f64::from(*weight) * f64::from(value);
                 results[output].0 += term;
