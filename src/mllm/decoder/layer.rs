@@ -6,8 +6,8 @@ use candle_core::Tensor;
 use candle_nn::RmsNorm;
 
 use super::cache::KvCache;
-use super::rotary::RotaryRows;
 use crate::mllm::MllmError;
+use crate::mllm::attention::RotaryRows;
 use crate::mllm::checkpoint::{Activation, LlamaConfig, Weights};
 use crate::mllm::linear::Linear;
 

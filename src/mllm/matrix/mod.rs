@@ -20,7 +20,7 @@ use candle_core::{CpuStorage, CustomOp1, Device, Layout, Result, Shape, Tensor, 
 
 use panels::Panels;
 use product::Columns;
-pub(crate) use simd::{Instructions, Kernel, Simd};
+pub(crate) use simd::{Instructions, Kernel, LANES, Simd};
 pub use storage::{Storage, UnknownStorage};
 
 /// A matrix of shape (outputs, inputs) that is multiplied from the right: x Wᵀ. It holds one copy of its weights, and a
