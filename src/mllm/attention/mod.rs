@@ -169,17 +169,23 @@ pub(crate) fn attend(rows: &Projected<'_>, held: &KeyValues, sight: Sight) -> ca
     if rows.shape != held.shape || tokens > 0 && sight.of(tokens - 1).end > held.capacity() {
         candle_core::bail!("{tokens} tokens of {:?} attend to fewer positions, or to {:?}", rows.shape, held.shape);
     }
-    let mixed = match &held.blocks {
-        Blocks::Single(blocks) => Attention { rows: *rows, blocks, sight }.run(),
-        Blocks::Half(blocks) => Attention { rows: *rows, blocks, sight }.run(),
-    };
+    let mixed = mix(rows, held, sight, Instructions::best());
     Tensor::from_vec(mixed, (tokens, rows.shape.query_heads * rows.shape.width), &Device::Cpu)
 }
 
+fn mix(rows: &Projected<'_>, held: &KeyValues, sight: Sight, instructions: Instructions) -> Vec<f32> {
+    match &held.blocks {
+        Blocks::Single(blocks) => Attention { rows: *rows, blocks, sight, instructions }.run(),
+        Blocks::Half(blocks) => Attention { rows: *rows, blocks, sight, instructions }.run(),
+    }
+}
+
+/// An attention, to be cut into units.
 struct Attention<'a, N> {
     rows: Projected<'a>,
     blocks: &'a [Arc<Block<N>>],
     sight: Sight,
+    instructions: Instructions,
 }
 
 impl<N: Number> Attention<'_, N> {
@@ -237,7 +243,6 @@ impl<N: Number> Attention<'_, N> {
     }
 
     fn mix(&self, head: usize, tokens: Range<usize>, positions: Range<usize>) -> Mixed {
-        Unit { rows: self.rows, blocks: self.blocks, sight: self.sight, head, tokens, positions }
-            .run(Instructions::best())
+        Unit { rows: self.rows, blocks: self.blocks, sight: self.sight, head, tokens, positions }.run(self.instructions)
     }
 }
