@@ -33,7 +33,7 @@ pub use conversation::{
 };
 pub use error::MllmError;
 pub use local::{Architecture, LocalModel};
-pub use matrix::{Storage, UnknownStorage};
+pub use matrix::{Matrix, Storage, UnknownStorage};
 pub use registry::{
     GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec, PromptSet, RoundTokens,
 };

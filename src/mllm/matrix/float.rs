@@ -1,5 +1,4 @@
 //! Products of weights in 16-bit floating point with activations in 32 bits, summed in 32 bits.
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
 
 use super::format::{Format, PANELS, Sums};
 use super::line::Line;

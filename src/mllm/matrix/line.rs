@@ -1,5 +1,4 @@
 //! Memory in cache lines, the unit in which the kernels read weights.
-#![allow(clippy::inline_always, reason = "read by kernels, which must be inlined as a whole")]
 
 use super::simd::LANES;
 

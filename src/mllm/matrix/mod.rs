@@ -1,4 +1,5 @@
 //! Weight matrices in the form they are stored in, and their products with rows of activations.
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
 
 mod blocks;
 mod float;
@@ -26,7 +27,7 @@ pub use storage::{Storage, UnknownStorage};
 /// A matrix of shape (outputs, inputs) that is multiplied from the right: x Wᵀ. It holds one copy of its weights, and a
 /// clone shares it.
 #[derive(Debug, Clone)]
-pub(crate) struct Matrix {
+pub struct Matrix {
     inputs: usize,
     outputs: usize,
     /// Their outputs stand side by side. More than one where matrices of a layer were stacked.
@@ -45,7 +46,7 @@ enum Part {
 
 impl Matrix {
     /// Whether a storage can hold a matrix of this shape.
-    pub(crate) fn fits(storage: Storage, outputs: usize, inputs: usize) -> bool {
+    pub fn fits(storage: Storage, outputs: usize, inputs: usize) -> bool {
         outputs > 0 && inputs > 0 && storage.matrix_bytes(outputs, inputs).is_some()
     }
 
@@ -53,7 +54,7 @@ impl Matrix {
     ///
     /// # Errors
     /// When the storage cannot hold this shape or the values are not as many.
-    pub(crate) fn quantize(values: &[f32], outputs: usize, inputs: usize, storage: Storage) -> Result<Self> {
+    pub fn quantize(values: &[f32], outputs: usize, inputs: usize, storage: Storage) -> Result<Self> {
         check_shape(storage, outputs, inputs)?;
         if outputs.checked_mul(inputs) != Some(values.len()) {
             bail!("{} values are no matrix of {outputs} x {inputs}", values.len());
@@ -71,7 +72,7 @@ impl Matrix {
     ///
     /// # Errors
     /// When the storage cannot hold this shape or the bytes are not as many.
-    pub(crate) fn from_blocks(storage: Storage, outputs: usize, inputs: usize, bytes: &[u8]) -> Result<Self> {
+    pub fn from_blocks(storage: Storage, outputs: usize, inputs: usize, bytes: &[u8]) -> Result<Self> {
         check_shape(storage, outputs, inputs)?;
         if storage.matrix_bytes(outputs, inputs) != Some(bytes.len()) {
             bail!("{} bytes are no {storage} matrix of {outputs} x {inputs}", bytes.len());
@@ -88,7 +89,7 @@ impl Matrix {
     ///
     /// # Errors
     /// When it is no matrix of f32.
-    pub(crate) fn from_tensor(tensor: &Tensor) -> Result<Self> {
+    pub fn from_tensor(tensor: &Tensor) -> Result<Self> {
         let (outputs, inputs) = tensor.dims2()?;
         Ok(Self { inputs, outputs, parts: vec![Arc::new(Part::Transposed(tensor.t()?.contiguous()?))] })
     }
@@ -98,7 +99,7 @@ impl Matrix {
     ///
     /// # Errors
     /// When their inputs differ or there are none.
-    pub(crate) fn stack(matrices: Vec<Self>) -> Result<Self> {
+    pub fn stack(matrices: Vec<Self>) -> Result<Self> {
         let Some(inputs) = matrices.first().map(|matrix| matrix.inputs) else {
             bail!("a stack of no matrices");
         };
@@ -118,22 +119,22 @@ impl Matrix {
     }
 
     /// Width of the result.
-    pub(crate) fn outputs(&self) -> usize {
+    pub fn outputs(&self) -> usize {
         self.outputs
     }
 
     /// Width of the rows that it is multiplied with.
-    pub(crate) fn inputs(&self) -> usize {
+    pub fn inputs(&self) -> usize {
         self.inputs
     }
 
     /// How its rows are stored; of a stack, the first.
-    pub(crate) fn storage(&self) -> Storage {
+    pub fn storage(&self) -> Storage {
         self.parts.first().map_or_else(Storage::default, |part| part.storage())
     }
 
     /// Bytes in memory.
-    pub(crate) fn bytes(&self) -> usize {
+    pub fn bytes(&self) -> usize {
         self.parts.iter().map(|part| part.bytes()).sum()
     }
 
@@ -142,7 +143,7 @@ impl Matrix {
     ///
     /// # Errors
     /// When writing fails.
-    pub(crate) fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
+    pub fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
         self.parts.iter().try_for_each(|part| part.write_blocks(out))
     }
 
@@ -150,7 +151,7 @@ impl Matrix {
     ///
     /// # Errors
     /// When an id is no row.
-    pub(crate) fn rows(&self, ids: &[u32]) -> Result<Tensor> {
+    pub fn rows(&self, ids: &[u32]) -> Result<Tensor> {
         let mut values = vec![0.0; ids.len() * self.inputs];
         for (id, row) in ids.iter().zip(values.chunks_exact_mut(self.inputs)) {
             let mut index = *id as usize;
@@ -173,7 +174,7 @@ impl Matrix {
     ///
     /// # Errors
     /// When they have another width.
-    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         if let [part] = self.parts.as_slice()
             && let Part::Transposed(weights) = &**part
         {

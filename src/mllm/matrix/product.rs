@@ -1,6 +1,5 @@
 //! Rows of activations times a matrix in panels, over threads and instruction sets.
 #![allow(unsafe_code, reason = "threads write disjoint columns of one result")]
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
 
 use std::marker::PhantomData;
 
@@ -199,17 +198,17 @@ impl<F: Format> Kernel for Product<'_, F> {
 /// Multiplies a tile of as many rows as there are sums.
 #[inline(always)]
 fn multiply_tile<F: Format, S: Simd>(simd: S, blocks: &[F::Block; PANELS], words: &[i32], sums: &mut [Sums]) {
-    if let Some(sums) = <&mut [Sums; TILE]>::try_from(&mut *sums).ok() {
+    if let Ok(sums) = <&mut [Sums; TILE]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
-    } else if let Some(sums) = <&mut [Sums; 5]>::try_from(&mut *sums).ok() {
+    } else if let Ok(sums) = <&mut [Sums; 5]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
-    } else if let Some(sums) = <&mut [Sums; 4]>::try_from(&mut *sums).ok() {
+    } else if let Ok(sums) = <&mut [Sums; 4]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
-    } else if let Some(sums) = <&mut [Sums; 3]>::try_from(&mut *sums).ok() {
+    } else if let Ok(sums) = <&mut [Sums; 3]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
-    } else if let Some(sums) = <&mut [Sums; 2]>::try_from(&mut *sums).ok() {
+    } else if let Ok(sums) = <&mut [Sums; 2]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
-    } else if let Some(sums) = <&mut [Sums; 1]>::try_from(&mut *sums).ok() {
+    } else if let Ok(sums) = <&mut [Sums; 1]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
     }
 }

@@ -1,7 +1,6 @@
 //! Products of quantised weights: bytes by bytes, summed in integers as far as scales reach.
 //!
 //! Activations are quantised to eight bits with a scale for every span, as ggml does it for its k-quants (`block_q8_K`).
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
 
 use super::format::{Format, PANELS, Sums};
 use super::line::Line;

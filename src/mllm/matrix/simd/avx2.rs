@@ -59,18 +59,18 @@ impl Simd for Avx2 {
 
     #[inline(always)]
     fn bytes(self, line: &Line) -> Self::Bytes {
-        let start = line.0.as_ptr().cast::<__m256i>();
+        let start = line.0.as_ptr();
         // SAFETY: as above.
-        unsafe { [_mm256_load_si256(start), _mm256_load_si256(start.add(1))] }
+        unsafe { [_mm256_load_si256(start.cast()), _mm256_load_si256(start.add(32).cast())] }
     }
 
     #[inline(always)]
     fn store_bytes(self, bytes: Self::Bytes, line: &mut Line) {
-        let start = line.0.as_mut_ptr().cast::<__m256i>();
+        let start = line.0.as_mut_ptr();
         // SAFETY: as above.
         unsafe {
-            _mm256_store_si256(start, bytes[0]);
-            _mm256_store_si256(start.add(1), bytes[1]);
+            _mm256_store_si256(start.cast(), bytes[0]);
+            _mm256_store_si256(start.add(32).cast(), bytes[1]);
         }
     }
 
@@ -145,9 +145,9 @@ impl Simd for Avx2 {
 
     #[inline(always)]
     fn load_ints(self, values: &[i32; LANES]) -> Self::Ints {
-        let start = values.as_ptr().cast::<__m256i>();
+        let start = values.as_ptr();
         // SAFETY: as above.
-        unsafe { [_mm256_loadu_si256(start), _mm256_loadu_si256(start.add(1))] }
+        unsafe { [_mm256_loadu_si256(start.cast()), _mm256_loadu_si256(start.add(8).cast())] }
     }
 
     #[inline(always)]
