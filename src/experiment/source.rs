@@ -78,7 +78,7 @@ impl ScenarioSource {
     /// # Errors
     /// When it names none, or a file is no sound recording.
     pub fn find(word: &str, data: &NuPlanData) -> Result<Vec<Self>, SourceError> {
-        if word.starts_with(GENERATED) {
+        if Self::names_generated(word) {
             return Ok(vec![Self::Generated(word.parse()?)]);
         }
         if NuPlanData::names_log(word) {
@@ -104,6 +104,11 @@ impl ScenarioSource {
             return Err(SourceError::Missing(path.to_owned()));
         }
         Self::records_of(path)
+    }
+
+    /// Whether a word has the form of a generated scenario's name.
+    pub fn names_generated(word: &str) -> bool {
+        word.starts_with(GENERATED)
     }
 
     fn records_of(path: &Path) -> Result<Vec<Self>, SourceError> {

@@ -1,5 +1,6 @@
 //! A line of `calls.jsonl`: one planning call, attempts and rounds inside it. Measured times stand under the key `time`.
 
+use super::number::unsign_zeros;
 use super::timing::CallTimes;
 use crate::planner::{Attempt, Decision, PlanningCall};
 use crate::reasoning::PlannerCode;
@@ -16,6 +17,7 @@ pub fn call_record(scenario: &str, planner: &str, challenge: Option<Challenge>, 
     if let (Some(fields), Value::Object(rest)) = (record.as_object_mut(), contents(call)) {
         fields.extend(rest);
     }
+    unsign_zeros(&mut record);
     record
 }
 
@@ -36,8 +38,8 @@ fn decision(decision: &Decision) -> Value {
     match decision {
         Decision::Execute(index) => json!({"kind": "execute", "attempt": index}),
         Decision::Exhausted(index) => json!({"kind": "exhausted", "attempt": index}),
-        Decision::KeepInForce(why) => json!({"kind": "keep_in_force", "why": why}),
-        Decision::Brake(why) => json!({"kind": "brake", "why": why}),
+        Decision::KeepInForce(why) => json!({"kind": "keep_in_force", "cause": why.cause(), "why": why.to_string()}),
+        Decision::Brake(why) => json!({"kind": "brake", "cause": why.cause(), "why": why.to_string()}),
     }
 }
 
