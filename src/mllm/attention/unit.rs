@@ -165,10 +165,6 @@ impl<N: Number> Unit<'_, N> {
         let mut column = 0;
         while column < vectors {
             column += match vectors - column {
-                // Few rows leave registers for whole rows of values, which then are read once from end to end.
-                8.. if R <= 2 && S::REGISTERS >= TILE_REGISTERS => {
-                    mix::<S, M, R, 8>(simd, &scores, depth, block.values, column, faded, out)
-                }
                 4.. if S::REGISTERS >= TILE_REGISTERS => {
                     mix::<S, M, R, 4>(simd, &scores, depth, block.values, column, faded, out)
                 }
