@@ -1,13 +1,12 @@
 //! Layer normalisation.
 
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
+use candle_core::{Result, Tensor, bail};
 use rayon::prelude::*;
 
 use super::MllmError;
 use super::checkpoint::Weights;
-
-/// Fewest numbers that are worth waking other threads for.
-const PARALLEL: usize = 1 << 16;
+use super::matrix::{Instructions, Kernel, LANES, Simd};
+use super::values::{PIECE, with_values};
 
 /// (x − mean) / sqrt(variance + ε) · weight + bias over the last dimension, in f32.
 ///
@@ -39,50 +38,60 @@ impl LayerNorm {
 
     /// Applies the norm to (rows, width).
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        x.contiguous()?.apply_op1_no_bwd(&Rows(self))
+        let width = self.weight.len();
+        if x.dims().last() != Some(&width) {
+            bail!("layer norm of width {width} on shape {:?}", x.shape());
+        }
+        with_values(x, |values| {
+            let mut out = vec![0f32; values.len()];
+            let normalise = |(out, x): (&mut [f32], &[f32])| Instructions::best().run(Rows { norm: self, x, out });
+            if values.len() < 2 * PIECE {
+                normalise((&mut out, values));
+            } else {
+                let piece = (PIECE / width).max(1) * width;
+                out.par_chunks_mut(piece).zip(values.par_chunks(piece)).for_each(normalise);
+            }
+            Tensor::from_vec(out, x.shape(), x.device())
+        })
     }
+}
 
-    fn normalise(&self, row: &[f32], out: &mut [f32]) {
-        let width = row.len() as f64;
-        let mean = row.iter().map(|value| f64::from(*value)).sum::<f64>() / width;
-        let squares = row.iter().map(|value| (f64::from(*value) - mean).powi(2)).sum::<f64>();
-        let scale = 1.0 / (squares / width + self.eps).sqrt();
-        for (((out, value), weight), bias) in out.iter_mut().zip(row).zip(&self.weight).zip(&self.bias) {
-            *out = ((f64::from(*value) - mean) * scale) as f32 * weight + bias;
+/// Normalises whole rows.
+struct Rows<'a> {
+    norm: &'a LayerNorm,
+    x: &'a [f32],
+    out: &'a mut [f32],
+}
+
+impl Kernel for Rows<'_> {
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+    fn run<S: Simd>(self, _: S) {
+        let LayerNorm { weight, bias, eps } = self.norm;
+        let width = weight.len();
+        for (out, row) in self.out.chunks_exact_mut(width).zip(self.x.chunks_exact(width)) {
+            let mean = sum_of(row, |value| value) / width as f64;
+            let squares = sum_of(row, |value| (value - mean) * (value - mean));
+            let scale = 1.0 / (squares / width as f64 + eps).sqrt();
+            for (((out, value), weight), bias) in out.iter_mut().zip(row).zip(weight).zip(bias) {
+                *out = ((f64::from(*value) - mean) * scale) as f32 * weight + bias;
+            }
         }
     }
 }
 
-/// The norm as an operation on tensors.
-struct Rows<'a>(&'a LayerNorm);
-
-impl CustomOp1 for Rows<'_> {
-    fn name(&self) -> &'static str {
-        "layer-norm"
-    }
-
-    fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let CpuStorage::F32(values) = storage else {
-            bail!("layer norm of numbers that are not f32");
-        };
-        let Some((start, end)) = layout.contiguous_offsets() else {
-            bail!("layer norm of a tensor that is not contiguous");
-        };
-        let width = self.0.weight.len();
-        if layout.dims().last() != Some(&width) {
-            bail!("layer norm of width {width} on shape {:?}", layout.shape());
+/// The sum of a function of numbers.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+fn sum_of(row: &[f32], function: impl Fn(f64) -> f64) -> f64 {
+    let (whole, rest) = row.as_chunks::<LANES>();
+    let mut sums = [0f64; LANES];
+    for values in whole {
+        for (sum, value) in sums.iter_mut().zip(values) {
+            *sum += function(f64::from(*value));
         }
-        let Some(values) = values.get(start..end) else {
-            bail!("layer norm beyond the end of a tensor");
-        };
-        let mut out = vec![0f32; values.len()];
-        if values.len() < PARALLEL {
-            out.chunks_mut(width).zip(values.chunks(width)).for_each(|(out, row)| self.0.normalise(row, out));
-        } else {
-            out.par_chunks_mut(width).zip(values.par_chunks(width)).for_each(|(out, row)| self.0.normalise(row, out));
-        }
-        Ok((CpuStorage::F32(out), layout.shape().clone()))
     }
+    sums.iter().sum::<f64>() + rest.iter().map(|value| function(f64::from(*value))).sum::<f64>()
 }
 
 #[cfg(test)]

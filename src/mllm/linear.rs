@@ -57,10 +57,11 @@ impl Linear {
 
     /// Applies the layer to (tokens, inputs).
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let y = self.weight.forward(x)?;
-        match &self.bias {
-            None => Ok(y),
-            Some(bias) => y.broadcast_add(bias),
-        }
+        self.weight.forward_onto(x, self.bias.as_ref(), None)
+    }
+
+    /// residual + layer(x), with a residual of shape (tokens, outputs).
+    pub(crate) fn forward_onto(&self, x: &Tensor, residual: &Tensor) -> Result<Tensor> {
+        self.weight.forward_onto(x, self.bias.as_ref(), Some(residual))
     }
 }

@@ -25,8 +25,10 @@ mod matrix;
 mod pointwise;
 mod registry;
 mod replay;
+mod rms_norm;
 mod sampling;
 mod text;
+mod values;
 mod vision;
 
 pub use conversation::{

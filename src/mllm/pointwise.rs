@@ -1,47 +1,49 @@
 //! Activation functions, number by number: vectorised, over threads, in one pass.
 #![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
 
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
+use candle_core::{Result, Tensor, bail};
 use rayon::prelude::*;
 
 use super::checkpoint::Activation;
 use super::matrix::{Instructions, Kernel, Simd};
-
-/// Numbers that a thread takes at once, and fewest that are worth waking other threads for.
-const PIECE: usize = 1 << 15;
+use super::values::{PIECE, with_values};
 
 impl Activation {
-    /// Applies the activation to (rows, width).
+    /// Applies the activation.
     pub(crate) fn forward(self, x: &Tensor) -> Result<Tensor> {
-        x.contiguous()?.apply_op1_no_bwd(&Each(self))
+        with_values(x, |values| {
+            let mut out = vec![0f32; values.len()];
+            let apply = |(out, values): (&mut [f32], &[f32])| {
+                Instructions::best().run(EachKernel { activation: self, values, out });
+            };
+            if values.len() < 2 * PIECE {
+                apply((&mut out, values));
+            } else {
+                out.par_chunks_mut(PIECE).zip(values.par_chunks(PIECE)).for_each(apply);
+            }
+            Tensor::from_vec(out, x.shape(), x.device())
+        })
     }
 
     /// silu(gate) · up of rows (gate, up), (tokens, 2 · width), to (tokens, width).
     pub(crate) fn swiglu(gate_up: &Tensor) -> Result<Tensor> {
-        gate_up.contiguous()?.apply_op1_no_bwd(&SwiGlu)
-    }
-}
-
-/// An activation as an operation on tensors.
-struct Each(Activation);
-
-impl CustomOp1 for Each {
-    fn name(&self) -> &'static str {
-        "activation"
-    }
-
-    fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let values = contiguous(storage, layout)?;
-        let mut out = vec![0f32; values.len()];
-        let apply = |(out, values): (&mut [f32], &[f32])| {
-            Instructions::best().run(EachKernel { activation: self.0, values, out });
-        };
-        if values.len() < 2 * PIECE {
-            apply((&mut out, values));
-        } else {
-            out.par_chunks_mut(PIECE).zip(values.par_chunks(PIECE)).for_each(apply);
+        let (tokens, both) = gate_up.dims2()?;
+        let width = both / 2;
+        if both == 0 || both % 2 == 1 {
+            bail!("rows of {both} numbers are no gates and as many values");
         }
-        Ok((CpuStorage::F32(out), layout.shape().clone()))
+        with_values(gate_up, |values| {
+            let mut out = vec![0f32; tokens * width];
+            let apply =
+                |(out, values): (&mut [f32], &[f32])| Instructions::best().run(SwiGluKernel { width, values, out });
+            if out.len() < 2 * PIECE {
+                apply((&mut out, values));
+            } else {
+                let rows = (PIECE / width).max(1);
+                out.par_chunks_mut(rows * width).zip(values.par_chunks(rows * both)).for_each(apply);
+            }
+            Tensor::from_vec(out, (tokens, width), gate_up.device())
+        })
     }
 }
 
@@ -76,33 +78,6 @@ fn map(values: &[f32], out: &mut [f32], function: impl Fn(f32) -> f32) {
     }
 }
 
-/// The gated unit as an operation on tensors.
-struct SwiGlu;
-
-impl CustomOp1 for SwiGlu {
-    fn name(&self) -> &'static str {
-        "swiglu"
-    }
-
-    fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let values = contiguous(storage, layout)?;
-        let (tokens, both) = layout.shape().dims2()?;
-        let width = both / 2;
-        if both == 0 || both % 2 == 1 {
-            bail!("rows of {both} numbers are no gates and as many values");
-        }
-        let mut out = vec![0f32; tokens * width];
-        let rows = (PIECE / width).max(1);
-        let apply = |(out, values): (&mut [f32], &[f32])| Instructions::best().run(SwiGluKernel { width, values, out });
-        if out.len() < 2 * PIECE {
-            apply((&mut out, values));
-        } else {
-            out.par_chunks_mut(rows * width).zip(values.par_chunks(rows * both)).for_each(apply);
-        }
-        Ok((CpuStorage::F32(out), (tokens, width).into()))
-    }
-}
-
 struct SwiGluKernel<'a> {
     width: usize,
     values: &'a [f32],
@@ -119,14 +94,6 @@ impl Kernel for SwiGluKernel<'_> {
             }
         }
     }
-}
-
-fn contiguous<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
-    let values = match (storage, layout.contiguous_offsets()) {
-        (CpuStorage::F32(values), Some((start, end))) => values.get(start..end),
-        _ => None,
-    };
-    values.ok_or_else(|| candle_core::Error::Msg("an activation of numbers that are not contiguous f32".into()))
 }
 
 /// 1 / (1 + e⁻ˣ).

@@ -3,12 +3,12 @@
 use std::ops::Range;
 
 use candle_core::Tensor;
-use candle_nn::{Module, RmsNorm};
 
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{LlamaConfig, Weights};
 use crate::mllm::decoder::{CausalAttention, DecoderLayer, KvCache, Pass, SwiGlu, rms_norm};
 use crate::mllm::linear::Linear;
+use crate::mllm::rms_norm::RmsNorm;
 
 /// Positions that an image takes: one for its beginning, one for all its patches, one for its end.
 pub(super) const IMAGE_POSITIONS: usize = 3;

@@ -3,13 +3,13 @@
 use std::ops::Range;
 
 use candle_core::Tensor;
-use candle_nn::RmsNorm;
 
 use super::cache::KvCache;
 use crate::mllm::MllmError;
 use crate::mllm::attention::RotaryRows;
 use crate::mllm::checkpoint::{Activation, LlamaConfig, Weights};
 use crate::mllm::linear::Linear;
+use crate::mllm::rms_norm::RmsNorm;
 
 /// One layer of a decoder.
 pub(crate) trait DecoderLayer: Sized {
@@ -86,6 +86,11 @@ impl SwiGlu {
     pub(crate) fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
         self.down.forward(&Activation::swiglu(&self.gate_up.forward(x)?)?)
     }
+
+    /// residual + what it makes of x, both (tokens, hidden).
+    pub(crate) fn forward_onto(&self, x: &Tensor, residual: &Tensor) -> candle_core::Result<Tensor> {
+        self.down.forward_onto(&Activation::swiglu(&self.gate_up.forward(x)?)?, residual)
+    }
 }
 
 /// Takes the RMS norm called `name`.
@@ -93,6 +98,5 @@ impl SwiGlu {
 /// # Errors
 /// When it is missing or misshapen.
 pub(crate) fn rms_norm(weights: &mut Weights, name: &str, config: &LlamaConfig) -> Result<RmsNorm, MllmError> {
-    let weight = weights.take(&format!("{name}.weight"), &[config.hidden])?;
-    Ok(RmsNorm::new(weight, config.rms_norm_eps))
+    RmsNorm::take(weights, name, config.hidden, config.rms_norm_eps)
 }

@@ -1,7 +1,6 @@
 //! The layer of Llama and Mistral.
 
 use candle_core::Tensor;
-use candle_nn::{Module, RmsNorm};
 
 use super::attention::CausalAttention;
 use super::cache::KvCache;
@@ -9,6 +8,7 @@ use super::layer::{DecoderLayer, Pass, SwiGlu, rms_norm};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{LlamaConfig, Weights};
 use crate::mllm::linear::Linear;
+use crate::mllm::rms_norm::RmsNorm;
 
 /// A layer of a Llama decoder; query, key and value projections are one matrix.
 #[derive(Debug)]
@@ -40,7 +40,7 @@ impl DecoderLayer for LlamaLayer {
 
     fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
         let qkv = self.qkv.forward(&self.input_norm.forward(x)?)?;
-        let x = (x + self.out.forward(&self.attention.forward(&qkv, pass, cache)?)?)?;
-        &x + self.mlp.forward(&self.post_norm.forward(&x)?)?
+        let x = self.out.forward_onto(&self.attention.forward(&qkv, pass, cache)?, x)?;
+        self.mlp.forward_onto(&self.post_norm.forward(&x)?, &x)
     }
 }

@@ -10,7 +10,6 @@ mod llama;
 use std::ops::Range;
 
 use candle_core::Tensor;
-use candle_nn::{Module, RmsNorm};
 
 pub(crate) use attention::CausalAttention;
 pub(crate) use cache::{KvCache, KvPrefix};
@@ -22,6 +21,7 @@ use super::attention::{HeadShape, Precision, RotaryTable};
 use super::checkpoint::{LlamaConfig, Weights};
 use super::linear::Linear;
 use super::matrix::{Matrix, Storage};
+use super::rms_norm::RmsNorm;
 
 /// A decoder with its embedding and output layer.
 #[derive(Debug)]

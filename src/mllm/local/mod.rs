@@ -7,6 +7,8 @@ mod session;
 mod vlm;
 
 #[cfg(test)]
+mod caching_tests;
+#[cfg(test)]
 mod determinism_tests;
 #[cfg(test)]
 pub(crate) mod test_reference;

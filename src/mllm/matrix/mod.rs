@@ -17,12 +17,15 @@ use std::io::{self, Write};
 use std::sync::Arc;
 
 use candle_core::quantized::QTensor;
-use candle_core::{CpuStorage, CustomOp1, Device, Layout, Result, Shape, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
+use rayon::prelude::*;
 
 use panels::Panels;
 use product::Columns;
 pub(crate) use simd::{Instructions, Kernel, LANES, Simd};
 pub use storage::{Storage, UnknownStorage};
+
+use super::values::{PIECE, with_values};
 
 /// A matrix of shape (outputs, inputs) that is multiplied from the right: x Wᵀ. It holds one copy of its weights, and a
 /// clone shares it.
@@ -63,9 +66,14 @@ impl Matrix {
             let tensor = Tensor::from_slice(values, (outputs, inputs), &Device::Cpu)?;
             return Self::from_tensor(&tensor);
         }
-        let tensor = Tensor::from_slice(values, (outputs, inputs), &Device::Cpu)?;
-        let quantised = QTensor::quantize(&tensor, storage.ggml())?;
-        Self::from_blocks(storage, outputs, inputs, &quantised.data()?)
+        let mut blocks = vec![0; values.len() / storage.block() * storage.block_bytes()];
+        let pieces = blocks.par_chunks_mut(PIECE / storage.block() * storage.block_bytes());
+        pieces.zip(values.par_chunks(PIECE)).try_for_each(|(blocks, values)| {
+            let tensor = Tensor::from_slice(values, values.len(), &Device::Cpu)?;
+            blocks.copy_from_slice(&QTensor::quantize(&tensor, storage.ggml())?.data()?);
+            Result::Ok(())
+        })?;
+        Self::from_blocks(storage, outputs, inputs, &blocks)
     }
 
     /// Stores ggml's row-major blocks, as they lie in a GGUF file.
@@ -175,43 +183,50 @@ impl Matrix {
     /// # Errors
     /// When they have another width.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        self.forward_onto(x, None, None)
+    }
+
+    /// The product with rows (tokens, inputs), to which a bias (outputs) is added, and a residual (tokens, outputs).
+    ///
+    /// # Errors
+    /// When one of them has another shape.
+    pub(crate) fn forward_onto(&self, x: &Tensor, bias: Option<&Tensor>, residual: Option<&Tensor>) -> Result<Tensor> {
+        let (tokens, width) = x.dims2()?;
+        if width != self.inputs {
+            bail!("rows of {width} numbers times a matrix of {} inputs", self.inputs);
+        }
         if let [part] = self.parts.as_slice()
             && let Part::Transposed(weights) = &**part
         {
-            return x.matmul(weights);
+            let product = x.matmul(weights)?;
+            let product = bias.map_or(Ok(product.clone()), |bias| product.broadcast_add(bias))?;
+            return residual.map_or(Ok(product.clone()), |residual| residual + &product);
         }
-        x.contiguous()?.apply_op1_no_bwd(&Product(self))
-    }
-}
-
-/// The product with a matrix as an operation on tensors.
-struct Product<'a>(&'a Matrix);
-
-impl CustomOp1 for Product<'_> {
-    fn name(&self) -> &'static str {
-        "matrix-product"
-    }
-
-    fn cpu_fwd(&self, storage: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let (rows, width) = layout.shape().dims2()?;
-        let Matrix { inputs, outputs, parts } = self.0;
-        if width != *inputs {
-            bail!("rows of {width} numbers times a matrix of {inputs} inputs");
-        }
-        let x = match (storage, layout.contiguous_offsets()) {
-            (CpuStorage::F32(values), Some((start, end))) => values.get(start..end),
-            _ => None,
+        let read = |tensor: &Tensor, shape: &[usize]| {
+            if tensor.dims() == shape {
+                with_values(tensor, |values| Ok(values.to_vec()))
+            } else {
+                bail!("{:?} cannot be added to a product of {shape:?}", tensor.shape())
+            }
         };
-        let Some(x) = x else {
-            bail!("a product with rows that are not contiguous f32");
+        let bias = bias.map(|bias| read(bias, &[self.outputs])).transpose()?;
+        let mut result = match residual {
+            Some(residual) => read(residual, &[tokens, self.outputs])?,
+            None => vec![0.0; tokens * self.outputs],
         };
-        let mut result = vec![0f32; rows * outputs];
-        let mut first = 0;
-        for part in parts {
-            part.multiply(x, *inputs, &mut result, *outputs, first)?;
-            first += part.outputs();
-        }
-        Ok((CpuStorage::F32(result), (rows, *outputs).into()))
+        with_values(x, |x| {
+            let mut first = 0;
+            for part in &self.parts {
+                let bias = bias.as_deref().and_then(|bias| bias.get(first..first + part.outputs()));
+                let columns = Columns::new(&mut result, self.outputs, first, part.outputs(), bias);
+                first += part.outputs();
+                if let Some(columns) = columns {
+                    part.multiply(x, &columns)?;
+                }
+            }
+            Ok(())
+        })?;
+        Tensor::from_vec(result, (tokens, self.outputs), &Device::Cpu)
     }
 }
 
@@ -273,19 +288,17 @@ impl Part {
         Ok(())
     }
 
-    /// Multiplies rows of `inputs` numbers into the columns from `first` on of a result whose rows have `stride`.
-    fn multiply(&self, x: &[f32], inputs: usize, result: &mut [f32], stride: usize, first: usize) -> Result<()> {
+    /// Adds the products with rows of activations to columns of a result.
+    fn multiply(&self, x: &[f32], columns: &Columns<'_>) -> Result<()> {
         match self {
-            Self::Panels(panels) => {
-                if let Some(columns) = Columns::new(result, stride, first, panels.outputs()) {
-                    product::multiply(panels, x, &columns, Instructions::best());
-                }
-            }
+            Self::Panels(panels) => product::multiply(panels, x, columns, Instructions::best()),
             Self::Transposed(weights) => {
+                let inputs = weights.dim(0)?;
                 let product = Tensor::from_slice(x, (x.len() / inputs, inputs), &Device::Cpu)?.matmul(weights)?;
-                for (to, from) in result.chunks_exact_mut(stride).zip(product.to_vec2::<f32>()?) {
-                    to[first..first + from.len()].copy_from_slice(&from);
-                }
+                with_values(&product, |product| {
+                    columns.add_all(product);
+                    Ok(())
+                })?;
             }
         }
         Ok(())

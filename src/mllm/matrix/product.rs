@@ -23,16 +23,20 @@ const CACHED: usize = 1 << 20;
 /// Fewest multiplications that are worth waking other threads for: about 20 µs of one core.
 const PARALLEL: usize = 1 << 20;
 
+/// Lines between those that are unpacked and those that are asked for.
+const AHEAD: usize = 64;
+
 /// Pieces of work for each thread: the slower of two unequal cores gets fewer of them.
 const PIECES: usize = 4;
 
-/// The part of a result that a product fills: columns of a row-major matrix of `stride` columns.
+/// The part of a result that a product is added to: columns of a row-major matrix of `stride` columns.
 #[derive(Debug)]
 pub(super) struct Columns<'a> {
     start: *mut f32,
     stride: usize,
     width: usize,
     rows: usize,
+    bias: Option<&'a [f32]>,
     result: PhantomData<&'a mut [f32]>,
 }
 
@@ -41,35 +45,55 @@ unsafe impl Sync for Columns<'_> {}
 
 impl<'a> Columns<'a> {
     /// The columns from `first` on, `width` of them, of a result whose rows have `stride`; none if it has no such columns.
-    pub(super) fn new(result: &'a mut [f32], stride: usize, first: usize, width: usize) -> Option<Self> {
+    /// A bias, one number a column, is added to what is written.
+    pub(super) fn new(
+        result: &'a mut [f32],
+        stride: usize,
+        first: usize,
+        width: usize,
+        bias: Option<&'a [f32]>,
+    ) -> Option<Self> {
         let rows = result.len().checked_div(stride)?;
-        if first.checked_add(width)? > stride || rows == 0 {
+        if first.checked_add(width)? > stride || rows == 0 || bias.is_some_and(|bias| bias.len() != width) {
             return None;
         }
         // SAFETY: `first` lies within the first row.
         let start = unsafe { result.as_mut_ptr().add(first) };
-        Some(Self { start, stride, width, rows, result: PhantomData })
+        Some(Self { start, stride, width, rows, bias, result: PhantomData })
     }
 
-    /// Writes the sums of a row from a column on, as far as there are columns.
+    /// Adds a product of all these columns.
+    pub(super) fn add_all(&self, product: &[f32]) {
+        for (row, sums) in product.chunks_exact(self.width).take(self.rows).enumerate() {
+            // SAFETY: only this thread has the columns here.
+            unsafe { self.add(row, 0, sums) };
+        }
+    }
+
+    /// Adds the sums of a row from a column on, as far as there are columns.
     ///
     /// # Safety
-    /// No other thread may write these columns meanwhile.
+    /// No other thread may read or write these columns meanwhile.
     #[inline(always)]
-    unsafe fn write(&self, row: usize, column: usize, sums: &Sums) {
+    unsafe fn add(&self, row: usize, column: usize, sums: &[f32]) {
         assert!(row < self.rows && column < self.width, "a sum outside the result");
-        let sums = sums.as_flattened();
         let count = sums.len().min(self.width - column);
-        // SAFETY: the row and `count` columns from `column` on lie within the result, as was just seen; nobody else writes
+        // SAFETY: the row and `count` columns from `column` on lie within the result, as was just seen; nobody else has
         // them.
-        unsafe {
-            let to = self.start.add(row * self.stride + column);
-            std::ptr::copy_nonoverlapping(sums.as_ptr(), to, count);
+        let result = unsafe { std::slice::from_raw_parts_mut(self.start.add(row * self.stride + column), count) };
+        if let Some(bias) = self.bias {
+            for ((result, sum), bias) in result.iter_mut().zip(sums).zip(&bias[column..]) {
+                *result += sum + bias;
+            }
+        } else {
+            for (result, sum) in result.iter_mut().zip(sums) {
+                *result += sum;
+            }
         }
     }
 }
 
-/// Multiplies rows of activations (row-major, as wide as the panels' inputs) with panels; none are written if the storage
+/// Adds the products of rows of activations (row-major, as wide as the panels' inputs) with panels to columns; nothing if the storage
 /// has no kernel ([`Storage::F32`]).
 pub(super) fn multiply(panels: &Panels, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
     match panels.storage() {
@@ -178,6 +202,9 @@ impl<F: Format> Kernel for Product<'_, F> {
             for span in 0..self.row_words / F::WORDS {
                 for (panel, block) in pair.chunks_exact(self.panel_lines).zip(&mut blocks) {
                     let end = self.panel_lines.min((span + 1) * F::LINES);
+                    for line in panel[end..].iter().skip(AHEAD).take(F::LINES) {
+                        simd.prefetch(line);
+                    }
                     F::unpack(simd, &panel[span * F::LINES..end], block);
                 }
                 let tiles = self.words.chunks(TILE * self.row_words);
@@ -189,7 +216,7 @@ impl<F: Format> Kernel for Product<'_, F> {
             let column = self.first + index * COLUMNS;
             for (row, sums) in sums.iter().enumerate() {
                 // SAFETY: this thread alone has the outputs of these panels.
-                unsafe { self.out.write(self.row + row, column, sums) };
+                unsafe { self.out.add(self.row + row, column, sums.as_flattened()) };
             }
         }
     }

@@ -38,7 +38,7 @@ fn random_rows(count: usize, inputs: usize, random: &mut Pcg64Mcg) -> Vec<f32> {
 
 fn multiplied(panels: &Panels, x: &[f32], instructions: Instructions) -> Vec<f32> {
     let mut result = vec![0.0; x.len() / panels.inputs() * panels.outputs()];
-    let columns = Columns::new(&mut result, panels.outputs(), 0, panels.outputs()).unwrap();
+    let columns = Columns::new(&mut result, panels.outputs(), 0, panels.outputs(), None).unwrap();
     product::multiply(panels, x, &columns, instructions);
     result
 }
@@ -172,6 +172,13 @@ fn a_stack_multiplies_and_reads_as_its_matrices_do() {
     assert_eq!(stack.parts.len(), 3, "matrices that are stored alike are one");
     let expected = Tensor::cat(&apart, 1).unwrap().to_vec2::<f32>().unwrap();
     assert_eq!(stack.forward(&x).unwrap().to_vec2::<f32>().unwrap(), expected);
+    let (bias, residual) =
+        (stack.rows(&[3]).unwrap().narrow(1, 0, 77).unwrap(), (&x.narrow(1, 9, 77).unwrap() * 2.0).unwrap());
+    let onto = stack.forward_onto(&x, Some(&bias.squeeze(0).unwrap()), Some(&residual)).unwrap();
+    let sum = (stack.forward(&x).unwrap().broadcast_add(&bias).unwrap() + &residual).unwrap();
+    let difference = (onto - sum).unwrap().abs().unwrap().max_all().unwrap().to_scalar::<f32>().unwrap();
+    assert!(difference < 1e-3, "{difference}");
+    assert!(stack.forward_onto(&x, None, Some(&x)).is_err());
     let starts = [0, 32, 52, 69, 74];
     for (start, rows) in starts.into_iter().zip(rows) {
         let found = stack.rows(&[start, start + 2]).unwrap();

@@ -31,6 +31,8 @@ pub(crate) trait Simd: Copy + Send + Sync {
     /// Runs a kernel where the compiler may use the instructions.
     fn run<K: Kernel>(self, kernel: K);
 
+    /// Asks for a line that is soon wanted.
+    fn prefetch(self, line: &Line);
     /// Loads a line.
     fn bytes(self, line: &Line) -> Self::Bytes;
     /// Stores a line.

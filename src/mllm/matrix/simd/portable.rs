@@ -35,6 +35,8 @@ impl Simd for Portable {
         kernel.run(self);
     }
 
+    fn prefetch(self, _: &Line) {}
+
     fn bytes(self, line: &Line) -> [u8; 64] {
         line.0
     }

@@ -1,0 +1,104 @@
+//! Root mean square normalisation.
+
+use candle_core::{Result, Tensor, bail};
+use rayon::prelude::*;
+
+use super::MllmError;
+use super::checkpoint::Weights;
+use super::matrix::{Instructions, Kernel, LANES, Simd};
+use super::values::{PIECE, with_values};
+
+/// x / sqrt(mean(x²) + ε) · weight over the last dimension (Zhang and Sennrich, arXiv:1910.07467).
+#[derive(Debug)]
+pub(crate) struct RmsNorm {
+    weight: Vec<f32>,
+    eps: f32,
+}
+
+impl RmsNorm {
+    /// Takes the norm called `name`.
+    ///
+    /// # Errors
+    /// When it is missing or misshapen.
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        width: usize,
+        eps: f64,
+    ) -> std::result::Result<Self, MllmError> {
+        let weight = weights.take(&format!("{name}.weight"), &[width])?.to_vec1()?;
+        Ok(Self { weight, eps: eps as f32 })
+    }
+
+    /// Applies the norm to (rows, width).
+    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let width = self.weight.len();
+        if x.dims().last() != Some(&width) {
+            bail!("RMS norm of width {width} on shape {:?}", x.shape());
+        }
+        with_values(x, |values| {
+            let mut out = vec![0f32; values.len()];
+            let normalise = |(out, x): (&mut [f32], &[f32])| Instructions::best().run(Rows { norm: self, x, out });
+            if values.len() < 2 * PIECE {
+                normalise((&mut out, values));
+            } else {
+                let piece = (PIECE / width).max(1) * width;
+                out.par_chunks_mut(piece).zip(values.par_chunks(piece)).for_each(normalise);
+            }
+            Tensor::from_vec(out, x.shape(), x.device())
+        })
+    }
+}
+
+/// Normalises whole rows.
+struct Rows<'a> {
+    norm: &'a RmsNorm,
+    x: &'a [f32],
+    out: &'a mut [f32],
+}
+
+impl Kernel for Rows<'_> {
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+    fn run<S: Simd>(self, _: S) {
+        let RmsNorm { weight, eps } = self.norm;
+        for (out, row) in self.out.chunks_exact_mut(weight.len()).zip(self.x.chunks_exact(weight.len())) {
+            let (whole, rest) = row.as_chunks::<LANES>();
+            let mut squares = [0f32; LANES];
+            for values in whole {
+                for (square, value) in squares.iter_mut().zip(values) {
+                    *square += value * value;
+                }
+            }
+            let sum = squares.iter().sum::<f32>() + rest.iter().map(|value| value * value).sum::<f32>();
+            let scale = 1.0 / (sum / row.len() as f32 + eps).sqrt();
+            for ((out, value), weight) in out.iter_mut().zip(row).zip(weight) {
+                *out = value * scale * weight;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::{DType, Device};
+
+    #[test]
+    fn rows_are_divided_by_their_root_mean_square() {
+        let width = 37;
+        let weight: Vec<f32> = (0..width).map(|index| 0.5 + index as f32 * 0.1).collect();
+        let norm = RmsNorm { weight: weight.clone(), eps: 1e-5 };
+        let values: Vec<f32> = (0..2500 * width).map(|index| (index as f32 * 0.7).sin() * 3.0).collect();
+        let x = Tensor::from_vec(values.clone(), (2500, width), &Device::Cpu).unwrap();
+        let found = norm.forward(&x).unwrap().to_vec2::<f32>().unwrap();
+        for (row, found) in values.chunks(width).zip(found) {
+            let mean = row.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>() / width as f64;
+            for ((value, weight), found) in row.iter().zip(&weight).zip(found) {
+                let expected = f64::from(*value) / (mean + 1e-5).sqrt() * f64::from(*weight);
+                assert!((f64::from(found) - expected).abs() <= 1e-6 * expected.abs(), "{found} {expected}");
+            }
+        }
+        assert!(norm.forward(&Tensor::zeros((2, 3), DType::F32, &Device::Cpu).unwrap()).is_err());
+    }
+}
