@@ -8,6 +8,7 @@
 //! tower, connector and language model as far as it does not share them (`vision`, `decoder`). `local` runs whatever
 //! implements its `VisionLanguageModel`.
 
+mod attention;
 mod checkpoint;
 mod cogvlm;
 mod conversation;

@@ -8,7 +8,7 @@ use crate::mllm::checkpoint::{Activation, Weights};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
 use crate::mllm::matrix::Matrix;
-use crate::mllm::vision::{SelfAttention, unfold};
+use crate::mllm::vision::{SelfAttention, embed, unfold};
 
 /// The vision tower of `CogVLM`.
 #[derive(Debug)]
@@ -55,7 +55,7 @@ impl EvaVisionTower {
     /// Encodes pixel values (3, side, side) to (patches, hidden), the class token left out.
     pub(super) fn forward(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
         let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
-        let mut x = (Tensor::cat(&[&self.class_embedding, &patches], 0)? + &self.position_embedding)?;
+        let mut x = embed(&self.class_embedding, &patches, &self.position_embedding)?;
         for layer in &self.layers {
             x = layer.forward(&x)?;
         }
@@ -91,7 +91,7 @@ impl Layer {
 
     /// x + norm(attention(x)), then x + norm(mlp(x)).
     fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
-        let x = (x + self.attention_norm.forward(&self.attention.forward(x)?)?)?;
+        let x = (x + self.attention_norm.forward(&self.attention.forward(x, 1)?)?)?;
         let wide = self.act.forward(&self.fc1.forward(&x)?)?;
         &x + self.mlp_norm.forward(&self.fc2.forward(&wide)?)?
     }

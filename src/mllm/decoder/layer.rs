@@ -5,8 +5,8 @@ use std::ops::Range;
 use candle_core::Tensor;
 
 use super::cache::KvCache;
-use super::rotary::RotaryRows;
 use crate::mllm::MllmError;
+use crate::mllm::attention::RotaryRows;
 use crate::mllm::checkpoint::{Activation, LlamaConfig, Weights};
 use crate::mllm::linear::Linear;
 use crate::mllm::rms_norm::RmsNorm;

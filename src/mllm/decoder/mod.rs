@@ -6,7 +6,6 @@ mod attention;
 mod cache;
 mod layer;
 mod llama;
-mod rotary;
 
 use std::ops::Range;
 
@@ -16,12 +15,12 @@ pub(crate) use attention::CausalAttention;
 pub(crate) use cache::{KvCache, KvPrefix};
 pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
 pub(crate) use llama::LlamaLayer;
-use rotary::RotaryTable;
 
 use super::MllmError;
+use super::attention::{HeadShape, Precision, RotaryTable};
 use super::checkpoint::{LlamaConfig, Weights};
 use super::linear::Linear;
-use super::matrix::Matrix;
+use super::matrix::{Matrix, Storage};
 use super::rms_norm::RmsNorm;
 
 /// A decoder with its embedding and output layer.
@@ -32,7 +31,8 @@ pub(crate) struct Decoder<L> {
     norm: RmsNorm,
     head: Linear,
     rotary: RotaryTable,
-    cache_row: (usize, usize),
+    heads: HeadShape,
+    precision: Precision,
 }
 
 /// What a decoder reads in one pass.
@@ -78,6 +78,8 @@ impl<L: DecoderLayer> Decoder<L> {
         } else {
             weights.take_matrix("lm_head.weight", matrix)?
         };
+        // Of rounded weights, rounded keys and values cost no further digits that count, and half of the time to read.
+        let precision = if embedding.storage() == Storage::F32 { Precision::Single } else { Precision::Half };
         let layers = (0..config.layers)
             .map(|index| L::take(weights, config, &format!("{prefix}layers.{index}")))
             .collect::<Result<Vec<_>, _>>()?;
@@ -86,14 +88,15 @@ impl<L: DecoderLayer> Decoder<L> {
             layers,
             norm: rms_norm(weights, &format!("{prefix}norm"), config)?,
             head: Linear::from_matrix(head, None),
-            rotary: RotaryTable::new(config)?,
-            cache_row: (config.kv_heads, config.head_dim),
+            rotary: RotaryTable::new(config),
+            heads: config.into(),
+            precision,
         })
     }
 
     /// An empty cache for at most `limit` tokens.
     pub(crate) fn new_cache(&self, limit: usize) -> KvCache {
-        KvCache::new(self.layers.len(), self.cache_row, limit)
+        KvCache::new(self.layers.len(), self.heads, self.precision, limit)
     }
 
     /// The input rows of tokens, shape (tokens, hidden).
@@ -110,7 +113,7 @@ impl<L: DecoderLayer> Decoder<L> {
         wanted: Logits,
     ) -> candle_core::Result<Option<Tensor>> {
         let tokens = input.rows.dim(0)?;
-        cache.reserve(tokens)?;
+        cache.check_room(tokens)?;
         let mut pass = Pass { layer: 0, rotary: self.rotary.rows(&input.positions)?, vision: input.vision.clone() };
         let mut x = input.rows.clone();
         for (index, layer) in self.layers.iter().enumerate() {

@@ -114,7 +114,7 @@ impl Llava {
 
     /// Encodes pixel values (3, side, side) to image features (image tokens, decoder width).
     fn encode_pixels(&self, pixels: &Tensor) -> Result<Tensor, MllmError> {
-        Ok(self.core.encoder.encode(pixels)?)
+        Ok(self.core.encoder.encode(std::slice::from_ref(pixels))?)
     }
 }
 

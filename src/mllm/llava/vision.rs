@@ -32,21 +32,13 @@ impl ImageEncoder {
         })
     }
 
-    /// Encodes pixel values (3, side, side) to (image tokens, decoder width).
-    pub(crate) fn encode(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        let states = self.tower.hidden_states(pixels)?;
-        let selected = self
-            .feature_layers
-            .iter()
-            .map(|index| {
-                let state =
-                    states.get(*index).ok_or_else(|| candle_core::Error::Msg(format!("no hidden state {index}")))?;
-                match self.feature_select {
-                    FeatureSelect::Default => state.narrow(0, 1, state.dim(0)? - 1),
-                    FeatureSelect::Full => Ok(state.clone()),
-                }
-            })
-            .collect::<candle_core::Result<Vec<_>>>()?;
-        self.projector.forward(&Tensor::cat(&selected, D::Minus1)?.contiguous()?)
+    /// Encodes images, pixel values (3, side, side) each, to (images · image tokens, decoder width).
+    pub(crate) fn encode(&self, images: &[Tensor]) -> candle_core::Result<Tensor> {
+        let states = Tensor::cat(&self.tower.hidden_states(images, &self.feature_layers)?, D::Minus1)?;
+        let selected = match self.feature_select {
+            FeatureSelect::Default => states.narrow(1, 1, states.dim(1)? - 1)?,
+            FeatureSelect::Full => states,
+        };
+        self.projector.forward(&selected.flatten_to(1)?.contiguous()?)
     }
 }

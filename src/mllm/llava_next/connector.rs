@@ -23,11 +23,10 @@ impl TilePacker {
         Ok(Self { newline: weights.take("image_newline", &[hidden])?.unsqueeze(0)? })
     }
 
-    /// Packs features (patches, decoder width) of the whole image and of every tile to (image tokens, decoder width).
-    pub(crate) fn pack(&self, mut features: Vec<Tensor>, grids: &TileGrids, tiling: &Tiling) -> Result<Tensor> {
-        features.push(self.newline.clone());
+    /// Packs features (tiles · patches, decoder width) of the whole image and then of every tile to (image tokens, decoder width).
+    pub(crate) fn pack(&self, features: &Tensor, grids: &TileGrids, tiling: &Tiling) -> Result<Tensor> {
         let rows = grids.token_rows(tiling);
         let count = rows.len();
-        Tensor::cat(&features, 0)?.index_select(&Tensor::from_vec(rows, count, &Device::Cpu)?, 0)
+        Tensor::cat(&[features, &self.newline], 0)?.index_select(&Tensor::from_vec(rows, count, &Device::Cpu)?, 0)
     }
 }

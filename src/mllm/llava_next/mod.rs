@@ -73,9 +73,7 @@ impl LlavaNext {
 
     /// Encodes pixel values (3, side, side) of the whole image and of each tile to (image tokens, decoder width).
     fn encode_tiles(&self, pixels: &[Tensor], tiling: &Tiling) -> candle_core::Result<Tensor> {
-        let features =
-            pixels.iter().map(|pixels| self.core.encoder.encode(pixels)).collect::<candle_core::Result<Vec<_>>>()?;
-        self.packer.pack(features, &self.grids, tiling)
+        self.packer.pack(&self.core.encoder.encode(pixels)?, &self.grids, tiling)
     }
 }
 

@@ -9,6 +9,8 @@ mod session;
 mod vlm;
 
 #[cfg(test)]
+mod caching_tests;
+#[cfg(test)]
 mod determinism_tests;
 #[cfg(test)]
 pub(crate) mod test_reference;
@@ -211,7 +213,7 @@ impl LocalModel {
         }
         let mut sequence = Sequence::new(&*self.model);
         sequence.append(&*self.model, &ids[..len], None, Logits::None)?;
-        let prefix = Arc::new(CallPrefix { system: system.to_string(), image, sequence: sequence.to_prefix()? });
+        let prefix = Arc::new(CallPrefix { system: system.to_string(), image, sequence: sequence.to_prefix() });
         let mut prefixes = self.prefixes.lock().unwrap_or_else(PoisonError::into_inner);
         if !prefixes.iter().any(|known| same(&known)) {
             if prefixes.len() >= KEPT_PREFIXES {

@@ -15,7 +15,7 @@ pub(crate) struct Sequence {
     cache: KvCache,
 }
 
-/// The beginning of a sequence, copied, to start others from.
+/// The beginning of a sequence, to start others from.
 #[derive(Debug)]
 pub(crate) struct SequencePrefix {
     ids: Vec<u32>,
@@ -91,8 +91,8 @@ impl Sequence {
     }
 
     /// Copies the whole sequence.
-    pub(crate) fn to_prefix(&self) -> Result<SequencePrefix, MllmError> {
-        Ok(SequencePrefix { ids: self.ids.clone(), cache: self.cache.prefix(self.cache.len())? })
+    pub(crate) fn to_prefix(&self) -> SequencePrefix {
+        SequencePrefix { ids: self.ids.clone(), cache: self.cache.prefix(self.cache.len()) }
     }
 
     /// Replaces the sequence by a copy of a prefix.

@@ -145,7 +145,7 @@ pub(crate) fn assert_greedy(model: &dyn VisionLanguageModel, ids: &[u32], featur
     assert_eq!(greedy(model, &mut sequence, &ids[7..], features, count), expected);
     let mut copy = Sequence::new(model);
     sequence.truncate(20);
-    copy.restore(&sequence.to_prefix().unwrap()).unwrap();
+    copy.restore(&sequence.to_prefix()).unwrap();
     assert_eq!(greedy(model, &mut copy, &ids[20..], features, count), expected);
 }
 

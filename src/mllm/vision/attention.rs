@@ -1,10 +1,11 @@
 //! What the vision transformers of all families have in common.
 
-use candle_core::{D, Result, Tensor};
+use candle_core::{Result, Tensor};
 
+use crate::mllm::attention::{HeadShape, KeyValues, Precision, Projected, Sight, attend};
 use crate::mllm::linear::Linear;
 
-/// Attention of every row to every row; query, key and value projections are one matrix.
+/// Attention of every row of an image to every row of it; query, key and value projections are one matrix.
 #[derive(Debug)]
 pub(crate) struct SelfAttention {
     /// (hidden) to (3, heads, head width).
@@ -16,17 +17,21 @@ pub(crate) struct SelfAttention {
 }
 
 impl SelfAttention {
-    /// Maps (tokens, hidden) to as much.
-    pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let (tokens, hidden) = x.dims2()?;
-        let head_dim = hidden / self.heads;
-        // (tokens, 3, heads, head_dim) to (3, heads, tokens, head_dim)
-        let qkv =
-            self.qkv.forward(x)?.reshape((tokens, 3, self.heads, head_dim))?.permute((1, 2, 0, 3))?.contiguous()?;
-        let scale = 1.0 / (head_dim as f64).sqrt();
-        let scores = (qkv.get(0)? * scale)?.matmul(&qkv.get(1)?.t()?)?;
-        let mixed = candle_nn::ops::softmax(&scores, D::Minus1)?.matmul(&qkv.get(2)?)?;
-        self.out.forward(&mixed.transpose(0, 1)?.reshape((tokens, hidden))?)
+    /// Maps rows of as many tokens each image, (images · tokens, hidden), to as many.
+    pub(crate) fn forward(&self, x: &Tensor, images: usize) -> Result<Tensor> {
+        let (rows, hidden) = x.dims2()?;
+        let tokens = rows / images;
+        let shape = HeadShape { query_heads: self.heads, key_heads: self.heads, width: hidden / self.heads };
+        let qkv = self.qkv.forward(x)?;
+        let mixed = (0..images).map(|image| {
+            Projected::of(&qkv.narrow(0, image * tokens, tokens)?, shape, None, |rows| {
+                let mut held = KeyValues::new(shape, Precision::Single);
+                held.write(rows, 0)?;
+                attend(rows, &held, Sight::All { positions: tokens })
+            })
+        });
+        let mixed = mixed.collect::<Result<Vec<_>>>()?;
+        self.out.forward(&Tensor::cat(&mixed, 0)?)
     }
 }
 
@@ -41,4 +46,14 @@ pub(crate) fn unfold(pixels: &Tensor, patch: usize) -> Result<Tensor> {
         .reshape(vec![3, grid, patch, grid, patch])?
         .permute(vec![1, 3, 0, 2, 4])?
         .reshape((grid * grid, 3 * patch * patch))
+}
+
+/// Puts a class token, (1, hidden), before the patches of each image, (images · patches, hidden), and adds the embeddings of
+/// their positions, (1 + patches, hidden); gives (images · (1 + patches), hidden).
+pub(crate) fn embed(class: &Tensor, patches: &Tensor, positions: &Tensor) -> Result<Tensor> {
+    let (tokens, hidden) = positions.dims2()?;
+    let patches = patches.reshape(((), tokens - 1, hidden))?;
+    let images = patches.dim(0)?;
+    let class = class.unsqueeze(0)?.expand((images, 1, hidden))?;
+    Tensor::cat(&[&class, &patches], 1)?.broadcast_add(positions)?.reshape((images * tokens, hidden))
 }

@@ -2,7 +2,7 @@
 
 use candle_core::Tensor;
 
-use super::attention::{SelfAttention, unfold};
+use super::attention::{SelfAttention, embed, unfold};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{Activation, ClipVisionConfig, Weights};
 use crate::mllm::layer_norm::LayerNorm;
@@ -59,19 +59,30 @@ impl ClipVisionTower {
         })
     }
 
-    /// The hidden states of shape (1 + patches, hidden): of the embeddings, then after each layer.
+    /// Hidden states of images, pixels (3, side, side) each: the `wanted` ones of that of the embeddings, which is 0, and of
+    /// those after each layer, of shape (images, 1 + patches, hidden) each.
     ///
-    /// `pixels` has shape (3, side, side).
-    pub(crate) fn hidden_states(&self, pixels: &Tensor) -> candle_core::Result<Vec<Tensor>> {
-        let patches = self.patch_embedding.forward(&unfold(pixels, self.config.patch_size)?)?;
-        let embedded = (Tensor::cat(&[&self.class_embedding, &patches], 0)? + &self.position_embedding)?;
-        let mut states = vec![self.pre_norm.forward(&embedded)?];
-        for layer in &self.layers {
-            if let Some(last) = states.last() {
-                states.push(layer.forward(last)?);
+    /// # Errors
+    /// When there is no such state.
+    pub(crate) fn hidden_states(&self, images: &[Tensor], wanted: &[usize]) -> candle_core::Result<Vec<Tensor>> {
+        let patches = images.iter().map(|pixels| unfold(pixels, self.config.patch_size));
+        let patches = Tensor::cat(&patches.collect::<candle_core::Result<Vec<_>>>()?, 0)?;
+        let patches = self.patch_embedding.forward(&patches)?;
+        let embedded = embed(&self.class_embedding, &patches, &self.position_embedding)?;
+        let mut state = self.pre_norm.forward(&embedded)?;
+        let mut found = vec![None; wanted.len()];
+        for index in 0..=self.layers.len() {
+            for (found, _) in found.iter_mut().zip(wanted).filter(|(_, wanted)| **wanted == index) {
+                *found = Some(state.reshape((images.len(), (), self.config.hidden))?);
+            }
+            if let Some(layer) = self.layers.get(index) {
+                state = layer.forward(&state, images.len())?;
             }
         }
-        Ok(states)
+        found
+            .into_iter()
+            .collect::<Option<_>>()
+            .ok_or_else(|| candle_core::Error::Msg(format!("no hidden states {wanted:?}")))
     }
 }
 
@@ -93,8 +104,8 @@ impl Layer {
         })
     }
 
-    fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
-        let x = (x + self.attention.forward(&self.norm1.forward(x)?)?)?;
+    fn forward(&self, x: &Tensor, images: usize) -> candle_core::Result<Tensor> {
+        let x = (x + self.attention.forward(&self.norm1.forward(x)?, images)?)?;
         let wide = self.act.forward(&self.fc1.forward(&self.norm2.forward(&x)?)?)?;
         &x + self.fc2.forward(&wide)?
     }

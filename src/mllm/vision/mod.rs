@@ -6,7 +6,7 @@ mod pixels;
 mod processor;
 mod resample;
 
-pub(crate) use attention::{SelfAttention, unfold};
+pub(crate) use attention::{SelfAttention, embed, unfold};
 pub(crate) use clip::ClipVisionTower;
 pub(crate) use pixels::{PixelScale, check_not_empty};
 pub(crate) use processor::{

@@ -25,6 +25,9 @@ pub(crate) trait Simd: Copy + Send + Sync {
     /// 16 lanes of four bytes.
     type Bytes: Copy;
 
+    /// Vectors of f32 that the registers hold: how large a tile of sums may be.
+    const REGISTERS: usize;
+
     /// Runs a kernel where the compiler may use the instructions.
     fn run<K: Kernel>(self, kernel: K);
 
@@ -74,6 +77,60 @@ pub(crate) trait Simd: Copy + Send + Sync {
     fn mul_add(self, a: Self::Floats, b: Self::Floats, c: Self::Floats) -> Self::Floats;
     /// c − a · b, rounded once where the instructions do so.
     fn mul_sub_from(self, a: Self::Floats, b: Self::Floats, c: Self::Floats) -> Self::Floats;
+    /// a + b.
+    fn add(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
+    /// The greater of both; b where one is not a number.
+    fn max(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
+    /// To the nearest whole number.
+    fn round(self, a: Self::Floats) -> Self::Floats;
+    /// 2ⁿ of whole numbers from -126 to 127.
+    fn two_to_the(self, n: Self::Floats) -> Self::Floats;
+    /// The sum of the lanes.
+    #[inline(always)]
+    fn sum(self, a: Self::Floats) -> f32 {
+        let mut lanes = [0.0; LANES];
+        self.store(a, &mut lanes);
+        fold(lanes, |a, b| a + b)
+    }
+    /// The greatest lane.
+    #[inline(always)]
+    fn greatest(self, a: Self::Floats) -> f32 {
+        let mut lanes = [0.0; LANES];
+        self.store(a, &mut lanes);
+        fold(lanes, |a, b| if a > b { a } else { b })
+    }
+
+    /// eˣ for x ≤ 0, to two units in the last place; below -87 it stays what it is there.
+    ///
+    /// eˣ = 2ⁿ eʳ with n = round(x / ln 2), the latter by its Taylor series; ln 2 in two parts, so that products of the
+    /// first with n are exact (W. Cody, W. Waite, "Software Manual for the Elementary Functions", 1980).
+    #[inline(always)]
+    fn exp(self, x: Self::Floats) -> Self::Floats {
+        const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
+        const SERIES: [f32; 7] = [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0];
+        // In this order, what is not a number stays so.
+        let x = self.max(self.floats(-87.0), x);
+        let n = self.round(self.mul(x, self.floats(std::f32::consts::LOG2_E)));
+        let r = self.mul_sub_from(n, self.floats(LN_2[0]), x);
+        let r = self.mul_sub_from(n, self.floats(LN_2[1]), r);
+        let mut series = self.floats(1.0 / 5040.0);
+        for coefficient in SERIES {
+            series = self.mul_add(series, r, self.floats(coefficient));
+        }
+        self.mul(series, self.two_to_the(n))
+    }
+}
+
+/// Folds halves of lanes onto each other.
+#[inline(always)]
+fn fold(mut lanes: [f32; LANES], operation: impl Fn(f32, f32) -> f32) -> f32 {
+    let mut half = LANES / 2;
+    while half > 0 {
+        let (low, high) = lanes.split_at_mut(half);
+        low.iter_mut().zip(high).for_each(|(low, high)| *low = operation(*low, *high));
+        half /= 2;
+    }
+    lanes[0]
 }
 
 /// Work that is compiled for every instruction set.

@@ -29,6 +29,7 @@ impl Simd for Portable {
     type Ints = [i32; LANES];
     type Floats = [f32; LANES];
     type Bytes = [u8; 64];
+    const REGISTERS: usize = 8;
 
     fn run<K: Kernel>(self, kernel: K) {
         kernel.run(self);
@@ -129,5 +130,21 @@ impl Simd for Portable {
 
     fn mul_sub_from(self, a: [f32; LANES], b: [f32; LANES], c: [f32; LANES]) -> [f32; LANES] {
         std::array::from_fn(|lane| c[lane] - a[lane] * b[lane])
+    }
+
+    fn add(self, a: [f32; LANES], b: [f32; LANES]) -> [f32; LANES] {
+        std::array::from_fn(|lane| a[lane] + b[lane])
+    }
+
+    fn max(self, a: [f32; LANES], b: [f32; LANES]) -> [f32; LANES] {
+        std::array::from_fn(|lane| if a[lane] > b[lane] { a[lane] } else { b[lane] })
+    }
+
+    fn round(self, a: [f32; LANES]) -> [f32; LANES] {
+        a.map(f32::round_ties_even)
+    }
+
+    fn two_to_the(self, n: [f32; LANES]) -> [f32; LANES] {
+        n.map(|n| f32::from_bits(((n as i32 + 127) << 23).cast_unsigned()))
     }
 }

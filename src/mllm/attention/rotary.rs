@@ -1,50 +1,74 @@
 //! Rotary position embedding.
 
-use candle_core::{Device, Result, Tensor};
-
 use crate::mllm::checkpoint::{LlamaConfig, Rope, RopeScaling};
 
-/// Cosines and sines of every position, shape (context, head width / 2) each.
+/// Cosines and sines of every position.
 #[derive(Debug)]
 pub(crate) struct RotaryTable {
-    cos: Tensor,
-    sin: Tensor,
+    /// (context, head width / 2)
+    angles: Vec<Turn>,
+    pairs: usize,
 }
 
-/// Cosines and sines of the rows of one pass, shape (tokens, head width / 2) each.
+/// Cosines and sines of the rows of one pass.
 #[derive(Debug)]
 pub(crate) struct RotaryRows {
-    cos: Tensor,
-    sin: Tensor,
+    /// (tokens, head width / 2)
+    angles: Vec<Turn>,
+    pairs: usize,
+}
+
+/// Cosine and sine of an angle.
+#[derive(Debug, Clone, Copy)]
+struct Turn {
+    cos: f32,
+    sin: f32,
 }
 
 impl RotaryTable {
     /// The table of a decoder.
-    pub(crate) fn new(config: &LlamaConfig) -> Result<Self> {
+    pub(crate) fn new(config: &LlamaConfig) -> Self {
         let frequencies = frequencies(&config.rope, config.head_dim);
-        let shape = (config.context, frequencies.len());
-        let angles = |function: fn(f32) -> f32| -> Vec<f32> {
-            (0..config.context)
-                .flat_map(|position| frequencies.iter().map(move |frequency| function(position as f32 * frequency)))
-                .collect()
-        };
-        Ok(Self {
-            cos: Tensor::from_vec(angles(f32::cos), shape, &Device::Cpu)?,
-            sin: Tensor::from_vec(angles(f32::sin), shape, &Device::Cpu)?,
-        })
+        let angles = (0..config.context)
+            .flat_map(|position| frequencies.iter().map(move |frequency| position as f32 * frequency))
+            .map(|angle| Turn { cos: angle.cos(), sin: angle.sin() })
+            .collect();
+        Self { angles, pairs: frequencies.len() }
     }
 
-    /// The angles of rows at these positions, each below the context.
-    pub(crate) fn rows(&self, positions: &[u32]) -> Result<RotaryRows> {
-        let positions = Tensor::new(positions, &Device::Cpu)?;
-        Ok(RotaryRows { cos: self.cos.index_select(&positions, 0)?, sin: self.sin.index_select(&positions, 0)? })
+    /// The angles of rows at these positions.
+    ///
+    /// # Errors
+    /// When a position lies outside the context.
+    pub(crate) fn rows(&self, positions: &[u32]) -> candle_core::Result<RotaryRows> {
+        let mut angles = Vec::with_capacity(positions.len() * self.pairs);
+        for position in positions {
+            let Some(row) = self.angles.chunks_exact(self.pairs).nth(*position as usize) else {
+                candle_core::bail!("position {position} lies outside the context");
+            };
+            angles.extend_from_slice(row);
+        }
+        Ok(RotaryRows { angles, pairs: self.pairs })
     }
 }
 
 impl RotaryRows {
-    /// Rotates queries or keys of shape (1, tokens, heads, head width).
-    pub(crate) fn rotate(&self, x: &Tensor) -> Result<Tensor> {
-        candle_nn::rotary_emb::rope_thd(x, &self.cos, &self.sin)
+    /// Whether there are angles for so many tokens and heads of this width.
+    pub(super) fn fits(&self, tokens: usize, width: usize) -> bool {
+        self.pairs * 2 == width && self.angles.len() == tokens * self.pairs
+    }
+
+    /// Turns a query or key by its token's angles and scales it. Channels i and i + width / 2 are a pair, as in
+    /// transformers.
+    pub(super) fn rotate(&self, token: usize, head: &[f32], scale: f32, out: &mut [f32]) {
+        let (first, second) = head.split_at(self.pairs);
+        let (first_out, second_out) = out.split_at_mut(self.pairs);
+        let turns = &self.angles[token * self.pairs..(token + 1) * self.pairs];
+        let pairs = first.iter().zip(second).zip(first_out.iter_mut().zip(second_out)).zip(turns);
+        for (((a, b), (a_out, b_out)), turn) in pairs {
+            *a_out = (a * turn.cos - b * turn.sin) * scale;
+            *b_out = (a * turn.sin + b * turn.cos) * scale;
+        }
     }
 }
 

@@ -1,0 +1,185 @@
+//! Keys and values of the positions that may be attended to, as the attention kernel reads them.
+
+use std::sync::Arc;
+
+use half::f16;
+use half::slice::{HalfBitsSliceExt, HalfFloatSliceExt};
+use rayon::prelude::*;
+
+use super::{HeadShape, Projected};
+use crate::mllm::matrix::{LANES, Simd};
+
+/// Positions of a block.
+pub(super) const BLOCK: usize = 64;
+
+/// A number as keys and values are held: an f32, or the bits of an f16.
+pub(super) trait Number: Copy + Default + Send + Sync + std::fmt::Debug {
+    /// Whether it is an f32 already.
+    const WIDE: bool;
+    /// Rounds numbers.
+    fn from_f32(from: &[f32], to: &mut [Self]);
+    /// Reads and widens numbers.
+    fn load<S: Simd>(simd: S, from: &[Self; LANES]) -> S::Floats;
+}
+
+impl Number for f32 {
+    const WIDE: bool = true;
+
+    fn from_f32(from: &[f32], to: &mut [Self]) {
+        to.copy_from_slice(from);
+    }
+
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "a part of kernels")]
+    fn load<S: Simd>(simd: S, from: &[Self; LANES]) -> S::Floats {
+        simd.load(from)
+    }
+}
+
+impl Number for u16 {
+    const WIDE: bool = false;
+
+    fn from_f32(from: &[f32], to: &mut [Self]) {
+        to.reinterpret_cast_mut::<f16>().convert_from_f32_slice(from);
+    }
+
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "a part of kernels")]
+    fn load<S: Simd>(simd: S, from: &[Self; LANES]) -> S::Floats {
+        simd.load_half(from)
+    }
+}
+
+/// How keys and values are held.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Precision {
+    /// As they were computed.
+    Single,
+    /// Rounded to half precision: half of the memory that a decoding step reads.
+    Half,
+}
+
+/// Keys and values of one layer, in blocks that never move: more positions are more blocks, and a copy shares the blocks
+/// until one of both writes to them.
+#[derive(Debug, Clone)]
+pub(crate) struct KeyValues {
+    pub(super) shape: HeadShape,
+    pub(super) blocks: Blocks,
+}
+
+/// The blocks in order of their positions.
+#[derive(Debug, Clone)]
+pub(super) enum Blocks {
+    Single(Vec<Arc<Block<f32>>>),
+    Half(Vec<Arc<Block<u16>>>),
+}
+
+/// Keys and values of [`BLOCK`] positions.
+#[derive(Debug, Clone)]
+pub(super) struct Block<N> {
+    /// (key heads, head width, positions): a vector of keys is one channel of consecutive positions.
+    keys: Vec<N>,
+    /// (key heads, positions, head width rounded up to whole vectors).
+    values: Vec<N>,
+}
+
+impl<N: Number> Block<N> {
+    fn new(shape: HeadShape) -> Self {
+        Self {
+            keys: vec![N::default(); shape.key_heads * shape.width * BLOCK],
+            values: vec![N::default(); shape.key_heads * BLOCK * shape.padded()],
+        }
+    }
+
+    /// The keys of a head, (head width, vectors of positions).
+    pub(super) fn keys(&self, shape: HeadShape, head: usize) -> &[[N; LANES]] {
+        self.keys.chunks_exact(shape.width * BLOCK).nth(head).unwrap_or_default().as_chunks().0
+    }
+
+    /// The values of a head, (positions, vectors of channels).
+    pub(super) fn values(&self, shape: HeadShape, head: usize) -> &[[N; LANES]] {
+        self.values.chunks_exact(BLOCK * shape.padded()).nth(head).unwrap_or_default().as_chunks().0
+    }
+
+    /// Takes over keys and values of `rows` at places from `first` on.
+    fn write(&mut self, rows: &Projected<'_>, tokens: std::ops::Range<usize>, first: usize) {
+        let shape = rows.shape;
+        let mut key = vec![0f32; shape.width];
+        let mut number = vec![N::default(); shape.width];
+        for (place, token) in (first..).zip(tokens) {
+            for (head, keys) in self.keys.chunks_exact_mut(shape.width * BLOCK).enumerate() {
+                rows.rotated(token, rows.key(token, head), 1.0, &mut key);
+                N::from_f32(&key, &mut number);
+                for (number, channel) in number.iter().zip(keys.chunks_exact_mut(BLOCK)) {
+                    channel[place] = *number;
+                }
+            }
+            let padded = shape.padded();
+            for (head, values) in self.values.chunks_exact_mut(BLOCK * padded).enumerate() {
+                let at = place * padded;
+                N::from_f32(rows.value(token, head), &mut values[at..at + shape.width]);
+            }
+        }
+    }
+}
+
+impl KeyValues {
+    /// No positions.
+    pub(crate) fn new(shape: HeadShape, precision: Precision) -> Self {
+        let blocks = match precision {
+            Precision::Single => Blocks::Single(Vec::new()),
+            Precision::Half => Blocks::Half(Vec::new()),
+        };
+        Self { shape, blocks }
+    }
+
+    /// Writes the keys and values of rows, the keys rotated, to the positions from `start` on.
+    ///
+    /// # Errors
+    /// When the heads are others.
+    pub(crate) fn write(&mut self, rows: &Projected<'_>, start: usize) -> candle_core::Result<()> {
+        if rows.shape != self.shape {
+            candle_core::bail!("keys and values of {:?} are no {:?}", rows.shape, self.shape);
+        }
+        match &mut self.blocks {
+            Blocks::Single(blocks) => write(blocks, rows, start),
+            Blocks::Half(blocks) => write(blocks, rows, start),
+        }
+        Ok(())
+    }
+
+    /// The first `len` positions.
+    pub(crate) fn first(&self, len: usize) -> Self {
+        let count = len.div_ceil(BLOCK);
+        let blocks = match &self.blocks {
+            Blocks::Single(blocks) => Blocks::Single(blocks.iter().take(count).cloned().collect()),
+            Blocks::Half(blocks) => Blocks::Half(blocks.iter().take(count).cloned().collect()),
+        };
+        Self { shape: self.shape, blocks }
+    }
+
+    /// Positions that there is room for without another block.
+    pub(super) fn capacity(&self) -> usize {
+        match &self.blocks {
+            Blocks::Single(blocks) => blocks.len() * BLOCK,
+            Blocks::Half(blocks) => blocks.len() * BLOCK,
+        }
+    }
+}
+
+fn write<N: Number>(blocks: &mut Vec<Arc<Block<N>>>, rows: &Projected<'_>, start: usize) {
+    let end = start + rows.tokens();
+    blocks.resize_with(end.div_ceil(BLOCK).max(blocks.len()), || Arc::new(Block::new(rows.shape)));
+    let write = |(index, block): (usize, &mut Arc<Block<N>>)| {
+        let base = index * BLOCK;
+        let (from, to) = (start.max(base), end.min(base + BLOCK));
+        Arc::make_mut(block).write(rows, from - start..to - start, from - base);
+    };
+    let touched = start / BLOCK..end.div_ceil(BLOCK);
+    let blocks = blocks.iter_mut().enumerate().take(touched.end).skip(touched.start);
+    if touched.len() == 1 {
+        blocks.for_each(write);
+    } else {
+        blocks.collect::<Vec<_>>().into_par_iter().for_each(write);
+    }
+}

@@ -1,0 +1,369 @@
+//! The part of an attention that one thread computes at once.
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use super::key_values::{BLOCK, Block, Number};
+use super::{HeadShape, Projected, Sight};
+use crate::mllm::matrix::{Instructions, Kernel, LANES, Simd};
+
+/// Rows from which it pays to widen a block of half-precision numbers once rather than for every few rows.
+const WIDEN: usize = 16;
+/// Registers for a tile of the sums of six rows and four vectors: those, what is multiplied, and one to spare.
+const TILE_REGISTERS: usize = 32;
+/// Vectors of the keys of a block.
+const KEY_VECTORS: usize = BLOCK / LANES;
+
+/// The queries of some tokens that share a key head, and some of the positions.
+#[derive(Debug)]
+pub(super) struct Unit<'a, N> {
+    /// What the tokens are read from.
+    pub(super) rows: Projected<'a>,
+    /// The keys and values of all positions.
+    pub(super) blocks: &'a [Arc<Block<N>>],
+    /// What each token sees.
+    pub(super) sight: Sight,
+    /// The key head.
+    pub(super) head: usize,
+    /// The tokens.
+    pub(super) tokens: Range<usize>,
+    /// The positions.
+    pub(super) positions: Range<usize>,
+}
+
+/// What came out of a unit: of each row, one a token and query head, the sum of e^(score - greatest) and of as much of the
+/// values.
+#[derive(Debug)]
+pub(super) struct Mixed {
+    greatest: Vec<f32>,
+    weight: Vec<f32>,
+    /// (rows, padded head width)
+    values: Vec<[f32; LANES]>,
+}
+
+/// A block's keys, (head width, vectors of positions), and values, (positions, vectors of channels).
+#[derive(Clone, Copy)]
+struct Keyed<'a, N> {
+    keys: &'a [[N; LANES]],
+    values: &'a [[N; LANES]],
+    /// Position of the first.
+    base: usize,
+}
+
+/// Rows of scores of a block, then of weights.
+type Scores<const R: usize> = [[[f32; LANES]; KEY_VECTORS]; R];
+
+/// A unit as work for vector instructions.
+struct UnitKernel<'a, N> {
+    unit: &'a Unit<'a, N>,
+    queries: &'a [f32],
+    mixed: &'a mut Mixed,
+}
+
+impl<N: Number> Kernel for UnitKernel<'_, N> {
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { unit, queries, mixed } = self;
+        let shape = unit.rows.shape;
+        let widen = mixed.greatest.len() >= WIDEN && !N::WIDE;
+        let (mut keys, mut values) = (Vec::new(), Vec::new());
+        for index in unit.positions.start / BLOCK..unit.positions.end.div_ceil(BLOCK) {
+            let Some(block) = unit.blocks.get(index) else { break };
+            let base = index * BLOCK;
+            let held = Keyed { keys: block.keys(shape, unit.head), values: block.values(shape, unit.head), base };
+            if widen {
+                widen_all(simd, held.keys, &mut keys);
+                widen_all(simd, held.values, &mut values);
+                unit.attend(simd, Keyed { keys: &keys, values: &values, base }, queries, mixed);
+            } else {
+                unit.attend(simd, held, queries, mixed);
+            }
+        }
+    }
+}
+
+impl<N: Number> Unit<'_, N> {
+    /// Computes the unit.
+    pub(super) fn run(&self, instructions: Instructions) -> Mixed {
+        let shape = self.rows.shape;
+        let mut mixed = Mixed::new(self.tokens.len() * shape.group(), shape.padded() / LANES);
+        instructions.run(UnitKernel { unit: self, queries: &self.queries(), mixed: &mut mixed });
+        mixed
+    }
+
+    /// The queries, rotated and scaled by 1/√width; the rows that are computed at once channel by channel.
+    fn queries(&self) -> Vec<f32> {
+        let HeadShape { width, .. } = self.rows.shape;
+        let group = self.rows.shape.group();
+        let scale = 1.0 / (width as f32).sqrt();
+        let mut turned = vec![0f32; width];
+        let rows = self.tokens.len() * group;
+        let mut queries = vec![0f32; rows * width];
+        let mut row = 0;
+        while row < rows {
+            let together = together(rows - row);
+            let out = &mut queries[row * width..(row + together) * width];
+            for r in 0..together {
+                let (token, head) = (self.tokens.start + (row + r) / group, (row + r) % group);
+                let query = &self.rows.queries(token, self.head)[head * width..(head + 1) * width];
+                self.rows.rotated(token, query, scale, &mut turned);
+                for (out, value) in out[r..].iter_mut().step_by(together).zip(&turned) {
+                    *out = *value;
+                }
+            }
+            row += together;
+        }
+        queries
+    }
+
+    /// Attends from all rows to a block.
+    #[inline(always)]
+    fn attend<S: Simd, M: Number>(&self, simd: S, block: Keyed<'_, M>, queries: &[f32], mixed: &mut Mixed) {
+        let rows = mixed.greatest.len();
+        let mut row = 0;
+        while row < rows {
+            row += match together(rows - row) {
+                6 => self.attend_from::<S, M, 6>(simd, block, queries, row, mixed),
+                4 => self.attend_from::<S, M, 4>(simd, block, queries, row, mixed),
+                2 => self.attend_from::<S, M, 2>(simd, block, queries, row, mixed),
+                _ => self.attend_from::<S, M, 1>(simd, block, queries, row, mixed),
+            };
+        }
+    }
+
+    /// Attends from the `R` rows that begin with `row` to a block; gives their number.
+    #[inline(always)]
+    fn attend_from<S: Simd, M: Number, const R: usize>(
+        &self,
+        simd: S,
+        block: Keyed<'_, M>,
+        queries: &[f32],
+        row: usize,
+        mixed: &mut Mixed,
+    ) -> usize {
+        let shape = self.rows.shape;
+        let seen: [Range<usize>; R] = std::array::from_fn(|r| self.seen(row + r, block.base));
+        let depth = seen.iter().map(|seen| seen.end).max().unwrap_or(0);
+        if seen.iter().all(Range::is_empty) {
+            return R;
+        }
+        let rows = queries[row * shape.width..(row + R) * shape.width].as_chunks::<R>().0;
+        let mut scores = [[[0f32; LANES]; KEY_VECTORS]; R];
+        let mut column = 0;
+        while column < KEY_VECTORS {
+            column += if S::REGISTERS >= TILE_REGISTERS {
+                score::<S, M, R, KEY_VECTORS>(simd, rows, block.keys, column, &mut scores)
+            } else {
+                score::<S, M, R, 1>(simd, rows, block.keys, column, &mut scores)
+            };
+        }
+        let faded = weigh(simd, &seen, &mut scores, &mut mixed.greatest[row..row + R], &mut mixed.weight[row..row + R]);
+
+        let vectors = shape.padded() / LANES;
+        let out = &mut mixed.values[row * vectors..(row + R) * vectors];
+        let mut column = 0;
+        while column < vectors {
+            column += match vectors - column {
+                4.. if S::REGISTERS >= TILE_REGISTERS => {
+                    mix::<S, M, R, 4>(simd, &scores, depth, block.values, column, faded, out)
+                }
+                2.. if S::REGISTERS >= TILE_REGISTERS => {
+                    mix::<S, M, R, 2>(simd, &scores, depth, block.values, column, faded, out)
+                }
+                _ => mix::<S, M, R, 1>(simd, &scores, depth, block.values, column, faded, out),
+            };
+        }
+        R
+    }
+
+    /// What a row sees of the block whose first position is `base`, counted from there.
+    fn seen(&self, row: usize, base: usize) -> Range<usize> {
+        let seen = self.sight.of(self.tokens.start + row / self.rows.shape.group());
+        let start = seen.start.max(self.positions.start).saturating_sub(base).min(BLOCK);
+        let end = seen.end.min(self.positions.end).saturating_sub(base).min(BLOCK);
+        start..end.max(start)
+    }
+}
+
+/// Of so many rows that are left, how many are computed at once.
+fn together(rows: usize) -> usize {
+    match rows {
+        6.. => 6,
+        4 | 5 => 4,
+        2 | 3 => 2,
+        _ => rows,
+    }
+}
+
+/// Widens numbers.
+#[inline(always)]
+fn widen_all<S: Simd, N: Number>(simd: S, from: &[[N; LANES]], to: &mut Vec<[f32; LANES]>) {
+    to.resize(from.len(), [0.0; LANES]);
+    for (to, from) in to.iter_mut().zip(from) {
+        simd.store(N::load(simd, from), to);
+    }
+}
+
+/// Adds A·B to sums: `columns` are those of A, B is rows of `stride` vectors of which the first `C` count.
+#[inline(always)]
+fn add_product<S: Simd, N: Number, const R: usize, const C: usize>(
+    simd: S,
+    columns: impl Iterator<Item = [f32; R]>,
+    b: &[[N; LANES]],
+    stride: usize,
+    mut sums: [[S::Floats; C]; R],
+) -> [[S::Floats; C]; R] {
+    for (factors, row) in columns.zip(b.chunks(stride)) {
+        let Some(row) = row.first_chunk::<C>() else { break };
+        let mut vectors = [simd.floats(0.0); C];
+        for c in 0..C {
+            vectors[c] = N::load(simd, &row[c]);
+        }
+        for r in 0..R {
+            let factor = simd.floats(factors[r]);
+            for c in 0..C {
+                sums[r][c] = simd.mul_add(factor, vectors[c], sums[r][c]);
+            }
+        }
+    }
+    sums
+}
+
+/// Scores of `C` vectors of keys.
+#[inline(always)]
+fn score<S: Simd, N: Number, const R: usize, const C: usize>(
+    simd: S,
+    queries: &[[f32; R]],
+    keys: &[[N; LANES]],
+    column: usize,
+    scores: &mut Scores<R>,
+) -> usize {
+    let zero = [[simd.floats(0.0); C]; R];
+    let sums = add_product(simd, queries.iter().copied(), &keys[column..], KEY_VECTORS, zero);
+    for r in 0..R {
+        for c in 0..C {
+            simd.store(sums[r][c], &mut scores[r][column + c]);
+        }
+    }
+    C
+}
+
+/// Turns scores into weights e^(score - greatest), none where a row does not see, and counts them in; gives by what the
+/// rows' earlier weights fade, because what is greatest has grown.
+#[inline(always)]
+fn weigh<S: Simd, const R: usize>(
+    simd: S,
+    seen: &[Range<usize>; R],
+    scores: &mut Scores<R>,
+    greatest: &mut [f32],
+    weight: &mut [f32],
+) -> [f32; LANES] {
+    let mut growth = [0f32; LANES];
+    let mut sums = [0f32; R];
+    for r in 0..R {
+        if seen[r] != (0..BLOCK) {
+            let scores = scores[r].as_flattened_mut();
+            scores[..seen[r].start].fill(f32::NEG_INFINITY);
+            scores[seen[r].end..].fill(f32::NEG_INFINITY);
+        }
+        let mut most = simd.load(&scores[r][0]);
+        for vector in &scores[r][1..] {
+            most = simd.max(most, simd.load(vector));
+        }
+        let top = greatest[r].max(simd.greatest(most));
+        // A row that has seen nothing yet has no weights that could fade.
+        let shift = if top == f32::NEG_INFINITY { 0.0 } else { top };
+        growth[r] = greatest[r] - shift;
+        greatest[r] = top;
+        let mut sum = simd.floats(0.0);
+        for vector in &mut scores[r] {
+            let weights = simd.exp(simd.add(simd.load(vector), simd.floats(-shift)));
+            simd.store(weights, vector);
+            sum = simd.add(sum, weights);
+        }
+        sums[r] = simd.sum(sum);
+    }
+    let mut faded = [0f32; LANES];
+    simd.store(simd.exp(simd.load(&growth)), &mut faded);
+    for r in 0..R {
+        weight[r] = weight[r] * faded[r] + sums[r];
+    }
+    faded
+}
+
+/// Fades `C` vectors of the rows' sums and adds the weighed values.
+#[inline(always)]
+fn mix<S: Simd, N: Number, const R: usize, const C: usize>(
+    simd: S,
+    weights: &Scores<R>,
+    depth: usize,
+    values: &[[N; LANES]],
+    column: usize,
+    faded: [f32; LANES],
+    out: &mut [[f32; LANES]],
+) -> usize {
+    let vectors = out.len() / R;
+    let mut sums = [[simd.floats(0.0); C]; R];
+    for r in 0..R {
+        for c in 0..C {
+            sums[r][c] = simd.mul(simd.load(&out[r * vectors + column + c]), simd.floats(faded[r]));
+        }
+    }
+    let column_of = |k: usize| std::array::from_fn(|r| weights[r].as_flattened()[k]);
+    let sums = add_product(simd, (0..depth.min(BLOCK)).map(column_of), &values[column..], vectors, sums);
+    for r in 0..R {
+        for c in 0..C {
+            simd.store(sums[r][c], &mut out[r * vectors + column + c]);
+        }
+    }
+    C
+}
+
+impl Mixed {
+    fn new(rows: usize, vectors: usize) -> Self {
+        Self {
+            greatest: vec![f32::NEG_INFINITY; rows],
+            weight: vec![0.0; rows],
+            values: vec![[0.0; LANES]; rows * vectors],
+        }
+    }
+
+    /// Joins what came out of units of the same rows and other positions, in their order.
+    pub(super) fn join(mut parts: impl Iterator<Item = Self>) -> Self {
+        let mut joined = parts.next().unwrap_or_else(|| Self::new(0, 0));
+        for part in parts {
+            joined.add(&part);
+        }
+        joined
+    }
+
+    fn add(&mut self, other: &Self) {
+        let rows = self.greatest.len();
+        let vectors = self.values.len() / rows.max(1);
+        for row in 0..rows {
+            let top = self.greatest[row].max(other.greatest[row]);
+            let shift = if top == f32::NEG_INFINITY { 0.0 } else { top };
+            let (own, others) = ((self.greatest[row] - shift).exp(), (other.greatest[row] - shift).exp());
+            self.greatest[row] = top;
+            self.weight[row] = self.weight[row] * own + other.weight[row] * others;
+            let values = self.values[row * vectors..(row + 1) * vectors].as_flattened_mut();
+            let added = other.values[row * vectors..(row + 1) * vectors].as_flattened();
+            for (value, added) in values.iter_mut().zip(added) {
+                *value = *value * own + added * others;
+            }
+        }
+    }
+
+    /// Writes the means of the values to the places of a key head's queries in (tokens, query heads · head width).
+    pub(super) fn write(&self, shape: HeadShape, head: usize, out: &mut [f32]) {
+        let group = shape.group() * shape.width;
+        let tokens = out.chunks_exact_mut(shape.query_heads * shape.width);
+        let places = tokens.flat_map(|token| token[head * group..(head + 1) * group].chunks_exact_mut(shape.width));
+        let rows = self.values.chunks_exact(shape.padded() / LANES).zip(&self.weight);
+        for (place, (values, weight)) in places.zip(rows) {
+            let scale = 1.0 / weight;
+            place.iter_mut().zip(values.as_flattened()).for_each(|(out, value)| *out = value * scale);
+        }
+    }
+}

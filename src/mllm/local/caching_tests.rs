@@ -1,0 +1,117 @@
+//! What a conversation computes, counted in passes through the decoder and images through the tower.
+
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+use candle_core::Tensor;
+use image::RgbImage;
+
+use super::test_reference::fixture;
+use super::{Architecture, ChatFormat, LocalModel, ModelFacts, PlacedRows, VisionLanguageModel};
+use crate::mllm::decoder::{KvCache, Logits};
+use crate::mllm::text::ChatTokenizer;
+use crate::mllm::{Constraint, Mllm, MllmError, Opening, Request, Sampling};
+
+/// What was computed: rows of each pass, and images.
+#[derive(Debug, Default, Clone, PartialEq, Eq)]
+struct Computed {
+    passes: Vec<usize>,
+    images: usize,
+}
+
+/// A model that writes down what it computes.
+#[derive(Debug)]
+struct Counting {
+    model: Box<dyn VisionLanguageModel>,
+    computed: Arc<Mutex<Computed>>,
+}
+
+impl VisionLanguageModel for Counting {
+    fn facts(&self) -> &ModelFacts {
+        self.model.facts()
+    }
+
+    fn context(&self, image_tokens: usize) -> usize {
+        self.model.context(image_tokens)
+    }
+
+    fn image_tokens(&self, width: u32, height: u32) -> Result<usize, MllmError> {
+        self.model.image_tokens(width, height)
+    }
+
+    fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
+        self.computed.lock().unwrap().images += 1;
+        self.model.encode_image(image)
+    }
+
+    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
+        self.model.embed(ids)
+    }
+
+    fn new_cache(&self) -> KvCache {
+        self.model.new_cache()
+    }
+
+    fn forward(&self, rows: &PlacedRows, cache: &mut KvCache, wanted: Logits) -> candle_core::Result<Option<Tensor>> {
+        self.computed.lock().unwrap().passes.push(rows.rows.dim(0)?);
+        self.model.forward(rows, cache, wanted)
+    }
+
+    fn chat_format(&self, folder: &Path, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+        self.model.chat_format(folder, tokenizer)
+    }
+}
+
+/// A tiny checkpoint, and the counts of what it computes.
+fn counted(name: &str) -> (LocalModel, Arc<Mutex<Computed>>) {
+    let folder = fixture(name);
+    let mut local = LocalModel::open(name, &folder).unwrap();
+    let computed = Arc::new(Mutex::new(Computed::default()));
+    let model = Architecture::detect(&folder).unwrap().open(&folder).unwrap();
+    local.model = Box::new(Counting { model, computed: Arc::clone(&computed) });
+    (local, computed)
+}
+
+fn request(constraint: Constraint, max_new_tokens: usize) -> Request {
+    Request { constraint, max_new_tokens, sampling: Sampling::Greedy }
+}
+
+#[test]
+fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass() {
+    for (name, shared) in [("tiny_llava", true), ("tiny_llava_next", true), ("tiny_cogvlm", false)] {
+        let (local, computed) = counted(name);
+        let take = || std::mem::take(&mut *computed.lock().unwrap());
+        let image = image::open(fixture(name).join("image.png")).unwrap().into_rgb8();
+        let opening = Opening { system: "Drive safely.".into(), image: Some(image) };
+        for call in 0..2 {
+            let mut conversation = local.converse(&opening, 0).unwrap();
+            // The system prompt before the image is computed by the first call alone; of a CogVLM there is none.
+            let before = take().passes;
+            assert_eq!(before.len(), usize::from(shared && call == 0), "{name}: {before:?}");
+            let start = conversation.mark();
+            let first = conversation.ask("Look.", &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
+            let Computed { passes, images } = take();
+            assert_eq!(images, 1, "{name}");
+            assert_eq!(passes[0], first.tokens.text + first.tokens.image, "{name}: {passes:?}");
+            assert!(
+                passes[1..].iter().all(|rows| *rows == 1) && passes.len() <= first.tokens.free,
+                "{name}: {passes:?}"
+            );
+            assert_eq!(first.tokens.cached > 0, shared);
+            let second = conversation.ask("Now?", &request(Constraint::Choice(vec!["keep left".into()]), 16)).unwrap();
+            assert_eq!(take(), Computed::default(), "{name}: nothing of {:?} is the model's choice", second.text);
+            let third = conversation.ask("Code?", &request(Constraint::Regex("x = [0-9]; end".into()), 32)).unwrap();
+            let Computed { passes, images } = take();
+            assert_eq!((passes.len(), images), (1, 0), "{name}: one number is free: {passes:?}");
+            assert!(third.tokens.forced > 5 && third.tokens.free == 1, "{:?}", third.tokens);
+            // What the first two rounds left uncomputed, and what was forced before the number.
+            assert!(passes[0] > third.tokens.text + third.tokens.image, "{passes:?} {:?}", third.tokens);
+            conversation.rewind(start);
+            let again = conversation.ask("Look again.", &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
+            let Computed { passes, images } = take();
+            assert_eq!((images, again.tokens.image), (0, 0), "{name}: the features are kept");
+            assert_eq!(passes[0], again.tokens.text, "{name}: {passes:?}");
+            assert!(again.tokens.cached >= first.tokens.cached + first.tokens.image, "{name}: {:?}", again.tokens);
+        }
+    }
+}
