@@ -50,6 +50,12 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     if let Some(model) = &arguments.model {
         config.mllm.model.clone_from(model);
     }
+    // A run is gone on with from any folder.
+    for word in [Some(&mut config.mllm.model), config.reasoning.prompt_set.as_mut()].into_iter().flatten() {
+        if word.contains(['/', '\\']) && Path::new(word).exists() {
+            *word = ScenarioSource::absolute_word(word);
+        }
+    }
     let threads = arguments.threads.unwrap_or(0);
     if threads > MOST_THREADS {
         bail!("--threads is {threads}; more than {MOST_THREADS} would only wait for one another");

@@ -10,7 +10,7 @@ use crate::experiment::split::split;
 use crate::scenario::generator::{ScenarioType, Spec, generate};
 use crate::scenario::{Scenario, argoverse2, womd};
 use crate::world::{History, HistorySample, LaneKind, STEP_S, Scene, SignalStatus};
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -29,8 +29,11 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
         ScenariosCommand::List { sources, split } => {
             let data = split.data.data();
             let complete = list_splits(&split.splits, &data, printer)?;
-            list(sources, &data, printer)?;
-            Ok(if complete { Exit::Success } else { Exit::SomeFailed })
+            let readable = list(sources, &data, printer)?;
+            for note in data.take_notes() {
+                printer.note(note);
+            }
+            Ok(if complete && readable { Exit::Success } else { Exit::SomeFailed })
         }
         ScenariosCommand::Show { scenario: word, data, at, image, view } => {
             show(&scenario(Some(word), &data.data())?, *at, image.as_deref(), *view, printer)
@@ -58,20 +61,25 @@ fn list_splits(names: &[String], data: &NuPlanData, printer: Printer) -> anyhow:
     for name in names {
         let found = split(name, data, &|_, _| {})?;
         for source in found.sources {
-            list_source(&source, Some(name), printer)?;
+            complete &= list_source(&source, Some(name), printer)?;
         }
         for note in found.notes {
             printer.note(format!("{name}: {note}"));
         }
         if !found.missing.is_empty() {
-            printer.note(format!("{name}: {}", found.missing));
+            printer.error(&anyhow!("{}", found.missing));
             complete = false;
         }
     }
     Ok(complete)
 }
 
-fn list_source(source: &ScenarioSource, split: Option<&str>, printer: Printer) -> anyhow::Result<()> {
+/// Says whether it can be read.
+fn list_source(source: &ScenarioSource, split: Option<&str>, printer: Printer) -> anyhow::Result<bool> {
+    if let ScenarioSource::Unreadable { cause, .. } = source {
+        printer.error(&anyhow!("{cause}"));
+        return Ok(false);
+    }
     let scenario_type = source.scenario_type();
     match scenario_type {
         Some(scenario_type) => printer.line(format!("{source}  {scenario_type}")),
@@ -80,14 +88,16 @@ fn list_source(source: &ScenarioSource, split: Option<&str>, printer: Printer) -
     if printer.is_json() {
         printer.json(&json!({"id": source.to_string(), "split": split, "scenario_type": scenario_type}))?;
     }
-    Ok(())
+    Ok(true)
 }
 
-fn list(sources: &[PathBuf], data: &NuPlanData, printer: Printer) -> anyhow::Result<()> {
+/// Says whether all of nuPlan's logs can be read.
+fn list(sources: &[PathBuf], data: &NuPlanData, printer: Printer) -> anyhow::Result<bool> {
+    let mut readable = true;
     for source in sources {
         let of_nuplan = ScenarioSource::of_nuplan(&source.to_string_lossy(), data)?;
         for found in &of_nuplan {
-            list_source(found, None, printer)?;
+            readable &= list_source(found, None, printer)?;
         }
         if NuPlanData::names_log(&source.to_string_lossy()) {
             continue;
@@ -100,11 +110,10 @@ fn list(sources: &[PathBuf], data: &NuPlanData, printer: Printer) -> anyhow::Res
         for log in &logs {
             list_log(log, printer)?;
         }
-        let files = if source.is_dir() { recordings_in(source) } else { Ok(vec![source.clone()]) };
-        let files = match files {
-            Err(SourceError::Empty(_)) if !(logs.is_empty() && of_nuplan.is_empty()) => Vec::new(),
-            files => files?,
-        };
+        let files = if source.is_dir() { recordings_in(source)? } else { vec![source.clone()] };
+        if files.is_empty() && logs.is_empty() && of_nuplan.is_empty() {
+            bail!(SourceError::Empty(source.clone()));
+        }
         for file in files {
             for summary in womd::summaries(&file)? {
                 let found = summary?;
@@ -113,7 +122,7 @@ fn list(sources: &[PathBuf], data: &NuPlanData, printer: Printer) -> anyhow::Res
             }
         }
     }
-    Ok(())
+    Ok(readable)
 }
 
 fn list_log(folder: &Path, printer: Printer) -> anyhow::Result<()> {

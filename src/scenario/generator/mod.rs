@@ -73,6 +73,13 @@ pub enum GeneratorError {
     },
 }
 
+impl Spec {
+    /// Name of the log of the scenario.
+    pub fn log_name(&self) -> String {
+        format!("{SOURCE}-{}", self.seed)
+    }
+}
+
 impl fmt::Display for Spec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{SOURCE}/{}/{}", self.scenario_type, self.seed)
@@ -146,7 +153,7 @@ fn draw(spec: &Spec, sub_seed: u64) -> Result<Scenario, Discard> {
     Ok(Scenario {
         id: spec.to_string(),
         scenario_type: kind.name().to_owned(),
-        log_name: format!("{SOURCE}-{}", spec.seed),
+        log_name: spec.log_name(),
         map: roads.map.clone(),
         route: Route { roadblocks: roads.route(), goal },
         frames: drive.frames,

@@ -117,7 +117,8 @@ pub fn summaries(path: &Path) -> Result<impl Iterator<Item = Result<Summary, Wom
     Ok(messages(path)?.map(|message| message.map(|message| message.summary())))
 }
 
-fn log_name(path: &Path) -> String {
+/// Name of the log of a file's recordings: that of the file, without the ending.
+pub fn log_name(path: &Path) -> String {
     path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
