@@ -8,10 +8,12 @@ mod model;
 mod printer;
 mod progress;
 
+use crate::experiment::source::ScenarioSource;
 use crate::report::RunFolder;
 use anyhow::{Context, bail};
 use args::{Arguments, Command, SimulateArguments};
 use clap::Parser;
+use std::path::Path;
 use std::process::ExitCode;
 
 pub use config::{Config, EnvironmentConfig, MllmConfig, ReasoningConfig, ReflectionConfig};

@@ -79,8 +79,8 @@ pub enum SourceError {
     Unreadable(String),
     /// The folder holds no recordings.
     #[error(
-        "the folder {} is no Argoverse 2 log and holds no such logs (looked for in it and in the folders right below), no \
-         *.{RECORDING} files (looked for in it) and no nuPlan logs (*.db, looked for {} folders deep)",
+        "the folder {} is no Argoverse 2 log and holds no such logs (down to two folders below), no *.{RECORDING} files (right in \
+         it) and no nuPlan logs (*.db) down to {} folders below",
         .0.display(),
         nuplan::DEEPEST
     )]

@@ -203,7 +203,9 @@ pub fn split(name: &str, data: &NuPlanData, progress: &(dyn Fn(usize, usize) + S
         split: name.to_owned(),
         wanted: file.filter.scenario_tokens.as_ref().map_or(0, Vec::len),
         absent: absent.iter().map(Token::to_string).collect(),
-        refused: refused.map(|(token, why)| RefusedToken { token: token.to_string(), reason: why.to_string() }).collect(),
+        refused: refused
+            .map(|(token, why)| RefusedToken { token: token.to_string(), reason: why.to_string() })
+            .collect(),
     };
     let causes = unreadable.iter().filter_map(|source| match source {
         ScenarioSource::Unreadable { cause, .. } => Some(cause.clone()),

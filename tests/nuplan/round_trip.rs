@@ -64,12 +64,7 @@ const DRIVES: [(Driver, Challenge); 6] = [
 ];
 
 /// Drives both and compares every metric: verdicts must be the same, the rest within `close`.
-pub(super) fn check_scores(
-    before: &Scenario,
-    after: &Scenario,
-    (driver, challenge): (Driver, Challenge),
-    close: f64,
-) {
+pub(super) fn check_scores(before: &Scenario, after: &Scenario, (driver, challenge): (Driver, Challenge), close: f64) {
     let driven = |scenario: &Scenario| match driver {
         Driver::LogReplay => score(scenario, &mut LogReplay::new(scenario.recorded().copied().collect()), challenge),
         Driver::Idm => score(scenario, &mut IdmPlanner::default(), challenge),

@@ -84,7 +84,10 @@ fn logs_recorded_at_one_time_are_all_driven() {
     assert!(code == 2 && stderr.contains("log_names names none of the 2 logs"), "{stderr}");
     let lost = ["scenarios", "list", "--data-root", "nowhere", "--split", "mine.yaml"];
     let (code, _, stderr) = work.run_in(work.folder.path(), &lost);
-    assert!(code == 2 && stderr.contains("--data-root") && stderr.contains("nowhere: cannot open: No such"), "{stderr}");
+    assert!(
+        code == 2 && stderr.contains("--data-root") && stderr.contains("nowhere: cannot open: No such"),
+        "{stderr}"
+    );
 }
 
 #[test]
@@ -119,7 +122,10 @@ fn a_damaged_log_among_others_is_a_failed_drive() {
     assert!(row(&work.exported.logs[0].log)["score"].is_number());
     // A drive that cannot be opened keeps what the log says of it.
     let broken = row(&work.exported.logs[1].log);
-    assert_eq!((&broken["id"], &broken["scenario_type"]), (&work.exported.logs[1].token.as_str().into(), &"changing_lane".into()));
+    assert_eq!(
+        (&broken["id"], &broken["scenario_type"]),
+        (&work.exported.logs[1].token.as_str().into(), &"changing_lane".into())
+    );
     assert!(broken["error"].as_str().unwrap().contains("column x is NULL"), "{broken}");
     let report = File::open(work.path("run/closed_loop_nonreactive_agents/runner_report.parquet")).unwrap();
     let report = ParquetRecordBatchReaderBuilder::try_new(report).unwrap().build().unwrap().next().unwrap().unwrap();
@@ -181,6 +187,7 @@ fn a_run_is_gone_on_with_from_anywhere_and_without_its_data_as_far_as_it_came() 
     let missing = work.path("nuplan/data");
     assert!(stderr.contains("1 of 2 drives made") && stderr.contains(missing.to_str().unwrap()), "{stderr}");
     fs::rename(&moved, work.path("nuplan")).unwrap();
-    let (code, stdout, stderr) = resume();
-    assert_eq!((code, &stdout), (0, &table), "{stderr}");
+    let (code, _, stderr) = resume();
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(fs::read(work.path("run/summary.json")).unwrap(), summary);
 }

@@ -82,7 +82,9 @@ fn ended(
     let all = manifest.drives();
     if rows.len() != all || manifest.config != toml::Table::try_from(config)? {
         let made = rows.len();
-        return Err(trouble.context(format!("the run in {} ({made} of {all} drives made) cannot go on", path.display())));
+        return Err(
+            trouble.context(format!("the run in {} ({made} of {all} drives made) cannot go on", path.display()))
+        );
     }
     printer.note(format!("the run in {} has ended; its scenarios are not there any more: {trouble:#}", path.display()));
     let (folder, manifest) = RunFolder::resume(path, manifest)?;

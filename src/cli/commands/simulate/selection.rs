@@ -135,7 +135,8 @@ fn find(
     // A scenario that is named twice is driven once, or it would count twice in the means.
     let (mut sources, again) = ScenarioSource::distinct(found);
     if let Some(first) = again.first() {
-        printer.note(format!("{} scenarios are named more than once and driven once, for example {first}", again.len()));
+        printer
+            .note(format!("{} scenarios are named more than once and driven once, for example {first}", again.len()));
     }
     sources.truncate(limit.unwrap_or(usize::MAX));
     if sources.is_empty() {
