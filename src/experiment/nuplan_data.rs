@@ -29,6 +29,9 @@ pub enum NuPlanDataError {
     /// A log or map cannot be read.
     #[error(transparent)]
     Read(#[from] NuPlanError),
+    /// There is no such file.
+    #[error("there is no log {}; name it by its path: only splits are looked for in the data root", .0.display())]
+    NoLog(PathBuf),
     /// What follows the file is no token.
     #[error("{word}: {source}")]
     Token {
@@ -123,6 +126,9 @@ impl NuPlanData {
     pub(super) fn in_log(&self, word: &str) -> Result<Vec<ScenarioSource>, NuPlanDataError> {
         let (file, token) = split_token(word);
         let path = Path::new(file);
+        if !path.exists() {
+            return Err(NuPlanDataError::NoLog(path.to_owned()));
+        }
         let Some(token) = token else { return self.tagged(&Logs::under(path)?, path) };
         let token: Token = token.parse().map_err(|source| NuPlanDataError::Token { word: word.to_owned(), source })?;
         let filter = ScenarioFilter { scenario_tokens: Some(vec![token]), ..ScenarioFilter::default() };

@@ -24,7 +24,7 @@ fn logs_folders_and_tokens() {
     let told = |word: String| ScenarioSource::find(&word, &data).unwrap_err().to_string();
     assert!(told(format!("{log}#12")).contains("`12` is no token"));
     assert!(told(format!("{log}#00000000000000aa")).contains("the log does not hold it"));
-    assert!(told("nowhere.db".to_owned()).contains("nowhere.db: cannot open"));
+    assert!(told("nowhere.db".to_owned()).contains("there is no log nowhere.db; name it by its path"));
     assert!(told(set.folder.path().join("maps").display().to_string()).contains("no nuPlan logs (*.db)"));
     let untagged = DataSet::log_with("DELETE FROM scenario_tag");
     assert!(told(untagged.log.display().to_string()).contains("name one as FILE.db#TOKEN"));

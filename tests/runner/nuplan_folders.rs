@@ -135,6 +135,20 @@ fn a_damaged_log_among_others_is_a_failed_drive() {
     let (code, stdout, stderr) = work.run_in(work.folder.path(), &["scenarios", "list", "nuplan/data"]);
     assert_eq!((code, stdout.lines().count()), (1, 2), "{stdout}");
     assert!(stderr.contains("error:") && stderr.contains("0000.db"), "{stderr}");
+    // A list of tokens that the other logs hold whole does not need it.
+    let split = |tokens: &[&str]| {
+        fs::write(work.path("mine.yaml"), format!("scenario_tokens: {tokens:?}\n")).unwrap();
+        let flags = ["scenarios", "list", "--split", "mine.yaml", "--data-root", "nuplan/data"];
+        let (code, stdout, stderr) = work.run_in(work.folder.path(), &flags);
+        (code, stdout.lines().count(), stderr)
+    };
+    let tokens: Vec<&str> = work.exported.logs.iter().map(|log| log.token.as_str()).collect();
+    let (code, listed, stderr) = split(&tokens);
+    assert!((code, listed) == (0, 2) && stderr.contains("passed over") && stderr.contains("0000.db"), "{stderr}");
+    let (code, listed, stderr) = split(&[tokens[0], "00000000000000ff"]);
+    assert!((code, listed) == (1, 1) && stderr.contains("error:") && stderr.contains("0000.db"), "{stderr}");
+    let (code, _, stderr) = split(&["00000000000000ff"]);
+    assert!(code == 2 && stderr.contains("1 logs cannot be read") && stderr.contains("0000.db"), "{stderr}");
     // Alone it is bad input.
     let (code, _, stderr) = work.run_in(work.folder.path(), &["simulate", "--scenario", "nuplan/data/0000.db"]);
     assert!(code == 2 && stderr.contains("0000.db: not an SQLite database"), "{stderr}");

@@ -24,7 +24,7 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
     let started = Instant::now();
     let before = flags.resume.as_deref().map(RunFolder::manifest).transpose()?;
     let found = Selection::of(flags, before.as_ref(), printer).and_then(|selection| match &before {
-        Some(manifest) if flags.only_goes_on() => selection.as_in(manifest),
+        Some(manifest) if flags.only_goes_on() => selection.held_against(manifest),
         _ => Ok(selection),
     });
     let selection = match (found, &flags.resume, &before) {

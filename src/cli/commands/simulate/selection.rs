@@ -69,7 +69,7 @@ impl Selection {
     ///
     /// # Errors
     /// When the data holds others now.
-    pub(super) fn as_in(self, manifest: &Manifest) -> anyhow::Result<Self> {
+    pub(super) fn held_against(self, manifest: &Manifest) -> anyhow::Result<Self> {
         let (then, now) = (&manifest.scenarios, &self.list);
         if then.blake3 != now.blake3 {
             bail!(
