@@ -1,13 +1,15 @@
 //! The flags, as typed.
 
+use super::picture::PictureFile;
 use crate::experiment::nuplan_data::NuPlanData;
 use crate::scenario::nuplan::DataRoots;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
 /// A driving agent that plans with a multimodal language model, offline, on the CPU.
 #[derive(Debug, Parser)]
-#[command(name = "planagent", version, max_term_width = 100)]
+#[command(name = "planagent", version, max_term_width = 80)]
 pub(super) struct Arguments {
     /// What to do.
     #[command(subcommand)]
@@ -93,8 +95,7 @@ pub(super) struct SimulateArguments {
     /// Only the first N scenarios.
     #[arg(long, value_name = "N")]
     pub(super) limit: Option<usize>,
-    /// Planners, separated by commas: plan-agent, log-replay, idm, simple,
-    /// pdm-closed [default: plan-agent].
+    /// Planners, separated by commas: plan-agent, log-replay, idm, simple, pdm-closed [default: plan-agent].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) planner: Vec<String>,
     /// Challenges, separated by commas: nonreactive (replayed traffic), reactive (IDM traffic), both of these, open-loop
@@ -134,11 +135,16 @@ pub(super) struct PlanArguments {
     #[command(flatten)]
     pub(super) data: DataArguments,
     /// Seconds after the start of the window.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
     pub(super) at: f64,
-    /// Write the BEV map to this PNG.
-    #[arg(long, value_name = "FILE")]
-    pub(super) image: Option<PathBuf>,
+    /// Write the BEV map to this file, a PNG or JPEG by its ending.
+    #[arg(long, value_name = "FILE", value_parser = picture_file())]
+    pub(super) image: Option<PictureFile>,
+}
+
+/// Takes a path whose ending names a format that pictures are written in.
+fn picture_file() -> impl TypedValueParser<Value = PictureFile> {
+    PathBufValueParser::new().try_map(PictureFile::try_from)
 }
 
 /// Subcommands of `scenarios`.
@@ -146,27 +152,13 @@ pub(super) struct PlanArguments {
 pub(super) enum ScenariosCommand {
     /// List scenarios: the records of files and folders, or the types that can be generated.
     List {
-        /// TFRecord files, nuPlan logs, Argoverse 2 logs, or folders of these.
-        sources: Vec<PathBuf>,
+        /// TFRecord files, nuPlan logs, Argoverse 2 logs, folders of these, or generated/TYPE/SEED.
+        sources: Vec<String>,
         #[command(flatten)]
         split: SplitArguments,
     },
     /// Show one scenario: its map, route, objects and lights; with --image a picture.
-    Show {
-        /// A TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED.
-        scenario: String,
-        #[command(flatten)]
-        data: DataArguments,
-        /// Seconds after the start of the window.
-        #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
-        at: f64,
-        /// Write a BEV picture to this PNG.
-        #[arg(long, value_name = "FILE")]
-        image: Option<PathBuf>,
-        /// Side of the picture, metres.
-        #[arg(long, value_name = "METRES", default_value_t = 128.0)]
-        view: f64,
-    },
+    Show(ShowArguments),
     /// Generate scenarios and drive them with their expert: a line each.
     Generate {
         /// Types [default: all].
@@ -183,8 +175,30 @@ pub(super) enum ScenariosCommand {
     Export(ExportArguments),
 }
 
+/// Flags of `scenarios show`.
+#[derive(Debug, Args)]
+pub(super) struct ShowArguments {
+    /// A TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED.
+    pub(super) scenario: String,
+    #[command(flatten)]
+    pub(super) data: DataArguments,
+    /// Seconds after the start of the window.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub(super) at: f64,
+    /// Write a BEV picture to this file, a PNG or JPEG by its ending.
+    #[arg(long, value_name = "FILE", value_parser = picture_file())]
+    pub(super) image: Option<PictureFile>,
+    /// Side of the picture, metres.
+    #[arg(long, value_name = "METRES", default_value_t = 128.0, allow_negative_numbers = true)]
+    pub(super) view: f64,
+}
+
 /// Flags of `scenarios export`.
 #[derive(Debug, Args)]
+// clap does not wrap this line.
+#[command(
+    override_usage = "planagent scenarios export [OPTIONS] --format <FORMAT> --out <FOLDER>\n       <SCENARIO>..."
+)]
 pub(super) struct ExportArguments {
     /// Scenarios, as `simulate` takes them.
     #[arg(required = true, value_name = "SCENARIO")]

@@ -5,6 +5,7 @@ mod commands;
 mod config;
 mod exit;
 mod model;
+mod picture;
 mod printer;
 mod progress;
 

@@ -2,7 +2,8 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "this is the printer")]
 
-use console::{Style, Term};
+use crate::report::json_value;
+use console::{Style, Term, measure_text_width};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{ErrorKind, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,12 +33,23 @@ impl Printer {
         }
     }
 
+    /// A name with what there is to say of it: beside it where the width holds both, else below it. The name stays whole: it is
+    /// there to be copied.
+    pub fn named(&self, name: &str, details: &str) {
+        if details.is_empty() || measure_text_width(name) + 2 + measure_text_width(details) <= usize::from(self.width())
+        {
+            self.line(format!("{name}  {details}").trim_end());
+        } else {
+            self.line(format!("{name}\n  {details}"));
+        }
+    }
+
     /// A value on stdout, as one line of JSON.
     ///
     /// # Errors
     /// When the value cannot be serialised.
     pub fn json(&self, value: &impl serde::Serialize) -> anyhow::Result<()> {
-        write_line(&serde_json::to_string(value)?);
+        write_line(&json_value(value)?.to_string());
         Ok(())
     }
 

@@ -9,8 +9,8 @@ use crate::planner::{
     IdmPlanner, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall, SimplePlanner,
 };
 use crate::reasoning::PromptSet;
-use crate::scenario::Scenario;
-use crate::scenario::nuplan::UNKNOWN_TYPE;
+use crate::scenario::{Scenario, UNKNOWN_TYPE};
+
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
 use rayon::prelude::*;
 use std::fmt;

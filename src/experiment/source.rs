@@ -94,7 +94,7 @@ impl ScenarioSource {
     /// # Errors
     /// When it names none, or a file is no sound recording.
     pub fn find(word: &str, data: &NuPlanData) -> Result<Vec<Self>, SourceError> {
-        if word.starts_with(GENERATED) {
+        if Self::names_generated(word) {
             return Ok(vec![Self::Generated(word.parse()?)]);
         }
         if NuPlanData::names_log(word) {
@@ -128,6 +128,11 @@ impl ScenarioSource {
         Self::records_of(path)
     }
 
+    /// Whether a word has the form of a generated scenario's name.
+    pub fn names_generated(word: &str) -> bool {
+        word.starts_with(GENERATED)
+    }
+
     fn records_of(path: &Path) -> Result<Vec<Self>, SourceError> {
         let summaries = womd::summaries(path)?.collect::<Result<Vec<_>, _>>()?;
         Ok(summaries.iter().map(|s| Self::Recording { path: path.to_owned(), record: s.record }).collect())
@@ -141,7 +146,7 @@ impl ScenarioSource {
     /// The word by which the same scenarios are found from any working directory.
     pub fn absolute_word(word: &str) -> String {
         let absolute = || std::path::absolute(word).ok()?.into_os_string().into_string().ok();
-        if word.starts_with(GENERATED) { word.to_owned() } else { absolute().unwrap_or_else(|| word.to_owned()) }
+        if Self::names_generated(word) { word.to_owned() } else { absolute().unwrap_or_else(|| word.to_owned()) }
     }
 
     /// Each scenario once, in the order in which they first appear; then those that came again, by whatever path.

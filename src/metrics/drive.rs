@@ -11,7 +11,7 @@ use super::{
     planner_expert_final_heading_error_within_bound, planner_expert_final_l2_error_within_bound,
     planner_miss_rate_within_bound, speed_limit_compliance, time_to_collision, time_to_collision_within_bound,
 };
-use crate::world::{EgoState, HistorySample, LaneMap, Trajectory, TrajectoryError};
+use crate::world::{EgoState, HistorySample, LaneMap, MICROS_PER_SECOND, Trajectory, TrajectoryError};
 
 /// What the closed-loop metrics judge.
 #[derive(Debug, Clone, Copy)]
@@ -92,7 +92,7 @@ pub enum MetricError {
         source: TrajectoryError,
     },
     /// A trajectory ends too early.
-    #[error("the trajectory of sample {sample} reaches {reach_us} µs ahead; open-loop metrics need more than 7 s")]
+    #[error("the plan of sample {sample} ends {:.1} s ahead; open-loop metrics compare plans 8 s ahead and need more than 7 s", *reach_us as f64 / MICROS_PER_SECOND)]
     TrajectoryTooShort {
         /// Which sample.
         sample: usize,

@@ -1,5 +1,6 @@
 //! A line of `calls.jsonl`: one planning call, attempts and rounds inside it. Measured times stand under the key `time`.
 
+use super::number::unsign_zeros;
 use super::timing::CallTimes;
 use crate::planner::{Attempt, Decision, PlanningCall};
 use crate::reasoning::PlannerCode;
@@ -16,6 +17,7 @@ pub fn call_record(scenario: &str, planner: &str, challenge: Option<Challenge>, 
     if let (Some(fields), Value::Object(rest)) = (record.as_object_mut(), contents(call)) {
         fields.extend(rest);
     }
+    unsign_zeros(&mut record);
     record
 }
 

@@ -1,5 +1,6 @@
 //! What is kept of a drive when it has ended: `record.toml` of its folder.
 
+use super::number::unsigned_zero;
 use super::timing::CallTimes;
 use crate::experiment::run::DriveRecord;
 use crate::metrics::ScenarioRow;
@@ -92,7 +93,7 @@ impl DriveRow {
             planner: record.planner.to_string(),
             challenge: record.challenge,
             error: record.outcome.as_ref().err().cloned(),
-            score: score.map(|score| score.value),
+            score: score.map(|score| unsigned_zero(score.value)),
             zeroed_by: score.map_or_else(Vec::new, |score| score.zero_multipliers().map(|m| m.to_string()).collect()),
             planning_calls: calls.len(),
             rethinks: calls.iter().map(PlanningCall::rethinks).sum(),
@@ -104,7 +105,10 @@ impl DriveRow {
                 planner_s: driven.map_or_else(Vec::new, |driven| driven.log.runtimes_s.clone()),
                 calls: calls.iter().map(CallTimes::of).collect(),
             },
-            metrics: metrics.iter().map(|m| MetricScore { name: m.name.clone(), score: m.score }).collect(),
+            metrics: metrics
+                .iter()
+                .map(|m| MetricScore { name: m.name.clone(), score: m.score.map(unsigned_zero) })
+                .collect(),
         }
     }
 

@@ -5,6 +5,7 @@ use super::atomic;
 use super::drive_row::DriveRow;
 use super::error::ReportError;
 use super::manifest::Manifest;
+use super::number::json_value;
 use super::parquet::{write_aggregator, write_metric_files, write_runner_report};
 use super::run_folder::RunFolder;
 use super::summary::{Summary, aggregated, distinct};
@@ -35,7 +36,7 @@ impl RunFolder {
             }
             write_metric_files(&metrics, self.metrics(own().filter(|row| row.score.is_some()))?)?;
             let name = format!("{challenge}_weighted_average_metrics_{}.parquet", manifest.started);
-            write_aggregator(&aggregator.join(name), &aggregated(challenge, own()))?;
+            write_aggregator(&aggregator.join(name), &aggregated(challenge, own()), challenge.metric_list())?;
             write_runner_report(&folder.join("runner_report.parquet"), &own().collect::<Vec<_>>())?;
         }
         self.write("timing.json", pretty(timing)?.as_bytes())?;
@@ -44,5 +45,5 @@ impl RunFolder {
 }
 
 fn pretty(value: &impl serde::Serialize) -> Result<String, serde_json::Error> {
-    serde_json::to_string_pretty(value).map(|text| text + "\n")
+    serde_json::to_string_pretty(&json_value(value)?).map(|text| text + "\n")
 }

@@ -6,6 +6,7 @@ use super::call_record::call_record;
 use super::drive_row::DriveRow;
 use super::error::ReportError;
 use super::manifest::{MANIFEST, Manifest};
+use super::number::unsigned_metric;
 use super::transcript::transcript;
 use crate::experiment::run::{Assignment, DriveRecord, Driven};
 use crate::metrics::MetricResult;
@@ -140,7 +141,7 @@ impl RunFolder {
         atomic::folder(&unfinished)?;
         if let Ok(driven) = &record.outcome {
             write_calls(&unfinished, record, driven)?;
-            let metrics = MetricsFile { metrics: driven.metrics.clone() };
+            let metrics = MetricsFile { metrics: driven.metrics.iter().map(unsigned_metric).collect() };
             atomic::create(&unfinished.join(METRICS), toml::to_string(&metrics)?.as_bytes())?;
         }
         let row = toml::to_string(&DriveRow::new(number, record))?;

@@ -84,15 +84,21 @@ pub struct DriveTiming {
     iteration_ms: Option<Quantiles>,
 }
 
-/// What a planner takes for one iteration, over all its drives in all challenges.
+/// What a planner takes, over all its drives in all challenges.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PlannerTiming {
     /// Which planner.
     pub planner: String,
-    /// Iterations that the quantiles are of.
+    /// Iterations that the times are of.
     pub iterations: usize,
+    /// Mean per iteration, milliseconds: planning calls are spread over the iterations between them.
+    pub mean_iteration_ms: Option<f64>,
     /// Per iteration, milliseconds.
     pub iteration_ms: Option<Quantiles>,
+    /// Planning calls that the quantiles are of; none for a planner without a model.
+    pub planning_calls: usize,
+    /// Per planning call, milliseconds.
+    pub planning_call_ms: Option<Quantiles>,
 }
 
 /// The machine and the session that ended the run.
@@ -163,9 +169,17 @@ impl Timing {
 
 impl PlannerTiming {
     fn of(planner: &str, rows: &[DriveRow]) -> Self {
-        let own = rows.iter().filter(|row| row.planner == planner);
-        let steps: Vec<f64> = own.flat_map(|row| &row.time.planner_s).map(|s| s * 1e3).collect();
-        Self { planner: planner.to_owned(), iterations: steps.len(), iteration_ms: Quantiles::of(steps) }
+        let own = || rows.iter().filter(|row| row.planner == planner);
+        let steps: Vec<f64> = own().flat_map(|row| &row.time.planner_s).map(|s| s * 1e3).collect();
+        let calls: Vec<f64> = own().flat_map(|row| &row.time.calls).map(|call| call.total).collect();
+        Self {
+            planner: planner.to_owned(),
+            iterations: steps.len(),
+            mean_iteration_ms: (!steps.is_empty()).then(|| steps.iter().sum::<f64>() / steps.len() as f64),
+            iteration_ms: Quantiles::of(steps),
+            planning_calls: calls.len(),
+            planning_call_ms: Quantiles::of(calls),
+        }
     }
 }
 

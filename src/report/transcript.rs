@@ -1,5 +1,6 @@
 //! The transcript of a drive as Markdown: what was seen, asked, answered, written and judged.
 
+use super::number::fixed;
 use super::timing::CallTimes;
 use crate::experiment::run::{DriveRecord, Driven};
 use crate::planner::{Attempt, Decision, PlanningCall};
@@ -60,7 +61,8 @@ pub fn attempt_markdown(attempt: &Attempt) -> String {
         let _ = writeln!(text, "Code: `{code}`\n");
     }
     if let Some(reflection) = &attempt.reflection {
-        let parts: Vec<String> = reflection.parts.named().iter().map(|(name, v)| format!("{name} {v:.2}")).collect();
+        let parts: Vec<String> =
+            reflection.parts.named().iter().map(|(name, v)| format!("{name} {}", fixed(*v, 2))).collect();
         let _ = writeln!(text, "Reflection: **{:.2}** ({})\n", reflection.score, parts.join(", "));
     }
     text

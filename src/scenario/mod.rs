@@ -9,6 +9,7 @@ pub mod nuplan;
 mod recording;
 pub mod womd;
 
+pub use nuplan::UNKNOWN_TYPE;
 pub use recording::trace::LineFault;
 pub use recording::window::TimeFault;
 

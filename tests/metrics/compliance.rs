@@ -155,3 +155,10 @@ fn a_violation_ends_at_the_first_sample_that_keeps_the_limit() {
     // The one at the last sample has no duration and leaves the mean: (1·0.3 + 3·0)/0.3.
     assert!((result.statistic("mean_violation_of_speed_limit_compliance").unwrap() - 1.0).abs() < 1e-9);
 }
+
+#[test]
+fn a_drive_without_violations_tells_only_that_it_has_none() {
+    let result = speeding(&straight(), &cruise(21, 0.0, 0.0, 15.0));
+    let told: Vec<(&str, f64)> = result.statistics.iter().map(|s| (s.name.as_str(), s.value)).collect();
+    assert_eq!(told, [("speed_limit_compliance", 1.0)]);
+}

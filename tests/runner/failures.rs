@@ -1,5 +1,6 @@
 //! A drive that fails is recorded, and the run goes on.
 
+use super::parquet::{aggregator_table, table};
 use super::{assert_same_results, drives};
 use crate::cli::{read_json, run};
 use planagent::experiment::run::{self as runner, Assignment, DriveRecord, PlannerKind};
@@ -8,6 +9,7 @@ use planagent::scenario::generator;
 use planagent::simulation::Challenge;
 use std::collections::BTreeMap;
 use std::fs;
+use std::path::Path;
 use std::sync::Mutex;
 use tempfile::TempDir;
 
@@ -60,6 +62,16 @@ fn nothing_is_begun_after_a_record_that_cannot_be_kept() {
     assert!(outcome.unwrap_err().starts_with("disk full at"));
 }
 
+/// Makes the record of a drive say that it failed.
+fn mark_failed(drive: &Path) {
+    let record = drive.join("record.toml");
+    let text = fs::read_to_string(&record).unwrap();
+    let lines =
+        text.lines().map(|line| if line.starts_with("score = ") { "error = \"a wheel came off\"" } else { line });
+    let header: Vec<&str> = lines.take_while(|line| *line != "[[metrics]]").collect();
+    fs::write(&record, header.join("\n")).unwrap();
+}
+
 #[test]
 fn failed_drives_are_listed_and_made_again_only_on_demand() {
     let work = TempDir::new().unwrap();
@@ -68,13 +80,7 @@ fn failed_drives_are_listed_and_made_again_only_on_demand() {
         let flags = ["simulate", "--split", "generated", "--limit", "2", "--planner", "simple", "--quiet"];
         assert_eq!(run(&[&flags[..], &["--out", out.to_str().unwrap()]].concat()).0, 0);
     }
-    // A drive of the run failed, as its record says.
-    let record = drives(&mended)[1].join("record.toml");
-    let text = fs::read_to_string(&record).unwrap();
-    let lines =
-        text.lines().map(|line| if line.starts_with("score = ") { "error = \"a wheel came off\"" } else { line });
-    let header: Vec<&str> = lines.take_while(|line| *line != "[[metrics]]").collect();
-    fs::write(&record, header.join("\n")).unwrap();
+    mark_failed(&drives(&mended)[1]);
 
     let resume = ["simulate", "--resume", mended.to_str().unwrap()];
     let (code, stdout, stderr) = run(&resume);
@@ -90,4 +96,43 @@ fn failed_drives_are_listed_and_made_again_only_on_demand() {
     let (code, _, stderr) = run(&[&resume[..], &["--retry-failed"]].concat());
     assert_eq!(code, 0, "{stderr}");
     assert_same_results(&whole, &mended);
+}
+
+#[test]
+fn results_of_a_run_in_which_all_failed_can_be_read() {
+    let work = TempDir::new().unwrap();
+    let out = work.path().join("run");
+    let flags = ["simulate", "--split", "generated", "--limit", "2", "--planner", "simple", "--challenge", "both"];
+    assert_eq!(run(&[&flags[..], &["--quiet", "--out", out.to_str().unwrap()]].concat()).0, 0);
+    for drive in drives(&out) {
+        mark_failed(&drive);
+    }
+    let (code, stdout, stderr) = run(&["simulate", "--resume", out.to_str().unwrap()]);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stdout.lines().any(|line| line.starts_with("simple") && line.ends_with('4')), "{stdout}");
+    assert!(!stdout.contains("coll ="), "a legend of nothing: {stdout}");
+    for challenge in Challenge::CLOSED_LOOP {
+        let (columns, rows) = aggregator_table(&out, &challenge.to_string());
+        assert_eq!(rows, 0);
+        let expected = [
+            "scenario",
+            "log_name",
+            "scenario_type",
+            "num_scenarios",
+            "planner_name",
+            "aggregator_type",
+            "drivable_area_compliance",
+            "driving_direction_compliance",
+            "ego_is_comfortable",
+            "ego_is_making_progress",
+            "ego_progress_along_expert_route",
+            "no_ego_at_fault_collisions",
+            "speed_limit_compliance",
+            "time_to_collision_within_bound",
+            "score",
+        ];
+        assert_eq!(columns, expected);
+        let report = out.join(challenge.to_string()).join("runner_report.parquet");
+        assert_eq!(table(&report).1, 2);
+    }
 }

@@ -57,7 +57,20 @@ fn rows<'a>(summary: &'a Value, challenge: &str, planner: &str) -> Vec<&'a Value
     all.filter(|row| row["challenge"] == challenge && row["planner"] == planner).collect()
 }
 
-fn aggregator(run: &Path, challenge: &str) -> RecordBatch {
+/// Names of the columns and number of rows of any file.
+pub(super) fn table(path: &Path) -> (Vec<String>, usize) {
+    let file = File::open(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let builder = ParquetRecordBatchReaderBuilder::try_new(file).unwrap();
+    let columns = builder.schema().fields().iter().map(|field| field.name().clone()).collect();
+    (columns, builder.build().unwrap().map(|batch| batch.unwrap().num_rows()).sum())
+}
+
+/// The same of the aggregator's table.
+pub(super) fn aggregator_table(run: &Path, challenge: &str) -> (Vec<String>, usize) {
+    table(&aggregator_file(run, challenge))
+}
+
+fn aggregator_file(run: &Path, challenge: &str) -> PathBuf {
     let mut files: Vec<PathBuf> = fs::read_dir(run.join(challenge).join("aggregator_metric"))
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -66,7 +79,7 @@ fn aggregator(run: &Path, challenge: &str) -> RecordBatch {
     let file = files.remove(0);
     let name = file.file_name().unwrap().to_str().unwrap();
     assert!(name.starts_with(&format!("{challenge}_weighted_average_metrics_2")), "{name}");
-    read(&file)
+    file
 }
 
 #[test]
@@ -129,7 +142,7 @@ fn check_metrics(out: &Path, challenge: &str, summary: &Value) {
 }
 
 fn check_aggregator(out: &Path, challenge: &str, summary: &Value) {
-    let table = aggregator(out, challenge);
+    let table = read(&aggregator_file(out, challenge));
     let columns = names(&table);
     let head = ["scenario", "log_name", "scenario_type", "num_scenarios", "planner_name", "aggregator_type"];
     assert_eq!(columns[..head.len()], head);

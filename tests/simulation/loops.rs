@@ -180,5 +180,8 @@ fn a_plan_that_ends_early_is_compared_at_its_end_or_refused() {
     // Straight on at 4 m/s is what was recorded, also at 7.5 s.
     assert!((planned(7_500_000).unwrap().score.value - 1.0).abs() < 1e-9);
     let error = planned(6_500_000).unwrap_err().to_string();
-    assert_eq!(error, "the trajectory of sample 0 reaches 6500000 µs ahead; open-loop metrics need more than 7 s");
+    assert_eq!(
+        error,
+        "the plan of sample 0 ends 6.5 s ahead; open-loop metrics compare plans 8 s ahead and need more than 7 s"
+    );
 }

@@ -1,7 +1,6 @@
-//! One file a subcommand.
+//! One file or folder a subcommand.
 
 pub(super) mod dataset;
-pub(super) mod export;
 pub(super) mod plan;
 pub(super) mod scenarios;
 pub(super) mod simulate;

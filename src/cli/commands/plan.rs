@@ -6,8 +6,8 @@ use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::run::PlannerKind;
 use crate::experiment::source::ScenarioSource;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
-use crate::report::{CallTimes, attempt_markdown, call_record, decision_words};
-use crate::scenario::{Scenario, generator};
+use crate::report::{CallTimes, attempt_markdown, call_record, decision_words, fixed};
+use crate::scenario::{Frame, Scenario, generator};
 use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Scene, Trajectory};
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
@@ -18,21 +18,16 @@ use serde_json::{Value, json};
 /// When the input or the model cannot be used, or the instant lies outside the window.
 pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let scenario = scenario(flags.scenario.as_deref(), &flags.data.data())?;
-    let iteration = (flags.at / STEP_S).round();
-    if !(0.0..scenario.iterations() as f64).contains(&iteration) {
-        let end = (scenario.iterations() - 1) as f64 * STEP_S;
-        bail!("--at {} lies outside the window of {}, which ends at {end:.1} s", flags.at, scenario.id);
-    }
-    let iteration = iteration as usize;
+    let (iteration, frame) = instant(&scenario, flags.at)?;
     let loaded = model::load(config, printer)?;
     let mut agent = loaded.parts.agent(&scenario.id);
     agent.initialize(&PlannerInitialization { map: &scenario.map, route: &scenario.route })?;
-    let trajectory = compute(&scenario, iteration, &mut agent)?;
+    let trajectory = compute(&scenario, iteration, frame, &mut agent)?;
     // The planner counts calls from iteration 0; the record tells where in the drive this one was made.
     let call = agent.calls().last().context("the planner made no call")?;
     let call = PlanningCall { iteration, ..call.clone() };
-    if let (Some(path), Some(image)) = (&flags.image, &call.image) {
-        image.save(path).with_context(|| format!("cannot write {}", path.display()))?;
+    if let (Some(file), Some(image)) = (&flags.image, &call.image) {
+        file.save(image)?;
     }
     if printer.is_json() {
         printer.json(&with_trajectory(&scenario, &call, &trajectory))?;
@@ -57,13 +52,30 @@ pub(in crate::cli) fn scenario(word: Option<&str>, data: &NuPlanData) -> anyhow:
     }
 }
 
+/// The iteration nearest to a time in seconds after the start of the window, and what was recorded then.
+///
+/// # Errors
+/// When it lies outside the window.
+pub(in crate::cli) fn instant(scenario: &Scenario, at: f64) -> anyhow::Result<(usize, &Frame)> {
+    let iteration = (at / STEP_S).round();
+    let in_window = (0.0..scenario.iterations() as f64).contains(&iteration);
+    in_window.then_some(iteration as usize).and_then(|i| Some((i, scenario.frame(i)?))).with_context(|| {
+        let end = (scenario.iterations() - 1) as f64 * STEP_S;
+        format!("--at {at} lies outside the window of {}, which is from 0 to {end:.1} s", scenario.id)
+    })
+}
+
 /// The scene of an iteration of the log, as a planner would see it.
-fn compute(scenario: &Scenario, iteration: usize, agent: &mut dyn Planner) -> anyhow::Result<Trajectory> {
+fn compute(
+    scenario: &Scenario,
+    iteration: usize,
+    frame: &Frame,
+    agent: &mut dyn Planner,
+) -> anyhow::Result<Trajectory> {
     let mut history = History::default();
     for frame in scenario.frames.iter().take(scenario.start + iteration + 1) {
         history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });
     }
-    let frame = scenario.frame(iteration).context("the instant lies outside the window")?;
     let scene = Scene {
         map: &scenario.map,
         route: &scenario.route,
@@ -104,11 +116,12 @@ fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, print
     for state in trajectory.states().iter().step_by(10) {
         let at = ego.to_local(state.rear_axle.position());
         let seconds = (state.time_us - trajectory.start_us()) as f64 / MICROS_PER_SECOND;
-        printer.line(format!("{seconds:5.1} {:8.2} {:7.2} {:7.2}", at.x, at.y, state.velocity.x));
+        let [forward, left, speed] = [at.x, at.y, state.velocity.x].map(|value| fixed(value, 2));
+        printer.line(format!("{seconds:5.1} {forward:>8} {left:>7} {speed:>7}"));
     }
     let time = CallTimes::of(call);
     printer.line(format!(
-        "\nTime {:.1} ms: environment {:.1}, image encode {:.1}, prefill {:.1}, decode {:.1}, reflection {:.1}",
+        "\nTime {:.1} ms: environment {:.1}, image encode {:.1}, prefill {:.1},\n  decode {:.1}, reflection {:.1}",
         time.total, time.environment, time.image_encode, time.prefill, time.decode, time.reflection
     ));
 }

@@ -2,8 +2,9 @@
 //! its final score.
 
 use super::table::{Column, Columns, TableWriter};
-use crate::metrics::{AggregateRow, RowKind};
+use crate::metrics::{AggregateRow, MetricList, RowKind};
 use crate::report::ReportError;
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// nuPlan's name of the only aggregation there is.
@@ -11,12 +12,17 @@ const AGGREGATOR_TYPE: &str = "weighted_average";
 /// nuPlan's name of the last row of a planner.
 const FINAL_SCORE: &str = "final_score";
 
-/// Writes the table. Columns as in the devkit's `WeightedAverageMetricAggregator`: metrics by name, the score last.
-pub(in crate::report) fn write_aggregator(path: &Path, rows: &[AggregateRow]) -> Result<(), ReportError> {
-    TableWriter::begin(path, columns(rows))?.finish()
+/// Writes the table. Columns as in the devkit's `WeightedAverageMetricAggregator`: metrics by name, the score last. A drive that
+/// failed has no row; where all failed, the columns of the scored metrics are there without one, so that the table can be read.
+pub(in crate::report) fn write_aggregator(
+    path: &Path,
+    rows: &[AggregateRow],
+    list: MetricList,
+) -> Result<(), ReportError> {
+    TableWriter::begin(path, columns(rows, list))?.finish()
 }
 
-fn columns(rows: &[AggregateRow]) -> Columns {
+fn columns(rows: &[AggregateRow], list: MetricList) -> Columns {
     let text = |of: fn(&AggregateRow) -> &str| Column::text(rows.iter().map(of));
     let mut all = vec![
         ("scenario".to_owned(), text(scenario)),
@@ -26,12 +32,11 @@ fn columns(rows: &[AggregateRow]) -> Columns {
         ("planner_name".to_owned(), text(|row| &row.planner)),
         ("aggregator_type".to_owned(), text(|_| AGGREGATOR_TYPE)),
     ];
-    let mut names: Vec<&String> = rows.iter().flat_map(|row| row.metrics.iter().map(|(name, _)| name)).collect();
-    names.sort();
-    names.dedup();
+    let computed = rows.iter().flat_map(|row| row.metrics.iter().map(|(name, _)| name.as_str()));
+    let names: BTreeSet<&str> = computed.chain(list.scored().iter().map(|metric| metric.as_str())).collect();
     for name in names {
         let value = |row: &AggregateRow| row.metrics.iter().find(|(n, _)| n == name).and_then(|(_, value)| *value);
-        all.push((name.clone(), Column::Float(rows.iter().map(value).collect())));
+        all.push((name.to_owned(), Column::Float(rows.iter().map(value).collect())));
     }
     all.push(("score".to_owned(), Column::Float(rows.iter().map(|row| Some(row.score)).collect())));
     all

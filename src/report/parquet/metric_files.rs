@@ -151,3 +151,48 @@ fn kind_name(kind: StatisticKind) -> &'static str {
         StatisticKind::Boolean => "BOOLEAN",
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::MetricName;
+    use crate::report::DriveTime;
+    use crate::simulation::Challenge;
+
+    fn drive() -> DriveRow {
+        DriveRow {
+            number: 0,
+            source: "generated/changing_lane/0".to_owned(),
+            scenario: "generated/changing_lane/0".to_owned(),
+            scenario_type: "changing_lane".to_owned(),
+            log_name: "generated-0".to_owned(),
+            planner: "idm".to_owned(),
+            challenge: Challenge::ClosedLoopNonreactiveAgents,
+            error: None,
+            score: Some(1.0),
+            zeroed_by: Vec::new(),
+            planning_calls: 0,
+            rethinks: 0,
+            parse_errors: 0,
+            drivable_layers: None,
+            time: DriveTime::default(),
+            metrics: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn what_a_drive_does_not_have_is_null_in_its_row() {
+        let metric = MetricName::SpeedLimitCompliance;
+        let count = "number_of_violations_of_speed_limit_compliance";
+        let kept = Statistic::boolean(metric.as_str(), true);
+        let broken = vec![Statistic::count(count, 2), Statistic::boolean(metric.as_str(), false)];
+        let schema: Schema = broken.iter().map(|statistic| (statistic.name.clone(), statistic.kind)).collect();
+        let row = drive();
+        let rows =
+            [(&row, MetricResult::scored(metric, 1.0, vec![kept])), (&row, MetricResult::scored(metric, 0.5, broken))];
+        let columns: BTreeMap<String, Column> = columns(&schema, &rows).into_iter().collect();
+        assert_eq!(columns[&format!("{count}_stat_value")], Column::Integer(vec![None, Some(2)]));
+        assert_eq!(columns[&format!("{count}_stat_type")], Column::Text(vec![None, Some("COUNT".to_owned())]));
+        assert_eq!(columns["speed_limit_compliance_stat_value"], Column::Boolean(vec![Some(true), Some(false)]));
+    }
+}

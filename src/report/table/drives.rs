@@ -1,8 +1,9 @@
 //! The drives one by one: their metrics, what made scores 0, what failed.
 
-use super::{percent_or_dash, plain, short};
+use super::{fill, percent_or_dash, plain, short};
 use crate::metrics::{MetricList, MetricName};
 use crate::report::drive_row::DriveRow;
+use crate::report::number::fixed;
 use console::style;
 
 /// Head of the column of a metric.
@@ -61,19 +62,8 @@ fn cells(row: &DriveRow) -> Vec<String> {
 
 /// What the short heads mean.
 pub(super) fn legend(list: MetricList, width: u16) -> String {
-    let mut lines = vec![String::new()];
-    for &name in list.scored() {
-        let part = format!("{} = {name}", short_name(name));
-        let line = lines.last_mut().map_or(0, |line| line.chars().count());
-        if line > 0 && line + part.len() + 2 > usize::from(width) {
-            lines.push(part);
-        } else if let Some(last) = lines.last_mut() {
-            if !last.is_empty() {
-                last.push_str("  ");
-            }
-            last.push_str(&part);
-        }
-    }
+    let meanings = list.scored().iter().map(|&name| format!("{} = {name}", short_name(name)));
+    let mut lines = fill(meanings, usize::from(width));
     lines.push(
         match list {
             MetricList::ClosedLoop => "NR, R = replayed, reactive traffic  score = nuPlan's closed-loop score x 100",
@@ -106,5 +96,5 @@ pub fn failures(rows: &[DriveRow]) -> Vec<String> {
 }
 
 fn compact(value: f64) -> String {
-    if (value - value.round()).abs() < 1e-9 { format!("{value:.0}") } else { format!("{value:.2}") }
+    fixed(value, if (value - value.round()).abs() < 1e-9 { 0 } else { 2 })
 }

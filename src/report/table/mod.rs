@@ -4,6 +4,7 @@ mod drives;
 mod overview;
 
 use super::drive_row::DriveRow;
+use super::number::fixed;
 use super::summary::Summary;
 use super::timing::PlannerTiming;
 use crate::metrics::MetricList;
@@ -16,7 +17,8 @@ pub use drives::failures;
 /// number and a legend for each list of metrics, and what made scores 0.
 pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[DriveRow], width: u16) -> String {
     let lists = [MetricList::ClosedLoop, MetricList::OpenLoop];
-    let driven = lists.into_iter().filter(|list| rows.iter().any(|row| row.challenge.metric_list() == *list));
+    let scored = |list| rows.iter().any(|row| row.score.is_some() && row.challenge.metric_list() == list);
+    let driven = lists.into_iter().filter(|&list| scored(list));
     let mut parts = vec![overview::planners(summary, planners), overview::scenario_types(summary, width)];
     parts.extend(driven.flat_map(|list| [drives::drives(rows, list), drives::legend(list, width)]));
     parts.push(drives::zeroed(rows));
@@ -39,6 +41,21 @@ fn plain(header: &[String], rows: Vec<Vec<String>>, numbers: usize) -> String {
     table.lines().map(|line| line.trim_end().to_owned()).collect::<Vec<_>>().join("\n")
 }
 
+/// Words in lines of at most `width` columns, two spaces between words that share one. A longer word has a line of its own.
+pub fn fill(words: impl IntoIterator<Item = String>, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in words {
+        match lines.last_mut() {
+            Some(line) if console::measure_text_width(line) + 2 + console::measure_text_width(&word) <= width => {
+                line.push_str("  ");
+                line.push_str(&word);
+            }
+            _ => lines.push(word),
+        }
+    }
+    lines
+}
+
 /// Names of the challenges in tables, as papers write them.
 fn short(challenge: Challenge) -> &'static str {
     match challenge {
@@ -49,7 +66,7 @@ fn short(challenge: Challenge) -> &'static str {
 }
 
 fn percent(score: f64) -> String {
-    format!("{:.2}", score * 100.0)
+    fixed(score * 100.0, 2)
 }
 
 fn percent_or_dash(score: Option<f64>) -> String {

@@ -6,22 +6,28 @@ use crate::report::timing::PlannerTiming;
 use crate::simulation::Challenge;
 use console::style;
 
-/// A row a planner: its mean scores, what it takes for a step, how many drives it made.
+/// A row a planner: its mean scores, the mean time of a step and, where a planner calls a model, the median time of a call, how
+/// many drives it made. No quantile of a step: most steps of a planner with a model do not call it.
 pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
     let challenges = distinct(summary.aggregates.iter().map(|row| row.challenge));
     let head = ["planner"].into_iter().chain(challenges.iter().map(|&c| short(c)));
-    let header: Vec<String> = head.chain(["ms/step p50", "p95", "drives", "failed"]).map(str::to_owned).collect();
+    let calls = timings.iter().any(|timing| timing.planning_call_ms.is_some());
+    let call = calls.then_some("ms/call p50");
+    let header = head.chain(["ms/step"]).chain(call).chain(["drives", "failed"]);
+    let header: Vec<String> = header.map(str::to_owned).collect();
     let planners = distinct(summary.aggregates.iter().map(|row| row.planner.as_str()));
     let rows = planners.into_iter().map(|planner| {
         let own = || summary.aggregates.iter().filter(|row| row.planner == planner);
         let score = |challenge| own().find(|row| row.challenge == challenge).and_then(|row| row.score);
-        let step = timings.iter().find(|timing| timing.planner == planner).and_then(|timing| timing.iteration_ms);
+        let timing = timings.iter().find(|timing| timing.planner == planner);
         let ms = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), milliseconds);
         let drives: usize = own().map(|row| row.scenarios + row.failed).sum();
         let failed: usize = own().map(|row| row.failed).sum();
         let scores = challenges.iter().map(|&challenge| percent_or_dash(score(challenge)));
-        let counts = [ms(step.map(|q| q.p50)), ms(step.map(|q| q.p95)), drives.to_string(), failed.to_string()];
-        [planner.to_owned()].into_iter().chain(scores).chain(counts).collect()
+        let step = ms(timing.and_then(|timing| timing.mean_iteration_ms));
+        let call = calls.then(|| ms(timing.and_then(|timing| timing.planning_call_ms).map(|call| call.p50)));
+        let counts = [drives.to_string(), failed.to_string()];
+        [planner.to_owned()].into_iter().chain(scores).chain([step]).chain(call).chain(counts).collect()
     });
     plain(&header, rows.collect(), 1)
 }
@@ -87,6 +93,7 @@ fn block(rows: &[Aggregate], types: &[&str], planners: &[&str], challenges: &[Ch
 mod tests {
     use super::*;
     use crate::report::timing::Quantiles;
+    use std::slice;
 
     const CHALLENGES: [Challenge; 2] = Challenge::CLOSED_LOOP;
 
@@ -122,13 +129,31 @@ mod tests {
 
     #[test]
     fn a_planner_has_a_row_with_its_scores_and_its_time() {
-        let quantiles = Some(Quantiles { p50: 0.8, p95: 12.34 });
-        let timing = PlannerTiming { planner: "idm".to_owned(), iterations: 298, iteration_ms: quantiles };
-        let text = planners(&summary(&["idm", "pdm-closed"]), &[timing]);
+        let idm = timing("idm", 0.25, None);
+        let text = planners(&summary(&["idm", "pdm-closed"]), slice::from_ref(&idm));
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "p50", "p95", "drives", "failed"]);
-        assert_eq!(words(lines[1]), ["idm", "90.00", "80.00", "0.80", "12.3", "20", "0"]);
-        assert_eq!(words(lines[2]), ["pdm-closed", "90.00", "80.00", "-", "-", "20", "0"]);
+        assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "drives", "failed"]);
+        assert_eq!(words(lines[1]), ["idm", "90.00", "80.00", "0.25", "20", "0"]);
+        assert_eq!(words(lines[2]), ["pdm-closed", "90.00", "80.00", "-", "20", "0"]);
+
+        let agent = timing("plan-agent", 2.341, Some(Quantiles { p50: 34.12, p95: 90.0 }));
+        let text = planners(&summary(&["plan-agent", "idm"]), &[agent, idm]);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "ms/call", "p50", "drives", "failed"]);
+        assert_eq!(words(lines[1]), ["plan-agent", "90.00", "80.00", "2.34", "34.1", "20", "0"]);
+        assert_eq!(words(lines[2]), ["idm", "90.00", "80.00", "0.25", "-", "20", "0"]);
+        assert!(lines.iter().all(|line| line.chars().count() <= 80), "{text}");
+    }
+
+    fn timing(planner: &str, mean_ms: f64, call: Option<Quantiles>) -> PlannerTiming {
+        PlannerTiming {
+            planner: planner.to_owned(),
+            iterations: 298,
+            mean_iteration_ms: Some(mean_ms),
+            iteration_ms: Some(Quantiles { p50: mean_ms / 2.0, p95: mean_ms * 2.0 }),
+            planning_calls: call.map_or(0, |_| 16),
+            planning_call_ms: call,
+        }
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::geometry::{Pose, Vector};
 use crate::scenario::recording::motion::slope;
 use crate::scenario::recording::route::route;
 use crate::scenario::recording::window::{step_times, window};
-use crate::scenario::{FUTURE_FRAMES, Frame, Scenario};
+use crate::scenario::{FUTURE_FRAMES, Frame, Scenario, UNKNOWN_TYPE};
 use crate::world::{EgoState, LaneMap, Route, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
@@ -42,7 +42,7 @@ impl Drive {
         Ok(Scenario {
             log_name: self.id.clone(),
             id: self.id,
-            scenario_type: "unknown".to_owned(),
+            scenario_type: UNKNOWN_TYPE.to_owned(),
             map: Arc::new(self.map),
             route,
             frames: frames.collect(),

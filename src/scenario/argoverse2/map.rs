@@ -68,9 +68,14 @@ pub(super) fn lane_map(file: &MapFile, city: &str, origin: Vector) -> Result<Lan
     Ok(map::lane_map(layers)?)
 }
 
-/// Lane segments of a map, bike lanes included.
+/// How many lanes the map of a file has: those for motor vehicles that have a length.
 pub(super) fn lane_count(file: &MapFile) -> usize {
-    file.lane_segments.len()
+    let lanes = file.lane_segments.values().filter(|segment| {
+        let origin =
+            segment.left_lane_boundary.first().map_or_else(Vector::zeros, |first| Vector::new(first.x, first.y));
+        segment.lane_type != LaneType::Bike && centerline(segment, origin).is_ok_and(|line| line.is_some())
+    });
+    lanes.count()
 }
 
 /// The lane segments for motor vehicles, in order of id.

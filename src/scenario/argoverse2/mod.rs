@@ -47,7 +47,7 @@ pub struct Summary {
     pub iterations: usize,
     /// Recorded objects; the recording car is one where the file lists it.
     pub tracks: usize,
-    /// Lane segments, bike lanes included.
+    /// Lanes for motor vehicles, lane connectors included: as many as the map of the opened scenario has.
     pub lanes: usize,
 }
 

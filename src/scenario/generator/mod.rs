@@ -74,7 +74,7 @@ pub enum GeneratorError {
 }
 
 impl Spec {
-    /// Name of the log of the scenario.
+    /// Name of the log that the drive counts as cut from: that of its seed.
     pub fn log_name(&self) -> String {
         format!("{SOURCE}-{}", self.seed)
     }

@@ -13,7 +13,7 @@ use super::tracks::{ego_states, first_position, objects_at};
 use crate::geometry::{Pose, Vector};
 use crate::scenario::recording::route::route;
 use crate::scenario::recording::window::{step_times, window};
-use crate::scenario::{FUTURE_FRAMES, Frame, Scenario};
+use crate::scenario::{FUTURE_FRAMES, Frame, Scenario, UNKNOWN_TYPE};
 use crate::world::Route;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -48,7 +48,7 @@ pub(super) fn scenario(recording: &proto::Scenario, log_name: &str) -> Result<Sc
     let route = Route { roadblocks: route(&map, &centers), goal: egos.last().map(|ego| ego.rear_axle) };
     Ok(Scenario {
         id: recording.scenario_id.clone(),
-        scenario_type: "unknown".to_owned(),
+        scenario_type: UNKNOWN_TYPE.to_owned(),
         log_name: log_name.to_owned(),
         map,
         route,

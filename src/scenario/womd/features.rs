@@ -106,6 +106,19 @@ impl MapFeatures {
     }
 }
 
+/// How many lanes the map of these features has: those for motor vehicles that have a length.
+pub(super) fn lane_count(features: &[MapFeature]) -> usize {
+    let lanes = features.iter().filter(|feature| match &feature.feature_data {
+        Some(FeatureData::Lane(lane)) if lane.r#type != LaneType::BikeLane as i32 => {
+            let places = places_of(&lane.polyline);
+            let origin = places.first().map_or_else(Vector::zeros, |place| place.coords.xy());
+            Trace::of(feature.id, &places, origin).is_ok_and(|trace| trace.is_some())
+        }
+        _ => false,
+    });
+    lanes.count()
+}
+
 /// The places of a line or outline.
 fn places_of(points: &[MapPoint]) -> Vec<Place> {
     points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect()

@@ -30,6 +30,7 @@ pub use tfrecord::{FramingFault, Record, Records, TfRecordError};
 
 use super::Scenario;
 use super::recording::window::window;
+use features::lane_count;
 use prost::Message;
 use std::fmt;
 use std::fs::File;
@@ -67,7 +68,7 @@ pub struct Summary {
     pub iterations: usize,
     /// Recorded objects, the recording car included.
     pub tracks: usize,
-    /// Lanes, bike lanes included.
+    /// Lanes for motor vehicles, lane connectors included: as many as the map of the opened scenario has.
     pub lanes: usize,
 }
 
@@ -117,7 +118,7 @@ pub fn summaries(path: &Path) -> Result<impl Iterator<Item = Result<Summary, Wom
     Ok(messages(path)?.map(|message| message.map(|message| message.summary())))
 }
 
-/// Name of the log of a file's recordings: that of the file, without the ending.
+/// The name of the log that a file counts as: its own.
 pub fn log_name(path: &Path) -> String {
     path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
 }
@@ -142,8 +143,6 @@ impl Decoded {
     }
 
     fn summary(&self) -> Summary {
-        let lanes = self.recording.map_features.iter();
-        let lanes = lanes.filter(|f| matches!(f.feature_data, Some(proto::FeatureData::Lane(_)))).count();
         let seconds = &self.recording.timestamps_seconds;
         let first = seconds.first().copied().unwrap_or(0.0);
         let times_us: Vec<i64> =
@@ -154,7 +153,7 @@ impl Decoded {
             steps: seconds.len(),
             iterations: window(&times_us).len(),
             tracks: self.recording.tracks.len(),
-            lanes,
+            lanes: lane_count(&self.recording.map_features),
         }
     }
 }

@@ -1,5 +1,9 @@
 //! The program as its user runs it: output, exit codes, files.
 
+mod columns;
+mod open_loop;
+mod scenarios;
+
 use assert_cmd::Command;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -98,6 +102,7 @@ fn a_run_leaves_what_the_readme_says() {
     let (code, stdout, stderr) = run(&["simulate", "--scenario", SCENE, "--out", out.to_str().unwrap()]);
     assert_eq!(code, 0, "{stderr}");
     assert!(stdout.contains("plan-agent") && stdout.contains("no_ego_at_fault_collisions"), "{stdout}");
+    assert!(stdout.contains("ms/step  ms/call p50  drives"), "{stdout}");
     assert!(stdout.lines().all(|line| line.chars().count() <= 80), "wider than 80 columns:\n{stdout}");
 
     let summary = read_json(&out.join("summary.json"));
@@ -147,7 +152,12 @@ fn a_run_leaves_what_the_readme_says() {
     let transcript = fs::read_to_string(drive.join("transcript.md")).unwrap();
     assert!(transcript.contains("Generate_IDM_Planner(") && transcript.contains("bev/020.png"), "{transcript}");
     assert!(image::open(drive.join("bev/020.png")).unwrap().width() > 16);
-    assert!(read_json(&out.join("timing.json"))["planning_call_ms"]["total"]["p50"].as_f64().unwrap() > 0.0);
+    let timing = read_json(&out.join("timing.json"));
+    assert!(timing["planning_call_ms"]["total"]["p50"].as_f64().unwrap() > 0.0);
+    let agent = &timing["planners"][0];
+    assert_eq!((&agent["planning_calls"], &agent["iterations"]), (&8.into(), &150.into()));
+    let [mean, call] = [&agent["mean_iteration_ms"], &agent["planning_call_ms"]["p50"]].map(Value::as_f64);
+    assert!(mean > Some(0.0) && mean < call, "{agent}");
     let config = fs::read_to_string(out.join("config.toml")).unwrap();
     assert!(config.contains("threshold = 0.75"), "{config}");
 
@@ -188,7 +198,7 @@ fn scenarios_are_listed_shown_and_generated() {
     let (code, stdout, _) = run(&["scenarios", "show", SCENE, "--json"]);
     assert_eq!(code, 0);
     let shown: Value = serde_json::from_str(&stdout).unwrap();
-    assert!(shown["map"]["lanes"].as_u64().unwrap() > 0 && !shown["route"].as_array().unwrap().is_empty());
+    assert!(shown["lanes"].as_u64().unwrap() > 0 && !shown["route"].as_array().unwrap().is_empty());
     let (code, stdout, _) = run(&["scenarios", "generate", "--type", "changing_lane", "--count", "2"]);
     assert_eq!((code, stdout.lines().count()), (0, 2), "{stdout}");
 }

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 ///
 /// # Errors
 /// When a scenario cannot be opened or does not fit the format, or the folder cannot be written; then nothing is left behind.
-pub(in crate::cli) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Result<Exit> {
+pub(super) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Result<Exit> {
     let data = arguments.data.data();
     let found = arguments.scenarios.iter().map(|word| ScenarioSource::find(word, &data));
     let sources: Vec<ScenarioSource> = found.collect::<Result<Vec<_>, _>>()?.concat();
@@ -35,7 +35,7 @@ fn nuplan(arguments: &ExportArguments, scenarios: &[Scenario], printer: Printer)
         ExportSettings { location: arguments.location.clone(), epsg: arguments.epsg, origin: Point::new(x, y) };
     let exported = write_scenarios(scenarios, &arguments.out, &settings)?;
     for log in &exported.logs {
-        printer.line(format!("{} {}  log {}  map {}", log.token, log.scenario, log.log, log.location));
+        printer.named(&log.log, &format!("token {}  map {}", log.token, log.location));
         if log.departures != Departures::default() {
             printer.note(format!("{}: {}", log.scenario, said_otherwise(&log.departures)));
         }

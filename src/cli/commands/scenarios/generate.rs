@@ -1,0 +1,42 @@
+//! `planagent scenarios generate`.
+
+use crate::cli::{Exit, Printer};
+use crate::scenario::generator::{ScenarioType, Spec, generate};
+use serde_json::json;
+
+/// Generates scenarios and tells how their expert drives.
+///
+/// # Errors
+/// When a type is unknown.
+pub(super) fn run(types: &[String], from: u64, count: u64, printer: Printer) -> anyhow::Result<Exit> {
+    let kinds = if types.is_empty() {
+        ScenarioType::ALL.to_vec()
+    } else {
+        types.iter().map(|name| name.parse()).collect::<Result<Vec<ScenarioType>, _>>()?
+    };
+    let mut failed = false;
+    for kind in kinds {
+        for seed in from..from.saturating_add(count) {
+            let spec = Spec { scenario_type: kind, seed };
+            match generate(&spec) {
+                Ok(scenario) => {
+                    let way: f64 = scenario
+                        .expert()
+                        .zip(scenario.expert().skip(1))
+                        .map(|(a, b)| a.rear_axle.distance(&b.rear_axle))
+                        .sum();
+                    let objects = scenario.frame(0).map_or(0, |frame| frame.objects.len());
+                    printer.named(&scenario.id, &format!("expert drives {way:6.1} m, {objects:>3} objects"));
+                    if printer.is_json() {
+                        printer.json(&json!({"id": scenario.id, "expert_m": way, "objects": objects}))?;
+                    }
+                }
+                Err(error) => {
+                    failed = true;
+                    printer.note(format!("failed: {spec}: {error}"));
+                }
+            }
+        }
+    }
+    Ok(if failed { Exit::SomeFailed } else { Exit::Success })
+}

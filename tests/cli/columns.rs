@@ -1,0 +1,75 @@
+//! What is printed reads well in a terminal of 80 columns.
+
+use super::{planagent, run};
+use tempfile::TempDir;
+
+/// Every command line that has a help of its own.
+const COMMANDS: [&str; 9] = [
+    "",
+    "simulate",
+    "plan",
+    "scenarios",
+    "scenarios list",
+    "scenarios show",
+    "scenarios generate",
+    "scenarios export",
+    "dataset",
+];
+/// The scenario type with the longest name.
+const LONGEST: &str = "starting_straight_traffic_light_intersection_traversal";
+
+/// Fails with the lines that are too wide.
+fn assert_narrow(what: &str, text: &str) {
+    let wide: Vec<&str> = text.lines().filter(|line| line.chars().count() > 80).collect();
+    assert!(wide.is_empty(), "{what}:\n{}", wide.join("\n"));
+}
+
+#[test]
+fn help_is_wrapped() {
+    for command in COMMANDS {
+        for help in ["-h", "--help"] {
+            for columns in ["80", "200"] {
+                let words = command.split_whitespace().chain([help]);
+                let output = planagent().args(words).env("COLUMNS", columns).output().unwrap();
+                let text = String::from_utf8(output.stdout).unwrap();
+                assert!(output.status.success() && text.contains("Usage:"), "{command}: {text}");
+                assert_narrow(command, &text);
+            }
+        }
+    }
+}
+
+#[test]
+fn lists_put_below_a_name_what_does_not_fit_beside_it() {
+    let work = TempDir::new().unwrap();
+    let out = work.path().join("exported");
+    let longest = format!("generated/{LONGEST}/0");
+    let commands: [&[&str]; 4] = [
+        &["scenarios", "list"],
+        &["scenarios", "list", "--split", "generated"],
+        &["scenarios", "generate", "--type", LONGEST],
+        &["scenarios", "export", "--format", "nuplan", "--out", out.to_str().unwrap(), &longest],
+    ];
+    for command in commands {
+        let (code, stdout, stderr) = run(command);
+        assert_eq!(code, 0, "{stderr}");
+        assert!(stdout.contains(LONGEST), "{stdout}");
+        assert_narrow(&command.join(" "), &stdout);
+    }
+    let (code, stdout, stderr) = run(&["scenarios", "list", out.join("data").to_str().unwrap()]);
+    assert_eq!(code, 0, "{stderr}");
+    // A path may be wider than any terminal; it is there to be copied.
+    let (names, details): (Vec<&str>, Vec<&str>) = stdout.lines().partition(|line| line.contains(".db#"));
+    assert_eq!(names.len(), 1, "{stdout}");
+    assert_eq!(details, [format!("  {LONGEST}")]);
+}
+
+#[test]
+fn a_scenario_is_shown_in_80_columns() {
+    for scenario in [format!("generated/{LONGEST}/0"), "generated/traversing_roundabout/1".to_owned()] {
+        let (code, stdout, stderr) = run(&["scenarios", "show", &scenario]);
+        assert_eq!(code, 0, "{stderr}");
+        assert!(stdout.contains("roadblocks:") && stdout.contains("of them connectors"), "{stdout}");
+        assert_narrow(&scenario, &stdout);
+    }
+}

@@ -1,0 +1,110 @@
+//! Scenarios as they are listed and shown, instants, pictures and numbers.
+
+use super::{SCENE, recordings, refused, run};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// The lines of JSON that a command prints.
+fn told(arguments: &[&str]) -> Vec<Value> {
+    let (code, stdout, stderr) = run(&[arguments, &["--json"]].concat());
+    assert_eq!(code, 0, "{stderr}");
+    stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// A recording of each kind; says so when they are missing.
+fn some_recordings() -> Vec<PathBuf> {
+    let Some(womd) = recordings() else { return Vec::new() };
+    let mut found = vec![womd.join("eb4b91b10ca94ff2.tfrecord")];
+    for kind in ["sensor", "motion_forecasting"] {
+        let folder = womd.parent().unwrap().join("argoverse2").join(kind);
+        match std::fs::read_dir(&folder) {
+            Ok(mut entries) => found.extend(entries.next().map(|entry| entry.unwrap().path())),
+            Err(_) => eprintln!("SKIPPED: no logs at {}", folder.display()),
+        }
+    }
+    found
+}
+
+#[test]
+fn list_and_show_tell_the_same_under_the_same_names() {
+    let check = |word: &str, opened: &[&str]| {
+        let listed = told(&["scenarios", "list", word]);
+        assert_eq!(listed.len(), 1, "{listed:?}");
+        let shown = &told(&["scenarios", "show", word])[0];
+        for field in ["id", "source", "scenario_type", "log_name"].iter().chain(opened) {
+            assert!(!shown[field].is_null(), "{field} in {shown}");
+            assert_eq!(listed[0][field], shown[field], "{field} of {word}");
+        }
+        for field in ["iterations", "lanes"] {
+            assert!(listed[0].get(field).is_some() && shown[field].as_u64().unwrap() > 0, "{field} of {word}");
+        }
+        assert!(shown["map"]["connectors"].as_u64() <= shown["lanes"].as_u64(), "{shown}");
+    };
+    check(SCENE, &[]);
+    for recording in some_recordings() {
+        check(recording.to_str().unwrap(), &["iterations", "lanes"]);
+    }
+}
+
+#[test]
+fn a_generated_scenario_is_listed_by_its_name() {
+    let (code, stdout, stderr) = run(&["scenarios", "list", SCENE]);
+    assert_eq!((code, stdout.trim_end()), (0, SCENE), "{stderr}");
+    let kind = refused(&["scenarios", "list", "generated/flying/1"]);
+    assert!(kind.contains("`flying` is not a scenario type"), "{kind}");
+    let form = refused(&["scenarios", "list", "generated/changing_lane"]);
+    assert!(form.contains("expected generated/<scenario type>/<seed>"), "{form}");
+    let nowhere = refused(&["scenarios", "list", "nowhere"]);
+    assert!(nowhere.contains("no file or folder nowhere"), "{nowhere}");
+}
+
+#[test]
+fn an_instant_outside_the_window_is_refused_with_the_window() {
+    for at in ["-1", "-0.2", "15.1", "1e300", "NaN"] {
+        for command in [&["plan", "--scenario", SCENE][..], &["scenarios", "show", SCENE]] {
+            let error = refused(&[command, &["--at", at]].concat());
+            assert!(error.contains("outside the window") && error.contains("from 0 to 15.0 s"), "{error}");
+        }
+    }
+    let view = refused(&["scenarios", "show", SCENE, "--view", "-5"]);
+    assert!(view.contains("between 8 and 1000 metres"), "{view}");
+}
+
+#[test]
+fn a_picture_has_the_format_of_its_ending() {
+    let work = TempDir::new().unwrap();
+    let format = |path: &Path| image::ImageReader::open(path).unwrap().with_guessed_format().unwrap().format();
+    for (name, written) in
+        [("a.png", image::ImageFormat::Png), ("b.jpg", image::ImageFormat::Jpeg), ("c.JPEG", image::ImageFormat::Jpeg)]
+    {
+        let path = work.path().join(name);
+        let (code, _, stderr) = run(&["scenarios", "show", SCENE, "--image", path.to_str().unwrap()]);
+        assert_eq!(code, 0, "{stderr}");
+        assert_eq!((format(&path), image::open(&path).unwrap().width()), (Some(written), 1024), "{name}");
+    }
+    for name in ["d.gif", "e.webp", "f"] {
+        let path = work.path().join(name);
+        for command in [&["plan", "--scenario", SCENE][..], &["scenarios", "show", SCENE]] {
+            let error = refused(&[command, &["--image", path.to_str().unwrap()]].concat());
+            assert!(error.contains(".png, .jpg or .jpeg") && error.contains(name), "{error}");
+        }
+        assert!(!path.exists());
+    }
+}
+
+#[test]
+fn no_zero_has_a_minus() {
+    for command in [&["plan", "--scenario", SCENE][..], &["scenarios", "show", SCENE, "--at", "-0.0"]] {
+        for form in [&[][..], &["--json"]] {
+            let (code, stdout, stderr) = run(&[command, form].concat());
+            assert_eq!(code, 0, "{stderr}");
+            let bounds = |c: char| !(c.is_ascii_digit() || matches!(c, '-' | '.' | 'e'));
+            let minus = stdout.split(bounds).find(|word| {
+                word.strip_prefix('-')
+                    .is_some_and(|rest| rest.contains('0') && rest.chars().all(|c| matches!(c, '0' | '.')))
+            });
+            assert_eq!(minus, None, "{stdout}");
+        }
+    }
+}
