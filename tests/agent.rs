@@ -2,23 +2,29 @@
 
 use planagent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent::mllm::{
-    Answer, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, ModelDescription, Opening, Request,
-    RoundTime, Sampling, TokenCounts,
+    Answer, ConstraintUse, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, ModelDescription,
+    Opening, Request, RoundTime, Sampling, TokenCounts,
 };
 use planagent::pdm::PdmMemory;
-use planagent::planner::{AfterMaxExec, Decision, PlanAgent, PlanAgentSettings, generated_planner};
-use planagent::reasoning::{PlannerCode, PromptSet, ReasoningSettings, Round};
+use planagent::planner::{
+    AfterMaxExec, Decision, NoPlan, PlanAgent, PlanAgentSettings, PlanningCall, generated_planner,
+};
+use planagent::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
 use planagent::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
 use planagent::scenario::{Scenario, generator};
 use planagent::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
 use planagent::world::{Route, Scene};
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 /// Answers the n-th question with the n-th answer, from the start again at the end; remembers the questions.
 struct Script {
     answers: Vec<&'static str>,
     asked: Mutex<Vec<String>>,
 }
+
+/// The answer of a script that is too slow for every deadline.
+const SLOW: &str = "(slow)";
 
 /// A conversation with a [`Script`].
 struct Scripted<'a>(&'a Script);
@@ -39,6 +45,7 @@ impl Mllm for Script {
             vocabulary: 0,
             context: 0,
             weights_blake3: String::new(),
+            server: None,
         }
     }
 
@@ -48,15 +55,20 @@ impl Mllm for Script {
 }
 
 impl Conversation for Scripted<'_> {
-    fn ask(&mut self, prompt: &str, _: &Request) -> Result<Answer, MllmError> {
+    fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError> {
         let mut asked = self.0.asked.lock().unwrap();
         let text = self.0.answers[asked.len() % self.0.answers.len()].to_owned();
         asked.push(prompt.to_owned());
+        if text == SLOW {
+            std::thread::sleep(request.deadline.left().expect("a slow answer needs a deadline"));
+            request.deadline.check()?;
+        }
         Ok(Answer {
             text,
             tokens: TokenCounts::default(),
             time: RoundTime::default(),
             finish: FinishReason::Complete,
+            constraint: ConstraintUse::Unconstrained,
             prompt_hash: String::new(),
         })
     }
@@ -81,6 +93,7 @@ fn settings(rounds: &[Round]) -> PlanAgentSettings {
             grammar: false,
         },
         interval: 20,
+        deadline: None,
         reflect: true,
         threshold: 0.75,
         max_exec: 3,
@@ -159,6 +172,55 @@ fn a_refused_planner_is_told_its_parts_and_the_last_one_drives() {
     assert_eq!(refused.decision, Decision::Exhausted(2));
     assert!(refused.attempts.iter().all(|a| a.reflection.as_ref().unwrap().verdict == Verdict::Rethink));
     assert!(asked.iter().any(|prompt| prompt.contains("progress 0.")), "{:?}", asked.last());
+}
+
+#[test]
+fn a_deadline_ends_the_call_with_the_planner_in_force() {
+    // A whole first call; in the second the instruction is too slow; in the third an attempt cannot be read, and thinking
+    // again is too slow; nothing is in time after that.
+    let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=3)";
+    let mut answers = vec!["A road.", "keep", code, "A road.", SLOW, "A road.", "keep", "drive on", SLOW];
+    answers.extend([SLOW; 5]);
+    let mut settings = settings(&Round::ALL);
+    settings.reflect = false;
+    settings.deadline = Some(Duration::from_millis(400));
+    let (agent, log, asked) = drive(&answers, settings, "generated/high_magnitude_speed/1");
+    assert_eq!((agent.calls().len(), asked.len()), (8, answers.len()));
+    assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
+    let ended = Decision::KeepInForce(NoPlan::Interrupted(Interruption::Deadline));
+    for call in &agent.calls()[1..] {
+        assert_eq!(call.decision, ended);
+        assert!(call.total_ms >= 400.0 && call.driving().is_none());
+    }
+    let attempts: Vec<Vec<usize>> =
+        agent.calls().iter().map(|call| call.attempts.iter().map(|attempt| attempt.rounds.len()).collect()).collect();
+    assert_eq!(attempts[..4], [vec![3], vec![1], vec![3], vec![]], "what was answered in time is recorded");
+    let errors: Vec<usize> = agent.calls()[..4].iter().map(PlanningCall::parse_errors).collect();
+    assert_eq!(errors, [0, 0, 1, 0], "what was not answered was not misunderstood");
+    assert!((log.samples.last().unwrap().ego.speed() - 8.0).abs() < 0.5, "the first planner drives to the end");
+}
+
+#[test]
+fn a_refused_planner_does_not_drive_because_time_is_up() {
+    let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=3)";
+    let mut settings = settings(&[Round::Code]);
+    settings.threshold = 1.5;
+    settings.deadline = Some(Duration::from_secs(2));
+    let (agent, _, _) = drive(&[code, SLOW], settings, "generated/high_magnitude_speed/1");
+    let call = &agent.calls()[0];
+    assert_eq!(call.decision, Decision::Brake(NoPlan::Interrupted(Interruption::Deadline)));
+    assert_eq!(call.attempts.len(), 1);
+    assert!(call.attempts[0].code.is_some() && agent.in_force().is_none());
+}
+
+#[test]
+fn without_a_planner_in_force_a_deadline_ends_in_a_stop() {
+    let mut settings = settings(&[Round::Code]);
+    settings.deadline = Some(Duration::from_millis(20));
+    let (agent, log, _) = drive(&[SLOW], settings, "generated/high_magnitude_speed/1");
+    let ended = Decision::Brake(NoPlan::Interrupted(Interruption::Deadline));
+    assert!(agent.calls().iter().all(|call| call.decision == ended));
+    assert!(log.samples.last().unwrap().ego.speed() < 0.3);
 }
 
 /// A planner of the ego's lane at the start of a scene.

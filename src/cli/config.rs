@@ -9,6 +9,7 @@ use crate::reflection::LeadPolicy;
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Everything that can be configured. The file `planagent.toml` at the root of the project shows every key with its default.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -18,6 +19,8 @@ pub struct Config {
     pub seed: u64,
     /// The language model.
     pub mllm: MllmConfig,
+    /// A planning call as a whole.
+    pub agent: AgentConfig,
     /// What the model is shown.
     pub environment: EnvironmentConfig,
     /// How it is asked.
@@ -30,9 +33,9 @@ pub struct Config {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MllmConfig {
-    /// Name of a `models/NAME.toml`, a folder in Hugging Face's layout, or a hub id `org/name`.
+    /// Name of a `models/NAME.toml` or the path of such a file, a folder in Hugging Face's layout, or a hub id `org/name`.
     pub model: String,
-    /// Never use the network: a hub id must be in the cache.
+    /// Never use the network: a hub id must be in the cache, a server on this machine.
     pub offline: bool,
 }
 
@@ -40,6 +43,14 @@ impl Default for MllmConfig {
     fn default() -> Self {
         Self { model: "nano".to_owned(), offline: false }
     }
+}
+
+/// Section `agent`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AgentConfig {
+    /// Milliseconds after which a planning call ends with the planner in force; none lets it think to the end.
+    pub deadline_ms: Option<u64>,
 }
 
 /// Section `environment`.
@@ -138,7 +149,7 @@ impl Config {
 
     /// What the agent needs of it, for a model with these generation settings.
     pub fn agent_settings(&self, generation: GenerationSettings) -> PlanAgentSettings {
-        let Self { seed, environment, reasoning, reflection, .. } = self;
+        let Self { seed, agent, environment, reasoning, reflection, .. } = self;
         let rethink_sampling = if reasoning.rethink_temperature > 0.0 {
             Sampling::Sample { temperature: reasoning.rethink_temperature, top_p: 1.0 }
         } else {
@@ -155,6 +166,7 @@ impl Config {
                 grammar: reasoning.grammar,
             },
             interval: reasoning.interval,
+            deadline: agent.deadline_ms.map(Duration::from_millis),
             reflect: reflection.enabled,
             threshold: reflection.threshold,
             max_exec: reflection.max_exec,
@@ -178,6 +190,9 @@ impl Config {
             bail!("{key} is {value:e}; it must lie in {} to {}", range.start(), range.end())
         };
         let Self { environment, reasoning, reflection, .. } = self;
+        if self.agent.deadline_ms == Some(0) {
+            bail!("agent.deadline_ms is 0; it must be at least 1, or absent for no deadline");
+        }
         within("environment.view_m", environment.view_m, BevView::MIN_METRES..=BevView::MAX_METRES)?;
         within("environment.node_length_m", environment.node_length_m, MIN_NODE_LENGTH..=MAX_NODE_LENGTH)?;
         within("reflection.horizon_s", reflection.horizon_s, 1.0..=8.0)?;

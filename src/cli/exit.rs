@@ -7,7 +7,7 @@ use std::process::ExitCode;
 pub enum Exit {
     /// Everything asked for was done.
     Success,
-    /// The run ended, but some scenario failed; its error is recorded.
+    /// The run ended, but some scenario or planning call failed; its error is recorded.
     SomeFailed,
     /// The input, the configuration or the environment does not allow it.
     Error,

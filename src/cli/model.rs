@@ -2,7 +2,7 @@
 
 use super::{Config, Printer};
 use crate::experiment::run::AgentParts;
-use crate::mllm::{HubAccess, Mllm, ModelRegistry, PromptSet as PromptSetName};
+use crate::mllm::{HubAccess, Mllm, ModelDescription, ModelRegistry, PromptSet as PromptSetName};
 use crate::reasoning::PromptSet;
 use anyhow::Context;
 use std::path::PathBuf;
@@ -39,15 +39,22 @@ pub(crate) fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> 
     let model: Arc<dyn Mllm> =
         Arc::from(registry.open(&spec).with_context(|| format!("cannot load the model '{}'", spec.name))?);
     let load_s = started.elapsed().as_secs_f64();
-    let about = model.describe();
-    printer.note(format!(
-        "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
-        about.name,
-        about.parameters / 1_000_000,
-        about.dtype,
-        about.image_tokens
-    ));
+    printer.note(in_words(&model.describe(), load_s));
     Ok(Loaded { parts: AgentParts { model, prompts, settings: config.agent_settings(spec.generation) }, load_s })
+}
+
+/// What a model is, for the reader of stderr.
+fn in_words(about: &ModelDescription, load_s: f64) -> String {
+    match &about.server {
+        Some(server) => format!("model {}: {} at {}", about.name, server.model, server.endpoint),
+        None => format!(
+            "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
+            about.name,
+            about.parameters / 1_000_000,
+            about.dtype,
+            about.image_tokens
+        ),
+    }
 }
 
 /// `$PLANAGENT_MODELS`, else `models` in the working directory, else beside the program or the package being run.

@@ -3,11 +3,12 @@
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
-use super::MllmError;
+use super::{Deadline, MllmError};
 
 /// A multimodal language model that can be talked to.
 ///
-/// Backends: [`LocalModel`](super::LocalModel) computes the answers in this process, [`Replay`](super::Replay) gives recorded ones.
+/// Backends: [`LocalModel`](super::LocalModel) computes the answers in this process, [`Endpoint`](super::Endpoint) asks a
+/// server, [`Replay`](super::Replay) gives recorded ones.
 pub trait Mllm: Send + Sync {
     /// The name under which results are reported.
     fn name(&self) -> &str;
@@ -15,7 +16,8 @@ pub trait Mllm: Send + Sync {
     /// What the model is: size, number format, context, identity of its weights.
     fn describe(&self) -> ModelDescription;
 
-    /// Opens a conversation. The same opening, seed and requests give the same answers at any thread count.
+    /// Opens a conversation. The same opening, seed and requests give the same answers at any thread count, unless a
+    /// deadline cuts one short; an endpoint promises as much as its server does.
     ///
     /// # Errors
     /// When the opening cannot be rendered by the model's chat template or its image cannot be used.
@@ -27,7 +29,8 @@ pub trait Conversation: Send {
     /// Appends a user turn and generates the assistant's. After an error the conversation is as it was before.
     ///
     /// # Errors
-    /// When the constraint does not compile, the prompt does not fit into the context, or the model computes NaN.
+    /// When the constraint does not compile, the prompt does not fit into the context, the model computes NaN, a server
+    /// fails, or the request's deadline passes.
     fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError>;
 
     /// Remembers this point of the conversation.
@@ -95,10 +98,13 @@ pub struct Request {
     pub max_new_tokens: usize,
     /// How free tokens are chosen.
     pub sampling: Sampling,
+    /// When the answer must be there. Models here look at it between tokens and between chunks of the prompt; for an
+    /// endpoint it bounds the wait.
+    pub deadline: Deadline,
 }
 
 /// What an answer must look like. A constrained answer always matches, unless `max_new_tokens` cuts it short, which
-/// [`Answer::finish`] says.
+/// [`Answer::finish`] says, or a server did not keep to it, which [`Answer::constraint`] says.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Constraint {
     /// Any text, until the model ends it.
@@ -107,8 +113,26 @@ pub enum Constraint {
     Choice(Vec<String>),
     /// A text that matches this regular expression as a whole (syntax of the `regex` crate, no look-around).
     Regex(String),
+    /// These one after the other; free text and Lark cannot be among them.
+    Sequence(Vec<Constraint>),
     /// A text of this grammar in llguidance's dialect of Lark, whose start rule is `start`.
     Lark(String),
+}
+
+/// What became of a request's constraint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ConstraintUse {
+    /// None was asked for.
+    Unconstrained,
+    /// The answer was decoded under it in this process.
+    Enforced,
+    /// It was sent to a server, and the answer is as it says.
+    Kept,
+    /// It was sent to a server, but the answer is not as it says: it was cut short, or the server ignored it.
+    Broken,
+    /// It was not sent, since the endpoint's description says `grammar = "none"`.
+    NotOffered,
 }
 
 /// How free tokens are chosen from the model's distribution.
@@ -137,11 +161,16 @@ pub struct Answer {
     pub time: RoundTime,
     /// Why the answer ends where it ends.
     pub finish: FinishReason,
+    /// What became of the constraint.
+    pub constraint: ConstraintUse,
     /// [`prompt_hash`] of the chat that was answered.
     pub prompt_hash: String,
 }
 
 /// Tokens of one round. The prompt has `text + image + cached` tokens, the answer `forced + free`.
+///
+/// An endpoint tells what its server counts: image tokens stand under `text`, forced ones under `free`, and all is zero
+/// where the server says nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct TokenCounts {
     /// Text tokens of the prompt that were computed in this round.
@@ -156,7 +185,7 @@ pub struct TokenCounts {
     pub free: usize,
 }
 
-/// Wall time of one round, milliseconds.
+/// Wall time of one round, milliseconds. Parts that a backend cannot tell are zero.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct RoundTime {
     /// Preprocessing the image, vision tower and projector; zero when the features were known.
@@ -167,6 +196,9 @@ pub struct RoundTime {
     pub first_token: f64,
     /// Everything after the prefill.
     pub decode: f64,
+    /// Waiting for a server, retries included; how it spent the time is not known.
+    #[serde(default)]
+    pub remote: f64,
     /// The whole round, chat template and tokenizer included.
     pub total: f64,
 }
@@ -194,7 +226,7 @@ pub struct Mark(pub(super) usize);
 pub struct ModelDescription {
     /// The name under which results are reported.
     pub name: String,
-    /// Kind of model (`llava`, `llava-next`, `cogvlm`, `replay`).
+    /// Kind of model (`llava`, `llava-next`, `cogvlm`, `endpoint`, `replay`).
     pub architecture: String,
     /// Number of weights.
     pub parameters: u64,
@@ -210,4 +242,16 @@ pub struct ModelDescription {
     pub context: usize,
     /// BLAKE3 of the weight files in the order of their names, hexadecimal; empty if there are none.
     pub weights_blake3: String,
+    /// The server that answers, of an endpoint; of such a model neither size nor weights are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub server: Option<Server>,
+}
+
+/// Who answers for an endpoint.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Server {
+    /// Its address.
+    pub endpoint: String,
+    /// The model, as the server calls it.
+    pub model: String,
 }

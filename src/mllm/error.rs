@@ -221,7 +221,96 @@ pub enum MllmError {
         /// What the hub client said.
         problem: String,
     },
+    /// The planning call's deadline passed before the answer was there.
+    #[error("the deadline of the planning call passed (agent.deadline_ms)")]
+    Deadline,
+    /// The environment variable that an endpoint's description names for its key cannot be used.
+    #[error("the key of the endpoint is read from ${variable}, which {problem}")]
+    Key {
+        /// The variable.
+        variable: String,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// A server must not be asked.
+    #[error("{endpoint} is asked over the network, which mllm.offline forbids")]
+    Offline {
+        /// Its address.
+        endpoint: String,
+    },
+    /// There are no files of a model, since a server computes it.
+    #[error("there are no files of {name:?}: {endpoint} computes it")]
+    NoFiles {
+        /// The model.
+        name: String,
+        /// The server's address.
+        endpoint: String,
+    },
+    /// A server did not answer, or nonsense.
+    #[error("{endpoint}: {failure}")]
+    Endpoint {
+        /// Its address.
+        endpoint: String,
+        /// What happened.
+        failure: EndpointFailure,
+    },
     /// A tensor operation failed.
     #[error("tensor operation failed: {0}")]
     Tensor(#[from] candle_core::Error),
+}
+
+impl MllmError {
+    /// Whether the next planning call may well succeed: the deadline passed, or a server failed in a way that can pass.
+    /// Such an error ends its planning call; any other ends the drive.
+    pub fn is_passing(&self) -> bool {
+        match self {
+            Self::Deadline => true,
+            Self::Endpoint { failure, .. } => !matches!(failure, EndpointFailure::Refused { .. }),
+            _ => false,
+        }
+    }
+}
+
+/// What a server did instead of answering. No text of it holds the key.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum EndpointFailure {
+    /// No connection could be made.
+    #[error("cannot connect: {0}")]
+    Connect(String),
+    /// The answer was not complete within the time limit.
+    #[error("no complete answer within {0:.1?} (timeout_ms of the model's description)")]
+    Timeout(std::time::Duration),
+    /// The connection ended before the answer did.
+    #[error("the connection was closed before the answer was complete: {0}")]
+    Closed(String),
+    /// It is too busy (429) or failed (5xx).
+    #[error("status {status}: {message}")]
+    Unavailable {
+        /// HTTP status.
+        status: u16,
+        /// What the server says.
+        message: String,
+    },
+    /// It asks to wait longer than a request may take.
+    #[error("status {status}: it asks to wait {seconds} s (Retry-After), longer than a request may take")]
+    Wait {
+        /// HTTP status.
+        status: u16,
+        /// What it asks for, seconds.
+        seconds: u64,
+    },
+    /// It refuses such requests: a wrong key, an unknown model or address, a field that it does not know.
+    #[error("status {status}: {message}")]
+    Refused {
+        /// HTTP status.
+        status: u16,
+        /// What the server says.
+        message: String,
+    },
+    /// It answered what is no chat completion.
+    #[error("the answer is no chat completion: {0}")]
+    Nonsense(String),
+    /// It answers without end.
+    #[error("the answer is longer than {0} bytes")]
+    TooLong(u64),
 }

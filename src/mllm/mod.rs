@@ -1,8 +1,8 @@
-//! Multimodal language models, run in this process on the CPU.
+//! Multimodal language models, run in this process on the CPU, or asked over HTTP.
 //!
 //! A model is a [`Mllm`]; a planning call opens a [`Conversation`] with it and asks round after round. [`LocalModel`] opens
-//! a Hugging Face folder as it is, of any [`Architecture`]; [`Replay`] answers from a recording. [`ModelRegistry`] finds a
-//! model by name, folder or hub id.
+//! a Hugging Face folder as it is, of any [`Architecture`]; [`Endpoint`] asks a server with OpenAI's interface; [`Replay`]
+//! answers from a recording. [`ModelRegistry`] finds a model by name, folder or hub id.
 //!
 //! A family of models is a folder: `llava`, `llava_next`, `cogvlm`, each with its configuration, preprocessing, vision
 //! tower, connector and language model as far as it does not share them (`vision`, `decoder`). `local` runs whatever
@@ -11,7 +11,9 @@
 mod checkpoint;
 mod cogvlm;
 mod conversation;
+mod deadline;
 mod decoder;
+mod endpoint;
 mod error;
 mod layer_norm;
 mod linear;
@@ -25,10 +27,12 @@ mod text;
 mod vision;
 
 pub use conversation::{
-    Answer, Constraint, Conversation, FinishReason, Mark, Mllm, ModelDescription, Opening, Request, RoundTime,
-    Sampling, TokenCounts, Turn, prompt_hash,
+    Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription, Opening, Request,
+    RoundTime, Sampling, Server, TokenCounts, Turn, prompt_hash,
 };
-pub use error::MllmError;
+pub use deadline::Deadline;
+pub use endpoint::{Endpoint, EndpointSettings, GrammarField, LimitField};
+pub use error::{EndpointFailure, MllmError};
 pub use local::{Architecture, LocalModel};
 pub use registry::{
     GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec, PromptSet, RoundTokens,

@@ -7,8 +7,8 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Answer, Conversation, FinishReason, Mark, Mllm, MllmError, ModelDescription, Opening, Request, RoundTime,
-    TokenCounts, Turn, prompt_hash,
+    Answer, ConstraintUse, Conversation, FinishReason, Mark, Mllm, MllmError, ModelDescription, Opening, Request,
+    RoundTime, TokenCounts, Turn, prompt_hash,
 };
 
 /// One recorded answer.
@@ -28,6 +28,8 @@ pub struct RecordedAnswer {
     pub text: String,
     /// Why it ended.
     pub finish: FinishReason,
+    /// What became of its constraint.
+    pub constraint: ConstraintUse,
     /// What it cost in tokens.
     pub tokens: TokenCounts,
 }
@@ -74,6 +76,7 @@ impl Mllm for Replay {
             vocabulary: 0,
             context: 0,
             weights_blake3: String::new(),
+            server: None,
         }
     }
 
@@ -138,6 +141,7 @@ impl Conversation for ReplayConversation<'_> {
             tokens: recorded.tokens,
             time: RoundTime { total: start.elapsed().as_secs_f64() * 1e3, ..RoundTime::default() },
             finish: recorded.finish,
+            constraint: recorded.constraint,
             prompt_hash: hash,
         })
     }
@@ -154,9 +158,14 @@ impl Conversation for ReplayConversation<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::{Constraint, Sampling};
+    use crate::mllm::{Constraint, Deadline, Sampling};
 
-    const REQUEST: Request = Request { constraint: Constraint::Free, max_new_tokens: 1, sampling: Sampling::Greedy };
+    const REQUEST: Request = Request {
+        constraint: Constraint::Free,
+        max_new_tokens: 1,
+        sampling: Sampling::Greedy,
+        deadline: Deadline::NONE,
+    };
 
     fn recorded(call: usize, attempt: usize, round: usize, turns: &[Turn], prompt: &str) -> RecordedAnswer {
         RecordedAnswer {
@@ -167,6 +176,7 @@ mod tests {
             image_hash: None,
             text: format!("answer {call}.{attempt}.{round}"),
             finish: FinishReason::EndOfSequence,
+            constraint: ConstraintUse::Unconstrained,
             tokens: TokenCounts { free: 3, ..TokenCounts::default() },
         }
     }

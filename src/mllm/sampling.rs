@@ -14,26 +14,41 @@ pub(crate) enum Sampler {
     Draw(Box<LogitsProcessor>),
 }
 
+impl Sampling {
+    /// Refuses what cannot be sampled by.
+    ///
+    /// # Errors
+    /// When temperature or nucleus is out of range.
+    pub(crate) fn check(self) -> Result<(), MllmError> {
+        match self {
+            Self::Sample { temperature, top_p }
+                if !(temperature.is_finite() && temperature > 0.0 && top_p > 0.0 && top_p <= 1.0) =>
+            {
+                Err(MllmError::Request {
+                    problem: format!(
+                        "sampling needs a temperature above 0 and top_p in (0, 1], found {temperature} and {top_p}"
+                    ),
+                })
+            }
+            Self::Greedy | Self::Sample { .. } => Ok(()),
+        }
+    }
+}
+
 impl Sampler {
     /// The sampler of a request.
     ///
     /// # Errors
     /// When its temperature or nucleus is out of range.
     pub(crate) fn new(sampling: Sampling, seed: u64) -> Result<Self, MllmError> {
-        match sampling {
-            Sampling::Greedy => Ok(Self::Greedy),
-            Sampling::Sample { temperature, top_p }
-                if temperature.is_finite() && temperature > 0.0 && top_p > 0.0 && top_p <= 1.0 =>
-            {
+        sampling.check()?;
+        Ok(match sampling {
+            Sampling::Greedy => Self::Greedy,
+            Sampling::Sample { temperature, top_p } => {
                 let draw = Draw::TopP { p: top_p, temperature };
-                Ok(Self::Draw(Box::new(LogitsProcessor::from_sampling(seed, draw))))
+                Self::Draw(Box::new(LogitsProcessor::from_sampling(seed, draw)))
             }
-            Sampling::Sample { temperature, top_p } => Err(MllmError::Request {
-                problem: format!(
-                    "sampling needs a temperature above 0 and top_p in (0, 1], found {temperature} and {top_p}"
-                ),
-            }),
-        }
+        })
     }
 
     /// Chooses among the allowed tokens, never `banned`. `position` is the position in the chat that the logits were

@@ -11,7 +11,7 @@ pub use idm::IdmPlanner;
 pub use log_replay::LogReplay;
 pub use pdm_closed::PdmClosed;
 pub use plan_agent::{AfterMaxExec, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, generated_planner, names};
-pub use record::{Attempt, Decision, PlanningCall};
+pub use record::{Attempt, Decision, NoPlan, PlanningCall};
 pub use simple::SimplePlanner;
 
 use crate::world::{LaneMap, Route, Scene, Trajectory, TrajectoryError};

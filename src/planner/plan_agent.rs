@@ -1,20 +1,21 @@
 //! The agent of the paper: every 20 iterations it looks, thinks, writes a planner and reflects on it; in between the planner
 //! in force drives.
 
-use super::record::{Attempt, Decision, PlanningCall};
+use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
-use crate::mllm::{Mllm, Opening};
+use crate::mllm::{Deadline, Mllm, Opening};
 use crate::pdm::PdmMemory;
 use crate::reasoning::{
-    Feedback, Names, ParseError, PlannerCode, PromptSet, Reasoning, ReasoningSettings, ScenarioPrompt, Thought,
+    Feedback, Interruption, Names, ParseError, PlannerCode, PromptSet, Reasoning, ReasoningSettings, ScenarioPrompt,
+    Thought,
 };
 use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, needs_emergency_brake};
 use crate::world::{STEP_S, Scene, Trajectory};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Name of the planner in results.
 pub const NAME: &str = "plan-agent";
@@ -47,6 +48,9 @@ pub struct PlanAgentSettings {
     pub reasoning: ReasoningSettings,
     /// Iterations between planning calls.
     pub interval: usize,
+    /// Time after which a planning call ends with the planner in force; `None` lets it think to the end. What was drawn
+    /// and what is being judged is done to the end all the same.
+    pub deadline: Option<Duration>,
     /// Whether planners are judged.
     pub reflect: bool,
     /// λ.
@@ -76,6 +80,14 @@ pub struct PlanAgent {
     calls: Vec<PlanningCall>,
 }
 
+/// What came of the attempts of a planning call; the n-th planner belongs to the n-th attempt.
+#[derive(Default)]
+struct Thinking {
+    attempts: Vec<Attempt>,
+    planners: Vec<Option<GeneratedPlanner>>,
+    interruption: Option<Interruption>,
+}
+
 impl PlanAgent {
     /// An agent that thinks with this model.
     pub fn new(model: Arc<dyn Mllm>, prompts: Arc<PromptSet>, settings: PlanAgentSettings) -> Self {
@@ -100,24 +112,22 @@ impl PlanAgent {
     /// One planning call: everything from the scene to the planner that drives from now on.
     fn call(&mut self, iteration: usize, scene: &Scene<'_>) -> Result<(), PlannerError> {
         let started = Instant::now();
+        let deadline = self.settings.deadline.map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
         let graph = match LaneGraph::build(scene, self.settings.node_length_m) {
             Ok(graph) => graph,
             Err(error) => {
-                let decision = match &self.in_force {
-                    Some(_) => Decision::KeepInForce(error.to_string()),
-                    None => Decision::Brake(error.to_string()),
-                };
+                let decision = self.without_plan(NoPlan::NoLaneGraph(error.to_string()));
                 self.calls.push(PlanningCall::without_attempts(iteration, decision, milliseconds(started)));
                 return Ok(());
             }
         };
         let scenario = self.look(scene, &graph)?;
         let environment_ms = milliseconds(started);
-        let (attempts, planners) = self.think(iteration, scene, &graph, &scenario)?;
-        let decision = self.decide(&attempts, &planners);
+        let thinking = self.think(iteration, scene, &graph, &scenario, deadline)?;
+        let decision = self.decide(&thinking);
         match decision {
             Decision::Execute(index) | Decision::Exhausted(index) => {
-                self.in_force = planners.into_iter().nth(index).flatten();
+                self.in_force = thinking.planners.into_iter().nth(index).flatten();
             }
             Decision::KeepInForce(_) | Decision::Brake(_) => self.follow_on(scene, &graph)?,
         }
@@ -127,7 +137,7 @@ impl PlanAgent {
             image: scenario.image,
             image_hash,
             scene_text: scenario.text,
-            attempts,
+            attempts: thinking.attempts,
             decision,
             emergency_brakes: 0,
             environment_ms,
@@ -156,18 +166,20 @@ impl PlanAgent {
         })
     }
 
-    /// Attempts until one is accepted or `max_exec` are made; the n-th planner belongs to the n-th attempt.
+    /// Attempts until one is accepted, `max_exec` are made, or the call is interrupted.
     fn think(
         &mut self,
         iteration: usize,
         scene: &Scene<'_>,
         graph: &LaneGraph,
         scenario: &ScenarioPrompt,
-    ) -> Result<(Vec<Attempt>, Vec<Option<GeneratedPlanner>>), PlannerError> {
+        deadline: Deadline,
+    ) -> Result<Thinking, PlannerError> {
         let settings = &self.settings;
         let seed = settings.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64);
         let failed = |doing| move |error| PlannerError::Failed { doing, source: Box::new(error) };
-        let mut reasoning = Reasoning::open(self.model.as_ref(), &self.prompts, &settings.reasoning, scenario, seed)
+        let model = self.model.as_ref();
+        let mut reasoning = Reasoning::open(model, &self.prompts, &settings.reasoning, scenario, seed, deadline)
             .map_err(failed("opening the conversation"))?;
         let looking = Instant::now();
         let judge = if settings.reflect {
@@ -177,10 +189,14 @@ impl PlanAgent {
         };
         // What all attempts are judged against is looked at once; the first attempt's reflection bears its time.
         let mut looked_ms = milliseconds(looking);
-        let (mut attempts, mut planners): (Vec<Attempt>, Vec<_>) = (Vec::new(), Vec::new());
-        while attempts.len() < settings.max_exec {
-            let feedback = attempts.last().map(|last| feedback(last, settings.threshold));
-            let thought = reasoning.think(feedback.as_ref()).map_err(failed("asking the model"))?;
+        let mut thinking = Thinking::default();
+        while thinking.attempts.len() < settings.max_exec && thinking.interruption.is_none() {
+            let feedback = thinking.attempts.last().map(|last| feedback(last, settings.threshold));
+            let mut thought = reasoning.think(feedback.as_ref()).map_err(failed("asking the model"))?;
+            thinking.interruption = thought.interruption.take();
+            if thought.rounds.is_empty() {
+                break;
+            }
             let started = Instant::now();
             let (planner, errors) = self.build(scene, graph, &thought)?;
             let reflection = match (&judge, &planner) {
@@ -191,13 +207,13 @@ impl PlanAgent {
             };
             let accepted = planner.is_some() && reflection.as_ref().is_none_or(|r| r.verdict == Verdict::Execute);
             let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started);
-            attempts.push(attempt(thought, errors, planner.as_ref(), reflection, reflection_ms));
-            planners.push(planner);
+            thinking.attempts.push(attempt(thought, errors, planner.as_ref(), reflection, reflection_ms));
+            thinking.planners.push(planner);
             if accepted {
                 break;
             }
         }
-        Ok((attempts, planners))
+        Ok(thinking)
     }
 
     /// The planner that a thought means, with everything that was wrong with the answer.
@@ -225,7 +241,8 @@ impl PlanAgent {
             .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })
     }
 
-    fn decide(&self, attempts: &[Attempt], planners: &[Option<GeneratedPlanner>]) -> Decision {
+    fn decide(&self, thinking: &Thinking) -> Decision {
+        let Thinking { attempts, planners, interruption } = thinking;
         let score = |i: usize| attempts[i].reflection.as_ref().map_or(0.0, |r| r.score);
         let usable: Vec<usize> = (0..attempts.len()).filter(|&i| planners[i].is_some()).collect();
         let accepted = usable
@@ -236,12 +253,19 @@ impl PlanAgent {
             AfterMaxExec::Last => usable.last().copied(),
             AfterMaxExec::Best => usable.iter().copied().rev().max_by(|&a, &b| score(a).total_cmp(&score(b))),
         };
-        let unread = || "no attempt gave a planner that can be read".to_owned();
-        match (accepted, refused, &self.in_force) {
+        match (accepted, interruption, refused) {
             (Some(index), ..) => Decision::Execute(index),
-            (None, Some(index), _) => Decision::Exhausted(index),
-            (None, None, Some(_)) => Decision::KeepInForce(unread()),
-            (None, None, None) => Decision::Brake(unread()),
+            (None, Some(why), _) => self.without_plan(NoPlan::Interrupted(why.clone())),
+            (None, None, Some(index)) => Decision::Exhausted(index),
+            (None, None, None) => self.without_plan(NoPlan::Unreadable),
+        }
+    }
+
+    /// What happens when a call gives no planner.
+    fn without_plan(&self, why: NoPlan) -> Decision {
+        match &self.in_force {
+            Some(_) => Decision::KeepInForce(why),
+            None => Decision::Brake(why),
         }
     }
 }

@@ -1,9 +1,10 @@
 //! The record that every planning call leaves.
 
 use crate::geometry::Pose;
-use crate::reasoning::{MotionInstruction, ParseError, PlannerCode, RoundRecord};
+use crate::reasoning::{Interruption, MotionInstruction, ParseError, PlannerCode, RoundRecord};
 use crate::reflection::ReflectionReport;
 use image::RgbImage;
+use std::fmt;
 
 /// What a planning call ended with.
 #[derive(Debug, Clone, PartialEq)]
@@ -12,13 +13,46 @@ pub enum Decision {
     Execute(usize),
     /// All attempts were refused; the planner of this attempt drives all the same, as the paper prescribes.
     Exhausted(usize),
-    /// No attempt gave a planner; the one in force goes on. The text says why.
-    KeepInForce(String),
-    /// No attempt gave a planner and none was in force: the ego brakes straight ahead. The text says why.
-    Brake(String),
+    /// The call gave no planner; the one in force goes on.
+    KeepInForce(NoPlan),
+    /// The call gave no planner and none was in force: the ego brakes straight ahead.
+    Brake(NoPlan),
 }
 
-/// One attempt: three rounds, a planner, its reflection.
+/// Why a planning call gave no planner.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum NoPlan {
+    /// There was nothing to show to the model. The text says why.
+    NoLaneGraph(String),
+    /// No attempt gave a planner that can be read.
+    Unreadable,
+    /// The call was ended by its deadline or by a failure of the model.
+    Interrupted(Interruption),
+}
+
+impl NoPlan {
+    /// Its name in records.
+    pub fn cause(&self) -> &'static str {
+        match self {
+            Self::NoLaneGraph(_) => "no_lane_graph",
+            Self::Unreadable => "unreadable",
+            Self::Interrupted(Interruption::Deadline) => "deadline",
+            Self::Interrupted(Interruption::Model(_)) => "model",
+        }
+    }
+}
+
+impl fmt::Display for NoPlan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unreadable => f.write_str("no attempt gave a planner that can be read"),
+            Self::Interrupted(Interruption::Deadline) => f.write_str("the deadline passed"),
+            Self::NoLaneGraph(why) | Self::Interrupted(Interruption::Model(why)) => f.write_str(why),
+        }
+    }
+}
+
+/// One attempt: three rounds, a planner, its reflection; fewer rounds and no planner where it was interrupted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Attempt {
     /// The rounds as they were asked and answered.
@@ -84,6 +118,14 @@ impl PlanningCall {
     /// Errors in all answers.
     pub fn parse_errors(&self) -> usize {
         self.attempts.iter().map(|attempt| attempt.errors.len()).sum()
+    }
+
+    /// What ended the call before its time, if anything did.
+    pub fn interruption(&self) -> Option<&Interruption> {
+        match &self.decision {
+            Decision::KeepInForce(NoPlan::Interrupted(why)) | Decision::Brake(NoPlan::Interrupted(why)) => Some(why),
+            _ => None,
+        }
     }
 
     /// The attempt whose planner drives from here on, if one of this call does.

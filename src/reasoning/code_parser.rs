@@ -24,7 +24,7 @@ impl fmt::Display for ParseError {
 }
 
 /// What was understood of an answer, and what not. A code is given only when all five arguments were understood.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Parsed {
     /// The planner, when the answer holds a whole one.
     pub code: Option<PlannerCode>,

@@ -7,8 +7,8 @@ use super::instruction::MotionInstruction;
 use super::prompt_set::{PromptError, PromptSet};
 use super::round::Round;
 use crate::mllm::{
-    Answer, Constraint, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, Opening, Request,
-    RoundTime, Sampling, TokenCounts,
+    Answer, Constraint, ConstraintUse, Conversation, Deadline, FinishReason, GenerationSettings, Mark, Mllm, MllmError,
+    Opening, Request, RoundTime, Sampling, TokenCounts,
 };
 use image::RgbImage;
 use minijinja::context;
@@ -54,6 +54,8 @@ pub struct RoundRecord {
     pub answer: String,
     /// Why the answer ends.
     pub finish: FinishReason,
+    /// What became of the round's grammar.
+    pub constraint: ConstraintUse,
     /// Tokens read and written.
     pub tokens: TokenCounts,
     /// Wall time; kept apart from the rest of a record.
@@ -61,11 +63,31 @@ pub struct RoundRecord {
     pub time: RoundTime,
 }
 
+/// Why an attempt ended before its last answer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Interruption {
+    /// The planning call's deadline passed.
+    Deadline,
+    /// The model failed in a way that can pass. The text says how.
+    Model(String),
+}
+
+impl From<MllmError> for Interruption {
+    fn from(error: MllmError) -> Self {
+        match error {
+            MllmError::Deadline => Self::Deadline,
+            other => Self::Model(other.to_string()),
+        }
+    }
+}
+
 /// The outcome of one attempt's rounds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Thought {
-    /// The rounds that were asked.
+    /// The rounds that were answered.
     pub rounds: Vec<RoundRecord>,
+    /// Why there are no more of them; none when all were answered.
+    pub interruption: Option<Interruption>,
     /// The motion instruction, if round 2 was asked and its words were found.
     pub instruction: Option<MotionInstruction>,
     /// The planner code and what could not be read.
@@ -114,11 +136,12 @@ pub struct Reasoning<'a> {
     prompts: &'a PromptSet,
     settings: &'a ReasoningSettings,
     scenario: &'a ScenarioPrompt,
+    deadline: Deadline,
     attempts: usize,
 }
 
 impl<'a> Reasoning<'a> {
-    /// Opens the conversation of a planning call.
+    /// Opens the conversation of a planning call that must end by `deadline`.
     ///
     /// # Errors
     /// When the system prompt cannot be made or the model cannot take the image.
@@ -128,17 +151,19 @@ impl<'a> Reasoning<'a> {
         settings: &'a ReasoningSettings,
         scenario: &'a ScenarioPrompt,
         seed: u64,
+        deadline: Deadline,
     ) -> Result<Self, ReasoningError> {
         let system = system_prompt(prompts, &scenario.legend)?;
         let conversation = model.converse(&Opening { system, image: scenario.image.clone() }, seed)?;
         let start = conversation.mark();
-        Ok(Self { conversation, start, prompts, settings, scenario, attempts: 0 })
+        Ok(Self { conversation, start, prompts, settings, scenario, deadline, attempts: 0 })
     }
 
     /// One attempt: all rounds from the start, with what was wrong with the last attempt in the first prompt.
     ///
     /// # Errors
-    /// When the model fails or a prompt cannot be made; answers that make no sense are no error.
+    /// When the model fails for good or a prompt cannot be made. Answers that make no sense are no error, and neither is
+    /// what [`Interruption`] names.
     pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<Thought, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;
@@ -149,7 +174,14 @@ impl<'a> Reasoning<'a> {
         for &round in &self.settings.rounds {
             let names = &self.scenario.names;
             let prompt = round_prompt(self.prompts, round, names, scene_text.take(), feedback.take().as_deref())?;
-            let answer = self.conversation.ask(&prompt, &self.request(round))?;
+            let answer = match self.conversation.ask(&prompt, &self.request(round)) {
+                Ok(answer) => answer,
+                Err(error) if error.is_passing() => {
+                    let interruption = Some(error.into());
+                    return Ok(Thought { rounds, interruption, instruction, parsed: Parsed::default() });
+                }
+                Err(error) => return Err(error.into()),
+            };
             if round == Round::Instruction {
                 instruction = MotionInstruction::find(&answer.text);
             }
@@ -157,7 +189,7 @@ impl<'a> Reasoning<'a> {
         }
         let code = rounds.last().filter(|last| last.round == Round::Code).map_or("", |last| last.answer.as_str());
         let parsed = parse(code, &self.scenario.names);
-        Ok(Thought { rounds, instruction, parsed })
+        Ok(Thought { rounds, interruption: None, instruction, parsed })
     }
 
     fn request(&self, round: Round) -> Request {
@@ -170,7 +202,8 @@ impl<'a> Reasoning<'a> {
         };
         let sampling =
             if self.attempts > 1 { self.settings.rethink_sampling } else { self.settings.generation.sampling };
-        Request { constraint, max_new_tokens: self.settings.max_new_tokens(round), sampling }
+        let max_new_tokens = self.settings.max_new_tokens(round);
+        Request { constraint, max_new_tokens, sampling, deadline: self.deadline }
     }
 }
 
@@ -230,6 +263,7 @@ fn record(round: Round, prompt: String, answer: Answer) -> RoundRecord {
         prompt_hash: answer.prompt_hash,
         answer: answer.text,
         finish: answer.finish,
+        constraint: answer.constraint,
         tokens: answer.tokens,
         time: answer.time,
     }

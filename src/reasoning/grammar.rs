@@ -1,4 +1,4 @@
-//! Grammars (llguidance's Lark) under which answers are decoded, so that an answer always parses.
+//! What answers must look like, so that an answer always parses.
 
 use super::code::{FUNCTION, Names};
 use super::instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason};
@@ -12,11 +12,17 @@ const FASTEST: u32 = 30;
 pub const ACCELERATIONS: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
 /// Decelerations that a model may write, m/s².
 pub const DECELERATIONS: [f64; 4] = [2.0, 3.0, 4.0, 6.0];
+/// A reason in free words: one line that begins with a letter.
+const REASON: &str = r"[A-Za-z][^\n]{2,160}";
 
-/// Joins alternatives as quoted literals.
-fn any_of<S: AsRef<str>>(words: impl IntoIterator<Item = S>) -> String {
-    let quoted: Vec<String> = words.into_iter().map(|word| format!("{:?}", word.as_ref())).collect();
-    format!("({})", quoted.join(" | "))
+/// One of these words.
+fn any_of<S: AsRef<str>>(words: impl IntoIterator<Item = S>) -> Constraint {
+    Constraint::Choice(words.into_iter().map(|word| word.as_ref().to_owned()).collect())
+}
+
+/// Exactly this text.
+fn text(text: impl AsRef<str>) -> Constraint {
+    any_of([text])
 }
 
 /// What answers of round 1 look like.
@@ -24,47 +30,60 @@ pub(super) fn understanding(form: UnderstandingForm) -> Constraint {
     match form {
         UnderstandingForm::Free => Constraint::Free,
         UnderstandingForm::Choices => {
-            let parts: Vec<String> = Question::ALL
-                .iter()
-                .enumerate()
-                .map(|(i, question)| {
-                    let space = if i == 0 { "" } else { " " };
-                    format!("{:?} {}", format!("{space}{}=", question.as_str()), any_of(question.choices()))
-                })
-                .collect();
-            Constraint::Lark(format!("start: {}", parts.join(" ")))
+            let answers = Question::ALL.iter().enumerate().flat_map(|(i, question)| {
+                let space = if i == 0 { "" } else { " " };
+                [text(format!("{space}{}=", question.as_str())), any_of(question.choices())]
+            });
+            Constraint::Sequence(answers.collect())
         }
     }
 }
 
 /// What answers of round 2 look like.
 pub(super) fn instruction(form: InstructionForm) -> Constraint {
-    let longitudinal = any_of(Longitudinal::TEXTS);
-    let lateral = any_of(Lateral::TEXTS);
-    Constraint::Lark(match form {
-        InstructionForm::Choices => {
-            let why_lateral = any_of(LateralReason::TEXTS);
-            let why_longitudinal = any_of(LongitudinalReason::TEXTS);
-            format!(
-                "start: \"why=\" {why_lateral} \" lat=\" {lateral} \" why=\" {why_longitudinal} \" lon=\" {longitudinal}"
-            )
+    let (longitudinal, lateral) = (any_of(Longitudinal::TEXTS), any_of(Lateral::TEXTS));
+    Constraint::Sequence(match form {
+        InstructionForm::Choices => vec![
+            text("why="),
+            any_of(LateralReason::TEXTS),
+            text(" lat="),
+            lateral,
+            text(" why="),
+            any_of(LongitudinalReason::TEXTS),
+            text(" lon="),
+            longitudinal,
+        ],
+        InstructionForm::Reasoned => {
+            let reason = || Constraint::Regex(REASON.to_owned());
+            vec![
+                text("Longitudinal: "),
+                longitudinal,
+                text(", because "),
+                reason(),
+                text("\nLateral: "),
+                lateral,
+                text(", because "),
+                reason(),
+            ]
         }
-        InstructionForm::Reasoned => format!(
-            "start: \"Longitudinal: \" {longitudinal} \", because \" REASON \"\\nLateral: \" {lateral} \", because \" REASON\nREASON: /[A-Za-z][^\\n]{{2,160}}/"
-        ),
     })
 }
 
 /// What answers of round 3 look like: one call with the names of this scene.
 pub(super) fn code(names: &Names) -> Constraint {
-    let centerline = any_of(&names.centerlines);
-    let leader = any_of(names.leaders.iter().map(String::as_str).chain(["None"]));
-    let speed = any_of((0..=names.speed_limit.unwrap_or(FASTEST)).map(|v| v.to_string()));
-    let accel = any_of(ACCELERATIONS.iter().map(ToString::to_string));
-    let decel = any_of(DECELERATIONS.iter().map(ToString::to_string));
-    Constraint::Lark(format!(
-        "start: \"{FUNCTION}(c=\" {centerline} \", la=\" {leader} \", v0=\" {speed} \", acc=\" {accel} \", dec=\" {decel} \")\""
-    ))
+    Constraint::Sequence(vec![
+        text(format!("{FUNCTION}(c=")),
+        any_of(&names.centerlines),
+        text(", la="),
+        any_of(names.leaders.iter().map(String::as_str).chain(["None"])),
+        text(", v0="),
+        any_of((0..=names.speed_limit.unwrap_or(FASTEST)).map(|v| v.to_string())),
+        text(", acc="),
+        any_of(ACCELERATIONS.iter().map(ToString::to_string)),
+        text(", dec="),
+        any_of(DECELERATIONS.iter().map(ToString::to_string)),
+        text(")"),
+    ])
 }
 
 #[cfg(test)]
@@ -75,8 +94,9 @@ mod tests {
     fn the_code_grammar_offers_the_names_of_the_scene() {
         let names =
             Names { centerlines: vec!["ego_lane".into()], leaders: vec!["vehicle1".into()], speed_limit: Some(2) };
-        let Constraint::Lark(grammar) = code(&names) else { panic!("not a grammar") };
-        assert!(grammar.contains("(\"0\" | \"1\" | \"2\")"), "{grammar}");
-        assert!(grammar.contains("(\"ego_lane\")") && grammar.contains("(\"vehicle1\" | \"None\")"), "{grammar}");
+        let Constraint::Sequence(parts) = code(&names) else { panic!("not a sequence") };
+        for offered in [&["0", "1", "2"][..], &["ego_lane"], &["vehicle1", "None"]] {
+            assert!(parts.contains(&any_of(offered)), "{offered:?}: {parts:?}");
+        }
     }
 }

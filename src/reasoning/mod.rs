@@ -13,8 +13,8 @@ mod round;
 pub use code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range, TARGET_SPEED};
 pub use code_parser::{ParseError, Parsed, parse};
 pub use engine::{
-    Feedback, Reasoning, ReasoningError, ReasoningSettings, RoundRecord, ScenarioPrompt, Thought, feedback_text,
-    round_prompt, system_prompt,
+    Feedback, Interruption, Reasoning, ReasoningError, ReasoningSettings, RoundRecord, ScenarioPrompt, Thought,
+    feedback_text, round_prompt, system_prompt,
 };
 pub use grammar::{ACCELERATIONS, DECELERATIONS};
 pub use instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction};

@@ -38,8 +38,8 @@ fn decision(decision: &Decision) -> Value {
     match decision {
         Decision::Execute(index) => json!({"kind": "execute", "attempt": index}),
         Decision::Exhausted(index) => json!({"kind": "exhausted", "attempt": index}),
-        Decision::KeepInForce(why) => json!({"kind": "keep_in_force", "why": why}),
-        Decision::Brake(why) => json!({"kind": "brake", "why": why}),
+        Decision::KeepInForce(why) => json!({"kind": "keep_in_force", "cause": why.cause(), "why": why.to_string()}),
+        Decision::Brake(why) => json!({"kind": "brake", "cause": why.cause(), "why": why.to_string()}),
     }
 }
 

@@ -6,6 +6,7 @@ use crate::experiment::run::DriveRecord;
 use crate::metrics::ScenarioRow;
 use crate::pdm::DrivableLayers;
 use crate::planner::PlanningCall;
+use crate::reasoning::Interruption;
 use crate::simulation::Challenge;
 use serde::{Deserialize, Serialize};
 
@@ -42,6 +43,12 @@ pub struct DriveRow {
     pub rethinks: usize,
     /// What could not be read of the answers.
     pub parse_errors: usize,
+    /// Planning calls that their deadline ended.
+    #[serde(default)]
+    pub deadlines: usize,
+    /// Planning calls that a failure of the model ended.
+    #[serde(default)]
+    pub failed_calls: usize,
     /// What counted as drivable, for `pdm-closed`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drivable_layers: Option<DrivableLayers>,
@@ -83,6 +90,8 @@ impl DriveRow {
         let driven = record.outcome.as_ref().ok();
         let calls = driven.map_or(&[][..], |driven| driven.calls.as_slice());
         let score = driven.map(|driven| &driven.score);
+        let interrupted =
+            |why: fn(&Interruption) -> bool| calls.iter().filter(|call| call.interruption().is_some_and(why)).count();
         let metrics = driven.map_or(&[][..], |driven| driven.metrics.as_slice());
         Self {
             number,
@@ -98,6 +107,8 @@ impl DriveRow {
             planning_calls: calls.len(),
             rethinks: calls.iter().map(PlanningCall::rethinks).sum(),
             parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
+            deadlines: interrupted(|why| matches!(why, Interruption::Deadline)),
+            failed_calls: interrupted(|why| matches!(why, Interruption::Model(_))),
             drivable_layers: driven.and_then(|driven| driven.drivable_layers),
             time: DriveTime {
                 started_s: record.started_s,

@@ -39,6 +39,10 @@ pub struct ScenarioSummary {
     pub rethinks: usize,
     /// What could not be read of the answers.
     pub parse_errors: usize,
+    /// Planning calls that their deadline ended.
+    pub deadlines: usize,
+    /// Planning calls that a failure of the model ended.
+    pub failed_calls: usize,
     /// What counted as drivable, for `pdm-closed`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drivable_layers: Option<DrivableLayers>,
@@ -65,6 +69,8 @@ impl From<&DriveRow> for ScenarioSummary {
             planning_calls: row.planning_calls,
             rethinks: row.rethinks,
             parse_errors: row.parse_errors,
+            deadlines: row.deadlines,
+            failed_calls: row.failed_calls,
             drivable_layers: row.drivable_layers,
         }
     }

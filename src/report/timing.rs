@@ -18,6 +18,9 @@ pub struct CallTimes {
     pub prefill: f64,
     /// Answers of all rounds and attempts.
     pub decode: f64,
+    /// Waiting for a server that computes the model, for the rounds that it answered.
+    #[serde(default)]
+    pub remote: f64,
     /// Roll-outs and their scores, all attempts.
     pub reflection: f64,
     /// The whole call.
@@ -33,6 +36,7 @@ impl CallTimes {
             image_encode: rounds().map(|round| round.time.image_encode).sum(),
             prefill: rounds().map(|round| round.time.prefill).sum(),
             decode: rounds().map(|round| round.time.decode).sum(),
+            remote: rounds().map(|round| round.time.remote).sum(),
             reflection: call.attempts.iter().map(|attempt| attempt.reflection_ms).sum(),
             total: call.total_ms,
         }
@@ -67,6 +71,7 @@ pub struct CallQuantiles {
     image_encode: Option<Quantiles>,
     prefill: Option<Quantiles>,
     decode: Option<Quantiles>,
+    remote: Option<Quantiles>,
     reflection: Option<Quantiles>,
     /// The whole call.
     pub total: Option<Quantiles>,
@@ -145,6 +150,7 @@ impl Timing {
                 image_encode: part(|t| t.image_encode),
                 prefill: part(|t| t.prefill),
                 decode: part(|t| t.decode),
+                remote: part(|t| t.remote),
                 reflection: part(|t| t.reflection),
                 total: part(|t| t.total),
             },

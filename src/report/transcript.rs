@@ -42,8 +42,8 @@ fn call_markdown(call: &PlanningCall, driven: &Driven, image: Option<String>) ->
     let time = CallTimes::of(call);
     let _ = writeln!(
         text,
-        "Time: {:.1} ms (environment {:.1}, image {:.1}, prefill {:.1}, decode {:.1}, reflection {:.1}).",
-        time.total, time.environment, time.image_encode, time.prefill, time.decode, time.reflection
+        "Time: {:.1} ms (environment {:.1}, image {:.1}, prefill {:.1}, decode {:.1}, server {:.1}, reflection {:.1}).",
+        time.total, time.environment, time.image_encode, time.prefill, time.decode, time.remote, time.reflection
     );
     text
 }

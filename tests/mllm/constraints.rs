@@ -1,6 +1,6 @@
 //! Answers under a constraint.
 
-use planagent::mllm::{Answer, Constraint, FinishReason, Mllm, MllmError, Request, Sampling};
+use planagent::mllm::{Answer, Constraint, ConstraintUse, Deadline, FinishReason, Mllm, MllmError, Request, Sampling};
 
 use super::{FIRST, open, opening, request};
 
@@ -40,6 +40,20 @@ fn what_the_grammar_forces_is_not_chosen() {
 }
 
 #[test]
+fn a_sequence_is_its_parts_one_after_the_other() {
+    let parts = vec![
+        texts(&["lane="]),
+        texts(&["left", "right"]),
+        texts(&[", because "]),
+        Constraint::Regex("[a-f]{3}".into()),
+    ];
+    let answer = answer(Constraint::Sequence(parts), 80).unwrap();
+    let (lane, why) = answer.text.strip_prefix("lane=").unwrap().split_once(", because ").unwrap();
+    assert!(["left", "right"].contains(&lane) && why.len() == 3, "{}", answer.text);
+    assert_eq!((answer.finish, answer.constraint), (FinishReason::Complete, ConstraintUse::Enforced));
+}
+
+#[test]
 fn forced_tokens_are_spelled_as_the_tokenizer_spells_them() {
     let text = "Generate_IDM_Planner(c=left, la=agent 3, v0=8.5)";
     let tokenizer = tokenizers::Tokenizer::from_file(super::tiny().join("tokenizer.json")).unwrap();
@@ -74,6 +88,7 @@ fn sampled_answers_obey_as_well() {
             constraint: texts(&["keep lane", "left", "right"]),
             max_new_tokens: 20,
             sampling: Sampling::Sample { temperature: 5.0, top_p: 1.0 },
+            deadline: Deadline::NONE,
         };
         seen.insert(conversation.ask(FIRST, &request).unwrap().text);
     }
@@ -92,6 +107,8 @@ fn what_does_not_compile_is_an_error_and_never_dropped() {
         Constraint::Lark("start: undefined_rule".into()),
         Constraint::Lark("this is no grammar".into()),
         Constraint::Lark(String::new()),
+        Constraint::Sequence(Vec::new()),
+        Constraint::Sequence(vec![Constraint::Free]),
     ] {
         match answer(constraint.clone(), 10) {
             Err(MllmError::Grammar { constraint: shown, problem }) => {

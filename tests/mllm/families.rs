@@ -236,6 +236,7 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
             grammar: true,
         },
         interval: 1000,
+        deadline: None,
         reflect: true,
         threshold: 1.0,
         max_exec: 2,

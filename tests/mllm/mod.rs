@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use planagent::mllm::{Constraint, LocalModel, MllmError, Opening, Request, Sampling};
+use planagent::mllm::{Constraint, Deadline, LocalModel, MllmError, Opening, Request, Sampling};
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -47,7 +47,7 @@ const FIRST: &str = "Is there a crosswalk ahead?";
 const SECOND: &str = "Which lane, left or right? Überholen \u{1f697}!";
 
 fn request(constraint: Constraint, max_new_tokens: usize) -> Request {
-    Request { constraint, max_new_tokens, sampling: Sampling::Greedy }
+    Request { constraint, max_new_tokens, sampling: Sampling::Greedy, deadline: Deadline::NONE }
 }
 
 fn free(max_new_tokens: usize) -> Request {

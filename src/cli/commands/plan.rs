@@ -6,6 +6,7 @@ use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::run::PlannerKind;
 use crate::experiment::source::ScenarioSource;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
+use crate::reasoning::Interruption;
 use crate::report::{CallTimes, attempt_markdown, call_record, decision_words, fixed};
 use crate::scenario::{Frame, Scenario, generator};
 use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Scene, Trajectory};
@@ -34,7 +35,8 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
     } else {
         show(&scenario, &call, &trajectory, printer);
     }
-    Ok(Exit::Success)
+    let failed = matches!(call.interruption(), Some(Interruption::Model(_)));
+    Ok(if failed { Exit::SomeFailed } else { Exit::Success })
 }
 
 /// The one scenario that is meant.
@@ -121,7 +123,7 @@ fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, print
     }
     let time = CallTimes::of(call);
     printer.line(format!(
-        "\nTime {:.1} ms: environment {:.1}, image encode {:.1}, prefill {:.1},\n  decode {:.1}, reflection {:.1}",
-        time.total, time.environment, time.image_encode, time.prefill, time.decode, time.reflection
+        "\nTime {:.1} ms: environment {:.1}, image encode {:.1}, prefill {:.1},\n  decode {:.1}, server {:.1}, reflection {:.1}",
+        time.total, time.environment, time.image_encode, time.prefill, time.decode, time.remote, time.reflection
     ));
 }

@@ -99,3 +99,25 @@ fn threads() -> String {
 fn out_file(threads: &str) -> String {
     format!("logits-{threads}")
 }
+
+#[test]
+fn a_prompt_in_chunks_gives_the_logits_of_the_whole_also_where_a_chunk_ends_inside_the_image() {
+    for (model, image) in models() {
+        let model = &*model;
+        let features = model.encode_image(&image).unwrap();
+        let patches = features.dims()[0];
+        let ids: Vec<u32> =
+            (10..40).chain(std::iter::repeat_n(model.facts().image_token, patches)).chain(100..150).collect();
+        let logits = |chunk: usize| -> Vec<f32> {
+            let mut sequence = Sequence::new(model);
+            let mut logits = None;
+            for part in ids.chunks(chunk) {
+                logits = sequence.append(model, part, Some(&features), Logits::Last).unwrap();
+            }
+            logits.unwrap().flatten_all().unwrap().to_vec1().unwrap()
+        };
+        let (whole, chunks) = (logits(ids.len()), logits(33));
+        let apart = whole.iter().zip(&chunks).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(apart < 1e-4, "{}: {apart}", model.facts().architecture);
+    }
+}

@@ -11,7 +11,10 @@ use super::vlm::VisionLanguageModel;
 use crate::mllm::decoder::Logits;
 use crate::mllm::sampling::Sampler;
 use crate::mllm::text::GrammarState;
-use crate::mllm::{FinishReason, MllmError};
+use crate::mllm::{Deadline, FinishReason, MllmError};
+
+/// Most tokens of a prompt that are computed in one pass, so that a deadline is looked at in between.
+const PREFILL_CHUNK: usize = 512;
 
 /// The tokens of an answer. Times are milliseconds.
 #[derive(Debug)]
@@ -39,6 +42,8 @@ pub(super) struct End<'a> {
     pub(super) max_new_tokens: usize,
     /// Most tokens of the chat.
     pub(super) context: usize,
+    /// When the answer must be there.
+    pub(super) deadline: Deadline,
 }
 
 /// What is being generated.
@@ -49,6 +54,7 @@ struct Generation<'a> {
     /// Tokens that the model has not computed yet: the rest of the prompt, then what was appended since. Forced tokens
     /// gather here and are computed in one pass when the next free token needs it.
     pending: Vec<u32>,
+    deadline: Deadline,
     out: Generated,
     passes: usize,
     start: Instant,
@@ -57,7 +63,7 @@ struct Generation<'a> {
 /// Generates an answer behind `prompt`, the part of the prompt that `sequence` does not hold yet.
 ///
 /// # Errors
-/// When the constraint cannot be followed, or the model computes something that is not finite.
+/// When the constraint cannot be followed, the model computes something that is not finite, or the deadline passes.
 #[expect(clippy::too_many_arguments, reason = "one call, and each argument is of another kind")]
 pub(super) fn generate(
     model: &dyn VisionLanguageModel,
@@ -80,6 +86,7 @@ pub(super) fn generate(
         sequence,
         features,
         pending: prompt.to_vec(),
+        deadline: end.deadline,
         out: Generated {
             ids: Vec::new(),
             forced: 0,
@@ -131,8 +138,7 @@ impl Generation<'_> {
     /// Computes what is pending and lets the sampler choose.
     fn choose(&mut self, sampler: &mut Sampler, allowed: Option<&SimpleVob>) -> Result<u32, MllmError> {
         let pass_start = Instant::now();
-        let logits = self.sequence.append(self.model, &self.pending, self.features, Logits::Last)?;
-        self.pending.clear();
+        let logits = self.compute_pending()?;
         if self.passes == 0 {
             self.out.prefill = milliseconds(pass_start);
             self.out.prefill_end = milliseconds(self.start);
@@ -145,6 +151,21 @@ impl Generation<'_> {
         let position = self.sequence.ids().len().saturating_sub(1);
         // An answer has no image of its own, so the placeholder of one is no word of it.
         sampler.choose(logits, allowed, self.model.facts().image_token, position)
+    }
+
+    /// Computes what is pending; gives the logits behind its last token.
+    fn compute_pending(&mut self) -> Result<Option<Tensor>, MllmError> {
+        let pending = std::mem::take(&mut self.pending);
+        let mut logits = None;
+        let mut rest = pending.as_slice();
+        while !rest.is_empty() {
+            self.deadline.check()?;
+            let (chunk, behind) = rest.split_at(rest.len().min(PREFILL_CHUNK));
+            let wanted = if behind.is_empty() { Logits::Last } else { Logits::None };
+            logits = self.sequence.append(self.model, chunk, self.features, wanted)?;
+            rest = behind;
+        }
+        Ok(logits)
     }
 
     fn push_free(&mut self, token: u32) {

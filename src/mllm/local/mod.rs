@@ -159,6 +159,7 @@ impl Mllm for LocalModel {
             vocabulary: facts.vocabulary,
             context: facts.positions,
             weights_blake3: facts.blake3.clone(),
+            server: None,
         }
     }
 

@@ -10,7 +10,8 @@ use super::sequence::Sequence;
 use super::vlm::Chat;
 use crate::mllm::sampling::{Sampler, answer_seed};
 use crate::mllm::{
-    Answer, Constraint, Conversation, Mark, MllmError, Opening, Request, RoundTime, TokenCounts, Turn, prompt_hash,
+    Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, Opening, Request, RoundTime, TokenCounts, Turn,
+    prompt_hash,
 };
 
 /// A chat, and what the model has computed of it so far.
@@ -80,6 +81,7 @@ impl<'a> LocalConversation<'a> {
 impl Conversation for LocalConversation<'_> {
     fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError> {
         let start = Instant::now();
+        request.deadline.check()?;
         let local = self.local;
         let image_token = local.model.facts().image_token;
         let context = local.model.context(self.image_tokens.unwrap_or(0));
@@ -109,7 +111,12 @@ impl Conversation for LocalConversation<'_> {
             rest,
             grammar,
             sampler,
-            &End { tokens: &local.end_tokens, max_new_tokens: request.max_new_tokens, context },
+            &End {
+                tokens: &local.end_tokens,
+                max_new_tokens: request.max_new_tokens,
+                context,
+                deadline: request.deadline,
+            },
             start,
         )?;
         let text = self.decode(request, &generated.ids)?;
@@ -128,9 +135,14 @@ impl Conversation for LocalConversation<'_> {
                 prefill: opening_time + generated.prefill,
                 first_token: if generated.first_token > 0.0 { opening_time + generated.first_token } else { 0.0 },
                 decode: milliseconds(start) - generated.prefill_end,
+                remote: 0.0,
                 total: opening_time + milliseconds(start),
             },
             finish: generated.finish,
+            constraint: match request.constraint {
+                Constraint::Free => ConstraintUse::Unconstrained,
+                _ => ConstraintUse::Enforced,
+            },
             text,
         };
         self.turns.push(Turn { prompt: prompt.to_string(), answer: answer.text.clone() });

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::mllm::checkpoint::read_text;
-use crate::mllm::{Architecture, MllmError, Sampling};
+use crate::mllm::{Architecture, EndpointSettings, MllmError, Sampling};
 
 /// A model as `models/NAME.toml` describes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -28,7 +28,7 @@ pub struct ModelSpec {
     pub generation: GenerationSettings,
 }
 
-/// Where the files of a model are.
+/// Where the files of a model are, or who computes it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged, deny_unknown_fields)]
 pub enum ModelSource {
@@ -45,6 +45,8 @@ pub enum ModelSource {
         #[serde(default = "default_revision")]
         revision: String,
     },
+    /// A server; there are no files of the model here.
+    Endpoint(EndpointSettings),
 }
 
 /// The revision of a hub repository that is taken when none is named.
@@ -111,13 +113,23 @@ impl ModelSpec {
     /// As [`Self::open`].
     pub fn parse(path: &Path, text: &str) -> Result<Self, MllmError> {
         let broken = |problem: String| MllmError::Description { path: path.to_path_buf(), problem };
-        let mut spec: Self = toml::from_str(text).map_err(|error| broken(error.to_string()))?;
+        let mut spec: Self = toml::from_str(text)
+            .map_err(|error| broken(endpoint_problem(text).unwrap_or_else(|| error.to_string())))?;
         if spec.name.trim().is_empty() {
             return Err(broken("name is empty".into()));
         }
         let tokens = spec.generation.max_new_tokens;
         if [tokens.scene, tokens.motion, tokens.code].contains(&0) {
             return Err(broken("generation.max_new_tokens: a round needs at least one token".into()));
+        }
+        if let ModelSource::Endpoint(settings) = &spec.source {
+            settings.url().map_err(|problem| broken(format!("source: {problem}")))?;
+            if spec.architecture.is_some() || spec.tokenizer.is_some() {
+                return Err(broken("architecture and tokenizer are the server's affair; leave them out".into()));
+            }
+        }
+        if matches!(spec.tokenizer, Some(ModelSource::Endpoint(_))) {
+            return Err(broken("tokenizer: a tokenizer is a file, not a server".into()));
         }
         for source in [Some(&mut spec.source), spec.tokenizer.as_mut()].into_iter().flatten() {
             if let (ModelSource::Folder { folder }, Some(beside)) = (source, path.parent()) {
@@ -128,9 +140,18 @@ impl ModelSpec {
     }
 }
 
+/// What is wrong with the settings of a server, if there are any; the error of the whole source would not say.
+fn endpoint_problem(text: &str) -> Option<String> {
+    let description: toml::Table = toml::from_str(text).ok()?;
+    let source = description.get("source")?.as_table().filter(|source| source.contains_key("endpoint"))?;
+    let error = source.clone().try_into::<EndpointSettings>().err()?;
+    Some(format!("source: {}", error.message()))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mllm::{GrammarField, LimitField};
 
     fn parse(text: &str) -> Result<ModelSpec, MllmError> {
         ModelSpec::parse(Path::new("models/x.toml"), text)
@@ -159,6 +180,32 @@ mod tests {
             (None, Some(ModelSource::Folder { folder: "models/t".into() }))
         );
         assert_eq!(spec.generation.sampling, Sampling::Sample { temperature: 0.7, top_p: 0.9 });
+    }
+
+    #[test]
+    fn a_server_is_described_by_its_address_and_what_it_takes() {
+        let valid = "name = 'g'\nprompt_set = 'paper'\nsource = { endpoint = 'https://a.b/v1', model = 'm', \
+            grammar = 'json_schema', limit = 'max_completion_tokens', key_env = 'KEY', omit = ['seed'], \
+            extra = { reasoning_effort = 'none' } }";
+        let ModelSource::Endpoint(settings) = parse(valid).unwrap().source else { panic!("no endpoint") };
+        assert_eq!((settings.grammar, settings.limit), (GrammarField::JsonSchema, LimitField::MaxCompletionTokens));
+        assert_eq!(settings.extra["reasoning_effort"], "none");
+        assert_eq!(settings.url().unwrap().as_str(), "https://a.b/v1/chat/completions");
+        for (from, to, said) in [
+            ("grammar = 'json_schema', ", "", "grammar"),
+            ("'json_schema'", "'ebnf'", "gbnf"),
+            ("limit", "limits", "limits"),
+            ("'m'", "' '", "model"),
+            ("https://a.b", "ftp://a.b", "http"),
+            ("https://a.b", "https://key@a.b", "key_env"),
+            ("'https://a.b/v1'", "'a.b'", "address"),
+            ("model =", "image_size = 8, model =", "image_size"),
+            ("model =", "timeout_ms = 0, model =", "timeout_ms"),
+            ("name = 'g'", "name = 'g'\narchitecture = 'llava'", "architecture"),
+        ] {
+            let problem = parse(&valid.replace(from, to)).unwrap_err().to_string();
+            assert!(problem.starts_with("models/x.toml: ") && problem.contains(said), "{to}: {problem}");
+        }
     }
 
     #[test]

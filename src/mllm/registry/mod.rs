@@ -1,4 +1,4 @@
-//! Models by name: a description in `models/`, a folder, or a repository of the hub.
+//! Models by name: a description in `models/`, a folder, a repository of the hub, or a server.
 
 mod description;
 mod hub;
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
 pub use hub::{HubAccess, HubFiles};
 
-use super::{Architecture, LocalModel, Mllm, MllmError};
+use super::{Architecture, Endpoint, LocalModel, Mllm, MllmError};
 
 /// Finds and opens models.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -83,17 +83,24 @@ impl ModelRegistry {
     /// The folder with a model's files; a hub model is downloaded if need be and allowed.
     ///
     /// # Errors
-    /// When a hub model cannot be had.
+    /// When a hub model cannot be had, or a server computes the model.
     pub fn folder(&self, spec: &ModelSpec) -> Result<PathBuf, MllmError> {
         let files = if spec.tokenizer.is_some() { HubFiles::ModelWithoutTokenizer } else { HubFiles::Model };
-        self.fetch(&spec.source, files)
+        self.fetch(&spec.name, &spec.source, files)
     }
 
-    /// Opens a model of whatever architecture its configuration names.
+    /// Opens a model of whatever architecture its configuration names, or prepares to ask the server that computes it.
     ///
     /// # Errors
-    /// When its files cannot be had or are broken, or are of another architecture than its description says.
+    /// When its files cannot be had or are broken, or are of another architecture than its description says; when a
+    /// server's key is missing, or the server lies beyond the network that must not be used.
     pub fn open(&self, spec: &ModelSpec) -> Result<Box<dyn Mllm>, MllmError> {
+        if let ModelSource::Endpoint(settings) = &spec.source {
+            if self.hub.offline && !settings.is_local() {
+                return Err(MllmError::Offline { endpoint: settings.endpoint.clone() });
+            }
+            return Ok(Box::new(Endpoint::open(&spec.name, settings)?));
+        }
         let folder = self.folder(spec)?;
         if let Some(expected) = spec.architecture {
             let found = Architecture::detect(&folder)?;
@@ -112,13 +119,16 @@ impl ModelRegistry {
         }
         let tokenizer = match &spec.tokenizer {
             None => folder.clone(),
-            Some(source) => self.fetch(source, HubFiles::Tokenizer)?,
+            Some(source) => self.fetch(&spec.name, source, HubFiles::Tokenizer)?,
         };
         Ok(Box::new(LocalModel::open_with_tokenizer(&spec.name, &folder, &tokenizer)?))
     }
 
-    fn fetch(&self, source: &ModelSource, files: HubFiles) -> Result<PathBuf, MllmError> {
+    fn fetch(&self, name: &str, source: &ModelSource, files: HubFiles) -> Result<PathBuf, MllmError> {
         match source {
+            ModelSource::Endpoint(settings) => {
+                Err(MllmError::NoFiles { name: name.to_string(), endpoint: settings.endpoint.clone() })
+            }
             ModelSource::Folder { folder } => Ok(folder.clone()),
             ModelSource::Hub { hub, revision } => self.hub.fetch(hub, revision, files),
         }
@@ -153,6 +163,23 @@ mod tests {
         let hub = registry.find("llava-hf/llava-1.5-7b-hf").unwrap();
         assert_eq!(hub.name, "llava-1.5-7b-hf");
         assert!(matches!(hub.source, ModelSource::Hub { .. }));
+    }
+
+    #[test]
+    fn every_description_that_ships_is_read() {
+        let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+        let registry = ModelRegistry::new(&models, HubAccess { offline: true, ..HubAccess::default() });
+        let names = registry.names().unwrap();
+        let servers = names.iter().filter(|name| match registry.find(name).unwrap().source {
+            ModelSource::Endpoint(settings) => settings.url().is_ok(),
+            ModelSource::Folder { .. } | ModelSource::Hub { .. } => false,
+        });
+        assert_eq!(servers.collect::<Vec<_>>(), ["local-server", "openai"]);
+        let openai = registry.find("openai").unwrap();
+        assert!(matches!(registry.open(&openai), Err(MllmError::Offline { .. })), "the network is off");
+        assert!(matches!(registry.folder(&openai), Err(MllmError::NoFiles { .. })));
+        let local = registry.open(&registry.find("local-server").unwrap()).unwrap();
+        assert_eq!(local.describe().server.unwrap().model, "default");
     }
 
     #[test]

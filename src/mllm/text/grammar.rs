@@ -79,9 +79,8 @@ impl GrammarEngine {
         let fail = |problem: String| MllmError::Grammar { constraint: shown.clone(), problem };
         let grammar = match constraint {
             Constraint::Free => return Ok(None),
-            Constraint::Choice(texts) => TopLevelGrammar::from_lark(choice_grammar(texts).map_err(fail)?),
-            Constraint::Regex(pattern) => TopLevelGrammar::from_lark(regex_grammar(pattern).map_err(fail)?),
             Constraint::Lark(grammar) => TopLevelGrammar::from_lark(grammar.clone()),
+            other => TopLevelGrammar::from_lark(format!("start: {}", lark(other).map_err(fail)?)),
         };
         let known = {
             let compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
@@ -186,8 +185,22 @@ impl TokenizerEnv for Vocabulary {
     }
 }
 
-/// A grammar of alternatives.
-fn choice_grammar(texts: &[String]) -> Result<String, String> {
+/// A constraint as an expression of Lark.
+fn lark(constraint: &Constraint) -> Result<String, String> {
+    match constraint {
+        Constraint::Choice(texts) => choice(texts),
+        Constraint::Regex(pattern) => regex(pattern),
+        Constraint::Sequence(parts) if parts.is_empty() => Err("a sequence of nothing".into()),
+        Constraint::Sequence(parts) => {
+            let parts = parts.iter().map(|part| Ok(format!("({})", lark(part)?)));
+            Ok(parts.collect::<Result<Vec<String>, String>>()?.join(" "))
+        }
+        Constraint::Free | Constraint::Lark(_) => Err("free text and Lark cannot be parts of a sequence".into()),
+    }
+}
+
+/// Alternatives.
+fn choice(texts: &[String]) -> Result<String, String> {
     if texts.is_empty() {
         return Err("there is nothing to choose from".into());
     }
@@ -196,16 +209,16 @@ fn choice_grammar(texts: &[String]) -> Result<String, String> {
     }
     let alternatives: Vec<String> =
         texts.iter().map(|text| serde_json::Value::from(text.as_str()).to_string()).collect();
-    Ok(format!("start: {}", alternatives.join(" | ")))
+    Ok(alternatives.join(" | "))
 }
 
-/// A grammar of one regular expression.
-fn regex_grammar(pattern: &str) -> Result<String, String> {
+/// A regular expression.
+fn regex(pattern: &str) -> Result<String, String> {
     let escapes = pattern.len() - pattern.trim_end_matches('\\').len();
     if pattern.is_empty() || escapes % 2 == 1 {
         return Err("the regular expression is empty or ends in a backslash".into());
     }
-    Ok(format!("start: /{}/", regex_to_lark(pattern, "")))
+    Ok(format!("/{}/", regex_to_lark(pattern, "")))
 }
 
 fn shown(constraint: &Constraint) -> String {

@@ -174,6 +174,8 @@ mod tests {
             planning_calls: 0,
             rethinks: 0,
             parse_errors: 0,
+            deadlines: 0,
+            failed_calls: 0,
             drivable_layers: None,
             time: DriveTime::default(),
             metrics: Vec::new(),

@@ -152,7 +152,8 @@ fn kept(
     Ok(kept)
 }
 
-/// Tables to stdout, place and failures to stderr. Says whether every drive ended well.
+/// Tables to stdout, place and failures to stderr. Says whether every drive ended well and every planning call was
+/// answered.
 fn tell(
     summary: &Summary,
     timing: &Timing,
@@ -177,7 +178,16 @@ fn tell(
     if !failed.is_empty() {
         printer.note(format!("{} of {} drives failed", failed.len(), rows.len()));
     }
-    Ok(failed.is_empty())
+    let count = |of: fn(&DriveRow) -> usize| rows.iter().map(of).sum::<usize>();
+    let (calls, deadlines, lost) =
+        (count(|row| row.planning_calls), count(|row| row.deadlines), count(|row| row.failed_calls));
+    if deadlines > 0 {
+        printer.note(format!("{deadlines} of {calls} planning calls ended by their deadline"));
+    }
+    if lost > 0 {
+        printer.note(format!("{lost} of {calls} planning calls got no answer; calls.jsonl says why"));
+    }
+    Ok(failed.is_empty() && lost == 0)
 }
 
 /// This machine, and what this session has done since it was `started`.

@@ -1,0 +1,150 @@
+//! What is sent: one chat completion.
+
+use std::io::Cursor;
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use image::{ImageFormat, RgbImage};
+use serde_json::{Map, Value, json};
+
+use super::grammar::{gbnf, pattern};
+use super::settings::{EndpointSettings, GrammarField};
+use crate::mllm::{Constraint, ConstraintUse, MllmError, Request, Sampling, Turn};
+
+/// The member of a JSON answer that holds the text.
+const ANSWER: &str = "answer";
+/// Seeds are sent as positive 32-bit integers, which every server takes.
+const SEED_BITS: u64 = 0x7fff_ffff;
+
+/// A chat that ends with a user's prompt.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Chat<'a> {
+    /// The system prompt; empty for none.
+    pub(super) system: &'a str,
+    /// The image of the first prompt, as [`data_url`] writes it.
+    pub(super) image: Option<&'a str>,
+    /// What was said.
+    pub(super) turns: &'a [Turn],
+    /// The prompt that is to be answered.
+    pub(super) prompt: &'a str,
+}
+
+/// The body of a request.
+///
+/// # Errors
+/// When the constraint cannot be written in the language that the server takes.
+pub(super) fn body(
+    settings: &EndpointSettings,
+    chat: &Chat<'_>,
+    request: &Request,
+    seed: u64,
+) -> Result<Value, MllmError> {
+    let mut fields = Map::new();
+    let mut set = |name: &str, value: Value| fields.insert(name.to_string(), value);
+    set("model", json!(settings.model));
+    set("messages", messages(chat));
+    set(settings.limit.as_str(), json!(request.max_new_tokens));
+    match request.sampling {
+        Sampling::Greedy => {
+            set("temperature", json!(0));
+        }
+        Sampling::Sample { temperature, top_p } => {
+            set("temperature", json!(temperature));
+            set("top_p", json!(top_p));
+        }
+    }
+    set("seed", json!(seed & SEED_BITS));
+    set("stream", json!(settings.stream));
+    if settings.stream {
+        set("stream_options", json!({"include_usage": true}));
+    }
+    if let Some((name, value)) = constraint_field(settings.grammar, &request.constraint)? {
+        set(name, value);
+    }
+    for name in &settings.omit {
+        fields.remove(name);
+    }
+    fields.extend(settings.extra.clone());
+    Ok(Value::Object(fields))
+}
+
+fn messages(chat: &Chat<'_>) -> Value {
+    let mut messages = Vec::new();
+    if !chat.system.is_empty() {
+        messages.push(json!({"role": "system", "content": chat.system}));
+    }
+    let said = chat.turns.iter().map(|turn| (turn.prompt.as_str(), Some(turn.answer.as_str())));
+    for (index, (prompt, answer)) in said.chain([(chat.prompt, None)]).enumerate() {
+        let content = match chat.image.filter(|_| index == 0) {
+            None => json!(prompt),
+            Some(url) => json!([
+                {"type": "image_url", "image_url": {"url": url}},
+                {"type": "text", "text": prompt},
+            ]),
+        };
+        messages.push(json!({"role": "user", "content": content}));
+        if let Some(answer) = answer {
+            messages.push(json!({"role": "assistant", "content": answer}));
+        }
+    }
+    Value::Array(messages)
+}
+
+/// The field that carries the constraint; none where there is nothing to send.
+fn constraint_field(field: GrammarField, constraint: &Constraint) -> Result<Option<(&'static str, Value)>, MllmError> {
+    if *constraint == Constraint::Free {
+        return Ok(None);
+    }
+    let fail = |problem: String| MllmError::Grammar { constraint: format!("{constraint:?}"), problem };
+    Ok(match field {
+        GrammarField::None => None,
+        GrammarField::Gbnf => Some(("grammar", json!(gbnf(constraint).map_err(fail)?))),
+        GrammarField::JsonSchema => Some(("response_format", json_schema(&pattern(constraint).map_err(fail)?))),
+        GrammarField::StructuredOutputs => {
+            Some(("structured_outputs", json!({"regex": pattern(constraint).map_err(fail)?})))
+        }
+        GrammarField::GuidedRegex => Some(("guided_regex", json!(pattern(constraint).map_err(fail)?))),
+    })
+}
+
+/// An object, as `OpenAI` wants it, whose only member is a string of this pattern.
+fn json_schema(pattern: &str) -> Value {
+    json!({"type": "json_schema", "json_schema": {"name": ANSWER, "strict": true, "schema": {
+        "type": "object",
+        "properties": {ANSWER: {"type": "string", "pattern": format!("^{pattern}$")}},
+        "required": [ANSWER],
+        "additionalProperties": false,
+    }}})
+}
+
+/// The text of an answer: of a JSON answer its member, of anything else itself.
+pub(super) fn text(settings: &EndpointSettings, constraint: &Constraint, content: String) -> String {
+    if settings.grammar != GrammarField::JsonSchema || *constraint == Constraint::Free {
+        return content;
+    }
+    let parsed: Option<Value> = serde_json::from_str(&content).ok();
+    let member = parsed.as_ref().and_then(|value| value.get(ANSWER)).and_then(Value::as_str);
+    member.map(ToString::to_string).unwrap_or(content)
+}
+
+/// What became of the constraint.
+pub(super) fn constraint_use(settings: &EndpointSettings, constraint: &Constraint, text: &str) -> ConstraintUse {
+    if *constraint == Constraint::Free {
+        return ConstraintUse::Unconstrained;
+    }
+    if settings.grammar == GrammarField::None {
+        return ConstraintUse::NotOffered;
+    }
+    let whole = pattern(constraint).ok().and_then(|pattern| regex::Regex::new(&format!("^(?:{pattern})$")).ok());
+    if whole.is_some_and(|whole| whole.is_match(text)) { ConstraintUse::Kept } else { ConstraintUse::Broken }
+}
+
+/// An image as a `data:` address, in PNG.
+///
+/// # Errors
+/// When it cannot be encoded.
+pub(super) fn data_url(image: &RgbImage) -> Result<String, MllmError> {
+    let mut png = Cursor::new(Vec::new());
+    image.write_to(&mut png, ImageFormat::Png).map_err(|error| MllmError::Image { problem: error.to_string() })?;
+    Ok(format!("data:image/png;base64,{}", BASE64_STANDARD.encode(png.into_inner())))
+}

@@ -1,0 +1,212 @@
+//! One request to the server, made again where that may help.
+
+use std::time::{Duration, SystemTime};
+
+use backon::{BackoffBuilder, ExponentialBuilder};
+use reqwest::blocking::Response;
+use reqwest::header::{AUTHORIZATION, CONTENT_TYPE, RETRY_AFTER};
+use reqwest::redirect::Policy;
+use reqwest::{StatusCode, Url};
+use serde_json::Value;
+
+use super::key::ApiKey;
+use super::reply::{Reply, error_message, read_stream, read_whole};
+use super::settings::EndpointSettings;
+use crate::mllm::{Deadline, EndpointFailure, MllmError};
+
+/// Longest wait between two requests that no server asked for.
+const LONGEST_WAIT: Duration = Duration::from_secs(30);
+
+/// A connection pool to one server.
+#[derive(Debug)]
+pub(super) struct Client {
+    http: reqwest::blocking::Client,
+    url: Url,
+    key: Option<ApiKey>,
+    /// The time limit of a request.
+    timeout: Duration,
+    retries: usize,
+    first_wait: Duration,
+}
+
+/// A request that failed.
+#[derive(Debug)]
+struct Failed {
+    failure: EndpointFailure,
+    /// How long the server asks to wait.
+    retry_after: Option<Duration>,
+}
+
+impl From<EndpointFailure> for Failed {
+    fn from(failure: EndpointFailure) -> Self {
+        Self { failure, retry_after: None }
+    }
+}
+
+impl Client {
+    /// A client of the server that a description names, whose address is `url`; nothing is sent yet.
+    ///
+    /// # Errors
+    /// When TLS cannot be set up.
+    pub(super) fn new(settings: &EndpointSettings, url: Url, key: Option<ApiKey>) -> Result<Self, MllmError> {
+        let mut builder = reqwest::blocking::Client::builder()
+            .connect_timeout(Duration::from_millis(settings.connect_timeout_ms))
+            .user_agent(concat!("planagent/", env!("CARGO_PKG_VERSION")))
+            .redirect(Policy::none());
+        if settings.is_local() {
+            builder = builder.no_proxy();
+        }
+        let http = builder.build().map_err(|error| MllmError::Endpoint {
+            endpoint: url.to_string(),
+            failure: EndpointFailure::Connect(causes(&error)),
+        })?;
+        Ok(Self {
+            http,
+            url,
+            key,
+            timeout: Duration::from_millis(settings.timeout_ms),
+            retries: settings.retries,
+            first_wait: Duration::from_millis(settings.first_wait_ms),
+        })
+    }
+
+    /// Sends a request until it is answered, as often as the settings allow; `seed` decides the waits' random parts.
+    ///
+    /// # Errors
+    /// The last failure, or [`MllmError::Deadline`] when the deadline passes, or would while waiting.
+    pub(super) fn ask(&self, body: &Value, seed: u64, deadline: Deadline) -> Result<Reply, MllmError> {
+        let mut waits = ExponentialBuilder::default()
+            .with_min_delay(self.first_wait)
+            .with_max_delay(LONGEST_WAIT)
+            .with_max_times(self.retries)
+            .with_jitter()
+            .with_jitter_seed(seed)
+            .build();
+        loop {
+            deadline.check()?;
+            let Failed { failure, retry_after } = match self.ask_once(body, deadline) {
+                Ok(reply) => return Ok(reply),
+                Err(failed) => failed,
+            };
+            deadline.check()?;
+            let again = if may_pass(&failure) { waits.next() } else { None };
+            let Some(wait) = again else { return Err(self.error(failure)) };
+            let wait = retry_after.unwrap_or(wait);
+            if let (EndpointFailure::Unavailable { status, .. }, true) = (&failure, wait > self.timeout) {
+                return Err(self.error(EndpointFailure::Wait { status: *status, seconds: wait.as_secs() }));
+            }
+            if deadline.left().is_some_and(|left| wait >= left) {
+                return Err(MllmError::Deadline);
+            }
+            std::thread::sleep(wait);
+        }
+    }
+
+    fn ask_once(&self, body: &Value, deadline: Deadline) -> Result<Reply, Failed> {
+        let limit = deadline.left().map_or(self.timeout, |left| left.min(self.timeout));
+        let mut request = self.http.post(self.url.clone()).timeout(limit).json(body);
+        if let Some(key) = &self.key {
+            request = request.header(AUTHORIZATION, key.header());
+        }
+        let response = request.send().map_err(|error| self.unsent(&error))?;
+        if !response.status().is_success() {
+            return Err(self.refused(response));
+        }
+        let streamed = response
+            .headers()
+            .get(CONTENT_TYPE)
+            .and_then(|kind| kind.to_str().ok())
+            .is_some_and(|kind| kind.starts_with("text/event-stream"));
+        let reply = if streamed { read_stream(response) } else { read_whole(response) };
+        reply.map_err(|failure| self.told(failure).into())
+    }
+
+    /// What an error before the answer's head means.
+    fn unsent(&self, error: &reqwest::Error) -> Failed {
+        let failure = if error.is_connect() {
+            EndpointFailure::Connect(causes(error))
+        } else if error.is_timeout() {
+            EndpointFailure::Timeout(self.timeout)
+        } else {
+            EndpointFailure::Closed(causes(error))
+        };
+        self.told(failure).into()
+    }
+
+    /// What an error status means.
+    fn refused(&self, response: Response) -> Failed {
+        let status = response.status();
+        let retry_after =
+            response.headers().get(RETRY_AFTER).and_then(|wait| retry_after(wait.to_str().ok()?, SystemTime::now()));
+        let message = match response.headers().get(reqwest::header::LOCATION).and_then(|place| place.to_str().ok()) {
+            Some(place) => format!("the address has moved to {place}"),
+            None => error_message(response),
+        };
+        let failure = if status.is_server_error() || status == StatusCode::TOO_MANY_REQUESTS {
+            EndpointFailure::Unavailable { status: status.as_u16(), message }
+        } else {
+            EndpointFailure::Refused { status: status.as_u16(), message }
+        };
+        Failed { failure: self.told(failure), retry_after }
+    }
+
+    /// A failure as it may be told: with the time limit, without the key.
+    fn told(&self, failure: EndpointFailure) -> EndpointFailure {
+        let hide = |text: String| self.key.as_ref().map_or_else(|| text.clone(), |key| key.hide(&text));
+        match failure {
+            EndpointFailure::Timeout(_) => EndpointFailure::Timeout(self.timeout),
+            EndpointFailure::Connect(text) => EndpointFailure::Connect(hide(text)),
+            EndpointFailure::Closed(text) => EndpointFailure::Closed(hide(text)),
+            EndpointFailure::Nonsense(text) => EndpointFailure::Nonsense(hide(text)),
+            EndpointFailure::Unavailable { status, message } => {
+                EndpointFailure::Unavailable { status, message: hide(message) }
+            }
+            EndpointFailure::Refused { status, message } => EndpointFailure::Refused { status, message: hide(message) },
+            other @ (EndpointFailure::Wait { .. } | EndpointFailure::TooLong(_)) => other,
+        }
+    }
+
+    fn error(&self, failure: EndpointFailure) -> MllmError {
+        MllmError::Endpoint { endpoint: self.url.to_string(), failure }
+    }
+}
+
+/// Whether the same request may succeed a little later. One that used up its time is not made again.
+fn may_pass(failure: &EndpointFailure) -> bool {
+    matches!(failure, EndpointFailure::Connect(_) | EndpointFailure::Closed(_) | EndpointFailure::Unavailable { .. })
+}
+
+/// The header `Retry-After`: seconds, or a date (RFC 9110, 10.2.3).
+fn retry_after(value: &str, now: SystemTime) -> Option<Duration> {
+    let value = value.trim();
+    if let Ok(seconds) = value.parse::<f64>() {
+        return Duration::try_from_secs_f64(seconds).ok();
+    }
+    httpdate::parse_http_date(value).ok().map(|date| date.duration_since(now).unwrap_or_default())
+}
+
+/// An error with what lies under it, without the address, which the message names already.
+fn causes(error: &reqwest::Error) -> String {
+    let mut innermost: &dyn std::error::Error = error;
+    while let Some(cause) = innermost.source() {
+        innermost = cause;
+    }
+    innermost.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn retry_after_is_read_in_both_forms() {
+        let now = httpdate::parse_http_date("Sun, 06 Nov 1994 08:49:37 GMT").unwrap();
+        assert_eq!(retry_after(" 7 ", now), Some(Duration::from_secs(7)));
+        assert_eq!(retry_after("0.25", now), Some(Duration::from_millis(250)));
+        assert_eq!(retry_after("Sun, 06 Nov 1994 08:49:40 GMT", now), Some(Duration::from_secs(3)));
+        assert_eq!(retry_after("Sun, 06 Nov 1994 08:00:00 GMT", now), Some(Duration::ZERO));
+        for wrong in ["", "-1", "soon", "inf"] {
+            assert_eq!(retry_after(wrong, now), None, "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! Constraints in the languages that servers take: llama.cpp's GBNF, and regular expressions without what some of them
+//! do not know (anchors, groups other than plain ones).
+
+use regex_syntax::hir::{Class, ClassUnicode, Hir, HirKind};
+
+use crate::mllm::Constraint;
+
+/// Characters that mean something in a regular expression.
+const META: &str = r"\^$.|?*+()[]{}";
+
+/// A constraint as a regular expression that the whole answer must match, without anchors.
+///
+/// # Errors
+/// When it is none of choices, regular expressions and sequences of these.
+pub(super) fn pattern(constraint: &Constraint) -> Result<String, String> {
+    match constraint {
+        Constraint::Choice(texts) if texts.is_empty() => Err("there is nothing to choose from".into()),
+        Constraint::Choice(texts) => match texts.as_slice() {
+            [only] => Ok(literal_pattern(only)),
+            several => Ok(format!("({})", several.iter().map(|t| literal_pattern(t)).collect::<Vec<_>>().join("|"))),
+        },
+        Constraint::Regex(pattern) => Ok(format!("({pattern})")),
+        Constraint::Sequence(parts) => parts.iter().map(pattern).collect(),
+        Constraint::Free | Constraint::Lark(_) => Err(NOT_REGULAR.into()),
+    }
+}
+
+/// A constraint as a grammar of llama.cpp.
+///
+/// # Errors
+/// As [`pattern`], or when a regular expression holds anchors, look-around or bytes that are no text.
+pub(super) fn gbnf(constraint: &Constraint) -> Result<String, String> {
+    Ok(format!("root ::= {}", expression(constraint)?))
+}
+
+/// Why a constraint cannot be sent.
+const NOT_REGULAR: &str = "servers are sent choices, regular expressions and sequences of these";
+
+fn literal_pattern(text: &str) -> String {
+    let mut pattern = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '\n' => pattern.push_str("\\n"),
+            '\r' => pattern.push_str("\\r"),
+            '\t' => pattern.push_str("\\t"),
+            character => {
+                if META.contains(character) {
+                    pattern.push('\\');
+                }
+                pattern.push(character);
+            }
+        }
+    }
+    pattern
+}
+
+fn expression(constraint: &Constraint) -> Result<String, String> {
+    match constraint {
+        Constraint::Choice(texts) if texts.is_empty() => Err("there is nothing to choose from".into()),
+        Constraint::Choice(texts) => Ok(alternatives(texts.iter().map(|text| quoted(text)))),
+        Constraint::Regex(pattern) => {
+            let parsed = regex_syntax::parse(pattern).map_err(|error| first_line(&error.to_string()))?;
+            regular(&parsed)
+        }
+        Constraint::Sequence(parts) => Ok(parts.iter().map(expression).collect::<Result<Vec<_>, _>>()?.join(" ")),
+        Constraint::Free | Constraint::Lark(_) => Err(NOT_REGULAR.into()),
+    }
+}
+
+/// A parsed regular expression in GBNF.
+fn regular(hir: &Hir) -> Result<String, String> {
+    match hir.kind() {
+        HirKind::Empty => Ok("\"\"".into()),
+        HirKind::Literal(literal) => {
+            let text = std::str::from_utf8(&literal.0).map_err(|_| "GBNF knows no bytes that are no text")?;
+            Ok(quoted(text))
+        }
+        HirKind::Class(Class::Unicode(class)) => Ok(class_expression(class)),
+        HirKind::Class(Class::Bytes(_)) => Err("GBNF knows no classes of bytes".into()),
+        HirKind::Look(_) => Err("GBNF knows no anchors and word borders".into()),
+        HirKind::Repetition(repetition) => {
+            let count = match (repetition.min, repetition.max) {
+                (least, Some(most)) if least == most => format!("{{{least}}}"),
+                (least, most) => format!("{{{least},{}}}", most.map(|most| most.to_string()).unwrap_or_default()),
+            };
+            Ok(format!("({}){count}", regular(&repetition.sub)?))
+        }
+        HirKind::Capture(capture) => regular(&capture.sub),
+        HirKind::Concat(parts) => Ok(parts.iter().map(regular).collect::<Result<Vec<_>, _>>()?.join(" ")),
+        HirKind::Alternation(parts) => Ok(alternatives(parts.iter().map(regular).collect::<Result<Vec<_>, _>>()?)),
+    }
+}
+
+/// Every class is written by ranges, one that holds the character 0 by what it does not hold: llama.cpp ends a text there.
+fn class_expression(class: &ClassUnicode) -> String {
+    let negated = class.ranges().first().is_some_and(|range| range.start() == '\0');
+    let mut shown = class.clone();
+    if negated {
+        shown.negate();
+        if shown.ranges().is_empty() {
+            return "[^\\x00]".into();
+        }
+    }
+    let ranges = shown.ranges().iter().map(|range| {
+        let (first, last) = (class_character(range.start()), class_character(range.end()));
+        if range.start() == range.end() { first } else { format!("{first}-{last}") }
+    });
+    format!("[{}{}]", if negated { "^" } else { "" }, ranges.collect::<String>())
+}
+
+fn class_character(character: char) -> String {
+    if character.is_ascii_alphanumeric() { character.to_string() } else { format!("\\U{:08X}", character as u32) }
+}
+
+fn quoted(text: &str) -> String {
+    let mut quoted = String::from('"');
+    for character in text.chars() {
+        match character {
+            '"' => quoted.push_str("\\\""),
+            '\\' => quoted.push_str("\\\\"),
+            '\n' => quoted.push_str("\\n"),
+            '\r' => quoted.push_str("\\r"),
+            '\t' => quoted.push_str("\\t"),
+            character if character.is_control() => quoted.push_str(&class_character(character)),
+            character => quoted.push(character),
+        }
+    }
+    quoted.push('"');
+    quoted
+}
+
+fn alternatives(parts: impl IntoIterator<Item = String>) -> String {
+    format!("({})", parts.into_iter().collect::<Vec<_>>().join(" | "))
+}
+
+fn first_line(text: &str) -> String {
+    text.lines().last().unwrap_or_default().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn choice(texts: &[&str]) -> Constraint {
+        Constraint::Choice(texts.iter().map(ToString::to_string).collect())
+    }
+
+    fn code() -> Constraint {
+        Constraint::Sequence(vec![
+            choice(&["Plan(c="]),
+            choice(&["ego_lane", "left [1]"]),
+            choice(&[")\n"]),
+            Constraint::Regex("[A-Za-z][^\\n]{2,16}".into()),
+        ])
+    }
+
+    #[test]
+    fn a_pattern_matches_what_the_constraint_means() {
+        let pattern = pattern(&code()).unwrap();
+        assert_eq!(pattern, r"Plan\(c=(ego_lane|left \[1\])\)\n([A-Za-z][^\n]{2,16})");
+        let whole = regex::Regex::new(&format!("^(?:{pattern})$")).unwrap();
+        assert!(whole.is_match("Plan(c=left [1])\nbecause"));
+        assert!(!whole.is_match("Plan(c=right)\nbecause") && !whole.is_match("Plan(c=ego_lane)\nbe"));
+    }
+
+    #[test]
+    fn gbnf_is_written_as_llama_cpp_reads_it() {
+        let expected = r#"root ::= ("Plan(c=") ("ego_lane" | "left [1]") (")\n") [A-Za-z] ([^\U0000000A]){2,16}"#;
+        assert_eq!(gbnf(&code()).unwrap(), expected);
+        let of = |pattern: &str| gbnf(&Constraint::Regex(pattern.into()));
+        assert_eq!(of(r#"(yes|no)+ "x"?"#).unwrap(), r#"root ::= (("yes" | "no")){1,} " \"x" ("\""){0,1}"#);
+        assert_eq!(of("a{3}(?s:.)").unwrap(), r#"root ::= ("a"){3} [^\x00]"#);
+        assert_eq!(gbnf(&choice(&["a \"b\" \\ \u{1} ü"])).unwrap(), r#"root ::= ("a \"b\" \\ \U00000001 ü")"#);
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_an_error() {
+        for constraint in [Constraint::Free, Constraint::Lark("start: \"a\"".into()), choice(&[])] {
+            assert!(pattern(&constraint).is_err() && gbnf(&constraint).is_err(), "{constraint:?}");
+        }
+        for regex in ["^a", r"\bword", "(unclosed", r"(?-u)\xFF"] {
+            assert!(gbnf(&Constraint::Regex(regex.into())).is_err(), "{regex}");
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! Models that a server computes, asked over HTTP by `OpenAI`'s chat completions, which vLLM, llama.cpp's server and Ollama
+//! offer too.
+
+mod chat;
+mod client;
+mod grammar;
+mod key;
+mod reply;
+mod settings;
+
+use std::time::Instant;
+
+pub use settings::{EndpointSettings, GrammarField, LimitField};
+
+use super::sampling::answer_seed;
+use super::{
+    Answer, Conversation, Mark, Mllm, MllmError, ModelDescription, Opening, Request, RoundTime, Server, Turn,
+    prompt_hash,
+};
+use chat::Chat;
+use client::Client;
+use key::ApiKey;
+
+/// A model that a server computes.
+#[derive(Debug)]
+pub struct Endpoint {
+    name: String,
+    settings: EndpointSettings,
+    client: Client,
+}
+
+impl Endpoint {
+    /// Prepares to ask the server that the settings name; `name` is what results call it. The key is read from the
+    /// environment now; nothing is sent before the first question.
+    ///
+    /// # Errors
+    /// When a setting makes no sense, or there is no key where one is asked for.
+    pub fn open(name: &str, settings: &EndpointSettings) -> Result<Self, MllmError> {
+        let url = settings.url().map_err(|problem| MllmError::Request { problem })?;
+        let key = settings.key_env.as_deref().map(ApiKey::from_environment).transpose()?;
+        Ok(Self { name: name.to_string(), settings: settings.clone(), client: Client::new(settings, url, key)? })
+    }
+}
+
+impl Mllm for Endpoint {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn describe(&self) -> ModelDescription {
+        ModelDescription {
+            name: self.name.clone(),
+            architecture: "endpoint".into(),
+            parameters: 0,
+            dtype: String::new(),
+            image_size: Some(self.settings.image_size),
+            image_tokens: 0,
+            vocabulary: 0,
+            context: 0,
+            weights_blake3: String::new(),
+            server: Some(Server { endpoint: self.settings.endpoint.clone(), model: self.settings.model.clone() }),
+        }
+    }
+
+    fn converse<'a>(&'a self, opening: &Opening, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
+        Ok(Box::new(EndpointConversation {
+            endpoint: self,
+            system: opening.system.clone(),
+            image: opening.image.as_ref().map(chat::data_url).transpose()?,
+            seed,
+            answers: 0,
+            turns: Vec::new(),
+        }))
+    }
+}
+
+/// A chat with a server. The server remembers nothing: every question carries the whole chat.
+struct EndpointConversation<'a> {
+    endpoint: &'a Endpoint,
+    system: String,
+    /// The image as it is sent.
+    image: Option<String>,
+    seed: u64,
+    answers: u64,
+    turns: Vec<Turn>,
+}
+
+impl Conversation for EndpointConversation<'_> {
+    fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError> {
+        let start = Instant::now();
+        let settings = &self.endpoint.settings;
+        request.sampling.check()?;
+        let seed = answer_seed(self.seed, self.answers);
+        let chat = Chat { system: &self.system, image: self.image.as_deref(), turns: &self.turns, prompt };
+        let body = chat::body(settings, &chat, request, seed)?;
+        let asked = Instant::now();
+        let reply = self.endpoint.client.ask(&body, seed, request.deadline)?;
+        let remote = milliseconds(asked, Instant::now());
+        let text = chat::text(settings, &request.constraint, reply.content);
+        self.answers += 1;
+        let prompt_hash = prompt_hash(&self.system, &self.turns, prompt);
+        self.turns.push(Turn { prompt: prompt.to_string(), answer: text.clone() });
+        Ok(Answer {
+            tokens: reply.tokens,
+            finish: reply.finish,
+            constraint: chat::constraint_use(settings, &request.constraint, &text),
+            prompt_hash,
+            time: RoundTime {
+                first_token: reply.first_text.map_or(0.0, |first| milliseconds(start, first)),
+                remote,
+                total: milliseconds(start, Instant::now()),
+                ..RoundTime::default()
+            },
+            text,
+        })
+    }
+
+    fn mark(&self) -> Mark {
+        Mark(self.turns.len())
+    }
+
+    fn rewind(&mut self, mark: Mark) {
+        self.turns.truncate(mark.0);
+    }
+}
+
+fn milliseconds(from: Instant, to: Instant) -> f64 {
+    to.saturating_duration_since(from).as_secs_f64() * 1e3
+}

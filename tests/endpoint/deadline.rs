@@ -1,0 +1,53 @@
+//! The deadline of a planning call, with models of this process and with scripted ones.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use planagent::mllm::{Constraint, Deadline, LocalModel, Mllm, MllmError, Opening, Request};
+
+use super::request;
+
+fn tiny() -> Arc<LocalModel> {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/tiny_llava");
+    Arc::new(LocalModel::open("tiny", folder.as_ref()).unwrap())
+}
+
+fn opening() -> Opening {
+    let image = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/tiny_llava/image.png")).unwrap();
+    Opening { system: "Drive safely.".into(), image: Some(image.into_rgb8()) }
+}
+
+#[test]
+fn a_local_model_stops_between_tokens_and_answers_later_as_if_never_asked() {
+    let model = tiny();
+    let long = Request {
+        max_new_tokens: 200,
+        deadline: Deadline::after(Instant::now(), Duration::from_millis(1)),
+        ..request(Constraint::Regex("[ab]{200}".into()))
+    };
+    let short = request(Constraint::Regex("[a-f]{6}".into()));
+    let mut conversation = model.converse(&opening(), 5).unwrap();
+    // Asked until the deadline falls into the answer: 200 tokens take many times a millisecond.
+    assert!(matches!(conversation.ask("Which lane?", &long), Err(MllmError::Deadline)));
+    let again = conversation.ask("Where to?", &short).unwrap();
+    let fresh = model.converse(&opening(), 5).unwrap().ask("Where to?", &short).unwrap();
+    assert_eq!((again.text, again.prompt_hash), (fresh.text, fresh.prompt_hash));
+}
+
+#[test]
+fn a_local_model_does_not_begin_after_its_deadline() {
+    let model = tiny();
+    let late = Request { deadline: Deadline::after(Instant::now(), Duration::ZERO), ..request(Constraint::Free) };
+    let mut conversation = model.converse(&opening(), 0).unwrap();
+    assert!(matches!(conversation.ask("Which lane?", &late), Err(MllmError::Deadline)));
+}
+
+#[test]
+fn a_far_deadline_changes_no_answer() {
+    let model = tiny();
+    let ask = |deadline| {
+        let request = Request { deadline, ..request(Constraint::Free) };
+        model.converse(&opening(), 0).unwrap().ask("Which lane?", &request).unwrap().text
+    };
+    assert_eq!(ask(Deadline::NONE), ask(Deadline::after(Instant::now(), Duration::from_secs(3600))));
+}

@@ -1,0 +1,107 @@
+//! llama.cpp's own server, of the Python package `llama-cpp-python[server]`, as the model of a drive.
+//! `$PLANAGENT_LLAMA_PYTHON` names a Python that has it and the package `gguf`.
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::cli::{planagent, read_json};
+
+/// The server's process, which ends with the value.
+struct LlamaServer(Child);
+
+impl Drop for LlamaServer {
+    fn drop(&mut self) {
+        // A process that has ended already cannot be ended again.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The Python to take, if it has what is needed; says so when not.
+fn python() -> Option<OsString> {
+    let Some(python) = std::env::var_os("PLANAGENT_LLAMA_PYTHON") else {
+        eprintln!("SKIPPED: llama.cpp's server; $PLANAGENT_LLAMA_PYTHON names no Python with llama-cpp-python[server]");
+        return None;
+    };
+    let import = Command::new(&python).args(["-c", "import gguf, llama_cpp.server.app"]).output().unwrap();
+    assert!(import.status.success(), "{}", String::from_utf8_lossy(&import.stderr));
+    Some(python)
+}
+
+/// Starts the server with a random model and waits until it listens.
+fn start(python: &OsString, folder: &Path) -> (LlamaServer, String) {
+    let model = folder.join("tiny.gguf");
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/llama_cpp/make_tiny_gguf.py");
+    assert!(Command::new(python).arg(script).arg(&model).status().unwrap().success());
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let log = folder.join("server.log");
+    let child = Command::new(python)
+        .args(["-m", "llama_cpp.server", "--host", "127.0.0.1", "--n_ctx", "8192", "--n_threads", "1"])
+        .args(["--port", &port.to_string(), "--model"])
+        .arg(&model)
+        .stdout(Stdio::null())
+        .stderr(File::create(&log).unwrap())
+        .spawn()
+        .unwrap();
+    let mut server = LlamaServer(child);
+    let address = format!("127.0.0.1:{port}");
+    let started = Instant::now();
+    while TcpStream::connect(&address).is_err() {
+        let ended = server.0.try_wait().unwrap();
+        assert!(
+            ended.is_none() && started.elapsed() < Duration::from_secs(120),
+            "the server does not listen ({ended:?}):\n{}",
+            fs::read_to_string(&log).unwrap()
+        );
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    (server, format!("http://{address}/v1"))
+}
+
+#[test]
+fn a_random_model_on_llama_cpps_server_drives_under_our_grammars() {
+    let Some(python) = python() else { return };
+    let folder = TempDir::new().unwrap();
+    let (_server, url) = start(&python, folder.path());
+    for stream in [false, true] {
+        let description = folder.path().join("llama.toml");
+        let source = format!("endpoint = '{url}', model = 'tiny', grammar = 'gbnf', stream = {stream}");
+        fs::write(&description, format!("name = 'llama'\nprompt_set = 'compact'\nsource = {{ {source} }}\n")).unwrap();
+        let config = folder.path().join("planagent.toml");
+        fs::write(&config, "[environment]\nbev = false\n[reflection]\nmax_exec = 2\n").unwrap();
+        let out = folder.path().join(format!("run-{stream}"));
+        let output = planagent()
+            .args(["--config", config.to_str().unwrap(), "simulate", "--scenario", "generated/changing_lane/3"])
+            .args(["--model", description.to_str().unwrap(), "--out", out.to_str().unwrap()])
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        let row = read_json(&out.join("summary.json"))["scenarios"][0].clone();
+        assert_eq!(
+            (&row["planning_calls"], &row["failed_calls"], &row["parse_errors"]),
+            (&8.into(), &0.into(), &0.into())
+        );
+        let calls = fs::read_to_string(out.join("calls.jsonl")).unwrap();
+        let mut rounds = 0;
+        for call in calls.lines().map(|line| serde_json::from_str::<Value>(line).unwrap()) {
+            for attempt in call["attempts"].as_array().unwrap() {
+                for round in attempt["rounds"].as_array().unwrap() {
+                    rounds += 1;
+                    assert_eq!(round["constraint"], "kept", "{round}");
+                    // llama-cpp-python counts tokens only in answers that come in one piece.
+                    let counted =
+                        round["tokens"]["text"].as_u64().unwrap() + round["tokens"]["cached"].as_u64().unwrap();
+                    assert_eq!(counted > 0 && round["tokens"]["free"].as_u64().unwrap() > 0, !stream, "{round}");
+                }
+            }
+        }
+        assert!(rounds >= 24, "{rounds} rounds");
+    }
+}

@@ -1,0 +1,38 @@
+//! Models that a server computes: what is sent, what is made of answers and failures, and that a drive goes on.
+
+mod deadline;
+mod drive;
+mod llama_cpp;
+mod questions;
+mod server;
+mod troubles;
+
+use planagent::mllm::{Constraint, Deadline, Endpoint, EndpointSettings, Mllm, MllmError, Request, Sampling};
+use server::Server;
+use toml::toml;
+
+/// Settings of a server that takes GBNF and is given up soon.
+fn settings(url: &str) -> EndpointSettings {
+    let mut table = toml! {
+        model = "test-model"
+        grammar = "gbnf"
+        timeout_ms = 20000
+        retries = 2
+        first_wait_ms = 5
+    };
+    table.insert("endpoint".into(), url.into());
+    table.try_into().unwrap()
+}
+
+fn open(server: &Server) -> Endpoint {
+    Endpoint::open("test", &settings(&server.url())).unwrap()
+}
+
+fn request(constraint: Constraint) -> Request {
+    Request { constraint, max_new_tokens: 50, sampling: Sampling::Greedy, deadline: Deadline::NONE }
+}
+
+/// The answer to one question, or what went wrong.
+fn ask(endpoint: &Endpoint, request: &Request) -> Result<planagent::mllm::Answer, MllmError> {
+    endpoint.converse(&planagent::mllm::Opening::default(), 0).unwrap().ask("Which lane?", request)
+}

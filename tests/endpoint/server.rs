@@ -1,0 +1,179 @@
+//! A server on this machine that answers, or fails, as a test wants it to.
+
+use std::fmt::Write as _;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+
+/// A request as it came.
+#[derive(Debug, Clone)]
+pub(crate) struct Received {
+    /// First line and headers.
+    pub(crate) head: String,
+    /// The body.
+    pub(crate) body: Value,
+}
+
+/// What the server does with a request.
+pub(crate) enum Reaction {
+    /// Sends these bytes and closes the connection.
+    Send(Vec<u8>),
+    /// Sends these bytes again and again.
+    Repeat(Vec<u8>),
+    /// Sends these bytes, then nothing, and keeps the connection open.
+    Hang(Vec<u8>),
+}
+
+/// The server; it ends with the value.
+pub(crate) struct Server {
+    address: String,
+    received: Arc<Mutex<Vec<Received>>>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Server {
+    /// A server that treats the n-th request (from 0) as `react` says.
+    pub(crate) fn start(react: impl Fn(usize, &Received) -> Reaction + Send + Sync + 'static) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap().to_string();
+        let received = Arc::new(Mutex::new(Vec::new()));
+        let stop = Arc::new(AtomicBool::new(false));
+        let react = Arc::new(react);
+        let thread = {
+            let (received, stop) = (Arc::clone(&received), Arc::clone(&stop));
+            std::thread::spawn(move || {
+                for stream in listener.incoming() {
+                    if stop.load(Ordering::SeqCst) {
+                        return;
+                    }
+                    let (received, stop, react) = (Arc::clone(&received), Arc::clone(&stop), Arc::clone(&react));
+                    std::thread::spawn(move || serve(stream.unwrap(), &received, &stop, &*react));
+                }
+            })
+        };
+        Self { address, received, stop, thread: Some(thread) }
+    }
+
+    /// A server that treats every request alike.
+    pub(crate) fn always(react: impl Fn() -> Reaction + Send + Sync + 'static) -> Self {
+        Self::start(move |_, _| react())
+    }
+
+    /// What a description gives as its address.
+    pub(crate) fn url(&self) -> String {
+        format!("http://{}/v1", self.address)
+    }
+
+    /// The requests so far.
+    pub(crate) fn received(&self) -> Vec<Received> {
+        self.received.lock().unwrap().clone()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::SeqCst);
+        // Wakes the listener; should it be gone already, there is nobody to wake.
+        let _ = TcpStream::connect(&self.address);
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap();
+        }
+    }
+}
+
+fn serve(
+    mut stream: TcpStream,
+    received: &Mutex<Vec<Received>>,
+    stop: &AtomicBool,
+    react: &(dyn Fn(usize, &Received) -> Reaction + Send + Sync),
+) {
+    let Some(request) = read(&mut stream) else { return };
+    let number = {
+        let mut received = received.lock().unwrap();
+        received.push(request.clone());
+        received.len() - 1
+    };
+    match react(number, &request) {
+        Reaction::Send(bytes) => {
+            let _ = stream.write_all(&bytes);
+        }
+        Reaction::Repeat(bytes) => while !stop.load(Ordering::SeqCst) && stream.write_all(&bytes).is_ok() {},
+        Reaction::Hang(bytes) => {
+            let _ = stream.write_all(&bytes);
+            while !stop.load(Ordering::SeqCst) {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+        }
+    }
+}
+
+/// Reads head and body; none if the client left.
+fn read(stream: &mut TcpStream) -> Option<Received> {
+    let mut bytes = Vec::new();
+    let mut buffer = [0; 4096];
+    let end = loop {
+        if let Some(end) = bytes.windows(4).position(|window| window == b"\r\n\r\n") {
+            break end + 4;
+        }
+        match stream.read(&mut buffer) {
+            Ok(0) | Err(_) => return None,
+            Ok(count) => bytes.extend_from_slice(&buffer[..count]),
+        }
+    };
+    let head = String::from_utf8_lossy(&bytes[..end]).into_owned();
+    let length = head.lines().find_map(|line| {
+        let (name, value) = line.split_once(':')?;
+        name.eq_ignore_ascii_case("content-length").then(|| value.trim().parse::<usize>().unwrap())
+    });
+    let mut body = bytes.split_off(end);
+    while body.len() < length.unwrap_or(0) {
+        match stream.read(&mut buffer) {
+            Ok(0) | Err(_) => return None,
+            Ok(count) => body.extend_from_slice(&buffer[..count]),
+        }
+    }
+    Some(Received { head, body: serde_json::from_slice(&body).unwrap() })
+}
+
+/// A response of this status, with further header lines, each ended by `\r\n`.
+pub(crate) fn response(status: &str, headers: &str, body: &str) -> Vec<u8> {
+    let length = body.len();
+    format!("HTTP/1.1 {status}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}").into_bytes()
+}
+
+/// A chat completion in one piece.
+pub(crate) fn completion(text: &str) -> Reaction {
+    let body = json!({
+        "object": "chat.completion",
+        "choices": [{"index": 0, "message": {"role": "assistant", "content": text}, "finish_reason": "stop"}],
+        "usage": {"prompt_tokens": 100, "completion_tokens": 7, "prompt_tokens_details": {"cached_tokens": 40}},
+    });
+    Reaction::Send(response("200 OK", "Content-Type: application/json\r\n", &body.to_string()))
+}
+
+/// A streamed chat completion of these parts; without an end it breaks off behind them.
+pub(crate) fn stream(parts: &[&str], ended: bool) -> Reaction {
+    let mut body = String::from("HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Type: text/event-stream\r\n\r\n");
+    let mut event = |value: Value| write!(body, "data: {value}\n\n").unwrap();
+    for part in parts {
+        event(json!({"choices": [{"index": 0, "delta": {"content": part}, "finish_reason": null}]}));
+    }
+    if ended {
+        event(json!({"choices": [{"index": 0, "delta": {}, "finish_reason": "stop"}]}));
+        event(json!({"choices": [], "usage": {"prompt_tokens": 100, "completion_tokens": 7}}));
+        body.push_str("data: [DONE]\n\n");
+    }
+    Reaction::Send(body.into_bytes())
+}
+
+/// An error in `OpenAI`'s words.
+pub(crate) fn error(status: &str, headers: &str, message: &str) -> Reaction {
+    let body = json!({"error": {"message": message, "type": "some_error", "code": null}});
+    Reaction::Send(response(status, headers, &body.to_string()))
+}
