@@ -138,6 +138,19 @@ pub(super) struct SimulateArguments {
     pub(super) retry_failed: bool,
 }
 
+impl SimulateArguments {
+    /// Whether flags say which scenarios are meant.
+    pub(super) fn names_scenarios(&self) -> bool {
+        !self.scenarios.is_empty() || !self.split.splits.is_empty() || self.limit.is_some()
+    }
+
+    /// Whether nothing is asked for but to go on with a run as it was started.
+    pub(super) fn only_goes_on(&self) -> bool {
+        let names_drives = self.names_scenarios() || !self.planner.is_empty() || !self.challenge.is_empty();
+        self.resume.is_some() && !names_drives && !self.retry_failed
+    }
+}
+
 /// Flags of `plan`.
 #[derive(Debug, Args)]
 pub(super) struct PlanArguments {

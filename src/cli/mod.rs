@@ -10,10 +10,12 @@ mod picture;
 mod printer;
 mod progress;
 
+use crate::experiment::source::ScenarioSource;
 use crate::report::RunFolder;
 use anyhow::{Context, bail};
 use args::{Arguments, Command, SimulateArguments};
 use clap::Parser;
+use std::path::Path;
 use std::process::ExitCode;
 
 pub use config::{Config, EnvironmentConfig, MllmConfig, ReasoningConfig, ReflectionConfig};
@@ -55,6 +57,12 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     config.mllm.quantize = arguments.quantize.or(config.mllm.quantize);
     config.mllm.ignore_memory |= arguments.ignore_memory;
     config.mllm.offline |= arguments.offline;
+    // A run is gone on with from any folder.
+    for word in [Some(&mut config.mllm.model), config.reasoning.prompt_set.as_mut()].into_iter().flatten() {
+        if word.contains(['/', '\\']) && Path::new(word).exists() {
+            *word = ScenarioSource::absolute_word(word);
+        }
+    }
     let threads = arguments.threads.unwrap_or(0);
     if threads > MOST_THREADS {
         bail!("--threads is {threads}; more than {MOST_THREADS} would only wait for one another");

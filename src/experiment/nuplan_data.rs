@@ -2,12 +2,11 @@
 
 use super::source::ScenarioSource;
 use crate::scenario::nuplan::{
-    DataRoots, Findings, Found, Logs, MapStore, NuPlanError, Refusal, ScenarioFilter, Token, TokenError, find,
-    tag_types,
+    DataRoots, Findings, Found, LeftOut, Logs, MapStore, NuPlanError, Refusal, ScenarioFilter, THRESHOLD_KEY,
+    ThresholdScope, Token, TokenError, Unreadable, find, tag_types,
 };
-use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Ending of nuPlan's logs.
 const LOG_ENDING: &str = ".db";
@@ -21,6 +20,7 @@ const APART_S: f64 = 15.0;
 pub struct NuPlanData {
     roots: DataRoots,
     maps: Arc<MapStore>,
+    notes: Mutex<Vec<String>>,
 }
 
 /// Why a word names no scenario of a nuPlan log.
@@ -29,6 +29,9 @@ pub enum NuPlanDataError {
     /// A log or map cannot be read.
     #[error(transparent)]
     Read(#[from] NuPlanError),
+    /// There is no such file.
+    #[error("there is no log {}; name it by its path: only splits are looked for in the data root", .0.display())]
+    NoLog(PathBuf),
     /// What follows the file is no token.
     #[error("{word}: {source}")]
     Token {
@@ -58,73 +61,60 @@ pub enum NuPlanDataError {
     /// No row is tagged.
     #[error("{}: no row has a scenario tag; name one as FILE.db{TOKEN_MARK}TOKEN", .0.display())]
     NoTags(PathBuf),
+    /// No tagged row is a scenario.
+    #[error("{}: no scenario found: {left_out}", path.display())]
+    NothingFound {
+        /// Which log or folder.
+        path: PathBuf,
+        /// What was looked at.
+        left_out: LeftOut,
+    },
 }
 
-/// Tokens of a list that give no scenario.
+/// What a search of the data root gives.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct MissingTokens {
-    /// How many tokens the list has.
-    pub wanted: usize,
-    /// Those that no log holds.
+pub struct Searched {
+    /// The scenarios.
+    pub sources: Vec<ScenarioSource>,
+    /// Tokens of the filter that no log holds.
     pub absent: Vec<Token>,
-    /// Those that a log holds but that are no scenario, each with the reason.
+    /// Tokens of the filter that a log holds but that are no scenario of it.
     pub refused: Vec<(Token, Refusal)>,
-}
-
-impl MissingTokens {
-    /// Whether every token gives a scenario.
-    pub fn is_empty(&self) -> bool {
-        self.absent.is_empty() && self.refused.is_empty()
-    }
-}
-
-impl fmt::Display for MissingTokens {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        /// So many tokens are named.
-        const NAMED: usize = 5;
-        let missing = self.absent.len() + self.refused.len();
-        write!(f, "{missing} of {} scenarios are missing", self.wanted)?;
-        if !self.absent.is_empty() {
-            let first: Vec<String> = self.absent.iter().take(NAMED).map(ToString::to_string).collect();
-            let more = if self.absent.len() > NAMED { ", ..." } else { "" };
-            write!(f, "; {} in no log: {}{more}", self.absent.len(), first.join(", "))?;
-        }
-        if !self.refused.is_empty() {
-            let first = self.refused.iter().take(NAMED).map(|(token, refusal)| format!("{token} ({refusal})"));
-            let first: Vec<String> = first.collect();
-            let more = if self.refused.len() > NAMED { ", ..." } else { "" };
-            write!(f, "; {} that are no scenario: {}{more}", self.refused.len(), first.join(", "))?;
-        }
-        Ok(())
-    }
+    /// What was looked at and not taken.
+    pub left_out: LeftOut,
+    /// Logs that cannot be read.
+    pub unreadable: Vec<ScenarioSource>,
+    /// What a user should know about the search.
+    pub notes: Vec<String>,
 }
 
 impl NuPlanData {
     /// The data below these folders; nothing is read yet.
     pub fn new(roots: DataRoots) -> Self {
         let maps = Arc::new(MapStore::new(roots.maps.clone()));
-        Self { roots, maps }
+        Self { roots, maps, notes: Mutex::default() }
     }
 
-    /// What a user should know about the maps and logs that were opened so far.
-    pub fn notes(&self) -> Vec<String> {
-        self.maps.notes()
+    /// What a user should know about the maps, logs and folders that were opened since this was asked last.
+    pub fn take_notes(&self) -> Vec<String> {
+        let mut notes = std::mem::take(&mut *self.notes.lock().unwrap_or_else(PoisonError::into_inner));
+        notes.extend(self.maps.take_notes());
+        notes
     }
 
-    /// The scenarios of a filter among the logs of the data root; also what a user should know about the search, and the tokens
-    /// that give no scenario. `progress` is told how many logs of how many are searched.
+    /// The scenarios of a filter among the logs of the data root. `progress` is told how many logs of how many are searched.
     ///
     /// # Errors
-    /// When there is no data root, or a log cannot be read.
+    /// When there is no data root, or none of its logs can be read.
     pub fn search(
         &self,
         filter: &ScenarioFilter,
         progress: &(dyn Fn(usize, usize) + Sync),
-    ) -> Result<(Vec<ScenarioSource>, Vec<String>, MissingTokens), NuPlanError> {
+    ) -> Result<Searched, NuPlanError> {
         let Logs { logs, notes } = self.roots.logs()?;
-        let Findings { found, absent, refused } = find(&logs, filter, &self.maps, progress)?;
-        let wanted = filter.scenario_tokens.as_ref().map_or(0, Vec::len);
-        Ok((self.sources(found), notes, MissingTokens { wanted, absent, refused }))
+        let Findings { found, absent, refused, left_out, unreadable } = find(&logs, filter, &self.maps, progress)?;
+        let unreadable = unreadable.into_iter().map(unreadable_source).collect();
+        Ok(Searched { sources: self.sources(found), absent, refused, left_out, unreadable, notes })
     }
 
     /// Whether a word has the form `LOG.db` or `LOG.db#TOKEN`.
@@ -132,10 +122,13 @@ impl NuPlanData {
         split_token(word).0.ends_with(LOG_ENDING)
     }
 
-    /// The scenarios of a log: the named one, else all tagged ones that begin 15 s after one another, type by type.
+    /// The scenarios of a log: the named one, else the tagged ones.
     pub(super) fn in_log(&self, word: &str) -> Result<Vec<ScenarioSource>, NuPlanDataError> {
         let (file, token) = split_token(word);
         let path = Path::new(file);
+        if !path.exists() {
+            return Err(NuPlanDataError::NoLog(path.to_owned()));
+        }
         let Some(token) = token else { return self.tagged(&Logs::under(path)?, path) };
         let token: Token = token.parse().map_err(|source| NuPlanDataError::Token { word: word.to_owned(), source })?;
         let filter = ScenarioFilter { scenario_tokens: Some(vec![token]), ..ScenarioFilter::default() };
@@ -156,6 +149,7 @@ impl NuPlanData {
         }
     }
 
+    /// All tagged scenarios that begin 15 s after one another, log by log and type by type; then the logs that cannot be read.
     fn tagged(&self, logs: &Logs, path: &Path) -> Result<Vec<ScenarioSource>, NuPlanDataError> {
         let types = tag_types(&logs.logs)?;
         if types.is_empty() {
@@ -164,14 +158,38 @@ impl NuPlanData {
         let filter = ScenarioFilter {
             scenario_types: Some(types),
             timestamp_threshold_s: Some(APART_S),
+            threshold_scope: ThresholdScope::EachLog,
             ..ScenarioFilter::default()
         };
-        Ok(self.sources(find(&logs.logs, &filter, &self.maps, &|_, _| {})?.found))
+        let Findings { found, left_out, unreadable, .. } = find(&logs.logs, &filter, &self.maps, &|_, _| {})?;
+        if found.is_empty() {
+            return Err(NuPlanDataError::NothingFound { path: path.to_owned(), left_out });
+        }
+        self.note(logs.notes.iter().map(|note| format!("{}: {note}", path.display())));
+        let close = left_out.by(THRESHOLD_KEY);
+        self.note((close > 0).then(|| {
+            format!(
+                "{}: {close} tagged scenarios are left out: they begin less than {APART_S} s after one of their type in the same \
+                 log; name one as LOG.db{TOKEN_MARK}TOKEN to drive it",
+                path.display()
+            )
+        }));
+        let mut sources = self.sources(found);
+        sources.extend(unreadable.into_iter().map(unreadable_source));
+        Ok(sources)
+    }
+
+    fn note(&self, notes: impl IntoIterator<Item = String>) {
+        self.notes.lock().unwrap_or_else(PoisonError::into_inner).extend(notes);
     }
 
     fn sources(&self, found: Vec<Found>) -> Vec<ScenarioSource> {
         found.into_iter().map(|found| ScenarioSource::NuPlan { found, maps: self.maps.clone() }).collect()
     }
+}
+
+fn unreadable_source(unreadable: Unreadable) -> ScenarioSource {
+    ScenarioSource::Unreadable { path: unreadable.log.path.clone(), cause: unreadable.cause }
 }
 
 /// A word without its token, and the token.

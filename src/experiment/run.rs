@@ -9,7 +9,8 @@ use crate::planner::{
     IdmPlanner, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall, SimplePlanner,
 };
 use crate::reasoning::PromptSet;
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, UNKNOWN_TYPE};
+
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
 use rayon::prelude::*;
 use std::fmt;
@@ -125,7 +126,7 @@ pub struct Driven {
 pub struct DriveRecord {
     /// The source in the words of the command line.
     pub source: String,
-    /// Name of the scenario; of the source, when it could not be opened.
+    /// Name of the scenario; of the source, when it could not be opened and its name is not known.
     pub scenario: String,
     /// nuPlan's type of the scenario.
     pub scenario_type: String,
@@ -180,12 +181,19 @@ fn drive(
     let outcome = scenario
         .map_err(str::to_owned)
         .and_then(|scenario| caught(|| drive_scenario(scenario, *planner, *challenge, agent, on_iteration)));
-    let name = |of: fn(&Scenario) -> &str| scenario.map_or("unknown", of).to_owned();
+    let opened = scenario.ok();
     DriveRecord {
         source: source.to_string(),
-        scenario: scenario.map_or_else(|_| source.to_string(), |scenario| scenario.id.clone()),
-        scenario_type: name(|scenario| &scenario.scenario_type),
-        log_name: name(|scenario| &scenario.log_name),
+        scenario: opened
+            .map(|scenario| scenario.id.clone())
+            .or_else(|| source.id())
+            .unwrap_or_else(|| source.to_string()),
+        scenario_type: opened
+            .map(|scenario| scenario.scenario_type.as_str())
+            .or_else(|| source.scenario_type())
+            .unwrap_or(UNKNOWN_TYPE)
+            .to_owned(),
+        log_name: opened.map_or_else(|| source.log_name(), |scenario| scenario.log_name.clone()),
         planner: *planner,
         challenge: *challenge,
         started_s,

@@ -1,9 +1,11 @@
 //! Lists of scenarios that have a name: the published nuPlan splits, filter files, and the generated scenes.
 
-use super::nuplan_data::{MissingTokens, NuPlanData};
+use super::nuplan_data::{NuPlanData, Searched};
 use super::source::ScenarioSource;
 use crate::scenario::generator::{ScenarioType, Spec};
-use crate::scenario::nuplan::{FilterError, FilterFile, NuPlanError, Token};
+use crate::scenario::nuplan::{FilterError, FilterFile, LeftOut, NuPlanError, Token};
+use serde::{Deserialize, Serialize};
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 /// Name of the list of generated scenes.
@@ -59,8 +61,64 @@ pub struct Split {
     pub sources: Vec<ScenarioSource>,
     /// Those that there are not: a run of the list is not the whole list.
     pub missing: MissingTokens,
+    /// The file that holds the list, if one does.
+    pub file: Option<PathBuf>,
     /// What a user should know, for example that a file is not the published one.
     pub notes: Vec<String>,
+}
+
+/// Scenarios that a list names and that are not there.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MissingTokens {
+    /// The list: its name, or its file.
+    pub split: String,
+    /// How many tokens it has.
+    pub wanted: usize,
+    /// Those that no log holds.
+    pub absent: Vec<String>,
+    /// Those that a log holds but that are no scenario.
+    pub refused: Vec<RefusedToken>,
+}
+
+/// A token that a log holds and that is no scenario.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RefusedToken {
+    /// Which.
+    pub token: String,
+    /// Why, in words.
+    pub reason: String,
+}
+
+impl MissingTokens {
+    /// Whether every token gives a scenario.
+    pub fn is_empty(&self) -> bool {
+        self.absent.is_empty() && self.refused.is_empty()
+    }
+}
+
+impl fmt::Display for MissingTokens {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let missing = self.absent.len() + self.refused.len();
+        write!(f, "split {}: {missing} of {} scenarios are missing", self.split, self.wanted)?;
+        if !self.absent.is_empty() {
+            write!(f, "; {} in no log: {}", self.absent.len(), first_of(&self.absent, Clone::clone))?;
+        }
+        if !self.refused.is_empty() {
+            let named = first_of(&self.refused, |refused| format!("{} ({})", refused.token, refused.reason));
+            write!(f, "; {} that are no scenario: {named}", self.refused.len())?;
+        }
+        Ok(())
+    }
+}
+
+/// The first few of a list in words.
+fn first_of<T>(list: &[T], word: impl Fn(&T) -> String) -> String {
+    /// So many are named.
+    const NAMED: usize = 5;
+    let more = if list.len() > NAMED { ", ..." } else { "" };
+    list.iter().take(NAMED).map(word).collect::<Vec<_>>().join(", ") + more
 }
 
 /// Why there is no list.
@@ -91,14 +149,30 @@ pub enum SplitError {
     /// The logs cannot be searched.
     #[error(transparent)]
     NuPlan(#[from] NuPlanError),
-    /// Nothing of it is there.
-    #[error("split {name}: no scenario found: {missing}; is --data-root the folder with its logs?")]
+    /// None of its tokens is there.
+    #[error("no scenario found: {missing}{}; is --data-root the folder with its logs?", and_unreadable(unreadable))]
+    NothingThere {
+        /// What was looked for.
+        missing: MissingTokens,
+        /// Why logs cannot be read, a line each.
+        unreadable: Vec<String>,
+    },
+    /// Nothing passes a filter that names no tokens.
+    #[error("split {name}: no scenario found: {left_out}{}", and_unreadable(unreadable))]
     NothingFound {
         /// The name.
         name: String,
-        /// What was looked for.
-        missing: MissingTokens,
+        /// What was looked at.
+        left_out: LeftOut,
+        /// Why logs cannot be read, a line each.
+        unreadable: Vec<String>,
     },
+}
+
+/// Logs that cannot be read, in words.
+fn and_unreadable(unreadable: &[String]) -> String {
+    let Some(first) = unreadable.first() else { return String::new() };
+    format!("; {} logs cannot be read, for example {first}", unreadable.len())
 }
 
 /// The scenarios of a split: `generated` (every type of the generator with the seeds 0 to 9), a published one by its name, or those of
@@ -112,8 +186,8 @@ pub fn split(name: &str, data: &NuPlanData, progress: &(dyn Fn(usize, usize) + S
     }
     let is_file = Path::new(name).extension().is_some_and(|ending| ending == "yaml" || ending == "yml");
     let published = PUBLISHED.iter().find(|published| published.name == name);
-    let (file, mut notes) = match published {
-        _ if is_file => (FilterFile::open(Path::new(name))?, Vec::new()),
+    let (path, file, mut notes) = match published {
+        _ if is_file => (PathBuf::from(name), FilterFile::open(Path::new(name))?, Vec::new()),
         Some(published) => published.open()?,
         None => {
             let known = [GENERATED].into_iter().chain(PUBLISHED.iter().map(|published| published.name)).collect();
@@ -121,12 +195,37 @@ pub fn split(name: &str, data: &NuPlanData, progress: &(dyn Fn(usize, usize) + S
         }
     };
     notes.extend(file.notes);
-    let (sources, found_notes, missing) = data.search(&file.filter, progress)?;
+    let Searched { mut sources, absent, refused, left_out, unreadable, notes: found_notes } =
+        data.search(&file.filter, progress)?;
     notes.extend(found_notes);
+    let refused = refused.into_iter();
+    let missing = MissingTokens {
+        split: name.to_owned(),
+        wanted: file.filter.scenario_tokens.as_ref().map_or(0, Vec::len),
+        absent: absent.iter().map(Token::to_string).collect(),
+        refused: refused
+            .map(|(token, why)| RefusedToken { token: token.to_string(), reason: why.to_string() })
+            .collect(),
+    };
+    let causes = unreadable.iter().filter_map(|source| match source {
+        ScenarioSource::Unreadable { cause, .. } => Some(cause.clone()),
+        _ => None,
+    });
     if sources.is_empty() {
-        return Err(SplitError::NothingFound { name: name.to_owned(), missing });
+        let (name, unreadable) = (name.to_owned(), causes.collect());
+        return Err(if missing.is_empty() {
+            SplitError::NothingFound { name, left_out, unreadable }
+        } else {
+            SplitError::NothingThere { missing, unreadable }
+        });
     }
-    Ok(Split { sources, missing, notes })
+    // When every token of the list is found, a log that cannot be read holds none of them.
+    if missing.wanted > 0 && missing.absent.is_empty() {
+        notes.extend(causes.map(|cause| format!("a log that holds nothing of this list is passed over: {cause}")));
+    } else {
+        sources.extend(unreadable);
+    }
+    Ok(Split { sources, missing, file: Some(path), notes })
 }
 
 fn generated() -> Split {
@@ -137,8 +236,8 @@ fn generated() -> Split {
 }
 
 impl Published {
-    /// Its file, and a note when that is not what was published.
-    fn open(&self) -> Result<(FilterFile, Vec<String>), SplitError> {
+    /// Its file with what that holds, and a note when that is not what was published.
+    fn open(&self) -> Result<(PathBuf, FilterFile, Vec<String>), SplitError> {
         let folders = folders();
         let path = folders.iter().flat_map(|folder| self.files.iter().map(|file| folder.join(file)));
         let Some(path) = path.into_iter().find(|path| path.is_file()) else {
@@ -155,7 +254,7 @@ impl Published {
                 self.tokens
             )
         });
-        Ok((file, note.into_iter().collect()))
+        Ok((path, file, note.into_iter().collect()))
     }
 }
 

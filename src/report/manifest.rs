@@ -1,5 +1,6 @@
 //! `manifest.toml`: what a run is made of, written before its first drive.
 
+use crate::experiment::split::MissingTokens;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -31,14 +32,14 @@ pub struct Manifest {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScenarioList {
-    /// Words of the command line that name scenarios.
+    /// Words of the command line that name scenarios; paths are absolute.
     pub words: Vec<String>,
-    /// Names or files of splits.
+    /// Files of splits, absolute, or their names where no file holds them.
     pub splits: Vec<String>,
-    /// Where nuPlan's logs lie.
+    /// Where nuPlan's logs lie; absolute.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data_root: Option<PathBuf>,
-    /// Where nuPlan's maps lie.
+    /// Where nuPlan's maps lie; absolute.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub maps_root: Option<PathBuf>,
     /// Only the first so many.
@@ -48,6 +49,9 @@ pub struct ScenarioList {
     pub count: usize,
     /// BLAKE3 of their names in their order, a line each.
     pub blake3: String,
+    /// Scenarios that the splits name and that are not there.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing: Vec<MissingTokens>,
 }
 
 impl ScenarioList {
@@ -62,6 +66,11 @@ impl ScenarioList {
 }
 
 impl Manifest {
+    /// How many drives the run has.
+    pub fn drives(&self) -> usize {
+        self.scenarios.count * self.planners.len() * self.challenges.len()
+    }
+
     /// What differs from `now`, a line each, by dotted keys; the time of the start, and the words and folders that the
     /// scenarios were found by, may differ.
     pub fn differences(&self, now: &Self) -> Vec<String> {

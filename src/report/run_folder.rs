@@ -151,17 +151,28 @@ impl RunFolder {
 
     /// The folders of the drives that have ended, by number.
     fn folders(&self) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
-        let drives = self.path.join(DRIVES);
-        let mut found = BTreeMap::new();
-        for entry in fs::read_dir(&drives).map_err(ReportError::read(&drives))? {
-            let path = entry.map_err(ReportError::read(&drives))?.path();
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            let number = name.split_once('-').and_then(|(digits, _)| digits.parse().ok());
-            if let Some(number) = number {
-                found.insert(number, path);
+        folders(&self.path)
+    }
+
+    /// The drives that have ended in a folder. Nothing is locked or changed, and what the run is made of is not looked at.
+    ///
+    /// # Errors
+    /// When a record cannot be read.
+    pub fn ended(path: &Path) -> Result<Recorded, ReportError> {
+        let mut recorded = Recorded::default();
+        for (number, folder) in folders(path)? {
+            let path = folder.join(RECORD);
+            match parse::<DriveRow>(&path) {
+                Ok(row) if row.number == number => recorded.rows.push(row),
+                Ok(row) => {
+                    let (found, expected) = (row.identity(), format!("drive {number}"));
+                    return Err(ReportError::Foreign { path, found, expected });
+                }
+                Err(ReportError::Parse { .. }) => recorded.damaged.push(folder),
+                Err(error) => return Err(error),
             }
         }
-        Ok(found)
+        Ok(recorded)
     }
 
     /// The drives that have ended, checked against what the run is made of. Records that are damaged are removed.
@@ -169,22 +180,13 @@ impl RunFolder {
     /// # Errors
     /// When a record cannot be read or belongs to another drive.
     pub fn recorded(&self, assignments: &[Assignment]) -> Result<Recorded, ReportError> {
-        let mut recorded = Recorded::default();
-        for (number, folder) in self.folders()? {
-            let path = folder.join(RECORD);
-            let row: DriveRow = match parse(&path) {
-                Ok(row) => row,
-                Err(ReportError::Parse { .. }) => {
-                    recorded.damaged.push(folder);
-                    continue;
-                }
-                Err(error) => return Err(error),
-            };
-            let expected = assignments.get(number).map_or_else(|| "nothing".to_owned(), Assignment::to_string);
-            if row.number != number || row.identity() != expected {
-                return Err(ReportError::Foreign { path, found: row.identity(), expected });
+        let recorded = Self::ended(&self.path)?;
+        for row in &recorded.rows {
+            let expected = assignments.get(row.number).map_or_else(|| "nothing".to_owned(), Assignment::to_string);
+            if row.identity() != expected {
+                let folder = self.folders()?.remove(&row.number).unwrap_or_default();
+                return Err(ReportError::Foreign { path: folder.join(RECORD), found: row.identity(), expected });
             }
-            recorded.rows.push(row);
         }
         for folder in &recorded.damaged {
             remove(folder)?;
@@ -239,6 +241,21 @@ impl RunFolder {
     pub(super) fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ReportError> {
         atomic::write(&self.path.join(name), bytes)
     }
+}
+
+/// The folders of the drives that have ended in a run's folder, by number.
+fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
+    let drives = run.join(DRIVES);
+    let mut found = BTreeMap::new();
+    for entry in fs::read_dir(&drives).map_err(ReportError::read(&drives))? {
+        let path = entry.map_err(ReportError::read(&drives))?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let number = name.split_once('-').and_then(|(digits, _)| digits.parse().ok());
+        if let Some(number) = number {
+            found.insert(number, path);
+        }
+    }
+    Ok(found)
 }
 
 /// Calls, transcript and BEV maps of a drive with planning calls.

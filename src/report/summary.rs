@@ -1,6 +1,7 @@
 //! `summary.json`: scores only, no measured times, the same bytes for the same seed.
 
 use super::drive_row::DriveRow;
+use crate::experiment::split::MissingTokens;
 use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate};
 use crate::mllm::ModelDescription;
 use crate::pdm::DrivableLayers;
@@ -102,6 +103,8 @@ pub struct Summary {
     pub seed: u64,
     /// The model, when one was loaded.
     pub model: Option<ModelDescription>,
+    /// Scenarios that splits name and that are not there: the means below are not those of the whole split.
+    pub missing: Vec<MissingTokens>,
     /// A row a drive, in the order in which they were asked for.
     pub scenarios: Vec<ScenarioSummary>,
     /// A row a planner and challenge.
@@ -111,8 +114,8 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// The summary of all drives of a run.
-    pub fn new(seed: u64, model: Option<ModelDescription>, rows: &[DriveRow]) -> Self {
+    /// The summary of all drives of a run, and of those that could not be made for want of their scenario.
+    pub fn new(seed: u64, model: Option<ModelDescription>, missing: &[MissingTokens], rows: &[DriveRow]) -> Self {
         let mut aggregates = Vec::new();
         let mut scenario_types = Vec::new();
         for planner in distinct(rows.iter().map(|row| &row.planner)) {
@@ -133,6 +136,7 @@ impl Summary {
             planagent: env!("CARGO_PKG_VERSION").to_owned(),
             seed,
             model,
+            missing: missing.to_vec(),
             scenarios: rows.iter().map(ScenarioSummary::from).collect(),
             aggregates,
             scenario_types,

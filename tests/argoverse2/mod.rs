@@ -63,7 +63,10 @@ fn logs_open_with_their_window() {
             vec![ScenarioSource::Argoverse2(log.clone())]
         );
         let above = log.parent().unwrap().to_string_lossy();
-        assert!(ScenarioSource::find(&above, &no_nuplan()).unwrap().contains(&ScenarioSource::Argoverse2(log)));
+        let source = ScenarioSource::Argoverse2(log.clone());
+        assert!(ScenarioSource::find(&above, &no_nuplan()).unwrap().contains(&source));
+        let two_above = log.parent().unwrap().parent().unwrap().to_string_lossy();
+        assert!(ScenarioSource::find(&two_above, &no_nuplan()).unwrap().contains(&source));
     }
 }
 

@@ -2,7 +2,7 @@
 //! connectors end at the edge of the map. What is put in for that must not change what was driven, nor any verdict on it.
 
 use super::compare::Pair;
-use super::round_trip::{check_scores, read_back};
+use super::round_trip::{Driver, check_scores, read_back};
 use planagent::geometry::Polyline;
 use planagent::scenario::Scenario;
 use planagent::scenario::nuplan::export::{ExportSettings, ExportedLog, STITCH, write_scenarios};
@@ -94,7 +94,7 @@ fn recordings_come_back_with_their_verdicts() {
         assert_eq!(after.map.stop_lines().len(), before.map.stop_lines().len() + put_in.stop_lines_put_in);
         check_route(&pair);
         assert_eq!(put_in.future_left_out, before.future.len());
-        let as_recorded = (false, Challenge::ClosedLoopNonreactiveAgents);
+        let as_recorded = (Driver::LogReplay, Challenge::ClosedLoopNonreactiveAgents);
         check_scores(before, after, as_recorded, SAME_DRIVE);
         let until_the_end = Scenario { future: Vec::new(), ..(*before).clone() };
         check_scores(&until_the_end, after, as_recorded, SAME_MAP);

@@ -161,7 +161,7 @@ fn tokens_that_are_no_scenario_are_told_apart() {
         Refusal::OtherType
     );
     let still = ScenarioFilter { ego_displacement_minimum_m: Some(1e6), ..Default::default() };
-    assert_eq!(refusal(&set, still), Refusal::Filtered);
+    assert_eq!(refusal(&set, still), Refusal::Filtered("ego_displacement_minimum_m"));
     assert_eq!(set.open().unwrap().route.goal, None);
 }
 

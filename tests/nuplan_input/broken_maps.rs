@@ -111,7 +111,7 @@ fn ends_of_connectors_outside_the_map_are_noted() {
     let maps = set.maps();
     let map = maps.map(LOCATION).unwrap();
     assert!(map.lanes.lanes().iter().filter(|lane| lane.is_connector()).all(|lane| lane.outgoing.is_empty()));
-    assert!(maps.notes()[0].contains("ends of lane connectors name lanes that the map does not have"));
+    assert!(maps.take_notes()[0].contains("ends of lane connectors name lanes that the map does not have"));
 }
 
 #[test]

@@ -81,6 +81,7 @@ fn without_a_cache_it_says_so_and_goes_on() {
     for cache in [None, Some(blocked)] {
         let maps = MapStore::with_cache(set.roots().maps, cache);
         assert_eq!(open(&maps, &set.found().unwrap()).unwrap().frames, frames);
-        assert!(maps.notes()[0].contains("no index for logs can be kept"), "{:?}", maps.notes());
+        let notes = maps.take_notes();
+        assert!(notes[0].contains("no index for logs can be kept"), "{notes:?}");
     }
 }

@@ -4,7 +4,7 @@ use super::fixture::DataSet;
 use planagent::experiment::nuplan_data::NuPlanData;
 use planagent::experiment::source::ScenarioSource;
 use planagent::experiment::split::split;
-use planagent::scenario::nuplan::DataRoots;
+use planagent::scenario::nuplan::{DataRoots, ScenarioFilter};
 
 fn found(word: &str, data: &NuPlanData) -> Vec<String> {
     ScenarioSource::find(word, data).unwrap().iter().map(ToString::to_string).collect()
@@ -24,10 +24,27 @@ fn logs_folders_and_tokens() {
     let told = |word: String| ScenarioSource::find(&word, &data).unwrap_err().to_string();
     assert!(told(format!("{log}#12")).contains("`12` is no token"));
     assert!(told(format!("{log}#00000000000000aa")).contains("the log does not hold it"));
-    assert!(told("nowhere.db".to_owned()).contains("nowhere.db: cannot open"));
+    assert!(told("nowhere.db".to_owned()).contains("there is no log nowhere.db; name it by its path"));
     assert!(told(set.folder.path().join("maps").display().to_string()).contains("no nuPlan logs (*.db)"));
     let untagged = DataSet::log_with("DELETE FROM scenario_tag");
     assert!(told(untagged.log.display().to_string()).contains("name one as FILE.db#TOKEN"));
+}
+
+#[test]
+fn a_log_tells_how_many_of_its_scenarios_lie_too_close() {
+    let set = DataSet::log_with(
+        "DELETE FROM scenario_tag;
+         INSERT INTO scenario_tag SELECT randomblob(8), token, 'behind_bike', NULL FROM lidar_pc;
+         UPDATE lidar_pc SET scene_token = (SELECT token FROM scene ORDER BY name LIMIT 1 OFFSET 2);",
+    );
+    let rows = set.find(&ScenarioFilter::default()).unwrap().found.len();
+    let data = NuPlanData::new(set.roots());
+    let driven = found(&set.log.display().to_string(), &data).len();
+    assert!(driven > 1 && driven < rows);
+    let notes = data.take_notes();
+    assert_eq!(notes.len(), 1, "{notes:?}");
+    assert!(notes[0].contains(&format!("{} tagged scenarios are left out", rows - driven)), "{notes:?}");
+    assert!(data.take_notes().is_empty(), "told once");
 }
 
 #[test]
@@ -48,7 +65,8 @@ fn a_split_tells_what_is_missing() {
     .unwrap();
     assert_eq!(searched.into_inner(), 1, "one log, told once");
     assert_eq!(found.sources.len(), 1);
-    assert_eq!(found.missing.to_string(), "1 of 2 scenarios are missing; 1 in no log: 00000000000000aa");
+    let missing = format!("split {name}: 1 of 2 scenarios are missing; 1 in no log: 00000000000000aa");
+    assert_eq!(found.missing.to_string(), missing);
     assert!(found.notes[0].contains("log_names refers to ${splitter.x}"), "{:?}", found.notes);
     write("  - '00000000000000aa'\n");
     let told = split(&name, &data, &|_, _| {}).unwrap_err().to_string();

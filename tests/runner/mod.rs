@@ -1,6 +1,7 @@
 //! Runs of many drives: written drive by drive, gone on with, and read by others.
 
 mod failures;
+mod nuplan_folders;
 mod parquet;
 mod resume;
 mod splits;

@@ -111,7 +111,7 @@ mod tests {
 
     fn summary(planners: &[&str]) -> Summary {
         let longest = "starting_straight_traffic_light_intersection_traversal";
-        let mut summary = Summary::new(0, None, &[]);
+        let mut summary = Summary::new(0, None, &[], &[]);
         for planner in planners {
             for (i, challenge) in CHALLENGES.into_iter().enumerate() {
                 let score = Some(0.9 - i as f64 / 10.0);
@@ -169,6 +169,6 @@ mod tests {
         assert_eq!(words(lines[1]), ["n", "NR", "R", "NR", "R"]);
         assert_eq!((lines[2], words(lines[3])), ("changing_lane", vec!["10", "-", "-", "-", "-"]));
         assert_eq!(words(lines[5]), ["10", "100.00", "100.00", "100.00", "100.00"]);
-        assert_eq!(scenario_types(&Summary::new(0, None, &[]), 80), "", "one type is all there is");
+        assert_eq!(scenario_types(&Summary::new(0, None, &[], &[]), 80), "", "one type is all there is");
     }
 }

@@ -84,12 +84,24 @@ pub fn is_log(folder: &Path) -> bool {
     folder.join(POSES).is_file() || matches!(first_named(folder, "scenario_", ".parquet"), Ok(Some(_)))
 }
 
-/// The logs right within a folder, by name; none where there are none.
+/// The logs in a folder and in the folders right below it (`sensor/val/LOG` for `sensor`), by name; none where there are none.
 ///
 /// # Errors
-/// When the folder cannot be listed.
+/// When a folder cannot be listed.
 pub fn logs_in(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
-    Ok(entries(folder)?.into_iter().filter(|path| path.is_dir() && is_log(path)).collect())
+    let mut logs = Vec::new();
+    for below in folders_in(folder)? {
+        if is_log(&below) {
+            logs.push(below);
+        } else {
+            logs.extend(folders_in(&below)?.into_iter().filter(|path| is_log(path)));
+        }
+    }
+    Ok(logs)
+}
+
+fn folders_in(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
+    Ok(entries(folder)?.into_iter().filter(|path| path.is_dir()).collect())
 }
 
 /// The city in the name of a sensor log's map: `MIA` of `log_map_archive_ID____MIA_city_47894.json`.

@@ -96,8 +96,8 @@ struct Contents {
     lanes: usize,
 }
 
-/// The name of a log's folder.
-fn name(folder: &Path) -> String {
+/// Name of the log in a folder: the folder's.
+pub fn name(folder: &Path) -> String {
     // `.` and `..` have no name of their own.
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()

@@ -159,6 +159,20 @@ pub enum NuPlanError {
         super::MAPS_INDEX
     )]
     NoMapsRoot,
+    /// The folder that should hold the logs cannot be used.
+    #[error("nuPlan's logs (--data-root or NUPLAN_DATA_ROOT): {0}")]
+    DataRoot(#[source] Box<NuPlanError>),
+    /// The list of maps cannot be opened.
+    #[error(
+        "{}: cannot open: {source}; --maps-root or NUPLAN_MAPS_ROOT must name the folder that holds it",
+        path.display()
+    )]
+    NoMapsIndex {
+        /// Where it should be.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
     /// A file or folder cannot be opened or listed.
     #[error("{}: cannot {doing}: {source}", path.display())]
     Io {

@@ -21,6 +21,16 @@ pub struct TokenSet {
     pub fraction: f64,
 }
 
+/// Which scenarios [`ScenarioFilter::timestamp_threshold_s`] compares.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum ThresholdScope {
+    /// Those of all logs, by the clock, as the devkit does: of logs that were recorded at one time, one stands in the others' way.
+    #[default]
+    AllLogs,
+    /// Those of one log.
+    EachLog,
+}
+
 /// nuPlan's `ScenarioFilter`, field by field; a `None` lets everything pass.
 ///
 /// `expand_scenarios` is missing: it makes scenarios of one frame, which nothing can be driven in.
@@ -40,6 +50,8 @@ pub struct ScenarioFilter {
     pub limit_total_scenarios: Option<Limit>,
     /// Scenarios of a type begin at least this many seconds after one another.
     pub timestamp_threshold_s: Option<f64>,
+    /// Among which scenarios [`Self::timestamp_threshold_s`] holds; not a field of nuPlan's.
+    pub threshold_scope: ThresholdScope,
     /// The centre of the ego moves at least so far over the scenario, metres.
     pub ego_displacement_minimum_m: Option<f64>,
     /// Whether scenarios without a mission goal are left out.
@@ -60,6 +72,9 @@ pub struct ScenarioFilter {
     /// A lane of the route lies within this distance of the ego at iteration 0, metres.
     pub ego_route_radius: Option<f64>,
 }
+
+/// Name of [`ScenarioFilter::timestamp_threshold_s`] in what a search tells.
+pub const THRESHOLD_KEY: &str = "timestamp_threshold_s";
 
 /// Noise of the speed when the filter does not say, m/s (devkit `_check_for_speed_edge`).
 pub(super) const SPEED_NOISE: f64 = 0.1;

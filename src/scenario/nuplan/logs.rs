@@ -9,8 +9,8 @@ use std::sync::Arc;
 const LOG_ENDING: &str = "db";
 /// Folders of a nuPlan tree in which no logs lie, but very many files.
 const WITHOUT_LOGS: [&str; 2] = ["sensor_blobs", "maps"];
-/// Folders below the data root are searched so deep; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
-const DEEPEST: usize = 5;
+/// Folders below a folder of logs are searched so deep; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
+pub const DEEPEST: usize = 5;
 
 /// The two folders of nuPlan's data, as nuPlan's variables name them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -95,7 +95,8 @@ impl DataRoots {
     /// # Errors
     /// When there is no data root, or as [`Logs::under`].
     pub fn logs(&self) -> Result<Logs, NuPlanError> {
-        Logs::under(self.data.as_deref().ok_or(NuPlanError::NoDataRoot)?)
+        let root = self.data.as_deref().ok_or(NuPlanError::NoDataRoot)?;
+        Logs::under(root).map_err(|error| NuPlanError::DataRoot(Box::new(error)))
     }
 }
 

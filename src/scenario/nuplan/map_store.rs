@@ -89,9 +89,17 @@ impl MapStore {
         Ok(map)
     }
 
-    /// What a user should know about the maps and logs that were opened so far, in alphabetical order.
-    pub fn notes(&self) -> Vec<String> {
-        lock(&self.notes).iter().cloned().collect()
+    /// Checks that the map of a location is there, without reading it.
+    ///
+    /// # Errors
+    /// When the maps folder, the location or its version is missing.
+    pub fn check(&self, location: &str) -> Result<(), NuPlanError> {
+        self.file(location).map(|_| ())
+    }
+
+    /// What a user should know about the maps and logs that were opened since this was asked last, in alphabetical order.
+    pub fn take_notes(&self) -> Vec<String> {
+        std::mem::take(&mut *lock(&self.notes)).into_iter().collect()
     }
 
     /// Makes sure that the rows of a log from one time to another (µs) are found quickly.
@@ -105,11 +113,8 @@ impl MapStore {
     fn file(&self, location: &str) -> Result<(PathBuf, String), NuPlanError> {
         let root = self.root.as_deref().ok_or(NuPlanError::NoMapsRoot)?;
         let index = root.join(MAPS_INDEX);
-        let text = std::fs::read_to_string(&index).map_err(|source| NuPlanError::Io {
-            path: index.clone(),
-            doing: "open",
-            source,
-        })?;
+        let text = std::fs::read_to_string(&index)
+            .map_err(|source| NuPlanError::NoMapsIndex { path: index.clone(), source })?;
         let wrong = |reason: String| NuPlanError::MapsIndex { path: index.clone(), reason };
         let known: BTreeMap<String, Value> =
             serde_json::from_str(&text).map_err(|error| wrong(format!("not a JSON object: {error}")))?;

@@ -4,14 +4,14 @@ use super::database::{Database, Table};
 use super::error::NuPlanError;
 use super::extraction::UNKNOWN_TYPE;
 use super::filter::ScenarioFilter;
+use super::left_out::{LeftOut, Refusal};
 use super::logs::Log;
 use super::map_store::MapStore;
 use super::schema::{EGO_POSE, LIDAR, LIDAR_PC, LOG, SCENARIO_TAG, SCENE, open_log};
-use super::thinning;
+use super::thinning::{self, Thinned};
 use super::token::Token;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -30,34 +30,13 @@ pub struct Found {
     pub map_name: String,
 }
 
-/// Why a token that was asked for is in a log, but not among the scenarios.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Refusal {
-    /// Its scene is one of the first two or last two of the log, or none.
-    SceneAtEdge,
-    /// It has no tag of the types that were asked for.
-    OtherType,
-    /// Its map is not one of those that were asked for.
-    OtherMap,
-    /// Its log is not one of those that were asked for.
-    OtherLog,
-    /// Its scene has no mission goal.
-    NoGoal,
-    /// A limit or one of the filters of time, motion or route took it out.
-    Filtered,
-}
-
-impl fmt::Display for Refusal {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::SceneAtEdge => "its scene is among the first two or last two of the log",
-            Self::OtherType => "it has no tag of the listed scenario types",
-            Self::OtherMap => "its map is not listed",
-            Self::OtherLog => "its log is not listed",
-            Self::NoGoal => "its scene has no mission goal",
-            Self::Filtered => "a limit or filter took it out",
-        })
-    }
+/// A log that cannot be read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unreadable {
+    /// Which.
+    pub log: Arc<Log>,
+    /// Why, with its file.
+    pub cause: String,
 }
 
 /// What a search gives.
@@ -69,12 +48,16 @@ pub struct Findings {
     pub absent: Vec<Token>,
     /// Tokens of the filter that a log holds but that are no scenario of this filter, in order.
     pub refused: Vec<(Token, Refusal)>,
+    /// What was looked at and not taken.
+    pub left_out: LeftOut,
+    /// Logs that were passed over, in order of their name: what they hold is not known.
+    pub unreadable: Vec<Unreadable>,
 }
 
 /// Finds the scenarios of a filter in logs, on all threads; `progress` is told how many logs of how many are searched.
 ///
 /// # Errors
-/// When a log cannot be read, or two hold the same scenario.
+/// When none of the logs can be read, two hold the same scenario, or a filter needs a map or file that cannot be read.
 pub fn find(
     logs: &[Arc<Log>],
     filter: &ScenarioFilter,
@@ -87,11 +70,29 @@ pub fn find(
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, logs.len());
         found
     });
-    let searched = searched.collect::<Result<Vec<_>, _>>()?;
+    let searched: Vec<Result<Option<InLog>, NuPlanError>> = searched.collect();
+    let mut findings = Findings::default();
     let mut held: BTreeMap<Token, &Log> = BTreeMap::new();
     let mut refused: BTreeMap<Token, Refusal> = BTreeMap::new();
     let mut found = Vec::new();
-    for (log, in_log) in logs.iter().zip(searched) {
+    let mut first_error = None;
+    for (log, searched) in logs.iter().zip(searched) {
+        let in_log = match searched {
+            Ok(Some(in_log)) => in_log,
+            Ok(None) => {
+                findings.left_out.other_logs += 1;
+                continue;
+            }
+            Err(error) => {
+                findings.unreadable.push(Unreadable { log: log.clone(), cause: error.to_string() });
+                first_error.get_or_insert(error);
+                continue;
+            }
+        };
+        findings.left_out.logs += 1;
+        for (refusal, count) in in_log.left_out {
+            *findings.left_out.rows.entry(refusal).or_default() += count;
+        }
         for token in in_log.found.iter().map(|f| f.token).chain(in_log.refused.iter().map(|(token, _)| *token)) {
             if let Some(first) = held.insert(token, log) {
                 let (first, second) = (first.path.clone(), log.path.clone());
@@ -101,36 +102,47 @@ pub fn find(
         found.extend(in_log.found);
         refused.extend(in_log.refused);
     }
-    let before: BTreeSet<Token> = found.iter().map(|f| f.token).collect();
-    let found = thinning::thin(found, filter, maps)?;
-    let Some(wanted) = &filter.scenario_tokens else {
-        return Ok(Findings { found, ..Findings::default() });
-    };
-    let kept: BTreeSet<Token> = found.iter().map(|f| f.token).collect();
-    refused.extend(before.difference(&kept).map(|&token| (token, Refusal::Filtered)));
-    let wanted: BTreeSet<Token> = wanted.iter().copied().collect();
-    let absent = wanted.into_iter().filter(|token| !held.contains_key(token)).collect();
-    Ok(Findings { found, absent, refused: refused.into_iter().collect() })
+    if let Some(error) = first_error.filter(|_| findings.left_out.logs == 0) {
+        return Err(error);
+    }
+    let Thinned { kept, refused: thinned } = thinning::thin(found, filter, maps)?;
+    for (_, refusal) in &thinned {
+        *findings.left_out.rows.entry(*refusal).or_default() += 1;
+    }
+    findings.found = kept;
+    if let Some(wanted) = &filter.scenario_tokens {
+        refused.extend(thinned);
+        findings.refused = refused.into_iter().collect();
+        let wanted: BTreeSet<Token> = wanted.iter().copied().collect();
+        findings.absent = wanted.into_iter().filter(|token| !held.contains_key(token)).collect();
+    }
+    Ok(findings)
 }
 
-/// All types that tags of these logs name, in alphabetical order.
+/// All types that tags of these logs name, in alphabetical order. Logs that cannot be read are passed over: [`find`] tells them.
 ///
 /// # Errors
-/// When a log cannot be read.
+/// When none of the logs can be read.
 pub fn tag_types(logs: &[Arc<Log>]) -> Result<Vec<String>, NuPlanError> {
     let of_log = |log: &Arc<Log>| {
         let tags = tags(&open_log(log)?, None)?;
         Ok(tags.into_values().collect::<BTreeSet<String>>())
     };
-    let types = logs.par_iter().map(of_log).collect::<Result<Vec<_>, NuPlanError>>()?;
-    Ok(types.into_iter().flatten().collect::<BTreeSet<String>>().into_iter().collect())
+    let read: Vec<Result<BTreeSet<String>, NuPlanError>> = logs.par_iter().map(of_log).collect();
+    if read.iter().all(Result::is_err) {
+        return read.into_iter().collect::<Result<Vec<_>, _>>().map(|_| Vec::new());
+    }
+    Ok(read.into_iter().flatten().flatten().collect::<BTreeSet<String>>().into_iter().collect())
 }
 
 /// What one log holds of a filter.
 #[derive(Default)]
 struct InLog {
     found: Vec<Found>,
+    /// Tokens of the filter that are no scenario of it.
     refused: Vec<(Token, Refusal)>,
+    /// Rows that are no scenario of the filter.
+    left_out: BTreeMap<Refusal, usize>,
 }
 
 /// A row that may be a scenario.
@@ -144,16 +156,17 @@ struct Candidate {
 /// Columns of `lidar_pc` that the search reads.
 const CANDIDATE: Table = Table { name: "lidar_pc", columns: &["token", "lidar_token", "scene_token", "timestamp"] };
 
-/// nuPlan's scenario query on one log: in order of time, all rows of a valid scene that pass the filter.
-fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<InLog, NuPlanError> {
+/// nuPlan's scenario query on one log: in order of time, all rows of a valid scene that pass the filter. `None` for a log that
+/// the filter does not name.
+fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<Option<InLog>, NuPlanError> {
     let named = filter.log_names.as_ref().is_none_or(|names| names.contains(&log.name));
     if !named && filter.scenario_tokens.is_none() {
-        return Ok(InLog::default());
+        return Ok(None);
     }
     let database = open_log(log)?;
     let candidates = candidates(&database, filter)?;
     if candidates.is_empty() {
-        return Ok(InLog::default());
+        return Ok(Some(InLog::default()));
     }
     let tags = tags(&database, filter.scenario_types.as_deref())?;
     let scenes = scenes(&database)?;
@@ -184,11 +197,15 @@ fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<InLog, NuPlanEr
                 timestamp_us: candidate.time_us,
                 map_name: map_name.cloned().unwrap_or_default(),
             }),
-            Some(refusal) if filter.scenario_tokens.is_some() => in_log.refused.push((candidate.token, refusal)),
-            Some(_) => {}
+            Some(refusal) => {
+                *in_log.left_out.entry(refusal).or_default() += 1;
+                if filter.scenario_tokens.is_some() {
+                    in_log.refused.push((candidate.token, refusal));
+                }
+            }
         }
     }
-    Ok(in_log)
+    Ok(Some(in_log))
 }
 
 /// The rows of the filter's tokens, of its types, or all, in order of time.

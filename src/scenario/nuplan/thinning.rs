@@ -1,12 +1,15 @@
 //! The filters that follow nuPlan's scenario query, in the devkit's order: number per type, number in all, time between scenarios,
 //! motion of the ego, token set, route; then the order of the scenarios.
 //!
-//! A type's scenarios stand in order of log and time until the filter of time sorts them by time alone.
+//! A type's scenarios stand in order of log and time until the filter of time sorts them by time alone, those of all logs together
+//! (devkit `_filter_scenarios_by_timestamp`).
 
 use super::error::NuPlanError;
 use super::extraction::{ROW_S, ROWS_PER_STEP, UNKNOWN_TYPE};
-use super::filter::{Limit, SPEED_NOISE, ScenarioFilter, TokenSet};
-use super::map_store::MapStore;
+use super::filter::{Limit, SPEED_NOISE, ScenarioFilter, THRESHOLD_KEY, ThresholdScope, TokenSet};
+use super::left_out::Refusal;
+use super::logs::Log;
+use super::map_store::{MapStore, NuPlanMap};
 use super::open::{ego_of, route_ids};
 use super::rows::Rows;
 use super::schema::{EGO_POSE, open_log};
@@ -18,12 +21,25 @@ use rand::seq::{IndexedRandom, SliceRandom};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 type ByType = BTreeMap<String, Vec<Found>>;
 
+/// What the filters left.
+pub(super) struct Thinned {
+    /// The scenarios, in order of their tokens, or shuffled.
+    pub(super) kept: Vec<Found>,
+    /// The others, each with what took it out.
+    pub(super) refused: Vec<(Token, Refusal)>,
+}
+
 /// Applies the filters.
-pub(super) fn thin(found: Vec<Found>, filter: &ScenarioFilter, maps: &MapStore) -> Result<Vec<Found>, NuPlanError> {
+///
+/// # Errors
+/// When the token set or a map that a filter needs cannot be read.
+pub(super) fn thin(found: Vec<Found>, filter: &ScenarioFilter, maps: &MapStore) -> Result<Thinned, NuPlanError> {
     let mut dice = filter.shuffle.then(|| Pcg64Mcg::seed_from_u64(filter.seed));
+    let mut ledger = Ledger { left: found.iter().map(|one| one.token).collect(), refused: Vec::new() };
     let mut by_type = ByType::new();
     for one in found {
         by_type.entry(one.scenario_type.clone()).or_default().push(one);
@@ -32,27 +48,51 @@ pub(super) fn thin(found: Vec<Found>, filter: &ScenarioFilter, maps: &MapStore) 
         for scenarios in by_type.values_mut() {
             *scenarios = sample(std::mem::take(scenarios), count, dice.as_mut());
         }
+        ledger.strike("num_scenarios_per_type", &by_type);
     }
     if let Some(limit) = filter.limit_total_scenarios {
         by_type = limited(by_type, limit, dice.as_mut());
+        ledger.strike("limit_total_scenarios", &by_type);
     }
     if let Some(seconds) = filter.timestamp_threshold_s {
         for scenarios in by_type.values_mut() {
-            *scenarios = apart(std::mem::take(scenarios), seconds);
+            *scenarios = apart(std::mem::take(scenarios), seconds, filter.threshold_scope);
         }
+        ledger.strike(THRESHOLD_KEY, &by_type);
     }
     let mut kept: Vec<Found> = by_type.into_values().flatten().collect();
     if filter.looks_inside() {
         let set = filter.token_set.as_ref().map(read_token_set).transpose()?;
-        let passing = kept.into_par_iter().map(|one| Ok(passes(&one, filter, set.as_ref(), maps)?.then_some(one)));
-        let passing = passing.collect::<Result<Vec<_>, NuPlanError>>()?;
-        kept = passing.into_iter().flatten().collect();
+        let judged = kept.into_par_iter().map(|one| refusal(&one, filter, set.as_ref(), maps).map(|told| (one, told)));
+        let judged = judged.collect::<Result<Vec<_>, NuPlanError>>()?;
+        kept = Vec::with_capacity(judged.len());
+        for (one, told) in judged {
+            match told {
+                Some(refusal) => ledger.refused.push((one.token, refusal)),
+                None => kept.push(one),
+            }
+        }
     }
     kept.sort_by_key(|one| one.token);
     if let Some(dice) = &mut dice {
         kept.shuffle(dice);
     }
-    Ok(kept)
+    Ok(Thinned { kept, refused: ledger.refused })
+}
+
+/// Which scenarios are left, and what took the others out.
+struct Ledger {
+    left: BTreeSet<Token>,
+    refused: Vec<(Token, Refusal)>,
+}
+
+impl Ledger {
+    /// Notes that of those that were left the ones that are not in `kept` went because of a field of the filter.
+    fn strike(&mut self, key: &'static str, kept: &ByType) {
+        let kept: BTreeSet<Token> = kept.values().flatten().map(|one| one.token).collect();
+        self.refused.extend(self.left.difference(&kept).map(|&token| (token, Refusal::Filtered(key))));
+        self.left = kept;
+    }
 }
 
 /// `count` scenarios: drawn at random, else evenly spaced from the first on.
@@ -92,14 +132,19 @@ fn limited(mut by_type: ByType, limit: Limit, dice: Option<&mut Pcg64Mcg>) -> By
 }
 
 /// In order of time, those that begin at least so long after the one before that was kept.
-fn apart(mut scenarios: Vec<Found>, seconds: f64) -> Vec<Found> {
+fn apart(mut scenarios: Vec<Found>, seconds: f64, scope: ThresholdScope) -> Vec<Found> {
     scenarios.sort_by_key(|one| one.timestamp_us);
-    let mut next = f64::NEG_INFINITY;
+    let mut next: BTreeMap<Option<Arc<Log>>, f64> = BTreeMap::new();
     scenarios.retain(|one| {
         let time = one.timestamp_us as f64 / MICROS_PER_SECOND;
-        let kept = time >= next;
+        let log = match scope {
+            ThresholdScope::AllLogs => None,
+            ThresholdScope::EachLog => Some(one.log.clone()),
+        };
+        let next = next.entry(log).or_insert(f64::NEG_INFINITY);
+        let kept = time >= *next;
         if kept {
-            next = time + seconds;
+            *next = time + seconds;
         }
         kept
     });
@@ -114,25 +159,30 @@ fn read_token_set(set: &TokenSet) -> Result<(BTreeSet<Token>, f64), NuPlanError>
     Ok((tokens.collect::<Result<_, _>>()?, set.fraction))
 }
 
-/// Whether a scenario passes the filters that look at its rows. One that could not be driven (too short, without route) does not.
-fn passes(
+/// What of the filters that look at its rows takes a scenario out. One that could not be driven (too short, without route) does not
+/// pass; one whose log is damaged does, for nobody can say, and its drive will fail with the damage.
+fn refusal(
     found: &Found,
     filter: &ScenarioFilter,
     set: Option<&(BTreeSet<Token>, f64)>,
     maps: &MapStore,
-) -> Result<bool, NuPlanError> {
-    match passes_inside(found, filter, set, maps) {
-        Err(NuPlanError::Scenario { .. }) => Ok(false),
-        passes => passes,
+) -> Result<Option<Refusal>, NuPlanError> {
+    let route = filter.ego_route_radius.map(|radius| maps.map(&found.map_name).map(|map| (radius, map))).transpose()?;
+    match refused_inside(found, filter, set, route.as_ref()) {
+        Err(NuPlanError::Scenario { .. }) => Ok(Some(Refusal::NotDrivable)),
+        Err(_) => Ok(None),
+        judged => judged,
     }
 }
 
-fn passes_inside(
+/// The first field of the filter that a scenario's rows do not satisfy; `route` is the radius in metres within
+/// which a lane of the route must lie, and the map.
+fn refused_inside(
     found: &Found,
     filter: &ScenarioFilter,
     set: Option<&(BTreeSet<Token>, f64)>,
-    maps: &MapStore,
-) -> Result<bool, NuPlanError> {
+    route: Option<&(f64, Arc<NuPlanMap>)>,
+) -> Result<Option<Refusal>, NuPlanError> {
     let database = open_log(&found.log)?;
     let rows = Rows::read(&database, found)?;
     let iterations: Vec<_> = rows.iterations().collect();
@@ -140,7 +190,7 @@ fn passes_inside(
         Some(row) => database.first(EGO_POSE, "WHERE token = ?1", [row.ego_pose], |record| ego_of(record, row.time_us)),
         None => Ok(None),
     };
-    let Some(start) = ego(0)? else { return Ok(false) };
+    let Some(start) = ego(0)? else { return Ok(Some(Refusal::NotDrivable)) };
     let moves = filter.ego_displacement_minimum_m.is_some()
         || filter.ego_start_speed_threshold.is_some()
         || filter.ego_stop_speed_threshold.is_some();
@@ -153,32 +203,33 @@ fn passes_inside(
         let noise = filter.speed_noise_tolerance.unwrap_or(SPEED_NOISE);
         let starts = |threshold: f64| crosses(&start, &future, threshold, noise).0;
         let stops = |threshold: f64| crosses(&start, &future, threshold, noise).1;
-        let passes = filter.ego_displacement_minimum_m.is_none_or(|metres| displacement(&future) >= metres)
-            && filter.ego_start_speed_threshold.is_none_or(starts)
-            && filter.ego_stop_speed_threshold.is_none_or(stops);
-        if !passes {
-            return Ok(false);
+        if filter.ego_displacement_minimum_m.is_some_and(|metres| displacement(&future) < metres) {
+            return Ok(Some(Refusal::Filtered("ego_displacement_minimum_m")));
+        }
+        if !filter.ego_start_speed_threshold.is_none_or(starts) {
+            return Ok(Some(Refusal::Filtered("ego_start_speed_threshold")));
+        }
+        if !filter.ego_stop_speed_threshold.is_none_or(stops) {
+            return Ok(Some(Refusal::Filtered("ego_stop_speed_threshold")));
         }
     }
     if let Some((set, fraction)) = set {
         let own: BTreeSet<Token> = iterations.iter().map(|row| row.token).collect();
         let share = own.intersection(set).count() as f64 / own.len() as f64;
         if !(if *fraction >= 1.0 { own == *set } else { share > *fraction }) {
-            return Ok(false);
+            return Ok(Some(Refusal::Filtered("fraction_in_token_set_threshold")));
         }
     }
-    if let Some(radius) = filter.ego_route_radius {
-        let map = maps.map(&found.map_name)?;
+    if let Some((radius, map)) = route {
         let (_, _, ids) = route_ids(&database, found.token)?;
         let on_route: BTreeSet<_> = ids.iter().filter_map(|&id| map.roadblock(id)).collect();
         let here = map.to_local(start.rear_axle).position();
-        return Ok(map
-            .lanes
-            .lanes_near(here, radius)
-            .iter()
-            .any(|&lane| on_route.contains(&map.lanes[lane].roadblock)));
+        let near = map.lanes.lanes_near(here, *radius);
+        if !near.iter().any(|&lane| on_route.contains(&map.lanes[lane].roadblock)) {
+            return Ok(Some(Refusal::Filtered("ego_route_radius")));
+        }
     }
-    Ok(true)
+    Ok(None)
 }
 
 /// The rows behind iteration 0 that the devkit samples over a scenario's duration (`sample_indices_with_time_horizon`).

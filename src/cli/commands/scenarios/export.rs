@@ -17,6 +17,9 @@ pub(super) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Resu
     let data = arguments.data.data();
     let found = arguments.scenarios.iter().map(|word| ScenarioSource::find(word, &data));
     let sources: Vec<ScenarioSource> = found.collect::<Result<Vec<_>, _>>()?.concat();
+    for note in data.take_notes() {
+        printer.note(note);
+    }
     let scenarios: Vec<Scenario> = sources
         .par_iter()
         .map(|source| source.open().with_context(|| format!("cannot open {source}")))

@@ -10,6 +10,7 @@ use crate::scenario::generator::{ScenarioType, Spec};
 use crate::scenario::nuplan::Found;
 use crate::scenario::{UNKNOWN_TYPE, argoverse2, womd};
 use crate::world::STEP_S;
+use anyhow::anyhow;
 use serde::Serialize;
 use serde_json::json;
 use std::path::Path;
@@ -53,9 +54,12 @@ pub(super) fn run(words: &[String], flags: &SplitArguments, printer: Printer) ->
         return list_types(printer);
     }
     let data = flags.data.data();
-    let complete = list_splits(&flags.splits, &data, printer)?;
+    let mut complete = list_splits(&flags.splits, &data, printer)?;
     for word in words {
-        list(word, &data, printer)?;
+        complete &= list(word, &data, printer)?;
+    }
+    for note in data.take_notes() {
+        printer.note(note);
     }
     Ok(if complete { Exit::Success } else { Exit::SomeFailed })
 }
@@ -68,63 +72,70 @@ fn list_types(printer: Printer) -> anyhow::Result<Exit> {
     Ok(Exit::Success)
 }
 
-/// Says whether all scenarios of the splits are there.
+/// Says whether all scenarios of the splits are there and all logs can be read.
 fn list_splits(names: &[String], data: &NuPlanData, printer: Printer) -> anyhow::Result<bool> {
     let mut complete = true;
     for name in names {
         let found = split(name, data, &|_, _| {})?;
         for source in found.sources {
-            list_found(&source, Some(name), printer)?;
+            complete &= list_found(&source, Some(name), printer)?;
         }
         for note in found.notes {
             printer.note(format!("{name}: {note}"));
         }
         if !found.missing.is_empty() {
-            printer.note(format!("{name}: {}", found.missing));
+            printer.error(&anyhow!("{}", found.missing));
             complete = false;
         }
     }
     Ok(complete)
 }
 
-fn list(word: &str, data: &NuPlanData, printer: Printer) -> anyhow::Result<()> {
+/// Says whether all of it can be read.
+fn list(word: &str, data: &NuPlanData, printer: Printer) -> anyhow::Result<bool> {
     if ScenarioSource::names_generated(word) {
         return list_found(&ScenarioSource::Generated(word.parse()?), None, printer);
     }
     let of_nuplan = ScenarioSource::of_nuplan(word, data)?;
+    let mut readable = true;
     for found in &of_nuplan {
-        list_found(found, None, printer)?;
+        readable &= list_found(found, None, printer)?;
     }
     if NuPlanData::names_log(word) {
-        return Ok(());
+        return Ok(readable);
     }
     let path = Path::new(word);
     if !path.exists() {
         return Err(SourceError::Missing(path.to_owned()).into());
     }
     if argoverse2::is_log(path) {
-        return list_log(path, printer);
+        list_log(path, printer)?;
+        return Ok(readable);
     }
     let logs = if path.is_dir() { argoverse2::logs_in(path)? } else { Vec::new() };
     for log in &logs {
         list_log(log, printer)?;
     }
-    let files = if path.is_dir() { recordings_in(path) } else { Ok(vec![path.to_owned()]) };
-    let files = match files {
-        Err(SourceError::Empty(_)) if !(logs.is_empty() && of_nuplan.is_empty()) => Vec::new(),
-        files => files?,
-    };
-    files.iter().try_for_each(|file| list_records(file, printer))
+    let files = if path.is_dir() { recordings_in(path)? } else { vec![path.to_owned()] };
+    if files.is_empty() && logs.is_empty() && of_nuplan.is_empty() {
+        return Err(SourceError::Empty(path.to_owned()).into());
+    }
+    files.iter().try_for_each(|file| list_records(file, printer))?;
+    Ok(readable)
 }
 
-/// A generated scenario or one of nuPlan.
-fn list_found(source: &ScenarioSource, split: Option<&str>, printer: Printer) -> anyhow::Result<()> {
+/// A scenario that was found. Says whether it can be read, as far as that is known.
+fn list_found(source: &ScenarioSource, split: Option<&str>, printer: Printer) -> anyhow::Result<bool> {
     let name = source.to_string();
     let about = match source {
         ScenarioSource::Generated(spec) => About::generated(spec, name),
         ScenarioSource::NuPlan { found, .. } => About::nuplan(found, name),
-        ScenarioSource::Recording { path, .. } => return list_records(path, printer),
-        ScenarioSource::Argoverse2(folder) => return list_log(folder, printer),
+        ScenarioSource::Recording { path, .. } => return list_records(path, printer).map(|()| true),
+        ScenarioSource::Argoverse2(folder) => return list_log(folder, printer).map(|()| true),
+        ScenarioSource::Unreadable { cause, .. } => {
+            printer.error(&anyhow!("{cause}"));
+            return Ok(false);
+        }
     };
     // The name of a generated scenario holds its type.
     let details = if about.source == about.id { "" } else { &about.scenario_type };
@@ -132,7 +143,7 @@ fn list_found(source: &ScenarioSource, split: Option<&str>, printer: Printer) ->
     if printer.is_json() {
         printer.json(&Told { about, more: json!({"split": split}) })?;
     }
-    Ok(())
+    Ok(true)
 }
 
 fn list_records(file: &Path, printer: Printer) -> anyhow::Result<()> {

@@ -11,7 +11,7 @@ use crate::experiment::run::{self, Assignment, PlannerKind};
 use crate::report::{
     DriveRow, Manifest, ReportError, RunFolder, Session, Summary, Timing, failures, main_table, stamp,
 };
-use anyhow::bail;
+use anyhow::{anyhow, bail};
 use selection::Selection;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -24,7 +24,17 @@ use std::time::{Instant, SystemTime};
 pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let started = Instant::now();
     let before = flags.resume.as_deref().map(RunFolder::manifest).transpose()?;
-    let selection = Selection::of(flags, before.as_ref(), printer)?;
+    let found = Selection::of(flags, before.as_ref(), printer).and_then(|selection| match &before {
+        Some(manifest) if flags.only_goes_on() => selection.held_against(manifest),
+        _ => Ok(selection),
+    });
+    let selection = match (found, &flags.resume, &before) {
+        (Ok(selection), ..) => selection,
+        (Err(trouble), Some(folder), Some(manifest)) if flags.only_goes_on() => {
+            return ended(folder, manifest, config, trouble, printer);
+        }
+        (Err(trouble), ..) => return Err(trouble),
+    };
     let assignments = &selection.assignments;
     let needs_model = selection.planners.contains(&PlannerKind::PlanAgent);
     let loaded = if needs_model { Some(model::load(config, printer)?) } else { None };
@@ -52,24 +62,55 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
         let missing = assignments.len() - rows.len();
         bail!("{missing} of {} drives left no record in {}", assignments.len(), folder.path().display());
     }
-    let summary = Summary::new(config.seed, parts.map(|parts| parts.model.describe()), &rows);
-    let session = Session {
-        cpu: cpu(),
-        threads: rayon::current_num_threads(),
-        wall_s: started.elapsed().as_secs_f64(),
-        drives: todo.len(),
-        load_s: loaded.as_ref().map(|loaded| loaded.load_s),
-    };
-    let timing = Timing::new(session, &rows);
-    folder.finish(&manifest, &summary, &timing, &rows)?;
-    let all_well = tell(&summary, &timing, &rows, folder.path(), printer)?;
-    for note in selection.data.notes() {
+    let session = session(started, todo.len(), loaded.as_ref().map(|loaded| loaded.load_s));
+    let exit = finish(&folder, &manifest, config.seed, session, &rows, printer);
+    for note in selection.data.take_notes() {
         printer.note(note);
     }
-    for line in &selection.missing {
-        printer.note(format!("not driven: {line}"));
+    exit
+}
+
+/// A run whose scenarios are not where they were, because of `trouble`: when all its drives are made, what they gave.
+fn ended(
+    path: &Path,
+    manifest: &Manifest,
+    config: &Config,
+    trouble: anyhow::Error,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    let started = Instant::now();
+    let rows = RunFolder::ended(path)?.rows;
+    let all = manifest.drives();
+    if rows.len() != all || manifest.config != toml::Table::try_from(config)? {
+        let made = rows.len();
+        return Err(
+            trouble.context(format!("the run in {} ({made} of {all} drives made) cannot go on", path.display()))
+        );
     }
-    Ok(if all_well && selection.missing.is_empty() { Exit::Success } else { Exit::SomeFailed })
+    printer.note(format!("the run in {} has ended; its scenarios are not there any more: {trouble:#}", path.display()));
+    let (folder, manifest) = RunFolder::resume(path, manifest)?;
+    finish(&folder, &manifest, config.seed, session(started, 0, None), &rows, printer)
+}
+
+/// Writes the files of a run whose drives are all made, and tells what they gave.
+fn finish(
+    folder: &RunFolder,
+    manifest: &Manifest,
+    seed: u64,
+    session: Session,
+    rows: &[DriveRow],
+    printer: Printer,
+) -> anyhow::Result<Exit> {
+    let missing = &manifest.scenarios.missing;
+    let model = manifest.model.clone().map(toml::Table::try_into).transpose()?;
+    let summary = Summary::new(seed, model, missing, rows);
+    let timing = Timing::new(session, rows);
+    folder.finish(manifest, &summary, &timing, rows)?;
+    let all_well = tell(&summary, &timing, rows, folder.path(), printer)?;
+    for list in missing {
+        printer.error(&anyhow!("not driven: {list}"));
+    }
+    Ok(if all_well && missing.is_empty() { Exit::Success } else { Exit::SomeFailed })
 }
 
 /// What this run would be started with.
@@ -148,4 +189,10 @@ fn tell(
         printer.note(format!("{lost} of {calls} planning calls got no answer; calls.jsonl says why"));
     }
     Ok(failed.is_empty() && lost == 0)
+}
+
+/// This machine, and what this session has done since it was `started`.
+fn session(started: Instant, drives: usize, load_s: Option<f64>) -> Session {
+    let (threads, wall_s) = (rayon::current_num_threads(), started.elapsed().as_secs_f64());
+    Session { cpu: cpu(), threads, wall_s, drives, load_s }
 }

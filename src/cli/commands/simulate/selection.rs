@@ -5,13 +5,12 @@ use crate::cli::args::SimulateArguments;
 use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::run::{Assignment, PlannerKind};
 use crate::experiment::source::ScenarioSource;
-use crate::experiment::split::split;
+use crate::experiment::split::{MissingTokens, split};
 use crate::report::{Manifest, ScenarioList};
 use crate::scenario::generator;
 use crate::scenario::nuplan::DataRoots;
 use crate::simulation::Challenge;
 use anyhow::{Context, bail};
-use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 /// What a run drives.
@@ -24,8 +23,6 @@ pub(super) struct Selection {
     pub(super) challenges: Vec<Challenge>,
     /// Every scenario with every planner in every challenge.
     pub(super) assignments: Vec<Assignment>,
-    /// What the splits name and the data does not hold, a line a split.
-    pub(super) missing: Vec<String>,
     /// nuPlan's data, with what there is to know about the maps and logs that were opened.
     pub(super) data: NuPlanData,
 }
@@ -33,7 +30,10 @@ pub(super) struct Selection {
 /// What words and splits name.
 struct Found {
     sources: Vec<ScenarioSource>,
-    missing: Vec<String>,
+    /// The splits: their files, else their names.
+    splits: Vec<String>,
+    /// What the splits name and the data does not hold.
+    missing: Vec<MissingTokens>,
 }
 
 impl Selection {
@@ -42,32 +42,56 @@ impl Selection {
     /// # Errors
     /// When a planner, challenge, split or scenario is unknown or cannot be read, or nothing is left.
     pub(super) fn of(flags: &SimulateArguments, manifest: Option<&Manifest>, printer: Printer) -> anyhow::Result<Self> {
-        let named = !flags.scenarios.is_empty() || !flags.split.splits.is_empty() || flags.limit.is_some();
+        let planners = planners(&flags.planner, manifest)?;
+        let challenges = challenges(&flags.challenge, manifest)?;
         let (words, splits, limit) = match manifest {
-            Some(manifest) if !named => {
+            Some(manifest) if !flags.names_scenarios() => {
                 let list = &manifest.scenarios;
                 (list.words.clone(), list.splits.clone(), list.limit)
             }
             _ => (flags.scenarios.clone(), flags.split.splits.clone(), flags.limit),
         };
-        let roots = roots(flags, manifest);
+        // A run is gone on with from any folder: nothing of it may hang on this one.
+        let words: Vec<String> = words.iter().map(|word| ScenarioSource::absolute_word(word)).collect();
+        let roots = roots(flags, manifest)?;
         let data = NuPlanData::new(roots.clone());
-        let Found { sources, missing } = find(&words, &splits, limit, &data, printer)?;
-        let planners = planners(&flags.planner, manifest)?;
-        let challenges = challenges(&flags.challenge, manifest)?;
+        let Found { sources, splits, missing } = find(&words, &splits, limit, &data, printer)?;
+        ScenarioSource::check_maps(&sources)?;
         let names = sources.iter().map(ToString::to_string);
         let (count, blake3) = (sources.len(), ScenarioList::digest(names));
-        let list = ScenarioList { words, splits, data_root: roots.data, maps_root: roots.maps, limit, count, blake3 };
+        let DataRoots { data: data_root, maps: maps_root } = roots;
+        let list = ScenarioList { words, splits, data_root, maps_root, limit, count, blake3, missing };
         let assignments = assignments(&sources, &planners, &challenges);
-        Ok(Self { list, planners, challenges, assignments, missing, data })
+        Ok(Self { list, planners, challenges, assignments, data })
+    }
+
+    /// The same, if its scenarios are those of a run.
+    ///
+    /// # Errors
+    /// When the data holds others now.
+    pub(super) fn held_against(self, manifest: &Manifest) -> anyhow::Result<Self> {
+        let (then, now) = (&manifest.scenarios, &self.list);
+        if then.blake3 != now.blake3 {
+            bail!(
+                "its {} scenarios are not those that are found now ({}) by {}",
+                then.count,
+                now.count,
+                [&then.words[..], &then.splits[..]].concat().join(" ")
+            );
+        }
+        Ok(self)
     }
 }
 
-/// The folders of nuPlan's data by flags or environment, else those of the run that is gone on with.
-fn roots(flags: &SimulateArguments, manifest: Option<&Manifest>) -> DataRoots {
+/// The folders of nuPlan's data by flags or environment, else those of the run that is gone on with; absolute.
+fn roots(flags: &SimulateArguments, manifest: Option<&Manifest>) -> anyhow::Result<DataRoots> {
     let DataRoots { data, maps } = flags.split.data.roots();
     let before = |of: fn(&ScenarioList) -> &Option<PathBuf>| manifest.and_then(|m| of(&m.scenarios).clone());
-    DataRoots { data: data.or_else(|| before(|l| &l.data_root)), maps: maps.or_else(|| before(|l| &l.maps_root)) }
+    let absolute = |folder: Option<PathBuf>| folder.map(std::path::absolute).transpose();
+    Ok(DataRoots {
+        data: absolute(data.or_else(|| before(|l| &l.data_root)))?,
+        maps: absolute(maps.or_else(|| before(|l| &l.maps_root)))?,
+    })
 }
 
 fn find(
@@ -77,7 +101,7 @@ fn find(
     data: &NuPlanData,
     printer: Printer,
 ) -> anyhow::Result<Found> {
-    let (mut found, mut missing) = (Vec::new(), Vec::new());
+    let (mut found, mut missing, mut lists) = (Vec::new(), Vec::new(), Vec::new());
     for name in splits {
         let bar = printer.progress(0, "logs");
         let of_split = split(name, data, &|done, all| {
@@ -91,8 +115,13 @@ fn find(
             printer.note(format!("{name}: {note}"));
         }
         if !of_split.missing.is_empty() {
-            missing.push(format!("{name}: {}", of_split.missing));
+            printer.note(of_split.missing.to_string());
+            missing.push(of_split.missing);
         }
+        lists.push(match of_split.file {
+            Some(file) => ScenarioSource::absolute_word(&file.to_string_lossy()),
+            None => name.clone(),
+        });
     }
     for word in words {
         found.extend(ScenarioSource::find(word, data)?);
@@ -100,14 +129,20 @@ fn find(
     if splits.is_empty() && words.is_empty() {
         found.push(ScenarioSource::Generated(generator::DEFAULT));
     }
+    for note in data.take_notes() {
+        printer.note(note);
+    }
     // A scenario that is named twice is driven once, or it would count twice in the means.
-    let mut seen = BTreeSet::new();
-    found.retain(|source| seen.insert(source.to_string()));
-    found.truncate(limit.unwrap_or(usize::MAX));
-    if found.is_empty() {
+    let (mut sources, again) = ScenarioSource::distinct(found);
+    if let Some(first) = again.first() {
+        printer
+            .note(format!("{} scenarios are named more than once and driven once, for example {first}", again.len()));
+    }
+    sources.truncate(limit.unwrap_or(usize::MAX));
+    if sources.is_empty() {
         bail!("no scenario is left to drive");
     }
-    Ok(Found { sources: found, missing })
+    Ok(Found { sources, splits: lists, missing })
 }
 
 fn planners(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<PlannerKind>> {
