@@ -102,7 +102,11 @@ fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass
             assert_eq!(take(), Computed::default(), "{name}: nothing of {:?} is the model's choice", second.text);
             let third = conversation.ask("Code?", &request(Constraint::Regex("x = [0-9]; end".into()), 32)).unwrap();
             let Computed { passes, images } = take();
-            assert_eq!((passes.len(), images), (third.tokens.free, 0), "{name}: a pass for each free token: {passes:?}");
+            assert_eq!(
+                (passes.len(), images),
+                (third.tokens.free, 0),
+                "{name}: a pass for each free token: {passes:?}"
+            );
             assert!(third.tokens.forced > third.tokens.free, "{:?}", third.tokens);
             // What the first two rounds left uncomputed, and what was forced before the number.
             assert!(passes[0] > third.tokens.text + third.tokens.image, "{passes:?} {:?}", third.tokens);
