@@ -1,6 +1,7 @@
 //! Products of quantised weights: bytes by bytes, summed in integers as far as scales reach.
 //!
-//! Activations are quantised to eight bits with a scale for every span, as ggml does it for its k-quants (`block_q8_K`).
+//! Activations are quantised to eight bits as ggml does it: with a scale for every span where weights are k-quants
+//! (`block_q8_K`), with one for every run where they have eight bits themselves (`block_q8_0`).
 
 use super::format::{Format, PANELS, Sums};
 use super::line::Line;
@@ -38,6 +39,8 @@ trait Quantised {
     const SUM_WORDS: usize;
     /// Whether runs have minima beside scales.
     const MINIMA: bool;
+    /// Activations with a scale of their own: a run, or the span.
+    const SCALED: usize;
 
     /// The word of sums `index`, from the sums of every [`SUMMED`] activations.
     fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32;
@@ -52,8 +55,8 @@ trait Quantised {
 impl<Q: Quantised> Format for Q {
     const SPAN: usize = SPAN;
     const LINES: usize = <Q as Quantised>::LINES;
-    /// Numbers, sums, scale.
-    const WORDS: usize = STEPS + Q::SUM_WORDS + 1;
+    /// Numbers, sums, scales.
+    const WORDS: usize = STEPS + Q::SUM_WORDS + SPAN / Q::SCALED;
     type Block = Block;
 
     fn zeros() -> Block {
@@ -67,21 +70,22 @@ impl<Q: Quantised> Format for Q {
 
     #[inline(always)]
     fn pack<S: Simd>(_: S, values: &[f32], words: &mut [i32]) {
-        let Some(values) = values.first_chunk::<SPAN>() else { return };
-        let (scale, numbers) = quantise(values);
+        let (packed, rest) = words.split_at_mut(STEPS);
+        let (sum_words, scales) = rest.split_at_mut(Q::SUM_WORDS);
+        let mut numbers = [0; SPAN];
+        let parts = numbers.chunks_exact_mut(Q::SCALED).zip(values.chunks_exact(Q::SCALED));
+        for (scale, (numbers, values)) in scales.iter_mut().zip(parts) {
+            *scale = quantise(values, numbers).to_bits().cast_signed();
+        }
         let mut sums = [0; SPAN / SUMMED];
         for (sum, numbers) in sums.iter_mut().zip(numbers.as_chunks::<SUMMED>().0) {
             *sum = numbers.iter().map(|number| i32::from(*number)).sum();
         }
-        let (packed, rest) = words.split_at_mut(STEPS);
         for (word, bytes) in packed.iter_mut().zip(numbers.as_chunks::<4>().0) {
             *word = i32::from_le_bytes(bytes.map(i8::cast_unsigned));
         }
-        for (index, word) in rest.iter_mut().take(Q::SUM_WORDS).enumerate() {
+        for (index, word) in sum_words.iter_mut().enumerate() {
             *word = Q::sum_word(&sums, index);
-        }
-        if let Some(word) = rest.last_mut() {
-            *word = scale.to_bits().cast_signed();
         }
     }
 
@@ -112,10 +116,16 @@ impl<Q: Quantised> Format for Q {
                     }
                 }
             }
-            let scales = blocks.each_ref().map(|block| simd.load(&block.scales[run]));
-            for (span, products) in spans.iter_mut().zip(products) {
-                for ((span, product), scale) in span.iter_mut().zip(products).zip(scales) {
-                    *span = simd.mul_add(simd.to_floats(product), scale, *span);
+            let weight_scales = blocks.each_ref().map(|block| simd.load(&block.scales[run]));
+            for (row, (span, products)) in spans.iter_mut().zip(products).enumerate() {
+                for ((span, product), weight_scale) in span.iter_mut().zip(products).zip(weight_scales) {
+                    let product = simd.to_floats(product);
+                    *span = if Q::SCALED == Q::RUN {
+                        let scale = simd.floats(float(scales[run][row]));
+                        simd.mul_add(simd.mul(product, scale), weight_scale, *span)
+                    } else {
+                        simd.mul_add(product, weight_scale, *span)
+                    };
                 }
             }
         }
@@ -136,8 +146,8 @@ impl<Q: Quantised> Format for Q {
                 }
             }
         }
-        for ((sums, span), scale) in sums.iter_mut().zip(spans).zip(&scales[0]) {
-            let scale = simd.floats(f32::from_bits(scale.cast_unsigned()));
+        for (row, (sums, span)) in sums.iter_mut().zip(spans).enumerate() {
+            let scale = simd.floats(if Q::SCALED == SPAN { float(scales[0][row]) } else { 1.0 });
             for (sum, span) in sums.iter_mut().zip(span) {
                 simd.store(simd.mul_add(span, scale, simd.load(sum)), sum);
             }
@@ -145,10 +155,16 @@ impl<Q: Quantised> Format for Q {
     }
 }
 
-/// The scale of activations and they, divided by it and rounded. What is not finite makes the scale NaN, so that it is seen
-/// in the result.
+/// The floating-point number that a word holds.
 #[inline(always)]
-fn quantise(values: &[f32; SPAN]) -> (f32, [i8; SPAN]) {
+fn float(word: i32) -> f32 {
+    f32::from_bits(word.cast_unsigned())
+}
+
+/// Rounds activations, a multiple of sixteen, to multiples of a scale, and gives the scale. What is not finite makes it NaN,
+/// so that it is seen in the result.
+#[inline(always)]
+fn quantise(values: &[f32], numbers: &mut [i8]) -> f32 {
     let mut largest = [0f32; LANES];
     let mut strange = [0f32; LANES];
     for values in values.as_chunks::<LANES>().0 {
@@ -160,8 +176,10 @@ fn quantise(values: &[f32; SPAN]) -> (f32, [i8; SPAN]) {
     let largest = largest.into_iter().fold(0.0, f32::max);
     let strange: f32 = strange.into_iter().sum();
     let inverse = if largest > 0.0 { LIMIT / largest } else { 0.0 };
-    let numbers = values.map(|value| (value * inverse).round_ties_even() as i8);
-    (largest / LIMIT + strange, numbers)
+    for (number, value) in numbers.iter_mut().zip(values) {
+        *number = (value * inverse).round_ties_even() as i8;
+    }
+    largest / LIMIT + strange
 }
 
 /// ggml's `q8_0`: w = scale · number, with a scale for every 32.
@@ -174,6 +192,7 @@ impl Quantised for Q8_0 {
     const RUN: usize = 32;
     const SUM_WORDS: usize = 8;
     const MINIMA: bool = false;
+    const SCALED: usize = 32;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {
@@ -215,6 +234,7 @@ impl Quantised for Q6K {
     const RUN: usize = 16;
     const SUM_WORDS: usize = 16;
     const MINIMA: bool = false;
+    const SCALED: usize = SPAN;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {
@@ -268,6 +288,7 @@ impl Quantised for Q4K {
     const RUN: usize = 32;
     const SUM_WORDS: usize = 4;
     const MINIMA: bool = true;
+    const SCALED: usize = SPAN;
 
     #[inline(always)]
     fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32 {

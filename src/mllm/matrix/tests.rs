@@ -43,9 +43,9 @@ fn multiplied(panels: &Panels, x: &[f32], instructions: Instructions) -> Vec<f32
     result
 }
 
-/// What quantised kernels make of a row of activations.
-fn rounded(row: &[f32]) -> Vec<f32> {
-    row.chunks(256)
+/// What quantised kernels make of a row of activations, of which so many have a scale of their own.
+fn rounded(row: &[f32], scaled: usize) -> Vec<f32> {
+    row.chunks(scaled)
         .flat_map(|span| {
             let largest = span.iter().fold(0f32, |largest, value| largest.max(value.abs()));
             span.iter().map(move |value| (value * (127.0 / largest)).round_ties_even() * (largest / 127.0))
@@ -60,7 +60,11 @@ fn plain(panels: &Panels, x: &[f32]) -> Vec<(f64, f64)> {
     for output in 0..panels.outputs() {
         panels.read_row(output, &mut weights);
         for (row, results) in x.chunks_exact(panels.inputs()).zip(result.chunks_exact_mut(panels.outputs())) {
-            let row = if panels.storage() == Storage::F16 { row.to_vec() } else { rounded(row) };
+            let row = match panels.storage() {
+                Storage::F32 | Storage::F16 => row.to_vec(),
+                Storage::Q8_0 => rounded(row, 32),
+                Storage::Q6K | Storage::Q4K => rounded(row, 256),
+            };
             for (weight, value) in weights.iter().zip(row) {
                 let term = f64::from(*weight) * f64::from(value);
                 results[output].0 += term;
@@ -196,4 +200,26 @@ fn shapes_that_do_not_fit_are_errors() {
     assert!(Matrix::from_blocks(Storage::Q4K, 1, 256, &[0; 143]).is_err());
     assert!(Matrix::from_blocks(Storage::F16, 0, 256, &[]).is_err());
     assert!(Matrix::stack(Vec::new()).is_err());
+}
+
+#[test]
+fn a_storage_loses_what_its_bits_cannot_hold_and_no_more() {
+    let mut random = Pcg64Mcg::seed_from_u64(4);
+    let (outputs, inputs) = (40, 512);
+    let values: Vec<f32> = (0..outputs * inputs).map(|_| random.random_range(-0.1..0.1)).collect();
+    let x = Tensor::from_vec(random_rows(9, inputs, &mut random), (9, inputs), &Device::Cpu).unwrap();
+    let exact = Matrix::quantize(&values, outputs, inputs, Storage::F32).unwrap().forward(&x).unwrap();
+    let size = exact.sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap();
+    // A step of n bits over ±1 leaves an error of 2 / 2ⁿ / √12 against numbers of 1 / √3; activations add theirs.
+    for (storage, least, most) in [
+        (Storage::F16, 1e-5, 1e-3),
+        (Storage::Q8_0, 1e-3, 2e-2),
+        (Storage::Q6K, 5e-3, 4e-2),
+        (Storage::Q4K, 2e-2, 1e-1),
+    ] {
+        let product = Matrix::quantize(&values, outputs, inputs, storage).unwrap().forward(&x).unwrap();
+        let error = (product - &exact).unwrap().sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap();
+        let relative = (error / size).sqrt();
+        assert!((least..most).contains(&relative), "{storage}: {relative}");
+    }
 }
