@@ -5,6 +5,9 @@ use crate::mllm::{ModelRegistry, ModelSource, in_bytes};
 use serde::Serialize;
 use std::path::PathBuf;
 
+/// Columns that a line may take.
+const WIDTH: usize = 80;
+
 /// A described model as it is listed.
 #[derive(Debug, Default, Serialize)]
 struct Row {
@@ -42,7 +45,14 @@ pub(super) fn run(registry: &ModelRegistry, printer: Printer) -> anyhow::Result<
             (None, None) => "broken".to_owned(),
         };
         let last = row.source.or(row.problem).unwrap_or_default();
-        printer.line(format!("{:<22} {:<10} {state:>9}  {last}", row.model, row.family.unwrap_or("-")));
+        let line = format!("{:<22} {:<10} {state:>9}  {last}", row.model, row.family.unwrap_or("-"));
+        if line.chars().count() <= WIDTH {
+            printer.line(line);
+        } else {
+            // What does not fit beside the rest stands below it, to be copied.
+            printer.line(line.strip_suffix(&last).unwrap_or(&line).trim_end());
+            printer.line(format!("  {last}"));
+        }
     }
     Ok(Exit::Success)
 }
