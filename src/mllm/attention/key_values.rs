@@ -30,7 +30,6 @@ impl Number for f32 {
     }
 
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "a part of kernels")]
     fn load<S: Simd>(simd: S, from: &[Self; LANES]) -> S::Floats {
         simd.load(from)
     }
@@ -44,7 +43,6 @@ impl Number for u16 {
     }
 
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "a part of kernels")]
     fn load<S: Simd>(simd: S, from: &[Self; LANES]) -> S::Floats {
         simd.load_half(from)
     }

@@ -3,6 +3,7 @@
 //!
 //! The work is cut into units by the shapes alone and their results are joined in a fixed order, so the same numbers come
 //! out at any thread count.
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
 
 mod key_values;
 mod rotary;
@@ -82,7 +83,7 @@ impl<'a> Projected<'a> {
         read: impl FnOnce(&Projected<'_>) -> candle_core::Result<T>,
     ) -> candle_core::Result<T> {
         let (tokens, width) = tensor.dims2()?;
-        if width != shape.row() || shape.query_heads % shape.key_heads != 0 {
+        if width != shape.row() || !shape.query_heads.is_multiple_of(shape.key_heads) {
             candle_core::bail!("rows of {width} numbers are not the projections of {shape:?}");
         }
         if rotary.is_some_and(|rotary| !rotary.fits(tokens, shape.width)) {

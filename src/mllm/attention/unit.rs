@@ -1,5 +1,4 @@
 //! The part of an attention that one thread computes at once.
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
 
 use std::ops::Range;
 use std::sync::Arc;
