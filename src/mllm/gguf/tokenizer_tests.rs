@@ -186,7 +186,7 @@ fn what_is_no_tokenizer_is_named() {
     };
     let set = |key: &'static str, value: Value| {
         move |metadata: &mut BTreeMap<String, Value>| {
-            drop(metadata.insert(format!("tokenizer.ggml.{key}"), value.clone()))
+            drop(metadata.insert(format!("tokenizer.ggml.{key}"), value.clone()));
         }
     };
     for (error, expected) in [
