@@ -18,7 +18,7 @@ use crate::mllm::decoder::Logits;
 use crate::mllm::local::test_reference::{assert_chat, fixture, synthetic};
 use crate::mllm::local::{Architecture, Loading, LocalModel, Sequence, VisionLanguageModel};
 use crate::mllm::matrix::Storage;
-use crate::mllm::{Constraint, Mllm, Opening, Request, Sampling};
+use crate::mllm::{Constraint, Deadline, Mllm, Opening, Request, Sampling};
 
 /// Writes a model of a folder to `m.gguf` in another.
 fn export(from: &Path, to: &Path, storage: Storage) -> PathBuf {
@@ -123,7 +123,8 @@ fn a_model_of_llama_cpp_with_its_own_tokenizer_answers() {
     let model = LocalModel::load("tiny", &place, &Loading::default()).unwrap();
     let image = synthetic(32, 32);
     let mut conversation = model.converse(&Opening { system: "keep lane".into(), image: Some(image) }, 0).unwrap();
-    let request = |constraint| Request { constraint, max_new_tokens: 8, sampling: Sampling::Greedy };
+    let request =
+        |constraint| Request { constraint, max_new_tokens: 8, sampling: Sampling::Greedy, deadline: Deadline::NONE };
     let first = conversation.ask("left?", &request(Constraint::Free)).unwrap().tokens;
     assert_eq!(first.image, 16);
     let second = conversation.ask("lane?", &request(Constraint::Choice(vec!["keep left".into()]))).unwrap();

@@ -1,13 +1,13 @@
 //! What a conversation computes, counted in passes through the decoder and images through the tower.
 
-use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use candle_core::Tensor;
 use image::RgbImage;
 
-use super::test_reference::fixture;
+use super::test_reference::{fixture, open_checkpoint};
 use super::{Architecture, ChatFormat, LocalModel, ModelFacts, PlacedRows, VisionLanguageModel};
+use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::decoder::{KvCache, Logits};
 use crate::mllm::text::ChatTokenizer;
 use crate::mllm::{Constraint, Deadline, Mllm, MllmError, Opening, Request, Sampling};
@@ -57,8 +57,8 @@ impl VisionLanguageModel for Counting {
         self.model.forward(rows, cache, wanted)
     }
 
-    fn chat_format(&self, folder: &Path, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        self.model.chat_format(folder, tokenizer)
+    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+        self.model.chat_format(files, tokenizer)
     }
 }
 
@@ -67,7 +67,7 @@ fn counted(name: &str) -> (LocalModel, Arc<Mutex<Computed>>) {
     let folder = fixture(name);
     let mut local = LocalModel::open(name, &folder).unwrap();
     let computed = Arc::new(Mutex::new(Computed::default()));
-    let model = Architecture::detect(&folder).unwrap().open(&folder).unwrap();
+    let model = Architecture::detect(&folder).unwrap().open(&mut open_checkpoint(&folder)).unwrap();
     local.model = Box::new(Counting { model, computed: Arc::clone(&computed) });
     (local, computed)
 }
