@@ -231,7 +231,7 @@ pub fn split(name: &str, data: &NuPlanData, progress: &(dyn Fn(usize, usize) + S
 fn generated() -> Split {
     let specs = ScenarioType::ALL
         .into_iter()
-        .flat_map(|scenario_type| (0..GENERATED_SEEDS).map(move |seed| Spec { scenario_type, seed }));
+        .flat_map(|scenario_type| (0..GENERATED_SEEDS).map(move |seed| Spec::new(scenario_type, seed)));
     Split { sources: specs.map(ScenarioSource::Generated).collect(), ..Split::default() }
 }
 

@@ -14,7 +14,7 @@ const ABSENT: &str = "00000000000000ff";
 #[test]
 fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
     let work = TempDir::new().unwrap();
-    let scene = generate(&Spec { scenario_type: ScenarioType::ChangingLane, seed: 0 }).unwrap();
+    let scene = generate(&Spec::new(ScenarioType::ChangingLane, 0)).unwrap();
     let exported = write_scenario(&scene, &work.path().join("nuplan"), &ExportSettings::default());
     let token = exported.unwrap().logs[0].token.clone();
     let filter = work.path().join("mine.yaml");

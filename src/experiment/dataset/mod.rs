@@ -154,7 +154,7 @@ fn meta(settings: &Settings<'_>) -> Meta {
 fn write_shard(folder: &Path, split: Split, number: usize, settings: &Settings<'_>) -> Result<usize, DatasetError> {
     let first = split.first_seed() + number as u64 * SCENES_PER_SHARD;
     let scenes: Vec<Spec> = (first..first + SCENES_PER_SHARD)
-        .map(|seed| Spec { scenario_type: MIX[seed as usize % MIX.len()], seed })
+        .map(|seed| Spec::new(MIX[seed as usize % MIX.len()], seed))
         .collect();
     let labelled: Vec<Vec<(LabelledState, RgbImage)>> =
         scenes.par_iter().map(|spec| label_scene(spec, settings)).collect::<Result<_, PromptError>>()?;

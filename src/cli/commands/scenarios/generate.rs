@@ -17,7 +17,7 @@ pub(super) fn run(types: &[String], from: u64, count: u64, printer: Printer) -> 
     let mut failed = false;
     for kind in kinds {
         for seed in from..from.saturating_add(count) {
-            let spec = Spec { scenario_type: kind, seed };
+            let spec = Spec::new(kind, seed);
             match generate(&spec) {
                 Ok(scenario) => {
                     let way: f64 = scenario
