@@ -5,7 +5,8 @@ use super::source::ScenarioSource;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::pdm::DrivableLayers;
 use crate::planner::{
-    IdmPlanner, LogReplay, Mind, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall, SimplePlanner,
+    IdmPlanner, LogReplay, Mind, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall,
+    SimplePlanner,
 };
 use crate::scenario::{Scenario, UNKNOWN_TYPE};
 

@@ -9,7 +9,7 @@ mod shard;
 pub use label::LabelledState;
 pub use shard::{FORMAT, Meta, ShardError};
 
-use crate::environment::{BevError, BevView, CenterlineName, LaneGraph, SceneFacts, bev};
+use crate::environment::{BevError, BevView, LaneGraph, SceneFacts, bev};
 use crate::pdm::PdmMemory;
 use crate::reasoning::{Feedback, PromptError, PromptSet, feedback_text};
 use crate::reflection::Verdict;
@@ -32,9 +32,6 @@ const EXPLORE: f64 = 0.35;
 /// Share of the states with a refused planner whose prompt tells of it.
 const RETHINK: f64 = 0.4;
 
-/// Share of the states with the label to keep the lane that are kept. Nineteen of twenty states want no lane change; a model
-/// that always keeps the lane would learn nothing else from them.
-const KEEP_LANE_SHARE: f64 = 0.5;
 /// Types of the scenes, in turn; those where changing lanes is often right come more than once.
 const MIX: [ScenarioType; 20] = [
     ScenarioType::StartingLeftTurn,
@@ -187,21 +184,18 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
         let Ok(graph) = LaneGraph::build(&scene, crate::environment::DEFAULT_NODE_LENGTH) else { break };
         let tried = search::search(&drive, &graph);
         let Some(best) = search::best(&tried) else { break };
-        let keeps = best.code.centerline == CenterlineName::EgoLane.as_str();
-        let wanted = !keeps || random.random_bool(KEEP_LANE_SHARE);
-        if wanted {
-            // What a model has to answer after a refusal is what is best of the rest, which the label is already: it is accepted
-            // where anything is.
-            let refused = tried.iter().filter(|t| t.reflection.verdict == Verdict::Rethink && *t != best).collect::<Vec<_>>();
-            let feedback = match refused.get(random.random_range(0..refused.len().max(1))) {
-                Some(refused) if random.random_bool(RETHINK) => Some(feedback_on(refused, settings.prompts)?),
-                _ => None,
-            };
-            let facts = SceneFacts::of(&scene, &graph);
-            let name = format!("{}@{:.1}", scenario.id, drive.iteration() as f64 * crate::world::STEP_S);
-            let labelled = label::label(name, &graph, &facts, best, settings.prompts, feedback.as_deref())?;
-            states.push((labelled, bev::render(&scene, &settings.view)));
-        }
+        // What a model has to answer after a refusal is what is best of the rest, which the label is already: it is accepted
+        // where anything is.
+        let refused =
+            tried.iter().filter(|t| t.reflection.verdict == Verdict::Rethink && *t != best).collect::<Vec<_>>();
+        let feedback = match refused.get(random.random_range(0..refused.len().max(1))) {
+            Some(refused) if random.random_bool(RETHINK) => Some(feedback_on(refused, settings.prompts)?),
+            _ => None,
+        };
+        let facts = SceneFacts::of(&scene, &graph);
+        let name = format!("{}@{:.1}", scenario.id, drive.iteration() as f64 * crate::world::STEP_S);
+        let labelled = label::label(name, &graph, &facts, best, settings.prompts, feedback.as_deref())?;
+        states.push((labelled, bev::render(&scene, &settings.view)));
         let next = if random.random_bool(EXPLORE) { &tried[random.random_range(0..tried.len())] } else { best };
         let Some(planner) = search::planner(&drive, &graph, next.code.clone()) else { break };
         if search::follow(&mut drive, &planner, &mut PdmMemory::default(), random.random_range(GAP)).is_none() {

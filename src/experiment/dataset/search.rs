@@ -28,7 +28,7 @@ const FALLBACK_LIMIT: f64 = 15.0;
 /// Other pairs that are tried with the best centreline and speed, where these leave something to gain, m/s²: gentle, firm,
 /// emergency.
 const REFINEMENTS: [(f64, f64); 3] = [(1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
-/// A score from which on other accelerations are not tried.
+/// A score from which on slower planners and other accelerations are not tried.
 const GOOD: f64 = 0.95;
 /// What full progress at the limit adds to a score. nuPlan's progress is capped by the expert's, so it leaves ties.
 const PROGRESS_BONUS: f64 = 0.2;
@@ -75,6 +75,10 @@ pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
         };
         for fraction in fractions {
             let code = planner_code(graph, centerline.name, *fraction, USUAL_ACCELERATIONS);
+            // Slower is not tried where the limit does well: what remains to be gained is less than the ties that it would make.
+            if *fraction < 1.0 && tried.iter().any(|t| t.score >= GOOD && t.reflection.verdict == Verdict::Execute) {
+                continue;
+            }
             if !tried.iter().any(|t| t.code == code) {
                 tried.extend(present.attempt(code));
             }
