@@ -17,7 +17,6 @@ from pathlib import Path
 import torch
 import torch.distributed as dist
 import torch.multiprocessing as mp
-from safetensors.torch import load_file
 
 from . import corpus as corpora
 from . import shards, tokenizer as tokenizers
@@ -82,7 +81,10 @@ def worker(rank: int, world: int, meeting: str, recipe: Recipe, out: Path, devic
     colours = colours_of(Path(recipe.start)) if recipe.start else corpora.colours(train)
     trainer = Trainer(recipe, SHAPES[recipe.shape], vocabulary, colours, rank, world, torch.device(device))
     if recipe.start:
-        trainer.start_from(load_file(Path(recipe.start) / "model.safetensors"))
+        # transformers knows under which names it saved what.
+        from transformers import LlavaForConditionalGeneration
+
+        trainer.start_from(LlavaForConditionalGeneration.from_pretrained(recipe.start).state_dict())
     if (out / "checkpoint.pt").exists():
         trainer.restore(out / "checkpoint.pt")
     pair = (collator_of(recipe, train, path), collator_of(recipe, check, path))
