@@ -41,7 +41,7 @@ pub enum AfterMaxExec {
 pub enum Execution {
     /// As it was written (the paper).
     AsWritten,
-    /// Under Reflection's eyes: at every iteration it is simulated and scored anew with its slower versions and those beside it,
+    /// Under Reflection's eyes, where there is Reflection: at every iteration it is simulated and scored anew with its slower versions and those beside it,
     /// and the best of them drives.
     #[default]
     Watched,
@@ -322,12 +322,14 @@ impl Planner for PlanAgent {
         let ego = input.scene.ego;
         let Some(planner) = &self.in_force else { return Ok(brake(ego)?) };
         let (rollout, emergency) = match self.settings.execution {
-            Execution::AsWritten => {
+            Execution::Watched if self.settings.reflect => {
+                watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?
+            }
+            Execution::AsWritten | Execution::Watched => {
                 let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
                 let emergency = needs_emergency_brake(&input.scene, &rollout, &mut self.memory);
                 (rollout, emergency)
             }
-            Execution::Watched => watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?,
         };
         if emergency && self.settings.emergency_brake {
             if let Some(call) = self.calls.last_mut() {
