@@ -317,6 +317,10 @@ pub(super) struct DatasetArguments {
     /// Labelled states to make for validation, from seeds of their own; likewise.
     #[arg(long, default_value_t = 2_000)]
     pub(super) validation: usize,
+    /// Let PlanAgent with the configured model drive from state to state, so that the states are those that it reaches, and label
+    /// those; for training only. Such shards may lie in the same folder as others.
+    #[arg(long)]
+    pub(super) driven: bool,
 }
 
 /// Flags of `bench`.

@@ -41,7 +41,7 @@ pub enum AfterMaxExec {
 pub enum Execution {
     /// As it was written (the paper).
     AsWritten,
-    /// Under Reflection's eyes: at every iteration it is simulated and scored anew with its slower versions and those beside it,
+    /// Under Reflection's eyes, where there is Reflection: at every iteration it is simulated and scored anew with its slower versions and those beside it,
     /// and the best of them drives.
     #[default]
     Watched,
@@ -223,7 +223,7 @@ impl PlanAgent {
         let mut looked_ms = milliseconds(looking);
         let mut thinking = Thinking::default();
         while (thinking.attempts.len() < settings.max_exec || self.mind.compares()) && thinking.interruption.is_none() {
-            let feedback = thinking.attempts.last().map(|last| feedback(last, settings.threshold));
+            let feedback = thinking.attempts.last().map(|last| last.feedback(settings.threshold));
             let thought = thoughts.next(feedback.as_ref()).map_err(failed("asking the model"))?;
             let Some(mut thought) = thought else { break };
             thinking.interruption = thought.interruption.take();
@@ -322,12 +322,14 @@ impl Planner for PlanAgent {
         let ego = input.scene.ego;
         let Some(planner) = &self.in_force else { return Ok(brake(ego)?) };
         let (rollout, emergency) = match self.settings.execution {
-            Execution::AsWritten => {
+            Execution::Watched if self.settings.reflect => {
+                watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?
+            }
+            Execution::AsWritten | Execution::Watched => {
                 let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
                 let emergency = needs_emergency_brake(&input.scene, &rollout, &mut self.memory);
                 (rollout, emergency)
             }
-            Execution::Watched => watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?,
         };
         if emergency && self.settings.emergency_brake {
             if let Some(call) = self.calls.last_mut() {
@@ -422,14 +424,20 @@ fn attempt(
     }
 }
 
-fn feedback(last: &Attempt, threshold: f64) -> Feedback {
+/// What there is to say about a planner that was refused, or that could not be read.
+pub fn feedback(
+    code: Option<&PlannerCode>,
+    reflection: Option<&ReflectionReport>,
+    errors: &[ParseError],
+    threshold: f64,
+) -> Feedback {
     let named = |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
     Feedback {
-        code: last.code.as_ref().map(ToString::to_string),
-        score: last.reflection.as_ref().map(|report| report.score),
+        code: code.map(ToString::to_string),
+        score: reflection.map(|report| report.score),
         threshold,
-        parts: last.reflection.as_ref().map(named).unwrap_or_default(),
-        errors: last.errors.clone(),
+        parts: reflection.map(named).unwrap_or_default(),
+        errors: errors.to_vec(),
     }
 }
 
