@@ -1,12 +1,11 @@
 //! Layer normalisation.
 
 use candle_core::{Result, Tensor, bail};
-use rayon::prelude::*;
 
 use super::MllmError;
 use super::checkpoint::Weights;
 use super::matrix::{Instructions, Kernel, LANES, Simd};
-use super::values::{PIECE, with_values};
+use super::values::{row_by_row, with_values};
 
 /// (x − mean) / sqrt(variance + ε) · weight + bias over the last dimension, in f32.
 ///
@@ -43,14 +42,8 @@ impl LayerNorm {
             bail!("layer norm of width {width} on shape {:?}", x.shape());
         }
         with_values(x, |values| {
-            let mut out = vec![0f32; values.len()];
-            let normalise = |(out, x): (&mut [f32], &[f32])| Instructions::best().run(Rows { norm: self, x, out });
-            if values.len() < 2 * PIECE {
-                normalise((&mut out, values));
-            } else {
-                let piece = (PIECE / width).max(1) * width;
-                out.par_chunks_mut(piece).zip(values.par_chunks(piece)).for_each(normalise);
-            }
+            let out =
+                row_by_row(values, (width, width), |out, x| Instructions::best().run(Rows { norm: self, x, out }));
             Tensor::from_vec(out, x.shape(), x.device())
         })
     }

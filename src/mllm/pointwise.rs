@@ -2,25 +2,18 @@
 #![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
 
 use candle_core::{Result, Tensor, bail};
-use rayon::prelude::*;
 
 use super::checkpoint::Activation;
 use super::matrix::{Instructions, Kernel, Simd};
-use super::values::{PIECE, with_values};
+use super::values::{row_by_row, with_values};
 
 impl Activation {
     /// Applies the activation.
     pub(crate) fn forward(self, x: &Tensor) -> Result<Tensor> {
         with_values(x, |values| {
-            let mut out = vec![0f32; values.len()];
-            let apply = |(out, values): (&mut [f32], &[f32])| {
+            let out = row_by_row(values, (1, 1), |out, values| {
                 Instructions::best().run(EachKernel { activation: self, values, out });
-            };
-            if values.len() < 2 * PIECE {
-                apply((&mut out, values));
-            } else {
-                out.par_chunks_mut(PIECE).zip(values.par_chunks(PIECE)).for_each(apply);
-            }
+            });
             Tensor::from_vec(out, x.shape(), x.device())
         })
     }
@@ -33,15 +26,9 @@ impl Activation {
             bail!("rows of {both} numbers are no gates and as many values");
         }
         with_values(gate_up, |values| {
-            let mut out = vec![0f32; tokens * width];
-            let apply =
-                |(out, values): (&mut [f32], &[f32])| Instructions::best().run(SwiGluKernel { width, values, out });
-            if out.len() < 2 * PIECE {
-                apply((&mut out, values));
-            } else {
-                let rows = (PIECE / width).max(1);
-                out.par_chunks_mut(rows * width).zip(values.par_chunks(rows * both)).for_each(apply);
-            }
+            let out = row_by_row(values, (both, width), |out, values| {
+                Instructions::best().run(SwiGluKernel { width, values, out });
+            });
             Tensor::from_vec(out, (tokens, width), gate_up.device())
         })
     }

@@ -1,12 +1,11 @@
 //! Root mean square normalisation.
 
 use candle_core::{Result, Tensor, bail};
-use rayon::prelude::*;
 
 use super::MllmError;
 use super::checkpoint::Weights;
 use super::matrix::{Instructions, Kernel, LANES, Simd};
-use super::values::{PIECE, with_values};
+use super::values::{row_by_row, with_values};
 
 /// x / sqrt(mean(x²) + ε) · weight over the last dimension (Zhang and Sennrich, arXiv:1910.07467).
 #[derive(Debug)]
@@ -37,14 +36,8 @@ impl RmsNorm {
             bail!("RMS norm of width {width} on shape {:?}", x.shape());
         }
         with_values(x, |values| {
-            let mut out = vec![0f32; values.len()];
-            let normalise = |(out, x): (&mut [f32], &[f32])| Instructions::best().run(Rows { norm: self, x, out });
-            if values.len() < 2 * PIECE {
-                normalise((&mut out, values));
-            } else {
-                let piece = (PIECE / width).max(1) * width;
-                out.par_chunks_mut(piece).zip(values.par_chunks(piece)).for_each(normalise);
-            }
+            let out =
+                row_by_row(values, (width, width), |out, x| Instructions::best().run(Rows { norm: self, x, out }));
             Tensor::from_vec(out, x.shape(), x.device())
         })
     }
