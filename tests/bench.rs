@@ -1,6 +1,7 @@
 //! `planagent bench`: what it prints, what it leaves behind, and that a model that fails fails alone.
 
 use crate::cli::{read_json, refused, run};
+use crate::outside::skipped;
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -132,7 +133,7 @@ fn llama_python() -> Option<PathBuf> {
     if command.status().is_ok_and(|status| status.success()) {
         return Some(python);
     }
-    eprintln!("SKIPPED: {} has no llama_cpp; PLANAGENT_LLAMA_PYTHON may name one that has", python.display());
+    skipped(format!("{} has no llama_cpp; PLANAGENT_LLAMA_PYTHON may name one that has", python.display()));
     None
 }
 

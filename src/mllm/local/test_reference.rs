@@ -22,14 +22,7 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
 
 /// A folder of the reference data that is not part of the package; says so when it is not there.
 pub(crate) fn shared_reference(name: &str) -> Option<PathBuf> {
-    let data = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
-    let folder = data.join("mllm_reference").join(name);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    eprintln!("SKIPPED: no {} (set PLANAGENT_DATA to the data folder)", folder.display());
-    None
+    crate::outside::data(&format!("mllm_reference/{name}"))
 }
 
 /// The checkpoint of a folder.
