@@ -339,11 +339,4 @@ impl Weights {
         let random = rand::SeedableRng::seed_from_u64(seed);
         Self { invented: Some(random), ..Self::empty(Path::new(""), StoragePlan::default()) }
     }
-
-    /// Gives two tensors each the other's name.
-    pub(crate) fn swap(&mut self, one: &str, other: &str) {
-        let first = self.tensors.remove(one).unwrap();
-        let second = self.tensors.insert(other.to_string(), first).unwrap();
-        self.tensors.insert(one.to_string(), second);
-    }
 }

@@ -63,14 +63,6 @@ impl EvaVisionTower {
     }
 }
 
-#[cfg(test)]
-impl EvaVisionTower {
-    /// Leaves the last layer out.
-    pub(super) fn drop_last_layer(&mut self) {
-        self.layers.pop();
-    }
-}
-
 impl Layer {
     fn take(weights: &mut Weights, config: &EvaVisionConfig, name: &str) -> Result<Self, MllmError> {
         let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);

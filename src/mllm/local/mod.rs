@@ -13,6 +13,8 @@ mod caching_tests;
 #[cfg(test)]
 mod determinism_tests;
 #[cfg(test)]
+pub(crate) mod test_faults;
+#[cfg(test)]
 pub(crate) mod test_reference;
 
 use std::collections::VecDeque;
