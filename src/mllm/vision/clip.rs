@@ -105,8 +105,8 @@ impl Layer {
     }
 
     fn forward(&self, x: &Tensor, images: usize) -> candle_core::Result<Tensor> {
-        let x = (x + self.attention.forward(&self.norm1.forward(x)?, images)?)?;
+        let x = self.attention.forward_onto(&self.norm1.forward(x)?, images, x)?;
         let wide = self.act.forward(&self.fc1.forward(&self.norm2.forward(&x)?)?)?;
-        &x + self.fc2.forward(&wide)?
+        self.fc2.forward_onto(&wide, &x)
     }
 }
