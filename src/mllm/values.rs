@@ -23,19 +23,30 @@ pub(crate) fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Resul
     }
 }
 
-/// Makes a row of `outputs` numbers of each row of `inputs` numbers, on all threads where that pays. `apply` gets whole rows,
-/// any number of them, to write and to read.
+/// Makes a row of `outputs` numbers of each row of `inputs` numbers of an f32 tensor, whose last dimension they are, on all
+/// threads where that pays. `apply` gets whole rows, any number of them, to write and to read.
+///
+/// # Errors
+/// When the tensor's rows are of another width, or it holds other numbers.
 pub(crate) fn row_by_row(
-    values: &[f32],
-    (inputs, outputs): (usize, usize),
+    x: &Tensor,
+    inputs: usize,
+    outputs: usize,
     apply: impl Fn(&mut [f32], &[f32]) + Sync,
-) -> Vec<f32> {
-    let mut out = vec![0f32; values.len() / inputs * outputs];
-    if out.len() < 2 * PIECE {
-        apply(&mut out, values);
-    } else {
-        let rows = (PIECE / outputs).max(1);
-        out.par_chunks_mut(rows * outputs).zip(values.par_chunks(rows * inputs)).for_each(|(out, x)| apply(out, x));
+) -> Result<Tensor> {
+    let mut shape = x.dims().to_vec();
+    match shape.last_mut() {
+        Some(width) if *width == inputs && inputs > 0 => *width = outputs,
+        _ => bail!("rows of {inputs} numbers are expected, found {:?}", x.shape()),
     }
-    out
+    with_values(x, |values| {
+        let mut out = vec![0f32; values.len() / inputs * outputs];
+        if out.len() < 2 * PIECE {
+            apply(&mut out, values);
+        } else {
+            let rows = (PIECE / outputs).max(1);
+            out.par_chunks_mut(rows * outputs).zip(values.par_chunks(rows * inputs)).for_each(|(out, x)| apply(out, x));
+        }
+        Tensor::from_vec(out, shape, x.device())
+    })
 }
