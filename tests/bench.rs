@@ -1,6 +1,6 @@
 //! `planagent bench`: what it prints, what it leaves behind, and that a model that fails fails alone.
 
-use crate::cli::{read_json, refused, run};
+use crate::cli::{planagent, read_json, refused, run};
 use crate::outside::skipped;
 use serde_json::Value;
 use std::fs;
@@ -106,6 +106,20 @@ fn a_broken_model_fails_alone() {
     assert_eq!(code, 1);
     assert!(figures["failed"][0][1].as_str().unwrap().contains("config.json"), "{figures}");
     assert_eq!(figures["models"][0]["model"], "nano");
+}
+
+#[test]
+fn a_model_is_measured_by_the_configuration_that_is_named() {
+    let folder = TempDir::new().unwrap();
+    // What the process that measures would find if it looked for itself.
+    fs::write(folder.path().join("planagent.toml"), "[mllm]\nquantize = \"q3_k\"\n").unwrap();
+    fs::write(folder.path().join("named.toml"), "[mllm]\nquantize = \"f16\"\n").unwrap();
+    let arguments =
+        ["bench", "nano", "--config", "named.toml", "--warm-up", "0", "--iterations", "1", "--out", "bench"];
+    let output = planagent().current_dir(&folder).args(arguments).args(["--threads", "1"]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let rows = rows(&folder.path().join("bench"));
+    assert_eq!(rows.last().unwrap()["loaded"]["storage"], "f16", "{rows:?}");
 }
 
 #[test]
