@@ -1,5 +1,7 @@
 //! The one interface to every model backend: open a conversation, ask, go back to a mark.
 
+use std::time::Duration;
+
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
@@ -201,6 +203,11 @@ pub struct RoundTime {
     pub remote: f64,
     /// The whole round, chat template and tokenizer included.
     pub total: f64,
+}
+
+/// A time as [`RoundTime`] has it, milliseconds.
+pub(crate) fn milliseconds(time: Duration) -> f64 {
+    time.as_secs_f64() * 1e3
 }
 
 /// Why an answer ends.

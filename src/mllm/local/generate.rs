@@ -6,12 +6,11 @@ use candle_core::Tensor;
 use toktrie::SimpleVob;
 
 use super::sequence::Sequence;
-use super::session::milliseconds;
 use super::vlm::VisionLanguageModel;
 use crate::mllm::decoder::Logits;
 use crate::mllm::sampling::Sampler;
 use crate::mllm::text::GrammarState;
-use crate::mllm::{Deadline, FinishReason, MllmError};
+use crate::mllm::{Deadline, FinishReason, MllmError, milliseconds};
 
 /// Most tokens of a prompt that are computed in one pass, so that a deadline is looked at in between.
 const PREFILL_CHUNK: usize = 512;
@@ -92,7 +91,7 @@ pub(super) fn generate(
             forced: 0,
             finish: at_budget,
             prefill: 0.0,
-            prefill_end: milliseconds(start),
+            prefill_end: milliseconds(start.elapsed()),
             first_token: 0.0,
         },
         passes: 0,
@@ -140,8 +139,8 @@ impl Generation<'_> {
         let pass_start = Instant::now();
         let logits = self.compute_pending()?;
         if self.passes == 0 {
-            self.out.prefill = milliseconds(pass_start);
-            self.out.prefill_end = milliseconds(self.start);
+            self.out.prefill = milliseconds(pass_start.elapsed());
+            self.out.prefill_end = milliseconds(self.start.elapsed());
         }
         self.passes += 1;
         let logits = match logits {
@@ -170,7 +169,7 @@ impl Generation<'_> {
 
     fn push_free(&mut self, token: u32) {
         if self.out.first_token == 0.0 {
-            self.out.first_token = milliseconds(self.start);
+            self.out.first_token = milliseconds(self.start.elapsed());
         }
         self.push(token);
     }
