@@ -169,7 +169,8 @@ pub struct Answer {
     pub prompt_hash: String,
 }
 
-/// Tokens of one round. The prompt has `text + image + cached` tokens, the answer `forced + free`.
+/// Tokens of one round. The prompt has `text + image + cached` tokens, the answer `forced + free`. Where the constraint left
+/// nothing to choose, the prompt is not computed: what was not known of it is counted by the next round that computes it.
 ///
 /// An endpoint tells what its server counts: image tokens stand under `text`, forced ones under `free`, and all is zero
 /// where the server says nothing.

@@ -104,7 +104,6 @@ impl Conversation for LocalConversation<'_> {
         let image_encode =
             if self.features.is_some() && !encoded_before { milliseconds(encode_start.elapsed()) } else { 0.0 };
 
-        let image_tokens = rest.iter().filter(|id| **id == image_token).count();
         let generated: Generated = generate(
             &*local.model,
             &mut self.sequence,
@@ -121,11 +120,13 @@ impl Conversation for LocalConversation<'_> {
             start,
         )?;
         let text = self.decode(request, &generated.ids)?;
+        let computed = rest.get(..self.sequence.ids().len() - cached).unwrap_or(rest);
+        let image_tokens = computed.iter().filter(|id| **id == image_token).count();
         let opening_time = std::mem::take(&mut self.opening_time);
         let answer = Answer {
             prompt_hash: prompt_hash(&self.opening.system, &self.turns, prompt),
             tokens: TokenCounts {
-                text: rest.len() - image_tokens,
+                text: computed.len() - image_tokens,
                 image: image_tokens,
                 cached,
                 forced: generated.forced,
