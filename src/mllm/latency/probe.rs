@@ -12,7 +12,9 @@ use super::step::{Step, StepTime};
 use crate::mllm::decoder::Logits;
 use crate::mllm::local::{Sequence, VisionLanguageModel};
 use crate::mllm::sampling::Sampler;
-use crate::mllm::{Architecture, LoadReport, Loading, MllmError, ModelPlace, Sampling, Storage, milliseconds};
+use crate::mllm::{
+    Architecture, Deadline, LoadReport, Loading, MllmError, ModelPlace, Sampling, Storage, milliseconds,
+};
 
 /// A model with one sequence of tokens, whose steps are timed.
 #[derive(Debug)]
@@ -133,7 +135,13 @@ impl LatencyProbe {
     /// Computes what is pending.
     fn compute(&mut self, wanted: Logits, time: &mut StepTime) -> Result<Option<Tensor>, MllmError> {
         let start = Instant::now();
-        let logits = self.sequence.append(&*self.model, &self.pending, self.features.as_ref(), wanted)?;
+        let logits = self.sequence.append_in_passes(
+            &*self.model,
+            &self.pending,
+            self.features.as_ref(),
+            wanted,
+            Deadline::NONE,
+        )?;
         time.add_pass(self.pending.len(), milliseconds(start.elapsed()));
         self.pending.clear();
         Ok(logits)

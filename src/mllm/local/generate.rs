@@ -12,9 +12,6 @@ use crate::mllm::sampling::Sampler;
 use crate::mllm::text::GrammarState;
 use crate::mllm::{Deadline, FinishReason, MllmError, milliseconds};
 
-/// Most tokens of a prompt that are computed in one pass, so that a deadline is looked at in between.
-const PREFILL_CHUNK: usize = 512;
-
 /// The tokens of an answer. Times are milliseconds.
 #[derive(Debug)]
 pub(super) struct Generated {
@@ -155,16 +152,7 @@ impl Generation<'_> {
     /// Computes what is pending; gives the logits behind its last token.
     fn compute_pending(&mut self) -> Result<Option<Tensor>, MllmError> {
         let pending = std::mem::take(&mut self.pending);
-        let mut logits = None;
-        let mut rest = pending.as_slice();
-        while !rest.is_empty() {
-            self.deadline.check()?;
-            let (chunk, behind) = rest.split_at(rest.len().min(PREFILL_CHUNK));
-            let wanted = if behind.is_empty() { Logits::Last } else { Logits::None };
-            logits = self.sequence.append(self.model, chunk, self.features, wanted)?;
-            rest = behind;
-        }
-        Ok(logits)
+        self.sequence.append_in_passes(self.model, &pending, self.features, Logits::Last, self.deadline)
     }
 
     fn push_free(&mut self, token: u32) {
