@@ -79,7 +79,8 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     })
 }
 
-/// The file that `--config` names; without it, for a run that is gone on with, what that was started with.
+/// The file that `--config` names; without it, for a run that is gone on with, what that was started with; for a measuring
+/// process, no file.
 fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
     match &arguments.command {
         Command::Simulate(SimulateArguments { resume: Some(folder), .. }) if arguments.config.is_none() => {
@@ -89,6 +90,8 @@ fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
                 .try_into()
                 .with_context(|| format!("in the configuration of the run in {}", folder.display()))
         }
+        // The bench that starts it says all that it needs.
+        Command::BenchProcess => Ok(Config::default()),
         _ => Config::load(arguments.config.as_deref()),
     }
 }
