@@ -1,0 +1,10 @@
+//! What an experiment leaves: scores with paired differences and their intervals, as Markdown, JSON and figures.
+
+mod folder;
+mod results;
+
+pub use folder::StudyFolder;
+pub use results::{
+    ChallengeResults, ModelCost, Outcome, StudyResults, SuiteDrives, SuiteResults, TypeResults, VariantDrives,
+    VariantResults,
+};
