@@ -153,6 +153,18 @@ impl Config {
         Ok(config)
     }
 
+    /// The same with TOML laid over it.
+    ///
+    /// # Errors
+    /// When the text is no TOML, has a wrong key or type, or a value is out of range.
+    pub fn overlaid(&self, settings: &str) -> anyhow::Result<Self> {
+        let mut table = toml::Table::try_from(self)?;
+        overlay(&mut table, settings.parse().with_context(|| format!("in the settings {settings:?}"))?);
+        let config: Self = table.try_into().with_context(|| format!("in the settings {settings:?}"))?;
+        config.check()?;
+        Ok(config)
+    }
+
     /// What the agent needs of it, for a model with these generation settings.
     pub fn agent_settings(&self, generation: GenerationSettings) -> PlanAgentSettings {
         let Self { seed, agent, environment, reasoning, reflection, .. } = self;
@@ -210,5 +222,44 @@ impl Config {
             bail!("reasoning.rounds must be some of understanding, instruction, code, in this order, ending with code");
         }
         Ok(())
+    }
+}
+
+/// Puts the values of one table in the place of another's; tables within are merged.
+fn overlay(below: &mut toml::Table, above: toml::Table) {
+    for (key, value) in above {
+        match (below.get_mut(&key), value) {
+            (Some(toml::Value::Table(below)), toml::Value::Table(above)) => overlay(below, above),
+            (_, value) => {
+                below.insert(key, value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::study;
+
+    #[test]
+    fn settings_are_laid_over_and_checked() {
+        let base = Config { seed: 7, ..Config::default() };
+        assert_eq!(base.overlaid("").unwrap(), base);
+        let other = base.overlaid("environment.bev = false\nreflection = { max_exec = 1 }").unwrap();
+        assert!(!other.environment.bev && other.environment.lane_graph);
+        assert_eq!((other.seed, other.reflection.max_exec), (7, 1));
+        for wrong in ["environment.bov = false", "reasoning.interval = 'often'", "reasoning.interval = 0", "= 3"] {
+            assert!(base.overlaid(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn every_variant_of_an_experiment_can_be_configured() {
+        for study in study::all() {
+            for variant in &study.variants {
+                Config::default().overlaid(variant.settings).unwrap();
+            }
+        }
     }
 }

@@ -22,6 +22,7 @@ pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigur
 pub use call_record::call_record;
 pub use drive_row::{DriveRow, DriveTime, MetricScore};
 pub use error::ReportError;
+pub use finish::SUMMARY;
 pub use manifest::{MANIFEST, Manifest, ScenarioList};
 pub use number::{fixed, json_value};
 pub use run_folder::{Recorded, RunFolder};
