@@ -13,6 +13,7 @@ mod bench;
 mod cli;
 mod endpoint;
 mod environment;
+mod experiment;
 mod generator;
 mod metrics;
 mod mllm;

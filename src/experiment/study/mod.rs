@@ -47,7 +47,7 @@ impl Study {
         }
         let labelled = self.labels.iter().zip(variant.labels);
         let missing: Vec<&str> = labelled.filter(|(_, label)| **label == NO).map(|(head, _)| *head).collect();
-        if missing.is_empty() { "all".to_owned() } else { format!("no {}", missing.join(", no ")) }
+        if missing.is_empty() { "the whole agent".to_owned() } else { format!("no {}", missing.join(", no ")) }
     }
 
     /// Whether it is about what models cost.

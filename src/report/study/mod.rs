@@ -2,6 +2,8 @@
 
 mod folder;
 mod results;
+#[cfg(test)]
+mod tests;
 
 pub use folder::StudyFolder;
 pub use results::{

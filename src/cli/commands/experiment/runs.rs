@@ -41,8 +41,10 @@ pub(super) struct Run {
     folder: Option<RunFolder>,
     /// Drives to be made.
     todo: Vec<usize>,
-    /// Drives that are made.
+    /// Drives that are made,
     rows: Vec<DriveRow>,
+    /// so many of them in this session.
+    made: usize,
     /// Time that its model took to load, seconds.
     load_s: Option<f64>,
 }
@@ -93,6 +95,7 @@ impl<'a> Runs<'a> {
             folder: None,
             todo: Vec::new(),
             rows: Vec::new(),
+            made: 0,
         });
         Ok(Ok(name))
     }
@@ -228,6 +231,7 @@ impl Run {
         let Some(folder) = &self.folder else { return Ok(()) };
         drives::make(folder, &self.assignments, todo, self.agent.as_ref(), progress)?;
         self.todo.retain(|number| !todo.contains(number));
+        self.made += todo.len();
         self.rows = folder.recorded(&self.assignments)?.rows;
         Ok(())
     }
@@ -237,7 +241,7 @@ impl Run {
         let Some(folder) = self.folder.take() else { return Ok(()) };
         self.rows = drives::rows(&folder, &self.assignments)?;
         let seed = self.manifest.config.get("seed").and_then(toml::Value::as_integer).unwrap_or_default();
-        let session = drives::session(started, self.rows.len(), self.load_s);
+        let session = drives::session(started, self.made, self.load_s);
         drives::finish(&folder, &self.manifest, seed.unsigned_abs(), session, &self.rows)?;
         Ok(())
     }
