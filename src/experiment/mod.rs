@@ -10,3 +10,4 @@ pub mod source;
 pub mod split;
 pub mod statistics;
 pub mod study;
+pub mod suite;

@@ -9,6 +9,7 @@ pub use paper::{Benchmark, Published, PublishedModel, Scores};
 
 use super::run::PlannerKind;
 use super::source::ScenarioSource;
+use super::suite::Suite;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -122,8 +123,8 @@ impl SuiteName {
     /// The split that it is; none for recordings.
     pub fn split(self) -> Option<&'static str> {
         match self {
-            Self::Common => Some("generated-14"),
-            Self::Hard => Some("generated-14-hard"),
+            Self::Common => Some(Suite::Generated14.name()),
+            Self::Hard => Some(Suite::Generated14Hard.name()),
             Self::Recorded => None,
         }
     }
