@@ -22,4 +22,5 @@ mod pdm;
 mod road;
 mod runner;
 mod simulation;
+mod tokens;
 mod womd;
