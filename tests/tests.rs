@@ -23,4 +23,5 @@ mod pdm;
 mod road;
 mod runner;
 mod simulation;
+mod tokens;
 mod womd;

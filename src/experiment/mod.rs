@@ -1,5 +1,5 @@
-//! Stage 9: what drives many loops. Simulation runs; the paper's tables; label search and datasets; what a planning call
-//! costs.
+//! Stage 9: what drives many loops. Simulation runs; the paper's tables; label search and datasets; what a planning call costs;
+//! what descriptions of scenes take.
 
 pub mod bench;
 mod caught;
@@ -11,3 +11,4 @@ pub mod split;
 pub mod statistics;
 pub mod study;
 pub mod suite;
+pub mod tokens;
