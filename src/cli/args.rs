@@ -49,6 +49,8 @@ pub(super) struct Arguments {
     pub(super) verbose: bool,
 }
 
+/// The experiment that drives nothing.
+pub(super) const TOKENS_EXPERIMENT: &str = "tokens";
 /// Stands for every experiment.
 pub(super) const ALL_EXPERIMENTS: &str = "all";
 
@@ -354,7 +356,7 @@ pub(super) struct ExperimentArguments {
 
 /// Takes the name of an experiment, or `all`.
 fn experiment_name() -> PossibleValuesParser {
-    PossibleValuesParser::new(study::NAMES.into_iter().chain([ALL_EXPERIMENTS]))
+    PossibleValuesParser::new(study::NAMES.into_iter().chain([TOKENS_EXPERIMENT, ALL_EXPERIMENTS]))
 }
 
 /// Flags of `bench`.

@@ -58,6 +58,11 @@ pub(super) fn open(config: &Config, printer: Printer) -> anyhow::Result<Opened> 
 }
 
 impl Opened {
+    /// The model.
+    pub(super) fn model(&self) -> &dyn Mllm {
+        self.model.as_ref()
+    }
+
     /// The model, asked as a configuration says.
     ///
     /// # Errors

@@ -32,6 +32,6 @@ pub use study::{
     VariantDrives, VariantResults,
 };
 pub use summary::{Aggregate, ScenarioSummary, Summary};
-pub use table::{bench_markdown, bench_table, failures, fill, main_table, study_markdown, study_table};
+pub use table::{bench_markdown, bench_table, failures, fill, main_table, study_markdown, study_table, token_table};
 pub use timing::{CallTimes, DriveTiming, PlannerTiming, Quantiles, Session, Timing};
 pub use transcript::{attempt_markdown, decision_words, transcript};

@@ -31,14 +31,19 @@ impl StudyFolder {
     /// # Errors
     /// When a file cannot be written.
     pub fn write(&self, study: &Study, results: &StudyResults, command: &str) -> Result<(), ReportError> {
+        let mut files = figures(study, results);
+        let names: Vec<String> = files.iter().map(|(name, _)| name.clone()).collect();
+        files.push(("results.md".to_owned(), study_markdown(study, results, command, &names)));
+        files.push(("results.json".to_owned(), serde_json::to_string_pretty(&json_value(results)?)? + "\n"));
+        self.write_files(&files)
+    }
+
+    /// Writes files of these names, each whole or not at all.
+    ///
+    /// # Errors
+    /// When one cannot be written.
+    pub fn write_files(&self, files: &[(impl AsRef<Path>, String)]) -> Result<(), ReportError> {
         atomic::folder(&self.path)?;
-        let drawn = figures(study, results);
-        for (name, svg) in &drawn {
-            atomic::write(&self.path.join(name), svg.as_bytes())?;
-        }
-        let names: Vec<&str> = drawn.iter().map(|(name, _)| name.as_str()).collect();
-        atomic::write(&self.path.join("results.md"), study_markdown(study, results, command, &names).as_bytes())?;
-        let json = serde_json::to_string_pretty(&json_value(results)?)? + "\n";
-        atomic::write(&self.path.join("results.json"), json.as_bytes())
+        files.iter().try_for_each(|(name, text)| atomic::write(&self.path.join(name), text.as_bytes()))
     }
 }

@@ -144,7 +144,7 @@ fn markdown_has_both_challenges_beside_the_papers_and_every_study_is_drawn() {
             study.name
         );
         assert_eq!(drawn.len(), 1);
-        let text = study_markdown(&study, &results, "planagent experiment", &["generated-14-hard.svg"]);
+        let text = study_markdown(&study, &results, "planagent experiment", &["generated-14-hard.svg".to_owned()]);
         assert!(text.contains("(generated-14-hard.svg)"), "{text}");
         let head = text.lines().find(|line| line.starts_with("| ")).unwrap();
         if study.figure == Figure::Differences {

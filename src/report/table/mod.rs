@@ -4,6 +4,7 @@ mod bench;
 mod drives;
 mod overview;
 mod study;
+mod tokens;
 
 use super::drive_row::DriveRow;
 use super::number::fixed;
@@ -17,6 +18,7 @@ use std::fmt::Write as _;
 pub use bench::{bench_markdown, bench_table};
 pub use drives::failures;
 pub use study::{study_markdown, study_table};
+pub use tokens::token_table;
 
 /// The main table (a row a planner), the scenario types when there are several, the drives with their metrics up to a
 /// number and a legend for each list of metrics, and what made scores 0.

@@ -36,7 +36,7 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
 }
 
 /// The same as Markdown, both challenges in one table; `command` made it, and `figures` lie beside it.
-pub fn study_markdown(study: &Study, results: &StudyResults, command: &str, figures: &[&str]) -> String {
+pub fn study_markdown(study: &Study, results: &StudyResults, command: &str, figures: &[String]) -> String {
     let mut text = format!("# {}\n\n```console\n$ {command}\n```\n", results.title);
     for suite in &results.suites {
         // Writing to a text cannot fail.

@@ -2,8 +2,9 @@
 
 mod runs;
 mod suites;
+mod tokens;
 
-use crate::cli::args::{ALL_EXPERIMENTS, ExperimentArguments};
+use crate::cli::args::{ALL_EXPERIMENTS, ExperimentArguments, TOKENS_EXPERIMENT};
 use crate::cli::{Config, Exit, Printer};
 use crate::experiment::study::{self, Quick, Study};
 use crate::report::{
@@ -13,6 +14,7 @@ use crate::report::{
 use anyhow::{anyhow, bail};
 use indicatif::HumanDuration;
 use runs::Runs;
+use std::path::PathBuf;
 use std::rc::Rc;
 use std::time::Instant;
 use suites::{Suite, Suites};
@@ -31,24 +33,43 @@ struct Planned {
 /// # Errors
 /// When the input, a model or a folder cannot be used; a failed drive is no such error.
 pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    let mut suites = Suites::new(flags, printer)?;
+    let all = flags.name == ALL_EXPERIMENTS;
+    let mut exit = Exit::Success;
+    if all || flags.name == TOKENS_EXPERIMENT {
+        let suites = suites.of(TOKENS_EXPERIMENT, tokens::SUITES)?;
+        let (folder, command) = (folder(TOKENS_EXPERIMENT, flags), command(TOKENS_EXPERIMENT, flags));
+        exit = tokens::run(&suites, folder, &command, config, printer)?;
+    }
+    if flags.name != TOKENS_EXPERIMENT {
+        exit = exit.max(drive_and_tell(&mut suites, flags, config, printer)?);
+    }
+    Ok(exit)
+}
+
+/// Makes the drives of the studies that are meant, and their results of these.
+fn drive_and_tell(
+    suites: &mut Suites<'_>,
+    flags: &ExperimentArguments,
+    config: &Config,
+    printer: Printer,
+) -> anyhow::Result<Exit> {
     let started = Instant::now();
     let studies =
         if flags.name == ALL_EXPERIMENTS { study::all() } else { study::named(&flags.name).into_iter().collect() };
     let bench = bench(flags)?;
-    let mut suites = Suites::new(flags, printer)?;
     let mut runs = Runs::new(flags.out.join(DRIVES), config, printer)?;
     let mut planned = Vec::new();
     for study in studies {
-        planned.push(plan(study, &mut suites, &mut runs)?);
+        planned.push(plan(study, suites, &mut runs)?);
     }
     drive(&mut runs, flags, printer, started)?;
     for Planned { study, suites } in &planned {
         let drives: Vec<SuiteDrives> = suites.iter().map(|(suite, names)| driven(suite, names, &runs)).collect();
         let quick = flags.quick.then_some(Quick::DEFAULT);
         let results = StudyResults::new(study, &drives, quick, config.seed, &bench);
-        let name = if flags.quick { format!("{}-quick", study.name) } else { study.name.to_owned() };
-        let folder = StudyFolder::new(flags.out.join(name));
-        folder.write(study, &results, &command(study, flags))?;
+        let folder = StudyFolder::new(folder(study.name, flags));
+        folder.write(study, &results, &command(study.name, flags))?;
         if printer.is_json() {
             printer.json(&results)?;
         } else {
@@ -63,7 +84,7 @@ pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer:
 /// Finds the suites of a study and takes up the runs of its variants.
 fn plan(study: Study, suites: &mut Suites<'_>, runs: &mut Runs<'_>) -> anyhow::Result<Planned> {
     let mut planned = Vec::new();
-    for suite in suites.of(&study)? {
+    for suite in suites.of(study.name, study.suites)? {
         let names = study.variants.iter().map(|variant| runs.add(&suite, variant)).collect::<anyhow::Result<_>>()?;
         planned.push((suite, names));
     }
@@ -118,9 +139,14 @@ fn bench(flags: &ExperimentArguments) -> anyhow::Result<Vec<ModelFigures>> {
     Ok(figures.models)
 }
 
-/// The command that makes the results of a study.
-fn command(study: &Study, flags: &ExperimentArguments) -> String {
-    let mut words = vec!["planagent experiment".to_owned(), study.name.to_owned()];
+/// The folder of an experiment's results.
+fn folder(name: &str, flags: &ExperimentArguments) -> PathBuf {
+    flags.out.join(if flags.quick { format!("{name}-quick") } else { name.to_owned() })
+}
+
+/// The command that makes the results of an experiment.
+fn command(name: &str, flags: &ExperimentArguments) -> String {
+    let mut words = vec!["planagent experiment".to_owned(), name.to_owned()];
     words.extend(flags.quick.then(|| "--quick".to_owned()));
     if !flags.suites.is_empty() {
         words.push(format!("--suite {}", flags.suites.join(",")));

@@ -5,7 +5,7 @@ use crate::cli::args::ExperimentArguments;
 use crate::cli::commands::simulate::selection::{Found, find};
 use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::source::ScenarioSource;
-use crate::experiment::study::{Quick, Study};
+use crate::experiment::study::{Quick, SuiteName};
 use crate::report::ScenarioList;
 use crate::scenario::nuplan::DataRoots;
 use anyhow::{Context, bail};
@@ -51,22 +51,21 @@ impl<'a> Suites<'a> {
         Ok(Self { flags, printer, data: NuPlanData::new(roots.clone()), roots, found: BTreeMap::new() })
     }
 
-    /// The suites of a study: those that the flags name, else its own, recordings only where some are at hand.
+    /// The suites of an experiment: those that the flags name, else its own, recordings only where some are at hand.
     ///
     /// # Errors
     /// When one is unknown, empty or cannot be read.
-    pub(super) fn of(&mut self, study: &Study) -> anyhow::Result<Vec<Rc<Suite>>> {
+    pub(super) fn of(&mut self, experiment: &str, own: &[SuiteName]) -> anyhow::Result<Vec<Rc<Suite>>> {
         let flags = self.flags;
         if !flags.suites.is_empty() {
             return flags.suites.iter().map(|name| self.named(name)).collect();
         }
         let mut suites = Vec::new();
-        for suite in study.suites {
+        for suite in own {
             match suite.split() {
                 Some(name) => suites.push(self.named(name)?),
                 None if self.recordings().is_empty() => {
-                    self.printer
-                        .note(format!("{}: no recordings: neither --scenario nor ${DATA} names any", study.name));
+                    self.printer.note(format!("{experiment}: no recordings: neither --scenario nor ${DATA} names any"));
                 }
                 None => suites.push(self.named(RECORDED)?),
             }
