@@ -38,10 +38,10 @@ pub(super) fn make(
     folder: &RunFolder,
     assignments: &[Assignment],
     todo: &[usize],
-    parts: Option<&AgentParts>,
+    parts: &AgentParts,
     progress: &DriveProgress,
 ) -> Result<(), ReportError> {
-    run::run(assignments, todo, parts, &|_| progress.iteration(), &|number, record| {
+    run::run(assignments, todo, Some(parts), &|_| progress.iteration(), &|number, record| {
         folder.commit(number, &record)?;
         progress.drive_ended(record.outcome.is_err());
         Ok(())

@@ -5,6 +5,7 @@ use crate::experiment::run::AgentParts;
 use crate::mllm::{
     FetchProgress, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, ModelSpec, PromptSet as PromptSetName,
 };
+use crate::planner::Mind;
 use crate::reasoning::PromptSet;
 use anyhow::Context;
 use indicatif::ProgressBar;
@@ -19,8 +20,10 @@ const MODELS_VARIABLE: &str = "PLANAGENT_MODELS";
 
 /// A loaded model, ready to drive.
 pub(super) struct Loaded {
-    /// What `plan-agent` is made of.
-    pub(super) parts: AgentParts,
+    /// What `plan-agent` thinks with.
+    pub(super) mind: Mind,
+    /// The model in words.
+    pub(super) about: ModelDescription,
     /// How long loading took, seconds.
     pub(super) load_s: f64,
 }
@@ -73,10 +76,15 @@ impl Opened {
             PromptSetName::Paper => "paper",
         });
         let prompts = Arc::new(PromptSet::open(set)?);
-        let settings = config.agent_settings(self.spec.generation);
-        let parts = AgentParts { model: Arc::clone(&self.model), prompts, settings };
-        Ok(Loaded { parts, load_s: self.load_s })
+        let reasoning = config.reasoning_settings(self.spec.generation);
+        let mind = Mind::Model { model: Arc::clone(&self.model), prompts, reasoning };
+        Ok(Loaded { mind, about: self.model.describe(), load_s: self.load_s })
     }
+}
+
+/// What agents are made of, with the model where one is loaded.
+pub(super) fn parts(config: &Config, loaded: Option<&Loaded>) -> AgentParts {
+    AgentParts { model: loaded.map(|loaded| loaded.mind.clone()), settings: config.agent_settings() }
 }
 
 /// The models that the configuration knows, with a bar for downloads.

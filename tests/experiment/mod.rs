@@ -63,10 +63,10 @@ fn an_experiment_that_is_killed_ends_like_one_that_is_not_and_shares_its_drives(
 
     // Another experiment has two planners in common with it; a run is one that simulate goes on with.
     let (code, stdout, stderr) = run(&[&experiment("main", &killed)[..], &["--json"]].concat());
-    assert!(code == 0 && stderr.contains("16 drives in 4 runs; 8 are made, 8 are left"), "{stderr}");
+    assert!(code == 0 && stderr.contains("32 drives in 8 runs; 8 are made, 24 are left"), "{stderr}");
     let told: Value = serde_json::from_str(&stdout).unwrap();
     assert_eq!(told, read_json(&killed.join("main/results.json")));
-    assert_eq!(ended(&killed), 16);
+    assert_eq!(ended(&killed), 32);
     for simulated in runs(&killed) {
         let (code, _, stderr) = run(&["simulate", "--resume", simulated.to_str().unwrap(), "--json"]);
         assert!(code == 0 && stderr.contains("4 of 4 drives are done"), "{stderr}");

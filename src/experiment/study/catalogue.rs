@@ -5,11 +5,12 @@ use super::{Column, Figure, NO, Rows, Study, SuiteName, Variant, YES};
 use crate::experiment::run::PlannerKind;
 
 /// Their names, in the order in which `all` makes them.
-pub const NAMES: [&str; 6] = ["main", "scenario-types", "environment", "reasoning", "interval", "mllm"];
+pub const NAMES: [&str; 9] =
+    ["main", "scenario-types", "environment", "reasoning", "interval", "mllm", "controls", "inputs", "execution"];
 
 /// All experiments.
 pub fn all() -> Vec<Study> {
-    vec![main(), scenario_types(), environment(), reasoning(), interval(), mllm()]
+    vec![main(), scenario_types(), environment(), reasoning(), interval(), mllm(), controls(), inputs(), execution()]
 }
 
 /// The experiment of a name.
@@ -28,6 +29,11 @@ const fn agent(labels: &'static [&'static str], settings: &'static str, publishe
 }
 
 const PLAN_AGENT: Variant = planner(&["plan-agent"], PlannerKind::PlanAgent, paper::PLAN_AGENT);
+/// PlanAgent as the paper has it: the last planner drives after `max_exec` refusals, and a planner drives as it was written.
+const AS_IN_THE_PAPER: &str = "reflection = { after_max_exec = 'last', execution = 'as_written' }";
+const RANDOM_CODE: Variant = planner(&["random-code"], PlannerKind::RandomCode, Published::NOTHING);
+const FIXED_CODE: Variant = planner(&["fixed-code"], PlannerKind::FixedCode, Published::NOTHING);
+const GRID_CODE: Variant = planner(&["grid-code"], PlannerKind::GridCode, Published::NOTHING);
 const PDM_CLOSED: Variant = planner(&["pdm-closed"], PlannerKind::PdmClosed, paper::PDM_CLOSED);
 
 fn main() -> Study {
@@ -40,6 +46,10 @@ fn main() -> Study {
             planner(&["log-replay"], PlannerKind::LogReplay, paper::LOG_REPLAY),
             planner(&["idm"], PlannerKind::Idm, paper::IDM),
             PDM_CLOSED,
+            RANDOM_CODE,
+            FIXED_CODE,
+            GRID_CODE,
+            agent(&["plan-agent (paper)"], AS_IN_THE_PAPER, paper::PLAN_AGENT),
             PLAN_AGENT,
         ],
         reference: 2,
@@ -47,7 +57,12 @@ fn main() -> Study {
         rows: Rows::Variants,
         columns: &[],
         figure: Figure::Differences,
-        remarks: &["log-replay is the recorded driver; among reactive traffic it does not react itself."],
+        remarks: &[
+            "log-replay is the recorded driver; among reactive traffic it does not react itself.",
+            "random-code, fixed-code and grid-code are the agent with codes that no model wrote, under the same Reflection.",
+            "plan-agent (paper): after three refusals the last planner drives, and a planner drives as it was written; \
+             plan-agent: as configured.",
+        ],
     }
 }
 
@@ -158,6 +173,69 @@ fn mllm() -> Study {
              which fills its shape with random weights.",
             "The paper's time is of one inference, on hardware that it does not name; ours is the median of a planning call.",
         ],
+    }
+}
+
+fn controls() -> Study {
+    Study {
+        name: "controls",
+        title: "What the model is worth: other codes under the same Reflection",
+        paper: None,
+        labels: &["codes"],
+        variants: vec![RANDOM_CODE, FIXED_CODE, GRID_CODE, Variant { labels: &["the model's"], ..PLAN_AGENT }],
+        reference: 3,
+        suites: &[SuiteName::Common, SuiteName::Hard],
+        rows: Rows::Variants,
+        columns: &[Column::CallTime],
+        figure: Figure::Differences,
+        remarks: &[
+            "random-code draws each attempt evenly from the codes that the grammar allows, fixed-code keeps the lane at the limit, \
+             grid-code tries every code of a grid and takes the one that Reflection scores best.",
+        ],
+    }
+}
+
+fn inputs() -> Study {
+    Study {
+        name: "inputs",
+        title: "Does it see? What each input is worth to the model",
+        paper: None,
+        labels: &["BEV", "text"],
+        variants: vec![
+            agent(&["another scene's", "own"], "environment.bev_of = 'another'", Published::NOTHING),
+            agent(&["none", "own"], "environment.bev = false", Published::NOTHING),
+            agent(&["own", "none"], "environment.lane_graph = false", Published::NOTHING),
+            agent(&["none", "none"], "environment = { bev = false, lane_graph = false }", Published::NOTHING),
+            agent(&["own", "own"], "", Published::NOTHING),
+        ],
+        reference: 4,
+        suites: &[SuiteName::Hard],
+        rows: Rows::Variants,
+        columns: &[],
+        figure: Figure::Differences,
+        remarks: &["Another scene's BEV map is that of a generated scene, a new one at each planning call."],
+    }
+}
+
+fn execution() -> Study {
+    let refused = |labels, settings| agent(labels, settings, Published::NOTHING);
+    Study {
+        name: "execution",
+        title: "Who drives after refusals, and how between planning calls",
+        paper: None,
+        labels: &["after refusals", "between calls"],
+        variants: vec![
+            agent(&["last", "as written"], AS_IN_THE_PAPER, paper::PLAN_AGENT),
+            refused(&["best", "as written"], "reflection = { after_max_exec = 'best', execution = 'as_written' }"),
+            refused(&["last", "watched"], "reflection = { after_max_exec = 'last', execution = 'watched' }"),
+            refused(&["best", "watched"], "reflection = { after_max_exec = 'best', execution = 'watched' }"),
+        ],
+        reference: 0,
+        suites: &[SuiteName::Hard],
+        rows: Rows::Variants,
+        columns: &[],
+        figure: Figure::Differences,
+        remarks: &["The first row is the paper's."],
     }
 }
 

@@ -41,10 +41,14 @@ pub struct Study {
 }
 
 impl Study {
-    /// A variant's name in a word or a few: its label; of several, what it goes without.
+    /// A variant's name in a word or a few: its label; of several, what it goes without, or all.
     pub fn name_of(&self, variant: &Variant) -> String {
         if let [name] = variant.labels {
             return (*name).to_owned();
+        }
+        if !variant.labels.iter().all(|label| [YES, NO].contains(label)) {
+            let labelled = self.labels.iter().zip(variant.labels);
+            return labelled.map(|(head, label)| format!("{head}: {label}")).collect::<Vec<_>>().join(", ");
         }
         let labelled = self.labels.iter().zip(variant.labels);
         let missing: Vec<&str> = labelled.filter(|(_, label)| **label == NO).map(|(head, _)| *head).collect();

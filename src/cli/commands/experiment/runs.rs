@@ -5,7 +5,7 @@ use super::suites::Suite;
 use crate::cli::commands::simulate::selection::assignments;
 use crate::cli::model::{self, Opened};
 use crate::cli::progress::DriveProgress;
-use crate::cli::{Config, Printer, drives};
+use crate::cli::{Config, MllmConfig, Printer, drives};
 use crate::experiment::run::{AgentParts, Assignment, PlannerKind};
 use crate::experiment::study::Variant;
 use crate::report::{DriveRow, MANIFEST, Manifest, RunFolder, SUMMARY, ScenarioList, stamp};
@@ -36,7 +36,9 @@ pub(super) struct Runs<'a> {
 pub(super) struct Run {
     manifest: Manifest,
     assignments: Vec<Assignment>,
-    agent: Option<AgentParts>,
+    agent: AgentParts,
+    /// Parameters of its model.
+    parameters: Option<u64>,
     /// Open while there is something to do.
     folder: Option<RunFolder>,
     /// Drives to be made.
@@ -75,7 +77,8 @@ impl<'a> Runs<'a> {
             PlannerKind::PlanAgent => Some(self.model(&asked)?.asked(&asked)?),
             _ => None,
         };
-        let model = loaded.as_ref().map(|loaded| toml::Table::try_from(loaded.parts.model.describe())).transpose()?;
+        let model = loaded.as_ref().map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?;
+        let agent = model::parts(&asked, loaded.as_ref());
         let manifest = Manifest {
             planagent: env!("CARGO_PKG_VERSION").to_owned(),
             started: stamp(SystemTime::now()),
@@ -91,7 +94,8 @@ impl<'a> Runs<'a> {
             manifest,
             assignments: assignments(&suite.sources, &[planner], &Challenge::CLOSED_LOOP),
             load_s: loaded.as_ref().map(|loaded| loaded.load_s),
-            agent: loaded.map(|loaded| loaded.parts),
+            parameters: loaded.as_ref().map(|loaded| loaded.about.parameters),
+            agent,
             folder: None,
             todo: Vec::new(),
             rows: Vec::new(),
@@ -229,7 +233,7 @@ impl Run {
     /// Makes some of the drives that are left.
     fn make(&mut self, todo: &[usize], progress: &DriveProgress) -> anyhow::Result<()> {
         let Some(folder) = &self.folder else { return Ok(()) };
-        drives::make(folder, &self.assignments, todo, self.agent.as_ref(), progress)?;
+        drives::make(folder, &self.assignments, todo, &self.agent, progress)?;
         self.todo.retain(|number| !todo.contains(number));
         self.made += todo.len();
         self.rows = folder.recorded(&self.assignments)?.rows;
@@ -253,7 +257,7 @@ impl Run {
 
     /// Parameters of its model.
     pub(super) fn parameters(&self) -> Option<u64> {
-        self.agent.as_ref().map(|agent| agent.model.describe().parameters)
+        self.parameters
     }
 }
 
@@ -264,6 +268,10 @@ fn effective(mut config: Config, planner: PlannerKind) -> Config {
             (config.mllm.offline, config.mllm.ignore_memory) = (false, false);
             config
         }
-        _ => Config::default(),
+        PlannerKind::RandomCode | PlannerKind::FixedCode | PlannerKind::GridCode => {
+            config.mllm = MllmConfig::default();
+            config
+        }
+        PlannerKind::LogReplay | PlannerKind::Idm | PlannerKind::Simple | PlannerKind::PdmClosed => Config::default(),
     }
 }

@@ -43,9 +43,9 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
 
     let kept = kept(&folder, assignments, flags, printer)?;
     let todo: Vec<usize> = (0..assignments.len()).filter(|number| !kept.contains(number)).collect();
-    let parts = loaded.as_ref().map(|loaded| &loaded.parts);
+    let parts = model::parts(config, loaded.as_ref());
     let progress = DriveProgress::new(printer, todo.len());
-    let driven = drives::make(&folder, assignments, &todo, parts, &progress);
+    let driven = drives::make(&folder, assignments, &todo, &parts, &progress);
     progress.finish();
     driven?;
 
@@ -106,7 +106,7 @@ fn manifest(selection: &Selection, config: &Config, loaded: Option<&Loaded>) -> 
         planners: selection.planners.iter().map(ToString::to_string).collect(),
         challenges: selection.challenges.iter().map(ToString::to_string).collect(),
         scenarios: selection.list.clone(),
-        model: loaded.map(|loaded| toml::Table::try_from(loaded.parts.model.describe())).transpose()?,
+        model: loaded.map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?,
         config: toml::Table::try_from(config)?,
     })
 }
