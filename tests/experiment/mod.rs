@@ -61,12 +61,12 @@ fn an_experiment_that_is_killed_ends_like_one_that_is_not_and_shares_its_drives(
     assert!(before.iter().all(|(drive, time)| after.get(drive) == Some(time)), "a drive was made twice");
     assert_eq!(results(&killed.join("scenario-types")), expected);
 
-    // Another experiment has two planners in common with it; a run is one that simulate goes on with.
-    let (code, stdout, stderr) = run(&[&experiment("main", &killed)[..], &["--json"]].concat());
-    assert!(code == 0 && stderr.contains("32 drives in 8 runs; 8 are made, 24 are left"), "{stderr}");
+    // Another experiment has a run in common with it; a run is one that simulate goes on with.
+    let (code, stdout, stderr) = run(&[&experiment("interval", &killed)[..], &["--json"]].concat());
+    assert!(code == 0 && stderr.contains("12 drives in 3 runs; 4 are made, 8 are left"), "{stderr}");
     let told: Value = serde_json::from_str(&stdout).unwrap();
-    assert_eq!(told, read_json(&killed.join("main/results.json")));
-    assert_eq!(ended(&killed), 32);
+    assert_eq!(told, read_json(&killed.join("interval/results.json")));
+    assert_eq!(ended(&killed), 16);
     for simulated in runs(&killed) {
         let (code, _, stderr) = run(&["simulate", "--resume", simulated.to_str().unwrap(), "--json"]);
         assert!(code == 0 && stderr.contains("4 of 4 drives are done"), "{stderr}");
@@ -76,7 +76,7 @@ fn an_experiment_that_is_killed_ends_like_one_that_is_not_and_shares_its_drives(
     let suite = &told["suites"][0];
     assert_eq!((&suite["name"], &suite["scenes"], &suite["benchmark"]), (&"recorded".into(), &2.into(), &Value::Null));
     for variant in suite["variants"].as_array().unwrap() {
-        let summary = read_json(&killed.join("main").join(variant["run"].as_str().unwrap()).join("summary.json"));
+        let summary = read_json(&killed.join("interval").join(variant["run"].as_str().unwrap()).join("summary.json"));
         for (place, challenge) in variant["challenges"].as_array().unwrap().iter().enumerate() {
             let mean = summary["aggregates"][place]["score"].as_f64().unwrap() * 100.0;
             assert!((challenge["score"].as_f64().unwrap() - mean).abs() < 1e-9, "{variant}");

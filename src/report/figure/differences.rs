@@ -6,9 +6,9 @@ use crate::experiment::study::Study;
 use crate::report::{ChallengeResults, StudyResults, SuiteResults};
 use crate::simulation::Challenge;
 
-const WIDTH: f64 = 800.0;
+const WIDTH: f64 = 880.0;
 /// Columns: names, then a panel a challenge.
-const NAMES: f64 = 230.0;
+const NAMES: f64 = 310.0;
 const GAP: f64 = 30.0;
 /// Rows.
 const TOP: f64 = 70.0;
