@@ -6,6 +6,7 @@ use planagent::mllm::{
     Opening, Request, RoundTime, Sampling, TokenCounts,
 };
 use planagent::pdm::PdmMemory;
+use planagent::planner::BevOf;
 use planagent::planner::{
     AfterMaxExec, Decision, Execution, Mind, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, PlanningCall,
     generated_planner,
@@ -86,6 +87,7 @@ impl Conversation for Scripted<'_> {
 fn settings() -> PlanAgentSettings {
     PlanAgentSettings {
         view_m: Some(64.0),
+        bev_of: BevOf::Scene,
         lane_graph: true,
         node_length_m: DEFAULT_NODE_LENGTH,
         interval: 20,

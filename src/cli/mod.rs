@@ -3,6 +3,7 @@
 mod args;
 mod commands;
 mod config;
+mod drives;
 mod exit;
 mod machine;
 mod model;
@@ -74,6 +75,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
         Command::Models(command) => commands::models::run(command, &config, printer),
         Command::Dataset(flags) => commands::dataset::run(flags, &config, printer),
+        Command::Experiment(flags) => commands::experiment::run(flags, &config, printer),
         Command::Bench(flags) => commands::bench::run(flags, &config, printer),
         Command::BenchProcess => commands::bench::process(&config, printer),
     })

@@ -1,5 +1,6 @@
 //! Stage 6: the planners. The simulator knows an agent only through [`Planner`], whose shape is nuPlan's.
 
+mod foreign_view;
 mod idm;
 mod log_replay;
 mod mind;
@@ -8,6 +9,7 @@ mod plan_agent;
 mod record;
 mod simple;
 
+pub use foreign_view::BevOf;
 pub use idm::IdmPlanner;
 pub use log_replay::LogReplay;
 pub use mind::{Mind, USUAL_ACCELERATIONS, planner_code};

@@ -1,6 +1,7 @@
 //! The agent of the paper: every 20 iterations it looks, thinks, writes a planner and reflects on it; in between the planner
 //! in force drives.
 
+use super::foreign_view::{self, BevOf};
 use super::mind::Mind;
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
@@ -52,6 +53,8 @@ pub enum Execution {
 pub struct PlanAgentSettings {
     /// Side of the BEV map, metres; `None` leaves the image out.
     pub view_m: Option<f64>,
+    /// Which scene that map is of.
+    pub bev_of: BevOf,
     /// Whether the model gets the lane-graph text.
     pub lane_graph: bool,
     /// Length of a lane-graph node, metres.
@@ -185,7 +188,11 @@ impl PlanAgent {
             (Some(metres), Some(pixels)) => {
                 let view = BevView::new(pixels, metres)
                     .map_err(|e| PlannerError::Failed { doing: "drawing the BEV map", source: Box::new(e) })?;
-                Some(bev::render(scene, &view))
+                Some(match self.settings.bev_of {
+                    BevOf::Scene => bev::render(scene, &view),
+                    BevOf::Another => foreign_view::render(self.settings.seed ^ scene.ego.time_us as u64, &view)
+                        .map_err(|e| PlannerError::Failed { doing: "finding another scene", source: Box::new(e) })?,
+                })
             }
             _ => None,
         };
