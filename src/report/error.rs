@@ -60,6 +60,14 @@ pub enum ReportError {
         /// Why, with its place.
         source: serde_json::Error,
     },
+    /// A replay has a form of another version.
+    #[error("{} has form {form}, which this version does not know; it was written by another one", path.display())]
+    ReplayForm {
+        /// Which file.
+        path: PathBuf,
+        /// Its form.
+        form: u32,
+    },
     /// A file or folder cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Write {

@@ -9,6 +9,7 @@ mod finish;
 mod manifest;
 mod number;
 mod parquet;
+mod replay;
 mod run_folder;
 mod stamp;
 mod summary;

@@ -7,6 +7,7 @@ use super::drive_row::DriveRow;
 use super::error::ReportError;
 use super::manifest::{MANIFEST, Manifest};
 use super::number::unsigned_metric;
+use super::replay::Replay;
 use super::transcript::transcript;
 use crate::experiment::run::{Assignment, DriveRecord, Driven};
 use crate::metrics::MetricResult;
@@ -130,7 +131,7 @@ impl RunFolder {
         &self.path
     }
 
-    /// Writes what is kept of a drive: its row, its metrics, its calls with transcript and BEV maps. All of it is there
+    /// Writes what is kept of a drive: its row, its metrics, its replay, its calls with transcript and BEV maps. All of it is there
     /// afterwards, or nothing.
     ///
     /// # Errors
@@ -143,6 +144,7 @@ impl RunFolder {
             write_calls(&unfinished, record, driven)?;
             let metrics = MetricsFile { metrics: driven.metrics.iter().map(unsigned_metric).collect() };
             atomic::create(&unfinished.join(METRICS), toml::to_string(&metrics)?.as_bytes())?;
+            Replay::of(driven).write(&unfinished)?;
         }
         let row = toml::to_string(&DriveRow::new(number, record))?;
         atomic::create(&unfinished.join(RECORD), row.as_bytes())?;
