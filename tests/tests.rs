@@ -18,6 +18,7 @@ mod metrics;
 mod mllm;
 mod nuplan;
 mod nuplan_input;
+mod page;
 mod pdm;
 mod road;
 mod runner;
