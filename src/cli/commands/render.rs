@@ -5,6 +5,7 @@ use crate::cli::{Exit, Printer};
 use crate::report::render::{DriveChoice, Film, Look, RenderError, write_gif, write_mp4};
 use crate::world::STEP_S;
 use anyhow::Context;
+use std::num::NonZeroU32;
 use std::path::Path;
 
 /// Writes a drive as a film or a picture.
@@ -15,6 +16,7 @@ pub(in crate::cli) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::
     let challenge = flags.challenge.as_deref().map(str::parse).transpose();
     let challenge = challenge.context("--challenge takes nonreactive, reactive or open-loop")?;
     let choice = DriveChoice { drive: flags.drive.clone(), planner: flags.planner.clone(), challenge };
+    let rate = NonZeroU32::new(flags.fps).context("--fps is 0; a film needs frames")?;
     let film = Film::open(&flags.run, &choice, Look { pixels: flags.pixels, metres: flags.view })?;
     let frames = (film.iterations() as f64 * STEP_S * f64::from(flags.fps)).ceil() as u64;
     let bar = printer.progress(frames, "frames");
@@ -22,11 +24,11 @@ pub(in crate::cli) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::
     let output = &flags.output;
     let path: &Path = match (&output.gif, &output.mp4, &output.png) {
         (Some(path), ..) => {
-            write_gif(&film, flags.fps, path, &on_frame)?;
+            write_gif(&film, rate, path, &on_frame)?;
             path
         }
         (_, Some(path), _) => {
-            write_mp4(&film, flags.fps, path, &on_frame)?;
+            write_mp4(&film, rate, path, &on_frame)?;
             path
         }
         (.., Some(path)) => {

@@ -178,13 +178,6 @@ impl DriveEntry {
             absent,
         }
     }
-
-    /// Takes the replay back; a drive that never had one keeps its reason.
-    pub(super) fn leave_out(&mut self, why: Absent) {
-        self.replay = None;
-        self.map = None;
-        self.absent.get_or_insert(why);
-    }
 }
 
 fn metrics() -> Vec<MetricEntry> {

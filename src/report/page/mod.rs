@@ -23,6 +23,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Most bytes of a page unless told otherwise: what a browser opens without a wait, and a mail may carry.
 pub const MOST_BYTES: usize = 15_000_000;
+/// Bytes by which naming its elements lengthens the packed index, a drive.
+const NAMES_BYTES: usize = 8;
 /// Name of the page in the folder of its run.
 pub const PAGE: &str = "report.html";
 
@@ -66,7 +68,7 @@ pub fn write(
     settings: &PageSettings,
     on_drive: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<PageContents, ReportError> {
-    let runs: Vec<RunDrives> = runs.iter().map(|run| RunDrives::read(run)).collect::<Result<_, _>>()?;
+    let runs = RunDrives::read_all(runs)?;
     let wanted = |scenario: &str| settings.scenario.as_ref().is_none_or(|part| scenario.contains(part.as_str()));
     if let Some(part) = &settings.scenario
         && !runs.iter().flat_map(|run| &run.rows).any(|row| wanted(&row.scenario))
@@ -97,54 +99,79 @@ pub fn write(
 
 /// The data elements of the page; the index says what of it is there.
 fn data(index: &mut Index, parts: &[DriveParts], most_bytes: usize) -> Result<String, ReportError> {
-    let mut elements = vec![element("statistics", &text(&index::statistics(parts))?)];
-    // The index grows by a few bytes a drive once it names the replays.
-    let mut size = assets::size() + elements[0].len() + text(index)?.len() + 8 * parts.len();
+    let statistics = element("statistics", &text(&index::statistics(parts))?);
+    let taken = assets::size() + statistics.len() + text(index)?.len() + NAMES_BYTES * parts.len();
+    let mut elements = Elements { text: statistics, left: most_bytes.saturating_sub(taken) };
+    add_replays(index, parts, &mut elements);
+    add_images(index, parts, &mut elements);
+    index.replays = index.drives.iter().filter(|drive| drive.replay.is_some()).count();
+    elements.text.push_str(&element("index", &text(index)?));
+    Ok(elements.text)
+}
+
+/// Data elements within a number of bytes.
+struct Elements {
+    text: String,
+    left: usize,
+}
+
+impl Elements {
+    /// Adds what still fits; says whether it did.
+    fn add(&mut self, more: &str) -> bool {
+        let fits = more.len() <= self.left;
+        if fits {
+            self.left -= more.len();
+            self.text.push_str(more);
+        }
+        fits
+    }
+}
+
+/// Adds the replays, scenario by scenario: who compares planners wants all of them or none.
+fn add_replays(index: &mut Index, parts: &[DriveParts], elements: &mut Elements) {
+    let mut first: BTreeMap<&str, usize> = BTreeMap::new();
     let mut scenarios: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (i, drive) in index.drives.iter().enumerate() {
-        let first = index.drives.iter().position(|other| other.scenario == drive.scenario).unwrap_or(i);
-        scenarios.entry(first).or_default().push(i);
+        scenarios.entry(*first.entry(&drive.scenario).or_insert(i)).or_default().push(i);
     }
     let mut maps: BTreeMap<&str, usize> = BTreeMap::new();
-    for drives in scenarios.values() {
-        let mut added = Vec::new();
-        let mut known = maps.clone();
-        for &i in drives {
+    for drives in scenarios.into_values() {
+        let (mut added, mut known) = (String::new(), maps.clone());
+        let mut places = Vec::new();
+        for i in drives.iter().copied() {
             let Some(replay) = &parts[i].replay else { continue };
             let next = known.len();
-            let map = *known.entry(replay.map.as_str()).or_insert_with(|| {
-                added.push(element(&format!("map-{next}"), &replay.map));
-                next
-            });
-            added.push(element(&format!("drive-{i}"), &replay.drive));
-            index.drives[i].replay = Some(i);
-            index.drives[i].map = Some(map);
+            let map = *known.entry(&replay.map).or_insert(next);
+            if map == next {
+                added.push_str(&element(&format!("map-{map}"), &replay.map));
+            }
+            added.push_str(&element(&format!("drive-{i}"), &replay.drive));
+            places.push((i, map));
         }
-        let more: usize = added.iter().map(String::len).sum();
-        if size + more <= most_bytes {
-            size += more;
-            elements.append(&mut added);
+        if elements.add(&added) {
             maps = known;
+            for (i, map) in places {
+                index.drives[i].replay = Some(i);
+                index.drives[i].map = Some(map);
+            }
         } else {
-            for &i in drives {
-                index.drives[i].leave_out(Absent::Size);
+            for (i, _) in places {
+                index.drives[i].absent = Some(Absent::Size);
             }
         }
     }
-    for (i, part) in parts.iter().enumerate() {
+}
+
+/// Adds the pictures that the model saw to the replays that are there.
+fn add_images(index: &mut Index, parts: &[DriveParts], elements: &mut Elements) {
+    for (i, (drive, part)) in index.drives.iter_mut().zip(parts).enumerate() {
         let images = part.replay.as_ref().and_then(|replay| replay.images.as_ref());
-        if let Some(images) = images.filter(|_| index.drives[i].replay.is_some()) {
-            let images = element(&format!("images-{i}"), images);
-            if size + images.len() <= most_bytes {
-                size += images.len();
-                elements.push(images);
-                index.drives[i].images = Some(i);
-            }
+        if let Some(images) = images.filter(|_| drive.replay.is_some())
+            && elements.add(&element(&format!("images-{i}"), images))
+        {
+            drive.images = Some(i);
         }
     }
-    index.replays = index.drives.iter().filter(|drive| drive.replay.is_some()).count();
-    elements.push(element("index", &text(index)?));
-    Ok(elements.concat())
 }
 
 /// A value as the page unpacks it: base64 of gzip of JSON.

@@ -20,19 +20,34 @@ pub(super) struct RunDrives {
 }
 
 impl RunDrives {
-    /// Reads a run's folder.
+    /// Reads the folders of runs. Those of the same name are told apart by the folder above.
     ///
     /// # Errors
-    /// When it holds no run or no drive, or a record cannot be read.
-    pub(super) fn read(path: &Path) -> Result<Self, ReportError> {
+    /// When one holds no run or no drive, or a record cannot be read.
+    pub(super) fn read_all(paths: &[PathBuf]) -> Result<Vec<Self>, ReportError> {
+        let mut runs: Vec<Self> = paths.iter().map(|path| Self::read(path)).collect::<Result<_, _>>()?;
+        let names: Vec<String> = runs.iter().map(|run| run.name.clone()).collect();
+        for (run, path) in runs.iter_mut().zip(paths) {
+            let above = std::path::absolute(path).ok().and_then(|path| Some(path.parent()?.file_name()?.to_owned()));
+            if let Some(above) = above.filter(|_| names.iter().filter(|name| **name == run.name).count() > 1) {
+                run.name = format!("{}/{}", above.to_string_lossy(), run.name);
+            }
+        }
+        Ok(runs)
+    }
+
+    fn read(path: &Path) -> Result<Self, ReportError> {
         let manifest = RunFolder::manifest(path)?;
-        let rows = RunFolder::ended(path)?.rows;
+        let mut rows = RunFolder::ended(path)?.rows;
+        let folders = folders(path)?;
+        // One that is taken back this moment is no drive of the page.
+        rows.retain(|row| folders.contains_key(&row.number));
         if rows.is_empty() {
             return Err(ReportError::NoDrives(path.to_owned()));
         }
         let absolute = std::path::absolute(path).map_err(ReportError::read(path))?;
         let name = absolute.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
-        Ok(Self { name, manifest, rows, folders: folders(path)? })
+        Ok(Self { name, manifest, rows, folders })
     }
 
     /// A number of the configuration, by its dotted key.

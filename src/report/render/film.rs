@@ -9,6 +9,7 @@ use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, Frame, RgbImage, Rgba, RgbaImage};
 use rayon::prelude::*;
 use std::io::{Read, Write};
+use std::num::NonZeroU32;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -24,7 +25,7 @@ const REST: Duration = Duration::from_millis(1500);
 ///
 /// # Errors
 /// When it cannot be encoded or written.
-pub fn write_gif(film: &Film, frames_per_s: u32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
+pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
     let failed = |source| RenderError::Image { path: path.to_owned(), source };
     let iterations = iterations(film, frames_per_s);
     let mut bytes = Vec::new();
@@ -35,7 +36,7 @@ pub fn write_gif(film: &Film, frames_per_s: u32, path: &Path, on_frame: &dyn Fn(
         for batch in iterations.chunks(BATCH) {
             for (frame, iteration) in drawn(film, batch).into_iter().zip(batch) {
                 let is_last = iterations.last() == Some(iteration);
-                let shown = if is_last { REST } else { Duration::from_secs(1) / frames_per_s };
+                let shown = if is_last { REST } else { Duration::from_secs(1) / frames_per_s.get() };
                 let changes = changes(last.as_ref(), &frame);
                 let delay = Delay::from_saturating_duration(shown);
                 encoder.encode_frame(Frame::from_parts(changes, 0, 0, delay)).map_err(failed)?;
@@ -60,7 +61,7 @@ fn changes(last: Option<&RgbImage>, frame: &RgbImage) -> RgbaImage {
 ///
 /// # Errors
 /// When ffmpeg is not there or fails.
-pub fn write_mp4(film: &Film, frames_per_s: u32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
+pub fn write_mp4(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
     let iterations = iterations(film, frames_per_s);
     let (width, height) = film.frame(0).dimensions();
     let size = format!("{width}x{height}");
@@ -94,9 +95,9 @@ pub fn write_mp4(film: &Film, frames_per_s: u32, path: &Path, on_frame: &dyn Fn(
 }
 
 /// The iterations that are shown: so many a second, the last one included.
-fn iterations(film: &Film, frames_per_s: u32) -> Vec<usize> {
+fn iterations(film: &Film, frames_per_s: NonZeroU32) -> Vec<usize> {
     let last = film.iterations().saturating_sub(1);
-    let a_frame = 1.0 / (f64::from(frames_per_s) * STEP_S);
+    let a_frame = 1.0 / (f64::from(frames_per_s.get()) * STEP_S);
     let mut shown: Vec<usize> =
         (0..).map(|k| (f64::from(k) * a_frame).round() as usize).take_while(|&iteration| iteration < last).collect();
     shown.push(last);

@@ -32,6 +32,7 @@ class Bev {
     const names = ["ground", "drivable", "road", "route", "centerline", "crosswalk", "stop", "ego", "vehicle", "bicycle",
       "pedestrian", "static", "tried", "expert", "ink", "ink-soft", "panel", "red", "green", "amber", "ghost"];
     this.colors = Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+    this.stripes = this.stripePattern();
     this.font = `12px ${style.getPropertyValue("--sans").trim() || "sans-serif"}`;
   }
 
@@ -132,14 +133,14 @@ class Bev {
     context.setLineDash([1, 1.5]);
     context.stroke(map.connectors);
     context.setLineDash([]);
-    context.fillStyle = this.stripes();
+    context.fillStyle = this.stripes;
     for (const crosswalk of map.crosswalks) context.fill(crosswalk);
     context.fillStyle = colors.stop;
     context.fill(map.stops);
   }
 
   /** A pattern of stripes in metres. */
-  stripes() {
+  stripePattern() {
     const tile = document.createElement("canvas");
     tile.width = tile.height = 16;
     const drawing = tile.getContext("2d");

@@ -81,7 +81,7 @@ function keyed(event) {
 }
 
 async function begin() {
-  if (typeof DecompressionStream === "undefined") throw new Error("this browser cannot unpack the page's data; Chrome 80, Firefox 113 and Safari 16.4 or later can");
+  if (typeof DecompressionStream === "undefined") throw new Error("this browser cannot unpack the page's data; Chrome 111, Firefox 113, Safari 16.4 and later can");
   theme(window.matchMedia("(prefers-color-scheme: dark)").matches);
   await loadIndex();
   document.getElementById("about").textContent = `${counted(INDEX.scenarios.length, "scenario")}, ${counted(INDEX.drives.length, "drive")}`
