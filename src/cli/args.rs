@@ -181,7 +181,7 @@ pub(super) struct ReportArguments {
     #[arg(long, value_name = "FILE")]
     pub(super) out: Option<PathBuf>,
     /// Largest page, megabytes: replays that do not fit in are left out, whole scenarios at a time.
-    #[arg(long, value_name = "MB", default_value_t = 15.0)]
+    #[arg(long, value_name = "MB", default_value_t = 15.0, allow_negative_numbers = true)]
     pub(super) max_mb: f64,
     /// Only replays of scenarios with this in their name; tables and histograms are of all drives.
     #[arg(long, value_name = "TEXT")]
