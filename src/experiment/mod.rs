@@ -7,3 +7,4 @@ pub mod nuplan_data;
 pub mod run;
 pub mod source;
 pub mod split;
+pub mod suite;

@@ -19,13 +19,15 @@ pub enum Decision {
     Brake(NoPlan),
 }
 
-/// Why a planning call gave no planner.
+/// Why a planning call gave no new planner.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum NoPlan {
     /// There was nothing to show to the model. The text says why.
     NoLaneGraph(String),
     /// No attempt gave a planner that can be read.
     Unreadable,
+    /// All attempts were refused, and the planner in force scores more than each of them.
+    Worse,
     /// The call was ended by its deadline or by a failure of the model.
     Interrupted(Interruption),
 }
@@ -36,6 +38,7 @@ impl NoPlan {
         match self {
             Self::NoLaneGraph(_) => "no_lane_graph",
             Self::Unreadable => "unreadable",
+            Self::Worse => "worse",
             Self::Interrupted(Interruption::Deadline) => "deadline",
             Self::Interrupted(Interruption::Model(_)) => "model",
         }
@@ -46,6 +49,7 @@ impl fmt::Display for NoPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unreadable => f.write_str("no attempt gave a planner that can be read"),
+            Self::Worse => f.write_str("the planner in force scores more than all attempts"),
             Self::Interrupted(Interruption::Deadline) => f.write_str("the deadline passed"),
             Self::NoLaneGraph(why) | Self::Interrupted(Interruption::Model(why)) => f.write_str(why),
         }

@@ -9,10 +9,10 @@ mod shard;
 pub use label::LabelledState;
 pub use shard::{FORMAT, Meta, ShardError};
 
-use crate::environment::{BevError, BevView, CenterlineName, LaneGraph, SceneFacts, bev};
+use crate::environment::{BevError, BevView, LaneGraph, SceneFacts, bev};
 use crate::pdm::PdmMemory;
 use crate::reasoning::{Feedback, PromptError, PromptSet, feedback_text};
-use crate::reflection::{Judge, Verdict};
+use crate::reflection::Verdict;
 use crate::scenario::generator::{self, ScenarioType, Spec};
 use crate::simulation::{Challenge, ClosedLoop};
 use image::RgbImage;
@@ -20,6 +20,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use search::Tried;
+use std::ops::Range;
 use std::path::Path;
 
 /// Scenes per shard: one of each place in the mix.
@@ -28,16 +29,9 @@ const SCENES_PER_SHARD: u64 = MIX.len() as u64;
 const GAP: std::ops::RangeInclusive<usize> = 14..=24;
 /// Share of states from which the drive goes on with another planner than the best, so that off-track states are seen too.
 const EXPLORE: f64 = 0.35;
-/// Share of states whose prompt tells of a refused planner.
-const RETHINK: f64 = 0.15;
-/// λ for those, and the length of their roll-outs, seconds: Reflection's defaults.
-const THRESHOLD: f64 = 0.75;
-/// See [`THRESHOLD`].
-const HORIZON_S: f64 = 4.0;
+/// Share of the states with a refused planner whose prompt tells of it.
+const RETHINK: f64 = 0.4;
 
-/// Share of the states with the label to keep the lane that are kept. Nineteen of twenty states want no lane change; a model
-/// that always keeps the lane would learn nothing else from them.
-const KEEP_LANE_SHARE: f64 = 0.3;
 /// Types of the scenes, in turn; those where changing lanes is often right come more than once.
 const MIX: [ScenarioType; 20] = [
     ScenarioType::StartingLeftTurn,
@@ -69,6 +63,8 @@ pub enum Split {
     Train,
     /// Scenes by which training is judged.
     Validation,
+    /// Scenes by which what was trained is judged; nothing is chosen by them.
+    Test,
 }
 
 impl Split {
@@ -77,15 +73,27 @@ impl Split {
         match self {
             Self::Train => "train",
             Self::Validation => "validation",
+            Self::Test => "test",
         }
     }
 
-    /// First seed of the split. Seeds under 1,000,000 are for tests and demonstrations.
-    pub fn first_seed(self) -> u64 {
+    /// Seeds of the split. Those below all splits are for tests of the program and demonstrations.
+    pub fn seeds(self) -> Range<u64> {
         match self {
-            Self::Train => 10_000_000,
-            Self::Validation => 20_000_000,
+            Self::Train => 10_000_000..20_000_000,
+            Self::Validation => 20_000_000..30_000_000,
+            Self::Test => 30_000_000..40_000_000,
         }
+    }
+
+    /// Scenes of a shard.
+    fn scenes(self, shard: usize) -> Result<Vec<Spec>, DatasetError> {
+        let all = self.seeds();
+        let first = all.start.saturating_add((shard as u64).saturating_mul(SCENES_PER_SHARD));
+        if first.saturating_add(SCENES_PER_SHARD) > all.end {
+            return Err(DatasetError::NoSeedLeft(self.as_str()));
+        }
+        Ok((first..first + SCENES_PER_SHARD).map(|seed| Spec::new(MIX[seed as usize % MIX.len()], seed)).collect())
     }
 }
 
@@ -111,6 +119,9 @@ pub enum DatasetError {
     /// The view cannot be drawn.
     #[error(transparent)]
     View(#[from] BevError),
+    /// All scenes of the split are labelled.
+    #[error("the seeds of the split {0} are used up; ask for fewer states")]
+    NoSeedLeft(&'static str),
 }
 
 /// Writes shards until a split has `states` labelled states; complete shards of an earlier run are kept. Gives the number of
@@ -152,10 +163,7 @@ fn meta(settings: &Settings<'_>) -> Meta {
 }
 
 fn write_shard(folder: &Path, split: Split, number: usize, settings: &Settings<'_>) -> Result<usize, DatasetError> {
-    let first = split.first_seed() + number as u64 * SCENES_PER_SHARD;
-    let scenes: Vec<Spec> = (first..first + SCENES_PER_SHARD)
-        .map(|seed| Spec { scenario_type: MIX[seed as usize % MIX.len()], seed })
-        .collect();
+    let scenes = split.scenes(number)?;
     let labelled: Vec<Vec<(LabelledState, RgbImage)>> =
         scenes.par_iter().map(|spec| label_scene(spec, settings)).collect::<Result<_, PromptError>>()?;
     let states: Vec<_> = labelled.into_iter().flatten().collect();
@@ -176,47 +184,60 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
         let Ok(graph) = LaneGraph::build(&scene, crate::environment::DEFAULT_NODE_LENGTH) else { break };
         let tried = search::search(&drive, &graph);
         let Some(best) = search::best(&tried) else { break };
-        let keeps = best.code.centerline == CenterlineName::EgoLane.as_str();
-        let wanted = !keeps || random.random_bool(KEEP_LANE_SHARE);
-        if wanted {
-            let feedback = if random.random_bool(RETHINK) {
-                refused(&drive, &graph, &tried[random.random_range(0..tried.len())], settings.prompts)?
-            } else {
-                None
-            };
-            let facts = SceneFacts::of(&scene, &graph);
-            let name = format!("{}@{:.1}", scenario.id, drive.iteration() as f64 * crate::world::STEP_S);
-            let labelled = label::label(name, &graph, &facts, best, settings.prompts, feedback.as_deref())?;
-            states.push((labelled, bev::render(&scene, &settings.view)));
-        }
+        // What a model has to answer after a refusal is what is best of the rest, which the label is already: it is accepted
+        // where anything is.
+        let refused =
+            tried.iter().filter(|t| t.reflection.verdict == Verdict::Rethink && *t != best).collect::<Vec<_>>();
+        let feedback = match refused.get(random.random_range(0..refused.len().max(1))) {
+            Some(refused) if random.random_bool(RETHINK) => Some(feedback_on(refused, settings.prompts)?),
+            _ => None,
+        };
+        let facts = SceneFacts::of(&scene, &graph);
+        let name = format!("{}@{:.1}", scenario.id, drive.iteration() as f64 * crate::world::STEP_S);
+        let labelled = label::label(name, &graph, &facts, best, settings.prompts, feedback.as_deref())?;
+        states.push((labelled, bev::render(&scene, &settings.view)));
         let next = if random.random_bool(EXPLORE) { &tried[random.random_range(0..tried.len())] } else { best };
         let Some(planner) = search::planner(&drive, &graph, next.code.clone()) else { break };
-        if search::follow(&mut drive, &planner, random.random_range(GAP)).is_none() {
+        if search::follow(&mut drive, &planner, &mut PdmMemory::default(), random.random_range(GAP)).is_none() {
             break;
         }
     }
     Ok(states)
 }
 
-/// What a prompt says of a planner that Reflection refuses; `None` when it would accept it.
-fn refused(
-    drive: &ClosedLoop<'_>,
-    graph: &LaneGraph,
-    tried: &Tried,
-    prompts: &PromptSet,
-) -> Result<Option<String>, PromptError> {
-    let scene = drive.scene();
-    let judged = search::planner(drive, graph, tried.code.clone()).and_then(|planner| {
-        let judge = Judge::new(&scene, graph, HORIZON_S, &mut PdmMemory::default()).ok()?;
-        judge.reflect(&planner, THRESHOLD).ok()
-    });
-    let Some(report) = judged.filter(|report| report.verdict == Verdict::Rethink) else { return Ok(None) };
+/// What a prompt says of a planner that Reflection refuses.
+fn feedback_on(tried: &Tried, prompts: &PromptSet) -> Result<String, PromptError> {
+    let report = &tried.reflection;
     let feedback = Feedback {
         code: Some(tried.code.to_string()),
         score: Some(report.score),
-        threshold: THRESHOLD,
+        threshold: search::THRESHOLD,
         parts: report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec(),
         errors: Vec::new(),
     };
-    feedback_text(prompts, &feedback).map(Some)
+    feedback_text(prompts, &feedback)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn splits_cannot_meet() {
+        let splits = [Split::Train, Split::Validation, Split::Test];
+        for (i, a) in splits.iter().enumerate() {
+            for b in &splits[i + 1..] {
+                assert!(a.seeds().end <= b.seeds().start, "{a:?} {b:?}");
+            }
+        }
+        // Nor do their scenes, down to the last shard.
+        for split in splits {
+            let last = (split.seeds().end - split.seeds().start) / SCENES_PER_SHARD - 1;
+            for shard in [0, last as usize] {
+                let scenes = split.scenes(shard).unwrap();
+                assert!(scenes.len() == MIX.len() && scenes.iter().all(|spec| split.seeds().contains(&spec.seed)));
+            }
+            assert!(matches!(split.scenes(last as usize + 1), Err(DatasetError::NoSeedLeft(_))));
+        }
+    }
 }
