@@ -15,6 +15,7 @@ mod mllm;
 mod nuplan;
 mod nuplan_input;
 mod outside;
+mod page;
 mod pdm;
 mod road;
 mod runner;
