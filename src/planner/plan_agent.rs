@@ -449,6 +449,9 @@ pub fn feedback(
 }
 
 /// Straight ahead, braking to a stop.
+///
+/// # Errors
+/// When the ego's state is not finite.
 pub fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::TrajectoryError> {
     use crate::world::{STEP_US, TrajectoryState};
     let mut speed = ego.velocity.x.max(0.0);
