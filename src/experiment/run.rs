@@ -14,6 +14,7 @@ use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progre
 use rayon::prelude::*;
 use std::fmt;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The planners that can be run by name.
