@@ -72,6 +72,8 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     pool.install(|| match &arguments.command {
         Command::Simulate(flags) => commands::simulate::run(flags, &config, printer),
         Command::Plan(flags) => commands::plan::run(flags, &config, printer),
+        Command::Render(flags) => commands::render::run(flags, printer),
+        Command::Report(flags) => commands::report::run(flags, printer),
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
         Command::Models(command) => commands::models::run(command, &config, printer),
         Command::Dataset(flags) => commands::dataset::run(flags, &config, printer),
@@ -81,7 +83,8 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     })
 }
 
-/// The file that `--config` names; without it, for a run that is gone on with, what that was started with.
+/// The file that `--config` names; without it, for a run that is gone on with, what that was started with; for a measuring
+/// process, no file.
 fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
     match &arguments.command {
         Command::Simulate(SimulateArguments { resume: Some(folder), .. }) if arguments.config.is_none() => {
@@ -91,6 +94,8 @@ fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
                 .try_into()
                 .with_context(|| format!("in the configuration of the run in {}", folder.display()))
         }
+        // The bench that starts it says all that it needs.
+        Command::BenchProcess => Ok(Config::default()),
         _ => Config::load(arguments.config.as_deref()),
     }
 }

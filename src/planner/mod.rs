@@ -15,7 +15,8 @@ pub use log_replay::LogReplay;
 pub use mind::{Mind, USUAL_ACCELERATIONS, planner_code};
 pub use pdm_closed::PdmClosed;
 pub use plan_agent::{
-    AfterMaxExec, Execution, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, brake, generated_planner, names, watched,
+    AfterMaxExec, Execution, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, brake, feedback, generated_planner,
+    names, watched,
 };
 pub use record::{Attempt, Decision, NoPlan, PlanningCall};
 pub use simple::SimplePlanner;

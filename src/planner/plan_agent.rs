@@ -230,7 +230,7 @@ impl PlanAgent {
         let mut looked_ms = milliseconds(looking);
         let mut thinking = Thinking::default();
         while (thinking.attempts.len() < settings.max_exec || self.mind.compares()) && thinking.interruption.is_none() {
-            let feedback = thinking.attempts.last().map(|last| feedback(last, settings.threshold));
+            let feedback = thinking.attempts.last().map(|last| last.feedback(settings.threshold));
             let thought = thoughts.next(feedback.as_ref()).map_err(failed("asking the model"))?;
             let Some(mut thought) = thought else { break };
             thinking.interruption = thought.interruption.take();
@@ -431,14 +431,20 @@ fn attempt(
     }
 }
 
-fn feedback(last: &Attempt, threshold: f64) -> Feedback {
+/// What there is to say about a planner that was refused, or that could not be read.
+pub fn feedback(
+    code: Option<&PlannerCode>,
+    reflection: Option<&ReflectionReport>,
+    errors: &[ParseError],
+    threshold: f64,
+) -> Feedback {
     let named = |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
     Feedback {
-        code: last.code.as_ref().map(ToString::to_string),
-        score: last.reflection.as_ref().map(|report| report.score),
+        code: code.map(ToString::to_string),
+        score: reflection.map(|report| report.score),
         threshold,
-        parts: last.reflection.as_ref().map(named).unwrap_or_default(),
-        errors: last.errors.clone(),
+        parts: reflection.map(named).unwrap_or_default(),
+        errors: errors.to_vec(),
     }
 }
 
