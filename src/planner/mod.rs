@@ -1,6 +1,7 @@
 //! Stage 6: the planners. The simulator knows an agent only through [`Planner`], whose shape is nuPlan's.
 
 mod idm;
+mod llm_assist;
 mod log_replay;
 mod pdm_closed;
 mod plan_agent;
@@ -8,6 +9,7 @@ mod record;
 mod simple;
 
 pub use idm::IdmPlanner;
+pub use llm_assist::LlmAssist;
 pub use log_replay::LogReplay;
 pub use pdm_closed::PdmClosed;
 pub use plan_agent::{AfterMaxExec, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, generated_planner, names};

@@ -33,10 +33,14 @@ impl Planner for PdmClosed {
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
-        match plan(&mut self.memory, &input.scene) {
-            Ok(plan) => Ok(plan.trajectory),
-            Err(PdmError::NoWay(NoWay::EmptyRoute)) => Err(PlannerError::EmptyRoute),
-            Err(error) => Err(PlannerError::Failed { doing: "planning with PDM-Closed", source: Box::new(error) }),
-        }
+        Ok(plan(&mut self.memory, &input.scene).map_err(pdm_failed)?.trajectory)
+    }
+}
+
+/// The error of a planner for which PDM-Closed plans.
+pub(super) fn pdm_failed(error: PdmError) -> PlannerError {
+    match error {
+        PdmError::NoWay(NoWay::EmptyRoute) => PlannerError::EmptyRoute,
+        error => PlannerError::Failed { doing: "planning with PDM-Closed", source: Box::new(error) },
     }
 }

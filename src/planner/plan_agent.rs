@@ -9,8 +9,7 @@ use crate::geometry::Pose;
 use crate::mllm::{Deadline, Mllm, Opening};
 use crate::pdm::PdmMemory;
 use crate::reasoning::{
-    Feedback, Interruption, Names, ParseError, PlannerCode, PromptSet, Reasoning, ReasoningSettings, ScenarioPrompt,
-    Thought,
+    Interruption, Names, ParseError, PlannerCode, PromptSet, Reasoning, ReasoningSettings, ScenarioPrompt, Thought,
 };
 use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, needs_emergency_brake};
 use crate::world::{STEP_S, Scene, Trajectory};
@@ -67,6 +66,13 @@ pub struct PlanAgentSettings {
     pub emergency_brake: bool,
     /// Seed of the run; each planning call draws from its own stream.
     pub seed: u64,
+}
+
+impl PlanAgentSettings {
+    /// The seed of the planning call at an iteration.
+    pub(super) fn call_seed(&self, iteration: usize) -> u64 {
+        self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64)
+    }
 }
 
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
@@ -129,7 +135,7 @@ impl PlanAgent {
             Decision::Execute(index) | Decision::Exhausted(index) => {
                 self.in_force = thinking.planners.into_iter().nth(index).flatten();
             }
-            Decision::KeepInForce(_) | Decision::Brake(_) => self.follow_on(scene, &graph)?,
+            Decision::KeepInForce(_) | Decision::Brake(_) | Decision::RuleBased(_) => self.follow_on(scene, &graph)?,
         }
         let image_hash = Opening { system: String::new(), image: scenario.image.clone() }.image_hash();
         self.calls.push(PlanningCall {
@@ -176,7 +182,7 @@ impl PlanAgent {
         deadline: Deadline,
     ) -> Result<Thinking, PlannerError> {
         let settings = &self.settings;
-        let seed = settings.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64);
+        let seed = settings.call_seed(iteration);
         let failed = |doing| move |error| PlannerError::Failed { doing, source: Box::new(error) };
         let model = self.model.as_ref();
         let mut reasoning = Reasoning::open(model, &self.prompts, &settings.reasoning, scenario, seed, deadline)
@@ -191,7 +197,7 @@ impl PlanAgent {
         let mut looked_ms = milliseconds(looking);
         let mut thinking = Thinking::default();
         while thinking.attempts.len() < settings.max_exec && thinking.interruption.is_none() {
-            let feedback = thinking.attempts.last().map(|last| feedback(last, settings.threshold));
+            let feedback = thinking.attempts.last().map(|last| last.feedback(settings.threshold));
             let mut thought = reasoning.think(feedback.as_ref()).map_err(failed("asking the model"))?;
             thinking.interruption = thought.interruption.take();
             if thought.rounds.is_empty() {
@@ -328,7 +334,7 @@ pub fn generated_planner(
         .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })
 }
 
-fn reflection_failed(error: crate::reflection::ReflectionError) -> PlannerError {
+pub(super) fn reflection_failed(error: crate::reflection::ReflectionError) -> PlannerError {
     PlannerError::Failed { doing: "reflecting on the planner", source: Box::new(error) }
 }
 
@@ -343,21 +349,11 @@ fn attempt(
         rounds: thought.rounds,
         instruction: thought.instruction,
         code: thought.parsed.code,
+        assistance: None,
         errors,
         reflection,
         path: planner.map_or_else(Vec::new, |planner| planner.path().vertex_poses()),
         reflection_ms,
-    }
-}
-
-fn feedback(last: &Attempt, threshold: f64) -> Feedback {
-    let named = |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
-    Feedback {
-        code: last.code.as_ref().map(ToString::to_string),
-        score: last.reflection.as_ref().map(|report| report.score),
-        threshold,
-        parts: last.reflection.as_ref().map(named).unwrap_or_default(),
-        errors: last.errors.clone(),
     }
 }
 
@@ -376,6 +372,6 @@ fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::Traje
     Trajectory::new(states)
 }
 
-fn milliseconds(since: Instant) -> f64 {
+pub(super) fn milliseconds(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }

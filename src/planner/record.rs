@@ -1,7 +1,7 @@
 //! The record that every planning call leaves.
 
 use crate::geometry::Pose;
-use crate::reasoning::{Interruption, MotionInstruction, ParseError, PlannerCode, RoundRecord};
+use crate::reasoning::{Assistance, Feedback, Interruption, MotionInstruction, ParseError, PlannerCode, RoundRecord};
 use crate::reflection::ReflectionReport;
 use image::RgbImage;
 use std::fmt;
@@ -17,6 +17,8 @@ pub enum Decision {
     KeepInForce(NoPlan),
     /// The call gave no planner and none was in force: the ego brakes straight ahead.
     Brake(NoPlan),
+    /// The call gave nothing to drive by; PDM-Closed drives.
+    RuleBased(NoPlan),
 }
 
 /// Why a planning call gave no planner.
@@ -26,6 +28,8 @@ pub enum NoPlan {
     NoLaneGraph(String),
     /// No attempt gave a planner that can be read.
     Unreadable,
+    /// PDM-Closed's own proposal scores no less than any answer.
+    Outscored,
     /// The call was ended by its deadline or by a failure of the model.
     Interrupted(Interruption),
 }
@@ -36,6 +40,7 @@ impl NoPlan {
         match self {
             Self::NoLaneGraph(_) => "no_lane_graph",
             Self::Unreadable => "unreadable",
+            Self::Outscored => "outscored",
             Self::Interrupted(Interruption::Deadline) => "deadline",
             Self::Interrupted(Interruption::Model(_)) => "model",
         }
@@ -46,13 +51,14 @@ impl fmt::Display for NoPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unreadable => f.write_str("no attempt gave a planner that can be read"),
+            Self::Outscored => f.write_str("PDM-Closed's own proposal scores no less than any answer"),
             Self::Interrupted(Interruption::Deadline) => f.write_str("the deadline passed"),
             Self::NoLaneGraph(why) | Self::Interrupted(Interruption::Model(why)) => f.write_str(why),
         }
     }
 }
 
-/// One attempt: three rounds, a planner, its reflection; fewer rounds and no planner where it was interrupted.
+/// One attempt: three rounds (of LLM-ASSIST one), a planner, its reflection; fewer rounds and no planner where it was interrupted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Attempt {
     /// The rounds as they were asked and answered.
@@ -61,6 +67,8 @@ pub struct Attempt {
     pub instruction: Option<MotionInstruction>,
     /// The planner code, if the answer held one.
     pub code: Option<PlannerCode>,
+    /// What the answer says, of LLM-ASSIST's.
+    pub assistance: Option<Assistance>,
     /// What could not be read.
     pub errors: Vec<ParseError>,
     /// What Reflection said; `None` without code or with Reflection switched off.
@@ -69,6 +77,27 @@ pub struct Attempt {
     pub path: Vec<Pose>,
     /// Wall time of the roll-out and its scoring, milliseconds.
     pub reflection_ms: f64,
+}
+
+impl Attempt {
+    /// The line that the model wrote, as it was read.
+    pub fn line(&self) -> Option<String> {
+        let code = self.code.as_ref().map(ToString::to_string);
+        code.or_else(|| self.assistance.as_ref().map(ToString::to_string))
+    }
+
+    /// What the model is told of this attempt, refused under λ.
+    pub(super) fn feedback(&self, threshold: f64) -> Feedback {
+        let named =
+            |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
+        Feedback {
+            code: self.line(),
+            score: self.reflection.as_ref().map(|report| report.score),
+            threshold,
+            parts: self.reflection.as_ref().map(named).unwrap_or_default(),
+            errors: self.errors.clone(),
+        }
+    }
 }
 
 /// All attempts at one instant.
@@ -123,7 +152,9 @@ impl PlanningCall {
     /// What ended the call before its time, if anything did.
     pub fn interruption(&self) -> Option<&Interruption> {
         match &self.decision {
-            Decision::KeepInForce(NoPlan::Interrupted(why)) | Decision::Brake(NoPlan::Interrupted(why)) => Some(why),
+            Decision::KeepInForce(NoPlan::Interrupted(why))
+            | Decision::Brake(NoPlan::Interrupted(why))
+            | Decision::RuleBased(NoPlan::Interrupted(why)) => Some(why),
             _ => None,
         }
     }
@@ -132,7 +163,7 @@ impl PlanningCall {
     pub fn driving(&self) -> Option<&Attempt> {
         match self.decision {
             Decision::Execute(index) | Decision::Exhausted(index) => self.attempts.get(index),
-            Decision::KeepInForce(_) | Decision::Brake(_) => None,
+            Decision::KeepInForce(_) | Decision::Brake(_) | Decision::RuleBased(_) => None,
         }
     }
 }

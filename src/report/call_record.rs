@@ -40,6 +40,7 @@ fn decision(decision: &Decision) -> Value {
         Decision::Exhausted(index) => json!({"kind": "exhausted", "attempt": index}),
         Decision::KeepInForce(why) => json!({"kind": "keep_in_force", "cause": why.cause(), "why": why.to_string()}),
         Decision::Brake(why) => json!({"kind": "brake", "cause": why.cause(), "why": why.to_string()}),
+        Decision::RuleBased(why) => json!({"kind": "rule_based", "cause": why.cause(), "why": why.to_string()}),
     }
 }
 
@@ -47,7 +48,7 @@ fn attempt(attempt: &Attempt) -> Value {
     json!({
         "rounds": attempt.rounds,
         "instruction": attempt.instruction,
-        "code": attempt.code.as_ref().map(code),
+        "code": written(attempt),
         "errors": attempt.errors,
         "reflection": attempt.reflection.as_ref().map(|reflection| json!({
             "score": reflection.score,
@@ -57,6 +58,12 @@ fn attempt(attempt: &Attempt) -> Value {
             "verdict": reflection.verdict,
         })),
     })
+}
+
+/// The line that the model wrote, with its parts.
+fn written(attempt: &Attempt) -> Option<Value> {
+    let assistance = attempt.assistance.as_ref();
+    attempt.code.as_ref().map(code).or_else(|| assistance.map(|a| json!({"text": a.to_string(), "assistance": a})))
 }
 
 fn code(code: &PlannerCode) -> Value {

@@ -57,8 +57,8 @@ pub fn attempt_markdown(attempt: &Attempt) -> String {
     for error in &attempt.errors {
         let _ = writeln!(text, "- not understood: {error}");
     }
-    if let Some(code) = &attempt.code {
-        let _ = writeln!(text, "Code: `{code}`\n");
+    if let Some(line) = attempt.line() {
+        let _ = writeln!(text, "Code: `{line}`\n");
     }
     if let Some(reflection) = &attempt.reflection {
         let parts: Vec<String> =
@@ -75,6 +75,7 @@ pub fn decision_words(decision: &Decision) -> String {
         Decision::Exhausted(index) => format!("all attempts refused; attempt {} drives", index + 1),
         Decision::KeepInForce(why) => format!("the planner in force goes on ({why})"),
         Decision::Brake(why) => format!("brake ({why})"),
+        Decision::RuleBased(why) => format!("PDM-Closed drives ({why})"),
     }
 }
 
