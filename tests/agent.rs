@@ -7,7 +7,7 @@ use planagent::mllm::{
 };
 use planagent::pdm::PdmMemory;
 use planagent::planner::{
-    AfterMaxExec, Decision, NoPlan, PlanAgent, PlanAgentSettings, PlanningCall, generated_planner,
+    AfterMaxExec, Decision, Latency, NoPlan, PlanAgent, PlanAgentSettings, PlanningCall, generated_planner,
 };
 use planagent::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
 use planagent::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
@@ -95,6 +95,8 @@ fn settings(rounds: &[Round]) -> PlanAgentSettings {
         },
         interval: 20,
         deadline: None,
+        gate: None,
+        latency: Latency::None,
         reflect: true,
         threshold: 0.75,
         max_exec: 3,

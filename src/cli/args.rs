@@ -120,7 +120,7 @@ pub(super) struct SimulateArguments {
     /// Only the first N scenarios.
     #[arg(long, value_name = "N")]
     pub(super) limit: Option<usize>,
-    /// Planners, separated by commas: plan-agent, log-replay, idm, simple, pdm-closed [default: plan-agent].
+    /// Planners, separated by commas: plan-agent, log-replay, idm, simple, pdm-closed, llm-assist-unc, llm-assist-par [default: plan-agent].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) planner: Vec<String>,
     /// Challenges, separated by commas: nonreactive (replayed traffic), reactive (IDM traffic), both of these, open-loop

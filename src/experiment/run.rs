@@ -6,9 +6,10 @@ use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::mllm::Mllm;
 use crate::pdm::DrivableLayers;
 use crate::planner::{
-    IdmPlanner, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall, SimplePlanner,
+    IdmPlanner, LlmAssist, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall,
+    SimplePlanner,
 };
-use crate::reasoning::PromptSet;
+use crate::reasoning::{AssistVariant, PromptSet};
 use crate::scenario::{Scenario, UNKNOWN_TYPE};
 
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
@@ -31,11 +32,23 @@ pub enum PlannerKind {
     Simple,
     /// PDM-Closed.
     PdmClosed,
+    /// LLM-ASSIST whose model plans.
+    LlmAssistUnc,
+    /// LLM-ASSIST whose model tunes PDM-Closed.
+    LlmAssistPar,
 }
 
 impl PlannerKind {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::PlanAgent, Self::LogReplay, Self::Idm, Self::Simple, Self::PdmClosed];
+    pub const ALL: [Self; 7] = [
+        Self::PlanAgent,
+        Self::LogReplay,
+        Self::Idm,
+        Self::Simple,
+        Self::PdmClosed,
+        Self::LlmAssistUnc,
+        Self::LlmAssistPar,
+    ];
 
     /// The name on the command line and in results.
     pub fn as_str(self) -> &'static str {
@@ -45,7 +58,19 @@ impl PlannerKind {
             Self::Idm => "idm",
             Self::Simple => "simple",
             Self::PdmClosed => "pdm-closed",
+            Self::LlmAssistUnc => "llm-assist-unc",
+            Self::LlmAssistPar => "llm-assist-par",
         }
+    }
+
+    /// Whether it is one of LLM-ASSIST's.
+    pub fn is_llm_assist(self) -> bool {
+        matches!(self, Self::LlmAssistUnc | Self::LlmAssistPar)
+    }
+
+    /// Whether it asks the configured model.
+    pub fn needs_model(self) -> bool {
+        self == Self::PlanAgent || self.is_llm_assist()
     }
 }
 
@@ -57,7 +82,9 @@ impl fmt::Display for PlannerKind {
 
 /// A name that is no planner.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown planner '{0}'; known are plan-agent, log-replay, idm, simple, pdm-closed")]
+#[error(
+    "unknown planner '{0}'; known are plan-agent, log-replay, idm, simple, pdm-closed, llm-assist-unc, llm-assist-par"
+)]
 pub struct UnknownPlanner(String);
 
 impl FromStr for PlannerKind {
@@ -82,10 +109,20 @@ pub struct AgentParts {
 impl AgentParts {
     /// An agent for one scenario: the scenario's name goes into its seed, so that no drive depends on another.
     pub fn agent(&self, scenario_id: &str) -> PlanAgent {
+        PlanAgent::new(Arc::clone(&self.model), Arc::clone(&self.prompts), self.settings_for(scenario_id))
+    }
+
+    /// LLM-ASSIST in one of its variants for one scenario.
+    pub fn llm_assist(&self, planner: PlannerKind, variant: AssistVariant, scenario_id: &str) -> LlmAssist {
+        let asked = (Arc::clone(&self.model), Arc::clone(&self.prompts), self.settings.reasoning.clone());
+        LlmAssist::new(planner.as_str(), variant, asked, self.settings_for(scenario_id))
+    }
+
+    fn settings_for(&self, scenario_id: &str) -> PlanAgentSettings {
         let mut settings = self.settings.clone();
         let hash = blake3::Hasher::new().update(&settings.seed.to_le_bytes()).update(scenario_id.as_bytes()).finalize();
         settings.seed = hash.as_bytes().iter().take(8).fold(0, |seed, &byte| seed << 8 | u64::from(byte));
-        PlanAgent::new(Arc::clone(&self.model), Arc::clone(&self.prompts), settings)
+        settings
     }
 }
 
@@ -225,6 +262,17 @@ fn drive_scenario(
         PlannerKind::PlanAgent => {
             let parts = agent.ok_or_else(|| "plan-agent needs a model".to_owned())?;
             let mut planner = parts.agent(&scenario.id);
+            let log = simulate(&mut planner)?;
+            calls = planner.calls().to_vec();
+            log
+        }
+        PlannerKind::LlmAssistUnc | PlannerKind::LlmAssistPar => {
+            let parts = agent.ok_or_else(|| format!("{planner} needs a model"))?;
+            let variant = match planner {
+                PlannerKind::LlmAssistUnc => AssistVariant::Unconstrained,
+                _ => AssistVariant::Parameters,
+            };
+            let mut planner = parts.llm_assist(planner, variant, &scenario.id);
             let log = simulate(&mut planner)?;
             calls = planner.calls().to_vec();
             log

@@ -1,6 +1,8 @@
 //! Stage 6: the planners. The simulator knows an agent only through [`Planner`], whose shape is nuPlan's.
 
 mod idm;
+mod in_force;
+mod latency;
 mod llm_assist;
 mod log_replay;
 mod pdm_closed;
@@ -9,6 +11,7 @@ mod record;
 mod simple;
 
 pub use idm::IdmPlanner;
+pub use latency::Latency;
 pub use llm_assist::LlmAssist;
 pub use log_replay::LogReplay;
 pub use pdm_closed::PdmClosed;

@@ -1,13 +1,16 @@
 //! The agent of the paper: every 20 iterations it looks, thinks, writes a planner and reflects on it; in between the planner
 //! in force drives.
 
+use super::in_force::{InForce, Underway, as_it_goes};
+use super::latency::Latency;
+use super::pdm_closed::pdm_failed;
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
 use crate::mllm::{Deadline, Mllm, Opening};
-use crate::pdm::PdmMemory;
+use crate::pdm::{self, PdmMemory, Way, plan_along};
 use crate::reasoning::{
     Interruption, Names, ParseError, PlannerCode, PromptSet, Reasoning, ReasoningSettings, ScenarioPrompt, Thought,
 };
@@ -50,6 +53,10 @@ pub struct PlanAgentSettings {
     /// Time after which a planning call ends with the planner in force; `None` lets it think to the end. What was drawn
     /// and what is being judged is done to the end all the same.
     pub deadline: Option<Duration>,
+    /// The predicted score of PDM-Closed's plan from which on the model is not asked and PDM-Closed drives; `None` always asks.
+    pub gate: Option<f64>,
+    /// How long a planning call lasts in simulated time.
+    pub latency: Latency,
     /// Whether planners are judged.
     pub reflect: bool,
     /// λ.
@@ -80,7 +87,9 @@ pub struct PlanAgent {
     model: Arc<dyn Mllm>,
     prompts: Arc<PromptSet>,
     settings: PlanAgentSettings,
-    in_force: Option<GeneratedPlanner>,
+    in_force: InForce,
+    /// A call whose time has not passed yet.
+    underway: Option<Underway>,
     /// What PDM's rules know of this drive: what was touched, and the way of the last planning call.
     memory: PdmMemory,
     calls: Vec<PlanningCall>,
@@ -97,7 +106,8 @@ struct Thinking {
 impl PlanAgent {
     /// An agent that thinks with this model.
     pub fn new(model: Arc<dyn Mllm>, prompts: Arc<PromptSet>, settings: PlanAgentSettings) -> Self {
-        Self { model, prompts, settings, in_force: None, memory: PdmMemory::default(), calls: Vec::new() }
+        let (in_force, memory, calls) = (InForce::Nobody, PdmMemory::default(), Vec::new());
+        Self { model, prompts, settings, in_force, underway: None, memory, calls }
     }
 
     /// The records of all planning calls since the last initialisation.
@@ -105,9 +115,12 @@ impl PlanAgent {
         &self.calls
     }
 
-    /// The planner that drives now.
+    /// The generated planner that drives now.
     pub fn in_force(&self) -> Option<&GeneratedPlanner> {
-        self.in_force.as_ref()
+        match &self.in_force {
+            InForce::Planner(planner) => Some(planner),
+            InForce::Nobody | InForce::Rules => None,
+        }
     }
 
     /// Seconds that the path of a planner is laid for.
@@ -118,6 +131,11 @@ impl PlanAgent {
     /// One planning call: everything from the scene to the planner that drives from now on.
     fn call(&mut self, iteration: usize, scene: &Scene<'_>) -> Result<(), PlannerError> {
         let started = Instant::now();
+        if let Some(score) = self.saved(scene)? {
+            self.in_force = InForce::Rules;
+            self.calls.push(PlanningCall::without_attempts(iteration, Decision::Saved(score), milliseconds(started)));
+            return Ok(());
+        }
         let deadline = self.settings.deadline.map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
         let graph = match LaneGraph::build(scene, self.settings.node_length_m) {
             Ok(graph) => graph,
@@ -127,16 +145,18 @@ impl PlanAgent {
                 return Ok(());
             }
         };
+        if self.settings.latency != Latency::None && self.in_force == InForce::Nobody {
+            self.in_force = as_it_goes(scene, &graph, self.settings.lead_policy, self.path_s())?;
+        }
         let scenario = self.look(scene, &graph)?;
         let environment_ms = milliseconds(started);
         let thinking = self.think(iteration, scene, &graph, &scenario, deadline)?;
         let decision = self.decide(&thinking);
-        match decision {
-            Decision::Execute(index) | Decision::Exhausted(index) => {
-                self.in_force = thinking.planners.into_iter().nth(index).flatten();
-            }
-            Decision::KeepInForce(_) | Decision::Brake(_) | Decision::RuleBased(_) => self.follow_on(scene, &graph)?,
-        }
+        let planner = match decision {
+            Decision::Execute(index) | Decision::Exhausted(index) => thinking.planners.into_iter().nth(index).flatten(),
+            _ => None,
+        };
+        let total_ms = milliseconds(started);
         let image_hash = Opening { system: String::new(), image: scenario.image.clone() }.image_hash();
         self.calls.push(PlanningCall {
             iteration,
@@ -146,10 +166,46 @@ impl PlanAgent {
             attempts: thinking.attempts,
             decision,
             emergency_brakes: 0,
+            in_force_from: None,
             environment_ms,
-            total_ms: milliseconds(started),
+            total_ms,
         });
-        Ok(())
+        match (self.settings.latency.iterations(total_ms), planner) {
+            (Some(lasts), planner) if lasts > 0 => {
+                self.underway = Some(Underway { arrives: iteration + lasts, planner });
+                self.follow_on(scene, &graph)
+            }
+            (_, Some(planner)) => {
+                self.in_force = InForce::Planner(Box::new(planner));
+                Ok(())
+            }
+            (_, None) => self.follow_on(scene, &graph),
+        }
+    }
+
+    /// The predicted score of PDM-Closed's plan along the way that it would choose here and now, where it passes the gate.
+    fn saved(&mut self, scene: &Scene<'_>) -> Result<Option<f64>, PlannerError> {
+        let Some(gate) = self.settings.gate else { return Ok(None) };
+        self.memory.way = Way::find(scene.map, scene.route, scene.ego).ok();
+        let PdmMemory { way: Some(way), collided } = &mut self.memory else { return Ok(None) };
+        let plan = plan_along(way, scene, collided).map_err(pdm_failed)?;
+        Ok(Some(plan.scores[plan.best].total).filter(|&score| score >= gate))
+    }
+
+    /// Lets the planner of a call that has lasted long enough take over.
+    fn arrive(&mut self, iteration: usize, scene: &Scene<'_>) -> Result<(), PlannerError> {
+        let Some(underway) = self.underway.take_if(|underway| underway.arrives <= iteration) else { return Ok(()) };
+        let Some(planner) = underway.planner else { return Ok(()) };
+        self.in_force = InForce::Planner(Box::new(planner));
+        if let Some(call) = self.calls.last_mut() {
+            call.in_force_from = Some(iteration);
+        }
+        self.go_on(scene)
+    }
+
+    /// Lengthens the path of the planner in force from where the ego is now, if there is a lane graph.
+    fn go_on(&mut self, scene: &Scene<'_>) -> Result<(), PlannerError> {
+        LaneGraph::build(scene, self.settings.node_length_m).map_or(Ok(()), |graph| self.follow_on(scene, &graph))
     }
 
     /// The Environment Transformation: what the model is shown.
@@ -238,7 +294,7 @@ impl PlanAgent {
     /// Lengthens the path of a planner that stays in force, along the centreline that it is bound for.
     fn follow_on(&mut self, scene: &Scene<'_>, graph: &LaneGraph) -> Result<(), PlannerError> {
         let path_s = self.path_s();
-        let Some(planner) = &mut self.in_force else { return Ok(()) };
+        let InForce::Planner(planner) = &mut self.in_force else { return Ok(()) };
         let lane = planner.lane_now(scene);
         let bound = graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));
         let path = bound.unwrap_or(graph.ego_lane()).path.clone();
@@ -270,8 +326,8 @@ impl PlanAgent {
     /// What happens when a call gives no planner.
     fn without_plan(&self, why: NoPlan) -> Decision {
         match &self.in_force {
-            Some(_) => Decision::KeepInForce(why),
-            None => Decision::Brake(why),
+            InForce::Planner(_) | InForce::Rules => Decision::KeepInForce(why),
+            InForce::Nobody => Decision::Brake(why),
         }
     }
 }
@@ -282,18 +338,26 @@ impl Planner for PlanAgent {
     }
 
     fn initialize(&mut self, _: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
-        self.in_force = None;
+        (self.in_force, self.underway) = (InForce::Nobody, None);
         self.memory = PdmMemory::default();
         self.calls.clear();
         Ok(())
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        self.arrive(input.iteration, &input.scene)?;
         if input.iteration.is_multiple_of(self.settings.interval) {
-            self.call(input.iteration, &input.scene)?;
+            match self.underway {
+                Some(_) => self.go_on(&input.scene)?,
+                None => self.call(input.iteration, &input.scene)?,
+            }
         }
         let ego = input.scene.ego;
-        let Some(planner) = &self.in_force else { return Ok(brake(ego)?) };
+        let planner = match &self.in_force {
+            InForce::Planner(planner) => planner,
+            InForce::Rules => return Ok(pdm::plan(&mut self.memory, &input.scene).map_err(pdm_failed)?.trajectory),
+            InForce::Nobody => return Ok(brake(ego)?),
+        };
         let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
         if self.settings.emergency_brake && needs_emergency_brake(&input.scene, &rollout, &mut self.memory) {
             if let Some(call) = self.calls.last_mut() {

@@ -19,6 +19,8 @@ pub enum Decision {
     Brake(NoPlan),
     /// The call gave nothing to drive by; PDM-Closed drives.
     RuleBased(NoPlan),
+    /// The model was not asked: PDM-Closed's plan is predicted to score this, which passes the gate; PDM-Closed drives.
+    Saved(f64),
 }
 
 /// Why a planning call gave no planner.
@@ -117,6 +119,8 @@ pub struct PlanningCall {
     pub decision: Decision,
     /// Iterations after this call in which the emergency brake overruled the planner in force.
     pub emergency_brakes: usize,
+    /// With a latency: the iteration at which the call's planner came into force; `None` where it did not in this drive.
+    pub in_force_from: Option<usize>,
     /// Wall time of the environment transformation, milliseconds.
     pub environment_ms: f64,
     /// Wall time of the whole call, milliseconds.
@@ -134,6 +138,7 @@ impl PlanningCall {
             attempts: Vec::new(),
             decision,
             emergency_brakes: 0,
+            in_force_from: None,
             environment_ms: total_ms,
             total_ms,
         }
@@ -147,6 +152,11 @@ impl PlanningCall {
     /// Errors in all answers.
     pub fn parse_errors(&self) -> usize {
         self.attempts.iter().map(|attempt| attempt.errors.len()).sum()
+    }
+
+    /// Whether the gate saved the call.
+    pub fn is_saved(&self) -> bool {
+        matches!(self.decision, Decision::Saved(_))
     }
 
     /// What ended the call before its time, if anything did.
@@ -163,7 +173,7 @@ impl PlanningCall {
     pub fn driving(&self) -> Option<&Attempt> {
         match self.decision {
             Decision::Execute(index) | Decision::Exhausted(index) => self.attempts.get(index),
-            Decision::KeepInForce(_) | Decision::Brake(_) | Decision::RuleBased(_) => None,
+            _ => None,
         }
     }
 }

@@ -22,7 +22,7 @@ pub fn call_record(scenario: &str, planner: &str, challenge: Option<Challenge>, 
 }
 
 fn contents(call: &PlanningCall) -> Value {
-    json!({
+    let mut contents = json!({
         "iteration": call.iteration,
         "at_s": call.iteration as f64 * STEP_S,
         "image_blake3": call.image_hash,
@@ -31,7 +31,11 @@ fn contents(call: &PlanningCall) -> Value {
         "decision": decision(&call.decision),
         "emergency_brakes": call.emergency_brakes,
         "time": time(call),
-    })
+    });
+    if let (Some(iteration), Some(fields)) = (call.in_force_from, contents.as_object_mut()) {
+        fields.insert("in_force_from".to_owned(), json!(iteration));
+    }
+    contents
 }
 
 fn decision(decision: &Decision) -> Value {
@@ -40,6 +44,7 @@ fn decision(decision: &Decision) -> Value {
         Decision::Exhausted(index) => json!({"kind": "exhausted", "attempt": index}),
         Decision::KeepInForce(why) => json!({"kind": "keep_in_force", "cause": why.cause(), "why": why.to_string()}),
         Decision::Brake(why) => json!({"kind": "brake", "cause": why.cause(), "why": why.to_string()}),
+        Decision::Saved(score) => json!({"kind": "saved", "score": score}),
         Decision::RuleBased(why) => json!({"kind": "rule_based", "cause": why.cause(), "why": why.to_string()}),
     }
 }

@@ -36,6 +36,9 @@ fn call_markdown(call: &PlanningCall, driven: &Driven, image: Option<String>) ->
         text.push_str(&attempt_markdown(attempt));
     }
     let _ = writeln!(text, "**Decision:** {}.\n", decision_words(&call.decision));
+    if let Some(iteration) = call.in_force_from {
+        let _ = writeln!(text, "In force from {:.1} s on.\n", iteration as f64 * STEP_S);
+    }
     if call.emergency_brakes > 0 {
         let _ = writeln!(text, "The emergency brake overruled it in {} iterations.\n", call.emergency_brakes);
     }
@@ -75,6 +78,7 @@ pub fn decision_words(decision: &Decision) -> String {
         Decision::Exhausted(index) => format!("all attempts refused; attempt {} drives", index + 1),
         Decision::KeepInForce(why) => format!("the planner in force goes on ({why})"),
         Decision::Brake(why) => format!("brake ({why})"),
+        Decision::Saved(score) => format!("not asked; PDM-Closed drives, whose plan is predicted to score {score:.2}"),
         Decision::RuleBased(why) => format!("PDM-Closed drives ({why})"),
     }
 }

@@ -65,7 +65,8 @@ struct Answers {
 }
 
 impl LlmAssist {
-    /// A planner that asks this model; `name` stands in results. Of the settings, λ is its τ.
+    /// A planner that asks this model; `name` stands in results. Its τ is the gate of the settings, else their λ; no time
+    /// passes while it is asked.
     pub fn new(
         name: &'static str,
         variant: AssistVariant,
@@ -79,6 +80,11 @@ impl LlmAssist {
     /// The records of all calls since the last initialisation.
     pub fn calls(&self) -> &[PlanningCall] {
         &self.calls
+    }
+
+    /// τ.
+    fn tau(&self) -> f64 {
+        self.settings.gate.unwrap_or(self.settings.threshold)
     }
 
     /// One call, because PDM-Closed's best proposal is not good enough.
@@ -109,6 +115,7 @@ impl LlmAssist {
             attempts: answers.attempts,
             decision,
             emergency_brakes: 0,
+            in_force_from: None,
             environment_ms,
             total_ms: milliseconds(started),
         });
@@ -131,6 +138,7 @@ impl LlmAssist {
         question: &AssistQuestion,
         deadline: Deadline,
     ) -> Result<Answers, PlannerError> {
+        let tau = self.tau();
         let Self { variant, model, prompts, reasoning, settings, memory, .. } = self;
         let failed = |doing| move |error| PlannerError::Failed { doing, source: Box::new(error) };
         let (asked, seed) = ((prompts.as_ref(), &*reasoning), settings.call_seed(iteration));
@@ -143,7 +151,7 @@ impl LlmAssist {
         let judge = Judge::along(scene, way, horizon_s, collided).map_err(reflection_failed)?;
         let mut looked_ms = milliseconds(looking);
         while answers.attempts.len() < settings.max_exec {
-            let feedback = answers.attempts.last().map(|last| last.feedback(settings.threshold));
+            let feedback = answers.attempts.last().map(|last| last.feedback(tau));
             let thought = reasoning.think(feedback.as_ref()).map_err(failed("asking the model"))?;
             if thought.interruption.is_some() {
                 answers.interruption = thought.interruption;
@@ -153,7 +161,7 @@ impl LlmAssist {
             let (assisted, path, reflection) = match thought.assistance {
                 Some(assistance) => {
                     let Tried { assisted, path, states } = try_out(way, scene, collided, assistance)?;
-                    let report = judge.assess(states, settings.threshold).map_err(reflection_failed)?;
+                    let report = judge.assess(states, tau).map_err(reflection_failed)?;
                     (Some(assisted), path, Some(report))
                 }
                 None => (None, Vec::new(), None),
@@ -186,7 +194,7 @@ impl Planner for LlmAssist {
         let rules = pdm::plan(&mut self.memory, scene).map_err(pdm_failed)?;
         if input.iteration >= self.until {
             self.in_force = None;
-            if rules.scores[rules.best].total < self.settings.threshold {
+            if rules.scores[rules.best].total < self.tau() {
                 self.call(input.iteration, scene, &rules)?;
             }
         }
