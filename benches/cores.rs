@@ -22,7 +22,7 @@ const SEEDS: u64 = 2;
 fn assignments() -> Vec<Assignment> {
     let scenes = ScenarioType::ALL
         .into_iter()
-        .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec { scenario_type, seed }));
+        .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)));
     scenes
         .flat_map(|spec| {
             [PlannerKind::Idm, PlannerKind::PdmClosed].into_iter().flat_map(move |planner| {

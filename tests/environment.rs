@@ -67,7 +67,7 @@ fn generated_drives_become_prompts_with_varied_facts() {
     let history = History::default();
     let mut answers: BTreeSet<(&str, &str)> = BTreeSet::new();
     for scenario_type in ScenarioType::ALL {
-        let scenario = generator::generate(&Spec { scenario_type, seed: 1 }).unwrap();
+        let scenario = generator::generate(&Spec::new(scenario_type, 1)).unwrap();
         for frame in scenario.frames.iter().step_by(STRIDE) {
             answers.extend(facts_of(&scenario, frame, &history).answers());
         }

@@ -31,7 +31,7 @@ fn log_replay_follows_the_expert_and_the_documentation_lists_where_it_cannot() {
     let listed = include_str!("../docs/generator.md");
     let specs: Vec<Spec> = ScenarioType::ALL
         .into_iter()
-        .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec { scenario_type, seed }))
+        .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)))
         .collect();
     let failures: Vec<(Spec, Vec<&str>)> = specs
         .par_iter()
@@ -50,7 +50,7 @@ proptest! {
     /// Any name gives a drive, and the drive can be replayed and judged.
     #[test]
     fn any_name_gives_a_drive_that_can_be_replayed(kind in 0..ScenarioType::ALL.len(), seed in any::<u64>()) {
-        let spec = Spec { scenario_type: ScenarioType::ALL[kind], seed };
+        let spec = Spec::new(ScenarioType::ALL[kind], seed);
         let scenario = generate(&spec).unwrap();
         prop_assert_eq!(&scenario.id, &spec.to_string());
         failed(&scenario);

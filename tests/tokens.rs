@@ -36,8 +36,7 @@ fn nano() -> Box<dyn Mllm> {
 
 #[test]
 fn generated_scenes_take_few_tokens() {
-    let scenarios =
-        ScenarioType::ALL.map(|scenario_type| generator::generate(&Spec { scenario_type, seed: 1 }).unwrap());
+    let scenarios = ScenarioType::ALL.map(|scenario_type| generator::generate(&Spec::new(scenario_type, 1)).unwrap());
     let model = nano();
     let counter = TokenCounter::new(Some(&*model));
     let rows = rows(scenarios, &counter);

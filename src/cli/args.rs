@@ -100,8 +100,8 @@ impl DataArguments {
 /// Flags that name lists of scenarios.
 #[derive(Debug, Args)]
 pub(super) struct SplitArguments {
-    /// List of scenarios: val14, test14-hard, reduced-val14, generated (16 types x 10 seeds), or a nuPlan scenario filter
-    /// FILE.yaml.
+    /// List of scenarios: val14, test14-hard, reduced-val14; generated (16 types x 10 seeds), generated-14 (14 x 50),
+    /// generated-14-hard (14 x 20), generated-14-candidates (14 x 100); or a nuPlan scenario filter FILE.yaml.
     #[arg(long = "split", value_name = "NAME")]
     pub(super) splits: Vec<String>,
     #[command(flatten)]
@@ -112,7 +112,7 @@ pub(super) struct SplitArguments {
 #[derive(Debug, Args)]
 pub(super) struct SimulateArguments {
     /// Scenarios: TFRecord files, nuPlan logs (LOG.db, or one scenario as LOG.db#TOKEN), Argoverse 2 logs, folders of these, or
-    /// generated/TYPE/SEED [default: one generated scene].
+    /// generated/TYPE/SEED[.TRAFFIC] [default: one generated scene].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
     pub(super) scenarios: Vec<String>,
     #[command(flatten)]
@@ -154,7 +154,8 @@ impl SimulateArguments {
 /// Flags of `plan`.
 #[derive(Debug, Args)]
 pub(super) struct PlanArguments {
-    /// The scenario: a TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED [default: one generated scene].
+    /// The scenario: a TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED[.TRAFFIC] [default: one
+    /// generated scene].
     #[arg(long, value_name = "SCENARIO")]
     pub(super) scenario: Option<String>,
     #[command(flatten)]
@@ -177,7 +178,7 @@ fn picture_file() -> impl TypedValueParser<Value = PictureFile> {
 pub(super) enum ScenariosCommand {
     /// List scenarios: the records of files and folders, or the types that can be generated.
     List {
-        /// TFRecord files, nuPlan logs, Argoverse 2 logs, folders of these, or generated/TYPE/SEED.
+        /// TFRecord files, nuPlan logs, Argoverse 2 logs, folders of these, or generated/TYPE/SEED[.TRAFFIC].
         sources: Vec<String>,
         #[command(flatten)]
         split: SplitArguments,
@@ -185,25 +186,37 @@ pub(super) enum ScenariosCommand {
     /// Show one scenario: its map, route, objects and lights; with --image a picture.
     Show(ShowArguments),
     /// Generate scenarios and drive them with their expert: a line each.
-    Generate {
-        /// Types [default: all].
-        #[arg(long = "type", value_name = "TYPE")]
-        types: Vec<String>,
-        /// First seed.
-        #[arg(long, default_value_t = 0)]
-        from: u64,
-        /// How many seeds of each type.
-        #[arg(long, default_value_t = 1)]
-        count: u64,
-    },
+    Generate(GenerateArguments),
     /// Write scenarios as another tool's files.
     Export(ExportArguments),
+    /// Choose the scenes of generated-14-hard out of a run of PDM-Closed on generated-14-candidates.
+    Hard {
+        /// Folder of the run.
+        run: PathBuf,
+    },
+}
+
+/// Flags of `scenarios generate`.
+#[derive(Debug, Args)]
+pub(super) struct GenerateArguments {
+    /// Types [default: all].
+    #[arg(long = "type", value_name = "TYPE")]
+    pub(super) types: Vec<String>,
+    /// First seed.
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    pub(super) from: u64,
+    /// How many seeds of each type.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(super) count: u64,
+    /// Among which traffic: another traffic seed keeps roads, route and situation of a seed, and draws anew what is luck.
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    pub(super) traffic: u64,
 }
 
 /// Flags of `scenarios show`.
 #[derive(Debug, Args)]
 pub(super) struct ShowArguments {
-    /// A TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED.
+    /// A TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED[.TRAFFIC].
     pub(super) scenario: String,
     #[command(flatten)]
     pub(super) data: DataArguments,
@@ -225,7 +238,7 @@ pub(super) struct ShowArguments {
     override_usage = "planagent scenarios export [OPTIONS] --format <FORMAT> --out <FOLDER>\n       <SCENARIO>..."
 )]
 pub(super) struct ExportArguments {
-    /// Scenarios, as `simulate` takes them.
+    /// Scenarios, as `simulate` takes them; generated/TYPE/SEED[.TRAFFIC] among them.
     #[arg(required = true, value_name = "SCENARIO")]
     pub(super) scenarios: Vec<String>,
     #[command(flatten)]

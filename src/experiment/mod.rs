@@ -8,4 +8,5 @@ pub mod nuplan_data;
 pub mod run;
 pub mod source;
 pub mod split;
+pub mod suite;
 pub mod tokens;

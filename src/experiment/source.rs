@@ -64,7 +64,8 @@ pub enum SourceError {
     #[error(transparent)]
     Generator(#[from] GeneratorError),
     /// Nothing there.
-    #[error("there is no file or folder {}; a generated scenario is called generated/TYPE/SEED", .0.display())]
+    #[error("there is no file or folder {}; a generated scenario is called generated/TYPE/SEED or \
+        generated/TYPE/SEED.TRAFFIC", .0.display())]
     Missing(PathBuf),
     /// The folder cannot be listed.
     #[error("cannot list the folder {}: {source}", path.display())]

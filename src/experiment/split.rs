@@ -1,17 +1,13 @@
-//! Lists of scenarios that have a name: the published nuPlan splits, filter files, and the generated scenes.
+//! Lists of scenarios that have a name: the published nuPlan splits, filter files, and the suites of generated scenes.
 
 use super::nuplan_data::{NuPlanData, Searched};
 use super::source::ScenarioSource;
-use crate::scenario::generator::{ScenarioType, Spec};
+use super::suite::Suite;
 use crate::scenario::nuplan::{FilterError, FilterFile, LeftOut, NuPlanError, Token};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Name of the list of generated scenes.
-pub const GENERATED: &str = "generated";
-/// Seeds of each type in it, from 0 on.
-const GENERATED_SEEDS: u64 = 10;
 /// Folder for filter files that is looked into first; then `splits`, then `splits` in `$PLANAGENT_DATA`.
 const SPLITS_ROOT: &str = "NUPLAN_SPLITS_ROOT";
 
@@ -175,14 +171,15 @@ fn and_unreadable(unreadable: &[String]) -> String {
     format!("; {} logs cannot be read, for example {first}", unreadable.len())
 }
 
-/// The scenarios of a split: `generated` (every type of the generator with the seeds 0 to 9), a published one by its name, or those of
-/// a scenario filter `FILE.yaml`. `progress` is told how many logs of how many are searched.
+/// The scenarios of a split: a suite of generated scenes or a published split by its name, or those of a scenario filter
+/// `FILE.yaml`. `progress` is told how many logs of how many are searched.
 ///
 /// # Errors
 /// When there is no such split, its file cannot be used, the logs cannot be read, or they hold none of its scenarios.
 pub fn split(name: &str, data: &NuPlanData, progress: &(dyn Fn(usize, usize) + Sync)) -> Result<Split, SplitError> {
-    if name == GENERATED {
-        return Ok(generated());
+    if let Some(suite) = Suite::named(name) {
+        let sources = suite.specs().into_iter().map(ScenarioSource::Generated).collect();
+        return Ok(Split { sources, ..Split::default() });
     }
     let is_file = Path::new(name).extension().is_some_and(|ending| ending == "yaml" || ending == "yml");
     let published = PUBLISHED.iter().find(|published| published.name == name);
@@ -190,7 +187,8 @@ pub fn split(name: &str, data: &NuPlanData, progress: &(dyn Fn(usize, usize) + S
         _ if is_file => (PathBuf::from(name), FilterFile::open(Path::new(name))?, Vec::new()),
         Some(published) => published.open()?,
         None => {
-            let known = [GENERATED].into_iter().chain(PUBLISHED.iter().map(|published| published.name)).collect();
+            let suites = Suite::ALL.map(Suite::name).into_iter();
+            let known = suites.chain(PUBLISHED.iter().map(|published| published.name)).collect();
             return Err(SplitError::Unknown { name: name.to_owned(), known });
         }
     };
@@ -226,13 +224,6 @@ pub fn split(name: &str, data: &NuPlanData, progress: &(dyn Fn(usize, usize) + S
         sources.extend(unreadable);
     }
     Ok(Split { sources, missing, file: Some(path), notes })
-}
-
-fn generated() -> Split {
-    let specs = ScenarioType::ALL
-        .into_iter()
-        .flat_map(|scenario_type| (0..GENERATED_SEEDS).map(move |seed| Spec { scenario_type, seed }));
-    Split { sources: specs.map(ScenarioSource::Generated).collect(), ..Split::default() }
 }
 
 impl Published {
@@ -282,7 +273,7 @@ mod tests {
 
     #[test]
     fn the_generated_split_has_ten_seeds_of_each_type() {
-        let sources = split(GENERATED, &no_data(), &|_, _| {}).unwrap().sources;
+        let sources = split("generated", &no_data(), &|_, _| {}).unwrap().sources;
         assert_eq!(sources.len(), 160);
         assert_eq!(sources[0].to_string(), "generated/starting_left_turn/0");
         assert_eq!(sources[159].to_string(), "generated/traversing_roundabout/9");
@@ -291,7 +282,7 @@ mod tests {
     #[test]
     fn unknown_names_and_files_say_what_to_do() {
         let told = |name: &str| split(name, &no_data(), &|_, _| {}).unwrap_err().to_string();
-        assert!(told("val15").contains("generated, val14, reduced-val14, test14-hard"), "{}", told("val15"));
+        assert!(told("val15").contains("generated-14, generated-14-hard"), "{}", told("val15"));
         assert!(told("nowhere.yaml").contains("nowhere.yaml: cannot open"));
     }
 

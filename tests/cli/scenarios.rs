@@ -55,8 +55,34 @@ fn a_generated_scenario_is_listed_by_its_name() {
     assert!(kind.contains("`flying` is not a scenario type"), "{kind}");
     let form = refused(&["scenarios", "list", "generated/changing_lane"]);
     assert!(form.contains("expected generated/<scenario type>/<seed>"), "{form}");
+    let traffic = refused(&["scenarios", "list", "generated/changing_lane/3.x"]);
+    assert!(traffic.contains("traffic seed `x` of `generated/changing_lane/3.x`"), "{traffic}");
     let nowhere = refused(&["scenarios", "list", "nowhere"]);
     assert!(nowhere.contains("no file or folder nowhere"), "{nowhere}");
+}
+
+#[test]
+fn other_traffic_has_a_name() {
+    let other = "generated/changing_lane/3.1";
+    let generated = told(&["scenarios", "generate", "--type", "changing_lane", "--from", "3", "--traffic", "1"]);
+    assert_eq!(generated[0]["id"], other);
+    let [own, other] = [SCENE, other].map(|name| told(&["scenarios", "show", name]).remove(0));
+    assert_eq!((&own["map"], &own["lanes"]), (&other["map"], &other["lanes"]));
+    assert_ne!(own["id"], other["id"]);
+}
+
+#[test]
+fn hard_scenes_are_chosen_out_of_a_whole_run_only() {
+    let work = TempDir::new().unwrap();
+    let out = work.path().join("run");
+    let out = out.to_str().unwrap();
+    let error = refused(&["scenarios", "hard", out]);
+    assert!(error.contains(out), "{error}");
+    let drive = ["simulate", "--split", "generated-14-candidates", "--planner", "pdm-closed", "--limit", "1", "--out"];
+    let (code, _, stderr) = run(&[&drive[..], &[out]].concat());
+    assert_eq!(code, 0, "{stderr}");
+    let error = refused(&["scenarios", "hard", out]);
+    assert!(error.contains("1399 of the 1400") && error.contains("--planner pdm-closed"), "{error}");
 }
 
 #[test]

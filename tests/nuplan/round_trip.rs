@@ -17,7 +17,7 @@ use std::path::Path;
 const SAME_SCORE: f64 = 1e-6;
 
 pub(super) fn generated(kind: ScenarioType, seed: u64) -> Scenario {
-    generate(&Spec { scenario_type: kind, seed }).unwrap()
+    generate(&Spec::new(kind, seed)).unwrap()
 }
 
 /// The scenarios that a written folder holds, with how far their origins moved.

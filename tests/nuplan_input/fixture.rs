@@ -23,7 +23,7 @@ fn written() -> &'static Written {
     static WRITTEN: OnceLock<Written> = OnceLock::new();
     WRITTEN.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
-        let scenario = generate(&Spec { scenario_type: ScenarioType::ChangingLane, seed: 0 }).unwrap();
+        let scenario = generate(&Spec::new(ScenarioType::ChangingLane, 0)).unwrap();
         let settings = ExportSettings { location: Some(LOCATION.to_owned()), ..ExportSettings::default() };
         let exported = write_scenario(&scenario, &folder.path().join("out"), &settings).unwrap();
         Written { token: exported.logs[0].token.parse().unwrap(), folder }

@@ -21,9 +21,8 @@ struct Work {
 impl Work {
     fn with(logs: u64) -> Self {
         let folder = TempDir::new().unwrap();
-        let scenes: Vec<_> = (0..logs)
-            .map(|seed| generate(&Spec { scenario_type: ScenarioType::ChangingLane, seed }).unwrap())
-            .collect();
+        let scenes: Vec<_> =
+            (0..logs).map(|seed| generate(&Spec::new(ScenarioType::ChangingLane, seed)).unwrap()).collect();
         let exported = write_scenarios(&scenes, &folder.path().join("nuplan"), &ExportSettings::default()).unwrap();
         Self { folder, exported }
     }

@@ -2,6 +2,8 @@
 
 use super::drives;
 use crate::cli::{read_json, refused, run};
+use planagent::experiment::suite::Suite;
+use planagent::report::ScenarioList;
 use planagent::scenario::generator::{ScenarioType, Spec, generate};
 use planagent::scenario::nuplan::export::{ExportSettings, write_scenario};
 use serde_json::{Value, json};
@@ -14,7 +16,7 @@ const ABSENT: &str = "00000000000000ff";
 #[test]
 fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
     let work = TempDir::new().unwrap();
-    let scene = generate(&Spec { scenario_type: ScenarioType::ChangingLane, seed: 0 }).unwrap();
+    let scene = generate(&Spec::new(ScenarioType::ChangingLane, 0)).unwrap();
     let exported = write_scenario(&scene, &work.path().join("nuplan"), &ExportSettings::default());
     let token = exported.unwrap().logs[0].token.clone();
     let filter = work.path().join("mine.yaml");
@@ -58,6 +60,23 @@ fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
 fn the_generated_split_is_listed_whole() {
     let (code, stdout, _) = run(&["scenarios", "list", "--split", "generated"]);
     assert_eq!((code, stdout.lines().count()), (0, 160), "{stdout}");
+    let (code, stdout, _) = run(&["scenarios", "list", "--split", "generated-14-hard"]);
+    assert_eq!((code, stdout.lines().count()), (0, 280), "{stdout}");
     let unknown = refused(&["simulate", "--split", "val15"]);
     assert!(unknown.contains("val15") && unknown.contains("generated"), "{unknown}");
+}
+
+/// Scores of a suite can be compared as long as its scenes stay: the documentation tells their digests.
+#[test]
+fn suites_stay_as_they_are() {
+    let listed = include_str!("../../docs/generator.md");
+    for (suite, blake3) in [
+        (Suite::Generated14, "3faf857f0a6657af7827dc61aaa5bf445fb4287f75a8575ff1255aafb4418d86"),
+        (Suite::Candidates, "a395f61ad5ab6c225c20a2908ee2a8a3ca482c3f8577bbba736ffab67e815b14"),
+        (Suite::Generated14Hard, "c4a029ea0a99e9c86038ae29ef5f218c47ad3075be257c22f44dc2b28cbb5ec8"),
+    ] {
+        let names = suite.specs().into_iter().map(|spec| spec.to_string());
+        assert_eq!(ScenarioList::digest(names), blake3, "{}", suite.name());
+        assert!(listed.contains(&format!("`{blake3}`")), "docs/generator.md lacks the digest of {}", suite.name());
+    }
 }

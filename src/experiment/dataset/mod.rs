@@ -20,6 +20,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use search::Tried;
+use std::ops::Range;
 use std::path::Path;
 
 /// Scenes per shard: one of each place in the mix.
@@ -69,6 +70,8 @@ pub enum Split {
     Train,
     /// Scenes by which training is judged.
     Validation,
+    /// Scenes by which what was trained is judged; nothing is chosen by them.
+    Test,
 }
 
 impl Split {
@@ -77,15 +80,27 @@ impl Split {
         match self {
             Self::Train => "train",
             Self::Validation => "validation",
+            Self::Test => "test",
         }
     }
 
-    /// First seed of the split. Seeds under 1,000,000 are for tests and demonstrations.
-    pub fn first_seed(self) -> u64 {
+    /// Seeds of the split. Those below all splits are for tests of the program and demonstrations.
+    pub fn seeds(self) -> Range<u64> {
         match self {
-            Self::Train => 10_000_000,
-            Self::Validation => 20_000_000,
+            Self::Train => 10_000_000..20_000_000,
+            Self::Validation => 20_000_000..30_000_000,
+            Self::Test => 30_000_000..40_000_000,
         }
+    }
+
+    /// Scenes of a shard.
+    fn scenes(self, shard: usize) -> Result<Vec<Spec>, DatasetError> {
+        let all = self.seeds();
+        let first = all.start.saturating_add((shard as u64).saturating_mul(SCENES_PER_SHARD));
+        if first.saturating_add(SCENES_PER_SHARD) > all.end {
+            return Err(DatasetError::NoSeedLeft(self.as_str()));
+        }
+        Ok((first..first + SCENES_PER_SHARD).map(|seed| Spec::new(MIX[seed as usize % MIX.len()], seed)).collect())
     }
 }
 
@@ -111,6 +126,9 @@ pub enum DatasetError {
     /// The view cannot be drawn.
     #[error(transparent)]
     View(#[from] BevError),
+    /// All scenes of the split are labelled.
+    #[error("the seeds of the split {0} are used up; ask for fewer states")]
+    NoSeedLeft(&'static str),
 }
 
 /// Writes shards until a split has `states` labelled states; complete shards of an earlier run are kept. Gives the number of
@@ -152,10 +170,7 @@ fn meta(settings: &Settings<'_>) -> Meta {
 }
 
 fn write_shard(folder: &Path, split: Split, number: usize, settings: &Settings<'_>) -> Result<usize, DatasetError> {
-    let first = split.first_seed() + number as u64 * SCENES_PER_SHARD;
-    let scenes: Vec<Spec> = (first..first + SCENES_PER_SHARD)
-        .map(|seed| Spec { scenario_type: MIX[seed as usize % MIX.len()], seed })
-        .collect();
+    let scenes = split.scenes(number)?;
     let labelled: Vec<Vec<(LabelledState, RgbImage)>> =
         scenes.par_iter().map(|spec| label_scene(spec, settings)).collect::<Result<_, PromptError>>()?;
     let states: Vec<_> = labelled.into_iter().flatten().collect();
@@ -219,4 +234,28 @@ fn refused(
         errors: Vec::new(),
     };
     feedback_text(prompts, &feedback).map(Some)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn splits_cannot_meet() {
+        let splits = [Split::Train, Split::Validation, Split::Test];
+        for (i, a) in splits.iter().enumerate() {
+            for b in &splits[i + 1..] {
+                assert!(a.seeds().end <= b.seeds().start, "{a:?} {b:?}");
+            }
+        }
+        // Nor do their scenes, down to the last shard.
+        for split in splits {
+            let last = (split.seeds().end - split.seeds().start) / SCENES_PER_SHARD - 1;
+            for shard in [0, last as usize] {
+                let scenes = split.scenes(shard).unwrap();
+                assert!(scenes.len() == MIX.len() && scenes.iter().all(|spec| split.seeds().contains(&spec.seed)));
+            }
+            assert!(matches!(split.scenes(last as usize + 1), Err(DatasetError::NoSeedLeft(_))));
+        }
+    }
 }

@@ -39,6 +39,9 @@ pub enum Discard {
     /// It is not what its type says.
     #[error("the drive is not of its type")]
     OtherType,
+    /// Among other traffic, the situation of the seed did not come about.
+    #[error("the situation is not that of its seed")]
+    OtherSituation,
     /// The roads cannot be laid so.
     #[error("the roads do not fit")]
     Roads,

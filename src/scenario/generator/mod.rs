@@ -3,6 +3,9 @@
 //! A drive is drawn in three steps: a recipe of its [`ScenarioType`] lays roads and puts people on them; the traffic is run
 //! with a privileged rule-based expert at the wheel (documented in its module); the recording is judged and, where the expert touched something,
 //! left the road or the drive is not of its type, drawn again from the next sub-seed.
+//!
+//! Another traffic seed puts the drive of a seed among other traffic: roads, route and what the drive is about stay, what
+//! is luck is drawn anew (`dice.rs`).
 
 mod dice;
 mod drive;
@@ -32,31 +35,39 @@ pub const SOURCE: &str = "generated";
 /// How often a drive is drawn anew at most.
 pub const MAX_DRAWS: usize = 60;
 
-/// The name of a generated drive; it determines the drive wholly. Written `generated/<scenario type>/<seed>`.
+/// The name of a generated drive; it determines the drive wholly. Written `generated/<scenario type>/<seed>` or
+/// `generated/<scenario type>/<seed>.<traffic>`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Spec {
     /// What kind of drive.
     pub scenario_type: ScenarioType,
     /// Which one.
     pub seed: u64,
+    /// Among which traffic; 0 is not written.
+    pub traffic: u64,
 }
 
 /// A drive worth seeing first: a slow leader, and a free lane beside it.
-pub const DEFAULT: Spec = Spec { scenario_type: ScenarioType::ChangingLane, seed: 2 };
+pub const DEFAULT: Spec = Spec::new(ScenarioType::ChangingLane, 2);
 
 /// Why there is no such drive.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GeneratorError {
     /// The name has another form.
-    #[error("`{0}` does not name a generated scenario: expected generated/<scenario type>/<seed>")]
+    #[error(
+        "`{0}` does not name a generated scenario: expected generated/<scenario type>/<seed> or \
+        generated/<scenario type>/<seed>.<traffic seed>"
+    )]
     Form(String),
     /// No such type.
     #[error("`{0}` is not a scenario type that the generator makes")]
     UnknownType(String),
-    /// The seed is not a whole number.
-    #[error("the seed `{seed}` of `{id}` is not a whole number from 0 to 2^64 - 1")]
+    /// The seed, or the traffic seed, is not a whole number.
+    #[error("the {which} `{seed}` of `{id}` is not a whole number from 0 to 2^64 - 1")]
     Seed {
-        /// The seed as written.
+        /// Which of the two.
+        which: &'static str,
+        /// It as written.
         seed: String,
         /// The whole name.
         id: String,
@@ -74,6 +85,17 @@ pub enum GeneratorError {
 }
 
 impl Spec {
+    /// The drive of a seed among its own traffic.
+    pub const fn new(scenario_type: ScenarioType, seed: u64) -> Self {
+        Self { scenario_type, seed, traffic: 0 }
+    }
+
+    /// The same among other traffic.
+    #[must_use]
+    pub const fn among(self, traffic: u64) -> Self {
+        Self { traffic, ..self }
+    }
+
     /// Name of the log that the drive counts as cut from: that of its seed.
     pub fn log_name(&self) -> String {
         format!("{SOURCE}-{}", self.seed)
@@ -82,7 +104,8 @@ impl Spec {
 
 impl fmt::Display for Spec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{SOURCE}/{}/{}", self.scenario_type, self.seed)
+        write!(f, "{SOURCE}/{}/{}", self.scenario_type, self.seed)?;
+        if self.traffic == 0 { Ok(()) } else { write!(f, ".{}", self.traffic) }
     }
 }
 
@@ -96,8 +119,11 @@ impl FromStr for Spec {
             return Err(GeneratorError::Form(id.to_owned()));
         };
         let scenario_type = kind.parse()?;
-        let seed = seed.parse().map_err(|_| GeneratorError::Seed { seed: seed.to_owned(), id: id.to_owned() })?;
-        Ok(Self { scenario_type, seed })
+        let number = |which, seed: &str| {
+            seed.parse().map_err(|_| GeneratorError::Seed { which, seed: seed.to_owned(), id: id.to_owned() })
+        };
+        let (seed, traffic) = seed.split_once('.').unwrap_or((seed, "0"));
+        Ok(Self { scenario_type, seed: number("seed", seed)?, traffic: number("traffic seed", traffic)? })
     }
 }
 
@@ -118,15 +144,36 @@ pub fn generate(spec: &Spec) -> Result<Scenario, GeneratorError> {
     generate_with_record(spec).map(|generated| generated.scenario)
 }
 
-/// As [`generate`], with the draws that were thrown away.
+/// As [`generate`], with the draws that were thrown away; those of the drive among its own traffic come first.
 ///
 /// # Errors
 /// When [`MAX_DRAWS`] draws were thrown away.
 pub fn generate_with_record(spec: &Spec) -> Result<Generated, GeneratorError> {
+    let (own, dice) = first_of(&spec.among(0), |number| dice_of(spec.scenario_type, spec.seed, number))?;
+    if spec.traffic == 0 {
+        return Ok(own);
+    }
+    let luck = spec.seed ^ Dice::new(spec.traffic, TRAFFIC).word();
+    let other = |number| dice_of(spec.scenario_type, luck, number).among_other_traffic(&dice);
+    let (generated, _) = first_of(spec, other)?;
+    Ok(Generated { discarded: [own.discarded, generated.discarded].concat(), ..generated })
+}
+
+/// Purpose of the dice that make traffic seeds into seeds of luck.
+const TRAFFIC: u64 = 1;
+
+/// Dice of one draw of a seed.
+fn dice_of(kind: ScenarioType, seed: u64, draw: u64) -> Dice {
+    Dice::new(seed, (kind as u64 + 1) * 1000 + draw)
+}
+
+/// The first of several draws that is worth keeping, with its dice as they are afterwards.
+fn first_of(spec: &Spec, dice: impl Fn(u64) -> Dice) -> Result<(Generated, Dice), GeneratorError> {
     let mut discarded = Vec::new();
-    for sub_seed in 0..MAX_DRAWS {
-        match draw(spec, sub_seed as u64) {
-            Ok(scenario) => return Ok(Generated { scenario, discarded }),
+    for number in 0..MAX_DRAWS {
+        let mut dice = dice(number as u64);
+        match draw(spec, &mut dice) {
+            Ok(scenario) => return Ok((Generated { scenario, discarded }, dice)),
             Err(reason) => discarded.push(reason),
         }
     }
@@ -135,16 +182,19 @@ pub fn generate_with_record(spec: &Spec) -> Result<Generated, GeneratorError> {
 }
 
 /// One draw.
-fn draw(spec: &Spec, sub_seed: u64) -> Result<Scenario, Discard> {
+fn draw(spec: &Spec, dice: &mut Dice) -> Result<Scenario, Discard> {
     let kind = spec.scenario_type;
-    let mut dice = Dice::new(spec.seed, (kind as u64 + 1) * 1000 + sub_seed);
-    let mut setting = recipe::setting(kind, &mut dice).map_err(|_| Discard::Roads)?;
+    let mut setting = dice.situation(|dice| recipe::setting(kind, dice)).map_err(|_| Discard::Roads)?;
     let layout = std::mem::take(&mut setting.layout);
-    let mut roads = Roads::new(layout, spec.to_string()).map_err(|_| Discard::Roads)?;
-    let (chain, ego_lane) = recipe::prepare(&mut roads, &setting, &mut dice);
-    let mut stage = Stage::new(&roads, chain, ego_lane, &setting, &mut dice).ok_or(Discard::Roads)?;
+    // Other traffic drives on the same map.
+    let mut roads = Roads::new(layout, spec.among(0).to_string()).map_err(|_| Discard::Roads)?;
+    let (chain, ego_lane) = recipe::prepare(&mut roads, &setting, dice);
+    let mut stage = Stage::new(&roads, chain, ego_lane, &setting, dice).ok_or(Discard::Roads)?;
     let task = recipe::cast(kind, &mut stage, setting.task);
     let (traffic, task) = stage.finish(task);
+    if !dice.kept_situation() {
+        return Err(Discard::OtherSituation);
+    }
     let drive = Drive::record(traffic, Expert::new(task))?;
     if !recipe::holds(kind, &drive) {
         return Err(Discard::OtherType);

@@ -1,5 +1,6 @@
 //! `planagent scenarios generate`.
 
+use crate::cli::args::GenerateArguments;
 use crate::cli::{Exit, Printer};
 use crate::scenario::generator::{ScenarioType, Spec, generate};
 use serde_json::json;
@@ -8,7 +9,8 @@ use serde_json::json;
 ///
 /// # Errors
 /// When a type is unknown.
-pub(super) fn run(types: &[String], from: u64, count: u64, printer: Printer) -> anyhow::Result<Exit> {
+pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Result<Exit> {
+    let GenerateArguments { types, from, count, traffic } = arguments;
     let kinds = if types.is_empty() {
         ScenarioType::ALL.to_vec()
     } else {
@@ -16,8 +18,8 @@ pub(super) fn run(types: &[String], from: u64, count: u64, printer: Printer) -> 
     };
     let mut failed = false;
     for kind in kinds {
-        for seed in from..from.saturating_add(count) {
-            let spec = Spec { scenario_type: kind, seed };
+        for seed in *from..from.saturating_add(*count) {
+            let spec = Spec::new(kind, seed).among(*traffic);
             match generate(&spec) {
                 Ok(scenario) => {
                     let way: f64 = scenario

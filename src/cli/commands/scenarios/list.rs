@@ -65,9 +65,9 @@ pub(super) fn run(words: &[String], flags: &SplitArguments, printer: Printer) ->
 }
 
 fn list_types(printer: Printer) -> anyhow::Result<Exit> {
-    printer.note("types of generated scenarios; name one as generated/TYPE/SEED");
+    printer.note("types of generated scenarios; name one as generated/TYPE/SEED or generated/TYPE/SEED.TRAFFIC");
     for scenario_type in ScenarioType::ALL {
-        list_found(&ScenarioSource::Generated(Spec { scenario_type, seed: 0 }), None, printer)?;
+        list_found(&ScenarioSource::Generated(Spec::new(scenario_type, 0)), None, printer)?;
     }
     Ok(Exit::Success)
 }

@@ -1,7 +1,8 @@
-//! `planagent scenarios list|show|generate|export`.
+//! `planagent scenarios list|show|generate|export|hard`.
 
 mod export;
 mod generate;
+mod hard;
 mod list;
 mod show;
 
@@ -18,8 +19,9 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
     match command {
         ScenariosCommand::List { sources, split } => list::run(sources, split, printer),
         ScenariosCommand::Show(arguments) => show::run(arguments, printer),
-        ScenariosCommand::Generate { types, from, count } => generate::run(types, *from, *count, printer),
+        ScenariosCommand::Generate(arguments) => generate::run(arguments, printer),
         ScenariosCommand::Export(arguments) => export::run(arguments, printer),
+        ScenariosCommand::Hard { run } => hard::run(run, printer),
     }
 }
 

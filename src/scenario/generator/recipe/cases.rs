@@ -56,7 +56,7 @@ pub(super) fn red_light(dice: &mut Dice) -> Result<Setting, GeometryError> {
     let (layout, start) = town(dice, &style, &plan, before)?;
     // The ego's place is that of its rear axle.
     let mut setting = Setting::new(layout, start - crate::world::PACIFICA.front_length, 1.0);
-    setting.light = LightWish::GreenUntil(YELLOW_AT);
+    setting.light = LightWish::GreenUntil(dice.early(YELLOW_AT, YELLOW_AT));
     Ok(setting)
 }
 

@@ -1,7 +1,7 @@
 //! Scenes at crossings and roundabouts.
 
 use super::setting::{LIMITS, LightWish, Setting, circus, crossing, style, town};
-use super::stage::{Make, Stage};
+use super::stage::Stage;
 use crate::geometry::GeometryError;
 use crate::scenario::generator::dice::Dice;
 use crate::scenario::generator::expert::Task;
@@ -25,10 +25,10 @@ fn turning(dice: &mut Dice, turn: Turn, signals: f64) -> Result<Setting, Geometr
     let (layout, start) = town(dice, &style, &plan, before)?;
     let mut setting = Setting::new(layout, start - 4.1, speed);
     setting.light = match (waiting, dice.whole(0, 2)) {
-        (true, _) => LightWish::GreenFrom(dice.between(0.5, 4.5)),
-        (false, 0) => LightWish::GreenFrom(dice.between(2.0, 7.0)),
-        (false, 1) => LightWish::GreenFrom(dice.between(-4.0, 0.0)),
-        (false, _) => LightWish::GreenUntil(dice.between(3.0, 9.0)),
+        (true, _) => LightWish::GreenFrom(dice.early(0.5, 4.5)),
+        (false, 0) => LightWish::GreenFrom(dice.early(2.0, 7.0)),
+        (false, 1) => LightWish::GreenFrom(dice.early(-4.0, 0.0)),
+        (false, _) => LightWish::GreenUntil(dice.early(3.0, 9.0)),
     };
     Ok(setting)
 }
@@ -58,12 +58,12 @@ pub(super) fn roundabout(dice: &mut Dice) -> Result<Setting, GeometryError> {
 }
 
 pub(super) fn cast(stage: &mut Stage<'_, '_>, task: Task) -> Task {
-    if stage.dice.chance(0.35) {
-        let (speed, make) = (stage.ego().speed, if stage.dice.chance(0.85) { Make::Car } else { Make::Long });
+    if stage.dice.situation(|dice| dice.chance(0.35)) {
+        let (speed, make) = (stage.ego().speed, stage.mostly_a_car());
         let gap = 4.0 + speed * stage.dice.between(1.0, 1.8);
         stage.put_ahead(make, gap, speed);
     }
-    let density = stage.dice.between(0.4, 2.2);
+    let density = stage.dice.situation(|dice| dice.between(0.4, 2.2));
     let ahead = if stage.dice.chance(0.5) { 25.0 } else { 60.0 };
     stage.populate(density, [ahead, 14.0]);
     stage.garnish();

@@ -37,17 +37,17 @@ pub(super) fn following(dice: &mut Dice) -> Result<Setting, GeometryError> {
 pub(super) fn cast_following(stage: &mut Stage<'_, '_>, task: Task) -> Task {
     let speed = stage.ego().speed;
     let gap = 4.0 + speed * stage.dice.between(0.8, 1.6);
-    let make = if stage.dice.chance(0.85) { Make::Car } else { Make::Long };
+    let make = stage.mostly_a_car();
     let pace = speed * stage.dice.between(0.75, 1.05);
     if let Some(lead) = stage.put_ahead(make, gap, pace) {
         stage.traffic.movers[lead].ceiling = pace.max(3.5);
-        if stage.dice.chance(0.5) {
+        if stage.dice.situation(|dice| dice.chance(0.5)) {
             // It slows down for a while, or picks up.
             let (at, share) = (stage.dice.between(1.0, 8.0), stage.dice.between(0.5, 1.4));
             stage.traffic.movers[lead].script = vec![Act::Limit { at, speed: (pace * share).max(3.0) }];
         }
     }
-    let density = stage.dice.between(0.3, 1.8);
+    let density = stage.dice.situation(|dice| dice.between(0.3, 1.8));
     stage.populate(density, [gap + 22.0, 14.0]);
     cut_in(stage, 0.25);
     stage.garnish();
@@ -62,10 +62,10 @@ pub(super) fn cut_in(stage: &mut Stage<'_, '_>, probability: f64) {
         .filter(|s| s.0)
         .map(|s| s.1)
         .collect();
-    if sides.is_empty() || !stage.dice.chance(probability) {
+    if sides.is_empty() || !stage.dice.situation(|dice| dice.chance(probability)) {
         return;
     }
-    let from_left = stage.dice.pick(&sides);
+    let from_left = stage.dice.situation(|dice| dice.pick(&sides));
     let lane = way[if from_left { stage.ego_lane - 1 } else { stage.ego_lane + 1 }];
     let chain = stage.roads().chain_on_way(0, lane);
     let s = stage.ego().s + stage.dice.between(7.0, 16.0);
@@ -83,7 +83,7 @@ pub(super) fn cut_in(stage: &mut Stage<'_, '_>, probability: f64) {
 pub(super) fn stopping(dice: &mut Dice) -> Result<Setting, GeometryError> {
     if dice.chance(0.5) {
         let mut setting = before_light(dice, [75.0, 110.0], [0.7, 0.95])?;
-        setting.light = LightWish::GreenFrom(dice.between(7.0, 14.0));
+        setting.light = LightWish::GreenFrom(dice.early(7.0, 14.0));
         Ok(setting)
     } else {
         stream(dice, [1, 4], [0.6, 0.95])
@@ -93,21 +93,21 @@ pub(super) fn stopping(dice: &mut Dice) -> Result<Setting, GeometryError> {
 pub(super) fn cast_stopping(stage: &mut Stage<'_, '_>, task: Task) -> Task {
     let speed = stage.ego().speed;
     let gap = 5.0 + speed * stage.dice.between(0.9, 1.5);
-    let make = if stage.dice.chance(0.85) { Make::Car } else { Make::Long };
+    let make = stage.mostly_a_car();
     if let Some(lead) = stage.put_ahead(make, gap, speed) {
         stage.traffic.movers[lead].ceiling = speed.max(4.0);
         let at = stage.dice.between(-0.5, 3.5);
         let mut script = vec![Act::Limit { at, speed: 0.05 }];
-        if stage.dice.chance(0.6) {
+        if stage.dice.situation(|dice| dice.chance(0.6)) {
             script.insert(0, Act::Limit { at: at + stage.dice.between(6.0, 10.0), speed: speed.max(5.0) });
         }
         // At a light it stops by itself.
-        if stage.roads().signals.is_empty() || stage.dice.chance(0.3) {
+        if stage.roads().signals.is_empty() || stage.dice.situation(|dice| dice.chance(0.3)) {
             stage.traffic.movers[lead].script = script;
             stage.traffic.movers[lead].temper.decel = stage.dice.between(1.4, 2.6);
         }
     }
-    let density = stage.dice.between(0.3, 1.6);
+    let density = stage.dice.situation(|dice| dice.between(0.3, 1.6));
     stage.populate(density, [gap + 25.0, 14.0]);
     stage.garnish();
     task
@@ -116,7 +116,7 @@ pub(super) fn cast_stopping(stage: &mut Stage<'_, '_>, task: Task) -> Task {
 pub(super) fn behind_long(dice: &mut Dice) -> Result<Setting, GeometryError> {
     if dice.chance(0.3) {
         let mut setting = before_light(dice, [40.0, 80.0], [0.4, 0.7])?;
-        setting.light = LightWish::GreenFrom(dice.between(2.0, 8.0));
+        setting.light = LightWish::GreenFrom(dice.early(2.0, 8.0));
         return Ok(setting);
     }
     let mut setting = stream(dice, [1, 3], [0.35, 0.7])?;
@@ -130,13 +130,13 @@ pub(super) fn cast_behind_long(stage: &mut Stage<'_, '_>, task: Task) -> Task {
     let pace = speed * stage.dice.between(0.8, 1.0);
     if let Some(lead) = stage.put_ahead(Make::Long, gap, pace) {
         stage.traffic.movers[lead].ceiling = pace.max(2.5);
-        if stage.dice.chance(0.35) {
+        if stage.dice.situation(|dice| dice.chance(0.35)) {
             let at = stage.dice.between(1.0, 6.0);
             let again = Act::Limit { at: at + stage.dice.between(4.0, 8.0), speed: pace.max(4.0) };
             stage.traffic.movers[lead].script = vec![again, Act::Limit { at, speed: 0.05 }];
         }
     }
-    let density = stage.dice.between(0.3, 1.5);
+    let density = stage.dice.situation(|dice| dice.between(0.3, 1.5));
     stage.populate(density, [gap + 35.0, 14.0]);
     stage.garnish();
     task
@@ -144,14 +144,14 @@ pub(super) fn cast_behind_long(stage: &mut Stage<'_, '_>, task: Task) -> Task {
 
 pub(super) fn stationary(dice: &mut Dice) -> Result<Setting, GeometryError> {
     let mut setting = before_light(dice, [12.0, 45.0], [0.0, 0.0])?;
-    setting.light = LightWish::GreenFrom(dice.between(4.0, 13.0));
+    setting.light = LightWish::GreenFrom(dice.early(4.0, 13.0));
     Ok(setting)
 }
 
 pub(super) fn cast_stationary(stage: &mut Stage<'_, '_>, task: Task) -> Task {
     // A queue from the line back past the ego in its lane, and in the lanes beside it.
     queue(stage, 0.95);
-    let density = stage.dice.between(0.6, 1.8);
+    let density = stage.dice.situation(|dice| dice.between(0.6, 1.8));
     stage.populate(density, [8.0, 10.0]);
     stage.garnish();
     task
@@ -199,7 +199,7 @@ pub(super) fn cast_near_many(stage: &mut Stage<'_, '_>, task: Task) -> Task {
             s += 7.5 + speed * stage.dice.between(0.5, 1.1);
         }
     }
-    let density = stage.dice.between(0.5, 1.2);
+    let density = stage.dice.situation(|dice| dice.between(0.5, 1.2));
     stage.populate(density, [70.0, 40.0]);
     cut_in(stage, 0.4);
     stage.garnish();
@@ -209,7 +209,7 @@ pub(super) fn cast_near_many(stage: &mut Stage<'_, '_>, task: Task) -> Task {
 pub(super) fn low_speed(dice: &mut Dice) -> Result<Setting, GeometryError> {
     if dice.chance(0.4) {
         let mut setting = before_light(dice, [25.0, 60.0], [0.05, 0.3])?;
-        setting.light = LightWish::GreenFrom(dice.between(0.0, 8.0));
+        setting.light = LightWish::GreenFrom(dice.early(0.0, 8.0));
         return Ok(setting);
     }
     stream(dice, [1, 3], [0.05, 0.25])
@@ -235,7 +235,7 @@ pub(super) fn cast_low_speed(stage: &mut Stage<'_, '_>, task: Task) -> Task {
             s += stage.dice.between(8.0, 13.0);
         }
     }
-    let density = stage.dice.between(0.5, 1.5);
+    let density = stage.dice.situation(|dice| dice.between(0.5, 1.5));
     stage.populate(density, [80.0, 50.0]);
     stage.garnish();
     task

@@ -20,7 +20,7 @@ pub(super) fn changing(dice: &mut Dice) -> Result<Setting, GeometryError> {
         let (layout, start) = town(dice, &style, &plan, before)?;
         let mut setting = Setting::new(layout, start, dice.between(0.6, 0.9));
         setting.pick = LanePick::Whichever;
-        setting.light = LightWish::GreenFrom(dice.between(-2.0, 10.0));
+        setting.light = LightWish::GreenFrom(dice.early(-2.0, 10.0));
         return Ok(setting);
     }
     let bendiness = dice.between(0.0, 0.5);
@@ -35,15 +35,15 @@ pub(super) fn cast(stage: &mut Stage<'_, '_>, mut task: Task) -> Task {
     let roads = stage.roads();
     let lanes = &roads.way[0];
     let must_move = roads.reach(0, lanes[stage.ego_lane]) == 0 && roads.way.len() > 1;
-    let cause = stage.dice.whole(0, 5);
-    let ahead = speed * stage.dice.between(5.0, 7.5) + 20.0;
+    let cause = stage.dice.situation(|dice| dice.whole(0, 5));
+    let ahead = speed * stage.dice.situation(|dice| dice.between(5.0, 7.5)) + 20.0;
     if must_move || (cause <= 1 && close_ahead(stage, ahead)) {
         task.overtakes = false;
     } else if cause <= 2 {
         double_park(stage, ahead, 0.0);
     } else if cause == 3 {
         let pace = speed * stage.dice.between(0.25, 0.5);
-        let make = if stage.dice.chance(0.6) { Make::Car } else { Make::Long };
+        let make = if stage.dice.situation(|dice| dice.chance(0.6)) { Make::Car } else { Make::Long };
         if let Some(lead) = stage.put_ahead(make, ahead * 0.7, pace) {
             stage.traffic.movers[lead].ceiling = pace.max(1.5);
         }
@@ -53,7 +53,7 @@ pub(super) fn cast(stage: &mut Stage<'_, '_>, mut task: Task) -> Task {
         } else if stage.ego_lane + 1 == lanes.len() {
             true
         } else {
-            stage.dice.chance(0.5)
+            stage.dice.situation(|dice| dice.chance(0.5))
         };
         task.change = Some((stage.dice.between(0.5, 5.0), left));
         let pace = speed * stage.dice.between(0.8, 1.1);
@@ -61,7 +61,7 @@ pub(super) fn cast(stage: &mut Stage<'_, '_>, mut task: Task) -> Task {
             stage.traffic.movers[lead].ceiling = pace.max(4.0);
         }
     }
-    let density = stage.dice.between(0.2, 1.1);
+    let density = stage.dice.situation(|dice| dice.between(0.2, 1.1));
     stage.populate(density, [ahead + 25.0, 16.0]);
     stage.garnish();
     task
@@ -73,7 +73,7 @@ pub(super) fn close_ahead(stage: &mut Stage<'_, '_>, ahead: f64) -> bool {
     let at = stage.ego().s + ahead;
     let span = stage.ego().track.span_at(at);
     let room = span.to - at - 10.0;
-    let length = stage.dice.between(10.0, 45.0).min(room);
+    let length = stage.dice.situation(|dice| dice.between(10.0, 45.0)).min(room);
     let closable = !span.connector && room > 8.0 && at - span.from > 16.0;
     if closable {
         let width = stage.roads().facts[span.lane.index()].map_or(3.4, |facts| facts.lane_width);
@@ -85,7 +85,7 @@ pub(super) fn close_ahead(stage: &mut Stage<'_, '_>, ahead: f64) -> bool {
 /// A vehicle stands in the ego's lane `ahead` metres before the ego, `aside` metres right of the middle.
 pub(super) fn double_park(stage: &mut Stage<'_, '_>, ahead: f64, aside: f64) {
     let pose = stage.ego().track.pose_at(stage.ego().s + ahead).translated(0.0, -aside);
-    let (length, width) = if stage.dice.chance(0.75) {
+    let (length, width) = if stage.dice.situation(|dice| dice.chance(0.75)) {
         (stage.dice.between(4.3, 5.2), 1.9)
     } else {
         (stage.dice.between(7.0, 10.0), 2.4)

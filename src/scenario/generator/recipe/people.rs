@@ -28,7 +28,7 @@ pub(super) fn waiting(dice: &mut Dice) -> Result<Setting, GeometryError> {
         let before = dice.between(30.0, 60.0);
         let (layout, start) = town(dice, &style, &plan, before)?;
         let mut setting = Setting::new(layout, start - 4.1, dice.between(0.5, 0.9));
-        setting.light = LightWish::GreenFrom(dice.between(-3.0, 1.0));
+        setting.light = LightWish::GreenFrom(dice.early(-3.0, 1.0));
         return Ok(setting);
     }
     let start = anywhere(dice);
@@ -50,7 +50,7 @@ pub(super) fn cast_waiting(stage: &mut Stage<'_, '_>, task: Task) -> Task {
         let walk = walks.iter().find(|walk| walk.contains(at)).cloned();
         let arrives = (span[0] - stage.ego().front_s()) / speed.max(3.0) - super::LEAD_IN;
         if let Some(walk) = walk {
-            for k in 0..stage.dice.whole(1, 4) {
+            for k in 0..stage.dice.situation(|dice| dice.whole(1, 4)) {
                 // The first one is on the way when the ego comes near.
                 let early = if k == 0 { stage.dice.between(2.0, 4.5) } else { stage.dice.between(-2.0, 5.0) };
                 let other_way = stage.dice.chance(0.5);
@@ -58,11 +58,11 @@ pub(super) fn cast_waiting(stage: &mut Stage<'_, '_>, task: Task) -> Task {
             }
         }
     }
-    let density = stage.dice.between(0.2, 1.2);
+    let density = stage.dice.situation(|dice| dice.between(0.2, 1.2));
     let ahead = stage.dice.between(20.0, 90.0);
     stage.populate(density, [ahead, 14.0]);
     stage.garnish();
-    if stage.dice.chance(0.2) {
+    if stage.dice.situation(|dice| dice.chance(0.2)) {
         jaywalker(stage);
     }
     task
@@ -110,8 +110,8 @@ pub(super) fn pickup(dice: &mut Dice) -> Result<Setting, GeometryError> {
 pub(super) fn cast_pickup(stage: &mut Stage<'_, '_>, task: Task) -> Task {
     let single = stage.roads().way[0].len() == 1;
     stage.fill_bay();
-    if stage.dice.chance(0.55) {
-        let ahead = stage.dice.between(45.0, 95.0);
+    if stage.dice.situation(|dice| dice.chance(0.55)) {
+        let ahead = stage.dice.situation(|dice| dice.between(45.0, 95.0));
         // Where there is no lane to move to, it stands so far to the side that it can be passed within the lane.
         let rightmost = stage.ego_lane + 1 == stage.roads().way[0].len();
         if !single && rightmost {
@@ -122,10 +122,10 @@ pub(super) fn cast_pickup(stage: &mut Stage<'_, '_>, task: Task) -> Task {
             double_park(stage, ahead, aside);
         }
     }
-    let density = stage.dice.between(0.2, 1.2);
+    let density = stage.dice.situation(|dice| dice.between(0.2, 1.2));
     stage.populate(density, [105.0, 14.0]);
     stage.garnish();
-    if stage.dice.chance(0.3) {
+    if stage.dice.situation(|dice| dice.chance(0.3)) {
         jaywalker(stage);
     }
     task

@@ -1,7 +1,7 @@
 //! The stage before anybody enters it: roads, where the ego starts, what its light will do.
 
 use crate::geometry::{GeometryError, Pose};
-use crate::scenario::generator::dice::Dice;
+use crate::scenario::generator::dice::{Dice, Early};
 use crate::scenario::generator::expert::Task;
 use crate::scenario::generator::road::{CirclePlan, Control, Course, CrossingPlan, Layout, RoadStyle, Turn};
 use std::f64::consts::PI;
@@ -37,9 +37,9 @@ pub(crate) enum LightWish {
     /// Whatever.
     Any,
     /// Turns green at this moment, seconds.
-    GreenFrom(f64),
+    GreenFrom(Early),
     /// Turns yellow at this moment, seconds.
-    GreenUntil(f64),
+    GreenUntil(Early),
 }
 
 /// Roads and the ego's part on them.

@@ -33,17 +33,18 @@ pub(super) fn high_lateral(dice: &mut Dice) -> Result<Setting, GeometryError> {
 pub(super) fn cast(stage: &mut Stage<'_, '_>, task: Task) -> Task {
     let speed = stage.ego().speed;
     let several = stage.roads().way[0].len() > 1;
-    if several && stage.dice.chance(0.2) {
-        let ahead = speed * stage.dice.between(6.0, 11.0) + 20.0;
+    if several && stage.dice.situation(|dice| dice.chance(0.2)) {
+        let ahead = speed * stage.dice.situation(|dice| dice.between(6.0, 11.0)) + 20.0;
         close_ahead(stage, ahead);
-    } else if stage.dice.chance(0.4) {
+    } else if stage.dice.situation(|dice| dice.chance(0.4)) {
         let gap = 15.0 + speed * stage.dice.between(1.2, 3.0);
         let pace = speed * stage.dice.between(0.55, 1.1);
         if let Some(lead) = stage.put_ahead(Make::Car, gap, pace) {
             stage.traffic.movers[lead].ceiling = pace.max(4.0);
         }
     }
-    let (density, ahead) = (stage.dice.between(0.1, 1.3), stage.dice.between(60.0, 130.0));
+    let density = stage.dice.situation(|dice| dice.between(0.1, 1.3));
+    let ahead = stage.dice.between(60.0, 130.0);
     stage.populate(density, [ahead, 20.0]);
     cut_in(stage, 0.15);
     stage.garnish();

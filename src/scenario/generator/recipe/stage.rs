@@ -37,9 +37,9 @@ pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, dice: &mut Dice) -> 
     let best = first.iter().map(|&lane| roads.reach(0, lane)).max().unwrap_or(0);
     let good: Vec<usize> = (0..first.len()).filter(|&i| roads.reach(0, first[i]) == best).collect();
     let place = match setting.pick {
-        LanePick::Any => dice.pick(&good),
+        LanePick::Any => dice.situation(|dice| dice.pick(&good)),
         LanePick::Rightmost => good[good.len() - 1],
-        LanePick::Whichever => dice.whole(0, first.len() - 1),
+        LanePick::Whichever => dice.situation(|dice| dice.whole(0, first.len() - 1)),
     };
     let chain = roads.chain_on_way(0, first[place]);
     for n in 0..roads.signals.len() {
@@ -51,8 +51,8 @@ pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, dice: &mut Dice) -> 
         });
         let connector = own.unwrap_or(governed[0]);
         match setting.light {
-            LightWish::GreenFrom(time) if is_first => roads.signals[n].start_green_at(connector, time),
-            LightWish::GreenUntil(time) if is_first => roads.signals[n].end_green_at(connector, time),
+            LightWish::GreenFrom(time) if is_first => roads.signals[n].start_green_at(connector, dice.of(time)),
+            LightWish::GreenUntil(time) if is_first => roads.signals[n].end_green_at(connector, dice.of(time)),
             _ => roads.signals[n].start_green_at(connector, dice.between(0.0, 40.0)),
         }
     }
@@ -100,6 +100,11 @@ impl<'a, 'd> Stage<'a, 'd> {
     /// The ego.
     pub(super) fn ego(&self) -> &Mover {
         &self.traffic.movers[0]
+    }
+
+    /// Mostly a car, now and then a long vehicle; the situation's choice.
+    pub(super) fn mostly_a_car(&mut self) -> Make {
+        if self.dice.situation(|dice| dice.chance(0.85)) { Make::Car } else { Make::Long }
     }
 
     fn token(&mut self) -> TrackToken {

@@ -1,10 +1,12 @@
 //! What must hold for every generated drive.
 
+mod behaviour;
 mod contract;
 mod distribution;
 mod drives;
 mod maps;
 mod names;
+mod traffic;
 
 use super::{Generated, ScenarioType, Spec, generate_with_record};
 use rayon::prelude::*;
@@ -17,7 +19,7 @@ const SEEDS: u64 = 10;
 static CORPUS: LazyLock<Vec<Generated>> = LazyLock::new(|| {
     let specs: Vec<Spec> = ScenarioType::ALL
         .into_iter()
-        .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec { scenario_type, seed }))
+        .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)))
         .collect();
     specs.par_iter().map(|spec| generate_with_record(spec).unwrap_or_else(|error| panic!("{error}"))).collect()
 });

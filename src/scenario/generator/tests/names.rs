@@ -2,14 +2,22 @@
 
 use super::super::{DEFAULT, GeneratorError, ScenarioType, Spec, generate};
 use crate::scenario::Scenario;
+use crate::world::LaneMap;
 use rayon::prelude::*;
 
 #[test]
 fn names_read_back() {
     for scenario_type in ScenarioType::ALL {
-        let spec = Spec { scenario_type, seed: u64::MAX };
+        let spec = Spec::new(scenario_type, u64::MAX);
         assert_eq!(spec.to_string().parse(), Ok(spec));
+        assert_eq!(spec.among(u64::MAX).to_string().parse(), Ok(spec.among(u64::MAX)));
     }
+    let spec = Spec::new(ScenarioType::ChangingLane, 3);
+    assert_eq!(
+        ("generated/changing_lane/3.0".parse(), spec.to_string()),
+        (Ok(spec), "generated/changing_lane/3".into())
+    );
+    assert_eq!(spec.among(12).to_string(), "generated/changing_lane/3.12");
     assert_eq!(ScenarioType::nuplan14().count(), 14);
 }
 
@@ -20,24 +28,31 @@ fn bad_names_say_what_is_wrong() {
         assert_eq!(read(id), Err(GeneratorError::Form(id.to_owned())));
     }
     assert_eq!(read("generated/flying/1"), Err(GeneratorError::UnknownType("flying".to_owned())));
-    let id = "generated/changing_lane/-1".to_owned();
-    assert_eq!(read(&id), Err(GeneratorError::Seed { seed: "-1".to_owned(), id }));
+    for (seed, which, wrong) in [("-1", "seed", "-1"), ("1.x", "traffic seed", "x"), ("1.2.3", "traffic seed", "2.3")] {
+        let id = format!("generated/changing_lane/{seed}");
+        assert_eq!(read(&id), Err(GeneratorError::Seed { which, seed: wrong.to_owned(), id }));
+    }
+}
+
+/// Every number of a map.
+pub(super) fn same_map(a: &LaneMap, b: &LaneMap) -> bool {
+    let lanes = a.lanes() == b.lanes() && a.roadblocks() == b.roadblocks();
+    let areas = a.intersections() == b.intersections()
+        && a.crosswalks() == b.crosswalks()
+        && a.generic_drivable() == b.generic_drivable()
+        && a.carparks() == b.carparks()
+        && a.stop_lines() == b.stop_lines();
+    lanes && areas && a.name() == b.name()
 }
 
 /// Every number of a drive: frames, map and route.
 fn same(a: &Scenario, b: &Scenario) -> bool {
-    let lanes = a.map.lanes() == b.map.lanes() && a.map.roadblocks() == b.map.roadblocks();
-    let areas = a.map.intersections() == b.map.intersections()
-        && a.map.crosswalks() == b.map.crosswalks()
-        && a.map.generic_drivable() == b.map.generic_drivable()
-        && a.map.carparks() == b.map.carparks()
-        && a.map.stop_lines() == b.map.stop_lines();
-    lanes && areas && a.frames == b.frames && a.route == b.route && a.id == b.id && a.start == b.start
+    same_map(&a.map, &b.map) && a.frames == b.frames && a.route == b.route && a.id == b.id && a.start == b.start
 }
 
 #[test]
 fn a_name_gives_the_same_drive_at_any_number_of_threads() {
-    let specs: Vec<Spec> = ScenarioType::ALL.into_iter().map(|scenario_type| Spec { scenario_type, seed: 7 }).collect();
+    let specs: Vec<Spec> = ScenarioType::ALL.into_iter().map(|scenario_type| Spec::new(scenario_type, 7)).collect();
     let drives = |threads: usize| -> Vec<Scenario> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| specs.par_iter().map(|spec| generate(spec).unwrap()).collect())

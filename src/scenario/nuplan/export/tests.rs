@@ -151,7 +151,7 @@ fn numbers_of_lanes_say_who_lies_beside_whom() {
 }
 
 fn scenario(kind: ScenarioType, seed: u64) -> Scenario {
-    generate(&Spec { scenario_type: kind, seed }).unwrap()
+    generate(&Spec::new(kind, seed)).unwrap()
 }
 
 #[test]

@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn the_window_around_the_anchor_is_the_scenario() {
         for (kind, apart) in [(ScenarioType::ChangingLane, 60), (ScenarioType::TraversingRoundabout, 0)] {
-            let scenario = generate(&Spec { scenario_type: kind, seed: 1 }).unwrap();
+            let scenario = generate(&Spec::new(kind, 1)).unwrap();
             let timeline = Timeline::of(&scenario).unwrap();
             assert_eq!(timeline.anchor, scenario.start * 2 + apart);
             assert_eq!(timeline.rows.len(), scenario.frames.len() * 2 - 1);
@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn a_window_that_nuplan_cannot_cut_is_an_error() {
-        let mut scenario = generate(&Spec { scenario_type: ScenarioType::ChangingLane, seed: 1 }).unwrap();
+        let mut scenario = generate(&Spec::new(ScenarioType::ChangingLane, 1)).unwrap();
         let cut = |scenario: &Scenario| Timeline::of(scenario).map(|timeline| timeline.anchor);
         scenario.frames.truncate(scenario.start + 31);
         assert_eq!(cut(&scenario), Ok((scenario.start + 30) * 2));
@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn the_recorded_future_is_kept_where_the_window_does_not_reach_it() {
-        let mut scenario = generate(&Spec { scenario_type: ScenarioType::ChangingLane, seed: 1 }).unwrap();
+        let mut scenario = generate(&Spec::new(ScenarioType::ChangingLane, 1)).unwrap();
         let last = scenario.frames.last().unwrap().ego;
         let later = |step: i64| EgoState { time_us: last.time_us + step * 100_000, ..last };
         scenario.future = vec![later(1), later(2)];

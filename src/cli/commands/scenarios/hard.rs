@@ -1,0 +1,31 @@
+//! `planagent scenarios hard`: the scenes of generated-14-hard, chosen out of a run.
+
+use crate::cli::{Exit, Printer};
+use crate::experiment::run::PlannerKind;
+use crate::experiment::suite::{Suite, hard_list, hard_scenes};
+use crate::report::RunFolder;
+use crate::simulation::Challenge;
+use anyhow::Context;
+use serde_json::json;
+use std::path::Path;
+
+/// Chooses them by the scores of PDM-Closed in the run.
+///
+/// # Errors
+/// When there is no run, or it lacks a score of a candidate.
+pub(super) fn run(folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
+    RunFolder::manifest(folder)?;
+    let rows = RunFolder::ended(folder)?.rows.into_iter().filter(|row| {
+        row.planner == PlannerKind::PdmClosed.as_str() && row.challenge == Challenge::ClosedLoopNonreactiveAgents
+    });
+    let scores = rows.filter_map(|row| Some((row.scenario.parse().ok()?, row.score?))).collect();
+    let specs = hard_scenes(&scores).with_context(|| {
+        let (folder, candidates, planner) = (folder.display(), Suite::Candidates.name(), PlannerKind::PdmClosed);
+        format!("in {folder}, which should be a run of `simulate --split {candidates} --planner {planner}`")
+    })?;
+    printer.line(hard_list(&specs).trim_end());
+    if printer.is_json() {
+        printer.json(&json!({"split": Suite::Generated14Hard.name(), "scenarios": specs.iter().map(ToString::to_string).collect::<Vec<_>>()}))?;
+    }
+    Ok(Exit::Success)
+}

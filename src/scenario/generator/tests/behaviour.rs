@@ -1,0 +1,108 @@
+//! How others behave: what share of the drives shows what a driver must cope with.
+
+use super::CORPUS;
+use crate::geometry::{Pose, wrap_angle};
+use crate::scenario::{Frame, Scenario};
+use crate::world::{LaneKind, ObjectKind, TrackedObject};
+
+fn share(shows: impl Fn(&Scenario) -> bool) -> f64 {
+    CORPUS.iter().filter(|generated| shows(&generated.scenario)).count() as f64 / CORPUS.len() as f64
+}
+
+fn vehicles(frame: &Frame) -> impl Iterator<Item = &TrackedObject> {
+    frame.objects.iter().filter(|object| object.kind == ObjectKind::Vehicle)
+}
+
+/// Whether `object` is in the lane of `ego`, as far as a straight look tells, from `from` to `to` metres ahead of it.
+fn in_lane(ego: &Pose, object: &TrackedObject, from: f64, to: f64) -> bool {
+    let place = ego.to_local(object.shape.center.position());
+    let turned = wrap_angle(object.shape.center.heading - ego.heading).abs();
+    place.x > from && place.x < to && place.y.abs() < 1.2 && turned < 0.3
+}
+
+/// Somebody moves from a neighbouring lane to less than 25 m before the ego, which keeps straight on.
+fn cuts_in(scenario: &Scenario) -> bool {
+    /// Frames that it takes at most.
+    const WITHIN: usize = 35;
+    scenario.frames.iter().skip(WITHIN).zip(&scenario.frames).any(|(now, before)| {
+        let (ego, ego_before) = (now.ego.center(), before.ego.center());
+        let straight = ego_before.to_local(ego.position()).y.abs() < 0.8 && now.ego.speed() > 2.0;
+        straight
+            && vehicles(now).filter(|object| in_lane(&ego, object, 3.0, 25.0)).any(|object| {
+                let then = vehicles(before).find(|other| other.token == object.token);
+                then.is_some_and(|then| {
+                    let place = ego_before.to_local(then.shape.center.position());
+                    (2.5..5.5).contains(&place.y.abs()) && place.x > -5.0
+                })
+            })
+    })
+}
+
+/// Somebody stands for the whole drive in a lane of the route that the ego comes by, with no light to wait for.
+fn stands_in_the_way(scenario: &Scenario) -> bool {
+    let Scenario { map, route, frames, .. } = scenario;
+    let first = &frames[scenario.start];
+    first.lights.iter().next().is_none()
+        && vehicles(first).any(|object| {
+            let center = object.shape.center.position();
+            let lanes = map.lanes_of_kind_at(center, LaneKind::Lane);
+            let on_route = lanes.iter().any(|&lane| route.contains(map[lane].roadblock));
+            let passed = frames.iter().any(|frame| (frame.ego.center().position() - center).norm() < 15.0);
+            let stands = |frame: &Frame| vehicles(frame).all(|o| o.token != object.token || o.speed() == 0.0);
+            on_route && passed && frames.iter().all(stands)
+        })
+}
+
+/// Somebody drives up to the ego and stands there for the last three seconds, with no light to wait for.
+fn breaks_down(scenario: &Scenario) -> bool {
+    let (first, last) = (&scenario.frames[scenario.start], &scenario.frames[scenario.frames.len() - 30..]);
+    let moved = |object: &TrackedObject| vehicles(first).any(|o| o.token == object.token && o.speed() > 3.0);
+    first.lights.iter().next().is_none()
+        && vehicles(&last[0]).filter(|object| moved(object)).any(|object| {
+            let stands = |frame: &Frame| vehicles(frame).any(|o| o.token == object.token && o.speed() < 0.1);
+            let near = (object.shape.center.position() - last[0].ego.center().position()).norm() < 30.0;
+            near && last.iter().all(stands)
+        })
+}
+
+/// Somebody follows the ego for a second with less than a second to it.
+fn is_tailgated(scenario: &Scenario) -> bool {
+    let close = |frame: &&Frame| {
+        let (ego, own) = (frame.ego.center(), frame.ego.footprint());
+        frame.ego.speed() > 4.0
+            && vehicles(frame)
+                .filter(|object| in_lane(&ego, object, -25.0, -5.0))
+                .any(|object| own.distance(&object.shape) < object.speed())
+    };
+    scenario.frames.iter().filter(close).count() >= 10
+}
+
+/// Somebody walks on the road less than 50 m before the ego.
+fn crosses_on_foot(scenario: &Scenario) -> bool {
+    scenario.frames.iter().any(|frame| {
+        let ego = frame.ego.center();
+        frame.objects.iter().any(|object| {
+            let center = object.shape.center.position();
+            let place = ego.to_local(center);
+            let ahead = place.x > 0.0 && place.x < 50.0 && place.y.abs() < 12.0;
+            object.kind == ObjectKind::Pedestrian
+                && object.speed() > 0.3
+                && ahead
+                && !scenario.map.lanes_at(center).is_empty()
+        })
+    })
+}
+
+#[test]
+fn others_do_what_must_be_coped_with() {
+    let shares = [
+        ("cuts in", share(cuts_in), 0.03),
+        ("stands in the way", share(stands_in_the_way), 0.03),
+        ("breaks down", share(breaks_down), 0.01),
+        ("tailgates", share(is_tailgated), 0.03),
+        ("crosses on foot", share(crosses_on_foot), 0.1),
+    ];
+    for (what, share, least) in shares {
+        assert!(share >= least, "{what}: {share} of the drives, fewer than {least}: {shares:?}");
+    }
+}
