@@ -18,9 +18,9 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Answers the n-th question with the n-th answer, from the start again at the end; remembers the questions.
-struct Script {
-    answers: Vec<&'static str>,
-    asked: Mutex<Vec<String>>,
+pub(crate) struct Script {
+    pub(crate) answers: Vec<&'static str>,
+    pub(crate) asked: Mutex<Vec<String>>,
 }
 
 /// The answer of a script that is too slow for every deadline.
@@ -82,7 +82,7 @@ impl Conversation for Scripted<'_> {
     fn rewind(&mut self, _: Mark) {}
 }
 
-fn settings(rounds: &[Round]) -> PlanAgentSettings {
+pub(crate) fn settings(rounds: &[Round]) -> PlanAgentSettings {
     PlanAgentSettings {
         view_m: Some(64.0),
         lane_graph: true,
@@ -108,12 +108,16 @@ fn settings(rounds: &[Round]) -> PlanAgentSettings {
     }
 }
 
-fn scenario(id: &str) -> Scenario {
+pub(crate) fn scenario(id: &str) -> Scenario {
     generator::generate(&id.parse().unwrap()).unwrap()
 }
 
 /// Drives a scene with scripted answers; gives the agent, the log and the questions.
-fn drive(answers: &[&'static str], settings: PlanAgentSettings, id: &str) -> (PlanAgent, SimulationLog, Vec<String>) {
+pub(crate) fn drive(
+    answers: &[&'static str],
+    settings: PlanAgentSettings,
+    id: &str,
+) -> (PlanAgent, SimulationLog, Vec<String>) {
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
     let model: Arc<dyn Mllm> = script.clone();
     let mut agent = PlanAgent::new(model, Arc::new(PromptSet::open("paper").unwrap()), settings);
