@@ -7,7 +7,8 @@ use planagent::mllm::{
 };
 use planagent::pdm::PdmMemory;
 use planagent::planner::{
-    AfterMaxExec, Decision, Latency, NoPlan, PlanAgent, PlanAgentSettings, PlanningCall, generated_planner,
+    AfterMaxExec, Decision, Execution, Latency, Mind, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, PlanningCall,
+    generated_planner,
 };
 use planagent::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
 use planagent::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
@@ -82,17 +83,11 @@ impl Conversation for Scripted<'_> {
     fn rewind(&mut self, _: Mark) {}
 }
 
-pub(crate) fn settings(rounds: &[Round]) -> PlanAgentSettings {
+pub(crate) fn settings() -> PlanAgentSettings {
     PlanAgentSettings {
         view_m: Some(64.0),
         lane_graph: true,
         node_length_m: DEFAULT_NODE_LENGTH,
-        reasoning: ReasoningSettings {
-            rounds: rounds.to_vec(),
-            generation: GenerationSettings::default(),
-            rethink_sampling: Sampling::Greedy,
-            grammar: false,
-        },
         interval: 20,
         deadline: None,
         gate: None,
@@ -103,6 +98,7 @@ pub(crate) fn settings(rounds: &[Round]) -> PlanAgentSettings {
         horizon_s: 4.0,
         after_max_exec: AfterMaxExec::Last,
         lead_policy: LeadPolicy::Nearest,
+        execution: Execution::AsWritten,
         emergency_brake: true,
         seed: 0,
     }
@@ -112,15 +108,28 @@ pub(crate) fn scenario(id: &str) -> Scenario {
     generator::generate(&id.parse().unwrap()).unwrap()
 }
 
+/// These rounds, whose answers are free.
+pub(crate) fn reasoning(rounds: &[Round]) -> ReasoningSettings {
+    ReasoningSettings {
+        rounds: rounds.to_vec(),
+        generation: GenerationSettings::default(),
+        rethink_sampling: Sampling::Greedy,
+        grammar: false,
+    }
+}
+
 /// Drives a scene with scripted answers; gives the agent, the log and the questions.
 pub(crate) fn drive(
     answers: &[&'static str],
+    rounds: &[Round],
     settings: PlanAgentSettings,
     id: &str,
 ) -> (PlanAgent, SimulationLog, Vec<String>) {
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
     let model: Arc<dyn Mllm> = script.clone();
-    let mut agent = PlanAgent::new(model, Arc::new(PromptSet::open("paper").unwrap()), settings);
+    let mind =
+        Mind::Model { model, prompts: Arc::new(PromptSet::open("paper").unwrap()), reasoning: reasoning(rounds) };
+    let mut agent = PlanAgent::new(PLAN_AGENT, mind, settings);
     let log = simulate(&scenario(id), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let asked = script.asked.lock().unwrap().clone();
     (agent, log, asked)
@@ -133,7 +142,7 @@ fn readable_code_drives_and_three_rounds_are_asked() {
         "Longitudinal: maintain, because free\nLateral: keep, because it serves",
         "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=3)",
     ];
-    let (agent, log, asked) = drive(&answers, settings(&Round::ALL), "generated/high_magnitude_speed/1");
+    let (agent, log, asked) = drive(&answers, &Round::ALL, settings(), "generated/high_magnitude_speed/1");
     assert_eq!(agent.calls().len(), 8);
     assert!(asked[0].contains("Ego:") && asked[0].contains("Step 1"), "{}", asked[0]);
     assert!(asked[1].contains("Step 2") && !asked[1].contains("Ego:"));
@@ -148,7 +157,7 @@ fn readable_code_drives_and_three_rounds_are_asked() {
 #[test]
 fn unreadable_answers_are_told_back_counted_and_end_in_a_stop() {
     let answers = ["drive on, it looks fine"];
-    let (agent, log, asked) = drive(&answers, settings(&[Round::Code]), "generated/high_magnitude_speed/1");
+    let (agent, log, asked) = drive(&answers, &[Round::Code], settings(), "generated/high_magnitude_speed/1");
     let call = &agent.calls()[0];
     assert_eq!((call.attempts.len(), call.parse_errors(), call.rethinks()), (3, 3, 2));
     assert!(matches!(call.decision, Decision::Brake(_)), "{:?}", call.decision);
@@ -162,9 +171,9 @@ fn a_planner_in_force_goes_on_when_later_answers_fail() {
     // Eight calls: one readable code, then answers that no attempt can read.
     let mut answers = vec!["nothing to read"; 60];
     answers[0] = "Generate_IDM_Planner(c=ego_lane, la=None, v0=6, acc=1, dec=3)";
-    let mut settings = settings(&[Round::Code]);
+    let mut settings = settings();
     settings.reflect = false;
-    let (agent, log, _) = drive(&answers, settings, "generated/high_magnitude_speed/1");
+    let (agent, log, _) = drive(&answers, &[Round::Code], settings, "generated/high_magnitude_speed/1");
     assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
     assert!(agent.calls()[1..].iter().all(|call| matches!(call.decision, Decision::KeepInForce(_))));
     assert!((log.samples.last().unwrap().ego.speed() - 6.0).abs() < 0.5);
@@ -174,7 +183,7 @@ fn a_planner_in_force_goes_on_when_later_answers_fail() {
 fn a_refused_planner_is_told_its_parts_and_the_last_one_drives() {
     // A crawl on a free road makes no progress beside the proposals, so it scores under the threshold.
     let answers = ["Generate_IDM_Planner(c=ego_lane, la=None, v0=1, acc=0.5, dec=3)"];
-    let (agent, _, asked) = drive(&answers, settings(&[Round::Code]), "generated/high_magnitude_speed/1");
+    let (agent, _, asked) = drive(&answers, &[Round::Code], settings(), "generated/high_magnitude_speed/1");
     let refused = agent.calls().iter().find(|call| call.rethinks() == 2).expect("a crawl is refused somewhere");
     assert_eq!(refused.decision, Decision::Exhausted(2));
     assert!(refused.attempts.iter().all(|a| a.reflection.as_ref().unwrap().verdict == Verdict::Rethink));
@@ -188,10 +197,10 @@ fn a_deadline_ends_the_call_with_the_planner_in_force() {
     let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=3)";
     let mut answers = vec!["A road.", "keep", code, "A road.", SLOW, "A road.", "keep", "drive on", SLOW];
     answers.extend([SLOW; 5]);
-    let mut settings = settings(&Round::ALL);
+    let mut settings = settings();
     settings.reflect = false;
     settings.deadline = Some(Duration::from_millis(400));
-    let (agent, log, asked) = drive(&answers, settings, "generated/high_magnitude_speed/1");
+    let (agent, log, asked) = drive(&answers, &Round::ALL, settings, "generated/high_magnitude_speed/1");
     assert_eq!((agent.calls().len(), asked.len()), (8, answers.len()));
     assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
     let ended = Decision::KeepInForce(NoPlan::Interrupted(Interruption::Deadline));
@@ -210,10 +219,10 @@ fn a_deadline_ends_the_call_with_the_planner_in_force() {
 #[test]
 fn a_refused_planner_does_not_drive_because_time_is_up() {
     let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=3)";
-    let mut settings = settings(&[Round::Code]);
+    let mut settings = settings();
     settings.threshold = 1.5;
     settings.deadline = Some(Duration::from_secs(2));
-    let (agent, _, _) = drive(&[code, SLOW], settings, "generated/high_magnitude_speed/1");
+    let (agent, _, _) = drive(&[code, SLOW], &[Round::Code], settings, "generated/high_magnitude_speed/1");
     let call = &agent.calls()[0];
     assert_eq!(call.decision, Decision::Brake(NoPlan::Interrupted(Interruption::Deadline)));
     assert_eq!(call.attempts.len(), 1);
@@ -222,9 +231,9 @@ fn a_refused_planner_does_not_drive_because_time_is_up() {
 
 #[test]
 fn without_a_planner_in_force_a_deadline_ends_in_a_stop() {
-    let mut settings = settings(&[Round::Code]);
+    let mut settings = settings();
     settings.deadline = Some(Duration::from_millis(20));
-    let (agent, log, _) = drive(&[SLOW], settings, "generated/high_magnitude_speed/1");
+    let (agent, log, _) = drive(&[SLOW], &[Round::Code], settings, "generated/high_magnitude_speed/1");
     let ended = Decision::Brake(NoPlan::Interrupted(Interruption::Deadline));
     assert!(agent.calls().iter().all(|call| call.decision == ended));
     assert!(log.samples.last().unwrap().ego.speed() < 0.3);
@@ -322,4 +331,33 @@ fn a_roll_out_stops_before_a_red_light() {
         assert!(rollout.speeds[150] < 0.5, "{id}: {} m/s at the end", rollout.speeds[150]);
     }
     assert!(seen >= 3, "only {seen} scenes start before a red light");
+}
+
+#[test]
+fn the_controls_drive_without_a_model() {
+    let best = |mind: Mind| {
+        let mut agent = PlanAgent::new("control", mind, settings());
+        simulate(&scenario("generated/changing_lane/3"), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+        let calls = agent.calls().to_vec();
+        assert_eq!(calls.len(), 8);
+        assert!(calls.iter().all(|call| call.image.is_none() && call.scene_text.is_none()));
+        calls
+    };
+    let codes = |calls: &[PlanningCall]| -> Vec<PlannerCode> {
+        calls.iter().flat_map(|call| &call.attempts).map(|attempt| attempt.code.clone().unwrap()).collect()
+    };
+    let fixed = best(Mind::FixedCode);
+    assert!(fixed.iter().all(|call| call.attempts.len() == 1));
+    assert!(codes(&fixed).iter().all(|code| code.centerline == "ego_lane" && code.accel_max == 1.5));
+
+    let random = best(Mind::RandomCode);
+    assert!(random.iter().all(|call| (1..=3).contains(&call.attempts.len())));
+    assert_eq!(codes(&random), codes(&best(Mind::RandomCode)));
+    assert!(codes(&random).windows(2).any(|pair| pair[0] != pair[1]));
+
+    // Before anything has been driven the three see the same scene, and the grid holds the fixed code.
+    let grid = best(Mind::GridCode);
+    let first = |calls: &[PlanningCall]| calls[0].driving().unwrap().reflection.as_ref().unwrap().score;
+    assert!(first(&grid) >= first(&fixed));
+    assert!(grid.iter().all(|call| call.attempts.len() == 1));
 }

@@ -1,6 +1,6 @@
 //! LLM-ASSIST with a scripted model and with the one that ships.
 
-use crate::agent::{Script, scenario, settings};
+use crate::agent::{Script, reasoning, scenario, settings};
 use planagent::mllm::{HubAccess, Mllm, ModelRegistry};
 use planagent::planner::{Decision, LlmAssist, NoPlan, PdmClosed, PlanAgentSettings};
 use planagent::reasoning::{AssistVariant, Assistance, PromptSet, ReasoningSettings, Round};
@@ -12,7 +12,7 @@ const SCENE: &str = "generated/high_magnitude_speed/1";
 
 /// No proposal of PDM-Closed reaches this τ, and no answer either.
 fn never_content() -> PlanAgentSettings {
-    PlanAgentSettings { threshold: 1.01, ..settings(&[Round::Code]) }
+    PlanAgentSettings { threshold: 1.01, ..settings() }
 }
 
 fn drive(
@@ -22,8 +22,7 @@ fn drive(
 ) -> (LlmAssist, SimulationLog, Vec<String>) {
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
     let model: Arc<dyn Mllm> = script.clone();
-    let reasoning = settings.reasoning.clone();
-    let asked = (model, Arc::new(PromptSet::open("paper").unwrap()), reasoning);
+    let asked = (model, Arc::new(PromptSet::open("paper").unwrap()), reasoning(&[Round::Code]));
     let mut planner = LlmAssist::new("llm-assist", variant, asked, settings);
     let log = simulate(&scenario(SCENE), &mut planner, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let asked = script.asked.lock().unwrap().clone();
@@ -36,7 +35,7 @@ fn by_rules() -> SimulationLog {
 
 #[test]
 fn the_model_is_not_asked_while_a_proposal_is_good_enough() {
-    let settings = PlanAgentSettings { threshold: 0.1, ..settings(&[Round::Code]) };
+    let settings = PlanAgentSettings { threshold: 0.1, ..settings() };
     let (planner, log, asked) = drive(&["nothing"], AssistVariant::Unconstrained, settings);
     assert!(planner.calls().is_empty() && asked.is_empty());
     assert_eq!(log.samples, by_rules().samples);
@@ -83,10 +82,9 @@ fn the_model_that_ships_answers_so_that_it_can_be_read() {
     let spec = registry.find("nano").unwrap();
     let model: Arc<dyn Mllm> = Arc::from(registry.open(&spec).unwrap());
     for &variant in AssistVariant::ALL {
-        let settings = never_content();
-        let reasoning = ReasoningSettings { grammar: true, generation: spec.generation, ..settings.reasoning.clone() };
+        let reasoning = ReasoningSettings { grammar: true, generation: spec.generation, ..reasoning(&[Round::Code]) };
         let asked = (model.clone(), Arc::new(PromptSet::open("compact").unwrap()), reasoning);
-        let mut planner = LlmAssist::new("llm-assist", variant, asked, settings);
+        let mut planner = LlmAssist::new("llm-assist", variant, asked, never_content());
         simulate(&scenario(SCENE), &mut planner, Challenge::ClosedLoopNonreactiveAgents).unwrap();
         assert_eq!(planner.calls().len(), 8);
         for attempt in planner.calls().iter().flat_map(|call| &call.attempts) {

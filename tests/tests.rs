@@ -10,6 +10,7 @@ mod agent;
 mod architecture;
 mod argoverse2;
 mod bench;
+mod cases;
 mod cli;
 mod endpoint;
 mod environment;

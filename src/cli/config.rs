@@ -3,7 +3,7 @@
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use crate::environment::{BevView, DEFAULT_NODE_LENGTH};
 use crate::mllm::{GenerationSettings, Sampling, Storage};
-use crate::planner::{AfterMaxExec, Latency, PlanAgentSettings};
+use crate::planner::{AfterMaxExec, Execution, Latency, PlanAgentSettings};
 use crate::reasoning::{ReasoningSettings, Round};
 use crate::reflection::LeadPolicy;
 use anyhow::{Context, bail};
@@ -122,6 +122,8 @@ pub struct ReflectionConfig {
     pub after_max_exec: AfterMaxExec,
     /// Whom the generated IDM planner follows.
     pub lead_policy: LeadPolicy,
+    /// How the planner in force drives between planning calls.
+    pub execution: Execution,
     /// Whether PDM-Closed's emergency brake may overrule the planner in force.
     pub emergency_brake: bool,
 }
@@ -133,8 +135,9 @@ impl Default for ReflectionConfig {
             threshold: 0.75,
             max_exec: 3,
             horizon_s: 4.0,
-            after_max_exec: AfterMaxExec::Last,
+            after_max_exec: AfterMaxExec::default(),
             lead_policy: LeadPolicy::Nearest,
+            execution: Execution::default(),
             emergency_brake: true,
         }
     }
@@ -158,24 +161,24 @@ impl Config {
         Ok(config)
     }
 
-    /// What the agent needs of it, for a model with these generation settings.
-    pub fn agent_settings(&self, generation: GenerationSettings) -> PlanAgentSettings {
-        let Self { seed, agent, environment, reasoning, reflection, .. } = self;
-        let rethink_sampling = if reasoning.rethink_temperature > 0.0 {
-            Sampling::Sample { temperature: reasoning.rethink_temperature, top_p: 1.0 }
+    /// How a model with these generation settings is asked.
+    pub fn reasoning_settings(&self, generation: GenerationSettings) -> ReasoningSettings {
+        let ReasoningConfig { rounds, rethink_temperature, grammar, .. } = &self.reasoning;
+        let rethink_sampling = if *rethink_temperature > 0.0 {
+            Sampling::Sample { temperature: *rethink_temperature, top_p: 1.0 }
         } else {
             Sampling::Greedy
         };
+        ReasoningSettings { rounds: rounds.clone(), generation, rethink_sampling, grammar: *grammar }
+    }
+
+    /// What an agent needs of it apart from the model.
+    pub fn agent_settings(&self) -> PlanAgentSettings {
+        let Self { seed, agent, environment, reasoning, reflection, .. } = self;
         PlanAgentSettings {
             view_m: environment.bev.then_some(environment.view_m),
             lane_graph: environment.lane_graph,
             node_length_m: environment.node_length_m,
-            reasoning: ReasoningSettings {
-                rounds: reasoning.rounds.clone(),
-                generation,
-                rethink_sampling,
-                grammar: reasoning.grammar,
-            },
             interval: reasoning.interval,
             deadline: agent.deadline_ms.map(Duration::from_millis),
             gate: agent.gate,
@@ -186,6 +189,7 @@ impl Config {
             horizon_s: reflection.horizon_s,
             after_max_exec: reflection.after_max_exec,
             lead_policy: reflection.lead_policy,
+            execution: reflection.execution,
             emergency_brake: reflection.emergency_brake,
             seed: *seed,
         }

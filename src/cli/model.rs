@@ -5,6 +5,7 @@ use crate::experiment::run::AgentParts;
 use crate::mllm::{
     FetchProgress, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, PromptSet as PromptSetName,
 };
+use crate::planner::Mind;
 use crate::reasoning::PromptSet;
 use anyhow::Context;
 use indicatif::ProgressBar;
@@ -19,8 +20,10 @@ const MODELS_VARIABLE: &str = "PLANAGENT_MODELS";
 
 /// A loaded model, ready to drive.
 pub(super) struct Loaded {
-    /// What `plan-agent` is made of.
-    pub(super) parts: AgentParts,
+    /// What `plan-agent` thinks with.
+    pub(super) mind: Mind,
+    /// The model in words.
+    pub(super) about: ModelDescription,
     /// How long loading took, seconds.
     pub(super) load_s: f64,
 }
@@ -44,7 +47,13 @@ pub(crate) fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> 
     let about = model.describe();
     about.load.lines().iter().for_each(|line| printer.detail(line));
     printer.note(in_words(&about, load_s));
-    Ok(Loaded { parts: AgentParts { model, prompts, settings: config.agent_settings(spec.generation) }, load_s })
+    let mind = Mind::Model { model, prompts, reasoning: config.reasoning_settings(spec.generation) };
+    Ok(Loaded { mind, about, load_s })
+}
+
+/// What agents are made of, with the model where one is loaded.
+pub(super) fn parts(config: &Config, loaded: Option<&Loaded>) -> AgentParts {
+    AgentParts { model: loaded.map(|loaded| loaded.mind.clone()), settings: config.agent_settings() }
 }
 
 /// The models that the configuration knows, with a bar for downloads.

@@ -3,20 +3,18 @@
 use super::caught::caught;
 use super::source::ScenarioSource;
 use crate::metrics::{Evaluation, MetricResult, Score};
-use crate::mllm::Mllm;
 use crate::pdm::DrivableLayers;
 use crate::planner::{
-    IdmPlanner, LlmAssist, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall,
+    IdmPlanner, LlmAssist, LogReplay, Mind, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall,
     SimplePlanner,
 };
-use crate::reasoning::{AssistVariant, PromptSet};
+use crate::reasoning::AssistVariant;
 use crate::scenario::{Scenario, UNKNOWN_TYPE};
 
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
 use rayon::prelude::*;
 use std::fmt;
 use std::str::FromStr;
-use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The planners that can be run by name.
@@ -36,11 +34,17 @@ pub enum PlannerKind {
     LlmAssistUnc,
     /// LLM-ASSIST whose model tunes PDM-Closed.
     LlmAssistPar,
+    /// A control: the agent with random codes instead of a model.
+    RandomCode,
+    /// A control: the agent with one fixed code.
+    FixedCode,
+    /// A control: the agent with the code of a grid that Reflection scores best.
+    GridCode,
 }
 
 impl PlannerKind {
     /// All of them.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 10] = [
         Self::PlanAgent,
         Self::LogReplay,
         Self::Idm,
@@ -48,10 +52,13 @@ impl PlannerKind {
         Self::PdmClosed,
         Self::LlmAssistUnc,
         Self::LlmAssistPar,
+        Self::RandomCode,
+        Self::FixedCode,
+        Self::GridCode,
     ];
 
     /// The name on the command line and in results.
-    pub fn as_str(self) -> &'static str {
+    pub const fn as_str(self) -> &'static str {
         match self {
             Self::PlanAgent => PLAN_AGENT,
             Self::LogReplay => "log-replay",
@@ -60,6 +67,9 @@ impl PlannerKind {
             Self::PdmClosed => "pdm-closed",
             Self::LlmAssistUnc => "llm-assist-unc",
             Self::LlmAssistPar => "llm-assist-par",
+            Self::RandomCode => "random-code",
+            Self::FixedCode => "fixed-code",
+            Self::GridCode => "grid-code",
         }
     }
 
@@ -82,40 +92,52 @@ impl fmt::Display for PlannerKind {
 
 /// A name that is no planner.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "unknown planner '{0}'; known are plan-agent, log-replay, idm, simple, pdm-closed, llm-assist-unc, llm-assist-par"
-)]
-pub struct UnknownPlanner(String);
+#[error("unknown planner '{name}'; known are {}", PlannerKind::ALL.map(PlannerKind::as_str).join(", "))]
+pub struct UnknownPlanner {
+    name: String,
+}
 
 impl FromStr for PlannerKind {
     type Err = UnknownPlanner;
 
     fn from_str(name: &str) -> Result<Self, Self::Err> {
-        Self::ALL.into_iter().find(|kind| kind.as_str() == name).ok_or_else(|| UnknownPlanner(name.to_owned()))
+        Self::ALL.into_iter().find(|kind| kind.as_str() == name).ok_or_else(|| UnknownPlanner { name: name.to_owned() })
     }
 }
 
-/// What `plan-agent` is made of; shared by all drives.
+/// What agents are made of; shared by all drives.
 #[derive(Clone)]
 pub struct AgentParts {
-    /// The model.
-    pub model: Arc<dyn Mllm>,
-    /// How it is asked.
-    pub prompts: Arc<PromptSet>,
+    /// What `plan-agent` thinks with, where it drives.
+    pub model: Option<Mind>,
     /// Everything else.
     pub settings: PlanAgentSettings,
 }
 
 impl AgentParts {
-    /// An agent for one scenario: the scenario's name goes into its seed, so that no drive depends on another.
-    pub fn agent(&self, scenario_id: &str) -> PlanAgent {
-        PlanAgent::new(Arc::clone(&self.model), Arc::clone(&self.prompts), self.settings_for(scenario_id))
+    /// An agent for one scenario: the scenario's name goes into its seed, so that no drive depends on another. `None` for
+    /// planners that are no agents, and for `plan-agent` without a model.
+    pub fn agent(&self, planner: PlannerKind, scenario_id: &str) -> Option<PlanAgent> {
+        let mind = match planner {
+            PlannerKind::PlanAgent => self.model.clone()?,
+            PlannerKind::RandomCode => Mind::RandomCode,
+            PlannerKind::FixedCode => Mind::FixedCode,
+            PlannerKind::GridCode => Mind::GridCode,
+            _ => return None,
+        };
+        Some(PlanAgent::new(planner.as_str(), mind, self.settings_for(scenario_id)))
     }
 
-    /// LLM-ASSIST in one of its variants for one scenario.
-    pub fn llm_assist(&self, planner: PlannerKind, variant: AssistVariant, scenario_id: &str) -> LlmAssist {
-        let asked = (Arc::clone(&self.model), Arc::clone(&self.prompts), self.settings.reasoning.clone());
-        LlmAssist::new(planner.as_str(), variant, asked, self.settings_for(scenario_id))
+    /// LLM-ASSIST in one of its variants for one scenario; `None` for other planners, and without a model.
+    pub fn llm_assist(&self, planner: PlannerKind, scenario_id: &str) -> Option<LlmAssist> {
+        let variant = match planner {
+            PlannerKind::LlmAssistUnc => AssistVariant::Unconstrained,
+            PlannerKind::LlmAssistPar => AssistVariant::Parameters,
+            _ => return None,
+        };
+        let Some(Mind::Model { model, prompts, reasoning }) = self.model.clone() else { return None };
+        let settings = self.settings_for(scenario_id);
+        Some(LlmAssist::new(planner.as_str(), variant, (model, prompts, reasoning), settings))
     }
 
     fn settings_for(&self, scenario_id: &str) -> PlanAgentSettings {
@@ -150,7 +172,7 @@ pub struct Driven {
     pub score: Score,
     /// All metrics with their statistics and time series, in nuPlan's order.
     pub metrics: Vec<MetricResult>,
-    /// The planning calls, for `plan-agent`.
+    /// The planning calls, for agents.
     pub calls: Vec<PlanningCall>,
     /// What counted as drivable, for `pdm-closed`; for `plan-agent` every reflection says it.
     pub drivable_layers: Option<DrivableLayers>,
@@ -259,20 +281,16 @@ fn drive_scenario(
     let mut calls = Vec::new();
     let mut drivable_layers = None;
     let log = match planner {
-        PlannerKind::PlanAgent => {
-            let parts = agent.ok_or_else(|| "plan-agent needs a model".to_owned())?;
-            let mut planner = parts.agent(&scenario.id);
+        PlannerKind::PlanAgent | PlannerKind::RandomCode | PlannerKind::FixedCode | PlannerKind::GridCode => {
+            let agent = agent.and_then(|parts| parts.agent(planner, &scenario.id));
+            let mut planner = agent.ok_or_else(|| format!("{planner} needs settings, and plan-agent a model"))?;
             let log = simulate(&mut planner)?;
             calls = planner.calls().to_vec();
             log
         }
         PlannerKind::LlmAssistUnc | PlannerKind::LlmAssistPar => {
-            let parts = agent.ok_or_else(|| format!("{planner} needs a model"))?;
-            let variant = match planner {
-                PlannerKind::LlmAssistUnc => AssistVariant::Unconstrained,
-                _ => AssistVariant::Parameters,
-            };
-            let mut planner = parts.llm_assist(planner, variant, &scenario.id);
+            let planner = agent.and_then(|parts| parts.llm_assist(planner, &scenario.id));
+            let mut planner = planner.ok_or_else(|| "LLM-ASSIST needs a model".to_owned())?;
             let log = simulate(&mut planner)?;
             calls = planner.calls().to_vec();
             log

@@ -132,7 +132,7 @@ pub fn plan_tuned(
     let mut proposals = instant.tuned_proposals(way, ego, parameters, PROPOSAL_STEPS);
     let simulated = simulate_proposals(ego, proposals.all());
     let scores = score_proposals(&instant.scoring(way.centerline().line(), 0.0), &simulated)?;
-    let best = best_of(&scores);
+    let best = best_of(&scores).ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
     let brake = parameters.emergency_brake && needs_emergency_brake(scores[best].first_at_fault_s, ego);
     let trajectory = if brake {
         emergency_brake(ego, TRAJECTORY_STEPS)?
@@ -157,8 +157,8 @@ pub fn plan(memory: &mut PdmMemory, scene: &Scene<'_>) -> Result<PdmPlan, PdmErr
     plan_along(way, scene, collided)
 }
 
-/// The first of the best.
-fn best_of(scores: &[ProposalScore]) -> usize {
-    let better = |best: usize, index: usize| if scores[index].total > scores[best].total { index } else { best };
-    (0..scores.len()).fold(0, better)
+/// The best of some proposals, the first of equals; `None` of none.
+pub fn best_of(scores: &[ProposalScore]) -> Option<usize> {
+    let numbered = scores.iter().enumerate().rev();
+    numbered.max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total)).map(|(index, _)| index)
 }

@@ -22,6 +22,19 @@ pub(super) enum InForce {
     Rules,
 }
 
+impl InForce {
+    /// Lays the path of a generated planner anew from where the ego is now, along the centreline that it is bound for.
+    ///
+    /// # Errors
+    /// When the ego's pose is not finite.
+    pub(super) fn follow_on(&mut self, scene: &Scene<'_>, graph: &LaneGraph, path_s: f64) -> Result<(), PlannerError> {
+        if let Self::Planner(planner) = self {
+            **planner = followed_on(planner, scene, graph, path_s)?;
+        }
+        Ok(())
+    }
+}
+
 /// A planning call that still lasts in the simulated world.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Underway {
@@ -50,4 +63,24 @@ pub(super) fn as_it_goes(
     };
     let planner = generated_planner(scene, graph, code, lead_policy, path_s)?;
     Ok(planner.map_or(InForce::Nobody, |planner| InForce::Planner(Box::new(planner))))
+}
+
+/// A planner that stays in force, with its path laid anew along the centreline that it is bound for.
+///
+/// # Errors
+/// When the ego's pose is not finite.
+pub(super) fn followed_on(
+    planner: &GeneratedPlanner,
+    scene: &Scene<'_>,
+    graph: &LaneGraph,
+    path_s: f64,
+) -> Result<GeneratedPlanner, PlannerError> {
+    let mut planner = planner.clone();
+    let lane = planner.lane_now(scene);
+    let bound = graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));
+    let path = bound.unwrap_or(graph.ego_lane()).path.clone();
+    planner
+        .follow_on(scene, path, path_s)
+        .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })?;
+    Ok(planner)
 }

@@ -5,6 +5,7 @@ mod in_force;
 mod latency;
 mod llm_assist;
 mod log_replay;
+mod mind;
 mod pdm_closed;
 mod plan_agent;
 mod record;
@@ -14,8 +15,11 @@ pub use idm::IdmPlanner;
 pub use latency::Latency;
 pub use llm_assist::LlmAssist;
 pub use log_replay::LogReplay;
+pub use mind::{Mind, USUAL_ACCELERATIONS, planner_code};
 pub use pdm_closed::PdmClosed;
-pub use plan_agent::{AfterMaxExec, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, generated_planner, names};
+pub use plan_agent::{
+    AfterMaxExec, Execution, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, brake, generated_planner, names, watched,
+};
 pub use record::{Attempt, Decision, NoPlan, PlanningCall};
 pub use simple::SimplePlanner;
 

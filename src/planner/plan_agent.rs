@@ -1,22 +1,23 @@
 //! The agent of the paper: every 20 iterations it looks, thinks, writes a planner and reflects on it; in between the planner
 //! in force drives.
 
-use super::in_force::{InForce, Underway, as_it_goes};
+use super::in_force::{InForce, Underway, as_it_goes, followed_on};
 use super::latency::Latency;
-use super::pdm_closed::pdm_failed;
+use super::mind::Mind;
+use super::pdm_closed::{pdm_failed, predicted_score};
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
-use crate::mllm::{Deadline, Mllm, Opening};
-use crate::pdm::{self, PdmMemory, Way, plan_along};
-use crate::reasoning::{
-    Interruption, Names, ParseError, PlannerCode, PromptSet, Reasoning, ReasoningSettings, ScenarioPrompt, Thought,
+use crate::mllm::{Deadline, Opening};
+use crate::pdm::{self, PdmMemory};
+use crate::reasoning::{Interruption, Names, ParseError, PlannerCode, ScenarioPrompt, Thought};
+use crate::reflection::{
+    GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Rollout, Verdict, choose_version, needs_emergency_brake,
+    steps_of,
 };
-use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, needs_emergency_brake};
 use crate::world::{STEP_S, Scene, Trajectory};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Name of the planner in results.
@@ -31,10 +32,22 @@ const PLAN_STEPS: usize = 80;
 #[serde(rename_all = "snake_case")]
 pub enum AfterMaxExec {
     /// The last one (the paper).
-    #[default]
     Last,
-    /// The one with the best score.
+    /// The one with the best score; the planner in force goes on where it scores more.
+    #[default]
     Best,
+}
+
+/// How the planner in force drives between planning calls.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Execution {
+    /// As it was written (the paper).
+    AsWritten,
+    /// Under Reflection's eyes: at every iteration it is simulated and scored anew with its slower versions and those beside it,
+    /// and the best of them drives.
+    #[default]
+    Watched,
 }
 
 /// Settings of the agent.
@@ -46,8 +59,6 @@ pub struct PlanAgentSettings {
     pub lane_graph: bool,
     /// Length of a lane-graph node, metres.
     pub node_length_m: f64,
-    /// How the model is asked.
-    pub reasoning: ReasoningSettings,
     /// Iterations between planning calls.
     pub interval: usize,
     /// Time after which a planning call ends with the planner in force; `None` lets it think to the end. What was drawn
@@ -69,6 +80,8 @@ pub struct PlanAgentSettings {
     pub after_max_exec: AfterMaxExec,
     /// Whom generated planners follow.
     pub lead_policy: LeadPolicy,
+    /// How the planner in force drives between planning calls.
+    pub execution: Execution,
     /// Whether PDM-Closed's emergency brake may overrule the planner in force.
     pub emergency_brake: bool,
     /// Seed of the run; each planning call draws from its own stream.
@@ -84,8 +97,8 @@ impl PlanAgentSettings {
 
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
 pub struct PlanAgent {
-    model: Arc<dyn Mllm>,
-    prompts: Arc<PromptSet>,
+    name: &'static str,
+    mind: Mind,
     settings: PlanAgentSettings,
     in_force: InForce,
     /// A call whose time has not passed yet.
@@ -101,13 +114,29 @@ struct Thinking {
     attempts: Vec<Attempt>,
     planners: Vec<Option<GeneratedPlanner>>,
     interruption: Option<Interruption>,
+    /// Score of the planner in force, where it is asked for.
+    in_force: Option<f64>,
+}
+
+impl Thinking {
+    /// Keeps of many attempts the one with the best score; the first wins ties. It bears the time of all.
+    fn keep_better(&mut self, attempt: Attempt, planner: Option<GeneratedPlanner>) {
+        let score = |attempt: &Attempt| attempt.reflection.as_ref().map_or(f64::NEG_INFINITY, |r| r.score);
+        let spent_ms = self.attempts.first().map_or(0.0, |best| best.reflection_ms) + attempt.reflection_ms;
+        if self.attempts.first().is_none_or(|best| score(&attempt) > score(best)) {
+            (self.attempts, self.planners) = (vec![attempt], vec![planner]);
+        }
+        if let Some(best) = self.attempts.first_mut() {
+            best.reflection_ms = spent_ms;
+        }
+    }
 }
 
 impl PlanAgent {
-    /// An agent that thinks with this model.
-    pub fn new(model: Arc<dyn Mllm>, prompts: Arc<PromptSet>, settings: PlanAgentSettings) -> Self {
+    /// An agent that thinks with this mind; `name` stands in results.
+    pub fn new(name: &'static str, mind: Mind, settings: PlanAgentSettings) -> Self {
         let (in_force, memory, calls) = (InForce::Nobody, PdmMemory::default(), Vec::new());
-        Self { model, prompts, settings, in_force, underway: None, memory, calls }
+        Self { name, mind, settings, in_force, underway: None, memory, calls }
     }
 
     /// The records of all planning calls since the last initialisation.
@@ -131,7 +160,9 @@ impl PlanAgent {
     /// One planning call: everything from the scene to the planner that drives from now on.
     fn call(&mut self, iteration: usize, scene: &Scene<'_>) -> Result<(), PlannerError> {
         let started = Instant::now();
-        if let Some(score) = self.saved(scene)? {
+        if let Some(gate) = self.settings.gate
+            && let Some(score) = predicted_score(scene, &mut self.memory)?.filter(|&score| score >= gate)
+        {
             self.in_force = InForce::Rules;
             self.calls.push(PlanningCall::without_attempts(iteration, Decision::Saved(score), milliseconds(started)));
             return Ok(());
@@ -173,23 +204,14 @@ impl PlanAgent {
         match (self.settings.latency.iterations(total_ms), planner) {
             (Some(lasts), planner) if lasts > 0 => {
                 self.underway = Some(Underway { arrives: iteration + lasts, planner });
-                self.follow_on(scene, &graph)
+                self.in_force.follow_on(scene, &graph, self.path_s())
             }
             (_, Some(planner)) => {
                 self.in_force = InForce::Planner(Box::new(planner));
                 Ok(())
             }
-            (_, None) => self.follow_on(scene, &graph),
+            (_, None) => self.in_force.follow_on(scene, &graph, self.path_s()),
         }
-    }
-
-    /// The predicted score of PDM-Closed's plan along the way that it would choose here and now, where it passes the gate.
-    fn saved(&mut self, scene: &Scene<'_>) -> Result<Option<f64>, PlannerError> {
-        let Some(gate) = self.settings.gate else { return Ok(None) };
-        self.memory.way = Way::find(scene.map, scene.route, scene.ego).ok();
-        let PdmMemory { way: Some(way), collided } = &mut self.memory else { return Ok(None) };
-        let plan = plan_along(way, scene, collided).map_err(pdm_failed)?;
-        Ok(Some(plan.scores[plan.best].total).filter(|&score| score >= gate))
     }
 
     /// Lets the planner of a call that has lasted long enough take over.
@@ -205,14 +227,14 @@ impl PlanAgent {
 
     /// Lengthens the path of the planner in force from where the ego is now, if there is a lane graph.
     fn go_on(&mut self, scene: &Scene<'_>) -> Result<(), PlannerError> {
-        LaneGraph::build(scene, self.settings.node_length_m).map_or(Ok(()), |graph| self.follow_on(scene, &graph))
+        let graph = LaneGraph::build(scene, self.settings.node_length_m);
+        graph.map_or(Ok(()), |graph| self.in_force.follow_on(scene, &graph, self.path_s()))
     }
 
     /// The Environment Transformation: what the model is shown.
     fn look(&self, scene: &Scene<'_>, graph: &LaneGraph) -> Result<ScenarioPrompt, PlannerError> {
-        let form = self.prompts.forms().scene_text;
-        let pixels = self.model.describe().image_size;
-        let image = match (self.settings.view_m, pixels) {
+        let form = self.mind.prompts().map(|prompts| prompts.forms().scene_text).filter(|_| self.settings.lane_graph);
+        let image = match (self.settings.view_m, self.mind.image_size()) {
             (Some(metres), Some(pixels)) => {
                 let view = BevView::new(pixels, metres)
                     .map_err(|e| PlannerError::Failed { doing: "drawing the BEV map", source: Box::new(e) })?;
@@ -222,7 +244,7 @@ impl PlanAgent {
         };
         Ok(ScenarioPrompt {
             image,
-            text: self.settings.lane_graph.then(|| text::write(&Description::of(graph), form)),
+            text: form.map(|form| text::write(&Description::of(graph), form)),
             names: names(graph),
             legend: bev::Palette::legend(),
         })
@@ -240,8 +262,9 @@ impl PlanAgent {
         let settings = &self.settings;
         let seed = settings.call_seed(iteration);
         let failed = |doing| move |error| PlannerError::Failed { doing, source: Box::new(error) };
-        let model = self.model.as_ref();
-        let mut reasoning = Reasoning::open(model, &self.prompts, &settings.reasoning, scenario, seed, deadline)
+        let mut thoughts = self
+            .mind
+            .open(scenario, graph, (seed, deadline), settings.max_exec)
             .map_err(failed("opening the conversation"))?;
         let looking = Instant::now();
         let judge = if settings.reflect {
@@ -252,11 +275,12 @@ impl PlanAgent {
         // What all attempts are judged against is looked at once; the first attempt's reflection bears its time.
         let mut looked_ms = milliseconds(looking);
         let mut thinking = Thinking::default();
-        while thinking.attempts.len() < settings.max_exec && thinking.interruption.is_none() {
+        while (thinking.attempts.len() < settings.max_exec || self.mind.compares()) && thinking.interruption.is_none() {
             let feedback = thinking.attempts.last().map(|last| last.feedback(settings.threshold));
-            let mut thought = reasoning.think(feedback.as_ref()).map_err(failed("asking the model"))?;
+            let thought = thoughts.next(feedback.as_ref()).map_err(failed("asking the model"))?;
+            let Some(mut thought) = thought else { break };
             thinking.interruption = thought.interruption.take();
-            if thought.rounds.is_empty() {
+            if thought.rounds.is_empty() && thinking.interruption.is_some() {
                 break;
             }
             let started = Instant::now();
@@ -269,11 +293,22 @@ impl PlanAgent {
             };
             let accepted = planner.is_some() && reflection.as_ref().is_none_or(|r| r.verdict == Verdict::Execute);
             let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started);
-            thinking.attempts.push(attempt(thought, errors, planner.as_ref(), reflection, reflection_ms));
+            let attempt = attempt(thought, errors, planner.as_ref(), reflection, reflection_ms);
+            if self.mind.compares() {
+                thinking.keep_better(attempt, planner);
+                continue;
+            }
+            thinking.attempts.push(attempt);
             thinking.planners.push(planner);
             if accepted {
-                break;
+                return Ok(thinking);
             }
+        }
+        if let (AfterMaxExec::Best, Some(judge), InForce::Planner(planner)) =
+            (settings.after_max_exec, &judge, &self.in_force)
+        {
+            let planner = followed_on(planner, scene, graph, self.path_s())?;
+            thinking.in_force = Some(judge.reflect(&planner, settings.threshold).map_err(reflection_failed)?.score);
         }
         Ok(thinking)
     }
@@ -291,20 +326,8 @@ impl PlanAgent {
         Ok((planner, errors))
     }
 
-    /// Lengthens the path of a planner that stays in force, along the centreline that it is bound for.
-    fn follow_on(&mut self, scene: &Scene<'_>, graph: &LaneGraph) -> Result<(), PlannerError> {
-        let path_s = self.path_s();
-        let InForce::Planner(planner) = &mut self.in_force else { return Ok(()) };
-        let lane = planner.lane_now(scene);
-        let bound = graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));
-        let path = bound.unwrap_or(graph.ego_lane()).path.clone();
-        planner
-            .follow_on(scene, path, path_s)
-            .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })
-    }
-
     fn decide(&self, thinking: &Thinking) -> Decision {
-        let Thinking { attempts, planners, interruption } = thinking;
+        let Thinking { attempts, planners, interruption, in_force } = thinking;
         let score = |i: usize| attempts[i].reflection.as_ref().map_or(0.0, |r| r.score);
         let usable: Vec<usize> = (0..attempts.len()).filter(|&i| planners[i].is_some()).collect();
         let accepted = usable
@@ -318,6 +341,9 @@ impl PlanAgent {
         match (accepted, interruption, refused) {
             (Some(index), ..) => Decision::Execute(index),
             (None, Some(why), _) => self.without_plan(NoPlan::Interrupted(why.clone())),
+            (None, None, Some(index)) if in_force.is_some_and(|in_force| in_force > score(index)) => {
+                Decision::KeepInForce(NoPlan::Worse)
+            }
             (None, None, Some(index)) => Decision::Exhausted(index),
             (None, None, None) => self.without_plan(NoPlan::Unreadable),
         }
@@ -334,7 +360,7 @@ impl PlanAgent {
 
 impl Planner for PlanAgent {
     fn name(&self) -> &str {
-        NAME
+        self.name
     }
 
     fn initialize(&mut self, _: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
@@ -354,12 +380,19 @@ impl Planner for PlanAgent {
         }
         let ego = input.scene.ego;
         let planner = match &self.in_force {
-            InForce::Planner(planner) => planner,
+            InForce::Planner(planner) => &**planner,
             InForce::Rules => return Ok(pdm::plan(&mut self.memory, &input.scene).map_err(pdm_failed)?.trajectory),
             InForce::Nobody => return Ok(brake(ego)?),
         };
-        let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
-        if self.settings.emergency_brake && needs_emergency_brake(&input.scene, &rollout, &mut self.memory) {
+        let (rollout, emergency) = match self.settings.execution {
+            Execution::AsWritten => {
+                let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
+                let emergency = needs_emergency_brake(&input.scene, &rollout, &mut self.memory);
+                (rollout, emergency)
+            }
+            Execution::Watched => watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?,
+        };
+        if emergency && self.settings.emergency_brake {
             if let Some(call) = self.calls.last_mut() {
                 call.emergency_brakes += 1;
             }
@@ -367,6 +400,21 @@ impl Planner for PlanAgent {
         }
         Ok(rollout.to_trajectory(ego)?)
     }
+}
+
+/// How a planner drives on when it is watched: the roll-out of the version that Reflection scores best over `horizon_s` seconds,
+/// and whether the emergency brake would overrule it.
+///
+/// # Errors
+/// When the horizon is too short to be scored.
+pub fn watched(
+    planner: &GeneratedPlanner,
+    scene: &Scene<'_>,
+    horizon_s: f64,
+    memory: &mut PdmMemory,
+) -> Result<(Rollout, bool), PlannerError> {
+    let choice = choose_version(scene, planner, steps_of(horizon_s), memory).map_err(reflection_failed)?;
+    Ok((planner.roll_out_version(choice.version, scene, PLAN_STEPS), choice.emergency_brake))
 }
 
 /// The names that planner code may use in a scene.
@@ -422,7 +470,10 @@ fn attempt(
 }
 
 /// Straight ahead, braking to a stop.
-fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::TrajectoryError> {
+///
+/// # Errors
+/// When the ego's state is not finite.
+pub fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::TrajectoryError> {
     use crate::world::{STEP_US, TrajectoryState};
     let mut speed = ego.velocity.x.max(0.0);
     let mut way = 0.0;

@@ -23,7 +23,7 @@ pub enum Decision {
     Saved(f64),
 }
 
-/// Why a planning call gave no planner.
+/// Why a planning call gave no new planner.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum NoPlan {
     /// There was nothing to show to the model. The text says why.
@@ -32,6 +32,8 @@ pub enum NoPlan {
     Unreadable,
     /// PDM-Closed's own proposal scores no less than any answer.
     Outscored,
+    /// All attempts were refused, and the planner in force scores more than each of them.
+    Worse,
     /// The call was ended by its deadline or by a failure of the model.
     Interrupted(Interruption),
 }
@@ -43,6 +45,7 @@ impl NoPlan {
             Self::NoLaneGraph(_) => "no_lane_graph",
             Self::Unreadable => "unreadable",
             Self::Outscored => "outscored",
+            Self::Worse => "worse",
             Self::Interrupted(Interruption::Deadline) => "deadline",
             Self::Interrupted(Interruption::Model(_)) => "model",
         }
@@ -54,6 +57,7 @@ impl fmt::Display for NoPlan {
         match self {
             Self::Unreadable => f.write_str("no attempt gave a planner that can be read"),
             Self::Outscored => f.write_str("PDM-Closed's own proposal scores no less than any answer"),
+            Self::Worse => f.write_str("the planner in force scores more than all attempts"),
             Self::Interrupted(Interruption::Deadline) => f.write_str("the deadline passed"),
             Self::NoLaneGraph(why) | Self::Interrupted(Interruption::Model(why)) => f.write_str(why),
         }

@@ -5,6 +5,7 @@ use super::instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReaso
 use super::prompt_set::{InstructionForm, UnderstandingForm};
 use crate::environment::facts::Question;
 use crate::mllm::Constraint;
+use std::ops::RangeInclusive;
 
 /// Desired speeds that a model may write, m/s: whole numbers up to the speed limit, or up to this where it is unknown.
 pub(super) const FASTEST: u32 = 30;
@@ -69,6 +70,11 @@ pub(super) fn instruction(form: InstructionForm) -> Constraint {
     })
 }
 
+/// The desired speeds that a code may ask for in a scene, m/s.
+pub fn target_speeds(names: &Names) -> RangeInclusive<u32> {
+    0..=names.speed_limit.unwrap_or(FASTEST)
+}
+
 /// What answers of round 3 look like: one call with the names of this scene.
 pub(super) fn code(names: &Names) -> Constraint {
     Constraint::Sequence(vec![
@@ -77,7 +83,7 @@ pub(super) fn code(names: &Names) -> Constraint {
         text(", la="),
         any_of(names.leaders.iter().map(String::as_str).chain(["None"])),
         text(", v0="),
-        any_of((0..=names.speed_limit.unwrap_or(FASTEST)).map(|v| v.to_string())),
+        any_of(target_speeds(names).map(|v| v.to_string())),
         text(", acc="),
         any_of(ACCELERATIONS.iter().map(ToString::to_string)),
         text(", dec="),

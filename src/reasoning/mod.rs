@@ -24,7 +24,7 @@ pub use engine::{
     Feedback, Interruption, Reasoning, ReasoningError, ReasoningSettings, RoundRecord, ScenarioPrompt, Thought,
     feedback_text, round_prompt, system_prompt,
 };
-pub use grammar::{ACCELERATIONS, DECELERATIONS};
+pub use grammar::{ACCELERATIONS, DECELERATIONS, target_speeds};
 pub use instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction};
 pub use prompt_set::{InstructionForm, PromptError, PromptForms, PromptSet, UnderstandingForm};
 pub use round::Round;

@@ -6,7 +6,7 @@ mod path;
 mod report;
 mod rollout;
 
-pub use judge::{Judge, ReflectionError, needs_emergency_brake};
+pub use judge::{Choice, Judge, ReflectionError, choose_version, needs_emergency_brake, steps_of};
 pub use path::onto_centerline;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
-pub use rollout::{GeneratedPlanner, LeadPolicy, Rollout};
+pub use rollout::{GeneratedPlanner, LeadPolicy, Rollout, Version};

@@ -16,17 +16,23 @@ const SPACING: f64 = 1.0;
 /// Largest slope (tangent of the heading error) from which the path starts: beyond it the ego is not driving along the lane.
 const STEEPEST: f64 = 0.7;
 
-/// The path of the rear axle from the ego's present pose onto `centerline`, then along it for `length` metres.
+/// The path of the rear axle from the ego's present pose to `beside` metres to the left of `centerline`, then along it for
+/// `length` metres.
 ///
-/// In the centreline's frame the lateral offset d(s) is the quintic with the ego's offset and slope and no curvature at the
-/// start, and d = d' = d'' = 0 at the end of the decay.
+/// In the centreline's frame the distance d(s) from that line is the quintic with the ego's distance and slope and no curvature
+/// at the start, and d = d' = d'' = 0 at the end of the decay.
 ///
 /// # Errors
 /// When the ego's pose is not finite.
-pub fn onto_centerline(ego: &EgoState, centerline: &Polyline, length: f64) -> Result<Polyline, GeometryError> {
+pub fn onto_centerline(
+    ego: &EgoState,
+    centerline: &Polyline,
+    beside: f64,
+    length: f64,
+) -> Result<Polyline, GeometryError> {
     let rear = ego.rear_axle;
     let foot = centerline.project(rear.position());
-    let offset = foot.lateral;
+    let offset = foot.lateral - beside;
     let slope = wrap_angle(rear.heading - centerline.smooth_pose_at(foot.s).heading).tan().clamp(-STEEPEST, STEEPEST);
     let seconds = SETTLE_S + (LANE_CHANGE_S - SETTLE_S) * (offset.abs() / LANE_WIDTH).min(1.0);
     let decay = (ego.speed() * seconds).max(SHORTEST_DECAY);
@@ -35,7 +41,7 @@ pub fn onto_centerline(ego: &EgoState, centerline: &Polyline, length: f64) -> Re
     let count = ((end - foot.s) / SPACING).ceil().max(1.0) as usize;
     let points = (1..=count).map(|i| {
         let s = (foot.s + i as f64 * SPACING).min(end);
-        centerline.smooth_pose_at(s).to_map(Point::new(0.0, lateral(s - foot.s)))
+        centerline.smooth_pose_at(s).to_map(Point::new(0.0, beside + lateral(s - foot.s)))
     });
     let path = Polyline::new(std::iter::once(rear.position()).chain(points));
     // An ego at the very end of its centreline goes straight on.
@@ -76,7 +82,7 @@ mod tests {
 
     #[test]
     fn starts_at_the_ego_and_ends_on_the_centerline() {
-        let path = onto_centerline(&ego(10.0, -3.5, 0.05, 10.0), &road(), 100.0).unwrap();
+        let path = onto_centerline(&ego(10.0, -3.5, 0.05, 10.0), &road(), 0.0, 100.0).unwrap();
         assert!((path.start() - Point::new(10.0, -3.5)).norm() < 1e-12);
         assert!((path.heading_at(0.0) - 0.05).abs() < 0.02);
         assert!(path.project(Point::new(60.0, 0.0)).distance < 1e-9);
@@ -84,22 +90,29 @@ mod tests {
     }
 
     #[test]
+    fn a_path_beside_the_centerline_stays_beside_it() {
+        let path = onto_centerline(&ego(10.0, 0.0, 0.0, 10.0), &road(), 1.0, 100.0).unwrap();
+        assert!((path.start() - Point::new(10.0, 0.0)).norm() < 1e-12);
+        assert!((path.project(Point::new(60.0, 0.0)).distance - 1.0).abs() < 1e-9 && path.end().y > 0.9);
+    }
+
+    #[test]
     fn the_offset_decays_without_overshoot_from_parallel() {
-        let path = onto_centerline(&ego(0.0, 3.5, 0.0, 8.0), &road(), 80.0).unwrap();
+        let path = onto_centerline(&ego(0.0, 3.5, 0.0, 8.0), &road(), 0.0, 80.0).unwrap();
         assert!(path.vertices().windows(2).all(|w| w[1].y <= w[0].y + 1e-9 && w[1].y >= -1e-9));
     }
 
     #[test]
     fn a_lane_change_stays_within_comfortable_curvature() {
         let speed = 10.0;
-        let path = onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), 80.0).unwrap();
+        let path = onto_centerline(&ego(0.0, 3.5, 0.0, speed), &road(), 0.0, 80.0).unwrap();
         let lateral_accel = (0..60).map(|i| path.curvature_at(f64::from(i)).abs() * speed * speed).fold(0.0, f64::max);
         assert!(lateral_accel < 2.5, "{lateral_accel}");
     }
 
     #[test]
     fn the_end_of_the_road_is_not_the_end_of_the_path() {
-        let path = onto_centerline(&ego(300.0, 0.0, 0.0, 10.0), &road(), 50.0).unwrap();
+        let path = onto_centerline(&ego(300.0, 0.0, 0.0, 10.0), &road(), 0.0, 50.0).unwrap();
         assert!(path.length() >= 1.0);
     }
 }

@@ -3,6 +3,7 @@
 use super::path::onto_centerline;
 use crate::dynamics::{IdmParameters, Lead};
 use crate::geometry::{Corridor, GeometryError, OrientedBox, Polyline, Pose, Vector};
+use crate::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
 use crate::reasoning::PlannerCode;
 use crate::world::{
     EgoState, LaneId, LanePath, PACIFICA, STEP_S, STEP_US, Scene, SignalStatus, TrackToken, TrackedObject, Trajectory,
@@ -44,7 +45,23 @@ pub struct GeneratedPlanner {
     pub leader: Option<TrackToken>,
     /// Which objects are followed.
     pub lead_policy: LeadPolicy,
-    path: Polyline,
+    /// Paths of the rear axle, one a lateral offset from the centreline ([`LATERAL_OFFSETS`]); the first is the code's.
+    paths: [Polyline; LATERAL_OFFSETS.len()],
+}
+
+/// What may drive in a planner's stead: the same planner slower, or to the side within its lane, by the fractions and offsets of
+/// PDM-Closed's proposals. The first is the planner as it was written.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Version {
+    /// Place of its path: see [`LATERAL_OFFSETS`].
+    path: usize,
+    /// Its share of the desired speed.
+    fraction: f64,
+}
+
+impl Version {
+    /// How many there are.
+    const COUNT: usize = LATERAL_OFFSETS.len() * SPEED_FRACTIONS.len();
 }
 
 /// A roll-out: poses of the rear axle with speeds, every 0.1 s, the present one first.
@@ -70,8 +87,8 @@ impl GeneratedPlanner {
         lead_policy: LeadPolicy,
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
-        let path = lay_path(scene, &code, &lanes, horizon_s)?;
-        Ok(Self { code, lanes, leader, lead_policy, path })
+        let paths = lay_paths(scene, &code, &lanes, horizon_s)?;
+        Ok(Self { code, lanes, leader, lead_policy, paths })
     }
 
     /// The lane that the planner is bound for at the ego's present place.
@@ -84,58 +101,83 @@ impl GeneratedPlanner {
     /// # Errors
     /// When the ego's pose is not finite.
     pub fn follow_on(&mut self, scene: &Scene<'_>, lanes: LanePath, horizon_s: f64) -> Result<(), GeometryError> {
-        self.path = lay_path(scene, &self.code, &lanes, horizon_s)?;
+        self.paths = lay_paths(scene, &self.code, &lanes, horizon_s)?;
         self.lanes = lanes;
         Ok(())
     }
 
     /// The path of the rear axle, from where the ego was when the planner was made.
     pub fn path(&self) -> &Polyline {
-        &self.path
+        &self.paths[0]
     }
 
     /// Drives on from the present state for `steps` steps of 0.1 s. Other objects keep their velocity.
     pub fn roll_out(&self, scene: &Scene<'_>, steps: usize) -> Rollout {
+        self.drive(&Road::new(self, self.path(), scene, steps), self.code.target_speed, scene, steps)
+    }
+
+    /// The same for every [`Version`], in their order.
+    pub fn roll_out_versions(&self, scene: &Scene<'_>, steps: usize) -> Vec<(Version, Rollout)> {
+        let mut rollouts = Vec::with_capacity(Version::COUNT);
+        for (path, line) in self.paths.iter().enumerate() {
+            let road = Road::new(self, line, scene, steps);
+            for fraction in SPEED_FRACTIONS.into_iter().rev() {
+                let rollout = self.drive(&road, fraction * self.code.target_speed, scene, steps);
+                rollouts.push((Version { path, fraction }, rollout));
+            }
+        }
+        rollouts
+    }
+
+    /// The same for one version.
+    pub fn roll_out_version(&self, version: Version, scene: &Scene<'_>, steps: usize) -> Rollout {
+        let path = self.paths.get(version.path).unwrap_or(self.path());
+        self.drive(&Road::new(self, path, scene, steps), version.fraction * self.code.target_speed, scene, steps)
+    }
+
+    fn drive(&self, road: &Road<'_>, target_velocity: f64, scene: &Scene<'_>, steps: usize) -> Rollout {
+        let PlannerCode { accel_max, decel_max, .. } = self.code;
         let idm = IdmParameters {
-            target_velocity: self.code.target_speed,
+            target_velocity,
             min_gap: MIN_GAP,
             headway: HEADWAY,
-            accel_max: self.code.accel_max,
-            decel_max: self.code.decel_max,
+            accel_max,
+            decel_max,
             exponent: EXPONENT,
         };
-        let road = Road::new(self, scene, steps);
-        let mut progress = self.path.project(scene.ego.rear_axle.position()).s;
+        let path = road.path;
+        let mut progress = path.project(scene.ego.rear_axle.position()).s;
         let mut speed = scene.ego.velocity.x.max(0.0);
         let mut lead = None;
-        let mut rollout = Rollout { poses: vec![self.path.smooth_pose_at(progress)], speeds: vec![speed] };
+        let mut rollout = Rollout { poses: vec![path.smooth_pose_at(progress)], speeds: vec![speed] };
         for step in 0..steps {
             if step % LEAD_REFRESH == 0 {
                 lead = road.lead(progress, step as f64 * STEP_S);
             }
-            let accel = if self.code.target_speed >= STANDSTILL {
+            let accel = if target_velocity >= STANDSTILL {
                 idm.acceleration(speed, lead.map(|lead| lead.behind(progress)))
             } else {
-                -self.code.decel_max
+                -decel_max
             };
             progress += STEP_S * speed;
             speed = (speed + STEP_S * accel).max(0.0);
-            rollout.poses.push(self.path.smooth_pose_at(progress));
+            rollout.poses.push(path.smooth_pose_at(progress));
             rollout.speeds.push(speed);
         }
         rollout
     }
 }
 
-/// The path of a planner from the present state on, long enough for its fastest roll-out and what follows.
-fn lay_path(
+/// The paths of a planner from the present state on, long enough for its fastest roll-out and what follows.
+fn lay_paths(
     scene: &Scene<'_>,
     code: &PlannerCode,
     lanes: &LanePath,
     horizon_s: f64,
-) -> Result<Polyline, GeometryError> {
-    let fastest = code.target_speed.max(scene.ego.speed());
-    onto_centerline(scene.ego, &lanes.centerline, fastest * horizon_s + PATH_MARGIN)
+) -> Result<[Polyline; LATERAL_OFFSETS.len()], GeometryError> {
+    let length = code.target_speed.max(scene.ego.speed()) * horizon_s + PATH_MARGIN;
+    let [on, right, left] = LATERAL_OFFSETS.map(|beside| onto_centerline(scene.ego, &lanes.centerline, beside, length));
+    Ok([on?, right?, left?])
 }
 
 impl Rollout {
@@ -183,8 +225,7 @@ struct Road<'a> {
 }
 
 impl<'a> Road<'a> {
-    fn new(planner: &'a GeneratedPlanner, scene: &Scene<'_>, steps: usize) -> Self {
-        let path = &planner.path;
+    fn new(planner: &GeneratedPlanner, path: &'a Polyline, scene: &Scene<'_>, steps: usize) -> Self {
         let corridor = Corridor::new(path.clone(), PACIFICA.width / 2.0);
         let seconds = steps as f64 * STEP_S;
         let footprint = scene.ego.footprint();
@@ -200,7 +241,7 @@ impl<'a> Road<'a> {
         let named = planner.leader.and_then(|token| scene.objects.iter().find(|o| o.token == token).copied());
         let stop_s = match planner.lead_policy {
             LeadPolicy::Named => path.length(),
-            LeadPolicy::Nearest => red_light(planner, scene).unwrap_or(f64::INFINITY).min(path.length()),
+            LeadPolicy::Nearest => red_light(planner, path, scene).unwrap_or(f64::INFINITY).min(path.length()),
         };
         Self { path, corridor, objects, named, stop_s }
     }
@@ -239,11 +280,11 @@ fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
 }
 
 /// Arc length on the path at which the first red light ahead begins to matter: the start of its connector.
-fn red_light(planner: &GeneratedPlanner, scene: &Scene<'_>) -> Option<f64> {
+fn red_light(planner: &GeneratedPlanner, path: &Polyline, scene: &Scene<'_>) -> Option<f64> {
     let here = planner.lanes.centerline.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
     let lanes = planner.lanes.lanes.iter().zip(&planner.lanes.starts);
     let red = lanes
         .filter(|&(&lane, &start)| start >= here - MIN_GAP && scene.lights.status(lane) == Some(SignalStatus::Red));
     let start = red.map(|(_, &start)| start).next()?;
-    Some(planner.path.project(planner.lanes.centerline.point_at(start)).s)
+    Some(path.project(planner.lanes.centerline.point_at(start)).s)
 }

@@ -9,7 +9,7 @@ use planagent::mllm::{
     Architecture, Constraint, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry, ModelSource,
     Opening, RoundTokens, Sampling,
 };
-use planagent::planner::{AfterMaxExec, PlanAgent, PlanAgentSettings};
+use planagent::planner::{AfterMaxExec, Execution, Latency, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings};
 use planagent::reasoning::{PromptSet, ReasoningSettings, Round};
 use planagent::reflection::LeadPolicy;
 use planagent::scenario::generator;
@@ -229,24 +229,28 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
         view_m: Some(64.0),
         lane_graph: true,
         node_length_m: DEFAULT_NODE_LENGTH,
-        reasoning: ReasoningSettings {
-            rounds: Round::ALL.to_vec(),
-            generation: GenerationSettings { max_new_tokens, sampling: Sampling::Greedy },
-            rethink_sampling: Sampling::Greedy,
-            grammar: true,
-        },
         interval: 1000,
         deadline: None,
+        gate: None,
+        latency: Latency::None,
         reflect: true,
         threshold: 1.0,
         max_exec: 2,
         horizon_s: 4.0,
         after_max_exec: AfterMaxExec::Last,
         lead_policy: LeadPolicy::Nearest,
+        execution: Execution::AsWritten,
         emergency_brake: true,
         seed: 0,
     };
-    let mut agent = PlanAgent::new(model, Arc::new(PromptSet::open("compact").unwrap()), settings);
+    let reasoning = ReasoningSettings {
+        rounds: Round::ALL.to_vec(),
+        generation: GenerationSettings { max_new_tokens, sampling: Sampling::Greedy },
+        rethink_sampling: Sampling::Greedy,
+        grammar: true,
+    };
+    let mind = Mind::Model { model, prompts: Arc::new(PromptSet::open("compact").unwrap()), reasoning };
+    let mut agent = PlanAgent::new(PLAN_AGENT, mind, settings);
     let scenario = generator::generate(&"generated/high_magnitude_speed/1".parse().unwrap()).unwrap();
     simulate(&scenario, &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     agent

@@ -21,7 +21,8 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
     let scenario = scenario(flags.scenario.as_deref(), &flags.data.data())?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
     let loaded = model::load(config, printer)?;
-    let mut agent = loaded.parts.agent(&scenario.id);
+    let parts = model::parts(config, Some(&loaded));
+    let mut agent = parts.agent(PlannerKind::PlanAgent, &scenario.id).context("plan-agent needs a model")?;
     agent.initialize(&PlannerInitialization { map: &scenario.map, route: &scenario.route })?;
     let trajectory = compute(&scenario, iteration, frame, &mut agent)?;
     // The planner counts calls from iteration 0; the record tells where in the drive this one was made.

@@ -12,7 +12,7 @@ pub use shard::{FORMAT, Meta, ShardError};
 use crate::environment::{BevError, BevView, CenterlineName, LaneGraph, SceneFacts, bev};
 use crate::pdm::PdmMemory;
 use crate::reasoning::{Feedback, PromptError, PromptSet, feedback_text};
-use crate::reflection::{Judge, Verdict};
+use crate::reflection::Verdict;
 use crate::scenario::generator::{self, ScenarioType, Spec};
 use crate::simulation::{Challenge, ClosedLoop};
 use image::RgbImage;
@@ -29,16 +29,12 @@ const SCENES_PER_SHARD: u64 = MIX.len() as u64;
 const GAP: std::ops::RangeInclusive<usize> = 14..=24;
 /// Share of states from which the drive goes on with another planner than the best, so that off-track states are seen too.
 const EXPLORE: f64 = 0.35;
-/// Share of states whose prompt tells of a refused planner.
-const RETHINK: f64 = 0.15;
-/// λ for those, and the length of their roll-outs, seconds: Reflection's defaults.
-const THRESHOLD: f64 = 0.75;
-/// See [`THRESHOLD`].
-const HORIZON_S: f64 = 4.0;
+/// Share of the states with a refused planner whose prompt tells of it.
+const RETHINK: f64 = 0.4;
 
 /// Share of the states with the label to keep the lane that are kept. Nineteen of twenty states want no lane change; a model
 /// that always keeps the lane would learn nothing else from them.
-const KEEP_LANE_SHARE: f64 = 0.3;
+const KEEP_LANE_SHARE: f64 = 0.5;
 /// Types of the scenes, in turn; those where changing lanes is often right come more than once.
 const MIX: [ScenarioType; 20] = [
     ScenarioType::StartingLeftTurn,
@@ -194,10 +190,13 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
         let keeps = best.code.centerline == CenterlineName::EgoLane.as_str();
         let wanted = !keeps || random.random_bool(KEEP_LANE_SHARE);
         if wanted {
-            let feedback = if random.random_bool(RETHINK) {
-                refused(&drive, &graph, &tried[random.random_range(0..tried.len())], settings.prompts)?
-            } else {
-                None
+            // What a model has to answer after a refusal is what is best of the rest, which the label is already: it is accepted
+            // where anything is.
+            let refused =
+                tried.iter().filter(|t| t.reflection.verdict == Verdict::Rethink && *t != best).collect::<Vec<_>>();
+            let feedback = match refused.get(random.random_range(0..refused.len().max(1))) {
+                Some(refused) if random.random_bool(RETHINK) => Some(feedback_on(refused, settings.prompts)?),
+                _ => None,
             };
             let facts = SceneFacts::of(&scene, &graph);
             let name = format!("{}@{:.1}", scenario.id, drive.iteration() as f64 * crate::world::STEP_S);
@@ -206,34 +205,24 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
         }
         let next = if random.random_bool(EXPLORE) { &tried[random.random_range(0..tried.len())] } else { best };
         let Some(planner) = search::planner(&drive, &graph, next.code.clone()) else { break };
-        if search::follow(&mut drive, &planner, random.random_range(GAP)).is_none() {
+        if search::follow(&mut drive, &planner, &mut PdmMemory::default(), random.random_range(GAP)).is_none() {
             break;
         }
     }
     Ok(states)
 }
 
-/// What a prompt says of a planner that Reflection refuses; `None` when it would accept it.
-fn refused(
-    drive: &ClosedLoop<'_>,
-    graph: &LaneGraph,
-    tried: &Tried,
-    prompts: &PromptSet,
-) -> Result<Option<String>, PromptError> {
-    let scene = drive.scene();
-    let judged = search::planner(drive, graph, tried.code.clone()).and_then(|planner| {
-        let judge = Judge::new(&scene, graph, HORIZON_S, &mut PdmMemory::default()).ok()?;
-        judge.reflect(&planner, THRESHOLD).ok()
-    });
-    let Some(report) = judged.filter(|report| report.verdict == Verdict::Rethink) else { return Ok(None) };
+/// What a prompt says of a planner that Reflection refuses.
+fn feedback_on(tried: &Tried, prompts: &PromptSet) -> Result<String, PromptError> {
+    let report = &tried.reflection;
     let feedback = Feedback {
         code: Some(tried.code.to_string()),
         score: Some(report.score),
-        threshold: THRESHOLD,
+        threshold: search::THRESHOLD,
         parts: report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec(),
         errors: Vec::new(),
     };
-    feedback_text(prompts, &feedback).map(Some)
+    feedback_text(prompts, &feedback)
 }
 
 #[cfg(test)]

@@ -3,9 +3,10 @@
 use crate::environment::lane_graph::Centerline;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::metrics::{self, Drive};
-use crate::planner::generated_planner;
+use crate::pdm::PdmMemory;
+use crate::planner::{USUAL_ACCELERATIONS, brake, generated_planner, planner_code, watched};
 use crate::reasoning::PlannerCode;
-use crate::reflection::{GeneratedPlanner, LeadPolicy};
+use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict};
 use crate::simulation::ClosedLoop;
 use crate::world::{EgoState, HistorySample, STEP_S};
 
@@ -13,29 +14,32 @@ use crate::world::{EgoState, HistorySample, STEP_S};
 pub const HORIZON: usize = 60;
 /// Iterations that one roll-out is followed before the next.
 const REPLAN: usize = 5;
-/// Length of the roll-outs, seconds.
+/// Length of the roll-outs, seconds: Reflection's default.
 const ROLLOUT_S: f64 = 4.0;
-/// Desired speeds that are tried, as fractions of the limit.
-const SPEED_FRACTIONS: [f64; 4] = [1.0, 0.7, 0.4, 0.0];
+/// λ: Reflection's default.
+pub const THRESHOLD: f64 = 0.75;
+/// Desired speeds that are tried, as fractions of the limit. A planner is watched as it drives and slows down by itself for what
+/// can be foreseen.
+const SPEED_FRACTIONS: [f64; 3] = [1.0, 0.7, 0.4];
 /// Fractions that are tried with a lane change: to change lanes in order to crawl is never wanted.
-const LANE_CHANGE_FRACTIONS: [f64; 2] = [1.0, 0.7];
+const LANE_CHANGE_FRACTIONS: [f64; 1] = [1.0];
 /// Limit where the map has none, m/s.
 const FALLBACK_LIMIT: f64 = 15.0;
-/// acc and dec unless others do better, m/s².
-pub const USUAL: (f64, f64) = (1.5, 3.0);
 /// Other pairs that are tried with the best centreline and speed, where these leave something to gain, m/s²: gentle, firm,
 /// emergency.
 const REFINEMENTS: [(f64, f64); 3] = [(1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
 /// A score from which on other accelerations are not tried.
 const GOOD: f64 = 0.95;
 /// What full progress at the limit adds to a score. nuPlan's progress is capped by the expert's, so it leaves ties.
-const PROGRESS_BONUS: f64 = 0.3;
+const PROGRESS_BONUS: f64 = 0.2;
 /// The speed at the end counts as if it were driven for so long, seconds: what it is worth to be rid of a slow leader.
 const TERMINAL_S: f64 = 4.0;
 /// A lane change must stay on the route for this long ahead of the ego, metres: what lies behind the horizon counts too.
 const ON_ROUTE_AHEAD: f64 = 120.0;
 /// What a lane change must gain.
-const LANE_CHANGE_COST: f64 = 0.02;
+const LANE_CHANGE_COST: f64 = 0.03;
+/// What a planner must gain that Reflection would refuse: more than there is to gain.
+const REFUSED_COST: f64 = 2.0;
 /// What an unusual acc and dec must gain.
 const REFINEMENT_COST: f64 = 0.02;
 
@@ -50,6 +54,8 @@ pub struct Tried {
     pub value: f64,
     /// Speed after 3 s, m/s.
     pub speed_later: f64,
+    /// What Reflection says of it now.
+    pub reflection: ReflectionReport,
 }
 
 /// Drives every candidate from the present state of `drive` and gives them in the order in which they were tried.
@@ -57,6 +63,10 @@ pub struct Tried {
 pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
     let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
     let mut tried: Vec<Tried> = Vec::new();
+    let scene = drive.scene();
+    let mut memory = PdmMemory::default();
+    let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else { return tried };
+    let present = Present { drive, graph, judge: &judge, memory: &memory, limit };
     for centerline in &graph.centerlines {
         let fractions: &[f64] = match centerline.name {
             CenterlineName::EgoLane => &SPEED_FRACTIONS,
@@ -64,16 +74,16 @@ pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
             _ => continue,
         };
         for fraction in fractions {
-            let code = code(graph, centerline.name, (fraction * limit).round(), USUAL);
+            let code = planner_code(graph, centerline.name, *fraction, USUAL_ACCELERATIONS);
             if !tried.iter().any(|t| t.code == code) {
-                tried.extend(attempt(drive, graph, code, limit));
+                tried.extend(present.attempt(code));
             }
         }
     }
     if let Some(best) = best(&tried).filter(|best| best.score < GOOD).cloned() {
         for (accel_max, decel_max) in REFINEMENTS {
             let code = PlannerCode { accel_max, decel_max, ..best.code.clone() };
-            tried.extend(attempt(drive, graph, code, limit));
+            tried.extend(present.attempt(code));
         }
     }
     tried
@@ -98,42 +108,44 @@ pub fn best(tried: &[Tried]) -> Option<&Tried> {
     tried.iter().rev().max_by(|a, b| a.value.total_cmp(&b.value))
 }
 
-fn code(
-    graph: &LaneGraph,
-    centerline: CenterlineName,
-    target_speed: f64,
-    (accel_max, decel_max): (f64, f64),
-) -> PlannerCode {
-    PlannerCode {
-        centerline: centerline.to_string(),
-        leader: graph.leader(centerline).map(|agent| agent.name.to_string()),
-        target_speed,
-        accel_max,
-        decel_max,
-    }
+/// The state that is searched from.
+struct Present<'a> {
+    drive: &'a ClosedLoop<'a>,
+    graph: &'a LaneGraph,
+    judge: &'a Judge<'a>,
+    /// What PDM's rules know here.
+    memory: &'a PdmMemory,
+    /// Speed limit, m/s.
+    limit: f64,
 }
 
-/// Drives one candidate and judges it.
-fn attempt(drive: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode, limit: f64) -> Option<Tried> {
-    let planner = planner(drive, graph, code)?;
-    let mut future = drive.clone();
-    let samples = follow(&mut future, &planner, HORIZON)?;
-    let scenario = drive.scenario();
-    let from = scenario.start + drive.iteration();
-    let expert: Vec<EgoState> =
-        scenario.frames.get(from..=from + samples.len())?.iter().map(|frame| frame.ego).collect();
-    let judged = Drive { map: &scenario.map, samples: &samples, expert: &expert };
-    let score = metrics::evaluate(&judged).ok()?.score.value;
-    let driven: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
-    let way = driven + samples.last()?.ego.speed() * TERMINAL_S;
-    let possible = limit.max(1.0) * (HORIZON as f64 * STEP_S + TERMINAL_S);
-    let unusual = (planner.code.accel_max, planner.code.decel_max) != USUAL;
-    let changes = planner.code.centerline != CenterlineName::EgoLane.as_str();
-    let value = score + PROGRESS_BONUS * (way / possible).min(1.0)
-        - if changes { LANE_CHANGE_COST } else { 0.0 }
-        - if unusual { REFINEMENT_COST } else { 0.0 };
-    let speed_later = samples.get(30).or(samples.last())?.ego.speed();
-    Some(Tried { code: planner.code, score, value, speed_later })
+impl Present<'_> {
+    /// Drives one candidate and judges it.
+    fn attempt(&self, code: PlannerCode) -> Option<Tried> {
+        let drive = self.drive;
+        let planner = planner(drive, self.graph, code)?;
+        let reflection = self.judge.reflect(&planner, THRESHOLD).ok()?;
+        let mut future = drive.clone();
+        let samples = follow(&mut future, &planner, &mut self.memory.clone(), HORIZON)?;
+        let scenario = drive.scenario();
+        let from = scenario.start + drive.iteration();
+        let expert: Vec<EgoState> =
+            scenario.frames.get(from..=from + samples.len())?.iter().map(|frame| frame.ego).collect();
+        let judged = Drive { map: &scenario.map, samples: &samples, expert: &expert };
+        let score = metrics::evaluate(&judged).ok()?.score.value;
+        let driven: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
+        let way = driven + samples.last()?.ego.speed() * TERMINAL_S;
+        let possible = self.limit.max(1.0) * (HORIZON as f64 * STEP_S + TERMINAL_S);
+        let unusual = (planner.code.accel_max, planner.code.decel_max) != USUAL_ACCELERATIONS;
+        let changes = planner.code.centerline != CenterlineName::EgoLane.as_str();
+        let cost = |when: bool, cost: f64| if when { cost } else { 0.0 };
+        let value = score + PROGRESS_BONUS * (way / possible).min(1.0)
+            - cost(changes, LANE_CHANGE_COST)
+            - cost(unusual, REFINEMENT_COST)
+            - cost(reflection.verdict == Verdict::Rethink, REFUSED_COST);
+        let speed_later = samples.get(30).or(samples.last())?.ego.speed();
+        Some(Tried { code: planner.code, score, value, speed_later, reflection })
+    }
 }
 
 /// The planner of a code at the present state of a drive.
@@ -141,9 +153,14 @@ pub fn planner(drive: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode) -> 
     generated_planner(&drive.scene(), graph, code, LeadPolicy::Nearest, ROLLOUT_S).ok().flatten()
 }
 
-/// Drives a planner for so many iterations; the samples begin with the present. `None` when the drive ends or fails before.
-pub fn follow(drive: &mut ClosedLoop<'_>, planner: &GeneratedPlanner, iterations: usize) -> Option<Vec<HistorySample>> {
-    let steps = (ROLLOUT_S / STEP_S).round() as usize;
+/// Drives a planner, watched, for so many iterations; the samples begin with the present. `None` when the drive ends or fails
+/// before.
+pub fn follow(
+    drive: &mut ClosedLoop<'_>,
+    planner: &GeneratedPlanner,
+    memory: &mut PdmMemory,
+    iterations: usize,
+) -> Option<Vec<HistorySample>> {
     let mut samples = Vec::with_capacity(iterations + 1);
     let mut trajectory = None;
     for i in 0..iterations {
@@ -152,7 +169,9 @@ pub fn follow(drive: &mut ClosedLoop<'_>, planner: &GeneratedPlanner, iterations
         }
         if i % REPLAN == 0 {
             let scene = drive.scene();
-            trajectory = Some(planner.roll_out(&scene, steps).to_trajectory(scene.ego).ok()?);
+            let (rollout, emergency) = watched(planner, &scene, ROLLOUT_S, memory).ok()?;
+            let driven = if emergency { brake(scene.ego) } else { rollout.to_trajectory(scene.ego) };
+            trajectory = Some(driven.ok()?);
         }
         samples.push(drive.present().clone());
         drive.advance(trajectory.as_ref()?, "search").ok()?;

@@ -52,10 +52,10 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
 
     let kept = kept(&folder, assignments, flags, printer)?;
     let todo: Vec<usize> = (0..assignments.len()).filter(|number| !kept.contains(number)).collect();
-    let parts = loaded.as_ref().map(|loaded| &loaded.parts);
+    let parts = model::parts(config, loaded.as_ref());
     let progress = DriveProgress::new(printer, todo.len());
     let driven: Result<(), ReportError> =
-        run::run(assignments, &todo, parts, &|_| progress.iteration(), &|number, record| {
+        run::run(assignments, &todo, Some(&parts), &|_| progress.iteration(), &|number, record| {
             folder.commit(number, &record)?;
             progress.drive_ended(record.outcome.is_err());
             Ok(())
@@ -127,7 +127,7 @@ fn manifest(selection: &Selection, config: &Config, loaded: Option<&Loaded>) -> 
         planners: selection.planners.iter().map(ToString::to_string).collect(),
         challenges: selection.challenges.iter().map(ToString::to_string).collect(),
         scenarios: selection.list.clone(),
-        model: loaded.map(|loaded| toml::Table::try_from(loaded.parts.model.describe())).transpose()?,
+        model: loaded.map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?,
         config: toml::Table::try_from(config)?,
     })
 }

@@ -5,23 +5,23 @@ use super::setting::{LanePick, LightWish, Setting, circus, crossing, style, town
 use super::stage::{Make, Stage};
 use crate::geometry::GeometryError;
 use crate::scenario::generator::dice::Dice;
-use crate::scenario::generator::expert::Task;
-use crate::scenario::generator::road::{Control, Turn};
-use crate::scenario::generator::traffic::Departure;
+use crate::scenario::generator::expert::{EXPERT, Task};
+use crate::scenario::generator::road::{Control, Turn, YELLOW};
+use crate::scenario::generator::traffic::{Act, Departure};
 
 /// Speed limit of both, m/s (25 and 30 mph).
 const ROUNDABOUT_LIMIT: f64 = 11.2;
 const RED_LIGHT_LIMIT: f64 = 13.4;
 /// When the light turns yellow, seconds from iteration 0. Calls of the agent every two seconds see it a second later.
 const YELLOW_AT: f64 = 1.0;
-/// Distance of the ego's front from the crossing when the light turns red, metres: less than PDM-Closed's strongest braking
-/// (3 m/s²) takes from the limit, and more than a driver needs who brakes for yellow.
-const LEFT_AT_RED: [f64; 2] = [25.0, 27.0];
+/// Distance of the ego's front from the crossing when the light turns red, metres, if it goes on at its speed till then: less
+/// than PDM-Closed's strongest braking (3 m/s²) takes from the limit. Who brakes for yellow has twice that.
+const LEFT_AT_RED: [f64; 2] = [29.5, 31.0];
 
 /// Two lanes lead into a roundabout.
 pub(super) fn roundabout(dice: &mut Dice) -> Result<Setting, GeometryError> {
     let style = style(dice, [2, 2], [2, 2], &[ROUNDABOUT_LIMIT]);
-    let before = dice.between(72.0, 80.0);
+    let before = dice.between(76.0, 84.0);
     let (layout, start) = circus(dice, &style, before)?;
     let mut setting = Setting::new(layout, start, dice.between(0.7, 0.8));
     setting.pick = LanePick::Rightmost;
@@ -33,10 +33,12 @@ pub(super) fn cast_roundabout(stage: &mut Stage<'_, '_>, task: Task) -> Task {
     let track = stage.ego().track.clone();
     let entry = track.spans.iter().find(|span| span.connector && span.from > stage.ego().s).map(|span| span.from);
     if let Some(waiting) = entry.and_then(|entry| stage.put_on(Make::Car, track, entry - 3.6, 0.0, 0.0)) {
-        // It would go for no gap in the time of the drive.
-        stage.traffic.movers[waiting].ceiling = 0.05;
+        // It goes for no gap in the time of the drive, which the expert, who goes round what stands for good, must not know
+        // before the drive begins.
+        stage.traffic.movers[waiting].ceiling = 0.3;
+        stage.traffic.movers[waiting].script = vec![Act::Limit { at: 0.0, speed: 0.05 }];
     }
-    let density = stage.dice.between(0.5, 0.8);
+    let density = stage.dice.between(0.2, 0.4);
     stage.populate(density, [110.0, 40.0]);
     stage.garnish();
     task
@@ -44,14 +46,12 @@ pub(super) fn cast_roundabout(stage: &mut Stage<'_, '_>, task: Task) -> Task {
 
 /// A crossing whose light turns red when the ego can just no longer stop at PDM-Closed's rate.
 pub(super) fn red_light(dice: &mut Dice) -> Result<Setting, GeometryError> {
-    /// Seconds from yellow to red.
-    const YELLOW: f64 = 3.0;
     let style = style(dice, [2, 3], [2, 2], &[RED_LIGHT_LIMIT]);
     let mut plan = crossing(dice, &style, Turn::Straight);
     plan.control = Control::Signals { protected_left: false };
     plan.from_minor = false;
     plan.crosswalks = [true; 4];
-    let driven = RED_LIGHT_LIMIT * (LEAD_IN + YELLOW_AT + YELLOW);
+    let driven = EXPERT.haste * RED_LIGHT_LIMIT * (LEAD_IN + YELLOW_AT + YELLOW);
     let before = driven + dice.between(LEFT_AT_RED[0], LEFT_AT_RED[1]);
     let (layout, start) = town(dice, &style, &plan, before)?;
     // The ego's place is that of its rear axle.
