@@ -6,12 +6,13 @@ use planagent::mllm::{
     Opening, Request, RoundTime, Sampling, TokenCounts,
 };
 use planagent::pdm::PdmMemory;
+use planagent::planner::BevOf;
 use planagent::planner::{
     AfterMaxExec, Decision, Execution, Latency, Mind, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, PlanningCall,
     generated_planner,
 };
 use planagent::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
-use planagent::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
+use planagent::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, choose_version, needs_emergency_brake};
 use planagent::scenario::{Scenario, generator};
 use planagent::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
 use planagent::world::{Route, Scene};
@@ -86,6 +87,7 @@ impl Conversation for Scripted<'_> {
 pub(crate) fn settings() -> PlanAgentSettings {
     PlanAgentSettings {
         view_m: Some(64.0),
+        bev_of: BevOf::Scene,
         lane_graph: true,
         node_length_m: DEFAULT_NODE_LENGTH,
         interval: 20,
@@ -360,4 +362,46 @@ fn the_controls_drive_without_a_model() {
     let first = |calls: &[PlanningCall]| calls[0].driving().unwrap().reflection.as_ref().unwrap().score;
     assert!(first(&grid) >= first(&fixed));
     assert!(grid.iter().all(|call| call.attempts.len() == 1));
+}
+
+#[test]
+fn a_watched_planner_drives_as_written_or_as_the_best_of_its_versions() {
+    let scenario = scenario("generated/waiting_for_pedestrian_to_cross/0");
+    let mut drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let (mut as_written, mut others) = (0, 0);
+    for _ in 0..60 {
+        let scene = drive.scene();
+        let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
+        let planner = planner_at(&drive, &graph, 12.0, LeadPolicy::Nearest);
+        let versions = planner.roll_out_versions(&scene, 40);
+        assert_eq!(versions.len(), 15);
+        assert_eq!(versions[0].1, planner.roll_out(&scene, 40), "the first is the planner as it was written");
+        let choice = choose_version(&scene, &planner, 40, &mut PdmMemory::default()).unwrap();
+        let (_, chosen) = versions.iter().find(|(version, _)| *version == choice.version).unwrap();
+        let again = planner.roll_out_version(choice.version, &scene, 40);
+        assert_eq!(*chosen, again);
+        if choice.version == versions[0].0 {
+            as_written += 1
+        } else {
+            others += 1
+        }
+        let trajectory = again.to_trajectory(scene.ego).unwrap();
+        drive.advance(&trajectory, "watched").unwrap();
+    }
+    assert!(as_written > 0 && others > 0, "as written {as_written}, otherwise {others}");
+}
+
+#[test]
+fn the_best_of_refused_planners_drives_only_if_the_planner_in_force_is_worse() {
+    // The second call and those after it ask for a stop in the middle of the road, which makes no progress.
+    let go = "Generate_IDM_Planner(c=ego_lane, la=None, v0=12, acc=1.5, dec=3)";
+    let stop = "Generate_IDM_Planner(c=ego_lane, la=None, v0=0, acc=0.5, dec=6)";
+    let mut answers = vec![go];
+    answers.extend([stop; 21]);
+    let mut settings = settings();
+    settings.after_max_exec = AfterMaxExec::Best;
+    let (agent, log, _) = drive(&answers, &[Round::Code], settings, "generated/high_magnitude_speed/1");
+    assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
+    assert_eq!(agent.calls()[1].decision, Decision::KeepInForce(NoPlan::Worse));
+    assert!(log.samples.last().unwrap().ego.speed() > 8.0);
 }

@@ -1,11 +1,13 @@
 //! The agent of the paper: every 20 iterations it looks, thinks, writes a planner and reflects on it; in between the planner
 //! in force drives.
 
+use super::foreign_view::{self, BevOf};
 use super::in_force::{InForce, Underway, as_it_goes, followed_on};
 use super::latency::Latency;
 use super::mind::Mind;
 use super::pdm_closed::{pdm_failed, predicted_score};
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
+use super::settings::{AfterMaxExec, Execution, PlanAgentSettings};
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
@@ -18,7 +20,7 @@ use crate::reflection::{
     steps_of,
 };
 use crate::world::{STEP_S, Scene, Trajectory};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Name of the planner in results.
 pub const NAME: &str = "plan-agent";
@@ -26,74 +28,6 @@ pub const NAME: &str = "plan-agent";
 const BRAKE: f64 = 4.0;
 /// Steps of 0.1 s of the trajectory that drives: 8 s, what nuPlan's planners give and its open-loop metrics look at.
 const PLAN_STEPS: usize = 80;
-
-/// Which planner drives when all attempts were refused.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum AfterMaxExec {
-    /// The last one (the paper).
-    Last,
-    /// The one with the best score; the planner in force goes on where it scores more.
-    #[default]
-    Best,
-}
-
-/// How the planner in force drives between planning calls.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Execution {
-    /// As it was written (the paper).
-    AsWritten,
-    /// Under Reflection's eyes: at every iteration it is simulated and scored anew with its slower versions and those beside it,
-    /// and the best of them drives.
-    #[default]
-    Watched,
-}
-
-/// Settings of the agent.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PlanAgentSettings {
-    /// Side of the BEV map, metres; `None` leaves the image out.
-    pub view_m: Option<f64>,
-    /// Whether the model gets the lane-graph text.
-    pub lane_graph: bool,
-    /// Length of a lane-graph node, metres.
-    pub node_length_m: f64,
-    /// Iterations between planning calls.
-    pub interval: usize,
-    /// Time after which a planning call ends with the planner in force; `None` lets it think to the end. What was drawn
-    /// and what is being judged is done to the end all the same.
-    pub deadline: Option<Duration>,
-    /// The predicted score of PDM-Closed's plan from which on the model is not asked and PDM-Closed drives; `None` always asks.
-    pub gate: Option<f64>,
-    /// How long a planning call lasts in simulated time.
-    pub latency: Latency,
-    /// Whether planners are judged.
-    pub reflect: bool,
-    /// λ.
-    pub threshold: f64,
-    /// Most attempts of a planning call.
-    pub max_exec: usize,
-    /// Length of the roll-outs, seconds.
-    pub horizon_s: f64,
-    /// Which planner drives when all attempts were refused.
-    pub after_max_exec: AfterMaxExec,
-    /// Whom generated planners follow.
-    pub lead_policy: LeadPolicy,
-    /// How the planner in force drives between planning calls.
-    pub execution: Execution,
-    /// Whether PDM-Closed's emergency brake may overrule the planner in force.
-    pub emergency_brake: bool,
-    /// Seed of the run; each planning call draws from its own stream.
-    pub seed: u64,
-}
-
-impl PlanAgentSettings {
-    /// The seed of the planning call at an iteration.
-    pub(super) fn call_seed(&self, iteration: usize) -> u64 {
-        self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64)
-    }
-}
 
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
 pub struct PlanAgent {
@@ -238,7 +172,11 @@ impl PlanAgent {
             (Some(metres), Some(pixels)) => {
                 let view = BevView::new(pixels, metres)
                     .map_err(|e| PlannerError::Failed { doing: "drawing the BEV map", source: Box::new(e) })?;
-                Some(bev::render(scene, &view))
+                Some(match self.settings.bev_of {
+                    BevOf::Scene => bev::render(scene, &view),
+                    BevOf::Another => foreign_view::render(self.settings.seed ^ scene.ego.time_us as u64, &view)
+                        .map_err(|e| PlannerError::Failed { doing: "finding another scene", source: Box::new(e) })?,
+                })
             }
             _ => None,
         };
@@ -385,12 +323,14 @@ impl Planner for PlanAgent {
             InForce::Nobody => return Ok(brake(ego)?),
         };
         let (rollout, emergency) = match self.settings.execution {
-            Execution::AsWritten => {
+            Execution::Watched if self.settings.reflect => {
+                watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?
+            }
+            Execution::AsWritten | Execution::Watched => {
                 let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
                 let emergency = needs_emergency_brake(&input.scene, &rollout, &mut self.memory);
                 (rollout, emergency)
             }
-            Execution::Watched => watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?,
         };
         if emergency && self.settings.emergency_brake {
             if let Some(call) = self.calls.last_mut() {

@@ -92,17 +92,26 @@ impl Attempt {
         code.or_else(|| self.assistance.as_ref().map(ToString::to_string))
     }
 
-    /// What the model is told of this attempt, refused under λ.
-    pub(super) fn feedback(&self, threshold: f64) -> Feedback {
-        let named =
-            |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
-        Feedback {
-            code: self.line(),
-            score: self.reflection.as_ref().map(|report| report.score),
-            threshold,
-            parts: self.reflection.as_ref().map(named).unwrap_or_default(),
-            errors: self.errors.clone(),
-        }
+    /// What the next attempt is told of it.
+    pub fn feedback(&self, threshold: f64) -> Feedback {
+        feedback(self.line(), self.reflection.as_ref(), &self.errors, threshold)
+    }
+}
+
+/// What there is to say about an answer that was refused, or that could not be read.
+pub fn feedback(
+    line: Option<String>,
+    reflection: Option<&ReflectionReport>,
+    errors: &[ParseError],
+    threshold: f64,
+) -> Feedback {
+    let named = |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
+    Feedback {
+        code: line,
+        score: reflection.map(|report| report.score),
+        threshold,
+        parts: reflection.map(named).unwrap_or_default(),
+        errors: errors.to_vec(),
     }
 }
 

@@ -4,8 +4,8 @@ use crate::environment::lane_graph::Centerline;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::metrics::{self, Drive};
 use crate::pdm::PdmMemory;
-use crate::planner::{USUAL_ACCELERATIONS, brake, generated_planner, planner_code, watched};
-use crate::reasoning::PlannerCode;
+use crate::planner::{USUAL_ACCELERATIONS, brake, feedback, generated_planner, planner_code, watched};
+use crate::reasoning::{Feedback, PlannerCode};
 use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict};
 use crate::simulation::ClosedLoop;
 use crate::world::{EgoState, HistorySample, STEP_S};
@@ -28,7 +28,7 @@ const FALLBACK_LIMIT: f64 = 15.0;
 /// Other pairs that are tried with the best centreline and speed, where these leave something to gain, m/s²: gentle, firm,
 /// emergency.
 const REFINEMENTS: [(f64, f64); 3] = [(1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
-/// A score from which on other accelerations are not tried.
+/// A score from which on slower planners and other accelerations are not tried.
 const GOOD: f64 = 0.95;
 /// What full progress at the limit adds to a score. nuPlan's progress is capped by the expert's, so it leaves ties.
 const PROGRESS_BONUS: f64 = 0.2;
@@ -58,6 +58,13 @@ pub struct Tried {
     pub reflection: ReflectionReport,
 }
 
+impl Tried {
+    /// What an attempt is told after this one.
+    pub fn feedback(&self) -> Feedback {
+        feedback(Some(self.code.to_string()), Some(&self.reflection), &[], THRESHOLD)
+    }
+}
+
 /// Drives every candidate from the present state of `drive` and gives them in the order in which they were tried.
 /// Candidates that the simulation or the metrics refuse are left out.
 pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
@@ -75,6 +82,10 @@ pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
         };
         for fraction in fractions {
             let code = planner_code(graph, centerline.name, *fraction, USUAL_ACCELERATIONS);
+            // Slower is not tried where the limit does well: what remains to be gained is less than the ties that it would make.
+            if *fraction < 1.0 && tried.iter().any(|t| t.score >= GOOD && t.reflection.verdict == Verdict::Execute) {
+                continue;
+            }
             if !tried.iter().any(|t| t.code == code) {
                 tried.extend(present.attempt(code));
             }

@@ -38,6 +38,7 @@ def arguments() -> argparse.ArgumentParser:
         command.add_argument("--batch", type=int)
         command.add_argument("--micro", type=int)
         command.add_argument("--rate", type=float)
+        command.add_argument("--start", help="folder of a trained nano to go on from; its tokenizer and colours are kept")
         command.add_argument("--image-only", type=float, help="share of the budget without the scene text")
         command.add_argument("--template-weight", type=float)
         command.add_argument("--precision", choices=["float32", "bfloat16"])
@@ -79,9 +80,9 @@ def arguments() -> argparse.ArgumentParser:
 def start_training(options: argparse.Namespace) -> None:
     """Prepares the data and trains a leg as the options say."""
     recipe = train.best_recipe(options.shape, options.device)
-    names = ("minutes", "steps", "batch", "micro", "rate", "image_only", "template_weight", "precision", "compile", "seed", "check_every")
+    names = ("minutes", "steps", "batch", "micro", "rate", "start", "image_only", "template_weight", "precision", "compile", "seed", "check_every")
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-    train.prepare(options.data, options.out, options.limit)
+    train.prepare(options.data, options.out, options.limit, options.start or "")
     train.run(replace(recipe, **given), options.out, options.device, options.workers, options.leg_minutes, options.resume)
 
 

@@ -14,7 +14,6 @@ import torch
 from PIL import Image
 from safetensors.torch import save_file
 from tokenizers import Tokenizer
-from torch import Tensor
 from transformers import AutoProcessor, CLIPVisionConfig, GenerationConfig, LlamaConfig, LlavaConfig, LlavaForConditionalGeneration
 
 from . import corpus as corpora
@@ -24,6 +23,7 @@ from .chat import ASSISTANT, BOS, EOS, IMAGE, PAD, TEMPLATE
 from .loop import load_model
 from .model import NanoLlava
 from .shapes import Shape
+from .weights import to_stock
 
 #: Largest difference of logits between this code and transformers, as a share of the largest logit.
 TOLERANCE = 1e-5
@@ -51,43 +51,6 @@ def config_of(shape: Shape, tokenizer: Tokenizer) -> LlavaConfig:
         vision_feature_layer=-1, vision_feature_select_strategy="default", image_seq_length=shape.image_tokens,
         multimodal_projector_bias=True, tie_word_embeddings=False, **ids,
     )  # fmt: skip
-
-
-def stock_weights(model: NanoLlava) -> dict[str, Tensor]:
-    """The weights under transformers' names, fused projections cut apart."""
-    ours = model.state_dict()
-    shape = model.shape
-    out: dict[str, Tensor] = {}
-    tower = "model.vision_tower."
-    out[tower + "embeddings.class_embedding"] = ours["tower.class_embedding"]
-    out[tower + "embeddings.patch_embedding.weight"] = ours["tower.patch.weight"].view(-1, 3, shape.patch, shape.patch)
-    out[tower + "embeddings.position_embedding.weight"] = ours["tower.position"]
-    for part in ("weight", "bias"):
-        # transformers spells it so.
-        out[f"{tower}pre_layrnorm.{part}"] = ours[f"tower.pre_norm.{part}"]
-        for layer in range(shape.vision_layers):
-            theirs, mine = f"{tower}encoder.layers.{layer}.", f"tower.blocks.{layer}."
-            for name, source in (("layer_norm1", "norm1"), ("layer_norm2", "norm2"), ("self_attn.out_proj", "out"), ("mlp.fc1", "fc1"), ("mlp.fc2", "fc2")):
-                out[f"{theirs}{name}.{part}"] = ours[f"{mine}{source}.{part}"]
-            for name, piece in zip(("q_proj", "k_proj", "v_proj"), ours[f"{mine}qkv.{part}"].chunk(3), strict=True):
-                out[f"{theirs}self_attn.{name}.{part}"] = piece
-        out[f"model.multi_modal_projector.linear_1.{part}"] = ours[f"project1.{part}"]
-        out[f"model.multi_modal_projector.linear_2.{part}"] = ours[f"project2.{part}"]
-    # Unused at feature layer -1, but part of the stock layout: the identity.
-    out[tower + "post_layernorm.weight"] = torch.ones(shape.vision_width)
-    out[tower + "post_layernorm.bias"] = torch.zeros(shape.vision_width)
-    out["model.language_model.embed_tokens.weight"] = ours["embed.weight"]
-    out["model.language_model.norm.weight"] = ours["norm.weight"]
-    out["lm_head.weight"] = ours["head.weight"]
-    for layer in range(shape.layers):
-        theirs, mine = f"model.language_model.layers.{layer}.", f"blocks.{layer}."
-        for name, source in (("input_layernorm", "norm1"), ("post_attention_layernorm", "norm2"), ("self_attn.o_proj", "out"), ("mlp.down_proj", "down")):
-            out[f"{theirs}{name}.weight"] = ours[f"{mine}{source}.weight"]
-        for name, piece in zip(("q_proj", "k_proj", "v_proj"), ours[f"{mine}qkv.weight"].chunk(3), strict=True):
-            out[f"{theirs}self_attn.{name}.weight"] = piece
-        for name, piece in zip(("gate_proj", "up_proj"), ours[f"{mine}gate_up.weight"].chunk(2), strict=True):
-            out[f"{theirs}mlp.{name}.weight"] = piece
-    return {name: weight.clone() for name, weight in out.items()}
 
 
 def write_processing(folder: Path, model: NanoLlava, tokenizer: Tokenizer) -> None:
@@ -126,7 +89,7 @@ def write(out: Path, folder: Path, dtype: str, reference: Path | None) -> float:
     folder.mkdir(parents=True, exist_ok=True)
     config = config_of(model.shape, tokenizer)
     stored = getattr(torch, dtype)
-    weights = {name: weight.to(stored) for name, weight in stock_weights(model).items()}
+    weights = {name: weight.to(stored) for name, weight in to_stock(model.state_dict(), model.shape).items()}
     stock = LlavaForConditionalGeneration(config)
     missing = stock.load_state_dict({name: weight.float() for name, weight in weights.items()}, strict=True)
     assert not missing.missing_keys and not missing.unexpected_keys

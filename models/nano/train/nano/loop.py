@@ -19,6 +19,7 @@ from .batches import Collator, micro_batches, order
 from .corpus import Corpus
 from .model import NanoLlava
 from .shapes import Shape
+from .weights import from_stock
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,8 @@ class Recipe:
     betas: tuple[float, float] = (0.9, 0.95)
     clip: float = 1.0
     template_weight: float = 0.05
+    #: Folder of a trained nano whose weights, tokenizer and colours are the start; empty starts from scratch.
+    start: str = ""
     #: Share of the budget in which the scene text is left out, so that the facts have to come from the image.
     image_only: float = 0.0
     seed: int = 1
@@ -190,6 +193,10 @@ class Trainer:
         }  # fmt: skip
         torch.save(state, path.with_suffix(".part"))
         path.with_suffix(".part").replace(path)
+
+    def start_from(self, stock: dict[str, torch.Tensor]) -> None:
+        """Takes weights over from a trained model of the same shape and vocabulary."""
+        self.model.load_state_dict(from_stock(stock, self.model.state_dict(), self.model.shape))
 
     def restore(self, path: Path) -> None:
         """Goes on where a leg ended."""

@@ -7,6 +7,7 @@ for the slowest; workers meet once a step.
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import tempfile
 import time
@@ -26,10 +27,12 @@ from .loop import Recipe, Trainer
 from .shapes import SHAPES
 
 
-def prepare(data: Path, out: Path, limit: int | None = None) -> None:
-    """Builds tokenizer and arrays in `out` unless they are there."""
+def prepare(data: Path, out: Path, limit: int | None = None, start: str = "") -> None:
+    """Builds tokenizer and arrays in `out` unless they are there; the tokenizer is that of the model to start from, if any."""
     out.mkdir(parents=True, exist_ok=True)
     path = out / "tokenizer.json"
+    if start and not path.exists():
+        shutil.copyfile(Path(start) / "tokenizer.json", path)
     if not path.exists():
         prompts, answers = [], []
         for shard in shards.shards(data, "train")[:20]:
@@ -61,6 +64,12 @@ def collator_of(recipe: Recipe, corpus: Corpus, tokenizer_path: Path) -> Collato
     return Collator(corpus, image, SHAPES[recipe.shape].image_tokens, recipe.template_weight)
 
 
+def colours_of(folder: Path) -> tuple[list[float], list[float]]:
+    """Mean and deviation of the colours by which a trained model sees."""
+    preprocessor = json.loads((folder / "preprocessor_config.json").read_text())
+    return preprocessor["image_mean"], preprocessor["image_std"]
+
+
 def worker(rank: int, world: int, meeting: str, recipe: Recipe, out: Path, device: str, leg_minutes: float, threads: int) -> None:
     """One worker process."""
     torch.set_num_threads(threads)
@@ -69,7 +78,13 @@ def worker(rank: int, world: int, meeting: str, recipe: Recipe, out: Path, devic
     path = out / "tokenizer.json"
     train, check = corpora.load(out / "cache" / "train"), corpora.load(out / "cache" / "validation")
     vocabulary = tokenizers.load(path).get_vocab_size()
-    trainer = Trainer(recipe, SHAPES[recipe.shape], vocabulary, corpora.colours(train), rank, world, torch.device(device))
+    colours = colours_of(Path(recipe.start)) if recipe.start else corpora.colours(train)
+    trainer = Trainer(recipe, SHAPES[recipe.shape], vocabulary, colours, rank, world, torch.device(device))
+    if recipe.start:
+        # transformers knows under which names it saved what.
+        from transformers import LlavaForConditionalGeneration
+
+        trainer.start_from(LlavaForConditionalGeneration.from_pretrained(recipe.start).state_dict())
     if (out / "checkpoint.pt").exists():
         trainer.restore(out / "checkpoint.pt")
     pair = (collator_of(recipe, train, path), collator_of(recipe, check, path))
