@@ -73,9 +73,9 @@ impl<'a> Runs<'a> {
         let planner = variant.planner;
         let asked = self.config.overlaid(variant.settings)?;
         let loaded = match planner {
-            PlannerKind::PlanAgent if !self.has_weights(&asked)? => return Ok(Err(NO_WEIGHTS)),
-            PlannerKind::PlanAgent => Some(self.model(&asked)?.asked(&asked)?),
-            _ => None,
+            planner if !planner.needs_model() => None,
+            _ if !self.has_weights(&asked)? => return Ok(Err(NO_WEIGHTS)),
+            _ => Some(self.model(&asked)?.asked(&asked)?),
         };
         let model = loaded.as_ref().map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?;
         let agent = model::parts(&asked, loaded.as_ref());
@@ -264,7 +264,7 @@ impl Run {
 /// What of a configuration a planner's drives depend on.
 fn effective(mut config: Config, planner: PlannerKind) -> Config {
     match planner {
-        PlannerKind::PlanAgent => {
+        PlannerKind::PlanAgent | PlannerKind::LlmAssistUnc | PlannerKind::LlmAssistPar => {
             (config.mllm.offline, config.mllm.ignore_memory) = (false, false);
             config
         }
