@@ -106,7 +106,7 @@ fn iterations(film: &Film, frames_per_s: NonZeroU32) -> Vec<usize> {
     let last = film.iterations().saturating_sub(1);
     let a_frame = 1.0 / (f64::from(frames_per_s.get()) * STEP_S);
     let mut shown: Vec<usize> =
-        (0..).map(|k| (f64::from(k) * a_frame).round() as usize).take_while(|&iteration| iteration < last).collect();
+        (0..=last).map(|k| (k as f64 * a_frame).round() as usize).take_while(|&iteration| iteration < last).collect();
     shown.push(last);
     shown
 }
