@@ -7,7 +7,7 @@ use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
-use crate::mllm::{Deadline, Opening};
+use crate::mllm::{Deadline, Opening, milliseconds};
 use crate::pdm::PdmMemory;
 use crate::reasoning::{Feedback, Interruption, Names, ParseError, PlannerCode, ScenarioPrompt, Thought};
 use crate::reflection::{
@@ -145,12 +145,12 @@ impl PlanAgent {
             Ok(graph) => graph,
             Err(error) => {
                 let decision = self.without_plan(NoPlan::NoLaneGraph(error.to_string()));
-                self.calls.push(PlanningCall::without_attempts(iteration, decision, milliseconds(started)));
+                self.calls.push(PlanningCall::without_attempts(iteration, decision, milliseconds(started.elapsed())));
                 return Ok(());
             }
         };
         let scenario = self.look(scene, &graph)?;
-        let environment_ms = milliseconds(started);
+        let environment_ms = milliseconds(started.elapsed());
         let thinking = self.think(iteration, scene, &graph, &scenario, deadline)?;
         let decision = self.decide(&thinking);
         match decision {
@@ -173,7 +173,7 @@ impl PlanAgent {
             decision,
             emergency_brakes: 0,
             environment_ms,
-            total_ms: milliseconds(started),
+            total_ms: milliseconds(started.elapsed()),
         });
         Ok(())
     }
@@ -220,7 +220,7 @@ impl PlanAgent {
             None
         };
         // What all attempts are judged against is looked at once; the first attempt's reflection bears its time.
-        let mut looked_ms = milliseconds(looking);
+        let mut looked_ms = milliseconds(looking.elapsed());
         let mut thinking = Thinking::default();
         while (thinking.attempts.len() < settings.max_exec || self.mind.compares()) && thinking.interruption.is_none() {
             let feedback = thinking.attempts.last().map(|last| feedback(last, settings.threshold));
@@ -239,7 +239,7 @@ impl PlanAgent {
                 _ => None,
             };
             let accepted = planner.is_some() && reflection.as_ref().is_none_or(|r| r.verdict == Verdict::Execute);
-            let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started);
+            let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started.elapsed());
             let attempt = attempt(thought, errors, planner.as_ref(), reflection, reflection_ms);
             if self.mind.compares() {
                 thinking.keep_better(attempt, planner);
@@ -446,8 +446,4 @@ pub fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::T
         states.push(TrajectoryState::moving(ego.time_us + step as i64 * STEP_US, pose, speed, -BRAKE));
     }
     Trajectory::new(states)
-}
-
-fn milliseconds(since: Instant) -> f64 {
-    since.elapsed().as_secs_f64() * 1e3
 }
