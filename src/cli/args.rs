@@ -2,9 +2,10 @@
 
 use super::picture::PictureFile;
 use crate::experiment::nuplan_data::NuPlanData;
+use crate::experiment::study;
 use crate::mllm::Storage;
 use crate::scenario::nuplan::DataRoots;
-use clap::builder::{PathBufValueParser, TypedValueParser};
+use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -48,6 +49,11 @@ pub(super) struct Arguments {
     pub(super) verbose: bool,
 }
 
+/// The experiment that drives nothing.
+pub(super) const TOKENS_EXPERIMENT: &str = "tokens";
+/// Stands for every experiment.
+pub(super) const ALL_EXPERIMENTS: &str = "all";
+
 /// Name of the hidden subcommand that `bench` starts itself by.
 pub(super) const BENCH_PROCESS: &str = "bench-process";
 
@@ -58,6 +64,10 @@ pub(super) enum Command {
     Simulate(SimulateArguments),
     /// Make one planning call and show what was seen, thought, written and judged.
     Plan(PlanArguments),
+    /// Write a page of runs: scores, histograms, and replays with their transcripts.
+    Report(ReportArguments),
+    /// Write a drive of a run as a film or a picture.
+    Render(RenderArguments),
     /// List, show and generate scenarios.
     #[command(subcommand)]
     Scenarios(ScenariosCommand),
@@ -66,6 +76,8 @@ pub(super) enum Command {
     Models(ModelsCommand),
     /// Write labelled states for training: BEV images and the three rounds with their answers.
     Dataset(DatasetArguments),
+    /// Make the paper's tables and figures, and some beyond it.
+    Experiment(ExperimentArguments),
     /// Measure what a planning call costs with local models, and beside llama.cpp.
     Bench(BenchArguments),
     /// The measuring process of `bench`: requests on stdin, replies on stdout.
@@ -167,6 +179,69 @@ pub(super) struct PlanArguments {
     /// Write the BEV map to this file, a PNG or JPEG by its ending.
     #[arg(long, value_name = "FILE", value_parser = picture_file())]
     pub(super) image: Option<PictureFile>,
+}
+
+/// Flags of `report`.
+#[derive(Debug, Args)]
+pub(super) struct ReportArguments {
+    /// Folders of runs; several are compared.
+    #[arg(required = true, value_name = "RUN")]
+    pub(super) runs: Vec<PathBuf>,
+    /// The page [default: report.html in the folder of the first run].
+    #[arg(long, value_name = "FILE")]
+    pub(super) out: Option<PathBuf>,
+    /// Largest page, megabytes: replays that do not fit in are left out, whole scenarios at a time.
+    #[arg(long, value_name = "MB", default_value_t = 15.0, allow_negative_numbers = true)]
+    pub(super) max_mb: f64,
+    /// Only replays of scenarios with this in their name; tables and histograms are of all drives.
+    #[arg(long, value_name = "TEXT")]
+    pub(super) scenario: Option<String>,
+}
+
+/// Flags of `render`.
+#[derive(Debug, Args)]
+pub(super) struct RenderArguments {
+    /// Folder of the run.
+    #[arg(value_name = "RUN")]
+    pub(super) run: PathBuf,
+    /// The drive: its number in the run, or the name of its scenario.
+    #[arg(value_name = "DRIVE")]
+    pub(super) drive: String,
+    /// By which planner, where several drove the scenario.
+    #[arg(long, value_name = "NAME")]
+    pub(super) planner: Option<String>,
+    /// In which challenge, where it was driven in several.
+    #[arg(long, value_name = "NAME")]
+    pub(super) challenge: Option<String>,
+    #[command(flatten)]
+    pub(super) output: RenderOutput,
+    /// With --png: the frame at this time, seconds [default: a sheet of eight frames].
+    #[arg(long, value_name = "SECONDS", requires = "png", allow_negative_numbers = true)]
+    pub(super) at: Option<f64>,
+    /// Side of the scene, pixels.
+    #[arg(long, value_name = "N", default_value_t = 640)]
+    pub(super) pixels: u32,
+    /// Side of the scene, metres.
+    #[arg(long, value_name = "METRES", default_value_t = 64.0, allow_negative_numbers = true)]
+    pub(super) view: f64,
+    /// Frames a second of a film; the drive has 10.
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=10))]
+    pub(super) fps: u32,
+}
+
+/// What `render` writes: one of these.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+pub(super) struct RenderOutput {
+    /// Write a GIF.
+    #[arg(long, value_name = "FILE")]
+    pub(super) gif: Option<PathBuf>,
+    /// Write an MP4; ffmpeg must be on the path.
+    #[arg(long, value_name = "FILE")]
+    pub(super) mp4: Option<PathBuf>,
+    /// Write a PNG.
+    #[arg(long, value_name = "FILE")]
+    pub(super) png: Option<PathBuf>,
 }
 
 /// Takes a path whose ending names a format that pictures are written in.
@@ -317,6 +392,43 @@ pub(super) struct DatasetArguments {
     /// Labelled states to make for validation, from seeds of their own; likewise.
     #[arg(long, default_value_t = 2_000)]
     pub(super) validation: usize,
+    /// Let PlanAgent with the configured model drive from state to state, so that the states are those that it reaches, and label
+    /// those; for training only. Such shards may lie in the same folder as others.
+    #[arg(long)]
+    pub(super) driven: bool,
+}
+
+/// Flags of `experiment`.
+#[derive(Debug, Args)]
+pub(super) struct ExperimentArguments {
+    /// Which one; all makes every one, and they share their drives.
+    #[arg(value_name = "NAME", value_parser = experiment_name())]
+    pub(super) name: String,
+    /// Only 2 scenes of each type, and 14 recordings: a look, in minutes.
+    #[arg(long)]
+    pub(super) quick: bool,
+    /// Suites to drive on, separated by commas: splits as simulate takes them, or recorded [default: the experiment's own].
+    #[arg(long = "suite", value_name = "NAMES", value_delimiter = ',')]
+    pub(super) suites: Vec<String>,
+    /// What the suite recorded holds: recordings as simulate takes them [default: those in `$PLANAGENT_DATA`].
+    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
+    pub(super) scenarios: Vec<String>,
+    #[command(flatten)]
+    pub(super) data: DataArguments,
+    /// Folder for results and drives; drives that lie there are not made again.
+    #[arg(long, value_name = "FOLDER", default_value = "runs/experiments")]
+    pub(super) out: PathBuf,
+    /// Folder of a bench that has the times of models that cannot drive here.
+    #[arg(long, value_name = "FOLDER")]
+    pub(super) bench: Option<PathBuf>,
+    /// Make drives that failed once more.
+    #[arg(long)]
+    pub(super) retry_failed: bool,
+}
+
+/// Takes the name of an experiment, or `all`.
+fn experiment_name() -> PossibleValuesParser {
+    PossibleValuesParser::new(study::NAMES.into_iter().chain([TOKENS_EXPERIMENT, ALL_EXPERIMENTS]))
 }
 
 /// Flags of `bench`.

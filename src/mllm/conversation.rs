@@ -24,6 +24,11 @@ pub trait Mllm: Send + Sync {
     /// # Errors
     /// When the opening cannot be rendered by the model's chat template or its image cannot be used.
     fn converse<'a>(&'a self, opening: &Opening, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError>;
+
+    /// Tokens that the model's own tokenizer makes of a text, without special ones; `None` where it is not at hand.
+    fn count_tokens(&self, _text: &str) -> Option<usize> {
+        None
+    }
 }
 
 /// A chat in progress: the rounds of a planning call continue one another.

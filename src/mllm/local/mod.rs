@@ -256,6 +256,10 @@ impl Mllm for LocalModel {
     fn converse<'a>(&'a self, opening: &Opening, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
         Ok(Box::new(LocalConversation::open(self, opening, seed)?))
     }
+
+    fn count_tokens(&self, text: &str) -> Option<usize> {
+        self.tokenizer.encode_text(text).ok().map(|ids| ids.len())
+    }
 }
 
 /// The tokens that end an answer: of `generation_config.json`, else of the decoder's configuration, else of the tokenizer.
