@@ -1,10 +1,11 @@
 //! What descriptions of scenes take in tokens, on generated and recorded drives.
 
+use crate::womd::recordings;
 use planagent::experiment::tokens::{SceneText, TokenCounter, TokenRow, TokenTable, count};
 use planagent::mllm::{HubAccess, Mllm, ModelRegistry};
+use planagent::scenario::Scenario;
 use planagent::scenario::generator::{self, ScenarioType, Spec};
-use planagent::scenario::{Scenario, womd};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Iterations between planning calls.
 const INTERVAL: usize = 20;
@@ -49,15 +50,10 @@ fn generated_scenes_take_few_tokens() {
 
 #[test]
 fn recorded_scenes_take_few_tokens() {
-    let root = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
-    let Ok(folder) = std::fs::read_dir(root.join("womd")) else {
-        eprintln!("SKIPPED: no recordings (set PLANAGENT_DATA)");
+    if recordings().is_empty() {
         return;
-    };
-    let mut files: Vec<PathBuf> = folder.map(|entry| entry.unwrap().path()).collect();
-    files.sort();
+    }
     let counter = TokenCounter::new(None);
-    let rows = rows(files.iter().flat_map(|file| womd::open(file).unwrap()), &counter);
+    let rows = rows(recordings().iter().cloned(), &counter);
     check(&TokenTable::new(&rows, None));
 }

@@ -12,7 +12,7 @@ use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
-use crate::mllm::{Deadline, Opening};
+use crate::mllm::{Deadline, Opening, milliseconds};
 use crate::pdm::{self, PdmMemory};
 use crate::reasoning::{Interruption, Names, ParseError, PlannerCode, ScenarioPrompt, Thought};
 use crate::reflection::{
@@ -98,7 +98,7 @@ impl PlanAgent {
             && let Some(score) = predicted_score(scene, &mut self.memory)?.filter(|&score| score >= gate)
         {
             self.in_force = InForce::Rules;
-            self.calls.push(PlanningCall::without_attempts(iteration, Decision::Saved(score), milliseconds(started)));
+            self.calls.push(PlanningCall::without_attempts(iteration, Decision::Saved(score), milliseconds(started.elapsed())));
             return Ok(());
         }
         let deadline = self.settings.deadline.map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
@@ -106,7 +106,7 @@ impl PlanAgent {
             Ok(graph) => graph,
             Err(error) => {
                 let decision = self.without_plan(NoPlan::NoLaneGraph(error.to_string()));
-                self.calls.push(PlanningCall::without_attempts(iteration, decision, milliseconds(started)));
+                self.calls.push(PlanningCall::without_attempts(iteration, decision, milliseconds(started.elapsed())));
                 return Ok(());
             }
         };
@@ -114,14 +114,14 @@ impl PlanAgent {
             self.in_force = as_it_goes(scene, &graph, self.settings.lead_policy, self.path_s())?;
         }
         let scenario = self.look(scene, &graph)?;
-        let environment_ms = milliseconds(started);
+        let environment_ms = milliseconds(started.elapsed());
         let thinking = self.think(iteration, scene, &graph, &scenario, deadline)?;
         let decision = self.decide(&thinking);
         let planner = match decision {
             Decision::Execute(index) | Decision::Exhausted(index) => thinking.planners.into_iter().nth(index).flatten(),
             _ => None,
         };
-        let total_ms = milliseconds(started);
+        let total_ms = milliseconds(started.elapsed());
         let image_hash = Opening { system: String::new(), image: scenario.image.clone() }.image_hash();
         self.calls.push(PlanningCall {
             iteration,
@@ -211,7 +211,7 @@ impl PlanAgent {
             None
         };
         // What all attempts are judged against is looked at once; the first attempt's reflection bears its time.
-        let mut looked_ms = milliseconds(looking);
+        let mut looked_ms = milliseconds(looking.elapsed());
         let mut thinking = Thinking::default();
         while (thinking.attempts.len() < settings.max_exec || self.mind.compares()) && thinking.interruption.is_none() {
             let feedback = thinking.attempts.last().map(|last| last.feedback(settings.threshold));
@@ -230,7 +230,7 @@ impl PlanAgent {
                 _ => None,
             };
             let accepted = planner.is_some() && reflection.as_ref().is_none_or(|r| r.verdict == Verdict::Execute);
-            let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started);
+            let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started.elapsed());
             let attempt = attempt(thought, errors, planner.as_ref(), reflection, reflection_ms);
             if self.mind.compares() {
                 thinking.keep_better(attempt, planner);
@@ -425,8 +425,4 @@ pub fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::T
         states.push(TrajectoryState::moving(ego.time_us + step as i64 * STEP_US, pose, speed, -BRAKE));
     }
     Trajectory::new(states)
-}
-
-pub(super) fn milliseconds(since: Instant) -> f64 {
-    since.elapsed().as_secs_f64() * 1e3
 }

@@ -3,6 +3,7 @@
 use super::chromium::Chromium;
 use super::{drive, scenes};
 use crate::cli::run;
+use crate::outside::skipped;
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
@@ -18,7 +19,7 @@ const NOW: &str = "scenarios.player.time";
 #[test]
 fn the_page_of_a_run_plays_scrubs_and_shows_the_call_in_force() {
     let Some(program) = Chromium::program() else {
-        eprintln!("SKIPPED: no Chromium on the path and none in PLANAGENT_CHROMIUM; nobody looked at the page");
+        skipped("no Chromium on the path and none in PLANAGENT_CHROMIUM; nobody looked at the page");
         return;
     };
     let folder = TempDir::new().unwrap();

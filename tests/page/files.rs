@@ -2,6 +2,7 @@
 
 use super::{drive, scenes};
 use crate::cli::{refused, run};
+use crate::outside::skipped;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -92,7 +93,7 @@ fn a_drive_is_rendered() {
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(2) && stderr.contains("ffmpeg") && stderr.contains("--gif"), "{stderr}");
     if std::process::Command::new("ffmpeg").arg("-version").output().is_err() {
-        eprintln!("SKIPPED: no ffmpeg on the path; nobody wrote an MP4");
+        skipped("no ffmpeg on the path; nobody wrote an MP4");
         return;
     }
     assert_eq!(run(&arguments).0, 0);

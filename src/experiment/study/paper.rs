@@ -119,18 +119,10 @@ pub(super) const GPT_4V: Published = Published::of_model([72.51, 76.82], None, 5
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::{Path, PathBuf};
 
     /// The paper's source; says so when it is missing.
     fn paper() -> Option<String> {
-        let data = std::env::var_os("PLANAGENT_DATA")
-            .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-        let file = data.join("../paper/planagent.tex");
-        let text = std::fs::read_to_string(&file).ok();
-        if text.is_none() {
-            eprintln!("SKIPPED: no source of the paper at {}", file.display());
-        }
-        text
+        crate::outside::data("../paper/planagent.tex").map(|file| std::fs::read_to_string(file).unwrap())
     }
 
     /// The numbers with two decimals in each row of the table with a label, rows without any left out.

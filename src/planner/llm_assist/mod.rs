@@ -10,7 +10,8 @@
 mod waypoints;
 
 use super::pdm_closed::pdm_failed;
-use super::plan_agent::{milliseconds, names, reflection_failed};
+use super::plan_agent::{names, reflection_failed};
+use crate::mllm::milliseconds;
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::{PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
@@ -95,12 +96,12 @@ impl LlmAssist {
             Ok(graph) => graph,
             Err(error) => {
                 let decision = Decision::RuleBased(NoPlan::NoLaneGraph(error.to_string()));
-                self.calls.push(PlanningCall::without_attempts(iteration, decision, milliseconds(started)));
+                self.calls.push(PlanningCall::without_attempts(iteration, decision, milliseconds(started.elapsed())));
                 return Ok(());
             }
         };
         let question = self.question(scene, &graph, rules);
-        let environment_ms = milliseconds(started);
+        let environment_ms = milliseconds(started.elapsed());
         let deadline = self.settings.deadline.map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
         let answers = self.ask(iteration, scene, &question, deadline)?;
         let decision = decide(&answers, rules);
@@ -117,7 +118,7 @@ impl LlmAssist {
             emergency_brakes: 0,
             in_force_from: None,
             environment_ms,
-            total_ms: milliseconds(started),
+            total_ms: milliseconds(started.elapsed()),
         });
         Ok(())
     }
@@ -149,7 +150,7 @@ impl LlmAssist {
         let looking = Instant::now();
         let horizon_s = PROPOSAL_STEPS as f64 * STEP_S;
         let judge = Judge::along(scene, way, horizon_s, collided).map_err(reflection_failed)?;
-        let mut looked_ms = milliseconds(looking);
+        let mut looked_ms = milliseconds(looking.elapsed());
         while answers.attempts.len() < settings.max_exec {
             let feedback = answers.attempts.last().map(|last| last.feedback(tau));
             let thought = reasoning.think(feedback.as_ref()).map_err(failed("asking the model"))?;
@@ -167,7 +168,7 @@ impl LlmAssist {
                 None => (None, Vec::new(), None),
             };
             let accepted = reflection.as_ref().is_some_and(|report| report.verdict == Verdict::Execute);
-            let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started);
+            let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started.elapsed());
             answers.attempts.push(attempt(thought, path, reflection, reflection_ms));
             answers.assisted.push(assisted);
             if accepted {
