@@ -32,3 +32,8 @@ pub mod report;
 pub mod scenario;
 pub mod simulation;
 pub mod world;
+
+// Unit tests look for outside data, and say what they skip, as the integration tests do.
+#[cfg(test)]
+#[path = "../tests/outside.rs"]
+mod outside;

@@ -6,6 +6,7 @@ use planagent::mllm::{
     Opening, Request, RoundTime, Sampling, TokenCounts,
 };
 use planagent::pdm::PdmMemory;
+use planagent::planner::BevOf;
 use planagent::planner::{
     AfterMaxExec, Decision, Execution, Mind, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, PlanningCall,
     generated_planner,
@@ -86,6 +87,7 @@ impl Conversation for Scripted<'_> {
 fn settings() -> PlanAgentSettings {
     PlanAgentSettings {
         view_m: Some(64.0),
+        bev_of: BevOf::Scene,
         lane_graph: true,
         node_length_m: DEFAULT_NODE_LENGTH,
         interval: 20,
@@ -386,7 +388,7 @@ fn a_watched_planner_drives_as_written_or_as_the_best_of_its_versions() {
 fn the_best_of_refused_planners_drives_only_if_the_planner_in_force_is_worse() {
     // The second call and those after it ask for a stop in the middle of the road, which makes no progress.
     let go = "Generate_IDM_Planner(c=ego_lane, la=None, v0=12, acc=1.5, dec=3)";
-    let stop = "Generate_IDM_Planner(c=ego_lane, la=None, v0=0, acc=0.5, dec=2)";
+    let stop = "Generate_IDM_Planner(c=ego_lane, la=None, v0=0, acc=0.5, dec=6)";
     let mut answers = vec![go];
     answers.extend([stop; 21]);
     let mut settings = settings();

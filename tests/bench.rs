@@ -1,6 +1,7 @@
 //! `planagent bench`: what it prints, what it leaves behind, and that a model that fails fails alone.
 
-use crate::cli::{read_json, refused, run};
+use crate::cli::{planagent, read_json, refused, run};
+use crate::outside::skipped;
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -108,6 +109,20 @@ fn a_broken_model_fails_alone() {
 }
 
 #[test]
+fn a_model_is_measured_by_the_configuration_that_is_named() {
+    let folder = TempDir::new().unwrap();
+    // What the process that measures would find if it looked for itself.
+    fs::write(folder.path().join("planagent.toml"), "[mllm]\nquantize = \"q3_k\"\n").unwrap();
+    fs::write(folder.path().join("named.toml"), "[mllm]\nquantize = \"f16\"\n").unwrap();
+    let arguments =
+        ["bench", "nano", "--config", "named.toml", "--warm-up", "0", "--iterations", "1", "--out", "bench"];
+    let output = planagent().current_dir(&folder).args(arguments).args(["--threads", "1"]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let rows = rows(&folder.path().join("bench"));
+    assert_eq!(rows.last().unwrap()["loaded"]["storage"], "f16", "{rows:?}");
+}
+
+#[test]
 fn wrong_words_are_refused_with_what_there_is() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().to_str().unwrap();
@@ -132,7 +147,7 @@ fn llama_python() -> Option<PathBuf> {
     if command.status().is_ok_and(|status| status.success()) {
         return Some(python);
     }
-    eprintln!("SKIPPED: {} has no llama_cpp; PLANAGENT_LLAMA_PYTHON may name one that has", python.display());
+    skipped(format!("{} has no llama_cpp; PLANAGENT_LLAMA_PYTHON may name one that has", python.display()));
     None
 }
 

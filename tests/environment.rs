@@ -1,32 +1,18 @@
 //! Every frame of recorded and generated drives as prompts: a graph, two texts that parse back, facts, an image.
 
+use crate::womd::recordings;
 use planagent::environment::facts::Question;
 use planagent::environment::{BevView, DEFAULT_NODE_LENGTH, Description, LaneGraph, SceneFacts, TextForm, bev, text};
 use planagent::scenario::generator::{self, ScenarioType, Spec};
-use planagent::scenario::{Frame, Scenario, womd};
-use planagent::world::{History, Scene};
+use planagent::scenario::{Frame, Scenario};
+use planagent::world::History;
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 
 /// Frames between those that are looked at.
 const STRIDE: usize = 15;
 
-fn recordings() -> Option<PathBuf> {
-    let root = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
-    let folder = root.join("womd");
-    folder.is_dir().then_some(folder)
-}
-
 fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts {
-    let scene = Scene {
-        map: &scenario.map,
-        route: &scenario.route,
-        ego: &frame.ego,
-        objects: &frame.objects,
-        lights: &frame.lights,
-        history,
-    };
+    let scene = scenario.scene(frame, history);
     let place = format!("{} at {} us", scenario.id, frame.ego.time_us);
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap_or_else(|e| panic!("{place}: {e}"));
     let description = Description::of(&graph);
@@ -45,17 +31,14 @@ fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts
 
 #[test]
 fn every_recording_becomes_prompts() {
-    let Some(folder) = recordings() else {
-        eprintln!("SKIPPED: no recordings (set PLANAGENT_DATA)");
+    if recordings().is_empty() {
         return;
-    };
-    let mut files: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
-    files.sort();
+    }
     let history = History::default();
     let mut looked_at = 0;
-    for scenario in files.iter().flat_map(|file| womd::open(file).unwrap()) {
+    for scenario in recordings() {
         for frame in scenario.frames.iter().step_by(STRIDE) {
-            facts_of(&scenario, frame, &history);
+            facts_of(scenario, frame, &history);
             looked_at += 1;
         }
     }

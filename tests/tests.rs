@@ -1,10 +1,5 @@
 //! The one integration-test binary; a module a subject.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stderr,
-    reason = "a test that cannot go on fails, and says aloud what it skips"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on fails")]
 
 mod agent;
 mod architecture;
@@ -13,14 +8,17 @@ mod bench;
 mod cli;
 mod endpoint;
 mod environment;
+mod experiment;
 mod generator;
 mod metrics;
 mod mllm;
 mod nuplan;
 mod nuplan_input;
+mod outside;
 mod page;
 mod pdm;
 mod road;
 mod runner;
 mod simulation;
+mod tokens;
 mod womd;

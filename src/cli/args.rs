@@ -2,9 +2,10 @@
 
 use super::picture::PictureFile;
 use crate::experiment::nuplan_data::NuPlanData;
+use crate::experiment::study;
 use crate::mllm::Storage;
 use crate::scenario::nuplan::DataRoots;
-use clap::builder::{PathBufValueParser, TypedValueParser};
+use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -48,6 +49,11 @@ pub(super) struct Arguments {
     pub(super) verbose: bool,
 }
 
+/// The experiment that drives nothing.
+pub(super) const TOKENS_EXPERIMENT: &str = "tokens";
+/// Stands for every experiment.
+pub(super) const ALL_EXPERIMENTS: &str = "all";
+
 /// Name of the hidden subcommand that `bench` starts itself by.
 pub(super) const BENCH_PROCESS: &str = "bench-process";
 
@@ -70,6 +76,8 @@ pub(super) enum Command {
     Models(ModelsCommand),
     /// Write labelled states for training: BEV images and the three rounds with their answers.
     Dataset(DatasetArguments),
+    /// Make the paper's tables and figures, and some beyond it.
+    Experiment(ExperimentArguments),
     /// Measure what a planning call costs with local models, and beside llama.cpp.
     Bench(BenchArguments),
     /// The measuring process of `bench`: requests on stdin, replies on stdout.
@@ -384,6 +392,43 @@ pub(super) struct DatasetArguments {
     /// Labelled states to make for validation, from seeds of their own; likewise.
     #[arg(long, default_value_t = 2_000)]
     pub(super) validation: usize,
+    /// Let PlanAgent with the configured model drive from state to state, so that the states are those that it reaches, and label
+    /// those; for training only. Such shards may lie in the same folder as others.
+    #[arg(long)]
+    pub(super) driven: bool,
+}
+
+/// Flags of `experiment`.
+#[derive(Debug, Args)]
+pub(super) struct ExperimentArguments {
+    /// Which one; all makes every one, and they share their drives.
+    #[arg(value_name = "NAME", value_parser = experiment_name())]
+    pub(super) name: String,
+    /// Only 2 scenes of each type, and 14 recordings: a look, in minutes.
+    #[arg(long)]
+    pub(super) quick: bool,
+    /// Suites to drive on, separated by commas: splits as simulate takes them, or recorded [default: the experiment's own].
+    #[arg(long = "suite", value_name = "NAMES", value_delimiter = ',')]
+    pub(super) suites: Vec<String>,
+    /// What the suite recorded holds: recordings as simulate takes them [default: those in `$PLANAGENT_DATA`].
+    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
+    pub(super) scenarios: Vec<String>,
+    #[command(flatten)]
+    pub(super) data: DataArguments,
+    /// Folder for results and drives; drives that lie there are not made again.
+    #[arg(long, value_name = "FOLDER", default_value = "runs/experiments")]
+    pub(super) out: PathBuf,
+    /// Folder of a bench that has the times of models that cannot drive here.
+    #[arg(long, value_name = "FOLDER")]
+    pub(super) bench: Option<PathBuf>,
+    /// Make drives that failed once more.
+    #[arg(long)]
+    pub(super) retry_failed: bool,
+}
+
+/// Takes the name of an experiment, or `all`.
+fn experiment_name() -> PossibleValuesParser {
+    PossibleValuesParser::new(study::NAMES.into_iter().chain([TOKENS_EXPERIMENT, ALL_EXPERIMENTS]))
 }
 
 /// Flags of `bench`.

@@ -3,7 +3,7 @@
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use crate::environment::{BevView, DEFAULT_NODE_LENGTH};
 use crate::mllm::{GenerationSettings, Sampling, Storage};
-use crate::planner::{AfterMaxExec, Execution, PlanAgentSettings};
+use crate::planner::{AfterMaxExec, BevOf, Execution, PlanAgentSettings};
 use crate::reasoning::{ReasoningSettings, Round};
 use crate::reflection::LeadPolicy;
 use anyhow::{Context, bail};
@@ -65,6 +65,8 @@ pub struct AgentConfig {
 pub struct EnvironmentConfig {
     /// Whether the model gets the BEV map.
     pub bev: bool,
+    /// Which scene that map is of.
+    pub bev_of: BevOf,
     /// Whether it gets the lane-graph text.
     pub lane_graph: bool,
     /// Side of the square that the BEV map shows, metres.
@@ -75,7 +77,7 @@ pub struct EnvironmentConfig {
 
 impl Default for EnvironmentConfig {
     fn default() -> Self {
-        Self { bev: true, lane_graph: true, view_m: 64.0, node_length_m: DEFAULT_NODE_LENGTH }
+        Self { bev: true, bev_of: BevOf::Scene, lane_graph: true, view_m: 64.0, node_length_m: DEFAULT_NODE_LENGTH }
     }
 }
 
@@ -156,6 +158,18 @@ impl Config {
         Ok(config)
     }
 
+    /// The same with TOML laid over it.
+    ///
+    /// # Errors
+    /// When the text is no TOML, has a wrong key or type, or a value is out of range.
+    pub fn overlaid(&self, settings: &str) -> anyhow::Result<Self> {
+        let mut table = toml::Table::try_from(self)?;
+        overlay(&mut table, settings.parse().with_context(|| format!("in the settings {settings:?}"))?);
+        let config: Self = table.try_into().with_context(|| format!("in the settings {settings:?}"))?;
+        config.check()?;
+        Ok(config)
+    }
+
     /// How a model with these generation settings is asked.
     pub fn reasoning_settings(&self, generation: GenerationSettings) -> ReasoningSettings {
         let ReasoningConfig { rounds, rethink_temperature, grammar, .. } = &self.reasoning;
@@ -172,6 +186,7 @@ impl Config {
         let Self { seed, agent, environment, reasoning, reflection, .. } = self;
         PlanAgentSettings {
             view_m: environment.bev.then_some(environment.view_m),
+            bev_of: environment.bev_of,
             lane_graph: environment.lane_graph,
             node_length_m: environment.node_length_m,
             interval: reasoning.interval,
@@ -214,5 +229,44 @@ impl Config {
             bail!("reasoning.rounds must be some of understanding, instruction, code, in this order, ending with code");
         }
         Ok(())
+    }
+}
+
+/// Puts the values of one table in the place of another's; tables within are merged.
+fn overlay(below: &mut toml::Table, above: toml::Table) {
+    for (key, value) in above {
+        match (below.get_mut(&key), value) {
+            (Some(toml::Value::Table(below)), toml::Value::Table(above)) => overlay(below, above),
+            (_, value) => {
+                below.insert(key, value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::study;
+
+    #[test]
+    fn settings_are_laid_over_and_checked() {
+        let base = Config { seed: 7, ..Config::default() };
+        assert_eq!(base.overlaid("").unwrap(), base);
+        let other = base.overlaid("environment.bev = false\nreflection = { max_exec = 1 }").unwrap();
+        assert!(!other.environment.bev && other.environment.lane_graph);
+        assert_eq!((other.seed, other.reflection.max_exec), (7, 1));
+        for wrong in ["environment.bov = false", "reasoning.interval = 'often'", "reasoning.interval = 0", "= 3"] {
+            assert!(base.overlaid(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn every_variant_of_an_experiment_can_be_configured() {
+        for study in study::all() {
+            for variant in &study.variants {
+                Config::default().overlaid(variant.settings).unwrap();
+            }
+        }
     }
 }

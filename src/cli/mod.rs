@@ -3,6 +3,7 @@
 mod args;
 mod commands;
 mod config;
+mod drives;
 mod exit;
 mod machine;
 mod model;
@@ -76,12 +77,14 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
         Command::Models(command) => commands::models::run(command, &config, printer),
         Command::Dataset(flags) => commands::dataset::run(flags, &config, printer),
+        Command::Experiment(flags) => commands::experiment::run(flags, &config, printer),
         Command::Bench(flags) => commands::bench::run(flags, &config, printer),
         Command::BenchProcess => commands::bench::process(&config, printer),
     })
 }
 
-/// The file that `--config` names; without it, for a run that is gone on with, what that was started with.
+/// The file that `--config` names; without it, for a run that is gone on with, what that was started with; for a measuring
+/// process, no file.
 fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
     match &arguments.command {
         Command::Simulate(SimulateArguments { resume: Some(folder), .. }) if arguments.config.is_none() => {
@@ -91,6 +94,8 @@ fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
                 .try_into()
                 .with_context(|| format!("in the configuration of the run in {}", folder.display()))
         }
+        // The bench that starts it says all that it needs.
+        Command::BenchProcess => Ok(Config::default()),
         _ => Config::load(arguments.config.as_deref()),
     }
 }

@@ -3,7 +3,7 @@
 use super::{Config, Printer};
 use crate::experiment::run::AgentParts;
 use crate::mllm::{
-    FetchProgress, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, PromptSet as PromptSetName,
+    FetchProgress, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, ModelSpec, PromptSet as PromptSetName,
 };
 use crate::planner::Mind;
 use crate::reasoning::PromptSet;
@@ -28,27 +28,58 @@ pub(super) struct Loaded {
     pub(super) load_s: f64,
 }
 
+/// A model in memory, that can be asked in several ways.
+pub(super) struct Opened {
+    model: Arc<dyn Mllm>,
+    spec: ModelSpec,
+    load_s: f64,
+}
+
 /// Loads the configured model and its prompt set.
 ///
 /// # Errors
 /// When there is no such model, its files are broken, or the prompt set cannot be used.
 pub(crate) fn load(config: &Config, printer: Printer) -> anyhow::Result<Loaded> {
+    open(config, printer)?.asked(config)
+}
+
+/// Loads the configured model.
+///
+/// # Errors
+/// When there is no such model, or its files are broken.
+pub(super) fn open(config: &Config, printer: Printer) -> anyhow::Result<Opened> {
     let started = Instant::now();
     let registry = registry(config, printer);
     let spec = registry.find(&config.mllm.model)?;
-    let set = config.reasoning.prompt_set.as_deref().unwrap_or(match spec.prompt_set {
-        PromptSetName::Compact => "compact",
-        PromptSetName::Paper => "paper",
-    });
-    let prompts = Arc::new(PromptSet::open(set)?);
     let model: Arc<dyn Mllm> =
         Arc::from(registry.open(&spec).with_context(|| format!("cannot load the model '{}'", spec.name))?);
     let load_s = started.elapsed().as_secs_f64();
     let about = model.describe();
     about.load.lines().iter().for_each(|line| printer.detail(line));
     printer.note(in_words(&about, load_s));
-    let mind = Mind::Model { model, prompts, reasoning: config.reasoning_settings(spec.generation) };
-    Ok(Loaded { mind, about, load_s })
+    Ok(Opened { model, spec, load_s })
+}
+
+impl Opened {
+    /// The model.
+    pub(super) fn model(&self) -> &dyn Mllm {
+        self.model.as_ref()
+    }
+
+    /// The model, asked as a configuration says.
+    ///
+    /// # Errors
+    /// When the prompt set cannot be used.
+    pub(super) fn asked(&self, config: &Config) -> anyhow::Result<Loaded> {
+        let set = config.reasoning.prompt_set.as_deref().unwrap_or(match self.spec.prompt_set {
+            PromptSetName::Compact => "compact",
+            PromptSetName::Paper => "paper",
+        });
+        let prompts = Arc::new(PromptSet::open(set)?);
+        let reasoning = config.reasoning_settings(self.spec.generation);
+        let mind = Mind::Model { model: Arc::clone(&self.model), prompts, reasoning };
+        Ok(Loaded { mind, about: self.model.describe(), load_s: self.load_s })
+    }
 }
 
 /// What agents are made of, with the model where one is loaded.
@@ -89,7 +120,7 @@ fn in_words(about: &ModelDescription, load_s: f64) -> String {
             "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
             about.name,
             about.parameters / 1_000_000,
-            about.dtype,
+            about.load.storages.first().map_or(about.dtype.as_str(), |most| most.storage.name()),
             about.image_tokens
         ),
     }

@@ -6,10 +6,12 @@
 //! - [`lane_graph`]: the node under the ego, its eight neighbours, who is on them, and the centrelines to follow.
 //! - [`text`]: the lane graph in words, in two prompt sets, and the way back.
 //! - [`facts`]: what is true of the scene, as choices.
+//! - [`coordinates`]: the texts of other language-model planners, to compare with.
 
 pub(crate) mod choice;
 
 pub mod bev;
+pub mod coordinates;
 pub mod facts;
 pub mod lane_graph;
 pub mod text;

@@ -1,4 +1,5 @@
-//! Stage 9: what drives many loops. Simulation runs; label search and datasets; what a planning call costs.
+//! Stage 9: what drives many loops. Simulation runs; the paper's tables; label search and datasets; what a planning call costs;
+//! what descriptions of scenes take.
 
 pub mod bench;
 mod caught;
@@ -7,4 +8,7 @@ pub mod nuplan_data;
 pub mod run;
 pub mod source;
 pub mod split;
+pub mod statistics;
+pub mod study;
 pub mod suite;
+pub mod tokens;

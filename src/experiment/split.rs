@@ -288,12 +288,11 @@ mod tests {
 
     #[test]
     fn published_lists_are_known_by_their_tokens() {
-        let data = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data"));
-        let data = std::env::var_os("PLANAGENT_DATA").map_or_else(|| data.to_owned(), PathBuf::from);
+        let Some(folder) = crate::outside::data("splits") else { return };
         for published in &PUBLISHED {
-            let file = published.files.iter().map(|file| data.join("splits").join(file)).find(|path| path.is_file());
+            let file = published.files.iter().map(|file| folder.join(file)).find(|path| path.is_file());
             let Some(file) = file else {
-                eprintln!("SKIPPED: no file of split {} in {}", published.name, data.display());
+                crate::outside::skipped(format!("no file of split {} in {}", published.name, folder.display()));
                 continue;
             };
             let filter = FilterFile::open(&file).unwrap().filter;

@@ -1,5 +1,7 @@
 //! The one interface to every model backend: open a conversation, ask, go back to a mark.
 
+use std::time::Duration;
+
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +24,11 @@ pub trait Mllm: Send + Sync {
     /// # Errors
     /// When the opening cannot be rendered by the model's chat template or its image cannot be used.
     fn converse<'a>(&'a self, opening: &Opening, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError>;
+
+    /// Tokens that the model's own tokenizer makes of a text, without special ones; `None` where it is not at hand.
+    fn count_tokens(&self, _text: &str) -> Option<usize> {
+        None
+    }
 }
 
 /// A chat in progress: the rounds of a planning call continue one another.
@@ -167,7 +174,8 @@ pub struct Answer {
     pub prompt_hash: String,
 }
 
-/// Tokens of one round. The prompt has `text + image + cached` tokens, the answer `forced + free`.
+/// Tokens of one round. The prompt has `text + image + cached` tokens, the answer `forced + free`. Where the constraint left
+/// nothing to choose, the prompt is not computed: what was not known of it is counted by the next round that computes it.
 ///
 /// An endpoint tells what its server counts: image tokens stand under `text`, forced ones under `free`, and all is zero
 /// where the server says nothing.
@@ -201,6 +209,11 @@ pub struct RoundTime {
     pub remote: f64,
     /// The whole round, chat template and tokenizer included.
     pub total: f64,
+}
+
+/// A time as [`RoundTime`] has it, milliseconds.
+pub(crate) fn milliseconds(time: Duration) -> f64 {
+    time.as_secs_f64() * 1e3
 }
 
 /// Why an answer ends.

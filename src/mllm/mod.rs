@@ -35,6 +35,7 @@ mod vision;
 
 pub(crate) use checkpoint::in_bytes;
 pub use checkpoint::{LoadReport, ModelPlace, StorageException, StorageShare};
+pub(crate) use conversation::milliseconds;
 pub use conversation::{
     Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription, Opening, Request,
     RoundTime, Sampling, Server, TokenCounts, Turn, prompt_hash,

@@ -1,48 +1,30 @@
 //! Activation functions, number by number: vectorised, over threads, in one pass.
 #![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
 
-use candle_core::{Result, Tensor, bail};
-use rayon::prelude::*;
+use candle_core::{D, Result, Tensor, bail};
 
 use super::checkpoint::Activation;
 use super::matrix::{Instructions, Kernel, Simd};
-use super::values::{PIECE, with_values};
+use super::values::row_by_row;
 
 impl Activation {
     /// Applies the activation.
     pub(crate) fn forward(self, x: &Tensor) -> Result<Tensor> {
-        with_values(x, |values| {
-            let mut out = vec![0f32; values.len()];
-            let apply = |(out, values): (&mut [f32], &[f32])| {
-                Instructions::best().run(EachKernel { activation: self, values, out });
-            };
-            if values.len() < 2 * PIECE {
-                apply((&mut out, values));
-            } else {
-                out.par_chunks_mut(PIECE).zip(values.par_chunks(PIECE)).for_each(apply);
-            }
-            Tensor::from_vec(out, x.shape(), x.device())
+        let width = x.dims().last().copied().unwrap_or(0);
+        row_by_row(x, width, width, |out, values| {
+            Instructions::best().run(EachKernel { activation: self, values, out });
         })
     }
 
     /// silu(gate) · up of rows (gate, up), (tokens, 2 · width), to (tokens, width).
     pub(crate) fn swiglu(gate_up: &Tensor) -> Result<Tensor> {
-        let (tokens, both) = gate_up.dims2()?;
+        let both = gate_up.dim(D::Minus1)?;
         let width = both / 2;
-        if both == 0 || both % 2 == 1 {
+        if both % 2 == 1 {
             bail!("rows of {both} numbers are no gates and as many values");
         }
-        with_values(gate_up, |values| {
-            let mut out = vec![0f32; tokens * width];
-            let apply =
-                |(out, values): (&mut [f32], &[f32])| Instructions::best().run(SwiGluKernel { width, values, out });
-            if out.len() < 2 * PIECE {
-                apply((&mut out, values));
-            } else {
-                let rows = (PIECE / width).max(1);
-                out.par_chunks_mut(rows * width).zip(values.par_chunks(rows * both)).for_each(apply);
-            }
-            Tensor::from_vec(out, (tokens, width), gate_up.device())
+        row_by_row(gate_up, both, width, |out, values| {
+            Instructions::best().run(SwiGluKernel { width, values, out });
         })
     }
 }

@@ -1,12 +1,11 @@
 //! Root mean square normalisation.
 
-use candle_core::{Result, Tensor, bail};
-use rayon::prelude::*;
+use candle_core::{Result, Tensor};
 
 use super::MllmError;
 use super::checkpoint::Weights;
 use super::matrix::{Instructions, Kernel, LANES, Simd};
-use super::values::{PIECE, with_values};
+use super::values::row_by_row;
 
 /// x / sqrt(mean(x²) + ε) · weight over the last dimension (Zhang and Sennrich, arXiv:1910.07467).
 #[derive(Debug)]
@@ -33,20 +32,7 @@ impl RmsNorm {
     /// Applies the norm to (rows, width).
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let width = self.weight.len();
-        if x.dims().last() != Some(&width) {
-            bail!("RMS norm of width {width} on shape {:?}", x.shape());
-        }
-        with_values(x, |values| {
-            let mut out = vec![0f32; values.len()];
-            let normalise = |(out, x): (&mut [f32], &[f32])| Instructions::best().run(Rows { norm: self, x, out });
-            if values.len() < 2 * PIECE {
-                normalise((&mut out, values));
-            } else {
-                let piece = (PIECE / width).max(1) * width;
-                out.par_chunks_mut(piece).zip(values.par_chunks(piece)).for_each(normalise);
-            }
-            Tensor::from_vec(out, x.shape(), x.device())
-        })
+        row_by_row(x, width, width, |out, x| Instructions::best().run(Rows { norm: self, x, out }))
     }
 }
 

@@ -1,5 +1,6 @@
 //! Stage 6: the planners. The simulator knows an agent only through [`Planner`], whose shape is nuPlan's.
 
+mod foreign_view;
 mod idm;
 mod log_replay;
 mod mind;
@@ -8,12 +9,14 @@ mod plan_agent;
 mod record;
 mod simple;
 
+pub use foreign_view::BevOf;
 pub use idm::IdmPlanner;
 pub use log_replay::LogReplay;
 pub use mind::{Mind, USUAL_ACCELERATIONS, planner_code};
 pub use pdm_closed::PdmClosed;
 pub use plan_agent::{
-    AfterMaxExec, Execution, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, brake, generated_planner, names, watched,
+    AfterMaxExec, Execution, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, brake, feedback, generated_planner,
+    names, watched,
 };
 pub use record::{Attempt, Decision, NoPlan, PlanningCall};
 pub use simple::SimplePlanner;

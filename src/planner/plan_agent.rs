@@ -1,6 +1,7 @@
 //! The agent of the paper: every 20 iterations it looks, thinks, writes a planner and reflects on it; in between the planner
 //! in force drives.
 
+use super::foreign_view::{self, BevOf};
 use super::mind::Mind;
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
@@ -41,7 +42,7 @@ pub enum AfterMaxExec {
 pub enum Execution {
     /// As it was written (the paper).
     AsWritten,
-    /// Under Reflection's eyes: at every iteration it is simulated and scored anew with its slower versions and those beside it,
+    /// Under Reflection's eyes, where there is Reflection: at every iteration it is simulated and scored anew with its slower versions and those beside it,
     /// and the best of them drives.
     #[default]
     Watched,
@@ -52,6 +53,8 @@ pub enum Execution {
 pub struct PlanAgentSettings {
     /// Side of the BEV map, metres; `None` leaves the image out.
     pub view_m: Option<f64>,
+    /// Which scene that map is of.
+    pub bev_of: BevOf,
     /// Whether the model gets the lane-graph text.
     pub lane_graph: bool,
     /// Length of a lane-graph node, metres.
@@ -185,7 +188,11 @@ impl PlanAgent {
             (Some(metres), Some(pixels)) => {
                 let view = BevView::new(pixels, metres)
                     .map_err(|e| PlannerError::Failed { doing: "drawing the BEV map", source: Box::new(e) })?;
-                Some(bev::render(scene, &view))
+                Some(match self.settings.bev_of {
+                    BevOf::Scene => bev::render(scene, &view),
+                    BevOf::Another => foreign_view::render(self.settings.seed ^ scene.ego.time_us as u64, &view)
+                        .map_err(|e| PlannerError::Failed { doing: "finding another scene", source: Box::new(e) })?,
+                })
             }
             _ => None,
         };
@@ -223,7 +230,7 @@ impl PlanAgent {
         let mut looked_ms = milliseconds(looking);
         let mut thinking = Thinking::default();
         while (thinking.attempts.len() < settings.max_exec || self.mind.compares()) && thinking.interruption.is_none() {
-            let feedback = thinking.attempts.last().map(|last| feedback(last, settings.threshold));
+            let feedback = thinking.attempts.last().map(|last| last.feedback(settings.threshold));
             let thought = thoughts.next(feedback.as_ref()).map_err(failed("asking the model"))?;
             let Some(mut thought) = thought else { break };
             thinking.interruption = thought.interruption.take();
@@ -322,12 +329,14 @@ impl Planner for PlanAgent {
         let ego = input.scene.ego;
         let Some(planner) = &self.in_force else { return Ok(brake(ego)?) };
         let (rollout, emergency) = match self.settings.execution {
-            Execution::AsWritten => {
+            Execution::Watched if self.settings.reflect => {
+                watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?
+            }
+            Execution::AsWritten | Execution::Watched => {
                 let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
                 let emergency = needs_emergency_brake(&input.scene, &rollout, &mut self.memory);
                 (rollout, emergency)
             }
-            Execution::Watched => watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?,
         };
         if emergency && self.settings.emergency_brake {
             if let Some(call) = self.calls.last_mut() {
@@ -422,18 +431,27 @@ fn attempt(
     }
 }
 
-fn feedback(last: &Attempt, threshold: f64) -> Feedback {
+/// What there is to say about a planner that was refused, or that could not be read.
+pub fn feedback(
+    code: Option<&PlannerCode>,
+    reflection: Option<&ReflectionReport>,
+    errors: &[ParseError],
+    threshold: f64,
+) -> Feedback {
     let named = |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
     Feedback {
-        code: last.code.as_ref().map(ToString::to_string),
-        score: last.reflection.as_ref().map(|report| report.score),
+        code: code.map(ToString::to_string),
+        score: reflection.map(|report| report.score),
         threshold,
-        parts: last.reflection.as_ref().map(named).unwrap_or_default(),
-        errors: last.errors.clone(),
+        parts: reflection.map(named).unwrap_or_default(),
+        errors: errors.to_vec(),
     }
 }
 
 /// Straight ahead, braking to a stop.
+///
+/// # Errors
+/// When the ego's state is not finite.
 pub fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::TrajectoryError> {
     use crate::world::{STEP_US, TrajectoryState};
     let mut speed = ego.velocity.x.max(0.0);

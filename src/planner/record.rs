@@ -1,7 +1,8 @@
 //! The record that every planning call leaves.
 
+use super::plan_agent::feedback;
 use crate::geometry::Pose;
-use crate::reasoning::{Interruption, MotionInstruction, ParseError, PlannerCode, RoundRecord};
+use crate::reasoning::{Feedback, Interruption, MotionInstruction, ParseError, PlannerCode, RoundRecord};
 use crate::reflection::ReflectionReport;
 use image::RgbImage;
 use std::fmt;
@@ -73,6 +74,13 @@ pub struct Attempt {
     pub path: Vec<Pose>,
     /// Wall time of the roll-out and its scoring, milliseconds.
     pub reflection_ms: f64,
+}
+
+impl Attempt {
+    /// What the next attempt is told of it.
+    pub fn feedback(&self, threshold: f64) -> Feedback {
+        feedback(self.code.as_ref(), self.reflection.as_ref(), &self.errors, threshold)
+    }
 }
 
 /// All attempts at one instant.

@@ -11,6 +11,9 @@ use super::run_folder::RunFolder;
 use super::summary::{Summary, aggregated, distinct};
 use super::timing::Timing;
 
+/// The file that is written last: where it is, the run has ended.
+pub const SUMMARY: &str = "summary.json";
+
 impl RunFolder {
     /// Writes `summary.json`, `timing.json`, `calls.jsonl`, `config.toml`, and for each challenge nuPlan's result tree.
     ///
@@ -40,7 +43,7 @@ impl RunFolder {
             write_runner_report(&folder.join("runner_report.parquet"), &own().collect::<Vec<_>>())?;
         }
         self.write("timing.json", pretty(timing)?.as_bytes())?;
-        self.write("summary.json", pretty(summary)?.as_bytes())
+        self.write(SUMMARY, pretty(summary)?.as_bytes())
     }
 }
 

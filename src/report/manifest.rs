@@ -86,6 +86,11 @@ impl Manifest {
             .collect()
     }
 
+    /// BLAKE3 of everything that must be the same for two runs to leave the same results.
+    pub fn digest(&self) -> String {
+        ScenarioList::digest(self.flat().into_iter().map(|(key, value)| format!("{key}={value}")))
+    }
+
     /// Every value that must stay as it is, by its dotted key.
     fn flat(&self) -> Vec<(String, String)> {
         let mut all = vec![
@@ -143,6 +148,8 @@ mod tests {
         now.planners.push("log-replay".to_owned());
         now.model = Some("name = \"nano\"".parse().unwrap());
         let lines = then.differences(&now);
+        assert_ne!(then.digest(), now.digest());
+        assert_eq!(then.digest(), Manifest { started: "later".to_owned(), ..manifest() }.digest());
         assert_eq!(
             lines,
             [

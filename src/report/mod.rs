@@ -5,6 +5,7 @@ mod bench;
 mod call_record;
 mod drive_row;
 mod error;
+mod figure;
 mod finish;
 mod manifest;
 mod number;
@@ -14,6 +15,7 @@ pub mod render;
 mod replay;
 mod run_folder;
 mod stamp;
+mod study;
 mod summary;
 mod table;
 mod timing;
@@ -23,11 +25,16 @@ pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigur
 pub use call_record::call_record;
 pub use drive_row::{DriveRow, DriveTime, MetricScore};
 pub use error::ReportError;
+pub use finish::SUMMARY;
 pub use manifest::{MANIFEST, Manifest, ScenarioList};
 pub use number::{fixed, json_value};
 pub use run_folder::{Recorded, RunFolder};
 pub use stamp::stamp;
+pub use study::{
+    ChallengeResults, ModelCost, Outcome, StudyFolder, StudyResults, SuiteDrives, SuiteResults, TypeResults,
+    VariantDrives, VariantResults,
+};
 pub use summary::{Aggregate, ScenarioSummary, Summary};
-pub use table::{bench_markdown, bench_table, failures, fill, main_table};
+pub use table::{bench_markdown, bench_table, failures, fill, main_table, study_markdown, study_table, token_table};
 pub use timing::{CallTimes, DriveTiming, PlannerTiming, Quantiles, Session, Timing};
 pub use transcript::{attempt_markdown, decision_words, transcript};

@@ -1,6 +1,6 @@
 //! Stage 1: opening a drive. Whatever its source, it becomes a [`Scenario`]: map, logged ego and agents, lights, route.
 
-use crate::world::{EgoState, LaneMap, Route, TrackedObject, TrafficLights};
+use crate::world::{EgoState, History, LaneMap, Route, Scene, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
 pub mod argoverse2;
@@ -68,6 +68,18 @@ impl Scenario {
     /// The recorded ego from iteration 0 on, over the end of the scenario.
     pub fn recorded(&self) -> impl Iterator<Item = &EgoState> {
         self.expert().chain(&self.future)
+    }
+
+    /// The scene of one of its frames, as recorded.
+    pub fn scene<'a>(&'a self, frame: &'a Frame, history: &'a History) -> Scene<'a> {
+        Scene {
+            map: &self.map,
+            route: &self.route,
+            ego: &frame.ego,
+            objects: &frame.objects,
+            lights: &frame.lights,
+            history,
+        }
     }
 
     /// The frames before iteration 0, oldest first.

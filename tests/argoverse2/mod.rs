@@ -1,7 +1,8 @@
 //! Argoverse 2: the logs at hand open, their derived maps keep the rules, and driving as recorded complies.
 
-#![expect(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests are tests")]
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
+use crate::outside::data;
 use planagent::experiment::nuplan_data::NuPlanData;
 use planagent::experiment::source::ScenarioSource;
 use planagent::geometry::wrap_angle;
@@ -17,14 +18,7 @@ use std::path::{Path, PathBuf};
 
 /// The logs of one of Argoverse 2's datasets, or nothing (and a loud word) where there are none.
 fn logs(dataset: &str) -> Vec<PathBuf> {
-    let data = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
-    let folder = data.join("argoverse2").join(dataset);
-    if !folder.is_dir() {
-        eprintln!("SKIPPED: no Argoverse 2 logs in {}", folder.display());
-        return Vec::new();
-    }
-    argoverse2::logs_in(&folder).unwrap()
+    data(&format!("argoverse2/{dataset}")).map_or_else(Vec::new, |folder| argoverse2::logs_in(&folder).unwrap())
 }
 
 /// No folder of nuPlan's.

@@ -4,7 +4,7 @@ use super::{planagent, run};
 use tempfile::TempDir;
 
 /// Every command line that has a help of its own.
-const COMMANDS: [&str; 15] = [
+const COMMANDS: [&str; 16] = [
     "",
     "simulate",
     "plan",
@@ -19,6 +19,7 @@ const COMMANDS: [&str; 15] = [
     "models check",
     "models fetch",
     "models quantize",
+    "experiment",
     "bench",
 ];
 /// The scenario type with the longest name.

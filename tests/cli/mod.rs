@@ -4,6 +4,7 @@ mod columns;
 mod open_loop;
 mod scenarios;
 
+use crate::outside::data;
 use assert_cmd::Command;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -43,14 +44,7 @@ pub(crate) fn read_json(path: &Path) -> Value {
 
 /// The folder of recordings; says so when it is missing.
 fn recordings() -> Option<PathBuf> {
-    let data = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let folder = data.join("womd");
-    if !folder.is_dir() {
-        eprintln!("SKIPPED: no recordings at {}", folder.display());
-        return None;
-    }
-    Some(folder)
+    data("womd")
 }
 
 fn drive(out: &Path, threads: &str) -> Vec<u8> {

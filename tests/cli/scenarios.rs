@@ -1,6 +1,7 @@
 //! Scenarios as they are listed and shown, instants, pictures and numbers.
 
 use super::{SCENE, recordings, refused, run};
+use crate::outside::data;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -17,11 +18,8 @@ fn some_recordings() -> Vec<PathBuf> {
     let Some(womd) = recordings() else { return Vec::new() };
     let mut found = vec![womd.join("eb4b91b10ca94ff2.tfrecord")];
     for kind in ["sensor", "motion_forecasting"] {
-        let folder = womd.parent().unwrap().join("argoverse2").join(kind);
-        match std::fs::read_dir(&folder) {
-            Ok(mut entries) => found.extend(entries.next().map(|entry| entry.unwrap().path())),
-            Err(_) => eprintln!("SKIPPED: no logs at {}", folder.display()),
-        }
+        let Some(folder) = data(&format!("argoverse2/{kind}")) else { continue };
+        found.extend(std::fs::read_dir(folder).unwrap().next().map(|entry| entry.unwrap().path()));
     }
     found
 }

@@ -1,6 +1,7 @@
 //! llama.cpp's own server, of the Python package `llama-cpp-python[server]`, as the model of a drive.
 //! `$PLANAGENT_LLAMA_PYTHON` names a Python that has it and the package `gguf`.
 
+use crate::outside::skipped;
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::net::{TcpListener, TcpStream};
@@ -27,7 +28,7 @@ impl Drop for LlamaServer {
 /// The Python to take, if it has what is needed; says so when not.
 fn python() -> Option<OsString> {
     let Some(python) = std::env::var_os("PLANAGENT_LLAMA_PYTHON") else {
-        eprintln!("SKIPPED: llama.cpp's server; $PLANAGENT_LLAMA_PYTHON names no Python with llama-cpp-python[server]");
+        skipped("llama.cpp's server; $PLANAGENT_LLAMA_PYTHON names no Python with llama-cpp-python[server]");
         return None;
     };
     let import = Command::new(&python).args(["-c", "import gguf, llama_cpp.server.app"]).output().unwrap();

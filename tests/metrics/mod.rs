@@ -1,6 +1,6 @@
 //! nuPlan's metrics: published vectors, golden vectors and hand-worked cases on small maps.
 
-#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests are tests")]
+#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 mod aggregate;
 mod collisions;

@@ -1,25 +1,17 @@
 //! Reading the devkit's own metric vectors and comparing results with them.
 
+use crate::outside::data;
 use planagent::geometry::{OrientedBox, Point, Pose, Vector};
 use planagent::metrics::{MetricResult, StatisticKind};
 use planagent::world::{EgoState, HistorySample, ObjectKind, TrackToken, TrackedObject};
 use serde_json::Value;
-use std::path::PathBuf;
 
 /// Reads a vector; `None`, with a word on stderr, where the data folder is missing.
 pub(super) fn vector(file: &str) -> Option<Value> {
-    let root = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
     let folder = "vectors/nuplan_devkit/nuplan/planning/metrics/evaluation_metrics/common/test/json";
-    let path = root.join(folder).join(file);
-    match std::fs::read_to_string(&path) {
-        // Python writes the bare word, which is no JSON.
-        Ok(text) => Some(serde_json::from_str(&text.replace("Infinity", "1e308")).unwrap()),
-        Err(error) => {
-            eprintln!("SKIPPED: {}: {error}", path.display());
-            None
-        }
-    }
+    let text = std::fs::read_to_string(data(&format!("{folder}/{file}"))?).unwrap();
+    // Python writes the bare word, which is no JSON.
+    Some(serde_json::from_str(&text.replace("Infinity", "1e308")).unwrap())
 }
 
 pub(super) fn triple(value: &Value) -> [f64; 3] {

@@ -9,7 +9,7 @@ use planagent::mllm::{
     Architecture, Constraint, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry, ModelSource,
     Opening, RoundTokens, Sampling,
 };
-use planagent::planner::{AfterMaxExec, Execution, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings};
+use planagent::planner::{AfterMaxExec, BevOf, Execution, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings};
 use planagent::reasoning::{PromptSet, ReasoningSettings, Round};
 use planagent::reflection::LeadPolicy;
 use planagent::scenario::generator;
@@ -227,6 +227,7 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
     let max_new_tokens = RoundTokens { scene: 8, motion: 64, code: 64 };
     let settings = PlanAgentSettings {
         view_m: Some(64.0),
+        bev_of: BevOf::Scene,
         lane_graph: true,
         node_length_m: DEFAULT_NODE_LENGTH,
         interval: 1000,

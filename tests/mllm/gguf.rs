@@ -138,12 +138,11 @@ fn what_is_missing_is_named_with_what_to_do() {
     }
     assert!(error(&model).contains("several vision towers (one.gguf, two.gguf)"), "{}", error(&model));
     fs::rename(&moved, &tower).unwrap();
-    assert!(open(&model).is_ok(), "the one that is named after it");
+    fs::write(folder.path().join("partial.gguf"), "GGUF").unwrap();
+    assert!(open(&model).is_ok(), "the one that is named after it, whatever else lies there");
 
     replace(&tower, "blk.0.ln1.bias", "blk.9.ln1.bias");
     assert!(error(&model).contains("vision_tower.encoder.layers.0.layer_norm1.bias is missing"), "{}", error(&model));
-    replace(&model, "llama.block_count", "llama.block_c0unt");
-    assert!(error(&model).contains("llama.block_count") || open(&model).is_err());
     replace(&model, "llama", "qwen2");
     assert!(error(&model).contains("\"qwen2\" is not supported"), "{}", error(&model));
 }

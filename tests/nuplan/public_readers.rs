@@ -2,6 +2,7 @@
 
 use super::compare::lanes;
 use super::round_trip::generated;
+use crate::outside::skipped;
 use planagent::geometry::{Point, Polygon};
 use planagent::scenario::Scenario;
 use planagent::scenario::generator::ScenarioType;
@@ -109,10 +110,10 @@ fn public_readers_see_what_was_written() {
     let python = python();
     let packages = Command::new(&python).args(["-c", "import geopandas, pyogrio, shapely"]).output();
     if !packages.is_ok_and(|output| output.status.success()) {
-        eprintln!(
-            "SKIPPED: {python} has no geopandas and pyogrio; nothing but our own reader checks the export \
+        skipped(format!(
+            "{python} has no geopandas and pyogrio; nothing but our own reader checks the export \
              (set PLANAGENT_PYTHON to an interpreter that has them)"
-        );
+        ));
         return;
     }
     let kinds = [

@@ -3,33 +3,18 @@
 
 use super::compare::Pair;
 use super::round_trip::{Driver, check_scores, read_back};
+use crate::womd::recordings;
 use planagent::geometry::Polyline;
 use planagent::scenario::Scenario;
 use planagent::scenario::nuplan::export::{ExportSettings, ExportedLog, STITCH, write_scenarios};
-use planagent::scenario::womd;
 use planagent::simulation::Challenge;
 use planagent::world::{Lane, LaneKind, LaneMap, RoadblockId};
 use rayon::prelude::*;
-use std::path::PathBuf;
 
 /// Progress moves by the pieces that are put in: measured, at most 2e-4.
 const SAME_MAP: f64 = 5e-4;
 /// The replayed ego no longer knows where the recording goes on after the end: measured, at most 8e-3.
 const SAME_DRIVE: f64 = 2e-2;
-
-/// The recordings, or nothing (and a loud word) where there are none.
-fn recordings() -> Vec<Scenario> {
-    let data = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
-    let Ok(folder) = std::fs::read_dir(data.join("womd")) else {
-        eprintln!("SKIPPED: no Waymo recordings in {}", data.join("womd").display());
-        return Vec::new();
-    };
-    let mut files: Vec<PathBuf> = folder.map(|entry| entry.unwrap().path()).collect();
-    files.retain(|file| file.extension().is_some_and(|extension| extension == "tfrecord"));
-    files.sort();
-    files.par_iter().flat_map_iter(|file| womd::open(file).unwrap()).collect()
-}
 
 /// nuPlan's graph: a connector leads from one lane to one lane, and lanes follow each other only over connectors.
 fn check_graph(map: &LaneMap) {
@@ -76,7 +61,7 @@ fn recordings_come_back_with_their_verdicts() {
     }
     let settings = ExportSettings::default();
     let home = tempfile::tempdir().unwrap();
-    let exported = write_scenarios(&scenarios, &home.path().join("out"), &settings).unwrap();
+    let exported = write_scenarios(scenarios, &home.path().join("out"), &settings).unwrap();
     let read = read_back(&exported, &settings, home.path());
     let each = scenarios.par_iter().zip(&read).zip(&exported.logs);
     each.for_each(|((before, (after, shift)), log): ((_, _), &ExportedLog)| {

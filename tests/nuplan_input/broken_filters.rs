@@ -1,7 +1,7 @@
 //! Filter files: errors name file and line.
 
+use crate::outside::data;
 use planagent::scenario::nuplan::FilterFile;
-use std::path::{Path, PathBuf};
 
 fn told(content: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
@@ -23,13 +23,7 @@ fn errors_name_file_and_line() {
 
 #[test]
 fn interplan_is_refused_with_the_reason() {
-    let data = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data"));
-    let data = std::env::var_os("PLANAGENT_DATA").map_or_else(|| data.to_owned(), PathBuf::from);
-    let path = data.join("splits/interPlan__interplan10.yaml");
-    if !path.is_file() {
-        eprintln!("SKIPPED: {} is missing", path.display());
-        return;
-    }
+    let Some(path) = data("splits/interPlan__interplan10.yaml") else { return };
     let told = FilterFile::open(&path).unwrap_err().to_string();
     assert!(told.contains("line 1: this is interPlan's filter"), "{told}");
 }

@@ -1,6 +1,7 @@
 //! PDM-Closed beside the record of `tuplan_garage`'s own run: 9 cases, every proposal, every term, what is driven.
 
 use super::town::Town;
+use crate::outside::data;
 use planagent::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
 use planagent::pdm::{Collided, DrivableLayers, PdmPlan, Way, braking_speed, plan_along};
 use planagent::planner::{PdmClosed, Planner, PlannerInitialization, PlannerInput};
@@ -9,7 +10,6 @@ use planagent::world::{
     TrackedObject, TrafficLights, Trajectory,
 };
 use serde_json::Value;
-use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Progress, velocity and leads: rounding apart, these are upstream's.
@@ -18,16 +18,8 @@ const IDM_TOLERANCE: f64 = 1e-9;
 const STATE_TOLERANCE: f64 = 1e-6;
 
 fn record() -> Option<Value> {
-    let root = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
-    let path = root.join("vectors/generated/pdm_closed.json");
-    match std::fs::read_to_string(&path) {
-        Ok(text) => Some(serde_json::from_str(&text).unwrap()),
-        Err(error) => {
-            eprintln!("SKIPPED: {}: {error}", path.display());
-            None
-        }
-    }
+    let path = data("vectors/generated/pdm_closed.json")?;
+    Some(serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap())
 }
 
 fn number(value: &Value, key: &str) -> f64 {

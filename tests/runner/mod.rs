@@ -6,6 +6,8 @@ mod parquet;
 mod resume;
 mod splits;
 
+pub(crate) use resume::{kill_when, spawn, written};
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,7 +20,7 @@ fn quick_run(scenarios: usize) -> Vec<String> {
 }
 
 /// Folders of the drives that have ended, by name.
-fn drives(run: &Path) -> Vec<PathBuf> {
+pub(crate) fn drives(run: &Path) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(run.join("drives")) else { return Vec::new() };
     let mut found: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
     found.retain(|path| !path.file_name().unwrap().to_str().unwrap().starts_with('.'));

@@ -2,6 +2,7 @@
 
 use super::{drives, quick_run};
 use crate::cli::{read_json, run};
+use crate::outside::skipped;
 use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::datatypes::{DataType, Float64Type, Int64Type};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
@@ -208,10 +209,10 @@ fn read_with_pandas(out: &Path) {
     let python = std::env::var_os("PLANAGENT_PYTHON").unwrap_or_else(|| "python3".into());
     let found = Command::new(&python).args(["-c", "import pandas, pyarrow"]).output();
     if !found.is_ok_and(|output| output.status.success()) {
-        eprintln!(
-            "SKIPPED: {} has no pandas and pyarrow; name one that has in PLANAGENT_PYTHON",
+        skipped(format!(
+            "{} has no pandas and pyarrow; name one that has in PLANAGENT_PYTHON",
             python.to_string_lossy()
-        );
+        ));
         return;
     }
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/runner/read_results.py");

@@ -19,7 +19,7 @@ fn strings(flags: &[String]) -> Vec<&str> {
 }
 
 /// Starts the program and does not wait for it.
-fn spawn(flags: &[&str]) -> Child {
+pub(crate) fn spawn(flags: &[&str]) -> Child {
     let program = planagent();
     let mut command = Command::new(program.get_program());
     for (name, value) in program.get_envs() {
@@ -29,7 +29,7 @@ fn spawn(flags: &[&str]) -> Child {
 }
 
 /// When each drive's record was written.
-fn written(run: &Path) -> BTreeMap<PathBuf, SystemTime> {
+pub(crate) fn written(run: &Path) -> BTreeMap<PathBuf, SystemTime> {
     let record = |drive: PathBuf| {
         let time = fs::metadata(drive.join("record.toml")).unwrap().modified().unwrap();
         (drive, time)
@@ -38,7 +38,7 @@ fn written(run: &Path) -> BTreeMap<PathBuf, SystemTime> {
 }
 
 /// Kills `child` (SIGKILL) as soon as `moment` has come; says whether it was still alive.
-fn kill_when(mut child: Child, moment: impl Fn() -> bool) -> bool {
+pub(crate) fn kill_when(mut child: Child, moment: impl Fn() -> bool) -> bool {
     let patience = Instant::now();
     while !moment() && child.try_wait().unwrap().is_none() {
         assert!(patience.elapsed() < Duration::from_secs(300), "the moment never came");

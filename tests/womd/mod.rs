@@ -1,32 +1,30 @@
 //! Waymo Open Motion: every recording at hand opens, its derived map keeps the rules, and driving as recorded complies.
 
-#![expect(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests are tests")]
+#![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
+use crate::outside::data;
 use planagent::geometry::{Point, wrap_angle};
 use planagent::scenario::womd::{self, Pick, WomdError};
 use planagent::scenario::{Frame, Scenario};
 use planagent::world::{LaneId, LaneKind, LaneMap, Neighbor, SignalStatus};
+use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
 /// The recordings, or nothing (and a loud word) where there are none.
 fn files() -> Vec<PathBuf> {
-    let data = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
-    let Ok(folder) = std::fs::read_dir(data.join("womd")) else {
-        eprintln!("SKIPPED: no Waymo recordings in {}", data.join("womd").display());
-        return Vec::new();
-    };
-    let mut files: Vec<PathBuf> = folder.map(|entry| entry.unwrap().path()).collect();
+    let Some(folder) = data("womd") else { return Vec::new() };
+    let mut files: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.retain(|file| file.extension().is_some_and(|extension| extension == "tfrecord"));
     files.sort();
     files
 }
 
-fn recordings() -> &'static [Scenario] {
+/// All recordings at hand, opened once.
+pub(crate) fn recordings() -> &'static [Scenario] {
     static RECORDINGS: OnceLock<Vec<Scenario>> = OnceLock::new();
-    RECORDINGS.get_or_init(|| files().iter().flat_map(|file| womd::open(file).unwrap()).collect())
+    RECORDINGS.get_or_init(|| files().par_iter().flat_map_iter(|file| womd::open(file).unwrap()).collect())
 }
 
 /// One recording by id.

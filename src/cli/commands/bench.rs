@@ -57,6 +57,7 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
         let mut command = Command::new(&program);
         command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
         command.args(config.mllm.ignore_memory.then_some("--ignore-memory"));
+        command.args(config.mllm.offline.then_some("--offline"));
         command
     };
     let committed: Result<(), ReportError> =

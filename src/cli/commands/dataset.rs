@@ -1,6 +1,7 @@
 //! `planagent dataset`.
 
 use crate::cli::args::DatasetArguments;
+use crate::cli::model;
 use crate::cli::{Config, Exit, Printer};
 use crate::environment::BevView;
 use crate::experiment::dataset::{Settings, Split, write_split};
@@ -16,8 +17,11 @@ const PROMPT_SET: &str = "compact";
 pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let prompts = PromptSet::open(config.reasoning.prompt_set.as_deref().unwrap_or(PROMPT_SET))?;
     let view = BevView::new(BevView::default().pixels(), config.environment.view_m)?;
-    let settings = Settings { seed: config.seed, prompts: &prompts, view };
-    for (split, states) in [(Split::Train, flags.states), (Split::Validation, flags.validation)] {
+    let loaded = if flags.driven { Some(model::load(config, printer)?) } else { None };
+    let driver = loaded.as_ref().map(|loaded| model::parts(config, Some(loaded)));
+    let settings = Settings { seed: config.seed, prompts: &prompts, view, driver: driver.as_ref() };
+    let splits = [(Split::Train, flags.states), (Split::Validation, flags.validation)];
+    for (split, states) in splits.into_iter().filter(|(split, _)| *split == Split::Train || !flags.driven) {
         let bar = printer.progress(states as u64, "states");
         bar.set_message(split.as_str());
         let made = write_split(&flags.out, split, states, &settings, &|states| bar.inc(states as u64))?;

@@ -2,6 +2,7 @@
 
 pub(super) mod bench;
 pub(super) mod dataset;
+pub(super) mod experiment;
 pub(super) mod models;
 pub(super) mod plan;
 pub(super) mod render;

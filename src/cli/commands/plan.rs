@@ -9,7 +9,7 @@ use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall}
 use crate::reasoning::Interruption;
 use crate::report::{CallTimes, attempt_markdown, call_record, decision_words, fixed};
 use crate::scenario::{Frame, Scenario, generator};
-use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Scene, Trajectory};
+use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory};
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
 
@@ -79,15 +79,7 @@ fn compute(
     for frame in scenario.frames.iter().take(scenario.start + iteration + 1) {
         history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });
     }
-    let scene = Scene {
-        map: &scenario.map,
-        route: &scenario.route,
-        ego: &frame.ego,
-        objects: &frame.objects,
-        lights: &frame.lights,
-        history: &history,
-    };
-    Ok(agent.compute_trajectory(&PlannerInput { iteration: 0, scene })?)
+    Ok(agent.compute_trajectory(&PlannerInput { iteration: 0, scene: scenario.scene(frame, &history) })?)
 }
 
 /// The call's record with the trajectory: seconds from now, x, y, heading (map frame), speed.

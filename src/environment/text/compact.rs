@@ -14,8 +14,8 @@ const NOTHING: &str = "-";
 pub(super) fn write(description: &Description) -> String {
     let reduced = description.reduced();
     let limit = reduced.limit.map_or_else(|| NOTHING.to_owned(), |limit| limit.to_string());
-    let light =
-        reduced.light.map_or_else(|| format!("none {NOTHING}"), |light| format!("{} {}", light.status, light.distance));
+    let light = reduced.lights[0]
+        .map_or_else(|| format!("none {NOTHING}"), |light| format!("{} {}", light.status, light.distance));
     let nodes = NodePlace::ALL.iter().map(|&place| format!("{place} {}", node(reduced.node(place))));
     format!(
         "speed {} limit {limit} light {light} turn {} {} rest {}",
@@ -66,7 +66,7 @@ fn read(reader: &mut Reader<'_>) -> Result<Description, Failed> {
     }
     reader.expect(&["rest"])?;
     let rest = reader.number("the number of other agents")?;
-    Ok(Description { speed, limit, light, turn, nodes, rest })
+    Ok(Description { speed, limit, lights: [light, None, None], turn, nodes, rest })
 }
 
 fn read_node(reader: &mut Reader<'_>) -> Result<Option<NodeDescription>, Failed> {

@@ -46,8 +46,8 @@ pub struct Description {
     pub speed: u8,
     /// Speed limit, whole m/s.
     pub limit: Option<u8>,
-    /// The next light on the ego's way.
-    pub light: Option<LightDescription>,
+    /// The next light on the way of each lane, in order of [`CenterlineName::ALL`]; none on a lane without nodes.
+    pub lights: [Option<LightDescription>; 3],
     /// Which way the route goes at the next intersection.
     pub turn: Turn,
     /// The nodes in order of [`NodePlace::ALL`]; `None` where there is none. The ego's own always exists.
@@ -60,8 +60,12 @@ impl Description {
     /// What there is to say of a lane graph.
     pub fn of(graph: &LaneGraph) -> Self {
         let ego_lane = graph.ego_lane();
-        let light =
-            ego_lane.light.map(|light| LightDescription { status: light.status, distance: whole(light.distance) });
+        let lights = std::array::from_fn(|i| {
+            let name = CenterlineName::ALL[i];
+            let light = graph.centerline(name)?.light?;
+            let has_nodes = graph.nodes.iter().any(|node| node.place.centerline() == name);
+            has_nodes.then(|| LightDescription { status: light.status, distance: whole(light.distance) })
+        });
         let nodes = std::array::from_fn(|i| {
             let node = graph.node(NodePlace::ALL[i])?;
             let agents = graph.agents_on(node.place).map(describe).collect();
@@ -70,7 +74,7 @@ impl Description {
         Self {
             speed: whole(graph.ego_speed),
             limit: ego_lane.speed_limit.map(whole),
-            light,
+            lights,
             turn: ego_lane.turn,
             nodes,
             rest: 0,
@@ -87,13 +91,18 @@ impl Description {
         self.node(NodePlace::on(centerline)[0]).is_some()
     }
 
+    /// The next light on the way of a lane.
+    pub fn light(&self, centerline: CenterlineName) -> Option<LightDescription> {
+        self.lights[centerline as usize]
+    }
+
     /// All agents in order of the nodes.
     pub fn agents(&self) -> impl Iterator<Item = &AgentDescription> {
         self.nodes.iter().flatten().flat_map(|node| &node.agents)
     }
 
     /// What the compact text says: of each node the nearest agent, without its speed when it does not move along the lane,
-    /// and the number of the others; without what lies apart.
+    /// and the number of the others; without what lies apart and without the lights of the lanes beside.
     pub fn reduced(&self) -> Self {
         let mut rest = usize::from(self.rest);
         let nodes = std::array::from_fn(|i| {
@@ -106,7 +115,8 @@ impl Description {
             });
             Some(NodeDescription { apart: false, agents: agents.into_iter().collect() })
         });
-        Self { nodes, rest: u8::try_from(rest).unwrap_or(MAX_NUMBER).min(MAX_NUMBER), ..*self }
+        let lights = [self.lights[0], None, None];
+        Self { lights, nodes, rest: u8::try_from(rest).unwrap_or(MAX_NUMBER).min(MAX_NUMBER), ..*self }
     }
 }
 

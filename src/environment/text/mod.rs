@@ -5,12 +5,12 @@
 //! general models; [`TextForm::Compact`] says its [`Description::reduced`] part in words at fixed places for a small model.
 //! [`parse`] reads either text back: `parse(write(d)) = d` (for the compact set: of the reduced description).
 //!
-//! **Paper set**, four lines; every agent on the nine nodes is named:
+//! **Paper set**, four lines; every agent on the nine nodes is named, and the next light of every lane:
 //!
 //! ```text
 //! Ego: 9 m/s, limit 13 m/s, route straight, light red in 24 m.
 //! ego_lane: ego free; front vehicle1 12 m 5 m/s; back free.
-//! left_lane: left free; front_left vehicle2 8 m 9 m/s, vehicle3 20 m 9 m/s; back_left free.
+//! left_lane: light green in 24 m; left free; front_left vehicle2 8 m 9 m/s, vehicle3 20 m 9 m/s; back_left free.
 //! right_lane: none.
 //! ```
 //!

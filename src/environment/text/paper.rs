@@ -10,9 +10,7 @@ type Nodes = [Option<NodeDescription>; 9];
 
 pub(super) fn write(description: &Description) -> String {
     let limit = description.limit.map_or_else(|| "limit unknown".to_owned(), |limit| format!("limit {limit} m/s"));
-    let light = description
-        .light
-        .map_or_else(|| "light none".to_owned(), |light| format!("light {} in {} m", light.status, light.distance));
+    let light = description.light(CenterlineName::EgoLane).map_or_else(|| "light none".to_owned(), light_words);
     let rest = if description.rest > 0 { format!(", {} more", description.rest) } else { String::new() };
     let ego = format!("Ego: {} m/s, {limit}, route {}, {light}{rest}.", description.speed, description.turn);
     let lanes = CenterlineName::ALL.iter().map(|&centerline| lane(description, centerline));
@@ -24,8 +22,14 @@ fn lane(description: &Description, centerline: CenterlineName) -> String {
     if places.iter().all(|&place| description.node(place).is_none()) {
         return format!("{centerline}: none.");
     }
+    let beside = centerline != CenterlineName::EgoLane;
+    let light = description.light(centerline).filter(|_| beside).map(light_words);
     let nodes = places.map(|place| format!("{place} {}", node(description.node(place))));
-    format!("{centerline}: {}.", nodes.join("; "))
+    format!("{centerline}: {}.", light.into_iter().chain(nodes).collect::<Vec<_>>().join("; "))
+}
+
+fn light_words(light: LightDescription) -> String {
+    format!("light {} in {} m", light.status, light.distance)
 }
 
 fn node(node: Option<&NodeDescription>) -> String {
@@ -49,19 +53,21 @@ fn agent(agent: AgentDescription) -> String {
 pub(super) fn parse(text: &str) -> Result<Description, Vec<TextError>> {
     let mut reader = Reader::new(text);
     let mut nodes = Nodes::default();
+    let mut beside = [None; 3];
     let ego = ego_line(&mut reader);
     let mut whole = ego.is_ok();
     for (line, &centerline) in (2..).zip(CenterlineName::ALL) {
         if !whole {
             reader.seek_line(line);
         }
-        whole &= lane_line(&mut reader, centerline, &mut nodes).is_ok();
+        whole &= lane_line(&mut reader, centerline, &mut beside[centerline as usize], &mut nodes).is_ok();
     }
-    let description = ego.ok().map(|ego| Description { nodes, ..ego });
+    let [_, left, right] = beside;
+    let description = ego.ok().map(|ego| Description { nodes, lights: [ego.lights[0], left, right], ..ego });
     reader.finish(description.filter(|_| whole))
 }
 
-/// Everything but the nodes.
+/// Everything but the nodes and the lights of the lanes beside.
 fn ego_line(reader: &mut Reader<'_>) -> Result<Description, Failed> {
     reader.expect(&["Ego", ":"])?;
     let speed = reader.number("the ego's speed")?;
@@ -76,7 +82,7 @@ fn ego_line(reader: &mut Reader<'_>) -> Result<Description, Failed> {
     reader.expect(&[",", "route"])?;
     let turn = reader.take("the turn of the route")?;
     reader.expect(&[",", "light"])?;
-    let light = if reader.accept("none") { None } else { Some(light(reader)?) };
+    let own = if reader.accept("none") { None } else { Some(light(reader)?) };
     let rest = if reader.accept(",") {
         let rest = reader.number("the number of other agents")?;
         reader.expect(&["more"])?;
@@ -85,7 +91,7 @@ fn ego_line(reader: &mut Reader<'_>) -> Result<Description, Failed> {
         0
     };
     reader.expect(&["."])?;
-    Ok(Description { speed, limit, light, turn, nodes: Nodes::default(), rest })
+    Ok(Description { speed, limit, lights: [own, None, None], turn, nodes: Nodes::default(), rest })
 }
 
 fn light(reader: &mut Reader<'_>) -> Result<LightDescription, Failed> {
@@ -105,13 +111,22 @@ pub(super) fn status(reader: &mut Reader<'_>) -> Result<SignalStatus, Failed> {
     }
 }
 
-fn lane_line(reader: &mut Reader<'_>, centerline: CenterlineName, nodes: &mut Nodes) -> Result<(), Failed> {
+fn lane_line(
+    reader: &mut Reader<'_>,
+    centerline: CenterlineName,
+    beside: &mut Option<LightDescription>,
+    nodes: &mut Nodes,
+) -> Result<(), Failed> {
     reader.expect(&[centerline.as_str(), ":"])?;
     if reader.accept("none") {
         if centerline == CenterlineName::EgoLane {
             return reader.fail("the ego's own lane cannot be missing");
         }
         return reader.expect(&["."]);
+    }
+    if centerline != CenterlineName::EgoLane && reader.accept("light") {
+        *beside = Some(light(reader)?);
+        reader.expect(&[";"])?;
     }
     for (i, place) in NodePlace::on(centerline).into_iter().enumerate() {
         if i > 0 {

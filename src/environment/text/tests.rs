@@ -1,5 +1,7 @@
 use super::*;
-use crate::environment::lane_graph::{AgentClass, AgentName, DEFAULT_NODE_LENGTH, Heading, LaneGraph, NodePlace, Turn};
+use crate::environment::lane_graph::{
+    AgentClass, AgentName, CenterlineName, DEFAULT_NODE_LENGTH, Heading, LaneGraph, NodePlace, Turn,
+};
 use crate::environment::sketch::{self, Drawn};
 use crate::world::{ObjectKind, SignalStatus};
 use proptest::prelude::*;
@@ -71,6 +73,16 @@ fn all_agents_on_the_nodes_stand_in_the_paper_text_and_the_rest_is_counted_in_th
     assert_eq!(reduced.agents().count() + usize::from(reduced.rest), graph.agents.len());
 }
 
+#[test]
+fn the_paper_text_holds_the_lights_of_all_lanes() {
+    let description = described(&crossing());
+    let red = |centerline| description.light(centerline).is_some_and(|light| light.status == SignalStatus::Red);
+    assert!(red(CenterlineName::EgoLane) && red(CenterlineName::RightLane));
+    let text = write(&description, TextForm::Paper);
+    assert!(text.contains("right_lane: light red in "), "{text}");
+    assert_eq!(description.reduced().lights, [description.lights[0], None, None]);
+}
+
 fn error_at(text: &str, set: TextForm) -> (usize, usize) {
     let errors = parse(text, set).unwrap_err();
     (errors[0].line, errors[0].column)
@@ -114,14 +126,20 @@ fn description() -> impl Strategy<Value = Description> {
     let status = prop::sample::select(vec![Green, Yellow, Red, Unknown]);
     let light = (status, 0..=MAX_NUMBER).prop_map(|(status, distance)| LightDescription { status, distance });
     let number = 0..=MAX_NUMBER;
+    let lights = prop::array::uniform3(prop::option::of(light));
     let nodes = (node(), prop::collection::vec(prop::option::of(node()), 8));
     let turn = prop::sample::select(Turn::ALL);
-    (number.clone(), prop::option::of(number.clone()), prop::option::of(light), turn, nodes, number).prop_map(
-        |(speed, limit, light, turn, (ego, others), rest)| {
+    (number.clone(), prop::option::of(number.clone()), lights, turn, nodes, number).prop_map(
+        |(speed, limit, mut lights, turn, (ego, others), rest)| {
             let mut nodes: [Option<NodeDescription>; 9] = std::array::from_fn(|_| None);
             nodes[0] = Some(ego);
             nodes[1..].clone_from_slice(&others);
-            Description { speed, limit, light, turn, nodes, rest }
+            for (light, &centerline) in lights.iter_mut().zip(CenterlineName::ALL) {
+                if NodePlace::on(centerline).iter().all(|&place| nodes[place as usize].is_none()) {
+                    *light = None;
+                }
+            }
+            Description { speed, limit, lights, turn, nodes, rest }
         },
     )
 }

@@ -9,13 +9,16 @@ mod shard;
 pub use label::LabelledState;
 pub use shard::{FORMAT, Meta, ShardError};
 
+use super::run::{AgentParts, PlannerKind};
 use crate::environment::{BevError, BevView, LaneGraph, SceneFacts, bev};
 use crate::pdm::PdmMemory;
+use crate::planner::{Attempt, Planner, PlannerInput};
 use crate::reasoning::{Feedback, PromptError, PromptSet, feedback_text};
 use crate::reflection::Verdict;
 use crate::scenario::generator::{self, ScenarioType, Spec};
 use crate::simulation::{Challenge, ClosedLoop};
 use image::RgbImage;
+use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -105,6 +108,9 @@ pub struct Settings<'a> {
     pub prompts: &'a PromptSet,
     /// What the images show.
     pub view: BevView,
+    /// Who drives from state to state: PlanAgent with a model, so that the states are those that it reaches and the refusals its own
+    /// (`DAgger`); else the search itself, with exploration. The search gives the labels either way.
+    pub driver: Option<&'a AgentParts>,
 }
 
 /// Why a dataset cannot be made.
@@ -137,12 +143,13 @@ pub fn write_split(
     on_states: &dyn Fn(usize),
 ) -> Result<usize, DatasetError> {
     shard::open_folder(folder, &meta(settings))?;
+    let name = if settings.driver.is_some() { format!("{}-driven", split.as_str()) } else { split.as_str().to_owned() };
     let mut count = 0;
     let mut number = 0;
     while count < states {
-        let made = match shard::complete(folder, split.as_str(), number) {
+        let made = match shard::complete(folder, &name, number) {
             Some(present) => present,
-            None => write_shard(folder, split, number, settings)?,
+            None => write_shard(folder, (split, &name), number, settings)?,
         };
         on_states(made);
         count += made;
@@ -162,13 +169,19 @@ fn meta(settings: &Settings<'_>) -> Meta {
     }
 }
 
-fn write_shard(folder: &Path, split: Split, number: usize, settings: &Settings<'_>) -> Result<usize, DatasetError> {
+/// Writes a shard of a split under a name.
+fn write_shard(
+    folder: &Path,
+    (split, name): (Split, &str),
+    number: usize,
+    settings: &Settings<'_>,
+) -> Result<usize, DatasetError> {
     let scenes = split.scenes(number)?;
     let labelled: Vec<Vec<(LabelledState, RgbImage)>> =
         scenes.par_iter().map(|spec| label_scene(spec, settings)).collect::<Result<_, PromptError>>()?;
     let states: Vec<_> = labelled.into_iter().flatten().collect();
     let made = states.len();
-    shard::write(folder, split.as_str(), number, states, settings.view.pixels())?;
+    shard::write(folder, name, number, states, settings.view.pixels())?;
     Ok(made)
 }
 
@@ -178,26 +191,42 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
     let Ok(scenario) = generator::generate(spec) else { return Ok(Vec::new()) };
     let challenge = Challenge::CLOSED_LOOP[usize::from(random.random_bool(0.5))];
     let Ok(mut drive) = ClosedLoop::new(&scenario, challenge) else { return Ok(Vec::new()) };
+    let mut agent = settings.driver.and_then(|parts| parts.agent(PlannerKind::PlanAgent, &scenario.id));
     let mut states = Vec::new();
     loop {
         let scene = drive.scene();
         let Ok(graph) = LaneGraph::build(&scene, crate::environment::DEFAULT_NODE_LENGTH) else { break };
         let tried = search::search(&drive, &graph);
         let Some(best) = search::best(&tried) else { break };
-        // What a model has to answer after a refusal is what is best of the rest, which the label is already: it is accepted
-        // where anything is.
-        let refused =
-            tried.iter().filter(|t| t.reflection.verdict == Verdict::Rethink && *t != best).collect::<Vec<_>>();
-        let feedback = match refused.get(random.random_range(0..refused.len().max(1))) {
-            Some(refused) if random.random_bool(RETHINK) => Some(feedback_on(refused, settings.prompts)?),
-            _ => None,
-        };
         let facts = SceneFacts::of(&scene, &graph);
         let name = format!("{}@{:.1}", scenario.id, drive.iteration() as f64 * crate::world::STEP_S);
-        let labelled = label::label(name, &graph, &facts, best, settings.prompts, feedback.as_deref())?;
-        states.push((labelled, bev::render(&scene, &settings.view)));
-        let next = if random.random_bool(EXPLORE) { &tried[random.random_range(0..tried.len())] } else { best };
-        let Some(planner) = search::planner(&drive, &graph, next.code.clone()) else { break };
+        let image = bev::render(&scene, &settings.view);
+        let mut label = |feedback: Option<Feedback>| -> Result<(), PromptError> {
+            let told = feedback.map(|feedback| feedback_text(settings.prompts, &feedback)).transpose()?;
+            let label = label::label(name.clone(), &graph, &facts, best, settings.prompts, told.as_deref())?;
+            states.push((label, image.clone()));
+            Ok(())
+        };
+        // What a model has to answer after a refusal is the label as well: Reflection accepts it where it accepts anything.
+        let planner = if let Some(agent) = &mut agent {
+            if agent.compute_trajectory(&PlannerInput { iteration: 0, scene }).is_err() {
+                break;
+            }
+            label(None)?;
+            let call = agent.calls().last();
+            for refused in call.iter().flat_map(|call| &call.attempts).filter(|attempt| is_refused(attempt)) {
+                label(Some(refused.feedback(search::THRESHOLD)))?;
+            }
+            agent.in_force().cloned()
+        } else {
+            let refused: Vec<&Tried> =
+                tried.iter().filter(|t| t.reflection.verdict == Verdict::Rethink && *t != best).collect();
+            let told = refused.choose(&mut random).filter(|_| random.random_bool(RETHINK));
+            label(told.map(|refused| refused.feedback()))?;
+            let next = if random.random_bool(EXPLORE) { tried.choose(&mut random).unwrap_or(best) } else { best };
+            search::planner(&drive, &graph, next.code.clone())
+        };
+        let Some(planner) = planner else { break };
         if search::follow(&mut drive, &planner, &mut PdmMemory::default(), random.random_range(GAP)).is_none() {
             break;
         }
@@ -205,39 +234,7 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
     Ok(states)
 }
 
-/// What a prompt says of a planner that Reflection refuses.
-fn feedback_on(tried: &Tried, prompts: &PromptSet) -> Result<String, PromptError> {
-    let report = &tried.reflection;
-    let feedback = Feedback {
-        code: Some(tried.code.to_string()),
-        score: Some(report.score),
-        threshold: search::THRESHOLD,
-        parts: report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec(),
-        errors: Vec::new(),
-    };
-    feedback_text(prompts, &feedback)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn splits_cannot_meet() {
-        let splits = [Split::Train, Split::Validation, Split::Test];
-        for (i, a) in splits.iter().enumerate() {
-            for b in &splits[i + 1..] {
-                assert!(a.seeds().end <= b.seeds().start, "{a:?} {b:?}");
-            }
-        }
-        // Nor do their scenes, down to the last shard.
-        for split in splits {
-            let last = (split.seeds().end - split.seeds().start) / SCENES_PER_SHARD - 1;
-            for shard in [0, last as usize] {
-                let scenes = split.scenes(shard).unwrap();
-                assert!(scenes.len() == MIX.len() && scenes.iter().all(|spec| split.seeds().contains(&spec.seed)));
-            }
-            assert!(matches!(split.scenes(last as usize + 1), Err(DatasetError::NoSeedLeft(_))));
-        }
-    }
+/// Whether Reflection refused what was attempted.
+fn is_refused(attempt: &Attempt) -> bool {
+    attempt.reflection.as_ref().is_some_and(|report| report.verdict == Verdict::Rethink)
 }

@@ -4,8 +4,8 @@ use crate::environment::lane_graph::Centerline;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::metrics::{self, Drive};
 use crate::pdm::PdmMemory;
-use crate::planner::{USUAL_ACCELERATIONS, brake, generated_planner, planner_code, watched};
-use crate::reasoning::PlannerCode;
+use crate::planner::{USUAL_ACCELERATIONS, brake, feedback, generated_planner, planner_code, watched};
+use crate::reasoning::{Feedback, PlannerCode};
 use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict};
 use crate::simulation::ClosedLoop;
 use crate::world::{EgoState, HistorySample, STEP_S};
@@ -56,6 +56,13 @@ pub struct Tried {
     pub speed_later: f64,
     /// What Reflection says of it now.
     pub reflection: ReflectionReport,
+}
+
+impl Tried {
+    /// What an attempt is told after this one.
+    pub fn feedback(&self) -> Feedback {
+        feedback(Some(&self.code), Some(&self.reflection), &[], THRESHOLD)
+    }
 }
 
 /// Drives every candidate from the present state of `drive` and gives them in the order in which they were tried.

@@ -1,7 +1,6 @@
 //! The files of a model: weights, and the parts of configurations that several families share.
 
 mod activation;
-mod clip_config;
 mod files;
 mod llama_config;
 mod load_report;
@@ -10,6 +9,7 @@ mod row_order;
 mod safetensors_folder;
 mod section;
 mod storage_plan;
+mod vision_config;
 mod weight_file;
 mod weights;
 
@@ -18,7 +18,6 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 pub(crate) use activation::Activation;
-pub(crate) use clip_config::{CLIP_BASE, ClipVisionConfig, LLAVA_TOWER};
 pub(crate) use files::ModelFiles;
 pub(crate) use llama_config::{LlamaConfig, Rope, RopeScaling};
 pub(crate) use load_report::in_bytes;
@@ -26,6 +25,7 @@ pub use load_report::{LoadReport, StorageException, StorageShare};
 pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use section::Section;
 pub(crate) use storage_plan::{FileKind, StoragePlan, is_matrix};
+pub(crate) use vision_config::{CLIP_BASE, LLAVA_TOWER, VisionConfig};
 pub(crate) use weight_file::{TensorPlace, WeightFile};
 pub(crate) use weights::Weights;
 

@@ -28,12 +28,21 @@ pub(crate) struct Weights {
     plan: StoragePlan,
     report: LoadReport,
     blake3: String,
-    /// When tensors are only looked for: which are missing or misshapen.
-    problems: Option<Vec<MllmError>>,
-    /// When it is only listed what is asked for: names and shapes.
-    listed: Option<Vec<(String, Vec<usize>)>>,
+    taking: Taking,
+}
+
+/// What is done about a tensor that is asked for.
+#[derive(Debug)]
+enum Taking {
+    /// It is read.
+    Read,
+    /// It is looked for and not read; these are missing or misshapen.
+    Look(Vec<MllmError>),
+    /// It is written down, whether there is one or not: name and shape.
+    List(Vec<(String, Vec<usize>)>),
+    /// It is made up.
     #[cfg(test)]
-    invented: Option<rand_pcg::Pcg64Mcg>,
+    Invent(rand_pcg::Pcg64Mcg),
 }
 
 /// Tensors that may be missing before looking for more is given up.
@@ -62,10 +71,7 @@ impl Weights {
             plan: StoragePlan { tied: true, ..plan },
             report: LoadReport { quantize: plan.quantize, ..LoadReport::default() },
             blake3: String::new(),
-            problems: None,
-            listed: None,
-            #[cfg(test)]
-            invented: None,
+            taking: Taking::Read,
         }
     }
 
@@ -142,22 +148,28 @@ impl Weights {
 
     /// From now on gives stand-ins for tensors without reading them, and notes which are missing or misshapen.
     pub(crate) fn only_look(&mut self) {
-        self.problems = Some(Vec::new());
+        self.taking = Taking::Look(Vec::new());
     }
 
     /// What [`Self::only_look`] found.
     pub(crate) fn problems(&self) -> &[MllmError] {
-        self.problems.as_deref().unwrap_or_default()
+        match &self.taking {
+            Taking::Look(problems) => problems,
+            _ => &[],
+        }
     }
 
     /// From now on gives stand-ins for tensors, whether there are any or not, and lists which are asked for.
     pub(super) fn only_list(&mut self) {
-        self.listed = Some(Vec::new());
+        self.taking = Taking::List(Vec::new());
     }
 
     /// What [`Self::only_list`] listed.
     pub(super) fn listed(&self) -> &[(String, Vec<usize>)] {
-        self.listed.as_deref().unwrap_or_default()
+        match &self.taking {
+            Taking::List(asked) => asked,
+            _ => &[],
+        }
     }
 
     /// Looks for a tensor; says whether that is all that is wanted.
@@ -165,18 +177,18 @@ impl Weights {
     /// # Errors
     /// When too much is missing.
     fn looked(&mut self, name: &str, shape: &[usize]) -> Result<bool, MllmError> {
-        if let Some(listed) = &mut self.listed {
-            listed.push((name.to_string(), shape.to_vec()));
+        if let Taking::List(asked) = &mut self.taking {
+            asked.push((name.to_string(), shape.to_vec()));
             return Ok(true);
         }
-        if self.problems.is_none() {
+        if !matches!(self.taking, Taking::Look(_)) {
             return Ok(false);
         }
         let elements = shape.iter().try_fold(1, |product: usize, side| product.checked_mul(*side));
         let small = elements.is_some_and(|elements| elements < LARGEST_STAND_IN);
         let found = self.remove(name, shape).map(|_| true);
-        match (&mut self.problems, found) {
-            (Some(problems), Err(problem)) if small && problems.len() < MOST_PROBLEMS => {
+        match (&mut self.taking, found) {
+            (Taking::Look(problems), Err(problem)) if small && problems.len() < MOST_PROBLEMS => {
                 problems.push(problem);
                 Ok(true)
             }
@@ -218,7 +230,7 @@ impl Weights {
     pub(crate) fn take(&mut self, name: &str, shape: &[usize]) -> Result<Tensor, MllmError> {
         self.report.add(Storage::F32, f32_bytes(shape));
         #[cfg(test)]
-        if let Some(random) = &mut self.invented {
+        if let Taking::Invent(random) = &mut self.taking {
             let count = shape.iter().product();
             let values: Vec<f32> = (0..count).map(|_| rand::RngExt::random_range(random, -0.1..0.1)).collect();
             return Ok(Tensor::from_vec(values, shape, &Device::Cpu)?);
@@ -237,7 +249,7 @@ impl Weights {
     pub(crate) fn take_matrix(&mut self, name: &str, shape: [usize; 2]) -> Result<Matrix, MllmError> {
         debug_assert!(is_matrix(name, &shape), "{name} is forecast to stay in f32");
         #[cfg(test)]
-        if self.invented.is_some() {
+        if matches!(self.taking, Taking::Invent(_)) {
             return Ok(Matrix::from_tensor(&self.take(name, &shape)?)?);
         }
         let [outputs, inputs] = shape;
@@ -337,13 +349,6 @@ impl Weights {
     /// Weights that hold whatever is asked for, at random.
     pub(crate) fn invented(seed: u64) -> Self {
         let random = rand::SeedableRng::seed_from_u64(seed);
-        Self { invented: Some(random), ..Self::empty(Path::new(""), StoragePlan::default()) }
-    }
-
-    /// Gives two tensors each the other's name.
-    pub(crate) fn swap(&mut self, one: &str, other: &str) {
-        let first = self.tensors.remove(one).unwrap();
-        let second = self.tensors.insert(other.to_string(), first).unwrap();
-        self.tensors.insert(one.to_string(), second);
+        Self { taking: Taking::Invent(random), ..Self::empty(Path::new(""), StoragePlan::default()) }
     }
 }

@@ -2,16 +2,16 @@
 
 use std::path::Path;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, LlamaConfig, ModelFiles, Section};
+use crate::mllm::checkpoint::{LlamaConfig, ModelFiles, Section, VisionConfig};
 
 /// A `CogVLM` model.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CogVlmConfig {
     /// The EVA2-CLIP vision tower.
-    pub vision: EvaVisionConfig,
+    pub vision: VisionConfig,
     /// The decoder, as wide and deep as each of its two experts.
     pub text: LlamaConfig,
     /// The token that a chat begins with.
@@ -22,27 +22,6 @@ pub(crate) struct CogVlmConfig {
     pub tie_word_embeddings: bool,
 }
 
-/// An EVA2-CLIP vision tower (`CogVLMVisionConfig`); the defaults are those of `cogvlm-chat-hf`.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct EvaVisionConfig {
-    /// Width of the hidden states.
-    pub hidden: usize,
-    /// Width of the feed-forward layers.
-    pub intermediate: usize,
-    /// Number of layers.
-    pub layers: usize,
-    /// Number of attention heads.
-    pub heads: usize,
-    /// Side of the image, pixels.
-    pub image_size: usize,
-    /// Side of a patch, pixels.
-    pub patch_size: usize,
-    /// Activation of the feed-forward layers.
-    pub act: Activation,
-    /// Epsilon of the layer norms.
-    pub layer_norm_eps: f64,
-}
-
 /// What a question ends with (`template_version`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum AnswerStyle {
@@ -51,9 +30,6 @@ pub(crate) enum AnswerStyle {
     /// `vqa`: `Short answer:`.
     Short,
 }
-
-/// Largest image side, pixels: beyond it a configuration is taken for broken.
-const MAX_IMAGE_SIZE: usize = 8192;
 
 impl CogVlmConfig {
     /// Reads the `config.json` of a model.
@@ -87,10 +63,10 @@ impl CogVlmConfig {
                 ));
             }
         };
-        let absent = Value::Object(serde_json::Map::new());
+        let absent = json!({});
         let vision = match root.section("vision_config", "vision_config.")? {
-            Some(section) => EvaVisionConfig::from_section(&section)?,
-            None => EvaVisionConfig::from_section(&Section::root(path, &absent)?)?,
+            Some(section) => VisionConfig::from_cogvlm_section(&section)?,
+            None => VisionConfig::from_cogvlm_section(&Section::root(path, &absent)?)?,
         };
         let bos = root.token_ids("bos_token_id")?.first().copied().unwrap_or(1);
         if bos as usize >= text.vocabulary {
@@ -106,55 +82,9 @@ impl CogVlmConfig {
     }
 }
 
-impl EvaVisionConfig {
-    fn from_section(section: &Section<'_>) -> Result<Self, MllmError> {
-        let config = Self {
-            hidden: section.count("hidden_size", 1792)?,
-            intermediate: section.count("intermediate_size", 15_360)?,
-            layers: section.count("num_hidden_layers", 63)?,
-            heads: section.count("num_heads", 16)?,
-            image_size: section.count("image_size", 490)?,
-            patch_size: section.count("patch_size", 14)?,
-            act: Activation::from_section(section, "hidden_act", Activation::Gelu)?,
-            layer_norm_eps: section.positive("layer_norm_eps", 1e-6)?,
-        };
-        if section.count("in_channels", 3)? != 3 {
-            return Err(section.error("in_channels", "only 3 (RGB) is supported".into()));
-        }
-        if !config.hidden.is_multiple_of(config.heads) {
-            return Err(
-                section.error("hidden_size", format!("{} is no multiple of {} heads", config.hidden, config.heads))
-            );
-        }
-        if config.image_size > MAX_IMAGE_SIZE {
-            return Err(section.error("image_size", format!("at most {MAX_IMAGE_SIZE}")));
-        }
-        if config.patch_size > config.image_size {
-            return Err(section
-                .error("patch_size", format!("{} exceeds the image size {}", config.patch_size, config.image_size)));
-        }
-        let positions = config.patches() + 1;
-        let named = section.count("num_positions", positions)?;
-        if named != positions {
-            return Err(section.error(
-                "num_positions",
-                format!("{named}, but {} patches and a class token make {positions}", config.patches()),
-            ));
-        }
-        Ok(config)
-    }
-
-    /// Patches of an image.
-    pub(crate) fn patches(&self) -> usize {
-        let side = self.image_size / self.patch_size;
-        side * side
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
 
     fn parse(value: &Value) -> Result<CogVlmConfig, MllmError> {
         CogVlmConfig::from_json(Path::new("config.json"), value)

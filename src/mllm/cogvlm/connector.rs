@@ -4,7 +4,7 @@ use candle_core::{Result, Tensor};
 
 use super::config::CogVlmConfig;
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Weights;
+use crate::mllm::checkpoint::{Activation, Weights};
 use crate::mllm::decoder::{SwiGlu, SwiGluShape};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
@@ -47,7 +47,7 @@ impl GluAdapter {
 
     /// Maps (patches, tower width) to (2 + patches, decoder width).
     pub(super) fn forward(&self, patches: &Tensor) -> Result<Tensor> {
-        let x = self.norm.forward(&self.projection.forward(patches)?)?.gelu_erf()?;
+        let x = Activation::Gelu.forward(&self.norm.forward(&self.projection.forward(patches)?)?)?;
         Tensor::cat(&[&self.begin, &self.glu.forward(&x)?, &self.end], 0)
     }
 }

@@ -1,29 +1,39 @@
 //! Our numbers against a statement of the model in torch (`tests/fixtures/tiny_cogvlm/make_tiny_cogvlm.py`).
 
-use std::path::Path;
+use std::path::PathBuf;
 
 use candle_core::{DType, Device, Tensor};
+use serde_json::json;
 
 use super::CogVlm;
 use super::config::CogVlmConfig;
 use super::language::positions;
 use super::preprocess::pixel_values;
-use crate::mllm::checkpoint::{Weights, read_json};
-use crate::mllm::decoder::{DecoderInput, Logits};
+use crate::mllm::local::test_faults::{Deviation, Fault, Parts, one_further};
 use crate::mllm::local::test_reference::{
-    FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, assert_chat, assert_greedy, assert_logits, difference,
-    feature_difference, fixture, logits_deviation, open_checkpoint, shared_reference, synthetic,
+    FEATURE_TOLERANCE, Reference, Run, assert_chat, difference, feature_difference, fixture, open_checkpoint,
+    shared_reference, synthetic,
 };
-use crate::mllm::local::{Sequence, VisionLanguageModel};
 use crate::mllm::vision::{Filter, resize};
 
-/// Opens a folder with a change to its weights.
-fn open(folder: &Path, change: impl FnOnce(&mut Weights)) -> CogVlm {
-    let path = folder.join("config.json");
-    let mut weights = open_checkpoint(folder).weights;
-    change(&mut weights);
-    let config = CogVlmConfig::from_json(&path, &read_json(&path).unwrap()).unwrap();
-    CogVlm::take(&mut weights, config).unwrap()
+/// Makes a model of parts.
+fn assembled(parts: &Parts) -> CogVlm {
+    let config = CogVlmConfig::from_json(&parts.path, &parts.config).unwrap();
+    CogVlm::take(&mut parts.weights(), config).unwrap()
+}
+
+/// The references: the folder, the file, and the model without a fault.
+fn references() -> impl Iterator<Item = (PathBuf, Run, CogVlm)> {
+    let tiny = Some((fixture("tiny_cogvlm"), "reference.safetensors"));
+    let larger = shared_reference("cogvlm").map(|folder| (folder, "io.safetensors"));
+    [tiny, larger].into_iter().flatten().map(|(folder, file)| {
+        let model = assembled(&Parts::of(&folder));
+        (folder.clone(), Run::open(&folder.join(file), model.facts.image_token), model)
+    })
+}
+
+fn features(model: &CogVlm, run: &Run) -> Tensor {
+    model.encode_pixels(&run.pixels[0]).unwrap()
 }
 
 #[test]
@@ -41,101 +51,80 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_the_reference() {
 }
 
 #[test]
-fn features_logits_and_greedy_tokens_of_the_larger_reference() {
+fn features_logits_and_greedy_tokens_are_those_of_the_references() {
+    for (_, run, model) in references() {
+        run.assert_same(&model, &features(&model, &run));
+    }
+}
+
+#[test]
+fn positions_are_those_of_the_larger_reference() {
     let Some(folder) = shared_reference("cogvlm") else {
         return;
     };
-    let reference = Reference::open(&folder.join("io.safetensors"));
-    let model = open(&folder, |_| {});
-    let pixels = reference.tensor("pixel_values").squeeze(0).unwrap();
-    let features = model.encode_pixels(&pixels).unwrap();
-    let found = feature_difference(&features, reference.tensor("image_embeds"));
-    assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
-    let mut ids = reference.ids("input_ids", 0);
-    let image = reference.ids("token_type_ids", 0);
-    for (id, kind) in ids.iter_mut().zip(&image) {
-        if *kind == 1 {
-            *id = model.facts.image_token;
-        }
+    let path = folder.join("io.safetensors");
+    let run = Run::open(&path, 0);
+    let expected = Reference::open(&path).ids("position_ids", 0);
+    assert_eq!(positions(0..run.ids.len(), &(1..1 + run.features.dims()[0])), expected);
+}
+
+/// Errors on the way from pixels to features.
+const IMAGE_FAULTS: [Fault; 6] = [
+    // The layer before the last is the one that LLaVA takes.
+    ("the tower's last layer but one", |parts| {
+        let layers = &mut parts.config["vision_config"]["num_hidden_layers"];
+        *layers = json!(layers.as_u64().unwrap() - 1);
+    }),
+    ("the tower's norms swapped", |parts| {
+        let name = |norm: &str| format!("model.vision.transformer.layers.1.{norm}.weight");
+        parts.swap(&name("input_layernorm"), &name("post_attention_layernorm"));
+    }),
+    ("the tower's attention output transposed", |parts| {
+        parts.change("layers.0.attention.dense.weight", |tensor| tensor.t().unwrap());
+    }),
+    ("quick_gelu in the place of gelu", |parts| parts.config["vision_config"]["hidden_act"] = json!("quick_gelu")),
+    ("the adapter's gate and value swapped", |parts| {
+        let name = |layer: &str| format!("model.vision.linear_proj.{layer}.weight");
+        parts.swap(&name("gate_proj"), &name("dense_h_to_4h"));
+    }),
+    ("the image's beginning and end swapped", |parts| parts.swap("model.vision.boi", "model.vision.eoi")),
+];
+
+/// Errors in the decoder's weights.
+const DECODER_FAULTS: [Fault; 1] = [("the experts of a layer swapped", |parts| {
+    for matrix in ["gate_proj", "up_proj", "down_proj"] {
+        let name = |expert: &str| format!("model.layers.1.mlp.{expert}_mlp.{matrix}.weight");
+        parts.swap(&name("vision"), &name("language"));
     }
-    let expected = reference.ids("position_ids", 0);
-    assert_eq!(positions(0..ids.len(), &(1..1 + features.dims()[0])), expected);
-    assert_logits(&model, &ids, &features, reference.tensor("logits"));
-    assert_greedy(&model, &ids, &features, &reference.ids("gen", 0));
-}
+})];
 
 #[test]
-fn a_missing_layer_or_a_swapped_adapter_is_noticed() {
-    let folder = fixture("tiny_cogvlm");
-    let reference = Reference::open(&folder.join("reference.safetensors"));
-    let mut changed = vec![
-        open(&folder, |weights| {
-            weights.swap("vision.linear_proj.gate_proj.weight", "vision.linear_proj.dense_h_to_4h.weight");
-        }),
-        open(&folder, |weights| weights.swap("vision.boi", "vision.eoi")),
-        open(&folder, |weights| {
-            let name = |norm: &str| format!("vision.transformer.layers.1.{norm}.weight");
-            weights.swap(&name("input_layernorm"), &name("post_attention_layernorm"));
-        }),
-    ];
-    // The layer before the last, which is the one that LLaVA takes.
-    let mut shallow = open(&folder, |_| {});
-    shallow.tower.drop_last_layer();
-    changed.push(shallow);
-    for model in changed {
-        let features = model.encode_pixels(reference.tensor("pixel_values")).unwrap();
-        let found = feature_difference(&features, reference.tensor("features"));
-        assert!(found > 100.0 * FEATURE_TOLERANCE, "the features differ only by {found}");
-        let ids = reference.ids("input_ids", model.facts.image_token);
-        let found = logits_deviation(&model, &ids, &features, reference.tensor("logits"));
-        assert!(found > 100.0 * LOGIT_TOLERANCE, "the logits differ only by {found}");
-    }
-}
-
-#[test]
-fn swapped_experts_are_noticed() {
-    let folder = fixture("tiny_cogvlm");
-    let reference = Reference::open(&folder.join("reference.safetensors"));
-    let model = open(&folder, |weights| {
-        for matrix in ["gate_proj", "up_proj", "down_proj"] {
-            let name = |expert: &str| format!("layers.1.mlp.{expert}_mlp.{matrix}.weight");
-            weights.swap(&name("vision"), &name("language"));
+fn errors_that_are_easily_made_lead_far_away() {
+    for (folder, run, right) in references() {
+        Deviation::print_heading(&folder);
+        Deviation::of(&run, &right, &features(&right, &run)).assert_none("nothing wrong");
+        for (what, fault) in IMAGE_FAULTS {
+            let model = assembled(&Parts::wrong(&folder, fault));
+            Deviation::of(&run, &model, &features(&model, &run)).assert_far(what);
         }
-    });
-    let ids = reference.ids("input_ids", model.facts.image_token);
-    let found = logits_deviation(&model, &ids, reference.tensor("features"), reference.tensor("logits"));
-    assert!(found > 100.0 * LOGIT_TOLERANCE, "{found}");
-}
-
-#[test]
-fn shifted_positions_and_a_misrouted_end_are_noticed() {
-    let folder = fixture("tiny_cogvlm");
-    let reference = Reference::open(&folder.join("reference.safetensors"));
-    let model = open(&folder, |_| {});
-    let features = reference.tensor("features");
-    let ids = reference.ids("input_ids", model.facts.image_token);
-    let rows = Sequence::new(&model).placed_rows(&model, &ids, Some(features)).unwrap().rows;
-    let end = 1 + features.dims()[0];
-    let deviation = |positions: Vec<u32>, vision| {
-        let input = DecoderInput { rows: rows.clone(), positions, vision };
-        let logits = model.decoder.forward(&input, &mut model.new_cache(), Logits::All).unwrap().unwrap();
-        difference(&logits, reference.tensor("logits"))
-    };
-    let right = positions(0..ids.len(), &(1..end));
-    assert!(deviation(right.clone(), 1..end - 1) < LOGIT_TOLERANCE);
-    let one_each: Vec<u32> = (0..ids.len() as u32).collect();
-    let text_shifted = right.iter().enumerate().map(|(index, place)| place + u32::from(index >= end)).collect();
-    let patches_shifted =
-        right.iter().enumerate().map(|(index, place)| place + u32::from((2..end - 1).contains(&index))).collect();
-    for (what, positions, vision) in [
-        ("a position for each patch", one_each, 1..end - 1),
-        ("text one further", text_shifted, 1..end - 1),
-        ("patches one further", patches_shifted, 1..end - 1),
-        ("the image's end through the vision expert", right.clone(), 1..end),
-        ("no vision expert", right, 0..0),
-    ] {
-        let found = deviation(positions, vision);
-        assert!(found > 100.0 * LOGIT_TOLERANCE, "{what}: {found}");
+        for (what, fault) in DECODER_FAULTS {
+            let model = assembled(&Parts::wrong(&folder, fault));
+            Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
+        }
+        let image = run.image(right.facts.image_token);
+        let own = positions(0..run.ids.len(), &image);
+        let placed = |positions, vision| Deviation::of_placed(&run, &right, &right.decoder, positions, vision);
+        let vision = image.start..image.end - 1;
+        let shifted = |part| placed(one_further(&own, &part), vision.clone());
+        placed(own.clone(), vision.clone()).assert_none("the right positions");
+        // Only differences of positions count.
+        shifted(0..own.len()).assert_none("every position one further");
+        shifted(image.end..own.len()).assert_logits_far("the text behind the image one further");
+        shifted(image.start + 1..image.end - 1).assert_logits_far("the patches one further");
+        let one_each = (0..own.len() as u32).collect();
+        placed(one_each, vision.clone()).assert_logits_far("a position for each patch");
+        placed(own.clone(), image).assert_logits_far("the image's end through the vision expert");
+        placed(own, 0..0).assert_logits_far("no vision expert");
     }
 }
 

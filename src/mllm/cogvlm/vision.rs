@@ -2,9 +2,8 @@
 
 use candle_core::Tensor;
 
-use super::config::EvaVisionConfig;
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, Weights};
+use crate::mllm::checkpoint::{Activation, VisionConfig, Weights};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
 use crate::mllm::matrix::Matrix;
@@ -35,7 +34,7 @@ impl EvaVisionTower {
     ///
     /// # Errors
     /// When a tensor is missing or misshapen.
-    pub(super) fn take(weights: &mut Weights, config: &EvaVisionConfig) -> Result<Self, MllmError> {
+    pub(super) fn take(weights: &mut Weights, config: &VisionConfig) -> Result<Self, MllmError> {
         let (hidden, patch) = (config.hidden, config.patch_size);
         let embeddings = "vision.patch_embedding";
         let kernel = weights.take(&format!("{embeddings}.proj.weight"), &[hidden, 3, patch, patch])?;
@@ -63,16 +62,8 @@ impl EvaVisionTower {
     }
 }
 
-#[cfg(test)]
-impl EvaVisionTower {
-    /// Leaves the last layer out.
-    pub(super) fn drop_last_layer(&mut self) {
-        self.layers.pop();
-    }
-}
-
 impl Layer {
-    fn take(weights: &mut Weights, config: &EvaVisionConfig, name: &str) -> Result<Self, MllmError> {
+    fn take(weights: &mut Weights, config: &VisionConfig, name: &str) -> Result<Self, MllmError> {
         let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);
         let attention = SelfAttention {
             qkv: Linear::take(weights, &format!("{name}.attention.query_key_value"), hidden, 3 * hidden, true)?,

@@ -15,7 +15,7 @@ pub use settings::{EndpointSettings, GrammarField, LimitField};
 use super::sampling::answer_seed;
 use super::{
     Answer, Conversation, LoadReport, Mark, Mllm, MllmError, ModelDescription, Opening, Request, RoundTime, Server,
-    Turn, prompt_hash,
+    Turn, milliseconds, prompt_hash,
 };
 use chat::Chat;
 use client::Client;
@@ -96,7 +96,7 @@ impl Conversation for EndpointConversation<'_> {
         let body = chat::body(settings, &chat, request, seed)?;
         let asked = Instant::now();
         let reply = self.endpoint.client.ask(&body, seed, request.deadline)?;
-        let remote = milliseconds(asked, Instant::now());
+        let remote = milliseconds(asked.elapsed());
         let text = chat::text(settings, &request.constraint, reply.content);
         self.answers += 1;
         let prompt_hash = prompt_hash(&self.system, &self.turns, prompt);
@@ -107,9 +107,9 @@ impl Conversation for EndpointConversation<'_> {
             constraint: chat::constraint_use(settings, &request.constraint, &text),
             prompt_hash,
             time: RoundTime {
-                first_token: reply.first_text.map_or(0.0, |first| milliseconds(start, first)),
+                first_token: reply.first_text.map_or(0.0, |first| milliseconds(first.saturating_duration_since(start))),
                 remote,
-                total: milliseconds(start, Instant::now()),
+                total: milliseconds(start.elapsed()),
                 ..RoundTime::default()
             },
             text,
@@ -123,8 +123,4 @@ impl Conversation for EndpointConversation<'_> {
     fn rewind(&mut self, mark: Mark) {
         self.turns.truncate(mark.0);
     }
-}
-
-fn milliseconds(from: Instant, to: Instant) -> f64 {
-    to.saturating_duration_since(from).as_secs_f64() * 1e3
 }

@@ -5,7 +5,7 @@ use serde_json::{Value as Json, json};
 use super::header::Header;
 use super::value::Value;
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, ClipVisionConfig};
+use crate::mllm::checkpoint::{Activation, VisionConfig};
 
 /// The architecture that is read.
 pub(super) const ARCHITECTURE: &str = "clip";
@@ -114,7 +114,7 @@ pub(super) fn preprocessor(header: &Header) -> Result<Json, MllmError> {
 /// What a tower is, for [`metadata`].
 pub(super) struct Tower<'a> {
     /// Its configuration.
-    pub vision: &'a ClipVisionConfig,
+    pub vision: &'a VisionConfig,
     /// The hidden states that are the features.
     pub features: &'a [usize],
     /// The resolutions that an image may be brought to (height, width), of a LLaVA-NeXT.

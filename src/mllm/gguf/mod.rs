@@ -134,11 +134,14 @@ fn open_header(path: &Path) -> Result<(Header, WeightFile), MllmError> {
     Ok((header, file))
 }
 
-/// The one vision tower in the folder of a decoder, or of several the one that is named after it.
+/// The vision tower in the folder of a decoder: the one that is named after it, else the only one.
 fn tower_beside(model: &Path) -> Result<PathBuf, MllmError> {
+    let named = export::tower_path(model);
+    if named.is_file() {
+        return Ok(named);
+    }
     let folder = model.parent().unwrap_or(Path::new(""));
     let towers = files_of(folder, |architecture| architecture == clip::ARCHITECTURE)?;
-    let named = export::tower_path(model);
     match towers.as_slice() {
         [] => Err(MllmError::MissingFile {
             folder: folder.to_path_buf(),
@@ -147,7 +150,6 @@ fn tower_beside(model: &Path) -> Result<PathBuf, MllmError> {
                 .into(),
         }),
         [tower] => Ok(tower.clone()),
-        towers if towers.contains(&named) => Ok(named),
         several => {
             Err(several_files(folder, "vision towers", several, "name one under mmproj in the model's description"))
         }

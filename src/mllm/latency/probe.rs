@@ -12,7 +12,9 @@ use super::step::{Step, StepTime};
 use crate::mllm::decoder::Logits;
 use crate::mllm::local::{Sequence, VisionLanguageModel};
 use crate::mllm::sampling::Sampler;
-use crate::mllm::{Architecture, LoadReport, Loading, MllmError, ModelPlace, Sampling, Storage};
+use crate::mllm::{
+    Architecture, Deadline, LoadReport, Loading, MllmError, ModelPlace, Sampling, Storage, milliseconds,
+};
 
 /// A model with one sequence of tokens, whose steps are timed.
 #[derive(Debug)]
@@ -119,22 +121,28 @@ impl LatencyProbe {
                     let logits = self.compute(Logits::Last, &mut time)?;
                     let word = self.choose(logits)?;
                     self.pending.push(word);
-                    time.first_token_ms.get_or_insert_with(|| milliseconds(start));
+                    time.first_token_ms.get_or_insert_with(|| milliseconds(start.elapsed()));
                 }
             }
             Step::Compute => {
                 self.compute(Logits::None, &mut time)?;
             }
         }
-        time.ms = milliseconds(start);
+        time.ms = milliseconds(start.elapsed());
         Ok(time)
     }
 
     /// Computes what is pending.
     fn compute(&mut self, wanted: Logits, time: &mut StepTime) -> Result<Option<Tensor>, MllmError> {
         let start = Instant::now();
-        let logits = self.sequence.append(&*self.model, &self.pending, self.features.as_ref(), wanted)?;
-        time.add_pass(self.pending.len(), milliseconds(start));
+        let logits = self.sequence.append_in_passes(
+            &*self.model,
+            &self.pending,
+            self.features.as_ref(),
+            wanted,
+            Deadline::NONE,
+        )?;
+        time.add_pass(self.pending.len(), milliseconds(start.elapsed()));
         self.pending.clear();
         Ok(logits)
     }
@@ -161,8 +169,4 @@ impl LatencyProbe {
             }
         }
     }
-}
-
-fn milliseconds(since: Instant) -> f64 {
-    since.elapsed().as_secs_f64() * 1e3
 }

@@ -5,16 +5,16 @@
 
 use std::path::Path;
 
-use serde_json::{Map, Value};
+use serde_json::{Value, json};
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, CLIP_BASE, ClipVisionConfig, LLAVA_TOWER, LlamaConfig, ModelFiles, Section};
+use crate::mllm::checkpoint::{Activation, CLIP_BASE, LLAVA_TOWER, LlamaConfig, ModelFiles, Section, VisionConfig};
 
 /// A LLaVA model: which vision tower, which decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LlavaConfig {
     /// The CLIP vision tower.
-    pub vision: ClipVisionConfig,
+    pub vision: VisionConfig,
     /// The decoder.
     pub text: LlamaConfig,
     /// Token id that stands for an image patch in the prompt.
@@ -59,12 +59,11 @@ impl LlavaConfig {
     /// # Errors
     /// When a key has the wrong type or range, is unsupported, or contradicts another.
     pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
-        let empty = Map::new();
         let root = Section::root(path, value)?;
-        let absent = Value::Object(empty);
+        let absent = json!({});
         let vision = match root.section("vision_config", "vision_config.")? {
-            Some(section) => ClipVisionConfig::from_section(&section, &CLIP_BASE)?,
-            None => ClipVisionConfig::from_section(&Section::root(path, &absent)?, &LLAVA_TOWER)?,
+            Some(section) => VisionConfig::from_clip_section(&section, &CLIP_BASE)?,
+            None => VisionConfig::from_clip_section(&Section::root(path, &absent)?, &LLAVA_TOWER)?,
         };
         let text_section = match root.section("text_config", "text_config.")? {
             Some(section) => section,
@@ -141,7 +140,6 @@ fn feature_layers(root: &Section<'_>, layers: usize) -> Result<Vec<usize>, MllmE
 mod tests {
     use super::*;
     use crate::mllm::checkpoint::{Rope, RopeScaling};
-    use serde_json::json;
 
     fn parse(value: &Value) -> Result<LlavaConfig, MllmError> {
         LlavaConfig::from_json(Path::new("config.json"), value)

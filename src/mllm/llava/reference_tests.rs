@@ -3,74 +3,77 @@
 //! `tests/fixtures/llava_reference` holds weights, inputs and outputs of a small LLaVA (its script stands beside it),
 //! `tests/fixtures/tiny_llava` a complete folder with tokenizer, preprocessor and chat template.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use serde_json::{Value, json};
+use candle_core::Tensor;
+use serde_json::json;
 
 use super::Llava;
 use super::config::LlavaConfig;
-use crate::mllm::checkpoint::{Weights, read_json};
+use crate::mllm::local::test_faults::{Deviation, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
 use crate::mllm::local::test_reference::{
-    FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, assert_chat, assert_greedy, assert_logits, difference,
-    feature_difference, fixture, logits_deviation, open_checkpoint,
+    LOGIT_TOLERANCE, Reference, Run, assert_chat, difference, fixture, logits_deviation, open_checkpoint,
+    shared_reference,
 };
 use crate::mllm::local::{LocalModel, VisionLanguageModel};
 use crate::mllm::vision::ClipImageProcessor;
 
-/// Opens the reference with a change to its configuration and its weights.
-fn open(change: impl FnOnce(&mut Value, &mut Weights)) -> (Llava, Reference) {
-    let folder = fixture("llava_reference");
-    let path = folder.join("config.json");
-    let mut config = read_json(&path).unwrap();
-    let mut weights = open_checkpoint(&folder).weights;
-    change(&mut config, &mut weights);
-    let config = LlavaConfig::from_json(&path, &config).unwrap();
+/// Makes a model of parts.
+fn assembled(parts: &Parts) -> Llava {
+    let config = LlavaConfig::from_json(&parts.path, &parts.config).unwrap();
     let processor = ClipImageProcessor::square(config.vision.image_size as u32);
-    (Llava::take(&mut weights, config, processor).unwrap(), Reference::open(&folder.join("io.safetensors")))
+    Llava::take(&mut parts.weights(), config, processor).unwrap()
 }
 
-/// How far the features and the logits are from the reference.
-fn deviations(model: &Llava, reference: &Reference) -> (f32, f32) {
-    let features = model.encode_pixels(&reference.tensor("pixel_values").squeeze(0).unwrap()).unwrap();
-    let ids = reference.ids("input_ids", 0);
-    let logits = logits_deviation(model, &ids, &features, reference.tensor("logits"));
-    (feature_difference(&features, reference.tensor("packed")), logits)
+/// The references with random pixels; the second is the same as the first where it is at hand.
+fn references() -> impl Iterator<Item = (PathBuf, Run)> {
+    let folders = [Some(fixture("llava_reference")), shared_reference("llava")];
+    folders.into_iter().flatten().map(|folder| {
+        let run = Run::open(&folder.join("io.safetensors"), 0);
+        (folder, run)
+    })
+}
+
+fn features(model: &Llava, run: &Run) -> Tensor {
+    model.encode_pixels(&run.pixels[0]).unwrap()
 }
 
 #[test]
 fn features_logits_and_greedy_tokens_are_those_of_transformers() {
-    let (model, reference) = open(|_, _| {});
-    let (features, _) = deviations(&model, &reference);
-    assert!(features < FEATURE_TOLERANCE, "the features differ by {features}");
-    let features = model.encode_pixels(&reference.tensor("pixel_values").squeeze(0).unwrap()).unwrap();
-    let ids = reference.ids("input_ids", 0);
-    assert_logits(&model, &ids, &features, reference.tensor("logits"));
-    assert_greedy(&model, &ids, &features, &reference.ids("gen", 0)[ids.len()..]);
-}
-
-#[test]
-fn a_wrong_layer_or_a_swapped_projector_is_noticed() {
-    let layer = |layer: i32| open(move |config, _| config["vision_feature_layer"] = json!(layer));
-    let swapped = open(|_, weights| {
-        weights.swap("multi_modal_projector.linear_1.weight", "multi_modal_projector.linear_2.weight");
-        weights.swap("multi_modal_projector.linear_1.bias", "multi_modal_projector.linear_2.bias");
-    });
-    for (model, reference) in [layer(-1), layer(-3), swapped] {
-        let (features, logits) = deviations(&model, &reference);
-        assert!(features > 100.0 * FEATURE_TOLERANCE && logits > 100.0 * LOGIT_TOLERANCE, "{features} {logits}");
+    for (folder, run) in references() {
+        let model = assembled(&Parts::of(&folder));
+        run.assert_same(&model, &features(&model, &run));
     }
 }
 
 #[test]
-fn image_tokens_at_a_shifted_position_are_noticed() {
-    let (model, reference) = open(|_, _| {});
-    let features = model.encode_pixels(&reference.tensor("pixel_values").squeeze(0).unwrap()).unwrap();
-    let ids = reference.ids("input_ids", 0);
-    let mut shifted = ids.clone();
-    let first = ids.iter().position(|id| *id == model.facts().image_token).unwrap();
-    shifted.swap(first - 1, first + model.facts().most_image_tokens - 1);
-    let found = logits_deviation(&model, &shifted, &features, reference.tensor("logits"));
-    assert!(found > 100.0 * LOGIT_TOLERANCE, "{found}");
+fn errors_that_are_easily_made_lead_far_away() {
+    for (folder, run) in references() {
+        Deviation::print_heading(&folder);
+        let right = assembled(&Parts::of(&folder));
+        Deviation::of(&run, &right, &features(&right, &run)).assert_none("nothing wrong");
+        for (what, fault) in LLAVA_IMAGE_FAULTS {
+            let model = assembled(&Parts::wrong(&folder, fault));
+            Deviation::of(&run, &model, &features(&model, &run)).assert_far(what);
+        }
+        let full = Parts::wrong(&folder, |parts| parts.config["vision_feature_select_strategy"] = json!("full"));
+        let with_class = features(&assembled(&full), &run).narrow(0, 0, run.features.dims()[0]).unwrap();
+        Deviation::of(&run, &right, &with_class).assert_far("the class token kept, the last patch lost");
+        for (what, fault) in LLAVA_DECODER_FAULTS {
+            let model = assembled(&Parts::wrong(&folder, fault));
+            Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
+        }
+        let image = run.image(right.facts().image_token);
+        let own: Vec<u32> = (0..run.ids.len() as u32).collect();
+        let placed = |positions| Deviation::of_placed(&run, &right, &right.core.decoder, positions, 0..0);
+        let shifted = |part| placed(one_further(&own, &part));
+        // Only differences of positions count.
+        shifted(0..own.len()).assert_none("every position one further");
+        shifted(image.end..own.len()).assert_logits_far("the text behind the image one further");
+        shifted(image.clone()).assert_logits_far("the image one further");
+        let shared = (0..own.len()).map(|index| (index.min(image.start) + index.saturating_sub(image.end - 1)) as u32);
+        placed(shared.collect()).assert_logits_far("one position for the whole image");
+    }
 }
 
 #[test]

@@ -1,35 +1,64 @@
 //! Our numbers against those of Hugging Face transformers: pixels of tiles, packed features, logits, greedy tokens.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use candle_core::{DType, Tensor};
 use serde_json::{Value, json};
 
 use super::LlavaNext;
 use super::config::LlavaNextConfig;
-use super::grid::{Resolution, TileGrids};
+use super::grid::{Resolution, TileGrids, Tiling};
 use super::preprocess::AnyresImageProcessor;
-use crate::mllm::checkpoint::{Weights, read_json};
-use crate::mllm::local::LocalModel;
+use crate::mllm::checkpoint::read_json;
+use crate::mllm::llava::FeatureSelect;
+use crate::mllm::local::test_faults::{Deviation, Fault, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
 use crate::mllm::local::test_reference::{
-    FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, assert_chat, assert_greedy, assert_logits, difference,
-    feature_difference, fixture, logits_deviation, open_checkpoint, shared_reference, synthetic,
+    Reference, Run, assert_chat, difference, fixture, open_checkpoint, shared_reference, synthetic,
 };
+use crate::mllm::local::{LocalModel, VisionLanguageModel};
 use crate::mllm::vision::{Filter, PixelScale};
 
-/// Opens a folder with a change to its configuration and its weights.
-fn open(folder: &Path, change: impl FnOnce(&mut Value, &mut Weights)) -> LlavaNext {
-    let path = folder.join("config.json");
-    let mut config = read_json(&path).unwrap();
-    let mut weights = open_checkpoint(folder).weights;
-    change(&mut config, &mut weights);
-    let config = LlavaNextConfig::from_json(&path, &config).unwrap();
+/// Makes a model of parts whose configuration is changed once more after it is checked.
+fn assembled_after(parts: &Parts, change: impl FnOnce(&mut LlavaNextConfig)) -> LlavaNext {
+    let mut config = LlavaNextConfig::from_json(&parts.path, &parts.config).unwrap();
+    change(&mut config);
     let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
-    LlavaNext::take(&mut weights, config, processor).unwrap()
+    LlavaNext::take(&mut parts.weights(), config, processor).unwrap()
 }
 
-fn tiles(pixels: &Tensor) -> Vec<Tensor> {
-    (0..pixels.dims()[0]).map(|tile| pixels.get(tile).unwrap()).collect()
+/// Makes a model of parts.
+fn assembled(parts: &Parts) -> LlavaNext {
+    assembled_after(parts, |_| {})
+}
+
+/// A reference, and the size of its image.
+struct Case {
+    folder: PathBuf,
+    run: Run,
+    size: Resolution,
+}
+
+impl Case {
+    fn all() -> impl Iterator<Item = Self> {
+        let fixed = |name, height, width| {
+            let folder = fixture(name);
+            let run = Run::open(&folder.join("reference.safetensors"), 0);
+            Self { folder, run, size: Resolution { height, width } }
+        };
+        let larger = shared_reference("llava_next").map(|folder| {
+            let run = Run::open(&folder.join("io.safetensors"), 0);
+            Self { folder, run, size: Resolution { height: 90, width: 160 } }
+        });
+        [fixed("tiny_llava_next", 53, 75), fixed("tiny_llava_next_mistral", 53, 75)].into_iter().chain(larger)
+    }
+
+    fn tiling(&self, model: &LlavaNext) -> Tiling {
+        model.grids.tiling(self.size)
+    }
+
+    fn features(&self, model: &LlavaNext) -> Tensor {
+        model.encode_tiles(&self.run.pixels, &self.tiling(model)).unwrap()
+    }
 }
 
 #[test]
@@ -48,70 +77,54 @@ fn complete_folders_give_the_pixels_ids_logits_and_tokens_of_transformers() {
 }
 
 #[test]
-fn features_logits_and_greedy_tokens_of_the_larger_reference() {
-    let Some(folder) = shared_reference("llava_next") else {
-        return;
-    };
-    let reference = Reference::open(&folder.join("io.safetensors"));
-    let model = open(&folder, |_, _| {});
-    let tiling = model.grids.tiling(Resolution { height: 90, width: 160 });
-    let pixels = tiles(&reference.tensor("pixel_values").squeeze(0).unwrap());
-    let features = model.encode_tiles(&pixels, &tiling).unwrap();
-    let found = feature_difference(&features, reference.tensor("packed"));
-    assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
-    let ids = reference.ids("input_ids", 0);
-    assert_logits(&model, &ids, &features, reference.tensor("logits"));
-    assert_greedy(&model, &ids, &features, &reference.ids("gen", 0)[ids.len()..]);
-}
-
-#[test]
-fn a_wrong_layer_or_a_swapped_projector_is_noticed() {
-    let folder = fixture("tiny_llava_next");
-    let reference = Reference::open(&folder.join("reference.safetensors"));
-    let pixels = tiles(reference.tensor("pixel_values"));
-    let swapped = open(&folder, |_, weights| {
-        weights.swap("multi_modal_projector.linear_1.weight", "multi_modal_projector.linear_2.weight");
-        weights.swap("multi_modal_projector.linear_1.bias", "multi_modal_projector.linear_2.bias");
-    });
-    let no_newline = open(&folder, |_, weights| weights.swap("image_newline", "multi_modal_projector.linear_1.bias"));
-    let last_layer = open(&folder, |config, _| config["vision_feature_layer"] = json!(-1));
-    for model in [swapped, no_newline, last_layer] {
-        let tiling = model.grids.tiling(Resolution { height: 53, width: 75 });
-        let features = model.encode_tiles(&pixels, &tiling).unwrap();
-        let found = feature_difference(&features, reference.tensor("features"));
-        assert!(found > 100.0 * FEATURE_TOLERANCE, "the features differ only by {found}");
-        let ids = reference.ids("input_ids", 0);
-        let found = logits_deviation(&model, &ids, &features, reference.tensor("logits"));
-        assert!(found > 100.0 * LOGIT_TOLERANCE, "the logits differ only by {found}");
+fn features_logits_and_greedy_tokens_are_those_of_transformers() {
+    for case in Case::all() {
+        let model = assembled(&Parts::of(&case.folder));
+        case.run.assert_same(&model, &case.features(&model));
     }
 }
 
 #[test]
-fn tiles_out_of_their_place_and_shifted_positions_are_noticed() {
-    let folder = fixture("tiny_llava_next");
-    let reference = Reference::open(&folder.join("reference.safetensors"));
-    let model = open(&folder, |_, _| {});
-    let tiling = model.grids.tiling(Resolution { height: 53, width: 75 });
-    let mut pixels = tiles(reference.tensor("pixel_values"));
-    let right = model.encode_tiles(&pixels, &tiling).unwrap();
-    pixels.swap(1, 2);
-    let swapped = model.encode_tiles(&pixels, &tiling).unwrap();
-    assert!(feature_difference(&swapped, reference.tensor("features")) > 100.0 * FEATURE_TOLERANCE);
-    let mut ids = reference.ids("input_ids", 0);
-    let first = ids.iter().position(|id| *id == model.facts.image_token).unwrap();
-    ids.swap(first - 1, first + right.dims()[0] - 1);
-    let found = logits_deviation(&model, &ids, &right, reference.tensor("logits"));
-    assert!(found > 100.0 * LOGIT_TOLERANCE, "{found}");
+fn errors_that_are_easily_made_lead_far_away() {
+    for case in Case::all() {
+        let Case { folder, run, .. } = &case;
+        Deviation::print_heading(folder);
+        let right = assembled(&Parts::of(folder));
+        Deviation::of(run, &right, &case.features(&right)).assert_none("nothing wrong");
+        let no_newline: Fault = ("zeros in the place of the newline", |parts| {
+            parts.change("image_newline", |newline| newline.zeros_like().unwrap());
+        });
+        for (what, fault) in LLAVA_IMAGE_FAULTS.into_iter().chain([no_newline]) {
+            let model = assembled(&Parts::wrong(folder, fault));
+            Deviation::of(run, &model, &case.features(&model)).assert_far(what);
+        }
+        let with_class =
+            assembled_after(&Parts::of(folder), |config| config.llava.feature_select = FeatureSelect::Full);
+        Deviation::of(run, &right, &case.features(&with_class)).assert_far("the class tokens kept in the grid");
+        let mut swapped = run.pixels.clone();
+        swapped.swap(1, 2);
+        let swapped = right.encode_tiles(&swapped, &case.tiling(&right)).unwrap();
+        Deviation::of(run, &right, &swapped).assert_far("two tiles swapped");
+        for (what, fault) in LLAVA_DECODER_FAULTS {
+            let model = assembled(&Parts::wrong(folder, fault));
+            Deviation::of(run, &model, &case.features(&model)).assert_logits_far(what);
+        }
+        let image = run.image(right.facts().image_token);
+        let own: Vec<u32> = (0..run.ids.len() as u32).collect();
+        let shifted = |part| Deviation::of_placed(run, &right, &right.core.decoder, one_further(&own, &part), 0..0);
+        // Only differences of positions count.
+        shifted(0..own.len()).assert_none("every position one further");
+        shifted(image.end..own.len()).assert_logits_far("the text behind the image one further");
+        shifted(image).assert_logits_far("the image one further");
+    }
 }
 
 #[test]
 fn a_window_that_is_left_out_is_noticed() {
     let folder = fixture("tiny_llava_next_mistral");
-    let reference = Reference::open(&folder.join("reference.safetensors"));
-    let model = open(&folder, |config, _| config["text_config"]["sliding_window"] = Value::Null);
-    let ids = reference.ids("input_ids", 0);
-    let found = logits_deviation(&model, &ids, reference.tensor("features"), reference.tensor("logits"));
-    assert!(found > 100.0 * LOGIT_TOLERANCE, "{found}");
+    let run = Run::open(&folder.join("reference.safetensors"), 0);
+    let whole = Parts::wrong(&folder, |parts| parts.config["text_config"]["sliding_window"] = Value::Null);
+    Deviation::of(&run, &assembled(&whole), &run.features).assert_logits_far("no sliding window");
 }
 
 /// The size in a name `HEIGHTxWIDTH`.
@@ -123,7 +136,7 @@ fn size(name: &str) -> Option<(u32, u32)> {
 #[test]
 fn tiles_of_odd_images_have_the_pixels_of_transformers() {
     let folder = fixture("tiny_llava_next");
-    let model = open(&folder, |_, _| {});
+    let model = assembled(&Parts::of(&folder));
     let expected =
         candle_core::safetensors::load(folder.join("anyres.safetensors"), &candle_core::Device::Cpu).unwrap();
     assert!(expected.len() >= 7);

@@ -119,3 +119,22 @@ fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass
         }
     }
 }
+
+#[test]
+fn a_prompt_that_leaves_no_choice_is_computed_and_counted_by_the_next_round() {
+    for name in ["tiny_llava", "tiny_cogvlm"] {
+        let (local, computed) = counted(name);
+        let take = || std::mem::take(&mut *computed.lock().unwrap());
+        let image = image::open(fixture(name).join("image.png")).unwrap().into_rgb8();
+        let opening = Opening { system: "Drive safely.".into(), image: Some(image) };
+        let mut conversation = local.converse(&opening, 0).unwrap();
+        let known: usize = take().passes.iter().sum();
+        let first = conversation.ask("Look.", &request(Constraint::Choice(vec!["keep".into()]), 8)).unwrap();
+        assert_eq!((first.tokens.text, first.tokens.image, first.tokens.cached), (0, 0, known), "{name}");
+        assert_eq!(take(), Computed { passes: Vec::new(), images: 1 }, "{name}");
+        let second = conversation.ask("Now?", &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
+        let Computed { passes, images } = take();
+        assert_eq!((passes[0], images), (second.tokens.text + second.tokens.image, 0), "{name}");
+        assert_eq!((second.tokens.image, second.tokens.cached), (local.describe().image_tokens, known), "{name}");
+    }
+}

@@ -6,15 +6,11 @@ use candle_core::Tensor;
 use toktrie::SimpleVob;
 
 use super::sequence::Sequence;
-use super::session::milliseconds;
 use super::vlm::VisionLanguageModel;
 use crate::mllm::decoder::Logits;
 use crate::mllm::sampling::Sampler;
 use crate::mllm::text::GrammarState;
-use crate::mllm::{Deadline, FinishReason, MllmError};
-
-/// Most tokens of a prompt that are computed in one pass, so that a deadline is looked at in between.
-const PREFILL_CHUNK: usize = 512;
+use crate::mllm::{Deadline, FinishReason, MllmError, milliseconds};
 
 /// The tokens of an answer. Times are milliseconds.
 #[derive(Debug)]
@@ -92,7 +88,7 @@ pub(super) fn generate(
             forced: 0,
             finish: at_budget,
             prefill: 0.0,
-            prefill_end: milliseconds(start),
+            prefill_end: milliseconds(start.elapsed()),
             first_token: 0.0,
         },
         passes: 0,
@@ -140,8 +136,8 @@ impl Generation<'_> {
         let pass_start = Instant::now();
         let logits = self.compute_pending()?;
         if self.passes == 0 {
-            self.out.prefill = milliseconds(pass_start);
-            self.out.prefill_end = milliseconds(self.start);
+            self.out.prefill = milliseconds(pass_start.elapsed());
+            self.out.prefill_end = milliseconds(self.start.elapsed());
         }
         self.passes += 1;
         let logits = match logits {
@@ -156,21 +152,12 @@ impl Generation<'_> {
     /// Computes what is pending; gives the logits behind its last token.
     fn compute_pending(&mut self) -> Result<Option<Tensor>, MllmError> {
         let pending = std::mem::take(&mut self.pending);
-        let mut logits = None;
-        let mut rest = pending.as_slice();
-        while !rest.is_empty() {
-            self.deadline.check()?;
-            let (chunk, behind) = rest.split_at(rest.len().min(PREFILL_CHUNK));
-            let wanted = if behind.is_empty() { Logits::Last } else { Logits::None };
-            logits = self.sequence.append(self.model, chunk, self.features, wanted)?;
-            rest = behind;
-        }
-        Ok(logits)
+        self.sequence.append_in_passes(self.model, &pending, self.features, Logits::Last, self.deadline)
     }
 
     fn push_free(&mut self, token: u32) {
         if self.out.first_token == 0.0 {
-            self.out.first_token = milliseconds(self.start);
+            self.out.first_token = milliseconds(self.start.elapsed());
         }
         self.push(token);
     }

@@ -13,6 +13,8 @@ mod caching_tests;
 #[cfg(test)]
 mod determinism_tests;
 #[cfg(test)]
+pub(crate) mod test_faults;
+#[cfg(test)]
 pub(crate) mod test_reference;
 
 use std::collections::VecDeque;
@@ -117,13 +119,16 @@ impl Loading {
             Some(folder) => ModelFiles::folder(folder)?,
             None => files.clone(),
         };
-        if architecture == Architecture::CogVlm && tokenizer.text("tokenizer.json")?.is_none() {
-            return Err(tokenizer.missing(
-                "tokenizer.json (CogVLM's repositories have none; that of a LLaMA fits: copy it here, or name it under \
-                 tokenizer in the model's description)",
-            ));
+        if tokenizer.text("tokenizer.json")?.is_some() {
+            return Ok(tokenizer);
         }
-        Ok(tokenizer)
+        Err(tokenizer.missing(match architecture {
+            Architecture::Llava | Architecture::LlavaNext => "tokenizer.json",
+            Architecture::CogVlm => {
+                "tokenizer.json (CogVLM's repositories have none; that of a LLaMA fits: copy it here, or name it under \
+                 tokenizer in the model's description)"
+            }
+        }))
     }
 }
 
@@ -146,11 +151,12 @@ impl LocalModel {
     pub fn load(name: &str, place: &ModelPlace, loading: &Loading) -> Result<Self, MllmError> {
         let mut checkpoint = loading.checkpoint(place)?;
         let architecture = loading.architecture(&checkpoint.files)?;
+        // Missed before the weights are read, which takes minutes.
+        let tokenizer = loading.tokenizer(&checkpoint.files, architecture)?;
         checkpoint.weights.hash()?;
         let model = architecture.open(&mut checkpoint)?;
         let Checkpoint { files, weights } = checkpoint;
         let vocabulary = model.facts().vocabulary;
-        let tokenizer = loading.tokenizer(&files, architecture)?;
         let tokenizer = ChatTokenizer::open(&tokenizer, vocabulary, model.facts().image_token)?;
         let format = model.chat_format(&files, &tokenizer)?;
         let end_tokens = end_tokens(&files, &tokenizer, vocabulary)?;
@@ -249,6 +255,10 @@ impl Mllm for LocalModel {
 
     fn converse<'a>(&'a self, opening: &Opening, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
         Ok(Box::new(LocalConversation::open(self, opening, seed)?))
+    }
+
+    fn count_tokens(&self, text: &str) -> Option<usize> {
+        self.tokenizer.encode_text(text).ok().map(|ids| ids.len())
     }
 }
 

@@ -5,8 +5,11 @@ use std::ops::Range;
 use candle_core::Tensor;
 
 use super::vlm::{PlacedRows, VisionLanguageModel};
-use crate::mllm::MllmError;
 use crate::mllm::decoder::{KvCache, KvPrefix, Logits};
+use crate::mllm::{Deadline, MllmError};
+
+/// Most tokens that are computed in one pass, so that a deadline is looked at in between and activations stay small.
+const MOST_IN_PASS: usize = 512;
 
 /// Tokens that the decoder has seen, with their keys and values.
 #[derive(Debug)]
@@ -51,6 +54,29 @@ impl Sequence {
         let rows = self.placed_rows(model, ids, features)?;
         let logits = model.forward(&rows, &mut self.cache, wanted)?;
         self.ids.extend_from_slice(ids);
+        Ok(logits)
+    }
+
+    /// Appends tokens in as many passes as they need, looks at the deadline before each, and gives the wanted logits of the
+    /// last. After an error the passes before it stay appended.
+    ///
+    /// # Errors
+    /// As [`Self::append`], and when the deadline passes.
+    pub(crate) fn append_in_passes(
+        &mut self,
+        model: &dyn VisionLanguageModel,
+        ids: &[u32],
+        features: Option<&Tensor>,
+        wanted: Logits,
+        deadline: Deadline,
+    ) -> Result<Option<Tensor>, MllmError> {
+        let mut logits = None;
+        let mut passes = ids.chunks(MOST_IN_PASS).peekable();
+        while let Some(pass) = passes.next() {
+            deadline.check()?;
+            let wanted = if passes.peek().is_none() { wanted } else { Logits::None };
+            logits = self.append(model, pass, features, wanted)?;
+        }
         Ok(logits)
     }
 

@@ -11,7 +11,7 @@ use super::vlm::Chat;
 use crate::mllm::sampling::{Sampler, answer_seed};
 use crate::mllm::{
     Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, Opening, Request, RoundTime, TokenCounts, Turn,
-    prompt_hash,
+    milliseconds, prompt_hash,
 };
 
 /// A chat, and what the model has computed of it so far.
@@ -54,7 +54,7 @@ impl<'a> LocalConversation<'a> {
             turns: Vec::new(),
             sequence,
             features: None,
-            opening_time: milliseconds(start),
+            opening_time: milliseconds(start.elapsed()),
         })
     }
 
@@ -101,9 +101,9 @@ impl Conversation for LocalConversation<'_> {
         let encode_start = Instant::now();
         let encoded_before = self.features.is_some();
         self.encode_image(rest)?;
-        let image_encode = if self.features.is_some() && !encoded_before { milliseconds(encode_start) } else { 0.0 };
+        let image_encode =
+            if self.features.is_some() && !encoded_before { milliseconds(encode_start.elapsed()) } else { 0.0 };
 
-        let image_tokens = rest.iter().filter(|id| **id == image_token).count();
         let generated: Generated = generate(
             &*local.model,
             &mut self.sequence,
@@ -120,11 +120,13 @@ impl Conversation for LocalConversation<'_> {
             start,
         )?;
         let text = self.decode(request, &generated.ids)?;
+        let computed = rest.get(..self.sequence.ids().len() - cached).unwrap_or(rest);
+        let image_tokens = computed.iter().filter(|id| **id == image_token).count();
         let opening_time = std::mem::take(&mut self.opening_time);
         let answer = Answer {
             prompt_hash: prompt_hash(&self.opening.system, &self.turns, prompt),
             tokens: TokenCounts {
-                text: rest.len() - image_tokens,
+                text: computed.len() - image_tokens,
                 image: image_tokens,
                 cached,
                 forced: generated.forced,
@@ -134,9 +136,9 @@ impl Conversation for LocalConversation<'_> {
                 image_encode,
                 prefill: opening_time + generated.prefill,
                 first_token: if generated.first_token > 0.0 { opening_time + generated.first_token } else { 0.0 },
-                decode: milliseconds(start) - generated.prefill_end,
+                decode: milliseconds(start.elapsed()) - generated.prefill_end,
                 remote: 0.0,
-                total: opening_time + milliseconds(start),
+                total: opening_time + milliseconds(start.elapsed()),
             },
             finish: generated.finish,
             constraint: match request.constraint {
@@ -158,9 +160,4 @@ impl Conversation for LocalConversation<'_> {
         // The computed tokens stay: the next round keeps as many as still agree.
         self.turns.truncate(mark.0);
     }
-}
-
-/// Milliseconds since an instant.
-pub(super) fn milliseconds(since: Instant) -> f64 {
-    since.elapsed().as_secs_f64() * 1e3
 }

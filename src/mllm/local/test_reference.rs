@@ -22,14 +22,7 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
 
 /// A folder of the reference data that is not part of the package; says so when it is not there.
 pub(crate) fn shared_reference(name: &str) -> Option<PathBuf> {
-    let data = std::env::var_os("PLANAGENT_DATA")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
-    let folder = data.join("mllm_reference").join(name);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    eprintln!("SKIPPED: no {} (set PLANAGENT_DATA to the data folder)", folder.display());
-    None
+    crate::outside::data(&format!("mllm_reference/{name}"))
 }
 
 /// The checkpoint of a folder.
@@ -53,6 +46,64 @@ impl Reference {
     pub(crate) fn ids(&self, name: &str, image_token: u32) -> Vec<u32> {
         let ids = self.tensor(name).flatten_all().unwrap().to_vec1::<i64>().unwrap();
         ids.into_iter().map(|id| if id < 0 { image_token } else { u32::try_from(id).unwrap() }).collect()
+    }
+}
+
+/// Inputs and outputs of a reference implementation for one prompt with an image.
+pub(crate) struct Run {
+    /// Pixels of the image, or of its tiles, (3, side, side) each.
+    pub pixels: Vec<Tensor>,
+    /// The prompt.
+    pub ids: Vec<u32>,
+    /// Features of the image, (image tokens, hidden).
+    pub features: Tensor,
+    /// Logits of the prompt's last positions.
+    pub logits: Tensor,
+    /// Greedy tokens that follow the prompt.
+    pub greedy: Vec<u32>,
+}
+
+impl Run {
+    /// Reads a run under the names of any generator script.
+    pub(crate) fn open(path: &Path, image_token: u32) -> Self {
+        let reference = Reference::open(path);
+        let any = |names: &[&'static str]| *names.iter().find(|name| reference.0.contains_key(**name)).unwrap();
+        let pixels = reference.tensor("pixel_values");
+        let (side, features) =
+            (pixels.dims()[pixels.rank() - 1], reference.tensor(any(&["features", "packed", "image_embeds"])));
+        let pixels = pixels.reshape(((), 3, side, side)).unwrap();
+        let mut ids = reference.ids("input_ids", image_token);
+        if reference.0.contains_key("token_type_ids") {
+            let kinds = reference.ids("token_type_ids", 0);
+            ids.iter_mut().zip(kinds).filter(|(_, kind)| *kind == 1).for_each(|(id, _)| *id = image_token);
+        }
+        let greedy = reference.ids(any(&["generated", "gen"]), image_token);
+        Self {
+            pixels: (0..pixels.dims()[0]).map(|image| pixels.get(image).unwrap()).collect(),
+            features: features.flatten_to(features.rank() - 2).unwrap(),
+            logits: reference.tensor("logits").clone(),
+            greedy: greedy.strip_prefix(ids.as_slice()).unwrap_or(&greedy).to_vec(),
+            ids,
+        }
+    }
+
+    /// The tokens of the prompt that stand for the image.
+    pub(crate) fn image(&self, image_token: u32) -> std::ops::Range<usize> {
+        let first = self.ids.iter().position(|id| *id == image_token).unwrap();
+        first..first + self.features.dims()[0]
+    }
+
+    /// Checks that a model does the same.
+    pub(crate) fn assert_same(&self, model: &dyn VisionLanguageModel, features: &Tensor) {
+        let found = feature_difference(features, &self.features);
+        assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
+        assert_logits(model, &self.ids, features, &self.logits);
+        assert_greedy(model, &self.ids, features, &self.greedy);
+    }
+
+    /// How far the logits of the whole prompt are from the reference.
+    pub(crate) fn logits_difference(&self, logits: &Tensor) -> f32 {
+        difference(&last_rows(logits, &self.logits), &self.logits)
     }
 }
 

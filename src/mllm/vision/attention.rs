@@ -19,6 +19,16 @@ pub(crate) struct SelfAttention {
 impl SelfAttention {
     /// Maps rows of as many tokens each image, (images · tokens, hidden), to as many.
     pub(crate) fn forward(&self, x: &Tensor, images: usize) -> Result<Tensor> {
+        self.out.forward(&self.mix(x, images)?)
+    }
+
+    /// residual + what it makes of x, both (images · tokens, hidden).
+    pub(crate) fn forward_onto(&self, x: &Tensor, images: usize, residual: &Tensor) -> Result<Tensor> {
+        self.out.forward_onto(&self.mix(x, images)?, residual)
+    }
+
+    /// The heads' results side by side.
+    fn mix(&self, x: &Tensor, images: usize) -> Result<Tensor> {
         let (rows, hidden) = x.dims2()?;
         let tokens = rows / images;
         let shape = HeadShape { query_heads: self.heads, key_heads: self.heads, width: hidden / self.heads };
@@ -30,8 +40,7 @@ impl SelfAttention {
                 attend(rows, &held, Sight::All { positions: tokens })
             })
         });
-        let mixed = mixed.collect::<Result<Vec<_>>>()?;
-        self.out.forward(&Tensor::cat(&mixed, 0)?)
+        Tensor::cat(&mixed.collect::<Result<Vec<_>>>()?, 0)
     }
 }
 

@@ -4,7 +4,7 @@ use candle_core::Tensor;
 
 use super::attention::{SelfAttention, embed, unfold};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, ClipVisionConfig, Weights};
+use crate::mllm::checkpoint::{Activation, VisionConfig, Weights};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
 use crate::mllm::matrix::Matrix;
@@ -17,7 +17,7 @@ pub(crate) struct ClipVisionTower {
     position_embedding: Tensor,
     pre_norm: LayerNorm,
     layers: Vec<Layer>,
-    config: ClipVisionConfig,
+    config: VisionConfig,
 }
 
 #[derive(Debug)]
@@ -35,7 +35,7 @@ impl ClipVisionTower {
     ///
     /// # Errors
     /// When a tensor is missing or misshapen.
-    pub(crate) fn take(weights: &mut Weights, config: &ClipVisionConfig, depth: usize) -> Result<Self, MllmError> {
+    pub(crate) fn take(weights: &mut Weights, config: &VisionConfig, depth: usize) -> Result<Self, MllmError> {
         let hidden = config.hidden;
         let patch = config.patch_size;
         let embeddings = "vision_tower.embeddings";
@@ -87,7 +87,7 @@ impl ClipVisionTower {
 }
 
 impl Layer {
-    fn take(weights: &mut Weights, config: &ClipVisionConfig, name: &str) -> Result<Self, MllmError> {
+    fn take(weights: &mut Weights, config: &VisionConfig, name: &str) -> Result<Self, MllmError> {
         let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);
         let qkv = ["q_proj", "k_proj", "v_proj"].map(|part| (format!("{name}.self_attn.{part}"), hidden));
         Ok(Self {
@@ -105,8 +105,8 @@ impl Layer {
     }
 
     fn forward(&self, x: &Tensor, images: usize) -> candle_core::Result<Tensor> {
-        let x = (x + self.attention.forward(&self.norm1.forward(x)?, images)?)?;
+        let x = self.attention.forward_onto(&self.norm1.forward(x)?, images, x)?;
         let wide = self.act.forward(&self.fc1.forward(&self.norm2.forward(&x)?)?)?;
-        &x + self.fc2.forward(&wide)?
+        self.fc2.forward_onto(&wide, &x)
     }
 }

@@ -73,12 +73,19 @@ impl BenchFolder {
             return Err(ReportError::Differs { path: path.to_owned(), differences });
         }
         let file = path.join(ROWS);
-        let text =
-            if file.is_file() { fs::read_to_string(&file).map_err(ReportError::read(&file))? } else { String::new() };
         // A model that failed is tried again.
-        let rows: Vec<Row> =
-            parse_rows(&file, &text)?.into_iter().filter(|row| !matches!(row, Row::Failed(_))).collect();
+        let rows = if file.is_file() { Self::read(path)? } else { Vec::new() };
+        let rows: Vec<Row> = rows.into_iter().filter(|row| !matches!(row, Row::Failed(_))).collect();
         Ok(Self { path: path.to_owned(), rows })
+    }
+
+    /// The rows of the bench in a folder.
+    ///
+    /// # Errors
+    /// When there is none, or a row cannot be understood.
+    pub fn read(path: &Path) -> Result<Vec<Row>, ReportError> {
+        let file = path.join(ROWS);
+        parse_rows(&file, &fs::read_to_string(&file).map_err(ReportError::read(&file))?)
     }
 
     /// Where it is.

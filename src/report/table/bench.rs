@@ -1,6 +1,6 @@
 //! The tables of a bench.
 
-use super::{fill, plain};
+use super::{fill, markdown, plain};
 use crate::experiment::bench::EngineName;
 use crate::report::{BenchFigures, Comparison, ModelFigures};
 use std::fmt::Write as _;
@@ -116,14 +116,6 @@ fn cells<'a>(model: &ModelFigures, columns: impl Iterator<Item = &'a Column>) ->
         EngineName::LlamaCpp => format!("- {}", EngineName::LlamaCpp),
     };
     std::iter::once(name).chain(columns.map(|column| (column.cell)(model))).collect()
-}
-
-fn markdown(text: &mut String, header: &[String], names: usize, rows: impl Iterator<Item = Vec<String>>) {
-    let rule: Vec<String> = (0..header.len()).map(|i| if i < names { "---" } else { "---:" }.to_owned()).collect();
-    text.push('\n');
-    for cells in [header.to_vec(), rule].into_iter().chain(rows) {
-        let _ = writeln!(text, "| {} |", cells.join(" | "));
-    }
 }
 
 fn dash() -> String {

@@ -3,6 +3,8 @@
 mod bench;
 mod drives;
 mod overview;
+mod study;
+mod tokens;
 
 use super::drive_row::DriveRow;
 use super::number::fixed;
@@ -11,9 +13,12 @@ use super::timing::PlannerTiming;
 use crate::metrics::MetricList;
 use crate::simulation::Challenge;
 use comfy_table::{CellAlignment, Table, presets};
+use std::fmt::Write as _;
 
 pub use bench::{bench_markdown, bench_table};
 pub use drives::failures;
+pub use study::{study_markdown, study_table};
+pub use tokens::token_table;
 
 /// The main table (a row a planner), the scenario types when there are several, the drives with their metrics up to a
 /// number and a legend for each list of metrics, and what made scores 0.
@@ -41,6 +46,16 @@ fn plain(header: &[String], rows: Vec<Vec<String>>, numbers: usize) -> String {
         }
     }
     table.lines().map(|line| line.trim_end().to_owned()).collect::<Vec<_>>().join("\n")
+}
+
+/// Adds a Markdown table behind an empty line, its numbers to the right from column `names` on.
+fn markdown(text: &mut String, header: &[String], names: usize, rows: impl Iterator<Item = Vec<String>>) {
+    let rule: Vec<String> = (0..header.len()).map(|i| if i < names { "---" } else { "---:" }.to_owned()).collect();
+    text.push('\n');
+    for cells in [header.to_vec(), rule].into_iter().chain(rows) {
+        // Writing to a text cannot fail.
+        let _ = writeln!(text, "| {} |", cells.join(" | "));
+    }
 }
 
 /// Words in lines of at most `width` columns, two spaces between words that share one. A longer word has a line of its own.

@@ -23,6 +23,13 @@ mod map_file;
 mod poses;
 mod sensor;
 mod table;
+
+#[cfg(test)]
+mod broken_tests;
+#[cfg(test)]
+mod forecasting_tests;
+#[cfg(test)]
+mod test_log;
 #[cfg(test)]
 mod tests;
 

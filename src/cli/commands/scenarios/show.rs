@@ -7,7 +7,7 @@ use crate::cli::{Exit, Printer};
 use crate::environment::{BevView, bev};
 use crate::report::fill;
 use crate::scenario::{Frame, Scenario};
-use crate::world::{History, HistorySample, LaneKind, STEP_S, Scene, SignalStatus};
+use crate::world::{History, HistorySample, LaneKind, STEP_S, SignalStatus};
 use image::RgbImage;
 use serde_json::{Value, json};
 
@@ -110,13 +110,5 @@ fn counted(counts: &[(usize, &str)]) -> Vec<String> {
 fn draw(scenario: &Scenario, frame: &Frame, view: &BevView) -> RgbImage {
     let mut history = History::default();
     history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });
-    let scene = Scene {
-        map: &scenario.map,
-        route: &scenario.route,
-        ego: &frame.ego,
-        objects: &frame.objects,
-        lights: &frame.lights,
-        history: &history,
-    };
-    bev::render(&scene, view)
+    bev::render(&scenario.scene(frame, &history), view)
 }

@@ -1,17 +1,14 @@
 //! `planagent simulate`.
 
-mod selection;
+pub(in crate::cli) mod selection;
 
 use crate::cli::args::SimulateArguments;
-use crate::cli::machine::cpu;
 use crate::cli::model::{self, Loaded};
 use crate::cli::progress::DriveProgress;
-use crate::cli::{Config, Exit, Printer};
-use crate::experiment::run::{self, Assignment, PlannerKind};
-use crate::report::{
-    DriveRow, Manifest, ReportError, RunFolder, Session, Summary, Timing, failures, main_table, stamp,
-};
-use anyhow::{anyhow, bail};
+use crate::cli::{Config, Exit, Printer, drives};
+use crate::experiment::run::{Assignment, PlannerKind};
+use crate::report::{DriveRow, Manifest, RunFolder, Session, Summary, Timing, failures, main_table, stamp};
+use anyhow::anyhow;
 use selection::Selection;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -48,21 +45,12 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
     let todo: Vec<usize> = (0..assignments.len()).filter(|number| !kept.contains(number)).collect();
     let parts = model::parts(config, loaded.as_ref());
     let progress = DriveProgress::new(printer, todo.len());
-    let driven: Result<(), ReportError> =
-        run::run(assignments, &todo, Some(&parts), &|_| progress.iteration(), &|number, record| {
-            folder.commit(number, &record)?;
-            progress.drive_ended(record.outcome.is_err());
-            Ok(())
-        });
+    let driven = drives::make(&folder, assignments, &todo, &parts, &progress);
     progress.finish();
     driven?;
 
-    let rows = folder.recorded(assignments)?.rows;
-    if rows.len() != assignments.len() {
-        let missing = assignments.len() - rows.len();
-        bail!("{missing} of {} drives left no record in {}", assignments.len(), folder.path().display());
-    }
-    let session = session(started, todo.len(), loaded.as_ref().map(|loaded| loaded.load_s));
+    let rows = drives::rows(&folder, assignments)?;
+    let session = drives::session(started, todo.len(), loaded.as_ref().map(|loaded| loaded.load_s));
     let exit = finish(&folder, &manifest, config.seed, session, &rows, printer);
     for note in selection.data.take_notes() {
         printer.note(note);
@@ -89,7 +77,7 @@ fn ended(
     }
     printer.note(format!("the run in {} has ended; its scenarios are not there any more: {trouble:#}", path.display()));
     let (folder, manifest) = RunFolder::resume(path, manifest)?;
-    finish(&folder, &manifest, config.seed, session(started, 0, None), &rows, printer)
+    finish(&folder, &manifest, config.seed, drives::session(started, 0, None), &rows, printer)
 }
 
 /// Writes the files of a run whose drives are all made, and tells what they gave.
@@ -102,10 +90,7 @@ fn finish(
     printer: Printer,
 ) -> anyhow::Result<Exit> {
     let missing = &manifest.scenarios.missing;
-    let model = manifest.model.clone().map(toml::Table::try_into).transpose()?;
-    let summary = Summary::new(seed, model, missing, rows);
-    let timing = Timing::new(session, rows);
-    folder.finish(manifest, &summary, &timing, rows)?;
+    let (summary, timing) = drives::finish(folder, manifest, seed, session, rows)?;
     let all_well = tell(&summary, &timing, rows, folder.path(), printer)?;
     for list in missing {
         printer.error(&anyhow!("not driven: {list}"));
@@ -133,18 +118,10 @@ fn kept(
     flags: &SimulateArguments,
     printer: Printer,
 ) -> anyhow::Result<BTreeSet<usize>> {
-    let recorded = folder.recorded(assignments)?;
-    for path in &recorded.damaged {
-        printer.note(format!("the record in {} is damaged; its drive is made again", path.display()));
-    }
-    let all: BTreeSet<usize> = recorded.rows.iter().map(|row| row.number).collect();
-    let failed = recorded.rows.iter().filter(|row| flags.retry_failed && row.error.is_some());
-    let again: BTreeSet<usize> = failed.map(|row| row.number).collect();
-    folder.take_back(&again)?;
-    let kept: BTreeSet<usize> = all.difference(&again).copied().collect();
+    let (kept, again) = drives::kept(folder, assignments, flags.retry_failed, printer)?;
     if flags.resume.is_some() {
         let left = assignments.len() - kept.len();
-        let failed = match again.len() {
+        let failed = match again {
             0 => String::new(),
             count => format!(", {count} of them had failed"),
         };
@@ -189,10 +166,4 @@ fn tell(
         printer.note(format!("{lost} of {calls} planning calls got no answer; calls.jsonl says why"));
     }
     Ok(failed.is_empty() && lost == 0)
-}
-
-/// This machine, and what this session has done since it was `started`.
-fn session(started: Instant, drives: usize, load_s: Option<f64>) -> Session {
-    let (threads, wall_s) = (rayon::current_num_threads(), started.elapsed().as_secs_f64());
-    Session { cpu: cpu(), threads, wall_s, drives, load_s }
 }

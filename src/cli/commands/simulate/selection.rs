@@ -28,12 +28,13 @@ pub(super) struct Selection {
 }
 
 /// What words and splits name.
-struct Found {
-    sources: Vec<ScenarioSource>,
+pub(in crate::cli) struct Found {
+    /// The scenarios, each once.
+    pub(in crate::cli) sources: Vec<ScenarioSource>,
     /// The splits: their files, else their names.
-    splits: Vec<String>,
+    pub(in crate::cli) splits: Vec<String>,
     /// What the splits name and the data does not hold.
-    missing: Vec<MissingTokens>,
+    pub(in crate::cli) missing: Vec<MissingTokens>,
 }
 
 impl Selection {
@@ -94,7 +95,11 @@ fn roots(flags: &SimulateArguments, manifest: Option<&Manifest>) -> anyhow::Resu
     })
 }
 
-fn find(
+/// Finds what words and splits name, or the default scene where nothing is named.
+///
+/// # Errors
+/// When a split or scenario is unknown or cannot be read, or nothing is left.
+pub(in crate::cli) fn find(
     words: &[String],
     splits: &[String],
     limit: Option<usize>,
@@ -186,7 +191,12 @@ fn challenges(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<V
     Ok(challenges)
 }
 
-fn assignments(sources: &[ScenarioSource], planners: &[PlannerKind], challenges: &[Challenge]) -> Vec<Assignment> {
+/// Every scenario with every planner in every challenge.
+pub(in crate::cli) fn assignments(
+    sources: &[ScenarioSource],
+    planners: &[PlannerKind],
+    challenges: &[Challenge],
+) -> Vec<Assignment> {
     let mut all = Vec::with_capacity(sources.len() * planners.len() * challenges.len());
     for source in sources {
         for &planner in planners {

@@ -1,12 +1,12 @@
-//! The `vision_config` part of a configuration: a CLIP vision tower.
+//! The `vision_config` part of a configuration: a vision transformer.
 
 use super::activation::Activation;
 use super::section::Section;
 use crate::mllm::MllmError;
 
-/// A CLIP vision tower (`CLIPVisionConfig`).
+/// A vision transformer over the patches of a square image and a class token.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct ClipVisionConfig {
+pub(crate) struct VisionConfig {
     /// Width of the hidden states.
     pub hidden: usize,
     /// Width of the feed-forward layers.
@@ -26,7 +26,7 @@ pub(crate) struct ClipVisionConfig {
 }
 
 /// Defaults of `CLIPVisionConfig`.
-pub(crate) const CLIP_BASE: ClipVisionConfig = ClipVisionConfig {
+pub(crate) const CLIP_BASE: VisionConfig = VisionConfig {
     hidden: 768,
     intermediate: 3072,
     layers: 12,
@@ -38,7 +38,7 @@ pub(crate) const CLIP_BASE: ClipVisionConfig = ClipVisionConfig {
 };
 
 /// What `LlavaConfig` and `LlavaNextConfig` take when they have no `vision_config` at all: CLIP ViT-L/14 at 336 pixels.
-pub(crate) const LLAVA_TOWER: ClipVisionConfig = ClipVisionConfig {
+pub(crate) const LLAVA_TOWER: VisionConfig = VisionConfig {
     hidden: 1024,
     intermediate: 4096,
     layers: 24,
@@ -49,12 +49,33 @@ pub(crate) const LLAVA_TOWER: ClipVisionConfig = ClipVisionConfig {
     layer_norm_eps: 1e-5,
 };
 
-impl ClipVisionConfig {
-    /// Reads the section.
+/// The tower of `cogvlm-chat-hf`.
+const EVA_TOWER: VisionConfig = VisionConfig {
+    hidden: 1792,
+    intermediate: 15_360,
+    layers: 63,
+    heads: 16,
+    image_size: 490,
+    patch_size: 14,
+    act: Activation::Gelu,
+    layer_norm_eps: 1e-6,
+};
+
+/// Keys that not all configurations call alike.
+struct Keys {
+    heads: &'static str,
+    channels: &'static str,
+}
+
+/// Largest image side, pixels: beyond it a configuration is taken for broken.
+const MAX_IMAGE_SIZE: usize = 8192;
+
+impl VisionConfig {
+    /// Reads a `CLIPVisionConfig`.
     ///
     /// # Errors
-    /// When a key has the wrong type or range, or is unsupported.
-    pub(crate) fn from_section(section: &Section<'_>, default: &Self) -> Result<Self, MllmError> {
+    /// When a key has the wrong type or range, is unsupported, or contradicts another.
+    pub(crate) fn from_clip_section(section: &Section<'_>, default: &Self) -> Result<Self, MllmError> {
         match section.text("model_type")? {
             None | Some("clip_vision_model") => {}
             Some(other) => {
@@ -62,18 +83,39 @@ impl ClipVisionConfig {
                     .error("model_type", format!("vision tower {other:?} is not supported; clip_vision_model is")));
             }
         }
+        Self::read(section, default, &Keys { heads: "num_attention_heads", channels: "num_channels" })
+    }
+
+    /// Reads the `vision_config` of a `CogVLMConfig`, an EVA2-CLIP tower.
+    ///
+    /// # Errors
+    /// As [`Self::from_clip_section`].
+    pub(crate) fn from_cogvlm_section(section: &Section<'_>) -> Result<Self, MllmError> {
+        let config = Self::read(section, &EVA_TOWER, &Keys { heads: "num_heads", channels: "in_channels" })?;
+        let positions = config.patches() + 1;
+        let named = section.count("num_positions", positions)?;
+        if named != positions {
+            return Err(section.error(
+                "num_positions",
+                format!("{named}, but {} patches and a class token make {positions}", config.patches()),
+            ));
+        }
+        Ok(config)
+    }
+
+    fn read(section: &Section<'_>, default: &Self, keys: &Keys) -> Result<Self, MllmError> {
         let config = Self {
             hidden: section.count("hidden_size", default.hidden)?,
             intermediate: section.count("intermediate_size", default.intermediate)?,
             layers: section.count("num_hidden_layers", default.layers)?,
-            heads: section.count("num_attention_heads", default.heads)?,
+            heads: section.count(keys.heads, default.heads)?,
             image_size: section.count("image_size", default.image_size)?,
             patch_size: section.count("patch_size", default.patch_size)?,
             act: Activation::from_section(section, "hidden_act", default.act)?,
             layer_norm_eps: section.positive("layer_norm_eps", default.layer_norm_eps)?,
         };
-        if section.count("num_channels", 3)? != 3 {
-            return Err(section.error("num_channels", "only 3 (RGB) is supported".into()));
+        if section.count(keys.channels, 3)? != 3 {
+            return Err(section.error(keys.channels, "only 3 (RGB) is supported".into()));
         }
         if !config.hidden.is_multiple_of(config.heads) {
             return Err(
@@ -96,6 +138,3 @@ impl ClipVisionConfig {
         side * side
     }
 }
-
-/// Largest image side, pixels: beyond it a configuration is taken for broken.
-const MAX_IMAGE_SIZE: usize = 8192;

@@ -1,0 +1,123 @@
+//! How far one planner is ahead of another on the same scenes, and how sure that is.
+
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use serde::Serialize;
+
+/// How an interval is made: the percentile bootstrap over scenes (Efron and Tibshirani, *An Introduction to the Bootstrap*,
+/// section 13.3).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Bootstrap {
+    /// Times that the scenes are drawn anew, with replacement.
+    pub resamples: usize,
+    /// Share of the means that lie within the interval.
+    pub level: f64,
+    /// Seed of the draws.
+    pub seed: u64,
+}
+
+impl Default for Bootstrap {
+    fn default() -> Self {
+        Self { resamples: 10_000, level: 0.95, seed: 0 }
+    }
+}
+
+/// Mean of paired differences with its interval, in the unit of the differences.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PairedDifference {
+    /// The mean.
+    pub mean: f64,
+    /// Lower end of the interval.
+    pub low: f64,
+    /// Upper end of the interval.
+    pub high: f64,
+    /// How many pairs there are.
+    pub pairs: usize,
+}
+
+impl Bootstrap {
+    /// The mean of differences, one a scene, with its interval; `None` without a scene. The same differences in the same order
+    /// give the same interval everywhere.
+    pub fn difference(&self, differences: &[f64]) -> Option<PairedDifference> {
+        let pairs = differences.len();
+        if pairs == 0 {
+            return None;
+        }
+        let mut random = Pcg64Mcg::seed_from_u64(self.seed);
+        let mut draw = || differences.get(below(&mut random, pairs)).copied().unwrap_or_default();
+        let mut means: Vec<f64> =
+            (0..self.resamples).map(|_| (0..pairs).map(|_| draw()).sum::<f64>() / pairs as f64).collect();
+        means.sort_by(f64::total_cmp);
+        let outside = (1.0 - self.level) / 2.0;
+        Some(PairedDifference {
+            mean: differences.iter().sum::<f64>() / pairs as f64,
+            low: quantile(&means, outside)?,
+            high: quantile(&means, 1.0 - outside)?,
+            pairs,
+        })
+    }
+}
+
+/// A number below `end`, by multiplication with a fraction of 32 bits: no library's sampling code, which may change.
+fn below(random: &mut Pcg64Mcg, end: usize) -> usize {
+    ((u64::from(random.next_u32()) * end as u64) >> 32) as usize
+}
+
+/// Linear between the two nearest of sorted values.
+fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
+    let place = share * (sorted.len().checked_sub(1)?) as f64;
+    let (below, within) = (place.floor() as usize, place.fract());
+    let low = *sorted.get(below)?;
+    let high = sorted.get(below + 1).copied().unwrap_or(low);
+    Some(low + (high - low) * within)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn interval(differences: &[f64]) -> PairedDifference {
+        Bootstrap::default().difference(differences).unwrap()
+    }
+
+    #[test]
+    fn resampled_means_of_zeros_and_ones_are_binomial() {
+        // Of 100 draws with probability 1/2, the binomial's 2.5 % and 97.5 % quantiles are 40 and 60.
+        let halves: Vec<f64> = (0..100).map(|i| f64::from(i % 2)).collect();
+        let found = interval(&halves);
+        assert_eq!((found.mean, found.low, found.high, found.pairs), (0.5, 0.40, 0.60, 100));
+        // Of 10 with probability 0.3: 0 and 6 (distribution function 0.028 at 0, 0.953 at 5, 0.989 at 6).
+        let few: Vec<f64> = (0..10).map(|i| f64::from(u8::from(i < 3))).collect();
+        let found = interval(&few);
+        assert_eq!((found.low, found.high), (0.0, 0.6));
+    }
+
+    #[test]
+    fn the_normal_interval_is_met_by_many_scenes() {
+        // Evenly spread over [0, 1]: mean 1/2, standard error sqrt(1/12/n).
+        let n = 1000;
+        let even: Vec<f64> = (0..n).map(|i| (f64::from(i) + 0.5) / f64::from(n)).collect();
+        let found = interval(&even);
+        let half = 1.96 * (1.0 / 12.0 / f64::from(n)).sqrt();
+        assert!((found.low - (0.5 - half)).abs() < 0.05 * half, "{found:?}, half {half}");
+        assert!((found.high - (0.5 + half)).abs() < 0.05 * half, "{found:?}, half {half}");
+    }
+
+    #[test]
+    fn one_value_leaves_no_doubt_and_none_gives_no_interval() {
+        let same = interval(&[-2.5; 7]);
+        assert_eq!((same.mean, same.low, same.high), (-2.5, -2.5, -2.5));
+        assert_eq!(Bootstrap::default().difference(&[]), None);
+        assert_eq!(interval(&[0.0, 1.0, 5.0]), interval(&[0.0, 1.0, 5.0]), "the same draws every time");
+        let other = Bootstrap { seed: 1, resamples: 20, ..Bootstrap::default() };
+        assert_ne!(other.difference(&[0.0, 1.0, 5.0]), Some(interval(&[0.0, 1.0, 5.0])));
+    }
+
+    #[test]
+    fn quantiles_lie_between_neighbours() {
+        let sorted = [1.0, 2.0, 4.0];
+        let found = [0.0, 0.25, 0.75, 1.0].map(|share| quantile(&sorted, share).unwrap());
+        assert_eq!(found, [1.0, 1.5, 3.0, 4.0]);
+        assert_eq!(quantile(&[], 0.5), None);
+    }
+}

@@ -1,0 +1,154 @@
+//! How many tokens a scene's description takes (the paper's table of token utilisation): our texts, and those of GPT-Driver
+//! and LLM-ASSIST of the same scenes, counted with OpenAI's `cl100k_base` (that of GPT-3.5 and GPT-4) and with the tokenizer of
+//! a model at hand.
+//!
+//! The scenes are the recorded states of drives at the iterations at which PlanAgent would call its model. A description is
+//! the text about the scene alone, without system prompt, question and image.
+
+mod counter;
+mod table;
+
+pub use counter::TokenCounter;
+pub use table::{TokenMean, TokenTable, TokenTableRow};
+
+use crate::environment::coordinates::{GptDriverText, llm_assist_text};
+use crate::environment::text::write;
+use crate::environment::{Description, LaneGraph, LaneGraphError, TextForm};
+use crate::scenario::Scenario;
+use crate::world::{HISTORY_SAMPLES, History, HistorySample, Scene};
+use serde::Serialize;
+
+/// A way of describing a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SceneText {
+    /// Our lane-graph text for general models.
+    Paper,
+    /// Our lane-graph text for small models.
+    Compact,
+    /// All that GPT-Driver's user message tells.
+    GptDriver,
+    /// Its list of objects alone.
+    GptDriverObjects,
+    /// LLM-ASSIST's facts as far as they are known.
+    LlmAssist,
+}
+
+impl SceneText {
+    /// All of them, in the order of the table.
+    pub const ALL: [Self; 5] = [Self::GptDriver, Self::GptDriverObjects, Self::LlmAssist, Self::Paper, Self::Compact];
+
+    /// Its name in the table.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "PlanAgent, lane graph (paper prompts)",
+            Self::Compact => "PlanAgent, lane graph (compact prompts)",
+            Self::GptDriver => "GPT-Driver, whole user message",
+            Self::GptDriverObjects => "GPT-Driver, objects alone",
+            Self::LlmAssist => "LLM-ASSIST, rewritten",
+        }
+    }
+
+    /// What is counted.
+    pub fn definition(self) -> &'static str {
+        match self {
+            Self::Paper => {
+                "node under the ego and its eight neighbours, every agent on them with distance and speed, the lights of all \
+                 lanes, the ego's speed and limit, the route; in whole metres and m/s"
+            }
+            Self::Compact => {
+                "the same nodes with the nearest agent on each and the number of the others, in fixed places"
+            }
+            Self::GptDriver => {
+                "its published facts in our sentences: objects within 20 m ahead now and in 3 s at constant velocity, the \
+                 ego's motion in six lines, four past places, the goal; coordinates with two decimals"
+            }
+            Self::GptDriverObjects => "of these the objects alone",
+            Self::LlmAssist => {
+                "no prompt of it is public, so the facts are our choice: the ego's motion, centrelines of its lane and those \
+                 beside at five points, lights, the ten nearest objects within 50 m with place, heading, speed and size"
+            }
+        }
+    }
+
+    /// What the paper counts for it on nuPlan; of GPT-Driver's text it does not say which part.
+    pub fn published(self) -> Option<f64> {
+        match self {
+            Self::Paper => Some(141.32),
+            Self::GptDriver => Some(448.66),
+            Self::LlmAssist => Some(425.81),
+            Self::Compact | Self::GptDriverObjects => None,
+        }
+    }
+
+    /// The description of a scene.
+    pub fn of(self, scene: &Scene<'_>, graph: &LaneGraph) -> String {
+        let turn = graph.ego_lane().turn;
+        match self {
+            Self::Paper => write(&Description::of(graph), TextForm::Paper),
+            Self::Compact => write(&Description::of(graph), TextForm::Compact),
+            Self::GptDriver => GptDriverText::of(scene, turn).whole(),
+            Self::GptDriverObjects => GptDriverText::of(scene, turn).objects,
+            Self::LlmAssist => llm_assist_text(scene, graph),
+        }
+    }
+}
+
+/// Tokens of one description.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Tokens {
+    /// By `cl100k_base`.
+    pub cl100k: usize,
+    /// By the tokenizer of the model at hand.
+    pub model: Option<usize>,
+}
+
+/// The descriptions of one state of a drive, counted.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TokenRow {
+    /// Which drive.
+    pub scenario: String,
+    /// Which iteration.
+    pub iteration: usize,
+    /// Agents and obstacles on the nine nodes.
+    pub agents: usize,
+    /// In the order of [`SceneText::ALL`].
+    pub tokens: [Tokens; SceneText::ALL.len()],
+}
+
+/// Counts the descriptions of a drive's recorded states, one every `interval` iterations; an error for a state that has no
+/// lane graph.
+pub fn count(
+    scenario: &Scenario,
+    interval: usize,
+    node_length_m: f64,
+    counter: &TokenCounter<'_>,
+) -> Vec<Result<TokenRow, LaneGraphError>> {
+    let iterations = (0..scenario.iterations()).step_by(interval.max(1));
+    iterations.map(|iteration| count_at(scenario, iteration, node_length_m, counter)).collect()
+}
+
+fn count_at(
+    scenario: &Scenario,
+    iteration: usize,
+    node_length_m: f64,
+    counter: &TokenCounter<'_>,
+) -> Result<TokenRow, LaneGraphError> {
+    let now = scenario.start + iteration;
+    let frame = &scenario.frames[now];
+    let mut history = History::default();
+    for past in &scenario.frames[now.saturating_sub(HISTORY_SAMPLES - 1)..=now] {
+        history.push(HistorySample { ego: past.ego, objects: past.objects.clone() });
+    }
+    let scene = Scene {
+        map: &scenario.map,
+        route: &scenario.route,
+        ego: &frame.ego,
+        objects: &frame.objects,
+        lights: &frame.lights,
+        history: &history,
+    };
+    let graph = LaneGraph::build(&scene, node_length_m)?;
+    let tokens = SceneText::ALL.map(|kind| counter.count(&kind.of(&scene, &graph)));
+    Ok(TokenRow { scenario: scenario.id.clone(), iteration, agents: graph.agents.len(), tokens })
+}

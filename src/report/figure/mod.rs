@@ -1,0 +1,29 @@
+//! The figures of experiments, as SVG that follows the reader's light or dark scheme.
+
+mod bars;
+mod differences;
+mod lines;
+mod svg;
+
+use crate::experiment::study::{Figure, Study};
+use crate::report::StudyResults;
+use crate::simulation::Challenge;
+
+/// Heads of panels.
+fn panel(challenge: Challenge) -> &'static str {
+    match challenge {
+        Challenge::ClosedLoopNonreactiveAgents => "NR: replayed traffic",
+        Challenge::ClosedLoopReactiveAgents => "R: reactive traffic",
+        Challenge::OpenLoopBoxes => "open loop",
+    }
+}
+
+/// The figures of a study, one a suite: file name and text.
+pub(super) fn figures(study: &Study, results: &StudyResults) -> Vec<(String, String)> {
+    let draw = |suite| match study.figure {
+        Figure::Differences => differences::draw(study, results, suite),
+        Figure::Lines(axis) => lines::draw(study, results, suite, axis),
+        Figure::Bars => bars::draw(results, suite),
+    };
+    results.suites.iter().map(|suite| (format!("{}.svg", suite.name), draw(suite))).collect()
+}

@@ -1,0 +1,49 @@
+//! The folder of an experiment's results: `results.json`, `results.md` and its figures. Made anew of the runs each time.
+
+use super::results::StudyResults;
+use crate::experiment::study::Study;
+use crate::report::atomic;
+use crate::report::error::ReportError;
+use crate::report::figure::figures;
+use crate::report::number::json_value;
+use crate::report::table::study_markdown;
+use std::path::{Path, PathBuf};
+
+/// The folder of an experiment's results.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StudyFolder {
+    path: PathBuf,
+}
+
+impl StudyFolder {
+    /// A folder; it need not be there.
+    pub fn new(path: PathBuf) -> Self {
+        Self { path }
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes the results of a study; `command` made them.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn write(&self, study: &Study, results: &StudyResults, command: &str) -> Result<(), ReportError> {
+        let mut files = figures(study, results);
+        let names: Vec<String> = files.iter().map(|(name, _)| name.clone()).collect();
+        files.push(("results.md".to_owned(), study_markdown(study, results, command, &names)));
+        files.push(("results.json".to_owned(), serde_json::to_string_pretty(&json_value(results)?)? + "\n"));
+        self.write_files(&files)
+    }
+
+    /// Writes files of these names, each whole or not at all.
+    ///
+    /// # Errors
+    /// When one cannot be written.
+    pub fn write_files(&self, files: &[(impl AsRef<Path>, String)]) -> Result<(), ReportError> {
+        atomic::folder(&self.path)?;
+        files.iter().try_for_each(|(name, text)| atomic::write(&self.path.join(name), text.as_bytes()))
+    }
+}

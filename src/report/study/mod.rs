@@ -1,0 +1,12 @@
+//! What an experiment leaves: scores with paired differences and their intervals, as Markdown, JSON and figures.
+
+mod folder;
+mod results;
+#[cfg(test)]
+mod tests;
+
+pub use folder::StudyFolder;
+pub use results::{
+    ChallengeResults, ModelCost, Outcome, StudyResults, SuiteDrives, SuiteResults, TypeResults, VariantDrives,
+    VariantResults,
+};

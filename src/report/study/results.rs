@@ -1,0 +1,296 @@
+//! The numbers of an experiment. Scores and differences are nuPlan's scores x 100, as in the paper.
+
+use crate::experiment::statistics::{Bootstrap, PairedDifference};
+use crate::experiment::study::{Benchmark, PublishedModel, Quick, Rows, Study, Variant, benchmark};
+use crate::report::drive_row::DriveRow;
+use crate::report::summary::distinct;
+use crate::report::{ModelFigures, Quantiles};
+use crate::simulation::Challenge;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// What was driven in a suite.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SuiteDrives {
+    /// Its name.
+    pub name: String,
+    /// How many scenes it has.
+    pub scenes: usize,
+    /// BLAKE3 of their names.
+    pub blake3: String,
+    /// The variants of the study, in its order.
+    pub variants: Vec<VariantDrives>,
+}
+
+/// What was driven by a variant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VariantDrives {
+    /// What came of it.
+    pub outcome: Outcome,
+    /// Parameters of its model, when one was loaded.
+    pub parameters: Option<u64>,
+}
+
+/// What came of a variant.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Outcome {
+    /// It drove.
+    Driven {
+        /// Folder of the run, relative to that of the results.
+        run: String,
+        /// Its drives.
+        rows: Vec<DriveRow>,
+    },
+    /// It did not, and why, in a word or two.
+    NotDriven(&'static str),
+}
+
+/// The whole file `results.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StudyResults {
+    /// Version of the program.
+    pub planagent: &'static str,
+    /// Name of the experiment.
+    pub experiment: &'static str,
+    /// What it shows.
+    pub title: &'static str,
+    /// Where the paper has it.
+    pub paper: Option<&'static str>,
+    /// How many scenes of each type were driven; all of them without it.
+    pub quick: Option<Quick>,
+    /// Seed of the drives.
+    pub seed: u64,
+    /// How the intervals were made.
+    pub bootstrap: Bootstrap,
+    /// The variant that the others are compared with.
+    pub reference: String,
+    /// The suites.
+    pub suites: Vec<SuiteResults>,
+}
+
+/// A suite.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SuiteResults {
+    /// Its name.
+    pub name: String,
+    /// The paper's benchmark that its numbers are set beside.
+    pub benchmark: Option<Benchmark>,
+    /// How many scenes it has.
+    pub scenes: usize,
+    /// BLAKE3 of their names.
+    pub blake3: String,
+    /// The variants, in the study's order.
+    pub variants: Vec<VariantResults>,
+}
+
+/// A variant in a suite.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct VariantResults {
+    /// Its name.
+    pub name: String,
+    /// Who drove.
+    pub planner: String,
+    /// TOML that was laid over the configuration.
+    pub settings: &'static str,
+    /// Folder of the run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub run: Option<String>,
+    /// Why it did not drive.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub not_driven: Option<&'static str>,
+    /// Its scores.
+    pub challenges: Vec<ChallengeResults>,
+    /// The same by scenario type, where the experiment is about these.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub scenario_types: Vec<TypeResults>,
+    /// Planning calls in a drive, on average; none for planners without.
+    pub calls_per_drive: Option<f64>,
+    /// What its model costs, where the experiment is about that.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub model: Option<ModelCost>,
+}
+
+/// Scores in a challenge.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ChallengeResults {
+    /// Among which traffic.
+    pub challenge: Challenge,
+    /// Mean score of the drives that came to their end.
+    pub score: Option<f64>,
+    /// How many these are.
+    pub drives: usize,
+    /// How many did not.
+    pub failed: usize,
+    /// Score minus the reference's on the same scenes; none for the reference itself.
+    pub difference: Option<PairedDifference>,
+    /// The paper's score on [`SuiteResults::benchmark`].
+    pub paper: Option<f64>,
+    /// The paper's difference there.
+    pub paper_difference: Option<f64>,
+}
+
+/// Scores in a scenario type.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TypeResults {
+    /// nuPlan's type.
+    pub scenario_type: String,
+    /// The scores.
+    pub challenges: Vec<ChallengeResults>,
+}
+
+/// What a model costs. The time is a measurement.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ModelCost {
+    /// Its parameters.
+    pub parameters: Option<u64>,
+    /// Median time of a planning call, milliseconds.
+    pub call_ms: Option<f64>,
+    /// Whether the time is a bench's, and not of the drives.
+    pub benched: bool,
+    /// What the paper has.
+    pub paper: Option<PublishedModel>,
+}
+
+impl StudyResults {
+    /// The numbers of what was driven; `bench` has the times of models that did not drive.
+    pub fn new(study: &Study, suites: &[SuiteDrives], quick: Option<Quick>, seed: u64, bench: &[ModelFigures]) -> Self {
+        let bootstrap = Bootstrap::default();
+        let reference = study.variants.get(study.reference);
+        let telling = Telling { study, bootstrap, bench };
+        Self {
+            planagent: env!("CARGO_PKG_VERSION"),
+            experiment: study.name,
+            title: study.title,
+            paper: study.paper,
+            quick,
+            seed,
+            bootstrap,
+            reference: reference.map(|variant| study.name_of(variant)).unwrap_or_default(),
+            suites: suites.iter().map(|suite| telling.suite(suite)).collect(),
+        }
+    }
+}
+
+/// How drives become numbers.
+struct Telling<'a> {
+    study: &'a Study,
+    bootstrap: Bootstrap,
+    bench: &'a [ModelFigures],
+}
+
+impl Telling<'_> {
+    fn suite(&self, suite: &SuiteDrives) -> SuiteResults {
+        let benchmark = benchmark(&suite.name);
+        let reference = suite.variants.get(self.study.reference).map_or(&[][..], VariantDrives::rows);
+        let variants = self.study.variants.iter().zip(&suite.variants).enumerate();
+        SuiteResults {
+            name: suite.name.clone(),
+            benchmark,
+            scenes: suite.scenes,
+            blake3: suite.blake3.clone(),
+            variants: variants
+                .map(|(place, (variant, drives))| {
+                    let against = (place != self.study.reference).then_some(reference);
+                    self.variant(variant, drives, against, benchmark)
+                })
+                .collect(),
+        }
+    }
+
+    fn variant(
+        &self,
+        variant: &Variant,
+        drives: &VariantDrives,
+        against: Option<&[DriveRow]>,
+        benchmark: Option<Benchmark>,
+    ) -> VariantResults {
+        let rows = drives.rows();
+        let (run, not_driven) = match &drives.outcome {
+            Outcome::Driven { run, .. } => (Some(run.clone()), None),
+            Outcome::NotDriven(why) => (None, Some(*why)),
+        };
+        let scenario_types = match self.study.rows {
+            Rows::Variants => Vec::new(),
+            Rows::ScenarioTypes => distinct(rows.iter().map(|row| &row.scenario_type))
+                .into_iter()
+                .map(|kind| TypeResults {
+                    scenario_type: kind.clone(),
+                    challenges: self.challenges(variant, rows, against, None, |row| row.scenario_type == *kind),
+                })
+                .collect(),
+        };
+        let driven = rows.iter().filter(|row| row.score.is_some());
+        let calls: usize = driven.clone().map(|row| row.planning_calls).sum();
+        VariantResults {
+            name: self.study.name_of(variant),
+            planner: variant.planner.to_string(),
+            settings: variant.settings,
+            run,
+            not_driven,
+            challenges: self.challenges(variant, rows, against, benchmark, |_| true),
+            scenario_types,
+            calls_per_drive: (calls > 0).then(|| calls as f64 / driven.count() as f64),
+            model: self.study.measures_models().then(|| self.cost(variant, drives)),
+        }
+    }
+
+    fn challenges(
+        &self,
+        variant: &Variant,
+        rows: &[DriveRow],
+        against: Option<&[DriveRow]>,
+        benchmark: Option<Benchmark>,
+        counts: impl Fn(&DriveRow) -> bool + Copy,
+    ) -> Vec<ChallengeResults> {
+        let published = |variant: &Variant, challenge| variant.published.score(benchmark?, challenge);
+        let reference = self.study.variants.get(self.study.reference);
+        Challenge::CLOSED_LOOP
+            .into_iter()
+            .map(|challenge| {
+                let own = |row: &&DriveRow| row.challenge == challenge && counts(row);
+                let of = |rows: &[DriveRow]| -> BTreeMap<String, f64> {
+                    let scored = rows.iter().filter(own).filter_map(|row| Some((row.source.clone(), row.score?)));
+                    scored.map(|(source, score)| (source, score * 100.0)).collect()
+                };
+                let scores = of(rows);
+                let others = against.map(of);
+                let differences: Vec<f64> =
+                    others.iter().flatten().filter_map(|(s, o)| Some(scores.get(s)? - o)).collect();
+                let paper = published(variant, challenge);
+                let reference = against.and(reference).and_then(|reference| published(reference, challenge));
+                ChallengeResults {
+                    challenge,
+                    score: (!scores.is_empty()).then(|| scores.values().sum::<f64>() / scores.len() as f64),
+                    drives: scores.len(),
+                    failed: rows.iter().filter(own).filter(|row| row.score.is_none()).count(),
+                    difference: self.bootstrap.difference(&differences),
+                    paper,
+                    paper_difference: paper.zip(reference).map(|(own, other)| own - other),
+                }
+            })
+            .collect()
+    }
+
+    /// The time of the drives' calls; of a model that did not drive, that of its bench.
+    fn cost(&self, variant: &Variant, drives: &VariantDrives) -> ModelCost {
+        let benched = self.bench.iter().find(|model| variant.labels.first() == Some(&model.about.model.as_str()));
+        let calls = drives.rows().iter().flat_map(|row| &row.time.calls).map(|call| call.total).collect();
+        let driven = Quantiles::of(calls).map(|quantiles| quantiles.p50);
+        let from_bench = benched.and_then(|model| model.call_ms).map(|quantiles| quantiles.p50);
+        ModelCost {
+            parameters: drives.parameters.or_else(|| benched.map(|model| model.about.loaded.parameters)),
+            call_ms: driven.or(from_bench),
+            benched: driven.is_none() && from_bench.is_some(),
+            paper: variant.published.model,
+        }
+    }
+}
+
+impl VariantDrives {
+    fn rows(&self) -> &[DriveRow] {
+        match &self.outcome {
+            Outcome::Driven { rows, .. } => rows,
+            Outcome::NotDriven(_) => &[],
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! Numbers and tables of made-up drives.
+
+use super::*;
+use crate::experiment::run::PlannerKind;
+use crate::experiment::study::{Figure, Quick, named};
+use crate::report::figure::figures;
+use crate::report::{DriveRow, DriveTime, study_markdown, study_table};
+use crate::simulation::Challenge;
+
+/// A drive of a scene; without a score it failed.
+fn drive(scene: usize, challenge: Challenge, score: Option<f64>) -> DriveRow {
+    let kind = if scene.is_multiple_of(2) { "changing_lane" } else { "stopping_with_lead" };
+    let source = format!("generated/{kind}/{scene}");
+    DriveRow {
+        number: scene,
+        scenario: source.clone(),
+        source,
+        scenario_type: kind.to_owned(),
+        log_name: "generated".to_owned(),
+        planner: PlannerKind::PlanAgent.to_string(),
+        challenge,
+        error: score.is_none().then(|| "it broke".to_owned()),
+        score,
+        zeroed_by: Vec::new(),
+        planning_calls: 8,
+        rethinks: 0,
+        parse_errors: 0,
+        deadlines: 0,
+        failed_calls: 0,
+        drivable_layers: None,
+        time: DriveTime::default(),
+        metrics: Vec::new(),
+    }
+}
+
+/// Drives of four scenes in both challenges with these scores.
+fn driven(scores: [Option<f64>; 4]) -> VariantDrives {
+    let of = |challenge| scores.into_iter().enumerate().map(move |(scene, score)| drive(scene, challenge, score));
+    let rows = Challenge::CLOSED_LOOP.into_iter().flat_map(of).collect();
+    VariantDrives { outcome: Outcome::Driven { run: "../drives/a".to_owned(), rows }, parameters: Some(4_018_752) }
+}
+
+fn suite(name: &str, variants: Vec<VariantDrives>) -> SuiteDrives {
+    SuiteDrives { name: name.to_owned(), scenes: 4, blake3: "0".to_owned(), variants }
+}
+
+const NOT_DRIVEN: VariantDrives = VariantDrives { outcome: Outcome::NotDriven("no weights"), parameters: None };
+
+#[test]
+fn differences_are_paired_and_failed_drives_count_nowhere() {
+    let study = named("interval").unwrap();
+    let full = driven([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
+    let other = driven([Some(0.9), None, Some(0.75), Some(1.0)]);
+    let results =
+        StudyResults::new(&study, &[suite("generated-14-hard", vec![other, full.clone(), full])], None, 3, &[]);
+    let variants = &results.suites[0].variants;
+    let first = &variants[0].challenges[0];
+    assert_eq!((first.drives, first.failed), (3, 1));
+    assert!((first.score.unwrap() - 88.333_333_333).abs() < 1e-6);
+    let difference = first.difference.unwrap();
+    assert_eq!(difference.pairs, 3);
+    assert!(
+        difference.mean.abs() < 1e-9 && (difference.low + 10.0).abs() < 1e-9 && (difference.high - 10.0).abs() < 1e-9
+    );
+    assert!((first.paper_difference.unwrap() - (71.85 - 72.51)).abs() < 1e-9);
+    assert_eq!((variants[1].challenges[0].difference, variants[1].challenges[0].paper), (None, Some(72.51)));
+    assert_eq!(variants[2].challenges[1].difference.unwrap().mean, 0.0);
+    assert_eq!((results.reference.as_str(), variants[0].calls_per_drive, results.seed), ("2 s", Some(8.0), 3));
+}
+
+#[test]
+fn the_tables_read_well_in_80_columns() {
+    let study = named("reasoning").unwrap();
+    let full = driven([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
+    let worse = driven([Some(0.0), Some(0.5), Some(0.25), Some(0.9)]);
+    let variants = vec![worse.clone(), driven([Some(1.0), None, Some(0.75), Some(0.95)]), worse, full];
+    let results = StudyResults::new(&study, &[suite("generated-14-hard", variants)], Some(Quick::DEFAULT), 0, &[]);
+    let table = study_table(&study, &results);
+    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
+    insta::assert_snapshot!(table, @r#"
+    What the model is asked, and whether its planners are judged
+
+    generated-14-hard, replayed traffic: 4 scenes
+    understanding  instruction  reflection     NR    diff   95 % interval  paper
+    no             yes          yes         41.25  -37.50  -75.00 to 0.00  70.09
+    yes            no           yes         90.00   +1.67   0.00 to +5.00  70.60
+    yes            yes          no          41.25  -37.50  -75.00 to 0.00  69.84
+    yes            yes          yes         78.75       -       reference  72.51
+
+    generated-14-hard, reactive traffic: 4 scenes
+    understanding  instruction  reflection      R    diff   95 % interval  paper
+    no             yes          yes         41.25  -37.50  -75.00 to 0.00  75.26
+    yes            no           yes         90.00   +1.67   0.00 to +5.00  75.39
+    yes            yes          no          41.25  -37.50  -75.00 to 0.00  74.08
+    yes            yes          yes         78.75       -       reference  76.82
+
+    Quick: only the first 2 scenes of each type; intervals are wide.
+    NR, R = replayed, reactive traffic; nuPlan's score x 100. diff = score minus
+    that of the whole agent on the same scenes; its interval holds 95 % of 10000
+    means over scenes drawn anew (percentile bootstrap, seed 0).
+    paper = the paper's on nuPlan's Test14-hard: other scenes than
+    generated-14-hard, for the direction alone.
+    2 drives of no instruction on generated-14-hard failed and count in no mean.
+    "#);
+}
+
+#[test]
+fn models_that_do_not_drive_say_why_and_types_stand_on_lines_of_their_own() {
+    let full = driven([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
+    let study = named("mllm").unwrap();
+    let mut variants = vec![full.clone(), full.clone()];
+    variants.resize(study.variants.len(), NOT_DRIVEN);
+    let mllm = StudyResults::new(&study, &[suite("generated-14-hard", variants)], None, 0, &[]);
+    let table = study_table(&study, &mllm);
+    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
+    let of = |name: &str| -> Vec<&str> { table.lines().filter(|line| line.starts_with(name)).collect() };
+    let words: Vec<&str> = of("llava-1.5-7b")[0].split_whitespace().collect();
+    assert_eq!(words, ["llava-1.5-7b", "no", "weights", "-", "-", "67.73"]);
+    let costs: Vec<&str> = of("nano")[2].split_whitespace().collect();
+    assert_eq!(costs, ["nano", "4.0", "M", "-", "-", "-"]);
+
+    let study = named("scenario-types").unwrap();
+    let better = driven([Some(1.0), Some(1.0), Some(1.0), Some(1.0)]);
+    let types = StudyResults::new(&study, &[suite("generated-14-hard", vec![full, better])], None, 0, &[]);
+    let table = study_table(&study, &types);
+    assert!(table.contains("\nchanging_lane\n"), "{table}");
+    assert!(
+        table
+            .lines()
+            .any(|line| line.split_whitespace().eq(["2", "87.50", "100.00", "+12.50", "0.00", "to", "+25.00"]))
+    );
+}
+
+#[test]
+fn markdown_has_both_challenges_beside_the_papers_and_every_study_is_drawn() {
+    let full = driven([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
+    for study in crate::experiment::study::all() {
+        let variants = vec![full.clone(); study.variants.len()];
+        let results = StudyResults::new(&study, &[suite("generated-14-hard", variants)], None, 0, &[]);
+        let drawn = figures(&study, &results);
+        assert!(
+            drawn.iter().all(|(name, svg)| name == "generated-14-hard.svg" && !svg.contains("NaN")),
+            "{}",
+            study.name
+        );
+        assert_eq!(drawn.len(), 1);
+        let text = study_markdown(&study, &results, "planagent experiment", &["generated-14-hard.svg".to_owned()]);
+        assert!(text.contains("(generated-14-hard.svg)"), "{text}");
+        let head = text.lines().find(|line| line.starts_with("| ")).unwrap();
+        if study.figure == Figure::Differences {
+            assert!(head.ends_with("| NR | diff | 95 % interval | paper NR | paper diff | R | diff | 95 % interval | paper R | paper diff |"));
+        }
+    }
+}

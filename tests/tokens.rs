@@ -1,0 +1,63 @@
+//! What descriptions of scenes take in tokens, on generated and recorded drives.
+
+use planagent::experiment::tokens::{SceneText, TokenCounter, TokenRow, TokenTable, count};
+use planagent::mllm::{HubAccess, Mllm, ModelRegistry};
+use planagent::scenario::generator::{self, ScenarioType, Spec};
+use planagent::scenario::{Scenario, womd};
+use std::path::{Path, PathBuf};
+
+/// Iterations between planning calls.
+const INTERVAL: usize = 20;
+/// What our text may take on average; the paper's takes 141.32.
+const AIM: f64 = 100.0;
+
+fn rows(scenarios: impl IntoIterator<Item = Scenario>, counter: &TokenCounter<'_>) -> Vec<TokenRow> {
+    let counted = scenarios.into_iter().flat_map(|scenario| count(&scenario, INTERVAL, 20.0, counter));
+    counted.collect::<Result<_, _>>().unwrap()
+}
+
+fn mean(table: &TokenTable, text: SceneText) -> f64 {
+    table.rows.iter().find(|row| row.text == text).and_then(|row| row.cl100k).unwrap().mean
+}
+
+/// Ours takes less than the aim and than what coordinates take.
+fn check(table: &TokenTable) {
+    let shown = table.markdown();
+    let ours = mean(table, SceneText::Paper);
+    assert!(ours > 30.0 && ours <= AIM, "{shown}");
+    assert!(ours < mean(table, SceneText::GptDriver) && ours < mean(table, SceneText::LlmAssist), "{shown}");
+}
+
+fn nano() -> Box<dyn Mllm> {
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    let registry = ModelRegistry::new(models, HubAccess { offline: true, ..HubAccess::default() });
+    registry.open(&registry.find("nano").unwrap()).unwrap()
+}
+
+#[test]
+fn generated_scenes_take_few_tokens() {
+    let scenarios = ScenarioType::ALL.map(|scenario_type| generator::generate(&Spec::new(scenario_type, 1)).unwrap());
+    let model = nano();
+    let counter = TokenCounter::new(Some(&*model));
+    let rows = rows(scenarios, &counter);
+    assert!(rows.len() >= 8 * ScenarioType::ALL.len(), "{} states", rows.len());
+    let table = TokenTable::new(&rows, counter.model_name());
+    check(&table);
+    assert!(table.rows.iter().all(|row| row.model.is_some()));
+    assert!(table.markdown().contains("| nano mean |"), "{}", table.markdown());
+}
+
+#[test]
+fn recorded_scenes_take_few_tokens() {
+    let root = std::env::var_os("PLANAGENT_DATA")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
+    let Ok(folder) = std::fs::read_dir(root.join("womd")) else {
+        eprintln!("SKIPPED: no recordings (set PLANAGENT_DATA)");
+        return;
+    };
+    let mut files: Vec<PathBuf> = folder.map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    let counter = TokenCounter::new(None);
+    let rows = rows(files.iter().flat_map(|file| womd::open(file).unwrap()), &counter);
+    check(&TokenTable::new(&rows, None));
+}
