@@ -13,8 +13,8 @@ use std::convert::Infallible;
 
 /// Columns that a line should hold: planner code takes so many.
 const COLUMNS: u32 = 66;
-/// Lines of a caption.
-const LINES: u32 = 4;
+/// Lines of a caption: the planner code may take two.
+const LINES: u32 = 5;
 /// Space around the text, pixels.
 const MARGIN: u32 = 8;
 /// Colours: paper, what is said first, and the rest.
@@ -43,12 +43,20 @@ pub(super) fn below(picture: &RgbImage, caption: &Caption) -> RgbImage {
     // It fits by construction.
     let _ = page.copy_from(picture, 0, 0);
     let mut canvas = Page(page);
-    let lines = [(&caption.title, INK), (&caption.now, INK)].into_iter().chain(caption.plan.iter().map(|l| (l, SOFT)));
+    let columns = (width.saturating_sub(2 * MARGIN) / font.character_size.width).max(1) as usize;
+    let said = [(&caption.title, INK), (&caption.now, INK)].into_iter().chain(caption.plan.iter().map(|l| (l, SOFT)));
+    let lines = said.flat_map(|(text, color)| wrapped(text, columns).into_iter().map(move |line| (line, color)));
     for (i, (text, color)) in lines.take(LINES as usize).enumerate() {
         let at = Point::new(MARGIN as i32, (height + MARGIN + i as u32 * line) as i32);
-        let Ok(_) = Text::with_baseline(text, at, MonoTextStyle::new(font, color), Baseline::Top).draw(&mut canvas);
+        let Ok(_) = Text::with_baseline(&text, at, MonoTextStyle::new(font, color), Baseline::Top).draw(&mut canvas);
     }
     canvas.0
+}
+
+/// A text in lines of so many characters.
+fn wrapped(text: &str, columns: usize) -> Vec<String> {
+    let letters: Vec<char> = text.chars().collect();
+    letters.chunks(columns).map(|line| line.iter().collect()).collect()
 }
 
 /// The largest font of which a line holds enough.
@@ -95,5 +103,6 @@ mod tests {
         assert_eq!(page.get_pixel(320, 320).0, [1, 2, 3]);
         let inked = page.enumerate_pixels().filter(|(_, y, pixel)| *y > 321 && pixel.0 != PAPER).count();
         assert!(inked > 500, "{inked}");
+        assert_eq!(wrapped("abcde", 2), ["ab", "cd", "e"]);
     }
 }

@@ -105,8 +105,9 @@ pub fn write_mp4(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &
 fn iterations(film: &Film, frames_per_s: NonZeroU32) -> Vec<usize> {
     let last = film.iterations().saturating_sub(1);
     let a_frame = 1.0 / (f64::from(frames_per_s.get()) * STEP_S);
-    let mut shown: Vec<usize> =
-        (0..=last).map(|k| (k as f64 * a_frame).round() as usize).take_while(|&iteration| iteration < last).collect();
+    let count = (last as f64 / a_frame).ceil() as usize;
+    let at = |k: usize| (k as f64 * a_frame).round() as usize;
+    let mut shown: Vec<usize> = (0..count).map(at).filter(|&iteration| iteration < last).collect();
     shown.push(last);
     shown
 }

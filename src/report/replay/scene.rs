@@ -1,6 +1,7 @@
 //! Looking at a replay again: the scene of each iteration, and what was planned there.
 
 use super::Replay;
+use super::track::AgentTrack;
 use crate::geometry::Point;
 use crate::world::{EgoState, History, LaneMap, MapError, Route, Scene, TrackedObject, TrafficLights};
 
@@ -42,7 +43,7 @@ impl ReplayedDrive {
             .zip(plans)
             .map(|((ego, at_s), plan)| Moment { at_s, ego, plan, objects: Vec::new() })
             .collect();
-        for (i, object) in replay.agents.iter().flat_map(super::track::AgentTrack::objects) {
+        for (i, object) in replay.agents.iter().flat_map(AgentTrack::objects) {
             if let Some(moment) = moments.get_mut(i) {
                 moment.objects.push(object);
             }
