@@ -17,6 +17,7 @@ mod mllm;
 mod nuplan;
 mod nuplan_input;
 mod outside;
+mod page;
 mod pdm;
 mod road;
 mod runner;

@@ -64,6 +64,10 @@ pub(super) enum Command {
     Simulate(SimulateArguments),
     /// Make one planning call and show what was seen, thought, written and judged.
     Plan(PlanArguments),
+    /// Write a page of runs: scores, histograms, and replays with their transcripts.
+    Report(ReportArguments),
+    /// Write a drive of a run as a film or a picture.
+    Render(RenderArguments),
     /// List, show and generate scenarios.
     #[command(subcommand)]
     Scenarios(ScenariosCommand),
@@ -175,6 +179,69 @@ pub(super) struct PlanArguments {
     /// Write the BEV map to this file, a PNG or JPEG by its ending.
     #[arg(long, value_name = "FILE", value_parser = picture_file())]
     pub(super) image: Option<PictureFile>,
+}
+
+/// Flags of `report`.
+#[derive(Debug, Args)]
+pub(super) struct ReportArguments {
+    /// Folders of runs; several are compared.
+    #[arg(required = true, value_name = "RUN")]
+    pub(super) runs: Vec<PathBuf>,
+    /// The page [default: report.html in the folder of the first run].
+    #[arg(long, value_name = "FILE")]
+    pub(super) out: Option<PathBuf>,
+    /// Largest page, megabytes: replays that do not fit in are left out, whole scenarios at a time.
+    #[arg(long, value_name = "MB", default_value_t = 15.0, allow_negative_numbers = true)]
+    pub(super) max_mb: f64,
+    /// Only replays of scenarios with this in their name; tables and histograms are of all drives.
+    #[arg(long, value_name = "TEXT")]
+    pub(super) scenario: Option<String>,
+}
+
+/// Flags of `render`.
+#[derive(Debug, Args)]
+pub(super) struct RenderArguments {
+    /// Folder of the run.
+    #[arg(value_name = "RUN")]
+    pub(super) run: PathBuf,
+    /// The drive: its number in the run, or the name of its scenario.
+    #[arg(value_name = "DRIVE")]
+    pub(super) drive: String,
+    /// By which planner, where several drove the scenario.
+    #[arg(long, value_name = "NAME")]
+    pub(super) planner: Option<String>,
+    /// In which challenge, where it was driven in several.
+    #[arg(long, value_name = "NAME")]
+    pub(super) challenge: Option<String>,
+    #[command(flatten)]
+    pub(super) output: RenderOutput,
+    /// With --png: the frame at this time, seconds [default: a sheet of eight frames].
+    #[arg(long, value_name = "SECONDS", requires = "png", allow_negative_numbers = true)]
+    pub(super) at: Option<f64>,
+    /// Side of the scene, pixels.
+    #[arg(long, value_name = "N", default_value_t = 640)]
+    pub(super) pixels: u32,
+    /// Side of the scene, metres.
+    #[arg(long, value_name = "METRES", default_value_t = 64.0, allow_negative_numbers = true)]
+    pub(super) view: f64,
+    /// Frames a second of a film; the drive has 10.
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=10))]
+    pub(super) fps: u32,
+}
+
+/// What `render` writes: one of these.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+pub(super) struct RenderOutput {
+    /// Write a GIF.
+    #[arg(long, value_name = "FILE")]
+    pub(super) gif: Option<PathBuf>,
+    /// Write an MP4; ffmpeg must be on the path.
+    #[arg(long, value_name = "FILE")]
+    pub(super) mp4: Option<PathBuf>,
+    /// Write a PNG.
+    #[arg(long, value_name = "FILE")]
+    pub(super) png: Option<PathBuf>,
 }
 
 /// Takes a path whose ending names a format that pictures are written in.

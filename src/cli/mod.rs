@@ -72,6 +72,8 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     pool.install(|| match &arguments.command {
         Command::Simulate(flags) => commands::simulate::run(flags, &config, printer),
         Command::Plan(flags) => commands::plan::run(flags, &config, printer),
+        Command::Render(flags) => commands::render::run(flags, printer),
+        Command::Report(flags) => commands::report::run(flags, printer),
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
         Command::Models(command) => commands::models::run(command, &config, printer),
         Command::Dataset(flags) => commands::dataset::run(flags, &config, printer),

@@ -15,6 +15,7 @@ use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progre
 use rayon::prelude::*;
 use std::fmt;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The planners that can be run by name.
@@ -168,6 +169,8 @@ impl fmt::Display for Assignment {
 /// A drive that came to its end.
 #[derive(Debug, Clone)]
 pub struct Driven {
+    /// What was driven.
+    pub scenario: Arc<Scenario>,
     /// What it scored.
     pub score: Score,
     /// All metrics with their statistics and time series, in nuPlan's order.
@@ -221,7 +224,7 @@ pub fn run<E: Send>(
     let groups: Vec<&[(usize, &Assignment)]> = drives.chunk_by(|(_, a), (_, b)| a.source == b.source).collect();
     groups.par_iter().try_for_each(|group| {
         let Some((_, first)) = group.first() else { return Ok(()) };
-        let opened = caught(|| first.source.open().map_err(|error| with_causes(&error)));
+        let opened = caught(|| first.source.open().map(Arc::new).map_err(|error| with_causes(&error)));
         group.par_iter().try_for_each(|&(i, assignment)| {
             let scenario = opened.as_ref().map_err(String::as_str);
             on_drive(i, drive(assignment, scenario, agent, on_iteration))
@@ -231,7 +234,7 @@ pub fn run<E: Send>(
 
 fn drive(
     assignment: &Assignment,
-    scenario: Result<&Scenario, &str>,
+    scenario: Result<&Arc<Scenario>, &str>,
     agent: Option<&AgentParts>,
     on_iteration: &(dyn Fn(Progress) + Sync),
 ) -> DriveRecord {
@@ -268,7 +271,7 @@ fn now_s() -> f64 {
 
 /// One drive with its score.
 fn drive_scenario(
-    scenario: &Scenario,
+    scenario: &Arc<Scenario>,
     planner: PlannerKind,
     challenge: Challenge,
     agent: Option<&AgentParts>,
@@ -306,7 +309,7 @@ fn drive_scenario(
         }
     };
     let Evaluation { score, metrics } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
-    Ok(Driven { score, metrics, calls, drivable_layers, log })
+    Ok(Driven { scenario: Arc::clone(scenario), score, metrics, calls, drivable_layers, log })
 }
 
 /// An error with all its causes in one line.

@@ -60,7 +60,7 @@ impl Bootstrap {
 
 /// A number below `end`, by multiplication with a fraction of 32 bits: no library's sampling code, which may change.
 fn below(random: &mut Pcg64Mcg, end: usize) -> usize {
-    (u64::from(random.next_u32()) * end as u64 >> 32) as usize
+    ((u64::from(random.next_u32()) * end as u64) >> 32) as usize
 }
 
 /// Linear between the two nearest of sorted values.

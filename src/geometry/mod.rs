@@ -11,6 +11,7 @@ mod oriented_box;
 mod polygon;
 mod polyline;
 mod pose;
+mod simplify;
 
 pub use angle::{unwrap_angles, wrap_angle};
 pub use corridor::Corridor;
@@ -20,6 +21,7 @@ pub use oriented_box::OrientedBox;
 pub use polygon::Polygon;
 pub use polyline::{Polyline, Projection};
 pub use pose::Pose;
+pub use simplify::simplified;
 
 /// A position in metres.
 pub type Point = nalgebra::Point2<f64>;

@@ -1,12 +1,16 @@
 //! A line of `calls.jsonl`: one planning call, attempts and rounds inside it. Measured times stand under the key `time`.
 
+use super::error::ReportError;
 use super::number::unsign_zeros;
+use super::run_folder::CALLS;
 use super::timing::CallTimes;
 use crate::planner::{Attempt, Decision, PlanningCall};
 use crate::reasoning::PlannerCode;
 use crate::simulation::Challenge;
 use crate::world::STEP_S;
 use serde_json::{Value, json};
+use std::fs;
+use std::path::Path;
 
 /// The record of a call that `planner` made in a scenario; without challenge for a call that belongs to no drive.
 pub fn call_record(scenario: &str, planner: &str, challenge: Option<Challenge>, call: &PlanningCall) -> Value {
@@ -19,6 +23,21 @@ pub fn call_record(scenario: &str, planner: &str, challenge: Option<Challenge>, 
     }
     unsign_zeros(&mut record);
     record
+}
+
+/// The planning calls in a drive's folder, as they were recorded; none for a planner that makes none.
+///
+/// # Errors
+/// When they cannot be read.
+pub(super) fn calls_in(folder: &Path) -> Result<Vec<Value>, ReportError> {
+    let path = folder.join(CALLS);
+    if !path.is_file() {
+        return Ok(Vec::new());
+    }
+    let text = fs::read_to_string(&path).map_err(ReportError::read(&path))?;
+    let line =
+        |line| serde_json::from_str(line).map_err(|source| ReportError::ParseJson { path: path.clone(), source });
+    text.lines().map(line).collect()
 }
 
 fn contents(call: &PlanningCall) -> Value {

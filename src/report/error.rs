@@ -60,6 +60,20 @@ pub enum ReportError {
         /// Why, with its place.
         source: serde_json::Error,
     },
+    /// A run has no drive that has ended.
+    #[error("the run in {} has no drive that has ended; there is nothing to show", .0.display())]
+    NoDrives(PathBuf),
+    /// No scenario of the runs bears this in its name.
+    #[error("no scenario of these runs has {0:?} in its name")]
+    NoScenario(String),
+    /// A replay has a form of another version.
+    #[error("{} has form {form}, which this version does not know; it was written by another one", path.display())]
+    ReplayForm {
+        /// Which file.
+        path: PathBuf,
+        /// Its form.
+        form: u32,
+    },
     /// A file or folder cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Write {

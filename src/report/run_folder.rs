@@ -7,6 +7,7 @@ use super::drive_row::DriveRow;
 use super::error::ReportError;
 use super::manifest::{MANIFEST, Manifest};
 use super::number::unsigned_metric;
+use super::replay::Replay;
 use super::transcript::transcript;
 use crate::experiment::run::{Assignment, DriveRecord, Driven};
 use crate::metrics::MetricResult;
@@ -130,7 +131,7 @@ impl RunFolder {
         &self.path
     }
 
-    /// Writes what is kept of a drive: its row, its metrics, its calls with transcript and BEV maps. All of it is there
+    /// Writes what is kept of a drive: its row, its metrics, its replay, its calls with transcript and BEV maps. All of it is there
     /// afterwards, or nothing.
     ///
     /// # Errors
@@ -143,6 +144,7 @@ impl RunFolder {
             write_calls(&unfinished, record, driven)?;
             let metrics = MetricsFile { metrics: driven.metrics.iter().map(unsigned_metric).collect() };
             atomic::create(&unfinished.join(METRICS), toml::to_string(&metrics)?.as_bytes())?;
+            Replay::of(driven).write(&unfinished)?;
         }
         let row = toml::to_string(&DriveRow::new(number, record))?;
         atomic::create(&unfinished.join(RECORD), row.as_bytes())?;
@@ -209,12 +211,16 @@ impl RunFolder {
         rows: impl Iterator<Item = &'a DriveRow> + Clone,
     ) -> Result<impl Iterator<Item = Result<(&'a DriveRow, Vec<MetricResult>), ReportError>> + Clone, ReportError> {
         let folders = self.folders()?;
-        Ok(rows.filter_map(move |row| folders.get(&row.number).map(|folder| (row, folder.join(METRICS)))).map(
-            |(row, path)| {
-                let file: MetricsFile = parse(&path)?;
-                Ok((row, file.metrics))
-            },
-        ))
+        let of_row = move |row: &'a DriveRow| folders.get(&row.number).map(|folder| (row, folder.clone()));
+        Ok(rows.filter_map(of_row).map(|(row, folder)| Ok((row, Self::metrics_in(&folder)?))))
+    }
+
+    /// The metrics in a drive's folder.
+    ///
+    /// # Errors
+    /// When they cannot be read.
+    pub(super) fn metrics_in(folder: &Path) -> Result<Vec<MetricResult>, ReportError> {
+        parse::<MetricsFile>(&folder.join(METRICS)).map(|file| file.metrics)
     }
 
     /// Joins the planning calls of all drives to one file.
@@ -244,7 +250,7 @@ impl RunFolder {
 }
 
 /// The folders of the drives that have ended in a run's folder, by number.
-fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
+pub(super) fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
     let drives = run.join(DRIVES);
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(&drives).map_err(ReportError::read(&drives))? {
@@ -272,15 +278,19 @@ fn write_calls(folder: &Path, record: &DriveRecord, driven: &Driven) -> Result<(
     }
     atomic::create(&folder.join(CALLS), lines.as_bytes())?;
     atomic::folder(&folder.join("bev"))?;
-    let image_name = |iteration: usize| format!("bev/{iteration:03}.png");
     for call in &driven.calls {
         if let Some(image) = &call.image {
-            let path = folder.join(image_name(call.iteration));
+            let path = folder.join(bev_name(call.iteration));
             image.save(&path).map_err(|source| ReportError::Image { path, source })?;
         }
     }
-    let text = transcript(record, driven, |call| call.image.as_ref().map(|_| image_name(call.iteration)));
+    let text = transcript(record, driven, |call| call.image.as_ref().map(|_| bev_name(call.iteration)));
     atomic::create(&folder.join("transcript.md"), text.as_bytes())
+}
+
+/// Where the BEV map of a planning call lies in a drive's folder.
+pub(super) fn bev_name(iteration: usize) -> String {
+    format!("bev/{iteration:03}.png")
 }
 
 /// Removes a drive's folder; a kill in between leaves nothing that looks whole.

@@ -174,7 +174,8 @@ impl Timing {
 }
 
 impl PlannerTiming {
-    fn of(planner: &str, rows: &[DriveRow]) -> Self {
+    /// The times of a planner's drives among `rows`.
+    pub(super) fn of(planner: &str, rows: &[DriveRow]) -> Self {
         let own = || rows.iter().filter(|row| row.planner == planner);
         let steps: Vec<f64> = own().flat_map(|row| &row.time.planner_s).map(|s| s * 1e3).collect();
         let calls: Vec<f64> = own().flat_map(|row| &row.time.calls).map(|call| call.total).collect();

@@ -5,5 +5,7 @@ pub(super) mod dataset;
 pub(super) mod experiment;
 pub(super) mod models;
 pub(super) mod plan;
+pub(super) mod render;
+pub(super) mod report;
 pub(super) mod scenarios;
 pub(super) mod simulate;

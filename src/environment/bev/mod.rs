@@ -103,8 +103,27 @@ impl BevView {
 
 /// Draws the scene; see the module for what and how. The same scene and view give the same bytes.
 pub fn render(scene: &Scene<'_>, view: &BevView) -> RgbImage {
+    render_with_lines(scene, view, &[])
+}
+
+/// A line on the road, for people: a plan or a way that was driven. The model never sees one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BevLine {
+    /// Its vertices, map frame.
+    pub points: Vec<Point>,
+    /// Its width, metres.
+    pub width: f64,
+    /// Its colour.
+    pub color: Rgb,
+}
+
+/// Draws the scene with lines on the road, under what stands on it; later lines over earlier ones.
+pub fn render_with_lines(scene: &Scene<'_>, view: &BevView, lines: &[BevLine]) -> RgbImage {
     let mut canvas = Canvas::new(*view, scene.ego.center());
     road::draw(&mut canvas, scene.map);
+    for line in lines {
+        canvas.lines([line.points.as_slice()], line.width * view.scale(), line.color);
+    }
     traffic::draw(&mut canvas, scene);
     canvas.into_image()
 }

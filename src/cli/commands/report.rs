@@ -1,0 +1,47 @@
+//! `planagent report`.
+
+use crate::cli::args::ReportArguments;
+use crate::cli::{Exit, Printer};
+use crate::report::page::{self, PAGE, PageSettings};
+use anyhow::{Context, bail};
+
+/// Bytes of a megabyte.
+const MEGABYTE: f64 = 1e6;
+
+/// Writes the page of one or more runs.
+///
+/// # Errors
+/// When a folder holds no run, or the page cannot be written.
+pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<Exit> {
+    if !flags.max_mb.is_finite() || flags.max_mb <= 0.0 {
+        bail!("--max-mb is {}; it must be above 0", flags.max_mb);
+    }
+    let first = flags.runs.first().context("name the folder of a run")?;
+    let out = flags.out.clone().unwrap_or_else(|| first.join(PAGE));
+    let settings = PageSettings { most_bytes: (flags.max_mb * MEGABYTE) as usize, scenario: flags.scenario.clone() };
+    let bar = printer.progress(0, "drives");
+    let written = page::write(&flags.runs, &out, &settings, &|done, all| {
+        bar.set_length(all as u64);
+        bar.set_position(done as u64);
+    });
+    bar.finish_and_clear();
+    let contents = written?;
+    if printer.is_json() {
+        printer.json(&contents)?;
+        return Ok(Exit::Success);
+    }
+    printer.line(contents.page.display().to_string());
+    let megabytes = contents.bytes as f64 / MEGABYTE;
+    printer.note(format!("{} drives, {} to be watched, {megabytes:.1} MB", contents.drives, contents.replays));
+    if contents.without_replay > 0 {
+        printer.note(format!(
+            "{} drives have no replay: they failed, or an earlier version made them",
+            contents.without_replay
+        ));
+    }
+    let left_out = contents.drives - contents.replays - contents.without_replay;
+    if left_out > 0 && flags.scenario.is_none() {
+        printer.note(format!("{left_out} replays did not fit in; --max-mb or --scenario lets them in"));
+    }
+    Ok(Exit::Success)
+}

@@ -1,0 +1,68 @@
+//! The page around the data: markup, styles and scripts, put together from the files beside this one.
+
+/// The markup, with places for the rest in double braces.
+const MARKUP: &str = include_str!("assets/page.html");
+/// Styles in their order.
+const STYLES: [&str; 3] =
+    [include_str!("assets/theme.css"), include_str!("assets/overview.css"), include_str!("assets/scenarios.css")];
+/// Scripts in their order: later ones use earlier ones.
+const SCRIPTS: [&str; 12] = [
+    include_str!("assets/dom.js"),
+    include_str!("assets/data.js"),
+    include_str!("assets/overview.js"),
+    include_str!("assets/histograms.js"),
+    include_str!("assets/player.js"),
+    include_str!("assets/controls.js"),
+    include_str!("assets/bev.js"),
+    include_str!("assets/series.js"),
+    include_str!("assets/transcript.js"),
+    include_str!("assets/latency.js"),
+    include_str!("assets/scenarios.js"),
+    include_str!("assets/main.js"),
+];
+
+/// Bytes of everything but the data.
+pub(super) fn size() -> usize {
+    MARKUP.len() + STYLES.concat().len() + SCRIPTS.concat().len()
+}
+
+/// The page; `data` is markup already.
+pub(super) fn page(title: &str, data: &str) -> String {
+    let parts = [
+        ("{{title}}", escaped(title)),
+        ("{{style}}", STYLES.concat()),
+        ("{{script}}", SCRIPTS.concat()),
+        ("{{data}}", data.to_owned()),
+    ];
+    // The data comes last: nothing is looked for in it.
+    parts.iter().fold(MARKUP.to_owned(), |page, (place, text)| page.replacen(place, text, 1))
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_asks_for_nothing_else() {
+        let page = page("runs & <more>", "<script id=\"x\">{{script}}</script>");
+        assert!(page.contains("<title>runs &amp; &lt;more></title>") && page.contains("id=\"x\">{{script}}<"));
+        assert!(!page.contains("{{style}}") && !page.contains("{{data}}"));
+        // The namespace of SVG is a name, not an address that is asked.
+        let page = page.replace("http://www.w3.org/2000/svg", "");
+        for word in ["http:", "https:", "@import", "url(", "src=\"", "eval("] {
+            assert!(!page.contains(word), "the page has {word}");
+        }
+        assert_eq!(SCRIPTS.iter().filter(|script| script.contains("</script")).count(), 0);
+    }
+
+    #[test]
+    fn files_of_the_page_stay_readable() {
+        for file in SCRIPTS.iter().chain(&STYLES) {
+            assert!(file.lines().count() < 400, "{}", file.lines().next().unwrap_or_default());
+        }
+    }
+}

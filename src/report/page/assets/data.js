@@ -1,0 +1,166 @@
+// What the page holds: an index of runs and drives, and a packed replay for each drive that fits in.
+
+/** Units of what is delta-coded in a replay: metres, radians, m/s. */
+const LENGTH = 0.01;
+const ANGLE = 0.001;
+const RATE = 0.01;
+const VELOCITY = 0.1;
+/** Replays that are kept unpacked. */
+const MOST_UNPACKED = 24;
+
+/** The index; filled by `loadIndex`. */
+let INDEX = null;
+
+/** The value in a packed element: base64 of gzip of JSON. */
+async function unpack(id) {
+  const text = document.getElementById(id).textContent.trim();
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Response(stream).json();
+}
+
+/** Reads the index and gives every drive its entrant: who drove in which run. */
+async function loadIndex() {
+  INDEX = await unpack("index");
+  const several = INDEX.runs.length > 1;
+  INDEX.entrants = [];
+  for (const drive of INDEX.drives) {
+    let entrant = INDEX.entrants.find((known) => known.run === drive.run && known.planner === drive.planner);
+    if (!entrant) {
+      const label = several ? `${drive.planner} · ${INDEX.runs[drive.run].name}` : drive.planner;
+      entrant = { run: drive.run, planner: drive.planner, label, place: INDEX.entrants.length };
+      INDEX.entrants.push(entrant);
+    }
+    drive.entrant = entrant;
+  }
+  INDEX.challenges = distinct(INDEX.drives.map((drive) => drive.challenge));
+  INDEX.scenarios = distinct(INDEX.drives.map((drive) => drive.scenario));
+}
+
+/** The colour of an entrant: one of eight that colour-blind people can tell apart (Okabe and Ito). */
+function colorOf(entrant) {
+  return `var(--c${entrant.place % 8})`;
+}
+
+/** The metrics that make the score of a challenge. */
+function scoredMetrics(challenge) {
+  const list = challenge === "open_loop_boxes" ? "open_loop" : "closed_loop";
+  return INDEX.metrics.filter((metric) => metric.list === list);
+}
+
+/** The score of a metric of a drive. */
+function metricScore(drive, name) {
+  return drive.metrics[name] ?? null;
+}
+
+/** Numbers from their differences. */
+function undelta(deltas, unit) {
+  const values = new Float64Array(deltas.length);
+  let sum = 0;
+  deltas.forEach((delta, i) => {
+    sum += delta;
+    values[i] = sum * unit;
+  });
+  return values;
+}
+
+function points({ x, y }) {
+  return { x: undelta(x, LENGTH), y: undelta(y, LENGTH) };
+}
+
+const unpacked = new Map();
+
+/** The replay of a drive, ready to be drawn; null where the page holds none. */
+async function replayOf(drive) {
+  if (drive.replay === null) return null;
+  if (!unpacked.has(drive)) {
+    unpacked.set(drive, readReplay(drive));
+    if (unpacked.size > MOST_UNPACKED) unpacked.delete(unpacked.keys().next().value);
+  }
+  return unpacked.get(drive);
+}
+
+async function readReplay(drive) {
+  const [packed, map, images] = await Promise.all([
+    unpack(`drive-${drive.replay}`),
+    mapOf(drive.map),
+    drive.images === null ? {} : unpack(`images-${drive.images}`),
+  ]);
+  const { replay, calls, series } = packed;
+  const { ego } = replay;
+  return {
+    drive, map, images,
+    times: undelta(replay.times_ms, 1e-3),
+    ego: {
+      ...points(ego), heading: undelta(ego.heading, ANGLE), speed: undelta(ego.speed, RATE),
+      acceleration: undelta(ego.acceleration, RATE), yawRate: undelta(ego.yaw_rate, RATE),
+    },
+    expert: points(replay.expert),
+    agents: replay.agents.map((agent) => ({
+      token: agent.token, kind: agent.kind, from: agent.from, to: agent.from + agent.x.length - 1,
+      length: agent.length * LENGTH, width: agent.width * LENGTH, ...points(agent),
+      heading: undelta(agent.heading, ANGLE), vx: undelta(agent.vx, VELOCITY), vy: undelta(agent.vy, VELOCITY),
+    })),
+    lights: replay.lights,
+    plans: replay.plans.map(points),
+    calls: calls.map((call) => {
+      const tracks = replay.calls.find((track) => track.iteration === call.iteration)?.attempts ?? [];
+      return { ...call, tracks: tracks.map((track) => (track ? points(track) : null)) };
+    }),
+    series,
+  };
+}
+
+const maps = new Map();
+
+/** A map with its outlines as paths in metres; shared by the drives that hold the same one. */
+function mapOf(number) {
+  if (!maps.has(number)) maps.set(number, unpack(`map-${number}`).then(outlined));
+  return maps.get(number);
+}
+
+function outlined(map) {
+  const ring = (path, { x, y }) => {
+    x.forEach((at, i) => (i ? path.lineTo(at, y[i]) : path.moveTo(at, y[i])));
+    path.closePath();
+  };
+  const line = (path, { x, y }) => x.forEach((at, i) => (i ? path.lineTo(at, y[i]) : path.moveTo(at, y[i])));
+  const drawn = { drivable: new Path2D(), lanes: new Path2D(), route: new Path2D(), centerlines: new Path2D(),
+    connectors: new Path2D(), crosswalks: [], stops: new Path2D(), starts: new Map() };
+  for (const rings of map.drivable) for (const each of rings) ring(drawn.drivable, points(each));
+  for (const lane of map.lanes) {
+    const centerline = points(lane.centerline);
+    ring(drawn.lanes, points(lane.ring));
+    if (lane.on_route) ring(drawn.route, points(lane.ring));
+    line(lane.kind === "connector" ? drawn.connectors : drawn.centerlines, centerline);
+    drawn.starts.set(lane.id, centerline);
+  }
+  for (const each of map.crosswalks) {
+    const path = new Path2D();
+    ring(path, points(each));
+    drawn.crosswalks.push(path);
+  }
+  for (const each of map.stop_lines) ring(drawn.stops, points(each));
+  return drawn;
+}
+
+/** The planning call in force at an iteration: its place, or −1. */
+function callAt(replay, iteration) {
+  let place = -1;
+  replay.calls.forEach((call, i) => {
+    if (call.iteration <= iteration) place = i;
+  });
+  return place;
+}
+
+/** The attempt whose planner drives after a call; null where none of it does. */
+function drivingAttempt(call) {
+  const { kind, attempt } = call.decision;
+  return kind === "execute" || kind === "exhausted" ? attempt : null;
+}
+
+/** How a call ended, in one word for its colour: `accepted`, `rethought`, `exhausted` or `none`. */
+function outcomeOf(call) {
+  if (call.decision.kind === "execute") return call.attempts.length > 1 ? "rethought" : "accepted";
+  return call.decision.kind === "exhausted" ? "exhausted" : "none";
+}

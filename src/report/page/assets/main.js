@@ -1,0 +1,108 @@
+// Which view is shown, light and dark, keys.
+
+const KEYS = [
+  ["1  2  3", "Overview, Histograms, Scenarios"], ["space", "play or stop"], ["←  →", "a step of 0.1 s back or on; with shift a second"],
+  ["↑  ↓", "scenario before or after"], ["[  ]", "planning call before or after"], ["Home  End", "begin or end of the drive"],
+  ["+  −", "zoom; the wheel does it too"], ["0", "back to the ego, at the first zoom"], ["r", "heading up or north up"],
+  ["t", "plans that were tried, on or off"], ["e", "way of the recorded ego, on or off"], ["d", "light or dark"], ["?", "this list"],
+];
+
+let scenarios = null;
+let histograms = null;
+
+/** `#overview`, `#histograms`, `#scenarios`, `#scenarios/RUN/NUMBER/SECONDS` or `#scenarios/type/TYPE`. */
+async function route() {
+  const [view, ...place] = decodeURIComponent(location.hash.slice(1)).split("/");
+  const name = ["overview", "histograms", "scenarios"].includes(view) ? view : "overview";
+  for (const section of document.querySelectorAll(".view")) section.hidden = section.id !== name;
+  for (const link of document.querySelectorAll(".tabs a")) {
+    link.toggleAttribute("aria-current", link.dataset.view === name);
+  }
+  document.body.dataset.view = name;
+  if (name !== "scenarios") scenarios.player.pause();
+  if (name === "histograms") await histograms.show();
+  if (name === "scenarios") await openPlace(place);
+}
+
+async function openPlace([first, second, time]) {
+  if (first === "type") {
+    scenarios.search.value = second;
+    scenarios.filter = second.toLowerCase();
+    const drive = INDEX.drives.find((d) => d.type === second && d.entrant === (scenarios.drive?.entrant ?? INDEX.entrants[0]));
+    return void await scenarios.open(drive ?? INDEX.drives[0]);
+  }
+  const wanted = INDEX.drives.find((drive) => drive.run === Number(first) && drive.number === Number(second) && second !== undefined);
+  const drive = wanted ?? scenarios.drive ?? INDEX.drives.find((d) => d.replay !== null) ?? INDEX.drives[0];
+  await scenarios.open(drive, wanted ? Number(time) || 0 : scenarios.player.time);
+  scenarios.bev.resize();
+}
+
+function theme(dark) {
+  document.documentElement.dataset.theme = dark ? "dark" : "light";
+  scenarios?.bev.readColors();
+  scenarios?.bev.draw();
+}
+
+function isDark() {
+  return document.documentElement.dataset.theme === "dark";
+}
+
+function openHelp() {
+  const dialog = document.getElementById("help");
+  fill(dialog, h("h2", {}, "Keyboard"), h("table", {}, KEYS.map(([keys, what]) => h("tr", {},
+    h("th", {}, keys.split("  ").map((key) => h("kbd", {}, key))), h("td", {}, what)))),
+  h("form", { method: "dialog" }, h("button", {}, "Close")));
+  if (!dialog.open) dialog.showModal();
+}
+
+/** What the keys do everywhere, and what they do in the replay. */
+function keyed(event) {
+  const typing = event.target.matches?.("input[type=search], select, textarea");
+  if (typing || event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
+  const anywhere = {
+    1: () => { location.hash = "overview"; }, 2: () => { location.hash = "histograms"; }, 3: () => { location.hash = "scenarios"; },
+    d: () => theme(!isDark()), "?": openHelp,
+  };
+  const { player, bev } = scenarios;
+  const toggle = (what) => () => { bev.show[what] = !bev.show[what]; bev.draw(); };
+  const replaying = {
+    " ": () => player.toggle(), ArrowLeft: () => player.step(event.shiftKey ? -10 : -1), ArrowRight: () => player.step(event.shiftKey ? 10 : 1),
+    ArrowUp: () => scenarios.neighbour(-1), ArrowDown: () => scenarios.neighbour(1), "[": () => scenarios.call(-1), "]": () => scenarios.call(1),
+    Home: () => player.seek(0), End: () => { player.pause(); player.seek(player.end); }, "+": () => bev.zoomBy(ZOOM.step), "=": () => bev.zoomBy(ZOOM.step),
+    "-": () => bev.zoomBy(1 / ZOOM.step), 0: () => bev.recenter(), r: () => { bev.headingUp = !bev.headingUp; bev.draw(); },
+    t: toggle("tried"), e: toggle("expert"),
+  };
+  const action = anywhere[event.key] ?? (document.body.dataset.view === "scenarios" && scenarios.replay ? replaying[event.key] : null);
+  if (!action) return;
+  event.preventDefault();
+  // A focused button would take the space bar for itself.
+  if (event.key === " ") document.activeElement?.blur();
+  action();
+}
+
+async function begin() {
+  if (typeof DecompressionStream === "undefined") throw new Error("this browser cannot unpack the page's data; Chrome 111, Firefox 113, Safari 16.4 and later can");
+  theme(window.matchMedia("(prefers-color-scheme: dark)").matches);
+  await loadIndex();
+  document.getElementById("about").textContent = `${counted(INDEX.scenarios.length, "scenario")}, ${counted(INDEX.drives.length, "drive")}`
+    + (INDEX.replays < INDEX.drives.length ? `, ${INDEX.replays} with replay` : "");
+  scenarios = new Scenarios(document.getElementById("scenarios"));
+  histograms = new Histograms(document.getElementById("histograms"));
+  showOverview(document.getElementById("overview"));
+  document.getElementById("theme").addEventListener("click", () => theme(!isDark()));
+  document.getElementById("help-open").addEventListener("click", openHelp);
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (event) => theme(event.matches));
+  window.addEventListener("hashchange", () => route().catch(trouble));
+  document.addEventListener("keydown", keyed, true);
+  await route();
+  document.body.dataset.ready = "true";
+}
+
+function trouble(error) {
+  const node = document.getElementById("trouble");
+  node.hidden = false;
+  node.textContent = `This page cannot be shown: ${error.message}`;
+  console.error(error);
+}
+
+begin().catch(trouble);

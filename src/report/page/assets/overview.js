@@ -1,0 +1,126 @@
+// Overview: final scores by planner and challenge, by scenario type and by metric, and the drives that failed.
+
+/** Rows of a list before the rest is asked for. */
+const FIRST_ROWS = 12;
+
+function showOverview(node) {
+  const challenge = INDEX.challenges[0];
+  const metricTable = h("div", {});
+  const show = (chosen) => fill(metricTable, metricMeans(chosen));
+  show(challenge);
+  const options = INDEX.challenges.map((value) => ({ value, text: CHALLENGES[value].short, title: CHALLENGES[value].long }));
+  fill(node, h("div", { class: "page" },
+    runsLine(),
+    h("h2", {}, "Final scores"),
+    h("div", { class: "scroll" }, finalScores()),
+    h("p", { class: "note" }, `nuPlan's scores × 100, mean over scenarios (${INDEX.challenges.map((c) => `${CHALLENGES[c].short}: ${CHALLENGES[c].long}`).join("; ")}). `
+      + "Failed drives do not count. The bars begin at 0; the best of a column is bold."),
+    h("h2", {}, "By scenario type"),
+    h("div", { class: "scroll" }, scenarioTypes()),
+    h("div", { class: "heading" }, h("h2", {}, "By metric"), options.length > 1 ? choice("Challenge", options, challenge, show) : null),
+    h("div", { class: "scroll" }, metricTable),
+    h("h2", {}, "Failed drives"), failedDrives(),
+    h("h2", {}, "Drives with score 0"), zeroDrives()));
+}
+
+function runsLine() {
+  return h("ul", { class: "runs" }, INDEX.runs.map((run) => h("li", {}, h("b", {}, run.name),
+    h("span", {}, [run.model ? `model ${run.model}` : null, `seed ${run.seed}`, `started ${run.started}`,
+      run.drives < run.planned ? `${run.drives} of ${run.planned} drives ended` : counted(run.drives, "drive"),
+      `planagent ${run.version}`].filter(Boolean).join(" · ")))));
+}
+
+function aggregate(entrant, challenge, type = null) {
+  return INDEX.aggregates.find((row) => row.run === entrant.run && row.planner === entrant.planner
+    && row.challenge === challenge && (row.scenario_type ?? null) === type);
+}
+
+function entrantCell(entrant) {
+  return h("th", { scope: "row" }, h("i", { class: "dot", style: `background:${colorOf(entrant)}` }), entrant.label);
+}
+
+function finalScores() {
+  const best = Object.fromEntries(INDEX.challenges.map((challenge) =>
+    [challenge, Math.max(...INDEX.entrants.map((entrant) => aggregate(entrant, challenge)?.score ?? -1))]));
+  const head = h("tr", {}, h("th", {}, "planner"),
+    INDEX.challenges.map((c) => h("th", { class: "number", title: CHALLENGES[c].long }, CHALLENGES[c].short)),
+    ["drives", "failed", "score 0", "ms/step", "ms/call p50", "p95"].map((name) => h("th", { class: "number" }, name)));
+  const rows = INDEX.entrants.map((entrant) => {
+    const drives = INDEX.drives.filter((drive) => drive.entrant === entrant);
+    const timing = INDEX.timings.find((row) => row.run === entrant.run && row.planner === entrant.planner);
+    const number = (text) => h("td", { class: "number" }, text);
+    return h("tr", {}, entrantCell(entrant),
+      INDEX.challenges.map((c) => {
+        const score = aggregate(entrant, c)?.score ?? null;
+        return h("td", { class: score !== null && score === best[c] ? "number gauge best" : "number gauge" },
+          h("i", { style: `width:${100 * (score ?? 0)}%;background:${colorOf(entrant)}` }), h("span", {}, percent(score)));
+      }),
+      number(drives.length), number(drives.filter((d) => d.error !== null).length), number(drives.filter((d) => d.score === 0).length),
+      number(milliseconds(timing?.step_ms)), number(milliseconds(timing?.call_p50_ms)), number(milliseconds(timing?.call_p95_ms)));
+  });
+  return h("table", { class: "scores" }, h("thead", {}, head), h("tbody", {}, rows));
+}
+
+function scenarioTypes() {
+  const types = distinct(INDEX.drives.map((drive) => drive.type)).sort();
+  const groups = h("tr", {}, h("th", {}), h("th", {}), INDEX.entrants.map((entrant) =>
+    h("th", { colspan: INDEX.challenges.length, class: "group" }, h("i", { class: "dot", style: `background:${colorOf(entrant)}` }), entrant.label)));
+  const head = h("tr", {}, h("th", {}, "type"), h("th", { class: "number" }, "n"), INDEX.entrants.flatMap(() =>
+    INDEX.challenges.map((c) => h("th", { class: "number", title: CHALLENGES[c].long }, CHALLENGES[c].short))));
+  const rows = types.map((type) => {
+    const count = distinct(INDEX.drives.filter((drive) => drive.type === type).map((drive) => drive.scenario)).length;
+    return h("tr", {}, h("th", { scope: "row" }, h("a", { href: `#scenarios/type/${type}` }, spaced(type))), h("td", { class: "number" }, count),
+      INDEX.entrants.flatMap((entrant) => INDEX.challenges.map((c) => tinted(aggregate(entrant, c, type)?.score ?? null))));
+  });
+  return h("table", { class: "tinted" }, h("thead", {}, groups, head), h("tbody", {}, rows));
+}
+
+/** A cell that is the darker the lower its score. */
+function tinted(score) {
+  const share = score === null ? 0 : Math.min(1, (1 - score) / 0.6);
+  return h("td", { class: "number", style: `--share:${(100 * share).toFixed(0)}%` }, percent(score));
+}
+
+function metricMeans(challenge) {
+  const metrics = scoredMetrics(challenge);
+  const weight = ({ weight: value }) => (value === null ? "×" : `${value}`);
+  const head = h("tr", {}, h("th", {}, "planner"), metrics.map((metric) => h("th", { class: "number", title: metric.name },
+    shortMetric(metric.name), h("small", {}, metric.weight === null ? "multiplier" : `weight ${weight(metric)}`))));
+  const rows = INDEX.entrants.map((entrant) => {
+    const own = INDEX.drives.filter((d) => d.entrant === entrant && d.challenge === challenge && d.score !== null);
+    return h("tr", {}, entrantCell(entrant), metrics.map((metric) =>
+      tinted(mean(own.map((drive) => metricScore(drive, metric.name)).filter((value) => value !== null)))));
+  });
+  return h("table", { class: "tinted" }, h("thead", {}, head), h("tbody", {}, rows));
+}
+
+function driveLink(drive) {
+  const name = `${drive.scenario}`;
+  return h("a", { href: `#scenarios/${drive.run}/${drive.number}` }, name);
+}
+
+function failedDrives() {
+  const failed = INDEX.drives.filter((drive) => drive.error !== null);
+  if (!failed.length) return h("p", { class: "quiet" }, `None of the ${counted(INDEX.drives.length, "drive")} failed.`);
+  return driveList(failed, ["error"], (drive) => [h("td", {}, drive.error)]);
+}
+
+function zeroDrives() {
+  const zero = INDEX.drives.filter((drive) => drive.score === 0);
+  if (!zero.length) return h("p", { class: "quiet" }, "None.");
+  return driveList(zero, ["made 0 by"], (drive) => [h("td", {}, drive.zeroed_by.map(spaced).join(", "))]);
+}
+
+function driveList(drives, more, cells) {
+  const body = h("tbody", {});
+  const row = (drive) => h("tr", {}, h("td", {}, driveLink(drive)), entrantCell(drive.entrant),
+    h("td", { title: CHALLENGES[drive.challenge].long }, CHALLENGES[drive.challenge].short), cells(drive));
+  body.append(...drives.slice(0, FIRST_ROWS).map(row));
+  const table = h("table", { class: "list" }, h("thead", {}, h("tr", {}, ["scenario", "planner", "challenge", ...more].map((name) => h("th", {}, name)))), body);
+  if (drives.length <= FIRST_ROWS) return table;
+  const button = h("button", { type: "button", class: "more", onclick: () => {
+    body.append(...drives.slice(FIRST_ROWS).map(row));
+    button.remove();
+  } }, `Show all ${drives.length}`);
+  return h("div", {}, table, button);
+}

@@ -1,0 +1,190 @@
+// Scenarios: choose a drive, watch it, read along.
+
+class Scenarios {
+  constructor(node) {
+    this.node = node;
+    this.player = new Player();
+    this.drive = null;
+    this.wanted = null;
+    this.filter = "";
+    this.sort = "order";
+    this.build();
+  }
+
+  build() {
+    this.listNode = h("ol", { class: "scenario-list" });
+    const search = h("input", { type: "search", placeholder: "Filter scenarios", "aria-label": "Filter scenarios", oninput: () => {
+      this.filter = search.value.trim().toLowerCase().replaceAll(" ", "_");
+      this.list();
+    } });
+    this.search = search;
+    const sort = choice("Sort", [{ value: "order", text: "in order" }, { value: "score", text: "worst first" }], this.sort, (value) => {
+      this.sort = value;
+      this.list();
+    });
+    this.picker = h("div", { class: "picker" });
+    this.chips = h("div", { class: "chips" });
+    this.canvas = h("canvas", { tabindex: "0", "aria-label": "The scene from above" });
+    this.clock = h("div", { class: "hud clock" });
+    this.legend = h("div", { class: "hud bev-legend" }, ["ego", "vehicle", "bicycle", "pedestrian", "tried"].map((kind) =>
+      h("span", {}, h("i", { class: `k-${kind}` }), kind === "tried" ? "refused plan" : kind)));
+    this.absent = h("p", { class: "absent", hidden: true });
+    this.controls = new Controls(this.player);
+    this.seriesNode = h("div", { class: "series-panel" });
+    this.transcriptNode = h("div", { class: "transcript", tabindex: "0", "aria-label": "Transcript" });
+    this.latencyNode = h("div", { class: "latency", hidden: true });
+    fill(this.node, h("div", { class: "scenarios" },
+      h("aside", {}, h("div", { class: "list-head" }, search, sort), this.listNode),
+      h("div", { class: "stage" }, this.picker, this.chips,
+        h("div", { class: "bev" }, this.canvas, this.clock, this.legend, this.absent), this.controls.node, this.seriesNode),
+      h("div", { class: "side" }, this.transcriptNode, this.latencyNode)));
+    this.bev = new Bev(this.canvas);
+    const seek = (time) => this.player.seek(time);
+    const toCall = (call) => this.player.seek(this.player.times[call.iteration] ?? 0);
+    this.series = new SeriesPanel(this.seriesNode, seek);
+    this.latency = new Latency(this.latencyNode, toCall);
+    this.transcript = new Transcript(this.transcriptNode, { onseek: toCall, onmark: (attempt) => {
+      this.bev.marked = attempt;
+      this.bev.draw();
+    } });
+    this.player.onTime((time, iteration) => {
+      if (!this.replay) return;
+      this.transcript.at(iteration);
+      this.latency.at(iteration);
+      this.series.at(time, iteration);
+      this.bev.at(time);
+      this.showClock(time, iteration);
+    });
+    this.player.onState((playing) => {
+      if (!playing) this.remember();
+    });
+  }
+
+  showClock(time, iteration) {
+    const { speed } = this.replay.ego;
+    fill(this.clock, h("b", {}, `${time.toFixed(1)} s`), h("span", {}, `${Math.abs(speed[iteration]).toFixed(1)} m/s`));
+  }
+
+  /** The drives of a scenario, in the challenge that is shown. */
+  drivesOf(scenario, challenge = this.drive?.challenge ?? INDEX.challenges[0]) {
+    return INDEX.drives.filter((drive) => drive.scenario === scenario && drive.challenge === challenge);
+  }
+
+  list() {
+    const shown = this.drive?.entrant ?? INDEX.entrants[0];
+    const entries = INDEX.scenarios.map((scenario) => {
+      const drives = this.drivesOf(scenario);
+      return { scenario, drives, own: drives.find((drive) => drive.entrant === shown) };
+    }).filter(({ scenario, drives }) => drives.length && `${scenario} ${drives[0].type}`.toLowerCase().includes(this.filter));
+    if (this.sort === "score") entries.sort((a, b) => (a.own?.score ?? -1) - (b.own?.score ?? -1));
+    this.entries = entries;
+    fill(this.listNode, entries.map(({ scenario, drives, own }) => {
+      const target = own ?? drives[0];
+      const current = scenario === this.drive?.scenario;
+      return h("li", { "aria-current": current, class: drives.some((drive) => drive.replay !== null) ? null : "no-replay" },
+        h("a", { href: `#scenarios/${target.run}/${target.number}` }, h("span", { class: "scenario-name" }, lastPart(scenario)),
+          h("span", { class: "scores-line" }, drives.map((drive) => h("span", { title: `${drive.entrant.label} ${percent(drive.score)}`,
+            class: drive.score === 0 || drive.error !== null ? "zero" : null },
+          h("i", { style: `background:${colorOf(drive.entrant)}` }), drive.score === null ? "–" : (100 * drive.score).toFixed(0))))));
+    }));
+    this.listNode.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
+  }
+
+  /** Shows a drive; `time` in seconds. */
+  async open(drive, time = 0) {
+    if (this.drive === drive) return void (this.replay && this.player.seek(time));
+    this.player.pause();
+    this.drive = drive;
+    this.replay = null;
+    this.pick();
+    this.list();
+    const replay = await replayOf(drive);
+    if (this.drive !== drive) return;
+    this.replay = replay;
+    this.showChips();
+    const empty = replay === null;
+    for (const node of [this.controls.node, this.seriesNode, this.canvas, this.clock, this.legend]) node.hidden = empty;
+    this.absent.hidden = !empty;
+    this.node.dataset.drive = `${drive.run}/${drive.number}`;
+    if (empty) {
+      this.bev.open(null);
+      this.latencyNode.hidden = true;
+      fill(this.absent, whyAbsent(drive));
+      fill(this.transcriptNode, h("p", { class: "quiet" }, "No replay, so nothing to read along."));
+      return;
+    }
+    this.bev.open(replay);
+    this.transcript.open(replay);
+    this.latency.open(replay);
+    this.series.open(replay);
+    this.controls.open(replay);
+    this.player.open(replay.times, time);
+    this.bev.resize();
+  }
+
+  /** Planner, challenge and whom to compare with. */
+  pick() {
+    const { drive } = this;
+    const challenges = INDEX.drives.filter((d) => d.scenario === drive.scenario && d.entrant === drive.entrant);
+    const go = (target) => { if (target) location.hash = hashOf(target, this.player.time); };
+    const select = (label, options, chosen, onchange) => h("label", { title: label }, label === "ghost" ? h("span", {}, label) : null,
+      h("select", { "aria-label": label, onchange: (event) => onchange(options[event.target.selectedIndex].value) },
+        options.map(({ text, value }) => h("option", { selected: value === chosen }, text))));
+    const planners = this.drivesOf(drive.scenario, drive.challenge);
+    const others = planners.filter((other) => other !== drive && other.replay !== null);
+    fill(this.picker, h("h2", { title: drive.scenario }, lastPart(drive.scenario)),
+      select("planner", planners.map((d) => ({ text: d.entrant.label, value: d })), drive, go),
+      select("challenge", challenges.map((d) => ({ text: CHALLENGES[d.challenge].plain, value: d })), drive, go),
+      others.length ? select("ghost", [{ text: "none", value: null }, ...others.map((d) => ({ text: d.entrant.label, value: d }))], null,
+        async (other) => { this.bev.open(this.replay, other && await replayOf(other)); }) : null);
+  }
+
+  /** The score and what it is made of. */
+  showChips() {
+    const { drive } = this;
+    const parts = scoredMetrics(drive.challenge).map(({ name, weight }) => {
+      const score = metricScore(drive, name);
+      const state = score === null ? "" : score >= 1 ? "" : score === 0 ? "zero" : "short";
+      return h("span", { class: `chip ${state}`, title: `${name}, ${weight === null ? "multiplier" : `weight ${weight}`}` },
+        shortMetric(name), h("b", {}, score === null ? "–" : partFigure(score)));
+    });
+    fill(this.chips, h("span", { class: "chip total" }, "score", h("b", {}, percent(drive.score))), parts);
+  }
+
+  /** Keeps the place in the address, so that it can be shared and found again. */
+  remember() {
+    if (this.drive && !this.node.hidden) history.replaceState(null, "", hashOf(this.drive, this.player.time));
+  }
+
+  /** The scenario before or after, with the same planner where it drove there. */
+  neighbour(by) {
+    const place = this.entries.findIndex(({ scenario }) => scenario === this.drive?.scenario);
+    const next = this.entries[place + by];
+    if (next) location.hash = hashOf(next.own ?? next.drives[0], 0);
+  }
+
+  /** The planning call before or after. */
+  call(by) {
+    const calls = this.replay?.calls ?? [];
+    if (!calls.length) return;
+    const place = callAt(this.replay, this.player.iteration);
+    const target = calls[Math.min(calls.length - 1, Math.max(0, place + by))];
+    this.player.pause();
+    this.player.seek(this.player.times[target.iteration]);
+  }
+}
+
+function hashOf(drive, time) {
+  return `#scenarios/${drive.run}/${drive.number}${time > 0 ? `/${time.toFixed(1)}` : ""}`;
+}
+
+function lastPart(scenario) {
+  return spaced(scenario.replace(/^generated\//, ""));
+}
+
+function whyAbsent(drive) {
+  if (drive.error !== null) return `This drive failed: ${drive.error}`;
+  if (drive.absent === "size") return "This page was kept small, and the replay of this drive did not fit in. A page of fewer scenarios holds it: planagent report RUN --scenario NAME.";
+  if (drive.absent === "scenario") return "This page was asked to hold replays of other scenarios only.";
+  return "The run was made by a version that kept no replays; drive it again to see it.";
+}

@@ -1,0 +1,122 @@
+//! What a page holds of one drive: its statistics for the histograms and, packed, its replay with calls and time series.
+
+use super::{bounds, text};
+use crate::metrics::{MetricResult, Statistic};
+use crate::report::call_record::calls_in;
+use crate::report::drive_row::DriveRow;
+use crate::report::error::ReportError;
+use crate::report::replay::Replay;
+use crate::report::run_folder::{RunFolder, bev_name};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use serde::Serialize;
+use serde_json::{Map, Value};
+use std::fs;
+use std::path::Path;
+
+/// The parts of a drive.
+#[derive(Debug)]
+pub(super) struct DriveParts {
+    /// Statistics with their metric.
+    pub(super) statistics: Vec<(String, &'static str, Statistic)>,
+    /// The replay, if the run kept one and the page is to hold it.
+    pub(super) replay: Option<PackedReplay>,
+    /// Whether the run kept one.
+    pub(super) was_kept: bool,
+}
+
+/// A replay as the page unpacks it.
+#[derive(Debug)]
+pub(super) struct PackedReplay {
+    /// Tracks, planning calls and time series.
+    pub(super) drive: String,
+    /// The map, which drives of the same scenario share.
+    pub(super) map: String,
+    /// The pictures that the model saw, by iteration; none without any.
+    pub(super) images: Option<String>,
+}
+
+/// What [`PackedReplay::drive`] unpacks to.
+#[derive(Serialize)]
+struct Watched<'a> {
+    replay: &'a Replay,
+    calls: &'a [Value],
+    series: Vec<Series<'a>>,
+}
+
+/// A metric's time series with its bounds.
+#[derive(Serialize)]
+struct Series<'a> {
+    metric: &'a str,
+    unit: &'a str,
+    values: Vec<Option<f64>>,
+    frames: Option<&'a [usize]>,
+    low: Option<f64>,
+    high: Option<f64>,
+}
+
+impl DriveParts {
+    /// Reads a drive's folder; `to_watch` says whether the replay is wanted.
+    ///
+    /// # Errors
+    /// When a file of it cannot be read.
+    pub(super) fn read(folder: &Path, row: &DriveRow, to_watch: bool) -> Result<Self, ReportError> {
+        if row.error.is_some() {
+            return Ok(Self { statistics: Vec::new(), replay: None, was_kept: false });
+        }
+        let metrics = RunFolder::metrics_in(folder)?;
+        let replay = Replay::read(folder)?;
+        let was_kept = replay.is_some();
+        let replay = match replay.filter(|_| to_watch) {
+            Some(replay) => Some(packed(folder, replay, &metrics)?),
+            None => None,
+        };
+        let of_metric = |metric: MetricResult| {
+            let (name, category) = (metric.name, metric.category.as_str());
+            metric.statistics.into_iter().map(move |statistic| (name.clone(), category, statistic))
+        };
+        Ok(Self { statistics: metrics.into_iter().flat_map(of_metric).collect(), replay, was_kept })
+    }
+}
+
+fn packed(folder: &Path, mut replay: Replay, metrics: &[MetricResult]) -> Result<PackedReplay, ReportError> {
+    let map = text(&replay.take_map())?;
+    let calls = calls_in(folder)?;
+    let series = metrics.iter().filter_map(Series::of).collect();
+    let images = images(folder, &calls)?;
+    let drive = text(&Watched { replay: &replay, calls: &calls, series })?;
+    Ok(PackedReplay { drive, map, images: if images.is_empty() { None } else { Some(text(&images)?) } })
+}
+
+impl<'a> Series<'a> {
+    fn of(metric: &'a MetricResult) -> Option<Self> {
+        let series = metric.time_series.as_ref()?;
+        let (low, high) = bounds::of(&metric.name);
+        Some(Self {
+            metric: &metric.name,
+            unit: &series.unit,
+            values: series.values.iter().map(|&value| four_figures(value)).collect(),
+            frames: series.selected_frames.as_deref(),
+            low,
+            high,
+        })
+    }
+}
+
+/// A number with four figures, which is more than a chart shows; none for what is not finite.
+pub(super) fn four_figures(value: f64) -> Option<f64> {
+    if value.is_finite() { format!("{value:.3e}").parse().ok() } else { None }
+}
+
+/// The pictures of the calls as base64, by iteration.
+fn images(folder: &Path, calls: &[Value]) -> Result<Map<String, Value>, ReportError> {
+    let mut images = Map::new();
+    for iteration in calls.iter().filter_map(|call| call.get("iteration").and_then(Value::as_u64)) {
+        let path = folder.join(bev_name(iteration as usize));
+        if path.is_file() {
+            let bytes = fs::read(&path).map_err(ReportError::read(&path))?;
+            images.insert(iteration.to_string(), STANDARD.encode(bytes).into());
+        }
+    }
+    Ok(images)
+}

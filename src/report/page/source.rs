@@ -1,0 +1,68 @@
+//! The runs that a page is made of.
+
+use crate::report::drive_row::DriveRow;
+use crate::report::error::ReportError;
+use crate::report::manifest::Manifest;
+use crate::report::run_folder::{RunFolder, folders};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// A run and its drives that have ended.
+pub(super) struct RunDrives {
+    /// Name of its folder.
+    pub(super) name: String,
+    /// What it is made of.
+    pub(super) manifest: Manifest,
+    /// Its drives by number.
+    pub(super) rows: Vec<DriveRow>,
+    /// Their folders by number.
+    pub(super) folders: BTreeMap<usize, PathBuf>,
+}
+
+impl RunDrives {
+    /// Reads the folders of runs. Those of the same name are told apart by the folder above.
+    ///
+    /// # Errors
+    /// When one holds no run or no drive, or a record cannot be read.
+    pub(super) fn read_all(paths: &[PathBuf]) -> Result<Vec<Self>, ReportError> {
+        let mut runs: Vec<Self> = paths.iter().map(|path| Self::read(path)).collect::<Result<_, _>>()?;
+        let names: Vec<String> = runs.iter().map(|run| run.name.clone()).collect();
+        for (run, path) in runs.iter_mut().zip(paths) {
+            let above = std::path::absolute(path).ok().and_then(|path| Some(path.parent()?.file_name()?.to_owned()));
+            if let Some(above) = above.filter(|_| names.iter().filter(|name| **name == run.name).count() > 1) {
+                run.name = format!("{}/{}", above.to_string_lossy(), run.name);
+            }
+        }
+        Ok(runs)
+    }
+
+    fn read(path: &Path) -> Result<Self, ReportError> {
+        let manifest = RunFolder::manifest(path)?;
+        let mut rows = RunFolder::ended(path)?.rows;
+        let folders = folders(path)?;
+        // One that is taken back this moment is no drive of the page.
+        rows.retain(|row| folders.contains_key(&row.number));
+        if rows.is_empty() {
+            return Err(ReportError::NoDrives(path.to_owned()));
+        }
+        let absolute = std::path::absolute(path).map_err(ReportError::read(path))?;
+        let name = absolute.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
+        Ok(Self { name, manifest, rows, folders })
+    }
+
+    /// A number of the configuration, by its dotted key.
+    pub(super) fn setting(&self, key: &str) -> Option<f64> {
+        let mut value = None;
+        let mut table = Some(&self.manifest.config);
+        for part in key.split('.') {
+            value = table.and_then(|table| table.get(part));
+            table = value.and_then(toml::Value::as_table);
+        }
+        value.and_then(|value| value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64)))
+    }
+
+    /// Name of the model, if one drove.
+    pub(super) fn model(&self) -> Option<&str> {
+        self.manifest.model.as_ref()?.get("name")?.as_str()
+    }
+}

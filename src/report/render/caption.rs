@@ -1,0 +1,99 @@
+//! Text below a picture.
+
+use embedded_graphics::Drawable;
+use embedded_graphics::draw_target::DrawTarget;
+use embedded_graphics::geometry::{OriginDimensions, Point, Size};
+use embedded_graphics::mono_font::iso_8859_1::{FONT_6X13, FONT_8X13, FONT_9X18};
+use embedded_graphics::mono_font::{MonoFont, MonoTextStyle};
+use embedded_graphics::pixelcolor::{Rgb888, RgbColor};
+use embedded_graphics::prelude::Pixel;
+use embedded_graphics::text::{Baseline, Text};
+use image::{GenericImage, RgbImage};
+use std::convert::Infallible;
+
+/// Columns that a line should hold: planner code takes so many.
+const COLUMNS: u32 = 66;
+/// Lines of a caption.
+const LINES: u32 = 4;
+/// Space around the text, pixels.
+const MARGIN: u32 = 8;
+/// Colours: paper, what is said first, and the rest.
+const PAPER: [u8; 3] = [255, 255, 255];
+const INK: Rgb888 = Rgb888::new(28, 34, 38);
+const SOFT: Rgb888 = Rgb888::new(102, 112, 122);
+
+/// What is said of a frame.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Caption {
+    /// Which drive.
+    pub(super) title: String,
+    /// What is now.
+    pub(super) now: String,
+    /// What is planned, two lines at most.
+    pub(super) plan: Vec<String>,
+}
+
+/// The picture with its caption below; sides are even, as films want it.
+pub(super) fn below(picture: &RgbImage, caption: &Caption) -> RgbImage {
+    let (width, height) = picture.dimensions();
+    let font = font(width);
+    let line = font.character_size.height + 2;
+    let even = |side: u32| side + side % 2;
+    let mut page = RgbImage::from_pixel(even(width), even(height + LINES * line + 2 * MARGIN), image::Rgb(PAPER));
+    // It fits by construction.
+    let _ = page.copy_from(picture, 0, 0);
+    let mut canvas = Page(page);
+    let lines = [(&caption.title, INK), (&caption.now, INK)].into_iter().chain(caption.plan.iter().map(|l| (l, SOFT)));
+    for (i, (text, color)) in lines.take(LINES as usize).enumerate() {
+        let at = Point::new(MARGIN as i32, (height + MARGIN + i as u32 * line) as i32);
+        let Ok(_) = Text::with_baseline(text, at, MonoTextStyle::new(font, color), Baseline::Top).draw(&mut canvas);
+    }
+    canvas.0
+}
+
+/// The largest font of which a line holds enough.
+fn font(width: u32) -> &'static MonoFont<'static> {
+    let fonts: [&MonoFont<'_>; 3] = [&FONT_9X18, &FONT_8X13, &FONT_6X13];
+    let fits = |font: &&&MonoFont<'_>| font.character_size.width * COLUMNS + 2 * MARGIN <= width;
+    fonts.iter().find(fits).copied().unwrap_or(&FONT_6X13)
+}
+
+/// An image that text is drawn on.
+struct Page(RgbImage);
+
+impl OriginDimensions for Page {
+    fn size(&self) -> Size {
+        Size::new(self.0.width(), self.0.height())
+    }
+}
+
+impl DrawTarget for Page {
+    type Color = Rgb888;
+    type Error = Infallible;
+
+    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
+        for Pixel(at, color) in pixels {
+            let place = u32::try_from(at.x).ok().zip(u32::try_from(at.y).ok());
+            if let Some(pixel) = place.and_then(|(x, y)| self.0.get_pixel_mut_checked(x, y)) {
+                *pixel = image::Rgb([color.r(), color.g(), color.b()]);
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_caption_stands_below_and_never_over_the_edge() {
+        let picture = RgbImage::from_pixel(321, 321, image::Rgb([1, 2, 3]));
+        let caption = Caption { title: "x".repeat(500), now: "now é".to_owned(), plan: vec!["plan".to_owned(); 5] };
+        let page = below(&picture, &caption);
+        assert!(page.width() == 322 && page.height() % 2 == 0 && page.height() > 380);
+        assert_eq!(page.get_pixel(320, 320).0, [1, 2, 3]);
+        let inked = page.enumerate_pixels().filter(|(_, y, pixel)| *y > 321 && pixel.0 != PAPER).count();
+        assert!(inked > 500, "{inked}");
+    }
+}

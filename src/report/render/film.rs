@@ -1,0 +1,116 @@
+//! Films of a drive: GIF by our own means, MP4 by ffmpeg.
+
+use super::error::RenderError;
+use super::frame::Film;
+use crate::report::ReportError;
+use crate::report::atomic;
+use crate::world::STEP_S;
+use gif::{DisposalMethod, Encoder, Frame, Repeat};
+use image::{RgbImage, Rgba, RgbaImage};
+use rayon::prelude::*;
+use std::io::{Read, Write};
+use std::num::NonZeroU32;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+/// How carefully a GIF's colours are chosen, 1 (best) to 30 (fastest).
+const GIF_SPEED: i32 = 10;
+/// Frames that are drawn at once.
+const BATCH: usize = 16;
+/// Time that the last frame of a GIF stays before it begins again.
+const REST: Duration = Duration::from_millis(1500);
+
+/// Writes a GIF that repeats for ever. Pixels that stay as they were are left out of a frame.
+///
+/// # Errors
+/// When it cannot be encoded or written.
+pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
+    let failed = |source| RenderError::Gif { path: path.to_owned(), source };
+    let too_large = || RenderError::TooLarge { path: path.to_owned() };
+    let iterations = iterations(film, frames_per_s);
+    let (width, height) = film.frame(0).dimensions();
+    let (width, height) =
+        (u16::try_from(width).map_err(|_| too_large())?, u16::try_from(height).map_err(|_| too_large())?);
+    let mut bytes = Vec::new();
+    {
+        let mut encoder = Encoder::new(&mut bytes, width, height, &[]).map_err(failed)?;
+        encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
+        let mut last: Option<RgbImage> = None;
+        for batch in iterations.chunks(BATCH) {
+            for (drawn, iteration) in drawn(film, batch).into_iter().zip(batch) {
+                let is_last = iterations.last() == Some(iteration);
+                let shown = if is_last { REST } else { Duration::from_secs(1) / frames_per_s.get() };
+                let mut changes = changes(last.as_ref(), &drawn).into_raw();
+                let mut frame = Frame::from_rgba_speed(width, height, &mut changes, GIF_SPEED);
+                frame.delay = u16::try_from(shown.as_millis() / 10).unwrap_or(u16::MAX);
+                // What is transparent shows the frame before.
+                frame.dispose = DisposalMethod::Keep;
+                encoder.write_frame(&frame).map_err(failed)?;
+                last = Some(drawn);
+                on_frame();
+            }
+        }
+    }
+    Ok(atomic::write(path, &bytes)?)
+}
+
+/// A frame in which pixels that stay as they were are transparent.
+fn changes(last: Option<&RgbImage>, frame: &RgbImage) -> RgbaImage {
+    RgbaImage::from_fn(frame.width(), frame.height(), |x, y| {
+        let [r, g, b] = frame.get_pixel(x, y).0;
+        let stays = last.is_some_and(|last| last.get_pixel(x, y).0 == [r, g, b]);
+        if stays { Rgba([0, 0, 0, 0]) } else { Rgba([r, g, b, 255]) }
+    })
+}
+
+/// Writes an MP4 (H.264) through ffmpeg.
+///
+/// # Errors
+/// When ffmpeg is not there or fails.
+pub fn write_mp4(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
+    let iterations = iterations(film, frames_per_s);
+    let (width, height) = film.frame(0).dimensions();
+    let size = format!("{width}x{height}");
+    let rate = frames_per_s.to_string();
+    let mut command = Command::new("ffmpeg");
+    command.args(["-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &size, "-r", &rate]);
+    command.args(["-i", "-", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"]);
+    command.arg(path).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut ffmpeg = command.spawn().map_err(RenderError::NoFfmpeg)?;
+    let mut input = ffmpeg.stdin.take();
+    'film: for batch in iterations.chunks(BATCH) {
+        for frame in drawn(film, batch) {
+            // When it goes away, its last words say why.
+            if input.as_mut().is_none_or(|input| input.write_all(frame.as_raw()).is_err()) {
+                break 'film;
+            }
+            on_frame();
+        }
+    }
+    drop(input);
+    let mut message = String::new();
+    if let Some(mut words) = ffmpeg.stderr.take() {
+        // Words that are no text are no loss.
+        let _ = words.read_to_string(&mut message);
+    }
+    let ended = ffmpeg.wait().map_err(ReportError::write(path))?;
+    if ended.success() {
+        return Ok(());
+    }
+    Err(RenderError::Ffmpeg { path: path.to_owned(), message: message.trim().to_owned() })
+}
+
+/// The iterations that are shown: so many a second, the last one included.
+fn iterations(film: &Film, frames_per_s: NonZeroU32) -> Vec<usize> {
+    let last = film.iterations().saturating_sub(1);
+    let a_frame = 1.0 / (f64::from(frames_per_s.get()) * STEP_S);
+    let mut shown: Vec<usize> =
+        (0..).map(|k| (f64::from(k) * a_frame).round() as usize).take_while(|&iteration| iteration < last).collect();
+    shown.push(last);
+    shown
+}
+
+fn drawn(film: &Film, iterations: &[usize]) -> Vec<RgbImage> {
+    iterations.par_iter().map(|&iteration| film.frame(iteration)).collect()
+}

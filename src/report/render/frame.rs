@@ -1,0 +1,155 @@
+//! A drive, frame by frame.
+
+use super::caption::{self, Caption};
+use super::error::RenderError;
+use super::find::{DriveChoice, words};
+use crate::environment::bev::{BevElement, BevLine, BevView, Palette, Rgb, render_with_lines};
+use crate::geometry::Point;
+use crate::report::call_record::calls_in;
+use crate::report::drive_row::DriveRow;
+use crate::report::number::fixed;
+use crate::report::replay::{Moment, Replay, ReplayedDrive};
+use image::{GenericImage, RgbImage};
+use serde_json::Value;
+use std::path::Path;
+
+/// A refused plan: vermillion of Okabe and Ito.
+const REFUSED: Rgb = [213, 94, 0];
+/// Widths of lines, metres.
+const PLAN_M: f64 = 0.5;
+const REFUSED_M: f64 = 0.35;
+const TRAIL_M: f64 = 0.2;
+/// Frames of a contact sheet, across and down.
+const SHEET: (u32, u32) = (4, 2);
+/// Space between them, pixels.
+const GAP: u32 = 6;
+
+/// How large a frame is, and how much it shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Look {
+    /// Side of the scene, pixels.
+    pub pixels: u32,
+    /// Side of the scene, metres.
+    pub metres: f64,
+}
+
+/// A drive whose frames can be drawn.
+#[derive(Debug)]
+pub struct Film {
+    row: DriveRow,
+    drive: ReplayedDrive,
+    /// The planning calls as they were recorded.
+    calls: Vec<Value>,
+    view: BevView,
+}
+
+impl Film {
+    /// Opens the replay of a drive.
+    ///
+    /// # Errors
+    /// When the drive is not found, has no replay, or cannot be drawn.
+    pub fn open(run: &Path, choice: &DriveChoice, look: Look) -> Result<Self, RenderError> {
+        let (row, folder) = choice.find(run)?;
+        let view = BevView::new(look.pixels, look.metres)?;
+        let replay = Replay::read(&folder)?.ok_or_else(|| RenderError::NoReplay(words(&row)))?;
+        Ok(Self { drive: ReplayedDrive::new(&replay)?, calls: calls_in(&folder)?, row, view })
+    }
+
+    /// Iterations that can be drawn.
+    pub fn iterations(&self) -> usize {
+        self.drive.moments().len()
+    }
+
+    /// The iteration at a time in seconds.
+    ///
+    /// # Errors
+    /// When it lies outside the drive.
+    pub fn iteration_at(&self, at_s: f64) -> Result<usize, RenderError> {
+        let moments = self.drive.moments();
+        let end_s = moments.last().map_or(0.0, |moment| moment.at_s);
+        // A time that is no number lies nowhere.
+        if !(0.0..=end_s + 1e-9).contains(&at_s) {
+            return Err(RenderError::Outside { at_s, end_s });
+        }
+        Ok(moments.partition_point(|moment| moment.at_s <= at_s + 1e-9).saturating_sub(1))
+    }
+
+    /// Draws an iteration; one past the end is the last.
+    pub fn frame(&self, iteration: usize) -> RgbImage {
+        let moments = self.drive.moments();
+        let iteration = iteration.min(moments.len().saturating_sub(1));
+        let Some(moment) = moments.get(iteration) else { return RgbImage::new(self.view.pixels(), self.view.pixels()) };
+        let scene = render_with_lines(&self.drive.scene(moment), &self.view, &self.lines(iteration, moment));
+        caption::below(&scene, &self.caption(iteration, moment))
+    }
+
+    /// Frames at equal distances over the whole drive, in one picture.
+    pub fn sheet(&self) -> RgbImage {
+        let (across, down) = SHEET;
+        let count = across * down;
+        let last = self.iterations().saturating_sub(1);
+        let frames: Vec<RgbImage> = (0..count).map(|k| self.frame(last * k as usize / (count as usize - 1))).collect();
+        let (width, height) = frames.first().map_or((0, 0), RgbImage::dimensions);
+        let mut sheet = RgbImage::from_pixel(
+            across * (width + GAP) - GAP,
+            down * (height + GAP) - GAP,
+            image::Rgb(Palette::color(BevElement::Lanes)),
+        );
+        for (k, frame) in frames.iter().enumerate() {
+            let (column, line) = (k as u32 % across, k as u32 / across);
+            // Each lies inside by construction.
+            let _ = sheet.copy_from(frame, column * (width + GAP), line * (height + GAP));
+        }
+        sheet
+    }
+
+    /// Where the ego was, what was refused, what is planned.
+    fn lines(&self, iteration: usize, moment: &Moment) -> Vec<BevLine> {
+        let ego = Palette::color(BevElement::Ego);
+        let trail: Vec<Point> =
+            self.drive.moments().iter().take(iteration + 1).map(|moment| moment.ego.rear_axle.position()).collect();
+        let mut lines = vec![BevLine { points: trail, width: TRAIL_M, color: ego }];
+        if let Some((call, attempts)) = self.drive.call_at(iteration) {
+            let driving = self.calls.get(call).and_then(driving_attempt);
+            let refused = attempts.iter().enumerate().filter(|(i, _)| Some(*i) != driving);
+            lines.extend(refused.map(|(_, points)| BevLine {
+                points: points.clone(),
+                width: REFUSED_M,
+                color: REFUSED,
+            }));
+        }
+        lines.push(BevLine { points: moment.plan.clone(), width: PLAN_M, color: ego });
+        lines
+    }
+
+    fn caption(&self, iteration: usize, moment: &Moment) -> Caption {
+        let row = &self.row;
+        let score = row.score.map_or_else(|| "-".to_owned(), |score| fixed(100.0 * score, 2));
+        let now = format!("{:4.1} s  {:4.1} m/s", moment.at_s, moment.ego.velocity.x.abs());
+        let call = self.drive.call_at(iteration).and_then(|(call, _)| self.calls.get(call));
+        Caption {
+            title: format!("{}  {}  {}", row.scenario, row.planner, row.challenge.short_name()),
+            now: format!("{now}  score {score}"),
+            plan: call.map(plan_words).unwrap_or_default(),
+        }
+    }
+}
+
+/// The attempt that drives after a call, from its record.
+fn driving_attempt(call: &Value) -> Option<usize> {
+    let decision = call.get("decision")?;
+    decision.get("attempt")?.as_u64().map(|attempt| attempt as usize)
+}
+
+/// The code that drives after a call, with Reflection's score.
+fn plan_words(call: &Value) -> Vec<String> {
+    let Some(attempt) = driving_attempt(call) else {
+        let why = call.pointer("/decision/why").and_then(Value::as_str).unwrap_or_default();
+        return vec![format!("no new plan: {why}")];
+    };
+    let of = |pointer: &str| call.pointer(&format!("/attempts/{attempt}/{pointer}"));
+    let code = of("code/text").and_then(Value::as_str).unwrap_or_default();
+    let score = of("reflection/score").and_then(Value::as_f64);
+    let judged = score.map_or_else(String::new, |score| format!(", Reflection {}", fixed(score, 2)));
+    vec![format!("attempt {}{judged}", attempt + 1), code.to_owned()]
+}

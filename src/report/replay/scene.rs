@@ -1,0 +1,86 @@
+//! Looking at a replay again: the scene of each iteration, and what was planned there.
+
+use super::Replay;
+use crate::geometry::Point;
+use crate::world::{EgoState, History, LaneMap, MapError, Route, Scene, TrackedObject, TrafficLights};
+
+/// A replay whose scenes can be drawn.
+#[derive(Debug, Clone)]
+pub(in crate::report) struct ReplayedDrive {
+    map: LaneMap,
+    moments: Vec<Moment>,
+    /// Planning calls: iteration, and the roll-out of each attempt.
+    calls: Vec<(usize, Vec<Vec<Point>>)>,
+    route: Route,
+    lights: TrafficLights,
+    history: History,
+}
+
+/// What was at one iteration.
+#[derive(Debug, Clone)]
+pub(in crate::report) struct Moment {
+    /// Seconds since the start.
+    pub(in crate::report) at_s: f64,
+    /// The ego.
+    pub(in crate::report) ego: EgoState,
+    /// The plan in force: way of the rear axle.
+    pub(in crate::report) plan: Vec<Point>,
+    objects: Vec<TrackedObject>,
+}
+
+impl ReplayedDrive {
+    /// The scenes of a replay.
+    ///
+    /// # Errors
+    /// When its map holds no lane.
+    pub(in crate::report) fn new(replay: &Replay) -> Result<Self, MapError> {
+        let plans = replay.plans.iter().map(|plan| plan.points().collect()).chain(std::iter::repeat(Vec::new()));
+        let mut moments: Vec<Moment> = replay
+            .ego
+            .states()
+            .zip(replay.times_ms.values(1e-3))
+            .zip(plans)
+            .map(|((ego, at_s), plan)| Moment { at_s, ego, plan, objects: Vec::new() })
+            .collect();
+        for (i, object) in replay.agents.iter().flat_map(|agent| agent.objects()) {
+            if let Some(moment) = moments.get_mut(i) {
+                moment.objects.push(object);
+            }
+        }
+        let attempts = |tracks: &[Option<super::Points>]| {
+            tracks.iter().map(|track| track.iter().flat_map(super::Points::points).collect()).collect()
+        };
+        Ok(Self {
+            map: replay.map.to_map()?,
+            moments,
+            calls: replay.calls.iter().map(|call| (call.iteration, attempts(&call.attempts))).collect(),
+            route: Route::default(),
+            lights: TrafficLights::default(),
+            history: History::default(),
+        })
+    }
+
+    /// The iterations in order.
+    pub(in crate::report) fn moments(&self) -> &[Moment] {
+        &self.moments
+    }
+
+    /// The scene of a moment, without route, lights and history: what is drawn.
+    pub(in crate::report) fn scene<'a>(&'a self, moment: &'a Moment) -> Scene<'a> {
+        Scene {
+            map: &self.map,
+            route: &self.route,
+            ego: &moment.ego,
+            objects: &moment.objects,
+            lights: &self.lights,
+            history: &self.history,
+        }
+    }
+
+    /// The planning call in force at an iteration: its number and the roll-outs of its attempts.
+    pub(in crate::report) fn call_at(&self, iteration: usize) -> Option<(usize, &[Vec<Point>])> {
+        let made = self.calls.iter().take_while(|(at, _)| *at <= iteration).count();
+        let call = made.checked_sub(1)?;
+        self.calls.get(call).map(|(_, attempts)| (call, attempts.as_slice()))
+    }
+}

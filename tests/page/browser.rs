@@ -1,0 +1,140 @@
+//! The page as people use it, in a browser.
+
+use super::chromium::Chromium;
+use super::{drive, scenes};
+use crate::cli::run;
+use serde_json::{Value, json};
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+/// Scenarios of the run; the page of so many must open at once and fit in a mail.
+const SCENARIOS: usize = 20;
+/// Largest page of such a run, bytes.
+const MOST_BYTES: u64 = 15_000_000;
+/// Time in the page's player.
+const NOW: &str = "scenarios.player.time";
+
+#[test]
+fn the_page_of_a_run_plays_scrubs_and_shows_the_call_in_force() {
+    let Some(program) = Chromium::program() else {
+        eprintln!("SKIPPED: no Chromium on the path and none in PLANAGENT_CHROMIUM; nobody looked at the page");
+        return;
+    };
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("run");
+    drive(&out, &scenes(SCENARIOS), "plan-agent,log-replay");
+    let (code, stdout, stderr) = run(&["report", out.to_str().unwrap()]);
+    assert_eq!(code, 0, "{stderr}");
+    let page = out.join("report.html");
+    assert_eq!(stdout.trim(), page.to_str().unwrap());
+    let bytes = fs::metadata(&page).unwrap().len();
+    assert!(bytes <= MOST_BYTES, "{bytes} bytes");
+
+    let mut browser = Chromium::start(&program);
+    tables(&mut browser, &page);
+    replay(&mut browser, &page, &out);
+    keys(&mut browser);
+    browser.press("d");
+    browser.picture("scenarios_dark");
+    assert_eq!(browser.errors(), [""; 0]);
+    assert_eq!(browser.requests(), [""; 0]);
+}
+
+/// Overview and Histograms show every planner and every metric.
+fn tables(browser: &mut Chromium, page: &Path) {
+    browser.open(page, "overview");
+    browser.picture("overview");
+    let rows = browser.value("document.querySelectorAll('.scores tbody tr').length");
+    assert_eq!(rows, 2);
+    let score = browser.value("document.querySelector('.scores tbody tr:last-child td.gauge span').textContent");
+    assert!(score.as_str().unwrap().parse::<f64>().unwrap() > 50.0, "{score}");
+    assert_eq!(browser.value("document.querySelectorAll('.view:not([hidden])').length"), 1);
+    browser.press("2");
+    // The score and the eight metrics that it is made of.
+    browser.wait_for("document.querySelectorAll('.card').length === 9");
+    browser.picture("histograms");
+    browser.value("document.querySelector('#histograms [data-value=Dynamics]').click()");
+    browser.wait_for("document.querySelectorAll('.card').length > 20");
+}
+
+/// A replay plays, can be scrubbed, and its transcript keeps up.
+fn replay(browser: &mut Chromium, page: &Path, run: &Path) {
+    let drives = fs::read_dir(run.join("drives")).unwrap();
+    let first = drives.map(|drive| drive.unwrap().path()).find(|d| d.to_str().unwrap().contains("000000-")).unwrap();
+    let calls: Vec<Value> = fs::read_to_string(first.join("calls.jsonl"))
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    browser.open(page, "scenarios/0/0");
+    browser.wait_for("scenarios.replay !== null && document.querySelector('.transcript').dataset.iteration === '0'");
+    let scene =
+        "document.querySelector('.bev canvas').toDataURL().length + document.querySelector('.bev canvas').toDataURL()";
+    let before = browser.value(scene);
+    assert!(before.as_str().unwrap().len() > 5_000, "the scene is empty");
+
+    browser.press(" ");
+    browser.wait_for(&format!("{NOW} > 0.5"));
+    assert_eq!(browser.value("document.querySelector('.play').getAttribute('aria-label')"), "Stop");
+    browser.press(" ");
+    let stopped = browser.value(NOW);
+    std::thread::sleep(std::time::Duration::from_millis(200));
+    assert_eq!(browser.value(NOW), stopped, "it plays on");
+    assert_ne!(browser.value(scene), before, "the scene stands still");
+    assert!(browser.value("location.hash").as_str().unwrap().starts_with("#scenarios/0/0/"));
+
+    for call in &calls {
+        // Half a second after each call, by the slider.
+        let at = call["at_s"].as_f64().unwrap() + 0.5;
+        browser.value(&format!(
+            "{{ const slider = document.querySelector('.track input'); slider.value = {at}; slider.dispatchEvent(new Event('input')); }}"
+        ));
+        assert!((browser.value(NOW).as_f64().unwrap() - at).abs() < 0.06);
+        let shown = browser.value("document.querySelector('.transcript').dataset.iteration");
+        assert_eq!(shown, call["iteration"].to_string());
+        let text = browser.value("document.querySelector('.transcript').textContent").as_str().unwrap().to_owned();
+        let attempts = call["attempts"].as_array().unwrap();
+        for attempt in attempts {
+            let code = attempt["code"]["text"].as_str().unwrap();
+            let score = format!("{:.2}", attempt["reflection"]["score"].as_f64().unwrap());
+            assert!(text.contains(code) && text.contains(&score), "no {code} with {score} in {text}");
+            for round in attempt["rounds"].as_array().unwrap() {
+                let (asked, answered) = (round["prompt"].as_str().unwrap(), round["answer"].as_str().unwrap());
+                assert!(text.contains(asked) && text.contains(answered), "no {asked}: {answered} in {text}");
+            }
+        }
+        assert_eq!(browser.value("document.querySelectorAll('.attempt').length"), attempts.len());
+        assert_eq!(browser.value("document.querySelectorAll('.attempt.drives').length"), 1);
+        // A row for the environment, then rounds and reflection of each attempt.
+        assert_eq!(browser.value("document.querySelectorAll('.waterfall > div').length"), 1 + 4 * attempts.len());
+    }
+    assert!(browser.value("document.querySelectorAll('.thumb img').length") == 1, "no picture of what the model saw");
+    let series = browser.value("document.querySelectorAll('.series').length").as_u64().unwrap();
+    assert!(series >= 12, "only {series} time series");
+    assert!(browser.value("document.querySelectorAll('.series .limit').length").as_u64().unwrap() >= 10);
+    browser.picture("scenarios");
+}
+
+/// What the keys do, and where they lead.
+fn keys(browser: &mut Chromium) {
+    browser.press("Home");
+    assert_eq!(browser.value(NOW), 0);
+    browser.press("ArrowRight");
+    browser.press("]");
+    assert_eq!(browser.value("Math.round(10 * scenarios.player.time)"), 20);
+    browser.press("[");
+    assert_eq!(browser.value("scenarios.player.iteration"), 0);
+    let zoom = browser.value("scenarios.bev.zoom").as_f64().unwrap();
+    browser.press("+");
+    assert!(browser.value("scenarios.bev.zoom").as_f64().unwrap() > zoom);
+    browser.press("?");
+    assert_eq!(browser.value("document.getElementById('help').open"), true);
+    browser.value("document.getElementById('help').close()");
+    browser.press("ArrowDown");
+    browser.wait_for("document.getElementById('scenarios').dataset.drive === '0/2' && scenarios.replay !== null");
+    // All replays of the page unpack.
+    let broken = "(async () => { let broken = 0; for (const drive of INDEX.drives) \
+                  if ((await readReplay(drive)).plans.length < 100) broken += 1; return broken; })()";
+    assert_eq!(browser.value(broken), json!(0));
+}

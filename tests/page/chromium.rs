@@ -1,0 +1,178 @@
+//! A headless Chromium, driven by its debugging protocol over a pair of pipes.
+
+use serde_json::{Value, json};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// How long an answer may take on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(120);
+/// Names under which Chromium is installed.
+const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
+
+/// A running browser with one page.
+pub(super) struct Chromium {
+    process: Child,
+    to: File,
+    from: Receiver<Value>,
+    session: Option<String>,
+    sent: u64,
+    /// What the page reported without being asked.
+    events: Vec<Value>,
+    _profile: TempDir,
+}
+
+impl Chromium {
+    /// The browser's program: `$PLANAGENT_CHROMIUM`, else one that is on the path.
+    pub(super) fn program() -> Option<PathBuf> {
+        if let Some(named) = std::env::var_os("PLANAGENT_CHROMIUM") {
+            return Some(named.into());
+        }
+        let path = std::env::var_os("PATH")?;
+        let folders: Vec<PathBuf> = std::env::split_paths(&path).collect();
+        NAMES.iter().flat_map(|name| folders.iter().map(move |f| f.join(name))).find(|program| program.is_file())
+    }
+
+    /// Starts the browser with an empty page of 1280 by 800 pixels.
+    pub(super) fn start(program: &Path) -> Self {
+        let profile = TempDir::new().unwrap();
+        let [to, from] = ["to", "from"].map(|name| profile.path().join(name));
+        assert!(Command::new("mkfifo").args([&to, &from]).status().unwrap().success());
+        // It reads commands from descriptor 3 and answers on 4, which the shell opens for it.
+        let script = "exec \"$0\" \"$@\" 3<\"$TO\" 4>\"$FROM\"";
+        let process = Command::new("sh")
+            .args(["-c", script])
+            .arg(program)
+            .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"])
+            .args(["--remote-debugging-pipe", "--window-size=1280,800", "about:blank"])
+            .arg(format!("--user-data-dir={}", profile.path().join("profile").display()))
+            .env("TO", &to)
+            .env("FROM", &from)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let to = File::options().write(true).open(&to).unwrap();
+        let from = BufReader::new(File::open(&from).unwrap());
+        let (sender, receiver) = channel();
+        std::thread::spawn(move || {
+            for message in from.split(0).map_while(Result::ok) {
+                if sender.send(serde_json::from_slice(&message).unwrap()).is_err() {
+                    return;
+                }
+            }
+        });
+        let mut browser =
+            Self { process, to, from: receiver, session: None, sent: 0, events: Vec::new(), _profile: profile };
+        let target = browser.call("Target.createTarget", &json!({"url": "about:blank"}))["targetId"].clone();
+        let attached = browser.call("Target.attachToTarget", &json!({"targetId": target, "flatten": true}));
+        browser.session = attached["sessionId"].as_str().map(str::to_owned);
+        for domain in ["Runtime", "Log", "Page", "Network"] {
+            browser.call(&format!("{domain}.enable"), &json!({}));
+        }
+        let screen = json!({"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": false});
+        browser.call("Emulation.setDeviceMetricsOverride", &screen);
+        browser
+    }
+
+    /// Sends a command and waits for its result.
+    pub(super) fn call(&mut self, method: &str, parameters: &Value) -> Value {
+        self.sent += 1;
+        let id = self.sent;
+        let mut message = json!({"id": id, "method": method, "params": parameters});
+        if let Some(session) = &self.session {
+            message["sessionId"] = json!(session);
+        }
+        self.to.write_all(format!("{message}\0").as_bytes()).unwrap();
+        let begun = Instant::now();
+        loop {
+            let left = PATIENCE.saturating_sub(begun.elapsed());
+            let answer = self.from.recv_timeout(left).unwrap_or_else(|_| panic!("no answer to {method}"));
+            if answer["id"] == id {
+                assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
+                return answer["result"].clone();
+            }
+            self.events.push(answer);
+        }
+    }
+
+    /// Opens a file at a fragment and waits until the page says that it is ready.
+    pub(super) fn open(&mut self, page: &Path, fragment: &str) {
+        let url = format!("file://{}#{fragment}", page.display());
+        self.call("Page.navigate", &json!({"url": url}));
+        self.wait_for("document.body?.dataset.ready === 'true'");
+    }
+
+    /// The value of an expression in the page.
+    pub(super) fn value(&mut self, expression: &str) -> Value {
+        let asked = json!({"expression": expression, "awaitPromise": true, "returnByValue": true});
+        let answer = self.call("Runtime.evaluate", &asked);
+        assert!(answer["exceptionDetails"].is_null(), "{expression}: {}", answer["exceptionDetails"]);
+        answer["result"]["value"].clone()
+    }
+
+    /// Waits until an expression holds.
+    pub(super) fn wait_for(&mut self, expression: &str) {
+        let begun = Instant::now();
+        while self.value(expression) != json!(true) {
+            let said = self.value("document.getElementById('trouble')?.textContent");
+            assert!(begun.elapsed() < PATIENCE, "never: {expression}; the page says {said}; {:?}", self.errors());
+            std::thread::sleep(Duration::from_millis(30));
+        }
+    }
+
+    /// Presses a key, named as in the DOM.
+    pub(super) fn press(&mut self, key: &str) {
+        for kind in ["keyDown", "keyUp"] {
+            let mut event = json!({"type": kind, "key": key});
+            if kind == "keyDown" && key.chars().count() == 1 {
+                event["text"] = json!(key);
+            }
+            self.call("Input.dispatchKeyEvent", &event);
+        }
+    }
+
+    /// Errors and warnings of the console, and exceptions that nothing caught.
+    pub(super) fn errors(&self) -> Vec<String> {
+        let is_error = |event: &&Value| match event["method"].as_str() {
+            Some("Runtime.exceptionThrown") => true,
+            Some("Runtime.consoleAPICalled") => {
+                ["error", "warning", "assert"].iter().any(|t| event["params"]["type"] == *t)
+            }
+            Some("Log.entryAdded") => ["error", "warning"].iter().any(|l| event["params"]["entry"]["level"] == *l),
+            _ => false,
+        };
+        self.events.iter().filter(is_error).map(ToString::to_string).collect()
+    }
+
+    /// What the page asked for over the network: everything but itself and what lies in it.
+    pub(super) fn requests(&self) -> Vec<String> {
+        let urls = self.events.iter().filter(|event| event["method"] == "Network.requestWillBeSent");
+        let urls = urls.filter_map(|event| event["params"]["request"]["url"].as_str());
+        urls.filter(|url| !["file:", "data:", "blob:", "about:"].iter().any(|s| url.starts_with(s)))
+            .map(str::to_owned)
+            .collect()
+    }
+
+    /// Writes a picture of the page into the folder that `$PLANAGENT_SCREENSHOTS` names, if it does.
+    pub(super) fn picture(&mut self, name: &str) {
+        use base64::Engine;
+        let Some(folder) = std::env::var_os("PLANAGENT_SCREENSHOTS") else { return };
+        let picture = self.call("Page.captureScreenshot", &json!({"format": "png"}));
+        let bytes = base64::engine::general_purpose::STANDARD.decode(picture["data"].as_str().unwrap()).unwrap();
+        std::fs::write(Path::new(&folder).join(format!("{name}.png")), bytes).unwrap();
+    }
+}
+
+impl Drop for Chromium {
+    fn drop(&mut self) {
+        // One that has gone already needs no end.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}

@@ -1,0 +1,100 @@
+//! What `report` and `render` write, without a browser.
+
+use super::{drive, scenes};
+use crate::cli::{refused, run};
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+fn drive_folders(run: &Path) -> Vec<std::path::PathBuf> {
+    let mut folders: Vec<_> = fs::read_dir(run.join("drives")).unwrap().map(|drive| drive.unwrap().path()).collect();
+    folders.sort();
+    folders
+}
+
+#[test]
+fn pages_hold_runs_and_say_what_they_leave_out() {
+    let work = TempDir::new().unwrap();
+    let [one, other] = ["one", "other"].map(|name| work.path().join(name));
+    drive(&one, &scenes(3), "log-replay,simple");
+    drive(&other, &scenes(2), "idm");
+    // A drive of an earlier version has no replay.
+    fs::remove_file(drive_folders(&other)[0].join("replay.json.gz")).unwrap();
+    let page = work.path().join("page.html");
+    let flags = ["--out", page.to_str().unwrap(), "--json"];
+    let write = |more: &[&str]| -> Value {
+        let runs = ["report", one.to_str().unwrap(), other.to_str().unwrap()];
+        let (code, stdout, stderr) = run(&[&runs[..], &flags[..], more].concat());
+        assert_eq!(code, 0, "{stderr}");
+        serde_json::from_str(&stdout).unwrap()
+    };
+    let all = write(&[]);
+    assert_eq!((&all["drives"], &all["replays"], &all["without_replay"]), (&8.into(), &7.into(), &1.into()));
+    assert_eq!(all["bytes"], fs::metadata(&page).unwrap().len());
+    assert!(fs::read_to_string(&page).unwrap().contains("<title>PlanAgent: one, other</title>"));
+    let some = write(&["--scenario", "changing_lane"]);
+    assert_eq!(some["replays"], 2, "{some}");
+    let small = write(&["--max-mb", "0.16"]);
+    assert!(small["replays"].as_u64() < all["replays"].as_u64(), "{small}");
+    assert!(small["bytes"].as_u64().unwrap() <= 160_000, "{small}");
+
+    let nothing = refused(&["report", one.to_str().unwrap(), "--scenario", "submarine"]);
+    assert!(nothing.contains("submarine"), "{nothing}");
+    let no_run = refused(&["report", work.path().to_str().unwrap()]);
+    assert!(no_run.contains("holds no run"), "{no_run}");
+    let limit = refused(&["report", one.to_str().unwrap(), "--max-mb", "-1"]);
+    assert!(limit.contains("--max-mb"), "{limit}");
+    let replay = drive_folders(&one)[0].join("replay.json.gz");
+    fs::write(&replay, "no gzip").unwrap();
+    let broken = refused(&["report", one.to_str().unwrap()]);
+    assert!(broken.contains("replay.json.gz"), "{broken}");
+}
+
+#[test]
+fn a_drive_is_rendered() {
+    let work = TempDir::new().unwrap();
+    let out = work.path().join("run");
+    drive(&out, &scenes(1), "log-replay,simple");
+    let run_folder = out.to_str().unwrap();
+    let [gif, png, mp4] = ["a.gif", "a.png", "a.mp4"].map(|name| work.path().join(name).to_str().unwrap().to_owned());
+    let small = ["--pixels", "160", "--view", "48"];
+    let render = |more: &[&str]| {
+        let (code, _, stderr) = run(&[&["render", run_folder], more, &small[..]].concat());
+        assert_eq!(code, 0, "{stderr}");
+    };
+    render(&["changing_lane/1", "--planner", "log-replay", "--gif", &gif, "--fps", "2"]);
+    let film = image::codecs::gif::GifDecoder::new(std::io::BufReader::new(fs::File::open(&gif).unwrap())).unwrap();
+    let frames = image::AnimationDecoder::into_frames(film).collect_frames().unwrap();
+    assert_eq!(frames.len(), 31);
+    assert_ne!(frames[0].buffer(), frames[30].buffer());
+    render(&["0", "--png", &png, "--at", "3.0"]);
+    let frame = image::open(&png).unwrap().to_rgb8();
+    assert!(frame.width() == 160 && frame.height() > 160);
+    // What a viewer has put together by then is the drive at that instant, and not what has changed in it.
+    let seen = frames[6].buffer();
+    let close =
+        |(a, b): (&image::Rgba<u8>, &image::Rgb<u8>)| a.0[3] == 255 && (0..3).all(|i| a.0[i].abs_diff(b.0[i]) < 48);
+    let same = seen.pixels().zip(frame.pixels()).filter(|&pair| close(pair)).count();
+    assert!(same * 100 > 97 * seen.pixels().len(), "{same} of {} pixels", seen.pixels().len());
+    render(&["0", "--png", &png]);
+    assert!(image::open(&png).unwrap().width() > 4 * 160);
+
+    let fails = |more: &[&str]| refused(&[&["render", run_folder], more].concat());
+    let several = fails(&["changing_lane/1", "--png", &png]);
+    assert!(several.contains("2 drives") && several.contains("by log-replay, nonreactive"), "{several}");
+    assert!(fails(&["7", "--png", &png]).contains("no drive 7"));
+    assert!(fails(&["0", "--png", &png, "--at", "99"]).contains("outside the drive"));
+    assert!(fails(&["0"]).contains("--gif"));
+    // Without ffmpeg there is a hint; with it, a film.
+    let arguments = ["render", run_folder, "0", "--mp4", &mp4, "--pixels", "160"];
+    let output = crate::cli::planagent().args(arguments).env("PATH", work.path()).output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && stderr.contains("ffmpeg") && stderr.contains("--gif"), "{stderr}");
+    if std::process::Command::new("ffmpeg").arg("-version").output().is_err() {
+        eprintln!("SKIPPED: no ffmpeg on the path; nobody wrote an MP4");
+        return;
+    }
+    assert_eq!(run(&arguments).0, 0);
+    assert_eq!(&fs::read(&mp4).unwrap()[4..8], b"ftyp");
+}
