@@ -23,6 +23,7 @@ fn drive(scene: usize, challenge: Challenge, score: Option<f64>) -> DriveRow {
         score,
         zeroed_by: Vec::new(),
         planning_calls: 8,
+        saved_calls: 0,
         rethinks: 0,
         parse_errors: 0,
         deadlines: 0,
