@@ -109,7 +109,7 @@ pub struct Settings<'a> {
     /// What the images show.
     pub view: BevView,
     /// Who drives from state to state: PlanAgent with a model, so that the states are those that it reaches and the refusals its own
-    /// (DAgger); else the search itself, with exploration. The search gives the labels either way.
+    /// (`DAgger`); else the search itself, with exploration. The search gives the labels either way.
     pub driver: Option<&'a AgentParts>,
 }
 
