@@ -5,7 +5,7 @@ use super::{Column, Figure, NO, Rows, Study, SuiteName, Variant, YES};
 use crate::experiment::run::PlannerKind;
 
 /// Their names, in the order in which `all` makes them.
-pub const NAMES: [&str; 9] =
+pub const NAMES: [&str; 11] =
     ["main", "scenario-types", "environment", "reasoning", "interval", "mllm", "controls", "inputs", "execution"];
 
 /// All experiments.
@@ -46,6 +46,8 @@ fn main() -> Study {
             planner(&["log-replay"], PlannerKind::LogReplay, paper::LOG_REPLAY),
             planner(&["idm"], PlannerKind::Idm, paper::IDM),
             PDM_CLOSED,
+            planner(&["llm-assist-unc"], PlannerKind::LlmAssistUnc, paper::LLM_ASSIST_UNC),
+            planner(&["llm-assist-par"], PlannerKind::LlmAssistPar, paper::LLM_ASSIST_PAR),
             RANDOM_CODE,
             FIXED_CODE,
             GRID_CODE,
@@ -59,6 +61,7 @@ fn main() -> Study {
         figure: Figure::Differences,
         remarks: &[
             "log-replay is the recorded driver; among reactive traffic it does not react itself.",
+            "LLM-ASSIST is rebuilt, with prompts of our own (docs/llm_assist.md); nano was not trained for its questions.",
             "random-code, fixed-code and grid-code are the agent with codes that no model wrote, under the same Reflection.",
             "plan-agent (paper): after three refusals the last planner drives, and a planner drives as it was written; \
              plan-agent: as configured.",
@@ -236,6 +239,58 @@ fn execution() -> Study {
         columns: &[],
         figure: Figure::Differences,
         remarks: &["The first row is the paper's."],
+    }
+}
+
+fn gate() -> Study {
+    let below = |labels, settings, x| Variant { x: Some(x), ..agent(labels, settings, Published::NOTHING) };
+    Study {
+        name: "gate",
+        title: "Asking the model only where PDM-Closed expects to do badly",
+        paper: None,
+        labels: &["asked below"],
+        variants: vec![
+            below(&["0.50"], "agent.gate = 0.5", 0.5),
+            below(&["0.75"], "agent.gate = 0.75", 0.75),
+            below(&["0.90"], "agent.gate = 0.9", 0.9),
+            below(&["0.95"], "agent.gate = 0.95", 0.95),
+            below(&["always"], "", 1.0),
+        ],
+        reference: 4,
+        suites: &[SuiteName::Common, SuiteName::Hard],
+        rows: Rows::Variants,
+        columns: &[Column::Calls],
+        figure: Figure::Lines("predicted score of PDM-Closed below which the model is asked; 1: always"),
+        remarks: &["Elsewhere PDM-Closed drives: the paper's future work."],
+    }
+}
+
+fn latency_aware() -> Study {
+    let lasting =
+        |labels, settings, seconds| Variant { x: Some(seconds), ..agent(labels, settings, Published::NOTHING) };
+    Study {
+        name: "latency-aware",
+        title: "What the time of a planning call costs",
+        paper: None,
+        labels: &["a call lasts"],
+        variants: vec![
+            lasting(&["0 s"], "", 0.0),
+            lasting(&["0.2 s"], "agent.latency = 200", 0.2),
+            lasting(&["0.5 s"], "agent.latency = 500", 0.5),
+            lasting(&["1 s"], "agent.latency = 1000", 1.0),
+            lasting(&["2 s"], "agent.latency = 2000", 2.0),
+            lasting(&["2.936 s"], "agent.latency = 2936", 2.936),
+            lasting(&["5.568 s"], "agent.latency = 5568", 5.568),
+        ],
+        reference: 0,
+        suites: &[SuiteName::Hard],
+        rows: Rows::Variants,
+        columns: &[Column::Calls],
+        figure: Figure::Lines("seconds that a planning call lasts in the simulated world"),
+        remarks: &[
+            "A call's planner comes into force when its time has passed; the last one drives meanwhile. 2.936 s and 5.568 s are \
+                    the paper's times of LLaVA-7B and GPT-4V.",
+        ],
     }
 }
 

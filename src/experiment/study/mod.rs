@@ -153,7 +153,7 @@ pub struct Quick {
 }
 
 impl Quick {
-    /// As `--quick` has it: all experiments together take less than half an hour on two cores with the model that ships.
+    /// As `--quick` has it: enough to see whether everything works, and large differences.
     pub const DEFAULT: Self = Self { per_type: 2, untyped: 14 };
 
     /// The first scenes of each type.

@@ -1,7 +1,7 @@
 //! The numbers of an experiment. Scores and differences are nuPlan's scores x 100, as in the paper.
 
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
-use crate::experiment::study::{Benchmark, PublishedModel, Quick, Rows, Study, Variant, benchmark};
+use crate::experiment::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
 use crate::report::drive_row::DriveRow;
 use crate::report::summary::distinct;
 use crate::report::{ModelFigures, Quantiles};
@@ -229,7 +229,8 @@ impl Telling<'_> {
             not_driven,
             challenges: self.challenges(variant, rows, against, benchmark, |_| true),
             scenario_types,
-            calls_per_drive: (calls > 0).then(|| calls as f64 / driven.count() as f64),
+            calls_per_drive: (calls > 0 || self.study.columns.contains(&Column::Calls))
+                .then(|| calls as f64 / driven.count() as f64),
             model: self.study.measures_models().then(|| self.cost(variant, drives)),
         }
     }
