@@ -98,7 +98,11 @@ impl PlanAgent {
             && let Some(score) = predicted_score(scene, &mut self.memory)?.filter(|&score| score >= gate)
         {
             self.in_force = InForce::Rules;
-            self.calls.push(PlanningCall::without_attempts(iteration, Decision::Saved(score), milliseconds(started.elapsed())));
+            self.calls.push(PlanningCall::without_attempts(
+                iteration,
+                Decision::Saved(score),
+                milliseconds(started.elapsed()),
+            ));
             return Ok(());
         }
         let deadline = self.settings.deadline.map_or(Deadline::NONE, |limit| Deadline::after(started, limit));

@@ -5,12 +5,35 @@ use super::{Column, Figure, NO, Rows, Study, SuiteName, Variant, YES};
 use crate::experiment::run::PlannerKind;
 
 /// Their names, in the order in which `all` makes them.
-pub const NAMES: [&str; 11] =
-    ["main", "scenario-types", "environment", "reasoning", "interval", "mllm", "controls", "inputs", "execution"];
+pub const NAMES: [&str; 11] = [
+    "main",
+    "scenario-types",
+    "environment",
+    "reasoning",
+    "interval",
+    "mllm",
+    "controls",
+    "inputs",
+    "execution",
+    "gate",
+    "latency-aware",
+];
 
 /// All experiments.
 pub fn all() -> Vec<Study> {
-    vec![main(), scenario_types(), environment(), reasoning(), interval(), mllm(), controls(), inputs(), execution()]
+    vec![
+        main(),
+        scenario_types(),
+        environment(),
+        reasoning(),
+        interval(),
+        mllm(),
+        controls(),
+        inputs(),
+        execution(),
+        gate(),
+        latency_aware(),
+    ]
 }
 
 /// The experiment of a name.

@@ -11,7 +11,6 @@ mod waypoints;
 
 use super::pdm_closed::pdm_failed;
 use super::plan_agent::{names, reflection_failed};
-use crate::mllm::milliseconds;
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::{PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
@@ -19,6 +18,7 @@ use crate::environment::coordinates::llm_assist_text;
 use crate::environment::text::{self, Description};
 use crate::environment::{LaneGraph, TextForm};
 use crate::geometry::Pose;
+use crate::mllm::milliseconds;
 use crate::mllm::{Deadline, Mllm};
 use crate::pdm::{self, Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, PdmPlan, Way, plan_tuned};
 use crate::reasoning::{
