@@ -8,7 +8,7 @@ use planagent::mllm::{
 use planagent::pdm::PdmMemory;
 use planagent::planner::BevOf;
 use planagent::planner::{
-    AfterMaxExec, Decision, Execution, Mind, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, PlanningCall,
+    AfterMaxExec, Decision, Execution, Latency, Mind, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, PlanningCall,
     generated_planner,
 };
 use planagent::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
@@ -20,9 +20,9 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Answers the n-th question with the n-th answer, from the start again at the end; remembers the questions.
-struct Script {
-    answers: Vec<&'static str>,
-    asked: Mutex<Vec<String>>,
+pub(crate) struct Script {
+    pub(crate) answers: Vec<&'static str>,
+    pub(crate) asked: Mutex<Vec<String>>,
 }
 
 /// The answer of a script that is too slow for every deadline.
@@ -84,7 +84,7 @@ impl Conversation for Scripted<'_> {
     fn rewind(&mut self, _: Mark) {}
 }
 
-fn settings() -> PlanAgentSettings {
+pub(crate) fn settings() -> PlanAgentSettings {
     PlanAgentSettings {
         view_m: Some(64.0),
         bev_of: BevOf::Scene,
@@ -92,6 +92,8 @@ fn settings() -> PlanAgentSettings {
         node_length_m: DEFAULT_NODE_LENGTH,
         interval: 20,
         deadline: None,
+        gate: None,
+        latency: Latency::None,
         reflect: true,
         threshold: 0.75,
         max_exec: 3,
@@ -104,12 +106,22 @@ fn settings() -> PlanAgentSettings {
     }
 }
 
-fn scenario(id: &str) -> Scenario {
+pub(crate) fn scenario(id: &str) -> Scenario {
     generator::generate(&id.parse().unwrap()).unwrap()
 }
 
+/// These rounds, whose answers are free.
+pub(crate) fn reasoning(rounds: &[Round]) -> ReasoningSettings {
+    ReasoningSettings {
+        rounds: rounds.to_vec(),
+        generation: GenerationSettings::default(),
+        rethink_sampling: Sampling::Greedy,
+        grammar: false,
+    }
+}
+
 /// Drives a scene with scripted answers; gives the agent, the log and the questions.
-fn drive(
+pub(crate) fn drive(
     answers: &[&'static str],
     rounds: &[Round],
     settings: PlanAgentSettings,
@@ -117,13 +129,8 @@ fn drive(
 ) -> (PlanAgent, SimulationLog, Vec<String>) {
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
     let model: Arc<dyn Mllm> = script.clone();
-    let reasoning = ReasoningSettings {
-        rounds: rounds.to_vec(),
-        generation: GenerationSettings::default(),
-        rethink_sampling: Sampling::Greedy,
-        grammar: false,
-    };
-    let mind = Mind::Model { model, prompts: Arc::new(PromptSet::open("paper").unwrap()), reasoning };
+    let mind =
+        Mind::Model { model, prompts: Arc::new(PromptSet::open("paper").unwrap()), reasoning: reasoning(rounds) };
     let mut agent = PlanAgent::new(PLAN_AGENT, mind, settings);
     let log = simulate(&scenario(id), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let asked = script.asked.lock().unwrap().clone();
@@ -343,7 +350,7 @@ fn the_controls_drive_without_a_model() {
     };
     let fixed = best(Mind::FixedCode);
     assert!(fixed.iter().all(|call| call.attempts.len() == 1));
-    assert!(codes(&fixed).iter().all(|code| code.centerline == "ego_lane" && code.accel_max == 1.5));
+    assert!(codes(&fixed).iter().all(|code| code.centerline == "ego_lane" && (code.accel_max - 1.5).abs() < 1e-9));
 
     let random = best(Mind::RandomCode);
     assert!(random.iter().all(|call| (1..=3).contains(&call.attempts.len())));
@@ -374,9 +381,9 @@ fn a_watched_planner_drives_as_written_or_as_the_best_of_its_versions() {
         let again = planner.roll_out_version(choice.version, &scene, 40);
         assert_eq!(*chosen, again);
         if choice.version == versions[0].0 {
-            as_written += 1
+            as_written += 1;
         } else {
-            others += 1
+            others += 1;
         }
         let trajectory = again.to_trajectory(scene.ego).unwrap();
         drive.advance(&trajectory, "watched").unwrap();

@@ -132,8 +132,8 @@ pub(super) struct SimulateArguments {
     /// Only the first N scenarios.
     #[arg(long, value_name = "N")]
     pub(super) limit: Option<usize>,
-    /// Planners, separated by commas: plan-agent, log-replay, idm, simple, pdm-closed, and the controls random-code,
-    /// fixed-code, grid-code (the agent with codes that no model wrote) [default: plan-agent].
+    /// Planners, separated by commas: plan-agent, log-replay, idm, simple, pdm-closed, llm-assist-unc, llm-assist-par, and the
+    /// controls random-code, fixed-code, grid-code (the agent with codes that no model wrote) [default: plan-agent].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) planner: Vec<String>,
     /// Challenges, separated by commas: nonreactive (replayed traffic), reactive (IDM traffic), both of these, open-loop

@@ -3,7 +3,7 @@
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use crate::environment::{BevView, DEFAULT_NODE_LENGTH};
 use crate::mllm::{GenerationSettings, Sampling, Storage};
-use crate::planner::{AfterMaxExec, BevOf, Execution, PlanAgentSettings};
+use crate::planner::{AfterMaxExec, BevOf, Execution, Latency, PlanAgentSettings};
 use crate::reasoning::{ReasoningSettings, Round};
 use crate::reflection::LeadPolicy;
 use anyhow::{Context, bail};
@@ -57,6 +57,11 @@ impl Default for MllmConfig {
 pub struct AgentConfig {
     /// Milliseconds after which a planning call ends with the planner in force; none lets it think to the end.
     pub deadline_ms: Option<u64>,
+    /// Predicted score of PDM-Closed's plan from which on the model is not asked and PDM-Closed drives; none always asks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gate: Option<f64>,
+    /// How long a planning call lasts in simulated time.
+    pub latency: Latency,
 }
 
 /// Section `environment`.
@@ -191,6 +196,8 @@ impl Config {
             node_length_m: environment.node_length_m,
             interval: reasoning.interval,
             deadline: agent.deadline_ms.map(Duration::from_millis),
+            gate: agent.gate,
+            latency: agent.latency,
             reflect: reflection.enabled,
             threshold: reflection.threshold,
             max_exec: reflection.max_exec,
@@ -218,6 +225,7 @@ impl Config {
         if self.agent.deadline_ms == Some(0) {
             bail!("agent.deadline_ms is 0; it must be at least 1, or absent for no deadline");
         }
+        within("agent.gate", self.agent.gate.unwrap_or(0.0), 0.0..=1.0)?;
         within("environment.view_m", environment.view_m, BevView::MIN_METRES..=BevView::MAX_METRES)?;
         within("environment.node_length_m", environment.node_length_m, MIN_NODE_LENGTH..=MAX_NODE_LENGTH)?;
         within("reflection.horizon_s", reflection.horizon_s, 1.0..=8.0)?;

@@ -5,9 +5,10 @@ use super::source::ScenarioSource;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::pdm::DrivableLayers;
 use crate::planner::{
-    IdmPlanner, LogReplay, Mind, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall,
+    IdmPlanner, LlmAssist, LogReplay, Mind, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall,
     SimplePlanner,
 };
+use crate::reasoning::AssistVariant;
 use crate::scenario::{Scenario, UNKNOWN_TYPE};
 
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
@@ -30,6 +31,10 @@ pub enum PlannerKind {
     Simple,
     /// PDM-Closed.
     PdmClosed,
+    /// LLM-ASSIST whose model plans.
+    LlmAssistUnc,
+    /// LLM-ASSIST whose model tunes PDM-Closed.
+    LlmAssistPar,
     /// A control: the agent with random codes instead of a model.
     RandomCode,
     /// A control: the agent with one fixed code.
@@ -40,12 +45,14 @@ pub enum PlannerKind {
 
 impl PlannerKind {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::PlanAgent,
         Self::LogReplay,
         Self::Idm,
         Self::Simple,
         Self::PdmClosed,
+        Self::LlmAssistUnc,
+        Self::LlmAssistPar,
         Self::RandomCode,
         Self::FixedCode,
         Self::GridCode,
@@ -59,10 +66,22 @@ impl PlannerKind {
             Self::Idm => "idm",
             Self::Simple => "simple",
             Self::PdmClosed => "pdm-closed",
+            Self::LlmAssistUnc => "llm-assist-unc",
+            Self::LlmAssistPar => "llm-assist-par",
             Self::RandomCode => "random-code",
             Self::FixedCode => "fixed-code",
             Self::GridCode => "grid-code",
         }
+    }
+
+    /// Whether it is one of LLM-ASSIST's.
+    pub fn is_llm_assist(self) -> bool {
+        matches!(self, Self::LlmAssistUnc | Self::LlmAssistPar)
+    }
+
+    /// Whether it asks the configured model.
+    pub fn needs_model(self) -> bool {
+        self == Self::PlanAgent || self.is_llm_assist()
     }
 }
 
@@ -107,10 +126,26 @@ impl AgentParts {
             PlannerKind::GridCode => Mind::GridCode,
             _ => return None,
         };
+        Some(PlanAgent::new(planner.as_str(), mind, self.settings_for(scenario_id)))
+    }
+
+    /// LLM-ASSIST in one of its variants for one scenario; `None` for other planners, and without a model.
+    pub fn llm_assist(&self, planner: PlannerKind, scenario_id: &str) -> Option<LlmAssist> {
+        let variant = match planner {
+            PlannerKind::LlmAssistUnc => AssistVariant::Unconstrained,
+            PlannerKind::LlmAssistPar => AssistVariant::Parameters,
+            _ => return None,
+        };
+        let Some(Mind::Model { model, prompts, reasoning }) = self.model.clone() else { return None };
+        let settings = self.settings_for(scenario_id);
+        Some(LlmAssist::new(planner.as_str(), variant, (model, prompts, reasoning), settings))
+    }
+
+    fn settings_for(&self, scenario_id: &str) -> PlanAgentSettings {
         let mut settings = self.settings.clone();
         let hash = blake3::Hasher::new().update(&settings.seed.to_le_bytes()).update(scenario_id.as_bytes()).finalize();
         settings.seed = hash.as_bytes().iter().take(8).fold(0, |seed, &byte| seed << 8 | u64::from(byte));
-        Some(PlanAgent::new(planner.as_str(), mind, settings))
+        settings
     }
 }
 
@@ -252,6 +287,13 @@ fn drive_scenario(
         PlannerKind::PlanAgent | PlannerKind::RandomCode | PlannerKind::FixedCode | PlannerKind::GridCode => {
             let agent = agent.and_then(|parts| parts.agent(planner, &scenario.id));
             let mut planner = agent.ok_or_else(|| format!("{planner} needs settings, and plan-agent a model"))?;
+            let log = simulate(&mut planner)?;
+            calls = planner.calls().to_vec();
+            log
+        }
+        PlannerKind::LlmAssistUnc | PlannerKind::LlmAssistPar => {
+            let planner = agent.and_then(|parts| parts.llm_assist(planner, &scenario.id));
+            let mut planner = planner.ok_or_else(|| "LLM-ASSIST needs a model".to_owned())?;
             let log = simulate(&mut planner)?;
             calls = planner.calls().to_vec();
             log

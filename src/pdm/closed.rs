@@ -4,7 +4,8 @@
 use super::emergency_brake::{emergency_brake, needs_emergency_brake, standing};
 use super::proposals::{PROPOSAL_STEPS, Proposals, TRAJECTORY_STEPS};
 use super::{
-    Collided, DrivableLayers, DrivableMap, Forecast, NoWay, Proposal, ProposalScore, ScoringScene, Way, score_proposals,
+    Collided, DrivableLayers, DrivableMap, Forecast, NoWay, PdmParameters, Proposal, ProposalScore, ScoringScene, Way,
+    score_proposals,
 };
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::geometry::Polyline;
@@ -64,8 +65,19 @@ impl<'a> PdmInstant<'a> {
 
     /// The proposals along a way from the present state of the ego, rolled out for `steps` steps of 0.1 s.
     pub fn proposals<'s>(&'s self, way: &'s Way, ego: &EgoState, steps: usize) -> Proposals<'s> {
+        self.tuned_proposals(way, ego, PdmParameters::default(), steps)
+    }
+
+    /// As [`Self::proposals`], with other parameters than PDM-Closed's.
+    pub fn tuned_proposals<'s>(
+        &'s self,
+        way: &'s Way,
+        ego: &EgoState,
+        parameters: PdmParameters,
+        steps: usize,
+    ) -> Proposals<'s> {
         let map = self.drivable.map();
-        Proposals::generate(map, way.paths(), &self.forecast, ego, way.speed_limit(map, ego), steps)
+        Proposals::generate(map, way.paths(), &self.forecast, ego, way.speed_limit(map, ego), parameters, steps)
     }
 
     /// What a score needs beside its proposals, progress measured along `centerline`; `rival_progress` as [`ScoringScene`]
@@ -102,13 +114,26 @@ pub struct PdmPlan {
 /// # Errors
 /// When the proposals cannot be scored or are not finite.
 pub fn plan_along(way: &Way, scene: &Scene<'_>, collided: &mut Collided) -> Result<PdmPlan, PdmError> {
+    plan_tuned(way, scene, collided, PdmParameters::default())
+}
+
+/// One step of PDM-Closed with other parameters along a way.
+///
+/// # Errors
+/// As [`plan_along`].
+pub fn plan_tuned(
+    way: &Way,
+    scene: &Scene<'_>,
+    collided: &mut Collided,
+    parameters: PdmParameters,
+) -> Result<PdmPlan, PdmError> {
     let ego = scene.ego;
     let instant = PdmInstant::along(way, scene, collided);
-    let mut proposals = instant.proposals(way, ego, PROPOSAL_STEPS);
+    let mut proposals = instant.tuned_proposals(way, ego, parameters, PROPOSAL_STEPS);
     let simulated = simulate_proposals(ego, proposals.all());
     let scores = score_proposals(&instant.scoring(way.centerline().line(), 0.0), &simulated)?;
     let best = best_of(&scores).ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
-    let brake = needs_emergency_brake(scores[best].first_at_fault_s, ego);
+    let brake = parameters.emergency_brake && needs_emergency_brake(scores[best].first_at_fault_s, ego);
     let trajectory = if brake {
         emergency_brake(ego, TRAJECTORY_STEPS)?
     } else {

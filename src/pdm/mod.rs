@@ -19,6 +19,7 @@ mod emergency_brake;
 mod encounters;
 mod forecast;
 mod lead;
+mod parameters;
 mod path;
 mod placed;
 mod proposals;
@@ -29,13 +30,14 @@ mod way;
 
 pub use areas::{DrivableLayers, DrivableMap, EgoAreas, MAP_RADIUS};
 pub use centerline::{centerline_poses, lane_chain};
-pub use closed::{PdmError, PdmInstant, PdmMemory, PdmPlan, best_of, plan, plan_along, simulate_proposals};
+pub use closed::{PdmError, PdmInstant, PdmMemory, PdmPlan, best_of, plan, plan_along, plan_tuned, simulate_proposals};
 pub use collision::{FirstTouch, no_at_fault_collisions, time_to_collision};
 pub use comfort::is_comfortable;
 pub use current_lane::{StartingBlock, current_lane, starting_block};
 pub use emergency_brake::{EMERGENCY_SPEED, EMERGENCY_TIME_S, braking_speed, emergency_brake, needs_emergency_brake};
 pub use forecast::{Collided, Forecast, ForecastObject, MAX_DISTANCE, RESOLUTION_STEPS};
 pub use lead::LeadState;
+pub use parameters::PdmParameters;
 pub use path::PdmPath;
 pub use proposals::{
     FALLBACK_LIMIT, IdmState, LATERAL_OFFSETS, PROPOSAL_STEPS, PROPOSALS, Proposal, Proposals, SPEED_FRACTIONS,

@@ -2,8 +2,8 @@
 //! `batch_idm_policy.py`).
 
 use super::lead::{LeadState, PathTraffic};
-use super::{Forecast, PdmPath};
-use crate::dynamics::{IdmParameters, Lead};
+use super::{Forecast, PdmParameters, PdmPath};
+use crate::dynamics::Lead;
 use crate::geometry::Pose;
 use crate::world::{EgoState, LaneMap, STEP_S};
 
@@ -22,11 +22,6 @@ pub const TRAJECTORY_STEPS: usize = 80;
 
 /// Every so many steps the lead is looked up anew.
 const LEAD_REFRESH: usize = 2;
-
-/// The law of a policy.
-fn policy(target_velocity: f64) -> IdmParameters {
-    IdmParameters { target_velocity, min_gap: 1.0, headway: 1.5, accel_max: 1.5, decel_max: 3.0, exponent: 10 }
-}
 
 /// Where a roll-out is.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,10 +49,10 @@ pub struct Proposal {
 
 impl Proposal {
     /// One step on behind `lead`: forward Euler with the speed of before.
-    fn advance(&mut self, path: &PdmPath, lead: LeadState) {
+    fn advance(&mut self, path: &PdmPath, parameters: &PdmParameters, lead: LeadState) {
         let IdmState { progress, velocity } = self.states[self.states.len() - 1];
         let ahead = Lead { gap: lead.progress - progress - lead.length_rear, speed: lead.velocity };
-        let acceleration = policy(self.target_velocity).acceleration(velocity, Some(ahead));
+        let acceleration = parameters.policy(self.target_velocity).acceleration(velocity, Some(ahead));
         let next = IdmState { progress: progress + STEP_S * velocity, velocity: velocity + STEP_S * acceleration };
         self.states.push(next);
         self.leads.push(lead);
@@ -69,6 +64,7 @@ impl Proposal {
 pub struct Proposals<'a> {
     paths: [&'a PdmPath; LATERAL_OFFSETS.len()],
     traffic: [PathTraffic<'a>; LATERAL_OFFSETS.len()],
+    parameters: PdmParameters,
     rolled_out: Vec<Proposal>,
 }
 
@@ -81,9 +77,10 @@ impl<'a> Proposals<'a> {
         forecast: &'a Forecast,
         ego: &EgoState,
         speed_limit: Option<f64>,
+        parameters: PdmParameters,
         steps: usize,
     ) -> Self {
-        let limit = speed_limit.unwrap_or(FALLBACK_LIMIT);
+        let limit = parameters.fastest(speed_limit.unwrap_or(FALLBACK_LIMIT));
         let targets = SPEED_FRACTIONS.map(|fraction| fraction * limit);
         let reach = targets.into_iter().fold(0.0, f64::max) * TRAJECTORY_STEPS as f64 * STEP_S;
         let starts = paths.each_ref().map(|path| path.project(ego.rear_axle.position()));
@@ -96,7 +93,7 @@ impl<'a> Proposals<'a> {
             poses: vec![paths[path].pose_at(starts[path])],
         };
         let all = (0..paths.len()).flat_map(|path| targets.map(|target| (path, target)));
-        let mut proposals = Self { paths: paths.each_ref(), traffic, rolled_out: all.map(begun).collect() };
+        let mut proposals = Self { paths: paths.each_ref(), traffic, parameters, rolled_out: all.map(begun).collect() };
         for batch in 0..paths.len() {
             let members = batch * SPEED_FRACTIONS.len()..(batch + 1) * SPEED_FRACTIONS.len();
             for step in 1..=steps {
@@ -139,7 +136,7 @@ impl<'a> Proposals<'a> {
                 traffic.find_lead(&blocking, proposal.states[last].progress, proposal.poses[last], &mut shared);
             }
             let lead = if refresh { shared } else { proposal.leads[last] };
-            proposal.advance(self.paths[path], lead);
+            proposal.advance(self.paths[path], &self.parameters, lead);
         }
     }
 }

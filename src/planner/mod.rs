@@ -2,23 +2,27 @@
 
 mod foreign_view;
 mod idm;
+mod in_force;
+mod latency;
+mod llm_assist;
 mod log_replay;
 mod mind;
 mod pdm_closed;
 mod plan_agent;
 mod record;
+mod settings;
 mod simple;
 
 pub use foreign_view::BevOf;
 pub use idm::IdmPlanner;
+pub use latency::Latency;
+pub use llm_assist::LlmAssist;
 pub use log_replay::LogReplay;
 pub use mind::{Mind, USUAL_ACCELERATIONS, planner_code};
 pub use pdm_closed::PdmClosed;
-pub use plan_agent::{
-    AfterMaxExec, Execution, NAME as PLAN_AGENT, PlanAgent, PlanAgentSettings, brake, feedback, generated_planner,
-    names, watched,
-};
-pub use record::{Attempt, Decision, NoPlan, PlanningCall};
+pub use plan_agent::{NAME as PLAN_AGENT, PlanAgent, brake, generated_planner, names, watched};
+pub use record::{Attempt, Decision, NoPlan, PlanningCall, feedback};
+pub use settings::{AfterMaxExec, Execution, PlanAgentSettings};
 pub use simple::SimplePlanner;
 
 use crate::world::{LaneMap, Route, Scene, Trajectory, TrajectoryError};

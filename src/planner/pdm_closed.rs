@@ -1,8 +1,8 @@
 //! PDM-Closed as a planner (Dauner et al. 2023, "Parting with Misconceptions about Learning-based Vehicle Motion Planning").
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
-use crate::pdm::{DrivableLayers, NoWay, PdmError, PdmMemory, Way, plan};
-use crate::world::Trajectory;
+use crate::pdm::{DrivableLayers, NoWay, PdmError, PdmMemory, Way, plan, plan_along};
+use crate::world::{Scene, Trajectory};
 
 /// PDM-Closed: its centreline is chosen at the first iteration and kept; fifteen proposals are judged at every one.
 #[derive(Debug, Clone, Default)]
@@ -33,10 +33,26 @@ impl Planner for PdmClosed {
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
-        match plan(&mut self.memory, &input.scene) {
-            Ok(plan) => Ok(plan.trajectory),
-            Err(PdmError::NoWay(NoWay::EmptyRoute)) => Err(PlannerError::EmptyRoute),
-            Err(error) => Err(PlannerError::Failed { doing: "planning with PDM-Closed", source: Box::new(error) }),
-        }
+        Ok(plan(&mut self.memory, &input.scene).map_err(pdm_failed)?.trajectory)
     }
+}
+
+/// The error of a planner for which PDM-Closed plans.
+pub(super) fn pdm_failed(error: PdmError) -> PlannerError {
+    match error {
+        PdmError::NoWay(NoWay::EmptyRoute) => PlannerError::EmptyRoute,
+        error => PlannerError::Failed { doing: "planning with PDM-Closed", source: Box::new(error) },
+    }
+}
+
+/// What PDM-Closed's plan is predicted to score along the way that it would choose here and now, which is kept in `memory`;
+/// `None` where it finds no way.
+///
+/// # Errors
+/// When PDM-Closed cannot plan.
+pub(super) fn predicted_score(scene: &Scene<'_>, memory: &mut PdmMemory) -> Result<Option<f64>, PlannerError> {
+    memory.way = Way::find(scene.map, scene.route, scene.ego).ok();
+    let PdmMemory { way: Some(way), collided } = memory else { return Ok(None) };
+    let plan = plan_along(way, scene, collided).map_err(pdm_failed)?;
+    Ok(Some(plan.scores[plan.best].total))
 }

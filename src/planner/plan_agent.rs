@@ -2,21 +2,25 @@
 //! in force drives.
 
 use super::foreign_view::{self, BevOf};
+use super::in_force::{InForce, Underway, as_it_goes, followed_on};
+use super::latency::Latency;
 use super::mind::Mind;
+use super::pdm_closed::{pdm_failed, predicted_score};
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
+use super::settings::{AfterMaxExec, Execution, PlanAgentSettings};
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
 use crate::mllm::{Deadline, Opening};
-use crate::pdm::PdmMemory;
-use crate::reasoning::{Feedback, Interruption, Names, ParseError, PlannerCode, ScenarioPrompt, Thought};
+use crate::pdm::{self, PdmMemory};
+use crate::reasoning::{Interruption, Names, ParseError, PlannerCode, ScenarioPrompt, Thought};
 use crate::reflection::{
     GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Rollout, Verdict, choose_version, needs_emergency_brake,
     steps_of,
 };
 use crate::world::{STEP_S, Scene, Trajectory};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Name of the planner in results.
 pub const NAME: &str = "plan-agent";
@@ -25,71 +29,14 @@ const BRAKE: f64 = 4.0;
 /// Steps of 0.1 s of the trajectory that drives: 8 s, what nuPlan's planners give and its open-loop metrics look at.
 const PLAN_STEPS: usize = 80;
 
-/// Which planner drives when all attempts were refused.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum AfterMaxExec {
-    /// The last one (the paper).
-    Last,
-    /// The one with the best score; the planner in force goes on where it scores more.
-    #[default]
-    Best,
-}
-
-/// How the planner in force drives between planning calls.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Execution {
-    /// As it was written (the paper).
-    AsWritten,
-    /// Under Reflection's eyes, where there is Reflection: at every iteration it is simulated and scored anew with its slower versions and those beside it,
-    /// and the best of them drives.
-    #[default]
-    Watched,
-}
-
-/// Settings of the agent.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PlanAgentSettings {
-    /// Side of the BEV map, metres; `None` leaves the image out.
-    pub view_m: Option<f64>,
-    /// Which scene that map is of.
-    pub bev_of: BevOf,
-    /// Whether the model gets the lane-graph text.
-    pub lane_graph: bool,
-    /// Length of a lane-graph node, metres.
-    pub node_length_m: f64,
-    /// Iterations between planning calls.
-    pub interval: usize,
-    /// Time after which a planning call ends with the planner in force; `None` lets it think to the end. What was drawn
-    /// and what is being judged is done to the end all the same.
-    pub deadline: Option<Duration>,
-    /// Whether planners are judged.
-    pub reflect: bool,
-    /// λ.
-    pub threshold: f64,
-    /// Most attempts of a planning call.
-    pub max_exec: usize,
-    /// Length of the roll-outs, seconds.
-    pub horizon_s: f64,
-    /// Which planner drives when all attempts were refused.
-    pub after_max_exec: AfterMaxExec,
-    /// Whom generated planners follow.
-    pub lead_policy: LeadPolicy,
-    /// How the planner in force drives between planning calls.
-    pub execution: Execution,
-    /// Whether PDM-Closed's emergency brake may overrule the planner in force.
-    pub emergency_brake: bool,
-    /// Seed of the run; each planning call draws from its own stream.
-    pub seed: u64,
-}
-
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
 pub struct PlanAgent {
     name: &'static str,
     mind: Mind,
     settings: PlanAgentSettings,
-    in_force: Option<GeneratedPlanner>,
+    in_force: InForce,
+    /// A call whose time has not passed yet.
+    underway: Option<Underway>,
     /// What PDM's rules know of this drive: what was touched, and the way of the last planning call.
     memory: PdmMemory,
     calls: Vec<PlanningCall>,
@@ -122,7 +69,8 @@ impl Thinking {
 impl PlanAgent {
     /// An agent that thinks with this mind; `name` stands in results.
     pub fn new(name: &'static str, mind: Mind, settings: PlanAgentSettings) -> Self {
-        Self { name, mind, settings, in_force: None, memory: PdmMemory::default(), calls: Vec::new() }
+        let (in_force, memory, calls) = (InForce::Nobody, PdmMemory::default(), Vec::new());
+        Self { name, mind, settings, in_force, underway: None, memory, calls }
     }
 
     /// The records of all planning calls since the last initialisation.
@@ -130,9 +78,12 @@ impl PlanAgent {
         &self.calls
     }
 
-    /// The planner that drives now.
+    /// The generated planner that drives now.
     pub fn in_force(&self) -> Option<&GeneratedPlanner> {
-        self.in_force.as_ref()
+        match &self.in_force {
+            InForce::Planner(planner) => Some(planner),
+            InForce::Nobody | InForce::Rules => None,
+        }
     }
 
     /// Seconds that the path of a planner is laid for.
@@ -143,6 +94,13 @@ impl PlanAgent {
     /// One planning call: everything from the scene to the planner that drives from now on.
     fn call(&mut self, iteration: usize, scene: &Scene<'_>) -> Result<(), PlannerError> {
         let started = Instant::now();
+        if let Some(gate) = self.settings.gate
+            && let Some(score) = predicted_score(scene, &mut self.memory)?.filter(|&score| score >= gate)
+        {
+            self.in_force = InForce::Rules;
+            self.calls.push(PlanningCall::without_attempts(iteration, Decision::Saved(score), milliseconds(started)));
+            return Ok(());
+        }
         let deadline = self.settings.deadline.map_or(Deadline::NONE, |limit| Deadline::after(started, limit));
         let graph = match LaneGraph::build(scene, self.settings.node_length_m) {
             Ok(graph) => graph,
@@ -152,20 +110,18 @@ impl PlanAgent {
                 return Ok(());
             }
         };
+        if self.settings.latency != Latency::None && self.in_force == InForce::Nobody {
+            self.in_force = as_it_goes(scene, &graph, self.settings.lead_policy, self.path_s())?;
+        }
         let scenario = self.look(scene, &graph)?;
         let environment_ms = milliseconds(started);
         let thinking = self.think(iteration, scene, &graph, &scenario, deadline)?;
         let decision = self.decide(&thinking);
-        match decision {
-            Decision::Execute(index) | Decision::Exhausted(index) => {
-                self.in_force = thinking.planners.into_iter().nth(index).flatten();
-            }
-            Decision::KeepInForce(_) | Decision::Brake(_) => {
-                let path_s = self.path_s();
-                let on = self.in_force.as_ref().map(|planner| followed_on(planner, scene, &graph, path_s));
-                self.in_force = on.transpose()?;
-            }
-        }
+        let planner = match decision {
+            Decision::Execute(index) | Decision::Exhausted(index) => thinking.planners.into_iter().nth(index).flatten(),
+            _ => None,
+        };
+        let total_ms = milliseconds(started);
         let image_hash = Opening { system: String::new(), image: scenario.image.clone() }.image_hash();
         self.calls.push(PlanningCall {
             iteration,
@@ -175,10 +131,38 @@ impl PlanAgent {
             attempts: thinking.attempts,
             decision,
             emergency_brakes: 0,
+            in_force_from: None,
             environment_ms,
-            total_ms: milliseconds(started),
+            total_ms,
         });
-        Ok(())
+        match (self.settings.latency.iterations(total_ms), planner) {
+            (Some(lasts), planner) if lasts > 0 => {
+                self.underway = Some(Underway { arrives: iteration + lasts, planner });
+                self.in_force.follow_on(scene, &graph, self.path_s())
+            }
+            (_, Some(planner)) => {
+                self.in_force = InForce::Planner(Box::new(planner));
+                Ok(())
+            }
+            (_, None) => self.in_force.follow_on(scene, &graph, self.path_s()),
+        }
+    }
+
+    /// Lets the planner of a call that has lasted long enough take over.
+    fn arrive(&mut self, iteration: usize, scene: &Scene<'_>) -> Result<(), PlannerError> {
+        let Some(underway) = self.underway.take_if(|underway| underway.arrives <= iteration) else { return Ok(()) };
+        let Some(planner) = underway.planner else { return Ok(()) };
+        self.in_force = InForce::Planner(Box::new(planner));
+        if let Some(call) = self.calls.last_mut() {
+            call.in_force_from = Some(iteration);
+        }
+        self.go_on(scene)
+    }
+
+    /// Lengthens the path of the planner in force from where the ego is now, if there is a lane graph.
+    fn go_on(&mut self, scene: &Scene<'_>) -> Result<(), PlannerError> {
+        let graph = LaneGraph::build(scene, self.settings.node_length_m);
+        graph.map_or(Ok(()), |graph| self.in_force.follow_on(scene, &graph, self.path_s()))
     }
 
     /// The Environment Transformation: what the model is shown.
@@ -214,7 +198,7 @@ impl PlanAgent {
         deadline: Deadline,
     ) -> Result<Thinking, PlannerError> {
         let settings = &self.settings;
-        let seed = settings.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64);
+        let seed = settings.call_seed(iteration);
         let failed = |doing| move |error| PlannerError::Failed { doing, source: Box::new(error) };
         let mut thoughts = self
             .mind
@@ -258,7 +242,9 @@ impl PlanAgent {
                 return Ok(thinking);
             }
         }
-        if let (AfterMaxExec::Best, Some(judge), Some(planner)) = (settings.after_max_exec, &judge, &self.in_force) {
+        if let (AfterMaxExec::Best, Some(judge), InForce::Planner(planner)) =
+            (settings.after_max_exec, &judge, &self.in_force)
+        {
             let planner = followed_on(planner, scene, graph, self.path_s())?;
             thinking.in_force = Some(judge.reflect(&planner, settings.threshold).map_err(reflection_failed)?.score);
         }
@@ -304,8 +290,8 @@ impl PlanAgent {
     /// What happens when a call gives no planner.
     fn without_plan(&self, why: NoPlan) -> Decision {
         match &self.in_force {
-            Some(_) => Decision::KeepInForce(why),
-            None => Decision::Brake(why),
+            InForce::Planner(_) | InForce::Rules => Decision::KeepInForce(why),
+            InForce::Nobody => Decision::Brake(why),
         }
     }
 }
@@ -316,18 +302,26 @@ impl Planner for PlanAgent {
     }
 
     fn initialize(&mut self, _: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
-        self.in_force = None;
+        (self.in_force, self.underway) = (InForce::Nobody, None);
         self.memory = PdmMemory::default();
         self.calls.clear();
         Ok(())
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        self.arrive(input.iteration, &input.scene)?;
         if input.iteration.is_multiple_of(self.settings.interval) {
-            self.call(input.iteration, &input.scene)?;
+            match self.underway {
+                Some(_) => self.go_on(&input.scene)?,
+                None => self.call(input.iteration, &input.scene)?,
+            }
         }
         let ego = input.scene.ego;
-        let Some(planner) = &self.in_force else { return Ok(brake(ego)?) };
+        let planner = match &self.in_force {
+            InForce::Planner(planner) => &**planner,
+            InForce::Rules => return Ok(pdm::plan(&mut self.memory, &input.scene).map_err(pdm_failed)?.trajectory),
+            InForce::Nobody => return Ok(brake(ego)?),
+        };
         let (rollout, emergency) = match self.settings.execution {
             Execution::Watched if self.settings.reflect => {
                 watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?
@@ -346,23 +340,6 @@ impl Planner for PlanAgent {
         }
         Ok(rollout.to_trajectory(ego)?)
     }
-}
-
-/// A planner that stays in force, with its path laid anew along the centreline that it is bound for.
-fn followed_on(
-    planner: &GeneratedPlanner,
-    scene: &Scene<'_>,
-    graph: &LaneGraph,
-    path_s: f64,
-) -> Result<GeneratedPlanner, PlannerError> {
-    let mut planner = planner.clone();
-    let lane = planner.lane_now(scene);
-    let bound = graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));
-    let path = bound.unwrap_or(graph.ego_lane()).path.clone();
-    planner
-        .follow_on(scene, path, path_s)
-        .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })?;
-    Ok(planner)
 }
 
 /// How a planner drives on when it is watched: the roll-out of the version that Reflection scores best over `horizon_s` seconds,
@@ -409,7 +386,7 @@ pub fn generated_planner(
         .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })
 }
 
-fn reflection_failed(error: crate::reflection::ReflectionError) -> PlannerError {
+pub(super) fn reflection_failed(error: crate::reflection::ReflectionError) -> PlannerError {
     PlannerError::Failed { doing: "reflecting on the planner", source: Box::new(error) }
 }
 
@@ -424,27 +401,11 @@ fn attempt(
         rounds: thought.rounds,
         instruction: thought.instruction,
         code: thought.parsed.code,
+        assistance: None,
         errors,
         reflection,
         path: planner.map_or_else(Vec::new, |planner| planner.path().vertex_poses()),
         reflection_ms,
-    }
-}
-
-/// What there is to say about a planner that was refused, or that could not be read.
-pub fn feedback(
-    code: Option<&PlannerCode>,
-    reflection: Option<&ReflectionReport>,
-    errors: &[ParseError],
-    threshold: f64,
-) -> Feedback {
-    let named = |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
-    Feedback {
-        code: code.map(ToString::to_string),
-        score: reflection.map(|report| report.score),
-        threshold,
-        parts: reflection.map(named).unwrap_or_default(),
-        errors: errors.to_vec(),
     }
 }
 
@@ -466,6 +427,6 @@ pub fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::T
     Trajectory::new(states)
 }
 
-fn milliseconds(since: Instant) -> f64 {
+pub(super) fn milliseconds(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }

@@ -1,8 +1,7 @@
 //! The record that every planning call leaves.
 
-use super::plan_agent::feedback;
 use crate::geometry::Pose;
-use crate::reasoning::{Feedback, Interruption, MotionInstruction, ParseError, PlannerCode, RoundRecord};
+use crate::reasoning::{Assistance, Feedback, Interruption, MotionInstruction, ParseError, PlannerCode, RoundRecord};
 use crate::reflection::ReflectionReport;
 use image::RgbImage;
 use std::fmt;
@@ -18,6 +17,10 @@ pub enum Decision {
     KeepInForce(NoPlan),
     /// The call gave no planner and none was in force: the ego brakes straight ahead.
     Brake(NoPlan),
+    /// The call gave nothing to drive by; PDM-Closed drives.
+    RuleBased(NoPlan),
+    /// The model was not asked: PDM-Closed's plan is predicted to score this, which passes the gate; PDM-Closed drives.
+    Saved(f64),
 }
 
 /// Why a planning call gave no new planner.
@@ -27,6 +30,8 @@ pub enum NoPlan {
     NoLaneGraph(String),
     /// No attempt gave a planner that can be read.
     Unreadable,
+    /// PDM-Closed's own proposal scores no less than any answer.
+    Outscored,
     /// All attempts were refused, and the planner in force scores more than each of them.
     Worse,
     /// The call was ended by its deadline or by a failure of the model.
@@ -39,6 +44,7 @@ impl NoPlan {
         match self {
             Self::NoLaneGraph(_) => "no_lane_graph",
             Self::Unreadable => "unreadable",
+            Self::Outscored => "outscored",
             Self::Worse => "worse",
             Self::Interrupted(Interruption::Deadline) => "deadline",
             Self::Interrupted(Interruption::Model(_)) => "model",
@@ -50,6 +56,7 @@ impl fmt::Display for NoPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unreadable => f.write_str("no attempt gave a planner that can be read"),
+            Self::Outscored => f.write_str("PDM-Closed's own proposal scores no less than any answer"),
             Self::Worse => f.write_str("the planner in force scores more than all attempts"),
             Self::Interrupted(Interruption::Deadline) => f.write_str("the deadline passed"),
             Self::NoLaneGraph(why) | Self::Interrupted(Interruption::Model(why)) => f.write_str(why),
@@ -57,7 +64,7 @@ impl fmt::Display for NoPlan {
     }
 }
 
-/// One attempt: three rounds, a planner, its reflection; fewer rounds and no planner where it was interrupted.
+/// One attempt: three rounds (of LLM-ASSIST one), a planner, its reflection; fewer rounds and no planner where it was interrupted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Attempt {
     /// The rounds as they were asked and answered.
@@ -66,6 +73,8 @@ pub struct Attempt {
     pub instruction: Option<MotionInstruction>,
     /// The planner code, if the answer held one.
     pub code: Option<PlannerCode>,
+    /// What the answer says, of LLM-ASSIST's.
+    pub assistance: Option<Assistance>,
     /// What could not be read.
     pub errors: Vec<ParseError>,
     /// What Reflection said; `None` without code or with Reflection switched off.
@@ -77,9 +86,32 @@ pub struct Attempt {
 }
 
 impl Attempt {
+    /// The line that the model wrote, as it was read.
+    pub fn line(&self) -> Option<String> {
+        let code = self.code.as_ref().map(ToString::to_string);
+        code.or_else(|| self.assistance.as_ref().map(ToString::to_string))
+    }
+
     /// What the next attempt is told of it.
     pub fn feedback(&self, threshold: f64) -> Feedback {
-        feedback(self.code.as_ref(), self.reflection.as_ref(), &self.errors, threshold)
+        feedback(self.line(), self.reflection.as_ref(), &self.errors, threshold)
+    }
+}
+
+/// What there is to say about an answer that was refused, or that could not be read.
+pub fn feedback(
+    line: Option<String>,
+    reflection: Option<&ReflectionReport>,
+    errors: &[ParseError],
+    threshold: f64,
+) -> Feedback {
+    let named = |report: &ReflectionReport| report.parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
+    Feedback {
+        code: line,
+        score: reflection.map(|report| report.score),
+        threshold,
+        parts: reflection.map(named).unwrap_or_default(),
+        errors: errors.to_vec(),
     }
 }
 
@@ -100,6 +132,8 @@ pub struct PlanningCall {
     pub decision: Decision,
     /// Iterations after this call in which the emergency brake overruled the planner in force.
     pub emergency_brakes: usize,
+    /// With a latency: the iteration at which the call's planner came into force; `None` where it did not in this drive.
+    pub in_force_from: Option<usize>,
     /// Wall time of the environment transformation, milliseconds.
     pub environment_ms: f64,
     /// Wall time of the whole call, milliseconds.
@@ -117,6 +151,7 @@ impl PlanningCall {
             attempts: Vec::new(),
             decision,
             emergency_brakes: 0,
+            in_force_from: None,
             environment_ms: total_ms,
             total_ms,
         }
@@ -132,10 +167,17 @@ impl PlanningCall {
         self.attempts.iter().map(|attempt| attempt.errors.len()).sum()
     }
 
+    /// Whether the gate saved the call.
+    pub fn is_saved(&self) -> bool {
+        matches!(self.decision, Decision::Saved(_))
+    }
+
     /// What ended the call before its time, if anything did.
     pub fn interruption(&self) -> Option<&Interruption> {
         match &self.decision {
-            Decision::KeepInForce(NoPlan::Interrupted(why)) | Decision::Brake(NoPlan::Interrupted(why)) => Some(why),
+            Decision::KeepInForce(NoPlan::Interrupted(why))
+            | Decision::Brake(NoPlan::Interrupted(why))
+            | Decision::RuleBased(NoPlan::Interrupted(why)) => Some(why),
             _ => None,
         }
     }
@@ -144,7 +186,7 @@ impl PlanningCall {
     pub fn driving(&self) -> Option<&Attempt> {
         match self.decision {
             Decision::Execute(index) | Decision::Exhausted(index) => self.attempts.get(index),
-            Decision::KeepInForce(_) | Decision::Brake(_) => None,
+            _ => None,
         }
     }
 }

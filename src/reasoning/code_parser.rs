@@ -1,27 +1,8 @@
 //! Reads planner code out of a model's answer. Reading never fails: it gives what was understood and a list of errors with
 //! their place; the errors go into the rethink prompt and are counted.
 
-use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range as NumberRange, TARGET_SPEED};
-use super::code_lexer::{Spanned, Token, tokens};
-use std::fmt;
-use std::ops::Range;
-
-/// One thing wrong with an answer.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct ParseError {
-    /// Bytes of the answer that are meant; empty at the end of the text when something is missing.
-    pub span: Range<usize>,
-    /// What is wrong.
-    pub message: String,
-    /// What would be right.
-    pub hint: String,
-}
-
-impl fmt::Display for ParseError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} (characters {} to {}); {}", self.message, self.span.start, self.span.end, self.hint)
-    }
-}
+use super::call_parser::{Call, ParseError, Signature};
+use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, TARGET_SPEED};
 
 /// What was understood of an answer, and what not. A code is given only when all five arguments were understood.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -32,179 +13,36 @@ pub struct Parsed {
     pub errors: Vec<ParseError>,
 }
 
-/// The parameters of the call, in order.
-const PARAMETERS: [&str; 5] = ["c", "la", "v0", "acc", "dec"];
+/// The call of planner code.
+const SIGNATURE: Signature<'_> = Signature { function: FUNCTION, parameters: &["c", "la", "v0", "acc", "dec"] };
+
+/// What stands for no leader.
+const NOBODY: &str = "None";
 
 /// Reads the last call of the function in `text`; names are checked against those of the scene.
-///
-/// A model that reasons aloud may write drafts first, so the last call counts.
 pub fn parse(text: &str, names: &Names) -> Parsed {
-    let tokens = tokens(text);
-    let Some(call) = last_call(&tokens) else {
-        let span = text.len()..text.len();
-        let hint = format!("write one line {FUNCTION}(c, la, v0, acc, dec)");
-        return Parsed {
-            code: None,
-            errors: vec![ParseError { span, message: format!("no call of {FUNCTION}"), hint }],
-        };
+    let mut call = match Call::find(text, SIGNATURE) {
+        Ok(call) => call,
+        Err(error) => return Parsed { code: None, errors: vec![error] },
     };
-    let mut errors = Vec::new();
-    let arguments = arguments(&tokens[call..], text.len(), &mut errors);
-    let code = understand(arguments, names, text.len(), &mut errors);
-    errors.sort_by_key(|error| (error.span.start, error.span.end));
-    Parsed { code, errors }
+    let code = understand(&mut call, names);
+    Parsed { code, errors: call.into_errors() }
 }
 
-/// Place of the token after the last function name.
-fn last_call(tokens: &[Spanned]) -> Option<usize> {
-    let is_name = |s: &Spanned| matches!(&s.token, Token::Word(w) if w.eq_ignore_ascii_case(FUNCTION));
-    tokens.iter().rposition(is_name).map(|place| place + 1)
-}
-
-/// A value given for one parameter.
-#[derive(Debug, Clone)]
-struct Argument {
-    value: Token,
-    span: Range<usize>,
-}
-
-/// The arguments by parameter, positional or by name.
-fn arguments(tokens: &[Spanned], end: usize, errors: &mut Vec<ParseError>) -> [Option<Argument>; 5] {
-    let mut given: [Option<Argument>; 5] = Default::default();
-    let Some(Spanned { token: Token::Open, .. }) = tokens.first() else {
-        let span = tokens.first().map_or(end..end, |s| s.span.clone());
-        errors.push(ParseError {
-            span,
-            message: "expected '(' after the function name".to_owned(),
-            hint: format!("write {FUNCTION}(c, la, v0, acc, dec)"),
-        });
-        return given;
-    };
-    let inside = &tokens[1..];
-    let close = inside.iter().position(|s| s.token == Token::Close);
-    if close.is_none() {
-        errors.push(ParseError {
-            span: end..end,
-            message: "the call is not closed".to_owned(),
-            hint: "end it with ')'".to_owned(),
-        });
-    }
-    let inside = &inside[..close.unwrap_or(inside.len())];
-    for (place, part) in inside.split(|s| s.token == Token::Comma).enumerate() {
-        let Some(first) = part.first() else { continue };
-        let span = first.span.start..part[part.len() - 1].span.end;
-        let (slot, value) = match part {
-            [Spanned { token: Token::Word(name), .. }, Spanned { token: Token::Equals, .. }, value @ ..] => {
-                (parameter(name), value)
-            }
-            value => ((place < PARAMETERS.len()).then_some(place), value),
-        };
-        match (slot, value) {
-            (Some(slot), [Spanned { token, span }]) if given[slot].is_none() => {
-                given[slot] = Some(Argument { value: token.clone(), span: span.clone() });
-            }
-            (Some(slot), [_]) => errors.push(ParseError {
-                span,
-                message: format!("{} is given twice", PARAMETERS[slot]),
-                hint: "give each parameter once".to_owned(),
-            }),
-            (Some(slot), _) => errors.push(ParseError {
-                span,
-                message: format!("{} is not one name or number", PARAMETERS[slot]),
-                hint: "give a plain name or number, no expression".to_owned(),
-            }),
-            (None, _) => errors.push(ParseError {
-                span,
-                message: "this is no parameter of the function".to_owned(),
-                hint: format!("the parameters are {}", PARAMETERS.join(", ")),
-            }),
-        }
-    }
-    given
-}
-
-fn parameter(name: &str) -> Option<usize> {
-    PARAMETERS.iter().position(|p| p.eq_ignore_ascii_case(name))
-}
-
-fn understand(
-    arguments: [Option<Argument>; 5],
-    names: &Names,
-    end: usize,
-    errors: &mut Vec<ParseError>,
-) -> Option<PlannerCode> {
-    let [c, la, v0, acc, dec] = arguments;
-    let centerline = known_name("c", c, &names.centerlines, end, errors);
-    let leader = match la {
-        Some(Argument { value: Token::Word(word), .. }) if word.eq_ignore_ascii_case("none") => Some(None),
-        la => known_name("la", la, &names.leaders, end, errors).map(Some),
-    };
-    let target_speed = number("v0", v0, TARGET_SPEED, end, errors);
-    let accel_max = number("acc", acc, ACCEL_MAX, end, errors);
-    // Some write the deceleration as a negative acceleration; its magnitude is meant.
-    let dec = dec.map(|argument| match argument.value {
-        Token::Number(value) => Argument { value: Token::Number(value.abs()), ..argument },
-        _ => argument,
-    });
-    let decel_max = number("dec", dec, DECEL_MAX, end, errors);
+fn understand(call: &mut Call<'_>, names: &Names) -> Option<PlannerCode> {
+    let centerline = call.name("c", &names.centerlines, None);
+    let follows = !call.is("la", NOBODY);
+    let leader = if follows { call.name("la", &names.leaders, Some(NOBODY)) } else { None };
+    let target_speed = call.number("v0", TARGET_SPEED);
+    let accel_max = call.number("acc", ACCEL_MAX);
+    let decel_max = call.magnitude("dec", DECEL_MAX);
     Some(PlannerCode {
         centerline: centerline?,
-        leader: leader?,
+        leader: if follows { Some(leader?) } else { None },
         target_speed: target_speed?,
         accel_max: accel_max?,
         decel_max: decel_max?,
     })
-}
-
-fn missing(parameter: &str, end: usize, errors: &mut Vec<ParseError>) {
-    errors.push(ParseError {
-        span: end..end,
-        message: format!("{parameter} is missing"),
-        hint: format!("the call needs all of {}", PARAMETERS.join(", ")),
-    });
-}
-
-fn known_name(
-    parameter: &str,
-    argument: Option<Argument>,
-    known: &[String],
-    end: usize,
-    errors: &mut Vec<ParseError>,
-) -> Option<String> {
-    let Some(Argument { value, span }) = argument else {
-        missing(parameter, end, errors);
-        return None;
-    };
-    let message = match value {
-        Token::Word(word) => match known.iter().find(|name| name.eq_ignore_ascii_case(&word)) {
-            Some(name) => return Some(name.clone()),
-            None => format!("{parameter} names '{word}', which is not in the scene"),
-        },
-        _ => format!("{parameter} is not a name"),
-    };
-    let allowed = if parameter == "la" { [known, &["None".to_owned()]].concat() } else { known.to_vec() };
-    errors.push(ParseError { span, message, hint: format!("the scene has {}", allowed.join(", ")) });
-    None
-}
-
-fn number(
-    parameter: &str,
-    argument: Option<Argument>,
-    range: NumberRange,
-    end: usize,
-    errors: &mut Vec<ParseError>,
-) -> Option<f64> {
-    let Some(Argument { value, span }) = argument else {
-        missing(parameter, end, errors);
-        return None;
-    };
-    let message = match value {
-        Token::Number(value) if range.contains(value) => return Some(value),
-        Token::Number(value) => format!("{parameter} = {value} is out of range"),
-        _ => format!("{parameter} is not a number"),
-    };
-    errors.push(ParseError { span, message, hint: format!("{parameter} must lie in {range}") });
-    None
 }
 
 #[cfg(test)]

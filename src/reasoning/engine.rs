@@ -1,7 +1,8 @@
 //! Asks a model the rounds of an attempt and reads its answers.
 
+use super::call_parser::ParseError;
 use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, TARGET_SPEED};
-use super::code_parser::{ParseError, Parsed, parse};
+use super::code_parser::{Parsed, parse};
 use super::grammar;
 use super::instruction::MotionInstruction;
 use super::prompt_set::{PromptError, PromptSet};
@@ -256,7 +257,8 @@ pub fn feedback_text(prompts: &PromptSet, feedback: &Feedback) -> Result<String,
     })
 }
 
-fn record(round: Round, prompt: String, answer: Answer) -> RoundRecord {
+/// The record of an answered round.
+pub(super) fn record(round: Round, prompt: String, answer: Answer) -> RoundRecord {
     RoundRecord {
         round,
         prompt,

@@ -8,7 +8,7 @@ use crate::mllm::Constraint;
 use std::ops::RangeInclusive;
 
 /// Desired speeds that a model may write, m/s: whole numbers up to the speed limit, or up to this where it is unknown.
-const FASTEST: u32 = 30;
+pub(super) const FASTEST: u32 = 30;
 /// Accelerations that a model may write, m/s².
 pub const ACCELERATIONS: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
 /// Decelerations that a model may write, m/s².
@@ -17,12 +17,12 @@ pub const DECELERATIONS: [f64; 4] = [2.0, 3.0, 4.0, 6.0];
 const REASON: &str = r"[A-Za-z][^\n]{2,160}";
 
 /// One of these words.
-fn any_of<S: AsRef<str>>(words: impl IntoIterator<Item = S>) -> Constraint {
+pub(super) fn any_of<S: AsRef<str>>(words: impl IntoIterator<Item = S>) -> Constraint {
     Constraint::Choice(words.into_iter().map(|word| word.as_ref().to_owned()).collect())
 }
 
 /// Exactly this text.
-fn text(text: impl AsRef<str>) -> Constraint {
+pub(super) fn text(text: impl AsRef<str>) -> Constraint {
     any_of([text])
 }
 

@@ -1,6 +1,8 @@
 //! Stage 4: the Reasoning Engine of the paper. It asks the model three rounds, scene understanding, motion instruction and
 //! planner code, and reads the answers.
 
+mod assist;
+mod call_parser;
 mod code;
 mod code_lexer;
 mod code_parser;
@@ -9,9 +11,15 @@ mod grammar;
 mod instruction;
 mod prompt_set;
 mod round;
+mod templates;
 
+pub use assist::{
+    AssistParameters, AssistQuestion, AssistReasoning, AssistThought, AssistVariant, Assistance, WAYPOINT_SECONDS,
+    Waypoint, Waypoints, parse_assistance,
+};
+pub use call_parser::ParseError;
 pub use code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range, TARGET_SPEED};
-pub use code_parser::{ParseError, Parsed, parse};
+pub use code_parser::{Parsed, parse};
 pub use engine::{
     Feedback, Interruption, Reasoning, ReasoningError, ReasoningSettings, RoundRecord, ScenarioPrompt, Thought,
     feedback_text, round_prompt, system_prompt,

@@ -1,8 +1,9 @@
 //! Prompt sets: folders of templates with a `set.toml`, two of them built in.
 
 use super::round::Round;
+use super::templates::Templates;
 use crate::environment::text::TextForm;
-use minijinja::{Environment, UndefinedBehavior, Value};
+use minijinja::Value;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -78,9 +79,8 @@ pub enum PromptError {
 /// A set of prompts: its forms and its compiled templates.
 #[derive(Debug)]
 pub struct PromptSet {
-    name: String,
     forms: PromptForms,
-    templates: Environment<'static>,
+    templates: Templates,
 }
 
 macro_rules! built_in {
@@ -128,21 +128,12 @@ impl PromptSet {
     fn compile(name: &str, path: &Path, settings: &str, sources: [String; 5]) -> Result<Self, PromptError> {
         let forms = toml::from_str(settings)
             .map_err(|source| PromptError::Settings { path: path.to_owned(), source: Box::new(source) })?;
-        let mut templates = Environment::new();
-        templates.set_undefined_behavior(UndefinedBehavior::Strict);
-        for (template, source) in TEMPLATES.into_iter().zip(sources) {
-            templates.add_template_owned(template, source).map_err(|source| PromptError::Template {
-                set: name.to_owned(),
-                name: template,
-                source,
-            })?;
-        }
-        Ok(Self { name: name.to_owned(), forms, templates })
+        Ok(Self { forms, templates: Templates::compile(name, TEMPLATES.into_iter().zip(sources))? })
     }
 
     /// The name or folder it was opened by.
     pub fn name(&self) -> &str {
-        &self.name
+        self.templates.set()
     }
 
     /// How answers look.
@@ -152,26 +143,17 @@ impl PromptSet {
 
     /// The system prompt.
     pub(super) fn system(&self, context: Value) -> Result<String, PromptError> {
-        self.render("system", context)
+        self.templates.render("system", context)
     }
 
     /// The prompt of a round.
     pub(super) fn round(&self, round: Round, context: Value) -> Result<String, PromptError> {
-        self.render(round.as_str(), context)
+        self.templates.render(round.as_str(), context)
     }
 
     /// What is said of a refused planner.
     pub(super) fn feedback(&self, context: Value) -> Result<String, PromptError> {
-        self.render("feedback", context)
-    }
-
-    fn render(&self, name: &'static str, context: Value) -> Result<String, PromptError> {
-        let rendered = self.templates.get_template(name).and_then(|template| template.render(context));
-        rendered.map(|text| text.trim().to_owned()).map_err(|source| PromptError::Template {
-            set: self.name.clone(),
-            name,
-            source,
-        })
+        self.templates.render("feedback", context)
     }
 }
 

@@ -7,8 +7,8 @@ use crate::environment::LaneGraph;
 use crate::geometry::Polyline;
 use crate::metrics::MetricError;
 use crate::pdm::{
-    self, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PdmInstant, PdmMemory, ProposalScore, ScoringScene, Way,
-    no_at_fault_collisions, score_proposals, simulate_proposals,
+    self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PdmInstant, PdmMemory, ProposalScore, ScoringScene,
+    Way, no_at_fault_collisions, score_proposals, simulate_proposals,
 };
 use crate::world::{EgoState, STEP_S, Scene};
 
@@ -113,14 +113,26 @@ impl<'a> Judge<'a> {
         horizon_s: f64,
         memory: &mut PdmMemory,
     ) -> Result<Self, ReflectionError> {
-        let steps = steps_of(horizon_s);
         memory.way = Way::find(scene.map, scene.route, scene.ego).ok();
-        let instant = look(scene, memory);
-        let Some(way) = &memory.way else {
-            let centerline = graph.ego_lane().path.centerline.clone();
-            let reference = ProgressReference::OwnProgress;
-            return Ok(Self { scene, instant, centerline, steps, rival_progress: 0.0, reference });
-        };
+        if let PdmMemory { way: Some(way), collided } = memory {
+            return Self::along(scene, way, horizon_s, collided);
+        }
+        let (instant, steps) = (look(scene, memory), steps_of(horizon_s));
+        let centerline = graph.ego_lane().path.centerline.clone();
+        Ok(Self { scene, instant, centerline, steps, rival_progress: 0.0, reference: ProgressReference::OwnProgress })
+    }
+
+    /// As [`Self::new`], along a way that is given. What the ego touches now is added to `collided`.
+    ///
+    /// # Errors
+    /// When the horizon is too short to be scored.
+    pub fn along(
+        scene: &'a Scene<'a>,
+        way: &Way,
+        horizon_s: f64,
+        collided: &mut Collided,
+    ) -> Result<Self, ReflectionError> {
+        let (instant, steps) = (PdmInstant::along(way, scene, collided), steps_of(horizon_s));
         let centerline = way.centerline().line().clone();
         let proposals = instant.proposals(way, scene.ego, steps);
         let simulated = simulate_proposals(scene.ego, proposals.all());
@@ -145,7 +157,15 @@ impl<'a> Judge<'a> {
     /// # Errors
     /// When the horizon is too short to be scored.
     pub fn reflect(&self, planner: &GeneratedPlanner, threshold: f64) -> Result<ReflectionReport, ReflectionError> {
-        let batch = [self.simulate(planner)];
+        self.assess(self.simulate(planner), threshold)
+    }
+
+    /// Scores what the ego would do, every 0.1 s over the horizon, the present state first, and compares the score with λ.
+    ///
+    /// # Errors
+    /// When the horizon is too short to be scored.
+    pub fn assess(&self, states: Vec<EgoState>, threshold: f64) -> Result<ReflectionReport, ReflectionError> {
+        let batch = [states];
         let scores = score_proposals(&self.scoring(), &batch)?;
         let [states] = batch;
         // One proposal in, one score out.

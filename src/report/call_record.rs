@@ -41,7 +41,7 @@ pub(super) fn calls_in(folder: &Path) -> Result<Vec<Value>, ReportError> {
 }
 
 fn contents(call: &PlanningCall) -> Value {
-    json!({
+    let mut contents = json!({
         "iteration": call.iteration,
         "at_s": call.iteration as f64 * STEP_S,
         "image_blake3": call.image_hash,
@@ -50,7 +50,11 @@ fn contents(call: &PlanningCall) -> Value {
         "decision": decision(&call.decision),
         "emergency_brakes": call.emergency_brakes,
         "time": time(call),
-    })
+    });
+    if let (Some(iteration), Some(fields)) = (call.in_force_from, contents.as_object_mut()) {
+        fields.insert("in_force_from".to_owned(), json!(iteration));
+    }
+    contents
 }
 
 fn decision(decision: &Decision) -> Value {
@@ -59,6 +63,8 @@ fn decision(decision: &Decision) -> Value {
         Decision::Exhausted(index) => json!({"kind": "exhausted", "attempt": index}),
         Decision::KeepInForce(why) => json!({"kind": "keep_in_force", "cause": why.cause(), "why": why.to_string()}),
         Decision::Brake(why) => json!({"kind": "brake", "cause": why.cause(), "why": why.to_string()}),
+        Decision::Saved(score) => json!({"kind": "saved", "score": score}),
+        Decision::RuleBased(why) => json!({"kind": "rule_based", "cause": why.cause(), "why": why.to_string()}),
     }
 }
 
@@ -66,7 +72,7 @@ fn attempt(attempt: &Attempt) -> Value {
     json!({
         "rounds": attempt.rounds,
         "instruction": attempt.instruction,
-        "code": attempt.code.as_ref().map(code),
+        "code": written(attempt),
         "errors": attempt.errors,
         "reflection": attempt.reflection.as_ref().map(|reflection| json!({
             "score": reflection.score,
@@ -76,6 +82,12 @@ fn attempt(attempt: &Attempt) -> Value {
             "verdict": reflection.verdict,
         })),
     })
+}
+
+/// The line that the model wrote, with its parts.
+fn written(attempt: &Attempt) -> Option<Value> {
+    let assistance = attempt.assistance.as_ref();
+    attempt.code.as_ref().map(code).or_else(|| assistance.map(|a| json!({"text": a.to_string(), "assistance": a})))
 }
 
 fn code(code: &PlannerCode) -> Value {

@@ -39,6 +39,9 @@ pub struct DriveRow {
     pub zeroed_by: Vec<String>,
     /// Planning calls that were made.
     pub planning_calls: usize,
+    /// Planning calls that the gate saved; they are not among the others.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub saved_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,
     /// What could not be read of the answers.
@@ -57,6 +60,12 @@ pub struct DriveRow {
     /// The metrics' scores, in nuPlan's order of computation; their statistics lie in `metrics.toml`.
     #[serde(default)]
     pub metrics: Vec<MetricScore>,
+}
+
+/// For fields that most records can do without.
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+pub(super) fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// The score of one metric.
@@ -89,6 +98,7 @@ impl DriveRow {
     pub fn new(number: usize, record: &DriveRecord) -> Self {
         let driven = record.outcome.as_ref().ok();
         let calls = driven.map_or(&[][..], |driven| driven.calls.as_slice());
+        let saved_calls = calls.iter().filter(|call| call.is_saved()).count();
         let score = driven.map(|driven| &driven.score);
         let interrupted =
             |why: fn(&Interruption) -> bool| calls.iter().filter(|call| call.interruption().is_some_and(why)).count();
@@ -104,7 +114,8 @@ impl DriveRow {
             error: record.outcome.as_ref().err().cloned(),
             score: score.map(|score| unsigned_zero(score.value)),
             zeroed_by: score.map_or_else(Vec::new, |score| score.zero_multipliers().map(|m| m.to_string()).collect()),
-            planning_calls: calls.len(),
+            planning_calls: calls.len() - saved_calls,
+            saved_calls,
             rethinks: calls.iter().map(PlanningCall::rethinks).sum(),
             parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
             deadlines: interrupted(|why| matches!(why, Interruption::Deadline)),
@@ -114,7 +125,7 @@ impl DriveRow {
                 started_s: record.started_s,
                 ended_s: record.ended_s,
                 planner_s: driven.map_or_else(Vec::new, |driven| driven.log.runtimes_s.clone()),
-                calls: calls.iter().map(CallTimes::of).collect(),
+                calls: calls.iter().filter(|call| !call.is_saved()).map(CallTimes::of).collect(),
             },
             metrics: metrics
                 .iter()

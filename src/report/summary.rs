@@ -1,6 +1,6 @@
 //! `summary.json`: scores only, no measured times, the same bytes for the same seed.
 
-use super::drive_row::DriveRow;
+use super::drive_row::{DriveRow, is_zero};
 use crate::experiment::split::MissingTokens;
 use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate};
 use crate::mllm::ModelDescription;
@@ -35,6 +35,9 @@ pub struct ScenarioSummary {
     pub metrics: Map<String, Value>,
     /// Planning calls that were made.
     pub planning_calls: usize,
+    /// Planning calls that the gate saved.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub saved_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,
     /// What could not be read of the answers.
@@ -67,6 +70,7 @@ impl From<&DriveRow> for ScenarioSummary {
             score: row.score,
             metrics,
             planning_calls: row.planning_calls,
+            saved_calls: row.saved_calls,
             rethinks: row.rethinks,
             parse_errors: row.parse_errors,
             deadlines: row.deadlines,

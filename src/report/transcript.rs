@@ -36,6 +36,9 @@ fn call_markdown(call: &PlanningCall, driven: &Driven, image: Option<String>) ->
         text.push_str(&attempt_markdown(attempt));
     }
     let _ = writeln!(text, "**Decision:** {}.\n", decision_words(&call.decision));
+    if let Some(iteration) = call.in_force_from {
+        let _ = writeln!(text, "In force from {:.1} s on.\n", iteration as f64 * STEP_S);
+    }
     if call.emergency_brakes > 0 {
         let _ = writeln!(text, "The emergency brake overruled it in {} iterations.\n", call.emergency_brakes);
     }
@@ -57,8 +60,8 @@ pub fn attempt_markdown(attempt: &Attempt) -> String {
     for error in &attempt.errors {
         let _ = writeln!(text, "- not understood: {error}");
     }
-    if let Some(code) = &attempt.code {
-        let _ = writeln!(text, "Code: `{code}`\n");
+    if let Some(line) = attempt.line() {
+        let _ = writeln!(text, "Code: `{line}`\n");
     }
     if let Some(reflection) = &attempt.reflection {
         let parts: Vec<String> =
@@ -75,6 +78,8 @@ pub fn decision_words(decision: &Decision) -> String {
         Decision::Exhausted(index) => format!("all attempts refused; attempt {} drives", index + 1),
         Decision::KeepInForce(why) => format!("the planner in force goes on ({why})"),
         Decision::Brake(why) => format!("brake ({why})"),
+        Decision::Saved(score) => format!("not asked; PDM-Closed drives, whose plan is predicted to score {score:.2}"),
+        Decision::RuleBased(why) => format!("PDM-Closed drives ({why})"),
     }
 }
 

@@ -9,7 +9,7 @@ use planagent::mllm::{
     Architecture, Constraint, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry, ModelSource,
     Opening, RoundTokens, Sampling,
 };
-use planagent::planner::{AfterMaxExec, BevOf, Execution, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings};
+use planagent::planner::{AfterMaxExec, BevOf, Execution, Latency, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings};
 use planagent::reasoning::{PromptSet, ReasoningSettings, Round};
 use planagent::reflection::LeadPolicy;
 use planagent::scenario::generator;
@@ -232,6 +232,8 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
         node_length_m: DEFAULT_NODE_LENGTH,
         interval: 1000,
         deadline: None,
+        gate: None,
+        latency: Latency::None,
         reflect: true,
         threshold: 1.0,
         max_exec: 2,

@@ -61,7 +61,7 @@ pub struct Tried {
 impl Tried {
     /// What an attempt is told after this one.
     pub fn feedback(&self) -> Feedback {
-        feedback(Some(&self.code), Some(&self.reflection), &[], THRESHOLD)
+        feedback(Some(self.code.to_string()), Some(&self.reflection), &[], THRESHOLD)
     }
 }
 

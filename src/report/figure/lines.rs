@@ -35,7 +35,9 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults, 
     for (place, curve) in curves.iter().enumerate() {
         let points: Vec<[f64; 2]> = curve.points.iter().map(|[x, y]| [across.at(*x), up.at(*y)]).collect();
         picture.line(&points, curve.colour, curve.paper);
-        points.iter().for_each(|&point| picture.point(point, curve.colour, curve.paper));
+        for point in points {
+            picture.point(point, curve.colour, curve.paper);
+        }
         let [x, y] = [LEFT + 280.0 * (place % 2) as f64, BOTTOM + 64.0 + 20.0 * (place / 2) as f64];
         picture.point([x, y - 4.0], curve.colour, curve.paper);
         picture.text([x + 12.0, y], Anchor::Start, "faint", &curve.name);

@@ -172,6 +172,7 @@ mod tests {
             score: Some(1.0),
             zeroed_by: Vec::new(),
             planning_calls: 0,
+            saved_calls: 0,
             rethinks: 0,
             parse_errors: 0,
             deadlines: 0,

@@ -91,7 +91,7 @@ mod tests {
         let picture = RgbImage::from_pixel(321, 321, image::Rgb([1, 2, 3]));
         let caption = Caption { title: "x".repeat(500), now: "now é".to_owned(), plan: vec!["plan".to_owned(); 5] };
         let page = below(&picture, &caption);
-        assert!(page.width() == 322 && page.height() % 2 == 0 && page.height() > 380);
+        assert!(page.width() == 322 && page.height().is_multiple_of(2) && page.height() > 380);
         assert_eq!(page.get_pixel(320, 320).0, [1, 2, 3]);
         let inked = page.enumerate_pixels().filter(|(_, y, pixel)| *y > 321 && pixel.0 != PAPER).count();
         assert!(inked > 500, "{inked}");

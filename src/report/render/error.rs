@@ -48,6 +48,20 @@ pub enum RenderError {
         /// Why.
         source: image::ImageError,
     },
+    /// A film cannot be encoded.
+    #[error("cannot write {}: {source}", path.display())]
+    Gif {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: gif::EncodingError,
+    },
+    /// A GIF is at most 65,535 pixels wide and high.
+    #[error("{} would be larger than a GIF can be; ask for fewer --pixels", path.display())]
+    TooLarge {
+        /// Which file.
+        path: PathBuf,
+    },
     /// There is no ffmpeg.
     #[error("an MP4 is written by ffmpeg, which cannot be started ({0}); install it, or write a GIF by --gif")]
     NoFfmpeg(io::Error),

@@ -5,8 +5,8 @@ use super::frame::Film;
 use crate::report::ReportError;
 use crate::report::atomic;
 use crate::world::STEP_S;
-use image::codecs::gif::{GifEncoder, Repeat};
-use image::{Delay, Frame, RgbImage, Rgba, RgbaImage};
+use gif::{DisposalMethod, Encoder, Frame, Repeat};
+use image::{RgbImage, Rgba, RgbaImage};
 use rayon::prelude::*;
 use std::io::{Read, Write};
 use std::num::NonZeroU32;
@@ -26,21 +26,28 @@ const REST: Duration = Duration::from_millis(1500);
 /// # Errors
 /// When it cannot be encoded or written.
 pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
-    let failed = |source| RenderError::Image { path: path.to_owned(), source };
+    let failed = |source| RenderError::Gif { path: path.to_owned(), source };
+    let too_large = || RenderError::TooLarge { path: path.to_owned() };
     let iterations = iterations(film, frames_per_s);
+    let (width, height) = film.frame(0).dimensions();
+    let (width, height) =
+        (u16::try_from(width).map_err(|_| too_large())?, u16::try_from(height).map_err(|_| too_large())?);
     let mut bytes = Vec::new();
     {
-        let mut encoder = GifEncoder::new_with_speed(&mut bytes, GIF_SPEED);
+        let mut encoder = Encoder::new(&mut bytes, width, height, &[]).map_err(failed)?;
         encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
         let mut last: Option<RgbImage> = None;
         for batch in iterations.chunks(BATCH) {
-            for (frame, iteration) in drawn(film, batch).into_iter().zip(batch) {
+            for (drawn, iteration) in drawn(film, batch).into_iter().zip(batch) {
                 let is_last = iterations.last() == Some(iteration);
                 let shown = if is_last { REST } else { Duration::from_secs(1) / frames_per_s.get() };
-                let changes = changes(last.as_ref(), &frame);
-                let delay = Delay::from_saturating_duration(shown);
-                encoder.encode_frame(Frame::from_parts(changes, 0, 0, delay)).map_err(failed)?;
-                last = Some(frame);
+                let mut changes = changes(last.as_ref(), &drawn).into_raw();
+                let mut frame = Frame::from_rgba_speed(width, height, &mut changes, GIF_SPEED);
+                frame.delay = u16::try_from(shown.as_millis() / 10).unwrap_or(u16::MAX);
+                // What is transparent shows the frame before.
+                frame.dispose = DisposalMethod::Keep;
+                encoder.write_frame(&frame).map_err(failed)?;
+                last = Some(drawn);
                 on_frame();
             }
         }
@@ -99,7 +106,7 @@ fn iterations(film: &Film, frames_per_s: NonZeroU32) -> Vec<usize> {
     let last = film.iterations().saturating_sub(1);
     let a_frame = 1.0 / (f64::from(frames_per_s.get()) * STEP_S);
     let mut shown: Vec<usize> =
-        (0..).map(|k| (f64::from(k) * a_frame).round() as usize).take_while(|&iteration| iteration < last).collect();
+        (0..=last).map(|k| (k as f64 * a_frame).round() as usize).take_while(|&iteration| iteration < last).collect();
     shown.push(last);
     shown
 }

@@ -42,7 +42,7 @@ impl ReplayedDrive {
             .zip(plans)
             .map(|((ego, at_s), plan)| Moment { at_s, ego, plan, objects: Vec::new() })
             .collect();
-        for (i, object) in replay.agents.iter().flat_map(|agent| agent.objects()) {
+        for (i, object) in replay.agents.iter().flat_map(super::track::AgentTrack::objects) {
             if let Some(moment) = moments.get_mut(i) {
                 moment.objects.push(object);
             }

@@ -5,7 +5,9 @@ use super::recipe::SETTLING;
 use super::traffic::Traffic;
 use crate::geometry::{Vector, wrap_angle};
 use crate::scenario::Frame;
-use crate::world::{EgoState, HISTORY_SAMPLES, LaneId, LaneMap, ObjectKind, STEP_S, STEP_US, TrackedObject};
+use crate::world::{
+    EgoState, HISTORY_SAMPLES, LaneId, LaneMap, ObjectKind, STEP_S, STEP_US, SignalStatus, TrackedObject,
+};
 use std::sync::Arc;
 
 /// Iterations of a drive: 15 s at 10 Hz, both ends included.
@@ -236,6 +238,19 @@ impl Drive {
                         && local.x > 0.0
                         && local.coords.norm() < 20.0
                 })
+        })
+    }
+
+    /// Drives, and later stands, with a red light within 6 m ahead and nothing of itself on its connector.
+    pub(super) fn stops_before_red(&self) -> bool {
+        let mut moved = false;
+        self.driven().any(|(i, frame)| {
+            moved |= frame.ego.speed() > 5.0;
+            let lane = &self.map[self.lanes[i]];
+            let front = frame.ego.footprint().center.translated(frame.ego.footprint().length / 2.0, 0.0);
+            let left = lane.centerline.length() - lane.centerline.project(front.position()).s;
+            let red = |onward: &LaneId| frame.lights.status(*onward) == Some(SignalStatus::Red);
+            moved && frame.ego.speed() < 0.1 && !lane.is_connector() && left < 6.0 && lane.outgoing.iter().any(red)
         })
     }
 

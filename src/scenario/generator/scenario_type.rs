@@ -4,21 +4,28 @@ use std::fmt;
 use std::str::FromStr;
 
 macro_rules! scenario_types {
-    ($($(#[$doc:meta])* $variant:ident = $name:literal,)*) => {
-        /// Type of a generated drive: nuPlan's fourteen and two for junctions without lights.
+    (
+        types { $($(#[$doc:meta])* $variant:ident = $name:literal,)* }
+        cases { $($(#[$case_doc:meta])* $case:ident = $case_name:literal,)* }
+    ) => {
+        /// Type of a generated drive: nuPlan's fourteen, two for junctions without lights, and two cases of the paper.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum ScenarioType {
             $($(#[$doc])* $variant,)*
+            $($(#[$case_doc])* $case,)*
         }
 
         impl ScenarioType {
-            /// All types.
+            /// All types; suites and data sets are made of these.
             pub const ALL: [Self; [$($name),*].len()] = [$(Self::$variant),*];
+            /// The cases: driven by name alone.
+            pub const CASES: [Self; [$($case_name),*].len()] = [$(Self::$case),*];
 
             /// Its name as nuPlan writes it.
             pub fn name(self) -> &'static str {
                 match self {
                     $(Self::$variant => $name,)*
+                    $(Self::$case => $case_name,)*
                 }
             }
         }
@@ -26,6 +33,7 @@ macro_rules! scenario_types {
 }
 
 scenario_types! {
+    types {
     /// Turns left at a crossing.
     StartingLeftTurn = "starting_left_turn",
     /// Turns right at a crossing.
@@ -58,6 +66,13 @@ scenario_types! {
     TraversingIntersection = "traversing_intersection",
     /// Drives through a roundabout; nuPlan has no type of its own for it.
     TraversingRoundabout = "traversing_roundabout",
+    }
+    cases {
+    /// The paper's first: at the entry of a roundabout somebody waits in the ego's lane, and the lane beside is free.
+    CaseRoundabout = "case_roundabout",
+    /// The paper's second: a light turns red before the ego, with people at the crosswalk behind its stop line.
+    CaseRedLight = "case_red_light",
+    }
 }
 
 impl ScenarioType {
@@ -78,7 +93,7 @@ impl FromStr for ScenarioType {
     type Err = super::GeneratorError;
 
     fn from_str(name: &str) -> Result<Self, Self::Err> {
-        let known = Self::ALL.into_iter().find(|kind| kind.name() == name);
+        let known = Self::ALL.into_iter().chain(Self::CASES).find(|kind| kind.name() == name);
         known.ok_or_else(|| super::GeneratorError::UnknownType(name.to_owned()))
     }
 }

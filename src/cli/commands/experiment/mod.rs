@@ -22,10 +22,13 @@ use suites::{Suite, Suites};
 /// Folder of the runs, beside those of the results.
 const DRIVES: &str = "drives";
 
+/// Name of a variant's run, or why there is none.
+type RunName = Result<String, &'static str>;
+
 /// A study with the suites that it is driven on, and for each the names of its variants' runs.
 struct Planned {
     study: Study,
-    suites: Vec<(Rc<Suite>, Vec<Result<String, &'static str>>)>,
+    suites: Vec<(Rc<Suite>, Vec<RunName>)>,
 }
 
 /// Makes the drives of experiments that are not there yet; the results go to a folder, the tables to stdout.
@@ -156,7 +159,7 @@ fn command(name: &str, flags: &ExperimentArguments) -> String {
 
 /// Failures to stderr, and how the program ends.
 fn tell(planned: &[Planned], runs: &Runs<'_>, printer: Printer) -> Exit {
-    let rows = || runs.all().flat_map(|run| run.rows());
+    let rows = || runs.all().flat_map(runs::Run::rows);
     let all: Vec<DriveRow> = rows().filter(|row| row.error.is_some()).cloned().collect();
     for line in failures(&all) {
         printer.note(format!("failed: {line}"));

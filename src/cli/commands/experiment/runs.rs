@@ -29,7 +29,7 @@ pub(super) struct Runs<'a> {
     /// BLAKE3 of the program: another one may drive otherwise.
     program: String,
     models: BTreeMap<String, Opened>,
-    runs: BTreeMap<String, Run>,
+    by_name: BTreeMap<String, Run>,
 }
 
 /// A planner on a suite.
@@ -62,7 +62,7 @@ impl<'a> Runs<'a> {
         let hashed = std::fs::File::open(&path).and_then(|file| hasher.update_reader(file).map(|_| ()));
         hashed.with_context(|| format!("cannot read {}", path.display()))?;
         let program = hasher.finalize().to_hex().to_string();
-        Ok(Self { folder, config, printer, program, models: BTreeMap::new(), runs: BTreeMap::new() })
+        Ok(Self { folder, config, printer, program, models: BTreeMap::new(), by_name: BTreeMap::new() })
     }
 
     /// Takes up the run of a variant on a suite and gives its name; without one, why the variant cannot drive.
@@ -73,9 +73,9 @@ impl<'a> Runs<'a> {
         let planner = variant.planner;
         let asked = self.config.overlaid(variant.settings)?;
         let loaded = match planner {
-            PlannerKind::PlanAgent if !self.has_weights(&asked)? => return Ok(Err(NO_WEIGHTS)),
-            PlannerKind::PlanAgent => Some(self.model(&asked)?.asked(&asked)?),
-            _ => None,
+            planner if !planner.needs_model() => None,
+            _ if !self.has_weights(&asked)? => return Ok(Err(NO_WEIGHTS)),
+            _ => Some(self.model(&asked)?.asked(&asked)?),
         };
         let model = loaded.as_ref().map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?;
         let agent = model::parts(&asked, loaded.as_ref());
@@ -90,7 +90,7 @@ impl<'a> Runs<'a> {
         };
         let digest = ScenarioList::digest([&self.program, &manifest.digest()]);
         let name = format!("{planner}-{}-{}", suite.name, digest.get(..DIGEST).unwrap_or(&digest));
-        self.runs.entry(name.clone()).or_insert_with(|| Run {
+        self.by_name.entry(name.clone()).or_insert_with(|| Run {
             manifest,
             assignments: assignments(&suite.sources, &[planner], &Challenge::CLOSED_LOOP),
             load_s: loaded.as_ref().map(|loaded| loaded.load_s),
@@ -129,7 +129,7 @@ impl<'a> Runs<'a> {
     /// # Errors
     /// When a folder cannot be used, or another process is at it.
     pub(super) fn open(&mut self, retry_failed: bool) -> anyhow::Result<()> {
-        for (name, run) in &mut self.runs {
+        for (name, run) in &mut self.by_name {
             run.open(&self.folder.join(name), retry_failed, self.printer)?;
         }
         Ok(())
@@ -137,13 +137,13 @@ impl<'a> Runs<'a> {
 
     /// Drives that are made, and drives that are left.
     pub(super) fn drives(&self) -> (usize, usize) {
-        let left = self.runs.values().map(|run| run.todo.len()).sum();
-        (self.runs.values().map(|run| run.assignments.len()).sum::<usize>() - left, left)
+        let left = self.by_name.values().map(|run| run.todo.len()).sum();
+        (self.by_name.values().map(|run| run.assignments.len()).sum::<usize>() - left, left)
     }
 
     /// How many runs there are.
     pub(super) fn count(&self) -> usize {
-        self.runs.len()
+        self.by_name.len()
     }
 
     /// Makes the first drives of those runs of which no time is known.
@@ -152,9 +152,9 @@ impl<'a> Runs<'a> {
     /// When a drive cannot be written.
     pub(super) fn measure(&mut self) -> anyhow::Result<()> {
         let unknown = || |run: &&mut Run| run.seconds_per_drive().is_none() && !run.todo.is_empty();
-        let total = self.runs.values_mut().filter(unknown()).map(|run| run.first().len()).sum();
+        let total = self.by_name.values_mut().filter(unknown()).map(|run| run.first().len()).sum();
         let progress = DriveProgress::new(self.printer, total);
-        for run in self.runs.values_mut().filter(unknown()) {
+        for run in self.by_name.values_mut().filter(unknown()) {
             let first = run.first();
             run.make(&first, &progress)?;
         }
@@ -164,7 +164,7 @@ impl<'a> Runs<'a> {
 
     /// How long the drives that are left will take on the threads of the current pool.
     pub(super) fn left(&self) -> Duration {
-        let runs = self.runs.values();
+        let runs = self.by_name.values();
         let seconds: f64 = runs.map(|run| run.todo.len() as f64 * run.seconds_per_drive().unwrap_or_default()).sum();
         Duration::from_secs_f64(seconds / rayon::current_num_threads() as f64)
     }
@@ -175,7 +175,7 @@ impl<'a> Runs<'a> {
     /// When a drive or file cannot be written.
     pub(super) fn make(&mut self, started: Instant) -> anyhow::Result<()> {
         let progress = DriveProgress::new(self.printer, self.drives().1);
-        for run in self.runs.values_mut() {
+        for run in self.by_name.values_mut() {
             let todo = run.todo.clone();
             run.make(&todo, &progress)?;
             run.finish(started)?;
@@ -186,12 +186,12 @@ impl<'a> Runs<'a> {
 
     /// The run of a name.
     pub(super) fn get(&self, name: &str) -> Option<&Run> {
-        self.runs.get(name)
+        self.by_name.get(name)
     }
 
     /// All runs.
     pub(super) fn all(&self) -> impl Iterator<Item = &Run> {
-        self.runs.values()
+        self.by_name.values()
     }
 }
 
@@ -264,7 +264,7 @@ impl Run {
 /// What of a configuration a planner's drives depend on.
 fn effective(mut config: Config, planner: PlannerKind) -> Config {
     match planner {
-        PlannerKind::PlanAgent => {
+        PlannerKind::PlanAgent | PlannerKind::LlmAssistUnc | PlannerKind::LlmAssistPar => {
             (config.mllm.offline, config.mllm.ignore_memory) = (false, false);
             config
         }

@@ -6,9 +6,10 @@ use crate::cli::args::SimulateArguments;
 use crate::cli::model::{self, Loaded};
 use crate::cli::progress::DriveProgress;
 use crate::cli::{Config, Exit, Printer, drives};
-use crate::experiment::run::{Assignment, PlannerKind};
+use crate::experiment::run::Assignment;
+use crate::planner::Latency;
 use crate::report::{DriveRow, Manifest, RunFolder, Session, Summary, Timing, failures, main_table, stamp};
-use anyhow::anyhow;
+use anyhow::{anyhow, bail};
 use selection::Selection;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -33,7 +34,12 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
         (Err(trouble), ..) => return Err(trouble),
     };
     let assignments = &selection.assignments;
-    let needs_model = selection.planners.contains(&PlannerKind::PlanAgent);
+    if config.agent.latency != Latency::None
+        && let Some(planner) = selection.planners.iter().find(|planner| planner.is_llm_assist())
+    {
+        bail!("agent.latency is set, and {planner} knows none; leave one of them out");
+    }
+    let needs_model = selection.planners.iter().any(|planner| planner.needs_model());
     let loaded = if needs_model { Some(model::load(config, printer)?) } else { None };
     let now = manifest(&selection, config, loaded.as_ref())?;
     let (folder, manifest) = match &flags.resume {
@@ -159,6 +165,10 @@ fn tell(
     let count = |of: fn(&DriveRow) -> usize| rows.iter().map(of).sum::<usize>();
     let (calls, deadlines, lost) =
         (count(|row| row.planning_calls), count(|row| row.deadlines), count(|row| row.failed_calls));
+    let saved = count(|row| row.saved_calls);
+    if saved > 0 {
+        printer.note(format!("the gate saved {saved} of {} planning calls", saved + calls));
+    }
     if deadlines > 0 {
         printer.note(format!("{deadlines} of {calls} planning calls ended by their deadline"));
     }

@@ -181,7 +181,8 @@ class Bev {
     if (call && show.tried) {
       call.tracks.forEach((track, i) => {
         if (!track || (i === driving && this.marked !== i)) return;
-        const wide = this.marked === i ? 4.5 / this.zoom : 2.2 / this.zoom;
+        // Broader than the plan, which often lies over it.
+        const wide = (this.marked === i ? 7 : 5) / this.zoom;
         this.drawLine(track, 0, track.x.length, colors.tried, wide, [1.2, 0.8]);
         this.drawScore(track, call.attempts[i], colors.tried);
       });

@@ -25,7 +25,7 @@ class Latency {
     this.place = place;
     const call = this.replay.calls[place];
     if (!call) return void fill(this.node);
-    const total = call.time.call.total;
+    const total = call.time.call.total || 1;
     fill(this.node,
       h("h4", {}, "Latency of this call", h("span", { class: "at" }, `${milliseconds(total)} ms`)),
       this.calls(place),

@@ -1,5 +1,6 @@
 //! One recipe a scenario type: its roads, its cast, and what must have come about for the drive to be of that type.
 
+mod cases;
 mod crossing;
 mod follow;
 mod garnish;
@@ -39,6 +40,8 @@ pub(super) fn setting(kind: ScenarioType, dice: &mut Dice) -> Result<Setting, Ge
         ScenarioType::ChangingLane => lanes::changing(dice),
         ScenarioType::WaitingForPedestrianToCross => people::waiting(dice),
         ScenarioType::TraversingPickupDropoff => people::pickup(dice),
+        ScenarioType::CaseRoundabout => cases::roundabout(dice),
+        ScenarioType::CaseRedLight => cases::red_light(dice),
     }
 }
 
@@ -60,6 +63,8 @@ pub(super) fn cast(kind: ScenarioType, stage: &mut Stage<'_, '_>, task: Task) ->
         ScenarioType::ChangingLane => lanes::cast(stage, task),
         ScenarioType::WaitingForPedestrianToCross => people::cast_waiting(stage, task),
         ScenarioType::TraversingPickupDropoff => people::cast_pickup(stage, task),
+        ScenarioType::CaseRoundabout => cases::cast_roundabout(stage, task),
+        ScenarioType::CaseRedLight => cases::cast_red_light(stage, task),
     }
 }
 
@@ -81,5 +86,7 @@ pub(super) fn holds(kind: ScenarioType, drive: &Drive) -> bool {
         ScenarioType::ChangingLane => drive.changes_lane(),
         ScenarioType::WaitingForPedestrianToCross => drive.waits_for_pedestrian(),
         ScenarioType::TraversingPickupDropoff => drive.passes_bay(),
+        ScenarioType::CaseRoundabout => drive.changes_lane() && drive.in_intersection(),
+        ScenarioType::CaseRedLight => drive.stops_before_red(),
     }
 }

@@ -13,3 +13,4 @@ pub(crate) use junction::{Control, Turn};
 pub(crate) use layout::{CirclePlan, Course, CrossingPlan, Layout, RoadStyle};
 pub(crate) use network::{Conflict, Passage};
 pub(crate) use roads::Roads;
+pub(crate) use signal::YELLOW;

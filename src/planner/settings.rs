@@ -1,0 +1,76 @@
+//! Settings of the agent.
+
+use super::foreign_view::BevOf;
+use super::latency::Latency;
+use crate::reflection::LeadPolicy;
+use std::time::Duration;
+
+/// Which planner drives when all attempts were refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AfterMaxExec {
+    /// The last one (the paper).
+    Last,
+    /// The one with the best score; the planner in force goes on where it scores more.
+    #[default]
+    Best,
+}
+
+/// How the planner in force drives between planning calls.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Execution {
+    /// As it was written (the paper).
+    AsWritten,
+    /// Under Reflection's eyes, where there is Reflection: at every iteration it is simulated and scored anew with its slower versions and those beside it,
+    /// and the best of them drives.
+    #[default]
+    Watched,
+}
+
+/// Settings of the agent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanAgentSettings {
+    /// Side of the BEV map, metres; `None` leaves the image out.
+    pub view_m: Option<f64>,
+    /// Which scene that map is of.
+    pub bev_of: BevOf,
+    /// Whether the model gets the lane-graph text.
+    pub lane_graph: bool,
+    /// Length of a lane-graph node, metres.
+    pub node_length_m: f64,
+    /// Iterations between planning calls.
+    pub interval: usize,
+    /// Time after which a planning call ends with the planner in force; `None` lets it think to the end. What was drawn
+    /// and what is being judged is done to the end all the same.
+    pub deadline: Option<Duration>,
+    /// The predicted score of PDM-Closed's plan from which on the model is not asked and PDM-Closed drives; `None` always asks.
+    pub gate: Option<f64>,
+    /// How long a planning call lasts in simulated time.
+    pub latency: Latency,
+    /// Whether planners are judged.
+    pub reflect: bool,
+    /// λ.
+    pub threshold: f64,
+    /// Most attempts of a planning call.
+    pub max_exec: usize,
+    /// Length of the roll-outs, seconds.
+    pub horizon_s: f64,
+    /// Which planner drives when all attempts were refused.
+    pub after_max_exec: AfterMaxExec,
+    /// Whom generated planners follow.
+    pub lead_policy: LeadPolicy,
+    /// How the planner in force drives between planning calls.
+    pub execution: Execution,
+    /// Whether PDM-Closed's emergency brake may overrule the planner in force.
+    pub emergency_brake: bool,
+    /// Seed of the run; each planning call draws from its own stream.
+    pub seed: u64,
+}
+
+impl PlanAgentSettings {
+    /// The seed of the planning call at an iteration.
+    pub(super) fn call_seed(&self, iteration: usize) -> u64 {
+        self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64)
+    }
+}

@@ -1,0 +1,238 @@
+//! The answers: what they say, how they are printed, read and constrained.
+
+use super::AssistVariant;
+use crate::mllm::Constraint;
+use crate::reasoning::call_parser::{Call, ParseError, Signature};
+use crate::reasoning::code::Range;
+use crate::reasoning::grammar::{FASTEST, any_of, text};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// How many seconds a plan covers, a waypoint each.
+pub const WAYPOINT_SECONDS: usize = 4;
+/// The function that gives a plan.
+const WAYPOINTS: Signature<'_> =
+    Signature { function: "Follow_Waypoints", parameters: &["x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4"] };
+/// The function that gives parameters.
+const PARAMETERS: Signature<'_> =
+    Signature { function: "Tune_PDM", parameters: &["v0", "gap", "headway", "acc", "dec", "brake"] };
+/// Words of the parameter `brake`.
+const SWITCH: [&str; 2] = ["on", "off"];
+
+/// `x`: backwards a little, forwards as far as any speed leads in four seconds.
+const AHEAD: Range = Range { min: -20.0, max: 160.0, unit: "m" };
+/// `y`: as far as a turn leads in four seconds.
+const LEFT: Range = Range { min: -60.0, max: 60.0, unit: "m" };
+/// `v0`: not to a standstill, which the law of the proposals does not know.
+const SPEED_CAP: Range = Range { min: 1.0, max: 40.0, unit: "m/s" };
+const MIN_GAP: Range = Range { min: 0.1, max: 10.0, unit: "m" };
+const HEADWAY: Range = Range { min: 0.1, max: 5.0, unit: "s" };
+const ACCEL_MAX: Range = Range { min: 0.1, max: 5.0, unit: "m/s²" };
+const DECEL_MAX: Range = Range { min: 0.1, max: 9.0, unit: "m/s²" };
+
+/// What the grammar offers: `y` goes so far to either side, metres,
+const GRAMMAR_LEFT: i32 = 8;
+/// in steps of so much.
+const GRAMMAR_LEFT_STEP: f64 = 0.5;
+/// `gap`, `headway`, `acc` and `dec`; PDM-Closed's own values are among them.
+const GRAMMAR_GAPS: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
+const GRAMMAR_HEADWAYS: [f64; 4] = [0.8, 1.2, 1.5, 2.5];
+const GRAMMAR_ACCELERATIONS: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
+const GRAMMAR_DECELERATIONS: [f64; 4] = [2.0, 3.0, 4.0, 6.0];
+
+/// Where the ego's centre is to be, in its frame at the moment of the question, metres.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Waypoint {
+    /// Ahead.
+    pub ahead: f64,
+    /// To the left.
+    pub left: f64,
+}
+
+/// A plan: a waypoint a second, the first after one second.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Waypoints(pub [Waypoint; WAYPOINT_SECONDS]);
+
+/// Parameters of PDM-Closed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AssistParameters {
+    /// Speed of the fastest proposal on a free road, m/s.
+    pub speed_cap: f64,
+    /// Gap kept at standstill, metres.
+    pub min_gap: f64,
+    /// Headway, seconds.
+    pub headway: f64,
+    /// Largest acceleration, m/s².
+    pub accel_max: f64,
+    /// Largest deceleration as a positive magnitude, m/s².
+    pub decel_max: f64,
+    /// Whether the emergency brake may overrule.
+    pub emergency_brake: bool,
+}
+
+/// An answer.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Assistance {
+    /// Of the unconstrained variant.
+    Waypoints(Waypoints),
+    /// Of the other.
+    Parameters(AssistParameters),
+}
+
+impl fmt::Display for Assistance {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Waypoints(Waypoints(waypoints)) => {
+                let numbers = waypoints.iter().flat_map(|waypoint| [waypoint.ahead, waypoint.left]);
+                let named = WAYPOINTS.parameters.iter().zip(numbers).map(|(name, number)| format!("{name}={number}"));
+                write!(f, "{}({})", WAYPOINTS.function, named.collect::<Vec<_>>().join(", "))
+            }
+            Self::Parameters(AssistParameters {
+                speed_cap,
+                min_gap,
+                headway,
+                accel_max,
+                decel_max,
+                emergency_brake,
+            }) => {
+                let brake = SWITCH[usize::from(!emergency_brake)];
+                write!(
+                    f,
+                    "{}(v0={speed_cap}, gap={min_gap}, headway={headway}, acc={accel_max}, dec={decel_max}, brake={brake})",
+                    PARAMETERS.function
+                )
+            }
+        }
+    }
+}
+
+/// The function that an answer calls, with its parameters, for the prompt.
+pub(super) fn signature(variant: AssistVariant) -> Signature<'static> {
+    match variant {
+        AssistVariant::Unconstrained => WAYPOINTS,
+        AssistVariant::Parameters => PARAMETERS,
+    }
+}
+
+/// Reads the last call in an answer; what was not understood is listed, and then nothing is given.
+pub fn parse_assistance(answer: &str, variant: AssistVariant) -> (Option<Assistance>, Vec<ParseError>) {
+    let mut call = match Call::find(answer, signature(variant)) {
+        Ok(call) => call,
+        Err(error) => return (None, vec![error]),
+    };
+    let read = match variant {
+        AssistVariant::Unconstrained => waypoints(&mut call).map(Assistance::Waypoints),
+        AssistVariant::Parameters => parameters(&mut call).map(Assistance::Parameters),
+    };
+    (read, call.into_errors())
+}
+
+fn waypoints(call: &mut Call<'_>) -> Option<Waypoints> {
+    let mut read = [None; WAYPOINT_SECONDS];
+    for (waypoint, names) in read.iter_mut().zip(WAYPOINTS.parameters.chunks(2)) {
+        let [x, y] = names else { return None };
+        let (ahead, left) = (call.number(x, AHEAD), call.number(y, LEFT));
+        *waypoint = ahead.zip(left).map(|(ahead, left)| Waypoint { ahead, left });
+    }
+    let [a, b, c, d] = read;
+    Some(Waypoints([a?, b?, c?, d?]))
+}
+
+fn parameters(call: &mut Call<'_>) -> Option<AssistParameters> {
+    let speed_cap = call.number("v0", SPEED_CAP);
+    let min_gap = call.number("gap", MIN_GAP);
+    let headway = call.number("headway", HEADWAY);
+    let accel_max = call.number("acc", ACCEL_MAX);
+    let decel_max = call.magnitude("dec", DECEL_MAX);
+    let brake = call.word("brake", &SWITCH);
+    Some(AssistParameters {
+        speed_cap: speed_cap?,
+        min_gap: min_gap?,
+        headway: headway?,
+        accel_max: accel_max?,
+        decel_max: decel_max?,
+        emergency_brake: brake? == 0,
+    })
+}
+
+/// What answers look like where the speed limit is `limit`, whole m/s.
+pub(super) fn grammar(variant: AssistVariant, limit: Option<u32>) -> Constraint {
+    let limit = limit.unwrap_or(FASTEST).max(1);
+    let offered: Vec<Constraint> = match variant {
+        AssistVariant::Unconstrained => {
+            let steps = (f64::from(GRAMMAR_LEFT) / GRAMMAR_LEFT_STEP) as i32;
+            let left = any_of((-steps..=steps).map(|step| (f64::from(step) * GRAMMAR_LEFT_STEP).to_string()));
+            let ahead = |second: u32| any_of((0..=second * limit).map(|metres| metres.to_string()));
+            (1..=WAYPOINT_SECONDS as u32).flat_map(|second| [ahead(second), left.clone()]).collect()
+        }
+        AssistVariant::Parameters => {
+            let numbers = |values: [f64; 4]| any_of(values.iter().map(ToString::to_string));
+            vec![
+                any_of((1..=limit).map(|speed| speed.to_string())),
+                numbers(GRAMMAR_GAPS),
+                numbers(GRAMMAR_HEADWAYS),
+                numbers(GRAMMAR_ACCELERATIONS),
+                numbers(GRAMMAR_DECELERATIONS),
+                any_of(SWITCH),
+            ]
+        }
+    };
+    let Signature { function, parameters } = signature(variant);
+    let named = parameters.iter().zip(offered).enumerate().flat_map(|(i, (name, values))| {
+        let before = if i == 0 { format!("{function}({name}=") } else { format!(", {name}=") };
+        [text(before), values]
+    });
+    Constraint::Sequence(named.chain([text(")")]).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const PLAN: &str = "Follow_Waypoints(x1=8, y1=0, x2=16, y2=0.5, x3=23, y3=-1, x4=30, y4=0)";
+    const TUNED: &str = "Tune_PDM(v0=8, gap=2, headway=1.5, acc=1, dec=4, brake=off)";
+
+    /// A text that a constraint of choices allows: at each choice the one that `pick` names.
+    fn allowed(constraint: &Constraint, pick: usize) -> String {
+        match constraint {
+            Constraint::Sequence(parts) => parts.iter().map(|part| allowed(part, pick)).collect(),
+            Constraint::Choice(texts) => texts[pick % texts.len()].clone(),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn answers_are_read_and_printed() {
+        for (answer, variant) in [(PLAN, AssistVariant::Unconstrained), (TUNED, AssistVariant::Parameters)] {
+            let (read, errors) = parse_assistance(&format!("Carefully:\n{answer}"), variant);
+            assert_eq!(errors, []);
+            assert_eq!(read.map(|read| read.to_string()).as_deref(), Some(answer));
+        }
+        let (read, errors) = parse_assistance(TUNED, AssistVariant::Unconstrained);
+        assert_eq!((read, errors[0].message.as_str()), (None, "no call of Follow_Waypoints"));
+        let (read, errors) = parse_assistance("Tune_PDM(0, 2, 1.5, 1, 4, maybe)", AssistVariant::Parameters);
+        let messages: Vec<&str> = errors.iter().map(|error| error.message.as_str()).collect();
+        assert_eq!((read, messages), (None, vec!["v0 = 0 is out of range", "brake is none of its words"]));
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_the_grammar_allows_is_read(pick in any::<usize>(), limit in prop::option::of(0..40u32)) {
+            for &variant in AssistVariant::ALL {
+                let answer = allowed(&grammar(variant, limit), pick);
+                let (read, errors) = parse_assistance(&answer, variant);
+                prop_assert!(read.is_some() && errors.is_empty(), "{}: {:?}", answer, errors);
+            }
+        }
+
+        #[test]
+        fn any_text_is_read_without_failing(text in "(Follow_Waypoints|Tune_PDM)?\\PC{0,60}") {
+            for &variant in AssistVariant::ALL {
+                let (read, errors) = parse_assistance(&text, variant);
+                prop_assert!(read.is_some() || !errors.is_empty());
+            }
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! Asks the one question of a call, again with what was wrong with the last answer, and reads the answers.
+
+use super::AssistVariant;
+use super::answer::{Assistance, grammar, parse_assistance};
+use super::prompts::AssistPrompts;
+use crate::mllm::{Constraint, Conversation, Deadline, Mark, Mllm, Opening, Request};
+use crate::reasoning::call_parser::ParseError;
+use crate::reasoning::engine::{
+    Feedback, Interruption, ReasoningError, ReasoningSettings, RoundRecord, feedback_text, record,
+};
+use crate::reasoning::prompt_set::PromptSet;
+use crate::reasoning::round::Round;
+
+/// Tokens that an answer may take at least, whatever the model's own bound on codes: small vocabularies spell names out.
+const LEAST_TOKENS: usize = 128;
+
+/// What a call is about.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AssistQuestion {
+    /// The scene in words.
+    pub scene_text: String,
+    /// What PDM-Closed's best proposal scores.
+    pub score: f64,
+    /// Speed limit of the ego's lane, whole m/s; `None` where it is unknown.
+    pub speed_limit: Option<u32>,
+}
+
+/// One answer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AssistThought {
+    /// The question as it was asked and answered; nothing when there was no answer.
+    pub rounds: Vec<RoundRecord>,
+    /// Why there is none.
+    pub interruption: Option<Interruption>,
+    /// What was understood of it.
+    pub assistance: Option<Assistance>,
+    /// What was not.
+    pub errors: Vec<ParseError>,
+}
+
+/// The conversation of one call.
+pub struct AssistReasoning<'a> {
+    variant: AssistVariant,
+    conversation: Box<dyn Conversation + 'a>,
+    start: Mark,
+    templates: AssistPrompts,
+    /// The agent's own prompts, for what is said of a refused answer.
+    prompts: &'a PromptSet,
+    settings: &'a ReasoningSettings,
+    question: &'a AssistQuestion,
+    deadline: Deadline,
+    attempts: usize,
+}
+
+impl<'a> AssistReasoning<'a> {
+    /// Opens the conversation of a call that must end by `deadline`. There is no image: LLM-ASSIST's models read text alone.
+    ///
+    /// # Errors
+    /// When the system prompt cannot be made or does not fit into the model's context.
+    pub fn open(
+        variant: AssistVariant,
+        model: &'a dyn Mllm,
+        (prompts, settings): (&'a PromptSet, &'a ReasoningSettings),
+        question: &'a AssistQuestion,
+        seed: u64,
+        deadline: Deadline,
+    ) -> Result<Self, ReasoningError> {
+        let templates = AssistPrompts::new(variant, prompts.forms().scene_text)?;
+        let conversation = model.converse(&Opening { system: templates.system()?, image: None }, seed)?;
+        let start = conversation.mark();
+        Ok(Self { variant, conversation, start, templates, prompts, settings, question, deadline, attempts: 0 })
+    }
+
+    /// Asks once, from the start, with what was wrong with the last answer.
+    ///
+    /// # Errors
+    /// When the model fails for good or a prompt cannot be made.
+    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<AssistThought, ReasoningError> {
+        self.conversation.rewind(self.start);
+        self.attempts += 1;
+        let feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
+        let AssistQuestion { scene_text, score, .. } = self.question;
+        let prompt = self.templates.question(scene_text, *score, feedback.as_deref())?;
+        let answer = match self.conversation.ask(&prompt, &self.request()) {
+            Ok(answer) => answer,
+            Err(error) if error.is_passing() => {
+                let interruption = Some(error.into());
+                return Ok(AssistThought { rounds: Vec::new(), interruption, assistance: None, errors: Vec::new() });
+            }
+            Err(error) => return Err(error.into()),
+        };
+        let (assistance, errors) = parse_assistance(&answer.text, self.variant);
+        let rounds = vec![record(Round::Code, prompt, answer)];
+        Ok(AssistThought { rounds, interruption: None, assistance, errors })
+    }
+
+    fn request(&self) -> Request {
+        let ReasoningSettings { generation, rethink_sampling, grammar: constrained, .. } = self.settings;
+        let constraint = if *constrained { grammar(self.variant, self.question.speed_limit) } else { Constraint::Free };
+        let sampling = if self.attempts > 1 { *rethink_sampling } else { generation.sampling };
+        let max_new_tokens = generation.max_new_tokens.code.max(LEAST_TOKENS);
+        Request { constraint, max_new_tokens, sampling, deadline: self.deadline }
+    }
+}

@@ -1,0 +1,61 @@
+//! The prompts of both variants.
+
+use super::AssistVariant;
+use super::answer::signature;
+use crate::environment::TextForm;
+use crate::reasoning::prompt_set::PromptError;
+use crate::reasoning::templates::Templates;
+use minijinja::context;
+
+/// Templates of the unconstrained variant: system prompt and question.
+const UNCONSTRAINED: [(&str, &str); 2] = [
+    ("system", include_str!("../../../prompts/llm_assist_unc/system.jinja")),
+    ("question", include_str!("../../../prompts/llm_assist_unc/question.jinja")),
+];
+/// Those of the other.
+const PARAMETERS: [(&str, &str); 2] = [
+    ("system", include_str!("../../../prompts/llm_assist_par/system.jinja")),
+    ("question", include_str!("../../../prompts/llm_assist_par/question.jinja")),
+];
+
+/// The prompts of a variant, long or, for models that read the compact texts, in a word.
+#[derive(Debug)]
+pub(super) struct AssistPrompts {
+    templates: Templates,
+    variant: AssistVariant,
+    compact: bool,
+}
+
+impl AssistPrompts {
+    /// Those of a variant for models that read scene texts of this form.
+    ///
+    /// # Errors
+    /// When a template does not compile.
+    pub(super) fn new(variant: AssistVariant, form: TextForm) -> Result<Self, PromptError> {
+        let (set, sources) = match variant {
+            AssistVariant::Unconstrained => ("llm_assist_unc", UNCONSTRAINED),
+            AssistVariant::Parameters => ("llm_assist_par", PARAMETERS),
+        };
+        let templates = Templates::compile(set, sources.map(|(name, source)| (name, source.to_owned())))?;
+        Ok(Self { templates, variant, compact: form == TextForm::Compact })
+    }
+
+    /// The system prompt.
+    ///
+    /// # Errors
+    /// When the template names something that does not exist.
+    pub(super) fn system(&self) -> Result<String, PromptError> {
+        let signature = signature(self.variant).to_string();
+        self.templates.render("system", context! { compact => self.compact, signature => signature })
+    }
+
+    /// The question about a scene in which PDM-Closed's best proposal scores so much; `feedback` about the last answer.
+    ///
+    /// # Errors
+    /// When the template names something that does not exist.
+    pub(super) fn question(&self, scene: &str, score: f64, feedback: Option<&str>) -> Result<String, PromptError> {
+        let score = format!("{score:.2}");
+        let context = context! { compact => self.compact, scene_text => scene, score => score, feedback => feedback };
+        self.templates.render("question", context)
+    }
+}

@@ -1,0 +1,51 @@
+//! Compiled prompt templates.
+
+use super::prompt_set::PromptError;
+use minijinja::{Environment, UndefinedBehavior, Value};
+
+/// The templates of one set; a template that names something that does not exist cannot be rendered.
+#[derive(Debug)]
+pub(super) struct Templates {
+    set: String,
+    environment: Environment<'static>,
+}
+
+impl Templates {
+    /// Compiles the templates of the set of this name.
+    ///
+    /// # Errors
+    /// When a template is wrong.
+    pub(super) fn compile(
+        set: &str,
+        templates: impl IntoIterator<Item = (&'static str, String)>,
+    ) -> Result<Self, PromptError> {
+        let mut environment = Environment::new();
+        environment.set_undefined_behavior(UndefinedBehavior::Strict);
+        for (name, source) in templates {
+            environment.add_template_owned(name, source).map_err(|source| PromptError::Template {
+                set: set.to_owned(),
+                name,
+                source,
+            })?;
+        }
+        Ok(Self { set: set.to_owned(), environment })
+    }
+
+    /// The name of the set.
+    pub(super) fn set(&self) -> &str {
+        &self.set
+    }
+
+    /// The text of a template, without white space around it.
+    ///
+    /// # Errors
+    /// When it names something that the context lacks.
+    pub(super) fn render(&self, name: &'static str, context: Value) -> Result<String, PromptError> {
+        let rendered = self.environment.get_template(name).and_then(|template| template.render(context));
+        rendered.map(|text| text.trim().to_owned()).map_err(|source| PromptError::Template {
+            set: self.set.clone(),
+            name,
+            source,
+        })
+    }
+}
