@@ -65,18 +65,6 @@ fn breaks_down(scenario: &Scenario) -> bool {
         })
 }
 
-/// Somebody follows the ego for a second with less than a second to it.
-fn is_tailgated(scenario: &Scenario) -> bool {
-    let close = |frame: &&Frame| {
-        let (ego, own) = (frame.ego.center(), frame.ego.footprint());
-        frame.ego.speed() > 4.0
-            && vehicles(frame)
-                .filter(|object| in_lane(&ego, object, -25.0, -5.0))
-                .any(|object| own.distance(&object.shape) < object.speed())
-    };
-    scenario.frames.iter().filter(close).count() >= 10
-}
-
 /// Somebody walks on the road less than 50 m before the ego.
 fn crosses_on_foot(scenario: &Scenario) -> bool {
     scenario.frames.iter().any(|frame| {
@@ -93,14 +81,14 @@ fn crosses_on_foot(scenario: &Scenario) -> bool {
     })
 }
 
+/// Floors somewhat below what was measured (docs/generator.md): none of it may get lost.
 #[test]
 fn others_do_what_must_be_coped_with() {
     let shares = [
-        ("cuts in", share(cuts_in), 0.03),
-        ("stands in the way", share(stands_in_the_way), 0.03),
-        ("breaks down", share(breaks_down), 0.01),
-        ("tailgates", share(is_tailgated), 0.03),
-        ("crosses on foot", share(crosses_on_foot), 0.1),
+        ("cuts in", share(cuts_in), 0.02),
+        ("stands in the way", share(stands_in_the_way), 0.02),
+        ("breaks down", share(breaks_down), 0.03),
+        ("crosses on foot", share(crosses_on_foot), 0.05),
     ];
     for (what, share, least) in shares {
         assert!(share >= least, "{what}: {share} of the drives, fewer than {least}: {shares:?}");
