@@ -57,7 +57,7 @@ fn at_the_roundabout_the_rules_wait_for_good_and_a_lane_change_leads_past() {
     );
     let left = "Generate_IDM_Planner(c=left_lane, la=None, v0=7, acc=1.5, dec=3)";
     let on = "Generate_IDM_Planner(c=ego_lane, la=None, v0=7, acc=1.5, dec=3)";
-    let agent = by_code(&[left, on, on, on, on, on, on, on], ROUNDABOUT);
+    let agent = by_code(&[left, left, left, on, on, on, on, on], ROUNDABOUT);
     assert!(driven(&agent) > driven(&rules) + 20.0, "{} m, {} m", driven(&agent), driven(&rules));
     assert!(passes(&agent, &scenario, "no_ego_at_fault_collisions"));
     assert!(passes(&agent, &scenario, "drivable_area_compliance"));

@@ -286,7 +286,7 @@ fn drive_scenario(
     let log = match planner {
         PlannerKind::PlanAgent | PlannerKind::RandomCode | PlannerKind::FixedCode | PlannerKind::GridCode => {
             let agent = agent.and_then(|parts| parts.agent(planner, &scenario.id));
-            let mut planner = agent.ok_or_else(|| format!("{planner} needs settings, and plan-agent a model"))?;
+            let mut planner = agent.ok_or_else(|| format!("{planner} needs a model, or settings"))?;
             let log = simulate(&mut planner)?;
             calls = planner.calls().to_vec();
             log
