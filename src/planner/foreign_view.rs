@@ -2,7 +2,7 @@
 
 use crate::environment::{BevView, bev};
 use crate::scenario::generator::{self, GeneratorError, ScenarioType, Spec};
-use crate::world::{History, Scene};
+use crate::world::History;
 use image::RgbImage;
 
 /// Seeds of the scenes that are shown: none that is trained on or driven.
@@ -40,14 +40,7 @@ pub(super) fn render(draw: u64, view: &BevView) -> Result<RgbImage, GeneratorErr
     let scenario = scenario?;
     let frame = &scenario.frames[scenario.start + (draw / SEEDS) as usize % scenario.iterations()];
     let history = History::default();
-    let scene = Scene {
-        map: &scenario.map,
-        route: &scenario.route,
-        ego: &frame.ego,
-        objects: &frame.objects,
-        lights: &frame.lights,
-        history: &history,
-    };
+    let scene = scenario.scene(frame, &history);
     Ok(bev::render(&scene, view))
 }
 

@@ -46,6 +46,11 @@ const fn planner(labels: &'static [&'static str], planner: PlannerKind, publishe
     Variant { labels, planner, settings: "", published, x: None }
 }
 
+/// PlanAgent with settings of its own, at a place on the axis of a figure.
+fn agent_at(labels: &'static [&'static str], settings: &'static str, published: Published, x: f64) -> Variant {
+    Variant { x: Some(x), ..agent(labels, settings, published) }
+}
+
 /// PlanAgent with settings of its own.
 const fn agent(labels: &'static [&'static str], settings: &'static str, published: Published) -> Variant {
     Variant { settings, ..planner(labels, PlannerKind::PlanAgent, published) }
@@ -154,17 +159,15 @@ fn reasoning() -> Study {
 }
 
 fn interval() -> Study {
-    let every =
-        |labels, settings, published, seconds| Variant { x: Some(seconds), ..agent(labels, settings, published) };
     Study {
         name: "interval",
         title: "Time between two planning calls",
         paper: Some("ablation of the interval of MLLM calls"),
         labels: &["interval"],
         variants: vec![
-            every(&["1 s"], "reasoning.interval = 10", paper::EVERY_SECOND, 1.0),
-            every(&["2 s"], "reasoning.interval = 20", paper::PLAN_AGENT, 2.0),
-            every(&["3 s"], "reasoning.interval = 30", paper::EVERY_THIRD_SECOND, 3.0),
+            agent_at(&["1 s"], "reasoning.interval = 10", paper::EVERY_SECOND, 1.0),
+            agent_at(&["2 s"], "reasoning.interval = 20", paper::PLAN_AGENT, 2.0),
+            agent_at(&["3 s"], "reasoning.interval = 30", paper::EVERY_THIRD_SECOND, 3.0),
         ],
         reference: 1,
         suites: &[SuiteName::Hard],
@@ -266,7 +269,7 @@ fn execution() -> Study {
 }
 
 fn gate() -> Study {
-    let below = |labels, settings, x| Variant { x: Some(x), ..agent(labels, settings, Published::NOTHING) };
+    let below = |labels, settings, x| agent_at(labels, settings, Published::NOTHING, x);
     Study {
         name: "gate",
         title: "Asking the model only where PDM-Closed expects to do badly",
@@ -289,8 +292,7 @@ fn gate() -> Study {
 }
 
 fn latency_aware() -> Study {
-    let lasting =
-        |labels, settings, seconds| Variant { x: Some(seconds), ..agent(labels, settings, Published::NOTHING) };
+    let lasting = |labels, settings, seconds| agent_at(labels, settings, Published::NOTHING, seconds);
     Study {
         name: "latency-aware",
         title: "What the time of a planning call costs",

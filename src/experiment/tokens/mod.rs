@@ -140,14 +140,7 @@ fn count_at(
     for past in &scenario.frames[now.saturating_sub(HISTORY_SAMPLES - 1)..=now] {
         history.push(HistorySample { ego: past.ego, objects: past.objects.clone() });
     }
-    let scene = Scene {
-        map: &scenario.map,
-        route: &scenario.route,
-        ego: &frame.ego,
-        objects: &frame.objects,
-        lights: &frame.lights,
-        history: &history,
-    };
+    let scene = scenario.scene(frame, &history);
     let graph = LaneGraph::build(&scene, node_length_m)?;
     let tokens = SceneText::ALL.map(|kind| counter.count(&kind.of(&scene, &graph)));
     Ok(TokenRow { scenario: scenario.id.clone(), iteration, agents: graph.agents.len(), tokens })
