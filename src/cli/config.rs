@@ -126,7 +126,7 @@ pub struct ReflectionConfig {
     pub lead_policy: LeadPolicy,
     /// How the planner in force drives between planning calls.
     pub execution: Execution,
-    /// Whether PDM-Closed's emergency brake may overrule the planner in force.
+    /// Whether the ego may brake hard against what the planner in force does.
     pub emergency_brake: bool,
 }
 

@@ -12,6 +12,7 @@ mod plan_agent;
 mod record;
 mod settings;
 mod simple;
+mod watched;
 
 pub use foreign_view::BevOf;
 pub use idm::IdmPlanner;
@@ -20,10 +21,11 @@ pub use llm_assist::LlmAssist;
 pub use log_replay::LogReplay;
 pub use mind::{Mind, USUAL_ACCELERATIONS, planner_code};
 pub use pdm_closed::PdmClosed;
-pub use plan_agent::{NAME as PLAN_AGENT, PlanAgent, brake, generated_planner, names, watched};
+pub use plan_agent::{NAME as PLAN_AGENT, PlanAgent, generated_planner, names};
 pub use record::{Attempt, Decision, NoPlan, PlanningCall, feedback};
 pub use settings::{AfterMaxExec, Execution, PlanAgentSettings};
 pub use simple::SimplePlanner;
+pub use watched::{Watched, watched};
 
 use crate::world::{LaneMap, Route, Scene, Trajectory, TrajectoryError};
 use std::sync::Arc;

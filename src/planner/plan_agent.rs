@@ -8,6 +8,7 @@ use super::mind::Mind;
 use super::pdm_closed::{pdm_failed, predicted_score};
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::settings::{AfterMaxExec, Execution, PlanAgentSettings};
+use super::watched::{Watched, back_to_own_lane, watched};
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
@@ -15,10 +16,7 @@ use crate::geometry::Pose;
 use crate::mllm::{Deadline, Opening, milliseconds};
 use crate::pdm::{self, PdmMemory};
 use crate::reasoning::{Interruption, Names, ParseError, PlannerCode, ScenarioPrompt, Thought};
-use crate::reflection::{
-    GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Rollout, Verdict, choose_version, needs_emergency_brake,
-    steps_of,
-};
+use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, Watch, needs_emergency_brake};
 use crate::world::{STEP_S, Scene, Trajectory};
 use std::time::Instant;
 
@@ -27,7 +25,7 @@ pub const NAME: &str = "plan-agent";
 /// Deceleration of a stop that no code asked for, m/s²: within nuPlan's comfort bound of 4.05.
 const BRAKE: f64 = 4.0;
 /// Steps of 0.1 s of the trajectory that drives: 8 s, what nuPlan's planners give and its open-loop metrics look at.
-const PLAN_STEPS: usize = 80;
+pub(super) const PLAN_STEPS: usize = 80;
 
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
 pub struct PlanAgent {
@@ -135,6 +133,7 @@ impl PlanAgent {
             attempts: thinking.attempts,
             decision,
             emergency_brakes: 0,
+            retreat: None,
             in_force_from: None,
             environment_ms,
             total_ms,
@@ -157,9 +156,7 @@ impl PlanAgent {
         let Some(underway) = self.underway.take_if(|underway| underway.arrives <= iteration) else { return Ok(()) };
         let Some(planner) = underway.planner else { return Ok(()) };
         self.in_force = InForce::Planner(Box::new(planner));
-        if let Some(call) = self.calls.last_mut() {
-            call.in_force_from = Some(iteration);
-        }
+        self.note(|call| call.in_force_from = Some(iteration));
         self.go_on(scene)
     }
 
@@ -291,6 +288,70 @@ impl PlanAgent {
         }
     }
 
+    /// The planner in force drives as it was written; the emergency brake may overrule it.
+    fn drive_as_written(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        let ego = input.scene.ego;
+        let planner = match &self.in_force {
+            InForce::Planner(planner) => &**planner,
+            InForce::Rules => return self.drive_by_rules(&input.scene),
+            InForce::Nobody => return Ok(brake(ego)?),
+        };
+        let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
+        if self.settings.emergency_brake && needs_emergency_brake(&input.scene, &rollout, &mut self.memory) {
+            self.note(|call| call.emergency_brakes += 1);
+            return Ok(brake(ego)?);
+        }
+        Ok(rollout.to_trajectory(ego)?)
+    }
+
+    /// Of the planner in force that version drives which Reflection chooses. Where a change of lanes has come to need hard braking or
+    /// to score less than λ and the ego's present lane is better, the ego stays there until the next call.
+    fn drive_watched(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        let scene = &input.scene;
+        let planner = match &self.in_force {
+            InForce::Planner(planner) => &**planner,
+            InForce::Rules => return self.drive_by_rules(scene),
+            InForce::Nobody => return Ok(brake(scene.ego)?),
+        };
+        let watch = self.settings.watch();
+        let mut driving = watched(planner, scene, &watch, &mut self.memory)?;
+        if (driving.brakes || driving.score < watch.threshold)
+            && let Some((back, instead)) = self.retreat(scene, &watch)?
+            && instead.is_better_than(&driving)
+        {
+            driving = instead;
+            self.in_force = InForce::Planner(Box::new(back));
+            self.note(|call| call.retreat = Some(input.iteration));
+        }
+        if driving.brakes {
+            self.note(|call| call.emergency_brakes += 1);
+        }
+        Ok(driving.trajectory)
+    }
+
+    /// The planner in force, back in the ego's present lane, and how it would drive on there; `None` when it is bound for that lane.
+    fn retreat(
+        &mut self,
+        scene: &Scene<'_>,
+        watch: &Watch,
+    ) -> Result<Option<(GeneratedPlanner, Watched)>, PlannerError> {
+        let InForce::Planner(planner) = &self.in_force else { return Ok(None) };
+        let Ok(graph) = LaneGraph::build(scene, self.settings.node_length_m) else { return Ok(None) };
+        let back = back_to_own_lane(planner, scene, &graph, self.settings.lead_policy, self.path_s())?;
+        let Some(back) = back else { return Ok(None) };
+        let driving = watched(&back, scene, watch, &mut self.memory)?;
+        Ok(Some((back, driving)))
+    }
+
+    fn drive_by_rules(&mut self, scene: &Scene<'_>) -> Result<Trajectory, PlannerError> {
+        Ok(pdm::plan(&mut self.memory, scene).map_err(pdm_failed)?.trajectory)
+    }
+
+    /// Writes into the record of the last planning call.
+    fn note(&mut self, write: impl FnOnce(&mut PlanningCall)) {
+        self.calls.last_mut().map(write);
+    }
+
     /// What happens when a call gives no planner.
     fn without_plan(&self, why: NoPlan) -> Decision {
         match &self.in_force {
@@ -320,45 +381,12 @@ impl Planner for PlanAgent {
                 None => self.call(input.iteration, &input.scene)?,
             }
         }
-        let ego = input.scene.ego;
-        let planner = match &self.in_force {
-            InForce::Planner(planner) => &**planner,
-            InForce::Rules => return Ok(pdm::plan(&mut self.memory, &input.scene).map_err(pdm_failed)?.trajectory),
-            InForce::Nobody => return Ok(brake(ego)?),
-        };
-        let (rollout, emergency) = match self.settings.execution {
-            Execution::Watched if self.settings.reflect => {
-                watched(planner, &input.scene, self.settings.horizon_s, &mut self.memory)?
-            }
-            Execution::AsWritten | Execution::Watched => {
-                let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
-                let emergency = needs_emergency_brake(&input.scene, &rollout, &mut self.memory);
-                (rollout, emergency)
-            }
-        };
-        if emergency && self.settings.emergency_brake {
-            if let Some(call) = self.calls.last_mut() {
-                call.emergency_brakes += 1;
-            }
-            return Ok(brake(ego)?);
+        if self.settings.execution == Execution::Watched && self.settings.reflect {
+            self.drive_watched(input)
+        } else {
+            self.drive_as_written(input)
         }
-        Ok(rollout.to_trajectory(ego)?)
     }
-}
-
-/// How a planner drives on when it is watched: the roll-out of the version that Reflection scores best over `horizon_s` seconds,
-/// and whether the emergency brake would overrule it.
-///
-/// # Errors
-/// When the horizon is too short to be scored.
-pub fn watched(
-    planner: &GeneratedPlanner,
-    scene: &Scene<'_>,
-    horizon_s: f64,
-    memory: &mut PdmMemory,
-) -> Result<(Rollout, bool), PlannerError> {
-    let choice = choose_version(scene, planner, steps_of(horizon_s), memory).map_err(reflection_failed)?;
-    Ok((planner.roll_out_version(choice.version, scene, PLAN_STEPS), choice.emergency_brake))
 }
 
 /// The names that planner code may use in a scene.
@@ -417,7 +445,7 @@ fn attempt(
 ///
 /// # Errors
 /// When the ego's state is not finite.
-pub fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::TrajectoryError> {
+pub(super) fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::TrajectoryError> {
     use crate::world::{STEP_US, TrajectoryState};
     let mut speed = ego.velocity.x.max(0.0);
     let mut way = 0.0;

@@ -132,6 +132,8 @@ pub struct PlanningCall {
     pub decision: Decision,
     /// Iterations after this call in which the emergency brake overruled the planner in force.
     pub emergency_brakes: usize,
+    /// The iteration after this call at which the ego went back to the lane it was in instead of changing lanes.
+    pub retreat: Option<usize>,
     /// With a latency: the iteration at which the call's planner came into force; `None` where it did not in this drive.
     pub in_force_from: Option<usize>,
     /// Wall time of the environment transformation, milliseconds.
@@ -151,6 +153,7 @@ impl PlanningCall {
             attempts: Vec::new(),
             decision,
             emergency_brakes: 0,
+            retreat: None,
             in_force_from: None,
             environment_ms: total_ms,
             total_ms,

@@ -2,7 +2,7 @@
 
 use super::foreign_view::BevOf;
 use super::latency::Latency;
-use crate::reflection::LeadPolicy;
+use crate::reflection::{LeadPolicy, Watch, steps_of};
 use std::time::Duration;
 
 /// Which planner drives when all attempts were refused.
@@ -22,8 +22,9 @@ pub enum AfterMaxExec {
 pub enum Execution {
     /// As it was written (the paper).
     AsWritten,
-    /// Under Reflection's eyes, where there is Reflection: at every iteration it is simulated and scored anew with its slower versions and those beside it,
-    /// and the best of them drives.
+    /// Under Reflection's eyes, where there is Reflection: at every iteration it is simulated and scored anew with its slower
+    /// versions, those beside it and a stop, and [`Watch`] says which of them drives; a change of lanes that goes bad is given up
+    /// where the ego's present lane is better.
     #[default]
     Watched,
 }
@@ -62,13 +63,20 @@ pub struct PlanAgentSettings {
     pub lead_policy: LeadPolicy,
     /// How the planner in force drives between planning calls.
     pub execution: Execution,
-    /// Whether PDM-Closed's emergency brake may overrule the planner in force.
+    /// Whether the ego may brake hard against what the planner in force does: by PDM-Closed's rule, and where it is watched by its
+    /// version that stops too.
     pub emergency_brake: bool,
     /// Seed of the run; each planning call draws from its own stream.
     pub seed: u64,
 }
 
 impl PlanAgentSettings {
+    /// How the planner in force is watched.
+    pub(super) fn watch(&self) -> Watch {
+        let Self { horizon_s, threshold, emergency_brake, .. } = *self;
+        Watch { steps: steps_of(horizon_s), threshold, emergency_brake }
+    }
+
     /// The seed of the planning call at an iteration.
     pub(super) fn call_seed(&self, iteration: usize) -> u64 {
         self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(iteration as u64)

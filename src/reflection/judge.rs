@@ -1,7 +1,7 @@
 //! Scores generated planners by PDM's measure over a short horizon.
 
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
-use super::rollout::{GeneratedPlanner, Rollout, Version};
+use super::rollout::{GeneratedPlanner, Rollout};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::LaneGraph;
 use crate::geometry::Polyline;
@@ -28,50 +28,13 @@ pub fn needs_emergency_brake(scene: &Scene<'_>, rollout: &Rollout, memory: &mut 
     pdm::needs_emergency_brake(first.map(|state| state as f64 * STEP_S), scene.ego)
 }
 
-/// What drives on of a planner.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Choice {
-    /// The version with the best score by PDM's measure, the first of equals.
-    pub version: Version,
-    /// Whether PDM-Closed's emergency brake would overrule even that.
-    pub emergency_brake: bool,
-}
-
-/// Chooses between the versions of a planner as PDM-Closed chooses between its proposals, over `steps` steps of 0.1 s: progress
-/// is relative to the best of them. What the ego touches is remembered; areas and progress are those of the remembered way, and
-/// of the planner's own path where there is none.
-///
-/// # Errors
-/// When the roll-outs are too short to be scored.
-pub fn choose_version(
-    scene: &Scene<'_>,
-    planner: &GeneratedPlanner,
-    steps: usize,
-    memory: &mut PdmMemory,
-) -> Result<Choice, ReflectionError> {
-    if memory.way.is_none() {
-        memory.way = Way::find(scene.map, scene.route, scene.ego).ok();
-    }
-    let instant = look(scene, memory);
-    let centerline = memory.way.as_ref().map_or(planner.path(), |way| way.centerline().line());
-    let (versions, batch): (Vec<Version>, Vec<Vec<EgoState>>) = planner
-        .roll_out_versions(scene, steps)
-        .into_iter()
-        .map(|(version, rollout)| (version, simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed)))
-        .unzip();
-    let scores = score_proposals(&instant.scoring(centerline, 0.0), &batch)?;
-    let best = pdm::best_of(&scores).and_then(|best| versions.get(best).zip(scores.get(best)));
-    let (&version, score) = best.ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
-    Ok(Choice { version, emergency_brake: pdm::needs_emergency_brake(score.first_at_fault_s, scene.ego) })
-}
-
 /// Steps of 0.1 s in so many seconds.
 pub fn steps_of(seconds: f64) -> usize {
     (seconds / STEP_S).round() as usize
 }
 
 /// What PDM sees along the remembered way; without one, from the route as it is given.
-fn look<'a>(scene: &Scene<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
+pub(super) fn look<'a>(scene: &Scene<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
     let PdmMemory { way, collided } = memory;
     if let Some(way) = way {
         return PdmInstant::along(way, scene, collided);

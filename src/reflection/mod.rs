@@ -5,8 +5,10 @@ mod judge;
 mod path;
 mod report;
 mod rollout;
+mod watch;
 
-pub use judge::{Choice, Judge, ReflectionError, choose_version, needs_emergency_brake, steps_of};
+pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
 pub use path::onto_centerline;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 pub use rollout::{GeneratedPlanner, LeadPolicy, Rollout, Version};
+pub use watch::{Choice, Watch};

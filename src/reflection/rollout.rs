@@ -4,7 +4,7 @@ use super::path::onto_centerline;
 use crate::dynamics::{IdmParameters, Lead};
 use crate::geometry::{Corridor, GeometryError, OrientedBox, Polyline, Pose, Vector};
 use crate::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
-use crate::reasoning::PlannerCode;
+use crate::reasoning::{DECELERATIONS, PlannerCode};
 use crate::world::{
     EgoState, LaneId, LanePath, PACIFICA, STEP_S, STEP_US, Scene, SignalStatus, TrackToken, TrackedObject, Trajectory,
     TrajectoryError, TrajectoryState,
@@ -20,6 +20,8 @@ const HEADWAY: f64 = 1.5;
 const STANDSTILL: f64 = 0.05;
 /// Steps after which the lead is looked up anew; in between it is carried on (PDM-Closed looks every second step).
 const LEAD_REFRESH: usize = 2;
+/// Deceleration of the version that stops, m/s²: the hardest that a code may ask for.
+const STOP_DECEL: f64 = DECELERATIONS[DECELERATIONS.len() - 1];
 /// Metres of path kept beyond what the fastest roll-out can reach.
 const PATH_MARGIN: f64 = 30.0;
 
@@ -50,7 +52,7 @@ pub struct GeneratedPlanner {
 }
 
 /// What may drive in a planner's stead: the same planner slower, or to the side within its lane, by the fractions and offsets of
-/// PDM-Closed's proposals. The first is the planner as it was written.
+/// PDM-Closed's proposals, or a hard stop. The first is the planner as it was written.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Version {
     /// Place of its path: see [`LATERAL_OFFSETS`].
@@ -60,8 +62,16 @@ pub struct Version {
 }
 
 impl Version {
+    /// A stop on the planner's own path, as hard as a code may ask for.
+    pub const STOP: Self = Self { path: 0, fraction: 0.0 };
+
     /// How many there are.
-    const COUNT: usize = LATERAL_OFFSETS.len() * SPEED_FRACTIONS.len();
+    const COUNT: usize = LATERAL_OFFSETS.len() * SPEED_FRACTIONS.len() + 1;
+
+    /// Whether it drives along the path as it was written.
+    pub fn is_on_own_path(self) -> bool {
+        self.path == 0 && self != Self::STOP
+    }
 }
 
 /// A roll-out: poses of the rear axle with speeds, every 0.1 s, the present one first.
@@ -113,30 +123,33 @@ impl GeneratedPlanner {
 
     /// Drives on from the present state for `steps` steps of 0.1 s. Other objects keep their velocity.
     pub fn roll_out(&self, scene: &Scene<'_>, steps: usize) -> Rollout {
-        self.drive(&Road::new(self, self.path(), scene, steps), self.code.target_speed, scene, steps)
+        self.roll_out_version(Version { path: 0, fraction: 1.0 }, scene, steps)
     }
 
-    /// The same for every [`Version`], in their order.
+    /// The same for every [`Version`], in their order; the stop is the last.
     pub fn roll_out_versions(&self, scene: &Scene<'_>, steps: usize) -> Vec<(Version, Rollout)> {
         let mut rollouts = Vec::with_capacity(Version::COUNT);
         for (path, line) in self.paths.iter().enumerate() {
             let road = Road::new(self, line, scene, steps);
             for fraction in SPEED_FRACTIONS.into_iter().rev() {
-                let rollout = self.drive(&road, fraction * self.code.target_speed, scene, steps);
-                rollouts.push((Version { path, fraction }, rollout));
+                let version = Version { path, fraction };
+                rollouts.push((version, self.drive(&road, version, scene, steps)));
             }
         }
+        rollouts.push((Version::STOP, self.roll_out_version(Version::STOP, scene, steps)));
         rollouts
     }
 
     /// The same for one version.
     pub fn roll_out_version(&self, version: Version, scene: &Scene<'_>, steps: usize) -> Rollout {
         let path = self.paths.get(version.path).unwrap_or(self.path());
-        self.drive(&Road::new(self, path, scene, steps), version.fraction * self.code.target_speed, scene, steps)
+        self.drive(&Road::new(self, path, scene, steps), version, scene, steps)
     }
 
-    fn drive(&self, road: &Road<'_>, target_velocity: f64, scene: &Scene<'_>, steps: usize) -> Rollout {
-        let PlannerCode { accel_max, decel_max, .. } = self.code;
+    fn drive(&self, road: &Road<'_>, version: Version, scene: &Scene<'_>, steps: usize) -> Rollout {
+        let PlannerCode { target_speed, accel_max, .. } = self.code;
+        let target_velocity = version.fraction * target_speed;
+        let decel_max = if version == Version::STOP { STOP_DECEL } else { self.code.decel_max };
         let idm = IdmParameters {
             target_velocity,
             min_gap: MIN_GAP,

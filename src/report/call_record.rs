@@ -51,8 +51,10 @@ fn contents(call: &PlanningCall) -> Value {
         "emergency_brakes": call.emergency_brakes,
         "time": time(call),
     });
-    if let (Some(iteration), Some(fields)) = (call.in_force_from, contents.as_object_mut()) {
-        fields.insert("in_force_from".to_owned(), json!(iteration));
+    for (name, iteration) in [("in_force_from", call.in_force_from), ("retreat", call.retreat)] {
+        if let (Some(iteration), Some(fields)) = (iteration, contents.as_object_mut()) {
+            fields.insert(name.to_owned(), json!(iteration));
+        }
     }
     contents
 }

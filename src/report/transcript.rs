@@ -39,6 +39,9 @@ fn call_markdown(call: &PlanningCall, driven: &Driven, image: Option<String>) ->
     if let Some(iteration) = call.in_force_from {
         let _ = writeln!(text, "In force from {:.1} s on.\n", iteration as f64 * STEP_S);
     }
+    if let Some(iteration) = call.retreat {
+        let _ = writeln!(text, "Back to the ego's lane at {:.1} s.\n", iteration as f64 * STEP_S);
+    }
     if call.emergency_brakes > 0 {
         let _ = writeln!(text, "The emergency brake overruled it in {} iterations.\n", call.emergency_brakes);
     }

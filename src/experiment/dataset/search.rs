@@ -4,9 +4,9 @@ use crate::environment::lane_graph::Centerline;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::metrics::{self, Drive};
 use crate::pdm::PdmMemory;
-use crate::planner::{USUAL_ACCELERATIONS, brake, feedback, generated_planner, planner_code, watched};
+use crate::planner::{USUAL_ACCELERATIONS, feedback, generated_planner, planner_code, watched};
 use crate::reasoning::{Feedback, PlannerCode};
-use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict};
+use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, Watch, steps_of};
 use crate::simulation::ClosedLoop;
 use crate::world::{EgoState, HistorySample, STEP_S};
 
@@ -172,6 +172,7 @@ pub fn follow(
     memory: &mut PdmMemory,
     iterations: usize,
 ) -> Option<Vec<HistorySample>> {
+    let watch = Watch { steps: steps_of(ROLLOUT_S), threshold: THRESHOLD, emergency_brake: true };
     let mut samples = Vec::with_capacity(iterations + 1);
     let mut trajectory = None;
     for i in 0..iterations {
@@ -180,9 +181,7 @@ pub fn follow(
         }
         if i % REPLAN == 0 {
             let scene = drive.scene();
-            let (rollout, emergency) = watched(planner, &scene, ROLLOUT_S, memory).ok()?;
-            let driven = if emergency { brake(scene.ego) } else { rollout.to_trajectory(scene.ego) };
-            trajectory = Some(driven.ok()?);
+            trajectory = Some(watched(planner, &scene, &watch, memory).ok()?.trajectory);
         }
         samples.push(drive.present().clone());
         drive.advance(trajectory.as_ref()?, "search").ok()?;

@@ -116,6 +116,7 @@ impl LlmAssist {
             attempts: answers.attempts,
             decision,
             emergency_brakes: 0,
+            retreat: None,
             in_force_from: None,
             environment_ms,
             total_ms: milliseconds(started.elapsed()),

@@ -6,6 +6,8 @@ const PARTS = [
   ["progress", "progress"], ["time_to_collision", "TTC"], ["comfort", "comfort"],
 ];
 
+const ITERATIONS_A_SECOND = 10;
+
 const OUTCOMES = {
   accepted: "accepted at once", rethought: "accepted after thinking again", exhausted: "all attempts refused",
   none: "no plan",
@@ -92,7 +94,7 @@ class Transcript {
   }
 }
 
-function decisionWords({ decision, emergency_brakes: brakes }) {
+function decisionWords({ decision, emergency_brakes: brakes, retreat }) {
   const braked = brakes ? `; the emergency brake overruled it in ${counted(brakes, "step")}` : "";
   const words = {
     execute: () => `attempt ${decision.attempt + 1} drives`,
@@ -100,7 +102,8 @@ function decisionWords({ decision, emergency_brakes: brakes }) {
     keep_in_force: () => `the planner in force goes on: ${decision.why}`,
     brake: () => `the ego brakes: ${decision.why}`,
   };
-  return (words[decision.kind]?.() ?? decision.kind) + braked;
+  const back = retreat == null ? "" : `; back to the ego's lane at ${(retreat / ITERATIONS_A_SECOND).toFixed(1)} s`;
+  return (words[decision.kind]?.() ?? decision.kind) + back + braked;
 }
 
 /** An error as text, whatever its form. */
