@@ -272,7 +272,7 @@ fn gate() -> Study {
     let below = |labels, settings, x| agent_at(labels, settings, Published::NOTHING, x);
     Study {
         name: "gate",
-        title: "Asking the model only where PDM-Closed expects to do badly",
+        title: "The model asked where PDM-Closed expects to do badly",
         paper: None,
         labels: &["asked below"],
         variants: vec![
