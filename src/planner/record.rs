@@ -130,7 +130,8 @@ pub struct PlanningCall {
     pub attempts: Vec<Attempt>,
     /// How it ended.
     pub decision: Decision,
-    /// Iterations after this call in which the emergency brake overruled the planner in force.
+    /// Iterations after this call in which the ego braked hard against what the planner in force does: by PDM-Closed's emergency
+    /// brake, or by the stop of a watched planner.
     pub emergency_brakes: usize,
     /// The iteration after this call at which the ego went back to the lane it was in instead of changing lanes.
     pub retreat: Option<usize>,
