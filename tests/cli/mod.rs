@@ -210,6 +210,12 @@ fn a_dataset_is_written_and_gone_on_with() {
     let [start, end] = [0, 1].map(|i| answer["learn"][0][i].as_u64().unwrap() as usize);
     let scene_type: String = content[start..end].iter().collect();
     assert_eq!(first["facts"]["scene_type"], scene_type);
+    let spans = |answer: &Value, key: &str| answer[key].as_array().map(Vec::len);
+    assert_eq!(spans(answer, "weights"), None, "facts weigh the same");
+    for decision in [&first["conversation"][4], &first["conversation"][6]] {
+        assert_eq!(spans(decision, "weights"), spans(decision, "learn"));
+        assert!(decision["weights"].as_array().unwrap().iter().all(|weight| weight.as_f64().unwrap() > 0.0));
+    }
     let image = image::open(out.join("train-00000.png")).unwrap();
     assert_eq!((image.width(), image.height()), (128, 128 * lines.lines().count() as u32));
     let before = fs::metadata(out.join("train-00000.jsonl")).unwrap().modified().unwrap();

@@ -1,6 +1,7 @@
 //! A labelled state: the three rounds with their answers, built from the facts of the scene and of the search.
 
 use super::search::Tried;
+use super::stakes::Stakes;
 use crate::environment::facts::{Ahead, Light, Question};
 use crate::environment::text::{self, Description};
 use crate::environment::{CenterlineName, LaneGraph, SceneFacts};
@@ -17,6 +18,11 @@ const SPEED_CHANGE: f64 = 0.7;
 /// From this share of the limit on, the limit is what holds the speed.
 const NEAR_LIMIT: f64 = 0.85;
 
+/// A difference of values by which a decision weighs as much as a fact.
+const UNIT_STAKE: f64 = 0.1;
+/// What a decision weighs at least.
+const MIN_WEIGHT: f64 = 0.05;
+
 /// One turn of the conversation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Message {
@@ -25,6 +31,9 @@ pub struct Message {
     /// Of an answer: the spans of characters that are not forced by the grammar.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     learn: Vec<[usize; 2]>,
+    /// Of each of these spans: its weight in the loss, where they are not all 1.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    weights: Vec<f64>,
 }
 
 /// A line of a shard.
@@ -47,6 +56,7 @@ pub struct LabelledState {
 struct Answer {
     text: String,
     learn: Vec<[usize; 2]>,
+    weights: Vec<f64>,
 }
 
 impl Answer {
@@ -64,8 +74,14 @@ impl Answer {
         self
     }
 
+    /// A decision that the model makes, for which so much is at stake.
+    fn decided(mut self, text: &str, stake: f64) -> Self {
+        self.weights.push((stake / UNIT_STAKE).max(MIN_WEIGHT));
+        self.chosen(text)
+    }
+
     fn message(self) -> Message {
-        Message { role: "assistant", content: self.text, learn: self.learn }
+        Message { role: "assistant", content: self.text, learn: self.learn, weights: self.weights }
     }
 }
 
@@ -86,24 +102,25 @@ pub(super) fn label(
     state: String,
     graph: &LaneGraph,
     facts: &SceneFacts,
-    best: &Tried,
+    (best, stakes): (&Tried, Stakes),
     prompts: &PromptSet,
     feedback: Option<&str>,
 ) -> Result<LabelledState, PromptError> {
     let scene_text = text::write(&Description::of(graph), prompts.forms().scene_text);
     let instruction = instruction(graph, facts, best);
     let names = names(graph);
-    let mut conversation = vec![Message { role: "system", content: system_prompt(prompts, "")?, learn: vec![] }];
+    let mut conversation =
+        vec![Message { role: "system", content: system_prompt(prompts, "")?, learn: vec![], weights: vec![] }];
     for round in Round::ALL {
         let first = round == Round::Understanding;
         let prompt =
             round_prompt(prompts, round, &names, first.then_some(scene_text.as_str()), feedback.filter(|_| first))?;
         let content = if first { format!("<image>\n{prompt}") } else { prompt };
-        conversation.push(Message { role: "user", content, learn: vec![] });
+        conversation.push(Message { role: "user", content, learn: vec![], weights: vec![] });
         conversation.push(match round {
             Round::Understanding => understanding_answer(facts),
-            Round::Instruction => instruction_answer(instruction),
-            Round::Code => code_answer(best),
+            Round::Instruction => instruction_answer(instruction, stakes),
+            Round::Code => code_answer(best, stakes),
         });
     }
     let mut answers: BTreeMap<String, String> =
@@ -123,32 +140,32 @@ fn understanding_answer(facts: &SceneFacts) -> Message {
     answer.message()
 }
 
-fn instruction_answer(instruction: Instruction) -> Message {
+fn instruction_answer(instruction: Instruction, stakes: Stakes) -> Message {
     Answer::default()
         .fixed("why=")
-        .chosen(instruction.why_lateral.as_str())
+        .decided(instruction.why_lateral.as_str(), stakes.lane)
         .fixed(" lat=")
-        .chosen(instruction.lateral.as_str())
+        .decided(instruction.lateral.as_str(), stakes.lane)
         .fixed(" why=")
-        .chosen(instruction.why_longitudinal.as_str())
+        .decided(instruction.why_longitudinal.as_str(), stakes.speed)
         .fixed(" lon=")
-        .chosen(instruction.longitudinal.as_str())
+        .decided(instruction.longitudinal.as_str(), stakes.speed)
         .message()
 }
 
-fn code_answer(best: &Tried) -> Message {
+fn code_answer(best: &Tried, stakes: Stakes) -> Message {
     let code = &best.code;
     Answer::default()
         .fixed(&format!("{}(c=", crate::reasoning::FUNCTION))
-        .chosen(&code.centerline)
+        .decided(&code.centerline, stakes.lane)
         .fixed(", la=")
-        .chosen(code.leader.as_deref().unwrap_or("None"))
+        .decided(code.leader.as_deref().unwrap_or("None"), stakes.lane)
         .fixed(", v0=")
-        .chosen(&code.target_speed.to_string())
+        .decided(&code.target_speed.to_string(), stakes.speed)
         .fixed(", acc=")
-        .chosen(&code.accel_max.to_string())
+        .decided(&code.accel_max.to_string(), stakes.speed)
         .fixed(", dec=")
-        .chosen(&code.decel_max.to_string())
+        .decided(&code.decel_max.to_string(), stakes.speed)
         .fixed(")")
         .message()
 }

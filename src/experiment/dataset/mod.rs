@@ -5,6 +5,7 @@
 mod label;
 pub mod search;
 mod shard;
+mod stakes;
 
 pub use label::LabelledState;
 pub use shard::{FORMAT, Meta, ShardError};
@@ -23,6 +24,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use search::Tried;
+use stakes::Stakes;
 use std::ops::Range;
 use std::path::Path;
 
@@ -198,12 +200,13 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
         let Ok(graph) = LaneGraph::build(&scene, crate::environment::DEFAULT_NODE_LENGTH) else { break };
         let tried = search::search(&drive, &graph);
         let Some(best) = search::best(&tried) else { break };
+        let stakes = Stakes::of(best, &tried);
         let facts = SceneFacts::of(&scene, &graph);
         let name = format!("{}@{:.1}", scenario.id, drive.iteration() as f64 * crate::world::STEP_S);
         let image = bev::render(&scene, &settings.view);
         let mut label = |feedback: Option<Feedback>| -> Result<(), PromptError> {
             let told = feedback.map(|feedback| feedback_text(settings.prompts, &feedback)).transpose()?;
-            let label = label::label(name.clone(), &graph, &facts, best, settings.prompts, told.as_deref())?;
+            let label = label::label(name.clone(), &graph, &facts, (best, stakes), settings.prompts, told.as_deref())?;
             states.push((label, image.clone()));
             Ok(())
         };

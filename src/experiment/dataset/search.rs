@@ -20,7 +20,7 @@ const ROLLOUT_S: f64 = 4.0;
 pub const THRESHOLD: f64 = 0.75;
 /// Desired speeds that are tried, as fractions of the limit. A planner is watched as it drives and slows down by itself for what
 /// can be foreseen.
-const SPEED_FRACTIONS: [f64; 3] = [1.0, 0.7, 0.4];
+const SPEED_FRACTIONS: [f64; 4] = [1.0, 0.7, 0.4, 0.2];
 /// Fractions that are tried with a lane change: to change lanes in order to crawl is never wanted.
 const LANE_CHANGE_FRACTIONS: [f64; 1] = [1.0];
 /// Limit where the map has none, m/s.
@@ -37,7 +37,7 @@ const TERMINAL_S: f64 = 4.0;
 /// A lane change must stay on the route for this long ahead of the ego, metres: what lies behind the horizon counts too.
 const ON_ROUTE_AHEAD: f64 = 120.0;
 /// What a lane change must gain.
-const LANE_CHANGE_COST: f64 = 0.03;
+const LANE_CHANGE_COST: f64 = 0.06;
 /// What a planner must gain that Reflection would refuse: more than there is to gain.
 const REFUSED_COST: f64 = 2.0;
 /// What an unusual acc and dec must gain.

@@ -49,8 +49,9 @@ class Collator:
         """Sum of the loss weights of whole rows: the divisor that makes micro-batches add up to the batch's mean."""
         total = 0.0
         for row in rows:
-            roles = self.corpus.roles[self.corpus.starts[row] : self.corpus.starts[row + 1]]
-            total += float((roles == INFORMATIVE).sum()) + self.template_weight * float((roles == TEMPLATE).sum())
+            tokens = slice(self.corpus.starts[row], self.corpus.starts[row + 1])
+            roles, weights = self.corpus.roles[tokens], self.corpus.weights[tokens]
+            total += float(weights[roles == INFORMATIVE].sum()) + self.template_weight * float((roles == TEMPLATE).sum())
         return total
 
     def collate(self, rows: np.ndarray, drop_text: bool = False, images_of: np.ndarray | None = None) -> Batch:
@@ -58,20 +59,23 @@ class Collator:
         longest = max(self.length(row, drop_text) for row in rows)
         ids = np.zeros((len(rows), longest), np.int64)
         roles = np.zeros((len(rows), longest), np.uint8)
+        weights = np.zeros((len(rows), longest), np.float32)
         places = np.zeros((len(rows), self.image_tokens), np.int64)
         for i, row in enumerate(rows):
             a, b = self.corpus.starts[row], self.corpus.starts[row + 1]
-            row_ids, row_roles = self.corpus.ids[a:b], self.corpus.roles[a:b]
+            row_ids, row_roles, row_weights = self.corpus.ids[a:b], self.corpus.roles[a:b], self.corpus.weights[a:b]
             if drop_text:
                 start, end = self.corpus.scene[row]
                 row_ids = np.concatenate([row_ids[:start], row_ids[end:]])
                 row_roles = np.concatenate([row_roles[:start], row_roles[end:]])
+                row_weights = np.concatenate([row_weights[:start], row_weights[end:]])
             image = int(np.flatnonzero(row_ids == self.image_id)[0])
             after = image + self.image_tokens
             ids[i, : image + 1] = row_ids[: image + 1]
             ids[i, image:after] = self.image_id
             ids[i, after : after + len(row_ids) - image - 1] = row_ids[image + 1 :]
             roles[i, after : after + len(row_ids) - image - 1] = row_roles[image + 1 :]
+            weights[i, after : after + len(row_ids) - image - 1] = row_weights[image + 1 :]
             places[i] = i * longest + np.arange(image, after)
         target_row, target_place = np.nonzero(roles)
         chosen = roles[target_row, target_place]
@@ -82,7 +86,7 @@ class Collator:
             image_places=torch.from_numpy(places.reshape(-1)),
             wanted=torch.from_numpy(target_row * longest + target_place - 1),
             targets=torch.from_numpy(ids[target_row, target_place]),
-            weights=torch.from_numpy(np.where(chosen == INFORMATIVE, 1.0, self.template_weight).astype(np.float32)),
+            weights=torch.from_numpy(np.where(chosen == INFORMATIVE, weights[target_row, target_place], self.template_weight).astype(np.float32)),
             informative=torch.from_numpy(chosen == INFORMATIVE),
         )
 

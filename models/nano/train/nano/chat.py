@@ -32,12 +32,13 @@ TEMPLATE = (
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch between two added tokens, or (`special`) such a token; `learn` are character spans of an answer."""
+    """A stretch between two added tokens, or (`special`) such a token; `learn` are character spans of an answer, `weights` theirs in the loss."""
 
     text: str
     special: bool = False
     answer: int = -1
     learn: tuple[tuple[int, int], ...] = ()
+    weights: tuple[float, ...] = ()
     scene: bool = False
 
 
@@ -52,7 +53,10 @@ def pieces(conversation: list[dict]) -> list[Piece]:
         role, content = message["role"], message["content"]
         if role == "assistant":
             spans = tuple((int(a), int(b)) for a, b in message.get("learn", []))
-            out += [Piece(ASSISTANT, special=True), Piece(content, answer=answer, learn=spans)]
+            weights = tuple(float(w) for w in message.get("weights", [1.0] * len(spans)))
+            if len(weights) != len(spans):
+                raise ValueError(f"{len(weights)} weights for {len(spans)} spans")
+            out += [Piece(ASSISTANT, special=True), Piece(content, answer=answer, learn=spans, weights=weights)]
             out.append(Piece(EOS, special=True, answer=answer))
             answer += 1
             continue

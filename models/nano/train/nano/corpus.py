@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,8 @@ class Corpus:
 
     ids: np.ndarray
     roles: np.ndarray
+    #: Weight of each token in the loss where it is informative.
+    weights: np.ndarray
     starts: np.ndarray
     #: (rows, 2): the scene text within the row, for the image-only stage.
     scene: np.ndarray
@@ -70,30 +72,44 @@ def question_names(content: str, spans: tuple[tuple[int, int], ...], answer: int
     return names
 
 
-def tokenise(tokenizer: Tokenizer, conversation: list[dict]) -> tuple[list[int], list[int], list[tuple[str, int, int]], tuple[int, int]]:
-    """Ids, roles, slots (question, first token, tokens) and the scene text's token span of a conversation."""
-    ids: list[int] = []
-    roles: list[int] = []
-    slots: list[tuple[str, int, int]] = []
-    scene = (0, 0)
+@dataclass
+class Row:
+    """A conversation in tokens."""
+
+    ids: list[int] = field(default_factory=list)
+    roles: list[int] = field(default_factory=list)
+    weights: list[float] = field(default_factory=list)
+    #: Question, first token, number of tokens.
+    slots: list[tuple[str, int, int]] = field(default_factory=list)
+    #: Tokens of the scene text.
+    scene: tuple[int, int] = (0, 0)
+
+
+def tokenise(tokenizer: Tokenizer, conversation: list[dict]) -> Row:
+    """A conversation in tokens."""
+    row = Row()
     for piece in pieces(conversation):
-        first = len(ids)
+        first = len(row.ids)
         if piece.special:
-            ids.append(tokenizer.token_to_id(piece.text))
-            roles.append(TEMPLATE if piece.text == EOS else PROMPT)
+            row.ids.append(tokenizer.token_to_id(piece.text))
+            row.roles.append(TEMPLATE if piece.text == EOS else PROMPT)
+            row.weights.append(1.0)
             continue
         encoded = tokenizer.encode(piece.text, add_special_tokens=False)
-        ids += encoded.ids
+        row.ids += encoded.ids
+        row.weights += [1.0] * len(encoded.ids)
         if piece.scene:
-            scene = (first, len(ids))
+            row.scene = (first, len(row.ids))
         if piece.answer < 0:
-            roles += [PROMPT] * len(encoded.ids)
+            row.roles += [PROMPT] * len(encoded.ids)
             continue
         informative = spans_of_tokens(piece, encoded.offsets)
-        roles += [INFORMATIVE if any(a <= t < b for a, b in informative) else TEMPLATE for t in range(len(encoded.ids))]
+        row.roles += [INFORMATIVE if any(a <= t < b for a, b in informative) else TEMPLATE for t in range(len(encoded.ids))]
+        for (a, b), weight in zip(informative, piece.weights, strict=True):
+            row.weights[first + a : first + b] = [weight] * (b - a)
         names = question_names(piece.text, piece.learn, piece.answer)
-        slots += [(name, first + a, b - a) for name, (a, b) in zip(names, informative, strict=True)]
-    return ids, roles, slots, scene
+        row.slots += [(name, first + a, b - a) for name, (a, b) in zip(names, informative, strict=True)]
+    return row
 
 
 def spans_of_tokens(piece: Piece, offsets: list[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -114,6 +130,7 @@ def build(folder: Path, split: str, tokenizer: Tokenizer, cache: Path, limit: in
     questions: dict[str, int] = {}
     ids: list[np.ndarray] = []
     roles: list[np.ndarray] = []
+    weights: list[np.ndarray] = []
     lengths, scenes, slots, names = [], [], [], []
     with (cache / "images.u8").open("wb") as out:
         for shard in shards.shards(folder, split):
@@ -123,16 +140,18 @@ def build(folder: Path, split: str, tokenizer: Tokenizer, cache: Path, limit: in
             for state in shards.states(shard):
                 if limit is not None and len(names) >= limit:
                     break
-                row_ids, row_roles, row_slots, scene = tokenise(tokenizer, state.conversation)
-                slots += [(len(names), questions.setdefault(q, len(questions)), a, n) for q, a, n in row_slots]
-                ids.append(np.array(row_ids, np.int16))
-                roles.append(np.array(row_roles, np.uint8))
-                lengths.append(len(row_ids))
-                scenes.append(scene)
+                row = tokenise(tokenizer, state.conversation)
+                slots += [(len(names), questions.setdefault(q, len(questions)), a, n) for q, a, n in row.slots]
+                ids.append(np.array(row.ids, np.int16))
+                roles.append(np.array(row.roles, np.uint8))
+                weights.append(np.array(row.weights, np.float32))
+                lengths.append(len(row.ids))
+                scenes.append(row.scene)
                 names.append(state.name)
                 out.write(picture[state.image].tobytes())
     np.save(cache / "ids.npy", np.concatenate(ids))
     np.save(cache / "roles.npy", np.concatenate(roles))
+    np.save(cache / "weights.npy", np.concatenate(weights))
     np.save(cache / "starts.npy", np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64))
     np.save(cache / "scene.npy", np.array(scenes, np.int32))
     np.save(cache / "slots.npy", np.array(slots, np.int32).reshape(-1, 4))
@@ -144,7 +163,7 @@ def load(cache: Path) -> Corpus:
     """Opens a cache folder, memory-mapped."""
     index = json.loads((cache / "index.json").read_text())
     pixels = index["pixels"]
-    arrays = {name: np.load(cache / f"{name}.npy", mmap_mode="r") for name in ("ids", "roles", "starts", "scene", "slots")}
+    arrays = {name: np.load(cache / f"{name}.npy", mmap_mode="r") for name in ("ids", "roles", "weights", "starts", "scene", "slots")}
     images = np.memmap(cache / "images.u8", np.uint8, "r", shape=(len(index["names"]), pixels, pixels, 3))
     return Corpus(images=images, questions=index["questions"], names=index["names"], **arrays)
 

@@ -57,9 +57,9 @@ def check_text(data: Path, out: Path) -> None:
         assert whole == templated, "the template renders something else"
         ids = tokenizer.encode(whole, add_special_tokens=False).ids
         assert tokenizer.decode(ids, skip_special_tokens=False) == whole, "the tokenizer loses text"
-        pieces, _, slots, _ = corpora.tokenise(tokenizer, state.conversation)
-        assert pieces == ids, "pieces tokenise to something else than the whole"
-        assert all(count == 1 for _, _, count in slots), "a value takes more than one token"
+        row = corpora.tokenise(tokenizer, state.conversation)
+        assert row.ids == ids, "pieces tokenise to something else than the whole"
+        assert all(count == 1 for _, _, count in row.slots), "a value takes more than one token"
         part = template.render(messages=state.conversation[:2], bos_token=BOS, eos_token=EOS, add_generation_prompt=True)
         prompt = tokenizer.encode(part, add_special_tokens=False).ids
         assert ids[: len(prompt)] == prompt, "the prompt's tokens are not a prefix of the whole"

@@ -1,7 +1,8 @@
 """Reads the dataset folder that `planagent dataset` writes (format 1).
 
 `meta.json`, and per shard `<split>-NNNNN.jsonl` (a labelled state a line) beside `<split>-NNNNN.png` (the shard's images one
-below the other). A line: `state` ("<scenario>@<time>"), `image` (row number in the PNG), `conversation`, `facts`.
+below the other). A line: `state` ("<scenario>@<time>"), `image` (row number in the PNG), `conversation`, `facts`. An answer of the
+conversation has in `learn` the spans of characters that the model chooses, and in `weights`, if any, theirs in the loss.
 """
 
 from __future__ import annotations
