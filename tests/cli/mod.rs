@@ -214,7 +214,7 @@ fn a_dataset_is_written_and_gone_on_with() {
     assert_eq!(spans(answer, "weights"), None, "facts weigh the same");
     for decision in [&first["conversation"][4], &first["conversation"][6]] {
         assert_eq!(spans(decision, "weights"), spans(decision, "learn"));
-        assert!(decision["weights"].as_array().unwrap().iter().all(|weight| weight.as_f64().unwrap() >= 0.0));
+        assert!(decision["weights"].as_array().unwrap().iter().all(|weight| weight.as_f64().unwrap() > 0.0));
     }
     let image = image::open(out.join("train-00000.png")).unwrap();
     assert_eq!((image.width(), image.height()), (128, 128 * lines.lines().count() as u32));

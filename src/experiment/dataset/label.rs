@@ -20,6 +20,8 @@ const NEAR_LIMIT: f64 = 0.85;
 
 /// A difference of values by which a decision weighs as much as a fact.
 const UNIT_STAKE: f64 = 0.1;
+/// What a decision weighs at least.
+const MIN_WEIGHT: f64 = 0.05;
 
 /// One turn of the conversation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -74,7 +76,7 @@ impl Answer {
 
     /// A decision that the model makes, for which so much is at stake.
     fn decided(mut self, text: &str, stake: f64) -> Self {
-        self.weights.push(stake / UNIT_STAKE);
+        self.weights.push((stake / UNIT_STAKE).max(MIN_WEIGHT));
         self.chosen(text)
     }
 

@@ -8,8 +8,6 @@ use crate::reflection::Verdict;
 
 /// What a decision is worth that nothing was tried against: about what full progress adds to a value, for a third of the limit.
 const USUAL: f64 = 0.06;
-/// What slow driving must be worth: a desired speed holds until the next call, and the search does not see all the way that it loses.
-const SLOW_COST: f64 = 0.1;
 /// No decision is worth more than a score.
 const MOST: f64 = 1.0;
 
@@ -24,22 +22,18 @@ pub(super) struct Stakes {
 
 impl Stakes {
     /// What the best of the planners that were tried is worth over the others. Those that Reflection would refuse do not count: the
-    /// model would be asked again. The limit is worth more and slow driving less by what that must be worth.
+    /// model would be asked again.
     pub(super) fn of(best: &Tried, tried: &[Tried]) -> Self {
         let (lane, speed) = (&best.code.centerline, best.code.target_speed);
-        let in_lane = |t: &&Tried| t.code.centerline == *lane;
-        let fastest = tried.iter().filter(in_lane).map(|t| t.code.target_speed).fold(speed, f64::max);
         let accepted = || tried.iter().filter(|t| t.reflection.verdict == Verdict::Execute);
-        let elsewhere = accepted().filter(|t| !in_lane(t));
-        let at_speeds = |wanted: fn(f64, f64) -> bool| {
-            accepted().filter(in_lane).filter(move |t| wanted(t.code.target_speed, fastest))
-        };
-        let speed = if speed < fastest {
-            (gain(best, at_speeds(|speed, fastest| speed >= fastest)) - SLOW_COST).max(0.0)
-        } else {
-            gain(best, at_speeds(|speed, fastest| speed < fastest)) + SLOW_COST
-        };
-        Self { lane: gain(best, elsewhere), speed }
+        let in_lane = || accepted().filter(|t| t.code.centerline == *lane);
+        let fastest = in_lane().map(|t| t.code.target_speed).fold(speed, f64::max);
+        let elsewhere = accepted().filter(|t| t.code.centerline != *lane);
+        let at_other_speeds = in_lane().filter(|t| {
+            let other = t.code.target_speed;
+            if speed < fastest { other >= fastest } else { other < fastest }
+        });
+        Self { lane: gain(best, elsewhere), speed: gain(best, at_other_speeds) }
     }
 }
 
@@ -76,19 +70,13 @@ mod tests {
     fn a_slow_label_is_worth_what_the_limit_would_cost() {
         let tried = tried(&[("ego_lane", 13.0, 0.1, true), ("ego_lane", 9.0, 0.7, true), ("ego_lane", 5.0, 0.9, true)]);
         let Stakes { lane, speed } = Stakes::of(&tried[2], &tried);
-        assert!((speed - 0.8 + SLOW_COST).abs() < 1e-12 && (lane - USUAL).abs() < 1e-12, "{lane} {speed}");
-    }
-
-    #[test]
-    fn slow_driving_that_gains_little_is_worth_nothing() {
-        let tried = tried(&[("ego_lane", 13.0, 0.85, true), ("ego_lane", 9.0, 0.9, true)]);
-        assert!(Stakes::of(&tried[1], &tried).speed.abs() < 1e-12);
+        assert!((speed - 0.8).abs() < 1e-12 && (lane - USUAL).abs() < 1e-12, "{lane} {speed}");
     }
 
     #[test]
     fn the_limit_is_worth_what_the_best_slower_planner_would_cost() {
         let tried = tried(&[("ego_lane", 13.0, 1.1, true), ("ego_lane", 9.0, 1.0, true), ("ego_lane", 5.0, 0.9, true)]);
-        assert!((Stakes::of(&tried[0], &tried).speed - 0.1 - SLOW_COST).abs() < 1e-12);
+        assert!((Stakes::of(&tried[0], &tried).speed - 0.1).abs() < 1e-12);
     }
 
     #[test]
