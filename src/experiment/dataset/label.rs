@@ -1,6 +1,6 @@
 //! A labelled state: the three rounds with their answers, built from the facts of the scene and of the search.
 
-use super::search::Tried;
+use super::search::{NEAR_LIMIT, Tried};
 use super::stakes::Stakes;
 use crate::environment::facts::{Ahead, Light, Question};
 use crate::environment::text::{self, Description};
@@ -15,8 +15,6 @@ use std::collections::BTreeMap;
 
 /// A change of speed within 3 s that counts as an instruction, m/s.
 const SPEED_CHANGE: f64 = 0.7;
-/// From this share of the limit on, the limit is what holds the speed.
-const NEAR_LIMIT: f64 = 0.85;
 
 /// A difference of values by which a decision weighs as much as a fact.
 const UNIT_STAKE: f64 = 0.1;
@@ -108,6 +106,7 @@ pub(super) fn label(
 ) -> Result<LabelledState, PromptError> {
     let scene_text = text::write(&Description::of(graph), prompts.forms().scene_text);
     let instruction = instruction(graph, facts, best);
+    let stakes = if feedback.is_none() { stakes.foreseen() } else { stakes };
     let names = names(graph);
     let mut conversation =
         vec![Message { role: "system", content: system_prompt(prompts, "")?, learn: vec![], weights: vec![] }];

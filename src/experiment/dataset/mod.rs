@@ -30,6 +30,10 @@ use std::path::Path;
 
 /// Scenes per shard: one of each place in the mix.
 const SCENES_PER_SHARD: u64 = MIX.len() as u64;
+/// Scenes that a seed of [`Settings`] has to itself, so that datasets of different seeds share none.
+const SCENES_PER_SEED: u64 = 100_000;
+/// Of these, the scenes from this one on are for drives of a model.
+const FIRST_DRIVEN: u64 = SCENES_PER_SEED / 2;
 /// Iterations between two states of a drive, drawn evenly.
 const GAP: std::ops::RangeInclusive<usize> = 14..=24;
 /// Share of states from which the drive goes on with another planner than the best, so that off-track states are seen too.
@@ -92,11 +96,16 @@ impl Split {
     }
 
     /// Scenes of a shard.
-    fn scenes(self, shard: usize) -> Result<Vec<Spec>, DatasetError> {
-        let all = self.seeds();
-        let first = all.start.saturating_add((shard as u64).saturating_mul(SCENES_PER_SHARD));
-        if first.saturating_add(SCENES_PER_SHARD) > all.end {
-            return Err(DatasetError::NoSeedLeft(self.as_str()));
+    fn scenes(self, shard: usize, settings: &Settings<'_>) -> Result<Vec<Spec>, DatasetError> {
+        let Range { start, end } = self.seeds();
+        let own = start.saturating_add(settings.seed.saturating_mul(SCENES_PER_SEED));
+        let (begin, end) = match settings.driver {
+            Some(_) => (own.saturating_add(FIRST_DRIVEN), own.saturating_add(SCENES_PER_SEED).min(end)),
+            None => (own, own.saturating_add(FIRST_DRIVEN).min(end)),
+        };
+        let first = begin.saturating_add((shard as u64).saturating_mul(SCENES_PER_SHARD));
+        if first.saturating_add(SCENES_PER_SHARD) > end {
+            return Err(DatasetError::NoSceneLeft { split: self.as_str(), seed: settings.seed });
         }
         Ok((first..first + SCENES_PER_SHARD).map(|seed| Spec::new(MIX[seed as usize % MIX.len()], seed)).collect())
     }
@@ -104,7 +113,7 @@ impl Split {
 
 /// How a dataset is made.
 pub struct Settings<'a> {
-    /// Seed of the exploration.
+    /// Seed of the scenes and of the exploration.
     pub seed: u64,
     /// Prompts of the conversations.
     pub prompts: &'a PromptSet,
@@ -127,9 +136,14 @@ pub enum DatasetError {
     /// The view cannot be drawn.
     #[error(transparent)]
     View(#[from] BevError),
-    /// All scenes of the split are labelled.
-    #[error("the seeds of the split {0} are used up; ask for fewer states")]
-    NoSeedLeft(&'static str),
+    /// All scenes that the split has for this seed are labelled.
+    #[error("the split {split} has no more scenes for seed {seed}; ask for fewer states, or for a seed below 100")]
+    NoSceneLeft {
+        /// Name of the split.
+        split: &'static str,
+        /// Seed of the dataset.
+        seed: u64,
+    },
 }
 
 /// Writes shards until a split has `states` labelled states; complete shards of an earlier run are kept. Gives the number of
@@ -178,7 +192,7 @@ fn write_shard(
     number: usize,
     settings: &Settings<'_>,
 ) -> Result<usize, DatasetError> {
-    let scenes = split.scenes(number)?;
+    let scenes = split.scenes(number, settings)?;
     let labelled: Vec<Vec<(LabelledState, RgbImage)>> =
         scenes.par_iter().map(|spec| label_scene(spec, settings)).collect::<Result<_, PromptError>>()?;
     let states: Vec<_> = labelled.into_iter().flatten().collect();
@@ -223,7 +237,7 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
             agent.in_force().cloned()
         } else {
             let refused: Vec<&Tried> =
-                tried.iter().filter(|t| t.reflection.verdict == Verdict::Rethink && *t != best).collect();
+                tried.iter().filter(|t| !t.is_accepted() && *t != best).collect();
             let told = refused.choose(&mut random).filter(|_| random.random_bool(RETHINK));
             label(told.map(|refused| refused.feedback()))?;
             let next = if random.random_bool(EXPLORE) { tried.choose(&mut random).unwrap_or(best) } else { best };
@@ -240,4 +254,28 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
 /// Whether Reflection refused what was attempted.
 fn is_refused(attempt: &Attempt) -> bool {
     attempt.reflection.as_ref().is_some_and(|report| report.verdict == Verdict::Rethink)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn datasets_of_different_seeds_share_no_scene_and_keep_to_their_split() {
+        let prompts = PromptSet::open("compact").unwrap();
+        let last = (FIRST_DRIVEN / SCENES_PER_SHARD) as usize - 1;
+        let scenes = |seed, shard| {
+            let settings = Settings { seed, prompts: &prompts, view: BevView::default(), driver: None };
+            Split::Train.scenes(shard, &settings)
+        };
+        let ends = |scenes: Vec<Spec>| (scenes[0].seed, scenes.last().unwrap().seed);
+        assert_eq!(ends(scenes(0, 0).unwrap()), (10_000_000, 10_000_019));
+        assert_eq!(ends(scenes(0, last).unwrap()), (10_049_980, 10_049_999), "the rest is for drives of a model");
+        assert_eq!(ends(scenes(1, 0).unwrap()).0, 10_100_000);
+        assert_eq!(ends(scenes(99, last).unwrap()).1, 19_949_999);
+        for (seed, shard) in [(0, last + 1), (100, 0), (u64::MAX, 0)] {
+            let error = scenes(seed, shard).unwrap_err().to_string();
+            assert!(error.contains(&format!("no more scenes for seed {seed}")), "{error}");
+        }
+    }
 }

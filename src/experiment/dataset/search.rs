@@ -23,6 +23,8 @@ pub const THRESHOLD: f64 = 0.75;
 const SPEED_FRACTIONS: [f64; 4] = [1.0, 0.7, 0.4, 0.2];
 /// Fractions that are tried with a lane change: to change lanes in order to crawl is never wanted.
 const LANE_CHANGE_FRACTIONS: [f64; 1] = [1.0];
+/// From this share of the limit on, a speed is not slow: the limit is what holds it.
+pub(super) const NEAR_LIMIT: f64 = 0.85;
 /// Limit where the map has none, m/s.
 const FALLBACK_LIMIT: f64 = 15.0;
 /// Other pairs that are tried with the best centreline and speed, where these leave something to gain, m/s²: gentle, firm,
@@ -38,6 +40,9 @@ const TERMINAL_S: f64 = 4.0;
 const ON_ROUTE_AHEAD: f64 = 120.0;
 /// What a lane change must gain.
 const LANE_CHANGE_COST: f64 = 0.06;
+/// What slow driving must gain: the model sees less than the search of what comes, and on what it slows down for without need it
+/// loses more than the search's horizon shows.
+pub(super) const SLOW_COST: f64 = 0.1;
 /// What a planner must gain that Reflection would refuse: more than there is to gain.
 const REFUSED_COST: f64 = 2.0;
 /// What an unusual acc and dec must gain.
@@ -59,6 +64,11 @@ pub struct Tried {
 }
 
 impl Tried {
+    /// Whether Reflection would let it drive now.
+    pub fn is_accepted(&self) -> bool {
+        self.reflection.verdict == Verdict::Execute
+    }
+
     /// What an attempt is told after this one.
     pub fn feedback(&self) -> Feedback {
         feedback(Some(self.code.to_string()), Some(&self.reflection), &[], THRESHOLD)
@@ -83,7 +93,7 @@ pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
         for fraction in fractions {
             let code = planner_code(graph, centerline.name, *fraction, USUAL_ACCELERATIONS);
             // Slower is not tried where the limit does well: what remains to be gained is less than the ties that it would make.
-            if *fraction < 1.0 && tried.iter().any(|t| t.score >= GOOD && t.reflection.verdict == Verdict::Execute) {
+            if *fraction < 1.0 && tried.iter().any(|t| t.score >= GOOD && t.is_accepted()) {
                 continue;
             }
             if !tried.iter().any(|t| t.code == code) {
@@ -149,9 +159,11 @@ impl Present<'_> {
         let possible = self.limit.max(1.0) * (HORIZON as f64 * STEP_S + TERMINAL_S);
         let unusual = (planner.code.accel_max, planner.code.decel_max) != USUAL_ACCELERATIONS;
         let changes = planner.code.centerline != CenterlineName::EgoLane.as_str();
+        let slow = planner.code.target_speed < NEAR_LIMIT * self.limit;
         let cost = |when: bool, cost: f64| if when { cost } else { 0.0 };
         let value = score + PROGRESS_BONUS * (way / possible).min(1.0)
             - cost(changes, LANE_CHANGE_COST)
+            - cost(slow, SLOW_COST)
             - cost(unusual, REFINEMENT_COST)
             - cost(reflection.verdict == Verdict::Rethink, REFUSED_COST);
         let speed_later = samples.get(30).or(samples.last())?.ego.speed();
