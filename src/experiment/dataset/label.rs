@@ -106,7 +106,6 @@ pub(super) fn label(
 ) -> Result<LabelledState, PromptError> {
     let scene_text = text::write(&Description::of(graph), prompts.forms().scene_text);
     let instruction = instruction(graph, facts, best);
-    let stakes = if feedback.is_none() { stakes.foreseen() } else { stakes };
     let names = names(graph);
     let mut conversation =
         vec![Message { role: "system", content: system_prompt(prompts, "")?, learn: vec![], weights: vec![] }];

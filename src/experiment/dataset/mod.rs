@@ -236,8 +236,7 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
             }
             agent.in_force().cloned()
         } else {
-            let refused: Vec<&Tried> =
-                tried.iter().filter(|t| !t.is_accepted() && *t != best).collect();
+            let refused: Vec<&Tried> = tried.iter().filter(|t| !t.is_accepted() && *t != best).collect();
             let told = refused.choose(&mut random).filter(|_| random.random_bool(RETHINK));
             label(told.map(|refused| refused.feedback()))?;
             let next = if random.random_bool(EXPLORE) { tried.choose(&mut random).unwrap_or(best) } else { best };

@@ -39,10 +39,10 @@ const TERMINAL_S: f64 = 4.0;
 /// A lane change must stay on the route for this long ahead of the ego, metres: what lies behind the horizon counts too.
 const ON_ROUTE_AHEAD: f64 = 120.0;
 /// What a lane change must gain.
-const LANE_CHANGE_COST: f64 = 0.06;
-/// What slow driving must gain: the model sees less than the search of what comes, and on what it slows down for without need it
-/// loses more than the search's horizon shows.
-pub(super) const SLOW_COST: f64 = 0.1;
+const LANE_CHANGE_COST: f64 = 0.02;
+/// What slow driving must gain: the best of several slow planners is picked after the fact, and in a drive the model has to pick one
+/// before. About what remains are collisions.
+const SLOW_COST: f64 = 0.5;
 /// What a planner must gain that Reflection would refuse: more than there is to gain.
 const REFUSED_COST: f64 = 2.0;
 /// What an unusual acc and dec must gain.

@@ -3,13 +3,10 @@
 //! The best of one future alone says that a person who steps onto the road in one of three futures is no reason to slow down. Weighed
 //! by what is at stake, the likeliest answer becomes the one that is best on average.
 
-use super::search::{SLOW_COST, Tried};
+use super::search::Tried;
 
 /// What a decision is worth that nothing was tried against: about what full progress adds to a value, for a third of the limit.
 const USUAL: f64 = 0.06;
-/// What slow driving is worth less than the search makes it: the best of several slow planners is picked after the fact, and in a drive
-/// the model has to pick one before. About what remains are collisions.
-const AFTER_THE_FACT: f64 = 0.4;
 /// No decision is worth more than a score.
 const MOST: f64 = 1.0;
 
@@ -20,8 +17,6 @@ pub(super) struct Stakes {
     pub(super) lane: f64,
     /// Of the speed: of slow driving over the fastest, of the fastest over the best that is slower.
     pub(super) speed: f64,
-    /// Whether the best is slower than others that were tried in its lane.
-    is_slow: bool,
 }
 
 impl Stakes {
@@ -29,36 +24,21 @@ impl Stakes {
     /// model would be asked again.
     pub(super) fn of(best: &Tried, tried: &[Tried]) -> Self {
         let (lane, speed) = (&best.code.centerline, best.code.target_speed);
-        let (here, elsewhere): (Vec<&Tried>, Vec<&Tried>) = tried.iter().partition(|t| t.code.centerline == *lane);
-        let fastest = |which: fn(&Tried) -> bool| {
-            here.iter().filter(|t| which(t)).map(|t| t.code.target_speed).fold(speed, f64::max)
-        };
-        let possible = fastest(Tried::is_accepted);
-        let at_other_speeds = here.iter().filter(|t| {
+        let accepted = || tried.iter().filter(|t| t.is_accepted());
+        let in_lane = || accepted().filter(|t| t.code.centerline == *lane);
+        let fastest = in_lane().map(|t| t.code.target_speed).fold(speed, f64::max);
+        let elsewhere = accepted().filter(|t| t.code.centerline != *lane);
+        let at_other_speeds = in_lane().filter(|t| {
             let other = t.code.target_speed;
-            if speed < possible { other >= possible } else { other < possible }
+            if speed < fastest { other >= fastest } else { other < fastest }
         });
-        let is_slow = speed < fastest(|_| true);
-        // Slower is not tried where the limit does well, and would cost there what it costs elsewhere.
-        let usual = if is_slow { USUAL } else { USUAL + SLOW_COST };
-        Self { lane: gain(best, elsewhere.iter(), USUAL), speed: gain(best, at_other_speeds, usual), is_slow }
-    }
-
-    /// What they are worth to a model that no refusal has told of what lies ahead.
-    pub(super) fn foreseen(self) -> Self {
-        let less = if self.is_slow { AFTER_THE_FACT } else { 0.0 };
-        Self { speed: (self.speed - less).max(0.0), ..self }
+        Self { lane: gain(best, elsewhere), speed: gain(best, at_other_speeds) }
     }
 }
 
-/// What the best has over the best of others that Reflection accepts, or what is usual where there is none.
-fn gain<'a>(best: &Tried, others: impl Iterator<Item = &'a &'a Tried>, usual: f64) -> f64 {
-    others
-        .filter(|other| other.is_accepted())
-        .map(|other| best.value - other.value)
-        .reduce(f64::min)
-        .unwrap_or(usual)
-        .clamp(0.0, MOST)
+/// What the best has over the best of others.
+fn gain<'a>(best: &Tried, others: impl Iterator<Item = &'a Tried>) -> f64 {
+    others.map(|other| best.value - other.value).reduce(f64::min).unwrap_or(USUAL).clamp(0.0, MOST)
 }
 
 #[cfg(test)]
@@ -89,7 +69,7 @@ mod tests {
     #[test]
     fn a_slow_label_is_worth_what_the_limit_would_cost() {
         let tried = tried(&[("ego_lane", 13.0, 0.1, true), ("ego_lane", 9.0, 0.7, true), ("ego_lane", 5.0, 0.9, true)]);
-        let Stakes { lane, speed, .. } = Stakes::of(&tried[2], &tried);
+        let Stakes { lane, speed } = Stakes::of(&tried[2], &tried);
         assert!((speed - 0.8).abs() < 1e-12 && (lane - USUAL).abs() < 1e-12, "{lane} {speed}");
     }
 
@@ -105,23 +85,5 @@ mod tests {
             tried(&[("ego_lane", 13.0, 1.0, true), ("left_lane", 13.0, 0.6, true), ("right_lane", 13.0, 0.9, false)]);
         assert!((Stakes::of(&tried[0], &tried).lane - 0.4).abs() < 1e-12);
         assert!(Stakes::of(&tried[1], &tried).lane.abs() < 1e-12, "a label that is not the best is worth nothing");
-    }
-
-    #[test]
-    fn slow_driving_is_worth_less_to_a_model_that_no_refusal_has_told() {
-        let tried = tried(&[("ego_lane", 13.0, 0.1, true), ("ego_lane", 9.0, 0.7, true), ("ego_lane", 5.0, 0.4, true)]);
-        let told = Stakes::of(&tried[1], &tried);
-        assert!((told.speed - told.foreseen().speed - AFTER_THE_FACT).abs() < 1e-12);
-        assert!((told.lane - told.foreseen().lane).abs() < 1e-12);
-        let fastest = Stakes::of(&tried[0], &tried[..1]);
-        assert_eq!(fastest.foreseen(), fastest);
-    }
-
-    #[test]
-    fn the_limit_is_worth_more_than_usual_where_nothing_slower_was_tried_and_a_slow_label_is_not() {
-        let alone = tried(&[("ego_lane", 13.0, 1.1, true)]);
-        assert!((Stakes::of(&alone[0], &alone).speed - USUAL - SLOW_COST).abs() < 1e-12);
-        let refused = tried(&[("ego_lane", 13.0, 0.2, false), ("ego_lane", 9.0, 0.8, true)]);
-        assert!((Stakes::of(&refused[1], &refused).speed - USUAL).abs() < 1e-12);
     }
 }
