@@ -137,7 +137,9 @@ pub enum DatasetError {
     #[error(transparent)]
     View(#[from] BevError),
     /// All scenes that the split has for this seed are labelled.
-    #[error("the split {split} has no more scenes for seed {seed}; ask for fewer states, or for a seed below 100")]
+    #[error(
+        "the split {split} has no more scenes for seed {seed}; ask for fewer states, or for another seed below 100"
+    )]
     NoSceneLeft {
         /// Name of the split.
         split: &'static str,
