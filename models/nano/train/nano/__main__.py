@@ -57,6 +57,11 @@ def arguments() -> argparse.ArgumentParser:
     export.add_argument("--dtype", choices=["float32", "float16", "bfloat16"], default="float32")
     export.add_argument("--reference", type=Path)
 
+    average = commands.add_parser("average", help="the mean of a run's weights and those it started from; export it anew")
+    average.add_argument("--out", type=Path, required=True, help="run folder; keeps what was trained in trained.pt")
+    average.add_argument("--start", type=Path, required=True, help="folder of the model that the run started from")
+    average.add_argument("--share", type=float, default=0.5, help="of the start")
+
     evaluate = commands.add_parser("evaluate", help="per question, beside the majority and shuffled images")
     evaluate.add_argument("--out", type=Path, required=True, help="run folder; writes evaluation.json and evaluation.md")
     evaluate.add_argument("--states", type=int, default=2_000)
@@ -105,6 +110,10 @@ def main() -> int:
         from . import export
 
         export.write(options.out, options.model, options.dtype, options.reference)
+    elif options.command == "average":
+        from . import average
+
+        average.run(options.out, options.start, options.share)
     elif options.command == "evaluate":
         from . import evaluate
 

@@ -72,6 +72,8 @@ class Script:
 
     parts: list[list[int] | tuple[int, Sequence[Value]]]
     answers: dict[int, Value] = field(default_factory=dict)
+    #: Of each question: how probable the model finds each token with which an answer may begin; they add up to 1.
+    odds: dict[int, dict[int, float]] = field(default_factory=dict)
     _part: int = 0
     _said: tuple[int, ...] = ()
 
@@ -93,6 +95,8 @@ class Script:
                 follow = self._following() if ended else None
                 if allowed:
                     tokens = sorted(allowed | ({follow} if follow is not None else set()))
+                    if not said:
+                        self.odds[question] = dict(zip(tokens, logits[tokens].float().softmax(0).tolist(), strict=True))
                     token = tokens[int(logits[tokens].argmax())]
                     if token in allowed:
                         self._said += (token,)
@@ -153,15 +157,15 @@ def prefill_rows(model: NanoLlava, collator: Collator, rows: list[int], firsts: 
 @torch.no_grad()
 def answer(
     model: NanoLlava, corpus: Corpus, collator: Collator, rows: list[int], images_of: list[int], choices: dict[int, list[Value]], assistant: int
-) -> list[dict[int, Value]]:
-    """Each row's answers, question to value, decided in order and read back by the model."""
+) -> list[Script]:
+    """Each row's script with its answers, decided in order and read back by the model."""
     firsts = [corpus.row(row).tolist().index(assistant) + 1 for row in rows]
     decoder, logits = prefill_rows(model, collator, rows, firsts, images_of, room=32)
     running = [scripts(corpus, row, choices, first) for row, first in zip(rows, firsts, strict=True)]
     while True:
         tokens = [script.next(logits[i]) for i, script in enumerate(running)]
         if all(token is None for token in tokens):
-            return [script.answers for script in running]
+            return running
         # A row that is done repeats padding; nobody reads it.
         logits = decoder.step(torch.tensor([0 if token is None else token for token in tokens]))
 

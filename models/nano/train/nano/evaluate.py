@@ -2,7 +2,8 @@
 
 Free-running: what the model answered stands in its context, not the truth. Each answer is the most probable of the question's values, as under
 the grammar at inference. Beside it: the best constant answer (the majority, taken on the validation states themselves), and the same model with the image of
-another drive. A last pass decodes without any constraint and counts valid code.
+another drive. The probability of keeping the lane is held against what the labels do (`calibration.py`). A last pass decodes without any
+constraint and counts valid code.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ from tokenizers import Tokenizer
 from . import corpus as corpora
 from . import tokenizer as tokenizers
 from .batches import Collator
+from .calibration import calibrate, table_of
 from .chat import ASSISTANT, EOS, IMAGE
 from .corpus import Corpus
-from .decode import Value, answer, slots_of, speak, values_of
+from .decode import Script, Value, answer, slots_of, speak, values_of
 from .loop import load_model
 from .model import NanoLlava
 from .statistics import by_groups, wilson
@@ -54,7 +56,7 @@ def truths(corpus: Corpus, row: int) -> dict[int, Value]:
 
 def free_running(
     model: NanoLlava, corpus: Corpus, collator: Collator, rows: list[int], images_of: list[int], choices: dict[int, list[Value]], assistant: int
-) -> list[dict[int, Value]]:
+) -> list[Script]:
     """Answers of many rows, in groups."""
     out = []
     for start in range(0, len(rows), ROWS):
@@ -88,7 +90,7 @@ def labelled_rounds(ids: list[int], assistant: int, end: int) -> list[list[int]]
 
 
 def score(
-    corpus: Corpus, rows: list[int], found: list[dict[int, Value]], shuffled: list[dict[int, Value]], tokenizer: Tokenizer
+    corpus: Corpus, rows: list[int], found: list[Script], shuffled: list[Script], tokenizer: Tokenizer
 ) -> list[dict]:
     """A row of the table per question."""
     drives = np.array([corpus.names[row].rpartition("@")[0] for row in rows])
@@ -101,8 +103,8 @@ def score(
         asked = [i for i in range(len(rows)) if all(part in labels[i] for part in parts)]
         if not asked:
             continue
-        hits = np.array([all(found[i].get(p) == labels[i][p] for p in parts) for i in asked], float)
-        without = np.array([all(shuffled[i].get(p) == labels[i][p] for p in parts) for i in asked], float)
+        hits = np.array([all(found[i].answers.get(p) == labels[i][p] for p in parts) for i in asked], float)
+        without = np.array([all(shuffled[i].answers.get(p) == labels[i][p] for p in parts) for i in asked], float)
         counts = Counter(tuple(labels[i][p] for p in parts) for i in asked)
         common, times = counts.most_common(1)[0]
         value = " ".join(tokenizer.decode(list(tokens)) for tokens in common)
@@ -132,6 +134,8 @@ def markdown(report: dict) -> str:
             f"| {row['question']} | {row['accuracy'] * 100:.1f} | {row['low95'] * 100:.1f}-{row['high95'] * 100:.1f} | "
             f"{row['majority'] * 100:.1f} ({row['majority_value']}) | {row['shuffled_image'] * 100:.1f} | {'yes' if row['above_both'] else 'no'} |"
         )
+    if report["keep_lane"]:
+        lines += ["", *table_of(report["keep_lane"])]
     free = report["without_grammar"]
     lines += ["", f"Without a grammar, {free['valid_code'] * 100:.1f} % of {free['states']} greedy answers of the last round are valid planner code."]
     return "\n".join(lines) + "\n"
@@ -160,7 +164,7 @@ def run(out: Path, states: int) -> dict:
     table = score(corpus, rows, found, shuffled, tokenizer)
     report = {
         "states": len(rows), "drives": len({corpus.names[row].rpartition("@")[0] for row in rows}), "questions": table,
-        "without_grammar": free, "progress": state["progress"], "recipe": state["recipe"],
+        "keep_lane": calibrate(corpus, rows, found, tokenizer), "without_grammar": free, "progress": state["progress"], "recipe": state["recipe"],
     }  # fmt: skip
     (out / "evaluation.json").write_text(json.dumps(report, indent=1) + "\n")
     (out / "evaluation.md").write_text(markdown(report))

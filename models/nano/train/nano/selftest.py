@@ -44,6 +44,7 @@ def run(folder: Path | None, steps: int) -> None:
         assert rows[name]["above_both"], f"{name} is not read from the image: {rows[name]}"
     for name in READ:
         assert rows[name]["low95"] > rows[name]["majority"], f"{name} is not read from the text: {rows[name]}"
+    assert sum(group["states"] for group in report["keep_lane"]) == report["states"], "each state has a probability of keeping the lane"
     print(f"selftest passed: logits within {worst:.1e}, load {os.getloadavg()[0]:.1f}", file=sys.stderr)
 
 

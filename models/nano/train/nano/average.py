@@ -1,0 +1,38 @@
+"""The mean of a run's weights and those that it started from.
+
+A run that goes on from trained weights, on a few new states, forgets a little of what the former states taught and learns some of the new ones by
+heart; the mean keeps more of both (Wortsman et al., Model soups, 2022).
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import torch
+
+from .shapes import Shape
+from .weights import from_stock
+
+#: What the run had trained, kept beside the checkpoint.
+TRAINED = "trained.pt"
+
+
+def run(out: Path, start: Path, share: float) -> None:
+    """Replaces the weights of the run's checkpoint by (1 - share) of them and `share` of the start's; what was trained stays as `trained.pt`."""
+    from transformers import LlavaForConditionalGeneration
+
+    if not 0.0 < share < 1.0:
+        raise ValueError(f"a share of {share}: it lies between 0 and 1")
+    checkpoint, trained = out / "checkpoint.pt", out / TRAINED
+    if trained.exists():
+        raise FileExistsError(f"{trained} exists: the run has been averaged already; to begin anew, put it back as {checkpoint.name}")
+    if (start / "tokenizer.json").read_bytes() != (out / "tokenizer.json").read_bytes():
+        raise ValueError(f"{start} has another tokenizer than {out}: their weights have no mean")
+    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    stock = LlavaForConditionalGeneration.from_pretrained(start).state_dict()
+    former = from_stock(stock, state["model"], Shape(**state["shape"]))
+    state["model"] = {name: torch.lerp(weight, former[name], share) for name, weight in state["model"].items()}
+    shutil.copyfile(checkpoint, trained)
+    torch.save(state, checkpoint.with_suffix(".part"))
+    checkpoint.with_suffix(".part").replace(checkpoint)
