@@ -157,13 +157,14 @@ fn code_answer(best: &Tried, stakes: Stakes) -> Message {
         .fixed(&format!("{}(c=", crate::reasoning::FUNCTION))
         .decided(&code.centerline, stakes.lane)
         .fixed(", la=")
-        .decided(code.leader.as_deref().unwrap_or("None"), stakes.lane)
+        // Who leads on a centreline is a fact of the scene.
+        .decided(code.leader.as_deref().unwrap_or("None"), UNIT_STAKE)
         .fixed(", v0=")
         .decided(&code.target_speed.to_string(), stakes.speed)
         .fixed(", acc=")
-        .decided(&code.accel_max.to_string(), stakes.speed)
+        .decided(&code.accel_max.to_string(), stakes.accelerations)
         .fixed(", dec=")
-        .decided(&code.decel_max.to_string(), stakes.speed)
+        .decided(&code.decel_max.to_string(), stakes.accelerations)
         .fixed(")")
         .message()
 }

@@ -216,17 +216,17 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
         let Ok(graph) = LaneGraph::build(&scene, crate::environment::DEFAULT_NODE_LENGTH) else { break };
         let tried = search::search(&drive, &graph);
         let Some(best) = search::best(&tried) else { break };
-        let stakes = Stakes::of(best, &tried);
         let facts = SceneFacts::of(&scene, &graph);
         let name = format!("{}@{:.1}", scenario.id, drive.iteration() as f64 * crate::world::STEP_S);
         let image = bev::render(&scene, &settings.view);
         let mut label = |feedback: Option<Feedback>| -> Result<(), PromptError> {
+            let stakes = Stakes::of(best, &tried, feedback.is_some());
             let told = feedback.map(|feedback| feedback_text(settings.prompts, &feedback)).transpose()?;
             let label = label::label(name.clone(), &graph, &facts, (best, stakes), settings.prompts, told.as_deref())?;
             states.push((label, image.clone()));
             Ok(())
         };
-        // What a model has to answer after a refusal is the label as well: Reflection accepts it where it accepts anything.
+        // What a model has to answer after a refusal is the label as well: one that is accepted, or one that, refused again, drives best.
         let planner = if let Some(agent) = &mut agent {
             if agent.compute_trajectory(&PlannerInput { iteration: 0, scene }).is_err() {
                 break;

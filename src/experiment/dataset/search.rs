@@ -42,9 +42,12 @@ const ON_ROUTE_AHEAD: f64 = 120.0;
 const LANE_CHANGE_COST: f64 = 0.02;
 /// What slow driving must gain: the best of several slow planners is picked after the fact, and in a drive the model has to pick one
 /// before. About what remains are collisions.
-const SLOW_COST: f64 = 0.5;
-/// What a planner must gain that Reflection would refuse: more than there is to gain.
-const REFUSED_COST: f64 = 2.0;
+const SLOW_COST: f64 = 0.7;
+/// What a change of lanes must gain that Reflection would refuse: more than there is to gain.
+const REFUSED_CHANGE_COST: f64 = 2.0;
+/// What a planner in the own lane must gain that Reflection would refuse: little, since it is the best of the refused that drives in the
+/// end, watched; the search drives it so.
+const REFUSED_COST: f64 = 0.05;
 /// What an unusual acc and dec must gain.
 const REFINEMENT_COST: f64 = 0.02;
 
@@ -165,7 +168,7 @@ impl Present<'_> {
             - cost(changes, LANE_CHANGE_COST)
             - cost(slow, SLOW_COST)
             - cost(unusual, REFINEMENT_COST)
-            - cost(reflection.verdict == Verdict::Rethink, REFUSED_COST);
+            - cost(reflection.verdict == Verdict::Rethink, if changes { REFUSED_CHANGE_COST } else { REFUSED_COST });
         let speed_later = samples.get(30).or(samples.last())?.ego.speed();
         Some(Tried { code: planner.code, score, value, speed_later, reflection })
     }

@@ -9,6 +9,8 @@ use super::search::Tried;
 const USUAL: f64 = 0.06;
 /// No decision is worth more than a score.
 const MOST: f64 = 1.0;
+/// What a slow first attempt is worth where Reflection refuses every faster one: little, since after a refusal the model is asked again.
+const ASKED_AGAIN: f64 = 0.01;
 
 /// What the decisions of a label are worth, as differences of [`Tried::value`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,13 +19,16 @@ pub(super) struct Stakes {
     pub(super) lane: f64,
     /// Of the speed: of slow driving over the fastest, of the fastest over the best that is slower.
     pub(super) speed: f64,
+    /// Of the accelerations: over the best other pair with this lane and speed.
+    pub(super) accelerations: f64,
 }
 
 impl Stakes {
     /// What the best of the planners that were tried is worth over the others. Those that Reflection would refuse do not count: the
-    /// model would be asked again.
-    pub(super) fn of(best: &Tried, tried: &[Tried]) -> Self {
+    /// model would be asked again; `told` says whether it has been told of a refusal already.
+    pub(super) fn of(best: &Tried, tried: &[Tried], told: bool) -> Self {
         let (lane, speed) = (&best.code.centerline, best.code.target_speed);
+        let pair = (best.code.accel_max, best.code.decel_max);
         let accepted = || tried.iter().filter(|t| t.is_accepted());
         let in_lane = || accepted().filter(|t| t.code.centerline == *lane);
         let fastest = in_lane().map(|t| t.code.target_speed).fold(speed, f64::max);
@@ -32,7 +37,12 @@ impl Stakes {
             let other = t.code.target_speed;
             if speed < fastest { other >= fastest } else { other < fastest }
         });
-        Self { lane: gain(best, elsewhere), speed: gain(best, at_other_speeds) }
+        let refused_faster =
+            tried.iter().any(|t| t.code.centerline == *lane && t.code.target_speed > fastest && !t.is_accepted());
+        let with_other_pairs =
+            in_lane().filter(|t| t.code.target_speed == speed && (t.code.accel_max, t.code.decel_max) != pair);
+        let speed = if refused_faster && !told { ASKED_AGAIN } else { gain(best, at_other_speeds) };
+        Self { lane: gain(best, elsewhere), speed, accelerations: gain(best, with_other_pairs) }
     }
 }
 
@@ -69,21 +79,42 @@ mod tests {
     #[test]
     fn a_slow_label_is_worth_what_the_limit_would_cost() {
         let tried = tried(&[("ego_lane", 13.0, 0.1, true), ("ego_lane", 9.0, 0.7, true), ("ego_lane", 5.0, 0.9, true)]);
-        let Stakes { lane, speed } = Stakes::of(&tried[2], &tried);
+        let Stakes { lane, speed, .. } = Stakes::of(&tried[2], &tried, false);
         assert!((speed - 0.8).abs() < 1e-12 && (lane - USUAL).abs() < 1e-12, "{lane} {speed}");
     }
 
     #[test]
     fn the_limit_is_worth_what_the_best_slower_planner_would_cost() {
         let tried = tried(&[("ego_lane", 13.0, 1.1, true), ("ego_lane", 9.0, 1.0, true), ("ego_lane", 5.0, 0.9, true)]);
-        assert!((Stakes::of(&tried[0], &tried).speed - 0.1).abs() < 1e-12);
+        assert!((Stakes::of(&tried[0], &tried, false).speed - 0.1).abs() < 1e-12);
     }
 
     #[test]
     fn a_lane_is_worth_what_the_best_other_lane_would_cost_if_reflection_accepts_it() {
         let tried =
             tried(&[("ego_lane", 13.0, 1.0, true), ("left_lane", 13.0, 0.6, true), ("right_lane", 13.0, 0.9, false)]);
-        assert!((Stakes::of(&tried[0], &tried).lane - 0.4).abs() < 1e-12);
-        assert!(Stakes::of(&tried[1], &tried).lane.abs() < 1e-12, "a label that is not the best is worth nothing");
+        assert!((Stakes::of(&tried[0], &tried, false).lane - 0.4).abs() < 1e-12);
+        assert!(
+            Stakes::of(&tried[1], &tried, false).lane.abs() < 1e-12,
+            "a label that is not the best is worth nothing"
+        );
+    }
+
+    #[test]
+    fn a_slow_first_attempt_is_worth_little_where_all_that_is_faster_is_refused() {
+        let tried =
+            tried(&[("ego_lane", 13.0, 1.1, false), ("ego_lane", 9.0, 0.7, true), ("ego_lane", 5.0, 0.3, true)]);
+        assert!((Stakes::of(&tried[1], &tried, false).speed - ASKED_AGAIN).abs() < 1e-12);
+        assert!((Stakes::of(&tried[1], &tried, true).speed - 0.4).abs() < 1e-12, "now it has been told");
+    }
+
+    #[test]
+    fn accelerations_are_worth_what_the_best_other_pair_would_cost_and_not_what_the_speed_is_worth() {
+        let mut tried =
+            tried(&[("ego_lane", 13.0, 1.0, true), ("ego_lane", 13.0, 0.9, true), ("ego_lane", 5.0, 0.2, true)]);
+        tried[1].code.decel_max += 1.0;
+        let stakes = Stakes::of(&tried[0], &tried, false);
+        assert!((stakes.accelerations - 0.1).abs() < 1e-12 && (stakes.speed - 0.8).abs() < 1e-12, "{stakes:?}");
+        assert!((Stakes::of(&tried[2], &tried, false).accelerations - USUAL).abs() < 1e-12, "no other pair was tried");
     }
 }
