@@ -4,6 +4,7 @@
 //! by what is at stake, the likeliest answer becomes the one that is best on average.
 
 use super::search::Tried;
+use crate::reasoning::PlannerCode;
 
 /// What a decision is worth that nothing was tried against: about what full progress adds to a value, for a third of the limit.
 const USUAL: f64 = 0.06;
@@ -28,7 +29,6 @@ impl Stakes {
     /// model would be asked again; `told` says whether it has been told of a refusal already.
     pub(super) fn of(best: &Tried, tried: &[Tried], told: bool) -> Self {
         let (lane, speed) = (&best.code.centerline, best.code.target_speed);
-        let pair = (best.code.accel_max, best.code.decel_max);
         let accepted = || tried.iter().filter(|t| t.is_accepted());
         let in_lane = || accepted().filter(|t| t.code.centerline == *lane);
         let fastest = in_lane().map(|t| t.code.target_speed).fold(speed, f64::max);
@@ -39,8 +39,9 @@ impl Stakes {
         });
         let refused_faster =
             tried.iter().any(|t| t.code.centerline == *lane && t.code.target_speed > fastest && !t.is_accepted());
-        let with_other_pairs =
-            in_lane().filter(|t| t.code.target_speed == speed && (t.code.accel_max, t.code.decel_max) != pair);
+        let PlannerCode { accel_max, decel_max, .. } = best.code;
+        let with_other_pairs = accepted()
+            .filter(|t| t.code != best.code && PlannerCode { accel_max, decel_max, ..t.code.clone() } == best.code);
         let speed = if refused_faster && !told { ASKED_AGAIN } else { gain(best, at_other_speeds) };
         Self { lane: gain(best, elsewhere), speed, accelerations: gain(best, with_other_pairs) }
     }
