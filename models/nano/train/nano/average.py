@@ -6,7 +6,6 @@ heart; the mean keeps more of both (Wortsman et al., Model soups, 2022).
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import torch
@@ -33,6 +32,7 @@ def run(out: Path, start: Path, share: float) -> None:
     stock = LlavaForConditionalGeneration.from_pretrained(start).state_dict()
     former = from_stock(stock, state["model"], Shape(**state["shape"]))
     state["model"] = {name: torch.lerp(weight, former[name], share) for name, weight in state["model"].items()}
-    shutil.copyfile(checkpoint, trained)
+    # What was trained is the last to be put aside, so that an interrupted call can be made again.
     torch.save(state, checkpoint.with_suffix(".part"))
+    checkpoint.replace(trained)
     checkpoint.with_suffix(".part").replace(checkpoint)

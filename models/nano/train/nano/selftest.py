@@ -7,13 +7,14 @@ import sys
 import tempfile
 from pathlib import Path
 
+import torch
 from jinja2 import Environment
 
 from . import corpus as corpora
-from . import evaluate, export, shards, synthetic, train
+from . import average, evaluate, export, shards, synthetic, train
 from . import tokenizer as tokenizers
 from .chat import BOS, EOS, TEMPLATE, render
-from .loop import Recipe
+from .loop import Recipe, load_model
 
 #: Questions that the tiny shape must have learnt within the test; without the right image they fall back.
 SEEN = ("scene", "lanes", "lane")
@@ -45,6 +46,10 @@ def run(folder: Path | None, steps: int) -> None:
     for name in READ:
         assert rows[name]["low95"] > rows[name]["majority"], f"{name} is not read from the text: {rows[name]}"
     assert sum(group["states"] for group in report["keep_lane"]) == report["states"], "each state has a probability of keeping the lane"
+    before = load_model(out / "checkpoint.pt")[0].state_dict()
+    average.run(out, folder / "model", 0.5)
+    after = load_model(out / "checkpoint.pt")[0].state_dict()
+    assert all(torch.allclose(before[name], after[name], atol=1e-6) for name in before), "the mean of equal weights is something else"
     print(f"selftest passed: logits within {worst:.1e}, load {os.getloadavg()[0]:.1f}", file=sys.stderr)
 
 
