@@ -48,8 +48,9 @@ const REFUSED_CHANGE_COST: f64 = 2.0;
 /// What a planner in the own lane must gain that Reflection would refuse: little, since it is the best of the refused that drives in the
 /// end, watched; the search drives it so.
 const REFUSED_COST: f64 = 0.05;
-/// What an unusual acc and dec must gain.
-const REFINEMENT_COST: f64 = 0.02;
+/// What an unusual acc and dec must gain: as with slow driving, the best of several is picked after the fact. In drives they only
+/// scattered the scores: on 350 validation scenes among reactive traffic -0.5 to +0.2 of 100 by the weights, always in few drives.
+const REFINEMENT_COST: f64 = 0.5;
 
 /// A planner that was tried.
 #[derive(Debug, Clone, PartialEq)]
