@@ -31,8 +31,7 @@ const PATH_MARGIN: f64 = 30.0;
 pub enum LeadPolicy {
     /// The named leader alone: exactly what the code says.
     Named,
-    /// The nearest of the centreline's leader, everything on the path, and red lights (as PDM-Closed's own roll-out looks), whomever the
-    /// code names.
+    /// The nearest of the named leader, everything on the path, and red lights (as PDM-Closed's own roll-out looks).
     #[default]
     Nearest,
 }
@@ -44,7 +43,7 @@ pub struct GeneratedPlanner {
     pub code: PlannerCode,
     /// Lanes of the followed centreline.
     pub lanes: LanePath,
-    /// Track of the leader: the named one, or the centreline's ([`LeadPolicy`]).
+    /// Track of the named leader.
     pub leader: Option<TrackToken>,
     /// Which objects are followed.
     pub lead_policy: LeadPolicy,
