@@ -97,6 +97,7 @@ pub(crate) fn settings() -> PlanAgentSettings {
         latency: Latency::None,
         reflect: true,
         threshold: 0.75,
+        lane_change_threshold: 0.98,
         max_exec: 3,
         horizon_s: 4.0,
         after_max_exec: AfterMaxExec::Last,

@@ -51,9 +51,12 @@ struct Thinking {
 }
 
 impl Thinking {
-    /// Keeps of many attempts the one with the best score; the first wins ties. It bears the time of all.
+    /// Keeps of many attempts the one with the best score, of the accepted ones if there are any; the first wins ties. It bears the time
+    /// of all.
     fn keep_better(&mut self, attempt: Attempt, planner: Option<GeneratedPlanner>) {
-        let score = |attempt: &Attempt| attempt.reflection.as_ref().map_or(f64::NEG_INFINITY, |r| r.score);
+        let score = |attempt: &Attempt| {
+            attempt.reflection.as_ref().map_or((false, f64::NEG_INFINITY), |r| (r.verdict == Verdict::Execute, r.score))
+        };
         let spent_ms = self.attempts.first().map_or(0.0, |best| best.reflection_ms) + attempt.reflection_ms;
         if self.attempts.first().is_none_or(|best| score(&attempt) > score(best)) {
             (self.attempts, self.planners) = (vec![attempt], vec![planner]);
@@ -119,10 +122,19 @@ impl PlanAgent {
         let environment_ms = milliseconds(started.elapsed());
         let thinking = self.think(iteration, scene, &graph, &scenario, deadline)?;
         let decision = self.decide(&thinking);
-        let planner = match decision {
+        let mut planner = match decision {
             Decision::Execute(index) | Decision::Exhausted(index) => thinking.planners.into_iter().nth(index).flatten(),
             _ => None,
         };
+        let mut retreat = None;
+        if let (Decision::Exhausted(_), AfterMaxExec::Best, Some(refused)) =
+            (&decision, self.settings.after_max_exec, &planner)
+            && self.begins_lane_change(refused, scene, &graph)
+            && let Some(back) = back_to_own_lane(refused, scene, &graph, self.settings.lead_policy, self.path_s())?
+        {
+            planner = Some(back);
+            retreat = Some(iteration);
+        }
         let total_ms = milliseconds(started.elapsed());
         let image_hash = Opening { system: String::new(), image: scenario.image.clone() }.image_hash();
         self.calls.push(PlanningCall {
@@ -133,7 +145,7 @@ impl PlanAgent {
             attempts: thinking.attempts,
             decision,
             emergency_brakes: 0,
-            retreat: None,
+            retreat,
             in_force_from: None,
             environment_ms,
             total_ms,
@@ -214,8 +226,9 @@ impl PlanAgent {
         // What all attempts are judged against is looked at once; the first attempt's reflection bears its time.
         let mut looked_ms = milliseconds(looking.elapsed());
         let mut thinking = Thinking::default();
+        let mut needed = settings.threshold;
         while (thinking.attempts.len() < settings.max_exec || self.mind.compares()) && thinking.interruption.is_none() {
-            let feedback = thinking.attempts.last().map(|last| last.feedback(settings.threshold));
+            let feedback = thinking.attempts.last().map(|last| last.feedback(needed));
             let thought = thoughts.next(feedback.as_ref()).map_err(failed("asking the model"))?;
             let Some(mut thought) = thought else { break };
             thinking.interruption = thought.interruption.take();
@@ -226,7 +239,8 @@ impl PlanAgent {
             let (planner, errors) = self.build(scene, graph, &thought)?;
             let reflection = match (&judge, &planner) {
                 (Some(judge), Some(planner)) => {
-                    Some(judge.reflect(planner, settings.threshold).map_err(reflection_failed)?)
+                    needed = self.threshold_of(planner, scene, graph);
+                    Some(judge.reflect(planner, needed).map_err(reflection_failed)?)
                 }
                 _ => None,
             };
@@ -250,6 +264,19 @@ impl PlanAgent {
             thinking.in_force = Some(judge.reflect(&planner, settings.threshold).map_err(reflection_failed)?.score);
         }
         Ok(thinking)
+    }
+
+    /// λ of a planner: higher where a change of lanes would begin with it.
+    fn threshold_of(&self, planner: &GeneratedPlanner, scene: &Scene<'_>, graph: &LaneGraph) -> f64 {
+        let PlanAgentSettings { threshold, lane_change_threshold, .. } = self.settings;
+        if self.begins_lane_change(planner, scene, graph) { threshold.max(lane_change_threshold) } else { threshold }
+    }
+
+    /// Whether a planner is bound for another lane than the ego's and the planner in force.
+    fn begins_lane_change(&self, planner: &GeneratedPlanner, scene: &Scene<'_>, graph: &LaneGraph) -> bool {
+        let bound_for = planner.lane_now(scene);
+        !graph.ego_lane().path.lanes.contains(&bound_for)
+            && self.in_force().is_none_or(|in_force| in_force.lane_now(scene) != bound_for)
     }
 
     /// The planner that a thought means, with everything that was wrong with the answer.
@@ -411,8 +438,13 @@ pub fn generated_planner(
 ) -> Result<Option<GeneratedPlanner>, PlannerError> {
     let centerline = code.centerline.parse::<CenterlineName>().ok().and_then(|name| graph.centerline(name));
     let Some(centerline) = centerline else { return Ok(None) };
-    let named = code.leader.as_ref().and_then(|name| name.parse::<AgentName>().ok());
-    let leader = named.and_then(|name| graph.agent(name)).map(|agent| agent.token);
+    let leader = match lead_policy {
+        LeadPolicy::Named => {
+            code.leader.as_ref().and_then(|name| name.parse::<AgentName>().ok()).and_then(|name| graph.agent(name))
+        }
+        LeadPolicy::Nearest => centerline.leader.and_then(|name| graph.agent(name)),
+    };
+    let leader = leader.map(|agent| agent.token);
     GeneratedPlanner::new(scene, code, centerline.path.clone(), leader, lead_policy, horizon_s)
         .map(Some)
         .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })

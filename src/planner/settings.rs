@@ -53,6 +53,8 @@ pub struct PlanAgentSettings {
     pub reflect: bool,
     /// λ.
     pub threshold: f64,
+    /// λ of a planner with which a change of lanes would begin, where that is higher.
+    pub lane_change_threshold: f64,
     /// Most attempts of a planning call.
     pub max_exec: usize,
     /// Length of the roll-outs, seconds.

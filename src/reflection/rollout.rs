@@ -31,7 +31,8 @@ const PATH_MARGIN: f64 = 30.0;
 pub enum LeadPolicy {
     /// The named leader alone: exactly what the code says.
     Named,
-    /// The nearest of the named leader, everything on the path, and red lights (as PDM-Closed's own roll-out looks).
+    /// The nearest of the centreline's leader, everything on the path, and red lights (as PDM-Closed's own roll-out looks), whomever the
+    /// code names.
     #[default]
     Nearest,
 }
@@ -43,7 +44,7 @@ pub struct GeneratedPlanner {
     pub code: PlannerCode,
     /// Lanes of the followed centreline.
     pub lanes: LanePath,
-    /// Track of the named leader.
+    /// Track of the leader: the named one, or the centreline's ([`LeadPolicy`]).
     pub leader: Option<TrackToken>,
     /// Which objects are followed.
     pub lead_policy: LeadPolicy,

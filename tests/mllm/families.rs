@@ -236,6 +236,7 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
         latency: Latency::None,
         reflect: true,
         threshold: 1.0,
+        lane_change_threshold: 1.0,
         max_exec: 2,
         horizon_s: 4.0,
         after_max_exec: AfterMaxExec::Last,

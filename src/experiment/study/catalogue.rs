@@ -57,8 +57,9 @@ const fn agent(labels: &'static [&'static str], settings: &'static str, publishe
 }
 
 const PLAN_AGENT: Variant = planner(&["plan-agent"], PlannerKind::PlanAgent, paper::PLAN_AGENT);
-/// PlanAgent as the paper has it: the last planner drives after `max_exec` refusals, and a planner drives as it was written.
-const AS_IN_THE_PAPER: &str = "reflection = { after_max_exec = 'last', execution = 'as_written' }";
+/// PlanAgent as the paper has it: one λ for all planners, the last planner drives after `max_exec` refusals, and a planner drives as it was written.
+const AS_IN_THE_PAPER: &str =
+    "reflection = { lane_change_threshold = 0.0, after_max_exec = 'last', execution = 'as_written' }";
 const RANDOM_CODE: Variant = planner(&["random-code"], PlannerKind::RandomCode, Published::NOTHING);
 const FIXED_CODE: Variant = planner(&["fixed-code"], PlannerKind::FixedCode, Published::NOTHING);
 const GRID_CODE: Variant = planner(&["grid-code"], PlannerKind::GridCode, Published::NOTHING);
