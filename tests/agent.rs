@@ -451,24 +451,32 @@ fn a_change_of_lanes_that_goes_bad_is_given_up() {
 }
 
 #[test]
-fn a_watched_planner_stops_only_against_a_collision_and_only_if_it_may() {
+fn a_watched_planner_stops_only_in_danger_and_only_if_it_may() {
     let scenario = scenario("generated/waiting_for_pedestrian_to_cross/0");
     let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let before = drive.scene();
     let ego = EgoState::from_log(before.ego.time_us, before.ego.rear_axle, Vector::new(9.0, 0.0), Vector::zeros());
     let graph = LaneGraph::build(&before, DEFAULT_NODE_LENGTH).unwrap();
     let planner = planner_at(&drive, &graph, 12.0, LeadPolicy::Nearest);
-    // A wall across all lanes, 11 m before the bumper: the code's 3 m/s² do not stop before it, 6 m/s² do.
-    let at = planner.path().smooth_pose_at(planner.path().project(ego.rear_axle.position()).s + 16.0);
-    let objects = [standing(at, 30.0)];
-    let scene = Scene { ego: &ego, objects: &objects, ..before };
-    let choose = |emergency_brake| {
+    // A wall across all lanes, so far from the rear axle.
+    let choose = |metres, emergency_brake| {
+        let at = planner.path().smooth_pose_at(planner.path().project(ego.rear_axle.position()).s + metres);
+        let objects = [standing(at, 30.0)];
+        let scene = Scene { ego: &ego, objects: &objects, ..before };
         let watch = Watch { steps: 40, threshold: 0.75, emergency_brake };
         watch.choose(&scene, &planner, &mut PdmMemory::default()).unwrap()
     };
-    assert_eq!(choose(true).version, Version::STOP);
-    assert!(choose(true).score > 0.0 && choose(false).score == 0.0, "{:?} {:?}", choose(true), choose(false));
-    assert_ne!(choose(false).version, Version::STOP);
+    // The code's 3 m/s² do not stop before it, 6 m/s² do.
+    let (stops, drives) = (choose(16.0, true), choose(16.0, false));
+    assert_eq!(stops.version, Version::STOP);
+    assert_ne!(drives.version, Version::STOP);
+    assert!(stops.score > 0.0 && drives.score == 0.0, "{stops:?} {drives:?}");
+    // They do, but come too near it.
+    let (stops, drives) = (choose(21.0, true), choose(21.0, false));
+    assert_eq!(stops.version, Version::STOP);
+    assert!(stops.score > drives.score && drives.score > 0.0, "{stops:?} {drives:?}");
+    // Nothing is near.
+    assert_ne!(choose(60.0, true).version, Version::STOP);
 }
 
 #[test]

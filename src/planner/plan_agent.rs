@@ -14,7 +14,7 @@ use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
 use crate::mllm::{Deadline, Opening, milliseconds};
-use crate::pdm::{self, PdmMemory};
+use crate::pdm::{self, PdmMemory, emergency_brake};
 use crate::reasoning::{Interruption, Names, ParseError, PlannerCode, ScenarioPrompt, Thought};
 use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, Watch, needs_emergency_brake};
 use crate::world::{STEP_S, Scene, Trajectory};
@@ -326,7 +326,7 @@ impl PlanAgent {
         let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
         if self.settings.emergency_brake && needs_emergency_brake(&input.scene, &rollout, &mut self.memory) {
             self.note(|call| call.emergency_brakes += 1);
-            return Ok(brake(ego)?);
+            return Ok(emergency_brake(ego, PLAN_STEPS)?);
         }
         Ok(rollout.to_trajectory(ego)?)
     }
@@ -477,7 +477,7 @@ fn attempt(
 ///
 /// # Errors
 /// When the ego's state is not finite.
-pub(super) fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::TrajectoryError> {
+fn brake(ego: &crate::world::EgoState) -> Result<Trajectory, crate::world::TrajectoryError> {
     use crate::world::{STEP_US, TrajectoryState};
     let mut speed = ego.velocity.x.max(0.0);
     let mut way = 0.0;

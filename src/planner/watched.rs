@@ -1,9 +1,9 @@
 //! The planner in force under Reflection's eyes, between planning calls.
 
 use super::PlannerError;
-use super::plan_agent::{PLAN_STEPS, brake, generated_planner, reflection_failed};
+use super::plan_agent::{PLAN_STEPS, generated_planner, reflection_failed};
 use crate::environment::{CenterlineName, LaneGraph};
-use crate::pdm::PdmMemory;
+use crate::pdm::{PdmMemory, emergency_brake};
 use crate::reasoning::PlannerCode;
 use crate::reflection::{GeneratedPlanner, LeadPolicy, Version, Watch};
 use crate::world::{Scene, Trajectory};
@@ -39,7 +39,7 @@ pub fn watched(
 ) -> Result<Watched, PlannerError> {
     let choice = watch.choose(scene, planner, memory).map_err(reflection_failed)?;
     let trajectory = if choice.emergency_brake {
-        brake(scene.ego)?
+        emergency_brake(scene.ego, PLAN_STEPS)?
     } else {
         planner.roll_out_version(choice.version, scene, PLAN_STEPS).to_trajectory(scene.ego)?
     };

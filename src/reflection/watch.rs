@@ -32,8 +32,8 @@ pub struct Choice {
 impl Watch {
     /// Chooses between the versions of a planner by PDM's measure, as PDM-Closed does between its proposals; progress is relative
     /// to the best of them. In this order: the best of those on the planner's own path, if it scores λ; the best of those
-    /// beside it too; and where even that would be at fault for a collision, the stop, if it scores more. Equals: the first. Where
-    /// nothing helps, a slow ego brakes by PDM-Closed's rule and a fast one drives on: such forecasts are often wrong.
+    /// beside it too; and where even that would be at fault for a collision or come too near one, the stop, if it scores more. Equals:
+    /// the first. Where nothing helps, a slow ego brakes by PDM-Closed's rule and a fast one drives on: such forecasts are often wrong.
     ///
     /// A path beside the centreline is often a little shorter, so that without the first rule the ego drifts towards whoever drives
     /// in the next lane for a gain of centimetres.
@@ -73,10 +73,16 @@ impl Watch {
         let driving = own.or_else(|| best(|version| version != Version::STOP))?;
         let stop = scored.iter().find(|&&(version, _)| version == Version::STOP);
         let helps = |(_, stop): &&(Version, ProposalScore)| {
-            self.emergency_brake && driving.1.no_at_fault_collisions < 1.0 && stop.total > driving.1.total
+            self.emergency_brake && is_in_danger(&driving.1) && stop.total > driving.1.total
         };
         let &(version, score) = stop.filter(helps).unwrap_or(driving);
         let brakes = self.emergency_brake && needs_emergency_brake(score.first_at_fault_s, ego);
         Some(Choice { version, score: score.total, emergency_brake: brakes })
     }
+}
+
+/// Whether what drives would be at fault for a collision, or come too near one on a way that is otherwise fit to drive: where it leaves
+/// the drivable area as well, as at the mouth of a junction, the ego would stop for good.
+fn is_in_danger(driving: &ProposalScore) -> bool {
+    driving.no_at_fault_collisions < 1.0 || (driving.time_to_collision < 1.0 && driving.multiplier() > 0.0)
 }
