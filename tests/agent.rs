@@ -451,6 +451,46 @@ fn a_change_of_lanes_that_goes_bad_is_given_up() {
 }
 
 #[test]
+fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
+    let scenario = scenario("generated/changing_lane/4");
+    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let free = Scene { objects: &[], ..drive.scene() };
+    let graph = LaneGraph::build(&free, DEFAULT_NODE_LENGTH).unwrap();
+    let lane = |name| {
+        let path = &graph.centerline(name).unwrap().path;
+        path.lane_at(path.centerline.project(free.ego.center().position()).s)
+    };
+    let call = |lane_change_threshold| {
+        let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"; 3];
+        let mind = Mind::Model {
+            model: Arc::new(Script { answers, asked: Mutex::default() }),
+            prompts: Arc::new(PromptSet::open("paper").unwrap()),
+            reasoning: reasoning(&[Round::Code]),
+        };
+        let settings = PlanAgentSettings { lane_change_threshold, after_max_exec: AfterMaxExec::Best, ..settings() };
+        let mut agent = PlanAgent::new(PLAN_AGENT, mind, settings);
+        agent.compute_trajectory(&PlannerInput { iteration: 0, scene: free }).unwrap();
+        let call = &agent.calls()[0];
+        (agent.in_force().unwrap().lane_now(&free), call.attempts.len(), call.decision.clone(), call.retreat)
+    };
+    assert_eq!(call(0.0), (lane(CenterlineName::LeftLane), 1, Decision::Execute(0), None));
+    // More than can be scored: the code drives in the own lane.
+    assert_eq!(call(1.1), (lane(CenterlineName::EgoLane), 3, Decision::Exhausted(0), Some(0)));
+}
+
+#[test]
+fn who_leads_is_a_fact_of_the_scene() {
+    let scenario = scenario("generated/following_lane_with_lead/0");
+    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let graph = LaneGraph::build(&drive.scene(), DEFAULT_NODE_LENGTH).unwrap();
+    let leads = graph.leader(CenterlineName::EgoLane).map(|agent| agent.token);
+    assert!(leads.is_some());
+    // Codes that name nobody.
+    assert_eq!(planner_at(&drive, &graph, 10.0, LeadPolicy::Nearest).leader, leads);
+    assert_eq!(planner_at(&drive, &graph, 10.0, LeadPolicy::Named).leader, None);
+}
+
+#[test]
 fn a_watched_planner_stops_only_in_danger_and_only_if_it_may() {
     let scenario = scenario("generated/waiting_for_pedestrian_to_cross/0");
     let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();

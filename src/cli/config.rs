@@ -116,8 +116,8 @@ pub struct ReflectionConfig {
     pub enabled: bool,
     /// λ: a planner that scores this or more drives (the paper: 0.75).
     pub threshold: f64,
-    /// λ of a planner with which a change of lanes would begin, where that is higher: a change is a choice, and in six seconds the roll-out's
-    /// four can only get worse. 0.98 by 350 validation scenes: of the changes in them that scored less most lost.
+    /// λ of a planner with which a change of lanes would begin, where that is higher. 0.98 by 350 validation scenes: of the changes in them
+    /// that scored less most lost.
     pub lane_change_threshold: f64,
     /// `max_exec`: attempts of a planning call (the paper: 3).
     pub max_exec: usize,
