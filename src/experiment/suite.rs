@@ -7,12 +7,15 @@ use std::ops::Range;
 
 /// Seeds of each type in [`Suite::Demonstration`], from 0 on.
 const DEMONSTRATION_SEEDS: u64 = 10;
-/// Seeds of each type in [`Suite::Generated14`], the first of the test seeds.
-const COMMON_SEEDS: u64 = 50;
-/// Where the seeds of [`Suite::Candidates`] begin among the test seeds: behind those of [`Suite::Generated14`].
+/// Where the seeds of [`Suite::Candidates`] begin among the test seeds.
 const FIRST_CANDIDATE: u64 = 100;
 /// Seeds of each type in [`Suite::Candidates`].
 const CANDIDATE_SEEDS: u64 = 100;
+/// Where the seeds of [`Suite::Generated14`] begin among the test seeds: behind those of [`Suite::Candidates`]. The first 50 test seeds
+/// were this suite before and are not used any more: three sets of weights were held against them.
+const FIRST_COMMON: u64 = 200;
+/// Seeds of each type in [`Suite::Generated14`]: with 50, differences of half a point could not be told from nothing.
+const COMMON_SEEDS: u64 = 150;
 /// Scenes of each type in [`Suite::Generated14Hard`].
 const HARD_SCENES: usize = 20;
 /// Traffic seed among which hard scenes are chosen.
@@ -34,7 +37,7 @@ const HARD_HEADER: &str = "\
 pub enum Suite {
     /// Every type of the generator with the seeds 0 to 9, for tests and demonstrations.
     Demonstration,
-    /// nuPlan's fourteen types with 50 test seeds each.
+    /// nuPlan's fourteen types with 150 test seeds each.
     Generated14,
     /// nuPlan's fourteen types with 100 test seeds each, out of which the hard ones are chosen.
     Candidates,
@@ -64,7 +67,7 @@ impl Suite {
     /// Its scenes in their order, type by type.
     pub fn specs(self) -> Vec<Spec> {
         let test = dataset::Split::Test.seeds().start;
-        let (common, candidates) = (test, test + FIRST_CANDIDATE);
+        let (common, candidates) = (test + FIRST_COMMON, test + FIRST_CANDIDATE);
         match self {
             Self::Demonstration => each(ScenarioType::ALL, 0..DEMONSTRATION_SEEDS),
             Self::Generated14 => each(ScenarioType::nuplan14(), common..common + COMMON_SEEDS),
@@ -135,7 +138,7 @@ mod tests {
     #[test]
     fn suites_have_their_size_and_share_no_scene() {
         let sizes = Suite::ALL.map(|suite| suite.specs().len());
-        assert_eq!(sizes, [160, 700, 280, 1400]);
+        assert_eq!(sizes, [160, 2100, 280, 1400]);
         let seeds = |suite: Suite| suite.specs().into_iter().map(|spec| spec.seed).collect::<BTreeSet<u64>>();
         let (common, hard) = (seeds(Suite::Generated14), seeds(Suite::Generated14Hard));
         assert!(common.is_disjoint(&hard) && hard.is_subset(&seeds(Suite::Candidates)));
