@@ -1,22 +1,20 @@
 //! The agent with a scripted model: what it does with answers of every kind.
 
 use planagent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
-use planagent::geometry::{OrientedBox, Pose, Vector};
 use planagent::mllm::{
     Answer, ConstraintUse, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, ModelDescription,
     Opening, Request, RoundTime, Sampling, TokenCounts,
 };
 use planagent::pdm::PdmMemory;
-use planagent::planner::BevOf;
 use planagent::planner::{
-    AfterMaxExec, Decision, Execution, Latency, Mind, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner,
+    AfterMaxExec, BevOf, Decision, Execution, Latency, Mind, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner,
     PlannerInput, PlanningCall, generated_planner,
 };
 use planagent::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
-use planagent::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, Version, Watch, needs_emergency_brake};
+use planagent::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
 use planagent::scenario::{Scenario, generator};
 use planagent::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
-use planagent::world::{EgoState, LanePath, ObjectKind, Route, Scene, TrackToken, TrackedObject};
+use planagent::world::{Route, Scene};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -244,7 +242,7 @@ fn without_a_planner_in_force_a_deadline_ends_in_a_stop() {
 }
 
 /// A planner of the ego's lane at the start of a scene.
-fn planner_at<'a>(
+pub(crate) fn planner_at<'a>(
     drive: &'a ClosedLoop<'a>,
     graph: &LaneGraph,
     target_speed: f64,
@@ -366,90 +364,6 @@ fn the_controls_drive_without_a_model() {
     assert!(grid.iter().all(|call| call.attempts.len() == 1));
 }
 
-/// How often each version was chosen while one planner after the other is driven: as it was written, otherwise on its own path,
-/// beside it, and the stop.
-fn watched_drive(id: &str, watch: &Watch, v0: f64) -> [usize; 4] {
-    let scenario = scenario(id);
-    let mut drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
-    let mut count = [0; 4];
-    for _ in 0..60 {
-        let scene = drive.scene();
-        let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
-        let planner = planner_at(&drive, &graph, v0, LeadPolicy::Nearest);
-        let versions = planner.roll_out_versions(&scene, watch.steps);
-        assert_eq!(versions.len(), 16);
-        assert_eq!(versions[0].1, planner.roll_out(&scene, watch.steps), "the first is the planner as it was written");
-        assert_eq!(versions[15].0, Version::STOP);
-        let choice = watch.choose(&scene, &planner, &mut PdmMemory::default()).unwrap();
-        let place = versions.iter().position(|(version, _)| *version == choice.version).unwrap();
-        assert_eq!(choice.version.is_on_own_path(), place < 5);
-        let again = planner.roll_out_version(choice.version, &scene, watch.steps);
-        assert_eq!(versions[place].1, again);
-        count[match place {
-            0 => 0,
-            1..5 => 1,
-            5..15 => 2,
-            _ => 3,
-        }] += 1;
-        drive.advance(&again.to_trajectory(scene.ego).unwrap(), "watched").unwrap();
-    }
-    count
-}
-
-#[test]
-fn a_watched_planner_drives_as_written_or_as_one_of_its_versions() {
-    let watch = Watch { steps: 40, threshold: 0.75, emergency_brake: true };
-    let pedestrians = "generated/waiting_for_pedestrian_to_cross/0";
-    let [as_written, slower, ..] = watched_drive(pedestrians, &watch, 12.0);
-    assert!(as_written > 0 && slower > 0, "as written {as_written}, slower {slower}");
-
-    // The path beside is taken only where the own one does not pass; if nothing passes, it is compared with all.
-    let never_passes = Watch { threshold: 1.1, ..watch };
-    let scenes = ["high_lateral_acceleration/0", "traversing_roundabout/0", "low_magnitude_speed/0"];
-    let beside = |watch: &Watch| -> usize {
-        scenes.iter().map(|scene| watched_drive(&format!("generated/{scene}"), watch, 12.0)[2]).sum()
-    };
-    let (first, compared) = (beside(&watch), beside(&never_passes));
-    assert!(first < compared, "{first} {compared}");
-}
-
-/// A vehicle that stands across `width` metres.
-fn standing(at: Pose, width: f64) -> TrackedObject {
-    let (token, velocity) = (TrackToken(9999), Vector::zeros());
-    TrackedObject { token, kind: ObjectKind::Vehicle, shape: OrientedBox::new(at, 2.0, width), velocity }
-}
-
-#[test]
-fn a_change_of_lanes_that_goes_bad_is_given_up() {
-    let scenario = scenario("generated/changing_lane/4");
-    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
-    let free = Scene { objects: &[], ..drive.scene() };
-    let graph = LaneGraph::build(&free, DEFAULT_NODE_LENGTH).unwrap();
-    let (own, left) = (graph.ego_lane(), graph.centerline(CenterlineName::LeftLane).unwrap());
-    let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"];
-    let model = Arc::new(Script { answers, asked: Mutex::default() });
-    let mind = Mind::Model {
-        model,
-        prompts: Arc::new(PromptSet::open("paper").unwrap()),
-        reasoning: reasoning(&[Round::Code]),
-    };
-    let mut agent = PlanAgent::new(PLAN_AGENT, mind, PlanAgentSettings { execution: Execution::Watched, ..settings() });
-    let mut step = |iteration, scene| {
-        agent.compute_trajectory(&PlannerInput { iteration, scene }).unwrap();
-        let bound_for = agent.in_force().unwrap().lane_now(&free);
-        (bound_for, agent.calls()[0].retreat)
-    };
-    let lane = |path: &LanePath| path.lane_at(path.centerline.project(free.ego.center().position()).s);
-    assert_eq!(step(0, free), (lane(&left.path), None));
-
-    // Someone stands in the other lane now.
-    let at = left.path.centerline.smooth_pose_at(left.ego_s + 28.0);
-    let objects = [standing(at, 2.0)];
-    let blocked = Scene { objects: &objects, ..free };
-    assert_eq!(step(1, blocked), (lane(&own.path), Some(1)));
-    assert_eq!(step(2, free), (lane(&own.path), Some(1)), "until the next call");
-}
-
 #[test]
 fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
     let scenario = scenario("generated/changing_lane/4");
@@ -488,36 +402,6 @@ fn who_leads_is_a_fact_of_the_scene() {
     // Codes that name nobody.
     assert_eq!(planner_at(&drive, &graph, 10.0, LeadPolicy::Nearest).leader, leads);
     assert_eq!(planner_at(&drive, &graph, 10.0, LeadPolicy::Named).leader, None);
-}
-
-#[test]
-fn a_watched_planner_stops_only_in_danger_and_only_if_it_may() {
-    let scenario = scenario("generated/waiting_for_pedestrian_to_cross/0");
-    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
-    let before = drive.scene();
-    let ego = EgoState::from_log(before.ego.time_us, before.ego.rear_axle, Vector::new(9.0, 0.0), Vector::zeros());
-    let graph = LaneGraph::build(&before, DEFAULT_NODE_LENGTH).unwrap();
-    let planner = planner_at(&drive, &graph, 12.0, LeadPolicy::Nearest);
-    // A wall across all lanes, so far from the rear axle.
-    let choose = |metres, emergency_brake| {
-        let at = planner.path().smooth_pose_at(planner.path().project(ego.rear_axle.position()).s + metres);
-        let objects = [standing(at, 30.0)];
-        let scene = Scene { ego: &ego, objects: &objects, ..before };
-        let watch = Watch { steps: 40, threshold: 0.75, emergency_brake };
-        watch.choose(&scene, &planner, &mut PdmMemory::default()).unwrap()
-    };
-    // The code's 3 m/s² do not stop before it, 6 m/s² do.
-    let (stops, drives) = (choose(16.0, true), choose(16.0, false));
-    assert_eq!(stops.version, Version::STOP);
-    assert_ne!(drives.version, Version::STOP);
-    assert!(stops.score > 0.0 && drives.score == 0.0, "{stops:?} {drives:?}");
-    // Farther away they do, but come too near it.
-    let near = (17..40).map(f64::from).find(|&metres| choose(metres, false).score > 0.0).unwrap();
-    let (stops, drives) = (choose(near, true), choose(near, false));
-    assert_eq!(stops.version, Version::STOP);
-    assert!(stops.score > drives.score && drives.score < 0.75, "{near} m: {stops:?} {drives:?}");
-    // Nothing is near.
-    assert_ne!(choose(60.0, true).version, Version::STOP);
 }
 
 #[test]

@@ -24,4 +24,5 @@ mod runner;
 mod simulation;
 mod timed_agent;
 mod tokens;
+mod watched_agent;
 mod womd;

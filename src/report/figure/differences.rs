@@ -54,7 +54,9 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) 
     let legend = bottom + 44.0;
     picture.point([NAMES, legend - 4.0], colour(0), false);
     picture.text([NAMES + 12.0, legend], Anchor::Start, "faint", "here, with its 95 % interval");
-    if let Some(benchmark) = suite.benchmark {
+    let of_paper =
+        shown.iter().flat_map(|(_, variant)| &variant.challenges).any(|result| result.paper_difference.is_some());
+    if let Some(benchmark) = suite.benchmark.filter(|_| of_paper) {
         picture.point([NAMES + 220.0, legend - 4.0], colour(1), true);
         let text = format!("the paper, nuPlan {}", benchmark.name());
         picture.text([NAMES + 232.0, legend], Anchor::Start, "faint", &text);
