@@ -120,6 +120,11 @@ pub(crate) fn reasoning(rounds: &[Round]) -> ReasoningSettings {
     }
 }
 
+/// A model that is asked these rounds by the paper's prompts.
+pub(crate) fn mind(model: Arc<dyn Mllm>, rounds: &[Round]) -> Mind {
+    Mind::Model { model, prompts: Arc::new(PromptSet::open("paper").unwrap()), reasoning: reasoning(rounds) }
+}
+
 /// Drives a scene with scripted answers; gives the agent, the log and the questions.
 pub(crate) fn drive(
     answers: &[&'static str],
@@ -128,10 +133,7 @@ pub(crate) fn drive(
     id: &str,
 ) -> (PlanAgent, SimulationLog, Vec<String>) {
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
-    let model: Arc<dyn Mllm> = script.clone();
-    let mind =
-        Mind::Model { model, prompts: Arc::new(PromptSet::open("paper").unwrap()), reasoning: reasoning(rounds) };
-    let mut agent = PlanAgent::new(PLAN_AGENT, mind, settings);
+    let mut agent = PlanAgent::new(PLAN_AGENT, mind(script.clone(), rounds), settings);
     let log = simulate(&scenario(id), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let asked = script.asked.lock().unwrap().clone();
     (agent, log, asked)
@@ -376,11 +378,7 @@ fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
     };
     let call = |lane_change_threshold| {
         let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"; 3];
-        let mind = Mind::Model {
-            model: Arc::new(Script { answers, asked: Mutex::default() }),
-            prompts: Arc::new(PromptSet::open("paper").unwrap()),
-            reasoning: reasoning(&[Round::Code]),
-        };
+        let mind = mind(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
         let settings = PlanAgentSettings { lane_change_threshold, after_max_exec: AfterMaxExec::Best, ..settings() };
         let mut agent = PlanAgent::new(PLAN_AGENT, mind, settings);
         agent.compute_trajectory(&PlannerInput { iteration: 0, scene: free }).unwrap();

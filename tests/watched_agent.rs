@@ -1,11 +1,11 @@
 //! The planner in force while it is watched: which version of it drives, when it stops and when a change of lanes is given up.
 
-use crate::agent::{Script, planner_at, reasoning, scenario, settings};
+use crate::agent::{Script, mind, planner_at, scenario, settings};
 use planagent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent::geometry::{OrientedBox, Pose, Vector};
 use planagent::pdm::PdmMemory;
-use planagent::planner::{Execution, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlannerInput};
-use planagent::reasoning::{PromptSet, Round};
+use planagent::planner::{Execution, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlannerInput};
+use planagent::reasoning::Round;
 use planagent::reflection::{LeadPolicy, Version, Watch};
 use planagent::simulation::{Challenge, ClosedLoop};
 use planagent::world::{EgoState, LanePath, ObjectKind, Scene, TrackToken, TrackedObject};
@@ -72,12 +72,7 @@ fn a_change_of_lanes_that_goes_bad_is_given_up() {
     let graph = LaneGraph::build(&free, DEFAULT_NODE_LENGTH).unwrap();
     let (own, left) = (graph.ego_lane(), graph.centerline(CenterlineName::LeftLane).unwrap());
     let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"];
-    let model = Arc::new(Script { answers, asked: Mutex::default() });
-    let mind = Mind::Model {
-        model,
-        prompts: Arc::new(PromptSet::open("paper").unwrap()),
-        reasoning: reasoning(&[Round::Code]),
-    };
+    let mind = mind(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
     let mut agent = PlanAgent::new(PLAN_AGENT, mind, PlanAgentSettings { execution: Execution::Watched, ..settings() });
     let mut step = |iteration, scene| {
         agent.compute_trajectory(&PlannerInput { iteration, scene }).unwrap();
