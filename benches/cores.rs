@@ -7,10 +7,10 @@
     reason = "a benchmark is no interface and may stop at an error"
 )]
 
-use planagent::experiment::run::{Assignment, PlannerKind, run};
-use planagent::experiment::source::ScenarioSource;
-use planagent::scenario::generator::{ScenarioType, Spec};
-use planagent::simulation::Challenge;
+use planagent::internals::experiment::run::{Assignment, PlannerKind, run};
+use planagent::internals::experiment::source::ScenarioSource;
+use planagent::internals::scenario::generator::{ScenarioType, Spec};
+use planagent::internals::simulation::Challenge;
 use std::time::Instant;
 
 /// Pairs of runs.

@@ -7,24 +7,24 @@
 )]
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use planagent::dynamics::IdmTraffic;
-use planagent::environment::text::{self, Description};
-use planagent::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, bev};
-use planagent::experiment::nuplan_data::NuPlanData;
-use planagent::experiment::source::ScenarioSource;
-use planagent::geometry::{OrientedBox, Vector};
-use planagent::metrics::{Drive, evaluate};
-use planagent::pdm::{
+use planagent::internals::dynamics::IdmTraffic;
+use planagent::internals::environment::text::{self, Description};
+use planagent::internals::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, bev};
+use planagent::internals::experiment::nuplan_data::NuPlanData;
+use planagent::internals::experiment::source::ScenarioSource;
+use planagent::internals::geometry::{OrientedBox, Vector};
+use planagent::internals::metrics::{Drive, evaluate};
+use planagent::internals::pdm::{
     Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, Way, plan_along, score_proposals, simulate_proposals,
 };
-use planagent::planner::{IdmPlanner, LogReplay, Planner, PlannerInput, generated_planner};
-use planagent::reasoning::PlannerCode;
-use planagent::reflection::{Judge, LeadPolicy};
-use planagent::scenario::generator::{DEFAULT, generate};
-use planagent::scenario::nuplan::DataRoots;
-use planagent::scenario::nuplan::export::{ExportSettings, write_scenario};
-use planagent::simulation::{Challenge, ClosedLoop, simulate};
-use planagent::world::{EgoState, LaneMap, ObjectKind, STEP_S, Scene, TrackToken, TrackedObject, TrafficLights};
+use planagent::internals::planner::{IdmPlanner, LogReplay, Planner, PlannerInput, generated_planner};
+use planagent::internals::reasoning::PlannerCode;
+use planagent::internals::reflection::{Judge, LeadPolicy};
+use planagent::internals::scenario::generator::{DEFAULT, generate};
+use planagent::internals::scenario::nuplan::DataRoots;
+use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
+use planagent::internals::simulation::{Challenge, ClosedLoop, simulate};
+use planagent::internals::world::{EgoState, LaneMap, ObjectKind, STEP_S, Scene, TrackToken, TrackedObject, TrafficLights};
 use std::hint::black_box;
 use std::sync::Arc;
 

@@ -7,7 +7,7 @@ use std::hint::black_box;
 
 use candle_core::{Device, Tensor};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use planagent::mllm::{Matrix, Storage};
+use planagent::internals::mllm::{Matrix, Storage};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 

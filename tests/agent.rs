@@ -1,20 +1,20 @@
 //! The agent with a scripted model: what it does with answers of every kind.
 
-use planagent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
-use planagent::mllm::{
+use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
+use planagent::internals::mllm::{
     Answer, ConstraintUse, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, ModelDescription,
     Opening, Request, RoundTime, Sampling, TokenCounts,
 };
-use planagent::pdm::PdmMemory;
-use planagent::planner::{
+use planagent::internals::pdm::PdmMemory;
+use planagent::internals::planner::{
     AfterMaxExec, BevOf, Decision, Execution, Latency, Mind, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner,
     PlannerInput, PlanningCall, generated_planner,
 };
-use planagent::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
-use planagent::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
-use planagent::scenario::{Scenario, generator};
-use planagent::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
-use planagent::world::{Route, Scene};
+use planagent::internals::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
+use planagent::internals::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
+use planagent::internals::scenario::{Scenario, generator};
+use planagent::internals::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
+use planagent::internals::world::{Route, Scene};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -46,7 +46,7 @@ impl Mllm for Script {
             vocabulary: 0,
             context: 0,
             weights_blake3: String::new(),
-            load: planagent::mllm::LoadReport::default(),
+            load: planagent::internals::mllm::LoadReport::default(),
             server: None,
         }
     }
@@ -249,7 +249,7 @@ pub(crate) fn planner_at<'a>(
     graph: &LaneGraph,
     target_speed: f64,
     lead_policy: LeadPolicy,
-) -> planagent::reflection::GeneratedPlanner {
+) -> planagent::internals::reflection::GeneratedPlanner {
     let code = PlannerCode {
         centerline: CenterlineName::EgoLane.to_string(),
         leader: None,
@@ -321,7 +321,7 @@ fn a_roll_out_stops_before_a_red_light() {
         let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
         let scene = drive.scene();
         let Ok(graph) = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH) else { continue };
-        let red = graph.ego_lane().light.filter(|light| light.status == planagent::world::SignalStatus::Red);
+        let red = graph.ego_lane().light.filter(|light| light.status == planagent::internals::world::SignalStatus::Red);
         let Some(light) = red.filter(|light| light.distance > 12.0) else { continue };
         seen += 1;
         let planner = planner_at(&drive, &graph, 15.0, LeadPolicy::Nearest);

@@ -1,11 +1,11 @@
 //! The paper's two cases: what PDM-Closed does in them, and what the agent's planner code can do.
 
 use crate::agent::{drive, scenario, settings};
-use planagent::planner::{PdmClosed, PlanAgentSettings};
-use planagent::reasoning::Round;
-use planagent::scenario::Scenario;
-use planagent::simulation::{Challenge, SimulationLog, simulate};
-use planagent::world::{EgoState, ObjectKind, SignalStatus};
+use planagent::internals::planner::{PdmClosed, PlanAgentSettings};
+use planagent::internals::reasoning::Round;
+use planagent::internals::scenario::Scenario;
+use planagent::internals::simulation::{Challenge, SimulationLog, simulate};
+use planagent::internals::world::{EgoState, ObjectKind, SignalStatus};
 
 const ROUNDABOUT: &str = "generated/case_roundabout/0";
 const RED_LIGHT: &str = "generated/case_red_light/0";

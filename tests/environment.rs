@@ -1,11 +1,11 @@
 //! Every frame of recorded and generated drives as prompts: a graph, two texts that parse back, facts, an image.
 
 use crate::womd::recordings;
-use planagent::environment::facts::Question;
-use planagent::environment::{BevView, DEFAULT_NODE_LENGTH, Description, LaneGraph, SceneFacts, TextForm, bev, text};
-use planagent::scenario::generator::{self, ScenarioType, Spec};
-use planagent::scenario::{Frame, Scenario};
-use planagent::world::History;
+use planagent::internals::environment::facts::Question;
+use planagent::internals::environment::{BevView, DEFAULT_NODE_LENGTH, Description, LaneGraph, SceneFacts, TextForm, bev, text};
+use planagent::internals::scenario::generator::{self, ScenarioType, Spec};
+use planagent::internals::scenario::{Frame, Scenario};
+use planagent::internals::world::History;
 use std::collections::BTreeSet;
 
 /// Frames between those that are looked at.

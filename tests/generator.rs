@@ -1,10 +1,10 @@
 //! Generated scenes, driven again by log replay: how far the recorded driver can be followed.
 
-use planagent::metrics::{Drive, evaluate};
-use planagent::planner::LogReplay;
-use planagent::scenario::Scenario;
-use planagent::scenario::generator::{ScenarioType, Spec, generate};
-use planagent::simulation::{Challenge, simulate};
+use planagent::internals::metrics::{Drive, evaluate};
+use planagent::internals::planner::LogReplay;
+use planagent::internals::scenario::Scenario;
+use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
+use planagent::internals::simulation::{Challenge, simulate};
 use proptest::prelude::*;
 use rayon::prelude::*;
 

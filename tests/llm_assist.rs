@@ -1,10 +1,10 @@
 //! LLM-ASSIST with a scripted model and with the one that ships.
 
 use crate::agent::{Script, reasoning, scenario, settings};
-use planagent::mllm::{HubAccess, Mllm, ModelRegistry};
-use planagent::planner::{Decision, LlmAssist, NoPlan, PdmClosed, PlanAgentSettings};
-use planagent::reasoning::{AssistVariant, Assistance, PromptSet, ReasoningSettings, Round};
-use planagent::simulation::{Challenge, SimulationLog, simulate};
+use planagent::internals::mllm::{HubAccess, Mllm, ModelRegistry};
+use planagent::internals::planner::{Decision, LlmAssist, NoPlan, PdmClosed, PlanAgentSettings};
+use planagent::internals::reasoning::{AssistVariant, Assistance, PromptSet, ReasoningSettings, Round};
+use planagent::internals::simulation::{Challenge, SimulationLog, simulate};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 

@@ -1,9 +1,9 @@
 //! The agent when its calls take simulated time, and when a gate saves them.
 
 use crate::agent::{drive, scenario, settings};
-use planagent::planner::{Decision, Latency, PdmClosed, PlanAgentSettings};
-use planagent::reasoning::Round;
-use planagent::simulation::{Challenge, simulate};
+use planagent::internals::planner::{Decision, Latency, PdmClosed, PlanAgentSettings};
+use planagent::internals::reasoning::Round;
+use planagent::internals::simulation::{Challenge, simulate};
 use std::time::Duration;
 
 const SCENE: &str = "generated/high_magnitude_speed/1";

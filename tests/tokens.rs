@@ -1,10 +1,10 @@
 //! What descriptions of scenes take in tokens, on generated and recorded drives.
 
 use crate::womd::recordings;
-use planagent::experiment::tokens::{SceneText, TokenCounter, TokenRow, TokenTable, count};
-use planagent::mllm::{HubAccess, Mllm, ModelRegistry};
-use planagent::scenario::Scenario;
-use planagent::scenario::generator::{self, ScenarioType, Spec};
+use planagent::internals::experiment::tokens::{SceneText, TokenCounter, TokenRow, TokenTable, count};
+use planagent::internals::mllm::{HubAccess, Mllm, ModelRegistry};
+use planagent::internals::scenario::Scenario;
+use planagent::internals::scenario::generator::{self, ScenarioType, Spec};
 use std::path::Path;
 
 /// Iterations between planning calls.

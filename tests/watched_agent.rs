@@ -1,14 +1,14 @@
 //! The planner in force while it is watched: which version of it drives, when it stops and when a change of lanes is given up.
 
 use crate::agent::{Script, mind, planner_at, scenario, settings};
-use planagent::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
-use planagent::geometry::{OrientedBox, Pose, Vector};
-use planagent::pdm::PdmMemory;
-use planagent::planner::{Execution, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlannerInput};
-use planagent::reasoning::Round;
-use planagent::reflection::{LeadPolicy, Version, Watch};
-use planagent::simulation::{Challenge, ClosedLoop};
-use planagent::world::{EgoState, LanePath, ObjectKind, Scene, TrackToken, TrackedObject};
+use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
+use planagent::internals::geometry::{OrientedBox, Pose, Vector};
+use planagent::internals::pdm::PdmMemory;
+use planagent::internals::planner::{Execution, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlannerInput};
+use planagent::internals::reasoning::Round;
+use planagent::internals::reflection::{LeadPolicy, Version, Watch};
+use planagent::internals::simulation::{Challenge, ClosedLoop};
+use planagent::internals::world::{EgoState, LanePath, ObjectKind, Scene, TrackToken, TrackedObject};
 use std::sync::{Arc, Mutex};
 
 /// How often each version was chosen while one planner after the other is driven: as it was written, otherwise on its own path,

@@ -3,16 +3,16 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 use crate::outside::data;
-use planagent::experiment::nuplan_data::NuPlanData;
-use planagent::experiment::source::ScenarioSource;
-use planagent::geometry::wrap_angle;
-use planagent::metrics::{self, MetricName};
-use planagent::planner::{IdmPlanner, LogReplay, Planner};
-use planagent::scenario::Scenario;
-use planagent::scenario::argoverse2::{self, Argoverse2Error};
-use planagent::scenario::nuplan::DataRoots;
-use planagent::simulation::{Challenge, simulate};
-use planagent::world::{EgoState, LaneKind, PACIFICA};
+use planagent::internals::experiment::nuplan_data::NuPlanData;
+use planagent::internals::experiment::source::ScenarioSource;
+use planagent::internals::geometry::wrap_angle;
+use planagent::internals::metrics::{self, MetricName};
+use planagent::internals::planner::{IdmPlanner, LogReplay, Planner};
+use planagent::internals::scenario::Scenario;
+use planagent::internals::scenario::argoverse2::{self, Argoverse2Error};
+use planagent::internals::scenario::nuplan::DataRoots;
+use planagent::internals::simulation::{Challenge, simulate};
+use planagent::internals::world::{EgoState, LaneKind, PACIFICA};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 

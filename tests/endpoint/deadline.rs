@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use planagent::mllm::{Constraint, Deadline, LocalModel, Mllm, MllmError, Opening, Request};
+use planagent::internals::mllm::{Constraint, Deadline, LocalModel, Mllm, MllmError, Opening, Request};
 
 use super::request;
 

@@ -7,7 +7,7 @@ mod questions;
 mod server;
 mod troubles;
 
-use planagent::mllm::{Constraint, Deadline, Endpoint, EndpointSettings, Mllm, MllmError, Request, Sampling};
+use planagent::internals::mllm::{Constraint, Deadline, Endpoint, EndpointSettings, Mllm, MllmError, Request, Sampling};
 use server::Server;
 use toml::toml;
 
@@ -33,6 +33,6 @@ fn request(constraint: Constraint) -> Request {
 }
 
 /// The answer to one question, or what went wrong.
-fn ask(endpoint: &Endpoint, request: &Request) -> Result<planagent::mllm::Answer, MllmError> {
-    endpoint.converse(&planagent::mllm::Opening::default(), 0).unwrap().ask("Which lane?", request)
+fn ask(endpoint: &Endpoint, request: &Request) -> Result<planagent::internals::mllm::Answer, MllmError> {
+    endpoint.converse(&planagent::internals::mllm::Opening::default(), 0).unwrap().ask("Which lane?", request)
 }

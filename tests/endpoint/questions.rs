@@ -2,7 +2,7 @@
 
 use base64::Engine;
 use image::RgbImage;
-use planagent::mllm::{
+use planagent::internals::mllm::{
     Constraint, ConstraintUse, Endpoint, FinishReason, GrammarField, LimitField, Mllm, MllmError, Opening, Request,
     Sampling, TokenCounts,
 };

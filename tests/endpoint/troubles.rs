@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use planagent::mllm::{Constraint, Deadline, Endpoint, EndpointFailure, Mllm, MllmError, Opening, Request};
+use planagent::internals::mllm::{Constraint, Deadline, Endpoint, EndpointFailure, Mllm, MllmError, Opening, Request};
 
 use super::server::{Reaction, Server, completion, error, response, stream};
 use super::{EndpointSettings, ask, open, request, settings};

@@ -1,8 +1,8 @@
 //! The smoothing filters and the signals of comfort beside scipy 1.9.1 and the devkit's extractors.
 
-use planagent::geometry::{Pose, Vector};
-use planagent::metrics::{ComfortQuantity, SavitzkyGolay, ego_is_comfortable};
-use planagent::world::EgoState;
+use planagent::internals::geometry::{Pose, Vector};
+use planagent::internals::metrics::{ComfortQuantity, SavitzkyGolay, ego_is_comfortable};
+use planagent::internals::world::EgoState;
 use serde_json::Value;
 
 fn numbers(value: &Value) -> Vec<f64> {

@@ -1,10 +1,10 @@
 //! Drivable area, driving direction and speed limit on hand-made roads, each a number worked out by hand.
 
 use crate::road::{Road, cruise, ego, rectangle, straight};
-use planagent::metrics::{
+use planagent::internals::metrics::{
     DrivenLanes, MetricResult, drivable_area_compliance, driving_direction_compliance, speed_limit_compliance,
 };
-use planagent::world::{EgoState, LaneKind, LaneMap};
+use planagent::internals::world::{EgoState, LaneKind, LaneMap};
 
 /// Half the width of the ego, metres.
 const HALF_WIDTH: f64 = 1.1485;

@@ -1,9 +1,9 @@
 //! Which lanes a driven path used, and whether the corners of the ego agree.
 
 use crate::road::{Road, cruise, ego, two_lanes};
-use planagent::geometry::Pose;
-use planagent::metrics::{CornerAgreement, DrivenLanes, driven_route, ego_lane_change, find_lane_changes, lanes_at};
-use planagent::world::{EgoState, LaneId};
+use planagent::internals::geometry::Pose;
+use planagent::internals::metrics::{CornerAgreement, DrivenLanes, driven_route, ego_lane_change, find_lane_changes, lanes_at};
+use planagent::internals::world::{EgoState, LaneId};
 use std::collections::BTreeSet;
 
 fn shared(ids: &[LaneId]) -> CornerAgreement {

@@ -2,9 +2,9 @@
 //! (60–200 m).
 
 use crate::road::{Road, cruise};
-use planagent::geometry::{Point, Pose};
-use planagent::metrics::{RouteProgress, ego_is_making_progress, ego_progress_along_expert_route, progress_ratio};
-use planagent::world::{EgoState, LaneMap};
+use planagent::internals::geometry::{Point, Pose};
+use planagent::internals::metrics::{RouteProgress, ego_is_making_progress, ego_progress_along_expert_route, progress_ratio};
+use planagent::internals::world::{EgoState, LaneMap};
 
 fn chain() -> LaneMap {
     let mut road = Road::default();

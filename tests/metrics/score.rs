@@ -1,9 +1,9 @@
 //! Whole drives on a hand-made road: what `evaluate` says of them, and what it refuses.
 
 use crate::road::{cruise, ego, object, samples, straight};
-use planagent::geometry::Pose;
-use planagent::metrics::{Drive, Evaluation, MetricError, MetricName, ScoreUnit, evaluate};
-use planagent::world::{EgoState, LaneMap, ObjectKind, TrackedObject};
+use planagent::internals::geometry::Pose;
+use planagent::internals::metrics::{Drive, Evaluation, MetricError, MetricName, ScoreUnit, evaluate};
+use planagent::internals::world::{EgoState, LaneMap, ObjectKind, TrackedObject};
 
 const PROGRESS: MetricName = MetricName::EgoProgressAlongExpertRoute;
 

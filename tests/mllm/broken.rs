@@ -1,6 +1,6 @@
 //! Broken checkpoints: each a typed error that names what is wrong, never a panic.
 
-use planagent::mllm::{Mllm, MllmError};
+use planagent::internals::mllm::{Mllm, MllmError};
 use proptest::prelude::*;
 use safetensors::Dtype;
 use serde_json::{Value, json};
@@ -22,7 +22,7 @@ fn every_file_that_is_needed_is_missed() {
             }
         }
     }
-    let nowhere = planagent::mllm::LocalModel::open("x", std::path::Path::new("/nonexistent/model"));
+    let nowhere = planagent::internals::mllm::LocalModel::open("x", std::path::Path::new("/nonexistent/model"));
     assert!(matches!(nowhere, Err(MllmError::MissingFile { .. })));
 }
 

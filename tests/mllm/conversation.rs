@@ -1,6 +1,6 @@
 //! Conversations: rounds, marks, seeds, counts.
 
-use planagent::mllm::{Constraint, FinishReason, Mllm, MllmError, Opening, Sampling, prompt_hash};
+use planagent::internals::mllm::{Constraint, FinishReason, Mllm, MllmError, Opening, Sampling, prompt_hash};
 
 use super::{FIRST, SECOND, free, open, opening, request, tiny};
 

@@ -4,16 +4,16 @@ use std::path::Path;
 use std::sync::Arc;
 
 use image::RgbImage;
-use planagent::environment::DEFAULT_NODE_LENGTH;
-use planagent::mllm::{
+use planagent::internals::environment::DEFAULT_NODE_LENGTH;
+use planagent::internals::mllm::{
     Architecture, Constraint, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry, ModelSource,
     Opening, RoundTokens, Sampling,
 };
-use planagent::planner::{AfterMaxExec, BevOf, Execution, Latency, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings};
-use planagent::reasoning::{PromptSet, ReasoningSettings, Round};
-use planagent::reflection::LeadPolicy;
-use planagent::scenario::generator;
-use planagent::simulation::{Challenge, simulate};
+use planagent::internals::planner::{AfterMaxExec, BevOf, Execution, Latency, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings};
+use planagent::internals::reasoning::{PromptSet, ReasoningSettings, Round};
+use planagent::internals::reflection::LeadPolicy;
+use planagent::internals::scenario::generator;
+use planagent::internals::simulation::{Challenge, simulate};
 use serde_json::json;
 
 use super::{Copy, FIRST, SECOND, fixture, free, request};

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-use planagent::mllm::{FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, Storage};
+use planagent::internals::mllm::{FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, Storage};
 
 use super::{FIRST, free, opening, tiny};
 

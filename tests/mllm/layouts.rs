@@ -1,7 +1,7 @@
 //! The same checkpoint in every layout that transformers has written gives the same answers.
 
 use half::{bf16, f16};
-use planagent::mllm::{LocalModel, Mllm};
+use planagent::internals::mllm::{LocalModel, Mllm};
 use safetensors::Dtype;
 use serde_json::json;
 

@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use planagent::mllm::{Constraint, Deadline, LocalModel, MllmError, Opening, Request, Sampling};
+use planagent::internals::mllm::{Constraint, Deadline, LocalModel, MllmError, Opening, Request, Sampling};
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::Value;
 use tempfile::TempDir;

@@ -1,8 +1,8 @@
 //! Whether a scenario that went through nuPlan's formats is the one that went in.
 
-use planagent::geometry::{Point, Polygon, Polyline, Pose, Vector, wrap_angle};
-use planagent::scenario::{Frame, Scenario};
-use planagent::world::{Lane, LaneId, LaneMap, RoadblockId, StopLineId, TrackToken};
+use planagent::internals::geometry::{Point, Polygon, Polyline, Pose, Vector, wrap_angle};
+use planagent::internals::scenario::{Frame, Scenario};
+use planagent::internals::world::{Lane, LaneId, LaneMap, RoadblockId, StopLineId, TrackToken};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Farthest that a coordinate may move, metres.
@@ -89,7 +89,7 @@ impl Pair<'_> {
         assert_eq!(lanes(before, &lane.outgoing), lanes(after, &twin.outgoing), "{name}");
         // nuPlan knows neighbours among the lanes of a roadblock, not among connectors.
         for (a, b) in [(&lane.left, &twin.left), (&lane.right, &twin.right)] {
-            let ids = |map: &LaneMap, list: &[planagent::world::Neighbor]| {
+            let ids = |map: &LaneMap, list: &[planagent::internals::world::Neighbor]| {
                 lanes(map, &list.iter().map(|n| n.lane).collect::<Vec<_>>())
             };
             if lane.is_connector() {

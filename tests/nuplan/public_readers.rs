@@ -3,12 +3,12 @@
 use super::compare::lanes;
 use super::round_trip::generated;
 use crate::outside::skipped;
-use planagent::geometry::{Point, Polygon};
-use planagent::scenario::Scenario;
-use planagent::scenario::generator::ScenarioType;
-use planagent::scenario::nuplan::Extraction;
-use planagent::scenario::nuplan::export::{ExportSettings, ExportedLog, write_scenarios};
-use planagent::world::{Lane, LaneKind};
+use planagent::internals::geometry::{Point, Polygon};
+use planagent::internals::scenario::Scenario;
+use planagent::internals::scenario::generator::ScenarioType;
+use planagent::internals::scenario::nuplan::Extraction;
+use planagent::internals::scenario::nuplan::export::{ExportSettings, ExportedLog, write_scenarios};
+use planagent::internals::world::{Lane, LaneKind};
 use serde_json::{Map, Value, json};
 use std::process::Command;
 
@@ -34,7 +34,7 @@ fn map_of(scenario: &Scenario, log: &ExportedLog, settings: &ExportSettings) -> 
     };
     let area = |lane: &Lane| placed(lane.polygon.ring(), origin);
     let path = |lane: &Lane| placed(lane.centerline.vertices(), origin);
-    let ego = |frame: &planagent::scenario::Frame| frame.ego.center().position();
+    let ego = |frame: &planagent::internals::scenario::Frame| frame.ego.center().position();
     let on_road: Vec<Point> = scenario.frames.iter().map(ego).collect();
     assert!(on_road.iter().all(|&point| map.is_drivable(point)));
     let far = on_road.iter().map(|p| Point::new(p.x + 4000.0, p.y)).collect::<Vec<_>>();

@@ -4,11 +4,11 @@
 use super::compare::Pair;
 use super::round_trip::{Driver, check_scores, read_back};
 use crate::womd::recordings;
-use planagent::geometry::Polyline;
-use planagent::scenario::Scenario;
-use planagent::scenario::nuplan::export::{ExportSettings, ExportedLog, STITCH, write_scenarios};
-use planagent::simulation::Challenge;
-use planagent::world::{Lane, LaneKind, LaneMap, RoadblockId};
+use planagent::internals::geometry::Polyline;
+use planagent::internals::scenario::Scenario;
+use planagent::internals::scenario::nuplan::export::{ExportSettings, ExportedLog, STITCH, write_scenarios};
+use planagent::internals::simulation::Challenge;
+use planagent::internals::world::{Lane, LaneKind, LaneMap, RoadblockId};
 use rayon::prelude::*;
 
 /// Progress moves by the pieces that are put in: measured, at most 2e-4.
@@ -18,7 +18,7 @@ const SAME_DRIVE: f64 = 2e-2;
 
 /// nuPlan's graph: a connector leads from one lane to one lane, and lanes follow each other only over connectors.
 fn check_graph(map: &LaneMap) {
-    let kind_of = |lanes: &[planagent::world::LaneId]| lanes.iter().map(|&id| map[id].kind).collect::<Vec<_>>();
+    let kind_of = |lanes: &[planagent::internals::world::LaneId]| lanes.iter().map(|&id| map[id].kind).collect::<Vec<_>>();
     for lane in map.lanes() {
         if lane.is_connector() {
             assert_eq!(

@@ -1,15 +1,15 @@
 //! Scenarios written as nuPlan's files and read again.
 
 use super::compare::{Pair, blocks};
-use planagent::geometry::{Point, Vector};
-use planagent::metrics::{self, Drive, Score};
-use planagent::planner::{IdmPlanner, LogReplay, PdmClosed, Planner};
-use planagent::scenario::Scenario;
-use planagent::scenario::generator::{ScenarioType, Spec, generate};
-use planagent::scenario::nuplan::export::{Departures, ExportSettings, Exported, write_scenarios};
-use planagent::scenario::nuplan::{DataRoots, Findings, MapStore, ScenarioFilter, find, open};
-use planagent::simulation::{Challenge, simulate};
-use planagent::world::EgoState;
+use planagent::internals::geometry::{Point, Vector};
+use planagent::internals::metrics::{self, Drive, Score};
+use planagent::internals::planner::{IdmPlanner, LogReplay, PdmClosed, Planner};
+use planagent::internals::scenario::Scenario;
+use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
+use planagent::internals::scenario::nuplan::export::{Departures, ExportSettings, Exported, write_scenarios};
+use planagent::internals::scenario::nuplan::{DataRoots, Findings, MapStore, ScenarioFilter, find, open};
+use planagent::internals::simulation::{Challenge, simulate};
+use planagent::internals::world::EgoState;
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -101,7 +101,7 @@ fn every_generated_type_comes_back_with_its_scores() {
                 scenario.route.roadblocks.iter().map(|&block| scenario.map[block].source_id).collect()
             };
             assert_eq!(names(before), names(after), "{}", before.id);
-            let connectors_beside = |lane: &&planagent::world::Lane| lane.is_connector();
+            let connectors_beside = |lane: &&planagent::internals::world::Lane| lane.is_connector();
             let lost: usize =
                 before.map.lanes().iter().filter(connectors_beside).map(|l| l.left.len() + l.right.len()).sum();
             assert_eq!(
@@ -112,8 +112,8 @@ fn every_generated_type_comes_back_with_its_scores() {
             );
             for (a, b) in before.frames.iter().zip(&after.frames) {
                 let lights = |scenario: &Scenario,
-                              frame: &planagent::scenario::Frame|
-                 -> Vec<(i64, planagent::world::SignalStatus)> {
+                              frame: &planagent::internals::scenario::Frame|
+                 -> Vec<(i64, planagent::internals::world::SignalStatus)> {
                     frame.lights.iter().map(|(lane, status)| (scenario.map[lane].source_id, status)).collect()
                 };
                 assert_eq!(lights(before, a), lights(after, b));

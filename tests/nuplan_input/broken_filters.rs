@@ -1,7 +1,7 @@
 //! Filter files: errors name file and line.
 
 use crate::outside::data;
-use planagent::scenario::nuplan::FilterFile;
+use planagent::internals::scenario::nuplan::FilterFile;
 
 fn told(content: &str) -> String {
     let folder = tempfile::tempdir().unwrap();

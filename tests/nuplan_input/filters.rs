@@ -1,7 +1,7 @@
 //! Filters pick what the devkit picks, in its order.
 
 use super::fixture::{DataSet, LOCATION};
-use planagent::scenario::nuplan::{Found, Limit, ScenarioFilter, Token, TokenSet};
+use planagent::internals::scenario::nuplan::{Found, Limit, ScenarioFilter, Token, TokenSet};
 use std::collections::BTreeSet;
 
 /// With every second row tagged `behind_bike` and every third `changing_lane`, all in a scene that scenarios may come from.

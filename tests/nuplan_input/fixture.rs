@@ -1,9 +1,9 @@
 //! A small nuPlan data set: an exported scene, written once and copied for each test.
 
-use planagent::scenario::Scenario;
-use planagent::scenario::generator::{ScenarioType, Spec, generate};
-use planagent::scenario::nuplan::export::{ExportSettings, write_scenario};
-use planagent::scenario::nuplan::{
+use planagent::internals::scenario::Scenario;
+use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
+use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
+use planagent::internals::scenario::nuplan::{
     DataRoots, Findings, Found, Logs, MapStore, NuPlanError, ScenarioFilter, Token, find, open,
 };
 use rusqlite::Connection;

@@ -1,7 +1,7 @@
 //! Logs without indices: found by a side file, never by writing to the log.
 
 use super::fixture::{DataSet, run};
-use planagent::scenario::nuplan::{MapStore, open};
+use planagent::internals::scenario::nuplan::{MapStore, open};
 use rusqlite::Connection;
 use std::path::{Path, PathBuf};
 

@@ -1,9 +1,9 @@
 //! Agents without a velocity: NULL in the log, NaN for the devkit.
 
 use super::fixture::DataSet;
-use planagent::metrics::{Drive, evaluate};
-use planagent::planner::IdmPlanner;
-use planagent::simulation::{Challenge, simulate};
+use planagent::internals::metrics::{Drive, evaluate};
+use planagent::internals::planner::IdmPlanner;
+use planagent::internals::simulation::{Challenge, simulate};
 
 #[test]
 fn agents_without_a_velocity_are_driven_and_judged() {

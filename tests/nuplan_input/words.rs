@@ -1,10 +1,10 @@
 //! The words that name nuPlan scenarios on the command line, and splits.
 
 use super::fixture::DataSet;
-use planagent::experiment::nuplan_data::NuPlanData;
-use planagent::experiment::source::ScenarioSource;
-use planagent::experiment::split::split;
-use planagent::scenario::nuplan::{DataRoots, ScenarioFilter};
+use planagent::internals::experiment::nuplan_data::NuPlanData;
+use planagent::internals::experiment::source::ScenarioSource;
+use planagent::internals::experiment::split::split;
+use planagent::internals::scenario::nuplan::{DataRoots, ScenarioFilter};
 
 fn found(word: &str, data: &NuPlanData) -> Vec<String> {
     ScenarioSource::find(word, data).unwrap().iter().map(ToString::to_string).collect()

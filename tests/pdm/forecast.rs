@@ -1,9 +1,9 @@
 //! What the forecast keeps, and where it puts it.
 
 use crate::road::{Road, cruise, ego, object, rectangle, straight};
-use planagent::geometry::{Pose, Vector};
-use planagent::pdm::{Collided, DrivableLayers, DrivableMap, Forecast};
-use planagent::world::{EgoState, LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
+use planagent::internals::geometry::{Pose, Vector};
+use planagent::internals::pdm::{Collided, DrivableLayers, DrivableMap, Forecast};
+use planagent::internals::world::{EgoState, LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
 use std::collections::BTreeSet;
 
 fn forecast(map: &LaneMap, ego: &EgoState, objects: &[TrackedObject], collided: &mut Collided) -> Forecast {

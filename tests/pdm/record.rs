@@ -2,10 +2,10 @@
 
 use super::town::Town;
 use crate::outside::data;
-use planagent::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
-use planagent::pdm::{Collided, DrivableLayers, PdmPlan, Way, braking_speed, plan_along};
-use planagent::planner::{PdmClosed, Planner, PlannerInitialization, PlannerInput};
-use planagent::world::{
+use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
+use planagent::internals::pdm::{Collided, DrivableLayers, PdmPlan, Way, braking_speed, plan_along};
+use planagent::internals::planner::{PdmClosed, Planner, PlannerInitialization, PlannerInput};
+use planagent::internals::world::{
     EgoState, History, LaneId, LaneKind, LaneMap, ObjectKind, RoadblockId, Route, Scene, SignalStatus, TrackToken,
     TrackedObject, TrafficLights, Trajectory,
 };

@@ -1,10 +1,10 @@
 //! The scorer of proposals on a straight road.
 
 use crate::road::{cruise, ego, object, straight};
-use planagent::geometry::Pose;
-use planagent::metrics::MetricError;
-use planagent::pdm::{Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals};
-use planagent::world::{EgoState, LaneId, ObjectKind, TrackedObject, TrafficLights};
+use planagent::internals::geometry::Pose;
+use planagent::internals::metrics::MetricError;
+use planagent::internals::pdm::{Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals};
+use planagent::internals::world::{EgoState, LaneId, ObjectKind, TrackedObject, TrafficLights};
 use std::collections::BTreeSet;
 
 /// Scores straight proposals (a horizon of `states` states at constant speed) on an empty straight road.

@@ -1,12 +1,12 @@
 //! Hand-worked cases of what happens over several steps, and of the branches that the record does not reach.
 
 use super::town::{Town, route};
-use planagent::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
-use planagent::pdm::{
+use planagent::internals::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
+use planagent::internals::pdm::{
     Collided, DrivableLayers, EgoAreas, Forecast, NoWay, PdmError, PdmMemory, Way, plan, plan_along, time_to_collision,
 };
-use planagent::planner::{PdmClosed, Planner, PlannerError, PlannerInitialization, PlannerInput};
-use planagent::world::{
+use planagent::internals::planner::{PdmClosed, Planner, PlannerError, PlannerInitialization, PlannerInput};
+use planagent::internals::world::{
     EgoState, History, LaneId, LaneKind, LaneMap, Neighbor, ObjectKind, Route, Scene, TrackToken, TrackedObject,
     TrafficLights,
 };
@@ -76,7 +76,7 @@ fn the_way_is_kept_while_target_velocities_follow_the_lane() {
     let first = plan(&mut memory, &around.scene(&ego(10.0, 5.0), &[])).unwrap();
     let way = memory.way.clone();
     let later = plan(&mut memory, &around.scene(&ego(250.0, 5.0), &[])).unwrap();
-    let targets = |targets: [f64; 5], plan: &planagent::pdm::PdmPlan| {
+    let targets = |targets: [f64; 5], plan: &planagent::internals::pdm::PdmPlan| {
         plan.proposals.iter().zip(targets.iter().cycle()).all(|(p, t)| (p.target_velocity - t).abs() < 1e-12)
     };
     assert!(targets([2.0, 4.0, 6.0, 8.0, 10.0], &first) && targets([4.0, 8.0, 12.0, 16.0, 20.0], &later));

@@ -3,10 +3,10 @@
 use super::parquet::{aggregator_table, table};
 use super::{assert_same_results, drives};
 use crate::cli::{read_json, run};
-use planagent::experiment::run::{self as runner, Assignment, DriveRecord, PlannerKind};
-use planagent::experiment::source::ScenarioSource;
-use planagent::scenario::generator;
-use planagent::simulation::Challenge;
+use planagent::internals::experiment::run::{self as runner, Assignment, DriveRecord, PlannerKind};
+use planagent::internals::experiment::source::ScenarioSource;
+use planagent::internals::scenario::generator;
+use planagent::internals::simulation::Challenge;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;

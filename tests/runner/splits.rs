@@ -2,10 +2,10 @@
 
 use super::drives;
 use crate::cli::{read_json, refused, run};
-use planagent::experiment::suite::Suite;
-use planagent::report::ScenarioList;
-use planagent::scenario::generator::{ScenarioType, Spec, generate};
-use planagent::scenario::nuplan::export::{ExportSettings, write_scenario};
+use planagent::internals::experiment::suite::Suite;
+use planagent::internals::report::ScenarioList;
+use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
+use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
 use serde_json::{Value, json};
 use std::fs;
 use tempfile::TempDir;

@@ -2,9 +2,9 @@
 
 use super::{bystander, car, ego, law, lights, long_lane, object};
 use crate::road::Road;
-use planagent::dynamics::IdmTraffic;
-use planagent::geometry::{Point, Polyline, Pose};
-use planagent::world::{
+use planagent::internals::dynamics::IdmTraffic;
+use planagent::internals::geometry::{Point, Polyline, Pose};
+use planagent::internals::world::{
     EgoState, LaneId, LaneKind, LaneMap, ObjectKind, STEP_S, SignalStatus, TrackedObject, TrafficLights,
 };
 use std::f64::consts::PI;

@@ -2,14 +2,14 @@
 
 use super::{car, ego};
 use crate::road::Road;
-use planagent::geometry::Pose;
-use planagent::metrics::MetricName;
-use planagent::planner::{
+use planagent::internals::geometry::Pose;
+use planagent::internals::metrics::MetricName;
+use planagent::internals::planner::{
     IdmPlanner, LogReplay, Planner, PlannerError, PlannerInitialization, PlannerInput, SimplePlanner,
 };
-use planagent::scenario::{FUTURE_FRAMES, Frame, Scenario};
-use planagent::simulation::{Challenge, simulate};
-use planagent::world::{EgoState, LaneId, LaneKind, Route, SignalStatus, Trajectory};
+use planagent::internals::scenario::{FUTURE_FRAMES, Frame, Scenario};
+use planagent::internals::simulation::{Challenge, simulate};
+use planagent::internals::world::{EgoState, LaneId, LaneKind, Route, SignalStatus, Trajectory};
 use std::sync::{Arc, Mutex};
 
 const PAST: usize = 21;

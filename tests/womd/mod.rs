@@ -3,10 +3,10 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 use crate::outside::data;
-use planagent::geometry::{Point, wrap_angle};
-use planagent::scenario::womd::{self, Pick, WomdError};
-use planagent::scenario::{Frame, Scenario};
-use planagent::world::{LaneId, LaneKind, LaneMap, Neighbor, SignalStatus};
+use planagent::internals::geometry::{Point, wrap_angle};
+use planagent::internals::scenario::womd::{self, Pick, WomdError};
+use planagent::internals::scenario::{Frame, Scenario};
+use planagent::internals::world::{LaneId, LaneKind, LaneMap, Neighbor, SignalStatus};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
