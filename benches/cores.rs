@@ -7,7 +7,7 @@
     reason = "a benchmark is no interface and may stop at an error"
 )]
 
-use planagent::internals::experiment::run::{Assignment, PlannerKind, run};
+use planagent::internals::experiment::run::{PlannerKind, SimulationTask, run};
 use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::scenario::generator::{ScenarioType, Spec};
 use planagent::internals::simulation::Challenge;
@@ -19,7 +19,7 @@ const ROUNDS: usize = 9;
 const SEEDS: u64 = 2;
 
 /// Every type of scene, driven by IDM and by PDM-Closed in both challenges.
-fn assignments() -> Vec<Assignment> {
+fn tasks() -> Vec<SimulationTask> {
     let scenes = ScenarioType::ALL
         .into_iter()
         .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)));
@@ -27,32 +27,32 @@ fn assignments() -> Vec<Assignment> {
         .flat_map(|spec| {
             [PlannerKind::Idm, PlannerKind::PdmClosed].into_iter().flat_map(move |planner| {
                 let source = ScenarioSource::Generated(spec);
-                Challenge::CLOSED_LOOP.map(|challenge| Assignment { source: source.clone(), planner, challenge })
+                Challenge::CLOSED_LOOP.map(|challenge| SimulationTask { source: source.clone(), planner, challenge })
             })
         })
         .collect()
 }
 
 /// Seconds that all drives take on so many threads.
-fn seconds(assignments: &[Assignment], threads: usize) -> f64 {
+fn seconds(tasks: &[SimulationTask], threads: usize) -> f64 {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    let todo: Vec<usize> = (0..assignments.len()).collect();
+    let todo: Vec<usize> = (0..tasks.len()).collect();
     let started = Instant::now();
     pool.install(|| {
-        run(assignments, &todo, None, &|_| (), &|_, record| record.outcome.map(|_| ())).unwrap();
+        run(tasks, &todo, None, &|_| (), &|_, record| record.outcome.map(|_| ())).unwrap();
     });
     started.elapsed().as_secs_f64()
 }
 
 fn main() {
-    let assignments = assignments();
-    seconds(&assignments, 2);
+    let tasks = tasks();
+    seconds(&tasks, 2);
     let mut ratios: Vec<f64> = (0..ROUNDS)
         .map(|round| {
-            let (one, two) = (seconds(&assignments, 1), seconds(&assignments, 2));
+            let (one, two) = (seconds(&tasks, 1), seconds(&tasks, 2));
             println!(
                 "round {round}: {} drives, one thread {one:.3} s, two threads {two:.3} s, ratio {:.3}",
-                assignments.len(),
+                tasks.len(),
                 one / two
             );
             one / two

@@ -24,7 +24,9 @@ use planagent::internals::scenario::generator::{DEFAULT, generate};
 use planagent::internals::scenario::nuplan::DataRoots;
 use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
 use planagent::internals::simulation::{Challenge, ClosedLoop, simulate};
-use planagent::internals::world::{EgoState, LaneMap, ObjectKind, STEP_S, Scene, TrackToken, TrackedObject, TrafficLights};
+use planagent::internals::world::{
+    EgoState, LaneMap, ObjectKind, STEP_S, Scene, TrackToken, TrackedObject, TrafficLights,
+};
 use std::hint::black_box;
 use std::sync::Arc;
 

@@ -2,7 +2,9 @@
 
 use crate::womd::recordings;
 use planagent::internals::environment::facts::Question;
-use planagent::internals::environment::{BevView, DEFAULT_NODE_LENGTH, Description, LaneGraph, SceneFacts, TextForm, bev, text};
+use planagent::internals::environment::{
+    BevView, DEFAULT_NODE_LENGTH, Description, LaneGraph, SceneFacts, TextForm, bev, text,
+};
 use planagent::internals::scenario::generator::{self, ScenarioType, Spec};
 use planagent::internals::scenario::{Frame, Scenario};
 use planagent::internals::world::History;

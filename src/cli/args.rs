@@ -158,7 +158,7 @@ impl SimulateArguments {
     }
 
     /// Whether nothing is asked for but to go on with a run as it was started.
-    pub(super) fn only_goes_on(&self) -> bool {
+    pub(super) fn is_plain_resume(&self) -> bool {
         let names_drives = self.names_scenarios() || !self.planner.is_empty() || !self.challenge.is_empty();
         self.resume.is_some() && !names_drives && !self.retry_failed
     }

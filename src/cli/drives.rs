@@ -2,8 +2,8 @@
 
 use super::Printer;
 use super::machine::cpu;
-use super::progress::DriveProgress;
-use crate::experiment::run::{self, AgentParts, Assignment};
+use super::progress::SimulationProgress;
+use crate::experiment::run::{self, AgentParts, SimulationTask};
 use crate::report::{DriveRow, Manifest, ReportError, RunFolder, Session, Summary, Timing};
 use anyhow::bail;
 use std::collections::BTreeSet;
@@ -15,18 +15,18 @@ use std::time::Instant;
 /// When the folder cannot be read, or holds other drives.
 pub(super) fn kept(
     folder: &RunFolder,
-    assignments: &[Assignment],
+    tasks: &[SimulationTask],
     retry_failed: bool,
     printer: Printer,
 ) -> anyhow::Result<(BTreeSet<usize>, usize)> {
-    let recorded = folder.recorded(assignments)?;
+    let recorded = folder.recorded(tasks)?;
     for path in &recorded.damaged {
         printer.note(format!("the record in {} is damaged; its drive is made again", path.display()));
     }
     let all: BTreeSet<usize> = recorded.rows.iter().map(|row| row.number).collect();
     let failed = recorded.rows.iter().filter(|row| retry_failed && row.error.is_some());
     let again: BTreeSet<usize> = failed.map(|row| row.number).collect();
-    folder.take_back(&again)?;
+    folder.discard(&again)?;
     Ok((all.difference(&again).copied().collect(), again.len()))
 }
 
@@ -36,12 +36,12 @@ pub(super) fn kept(
 /// When one cannot be written; a failed drive is no such error.
 pub(super) fn make(
     folder: &RunFolder,
-    assignments: &[Assignment],
+    tasks: &[SimulationTask],
     todo: &[usize],
     parts: &AgentParts,
-    progress: &DriveProgress,
+    progress: &SimulationProgress,
 ) -> Result<(), ReportError> {
-    run::run(assignments, todo, Some(parts), &|_| progress.iteration(), &|number, record| {
+    run::run(tasks, todo, Some(parts), &|_| progress.iteration(), &|number, record| {
         folder.commit(number, &record)?;
         progress.drive_ended(record.outcome.is_err());
         Ok(())
@@ -52,11 +52,11 @@ pub(super) fn make(
 ///
 /// # Errors
 /// When some are missing or cannot be read.
-pub(super) fn rows(folder: &RunFolder, assignments: &[Assignment]) -> anyhow::Result<Vec<DriveRow>> {
-    let rows = folder.recorded(assignments)?.rows;
-    if rows.len() != assignments.len() {
-        let missing = assignments.len() - rows.len();
-        bail!("{missing} of {} drives left no record in {}", assignments.len(), folder.path().display());
+pub(super) fn rows(folder: &RunFolder, tasks: &[SimulationTask]) -> anyhow::Result<Vec<DriveRow>> {
+    let rows = folder.recorded(tasks)?.rows;
+    if rows.len() != tasks.len() {
+        let missing = tasks.len() - rows.len();
+        bail!("{missing} of {} drives left no record in {}", tasks.len(), folder.path().display());
     }
     Ok(rows)
 }

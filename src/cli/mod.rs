@@ -24,7 +24,7 @@ pub use exit::Exit;
 pub use printer::Printer;
 
 /// Most threads that may be asked for.
-const MOST_THREADS: usize = 512;
+const MAX_THREADS: usize = 512;
 
 /// Runs the program with the arguments of the process.
 pub fn run() -> ExitCode {
@@ -65,8 +65,8 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         }
     }
     let threads = arguments.threads.unwrap_or(0);
-    if threads > MOST_THREADS {
-        bail!("--threads is {threads}; more than {MOST_THREADS} would only wait for one another");
+    if threads > MAX_THREADS {
+        bail!("--threads is {threads}; more than {MAX_THREADS} would only wait for one another");
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     pool.install(|| match &arguments.command {

@@ -13,7 +13,7 @@ const LINE_EVERY: Duration = Duration::from_secs(30);
 const TEMPLATE: &str = "{bar:12} {pos}/{len} drives  {per_sec}  {eta} left  {msg}";
 
 /// Progress of the drives of a run; shared by all threads.
-pub(super) struct DriveProgress {
+pub(super) struct SimulationProgress {
     printer: Printer,
     bar: ProgressBar,
     is_terminal: bool,
@@ -25,7 +25,7 @@ pub(super) struct DriveProgress {
     last_line: Mutex<Instant>,
 }
 
-impl DriveProgress {
+impl SimulationProgress {
     /// Of a run with `total` drives that are to be made.
     pub(super) fn new(printer: Printer, total: usize) -> Self {
         Self::with_bar(printer, printer.progress(total as u64, "drives"), total)
@@ -171,9 +171,9 @@ mod tests {
         let paper = Paper::default();
         let target = ProgressDrawTarget::term_like_with_hz(Box::new(paper.clone()), 255);
         let bar = ProgressBar::with_draw_target(Some(total as u64), target).with_elapsed(PASSED);
-        let progress = DriveProgress::with_bar(Printer::new(false, true), bar, total);
+        let progress = SimulationProgress::with_bar(Printer::new(false, true), bar, total);
         let begun = Instant::now().checked_sub(PASSED).unwrap();
-        let progress = DriveProgress { is_terminal: true, begun, ..progress };
+        let progress = SimulationProgress { is_terminal: true, begun, ..progress };
         progress.bar.set_position(12_799);
         progress.ended.store(12_799, Ordering::Relaxed);
         progress.failed.store(99, Ordering::Relaxed);

@@ -151,7 +151,7 @@ impl AgentParts {
 
 /// One drive to be made.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Assignment {
+pub struct SimulationTask {
     /// What is driven.
     pub source: ScenarioSource,
     /// By whom.
@@ -160,7 +160,7 @@ pub struct Assignment {
     pub challenge: Challenge,
 }
 
-impl fmt::Display for Assignment {
+impl fmt::Display for SimulationTask {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} by {} in {}", self.source, self.planner, self.challenge)
     }
@@ -168,7 +168,7 @@ impl fmt::Display for Assignment {
 
 /// A drive that came to its end.
 #[derive(Debug, Clone)]
-pub struct Driven {
+pub struct SimulationOutcome {
     /// What was driven.
     pub scenario: Arc<Scenario>,
     /// What it scored.
@@ -185,7 +185,7 @@ pub struct Driven {
 
 /// The record of one assignment.
 #[derive(Debug, Clone)]
-pub struct DriveRecord {
+pub struct SimulationRecord {
     /// The source in the words of the command line.
     pub source: String,
     /// Name of the scenario; of the source, when it could not be opened and its name is not known.
@@ -203,7 +203,7 @@ pub struct DriveRecord {
     /// When it ended, seconds since 1970. A measurement.
     pub ended_s: f64,
     /// The drive, or why there is none.
-    pub outcome: Result<Driven, String>,
+    pub outcome: Result<SimulationOutcome, String>,
 }
 
 /// Makes the drives `todo` (places in `assignments`, in growing order) on all threads of the current pool. Each record is
@@ -213,38 +213,38 @@ pub struct DriveRecord {
 /// # Errors
 /// The first error of `on_drive`; no further drive begins after it.
 pub fn run<E: Send>(
-    assignments: &[Assignment],
+    tasks: &[SimulationTask],
     todo: &[usize],
     agent: Option<&AgentParts>,
     on_iteration: &(dyn Fn(Progress) + Sync),
-    on_drive: &(dyn Fn(usize, DriveRecord) -> Result<(), E> + Sync),
+    on_simulation: &(dyn Fn(usize, SimulationRecord) -> Result<(), E> + Sync),
 ) -> Result<(), E> {
-    let drives: Vec<(usize, &Assignment)> = todo.iter().filter_map(|&i| Some((i, assignments.get(i)?))).collect();
+    let drives: Vec<(usize, &SimulationTask)> = todo.iter().filter_map(|&i| Some((i, tasks.get(i)?))).collect();
     // Neighbours of one source share the scenario: opening a recording can cost more than driving it.
-    let groups: Vec<&[(usize, &Assignment)]> = drives.chunk_by(|(_, a), (_, b)| a.source == b.source).collect();
+    let groups: Vec<&[(usize, &SimulationTask)]> = drives.chunk_by(|(_, a), (_, b)| a.source == b.source).collect();
     groups.par_iter().try_for_each(|group| {
         let Some((_, first)) = group.first() else { return Ok(()) };
         let opened = caught(|| first.source.open().map(Arc::new).map_err(|error| with_causes(&error)));
-        group.par_iter().try_for_each(|&(i, assignment)| {
+        group.par_iter().try_for_each(|&(i, task)| {
             let scenario = opened.as_ref().map_err(String::as_str);
-            on_drive(i, drive(assignment, scenario, agent, on_iteration))
+            on_simulation(i, drive(task, scenario, agent, on_iteration))
         })
     })
 }
 
 fn drive(
-    assignment: &Assignment,
+    task: &SimulationTask,
     scenario: Result<&Arc<Scenario>, &str>,
     agent: Option<&AgentParts>,
     on_iteration: &(dyn Fn(Progress) + Sync),
-) -> DriveRecord {
-    let Assignment { source, planner, challenge } = assignment;
+) -> SimulationRecord {
+    let SimulationTask { source, planner, challenge } = task;
     let started_s = now_s();
     let outcome = scenario
         .map_err(str::to_owned)
-        .and_then(|scenario| caught(|| drive_scenario(scenario, *planner, *challenge, agent, on_iteration)));
+        .and_then(|scenario| caught(|| simulate_task(scenario, *planner, *challenge, agent, on_iteration)));
     let opened = scenario.ok();
-    DriveRecord {
+    SimulationRecord {
         source: source.to_string(),
         scenario: opened
             .map(|scenario| scenario.id.clone())
@@ -270,13 +270,13 @@ fn now_s() -> f64 {
 }
 
 /// One drive with its score.
-fn drive_scenario(
+fn simulate_task(
     scenario: &Arc<Scenario>,
     planner: PlannerKind,
     challenge: Challenge,
     agent: Option<&AgentParts>,
     on_iteration: &(dyn Fn(Progress) + Sync),
-) -> Result<Driven, String> {
+) -> Result<SimulationOutcome, String> {
     let simulate = |planner: &mut dyn Planner| {
         simulate_with_progress(scenario, planner, challenge, &mut |progress| on_iteration(progress))
             .map_err(|error| with_causes(&error))
@@ -309,7 +309,7 @@ fn drive_scenario(
         }
     };
     let Evaluation { score, metrics } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
-    Ok(Driven { scenario: Arc::clone(scenario), score, metrics, calls, drivable_layers, log })
+    Ok(SimulationOutcome { scenario: Arc::clone(scenario), score, metrics, calls, drivable_layers, log })
 }
 
 /// An error with all its causes in one line.

@@ -2,7 +2,7 @@
 
 use super::number::unsigned_zero;
 use super::timing::CallTimes;
-use crate::experiment::run::DriveRecord;
+use crate::experiment::run::SimulationRecord;
 use crate::metrics::ScenarioRow;
 use crate::pdm::DrivableLayers;
 use crate::planner::PlanningCall;
@@ -95,7 +95,7 @@ pub struct DriveTime {
 
 impl DriveRow {
     /// What is kept of a record.
-    pub fn new(number: usize, record: &DriveRecord) -> Self {
+    pub fn new(number: usize, record: &SimulationRecord) -> Self {
         let driven = record.outcome.as_ref().ok();
         let calls = driven.map_or(&[][..], |driven| driven.calls.as_slice());
         let saved_calls = calls.iter().filter(|call| call.is_saved()).count();

@@ -31,8 +31,8 @@ pub use number::{fixed, json_value};
 pub use run_folder::{Recorded, RunFolder};
 pub use stamp::stamp;
 pub use study::{
-    ChallengeResults, ModelCost, Outcome, StudyFolder, StudyResults, SuiteDrives, SuiteResults, TypeResults,
-    VariantDrives, VariantResults,
+    ChallengeResults, ModelCost, Outcome, StudyFolder, StudyResults, SuiteResults, SuiteSimulations, TypeResults,
+    VariantResults, VariantSimulations,
 };
 pub use summary::{Aggregate, ScenarioSummary, Summary};
 pub use table::{bench_markdown, bench_table, failures, fill, main_table, study_markdown, study_table, token_table};

@@ -9,7 +9,7 @@ use super::manifest::{MANIFEST, Manifest};
 use super::number::unsigned_metric;
 use super::replay::Replay;
 use super::transcript::transcript;
-use crate::experiment::run::{Assignment, DriveRecord, Driven};
+use crate::experiment::run::{SimulationOutcome, SimulationRecord, SimulationTask};
 use crate::metrics::MetricResult;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -136,7 +136,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn commit(&self, number: usize, record: &DriveRecord) -> Result<(), ReportError> {
+    pub fn commit(&self, number: usize, record: &SimulationRecord) -> Result<(), ReportError> {
         let folder = self.path.join(DRIVES).join(folder_name(number, record));
         let unfinished = atomic::unfinished(&folder);
         atomic::folder(&unfinished)?;
@@ -181,10 +181,10 @@ impl RunFolder {
     ///
     /// # Errors
     /// When a record cannot be read or belongs to another drive.
-    pub fn recorded(&self, assignments: &[Assignment]) -> Result<Recorded, ReportError> {
+    pub fn recorded(&self, tasks: &[SimulationTask]) -> Result<Recorded, ReportError> {
         let recorded = Self::ended(&self.path)?;
         for row in &recorded.rows {
-            let expected = assignments.get(row.number).map_or_else(|| "nothing".to_owned(), Assignment::to_string);
+            let expected = tasks.get(row.number).map_or_else(|| "nothing".to_owned(), SimulationTask::to_string);
             if row.identity() != expected {
                 let folder = self.folders()?.remove(&row.number).unwrap_or_default();
                 return Err(ReportError::Foreign { path: folder.join(RECORD), found: row.identity(), expected });
@@ -200,7 +200,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// When a folder cannot be removed.
-    pub fn take_back(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
+    pub fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
         let folders = self.folders()?;
         folders.iter().filter(|(number, _)| numbers.contains(number)).try_for_each(|(_, folder)| remove(folder))
     }
@@ -265,7 +265,7 @@ pub(super) fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportErro
 }
 
 /// Calls, transcript and BEV maps of a drive with planning calls.
-fn write_calls(folder: &Path, record: &DriveRecord, driven: &Driven) -> Result<(), ReportError> {
+fn write_calls(folder: &Path, record: &SimulationRecord, driven: &SimulationOutcome) -> Result<(), ReportError> {
     if driven.calls.is_empty() {
         return Ok(());
     }
@@ -301,7 +301,7 @@ fn remove(folder: &Path) -> Result<(), ReportError> {
 }
 
 /// `NNNNNN-SCENARIO-PLANNER-CHALLENGE`, in characters that every file system takes.
-fn folder_name(number: usize, record: &DriveRecord) -> String {
+fn folder_name(number: usize, record: &SimulationRecord) -> String {
     let safe = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let scenario: String = record.scenario.chars().map(safe).take(MOST_NAME).collect();
     format!("{number:0DIGITS$}-{scenario}-{}-{}", record.planner, record.challenge.short_name())

@@ -2,13 +2,17 @@
 
 use super::number::fixed;
 use super::timing::CallTimes;
-use crate::experiment::run::{DriveRecord, Driven};
+use crate::experiment::run::{SimulationOutcome, SimulationRecord};
 use crate::planner::{Attempt, Decision, PlanningCall};
 use crate::world::STEP_S;
 use std::fmt::Write;
 
 /// The transcript of a drive; `image` gives the place of a call's BEV map, relative to the transcript.
-pub fn transcript(record: &DriveRecord, driven: &Driven, image: impl Fn(&PlanningCall) -> Option<String>) -> String {
+pub fn transcript(
+    record: &SimulationRecord,
+    driven: &SimulationOutcome,
+    image: impl Fn(&PlanningCall) -> Option<String>,
+) -> String {
     let mut text = format!("# {} · {} · {}\n\n", record.scenario, record.planner, record.challenge);
     let score = &driven.score;
     let _ = writeln!(text, "Scenario type `{}`. Score **{:.4}**.\n", record.scenario_type, score.value);
@@ -23,7 +27,7 @@ pub fn transcript(record: &DriveRecord, driven: &Driven, image: impl Fn(&Plannin
     text
 }
 
-fn call_markdown(call: &PlanningCall, driven: &Driven, image: Option<String>) -> String {
+fn call_markdown(call: &PlanningCall, driven: &SimulationOutcome, image: Option<String>) -> String {
     let mut text = format!("## {:.1} s (iteration {})\n\n", call.iteration as f64 * STEP_S, call.iteration);
     if let Some(sample) = driven.log.samples.get(call.iteration) {
         let _ = writeln!(text, "Ego at {:.1} m/s.\n", sample.ego.speed());

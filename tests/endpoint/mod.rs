@@ -7,7 +7,9 @@ mod questions;
 mod server;
 mod troubles;
 
-use planagent::internals::mllm::{Constraint, Deadline, Endpoint, EndpointSettings, Mllm, MllmError, Request, Sampling};
+use planagent::internals::mllm::{
+    Constraint, Deadline, Endpoint, EndpointSettings, Mllm, MllmError, Request, Sampling,
+};
 use server::Server;
 use toml::toml;
 

@@ -2,7 +2,9 @@
 
 use crate::road::{Road, cruise, ego, two_lanes};
 use planagent::internals::geometry::Pose;
-use planagent::internals::metrics::{CornerAgreement, DrivenLanes, driven_route, ego_lane_change, find_lane_changes, lanes_at};
+use planagent::internals::metrics::{
+    CornerAgreement, DrivenLanes, driven_route, ego_lane_change, find_lane_changes, lanes_at,
+};
 use planagent::internals::world::{EgoState, LaneId};
 use std::collections::BTreeSet;
 

@@ -3,7 +3,9 @@
 
 use crate::road::{Road, cruise};
 use planagent::internals::geometry::{Point, Pose};
-use planagent::internals::metrics::{RouteProgress, ego_is_making_progress, ego_progress_along_expert_route, progress_ratio};
+use planagent::internals::metrics::{
+    RouteProgress, ego_is_making_progress, ego_progress_along_expert_route, progress_ratio,
+};
 use planagent::internals::world::{EgoState, LaneMap};
 
 fn chain() -> LaneMap {

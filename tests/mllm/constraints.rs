@@ -1,6 +1,8 @@
 //! Answers under a constraint.
 
-use planagent::internals::mllm::{Answer, Constraint, ConstraintUse, Deadline, FinishReason, Mllm, MllmError, Request, Sampling};
+use planagent::internals::mllm::{
+    Answer, Constraint, ConstraintUse, Deadline, FinishReason, Mllm, MllmError, Request, Sampling,
+};
 
 use super::{FIRST, open, opening, request};
 

@@ -9,7 +9,9 @@ use planagent::internals::mllm::{
     Architecture, Constraint, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry, ModelSource,
     Opening, RoundTokens, Sampling,
 };
-use planagent::internals::planner::{AfterMaxExec, BevOf, Execution, Latency, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings};
+use planagent::internals::planner::{
+    AfterMaxExec, BevOf, Execution, Latency, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings,
+};
 use planagent::internals::reasoning::{PromptSet, ReasoningSettings, Round};
 use planagent::internals::reflection::LeadPolicy;
 use planagent::internals::scenario::generator;

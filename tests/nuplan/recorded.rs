@@ -18,7 +18,8 @@ const SAME_DRIVE: f64 = 2e-2;
 
 /// nuPlan's graph: a connector leads from one lane to one lane, and lanes follow each other only over connectors.
 fn check_graph(map: &LaneMap) {
-    let kind_of = |lanes: &[planagent::internals::world::LaneId]| lanes.iter().map(|&id| map[id].kind).collect::<Vec<_>>();
+    let kind_of =
+        |lanes: &[planagent::internals::world::LaneId]| lanes.iter().map(|&id| map[id].kind).collect::<Vec<_>>();
     for lane in map.lanes() {
         if lane.is_connector() {
             assert_eq!(

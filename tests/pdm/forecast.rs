@@ -3,7 +3,9 @@
 use crate::road::{Road, cruise, ego, object, rectangle, straight};
 use planagent::internals::geometry::{Pose, Vector};
 use planagent::internals::pdm::{Collided, DrivableLayers, DrivableMap, Forecast};
-use planagent::internals::world::{EgoState, LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
+use planagent::internals::world::{
+    EgoState, LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights,
+};
 use std::collections::BTreeSet;
 
 fn forecast(map: &LaneMap, ego: &EgoState, objects: &[TrackedObject], collided: &mut Collided) -> Forecast {

@@ -3,7 +3,9 @@
 use crate::road::{cruise, ego, object, straight};
 use planagent::internals::geometry::Pose;
 use planagent::internals::metrics::MetricError;
-use planagent::internals::pdm::{Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals};
+use planagent::internals::pdm::{
+    Collided, DrivableLayers, DrivableMap, Forecast, ProposalScore, ScoringScene, score_proposals,
+};
 use planagent::internals::world::{EgoState, LaneId, ObjectKind, TrackedObject, TrafficLights};
 use std::collections::BTreeSet;
 

@@ -3,7 +3,7 @@
 use super::parquet::{aggregator_table, table};
 use super::{assert_same_results, drives};
 use crate::cli::{read_json, run};
-use planagent::internals::experiment::run::{self as runner, Assignment, DriveRecord, PlannerKind};
+use planagent::internals::experiment::run::{self as runner, PlannerKind, SimulationRecord, SimulationTask};
 use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::scenario::generator;
 use planagent::internals::simulation::Challenge;
@@ -13,9 +13,9 @@ use std::path::Path;
 use std::sync::Mutex;
 use tempfile::TempDir;
 
-fn assignments() -> Vec<Assignment> {
+fn tasks() -> Vec<SimulationTask> {
     let missing = ScenarioSource::Recording { path: "nowhere.tfrecord".into(), record: 0 };
-    let of = |source: &ScenarioSource, planner| Assignment {
+    let of = |source: &ScenarioSource, planner| SimulationTask {
         source: source.clone(),
         planner,
         challenge: Challenge::ClosedLoopNonreactiveAgents,
@@ -25,13 +25,12 @@ fn assignments() -> Vec<Assignment> {
 }
 
 /// All records of a run of [`assignments`], by number.
-fn records(on_iteration: &(dyn Fn() + Sync)) -> BTreeMap<usize, DriveRecord> {
+fn records(on_iteration: &(dyn Fn() + Sync)) -> BTreeMap<usize, SimulationRecord> {
     let records = Mutex::new(BTreeMap::new());
-    let outcome: Result<(), ()> =
-        runner::run(&assignments(), &[0, 1, 2], None, &|_| on_iteration(), &|number, record| {
-            assert!(records.lock().unwrap().insert(number, record).is_none());
-            Ok(())
-        });
+    let outcome: Result<(), ()> = runner::run(&tasks(), &[0, 1, 2], None, &|_| on_iteration(), &|number, record| {
+        assert!(records.lock().unwrap().insert(number, record).is_none());
+        Ok(())
+    });
     outcome.unwrap();
     records.into_inner().unwrap()
 }
@@ -57,8 +56,7 @@ fn a_panic_is_recorded_with_its_place_and_the_run_goes_on() {
 
 #[test]
 fn nothing_is_begun_after_a_record_that_cannot_be_kept() {
-    let outcome =
-        runner::run(&assignments(), &[0, 1, 2], None, &|_| (), &|number, _| Err(format!("disk full at {number}")));
+    let outcome = runner::run(&tasks(), &[0, 1, 2], None, &|_| (), &|number, _| Err(format!("disk full at {number}")));
     assert!(outcome.unwrap_err().starts_with("disk full at"));
 }
 

@@ -1,7 +1,7 @@
 //! The index of a page: runs, metrics, drives with their scores, means and times.
 
 use super::drive::{DriveParts, four_figures};
-use super::source::RunDrives;
+use super::source::RunSimulations;
 use crate::metrics::{MetricList, MetricName, Role};
 use crate::report::drive_row::DriveRow;
 use crate::report::summary::{Aggregate, Summary, distinct};
@@ -121,7 +121,7 @@ struct Column {
 
 impl Index {
     /// The index of runs; no drive names a replay yet.
-    pub(super) fn of(runs: &[RunDrives], parts: &[DriveParts], wanted: impl Fn(&str) -> bool) -> Self {
+    pub(super) fn of(runs: &[RunSimulations], parts: &[DriveParts], wanted: impl Fn(&str) -> bool) -> Self {
         let rows = runs.iter().enumerate().flat_map(|(run, drives)| drives.rows.iter().map(move |row| (run, row)));
         let absent = |row: &DriveRow, parts: &DriveParts| match (parts.was_kept, wanted(&row.scenario)) {
             (false, _) => Some(Absent::Run),
@@ -145,7 +145,7 @@ impl Index {
 }
 
 impl RunEntry {
-    fn of(run: &RunDrives) -> Self {
+    fn of(run: &RunSimulations) -> Self {
         Self {
             name: run.name.clone(),
             version: run.manifest.planagent.clone(),

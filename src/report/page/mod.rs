@@ -16,7 +16,7 @@ use drive::DriveParts;
 use index::{Absent, Index};
 use rayon::prelude::*;
 use serde::Serialize;
-use source::RunDrives;
+use source::RunSimulations;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -66,9 +66,9 @@ pub fn write(
     runs: &[PathBuf],
     out: &Path,
     settings: &PageSettings,
-    on_drive: &(dyn Fn(usize, usize) + Sync),
+    on_simulation: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<PageContents, ReportError> {
-    let runs = RunDrives::read_all(runs)?;
+    let runs = RunSimulations::read_all(runs)?;
     let wanted = |scenario: &str| settings.scenario.as_ref().is_none_or(|part| scenario.contains(part.as_str()));
     if let Some(part) = &settings.scenario
         && !runs.iter().flat_map(|run| &run.rows).any(|row| wanted(&row.scenario))
@@ -84,7 +84,7 @@ pub fn write(
         .map(|&(run, i)| {
             let (run, row) = (&runs[run], &runs[run].rows[i]);
             let parts = DriveParts::read(&run.folders[&row.number], row, wanted(&row.scenario))?;
-            on_drive(done.fetch_add(1, Ordering::Relaxed) + 1, all);
+            on_simulation(done.fetch_add(1, Ordering::Relaxed) + 1, all);
             Ok(parts)
         })
         .collect::<Result<_, ReportError>>()?;

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A run and its drives that have ended.
-pub(super) struct RunDrives {
+pub(super) struct RunSimulations {
     /// Name of its folder.
     pub(super) name: String,
     /// What it is made of.
@@ -19,7 +19,7 @@ pub(super) struct RunDrives {
     pub(super) folders: BTreeMap<usize, PathBuf>,
 }
 
-impl RunDrives {
+impl RunSimulations {
     /// Reads the folders of runs. Those of the same name are told apart by the folder above.
     ///
     /// # Errors

@@ -4,7 +4,7 @@ use super::deltas::{Deltas, Points};
 use super::map::ReplayMap;
 use super::track::{AgentTrack, EgoTrack, LightTrack};
 use super::{CallTrack, FORM, PLAN_POINTS, PLAN_STEP_US, Replay};
-use crate::experiment::run::Driven;
+use crate::experiment::run::SimulationOutcome;
 use crate::geometry::{Bounds, Point};
 use crate::planner::{Attempt, PlanningCall};
 use crate::world::{STEP_US, Trajectory};
@@ -14,7 +14,7 @@ const REACH_M: f64 = 80.0;
 
 impl Replay {
     /// The replay of a drive.
-    pub(in crate::report) fn of(driven: &Driven) -> Self {
+    pub(in crate::report) fn of(driven: &SimulationOutcome) -> Self {
         let (scenario, log) = (&driven.scenario, &driven.log);
         let samples = &log.samples;
         let expert: Vec<Point> = scenario.expert().take(samples.len()).map(|ego| ego.rear_axle.position()).collect();

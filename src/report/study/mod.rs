@@ -7,6 +7,6 @@ mod tests;
 
 pub use folder::StudyFolder;
 pub use results::{
-    ChallengeResults, ModelCost, Outcome, StudyResults, SuiteDrives, SuiteResults, TypeResults, VariantDrives,
-    VariantResults,
+    ChallengeResults, ModelCost, Outcome, StudyResults, SuiteResults, SuiteSimulations, TypeResults, VariantResults,
+    VariantSimulations,
 };

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// What was driven in a suite.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SuiteDrives {
+pub struct SuiteSimulations {
     /// Its name.
     pub name: String,
     /// How many scenes it has.
@@ -19,12 +19,12 @@ pub struct SuiteDrives {
     /// BLAKE3 of their names.
     pub blake3: String,
     /// The variants of the study, in its order.
-    pub variants: Vec<VariantDrives>,
+    pub variants: Vec<VariantSimulations>,
 }
 
 /// What was driven by a variant.
 #[derive(Debug, Clone, PartialEq)]
-pub struct VariantDrives {
+pub struct VariantSimulations {
     /// What came of it.
     pub outcome: Outcome,
     /// Parameters of its model, when one was loaded.
@@ -35,14 +35,14 @@ pub struct VariantDrives {
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
     /// It drove.
-    Driven {
+    Simulated {
         /// Folder of the run, relative to that of the results.
         run: String,
         /// Its drives.
         rows: Vec<DriveRow>,
     },
     /// It did not, and why, in a word or two.
-    NotDriven(&'static str),
+    NotSimulated(&'static str),
 }
 
 /// The whole file `results.json`.
@@ -153,7 +153,13 @@ pub struct ModelCost {
 
 impl StudyResults {
     /// The numbers of what was driven; `bench` has the times of models that did not drive.
-    pub fn new(study: &Study, suites: &[SuiteDrives], quick: Option<Quick>, seed: u64, bench: &[ModelFigures]) -> Self {
+    pub fn new(
+        study: &Study,
+        suites: &[SuiteSimulations],
+        quick: Option<Quick>,
+        seed: u64,
+        bench: &[ModelFigures],
+    ) -> Self {
         let bootstrap = Bootstrap::default();
         let reference = study.variants.get(study.reference);
         let telling = Telling { study, bootstrap, bench };
@@ -179,9 +185,9 @@ struct Telling<'a> {
 }
 
 impl Telling<'_> {
-    fn suite(&self, suite: &SuiteDrives) -> SuiteResults {
+    fn suite(&self, suite: &SuiteSimulations) -> SuiteResults {
         let benchmark = benchmark(&suite.name);
-        let reference = suite.variants.get(self.study.reference).map_or(&[][..], VariantDrives::rows);
+        let reference = suite.variants.get(self.study.reference).map_or(&[][..], VariantSimulations::rows);
         let variants = self.study.variants.iter().zip(&suite.variants).enumerate();
         SuiteResults {
             name: suite.name.clone(),
@@ -200,14 +206,14 @@ impl Telling<'_> {
     fn variant(
         &self,
         variant: &Variant,
-        drives: &VariantDrives,
+        drives: &VariantSimulations,
         against: Option<&[DriveRow]>,
         benchmark: Option<Benchmark>,
     ) -> VariantResults {
         let rows = drives.rows();
         let (run, not_driven) = match &drives.outcome {
-            Outcome::Driven { run, .. } => (Some(run.clone()), None),
-            Outcome::NotDriven(why) => (None, Some(*why)),
+            Outcome::Simulated { run, .. } => (Some(run.clone()), None),
+            Outcome::NotSimulated(why) => (None, Some(*why)),
         };
         let scenario_types = match self.study.rows {
             Rows::Variants => Vec::new(),
@@ -273,7 +279,7 @@ impl Telling<'_> {
     }
 
     /// The time of the drives' calls; of a model that did not drive, that of its bench.
-    fn cost(&self, variant: &Variant, drives: &VariantDrives) -> ModelCost {
+    fn cost(&self, variant: &Variant, drives: &VariantSimulations) -> ModelCost {
         let benched = self.bench.iter().find(|model| variant.labels.first() == Some(&model.about.model.as_str()));
         let calls = drives.rows().iter().flat_map(|row| &row.time.calls).map(|call| call.total).collect();
         let driven = Quantiles::of(calls).map(|quantiles| quantiles.p50);
@@ -287,11 +293,11 @@ impl Telling<'_> {
     }
 }
 
-impl VariantDrives {
+impl VariantSimulations {
     fn rows(&self) -> &[DriveRow] {
         match &self.outcome {
-            Outcome::Driven { rows, .. } => rows,
-            Outcome::NotDriven(_) => &[],
+            Outcome::Simulated { rows, .. } => rows,
+            Outcome::NotSimulated(_) => &[],
         }
     }
 }

@@ -35,17 +35,21 @@ fn drive(scene: usize, challenge: Challenge, score: Option<f64>) -> DriveRow {
 }
 
 /// Drives of four scenes in both challenges with these scores.
-fn driven(scores: [Option<f64>; 4]) -> VariantDrives {
+fn driven(scores: [Option<f64>; 4]) -> VariantSimulations {
     let of = |challenge| scores.into_iter().enumerate().map(move |(scene, score)| drive(scene, challenge, score));
     let rows = Challenge::CLOSED_LOOP.into_iter().flat_map(of).collect();
-    VariantDrives { outcome: Outcome::Driven { run: "../drives/a".to_owned(), rows }, parameters: Some(4_018_752) }
+    VariantSimulations {
+        outcome: Outcome::Simulated { run: "../drives/a".to_owned(), rows },
+        parameters: Some(4_018_752),
+    }
 }
 
-fn suite(name: &str, variants: Vec<VariantDrives>) -> SuiteDrives {
-    SuiteDrives { name: name.to_owned(), scenes: 4, blake3: "0".to_owned(), variants }
+fn suite(name: &str, variants: Vec<VariantSimulations>) -> SuiteSimulations {
+    SuiteSimulations { name: name.to_owned(), scenes: 4, blake3: "0".to_owned(), variants }
 }
 
-const NOT_DRIVEN: VariantDrives = VariantDrives { outcome: Outcome::NotDriven("no weights"), parameters: None };
+const NOT_DRIVEN: VariantSimulations =
+    VariantSimulations { outcome: Outcome::NotSimulated("no weights"), parameters: None };
 
 #[test]
 fn differences_are_paired_and_failed_drives_count_nowhere() {

@@ -8,8 +8,8 @@ use crate::cli::args::{ALL_EXPERIMENTS, ExperimentArguments, TOKENS_EXPERIMENT};
 use crate::cli::{Config, Exit, Printer};
 use crate::experiment::study::{self, Quick, Study};
 use crate::report::{
-    BenchFigures, BenchFolder, DriveRow, ModelFigures, Outcome, StudyFolder, StudyResults, SuiteDrives, VariantDrives,
-    failures, study_table,
+    BenchFigures, BenchFolder, DriveRow, ModelFigures, Outcome, StudyFolder, StudyResults, SuiteSimulations,
+    VariantSimulations, failures, study_table,
 };
 use anyhow::{anyhow, bail};
 use indicatif::HumanDuration;
@@ -68,7 +68,7 @@ fn drive_and_tell(
     }
     drive(&mut runs, flags, printer, started)?;
     for Planned { study, suites } in &planned {
-        let drives: Vec<SuiteDrives> = suites.iter().map(|(suite, names)| driven(suite, names, &runs)).collect();
+        let drives: Vec<SuiteSimulations> = suites.iter().map(|(suite, names)| driven(suite, names, &runs)).collect();
         let quick = flags.quick.then_some(Quick::DEFAULT);
         let results = StudyResults::new(study, &drives, quick, config.seed, &bench);
         let folder = StudyFolder::new(folder(study.name, flags));
@@ -114,17 +114,17 @@ fn drive(runs: &mut Runs<'_>, flags: &ExperimentArguments, printer: Printer, sta
 }
 
 /// What was driven on a suite.
-fn driven(suite: &Suite, names: &[Result<String, &'static str>], runs: &Runs<'_>) -> SuiteDrives {
+fn driven(suite: &Suite, names: &[Result<String, &'static str>], runs: &Runs<'_>) -> SuiteSimulations {
     let variant = |name: &Result<String, &'static str>| match name {
         Ok(name) => {
             let run = runs.get(name);
             let rows = run.map_or_else(Vec::new, |run| run.rows().to_vec());
-            let outcome = Outcome::Driven { run: format!("../{DRIVES}/{name}"), rows };
-            VariantDrives { outcome, parameters: run.and_then(runs::Run::parameters) }
+            let outcome = Outcome::Simulated { run: format!("../{DRIVES}/{name}"), rows };
+            VariantSimulations { outcome, parameters: run.and_then(runs::Run::parameters) }
         }
-        Err(why) => VariantDrives { outcome: Outcome::NotDriven(why), parameters: None },
+        Err(why) => VariantSimulations { outcome: Outcome::NotSimulated(why), parameters: None },
     };
-    SuiteDrives {
+    SuiteSimulations {
         name: suite.name.clone(),
         scenes: suite.sources.len(),
         blake3: suite.list.blake3.clone(),

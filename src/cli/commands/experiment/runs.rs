@@ -2,11 +2,11 @@
 //! experiments share what is the same to them and go on with what was begun.
 
 use super::suites::Suite;
-use crate::cli::commands::simulate::selection::assignments;
+use crate::cli::commands::simulate::selection::tasks;
 use crate::cli::model::{self, Opened};
-use crate::cli::progress::DriveProgress;
+use crate::cli::progress::SimulationProgress;
 use crate::cli::{Config, MllmConfig, Printer, drives};
-use crate::experiment::run::{AgentParts, Assignment, PlannerKind};
+use crate::experiment::run::{AgentParts, PlannerKind, SimulationTask};
 use crate::experiment::study::Variant;
 use crate::report::{DriveRow, MANIFEST, Manifest, RunFolder, SUMMARY, ScenarioList, stamp};
 use crate::simulation::Challenge;
@@ -35,7 +35,7 @@ pub(super) struct Runs<'a> {
 /// A planner on a suite.
 pub(super) struct Run {
     manifest: Manifest,
-    assignments: Vec<Assignment>,
+    tasks: Vec<SimulationTask>,
     agent: AgentParts,
     /// Parameters of its model.
     parameters: Option<u64>,
@@ -92,7 +92,7 @@ impl<'a> Runs<'a> {
         let name = format!("{planner}-{}-{}", suite.name, digest.get(..DIGEST).unwrap_or(&digest));
         self.by_name.entry(name.clone()).or_insert_with(|| Run {
             manifest,
-            assignments: assignments(&suite.sources, &[planner], &Challenge::CLOSED_LOOP),
+            tasks: tasks(&suite.sources, &[planner], &Challenge::CLOSED_LOOP),
             load_s: loaded.as_ref().map(|loaded| loaded.load_s),
             parameters: loaded.as_ref().map(|loaded| loaded.about.parameters),
             agent,
@@ -138,7 +138,7 @@ impl<'a> Runs<'a> {
     /// Drives that are made, and drives that are left.
     pub(super) fn drives(&self) -> (usize, usize) {
         let left = self.by_name.values().map(|run| run.todo.len()).sum();
-        (self.by_name.values().map(|run| run.assignments.len()).sum::<usize>() - left, left)
+        (self.by_name.values().map(|run| run.tasks.len()).sum::<usize>() - left, left)
     }
 
     /// How many runs there are.
@@ -153,7 +153,7 @@ impl<'a> Runs<'a> {
     pub(super) fn measure(&mut self) -> anyhow::Result<()> {
         let unknown = || |run: &&mut Run| run.seconds_per_drive().is_none() && !run.todo.is_empty();
         let total = self.by_name.values_mut().filter(unknown()).map(|run| run.first().len()).sum();
-        let progress = DriveProgress::new(self.printer, total);
+        let progress = SimulationProgress::new(self.printer, total);
         for run in self.by_name.values_mut().filter(unknown()) {
             let first = run.first();
             run.make(&first, &progress)?;
@@ -174,7 +174,7 @@ impl<'a> Runs<'a> {
     /// # Errors
     /// When a drive or file cannot be written.
     pub(super) fn make(&mut self, started: Instant) -> anyhow::Result<()> {
-        let progress = DriveProgress::new(self.printer, self.drives().1);
+        let progress = SimulationProgress::new(self.printer, self.drives().1);
         for run in self.by_name.values_mut() {
             let todo = run.todo.clone();
             run.make(&todo, &progress)?;
@@ -200,7 +200,7 @@ impl Run {
         if path.join(MANIFEST).is_file() {
             let rows = RunFolder::ended(path)?.rows;
             let again = retry_failed && rows.iter().any(|row| row.error.is_some());
-            if rows.len() == self.assignments.len() && path.join(SUMMARY).is_file() && !again {
+            if rows.len() == self.tasks.len() && path.join(SUMMARY).is_file() && !again {
                 self.rows = rows;
                 return Ok(());
             }
@@ -210,17 +210,17 @@ impl Run {
         } else {
             RunFolder::create(Some(path), &self.manifest)?
         };
-        let (kept, _) = drives::kept(&folder, &self.assignments, retry_failed, printer)?;
-        self.rows = folder.recorded(&self.assignments)?.rows;
-        self.todo = (0..self.assignments.len()).filter(|number| !kept.contains(number)).collect();
+        let (kept, _) = drives::kept(&folder, &self.tasks, retry_failed, printer)?;
+        self.rows = folder.recorded(&self.tasks)?.rows;
+        self.todo = (0..self.tasks.len()).filter(|number| !kept.contains(number)).collect();
         self.folder = Some(folder);
         Ok(())
     }
 
     /// The drives of its first scene that are left.
     fn first(&self) -> Vec<usize> {
-        let source = self.todo.first().and_then(|&number| self.assignments.get(number)).map(|first| &first.source);
-        let same = |number: &usize| self.assignments.get(*number).map(|drive| &drive.source) == source;
+        let source = self.todo.first().and_then(|&number| self.tasks.get(number)).map(|first| &first.source);
+        let same = |number: &usize| self.tasks.get(*number).map(|drive| &drive.source) == source;
         self.todo.iter().copied().take_while(same).collect()
     }
 
@@ -231,19 +231,19 @@ impl Run {
     }
 
     /// Makes some of the drives that are left.
-    fn make(&mut self, todo: &[usize], progress: &DriveProgress) -> anyhow::Result<()> {
+    fn make(&mut self, todo: &[usize], progress: &SimulationProgress) -> anyhow::Result<()> {
         let Some(folder) = &self.folder else { return Ok(()) };
-        drives::make(folder, &self.assignments, todo, &self.agent, progress)?;
+        drives::make(folder, &self.tasks, todo, &self.agent, progress)?;
         self.todo.retain(|number| !todo.contains(number));
         self.made += todo.len();
-        self.rows = folder.recorded(&self.assignments)?.rows;
+        self.rows = folder.recorded(&self.tasks)?.rows;
         Ok(())
     }
 
     /// Writes the files of the run, all of whose drives are made, and lets its folder go.
     fn finish(&mut self, started: Instant) -> anyhow::Result<()> {
         let Some(folder) = self.folder.take() else { return Ok(()) };
-        self.rows = drives::rows(&folder, &self.assignments)?;
+        self.rows = drives::rows(&folder, &self.tasks)?;
         let seed = self.manifest.config.get("seed").and_then(toml::Value::as_integer).unwrap_or_default();
         let session = drives::session(started, self.made, self.load_s);
         drives::finish(&folder, &self.manifest, seed.unsigned_abs(), session, &self.rows)?;

@@ -4,9 +4,9 @@ pub(in crate::cli) mod selection;
 
 use crate::cli::args::SimulateArguments;
 use crate::cli::model::{self, Loaded};
-use crate::cli::progress::DriveProgress;
+use crate::cli::progress::SimulationProgress;
 use crate::cli::{Config, Exit, Printer, drives};
-use crate::experiment::run::Assignment;
+use crate::experiment::run::SimulationTask;
 use crate::planner::Latency;
 use crate::report::{DriveRow, Manifest, RunFolder, Session, Summary, Timing, failures, main_table, stamp};
 use anyhow::{anyhow, bail};
@@ -23,17 +23,17 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
     let started = Instant::now();
     let before = flags.resume.as_deref().map(RunFolder::manifest).transpose()?;
     let found = Selection::of(flags, before.as_ref(), printer).and_then(|selection| match &before {
-        Some(manifest) if flags.only_goes_on() => selection.held_against(manifest),
+        Some(manifest) if flags.is_plain_resume() => selection.check_unchanged(manifest),
         _ => Ok(selection),
     });
     let selection = match (found, &flags.resume, &before) {
         (Ok(selection), ..) => selection,
-        (Err(trouble), Some(folder), Some(manifest)) if flags.only_goes_on() => {
+        (Err(trouble), Some(folder), Some(manifest)) if flags.is_plain_resume() => {
             return ended(folder, manifest, config, trouble, printer);
         }
         (Err(trouble), ..) => return Err(trouble),
     };
-    let assignments = &selection.assignments;
+    let tasks = &selection.tasks;
     if config.agent.latency != Latency::None
         && let Some(planner) = selection.planners.iter().find(|planner| planner.is_llm_assist())
     {
@@ -47,15 +47,15 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
         None => (RunFolder::create(flags.out.as_deref(), &now)?, now),
     };
 
-    let kept = kept(&folder, assignments, flags, printer)?;
-    let todo: Vec<usize> = (0..assignments.len()).filter(|number| !kept.contains(number)).collect();
+    let kept = kept(&folder, tasks, flags, printer)?;
+    let todo: Vec<usize> = (0..tasks.len()).filter(|number| !kept.contains(number)).collect();
     let parts = model::parts(config, loaded.as_ref());
-    let progress = DriveProgress::new(printer, todo.len());
-    let driven = drives::make(&folder, assignments, &todo, &parts, &progress);
+    let progress = SimulationProgress::new(printer, todo.len());
+    let driven = drives::make(&folder, tasks, &todo, &parts, &progress);
     progress.finish();
     driven?;
 
-    let rows = drives::rows(&folder, assignments)?;
+    let rows = drives::rows(&folder, tasks)?;
     let session = drives::session(started, todo.len(), loaded.as_ref().map(|loaded| loaded.load_s));
     let exit = finish(&folder, &manifest, config.seed, session, &rows, printer);
     for note in selection.data.take_notes() {
@@ -120,18 +120,18 @@ fn manifest(selection: &Selection, config: &Config, loaded: Option<&Loaded>) -> 
 /// The numbers of the drives that have ended in an earlier session and are not made again.
 fn kept(
     folder: &RunFolder,
-    assignments: &[Assignment],
+    tasks: &[SimulationTask],
     flags: &SimulateArguments,
     printer: Printer,
 ) -> anyhow::Result<BTreeSet<usize>> {
-    let (kept, again) = drives::kept(folder, assignments, flags.retry_failed, printer)?;
+    let (kept, again) = drives::kept(folder, tasks, flags.retry_failed, printer)?;
     if flags.resume.is_some() {
-        let left = assignments.len() - kept.len();
+        let left = tasks.len() - kept.len();
         let failed = match again {
             0 => String::new(),
             count => format!(", {count} of them had failed"),
         };
-        printer.note(format!("{} of {} drives are done, {left} are left{failed}", kept.len(), assignments.len()));
+        printer.note(format!("{} of {} drives are done, {left} are left{failed}", kept.len(), tasks.len()));
     }
     Ok(kept)
 }

@@ -3,7 +3,7 @@
 use crate::cli::Printer;
 use crate::cli::args::SimulateArguments;
 use crate::experiment::nuplan_data::NuPlanData;
-use crate::experiment::run::{Assignment, PlannerKind};
+use crate::experiment::run::{PlannerKind, SimulationTask};
 use crate::experiment::source::ScenarioSource;
 use crate::experiment::split::{MissingTokens, split};
 use crate::report::{Manifest, ScenarioList};
@@ -22,7 +22,7 @@ pub(super) struct Selection {
     /// Challenges in their order.
     pub(super) challenges: Vec<Challenge>,
     /// Every scenario with every planner in every challenge.
-    pub(super) assignments: Vec<Assignment>,
+    pub(super) tasks: Vec<SimulationTask>,
     /// nuPlan's data, with what there is to know about the maps and logs that were opened.
     pub(super) data: NuPlanData,
 }
@@ -62,15 +62,15 @@ impl Selection {
         let (count, blake3) = (sources.len(), ScenarioList::digest(names));
         let DataRoots { data: data_root, maps: maps_root } = roots;
         let list = ScenarioList { words, splits, data_root, maps_root, limit, count, blake3, missing };
-        let assignments = assignments(&sources, &planners, &challenges);
-        Ok(Self { list, planners, challenges, assignments, data })
+        let tasks = tasks(&sources, &planners, &challenges);
+        Ok(Self { list, planners, challenges, tasks, data })
     }
 
     /// The same, if its scenarios are those of a run.
     ///
     /// # Errors
     /// When the data holds others now.
-    pub(super) fn held_against(self, manifest: &Manifest) -> anyhow::Result<Self> {
+    pub(super) fn check_unchanged(self, manifest: &Manifest) -> anyhow::Result<Self> {
         let (then, now) = (&manifest.scenarios, &self.list);
         if then.blake3 != now.blake3 {
             bail!(
@@ -192,15 +192,19 @@ fn challenges(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<V
 }
 
 /// Every scenario with every planner in every challenge.
-pub(in crate::cli) fn assignments(
+pub(in crate::cli) fn tasks(
     sources: &[ScenarioSource],
     planners: &[PlannerKind],
     challenges: &[Challenge],
-) -> Vec<Assignment> {
+) -> Vec<SimulationTask> {
     let mut all = Vec::with_capacity(sources.len() * planners.len() * challenges.len());
     for source in sources {
         for &planner in planners {
-            all.extend(challenges.iter().map(|&challenge| Assignment { source: source.clone(), planner, challenge }));
+            all.extend(challenges.iter().map(|&challenge| SimulationTask {
+                source: source.clone(),
+                planner,
+                challenge,
+            }));
         }
     }
     all
