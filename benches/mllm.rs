@@ -7,7 +7,7 @@ use std::hint::black_box;
 
 use candle_core::{Device, Tensor};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use planagent::internals::mllm::{Matrix, Storage};
+use planagent::internals::mllm::{Matrix, WeightFormat};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -27,10 +27,10 @@ fn numbers(count: usize) -> Vec<f32> {
 }
 
 fn products(criterion: &mut Criterion) {
-    for storage in Storage::ALL {
+    for weight_format in WeightFormat::ALL {
         for (name, outputs, inputs) in SHAPES {
-            let matrix = Matrix::quantize(&numbers(outputs * inputs), outputs, inputs, storage).unwrap();
-            let mut group = criterion.benchmark_group(format!("{storage} {name}"));
+            let matrix = Matrix::quantize(&numbers(outputs * inputs), outputs, inputs, weight_format).unwrap();
+            let mut group = criterion.benchmark_group(format!("{weight_format} {name}"));
             group.sample_size(10);
             for tokens in [PROMPT, 1] {
                 let x = Tensor::from_vec(numbers(tokens * inputs), (tokens, inputs), &Device::Cpu).unwrap();

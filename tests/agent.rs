@@ -3,7 +3,7 @@
 use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent::internals::mllm::{
     Answer, ConstraintUse, Conversation, FinishReason, GenerationSettings, Mark, Mllm, MllmError, ModelDescription,
-    Opening, Request, RoundTime, Sampling, TokenCounts,
+    PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
 };
 use planagent::internals::pdm::PdmMemory;
 use planagent::internals::planner::{
@@ -51,7 +51,7 @@ impl Mllm for Script {
         }
     }
 
-    fn converse<'a>(&'a self, _: &Opening, _: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
+    fn converse<'a>(&'a self, _: &PromptPrefix, _: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
         Ok(Box::new(Scripted(self)))
     }
 }

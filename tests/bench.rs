@@ -119,7 +119,7 @@ fn a_model_is_measured_by_the_configuration_that_is_named() {
     let output = planagent().current_dir(&folder).args(arguments).args(["--threads", "1"]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let rows = rows(&folder.path().join("bench"));
-    assert_eq!(rows.last().unwrap()["loaded"]["storage"], "f16", "{rows:?}");
+    assert_eq!(rows.last().unwrap()["loaded"]["weight_format"], "f16", "{rows:?}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::picture::PictureFile;
 use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::study;
-use crate::mllm::Storage;
+use crate::mllm::WeightFormat;
 use crate::scenario::nuplan::DataRoots;
 use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -25,7 +25,7 @@ pub(super) struct Arguments {
     pub(super) model: Option<String>,
     /// Hold the model's weights in `f32`, `f16`, `q8_0`, `q6_k` or `q4_k` [default: as its files hold them, safetensors in f32].
     #[arg(long, global = true, value_name = "KIND")]
-    pub(super) quantize: Option<Storage>,
+    pub(super) quantize: Option<WeightFormat>,
     /// Load the model even if it seems to need more memory than is free.
     #[arg(long, global = true)]
     pub(super) ignore_memory: bool,
@@ -371,7 +371,7 @@ pub(super) struct QuantizeArguments {
     pub(super) source: String,
     /// How its weights are held: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k`.
     #[arg(long, value_name = "KIND")]
-    pub(super) to: Storage,
+    pub(super) to: WeightFormat,
     /// The file, called NAME.gguf; a LLaVA's vision tower goes beside it as mmproj-NAME.gguf.
     #[arg(long, value_name = "FILE")]
     pub(super) out: PathBuf,

@@ -2,7 +2,7 @@
 
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use crate::environment::{BevView, DEFAULT_NODE_LENGTH};
-use crate::mllm::{GenerationSettings, Sampling, Storage};
+use crate::mllm::{GenerationSettings, Sampling, WeightFormat};
 use crate::planner::{AfterMaxExec, BevOf, Execution, Latency, PlanAgentSettings};
 use crate::reasoning::{ReasoningSettings, Round};
 use crate::reflection::LeadPolicy;
@@ -40,7 +40,7 @@ pub struct MllmConfig {
     pub offline: bool,
     /// How weights are held in memory; by default as their files hold them (safetensors in f32).
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub quantize: Option<Storage>,
+    pub quantize: Option<WeightFormat>,
     /// Load a model even if it seems to need more memory than is free.
     pub ignore_memory: bool,
 }

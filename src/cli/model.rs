@@ -120,7 +120,7 @@ fn in_words(about: &ModelDescription, load_s: f64) -> String {
             "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
             about.name,
             about.parameters / 1_000_000,
-            about.load.storages.first().map_or(about.dtype.as_str(), |most| most.storage.name()),
+            about.load.weight_formats.first().map_or(about.dtype.as_str(), |most| most.weight_format.name()),
             about.image_tokens
         ),
     }

@@ -23,7 +23,7 @@ pub trait Mllm: Send + Sync {
     ///
     /// # Errors
     /// When the opening cannot be rendered by the model's chat template or its image cannot be used.
-    fn converse<'a>(&'a self, opening: &Opening, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError>;
+    fn converse<'a>(&'a self, prefix: &PromptPrefix, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError>;
 
     /// Tokens that the model's own tokenizer makes of a text, without special ones; `None` where it is not at hand.
     fn count_tokens(&self, _text: &str) -> Option<usize> {
@@ -50,14 +50,14 @@ pub trait Conversation: Send {
 
 /// What stands at the head of a conversation.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Opening {
+pub struct PromptPrefix {
     /// The system prompt; empty for none.
     pub system: String,
     /// The image of the first user turn, before its text. It is resized as the model's preprocessor says.
     pub image: Option<RgbImage>,
 }
 
-impl Opening {
+impl PromptPrefix {
     /// BLAKE3 of the image's width, height and RGB bytes, in hexadecimal.
     pub fn image_hash(&self) -> Option<String> {
         self.image.as_ref().map(|image| {

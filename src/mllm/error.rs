@@ -199,18 +199,6 @@ pub enum MllmError {
         /// Its value.
         value: f32,
     },
-    /// A recorded answer does not belong to the question that is asked.
-    #[error("replay of call {call}, attempt {attempt}, round {round}: {problem}")]
-    Replay {
-        /// Index of the planning call in the recording.
-        call: usize,
-        /// Index of the attempt in the call.
-        attempt: usize,
-        /// Index of the round in the attempt.
-        round: usize,
-        /// What differs.
-        problem: String,
-    },
     /// A model description (`models/NAME.toml`) cannot be read as one.
     #[error("{path}: {problem}")]
     Description {
@@ -302,7 +290,7 @@ pub enum MllmError {
 impl MllmError {
     /// Whether the next planning call may well succeed: the deadline passed, or a server failed in a way that can pass.
     /// Such an error ends its planning call; any other ends the drive.
-    pub fn is_passing(&self) -> bool {
+    pub fn is_transient(&self) -> bool {
         match self {
             Self::Deadline => true,
             Self::Endpoint { failure, .. } => !matches!(failure, EndpointFailure::Refused { .. }),

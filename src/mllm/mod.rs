@@ -2,7 +2,7 @@
 //!
 //! A model is a [`Mllm`]; a planning call opens a [`Conversation`] with it and asks round after round. [`LocalModel`] opens
 //! a Hugging Face folder or GGUF files as they are, of any [`Architecture`]; [`Endpoint`] asks a server with OpenAI's
-//! interface; [`Replay`] answers from a recording. [`ModelRegistry`] finds a model by name, folder, file or hub id.
+//! interface. [`ModelRegistry`] finds a model by name, folder, file or hub id.
 //!
 //! A family of models is a folder: `llava`, `llava_next`, `cogvlm`, each with its configuration, preprocessing, vision
 //! tower, connector and language model as far as it does not share them (`vision`, `decoder`). `local` runs whatever
@@ -26,7 +26,6 @@ mod local;
 mod matrix;
 mod pointwise;
 mod registry;
-mod replay;
 mod rms_norm;
 mod sampling;
 mod text;
@@ -34,10 +33,10 @@ mod values;
 mod vision;
 
 pub(crate) use checkpoint::in_bytes;
-pub use checkpoint::{LoadReport, ModelPlace, StorageException, StorageShare};
+pub use checkpoint::{LoadReport, ModelPlace, WeightFormatException, WeightFormatShare};
 pub(crate) use conversation::milliseconds;
 pub use conversation::{
-    Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription, Opening, Request,
+    Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription, PromptPrefix, Request,
     RoundTime, Sampling, Server, TokenCounts, Turn, prompt_hash,
 };
 pub use deadline::Deadline;
@@ -46,9 +45,8 @@ pub use error::{EndpointFailure, MllmError};
 pub use gguf::{CreateFile, GgufPart};
 pub use latency::{LatencyProbe, ModelShape, PassTime, ProbeDescription, Step, StepTime};
 pub use local::{Architecture, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
-pub use matrix::{Matrix, Storage, UnknownStorage};
+pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub use registry::{
     FetchListener, FetchProgress, GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec,
     PromptSet, RoundTokens,
 };
-pub use replay::{RecordedAnswer, Replay};

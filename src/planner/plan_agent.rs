@@ -13,7 +13,7 @@ use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
-use crate::mllm::{Deadline, Opening, milliseconds};
+use crate::mllm::{Deadline, PromptPrefix, milliseconds};
 use crate::pdm::{self, PdmMemory, emergency_brake};
 use crate::reasoning::{Interruption, Names, ParseError, PlannerCode, ScenarioPrompt, Thought};
 use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, Watch, needs_emergency_brake};
@@ -136,7 +136,7 @@ impl PlanAgent {
             retreat = Some(iteration);
         }
         let total_ms = milliseconds(started.elapsed());
-        let image_hash = Opening { system: String::new(), image: scenario.image.clone() }.image_hash();
+        let image_hash = PromptPrefix { system: String::new(), image: scenario.image.clone() }.image_hash();
         self.calls.push(PlanningCall {
             iteration,
             image: scenario.image,

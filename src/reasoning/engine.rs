@@ -9,7 +9,7 @@ use super::prompt_set::{PromptError, PromptSet};
 use super::round::Round;
 use crate::mllm::{
     Answer, Constraint, ConstraintUse, Conversation, Deadline, FinishReason, GenerationSettings, Mark, Mllm, MllmError,
-    Opening, Request, RoundTime, Sampling, TokenCounts,
+    PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
 };
 use image::RgbImage;
 use minijinja::context;
@@ -155,7 +155,7 @@ impl<'a> Reasoning<'a> {
         deadline: Deadline,
     ) -> Result<Self, ReasoningError> {
         let system = system_prompt(prompts, &scenario.legend)?;
-        let conversation = model.converse(&Opening { system, image: scenario.image.clone() }, seed)?;
+        let conversation = model.converse(&PromptPrefix { system, image: scenario.image.clone() }, seed)?;
         let start = conversation.mark();
         Ok(Self { conversation, start, prompts, settings, scenario, deadline, attempts: 0 })
     }
@@ -177,7 +177,7 @@ impl<'a> Reasoning<'a> {
             let prompt = round_prompt(self.prompts, round, names, scene_text.take(), feedback.take().as_deref())?;
             let answer = match self.conversation.ask(&prompt, &self.request(round)) {
                 Ok(answer) => answer,
-                Err(error) if error.is_passing() => {
+                Err(error) if error.is_transient() => {
                     let interruption = Some(error.into());
                     return Ok(Thought { rounds, interruption, instruction, parsed: Parsed::default() });
                 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use planagent::internals::mllm::{Constraint, Deadline, LocalModel, Mllm, MllmError, Opening, Request};
+use planagent::internals::mllm::{Constraint, Deadline, LocalModel, Mllm, MllmError, PromptPrefix, Request};
 
 use super::request;
 
@@ -12,9 +12,9 @@ fn tiny() -> Arc<LocalModel> {
     Arc::new(LocalModel::open("tiny", folder.as_ref()).unwrap())
 }
 
-fn opening() -> Opening {
+fn prefix() -> PromptPrefix {
     let image = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/tiny_llava/image.png")).unwrap();
-    Opening { system: "Drive safely.".into(), image: Some(image.into_rgb8()) }
+    PromptPrefix { system: "Drive safely.".into(), image: Some(image.into_rgb8()) }
 }
 
 #[test]
@@ -26,11 +26,11 @@ fn a_local_model_stops_between_tokens_and_answers_later_as_if_never_asked() {
         ..request(Constraint::Regex("[ab]{200}".into()))
     };
     let short = request(Constraint::Regex("[a-f]{6}".into()));
-    let mut conversation = model.converse(&opening(), 5).unwrap();
+    let mut conversation = model.converse(&prefix(), 5).unwrap();
     // Asked until the deadline falls into the answer: 200 tokens take many times a millisecond.
     assert!(matches!(conversation.ask("Which lane?", &long), Err(MllmError::Deadline)));
     let again = conversation.ask("Where to?", &short).unwrap();
-    let fresh = model.converse(&opening(), 5).unwrap().ask("Where to?", &short).unwrap();
+    let fresh = model.converse(&prefix(), 5).unwrap().ask("Where to?", &short).unwrap();
     assert_eq!((again.text, again.prompt_hash), (fresh.text, fresh.prompt_hash));
 }
 
@@ -38,7 +38,7 @@ fn a_local_model_stops_between_tokens_and_answers_later_as_if_never_asked() {
 fn a_local_model_does_not_begin_after_its_deadline() {
     let model = tiny();
     let late = Request { deadline: Deadline::after(Instant::now(), Duration::ZERO), ..request(Constraint::Free) };
-    let mut conversation = model.converse(&opening(), 0).unwrap();
+    let mut conversation = model.converse(&prefix(), 0).unwrap();
     assert!(matches!(conversation.ask("Which lane?", &late), Err(MllmError::Deadline)));
 }
 
@@ -47,7 +47,7 @@ fn a_far_deadline_changes_no_answer() {
     let model = tiny();
     let ask = |deadline| {
         let request = Request { deadline, ..request(Constraint::Free) };
-        model.converse(&opening(), 0).unwrap().ask("Which lane?", &request).unwrap().text
+        model.converse(&prefix(), 0).unwrap().ask("Which lane?", &request).unwrap().text
     };
     assert_eq!(ask(Deadline::NONE), ask(Deadline::after(Instant::now(), Duration::from_secs(3600))));
 }

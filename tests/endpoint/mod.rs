@@ -36,5 +36,5 @@ fn request(constraint: Constraint) -> Request {
 
 /// The answer to one question, or what went wrong.
 fn ask(endpoint: &Endpoint, request: &Request) -> Result<planagent::internals::mllm::Answer, MllmError> {
-    endpoint.converse(&planagent::internals::mllm::Opening::default(), 0).unwrap().ask("Which lane?", request)
+    endpoint.converse(&planagent::internals::mllm::PromptPrefix::default(), 0).unwrap().ask("Which lane?", request)
 }

@@ -3,8 +3,8 @@
 use base64::Engine;
 use image::RgbImage;
 use planagent::internals::mllm::{
-    Constraint, ConstraintUse, Endpoint, FinishReason, GrammarField, LimitField, Mllm, MllmError, Opening, Request,
-    Sampling, TokenCounts,
+    Constraint, ConstraintUse, Endpoint, FinishReason, GrammarField, LimitField, Mllm, MllmError, PromptPrefix,
+    Request, Sampling, TokenCounts,
 };
 use serde_json::{Value, json};
 
@@ -20,8 +20,8 @@ fn rounds_are_turns_and_the_image_is_in_the_first() {
     let server = Server::start(|number, _| completion(&format!("answer {number}")));
     let endpoint = open(&server);
     let image = RgbImage::from_fn(40, 40, |x, y| image::Rgb([x as u8, y as u8, 7]));
-    let opening = Opening { system: "Drive.".into(), image: Some(image.clone()) };
-    let mut conversation = endpoint.converse(&opening, 3).unwrap();
+    let prefix = PromptPrefix { system: "Drive.".into(), image: Some(image.clone()) };
+    let mut conversation = endpoint.converse(&prefix, 3).unwrap();
     let start = conversation.mark();
     conversation.ask("first", &request(Constraint::Free)).unwrap();
     let second = conversation.ask("second", &request(Constraint::Free)).unwrap();
@@ -55,7 +55,7 @@ fn the_same_seed_sends_the_same_bytes() {
     let server = Server::always(|| completion("left"));
     let endpoint = open(&server);
     for seed in [7, 7, 8] {
-        let mut conversation = endpoint.converse(&Opening::default(), seed).unwrap();
+        let mut conversation = endpoint.converse(&PromptPrefix::default(), seed).unwrap();
         conversation.ask("Which lane?", &request(lanes())).unwrap();
     }
     let [first, same, other] = server.received().try_into().unwrap();

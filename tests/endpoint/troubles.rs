@@ -2,7 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use planagent::internals::mllm::{Constraint, Deadline, Endpoint, EndpointFailure, Mllm, MllmError, Opening, Request};
+use planagent::internals::mllm::{
+    Constraint, Deadline, Endpoint, EndpointFailure, Mllm, MllmError, PromptPrefix, Request,
+};
 
 use super::server::{Reaction, Server, completion, error, response, stream};
 use super::{EndpointSettings, ask, open, request, settings};
@@ -26,7 +28,7 @@ fn a_server_that_hangs_is_left_when_its_time_is_up() {
         let asked = Instant::now();
         match ask(&Endpoint::open("test", &soon).unwrap(), &request(Constraint::Free)) {
             Err(error @ MllmError::Endpoint { failure: EndpointFailure::Timeout(_), .. }) => {
-                assert!(error.is_passing() && error.to_string().contains("timeout_ms"), "{error}");
+                assert!(error.is_transient() && error.to_string().contains("timeout_ms"), "{error}");
             }
             other => panic!("{other:?}"),
         }
@@ -42,7 +44,7 @@ fn nobody_listens() {
     drop(server);
     let failed = ask(&Endpoint::open("test", &settings(&url)).unwrap(), &request(Constraint::Free)).unwrap_err();
     assert!(matches!(&failed, MllmError::Endpoint { failure: EndpointFailure::Connect(_), .. }), "{failed:?}");
-    assert!(failed.is_passing());
+    assert!(failed.is_transient());
 }
 
 #[test]
@@ -114,7 +116,7 @@ fn a_wrong_key_ends_the_matter_and_is_not_shown() {
     let settings = EndpointSettings { key_env: Some(variable.into()), ..settings(&server.url()) };
     let endpoint = Endpoint::open("test", &settings).unwrap();
     let failed = ask(&endpoint, &request(Constraint::Free)).unwrap_err();
-    assert!(!failed.is_passing(), "{failed}");
+    assert!(!failed.is_transient(), "{failed}");
     assert!(failed.to_string().contains("status 401: Incorrect API key: [key]."), "{failed}");
     let [received] = server.received().try_into().unwrap();
     assert!(received.head.contains(&format!("authorization: Bearer {key}\r\n")), "{}", received.head);
@@ -167,7 +169,7 @@ fn after_a_failure_the_conversation_is_as_it_was() {
         _ => completion("left"),
     });
     let endpoint = open(&server);
-    let mut conversation = endpoint.converse(&Opening::default(), 0).unwrap();
+    let mut conversation = endpoint.converse(&PromptPrefix::default(), 0).unwrap();
     conversation.ask("first", &request(Constraint::Free)).unwrap();
     conversation.ask("second", &request(Constraint::Free)).unwrap_err();
     conversation.ask("second", &request(Constraint::Free)).unwrap();

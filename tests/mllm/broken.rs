@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use safetensors::Dtype;
 use serde_json::{Value, json};
 
-use super::{Copy, FIRST, free, opening};
+use super::{Copy, FIRST, free, prefix};
 
 const GATE: &str = "language_model.model.layers.1.mlp.gate_proj.weight";
 
@@ -173,7 +173,7 @@ fn logits_that_overflow_are_an_error() {
         }
     });
     let model = copy.open().unwrap();
-    let mut conversation = model.converse(&opening(), 0).unwrap();
+    let mut conversation = model.converse(&prefix(), 0).unwrap();
     assert!(matches!(conversation.ask(FIRST, &free(3)), Err(MllmError::NonFiniteLogits { .. })));
 }
 
@@ -325,7 +325,7 @@ fn a_template_that_fails_at_run_time_is_an_error() {
     let guard = "{% if messages[0]['role'] == 'system' %}{{ raise_exception('no system prompt, please') }}{% endif %}";
     std::fs::write(copy.path("chat_template.jinja"), format!("{guard}{template}")).unwrap();
     let model = copy.open().unwrap();
-    match model.converse(&opening(), 0).map(|_| ()) {
+    match model.converse(&prefix(), 0).map(|_| ()) {
         Err(MllmError::ChatTemplate { problem, .. }) => assert!(problem.contains("no system prompt"), "{problem}"),
         other => panic!("{other:?}"),
     }
@@ -352,7 +352,7 @@ proptest! {
         let copy = Copy::new();
         copy.edit("config.json", |config| set(config, key, value));
         if let Ok(model) = copy.open() {
-            let _ = model.converse(&opening(), 0).and_then(|mut conversation| conversation.ask(FIRST, &free(2)));
+            let _ = model.converse(&prefix(), 0).and_then(|mut conversation| conversation.ask(FIRST, &free(2)));
         }
     }
 
@@ -375,7 +375,7 @@ proptest! {
         let copy = Copy::of(folder);
         copy.edit("config.json", |config| set(config, key, value));
         if let Ok(model) = copy.open() {
-            let _ = model.converse(&opening(), 0).and_then(|mut conversation| conversation.ask(FIRST, &free(2)));
+            let _ = model.converse(&prefix(), 0).and_then(|mut conversation| conversation.ask(FIRST, &free(2)));
         }
     }
 

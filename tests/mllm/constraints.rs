@@ -4,11 +4,11 @@ use planagent::internals::mllm::{
     Answer, Constraint, ConstraintUse, Deadline, FinishReason, Mllm, MllmError, Request, Sampling,
 };
 
-use super::{FIRST, open, opening, request};
+use super::{FIRST, open, prefix, request};
 
 fn answer(constraint: Constraint, max_new_tokens: usize) -> Result<Answer, MllmError> {
     let model = open();
-    let mut conversation = model.converse(&opening(), 0).unwrap();
+    let mut conversation = model.converse(&prefix(), 0).unwrap();
     conversation.ask(FIRST, &request(constraint, max_new_tokens))
 }
 
@@ -85,7 +85,7 @@ fn sampled_answers_obey_as_well() {
     let model = open();
     let mut seen = std::collections::BTreeSet::new();
     for seed in 0..24 {
-        let mut conversation = model.converse(&opening(), seed).unwrap();
+        let mut conversation = model.converse(&prefix(), seed).unwrap();
         let request = Request {
             constraint: texts(&["keep lane", "left", "right"]),
             max_new_tokens: 20,
@@ -124,7 +124,7 @@ fn what_does_not_compile_is_an_error_and_never_dropped() {
 #[test]
 fn impossible_sampling_is_an_error() {
     let model = open();
-    let mut conversation = model.converse(&opening(), 0).unwrap();
+    let mut conversation = model.converse(&prefix(), 0).unwrap();
     let mut request = request(Constraint::Free, 3);
     request.sampling = Sampling::Sample { temperature: -1.0, top_p: 0.5 };
     assert!(matches!(conversation.ask(FIRST, &request), Err(MllmError::Request { .. })));
@@ -133,7 +133,7 @@ fn impossible_sampling_is_an_error() {
 #[test]
 fn a_placeholder_in_an_answer_is_text_and_the_chat_goes_on() {
     let model = open();
-    let mut conversation = model.converse(&opening(), 0).unwrap();
+    let mut conversation = model.converse(&prefix(), 0).unwrap();
     let answer = conversation.ask(FIRST, &request(texts(&["see <image> </s>"]), 60)).unwrap();
     assert_eq!(answer.text, "see <image> </s>");
     let next = conversation.ask("And now?", &request(texts(&["yes", "no"]), 8)).unwrap();

@@ -1,8 +1,8 @@
 //! Conversations: rounds, marks, seeds, counts.
 
-use planagent::internals::mllm::{Constraint, FinishReason, Mllm, MllmError, Opening, Sampling, prompt_hash};
+use planagent::internals::mllm::{Constraint, FinishReason, Mllm, MllmError, PromptPrefix, Sampling, prompt_hash};
 
-use super::{FIRST, SECOND, free, open, opening, request, tiny};
+use super::{FIRST, SECOND, free, open, prefix, request, tiny};
 
 /// The greedy answer that transformers gives in the reference.
 fn reference_answer(name: &str) -> String {
@@ -16,7 +16,7 @@ fn reference_answer(name: &str) -> String {
 #[test]
 fn both_rounds_are_answered_as_transformers_answers_them() {
     let model = open();
-    let mut conversation = model.converse(&opening(), 0).unwrap();
+    let mut conversation = model.converse(&prefix(), 0).unwrap();
     let start = conversation.mark();
     let first = conversation.ask(FIRST, &free(12)).unwrap();
     assert_eq!(first.text, reference_answer("generated"));
@@ -43,7 +43,7 @@ fn both_rounds_are_answered_as_transformers_answers_them() {
 #[test]
 fn a_rewound_round_is_answered_as_the_first_time() {
     let model = open();
-    let mut conversation = model.converse(&opening(), 3).unwrap();
+    let mut conversation = model.converse(&prefix(), 3).unwrap();
     conversation.ask(FIRST, &free(5)).unwrap();
     let mark = conversation.mark();
     let once = conversation.ask(SECOND, &free(20)).unwrap();
@@ -59,7 +59,7 @@ fn a_rewound_round_is_answered_as_the_first_time() {
 fn the_system_prompt_is_computed_once_a_run_and_changes_nothing() {
     let model = open();
     let answers = |model: &dyn Mllm| {
-        let mut conversation = model.converse(&opening(), 1).unwrap();
+        let mut conversation = model.converse(&prefix(), 1).unwrap();
         conversation.ask(FIRST, &free(16)).unwrap()
     };
     let (first, second) = (answers(&model), answers(&model));
@@ -80,7 +80,7 @@ fn sampling_follows_the_seed() {
     let sampled = |seed| {
         let mut request = free(24);
         request.sampling = Sampling::Sample { temperature: 1.5, top_p: 0.95 };
-        let mut conversation = model.converse(&opening(), seed).unwrap();
+        let mut conversation = model.converse(&prefix(), seed).unwrap();
         let mark = conversation.mark();
         let first = conversation.ask(FIRST, &request).unwrap().text;
         conversation.rewind(mark);
@@ -95,7 +95,7 @@ fn sampling_follows_the_seed() {
 #[test]
 fn without_an_image_or_system_prompt_the_template_leaves_them_out() {
     let model = open();
-    let mut conversation = model.converse(&Opening::default(), 0).unwrap();
+    let mut conversation = model.converse(&PromptPrefix::default(), 0).unwrap();
     let answer = conversation.ask(FIRST, &free(4)).unwrap();
     assert_eq!(answer.tokens.image, 0);
     assert!(answer.tokens.text + answer.tokens.cached < 30);
@@ -104,7 +104,7 @@ fn without_an_image_or_system_prompt_the_template_leaves_them_out() {
 #[test]
 fn a_placeholder_in_the_text_is_refused_and_leaves_the_chat_as_it_was() {
     let model = open();
-    let mut conversation = model.converse(&opening(), 0).unwrap();
+    let mut conversation = model.converse(&prefix(), 0).unwrap();
     let before = conversation.mark();
     match conversation.ask("Look: <image>", &free(4)) {
         Err(MllmError::ImagePlaceholder { expected: 1, found: 2 }) => {}
@@ -118,7 +118,7 @@ fn a_placeholder_in_the_text_is_refused_and_leaves_the_chat_as_it_was() {
 fn a_prompt_beyond_the_context_is_refused_and_an_answer_ends_at_it() {
     let model = open();
     let context = model.describe().context;
-    let mut conversation = model.converse(&opening(), 0).unwrap();
+    let mut conversation = model.converse(&prefix(), 0).unwrap();
     match conversation.ask(&"left ".repeat(context), &free(4)) {
         Err(MllmError::PromptTooLong { tokens, context: 256 }) => assert!(tokens > context),
         other => panic!("{other:?}"),
@@ -129,7 +129,7 @@ fn a_prompt_beyond_the_context_is_refused_and_an_answer_ends_at_it() {
     let tokens = answer.tokens;
     assert_eq!(tokens.text + tokens.image + tokens.cached + tokens.forced + tokens.free, context);
     assert!(matches!(
-        model.converse(&Opening { system: "x ".repeat(400), image: None }, 0),
+        model.converse(&PromptPrefix { system: "x ".repeat(400), image: None }, 0),
         Err(MllmError::PromptTooLong { .. })
     ));
 }

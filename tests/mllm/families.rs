@@ -7,7 +7,7 @@ use image::RgbImage;
 use planagent::internals::environment::DEFAULT_NODE_LENGTH;
 use planagent::internals::mllm::{
     Architecture, Constraint, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry, ModelSource,
-    Opening, RoundTokens, Sampling,
+    PromptPrefix, RoundTokens, Sampling,
 };
 use planagent::internals::planner::{
     AfterMaxExec, BevOf, Execution, Latency, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings,
@@ -39,9 +39,9 @@ fn open_folder(folder: &Path) -> Box<dyn Mllm> {
 }
 
 /// The opening of the reference chat of a checkpoint.
-fn opening(folder: &Path) -> Opening {
+fn prefix(folder: &Path) -> PromptPrefix {
     let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
-    Opening { system: "Drive safely.".into(), image: Some(image) }
+    PromptPrefix { system: "Drive safely.".into(), image: Some(image) }
 }
 
 /// The text of a reference's greedy tokens.
@@ -62,12 +62,12 @@ fn a_folder_is_opened_as_what_its_configuration_says_and_answers_as_the_referenc
         let about = model.describe();
         assert_eq!(about.architecture, architecture.name());
         assert!(about.parameters > 60_000 && about.image_tokens > 0, "{about:?}");
-        let mut conversation = model.converse(&opening(&folder), 0).unwrap();
+        let mut conversation = model.converse(&prefix(&folder), 0).unwrap();
         let answer = conversation.ask(FIRST, &free(12)).unwrap();
         assert_eq!(answer.text, reference_answer(&folder, "generated"), "{name}");
         assert!(answer.tokens.image > 0 && answer.tokens.image <= about.image_tokens, "{:?}", answer.tokens);
         if name != "tiny_llava_next_mistral" {
-            let mut conversation = model.converse(&opening(&folder), 0).unwrap();
+            let mut conversation = model.converse(&prefix(&folder), 0).unwrap();
             conversation.ask(FIRST, &request(Constraint::Choice(vec!["keep left".into()]), 12)).unwrap();
             let second = conversation.ask(SECOND, &free(12)).unwrap();
             assert_eq!(second.text, reference_answer(&folder, "chat_generated"), "{name}");
@@ -81,7 +81,7 @@ fn rounds_and_rethinks_compute_the_image_once() {
     for (name, architecture) in FAMILIES {
         let folder = fixture(name);
         let model = open_folder(&folder);
-        let mut conversation = model.converse(&opening(&folder), 7).unwrap();
+        let mut conversation = model.converse(&prefix(&folder), 7).unwrap();
         let start = conversation.mark();
         let mut whole = Vec::new();
         for attempt in 0..2 {
@@ -113,7 +113,7 @@ fn a_rewound_round_is_answered_as_in_a_new_conversation() {
     for (name, _) in FAMILIES {
         let folder = fixture(name);
         let model = open_folder(&folder);
-        let mut conversation = model.converse(&opening(&folder), 0).unwrap();
+        let mut conversation = model.converse(&prefix(&folder), 0).unwrap();
         let start = conversation.mark();
         conversation.ask(SECOND, &free(6)).unwrap();
         conversation.rewind(start);
@@ -129,12 +129,12 @@ fn images_of_any_shape_are_taken_and_empty_ones_refused() {
         let most = model.describe().image_tokens;
         for (width, height) in [(336, 336), (90, 20), (3, 70), (1, 1)] {
             let image = RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, 99]));
-            let opening = Opening { system: String::new(), image: Some(image) };
-            let answer = model.converse(&opening, 0).unwrap().ask("Go?", &free(2)).unwrap();
+            let prefix = PromptPrefix { system: String::new(), image: Some(image) };
+            let answer = model.converse(&prefix, 0).unwrap().ask("Go?", &free(2)).unwrap();
             assert!(answer.tokens.image > 0 && answer.tokens.image <= most, "{name}, {width} x {height}");
         }
-        let opening = Opening { system: String::new(), image: Some(RgbImage::new(0, 0)) };
-        let refused = model.converse(&opening, 0).and_then(|mut conversation| conversation.ask("Go?", &free(2)));
+        let prefix = PromptPrefix { system: String::new(), image: Some(RgbImage::new(0, 0)) };
+        let refused = model.converse(&prefix, 0).and_then(|mut conversation| conversation.ask("Go?", &free(2)));
         assert!(matches!(refused, Err(MllmError::Image { .. })), "{name}: {refused:?}");
     }
 }
@@ -145,7 +145,7 @@ fn an_image_takes_three_positions_of_cogvlm() {
     copy.edit("config.json", |config| config["max_position_embeddings"] = json!(60));
     let model = open_folder(copy.folder());
     assert_eq!(model.describe().context, 60);
-    let mut conversation = model.converse(&opening(copy.folder()), 0).unwrap();
+    let mut conversation = model.converse(&prefix(copy.folder()), 0).unwrap();
     let answer = conversation.ask(FIRST, &request(Constraint::Regex("[ab]{900}".into()), 1000)).unwrap();
     assert_eq!(answer.finish, FinishReason::ContextFull);
     let tokens = answer.tokens;
@@ -155,7 +155,7 @@ fn an_image_takes_three_positions_of_cogvlm() {
         Err(MllmError::PromptTooLong { tokens, context: 75 }) => assert!(tokens > 75),
         other => panic!("{other:?}"),
     }
-    let no_image = Opening { system: "Drive safely.".into(), image: None };
+    let no_image = PromptPrefix { system: "Drive safely.".into(), image: None };
     match model.converse(&no_image, 0).unwrap().ask(&"left ".repeat(60), &free(4)) {
         Err(MllmError::PromptTooLong { context: 60, .. }) => {}
         other => panic!("{other:?}"),
@@ -165,8 +165,8 @@ fn an_image_takes_three_positions_of_cogvlm() {
 #[test]
 fn cogvlm_without_an_image_keeps_its_system_prompt() {
     let model = open_folder(&fixture("tiny_cogvlm"));
-    let opening = Opening { system: "Drive safely.".into(), image: None };
-    let answer = model.converse(&opening, 0).unwrap().ask(FIRST, &free(3)).unwrap();
+    let prefix = PromptPrefix { system: "Drive safely.".into(), image: None };
+    let answer = model.converse(&prefix, 0).unwrap().ask(FIRST, &free(3)).unwrap();
     assert!(answer.tokens.cached > 5 && answer.tokens.image == 0, "{:?}", answer.tokens);
 }
 
@@ -183,7 +183,7 @@ fn a_tokenizer_may_lie_in_another_folder() {
     );
     std::fs::write(copy.path("cog.toml"), description).unwrap();
     let model = open_folder(&copy.path("cog.toml"));
-    let answer = model.converse(&opening(copy.folder()), 0).unwrap().ask(FIRST, &free(12)).unwrap();
+    let answer = model.converse(&prefix(copy.folder()), 0).unwrap().ask(FIRST, &free(12)).unwrap();
     assert_eq!(answer.text, expected);
     // Without it, the error says what to do.
     assert!(copy.error().to_string().contains("copy it here"), "{}", copy.error());

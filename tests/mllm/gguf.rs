@@ -5,22 +5,22 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use planagent::internals::mllm::{
-    GgufPart, HubAccess, LoadReport, MemoryCheck, Mllm, MllmError, ModelRegistry, ModelSource, Storage,
+    GgufPart, HubAccess, LoadReport, MemoryCheck, Mllm, MllmError, ModelRegistry, ModelSource, WeightFormat,
 };
 
-use super::{Copy, FIRST, fixture, free, opening};
+use super::{Copy, FIRST, fixture, free, prefix};
 
 fn registry() -> ModelRegistry {
     ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() })
 }
 
 /// Writes a fixture as `m.gguf` and its vision tower beside it.
-fn export(name: &str, folder: &Path, storage: Storage) -> PathBuf {
+fn export(name: &str, folder: &Path, weight_format: WeightFormat) -> PathBuf {
     let model = folder.join("m.gguf");
     let spec = registry().find(fixture(name).to_str().unwrap()).unwrap();
     let mut create =
         |part: GgufPart| -> std::io::Result<Box<dyn Write>> { Ok(Box::new(File::create(part.path(&model))?)) };
-    registry().export(&spec, storage, &mut create, &mut |_, _| {}).unwrap();
+    registry().export(&spec, weight_format, &mut create, &mut |_, _| {}).unwrap();
     model
 }
 
@@ -29,7 +29,7 @@ fn open(place: &Path) -> Result<Box<dyn Mllm>, MllmError> {
 }
 
 fn answer(model: &dyn Mllm) -> String {
-    model.converse(&opening(), 0).unwrap().ask(FIRST, &free(12)).unwrap().text
+    model.converse(&prefix(), 0).unwrap().ask(FIRST, &free(12)).unwrap().text
 }
 
 /// Changes bytes of a file.
@@ -51,7 +51,7 @@ fn replace(path: &Path, from: &str, to: &str) {
 #[test]
 fn a_file_a_folder_and_a_description_open_the_same_model() {
     let folder = tempfile::tempdir().unwrap();
-    let file = export("tiny_llava", folder.path(), Storage::F32);
+    let file = export("tiny_llava", folder.path(), WeightFormat::F32);
     let expected = answer(&super::open());
     let spec = registry().find(file.to_str().unwrap()).unwrap();
     assert_eq!(spec.source, ModelSource::File { file: file.clone(), mmproj: None });
@@ -70,18 +70,18 @@ fn a_file_a_folder_and_a_description_open_the_same_model() {
 fn the_description_says_how_weights_are_held() {
     let folder = fixture("tiny_llava");
     let about = open(&folder).unwrap().describe();
-    assert_eq!(about.load.storages.len(), 1);
-    assert_eq!(about.load.storages[0].storage, Storage::F32);
+    assert_eq!(about.load.weight_formats.len(), 1);
+    assert_eq!(about.load.weight_formats[0].weight_format, WeightFormat::F32);
 
-    let registry = registry().with_quantize(Some(Storage::Q4K));
+    let registry = registry().with_quantize(Some(WeightFormat::Q4K));
     let quantised = registry.open(&registry.find(folder.to_str().unwrap()).unwrap()).unwrap().describe();
-    let LoadReport { quantize, storages, exceptions, .. } = &quantised.load;
-    assert_eq!(*quantize, Some(Storage::Q4K));
+    let LoadReport { quantize, weight_formats, exceptions, .. } = &quantised.load;
+    assert_eq!(*quantize, Some(WeightFormat::Q4K));
     // Rows of 32 numbers are no whole blocks of 256, rows of 48 none of 32.
-    assert!(storages.iter().any(|share| share.storage == Storage::Q8_0));
-    assert!(storages.iter().any(|share| share.storage == Storage::F16));
+    assert!(weight_formats.iter().any(|share| share.weight_format == WeightFormat::Q8_0));
+    assert!(weight_formats.iter().any(|share| share.weight_format == WeightFormat::F16));
     let fc2 = exceptions.iter().find(|known| known.name.ends_with("mlp.fc2.weight")).unwrap();
-    assert_eq!((fc2.tensors, fc2.storage), (3, Storage::F16));
+    assert_eq!((fc2.tensors, fc2.weight_format), (3, WeightFormat::F16));
     assert_eq!(quantised.parameters, about.parameters);
     // The record of a run takes it.
     assert!(toml::Table::try_from(&quantised).is_ok());
@@ -91,7 +91,7 @@ fn the_description_says_how_weights_are_held() {
 fn truncated_and_hostile_files_are_errors() {
     for name in ["m.gguf", "mmproj-m.gguf"] {
         let folder = tempfile::tempdir().unwrap();
-        export("tiny_llava", folder.path(), Storage::Q8_0);
+        export("tiny_llava", folder.path(), WeightFormat::Q8_0);
         let path = folder.path().join(name);
         let whole = fs::read(&path).unwrap();
         for length in [0, 3, 4, 12, 24, 100, 5000, whole.len() - 32] {
@@ -119,7 +119,7 @@ fn truncated_and_hostile_files_are_errors() {
 #[test]
 fn what_is_missing_is_named_with_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
-    let model = export("tiny_llava", folder.path(), Storage::F32);
+    let model = export("tiny_llava", folder.path(), WeightFormat::F32);
     let tower = folder.path().join("mmproj-m.gguf");
     let error = |place: &Path| open(place).map(|_| ()).unwrap_err().to_string();
 
@@ -150,7 +150,7 @@ fn what_is_missing_is_named_with_what_to_do() {
 #[test]
 fn a_file_of_another_writer_needs_a_tokenizer_that_fits() {
     let folder = tempfile::tempdir().unwrap();
-    let model = export("tiny_llava", folder.path(), Storage::F32);
+    let model = export("tiny_llava", folder.path(), WeightFormat::F32);
     let error = || open(&model).map(|_| ()).unwrap_err();
     // Without what this program packs into its files.
     for file in ["config", "tokenizer", "tokenizer_config", "generation_config", "preprocessor_config"] {
@@ -180,7 +180,7 @@ fn a_file_of_another_writer_needs_a_tokenizer_that_fits() {
 #[test]
 fn scales_that_are_no_numbers_are_found() {
     let folder = tempfile::tempdir().unwrap();
-    let model = export("tiny_llava", folder.path(), Storage::Q8_0);
+    let model = export("tiny_llava", folder.path(), WeightFormat::Q8_0);
     // The data ends with the last tensor by name, whose blocks begin with a scale in half precision.
     edit(&model, |bytes| {
         let name = b"output.weight";

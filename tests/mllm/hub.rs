@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-use planagent::internals::mllm::{FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, Storage};
+use planagent::internals::mllm::{FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, WeightFormat};
 
-use super::{FIRST, free, opening, tiny};
+use super::{FIRST, free, prefix, tiny};
 
 const COMMIT: &str = "0123456789abcdef0123456789abcdef01234567";
 const FILES: [&str; 7] = [
@@ -120,7 +120,7 @@ fn a_hub_model_is_downloaded_once_and_then_found_offline() {
     let address = Repository::new(&tiny(), &FILES).serve();
     let model = registry(access(false, &address)).open(&spec).unwrap();
     assert_eq!(model.name(), "tiny");
-    let answer = |model: &dyn Mllm| model.converse(&opening(), 0).unwrap().ask(FIRST, &free(8)).unwrap().text;
+    let answer = |model: &dyn Mllm| model.converse(&prefix(), 0).unwrap().ask(FIRST, &free(8)).unwrap().text;
     assert_eq!(answer(&*model), answer(&super::open()));
 
     let again = registry(access(true, nowhere)).open(&spec).unwrap();
@@ -181,19 +181,19 @@ fn gguf_files_of_a_repository_are_fetched_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let local = ModelRegistry::new("models", HubAccess::default());
     let spec = local.find(tiny().to_str().unwrap()).unwrap();
-    for (file, storage) in [("tiny-q8_0.gguf", Storage::Q8_0), ("tiny-f32.gguf", Storage::F32)] {
+    for (file, weight_format) in [("tiny-q8_0.gguf", WeightFormat::Q8_0), ("tiny-f32.gguf", WeightFormat::F32)] {
         let mut create = |part: GgufPart| -> std::io::Result<Box<dyn Write>> {
             let path =
                 if part == GgufPart::Model { folder.path().join(file) } else { folder.path().join("mmproj.gguf") };
             Ok(Box::new(std::fs::File::create(path)?))
         };
-        local.export(&spec, storage, &mut create, &mut |_, _| {}).unwrap();
+        local.export(&spec, weight_format, &mut create, &mut |_, _| {}).unwrap();
     }
     let repository = Repository::new(folder.path(), &["tiny-q8_0.gguf", "tiny-f32.gguf", "mmproj.gguf"]);
     let cache = tempfile::tempdir().unwrap();
     let (registry, _) = listening(cache.path(), &repository.serve());
     let model = registry.open(&registry.find("org/tiny/tiny-f32.gguf").unwrap()).unwrap();
-    let answer = |model: &dyn Mllm| model.converse(&opening(), 0).unwrap().ask(FIRST, &free(8)).unwrap().text;
+    let answer = |model: &dyn Mllm| model.converse(&prefix(), 0).unwrap().ask(FIRST, &free(8)).unwrap().text;
     assert_eq!(answer(&*model), answer(&super::open()));
     let mut sent = repository.sent.lock().unwrap().clone();
     sent.sort();

@@ -5,10 +5,10 @@ use planagent::internals::mllm::{LocalModel, Mllm};
 use safetensors::Dtype;
 use serde_json::json;
 
-use super::{Copy, FIRST, Tensors, free, open, opening};
+use super::{Copy, FIRST, Tensors, free, open, prefix};
 
 fn answer(model: &LocalModel) -> String {
-    model.converse(&opening(), 0).unwrap().ask(FIRST, &free(12)).unwrap().text
+    model.converse(&prefix(), 0).unwrap().ask(FIRST, &free(12)).unwrap().text
 }
 
 fn assert_same(copy: &Copy) {

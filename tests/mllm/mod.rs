@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use planagent::internals::mllm::{Constraint, Deadline, LocalModel, MllmError, Opening, Request, Sampling};
+use planagent::internals::mllm::{Constraint, Deadline, LocalModel, MllmError, PromptPrefix, Request, Sampling};
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -39,8 +39,8 @@ fn picture() -> RgbImage {
 }
 
 /// The opening of the reference chat.
-fn opening() -> Opening {
-    Opening { system: "Drive safely.".into(), image: Some(picture()) }
+fn prefix() -> PromptPrefix {
+    PromptPrefix { system: "Drive safely.".into(), image: Some(picture()) }
 }
 
 /// The first prompt of the reference chat.

@@ -48,7 +48,7 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
         iterations: flags.iterations,
         threads: rayon::current_num_threads(),
         seed: config.seed,
-        storage: config.mllm.quantize,
+        weight_format: config.mllm.quantize,
         versus: llama_cpp(flags),
     };
     let program =
@@ -140,10 +140,10 @@ fn as_gguf(
     if let ModelPlace::Gguf { model, mmproj: Some(mmproj) } = &place {
         return Ok(pair(model, mmproj));
     }
-    let Some(storage) = config.mllm.quantize else {
+    let Some(weight_format) = config.mllm.quantize else {
         bail!("--vs needs --quantize, or GGUF files with their mmproj named: both engines must read the same files");
     };
-    let decoder = folder.join(format!("{}-{storage}-seed-{}.gguf", candidate.name, config.seed));
+    let decoder = folder.join(format!("{}-{weight_format}-seed-{}.gguf", candidate.name, config.seed));
     let projector = GgufPart::Tower.path(&decoder);
     if !decoder.is_file() || !projector.is_file() {
         printer.note(format!("{}: writing it as {}", candidate.name, decoder.display()));

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 pub struct CallBudget {
     /// The system prompt with what the chat template puts around it. Where it stands before the image it is computed once
     /// for all calls, else in every call.
-    pub opening: usize,
+    pub prefix: usize,
     /// The lane-graph text.
     pub scene: usize,
     /// What a refused planner was refused for, in the first prompt of a later attempt.
@@ -48,7 +48,7 @@ pub struct AnswerPart {
 #[serde(rename_all = "snake_case")]
 pub enum Layout {
     /// Before the image (the LLaVA families).
-    OpeningFirst,
+    PrefixFirst,
     /// Behind the image (`CogVLM`).
     ImageFirst,
 }
@@ -59,7 +59,7 @@ impl CallBudget {
         let part = |(forced, free)| AnswerPart { forced, free };
         match prompts {
             PromptSet::Paper => Self {
-                opening: 665,
+                prefix: 665,
                 scene: 89,
                 feedback: 126,
                 rounds: vec![
@@ -73,7 +73,7 @@ impl CallBudget {
                 rethinks: 1,
             },
             PromptSet::Compact => Self {
-                opening: 3,
+                prefix: 3,
                 scene: 47,
                 feedback: 16,
                 rounds: vec![
@@ -90,9 +90,9 @@ impl CallBudget {
     }
 
     /// What must be done once before the first call.
-    pub fn opening_steps(&self, layout: Layout) -> Vec<Step> {
+    pub fn prefix_steps(&self, layout: Layout) -> Vec<Step> {
         match layout {
-            Layout::OpeningFirst => vec![Step::Keep(0), Step::Text(self.opening), Step::Compute],
+            Layout::PrefixFirst => vec![Step::Keep(0), Step::Text(self.prefix), Step::Compute],
             Layout::ImageFirst => vec![Step::Keep(0)],
         }
     }
@@ -100,14 +100,14 @@ impl CallBudget {
     /// The steps of a call, for a model whose image becomes `image` tokens.
     pub fn call_steps(&self, layout: Layout, image: usize) -> Vec<Step> {
         let mut steps = match layout {
-            Layout::OpeningFirst => vec![Step::Keep(self.opening), Step::Encode, Step::Image],
-            Layout::ImageFirst => vec![Step::Keep(0), Step::Encode, Step::Image, Step::Text(self.opening)],
+            Layout::PrefixFirst => vec![Step::Keep(self.prefix), Step::Encode, Step::Image],
+            Layout::ImageFirst => vec![Step::Keep(0), Step::Encode, Step::Image, Step::Text(self.prefix)],
         };
         steps.push(Step::Text(self.scene));
         self.add_rounds(&mut steps);
         for _ in 0..self.rethinks {
             // The chats of two attempts agree up to the end of the lane-graph text.
-            steps.extend([Step::Keep(self.opening + image + self.scene), Step::Text(self.feedback)]);
+            steps.extend([Step::Keep(self.prefix + image + self.scene), Step::Text(self.feedback)]);
             self.add_rounds(&mut steps);
         }
         steps
@@ -126,14 +126,14 @@ impl CallBudget {
     /// Text tokens of the prompts of a call, what is computed in it or stays computed.
     pub fn prompt_tokens(&self) -> usize {
         let questions: usize = self.rounds.iter().map(|round| round.question).sum();
-        self.opening + self.scene + questions + self.rethinks * (self.feedback + questions)
+        self.prefix + self.scene + questions + self.rethinks * (self.feedback + questions)
     }
 
     /// Most tokens that the sequence holds at once, those of the image apart.
     pub fn longest(&self) -> usize {
         let answer = |round: &RoundBudget| round.answer.iter().map(|part| part.forced + part.free).sum::<usize>();
         let rounds: usize = self.rounds.iter().map(|round| round.question + answer(round)).sum();
-        self.opening + self.scene + rounds + if self.rethinks > 0 { self.feedback } else { 0 }
+        self.prefix + self.scene + rounds + if self.rethinks > 0 { self.feedback } else { 0 }
     }
 }
 
@@ -143,12 +143,12 @@ mod tests {
 
     fn small() -> CallBudget {
         let round = |question, forced, free| RoundBudget { question, answer: vec![AnswerPart { forced, free }] };
-        CallBudget { opening: 7, scene: 5, feedback: 3, rounds: vec![round(2, 0, 4), round(1, 6, 8)], rethinks: 1 }
+        CallBudget { prefix: 7, scene: 5, feedback: 3, rounds: vec![round(2, 0, 4), round(1, 6, 8)], rethinks: 1 }
     }
 
     #[test]
     fn a_rethink_keeps_what_two_attempts_have_in_common() {
-        let steps = small().call_steps(Layout::OpeningFirst, 16);
+        let steps = small().call_steps(Layout::PrefixFirst, 16);
         let rounds = [Step::Text(2), Step::Free(4), Step::Text(1), Step::Forced(6), Step::Free(8)];
         let first = [Step::Keep(7), Step::Encode, Step::Image, Step::Text(5)];
         let again = [Step::Keep(7 + 16 + 5), Step::Text(3)];
@@ -162,7 +162,7 @@ mod tests {
     fn tokens_are_counted_as_the_steps_append_them() {
         for budget in [small(), CallBudget::of(PromptSet::Paper), CallBudget::of(PromptSet::Compact)] {
             let (mut length, mut longest, mut prompt) = (0, 0, 0);
-            let steps = [budget.opening_steps(Layout::OpeningFirst), budget.call_steps(Layout::OpeningFirst, 0)];
+            let steps = [budget.prefix_steps(Layout::PrefixFirst), budget.call_steps(Layout::PrefixFirst, 0)];
             for step in steps.concat() {
                 match step {
                     Step::Keep(tokens) => length = tokens.min(length),

@@ -131,7 +131,7 @@ class Model:
         self.api.llama_model_desc(self.model, name, len(name))
         return {
             "parameters": self.api.llama_model_n_params(self.model),
-            "storage": name.value.decode(errors="replace"),
+            "weight_format": name.value.decode(errors="replace"),
             "image_side": self.side,
             "image_tokens": self.image_tokens,
             "context": self.api.llama_n_ctx(self.context),

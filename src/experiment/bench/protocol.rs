@@ -1,7 +1,7 @@
 //! What a measuring process is asked and what it answers: a line of JSON each.
 
 use super::budget::Layout;
-use crate::mllm::{Step, StepTime, Storage};
+use crate::mllm::{Step, StepTime, WeightFormat};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ pub struct LoadRequest {
     /// Which.
     pub model: ModelChoice,
     /// How its matrices are to be held; none for as they are.
-    pub storage: Option<Storage>,
+    pub weight_format: Option<WeightFormat>,
     /// Threads to compute with.
     pub threads: usize,
     /// What the other engine measures with; none for the model's own.
@@ -81,7 +81,7 @@ pub struct Loaded {
     /// Number of weights.
     pub parameters: u64,
     /// How most of them are held.
-    pub storage: String,
+    pub weight_format: String,
     /// Side of the square image that it is shown, pixels.
     pub image_side: u32,
     /// Tokens that the image becomes.

@@ -6,7 +6,7 @@ use super::llama_cpp::LlamaCpp;
 use super::protocol::{Like, LoadRequest, Loaded, ModelChoice};
 use super::row::{FailedRow, IterationRow, ModelRow, Row, TimedStep};
 use super::workload::{DEPTHS, Workload};
-use crate::mllm::{PromptSet, Storage};
+use crate::mllm::{PromptSet, WeightFormat};
 use std::process::Command;
 
 /// A model that is to be measured.
@@ -32,7 +32,7 @@ pub struct BenchSettings {
     /// Seed of weights and words.
     pub seed: u64,
     /// How matrices are stored; none for as they are.
-    pub storage: Option<Storage>,
+    pub weight_format: Option<WeightFormat>,
     /// How llama.cpp is run that is compared with, if it is; then all models must be GGUF files.
     pub versus: Option<LlamaCpp>,
 }
@@ -97,7 +97,7 @@ impl Bench<'_> {
                 let mut theirs = self.load(theirs, Some(Like { context, image_side }))?;
                 // llama.cpp tells these of the decoder alone; the files are the same.
                 theirs.loaded.parameters = ours.loaded.parameters;
-                theirs.loaded.storage.clone_from(&ours.loaded.storage);
+                theirs.loaded.weight_format.clone_from(&ours.loaded.weight_format);
                 engines.extend([ours, theirs]);
                 workloads.splice(0..0, DEPTHS.map(Workload::Depth));
             }
@@ -129,9 +129,9 @@ impl Bench<'_> {
 
     fn load(&self, mut engine: Engine, like: Option<Like>) -> Result<Ready, EngineError> {
         (self.progress)(Progress::Loading(engine.name(), self.candidate));
-        let BenchSettings { storage, threads, seed, .. } = *self.settings;
+        let BenchSettings { weight_format, threads, seed, .. } = *self.settings;
         let model = self.candidate.model.clone();
-        let loaded = engine.load(LoadRequest { model, storage, threads, like, seed })?;
+        let loaded = engine.load(LoadRequest { model, weight_format, threads, like, seed })?;
         Ok(Ready { engine, loaded })
     }
 

@@ -41,7 +41,7 @@ fn answer(registry: &ModelRegistry, probe: &mut Option<LatencyProbe>, request: R
 
 fn load(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, LatencyProbe), MllmError> {
     let start = Instant::now();
-    let registry = registry.clone().with_quantize(request.storage);
+    let registry = registry.clone().with_quantize(request.weight_format);
     let (place, loading) = match &request.model {
         ModelChoice::Named(name) => {
             let spec = registry.find(name)?;
@@ -60,13 +60,13 @@ fn load(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, Late
     let load_s = start.elapsed().as_secs_f64();
     let about = probe.describe()?;
     let layout = match about.architecture {
-        Architecture::Llava | Architecture::LlavaNext => Layout::OpeningFirst,
+        Architecture::Llava | Architecture::LlavaNext => Layout::PrefixFirst,
         Architecture::CogVlm => Layout::ImageFirst,
     };
     let version = env!("CARGO_PKG_VERSION").to_owned();
     let loaded = Loaded {
         parameters: about.parameters,
-        storage: about.storage.to_string(),
+        weight_format: about.weight_format.to_string(),
         image_side: about.image_side,
         image_tokens: about.image_tokens,
         context: about.context,

@@ -29,7 +29,7 @@ impl Workload {
     /// What must be done once, before the first time and whenever another workload came between.
     pub fn first_steps(&self, layout: Layout) -> Vec<Step> {
         match self {
-            Self::Call(budget) => budget.opening_steps(layout),
+            Self::Call(budget) => budget.prefix_steps(layout),
             Self::Depth(_) => Vec::new(),
         }
     }

@@ -3,8 +3,8 @@
 use candle_core::quantized::GgmlDType;
 use serde::{Deserialize, Serialize};
 
-use super::storage_plan::{PlannedStorage, held_as};
-use crate::mllm::matrix::Storage;
+use super::weight_format_plan::{PlannedFormat, held_as};
+use crate::mllm::matrix::WeightFormat;
 
 /// How the weights of a model are held in memory.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -12,20 +12,20 @@ use crate::mllm::matrix::Storage;
 pub struct LoadReport {
     /// The storage that was asked for (`mllm.quantize`); none to hold what the files hold.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub quantize: Option<Storage>,
+    pub quantize: Option<WeightFormat>,
     /// Tensors and bytes of each storage that is used.
-    pub storages: Vec<StorageShare>,
+    pub weight_formats: Vec<WeightFormatShare>,
     /// Tensors that are not held as was asked for, or as their file holds them.
-    pub exceptions: Vec<StorageException>,
+    pub exceptions: Vec<WeightFormatException>,
     /// What a user should know of the files.
     pub notes: Vec<String>,
 }
 
 /// The tensors that are held alike.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct StorageShare {
+pub struct WeightFormatShare {
     /// How.
-    pub storage: Storage,
+    pub weight_format: WeightFormat,
     /// How many.
     pub tensors: usize,
     /// Their bytes in memory.
@@ -34,7 +34,7 @@ pub struct StorageShare {
 
 /// Tensors of all layers that are not held as was asked for.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct StorageException {
+pub struct WeightFormatException {
     /// Their name, the number of the layer as `*`.
     pub name: String,
     /// How many they are.
@@ -42,39 +42,43 @@ pub struct StorageException {
     /// Their number format in the file.
     pub file: String,
     /// How they are held.
-    pub storage: Storage,
+    pub weight_format: WeightFormat,
     /// Why.
     pub reason: String,
 }
 
 impl LoadReport {
     /// Adds a matrix.
-    pub(super) fn add_matrix(&mut self, name: &str, format: GgmlDType, planned: PlannedStorage, bytes: u64) {
-        self.add(planned.storage, bytes);
+    pub(super) fn add_matrix(&mut self, name: &str, format: GgmlDType, planned: PlannedFormat, bytes: u64) {
+        self.add(planned.weight_format, bytes);
         let Some(reason) = planned.reason else { return };
         let name = any_layer(name);
-        let file = held_as(format).map_or_else(|| format!("{format:?}").to_lowercase(), |storage| storage.to_string());
-        let same = |known: &&mut StorageException| {
-            known.name == name && known.storage == planned.storage && known.file == file && known.reason == reason
+        let file = held_as(format)
+            .map_or_else(|| format!("{format:?}").to_lowercase(), |weight_format| weight_format.to_string());
+        let same = |known: &&mut WeightFormatException| {
+            known.name == name
+                && known.weight_format == planned.weight_format
+                && known.file == file
+                && known.reason == reason
         };
         if let Some(known) = self.exceptions.iter_mut().find(same) {
             known.tensors += 1;
         } else {
-            let (storage, reason) = (planned.storage, reason.to_string());
-            self.exceptions.push(StorageException { name, tensors: 1, file, storage, reason });
+            let (weight_format, reason) = (planned.weight_format, reason.to_string());
+            self.exceptions.push(WeightFormatException { name, tensors: 1, file, weight_format, reason });
         }
     }
 
     /// Adds a tensor to the count of a storage.
-    pub(super) fn add(&mut self, storage: Storage, bytes: u64) {
-        match self.storages.iter_mut().find(|share| share.storage == storage) {
+    pub(super) fn add(&mut self, weight_format: WeightFormat, bytes: u64) {
+        match self.weight_formats.iter_mut().find(|share| share.weight_format == weight_format) {
             Some(share) => {
                 share.tensors += 1;
                 share.bytes += bytes;
             }
-            None => self.storages.push(StorageShare { storage, tensors: 1, bytes }),
+            None => self.weight_formats.push(WeightFormatShare { weight_format, tensors: 1, bytes }),
         }
-        self.storages.sort_by_key(|share| std::cmp::Reverse(share.bytes));
+        self.weight_formats.sort_by_key(|share| std::cmp::Reverse(share.bytes));
     }
 
     /// Whether it says nothing.
@@ -84,23 +88,25 @@ impl LoadReport {
 
     /// Bytes of all weights in memory.
     pub fn bytes(&self) -> u64 {
-        self.storages.iter().map(|share| share.bytes).sum()
+        self.weight_formats.iter().map(|share| share.bytes).sum()
     }
 
     /// The report as lines for people: storages, then what is held otherwise with the names, then notes.
     pub fn lines(&self) -> Vec<String> {
-        let share =
-            |share: &StorageShare| format!("{}: {} tensors, {}", share.storage, share.tensors, in_bytes(share.bytes));
-        let mut lines: Vec<String> = self.storages.iter().map(share).collect();
-        let mut told: Vec<(Storage, &str, &str)> = Vec::new();
-        for StorageException { file, storage, reason, .. } in &self.exceptions {
-            let kind = (*storage, file.as_str(), reason.as_str());
+        let share = |share: &WeightFormatShare| {
+            format!("{}: {} tensors, {}", share.weight_format, share.tensors, in_bytes(share.bytes))
+        };
+        let mut lines: Vec<String> = self.weight_formats.iter().map(share).collect();
+        let mut told: Vec<(WeightFormat, &str, &str)> = Vec::new();
+        for WeightFormatException { file, weight_format, reason, .. } in &self.exceptions {
+            let kind = (*weight_format, file.as_str(), reason.as_str());
             if told.contains(&kind) {
                 continue;
             }
             told.push(kind);
-            let alike = self.exceptions.iter().filter(|other| (other.storage, &*other.file, &*other.reason) == kind);
-            lines.push(format!("{file} held in {storage}: {reason}"));
+            let alike =
+                self.exceptions.iter().filter(|other| (other.weight_format, &*other.file, &*other.reason) == kind);
+            lines.push(format!("{file} held in {weight_format}: {reason}"));
             lines.extend(alike.map(|exception| format!("  {} ({})", exception.name, exception.tensors)));
         }
         lines.extend(self.notes.iter().cloned());
@@ -128,11 +134,11 @@ mod tests {
     #[test]
     fn tensors_of_all_layers_are_one_line() {
         let mut report = LoadReport::default();
-        let planned = PlannedStorage { storage: Storage::Q8_0, reason: Some("because") };
+        let planned = PlannedFormat { weight_format: WeightFormat::Q8_0, reason: Some("because") };
         for layer in 0..3 {
             report.add_matrix(&format!("layers.{layer}.up.weight"), GgmlDType::F16, planned, 34);
         }
-        report.add(Storage::F32, 400);
+        report.add(WeightFormat::F32, 400);
         assert_eq!(
             report.lines(),
             [

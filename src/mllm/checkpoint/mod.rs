@@ -8,9 +8,9 @@ mod random;
 mod row_order;
 mod safetensors_folder;
 mod section;
-mod storage_plan;
 mod vision_config;
 mod weight_file;
+mod weight_format_plan;
 mod weights;
 
 use std::path::{Path, PathBuf};
@@ -21,15 +21,15 @@ pub(crate) use activation::Activation;
 pub(crate) use files::ModelFiles;
 pub(crate) use llama_config::{LlamaConfig, Rope, RopeScaling};
 pub(crate) use load_report::in_bytes;
-pub use load_report::{LoadReport, StorageException, StorageShare};
+pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
 pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use section::Section;
-pub(crate) use storage_plan::{FileKind, StoragePlan, is_matrix};
 pub(crate) use vision_config::{CLIP_BASE, LLAVA_TOWER, VisionConfig};
 pub(crate) use weight_file::{TensorPlace, WeightFile};
+pub(crate) use weight_format_plan::{FileKind, WeightFormatPlan, is_matrix};
 pub(crate) use weights::Weights;
 
-use super::matrix::Storage;
+use super::matrix::WeightFormat;
 use super::{MllmError, ModelShape, gguf};
 
 /// Reads a file as text.
@@ -54,7 +54,7 @@ pub enum ModelPlace {
         /// The vision tower; none if it is in the same file, or for the one that lies beside it.
         mmproj: Option<PathBuf>,
     },
-    /// Random weights in the shape of a known model; [`RANDOM_STORAGE`] unless another storage is asked for.
+    /// Random weights in the shape of a known model; [`DEFAULT_RANDOM_FORMAT`] unless another storage is asked for.
     Random {
         /// The shape.
         shape: &'static ModelShape,
@@ -64,7 +64,7 @@ pub enum ModelPlace {
 }
 
 /// Storage of random weights unless told otherwise: that of the weights that are published.
-const RANDOM_STORAGE: Storage = Storage::F16;
+const DEFAULT_RANDOM_FORMAT: WeightFormat = WeightFormat::F16;
 
 impl ModelPlace {
     /// The folder, or the file of the decoder; of random weights the name of their shape.
@@ -116,11 +116,11 @@ impl Checkpoint {
     ///
     /// # Errors
     /// When a file is missing or broken.
-    pub(crate) fn open(place: &ModelPlace, quantize: Option<Storage>) -> Result<Self, MllmError> {
+    pub(crate) fn open(place: &ModelPlace, quantize: Option<WeightFormat>) -> Result<Self, MllmError> {
         match place {
             ModelPlace::Gguf { model, mmproj } => gguf::open(model, mmproj.as_deref(), quantize),
             ModelPlace::Random { shape, seed } => {
-                Self::random(shape.files()?, quantize.unwrap_or(RANDOM_STORAGE), *seed)
+                Self::random(shape.files()?, quantize.unwrap_or(DEFAULT_RANDOM_FORMAT), *seed)
             }
             ModelPlace::Folder(folder) => {
                 let files = ModelFiles::folder(folder)?;

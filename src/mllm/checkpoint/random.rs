@@ -7,11 +7,13 @@ use candle_core::quantized::GgmlDType;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use super::storage_plan::held_as;
-use super::{Checkpoint, FileKind, ModelFiles, RowOrder, StoragePlan, TensorPlace, WeightFile, Weights, is_matrix};
+use super::weight_format_plan::held_as;
+use super::{
+    Checkpoint, FileKind, ModelFiles, RowOrder, TensorPlace, WeightFile, WeightFormatPlan, Weights, is_matrix,
+};
 use crate::mllm::MllmError;
 use crate::mllm::local::Architecture;
-use crate::mllm::matrix::{Matrix, Storage};
+use crate::mllm::matrix::{Matrix, WeightFormat};
 
 /// Rows that the matrices of one width and storage are composed of.
 const POOL: usize = 256;
@@ -41,13 +43,13 @@ impl RandomTensors {
     }
 
     /// Stored rows of one width, made when they are first asked for.
-    fn pool(&self, storage: Storage, inputs: usize) -> Result<Arc<Vec<u8>>, MllmError> {
+    fn pool(&self, weight_format: WeightFormat, inputs: usize) -> Result<Arc<Vec<u8>>, MllmError> {
         let mut pools = self.pools.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(pool) = pools.get(&(storage.name(), inputs)) {
+        if let Some(pool) = pools.get(&(weight_format.name(), inputs)) {
             return Ok(Arc::clone(pool));
         }
-        let pool = Arc::new(pool(storage, inputs, self.seed)?);
-        pools.insert((storage.name(), inputs), Arc::clone(&pool));
+        let pool = Arc::new(pool(weight_format, inputs, self.seed)?);
+        pools.insert((weight_format.name(), inputs), Arc::clone(&pool));
         Ok(pool)
     }
 
@@ -57,10 +59,10 @@ impl RandomTensors {
     /// When its format is none of ours.
     pub(super) fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
         let mut random = Pcg64Mcg::seed_from_u64(self.seed ^ place.begin);
-        let storage = held_as(place.format).unwrap_or_default();
+        let weight_format = held_as(place.format).unwrap_or_default();
         match place.shape.as_slice() {
-            &[outputs, inputs] if outputs > POOL || storage != Storage::F32 => {
-                let pool = self.pool(storage, inputs)?;
+            &[outputs, inputs] if outputs > POOL || weight_format != WeightFormat::F32 => {
+                let pool = self.pool(weight_format, inputs)?;
                 let width = pool.len() / POOL;
                 let mut bytes = Vec::with_capacity(outputs * width);
                 for _ in 0..outputs {
@@ -78,12 +80,14 @@ impl RandomTensors {
 }
 
 /// Stored rows that keep the variance of what is multiplied with them.
-fn pool(storage: Storage, inputs: usize, seed: u64) -> Result<Vec<u8>, MllmError> {
+fn pool(weight_format: WeightFormat, inputs: usize, seed: u64) -> Result<Vec<u8>, MllmError> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let range = (3.0 / inputs as f32).sqrt();
     let values: Vec<f32> = values(&mut random, POOL * inputs, range).collect();
     let mut bytes = Vec::new();
-    Matrix::quantize(&values, POOL, inputs, storage)?.write_blocks(&mut bytes).map_err(candle_core::Error::from)?;
+    Matrix::quantize(&values, POOL, inputs, weight_format)?
+        .write_blocks(&mut bytes)
+        .map_err(candle_core::Error::from)?;
     Ok(bytes)
 }
 
@@ -92,12 +96,12 @@ fn values(random: &mut Pcg64Mcg, count: usize, range: f32) -> impl Iterator<Item
 }
 
 impl Checkpoint {
-    /// A checkpoint of the model that these files describe, with random weights held in `storage`.
+    /// A checkpoint of the model that these files describe, with random weights held in `weight_format`.
     ///
     /// # Errors
     /// When the files are broken.
-    pub(crate) fn random(files: ModelFiles, storage: Storage, seed: u64) -> Result<Self, MllmError> {
-        let plan = StoragePlan { quantize: Some(storage), kind: FileKind::Gguf, tied: false };
+    pub(crate) fn random(files: ModelFiles, weight_format: WeightFormat, seed: u64) -> Result<Self, MllmError> {
+        let plan = WeightFormatPlan { quantize: Some(weight_format), kind: FileKind::Gguf, tied: false };
         let mut asked = Self { weights: Weights::empty(files.place(), plan), files };
         asked.weights.only_list();
         Architecture::of(&asked.files)?.open(&mut asked)?;
@@ -107,15 +111,15 @@ impl Checkpoint {
         let file = weights.add_file(WeightFile::random(files.place(), RandomTensors::new(seed)));
         let mut begin = 0;
         for (name, shape) in asked.listed() {
-            let storage = match shape.as_slice() {
+            let weight_format = match shape.as_slice() {
                 [_, inputs] if is_matrix(name, shape) => {
-                    StoragePlan { tied, ..plan }.matrix(name, GgmlDType::F32, *inputs).storage
+                    WeightFormatPlan { tied, ..plan }.matrix(name, GgmlDType::F32, *inputs).weight_format
                 }
-                _ => Storage::F32,
+                _ => WeightFormat::F32,
             };
             let elements: usize = shape.iter().product();
-            let bytes = (elements / storage.block() * storage.block_bytes()) as u64;
-            let place = TensorPlace { format: storage.ggml(), shape: shape.clone(), begin, bytes };
+            let bytes = (elements / weight_format.block() * weight_format.block_bytes()) as u64;
+            let place = TensorPlace { format: weight_format.ggml(), shape: shape.clone(), begin, bytes };
             weights.add(name.clone(), file, name.clone(), place, RowOrder::Plain)?;
             begin += bytes;
         }
@@ -130,19 +134,19 @@ mod tests {
 
     #[test]
     fn a_seed_gives_the_same_finite_numbers_in_every_storage() {
-        for storage in Storage::ALL {
+        for weight_format in WeightFormat::ALL {
             let shape = vec![POOL + 40, 512];
             let bytes = |seed, begin| {
-                let place = TensorPlace { format: storage.ggml(), shape: shape.clone(), begin, bytes: 0 };
+                let place = TensorPlace { format: weight_format.ggml(), shape: shape.clone(), begin, bytes: 0 };
                 RandomTensors::new(seed).bytes(&place).unwrap()
             };
-            assert_eq!(bytes(1, 0).len(), storage.matrix_bytes(POOL + 40, 512).unwrap());
+            assert_eq!(bytes(1, 0).len(), weight_format.matrix_bytes(POOL + 40, 512).unwrap());
             assert_eq!(bytes(1, 7), bytes(1, 7));
             assert_ne!(bytes(1, 0), bytes(2, 0));
             assert_ne!(bytes(1, 0), bytes(1, 7));
-            let values = widen(storage.ggml(), bytes(1, 0)).unwrap();
+            let values = widen(weight_format.ggml(), bytes(1, 0)).unwrap();
             let variance = values.iter().map(|value| value * value).sum::<f32>() / values.len() as f32;
-            assert!((variance * 512.0 - 1.0).abs() < 0.1, "{storage}: {variance}");
+            assert!((variance * 512.0 - 1.0).abs() < 0.1, "{weight_format}: {variance}");
         }
     }
 }

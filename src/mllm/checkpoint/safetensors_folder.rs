@@ -11,11 +11,11 @@ use serde_json::Value;
 use super::read_json;
 use super::row_order::RowOrder;
 use super::section::Section;
-use super::storage_plan::StoragePlan;
 use super::weight_file::{TensorPlace, WeightFile};
+use super::weight_format_plan::WeightFormatPlan;
 use super::weights::Weights;
 use crate::mllm::MllmError;
-use crate::mllm::matrix::Storage;
+use crate::mllm::matrix::WeightFormat;
 
 /// The file of a checkpoint that is not sharded.
 const WEIGHTS: &str = "model.safetensors";
@@ -30,8 +30,8 @@ const LENGTH: u64 = 8;
 ///
 /// # Errors
 /// When a file is missing or broken, or a tensor has an unknown number format.
-pub(super) fn open(folder: &Path, quantize: Option<Storage>) -> Result<Weights, MllmError> {
-    let mut weights = Weights::empty(folder, StoragePlan { quantize, ..StoragePlan::default() });
+pub(super) fn open(folder: &Path, quantize: Option<WeightFormat>) -> Result<Weights, MllmError> {
+    let mut weights = Weights::empty(folder, WeightFormatPlan { quantize, ..WeightFormatPlan::default() });
     for path in weight_files(folder)? {
         let file = WeightFile::open(&path)?;
         let tensors = read_header(&path, &mut file.reader()?, file.len())?;

@@ -9,13 +9,13 @@ use half::f16;
 
 use super::load_report::LoadReport;
 use super::row_order::{RowOrder, unpaired};
-use super::storage_plan::{StoragePlan, held_as, is_matrix};
 use super::weight_file::{TensorPlace, WeightFile, widen};
+use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
 use crate::mllm::MllmError;
-use crate::mllm::matrix::{Matrix, Storage};
+use crate::mllm::matrix::{Matrix, WeightFormat};
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite and held as
-/// the [`StoragePlan`] says, so that there is never more than one tensor twice in memory.
+/// the [`WeightFormatPlan`] says, so that there is never more than one tensor twice in memory.
 ///
 /// Canonical are the names that transformers 5 writes, without the `model.` prefixes. Of a LLaVA: `vision_tower.*`,
 /// `multi_modal_projector.*`, `image_newline`, `language_model.*` (embedding, layers, norm) and `lm_head.weight`; of a
@@ -25,7 +25,7 @@ pub(crate) struct Weights {
     place: PathBuf,
     files: Vec<WeightFile>,
     tensors: BTreeMap<String, StoredTensor>,
-    plan: StoragePlan,
+    plan: WeightFormatPlan,
     report: LoadReport,
     blake3: String,
     taking: Taking,
@@ -46,9 +46,9 @@ enum Taking {
 }
 
 /// Tensors that may be missing before looking for more is given up.
-const MOST_PROBLEMS: usize = 1000;
+const MAX_PROBLEMS: usize = 1000;
 /// Numbers of a missing tensor from which on looking for more is given up: the configuration is broken.
-const LARGEST_STAND_IN: usize = 1 << 30;
+const MAX_STAND_IN: usize = 1 << 30;
 
 /// A tensor that was not taken yet.
 #[derive(Debug)]
@@ -63,12 +63,12 @@ struct StoredTensor {
 
 impl Weights {
     /// Weights without a tensor. `place` is what messages call them.
-    pub(crate) fn empty(place: &Path, plan: StoragePlan) -> Self {
+    pub(crate) fn empty(place: &Path, plan: WeightFormatPlan) -> Self {
         Self {
             place: place.to_path_buf(),
             files: Vec::new(),
             tensors: BTreeMap::new(),
-            plan: StoragePlan { tied: true, ..plan },
+            plan: WeightFormatPlan { tied: true, ..plan },
             report: LoadReport { quantize: plan.quantize, ..LoadReport::default() },
             blake3: String::new(),
             taking: Taking::Read,
@@ -185,10 +185,10 @@ impl Weights {
             return Ok(false);
         }
         let elements = shape.iter().try_fold(1, |product: usize, side| product.checked_mul(*side));
-        let small = elements.is_some_and(|elements| elements < LARGEST_STAND_IN);
+        let small = elements.is_some_and(|elements| elements < MAX_STAND_IN);
         let found = self.remove(name, shape).map(|_| true);
         match (&mut self.taking, found) {
-            (Taking::Look(problems), Err(problem)) if small && problems.len() < MOST_PROBLEMS => {
+            (Taking::Look(problems), Err(problem)) if small && problems.len() < MAX_PROBLEMS => {
                 problems.push(problem);
                 Ok(true)
             }
@@ -197,27 +197,27 @@ impl Weights {
     }
 
     /// How a tensor that is left will be held.
-    pub(crate) fn storage_of(&self, name: &str) -> Option<Storage> {
+    pub(crate) fn weight_format_of(&self, name: &str) -> Option<WeightFormat> {
         let TensorPlace { format, shape, .. } = &self.tensors.get(name)?.place;
         match shape.as_slice() {
-            [_, inputs] if is_matrix(name, shape) => Some(self.plan.matrix(name, *format, *inputs).storage),
-            _ => Some(Storage::F32),
+            [_, inputs] if is_matrix(name, shape) => Some(self.plan.matrix(name, *format, *inputs).weight_format),
+            _ => Some(WeightFormat::F32),
         }
     }
 
     /// What the report will say when all that is left has been taken, with another storage asked for.
-    pub(crate) fn forecast(&self, quantize: Option<Storage>) -> LoadReport {
-        let plan = StoragePlan { quantize, ..self.plan };
+    pub(crate) fn forecast(&self, quantize: Option<WeightFormat>) -> LoadReport {
+        let plan = WeightFormatPlan { quantize, ..self.plan };
         let mut report = LoadReport { quantize, ..LoadReport::default() };
         for (name, stored) in &self.tensors {
             let TensorPlace { format, shape, .. } = &stored.place;
             match shape.as_slice() {
                 [outputs, inputs] if is_matrix(name, shape) => {
                     let planned = plan.matrix(name, *format, *inputs);
-                    let bytes = planned.storage.matrix_bytes(*outputs, *inputs).unwrap_or(usize::MAX);
+                    let bytes = planned.weight_format.matrix_bytes(*outputs, *inputs).unwrap_or(usize::MAX);
                     report.add_matrix(name, *format, planned, bytes as u64);
                 }
-                _ => report.add(Storage::F32, f32_bytes(shape)),
+                _ => report.add(WeightFormat::F32, f32_bytes(shape)),
             }
         }
         report
@@ -228,7 +228,7 @@ impl Weights {
     /// # Errors
     /// When it is missing, has another shape, cannot be read or is not finite.
     pub(crate) fn take(&mut self, name: &str, shape: &[usize]) -> Result<Tensor, MllmError> {
-        self.report.add(Storage::F32, f32_bytes(shape));
+        self.report.add(WeightFormat::F32, f32_bytes(shape));
         #[cfg(test)]
         if let Taking::Invent(random) = &mut self.taking {
             let count = shape.iter().product();
@@ -254,17 +254,17 @@ impl Weights {
         }
         let [outputs, inputs] = shape;
         if self.looked(name, &shape)? {
-            return Ok(Matrix::quantize(&vec![0.0; inputs], 1, inputs, Storage::F32)?);
+            return Ok(Matrix::quantize(&vec![0.0; inputs], 1, inputs, WeightFormat::F32)?);
         }
         let stored = self.remove(name, &shape)?;
         let format = stored.place.format;
         let planned = self.plan.matrix(name, format, inputs);
-        let matrix = if held_as(format) == Some(planned.storage) {
+        let matrix = if held_as(format) == Some(planned.weight_format) {
             let bytes = self.bytes(&stored)?;
             self.check_blocks(&stored, &bytes)?;
-            Matrix::from_blocks(planned.storage, outputs, inputs, &bytes)?
+            Matrix::from_blocks(planned.weight_format, outputs, inputs, &bytes)?
         } else {
-            Matrix::quantize(&self.values(&stored)?, outputs, inputs, planned.storage)?
+            Matrix::quantize(&self.values(&stored)?, outputs, inputs, planned.weight_format)?
         };
         self.report.add_matrix(name, format, planned, matrix.bytes() as u64);
         Ok(matrix)
@@ -347,8 +347,8 @@ fn f32_bytes(shape: &[usize]) -> u64 {
 #[cfg(test)]
 impl Weights {
     /// Weights that hold whatever is asked for, at random.
-    pub(crate) fn invented(seed: u64) -> Self {
+    pub(crate) fn random(seed: u64) -> Self {
         let random = rand::SeedableRng::seed_from_u64(seed);
-        Self { taking: Taking::Invent(random), ..Self::empty(Path::new(""), StoragePlan::default()) }
+        Self { taking: Taking::Invent(random), ..Self::empty(Path::new(""), WeightFormatPlan::default()) }
     }
 }

@@ -23,7 +23,7 @@ use vision::EvaVisionTower;
 use super::MllmError;
 use super::checkpoint::{Checkpoint, ModelFiles, Weights};
 use super::decoder::{Decoder, DecoderInput, KvCache, Logits};
-use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
+use super::local::{Architecture, ChatFormat, InputEmbeddings, ModelInfo, VisionLanguageModel};
 use super::text::ChatTokenizer;
 
 /// A `CogVLM` model. It takes one image, and nothing but the beginning-of-sequence token stands before it.
@@ -33,7 +33,7 @@ pub(crate) struct CogVlm {
     tower: EvaVisionTower,
     adapter: GluAdapter,
     decoder: Decoder<ExpertLayer>,
-    facts: ModelFacts,
+    info: ModelInfo,
 }
 
 impl CogVlm {
@@ -55,18 +55,18 @@ impl CogVlm {
         let tower = EvaVisionTower::take(weights, &config.vision)?;
         let adapter = GluAdapter::take(weights, &config)?;
         let decoder = Decoder::take(weights, &config.text, "", config.tie_word_embeddings)?;
-        let facts = ModelFacts {
+        let info = ModelInfo {
             architecture: Architecture::CogVlm.name(),
             // No token of the vocabulary stands for an image, so the first number behind it does.
             image_token: config.text.vocabulary as u32,
             image_size: config.vision.image_size,
-            most_image_tokens: config.image_tokens(),
+            max_image_tokens: config.image_tokens(),
             vocabulary: config.text.vocabulary,
             positions: config.text.context,
             parameters: (before - weights.elements()) as u64,
             blake3: weights.blake3().to_string(),
         };
-        Ok(Self { config, tower, adapter, decoder, facts })
+        Ok(Self { config, tower, adapter, decoder, info })
     }
 
     /// Encodes pixel values (3, side, side) to (image tokens, decoder width).
@@ -78,27 +78,27 @@ impl CogVlm {
 #[cfg(test)]
 impl CogVlm {
     /// A model of this configuration with random weights.
-    pub(crate) fn invented(config: &serde_json::Value) -> Self {
+    pub(crate) fn random(config: &serde_json::Value) -> Self {
         let config = CogVlmConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
-        Self::take(&mut Weights::invented(7), config).unwrap()
+        Self::take(&mut Weights::random(7), config).unwrap()
     }
 }
 
 impl VisionLanguageModel for CogVlm {
-    fn facts(&self) -> &ModelFacts {
-        &self.facts
+    fn info(&self) -> &ModelInfo {
+        &self.info
     }
 
     fn context(&self, image_tokens: usize) -> usize {
-        self.facts.positions + image_tokens.saturating_sub(IMAGE_POSITIONS)
+        self.info.positions + image_tokens.saturating_sub(IMAGE_POSITIONS)
     }
 
     fn image_tokens(&self, _width: u32, _height: u32) -> Result<usize, MllmError> {
-        Ok(self.facts.most_image_tokens)
+        Ok(self.info.max_image_tokens)
     }
 
     fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
-        Ok(self.encode_pixels(&preprocess::pixel_values(image, self.facts.image_size as u32)?)?)
+        Ok(self.encode_pixels(&preprocess::pixel_values(image, self.info.image_size as u32)?)?)
     }
 
     fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
@@ -106,14 +106,19 @@ impl VisionLanguageModel for CogVlm {
     }
 
     fn new_cache(&self) -> KvCache {
-        self.decoder.new_cache(self.context(self.facts.most_image_tokens))
+        self.decoder.new_cache(self.context(self.info.max_image_tokens))
     }
 
-    fn forward(&self, rows: &PlacedRows, cache: &mut KvCache, wanted: Logits) -> candle_core::Result<Option<Tensor>> {
+    fn forward(
+        &self,
+        rows: &InputEmbeddings,
+        cache: &mut KvCache,
+        wanted: Logits,
+    ) -> candle_core::Result<Option<Tensor>> {
         let tokens = rows.start..rows.start + rows.rows.dim(0)?;
         let positions = positions(tokens.clone(), &rows.image);
-        if let Some(position) = positions.last().filter(|position| **position as usize >= self.facts.positions) {
-            candle_core::bail!("position {position} lies outside the context of {}", self.facts.positions);
+        if let Some(position) = positions.last().filter(|position| **position as usize >= self.info.positions) {
+            candle_core::bail!("position {position} lies outside the context of {}", self.info.positions);
         }
         let vision = vision_rows(&tokens, &rows.image);
         self.decoder.forward(&DecoderInput { rows: rows.rows.clone(), positions, vision }, cache, wanted)
@@ -121,7 +126,7 @@ impl VisionLanguageModel for CogVlm {
 
     fn chat_format(&self, _files: &ModelFiles, _tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
         let format =
-            QuestionFormat { bos: self.config.bos, image_token: self.facts.image_token, style: self.config.style };
+            QuestionFormat { bos: self.config.bos, image_token: self.info.image_token, style: self.config.style };
         Ok(Box::new(format))
     }
 }

@@ -28,7 +28,7 @@ fn references() -> impl Iterator<Item = (PathBuf, Run, CogVlm)> {
     let larger = shared_reference("cogvlm").map(|folder| (folder, "io.safetensors"));
     [tiny, larger].into_iter().flatten().map(|(folder, file)| {
         let model = assembled(&Parts::of(&folder));
-        (folder.clone(), Run::open(&folder.join(file), model.facts.image_token), model)
+        (folder.clone(), Run::open(&folder.join(file), model.info.image_token), model)
     })
 }
 
@@ -111,7 +111,7 @@ fn errors_that_are_easily_made_lead_far_away() {
             let model = assembled(&Parts::wrong(&folder, fault));
             Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
         }
-        let image = run.image(right.facts.image_token);
+        let image = run.image(right.info.image_token);
         let own = positions(0..run.ids.len(), &image);
         let placed = |positions, vision| Deviation::of_placed(&run, &right, &right.decoder, positions, vision);
         let vision = image.start..image.end - 1;

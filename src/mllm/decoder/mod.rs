@@ -20,7 +20,7 @@ use super::MllmError;
 use super::attention::{HeadShape, Precision, RotaryTable};
 use super::checkpoint::{LlamaConfig, Weights};
 use super::linear::Linear;
-use super::matrix::{Matrix, Storage};
+use super::matrix::{Matrix, WeightFormat};
 use super::rms_norm::RmsNorm;
 
 /// A decoder with its embedding and output layer.
@@ -79,7 +79,8 @@ impl<L: DecoderLayer> Decoder<L> {
             weights.take_matrix("lm_head.weight", matrix)?
         };
         // Of rounded weights, rounded keys and values cost no further digits that count, and half of the time to read.
-        let precision = if embedding.storage() == Storage::F32 { Precision::Single } else { Precision::Half };
+        let precision =
+            if embedding.weight_format() == WeightFormat::F32 { Precision::Single } else { Precision::Half };
         let layers = (0..config.layers)
             .map(|index| L::take(weights, config, &format!("{prefix}layers.{index}")))
             .collect::<Result<Vec<_>, _>>()?;

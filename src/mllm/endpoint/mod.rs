@@ -14,8 +14,8 @@ pub use settings::{EndpointSettings, GrammarField, LimitField};
 
 use super::sampling::answer_seed;
 use super::{
-    Answer, Conversation, LoadReport, Mark, Mllm, MllmError, ModelDescription, Opening, Request, RoundTime, Server,
-    Turn, milliseconds, prompt_hash,
+    Answer, Conversation, LoadReport, Mark, Mllm, MllmError, ModelDescription, PromptPrefix, Request, RoundTime,
+    Server, Turn, milliseconds, prompt_hash,
 };
 use chat::Chat;
 use client::Client;
@@ -63,11 +63,11 @@ impl Mllm for Endpoint {
         }
     }
 
-    fn converse<'a>(&'a self, opening: &Opening, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
+    fn converse<'a>(&'a self, prefix: &PromptPrefix, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
         Ok(Box::new(EndpointConversation {
             endpoint: self,
-            system: opening.system.clone(),
-            image: opening.image.as_ref().map(chat::data_url).transpose()?,
+            system: prefix.system.clone(),
+            image: prefix.image.as_ref().map(chat::data_url).transpose()?,
             seed,
             answers: 0,
             turns: Vec::new(),

@@ -16,7 +16,7 @@ use crate::mllm::checkpoint::{Checkpoint, LoadReport, ModelFiles, Weights, is_ma
 use crate::mllm::llava::LlavaConfig;
 use crate::mllm::llava_next::LlavaNextConfig;
 use crate::mllm::local::Architecture;
-use crate::mllm::matrix::Storage;
+use crate::mllm::matrix::WeightFormat;
 use crate::mllm::text::special_tokens;
 use crate::mllm::vision::{PixelScale, read_processor};
 
@@ -199,7 +199,7 @@ fn plan_tensors(weights: &Weights, layout: &mut Layout, rename: impl Fn(&str) ->
     let mut canonical = Vec::new();
     for (name, shape) in weights.shapes() {
         if let Some(renamed) = rename(name) {
-            let format = weights.storage_of(name).unwrap_or(Storage::F32).ggml();
+            let format = weights.weight_format_of(name).unwrap_or(WeightFormat::F32).ggml();
             layout.tensors.push(PlannedTensor { name: renamed, format, shape: shape.to_vec() });
             canonical.push(name.to_string());
         }

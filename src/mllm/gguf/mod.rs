@@ -34,10 +34,10 @@ use header::Header;
 
 use super::MllmError;
 use super::checkpoint::{
-    Checkpoint, FileKind, ModelFiles, RowOrder, StoragePlan, TensorPlace, WeightFile, Weights, read_json,
+    Checkpoint, FileKind, ModelFiles, RowOrder, TensorPlace, WeightFile, WeightFormatPlan, Weights, read_json,
 };
 use super::llava::IMAGE_TOKEN_BEYOND;
-use super::matrix::Storage;
+use super::matrix::WeightFormat;
 
 /// Key of a small file of the model, before its name.
 const FILE: &str = "planagent.file.";
@@ -54,14 +54,18 @@ const TEMPLATE: &str = "chat_template.jinja";
 ///
 /// # Errors
 /// When a file is missing, broken, or not of a supported kind.
-pub(crate) fn open(model: &Path, mmproj: Option<&Path>, quantize: Option<Storage>) -> Result<Checkpoint, MllmError> {
+pub(crate) fn open(
+    model: &Path,
+    mmproj: Option<&Path>,
+    quantize: Option<WeightFormat>,
+) -> Result<Checkpoint, MllmError> {
     let (header, file) = open_header(model)?;
     let architecture = header.architecture()?.to_string();
     if header.count("split.count")?.is_some_and(|parts| parts > 1) {
         return Err(header
             .error("split.count", "a model in several files is not read; join them with llama-gguf-split --merge"));
     }
-    let plan = StoragePlan { quantize, kind: FileKind::Gguf, tied: true };
+    let plan = WeightFormatPlan { quantize, kind: FileKind::Gguf, tied: true };
     let mut weights = Weights::empty(model, plan);
     match architecture.as_str() {
         WHOLE_MODEL => {

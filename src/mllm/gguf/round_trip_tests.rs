@@ -17,15 +17,15 @@ use crate::mllm::checkpoint::{Checkpoint, ModelPlace};
 use crate::mllm::decoder::Logits;
 use crate::mllm::local::test_reference::{assert_chat, fixture, synthetic};
 use crate::mllm::local::{Architecture, Loading, LocalModel, Sequence, VisionLanguageModel};
-use crate::mllm::matrix::Storage;
-use crate::mllm::{Constraint, Deadline, Mllm, Opening, Request, Sampling};
+use crate::mllm::matrix::WeightFormat;
+use crate::mllm::{Constraint, Deadline, Mllm, PromptPrefix, Request, Sampling};
 
 /// Writes a model of a folder to `m.gguf` in another.
-fn export(from: &Path, to: &Path, storage: Storage) -> PathBuf {
+fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {
     let model = to.join("m.gguf");
     let mut create =
         |part: GgufPart| -> std::io::Result<Box<dyn Write>> { Ok(Box::new(File::create(part.path(&model))?)) };
-    let loading = Loading { quantize: Some(storage), ..Loading::default() };
+    let loading = Loading { quantize: Some(weight_format), ..Loading::default() };
     let mut written = (0, 1);
     LocalModel::export("tiny", &ModelPlace::Folder(from.to_path_buf()), &loading, &mut create, &mut |bytes, total| {
         assert!(written.0 < bytes);
@@ -77,7 +77,7 @@ fn a_model_from_gguf_computes_what_transformers_computes() {
         ("tiny_cogvlm", &["", "chat_"]),
     ] {
         let folder = tempfile::tempdir().unwrap();
-        let model = export(&fixture(name), folder.path(), Storage::F32);
+        let model = export(&fixture(name), folder.path(), WeightFormat::F32);
         assert_eq!(tower_path(&model).is_file(), name != "tiny_cogvlm");
         copy_reference(&fixture(name), folder.path());
         assert_chat(folder.path(), rounds);
@@ -91,7 +91,7 @@ fn a_model_of_llama_cpp_computes_what_transformers_computes() {
     for name in ["tiny_llava", "tiny_llava_next"] {
         let from = fixture(name);
         let folder = tempfile::tempdir().unwrap();
-        let model = export(&from, folder.path(), Storage::F32);
+        let model = export(&from, folder.path(), WeightFormat::F32);
         edit(&model, |header, _| header.metadata.retain(|key, _| !key.starts_with(FILE)));
         edit(&tower_path(&model), |_, tensors| {
             for tensor in tensors {
@@ -114,7 +114,7 @@ fn a_model_of_llama_cpp_computes_what_transformers_computes() {
 #[test]
 fn a_model_of_llama_cpp_with_its_own_tokenizer_answers() {
     let folder = tempfile::tempdir().unwrap();
-    let path = export(&fixture("tiny_llava"), folder.path(), Storage::Q8_0);
+    let path = export(&fixture("tiny_llava"), folder.path(), WeightFormat::Q8_0);
     edit(&path, |header, _| {
         header.metadata.retain(|key, _| !key.starts_with(FILE) && !key.starts_with("tokenizer."));
         header.metadata.extend(tokenizer_tests::metadata(&tokenizer_tests::small(), 352));
@@ -122,7 +122,7 @@ fn a_model_of_llama_cpp_with_its_own_tokenizer_answers() {
     let place = ModelPlace::Folder(folder.path().to_path_buf());
     let model = LocalModel::load("tiny", &place, &Loading::default()).unwrap();
     let image = synthetic(32, 32);
-    let mut conversation = model.converse(&Opening { system: "keep lane".into(), image: Some(image) }, 0).unwrap();
+    let mut conversation = model.converse(&PromptPrefix { system: "keep lane".into(), image: Some(image) }, 0).unwrap();
     let request =
         |constraint| Request { constraint, max_new_tokens: 8, sampling: Sampling::Greedy, deadline: Deadline::NONE };
     let first = conversation.ask("left?", &request(Constraint::Free)).unwrap().tokens;
@@ -137,7 +137,7 @@ fn a_model_of_llama_cpp_with_its_own_tokenizer_answers() {
 #[test]
 fn rows_in_the_wrong_order_are_noticed() {
     let folder = tempfile::tempdir().unwrap();
-    let model = export(&fixture("tiny_llava"), folder.path(), Storage::F32);
+    let model = export(&fixture("tiny_llava"), folder.path(), WeightFormat::F32);
     let place = ModelPlace::Folder(folder.path().to_path_buf());
     let right = logits(&place, None);
     // The rows of queries as Hugging Face has them, where llama.cpp's are expected.
@@ -154,12 +154,12 @@ fn rows_in_the_wrong_order_are_noticed() {
 }
 
 /// Logits of an image and some tokens.
-fn logits(place: &ModelPlace, quantize: Option<Storage>) -> Vec<f32> {
+fn logits(place: &ModelPlace, quantize: Option<WeightFormat>) -> Vec<f32> {
     let mut checkpoint = Checkpoint::open(place, quantize).unwrap();
     let model = Architecture::of(&checkpoint.files).unwrap().open(&mut checkpoint).unwrap();
     let model: &dyn VisionLanguageModel = &*model;
     let features = model.encode_image(&synthetic(40, 50)).unwrap();
-    let image = model.facts().image_token;
+    let image = model.info().image_token;
     let mut ids = vec![1, 5];
     ids.extend(std::iter::repeat_n(image, features.dims()[0]));
     ids.extend([7, 8, 9]);
@@ -229,21 +229,27 @@ fn widen(config: &mut Json, wide: &impl Fn(u64) -> u64) {
 
 #[test]
 fn a_quantised_model_from_gguf_is_the_same_to_the_bit() {
-    for (name, storages) in
-        [("tiny_llava", &Storage::ALL[..]), ("tiny_llava_next", &[Storage::Q8_0]), ("tiny_cogvlm", &[Storage::Q4K])]
-    {
+    for (name, weight_formats) in [
+        ("tiny_llava", &WeightFormat::ALL[..]),
+        ("tiny_llava_next", &[WeightFormat::Q8_0]),
+        ("tiny_cogvlm", &[WeightFormat::Q4K]),
+    ] {
         let checkpoint = widened(name);
         let from = ModelPlace::Folder(checkpoint.path().to_path_buf());
-        for storage in storages.iter().copied() {
+        for weight_format in weight_formats.iter().copied() {
             let folder = tempfile::tempdir().unwrap();
-            let model = export(checkpoint.path(), folder.path(), storage);
+            let model = export(checkpoint.path(), folder.path(), weight_format);
             let place = ModelPlace::Gguf { model, mmproj: None };
-            let expected = logits(&from, Some(storage));
+            let expected = logits(&from, Some(weight_format));
             assert!(expected.iter().all(|logit| logit.is_finite()));
             let bits = |logits: Vec<f32>| logits.into_iter().map(f32::to_bits).collect::<Vec<_>>();
             let expected = bits(expected);
-            assert_eq!(bits(logits(&place, None)), expected, "{name}, {storage}");
-            assert_eq!(bits(logits(&place, Some(storage))), expected, "{name}, {storage}, asked for once more");
+            assert_eq!(bits(logits(&place, None)), expected, "{name}, {weight_format}");
+            assert_eq!(
+                bits(logits(&place, Some(weight_format))),
+                expected,
+                "{name}, {weight_format}, asked for once more"
+            );
         }
     }
 }
@@ -252,14 +258,20 @@ fn a_quantised_model_from_gguf_is_the_same_to_the_bit() {
 fn the_report_says_what_is_held_how() {
     let checkpoint = widened("tiny_llava");
     let place = ModelPlace::Folder(checkpoint.path().to_path_buf());
-    let mut opened = Checkpoint::open(&place, Some(Storage::Q4K)).unwrap();
-    let forecast = opened.weights.forecast(Some(Storage::Q4K));
+    let mut opened = Checkpoint::open(&place, Some(WeightFormat::Q4K)).unwrap();
+    let forecast = opened.weights.forecast(Some(WeightFormat::Q4K));
     Architecture::Llava.open(&mut opened).unwrap();
     let report = opened.weights.report();
-    let tensors =
-        |storage| report.storages.iter().find(|share| share.storage == storage).map_or(0, |share| share.tensors);
-    assert_eq!((tensors(Storage::Q4K), tensors(Storage::Q6K), tensors(Storage::Q8_0)), (15, 1, 20));
-    assert!(report.exceptions.iter().any(|known| known.name == "lm_head.weight" && known.storage == Storage::Q6K));
+    let tensors = |weight_format| {
+        report.weight_formats.iter().find(|share| share.weight_format == weight_format).map_or(0, |share| share.tensors)
+    };
+    assert_eq!((tensors(WeightFormat::Q4K), tensors(WeightFormat::Q6K), tensors(WeightFormat::Q8_0)), (15, 1, 20));
+    assert!(
+        report
+            .exceptions
+            .iter()
+            .any(|known| known.name == "lm_head.weight" && known.weight_format == WeightFormat::Q6K)
+    );
     // The forecast knows nothing of how the products want their blocks, and counts a norm that no LLaVA uses.
     let (foreseen, held) = (forecast.bytes() as f64, report.bytes() as f64);
     assert!((foreseen / held - 1.0).abs() < 0.01, "{foreseen} {held}");

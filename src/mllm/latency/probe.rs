@@ -13,7 +13,7 @@ use crate::mllm::decoder::Logits;
 use crate::mllm::local::{Sequence, VisionLanguageModel};
 use crate::mllm::sampling::Sampler;
 use crate::mllm::{
-    Architecture, Deadline, LoadReport, Loading, MllmError, ModelPlace, Sampling, Storage, milliseconds,
+    Architecture, Deadline, LoadReport, Loading, MllmError, ModelPlace, Sampling, WeightFormat, milliseconds,
 };
 
 /// A model with one sequence of tokens, whose steps are timed.
@@ -39,7 +39,7 @@ pub struct ProbeDescription {
     /// Number of weights.
     pub parameters: u64,
     /// How most of them are held.
-    pub storage: Storage,
+    pub weight_format: WeightFormat,
     /// Side of the square image that it is shown, pixels.
     pub image_side: u32,
     /// Tokens that the image becomes.
@@ -58,7 +58,7 @@ impl LatencyProbe {
         let architecture = Architecture::of(&checkpoint.files)?;
         let model = architecture.open(&mut checkpoint)?;
         let mut words = Pcg64Mcg::seed_from_u64(seed);
-        let side = model.facts().image_size as u32;
+        let side = model.info().image_size as u32;
         let image = RgbImage::from_fn(side, side, |_, _| image::Rgb(words.random()));
         Ok(Self {
             architecture,
@@ -77,12 +77,16 @@ impl LatencyProbe {
     /// # Errors
     /// When the image cannot be used.
     pub fn describe(&self) -> Result<ProbeDescription, MllmError> {
-        let facts = self.model.facts();
+        let info = self.model.info();
         let image_tokens = self.image_tokens()?;
         Ok(ProbeDescription {
             architecture: self.architecture,
-            parameters: facts.parameters,
-            storage: self.load.storages.first().map_or_else(Storage::default, |share| share.storage),
+            parameters: info.parameters,
+            weight_format: self
+                .load
+                .weight_formats
+                .first()
+                .map_or_else(WeightFormat::default, |share| share.weight_format),
             image_side: self.image.width(),
             image_tokens,
             context: self.model.context(image_tokens),
@@ -108,7 +112,7 @@ impl LatencyProbe {
             Step::Encode => self.features = Some(self.model.encode_image(&self.image)?),
             Step::Image => {
                 let tokens = self.image_tokens()?;
-                self.pending.extend(std::iter::repeat_n(self.model.facts().image_token, tokens));
+                self.pending.extend(std::iter::repeat_n(self.model.info().image_token, tokens));
             }
             Step::Text(tokens) | Step::Forced(tokens) => {
                 for _ in 0..tokens {
@@ -156,15 +160,15 @@ impl LatencyProbe {
         };
         let position = self.sequence.ids().len().saturating_sub(1);
         let logits = logits.flatten_all()?.to_vec1()?;
-        Sampler::new(Sampling::Greedy, 0)?.choose(logits, None, self.model.facts().image_token, position)
+        Sampler::new(Sampling::Greedy, 0)?.choose(logits, None, self.model.info().image_token, position)
     }
 
     /// Any token but that of the image.
     fn word(&mut self) -> u32 {
-        let facts = self.model.facts();
+        let info = self.model.info();
         loop {
-            let word = self.words.random_range(0..facts.vocabulary as u32);
-            if word != facts.image_token {
+            let word = self.words.random_range(0..info.vocabulary as u32);
+            if word != info.image_token {
                 return word;
             }
         }

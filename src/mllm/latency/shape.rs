@@ -159,7 +159,7 @@ fn tokenizer(vocabulary: usize, image: usize) -> Value {
 mod tests {
     use super::*;
     use crate::mllm::checkpoint::Checkpoint;
-    use crate::mllm::matrix::Storage;
+    use crate::mllm::matrix::WeightFormat;
 
     /// Billions of weights by the sizes of decoders and towers that their papers and model cards give; the tower's last
     /// layer, which LLaVA leaves unused, is not among them.
@@ -176,7 +176,7 @@ mod tests {
             ("cogvlm-chat-17b", 17.64),
         ] {
             let shape = ModelShape::find(name).unwrap();
-            let checkpoint = Checkpoint::random(shape.files().unwrap(), Storage::Q4K, 0).unwrap();
+            let checkpoint = Checkpoint::random(shape.files().unwrap(), WeightFormat::Q4K, 0).unwrap();
             let found = checkpoint.weights.elements() as f64 / 1e9;
             assert!((found / billions - 1.0).abs() < 0.01, "{name}: {found}");
         }

@@ -19,7 +19,7 @@ pub(crate) use vision::ImageEncoder;
 use super::MllmError;
 use super::checkpoint::{Checkpoint, ModelFiles, Weights};
 use super::decoder::{Decoder, DecoderInput, KvCache, LlamaLayer, Logits};
-use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
+use super::local::{Architecture, ChatFormat, InputEmbeddings, ModelInfo, VisionLanguageModel};
 use super::text::ChatTokenizer;
 use super::vision::ClipImageProcessor;
 
@@ -28,7 +28,7 @@ use super::vision::ClipImageProcessor;
 pub(crate) struct Llava {
     core: LlavaCore,
     processor: ClipImageProcessor,
-    facts: ModelFacts,
+    info: ModelInfo,
 }
 
 /// What LLaVA and LLaVA-NeXT have in common: tower, projector, decoder.
@@ -61,7 +61,7 @@ impl LlavaCore {
     /// Runs rows through the decoder; every token has its own position.
     pub(crate) fn forward(
         &self,
-        rows: &PlacedRows,
+        rows: &InputEmbeddings,
         cache: &mut KvCache,
         wanted: Logits,
     ) -> candle_core::Result<Option<Tensor>> {
@@ -99,17 +99,17 @@ impl Llava {
         let before = weights.elements();
         let core = LlavaCore::take(weights, config)?;
         let config = &core.config;
-        let facts = ModelFacts {
+        let info = ModelInfo {
             architecture: Architecture::Llava.name(),
             image_token: config.image_token,
             image_size: config.vision.image_size,
-            most_image_tokens: config.image_tokens(),
+            max_image_tokens: config.image_tokens(),
             vocabulary: config.text.vocabulary,
             positions: config.text.context,
             parameters: (before - weights.elements()) as u64,
             blake3: weights.blake3().to_string(),
         };
-        Ok(Self { core, processor, facts })
+        Ok(Self { core, processor, info })
     }
 
     /// Encodes pixel values (3, side, side) to image features (image tokens, decoder width).
@@ -121,28 +121,28 @@ impl Llava {
 #[cfg(test)]
 impl Llava {
     /// A model of this configuration with random weights.
-    pub(crate) fn invented(config: &serde_json::Value) -> Self {
+    pub(crate) fn random(config: &serde_json::Value) -> Self {
         let config = LlavaConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
         let processor = ClipImageProcessor::square(config.vision.image_size as u32);
-        Self::take(&mut Weights::invented(7), config, processor).unwrap()
+        Self::take(&mut Weights::random(7), config, processor).unwrap()
     }
 }
 
 impl VisionLanguageModel for Llava {
-    fn facts(&self) -> &ModelFacts {
-        &self.facts
+    fn info(&self) -> &ModelInfo {
+        &self.info
     }
 
     fn context(&self, _image_tokens: usize) -> usize {
-        self.facts.positions
+        self.info.positions
     }
 
     fn image_tokens(&self, _width: u32, _height: u32) -> Result<usize, MllmError> {
-        Ok(self.facts.most_image_tokens)
+        Ok(self.info.max_image_tokens)
     }
 
     fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
-        self.encode_pixels(&self.processor.process(image, self.facts.image_size)?)
+        self.encode_pixels(&self.processor.process(image, self.info.image_size)?)
     }
 
     fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
@@ -153,11 +153,16 @@ impl VisionLanguageModel for Llava {
         self.core.new_cache()
     }
 
-    fn forward(&self, rows: &PlacedRows, cache: &mut KvCache, wanted: Logits) -> candle_core::Result<Option<Tensor>> {
+    fn forward(
+        &self,
+        rows: &InputEmbeddings,
+        cache: &mut KvCache,
+        wanted: Logits,
+    ) -> candle_core::Result<Option<Tensor>> {
         self.core.forward(rows, cache, wanted)
     }
 
     fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.facts.image_token)?))
+        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token)?))
     }
 }

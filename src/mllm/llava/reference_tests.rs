@@ -63,7 +63,7 @@ fn errors_that_are_easily_made_lead_far_away() {
             let model = assembled(&Parts::wrong(&folder, fault));
             Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);
         }
-        let image = run.image(right.facts().image_token);
+        let image = run.image(right.info().image_token);
         let own: Vec<u32> = (0..run.ids.len() as u32).collect();
         let placed = |positions| Deviation::of_placed(&run, &right, &right.core.decoder, positions, 0..0);
         let shifted = |part| placed(one_further(&own, &part));
@@ -93,7 +93,7 @@ fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
     let reference = Reference::open(&fixture("nano_reference").join("reference.safetensors"));
     let model = Llava::open(&mut open_checkpoint(&folder)).unwrap();
     let image = image::open(fixture("nano_reference").join("image.png")).unwrap().into_rgb8();
-    let pixels = model.processor.process(&image, model.facts.image_size).unwrap();
+    let pixels = model.processor.process(&image, model.info.image_size).unwrap();
     let corner = pixels.narrow(1, 0, 4).unwrap().narrow(2, 0, 4).unwrap();
     assert!(difference(&corner, reference.tensor("pixel_corner")) < 1e-5);
     let features = model.encode_image(&image).unwrap();

@@ -67,7 +67,7 @@ impl TileGrids {
     }
 
     /// Most tokens that an image becomes: that of the largest grid without a border.
-    pub(crate) fn most_tokens(&self) -> usize {
+    pub(crate) fn max_tokens(&self) -> usize {
         let base = (self.patches * self.patches) as usize;
         let grid = |resolution: &Resolution| {
             let rows = (resolution.height / self.side * self.patches) as usize;
@@ -179,7 +179,7 @@ mod tests {
         let tiling = grids.tiling(Resolution { height: 700, width: 700 });
         assert_eq!((tiling.tiles, tiling.rows.clone(), tiling.columns.clone()), ((2, 2), 0..48, 0..48));
         assert_eq!(grids.tokens(&tiling), 576 + 48 * 49);
-        assert_eq!(grids.most_tokens(), 576 + 48 * 49);
+        assert_eq!(grids.max_tokens(), 576 + 48 * 49);
     }
 
     #[test]
@@ -205,7 +205,7 @@ mod tests {
             prop_assert!(tiling.inner.width >= 1 && tiling.inner.width <= tiling.target.width);
             let rows = grids.token_rows(&tiling);
             prop_assert_eq!(rows.len(), grids.tokens(&tiling));
-            prop_assert!(rows.len() <= grids.most_tokens());
+            prop_assert!(rows.len() <= grids.max_tokens());
             let newline = 576 * (1 + tiling.tiles.0 * tiling.tiles.1);
             prop_assert!(rows.iter().all(|row| *row <= newline));
         }

@@ -21,7 +21,7 @@ use super::MllmError;
 use super::checkpoint::{Checkpoint, ModelFiles, Weights};
 use super::decoder::{KvCache, Logits};
 use super::llava::{LlavaCore, TemplateFormat};
-use super::local::{Architecture, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
+use super::local::{Architecture, ChatFormat, InputEmbeddings, ModelInfo, VisionLanguageModel};
 use super::text::ChatTokenizer;
 
 /// A LLaVA-NeXT model.
@@ -31,7 +31,7 @@ pub(crate) struct LlavaNext {
     packer: TilePacker,
     grids: TileGrids,
     processor: AnyresImageProcessor,
-    facts: ModelFacts,
+    info: ModelInfo,
 }
 
 impl LlavaNext {
@@ -58,17 +58,17 @@ impl LlavaNext {
         let before = weights.elements();
         let core = LlavaCore::take(weights, config.llava)?;
         let packer = TilePacker::take(weights, core.config.text.hidden)?;
-        let facts = ModelFacts {
+        let info = ModelInfo {
             architecture: Architecture::LlavaNext.name(),
             image_token: core.config.image_token,
             image_size: core.config.vision.image_size,
-            most_image_tokens: config.grids.most_tokens(),
+            max_image_tokens: config.grids.max_tokens(),
             vocabulary: core.config.text.vocabulary,
             positions: core.config.text.context,
             parameters: (before - weights.elements()) as u64,
             blake3: weights.blake3().to_string(),
         };
-        Ok(Self { core, packer, grids: config.grids, processor, facts })
+        Ok(Self { core, packer, grids: config.grids, processor, info })
     }
 
     /// Encodes pixel values (3, side, side) of the whole image and of each tile to (image tokens, decoder width).
@@ -80,21 +80,21 @@ impl LlavaNext {
 #[cfg(test)]
 impl LlavaNext {
     /// A model of this configuration with random weights.
-    pub(crate) fn invented(config: &serde_json::Value) -> Self {
+    pub(crate) fn random(config: &serde_json::Value) -> Self {
         use super::vision::{Filter, PixelScale};
         let config = LlavaNextConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
         let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
-        Self::take(&mut Weights::invented(7), config, processor).unwrap()
+        Self::take(&mut Weights::random(7), config, processor).unwrap()
     }
 }
 
 impl VisionLanguageModel for LlavaNext {
-    fn facts(&self) -> &ModelFacts {
-        &self.facts
+    fn info(&self) -> &ModelInfo {
+        &self.info
     }
 
     fn context(&self, _image_tokens: usize) -> usize {
-        self.facts.positions
+        self.info.positions
     }
 
     fn image_tokens(&self, width: u32, height: u32) -> Result<usize, MllmError> {
@@ -106,7 +106,7 @@ impl VisionLanguageModel for LlavaNext {
 
     fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
         let tiling = self.grids.tiling(Resolution { height: image.height(), width: image.width() });
-        let pixels = self.processor.process(image, &tiling, self.facts.image_size as u32)?;
+        let pixels = self.processor.process(image, &tiling, self.info.image_size as u32)?;
         Ok(self.encode_tiles(&pixels, &tiling)?)
     }
 
@@ -118,11 +118,16 @@ impl VisionLanguageModel for LlavaNext {
         self.core.new_cache()
     }
 
-    fn forward(&self, rows: &PlacedRows, cache: &mut KvCache, wanted: Logits) -> candle_core::Result<Option<Tensor>> {
+    fn forward(
+        &self,
+        rows: &InputEmbeddings,
+        cache: &mut KvCache,
+        wanted: Logits,
+    ) -> candle_core::Result<Option<Tensor>> {
         self.core.forward(rows, cache, wanted)
     }
 
     fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.facts.image_token)?))
+        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token)?))
     }
 }

@@ -109,7 +109,7 @@ fn errors_that_are_easily_made_lead_far_away() {
             let model = assembled(&Parts::wrong(folder, fault));
             Deviation::of(run, &model, &case.features(&model)).assert_logits_far(what);
         }
-        let image = run.image(right.facts().image_token);
+        let image = run.image(right.info().image_token);
         let own: Vec<u32> = (0..run.ids.len() as u32).collect();
         let shifted = |part| Deviation::of_placed(run, &right, &right.core.decoder, one_further(&own, &part), 0..0);
         // Only differences of positions count.

@@ -6,11 +6,11 @@ use candle_core::Tensor;
 use image::RgbImage;
 
 use super::test_reference::{fixture, open_checkpoint};
-use super::{Architecture, ChatFormat, LocalModel, ModelFacts, PlacedRows, VisionLanguageModel};
+use super::{Architecture, ChatFormat, InputEmbeddings, LocalModel, ModelInfo, VisionLanguageModel};
 use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::decoder::{KvCache, Logits};
 use crate::mllm::text::ChatTokenizer;
-use crate::mllm::{Constraint, Deadline, Mllm, MllmError, Opening, Request, Sampling};
+use crate::mllm::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
 
 /// What was computed: rows of each pass, and images.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
@@ -27,8 +27,8 @@ struct Counting {
 }
 
 impl VisionLanguageModel for Counting {
-    fn facts(&self) -> &ModelFacts {
-        self.model.facts()
+    fn info(&self) -> &ModelInfo {
+        self.model.info()
     }
 
     fn context(&self, image_tokens: usize) -> usize {
@@ -52,7 +52,12 @@ impl VisionLanguageModel for Counting {
         self.model.new_cache()
     }
 
-    fn forward(&self, rows: &PlacedRows, cache: &mut KvCache, wanted: Logits) -> candle_core::Result<Option<Tensor>> {
+    fn forward(
+        &self,
+        rows: &InputEmbeddings,
+        cache: &mut KvCache,
+        wanted: Logits,
+    ) -> candle_core::Result<Option<Tensor>> {
         self.computed.lock().unwrap().passes.push(rows.rows.dim(0)?);
         self.model.forward(rows, cache, wanted)
     }
@@ -82,9 +87,9 @@ fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass
         let (local, computed) = counted(name);
         let take = || std::mem::take(&mut *computed.lock().unwrap());
         let image = image::open(fixture(name).join("image.png")).unwrap().into_rgb8();
-        let opening = Opening { system: "Drive safely.".into(), image: Some(image) };
+        let prefix = PromptPrefix { system: "Drive safely.".into(), image: Some(image) };
         for call in 0..2 {
-            let mut conversation = local.converse(&opening, 0).unwrap();
+            let mut conversation = local.converse(&prefix, 0).unwrap();
             // The system prompt before the image is computed by the first call alone; of a CogVLM there is none.
             let before = take().passes;
             assert_eq!(before.len(), usize::from(shared && call == 0), "{name}: {before:?}");
@@ -126,8 +131,8 @@ fn a_prompt_that_leaves_no_choice_is_computed_and_counted_by_the_next_round() {
         let (local, computed) = counted(name);
         let take = || std::mem::take(&mut *computed.lock().unwrap());
         let image = image::open(fixture(name).join("image.png")).unwrap().into_rgb8();
-        let opening = Opening { system: "Drive safely.".into(), image: Some(image) };
-        let mut conversation = local.converse(&opening, 0).unwrap();
+        let prefix = PromptPrefix { system: "Drive safely.".into(), image: Some(image) };
+        let mut conversation = local.converse(&prefix, 0).unwrap();
         let known: usize = take().passes.iter().sum();
         let first = conversation.ask("Look.", &request(Constraint::Choice(vec!["keep".into()]), 8)).unwrap();
         assert_eq!((first.tokens.text, first.tokens.image, first.tokens.cached), (0, 0, known), "{name}");

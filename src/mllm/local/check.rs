@@ -61,11 +61,11 @@ fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) -> Result
         Err(error) => return Err(error),
     };
     let files = &checkpoint.files;
-    let facts = model.facts();
+    let info = model.info();
     let tokenizer = loading.tokenizer(files, architecture)?;
-    let tokenizer = ChatTokenizer::open(&tokenizer, facts.vocabulary, facts.image_token)?;
+    let tokenizer = ChatTokenizer::open(&tokenizer, info.vocabulary, info.image_token)?;
     note(check, model.chat_format(files, &tokenizer));
-    note(check, end_tokens(files, &tokenizer, facts.vocabulary));
+    note(check, end_tokens(files, &tokenizer, info.vocabulary));
     Ok(())
 }
 

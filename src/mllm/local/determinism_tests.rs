@@ -33,9 +33,9 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     let picture =
         |width, height| RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]));
     vec![
-        (Box::new(Llava::invented(&llava)), picture(128, 128)),
-        (Box::new(LlavaNext::invented(&llava)), picture(200, 90)),
-        (Box::new(CogVlm::invented(&cogvlm)), picture(140, 100)),
+        (Box::new(Llava::random(&llava)), picture(128, 128)),
+        (Box::new(LlavaNext::random(&llava)), picture(200, 90)),
+        (Box::new(CogVlm::random(&cogvlm)), picture(140, 100)),
     ]
 }
 
@@ -47,7 +47,7 @@ fn logits_hash() -> String {
         let features = model.encode_image(&image).unwrap();
         let patches = features.dims()[0];
         let ids: Vec<u32> =
-            (10..40).chain(std::iter::repeat_n(model.facts().image_token, patches)).chain(100..190).collect();
+            (10..40).chain(std::iter::repeat_n(model.info().image_token, patches)).chain(100..190).collect();
         let mut sequence = Sequence::new(model);
         let mut add = |logits: Option<Tensor>| -> u32 {
             let row: Vec<f32> = logits.unwrap().flatten_all().unwrap().to_vec1().unwrap();
@@ -107,7 +107,7 @@ fn a_prompt_in_chunks_gives_the_logits_of_the_whole_also_where_a_chunk_ends_insi
         let features = model.encode_image(&image).unwrap();
         let patches = features.dims()[0];
         let ids: Vec<u32> =
-            (10..40).chain(std::iter::repeat_n(model.facts().image_token, patches)).chain(100..150).collect();
+            (10..40).chain(std::iter::repeat_n(model.info().image_token, patches)).chain(100..150).collect();
         let logits = |chunk: usize| -> Vec<f32> {
             let mut sequence = Sequence::new(model);
             let mut logits = None;
@@ -118,6 +118,6 @@ fn a_prompt_in_chunks_gives_the_logits_of_the_whole_also_where_a_chunk_ends_insi
         };
         let (whole, chunks) = (logits(ids.len()), logits(33));
         let apart = whole.iter().zip(&chunks).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        assert!(apart < 1e-4, "{}: {apart}", model.facts().architecture);
+        assert!(apart < 1e-4, "{}: {apart}", model.info().architecture);
     }
 }

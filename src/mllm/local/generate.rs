@@ -146,7 +146,7 @@ impl Generation<'_> {
         };
         let position = self.sequence.ids().len().saturating_sub(1);
         // An answer has no image of its own, so the placeholder of one is no word of it.
-        sampler.choose(logits, allowed, self.model.facts().image_token, position)
+        sampler.choose(logits, allowed, self.model.info().image_token, position)
     }
 
     /// Computes what is pending; gives the logits behind its last token.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{Checkpoint, LlamaConfig, in_bytes};
-use crate::mllm::matrix::Storage;
+use crate::mllm::matrix::WeightFormat;
 
 /// What to do when a model seems to need more memory than is free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -34,7 +34,7 @@ const ROWS: (u64, u64) = (8, 3);
 
 impl MemoryNeed {
     /// What a checkpoint with this decoder will need when its weights are held in `quantize`.
-    pub(crate) fn of(checkpoint: &Checkpoint, decoder: &LlamaConfig, quantize: Option<Storage>) -> Self {
+    pub(crate) fn of(checkpoint: &Checkpoint, decoder: &LlamaConfig, quantize: Option<WeightFormat>) -> Self {
         let float = size_of::<f32>() as u64;
         let tokens = CALL_TOKENS.min(decoder.context as u64);
         let elements = |shape: &[usize]| shape.iter().product::<usize>() as u64;
@@ -66,7 +66,7 @@ impl MemoryNeed {
 pub(super) fn check(
     checkpoint: &Checkpoint,
     decoder: &LlamaConfig,
-    quantize: Option<Storage>,
+    quantize: Option<WeightFormat>,
 ) -> Result<(), MllmError> {
     let Some(free) = free_memory() else { return Ok(()) };
     check_against(free, checkpoint, decoder, quantize)
@@ -76,18 +76,19 @@ fn check_against(
     free: u64,
     checkpoint: &Checkpoint,
     decoder: &LlamaConfig,
-    quantize: Option<Storage>,
+    quantize: Option<WeightFormat>,
 ) -> Result<(), MllmError> {
     let need = MemoryNeed::of(checkpoint, decoder, quantize);
     if need.total() <= free {
         return Ok(());
     }
-    let smaller = [Storage::Q8_0, Storage::Q4K]
-        .map(|storage| (storage, MemoryNeed::of(checkpoint, decoder, Some(storage)).total()))
+    let smaller = [WeightFormat::Q8_0, WeightFormat::Q4K]
+        .map(|weight_format| (weight_format, MemoryNeed::of(checkpoint, decoder, Some(weight_format)).total()))
         .into_iter()
         .filter(|(_, total)| *total < need.total());
-    let hints: Vec<String> =
-        smaller.map(|(storage, total)| format!("--quantize {storage} would take {}", in_bytes(total))).collect();
+    let hints: Vec<String> = smaller
+        .map(|(weight_format, total)| format!("--quantize {weight_format} would take {}", in_bytes(total)))
+        .collect();
     let hint = if hints.is_empty() { "no storage is smaller".to_string() } else { hints.join(", ") };
     Err(MllmError::Memory {
         place: checkpoint.files.place().to_path_buf(),
@@ -164,6 +165,6 @@ mod tests {
         assert!(check_against(need.total(), &checkpoint, &decoder, None).is_ok());
         let error = check_against(need.total() - 1, &checkpoint, &decoder, None).unwrap_err().to_string();
         assert!(error.contains("--quantize q8_0 would take") && error.contains("--ignore-memory"), "{error}");
-        assert!(MemoryNeed::of(&checkpoint, &decoder, Some(Storage::Q8_0)).weights < need.weights / 2);
+        assert!(MemoryNeed::of(&checkpoint, &decoder, Some(WeightFormat::Q8_0)).weights < need.weights / 2);
     }
 }

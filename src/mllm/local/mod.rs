@@ -27,19 +27,19 @@ pub use memory::{MemoryCheck, MemoryNeed};
 pub(crate) use sequence::Sequence;
 use sequence::SequencePrefix;
 use session::LocalConversation;
-pub(crate) use vlm::{Chat, ChatFormat, ModelFacts, PlacedRows, VisionLanguageModel};
+pub(crate) use vlm::{Chat, ChatFormat, InputEmbeddings, ModelInfo, VisionLanguageModel};
 
 use super::checkpoint::{Checkpoint, LoadReport, ModelFiles, ModelPlace, Section};
 use super::decoder::Logits;
 use super::gguf::{self, CreateFile};
-use super::matrix::Storage;
+use super::matrix::WeightFormat;
 use super::text::{ChatTokenizer, GrammarEngine};
-use super::{Conversation, Mllm, MllmError, ModelDescription, Opening};
+use super::{Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
 
 /// System prompts whose keys and values are kept; a run uses one or two.
 const KEPT_PREFIXES: usize = 8;
 /// Fewest tokens that are worth keeping: a lone beginning-of-sequence token is not.
-const LEAST_PREFIX: usize = 2;
+const MIN_PREFIX: usize = 2;
 
 /// A vision-language model with all that stands around it: prompt format, tokenizer, grammars.
 #[derive(Debug)]
@@ -66,7 +66,7 @@ struct CallPrefix {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Loading {
     /// In which storage weights are held; none for that of the files (f32 where these are safetensors).
-    pub quantize: Option<Storage>,
+    pub quantize: Option<WeightFormat>,
     /// The folder of its tokenizer, for models whose files hold none (`CogVLM`'s).
     pub tokenizer: Option<PathBuf>,
     /// What to do when there seems to be too little memory.
@@ -156,8 +156,8 @@ impl LocalModel {
         checkpoint.weights.hash()?;
         let model = architecture.open(&mut checkpoint)?;
         let Checkpoint { files, weights } = checkpoint;
-        let vocabulary = model.facts().vocabulary;
-        let tokenizer = ChatTokenizer::open(&tokenizer, vocabulary, model.facts().image_token)?;
+        let vocabulary = model.info().vocabulary;
+        let tokenizer = ChatTokenizer::open(&tokenizer, vocabulary, model.info().image_token)?;
         let format = model.chat_format(&files, &tokenizer)?;
         let end_tokens = end_tokens(&files, &tokenizer, vocabulary)?;
         Ok(Self {
@@ -210,9 +210,9 @@ impl LocalModel {
         // Two prompts that share no character agree in what does not depend on the prompt.
         let ids = self.prompt_ids(&Chat { system, image_tokens, turns: &[], prompt: "0" })?;
         let other = self.prompt_ids(&Chat { system, image_tokens, turns: &[], prompt: "z" })?;
-        let image_token = self.model.facts().image_token;
+        let image_token = self.model.info().image_token;
         let agree = ids.iter().zip(&other).take_while(|(a, b)| a == b && **a != image_token).count();
-        let len = if agree < LEAST_PREFIX { 0 } else { agree };
+        let len = if agree < MIN_PREFIX { 0 } else { agree };
         let context = self.model.context(image_tokens.unwrap_or(0));
         if len > context {
             return Err(MllmError::PromptTooLong { tokens: ids.len(), context });
@@ -237,24 +237,24 @@ impl Mllm for LocalModel {
     }
 
     fn describe(&self) -> ModelDescription {
-        let facts = self.model.facts();
+        let info = self.model.info();
         ModelDescription {
             name: self.name.clone(),
-            architecture: facts.architecture.into(),
-            parameters: facts.parameters,
+            architecture: info.architecture.into(),
+            parameters: info.parameters,
             dtype: "f32".into(),
-            image_size: Some(facts.image_size as u32),
-            image_tokens: facts.most_image_tokens,
-            vocabulary: facts.vocabulary,
-            context: facts.positions,
-            weights_blake3: facts.blake3.clone(),
+            image_size: Some(info.image_size as u32),
+            image_tokens: info.max_image_tokens,
+            vocabulary: info.vocabulary,
+            context: info.positions,
+            weights_blake3: info.blake3.clone(),
             load: self.load.clone(),
             server: None,
         }
     }
 
-    fn converse<'a>(&'a self, opening: &Opening, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
-        Ok(Box::new(LocalConversation::open(self, opening, seed)?))
+    fn converse<'a>(&'a self, prefix: &PromptPrefix, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError> {
+        Ok(Box::new(LocalConversation::open(self, prefix, seed)?))
     }
 
     fn count_tokens(&self, text: &str) -> Option<usize> {

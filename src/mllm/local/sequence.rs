@@ -4,12 +4,12 @@ use std::ops::Range;
 
 use candle_core::Tensor;
 
-use super::vlm::{PlacedRows, VisionLanguageModel};
+use super::vlm::{InputEmbeddings, VisionLanguageModel};
 use crate::mllm::decoder::{KvCache, KvPrefix, Logits};
 use crate::mllm::{Deadline, MllmError};
 
 /// Most tokens that are computed in one pass, so that a deadline is looked at in between and activations stay small.
-const MOST_IN_PASS: usize = 512;
+const MAX_TOKENS_IN_PASS: usize = 512;
 
 /// Tokens that the decoder has seen, with their keys and values.
 #[derive(Debug)]
@@ -51,7 +51,7 @@ impl Sequence {
         if ids.is_empty() {
             return Ok(None);
         }
-        let rows = self.placed_rows(model, ids, features)?;
+        let rows = self.input_embeddings(model, ids, features)?;
         let logits = model.forward(&rows, &mut self.cache, wanted)?;
         self.ids.extend_from_slice(ids);
         Ok(logits)
@@ -71,7 +71,7 @@ impl Sequence {
         deadline: Deadline,
     ) -> Result<Option<Tensor>, MllmError> {
         let mut logits = None;
-        let mut passes = ids.chunks(MOST_IN_PASS).peekable();
+        let mut passes = ids.chunks(MAX_TOKENS_IN_PASS).peekable();
         while let Some(pass) = passes.next() {
             deadline.check()?;
             let wanted = if passes.peek().is_none() { wanted } else { Logits::None };
@@ -81,13 +81,13 @@ impl Sequence {
     }
 
     /// The decoder's input for tokens that follow the sequence.
-    pub(crate) fn placed_rows(
+    pub(crate) fn input_embeddings(
         &self,
         model: &dyn VisionLanguageModel,
         ids: &[u32],
         features: Option<&Tensor>,
-    ) -> Result<PlacedRows, MllmError> {
-        let image_token = model.facts().image_token;
+    ) -> Result<InputEmbeddings, MllmError> {
+        let image_token = model.info().image_token;
         let is_image = |id: &u32| *id == image_token;
         let mut used = self.ids.iter().filter(|id| is_image(id)).count();
         let known = features.map_or(Ok(used), |features| features.dim(0))?;
@@ -107,7 +107,7 @@ impl Sequence {
             Some(first) => first..first + known,
             None => 0..0,
         };
-        Ok(PlacedRows { rows: Tensor::cat(&rows, 0)?, start: self.ids.len(), image })
+        Ok(InputEmbeddings { rows: Tensor::cat(&rows, 0)?, start: self.ids.len(), image })
     }
 
     /// Forgets the tokens from `len` on.

@@ -10,8 +10,8 @@ use super::sequence::Sequence;
 use super::vlm::Chat;
 use crate::mllm::sampling::{Sampler, answer_seed};
 use crate::mllm::{
-    Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, Opening, Request, RoundTime, TokenCounts, Turn,
-    milliseconds, prompt_hash,
+    Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, PromptPrefix, Request, RoundTime, TokenCounts,
+    Turn, milliseconds, prompt_hash,
 };
 
 /// A chat, and what the model has computed of it so far.
@@ -21,7 +21,7 @@ use crate::mllm::{
 /// the system prompt cost nothing twice.
 pub(super) struct LocalConversation<'a> {
     local: &'a LocalModel,
-    opening: Opening,
+    prefix: PromptPrefix,
     /// Tokens that the opening's image becomes; none without one.
     image_tokens: Option<usize>,
     seed: u64,
@@ -30,7 +30,7 @@ pub(super) struct LocalConversation<'a> {
     sequence: Sequence,
     features: Option<Tensor>,
     /// Time spent on the system prompt before the first round, milliseconds.
-    opening_time: f64,
+    prefix_time: f64,
 }
 
 impl<'a> LocalConversation<'a> {
@@ -38,32 +38,32 @@ impl<'a> LocalConversation<'a> {
     ///
     /// # Errors
     /// When the template refuses the opening, the image cannot be used, or the system prompt is longer than the context.
-    pub(super) fn open(local: &'a LocalModel, opening: &Opening, seed: u64) -> Result<Self, MllmError> {
+    pub(super) fn open(local: &'a LocalModel, prefix: &PromptPrefix, seed: u64) -> Result<Self, MllmError> {
         let start = Instant::now();
         let image_tokens =
-            opening.image.as_ref().map(|image| local.model.image_tokens(image.width(), image.height())).transpose()?;
-        let prefix = local.call_prefix(&opening.system, image_tokens)?;
+            prefix.image.as_ref().map(|image| local.model.image_tokens(image.width(), image.height())).transpose()?;
+        let computed = local.call_prefix(&prefix.system, image_tokens)?;
         let mut sequence = Sequence::new(&*local.model);
-        sequence.restore(&prefix.sequence)?;
+        sequence.restore(&computed.sequence)?;
         Ok(Self {
             local,
-            opening: opening.clone(),
+            prefix: prefix.clone(),
             image_tokens,
             seed,
             answers: 0,
             turns: Vec::new(),
             sequence,
             features: None,
-            opening_time: milliseconds(start.elapsed()),
+            prefix_time: milliseconds(start.elapsed()),
         })
     }
 
     /// Encodes the image if a token of it is to be computed and it is not encoded yet.
     fn encode_image(&mut self, ids: &[u32]) -> Result<(), MllmError> {
-        if self.features.is_some() || !ids.contains(&self.local.model.facts().image_token) {
+        if self.features.is_some() || !ids.contains(&self.local.model.info().image_token) {
             return Ok(());
         }
-        if let Some(image) = &self.opening.image {
+        if let Some(image) = &self.prefix.image {
             self.features = Some(self.local.model.encode_image(image)?);
         }
         Ok(())
@@ -83,11 +83,11 @@ impl Conversation for LocalConversation<'_> {
         let start = Instant::now();
         request.deadline.check()?;
         let local = self.local;
-        let image_token = local.model.facts().image_token;
+        let image_token = local.model.info().image_token;
         let context = local.model.context(self.image_tokens.unwrap_or(0));
         let sampler = Sampler::new(request.sampling, answer_seed(self.seed, self.answers))?;
         let grammar = local.grammars.begin(&request.constraint)?;
-        let chat = Chat { system: &self.opening.system, image_tokens: self.image_tokens, turns: &self.turns, prompt };
+        let chat = Chat { system: &self.prefix.system, image_tokens: self.image_tokens, turns: &self.turns, prompt };
         let ids = local.prompt_ids(&chat)?;
         if ids.len() >= context {
             return Err(MllmError::PromptTooLong { tokens: ids.len(), context });
@@ -122,9 +122,9 @@ impl Conversation for LocalConversation<'_> {
         let text = self.decode(request, &generated.ids)?;
         let computed = rest.get(..self.sequence.ids().len() - cached).unwrap_or(rest);
         let image_tokens = computed.iter().filter(|id| **id == image_token).count();
-        let opening_time = std::mem::take(&mut self.opening_time);
+        let prefix_time = std::mem::take(&mut self.prefix_time);
         let answer = Answer {
-            prompt_hash: prompt_hash(&self.opening.system, &self.turns, prompt),
+            prompt_hash: prompt_hash(&self.prefix.system, &self.turns, prompt),
             tokens: TokenCounts {
                 text: computed.len() - image_tokens,
                 image: image_tokens,
@@ -134,11 +134,11 @@ impl Conversation for LocalConversation<'_> {
             },
             time: RoundTime {
                 image_encode,
-                prefill: opening_time + generated.prefill,
-                first_token: if generated.first_token > 0.0 { opening_time + generated.first_token } else { 0.0 },
+                prefill: prefix_time + generated.prefill,
+                first_token: if generated.first_token > 0.0 { prefix_time + generated.first_token } else { 0.0 },
                 decode: milliseconds(start.elapsed()) - generated.prefill_end,
                 remote: 0.0,
-                total: opening_time + milliseconds(start.elapsed()),
+                total: prefix_time + milliseconds(start.elapsed()),
             },
             finish: generated.finish,
             constraint: match request.constraint {

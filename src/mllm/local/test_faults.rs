@@ -143,7 +143,7 @@ impl Deviation {
         positions: Vec<u32>,
         vision: Range<usize>,
     ) -> Self {
-        let rows = Sequence::new(model).placed_rows(model, &run.ids, Some(&run.features)).unwrap().rows;
+        let rows = Sequence::new(model).input_embeddings(model, &run.ids, Some(&run.features)).unwrap().rows;
         let input = DecoderInput { rows, positions, vision };
         let logits = decoder.forward(&input, &mut model.new_cache(), Logits::All).unwrap().unwrap();
         Self { features: 0.0, logits: run.logits_difference(&logits) }

@@ -222,7 +222,7 @@ pub(crate) fn assert_chat(folder: &Path, rounds: &[&str]) {
         let (turns, prompt) = if *name == "chat_" { (vec![first.clone()], &prompts[1]) } else { (vec![], &prompts[0]) };
         let image_tokens = (*name != "text_").then_some(image_tokens);
         let ids = local.prompt_ids(&Chat { system: &system, image_tokens, turns: &turns, prompt }).unwrap();
-        assert_eq!(ids, reference.ids(&format!("{name}input_ids"), model.facts().image_token), "{name}");
+        assert_eq!(ids, reference.ids(&format!("{name}input_ids"), model.info().image_token), "{name}");
         assert_logits(model, &ids, &features, reference.tensor(&format!("{name}logits")));
         if image_tokens.is_some() {
             assert_greedy(model, &ids, &features, &reference.ids(&format!("{name}generated"), 0));

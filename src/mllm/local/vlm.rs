@@ -13,7 +13,7 @@ use crate::mllm::{MllmError, Turn};
 /// A vision-language model: what it computes, and how its prompts are written. One folder of the stage is one family.
 pub(crate) trait VisionLanguageModel: std::fmt::Debug + Send + Sync {
     /// What the model is.
-    fn facts(&self) -> &ModelFacts;
+    fn info(&self) -> &ModelInfo;
 
     /// Most tokens of a chat whose image (if it has one) becomes `image_tokens` tokens.
     fn context(&self, image_tokens: usize) -> usize;
@@ -37,7 +37,12 @@ pub(crate) trait VisionLanguageModel: std::fmt::Debug + Send + Sync {
     fn new_cache(&self) -> KvCache;
 
     /// Runs rows through the decoder, adds them to the cache, and gives the logits (wanted positions, vocabulary).
-    fn forward(&self, rows: &PlacedRows, cache: &mut KvCache, wanted: Logits) -> candle_core::Result<Option<Tensor>>;
+    fn forward(
+        &self,
+        rows: &InputEmbeddings,
+        cache: &mut KvCache,
+        wanted: Logits,
+    ) -> candle_core::Result<Option<Tensor>>;
 
     /// How prompts are written, from the model's files.
     ///
@@ -48,7 +53,7 @@ pub(crate) trait VisionLanguageModel: std::fmt::Debug + Send + Sync {
 
 /// How a family writes a chat as tokens.
 pub(crate) trait ChatFormat: std::fmt::Debug + Send + Sync {
-    /// Token ids of a chat, each token of the image as the model's placeholder ([`ModelFacts::image_token`]).
+    /// Token ids of a chat, each token of the image as the model's placeholder ([`ModelInfo::image_token`]).
     ///
     /// # Errors
     /// When the chat cannot be written.
@@ -70,7 +75,7 @@ pub(crate) struct Chat<'a> {
 
 /// What a model is, as far as its users must know.
 #[derive(Debug, Clone)]
-pub(crate) struct ModelFacts {
+pub(crate) struct ModelInfo {
     /// Name of its family.
     pub architecture: &'static str,
     /// The id that stands for a token of the image. It need not be a token of the vocabulary.
@@ -78,7 +83,7 @@ pub(crate) struct ModelFacts {
     /// Side of the square that the vision tower sees, pixels.
     pub image_size: usize,
     /// Most tokens that an image becomes.
-    pub most_image_tokens: usize,
+    pub max_image_tokens: usize,
     /// Number of token ids.
     pub vocabulary: usize,
     /// Positions that the decoder was made for.
@@ -91,7 +96,7 @@ pub(crate) struct ModelFacts {
 
 /// Input rows with their place in the chat.
 #[derive(Debug)]
-pub(crate) struct PlacedRows {
+pub(crate) struct InputEmbeddings {
     /// The rows, (tokens, hidden).
     pub rows: Tensor,
     /// Index in the chat of the first row's token.

@@ -4,25 +4,25 @@
 
 use half::f16;
 
-use super::storage::Storage;
+use super::weight_format::WeightFormat;
 
 /// Decodes the blocks of a row into as many numbers as `out` has.
-pub(super) fn decode_row(storage: Storage, bytes: &[u8], out: &mut [f32]) {
-    let blocks = bytes.chunks_exact(storage.block_bytes());
-    match storage {
-        Storage::F32 => {
+pub(super) fn decode_row(weight_format: WeightFormat, bytes: &[u8], out: &mut [f32]) {
+    let blocks = bytes.chunks_exact(weight_format.block_bytes());
+    match weight_format {
+        WeightFormat::F32 => {
             for (value, bytes) in out.iter_mut().zip(bytes.as_chunks::<4>().0) {
                 *value = f32::from_le_bytes(*bytes);
             }
         }
-        Storage::F16 => {
+        WeightFormat::F16 => {
             for (value, bytes) in out.iter_mut().zip(bytes.as_chunks::<2>().0) {
                 *value = f16::from_le_bytes(*bytes).to_f32();
             }
         }
-        Storage::Q8_0 => blocks.zip(out.chunks_exact_mut(32)).for_each(|(block, out)| q8_0(block, out)),
-        Storage::Q6K => blocks.zip(out.chunks_exact_mut(256)).for_each(|(block, out)| q6_k(block, out)),
-        Storage::Q4K => blocks.zip(out.chunks_exact_mut(256)).for_each(|(block, out)| q4_k(block, out)),
+        WeightFormat::Q8_0 => blocks.zip(out.chunks_exact_mut(32)).for_each(|(block, out)| q8_0(block, out)),
+        WeightFormat::Q6K => blocks.zip(out.chunks_exact_mut(256)).for_each(|(block, out)| q6_k(block, out)),
+        WeightFormat::Q4K => blocks.zip(out.chunks_exact_mut(256)).for_each(|(block, out)| q4_k(block, out)),
     }
 }
 
@@ -92,14 +92,14 @@ mod tests {
     proptest! {
         #[test]
         fn blocks_are_read_as_candle_reads_them(bytes in proptest::collection::vec(any::<u8>(), 3 * 210)) {
-            for storage in [Storage::Q8_0, Storage::Q6K, Storage::Q4K] {
-                let count = 3 * storage.block();
-                let bytes = &bytes[..3 * storage.block_bytes()];
-                let quantised = QStorage::from_data(Cow::Borrowed(bytes), &Device::Cpu, storage.ggml()).unwrap();
+            for weight_format in [WeightFormat::Q8_0, WeightFormat::Q6K, WeightFormat::Q4K] {
+                let count = 3 * weight_format.block();
+                let bytes = &bytes[..3 * weight_format.block_bytes()];
+                let quantised = QStorage::from_data(Cow::Borrowed(bytes), &Device::Cpu, weight_format.ggml()).unwrap();
                 let expected: Vec<f32> =
                     QTensor::new(quantised, count).unwrap().dequantize(&Device::Cpu).unwrap().to_vec1().unwrap();
                 let mut found = vec![0.0; count];
-                decode_row(storage, bytes, &mut found);
+                decode_row(weight_format, bytes, &mut found);
                 for (found, expected) in found.into_iter().zip(expected) {
                     let same = (found.is_nan() && expected.is_nan()) || found.total_cmp(&expected).is_eq();
                     prop_assert!(same || (found - expected).abs() <= expected.abs() * 1e-6, "{found} {expected}");

@@ -9,9 +9,9 @@ mod panels;
 mod product;
 mod quantised;
 mod simd;
-mod storage;
 #[cfg(test)]
 mod tests;
+mod weight_format;
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use panels::Panels;
 use product::Columns;
 pub(crate) use simd::{Instructions, Kernel, LANES, Simd};
-pub use storage::{Storage, UnknownStorage};
+pub use weight_format::{UnknownWeightFormat, WeightFormat};
 
 use super::values::{PIECE, with_values};
 
@@ -49,48 +49,52 @@ enum Part {
 
 impl Matrix {
     /// Whether a storage can hold a matrix of this shape.
-    pub fn fits(storage: Storage, outputs: usize, inputs: usize) -> bool {
-        outputs > 0 && inputs > 0 && storage.matrix_bytes(outputs, inputs).is_some()
+    pub fn fits(weight_format: WeightFormat, outputs: usize, inputs: usize) -> bool {
+        outputs > 0 && inputs > 0 && weight_format.matrix_bytes(outputs, inputs).is_some()
     }
 
     /// Stores row-major values, whose blocks are chosen as ggml's reference quantisers choose them.
     ///
     /// # Errors
     /// When the storage cannot hold this shape or the values are not as many.
-    pub fn quantize(values: &[f32], outputs: usize, inputs: usize, storage: Storage) -> Result<Self> {
-        check_shape(storage, outputs, inputs)?;
+    pub fn quantize(values: &[f32], outputs: usize, inputs: usize, weight_format: WeightFormat) -> Result<Self> {
+        check_shape(weight_format, outputs, inputs)?;
         if outputs.checked_mul(inputs) != Some(values.len()) {
             bail!("{} values are no matrix of {outputs} x {inputs}", values.len());
         }
-        if storage == Storage::F32 {
+        if weight_format == WeightFormat::F32 {
             let tensor = Tensor::from_slice(values, (outputs, inputs), &Device::Cpu)?;
             return Self::from_tensor(&tensor);
         }
-        let mut blocks = vec![0; values.len() / storage.block() * storage.block_bytes()];
-        let pieces = blocks.par_chunks_mut(PIECE / storage.block() * storage.block_bytes());
+        let mut blocks = vec![0; values.len() / weight_format.block() * weight_format.block_bytes()];
+        let pieces = blocks.par_chunks_mut(PIECE / weight_format.block() * weight_format.block_bytes());
         pieces.zip(values.par_chunks(PIECE)).try_for_each(|(blocks, values)| {
             let tensor = Tensor::from_slice(values, values.len(), &Device::Cpu)?;
-            blocks.copy_from_slice(&QTensor::quantize(&tensor, storage.ggml())?.data()?);
+            blocks.copy_from_slice(&QTensor::quantize(&tensor, weight_format.ggml())?.data()?);
             Result::Ok(())
         })?;
-        Self::from_blocks(storage, outputs, inputs, &blocks)
+        Self::from_blocks(weight_format, outputs, inputs, &blocks)
     }
 
     /// Stores ggml's row-major blocks, as they lie in a GGUF file.
     ///
     /// # Errors
     /// When the storage cannot hold this shape or the bytes are not as many.
-    pub fn from_blocks(storage: Storage, outputs: usize, inputs: usize, bytes: &[u8]) -> Result<Self> {
-        check_shape(storage, outputs, inputs)?;
-        if storage.matrix_bytes(outputs, inputs) != Some(bytes.len()) {
-            bail!("{} bytes are no {storage} matrix of {outputs} x {inputs}", bytes.len());
+    pub fn from_blocks(weight_format: WeightFormat, outputs: usize, inputs: usize, bytes: &[u8]) -> Result<Self> {
+        check_shape(weight_format, outputs, inputs)?;
+        if weight_format.matrix_bytes(outputs, inputs) != Some(bytes.len()) {
+            bail!("{} bytes are no {weight_format} matrix of {outputs} x {inputs}", bytes.len());
         }
-        if storage == Storage::F32 {
+        if weight_format == WeightFormat::F32 {
             let mut values = vec![0.0; outputs * inputs];
-            blocks::decode_row(storage, bytes, &mut values);
+            blocks::decode_row(weight_format, bytes, &mut values);
             return Self::from_tensor(&Tensor::from_vec(values, (outputs, inputs), &Device::Cpu)?);
         }
-        Ok(Self { inputs, outputs, parts: vec![Arc::new(Part::Panels(Panels::pack(storage, outputs, inputs, bytes)))] })
+        Ok(Self {
+            inputs,
+            outputs,
+            parts: vec![Arc::new(Part::Panels(Panels::pack(weight_format, outputs, inputs, bytes)))],
+        })
     }
 
     /// Stores an f32 tensor of shape (outputs, inputs) as it is.
@@ -137,8 +141,8 @@ impl Matrix {
     }
 
     /// How its rows are stored; of a stack, the first.
-    pub fn storage(&self) -> Storage {
-        self.parts.first().map_or_else(Storage::default, |part| part.storage())
+    pub fn weight_format(&self) -> WeightFormat {
+        self.parts.first().map_or_else(WeightFormat::default, |part| part.weight_format())
     }
 
     /// Bytes in memory.
@@ -231,10 +235,10 @@ impl Matrix {
 }
 
 impl Part {
-    fn storage(&self) -> Storage {
+    fn weight_format(&self) -> WeightFormat {
         match self {
-            Self::Transposed(_) => Storage::F32,
-            Self::Panels(panels) => panels.storage(),
+            Self::Transposed(_) => WeightFormat::F32,
+            Self::Panels(panels) => panels.weight_format(),
         }
     }
 
@@ -305,9 +309,12 @@ impl Part {
     }
 }
 
-fn check_shape(storage: Storage, outputs: usize, inputs: usize) -> Result<()> {
-    if !Matrix::fits(storage, outputs, inputs) {
-        bail!("{storage} cannot hold a matrix of {outputs} x {inputs}: rows are in blocks of {}", storage.block());
+fn check_shape(weight_format: WeightFormat, outputs: usize, inputs: usize) -> Result<()> {
+    if !Matrix::fits(weight_format, outputs, inputs) {
+        bail!(
+            "{weight_format} cannot hold a matrix of {outputs} x {inputs}: rows are in blocks of {}",
+            weight_format.block()
+        );
     }
     Ok(())
 }

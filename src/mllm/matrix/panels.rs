@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::blocks::decode_row;
 use super::line::Line;
 use super::simd::LANES;
-use super::storage::Storage;
+use super::weight_format::WeightFormat;
 
 /// Bytes of a line.
 const LINE: usize = size_of::<Line>();
@@ -59,22 +59,22 @@ impl LayoutBuilder {
 
 impl Layout {
     /// The layout of a storage.
-    pub(super) fn of(storage: Storage) -> Self {
+    pub(super) fn of(weight_format: WeightFormat) -> Self {
         let empty = LayoutBuilder { runs: Vec::new(), end: 0 };
-        let block = storage.block_bytes();
+        let block = weight_format.block_bytes();
         // Numbers of bytes come first, four of each row a line; then what belongs to whole blocks.
-        let (built, span) = match storage {
-            Storage::F32 => (empty.lay(0, 4, 1, 0), 1),
-            Storage::F16 => (empty.lay(0, 2, 2, 0), 2),
+        let (built, span) = match weight_format {
+            WeightFormat::F32 => (empty.lay(0, 4, 1, 0), 1),
+            WeightFormat::F16 => (empty.lay(0, 2, 2, 0), 2),
             // Two blocks, so that their scales fill a line. Numbers become unsigned: 128 is added.
-            Storage::Q8_0 => {
+            WeightFormat::Q8_0 => {
                 let numbers = empty.lay(2, 4, 8, 0x80).lay(block + 2, 4, 8, 0x80);
                 (numbers.lay(0, 2, 1, 0).lay(block, 2, 1, 0), 64)
             }
-            Storage::Q6K => (empty.lay(0, 4, 48, 0).lay(192, 1, 16, 0).lay(208, 2, 1, 0), 256),
-            Storage::Q4K => (empty.lay(16, 4, 32, 0).lay(0, 2, 2, 0).lay(4, 1, 12, 0), 256),
+            WeightFormat::Q6K => (empty.lay(0, 4, 48, 0).lay(192, 1, 16, 0).lay(208, 2, 1, 0), 256),
+            WeightFormat::Q4K => (empty.lay(16, 4, 32, 0).lay(0, 2, 2, 0).lay(4, 1, 12, 0), 256),
         };
-        let row_bytes = span / storage.block() * block;
+        let row_bytes = span / weight_format.block() * block;
         Self { span, row_bytes, lines: built.end.div_ceil(LINE), runs: built.runs }
     }
 
@@ -109,7 +109,7 @@ impl Layout {
 /// The rows of a matrix that are stored alike, in panels; the last is filled up with zeros.
 #[derive(Debug)]
 pub(super) struct Panels {
-    storage: Storage,
+    weight_format: WeightFormat,
     outputs: usize,
     inputs: usize,
     layout: Layout,
@@ -118,9 +118,9 @@ pub(super) struct Panels {
 
 impl Panels {
     /// Lays out row-major blocks, of which there are exactly as many as the shape asks for.
-    pub(super) fn pack(storage: Storage, outputs: usize, inputs: usize, bytes: &[u8]) -> Self {
-        let layout = Layout::of(storage);
-        let mut panels = Self { storage, outputs, inputs, layout, lines: Vec::new() };
+    pub(super) fn pack(weight_format: WeightFormat, outputs: usize, inputs: usize, bytes: &[u8]) -> Self {
+        let layout = Layout::of(weight_format);
+        let mut panels = Self { weight_format, outputs, inputs, layout, lines: Vec::new() };
         panels.lines = vec![Line::ZERO; outputs.div_ceil(LANES) * panels.panel_lines()];
         let row_bytes = bytes.len() / outputs;
         let layout = &panels.layout;
@@ -138,7 +138,7 @@ impl Panels {
     /// Appends rows that are stored alike; says whether it could.
     pub(super) fn append(&mut self, other: &Self) -> bool {
         let whole = self.outputs.is_multiple_of(LANES);
-        let alike = whole && self.storage == other.storage && self.inputs == other.inputs;
+        let alike = whole && self.weight_format == other.weight_format && self.inputs == other.inputs;
         if alike {
             self.lines.extend_from_slice(&other.lines);
             self.outputs += other.outputs;
@@ -157,8 +157,8 @@ impl Panels {
     }
 
     /// How they are stored.
-    pub(super) fn storage(&self) -> Storage {
-        self.storage
+    pub(super) fn weight_format(&self) -> WeightFormat {
+        self.weight_format
     }
 
     /// Bytes in memory.
@@ -178,7 +178,7 @@ impl Panels {
 
     /// The blocks of a row as they were given.
     fn row_blocks(&self, index: usize) -> Vec<u8> {
-        let mut bytes = vec![0; self.inputs / self.storage.block() * self.storage.block_bytes()];
+        let mut bytes = vec![0; self.inputs / self.weight_format.block() * self.weight_format.block_bytes()];
         let panel = self.lines.chunks_exact(self.panel_lines()).nth(index / LANES).unwrap_or_default();
         for (bytes, group) in bytes.chunks_mut(self.layout.row_bytes).zip(panel.chunks_exact(self.layout.lines)) {
             self.layout.unpack(index % LANES, bytes, group);
@@ -188,7 +188,7 @@ impl Panels {
 
     /// Decodes a row.
     pub(super) fn read_row(&self, index: usize, row: &mut [f32]) {
-        decode_row(self.storage, &self.row_blocks(index), row);
+        decode_row(self.weight_format, &self.row_blocks(index), row);
     }
 
     /// Writes the row-major blocks, bit for bit as they were given.

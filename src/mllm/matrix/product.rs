@@ -11,7 +11,7 @@ use super::line::Line;
 use super::panels::Panels;
 use super::quantised::{Q4K, Q6K, Q8_0};
 use super::simd::{Instructions, Kernel, LANES, Simd};
-use super::storage::Storage;
+use super::weight_format::WeightFormat;
 
 /// Outputs that a kernel computes at once.
 const COLUMNS: usize = PANELS * LANES;
@@ -94,14 +94,14 @@ impl<'a> Columns<'a> {
 }
 
 /// Adds the products of rows of activations (row-major, as wide as the panels' inputs) with panels to columns; nothing if the storage
-/// has no kernel ([`Storage::F32`]).
+/// has no kernel ([`WeightFormat::F32`]).
 pub(super) fn multiply(panels: &Panels, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
-    match panels.storage() {
-        Storage::F32 => {}
-        Storage::F16 => multiply_as::<F16>(panels, x, out, instructions),
-        Storage::Q8_0 => multiply_as::<Q8_0>(panels, x, out, instructions),
-        Storage::Q6K => multiply_as::<Q6K>(panels, x, out, instructions),
-        Storage::Q4K => multiply_as::<Q4K>(panels, x, out, instructions),
+    match panels.weight_format() {
+        WeightFormat::F32 => {}
+        WeightFormat::F16 => multiply_as::<F16>(panels, x, out, instructions),
+        WeightFormat::Q8_0 => multiply_as::<Q8_0>(panels, x, out, instructions),
+        WeightFormat::Q6K => multiply_as::<Q6K>(panels, x, out, instructions),
+        WeightFormat::Q4K => multiply_as::<Q4K>(panels, x, out, instructions),
     }
 }
 

@@ -8,18 +8,24 @@ use rand_pcg::Pcg64Mcg;
 use super::*;
 
 /// Storages that the kernels of this folder multiply.
-const PANELLED: [Storage; 4] = [Storage::F16, Storage::Q8_0, Storage::Q6K, Storage::Q4K];
+const PANELLED: [WeightFormat; 4] = [WeightFormat::F16, WeightFormat::Q8_0, WeightFormat::Q6K, WeightFormat::Q4K];
 
 /// Random blocks of a matrix, whose scales are below `largest`.
-fn random_blocks(storage: Storage, outputs: usize, inputs: usize, largest: f32, random: &mut Pcg64Mcg) -> Vec<u8> {
-    let mut bytes = vec![0; storage.matrix_bytes(outputs, inputs).unwrap()];
+fn random_blocks(
+    weight_format: WeightFormat,
+    outputs: usize,
+    inputs: usize,
+    largest: f32,
+    random: &mut Pcg64Mcg,
+) -> Vec<u8> {
+    let mut bytes = vec![0; weight_format.matrix_bytes(outputs, inputs).unwrap()];
     random.fill_bytes(&mut bytes);
-    for block in bytes.chunks_exact_mut(storage.block_bytes()) {
-        let scales: &[usize] = match storage {
-            Storage::F32 => &[],
-            Storage::F16 | Storage::Q8_0 => &[0],
-            Storage::Q6K => &[208],
-            Storage::Q4K => &[0, 2],
+    for block in bytes.chunks_exact_mut(weight_format.block_bytes()) {
+        let scales: &[usize] = match weight_format {
+            WeightFormat::F32 => &[],
+            WeightFormat::F16 | WeightFormat::Q8_0 => &[0],
+            WeightFormat::Q6K => &[208],
+            WeightFormat::Q4K => &[0, 2],
         };
         for at in scales {
             let scale = f16::from_f32(random.random_range(-largest..largest));
@@ -60,10 +66,10 @@ fn plain(panels: &Panels, x: &[f32]) -> Vec<(f64, f64)> {
     for output in 0..panels.outputs() {
         panels.read_row(output, &mut weights);
         for (row, results) in x.chunks_exact(panels.inputs()).zip(result.chunks_exact_mut(panels.outputs())) {
-            let row = match panels.storage() {
-                Storage::F32 | Storage::F16 => row.to_vec(),
-                Storage::Q8_0 => rounded(row, 32),
-                Storage::Q6K | Storage::Q4K => rounded(row, 256),
+            let row = match panels.weight_format() {
+                WeightFormat::F32 | WeightFormat::F16 => row.to_vec(),
+                WeightFormat::Q8_0 => rounded(row, 32),
+                WeightFormat::Q6K | WeightFormat::Q4K => rounded(row, 256),
             };
             for (weight, value) in weights.iter().zip(row) {
                 let term = f64::from(*weight) * f64::from(value);
@@ -84,10 +90,10 @@ proptest! {
         outputs in 1usize..70, blocks in 1usize..4, rows in 1usize..15, exponent in -24i32..16, seed: u64,
     ) {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
-        for storage in PANELLED {
-            let inputs = blocks * if storage == Storage::F16 { 75 } else { storage.block() };
-            let bytes = random_blocks(storage, outputs, inputs, 2f32.powi(exponent), &mut random);
-            let panels = Panels::pack(storage, outputs, inputs, &bytes);
+        for weight_format in PANELLED {
+            let inputs = blocks * if weight_format == WeightFormat::F16 { 75 } else { weight_format.block() };
+            let bytes = random_blocks(weight_format, outputs, inputs, 2f32.powi(exponent), &mut random);
+            let panels = Panels::pack(weight_format, outputs, inputs, &bytes);
             let x = random_rows(rows, inputs, &mut random);
             let expected = plain(&panels, &x);
             for instructions in Instructions::available() {
@@ -95,7 +101,7 @@ proptest! {
                 for (index, (found, (value, magnitude))) in found.iter().zip(&expected).enumerate() {
                     prop_assert!(
                         (f64::from(*found) - value).abs() <= magnitude * 1e-5,
-                        "{storage} {outputs}x{inputs} {rows} rows {instructions:?} at {index}: {found} {value}"
+                        "{weight_format} {outputs}x{inputs} {rows} rows {instructions:?} at {index}: {found} {value}"
                     );
                 }
             }
@@ -105,13 +111,13 @@ proptest! {
     #[test]
     fn blocks_come_back_bit_for_bit(outputs in 1usize..40, blocks in 1usize..4, seed: u64) {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
-        for storage in Storage::ALL {
-            let inputs = blocks * storage.block();
-            let bytes = random_blocks(storage, outputs, inputs, 1.0, &mut random);
-            let matrix = Matrix::from_blocks(storage, outputs, inputs, &bytes).unwrap();
+        for weight_format in WeightFormat::ALL {
+            let inputs = blocks * weight_format.block();
+            let bytes = random_blocks(weight_format, outputs, inputs, 1.0, &mut random);
+            let matrix = Matrix::from_blocks(weight_format, outputs, inputs, &bytes).unwrap();
             let mut written = Vec::new();
             matrix.write_blocks(&mut written).unwrap();
-            prop_assert_eq!(written, bytes, "{}", storage);
+            prop_assert_eq!(written, bytes, "{}", weight_format);
         }
     }
 }
@@ -120,18 +126,18 @@ proptest! {
 fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
     let mut random = Pcg64Mcg::seed_from_u64(1);
     let (outputs, inputs, rows) = (300, 512, 21);
-    for storage in PANELLED {
-        let bytes = random_blocks(storage, outputs, inputs, 1.0, &mut random);
-        let panels = Panels::pack(storage, outputs, inputs, &bytes);
+    for weight_format in PANELLED {
+        let bytes = random_blocks(weight_format, outputs, inputs, 1.0, &mut random);
+        let panels = Panels::pack(weight_format, outputs, inputs, &bytes);
         let x = random_rows(rows, inputs, &mut random);
         for instructions in Instructions::available() {
             let together = multiplied(&panels, &x, instructions);
             let alone: Vec<f32> = x.chunks(inputs).flat_map(|row| multiplied(&panels, row, instructions)).collect();
-            assert_eq!(together, alone, "{storage} {instructions:?}");
+            assert_eq!(together, alone, "{weight_format} {instructions:?}");
             for threads in [1, 3] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                 let there = pool.install(|| multiplied(&panels, &x, instructions));
-                assert_eq!(together, there, "{storage} {instructions:?}, {threads} threads");
+                assert_eq!(together, there, "{weight_format} {instructions:?}, {threads} threads");
             }
         }
     }
@@ -140,16 +146,16 @@ fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
 #[test]
 fn numbers_that_are_not_finite_are_seen_in_the_result() {
     let mut random = Pcg64Mcg::seed_from_u64(2);
-    for storage in PANELLED {
-        let bytes = random_blocks(storage, 20, 512, 1.0, &mut random);
-        let panels = Panels::pack(storage, 20, 512, &bytes);
+    for weight_format in PANELLED {
+        let bytes = random_blocks(weight_format, 20, 512, 1.0, &mut random);
+        let panels = Panels::pack(weight_format, 20, 512, &bytes);
         for strange in [f32::NAN, f32::INFINITY] {
             let mut x = random_rows(2, 512, &mut random);
             x[700] = strange;
             for instructions in Instructions::available() {
                 let result = multiplied(&panels, &x, instructions);
-                assert!(result[..20].iter().all(|value| value.is_finite()), "{storage}");
-                assert!(result[20..].iter().all(|value| !value.is_finite()), "{storage}");
+                assert!(result[..20].iter().all(|value| value.is_finite()), "{weight_format}");
+                assert!(result[20..].iter().all(|value| !value.is_finite()), "{weight_format}");
             }
         }
     }
@@ -159,12 +165,18 @@ fn numbers_that_are_not_finite_are_seen_in_the_result() {
 fn a_stack_multiplies_and_reads_as_its_matrices_do() {
     let mut random = Pcg64Mcg::seed_from_u64(3);
     let inputs = 256;
-    let parts = [(Storage::Q4K, 32), (Storage::Q4K, 20), (Storage::Q6K, 17), (Storage::F32, 5), (Storage::F32, 3)];
+    let parts = [
+        (WeightFormat::Q4K, 32),
+        (WeightFormat::Q4K, 20),
+        (WeightFormat::Q6K, 17),
+        (WeightFormat::F32, 5),
+        (WeightFormat::F32, 3),
+    ];
     let matrices: Vec<Matrix> = parts
         .iter()
-        .map(|(storage, outputs)| {
+        .map(|(weight_format, outputs)| {
             let values = random_rows(*outputs, inputs, &mut random);
-            Matrix::quantize(&values, *outputs, inputs, *storage).unwrap()
+            Matrix::quantize(&values, *outputs, inputs, *weight_format).unwrap()
         })
         .collect();
     let x = Tensor::from_vec(random_rows(7, inputs, &mut random), (7, inputs), &Device::Cpu).unwrap();
@@ -194,11 +206,11 @@ fn a_stack_multiplies_and_reads_as_its_matrices_do() {
 
 #[test]
 fn shapes_that_do_not_fit_are_errors() {
-    assert!(Matrix::fits(Storage::Q4K, 3, 512) && !Matrix::fits(Storage::Q4K, 3, 96));
-    assert!(Matrix::quantize(&[0.0; 96], 1, 96, Storage::Q6K).is_err());
-    assert!(Matrix::quantize(&[0.0; 96], 2, 96, Storage::Q8_0).is_err());
-    assert!(Matrix::from_blocks(Storage::Q4K, 1, 256, &[0; 143]).is_err());
-    assert!(Matrix::from_blocks(Storage::F16, 0, 256, &[]).is_err());
+    assert!(Matrix::fits(WeightFormat::Q4K, 3, 512) && !Matrix::fits(WeightFormat::Q4K, 3, 96));
+    assert!(Matrix::quantize(&[0.0; 96], 1, 96, WeightFormat::Q6K).is_err());
+    assert!(Matrix::quantize(&[0.0; 96], 2, 96, WeightFormat::Q8_0).is_err());
+    assert!(Matrix::from_blocks(WeightFormat::Q4K, 1, 256, &[0; 143]).is_err());
+    assert!(Matrix::from_blocks(WeightFormat::F16, 0, 256, &[]).is_err());
     assert!(Matrix::stack(Vec::new()).is_err());
 }
 
@@ -208,18 +220,18 @@ fn a_storage_loses_what_its_bits_cannot_hold_and_no_more() {
     let (outputs, inputs) = (40, 512);
     let values: Vec<f32> = (0..outputs * inputs).map(|_| random.random_range(-0.1..0.1)).collect();
     let x = Tensor::from_vec(random_rows(9, inputs, &mut random), (9, inputs), &Device::Cpu).unwrap();
-    let exact = Matrix::quantize(&values, outputs, inputs, Storage::F32).unwrap().forward(&x).unwrap();
+    let exact = Matrix::quantize(&values, outputs, inputs, WeightFormat::F32).unwrap().forward(&x).unwrap();
     let size = exact.sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap();
     // A step of n bits over ±1 leaves an error of 2 / 2ⁿ / √12 against numbers of 1 / √3; activations add theirs.
-    for (storage, least, most) in [
-        (Storage::F16, 1e-5, 1e-3),
-        (Storage::Q8_0, 1e-3, 2e-2),
-        (Storage::Q6K, 5e-3, 4e-2),
-        (Storage::Q4K, 2e-2, 1e-1),
+    for (weight_format, least, most) in [
+        (WeightFormat::F16, 1e-5, 1e-3),
+        (WeightFormat::Q8_0, 1e-3, 2e-2),
+        (WeightFormat::Q6K, 5e-3, 4e-2),
+        (WeightFormat::Q4K, 2e-2, 1e-1),
     ] {
-        let product = Matrix::quantize(&values, outputs, inputs, storage).unwrap().forward(&x).unwrap();
+        let product = Matrix::quantize(&values, outputs, inputs, weight_format).unwrap().forward(&x).unwrap();
         let error = (product - &exact).unwrap().sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap();
         let relative = (error / size).sqrt();
-        assert!((least..most).contains(&relative), "{storage}: {relative}");
+        assert!((least..most).contains(&relative), "{weight_format}: {relative}");
     }
 }

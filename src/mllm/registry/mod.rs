@@ -13,7 +13,7 @@ pub use hub::{FetchListener, FetchProgress, HubAccess, HubFiles};
 use super::gguf::CreateFile;
 use super::{
     Endpoint, EndpointSettings, LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError, ModelCheck, ModelPlace,
-    Storage,
+    WeightFormat,
 };
 
 /// Finds and opens models.
@@ -53,7 +53,7 @@ impl ModelRegistry {
     }
 
     /// Holds the weights of models in this storage; none for that of their files.
-    pub fn with_quantize(mut self, quantize: Option<Storage>) -> Self {
+    pub fn with_quantize(mut self, quantize: Option<WeightFormat>) -> Self {
         self.loading.quantize = quantize;
         self
     }
@@ -204,7 +204,7 @@ impl ModelRegistry {
         Ok(LocalModel::check(&self.place_here(spec)?, &self.loading(spec)?))
     }
 
-    /// Writes a model as GGUF, its weights held in `storage`; see [`GgufPart`] for the files. `progress` is told the bytes
+    /// Writes a model as GGUF, its weights held in `weight_format`; see [`GgufPart`] for the files. `progress` is told the bytes
     /// that are written and their sum.
     ///
     /// # Errors
@@ -212,12 +212,12 @@ impl ModelRegistry {
     pub fn export(
         &self,
         spec: &ModelSpec,
-        storage: Storage,
+        weight_format: WeightFormat,
         create: &mut CreateFile<'_>,
         progress: &mut dyn FnMut(u64, u64),
     ) -> Result<LoadReport, MllmError> {
         let place = self.place(spec)?;
-        let loading = Loading { quantize: Some(storage), ..self.loading(spec)? };
+        let loading = Loading { quantize: Some(weight_format), ..self.loading(spec)? };
         LocalModel::export(&spec.name, &place, &loading, create, progress)
     }
 

@@ -3,7 +3,7 @@
 use super::AssistVariant;
 use super::answer::{Assistance, grammar, parse_assistance};
 use super::prompts::AssistPrompts;
-use crate::mllm::{Constraint, Conversation, Deadline, Mark, Mllm, Opening, Request};
+use crate::mllm::{Constraint, Conversation, Deadline, Mark, Mllm, PromptPrefix, Request};
 use crate::reasoning::call_parser::ParseError;
 use crate::reasoning::engine::{
     Feedback, Interruption, ReasoningError, ReasoningSettings, RoundRecord, feedback_text, record,
@@ -66,7 +66,7 @@ impl<'a> AssistReasoning<'a> {
         deadline: Deadline,
     ) -> Result<Self, ReasoningError> {
         let templates = AssistPrompts::new(variant, prompts.forms().scene_text)?;
-        let conversation = model.converse(&Opening { system: templates.system()?, image: None }, seed)?;
+        let conversation = model.converse(&PromptPrefix { system: templates.system()?, image: None }, seed)?;
         let start = conversation.mark();
         Ok(Self { variant, conversation, start, templates, prompts, settings, question, deadline, attempts: 0 })
     }
@@ -83,7 +83,7 @@ impl<'a> AssistReasoning<'a> {
         let prompt = self.templates.question(scene_text, *score, feedback.as_deref())?;
         let answer = match self.conversation.ask(&prompt, &self.request()) {
             Ok(answer) => answer,
-            Err(error) if error.is_passing() => {
+            Err(error) if error.is_transient() => {
                 let interruption = Some(error.into());
                 return Ok(AssistThought { rounds: Vec::new(), interruption, assistance: None, errors: Vec::new() });
             }

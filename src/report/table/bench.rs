@@ -24,7 +24,7 @@ struct Column {
 /// The columns that tell what was loaded, and those that tell what it costs; together too wide for a terminal.
 const LOADED: [Column; 6] = [
     Column { header: "params", meaning: "weights", cell: |m| count(m.about.loaded.parameters) },
-    Column { header: "weights", meaning: "how most are held", cell: |m| m.about.loaded.storage.clone() },
+    Column { header: "weights", meaning: "how most are held", cell: |m| m.about.loaded.weight_format.clone() },
     Column { header: "image", meaning: "its tokens", cell: |m| m.about.loaded.image_tokens.to_string() },
     Column { header: "prompt", meaning: "text tokens of a call", cell: |m| m.about.prompt_tokens.to_string() },
     Column { header: "load", meaning: "s", cell: |m| format!("{:.1}", m.about.loaded.load_s) },

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// How the numbers of a weight matrix are stored; the names are those of ggml's formats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Storage {
+pub enum WeightFormat {
     /// 32-bit floating point.
     #[default]
     F32,
@@ -25,7 +25,7 @@ pub enum Storage {
     Q4K,
 }
 
-impl Storage {
+impl WeightFormat {
     /// All of them.
     pub const ALL: [Self; 5] = [Self::F32, Self::F16, Self::Q8_0, Self::Q6K, Self::Q4K];
 
@@ -89,28 +89,28 @@ impl Storage {
     }
 }
 
-impl fmt::Display for Storage {
+impl fmt::Display for WeightFormat {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
 }
 
-/// A name that is none of [`Storage::ALL`].
+/// A name that is none of [`WeightFormat::ALL`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no storage of weights is called {name:?}; there are {}", Storage::ALL.map(Storage::name).join(", "))]
-pub struct UnknownStorage {
+#[error("no storage of weights is called {name:?}; there are {}", WeightFormat::ALL.map(WeightFormat::name).join(", "))]
+pub struct UnknownWeightFormat {
     /// The name.
     name: String,
 }
 
-impl FromStr for Storage {
-    type Err = UnknownStorage;
+impl FromStr for WeightFormat {
+    type Err = UnknownWeightFormat;
 
-    fn from_str(name: &str) -> Result<Self, UnknownStorage> {
+    fn from_str(name: &str) -> Result<Self, UnknownWeightFormat> {
         Self::ALL
             .into_iter()
-            .find(|storage| storage.name() == name)
-            .ok_or_else(|| UnknownStorage { name: name.to_string() })
+            .find(|weight_format| weight_format.name() == name)
+            .ok_or_else(|| UnknownWeightFormat { name: name.to_string() })
     }
 }
 
@@ -120,21 +120,21 @@ mod tests {
 
     #[test]
     fn names_are_read_back() {
-        for storage in Storage::ALL {
-            assert_eq!(storage.name().parse(), Ok(storage));
-            assert_eq!(serde_json::to_value(storage).unwrap(), storage.name());
-            assert_eq!(serde_json::from_value::<Storage>(storage.name().into()).unwrap(), storage);
-            assert_eq!(storage.block_bytes(), storage.ggml().type_size());
-            assert_eq!(storage.block(), storage.ggml().block_size());
+        for weight_format in WeightFormat::ALL {
+            assert_eq!(weight_format.name().parse(), Ok(weight_format));
+            assert_eq!(serde_json::to_value(weight_format).unwrap(), weight_format.name());
+            assert_eq!(serde_json::from_value::<WeightFormat>(weight_format.name().into()).unwrap(), weight_format);
+            assert_eq!(weight_format.block_bytes(), weight_format.ggml().type_size());
+            assert_eq!(weight_format.block(), weight_format.ggml().block_size());
         }
-        assert!("q5_k".parse::<Storage>().unwrap_err().to_string().contains("q4_k"));
+        assert!("q5_k".parse::<WeightFormat>().unwrap_err().to_string().contains("q4_k"));
     }
 
     #[test]
     fn odd_widths_fall_to_finer_storages() {
-        assert_eq!(Storage::Q4K.or_finer(512), Storage::Q4K);
-        assert_eq!(Storage::Q4K.or_finer(96), Storage::Q8_0);
-        assert_eq!(Storage::Q6K.or_finer(7), Storage::F16);
-        assert_eq!(Storage::F32.or_finer(7), Storage::F32);
+        assert_eq!(WeightFormat::Q4K.or_finer(512), WeightFormat::Q4K);
+        assert_eq!(WeightFormat::Q4K.or_finer(96), WeightFormat::Q8_0);
+        assert_eq!(WeightFormat::Q6K.or_finer(7), WeightFormat::F16);
+        assert_eq!(WeightFormat::F32.or_finer(7), WeightFormat::F32);
     }
 }

@@ -2,13 +2,13 @@
 
 use candle_core::quantized::GgmlDType;
 
-use crate::mllm::matrix::Storage;
+use crate::mllm::matrix::WeightFormat;
 
 /// Decides how tensors are held, by what was asked for, what they are and how their file holds them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct StoragePlan {
+pub(crate) struct WeightFormatPlan {
     /// The storage that was asked for; none to hold what the file holds.
-    pub quantize: Option<Storage>,
+    pub quantize: Option<WeightFormat>,
     /// Whether safetensors are held in f32 when nothing was asked for, and GGUF as it is.
     pub kind: FileKind,
     /// Whether the embedding is the output layer too.
@@ -27,9 +27,9 @@ pub(crate) enum FileKind {
 
 /// How one matrix is held, and why not as was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct PlannedStorage {
+pub(crate) struct PlannedFormat {
     /// The storage.
-    pub storage: Storage,
+    pub weight_format: WeightFormat,
     /// Why it is not what was asked for, or not what the file holds.
     pub reason: Option<&'static str>,
 }
@@ -50,22 +50,22 @@ pub(crate) fn is_matrix(name: &str, shape: &[usize]) -> bool {
     shape.len() == 2 && name.ends_with(".weight") && !name.contains("position_embedding")
 }
 
-impl StoragePlan {
+impl WeightFormatPlan {
     /// How a matrix with so many inputs, held in `format` by its file, is held in memory.
-    pub(crate) fn matrix(self, name: &str, format: GgmlDType, inputs: usize) -> PlannedStorage {
+    pub(crate) fn matrix(self, name: &str, format: GgmlDType, inputs: usize) -> PlannedFormat {
         let (wanted, reason) = match self.quantize {
             None => self.as_in_file(format),
             Some(asked) => asked_for(asked, self.role(name), format),
         };
-        let storage = wanted.or_finer(inputs);
-        let reason = if storage == wanted { reason } else { Some("rows are no whole blocks of what was wanted") };
-        PlannedStorage { storage, reason }
+        let weight_format = wanted.or_finer(inputs);
+        let reason = if weight_format == wanted { reason } else { Some("rows are no whole blocks of what was wanted") };
+        PlannedFormat { weight_format, reason }
     }
 
-    fn as_in_file(self, format: GgmlDType) -> (Storage, Option<&'static str>) {
+    fn as_in_file(self, format: GgmlDType) -> (WeightFormat, Option<&'static str>) {
         match (self.kind, held_as(format)) {
-            (FileKind::Safetensors, _) => (Storage::F32, None),
-            (FileKind::Gguf, Some(storage)) => (storage, None),
+            (FileKind::Safetensors, _) => (WeightFormat::F32, None),
+            (FileKind::Gguf, Some(weight_format)) => (weight_format, None),
             (FileKind::Gguf, None) => (replacement(format), Some("there is no fast product with the file's format")),
         }
     }
@@ -82,11 +82,13 @@ impl StoragePlan {
     }
 }
 
-fn asked_for(asked: Storage, role: Role, format: GgmlDType) -> (Storage, Option<&'static str>) {
+fn asked_for(asked: WeightFormat, role: Role, format: GgmlDType) -> (WeightFormat, Option<&'static str>) {
     let (wanted, reason) = match role {
-        Role::Output if asked == Storage::Q4K => (Storage::Q6K, Some("the output layer is held in more bits")),
-        Role::Vision if matches!(asked, Storage::Q4K | Storage::Q6K) => {
-            (Storage::Q8_0, Some("vision tower and projector are held in 8 bits at least"))
+        Role::Output if asked == WeightFormat::Q4K => {
+            (WeightFormat::Q6K, Some("the output layer is held in more bits"))
+        }
+        Role::Vision if matches!(asked, WeightFormat::Q4K | WeightFormat::Q6K) => {
+            (WeightFormat::Q8_0, Some("vision tower and projector are held in 8 bits at least"))
         }
         _ => (asked, None),
     };
@@ -98,30 +100,30 @@ fn asked_for(asked: Storage, role: Role, format: GgmlDType) -> (Storage, Option<
 }
 
 /// The storage that is the same as a file's format.
-pub(crate) fn held_as(format: GgmlDType) -> Option<Storage> {
+pub(crate) fn held_as(format: GgmlDType) -> Option<WeightFormat> {
     match format {
-        GgmlDType::F32 => Some(Storage::F32),
-        GgmlDType::F16 => Some(Storage::F16),
-        GgmlDType::Q8_0 => Some(Storage::Q8_0),
-        GgmlDType::Q6K => Some(Storage::Q6K),
-        GgmlDType::Q4K => Some(Storage::Q4K),
+        GgmlDType::F32 => Some(WeightFormat::F32),
+        GgmlDType::F16 => Some(WeightFormat::F16),
+        GgmlDType::Q8_0 => Some(WeightFormat::Q8_0),
+        GgmlDType::Q6K => Some(WeightFormat::Q6K),
+        GgmlDType::Q4K => Some(WeightFormat::Q4K),
         _ => None,
     }
 }
 
 /// The smallest storage with no fewer bits than a format that no storage is the same as. bf16 has f32's range, which f16
 /// has not.
-fn replacement(format: GgmlDType) -> Storage {
+fn replacement(format: GgmlDType) -> WeightFormat {
     match format {
-        GgmlDType::Q2K | GgmlDType::Q3K | GgmlDType::Q4_0 => Storage::Q4K,
-        GgmlDType::Q4_1 | GgmlDType::Q5_0 | GgmlDType::Q5_1 | GgmlDType::Q5K => Storage::Q6K,
-        _ => Storage::F32,
+        GgmlDType::Q2K | GgmlDType::Q3K | GgmlDType::Q4_0 => WeightFormat::Q4K,
+        GgmlDType::Q4_1 | GgmlDType::Q5_0 | GgmlDType::Q5_1 | GgmlDType::Q5K => WeightFormat::Q6K,
+        _ => WeightFormat::F32,
     }
 }
 
 /// Bits a number, times 32.
-fn bits(storage: Storage) -> usize {
-    storage.block_bytes() * 8 * 32 / storage.block()
+fn bits(weight_format: WeightFormat) -> usize {
+    weight_format.block_bytes() * 8 * 32 / weight_format.block()
 }
 
 #[cfg(test)]
@@ -131,55 +133,58 @@ mod tests {
     const DECODER: &str = "language_model.layers.0.mlp.up_proj.weight";
     const TOWER: &str = "vision_tower.encoder.layers.3.mlp.fc1.weight";
 
-    fn asked(storage: Storage) -> StoragePlan {
-        StoragePlan { quantize: Some(storage), ..StoragePlan::default() }
+    fn asked(weight_format: WeightFormat) -> WeightFormatPlan {
+        WeightFormatPlan { quantize: Some(weight_format), ..WeightFormatPlan::default() }
     }
 
     #[test]
     fn output_layer_and_vision_get_more_bits() {
-        let plan = asked(Storage::Q4K);
+        let plan = asked(WeightFormat::Q4K);
         for (name, expected) in [
-            (DECODER, Storage::Q4K),
-            ("layers.1.self_attn.vision_expert_dense.weight", Storage::Q4K),
-            ("language_model.embed_tokens.weight", Storage::Q4K),
-            ("lm_head.weight", Storage::Q6K),
-            (TOWER, Storage::Q8_0),
-            ("vision.linear_proj.gate_proj.weight", Storage::Q8_0),
+            (DECODER, WeightFormat::Q4K),
+            ("layers.1.self_attn.vision_expert_dense.weight", WeightFormat::Q4K),
+            ("language_model.embed_tokens.weight", WeightFormat::Q4K),
+            ("lm_head.weight", WeightFormat::Q6K),
+            (TOWER, WeightFormat::Q8_0),
+            ("vision.linear_proj.gate_proj.weight", WeightFormat::Q8_0),
         ] {
-            assert_eq!(plan.matrix(name, GgmlDType::F16, 512).storage, expected, "{name}");
+            assert_eq!(plan.matrix(name, GgmlDType::F16, 512).weight_format, expected, "{name}");
         }
-        let tied = StoragePlan { tied: true, ..plan };
-        assert_eq!(tied.matrix("language_model.embed_tokens.weight", GgmlDType::F16, 512).storage, Storage::Q6K);
-        assert_eq!(asked(Storage::F16).matrix(TOWER, GgmlDType::F32, 512).storage, Storage::F16);
-        assert_eq!(asked(Storage::F32).matrix(TOWER, GgmlDType::F16, 512).storage, Storage::F32);
+        let tied = WeightFormatPlan { tied: true, ..plan };
+        assert_eq!(
+            tied.matrix("language_model.embed_tokens.weight", GgmlDType::F16, 512).weight_format,
+            WeightFormat::Q6K
+        );
+        assert_eq!(asked(WeightFormat::F16).matrix(TOWER, GgmlDType::F32, 512).weight_format, WeightFormat::F16);
+        assert_eq!(asked(WeightFormat::F32).matrix(TOWER, GgmlDType::F16, 512).weight_format, WeightFormat::F32);
     }
 
     #[test]
     fn rows_that_are_no_whole_blocks_fall_to_the_next_storage() {
-        for (inputs, expected) in [(512, Storage::Q4K), (96, Storage::Q8_0), (100, Storage::F16)] {
-            let planned = asked(Storage::Q4K).matrix(DECODER, GgmlDType::F32, inputs);
-            assert_eq!((planned.storage, planned.reason.is_some()), (expected, inputs != 512));
+        for (inputs, expected) in [(512, WeightFormat::Q4K), (96, WeightFormat::Q8_0), (100, WeightFormat::F16)] {
+            let planned = asked(WeightFormat::Q4K).matrix(DECODER, GgmlDType::F32, inputs);
+            assert_eq!((planned.weight_format, planned.reason.is_some()), (expected, inputs != 512));
         }
     }
 
     #[test]
     fn a_file_that_was_quantised_is_held_as_it_is() {
-        let plan = StoragePlan { kind: FileKind::Gguf, ..StoragePlan::default() };
+        let plan = WeightFormatPlan { kind: FileKind::Gguf, ..WeightFormatPlan::default() };
         for (format, expected, said) in [
-            (GgmlDType::Q4K, Storage::Q4K, false),
-            (GgmlDType::F16, Storage::F16, false),
-            (GgmlDType::Q4_0, Storage::Q4K, true),
-            (GgmlDType::Q5K, Storage::Q6K, true),
-            (GgmlDType::BF16, Storage::F32, true),
+            (GgmlDType::Q4K, WeightFormat::Q4K, false),
+            (GgmlDType::F16, WeightFormat::F16, false),
+            (GgmlDType::Q4_0, WeightFormat::Q4K, true),
+            (GgmlDType::Q5K, WeightFormat::Q6K, true),
+            (GgmlDType::BF16, WeightFormat::F32, true),
         ] {
             let planned = plan.matrix(DECODER, format, 512);
-            assert_eq!((planned.storage, planned.reason.is_some()), (expected, said), "{format:?}");
+            assert_eq!((planned.weight_format, planned.reason.is_some()), (expected, said), "{format:?}");
         }
         // Asking for more bits than it has changes nothing, asking for fewer does.
-        let again = |storage| StoragePlan { quantize: Some(storage), ..plan };
-        assert_eq!(again(Storage::Q8_0).matrix(DECODER, GgmlDType::Q4K, 512).storage, Storage::Q4K);
-        assert_eq!(again(Storage::Q4K).matrix(DECODER, GgmlDType::Q8_0, 512).storage, Storage::Q4K);
-        assert_eq!(StoragePlan::default().matrix(DECODER, GgmlDType::BF16, 512).storage, Storage::F32);
+        let again = |weight_format| WeightFormatPlan { quantize: Some(weight_format), ..plan };
+        assert_eq!(again(WeightFormat::Q8_0).matrix(DECODER, GgmlDType::Q4K, 512).weight_format, WeightFormat::Q4K);
+        assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q8_0, 512).weight_format, WeightFormat::Q4K);
+        assert_eq!(WeightFormatPlan::default().matrix(DECODER, GgmlDType::BF16, 512).weight_format, WeightFormat::F32);
     }
 
     #[test]
