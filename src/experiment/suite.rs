@@ -73,7 +73,7 @@ impl Suite {
             Self::Generated14 => each(ScenarioType::nuplan14(), common..common + COMMON_SEEDS),
             Self::Candidates => {
                 let own = each(ScenarioType::nuplan14(), candidates..candidates + CANDIDATE_SEEDS);
-                own.into_iter().map(|spec| spec.among(CHOSEN_AMONG)).collect()
+                own.into_iter().map(|spec| spec.with_traffic_seed(CHOSEN_AMONG)).collect()
             }
             Self::Generated14Hard => HARD_LIST.lines().filter_map(|line| line.parse().ok()).collect(),
         }
@@ -112,7 +112,7 @@ pub fn hard_scenes(scores: &BTreeMap<Spec, f64>) -> Result<Vec<Spec>, Unscored> 
         return Err(Unscored { missing: 1 + unscored.count(), first });
     }
     let of_type = candidates.chunk_by(|a, b| a.scenario_type == b.scenario_type);
-    Ok(of_type.flat_map(|specs| lowest(specs, scores)).map(|spec| spec.among(DRIVEN_AMONG)).collect())
+    Ok(of_type.flat_map(|specs| lowest(specs, scores)).map(|spec| spec.with_traffic_seed(DRIVEN_AMONG)).collect())
 }
 
 /// The scenes with the lowest scores, by seed.
@@ -164,7 +164,8 @@ mod tests {
         scores.extend([(low, 0.5), (zero, 0.0)]);
         let chosen = hard_scenes(&scores).unwrap();
         assert_eq!(chosen.len(), 14 * HARD_SCENES);
-        let of_type: Vec<Spec> = chosen[..HARD_SCENES].iter().map(|spec| spec.among(CHOSEN_AMONG)).collect();
+        let of_type: Vec<Spec> =
+            chosen[..HARD_SCENES].iter().map(|spec| spec.with_traffic_seed(CHOSEN_AMONG)).collect();
         assert_eq!((&of_type[..18], &of_type[18..]), (&candidates[..18], &[low, zero][..]));
 
         scores.remove(&low);

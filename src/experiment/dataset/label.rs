@@ -1,7 +1,7 @@
 //! A labelled state: the three rounds with their answers, built from the facts of the scene and of the search.
 
+use super::label_weights::DecisionWeights;
 use super::search::{NEAR_LIMIT, Tried};
-use super::stakes::Stakes;
 use crate::environment::facts::{Ahead, Light, Question};
 use crate::environment::text::{self, Description};
 use crate::environment::{CenterlineName, LaneGraph, SceneFacts};
@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 const SPEED_CHANGE: f64 = 0.7;
 
 /// A difference of values by which a decision weighs as much as a fact.
-const UNIT_STAKE: f64 = 0.1;
+const UNIT_WEIGHT: f64 = 0.1;
 /// What a decision weighs at least.
 const MIN_WEIGHT: f64 = 0.05;
 
@@ -74,7 +74,7 @@ impl Answer {
 
     /// A decision that the model makes, for which so much is at stake.
     fn decided(mut self, text: &str, stake: f64) -> Self {
-        self.weights.push((stake / UNIT_STAKE).max(MIN_WEIGHT));
+        self.weights.push((stake / UNIT_WEIGHT).max(MIN_WEIGHT));
         self.chosen(text)
     }
 
@@ -100,7 +100,7 @@ pub(super) fn label(
     state: String,
     graph: &LaneGraph,
     facts: &SceneFacts,
-    (best, stakes): (&Tried, Stakes),
+    (best, weights): (&Tried, DecisionWeights),
     prompts: &PromptSet,
     feedback: Option<&str>,
 ) -> Result<LabelledState, PromptError> {
@@ -117,8 +117,8 @@ pub(super) fn label(
         conversation.push(Message { role: "user", content, learn: vec![], weights: vec![] });
         conversation.push(match round {
             Round::Understanding => understanding_answer(facts),
-            Round::Instruction => instruction_answer(instruction, stakes),
-            Round::Code => code_answer(best, stakes),
+            Round::Instruction => instruction_answer(instruction, weights),
+            Round::Code => code_answer(best, weights),
         });
     }
     let mut answers: BTreeMap<String, String> =
@@ -138,33 +138,33 @@ fn understanding_answer(facts: &SceneFacts) -> Message {
     answer.message()
 }
 
-fn instruction_answer(instruction: Instruction, stakes: Stakes) -> Message {
+fn instruction_answer(instruction: Instruction, weights: DecisionWeights) -> Message {
     Answer::default()
         .fixed("why=")
-        .decided(instruction.why_lateral.as_str(), stakes.lane)
+        .decided(instruction.why_lateral.as_str(), weights.lane)
         .fixed(" lat=")
-        .decided(instruction.lateral.as_str(), stakes.lane)
+        .decided(instruction.lateral.as_str(), weights.lane)
         .fixed(" why=")
-        .decided(instruction.why_longitudinal.as_str(), stakes.speed)
+        .decided(instruction.why_longitudinal.as_str(), weights.speed)
         .fixed(" lon=")
-        .decided(instruction.longitudinal.as_str(), stakes.speed)
+        .decided(instruction.longitudinal.as_str(), weights.speed)
         .message()
 }
 
-fn code_answer(best: &Tried, stakes: Stakes) -> Message {
+fn code_answer(best: &Tried, weights: DecisionWeights) -> Message {
     let code = &best.code;
     Answer::default()
         .fixed(&format!("{}(c=", crate::reasoning::FUNCTION))
-        .decided(&code.centerline, stakes.lane)
+        .decided(&code.centerline, weights.lane)
         .fixed(", la=")
         // Who leads on a centreline is a fact of the scene.
-        .decided(code.leader.as_deref().unwrap_or("None"), UNIT_STAKE)
+        .decided(code.leader.as_deref().unwrap_or("None"), UNIT_WEIGHT)
         .fixed(", v0=")
-        .decided(&code.target_speed.to_string(), stakes.speed)
+        .decided(&code.target_speed.to_string(), weights.speed)
         .fixed(", acc=")
-        .decided(&code.accel_max.to_string(), stakes.accelerations)
+        .decided(&code.accel_max.to_string(), weights.accelerations)
         .fixed(", dec=")
-        .decided(&code.decel_max.to_string(), stakes.accelerations)
+        .decided(&code.decel_max.to_string(), weights.accelerations)
         .fixed(")")
         .message()
 }

@@ -3,9 +3,9 @@
 //! The seeds of training, validation and test scenes never meet (see [`Split`]).
 
 mod label;
+mod label_weights;
 pub mod search;
 mod shard;
-mod stakes;
 
 pub use label::LabelledState;
 pub use shard::{FORMAT, Meta, ShardError};
@@ -19,12 +19,12 @@ use crate::reflection::Verdict;
 use crate::scenario::generator::{self, ScenarioType, Spec};
 use crate::simulation::{Challenge, ClosedLoop};
 use image::RgbImage;
+use label_weights::DecisionWeights;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 use search::Tried;
-use stakes::Stakes;
 use std::ops::Range;
 use std::path::Path;
 
@@ -220,9 +220,9 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
         let name = format!("{}@{:.1}", scenario.id, drive.iteration() as f64 * crate::world::STEP_S);
         let image = bev::render(&scene, &settings.view);
         let mut label = |feedback: Option<Feedback>| -> Result<(), PromptError> {
-            let stakes = Stakes::of(best, &tried, feedback.is_some());
+            let weights = DecisionWeights::of(best, &tried, feedback.is_some());
             let told = feedback.map(|feedback| feedback_text(settings.prompts, &feedback)).transpose()?;
-            let label = label::label(name.clone(), &graph, &facts, (best, stakes), settings.prompts, told.as_deref())?;
+            let label = label::label(name.clone(), &graph, &facts, (best, weights), settings.prompts, told.as_deref())?;
             states.push((label, image.clone()));
             Ok(())
         };

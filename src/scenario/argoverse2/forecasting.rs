@@ -15,8 +15,8 @@
 //! | `static`, `background`, `unknown` | generic object |
 
 use super::Contents;
-use super::drive::Drive;
 use super::error::{Argoverse2Error, LogFault};
+use super::log::Log;
 use super::map::{lane_count, lane_map};
 use super::map_file::MapFile;
 use super::table::Table;
@@ -29,7 +29,7 @@ use std::path::Path;
 /// Id of the recording car's track.
 const EGO: &str = "AV";
 /// No scenario has more steps: an hour.
-const MOST_STEPS: i64 = 36_000;
+const MAX_STEPS: i64 = 36_000;
 /// Speeds beyond this are no road user's, m/s.
 const FASTEST: f64 = 200.0;
 
@@ -93,7 +93,7 @@ impl Tracks {
 fn steps(table: &Table) -> Result<Vec<usize>, LogFault> {
     let column = "timestep";
     let steps = table.integers(column)?;
-    match steps.iter().position(|step| !(0..MOST_STEPS).contains(step)) {
+    match steps.iter().position(|step| !(0..MAX_STEPS).contains(step)) {
         Some(row) => Err(LogFault::Unbelievable { column, row, value: steps[row] as f64 }),
         None => Ok(steps.into_iter().map(|step| step as usize).collect()),
     }
@@ -116,7 +116,7 @@ fn seconds(steps: &[usize]) -> Vec<f64> {
 ///
 /// # Errors
 /// When a file is unsound.
-pub(super) fn drive(path: &Path, map: &Path, id: String) -> Result<Drive, Argoverse2Error> {
+pub(super) fn log(path: &Path, map: &Path, id: String) -> Result<Log, Argoverse2Error> {
     let tracks = within(path, Tracks::read(&Table::parquet(path)?))?;
     let seconds = seconds(&tracks.steps);
     let egos = within(path, ego_rows(&tracks, seconds.len()))?;
@@ -126,7 +126,7 @@ pub(super) fn drive(path: &Path, map: &Path, id: String) -> Result<Drive, Argove
     let map = within(map, lane_map(&file, &tracks.city, origin))?;
     let rear_axles = egos.iter().map(|&row| moved(tracks.poses[row], origin)).collect();
     let velocities = egos.iter().map(|&row| tracks.velocities[row]).collect();
-    Ok(Drive { id, seconds, rear_axles, velocities, objects, map })
+    Ok(Log { id, seconds, rear_axles, velocities, objects, map })
 }
 
 /// What a scenario holds, without deriving anything.

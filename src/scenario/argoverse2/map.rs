@@ -24,7 +24,7 @@ use crate::world::LaneMap;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Samples of a centreline at least: Argoverse's own number.
-const FEWEST_SAMPLES: usize = 10;
+const MIN_SAMPLES: usize = 10;
 /// Distance between samples of a longer centreline, metres.
 const SAMPLE_STEP: f64 = 1.0;
 
@@ -132,7 +132,7 @@ fn centerline(segment: &LaneSegment, origin: Vector) -> Result<Option<Trace>, Lo
         let trace = Trace::of(segment.id, side, origin)?;
         longest = longest.max(trace.map_or(0.0, |trace| trace.line.length()));
     }
-    let count = ((longest / SAMPLE_STEP).ceil() as usize + 1).max(FEWEST_SAMPLES);
+    let count = ((longest / SAMPLE_STEP).ceil() as usize + 1).max(MIN_SAMPLES);
     let [left, right] = sides.map(|side| evenly(&side, count));
     let (Some(left), Some(right)) = (left, right) else { return Err(LogFault::NoArea { id: segment.id }) };
     let middle: Vec<Place> = left.iter().zip(&right).map(|(l, r)| nalgebra::center(l, r)).collect();

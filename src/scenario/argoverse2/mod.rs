@@ -13,11 +13,11 @@
 
 mod annotations;
 mod category;
-mod drive;
 mod error;
 mod files;
 mod forecasting;
 mod ipc_bounds;
+mod log;
 mod map;
 mod map_file;
 mod poses;
@@ -66,10 +66,10 @@ pub fn open(folder: &Path) -> Result<Scenario, Argoverse2Error> {
     let id = name(folder);
     match LogFiles::of(folder)? {
         LogFiles::Sensor { poses, annotations, map } => {
-            let drive = sensor::drive(SensorFiles { poses: &poses, annotations: &annotations, map: &map }, id)?;
-            within(&annotations, drive.scenario())
+            let log = sensor::log(SensorFiles { poses: &poses, annotations: &annotations, map: &map }, id)?;
+            within(&annotations, log.scenario())
         }
-        LogFiles::Forecasting { tracks, map } => within(&tracks, forecasting::drive(&tracks, &map, id)?.scenario()),
+        LogFiles::Forecasting { tracks, map } => within(&tracks, forecasting::log(&tracks, &map, id)?.scenario()),
     }
 }
 

@@ -4,9 +4,9 @@
 //! five of them. Coordinates are moved to an origin near the ego's first place, in whole metres.
 
 use super::annotations::{Annotations, sweeps, track_count};
-use super::drive::{Drive, velocities_of};
 use super::error::{Argoverse2Error, LogFault};
 use super::files::city_of;
+use super::log::{Log, velocities_of};
 use super::map::{lane_count, lane_map};
 use super::map_file::MapFile;
 use super::poses::{EgoPoses, heading};
@@ -33,7 +33,7 @@ pub(super) struct SensorFiles<'a> {
 ///
 /// # Errors
 /// When a file is missing or unsound.
-pub(super) fn drive(files: SensorFiles<'_>, id: String) -> Result<Drive, Argoverse2Error> {
+pub(super) fn log(files: SensorFiles<'_>, id: String) -> Result<Log, Argoverse2Error> {
     let poses = within(files.poses, EgoPoses::read(&Table::feather(files.poses)?))?;
     let table = Table::feather(files.annotations)?;
     let in_annotations = |fault| Argoverse2Error::Content { path: files.annotations.to_owned(), fault };
@@ -51,7 +51,7 @@ pub(super) fn drive(files: SensorFiles<'_>, id: String) -> Result<Drive, Argover
         .map(|ego| Pose::new(ego.translation.x - origin.x, ego.translation.y - origin.y, heading(ego)))
         .collect();
     let velocities = velocities_of(&seconds, &rear_axles);
-    Ok(Drive { id, objects: annotations.objects(&seconds), seconds, rear_axles, velocities, map })
+    Ok(Log { id, objects: annotations.objects(&seconds), seconds, rear_axles, velocities, map })
 }
 
 /// What a log holds, without deriving anything.

@@ -10,19 +10,19 @@
 //! lane it passes what stands at the kerb within its lane. What it knows beyond a planner: which vehicles stand for good,
 //! and what the recipe wants.
 
-use super::traffic::{Mover, Steering, Temper, Traffic, Wish};
+use super::traffic::{DriverProfile, Mover, Steering, Traffic, Wish};
 use crate::geometry::wrap_angle;
 
 /// How the expert drives.
-pub(crate) const EXPERT: Temper = Temper {
-    haste: 0.97,
+pub(crate) const EXPERT: DriverProfile = DriverProfile {
+    speed_factor: 0.97,
     min_gap: 2.0,
     headway: 1.3,
     accel: 1.6,
     decel: 2.2,
     gap_margin: 2.0,
     jerk: 2.6,
-    hardest: 3.9,
+    max_braking: 3.9,
     steering: Some(Steering { rate: STEERING_RATE, lateral: LATERAL_ACCELERATION }),
 };
 /// How fast the expert turns the front wheels at most, rad/s. nuPlan's tracker follows a log that is sampled every 0.5 s
@@ -44,7 +44,7 @@ const OFF_WAY_SIGHT: f64 = 140.0;
 /// Room kept to what is passed within the lane, metres.
 const NUDGE_ROOM: f64 = 0.55;
 /// Furthest move off the centreline within the lane, metres.
-const NUDGE_MOST: f64 = 1.3;
+const MAX_NUDGE: f64 = 1.3;
 
 /// What the recipe wants of the expert.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -140,7 +140,7 @@ fn blocked(traffic: &Traffic<'_>) -> Option<Obstacle> {
     let ego = &traffic.movers[0];
     let half = ego.width / 2.0;
     let standing = traffic.fixtures.iter().map(|object| object.shape);
-    let broken = traffic.movers[1..].iter().filter(|m| !m.gone && m.ceiling < 0.3 && m.speed < 0.3).map(Mover::shape);
+    let broken = traffic.movers[1..].iter().filter(|m| !m.gone && m.speed_cap < 0.3 && m.speed < 0.3).map(Mover::shape);
     // What stands to the right pushes the ego to the left and the other way round.
     let (mut to_left, mut to_right, mut begins) = (0.0f64, 0.0f64, f64::INFINITY);
     for shape in standing.chain(broken) {
@@ -158,7 +158,7 @@ fn blocked(traffic: &Traffic<'_>) -> Option<Obstacle> {
             continue;
         }
         let pushes = if lateral < 0.0 { lateral + across } else { across - lateral } + half + NUDGE_ROOM;
-        if pushes <= NUDGE_MOST && s - ego.front_s() > NUDGE_SIGHT {
+        if pushes <= MAX_NUDGE && s - ego.front_s() > NUDGE_SIGHT {
             continue;
         }
         let along = (reach * turned.cos()).abs() + (shape.width / 2.0 * turned.sin()).abs();
@@ -169,7 +169,7 @@ fn blocked(traffic: &Traffic<'_>) -> Option<Obstacle> {
             to_right = to_right.min(lateral - across - half - NUDGE_ROOM);
         }
     }
-    if to_left > NUDGE_MOST || to_right < -NUDGE_MOST || (to_left > 0.0 && to_right < 0.0) {
+    if to_left > MAX_NUDGE || to_right < -MAX_NUDGE || (to_left > 0.0 && to_right < 0.0) {
         Some(Obstacle::Lane(begins))
     } else if to_left > 0.0 || to_right < 0.0 {
         Some(Obstacle::Edge(to_left + to_right))
@@ -219,7 +219,7 @@ fn better_side(traffic: &Traffic<'_>) -> Option<bool> {
 fn behind_slow_traffic(traffic: &Traffic<'_>) -> bool {
     let ego = &traffic.movers[0];
     let allowed = ego.track.allowed_at(ego.s);
-    traffic.movers[1..].iter().filter(|mover| !mover.gone && mover.ceiling < SLOW_SHARE * allowed).any(|mover| {
+    traffic.movers[1..].iter().filter(|mover| !mover.gone && mover.speed_cap < SLOW_SHARE * allowed).any(|mover| {
         let center = mover.shape().center.position();
         let (s, lateral) = ego.track.project(center, ego.s, ego.s + 40.0);
         s > ego.s + 1.0 && lateral.abs() < 1.5 && (ego.track.pose_at(s).position() - center).norm() < 2.0

@@ -7,25 +7,25 @@
 //! Another traffic seed puts the drive of a seed among other traffic: roads, route and what the drive is about stay, what
 //! is luck is drawn anew (`dice.rs`).
 
-mod dice;
-mod drive;
 mod expert;
+mod log;
 mod recipe;
+mod rng;
 mod road;
 mod scenario_type;
 #[cfg(test)]
 mod tests;
 mod traffic;
 
-pub use drive::Discard;
+pub use log::Discard;
 pub use scenario_type::ScenarioType;
 
 use super::Scenario;
 use crate::world::Route;
-use dice::Dice;
-use drive::{Drive, PAST};
 use expert::Expert;
+use log::{GeneratedLog, PAST};
 use recipe::Stage;
+use rng::SeededRng;
 use road::Roads;
 use std::fmt;
 use std::str::FromStr;
@@ -92,7 +92,7 @@ impl Spec {
 
     /// The same among other traffic.
     #[must_use]
-    pub const fn among(self, traffic: u64) -> Self {
+    pub const fn with_traffic_seed(self, traffic: u64) -> Self {
         Self { traffic, ..self }
     }
 
@@ -149,12 +149,12 @@ pub fn generate(spec: &Spec) -> Result<Scenario, GeneratorError> {
 /// # Errors
 /// When [`MAX_DRAWS`] draws were thrown away.
 pub fn generate_with_record(spec: &Spec) -> Result<Generated, GeneratorError> {
-    let (own, dice) = first_of(&spec.among(0), |number| dice_of(spec.scenario_type, spec.seed, number))?;
+    let (own, rng) = first_of(&spec.with_traffic_seed(0), |number| rng_of(spec.scenario_type, spec.seed, number))?;
     if spec.traffic == 0 {
         return Ok(own);
     }
-    let luck = spec.seed ^ Dice::new(spec.traffic, TRAFFIC).word();
-    let other = |number| dice_of(spec.scenario_type, luck, number).among_other_traffic(&dice);
+    let luck = spec.seed ^ SeededRng::new(spec.traffic, TRAFFIC).next_u64();
+    let other = |number| rng_of(spec.scenario_type, luck, number).among_other_traffic(&rng);
     let (generated, _) = first_of(spec, other)?;
     Ok(Generated { discarded: [own.discarded, generated.discarded].concat(), ..generated })
 }
@@ -163,17 +163,17 @@ pub fn generate_with_record(spec: &Spec) -> Result<Generated, GeneratorError> {
 const TRAFFIC: u64 = 1;
 
 /// Dice of one draw of a seed.
-fn dice_of(kind: ScenarioType, seed: u64, draw: u64) -> Dice {
-    Dice::new(seed, (kind as u64 + 1) * 1000 + draw)
+fn rng_of(kind: ScenarioType, seed: u64, draw: u64) -> SeededRng {
+    SeededRng::new(seed, (kind as u64 + 1) * 1000 + draw)
 }
 
 /// The first of several draws that is worth keeping, with its dice as they are afterwards.
-fn first_of(spec: &Spec, dice: impl Fn(u64) -> Dice) -> Result<(Generated, Dice), GeneratorError> {
+fn first_of(spec: &Spec, rng: impl Fn(u64) -> SeededRng) -> Result<(Generated, SeededRng), GeneratorError> {
     let mut discarded = Vec::new();
     for number in 0..MAX_DRAWS {
-        let mut dice = dice(number as u64);
-        match draw(spec, &mut dice) {
-            Ok(scenario) => return Ok((Generated { scenario, discarded }, dice)),
+        let mut rng = rng(number as u64);
+        match draw(spec, &mut rng) {
+            Ok(scenario) => return Ok((Generated { scenario, discarded }, rng)),
             Err(reason) => discarded.push(reason),
         }
     }
@@ -182,31 +182,31 @@ fn first_of(spec: &Spec, dice: impl Fn(u64) -> Dice) -> Result<(Generated, Dice)
 }
 
 /// One draw.
-fn draw(spec: &Spec, dice: &mut Dice) -> Result<Scenario, Discard> {
+fn draw(spec: &Spec, rng: &mut SeededRng) -> Result<Scenario, Discard> {
     let kind = spec.scenario_type;
-    let mut setting = dice.situation(|dice| recipe::setting(kind, dice)).map_err(|_| Discard::Roads)?;
+    let mut setting = rng.situation(|rng| recipe::setting(kind, rng)).map_err(|_| Discard::Roads)?;
     let layout = std::mem::take(&mut setting.layout);
     // Other traffic drives on the same map.
-    let mut roads = Roads::new(layout, spec.among(0).to_string()).map_err(|_| Discard::Roads)?;
-    let (chain, ego_lane) = recipe::prepare(&mut roads, &setting, dice);
-    let mut stage = Stage::new(&roads, chain, ego_lane, &setting, dice).ok_or(Discard::Roads)?;
+    let mut roads = Roads::new(layout, spec.with_traffic_seed(0).to_string()).map_err(|_| Discard::Roads)?;
+    let (chain, ego_lane) = recipe::prepare(&mut roads, &setting, rng);
+    let mut stage = Stage::new(&roads, chain, ego_lane, &setting, rng).ok_or(Discard::Roads)?;
     let task = recipe::cast(kind, &mut stage, setting.task);
     let (traffic, task) = stage.finish(task);
-    if !dice.kept_situation() {
+    if !rng.kept_situation() {
         return Err(Discard::OtherSituation);
     }
-    let drive = Drive::record(traffic, Expert::new(task))?;
-    if !recipe::holds(kind, &drive) {
+    let log = GeneratedLog::record(traffic, Expert::new(task))?;
+    if !recipe::holds(kind, &log) {
         return Err(Discard::OtherType);
     }
-    let goal = drive.frames.last().map(|frame| frame.ego.center());
+    let goal = log.frames.last().map(|frame| frame.ego.center());
     Ok(Scenario {
         id: spec.to_string(),
         scenario_type: kind.name().to_owned(),
         log_name: spec.log_name(),
         map: roads.map.clone(),
         route: Route { roadblocks: roads.route(), goal },
-        frames: drive.frames,
+        frames: log.frames,
         start: PAST,
         future: Vec::new(),
     })

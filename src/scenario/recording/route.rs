@@ -14,9 +14,9 @@ const SAMPLE_STEP: f64 = 1.0;
 /// A centreline farther than this is not driven on, metres.
 const REACH: f64 = 6.0;
 /// Distance from a centreline that is as usual as not, metres.
-const USUAL_OFFSET: f64 = 1.0;
+const OFFSET_SIGMA: f64 = 1.0;
 /// Turn from a lane's heading that is as usual as not, radians.
-const USUAL_TURN: f64 = 0.3;
+const TURN_SIGMA: f64 = 0.3;
 /// Cost of following the graph to another lane: a little, so that the fewest lanes win.
 const FOLLOW: f64 = 0.2;
 /// Cost of a lane change.
@@ -93,7 +93,7 @@ fn candidates(map: &LaneMap, pose: Pose) -> Vec<Candidate> {
     let near = map.lanes_near(pose.position(), REACH).into_iter().filter_map(|lane| {
         let foot = map[lane].centerline.project(pose.position());
         let turn = wrap_angle(foot.heading - pose.heading).abs();
-        let misfit = (foot.distance / USUAL_OFFSET).powi(2) / 2.0 + (turn / USUAL_TURN).powi(2) / 2.0;
+        let misfit = (foot.distance / OFFSET_SIGMA).powi(2) / 2.0 + (turn / TURN_SIGMA).powi(2) / 2.0;
         (foot.distance < REACH && turn < std::f64::consts::FRAC_PI_2).then_some(Candidate { lane, s: foot.s, misfit })
     });
     near.collect()
@@ -157,7 +157,7 @@ fn step_cost(map: &LaneMap, before: Candidate, after: Candidate, moved: f64) -> 
 
 /// The fewest lanes between two, at most four, with at most `spare` metres in all; empty when one leads to the other.
 fn way(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<Vec<LaneId>> {
-    const MOST: usize = 4;
+    const MAX_BETWEEN: usize = 4;
     if map[from].outgoing.contains(&to) {
         return (spare >= 0.0).then(Vec::new);
     }
@@ -169,7 +169,7 @@ fn way(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<Vec<LaneId
                 return Some(between);
             }
             let covered = covered + map[next].centerline.length();
-            if between.len() < MOST && covered <= spare && next != from && !between.contains(&next) {
+            if between.len() < MAX_BETWEEN && covered <= spare && next != from && !between.contains(&next) {
                 open.push_back((between.iter().copied().chain([next]).collect(), covered));
             }
         }
@@ -179,10 +179,10 @@ fn way(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<Vec<LaneId
 
 /// The fewest roadblocks between two that do not follow each other, at most six; none when the graph does not join them.
 fn block_way(map: &LaneMap, from: RoadblockId, to: RoadblockId) -> Vec<RoadblockId> {
-    const MOST: usize = 6;
+    const MAX_BETWEEN: usize = 6;
     let mut parent: BTreeMap<RoadblockId, RoadblockId> = BTreeMap::new();
     let mut level = BTreeSet::from([from]);
-    for _ in 0..=MOST {
+    for _ in 0..=MAX_BETWEEN {
         let mut next_level = BTreeSet::new();
         for &block in &level {
             for &next in map[block].outgoing.iter().filter(|&&next| next != from) {

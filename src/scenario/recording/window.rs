@@ -17,7 +17,7 @@ const LONGEST_DRIVE: f64 = 15.0;
 /// Half a step, s: recorded times jitter.
 const HALF_STEP: f64 = 0.05;
 /// Steps of the shortest recording that can be driven: a second of history and a second of driving.
-const FEWEST_STEPS: usize = 21;
+const MIN_STEPS: usize = 21;
 /// Steps may be this much apart, s.
 const STEP_RANGE: RangeInclusive<f64> = 0.05..=0.15;
 
@@ -47,8 +47,8 @@ pub enum TimeFault {
 /// # Errors
 /// When the steps are too few or not a tenth of a second apart.
 pub(in crate::scenario) fn step_times(seconds: &[f64]) -> Result<Vec<i64>, TimeFault> {
-    if seconds.len() < FEWEST_STEPS {
-        return Err(TimeFault::TooShort { steps: seconds.len(), needed: FEWEST_STEPS });
+    if seconds.len() < MIN_STEPS {
+        return Err(TimeFault::TooShort { steps: seconds.len(), needed: MIN_STEPS });
     }
     let odd = seconds.windows(2).position(|pair| !STEP_RANGE.contains(&(pair[1] - pair[0])));
     if let Some(step) = odd {

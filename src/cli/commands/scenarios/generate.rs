@@ -19,7 +19,7 @@ pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Re
     let mut failed = false;
     for kind in kinds {
         for seed in *from..from.saturating_add(*count) {
-            let spec = Spec::new(kind, seed).among(*traffic);
+            let spec = Spec::new(kind, seed).with_traffic_seed(*traffic);
             match generate(&spec) {
                 Ok(scenario) => {
                     let way: f64 = scenario

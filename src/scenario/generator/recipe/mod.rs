@@ -1,9 +1,9 @@
 //! One recipe a scenario type: its roads, its cast, and what must have come about for the drive to be of that type.
 
 mod cases;
+mod clutter;
 mod crossing;
 mod follow;
-mod garnish;
 mod lanes;
 mod people;
 mod setting;
@@ -13,8 +13,8 @@ mod stage;
 pub(crate) use setting::{LEAD_IN, SETTLING, Setting};
 pub(crate) use stage::{Stage, prepare};
 
-use super::dice::Dice;
-use super::drive::Drive;
+use super::log::GeneratedLog;
+use super::rng::SeededRng;
 use super::{ScenarioType, expert::Task};
 use crate::geometry::GeometryError;
 
@@ -22,26 +22,26 @@ use crate::geometry::GeometryError;
 ///
 /// # Errors
 /// When a course has no extent.
-pub(super) fn setting(kind: ScenarioType, dice: &mut Dice) -> Result<Setting, GeometryError> {
+pub(super) fn setting(kind: ScenarioType, rng: &mut SeededRng) -> Result<Setting, GeometryError> {
     match kind {
-        ScenarioType::StartingLeftTurn => crossing::left_turn(dice),
-        ScenarioType::StartingRightTurn => crossing::right_turn(dice),
-        ScenarioType::StartingStraightTrafficLightIntersectionTraversal => crossing::straight_at_light(dice),
-        ScenarioType::TraversingIntersection => crossing::unsignalled(dice),
-        ScenarioType::TraversingRoundabout => crossing::roundabout(dice),
-        ScenarioType::StoppingWithLead => follow::stopping(dice),
-        ScenarioType::FollowingLaneWithLead => follow::following(dice),
-        ScenarioType::BehindLongVehicle => follow::behind_long(dice),
-        ScenarioType::StationaryInTraffic => follow::stationary(dice),
-        ScenarioType::NearMultipleVehicles => follow::near_many(dice),
-        ScenarioType::LowMagnitudeSpeed => follow::low_speed(dice),
-        ScenarioType::HighMagnitudeSpeed => speed::high_speed(dice),
-        ScenarioType::HighLateralAcceleration => speed::high_lateral(dice),
-        ScenarioType::ChangingLane => lanes::changing(dice),
-        ScenarioType::WaitingForPedestrianToCross => people::waiting(dice),
-        ScenarioType::TraversingPickupDropoff => people::pickup(dice),
-        ScenarioType::CaseRoundabout => cases::roundabout(dice),
-        ScenarioType::CaseRedLight => cases::red_light(dice),
+        ScenarioType::StartingLeftTurn => crossing::left_turn(rng),
+        ScenarioType::StartingRightTurn => crossing::right_turn(rng),
+        ScenarioType::StartingStraightTrafficLightIntersectionTraversal => crossing::straight_at_light(rng),
+        ScenarioType::TraversingIntersection => crossing::unsignalled(rng),
+        ScenarioType::TraversingRoundabout => crossing::roundabout(rng),
+        ScenarioType::StoppingWithLead => follow::stopping(rng),
+        ScenarioType::FollowingLaneWithLead => follow::following(rng),
+        ScenarioType::BehindLongVehicle => follow::behind_long(rng),
+        ScenarioType::StationaryInTraffic => follow::stationary(rng),
+        ScenarioType::NearMultipleVehicles => follow::near_many(rng),
+        ScenarioType::LowMagnitudeSpeed => follow::low_speed(rng),
+        ScenarioType::HighMagnitudeSpeed => speed::high_speed(rng),
+        ScenarioType::HighLateralAcceleration => speed::high_lateral(rng),
+        ScenarioType::ChangingLane => lanes::changing(rng),
+        ScenarioType::WaitingForPedestrianToCross => people::waiting(rng),
+        ScenarioType::TraversingPickupDropoff => people::pickup(rng),
+        ScenarioType::CaseRoundabout => cases::roundabout(rng),
+        ScenarioType::CaseRedLight => cases::red_light(rng),
     }
 }
 
@@ -69,24 +69,24 @@ pub(super) fn cast(kind: ScenarioType, stage: &mut Stage<'_, '_>, task: Task) ->
 }
 
 /// Whether the drive is what its type says, at some moment of the log.
-pub(super) fn holds(kind: ScenarioType, drive: &Drive) -> bool {
+pub(super) fn holds(kind: ScenarioType, log: &GeneratedLog) -> bool {
     match kind {
-        ScenarioType::StartingLeftTurn => drive.turns(0.9),
-        ScenarioType::StartingRightTurn => drive.turns(-0.9),
-        ScenarioType::StartingStraightTrafficLightIntersectionTraversal => drive.crosses_a_light(),
-        ScenarioType::TraversingIntersection | ScenarioType::TraversingRoundabout => drive.in_intersection(),
-        ScenarioType::StoppingWithLead => drive.stops_behind_lead(),
-        ScenarioType::FollowingLaneWithLead => drive.follows(25.0, 3.0),
-        ScenarioType::BehindLongVehicle => drive.behind_long(),
-        ScenarioType::StationaryInTraffic => drive.stands_in_traffic(),
-        ScenarioType::NearMultipleVehicles => drive.near_vehicles(5),
-        ScenarioType::LowMagnitudeSpeed => drive.slow(2.5),
-        ScenarioType::HighMagnitudeSpeed => drive.fast(9.0),
-        ScenarioType::HighLateralAcceleration => drive.lateral(1.2),
-        ScenarioType::ChangingLane => drive.changes_lane(),
-        ScenarioType::WaitingForPedestrianToCross => drive.waits_for_pedestrian(),
-        ScenarioType::TraversingPickupDropoff => drive.passes_bay(),
-        ScenarioType::CaseRoundabout => drive.changes_lane() && drive.in_intersection(),
-        ScenarioType::CaseRedLight => drive.stops_before_red(),
+        ScenarioType::StartingLeftTurn => log.turns(0.9),
+        ScenarioType::StartingRightTurn => log.turns(-0.9),
+        ScenarioType::StartingStraightTrafficLightIntersectionTraversal => log.crosses_a_light(),
+        ScenarioType::TraversingIntersection | ScenarioType::TraversingRoundabout => log.in_intersection(),
+        ScenarioType::StoppingWithLead => log.stops_behind_lead(),
+        ScenarioType::FollowingLaneWithLead => log.follows(25.0, 3.0),
+        ScenarioType::BehindLongVehicle => log.behind_long(),
+        ScenarioType::StationaryInTraffic => log.stands_in_traffic(),
+        ScenarioType::NearMultipleVehicles => log.near_vehicles(5),
+        ScenarioType::LowMagnitudeSpeed => log.slow(2.5),
+        ScenarioType::HighMagnitudeSpeed => log.fast(9.0),
+        ScenarioType::HighLateralAcceleration => log.lateral(1.2),
+        ScenarioType::ChangingLane => log.changes_lane(),
+        ScenarioType::WaitingForPedestrianToCross => log.waits_for_pedestrian(),
+        ScenarioType::TraversingPickupDropoff => log.passes_bay(),
+        ScenarioType::CaseRoundabout => log.changes_lane() && log.in_intersection(),
+        ScenarioType::CaseRedLight => log.stops_before_red(),
     }
 }

@@ -1,8 +1,8 @@
 //! The stage before anybody enters it: roads, where the ego starts, what its light will do.
 
 use crate::geometry::{GeometryError, Pose};
-use crate::scenario::generator::dice::{Dice, Early};
 use crate::scenario::generator::expert::Task;
+use crate::scenario::generator::rng::{EarlyDraw, SeededRng};
 use crate::scenario::generator::road::{CirclePlan, Control, Course, CrossingPlan, Layout, RoadStyle, Turn};
 use std::f64::consts::PI;
 
@@ -37,9 +37,9 @@ pub(crate) enum LightWish {
     /// Whatever.
     Any,
     /// Turns green at this moment, seconds.
-    GreenFrom(Early),
+    GreenFrom(EarlyDraw),
     /// Turns yellow at this moment, seconds.
-    GreenUntil(Early),
+    GreenUntil(EarlyDraw),
 }
 
 /// Roads and the ego's part on them.
@@ -68,31 +68,31 @@ impl Setting {
 }
 
 /// A start anywhere, looking anywhere.
-pub(super) fn anywhere(dice: &mut Dice) -> Pose {
-    Pose::new(dice.between(-40.0, 40.0), dice.between(-40.0, 40.0), dice.between(-PI, PI))
+pub(super) fn anywhere(rng: &mut SeededRng) -> Pose {
+    Pose::new(rng.uniform(-40.0, 40.0), rng.uniform(-40.0, 40.0), rng.uniform(-PI, PI))
 }
 
 /// A cross-section with the given numbers of lanes and one of the limits.
-pub(super) fn style(dice: &mut Dice, own: [usize; 2], oncoming: [usize; 2], limits: &[f64]) -> RoadStyle {
+pub(super) fn style(rng: &mut SeededRng, own: [usize; 2], oncoming: [usize; 2], limits: &[f64]) -> RoadStyle {
     // A kerb margin, a strip wide enough for bicycles, or a parking strip.
-    let shoulder = |dice: &mut Dice| {
-        let kind = dice.unit();
+    let shoulder = |rng: &mut SeededRng| {
+        let kind = rng.unit();
         if kind < 0.5 {
-            dice.between(0.5, 0.9)
+            rng.uniform(0.5, 0.9)
         } else if kind < 0.75 {
-            dice.between(1.5, 1.9)
+            rng.uniform(1.5, 1.9)
         } else {
-            dice.between(2.5, 2.8)
+            rng.uniform(2.5, 2.8)
         }
     };
-    let (own, oncoming) = (dice.whole(own[0], own[1]), dice.whole(oncoming[0], oncoming[1]));
-    let left = if oncoming == 0 { 0.6 } else { shoulder(dice) };
+    let (own, oncoming) = (rng.range(own[0], own[1]), rng.range(oncoming[0], oncoming[1]));
+    let left = if oncoming == 0 { 0.6 } else { shoulder(rng) };
     RoadStyle {
         own,
         oncoming,
-        lane_width: dice.between(3.2, 3.8),
-        speed_limit: dice.pick(limits),
-        shoulder: [shoulder(dice), left],
+        lane_width: rng.uniform(3.2, 3.8),
+        speed_limit: rng.choose(limits),
+        shoulder: [shoulder(rng), left],
     }
 }
 
@@ -107,43 +107,43 @@ pub(super) fn bend_for(style: &RoadStyle, share: f64) -> f64 {
 }
 
 /// A gentle course.
-pub(super) fn course(dice: &mut Dice, length: f64, style: &RoadStyle, bendiness: f64) -> Course {
-    if dice.chance(bendiness) {
-        let curvature = dice.sign() * dice.between(0.3, 0.95) * bend_for(style, 1.0).min(0.02);
-        Course { length, curvature, lead: dice.between(0.0, 0.3) * length }
+pub(super) fn course(rng: &mut SeededRng, length: f64, style: &RoadStyle, bendiness: f64) -> Course {
+    if rng.bool(bendiness) {
+        let curvature = rng.sign() * rng.uniform(0.3, 0.95) * bend_for(style, 1.0).min(0.02);
+        Course { length, curvature, lead: rng.uniform(0.0, 0.3) * length }
     } else {
         Course::straight(length)
     }
 }
 
 /// A road without crossings, long enough to drive along.
-pub(super) fn corridor(dice: &mut Dice, style: &RoadStyle, bendiness: f64) -> Result<Layout, GeometryError> {
-    let start = anywhere(dice);
+pub(super) fn corridor(rng: &mut SeededRng, style: &RoadStyle, bendiness: f64) -> Result<Layout, GeometryError> {
+    let start = anywhere(rng);
     let total = BEHIND + 25.0 + needed_ahead(style);
-    let first = dice.between(130.0, 240.0).min(total);
-    let first_course = course(dice, first, style, bendiness);
+    let first = rng.uniform(130.0, 240.0).min(total);
+    let first_course = course(rng, first, style, bendiness);
     let mut layout = Layout::begin(start, style, first_course)?;
-    extend(&mut layout, dice, style, total - first, bendiness)?;
+    extend(&mut layout, rng, style, total - first, bendiness)?;
     Ok(layout)
 }
 
 /// Goes on for `length` metres: joints, now and then with a crosswalk, and now and then a crossing.
 pub(super) fn extend(
     layout: &mut Layout,
-    dice: &mut Dice,
+    rng: &mut SeededRng,
     style: &RoadStyle,
     length: f64,
     bendiness: f64,
 ) -> Result<(), GeometryError> {
     let mut left = length;
     while left > 0.0 {
-        let piece = dice.between(110.0, 230.0).min(left.max(60.0));
-        let next = course(dice, piece, style, bendiness);
-        if dice.chance(0.25) && style.speed_limit < 18.0 {
-            let plan = crossing(dice, style, Turn::Straight);
-            layout.crossing(&plan, style, next, dice)?;
+        let piece = rng.uniform(110.0, 230.0).min(left.max(60.0));
+        let next = course(rng, piece, style, bendiness);
+        if rng.bool(0.25) && style.speed_limit < 18.0 {
+            let plan = crossing(rng, style, Turn::Straight);
+            layout.crossing(&plan, style, next, rng)?;
         } else {
-            layout.joint(dice.between(8.0, 14.0), dice.chance(0.3), style, next)?;
+            layout.joint(rng.uniform(8.0, 14.0), rng.bool(0.3), style, next)?;
         }
         left -= piece + 10.0;
     }
@@ -151,23 +151,23 @@ pub(super) fn extend(
 }
 
 /// A crossing for a way that turns so.
-pub(super) fn crossing(dice: &mut Dice, style: &RoadStyle, turn: Turn) -> CrossingPlan {
+pub(super) fn crossing(rng: &mut SeededRng, style: &RoadStyle, turn: Turn) -> CrossingPlan {
     let mut arms = [true; 3];
-    if dice.chance(0.3) {
+    if rng.bool(0.3) {
         // A T-junction lacks an arm that the way does not need.
         let spare = match turn {
             Turn::Left => [1, 2],
             Turn::Straight => [0, 2],
             Turn::Right => [0, 1],
         };
-        arms[dice.pick(&spare)] = false;
+        arms[rng.choose(&spare)] = false;
     }
-    let width = dice.whole(1, 2);
-    let mut side = self::style(dice, [width, width], [width, width], &LIMITS[..3]);
+    let width = rng.range(1, 2);
+    let mut side = self::style(rng, [width, width], [width, width], &LIMITS[..3]);
     side.lane_width = style.lane_width;
-    let kind = dice.unit();
+    let kind = rng.unit();
     let control = if kind < 0.6 {
-        Control::Signals { protected_left: dice.chance(0.4) }
+        Control::Signals { protected_left: rng.bool(0.4) }
     } else if kind < 0.85 {
         Control::StopSigns
     } else {
@@ -175,10 +175,10 @@ pub(super) fn crossing(dice: &mut Dice, style: &RoadStyle, turn: Turn) -> Crossi
     };
     let from_minor = match control {
         Control::Signals { .. } => false,
-        _ => style.own == 1 && dice.chance(0.4),
+        _ => style.own == 1 && rng.bool(0.4),
     };
-    let walks = dice.chance(0.7);
-    let mut walk = || walks && dice.chance(0.8);
+    let walks = rng.bool(0.7);
+    let mut walk = || walks && rng.bool(0.8);
     let crosswalks = [walk(), walk(), walk(), walk()];
     CrossingPlan {
         control,
@@ -187,52 +187,52 @@ pub(super) fn crossing(dice: &mut Dice, style: &RoadStyle, turn: Turn) -> Crossi
         crosswalks,
         side,
         from_minor,
-        skew: if dice.chance(0.4) { dice.between(-0.22, 0.22) } else { 0.0 },
-        corner: dice.between(4.5, 9.0),
-        arm_length: dice.between(75.0, 120.0),
+        skew: if rng.bool(0.4) { rng.uniform(-0.22, 0.22) } else { 0.0 },
+        corner: rng.uniform(4.5, 9.0),
+        arm_length: rng.uniform(75.0, 120.0),
     }
 }
 
 /// A way up to a crossing, across it and on; the ego starts `before` metres before it.
 pub(super) fn town(
-    dice: &mut Dice,
+    rng: &mut SeededRng,
     style: &RoadStyle,
     plan: &CrossingPlan,
     before: f64,
 ) -> Result<(Layout, f64), GeometryError> {
-    let start = anywhere(dice);
-    let approach = BEHIND + before + dice.between(0.0, 25.0);
-    let course_in = course(dice, approach, style, 0.25);
+    let start = anywhere(rng);
+    let approach = BEHIND + before + rng.uniform(0.0, 25.0);
+    let course_in = course(rng, approach, style, 0.25);
     let mut layout = Layout::begin(start, style, course_in)?;
     let onward = if plan.turn == Turn::Straight { *style } else { plan.side };
     let need = needed_ahead(&onward) - before;
-    let piece = dice.between(120.0, 190.0).min(need.max(60.0));
-    let next = course(dice, piece, &onward, 0.3);
-    layout.crossing(plan, &onward, next, dice)?;
-    extend(&mut layout, dice, &onward, need - piece, 0.3)?;
+    let piece = rng.uniform(120.0, 190.0).min(need.max(60.0));
+    let next = course(rng, piece, &onward, 0.3);
+    layout.crossing(plan, &onward, next, rng)?;
+    extend(&mut layout, rng, &onward, need - piece, 0.3)?;
     Ok((layout, approach - before))
 }
 
 /// A way up to a roundabout, through it and on; the ego starts `before` metres before it.
-pub(super) fn circus(dice: &mut Dice, style: &RoadStyle, before: f64) -> Result<(Layout, f64), GeometryError> {
-    let start = anywhere(dice);
-    let approach = BEHIND + before + dice.between(0.0, 25.0);
+pub(super) fn circus(rng: &mut SeededRng, style: &RoadStyle, before: f64) -> Result<(Layout, f64), GeometryError> {
+    let start = anywhere(rng);
+    let approach = BEHIND + before + rng.uniform(0.0, 25.0);
     let mut layout = Layout::begin(start, style, Course::straight(approach))?;
-    let arms = dice.whole(3, 4);
+    let arms = rng.range(3, 4);
     let lanes = style.own.min(2);
-    let mut side = self::style(dice, [lanes, lanes], [lanes, lanes], &LIMITS[..3]);
+    let mut side = self::style(rng, [lanes, lanes], [lanes, lanes], &LIMITS[..3]);
     side.lane_width = style.lane_width;
     let plan = CirclePlan {
-        island: dice.between(10.0, 17.0),
+        island: rng.uniform(10.0, 17.0),
         lanes,
         arms,
-        exit: dice.whole(0, arms - 2),
+        exit: rng.range(0, arms - 2),
         side,
-        arm_length: dice.between(75.0, 110.0),
+        arm_length: rng.uniform(75.0, 110.0),
     };
     let need = needed_ahead(style) - before;
-    let piece = dice.between(120.0, 180.0).min(need.max(60.0));
+    let piece = rng.uniform(120.0, 180.0).min(need.max(60.0));
     layout.roundabout(&plan, style, Course::straight(piece))?;
-    extend(&mut layout, dice, style, need - piece, 0.3)?;
+    extend(&mut layout, rng, style, need - piece, 0.3)?;
     Ok((layout, approach - before))
 }

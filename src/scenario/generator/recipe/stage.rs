@@ -2,10 +2,10 @@
 
 use super::setting::{LEAD_IN, LanePick, LightWish, Setting};
 use crate::geometry::{OrientedBox, Pose};
-use crate::scenario::generator::dice::Dice;
 use crate::scenario::generator::expert::{EXPERT, Task};
+use crate::scenario::generator::rng::SeededRng;
 use crate::scenario::generator::road::Roads;
-use crate::scenario::generator::traffic::{Mover, Shift, Temper, Track, Traffic, Walker};
+use crate::scenario::generator::traffic::{DriverProfile, Mover, Shift, Track, Traffic, Walker};
 use crate::world::{LaneId, ObjectKind, SignalStatus, TrackToken, TrackedObject};
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ pub(super) enum Make {
 /// The roads with everybody on them.
 pub(crate) struct Stage<'a, 'd> {
     /// The draws.
-    pub(super) dice: &'d mut Dice,
+    pub(super) rng: &'d mut SeededRng,
     /// Everybody; the ego is the first mover.
     pub(super) traffic: Traffic<'a>,
     /// Place of the ego's lane on the first road, 0 the leftmost.
@@ -32,14 +32,14 @@ pub(crate) struct Stage<'a, 'd> {
 }
 
 /// Sets the lights and picks the ego's lane: its chain of lanes, and its number on the first road.
-pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, dice: &mut Dice) -> (Vec<LaneId>, usize) {
+pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, rng: &mut SeededRng) -> (Vec<LaneId>, usize) {
     let first = &roads.way[0];
     let best = first.iter().map(|&lane| roads.reach(0, lane)).max().unwrap_or(0);
     let good: Vec<usize> = (0..first.len()).filter(|&i| roads.reach(0, first[i]) == best).collect();
     let place = match setting.pick {
-        LanePick::Any => dice.situation(|dice| dice.pick(&good)),
+        LanePick::Any => rng.situation(|rng| rng.choose(&good)),
         LanePick::Rightmost => good[good.len() - 1],
-        LanePick::Whichever => dice.situation(|dice| dice.whole(0, first.len() - 1)),
+        LanePick::Whichever => rng.situation(|rng| rng.range(0, first.len() - 1)),
     };
     let chain = roads.chain_on_way(0, first[place]);
     for n in 0..roads.signals.len() {
@@ -51,27 +51,27 @@ pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, dice: &mut Dice) -> 
         });
         let connector = own.unwrap_or(governed[0]);
         match setting.light {
-            LightWish::GreenFrom(time) if is_first => roads.signals[n].start_green_at(connector, dice.of(time)),
-            LightWish::GreenUntil(time) if is_first => roads.signals[n].end_green_at(connector, dice.of(time)),
-            _ => roads.signals[n].start_green_at(connector, dice.between(0.0, 40.0)),
+            LightWish::GreenFrom(time) if is_first => roads.signals[n].start_green_at(connector, rng.value_of(time)),
+            LightWish::GreenUntil(time) if is_first => roads.signals[n].end_green_at(connector, rng.value_of(time)),
+            _ => roads.signals[n].start_green_at(connector, rng.uniform(0.0, 40.0)),
         }
     }
     (chain, place)
 }
 
 /// A driver's temper, from timid to aggressive.
-pub(super) fn temper(dice: &mut Dice) -> Temper {
-    let boldness = dice.unit();
+pub(super) fn driver_profile(rng: &mut SeededRng) -> DriverProfile {
+    let boldness = rng.unit();
     let mix = |timid: f64, bold: f64| timid + (bold - timid) * boldness;
-    Temper {
-        haste: mix(0.8, 1.08),
+    DriverProfile {
+        speed_factor: mix(0.8, 1.08),
         min_gap: mix(3.0, 1.5),
         headway: mix(1.9, 0.8),
         accel: mix(1.0, 2.4),
         decel: mix(1.6, 3.0),
         gap_margin: mix(2.5, 0.8),
         jerk: mix(2.5, 6.0),
-        hardest: 7.0,
+        max_braking: 7.0,
         steering: None,
     }
 }
@@ -83,13 +83,13 @@ impl<'a, 'd> Stage<'a, 'd> {
         chain: Vec<LaneId>,
         ego_lane: usize,
         setting: &Setting,
-        dice: &'d mut Dice,
+        rng: &'d mut SeededRng,
     ) -> Option<Self> {
         let track = Arc::new(Track::along(roads, chain)?);
-        let speed = setting.start_speed * track.allowed_at(setting.start_s) * EXPERT.haste;
+        let speed = setting.start_speed * track.allowed_at(setting.start_s) * EXPERT.speed_factor;
         let ego = Mover::ego(track, setting.start_s, speed, EXPERT);
         let traffic = Traffic { roads, movers: vec![ego], walkers: Vec::new(), fixtures: Vec::new(), time: -LEAD_IN };
-        Some(Self { dice, traffic, ego_lane, tokens: 0 })
+        Some(Self { rng, traffic, ego_lane, tokens: 0 })
     }
 
     /// The roads.
@@ -104,7 +104,7 @@ impl<'a, 'd> Stage<'a, 'd> {
 
     /// Mostly a car, now and then a long vehicle; the situation's choice.
     pub(super) fn mostly_a_car(&mut self) -> Make {
-        if self.dice.situation(|dice| dice.chance(0.85)) { Make::Car } else { Make::Long }
+        if self.rng.situation(|rng| rng.bool(0.85)) { Make::Car } else { Make::Long }
     }
 
     fn token(&mut self) -> TrackToken {
@@ -115,8 +115,8 @@ impl<'a, 'd> Stage<'a, 'd> {
     /// Length and width of a vehicle, metres.
     fn size(&mut self, make: Make) -> (f64, f64) {
         match make {
-            Make::Car => (self.dice.between(4.2, 5.3), self.dice.between(1.8, 2.1)),
-            Make::Long => (self.dice.between(8.5, 13.0), self.dice.between(2.4, 2.6)),
+            Make::Car => (self.rng.uniform(4.2, 5.3), self.rng.uniform(1.8, 2.1)),
+            Make::Long => (self.rng.uniform(8.5, 13.0), self.rng.uniform(2.4, 2.6)),
             Make::Bicycle => (1.8, 0.65),
         }
     }
@@ -130,7 +130,7 @@ impl<'a, 'd> Stage<'a, 'd> {
 
     /// Puts a vehicle on a track; see [`Self::put`].
     pub(super) fn put_on(&mut self, make: Make, track: Arc<Track>, s: f64, speed: f64, lateral: f64) -> Option<usize> {
-        let ((length, width), temper) = (self.size(make), temper(self.dice));
+        let ((length, width), profile) = (self.size(make), driver_profile(self.rng));
         if s < length / 2.0 + 1.0 || s + length / 2.0 + 3.0 > track.length() {
             return None;
         }
@@ -145,8 +145,8 @@ impl<'a, 'd> Stage<'a, 'd> {
             speed: speed.max(0.0),
             accel: 0.0,
             shift: Shift::constant(lateral),
-            temper,
-            ceiling: f64::INFINITY,
+            profile,
+            speed_cap: f64::INFINITY,
             halt: None,
             script: Vec::new(),
             served: None,
@@ -203,7 +203,7 @@ impl<'a, 'd> Stage<'a, 'd> {
             if onward.is_empty() {
                 break;
             }
-            let next = self.dice.pick(onward);
+            let next = self.rng.choose(onward);
             if chain.contains(&next) {
                 break;
             }
@@ -215,21 +215,21 @@ impl<'a, 'd> Stage<'a, 'd> {
     /// Fills all lanes with drivers, on average `density` a hundred metres of lane; none within `clear` metres ahead of or
     /// behind the ego in its own lane.
     pub(super) fn populate(&mut self, density: f64, clear: [f64; 2]) {
-        const MOST: usize = 34;
+        const MAX_MOVERS: usize = 34;
         let lanes: Vec<LaneId> = self.roads().road_lanes().collect();
         let ego = self.ego().clone();
         for lane in lanes {
             let length = self.roads().map[lane].centerline.length();
-            let mut s = self.dice.between(4.0, 30.0 + 40.0 / density.max(0.2));
-            while s < length - 4.0 && self.traffic.movers.len() < MOST {
-                let spacing = 9.0 + self.dice.between(0.2, 1.8) * (100.0 / density.max(0.05) - 9.0).max(0.0);
+            let mut s = self.rng.uniform(4.0, 30.0 + 40.0 / density.max(0.2));
+            while s < length - 4.0 && self.traffic.movers.len() < MAX_MOVERS {
+                let spacing = 9.0 + self.rng.uniform(0.2, 1.8) * (100.0 / density.max(0.05) - 9.0).max(0.0);
                 let at = self.roads().map[lane].centerline.point_at(s);
                 let (along, lateral) = ego.track.project(at, ego.s - 80.0, ego.s + 120.0);
                 let near = (at - ego.track.pose_at(along).position()).norm();
                 let in_own_lane = lateral.abs() < 2.0 && near < 3.0;
                 let ahead = along - ego.s;
                 if !(in_own_lane && ahead > -clear[1] && ahead < clear[0]) {
-                    let make = if self.dice.chance(0.1) { Make::Long } else { Make::Car };
+                    let make = if self.rng.bool(0.1) { Make::Long } else { Make::Car };
                     let chain = self.wander(lane);
                     self.put_settled(make, chain, s);
                 }
@@ -242,7 +242,7 @@ impl<'a, 'd> Stage<'a, 'd> {
     fn put_settled(&mut self, make: Make, chain: Vec<LaneId>, s: f64) {
         let Some(track) = Track::along(self.roads(), chain).map(Arc::new) else { return };
         let lights = self.traffic.lights();
-        let allowed = track.allowed_at(s) * self.dice.between(0.7, 1.0);
+        let allowed = track.allowed_at(s) * self.rng.uniform(0.7, 1.0);
         let roads = self.roads();
         let halt = track.spans.iter().filter(|span| span.connector && span.from > s).find(|span| {
             let passage = roads.passages[span.lane.index()].as_ref();

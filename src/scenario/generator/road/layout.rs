@@ -5,11 +5,11 @@ use super::line::{bend, straight, trace};
 use super::network::{Network, RoadIndex, RoadPlan, band};
 use super::roundabout::Ring;
 use crate::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
-use crate::scenario::generator::dice::Dice;
+use crate::scenario::generator::rng::SeededRng;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Turn that a road's bend may make at most, radians.
-const MOST_TURN: f64 = 0.9;
+const MAX_TURN: f64 = 0.9;
 
 /// Cross-section and limit of a road.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,7 +56,7 @@ impl Course {
             return trace(start, &straight(self.length));
         }
         let room = (self.length - self.lead - 5.0).max(0.0);
-        let bent = room.min(MOST_TURN / self.curvature.abs() + 18.0);
+        let bent = room.min(MAX_TURN / self.curvature.abs() + 18.0);
         trace(start, &bend(self.lead, bent, self.curvature, self.length - self.lead - bent))
     }
 }
@@ -180,7 +180,7 @@ impl Layout {
         plan: &CrossingPlan,
         style: &RoadStyle,
         course: Course,
-        dice: &mut Dice,
+        rng: &mut SeededRng,
     ) -> Result<(), GeometryError> {
         let (before, end) = (self.last(), self.end());
         let walks = if plan.crosswalks.iter().any(|&c| c) { 5.0 } else { 0.0 };
@@ -205,8 +205,8 @@ impl Layout {
             let road = if turn == plan.turn {
                 self.extend(start, style, course)?
             } else {
-                let curvature = if dice.chance(0.4) { dice.sign() * dice.between(0.002, 0.008) } else { 0.0 };
-                let length = plan.arm_length * dice.between(0.85, 1.15);
+                let curvature = if rng.bool(0.4) { rng.sign() * rng.uniform(0.002, 0.008) } else { 0.0 };
+                let length = plan.arm_length * rng.uniform(0.85, 1.15);
                 self.add(start, style, Course { length, curvature, lead: 30.0 })?
             };
             arms.push(Arm { road, end: End::Start, minor: plan.from_minor == ahead });

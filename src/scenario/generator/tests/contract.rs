@@ -1,6 +1,6 @@
 //! What everything downstream relies on: nuPlan's window, states as a log holds them, ids, areas.
 
-use super::super::{Generated, drive};
+use super::super::{Generated, log};
 use super::{CORPUS, one_each};
 use crate::geometry::{Point, Polygon};
 use crate::world::{EgoState, LaneKind, LaneMap, PACIFICA, STEP_US};
@@ -32,7 +32,7 @@ fn frames_are_nuplans_window() {
     for Generated { scenario, .. } in CORPUS.iter() {
         let times: Vec<i64> = scenario.frames.iter().map(|frame| frame.ego.time_us).collect();
         assert!(times.windows(2).all(|w| w[1] - w[0] == STEP_US), "{}", scenario.id);
-        assert_eq!(scenario.iterations(), drive::ITERATIONS);
+        assert_eq!(scenario.iterations(), log::ITERATIONS);
         // With the present sample the history buffer holds 22 samples: 2.1 s.
         assert_eq!(scenario.past().len() + 1, crate::world::HISTORY_SAMPLES);
         assert_eq!(times[scenario.start] - times[0], 2_100_000);

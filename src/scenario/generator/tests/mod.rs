@@ -3,7 +3,8 @@
 mod behaviour;
 mod contract;
 mod distribution;
-mod drives;
+mod frozen;
+mod logs;
 mod maps;
 mod names;
 mod traffic;

@@ -10,14 +10,14 @@ fn names_read_back() {
     for scenario_type in ScenarioType::ALL {
         let spec = Spec::new(scenario_type, u64::MAX);
         assert_eq!(spec.to_string().parse(), Ok(spec));
-        assert_eq!(spec.among(u64::MAX).to_string().parse(), Ok(spec.among(u64::MAX)));
+        assert_eq!(spec.with_traffic_seed(u64::MAX).to_string().parse(), Ok(spec.with_traffic_seed(u64::MAX)));
     }
     let spec = Spec::new(ScenarioType::ChangingLane, 3);
     assert_eq!(
         ("generated/changing_lane/3.0".parse(), spec.to_string()),
         (Ok(spec), "generated/changing_lane/3".into())
     );
-    assert_eq!(spec.among(12).to_string(), "generated/changing_lane/3.12");
+    assert_eq!(spec.with_traffic_seed(12).to_string(), "generated/changing_lane/3.12");
     assert_eq!(ScenarioType::nuplan14().count(), 14);
 }
 
@@ -53,11 +53,11 @@ fn same(a: &Scenario, b: &Scenario) -> bool {
 #[test]
 fn a_name_gives_the_same_drive_at_any_number_of_threads() {
     let specs: Vec<Spec> = ScenarioType::ALL.into_iter().map(|scenario_type| Spec::new(scenario_type, 7)).collect();
-    let drives = |threads: usize| -> Vec<Scenario> {
+    let logs = |threads: usize| -> Vec<Scenario> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| specs.par_iter().map(|spec| generate(spec).unwrap()).collect())
     };
-    assert!(drives(1).iter().zip(&drives(2)).all(|(a, b)| same(a, b)));
+    assert!(logs(1).iter().zip(&logs(2)).all(|(a, b)| same(a, b)));
 }
 
 #[test]

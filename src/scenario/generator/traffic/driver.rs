@@ -57,8 +57,8 @@ impl Traffic<'_> {
 impl Mover {
     /// Speed that the driver wants here, m/s.
     fn desired_speed(&self) -> f64 {
-        let by_path = self.temper.steering.map_or(f64::INFINITY, |steering| self.steerable_speed(steering));
-        (self.track.allowed_at(self.s) * self.temper.haste).min(self.ceiling).min(by_path)
+        let by_path = self.profile.steering.map_or(f64::INFINITY, |steering| self.steerable_speed(steering));
+        (self.track.allowed_at(self.s) * self.profile.speed_factor).min(self.speed_cap).min(by_path)
     }
 
     /// Speed from which this vehicle can slow down comfortably to what its path allows within these bounds, m/s.
@@ -80,24 +80,24 @@ impl Mover {
 
     /// Acceleration on a free road.
     fn free_acceleration(&self) -> f64 {
-        self.temper.law(self.desired_speed()).acceleration(self.speed, None)
+        self.profile.law(self.desired_speed()).acceleration(self.speed, None)
     }
 
     /// Acceleration behind a lead: the law of following, and harder braking where that would come too late.
     fn following(&self, lead: Lead) -> f64 {
-        let by_law = self.temper.law(self.desired_speed()).acceleration(self.speed, Some(lead));
+        let by_law = self.profile.law(self.desired_speed()).acceleration(self.speed, Some(lead));
         let closing = self.speed - lead.speed;
         if closing <= 0.0 {
             return by_law;
         }
         let needed = closing * closing / (2.0 * (lead.gap - 0.5).max(0.2));
-        if needed > self.temper.decel { by_law.min(-needed) } else { by_law }
+        if needed > self.profile.decel { by_law.min(-needed) } else { by_law }
     }
 
     /// Acceleration towards a standstill with the front at arc length `s`.
     fn stopping(&self, s: f64) -> f64 {
         // The law keeps its own gap to a lead, so the lead is put that much further.
-        self.following(Lead { gap: s - self.front_s() + self.temper.min_gap, speed: 0.0 })
+        self.following(Lead { gap: s - self.front_s() + self.profile.min_gap, speed: 0.0 })
     }
 
     /// Distance that must be looked at, metres.

@@ -30,7 +30,7 @@ struct Room {
 }
 
 /// Shortest lane change, metres.
-const SHORTEST: f64 = 12.0;
+const MIN_LENGTH: f64 = 12.0;
 const POLITE: Room = Room { gap: 3.0, behind: 0.6 };
 const PUSHY: Room = Room { gap: 3.5, behind: 0.15 };
 
@@ -43,7 +43,7 @@ impl Traffic<'_> {
             while let Some(&act) = self.movers[i].script.last().filter(|act| act.at() <= self.time) {
                 self.movers[i].script.pop();
                 match act {
-                    Act::Limit { speed, .. } => self.movers[i].ceiling = speed,
+                    Act::Limit { speed, .. } => self.movers[i].speed_cap = speed,
                     Act::ChangeLane { left, .. } => {
                         if !self.change_lane(i, left, f64::INFINITY, PUSHY, bodies) {
                             let again = Act::ChangeLane { at: self.time + RETRY, left };
@@ -80,7 +80,7 @@ impl Traffic<'_> {
         let Some(track) = self.track_beside(mover, left) else { return false };
         let reference = mover.pose().position();
         let (s, lateral) = track.project_exactly(reference);
-        let length = (mover.speed * 4.0).min(within).clamp(SHORTEST, 70.0);
+        let length = (mover.speed * 4.0).min(within).clamp(MIN_LENGTH, 70.0);
         if mover.is_between_lanes() || (mover.is_changing() && mover.speed > 1.0) || s + length > track.length() {
             return false;
         }

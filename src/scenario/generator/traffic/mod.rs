@@ -8,7 +8,7 @@ mod track;
 mod walker;
 
 pub(crate) use lane_change::Wish;
-pub(crate) use mover::{Act, Mover, Shift, Steering, Temper};
+pub(crate) use mover::{Act, DriverProfile, Mover, Shift, Steering};
 pub(crate) use track::Track;
 pub(crate) use walker::{Departure, Walker};
 

@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 /// How somebody drives.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Temper {
+pub(crate) struct DriverProfile {
     /// Desired speed as a share of what the road allows.
-    pub(crate) haste: f64,
+    pub(crate) speed_factor: f64,
     /// Gap kept at standstill, metres.
     pub(crate) min_gap: f64,
     /// Time headway, seconds.
@@ -24,7 +24,7 @@ pub(crate) struct Temper {
     /// Largest rise of the acceleration, m/s³.
     pub(crate) jerk: f64,
     /// Hardest braking, m/s².
-    pub(crate) hardest: f64,
+    pub(crate) max_braking: f64,
     /// How it takes the bends of its own path; `None` where only the road's bends slow it down.
     pub(crate) steering: Option<Steering>,
 }
@@ -38,7 +38,7 @@ pub(crate) struct Steering {
     pub(crate) lateral: f64,
 }
 
-impl Temper {
+impl DriverProfile {
     /// The law of following for a desired speed.
     pub(crate) fn law(&self, target_velocity: f64) -> IdmParameters {
         IdmParameters {
@@ -146,9 +146,9 @@ pub(crate) struct Mover {
     /// Its place across the track.
     pub(crate) shift: Shift,
     /// How it is driven.
-    pub(crate) temper: Temper,
+    pub(crate) profile: DriverProfile,
     /// Speed that it must not exceed, m/s.
-    pub(crate) ceiling: f64,
+    pub(crate) speed_cap: f64,
     /// Arc length that its front must not pass for now, of its driver's own accord.
     pub(crate) halt: Option<f64>,
     /// What is to happen, soonest last.
@@ -221,10 +221,11 @@ impl Mover {
 
     /// Moves on for one step with the wanted acceleration, within the jerk that its driver allows.
     pub(crate) fn advance(&mut self, wanted: f64) {
-        let rise = self.temper.jerk * STEP_S;
+        let rise = self.profile.jerk * STEP_S;
         // Braking harder than comfort asks for may build up faster.
-        let fall = if wanted < -self.temper.decel - 0.5 { 3.0 * rise } else { 1.2 * rise };
-        self.accel = wanted.clamp(self.accel - fall, self.accel + rise).clamp(-self.temper.hardest, self.temper.accel);
+        let fall = if wanted < -self.profile.decel - 0.5 { 3.0 * rise } else { 1.2 * rise };
+        self.accel =
+            wanted.clamp(self.accel - fall, self.accel + rise).clamp(-self.profile.max_braking, self.profile.accel);
         let speed = (self.speed + self.accel * STEP_S).max(0.0);
         let driven = f64::midpoint(self.speed, speed) * STEP_S;
         if speed == 0.0 {
@@ -250,7 +251,7 @@ impl Mover {
     }
 
     /// The ego at a place of its track.
-    pub(crate) fn ego(track: Arc<Track>, s: f64, speed: f64, temper: Temper) -> Self {
+    pub(crate) fn ego(track: Arc<Track>, s: f64, speed: f64, profile: DriverProfile) -> Self {
         Self {
             token: TrackToken(0),
             kind: ObjectKind::Vehicle,
@@ -262,8 +263,8 @@ impl Mover {
             speed,
             accel: 0.0,
             shift: Shift::constant(0.0),
-            temper,
-            ceiling: f64::INFINITY,
+            profile,
+            speed_cap: f64::INFINITY,
             halt: None,
             script: Vec::new(),
             served: None,

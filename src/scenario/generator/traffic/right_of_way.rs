@@ -125,7 +125,7 @@ impl Traffic<'_> {
         };
         let mine_in = travel_time(start + conflict.own[0] - me.front_s(), me.speed);
         let mine_out = travel_time(start + conflict.own[1] + me.length - me.front_s(), me.speed);
-        let margin = me.temper.gap_margin;
+        let margin = me.profile.gap_margin;
         mine_out + margin > arrives && mine_in < clears + 0.5
     }
 
@@ -148,7 +148,7 @@ fn must_stop_at_light(me: &Mover, line: f64, status: Option<SignalStatus>) -> bo
         Some(SignalStatus::Red) => {
             // A light that has just turned red before a driver who can no longer stop.
             let needed = me.speed * me.speed / (2.0 * (line - me.front_s()).max(0.1));
-            needed < me.temper.hardest + 1.0 || me.speed < 1.0
+            needed < me.profile.max_braking + 1.0 || me.speed < 1.0
         }
         Some(SignalStatus::Yellow) => {
             me.speed * me.speed / (2.0 * (line - me.front_s()).max(0.1)) < YELLOW_DECELERATION

@@ -7,15 +7,15 @@ use super::search::Tried;
 use crate::reasoning::PlannerCode;
 
 /// What a decision is worth that nothing was tried against: about what full progress adds to a value, for a third of the limit.
-const USUAL: f64 = 0.06;
+const DEFAULT_GAIN: f64 = 0.06;
 /// No decision is worth more than a score.
-const MOST: f64 = 1.0;
+const MAX_GAIN: f64 = 1.0;
 /// What a slow first attempt is worth where Reflection refuses every faster one: little, since after a refusal the model is asked again.
 const ASKED_AGAIN: f64 = 0.01;
 
 /// What the decisions of a label are worth, as differences of [`Tried::value`].
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Stakes {
+pub(super) struct DecisionWeights {
     /// Of the lane: over the best in another lane.
     pub(super) lane: f64,
     /// Of the speed: of slow driving over the fastest, of the fastest over the best that is slower.
@@ -24,7 +24,7 @@ pub(super) struct Stakes {
     pub(super) accelerations: f64,
 }
 
-impl Stakes {
+impl DecisionWeights {
     /// What the best of the planners that were tried is worth over the others. Those that Reflection would refuse do not count: the
     /// model would be asked again; `told` says whether it has been told of a refusal already.
     pub(super) fn of(best: &Tried, tried: &[Tried], told: bool) -> Self {
@@ -49,7 +49,7 @@ impl Stakes {
 
 /// What the best has over the best of others.
 fn gain<'a>(best: &Tried, others: impl Iterator<Item = &'a Tried>) -> f64 {
-    others.map(|other| best.value - other.value).reduce(f64::min).unwrap_or(USUAL).clamp(0.0, MOST)
+    others.map(|other| best.value - other.value).reduce(f64::min).unwrap_or(DEFAULT_GAIN).clamp(0.0, MAX_GAIN)
 }
 
 #[cfg(test)]
@@ -80,23 +80,23 @@ mod tests {
     #[test]
     fn a_slow_label_is_worth_what_the_limit_would_cost() {
         let tried = tried(&[("ego_lane", 13.0, 0.1, true), ("ego_lane", 9.0, 0.7, true), ("ego_lane", 5.0, 0.9, true)]);
-        let Stakes { lane, speed, .. } = Stakes::of(&tried[2], &tried, false);
-        assert!((speed - 0.8).abs() < 1e-12 && (lane - USUAL).abs() < 1e-12, "{lane} {speed}");
+        let DecisionWeights { lane, speed, .. } = DecisionWeights::of(&tried[2], &tried, false);
+        assert!((speed - 0.8).abs() < 1e-12 && (lane - DEFAULT_GAIN).abs() < 1e-12, "{lane} {speed}");
     }
 
     #[test]
     fn the_limit_is_worth_what_the_best_slower_planner_would_cost() {
         let tried = tried(&[("ego_lane", 13.0, 1.1, true), ("ego_lane", 9.0, 1.0, true), ("ego_lane", 5.0, 0.9, true)]);
-        assert!((Stakes::of(&tried[0], &tried, false).speed - 0.1).abs() < 1e-12);
+        assert!((DecisionWeights::of(&tried[0], &tried, false).speed - 0.1).abs() < 1e-12);
     }
 
     #[test]
     fn a_lane_is_worth_what_the_best_other_lane_would_cost_if_reflection_accepts_it() {
         let tried =
             tried(&[("ego_lane", 13.0, 1.0, true), ("left_lane", 13.0, 0.6, true), ("right_lane", 13.0, 0.9, false)]);
-        assert!((Stakes::of(&tried[0], &tried, false).lane - 0.4).abs() < 1e-12);
+        assert!((DecisionWeights::of(&tried[0], &tried, false).lane - 0.4).abs() < 1e-12);
         assert!(
-            Stakes::of(&tried[1], &tried, false).lane.abs() < 1e-12,
+            DecisionWeights::of(&tried[1], &tried, false).lane.abs() < 1e-12,
             "a label that is not the best is worth nothing"
         );
     }
@@ -105,8 +105,8 @@ mod tests {
     fn a_slow_first_attempt_is_worth_little_where_all_that_is_faster_is_refused() {
         let tried =
             tried(&[("ego_lane", 13.0, 1.1, false), ("ego_lane", 9.0, 0.7, true), ("ego_lane", 5.0, 0.3, true)]);
-        assert!((Stakes::of(&tried[1], &tried, false).speed - ASKED_AGAIN).abs() < 1e-12);
-        assert!((Stakes::of(&tried[1], &tried, true).speed - 0.4).abs() < 1e-12, "now it has been told");
+        assert!((DecisionWeights::of(&tried[1], &tried, false).speed - ASKED_AGAIN).abs() < 1e-12);
+        assert!((DecisionWeights::of(&tried[1], &tried, true).speed - 0.4).abs() < 1e-12, "now it has been told");
     }
 
     #[test]
@@ -114,8 +114,11 @@ mod tests {
         let mut tried =
             tried(&[("ego_lane", 13.0, 1.0, true), ("ego_lane", 13.0, 0.9, true), ("ego_lane", 5.0, 0.2, true)]);
         tried[1].code.decel_max += 1.0;
-        let stakes = Stakes::of(&tried[0], &tried, false);
-        assert!((stakes.accelerations - 0.1).abs() < 1e-12 && (stakes.speed - 0.8).abs() < 1e-12, "{stakes:?}");
-        assert!((Stakes::of(&tried[2], &tried, false).accelerations - USUAL).abs() < 1e-12, "no other pair was tried");
+        let weights = DecisionWeights::of(&tried[0], &tried, false);
+        assert!((weights.accelerations - 0.1).abs() < 1e-12 && (weights.speed - 0.8).abs() < 1e-12, "{weights:?}");
+        assert!(
+            (DecisionWeights::of(&tried[2], &tried, false).accelerations - DEFAULT_GAIN).abs() < 1e-12,
+            "no other pair was tried"
+        );
     }
 }

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 /// A recording in the map's coordinates; the n-th of each list belongs to the n-th step.
 #[derive(Debug)]
-pub(super) struct Drive {
+pub(super) struct Log {
     /// Name of the log's folder.
     pub(super) id: String,
     /// Seconds from the first step.
@@ -24,7 +24,7 @@ pub(super) struct Drive {
     pub(super) map: LaneMap,
 }
 
-impl Drive {
+impl Log {
     /// Cuts the window and finds the route; there are no lights.
     ///
     /// # Errors

@@ -48,7 +48,7 @@ pub enum Discard {
 }
 
 /// A recorded drive with what its judges need.
-pub(super) struct Drive {
+pub(super) struct GeneratedLog {
     /// The log.
     pub(super) frames: Vec<Frame>,
     /// Where it took place.
@@ -61,7 +61,7 @@ pub(super) struct Drive {
     pub(super) changing: Vec<bool>,
 }
 
-impl Drive {
+impl GeneratedLog {
     /// Runs the traffic and records it.
     ///
     /// # Errors
@@ -69,7 +69,7 @@ impl Drive {
     pub(super) fn record(mut traffic: Traffic<'_>, mut expert: Expert) -> Result<Self, Discard> {
         let map = traffic.roads.map.clone();
         let settling = (SETTLING / STEP_S).round() as usize;
-        let mut drive = Self {
+        let mut log = Self {
             frames: Vec::with_capacity(PAST + ITERATIONS),
             map: map.clone(),
             lanes: Vec::new(),
@@ -83,7 +83,7 @@ impl Drive {
                 if *lights != now {
                     lights = Arc::new(now);
                 }
-                drive.take(&traffic, (step - settling) as i64 - PAST as i64, lights.clone())?;
+                log.take(&traffic, (step - settling) as i64 - PAST as i64, lights.clone())?;
             }
             let (wish, halt) = (expert.wish(&traffic), Expert::halt(&traffic));
             traffic.movers[0].halt = halt;
@@ -93,7 +93,7 @@ impl Drive {
                 expert.note_change();
             }
         }
-        Ok(drive)
+        Ok(log)
     }
 
     /// Records one instant.

@@ -24,12 +24,12 @@ impl Stage<'_, '_> {
     }
 
     /// Everything that is not traffic proper, as the dice will have it.
-    pub(super) fn garnish(&mut self) {
-        let (parked, cyclists, strollers) = (self.dice.between(0.2, 0.8), self.dice.chance(0.5), self.dice.whole(0, 4));
+    pub(super) fn add_clutter(&mut self) {
+        let (parked, cyclists, strollers) = (self.rng.uniform(0.2, 0.8), self.rng.bool(0.5), self.rng.range(0, 4));
         for (lane, lane_width, strip) in self.kerb_lanes() {
             if strip >= PARKING {
                 self.park_along(lane, lane_width / 2.0 + strip / 2.0 + 0.1, parked);
-            } else if strip >= BICYCLES && cyclists && self.dice.chance(0.6) {
+            } else if strip >= BICYCLES && cyclists && self.rng.bool(0.6) {
                 self.cycle_along(lane, -(lane_width / 2.0 + 0.75));
             }
         }
@@ -38,17 +38,17 @@ impl Stage<'_, '_> {
         }
         let walks = self.roads().map.crosswalks().to_vec();
         for walk in &walks {
-            if self.dice.chance(0.3) {
-                let departure = if self.dice.chance(0.6) {
-                    Departure::WhenClear(self.dice.between(-3.0, 12.0))
+            if self.rng.bool(0.3) {
+                let departure = if self.rng.bool(0.6) {
+                    Departure::WhenClear(self.rng.uniform(-3.0, 12.0))
                 } else {
                     Departure::Never
                 };
-                let other_way = self.dice.chance(0.5);
+                let other_way = self.rng.bool(0.5);
                 self.wait_at(walk, departure, other_way);
             }
         }
-        if self.dice.chance(0.12) {
+        if self.rng.bool(0.12) {
             self.road_works_beside();
         }
     }
@@ -58,9 +58,9 @@ impl Stage<'_, '_> {
         let line = self.roads().map[lane].centerline.clone();
         let mut s = 9.0;
         while s < line.length() - 9.0 && self.traffic.fixtures.len() < 40 {
-            if self.dice.chance(share) {
+            if self.rng.bool(share) {
                 let pose = line.pose_at(s).translated(0.0, -offset);
-                let (length, width) = (self.dice.between(4.2, 5.0), self.dice.between(1.75, 1.95));
+                let (length, width) = (self.rng.uniform(4.2, 5.0), self.rng.uniform(1.75, 1.95));
                 self.put_fixture(ObjectKind::Vehicle, pose, length, width);
             }
             s += 6.6;
@@ -70,26 +70,26 @@ impl Stage<'_, '_> {
     /// Sends a cyclist along a lane, `lateral` metres left of its centreline.
     pub(super) fn cycle_along(&mut self, lane: LaneId, lateral: f64) {
         let length = self.roads().map[lane].centerline.length();
-        let (s, pace) = (self.dice.between(3.0, (length - 6.0).max(4.0)), self.dice.between(3.0, 6.0));
+        let (s, pace) = (self.rng.uniform(3.0, (length - 6.0).max(4.0)), self.rng.uniform(3.0, 6.0));
         let chain = self.roads().straight_chain(lane);
         if let Some(i) = self.put(Make::Bicycle, chain, s, pace, lateral) {
-            self.traffic.movers[i].ceiling = pace;
+            self.traffic.movers[i].speed_cap = pace;
         }
     }
 
     /// Somebody walks along the pavement.
     fn stroll(&mut self) {
         let kerbs = self.kerb_lanes();
-        let (lane, lane_width, strip) = self.dice.pick(&kerbs);
+        let (lane, lane_width, strip) = self.rng.choose(&kerbs);
         let line = &self.roads().map[lane].centerline;
         if line.length() < 50.0 {
             return;
         }
-        let offset = lane_width / 2.0 + strip + self.dice.between(1.0, 2.2);
-        let s = self.dice.between(5.0, line.length() - 40.0);
+        let offset = lane_width / 2.0 + strip + self.rng.uniform(1.0, 2.2);
+        let s = self.rng.uniform(5.0, line.length() - 40.0);
         let (a, b) = (line.frenet_to_map(s, -offset), line.frenet_to_map(s + 32.0, -offset));
-        let (from, to) = if self.dice.chance(0.5) { (a, b) } else { (b, a) };
-        let pace = self.dice.between(0.9, 1.6);
+        let (from, to) = if self.rng.bool(0.5) { (a, b) } else { (b, a) };
+        let pace = self.rng.uniform(0.9, 1.6);
         self.put_walker(Walker { pace, departure: Departure::At(-10.0), crosses: false, ..walker(from, to) });
     }
 
@@ -97,8 +97,8 @@ impl Stage<'_, '_> {
     pub(super) fn wait_at(&mut self, walk: &Polygon, departure: Departure, other_way: bool) {
         let (a, b) = ends(walk);
         let (from, to) = if other_way { (b, a) } else { (a, b) };
-        let aside = Pose::at(from, 0.0).translated(self.dice.between(-0.6, 0.6), self.dice.between(-0.6, 0.6));
-        let pace = self.dice.between(1.0, 1.7);
+        let aside = Pose::at(from, 0.0).translated(self.rng.uniform(-0.6, 0.6), self.rng.uniform(-0.6, 0.6));
+        let pace = self.rng.uniform(1.0, 1.7);
         self.put_walker(Walker { pace, departure, crosses: true, ..walker(aside.position(), to) });
     }
 
@@ -112,18 +112,18 @@ impl Stage<'_, '_> {
             let heading = (left.1 - left.0).y.atan2((left.1 - left.0).x);
             let start = Pose::at(nalgebra::center(&left.0, &right.0), heading);
             let (length, depth) = ((left.1 - left.0).norm(), (right.0 - left.0).norm());
-            let share = self.dice.between(0.3, 0.8);
+            let share = self.rng.uniform(0.3, 0.8);
             let mut s = 4.5;
             while s < length - 4.0 {
-                if self.dice.chance(share) {
-                    let (long, wide) = (self.dice.between(4.3, 5.1), self.dice.between(1.8, 2.0));
+                if self.rng.bool(share) {
+                    let (long, wide) = (self.rng.uniform(4.3, 5.1), self.rng.uniform(1.8, 2.0));
                     self.put_fixture(ObjectKind::Vehicle, start.translated(s, 0.0), long, wide);
                 }
-                if self.dice.chance(0.35) {
-                    let at = start.translated(s + 2.0, -depth / 2.0 - self.dice.between(0.6, 1.6)).position();
+                if self.rng.bool(0.35) {
+                    let at = start.translated(s + 2.0, -depth / 2.0 - self.rng.uniform(0.6, 1.6)).position();
                     let ahead = start.translated(s + 9.0, -depth / 2.0 - 1.2).position();
-                    let walks = self.dice.chance(0.3);
-                    let departure = if walks { Departure::At(self.dice.between(-3.0, 8.0)) } else { Departure::Never };
+                    let walks = self.rng.bool(0.3);
+                    let departure = if walks { Departure::At(self.rng.uniform(-3.0, 8.0)) } else { Departure::Never };
                     self.put_walker(Walker { departure, crosses: false, ..walker(at, ahead) });
                 }
                 s += 7.0;
@@ -134,12 +134,12 @@ impl Stage<'_, '_> {
     /// Cones and a sign on the strip beside a road.
     fn road_works_beside(&mut self) {
         let kerbs = self.kerb_lanes();
-        let (lane, lane_width, strip) = self.dice.pick(&kerbs);
+        let (lane, lane_width, strip) = self.rng.choose(&kerbs);
         let line = self.roads().map[lane].centerline.clone();
         if line.length() < 60.0 {
             return;
         }
-        let start = self.dice.between(10.0, line.length() - 40.0);
+        let start = self.rng.uniform(10.0, line.length() - 40.0);
         let offset = -(lane_width / 2.0 + strip.min(1.0) * 0.6);
         for k in 0..5 {
             let s = start + 5.0 * f64::from(k);

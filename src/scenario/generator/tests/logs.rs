@@ -1,6 +1,6 @@
 //! The drives: the expert stays on the road, obeys, is comfortable; others are plausible.
 
-use super::super::{ScenarioType, drive};
+use super::super::{ScenarioType, log};
 use super::{CORPUS, SEEDS};
 use crate::geometry::wrap_angle;
 use crate::scenario::Scenario;
@@ -11,7 +11,7 @@ fn every_type_and_seed_gives_a_full_log() {
     assert_eq!(CORPUS.len(), ScenarioType::ALL.len() * SEEDS as usize);
     for generated in CORPUS.iter() {
         let scenario = &generated.scenario;
-        assert_eq!((scenario.iterations(), scenario.past().len()), (drive::ITERATIONS, drive::PAST));
+        assert_eq!((scenario.iterations(), scenario.past().len()), (log::ITERATIONS, log::PAST));
         let steady = scenario.frames.windows(2).all(|w| w[1].ego.time_us - w[0].ego.time_us == STEP_US);
         assert!(steady && scenario.route.goal.is_some());
     }
