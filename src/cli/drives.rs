@@ -4,7 +4,7 @@ use super::Printer;
 use super::machine::cpu;
 use super::progress::SimulationProgress;
 use crate::experiment::run::{self, AgentParts, SimulationTask};
-use crate::report::{DriveRow, Manifest, ReportError, RunFolder, Session, Summary, Timing};
+use crate::report::{Manifest, ReportError, RunFolder, Session, SimulationRow, Summary, Timing};
 use anyhow::bail;
 use std::collections::BTreeSet;
 use std::time::Instant;
@@ -52,7 +52,7 @@ pub(super) fn make(
 ///
 /// # Errors
 /// When some are missing or cannot be read.
-pub(super) fn rows(folder: &RunFolder, tasks: &[SimulationTask]) -> anyhow::Result<Vec<DriveRow>> {
+pub(super) fn rows(folder: &RunFolder, tasks: &[SimulationTask]) -> anyhow::Result<Vec<SimulationRow>> {
     let rows = folder.recorded(tasks)?.rows;
     if rows.len() != tasks.len() {
         let missing = tasks.len() - rows.len();
@@ -70,7 +70,7 @@ pub(super) fn finish(
     manifest: &Manifest,
     seed: u64,
     session: Session,
-    rows: &[DriveRow],
+    rows: &[SimulationRow],
 ) -> anyhow::Result<(Summary, Timing)> {
     let model = manifest.model.clone().map(toml::Table::try_into).transpose()?;
     let summary = Summary::new(seed, model, &manifest.scenarios.missing, rows);
@@ -80,7 +80,7 @@ pub(super) fn finish(
 }
 
 /// This machine, and what this session has done since it was `started`.
-pub(super) fn session(started: Instant, drives: usize, load_s: Option<f64>) -> Session {
+pub(super) fn session(started: Instant, simulations: usize, load_s: Option<f64>) -> Session {
     let (threads, wall_s) = (rayon::current_num_threads(), started.elapsed().as_secs_f64());
-    Session { cpu: cpu(), threads, wall_s, drives, load_s }
+    Session { cpu: cpu(), threads, wall_s, simulations, load_s }
 }

@@ -207,11 +207,11 @@ pub struct SimulationRecord {
 }
 
 /// Makes the drives `todo` (places in `assignments`, in growing order) on all threads of the current pool. Each record is
-/// given to `on_drive` as soon as its drive has ended, from any thread and in any order, and is not kept. `on_iteration` is
+/// given to `on_simulation` as soon as its drive has ended, from any thread and in any order, and is not kept. `on_iteration` is
 /// called after every iteration of every drive. A drive that fails or panics is recorded with its error.
 ///
 /// # Errors
-/// The first error of `on_drive`; no further drive begins after it.
+/// The first error of `on_simulation`; no further drive begins after it.
 pub fn run<E: Send>(
     tasks: &[SimulationTask],
     todo: &[usize],

@@ -61,8 +61,8 @@ pub enum ReportError {
         source: serde_json::Error,
     },
     /// A run has no drive that has ended.
-    #[error("the run in {} has no drive that has ended; there is nothing to show", .0.display())]
-    NoDrives(PathBuf),
+    #[error("the run in {} has no completed simulation; there is nothing to show", .0.display())]
+    NoSimulations(PathBuf),
     /// No scenario of the runs bears this in its name.
     #[error("no scenario of these runs has {0:?} in its name")]
     NoScenario(String),

@@ -2,12 +2,12 @@
 //! drives were made.
 
 use super::atomic;
-use super::drive_row::DriveRow;
 use super::error::ReportError;
 use super::manifest::Manifest;
 use super::number::json_value;
 use super::parquet::{write_aggregator, write_metric_files, write_runner_report};
 use super::run_folder::RunFolder;
+use super::simulation_row::SimulationRow;
 use super::summary::{Summary, aggregated, distinct};
 use super::timing::Timing;
 
@@ -24,7 +24,7 @@ impl RunFolder {
         manifest: &Manifest,
         summary: &Summary,
         timing: &Timing,
-        rows: &[DriveRow],
+        rows: &[SimulationRow],
     ) -> Result<(), ReportError> {
         self.write_config(manifest)?;
         self.join_calls()?;

@@ -67,7 +67,7 @@ impl ScenarioList {
 
 impl Manifest {
     /// How many drives the run has.
-    pub fn drives(&self) -> usize {
+    pub fn simulations(&self) -> usize {
         self.scenarios.count * self.planners.len() * self.challenges.len()
     }
 

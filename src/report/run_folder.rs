@@ -3,11 +3,11 @@
 
 use super::atomic::{self, UNFINISHED};
 use super::call_record::call_record;
-use super::drive_row::DriveRow;
 use super::error::ReportError;
 use super::manifest::{MANIFEST, Manifest};
 use super::number::unsigned_metric;
 use super::replay::Replay;
+use super::simulation_row::SimulationRow;
 use super::transcript::transcript;
 use crate::experiment::run::{SimulationOutcome, SimulationRecord, SimulationTask};
 use crate::metrics::MetricResult;
@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 /// Parent of the folders that are numbered.
 const RUNS: &str = "runs";
 /// Folder of the drives.
-const DRIVES: &str = "drives";
+const SIMULATIONS: &str = "simulations";
 /// What a drive's folder holds: the row of the drive,
 const RECORD: &str = "record.toml";
 /// its metrics with statistics and time series,
@@ -44,7 +44,7 @@ pub struct RunFolder {
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Recorded {
     /// What was read, by number.
-    pub rows: Vec<DriveRow>,
+    pub rows: Vec<SimulationRow>,
     /// Records that are damaged (a disk that lost power); they count as not driven.
     pub damaged: Vec<PathBuf>,
 }
@@ -83,7 +83,7 @@ impl RunFolder {
         // The manifest comes first: from then on the folder is that of a run, which can be gone on with.
         folder.write(MANIFEST, toml::to_string_pretty(manifest)?.as_bytes())?;
         folder.write_config(manifest)?;
-        atomic::folder(&folder.path.join(DRIVES))?;
+        atomic::folder(&folder.path.join(SIMULATIONS))?;
         Ok(folder)
     }
 
@@ -110,9 +110,9 @@ impl RunFolder {
             return Err(ReportError::Differs { path: path.to_owned(), differences });
         }
         let folder = Self::locked(path.to_owned())?;
-        atomic::folder(&folder.path.join(DRIVES))?;
+        atomic::folder(&folder.path.join(SIMULATIONS))?;
         atomic::sweep(&folder.path)?;
-        atomic::sweep(&folder.path.join(DRIVES))?;
+        atomic::sweep(&folder.path.join(SIMULATIONS))?;
         Ok((folder, manifest))
     }
 
@@ -137,7 +137,7 @@ impl RunFolder {
     /// # Errors
     /// When a file cannot be written.
     pub fn commit(&self, number: usize, record: &SimulationRecord) -> Result<(), ReportError> {
-        let folder = self.path.join(DRIVES).join(folder_name(number, record));
+        let folder = self.path.join(SIMULATIONS).join(folder_name(number, record));
         let unfinished = atomic::unfinished(&folder);
         atomic::folder(&unfinished)?;
         if let Ok(driven) = &record.outcome {
@@ -146,7 +146,7 @@ impl RunFolder {
             atomic::create(&unfinished.join(METRICS), toml::to_string(&metrics)?.as_bytes())?;
             Replay::of(driven).write(&unfinished)?;
         }
-        let row = toml::to_string(&DriveRow::new(number, record))?;
+        let row = toml::to_string(&SimulationRow::new(number, record))?;
         atomic::create(&unfinished.join(RECORD), row.as_bytes())?;
         fs::rename(&unfinished, &folder).map_err(ReportError::write(&folder))
     }
@@ -164,10 +164,10 @@ impl RunFolder {
         let mut recorded = Recorded::default();
         for (number, folder) in folders(path)? {
             let path = folder.join(RECORD);
-            match parse::<DriveRow>(&path) {
+            match parse::<SimulationRow>(&path) {
                 Ok(row) if row.number == number => recorded.rows.push(row),
                 Ok(row) => {
-                    let (found, expected) = (row.identity(), format!("drive {number}"));
+                    let (found, expected) = (row.identity(), format!("simulation {number}"));
                     return Err(ReportError::Foreign { path, found, expected });
                 }
                 Err(ReportError::Parse { .. }) => recorded.damaged.push(folder),
@@ -208,10 +208,11 @@ impl RunFolder {
     /// The metrics of drives, in the order of their numbers.
     pub(super) fn metrics<'a>(
         &self,
-        rows: impl Iterator<Item = &'a DriveRow> + Clone,
-    ) -> Result<impl Iterator<Item = Result<(&'a DriveRow, Vec<MetricResult>), ReportError>> + Clone, ReportError> {
+        rows: impl Iterator<Item = &'a SimulationRow> + Clone,
+    ) -> Result<impl Iterator<Item = Result<(&'a SimulationRow, Vec<MetricResult>), ReportError>> + Clone, ReportError>
+    {
         let folders = self.folders()?;
-        let of_row = move |row: &'a DriveRow| folders.get(&row.number).map(|folder| (row, folder.clone()));
+        let of_row = move |row: &'a SimulationRow| folders.get(&row.number).map(|folder| (row, folder.clone()));
         Ok(rows.filter_map(of_row).map(|(row, folder)| Ok((row, Self::metrics_in(&folder)?))))
     }
 
@@ -251,10 +252,10 @@ impl RunFolder {
 
 /// The folders of the drives that have ended in a run's folder, by number.
 pub(super) fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
-    let drives = run.join(DRIVES);
+    let simulations = run.join(SIMULATIONS);
     let mut found = BTreeMap::new();
-    for entry in fs::read_dir(&drives).map_err(ReportError::read(&drives))? {
-        let path = entry.map_err(ReportError::read(&drives))?.path();
+    for entry in fs::read_dir(&simulations).map_err(ReportError::read(&simulations))? {
+        let path = entry.map_err(ReportError::read(&simulations))?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let number = name.split_once('-').and_then(|(digits, _)| digits.parse().ok());
         if let Some(number) = number {

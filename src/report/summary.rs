@@ -1,6 +1,6 @@
 //! `summary.json`: scores only, no measured times, the same bytes for the same seed.
 
-use super::drive_row::{DriveRow, is_zero};
+use super::simulation_row::{SimulationRow, is_zero};
 use crate::experiment::split::MissingTokens;
 use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate};
 use crate::mllm::ModelDescription;
@@ -37,7 +37,7 @@ pub struct ScenarioSummary {
     pub planning_calls: usize,
     /// Planning calls that the gate saved.
     #[serde(skip_serializing_if = "is_zero")]
-    pub saved_calls: usize,
+    pub gated_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,
     /// What could not be read of the answers.
@@ -51,8 +51,8 @@ pub struct ScenarioSummary {
     pub drivable_layers: Option<DrivableLayers>,
 }
 
-impl From<&DriveRow> for ScenarioSummary {
-    fn from(row: &DriveRow) -> Self {
+impl From<&SimulationRow> for ScenarioSummary {
+    fn from(row: &SimulationRow) -> Self {
         let mut metrics = Map::new();
         if row.score.is_some() {
             let scored = row.challenge.metric_list().scored().iter().map(|name| name.as_str());
@@ -70,7 +70,7 @@ impl From<&DriveRow> for ScenarioSummary {
             score: row.score,
             metrics,
             planning_calls: row.planning_calls,
-            saved_calls: row.saved_calls,
+            gated_calls: row.gated_calls,
             rethinks: row.rethinks,
             parse_errors: row.parse_errors,
             deadlines: row.deadlines,
@@ -119,12 +119,12 @@ pub struct Summary {
 
 impl Summary {
     /// The summary of all drives of a run, and of those that could not be made for want of their scenario.
-    pub fn new(seed: u64, model: Option<ModelDescription>, missing: &[MissingTokens], rows: &[DriveRow]) -> Self {
+    pub fn new(seed: u64, model: Option<ModelDescription>, missing: &[MissingTokens], rows: &[SimulationRow]) -> Self {
         let mut aggregates = Vec::new();
         let mut scenario_types = Vec::new();
         for planner in distinct(rows.iter().map(|row| &row.planner)) {
             for challenge in distinct(rows.iter().map(|row| &row.challenge)) {
-                let own: Vec<&DriveRow> =
+                let own: Vec<&SimulationRow> =
                     rows.iter().filter(|row| row.planner == *planner && row.challenge == *challenge).collect();
                 if own.is_empty() {
                     continue;
@@ -149,14 +149,14 @@ impl Summary {
 }
 
 /// nuPlan's aggregation of the drives of one challenge.
-pub(super) fn aggregated<'a>(challenge: Challenge, rows: impl Iterator<Item = &'a DriveRow>) -> Vec<AggregateRow> {
-    let scored: Vec<_> = rows.filter_map(DriveRow::scenario_row).collect();
+pub(super) fn aggregated<'a>(challenge: Challenge, rows: impl Iterator<Item = &'a SimulationRow>) -> Vec<AggregateRow> {
+    let scored: Vec<_> = rows.filter_map(SimulationRow::scenario_row).collect();
     aggregate(&scored, &Weighting::of(challenge.metric_list()))
 }
 
 fn mean(
     table: &[AggregateRow],
-    own: &[&DriveRow],
+    own: &[&SimulationRow],
     planner: &str,
     challenge: Challenge,
     scenario_type: Option<&String>,

@@ -1,6 +1,6 @@
 //! `timing.json`: what was measured, apart from the scores, with the machine it was measured on.
 
-use super::drive_row::DriveRow;
+use super::simulation_row::SimulationRow;
 use super::summary::distinct;
 use crate::planner::PlanningCall;
 use crate::simulation::Challenge;
@@ -79,7 +79,7 @@ pub struct CallQuantiles {
 
 /// The time of one drive.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct DriveTiming {
+pub struct SimulationTiming {
     id: String,
     planner: String,
     challenge: Challenge,
@@ -116,7 +116,7 @@ pub struct Session {
     /// Wall time of the session, loading of the model included, seconds.
     pub wall_s: f64,
     /// Drives that this session made; a run that was gone on with has others.
-    pub drives: usize,
+    pub simulations: usize,
     /// Time to load the model, seconds.
     pub load_s: Option<f64>,
 }
@@ -134,12 +134,12 @@ pub struct Timing {
     /// A row a planner.
     pub planners: Vec<PlannerTiming>,
     /// A row a drive.
-    pub drive_times: Vec<DriveTiming>,
+    pub simulation_times: Vec<SimulationTiming>,
 }
 
 impl Timing {
     /// The times of a run.
-    pub fn new(session: Session, rows: &[DriveRow]) -> Self {
+    pub fn new(session: Session, rows: &[SimulationRow]) -> Self {
         let calls: Vec<CallTimes> = rows.iter().flat_map(|row| &row.time.calls).copied().collect();
         let part = |of: fn(&CallTimes) -> f64| Quantiles::of(calls.iter().map(of).collect());
         Self {
@@ -158,10 +158,10 @@ impl Timing {
                 .into_iter()
                 .map(|planner| PlannerTiming::of(planner, rows))
                 .collect(),
-            drive_times: rows
+            simulation_times: rows
                 .iter()
                 .filter(|row| row.score.is_some())
-                .map(|row| DriveTiming {
+                .map(|row| SimulationTiming {
                     id: row.scenario.clone(),
                     planner: row.planner.clone(),
                     challenge: row.challenge,
@@ -175,7 +175,7 @@ impl Timing {
 
 impl PlannerTiming {
     /// The times of a planner's drives among `rows`.
-    pub(super) fn of(planner: &str, rows: &[DriveRow]) -> Self {
+    pub(super) fn of(planner: &str, rows: &[SimulationRow]) -> Self {
         let own = || rows.iter().filter(|row| row.planner == planner);
         let steps: Vec<f64> = own().flat_map(|row| &row.time.planner_s).map(|s| s * 1e3).collect();
         let calls: Vec<f64> = own().flat_map(|row| &row.time.calls).map(|call| call.total).collect();

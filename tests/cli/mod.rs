@@ -96,7 +96,7 @@ fn a_run_leaves_what_the_readme_says() {
     let (code, stdout, stderr) = run(&["simulate", "--scenario", SCENE, "--out", out.to_str().unwrap()]);
     assert_eq!(code, 0, "{stderr}");
     assert!(stdout.contains("plan-agent") && stdout.contains("no_ego_at_fault_collisions"), "{stdout}");
-    assert!(stdout.contains("ms/step  ms/call p50  drives"), "{stdout}");
+    assert!(stdout.contains("ms/step  ms/call p50  simulations"), "{stdout}");
     assert!(stdout.lines().all(|line| line.chars().count() <= 80), "wider than 80 columns:\n{stdout}");
 
     let summary = read_json(&out.join("summary.json"));
@@ -142,7 +142,7 @@ fn a_run_leaves_what_the_readme_says() {
         assert!(attempt["reflection"]["score"].as_f64().is_some());
         assert!(call["time"]["call"]["total"].as_f64().unwrap() > 0.0);
     }
-    let drive = out.join("drives/000000-generated_changing_lane_3-plan-agent-nonreactive");
+    let drive = out.join("simulations/000000-generated_changing_lane_3-plan-agent-nonreactive");
     let transcript = fs::read_to_string(drive.join("transcript.md")).unwrap();
     assert!(transcript.contains("Generate_IDM_Planner(") && transcript.contains("bev/020.png"), "{transcript}");
     assert!(image::open(drive.join("bev/020.png")).unwrap().width() > 16);

@@ -99,7 +99,7 @@ fn a_model_without_weights_says_so() {
     let results = read_json(&work.path().join("mllm/results.json"));
     let variants = results["suites"][0]["variants"].as_array().unwrap();
     let named = |name: &str| variants.iter().find(|variant| variant["name"] == name).unwrap();
-    assert_eq!(named("cogvlm-chat-17b")["not_driven"], "no weights");
+    assert_eq!(named("cogvlm-chat-17b")["not_simulated"], "no weights");
     assert!(named("cogvlm-chat-17b")["challenges"][0]["score"].is_null());
     assert_eq!(named("cogvlm-chat-17b")["model"]["paper"]["time_ms"], 4405);
     assert!(named("nano")["challenges"][0]["score"].is_number() && named("nano")["model"]["call_ms"].is_number());

@@ -1,7 +1,7 @@
 //! The page as people use it, in a browser.
 
 use super::chromium::Chromium;
-use super::{drive, scenes};
+use super::{scenes, simulate};
 use crate::cli::run;
 use crate::outside::skipped;
 use serde_json::{Value, json};
@@ -24,7 +24,7 @@ fn the_page_of_a_run_plays_scrubs_and_shows_the_call_in_force() {
     };
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("run");
-    drive(&out, &scenes(SCENARIOS), "plan-agent,log-replay");
+    simulate(&out, &scenes(SCENARIOS), "plan-agent,log-replay");
     let (code, stdout, stderr) = run(&["report", out.to_str().unwrap()]);
     assert_eq!(code, 0, "{stderr}");
     let page = out.join("report.html");
@@ -61,8 +61,8 @@ fn tables(browser: &mut Chromium, page: &Path) {
 
 /// A replay plays, can be scrubbed, and its transcript keeps up.
 fn replay(browser: &mut Chromium, page: &Path, run: &Path) {
-    let drives = fs::read_dir(run.join("drives")).unwrap();
-    let first = drives.map(|drive| drive.unwrap().path()).find(|d| d.to_str().unwrap().contains("000000-")).unwrap();
+    let folders = fs::read_dir(run.join("simulations")).unwrap();
+    let first = folders.map(|entry| entry.unwrap().path()).find(|d| d.to_str().unwrap().contains("000000-")).unwrap();
     let calls: Vec<Value> = fs::read_to_string(first.join("calls.jsonl"))
         .unwrap()
         .lines()
@@ -106,7 +106,7 @@ fn replay(browser: &mut Chromium, page: &Path, run: &Path) {
             }
         }
         assert_eq!(browser.value("document.querySelectorAll('.attempt').length"), attempts.len());
-        assert_eq!(browser.value("document.querySelectorAll('.attempt.drives').length"), 1);
+        assert_eq!(browser.value("document.querySelectorAll('.attempt.executed').length"), 1);
         // A row for the environment, then rounds and reflection of each attempt.
         assert_eq!(browser.value("document.querySelectorAll('.waterfall > div').length"), 1 + 4 * attempts.len());
     }
@@ -133,9 +133,9 @@ fn keys(browser: &mut Chromium) {
     assert_eq!(browser.value("document.getElementById('help').open"), true);
     browser.value("document.getElementById('help').close()");
     browser.press("ArrowDown");
-    browser.wait_for("document.getElementById('scenarios').dataset.drive === '0/2' && scenarios.replay !== null");
+    browser.wait_for("document.getElementById('scenarios').dataset.simulation === '0/2' && scenarios.replay !== null");
     // All replays of the page unpack.
-    let broken = "(async () => { let broken = 0; for (const drive of INDEX.drives) \
-                  if ((await readReplay(drive)).plans.length < 100) broken += 1; return broken; })()";
+    let broken = "(async () => { let broken = 0; for (const simulation of INDEX.simulations) \
+                  if ((await readReplay(simulation)).plans.length < 100) broken += 1; return broken; })()";
     assert_eq!(browser.value(broken), json!(0));
 }

@@ -1,6 +1,6 @@
 //! What `report` and `render` write, without a browser.
 
-use super::{drive, scenes};
+use super::{scenes, simulate};
 use crate::cli::{refused, run};
 use crate::outside::skipped;
 use serde_json::Value;
@@ -8,8 +8,9 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-fn drive_folders(run: &Path) -> Vec<std::path::PathBuf> {
-    let mut folders: Vec<_> = fs::read_dir(run.join("drives")).unwrap().map(|drive| drive.unwrap().path()).collect();
+fn simulation_folders(run: &Path) -> Vec<std::path::PathBuf> {
+    let mut folders: Vec<_> =
+        fs::read_dir(run.join("simulations")).unwrap().map(|entry| entry.unwrap().path()).collect();
     folders.sort();
     folders
 }
@@ -18,10 +19,10 @@ fn drive_folders(run: &Path) -> Vec<std::path::PathBuf> {
 fn pages_hold_runs_and_say_what_they_leave_out() {
     let work = TempDir::new().unwrap();
     let [one, other] = ["one", "other"].map(|name| work.path().join(name));
-    drive(&one, &scenes(3), "log-replay,simple");
-    drive(&other, &scenes(2), "idm");
-    // A drive of an earlier version has no replay.
-    fs::remove_file(drive_folders(&other)[0].join("replay.json.gz")).unwrap();
+    simulate(&one, &scenes(3), "log-replay,simple");
+    simulate(&other, &scenes(2), "idm");
+    // A simulation of an older version has no replay.
+    fs::remove_file(simulation_folders(&other)[0].join("replay.json.gz")).unwrap();
     let page = work.path().join("page.html");
     let flags = ["--out", page.to_str().unwrap(), "--json"];
     let write = |more: &[&str]| -> Value {
@@ -31,7 +32,7 @@ fn pages_hold_runs_and_say_what_they_leave_out() {
         serde_json::from_str(&stdout).unwrap()
     };
     let all = write(&[]);
-    assert_eq!((&all["drives"], &all["replays"], &all["without_replay"]), (&8.into(), &7.into(), &1.into()));
+    assert_eq!((&all["simulations"], &all["replays"], &all["without_replay"]), (&8.into(), &7.into(), &1.into()));
     assert_eq!(all["bytes"], fs::metadata(&page).unwrap().len());
     assert!(fs::read_to_string(&page).unwrap().contains("<title>PlanAgent: one, other</title>"));
     let some = write(&["--scenario", "changing_lane"]);
@@ -46,17 +47,17 @@ fn pages_hold_runs_and_say_what_they_leave_out() {
     assert!(no_run.contains("holds no run"), "{no_run}");
     let limit = refused(&["report", one.to_str().unwrap(), "--max-mb", "-1"]);
     assert!(limit.contains("--max-mb"), "{limit}");
-    let replay = drive_folders(&one)[0].join("replay.json.gz");
+    let replay = simulation_folders(&one)[0].join("replay.json.gz");
     fs::write(&replay, "no gzip").unwrap();
     let broken = refused(&["report", one.to_str().unwrap()]);
     assert!(broken.contains("replay.json.gz"), "{broken}");
 }
 
 #[test]
-fn a_drive_is_rendered() {
+fn a_simulation_is_rendered() {
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
-    drive(&out, &scenes(1), "log-replay,simple");
+    simulate(&out, &scenes(1), "log-replay,simple");
     let run_folder = out.to_str().unwrap();
     let [gif, png, mp4] = ["a.gif", "a.png", "a.mp4"].map(|name| work.path().join(name).to_str().unwrap().to_owned());
     let small = ["--pixels", "160", "--view", "48"];
@@ -72,7 +73,7 @@ fn a_drive_is_rendered() {
     render(&["0", "--png", &png, "--at", "3.0"]);
     let frame = image::open(&png).unwrap().to_rgb8();
     assert!(frame.width() == 160 && frame.height() > 160);
-    // What a viewer has put together by then is the drive at that instant, and not what has changed in it.
+    // What a viewer has put together by then is the simulation at that instant, and not what has changed in it.
     let seen = frames[6].buffer();
     let close =
         |(a, b): (&image::Rgba<u8>, &image::Rgb<u8>)| a.0[3] == 255 && (0..3).all(|i| a.0[i].abs_diff(b.0[i]) < 48);
@@ -83,9 +84,9 @@ fn a_drive_is_rendered() {
 
     let fails = |more: &[&str]| refused(&[&["render", run_folder], more].concat());
     let several = fails(&["changing_lane/1", "--png", &png]);
-    assert!(several.contains("2 drives") && several.contains("by log-replay, nonreactive"), "{several}");
-    assert!(fails(&["7", "--png", &png]).contains("no drive 7"));
-    assert!(fails(&["0", "--png", &png, "--at", "99"]).contains("outside the drive"));
+    assert!(several.contains("2 simulations") && several.contains("by log-replay, nonreactive"), "{several}");
+    assert!(fails(&["7", "--png", &png]).contains("no simulation 7"));
+    assert!(fails(&["0", "--png", &png, "--at", "99"]).contains("outside the simulation"));
     assert!(fails(&["0"]).contains("--gif"));
     // Without ffmpeg there is a hint; with it, a film.
     let arguments = ["render", run_folder, "0", "--mp4", &mp4, "--pixels", "160"];

@@ -14,7 +14,7 @@ const TYPES: [&str; 4] =
     ["changing_lane", "stopping_with_lead", "traversing_roundabout", "waiting_for_pedestrian_to_cross"];
 
 /// Drives scenes and writes their page; gives the last line of what `report` tells.
-fn drive(out: &Path, scenarios: &[String], planners: &str) {
+fn simulate(out: &Path, scenarios: &[String], planners: &str) {
     let words: Vec<&str> = scenarios.iter().map(String::as_str).collect();
     let flags = ["--planner", planners, "--out", out.to_str().unwrap(), "--quiet"];
     let (code, _, stderr) = run(&[&["simulate", "--scenario"], &words[..], &flags[..]].concat());

@@ -21,7 +21,7 @@ fn quick_run(scenarios: usize) -> Vec<String> {
 
 /// Folders of the drives that have ended, by name.
 pub(crate) fn drives(run: &Path) -> Vec<PathBuf> {
-    let Ok(entries) = fs::read_dir(run.join("drives")) else { return Vec::new() };
+    let Ok(entries) = fs::read_dir(run.join("simulations")) else { return Vec::new() };
     let mut found: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
     found.retain(|path| !path.file_name().unwrap().to_str().unwrap().starts_with('.'));
     found.sort();

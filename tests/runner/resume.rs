@@ -84,7 +84,7 @@ fn a_run_that_is_killed_again_and_again_ends_like_one_that_is_not() {
     assert_eq!(after.len(), DRIVES);
     assert!(before.iter().all(|(drive, time)| after.get(drive) == Some(time)), "a drive was made twice");
     assert_same_results(&whole, &killed);
-    let leftovers = fs::read_dir(killed.join("drives")).unwrap().count() - DRIVES;
+    let leftovers = fs::read_dir(killed.join("simulations")).unwrap().count() - DRIVES;
     assert_eq!(leftovers, 0, "unfinished drives are left behind");
 
     // Going on with a run that has ended changes nothing.

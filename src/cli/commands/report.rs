@@ -19,7 +19,7 @@ pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::
     let first = flags.runs.first().context("name the folder of a run")?;
     let out = flags.out.clone().unwrap_or_else(|| first.join(PAGE));
     let settings = PageSettings { most_bytes: (flags.max_mb * MEGABYTE) as usize, scenario: flags.scenario.clone() };
-    let bar = printer.progress(0, "drives");
+    let bar = printer.progress(0, "simulations");
     let written = page::write(&flags.runs, &out, &settings, &|done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
@@ -32,14 +32,14 @@ pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::
     }
     printer.line(contents.page.display().to_string());
     let megabytes = contents.bytes as f64 / MEGABYTE;
-    printer.note(format!("{} drives, {} to be watched, {megabytes:.1} MB", contents.drives, contents.replays));
+    printer.note(format!("{} simulations, {} with replay, {megabytes:.1} MB", contents.simulations, contents.replays));
     if contents.without_replay > 0 {
         printer.note(format!(
-            "{} drives have no replay: they failed, or an earlier version made them",
+            "{} simulations have no replay: they failed, or an older version ran them",
             contents.without_replay
         ));
     }
-    let left_out = contents.drives - contents.replays - contents.without_replay;
+    let left_out = contents.simulations - contents.replays - contents.without_replay;
     if left_out > 0 && flags.scenario.is_none() {
         printer.note(format!("{left_out} replays did not fit in; --max-mb or --scenario lets them in"));
     }

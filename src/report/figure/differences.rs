@@ -22,7 +22,7 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) 
     picture.text([12.0, 24.0], Anchor::Start, "head", &title);
     for (place, (_, variant)) in shown.iter().enumerate() {
         let y = TOP + ROW * (place as f64 + 0.5) + 4.0;
-        let reason = variant.not_driven.map_or_else(String::new, |why| format!(" ({why})"));
+        let reason = variant.not_simulated.map_or_else(String::new, |why| format!(" ({why})"));
         picture.text([NAMES - 12.0, y], Anchor::End, "", &format!("{}{reason}", variant.name));
     }
     let panel_width = (WIDTH - NAMES) / 2.0 - GAP;

@@ -1,9 +1,9 @@
 //! The index of a page: runs, metrics, drives with their scores, means and times.
 
-use super::drive::{DriveParts, four_figures};
+use super::simulation::{SimulationParts, four_figures};
 use super::source::RunSimulations;
 use crate::metrics::{MetricList, MetricName, Role};
-use crate::report::drive_row::DriveRow;
+use crate::report::simulation_row::SimulationRow;
 use crate::report::summary::{Aggregate, Summary, distinct};
 use crate::report::timing::PlannerTiming;
 use crate::simulation::Challenge;
@@ -17,7 +17,7 @@ pub(super) struct Index {
     vehicle: Vehicle,
     runs: Vec<RunEntry>,
     metrics: Vec<MetricEntry>,
-    pub(super) drives: Vec<DriveEntry>,
+    pub(super) simulations: Vec<SimulationEntry>,
     aggregates: Vec<AggregateEntry>,
     timings: Vec<TimingEntry>,
     /// Drives that can be watched.
@@ -42,7 +42,7 @@ struct RunEntry {
     /// λ.
     threshold: Option<f64>,
     /// Drives that have ended, and those that there will be.
-    drives: usize,
+    simulations: usize,
     planned: usize,
 }
 
@@ -56,7 +56,7 @@ struct MetricEntry {
 
 /// A drive; runs are named by their place in [`Index::runs`].
 #[derive(Debug, Serialize)]
-pub(super) struct DriveEntry {
+pub(super) struct SimulationEntry {
     run: usize,
     number: usize,
     pub(super) scenario: String,
@@ -121,9 +121,10 @@ struct Column {
 
 impl Index {
     /// The index of runs; no drive names a replay yet.
-    pub(super) fn of(runs: &[RunSimulations], parts: &[DriveParts], wanted: impl Fn(&str) -> bool) -> Self {
-        let rows = runs.iter().enumerate().flat_map(|(run, drives)| drives.rows.iter().map(move |row| (run, row)));
-        let absent = |row: &DriveRow, parts: &DriveParts| match (parts.was_kept, wanted(&row.scenario)) {
+    pub(super) fn of(runs: &[RunSimulations], parts: &[SimulationParts], wanted: impl Fn(&str) -> bool) -> Self {
+        let rows =
+            runs.iter().enumerate().flat_map(|(run, simulations)| simulations.rows.iter().map(move |row| (run, row)));
+        let absent = |row: &SimulationRow, parts: &SimulationParts| match (parts.was_kept, wanted(&row.scenario)) {
             (false, _) => Some(Absent::Run),
             (true, false) => Some(Absent::Scenario),
             (true, true) => None,
@@ -136,9 +137,16 @@ impl Index {
             },
             runs: runs.iter().map(RunEntry::of).collect(),
             metrics: metrics(),
-            drives: rows.zip(parts).map(|((run, row), part)| DriveEntry::of(run, row, absent(row, part))).collect(),
-            aggregates: runs.iter().enumerate().flat_map(|(run, drives)| aggregates(run, &drives.rows)).collect(),
-            timings: runs.iter().enumerate().flat_map(|(run, drives)| timings(run, &drives.rows)).collect(),
+            simulations: rows
+                .zip(parts)
+                .map(|((run, row), part)| SimulationEntry::of(run, row, absent(row, part)))
+                .collect(),
+            aggregates: runs
+                .iter()
+                .enumerate()
+                .flat_map(|(run, simulations)| aggregates(run, &simulations.rows))
+                .collect(),
+            timings: runs.iter().enumerate().flat_map(|(run, simulations)| timings(run, &simulations.rows)).collect(),
             replays: 0,
         }
     }
@@ -153,14 +161,14 @@ impl RunEntry {
             model: run.model().map(str::to_owned),
             seed: run.setting("seed"),
             threshold: run.setting("reflection.threshold"),
-            drives: run.rows.len(),
-            planned: run.manifest.drives(),
+            simulations: run.rows.len(),
+            planned: run.manifest.simulations(),
         }
     }
 }
 
-impl DriveEntry {
-    fn of(run: usize, row: &DriveRow, absent: Option<Absent>) -> Self {
+impl SimulationEntry {
+    fn of(run: usize, row: &SimulationRow, absent: Option<Absent>) -> Self {
         Self {
             run,
             number: row.number,
@@ -193,13 +201,13 @@ fn metrics() -> Vec<MetricEntry> {
     of(MetricList::ClosedLoop).chain(of(MetricList::OpenLoop)).collect()
 }
 
-fn aggregates(run: usize, rows: &[DriveRow]) -> Vec<AggregateEntry> {
+fn aggregates(run: usize, rows: &[SimulationRow]) -> Vec<AggregateEntry> {
     let summary = Summary::new(0, None, &[], rows);
     let all = summary.aggregates.into_iter().chain(summary.scenario_types);
     all.map(|aggregate| AggregateEntry { run, aggregate }).collect()
 }
 
-fn timings(run: usize, rows: &[DriveRow]) -> Vec<TimingEntry> {
+fn timings(run: usize, rows: &[SimulationRow]) -> Vec<TimingEntry> {
     let planners = distinct(rows.iter().map(|row| row.planner.as_str()));
     let entry = |planner: &str| {
         let timing = PlannerTiming::of(planner, rows);
@@ -215,7 +223,7 @@ fn timings(run: usize, rows: &[DriveRow]) -> Vec<TimingEntry> {
 }
 
 /// The statistics of drives.
-pub(super) fn statistics(parts: &[DriveParts]) -> Statistics {
+pub(super) fn statistics(parts: &[SimulationParts]) -> Statistics {
     let mut places: BTreeMap<(&str, &str), usize> = BTreeMap::new();
     let mut columns = Vec::new();
     for (metric, category, statistic) in parts.iter().flat_map(|part| &part.statistics) {
@@ -229,7 +237,7 @@ pub(super) fn statistics(parts: &[DriveParts]) -> Statistics {
             columns.len() - 1
         });
     }
-    let row = |part: &DriveParts| {
+    let row = |part: &SimulationParts| {
         let mut row = vec![None; columns.len()];
         for (metric, _, statistic) in &part.statistics {
             if let Some(&place) = places.get(&(metric.as_str(), statistic.name.as_str())) {

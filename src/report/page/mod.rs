@@ -3,8 +3,8 @@
 
 mod assets;
 mod bounds;
-mod drive;
 mod index;
+mod simulation;
 mod source;
 
 use super::atomic;
@@ -12,10 +12,10 @@ use super::error::ReportError;
 use super::replay::packed;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use drive::DriveParts;
 use index::{Absent, Index};
 use rayon::prelude::*;
 use serde::Serialize;
+use simulation::SimulationParts;
 use source::RunSimulations;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -51,14 +51,14 @@ pub struct PageContents {
     /// Its size.
     pub bytes: usize,
     /// Drives in its tables.
-    pub drives: usize,
+    pub simulations: usize,
     /// Drives that can be watched.
     pub replays: usize,
     /// Drives whose run kept no replay.
     pub without_replay: usize,
 }
 
-/// Writes a page of runs to `out`; several runs are compared. `on_drive(done, all)` is called after each drive that was read.
+/// Writes a page of runs to `out`; several runs are compared. `on_simulation(done, all)` is called after each drive that was read.
 ///
 /// # Errors
 /// When a folder holds no run or no drive, a file of it cannot be read, or the page cannot be written.
@@ -77,13 +77,13 @@ pub fn write(
     }
     let done = AtomicUsize::new(0);
     let all = runs.iter().map(|run| run.rows.len()).sum();
-    let drives: Vec<(usize, usize)> =
+    let simulations: Vec<(usize, usize)> =
         runs.iter().enumerate().flat_map(|(r, run)| (0..run.rows.len()).map(move |i| (r, i))).collect();
-    let parts: Vec<DriveParts> = drives
+    let parts: Vec<SimulationParts> = simulations
         .par_iter()
         .map(|&(run, i)| {
             let (run, row) = (&runs[run], &runs[run].rows[i]);
-            let parts = DriveParts::read(&run.folders[&row.number], row, wanted(&row.scenario))?;
+            let parts = SimulationParts::read(&run.folders[&row.number], row, wanted(&row.scenario))?;
             on_simulation(done.fetch_add(1, Ordering::Relaxed) + 1, all);
             Ok(parts)
         })
@@ -93,18 +93,24 @@ pub fn write(
     let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
     let page = assets::page(&format!("PlanAgent: {}", names.join(", ")), &data);
     atomic::write(out, page.as_bytes())?;
-    let without_replay = index.drives.iter().filter(|drive| drive.absent == Some(Absent::Run)).count();
-    Ok(PageContents { page: out.to_owned(), bytes: page.len(), drives: all, replays: index.replays, without_replay })
+    let without_replay = index.simulations.iter().filter(|simulation| simulation.absent == Some(Absent::Run)).count();
+    Ok(PageContents {
+        page: out.to_owned(),
+        bytes: page.len(),
+        simulations: all,
+        replays: index.replays,
+        without_replay,
+    })
 }
 
 /// The data elements of the page; the index says what of it is there.
-fn data(index: &mut Index, parts: &[DriveParts], most_bytes: usize) -> Result<String, ReportError> {
+fn data(index: &mut Index, parts: &[SimulationParts], most_bytes: usize) -> Result<String, ReportError> {
     let statistics = element("statistics", &text(&index::statistics(parts))?);
     let taken = assets::size() + statistics.len() + text(index)?.len() + NAMES_BYTES * parts.len();
     let mut elements = Elements { text: statistics, left: most_bytes.saturating_sub(taken) };
     add_replays(index, parts, &mut elements);
     add_images(index, parts, &mut elements);
-    index.replays = index.drives.iter().filter(|drive| drive.replay.is_some()).count();
+    index.replays = index.simulations.iter().filter(|simulation| simulation.replay.is_some()).count();
     elements.text.push_str(&element("index", &text(index)?));
     Ok(elements.text)
 }
@@ -128,48 +134,48 @@ impl Elements {
 }
 
 /// Adds the replays, scenario by scenario: who compares planners wants all of them or none.
-fn add_replays(index: &mut Index, parts: &[DriveParts], elements: &mut Elements) {
+fn add_replays(index: &mut Index, parts: &[SimulationParts], elements: &mut Elements) {
     let mut first: BTreeMap<&str, usize> = BTreeMap::new();
     let mut scenarios: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for (i, drive) in index.drives.iter().enumerate() {
-        scenarios.entry(*first.entry(&drive.scenario).or_insert(i)).or_default().push(i);
+    for (i, simulation) in index.simulations.iter().enumerate() {
+        scenarios.entry(*first.entry(&simulation.scenario).or_insert(i)).or_default().push(i);
     }
     let mut maps: BTreeMap<&str, usize> = BTreeMap::new();
-    for drives in scenarios.into_values() {
+    for simulations in scenarios.into_values() {
         let (mut added, mut known) = (String::new(), maps.clone());
         let mut places = Vec::new();
-        for i in drives.iter().copied() {
+        for i in simulations.iter().copied() {
             let Some(replay) = &parts[i].replay else { continue };
             let next = known.len();
             let map = *known.entry(&replay.map).or_insert(next);
             if map == next {
                 added.push_str(&element(&format!("map-{map}"), &replay.map));
             }
-            added.push_str(&element(&format!("drive-{i}"), &replay.drive));
+            added.push_str(&element(&format!("simulation-{i}"), &replay.simulation));
             places.push((i, map));
         }
         if elements.add(&added) {
             maps = known;
             for (i, map) in places {
-                index.drives[i].replay = Some(i);
-                index.drives[i].map = Some(map);
+                index.simulations[i].replay = Some(i);
+                index.simulations[i].map = Some(map);
             }
         } else {
             for (i, _) in places {
-                index.drives[i].absent = Some(Absent::Size);
+                index.simulations[i].absent = Some(Absent::Size);
             }
         }
     }
 }
 
 /// Adds the pictures that the model saw to the replays that are there.
-fn add_images(index: &mut Index, parts: &[DriveParts], elements: &mut Elements) {
-    for (i, (drive, part)) in index.drives.iter_mut().zip(parts).enumerate() {
+fn add_images(index: &mut Index, parts: &[SimulationParts], elements: &mut Elements) {
+    for (i, (simulation, part)) in index.simulations.iter_mut().zip(parts).enumerate() {
         let images = part.replay.as_ref().and_then(|replay| replay.images.as_ref());
-        if let Some(images) = images.filter(|_| drive.replay.is_some())
+        if let Some(images) = images.filter(|_| simulation.replay.is_some())
             && elements.add(&element(&format!("images-{i}"), images))
         {
-            drive.images = Some(i);
+            simulation.images = Some(i);
         }
     }
 }

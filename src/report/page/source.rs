@@ -1,9 +1,9 @@
 //! The runs that a page is made of.
 
-use crate::report::drive_row::DriveRow;
 use crate::report::error::ReportError;
 use crate::report::manifest::Manifest;
 use crate::report::run_folder::{RunFolder, folders};
+use crate::report::simulation_row::SimulationRow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ pub(super) struct RunSimulations {
     /// What it is made of.
     pub(super) manifest: Manifest,
     /// Its drives by number.
-    pub(super) rows: Vec<DriveRow>,
+    pub(super) rows: Vec<SimulationRow>,
     /// Their folders by number.
     pub(super) folders: BTreeMap<usize, PathBuf>,
 }
@@ -43,7 +43,7 @@ impl RunSimulations {
         // One that is taken back this moment is no drive of the page.
         rows.retain(|row| folders.contains_key(&row.number));
         if rows.is_empty() {
-            return Err(ReportError::NoDrives(path.to_owned()));
+            return Err(ReportError::NoSimulations(path.to_owned()));
         }
         let absolute = std::path::absolute(path).map_err(ReportError::read(path))?;
         let name = absolute.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());

@@ -2,7 +2,7 @@
 
 use super::table::{Column, Columns, TableWriter};
 use crate::metrics::{MetricResult, ScoreUnit, Statistic, StatisticKind};
-use crate::report::{DriveRow, ReportError};
+use crate::report::{ReportError, SimulationRow};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -14,16 +14,16 @@ const BATCH: usize = 256;
 type Schema = Vec<(String, StatisticKind)>;
 
 /// A row to be: the drive and its result.
-type Row<'a> = (&'a DriveRow, MetricResult);
+type Row<'a> = (&'a SimulationRow, MetricResult);
 
 /// Writes the files. The drives are gone through twice: once for the columns, once for the values.
 pub(in crate::report) fn write_metric_files<'a>(
     folder: &Path,
-    drives: impl Iterator<Item = Result<(&'a DriveRow, Vec<MetricResult>), ReportError>> + Clone,
+    simulations: impl Iterator<Item = Result<(&'a SimulationRow, Vec<MetricResult>), ReportError>> + Clone,
 ) -> Result<(), ReportError> {
     let mut schemas: BTreeMap<String, Schema> = BTreeMap::new();
-    for drive in drives.clone() {
-        for metric in drive?.1 {
+    for simulation in simulations.clone() {
+        for metric in simulation?.1 {
             let schema = schemas.entry(metric.name).or_default();
             for statistic in metric.statistics {
                 if !schema.iter().any(|(name, _)| *name == statistic.name) {
@@ -36,8 +36,8 @@ pub(in crate::report) fn write_metric_files<'a>(
         .into_iter()
         .map(|(name, schema)| (name, MetricTable { schema, waiting: Vec::new(), writer: None }))
         .collect();
-    for drive in drives {
-        let (row, metrics) = drive?;
+    for simulation in simulations {
+        let (row, metrics) = simulation?;
         for metric in metrics {
             let name = metric.name.clone();
             if let Some(table) = tables.get_mut(&name) {
@@ -82,15 +82,16 @@ impl MetricTable<'_> {
 
 /// The columns of the devkit's `construct_dataframe` and `MetricStatistics.serialize_dataframe`.
 fn columns(schema: &Schema, rows: &[Row<'_>]) -> Columns {
-    let of_drive = |of: fn(&DriveRow) -> &str| Column::text(rows.iter().map(|(drive, _)| of(drive)));
+    let of_simulation =
+        |of: fn(&SimulationRow) -> &str| Column::text(rows.iter().map(|(simulation, _)| of(simulation)));
     let of_metric = |of: fn(&MetricResult) -> Option<&str>| {
         Column::Text(rows.iter().map(|(_, metric)| of(metric).map(str::to_owned)).collect())
     };
     let mut all = vec![
-        ("log_name".to_owned(), of_drive(|drive| &drive.log_name)),
-        ("scenario_name".to_owned(), of_drive(|drive| &drive.scenario)),
-        ("scenario_type".to_owned(), of_drive(|drive| &drive.scenario_type)),
-        ("planner_name".to_owned(), of_drive(|drive| &drive.planner)),
+        ("log_name".to_owned(), of_simulation(|simulation| &simulation.log_name)),
+        ("scenario_name".to_owned(), of_simulation(|simulation| &simulation.scenario)),
+        ("scenario_type".to_owned(), of_simulation(|simulation| &simulation.scenario_type)),
+        ("planner_name".to_owned(), of_simulation(|simulation| &simulation.planner)),
         ("metric_computator".to_owned(), of_metric(|metric| Some(&metric.computator))),
         ("metric_statistics_name".to_owned(), of_metric(|metric| Some(&metric.name))),
         ("metric_score".to_owned(), Column::Float(rows.iter().map(|(_, metric)| metric.score).collect())),
@@ -156,11 +157,11 @@ fn kind_name(kind: StatisticKind) -> &'static str {
 mod tests {
     use super::*;
     use crate::metrics::MetricName;
-    use crate::report::DriveTime;
+    use crate::report::SimulationTime;
     use crate::simulation::Challenge;
 
-    fn drive() -> DriveRow {
-        DriveRow {
+    fn simulation() -> SimulationRow {
+        SimulationRow {
             number: 0,
             source: "generated/changing_lane/0".to_owned(),
             scenario: "generated/changing_lane/0".to_owned(),
@@ -172,13 +173,13 @@ mod tests {
             score: Some(1.0),
             zeroed_by: Vec::new(),
             planning_calls: 0,
-            saved_calls: 0,
+            gated_calls: 0,
             rethinks: 0,
             parse_errors: 0,
             deadlines: 0,
             failed_calls: 0,
             drivable_layers: None,
-            time: DriveTime::default(),
+            time: SimulationTime::default(),
             metrics: Vec::new(),
         }
     }
@@ -190,7 +191,7 @@ mod tests {
         let kept = Statistic::boolean(metric.as_str(), true);
         let broken = vec![Statistic::count(count, 2), Statistic::boolean(metric.as_str(), false)];
         let schema: Schema = broken.iter().map(|statistic| (statistic.name.clone(), statistic.kind)).collect();
-        let row = drive();
+        let row = simulation();
         let rows =
             [(&row, MetricResult::scored(metric, 1.0, vec![kept])), (&row, MetricResult::scored(metric, 0.5, broken))];
         let columns: BTreeMap<String, Column> = columns(&schema, &rows).into_iter().collect();

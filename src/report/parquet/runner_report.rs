@@ -1,18 +1,18 @@
 //! `runner_report.parquet`: a row a drive, failed ones included.
 
 use super::table::{Column, Columns, TableWriter};
-use crate::report::{DriveRow, ReportError};
+use crate::report::{ReportError, SimulationRow};
 use std::path::Path;
 
 /// Writes the table. Columns as the devkit's `save_runner_reports` makes them of `RunnerReport` and `PlannerReport`; times
 /// are seconds, `start_time` and `end_time` since 1970.
-pub(in crate::report) fn write_runner_report(path: &Path, rows: &[&DriveRow]) -> Result<(), ReportError> {
+pub(in crate::report) fn write_runner_report(path: &Path, rows: &[&SimulationRow]) -> Result<(), ReportError> {
     TableWriter::begin(path, columns(rows))?.finish()
 }
 
-fn columns(rows: &[&DriveRow]) -> Columns {
-    let text = |of: fn(&DriveRow) -> &str| Column::text(rows.iter().map(|row| of(row)));
-    let float = |of: fn(&DriveRow) -> Option<f64>| Column::Float(rows.iter().map(|row| of(row)).collect());
+fn columns(rows: &[&SimulationRow]) -> Columns {
+    let text = |of: fn(&SimulationRow) -> &str| Column::text(rows.iter().map(|row| of(row)));
+    let float = |of: fn(&SimulationRow) -> Option<f64>| Column::Float(rows.iter().map(|row| of(row)).collect());
     let all = [
         ("succeeded", Column::Boolean(rows.iter().map(|row| Some(row.error.is_none())).collect())),
         ("error_message", Column::Text(rows.iter().map(|row| row.error.clone()).collect())),

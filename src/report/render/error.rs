@@ -13,15 +13,15 @@ pub enum RenderError {
     #[error(transparent)]
     Report(#[from] ReportError),
     /// No drive of the run is meant.
-    #[error("the run has no drive {0}; a drive is named by its number or its scenario")]
-    NoDrive(String),
+    #[error("the run has no simulation {0}; name one by its number or its scenario")]
+    NoSimulation(String),
     /// More than one drive is meant.
-    #[error("{wanted} names {} drives; name one by its number, or add --planner and --challenge:\n  {}", drives.len(), drives.join("\n  "))]
-    SeveralDrives {
+    #[error("{wanted} names {} simulations; name one by its number, or add --planner and --challenge:\n  {}", simulations.len(), simulations.join("\n  "))]
+    SeveralSimulations {
         /// What was asked for.
         wanted: String,
         /// What it names.
-        drives: Vec<String>,
+        simulations: Vec<String>,
     },
     /// The drive has no replay.
     #[error("{0} has no replay: it failed, or an earlier version made it")]
@@ -33,7 +33,7 @@ pub enum RenderError {
     #[error(transparent)]
     View(#[from] BevError),
     /// The instant lies outside the drive.
-    #[error("{at_s} s lies outside the drive, which lasts {end_s:.1} s")]
+    #[error("{at_s} s is outside the simulation, which lasts {end_s:.1} s")]
     Outside {
         /// What was asked for.
         at_s: f64,

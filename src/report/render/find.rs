@@ -1,8 +1,8 @@
 //! Which drive of a run is meant.
 
 use super::error::RenderError;
-use crate::report::drive_row::DriveRow;
 use crate::report::run_folder::{RunFolder, folders};
+use crate::report::simulation_row::SimulationRow;
 use crate::simulation::Challenge;
 use std::path::{Path, PathBuf};
 
@@ -11,43 +11,43 @@ const MOST_LISTED: usize = 10;
 
 /// A drive, by the words of the command line.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct DriveChoice {
+pub struct SimulationChoice {
     /// Its number in the run, or the name of its scenario.
-    pub drive: String,
+    pub simulation: String,
     /// By whom, if that is to be said.
     pub planner: Option<String>,
     /// Among which traffic, if that is to be said.
     pub challenge: Option<Challenge>,
 }
 
-impl DriveChoice {
+impl SimulationChoice {
     /// The one drive that is meant, and its folder.
     ///
     /// # Errors
     /// When the run cannot be read, or none or several of its drives are meant.
-    pub(super) fn find(&self, run: &Path) -> Result<(DriveRow, PathBuf), RenderError> {
+    pub(super) fn find(&self, run: &Path) -> Result<(SimulationRow, PathBuf), RenderError> {
         // A folder without a run says so better than one without drives.
         RunFolder::manifest(run)?;
         let mut rows = RunFolder::ended(run)?.rows;
         rows.retain(|row| self.means(row));
-        let folder = |row: &DriveRow| Ok::<_, RenderError>(folders(run)?.remove(&row.number));
+        let folder = |row: &SimulationRow| Ok::<_, RenderError>(folders(run)?.remove(&row.number));
         match rows.as_slice() {
             [row] => match folder(row)? {
                 Some(folder) => Ok((row.clone(), folder)),
-                None => Err(RenderError::NoDrive(self.drive.clone())),
+                None => Err(RenderError::NoSimulation(self.simulation.clone())),
             },
-            [] => Err(RenderError::NoDrive(self.drive.clone())),
-            several => Err(RenderError::SeveralDrives {
-                wanted: self.drive.clone(),
-                drives: several.iter().take(MOST_LISTED).map(|r| format!("{}  {}", r.number, words(r))).collect(),
+            [] => Err(RenderError::NoSimulation(self.simulation.clone())),
+            several => Err(RenderError::SeveralSimulations {
+                wanted: self.simulation.clone(),
+                simulations: several.iter().take(MOST_LISTED).map(|r| format!("{}  {}", r.number, words(r))).collect(),
             }),
         }
     }
 
-    fn means(&self, row: &DriveRow) -> bool {
-        let named = match self.drive.parse::<usize>() {
+    fn means(&self, row: &SimulationRow) -> bool {
+        let named = match self.simulation.parse::<usize>() {
             Ok(number) => row.number == number,
-            Err(_) => row.scenario == self.drive || row.scenario.ends_with(&format!("/{}", self.drive)),
+            Err(_) => row.scenario == self.simulation || row.scenario.ends_with(&format!("/{}", self.simulation)),
         };
         named
             && self.planner.as_ref().is_none_or(|planner| row.planner == *planner)
@@ -56,6 +56,6 @@ impl DriveChoice {
 }
 
 /// A drive in words.
-pub(super) fn words(row: &DriveRow) -> String {
+pub(super) fn words(row: &SimulationRow) -> String {
     format!("{} by {}, {}", row.scenario, row.planner, row.challenge.short_name())
 }

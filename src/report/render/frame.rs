@@ -2,13 +2,13 @@
 
 use super::caption::{self, Caption};
 use super::error::RenderError;
-use super::find::{DriveChoice, words};
+use super::find::{SimulationChoice, words};
 use crate::environment::bev::{BevElement, BevLine, BevView, Palette, Rgb, render_with_lines};
 use crate::geometry::Point;
 use crate::report::call_record::calls_in;
-use crate::report::drive_row::DriveRow;
 use crate::report::number::fixed;
-use crate::report::replay::{Moment, Replay, ReplayedDrive};
+use crate::report::replay::{Moment, Replay, ReplayedSimulation};
+use crate::report::simulation_row::SimulationRow;
 use image::{GenericImage, RgbImage};
 use serde_json::Value;
 use std::path::Path;
@@ -36,8 +36,8 @@ pub struct Look {
 /// A drive whose frames can be drawn.
 #[derive(Debug)]
 pub struct Film {
-    row: DriveRow,
-    drive: ReplayedDrive,
+    row: SimulationRow,
+    simulation: ReplayedSimulation,
     /// The planning calls as they were recorded.
     calls: Vec<Value>,
     view: BevView,
@@ -48,16 +48,16 @@ impl Film {
     ///
     /// # Errors
     /// When the drive is not found, has no replay, or cannot be drawn.
-    pub fn open(run: &Path, choice: &DriveChoice, look: Look) -> Result<Self, RenderError> {
+    pub fn open(run: &Path, choice: &SimulationChoice, look: Look) -> Result<Self, RenderError> {
         let (row, folder) = choice.find(run)?;
         let view = BevView::new(look.pixels, look.metres)?;
         let replay = Replay::read(&folder)?.ok_or_else(|| RenderError::NoReplay(words(&row)))?;
-        Ok(Self { drive: ReplayedDrive::new(&replay)?, calls: calls_in(&folder)?, row, view })
+        Ok(Self { simulation: ReplayedSimulation::new(&replay)?, calls: calls_in(&folder)?, row, view })
     }
 
     /// Iterations that can be drawn.
     pub fn iterations(&self) -> usize {
-        self.drive.moments().len()
+        self.simulation.moments().len()
     }
 
     /// The iteration at a time in seconds.
@@ -65,7 +65,7 @@ impl Film {
     /// # Errors
     /// When it lies outside the drive.
     pub fn iteration_at(&self, at_s: f64) -> Result<usize, RenderError> {
-        let moments = self.drive.moments();
+        let moments = self.simulation.moments();
         let end_s = moments.last().map_or(0.0, |moment| moment.at_s);
         // A time that is no number lies nowhere.
         if !(0.0..=end_s + 1e-9).contains(&at_s) {
@@ -76,10 +76,10 @@ impl Film {
 
     /// Draws an iteration; one past the end is the last.
     pub fn frame(&self, iteration: usize) -> RgbImage {
-        let moments = self.drive.moments();
+        let moments = self.simulation.moments();
         let iteration = iteration.min(moments.len().saturating_sub(1));
         let Some(moment) = moments.get(iteration) else { return RgbImage::new(self.view.pixels(), self.view.pixels()) };
-        let scene = render_with_lines(&self.drive.scene(moment), &self.view, &self.lines(iteration, moment));
+        let scene = render_with_lines(&self.simulation.scene(moment), &self.view, &self.lines(iteration, moment));
         caption::below(&scene, &self.caption(iteration, moment))
     }
 
@@ -106,10 +106,15 @@ impl Film {
     /// Where the ego was, what was refused, what is planned.
     fn lines(&self, iteration: usize, moment: &Moment) -> Vec<BevLine> {
         let ego = Palette::color(BevElement::Ego);
-        let trail: Vec<Point> =
-            self.drive.moments().iter().take(iteration + 1).map(|moment| moment.ego.rear_axle.position()).collect();
+        let trail: Vec<Point> = self
+            .simulation
+            .moments()
+            .iter()
+            .take(iteration + 1)
+            .map(|moment| moment.ego.rear_axle.position())
+            .collect();
         let mut lines = vec![BevLine { points: trail, width: TRAIL_M, color: ego }];
-        if let Some((call, attempts)) = self.drive.call_at(iteration) {
+        if let Some((call, attempts)) = self.simulation.call_at(iteration) {
             let driving = self.calls.get(call).and_then(driving_attempt);
             let refused = attempts.iter().enumerate().filter(|(i, _)| Some(*i) != driving);
             lines.extend(refused.map(|(_, points)| BevLine {
@@ -126,7 +131,7 @@ impl Film {
         let row = &self.row;
         let score = row.score.map_or_else(|| "-".to_owned(), |score| fixed(100.0 * score, 2));
         let now = format!("{:4.1} s  {:4.1} m/s", moment.at_s, moment.ego.velocity.x.abs());
-        let call = self.drive.call_at(iteration).and_then(|(call, _)| self.calls.get(call));
+        let call = self.simulation.call_at(iteration).and_then(|(call, _)| self.calls.get(call));
         Caption {
             title: format!("{}  {}  {}", row.scenario, row.planner, row.challenge.short_name()),
             now: format!("{now}  score {score}"),

@@ -9,5 +9,5 @@ mod frame;
 
 pub use error::RenderError;
 pub use film::{write_gif, write_mp4};
-pub use find::DriveChoice;
+pub use find::SimulationChoice;
 pub use frame::{Film, Look};

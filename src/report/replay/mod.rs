@@ -11,7 +11,7 @@ mod record;
 mod scene;
 mod track;
 
-pub(super) use scene::{Moment, ReplayedDrive};
+pub(super) use scene::{Moment, ReplayedSimulation};
 
 use super::atomic;
 use super::error::ReportError;

@@ -7,7 +7,7 @@ use crate::world::{EgoState, History, LaneMap, MapError, Route, Scene, TrackedOb
 
 /// A replay whose scenes can be drawn.
 #[derive(Debug, Clone)]
-pub(in crate::report) struct ReplayedDrive {
+pub(in crate::report) struct ReplayedSimulation {
     map: LaneMap,
     moments: Vec<Moment>,
     /// Planning calls: iteration, and the roll-out of each attempt.
@@ -29,7 +29,7 @@ pub(in crate::report) struct Moment {
     objects: Vec<TrackedObject>,
 }
 
-impl ReplayedDrive {
+impl ReplayedSimulation {
     /// The scenes of a replay.
     ///
     /// # Errors

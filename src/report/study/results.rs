@@ -2,7 +2,7 @@
 
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use crate::experiment::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
-use crate::report::drive_row::DriveRow;
+use crate::report::simulation_row::SimulationRow;
 use crate::report::summary::distinct;
 use crate::report::{ModelFigures, Quantiles};
 use crate::simulation::Challenge;
@@ -39,7 +39,7 @@ pub enum Outcome {
         /// Folder of the run, relative to that of the results.
         run: String,
         /// Its drives.
-        rows: Vec<DriveRow>,
+        rows: Vec<SimulationRow>,
     },
     /// It did not, and why, in a word or two.
     NotSimulated(&'static str),
@@ -97,14 +97,14 @@ pub struct VariantResults {
     pub run: Option<String>,
     /// Why it did not drive.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub not_driven: Option<&'static str>,
+    pub not_simulated: Option<&'static str>,
     /// Its scores.
     pub challenges: Vec<ChallengeResults>,
     /// The same by scenario type, where the experiment is about these.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub scenario_types: Vec<TypeResults>,
     /// Planning calls in a drive, on average; none for planners without.
-    pub calls_per_drive: Option<f64>,
+    pub calls_per_simulation: Option<f64>,
     /// What its model costs, where the experiment is about that.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<ModelCost>,
@@ -118,7 +118,7 @@ pub struct ChallengeResults {
     /// Mean score of the drives that came to their end.
     pub score: Option<f64>,
     /// How many these are.
-    pub drives: usize,
+    pub simulations: usize,
     /// How many did not.
     pub failed: usize,
     /// Score minus the reference's on the same scenes; none for the reference itself.
@@ -195,9 +195,9 @@ impl Telling<'_> {
             scenes: suite.scenes,
             blake3: suite.blake3.clone(),
             variants: variants
-                .map(|(place, (variant, drives))| {
+                .map(|(place, (variant, simulations))| {
                     let against = (place != self.study.reference).then_some(reference);
-                    self.variant(variant, drives, against, benchmark)
+                    self.variant(variant, simulations, against, benchmark)
                 })
                 .collect(),
         }
@@ -206,12 +206,12 @@ impl Telling<'_> {
     fn variant(
         &self,
         variant: &Variant,
-        drives: &VariantSimulations,
-        against: Option<&[DriveRow]>,
+        simulations: &VariantSimulations,
+        against: Option<&[SimulationRow]>,
         benchmark: Option<Benchmark>,
     ) -> VariantResults {
-        let rows = drives.rows();
-        let (run, not_driven) = match &drives.outcome {
+        let rows = simulations.rows();
+        let (run, not_simulated) = match &simulations.outcome {
             Outcome::Simulated { run, .. } => (Some(run.clone()), None),
             Outcome::NotSimulated(why) => (None, Some(*why)),
         };
@@ -232,30 +232,30 @@ impl Telling<'_> {
             planner: variant.planner.to_string(),
             settings: variant.settings,
             run,
-            not_driven,
+            not_simulated,
             challenges: self.challenges(variant, rows, against, benchmark, |_| true),
             scenario_types,
-            calls_per_drive: (calls > 0 || self.study.columns.contains(&Column::Calls))
+            calls_per_simulation: (calls > 0 || self.study.columns.contains(&Column::Calls))
                 .then(|| calls as f64 / driven.count() as f64),
-            model: self.study.measures_models().then(|| self.cost(variant, drives)),
+            model: self.study.measures_models().then(|| self.cost(variant, simulations)),
         }
     }
 
     fn challenges(
         &self,
         variant: &Variant,
-        rows: &[DriveRow],
-        against: Option<&[DriveRow]>,
+        rows: &[SimulationRow],
+        against: Option<&[SimulationRow]>,
         benchmark: Option<Benchmark>,
-        counts: impl Fn(&DriveRow) -> bool + Copy,
+        counts: impl Fn(&SimulationRow) -> bool + Copy,
     ) -> Vec<ChallengeResults> {
         let published = |variant: &Variant, challenge| variant.published.score(benchmark?, challenge);
         let reference = self.study.variants.get(self.study.reference);
         Challenge::CLOSED_LOOP
             .into_iter()
             .map(|challenge| {
-                let own = |row: &&DriveRow| row.challenge == challenge && counts(row);
-                let of = |rows: &[DriveRow]| -> BTreeMap<String, f64> {
+                let own = |row: &&SimulationRow| row.challenge == challenge && counts(row);
+                let of = |rows: &[SimulationRow]| -> BTreeMap<String, f64> {
                     let scored = rows.iter().filter(own).filter_map(|row| Some((row.source.clone(), row.score?)));
                     scored.map(|(source, score)| (source, score * 100.0)).collect()
                 };
@@ -268,7 +268,7 @@ impl Telling<'_> {
                 ChallengeResults {
                     challenge,
                     score: (!scores.is_empty()).then(|| scores.values().sum::<f64>() / scores.len() as f64),
-                    drives: scores.len(),
+                    simulations: scores.len(),
                     failed: rows.iter().filter(own).filter(|row| row.score.is_none()).count(),
                     difference: self.bootstrap.difference(&differences),
                     paper,
@@ -279,13 +279,13 @@ impl Telling<'_> {
     }
 
     /// The time of the drives' calls; of a model that did not drive, that of its bench.
-    fn cost(&self, variant: &Variant, drives: &VariantSimulations) -> ModelCost {
+    fn cost(&self, variant: &Variant, simulations: &VariantSimulations) -> ModelCost {
         let benched = self.bench.iter().find(|model| variant.labels.first() == Some(&model.about.model.as_str()));
-        let calls = drives.rows().iter().flat_map(|row| &row.time.calls).map(|call| call.total).collect();
+        let calls = simulations.rows().iter().flat_map(|row| &row.time.calls).map(|call| call.total).collect();
         let driven = Quantiles::of(calls).map(|quantiles| quantiles.p50);
         let from_bench = benched.and_then(|model| model.call_ms).map(|quantiles| quantiles.p50);
         ModelCost {
-            parameters: drives.parameters.or_else(|| benched.map(|model| model.about.loaded.parameters)),
+            parameters: simulations.parameters.or_else(|| benched.map(|model| model.about.loaded.parameters)),
             call_ms: driven.or(from_bench),
             benched: driven.is_none() && from_bench.is_some(),
             paper: variant.published.model,
@@ -294,7 +294,7 @@ impl Telling<'_> {
 }
 
 impl VariantSimulations {
-    fn rows(&self) -> &[DriveRow] {
+    fn rows(&self) -> &[SimulationRow] {
         match &self.outcome {
             Outcome::Simulated { rows, .. } => rows,
             Outcome::NotSimulated(_) => &[],

@@ -4,14 +4,14 @@ use super::*;
 use crate::experiment::run::PlannerKind;
 use crate::experiment::study::{Figure, Quick, named};
 use crate::report::figure::figures;
-use crate::report::{DriveRow, DriveTime, study_markdown, study_table};
+use crate::report::{SimulationRow, SimulationTime, study_markdown, study_table};
 use crate::simulation::Challenge;
 
 /// A drive of a scene; without a score it failed.
-fn drive(scene: usize, challenge: Challenge, score: Option<f64>) -> DriveRow {
+fn simulation(scene: usize, challenge: Challenge, score: Option<f64>) -> SimulationRow {
     let kind = if scene.is_multiple_of(2) { "changing_lane" } else { "stopping_with_lead" };
     let source = format!("generated/{kind}/{scene}");
-    DriveRow {
+    SimulationRow {
         number: scene,
         scenario: source.clone(),
         source,
@@ -23,20 +23,20 @@ fn drive(scene: usize, challenge: Challenge, score: Option<f64>) -> DriveRow {
         score,
         zeroed_by: Vec::new(),
         planning_calls: 8,
-        saved_calls: 0,
+        gated_calls: 0,
         rethinks: 0,
         parse_errors: 0,
         deadlines: 0,
         failed_calls: 0,
         drivable_layers: None,
-        time: DriveTime::default(),
+        time: SimulationTime::default(),
         metrics: Vec::new(),
     }
 }
 
 /// Drives of four scenes in both challenges with these scores.
 fn driven(scores: [Option<f64>; 4]) -> VariantSimulations {
-    let of = |challenge| scores.into_iter().enumerate().map(move |(scene, score)| drive(scene, challenge, score));
+    let of = |challenge| scores.into_iter().enumerate().map(move |(scene, score)| simulation(scene, challenge, score));
     let rows = Challenge::CLOSED_LOOP.into_iter().flat_map(of).collect();
     VariantSimulations {
         outcome: Outcome::Simulated { run: "../drives/a".to_owned(), rows },
@@ -60,7 +60,7 @@ fn differences_are_paired_and_failed_drives_count_nowhere() {
         StudyResults::new(&study, &[suite("generated-14-hard", vec![other, full.clone(), full])], None, 3, &[]);
     let variants = &results.suites[0].variants;
     let first = &variants[0].challenges[0];
-    assert_eq!((first.drives, first.failed), (3, 1));
+    assert_eq!((first.simulations, first.failed), (3, 1));
     assert!((first.score.unwrap() - 88.333_333_333).abs() < 1e-6);
     let difference = first.difference.unwrap();
     assert_eq!(difference.pairs, 3);
@@ -70,7 +70,7 @@ fn differences_are_paired_and_failed_drives_count_nowhere() {
     assert!((first.paper_difference.unwrap() - (71.85 - 72.51)).abs() < 1e-9);
     assert_eq!((variants[1].challenges[0].difference, variants[1].challenges[0].paper), (None, Some(72.51)));
     assert!(variants[2].challenges[1].difference.unwrap().mean.abs() < 1e-12);
-    assert_eq!((results.reference.as_str(), variants[0].calls_per_drive, results.seed), ("2 s", Some(8.0), 3));
+    assert_eq!((results.reference.as_str(), variants[0].calls_per_simulation, results.seed), ("2 s", Some(8.0), 3));
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn the_tables_read_well_in_80_columns() {
     means over scenes drawn anew (percentile bootstrap, seed 0).
     paper = the paper's on nuPlan's Test14-hard: other scenes than
     generated-14-hard, for the direction alone.
-    2 drives of no instruction on generated-14-hard failed and count in no mean.
+    2 simulations of no instruction on generated-14-hard failed and count in no mean.
     "#);
 }
 

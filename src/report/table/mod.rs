@@ -1,13 +1,13 @@
 //! Tables for the terminal, readable at 80 columns.
 
 mod bench;
-mod drives;
 mod overview;
+mod simulations;
 mod study;
 mod tokens;
 
-use super::drive_row::DriveRow;
 use super::number::fixed;
+use super::simulation_row::SimulationRow;
 use super::summary::Summary;
 use super::timing::PlannerTiming;
 use crate::metrics::MetricList;
@@ -16,19 +16,19 @@ use comfy_table::{CellAlignment, Table, presets};
 use std::fmt::Write as _;
 
 pub use bench::{bench_markdown, bench_table};
-pub use drives::failures;
+pub use simulations::failures;
 pub use study::{study_markdown, study_table};
 pub use tokens::token_table;
 
 /// The main table (a row a planner), the scenario types when there are several, the drives with their metrics up to a
 /// number and a legend for each list of metrics, and what made scores 0.
-pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[DriveRow], width: u16) -> String {
+pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[SimulationRow], width: u16) -> String {
     let lists = [MetricList::ClosedLoop, MetricList::OpenLoop];
     let scored = |list| rows.iter().any(|row| row.score.is_some() && row.challenge.metric_list() == list);
     let driven = lists.into_iter().filter(|&list| scored(list));
     let mut parts = vec![overview::planners(summary, planners), overview::scenario_types(summary, width)];
-    parts.extend(driven.flat_map(|list| [drives::drives(rows, list), drives::legend(list, width)]));
-    parts.push(drives::zeroed(rows));
+    parts.extend(driven.flat_map(|list| [simulations::simulations(rows, list), simulations::legend(list, width)]));
+    parts.push(simulations::zeroed(rows));
     parts.retain(|part| !part.is_empty());
     parts.join("\n\n")
 }

@@ -13,7 +13,7 @@ pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
     let head = ["planner"].into_iter().chain(challenges.iter().map(|&c| short(c)));
     let calls = timings.iter().any(|timing| timing.planning_call_ms.is_some());
     let call = calls.then_some("ms/call p50");
-    let header = head.chain(["ms/step"]).chain(call).chain(["drives", "failed"]);
+    let header = head.chain(["ms/step"]).chain(call).chain(["simulations", "failed"]);
     let header: Vec<String> = header.map(str::to_owned).collect();
     let planners = distinct(summary.aggregates.iter().map(|row| row.planner.as_str()));
     let rows = planners.into_iter().map(|planner| {
@@ -21,12 +21,12 @@ pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
         let score = |challenge| own().find(|row| row.challenge == challenge).and_then(|row| row.score);
         let timing = timings.iter().find(|timing| timing.planner == planner);
         let ms = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), milliseconds);
-        let drives: usize = own().map(|row| row.scenarios + row.failed).sum();
+        let simulations: usize = own().map(|row| row.scenarios + row.failed).sum();
         let failed: usize = own().map(|row| row.failed).sum();
         let scores = challenges.iter().map(|&challenge| percent_or_dash(score(challenge)));
         let step = ms(timing.and_then(|timing| timing.mean_iteration_ms));
         let call = calls.then(|| ms(timing.and_then(|timing| timing.planning_call_ms).map(|call| call.p50)));
-        let counts = [drives.to_string(), failed.to_string()];
+        let counts = [simulations.to_string(), failed.to_string()];
         [planner.to_owned()].into_iter().chain(scores).chain([step]).chain(call).chain(counts).collect()
     });
     plain(&header, rows.collect(), 1)
@@ -132,14 +132,14 @@ mod tests {
         let idm = timing("idm", 0.25, None);
         let text = planners(&summary(&["idm", "pdm-closed"]), slice::from_ref(&idm));
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "drives", "failed"]);
+        assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "simulations", "failed"]);
         assert_eq!(words(lines[1]), ["idm", "90.00", "80.00", "0.25", "20", "0"]);
         assert_eq!(words(lines[2]), ["pdm-closed", "90.00", "80.00", "-", "20", "0"]);
 
         let agent = timing("plan-agent", 2.341, Some(Quantiles { p50: 34.12, p95: 90.0 }));
         let text = planners(&summary(&["plan-agent", "idm"]), &[agent, idm]);
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "ms/call", "p50", "drives", "failed"]);
+        assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "ms/call", "p50", "simulations", "failed"]);
         assert_eq!(words(lines[1]), ["plan-agent", "90.00", "80.00", "2.34", "34.1", "20", "0"]);
         assert_eq!(words(lines[2]), ["idm", "90.00", "80.00", "0.25", "-", "20", "0"]);
         assert!(lines.iter().all(|line| line.chars().count() <= 80), "{text}");

@@ -91,7 +91,7 @@ fn variants(study: &Study, suite: &SuiteResults, challenges: &[Challenge], width
     let rows = study.variants.iter().zip(&suite.variants).enumerate().map(|(place, (variant, results))| {
         let mut cells: Vec<String> = variant.labels.iter().map(|&label| label.to_owned()).collect();
         for result in results.challenges.iter().filter(|result| challenges.contains(&result.challenge)) {
-            cells.push(results.not_driven.map_or_else(|| number(result.score), str::to_owned));
+            cells.push(results.not_simulated.map_or_else(|| number(result.score), str::to_owned));
             cells.extend(difference(result.difference, place == study.reference));
             if paper {
                 cells.push(number(result.paper));
@@ -119,7 +119,7 @@ fn scenario_types(suite: &SuiteResults, challenges: &[Challenge], width: Width) 
             let own = variant.scenario_types.iter().find(|own| own.scenario_type == kind.scenario_type)?;
             own.challenges.iter().find(|result| result.challenge == challenge).cloned()
         };
-        let scenes = kind.challenges.first().map_or(0, |result| result.drives + result.failed);
+        let scenes = kind.challenges.first().map_or(0, |result| result.simulations + result.failed);
         let mut cells = vec![kind.scenario_type.clone(), scenes.to_string()];
         for &challenge in challenges {
             let results: Vec<_> = suite.variants.iter().map(|variant| of_kind(variant, challenge)).collect();
@@ -137,7 +137,7 @@ fn costs(study: &Study, suite: &SuiteResults) -> Option<Sheet> {
     let texts = header.len();
     for column in study.columns {
         let heads: &[&str] = match column {
-            Column::Calls => &["calls/drive"],
+            Column::Calls => &["calls/sim"],
             Column::Parameters => &["params", "paper"],
             Column::CallTime => &["ms/call p50", "paper ms"],
         };
@@ -149,7 +149,7 @@ fn costs(study: &Study, suite: &SuiteResults) -> Option<Sheet> {
         let paper = model.and_then(|model| model.paper);
         for column in study.columns {
             match column {
-                Column::Calls => cells.push(results.calls_per_drive.map_or_else(dash, |calls| fixed(calls, 1))),
+                Column::Calls => cells.push(results.calls_per_simulation.map_or_else(dash, |calls| fixed(calls, 1))),
                 Column::Parameters => cells.extend([
                     model.and_then(|model| model.parameters).map_or_else(dash, weights),
                     paper.and_then(|paper| paper.parameters).map_or_else(dash, str::to_owned),
@@ -190,7 +190,7 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
         }
     }
     if results.suites.iter().flat_map(|suite| &suite.variants).any(|v| v.model.as_ref().is_some_and(|m| m.benched)) {
-        notes.push("Times of models that did not drive are a bench's.".to_owned());
+        notes.push("Times of models that were not simulated come from a bench's.".to_owned());
     }
     notes.extend(study.remarks.iter().map(|&remark| remark.to_owned()));
     for suite in &results.suites {
@@ -198,7 +198,7 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
             let failed: usize = variant.challenges.iter().map(|result| result.failed).sum();
             if failed > 0 {
                 let (name, suite) = (&variant.name, &suite.name);
-                notes.push(format!("{failed} drives of {name} on {suite} failed and count in no mean."));
+                notes.push(format!("{failed} simulations of {name} on {suite} failed and count in no mean."));
             }
         }
     }

@@ -8,7 +8,7 @@ use crate::cli::args::{ALL_EXPERIMENTS, ExperimentArguments, TOKENS_EXPERIMENT};
 use crate::cli::{Config, Exit, Printer};
 use crate::experiment::study::{self, Quick, Study};
 use crate::report::{
-    BenchFigures, BenchFolder, DriveRow, ModelFigures, Outcome, StudyFolder, StudyResults, SuiteSimulations,
+    BenchFigures, BenchFolder, ModelFigures, Outcome, SimulationRow, StudyFolder, StudyResults, SuiteSimulations,
     VariantSimulations, failures, study_table,
 };
 use anyhow::{anyhow, bail};
@@ -160,7 +160,7 @@ fn command(name: &str, flags: &ExperimentArguments) -> String {
 /// Failures to stderr, and how the program ends.
 fn tell(planned: &[Planned], runs: &Runs<'_>, printer: Printer) -> Exit {
     let rows = || runs.all().flat_map(runs::Run::rows);
-    let all: Vec<DriveRow> = rows().filter(|row| row.error.is_some()).cloned().collect();
+    let all: Vec<SimulationRow> = rows().filter(|row| row.error.is_some()).cloned().collect();
     for line in failures(&all) {
         printer.note(format!("failed: {line}"));
     }

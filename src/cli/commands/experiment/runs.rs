@@ -8,7 +8,7 @@ use crate::cli::progress::SimulationProgress;
 use crate::cli::{Config, MllmConfig, Printer, drives};
 use crate::experiment::run::{AgentParts, PlannerKind, SimulationTask};
 use crate::experiment::study::Variant;
-use crate::report::{DriveRow, MANIFEST, Manifest, RunFolder, SUMMARY, ScenarioList, stamp};
+use crate::report::{MANIFEST, Manifest, RunFolder, SUMMARY, ScenarioList, SimulationRow, stamp};
 use crate::simulation::Challenge;
 use anyhow::Context;
 use std::collections::BTreeMap;
@@ -44,7 +44,7 @@ pub(super) struct Run {
     /// Drives to be made.
     todo: Vec<usize>,
     /// Drives that are made,
-    rows: Vec<DriveRow>,
+    rows: Vec<SimulationRow>,
     /// so many of them in this session.
     made: usize,
     /// Time that its model took to load, seconds.
@@ -251,7 +251,7 @@ impl Run {
     }
 
     /// Its drives.
-    pub(super) fn rows(&self) -> &[DriveRow] {
+    pub(super) fn rows(&self) -> &[SimulationRow] {
         &self.rows
     }
 

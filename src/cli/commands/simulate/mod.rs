@@ -8,7 +8,7 @@ use crate::cli::progress::SimulationProgress;
 use crate::cli::{Config, Exit, Printer, drives};
 use crate::experiment::run::SimulationTask;
 use crate::planner::Latency;
-use crate::report::{DriveRow, Manifest, RunFolder, Session, Summary, Timing, failures, main_table, stamp};
+use crate::report::{Manifest, RunFolder, Session, SimulationRow, Summary, Timing, failures, main_table, stamp};
 use anyhow::{anyhow, bail};
 use selection::Selection;
 use std::collections::BTreeSet;
@@ -74,7 +74,7 @@ fn ended(
 ) -> anyhow::Result<Exit> {
     let started = Instant::now();
     let rows = RunFolder::ended(path)?.rows;
-    let all = manifest.drives();
+    let all = manifest.simulations();
     if rows.len() != all || manifest.config != toml::Table::try_from(config)? {
         let made = rows.len();
         return Err(
@@ -92,7 +92,7 @@ fn finish(
     manifest: &Manifest,
     seed: u64,
     session: Session,
-    rows: &[DriveRow],
+    rows: &[SimulationRow],
     printer: Printer,
 ) -> anyhow::Result<Exit> {
     let missing = &manifest.scenarios.missing;
@@ -141,7 +141,7 @@ fn kept(
 fn tell(
     summary: &Summary,
     timing: &Timing,
-    rows: &[DriveRow],
+    rows: &[SimulationRow],
     folder: &Path,
     printer: Printer,
 ) -> anyhow::Result<bool> {
@@ -162,10 +162,10 @@ fn tell(
     if !failed.is_empty() {
         printer.note(format!("{} of {} drives failed", failed.len(), rows.len()));
     }
-    let count = |of: fn(&DriveRow) -> usize| rows.iter().map(of).sum::<usize>();
+    let count = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum::<usize>();
     let (calls, deadlines, lost) =
         (count(|row| row.planning_calls), count(|row| row.deadlines), count(|row| row.failed_calls));
-    let saved = count(|row| row.saved_calls);
+    let saved = count(|row| row.gated_calls);
     if saved > 0 {
         printer.note(format!("the gate saved {saved} of {} planning calls", saved + calls));
     }

@@ -76,7 +76,7 @@ class Bev {
     this.draw();
   }
 
-  /** Shows another drive; `ghost` is one of the same scenario to compare with, or null. */
+  /** Shows another simulation; `ghost` is one of the same scenario to compare with, or null. */
   open(replay, ghost = null) {
     this.replay = replay;
     this.ghost = ghost;
@@ -177,10 +177,10 @@ class Bev {
     if (show.expert) this.drawLine(replay.expert, 0, replay.expert.x.length, colors.expert, thin, [0.4, 0.9]);
     if (show.trail) this.drawLine(replay.ego, 0, moment.iteration + 1, colors.ego, thin, []);
     const call = replay.calls[callAt(replay, moment.iteration)];
-    const driving = call ? drivingAttempt(call) : null;
+    const executed = call ? executedAttempt(call) : null;
     if (call && show.tried) {
       call.tracks.forEach((track, i) => {
-        if (!track || (i === driving && this.marked !== i)) return;
+        if (!track || (i === executed && this.marked !== i)) return;
         // Broader than the plan, which often lies over it.
         const wide = (this.marked === i ? 7 : 5) / this.zoom;
         this.drawLine(track, 0, track.x.length, colors.tried, wide, [1.2, 0.8]);
@@ -288,7 +288,7 @@ class Bev {
     context.restore();
   }
 
-  /** The ego of another drive of the same scenario: an outline and its way. */
+  /** The ego of another simulation of the same scenario: an outline and its way. */
   drawGhost() {
     const { context, ghost, colors } = this;
     const moment = momentAt(ghost, this.time);

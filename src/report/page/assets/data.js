@@ -1,4 +1,4 @@
-// What the page holds: an index of runs and drives, and a packed replay for each drive that fits in.
+// What the page holds: an index of runs and simulations, and a packed replay for each simulation that fits in.
 
 /** Units of what is delta-coded in a replay: metres, radians, m/s. */
 const LENGTH = 0.01;
@@ -19,22 +19,22 @@ async function unpack(id) {
   return new Response(stream).json();
 }
 
-/** Reads the index and gives every drive its entrant: who drove in which run. */
+/** Reads the index and gives every simulation its entrant: a planner of a run. */
 async function loadIndex() {
   INDEX = await unpack("index");
   const several = INDEX.runs.length > 1;
   INDEX.entrants = [];
-  for (const drive of INDEX.drives) {
-    let entrant = INDEX.entrants.find((known) => known.run === drive.run && known.planner === drive.planner);
+  for (const simulation of INDEX.simulations) {
+    let entrant = INDEX.entrants.find((known) => known.run === simulation.run && known.planner === simulation.planner);
     if (!entrant) {
-      const label = several ? `${drive.planner} · ${INDEX.runs[drive.run].name}` : drive.planner;
-      entrant = { run: drive.run, planner: drive.planner, label, place: INDEX.entrants.length };
+      const label = several ? `${simulation.planner} · ${INDEX.runs[simulation.run].name}` : simulation.planner;
+      entrant = { run: simulation.run, planner: simulation.planner, label, place: INDEX.entrants.length };
       INDEX.entrants.push(entrant);
     }
-    drive.entrant = entrant;
+    simulation.entrant = entrant;
   }
-  INDEX.challenges = distinct(INDEX.drives.map((drive) => drive.challenge));
-  INDEX.scenarios = distinct(INDEX.drives.map((drive) => drive.scenario));
+  INDEX.challenges = distinct(INDEX.simulations.map((simulation) => simulation.challenge));
+  INDEX.scenarios = distinct(INDEX.simulations.map((simulation) => simulation.scenario));
 }
 
 /** The colour of an entrant: one of eight that colour-blind people can tell apart (Okabe and Ito). */
@@ -48,9 +48,9 @@ function scoredMetrics(challenge) {
   return INDEX.metrics.filter((metric) => metric.list === list);
 }
 
-/** The score of a metric of a drive. */
-function metricScore(drive, name) {
-  return drive.metrics[name] ?? null;
+/** The score of a metric of a simulation. */
+function metricScore(simulation, name) {
+  return simulation.metrics[name] ?? null;
 }
 
 /** Numbers from their differences. */
@@ -70,26 +70,26 @@ function points({ x, y }) {
 
 const unpacked = new Map();
 
-/** The replay of a drive, ready to be drawn; null where the page holds none. */
-async function replayOf(drive) {
-  if (drive.replay === null) return null;
-  if (!unpacked.has(drive)) {
-    unpacked.set(drive, readReplay(drive));
+/** The replay of a simulation, ready to be drawn; null where the page holds none. */
+async function replayOf(simulation) {
+  if (simulation.replay === null) return null;
+  if (!unpacked.has(simulation)) {
+    unpacked.set(simulation, readReplay(simulation));
     if (unpacked.size > MOST_UNPACKED) unpacked.delete(unpacked.keys().next().value);
   }
-  return unpacked.get(drive);
+  return unpacked.get(simulation);
 }
 
-async function readReplay(drive) {
+async function readReplay(simulation) {
   const [packed, map, images] = await Promise.all([
-    unpack(`drive-${drive.replay}`),
-    mapOf(drive.map),
-    drive.images === null ? {} : unpack(`images-${drive.images}`),
+    unpack(`simulation-${simulation.replay}`),
+    mapOf(simulation.map),
+    simulation.images === null ? {} : unpack(`images-${simulation.images}`),
   ]);
   const { replay, calls, series } = packed;
   const { ego } = replay;
   return {
-    drive, map, images,
+    simulation, map, images,
     times: undelta(replay.times_ms, 1e-3),
     ego: {
       ...points(ego), heading: undelta(ego.heading, ANGLE), speed: undelta(ego.speed, RATE),
@@ -113,7 +113,7 @@ async function readReplay(drive) {
 
 const maps = new Map();
 
-/** A map with its outlines as paths in metres; shared by the drives that hold the same one. */
+/** A map with its outlines as paths in metres; shared by the simulations that hold the same one. */
 function mapOf(number) {
   if (!maps.has(number)) maps.set(number, unpack(`map-${number}`).then(outlined));
   return maps.get(number);
@@ -144,7 +144,7 @@ function outlined(map) {
   return drawn;
 }
 
-/** The planning call in force at an iteration: its place, or −1. */
+/** the planning call that is active at an iteration: its place, or −1. */
 function callAt(replay, iteration) {
   let place = -1;
   replay.calls.forEach((call, i) => {
@@ -153,8 +153,8 @@ function callAt(replay, iteration) {
   return place;
 }
 
-/** The attempt whose planner drives after a call; null where none of it does. */
-function drivingAttempt(call) {
+/** The attempt whose plan is executed after a call; null where none is. */
+function executedAttempt(call) {
   const { kind, attempt } = call.decision;
   return kind === "execute" || kind === "exhausted" ? attempt : null;
 }

@@ -28,7 +28,7 @@ class Histograms {
         choice("Group", groups.map((value) => ({ value, text: value })), this.group, (group) => { this.group = group; this.draw(); }),
         challenges.length > 1 ? choice("Challenge", challenges, this.challenge, (c) => { this.challenge = c; this.draw(); }) : null,
         h("p", { class: "legend" }, INDEX.entrants.map((entrant) => h("span", {}, h("i", { style: `background:${colorOf(entrant)}` }), entrant.label)))),
-      h("p", { class: "note" }, "Each row is a planner; a bar's height is its share of that planner's drives. The line marks the mean."),
+      h("p", { class: "note" }, "Each row is a planner; a bar's height is its share of that planner's simulations. The line marks the mean."),
       this.cards));
     this.draw();
   }
@@ -36,28 +36,28 @@ class Histograms {
   draw() {
     const cards = this.group === "Scores" ? this.scores() : this.numbers();
     fill(this.cards, cards.filter(Boolean));
-    if (!this.cards.children.length) fill(this.cards, h("p", { class: "quiet" }, "No drive has such a metric."));
+    if (!this.cards.children.length) fill(this.cards, h("p", { class: "quiet" }, "No simulation has such a metric."));
   }
 
   rows(valueOf) {
     return INDEX.entrants.map((entrant) => {
-      const own = INDEX.drives.filter((drive) => drive.entrant === entrant && drive.challenge === this.challenge);
+      const own = INDEX.simulations.filter((simulation) => simulation.entrant === entrant && simulation.challenge === this.challenge);
       return { entrant, values: own.map(valueOf).filter((value) => value !== null && value !== undefined) };
     }).filter(({ values }) => values.length);
   }
 
   scores() {
-    const final = histogramCard("score", "", "", this.rows((drive) => drive.score), [0, 1]);
+    const final = histogramCard("score", "", "", this.rows((simulation) => simulation.score), [0, 1]);
     const parts = scoredMetrics(this.challenge).map(({ name }) =>
-      histogramCard(shortMetric(name), name, "", this.rows((drive) => metricScore(drive, name)), [0, 1]));
+      histogramCard(shortMetric(name), name, "", this.rows((simulation) => metricScore(simulation, name)), [0, 1]));
     return [final, ...parts];
   }
 
   numbers() {
-    const place = new Map(INDEX.drives.map((drive, i) => [drive, i]));
+    const place = new Map(INDEX.simulations.map((simulation, i) => [simulation, i]));
     return this.statistics.columns.flatMap((column, c) => {
       if (column.category !== this.group) return [];
-      const rows = this.rows((drive) => this.statistics.rows[place.get(drive)][c]);
+      const rows = this.rows((simulation) => this.statistics.rows[place.get(simulation)][c]);
       return [histogramCard(spaced(column.statistic), column.metric, unitOf(column.unit), rows, null)];
     });
   }

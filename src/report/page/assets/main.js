@@ -2,7 +2,7 @@
 
 const KEYS = [
   ["1  2  3", "Overview, Histograms, Scenarios"], ["space", "play or stop"], ["←  →", "a step of 0.1 s back or on; with shift a second"],
-  ["↑  ↓", "scenario before or after"], ["[  ]", "planning call before or after"], ["Home  End", "begin or end of the drive"],
+  ["↑  ↓", "scenario before or after"], ["[  ]", "planning call before or after"], ["Home  End", "begin or end of the simulation"],
   ["+  −", "zoom; the wheel does it too"], ["0", "back to the ego, at the first zoom"], ["r", "heading up or north up"],
   ["t", "plans that were tried, on or off"], ["e", "way of the recorded ego, on or off"], ["d", "light or dark"], ["?", "this list"],
 ];
@@ -28,12 +28,12 @@ async function openPlace([first, second, time]) {
   if (first === "type") {
     scenarios.search.value = second;
     scenarios.filter = second.toLowerCase();
-    const drive = INDEX.drives.find((d) => d.type === second && d.entrant === (scenarios.drive?.entrant ?? INDEX.entrants[0]));
-    return void await scenarios.open(drive ?? INDEX.drives[0]);
+    const simulation = INDEX.simulations.find((d) => d.type === second && d.entrant === (scenarios.simulation?.entrant ?? INDEX.entrants[0]));
+    return void await scenarios.open(simulation ?? INDEX.simulations[0]);
   }
-  const wanted = INDEX.drives.find((drive) => drive.run === Number(first) && drive.number === Number(second) && second !== undefined);
-  const drive = wanted ?? scenarios.drive ?? INDEX.drives.find((d) => d.replay !== null) ?? INDEX.drives[0];
-  await scenarios.open(drive, wanted ? Number(time) || 0 : scenarios.player.time);
+  const wanted = INDEX.simulations.find((simulation) => simulation.run === Number(first) && simulation.number === Number(second) && second !== undefined);
+  const simulation = wanted ?? scenarios.simulation ?? INDEX.simulations.find((d) => d.replay !== null) ?? INDEX.simulations[0];
+  await scenarios.open(simulation, wanted ? Number(time) || 0 : scenarios.player.time);
   scenarios.bev.resize();
 }
 
@@ -84,8 +84,8 @@ async function begin() {
   if (typeof DecompressionStream === "undefined") throw new Error("this browser cannot unpack the page's data; Chrome 111, Firefox 113, Safari 16.4 and later can");
   theme(window.matchMedia("(prefers-color-scheme: dark)").matches);
   await loadIndex();
-  document.getElementById("about").textContent = `${counted(INDEX.scenarios.length, "scenario")}, ${counted(INDEX.drives.length, "drive")}`
-    + (INDEX.replays < INDEX.drives.length ? `, ${INDEX.replays} with replay` : "");
+  document.getElementById("about").textContent = `${counted(INDEX.scenarios.length, "scenario")}, ${counted(INDEX.simulations.length, "simulation")}`
+    + (INDEX.replays < INDEX.simulations.length ? `, ${INDEX.replays} with replay` : "");
   scenarios = new Scenarios(document.getElementById("scenarios"));
   histograms = new Histograms(document.getElementById("histograms"));
   showOverview(document.getElementById("overview"));

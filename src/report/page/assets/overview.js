@@ -1,4 +1,4 @@
-// Overview: final scores by planner and challenge, by scenario type and by metric, and the drives that failed.
+// Overview: final scores by planner and challenge, by scenario type and by metric, and the simulations that failed.
 
 /** Rows of a list before the rest is asked for. */
 const FIRST_ROWS = 12;
@@ -14,19 +14,19 @@ function showOverview(node) {
     h("h2", {}, "Final scores"),
     h("div", { class: "scroll" }, finalScores()),
     h("p", { class: "note" }, `nuPlan's scores × 100, mean over scenarios (${INDEX.challenges.map((c) => `${CHALLENGES[c].short}: ${CHALLENGES[c].long}`).join("; ")}). `
-      + "Failed drives do not count. The bars begin at 0; the best of a column is bold."),
+      + "Failed simulations do not count. The bars begin at 0; the best of a column is bold."),
     h("h2", {}, "By scenario type"),
     h("div", { class: "scroll" }, scenarioTypes()),
     h("div", { class: "heading" }, h("h2", {}, "By metric"), options.length > 1 ? choice("Challenge", options, challenge, show) : null),
     h("div", { class: "scroll" }, metricTable),
-    h("h2", {}, "Failed drives"), failedDrives(),
-    h("h2", {}, "Drives with score 0"), zeroDrives()));
+    h("h2", {}, "Failed simulations"), failedSimulations(),
+    h("h2", {}, "Simulations with score 0"), zeroSimulations()));
 }
 
 function runsLine() {
   return h("ul", { class: "runs" }, INDEX.runs.map((run) => h("li", {}, h("b", {}, run.name),
     h("span", {}, [run.model ? `model ${run.model}` : null, `seed ${run.seed}`, `started ${run.started}`,
-      run.drives < run.planned ? `${run.drives} of ${run.planned} drives ended` : counted(run.drives, "drive"),
+      run.simulations < run.planned ? `${run.simulations} of ${run.planned} simulations completed` : counted(run.simulations, "simulation"),
       `planagent ${run.version}`].filter(Boolean).join(" · ")))));
 }
 
@@ -44,9 +44,9 @@ function finalScores() {
     [challenge, Math.max(...INDEX.entrants.map((entrant) => aggregate(entrant, challenge)?.score ?? -1))]));
   const head = h("tr", {}, h("th", {}, "planner"),
     INDEX.challenges.map((c) => h("th", { class: "number", title: CHALLENGES[c].long }, CHALLENGES[c].short)),
-    ["drives", "failed", "score 0", "ms/step", "ms/call p50", "p95"].map((name) => h("th", { class: "number" }, name)));
+    ["simulations", "failed", "score 0", "ms/step", "ms/call p50", "p95"].map((name) => h("th", { class: "number" }, name)));
   const rows = INDEX.entrants.map((entrant) => {
-    const drives = INDEX.drives.filter((drive) => drive.entrant === entrant);
+    const simulations = INDEX.simulations.filter((simulation) => simulation.entrant === entrant);
     const timing = INDEX.timings.find((row) => row.run === entrant.run && row.planner === entrant.planner);
     const number = (text) => h("td", { class: "number" }, text);
     return h("tr", {}, entrantCell(entrant),
@@ -55,20 +55,20 @@ function finalScores() {
         return h("td", { class: score !== null && score === best[c] ? "number gauge best" : "number gauge" },
           h("i", { style: `width:${100 * (score ?? 0)}%;background:${colorOf(entrant)}` }), h("span", {}, percent(score)));
       }),
-      number(drives.length), number(drives.filter((d) => d.error !== null).length), number(drives.filter((d) => d.score === 0).length),
+      number(simulations.length), number(simulations.filter((d) => d.error !== null).length), number(simulations.filter((d) => d.score === 0).length),
       number(milliseconds(timing?.step_ms)), number(milliseconds(timing?.call_p50_ms)), number(milliseconds(timing?.call_p95_ms)));
   });
   return h("table", { class: "scores" }, h("thead", {}, head), h("tbody", {}, rows));
 }
 
 function scenarioTypes() {
-  const types = distinct(INDEX.drives.map((drive) => drive.type)).sort();
+  const types = distinct(INDEX.simulations.map((simulation) => simulation.type)).sort();
   const groups = h("tr", {}, h("th", {}), h("th", {}), INDEX.entrants.map((entrant) =>
     h("th", { colspan: INDEX.challenges.length, class: "group" }, h("i", { class: "dot", style: `background:${colorOf(entrant)}` }), entrant.label)));
   const head = h("tr", {}, h("th", {}, "type"), h("th", { class: "number" }, "n"), INDEX.entrants.flatMap(() =>
     INDEX.challenges.map((c) => h("th", { class: "number", title: CHALLENGES[c].long }, CHALLENGES[c].short))));
   const rows = types.map((type) => {
-    const count = distinct(INDEX.drives.filter((drive) => drive.type === type).map((drive) => drive.scenario)).length;
+    const count = distinct(INDEX.simulations.filter((simulation) => simulation.type === type).map((simulation) => simulation.scenario)).length;
     return h("tr", {}, h("th", { scope: "row" }, h("a", { href: `#scenarios/type/${type}` }, spaced(type))), h("td", { class: "number" }, count),
       INDEX.entrants.flatMap((entrant) => INDEX.challenges.map((c) => tinted(aggregate(entrant, c, type)?.score ?? null))));
   });
@@ -87,40 +87,40 @@ function metricMeans(challenge) {
   const head = h("tr", {}, h("th", {}, "planner"), metrics.map((metric) => h("th", { class: "number", title: metric.name },
     shortMetric(metric.name), h("small", {}, metric.weight === null ? "multiplier" : `weight ${weight(metric)}`))));
   const rows = INDEX.entrants.map((entrant) => {
-    const own = INDEX.drives.filter((d) => d.entrant === entrant && d.challenge === challenge && d.score !== null);
+    const own = INDEX.simulations.filter((d) => d.entrant === entrant && d.challenge === challenge && d.score !== null);
     return h("tr", {}, entrantCell(entrant), metrics.map((metric) =>
-      tinted(mean(own.map((drive) => metricScore(drive, metric.name)).filter((value) => value !== null)))));
+      tinted(mean(own.map((simulation) => metricScore(simulation, metric.name)).filter((value) => value !== null)))));
   });
   return h("table", { class: "tinted" }, h("thead", {}, head), h("tbody", {}, rows));
 }
 
-function driveLink(drive) {
-  const name = `${drive.scenario}`;
-  return h("a", { href: `#scenarios/${drive.run}/${drive.number}` }, name);
+function simulationLink(simulation) {
+  const name = `${simulation.scenario}`;
+  return h("a", { href: `#scenarios/${simulation.run}/${simulation.number}` }, name);
 }
 
-function failedDrives() {
-  const failed = INDEX.drives.filter((drive) => drive.error !== null);
-  if (!failed.length) return h("p", { class: "quiet" }, `None of the ${counted(INDEX.drives.length, "drive")} failed.`);
-  return driveList(failed, ["error"], (drive) => [h("td", {}, drive.error)]);
+function failedSimulations() {
+  const failed = INDEX.simulations.filter((simulation) => simulation.error !== null);
+  if (!failed.length) return h("p", { class: "quiet" }, `None of the ${counted(INDEX.simulations.length, "simulation")} failed.`);
+  return simulationList(failed, ["error"], (simulation) => [h("td", {}, simulation.error)]);
 }
 
-function zeroDrives() {
-  const zero = INDEX.drives.filter((drive) => drive.score === 0);
+function zeroSimulations() {
+  const zero = INDEX.simulations.filter((simulation) => simulation.score === 0);
   if (!zero.length) return h("p", { class: "quiet" }, "None.");
-  return driveList(zero, ["made 0 by"], (drive) => [h("td", {}, drive.zeroed_by.map(spaced).join(", "))]);
+  return simulationList(zero, ["made 0 by"], (simulation) => [h("td", {}, simulation.zeroed_by.map(spaced).join(", "))]);
 }
 
-function driveList(drives, more, cells) {
+function simulationList(simulations, more, cells) {
   const body = h("tbody", {});
-  const row = (drive) => h("tr", {}, h("td", {}, driveLink(drive)), entrantCell(drive.entrant),
-    h("td", { title: CHALLENGES[drive.challenge].long }, CHALLENGES[drive.challenge].short), cells(drive));
-  body.append(...drives.slice(0, FIRST_ROWS).map(row));
+  const row = (simulation) => h("tr", {}, h("td", {}, simulationLink(simulation)), entrantCell(simulation.entrant),
+    h("td", { title: CHALLENGES[simulation.challenge].long }, CHALLENGES[simulation.challenge].short), cells(simulation));
+  body.append(...simulations.slice(0, FIRST_ROWS).map(row));
   const table = h("table", { class: "list" }, h("thead", {}, h("tr", {}, ["scenario", "planner", "challenge", ...more].map((name) => h("th", {}, name)))), body);
-  if (drives.length <= FIRST_ROWS) return table;
+  if (simulations.length <= FIRST_ROWS) return table;
   const button = h("button", { type: "button", class: "more", onclick: () => {
-    body.append(...drives.slice(FIRST_ROWS).map(row));
+    body.append(...simulations.slice(FIRST_ROWS).map(row));
     button.remove();
-  } }, `Show all ${drives.length}`);
+  } }, `Show all ${simulations.length}`);
   return h("div", {}, table, button);
 }

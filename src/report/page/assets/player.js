@@ -20,7 +20,7 @@ class Player {
     this.changed.push(listener);
   }
 
-  /** Begins another drive with these sample times. */
+  /** Begins another simulation with these sample times. */
   open(times, time = 0) {
     this.pause();
     this.times = times;

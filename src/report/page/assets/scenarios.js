@@ -1,10 +1,10 @@
-// Scenarios: choose a drive, watch it, read along.
+// Scenarios: choose a simulation, play it, read its transcript.
 
 class Scenarios {
   constructor(node) {
     this.node = node;
     this.player = new Player();
-    this.drive = null;
+    this.simulation = null;
     this.wanted = null;
     this.filter = "";
     this.sort = "order";
@@ -65,51 +65,51 @@ class Scenarios {
     fill(this.clock, h("b", {}, `${time.toFixed(1)} s`), h("span", {}, `${Math.abs(speed[iteration]).toFixed(1)} m/s`));
   }
 
-  /** The drives of a scenario, in the challenge that is shown. */
-  drivesOf(scenario, challenge = this.drive?.challenge ?? INDEX.challenges[0]) {
-    return INDEX.drives.filter((drive) => drive.scenario === scenario && drive.challenge === challenge);
+  /** The simulations of a scenario, in the challenge that is shown. */
+  simulationsOf(scenario, challenge = this.simulation?.challenge ?? INDEX.challenges[0]) {
+    return INDEX.simulations.filter((simulation) => simulation.scenario === scenario && simulation.challenge === challenge);
   }
 
   list() {
-    const shown = this.drive?.entrant ?? INDEX.entrants[0];
+    const shown = this.simulation?.entrant ?? INDEX.entrants[0];
     const entries = INDEX.scenarios.map((scenario) => {
-      const drives = this.drivesOf(scenario);
-      return { scenario, drives, own: drives.find((drive) => drive.entrant === shown) };
-    }).filter(({ scenario, drives }) => drives.length && `${scenario} ${drives[0].type}`.toLowerCase().includes(this.filter));
+      const simulations = this.simulationsOf(scenario);
+      return { scenario, simulations, own: simulations.find((simulation) => simulation.entrant === shown) };
+    }).filter(({ scenario, simulations }) => simulations.length && `${scenario} ${simulations[0].type}`.toLowerCase().includes(this.filter));
     if (this.sort === "score") entries.sort((a, b) => (a.own?.score ?? -1) - (b.own?.score ?? -1));
     this.entries = entries;
-    fill(this.listNode, entries.map(({ scenario, drives, own }) => {
-      const target = own ?? drives[0];
-      const current = scenario === this.drive?.scenario;
-      return h("li", { "aria-current": current, class: drives.some((drive) => drive.replay !== null) ? null : "no-replay" },
+    fill(this.listNode, entries.map(({ scenario, simulations, own }) => {
+      const target = own ?? simulations[0];
+      const current = scenario === this.simulation?.scenario;
+      return h("li", { "aria-current": current, class: simulations.some((simulation) => simulation.replay !== null) ? null : "no-replay" },
         h("a", { href: `#scenarios/${target.run}/${target.number}` }, h("span", { class: "scenario-name" }, lastPart(scenario)),
-          h("span", { class: "scores-line" }, drives.map((drive) => h("span", { title: `${drive.entrant.label} ${percent(drive.score)}`,
-            class: drive.score === 0 || drive.error !== null ? "zero" : null },
-          h("i", { style: `background:${colorOf(drive.entrant)}` }), drive.score === null ? "–" : (100 * drive.score).toFixed(0))))));
+          h("span", { class: "scores-line" }, simulations.map((simulation) => h("span", { title: `${simulation.entrant.label} ${percent(simulation.score)}`,
+            class: simulation.score === 0 || simulation.error !== null ? "zero" : null },
+          h("i", { style: `background:${colorOf(simulation.entrant)}` }), simulation.score === null ? "–" : (100 * simulation.score).toFixed(0))))));
     }));
     this.listNode.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
   }
 
-  /** Shows a drive; `time` in seconds. */
-  async open(drive, time = 0) {
-    if (this.drive === drive) return void (this.replay && this.player.seek(time));
+  /** Shows a simulation; `time` in seconds. */
+  async open(simulation, time = 0) {
+    if (this.simulation === simulation) return void (this.replay && this.player.seek(time));
     this.player.pause();
-    this.drive = drive;
+    this.simulation = simulation;
     this.replay = null;
     this.pick();
     this.list();
-    const replay = await replayOf(drive);
-    if (this.drive !== drive) return;
+    const replay = await replayOf(simulation);
+    if (this.simulation !== simulation) return;
     this.replay = replay;
     this.showChips();
     const empty = replay === null;
     for (const node of [this.controls.node, this.seriesNode, this.canvas, this.clock, this.legend]) node.hidden = empty;
     this.absent.hidden = !empty;
-    this.node.dataset.drive = `${drive.run}/${drive.number}`;
+    this.node.dataset.simulation = `${simulation.run}/${simulation.number}`;
     if (empty) {
       this.bev.open(null);
       this.latencyNode.hidden = true;
-      fill(this.absent, whyAbsent(drive));
+      fill(this.absent, whyAbsent(simulation));
       fill(this.transcriptNode, h("p", { class: "quiet" }, "No replay, so nothing to read along."));
       return;
     }
@@ -124,43 +124,43 @@ class Scenarios {
 
   /** Planner, challenge and whom to compare with. */
   pick() {
-    const { drive } = this;
-    const challenges = INDEX.drives.filter((d) => d.scenario === drive.scenario && d.entrant === drive.entrant);
+    const { simulation } = this;
+    const challenges = INDEX.simulations.filter((d) => d.scenario === simulation.scenario && d.entrant === simulation.entrant);
     const go = (target) => { if (target) location.hash = hashOf(target, this.player.time); };
     const select = (label, options, chosen, onchange) => h("label", { title: label }, label === "ghost" ? h("span", {}, label) : null,
       h("select", { "aria-label": label, onchange: (event) => onchange(options[event.target.selectedIndex].value) },
         options.map(({ text, value }) => h("option", { selected: value === chosen }, text))));
-    const planners = this.drivesOf(drive.scenario, drive.challenge);
-    const others = planners.filter((other) => other !== drive && other.replay !== null);
-    fill(this.picker, h("h2", { title: drive.scenario }, lastPart(drive.scenario)),
-      select("planner", planners.map((d) => ({ text: d.entrant.label, value: d })), drive, go),
-      select("challenge", challenges.map((d) => ({ text: CHALLENGES[d.challenge].plain, value: d })), drive, go),
+    const planners = this.simulationsOf(simulation.scenario, simulation.challenge);
+    const others = planners.filter((other) => other !== simulation && other.replay !== null);
+    fill(this.picker, h("h2", { title: simulation.scenario }, lastPart(simulation.scenario)),
+      select("planner", planners.map((d) => ({ text: d.entrant.label, value: d })), simulation, go),
+      select("challenge", challenges.map((d) => ({ text: CHALLENGES[d.challenge].plain, value: d })), simulation, go),
       others.length ? select("ghost", [{ text: "none", value: null }, ...others.map((d) => ({ text: d.entrant.label, value: d }))], null,
         async (other) => { this.bev.open(this.replay, other && await replayOf(other)); }) : null);
   }
 
   /** The score and what it is made of. */
   showChips() {
-    const { drive } = this;
-    const parts = scoredMetrics(drive.challenge).map(({ name, weight }) => {
-      const score = metricScore(drive, name);
+    const { simulation } = this;
+    const parts = scoredMetrics(simulation.challenge).map(({ name, weight }) => {
+      const score = metricScore(simulation, name);
       const state = score === null ? "" : score >= 1 ? "" : score === 0 ? "zero" : "short";
       return h("span", { class: `chip ${state}`, title: `${name}, ${weight === null ? "multiplier" : `weight ${weight}`}` },
         shortMetric(name), h("b", {}, score === null ? "–" : partFigure(score)));
     });
-    fill(this.chips, h("span", { class: "chip total" }, "score", h("b", {}, percent(drive.score))), parts);
+    fill(this.chips, h("span", { class: "chip total" }, "score", h("b", {}, percent(simulation.score))), parts);
   }
 
   /** Keeps the place in the address, so that it can be shared and found again. */
   remember() {
-    if (this.drive && !this.node.hidden) history.replaceState(null, "", hashOf(this.drive, this.player.time));
+    if (this.simulation && !this.node.hidden) history.replaceState(null, "", hashOf(this.simulation, this.player.time));
   }
 
   /** The scenario before or after, with the same planner where it drove there. */
   neighbour(by) {
-    const place = this.entries.findIndex(({ scenario }) => scenario === this.drive?.scenario);
+    const place = this.entries.findIndex(({ scenario }) => scenario === this.simulation?.scenario);
     const next = this.entries[place + by];
-    if (next) location.hash = hashOf(next.own ?? next.drives[0], 0);
+    if (next) location.hash = hashOf(next.own ?? next.simulations[0], 0);
   }
 
   /** The planning call before or after. */
@@ -174,17 +174,17 @@ class Scenarios {
   }
 }
 
-function hashOf(drive, time) {
-  return `#scenarios/${drive.run}/${drive.number}${time > 0 ? `/${time.toFixed(1)}` : ""}`;
+function hashOf(simulation, time) {
+  return `#scenarios/${simulation.run}/${simulation.number}${time > 0 ? `/${time.toFixed(1)}` : ""}`;
 }
 
 function lastPart(scenario) {
   return spaced(scenario.replace(/^generated\//, ""));
 }
 
-function whyAbsent(drive) {
-  if (drive.error !== null) return `This drive failed: ${drive.error}`;
-  if (drive.absent === "size") return "This page was kept small, and the replay of this drive did not fit in. A page of fewer scenarios holds it: planagent report RUN --scenario NAME.";
-  if (drive.absent === "scenario") return "This page was asked to hold replays of other scenarios only.";
-  return "The run was made by a version that kept no replays; drive it again to see it.";
+function whyAbsent(simulation) {
+  if (simulation.error !== null) return `This simulation failed: ${simulation.error}`;
+  if (simulation.absent === "size") return "This page was kept small, and the replay of this simulation did not fit in. A page of fewer scenarios holds it: planagent report RUN --scenario NAME.";
+  if (simulation.absent === "scenario") return "This page was asked to hold replays of other scenarios only.";
+  return "The run was made by a version that kept no replays; run it again to see it.";
 }

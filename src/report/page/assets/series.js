@@ -1,4 +1,4 @@
-// The metrics' time series of a drive, with their thresholds and the present.
+// The metrics' time series of a simulation, with their thresholds and the present.
 
 /** Height of the drawing area; widths and heights are stretched to the box. */
 const SERIES_BOX = { width: 300, height: 100 };

@@ -42,14 +42,14 @@ class Transcript {
   }
 
   showNone() {
-    const { planner } = this.replay.drive;
-    fill(this.node, h("p", { class: "quiet" }, `${planner} drives without a language model: there is nothing to read here.`));
+    const { planner } = this.replay.simulation;
+    fill(this.node, h("p", { class: "quiet" }, `${planner} uses no language model: it made no planning calls.`));
   }
 
   showCall(call) {
     const { replay, place } = this;
     this.node.dataset.iteration = call.iteration;
-    const driving = drivingAttempt(call);
+    const executed = executedAttempt(call);
     const outcome = outcomeOf(call);
     const go = (by) => ({
       type: "button", class: "plain", "aria-label": by < 0 ? "Call before" : "Next call",
@@ -61,7 +61,7 @@ class Transcript {
         h("p", { class: `outcome ${outcome}` }, OUTCOMES[outcome], h("span", { class: "quiet" }, decisionWords(call)))),
       h("div", { class: "turn" }, h("button", go(-1), "‹"), h("button", go(1), "›")));
     const seen = this.showSeen(call);
-    const attempts = call.attempts.map((attempt, i) => this.showAttempt(attempt, i, driving));
+    const attempts = call.attempts.map((attempt, i) => this.showAttempt(attempt, i, executed));
     fill(this.node, head, seen, ...attempts);
   }
 
@@ -76,17 +76,17 @@ class Transcript {
     return h("div", { class: "seen" }, picture, text);
   }
 
-  showAttempt(attempt, i, driving) {
+  showAttempt(attempt, i, executed) {
     const { reflection, code } = attempt;
-    const drives = i === driving;
-    const threshold = INDEX.runs[this.replay.drive.run].threshold;
+    const isExecuted = i === executed;
+    const threshold = INDEX.runs[this.replay.simulation.run].threshold;
     const judged = reflection
       ? h("span", { class: `verdict ${reflection.verdict}` }, h("b", {}, reflection.score.toFixed(2)),
         reflection.verdict === "execute" ? ` ≥ ${threshold} execute` : ` < ${threshold} rethink`)
       : h("span", { class: "verdict" }, "not judged");
-    const attributes = { class: `attempt ${drives ? "drives" : ""}`, onmouseenter: () => this.onmark(i), onmouseleave: () => this.onmark(null) };
+    const attributes = { class: `attempt ${isExecuted ? "executed" : ""}`, onmouseenter: () => this.onmark(i), onmouseleave: () => this.onmark(null) };
     return h("article", attributes,
-      h("header", {}, h("h4", {}, `Attempt ${i + 1}`), drives ? h("span", { class: "drives-tag" }, "drives") : null, judged),
+      h("header", {}, h("h4", {}, `Attempt ${i + 1}`), isExecuted ? h("span", { class: "executed-tag" }, "executed") : null, judged),
       code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no planner code"),
       reflection ? partsTable(reflection.parts) : null,
       attempt.errors.length ? h("ul", { class: "errors" }, attempt.errors.map((error) => h("li", {}, errorWords(error)))) : null,
@@ -97,8 +97,8 @@ class Transcript {
 function decisionWords({ decision, emergency_brakes: brakes, retreat }) {
   const braked = brakes ? `; the emergency brake overruled it in ${counted(brakes, "step")}` : "";
   const words = {
-    execute: () => `attempt ${decision.attempt + 1} drives`,
-    exhausted: () => `attempt ${decision.attempt + 1} drives all the same`,
+    execute: () => `attempt ${decision.attempt + 1} is executed`,
+    exhausted: () => `attempt ${decision.attempt + 1} is executed all the same`,
     keep_in_force: () => `the planner in force goes on: ${decision.why}`,
     brake: () => `the ego brakes: ${decision.why}`,
   };

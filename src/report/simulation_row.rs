@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// A drive that was made, or why it could not be.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct DriveRow {
+pub struct SimulationRow {
     /// Its number in the run, from 0.
     pub number: usize,
     /// The source in the words of the command line.
@@ -41,7 +41,7 @@ pub struct DriveRow {
     pub planning_calls: usize,
     /// Planning calls that the gate saved; they are not among the others.
     #[serde(default, skip_serializing_if = "is_zero")]
-    pub saved_calls: usize,
+    pub gated_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,
     /// What could not be read of the answers.
@@ -56,7 +56,7 @@ pub struct DriveRow {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drivable_layers: Option<DrivableLayers>,
     /// What was measured.
-    pub time: DriveTime,
+    pub time: SimulationTime,
     /// The metrics' scores, in nuPlan's order of computation; their statistics lie in `metrics.toml`.
     #[serde(default)]
     pub metrics: Vec<MetricScore>,
@@ -82,7 +82,7 @@ pub struct MetricScore {
 /// What was measured of a drive.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct DriveTime {
+pub struct SimulationTime {
     /// Begin, seconds since 1970.
     pub started_s: f64,
     /// End, seconds since 1970.
@@ -93,12 +93,12 @@ pub struct DriveTime {
     pub calls: Vec<CallTimes>,
 }
 
-impl DriveRow {
+impl SimulationRow {
     /// What is kept of a record.
     pub fn new(number: usize, record: &SimulationRecord) -> Self {
         let driven = record.outcome.as_ref().ok();
         let calls = driven.map_or(&[][..], |driven| driven.calls.as_slice());
-        let saved_calls = calls.iter().filter(|call| call.is_saved()).count();
+        let gated_calls = calls.iter().filter(|call| call.is_saved()).count();
         let score = driven.map(|driven| &driven.score);
         let interrupted =
             |why: fn(&Interruption) -> bool| calls.iter().filter(|call| call.interruption().is_some_and(why)).count();
@@ -114,14 +114,14 @@ impl DriveRow {
             error: record.outcome.as_ref().err().cloned(),
             score: score.map(|score| unsigned_zero(score.value)),
             zeroed_by: score.map_or_else(Vec::new, |score| score.zero_multipliers().map(|m| m.to_string()).collect()),
-            planning_calls: calls.len() - saved_calls,
-            saved_calls,
+            planning_calls: calls.len() - gated_calls,
+            gated_calls,
             rethinks: calls.iter().map(PlanningCall::rethinks).sum(),
             parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
             deadlines: interrupted(|why| matches!(why, Interruption::Deadline)),
             failed_calls: interrupted(|why| matches!(why, Interruption::Model(_))),
             drivable_layers: driven.and_then(|driven| driven.drivable_layers),
-            time: DriveTime {
+            time: SimulationTime {
                 started_s: record.started_s,
                 ended_s: record.ended_s,
                 planner_s: driven.map_or_else(Vec::new, |driven| driven.log.runtimes_s.clone()),

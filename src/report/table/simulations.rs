@@ -2,8 +2,8 @@
 
 use super::{fill, percent_or_dash, plain, short};
 use crate::metrics::{MetricList, MetricName};
-use crate::report::drive_row::DriveRow;
 use crate::report::number::fixed;
+use crate::report::simulation_row::SimulationRow;
 use console::style;
 
 /// Head of the column of a metric.
@@ -29,11 +29,11 @@ fn short_name(name: MetricName) -> &'static str {
 const MOST_ROWS: usize = 60;
 
 /// A row a drive under the name of its scenario: score x 100 and the metrics of the list.
-pub(super) fn drives(rows: &[DriveRow], list: MetricList) -> String {
+pub(super) fn simulations(rows: &[SimulationRow], list: MetricList) -> String {
     let driven = || rows.iter().filter(|row| row.score.is_some() && row.challenge.metric_list() == list);
-    let shown: Vec<&DriveRow> = driven().take(MOST_ROWS).collect();
+    let shown: Vec<&SimulationRow> = driven().take(MOST_ROWS).collect();
     let metrics = list.scored().iter().map(|&name| short_name(name));
-    let header = ["drive", "", "score"].into_iter().chain(metrics).chain(["calls"]);
+    let header = ["simulation", "", "score"].into_iter().chain(metrics).chain(["calls"]);
     let table = plain(&header.map(str::to_owned).collect::<Vec<_>>(), shown.iter().map(|row| cells(row)).collect(), 2);
     let mut lines = table.lines();
     let mut text: Vec<String> = lines.next().map(str::to_owned).into_iter().collect();
@@ -47,12 +47,12 @@ pub(super) fn drives(rows: &[DriveRow], list: MetricList) -> String {
     }
     let left_out = driven().count() - shown.len();
     if left_out > 0 {
-        text.push(format!("and {left_out} more drives in summary.json"));
+        text.push(format!("and {left_out} more simulations in summary.json"));
     }
     text.join("\n")
 }
 
-fn cells(row: &DriveRow) -> Vec<String> {
+fn cells(row: &SimulationRow) -> Vec<String> {
     let list = row.challenge.metric_list().scored().iter();
     let metrics = list.map(|name| row.metric(name.as_str()).map_or_else(|| "-".to_owned(), compact));
     let calls = if row.planning_calls == 0 { "-".to_owned() } else { row.planning_calls.to_string() };
@@ -75,7 +75,7 @@ pub(super) fn legend(list: MetricList, width: u16) -> String {
 }
 
 /// For each score of 0 the multipliers that made it, a line each.
-pub(super) fn zeroed(rows: &[DriveRow]) -> String {
+pub(super) fn zeroed(rows: &[SimulationRow]) -> String {
     let mut lines: Vec<String> = Vec::new();
     let mut scenario = None;
     for row in rows.iter().filter(|row| !row.zeroed_by.is_empty()) {
@@ -90,7 +90,7 @@ pub(super) fn zeroed(rows: &[DriveRow]) -> String {
 }
 
 /// A line a failed drive.
-pub fn failures(rows: &[DriveRow]) -> Vec<String> {
+pub fn failures(rows: &[SimulationRow]) -> Vec<String> {
     let failed = rows.iter().filter_map(|row| row.error.as_ref().map(|error| (row, error)));
     failed.map(|(row, error)| format!("{} ({}, {}): {error}", row.scenario, row.planner, row.challenge)).collect()
 }

@@ -3,10 +3,10 @@
 use super::{bounds, text};
 use crate::metrics::{MetricResult, Statistic};
 use crate::report::call_record::calls_in;
-use crate::report::drive_row::DriveRow;
 use crate::report::error::ReportError;
 use crate::report::replay::Replay;
 use crate::report::run_folder::{RunFolder, bev_name};
+use crate::report::simulation_row::SimulationRow;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde::Serialize;
@@ -16,7 +16,7 @@ use std::path::Path;
 
 /// The parts of a drive.
 #[derive(Debug)]
-pub(super) struct DriveParts {
+pub(super) struct SimulationParts {
     /// Statistics with their metric.
     pub(super) statistics: Vec<(String, &'static str, Statistic)>,
     /// The replay, if the run kept one and the page is to hold it.
@@ -29,7 +29,7 @@ pub(super) struct DriveParts {
 #[derive(Debug)]
 pub(super) struct PackedReplay {
     /// Tracks, planning calls and time series.
-    pub(super) drive: String,
+    pub(super) simulation: String,
     /// The map, which drives of the same scenario share.
     pub(super) map: String,
     /// The pictures that the model saw, by iteration; none without any.
@@ -38,7 +38,7 @@ pub(super) struct PackedReplay {
 
 /// What [`PackedReplay::drive`] unpacks to.
 #[derive(Serialize)]
-struct Watched<'a> {
+struct SimulationReplay<'a> {
     replay: &'a Replay,
     calls: &'a [Value],
     series: Vec<Series<'a>>,
@@ -55,19 +55,19 @@ struct Series<'a> {
     high: Option<f64>,
 }
 
-impl DriveParts {
-    /// Reads a drive's folder; `to_watch` says whether the replay is wanted.
+impl SimulationParts {
+    /// Reads a drive's folder; `wants_replay` says whether the replay is wanted.
     ///
     /// # Errors
     /// When a file of it cannot be read.
-    pub(super) fn read(folder: &Path, row: &DriveRow, to_watch: bool) -> Result<Self, ReportError> {
+    pub(super) fn read(folder: &Path, row: &SimulationRow, wants_replay: bool) -> Result<Self, ReportError> {
         if row.error.is_some() {
             return Ok(Self { statistics: Vec::new(), replay: None, was_kept: false });
         }
         let metrics = RunFolder::metrics_in(folder)?;
         let replay = Replay::read(folder)?;
         let was_kept = replay.is_some();
-        let replay = match replay.filter(|_| to_watch) {
+        let replay = match replay.filter(|_| wants_replay) {
             Some(replay) => Some(packed(folder, replay, &metrics)?),
             None => None,
         };
@@ -84,8 +84,8 @@ fn packed(folder: &Path, mut replay: Replay, metrics: &[MetricResult]) -> Result
     let calls = calls_in(folder)?;
     let series = metrics.iter().filter_map(Series::of).collect();
     let images = images(folder, &calls)?;
-    let drive = text(&Watched { replay: &replay, calls: &calls, series })?;
-    Ok(PackedReplay { drive, map, images: if images.is_empty() { None } else { Some(text(&images)?) } })
+    let simulation = text(&SimulationReplay { replay: &replay, calls: &calls, series })?;
+    Ok(PackedReplay { simulation, map, images: if images.is_empty() { None } else { Some(text(&images)?) } })
 }
 
 impl<'a> Series<'a> {
