@@ -11,6 +11,7 @@ mod picture;
 mod printer;
 mod progress;
 
+use crate::experiment::panic_guard;
 use crate::experiment::source::ScenarioSource;
 use crate::report::RunFolder;
 use anyhow::{Context, bail};
@@ -28,6 +29,7 @@ const MAX_THREADS: usize = 512;
 
 /// Runs the program with the arguments of the process.
 pub fn run() -> ExitCode {
+    panic_guard::install_hook();
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {

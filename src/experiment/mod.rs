@@ -2,9 +2,9 @@
 //! what descriptions of scenes take.
 
 pub mod bench;
-mod caught;
 pub mod dataset;
 pub mod nuplan_data;
+pub mod panic_guard;
 pub mod run;
 pub mod source;
 pub mod split;

@@ -2,8 +2,8 @@
 
 use super::source::ScenarioSource;
 use crate::scenario::nuplan::{
-    DataRoots, Findings, Found, LeftOut, Logs, MapStore, NuPlanError, Refusal, ScenarioFilter, THRESHOLD_KEY,
-    ThresholdScope, Token, TokenError, Unreadable, find, tag_types,
+    DataRoots, Exclusion, Exclusions, LogScenario, Logs, MapStore, NuPlanError, ScenarioFilter, SearchResult,
+    THRESHOLD_KEY, ThresholdScope, Token, TokenError, UnreadableLog, find, tag_types,
 };
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,7 +13,7 @@ const LOG_ENDING: &str = ".db";
 /// Separates a log from the token of one of its scenarios.
 const TOKEN_MARK: char = '#';
 /// Scenarios of a log that is named without a token begin so long after one another, s: as in nuPlan's challenge.
-const APART_S: f64 = 15.0;
+const MIN_SPACING_S: f64 = 15.0;
 
 /// Where nuPlan's data lies, with the maps that were read from there.
 #[derive(Debug)]
@@ -56,7 +56,7 @@ pub enum NuPlanDataError {
         /// Which token.
         token: Token,
         /// Why.
-        refusal: Refusal,
+        refusal: Exclusion,
     },
     /// No row is tagged.
     #[error("{}: no row has a scenario tag; name one as FILE.db{TOKEN_MARK}TOKEN", .0.display())]
@@ -67,7 +67,7 @@ pub enum NuPlanDataError {
         /// Which log or folder.
         path: PathBuf,
         /// What was looked at.
-        left_out: LeftOut,
+        left_out: Exclusions,
     },
 }
 
@@ -79,9 +79,9 @@ pub struct Searched {
     /// Tokens of the filter that no log holds.
     pub absent: Vec<Token>,
     /// Tokens of the filter that a log holds but that are no scenario of it.
-    pub refused: Vec<(Token, Refusal)>,
+    pub refused: Vec<(Token, Exclusion)>,
     /// What was looked at and not taken.
-    pub left_out: LeftOut,
+    pub left_out: Exclusions,
     /// Logs that cannot be read.
     pub unreadable: Vec<ScenarioSource>,
     /// What a user should know about the search.
@@ -112,7 +112,7 @@ impl NuPlanData {
         progress: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<Searched, NuPlanError> {
         let Logs { logs, notes } = self.roots.logs()?;
-        let Findings { found, absent, refused, left_out, unreadable } = find(&logs, filter, &self.maps, progress)?;
+        let SearchResult { found, absent, refused, left_out, unreadable } = find(&logs, filter, &self.maps, progress)?;
         let unreadable = unreadable.into_iter().map(unreadable_source).collect();
         Ok(Searched { sources: self.sources(found), absent, refused, left_out, unreadable, notes })
     }
@@ -157,11 +157,11 @@ impl NuPlanData {
         }
         let filter = ScenarioFilter {
             scenario_types: Some(types),
-            timestamp_threshold_s: Some(APART_S),
+            timestamp_threshold_s: Some(MIN_SPACING_S),
             threshold_scope: ThresholdScope::EachLog,
             ..ScenarioFilter::default()
         };
-        let Findings { found, left_out, unreadable, .. } = find(&logs.logs, &filter, &self.maps, &|_, _| {})?;
+        let SearchResult { found, left_out, unreadable, .. } = find(&logs.logs, &filter, &self.maps, &|_, _| {})?;
         if found.is_empty() {
             return Err(NuPlanDataError::NothingFound { path: path.to_owned(), left_out });
         }
@@ -169,7 +169,7 @@ impl NuPlanData {
         let close = left_out.by(THRESHOLD_KEY);
         self.note((close > 0).then(|| {
             format!(
-                "{}: {close} tagged scenarios are left out: they begin less than {APART_S} s after one of their type in the same \
+                "{}: {close} tagged scenarios are left out: they begin less than {MIN_SPACING_S} s after one of their type in the same \
                  log; name one as LOG.db{TOKEN_MARK}TOKEN to drive it",
                 path.display()
             )
@@ -183,12 +183,12 @@ impl NuPlanData {
         self.notes.lock().unwrap_or_else(PoisonError::into_inner).extend(notes);
     }
 
-    fn sources(&self, found: Vec<Found>) -> Vec<ScenarioSource> {
+    fn sources(&self, found: Vec<LogScenario>) -> Vec<ScenarioSource> {
         found.into_iter().map(|found| ScenarioSource::NuPlan { found, maps: self.maps.clone() }).collect()
     }
 }
 
-fn unreadable_source(unreadable: Unreadable) -> ScenarioSource {
+fn unreadable_source(unreadable: UnreadableLog) -> ScenarioSource {
     ScenarioSource::Unreadable { path: unreadable.log.path.clone(), cause: unreadable.cause }
 }
 

@@ -1,6 +1,6 @@
 //! Many drives: scenarios x planners x challenges on all cores, each handed over with its score or its error when it ends.
 
-use super::caught::caught;
+use super::panic_guard::catch_panic;
 use super::source::ScenarioSource;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::pdm::DrivableLayers;
@@ -224,7 +224,7 @@ pub fn run<E: Send>(
     let groups: Vec<&[(usize, &SimulationTask)]> = drives.chunk_by(|(_, a), (_, b)| a.source == b.source).collect();
     groups.par_iter().try_for_each(|group| {
         let Some((_, first)) = group.first() else { return Ok(()) };
-        let opened = caught(|| first.source.open().map(Arc::new).map_err(|error| with_causes(&error)));
+        let opened = catch_panic(|| first.source.open().map(Arc::new).map_err(|error| with_causes(&error)));
         group.par_iter().try_for_each(|&(i, task)| {
             let scenario = opened.as_ref().map_err(String::as_str);
             on_simulation(i, drive(task, scenario, agent, on_iteration))
@@ -242,7 +242,7 @@ fn drive(
     let started_s = now_s();
     let outcome = scenario
         .map_err(str::to_owned)
-        .and_then(|scenario| caught(|| simulate_task(scenario, *planner, *challenge, agent, on_iteration)));
+        .and_then(|scenario| catch_panic(|| simulate_task(scenario, *planner, *challenge, agent, on_iteration)));
     let opened = scenario.ok();
     SimulationRecord {
         source: source.to_string(),

@@ -4,7 +4,7 @@ use super::nuplan_data::{NuPlanData, NuPlanDataError};
 use crate::scenario::Scenario;
 use crate::scenario::argoverse2::{self, Argoverse2Error};
 use crate::scenario::generator::{self, GeneratorError, Spec};
-use crate::scenario::nuplan::{self, Found, MapStore, NuPlanError};
+use crate::scenario::nuplan::{self, LogScenario, MapStore, NuPlanError};
 use crate::scenario::womd::{self, Pick, WomdError};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ pub enum ScenarioSource {
     /// A scenario of a nuPlan log, and the maps that it may need.
     NuPlan {
         /// Which scenario.
-        found: Found,
+        found: LogScenario,
         /// The maps, shared by all scenarios.
         maps: Arc<MapStore>,
     },
@@ -83,7 +83,7 @@ pub enum SourceError {
         "the folder {} is no Argoverse 2 log and holds no such logs (down to two folders below), no *.{RECORDING} files (right in \
          it) and no nuPlan logs (*.db) down to {} folders below",
         .0.display(),
-        nuplan::DEEPEST
+        nuplan::MAX_FOLDER_DEPTH
     )]
     Empty(PathBuf),
 }

@@ -3,7 +3,7 @@
 use super::nuplan_data::{NuPlanData, Searched};
 use super::source::ScenarioSource;
 use super::suite::Suite;
-use crate::scenario::nuplan::{FilterError, FilterFile, LeftOut, NuPlanError, Token};
+use crate::scenario::nuplan::{Exclusions, FilterError, FilterFile, NuPlanError, Token};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -159,7 +159,7 @@ pub enum SplitError {
         /// The name.
         name: String,
         /// What was looked at.
-        left_out: LeftOut,
+        left_out: Exclusions,
         /// Why logs cannot be read, a line each.
         unreadable: Vec<String>,
     },

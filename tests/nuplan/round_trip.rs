@@ -7,7 +7,7 @@ use planagent::internals::planner::{IdmPlanner, LogReplay, PdmClosed, Planner};
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
 use planagent::internals::scenario::nuplan::export::{Departures, ExportSettings, Exported, write_scenarios};
-use planagent::internals::scenario::nuplan::{DataRoots, Findings, MapStore, ScenarioFilter, find, open};
+use planagent::internals::scenario::nuplan::{DataRoots, MapStore, ScenarioFilter, SearchResult, find, open};
 use planagent::internals::simulation::{Challenge, simulate};
 use planagent::internals::world::EgoState;
 use rayon::prelude::*;
@@ -25,7 +25,7 @@ pub(super) fn read_back(exported: &Exported, settings: &ExportSettings, cache: &
     let roots = DataRoots { data: Some(exported.data.clone()), maps: Some(exported.maps.clone()) };
     let maps = MapStore::with_cache(roots.maps.clone(), Some(cache.to_owned()));
     let logs = roots.logs().unwrap().logs;
-    let Findings { found, .. } = find(&logs, &ScenarioFilter::default(), &maps, &|_, _| ()).unwrap();
+    let SearchResult { found, .. } = find(&logs, &ScenarioFilter::default(), &maps, &|_, _| ()).unwrap();
     assert_eq!(found.len(), exported.logs.len(), "a log is a scenario");
     let read = exported.logs.iter().map(|log| {
         let one = found.iter().find(|one| one.token.to_string() == log.token).unwrap();

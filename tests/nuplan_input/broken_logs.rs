@@ -1,7 +1,7 @@
 //! Every way in which a log can be wrong is an error that names the place.
 
 use super::fixture::{DataSet, LOCATION};
-use planagent::internals::scenario::nuplan::{NuPlanError, Refusal, ScenarioFault, ScenarioFilter};
+use planagent::internals::scenario::nuplan::{Exclusion, NuPlanError, ScenarioFault, ScenarioFilter};
 use std::io::{Seek, SeekFrom, Write};
 
 /// SQL for the time at which the window of the scenario begins: 3 s before the tag.
@@ -146,22 +146,22 @@ fn tokens_that_are_no_scenario_are_told_apart() {
     let findings = set.find(&filter).unwrap();
     assert_eq!(findings.found, []);
     assert_eq!(findings.absent, ["00000000000000aa".parse().unwrap()]);
-    assert_eq!(findings.refused, [(set.token, Refusal::SceneAtEdge)]);
+    assert_eq!(findings.refused, [(set.token, Exclusion::SceneAtEdge)]);
     let refusal = |set: &DataSet, filter: ScenarioFilter| {
         let filter = ScenarioFilter { scenario_tokens: Some(vec![set.token]), ..filter };
         set.find(&filter).unwrap().refused[0].1
     };
     let names = |name: &str| Some(vec![name.to_owned()]);
     let set = DataSet::log_with("UPDATE scene SET goal_ego_pose_token = NULL");
-    assert_eq!(refusal(&set, ScenarioFilter { remove_invalid_goals: true, ..Default::default() }), Refusal::NoGoal);
-    assert_eq!(refusal(&set, ScenarioFilter { map_names: names("other"), ..Default::default() }), Refusal::OtherMap);
-    assert_eq!(refusal(&set, ScenarioFilter { log_names: names("other"), ..Default::default() }), Refusal::OtherLog);
+    assert_eq!(refusal(&set, ScenarioFilter { remove_invalid_goals: true, ..Default::default() }), Exclusion::NoGoal);
+    assert_eq!(refusal(&set, ScenarioFilter { map_names: names("other"), ..Default::default() }), Exclusion::OtherMap);
+    assert_eq!(refusal(&set, ScenarioFilter { log_names: names("other"), ..Default::default() }), Exclusion::OtherLog);
     assert_eq!(
         refusal(&set, ScenarioFilter { scenario_types: names("other"), ..Default::default() }),
-        Refusal::OtherType
+        Exclusion::OtherType
     );
     let still = ScenarioFilter { ego_displacement_minimum_m: Some(1e6), ..Default::default() };
-    assert_eq!(refusal(&set, still), Refusal::Filtered("ego_displacement_minimum_m"));
+    assert_eq!(refusal(&set, still), Exclusion::Filtered("ego_displacement_minimum_m"));
     assert_eq!(set.open().unwrap().route.goal, None);
 }
 

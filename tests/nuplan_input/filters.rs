@@ -1,7 +1,7 @@
 //! Filters pick what the devkit picks, in its order.
 
 use super::fixture::{DataSet, LOCATION};
-use planagent::internals::scenario::nuplan::{Found, Limit, ScenarioFilter, Token, TokenSet};
+use planagent::internals::scenario::nuplan::{Limit, LogScenario, ScenarioFilter, Token, TokenSet};
 use std::collections::BTreeSet;
 
 /// With every second row tagged `behind_bike` and every third `changing_lane`, all in a scene that scenarios may come from.
@@ -19,7 +19,7 @@ fn types(names: &[&str]) -> Vec<String> {
     names.iter().map(|&name| name.to_owned()).collect()
 }
 
-fn by_time(mut found: Vec<Found>) -> Vec<Found> {
+fn by_time(mut found: Vec<LogScenario>) -> Vec<LogScenario> {
     found.sort_by_key(|one| one.timestamp_us);
     found
 }
@@ -48,7 +48,7 @@ fn numbers_are_evenly_spaced_and_unknown_ones_go_first() {
     let seven = ScenarioFilter { num_scenarios_per_type: Some(7), ..bikes.clone() };
     let picked = by_time(set.find(&seven).unwrap().found);
     let step = all.len() / 7;
-    let expected: Vec<Found> = all.iter().step_by(step).take(7).cloned().collect();
+    let expected: Vec<LogScenario> = all.iter().step_by(step).take(7).cloned().collect();
     assert_eq!(picked, expected);
     let rows = set.find(&ScenarioFilter::default()).unwrap().found.len();
     let tags = rows / 3 + rows / 2 - rows / 6;
@@ -56,7 +56,7 @@ fn numbers_are_evenly_spaced_and_unknown_ones_go_first() {
         let filter = ScenarioFilter { limit_total_scenarios: Some(limit), ..Default::default() };
         set.find(&filter).unwrap().found
     };
-    let unknown = |found: &[Found]| found.iter().filter(|one| one.scenario_type == "unknown").count();
+    let unknown = |found: &[LogScenario]| found.iter().filter(|one| one.scenario_type == "unknown").count();
     let most = limited(Limit::Count(tags + 5));
     assert_eq!((most.len(), unknown(&most)), (tags + 5, 5));
     let few = limited(Limit::Count(10));

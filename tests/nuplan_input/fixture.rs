@@ -4,7 +4,7 @@ use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
 use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
 use planagent::internals::scenario::nuplan::{
-    DataRoots, Findings, Found, Logs, MapStore, NuPlanError, ScenarioFilter, Token, find, open,
+    DataRoots, LogScenario, Logs, MapStore, NuPlanError, ScenarioFilter, SearchResult, Token, find, open,
 };
 use rusqlite::Connection;
 use std::path::{Path, PathBuf};
@@ -71,13 +71,13 @@ impl DataSet {
         MapStore::with_cache(self.roots().maps, Some(self.folder.path().join("cache")))
     }
 
-    pub(super) fn find(&self, filter: &ScenarioFilter) -> Result<Findings, NuPlanError> {
+    pub(super) fn find(&self, filter: &ScenarioFilter) -> Result<SearchResult, NuPlanError> {
         let logs = Logs::under(&self.folder.path().join("data"))?;
         find(&logs.logs, filter, &self.maps(), &|_, _| {})
     }
 
     /// The exported scenario as a search by its token finds it.
-    pub(super) fn found(&self) -> Result<Found, NuPlanError> {
+    pub(super) fn found(&self) -> Result<LogScenario, NuPlanError> {
         let filter = ScenarioFilter { scenario_tokens: Some(vec![self.token]), ..ScenarioFilter::default() };
         let findings = self.find(&filter)?;
         assert_eq!(findings.refused, [], "the exported token is a scenario");

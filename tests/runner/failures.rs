@@ -3,6 +3,7 @@
 use super::parquet::{aggregator_table, table};
 use super::{assert_same_results, drives};
 use crate::cli::{read_json, run};
+use planagent::internals::experiment::panic_guard;
 use planagent::internals::experiment::run::{self as runner, PlannerKind, SimulationRecord, SimulationTask};
 use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::scenario::generator;
@@ -48,6 +49,7 @@ fn an_error_is_recorded_and_the_run_goes_on() {
 
 #[test]
 fn a_panic_is_recorded_with_its_place_and_the_run_goes_on() {
+    panic_guard::install_hook();
     let records = records(&|| panic!("a wheel came off"));
     let error = records[&2].outcome.as_ref().unwrap_err();
     assert!(error.contains("a wheel came off") && error.contains("failures.rs"), "{error}");

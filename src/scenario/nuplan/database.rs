@@ -2,7 +2,7 @@
 //!
 //! Files are opened as immutable: nothing is locked, and no journal or shared-memory file appears beside the user's data.
 
-use super::error::{CellFault, NuPlanError, Place, RowName};
+use super::error::{CellFault, CellPlace, NuPlanError, RowName};
 use super::token::{TOKEN_BYTES, Token};
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, ErrorCode, OpenFlags, Params, Row};
@@ -189,7 +189,7 @@ impl Record<'_> {
     /// An error about a cell of this row.
     pub(super) fn fault(&self, column: &'static str, fault: impl Into<CellFault>) -> NuPlanError {
         let place =
-            Place { path: self.database.path.clone(), table: self.table.name.to_owned(), column, row: self.name() };
+            CellPlace { path: self.database.path.clone(), table: self.table.name.to_owned(), column, row: self.name() };
         NuPlanError::Cell { place: Box::new(place), fault: Box::new(fault.into()) }
     }
 

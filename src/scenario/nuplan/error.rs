@@ -31,7 +31,7 @@ impl fmt::Display for RowName {
 
 /// A cell of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Place {
+pub struct CellPlace {
     /// The file.
     pub path: PathBuf,
     /// The table or layer.
@@ -42,7 +42,7 @@ pub struct Place {
     pub row: RowName,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for CellPlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: table {}, {}, column {}", self.path.display(), self.table, self.row, self.column)
     }
@@ -244,7 +244,7 @@ pub enum NuPlanError {
     #[error("{place} {fault}")]
     Cell {
         /// Where.
-        place: Box<Place>,
+        place: Box<CellPlace>,
         /// What.
         fault: Box<CellFault>,
     },

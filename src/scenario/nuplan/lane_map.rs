@@ -8,7 +8,7 @@
 //! * A connector without traffic lights takes the stop-sign polygons that name it in `lane_connector_fids`; nuPlan's simulation never asks
 //!   for them.
 
-use super::error::{CellFault, NuPlanError, Place, RowName};
+use super::error::{CellFault, CellPlace, NuPlanError, RowName};
 use super::layers::{ConnectorRow, Layers, StopRow, largest};
 use super::map_store::NuPlanMap;
 use crate::geometry::{Polygon, Polyline};
@@ -267,7 +267,7 @@ impl<'a> Ids<'a> {
 }
 
 fn cell(path: &Path, table: &str, fid: i64, column: &'static str, fault: CellFault) -> NuPlanError {
-    let place = Place { path: path.to_owned(), table: table.to_owned(), column, row: RowName::Fid(fid) };
+    let place = CellPlace { path: path.to_owned(), table: table.to_owned(), column, row: RowName::Fid(fid) };
     NuPlanError::Cell { place: Box::new(place), fault: Box::new(fault) }
 }
 

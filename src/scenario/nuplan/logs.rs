@@ -10,7 +10,7 @@ const LOG_ENDING: &str = "db";
 /// Folders of a nuPlan tree in which no logs lie, but very many files.
 const WITHOUT_LOGS: [&str; 2] = ["sensor_blobs", "maps"];
 /// Folders below a folder of logs are searched so deep; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
-pub const DEEPEST: usize = 5;
+pub const MAX_FOLDER_DEPTH: usize = 5;
 
 /// The two folders of nuPlan's data, as nuPlan's variables name them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -60,7 +60,7 @@ impl Logs {
             return Ok(Self { logs: vec![Arc::new(Log::at(path))], notes: Vec::new() });
         }
         let mut files = Vec::new();
-        walk(path, DEEPEST, &mut files)?;
+        walk(path, MAX_FOLDER_DEPTH, &mut files)?;
         files.sort();
         let mut by_name: BTreeMap<String, Arc<Log>> = BTreeMap::new();
         let mut again = Vec::new();

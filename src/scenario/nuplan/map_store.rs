@@ -103,7 +103,7 @@ impl MapStore {
     }
 
     /// Makes sure that the rows of a log from one time to another (µs) are found quickly.
-    pub(super) fn attach_index(&self, log: &Database, times: (i64, i64)) -> Result<side_index::Found, NuPlanError> {
+    pub(super) fn attach_index(&self, log: &Database, times: (i64, i64)) -> Result<side_index::LogIndex, NuPlanError> {
         let found = self.indices.attach(log, times)?;
         lock(&self.notes).extend(found.note.clone());
         Ok(found)

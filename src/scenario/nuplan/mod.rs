@@ -1,7 +1,7 @@
 //! nuPlan's data: log databases (`.db`), map packages (`map.gpkg`), and the scenarios that a `ScenarioFilter` picks from them.
 //!
 //! * `logs`, `schema`, `database`, `side_index`: finding and reading logs, without ever writing to them;
-//! * `filter`, `filter_file`, `search`, `thinning`, `left_out`: which scenarios there are and which of them are wanted;
+//! * `filter`, `filter_file`, `search`, `thinning`, `exclusion`: which scenarios there are and which of them are wanted;
 //! * `extraction`, `rows`, `open`, `route`: a scenario as [`super::Scenario`];
 //! * `map_store`, `layers`, `lane_map`, [`geometry_blob`], [`projection`]: the map around it;
 //! * [`export`]: the way back, from any scenario to a log and its map.
@@ -11,6 +11,7 @@
 
 mod database;
 mod error;
+mod exclusion;
 pub mod export;
 mod extraction;
 mod filter;
@@ -18,7 +19,6 @@ mod filter_file;
 pub mod geometry_blob;
 mod lane_map;
 mod layers;
-mod left_out;
 mod logs;
 mod map_store;
 mod open;
@@ -31,14 +31,14 @@ mod side_index;
 mod thinning;
 mod token;
 
-pub use error::{CellFault, NuPlanError, Place, RowName, ScenarioFault};
+pub use error::{CellFault, CellPlace, NuPlanError, RowName, ScenarioFault};
+pub use exclusion::{Exclusion, Exclusions};
 pub use extraction::{Extraction, MAPPED_TYPES, ROWS_PER_STEP, UNKNOWN_TYPE};
 pub use filter::{Limit, ScenarioFilter, THRESHOLD_KEY, ThresholdScope, TokenSet};
 pub use filter_file::{FilterError, FilterFault, FilterFile};
-pub use left_out::{LeftOut, Refusal};
-pub use logs::{DEEPEST, DataRoots, Log, Logs};
+pub use logs::{DataRoots, Log, Logs, MAX_FOLDER_DEPTH};
 pub use map_store::{MAPS_INDEX, MapStore, NuPlanMap};
 pub use open::open;
 pub use route::RouteFault;
-pub use search::{Findings, Found, Unreadable, find, tag_types};
+pub use search::{LogScenario, SearchResult, UnreadableLog, find, tag_types};
 pub use token::{TOKEN_BYTES, Token, TokenError};

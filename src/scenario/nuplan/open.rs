@@ -7,7 +7,7 @@ use super::error::{CellFault, NuPlanError, ScenarioFault};
 use super::map_store::{MapStore, NuPlanMap};
 use super::rows::{Rows, Sweep};
 use super::schema::{CATEGORY, EGO_POSE, LIDAR_BOX, LIDAR_PC, SCENE, TRACK, TRAFFIC_LIGHT_STATUS, open_log};
-use super::search::Found;
+use super::search::LogScenario;
 use super::side_index;
 use super::token::Token;
 use super::{RouteFault, route};
@@ -21,7 +21,7 @@ use std::sync::Arc;
 ///
 /// # Errors
 /// When the log, the map or the scenario is unsound; the error names the place.
-pub fn open(maps: &MapStore, found: &Found) -> Result<Scenario, NuPlanError> {
+pub fn open(maps: &MapStore, found: &LogScenario) -> Result<Scenario, NuPlanError> {
     let database = open_log(&found.log)?;
     let rows = Rows::read(&database, found)?;
     let indices = maps.attach_index(&database, rows.times())?;
@@ -57,7 +57,7 @@ pub(super) fn route_ids(database: &Database, token: Token) -> Result<(Token, Opt
     Ok((scene, goal, ids))
 }
 
-fn read_route(database: &Database, found: &Found, map: &NuPlanMap) -> Result<Route, NuPlanError> {
+fn read_route(database: &Database, found: &LogScenario, map: &NuPlanMap) -> Result<Route, NuPlanError> {
     let (scene, goal, ids) = route_ids(database, found.token)?;
     let roadblocks = route::roadblocks(&ids, map).map_err(|fault| NuPlanError::Scenario {
         path: database.path.clone(),
@@ -105,7 +105,7 @@ struct Tracks {
 
 struct Reader<'a> {
     database: &'a Database,
-    indices: &'a side_index::Found,
+    indices: &'a side_index::LogIndex,
     map: &'a NuPlanMap,
     tracks: Tracks,
 }

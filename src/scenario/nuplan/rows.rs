@@ -4,13 +4,13 @@ use super::database::Database;
 use super::error::{NuPlanError, ScenarioFault};
 use super::extraction::{Extraction, ROWS_PER_STEP};
 use super::schema::{CHANNEL, LIDAR, LIDAR_PC};
-use super::search::Found;
+use super::search::LogScenario;
 use super::token::Token;
 use crate::scenario::FUTURE_FRAMES;
 use crate::world::{HISTORY_SAMPLES, MICROS_PER_SECOND};
 
 /// A scenario spans at least this, s; a shorter one is over before the look-ahead of the metrics ends.
-const SHORTEST_S: f64 = 3.0;
+const MIN_DURATION_S: f64 = 3.0;
 
 /// Rows that belong to the sensor of the scenarios.
 const OF_SENSOR: &str = "lidar_token IN (SELECT token FROM lidar WHERE channel = 'MergedPointCloud')";
@@ -36,7 +36,7 @@ pub(super) struct Rows {
 
 impl Rows {
     /// Reads the rows of a scenario. Where the log ends within the window, so does the scenario, as the devkit has it.
-    pub(super) fn read(database: &Database, found: &Found) -> Result<Self, NuPlanError> {
+    pub(super) fn read(database: &Database, found: &LogScenario) -> Result<Self, NuPlanError> {
         let failed = |fault| NuPlanError::Scenario { path: database.path.clone(), token: found.token, fault };
         let (start, end) = Extraction::of(&found.scenario_type).window(found.timestamp_us);
         let mut window = Vec::new();
@@ -46,14 +46,14 @@ impl Rows {
         let (Some(first), Some(last)) = (window.first().copied(), window.last().copied()) else {
             let sensor = database.first(LIDAR, "WHERE channel = ?1", [CHANNEL], |_| Ok(()))?;
             let fault = match sensor {
-                Some(()) => ScenarioFault::TooShort { seconds: 0.0, needed: SHORTEST_S },
+                Some(()) => ScenarioFault::TooShort { seconds: 0.0, needed: MIN_DURATION_S },
                 None => ScenarioFault::NoSensor,
             };
             return Err(failed(fault));
         };
         let seconds = (last.time_us - first.time_us) as f64 / MICROS_PER_SECOND;
-        if seconds < SHORTEST_S {
-            return Err(failed(ScenarioFault::TooShort { seconds, needed: SHORTEST_S }));
+        if seconds < MIN_DURATION_S {
+            return Err(failed(ScenarioFault::TooShort { seconds, needed: MIN_DURATION_S }));
         }
         let mut before = Vec::new();
         let earlier =

@@ -2,13 +2,13 @@
 
 use super::database::{Database, Table};
 use super::error::NuPlanError;
+use super::exclusion::{Exclusion, Exclusions};
 use super::extraction::UNKNOWN_TYPE;
 use super::filter::ScenarioFilter;
-use super::left_out::{LeftOut, Refusal};
 use super::logs::Log;
 use super::map_store::MapStore;
 use super::schema::{EGO_POSE, LIDAR, LIDAR_PC, LOG, SCENARIO_TAG, SCENE, open_log};
-use super::thinning::{self, Thinned};
+use super::thinning::{self, ThinnedScenarios};
 use super::token::Token;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A scenario that a log holds.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Found {
+pub struct LogScenario {
     /// Its log.
     pub log: Arc<Log>,
     /// Token of the tagged `lidar_pc` row.
@@ -32,7 +32,7 @@ pub struct Found {
 
 /// A log that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Unreadable {
+pub struct UnreadableLog {
     /// Which.
     pub log: Arc<Log>,
     /// Why, with its file.
@@ -41,17 +41,17 @@ pub struct Unreadable {
 
 /// What a search gives.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Findings {
+pub struct SearchResult {
     /// The scenarios, in order of their tokens, or shuffled.
-    pub found: Vec<Found>,
+    pub found: Vec<LogScenario>,
     /// Tokens of the filter that no log holds, in order.
     pub absent: Vec<Token>,
     /// Tokens of the filter that a log holds but that are no scenario of this filter, in order.
-    pub refused: Vec<(Token, Refusal)>,
+    pub refused: Vec<(Token, Exclusion)>,
     /// What was looked at and not taken.
-    pub left_out: LeftOut,
+    pub left_out: Exclusions,
     /// Logs that were passed over, in order of their name: what they hold is not known.
-    pub unreadable: Vec<Unreadable>,
+    pub unreadable: Vec<UnreadableLog>,
 }
 
 /// Finds the scenarios of a filter in logs, on all threads; `progress` is told how many logs of how many are searched.
@@ -63,7 +63,7 @@ pub fn find(
     filter: &ScenarioFilter,
     maps: &MapStore,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Findings, NuPlanError> {
+) -> Result<SearchResult, NuPlanError> {
     let done = AtomicUsize::new(0);
     let searched = logs.par_iter().map(|log| {
         let found = search_log(log, filter);
@@ -71,9 +71,9 @@ pub fn find(
         found
     });
     let searched: Vec<Result<Option<InLog>, NuPlanError>> = searched.collect();
-    let mut findings = Findings::default();
+    let mut findings = SearchResult::default();
     let mut held: BTreeMap<Token, &Log> = BTreeMap::new();
-    let mut refused: BTreeMap<Token, Refusal> = BTreeMap::new();
+    let mut refused: BTreeMap<Token, Exclusion> = BTreeMap::new();
     let mut found = Vec::new();
     let mut first_error = None;
     for (log, searched) in logs.iter().zip(searched) {
@@ -84,7 +84,7 @@ pub fn find(
                 continue;
             }
             Err(error) => {
-                findings.unreadable.push(Unreadable { log: log.clone(), cause: error.to_string() });
+                findings.unreadable.push(UnreadableLog { log: log.clone(), cause: error.to_string() });
                 first_error.get_or_insert(error);
                 continue;
             }
@@ -105,7 +105,7 @@ pub fn find(
     if let Some(error) = first_error.filter(|_| findings.left_out.logs == 0) {
         return Err(error);
     }
-    let Thinned { kept, refused: thinned } = thinning::thin(found, filter, maps)?;
+    let ThinnedScenarios { kept, refused: thinned } = thinning::thin(found, filter, maps)?;
     for (_, refusal) in &thinned {
         *findings.left_out.rows.entry(*refusal).or_default() += 1;
     }
@@ -138,11 +138,11 @@ pub fn tag_types(logs: &[Arc<Log>]) -> Result<Vec<String>, NuPlanError> {
 /// What one log holds of a filter.
 #[derive(Default)]
 struct InLog {
-    found: Vec<Found>,
+    found: Vec<LogScenario>,
     /// Tokens of the filter that are no scenario of it.
-    refused: Vec<(Token, Refusal)>,
+    refused: Vec<(Token, Exclusion)>,
     /// Rows that are no scenario of the filter.
-    left_out: BTreeMap<Refusal, usize>,
+    left_out: BTreeMap<Exclusion, usize>,
 }
 
 /// A row that may be a scenario.
@@ -177,20 +177,20 @@ fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<Option<InLog>, 
         let map_name = maps.get(&candidate.lidar);
         let scene = candidate.scene.and_then(|scene| scenes.get(&scene));
         let refusal = if !named {
-            Some(Refusal::OtherLog)
+            Some(Exclusion::OtherLog)
         } else if !scene.is_some_and(|scene| scene.is_valid) || map_name.is_none() {
-            Some(Refusal::SceneAtEdge)
+            Some(Exclusion::SceneAtEdge)
         } else if filter.scenario_types.is_some() && tag.is_none() {
-            Some(Refusal::OtherType)
+            Some(Exclusion::OtherType)
         } else if map_name.is_some_and(|map| filter.map_names.as_ref().is_some_and(|names| !names.contains(map))) {
-            Some(Refusal::OtherMap)
+            Some(Exclusion::OtherMap)
         } else if filter.remove_invalid_goals && !scene.is_some_and(|scene| scene.has_goal) {
-            Some(Refusal::NoGoal)
+            Some(Exclusion::NoGoal)
         } else {
             None
         };
         match refusal {
-            None => in_log.found.push(Found {
+            None => in_log.found.push(LogScenario {
                 log: log.clone(),
                 token: candidate.token,
                 scenario_type: tag.cloned().unwrap_or_else(|| UNKNOWN_TYPE.to_owned()),

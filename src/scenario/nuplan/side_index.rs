@@ -34,7 +34,7 @@ pub(super) struct SideIndices {
 
 /// How rows of a log are found by a column.
 #[derive(Debug, Default)]
-pub(super) struct Found {
+pub(super) struct LogIndex {
     /// The tables that are searched by an index of ours.
     aside: Vec<&'static str>,
     /// Where that index is: the attached file, or memory.
@@ -43,7 +43,7 @@ pub(super) struct Found {
     pub(super) note: Option<String>,
 }
 
-impl Found {
+impl LogIndex {
     /// The query behind the name of a table that finds rows by a column: with the attached index, else by the table's own.
     pub(super) fn search(&self, table: Table, column: &str) -> String {
         let (name, schema) = (table.name, self.schema);
@@ -68,7 +68,7 @@ impl SideIndices {
 
     /// Makes sure that each searched table has an index, and attaches the file that holds the missing ones. Where no file can be
     /// kept, the rows from one time to another (µs) are looked up once and remembered in memory.
-    pub(super) fn attach(&self, log: &Database, times: (i64, i64)) -> Result<Found, NuPlanError> {
+    pub(super) fn attach(&self, log: &Database, times: (i64, i64)) -> Result<LogIndex, NuPlanError> {
         let mut missing = Vec::new();
         for (table, column) in SEARCHED {
             if !log.is_indexed(table.name, column)? {
@@ -76,18 +76,22 @@ impl SideIndices {
             }
         }
         if missing.is_empty() {
-            return Ok(Found::default());
+            return Ok(LogIndex::default());
         }
         match self.file_for(log, &missing) {
             Ok(file) => {
                 let attached = log.connection.execute("ATTACH DATABASE ?1 AS side", [immutable_uri(&file)]);
                 attached.map_err(|source| log.failed("the attached index", source))?;
-                Ok(Found { aside: missing.into_iter().map(|(table, _)| table).collect(), schema: "side", note: None })
+                Ok(LogIndex {
+                    aside: missing.into_iter().map(|(table, _)| table).collect(),
+                    schema: "side",
+                    note: None,
+                })
             }
             Err(IndexError::Log(error)) => Err(error),
             Err(IndexError::Cache(reason)) => {
                 remember(log, &missing, times)?;
-                Ok(Found {
+                Ok(LogIndex {
                     aside: missing.into_iter().map(|(table, _)| table).collect(),
                     schema: "temp",
                     note: Some(format!(

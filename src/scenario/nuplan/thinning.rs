@@ -5,15 +5,15 @@
 //! (devkit `_filter_scenarios_by_timestamp`).
 
 use super::error::NuPlanError;
+use super::exclusion::Exclusion;
 use super::extraction::{ROW_S, ROWS_PER_STEP, UNKNOWN_TYPE};
 use super::filter::{Limit, SPEED_NOISE, ScenarioFilter, THRESHOLD_KEY, ThresholdScope, TokenSet};
-use super::left_out::Refusal;
 use super::logs::Log;
 use super::map_store::{MapStore, NuPlanMap};
 use super::open::{ego_of, route_ids};
 use super::rows::Rows;
 use super::schema::{EGO_POSE, open_log};
-use super::search::Found;
+use super::search::LogScenario;
 use super::token::Token;
 use crate::world::{EgoState, MICROS_PER_SECOND, STEP_S};
 use rand::SeedableRng;
@@ -23,21 +23,25 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-type ByType = BTreeMap<String, Vec<Found>>;
+type ByType = BTreeMap<String, Vec<LogScenario>>;
 
 /// What the filters left.
-pub(super) struct Thinned {
+pub(super) struct ThinnedScenarios {
     /// The scenarios, in order of their tokens, or shuffled.
-    pub(super) kept: Vec<Found>,
+    pub(super) kept: Vec<LogScenario>,
     /// The others, each with what took it out.
-    pub(super) refused: Vec<(Token, Refusal)>,
+    pub(super) refused: Vec<(Token, Exclusion)>,
 }
 
 /// Applies the filters.
 ///
 /// # Errors
 /// When the token set or a map that a filter needs cannot be read.
-pub(super) fn thin(found: Vec<Found>, filter: &ScenarioFilter, maps: &MapStore) -> Result<Thinned, NuPlanError> {
+pub(super) fn thin(
+    found: Vec<LogScenario>,
+    filter: &ScenarioFilter,
+    maps: &MapStore,
+) -> Result<ThinnedScenarios, NuPlanError> {
     let mut dice = filter.shuffle.then(|| Pcg64Mcg::seed_from_u64(filter.seed));
     let mut ledger = Ledger { left: found.iter().map(|one| one.token).collect(), refused: Vec::new() };
     let mut by_type = ByType::new();
@@ -60,7 +64,7 @@ pub(super) fn thin(found: Vec<Found>, filter: &ScenarioFilter, maps: &MapStore) 
         }
         ledger.strike(THRESHOLD_KEY, &by_type);
     }
-    let mut kept: Vec<Found> = by_type.into_values().flatten().collect();
+    let mut kept: Vec<LogScenario> = by_type.into_values().flatten().collect();
     if filter.looks_inside() {
         let set = filter.token_set.as_ref().map(read_token_set).transpose()?;
         let judged = kept.into_par_iter().map(|one| refusal(&one, filter, set.as_ref(), maps).map(|told| (one, told)));
@@ -77,26 +81,26 @@ pub(super) fn thin(found: Vec<Found>, filter: &ScenarioFilter, maps: &MapStore) 
     if let Some(dice) = &mut dice {
         kept.shuffle(dice);
     }
-    Ok(Thinned { kept, refused: ledger.refused })
+    Ok(ThinnedScenarios { kept, refused: ledger.refused })
 }
 
 /// Which scenarios are left, and what took the others out.
 struct Ledger {
     left: BTreeSet<Token>,
-    refused: Vec<(Token, Refusal)>,
+    refused: Vec<(Token, Exclusion)>,
 }
 
 impl Ledger {
     /// Notes that of those that were left the ones that are not in `kept` went because of a field of the filter.
     fn strike(&mut self, key: &'static str, kept: &ByType) {
         let kept: BTreeSet<Token> = kept.values().flatten().map(|one| one.token).collect();
-        self.refused.extend(self.left.difference(&kept).map(|&token| (token, Refusal::Filtered(key))));
+        self.refused.extend(self.left.difference(&kept).map(|&token| (token, Exclusion::Filtered(key))));
         self.left = kept;
     }
 }
 
 /// `count` scenarios: drawn at random, else evenly spaced from the first on.
-fn sample(scenarios: Vec<Found>, count: usize, dice: Option<&mut Pcg64Mcg>) -> Vec<Found> {
+fn sample(scenarios: Vec<LogScenario>, count: usize, dice: Option<&mut Pcg64Mcg>) -> Vec<LogScenario> {
     if let Some(dice) = dice.filter(|_| count < scenarios.len()) {
         return scenarios.sample(dice, count).cloned().collect();
     }
@@ -122,7 +126,7 @@ fn limited(mut by_type: ByType, limit: Limit, dice: Option<&mut Pcg64Mcg>) -> By
         by_type.insert(UNKNOWN_TYPE.to_owned(), sample(unknown, kept, dice));
         return by_type;
     }
-    let mut all: Vec<Found> = by_type.into_values().flatten().collect();
+    let mut all: Vec<LogScenario> = by_type.into_values().flatten().collect();
     all.sort_by_key(|one| one.token);
     let mut kept = ByType::new();
     for one in sample(all, wanted, dice) {
@@ -132,7 +136,7 @@ fn limited(mut by_type: ByType, limit: Limit, dice: Option<&mut Pcg64Mcg>) -> By
 }
 
 /// In order of time, those that begin at least so long after the one before that was kept.
-fn apart(mut scenarios: Vec<Found>, seconds: f64, scope: ThresholdScope) -> Vec<Found> {
+fn apart(mut scenarios: Vec<LogScenario>, seconds: f64, scope: ThresholdScope) -> Vec<LogScenario> {
     scenarios.sort_by_key(|one| one.timestamp_us);
     let mut next: BTreeMap<Option<Arc<Log>>, f64> = BTreeMap::new();
     scenarios.retain(|one| {
@@ -162,14 +166,14 @@ fn read_token_set(set: &TokenSet) -> Result<(BTreeSet<Token>, f64), NuPlanError>
 /// What of the filters that look at its rows takes a scenario out. One that could not be driven (too short, without route) does not
 /// pass; one whose log is damaged does, for nobody can say, and its drive will fail with the damage.
 fn refusal(
-    found: &Found,
+    found: &LogScenario,
     filter: &ScenarioFilter,
     set: Option<&(BTreeSet<Token>, f64)>,
     maps: &MapStore,
-) -> Result<Option<Refusal>, NuPlanError> {
+) -> Result<Option<Exclusion>, NuPlanError> {
     let route = filter.ego_route_radius.map(|radius| maps.map(&found.map_name).map(|map| (radius, map))).transpose()?;
     match refused_inside(found, filter, set, route.as_ref()) {
-        Err(NuPlanError::Scenario { .. }) => Ok(Some(Refusal::NotDrivable)),
+        Err(NuPlanError::Scenario { .. }) => Ok(Some(Exclusion::NotDrivable)),
         Err(_) => Ok(None),
         judged => judged,
     }
@@ -178,11 +182,11 @@ fn refusal(
 /// The first field of the filter that a scenario's rows do not satisfy; `route` is the radius in metres within
 /// which a lane of the route must lie, and the map.
 fn refused_inside(
-    found: &Found,
+    found: &LogScenario,
     filter: &ScenarioFilter,
     set: Option<&(BTreeSet<Token>, f64)>,
     route: Option<&(f64, Arc<NuPlanMap>)>,
-) -> Result<Option<Refusal>, NuPlanError> {
+) -> Result<Option<Exclusion>, NuPlanError> {
     let database = open_log(&found.log)?;
     let rows = Rows::read(&database, found)?;
     let iterations: Vec<_> = rows.iterations().collect();
@@ -190,7 +194,7 @@ fn refused_inside(
         Some(row) => database.first(EGO_POSE, "WHERE token = ?1", [row.ego_pose], |record| ego_of(record, row.time_us)),
         None => Ok(None),
     };
-    let Some(start) = ego(0)? else { return Ok(Some(Refusal::NotDrivable)) };
+    let Some(start) = ego(0)? else { return Ok(Some(Exclusion::NotDrivable)) };
     let moves = filter.ego_displacement_minimum_m.is_some()
         || filter.ego_start_speed_threshold.is_some()
         || filter.ego_stop_speed_threshold.is_some();
@@ -204,20 +208,20 @@ fn refused_inside(
         let starts = |threshold: f64| crosses(&start, &future, threshold, noise).0;
         let stops = |threshold: f64| crosses(&start, &future, threshold, noise).1;
         if filter.ego_displacement_minimum_m.is_some_and(|metres| displacement(&future) < metres) {
-            return Ok(Some(Refusal::Filtered("ego_displacement_minimum_m")));
+            return Ok(Some(Exclusion::Filtered("ego_displacement_minimum_m")));
         }
         if !filter.ego_start_speed_threshold.is_none_or(starts) {
-            return Ok(Some(Refusal::Filtered("ego_start_speed_threshold")));
+            return Ok(Some(Exclusion::Filtered("ego_start_speed_threshold")));
         }
         if !filter.ego_stop_speed_threshold.is_none_or(stops) {
-            return Ok(Some(Refusal::Filtered("ego_stop_speed_threshold")));
+            return Ok(Some(Exclusion::Filtered("ego_stop_speed_threshold")));
         }
     }
     if let Some((set, fraction)) = set {
         let own: BTreeSet<Token> = iterations.iter().map(|row| row.token).collect();
         let share = own.intersection(set).count() as f64 / own.len() as f64;
         if !(if *fraction >= 1.0 { own == *set } else { share > *fraction }) {
-            return Ok(Some(Refusal::Filtered("fraction_in_token_set_threshold")));
+            return Ok(Some(Exclusion::Filtered("fraction_in_token_set_threshold")));
         }
     }
     if let Some((radius, map)) = route {
@@ -226,7 +230,7 @@ fn refused_inside(
         let here = map.to_local(start.rear_axle).position();
         let near = map.lanes.lanes_near(here, *radius);
         if !near.iter().any(|&lane| on_route.contains(&map.lanes[lane].roadblock)) {
-            return Ok(Some(Refusal::Filtered("ego_route_radius")));
+            return Ok(Some(Exclusion::Filtered("ego_route_radius")));
         }
     }
     Ok(None)

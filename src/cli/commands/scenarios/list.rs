@@ -7,7 +7,7 @@ use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::source::{ScenarioSource, SourceError, recordings_in};
 use crate::experiment::split::split;
 use crate::scenario::generator::{ScenarioType, Spec};
-use crate::scenario::nuplan::Found;
+use crate::scenario::nuplan::LogScenario;
 use crate::scenario::{UNKNOWN_TYPE, argoverse2, womd};
 use crate::world::STEP_S;
 use anyhow::anyhow;
@@ -21,7 +21,7 @@ impl About {
         Self { id, source, scenario_type, log_name, iterations: None, lanes: None }
     }
 
-    fn nuplan(found: &Found, source: String) -> Self {
+    fn nuplan(found: &LogScenario, source: String) -> Self {
         let (id, scenario_type, log_name) =
             (found.token.to_string(), found.scenario_type.clone(), found.log.name.clone());
         Self { id, source, scenario_type, log_name, iterations: None, lanes: None }

@@ -4,8 +4,8 @@ use super::boundary::borders;
 use super::graph::{ConnectorRow, Graph, LaneRow};
 use super::lane_order::{changed_neighbors, lane_indices};
 use super::layers::{self, Layer};
-use super::package::{Feature, Filled};
-use super::placement::{Placed, Placement, ShapeError};
+use super::package::{Feature, LayerRows};
+use super::placement::{Placement, ShapeError, StoredShape};
 use super::stops::{StopRow, stop_rows};
 use crate::geometry::{Polygon, Polyline};
 use crate::world::{LaneId, LaneKind, LaneMap};
@@ -22,14 +22,14 @@ const PASS_THROUGH: i64 = 5;
 const VEHICLE_LANE: i64 = 0;
 
 /// A layer while it is filled.
-struct Filling(Filled);
+struct LayerBuilder(LayerRows);
 
-impl Filling {
+impl LayerBuilder {
     fn new(layer: Layer) -> Self {
-        Self(Filled { layer, features: Vec::new(), bounds: None })
+        Self(LayerRows { layer, features: Vec::new(), bounds: None })
     }
 
-    fn push(&mut self, fid: i64, (geometry, around): Placed, values: Vec<(&'static str, Value)>) {
+    fn push(&mut self, fid: i64, (geometry, around): StoredShape, values: Vec<(&'static str, Value)>) {
         let [west, south, east, north] = self.0.bounds.unwrap_or(around);
         let [w, s, e, n] = around;
         self.0.bounds = Some([west.min(w), south.min(s), east.max(e), north.max(n)]);
@@ -45,7 +45,7 @@ impl Filling {
 ///
 /// # Errors
 /// When a shape lies outside the projection.
-pub(super) fn layers(map: &LaneMap, graph: &mut Graph, place: &Placement) -> Result<Vec<Filled>, ShapeError> {
+pub(super) fn layers(map: &LaneMap, graph: &mut Graph, place: &Placement) -> Result<Vec<LayerRows>, ShapeError> {
     let indices: BTreeMap<LaneId, i64> = map
         .roadblocks()
         .iter()
@@ -55,8 +55,11 @@ pub(super) fn layers(map: &LaneMap, graph: &mut Graph, place: &Placement) -> Res
     graph.departures.neighbors_changed += changed_neighbors(map, &indices);
     let stops = stop_rows(map, graph);
     graph.departures.stop_lines_put_in += stops.iter().filter(|stop| stop.put_in).count();
-    let mut lines =
-        Lines { place, baselines: Filling::new(layers::BASELINE_PATHS), boundaries: Filling::new(layers::BOUNDARIES) };
+    let mut lines = Lines {
+        place,
+        baselines: LayerBuilder::new(layers::BASELINE_PATHS),
+        boundaries: LayerBuilder::new(layers::BOUNDARIES),
+    };
     let mut edges: BTreeMap<i64, GroupEdges> = BTreeMap::new();
     let lanes = lanes(map, graph, &indices, &mut lines, &mut edges)?;
     let [connectors, connector_areas] = connectors(map, graph, &stops, &mut lines, &mut edges)?;
@@ -69,15 +72,15 @@ pub(super) fn layers(map: &LaneMap, graph: &mut Graph, place: &Placement) -> Res
     all.push(plain(layers::CARPARK_AREAS, map.carparks())?);
     all.push(plain(layers::ROAD_SEGMENTS, map.road_segments())?);
     all.push(plain(layers::GENERIC_DRIVABLE_AREAS, map.generic_drivable())?);
-    all.extend(layers::EMPTY.into_iter().map(Filling::new));
+    all.extend(layers::EMPTY.into_iter().map(LayerBuilder::new));
     Ok(all.into_iter().map(|filling| filling.0).collect())
 }
 
 /// Baseline paths and borders, which lanes and connectors share as layers.
 struct Lines<'a> {
     place: &'a Placement,
-    baselines: Filling,
-    boundaries: Filling,
+    baselines: LayerBuilder,
+    boundaries: LayerBuilder,
 }
 
 impl Lines<'_> {
@@ -122,8 +125,8 @@ fn lanes(
     indices: &BTreeMap<LaneId, i64>,
     lines: &mut Lines<'_>,
     edges: &mut BTreeMap<i64, GroupEdges>,
-) -> Result<Filling, ShapeError> {
-    let mut layer = Filling::new(layers::LANES);
+) -> Result<LayerBuilder, ShapeError> {
+    let mut layer = LayerBuilder::new(layers::LANES);
     for row in &graph.lanes {
         let LaneRow { fid, centerline, polygon, group, source } = row;
         let index = source.and_then(|lane| indices.get(&lane).copied()).unwrap_or_default();
@@ -154,9 +157,9 @@ fn connectors(
     stops: &[StopRow],
     lines: &mut Lines<'_>,
     edges: &mut BTreeMap<i64, GroupEdges>,
-) -> Result<[Filling; 2], ShapeError> {
-    let mut layer = Filling::new(layers::LANE_CONNECTORS);
-    let mut areas = Filling::new(layers::CONNECTOR_AREAS);
+) -> Result<[LayerBuilder; 2], ShapeError> {
+    let mut layer = LayerBuilder::new(layers::LANE_CONNECTORS);
+    let mut areas = LayerBuilder::new(layers::CONNECTOR_AREAS);
     let group_of: BTreeMap<i64, i64> = graph.lanes.iter().map(|row| (row.fid, row.group)).collect();
     for (place, row) in graph.connectors.iter().enumerate() {
         let ConnectorRow { fid, centerline, polygon, exit_lane, entry_lane, group, source } = row;
@@ -195,17 +198,17 @@ fn groups(
     graph: &Graph,
     place: &Placement,
     edges: &BTreeMap<i64, GroupEdges>,
-) -> Result<[Filling; 2], ShapeError> {
+) -> Result<[LayerBuilder; 2], ShapeError> {
     let borders = |fid: i64| {
         let known = edges.get(&fid);
         let (left, right) = (known.map(|edges| edges.left.1), known.map(|edges| edges.right.1));
         [("left_boundary_fid", left.into()), ("right_boundary_fid", right.into())]
     };
-    let mut layer = Filling::new(layers::LANE_GROUPS);
+    let mut layer = LayerBuilder::new(layers::LANE_GROUPS);
     for row in &graph.groups {
         layer.push(row.fid, place.union(&row.areas)?, borders(row.fid).to_vec());
     }
-    let mut connecting = Filling::new(layers::LANE_GROUP_CONNECTORS);
+    let mut connecting = LayerBuilder::new(layers::LANE_GROUP_CONNECTORS);
     for row in &graph.group_connectors {
         let first = graph.connectors.iter().find(|connector| connector.group == row.fid);
         let intersection = first.and_then(|connector| intersection_of(map, &connector.centerline));
@@ -227,8 +230,8 @@ fn intersection_of(map: &LaneMap, centerline: &Polyline) -> Option<i64> {
 }
 
 /// Intersections, with the kind that their connectors tell.
-fn intersections(map: &LaneMap, place: &Placement) -> Result<Filling, ShapeError> {
-    let mut layer = Filling::new(layers::INTERSECTIONS);
+fn intersections(map: &LaneMap, place: &Placement) -> Result<LayerBuilder, ShapeError> {
+    let mut layer = LayerBuilder::new(layers::INTERSECTIONS);
     for area in map.intersections() {
         let fid = layer.next_fid();
         let inside = map
@@ -248,8 +251,8 @@ fn intersections(map: &LaneMap, place: &Placement) -> Result<Filling, ShapeError
     Ok(layer)
 }
 
-fn stop_polygons(stops: &[StopRow], place: &Placement) -> Result<Filling, ShapeError> {
-    let mut layer = Filling::new(layers::STOP_POLYGONS);
+fn stop_polygons(stops: &[StopRow], place: &Placement) -> Result<LayerBuilder, ShapeError> {
+    let mut layer = LayerBuilder::new(layers::STOP_POLYGONS);
     for stop in stops {
         let values = vec![
             ("stop_polygon_type_fid", stop.kind.into()),
@@ -262,8 +265,8 @@ fn stop_polygons(stops: &[StopRow], place: &Placement) -> Result<Filling, ShapeE
 }
 
 /// A layer of areas that say nothing but where they are.
-fn plain(layer: Layer, areas: &[Polygon], place: &Placement) -> Result<Filling, ShapeError> {
-    let mut filling = Filling::new(layer);
+fn plain(layer: Layer, areas: &[Polygon], place: &Placement) -> Result<LayerBuilder, ShapeError> {
+    let mut filling = LayerBuilder::new(layer);
     for area in areas {
         filling.push(filling.next_fid(), place.polygon(area)?, Vec::new());
     }

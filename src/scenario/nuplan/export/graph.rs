@@ -120,7 +120,7 @@ impl Graph {
     /// # Errors
     /// When a piece that must be put in has no extent.
     pub(super) fn of(map: &LaneMap) -> Result<Self, GeometryError> {
-        Fitting::new(map).fit()
+        GraphBuilder::new(map).fit()
     }
 
     /// Ids of the connectors that stand for each connector of the map.
@@ -135,7 +135,7 @@ impl Graph {
     }
 }
 
-struct Fitting<'m> {
+struct GraphBuilder<'m> {
     map: &'m LaneMap,
     lane_fids: Vec<i64>,
     free: FreeIds,
@@ -146,7 +146,7 @@ struct Fitting<'m> {
     graph: Graph,
 }
 
-impl<'m> Fitting<'m> {
+impl<'m> GraphBuilder<'m> {
     fn new(map: &'m LaneMap) -> Self {
         let lane_fids = feature_ids(map.lanes().iter().map(|lane| (lane.kind, lane.source_id)));
         let block_fids = feature_ids(map.roadblocks().iter().map(|block| (block.kind, block.source_id)));

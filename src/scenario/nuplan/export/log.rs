@@ -34,7 +34,7 @@ const ANCHOR_SCENE: usize = 2;
 
 /// What a log says beside its rows.
 #[derive(Debug, Clone)]
-pub(super) struct LogFacts<'a> {
+pub(super) struct LogHeader<'a> {
     /// Name of the log, which is the stem of its file.
     pub(super) log: &'a str,
     /// Name of its map.
@@ -60,7 +60,7 @@ pub(super) fn anchor_token(log: &str, timeline: &Timeline<'_>) -> Token {
 /// What SQLite says.
 pub(super) fn write_log(
     path: &Path,
-    facts: &LogFacts<'_>,
+    facts: &LogHeader<'_>,
     scenario: &Scenario,
     timeline: &Timeline<'_>,
 ) -> rusqlite::Result<()> {
@@ -83,7 +83,7 @@ pub(super) fn write_log(
 
 struct Writer<'a> {
     transaction: &'a Transaction<'a>,
-    facts: &'a LogFacts<'a>,
+    facts: &'a LogHeader<'a>,
     tokens: Tokens<'a>,
     timeline: &'a Timeline<'a>,
 }

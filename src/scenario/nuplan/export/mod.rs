@@ -33,8 +33,8 @@ use crate::geometry::{GeometryError, Point};
 use crate::scenario::Scenario;
 use crate::world::LaneMap;
 use graph::Graph;
-use log::LogFacts;
-use package::Filled;
+use log::LogHeader;
+use package::LayerRows;
 use placement::Placement;
 use serde_json::json;
 use staging::Staging;
@@ -267,7 +267,7 @@ impl Writer<'_> {
         }
         let connectors = graph.connectors_by_lane();
         let route = route::route_ids(&scenario.map, &graph, &scenario.route.roadblocks);
-        let facts = LogFacts {
+        let facts = LogHeader {
             log: &log,
             location: &location,
             epsg: self.place.utm.epsg(),
@@ -319,7 +319,7 @@ impl Writer<'_> {
 }
 
 /// A hash over every row of every layer.
-fn content_hash(layers: &[Filled], epsg: u32) -> blake3::Hash {
+fn content_hash(layers: &[LayerRows], epsg: u32) -> blake3::Hash {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&epsg.to_le_bytes());
     for filled in layers {

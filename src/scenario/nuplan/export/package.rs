@@ -64,7 +64,7 @@ pub(super) struct Feature {
 
 /// A layer with its rows.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Filled {
+pub(super) struct LayerRows {
     /// Which layer.
     pub(super) layer: Layer,
     /// Its rows.
@@ -77,7 +77,7 @@ pub(super) struct Filled {
 ///
 /// # Errors
 /// What SQLite says.
-pub(super) fn write_package(path: &Path, meta: &[(&str, String)], layers: &[Filled]) -> rusqlite::Result<()> {
+pub(super) fn write_package(path: &Path, meta: &[(&str, String)], layers: &[LayerRows]) -> rusqlite::Result<()> {
     let mut connection = Connection::open(path)?;
     connection.execute_batch("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")?;
     connection.pragma_update(None, "application_id", APPLICATION_ID)?;
@@ -117,7 +117,7 @@ fn write_reference_systems(transaction: &Transaction<'_>) -> rusqlite::Result<()
     Ok(())
 }
 
-fn write_layer(transaction: &Transaction<'_>, filled: &Filled) -> rusqlite::Result<()> {
+fn write_layer(transaction: &Transaction<'_>, filled: &LayerRows) -> rusqlite::Result<()> {
     let Layer { name, geometry, columns } = filled.layer;
     let columns: Vec<String> = columns.iter().map(|(column, kind)| format!("{column} {kind}")).collect();
     let columns = columns.join(", ");

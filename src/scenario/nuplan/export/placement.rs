@@ -27,14 +27,14 @@ pub(super) struct Placement {
 }
 
 /// A shape as it is stored, and its smallest and largest longitude and latitude: west, south, east, north.
-pub(super) type Placed = (Vec<u8>, [f64; 4]);
+pub(super) type StoredShape = (Vec<u8>, [f64; 4]);
 
 impl Placement {
     /// A line, stored.
     ///
     /// # Errors
     /// When it lies outside the projection.
-    pub(super) fn line(&self, line: &Polyline) -> Result<Placed, ShapeError> {
+    pub(super) fn line(&self, line: &Polyline) -> Result<StoredShape, ShapeError> {
         let line = self.degrees(line.vertices())?;
         let bounds = bounds(line.coords());
         Ok((encode_line(line, WGS84)?, bounds))
@@ -44,7 +44,7 @@ impl Placement {
     ///
     /// # Errors
     /// When it lies outside the projection.
-    pub(super) fn polygon(&self, polygon: &Polygon) -> Result<Placed, ShapeError> {
+    pub(super) fn polygon(&self, polygon: &Polygon) -> Result<StoredShape, ShapeError> {
         self.outline(&to_geo(polygon))
     }
 
@@ -52,7 +52,7 @@ impl Placement {
     ///
     /// # Errors
     /// When it lies outside the projection.
-    pub(super) fn union(&self, pieces: &[Polygon]) -> Result<Placed, ShapeError> {
+    pub(super) fn union(&self, pieces: &[Polygon]) -> Result<StoredShape, ShapeError> {
         if let [only] = pieces {
             return self.polygon(only);
         }
@@ -67,7 +67,7 @@ impl Placement {
         Ok((encode_polygons(placed, WGS84)?, bounds))
     }
 
-    fn outline(&self, polygon: &geo::Polygon<f64>) -> Result<Placed, ShapeError> {
+    fn outline(&self, polygon: &geo::Polygon<f64>) -> Result<StoredShape, ShapeError> {
         let placed = self.degrees_of(polygon)?;
         let bounds = bounds(placed.exterior().coords());
         Ok((encode_polygon(placed, WGS84)?, bounds))

@@ -5,7 +5,7 @@ use crate::world::{LaneKind, LaneMap, RoadblockId};
 use std::collections::{BTreeMap, VecDeque};
 
 /// Roadblocks that are put in between two of the route at most: a connector, or a connector, a lane and a connector.
-const LONGEST_GAP: usize = 3;
+const MAX_GAP: usize = 3;
 
 /// Ids of the route's roadblocks and roadblock connectors, those that the written map has between them included.
 pub(super) fn route_ids(map: &LaneMap, graph: &Graph, route: &[RoadblockId]) -> Vec<i64> {
@@ -39,7 +39,7 @@ fn written(map: &LaneMap, graph: &Graph, block: RoadblockId) -> Vec<i64> {
     graph.group_connectors.iter().filter(|row| row.source == Some(block)).map(|row| row.fid).collect()
 }
 
-/// What lies between two rows on the shortest way; `None` when that is more than [`LONGEST_GAP`] rows.
+/// What lies between two rows on the shortest way; `None` when that is more than [`MAX_GAP`] rows.
 fn way(onward: &BTreeMap<i64, Vec<i64>>, from: i64, to: i64) -> Option<Vec<i64>> {
     let mut queue = VecDeque::from([vec![from]]);
     while let Some(path) = queue.pop_front() {
@@ -48,7 +48,7 @@ fn way(onward: &BTreeMap<i64, Vec<i64>>, from: i64, to: i64) -> Option<Vec<i64>>
         if next.contains(&to) {
             return Some(path[1..].to_vec());
         }
-        if path.len() <= LONGEST_GAP {
+        if path.len() <= MAX_GAP {
             queue.extend(next.iter().map(|&fid| [path.as_slice(), &[fid]].concat()));
         }
     }

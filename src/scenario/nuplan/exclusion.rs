@@ -5,7 +5,7 @@ use std::fmt;
 
 /// Why a row of a log is not among the scenarios of a filter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Refusal {
+pub enum Exclusion {
     /// Its scene is one of the first two or last two of the log, or none.
     SceneAtEdge,
     /// It has no tag of the types that were asked for.
@@ -22,7 +22,7 @@ pub enum Refusal {
     Filtered(&'static str),
 }
 
-impl Refusal {
+impl Exclusion {
     /// The field of the filter that decided, else the rule, in words.
     fn key(self) -> &'static str {
         match self {
@@ -37,7 +37,7 @@ impl Refusal {
     }
 }
 
-impl fmt::Display for Refusal {
+impl fmt::Display for Exclusion {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::SceneAtEdge => "its scene is among the first two or last two of the log",
@@ -53,23 +53,23 @@ impl fmt::Display for Refusal {
 
 /// What a search looked at and did not take, counted.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct LeftOut {
+pub struct Exclusions {
     /// Logs that were searched.
     pub logs: usize,
     /// Logs that were not even opened: `log_names` does not name them.
     pub other_logs: usize,
     /// Rows by what took them out.
-    pub rows: BTreeMap<Refusal, usize>,
+    pub rows: BTreeMap<Exclusion, usize>,
 }
 
-impl LeftOut {
+impl Exclusions {
     /// Rows that a field of the filter took out.
     pub fn by(&self, key: &'static str) -> usize {
-        self.rows.get(&Refusal::Filtered(key)).copied().unwrap_or_default()
+        self.rows.get(&Exclusion::Filtered(key)).copied().unwrap_or_default()
     }
 }
 
-impl fmt::Display for LeftOut {
+impl fmt::Display for Exclusions {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.logs == 0 {
             return write!(f, "log_names names none of the {} logs", self.other_logs);
