@@ -13,7 +13,7 @@ use planagent::internals::environment::{BevView, CenterlineName, DEFAULT_NODE_LE
 use planagent::internals::experiment::nuplan_data::NuPlanData;
 use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::geometry::{OrientedBox, Vector};
-use planagent::internals::metrics::{Drive, evaluate};
+use planagent::internals::metrics::{EvaluatedSimulation, evaluate};
 use planagent::internals::pdm::{
     Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, Way, plan_along, score_proposals, simulate_proposals,
 };
@@ -167,7 +167,7 @@ fn engine(c: &mut Criterion) {
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
     let code = PlannerCode {
         centerline: CenterlineName::EgoLane.to_string(),
-        leader: None,
+        lead_agent: None,
         target_speed: 10.0,
         accel_max: 1.5,
         decel_max: 3.0,
@@ -197,7 +197,9 @@ fn engine(c: &mut Criterion) {
     });
     let log = simulate(&scenario, &mut LogReplay::new(expert.clone()), Challenge::ClosedLoopNonreactiveAgents).unwrap();
     c.bench_function("metrics of a finished drive", |b| {
-        b.iter(|| evaluate(&Drive { map: &scenario.map, samples: &log.samples, expert: &expert }).unwrap());
+        b.iter(|| {
+            evaluate(&EvaluatedSimulation { map: &scenario.map, samples: &log.samples, expert: &expert }).unwrap()
+        });
     });
 }
 

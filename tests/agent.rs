@@ -252,7 +252,7 @@ pub(crate) fn planner_at<'a>(
 ) -> planagent::internals::reflection::GeneratedPlanner {
     let code = PlannerCode {
         centerline: CenterlineName::EgoLane.to_string(),
-        leader: None,
+        lead_agent: None,
         target_speed,
         accel_max: 2.0,
         decel_max: 3.0,
@@ -268,7 +268,9 @@ fn reflection_refuses_to_run_into_the_leader_and_accepts_to_follow_it() {
         let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
         let scene = drive.scene();
         let Ok(graph) = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH) else { continue };
-        let close = graph.leader(CenterlineName::EgoLane).is_some_and(|leader| leader.gap < 6.0 && leader.speed < 0.5);
+        let close = graph
+            .lead_agent(CenterlineName::EgoLane)
+            .is_some_and(|lead_agent| lead_agent.gap < 6.0 && lead_agent.speed < 0.5);
         if !close {
             continue;
         }
@@ -395,11 +397,11 @@ fn who_leads_is_a_fact_of_the_scene() {
     let scenario = scenario("generated/following_lane_with_lead/0");
     let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let graph = LaneGraph::build(&drive.scene(), DEFAULT_NODE_LENGTH).unwrap();
-    let leads = graph.leader(CenterlineName::EgoLane).map(|agent| agent.token);
+    let leads = graph.lead_agent(CenterlineName::EgoLane).map(|agent| agent.token);
     assert!(leads.is_some());
     // Codes that name nobody.
-    assert_eq!(planner_at(&drive, &graph, 10.0, LeadPolicy::Nearest).leader, leads);
-    assert_eq!(planner_at(&drive, &graph, 10.0, LeadPolicy::Named).leader, None);
+    assert_eq!(planner_at(&drive, &graph, 10.0, LeadPolicy::Nearest).lead_agent, leads);
+    assert_eq!(planner_at(&drive, &graph, 10.0, LeadPolicy::Named).lead_agent, None);
 }
 
 #[test]

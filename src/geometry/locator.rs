@@ -5,7 +5,7 @@ use super::{Bounds, Point, Polygon};
 /// Edges that share a slab, about.
 const EDGES_PER_SLAB: usize = 4;
 /// Most slabs of a polygon.
-const MOST_SLABS: usize = 64;
+const MAX_SLABS: usize = 64;
 
 /// A polygon whose edges are sorted into horizontal slabs, so that a point is compared with the edges at its height alone.
 /// Answers exactly what [`Polygon::contains`] does.
@@ -22,7 +22,7 @@ pub struct PointLocator<'a> {
 impl<'a> PointLocator<'a> {
     /// Sorts the edges of a polygon.
     pub fn new(polygon: &'a Polygon) -> Self {
-        let count = (polygon.ring().len() / EDGES_PER_SLAB).clamp(1, MOST_SLABS);
+        let count = (polygon.ring().len() / EDGES_PER_SLAB).clamp(1, MAX_SLABS);
         let bounds = polygon.bounds();
         let height = bounds.max.y - bounds.min.y;
         let slabs_per_metre = if height > 0.0 { count as f64 / height } else { 0.0 };

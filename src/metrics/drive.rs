@@ -15,7 +15,7 @@ use crate::world::{EgoState, HistorySample, LaneMap, MICROS_PER_SECOND, Trajecto
 
 /// What the closed-loop metrics judge.
 #[derive(Debug, Clone, Copy)]
-pub struct Drive<'a> {
+pub struct EvaluatedSimulation<'a> {
     /// The map.
     pub map: &'a LaneMap,
     /// The simulated samples in order of time: N−1 of them, iteration 0 included.
@@ -26,7 +26,7 @@ pub struct Drive<'a> {
 
 /// What the open-loop metrics judge.
 #[derive(Debug, Clone, Copy)]
-pub struct OpenLoopDrive<'a> {
+pub struct EvaluatedPlans<'a> {
     /// The samples in order of time: N−1 of them, iteration 0 included. The ego in them is the recorded one.
     pub samples: &'a [HistorySample],
     /// What the planner wanted at each of them.
@@ -161,7 +161,7 @@ impl Evaluation {
 ///
 /// # Errors
 /// When the drive is too short, has no expert, times that do not grow, or numbers that are not finite.
-pub fn evaluate(drive: &Drive<'_>) -> Result<Evaluation, MetricError> {
+pub fn evaluate(drive: &EvaluatedSimulation<'_>) -> Result<Evaluation, MetricError> {
     let states: Vec<EgoState> = drive.samples.iter().map(|sample| sample.ego).collect();
     check(&states, drive.expert)?;
     let map = drive.map;
@@ -193,7 +193,7 @@ pub fn evaluate(drive: &Drive<'_>) -> Result<Evaluation, MetricError> {
 /// # Errors
 /// When the drive is too short, has no expert, times that do not grow, numbers that are not finite, or plans that reach less
 /// than 7 s ahead.
-pub fn evaluate_open_loop(drive: &OpenLoopDrive<'_>) -> Result<Evaluation, MetricError> {
+pub fn evaluate_open_loop(drive: &EvaluatedPlans<'_>) -> Result<Evaluation, MetricError> {
     let states: Vec<EgoState> = drive.samples.iter().map(|sample| sample.ego).collect();
     check(&states, drive.expert)?;
     let (samples, trajectories) = (states.len(), drive.trajectories.len());

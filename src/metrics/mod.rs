@@ -1,6 +1,6 @@
 //! Stage 8: nuPlan's metrics of a driven trajectory and their aggregation into scores.
 //!
-//! [`evaluate`] takes a [`Drive`] (what a simulation saved and what the expert did) and gives the eight metrics of the
+//! [`evaluate`] takes a [`EvaluatedSimulation`] (what a simulation saved and what the expert did) and gives the eight metrics of the
 //! closed-loop challenges, [`evaluate_open_loop`] the five of `open_loop_boxes`, both with the unscored ones, with their
 //! statistics, names, categories and units as nuPlan's devkit writes them, and the [`Score`]. [`aggregate`] joins the scores
 //! of many scenarios.
@@ -42,7 +42,7 @@ pub(crate) use comfort::{ACCELERATION_WINDOW, YAW_WINDOW};
 pub use comfort::{Bound, ComfortQuantity, SavitzkyGolay, differentiated, mean_step_s, smoothed};
 pub use corners::{CornerAgreement, CornerLanes, DrivenLanes};
 pub use drivable_area_compliance::{MAX_DISTANCE_OUTSIDE, drivable_area_compliance};
-pub use drive::{Drive, Evaluation, MetricError, OpenLoopDrive, evaluate, evaluate_open_loop};
+pub use drive::{EvaluatedPlans, EvaluatedSimulation, Evaluation, MetricError, evaluate, evaluate_open_loop};
 pub use driving_direction_compliance::{
     DIRECTION_COMPLIANCE, DIRECTION_VIOLATION, direction_score, driving_direction_compliance,
 };
@@ -69,5 +69,5 @@ pub use route::{driven_route, lanes_at};
 pub use score::{MetricList, MetricName, Role, Score, ScoreError, ScorePart, Weighting, combine};
 pub use speed_limit_compliance::{MAX_OVERSPEED, speed_limit_compliance};
 pub use time_to_collision_within_bound::{
-    LEAST_MIN_TTC, TTC_HORIZON_S, TTC_STEP_S, time_to_collision, time_to_collision_within_bound,
+    MIN_TIME_TO_COLLISION, TTC_HORIZON_S, TTC_STEP_S, time_to_collision, time_to_collision_within_bound,
 };

@@ -13,7 +13,7 @@ pub const TTC_STEP_S: f64 = 0.1;
 /// How far everyone is projected, seconds.
 pub const TTC_HORIZON_S: f64 = 3.0;
 /// Times to collision must be longer than this, seconds.
-pub const LEAST_MIN_TTC: f64 = 0.95;
+pub const MIN_TIME_TO_COLLISION: f64 = 0.95;
 /// An ego up to this speed cannot run into anyone, m/s.
 const STOPPED_SPEED: f64 = 5e-3;
 
@@ -98,7 +98,7 @@ fn first_contact<'a>(ego: &EgoState, tracks: impl Iterator<Item = &'a TrackedObj
 /// Scores the times to collision (one a state): 1 when all are longer than 0.95 s, else 0.
 pub fn time_to_collision_within_bound(states: &[EgoState], ttc: Vec<f64>, horizon: f64) -> MetricResult {
     let metric = MetricName::TimeToCollisionWithinBound;
-    let within = ttc.iter().all(|&t| t > LEAST_MIN_TTC);
+    let within = ttc.iter().all(|&t| t > MIN_TIME_TO_COLLISION);
     let least = ttc.iter().copied().fold(f64::INFINITY, f64::min);
     let statistics = vec![
         Statistic::new(StatisticKind::Min, "min_time_to_collision", "seconds", least),

@@ -56,7 +56,7 @@ pub(super) fn as_it_goes(
 ) -> Result<InForce, PlannerError> {
     let code = PlannerCode {
         centerline: CenterlineName::EgoLane.to_string(),
-        leader: graph.leader(CenterlineName::EgoLane).map(|agent| agent.name.to_string()),
+        lead_agent: graph.lead_agent(CenterlineName::EgoLane).map(|agent| agent.name.to_string()),
         target_speed: scene.ego.speed(),
         accel_max: GO_ON.0,
         decel_max: GO_ON.1,

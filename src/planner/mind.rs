@@ -113,7 +113,7 @@ fn random_codes(names: &Names, seed: u64, attempts: usize) -> Vec<PlannerCode> {
     let draw = |_| {
         Some(PlannerCode {
             centerline: names.centerlines.choose(&mut random)?.clone(),
-            leader: leaders.choose(&mut random)?.clone(),
+            lead_agent: leaders.choose(&mut random)?.clone(),
             target_speed: f64::from(random.random_range(target_speeds(names))),
             accel_max: *ACCELERATIONS.choose(&mut random)?,
             decel_max: *DECELERATIONS.choose(&mut random)?,
@@ -151,7 +151,7 @@ pub fn planner_code(
     let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
     PlannerCode {
         centerline: centerline.to_string(),
-        leader: graph.leader(centerline).map(|agent| agent.name.to_string()),
+        lead_agent: graph.lead_agent(centerline).map(|agent| agent.name.to_string()),
         target_speed: (fraction * limit).round(),
         accel_max,
         decel_max,

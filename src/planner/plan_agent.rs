@@ -438,14 +438,14 @@ pub fn generated_planner(
 ) -> Result<Option<GeneratedPlanner>, PlannerError> {
     let centerline = code.centerline.parse::<CenterlineName>().ok().and_then(|name| graph.centerline(name));
     let Some(centerline) = centerline else { return Ok(None) };
-    let leader = match lead_policy {
+    let lead_agent = match lead_policy {
         LeadPolicy::Named => {
-            code.leader.as_ref().and_then(|name| name.parse::<AgentName>().ok()).and_then(|name| graph.agent(name))
+            code.lead_agent.as_ref().and_then(|name| name.parse::<AgentName>().ok()).and_then(|name| graph.agent(name))
         }
-        LeadPolicy::Nearest => centerline.leader.and_then(|name| graph.agent(name)),
+        LeadPolicy::Nearest => centerline.lead_agent.and_then(|name| graph.agent(name)),
     };
-    let leader = leader.map(|agent| agent.token);
-    GeneratedPlanner::new(scene, code, centerline.path.clone(), leader, lead_policy, horizon_s)
+    let lead_agent = lead_agent.map(|agent| agent.token);
+    GeneratedPlanner::new(scene, code, centerline.path.clone(), lead_agent, lead_policy, horizon_s)
         .map(Some)
         .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })
 }

@@ -63,7 +63,7 @@ pub(super) fn back_to_own_lane(
     }
     let code = PlannerCode {
         centerline: CenterlineName::EgoLane.to_string(),
-        leader: graph.leader(CenterlineName::EgoLane).map(|agent| agent.name.to_string()),
+        lead_agent: graph.lead_agent(CenterlineName::EgoLane).map(|agent| agent.name.to_string()),
         ..planner.code.clone()
     };
     generated_planner(scene, graph, code, lead_policy, path_s)

@@ -11,7 +11,7 @@ pub struct PlannerCode {
     /// `c`: name of the centreline to follow, as the scene text gives it.
     pub centerline: String,
     /// `la`: name of the leading agent, as the scene text gives it; `None` when nothing leads.
-    pub leader: Option<String>,
+    pub lead_agent: Option<String>,
     /// `v0`: desired speed, m/s.
     pub target_speed: f64,
     /// `acc`: maximum acceleration, m/s².
@@ -53,9 +53,9 @@ impl fmt::Display for Range {
 
 impl fmt::Display for PlannerCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let leader = self.leader.as_deref().unwrap_or("None");
+        let lead_agent = self.lead_agent.as_deref().unwrap_or("None");
         let Self { centerline, target_speed, accel_max, decel_max, .. } = self;
-        write!(f, "{FUNCTION}(c={centerline}, la={leader}, v0={target_speed}, acc={accel_max}, dec={decel_max})")
+        write!(f, "{FUNCTION}(c={centerline}, la={lead_agent}, v0={target_speed}, acc={accel_max}, dec={decel_max})")
     }
 }
 

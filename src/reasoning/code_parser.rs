@@ -32,13 +32,13 @@ pub fn parse(text: &str, names: &Names) -> Parsed {
 fn understand(call: &mut Call<'_>, names: &Names) -> Option<PlannerCode> {
     let centerline = call.name("c", &names.centerlines, None);
     let follows = !call.is("la", NOBODY);
-    let leader = if follows { call.name("la", &names.leaders, Some(NOBODY)) } else { None };
+    let lead_agent = if follows { call.name("la", &names.leaders, Some(NOBODY)) } else { None };
     let target_speed = call.number("v0", TARGET_SPEED);
     let accel_max = call.number("acc", ACCEL_MAX);
     let decel_max = call.magnitude("dec", DECEL_MAX);
     Some(PlannerCode {
         centerline: centerline?,
-        leader: if follows { Some(leader?) } else { None },
+        lead_agent: if follows { Some(lead_agent?) } else { None },
         target_speed: target_speed?,
         accel_max: accel_max?,
         decel_max: decel_max?,
@@ -66,7 +66,7 @@ mod tests {
     fn reads_positional_named_and_quoted_arguments() {
         let expected = PlannerCode {
             centerline: "left_lane".to_owned(),
-            leader: Some("vehicle1".to_owned()),
+            lead_agent: Some("vehicle1".to_owned()),
             target_speed: 8.0,
             accel_max: 1.5,
             decel_max: 3.0,
@@ -120,7 +120,7 @@ mod tests {
             let names = names();
             let code = PlannerCode {
                 centerline: names.centerlines[c].clone(),
-                leader: names.leaders.get(la).cloned(),
+                lead_agent: names.leaders.get(la).cloned(),
                 target_speed, accel_max, decel_max,
             };
             let parsed = parse(&code.to_string(), &names);

@@ -45,7 +45,7 @@ pub struct GeneratedPlanner {
     /// Lanes of the followed centreline.
     pub lanes: LanePath,
     /// Track of the leader: the named one, or the centreline's ([`LeadPolicy`]).
-    pub leader: Option<TrackToken>,
+    pub lead_agent: Option<TrackToken>,
     /// Which objects are followed.
     pub lead_policy: LeadPolicy,
     /// Paths of the rear axle, one a lateral offset from the centreline ([`LATERAL_OFFSETS`]); the first is the code's.
@@ -94,12 +94,12 @@ impl GeneratedPlanner {
         scene: &Scene<'_>,
         code: PlannerCode,
         lanes: LanePath,
-        leader: Option<TrackToken>,
+        lead_agent: Option<TrackToken>,
         lead_policy: LeadPolicy,
         horizon_s: f64,
     ) -> Result<Self, GeometryError> {
         let paths = lay_paths(scene, &code, &lanes, horizon_s)?;
-        Ok(Self { code, lanes, leader, lead_policy, paths })
+        Ok(Self { code, lanes, lead_agent, lead_policy, paths })
     }
 
     /// The lane that the planner is bound for at the ego's present place.
@@ -252,7 +252,7 @@ impl<'a> Road<'a> {
             LeadPolicy::Named => Vec::new(),
             LeadPolicy::Nearest => scene.objects.iter().filter(may_come).copied().collect(),
         };
-        let named = planner.leader.and_then(|token| scene.objects.iter().find(|o| o.token == token).copied());
+        let named = planner.lead_agent.and_then(|token| scene.objects.iter().find(|o| o.token == token).copied());
         let stop_s = match planner.lead_policy {
             LeadPolicy::Named => path.length(),
             LeadPolicy::Nearest => red_light(planner, path, scene).unwrap_or(f64::INFINITY).min(path.length()),

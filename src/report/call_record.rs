@@ -96,7 +96,7 @@ fn code(code: &PlannerCode) -> Value {
     json!({
         "text": code.to_string(),
         "c": code.centerline,
-        "la": code.leader,
+        "la": code.lead_agent,
         "v0": code.target_speed,
         "acc": code.accel_max,
         "dec": code.decel_max,

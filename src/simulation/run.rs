@@ -3,7 +3,9 @@
 use super::closed_loop::ClosedLoop;
 use super::error::SimulationError;
 use super::observation::Challenge;
-use crate::metrics::{Drive, Evaluation, MetricError, MetricList, OpenLoopDrive, evaluate, evaluate_open_loop};
+use crate::metrics::{
+    EvaluatedPlans, EvaluatedSimulation, Evaluation, MetricError, MetricList, evaluate, evaluate_open_loop,
+};
 use crate::planner::Planner;
 use crate::scenario::Scenario;
 use crate::world::{EgoState, HistorySample, Trajectory};
@@ -32,8 +34,10 @@ impl SimulationLog {
     pub fn evaluate(&self, scenario: &Scenario) -> Result<Evaluation, MetricError> {
         let expert: Vec<EgoState> = scenario.expert().copied().collect();
         match self.challenge.metric_list() {
-            MetricList::ClosedLoop => evaluate(&Drive { map: &scenario.map, samples: &self.samples, expert: &expert }),
-            MetricList::OpenLoop => evaluate_open_loop(&OpenLoopDrive {
+            MetricList::ClosedLoop => {
+                evaluate(&EvaluatedSimulation { map: &scenario.map, samples: &self.samples, expert: &expert })
+            }
+            MetricList::OpenLoop => evaluate_open_loop(&EvaluatedPlans {
                 samples: &self.samples,
                 trajectories: &self.trajectories,
                 expert: &expert,

@@ -163,7 +163,7 @@ fn derived_maps_keep_the_rules() {
 fn scores(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> metrics::Score {
     let log = simulate(scenario, planner, challenge).unwrap();
     let expert: Vec<EgoState> = scenario.expert().copied().collect();
-    let drive = metrics::Drive { map: &scenario.map, samples: &log.samples, expert: &expert };
+    let drive = metrics::EvaluatedSimulation { map: &scenario.map, samples: &log.samples, expert: &expert };
     metrics::evaluate(&drive).unwrap().score
 }
 

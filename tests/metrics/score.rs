@@ -2,13 +2,13 @@
 
 use crate::road::{cruise, ego, object, samples, straight};
 use planagent::internals::geometry::Pose;
-use planagent::internals::metrics::{Drive, Evaluation, MetricError, MetricName, ScoreUnit, evaluate};
+use planagent::internals::metrics::{EvaluatedSimulation, Evaluation, MetricError, MetricName, ScoreUnit, evaluate};
 use planagent::internals::world::{EgoState, LaneMap, ObjectKind, TrackedObject};
 
 const PROGRESS: MetricName = MetricName::EgoProgressAlongExpertRoute;
 
 fn judge(map: &LaneMap, states: &[EgoState], expert: &[EgoState], objects: &[TrackedObject]) -> Evaluation {
-    evaluate(&Drive { map, samples: &samples(states, objects), expert }).unwrap()
+    evaluate(&EvaluatedSimulation { map, samples: &samples(states, objects), expert }).unwrap()
 }
 
 #[test]
@@ -76,7 +76,7 @@ fn drives_that_cannot_be_judged_are_refused() {
     let map = straight();
     let expert = cruise(10, 0.0, 0.0, 5.0);
     let of = |states: &[EgoState], expert: &[EgoState]| {
-        evaluate(&Drive { map: &map, samples: &samples(states, &[]), expert }).unwrap_err()
+        evaluate(&EvaluatedSimulation { map: &map, samples: &samples(states, &[]), expert }).unwrap_err()
     };
     assert_eq!(of(&expert[..3], &expert), MetricError::TooFewSamples { got: 3, needed: 4 });
     assert_eq!(of(&[], &expert), MetricError::TooFewSamples { got: 0, needed: 4 });

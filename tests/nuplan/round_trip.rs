@@ -2,7 +2,7 @@
 
 use super::compare::{Pair, blocks};
 use planagent::internals::geometry::{Point, Vector};
-use planagent::internals::metrics::{self, Drive, Score};
+use planagent::internals::metrics::{self, EvaluatedSimulation, Score};
 use planagent::internals::planner::{IdmPlanner, LogReplay, PdmClosed, Planner};
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
@@ -39,7 +39,7 @@ pub(super) fn read_back(exported: &Exported, settings: &ExportSettings, cache: &
 fn score(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> (f64, Vec<(String, Option<f64>)>) {
     let log = simulate(scenario, planner, challenge).unwrap();
     let expert: Vec<EgoState> = scenario.expert().copied().collect();
-    let drive = Drive { map: &scenario.map, samples: &log.samples, expert: &expert };
+    let drive = EvaluatedSimulation { map: &scenario.map, samples: &log.samples, expert: &expert };
     let evaluation = metrics::evaluate(&drive).unwrap();
     let Score { value, .. } = evaluation.score;
     (value, evaluation.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect())

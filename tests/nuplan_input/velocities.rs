@@ -1,7 +1,7 @@
 //! Agents without a velocity: NULL in the log, NaN for the devkit.
 
 use super::fixture::DataSet;
-use planagent::internals::metrics::{Drive, evaluate};
+use planagent::internals::metrics::{EvaluatedSimulation, evaluate};
 use planagent::internals::planner::IdmPlanner;
 use planagent::internals::simulation::{Challenge, simulate};
 
@@ -15,7 +15,7 @@ fn agents_without_a_velocity_are_driven_and_judged() {
     for challenge in [Challenge::ClosedLoopNonreactiveAgents, Challenge::ClosedLoopReactiveAgents] {
         let log = simulate(&scenario, &mut IdmPlanner::new(), challenge).unwrap();
         let expert: Vec<_> = scenario.expert().copied().collect();
-        let drive = Drive { map: &scenario.map, samples: &log.samples, expert: &expert };
+        let drive = EvaluatedSimulation { map: &scenario.map, samples: &log.samples, expert: &expert };
         let score = evaluate(&drive).unwrap().score;
         assert!(score.value.is_finite(), "{challenge}: {score:?}");
     }

@@ -12,7 +12,7 @@ use std::fmt::Write;
 /// Farther objects are left out, metres: PDM-Closed's reach.
 const REACH: f64 = 50.0;
 /// Most objects that are told.
-const MOST_OBJECTS: usize = 10;
+const MAX_OBJECTS: usize = 10;
 /// Points of a centreline that are told,
 const POINTS: usize = 5;
 /// so far apart, metres.
@@ -40,7 +40,7 @@ pub fn llm_assist_text(scene: &Scene<'_>, graph: &LaneGraph) -> String {
     let mut near: Vec<_> = scene.objects.iter().map(|o| (o.shape.center.distance(&center), o)).collect();
     near.retain(|(distance, _)| *distance <= REACH);
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
-    for (_, object) in near.into_iter().take(MOST_OBJECTS) {
+    for (_, object) in near.into_iter().take(MAX_OBJECTS) {
         let shape = &object.shape;
         let _ = write!(
             text,
@@ -82,6 +82,6 @@ mod tests {
         assert!(text.starts_with("Ego: speed 9.00 m/s,"), "{text}");
         assert!(text.contains("\nego_lane: (10.00,0.00) (20.00,0.00)"), "{text}");
         assert!(text.contains("\nleft_lane: (10.00,3.50)"), "{text}");
-        assert_eq!(text.matches("\n- vehicle at").count(), MOST_OBJECTS);
+        assert_eq!(text.matches("\n- vehicle at").count(), MAX_OBJECTS);
     }
 }

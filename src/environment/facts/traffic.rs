@@ -1,7 +1,7 @@
 //! Facts of the objects: who leads, walks, blocks, is beside.
 
 use super::{Ahead, LeadSpeed, SideLane, VehicleCount, View};
-use crate::environment::lane_graph::{CenterlineName, Heading, LaneGraph, Sighting, Window};
+use crate::environment::lane_graph::{CenterlineName, Heading, LaneGraph, LaneRelation, Window};
 use crate::world::{ObjectKind, PACIFICA, Scene, TrackedObject};
 
 /// Slower is stopped, m/s.
@@ -29,34 +29,34 @@ pub(super) fn seen(scene: &Scene<'_>, graph: &LaneGraph, view: View) -> Traffic 
     let objects: Vec<&TrackedObject> = scene.objects.iter().filter(|object| view.shows(&object.shape)).collect();
     let half_length = PACIFICA.length() / 2.0;
     let window = Window::new(graph.ego_lane(), half_length, half_length + Ahead::FAR + LONG_VEHICLE);
-    let ahead: Vec<(&TrackedObject, Sighting)> = objects
+    let ahead: Vec<(&TrackedObject, LaneRelation)> = objects
         .iter()
-        .filter_map(|&object| Some((object, window.as_ref()?.sight(object)?)))
-        .filter(|(_, sighting)| sighting.offset > 0.0)
+        .filter_map(|&object| Some((object, window.as_ref()?.project(object)?)))
+        .filter(|(_, relation)| relation.offset > 0.0)
         .collect();
-    let nearest = |counts: &dyn Fn(&TrackedObject, &Sighting) -> bool| {
-        let counted = ahead.iter().filter(|(object, sighting)| counts(object, sighting)).map(|(_, sighting)| sighting);
-        counted.min_by(|a, b| a.gap.total_cmp(&b.gap)).filter(|sighting| sighting.gap <= Ahead::FAR)
+    let nearest = |counts: &dyn Fn(&TrackedObject, &LaneRelation) -> bool| {
+        let counted = ahead.iter().filter(|(object, relation)| counts(object, relation)).map(|(_, relation)| relation);
+        counted.min_by(|a, b| a.gap.total_cmp(&b.gap)).filter(|relation| relation.gap <= Ahead::FAR)
     };
-    let lead = nearest(&|object, sighting| {
+    let lead = nearest(&|object, relation| {
         let drives = matches!(object.kind, ObjectKind::Vehicle | ObjectKind::Bicycle);
-        drives && sighting.in_way && sighting.heading == Heading::Along
+        drives && relation.blocks_path && relation.heading == Heading::Along
     });
-    let pedestrian = nearest(&|object, sighting| {
-        let in_corridor = sighting.lateral.abs() <= PACIFICA.width / 2.0 + CORRIDOR_MARGIN;
+    let pedestrian = nearest(&|object, relation| {
+        let in_corridor = relation.lateral.abs() <= PACIFICA.width / 2.0 + CORRIDOR_MARGIN;
         object.kind == ObjectKind::Pedestrian && in_corridor
     });
-    let blocked = nearest(&|object, sighting| {
+    let blocked = nearest(&|object, relation| {
         let stands = !object.kind.is_agent() || (object.kind == ObjectKind::Vehicle && object.speed() < STOPPED);
-        stands && sighting.in_way
+        stands && relation.blocks_path
     });
     let vehicles = scene.objects.iter().filter(|object| object.kind == ObjectKind::Vehicle);
     let side_lane = |name| side_lane(graph, name, &objects);
     Traffic {
         lead_distance: Ahead::of(lead.map(|lead| lead.gap)),
         lead_speed: lead.map_or(LeadSpeed::None, |lead| LeadSpeed::of(lead.along_speed, graph.ego_speed)),
-        pedestrian: Ahead::of(pedestrian.map(|sighting| sighting.gap)),
-        blocked: Ahead::of(blocked.map(|sighting| sighting.gap)),
+        pedestrian: Ahead::of(pedestrian.map(|relation| relation.gap)),
+        blocked: Ahead::of(blocked.map(|relation| relation.gap)),
         left_lane: side_lane(CenterlineName::LeftLane),
         right_lane: side_lane(CenterlineName::RightLane),
         vehicle_count: VehicleCount::of(vehicles.filter(|v| view.holds(v.shape.center.position())).count()),
@@ -69,7 +69,7 @@ fn side_lane(graph: &LaneGraph, name: CenterlineName, objects: &[&TrackedObject]
     let window = Window::new(centerline, reach, reach);
     let occupied = objects
         .iter()
-        .filter_map(|object| window.as_ref()?.sight(object))
-        .any(|sighting| (sighting.on_lane || sighting.in_way) && sighting.gap < SIDE_GAP);
+        .filter_map(|object| window.as_ref()?.project(object))
+        .any(|relation| (relation.on_lane || relation.blocks_path) && relation.gap < SIDE_GAP);
     if occupied { SideLane::Occupied } else { SideLane::Free }
 }

@@ -1,6 +1,6 @@
 //! Building the graph: the lane under the ego, the lanes beside it, the nodes, the agents, their names.
 
-use super::sighting::{Sighting, Window};
+use super::lane_relation::{LaneRelation, Window};
 use super::{
     AgentClass, AgentName, Centerline, CenterlineName, Connection, GraphAgent, LaneGraph, LaneGraphError, LaneNode,
     MAX_NODE_LENGTH, MIN_NODE_LENGTH, NodePlace, OFF_ROAD_REACH,
@@ -30,10 +30,10 @@ pub(super) fn build(scene: &Scene<'_>, node_length: f64) -> Result<LaneGraph, La
     let lane = ego_lane(scene).ok_or(LaneGraphError::OffRoad { x: center.x, y: center.y })?;
     let mut centerlines = centerlines(scene, lane, 2.0 * node_length);
     let nodes = nodes(scene.map, &centerlines, node_length);
-    let sighted = sight(scene.objects, &centerlines, &nodes, node_length);
-    let agents = name(&sighted);
+    let on_nodes = objects_on_nodes(scene.objects, &centerlines, &nodes, node_length);
+    let agents = name(&on_nodes);
     for (place, centerline) in centerlines.iter_mut().enumerate() {
-        centerline.leader = leader(&sighted, &agents, place);
+        centerline.lead_agent = lead_agent(&on_nodes, &agents, place);
     }
     Ok(LaneGraph { node_length, ego_speed: scene.ego.speed(), nodes, centerlines, agents })
 }
@@ -110,52 +110,52 @@ fn connection(map: &LaneMap, place: NodePlace, own: &Centerline, ego: &Centerlin
 }
 
 /// An object on a node, with how it lies to every centreline.
-struct Sighted<'a> {
+struct NodeObject<'a> {
     object: &'a TrackedObject,
     /// In the order of the centrelines.
-    sightings: Vec<Option<Sighting>>,
+    relations: Vec<Option<LaneRelation>>,
     /// The centreline on whose node it is.
     home: usize,
     place: NodePlace,
 }
 
-impl Sighted<'_> {
-    fn at_home(&self) -> Option<&Sighting> {
-        self.sightings[self.home].as_ref()
+impl NodeObject<'_> {
+    fn at_home(&self) -> Option<&LaneRelation> {
+        self.relations[self.home].as_ref()
     }
 }
 
 /// The objects on the nodes, in the order in which they are numbered.
-fn sight<'a>(
+fn objects_on_nodes<'a>(
     objects: &'a [TrackedObject],
     centerlines: &[Centerline],
     nodes: &[LaneNode],
     node_length: f64,
-) -> Vec<Sighted<'a>> {
+) -> Vec<NodeObject<'a>> {
     let [_, front, back] = node_starts(node_length);
     let windows: Vec<Option<Window>> =
         centerlines.iter().map(|centerline| Window::new(centerline, -back, front + node_length)).collect();
-    let mut sighted: Vec<Sighted<'a>> = objects
+    let mut on_nodes: Vec<NodeObject<'a>> = objects
         .iter()
         .filter_map(|object| {
-            let sightings: Vec<Option<Sighting>> =
-                windows.iter().map(|window| window.as_ref().and_then(|window| window.sight(object))).collect();
-            let home = home(&sightings)?;
-            let place = place(centerlines[home].name, sightings[home].as_ref()?.offset, node_length);
-            nodes.iter().any(|node| node.place == place).then_some(Sighted { object, sightings, home, place })
+            let relations: Vec<Option<LaneRelation>> =
+                windows.iter().map(|window| window.as_ref().and_then(|window| window.project(object))).collect();
+            let home = home(&relations)?;
+            let place = place(centerlines[home].name, relations[home].as_ref()?.offset, node_length);
+            nodes.iter().any(|node| node.place == place).then_some(NodeObject { object, relations, home, place })
         })
         .collect();
-    sighted.sort_by(|a, b| order(a).partial_cmp(&order(b)).unwrap_or(std::cmp::Ordering::Equal));
-    sighted
+    on_nodes.sort_by(|a, b| order(a).partial_cmp(&order(b)).unwrap_or(std::cmp::Ordering::Equal));
+    on_nodes
 }
 
 /// The centreline that an object counts for: the ego's where it stands in the way there, else the nearest that it is on.
-fn home(sightings: &[Option<Sighting>]) -> Option<usize> {
-    let on = |sighting: &Sighting| sighting.on_lane || sighting.in_way;
-    if sightings.first().is_some_and(|ego| ego.is_some_and(|ego| ego.in_way)) {
+fn home(relations: &[Option<LaneRelation>]) -> Option<usize> {
+    let on = |relation: &LaneRelation| relation.on_lane || relation.blocks_path;
+    if relations.first().is_some_and(|ego| ego.is_some_and(|ego| ego.blocks_path)) {
         return Some(0);
     }
-    let near = sightings.iter().enumerate().filter_map(|(i, s)| s.as_ref().filter(|s| on(s)).map(|s| (i, s.lateral)));
+    let near = relations.iter().enumerate().filter_map(|(i, s)| s.as_ref().filter(|s| on(s)).map(|s| (i, s.lateral)));
     near.min_by(|a, b| a.1.abs().total_cmp(&b.1.abs())).map(|(i, _)| i)
 }
 
@@ -172,14 +172,14 @@ fn place(centerline: CenterlineName, offset: f64, node_length: f64) -> NodePlace
 }
 
 /// By centreline; those ahead before those behind; the nearest first; by track where all is equal.
-fn order(sighted: &Sighted<'_>) -> (usize, bool, f64, u32) {
-    let offset = sighted.at_home().map_or(0.0, |sighting| sighting.offset);
-    (sighted.home, offset < 0.0, offset.abs(), sighted.object.token.0)
+fn order(placed: &NodeObject<'_>) -> (usize, bool, f64, u32) {
+    let offset = placed.at_home().map_or(0.0, |relation| relation.offset);
+    (placed.home, offset < 0.0, offset.abs(), placed.object.token.0)
 }
 
-fn name(sighted: &[Sighted<'_>]) -> Vec<GraphAgent> {
+fn name(on_nodes: &[NodeObject<'_>]) -> Vec<GraphAgent> {
     let mut numbers: BTreeMap<AgentClass, u16> = BTreeMap::new();
-    sighted
+    on_nodes
         .iter()
         .filter_map(|found| {
             let at = found.at_home()?;
@@ -202,12 +202,12 @@ fn name(sighted: &[Sighted<'_>]) -> Vec<GraphAgent> {
 }
 
 /// Of those that stand in the way on a centreline ahead of the ego, the nearest.
-fn leader(sighted: &[Sighted<'_>], agents: &[GraphAgent], centerline: usize) -> Option<AgentName> {
-    sighted
+fn lead_agent(on_nodes: &[NodeObject<'_>], agents: &[GraphAgent], centerline: usize) -> Option<AgentName> {
+    on_nodes
         .iter()
         .filter_map(|found| {
-            let sighting = found.sightings[centerline].filter(|s| s.in_way && s.offset > 0.0)?;
-            Some((found.object.token, sighting.gap, sighting.offset))
+            let relation = found.relations[centerline].filter(|s| s.blocks_path && s.offset > 0.0)?;
+            Some((found.object.token, relation.gap, relation.offset))
         })
         .min_by(|a, b| a.1.total_cmp(&b.1).then(a.2.total_cmp(&b.2)))
         .and_then(|(token, _, _)| agents.iter().find(|agent| agent.token == token).map(|agent| agent.name))

@@ -71,7 +71,7 @@ pub struct Centerline {
     /// Where the first connector within [`LIGHT_REACH`] turns to, the one under the ego included.
     pub turn: Turn,
     /// Who leads on it, see [`super::LaneGraph::leader`].
-    pub leader: Option<AgentName>,
+    pub lead_agent: Option<AgentName>,
 }
 
 impl Centerline {
@@ -85,7 +85,7 @@ impl Centerline {
         let speed_limit = path.lanes[ego_place..].iter().find_map(|&l| map[l].speed_limit);
         let light = light_ahead(scene, &path, ego_s);
         let turn = turn_ahead(map, &path, ego_s);
-        Self { name, path, ego_s, speed_limit, light, turn, leader: None }
+        Self { name, path, ego_s, speed_limit, light, turn, lead_agent: None }
     }
 
     /// Length of the path ahead of the ego's centre, metres.

@@ -20,12 +20,12 @@
 mod agent;
 mod build;
 mod centerline;
-mod sighting;
+mod lane_relation;
 
 pub use agent::{AgentClass, AgentName, GraphAgent, Heading, UnknownAgent};
 pub use centerline::{Centerline, CenterlineName, LIGHT_REACH, LightAhead, Turn};
-pub use sighting::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
-pub(in crate::environment) use sighting::{Sighting, Window};
+pub use lane_relation::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
+pub(in crate::environment) use lane_relation::{LaneRelation, Window};
 
 use super::choice::choice;
 use crate::world::{LaneId, Scene};
@@ -192,8 +192,8 @@ impl LaneGraph {
     }
 
     /// The nearest agent or obstacle that stands in the ego's way ahead on a centreline.
-    pub fn leader(&self, centerline: CenterlineName) -> Option<&GraphAgent> {
-        let name = self.centerline(centerline)?.leader?;
+    pub fn lead_agent(&self, centerline: CenterlineName) -> Option<&GraphAgent> {
+        let name = self.centerline(centerline)?.lead_agent?;
         self.agent(name)
     }
 }

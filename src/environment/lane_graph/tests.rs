@@ -68,10 +68,10 @@ fn agents_are_named_by_lane_nearest_ahead_first() {
         ("obstacle1", 5, "front_right"),
     ];
     assert_eq!(named, expected.map(|(name, token, place)| (name.to_owned(), token, place)));
-    let leader = |name| graph.leader(name).map(|agent| agent.name.to_string());
-    assert_eq!(leader(CenterlineName::EgoLane).unwrap(), "vehicle1");
-    assert_eq!(leader(CenterlineName::LeftLane).unwrap(), "vehicle4");
-    assert_eq!(leader(CenterlineName::RightLane).unwrap(), "bicycle1");
+    let lead_agent = |name| graph.lead_agent(name).map(|agent| agent.name.to_string());
+    assert_eq!(lead_agent(CenterlineName::EgoLane).unwrap(), "vehicle1");
+    assert_eq!(lead_agent(CenterlineName::LeftLane).unwrap(), "vehicle4");
+    assert_eq!(lead_agent(CenterlineName::RightLane).unwrap(), "bicycle1");
     let first = &graph.agents[0];
     assert!((first.offset - 14.0).abs() < 1e-9 && (first.gap - (14.0 - 2.588 - 2.3)).abs() < 1e-9);
     assert!((first.lateral - 0.2).abs() < 1e-9 && (first.along_speed - 6.0).abs() < 1e-9);
@@ -83,22 +83,22 @@ fn who_reaches_into_the_ego_lane_leads_there() {
     let drawn = sketch::straight(2, 0, 1, 9.0).put(Vehicle, 12.0, 2.2, -0.1, 7.0);
     let graph = graph(&drawn);
     assert_eq!(graph.agents[0].place, NodePlace::Ego);
-    assert_eq!(graph.leader(CenterlineName::EgoLane), Some(&graph.agents[0]));
-    assert_eq!(graph.leader(CenterlineName::LeftLane), Some(&graph.agents[0]));
+    assert_eq!(graph.lead_agent(CenterlineName::EgoLane), Some(&graph.agents[0]));
+    assert_eq!(graph.lead_agent(CenterlineName::LeftLane), Some(&graph.agents[0]));
 }
 
 #[test]
 fn pedestrians_lead_when_they_are_about_to_cross() {
-    let leader = |left: f64, turn: f64, speed: f64| {
+    let lead_agent = |left: f64, turn: f64, speed: f64| {
         let drawn = sketch::straight(1, 0, 0, 5.0).put(Pedestrian, 12.0, left, turn, speed);
         let graph = graph(&drawn);
-        (graph.agents.len(), graph.leader(CenterlineName::EgoLane).is_some())
+        (graph.agents.len(), graph.lead_agent(CenterlineName::EgoLane).is_some())
     };
-    assert_eq!(leader(3.0, -FRAC_PI_2, 1.4), (1, true), "walks towards the lane");
-    assert_eq!(leader(3.0, FRAC_PI_2, 1.4), (1, false), "walks away from it");
-    assert_eq!(leader(3.0, 0.0, 0.0), (1, false), "waits at the kerb");
-    assert_eq!(leader(6.0, 0.0, 0.0), (0, false), "is far from it");
-    assert_eq!(leader(0.5, 0.0, 0.0), (1, true), "stands on it");
+    assert_eq!(lead_agent(3.0, -FRAC_PI_2, 1.4), (1, true), "walks towards the lane");
+    assert_eq!(lead_agent(3.0, FRAC_PI_2, 1.4), (1, false), "walks away from it");
+    assert_eq!(lead_agent(3.0, 0.0, 0.0), (1, false), "waits at the kerb");
+    assert_eq!(lead_agent(6.0, 0.0, 0.0), (0, false), "is far from it");
+    assert_eq!(lead_agent(0.5, 0.0, 0.0), (1, true), "stands on it");
 }
 
 #[test]
@@ -189,8 +189,8 @@ proptest! {
             prop_assert!(agent.gap >= 0.0 && agent.gap <= agent.offset.abs());
         }
         for &name in CenterlineName::ALL {
-            if let Some(leader) = graph.leader(name) {
-                prop_assert!(leader.offset > 0.0);
+            if let Some(lead_agent) = graph.lead_agent(name) {
+                prop_assert!(lead_agent.offset > 0.0);
             }
         }
     }

@@ -158,7 +158,7 @@ fn code_answer(best: &Tried, weights: DecisionWeights) -> Message {
         .decided(&code.centerline, weights.lane)
         .fixed(", la=")
         // Who leads on a centreline is a fact of the scene.
-        .decided(code.leader.as_deref().unwrap_or("None"), UNIT_WEIGHT)
+        .decided(code.lead_agent.as_deref().unwrap_or("None"), UNIT_WEIGHT)
         .fixed(", v0=")
         .decided(&code.target_speed.to_string(), weights.speed)
         .fixed(", acc=")
@@ -178,7 +178,7 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Tried) -> Instructi
     let why_lateral = match lateral {
         Lateral::Keep => LateralReason::LaneServes,
         _ if facts.blocked != Ahead::None => LateralReason::Blocked,
-        _ if graph.leader(CenterlineName::EgoLane).is_some() => LateralReason::SlowLead,
+        _ if graph.lead_agent(CenterlineName::EgoLane).is_some() => LateralReason::SlowLead,
         _ => LateralReason::FasterLane,
     };
     let change = best.speed_later - graph.ego_speed;

@@ -2,7 +2,7 @@
 
 use crate::environment::lane_graph::Centerline;
 use crate::environment::{CenterlineName, LaneGraph};
-use crate::metrics::{self, Drive};
+use crate::metrics::{self, EvaluatedSimulation};
 use crate::pdm::PdmMemory;
 use crate::planner::{USUAL_ACCELERATIONS, feedback, generated_planner, planner_code, watched};
 use crate::reasoning::{Feedback, PlannerCode};
@@ -156,7 +156,7 @@ impl Present<'_> {
         let from = scenario.start + drive.iteration();
         let expert: Vec<EgoState> =
             scenario.frames.get(from..=from + samples.len())?.iter().map(|frame| frame.ego).collect();
-        let judged = Drive { map: &scenario.map, samples: &samples, expert: &expert };
+        let judged = EvaluatedSimulation { map: &scenario.map, samples: &samples, expert: &expert };
         let score = metrics::evaluate(&judged).ok()?.score.value;
         let driven: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
         let way = driven + samples.last()?.ego.speed() * TERMINAL_S;

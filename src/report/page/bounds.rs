@@ -1,6 +1,6 @@
 //! Between which values a metric's time series leaves its score alone.
 
-use crate::metrics::{ComfortQuantity, DIRECTION_COMPLIANCE, LEAST_MIN_TTC, MetricName};
+use crate::metrics::{ComfortQuantity, DIRECTION_COMPLIANCE, MIN_TIME_TO_COLLISION, MetricName};
 
 /// The lower and the upper bound of a metric's series, in the series' unit; none where it has none.
 pub(super) fn of(metric: &str) -> (Option<f64>, Option<f64>) {
@@ -10,7 +10,7 @@ pub(super) fn of(metric: &str) -> (Option<f64>, Option<f64>) {
     }
     match metric {
         // Seconds to a collision at constant velocity.
-        _ if metric == MetricName::TimeToCollisionWithinBound.as_str() => (Some(LEAST_MIN_TTC), None),
+        _ if metric == MetricName::TimeToCollisionWithinBound.as_str() => (Some(MIN_TIME_TO_COLLISION), None),
         // Metres per second over the limit.
         _ if metric == MetricName::SpeedLimitCompliance.as_str() => (None, Some(0.0)),
         // Metres along the driving direction in a second.

@@ -17,7 +17,7 @@ pub(in crate::environment) const STANDING_SPEED: f64 = 0.5;
 
 /// Where along and beside a centreline an object is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::environment) struct Sighting {
+pub(in crate::environment) struct LaneRelation {
     /// From the ego's centre to its centre along the line, metres.
     pub offset: f64,
     /// Of its centre, metres, positive to the left.
@@ -27,7 +27,7 @@ pub(in crate::environment) struct Sighting {
     /// Whether its centre is on the lane.
     pub on_lane: bool,
     /// Whether it stands (or, on foot or bicycle, soon will stand) where the ego would drive.
-    pub in_way: bool,
+    pub blocks_path: bool,
     /// Velocity along the line, m/s.
     pub along_speed: f64,
     /// Which way it moves.
@@ -53,7 +53,7 @@ impl Window {
     }
 
     /// How the object lies to this stretch; `None` when its box lies wholly before or after it.
-    pub(in crate::environment) fn sight(&self, object: &TrackedObject) -> Option<Sighting> {
+    pub(in crate::environment) fn project(&self, object: &TrackedObject) -> Option<LaneRelation> {
         let foot = self.line.project(object.shape.center.position());
         let along = Pose::at(foot.point, foot.heading);
         let extent = half_extent(&object.shape, foot.heading);
@@ -65,12 +65,12 @@ impl Window {
         let offset = foot.s - self.ego_s;
         let kerb = if object.kind == ObjectKind::Pedestrian { KERB_MARGIN } else { 0.0 };
         let velocity = along_frame(&along, object.velocity);
-        Some(Sighting {
+        Some(LaneRelation {
             offset,
             lateral: foot.lateral,
             gap: (offset.abs() - extent - PACIFICA.length() / 2.0).max(0.0),
             on_lane: foot.lateral.abs() <= HALF_LANE + kerb,
-            in_way: self.blocks(object),
+            blocks_path: self.blocks(object),
             along_speed: velocity.x,
             heading: heading_of(velocity),
         })
