@@ -1,7 +1,12 @@
 //! The invariants of ARCHITECTURE.md, read off the sources.
 
+mod imports;
+
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+
+use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
 const RANKS: [(&str, u8); 15] = [
@@ -21,6 +26,12 @@ const RANKS: [(&str, u8); 15] = [
     ("report", 9),
     ("cli", 10),
 ];
+
+/// Rooms of a stage (its files and folders) by rank, lowest first: a room uses only rooms of a lower rank.
+const INNER_RANKS: [(&str, &[&[&str]]); 0] = [];
+
+/// Most files that may import each other in a circle.
+const MAX_CIRCLE: usize = 43;
 
 /// Modules that may write to disk, and nothing else may.
 const WRITERS: [&str; 5] = [
@@ -62,13 +73,30 @@ fn sources() -> Vec<(String, String)> {
         .collect()
 }
 
-/// Lines of code before the tests of a file, with their numbers from 1; comments and doc comments are left out.
+/// Lines of code with their numbers from 1; comments, doc comments and test items are left out.
 fn code_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
-    text.lines()
-        .enumerate()
-        .map(|(i, line)| (i + 1, line))
-        .take_while(|(_, line)| line.trim() != "#[cfg(test)]")
-        .filter(|(_, line)| !line.trim_start().starts_with("//"))
+    /// A line belongs to a test item until one that ends so, at the item's own indentation.
+    struct TestItem<'a> {
+        indent: &'a str,
+        begun: bool,
+    }
+    let mut item: Option<TestItem<'_>> = None;
+    text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(move |(_, line)| {
+        if let Some(TestItem { indent, begun }) = &mut item {
+            let own = line.strip_prefix(*indent).unwrap_or_default();
+            let whole = !*begun && own.ends_with([';', ',', '}']);
+            *begun |= !own.starts_with("#[");
+            if whole || own == "}" || own == "};" || own == ")" {
+                item = None;
+            }
+            return false;
+        }
+        if line.trim() == "#[cfg(test)]" {
+            item = Some(TestItem { indent: &line[..line.len() - line.trim_start().len()], begun: false });
+            return false;
+        }
+        !line.trim_start().starts_with("//")
+    })
 }
 
 fn rank(module: &str) -> Option<u8> {
@@ -113,6 +141,52 @@ fn a_stage_uses_only_what_stands_before_it() {
         }
     }
     assert!(wrong.is_empty(), "against the dependency order:\n{}", wrong.join("\n"));
+}
+
+/// The imports of all files of the stages.
+fn graph() -> Graph {
+    let code = |text: &str| code_lines(text).map(|(_, line)| format!("{line}\n")).collect();
+    Graph::of(&sources().into_iter().map(|(file, text)| (file, code(&text))).collect::<Vec<_>>())
+}
+
+/// The file or folder of a stage that a source file belongs to; none for the stage's own `mod.rs`.
+fn room<'a>(file: &'a str, stage: &str) -> Option<&'a str> {
+    let inside = file.strip_prefix("src/")?.strip_prefix(stage)?.strip_prefix('/')?;
+    let room = inside.split_once('/').map_or(inside, |(room, _)| room).trim_end_matches(".rs");
+    (room != "mod").then_some(room)
+}
+
+#[test]
+fn a_room_uses_only_rooms_below_it() {
+    let graph = graph();
+    let mut wrong = BTreeSet::new();
+    for (stage, ranks) in INNER_RANKS {
+        let rank = |room: &str| {
+            let found = ranks.iter().position(|rooms| rooms.contains(&room));
+            found.unwrap_or_else(|| panic!("{stage}/{room} has no rank in INNER_RANKS"))
+        };
+        for (from, to) in graph.imports() {
+            if let (Some(own), Some(used)) = (room(from, stage), room(to, stage))
+                && own != used
+                && rank(used) >= rank(own)
+            {
+                wrong.insert(format!("{from} uses {to}"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "against the order of rooms:\n{}", wrong.into_iter().collect::<Vec<_>>().join("\n"));
+}
+
+#[test]
+fn circles_of_imports_are_small() {
+    let graph = graph();
+    let large: Vec<String> = graph
+        .circles()
+        .into_iter()
+        .filter(|circle| circle.len() > MAX_CIRCLE)
+        .map(|circle| format!("{} files:\n  {}", circle.len(), circle.join("\n  ")))
+        .collect();
+    assert!(large.is_empty(), "circles of more than {MAX_CIRCLE} files:\n{}", large.join("\n"));
 }
 
 #[test]
@@ -191,5 +265,6 @@ fn files_stay_readable() {
 fn the_scanner_sees_what_it_should() {
     assert_eq!(used_stages("use crate::{geometry::Pose, cli};"), ["geometry", "cli"]);
     assert_eq!(used_stages("    let x = crate::report::table();"), ["report"]);
-    assert_eq!(code_lines("a\n// crate::cli\n#[cfg(test)]\nb").collect::<Vec<_>>(), [(1, "a")]);
+    let text = "a\n// crate::cli\n#[cfg(test)]\nmod x;\nb\n#[cfg(test)]\nmod tests {\n    c\n}\nd";
+    assert_eq!(code_lines(text).collect::<Vec<_>>(), [(1, "a"), (5, "b"), (10, "d")]);
 }
