@@ -49,11 +49,11 @@ fn a_model_is_measured_by_its_steps() {
             pending += 64;
         } else if tokens("keep").is_some() {
             pending = 0;
-        } else if let Some(free) = tokens("free") {
-            expected += pending + free - 1;
+        } else if let Some(sampled) = tokens("sampled") {
+            expected += pending + sampled - 1;
             pending = 1;
         } else {
-            pending += tokens("text").or(tokens("forced")).unwrap_or(0);
+            pending += tokens("text").or(tokens("fast_forwarded")).unwrap_or(0);
         }
         computed += ["batch", "single"].map(|kind| timed["time"][kind]["tokens"].as_u64().unwrap()).iter().sum::<u64>();
     }

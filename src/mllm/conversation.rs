@@ -135,11 +135,11 @@ pub enum ConstraintUse {
     /// The answer was decoded under it in this process.
     Enforced,
     /// It was sent to a server, and the answer is as it says.
-    Kept,
+    Satisfied,
     /// It was sent to a server, but the answer is not as it says: it was cut short, or the server ignored it.
-    Broken,
+    Violated,
     /// It was not sent, since the endpoint's description says `grammar = "none"`.
-    NotOffered,
+    NotSent,
 }
 
 /// How free tokens are chosen from the model's distribution.
@@ -188,9 +188,9 @@ pub struct TokenCounts {
     /// Tokens of the prompt that were still known: of earlier rounds, or of the system prompt that all calls share.
     pub cached: usize,
     /// Tokens of the answer that the constraint left no choice about.
-    pub forced: usize,
+    pub fast_forwarded: usize,
     /// Tokens of the answer that the model chose.
-    pub free: usize,
+    pub sampled: usize,
 }
 
 /// Wall time of one round, milliseconds. Parts that a backend cannot tell are zero.

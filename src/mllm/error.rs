@@ -337,7 +337,7 @@ pub enum EndpointFailure {
     },
     /// It answered what is no chat completion.
     #[error("the answer is no chat completion: {0}")]
-    Nonsense(String),
+    InvalidReply(String),
     /// It answers without end.
     #[error("the answer is longer than {0} bytes")]
     TooLong(u64),

@@ -125,7 +125,7 @@ fn a_drive_goes_on_over_failures_of_every_kind() {
     assert!(row["score"].as_f64().is_some());
     assert!(run.stderr.contains("6 of 8 planning calls got no answer"), "{}", run.stderr);
     // The answers fit no round's grammar but are read all the same, and the record says so.
-    assert_eq!(calls[0]["attempts"][0]["rounds"][0]["constraint"], "broken");
+    assert_eq!(calls[0]["attempts"][0]["rounds"][0]["constraint"], "violated");
     assert!(!run.everything().contains(KEY) && server.received()[0].head.contains(KEY));
 }
 

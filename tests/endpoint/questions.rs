@@ -46,7 +46,7 @@ fn rounds_are_turns_and_the_image_is_in_the_first() {
     assert_eq!(again.body["messages"][1]["content"][1]["text"], "again");
     assert_ne!(first.body["seed"], again.body["seed"]);
     assert_eq!(second.text, "answer 1");
-    assert_eq!(second.tokens, TokenCounts { text: 60, cached: 40, free: 7, ..TokenCounts::default() });
+    assert_eq!(second.tokens, TokenCounts { text: 60, cached: 40, sampled: 7, ..TokenCounts::default() });
     assert_eq!((second.finish, second.constraint), (FinishReason::EndOfSequence, ConstraintUse::Unconstrained));
 }
 
@@ -67,7 +67,7 @@ fn the_same_seed_sends_the_same_bytes() {
 fn a_streamed_answer_tells_when_it_began() {
     let server = Server::always(|| stream(&["le", "ft"], true));
     let answer = ask(&open(&server), &request(lanes())).unwrap();
-    assert_eq!((answer.text.as_str(), answer.constraint), ("left", ConstraintUse::Kept));
+    assert_eq!((answer.text.as_str(), answer.constraint), ("left", ConstraintUse::Satisfied));
     let time = answer.time;
     assert!(time.first_token > 0.0 && time.first_token <= time.total && time.remote <= time.total, "{time:?}");
     assert_eq!((time.prefill, time.decode, time.image_encode), (0.0, 0.0, 0.0));
@@ -83,13 +83,13 @@ fn a_streamed_answer_tells_when_it_began() {
 #[test]
 fn every_field_for_constraints_is_filled_as_its_servers_read_it() {
     let answers = [
-        (GrammarField::None, "left", ConstraintUse::NotOffered),
-        (GrammarField::Gbnf, "right", ConstraintUse::Kept),
-        (GrammarField::Gbnf, "Perhaps left.", ConstraintUse::Broken),
-        (GrammarField::JsonSchema, r#"{"answer": "left"}"#, ConstraintUse::Kept),
-        (GrammarField::JsonSchema, "upwards", ConstraintUse::Broken),
-        (GrammarField::StructuredOutputs, "left", ConstraintUse::Kept),
-        (GrammarField::GuidedRegex, "left", ConstraintUse::Kept),
+        (GrammarField::None, "left", ConstraintUse::NotSent),
+        (GrammarField::Gbnf, "right", ConstraintUse::Satisfied),
+        (GrammarField::Gbnf, "Perhaps left.", ConstraintUse::Violated),
+        (GrammarField::JsonSchema, r#"{"answer": "left"}"#, ConstraintUse::Satisfied),
+        (GrammarField::JsonSchema, "upwards", ConstraintUse::Violated),
+        (GrammarField::StructuredOutputs, "left", ConstraintUse::Satisfied),
+        (GrammarField::GuidedRegex, "left", ConstraintUse::Satisfied),
     ];
     let server = Server::start(move |number, _| completion(answers[number].1));
     for (grammar, sent, constraint) in answers {

@@ -73,10 +73,10 @@ fn a_stream_that_is_cut_is_tried_again() {
 
 #[test]
 fn nonsense_is_told_and_not_asked_for_again() {
-    for nonsense in ["{\"choices\": [", "<html>Welcome</html>", "{\"choices\": []}", "null"] {
-        let server = Server::always(move || Reaction::Send(response("200 OK", "", nonsense)));
+    for invalid in ["{\"choices\": [", "<html>Welcome</html>", "{\"choices\": []}", "null"] {
+        let server = Server::always(move || Reaction::Send(response("200 OK", "", invalid)));
         let (failure, requests) = trouble(&server);
-        assert!(matches!(failure, EndpointFailure::Nonsense(_)), "{failure:?}");
+        assert!(matches!(failure, EndpointFailure::InvalidReply(_)), "{failure:?}");
         assert_eq!(requests, 1);
     }
 }
@@ -165,7 +165,7 @@ fn the_deadline_bounds_request_and_wait() {
 #[test]
 fn after_a_failure_the_conversation_is_as_it_was() {
     let server = Server::start(|number, _| match number {
-        1 => Reaction::Send(response("200 OK", "", "nonsense")),
+        1 => Reaction::Send(response("200 OK", "", "no JSON")),
         _ => completion("left"),
     });
     let endpoint = open(&server);

@@ -24,7 +24,7 @@ fn a_choice_is_one_of_its_texts() {
     for only in odd {
         let answer = answer(texts(&[only]), 60).unwrap();
         assert_eq!(answer.text, only);
-        assert_eq!((answer.finish, answer.tokens.free), (FinishReason::Complete, 0));
+        assert_eq!((answer.finish, answer.tokens.sampled), (FinishReason::Complete, 0));
     }
 }
 
@@ -37,8 +37,8 @@ fn what_the_grammar_forces_is_not_chosen() {
     assert!(["left", "right"].contains(&lane) && speed.len() == 3, "{}", answer.text);
     assert_eq!(answer.finish, FinishReason::Complete);
     // Free are one token of the lane, and the digits around the point.
-    assert!(answer.tokens.free <= 4, "{:?}", answer.tokens);
-    assert!(answer.tokens.forced > answer.tokens.free, "{:?}", answer.tokens);
+    assert!(answer.tokens.sampled <= 4, "{:?}", answer.tokens);
+    assert!(answer.tokens.fast_forwarded > answer.tokens.sampled, "{:?}", answer.tokens);
 }
 
 #[test]
@@ -61,7 +61,7 @@ fn forced_tokens_are_spelled_as_the_tokenizer_spells_them() {
     let tokenizer = tokenizers::Tokenizer::from_file(super::tiny().join("tokenizer.json")).unwrap();
     let expected = tokenizer.encode(text, false).unwrap().len();
     let answer = answer(texts(&[text]), 80).unwrap();
-    assert_eq!((answer.text.as_str(), answer.tokens.forced), (text, expected));
+    assert_eq!((answer.text.as_str(), answer.tokens.fast_forwarded), (text, expected));
 }
 
 #[test]
@@ -75,7 +75,7 @@ fn a_regular_expression_is_matched_as_a_whole() {
 #[test]
 fn an_answer_that_is_cut_short_says_so() {
     let answer = answer(Constraint::Regex("a{50}".into()), 7).unwrap();
-    assert_eq!((answer.finish, answer.tokens.forced + answer.tokens.free), (FinishReason::Length, 7));
+    assert_eq!((answer.finish, answer.tokens.fast_forwarded + answer.tokens.sampled), (FinishReason::Length, 7));
     let none = super::constraints::answer(texts(&["keep"]), 0).unwrap();
     assert_eq!((none.text.as_str(), none.finish), ("", FinishReason::Length));
 }

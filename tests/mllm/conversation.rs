@@ -24,7 +24,7 @@ fn both_rounds_are_answered_as_transformers_answers_them() {
     assert_eq!(first.prompt_hash, prompt_hash("Drive safely.", &[], FIRST));
     let tokens = first.tokens;
     assert_eq!(tokens.text + tokens.image + tokens.cached, 45, "{tokens:?}");
-    assert_eq!((tokens.image, tokens.forced, tokens.free), (16, 0, 12));
+    assert_eq!((tokens.image, tokens.fast_forwarded, tokens.sampled), (16, 0, 12));
     assert!(tokens.cached > 0, "the system prompt is known");
     assert!(first.time.image_encode > 0.0 && first.time.prefill > 0.0 && first.time.decode > 0.0);
     assert!(first.time.first_token >= first.time.prefill && first.time.total >= first.time.first_token);
@@ -32,7 +32,7 @@ fn both_rounds_are_answered_as_transformers_answers_them() {
     // The reference chat goes on as if the first answer had been "keep left".
     conversation.rewind(start);
     let forced = conversation.ask(FIRST, &request(Constraint::Choice(vec!["keep left".into()]), 12)).unwrap();
-    assert_eq!((forced.text.as_str(), forced.tokens.free), ("keep left", 0));
+    assert_eq!((forced.text.as_str(), forced.tokens.sampled), ("keep left", 0));
     let second = conversation.ask(SECOND, &free(12)).unwrap();
     assert_eq!(second.text, reference_answer("chat_generated"));
     assert_eq!(second.tokens.image, 0, "the image stays computed");
@@ -127,7 +127,7 @@ fn a_prompt_beyond_the_context_is_refused_and_an_answer_ends_at_it() {
     let answer = conversation.ask(&long, &request(Constraint::Regex("[ab]*".into()), 1000)).unwrap();
     assert_eq!(answer.finish, FinishReason::ContextFull);
     let tokens = answer.tokens;
-    assert_eq!(tokens.text + tokens.image + tokens.cached + tokens.forced + tokens.free, context);
+    assert_eq!(tokens.text + tokens.image + tokens.cached + tokens.fast_forwarded + tokens.sampled, context);
     assert!(matches!(
         model.converse(&PromptPrefix { system: "x ".repeat(400), image: None }, 0),
         Err(MllmError::PromptTooLong { .. })

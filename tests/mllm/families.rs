@@ -98,11 +98,11 @@ fn rounds_and_rethinks_compute_the_image_once() {
             }
             whole.push(first.tokens.image);
             let second = conversation.ask("Now?", &request(Constraint::Choice(vec!["keep".into()]), 8)).unwrap();
-            assert_eq!((second.text.as_str(), second.tokens.free, second.tokens.image), ("keep", 0, 0));
+            assert_eq!((second.text.as_str(), second.tokens.sampled, second.tokens.image), ("keep", 0, 0));
             let third = conversation.ask("Code?", &request(Constraint::Lark(code.into()), 64)).unwrap();
             assert_eq!(third.finish, FinishReason::Complete, "{name}: {third:?}");
             assert!(third.text.starts_with("Generate_IDM_Planner(c=") && third.tokens.image == 0);
-            assert!(third.tokens.forced > third.tokens.free, "{:?}", third.tokens);
+            assert!(third.tokens.fast_forwarded > third.tokens.sampled, "{:?}", third.tokens);
             conversation.rewind(start);
         }
     }
@@ -150,7 +150,7 @@ fn an_image_takes_three_positions_of_cogvlm() {
     assert_eq!(answer.finish, FinishReason::ContextFull);
     let tokens = answer.tokens;
     // 18 tokens of the image stand at three positions, so 15 more than 60 fit.
-    assert_eq!(tokens.text + tokens.image + tokens.cached + tokens.forced + tokens.free, 75, "{tokens:?}");
+    assert_eq!(tokens.text + tokens.image + tokens.cached + tokens.fast_forwarded + tokens.sampled, 75, "{tokens:?}");
     match conversation.ask(&"left ".repeat(40), &free(4)) {
         Err(MllmError::PromptTooLong { tokens, context: 75 }) => assert!(tokens > 75),
         other => panic!("{other:?}"),

@@ -38,9 +38,9 @@ pub struct RoundBudget {
 #[serde(deny_unknown_fields)]
 pub struct AnswerPart {
     /// Tokens that are forced.
-    pub forced: usize,
+    pub fast_forwarded: usize,
     /// Tokens that are chosen.
-    pub free: usize,
+    pub sampled: usize,
 }
 
 /// Where the system prompt of a family stands.
@@ -56,7 +56,7 @@ pub enum Layout {
 impl CallBudget {
     /// What a prompt set takes: the one source of these counts, which `docs/latency.md` explains.
     pub fn of(prompts: PromptSet) -> Self {
-        let part = |(forced, free)| AnswerPart { forced, free };
+        let part = |(fast_forwarded, sampled)| AnswerPart { fast_forwarded, sampled };
         match prompts {
             PromptSet::Paper => Self {
                 prefix: 665,
@@ -117,10 +117,10 @@ impl CallBudget {
         for round in &self.rounds {
             steps.push(Step::Text(round.question));
             for part in &round.answer {
-                steps.extend([Step::Forced(part.forced), Step::Free(part.free)]);
+                steps.extend([Step::FastForwarded(part.fast_forwarded), Step::Sampled(part.sampled)]);
             }
         }
-        steps.retain(|step| !matches!(step, Step::Text(0) | Step::Forced(0) | Step::Free(0)));
+        steps.retain(|step| !matches!(step, Step::Text(0) | Step::FastForwarded(0) | Step::Sampled(0)));
     }
 
     /// Text tokens of the prompts of a call, what is computed in it or stays computed.
@@ -131,7 +131,8 @@ impl CallBudget {
 
     /// Most tokens that the sequence holds at once, those of the image apart.
     pub fn longest(&self) -> usize {
-        let answer = |round: &RoundBudget| round.answer.iter().map(|part| part.forced + part.free).sum::<usize>();
+        let answer =
+            |round: &RoundBudget| round.answer.iter().map(|part| part.fast_forwarded + part.sampled).sum::<usize>();
         let rounds: usize = self.rounds.iter().map(|round| round.question + answer(round)).sum();
         self.prefix + self.scene + rounds + if self.rethinks > 0 { self.feedback } else { 0 }
     }
@@ -142,14 +143,17 @@ mod tests {
     use super::*;
 
     fn small() -> CallBudget {
-        let round = |question, forced, free| RoundBudget { question, answer: vec![AnswerPart { forced, free }] };
+        let round = |question, fast_forwarded, sampled| RoundBudget {
+            question,
+            answer: vec![AnswerPart { fast_forwarded, sampled }],
+        };
         CallBudget { prefix: 7, scene: 5, feedback: 3, rounds: vec![round(2, 0, 4), round(1, 6, 8)], rethinks: 1 }
     }
 
     #[test]
     fn a_rethink_keeps_what_two_attempts_have_in_common() {
         let steps = small().call_steps(Layout::PrefixFirst, 16);
-        let rounds = [Step::Text(2), Step::Free(4), Step::Text(1), Step::Forced(6), Step::Free(8)];
+        let rounds = [Step::Text(2), Step::Sampled(4), Step::Text(1), Step::FastForwarded(6), Step::Sampled(8)];
         let first = [Step::Keep(7), Step::Encode, Step::Image, Step::Text(5)];
         let again = [Step::Keep(7 + 16 + 5), Step::Text(3)];
         assert_eq!(steps, [&first[..], &rounds, &again, &rounds].concat());
@@ -170,7 +174,7 @@ mod tests {
                         length += tokens;
                         prompt += tokens;
                     }
-                    Step::Forced(tokens) | Step::Free(tokens) => length += tokens,
+                    Step::FastForwarded(tokens) | Step::Sampled(tokens) => length += tokens,
                     Step::Encode | Step::Image | Step::Compute => {}
                 }
                 longest = longest.max(length);

@@ -48,7 +48,7 @@ pub enum EngineError {
     },
     /// The process said something that is no answer.
     #[error("{engine} answered {found}")]
-    Nonsense {
+    InvalidReply {
         /// Which engine.
         engine: EngineName,
         /// What it said, shortened.
@@ -74,7 +74,7 @@ pub struct Engine {
 }
 
 /// Most characters of a strange answer that an error repeats.
-const MOST_SHOWN: usize = 200;
+const MAX_SHOWN: usize = 200;
 
 impl Engine {
     /// Starts a process that reads requests and writes replies; its stderr is ours.
@@ -106,7 +106,7 @@ impl Engine {
     pub fn load(&mut self, request: LoadRequest) -> Result<Loaded, EngineError> {
         match self.ask(&Request::Load(request))? {
             Reply::Loaded(loaded) => Ok(loaded),
-            other => Err(self.nonsense(&format!("{other:?}"))),
+            other => Err(self.invalid(&format!("{other:?}"))),
         }
     }
 
@@ -118,7 +118,7 @@ impl Engine {
         let count = steps.len();
         match self.ask(&Request::Run(steps))? {
             Reply::Ran(times) if times.len() == count => Ok(times),
-            other => Err(self.nonsense(&format!("{other:?}"))),
+            other => Err(self.invalid(&format!("{other:?}"))),
         }
     }
 
@@ -131,7 +131,7 @@ impl Engine {
     }
 
     fn ask(&mut self, request: &Request) -> Result<Reply, EngineError> {
-        let mut line = serde_json::to_string(request).map_err(|error| self.nonsense(&error.to_string()))?;
+        let mut line = serde_json::to_string(request).map_err(|error| self.invalid(&error.to_string()))?;
         line.push('\n');
         let sent = self.requests.write_all(line.as_bytes()).and_then(|()| self.requests.flush());
         let mut answer = String::new();
@@ -142,7 +142,7 @@ impl Engine {
         match serde_json::from_str(&answer) {
             Ok(Reply::Failed(problem)) => Err(EngineError::Failed { engine: self.name, problem }),
             Ok(reply) => Ok(reply),
-            Err(_) => Err(self.nonsense(&answer)),
+            Err(_) => Err(self.invalid(&answer)),
         }
     }
 
@@ -151,8 +151,8 @@ impl Engine {
         EngineError::Ended { engine: self.name, status }
     }
 
-    fn nonsense(&self, found: &str) -> EngineError {
-        EngineError::Nonsense { engine: self.name, found: found.chars().take(MOST_SHOWN).collect() }
+    fn invalid(&self, found: &str) -> EngineError {
+        EngineError::InvalidReply { engine: self.name, found: found.chars().take(MAX_SHOWN).collect() }
     }
 }
 

@@ -211,14 +211,14 @@ class Model:
             self.length += len(part)
         self.pending = []
 
-    def free(self, tokens, step):
+    def sample(self, tokens, step):
         for _ in range(tokens):
             self.compute(step)
             self.pending = [self.api.llama_sampler_sample(self.sampler, self.context, -1)]
             step.chosen()
 
-    def forced(self, tokens, step):
-        """Each forced token is decoded alone: it costs what a free one does."""
+    def fast_forward(self, tokens, step):
+        """Each fast-forwarded token is decoded alone: it costs as much as a sampled one."""
         for _ in range(tokens):
             self.compute(step)
             self.append(1)
@@ -240,10 +240,10 @@ class Model:
             self.append_image(timed)
         elif name == "text":
             self.append(count)
-        elif name == "forced":
-            self.forced(count, timed)
-        elif name == "free":
-            self.free(count, timed)
+        elif name == "fast_forwarded":
+            self.fast_forward(count, timed)
+        elif name == "sampled":
+            self.sample(count, timed)
         elif name == "compute":
             self.compute(timed)
         else:

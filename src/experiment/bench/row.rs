@@ -121,7 +121,7 @@ impl IterationRow {
         for TimedStep { step, time } in &self.steps {
             match step {
                 Step::Text(_) | Step::Image => behind_prompt = true,
-                Step::Forced(_) | Step::Free(_) => {
+                Step::FastForwarded(_) | Step::Sampled(_) => {
                     sum += time.single;
                     if !behind_prompt {
                         sum += time.batch;
@@ -156,9 +156,9 @@ mod tests {
                 timed(Step::Encode, 100.0, None, (0, 0.0), (0, 0.0)),
                 timed(Step::Image, 40.0, None, (64, 40.0), (0, 0.0)),
                 timed(Step::Text(20), 0.0, None, (0, 0.0), (0, 0.0)),
-                timed(Step::Free(3), 30.0, Some(10.0), (20, 10.0), (2, 20.0)),
-                timed(Step::Forced(8), 0.0, None, (0, 0.0), (0, 0.0)),
-                timed(Step::Free(2), 25.0, Some(15.0), (9, 15.0), (1, 10.0)),
+                timed(Step::Sampled(3), 30.0, Some(10.0), (20, 10.0), (2, 20.0)),
+                timed(Step::FastForwarded(8), 0.0, None, (0, 0.0), (0, 0.0)),
+                timed(Step::Sampled(2), 25.0, Some(15.0), (9, 15.0), (1, 10.0)),
             ],
         };
         assert_eq!((row.total_ms(), row.image_encode_ms(), row.first_token_ms()), (195.0, Some(100.0), Some(150.0)));

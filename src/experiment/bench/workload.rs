@@ -39,7 +39,7 @@ impl Workload {
         match self {
             Self::Call(budget) => budget.call_steps(layout, image),
             // The first token comes with the prompt.
-            Self::Depth(tokens) => vec![Step::Keep(0), Step::Text(*tokens), Step::Free(DECODED + 1)],
+            Self::Depth(tokens) => vec![Step::Keep(0), Step::Text(*tokens), Step::Sampled(DECODED + 1)],
         }
     }
 

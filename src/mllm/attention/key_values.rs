@@ -10,20 +10,20 @@ use super::{HeadShape, Projected};
 use crate::mllm::matrix::{LANES, Simd};
 
 /// Positions of a block.
-pub(super) const BLOCK: usize = 64;
+pub(super) const BLOCK_POSITIONS: usize = 64;
 
 /// A number as keys and values are held: an f32, or the bits of an f16.
-pub(super) trait Number: Copy + Default + Send + Sync + std::fmt::Debug {
+pub(super) trait StoredFloat: Copy + Default + Send + Sync + std::fmt::Debug {
     /// Whether it is an f32 already.
-    const WIDE: bool;
+    const IS_F32: bool;
     /// Rounds numbers.
     fn from_f32(from: &[f32], to: &mut [Self]);
     /// Reads and widens numbers.
     fn load<S: Simd>(simd: S, from: &[Self; LANES]) -> S::Floats;
 }
 
-impl Number for f32 {
-    const WIDE: bool = true;
+impl StoredFloat for f32 {
+    const IS_F32: bool = true;
 
     fn from_f32(from: &[f32], to: &mut [Self]) {
         to.copy_from_slice(from);
@@ -35,8 +35,8 @@ impl Number for f32 {
     }
 }
 
-impl Number for u16 {
-    const WIDE: bool = false;
+impl StoredFloat for u16 {
+    const IS_F32: bool = false;
 
     fn from_f32(from: &[f32], to: &mut [Self]) {
         to.reinterpret_cast_mut::<f16>().convert_from_f32_slice(from);
@@ -81,22 +81,22 @@ pub(super) struct Block<N> {
     values: Vec<N>,
 }
 
-impl<N: Number> Block<N> {
+impl<N: StoredFloat> Block<N> {
     fn new(shape: HeadShape) -> Self {
         Self {
-            keys: vec![N::default(); shape.key_heads * shape.width * BLOCK],
-            values: vec![N::default(); shape.key_heads * BLOCK * shape.padded()],
+            keys: vec![N::default(); shape.key_heads * shape.width * BLOCK_POSITIONS],
+            values: vec![N::default(); shape.key_heads * BLOCK_POSITIONS * shape.padded()],
         }
     }
 
     /// The keys of a head, (head width, vectors of positions).
     pub(super) fn keys(&self, shape: HeadShape, head: usize) -> &[[N; LANES]] {
-        self.keys.chunks_exact(shape.width * BLOCK).nth(head).unwrap_or_default().as_chunks().0
+        self.keys.chunks_exact(shape.width * BLOCK_POSITIONS).nth(head).unwrap_or_default().as_chunks().0
     }
 
     /// The values of a head, (positions, vectors of channels).
     pub(super) fn values(&self, shape: HeadShape, head: usize) -> &[[N; LANES]] {
-        self.values.chunks_exact(BLOCK * shape.padded()).nth(head).unwrap_or_default().as_chunks().0
+        self.values.chunks_exact(BLOCK_POSITIONS * shape.padded()).nth(head).unwrap_or_default().as_chunks().0
     }
 
     /// Takes over keys and values of `rows` at places from `first` on.
@@ -105,15 +105,15 @@ impl<N: Number> Block<N> {
         let mut key = vec![0f32; shape.width];
         let mut number = vec![N::default(); shape.width];
         for (place, token) in (first..).zip(tokens) {
-            for (head, keys) in self.keys.chunks_exact_mut(shape.width * BLOCK).enumerate() {
+            for (head, keys) in self.keys.chunks_exact_mut(shape.width * BLOCK_POSITIONS).enumerate() {
                 rows.rotated(token, rows.key(token, head), 1.0, &mut key);
                 N::from_f32(&key, &mut number);
-                for (number, channel) in number.iter().zip(keys.chunks_exact_mut(BLOCK)) {
+                for (number, channel) in number.iter().zip(keys.chunks_exact_mut(BLOCK_POSITIONS)) {
                     channel[place] = *number;
                 }
             }
             let padded = shape.padded();
-            for (head, values) in self.values.chunks_exact_mut(BLOCK * padded).enumerate() {
+            for (head, values) in self.values.chunks_exact_mut(BLOCK_POSITIONS * padded).enumerate() {
                 let at = place * padded;
                 N::from_f32(rows.value(token, head), &mut values[at..at + shape.width]);
             }
@@ -148,7 +148,7 @@ impl KeyValues {
 
     /// The first `len` positions.
     pub(crate) fn first(&self, len: usize) -> Self {
-        let count = len.div_ceil(BLOCK);
+        let count = len.div_ceil(BLOCK_POSITIONS);
         let blocks = match &self.blocks {
             Blocks::Single(blocks) => Blocks::Single(blocks.iter().take(count).cloned().collect()),
             Blocks::Half(blocks) => Blocks::Half(blocks.iter().take(count).cloned().collect()),
@@ -159,21 +159,21 @@ impl KeyValues {
     /// Positions that there is room for without another block.
     pub(super) fn capacity(&self) -> usize {
         match &self.blocks {
-            Blocks::Single(blocks) => blocks.len() * BLOCK,
-            Blocks::Half(blocks) => blocks.len() * BLOCK,
+            Blocks::Single(blocks) => blocks.len() * BLOCK_POSITIONS,
+            Blocks::Half(blocks) => blocks.len() * BLOCK_POSITIONS,
         }
     }
 }
 
-fn write<N: Number>(blocks: &mut Vec<Arc<Block<N>>>, rows: &Projected<'_>, start: usize) {
+fn write<N: StoredFloat>(blocks: &mut Vec<Arc<Block<N>>>, rows: &Projected<'_>, start: usize) {
     let end = start + rows.tokens();
-    blocks.resize_with(end.div_ceil(BLOCK).max(blocks.len()), || Arc::new(Block::new(rows.shape)));
+    blocks.resize_with(end.div_ceil(BLOCK_POSITIONS).max(blocks.len()), || Arc::new(Block::new(rows.shape)));
     let write = |(index, block): (usize, &mut Arc<Block<N>>)| {
-        let base = index * BLOCK;
-        let (from, to) = (start.max(base), end.min(base + BLOCK));
+        let base = index * BLOCK_POSITIONS;
+        let (from, to) = (start.max(base), end.min(base + BLOCK_POSITIONS));
         Arc::make_mut(block).write(rows, from - start..to - start, from - base);
     };
-    let touched = start / BLOCK..end.div_ceil(BLOCK);
+    let touched = start / BLOCK_POSITIONS..end.div_ceil(BLOCK_POSITIONS);
     let blocks = blocks.iter_mut().enumerate().take(touched.end).skip(touched.start);
     if touched.len() == 1 {
         blocks.for_each(write);

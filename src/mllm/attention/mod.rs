@@ -18,20 +18,20 @@ use std::sync::Arc;
 use candle_core::{Device, Storage, Tensor};
 use rayon::prelude::*;
 
-use key_values::{BLOCK, Block, Blocks, Number};
+use key_values::{BLOCK_POSITIONS, Block, Blocks, StoredFloat};
 pub(crate) use key_values::{KeyValues, Precision};
 pub(crate) use rotary::{RotaryRows, RotaryTable};
-use unit::{Mixed, Unit};
+use unit::{PartialOutput, WorkUnit};
 
 use super::matrix::{Instructions, LANES};
 
 /// Rows of queries, one a query head, that one unit takes along the keys: the more, the fewer times keys are read; all
 /// sums of them stay in the second-level cache.
-const ROWS: usize = 192;
+const MAX_UNIT_ROWS: usize = 192;
 /// Positions that one unit looks at when there are too few queries to share the work by them.
-const SPAN: usize = 8 * BLOCK;
+const UNIT_POSITIONS: usize = 8 * BLOCK_POSITIONS;
 /// Fewest products of a number by a number that are worth waking other threads for, some 30 µs.
-const PARALLEL: usize = 1 << 20;
+const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 
 /// The heads of an attention.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -133,7 +133,7 @@ impl<'a> Projected<'a> {
 
 /// Which positions the rows of a pass may attend to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Sight {
+pub(crate) enum AttentionMask {
     /// All of the first `positions`.
     All {
         /// Their number.
@@ -148,7 +148,7 @@ pub(crate) enum Sight {
     },
 }
 
-impl Sight {
+impl AttentionMask {
     /// The positions that a row sees.
     fn of(self, token: usize) -> Range<usize> {
         match self {
@@ -165,19 +165,19 @@ impl Sight {
 ///
 /// # Errors
 /// When the shapes differ, or a position that a row sees has never been written.
-pub(crate) fn attend(rows: &Projected<'_>, held: &KeyValues, sight: Sight) -> candle_core::Result<Tensor> {
+pub(crate) fn attend(rows: &Projected<'_>, held: &KeyValues, mask: AttentionMask) -> candle_core::Result<Tensor> {
     let tokens = rows.tokens();
-    if rows.shape != held.shape || tokens > 0 && sight.of(tokens - 1).end > held.capacity() {
+    if rows.shape != held.shape || tokens > 0 && mask.of(tokens - 1).end > held.capacity() {
         candle_core::bail!("{tokens} tokens of {:?} attend to fewer positions, or to {:?}", rows.shape, held.shape);
     }
-    let mixed = mix(rows, held, sight, Instructions::best());
-    Tensor::from_vec(mixed, (tokens, rows.shape.query_heads * rows.shape.width), &Device::Cpu)
+    let partial = mix(rows, held, mask, Instructions::best());
+    Tensor::from_vec(partial, (tokens, rows.shape.query_heads * rows.shape.width), &Device::Cpu)
 }
 
-fn mix(rows: &Projected<'_>, held: &KeyValues, sight: Sight, instructions: Instructions) -> Vec<f32> {
+fn mix(rows: &Projected<'_>, held: &KeyValues, mask: AttentionMask, instructions: Instructions) -> Vec<f32> {
     match &held.blocks {
-        Blocks::Single(blocks) => Attention { rows: *rows, blocks, sight, instructions }.run(),
-        Blocks::Half(blocks) => Attention { rows: *rows, blocks, sight, instructions }.run(),
+        Blocks::Single(blocks) => Attention { rows: *rows, blocks, mask, instructions }.run(),
+        Blocks::Half(blocks) => Attention { rows: *rows, blocks, mask, instructions }.run(),
     }
 }
 
@@ -185,11 +185,11 @@ fn mix(rows: &Projected<'_>, held: &KeyValues, sight: Sight, instructions: Instr
 struct Attention<'a, N> {
     rows: Projected<'a>,
     blocks: &'a [Arc<Block<N>>],
-    sight: Sight,
+    mask: AttentionMask,
     instructions: Instructions,
 }
 
-impl<N: Number> Attention<'_, N> {
+impl<N: StoredFloat> Attention<'_, N> {
     fn run(&self) -> Vec<f32> {
         let shape = self.rows.shape;
         let (tokens, width) = (self.rows.tokens(), shape.query_heads * shape.width);
@@ -197,53 +197,54 @@ impl<N: Number> Attention<'_, N> {
         if tokens == 0 {
             return out;
         }
-        let step = (ROWS / shape.group()).max(1);
+        let step = (MAX_UNIT_ROWS / shape.group()).max(1);
         if tokens <= step {
-            let seen = self.sight.of(tokens - 1).end;
-            self.few(0..tokens, &mut out, tokens * width * seen >= PARALLEL);
+            let seen = self.mask.of(tokens - 1).end;
+            self.attend_few(0..tokens, &mut out, tokens * width * seen >= MIN_PARALLEL_PRODUCTS);
         } else {
             let chunks = out.par_chunks_mut(step * width).enumerate();
             chunks.for_each(|(index, out)| {
                 let first = index * step;
-                self.many(first..tokens.min(first + step), out);
+                self.attend_many(first..tokens.min(first + step), out);
             });
         }
         out
     }
 
     /// Attends from as many tokens as a unit takes, the positions shared among units too.
-    fn few(&self, tokens: Range<usize>, out: &mut [f32], parallel: bool) {
+    fn attend_few(&self, tokens: Range<usize>, out: &mut [f32], parallel: bool) {
         let seen = self.seen(&tokens);
-        let spans = seen.len().div_ceil(SPAN).max(1);
+        let spans = seen.len().div_ceil(UNIT_POSITIONS).max(1);
         let unit = |index: usize| {
-            let from = seen.start + index % spans * SPAN;
-            self.mix(index / spans, tokens.clone(), from..seen.end.min(from + SPAN))
+            let from = seen.start + index % spans * UNIT_POSITIONS;
+            self.mix(index / spans, tokens.clone(), from..seen.end.min(from + UNIT_POSITIONS))
         };
         let count = self.rows.shape.key_heads * spans;
-        let parts: Vec<Mixed> =
+        let parts: Vec<PartialOutput> =
             if parallel { (0..count).into_par_iter().map(unit).collect() } else { (0..count).map(unit).collect() };
         let mut parts = parts.into_iter();
         for head in 0..self.rows.shape.key_heads {
-            Mixed::join(parts.by_ref().take(spans)).write(self.rows.shape, head, out);
+            PartialOutput::join(parts.by_ref().take(spans)).write(self.rows.shape, head, out);
         }
     }
 
     /// Attends from as many tokens as a unit takes, of which there are others.
-    fn many(&self, tokens: Range<usize>, out: &mut [f32]) {
+    fn attend_many(&self, tokens: Range<usize>, out: &mut [f32]) {
         let seen = self.seen(&tokens);
         let heads = (0..self.rows.shape.key_heads).into_par_iter();
-        let mixed: Vec<Mixed> = heads.map(|head| self.mix(head, tokens.clone(), seen.clone())).collect();
-        for (head, mixed) in mixed.iter().enumerate() {
-            mixed.write(self.rows.shape, head, out);
+        let partial: Vec<PartialOutput> = heads.map(|head| self.mix(head, tokens.clone(), seen.clone())).collect();
+        for (head, partial) in partial.iter().enumerate() {
+            partial.write(self.rows.shape, head, out);
         }
     }
 
     /// The positions that any of the tokens sees.
     fn seen(&self, tokens: &Range<usize>) -> Range<usize> {
-        self.sight.of(tokens.start).start..self.sight.of(tokens.end.saturating_sub(1)).end
+        self.mask.of(tokens.start).start..self.mask.of(tokens.end.saturating_sub(1)).end
     }
 
-    fn mix(&self, head: usize, tokens: Range<usize>, positions: Range<usize>) -> Mixed {
-        Unit { rows: self.rows, blocks: self.blocks, sight: self.sight, head, tokens, positions }.run(self.instructions)
+    fn mix(&self, head: usize, tokens: Range<usize>, positions: Range<usize>) -> PartialOutput {
+        WorkUnit { rows: self.rows, blocks: self.blocks, mask: self.mask, head, tokens, positions }
+            .run(self.instructions)
     }
 }

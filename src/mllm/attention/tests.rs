@@ -5,8 +5,8 @@ use half::f16;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
-use super::key_values::BLOCK;
-use super::{HeadShape, KeyValues, Precision, Projected, RotaryTable, Sight, attend, mix};
+use super::key_values::BLOCK_POSITIONS;
+use super::{AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryTable, attend, mix};
 use crate::mllm::checkpoint::{LlamaConfig, Section};
 use crate::mllm::matrix::Instructions;
 
@@ -29,7 +29,7 @@ fn held(tensor: &Tensor, shape: HeadShape, precision: Precision) -> KeyValues {
 }
 
 /// The definition: softmax(q kᵀ / √width) v of the last `tokens` of the rows, of what they see.
-fn plain(all: &Tensor, shape: HeadShape, tokens: usize, precision: Precision, sight: Sight) -> Vec<f32> {
+fn plain(all: &Tensor, shape: HeadShape, tokens: usize, precision: Precision, mask: AttentionMask) -> Vec<f32> {
     let rounded = |value: &f32| match precision {
         Precision::Single => f64::from(*value),
         Precision::Half => f16::from_f32(*value).to_f64(),
@@ -41,7 +41,7 @@ fn plain(all: &Tensor, shape: HeadShape, tokens: usize, precision: Precision, si
             for head in 0..shape.query_heads {
                 let query = rows.heads(rows.tokens() - tokens + token, head, 1);
                 let key_head = head / shape.group();
-                let seen = sight.of(token);
+                let seen = mask.of(token);
                 let scores: Vec<f64> = seen
                     .clone()
                     .map(|position| dot(query, rows.key(position, key_head)) / (shape.width as f64).sqrt())
@@ -76,13 +76,17 @@ fn deviations(
 ) -> f32 {
     let all = projections(positions, shape, scale, positions as u64);
     let last = all.narrow(0, positions - tokens, tokens).unwrap();
-    let sight = if causal { Sight::Causal { start: positions - tokens, window } } else { Sight::All { positions } };
+    let mask = if causal {
+        AttentionMask::Causal { start: positions - tokens, window }
+    } else {
+        AttentionMask::All { positions }
+    };
     let mut most = 0f32;
     for precision in [Precision::Single, Precision::Half] {
         let held = held(&all, shape, precision);
-        let expected = plain(&all, shape, tokens, precision, sight);
+        let expected = plain(&all, shape, tokens, precision, mask);
         for instructions in Instructions::available() {
-            let found = with(&last, shape, |rows| mix(rows, &held, sight, instructions));
+            let found = with(&last, shape, |rows| mix(rows, &held, mask, instructions));
             most = most.max(difference(&found, &expected) / scale);
         }
     }
@@ -125,10 +129,10 @@ fn any_thread_count_gives_the_same_bits() {
     let held = held(&all, shape, Precision::Half);
     for tokens in [1, 5, 120] {
         let last = all.narrow(0, 2200 - tokens, tokens).unwrap();
-        let sight = Sight::Causal { start: 2200 - tokens, window: None };
+        let mask = AttentionMask::Causal { start: 2200 - tokens, window: None };
         let found = [1, 2, 3, 7].map(|threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| with(&last, shape, |rows| attend(rows, &held, sight).unwrap()))
+            pool.install(|| with(&last, shape, |rows| attend(rows, &held, mask).unwrap()))
         });
         let bits = found.map(|tensor| {
             let values: Vec<f32> = tensor.flatten_all().unwrap().to_vec1().unwrap();
@@ -147,7 +151,7 @@ fn a_copy_shares_memory_until_it_is_written_to() {
     with(&second, shape, |rows| copy.write(rows, 90)).unwrap();
     let question = projections(1, shape, 1.0, 4);
     let ask = |held: &KeyValues, positions| -> Vec<f32> {
-        with(&question, shape, |rows| attend(rows, held, Sight::All { positions }).unwrap())
+        with(&question, shape, |rows| attend(rows, held, AttentionMask::All { positions }).unwrap())
             .flatten_all()
             .unwrap()
             .to_vec1()
@@ -160,7 +164,7 @@ fn a_copy_shares_memory_until_it_is_written_to() {
         (super::Blocks::Single(a), super::Blocks::Single(b)) => std::sync::Arc::ptr_eq(&a[index], &b[index]),
         _ => panic!("of single precision"),
     };
-    assert_eq!((shared(0), shared(90 / BLOCK)), (true, false));
+    assert_eq!((shared(0), shared(90 / BLOCK_POSITIONS)), (true, false));
 }
 
 #[test]
@@ -171,9 +175,9 @@ fn what_is_not_a_number_is_seen_in_the_result() {
         values[66 * shape.row() + part * shape.width] = f32::NAN;
         let all = Tensor::from_vec(values, (70, shape.row()), &Device::Cpu).unwrap();
         let held = held(&all, shape, Precision::Single);
-        let sight = Sight::Causal { start: 0, window: None };
+        let mask = AttentionMask::Causal { start: 0, window: None };
         for instructions in Instructions::available() {
-            let found = with(&all, shape, |rows| mix(rows, &held, sight, instructions));
+            let found = with(&all, shape, |rows| mix(rows, &held, mask, instructions));
             let own = &found[66 * 32..67 * 32];
             assert!(own.iter().any(|value| value.is_nan()), "{instructions:?}, {part}");
         }
@@ -191,9 +195,9 @@ fn shapes_that_do_not_fit_are_errors() {
     assert!(of(&rows.to_dtype(DType::F64).unwrap(), shape).is_err());
     let held = held(&rows, shape, Precision::Single);
     with(&rows, shape, |rows| {
-        assert!(attend(rows, &held, Sight::All { positions: BLOCK }).is_ok());
-        assert!(attend(rows, &held, Sight::All { positions: BLOCK + 1 }).is_err());
-        assert!(attend(rows, &KeyValues::new(other, Precision::Half), Sight::All { positions: 0 }).is_err());
+        assert!(attend(rows, &held, AttentionMask::All { positions: BLOCK_POSITIONS }).is_ok());
+        assert!(attend(rows, &held, AttentionMask::All { positions: BLOCK_POSITIONS + 1 }).is_err());
+        assert!(attend(rows, &KeyValues::new(other, Precision::Half), AttentionMask::All { positions: 0 }).is_err());
         assert!(KeyValues::new(other, Precision::Half).write(rows, 0).is_err());
     });
     let config = serde_json::json!({"vocab_size": 8, "hidden_size": 32, "num_attention_heads": 2});

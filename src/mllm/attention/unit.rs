@@ -3,26 +3,26 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::key_values::{BLOCK, Block, Number};
-use super::{HeadShape, Projected, Sight};
+use super::key_values::{BLOCK_POSITIONS, Block, StoredFloat};
+use super::{AttentionMask, HeadShape, Projected};
 use crate::mllm::matrix::{Instructions, Kernel, LANES, Simd};
 
 /// Rows from which it pays to widen a block of half-precision numbers once rather than for every few rows.
-const WIDEN: usize = 16;
+const MIN_WIDENED_ROWS: usize = 16;
 /// Registers for a tile of the sums of six rows and four vectors: those, what is multiplied, and one to spare.
-const TILE_REGISTERS: usize = 32;
+const MIN_TILE_REGISTERS: usize = 32;
 /// Vectors of the keys of a block.
-const KEY_VECTORS: usize = BLOCK / LANES;
+const KEY_VECTORS: usize = BLOCK_POSITIONS / LANES;
 
 /// The queries of some tokens that share a key head, and some of the positions.
 #[derive(Debug)]
-pub(super) struct Unit<'a, N> {
+pub(super) struct WorkUnit<'a, N> {
     /// What the tokens are read from.
     pub(super) rows: Projected<'a>,
     /// The keys and values of all positions.
     pub(super) blocks: &'a [Arc<Block<N>>],
     /// What each token sees.
-    pub(super) sight: Sight,
+    pub(super) mask: AttentionMask,
     /// The key head.
     pub(super) head: usize,
     /// The tokens.
@@ -34,16 +34,16 @@ pub(super) struct Unit<'a, N> {
 /// What came out of a unit: of each row, one a token and query head, the sum of e^(score - greatest) and of as much of the
 /// values.
 #[derive(Debug)]
-pub(super) struct Mixed {
-    greatest: Vec<f32>,
-    weight: Vec<f32>,
+pub(super) struct PartialOutput {
+    max_score: Vec<f32>,
+    weight_sum: Vec<f32>,
     /// (rows, padded head width)
     values: Vec<[f32; LANES]>,
 }
 
 /// A block's keys, (head width, vectors of positions), and values, (positions, vectors of channels).
 #[derive(Clone, Copy)]
-struct Keyed<'a, N> {
+struct HeadBlock<'a, N> {
     keys: &'a [[N; LANES]],
     values: &'a [[N; LANES]],
     /// Position of the first.
@@ -54,41 +54,41 @@ struct Keyed<'a, N> {
 type Scores<const R: usize> = [[[f32; LANES]; KEY_VECTORS]; R];
 
 /// A unit as work for vector instructions.
-struct UnitKernel<'a, N> {
-    unit: &'a Unit<'a, N>,
+struct WorkUnitKernel<'a, N> {
+    unit: &'a WorkUnit<'a, N>,
     queries: &'a [f32],
-    mixed: &'a mut Mixed,
+    partial: &'a mut PartialOutput,
 }
 
-impl<N: Number> Kernel for UnitKernel<'_, N> {
+impl<N: StoredFloat> Kernel for WorkUnitKernel<'_, N> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { unit, queries, mixed } = self;
+        let Self { unit, queries, partial } = self;
         let shape = unit.rows.shape;
-        let widen = mixed.greatest.len() >= WIDEN && !N::WIDE;
+        let widen = partial.max_score.len() >= MIN_WIDENED_ROWS && !N::IS_F32;
         let (mut keys, mut values) = (Vec::new(), Vec::new());
-        for index in unit.positions.start / BLOCK..unit.positions.end.div_ceil(BLOCK) {
+        for index in unit.positions.start / BLOCK_POSITIONS..unit.positions.end.div_ceil(BLOCK_POSITIONS) {
             let Some(block) = unit.blocks.get(index) else { break };
-            let base = index * BLOCK;
-            let held = Keyed { keys: block.keys(shape, unit.head), values: block.values(shape, unit.head), base };
+            let base = index * BLOCK_POSITIONS;
+            let held = HeadBlock { keys: block.keys(shape, unit.head), values: block.values(shape, unit.head), base };
             if widen {
                 widen_all(simd, held.keys, &mut keys);
                 widen_all(simd, held.values, &mut values);
-                unit.attend(simd, Keyed { keys: &keys, values: &values, base }, queries, mixed);
+                unit.attend(simd, HeadBlock { keys: &keys, values: &values, base }, queries, partial);
             } else {
-                unit.attend(simd, held, queries, mixed);
+                unit.attend(simd, held, queries, partial);
             }
         }
     }
 }
 
-impl<N: Number> Unit<'_, N> {
+impl<N: StoredFloat> WorkUnit<'_, N> {
     /// Computes the unit.
-    pub(super) fn run(&self, instructions: Instructions) -> Mixed {
+    pub(super) fn run(&self, instructions: Instructions) -> PartialOutput {
         let shape = self.rows.shape;
-        let mut mixed = Mixed::new(self.tokens.len() * shape.group(), shape.padded() / LANES);
-        instructions.run(UnitKernel { unit: self, queries: &self.queries(), mixed: &mut mixed });
-        mixed
+        let mut partial = PartialOutput::new(self.tokens.len() * shape.group(), shape.padded() / LANES);
+        instructions.run(WorkUnitKernel { unit: self, queries: &self.queries(), partial: &mut partial });
+        partial
     }
 
     /// The queries, rotated and scaled by 1/√width; the rows that are computed at once channel by channel.
@@ -101,45 +101,51 @@ impl<N: Number> Unit<'_, N> {
         let mut queries = vec![0f32; rows * width];
         let mut row = 0;
         while row < rows {
-            let together = together(rows - row);
-            let out = &mut queries[row * width..(row + together) * width];
-            for r in 0..together {
+            let rows_at_once = rows_at_once(rows - row);
+            let out = &mut queries[row * width..(row + rows_at_once) * width];
+            for r in 0..rows_at_once {
                 let (token, head) = (self.tokens.start + (row + r) / group, (row + r) % group);
                 let query = &self.rows.queries(token, self.head)[head * width..(head + 1) * width];
                 self.rows.rotated(token, query, scale, &mut turned);
-                for (out, value) in out[r..].iter_mut().step_by(together).zip(&turned) {
+                for (out, value) in out[r..].iter_mut().step_by(rows_at_once).zip(&turned) {
                     *out = *value;
                 }
             }
-            row += together;
+            row += rows_at_once;
         }
         queries
     }
 
     /// Attends from all rows to a block.
     #[inline(always)]
-    fn attend<S: Simd, M: Number>(&self, simd: S, block: Keyed<'_, M>, queries: &[f32], mixed: &mut Mixed) {
-        let rows = mixed.greatest.len();
+    fn attend<S: Simd, M: StoredFloat>(
+        &self,
+        simd: S,
+        block: HeadBlock<'_, M>,
+        queries: &[f32],
+        partial: &mut PartialOutput,
+    ) {
+        let rows = partial.max_score.len();
         let mut row = 0;
         while row < rows {
-            row += match together(rows - row) {
-                6 => self.attend_from::<S, M, 6>(simd, block, queries, row, mixed),
-                4 => self.attend_from::<S, M, 4>(simd, block, queries, row, mixed),
-                2 => self.attend_from::<S, M, 2>(simd, block, queries, row, mixed),
-                _ => self.attend_from::<S, M, 1>(simd, block, queries, row, mixed),
+            row += match rows_at_once(rows - row) {
+                6 => self.attend_from::<S, M, 6>(simd, block, queries, row, partial),
+                4 => self.attend_from::<S, M, 4>(simd, block, queries, row, partial),
+                2 => self.attend_from::<S, M, 2>(simd, block, queries, row, partial),
+                _ => self.attend_from::<S, M, 1>(simd, block, queries, row, partial),
             };
         }
     }
 
     /// Attends from the `R` rows that begin with `row` to a block; gives their number.
     #[inline(always)]
-    fn attend_from<S: Simd, M: Number, const R: usize>(
+    fn attend_from<S: Simd, M: StoredFloat, const R: usize>(
         &self,
         simd: S,
-        block: Keyed<'_, M>,
+        block: HeadBlock<'_, M>,
         queries: &[f32],
         row: usize,
-        mixed: &mut Mixed,
+        partial: &mut PartialOutput,
     ) -> usize {
         let shape = self.rows.shape;
         let seen: [Range<usize>; R] = std::array::from_fn(|r| self.seen(row + r, block.base));
@@ -151,23 +157,29 @@ impl<N: Number> Unit<'_, N> {
         let mut scores = [[[0f32; LANES]; KEY_VECTORS]; R];
         let mut column = 0;
         while column < KEY_VECTORS {
-            column += if S::REGISTERS >= TILE_REGISTERS {
+            column += if S::REGISTERS >= MIN_TILE_REGISTERS {
                 score::<S, M, R, KEY_VECTORS>(simd, rows, block.keys, column, &mut scores)
             } else {
                 score::<S, M, R, 1>(simd, rows, block.keys, column, &mut scores)
             };
         }
-        let faded = weigh(simd, &seen, &mut scores, &mut mixed.greatest[row..row + R], &mut mixed.weight[row..row + R]);
+        let faded = weigh(
+            simd,
+            &seen,
+            &mut scores,
+            &mut partial.max_score[row..row + R],
+            &mut partial.weight_sum[row..row + R],
+        );
 
         let vectors = shape.padded() / LANES;
-        let out = &mut mixed.values[row * vectors..(row + R) * vectors];
+        let out = &mut partial.values[row * vectors..(row + R) * vectors];
         let mut column = 0;
         while column < vectors {
             column += match vectors - column {
-                4.. if S::REGISTERS >= TILE_REGISTERS => {
+                4.. if S::REGISTERS >= MIN_TILE_REGISTERS => {
                     mix::<S, M, R, 4>(simd, &scores, depth, block.values, column, faded, out)
                 }
-                2.. if S::REGISTERS >= TILE_REGISTERS => {
+                2.. if S::REGISTERS >= MIN_TILE_REGISTERS => {
                     mix::<S, M, R, 2>(simd, &scores, depth, block.values, column, faded, out)
                 }
                 _ => mix::<S, M, R, 1>(simd, &scores, depth, block.values, column, faded, out),
@@ -178,15 +190,15 @@ impl<N: Number> Unit<'_, N> {
 
     /// What a row sees of the block whose first position is `base`, counted from there.
     fn seen(&self, row: usize, base: usize) -> Range<usize> {
-        let seen = self.sight.of(self.tokens.start + row / self.rows.shape.group());
-        let start = seen.start.max(self.positions.start).saturating_sub(base).min(BLOCK);
-        let end = seen.end.min(self.positions.end).saturating_sub(base).min(BLOCK);
+        let seen = self.mask.of(self.tokens.start + row / self.rows.shape.group());
+        let start = seen.start.max(self.positions.start).saturating_sub(base).min(BLOCK_POSITIONS);
+        let end = seen.end.min(self.positions.end).saturating_sub(base).min(BLOCK_POSITIONS);
         start..end.max(start)
     }
 }
 
 /// Of so many rows that are left, how many are computed at once.
-fn together(rows: usize) -> usize {
+fn rows_at_once(rows: usize) -> usize {
     match rows {
         6.. => 6,
         4 | 5 => 4,
@@ -197,7 +209,7 @@ fn together(rows: usize) -> usize {
 
 /// Widens numbers.
 #[inline(always)]
-fn widen_all<S: Simd, N: Number>(simd: S, from: &[[N; LANES]], to: &mut Vec<[f32; LANES]>) {
+fn widen_all<S: Simd, N: StoredFloat>(simd: S, from: &[[N; LANES]], to: &mut Vec<[f32; LANES]>) {
     to.resize(from.len(), [0.0; LANES]);
     for (to, from) in to.iter_mut().zip(from) {
         simd.store(N::load(simd, from), to);
@@ -206,7 +218,7 @@ fn widen_all<S: Simd, N: Number>(simd: S, from: &[[N; LANES]], to: &mut Vec<[f32
 
 /// Adds A·B to sums: `columns` are those of A, B is rows of `stride` vectors of which the first `C` count.
 #[inline(always)]
-fn add_product<S: Simd, N: Number, const R: usize, const C: usize>(
+fn add_product<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     simd: S,
     columns: impl Iterator<Item = [f32; R]>,
     b: &[[N; LANES]],
@@ -231,7 +243,7 @@ fn add_product<S: Simd, N: Number, const R: usize, const C: usize>(
 
 /// Scores of `C` vectors of keys.
 #[inline(always)]
-fn score<S: Simd, N: Number, const R: usize, const C: usize>(
+fn score<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     simd: S,
     queries: &[[f32; R]],
     keys: &[[N; LANES]],
@@ -255,13 +267,13 @@ fn weigh<S: Simd, const R: usize>(
     simd: S,
     seen: &[Range<usize>; R],
     scores: &mut Scores<R>,
-    greatest: &mut [f32],
-    weight: &mut [f32],
+    max_score: &mut [f32],
+    weight_sum: &mut [f32],
 ) -> [f32; LANES] {
     let mut growth = [0f32; LANES];
     let mut sums = [0f32; R];
     for r in 0..R {
-        if seen[r] != (0..BLOCK) {
+        if seen[r] != (0..BLOCK_POSITIONS) {
             let scores = scores[r].as_flattened_mut();
             scores[..seen[r].start].fill(f32::NEG_INFINITY);
             scores[seen[r].end..].fill(f32::NEG_INFINITY);
@@ -270,11 +282,11 @@ fn weigh<S: Simd, const R: usize>(
         for vector in &scores[r][1..] {
             most = simd.max(most, simd.load(vector));
         }
-        let top = greatest[r].max(simd.greatest(most));
+        let top = max_score[r].max(simd.max_lane(most));
         // A row that has seen nothing yet has no weights that could fade.
         let shift = if top == f32::NEG_INFINITY { 0.0 } else { top };
-        growth[r] = greatest[r] - shift;
-        greatest[r] = top;
+        growth[r] = max_score[r] - shift;
+        max_score[r] = top;
         let mut sum = simd.floats(0.0);
         for vector in &mut scores[r] {
             let weights = simd.exp(simd.add(simd.load(vector), simd.floats(-shift)));
@@ -286,14 +298,14 @@ fn weigh<S: Simd, const R: usize>(
     let mut faded = [0f32; LANES];
     simd.store(simd.exp(simd.load(&growth)), &mut faded);
     for r in 0..R {
-        weight[r] = weight[r] * faded[r] + sums[r];
+        weight_sum[r] = weight_sum[r] * faded[r] + sums[r];
     }
     faded
 }
 
 /// Fades `C` vectors of the rows' sums and adds the weighed values.
 #[inline(always)]
-fn mix<S: Simd, N: Number, const R: usize, const C: usize>(
+fn mix<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     simd: S,
     weights: &Scores<R>,
     depth: usize,
@@ -310,7 +322,7 @@ fn mix<S: Simd, N: Number, const R: usize, const C: usize>(
         }
     }
     let column_of = |k: usize| std::array::from_fn(|r| weights[r].as_flattened()[k]);
-    let sums = add_product(simd, (0..depth.min(BLOCK)).map(column_of), &values[column..], vectors, sums);
+    let sums = add_product(simd, (0..depth.min(BLOCK_POSITIONS)).map(column_of), &values[column..], vectors, sums);
     for r in 0..R {
         for c in 0..C {
             simd.store(sums[r][c], &mut out[r * vectors + column + c]);
@@ -319,11 +331,11 @@ fn mix<S: Simd, N: Number, const R: usize, const C: usize>(
     C
 }
 
-impl Mixed {
+impl PartialOutput {
     fn new(rows: usize, vectors: usize) -> Self {
         Self {
-            greatest: vec![f32::NEG_INFINITY; rows],
-            weight: vec![0.0; rows],
+            max_score: vec![f32::NEG_INFINITY; rows],
+            weight_sum: vec![0.0; rows],
             values: vec![[0.0; LANES]; rows * vectors],
         }
     }
@@ -338,14 +350,14 @@ impl Mixed {
     }
 
     fn add(&mut self, other: &Self) {
-        let rows = self.greatest.len();
+        let rows = self.max_score.len();
         let vectors = self.values.len() / rows.max(1);
         for row in 0..rows {
-            let top = self.greatest[row].max(other.greatest[row]);
+            let top = self.max_score[row].max(other.max_score[row]);
             let shift = if top == f32::NEG_INFINITY { 0.0 } else { top };
-            let (own, others) = ((self.greatest[row] - shift).exp(), (other.greatest[row] - shift).exp());
-            self.greatest[row] = top;
-            self.weight[row] = self.weight[row] * own + other.weight[row] * others;
+            let (own, others) = ((self.max_score[row] - shift).exp(), (other.max_score[row] - shift).exp());
+            self.max_score[row] = top;
+            self.weight_sum[row] = self.weight_sum[row] * own + other.weight_sum[row] * others;
             let values = self.values[row * vectors..(row + 1) * vectors].as_flattened_mut();
             let added = other.values[row * vectors..(row + 1) * vectors].as_flattened();
             for (value, added) in values.iter_mut().zip(added) {
@@ -359,9 +371,9 @@ impl Mixed {
         let group = shape.group() * shape.width;
         let tokens = out.chunks_exact_mut(shape.query_heads * shape.width);
         let places = tokens.flat_map(|token| token[head * group..(head + 1) * group].chunks_exact_mut(shape.width));
-        let rows = self.values.chunks_exact(shape.padded() / LANES).zip(&self.weight);
-        for (place, (values, weight)) in places.zip(rows) {
-            let scale = 1.0 / weight;
+        let rows = self.values.chunks_exact(shape.padded() / LANES).zip(&self.weight_sum);
+        for (place, (values, weight_sum)) in places.zip(rows) {
+            let scale = 1.0 / weight_sum;
             place.iter_mut().zip(values.as_flattened()).for_each(|(out, value)| *out = value * scale);
         }
     }

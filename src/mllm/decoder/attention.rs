@@ -4,7 +4,7 @@ use candle_core::Tensor;
 
 use super::cache::KvCache;
 use super::layer::Pass;
-use crate::mllm::attention::{HeadShape, Projected, Sight, attend};
+use crate::mllm::attention::{AttentionMask, HeadShape, Projected, attend};
 use crate::mllm::checkpoint::LlamaConfig;
 
 /// Causal attention of one layer, between its projections: it has no weights of its own.
@@ -23,8 +23,8 @@ impl CausalAttention {
     /// Attends from rows that follow what the cache holds to all positions up to their own. `qkv` are their queries, keys
     /// and values side by side, (tokens, (heads + 2 · key heads) · head width); the result is (tokens, heads · head width).
     pub(crate) fn forward(&self, qkv: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
-        let sight = Sight::Causal { start: cache.len(), window: self.window };
-        Projected::of(qkv, self.shape, Some(&pass.rotary), |rows| attend(rows, cache.write(pass.layer, rows)?, sight))
+        let mask = AttentionMask::Causal { start: cache.len(), window: self.window };
+        Projected::of(qkv, self.shape, Some(&pass.rotary), |rows| attend(rows, cache.write(pass.layer, rows)?, mask))
     }
 }
 

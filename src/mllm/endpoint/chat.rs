@@ -133,10 +133,10 @@ pub(super) fn constraint_use(settings: &EndpointSettings, constraint: &Constrain
         return ConstraintUse::Unconstrained;
     }
     if settings.grammar == GrammarField::None {
-        return ConstraintUse::NotOffered;
+        return ConstraintUse::NotSent;
     }
     let whole = pattern(constraint).ok().and_then(|pattern| regex::Regex::new(&format!("^(?:{pattern})$")).ok());
-    if whole.is_some_and(|whole| whole.is_match(text)) { ConstraintUse::Kept } else { ConstraintUse::Broken }
+    if whole.is_some_and(|whole| whole.is_match(text)) { ConstraintUse::Satisfied } else { ConstraintUse::Violated }
 }
 
 /// An image as a `data:` address, in PNG.

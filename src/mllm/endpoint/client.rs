@@ -15,7 +15,7 @@ use super::settings::EndpointSettings;
 use crate::mllm::{Deadline, EndpointFailure, MllmError};
 
 /// Longest wait between two requests that no server asked for.
-const LONGEST_WAIT: Duration = Duration::from_secs(30);
+const MAX_WAIT: Duration = Duration::from_secs(30);
 
 /// A connection pool to one server.
 #[derive(Debug)]
@@ -77,7 +77,7 @@ impl Client {
     pub(super) fn ask(&self, body: &Value, seed: u64, deadline: Deadline) -> Result<Reply, MllmError> {
         let mut waits = ExponentialBuilder::default()
             .with_min_delay(self.first_wait)
-            .with_max_delay(LONGEST_WAIT)
+            .with_max_delay(MAX_WAIT)
             .with_max_times(self.retries)
             .with_jitter()
             .with_jitter_seed(seed)
@@ -89,7 +89,7 @@ impl Client {
                 Err(failed) => failed,
             };
             deadline.check()?;
-            let again = if may_pass(&failure) { waits.next() } else { None };
+            let again = if is_transient(&failure) { waits.next() } else { None };
             let Some(wait) = again else { return Err(self.error(failure)) };
             let wait = retry_after.unwrap_or(wait);
             if let (EndpointFailure::Unavailable { status, .. }, true) = (&failure, wait > self.timeout) {
@@ -157,7 +157,7 @@ impl Client {
             EndpointFailure::Timeout(_) => EndpointFailure::Timeout(self.timeout),
             EndpointFailure::Connect(text) => EndpointFailure::Connect(hide(text)),
             EndpointFailure::Closed(text) => EndpointFailure::Closed(hide(text)),
-            EndpointFailure::Nonsense(text) => EndpointFailure::Nonsense(hide(text)),
+            EndpointFailure::InvalidReply(text) => EndpointFailure::InvalidReply(hide(text)),
             EndpointFailure::Unavailable { status, message } => {
                 EndpointFailure::Unavailable { status, message: hide(message) }
             }
@@ -172,7 +172,7 @@ impl Client {
 }
 
 /// Whether the same request may succeed a little later. One that used up its time is not made again.
-fn may_pass(failure: &EndpointFailure) -> bool {
+fn is_transient(failure: &EndpointFailure) -> bool {
     matches!(failure, EndpointFailure::Connect(_) | EndpointFailure::Closed(_) | EndpointFailure::Unavailable { .. })
 }
 

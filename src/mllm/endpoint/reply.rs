@@ -8,7 +8,7 @@ use serde::Deserialize;
 use crate::mllm::{EndpointFailure, FinishReason, TokenCounts};
 
 /// Most bytes of an answer; the longest sensible one, in stream events of a token each, takes a tenth of it.
-pub(super) const MOST_BYTES: u64 = 4 << 20;
+pub(super) const MAX_BYTES: u64 = 4 << 20;
 /// Characters of a server's words that a message shows.
 const SHOWN: usize = 300;
 
@@ -68,8 +68,8 @@ impl From<&Usage> for TokenCounts {
             text: usage.prompt_tokens.saturating_sub(cached),
             image: 0,
             cached: cached.min(usage.prompt_tokens),
-            forced: 0,
-            free: usage.completion_tokens,
+            fast_forwarded: 0,
+            sampled: usage.completion_tokens,
         }
     }
 }
@@ -85,11 +85,11 @@ struct Gathered {
 
 impl Gathered {
     fn add(&mut self, text: &str) -> Result<(), EndpointFailure> {
-        let nonsense = |problem: String| EndpointFailure::Nonsense(problem);
+        let invalid = |problem: String| EndpointFailure::InvalidReply(problem);
         let part: Completion =
-            serde_json::from_str(text).map_err(|error| nonsense(format!("{error} in {:?}", shown(text))))?;
+            serde_json::from_str(text).map_err(|error| invalid(format!("{error} in {:?}", shown(text))))?;
         if let Some(error) = part.error {
-            return Err(nonsense(message_of(&error)));
+            return Err(invalid(message_of(&error)));
         }
         if let Some(usage) = &part.usage {
             self.tokens = usage.into();
@@ -97,7 +97,7 @@ impl Gathered {
         let Some(choice) = part.choices.into_iter().next() else { return Ok(()) };
         let message = choice.message.unwrap_or_default();
         if let Some(refusal) = message.refusal.filter(|refusal| !refusal.is_empty()) {
-            return Err(nonsense(format!("the model refuses: {}", shown(&refusal))));
+            return Err(invalid(format!("the model refuses: {}", shown(&refusal))));
         }
         if let Some(content) = message.content.filter(|content| !content.is_empty()) {
             self.first_text.get_or_insert_with(Instant::now);
@@ -107,7 +107,7 @@ impl Gathered {
             None => self.finish,
             Some("stop") => Some(FinishReason::EndOfSequence),
             Some("length") => Some(FinishReason::Length),
-            Some(other) => return Err(nonsense(format!("it ends by {:?}", shown(other)))),
+            Some(other) => return Err(invalid(format!("it ends by {:?}", shown(other)))),
         };
         Ok(())
     }
@@ -125,15 +125,17 @@ impl Gathered {
 /// When it is too long, breaks off, or is no chat completion.
 pub(super) fn read_whole(body: impl Read) -> Result<Reply, EndpointFailure> {
     let mut bytes = Vec::new();
-    body.take(MOST_BYTES + 1).read_to_end(&mut bytes).map_err(|error| broken_off(&error))?;
-    if bytes.len() as u64 > MOST_BYTES {
-        return Err(EndpointFailure::TooLong(MOST_BYTES));
+    body.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(|error| broken_off(&error))?;
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(EndpointFailure::TooLong(MAX_BYTES));
     }
     let text = String::from_utf8_lossy(&bytes);
     let mut gathered = Gathered::default();
     gathered.add(&text)?;
     gathered.first_text = None;
-    gathered.complete().ok_or_else(|| EndpointFailure::Nonsense(format!("no finished choice in {:?}", shown(&text))))
+    gathered
+        .complete()
+        .ok_or_else(|| EndpointFailure::InvalidReply(format!("no finished choice in {:?}", shown(&text))))
 }
 
 /// Reads an answer that is streamed.
@@ -141,7 +143,7 @@ pub(super) fn read_whole(body: impl Read) -> Result<Reply, EndpointFailure> {
 /// # Errors
 /// As [`read_whole`]; a stream that ends before the answer did breaks off.
 pub(super) fn read_stream(body: impl Read) -> Result<Reply, EndpointFailure> {
-    let mut lines = BufReader::new(body.take(MOST_BYTES + 1));
+    let mut lines = BufReader::new(body.take(MAX_BYTES + 1));
     let mut gathered = Gathered::default();
     let mut read = 0;
     let mut line = Vec::new();
@@ -149,8 +151,8 @@ pub(super) fn read_stream(body: impl Read) -> Result<Reply, EndpointFailure> {
         line.clear();
         let length = lines.read_until(b'\n', &mut line).map_err(|error| broken_off(&error))?;
         read += length as u64;
-        if read > MOST_BYTES {
-            return Err(EndpointFailure::TooLong(MOST_BYTES));
+        if read > MAX_BYTES {
+            return Err(EndpointFailure::TooLong(MAX_BYTES));
         }
         // Lines of other fields and comments, by which a server keeps the connection open, say nothing.
         let text = String::from_utf8_lossy(&line);
@@ -168,7 +170,7 @@ pub(super) fn read_stream(body: impl Read) -> Result<Reply, EndpointFailure> {
 pub(super) fn error_message(body: impl Read) -> String {
     let mut bytes = Vec::new();
     // What cannot be read of an explanation is no other error than the status.
-    let _ = body.take(MOST_BYTES).read_to_end(&mut bytes);
+    let _ = body.take(MAX_BYTES).read_to_end(&mut bytes);
     let text = String::from_utf8_lossy(&bytes);
     match serde_json::from_str::<Completion>(&text) {
         Ok(Completion { error: Some(error), .. }) => message_of(&error),
@@ -211,7 +213,7 @@ mod tests {
             "prompt_tokens_details": {"cached_tokens": 8}}}"#;
         let reply = read_whole(body.as_bytes()).unwrap();
         assert_eq!((reply.content.as_str(), reply.finish), ("keep", FinishReason::Length));
-        assert_eq!(reply.tokens, TokenCounts { text: 4, cached: 8, free: 3, ..TokenCounts::default() });
+        assert_eq!(reply.tokens, TokenCounts { text: 4, cached: 8, sampled: 3, ..TokenCounts::default() });
         assert_eq!(reply.first_text, None);
     }
 
@@ -224,17 +226,16 @@ mod tests {
             data: {\"choices\":[],\"usage\":{\"prompt_tokens\":5,\"completion_tokens\":2}}\n\ndata: [DONE]\n\n";
         let reply = read_stream(body.as_bytes()).unwrap();
         assert_eq!((reply.content.as_str(), reply.finish), ("keep", FinishReason::EndOfSequence));
-        assert_eq!((reply.tokens.text, reply.tokens.free), (5, 2));
+        assert_eq!((reply.tokens.text, reply.tokens.sampled), (5, 2));
         assert!(reply.first_text.is_some());
     }
 
     #[test]
     fn nonsense_and_broken_answers_are_told_apart() {
         let whole = |body: &str| read_whole(body.as_bytes()).unwrap_err();
-        for nonsense in
-            ["", "<html>", "[]", "{}", r#"{"choices": []}"#, r#"{"choices": [{"message": {"content": 3}}]}"#]
+        for invalid in ["", "<html>", "[]", "{}", r#"{"choices": []}"#, r#"{"choices": [{"message": {"content": 3}}]}"#]
         {
-            assert!(matches!(whole(nonsense), EndpointFailure::Nonsense(_)), "{nonsense}");
+            assert!(matches!(whole(invalid), EndpointFailure::InvalidReply(_)), "{invalid}");
         }
         let refusal = r#"{"choices":[{"message":{"refusal":"I cannot"},"finish_reason":"stop"}]}"#;
         assert!(whole(refusal).to_string().contains("I cannot"));
@@ -242,16 +243,16 @@ mod tests {
         let cut = "data: {\"choices\":[{\"delta\":{\"content\":\"ke\"}}]}\n\n";
         assert!(matches!(stream(cut), EndpointFailure::Closed(_)));
         assert!(
-            matches!(stream("data: {\"error\":{\"message\":\"no\"}}\n"), EndpointFailure::Nonsense(m) if m == "no")
+            matches!(stream("data: {\"error\":{\"message\":\"no\"}}\n"), EndpointFailure::InvalidReply(m) if m == "no")
         );
     }
 
     #[test]
     fn an_endless_answer_is_not_read_to_its_end() {
         let endless = std::io::repeat(b' ');
-        assert_eq!(read_whole(endless).unwrap_err(), EndpointFailure::TooLong(MOST_BYTES));
+        assert_eq!(read_whole(endless).unwrap_err(), EndpointFailure::TooLong(MAX_BYTES));
         let endless = std::io::repeat(b'\n');
-        assert_eq!(read_stream(endless).unwrap_err(), EndpointFailure::TooLong(MOST_BYTES));
+        assert_eq!(read_stream(endless).unwrap_err(), EndpointFailure::TooLong(MAX_BYTES));
     }
 
     #[test]

@@ -114,13 +114,13 @@ impl LatencyProbe {
                 let tokens = self.image_tokens()?;
                 self.pending.extend(std::iter::repeat_n(self.model.info().image_token, tokens));
             }
-            Step::Text(tokens) | Step::Forced(tokens) => {
+            Step::Text(tokens) | Step::FastForwarded(tokens) => {
                 for _ in 0..tokens {
                     let word = self.word();
                     self.pending.push(word);
                 }
             }
-            Step::Free(tokens) => {
+            Step::Sampled(tokens) => {
                 for _ in 0..tokens {
                     let logits = self.compute(Logits::Last, &mut time)?;
                     let word = self.choose(logits)?;

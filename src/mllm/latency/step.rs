@@ -16,9 +16,9 @@ pub enum Step {
     /// Appends tokens of a prompt.
     Text(usize),
     /// Appends tokens of an answer that its grammar leaves no choice about.
-    Forced(usize),
+    FastForwarded(usize),
     /// Lets the model choose so many tokens, one after the other; the last one is appended, and not computed yet.
-    Free(usize),
+    Sampled(usize),
     /// Computes what was appended and chooses nothing.
     Compute,
 }
@@ -83,10 +83,17 @@ mod tests {
 
     #[test]
     fn steps_are_written_in_a_word_and_a_number() {
-        let steps =
-            [Step::Keep(3), Step::Encode, Step::Image, Step::Text(9), Step::Forced(2), Step::Free(4), Step::Compute];
+        let steps = [
+            Step::Keep(3),
+            Step::Encode,
+            Step::Image,
+            Step::Text(9),
+            Step::FastForwarded(2),
+            Step::Sampled(4),
+            Step::Compute,
+        ];
         let text = serde_json::to_string(&steps).unwrap();
-        assert_eq!(text, r#"[{"keep":3},"encode","image",{"text":9},{"forced":2},{"free":4},"compute"]"#);
+        assert_eq!(text, r#"[{"keep":3},"encode","image",{"text":9},{"fast_forwarded":2},{"sampled":4},"compute"]"#);
         assert_eq!(serde_json::from_str::<Vec<Step>>(&text).unwrap(), steps);
     }
 

@@ -99,7 +99,7 @@ fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass
             assert_eq!(images, 1, "{name}");
             assert_eq!(passes[0], first.tokens.text + first.tokens.image, "{name}: {passes:?}");
             assert!(
-                passes[1..].iter().all(|rows| *rows == 1) && passes.len() <= first.tokens.free,
+                passes[1..].iter().all(|rows| *rows == 1) && passes.len() <= first.tokens.sampled,
                 "{name}: {passes:?}"
             );
             assert_eq!(first.tokens.cached > 0, shared);
@@ -109,10 +109,10 @@ fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass
             let Computed { passes, images } = take();
             assert_eq!(
                 (passes.len(), images),
-                (third.tokens.free, 0),
+                (third.tokens.sampled, 0),
                 "{name}: a pass for each free token: {passes:?}"
             );
-            assert!(third.tokens.forced > third.tokens.free, "{:?}", third.tokens);
+            assert!(third.tokens.fast_forwarded > third.tokens.sampled, "{:?}", third.tokens);
             // What the first two rounds left uncomputed, and what was forced before the number.
             assert!(passes[0] > third.tokens.text + third.tokens.image, "{passes:?} {:?}", third.tokens);
             conversation.rewind(start);

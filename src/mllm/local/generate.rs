@@ -18,7 +18,7 @@ pub(super) struct Generated {
     /// The answer, without the token that ended it.
     pub(super) ids: Vec<u32>,
     /// How many of them the grammar forced.
-    pub(super) forced: usize,
+    pub(super) fast_forwarded: usize,
     /// Why it ended.
     pub(super) finish: FinishReason,
     /// Duration of the first forward pass, which computes the prompt.
@@ -85,7 +85,7 @@ pub(super) fn generate(
         deadline: end.deadline,
         out: Generated {
             ids: Vec::new(),
-            forced: 0,
+            fast_forwarded: 0,
             finish: at_budget,
             prefill: 0.0,
             prefill_end: milliseconds(start.elapsed()),
@@ -96,11 +96,11 @@ pub(super) fn generate(
     };
     loop {
         if let Some(grammar) = &mut grammar {
-            let mut forced = grammar.take_forced()?;
+            let mut fast_forwarded = grammar.take_fast_forwarded()?;
             let left = budget - generation.out.ids.len();
-            let cut = forced.len() > left;
-            forced.truncate(left);
-            generation.push_forced(&forced);
+            let cut = fast_forwarded.len() > left;
+            fast_forwarded.truncate(left);
+            generation.push_fast_forwarded(&fast_forwarded);
             if grammar.is_complete() && !cut {
                 generation.out.finish = FinishReason::Complete;
                 break;
@@ -110,7 +110,7 @@ pub(super) fn generate(
             break;
         }
         let allowed = grammar.as_mut().map(GrammarState::allowed).transpose()?;
-        let (token, free) = match allowed.as_ref().and_then(only_token) {
+        let (token, sampled) = match allowed.as_ref().and_then(only_token) {
             Some(token) => (token, false),
             None => (generation.choose(&mut sampler, allowed.as_ref())?, true),
         };
@@ -118,10 +118,10 @@ pub(super) fn generate(
             generation.out.finish = FinishReason::EndOfSequence;
             break;
         }
-        if free {
-            generation.push_free(token);
+        if sampled {
+            generation.push_sampled(token);
         } else {
-            generation.push_forced(&[token]);
+            generation.push_fast_forwarded(&[token]);
         }
         if let Some(grammar) = &mut grammar {
             grammar.consume(&[token])?;
@@ -155,18 +155,18 @@ impl Generation<'_> {
         self.sequence.append_in_passes(self.model, &pending, self.features, Logits::Last, self.deadline)
     }
 
-    fn push_free(&mut self, token: u32) {
+    fn push_sampled(&mut self, token: u32) {
         if self.out.first_token == 0.0 {
             self.out.first_token = milliseconds(self.start.elapsed());
         }
         self.push(token);
     }
 
-    fn push_forced(&mut self, tokens: &[u32]) {
+    fn push_fast_forwarded(&mut self, tokens: &[u32]) {
         for token in tokens {
             self.push(*token);
         }
-        self.out.forced += tokens.len();
+        self.out.fast_forwarded += tokens.len();
     }
 
     fn push(&mut self, token: u32) {

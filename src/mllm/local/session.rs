@@ -129,8 +129,8 @@ impl Conversation for LocalConversation<'_> {
                 text: computed.len() - image_tokens,
                 image: image_tokens,
                 cached,
-                forced: generated.forced,
-                free: generated.ids.len() - generated.forced,
+                fast_forwarded: generated.fast_forwarded,
+                sampled: generated.ids.len() - generated.fast_forwarded,
             },
             time: RoundTime {
                 image_encode,

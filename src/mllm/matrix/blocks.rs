@@ -95,9 +95,9 @@ mod tests {
             for weight_format in [WeightFormat::Q8_0, WeightFormat::Q6K, WeightFormat::Q4K] {
                 let count = 3 * weight_format.block();
                 let bytes = &bytes[..3 * weight_format.block_bytes()];
-                let quantised = QStorage::from_data(Cow::Borrowed(bytes), &Device::Cpu, weight_format.ggml()).unwrap();
+                let quantized = QStorage::from_data(Cow::Borrowed(bytes), &Device::Cpu, weight_format.ggml()).unwrap();
                 let expected: Vec<f32> =
-                    QTensor::new(quantised, count).unwrap().dequantize(&Device::Cpu).unwrap().to_vec1().unwrap();
+                    QTensor::new(quantized, count).unwrap().dequantize(&Device::Cpu).unwrap().to_vec1().unwrap();
                 let mut found = vec![0.0; count];
                 decode_row(weight_format, bytes, &mut found);
                 for (found, expected) in found.into_iter().zip(expected) {

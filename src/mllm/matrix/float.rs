@@ -1,10 +1,10 @@
 //! Products of weights in 16-bit floating point with activations in 32 bits, summed in 32 bits.
 
-use super::format::{Format, PANELS, Sums};
-use super::line::Line;
+use super::format::{Format, TILES, TileSums};
+use super::line::CacheLine;
 use super::simd::{LANES, Simd};
 
-/// Numbers in a span: with two panels they fill half of a first-level cache.
+/// Numbers in a span: with two tiles they fill half of a first-level cache.
 const SPAN: usize = 128;
 
 /// IEEE's 16-bit numbers, two of each output a line.
@@ -29,7 +29,7 @@ impl Format for F16 {
     }
 
     #[inline(always)]
-    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Self::Block) {
+    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Self::Block) {
         let (pairs, _) = block.as_chunks_mut::<2>();
         for (numbers, line) in pairs.iter_mut().zip(lines) {
             for (half, numbers) in numbers.iter_mut().enumerate() {
@@ -45,11 +45,11 @@ impl Format for F16 {
     #[inline(always)]
     fn multiply<S: Simd, const ROWS: usize>(
         simd: S,
-        blocks: &[Self::Block; PANELS],
+        blocks: &[Self::Block; TILES],
         words: &[i32],
-        sums: &mut [Sums; ROWS],
+        sums: &mut [TileSums; ROWS],
     ) {
-        let mut totals = [[simd.floats(0.0); PANELS]; ROWS];
+        let mut totals = [[simd.floats(0.0); TILES]; ROWS];
         for (totals, sums) in totals.iter_mut().zip(&*sums) {
             *totals = sums.each_ref().map(|sum| simd.load(sum));
         }

@@ -1,27 +1,27 @@
-//! What the product of a matrix in panels asks of the form its numbers are stored in.
+//! What the product of a matrix in tiles asks of the form its numbers are stored in.
 
-use super::line::Line;
+use super::line::CacheLine;
 use super::simd::{LANES, Simd};
 
-/// Panels that a kernel multiplies at once: as many as let every number of the activations that is loaded be used twice.
-pub(super) const PANELS: usize = 2;
+/// PackedTiles that a kernel multiplies at once: as many as let every number of the activations that is loaded be used twice.
+pub(super) const TILES: usize = 2;
 
 /// Most rows of activations that a kernel multiplies at once: their sums and those of their parts fill AVX-512's registers.
-pub(super) const TILE: usize = 6;
+pub(super) const MAX_BATCH: usize = 6;
 
-/// Sums of one row of activations with the outputs of [`PANELS`] panels.
-pub(super) type Sums = [[f32; LANES]; PANELS];
+/// TileSums of one row of activations with the outputs of [`TILES`] tiles.
+pub(super) type TileSums = [[f32; LANES]; TILES];
 
 /// A form of numbers. Products go span by span: the weights of a span are unpacked once for all rows, the activations were
 /// packed once for all outputs.
 pub(super) trait Format {
     /// Numbers of a row in a span.
     const SPAN: usize;
-    /// Lines of a panel in a span.
+    /// Lines of a tile in a span.
     const LINES: usize;
     /// Words that a row's activations take in a span. Those of the rows of a tile alternate, word by word.
     const WORDS: usize;
-    /// The weights of a panel in a span, ready to be multiplied.
+    /// The weights of a tile in a span, ready to be multiplied.
     type Block: Clone;
 
     /// A block of zeros.
@@ -31,13 +31,13 @@ pub(super) trait Format {
     fn pack<S: Simd>(simd: S, values: &[f32], words: &mut [i32]);
 
     /// Unpacks the weights of a span, fewer than [`Self::LINES`] lines at the end of a row.
-    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Self::Block);
+    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Self::Block);
 
     /// Adds the products of a span and a tile of `ROWS` rows to their sums.
     fn multiply<S: Simd, const ROWS: usize>(
         simd: S,
-        blocks: &[Self::Block; PANELS],
+        blocks: &[Self::Block; TILES],
         words: &[i32],
-        sums: &mut [Sums; ROWS],
+        sums: &mut [TileSums; ROWS],
     );
 }

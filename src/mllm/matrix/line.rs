@@ -5,9 +5,9 @@ use super::simd::LANES;
 /// A cache line of weights.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
-pub(crate) struct Line(pub(crate) [u8; 64]);
+pub(crate) struct CacheLine(pub(crate) [u8; 64]);
 
-impl Line {
+impl CacheLine {
     /// A line of zeros.
     pub(crate) const ZERO: Self = Self([0; 64]);
 

@@ -5,9 +5,9 @@ mod blocks;
 mod float;
 mod format;
 mod line;
-mod panels;
+mod packed_tiles;
 mod product;
-mod quantised;
+mod quantized;
 mod simd;
 #[cfg(test)]
 mod tests;
@@ -20,7 +20,7 @@ use candle_core::quantized::QTensor;
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
 
-use panels::Panels;
+use packed_tiles::PackedTiles;
 use product::Columns;
 pub(crate) use simd::{Instructions, Kernel, LANES, Simd};
 pub use weight_format::{UnknownWeightFormat, WeightFormat};
@@ -34,17 +34,17 @@ pub struct Matrix {
     inputs: usize,
     outputs: usize,
     /// Their outputs stand side by side. More than one where matrices of a layer were stacked.
-    parts: Vec<Arc<Part>>,
+    segments: Vec<Arc<Segment>>,
 }
 
 /// The rows of a matrix that are stored alike.
 #[derive(Debug)]
-enum Part {
+enum Segment {
     /// f32 of shape (inputs, outputs), transposed: for few rows, which is what decoding has, the product would otherwise
     /// spend most of its time on transposing blocks of it.
     Transposed(Tensor),
     /// Any other storage.
-    Panels(Panels),
+    Tiles(PackedTiles),
 }
 
 impl Matrix {
@@ -93,7 +93,7 @@ impl Matrix {
         Ok(Self {
             inputs,
             outputs,
-            parts: vec![Arc::new(Part::Panels(Panels::pack(weight_format, outputs, inputs, bytes)))],
+            segments: vec![Arc::new(Segment::Tiles(PackedTiles::pack(weight_format, outputs, inputs, bytes)))],
         })
     }
 
@@ -103,7 +103,7 @@ impl Matrix {
     /// When it is no matrix of f32.
     pub fn from_tensor(tensor: &Tensor) -> Result<Self> {
         let (outputs, inputs) = tensor.dims2()?;
-        Ok(Self { inputs, outputs, parts: vec![Arc::new(Part::Transposed(tensor.t()?.contiguous()?))] })
+        Ok(Self { inputs, outputs, segments: vec![Arc::new(Segment::Transposed(tensor.t()?.contiguous()?))] })
     }
 
     /// Matrices of the same inputs as one, their outputs side by side: one pass over the input instead of many. They may be
@@ -119,15 +119,15 @@ impl Matrix {
             bail!("matrices of {inputs} and {} inputs cannot be stacked", other.inputs);
         }
         let outputs = matrices.iter().map(|matrix| matrix.outputs).sum();
-        let mut parts: Vec<Arc<Part>> = Vec::new();
-        for part in matrices.into_iter().flat_map(|matrix| matrix.parts) {
-            let apart = match parts.last_mut().and_then(Arc::get_mut) {
-                Some(last) => last.append(part)?,
-                None => Some(part),
+        let mut segments: Vec<Arc<Segment>> = Vec::new();
+        for segment in matrices.into_iter().flat_map(|matrix| matrix.segments) {
+            let apart = match segments.last_mut().and_then(Arc::get_mut) {
+                Some(last) => last.append(segment)?,
+                None => Some(segment),
             };
-            parts.extend(apart);
+            segments.extend(apart);
         }
-        Ok(Self { inputs, outputs, parts })
+        Ok(Self { inputs, outputs, segments })
     }
 
     /// Width of the result.
@@ -142,12 +142,12 @@ impl Matrix {
 
     /// How its rows are stored; of a stack, the first.
     pub fn weight_format(&self) -> WeightFormat {
-        self.parts.first().map_or_else(WeightFormat::default, |part| part.weight_format())
+        self.segments.first().map_or_else(WeightFormat::default, |segment| segment.weight_format())
     }
 
     /// Bytes in memory.
     pub fn bytes(&self) -> usize {
-        self.parts.iter().map(|part| part.bytes()).sum()
+        self.segments.iter().map(|segment| segment.bytes()).sum()
     }
 
     /// Writes the row-major blocks that [`Self::from_blocks`] takes, bit for bit; of a stack, those of one matrix after the
@@ -156,7 +156,7 @@ impl Matrix {
     /// # Errors
     /// When writing fails.
     pub fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
-        self.parts.iter().try_for_each(|part| part.write_blocks(out))
+        self.segments.iter().try_for_each(|segment| segment.write_blocks(out))
     }
 
     /// Rows of the matrix, (ids, inputs) in f32: as an embedding is read.
@@ -167,17 +167,17 @@ impl Matrix {
         let mut values = vec![0.0; ids.len() * self.inputs];
         for (id, row) in ids.iter().zip(values.chunks_exact_mut(self.inputs)) {
             let mut index = *id as usize;
-            let part = self.parts.iter().find(|part| {
-                let found = index < part.outputs();
+            let segment = self.segments.iter().find(|segment| {
+                let found = index < segment.outputs();
                 if !found {
-                    index -= part.outputs();
+                    index -= segment.outputs();
                 }
                 found
             });
-            let Some(part) = part else {
+            let Some(segment) = segment else {
                 bail!("row {id} of a matrix of {} rows", self.outputs);
             };
-            part.read_row(index, row)?;
+            segment.read_row(index, row)?;
         }
         Tensor::from_vec(values, (ids.len(), self.inputs), &Device::Cpu)
     }
@@ -199,8 +199,8 @@ impl Matrix {
         if width != self.inputs {
             bail!("rows of {width} numbers times a matrix of {} inputs", self.inputs);
         }
-        if let [part] = self.parts.as_slice()
-            && let Part::Transposed(weights) = &**part
+        if let [segment] = self.segments.as_slice()
+            && let Segment::Transposed(weights) = &**segment
         {
             let product = x.matmul(weights)?;
             let product = bias.map_or(Ok(product.clone()), |bias| product.broadcast_add(bias))?;
@@ -220,12 +220,12 @@ impl Matrix {
         };
         with_values(x, |x| {
             let mut first = 0;
-            for part in &self.parts {
-                let bias = bias.as_deref().and_then(|bias| bias.get(first..first + part.outputs()));
-                let columns = Columns::new(&mut result, self.outputs, first, part.outputs(), bias);
-                first += part.outputs();
+            for segment in &self.segments {
+                let bias = bias.as_deref().and_then(|bias| bias.get(first..first + segment.outputs()));
+                let columns = Columns::new(&mut result, self.outputs, first, segment.outputs(), bias);
+                first += segment.outputs();
                 if let Some(columns) = columns {
-                    part.multiply(x, &columns)?;
+                    segment.multiply(x, &columns)?;
                 }
             }
             Ok(())
@@ -234,25 +234,25 @@ impl Matrix {
     }
 }
 
-impl Part {
+impl Segment {
     fn weight_format(&self) -> WeightFormat {
         match self {
             Self::Transposed(_) => WeightFormat::F32,
-            Self::Panels(panels) => panels.weight_format(),
+            Self::Tiles(tiles) => tiles.weight_format(),
         }
     }
 
     fn outputs(&self) -> usize {
         match self {
             Self::Transposed(weights) => weights.dims().last().copied().unwrap_or(0),
-            Self::Panels(panels) => panels.outputs(),
+            Self::Tiles(tiles) => tiles.outputs(),
         }
     }
 
     fn bytes(&self) -> usize {
         match self {
             Self::Transposed(weights) => weights.elem_count() * size_of::<f32>(),
-            Self::Panels(panels) => panels.bytes(),
+            Self::Tiles(tiles) => tiles.bytes(),
         }
     }
 
@@ -263,7 +263,7 @@ impl Part {
                 *weights = Tensor::cat(&[&*weights, others], 1)?.contiguous()?;
                 true
             }
-            (Self::Panels(panels), Self::Panels(others)) => panels.append(others),
+            (Self::Tiles(tiles), Self::Tiles(others)) => tiles.append(others),
             _ => false,
         };
         Ok((!appended).then_some(other))
@@ -271,7 +271,7 @@ impl Part {
 
     fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
         match self {
-            Self::Panels(panels) => panels.write_blocks(out),
+            Self::Tiles(tiles) => tiles.write_blocks(out),
             Self::Transposed(weights) => {
                 let mut row = vec![0.0; weights.dims().first().copied().unwrap_or(0)];
                 (0..self.outputs()).try_for_each(|index| {
@@ -287,7 +287,7 @@ impl Part {
             Self::Transposed(weights) => {
                 row.copy_from_slice(&weights.narrow(1, index, 1)?.flatten_all()?.to_vec1::<f32>()?);
             }
-            Self::Panels(panels) => panels.read_row(index, row),
+            Self::Tiles(tiles) => tiles.read_row(index, row),
         }
         Ok(())
     }
@@ -295,7 +295,7 @@ impl Part {
     /// Adds the products with rows of activations to columns of a result.
     fn multiply(&self, x: &[f32], columns: &Columns<'_>) -> Result<()> {
         match self {
-            Self::Panels(panels) => product::multiply(panels, x, columns, Instructions::best()),
+            Self::Tiles(tiles) => product::multiply(tiles, x, columns, Instructions::best()),
             Self::Transposed(weights) => {
                 let inputs = weights.dim(0)?;
                 let product = Tensor::from_slice(x, (x.len() / inputs, inputs), &Device::Cpu)?.matmul(weights)?;

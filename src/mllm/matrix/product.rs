@@ -1,4 +1,4 @@
-//! Rows of activations times a matrix in panels, over threads and instruction sets.
+//! Rows of activations times a matrix in tiles, over threads and instruction sets.
 #![allow(unsafe_code, reason = "threads write disjoint columns of one result")]
 
 use std::marker::PhantomData;
@@ -6,28 +6,28 @@ use std::marker::PhantomData;
 use rayon::prelude::*;
 
 use super::float::F16;
-use super::format::{Format, PANELS, Sums, TILE};
-use super::line::Line;
-use super::panels::Panels;
-use super::quantised::{Q4K, Q6K, Q8_0};
+use super::format::{Format, MAX_BATCH, TILES, TileSums};
+use super::line::CacheLine;
+use super::packed_tiles::PackedTiles;
+use super::quantized::{Q4K, Q6K, Q8_0};
 use super::simd::{Instructions, Kernel, LANES, Simd};
 use super::weight_format::WeightFormat;
 
 /// Outputs that a kernel computes at once.
-const COLUMNS: usize = PANELS * LANES;
+const COLUMNS: usize = TILES * LANES;
 
 /// Bytes of packed activations that are multiplied with all weights before the next rows are: they stay in a core's
 /// second-level cache.
-const CACHED: usize = 1 << 20;
+const MAX_PACKED_BYTES: usize = 1 << 20;
 
 /// Fewest multiplications that are worth waking other threads for: about 20 µs of one core.
-const PARALLEL: usize = 1 << 20;
+const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 
 /// Lines between those that are unpacked and those that are asked for.
-const AHEAD: usize = 64;
+const PREFETCH_LINES: usize = 64;
 
 /// Pieces of work for each thread: the slower of two unequal cores gets fewer of them.
-const PIECES: usize = 4;
+const PIECES_PER_THREAD: usize = 4;
 
 /// The part of a result that a product is added to: columns of a row-major matrix of `stride` columns.
 #[derive(Debug)]
@@ -93,39 +93,39 @@ impl<'a> Columns<'a> {
     }
 }
 
-/// Adds the products of rows of activations (row-major, as wide as the panels' inputs) with panels to columns; nothing if the storage
+/// Adds the products of rows of activations (row-major, as wide as the tiles' inputs) with tiles to columns; nothing if the storage
 /// has no kernel ([`WeightFormat::F32`]).
-pub(super) fn multiply(panels: &Panels, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
-    match panels.weight_format() {
+pub(super) fn multiply(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
+    match tiles.weight_format() {
         WeightFormat::F32 => {}
-        WeightFormat::F16 => multiply_as::<F16>(panels, x, out, instructions),
-        WeightFormat::Q8_0 => multiply_as::<Q8_0>(panels, x, out, instructions),
-        WeightFormat::Q6K => multiply_as::<Q6K>(panels, x, out, instructions),
-        WeightFormat::Q4K => multiply_as::<Q4K>(panels, x, out, instructions),
+        WeightFormat::F16 => multiply_as::<F16>(tiles, x, out, instructions),
+        WeightFormat::Q8_0 => multiply_as::<Q8_0>(tiles, x, out, instructions),
+        WeightFormat::Q6K => multiply_as::<Q6K>(tiles, x, out, instructions),
+        WeightFormat::Q4K => multiply_as::<Q4K>(tiles, x, out, instructions),
     }
 }
 
-fn multiply_as<F: Format>(panels: &Panels, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
-    let inputs = panels.inputs();
+fn multiply_as<F: Format>(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
+    let inputs = tiles.inputs();
     let spans = inputs.div_ceil(F::SPAN);
     let row_words = spans * F::WORDS;
-    let chunk = (CACHED / size_of::<i32>() / row_words / TILE).max(1) * TILE;
+    let chunk = (MAX_PACKED_BYTES / size_of::<i32>() / row_words / MAX_BATCH).max(1) * MAX_BATCH;
     let threads = rayon::current_num_threads();
     for (index, rows) in x.chunks(chunk * inputs).enumerate() {
         let count = rows.len() / inputs;
-        let parallel = threads > 1 && count * inputs * panels.outputs() >= PARALLEL;
+        let parallel = threads > 1 && count * inputs * tiles.outputs() >= MIN_PARALLEL_PRODUCTS;
         let mut words = vec![0; count * row_words];
-        let tiles = words.chunks_mut(TILE * row_words).zip(rows.chunks(TILE * inputs));
-        if parallel && count > TILE {
-            let tiles = words.par_chunks_mut(TILE * row_words).zip(rows.par_chunks(TILE * inputs));
-            tiles.for_each(|(words, rows)| instructions.run(Pack::<F> { inputs, rows, words, format: PhantomData }));
+        let batches = words.chunks_mut(MAX_BATCH * row_words).zip(rows.chunks(MAX_BATCH * inputs));
+        if parallel && count > MAX_BATCH {
+            let batches = words.par_chunks_mut(MAX_BATCH * row_words).zip(rows.par_chunks(MAX_BATCH * inputs));
+            batches.for_each(|(words, rows)| instructions.run(Pack::<F> { inputs, rows, words, format: PhantomData }));
         } else {
-            tiles.for_each(|(words, rows)| instructions.run(Pack::<F> { inputs, rows, words, format: PhantomData }));
+            batches.for_each(|(words, rows)| instructions.run(Pack::<F> { inputs, rows, words, format: PhantomData }));
         }
-        let product = |first: usize, lines: &[Line]| {
+        let product = |first: usize, lines: &[CacheLine]| {
             instructions.run(Product::<F> {
                 lines,
-                panel_lines: panels.panel_lines(),
+                tile_lines: tiles.tile_lines(),
                 words: &words,
                 row_words,
                 row: index * chunk,
@@ -134,14 +134,14 @@ fn multiply_as<F: Format>(panels: &Panels, x: &[f32], out: &Columns<'_>, instruc
                 format: PhantomData,
             });
         };
-        let pair = PANELS * panels.panel_lines();
+        let pair = TILES * tiles.tile_lines();
         if parallel {
-            let pairs = panels.lines().len().div_ceil(pair);
-            let piece = pairs.div_ceil(threads * PIECES);
-            let pieces = panels.lines().par_chunks(piece * pair).enumerate();
+            let pairs = tiles.lines().len().div_ceil(pair);
+            let piece = pairs.div_ceil(threads * PIECES_PER_THREAD);
+            let pieces = tiles.lines().par_chunks(piece * pair).enumerate();
             pieces.for_each(|(index, lines)| product(index * piece * COLUMNS, lines));
         } else {
-            product(0, panels.lines());
+            product(0, tiles.lines());
         }
     }
 }
@@ -177,15 +177,15 @@ impl<F: Format> Kernel for Pack<'_, F> {
     }
 }
 
-/// Multiplies packed rows with consecutive panels.
+/// Multiplies packed rows with consecutive tiles.
 struct Product<'a, F> {
-    lines: &'a [Line],
-    panel_lines: usize,
+    lines: &'a [CacheLine],
+    tile_lines: usize,
     words: &'a [i32],
     row_words: usize,
     /// The first row's place in the result.
     row: usize,
-    /// The first panel's place in the result.
+    /// The first tile's place in the result.
     first: usize,
     out: &'a Columns<'a>,
     format: PhantomData<F>,
@@ -195,27 +195,27 @@ impl<F: Format> Kernel for Product<'_, F> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let rows = self.words.len() / self.row_words;
-        let mut blocks: [F::Block; PANELS] = std::array::from_fn(|_| F::zeros());
-        let mut sums = vec![[[0.0; LANES]; PANELS]; rows];
-        for (index, pair) in self.lines.chunks(PANELS * self.panel_lines).enumerate() {
-            sums.fill([[0.0; LANES]; PANELS]);
+        let mut blocks: [F::Block; TILES] = std::array::from_fn(|_| F::zeros());
+        let mut sums = vec![[[0.0; LANES]; TILES]; rows];
+        for (index, pair) in self.lines.chunks(TILES * self.tile_lines).enumerate() {
+            sums.fill([[0.0; LANES]; TILES]);
             for span in 0..self.row_words / F::WORDS {
-                for (panel, block) in pair.chunks_exact(self.panel_lines).zip(&mut blocks) {
-                    let end = self.panel_lines.min((span + 1) * F::LINES);
-                    for line in panel[end..].iter().skip(AHEAD).take(F::LINES) {
+                for (tile, block) in pair.chunks_exact(self.tile_lines).zip(&mut blocks) {
+                    let end = self.tile_lines.min((span + 1) * F::LINES);
+                    for line in tile[end..].iter().skip(PREFETCH_LINES).take(F::LINES) {
                         simd.prefetch(line);
                     }
-                    F::unpack(simd, &panel[span * F::LINES..end], block);
+                    F::unpack(simd, &tile[span * F::LINES..end], block);
                 }
-                let tiles = self.words.chunks(TILE * self.row_words);
-                for (words, sums) in tiles.zip(sums.chunks_mut(TILE)) {
+                let batches = self.words.chunks(MAX_BATCH * self.row_words);
+                for (words, sums) in batches.zip(sums.chunks_mut(MAX_BATCH)) {
                     let words = &words[span * sums.len() * F::WORDS..][..sums.len() * F::WORDS];
-                    multiply_tile::<F, S>(simd, &blocks, words, sums);
+                    multiply_batch::<F, S>(simd, &blocks, words, sums);
                 }
             }
             let column = self.first + index * COLUMNS;
             for (row, sums) in sums.iter().enumerate() {
-                // SAFETY: this thread alone has the outputs of these panels.
+                // SAFETY: this thread alone has the outputs of these tiles.
                 unsafe { self.out.add(self.row + row, column, sums.as_flattened()) };
             }
         }
@@ -224,18 +224,18 @@ impl<F: Format> Kernel for Product<'_, F> {
 
 /// Multiplies a tile of as many rows as there are sums.
 #[inline(always)]
-fn multiply_tile<F: Format, S: Simd>(simd: S, blocks: &[F::Block; PANELS], words: &[i32], sums: &mut [Sums]) {
-    if let Ok(sums) = <&mut [Sums; TILE]>::try_from(&mut *sums) {
+fn multiply_batch<F: Format, S: Simd>(simd: S, blocks: &[F::Block; TILES], words: &[i32], sums: &mut [TileSums]) {
+    if let Ok(sums) = <&mut [TileSums; MAX_BATCH]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
-    } else if let Ok(sums) = <&mut [Sums; 5]>::try_from(&mut *sums) {
+    } else if let Ok(sums) = <&mut [TileSums; 5]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
-    } else if let Ok(sums) = <&mut [Sums; 4]>::try_from(&mut *sums) {
+    } else if let Ok(sums) = <&mut [TileSums; 4]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
-    } else if let Ok(sums) = <&mut [Sums; 3]>::try_from(&mut *sums) {
+    } else if let Ok(sums) = <&mut [TileSums; 3]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
-    } else if let Ok(sums) = <&mut [Sums; 2]>::try_from(&mut *sums) {
+    } else if let Ok(sums) = <&mut [TileSums; 2]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
-    } else if let Ok(sums) = <&mut [Sums; 1]>::try_from(&mut *sums) {
+    } else if let Ok(sums) = <&mut [TileSums; 1]>::try_from(&mut *sums) {
         F::multiply(simd, blocks, words, sums);
     }
 }

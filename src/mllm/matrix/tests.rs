@@ -8,7 +8,7 @@ use rand_pcg::Pcg64Mcg;
 use super::*;
 
 /// Storages that the kernels of this folder multiply.
-const PANELLED: [WeightFormat; 4] = [WeightFormat::F16, WeightFormat::Q8_0, WeightFormat::Q6K, WeightFormat::Q4K];
+const PACKED: [WeightFormat; 4] = [WeightFormat::F16, WeightFormat::Q8_0, WeightFormat::Q6K, WeightFormat::Q4K];
 
 /// Random blocks of a matrix, whose scales are below `largest`.
 fn random_blocks(
@@ -42,14 +42,14 @@ fn random_rows(count: usize, inputs: usize, random: &mut Pcg64Mcg) -> Vec<f32> {
         .collect()
 }
 
-fn multiplied(panels: &Panels, x: &[f32], instructions: Instructions) -> Vec<f32> {
-    let mut result = vec![0.0; x.len() / panels.inputs() * panels.outputs()];
-    let columns = Columns::new(&mut result, panels.outputs(), 0, panels.outputs(), None).unwrap();
-    product::multiply(panels, x, &columns, instructions);
+fn multiplied(tiles: &PackedTiles, x: &[f32], instructions: Instructions) -> Vec<f32> {
+    let mut result = vec![0.0; x.len() / tiles.inputs() * tiles.outputs()];
+    let columns = Columns::new(&mut result, tiles.outputs(), 0, tiles.outputs(), None).unwrap();
+    product::multiply(tiles, x, &columns, instructions);
     result
 }
 
-/// What quantised kernels make of a row of activations, of which so many have a scale of their own.
+/// What quantized kernels make of a row of activations, of which so many have a scale of their own.
 fn rounded(row: &[f32], scaled: usize) -> Vec<f32> {
     row.chunks(scaled)
         .flat_map(|span| {
@@ -60,13 +60,13 @@ fn rounded(row: &[f32], scaled: usize) -> Vec<f32> {
 }
 
 /// The product in plain f64 and the sum of the magnitudes of its terms.
-fn plain(panels: &Panels, x: &[f32]) -> Vec<(f64, f64)> {
-    let mut weights = vec![0.0; panels.inputs()];
-    let mut result = vec![(0.0, 0.0); x.len() / panels.inputs() * panels.outputs()];
-    for output in 0..panels.outputs() {
-        panels.read_row(output, &mut weights);
-        for (row, results) in x.chunks_exact(panels.inputs()).zip(result.chunks_exact_mut(panels.outputs())) {
-            let row = match panels.weight_format() {
+fn plain(tiles: &PackedTiles, x: &[f32]) -> Vec<(f64, f64)> {
+    let mut weights = vec![0.0; tiles.inputs()];
+    let mut result = vec![(0.0, 0.0); x.len() / tiles.inputs() * tiles.outputs()];
+    for output in 0..tiles.outputs() {
+        tiles.read_row(output, &mut weights);
+        for (row, results) in x.chunks_exact(tiles.inputs()).zip(result.chunks_exact_mut(tiles.outputs())) {
+            let row = match tiles.weight_format() {
                 WeightFormat::F32 | WeightFormat::F16 => row.to_vec(),
                 WeightFormat::Q8_0 => rounded(row, 32),
                 WeightFormat::Q6K | WeightFormat::Q4K => rounded(row, 256),
@@ -84,20 +84,20 @@ fn plain(panels: &Panels, x: &[f32]) -> Vec<(f64, f64)> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Odd numbers of rows, tails of panels, spans and tiles, scales from the smallest to the largest.
+    /// Odd numbers of rows, tails of tiles, spans and batches, scales from the smallest to the largest.
     #[test]
     fn every_kernel_multiplies_as_plain_arithmetic_does(
         outputs in 1usize..70, blocks in 1usize..4, rows in 1usize..15, exponent in -24i32..16, seed: u64,
     ) {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
-        for weight_format in PANELLED {
+        for weight_format in PACKED {
             let inputs = blocks * if weight_format == WeightFormat::F16 { 75 } else { weight_format.block() };
             let bytes = random_blocks(weight_format, outputs, inputs, 2f32.powi(exponent), &mut random);
-            let panels = Panels::pack(weight_format, outputs, inputs, &bytes);
+            let tiles = PackedTiles::pack(weight_format, outputs, inputs, &bytes);
             let x = random_rows(rows, inputs, &mut random);
-            let expected = plain(&panels, &x);
+            let expected = plain(&tiles, &x);
             for instructions in Instructions::available() {
-                let found = multiplied(&panels, &x, instructions);
+                let found = multiplied(&tiles, &x, instructions);
                 for (index, (found, (value, magnitude))) in found.iter().zip(&expected).enumerate() {
                     prop_assert!(
                         (f64::from(*found) - value).abs() <= magnitude * 1e-5,
@@ -126,17 +126,17 @@ proptest! {
 fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
     let mut random = Pcg64Mcg::seed_from_u64(1);
     let (outputs, inputs, rows) = (300, 512, 21);
-    for weight_format in PANELLED {
+    for weight_format in PACKED {
         let bytes = random_blocks(weight_format, outputs, inputs, 1.0, &mut random);
-        let panels = Panels::pack(weight_format, outputs, inputs, &bytes);
+        let tiles = PackedTiles::pack(weight_format, outputs, inputs, &bytes);
         let x = random_rows(rows, inputs, &mut random);
         for instructions in Instructions::available() {
-            let together = multiplied(&panels, &x, instructions);
-            let alone: Vec<f32> = x.chunks(inputs).flat_map(|row| multiplied(&panels, row, instructions)).collect();
+            let together = multiplied(&tiles, &x, instructions);
+            let alone: Vec<f32> = x.chunks(inputs).flat_map(|row| multiplied(&tiles, row, instructions)).collect();
             assert_eq!(together, alone, "{weight_format} {instructions:?}");
             for threads in [1, 3] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                let there = pool.install(|| multiplied(&panels, &x, instructions));
+                let there = pool.install(|| multiplied(&tiles, &x, instructions));
                 assert_eq!(together, there, "{weight_format} {instructions:?}, {threads} threads");
             }
         }
@@ -146,14 +146,14 @@ fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
 #[test]
 fn numbers_that_are_not_finite_are_seen_in_the_result() {
     let mut random = Pcg64Mcg::seed_from_u64(2);
-    for weight_format in PANELLED {
+    for weight_format in PACKED {
         let bytes = random_blocks(weight_format, 20, 512, 1.0, &mut random);
-        let panels = Panels::pack(weight_format, 20, 512, &bytes);
+        let tiles = PackedTiles::pack(weight_format, 20, 512, &bytes);
         for strange in [f32::NAN, f32::INFINITY] {
             let mut x = random_rows(2, 512, &mut random);
             x[700] = strange;
             for instructions in Instructions::available() {
-                let result = multiplied(&panels, &x, instructions);
+                let result = multiplied(&tiles, &x, instructions);
                 assert!(result[..20].iter().all(|value| value.is_finite()), "{weight_format}");
                 assert!(result[20..].iter().all(|value| !value.is_finite()), "{weight_format}");
             }
@@ -185,7 +185,7 @@ fn a_stack_multiplies_and_reads_as_its_matrices_do() {
     let bytes: usize = matrices.iter().map(Matrix::bytes).sum();
     let stack = Matrix::stack(matrices).unwrap();
     assert_eq!((stack.outputs(), stack.inputs(), stack.bytes()), (77, inputs, bytes));
-    assert_eq!(stack.parts.len(), 3, "matrices that are stored alike are one");
+    assert_eq!(stack.segments.len(), 3, "matrices that are stored alike are one");
     let expected = Tensor::cat(&apart, 1).unwrap().to_vec2::<f32>().unwrap();
     assert_eq!(stack.forward(&x).unwrap().to_vec2::<f32>().unwrap(), expected);
     let (bias, residual) =

@@ -113,17 +113,17 @@ impl GrammarState {
     ///
     /// # Errors
     /// When the grammar engine gives up.
-    pub(crate) fn take_forced(&mut self) -> Result<Vec<TokenId>, MllmError> {
+    pub(crate) fn take_fast_forwarded(&mut self) -> Result<Vec<TokenId>, MllmError> {
         if self.matcher.is_stopped() {
             self.check()?;
             return Ok(Vec::new());
         }
-        let forced = self.matcher.compute_ff_tokens();
+        let fast_forwarded = self.matcher.compute_ff_tokens();
         self.check()?;
-        if !forced.is_empty() {
-            self.consume(&forced)?;
+        if !fast_forwarded.is_empty() {
+            self.consume(&fast_forwarded)?;
         }
-        Ok(forced)
+        Ok(fast_forwarded)
     }
 
     /// The tokens that may come next; an end token is among them where the text may end.
@@ -278,10 +278,10 @@ mod tests {
         let (_folder, tokenizer) = sentence_piece();
         let engine = GrammarEngine::new(&tokenizer, &[2]).unwrap();
         let mut state = engine.begin(&Constraint::Choice(vec!["keep lane\n".into()])).unwrap().unwrap();
-        let forced = state.take_forced().unwrap();
-        let spelled: Vec<String> = forced.iter().filter_map(|id| tokenizer.token(*id)).collect();
+        let fast_forwarded = state.take_fast_forwarded().unwrap();
+        let spelled: Vec<String> = fast_forwarded.iter().filter_map(|id| tokenizer.token(*id)).collect();
         assert_eq!(spelled, ["keep", "\u{2581}la", "ne", "<0x0A>"]);
-        assert_eq!(tokenizer.decode_verbatim(&forced), "keep lane\n");
+        assert_eq!(tokenizer.decode_verbatim(&fast_forwarded), "keep lane\n");
         assert!(state.is_complete());
     }
 
@@ -290,7 +290,7 @@ mod tests {
         let (_folder, tokenizer) = sentence_piece();
         let engine = GrammarEngine::new(&tokenizer, &[2]).unwrap();
         let mut state = engine.begin(&Constraint::Regex("(keep| lane)?".into())).unwrap().unwrap();
-        assert!(state.take_forced().unwrap().is_empty());
+        assert!(state.take_fast_forwarded().unwrap().is_empty());
         let allowed = state.allowed().unwrap();
         let allows = |token: &str| allowed.is_allowed(tokenizer.id(token).unwrap());
         for token in ["keep", "k", "ke", "\u{2581}", "\u{2581}la", "<0x20>", "</s>"] {

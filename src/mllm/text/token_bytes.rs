@@ -5,7 +5,7 @@ use tokenizers::Tokenizer;
 use toktrie::TokTrie;
 
 /// Longest token that takes part in constrained decoding, bytes (the token trie's own limit is 1,024 levels).
-const LONGEST_TOKEN: usize = 1000;
+const MAX_TOKEN_BYTES: usize = 1000;
 
 /// How a vocabulary writes bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,7 +40,7 @@ pub(super) fn token_bytes(json: &Value, tokenizer: &Tokenizer, vocabulary: usize
         }
     }
     for entry in &mut bytes {
-        if entry.len() > LONGEST_TOKEN {
+        if entry.len() > MAX_TOKEN_BYTES {
             entry.clear();
         }
     }

@@ -2,7 +2,7 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::mllm::attention::{HeadShape, KeyValues, Precision, Projected, Sight, attend};
+use crate::mllm::attention::{AttentionMask, HeadShape, KeyValues, Precision, Projected, attend};
 use crate::mllm::linear::Linear;
 
 /// Attention of every row of an image to every row of it; query, key and value projections are one matrix.
@@ -33,14 +33,14 @@ impl SelfAttention {
         let tokens = rows / images;
         let shape = HeadShape { query_heads: self.heads, key_heads: self.heads, width: hidden / self.heads };
         let qkv = self.qkv.forward(x)?;
-        let mixed = (0..images).map(|image| {
+        let partial = (0..images).map(|image| {
             Projected::of(&qkv.narrow(0, image * tokens, tokens)?, shape, None, |rows| {
                 let mut held = KeyValues::new(shape, Precision::Single);
                 held.write(rows, 0)?;
-                attend(rows, &held, Sight::All { positions: tokens })
+                attend(rows, &held, AttentionMask::All { positions: tokens })
             })
         });
-        Tensor::cat(&mixed.collect::<Result<Vec<_>>>()?, 0)
+        Tensor::cat(&partial.collect::<Result<Vec<_>>>()?, 0)
     }
 }
 

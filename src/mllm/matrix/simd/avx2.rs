@@ -12,7 +12,7 @@ use std::arch::x86_64::{
 };
 
 use super::{Kernel, LANES, Simd};
-use crate::mllm::matrix::line::Line;
+use crate::mllm::matrix::line::CacheLine;
 
 /// Proof that the machine has AVX2, FMA and F16C.
 #[derive(Debug, Clone, Copy)]
@@ -58,20 +58,20 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn prefetch(self, line: &Line) {
+    fn prefetch(self, line: &CacheLine) {
         // SAFETY: as above.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(line.0.as_ptr().cast()) }
     }
 
     #[inline(always)]
-    fn bytes(self, line: &Line) -> Self::Bytes {
+    fn bytes(self, line: &CacheLine) -> Self::Bytes {
         let start = line.0.as_ptr();
         // SAFETY: as above.
         unsafe { [_mm256_load_si256(start.cast()), _mm256_load_si256(start.add(32).cast())] }
     }
 
     #[inline(always)]
-    fn store_bytes(self, bytes: Self::Bytes, line: &mut Line) {
+    fn store_bytes(self, bytes: Self::Bytes, line: &mut CacheLine) {
         let start = line.0.as_mut_ptr();
         // SAFETY: as above.
         unsafe {

@@ -11,7 +11,7 @@ use std::arch::x86_64::{
 };
 
 use super::{Kernel, LANES, Simd};
-use crate::mllm::matrix::line::Line;
+use crate::mllm::matrix::line::CacheLine;
 
 /// Proof that the machine has AVX-512 F, BW and VNNI.
 #[derive(Debug, Clone, Copy)]
@@ -46,19 +46,19 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn prefetch(self, line: &Line) {
+    fn prefetch(self, line: &CacheLine) {
         // SAFETY: as above.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(line.0.as_ptr().cast()) }
     }
 
     #[inline(always)]
-    fn bytes(self, line: &Line) -> __m512i {
+    fn bytes(self, line: &CacheLine) -> __m512i {
         // SAFETY: as above.
         unsafe { _mm512_load_si512(line.0.as_ptr().cast()) }
     }
 
     #[inline(always)]
-    fn store_bytes(self, bytes: __m512i, line: &mut Line) {
+    fn store_bytes(self, bytes: __m512i, line: &mut CacheLine) {
         // SAFETY: as above.
         unsafe { _mm512_store_si512(line.0.as_mut_ptr().cast(), bytes) }
     }
@@ -215,7 +215,7 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn greatest(self, a: __m512) -> f32 {
+    fn max_lane(self, a: __m512) -> f32 {
         // SAFETY: as above.
         unsafe { _mm512_reduce_max_ps(a) }
     }

@@ -8,9 +8,9 @@ mod avx2;
 mod avx512;
 mod portable;
 
-use super::line::Line;
+use super::line::CacheLine;
 
-/// Outputs that a vector holds: the rows of a panel.
+/// Outputs that a vector holds: the rows of a tile.
 pub(crate) const LANES: usize = 16;
 
 /// Operations on sixteen lanes. A value of such a type exists only where the machine has the instructions.
@@ -32,11 +32,11 @@ pub(crate) trait Simd: Copy + Send + Sync {
     fn run<K: Kernel>(self, kernel: K);
 
     /// Asks for a line that is soon wanted.
-    fn prefetch(self, line: &Line);
+    fn prefetch(self, line: &CacheLine);
     /// Loads a line.
-    fn bytes(self, line: &Line) -> Self::Bytes;
+    fn bytes(self, line: &CacheLine) -> Self::Bytes;
     /// Stores a line.
-    fn store_bytes(self, bytes: Self::Bytes, line: &mut Line);
+    fn store_bytes(self, bytes: Self::Bytes, line: &mut CacheLine);
     /// The low four bits of each byte.
     fn low(self, bytes: Self::Bytes) -> Self::Bytes;
     /// The high four bits of each byte.
@@ -92,9 +92,9 @@ pub(crate) trait Simd: Copy + Send + Sync {
         self.store(a, &mut lanes);
         fold(lanes, |a, b| a + b)
     }
-    /// The greatest lane.
+    /// The max_lane lane.
     #[inline(always)]
-    fn greatest(self, a: Self::Floats) -> f32 {
+    fn max_lane(self, a: Self::Floats) -> f32 {
         let mut lanes = [0.0; LANES];
         self.store(a, &mut lanes);
         fold(lanes, |a, b| if a > b { a } else { b })

@@ -3,7 +3,7 @@
 use half::f16;
 
 use super::{Kernel, LANES, Simd};
-use crate::mllm::matrix::line::Line;
+use crate::mllm::matrix::line::CacheLine;
 
 /// No particular instructions.
 #[derive(Debug, Clone, Copy)]
@@ -35,13 +35,13 @@ impl Simd for Portable {
         kernel.run(self);
     }
 
-    fn prefetch(self, _: &Line) {}
+    fn prefetch(self, _: &CacheLine) {}
 
-    fn bytes(self, line: &Line) -> [u8; 64] {
+    fn bytes(self, line: &CacheLine) -> [u8; 64] {
         line.0
     }
 
-    fn store_bytes(self, bytes: [u8; 64], line: &mut Line) {
+    fn store_bytes(self, bytes: [u8; 64], line: &mut CacheLine) {
         line.0 = bytes;
     }
 

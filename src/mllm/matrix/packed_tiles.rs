@@ -1,6 +1,6 @@
 //! The layout of weights in memory: sixteen rows at a time, side by side.
 //!
-//! A panel holds sixteen rows of a matrix, so that a vector register holds one number, or four bytes, of each. Along its
+//! A tile holds sixteen rows of a matrix, so that a vector register holds one number, or four bytes, of each. Along its
 //! inputs it is cut into groups; a group holds the very bytes of the rows' blocks in another order, so the file is made of
 //! it again bit for bit, and memory holds hardly more than the file.
 
@@ -9,12 +9,12 @@ use std::io::{self, Write};
 use rayon::prelude::*;
 
 use super::blocks::decode_row;
-use super::line::Line;
+use super::line::CacheLine;
 use super::simd::LANES;
 use super::weight_format::WeightFormat;
 
 /// Bytes of a line.
-const LINE: usize = size_of::<Line>();
+const LINE: usize = size_of::<CacheLine>();
 
 /// Where the bytes of a group lie.
 #[derive(Debug, Clone)]
@@ -79,7 +79,7 @@ impl Layout {
     }
 
     /// Writes a row's bytes of a group, fewer at the end of a row whose blocks do not fill it.
-    fn pack(&self, row: usize, bytes: &[u8], group: &mut [Line]) {
+    fn pack(&self, row: usize, bytes: &[u8], group: &mut [CacheLine]) {
         for run in self.runs_within(bytes.len()) {
             let to = run.to + row * run.width;
             // No run crosses a line: its width divides one.
@@ -91,7 +91,7 @@ impl Layout {
     }
 
     /// Reads a row's bytes of a group back.
-    fn unpack(&self, row: usize, bytes: &mut [u8], group: &[Line]) {
+    fn unpack(&self, row: usize, bytes: &mut [u8], group: &[CacheLine]) {
         for run in self.runs_within(bytes.len()) {
             let from = run.to + row * run.width;
             let line = &group[from / LINE].0[from % LINE..];
@@ -106,33 +106,33 @@ impl Layout {
     }
 }
 
-/// The rows of a matrix that are stored alike, in panels; the last is filled up with zeros.
+/// The rows of a matrix that are stored alike, in tiles; the last is filled up with zeros.
 #[derive(Debug)]
-pub(super) struct Panels {
+pub(super) struct PackedTiles {
     weight_format: WeightFormat,
     outputs: usize,
     inputs: usize,
     layout: Layout,
-    lines: Vec<Line>,
+    lines: Vec<CacheLine>,
 }
 
-impl Panels {
+impl PackedTiles {
     /// Lays out row-major blocks, of which there are exactly as many as the shape asks for.
     pub(super) fn pack(weight_format: WeightFormat, outputs: usize, inputs: usize, bytes: &[u8]) -> Self {
         let layout = Layout::of(weight_format);
-        let mut panels = Self { weight_format, outputs, inputs, layout, lines: Vec::new() };
-        panels.lines = vec![Line::ZERO; outputs.div_ceil(LANES) * panels.panel_lines()];
+        let mut tiles = Self { weight_format, outputs, inputs, layout, lines: Vec::new() };
+        tiles.lines = vec![CacheLine::ZERO; outputs.div_ceil(LANES) * tiles.tile_lines()];
         let row_bytes = bytes.len() / outputs;
-        let layout = &panels.layout;
+        let layout = &tiles.layout;
         let rows = bytes.par_chunks(row_bytes * LANES);
-        panels.lines.par_chunks_mut(inputs.div_ceil(layout.span) * layout.lines).zip(rows).for_each(|(panel, rows)| {
+        tiles.lines.par_chunks_mut(inputs.div_ceil(layout.span) * layout.lines).zip(rows).for_each(|(tile, rows)| {
             for (row, bytes) in rows.chunks_exact(row_bytes).enumerate() {
-                for (group, bytes) in panel.chunks_exact_mut(layout.lines).zip(bytes.chunks(layout.row_bytes)) {
+                for (group, bytes) in tile.chunks_exact_mut(layout.lines).zip(bytes.chunks(layout.row_bytes)) {
                     layout.pack(row, bytes, group);
                 }
             }
         });
-        panels
+        tiles
     }
 
     /// Appends rows that are stored alike; says whether it could.
@@ -166,21 +166,21 @@ impl Panels {
         size_of_val(self.lines.as_slice())
     }
 
-    /// Lines of a panel: its groups one after the other.
-    pub(super) fn panel_lines(&self) -> usize {
+    /// Lines of a tile: its groups one after the other.
+    pub(super) fn tile_lines(&self) -> usize {
         self.inputs.div_ceil(self.layout.span) * self.layout.lines
     }
 
-    /// All panels, one after the other.
-    pub(super) fn lines(&self) -> &[Line] {
+    /// All tiles, one after the other.
+    pub(super) fn lines(&self) -> &[CacheLine] {
         &self.lines
     }
 
     /// The blocks of a row as they were given.
     fn row_blocks(&self, index: usize) -> Vec<u8> {
         let mut bytes = vec![0; self.inputs / self.weight_format.block() * self.weight_format.block_bytes()];
-        let panel = self.lines.chunks_exact(self.panel_lines()).nth(index / LANES).unwrap_or_default();
-        for (bytes, group) in bytes.chunks_mut(self.layout.row_bytes).zip(panel.chunks_exact(self.layout.lines)) {
+        let tile = self.lines.chunks_exact(self.tile_lines()).nth(index / LANES).unwrap_or_default();
+        for (bytes, group) in bytes.chunks_mut(self.layout.row_bytes).zip(tile.chunks_exact(self.layout.lines)) {
             self.layout.unpack(index % LANES, bytes, group);
         }
         bytes

@@ -1,10 +1,10 @@
-//! Products of quantised weights: bytes by bytes, summed in integers as far as scales reach.
+//! Products of quantized weights: bytes by bytes, summed in integers as far as scales reach.
 //!
-//! Activations are quantised to eight bits as ggml does it: with a scale for every span where weights are k-quants
+//! Activations are quantized to eight bits as ggml does it: with a scale for every span where weights are k-quants
 //! (`block_q8_K`), with one for every run where they have eight bits themselves (`block_q8_0`).
 
-use super::format::{Format, PANELS, Sums};
-use super::line::Line;
+use super::format::{Format, TILES, TileSums};
+use super::line::CacheLine;
 use super::simd::{LANES, Simd};
 
 /// Numbers in a span: a block of the k-quants.
@@ -13,14 +13,14 @@ const SPAN: usize = 256;
 const STEPS: usize = SPAN / 4;
 /// Numbers whose activations are summed together: the shortest run with a scale of its own.
 const SUMMED: usize = 16;
-/// Largest magnitude of a quantised activation.
-const LIMIT: f32 = 127.0;
+/// Largest magnitude of a quantized activation.
+const MAX_MAGNITUDE: f32 = 127.0;
 
 /// Unpacked weights of sixteen outputs in a span.
 #[derive(Debug, Clone)]
 pub(super) struct Block {
     /// Unsigned bytes, four of each output a line.
-    numbers: [Line; STEPS],
+    numbers: [CacheLine; STEPS],
     /// Scale of each run.
     scales: [[f32; LANES]; SPAN / SUMMED],
     /// What is subtracted for each run, two runs in an `i32`.
@@ -29,9 +29,9 @@ pub(super) struct Block {
     minimum_scale: [f32; LANES],
 }
 
-/// What tells the quantised formats apart.
-trait Quantised {
-    /// Storage lines of a panel in a span.
+/// What tells the quantized formats apart.
+trait Quantized {
+    /// Storage lines of a tile in a span.
     const LINES: usize;
     /// Numbers with a scale of their own.
     const RUN: usize;
@@ -45,23 +45,23 @@ trait Quantised {
     /// The word of sums `index`, from the sums of every [`SUMMED`] activations.
     fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32;
     /// Unpacks a span.
-    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Block);
+    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block);
     /// The start of the sum of a run with this word of sums.
     fn start<S: Simd>(simd: S, word: i32) -> S::Ints;
     /// Adds the products of four numbers of each output.
     fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints;
 }
 
-impl<Q: Quantised> Format for Q {
+impl<Q: Quantized> Format for Q {
     const SPAN: usize = SPAN;
-    const LINES: usize = <Q as Quantised>::LINES;
+    const LINES: usize = <Q as Quantized>::LINES;
     /// Numbers, sums, scales.
     const WORDS: usize = STEPS + Q::SUM_WORDS + SPAN / Q::SCALED;
     type Block = Block;
 
     fn zeros() -> Block {
         Block {
-            numbers: [Line::ZERO; STEPS],
+            numbers: [CacheLine::ZERO; STEPS],
             scales: [[0.0; LANES]; SPAN / SUMMED],
             minima: [[0; LANES]; 4],
             minimum_scale: [0.0; LANES],
@@ -75,7 +75,7 @@ impl<Q: Quantised> Format for Q {
         let mut numbers = [0; SPAN];
         let parts = numbers.chunks_exact_mut(Q::SCALED).zip(values.chunks_exact(Q::SCALED));
         for (scale, (numbers, values)) in scales.iter_mut().zip(parts) {
-            *scale = quantise(values, numbers).to_bits().cast_signed();
+            *scale = quantize_activations(values, numbers).to_bits().cast_signed();
         }
         let mut sums = [0; SPAN / SUMMED];
         for (sum, numbers) in sums.iter_mut().zip(numbers.as_chunks::<SUMMED>().0) {
@@ -90,22 +90,27 @@ impl<Q: Quantised> Format for Q {
     }
 
     #[inline(always)]
-    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Block) {
-        <Q as Quantised>::unpack(simd, lines, block);
+    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+        <Q as Quantized>::unpack(simd, lines, block);
     }
 
     #[inline(always)]
-    fn multiply<S: Simd, const ROWS: usize>(simd: S, blocks: &[Block; PANELS], words: &[i32], sums: &mut [Sums; ROWS]) {
+    fn multiply<S: Simd, const ROWS: usize>(
+        simd: S,
+        blocks: &[Block; TILES],
+        words: &[i32],
+        sums: &mut [TileSums; ROWS],
+    ) {
         let (rows, _) = words.as_chunks::<ROWS>();
         let (numbers, rest) = rows.split_at(STEPS);
         let (run_sums, scales) = rest.split_at(Q::SUM_WORDS);
-        let mut spans = [[simd.floats(0.0); PANELS]; ROWS];
+        let mut spans = [[simd.floats(0.0); TILES]; ROWS];
         let steps = Q::RUN / 4;
         for (run, numbers) in numbers.chunks_exact(steps).enumerate() {
-            let mut products = [[simd.ints(0); PANELS]; ROWS];
+            let mut products = [[simd.ints(0); TILES]; ROWS];
             if !Q::MINIMA {
                 for (products, word) in products.iter_mut().zip(&run_sums[run]) {
-                    *products = [Q::start(simd, *word); PANELS];
+                    *products = [Q::start(simd, *word); TILES];
                 }
             }
             for (step, activations) in numbers.iter().enumerate() {
@@ -130,7 +135,7 @@ impl<Q: Quantised> Format for Q {
             }
         }
         if Q::MINIMA {
-            let mut products = [[simd.ints(0); PANELS]; ROWS];
+            let mut products = [[simd.ints(0); TILES]; ROWS];
             for (pair, sums) in run_sums.iter().enumerate() {
                 let minima = blocks.each_ref().map(|block| simd.load_ints(&block.minima[pair]));
                 for (products, sum) in products.iter_mut().zip(sums) {
@@ -164,7 +169,7 @@ fn float(word: i32) -> f32 {
 /// Rounds activations, a multiple of sixteen, to multiples of a scale, and gives the scale. What is not finite makes it NaN,
 /// so that it is seen in the result.
 #[inline(always)]
-fn quantise(values: &[f32], numbers: &mut [i8]) -> f32 {
+fn quantize_activations(values: &[f32], numbers: &mut [i8]) -> f32 {
     let mut largest = [0f32; LANES];
     let mut strange = [0f32; LANES];
     for values in values.as_chunks::<LANES>().0 {
@@ -175,18 +180,18 @@ fn quantise(values: &[f32], numbers: &mut [i8]) -> f32 {
     }
     let largest = largest.into_iter().fold(0.0, f32::max);
     let strange: f32 = strange.into_iter().sum();
-    let inverse = if largest > 0.0 { LIMIT / largest } else { 0.0 };
+    let inverse = if largest > 0.0 { MAX_MAGNITUDE / largest } else { 0.0 };
     for (number, value) in numbers.iter_mut().zip(values) {
         *number = (value * inverse).round_ties_even() as i8;
     }
-    largest / LIMIT + strange
+    largest / MAX_MAGNITUDE + strange
 }
 
 /// ggml's `q8_0`: w = scale · number, with a scale for every 32.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Q8_0;
 
-impl Quantised for Q8_0 {
+impl Quantized for Q8_0 {
     /// Four groups of two blocks of eight lines and one with their scales.
     const LINES: usize = 4 * 17;
     const RUN: usize = 32;
@@ -200,7 +205,7 @@ impl Quantised for Q8_0 {
     }
 
     #[inline(always)]
-    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Block) {
+    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
         let (groups, _) = lines.as_chunks::<17>();
         block.scales = [[0.0; LANES]; SPAN / SUMMED];
         for (index, group) in groups.iter().enumerate() {
@@ -228,7 +233,7 @@ impl Quantised for Q8_0 {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Q6K;
 
-impl Quantised for Q6K {
+impl Quantized for Q6K {
     /// Low bits, high bits, scales, d.
     const LINES: usize = 32 + 16 + 4 + 1;
     const RUN: usize = 16;
@@ -242,7 +247,7 @@ impl Quantised for Q6K {
     }
 
     #[inline(always)]
-    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Block) {
+    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
         let Some(lines) = lines.first_chunk::<53>() else { return };
         for part in 0..2 {
             for step in 0..8 {
@@ -282,7 +287,7 @@ impl Quantised for Q6K {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Q4K;
 
-impl Quantised for Q4K {
+impl Quantized for Q4K {
     /// Numbers, d and dmin, scales and minima of six bits.
     const LINES: usize = 32 + 1 + 3;
     const RUN: usize = 32;
@@ -297,7 +302,7 @@ impl Quantised for Q4K {
     }
 
     #[inline(always)]
-    fn unpack<S: Simd>(simd: S, lines: &[Line], block: &mut Block) {
+    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
         let Some(lines) = lines.first_chunk::<36>() else { return };
         for pair in 0..4 {
             for step in 0..8 {
