@@ -15,9 +15,9 @@ use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::geometry::{OrientedBox, Vector};
 use planagent::internals::metrics::{EvaluatedSimulation, evaluate};
 use planagent::internals::pdm::{
-    Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, Way, plan_along, score_proposals, simulate_proposals,
+    Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, ReferencePath, plan_along, score_proposals, simulate_proposals,
 };
-use planagent::internals::planner::{IdmPlanner, LogReplay, Planner, PlannerInput, generated_planner};
+use planagent::internals::planner::{IdmPlanner, LogReplay, Planner, PlannerInput, build_idm_plan};
 use planagent::internals::reasoning::PlannerCode;
 use planagent::internals::reflection::{Judge, LeadPolicy};
 use planagent::internals::scenario::generator::{DEFAULT, generate};
@@ -35,7 +35,7 @@ const CROWD: u32 = 50;
 
 /// Cars, pedestrians and cones on the lanes around the ego, as many as [`CROWD`], all within 50 m and none touching it:
 /// a third drives, a sixth walks, half of them stand; the way is clear.
-fn crowd(scene: &Scene<'_>, way: &Way) -> Vec<TrackedObject> {
+fn crowd(scene: &Scene<'_>, reference_path: &ReferencePath) -> Vec<TrackedObject> {
     let center = scene.ego.center();
     let lanes = scene.map.lanes_near(center.position(), 49.0);
     let places = lanes.iter().flat_map(|&lane| {
@@ -44,7 +44,7 @@ fn crowd(scene: &Scene<'_>, way: &Way) -> Vec<TrackedObject> {
     });
     let near = places.filter(|pose| (14.0..49.0).contains(&pose.distance(&center)));
     let beside = near.flat_map(|pose| [0.0, 3.0, -3.0, 6.0, -6.0].map(|left| pose.translated(0.0, left)));
-    let clear = beside.filter(|pose| way.centerline().line().distance_to(pose.position()) > 3.0);
+    let clear = beside.filter(|pose| reference_path.centerline().line().distance_to(pose.position()) > 3.0);
     let objects: Vec<TrackedObject> = clear
         .zip(0..CROWD)
         .map(|(pose, token)| {
@@ -67,30 +67,32 @@ fn pdm_closed(c: &mut Criterion) {
     let scenario = generate(&DEFAULT).unwrap();
     let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let base = drive.scene();
-    let way = Way::find(base.map, base.route, base.ego).unwrap();
-    let objects = crowd(&base, &way);
+    let reference_path = ReferencePath::find(base.map, base.route, base.ego).unwrap();
+    let objects = crowd(&base, &reference_path);
     let scene = Scene { objects: &objects, ..base };
-    let instant = PdmInstant::along(&way, &scene, &mut Collided::default());
-    let proposals = instant.proposals(&way, scene.ego, PROPOSAL_STEPS);
+    let instant = PdmInstant::along(&reference_path, &scene, &mut Collided::default());
+    let proposals = instant.proposals(&reference_path, scene.ego, PROPOSAL_STEPS);
     let simulated = simulate_proposals(scene.ego, proposals.all());
 
     c.bench_function("choose the way of pdm-closed", |b| {
-        b.iter(|| Way::find(black_box(scene.map), scene.route, scene.ego));
+        b.iter(|| ReferencePath::find(black_box(scene.map), scene.route, scene.ego));
     });
     c.bench_function("a step of pdm-closed, 50 agents", |b| {
-        b.iter(|| plan_along(&way, black_box(&scene), &mut Collided::default()).unwrap());
+        b.iter(|| plan_along(&reference_path, black_box(&scene), &mut Collided::default()).unwrap());
     });
     c.bench_function("a step of pdm-closed: look", |b| {
-        b.iter(|| PdmInstant::along(&way, black_box(&scene), &mut Collided::default()));
+        b.iter(|| PdmInstant::along(&reference_path, black_box(&scene), &mut Collided::default()));
     });
     c.bench_function("a step of pdm-closed: generate", |b| {
-        b.iter(|| instant.proposals(&way, black_box(scene.ego), PROPOSAL_STEPS));
+        b.iter(|| instant.proposals(&reference_path, black_box(scene.ego), PROPOSAL_STEPS));
     });
     c.bench_function("a step of pdm-closed: simulate", |b| {
         b.iter(|| simulate_proposals(black_box(scene.ego), proposals.all()));
     });
     c.bench_function("a step of pdm-closed: score", |b| {
-        b.iter(|| score_proposals(&instant.scoring(way.centerline().line(), 0.0), black_box(&simulated)).unwrap());
+        b.iter(|| {
+            score_proposals(&instant.scoring(reference_path.centerline().line(), 0.0), black_box(&simulated)).unwrap()
+        });
     });
 }
 
@@ -172,7 +174,7 @@ fn engine(c: &mut Criterion) {
         accel_max: 1.5,
         decel_max: 3.0,
     };
-    let planner = generated_planner(&scene, &graph, code, LeadPolicy::Nearest, 4.0).unwrap().unwrap();
+    let planner = build_idm_plan(&scene, &graph, code, LeadPolicy::Nearest, 4.0).unwrap().unwrap();
 
     c.bench_function("generate a scenario", |b| b.iter(|| generate(black_box(&DEFAULT)).unwrap()));
     c.bench_function("draw the BEV map, 128 px", |b| b.iter(|| bev::render(black_box(&scene), &BevView::default())));

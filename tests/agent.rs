@@ -7,8 +7,8 @@ use planagent::internals::mllm::{
 };
 use planagent::internals::pdm::PdmMemory;
 use planagent::internals::planner::{
-    AfterMaxExec, BevOf, Decision, Execution, Latency, Mind, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner,
-    PlannerInput, PlanningCall, generated_planner,
+    AfterMaxExec, CodeSource, Decision, Latency, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner,
+    PlannerInput, PlanningCall, build_idm_plan,
 };
 use planagent::internals::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
 use planagent::internals::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
@@ -86,7 +86,7 @@ impl Conversation for Scripted<'_> {
 pub(crate) fn settings() -> PlanAgentSettings {
     PlanAgentSettings {
         view_m: Some(64.0),
-        bev_of: BevOf::Scene,
+        shuffled_bev: false,
         lane_graph: true,
         node_length_m: DEFAULT_NODE_LENGTH,
         interval: 20,
@@ -100,7 +100,7 @@ pub(crate) fn settings() -> PlanAgentSettings {
         horizon_s: 4.0,
         after_max_exec: AfterMaxExec::Last,
         lead_policy: LeadPolicy::Nearest,
-        execution: Execution::AsWritten,
+        monitoring: false,
         emergency_brake: true,
         seed: 0,
     }
@@ -121,8 +121,8 @@ pub(crate) fn reasoning(rounds: &[Round]) -> ReasoningSettings {
 }
 
 /// A model that is asked these rounds by the paper's prompts.
-pub(crate) fn mind(model: Arc<dyn Mllm>, rounds: &[Round]) -> Mind {
-    Mind::Model { model, prompts: Arc::new(PromptSet::open("paper").unwrap()), reasoning: reasoning(rounds) }
+pub(crate) fn code_source(model: Arc<dyn Mllm>, rounds: &[Round]) -> CodeSource {
+    CodeSource::Model { model, prompts: Arc::new(PromptSet::open("paper").unwrap()), reasoning: reasoning(rounds) }
 }
 
 /// Drives a scene with scripted answers; gives the agent, the log and the questions.
@@ -133,7 +133,7 @@ pub(crate) fn drive(
     id: &str,
 ) -> (PlanAgent, SimulationLog, Vec<String>) {
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
-    let mut agent = PlanAgent::new(PLAN_AGENT, mind(script.clone(), rounds), settings);
+    let mut agent = PlanAgent::new(PLAN_AGENT, code_source(script.clone(), rounds), settings);
     let log = simulate(&scenario(id), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let asked = script.asked.lock().unwrap().clone();
     (agent, log, asked)
@@ -179,7 +179,7 @@ fn a_planner_in_force_goes_on_when_later_answers_fail() {
     settings.reflect = false;
     let (agent, log, _) = drive(&answers, &[Round::Code], settings, "generated/high_magnitude_speed/1");
     assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
-    assert!(agent.calls()[1..].iter().all(|call| matches!(call.decision, Decision::KeepInForce(_))));
+    assert!(agent.calls()[1..].iter().all(|call| matches!(call.decision, Decision::KeepActivePlan(_))));
     assert!((log.samples.last().unwrap().ego.speed() - 6.0).abs() < 0.5);
 }
 
@@ -207,7 +207,7 @@ fn a_deadline_ends_the_call_with_the_planner_in_force() {
     let (agent, log, asked) = drive(&answers, &Round::ALL, settings, "generated/high_magnitude_speed/1");
     assert_eq!((agent.calls().len(), asked.len()), (8, answers.len()));
     assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
-    let ended = Decision::KeepInForce(NoPlan::Interrupted(Interruption::Deadline));
+    let ended = Decision::KeepActivePlan(NoPlan::Interrupted(Interruption::Deadline));
     for call in &agent.calls()[1..] {
         assert_eq!(call.decision, ended);
         assert!(call.total_ms >= 400.0 && call.driving().is_none());
@@ -230,7 +230,7 @@ fn a_refused_planner_does_not_drive_because_time_is_up() {
     let call = &agent.calls()[0];
     assert_eq!(call.decision, Decision::Brake(NoPlan::Interrupted(Interruption::Deadline)));
     assert_eq!(call.attempts.len(), 1);
-    assert!(call.attempts[0].code.is_some() && agent.in_force().is_none());
+    assert!(call.attempts[0].code.is_some() && agent.active_plan().is_none());
 }
 
 #[test]
@@ -249,7 +249,7 @@ pub(crate) fn planner_at<'a>(
     graph: &LaneGraph,
     target_speed: f64,
     lead_policy: LeadPolicy,
-) -> planagent::internals::reflection::GeneratedPlanner {
+) -> planagent::internals::reflection::IdmPlan {
     let code = PlannerCode {
         centerline: CenterlineName::EgoLane.to_string(),
         lead_agent: None,
@@ -257,7 +257,7 @@ pub(crate) fn planner_at<'a>(
         accel_max: 2.0,
         decel_max: 3.0,
     };
-    generated_planner(&drive.scene(), graph, code, lead_policy, 4.0).unwrap().unwrap()
+    build_idm_plan(&drive.scene(), graph, code, lead_policy, 4.0).unwrap().unwrap()
 }
 
 #[test]
@@ -304,7 +304,7 @@ fn a_report_names_what_progress_was_compared_with() {
     let report = |scene: &Scene<'_>| {
         let mut memory = PdmMemory::default();
         let report = Judge::new(scene, &graph, 4.0, &mut memory).unwrap().reflect(&planner, 0.75).unwrap();
-        (report.progress_reference, report.parts.progress, memory.way.is_some())
+        (report.progress_reference, report.parts.progress, memory.reference_path.is_some())
     };
     let (reference, progress, found) = report(&scene);
     assert!(reference == ProgressReference::PdmProposals && found && progress < 0.9, "{progress}");
@@ -341,8 +341,8 @@ fn a_roll_out_stops_before_a_red_light() {
 
 #[test]
 fn the_controls_drive_without_a_model() {
-    let best = |mind: Mind| {
-        let mut agent = PlanAgent::new("control", mind, settings());
+    let best = |code_source: CodeSource| {
+        let mut agent = PlanAgent::new("control", code_source, settings());
         simulate(&scenario("generated/changing_lane/3"), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
         let calls = agent.calls().to_vec();
         assert_eq!(calls.len(), 8);
@@ -352,17 +352,17 @@ fn the_controls_drive_without_a_model() {
     let codes = |calls: &[PlanningCall]| -> Vec<PlannerCode> {
         calls.iter().flat_map(|call| &call.attempts).map(|attempt| attempt.code.clone().unwrap()).collect()
     };
-    let fixed = best(Mind::FixedCode);
+    let fixed = best(CodeSource::Fixed);
     assert!(fixed.iter().all(|call| call.attempts.len() == 1));
     assert!(codes(&fixed).iter().all(|code| code.centerline == "ego_lane" && (code.accel_max - 1.5).abs() < 1e-9));
 
-    let random = best(Mind::RandomCode);
+    let random = best(CodeSource::Random);
     assert!(random.iter().all(|call| (1..=3).contains(&call.attempts.len())));
-    assert_eq!(codes(&random), codes(&best(Mind::RandomCode)));
+    assert_eq!(codes(&random), codes(&best(CodeSource::Random)));
     assert!(codes(&random).windows(2).any(|pair| pair[0] != pair[1]));
 
     // Before anything has been driven the three see the same scene, and the grid holds the fixed code.
-    let grid = best(Mind::GridCode);
+    let grid = best(CodeSource::Grid);
     let first = |calls: &[PlanningCall]| calls[0].driving().unwrap().reflection.as_ref().unwrap().score;
     assert!(first(&grid) >= first(&fixed));
     assert!(grid.iter().all(|call| call.attempts.len() == 1));
@@ -380,12 +380,17 @@ fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
     };
     let call = |lane_change_threshold| {
         let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"; 3];
-        let mind = mind(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
+        let code_source = code_source(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
         let settings = PlanAgentSettings { lane_change_threshold, after_max_exec: AfterMaxExec::Best, ..settings() };
-        let mut agent = PlanAgent::new(PLAN_AGENT, mind, settings);
+        let mut agent = PlanAgent::new(PLAN_AGENT, code_source, settings);
         agent.compute_trajectory(&PlannerInput { iteration: 0, scene: free }).unwrap();
         let call = &agent.calls()[0];
-        (agent.in_force().unwrap().lane_now(&free), call.attempts.len(), call.decision.clone(), call.retreat)
+        (
+            agent.active_plan().unwrap().lane_now(&free),
+            call.attempts.len(),
+            call.decision.clone(),
+            call.aborted_lane_change,
+        )
     };
     assert_eq!(call(0.0), (lane(CenterlineName::LeftLane), 1, Decision::Execute(0), None));
     // More than can be scored: the code drives in the own lane.
@@ -415,6 +420,6 @@ fn the_best_of_refused_planners_drives_only_if_the_planner_in_force_is_worse() {
     settings.after_max_exec = AfterMaxExec::Best;
     let (agent, log, _) = drive(&answers, &[Round::Code], settings, "generated/high_magnitude_speed/1");
     assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
-    assert_eq!(agent.calls()[1].decision, Decision::KeepInForce(NoPlan::Worse));
+    assert_eq!(agent.calls()[1].decision, Decision::KeepActivePlan(NoPlan::Worse));
     assert!(log.samples.last().unwrap().ego.speed() > 8.0);
 }

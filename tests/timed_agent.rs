@@ -17,7 +17,7 @@ fn after(milliseconds: u64) -> PlanAgentSettings {
 #[test]
 fn a_planner_comes_into_force_when_its_time_has_passed() {
     let (agent, log, asked) = drive(&[EIGHT], &[Round::Code], after(2500), SCENE);
-    let calls: Vec<_> = agent.calls().iter().map(|call| (call.iteration, call.in_force_from)).collect();
+    let calls: Vec<_> = agent.calls().iter().map(|call| (call.iteration, call.active_from)).collect();
     // While the model is busy it cannot be asked again: the next call is the first one due after that.
     assert_eq!(calls, [(0, Some(25)), (40, Some(65)), (80, Some(105)), (120, Some(145))]);
     assert_eq!(asked.len(), 4);
@@ -34,7 +34,7 @@ fn a_call_of_no_length_is_as_good_as_no_latency() {
     let none = PlanAgentSettings { latency: Latency::None, ..after(0) };
     let (agent, log, _) = drive(&[EIGHT], &[Round::Code], none, SCENE);
     assert_eq!(at_once.samples, log.samples);
-    assert!(agent.calls().iter().all(|call| call.in_force_from.is_none()));
+    assert!(agent.calls().iter().all(|call| call.active_from.is_none()));
 }
 
 #[test]
@@ -42,7 +42,7 @@ fn a_late_lane_change_begins_where_the_ego_is() {
     let scene = "generated/changing_lane/2";
     let answers = ["Generate_IDM_Planner(c=left_lane, la=None, v0=9, acc=1, dec=3)", EIGHT];
     let (agent, log, _) = drive(&answers, &[Round::Code], after(3000), scene);
-    assert_eq!(agent.calls()[0].in_force_from, Some(30));
+    assert_eq!(agent.calls()[0].active_from, Some(30));
     let jump = log.trajectories.iter().zip(&log.samples).map(|(trajectory, sample)| {
         let next = trajectory.states()[1].rear_axle;
         (sample.ego.rear_axle.to_local(next.position()).y).abs()
@@ -56,10 +56,10 @@ fn a_gate_lets_the_rules_drive_where_they_are_expected_to_do_well() {
     let (agent, log, asked) = drive(&[EIGHT], &[Round::Code], gated(0.5), SCENE);
     assert!(asked.is_empty(), "the model was asked: {asked:?}");
     assert_eq!(agent.calls().len(), 8);
-    assert!(agent.calls().iter().all(|call| matches!(call.decision, Decision::Saved(score) if score >= 0.5)));
+    assert!(agent.calls().iter().all(|call| matches!(call.decision, Decision::Gated(score) if score >= 0.5)));
     let rules = simulate(&scenario(SCENE), &mut PdmClosed::new(), Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let [mine, theirs] = [&log, &rules].map(|log| log.samples.last().unwrap().ego.rear_axle);
     assert!(mine.distance(&theirs) < 1.0, "{mine:?} {theirs:?}");
     let (agent, _, asked) = drive(&[EIGHT], &[Round::Code], gated(1.1), SCENE);
-    assert!(asked.len() >= 8 && agent.calls().iter().all(|call| !call.is_saved()), "no score passes this gate");
+    assert!(asked.len() >= 8 && agent.calls().iter().all(|call| !call.is_gated()), "no score passes this gate");
 }

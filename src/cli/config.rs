@@ -3,7 +3,7 @@
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use crate::environment::{BevView, DEFAULT_NODE_LENGTH};
 use crate::mllm::{GenerationSettings, Sampling, WeightFormat};
-use crate::planner::{AfterMaxExec, BevOf, Execution, Latency, PlanAgentSettings};
+use crate::planner::{AfterMaxExec, Latency, PlanAgentSettings};
 use crate::reasoning::{ReasoningSettings, Round};
 use crate::reflection::LeadPolicy;
 use anyhow::{Context, bail};
@@ -70,8 +70,8 @@ pub struct AgentConfig {
 pub struct EnvironmentConfig {
     /// Whether the model gets the BEV map.
     pub bev: bool,
-    /// Which scene that map is of.
-    pub bev_of: BevOf,
+    /// Whether that map is of an unrelated scene (an ablation).
+    pub shuffled_bev: bool,
     /// Whether it gets the lane-graph text.
     pub lane_graph: bool,
     /// Side of the square that the BEV map shows, metres.
@@ -82,7 +82,7 @@ pub struct EnvironmentConfig {
 
 impl Default for EnvironmentConfig {
     fn default() -> Self {
-        Self { bev: true, bev_of: BevOf::Scene, lane_graph: true, view_m: 64.0, node_length_m: DEFAULT_NODE_LENGTH }
+        Self { bev: true, shuffled_bev: false, lane_graph: true, view_m: 64.0, node_length_m: DEFAULT_NODE_LENGTH }
     }
 }
 
@@ -127,8 +127,8 @@ pub struct ReflectionConfig {
     pub after_max_exec: AfterMaxExec,
     /// Whom the generated IDM planner follows.
     pub lead_policy: LeadPolicy,
-    /// How the planner in force drives between planning calls.
-    pub execution: Execution,
+    /// Whether the active plan is scored at every iteration and replaced where a version of it scores more.
+    pub monitoring: bool,
     /// Whether the ego may brake hard against what the planner in force does.
     pub emergency_brake: bool,
 }
@@ -143,7 +143,7 @@ impl Default for ReflectionConfig {
             horizon_s: 4.0,
             after_max_exec: AfterMaxExec::default(),
             lead_policy: LeadPolicy::Nearest,
-            execution: Execution::default(),
+            monitoring: true,
             emergency_brake: true,
         }
     }
@@ -195,7 +195,7 @@ impl Config {
         let Self { seed, agent, environment, reasoning, reflection, .. } = self;
         PlanAgentSettings {
             view_m: environment.bev.then_some(environment.view_m),
-            bev_of: environment.bev_of,
+            shuffled_bev: environment.shuffled_bev,
             lane_graph: environment.lane_graph,
             node_length_m: environment.node_length_m,
             interval: reasoning.interval,
@@ -209,7 +209,7 @@ impl Config {
             horizon_s: reflection.horizon_s,
             after_max_exec: reflection.after_max_exec,
             lead_policy: reflection.lead_policy,
-            execution: reflection.execution,
+            monitoring: reflection.monitoring,
             emergency_brake: reflection.emergency_brake,
             seed: *seed,
         }

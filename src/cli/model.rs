@@ -5,7 +5,7 @@ use crate::experiment::run::AgentParts;
 use crate::mllm::{
     FetchProgress, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, ModelSpec, PromptSet as PromptSetName,
 };
-use crate::planner::Mind;
+use crate::planner::CodeSource;
 use crate::reasoning::PromptSet;
 use anyhow::Context;
 use indicatif::ProgressBar;
@@ -21,7 +21,7 @@ const MODELS_VARIABLE: &str = "PLANAGENT_MODELS";
 /// A loaded model, ready to drive.
 pub(super) struct Loaded {
     /// What `plan-agent` thinks with.
-    pub(super) mind: Mind,
+    pub(super) code_source: CodeSource,
     /// The model in words.
     pub(super) about: ModelDescription,
     /// How long loading took, seconds.
@@ -77,14 +77,14 @@ impl Opened {
         });
         let prompts = Arc::new(PromptSet::open(set)?);
         let reasoning = config.reasoning_settings(self.spec.generation);
-        let mind = Mind::Model { model: Arc::clone(&self.model), prompts, reasoning };
-        Ok(Loaded { mind, about: self.model.describe(), load_s: self.load_s })
+        let code_source = CodeSource::Model { model: Arc::clone(&self.model), prompts, reasoning };
+        Ok(Loaded { code_source, about: self.model.describe(), load_s: self.load_s })
     }
 }
 
 /// What agents are made of, with the model where one is loaded.
 pub(super) fn parts(config: &Config, loaded: Option<&Loaded>) -> AgentParts {
-    AgentParts { model: loaded.map(|loaded| loaded.mind.clone()), settings: config.agent_settings() }
+    AgentParts { model: loaded.map(|loaded| loaded.code_source.clone()), settings: config.agent_settings() }
 }
 
 /// The models that the configuration knows, with a bar for downloads.

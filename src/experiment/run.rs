@@ -5,8 +5,8 @@ use super::source::ScenarioSource;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::pdm::DrivableLayers;
 use crate::planner::{
-    IdmPlanner, LlmAssist, LogReplay, Mind, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner, PlanningCall,
-    SimplePlanner,
+    CodeSource, IdmPlanner, LlmAssist, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner,
+    PlanningCall, SimplePlanner,
 };
 use crate::reasoning::AssistVariant;
 use crate::scenario::{Scenario, UNKNOWN_TYPE};
@@ -110,7 +110,7 @@ impl FromStr for PlannerKind {
 #[derive(Clone)]
 pub struct AgentParts {
     /// What `plan-agent` thinks with, where it drives.
-    pub model: Option<Mind>,
+    pub model: Option<CodeSource>,
     /// Everything else.
     pub settings: PlanAgentSettings,
 }
@@ -119,14 +119,14 @@ impl AgentParts {
     /// An agent for one scenario: the scenario's name goes into its seed, so that no drive depends on another. `None` for
     /// planners that are no agents, and for `plan-agent` without a model.
     pub fn agent(&self, planner: PlannerKind, scenario_id: &str) -> Option<PlanAgent> {
-        let mind = match planner {
+        let code_source = match planner {
             PlannerKind::PlanAgent => self.model.clone()?,
-            PlannerKind::RandomCode => Mind::RandomCode,
-            PlannerKind::FixedCode => Mind::FixedCode,
-            PlannerKind::GridCode => Mind::GridCode,
+            PlannerKind::RandomCode => CodeSource::Random,
+            PlannerKind::FixedCode => CodeSource::Fixed,
+            PlannerKind::GridCode => CodeSource::Grid,
             _ => return None,
         };
-        Some(PlanAgent::new(planner.as_str(), mind, self.settings_for(scenario_id)))
+        Some(PlanAgent::new(planner.as_str(), code_source, self.settings_for(scenario_id)))
     }
 
     /// LLM-ASSIST in one of its variants for one scenario; `None` for other planners, and without a model.
@@ -136,7 +136,7 @@ impl AgentParts {
             PlannerKind::LlmAssistPar => AssistVariant::Parameters,
             _ => return None,
         };
-        let Some(Mind::Model { model, prompts, reasoning }) = self.model.clone() else { return None };
+        let Some(CodeSource::Model { model, prompts, reasoning }) = self.model.clone() else { return None };
         let settings = self.settings_for(scenario_id);
         Some(LlmAssist::new(planner.as_str(), variant, (model, prompts, reasoning), settings))
     }

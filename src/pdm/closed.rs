@@ -4,8 +4,8 @@
 use super::emergency_brake::{emergency_brake, needs_emergency_brake, standing};
 use super::proposals::{PROPOSAL_STEPS, Proposals, TRAJECTORY_STEPS};
 use super::{
-    Collided, DrivableLayers, DrivableMap, Forecast, NoWay, PdmParameters, Proposal, ProposalScore, ScoringScene, Way,
-    score_proposals,
+    Collided, DrivableLayers, DrivableMap, Forecast, NoReferencePath, PdmParameters, Proposal, ProposalScore,
+    ReferencePath, ScoringScene, score_proposals,
 };
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::geometry::Polyline;
@@ -18,7 +18,7 @@ use std::collections::BTreeSet;
 pub enum PdmError {
     /// There is no way to drive.
     #[error(transparent)]
-    NoWay(#[from] NoWay),
+    NoReferencePath(#[from] NoReferencePath),
     /// The proposals cannot be scored.
     #[error("the proposals cannot be scored")]
     Score(#[from] MetricError),
@@ -33,7 +33,7 @@ pub struct PdmMemory {
     /// What the ego has touched.
     pub collided: Collided,
     /// The way that was chosen; PDM-Closed chooses at its first iteration and keeps it.
-    pub way: Option<Way>,
+    pub reference_path: Option<ReferencePath>,
 }
 
 /// What PDM-Closed sees at one instant.
@@ -59,25 +59,33 @@ impl<'a> PdmInstant<'a> {
     }
 
     /// Looks at a scene along a way.
-    pub fn along(way: &Way, scene: &Scene<'a>, collided: &mut Collided) -> Self {
-        Self::new(scene, way.lane_set(), way.layers(), collided)
+    pub fn along(reference_path: &ReferencePath, scene: &Scene<'a>, collided: &mut Collided) -> Self {
+        Self::new(scene, reference_path.lane_set(), reference_path.layers(), collided)
     }
 
     /// The proposals along a way from the present state of the ego, rolled out for `steps` steps of 0.1 s.
-    pub fn proposals<'s>(&'s self, way: &'s Way, ego: &EgoState, steps: usize) -> Proposals<'s> {
-        self.tuned_proposals(way, ego, PdmParameters::default(), steps)
+    pub fn proposals<'s>(&'s self, reference_path: &'s ReferencePath, ego: &EgoState, steps: usize) -> Proposals<'s> {
+        self.tuned_proposals(reference_path, ego, PdmParameters::default(), steps)
     }
 
     /// As [`Self::proposals`], with other parameters than PDM-Closed's.
     pub fn tuned_proposals<'s>(
         &'s self,
-        way: &'s Way,
+        reference_path: &'s ReferencePath,
         ego: &EgoState,
         parameters: PdmParameters,
         steps: usize,
     ) -> Proposals<'s> {
         let map = self.drivable.map();
-        Proposals::generate(map, way.paths(), &self.forecast, ego, way.speed_limit(map, ego), parameters, steps)
+        Proposals::generate(
+            map,
+            reference_path.paths(),
+            &self.forecast,
+            ego,
+            reference_path.speed_limit(map, ego),
+            parameters,
+            steps,
+        )
     }
 
     /// What a score needs beside its proposals, progress measured along `centerline`; `rival_progress` as [`ScoringScene`]
@@ -113,8 +121,12 @@ pub struct PdmPlan {
 ///
 /// # Errors
 /// When the proposals cannot be scored or are not finite.
-pub fn plan_along(way: &Way, scene: &Scene<'_>, collided: &mut Collided) -> Result<PdmPlan, PdmError> {
-    plan_tuned(way, scene, collided, PdmParameters::default())
+pub fn plan_along(
+    reference_path: &ReferencePath,
+    scene: &Scene<'_>,
+    collided: &mut Collided,
+) -> Result<PdmPlan, PdmError> {
+    plan_tuned(reference_path, scene, collided, PdmParameters::default())
 }
 
 /// One step of PDM-Closed with other parameters along a way.
@@ -122,16 +134,16 @@ pub fn plan_along(way: &Way, scene: &Scene<'_>, collided: &mut Collided) -> Resu
 /// # Errors
 /// As [`plan_along`].
 pub fn plan_tuned(
-    way: &Way,
+    reference_path: &ReferencePath,
     scene: &Scene<'_>,
     collided: &mut Collided,
     parameters: PdmParameters,
 ) -> Result<PdmPlan, PdmError> {
     let ego = scene.ego;
-    let instant = PdmInstant::along(way, scene, collided);
-    let mut proposals = instant.tuned_proposals(way, ego, parameters, PROPOSAL_STEPS);
+    let instant = PdmInstant::along(reference_path, scene, collided);
+    let mut proposals = instant.tuned_proposals(reference_path, ego, parameters, PROPOSAL_STEPS);
     let simulated = simulate_proposals(ego, proposals.all());
-    let scores = score_proposals(&instant.scoring(way.centerline().line(), 0.0), &simulated)?;
+    let scores = score_proposals(&instant.scoring(reference_path.centerline().line(), 0.0), &simulated)?;
     let best = best_of(&scores).ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
     let brake = parameters.emergency_brake && needs_emergency_brake(scores[best].first_at_fault_s, ego);
     let trajectory = if brake {
@@ -149,12 +161,12 @@ pub fn plan_tuned(
 /// # Errors
 /// When there is no way, or the proposals cannot be scored or are not finite.
 pub fn plan(memory: &mut PdmMemory, scene: &Scene<'_>) -> Result<PdmPlan, PdmError> {
-    let PdmMemory { collided, way } = memory;
-    let way = match way {
-        Some(way) => way,
-        none => none.insert(Way::find(scene.map, scene.route, scene.ego)?),
+    let PdmMemory { collided, reference_path } = memory;
+    let reference_path = match reference_path {
+        Some(reference_path) => reference_path,
+        none => none.insert(ReferencePath::find(scene.map, scene.route, scene.ego)?),
     };
-    plan_along(way, scene, collided)
+    plan_along(reference_path, scene, collided)
 }
 
 /// The best of some proposals, the first of equals; `None` of none.

@@ -23,10 +23,10 @@ mod parameters;
 mod path;
 mod placed;
 mod proposals;
+mod reference_path;
 mod route;
 mod scorer;
 mod search;
-mod way;
 
 pub use areas::{DrivableLayers, DrivableMap, EgoAreas, MAP_RADIUS};
 pub use centerline::{centerline_poses, lane_chain};
@@ -43,9 +43,9 @@ pub use proposals::{
     FALLBACK_LIMIT, IdmState, LATERAL_OFFSETS, PROPOSAL_STEPS, PROPOSALS, Proposal, Proposals, SPEED_FRACTIONS,
     TRAJECTORY_STEPS,
 };
+pub use reference_path::{NoReferencePath, ReferencePath};
 pub use route::corrected_route;
 pub use scorer::{ProposalScore, ScoringScene, WEIGHT_COMFORT, WEIGHT_PROGRESS, WEIGHT_TTC, score_proposals};
 pub use search::{SearchDirection, roadblock_chain};
-pub use way::{NoWay, Way};
 
 use placed::Placed;

@@ -3,7 +3,7 @@
 use crate::geometry::{GeometryError, Point, Polyline, Pose, unwrap_angles, wrap_angle};
 
 /// Queries never lie nearer to the start than this, metres.
-const LEAST_PROGRESS: f64 = 1e-5;
+const MIN_PROGRESS: f64 = 1e-5;
 
 /// Rear-axle poses with their progress: cumulated chord length, metres from the first. Repeated poses are kept, so that the
 /// heading may jump where two baselines meet.
@@ -75,12 +75,12 @@ impl PdmPath {
         let first = self.progress.partition_point(|&p| p < from);
         let behind = self.progress.partition_point(|&p| p <= to).max(first);
         let inside = Polyline::new(self.poses[first..behind].iter().map(Pose::position));
-        let exact = || self.line.slice(from, to).or_else(|| self.line.slice(self.length() - LEAST_PROGRESS, to));
+        let exact = || self.line.slice(from, to).or_else(|| self.line.slice(self.length() - MIN_PROGRESS, to));
         inside.ok().or_else(exact).unwrap_or_else(|| self.line.clone())
     }
 
     fn clamped(&self, progress: f64) -> f64 {
-        progress.min(self.length()).max(LEAST_PROGRESS)
+        progress.min(self.length()).max(MIN_PROGRESS)
     }
 }
 

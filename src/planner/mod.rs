@@ -1,31 +1,30 @@
 //! Stage 6: the planners. The simulator knows an agent only through [`Planner`], whose shape is nuPlan's.
 
-mod foreign_view;
+mod active_plan;
+mod code_source;
 mod idm;
-mod in_force;
 mod latency;
 mod llm_assist;
 mod log_replay;
-mod mind;
+mod monitored;
 mod pdm_closed;
 mod plan_agent;
 mod record;
 mod settings;
+mod shuffled_bev;
 mod simple;
-mod watched;
 
-pub use foreign_view::BevOf;
+pub use code_source::{CodeSource, DEFAULT_ACCELERATIONS, planner_code};
 pub use idm::IdmPlanner;
 pub use latency::Latency;
 pub use llm_assist::LlmAssist;
 pub use log_replay::LogReplay;
-pub use mind::{Mind, USUAL_ACCELERATIONS, planner_code};
+pub use monitored::{MonitoredStep, monitored_step};
 pub use pdm_closed::PdmClosed;
-pub use plan_agent::{NAME as PLAN_AGENT, PlanAgent, generated_planner, names};
+pub use plan_agent::{NAME as PLAN_AGENT, PlanAgent, build_idm_plan, names};
 pub use record::{Attempt, Decision, NoPlan, PlanningCall, feedback};
-pub use settings::{AfterMaxExec, Execution, PlanAgentSettings};
+pub use settings::{AfterMaxExec, PlanAgentSettings};
 pub use simple::SimplePlanner;
-pub use watched::{Watched, watched};
 
 use crate::world::{LaneMap, Route, Scene, Trajectory, TrajectoryError};
 use std::sync::Arc;

@@ -1,7 +1,7 @@
 //! PDM-Closed as a planner (Dauner et al. 2023, "Parting with Misconceptions about Learning-based Vehicle Motion Planning").
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
-use crate::pdm::{DrivableLayers, NoWay, PdmError, PdmMemory, Way, plan, plan_along};
+use crate::pdm::{DrivableLayers, NoReferencePath, PdmError, PdmMemory, ReferencePath, plan, plan_along};
 use crate::world::{Scene, Trajectory};
 
 /// PDM-Closed: its centreline is chosen at the first iteration and kept; fifteen proposals are judged at every one.
@@ -18,7 +18,7 @@ impl PdmClosed {
 
     /// What counts as drivable along its way; `None` before the first iteration.
     pub fn drivable_layers(&self) -> Option<DrivableLayers> {
-        self.memory.way.as_ref().map(Way::layers)
+        self.memory.reference_path.as_ref().map(ReferencePath::layers)
     }
 }
 
@@ -40,7 +40,7 @@ impl Planner for PdmClosed {
 /// The error of a planner for which PDM-Closed plans.
 pub(super) fn pdm_failed(error: PdmError) -> PlannerError {
     match error {
-        PdmError::NoWay(NoWay::EmptyRoute) => PlannerError::EmptyRoute,
+        PdmError::NoReferencePath(NoReferencePath::EmptyRoute) => PlannerError::EmptyRoute,
         error => PlannerError::Failed { doing: "planning with PDM-Closed", source: Box::new(error) },
     }
 }
@@ -51,8 +51,8 @@ pub(super) fn pdm_failed(error: PdmError) -> PlannerError {
 /// # Errors
 /// When PDM-Closed cannot plan.
 pub(super) fn predicted_score(scene: &Scene<'_>, memory: &mut PdmMemory) -> Result<Option<f64>, PlannerError> {
-    memory.way = Way::find(scene.map, scene.route, scene.ego).ok();
-    let PdmMemory { way: Some(way), collided } = memory else { return Ok(None) };
-    let plan = plan_along(way, scene, collided).map_err(pdm_failed)?;
+    memory.reference_path = ReferencePath::find(scene.map, scene.route, scene.ego).ok();
+    let PdmMemory { reference_path: Some(reference_path), collided } = memory else { return Ok(None) };
+    let plan = plan_along(reference_path, scene, collided).map_err(pdm_failed)?;
     Ok(Some(plan.scores[plan.best].total))
 }

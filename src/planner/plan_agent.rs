@@ -1,22 +1,22 @@
 //! The agent of the paper: every 20 iterations it looks, thinks, writes a planner and reflects on it; in between the planner
 //! in force drives.
 
-use super::foreign_view::{self, BevOf};
-use super::in_force::{InForce, Underway, as_it_goes, followed_on};
+use super::active_plan::{ActivePlan, Underway, followed_on, keep_lane_and_speed};
+use super::code_source::CodeSource;
 use super::latency::Latency;
-use super::mind::Mind;
+use super::monitored::{MonitoredStep, back_to_own_lane, monitored_step};
 use super::pdm_closed::{pdm_failed, predicted_score};
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
-use super::settings::{AfterMaxExec, Execution, PlanAgentSettings};
-use super::watched::{Watched, back_to_own_lane, watched};
+use super::settings::{AfterMaxExec, PlanAgentSettings};
+use super::shuffled_bev;
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
 use crate::mllm::{Deadline, PromptPrefix, milliseconds};
 use crate::pdm::{self, PdmMemory, emergency_brake};
-use crate::reasoning::{Interruption, Names, ParseError, PlannerCode, ScenarioPrompt, Thought};
-use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, Watch, needs_emergency_brake};
+use crate::reasoning::{Interruption, Names, ParseError, PlannerCode, ReasoningTrace, ScenarioPrompt};
+use crate::reflection::{IdmPlan, Judge, LeadPolicy, PlanMonitor, ReflectionReport, Verdict, needs_emergency_brake};
 use crate::world::{STEP_S, Scene, Trajectory};
 use std::time::Instant;
 
@@ -30,9 +30,9 @@ pub(super) const PLAN_STEPS: usize = 80;
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
 pub struct PlanAgent {
     name: &'static str,
-    mind: Mind,
+    code_source: CodeSource,
     settings: PlanAgentSettings,
-    in_force: InForce,
+    active_plan: ActivePlan,
     /// A call whose time has not passed yet.
     underway: Option<Underway>,
     /// What PDM's rules know of this drive: what was touched, and the way of the last planning call.
@@ -44,16 +44,16 @@ pub struct PlanAgent {
 #[derive(Default)]
 struct Thinking {
     attempts: Vec<Attempt>,
-    planners: Vec<Option<GeneratedPlanner>>,
+    planners: Vec<Option<IdmPlan>>,
     interruption: Option<Interruption>,
     /// Score of the planner in force, where it is asked for.
-    in_force: Option<f64>,
+    active_plan: Option<f64>,
 }
 
 impl Thinking {
     /// Keeps of many attempts the one with the best score, of the accepted ones if there are any; the first wins ties. It bears the time
     /// of all.
-    fn keep_better(&mut self, attempt: Attempt, planner: Option<GeneratedPlanner>) {
+    fn keep_better(&mut self, attempt: Attempt, planner: Option<IdmPlan>) {
         let score = |attempt: &Attempt| {
             attempt.reflection.as_ref().map_or((false, f64::NEG_INFINITY), |r| (r.verdict == Verdict::Execute, r.score))
         };
@@ -69,9 +69,9 @@ impl Thinking {
 
 impl PlanAgent {
     /// An agent that thinks with this mind; `name` stands in results.
-    pub fn new(name: &'static str, mind: Mind, settings: PlanAgentSettings) -> Self {
-        let (in_force, memory, calls) = (InForce::Nobody, PdmMemory::default(), Vec::new());
-        Self { name, mind, settings, in_force, underway: None, memory, calls }
+    pub fn new(name: &'static str, code_source: CodeSource, settings: PlanAgentSettings) -> Self {
+        let (active_plan, memory, calls) = (ActivePlan::None, PdmMemory::default(), Vec::new());
+        Self { name, code_source, settings, active_plan, underway: None, memory, calls }
     }
 
     /// The records of all planning calls since the last initialisation.
@@ -80,10 +80,10 @@ impl PlanAgent {
     }
 
     /// The generated planner that drives now.
-    pub fn in_force(&self) -> Option<&GeneratedPlanner> {
-        match &self.in_force {
-            InForce::Planner(planner) => Some(planner),
-            InForce::Nobody | InForce::Rules => None,
+    pub fn active_plan(&self) -> Option<&IdmPlan> {
+        match &self.active_plan {
+            ActivePlan::Generated(planner) => Some(planner),
+            ActivePlan::None | ActivePlan::PdmClosed => None,
         }
     }
 
@@ -98,10 +98,10 @@ impl PlanAgent {
         if let Some(gate) = self.settings.gate
             && let Some(score) = predicted_score(scene, &mut self.memory)?.filter(|&score| score >= gate)
         {
-            self.in_force = InForce::Rules;
+            self.active_plan = ActivePlan::PdmClosed;
             self.calls.push(PlanningCall::without_attempts(
                 iteration,
-                Decision::Saved(score),
+                Decision::Gated(score),
                 milliseconds(started.elapsed()),
             ));
             return Ok(());
@@ -115,8 +115,8 @@ impl PlanAgent {
                 return Ok(());
             }
         };
-        if self.settings.latency != Latency::None && self.in_force == InForce::Nobody {
-            self.in_force = as_it_goes(scene, &graph, self.settings.lead_policy, self.path_s())?;
+        if self.settings.latency != Latency::None && self.active_plan == ActivePlan::None {
+            self.active_plan = keep_lane_and_speed(scene, &graph, self.settings.lead_policy, self.path_s())?;
         }
         let scenario = self.look(scene, &graph)?;
         let environment_ms = milliseconds(started.elapsed());
@@ -126,14 +126,14 @@ impl PlanAgent {
             Decision::Execute(index) | Decision::Exhausted(index) => thinking.planners.into_iter().nth(index).flatten(),
             _ => None,
         };
-        let mut retreat = None;
+        let mut aborted_lane_change = None;
         if let (Decision::Exhausted(_), AfterMaxExec::Best, Some(refused)) =
             (&decision, self.settings.after_max_exec, &planner)
             && self.begins_lane_change(refused, scene, &graph)
             && let Some(back) = back_to_own_lane(refused, scene, &graph, self.settings.lead_policy, self.path_s())?
         {
             planner = Some(back);
-            retreat = Some(iteration);
+            aborted_lane_change = Some(iteration);
         }
         let total_ms = milliseconds(started.elapsed());
         let image_hash = PromptPrefix { system: String::new(), image: scenario.image.clone() }.image_hash();
@@ -145,21 +145,21 @@ impl PlanAgent {
             attempts: thinking.attempts,
             decision,
             emergency_brakes: 0,
-            retreat,
-            in_force_from: None,
+            aborted_lane_change,
+            active_from: None,
             environment_ms,
             total_ms,
         });
         match (self.settings.latency.iterations(total_ms), planner) {
             (Some(lasts), planner) if lasts > 0 => {
                 self.underway = Some(Underway { arrives: iteration + lasts, planner });
-                self.in_force.follow_on(scene, &graph, self.path_s())
+                self.active_plan.follow_on(scene, &graph, self.path_s())
             }
             (_, Some(planner)) => {
-                self.in_force = InForce::Planner(Box::new(planner));
+                self.active_plan = ActivePlan::Generated(Box::new(planner));
                 Ok(())
             }
-            (_, None) => self.in_force.follow_on(scene, &graph, self.path_s()),
+            (_, None) => self.active_plan.follow_on(scene, &graph, self.path_s()),
         }
     }
 
@@ -167,28 +167,30 @@ impl PlanAgent {
     fn arrive(&mut self, iteration: usize, scene: &Scene<'_>) -> Result<(), PlannerError> {
         let Some(underway) = self.underway.take_if(|underway| underway.arrives <= iteration) else { return Ok(()) };
         let Some(planner) = underway.planner else { return Ok(()) };
-        self.in_force = InForce::Planner(Box::new(planner));
-        self.note(|call| call.in_force_from = Some(iteration));
+        self.active_plan = ActivePlan::Generated(Box::new(planner));
+        self.note(|call| call.active_from = Some(iteration));
         self.go_on(scene)
     }
 
     /// Lengthens the path of the planner in force from where the ego is now, if there is a lane graph.
     fn go_on(&mut self, scene: &Scene<'_>) -> Result<(), PlannerError> {
         let graph = LaneGraph::build(scene, self.settings.node_length_m);
-        graph.map_or(Ok(()), |graph| self.in_force.follow_on(scene, &graph, self.path_s()))
+        graph.map_or(Ok(()), |graph| self.active_plan.follow_on(scene, &graph, self.path_s()))
     }
 
     /// The Environment Transformation: what the model is shown.
     fn look(&self, scene: &Scene<'_>, graph: &LaneGraph) -> Result<ScenarioPrompt, PlannerError> {
-        let form = self.mind.prompts().map(|prompts| prompts.forms().scene_text).filter(|_| self.settings.lane_graph);
-        let image = match (self.settings.view_m, self.mind.image_size()) {
+        let form =
+            self.code_source.prompts().map(|prompts| prompts.forms().scene_text).filter(|_| self.settings.lane_graph);
+        let image = match (self.settings.view_m, self.code_source.image_size()) {
             (Some(metres), Some(pixels)) => {
                 let view = BevView::new(pixels, metres)
                     .map_err(|e| PlannerError::Failed { doing: "drawing the BEV map", source: Box::new(e) })?;
-                Some(match self.settings.bev_of {
-                    BevOf::Scene => bev::render(scene, &view),
-                    BevOf::Another => foreign_view::render(self.settings.seed ^ scene.ego.time_us as u64, &view)
-                        .map_err(|e| PlannerError::Failed { doing: "finding another scene", source: Box::new(e) })?,
+                Some(if self.settings.shuffled_bev {
+                    shuffled_bev::render(self.settings.seed ^ scene.ego.time_us as u64, &view)
+                        .map_err(|e| PlannerError::Failed { doing: "finding another scene", source: Box::new(e) })?
+                } else {
+                    bev::render(scene, &view)
                 })
             }
             _ => None,
@@ -214,7 +216,7 @@ impl PlanAgent {
         let seed = settings.call_seed(iteration);
         let failed = |doing| move |error| PlannerError::Failed { doing, source: Box::new(error) };
         let mut thoughts = self
-            .mind
+            .code_source
             .open(scenario, graph, (seed, deadline), settings.max_exec)
             .map_err(failed("opening the conversation"))?;
         let looking = Instant::now();
@@ -227,16 +229,18 @@ impl PlanAgent {
         let mut looked_ms = milliseconds(looking.elapsed());
         let mut thinking = Thinking::default();
         let mut needed = settings.threshold;
-        while (thinking.attempts.len() < settings.max_exec || self.mind.compares()) && thinking.interruption.is_none() {
+        while (thinking.attempts.len() < settings.max_exec || self.code_source.compares())
+            && thinking.interruption.is_none()
+        {
             let feedback = thinking.attempts.last().map(|last| last.feedback(needed));
-            let thought = thoughts.next(feedback.as_ref()).map_err(failed("asking the model"))?;
-            let Some(mut thought) = thought else { break };
-            thinking.interruption = thought.interruption.take();
-            if thought.rounds.is_empty() && thinking.interruption.is_some() {
+            let trace = thoughts.next(feedback.as_ref()).map_err(failed("asking the model"))?;
+            let Some(mut trace) = trace else { break };
+            thinking.interruption = trace.interruption.take();
+            if trace.rounds.is_empty() && thinking.interruption.is_some() {
                 break;
             }
             let started = Instant::now();
-            let (planner, errors) = self.build(scene, graph, &thought)?;
+            let (planner, errors) = self.build(scene, graph, &trace)?;
             let reflection = match (&judge, &planner) {
                 (Some(judge), Some(planner)) => {
                     needed = self.threshold_of(planner, scene, graph);
@@ -246,8 +250,8 @@ impl PlanAgent {
             };
             let accepted = planner.is_some() && reflection.as_ref().is_none_or(|r| r.verdict == Verdict::Execute);
             let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started.elapsed());
-            let attempt = attempt(thought, errors, planner.as_ref(), reflection, reflection_ms);
-            if self.mind.compares() {
+            let attempt = attempt(trace, errors, planner.as_ref(), reflection, reflection_ms);
+            if self.code_source.compares() {
                 thinking.keep_better(attempt, planner);
                 continue;
             }
@@ -257,26 +261,26 @@ impl PlanAgent {
                 return Ok(thinking);
             }
         }
-        if let (AfterMaxExec::Best, Some(judge), InForce::Planner(planner)) =
-            (settings.after_max_exec, &judge, &self.in_force)
+        if let (AfterMaxExec::Best, Some(judge), ActivePlan::Generated(planner)) =
+            (settings.after_max_exec, &judge, &self.active_plan)
         {
             let planner = followed_on(planner, scene, graph, self.path_s())?;
-            thinking.in_force = Some(judge.reflect(&planner, settings.threshold).map_err(reflection_failed)?.score);
+            thinking.active_plan = Some(judge.reflect(&planner, settings.threshold).map_err(reflection_failed)?.score);
         }
         Ok(thinking)
     }
 
     /// λ of a planner: higher where a change of lanes would begin with it.
-    fn threshold_of(&self, planner: &GeneratedPlanner, scene: &Scene<'_>, graph: &LaneGraph) -> f64 {
+    fn threshold_of(&self, planner: &IdmPlan, scene: &Scene<'_>, graph: &LaneGraph) -> f64 {
         let PlanAgentSettings { threshold, lane_change_threshold, .. } = self.settings;
         if self.begins_lane_change(planner, scene, graph) { threshold.max(lane_change_threshold) } else { threshold }
     }
 
     /// Whether a planner is bound for another lane than the ego's and the planner in force.
-    fn begins_lane_change(&self, planner: &GeneratedPlanner, scene: &Scene<'_>, graph: &LaneGraph) -> bool {
+    fn begins_lane_change(&self, planner: &IdmPlan, scene: &Scene<'_>, graph: &LaneGraph) -> bool {
         let bound_for = planner.lane_now(scene);
         !graph.ego_lane().path.lanes.contains(&bound_for)
-            && self.in_force().is_none_or(|in_force| in_force.lane_now(scene) != bound_for)
+            && self.active_plan().is_none_or(|active_plan| active_plan.lane_now(scene) != bound_for)
     }
 
     /// The planner that a thought means, with everything that was wrong with the answer.
@@ -284,16 +288,16 @@ impl PlanAgent {
         &self,
         scene: &Scene<'_>,
         graph: &LaneGraph,
-        thought: &Thought,
-    ) -> Result<(Option<GeneratedPlanner>, Vec<ParseError>), PlannerError> {
-        let errors = thought.parsed.errors.clone();
-        let Some(code) = thought.parsed.code.clone() else { return Ok((None, errors)) };
-        let planner = generated_planner(scene, graph, code, self.settings.lead_policy, self.path_s())?;
+        trace: &ReasoningTrace,
+    ) -> Result<(Option<IdmPlan>, Vec<ParseError>), PlannerError> {
+        let errors = trace.parsed.errors.clone();
+        let Some(code) = trace.parsed.code.clone() else { return Ok((None, errors)) };
+        let planner = build_idm_plan(scene, graph, code, self.settings.lead_policy, self.path_s())?;
         Ok((planner, errors))
     }
 
     fn decide(&self, thinking: &Thinking) -> Decision {
-        let Thinking { attempts, planners, interruption, in_force } = thinking;
+        let Thinking { attempts, planners, interruption, active_plan } = thinking;
         let score = |i: usize| attempts[i].reflection.as_ref().map_or(0.0, |r| r.score);
         let usable: Vec<usize> = (0..attempts.len()).filter(|&i| planners[i].is_some()).collect();
         let accepted = usable
@@ -307,8 +311,8 @@ impl PlanAgent {
         match (accepted, interruption, refused) {
             (Some(index), ..) => Decision::Execute(index),
             (None, Some(why), _) => self.without_plan(NoPlan::Interrupted(why.clone())),
-            (None, None, Some(index)) if in_force.is_some_and(|in_force| in_force > score(index)) => {
-                Decision::KeepInForce(NoPlan::Worse)
+            (None, None, Some(index)) if active_plan.is_some_and(|active_plan| active_plan > score(index)) => {
+                Decision::KeepActivePlan(NoPlan::Worse)
             }
             (None, None, Some(index)) => Decision::Exhausted(index),
             (None, None, None) => self.without_plan(NoPlan::Unreadable),
@@ -316,12 +320,12 @@ impl PlanAgent {
     }
 
     /// The planner in force drives as it was written; the emergency brake may overrule it.
-    fn drive_as_written(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+    fn control_unmonitored(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let ego = input.scene.ego;
-        let planner = match &self.in_force {
-            InForce::Planner(planner) => &**planner,
-            InForce::Rules => return self.drive_by_rules(&input.scene),
-            InForce::Nobody => return Ok(brake(ego)?),
+        let planner = match &self.active_plan {
+            ActivePlan::Generated(planner) => &**planner,
+            ActivePlan::PdmClosed => return self.drive_by_rules(&input.scene),
+            ActivePlan::None => return Ok(brake(ego)?),
         };
         let rollout = planner.roll_out(&input.scene, PLAN_STEPS);
         if self.settings.emergency_brake && needs_emergency_brake(&input.scene, &rollout, &mut self.memory) {
@@ -333,22 +337,22 @@ impl PlanAgent {
 
     /// Of the planner in force that version drives which Reflection chooses. Where a change of lanes has come to need hard braking or
     /// to score less than λ and the ego's present lane is better, the ego stays there until the next call.
-    fn drive_watched(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+    fn control_monitored(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let scene = &input.scene;
-        let planner = match &self.in_force {
-            InForce::Planner(planner) => &**planner,
-            InForce::Rules => return self.drive_by_rules(scene),
-            InForce::Nobody => return Ok(brake(scene.ego)?),
+        let planner = match &self.active_plan {
+            ActivePlan::Generated(planner) => &**planner,
+            ActivePlan::PdmClosed => return self.drive_by_rules(scene),
+            ActivePlan::None => return Ok(brake(scene.ego)?),
         };
-        let watch = self.settings.watch();
-        let mut driving = watched(planner, scene, &watch, &mut self.memory)?;
-        if (driving.brakes || driving.score < watch.threshold)
-            && let Some((back, instead)) = self.retreat(scene, &watch)?
+        let monitor = self.settings.monitor();
+        let mut driving = monitored_step(planner, scene, &monitor, &mut self.memory)?;
+        if (driving.brakes || driving.score < monitor.threshold)
+            && let Some((back, instead)) = self.aborted_lane_change(scene, &monitor)?
             && instead.is_better_than(&driving)
         {
             driving = instead;
-            self.in_force = InForce::Planner(Box::new(back));
-            self.note(|call| call.retreat = Some(input.iteration));
+            self.active_plan = ActivePlan::Generated(Box::new(back));
+            self.note(|call| call.aborted_lane_change = Some(input.iteration));
         }
         if driving.brakes {
             self.note(|call| call.emergency_brakes += 1);
@@ -357,16 +361,16 @@ impl PlanAgent {
     }
 
     /// The planner in force, back in the ego's present lane, and how it would drive on there; `None` when it is bound for that lane.
-    fn retreat(
+    fn aborted_lane_change(
         &mut self,
         scene: &Scene<'_>,
-        watch: &Watch,
-    ) -> Result<Option<(GeneratedPlanner, Watched)>, PlannerError> {
-        let InForce::Planner(planner) = &self.in_force else { return Ok(None) };
+        monitor: &PlanMonitor,
+    ) -> Result<Option<(IdmPlan, MonitoredStep)>, PlannerError> {
+        let ActivePlan::Generated(planner) = &self.active_plan else { return Ok(None) };
         let Ok(graph) = LaneGraph::build(scene, self.settings.node_length_m) else { return Ok(None) };
         let back = back_to_own_lane(planner, scene, &graph, self.settings.lead_policy, self.path_s())?;
         let Some(back) = back else { return Ok(None) };
-        let driving = watched(&back, scene, watch, &mut self.memory)?;
+        let driving = monitored_step(&back, scene, monitor, &mut self.memory)?;
         Ok(Some((back, driving)))
     }
 
@@ -381,9 +385,9 @@ impl PlanAgent {
 
     /// What happens when a call gives no planner.
     fn without_plan(&self, why: NoPlan) -> Decision {
-        match &self.in_force {
-            InForce::Planner(_) | InForce::Rules => Decision::KeepInForce(why),
-            InForce::Nobody => Decision::Brake(why),
+        match &self.active_plan {
+            ActivePlan::Generated(_) | ActivePlan::PdmClosed => Decision::KeepActivePlan(why),
+            ActivePlan::None => Decision::Brake(why),
         }
     }
 }
@@ -394,7 +398,7 @@ impl Planner for PlanAgent {
     }
 
     fn initialize(&mut self, _: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
-        (self.in_force, self.underway) = (InForce::Nobody, None);
+        (self.active_plan, self.underway) = (ActivePlan::None, None);
         self.memory = PdmMemory::default();
         self.calls.clear();
         Ok(())
@@ -408,10 +412,10 @@ impl Planner for PlanAgent {
                 None => self.call(input.iteration, &input.scene)?,
             }
         }
-        if self.settings.execution == Execution::Watched && self.settings.reflect {
-            self.drive_watched(input)
+        if self.settings.monitoring && self.settings.reflect {
+            self.control_monitored(input)
         } else {
-            self.drive_as_written(input)
+            self.control_unmonitored(input)
         }
     }
 }
@@ -420,7 +424,7 @@ impl Planner for PlanAgent {
 pub fn names(graph: &LaneGraph) -> Names {
     Names {
         centerlines: graph.centerlines.iter().map(|centerline| centerline.name.to_string()).collect(),
-        leaders: graph.agents.iter().map(|agent| agent.name.to_string()).collect(),
+        lead_agents: graph.agents.iter().map(|agent| agent.name.to_string()).collect(),
         speed_limit: graph.ego_lane().speed_limit.map(|limit| limit.round() as u32),
     }
 }
@@ -429,13 +433,13 @@ pub fn names(graph: &LaneGraph) -> Names {
 ///
 /// # Errors
 /// When the ego's pose is not finite.
-pub fn generated_planner(
+pub fn build_idm_plan(
     scene: &Scene<'_>,
     graph: &LaneGraph,
     code: PlannerCode,
     lead_policy: LeadPolicy,
     horizon_s: f64,
-) -> Result<Option<GeneratedPlanner>, PlannerError> {
+) -> Result<Option<IdmPlan>, PlannerError> {
     let centerline = code.centerline.parse::<CenterlineName>().ok().and_then(|name| graph.centerline(name));
     let Some(centerline) = centerline else { return Ok(None) };
     let lead_agent = match lead_policy {
@@ -445,7 +449,7 @@ pub fn generated_planner(
         LeadPolicy::Nearest => centerline.lead_agent.and_then(|name| graph.agent(name)),
     };
     let lead_agent = lead_agent.map(|agent| agent.token);
-    GeneratedPlanner::new(scene, code, centerline.path.clone(), lead_agent, lead_policy, horizon_s)
+    IdmPlan::new(scene, code, centerline.path.clone(), lead_agent, lead_policy, horizon_s)
         .map(Some)
         .map_err(|e| PlannerError::Failed { doing: "laying the path of the planner", source: Box::new(e) })
 }
@@ -455,16 +459,16 @@ pub(super) fn reflection_failed(error: crate::reflection::ReflectionError) -> Pl
 }
 
 fn attempt(
-    thought: Thought,
+    trace: ReasoningTrace,
     errors: Vec<ParseError>,
-    planner: Option<&GeneratedPlanner>,
+    planner: Option<&IdmPlan>,
     reflection: Option<ReflectionReport>,
     reflection_ms: f64,
 ) -> Attempt {
     Attempt {
-        rounds: thought.rounds,
-        instruction: thought.instruction,
-        code: thought.parsed.code,
+        rounds: trace.rounds,
+        instruction: trace.instruction,
+        code: trace.parsed.code,
         assistance: None,
         errors,
         reflection,

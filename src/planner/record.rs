@@ -14,13 +14,13 @@ pub enum Decision {
     /// All attempts were refused; the planner of this attempt drives all the same, as the paper prescribes.
     Exhausted(usize),
     /// The call gave no planner; the one in force goes on.
-    KeepInForce(NoPlan),
+    KeepActivePlan(NoPlan),
     /// The call gave no planner and none was in force: the ego brakes straight ahead.
     Brake(NoPlan),
     /// The call gave nothing to drive by; PDM-Closed drives.
     RuleBased(NoPlan),
     /// The model was not asked: PDM-Closed's plan is predicted to score this, which passes the gate; PDM-Closed drives.
-    Saved(f64),
+    Gated(f64),
 }
 
 /// Why a planning call gave no new planner.
@@ -57,7 +57,7 @@ impl fmt::Display for NoPlan {
         match self {
             Self::Unreadable => f.write_str("no attempt gave a planner that can be read"),
             Self::Outscored => f.write_str("PDM-Closed's own proposal scores no less than any answer"),
-            Self::Worse => f.write_str("the planner in force scores more than all attempts"),
+            Self::Worse => f.write_str("the active plan scores more than all attempts"),
             Self::Interrupted(Interruption::Deadline) => f.write_str("the deadline passed"),
             Self::NoLaneGraph(why) | Self::Interrupted(Interruption::Model(why)) => f.write_str(why),
         }
@@ -134,9 +134,9 @@ pub struct PlanningCall {
     /// brake, or by the stop of a watched planner.
     pub emergency_brakes: usize,
     /// The iteration after this call at which the ego went back to the lane it was in instead of changing lanes.
-    pub retreat: Option<usize>,
+    pub aborted_lane_change: Option<usize>,
     /// With a latency: the iteration at which the call's planner came into force; `None` where it did not in this drive.
-    pub in_force_from: Option<usize>,
+    pub active_from: Option<usize>,
     /// Wall time of the environment transformation, milliseconds.
     pub environment_ms: f64,
     /// Wall time of the whole call, milliseconds.
@@ -154,8 +154,8 @@ impl PlanningCall {
             attempts: Vec::new(),
             decision,
             emergency_brakes: 0,
-            retreat: None,
-            in_force_from: None,
+            aborted_lane_change: None,
+            active_from: None,
             environment_ms: total_ms,
             total_ms,
         }
@@ -172,14 +172,14 @@ impl PlanningCall {
     }
 
     /// Whether the gate saved the call.
-    pub fn is_saved(&self) -> bool {
-        matches!(self.decision, Decision::Saved(_))
+    pub fn is_gated(&self) -> bool {
+        matches!(self.decision, Decision::Gated(_))
     }
 
     /// What ended the call before its time, if anything did.
     pub fn interruption(&self) -> Option<&Interruption> {
         match &self.decision {
-            Decision::KeepInForce(NoPlan::Interrupted(why))
+            Decision::KeepActivePlan(NoPlan::Interrupted(why))
             | Decision::Brake(NoPlan::Interrupted(why))
             | Decision::RuleBased(NoPlan::Interrupted(why)) => Some(why),
             _ => None,

@@ -1,8 +1,7 @@
 //! Settings of the agent.
 
-use super::foreign_view::BevOf;
 use super::latency::Latency;
-use crate::reflection::{LeadPolicy, Watch, steps_of};
+use crate::reflection::{LeadPolicy, PlanMonitor, steps_of};
 use std::time::Duration;
 
 /// Which planner drives when all attempts were refused.
@@ -16,26 +15,13 @@ pub enum AfterMaxExec {
     Best,
 }
 
-/// How the planner in force drives between planning calls.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Execution {
-    /// As it was written (the paper).
-    AsWritten,
-    /// Under Reflection's eyes, where there is Reflection: at every iteration it is simulated and scored anew with its slower
-    /// versions, those beside it and a stop, and [`Watch`] says which of them drives; a change of lanes that goes bad is given up
-    /// where the ego's present lane is better.
-    #[default]
-    Watched,
-}
-
 /// Settings of the agent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanAgentSettings {
     /// Side of the BEV map, metres; `None` leaves the image out.
     pub view_m: Option<f64>,
-    /// Which scene that map is of.
-    pub bev_of: BevOf,
+    /// Whether that map is of an unrelated scene, a new one at each planning call: an ablation.
+    pub shuffled_bev: bool,
     /// Whether the model gets the lane-graph text.
     pub lane_graph: bool,
     /// Length of a lane-graph node, metres.
@@ -63,8 +49,10 @@ pub struct PlanAgentSettings {
     pub after_max_exec: AfterMaxExec,
     /// Whom generated planners follow.
     pub lead_policy: LeadPolicy,
-    /// How the planner in force drives between planning calls.
-    pub execution: Execution,
+    /// Whether the active plan is monitored between planning calls, which needs Reflection: at every iteration [`PlanMonitor`]
+    /// scores the plan, its slower and lateral versions and a stop, and chooses one. A lane change whose score falls is
+    /// aborted where the present lane scores more. Without, the plan is executed as the model wrote it (the paper).
+    pub monitoring: bool,
     /// Whether the ego may brake hard against what the planner in force does: by PDM-Closed's rule, and where it is watched by its
     /// version that stops too.
     pub emergency_brake: bool,
@@ -74,9 +62,9 @@ pub struct PlanAgentSettings {
 
 impl PlanAgentSettings {
     /// How the planner in force is watched.
-    pub(super) fn watch(&self) -> Watch {
+    pub(super) fn monitor(&self) -> PlanMonitor {
         let Self { horizon_s, threshold, emergency_brake, .. } = *self;
-        Watch { steps: steps_of(horizon_s), threshold, emergency_brake }
+        PlanMonitor { steps: steps_of(horizon_s), threshold, emergency_brake }
     }
 
     /// The seed of the planning call at an iteration.

@@ -65,7 +65,7 @@ pub struct Names {
     /// Centrelines that may be followed.
     pub centerlines: Vec<String>,
     /// Agents and obstacles that may lead.
-    pub leaders: Vec<String>,
+    pub lead_agents: Vec<String>,
     /// Speed limit of the ego's lane, whole m/s: under a grammar no more can be asked for. `None` where it is unknown.
     pub speed_limit: Option<u32>,
 }

@@ -32,7 +32,7 @@ pub fn parse(text: &str, names: &Names) -> Parsed {
 fn understand(call: &mut Call<'_>, names: &Names) -> Option<PlannerCode> {
     let centerline = call.name("c", &names.centerlines, None);
     let follows = !call.is("la", NOBODY);
-    let lead_agent = if follows { call.name("la", &names.leaders, Some(NOBODY)) } else { None };
+    let lead_agent = if follows { call.name("la", &names.lead_agents, Some(NOBODY)) } else { None };
     let target_speed = call.number("v0", TARGET_SPEED);
     let accel_max = call.number("acc", ACCEL_MAX);
     let decel_max = call.magnitude("dec", DECEL_MAX);
@@ -53,7 +53,7 @@ mod tests {
     fn names() -> Names {
         Names {
             centerlines: ["ego_lane", "left_lane"].map(String::from).to_vec(),
-            leaders: ["vehicle1", "pedestrian2"].map(String::from).to_vec(),
+            lead_agents: ["vehicle1", "pedestrian2"].map(String::from).to_vec(),
             speed_limit: None,
         }
     }
@@ -120,7 +120,7 @@ mod tests {
             let names = names();
             let code = PlannerCode {
                 centerline: names.centerlines[c].clone(),
-                lead_agent: names.leaders.get(la).cloned(),
+                lead_agent: names.lead_agents.get(la).cloned(),
                 target_speed, accel_max, decel_max,
             };
             let parsed = parse(&code.to_string(), &names);

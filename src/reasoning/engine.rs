@@ -84,7 +84,7 @@ impl From<MllmError> for Interruption {
 
 /// The outcome of one attempt's rounds.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Thought {
+pub struct ReasoningTrace {
     /// The rounds that were answered.
     pub rounds: Vec<RoundRecord>,
     /// Why there are no more of them; none when all were answered.
@@ -165,7 +165,7 @@ impl<'a> Reasoning<'a> {
     /// # Errors
     /// When the model fails for good or a prompt cannot be made. Answers that make no sense are no error, and neither is
     /// what [`Interruption`] names.
-    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<Thought, ReasoningError> {
+    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;
         let mut feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
@@ -179,7 +179,7 @@ impl<'a> Reasoning<'a> {
                 Ok(answer) => answer,
                 Err(error) if error.is_transient() => {
                     let interruption = Some(error.into());
-                    return Ok(Thought { rounds, interruption, instruction, parsed: Parsed::default() });
+                    return Ok(ReasoningTrace { rounds, interruption, instruction, parsed: Parsed::default() });
                 }
                 Err(error) => return Err(error.into()),
             };
@@ -190,7 +190,7 @@ impl<'a> Reasoning<'a> {
         }
         let code = rounds.last().filter(|last| last.round == Round::Code).map_or("", |last| last.answer.as_str());
         let parsed = parse(code, &self.scenario.names);
-        Ok(Thought { rounds, interruption: None, instruction, parsed })
+        Ok(ReasoningTrace { rounds, interruption: None, instruction, parsed })
     }
 
     fn request(&self, round: Round) -> Request {
@@ -237,7 +237,7 @@ pub fn round_prompt(
         scene_text => scene_text.unwrap_or_default(),
         feedback => feedback,
         centerlines => &names.centerlines,
-        leaders => &names.leaders,
+        leaders => &names.lead_agents,
     };
     prompts.round(round, context)
 }

@@ -81,7 +81,7 @@ pub(super) fn code(names: &Names) -> Constraint {
         text(format!("{FUNCTION}(c=")),
         any_of(&names.centerlines),
         text(", la="),
-        any_of(names.leaders.iter().map(String::as_str).chain(["None"])),
+        any_of(names.lead_agents.iter().map(String::as_str).chain(["None"])),
         text(", v0="),
         any_of(target_speeds(names).map(|v| v.to_string())),
         text(", acc="),
@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn the_code_grammar_offers_the_names_of_the_scene() {
         let names =
-            Names { centerlines: vec!["ego_lane".into()], leaders: vec!["vehicle1".into()], speed_limit: Some(2) };
+            Names { centerlines: vec!["ego_lane".into()], lead_agents: vec!["vehicle1".into()], speed_limit: Some(2) };
         let Constraint::Sequence(parts) = code(&names) else { panic!("not a sequence") };
         for offered in [&["0", "1", "2"][..], &["ego_lane"], &["vehicle1", "None"]] {
             assert!(parts.contains(&any_of(offered)), "{offered:?}: {parts:?}");

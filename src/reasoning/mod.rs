@@ -14,14 +14,14 @@ mod round;
 mod templates;
 
 pub use assist::{
-    AssistParameters, AssistQuestion, AssistReasoning, AssistThought, AssistVariant, Assistance, WAYPOINT_SECONDS,
+    AssistParameters, AssistQuestion, AssistReasoning, AssistTrace, AssistVariant, Assistance, WAYPOINT_SECONDS,
     Waypoint, Waypoints, parse_assistance,
 };
 pub use call_parser::ParseError;
 pub use code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range, TARGET_SPEED};
 pub use code_parser::{Parsed, parse};
 pub use engine::{
-    Feedback, Interruption, Reasoning, ReasoningError, ReasoningSettings, RoundRecord, ScenarioPrompt, Thought,
+    Feedback, Interruption, Reasoning, ReasoningError, ReasoningSettings, ReasoningTrace, RoundRecord, ScenarioPrompt,
     feedback_text, round_prompt, system_prompt,
 };
 pub use grammar::{ACCELERATIONS, DECELERATIONS, target_speeds};

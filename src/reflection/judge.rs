@@ -1,14 +1,14 @@
 //! Scores generated planners by PDM's measure over a short horizon.
 
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
-use super::rollout::{GeneratedPlanner, Rollout};
+use super::rollout::{IdmPlan, Rollout};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::LaneGraph;
 use crate::geometry::Polyline;
 use crate::metrics::MetricError;
 use crate::pdm::{
-    self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PdmInstant, PdmMemory, ProposalScore, ScoringScene,
-    Way, no_at_fault_collisions, score_proposals, simulate_proposals,
+    self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PdmInstant, PdmMemory, ProposalScore, ReferencePath,
+    ScoringScene, no_at_fault_collisions, score_proposals, simulate_proposals,
 };
 use crate::world::{EgoState, STEP_S, Scene};
 
@@ -16,8 +16,8 @@ use crate::world::{EgoState, STEP_S, Scene};
 /// within two seconds. What the ego touches is remembered; areas are those of the remembered way, which is chosen now if
 /// there is none yet.
 pub fn needs_emergency_brake(scene: &Scene<'_>, rollout: &Rollout, memory: &mut PdmMemory) -> bool {
-    if memory.way.is_none() {
-        memory.way = Way::find(scene.map, scene.route, scene.ego).ok();
+    if memory.reference_path.is_none() {
+        memory.reference_path = ReferencePath::find(scene.map, scene.route, scene.ego).ok();
     }
     let instant = look(scene, memory);
     let steps = steps_of(EMERGENCY_TIME_S);
@@ -35,9 +35,9 @@ pub fn steps_of(seconds: f64) -> usize {
 
 /// What PDM sees along the remembered way; without one, from the route as it is given.
 pub(super) fn look<'a>(scene: &Scene<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
-    let PdmMemory { way, collided } = memory;
-    if let Some(way) = way {
-        return PdmInstant::along(way, scene, collided);
+    let PdmMemory { reference_path, collided } = memory;
+    if let Some(reference_path) = reference_path {
+        return PdmInstant::along(reference_path, scene, collided);
     }
     let lanes = scene.route.lanes(scene.map);
     let layers = DrivableLayers::of(scene.map, &lanes, scene.ego.center().position());
@@ -76,9 +76,9 @@ impl<'a> Judge<'a> {
         horizon_s: f64,
         memory: &mut PdmMemory,
     ) -> Result<Self, ReflectionError> {
-        memory.way = Way::find(scene.map, scene.route, scene.ego).ok();
-        if let PdmMemory { way: Some(way), collided } = memory {
-            return Self::along(scene, way, horizon_s, collided);
+        memory.reference_path = ReferencePath::find(scene.map, scene.route, scene.ego).ok();
+        if let PdmMemory { reference_path: Some(reference_path), collided } = memory {
+            return Self::along(scene, reference_path, horizon_s, collided);
         }
         let (instant, steps) = (look(scene, memory), steps_of(horizon_s));
         let centerline = graph.ego_lane().path.centerline.clone();
@@ -91,13 +91,13 @@ impl<'a> Judge<'a> {
     /// When the horizon is too short to be scored.
     pub fn along(
         scene: &'a Scene<'a>,
-        way: &Way,
+        reference_path: &ReferencePath,
         horizon_s: f64,
         collided: &mut Collided,
     ) -> Result<Self, ReflectionError> {
-        let (instant, steps) = (PdmInstant::along(way, scene, collided), steps_of(horizon_s));
-        let centerline = way.centerline().line().clone();
-        let proposals = instant.proposals(way, scene.ego, steps);
+        let (instant, steps) = (PdmInstant::along(reference_path, scene, collided), steps_of(horizon_s));
+        let centerline = reference_path.centerline().line().clone();
+        let proposals = instant.proposals(reference_path, scene.ego, steps);
         let simulated = simulate_proposals(scene.ego, proposals.all());
         let scores = score_proposals(&instant.scoring(&centerline, 0.0), &simulated)?;
         let rival_progress = scores.iter().map(|s| s.progress_m * s.multiplier()).fold(0.0, f64::max);
@@ -106,7 +106,7 @@ impl<'a> Judge<'a> {
         Ok(Self { scene, instant, centerline, steps, rival_progress, reference })
     }
 
-    fn simulate(&self, planner: &GeneratedPlanner) -> Vec<EgoState> {
+    fn simulate(&self, planner: &IdmPlan) -> Vec<EgoState> {
         let rollout = planner.roll_out(self.scene, self.steps);
         simulate_proposal(self.scene.ego, &rollout.poses, JerkPenalty::PdmClosed)
     }
@@ -119,7 +119,7 @@ impl<'a> Judge<'a> {
     ///
     /// # Errors
     /// When the horizon is too short to be scored.
-    pub fn reflect(&self, planner: &GeneratedPlanner, threshold: f64) -> Result<ReflectionReport, ReflectionError> {
+    pub fn reflect(&self, planner: &IdmPlan, threshold: f64) -> Result<ReflectionReport, ReflectionError> {
         self.assess(self.simulate(planner), threshold)
     }
 

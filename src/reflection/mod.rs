@@ -2,13 +2,13 @@
 //! may drive.
 
 mod judge;
+mod monitor;
 mod path;
 mod report;
 mod rollout;
-mod watch;
 
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
+pub use monitor::{Choice, PlanMonitor};
 pub use path::onto_centerline;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
-pub use rollout::{GeneratedPlanner, LeadPolicy, Rollout, Version};
-pub use watch::{Choice, Watch};
+pub use rollout::{IdmPlan, LeadPolicy, Rollout, Version};

@@ -39,7 +39,7 @@ pub enum LeadPolicy {
 
 /// A planner that can be driven: the code, and the path that it follows.
 #[derive(Debug, Clone, PartialEq)]
-pub struct GeneratedPlanner {
+pub struct IdmPlan {
     /// The code that the model wrote.
     pub code: PlannerCode,
     /// Lanes of the followed centreline.
@@ -84,7 +84,7 @@ pub struct Rollout {
     pub speeds: Vec<f64>,
 }
 
-impl GeneratedPlanner {
+impl IdmPlan {
     /// The planner of `code` from the present state on, along `lanes`, for roll-outs of up to `horizon_s` seconds and the
     /// planning interval after it.
     ///
@@ -239,7 +239,7 @@ struct Road<'a> {
 }
 
 impl<'a> Road<'a> {
-    fn new(planner: &GeneratedPlanner, path: &'a Polyline, scene: &Scene<'_>, steps: usize) -> Self {
+    fn new(planner: &IdmPlan, path: &'a Polyline, scene: &Scene<'_>, steps: usize) -> Self {
         let corridor = Corridor::new(path.clone(), PACIFICA.width / 2.0);
         let seconds = steps as f64 * STEP_S;
         let footprint = scene.ego.footprint();
@@ -294,7 +294,7 @@ fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
 }
 
 /// Arc length on the path at which the first red light ahead begins to matter: the start of its connector.
-fn red_light(planner: &GeneratedPlanner, path: &Polyline, scene: &Scene<'_>) -> Option<f64> {
+fn red_light(planner: &IdmPlan, path: &Polyline, scene: &Scene<'_>) -> Option<f64> {
     let here = planner.lanes.centerline.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
     let lanes = planner.lanes.lanes.iter().zip(&planner.lanes.starts);
     let red = lanes

@@ -51,7 +51,7 @@ fn contents(call: &PlanningCall) -> Value {
         "emergency_brakes": call.emergency_brakes,
         "time": time(call),
     });
-    for (name, iteration) in [("in_force_from", call.in_force_from), ("retreat", call.retreat)] {
+    for (name, iteration) in [("active_from", call.active_from), ("aborted_lane_change", call.aborted_lane_change)] {
         if let (Some(iteration), Some(fields)) = (iteration, contents.as_object_mut()) {
             fields.insert(name.to_owned(), json!(iteration));
         }
@@ -63,9 +63,11 @@ fn decision(decision: &Decision) -> Value {
     match decision {
         Decision::Execute(index) => json!({"kind": "execute", "attempt": index}),
         Decision::Exhausted(index) => json!({"kind": "exhausted", "attempt": index}),
-        Decision::KeepInForce(why) => json!({"kind": "keep_in_force", "cause": why.cause(), "why": why.to_string()}),
+        Decision::KeepActivePlan(why) => {
+            json!({"kind": "keep_active_plan", "cause": why.cause(), "why": why.to_string()})
+        }
         Decision::Brake(why) => json!({"kind": "brake", "cause": why.cause(), "why": why.to_string()}),
-        Decision::Saved(score) => json!({"kind": "saved", "score": score}),
+        Decision::Gated(score) => json!({"kind": "gated", "score": score}),
         Decision::RuleBased(why) => json!({"kind": "rule_based", "cause": why.cause(), "why": why.to_string()}),
     }
 }

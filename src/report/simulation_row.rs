@@ -98,7 +98,7 @@ impl SimulationRow {
     pub fn new(number: usize, record: &SimulationRecord) -> Self {
         let driven = record.outcome.as_ref().ok();
         let calls = driven.map_or(&[][..], |driven| driven.calls.as_slice());
-        let gated_calls = calls.iter().filter(|call| call.is_saved()).count();
+        let gated_calls = calls.iter().filter(|call| call.is_gated()).count();
         let score = driven.map(|driven| &driven.score);
         let interrupted =
             |why: fn(&Interruption) -> bool| calls.iter().filter(|call| call.interruption().is_some_and(why)).count();
@@ -125,7 +125,7 @@ impl SimulationRow {
                 started_s: record.started_s,
                 ended_s: record.ended_s,
                 planner_s: driven.map_or_else(Vec::new, |driven| driven.log.runtimes_s.clone()),
-                calls: calls.iter().filter(|call| !call.is_saved()).map(CallTimes::of).collect(),
+                calls: calls.iter().filter(|call| !call.is_gated()).map(CallTimes::of).collect(),
             },
             metrics: metrics
                 .iter()

@@ -40,10 +40,10 @@ fn call_markdown(call: &PlanningCall, driven: &SimulationOutcome, image: Option<
         text.push_str(&attempt_markdown(attempt));
     }
     let _ = writeln!(text, "**Decision:** {}.\n", decision_words(&call.decision));
-    if let Some(iteration) = call.in_force_from {
-        let _ = writeln!(text, "In force from {:.1} s on.\n", iteration as f64 * STEP_S);
+    if let Some(iteration) = call.active_from {
+        let _ = writeln!(text, "Active from {:.1} s on.\n", iteration as f64 * STEP_S);
     }
-    if let Some(iteration) = call.retreat {
+    if let Some(iteration) = call.aborted_lane_change {
         let _ = writeln!(text, "Back to the ego's lane at {:.1} s.\n", iteration as f64 * STEP_S);
     }
     if call.emergency_brakes > 0 {
@@ -83,9 +83,9 @@ pub fn decision_words(decision: &Decision) -> String {
     match decision {
         Decision::Execute(index) => format!("attempt {} drives", index + 1),
         Decision::Exhausted(index) => format!("all attempts refused; attempt {} drives", index + 1),
-        Decision::KeepInForce(why) => format!("the planner in force goes on ({why})"),
+        Decision::KeepActivePlan(why) => format!("the active plan is kept ({why})"),
         Decision::Brake(why) => format!("brake ({why})"),
-        Decision::Saved(score) => format!("not asked; PDM-Closed drives, whose plan is predicted to score {score:.2}"),
+        Decision::Gated(score) => format!("not asked; PDM-Closed drives, whose plan is predicted to score {score:.2}"),
         Decision::RuleBased(why) => format!("PDM-Closed drives ({why})"),
     }
 }

@@ -116,7 +116,10 @@ fn a_drive_goes_on_over_failures_of_every_kind() {
         if why.is_empty() {
             assert_eq!(decision(call)["kind"], "execute", "{call}");
         } else {
-            assert_eq!((&decision(call)["kind"], &decision(call)["cause"]), (&"keep_in_force".into(), &"model".into()));
+            assert_eq!(
+                (&decision(call)["kind"], &decision(call)["cause"]),
+                (&"keep_active_plan".into(), &"model".into())
+            );
             assert!(decision(call)["why"].as_str().unwrap().contains(why), "{why}: {}", decision(call));
         }
     }
@@ -181,7 +184,7 @@ fn a_deadline_ends_the_call_with_the_planner_in_force() {
     for call in &calls[1..] {
         assert_eq!(
             (&call["decision"]["kind"], &call["decision"]["cause"]),
-            (&"keep_in_force".into(), &"deadline".into())
+            (&"keep_active_plan".into(), &"deadline".into())
         );
         assert!(call["time"]["call"]["total"].as_f64().unwrap() >= 1500.0);
     }

@@ -9,9 +9,7 @@ use planagent::internals::mllm::{
     Architecture, Constraint, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry, ModelSource,
     PromptPrefix, RoundTokens, Sampling,
 };
-use planagent::internals::planner::{
-    AfterMaxExec, BevOf, Execution, Latency, Mind, PLAN_AGENT, PlanAgent, PlanAgentSettings,
-};
+use planagent::internals::planner::{AfterMaxExec, CodeSource, Latency, PLAN_AGENT, PlanAgent, PlanAgentSettings};
 use planagent::internals::reasoning::{PromptSet, ReasoningSettings, Round};
 use planagent::internals::reflection::LeadPolicy;
 use planagent::internals::scenario::generator;
@@ -229,7 +227,7 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
     let max_new_tokens = RoundTokens { scene: 8, motion: 64, code: 64 };
     let settings = PlanAgentSettings {
         view_m: Some(64.0),
-        bev_of: BevOf::Scene,
+        shuffled_bev: false,
         lane_graph: true,
         node_length_m: DEFAULT_NODE_LENGTH,
         interval: 1000,
@@ -243,7 +241,7 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
         horizon_s: 4.0,
         after_max_exec: AfterMaxExec::Last,
         lead_policy: LeadPolicy::Nearest,
-        execution: Execution::AsWritten,
+        monitoring: false,
         emergency_brake: true,
         seed: 0,
     };
@@ -253,8 +251,8 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
         rethink_sampling: Sampling::Greedy,
         grammar: true,
     };
-    let mind = Mind::Model { model, prompts: Arc::new(PromptSet::open("compact").unwrap()), reasoning };
-    let mut agent = PlanAgent::new(PLAN_AGENT, mind, settings);
+    let code_source = CodeSource::Model { model, prompts: Arc::new(PromptSet::open("compact").unwrap()), reasoning };
+    let mut agent = PlanAgent::new(PLAN_AGENT, code_source, settings);
     let scenario = generator::generate(&"generated/high_magnitude_speed/1".parse().unwrap()).unwrap();
     simulate(&scenario, &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     agent

@@ -3,7 +3,7 @@
 use super::town::Town;
 use crate::outside::data;
 use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
-use planagent::internals::pdm::{Collided, DrivableLayers, PdmPlan, Way, braking_speed, plan_along};
+use planagent::internals::pdm::{Collided, DrivableLayers, PdmPlan, ReferencePath, braking_speed, plan_along};
 use planagent::internals::planner::{PdmClosed, Planner, PlannerInitialization, PlannerInput};
 use planagent::internals::world::{
     EgoState, History, LaneId, LaneKind, LaneMap, ObjectKind, RoadblockId, Route, Scene, SignalStatus, TrackToken,
@@ -87,9 +87,10 @@ impl Case {
 
     /// Planned along the recorded centreline.
     fn plan(&self) -> PdmPlan {
-        let way = Way::along(&self.map, &self.route.roadblocks, &self.centerline, &self.ego).unwrap();
-        assert_eq!(way.layers(), DrivableLayers::Lanes, "{}", self.name);
-        plan_along(&way, &self.scene(), &mut Collided::default()).unwrap()
+        let reference_path =
+            ReferencePath::along(&self.map, &self.route.roadblocks, &self.centerline, &self.ego).unwrap();
+        assert_eq!(reference_path.layers(), DrivableLayers::Lanes, "{}", self.name);
+        plan_along(&reference_path, &self.scene(), &mut Collided::default()).unwrap()
     }
 }
 
@@ -240,10 +241,10 @@ fn the_planner_finds_the_recorded_centreline_by_itself() {
         let trajectory = planner.compute_trajectory(&PlannerInput { iteration: 0, scene: case.scene() }).unwrap();
         let off = off_the_record(&trajectory, record);
         assert!(off < STATE_TOLERANCE, "{}: off by {off}", case.name);
-        let way = Way::find(&case.map, &case.route, &case.ego).unwrap();
-        assert_eq!(way.lanes().first(), Some(&LaneId(0)));
+        let reference_path = ReferencePath::find(&case.map, &case.route, &case.ego).unwrap();
+        assert_eq!(reference_path.lanes().first(), Some(&LaneId(0)));
         let last = case.centerline[case.centerline.len() - 1];
-        assert!((way.centerline().length() - 329.5).abs() < 1e-9);
-        assert!(way.centerline().pose_at(329.5).distance(&last) < 1e-9);
+        assert!((reference_path.centerline().length() - 329.5).abs() < 1e-9);
+        assert!(reference_path.centerline().pose_at(329.5).distance(&last) < 1e-9);
     });
 }

@@ -3,7 +3,8 @@
 use super::town::{Town, route};
 use planagent::internals::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
 use planagent::internals::pdm::{
-    Collided, DrivableLayers, EgoAreas, Forecast, NoWay, PdmError, PdmMemory, Way, plan, plan_along, time_to_collision,
+    Collided, DrivableLayers, EgoAreas, Forecast, NoReferencePath, PdmError, PdmMemory, ReferencePath, plan,
+    plan_along, time_to_collision,
 };
 use planagent::internals::planner::{PdmClosed, Planner, PlannerError, PlannerInitialization, PlannerInput};
 use planagent::internals::world::{
@@ -55,15 +56,15 @@ fn road() -> Around {
 #[test]
 fn what_was_touched_once_is_ignored_in_all_later_steps() {
     let around = road();
-    let way = Way::find(&around.map, &around.route, &ego(10.0, 5.0)).unwrap();
+    let reference_path = ReferencePath::find(&around.map, &around.route, &ego(10.0, 5.0)).unwrap();
     // The front is at 14.049 m: the cone from 13.8 m on touches it.
     let cone = [track(7, ObjectKind::TrafficCone, Pose::new(14.0, 0.0, 0.0), (0.4, 0.4), 0.0)];
     let mut collided = Collided::default();
-    plan_along(&way, &around.scene(&ego(10.0, 5.0), &cone), &mut collided).unwrap();
+    plan_along(&reference_path, &around.scene(&ego(10.0, 5.0), &cone), &mut collided).unwrap();
     assert_eq!(collided.tracks, BTreeSet::from([TrackToken(7)]));
     let behind = ego(0.0, 5.0);
     let length_rear = |collided: &mut Collided| {
-        plan_along(&way, &around.scene(&behind, &cone), collided).unwrap().proposals[4].leads[2].length_rear
+        plan_along(&reference_path, &around.scene(&behind, &cone), collided).unwrap().proposals[4].leads[2].length_rear
     };
     assert!((length_rear(&mut collided) - 2.588).abs() < 1e-12, "a free road");
     assert!(length_rear(&mut Collided::default()).abs() < 1e-12, "someone who has not touched it stops for it");
@@ -74,13 +75,13 @@ fn the_way_is_kept_while_target_velocities_follow_the_lane() {
     let around = road();
     let mut memory = PdmMemory::default();
     let first = plan(&mut memory, &around.scene(&ego(10.0, 5.0), &[])).unwrap();
-    let way = memory.way.clone();
+    let reference_path = memory.reference_path.clone();
     let later = plan(&mut memory, &around.scene(&ego(250.0, 5.0), &[])).unwrap();
     let targets = |targets: [f64; 5], plan: &planagent::internals::pdm::PdmPlan| {
         plan.proposals.iter().zip(targets.iter().cycle()).all(|(p, t)| (p.target_velocity - t).abs() < 1e-12)
     };
     assert!(targets([2.0, 4.0, 6.0, 8.0, 10.0], &first) && targets([4.0, 8.0, 12.0, 16.0, 20.0], &later));
-    assert_eq!(memory.way, way);
+    assert_eq!(memory.reference_path, reference_path);
     assert!((later.proposals[0].states[0].progress - 250.0).abs() < 1e-9);
     let lateral: Vec<f64> = later.proposals.iter().step_by(5).map(|p| p.poses[0].y).collect();
     assert_eq!(lateral, [0.0, -1.0, 1.0]);
@@ -89,9 +90,9 @@ fn the_way_is_kept_while_target_velocities_follow_the_lane() {
 #[test]
 fn the_first_step_has_no_lead_and_odd_steps_keep_theirs() {
     let around = road();
-    let way = Way::find(&around.map, &around.route, &ego(10.0, 5.0)).unwrap();
+    let reference_path = ReferencePath::find(&around.map, &around.route, &ego(10.0, 5.0)).unwrap();
     let car = [track(1, ObjectKind::Vehicle, Pose::new(40.0, 0.0, 0.0), (4.0, 2.0), 3.0)];
-    let plan = plan_along(&way, &around.scene(&ego(10.0, 5.0), &car), &mut Collided::default()).unwrap();
+    let plan = plan_along(&reference_path, &around.scene(&ego(10.0, 5.0), &car), &mut Collided::default()).unwrap();
     for proposal in &plan.proposals {
         let [start, first, second, third] = [0, 1, 2, 3].map(|step| proposal.leads[step]);
         assert_eq!((start, first), Default::default());
@@ -108,10 +109,10 @@ fn the_first_step_has_no_lead_and_odd_steps_keep_theirs() {
 fn a_policy_on_a_free_road_inherits_the_velocity_that_the_one_before_has_read() {
     // A car cuts across at 45°. At 2.6 s its centre is at 21.2 m: ahead of the slowest policy, behind the fastest.
     let around = road();
-    let way = Way::find(&around.map, &around.route, &ego(10.0, 5.0)).unwrap();
+    let reference_path = ReferencePath::find(&around.map, &around.route, &ego(10.0, 5.0)).unwrap();
     let diagonal = Pose::new(24.0, 0.0, FRAC_PI_4).translated(-30.0, 0.0);
     let car = [track(1, ObjectKind::Vehicle, diagonal, (4.0, 2.0), 10.0)];
-    let plan = plan_along(&way, &around.scene(&ego(10.0, 5.0), &car), &mut Collided::default()).unwrap();
+    let plan = plan_along(&reference_path, &around.scene(&ego(10.0, 5.0), &car), &mut Collided::default()).unwrap();
     let (slow, fast) = (plan.proposals[0].leads[26], plan.proposals[4].leads[26]);
     let along = 10.0 * FRAC_PI_4.cos();
     assert!((slow.velocity - along).abs() < 1e-9 && slow.length_rear.abs() < 1e-12, "{slow:?}");
@@ -165,7 +166,7 @@ fn says_when_there_is_no_way() {
     let nowhere = Around { route: Route::default(), ..road() };
     let start = ego(10.0, 5.0);
     let error = plan(&mut PdmMemory::default(), &nowhere.scene(&start, &[])).unwrap_err();
-    assert_eq!(error, PdmError::NoWay(NoWay::EmptyRoute));
+    assert_eq!(error, PdmError::NoReferencePath(NoReferencePath::EmptyRoute));
     let mut planner = PdmClosed::new();
     let refused = planner.initialize(&PlannerInitialization { map: &nowhere.map, route: &nowhere.route });
     assert!(matches!(refused, Err(PlannerError::EmptyRoute)));

@@ -236,7 +236,7 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
             for refused in call.iter().flat_map(|call| &call.attempts).filter(|attempt| is_refused(attempt)) {
                 label(Some(refused.feedback(search::THRESHOLD)))?;
             }
-            agent.in_force().cloned()
+            agent.active_plan().cloned()
         } else {
             let refused: Vec<&Tried> = tried.iter().filter(|t| !t.is_accepted() && *t != best).collect();
             let told = refused.choose(&mut random).filter(|_| random.random_bool(RETHINK));

@@ -4,9 +4,9 @@ use crate::environment::lane_graph::Centerline;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::metrics::{self, EvaluatedSimulation};
 use crate::pdm::PdmMemory;
-use crate::planner::{USUAL_ACCELERATIONS, feedback, generated_planner, planner_code, watched};
+use crate::planner::{DEFAULT_ACCELERATIONS, build_idm_plan, feedback, monitored_step, planner_code};
 use crate::reasoning::{Feedback, PlannerCode};
-use crate::reflection::{GeneratedPlanner, Judge, LeadPolicy, ReflectionReport, Verdict, Watch, steps_of};
+use crate::reflection::{IdmPlan, Judge, LeadPolicy, PlanMonitor, ReflectionReport, Verdict, steps_of};
 use crate::simulation::ClosedLoop;
 use crate::world::{EgoState, HistorySample, STEP_S};
 
@@ -95,7 +95,7 @@ pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
             _ => continue,
         };
         for fraction in fractions {
-            let code = planner_code(graph, centerline.name, *fraction, USUAL_ACCELERATIONS);
+            let code = planner_code(graph, centerline.name, *fraction, DEFAULT_ACCELERATIONS);
             // Slower is not tried where the limit does well: what remains to be gained is less than the ties that it would make.
             if *fraction < 1.0 && tried.iter().any(|t| t.score >= GOOD && t.is_accepted()) {
                 continue;
@@ -161,7 +161,7 @@ impl Present<'_> {
         let driven: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
         let way = driven + samples.last()?.ego.speed() * TERMINAL_S;
         let possible = self.limit.max(1.0) * (HORIZON as f64 * STEP_S + TERMINAL_S);
-        let unusual = (planner.code.accel_max, planner.code.decel_max) != USUAL_ACCELERATIONS;
+        let unusual = (planner.code.accel_max, planner.code.decel_max) != DEFAULT_ACCELERATIONS;
         let changes = planner.code.centerline != CenterlineName::EgoLane.as_str();
         let slow = planner.code.target_speed < NEAR_LIMIT * self.limit;
         let cost = |when: bool, cost: f64| if when { cost } else { 0.0 };
@@ -176,19 +176,19 @@ impl Present<'_> {
 }
 
 /// The planner of a code at the present state of a drive.
-pub fn planner(drive: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode) -> Option<GeneratedPlanner> {
-    generated_planner(&drive.scene(), graph, code, LeadPolicy::Nearest, ROLLOUT_S).ok().flatten()
+pub fn planner(drive: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode) -> Option<IdmPlan> {
+    build_idm_plan(&drive.scene(), graph, code, LeadPolicy::Nearest, ROLLOUT_S).ok().flatten()
 }
 
 /// Drives a planner, watched, for so many iterations; the samples begin with the present. `None` when the drive ends or fails
 /// before.
 pub fn follow(
     drive: &mut ClosedLoop<'_>,
-    planner: &GeneratedPlanner,
+    planner: &IdmPlan,
     memory: &mut PdmMemory,
     iterations: usize,
 ) -> Option<Vec<HistorySample>> {
-    let watch = Watch { steps: steps_of(ROLLOUT_S), threshold: THRESHOLD, emergency_brake: true };
+    let monitor = PlanMonitor { steps: steps_of(ROLLOUT_S), threshold: THRESHOLD, emergency_brake: true };
     let mut samples = Vec::with_capacity(iterations + 1);
     let mut trajectory = None;
     for i in 0..iterations {
@@ -197,7 +197,7 @@ pub fn follow(
         }
         if i % REPLAN == 0 {
             let scene = drive.scene();
-            trajectory = Some(watched(planner, &scene, &watch, memory).ok()?.trajectory);
+            trajectory = Some(monitored_step(planner, &scene, &monitor, memory).ok()?.trajectory);
         }
         samples.push(drive.present().clone());
         drive.advance(trajectory.as_ref()?, "search").ok()?;

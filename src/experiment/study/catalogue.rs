@@ -59,7 +59,7 @@ const fn agent(labels: &'static [&'static str], settings: &'static str, publishe
 const PLAN_AGENT: Variant = planner(&["plan-agent"], PlannerKind::PlanAgent, paper::PLAN_AGENT);
 /// PlanAgent as the paper has it: one λ for all planners, the last planner drives after `max_exec` refusals, and a planner drives as it was written.
 const AS_IN_THE_PAPER: &str =
-    "reflection = { lane_change_threshold = 0.0, after_max_exec = 'last', execution = 'as_written' }";
+    "reflection = { lane_change_threshold = 0.0, after_max_exec = 'last', monitoring = false }";
 const RANDOM_CODE: Variant = planner(&["random-code"], PlannerKind::RandomCode, Published::NOTHING);
 const FIXED_CODE: Variant = planner(&["fixed-code"], PlannerKind::FixedCode, Published::NOTHING);
 const GRID_CODE: Variant = planner(&["grid-code"], PlannerKind::GridCode, Published::NOTHING);
@@ -232,7 +232,7 @@ fn inputs() -> Study {
         paper: None,
         labels: &["BEV", "text"],
         variants: vec![
-            agent(&["another scene's", "own"], "environment.bev_of = 'another'", Published::NOTHING),
+            agent(&["another scene's", "own"], "environment.shuffled_bev = true", Published::NOTHING),
             agent(&["none", "own"], "environment.bev = false", Published::NOTHING),
             agent(&["own", "none"], "environment.lane_graph = false", Published::NOTHING),
             agent(&["none", "none"], "environment = { bev = false, lane_graph = false }", Published::NOTHING),
@@ -256,9 +256,9 @@ fn execution() -> Study {
         labels: &["after refusals", "between calls"],
         variants: vec![
             agent(&["last", "as written"], AS_IN_THE_PAPER, paper::PLAN_AGENT),
-            refused(&["best", "as written"], "reflection = { after_max_exec = 'best', execution = 'as_written' }"),
-            refused(&["last", "watched"], "reflection = { after_max_exec = 'last', execution = 'watched' }"),
-            refused(&["best", "watched"], "reflection = { after_max_exec = 'best', execution = 'watched' }"),
+            refused(&["best", "as written"], "reflection = { after_max_exec = 'best', monitoring = false }"),
+            refused(&["last", "watched"], "reflection = { after_max_exec = 'last', monitoring = true }"),
+            refused(&["best", "watched"], "reflection = { after_max_exec = 'best', monitoring = true }"),
         ],
         reference: 0,
         suites: &[SuiteName::Hard],

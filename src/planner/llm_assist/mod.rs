@@ -20,10 +20,10 @@ use crate::environment::{LaneGraph, TextForm};
 use crate::geometry::Pose;
 use crate::mllm::milliseconds;
 use crate::mllm::{Deadline, Mllm};
-use crate::pdm::{self, Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, PdmPlan, Way, plan_tuned};
+use crate::pdm::{self, Collided, PROPOSAL_STEPS, PdmMemory, PdmParameters, PdmPlan, ReferencePath, plan_tuned};
 use crate::reasoning::{
-    AssistParameters, AssistQuestion, AssistReasoning, AssistThought, AssistVariant, Assistance, Interruption,
-    PromptSet, ReasoningSettings, WAYPOINT_SECONDS,
+    AssistParameters, AssistQuestion, AssistReasoning, AssistTrace, AssistVariant, Assistance, Interruption, PromptSet,
+    ReasoningSettings, WAYPOINT_SECONDS,
 };
 use crate::reflection::{Judge, ReflectionReport, Verdict};
 use crate::world::{EgoState, STEP_S, Scene, Trajectory};
@@ -42,7 +42,7 @@ pub struct LlmAssist {
     reasoning: ReasoningSettings,
     settings: PlanAgentSettings,
     memory: PdmMemory,
-    in_force: Option<Assisted>,
+    active_plan: Option<Assisted>,
     /// The first iteration at which the model may be asked again, and at which what is in force ends.
     until: usize,
     calls: Vec<PlanningCall>,
@@ -75,7 +75,7 @@ impl LlmAssist {
         settings: PlanAgentSettings,
     ) -> Self {
         let (memory, calls) = (PdmMemory::default(), Vec::new());
-        Self { name, variant, model, prompts, reasoning, settings, memory, in_force: None, until: 0, calls }
+        Self { name, variant, model, prompts, reasoning, settings, memory, active_plan: None, until: 0, calls }
     }
 
     /// The records of all calls since the last initialisation.
@@ -106,7 +106,7 @@ impl LlmAssist {
         let answers = self.ask(iteration, scene, &question, deadline)?;
         let decision = decide(&answers, rules);
         if let Decision::Execute(index) | Decision::Exhausted(index) = decision {
-            self.in_force = answers.assisted.into_iter().nth(index).flatten();
+            self.active_plan = answers.assisted.into_iter().nth(index).flatten();
         }
         self.calls.push(PlanningCall {
             iteration,
@@ -116,8 +116,8 @@ impl LlmAssist {
             attempts: answers.attempts,
             decision,
             emergency_brakes: 0,
-            retreat: None,
-            in_force_from: None,
+            aborted_lane_change: None,
+            active_from: None,
             environment_ms,
             total_ms: milliseconds(started.elapsed()),
         });
@@ -147,22 +147,22 @@ impl LlmAssist {
         let mut reasoning = AssistReasoning::open(*variant, model.as_ref(), asked, question, seed, deadline)
             .map_err(failed("opening the conversation"))?;
         let mut answers = Answers::default();
-        let PdmMemory { way: Some(way), collided } = memory else { return Ok(answers) };
+        let PdmMemory { reference_path: Some(reference_path), collided } = memory else { return Ok(answers) };
         let looking = Instant::now();
         let horizon_s = PROPOSAL_STEPS as f64 * STEP_S;
-        let judge = Judge::along(scene, way, horizon_s, collided).map_err(reflection_failed)?;
+        let judge = Judge::along(scene, reference_path, horizon_s, collided).map_err(reflection_failed)?;
         let mut looked_ms = milliseconds(looking.elapsed());
         while answers.attempts.len() < settings.max_exec {
             let feedback = answers.attempts.last().map(|last| last.feedback(tau));
-            let thought = reasoning.think(feedback.as_ref()).map_err(failed("asking the model"))?;
-            if thought.interruption.is_some() {
-                answers.interruption = thought.interruption;
+            let trace = reasoning.think(feedback.as_ref()).map_err(failed("asking the model"))?;
+            if trace.interruption.is_some() {
+                answers.interruption = trace.interruption;
                 break;
             }
             let started = Instant::now();
-            let (assisted, path, reflection) = match thought.assistance {
+            let (assisted, path, reflection) = match trace.assistance {
                 Some(assistance) => {
-                    let Tried { assisted, path, states } = try_out(way, scene, collided, assistance)?;
+                    let Tried { assisted, path, states } = try_out(reference_path, scene, collided, assistance)?;
                     let report = judge.assess(states, tau).map_err(reflection_failed)?;
                     (Some(assisted), path, Some(report))
                 }
@@ -170,7 +170,7 @@ impl LlmAssist {
             };
             let accepted = reflection.as_ref().is_some_and(|report| report.verdict == Verdict::Execute);
             let reflection_ms = std::mem::take(&mut looked_ms) + milliseconds(started.elapsed());
-            answers.attempts.push(attempt(thought, path, reflection, reflection_ms));
+            answers.attempts.push(attempt(trace, path, reflection, reflection_ms));
             answers.assisted.push(assisted);
             if accepted {
                 break;
@@ -186,7 +186,7 @@ impl Planner for LlmAssist {
     }
 
     fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
-        (self.memory, self.in_force, self.until) = (PdmMemory::default(), None, 0);
+        (self.memory, self.active_plan, self.until) = (PdmMemory::default(), None, 0);
         self.calls.clear();
         if initialization.route.lanes(initialization.map).is_empty() { Err(PlannerError::EmptyRoute) } else { Ok(()) }
     }
@@ -195,15 +195,15 @@ impl Planner for LlmAssist {
         let scene = &input.scene;
         let rules = pdm::plan(&mut self.memory, scene).map_err(pdm_failed)?;
         if input.iteration >= self.until {
-            self.in_force = None;
+            self.active_plan = None;
             if rules.scores[rules.best].total < self.tau() {
                 self.call(input.iteration, scene, &rules)?;
             }
         }
-        match (&self.in_force, &mut self.memory) {
+        match (&self.active_plan, &mut self.memory) {
             (Some(Assisted::Plan(trajectory)), _) => Ok(trajectory.clone()),
-            (Some(Assisted::Parameters(parameters)), PdmMemory { way: Some(way), collided }) => {
-                Ok(plan_tuned(way, scene, collided, *parameters).map_err(pdm_failed)?.trajectory)
+            (Some(Assisted::Parameters(parameters)), PdmMemory { reference_path: Some(reference_path), collided }) => {
+                Ok(plan_tuned(reference_path, scene, collided, *parameters).map_err(pdm_failed)?.trajectory)
             }
             _ => Ok(rules.trajectory),
         }
@@ -219,7 +219,7 @@ struct Tried {
 }
 
 fn try_out(
-    way: &Way,
+    reference_path: &ReferencePath,
     scene: &Scene<'_>,
     collided: &mut Collided,
     assistance: Assistance,
@@ -234,7 +234,7 @@ fn try_out(
         }
         Assistance::Parameters(parameters) => {
             let parameters = tuned(parameters);
-            let mut plan = plan_tuned(way, scene, collided, parameters).map_err(pdm_failed)?;
+            let mut plan = plan_tuned(reference_path, scene, collided, parameters).map_err(pdm_failed)?;
             let (proposal, states) = (plan.proposals.swap_remove(plan.best), plan.simulated.swap_remove(plan.best));
             Ok(Tried { assisted: Assisted::Parameters(parameters), path: proposal.poses, states })
         }
@@ -246,13 +246,8 @@ fn tuned(parameters: AssistParameters) -> PdmParameters {
     PdmParameters { speed_cap: Some(speed_cap), min_gap, headway, accel_max, decel_max, emergency_brake }
 }
 
-fn attempt(
-    thought: AssistThought,
-    path: Vec<Pose>,
-    reflection: Option<ReflectionReport>,
-    reflection_ms: f64,
-) -> Attempt {
-    let AssistThought { rounds, assistance, errors, .. } = thought;
+fn attempt(trace: AssistTrace, path: Vec<Pose>, reflection: Option<ReflectionReport>, reflection_ms: f64) -> Attempt {
+    let AssistTrace { rounds, assistance, errors, .. } = trace;
     Attempt { rounds, instruction: None, code: None, assistance, errors, reflection, path, reflection_ms }
 }
 

@@ -12,7 +12,7 @@ use crate::reasoning::prompt_set::PromptSet;
 use crate::reasoning::round::Round;
 
 /// Tokens that an answer may take at least, whatever the model's own bound on codes: small vocabularies spell names out.
-const LEAST_TOKENS: usize = 128;
+const MIN_TOKENS: usize = 128;
 
 /// What a call is about.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +27,7 @@ pub struct AssistQuestion {
 
 /// One answer.
 #[derive(Debug, Clone, PartialEq)]
-pub struct AssistThought {
+pub struct AssistTrace {
     /// The question as it was asked and answered; nothing when there was no answer.
     pub rounds: Vec<RoundRecord>,
     /// Why there is none.
@@ -75,7 +75,7 @@ impl<'a> AssistReasoning<'a> {
     ///
     /// # Errors
     /// When the model fails for good or a prompt cannot be made.
-    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<AssistThought, ReasoningError> {
+    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<AssistTrace, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;
         let feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
@@ -85,20 +85,20 @@ impl<'a> AssistReasoning<'a> {
             Ok(answer) => answer,
             Err(error) if error.is_transient() => {
                 let interruption = Some(error.into());
-                return Ok(AssistThought { rounds: Vec::new(), interruption, assistance: None, errors: Vec::new() });
+                return Ok(AssistTrace { rounds: Vec::new(), interruption, assistance: None, errors: Vec::new() });
             }
             Err(error) => return Err(error.into()),
         };
         let (assistance, errors) = parse_assistance(&answer.text, self.variant);
         let rounds = vec![record(Round::Code, prompt, answer)];
-        Ok(AssistThought { rounds, interruption: None, assistance, errors })
+        Ok(AssistTrace { rounds, interruption: None, assistance, errors })
     }
 
     fn request(&self) -> Request {
         let ReasoningSettings { generation, rethink_sampling, grammar: constrained, .. } = self.settings;
         let constraint = if *constrained { grammar(self.variant, self.question.speed_limit) } else { Constraint::Free };
         let sampling = if self.attempts > 1 { *rethink_sampling } else { generation.sampling };
-        let max_new_tokens = generation.max_new_tokens.code.max(LEAST_TOKENS);
+        let max_new_tokens = generation.max_new_tokens.code.max(MIN_TOKENS);
         Request { constraint, max_new_tokens, sampling, deadline: self.deadline }
     }
 }

@@ -165,9 +165,9 @@ fn tell(
     let count = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum::<usize>();
     let (calls, deadlines, lost) =
         (count(|row| row.planning_calls), count(|row| row.deadlines), count(|row| row.failed_calls));
-    let saved = count(|row| row.gated_calls);
-    if saved > 0 {
-        printer.note(format!("the gate saved {saved} of {} planning calls", saved + calls));
+    let gated = count(|row| row.gated_calls);
+    if gated > 0 {
+        printer.note(format!("the gate skipped {gated} of {} planning calls", gated + calls));
     }
     if deadlines > 0 {
         printer.note(format!("{deadlines} of {calls} planning calls ended by their deadline"));

@@ -94,15 +94,15 @@ class Transcript {
   }
 }
 
-function decisionWords({ decision, emergency_brakes: brakes, retreat }) {
+function decisionWords({ decision, emergency_brakes: brakes, aborted_lane_change: aborted }) {
   const braked = brakes ? `; the emergency brake overruled it in ${counted(brakes, "step")}` : "";
   const words = {
     execute: () => `attempt ${decision.attempt + 1} is executed`,
     exhausted: () => `attempt ${decision.attempt + 1} is executed all the same`,
-    keep_in_force: () => `the planner in force goes on: ${decision.why}`,
+    keep_active_plan: () => `the active plan is kept: ${decision.why}`,
     brake: () => `the ego brakes: ${decision.why}`,
   };
-  const back = retreat == null ? "" : `; back to the ego's lane at ${(retreat / ITERATIONS_A_SECOND).toFixed(1)} s`;
+  const back = aborted == null ? "" : `; back to the ego's lane at ${(aborted / ITERATIONS_A_SECOND).toFixed(1)} s`;
   return (words[decision.kind]?.() ?? decision.kind) + back + braked;
 }
 

@@ -1,10 +1,10 @@
 //! Who drives between planning calls, and who will once the time of a call has passed.
 
 use super::PlannerError;
-use super::plan_agent::generated_planner;
+use super::plan_agent::build_idm_plan;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::reasoning::PlannerCode;
-use crate::reflection::{GeneratedPlanner, LeadPolicy};
+use crate::reflection::{IdmPlan, LeadPolicy};
 use crate::world::Scene;
 
 /// acc and dec of an ego that goes on as it is, m/s².
@@ -12,23 +12,23 @@ const GO_ON: (f64, f64) = (1.0, 3.0);
 
 /// Who drives.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(super) enum InForce {
+pub(super) enum ActivePlan {
     /// Nobody yet: the ego brakes.
     #[default]
-    Nobody,
+    None,
     /// A generated planner.
-    Planner(Box<GeneratedPlanner>),
+    Generated(Box<IdmPlan>),
     /// PDM-Closed, along the way that it chose when it took over.
-    Rules,
+    PdmClosed,
 }
 
-impl InForce {
+impl ActivePlan {
     /// Lays the path of a generated planner anew from where the ego is now, along the centreline that it is bound for.
     ///
     /// # Errors
     /// When the ego's pose is not finite.
     pub(super) fn follow_on(&mut self, scene: &Scene<'_>, graph: &LaneGraph, path_s: f64) -> Result<(), PlannerError> {
-        if let Self::Planner(planner) = self {
+        if let Self::Generated(planner) = self {
             **planner = followed_on(planner, scene, graph, path_s)?;
         }
         Ok(())
@@ -41,19 +41,19 @@ pub(super) struct Underway {
     /// The iteration at which it is over.
     pub(super) arrives: usize,
     /// The planner that it brings, if it brings one.
-    pub(super) planner: Option<GeneratedPlanner>,
+    pub(super) planner: Option<IdmPlan>,
 }
 
 /// What drives before the first planner arrives: the ego keeps its lane and its speed, behind whatever leads.
 ///
 /// # Errors
 /// When the ego's pose is not finite.
-pub(super) fn as_it_goes(
+pub(super) fn keep_lane_and_speed(
     scene: &Scene<'_>,
     graph: &LaneGraph,
     lead_policy: LeadPolicy,
     path_s: f64,
-) -> Result<InForce, PlannerError> {
+) -> Result<ActivePlan, PlannerError> {
     let code = PlannerCode {
         centerline: CenterlineName::EgoLane.to_string(),
         lead_agent: graph.lead_agent(CenterlineName::EgoLane).map(|agent| agent.name.to_string()),
@@ -61,8 +61,8 @@ pub(super) fn as_it_goes(
         accel_max: GO_ON.0,
         decel_max: GO_ON.1,
     };
-    let planner = generated_planner(scene, graph, code, lead_policy, path_s)?;
-    Ok(planner.map_or(InForce::Nobody, |planner| InForce::Planner(Box::new(planner))))
+    let planner = build_idm_plan(scene, graph, code, lead_policy, path_s)?;
+    Ok(planner.map_or(ActivePlan::None, |planner| ActivePlan::Generated(Box::new(planner))))
 }
 
 /// A planner that stays in force, with its path laid anew along the centreline that it is bound for.
@@ -70,11 +70,11 @@ pub(super) fn as_it_goes(
 /// # Errors
 /// When the ego's pose is not finite.
 pub(super) fn followed_on(
-    planner: &GeneratedPlanner,
+    planner: &IdmPlan,
     scene: &Scene<'_>,
     graph: &LaneGraph,
     path_s: f64,
-) -> Result<GeneratedPlanner, PlannerError> {
+) -> Result<IdmPlan, PlannerError> {
     let mut planner = planner.clone();
     let lane = planner.lane_now(scene);
     let bound = graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));

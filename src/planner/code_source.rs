@@ -4,7 +4,7 @@ use crate::environment::{CenterlineName, LaneGraph};
 use crate::mllm::{Deadline, Mllm};
 use crate::reasoning::{
     ACCELERATIONS, DECELERATIONS, Feedback, Names, Parsed, PlannerCode, PromptSet, Reasoning, ReasoningError,
-    ReasoningSettings, ScenarioPrompt, Thought, target_speeds,
+    ReasoningSettings, ReasoningTrace, ScenarioPrompt, target_speeds,
 };
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -12,17 +12,17 @@ use rand_pcg::Pcg64Mcg;
 use std::sync::Arc;
 
 /// acc and dec of the code that is always the same, m/s²: what the label search of nano calls usual.
-pub const USUAL_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
+pub const DEFAULT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
 /// Desired speeds of the grid, as fractions of the limit.
 const GRID_SPEEDS: [f64; 7] = [1.0, 0.85, 0.7, 0.55, 0.4, 0.2, 0.0];
 /// Pairs of acc and dec of the grid, m/s²: usual, gentle, firm, emergency.
-const GRID_ACCELERATIONS: [(f64, f64); 4] = [USUAL_ACCELERATIONS, (1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
+const GRID_ACCELERATIONS: [(f64, f64); 4] = [DEFAULT_ACCELERATIONS, (1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
 /// Limit where the map has none, m/s.
 const FALLBACK_LIMIT: f64 = 15.0;
 
 /// Who writes the planner codes of an agent.
 #[derive(Clone)]
-pub enum Mind {
+pub enum CodeSource {
     /// A language model that reasons in rounds.
     Model {
         /// The model.
@@ -33,20 +33,20 @@ pub enum Mind {
         reasoning: ReasoningSettings,
     },
     /// A control: each attempt is drawn evenly from the codes that the grammar allows.
-    RandomCode,
+    Random,
     /// A control: always the ego's lane at the speed limit. There is one attempt.
-    FixedCode,
+    Fixed,
     /// A control: all codes of a grid, of which Reflection's score chooses. Earlier ones win ties: the ego's lane before others,
     /// fast before slow.
-    GridCode,
+    Grid,
 }
 
-impl Mind {
+impl CodeSource {
     /// Pixels of the picture that it looks at, if it looks.
     pub(super) fn image_size(&self) -> Option<u32> {
         match self {
             Self::Model { model, .. } => model.describe().image_size,
-            Self::RandomCode | Self::FixedCode | Self::GridCode => None,
+            Self::Random | Self::Fixed | Self::Grid => None,
         }
     }
 
@@ -54,13 +54,13 @@ impl Mind {
     pub(super) fn prompts(&self) -> Option<&PromptSet> {
         match self {
             Self::Model { prompts, .. } => Some(prompts),
-            Self::RandomCode | Self::FixedCode | Self::GridCode => None,
+            Self::Random | Self::Fixed | Self::Grid => None,
         }
     }
 
     /// Whether all its codes are tried and the best of them drives, so that none is accepted for being good enough.
     pub(super) fn compares(&self) -> bool {
-        matches!(self, Self::GridCode)
+        matches!(self, Self::Grid)
     }
 
     /// Begins a planning call of at most `attempts` attempts, except for a grid, which is as large as it is.
@@ -76,9 +76,9 @@ impl Mind {
                 let reasoning = Reasoning::open(model.as_ref(), prompts, reasoning, scenario, seed, deadline)?;
                 return Ok(Thoughts::Reasoned(reasoning));
             }
-            Self::RandomCode => random_codes(&scenario.names, seed, attempts),
-            Self::FixedCode => fixed_code(graph),
-            Self::GridCode => grid(graph),
+            Self::Random => random_codes(&scenario.names, seed, attempts),
+            Self::Fixed => fixed_code(graph),
+            Self::Grid => grid(graph),
         };
         Ok(Thoughts::Written(codes.into_iter()))
     }
@@ -94,10 +94,10 @@ pub(super) enum Thoughts<'a> {
 
 impl Thoughts<'_> {
     /// The next one; `None` when there are no more.
-    pub(super) fn next(&mut self, feedback: Option<&Feedback>) -> Result<Option<Thought>, ReasoningError> {
+    pub(super) fn next(&mut self, feedback: Option<&Feedback>) -> Result<Option<ReasoningTrace>, ReasoningError> {
         match self {
             Self::Reasoned(reasoning) => reasoning.think(feedback).map(Some),
-            Self::Written(codes) => Ok(codes.next().map(|code| Thought {
+            Self::Written(codes) => Ok(codes.next().map(|code| ReasoningTrace {
                 rounds: Vec::new(),
                 interruption: None,
                 instruction: None,
@@ -109,11 +109,11 @@ impl Thoughts<'_> {
 
 fn random_codes(names: &Names, seed: u64, attempts: usize) -> Vec<PlannerCode> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
-    let leaders: Vec<Option<String>> = names.leaders.iter().cloned().map(Some).chain([None]).collect();
+    let lead_agents: Vec<Option<String>> = names.lead_agents.iter().cloned().map(Some).chain([None]).collect();
     let draw = |_| {
         Some(PlannerCode {
             centerline: names.centerlines.choose(&mut random)?.clone(),
-            lead_agent: leaders.choose(&mut random)?.clone(),
+            lead_agent: lead_agents.choose(&mut random)?.clone(),
             target_speed: f64::from(random.random_range(target_speeds(names))),
             accel_max: *ACCELERATIONS.choose(&mut random)?,
             decel_max: *DECELERATIONS.choose(&mut random)?,
@@ -123,7 +123,7 @@ fn random_codes(names: &Names, seed: u64, attempts: usize) -> Vec<PlannerCode> {
 }
 
 fn fixed_code(graph: &LaneGraph) -> Vec<PlannerCode> {
-    vec![planner_code(graph, CenterlineName::EgoLane, 1.0, USUAL_ACCELERATIONS)]
+    vec![planner_code(graph, CenterlineName::EgoLane, 1.0, DEFAULT_ACCELERATIONS)]
 }
 
 fn grid(graph: &LaneGraph) -> Vec<PlannerCode> {

@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 
 /// Why PDM-Closed has no way to drive.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum NoWay {
+pub enum NoReferencePath {
     /// The route holds no lane.
     #[error("the route has no lanes")]
     EmptyRoute,
@@ -22,7 +22,7 @@ pub enum NoWay {
 
 /// The way that PDM-Closed drives: chosen at the first iteration and kept.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Way {
+pub struct ReferencePath {
     lanes: Vec<LaneId>,
     lane_set: BTreeSet<LaneId>,
     layers: DrivableLayers,
@@ -30,16 +30,16 @@ pub struct Way {
     paths: [PdmPath; LATERAL_OFFSETS.len()],
 }
 
-impl Way {
+impl ReferencePath {
     /// The way of an ego along a route: the route repaired, the lane under the ego, and the cheapest chain of lanes from
     /// there on.
     ///
     /// # Errors
     /// When the route has no lanes or they make no line.
-    pub fn find(map: &LaneMap, route: &Route, ego: &EgoState) -> Result<Self, NoWay> {
+    pub fn find(map: &LaneMap, route: &Route, ego: &EgoState) -> Result<Self, NoReferencePath> {
         let blocks = corrected_route(map, &route.roadblocks, ego.rear_axle);
         let lanes = lanes_of(map, &blocks);
-        let start = current_lane(map, &lanes, ego).ok_or(NoWay::EmptyRoute)?;
+        let start = current_lane(map, &lanes, ego).ok_or(NoReferencePath::EmptyRoute)?;
         let chain = lane_chain(map, &blocks, &lanes, start);
         Self::along(map, &blocks, &centerline_poses(map, &chain), ego)
     }
@@ -48,7 +48,12 @@ impl Way {
     ///
     /// # Errors
     /// When the poses make no line.
-    pub fn along(map: &LaneMap, route: &[RoadblockId], centerline: &[Pose], ego: &EgoState) -> Result<Self, NoWay> {
+    pub fn along(
+        map: &LaneMap,
+        route: &[RoadblockId],
+        centerline: &[Pose],
+        ego: &EgoState,
+    ) -> Result<Self, NoReferencePath> {
         let lanes = lanes_of(map, route);
         let lane_set: BTreeSet<LaneId> = lanes.iter().copied().collect();
         let center = PdmPath::new(centerline)?;

@@ -1,15 +1,15 @@
 //! Watches the planner in force between planning calls: what of it drives on.
 
 use super::judge::{ReflectionError, look};
-use super::rollout::{GeneratedPlanner, Version};
+use super::rollout::{IdmPlan, Version};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::metrics::MetricError;
-use crate::pdm::{PdmMemory, ProposalScore, Way, needs_emergency_brake, score_proposals};
+use crate::pdm::{PdmMemory, ProposalScore, ReferencePath, needs_emergency_brake, score_proposals};
 use crate::world::{EgoState, Scene};
 
 /// How a planner is watched.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Watch {
+pub struct PlanMonitor {
     /// Length of the roll-outs, steps of 0.1 s.
     pub steps: usize,
     /// λ: what a version on the planner's own path must score for nothing else to be asked for.
@@ -29,7 +29,7 @@ pub struct Choice {
     pub emergency_brake: bool,
 }
 
-impl Watch {
+impl PlanMonitor {
     /// Chooses between the versions of a planner by PDM's measure, as PDM-Closed does between its proposals; progress is relative
     /// to the best of them. In this order: the best of those on the planner's own path, if it scores λ; the best of those
     /// beside it too; and where even that would be at fault for a collision or come too near one, the stop, if it scores more. Equals:
@@ -46,14 +46,15 @@ impl Watch {
     pub fn choose(
         &self,
         scene: &Scene<'_>,
-        planner: &GeneratedPlanner,
+        planner: &IdmPlan,
         memory: &mut PdmMemory,
     ) -> Result<Choice, ReflectionError> {
-        if memory.way.is_none() {
-            memory.way = Way::find(scene.map, scene.route, scene.ego).ok();
+        if memory.reference_path.is_none() {
+            memory.reference_path = ReferencePath::find(scene.map, scene.route, scene.ego).ok();
         }
         let instant = look(scene, memory);
-        let centerline = memory.way.as_ref().map_or(planner.path(), |way| way.centerline().line());
+        let centerline =
+            memory.reference_path.as_ref().map_or(planner.path(), |reference_path| reference_path.centerline().line());
         let (versions, batch): (Vec<Version>, Vec<Vec<EgoState>>) = planner
             .roll_out_versions(scene, self.steps)
             .into_iter()

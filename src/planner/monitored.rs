@@ -1,16 +1,16 @@
 //! The planner in force under Reflection's eyes, between planning calls.
 
 use super::PlannerError;
-use super::plan_agent::{PLAN_STEPS, generated_planner, reflection_failed};
+use super::plan_agent::{PLAN_STEPS, build_idm_plan, reflection_failed};
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::pdm::{PdmMemory, emergency_brake};
 use crate::reasoning::PlannerCode;
-use crate::reflection::{GeneratedPlanner, LeadPolicy, Version, Watch};
+use crate::reflection::{IdmPlan, LeadPolicy, PlanMonitor, Version};
 use crate::world::{Scene, Trajectory};
 
 /// How a watched planner drives on.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Watched {
+pub struct MonitoredStep {
     /// What drives: the version that is chosen, or the emergency brake.
     pub trajectory: Trajectory,
     /// The version's score by PDM's measure.
@@ -19,7 +19,7 @@ pub struct Watched {
     pub brakes: bool,
 }
 
-impl Watched {
+impl MonitoredStep {
     /// Whether it does without hard braking where `other` does not, or else has the higher score. Scores of hard braking say little:
     /// progress is relative to versions that all collide.
     pub(super) fn is_better_than(&self, other: &Self) -> bool {
@@ -31,20 +31,20 @@ impl Watched {
 ///
 /// # Errors
 /// When the horizon is too short to be scored, or the state of the ego is not finite.
-pub fn watched(
-    planner: &GeneratedPlanner,
+pub fn monitored_step(
+    planner: &IdmPlan,
     scene: &Scene<'_>,
-    watch: &Watch,
+    monitor: &PlanMonitor,
     memory: &mut PdmMemory,
-) -> Result<Watched, PlannerError> {
-    let choice = watch.choose(scene, planner, memory).map_err(reflection_failed)?;
+) -> Result<MonitoredStep, PlannerError> {
+    let choice = monitor.choose(scene, planner, memory).map_err(reflection_failed)?;
     let trajectory = if choice.emergency_brake {
         emergency_brake(scene.ego, PLAN_STEPS)?
     } else {
         planner.roll_out_version(choice.version, scene, PLAN_STEPS).to_trajectory(scene.ego)?
     };
     let brakes = choice.emergency_brake || choice.version == Version::STOP;
-    Ok(Watched { trajectory, score: choice.score, brakes })
+    Ok(MonitoredStep { trajectory, score: choice.score, brakes })
 }
 
 /// The planner of the same code in the ego's present lane; `None` when it is bound for that lane already.
@@ -52,12 +52,12 @@ pub fn watched(
 /// # Errors
 /// When the ego's pose is not finite.
 pub(super) fn back_to_own_lane(
-    planner: &GeneratedPlanner,
+    planner: &IdmPlan,
     scene: &Scene<'_>,
     graph: &LaneGraph,
     lead_policy: LeadPolicy,
     path_s: f64,
-) -> Result<Option<GeneratedPlanner>, PlannerError> {
+) -> Result<Option<IdmPlan>, PlannerError> {
     if graph.ego_lane().path.lanes.contains(&planner.lane_now(scene)) {
         return Ok(None);
     }
@@ -66,5 +66,5 @@ pub(super) fn back_to_own_lane(
         lead_agent: graph.lead_agent(CenterlineName::EgoLane).map(|agent| agent.name.to_string()),
         ..planner.code.clone()
     };
-    generated_planner(scene, graph, code, lead_policy, path_s)
+    build_idm_plan(scene, graph, code, lead_policy, path_s)
 }

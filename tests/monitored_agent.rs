@@ -1,19 +1,19 @@
 //! The planner in force while it is watched: which version of it drives, when it stops and when a change of lanes is given up.
 
-use crate::agent::{Script, mind, planner_at, scenario, settings};
+use crate::agent::{Script, code_source, planner_at, scenario, settings};
 use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent::internals::geometry::{OrientedBox, Pose, Vector};
 use planagent::internals::pdm::PdmMemory;
-use planagent::internals::planner::{Execution, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlannerInput};
+use planagent::internals::planner::{PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner, PlannerInput};
 use planagent::internals::reasoning::Round;
-use planagent::internals::reflection::{LeadPolicy, Version, Watch};
+use planagent::internals::reflection::{LeadPolicy, PlanMonitor, Version};
 use planagent::internals::simulation::{Challenge, ClosedLoop};
 use planagent::internals::world::{EgoState, LanePath, ObjectKind, Scene, TrackToken, TrackedObject};
 use std::sync::{Arc, Mutex};
 
 /// How often each version was chosen while one planner after the other is driven: as it was written, otherwise on its own path,
 /// beside it, and the stop.
-fn watched_drive(id: &str, watch: &Watch, v0: f64) -> [usize; 4] {
+fn monitored_simulation(id: &str, monitor: &PlanMonitor, v0: f64) -> [usize; 4] {
     let scenario = scenario(id);
     let mut drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let mut count = [0; 4];
@@ -21,14 +21,18 @@ fn watched_drive(id: &str, watch: &Watch, v0: f64) -> [usize; 4] {
         let scene = drive.scene();
         let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
         let planner = planner_at(&drive, &graph, v0, LeadPolicy::Nearest);
-        let versions = planner.roll_out_versions(&scene, watch.steps);
+        let versions = planner.roll_out_versions(&scene, monitor.steps);
         assert_eq!(versions.len(), 16);
-        assert_eq!(versions[0].1, planner.roll_out(&scene, watch.steps), "the first is the planner as it was written");
+        assert_eq!(
+            versions[0].1,
+            planner.roll_out(&scene, monitor.steps),
+            "the first is the planner as it was written"
+        );
         assert_eq!(versions[15].0, Version::STOP);
-        let choice = watch.choose(&scene, &planner, &mut PdmMemory::default()).unwrap();
+        let choice = monitor.choose(&scene, &planner, &mut PdmMemory::default()).unwrap();
         let place = versions.iter().position(|(version, _)| *version == choice.version).unwrap();
         assert_eq!(choice.version.is_on_own_path(), place < 5);
-        let again = planner.roll_out_version(choice.version, &scene, watch.steps);
+        let again = planner.roll_out_version(choice.version, &scene, monitor.steps);
         assert_eq!(versions[place].1, again);
         count[match place {
             0 => 0,
@@ -43,18 +47,18 @@ fn watched_drive(id: &str, watch: &Watch, v0: f64) -> [usize; 4] {
 
 #[test]
 fn a_watched_planner_drives_as_written_or_as_one_of_its_versions() {
-    let watch = Watch { steps: 40, threshold: 0.75, emergency_brake: true };
+    let monitor = PlanMonitor { steps: 40, threshold: 0.75, emergency_brake: true };
     let pedestrians = "generated/waiting_for_pedestrian_to_cross/0";
-    let [as_written, slower, ..] = watched_drive(pedestrians, &watch, 12.0);
-    assert!(as_written > 0 && slower > 0, "as written {as_written}, slower {slower}");
+    let [unmonitored, slower, ..] = monitored_simulation(pedestrians, &monitor, 12.0);
+    assert!(unmonitored > 0 && slower > 0, "as written {unmonitored}, slower {slower}");
 
     // The path beside is taken only where the own one does not pass; if nothing passes, it is compared with all.
-    let never_passes = Watch { threshold: 1.1, ..watch };
+    let never_passes = PlanMonitor { threshold: 1.1, ..monitor };
     let scenes = ["high_lateral_acceleration/0", "traversing_roundabout/0", "low_magnitude_speed/0"];
-    let beside = |watch: &Watch| -> usize {
-        scenes.iter().map(|scene| watched_drive(&format!("generated/{scene}"), watch, 12.0)[2]).sum()
+    let beside = |monitor: &PlanMonitor| -> usize {
+        scenes.iter().map(|scene| monitored_simulation(&format!("generated/{scene}"), monitor, 12.0)[2]).sum()
     };
-    let (first, compared) = (beside(&watch), beside(&never_passes));
+    let (first, compared) = (beside(&monitor), beside(&never_passes));
     assert!(first < compared, "{first} {compared}");
 }
 
@@ -72,12 +76,12 @@ fn a_change_of_lanes_that_goes_bad_is_given_up() {
     let graph = LaneGraph::build(&free, DEFAULT_NODE_LENGTH).unwrap();
     let (own, left) = (graph.ego_lane(), graph.centerline(CenterlineName::LeftLane).unwrap());
     let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"];
-    let mind = mind(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
-    let mut agent = PlanAgent::new(PLAN_AGENT, mind, PlanAgentSettings { execution: Execution::Watched, ..settings() });
+    let code_source = code_source(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
+    let mut agent = PlanAgent::new(PLAN_AGENT, code_source, PlanAgentSettings { monitoring: true, ..settings() });
     let mut step = |iteration, scene| {
         agent.compute_trajectory(&PlannerInput { iteration, scene }).unwrap();
-        let bound_for = agent.in_force().unwrap().lane_now(&free);
-        (bound_for, agent.calls()[0].retreat)
+        let bound_for = agent.active_plan().unwrap().lane_now(&free);
+        (bound_for, agent.calls()[0].aborted_lane_change)
     };
     let lane = |path: &LanePath| path.lane_at(path.centerline.project(free.ego.center().position()).s);
     assert_eq!(step(0, free), (lane(&left.path), None));
@@ -103,8 +107,8 @@ fn a_watched_planner_stops_only_in_danger_and_only_if_it_may() {
         let at = planner.path().smooth_pose_at(planner.path().project(ego.rear_axle.position()).s + metres);
         let objects = [standing(at, 30.0)];
         let scene = Scene { ego: &ego, objects: &objects, ..before };
-        let watch = Watch { steps: 40, threshold: 0.75, emergency_brake };
-        watch.choose(&scene, &planner, &mut PdmMemory::default()).unwrap()
+        let monitor = PlanMonitor { steps: 40, threshold: 0.75, emergency_brake };
+        monitor.choose(&scene, &planner, &mut PdmMemory::default()).unwrap()
     };
     // The code's 3 m/s² do not stop before it, 6 m/s² do.
     let (stops, drives) = (choose(16.0, true), choose(16.0, false));

@@ -9,18 +9,7 @@ use image::RgbImage;
 const FIRST_SEED: u64 = 900_000_000;
 const SEEDS: u64 = 1_000_000;
 /// Seeds that are tried one after another: the generator finds no scene for some.
-const MOST_TRIES: u64 = 20;
-
-/// Which scene the BEV map is of that the model is shown.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum BevOf {
-    /// The scene that the ego drives in.
-    #[default]
-    Scene,
-    /// Another one, a new one at each planning call: a control.
-    Another,
-}
+const MAX_TRIES: u64 = 20;
 
 /// The BEV map of a generated scene at some moment of its log; the same draw gives the same.
 ///
@@ -31,7 +20,7 @@ pub(super) fn render(draw: u64, view: &BevView) -> Result<RgbImage, GeneratorErr
     let kind = ScenarioType::nuplan14().nth((draw % kinds) as usize).unwrap_or(generator::DEFAULT.scenario_type);
     let generated = |tries: u64| generator::generate(&Spec::new(kind, FIRST_SEED + draw.wrapping_add(tries) % SEEDS));
     let mut scenario = generated(0);
-    for tries in 1..MOST_TRIES {
+    for tries in 1..MAX_TRIES {
         if scenario.is_ok() {
             break;
         }
