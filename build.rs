@@ -1,0 +1,43 @@
+//! Tells the compiler which commit is built and whether the outside data of the tests is there.
+#![allow(clippy::print_stdout, reason = "Cargo reads its instructions from stdout")]
+
+use std::env;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn main() {
+    println!("cargo::rustc-check-cfg=cfg(outside_data)");
+    println!("cargo::rerun-if-env-changed=PLANAGENT_DATA");
+    let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default());
+    let data = env::var_os("PLANAGENT_DATA").map_or_else(|| package.join("../shared/data"), PathBuf::from);
+    if data.is_dir() {
+        println!("cargo::rustc-cfg=outside_data");
+    }
+    if let Some(commit) = commit(&package) {
+        println!("cargo::rustc-env=PLANAGENT_COMMIT={commit}");
+    }
+}
+
+/// The commit of the sources, with `+changes` where they differ from it; `None` outside a repository.
+fn commit(package: &Path) -> Option<String> {
+    // `cargo package` writes the commit into this file.
+    if let Ok(info) = std::fs::read_to_string(package.join(".cargo_vcs_info.json")) {
+        return info.split('"').find(|part| part.len() == 40).map(short);
+    }
+    for path in ["HEAD", "logs/HEAD"] {
+        println!("cargo::rerun-if-changed={}", git(package, &["rev-parse", "--git-path", path])?);
+    }
+    println!("cargo::rerun-if-changed=src");
+    let head = git(package, &["rev-parse", "HEAD"])?;
+    let changes = git(package, &["status", "--porcelain", "--untracked-files=no", "--", "src", "Cargo.toml"])?;
+    Some(if changes.is_empty() { short(&head) } else { format!("{}+changes", short(&head)) })
+}
+
+fn short(commit: &str) -> String {
+    commit.chars().take(12).collect()
+}
+
+fn git(package: &Path, arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").current_dir(package).args(arguments).output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}
