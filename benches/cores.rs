@@ -7,8 +7,9 @@
     reason = "a benchmark is no interface and may stop at an error"
 )]
 
-use planagent::internals::experiment::run::{PlannerKind, SimulationTask, run};
+use planagent::internals::experiment::run::{AgentParts, SimulationTask, run};
 use planagent::internals::experiment::source::ScenarioSource;
+use planagent::internals::planner::PlannerName;
 use planagent::internals::scenario::generator::{ScenarioType, Spec};
 use planagent::internals::simulation::Challenge;
 use std::time::Instant;
@@ -25,7 +26,7 @@ fn tasks() -> Vec<SimulationTask> {
         .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)));
     scenes
         .flat_map(|spec| {
-            [PlannerKind::Idm, PlannerKind::PdmClosed].into_iter().flat_map(move |planner| {
+            [PlannerName::new("idm"), PlannerName::PDM_CLOSED].into_iter().flat_map(move |planner| {
                 let source = ScenarioSource::Generated(spec);
                 Challenge::CLOSED_LOOP.map(|challenge| SimulationTask { source: source.clone(), planner, challenge })
             })
@@ -39,7 +40,7 @@ fn seconds(tasks: &[SimulationTask], threads: usize) -> f64 {
     let todo: Vec<usize> = (0..tasks.len()).collect();
     let started = Instant::now();
     pool.install(|| {
-        run(tasks, &todo, None, &|_| (), &|_, record| record.outcome.map(|_| ())).unwrap();
+        run(tasks, &todo, &AgentParts::default(), &|_| (), &|_, record| record.outcome.map(|_| ())).unwrap();
     });
     started.elapsed().as_secs_f64()
 }

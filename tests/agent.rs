@@ -7,8 +7,8 @@ use planagent::internals::mllm::{
 };
 use planagent::internals::pdm::PdmMemory;
 use planagent::internals::planner::{
-    AfterMaxExec, CodeSource, Decision, Latency, NoPlan, PLAN_AGENT, PlanAgent, PlanAgentSettings, Planner,
-    PlannerInput, PlanningCall, build_idm_plan,
+    AfterMaxExec, CodeSource, Decision, Latency, NoPlan, PlanAgent, PlanAgentSettings, Planner, PlannerInput,
+    PlannerName, PlanningCall, build_idm_plan,
 };
 use planagent::internals::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
 use planagent::internals::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
@@ -133,7 +133,7 @@ pub(crate) fn drive(
     id: &str,
 ) -> (PlanAgent, SimulationLog, Vec<String>) {
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
-    let mut agent = PlanAgent::new(PLAN_AGENT, code_source(script.clone(), rounds), settings);
+    let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source(script.clone(), rounds), settings);
     let log = simulate(&scenario(id), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let asked = script.asked.lock().unwrap().clone();
     (agent, log, asked)
@@ -382,7 +382,7 @@ fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
         let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"; 3];
         let code_source = code_source(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
         let settings = PlanAgentSettings { lane_change_threshold, after_max_exec: AfterMaxExec::Best, ..settings() };
-        let mut agent = PlanAgent::new(PLAN_AGENT, code_source, settings);
+        let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source, settings);
         agent.compute_trajectory(&PlannerInput { iteration: 0, scene: free }).unwrap();
         let call = &agent.calls()[0];
         (

@@ -2,7 +2,7 @@
 
 use crate::agent::{Script, reasoning, scenario, settings};
 use planagent::internals::mllm::{HubAccess, Mllm, ModelRegistry};
-use planagent::internals::planner::{Decision, LlmAssist, NoPlan, PdmClosed, PlanAgentSettings};
+use planagent::internals::planner::{Decision, LlmAssist, NoPlan, PdmClosed, PlanAgentSettings, Planner, PlannerName};
 use planagent::internals::reasoning::{AssistVariant, Assistance, PromptSet, ReasoningSettings, Round};
 use planagent::internals::simulation::{Challenge, SimulationLog, simulate};
 use std::path::Path;
@@ -23,7 +23,7 @@ fn drive(
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
     let model: Arc<dyn Mllm> = script.clone();
     let asked = (model, Arc::new(PromptSet::open("paper").unwrap()), reasoning(&[Round::Code]));
-    let mut planner = LlmAssist::new("llm-assist", variant, asked, settings);
+    let mut planner = LlmAssist::new(PlannerName::new("llm-assist"), variant, asked, settings);
     let log = simulate(&scenario(SCENE), &mut planner, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     let asked = script.asked.lock().unwrap().clone();
     (planner, log, asked)
@@ -84,7 +84,7 @@ fn the_model_that_ships_answers_so_that_it_can_be_read() {
     for &variant in AssistVariant::ALL {
         let reasoning = ReasoningSettings { grammar: true, generation: spec.generation, ..reasoning(&[Round::Code]) };
         let asked = (model.clone(), Arc::new(PromptSet::open("compact").unwrap()), reasoning);
-        let mut planner = LlmAssist::new("llm-assist", variant, asked, never_content());
+        let mut planner = LlmAssist::new(PlannerName::new("llm-assist"), variant, asked, never_content());
         simulate(&scenario(SCENE), &mut planner, Challenge::ClosedLoopNonreactiveAgents).unwrap();
         assert_eq!(planner.calls().len(), 8);
         for attempt in planner.calls().iter().flat_map(|call| &call.attempts) {

@@ -1,7 +1,7 @@
 //! The agent when its calls take simulated time, and when a gate saves them.
 
 use crate::agent::{drive, scenario, settings};
-use planagent::internals::planner::{Decision, Latency, PdmClosed, PlanAgentSettings};
+use planagent::internals::planner::{Decision, Latency, PdmClosed, PlanAgentSettings, Planner};
 use planagent::internals::reasoning::Round;
 use planagent::internals::simulation::{Challenge, simulate};
 use std::time::Duration;

@@ -41,7 +41,7 @@ pub(super) fn make(
     parts: &AgentParts,
     progress: &SimulationProgress,
 ) -> Result<(), ReportError> {
-    run::run(tasks, todo, Some(parts), &|_| progress.iteration(), &|number, record| {
+    run::run(tasks, todo, parts, &|_| progress.iteration(), &|number, record| {
         folder.commit(number, &record)?;
         progress.drive_ended(record.outcome.is_err());
         Ok(())

@@ -5,7 +5,7 @@ use crate::experiment::run::AgentParts;
 use crate::mllm::{
     FetchProgress, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, ModelSpec, PromptSet as PromptSetName,
 };
-use crate::planner::CodeSource;
+use crate::planner::{CodeSource, PlannerRegistry};
 use crate::reasoning::PromptSet;
 use anyhow::Context;
 use indicatif::ProgressBar;
@@ -84,7 +84,11 @@ impl Opened {
 
 /// What agents are made of, with the model where one is loaded.
 pub(super) fn parts(config: &Config, loaded: Option<&Loaded>) -> AgentParts {
-    AgentParts { model: loaded.map(|loaded| loaded.code_source.clone()), settings: config.agent_settings() }
+    AgentParts {
+        registry: PlannerRegistry::default(),
+        model: loaded.map(|loaded| loaded.code_source.clone()),
+        settings: config.agent_settings(),
+    }
 }
 
 /// The models that the configuration knows, with a bar for downloads.

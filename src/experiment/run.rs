@@ -5,140 +5,48 @@ use super::source::ScenarioSource;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::pdm::DrivableLayers;
 use crate::planner::{
-    CodeSource, IdmPlanner, LlmAssist, LogReplay, PLAN_AGENT, PdmClosed, PlanAgent, PlanAgentSettings, Planner,
-    PlanningCall, SimplePlanner,
+    CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, PlannerNeeds, PlannerParts,
+    PlannerRegistry, PlanningCall, UnknownPlanner,
 };
-use crate::reasoning::AssistVariant;
 use crate::scenario::{Scenario, UNKNOWN_TYPE};
 
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
+use crate::world::EgoState;
 use rayon::prelude::*;
 use std::fmt;
-use std::str::FromStr;
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// The planners that can be run by name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PlannerKind {
-    /// The agent of the paper.
-    PlanAgent,
-    /// The recorded driver.
-    LogReplay,
-    /// nuPlan's IDM planner.
-    Idm,
-    /// nuPlan's planner that goes straight on.
-    Simple,
-    /// PDM-Closed.
-    PdmClosed,
-    /// LLM-ASSIST whose model plans.
-    LlmAssistUnc,
-    /// LLM-ASSIST whose model tunes PDM-Closed.
-    LlmAssistPar,
-    /// A control: the agent with random codes instead of a model.
-    RandomCode,
-    /// A control: the agent with one fixed code.
-    FixedCode,
-    /// A control: the agent with the code of a grid that Reflection scores best.
-    GridCode,
-}
-
-impl PlannerKind {
-    /// All of them.
-    pub const ALL: [Self; 10] = [
-        Self::PlanAgent,
-        Self::LogReplay,
-        Self::Idm,
-        Self::Simple,
-        Self::PdmClosed,
-        Self::LlmAssistUnc,
-        Self::LlmAssistPar,
-        Self::RandomCode,
-        Self::FixedCode,
-        Self::GridCode,
-    ];
-
-    /// The name on the command line and in results.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::PlanAgent => PLAN_AGENT,
-            Self::LogReplay => "log-replay",
-            Self::Idm => "idm",
-            Self::Simple => "simple",
-            Self::PdmClosed => "pdm-closed",
-            Self::LlmAssistUnc => "llm-assist-unc",
-            Self::LlmAssistPar => "llm-assist-par",
-            Self::RandomCode => "random-code",
-            Self::FixedCode => "fixed-code",
-            Self::GridCode => "grid-code",
-        }
-    }
-
-    /// Whether it is one of LLM-ASSIST's.
-    pub fn is_llm_assist(self) -> bool {
-        matches!(self, Self::LlmAssistUnc | Self::LlmAssistPar)
-    }
-
-    /// Whether it asks the configured model.
-    pub fn needs_model(self) -> bool {
-        self == Self::PlanAgent || self.is_llm_assist()
-    }
-}
-
-impl fmt::Display for PlannerKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
-    }
-}
-
-/// A name that is no planner.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown planner '{name}'; known are {}", PlannerKind::ALL.map(PlannerKind::as_str).join(", "))]
-pub struct UnknownPlanner {
-    name: String,
-}
-
-impl FromStr for PlannerKind {
-    type Err = UnknownPlanner;
-
-    fn from_str(name: &str) -> Result<Self, Self::Err> {
-        Self::ALL.into_iter().find(|kind| kind.as_str() == name).ok_or_else(|| UnknownPlanner { name: name.to_owned() })
-    }
-}
-
-/// What agents are made of; shared by all drives.
-#[derive(Clone)]
+/// What the planners of a run are built from.
+#[derive(Clone, Default)]
 pub struct AgentParts {
-    /// What `plan-agent` thinks with, where it drives.
+    /// The planners by name.
+    pub registry: PlannerRegistry,
+    /// The model, for planners that need one.
     pub model: Option<CodeSource>,
-    /// Everything else.
+    /// Settings of agents.
     pub settings: PlanAgentSettings,
 }
 
 impl AgentParts {
-    /// An agent for one scenario: the scenario's name goes into its seed, so that no drive depends on another. `None` for
-    /// planners that are no agents, and for `plan-agent` without a model.
-    pub fn agent(&self, planner: PlannerKind, scenario_id: &str) -> Option<PlanAgent> {
-        let code_source = match planner {
-            PlannerKind::PlanAgent => self.model.clone()?,
-            PlannerKind::RandomCode => CodeSource::Random,
-            PlannerKind::FixedCode => CodeSource::Fixed,
-            PlannerKind::GridCode => CodeSource::Grid,
-            _ => return None,
+    /// The planner of one simulation. The scenario's name goes into the seed, so that no simulation depends on another.
+    ///
+    /// # Errors
+    /// When there is no such planner, or a part of it is missing.
+    pub fn planner(&self, name: PlannerName, scenario: &Scenario) -> Result<Box<dyn Planner>, BuildError> {
+        let entry = self.registry.find(name.as_str())?;
+        let recording: Vec<EgoState> = match entry.needs {
+            PlannerNeeds::Recording => scenario.recorded().copied().collect(),
+            _ => Vec::new(),
         };
-        Some(PlanAgent::new(planner.as_str(), code_source, self.settings_for(scenario_id)))
+        let settings = self.settings_for(&scenario.id);
+        let parts = PlannerParts { name, settings: &settings, model: self.model.as_ref(), recording: &recording };
+        Ok(entry.build(&parts)?)
     }
 
-    /// LLM-ASSIST in one of its variants for one scenario; `None` for other planners, and without a model.
-    pub fn llm_assist(&self, planner: PlannerKind, scenario_id: &str) -> Option<LlmAssist> {
-        let variant = match planner {
-            PlannerKind::LlmAssistUnc => AssistVariant::Unconstrained,
-            PlannerKind::LlmAssistPar => AssistVariant::Parameters,
-            _ => return None,
-        };
-        let Some(CodeSource::Model { model, prompts, reasoning }) = self.model.clone() else { return None };
-        let settings = self.settings_for(scenario_id);
-        Some(LlmAssist::new(planner.as_str(), variant, (model, prompts, reasoning), settings))
+    /// PlanAgent for one scenario; `None` without a model.
+    pub fn agent(&self, scenario_id: &str) -> Option<PlanAgent> {
+        Some(PlanAgent::new(PlannerName::PLAN_AGENT, self.model.clone()?, self.settings_for(scenario_id)))
     }
 
     fn settings_for(&self, scenario_id: &str) -> PlanAgentSettings {
@@ -149,13 +57,23 @@ impl AgentParts {
     }
 }
 
+/// Why a run cannot build a planner.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum BuildError {
+    #[error(transparent)]
+    Unknown(#[from] UnknownPlanner),
+    #[error(transparent)]
+    Planner(#[from] PlannerError),
+}
+
 /// One drive to be made.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SimulationTask {
     /// What is driven.
     pub source: ScenarioSource,
     /// By whom.
-    pub planner: PlannerKind,
+    pub planner: PlannerName,
     /// Among which traffic.
     pub challenge: Challenge,
 }
@@ -195,7 +113,7 @@ pub struct SimulationRecord {
     /// Name of the log.
     pub log_name: String,
     /// By whom.
-    pub planner: PlannerKind,
+    pub planner: PlannerName,
     /// Among which traffic.
     pub challenge: Challenge,
     /// When the drive began, seconds since 1970. A measurement.
@@ -215,7 +133,7 @@ pub struct SimulationRecord {
 pub fn run<E: Send>(
     tasks: &[SimulationTask],
     todo: &[usize],
-    agent: Option<&AgentParts>,
+    parts: &AgentParts,
     on_iteration: &(dyn Fn(Progress) + Sync),
     on_simulation: &(dyn Fn(usize, SimulationRecord) -> Result<(), E> + Sync),
 ) -> Result<(), E> {
@@ -227,7 +145,7 @@ pub fn run<E: Send>(
         let opened = catch_panic(|| first.source.open().map(Arc::new).map_err(|error| with_causes(&error)));
         group.par_iter().try_for_each(|&(i, task)| {
             let scenario = opened.as_ref().map_err(String::as_str);
-            on_simulation(i, drive(task, scenario, agent, on_iteration))
+            on_simulation(i, drive(task, scenario, parts, on_iteration))
         })
     })
 }
@@ -235,14 +153,14 @@ pub fn run<E: Send>(
 fn drive(
     task: &SimulationTask,
     scenario: Result<&Arc<Scenario>, &str>,
-    agent: Option<&AgentParts>,
+    parts: &AgentParts,
     on_iteration: &(dyn Fn(Progress) + Sync),
 ) -> SimulationRecord {
     let SimulationTask { source, planner, challenge } = task;
     let started_s = now_s();
     let outcome = scenario
         .map_err(str::to_owned)
-        .and_then(|scenario| catch_panic(|| simulate_task(scenario, *planner, *challenge, agent, on_iteration)));
+        .and_then(|scenario| catch_panic(|| simulate_task(scenario, *planner, *challenge, parts, on_iteration)));
     let opened = scenario.ok();
     SimulationRecord {
         source: source.to_string(),
@@ -272,42 +190,15 @@ fn now_s() -> f64 {
 /// One drive with its score.
 fn simulate_task(
     scenario: &Arc<Scenario>,
-    planner: PlannerKind,
+    planner: PlannerName,
     challenge: Challenge,
-    agent: Option<&AgentParts>,
+    parts: &AgentParts,
     on_iteration: &(dyn Fn(Progress) + Sync),
 ) -> Result<SimulationOutcome, String> {
-    let simulate = |planner: &mut dyn Planner| {
-        simulate_with_progress(scenario, planner, challenge, &mut |progress| on_iteration(progress))
-            .map_err(|error| with_causes(&error))
-    };
-    let mut calls = Vec::new();
-    let mut drivable_layers = None;
-    let log = match planner {
-        PlannerKind::PlanAgent | PlannerKind::RandomCode | PlannerKind::FixedCode | PlannerKind::GridCode => {
-            let agent = agent.and_then(|parts| parts.agent(planner, &scenario.id));
-            let mut planner = agent.ok_or_else(|| format!("{planner} needs a model, or settings"))?;
-            let log = simulate(&mut planner)?;
-            calls = planner.calls().to_vec();
-            log
-        }
-        PlannerKind::LlmAssistUnc | PlannerKind::LlmAssistPar => {
-            let planner = agent.and_then(|parts| parts.llm_assist(planner, &scenario.id));
-            let mut planner = planner.ok_or_else(|| "LLM-ASSIST needs a model".to_owned())?;
-            let log = simulate(&mut planner)?;
-            calls = planner.calls().to_vec();
-            log
-        }
-        PlannerKind::LogReplay => simulate(&mut LogReplay::new(scenario.recorded().copied().collect()))?,
-        PlannerKind::Idm => simulate(&mut IdmPlanner::default())?,
-        PlannerKind::Simple => simulate(&mut SimplePlanner::default())?,
-        PlannerKind::PdmClosed => {
-            let mut planner = PdmClosed::new();
-            let log = simulate(&mut planner)?;
-            drivable_layers = planner.drivable_layers();
-            log
-        }
-    };
+    let mut planner = parts.planner(planner, scenario).map_err(|error| with_causes(&error))?;
+    let log = simulate_with_progress(scenario, planner.as_mut(), challenge, &mut |progress| on_iteration(progress))
+        .map_err(|error| with_causes(&error))?;
+    let (calls, drivable_layers) = (planner.calls().to_vec(), planner.drivable_layers());
     let Evaluation { score, metrics } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
     Ok(SimulationOutcome { scenario: Arc::clone(scenario), score, metrics, calls, drivable_layers, log })
 }

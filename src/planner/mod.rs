@@ -10,6 +10,7 @@ mod monitored;
 mod pdm_closed;
 mod plan_agent;
 mod record;
+mod registry;
 mod settings;
 mod shuffled_bev;
 mod simple;
@@ -21,11 +22,13 @@ pub use llm_assist::LlmAssist;
 pub use log_replay::LogReplay;
 pub use monitored::{MonitoredStep, monitored_step};
 pub use pdm_closed::PdmClosed;
-pub use plan_agent::{NAME as PLAN_AGENT, PlanAgent, build_idm_plan, names};
+pub use plan_agent::{PlanAgent, build_idm_plan, names};
 pub use record::{Attempt, Decision, NoPlan, PlanningCall, feedback};
+pub use registry::{PlannerEntry, PlannerName, PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner};
 pub use settings::{AfterMaxExec, PlanAgentSettings};
 pub use simple::SimplePlanner;
 
+use crate::pdm::DrivableLayers;
 use crate::world::{LaneMap, Route, Scene, Trajectory, TrajectoryError};
 use std::sync::Arc;
 
@@ -67,6 +70,14 @@ pub enum PlannerError {
         /// Length of the recording.
         samples: usize,
     },
+    /// The planner cannot be built.
+    #[error("{planner} needs {part}")]
+    MissingPart {
+        /// Its name.
+        planner: PlannerName,
+        /// What is missing.
+        part: &'static str,
+    },
     /// What it computed is no trajectory.
     #[error("the planned states make no trajectory")]
     Trajectory(#[from] TrajectoryError),
@@ -96,4 +107,14 @@ pub trait Planner: Send {
     /// # Errors
     /// When no trajectory can be given.
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError>;
+
+    /// The planning calls since the last initialization; none for a planner that makes none.
+    fn calls(&self) -> &[PlanningCall] {
+        &[]
+    }
+
+    /// The drivable areas that the planner scores its plans with, if it has one answer for the whole simulation.
+    fn drivable_layers(&self) -> Option<DrivableLayers> {
+        None
+    }
 }

@@ -15,11 +15,6 @@ impl PdmClosed {
     pub fn new() -> Self {
         Self::default()
     }
-
-    /// What counts as drivable along its way; `None` before the first iteration.
-    pub fn drivable_layers(&self) -> Option<DrivableLayers> {
-        self.memory.reference_path.as_ref().map(ReferencePath::layers)
-    }
 }
 
 impl Planner for PdmClosed {
@@ -34,6 +29,10 @@ impl Planner for PdmClosed {
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         Ok(plan(&mut self.memory, &input.scene).map_err(pdm_failed)?.trajectory)
+    }
+
+    fn drivable_layers(&self) -> Option<DrivableLayers> {
+        self.memory.reference_path.as_ref().map(ReferencePath::layers)
     }
 }
 

@@ -9,7 +9,7 @@ use super::pdm_closed::{pdm_failed, predicted_score};
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
 use super::settings::{AfterMaxExec, PlanAgentSettings};
 use super::shuffled_bev;
-use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
+use super::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName};
 use crate::environment::text::{self, Description};
 use crate::environment::{AgentName, BevView, CenterlineName, LaneGraph, bev};
 use crate::geometry::Pose;
@@ -20,8 +20,6 @@ use crate::reflection::{IdmPlan, Judge, LeadPolicy, PlanMonitor, ReflectionRepor
 use crate::world::{STEP_S, Scene, Trajectory};
 use std::time::Instant;
 
-/// Name of the planner in results.
-pub const NAME: &str = "plan-agent";
 /// Deceleration of a stop that no code asked for, m/s²: within nuPlan's comfort bound of 4.05.
 const BRAKE: f64 = 4.0;
 /// Steps of 0.1 s of the trajectory that drives: 8 s, what nuPlan's planners give and its open-loop metrics look at.
@@ -29,7 +27,7 @@ pub(super) const PLAN_STEPS: usize = 80;
 
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
 pub struct PlanAgent {
-    name: &'static str,
+    name: PlannerName,
     code_source: CodeSource,
     settings: PlanAgentSettings,
     active_plan: ActivePlan,
@@ -69,14 +67,9 @@ impl Thinking {
 
 impl PlanAgent {
     /// An agent that thinks with this mind; `name` stands in results.
-    pub fn new(name: &'static str, code_source: CodeSource, settings: PlanAgentSettings) -> Self {
+    pub fn new(name: PlannerName, code_source: CodeSource, settings: PlanAgentSettings) -> Self {
         let (active_plan, memory, calls) = (ActivePlan::None, PdmMemory::default(), Vec::new());
         Self { name, code_source, settings, active_plan, underway: None, memory, calls }
-    }
-
-    /// The records of all planning calls since the last initialisation.
-    pub fn calls(&self) -> &[PlanningCall] {
-        &self.calls
     }
 
     /// The generated planner that drives now.
@@ -394,7 +387,11 @@ impl PlanAgent {
 
 impl Planner for PlanAgent {
     fn name(&self) -> &str {
-        self.name
+        self.name.as_str()
+    }
+
+    fn calls(&self) -> &[PlanningCall] {
+        &self.calls
     }
 
     fn initialize(&mut self, _: &PlannerInitialization<'_>) -> Result<(), PlannerError> {

@@ -1,6 +1,7 @@
 //! Settings of the agent.
 
 use super::latency::Latency;
+use crate::environment::DEFAULT_NODE_LENGTH;
 use crate::reflection::{LeadPolicy, PlanMonitor, steps_of};
 use std::time::Duration;
 
@@ -58,6 +59,31 @@ pub struct PlanAgentSettings {
     pub emergency_brake: bool,
     /// Seed of the run; each planning call draws from its own stream.
     pub seed: u64,
+}
+
+impl Default for PlanAgentSettings {
+    fn default() -> Self {
+        Self {
+            view_m: Some(64.0),
+            shuffled_bev: false,
+            lane_graph: true,
+            node_length_m: DEFAULT_NODE_LENGTH,
+            interval: 20,
+            deadline: None,
+            gate: None,
+            latency: Latency::None,
+            reflect: true,
+            threshold: 0.75,
+            lane_change_threshold: 0.98,
+            max_exec: 3,
+            horizon_s: 4.0,
+            after_max_exec: AfterMaxExec::Best,
+            lead_policy: LeadPolicy::Nearest,
+            monitoring: true,
+            emergency_brake: true,
+            seed: 0,
+        }
+    }
 }
 
 impl PlanAgentSettings {

@@ -9,7 +9,7 @@ use planagent::internals::mllm::{
     Architecture, Constraint, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry, ModelSource,
     PromptPrefix, RoundTokens, Sampling,
 };
-use planagent::internals::planner::{AfterMaxExec, CodeSource, Latency, PLAN_AGENT, PlanAgent, PlanAgentSettings};
+use planagent::internals::planner::{AfterMaxExec, CodeSource, Latency, PlanAgent, PlanAgentSettings, Planner, PlannerName};
 use planagent::internals::reasoning::{PromptSet, ReasoningSettings, Round};
 use planagent::internals::reflection::LeadPolicy;
 use planagent::internals::scenario::generator;
@@ -252,7 +252,7 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
         grammar: true,
     };
     let code_source = CodeSource::Model { model, prompts: Arc::new(PromptSet::open("compact").unwrap()), reasoning };
-    let mut agent = PlanAgent::new(PLAN_AGENT, code_source, settings);
+    let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source, settings);
     let scenario = generator::generate(&"generated/high_magnitude_speed/1".parse().unwrap()).unwrap();
     simulate(&scenario, &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
     agent

@@ -4,8 +4,9 @@ use super::parquet::{aggregator_table, table};
 use super::{assert_same_results, drives};
 use crate::cli::{read_json, run};
 use planagent::internals::experiment::panic_guard;
-use planagent::internals::experiment::run::{self as runner, PlannerKind, SimulationRecord, SimulationTask};
+use planagent::internals::experiment::run::{self as runner, AgentParts, SimulationRecord, SimulationTask};
 use planagent::internals::experiment::source::ScenarioSource;
+use planagent::internals::planner::PlannerName;
 use planagent::internals::scenario::generator;
 use planagent::internals::simulation::Challenge;
 use std::collections::BTreeMap;
@@ -22,16 +23,21 @@ fn tasks() -> Vec<SimulationTask> {
         challenge: Challenge::ClosedLoopNonreactiveAgents,
     };
     let scene = ScenarioSource::Generated(generator::DEFAULT);
-    vec![of(&missing, PlannerKind::Simple), of(&scene, PlannerKind::PlanAgent), of(&scene, PlannerKind::Simple)]
+    vec![
+        of(&missing, PlannerName::new("simple")),
+        of(&scene, PlannerName::PLAN_AGENT),
+        of(&scene, PlannerName::new("simple")),
+    ]
 }
 
 /// All records of a run of [`assignments`], by number.
 fn records(on_iteration: &(dyn Fn() + Sync)) -> BTreeMap<usize, SimulationRecord> {
     let records = Mutex::new(BTreeMap::new());
-    let outcome: Result<(), ()> = runner::run(&tasks(), &[0, 1, 2], None, &|_| on_iteration(), &|number, record| {
-        assert!(records.lock().unwrap().insert(number, record).is_none());
-        Ok(())
-    });
+    let outcome: Result<(), ()> =
+        runner::run(&tasks(), &[0, 1, 2], &AgentParts::default(), &|_| on_iteration(), &|number, record| {
+            assert!(records.lock().unwrap().insert(number, record).is_none());
+            Ok(())
+        });
     outcome.unwrap();
     records.into_inner().unwrap()
 }
@@ -58,7 +64,9 @@ fn a_panic_is_recorded_with_its_place_and_the_run_goes_on() {
 
 #[test]
 fn nothing_is_begun_after_a_record_that_cannot_be_kept() {
-    let outcome = runner::run(&tasks(), &[0, 1, 2], None, &|_| (), &|number, _| Err(format!("disk full at {number}")));
+    let outcome = runner::run(&tasks(), &[0, 1, 2], &AgentParts::default(), &|_| (), &|number, _| {
+        Err(format!("disk full at {number}"))
+    });
     assert!(outcome.unwrap_err().starts_with("disk full at"));
 }
 

@@ -3,8 +3,8 @@
 use crate::cli::args::PlanArguments;
 use crate::cli::{Config, Exit, Printer, model};
 use crate::experiment::nuplan_data::NuPlanData;
-use crate::experiment::run::PlannerKind;
 use crate::experiment::source::ScenarioSource;
+use crate::planner::PlannerName;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
 use crate::reasoning::Interruption;
 use crate::report::{CallTimes, attempt_markdown, call_record, decision_words, fixed};
@@ -22,9 +22,9 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
     let (iteration, frame) = instant(&scenario, flags.at)?;
     let loaded = model::load(config, printer)?;
     let parts = model::parts(config, Some(&loaded));
-    let mut agent = parts.agent(PlannerKind::PlanAgent, &scenario.id).context("plan-agent needs a model")?;
+    let mut agent = parts.planner(PlannerName::PLAN_AGENT, &scenario)?;
     agent.initialize(&PlannerInitialization { map: &scenario.map, route: &scenario.route })?;
-    let trajectory = compute(&scenario, iteration, frame, &mut agent)?;
+    let trajectory = compute(&scenario, iteration, frame, agent.as_mut())?;
     // The planner counts calls from iteration 0; the record tells where in the drive this one was made.
     let call = agent.calls().last().context("the planner made no call")?;
     let call = PlanningCall { iteration, ..call.clone() };
@@ -84,7 +84,7 @@ fn compute(
 
 /// The call's record with the trajectory: seconds from now, x, y, heading (map frame), speed.
 fn with_trajectory(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory) -> Value {
-    let mut record = call_record(&scenario.id, PlannerKind::PlanAgent.as_str(), None, call);
+    let mut record = call_record(&scenario.id, PlannerName::PLAN_AGENT.as_str(), None, call);
     let start = trajectory.start_us();
     let states = trajectory.states().iter().map(|state| {
         let pose = state.rear_axle;

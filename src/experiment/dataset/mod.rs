@@ -10,7 +10,7 @@ mod shard;
 pub use label::LabelledState;
 pub use shard::{FORMAT, Meta, ShardError};
 
-use super::run::{AgentParts, PlannerKind};
+use super::run::AgentParts;
 use crate::environment::{BevError, BevView, LaneGraph, SceneFacts, bev};
 use crate::pdm::PdmMemory;
 use crate::planner::{Attempt, Planner, PlannerInput};
@@ -209,7 +209,7 @@ fn label_scene(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabelledStat
     let Ok(scenario) = generator::generate(spec) else { return Ok(Vec::new()) };
     let challenge = Challenge::CLOSED_LOOP[usize::from(random.random_bool(0.5))];
     let Ok(mut drive) = ClosedLoop::new(&scenario, challenge) else { return Ok(Vec::new()) };
-    let mut agent = settings.driver.and_then(|parts| parts.agent(PlannerKind::PlanAgent, &scenario.id));
+    let mut agent = settings.driver.and_then(|parts| parts.agent(&scenario.id));
     let mut states = Vec::new();
     loop {
         let scene = drive.scene();

@@ -2,7 +2,7 @@
 
 use super::paper::{self, Published};
 use super::{Column, Figure, NO, Rows, Study, SuiteName, Variant, YES};
-use crate::experiment::run::PlannerKind;
+use crate::planner::PlannerName;
 
 /// Their names, in the order in which `all` makes them.
 pub const NAMES: [&str; 11] = [
@@ -42,7 +42,7 @@ pub fn named(name: &str) -> Option<Study> {
 }
 
 /// A planner as it is configured.
-const fn planner(labels: &'static [&'static str], planner: PlannerKind, published: Published) -> Variant {
+const fn planner(labels: &'static [&'static str], planner: PlannerName, published: Published) -> Variant {
     Variant { labels, planner, settings: "", published, x: None }
 }
 
@@ -53,17 +53,17 @@ fn agent_at(labels: &'static [&'static str], settings: &'static str, published: 
 
 /// PlanAgent with settings of its own.
 const fn agent(labels: &'static [&'static str], settings: &'static str, published: Published) -> Variant {
-    Variant { settings, ..planner(labels, PlannerKind::PlanAgent, published) }
+    Variant { settings, ..planner(labels, PlannerName::PLAN_AGENT, published) }
 }
 
-const PLAN_AGENT: Variant = planner(&["plan-agent"], PlannerKind::PlanAgent, paper::PLAN_AGENT);
+const PLAN_AGENT: Variant = planner(&["plan-agent"], PlannerName::PLAN_AGENT, paper::PLAN_AGENT);
 /// PlanAgent as the paper has it: one λ for all planners, the last planner drives after `max_exec` refusals, and a planner drives as it was written.
 const AS_IN_THE_PAPER: &str =
     "reflection = { lane_change_threshold = 0.0, after_max_exec = 'last', monitoring = false }";
-const RANDOM_CODE: Variant = planner(&["random-code"], PlannerKind::RandomCode, Published::NOTHING);
-const FIXED_CODE: Variant = planner(&["fixed-code"], PlannerKind::FixedCode, Published::NOTHING);
-const GRID_CODE: Variant = planner(&["grid-code"], PlannerKind::GridCode, Published::NOTHING);
-const PDM_CLOSED: Variant = planner(&["pdm-closed"], PlannerKind::PdmClosed, paper::PDM_CLOSED);
+const RANDOM_CODE: Variant = planner(&["random-code"], PlannerName::new("random-code"), Published::NOTHING);
+const FIXED_CODE: Variant = planner(&["fixed-code"], PlannerName::new("fixed-code"), Published::NOTHING);
+const GRID_CODE: Variant = planner(&["grid-code"], PlannerName::new("grid-code"), Published::NOTHING);
+const PDM_CLOSED: Variant = planner(&["pdm-closed"], PlannerName::PDM_CLOSED, paper::PDM_CLOSED);
 
 fn main() -> Study {
     Study {
@@ -72,11 +72,11 @@ fn main() -> Study {
         paper: Some("comparison with competitive methods"),
         labels: &["planner"],
         variants: vec![
-            planner(&["log-replay"], PlannerKind::LogReplay, paper::LOG_REPLAY),
-            planner(&["idm"], PlannerKind::Idm, paper::IDM),
+            planner(&["log-replay"], PlannerName::new("log-replay"), paper::LOG_REPLAY),
+            planner(&["idm"], PlannerName::new("idm"), paper::IDM),
             PDM_CLOSED,
-            planner(&["llm-assist-unc"], PlannerKind::LlmAssistUnc, paper::LLM_ASSIST_UNC),
-            planner(&["llm-assist-par"], PlannerKind::LlmAssistPar, paper::LLM_ASSIST_PAR),
+            planner(&["llm-assist-unc"], PlannerName::new("llm-assist-unc"), paper::LLM_ASSIST_UNC),
+            planner(&["llm-assist-par"], PlannerName::new("llm-assist-par"), paper::LLM_ASSIST_PAR),
             RANDOM_CODE,
             FIXED_CODE,
             GRID_CODE,
@@ -186,7 +186,7 @@ fn mllm() -> Study {
         paper: Some("performance of different MLLMs"),
         labels: &["model"],
         variants: vec![
-            planner(&["(pdm-closed)"], PlannerKind::PdmClosed, paper::PDM_CLOSED),
+            planner(&["(pdm-closed)"], PlannerName::PDM_CLOSED, paper::PDM_CLOSED),
             agent(&["nano"], "mllm.model = 'nano'", Published::NOTHING),
             agent(&["llava-1.5-7b"], "mllm.model = 'llava-1.5-7b'", paper::LLAVA_7B),
             agent(&["llava-1.5-13b"], "mllm.model = 'llava-1.5-13b'", paper::LLAVA_13B),

@@ -7,9 +7,9 @@ mod paper;
 pub use catalogue::{NAMES, all, named};
 pub use paper::{Benchmark, Published, PublishedModel, Scores};
 
-use super::run::PlannerKind;
 use super::source::ScenarioSource;
 use super::suite::Suite;
+use crate::planner::PlannerName;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -72,7 +72,7 @@ pub struct Variant {
     /// Its name, a word for each of the study's label columns.
     pub labels: &'static [&'static str],
     /// Who drives.
-    pub planner: PlannerKind,
+    pub planner: PlannerName,
     /// TOML that is laid over the configuration.
     pub settings: &'static str,
     /// What the paper has in its place.

@@ -12,7 +12,7 @@ mod waypoints;
 use super::pdm_closed::pdm_failed;
 use super::plan_agent::{names, reflection_failed};
 use super::record::{Attempt, Decision, NoPlan, PlanningCall};
-use super::{PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput};
+use super::{PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::environment::coordinates::llm_assist_text;
 use crate::environment::text::{self, Description};
@@ -35,7 +35,7 @@ const PLAN_ITERATIONS: usize = WAYPOINT_SECONDS * 10;
 
 /// LLM-ASSIST in one of its variants.
 pub struct LlmAssist {
-    name: &'static str,
+    name: PlannerName,
     variant: AssistVariant,
     model: Arc<dyn Mllm>,
     prompts: Arc<PromptSet>,
@@ -69,18 +69,13 @@ impl LlmAssist {
     /// A planner that asks this model; `name` stands in results. Its τ is the gate of the settings, else their λ; no time
     /// passes while it is asked.
     pub fn new(
-        name: &'static str,
+        name: PlannerName,
         variant: AssistVariant,
         (model, prompts, reasoning): (Arc<dyn Mllm>, Arc<PromptSet>, ReasoningSettings),
         settings: PlanAgentSettings,
     ) -> Self {
         let (memory, calls) = (PdmMemory::default(), Vec::new());
         Self { name, variant, model, prompts, reasoning, settings, memory, active_plan: None, until: 0, calls }
-    }
-
-    /// The records of all calls since the last initialisation.
-    pub fn calls(&self) -> &[PlanningCall] {
-        &self.calls
     }
 
     /// τ.
@@ -182,7 +177,11 @@ impl LlmAssist {
 
 impl Planner for LlmAssist {
     fn name(&self) -> &str {
-        self.name
+        self.name.as_str()
+    }
+
+    fn calls(&self) -> &[PlanningCall] {
+        &self.calls
     }
 
     fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {

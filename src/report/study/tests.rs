@@ -1,8 +1,8 @@
 //! Numbers and tables of made-up drives.
 
 use super::*;
-use crate::experiment::run::PlannerKind;
 use crate::experiment::study::{Figure, Quick, named};
+use crate::planner::PlannerName;
 use crate::report::figure::figures;
 use crate::report::{SimulationRow, SimulationTime, study_markdown, study_table};
 use crate::simulation::Challenge;
@@ -17,7 +17,7 @@ fn simulation(scene: usize, challenge: Challenge, score: Option<f64>) -> Simulat
         source,
         scenario_type: kind.to_owned(),
         log_name: "generated".to_owned(),
-        planner: PlannerKind::PlanAgent.to_string(),
+        planner: PlannerName::PLAN_AGENT.to_string(),
         challenge,
         error: score.is_none().then(|| "it broke".to_owned()),
         score,

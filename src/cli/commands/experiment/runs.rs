@@ -6,8 +6,9 @@ use crate::cli::commands::simulate::selection::tasks;
 use crate::cli::model::{self, Opened};
 use crate::cli::progress::SimulationProgress;
 use crate::cli::{Config, MllmConfig, Printer, drives};
-use crate::experiment::run::{AgentParts, PlannerKind, SimulationTask};
+use crate::experiment::run::{AgentParts, SimulationTask};
 use crate::experiment::study::Variant;
+use crate::planner::{PlannerNeeds, PlannerRegistry};
 use crate::report::{MANIFEST, Manifest, RunFolder, SUMMARY, ScenarioList, SimulationRow, stamp};
 use crate::simulation::Challenge;
 use anyhow::Context;
@@ -71,9 +72,11 @@ impl<'a> Runs<'a> {
     /// When its settings or its model cannot be used.
     pub(super) fn add(&mut self, suite: &Suite, variant: &Variant) -> anyhow::Result<Result<String, &'static str>> {
         let planner = variant.planner;
+        let planners = PlannerRegistry::default();
+        let entry = planners.find(planner.as_str())?;
         let asked = self.config.overlaid(variant.settings)?;
-        let loaded = match planner {
-            planner if !planner.needs_model() => None,
+        let loaded = match entry {
+            entry if !entry.needs_model() => None,
             _ if !self.has_weights(&asked)? => return Ok(Err(NO_WEIGHTS)),
             _ => Some(self.model(&asked)?.asked(&asked)?),
         };
@@ -86,7 +89,7 @@ impl<'a> Runs<'a> {
             challenges: Challenge::CLOSED_LOOP.iter().map(ToString::to_string).collect(),
             scenarios: suite.list.clone(),
             model,
-            config: toml::Table::try_from(effective(asked, planner))?,
+            config: toml::Table::try_from(effective(asked, entry.needs))?,
         };
         let digest = ScenarioList::digest([&self.program, &manifest.digest()]);
         let name = format!("{planner}-{}-{}", suite.name, digest.get(..DIGEST).unwrap_or(&digest));
@@ -261,17 +264,17 @@ impl Run {
     }
 }
 
-/// What of a configuration a planner's drives depend on.
-fn effective(mut config: Config, planner: PlannerKind) -> Config {
-    match planner {
-        PlannerKind::PlanAgent | PlannerKind::LlmAssistUnc | PlannerKind::LlmAssistPar => {
+/// What of a configuration a planner's simulations depend on.
+fn effective(mut config: Config, needs: PlannerNeeds) -> Config {
+    match needs {
+        PlannerNeeds::Model => {
             (config.mllm.offline, config.mllm.ignore_memory) = (false, false);
             config
         }
-        PlannerKind::RandomCode | PlannerKind::FixedCode | PlannerKind::GridCode => {
+        PlannerNeeds::Settings => {
             config.mllm = MllmConfig::default();
             config
         }
-        PlannerKind::LogReplay | PlannerKind::Idm | PlannerKind::Simple | PlannerKind::PdmClosed => Config::default(),
+        PlannerNeeds::Nothing | PlannerNeeds::Recording => Config::default(),
     }
 }

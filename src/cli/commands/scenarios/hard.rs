@@ -1,8 +1,8 @@
 //! `planagent scenarios hard`: the scenes of generated-14-hard, chosen out of a run.
 
 use crate::cli::{Exit, Printer};
-use crate::experiment::run::PlannerKind;
 use crate::experiment::suite::{Suite, hard_list, hard_scenes};
+use crate::planner::PlannerName;
 use crate::report::RunFolder;
 use crate::simulation::Challenge;
 use anyhow::Context;
@@ -16,11 +16,11 @@ use std::path::Path;
 pub(super) fn run(folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
     RunFolder::manifest(folder)?;
     let rows = RunFolder::ended(folder)?.rows.into_iter().filter(|row| {
-        row.planner == PlannerKind::PdmClosed.as_str() && row.challenge == Challenge::ClosedLoopNonreactiveAgents
+        row.planner == PlannerName::PDM_CLOSED.as_str() && row.challenge == Challenge::ClosedLoopNonreactiveAgents
     });
     let scores = rows.filter_map(|row| Some((row.scenario.parse().ok()?, row.score?))).collect();
     let specs = hard_scenes(&scores).with_context(|| {
-        let (folder, candidates, planner) = (folder.display(), Suite::Candidates.name(), PlannerKind::PdmClosed);
+        let (folder, candidates, planner) = (folder.display(), Suite::Candidates.name(), PlannerName::PDM_CLOSED);
         format!("in {folder}, which should be a run of `simulate --split {candidates} --planner {planner}`")
     })?;
     printer.line(hard_list(&specs).trim_end());

@@ -7,7 +7,7 @@ use crate::cli::model::{self, Loaded};
 use crate::cli::progress::SimulationProgress;
 use crate::cli::{Config, Exit, Printer, drives};
 use crate::experiment::run::SimulationTask;
-use crate::planner::Latency;
+use crate::planner::PlannerRegistry;
 use crate::report::{Manifest, RunFolder, Session, SimulationRow, Summary, Timing, failures, main_table, stamp};
 use anyhow::{anyhow, bail};
 use selection::Selection;
@@ -34,12 +34,15 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
         (Err(trouble), ..) => return Err(trouble),
     };
     let tasks = &selection.tasks;
-    if config.agent.latency != Latency::None
-        && let Some(planner) = selection.planners.iter().find(|planner| planner.is_llm_assist())
-    {
-        bail!("agent.latency is set, and {planner} knows none; leave one of them out");
+    let registry = PlannerRegistry::default();
+    let mut needs_model = false;
+    for planner in &selection.planners {
+        let entry = registry.find(planner.as_str())?;
+        if let Some(key) = entry.unsupported(&config.agent_settings()) {
+            bail!("{key} is not supported by {planner}; remove one of them");
+        }
+        needs_model |= entry.needs_model();
     }
-    let needs_model = selection.planners.iter().any(|planner| planner.needs_model());
     let loaded = if needs_model { Some(model::load(config, printer)?) } else { None };
     let now = manifest(&selection, config, loaded.as_ref())?;
     let (folder, manifest) = match &flags.resume {

@@ -3,9 +3,10 @@
 use crate::cli::Printer;
 use crate::cli::args::SimulateArguments;
 use crate::experiment::nuplan_data::NuPlanData;
-use crate::experiment::run::{PlannerKind, SimulationTask};
+use crate::experiment::run::SimulationTask;
 use crate::experiment::source::ScenarioSource;
 use crate::experiment::split::{MissingTokens, split};
+use crate::planner::{PlannerName, PlannerRegistry};
 use crate::report::{Manifest, ScenarioList};
 use crate::scenario::generator;
 use crate::scenario::nuplan::DataRoots;
@@ -18,7 +19,7 @@ pub(super) struct Selection {
     /// The scenarios, as the manifest tells of them.
     pub(super) list: ScenarioList,
     /// Planners in their order.
-    pub(super) planners: Vec<PlannerKind>,
+    pub(super) planners: Vec<PlannerName>,
     /// Challenges in their order.
     pub(super) challenges: Vec<Challenge>,
     /// Every scenario with every planner in every challenge.
@@ -150,20 +151,21 @@ pub(in crate::cli) fn find(
     Ok(Found { sources, splits: lists, missing })
 }
 
-fn planners(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<PlannerKind>> {
+fn planners(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<Vec<PlannerName>> {
     let names = match manifest {
         Some(manifest) if flags.is_empty() => &manifest.planners,
         _ => flags,
     };
-    let mut planners: Vec<PlannerKind> = Vec::new();
+    let registry = PlannerRegistry::default();
+    let mut planners: Vec<PlannerName> = Vec::new();
     for name in names {
-        let planner = name.parse()?;
+        let planner = registry.find(name)?.name;
         if !planners.contains(&planner) {
             planners.push(planner);
         }
     }
     if planners.is_empty() {
-        planners.push(PlannerKind::PlanAgent);
+        planners.push(PlannerName::PLAN_AGENT);
     }
     Ok(planners)
 }
@@ -194,7 +196,7 @@ fn challenges(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<V
 /// Every scenario with every planner in every challenge.
 pub(in crate::cli) fn tasks(
     sources: &[ScenarioSource],
-    planners: &[PlannerKind],
+    planners: &[PlannerName],
     challenges: &[Challenge],
 ) -> Vec<SimulationTask> {
     let mut all = Vec::with_capacity(sources.len() * planners.len() * challenges.len());

@@ -1,0 +1,236 @@
+//! The planners that a run can name. A new planner is its file and one line of [`PlannerRegistry::default`]; a program adds its
+//! own with [`PlannerRegistry::with`].
+
+use super::plan_agent::PlanAgent;
+use super::{
+    CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay, PdmClosed, PlanAgentSettings, Planner, PlannerError,
+    SimplePlanner,
+};
+use crate::reasoning::AssistVariant;
+use crate::world::EgoState;
+use std::fmt;
+use std::sync::Arc;
+
+/// Name of a planner on the command line, in records and in file names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize)]
+#[serde(transparent)]
+pub struct PlannerName(&'static str);
+
+impl PlannerName {
+    /// The agent of the paper.
+    pub const PLAN_AGENT: Self = Self("plan-agent");
+    /// PDM-Closed.
+    pub const PDM_CLOSED: Self = Self("pdm-closed");
+
+    /// A name; it becomes part of file names.
+    pub const fn new(name: &'static str) -> Self {
+        Self(name)
+    }
+
+    /// The name as text.
+    pub const fn as_str(self) -> &'static str {
+        self.0
+    }
+}
+
+impl fmt::Display for PlannerName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.0)
+    }
+}
+
+/// What a planner is built from. Runs load a model only for a planner that needs one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PlannerNeeds {
+    /// Nothing but the scenario's map and route.
+    Nothing,
+    /// The recorded ego states.
+    Recording,
+    /// The agent's settings.
+    Settings,
+    /// The agent's settings and a model.
+    Model,
+}
+
+/// What a planner of one simulation is built from.
+#[derive(Clone, Copy)]
+pub struct PlannerParts<'a> {
+    /// Name under which the planner is registered.
+    pub name: PlannerName,
+    /// Settings of agents; the seed is that of the simulation.
+    pub settings: &'a PlanAgentSettings,
+    /// The model of a planner that needs one.
+    pub model: Option<&'a CodeSource>,
+    /// The recorded ego states from iteration 0 on, for a planner that needs them.
+    pub recording: &'a [EgoState],
+}
+
+type Built = Result<Box<dyn Planner>, PlannerError>;
+
+/// A planner in the registry.
+#[derive(Clone)]
+pub struct PlannerEntry {
+    /// Its name.
+    pub name: PlannerName,
+    /// One line about it.
+    pub summary: &'static str,
+    /// What it is built from.
+    pub needs: PlannerNeeds,
+    build: Arc<dyn Fn(&PlannerParts<'_>) -> Built + Send + Sync>,
+    unsupported: fn(&PlanAgentSettings) -> Option<&'static str>,
+}
+
+impl PlannerEntry {
+    /// A planner that `build` makes for each simulation.
+    pub fn new(
+        name: PlannerName,
+        summary: &'static str,
+        needs: PlannerNeeds,
+        build: impl Fn(&PlannerParts<'_>) -> Built + Send + Sync + 'static,
+    ) -> Self {
+        Self { name, summary, needs, build: Arc::new(build), unsupported: |_| None }
+    }
+
+    /// Whether it asks the configured model.
+    pub fn needs_model(&self) -> bool {
+        self.needs == PlannerNeeds::Model
+    }
+
+    /// The configuration key that is set and that this planner does not support.
+    pub fn unsupported(&self, settings: &PlanAgentSettings) -> Option<&'static str> {
+        (self.unsupported)(settings)
+    }
+
+    /// The planner of one simulation.
+    ///
+    /// # Errors
+    /// When a part is missing.
+    pub fn build(&self, parts: &PlannerParts<'_>) -> Result<Box<dyn Planner>, PlannerError> {
+        if self.needs_model() && parts.model.is_none() {
+            return Err(PlannerError::MissingPart { planner: self.name, part: "a model" });
+        }
+        (self.build)(parts)
+    }
+}
+
+impl fmt::Debug for PlannerEntry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("PlannerEntry").field("name", &self.name).field("needs", &self.needs).finish_non_exhaustive()
+    }
+}
+
+/// A name that no planner has.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("unknown planner '{name}'; known planners are {known}")]
+pub struct UnknownPlanner {
+    name: String,
+    known: String,
+}
+
+/// The planners by name.
+#[derive(Debug, Clone)]
+pub struct PlannerRegistry {
+    entries: Vec<PlannerEntry>,
+}
+
+impl Default for PlannerRegistry {
+    fn default() -> Self {
+        use PlannerNeeds::{Model, Nothing, Recording, Settings};
+        let entry = PlannerEntry::new;
+        let control = |name, summary, source: CodeSource| {
+            entry(name, summary, Settings, move |parts| Ok(Box::new(agent(parts, source.clone()))))
+        };
+        let assist = |name, summary, variant| PlannerEntry {
+            unsupported: |settings| (settings.latency != Latency::None).then_some("agent.latency"),
+            ..entry(name, summary, Model, move |parts| llm_assist(parts, variant))
+        };
+        let name = PlannerName::new;
+        Self {
+            entries: vec![
+                entry(PlannerName::PLAN_AGENT, "the agent of the paper", Model, plan_agent),
+                entry(name("log-replay"), "the recorded driver", Recording, |parts| {
+                    Ok(Box::new(LogReplay::new(parts.recording.to_vec())))
+                }),
+                entry(name("idm"), "nuPlan's IDM planner", Nothing, |_| Ok(Box::new(IdmPlanner::default()))),
+                entry(name("simple"), "nuPlan's planner that drives straight ahead", Nothing, |_| {
+                    Ok(Box::new(SimplePlanner::default()))
+                }),
+                entry(PlannerName::PDM_CLOSED, "PDM-Closed", Nothing, |_| Ok(Box::new(PdmClosed::new()))),
+                assist(name("llm-assist-unc"), "LLM-ASSIST; the model gives waypoints", AssistVariant::Unconstrained),
+                assist(name("llm-assist-par"), "LLM-ASSIST; the model tunes PDM-Closed", AssistVariant::Parameters),
+                control(name("random-code"), "the agent with random codes (a control)", CodeSource::Random),
+                control(name("fixed-code"), "the agent with one fixed code (a control)", CodeSource::Fixed),
+                control(name("grid-code"), "the agent with the best code of a grid (a control)", CodeSource::Grid),
+            ],
+        }
+    }
+}
+
+impl PlannerRegistry {
+    /// The same with one more planner, in place of an earlier one of the same name.
+    #[must_use]
+    pub fn with(mut self, entry: PlannerEntry) -> Self {
+        self.entries.retain(|earlier| earlier.name != entry.name);
+        self.entries.push(entry);
+        self
+    }
+
+    /// All planners.
+    pub fn entries(&self) -> &[PlannerEntry] {
+        &self.entries
+    }
+
+    /// The planner of a name.
+    ///
+    /// # Errors
+    /// When no planner has it.
+    pub fn find(&self, name: &str) -> Result<&PlannerEntry, UnknownPlanner> {
+        self.entries.iter().find(|entry| entry.name.as_str() == name).ok_or_else(|| {
+            let known: Vec<&str> = self.entries.iter().map(|entry| entry.name.as_str()).collect();
+            UnknownPlanner { name: name.to_owned(), known: known.join(", ") }
+        })
+    }
+}
+
+fn agent(parts: &PlannerParts<'_>, source: CodeSource) -> PlanAgent {
+    PlanAgent::new(parts.name, source, parts.settings.clone())
+}
+
+fn plan_agent(parts: &PlannerParts<'_>) -> Built {
+    let missing = PlannerError::MissingPart { planner: parts.name, part: "a model" };
+    Ok(Box::new(agent(parts, parts.model.cloned().ok_or(missing)?)))
+}
+
+fn llm_assist(parts: &PlannerParts<'_>, variant: AssistVariant) -> Built {
+    let Some(CodeSource::Model { model, prompts, reasoning }) = parts.model.cloned() else {
+        return Err(PlannerError::MissingPart { planner: parts.name, part: "a language model" });
+    };
+    Ok(Box::new(LlmAssist::new(parts.name, variant, (model, prompts, reasoning), parts.settings.clone())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn names_are_different_and_fit_into_file_names() {
+        let registry = PlannerRegistry::default();
+        let names: BTreeSet<PlannerName> = registry.entries().iter().map(|entry| entry.name).collect();
+        assert_eq!(names.len(), registry.entries().len());
+        let fits = |name: &PlannerName| name.as_str().chars().all(|c| c.is_ascii_lowercase() || c == '-');
+        assert!(names.iter().all(fits), "{names:?}");
+    }
+
+    #[test]
+    fn a_later_entry_replaces_an_earlier_one_of_its_name() {
+        let own = PlannerEntry::new(PlannerName::new("idm"), "mine", PlannerNeeds::Settings, |_| {
+            Ok(Box::new(SimplePlanner::default()))
+        });
+        let registry = PlannerRegistry::default().with(own);
+        assert_eq!(registry.find("idm").unwrap().summary, "mine");
+        assert_eq!(registry.entries().len(), PlannerRegistry::default().entries().len());
+        let error = registry.find("imd").unwrap_err().to_string();
+        assert!(error.starts_with("unknown planner 'imd'; known planners are plan-agent, log-replay"), "{error}");
+    }
+}
