@@ -342,7 +342,7 @@ fn a_roll_out_stops_before_a_red_light() {
 #[test]
 fn the_controls_drive_without_a_model() {
     let best = |code_source: CodeSource| {
-        let mut agent = PlanAgent::new("control", code_source, settings());
+        let mut agent = PlanAgent::new(PlannerName::new("control"), code_source, settings());
         simulate(&scenario("generated/changing_lane/3"), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
         let calls = agent.calls().to_vec();
         assert_eq!(calls.len(), 8);

@@ -136,26 +136,25 @@ pub struct PlannerRegistry {
 impl Default for PlannerRegistry {
     fn default() -> Self {
         use PlannerNeeds::{Model, Nothing, Recording, Settings};
-        let entry = PlannerEntry::new;
         let control = |name, summary, source: CodeSource| {
-            entry(name, summary, Settings, move |parts| Ok(Box::new(agent(parts, source.clone()))))
+            PlannerEntry::new(name, summary, Settings, move |parts| boxed(agent(parts, source.clone())))
         };
         let assist = |name, summary, variant| PlannerEntry {
             unsupported: |settings| (settings.latency != Latency::None).then_some("agent.latency"),
-            ..entry(name, summary, Model, move |parts| llm_assist(parts, variant))
+            ..PlannerEntry::new(name, summary, Model, move |parts| llm_assist(parts, variant))
         };
         let name = PlannerName::new;
         Self {
             entries: vec![
-                entry(PlannerName::PLAN_AGENT, "the agent of the paper", Model, plan_agent),
-                entry(name("log-replay"), "the recorded driver", Recording, |parts| {
-                    Ok(Box::new(LogReplay::new(parts.recording.to_vec())))
+                PlannerEntry::new(PlannerName::PLAN_AGENT, "the agent of the paper", Model, plan_agent),
+                PlannerEntry::new(name("log-replay"), "the recorded driver", Recording, |parts| {
+                    boxed(LogReplay::new(parts.recording.to_vec()))
                 }),
-                entry(name("idm"), "nuPlan's IDM planner", Nothing, |_| Ok(Box::new(IdmPlanner::default()))),
-                entry(name("simple"), "nuPlan's planner that drives straight ahead", Nothing, |_| {
-                    Ok(Box::new(SimplePlanner::default()))
+                PlannerEntry::new(name("idm"), "nuPlan's IDM planner", Nothing, |_| boxed(IdmPlanner::default())),
+                PlannerEntry::new(name("simple"), "nuPlan's planner that drives straight ahead", Nothing, |_| {
+                    boxed(SimplePlanner::default())
                 }),
-                entry(PlannerName::PDM_CLOSED, "PDM-Closed", Nothing, |_| Ok(Box::new(PdmClosed::new()))),
+                PlannerEntry::new(PlannerName::PDM_CLOSED, "PDM-Closed", Nothing, |_| boxed(PdmClosed::new())),
                 assist(name("llm-assist-unc"), "LLM-ASSIST; the model gives waypoints", AssistVariant::Unconstrained),
                 assist(name("llm-assist-par"), "LLM-ASSIST; the model tunes PDM-Closed", AssistVariant::Parameters),
                 control(name("random-code"), "the agent with random codes (a control)", CodeSource::Random),
@@ -190,6 +189,10 @@ impl PlannerRegistry {
             UnknownPlanner { name: name.to_owned(), known: known.join(", ") }
         })
     }
+}
+
+fn boxed(planner: impl Planner + 'static) -> Built {
+    Ok(Box::new(planner))
 }
 
 fn agent(parts: &PlannerParts<'_>, source: CodeSource) -> PlanAgent {

@@ -9,7 +9,9 @@ use planagent::internals::mllm::{
     Architecture, Constraint, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry, ModelSource,
     PromptPrefix, RoundTokens, Sampling,
 };
-use planagent::internals::planner::{AfterMaxExec, CodeSource, Latency, PlanAgent, PlanAgentSettings, Planner, PlannerName};
+use planagent::internals::planner::{
+    AfterMaxExec, CodeSource, Latency, PlanAgent, PlanAgentSettings, Planner, PlannerName,
+};
 use planagent::internals::reasoning::{PromptSet, ReasoningSettings, Round};
 use planagent::internals::reflection::LeadPolicy;
 use planagent::internals::scenario::generator;
