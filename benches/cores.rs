@@ -8,8 +8,8 @@
 )]
 
 use planagent::internals::experiment::run::{AgentParts, SimulationTask, run};
-use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::planner::PlannerName;
+use planagent::internals::scenario::ScenarioRef;
 use planagent::internals::scenario::generator::{ScenarioType, Spec};
 use planagent::internals::simulation::Challenge;
 use std::time::Instant;
@@ -27,7 +27,7 @@ fn tasks() -> Vec<SimulationTask> {
     scenes
         .flat_map(|spec| {
             [PlannerName::new("idm"), PlannerName::PDM_CLOSED].into_iter().flat_map(move |planner| {
-                let source = ScenarioSource::Generated(spec);
+                let source = ScenarioRef::from(spec);
                 Challenge::CLOSED_LOOP.map(|challenge| SimulationTask { source: source.clone(), planner, challenge })
             })
         })

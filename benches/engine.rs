@@ -10,8 +10,6 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use planagent::internals::dynamics::IdmTraffic;
 use planagent::internals::environment::text::{self, Description};
 use planagent::internals::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, bev};
-use planagent::internals::experiment::nuplan_data::NuPlanData;
-use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::geometry::{OrientedBox, Vector};
 use planagent::internals::metrics::{EvaluatedSimulation, evaluate};
 use planagent::internals::pdm::{
@@ -21,8 +19,8 @@ use planagent::internals::planner::{IdmPlanner, LogReplay, Planner, PlannerInput
 use planagent::internals::reasoning::PlannerCode;
 use planagent::internals::reflection::{Judge, LeadPolicy};
 use planagent::internals::scenario::generator::{DEFAULT, generate};
-use planagent::internals::scenario::nuplan::DataRoots;
 use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
+use planagent::internals::scenario::{DataRoots, Readers};
 use planagent::internals::simulation::{Challenge, ClosedLoop, simulate};
 use planagent::internals::world::{
     EgoState, LaneMap, ObjectKind, STEP_S, Scene, TrackToken, TrackedObject, TrafficLights,
@@ -152,12 +150,12 @@ fn opening(c: &mut Criterion) {
     let target = folder.path().join("export");
     write_scenario(&generate(&DEFAULT).unwrap(), &target, &ExportSettings::default()).unwrap();
     let roots = || DataRoots { data: Some(target.join("data")), maps: Some(target.join("maps")) };
-    let open = |data: &NuPlanData| {
-        let sources = ScenarioSource::find(&target.join("data").to_string_lossy(), data).unwrap();
+    let open = |readers: &Readers| {
+        let sources = readers.find(&target.join("data").to_string_lossy()).unwrap();
         sources[0].open().unwrap()
     };
-    c.bench_function("open a nuPlan scenario, map included", |b| b.iter(|| open(&NuPlanData::new(roots()))));
-    let warm = NuPlanData::new(roots());
+    c.bench_function("open a nuPlan scenario, map included", |b| b.iter(|| open(&Readers::new(&roots()))));
+    let warm = Readers::new(&roots());
     c.bench_function("open a nuPlan scenario, map at hand", |b| b.iter(|| open(&warm)));
 }
 

@@ -1,7 +1,6 @@
 //! A planner of one's own: registered by name from outside the crate, run, recorded and summarized like those that are built in.
 
 use planagent::internals::experiment::run::{AgentParts, SimulationTask, run};
-use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::planner::{
     Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
     PlannerRegistry, SimplePlanner,
@@ -38,7 +37,7 @@ fn an_own_planner_is_run_and_recorded_by_its_name() {
     let parts = AgentParts { registry: PlannerRegistry::default().with(entry), ..AgentParts::default() };
     let planner = parts.registry.find("crawler").unwrap().name;
     let tasks = Challenge::CLOSED_LOOP.map(|challenge| SimulationTask {
-        source: ScenarioSource::Generated(generator::DEFAULT),
+        source: generator::DEFAULT.into(),
         planner,
         challenge,
     });
@@ -57,7 +56,7 @@ fn an_own_planner_is_run_and_recorded_by_its_name() {
 
 #[test]
 fn an_unknown_planner_is_recorded_as_a_failure() {
-    let source = ScenarioSource::Generated(generator::DEFAULT);
+    let source = generator::DEFAULT.into();
     let challenge = Challenge::ClosedLoopNonreactiveAgents;
     let tasks = [SimulationTask { source, planner: PlannerName::new("crawler"), challenge }];
     let outcome = run(&tasks, &[0], &AgentParts::default(), &|_| (), &|_, record| match record.outcome {

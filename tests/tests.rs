@@ -19,6 +19,7 @@ mod nuplan;
 mod nuplan_input;
 mod outside;
 mod own_planner;
+mod own_reader;
 mod page;
 mod pdm;
 mod road;

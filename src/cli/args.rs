@@ -1,10 +1,9 @@
 //! The flags, as typed.
 
 use super::picture::PictureFile;
-use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::study;
 use crate::mllm::WeightFormat;
-use crate::scenario::nuplan::DataRoots;
+use crate::scenario::{DataRoots, Readers};
 use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -103,9 +102,9 @@ impl DataArguments {
         DataRoots { data: self.data_root.clone().or(known.data), maps: self.maps_root.clone().or(known.maps) }
     }
 
-    /// nuPlan's data in these folders.
-    pub(super) fn data(&self) -> NuPlanData {
-        NuPlanData::new(self.roots())
+    /// The scenario readers, with nuPlan's data in these folders.
+    pub(super) fn readers(&self) -> Readers {
+        Readers::new(&self.roots())
     }
 }
 

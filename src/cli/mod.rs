@@ -12,8 +12,8 @@ mod printer;
 mod progress;
 
 use crate::experiment::panic_guard;
-use crate::experiment::source::ScenarioSource;
 use crate::report::RunFolder;
+use crate::scenario::absolute_path;
 use anyhow::{Context, bail};
 use args::{Arguments, Command, SimulateArguments};
 use clap::Parser;
@@ -63,7 +63,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     // A run is gone on with from any folder.
     for word in [Some(&mut config.mllm.model), config.reasoning.prompt_set.as_mut()].into_iter().flatten() {
         if word.contains(['/', '\\']) && Path::new(word).exists() {
-            *word = ScenarioSource::absolute_word(word);
+            *word = absolute_path(word);
         }
     }
     let threads = arguments.threads.unwrap_or(0);

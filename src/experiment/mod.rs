@@ -3,10 +3,8 @@
 
 pub mod bench;
 pub mod dataset;
-pub mod nuplan_data;
 pub mod panic_guard;
 pub mod run;
-pub mod source;
 pub mod split;
 pub mod statistics;
 pub mod study;

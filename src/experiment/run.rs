@@ -1,14 +1,13 @@
 //! Many drives: scenarios x planners x challenges on all cores, each handed over with its score or its error when it ends.
 
 use super::panic_guard::catch_panic;
-use super::source::ScenarioSource;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::pdm::DrivableLayers;
 use crate::planner::{
     CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, PlannerNeeds, PlannerParts,
     PlannerRegistry, PlanningCall, UnknownPlanner,
 };
-use crate::scenario::{Scenario, UNKNOWN_TYPE};
+use crate::scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
 
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
 use crate::world::EgoState;
@@ -71,7 +70,7 @@ pub enum BuildError {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SimulationTask {
     /// What is driven.
-    pub source: ScenarioSource,
+    pub source: ScenarioRef,
     /// By whom.
     pub planner: PlannerName,
     /// Among which traffic.
@@ -166,14 +165,14 @@ fn drive(
         source: source.to_string(),
         scenario: opened
             .map(|scenario| scenario.id.clone())
-            .or_else(|| source.id())
+            .or_else(|| source.id().map(str::to_owned))
             .unwrap_or_else(|| source.to_string()),
         scenario_type: opened
             .map(|scenario| scenario.scenario_type.as_str())
             .or_else(|| source.scenario_type())
             .unwrap_or(UNKNOWN_TYPE)
             .to_owned(),
-        log_name: opened.map_or_else(|| source.log_name(), |scenario| scenario.log_name.clone()),
+        log_name: opened.map_or_else(|| source.log_name(), |scenario| &scenario.log_name).to_owned(),
         planner: *planner,
         challenge: *challenge,
         started_s,

@@ -1,6 +1,6 @@
 //! `manifest.toml`: what a run is made of, written before its first drive.
 
-use crate::experiment::split::MissingTokens;
+use crate::scenario::MissingTokens;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 

@@ -1,10 +1,10 @@
 //! `summary.json`: scores only, no measured times, the same bytes for the same seed.
 
 use super::simulation_row::{SimulationRow, is_zero};
-use crate::experiment::split::MissingTokens;
 use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate};
 use crate::mllm::ModelDescription;
 use crate::pdm::DrivableLayers;
+use crate::scenario::MissingTokens;
 use crate::simulation::Challenge;
 use serde::Serialize;
 use serde_json::{Map, Value, json};

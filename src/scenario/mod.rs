@@ -6,12 +6,19 @@ use std::sync::Arc;
 pub mod argoverse2;
 pub mod generator;
 pub mod nuplan;
+mod reader;
 mod recording;
 pub mod womd;
 
-pub use nuplan::UNKNOWN_TYPE;
+pub use reader::{
+    Contents, DataRoots, ExcludedToken, MissingTokens, OnProgress, OpenScenario, ReaderError, Readers, Recognition,
+    ScenarioReader, ScenarioRef, Split, absolute_path,
+};
 pub use recording::trace::LineFault;
 pub use recording::window::TimeFault;
+
+/// nuPlan's type of a scenario without a tag (devkit `DEFAULT_SCENARIO_NAME`).
+pub const UNKNOWN_TYPE: &str = "unknown";
 
 /// Most frames of [`Scenario::future`]: eight seconds at 10 Hz, the farthest that nuPlan looks ahead.
 pub const FUTURE_FRAMES: usize = 80;

@@ -3,14 +3,11 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 use crate::outside::data;
-use planagent::internals::experiment::nuplan_data::NuPlanData;
-use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::geometry::wrap_angle;
 use planagent::internals::metrics::{self, MetricName};
 use planagent::internals::planner::{IdmPlanner, LogReplay, Planner};
-use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::argoverse2::{self, Argoverse2Error};
-use planagent::internals::scenario::nuplan::DataRoots;
+use planagent::internals::scenario::{DataRoots, Readers, Scenario, ScenarioRef};
 use planagent::internals::simulation::{Challenge, simulate};
 use planagent::internals::world::{EgoState, LaneKind, PACIFICA};
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,9 +18,10 @@ fn logs(dataset: &str) -> Vec<PathBuf> {
     data(&format!("argoverse2/{dataset}")).map_or_else(Vec::new, |folder| argoverse2::logs_in(&folder).unwrap())
 }
 
-/// No folder of nuPlan's.
-fn no_nuplan() -> NuPlanData {
-    NuPlanData::new(DataRoots::default())
+/// The words of the scenarios that a word names.
+fn found(word: &str) -> Vec<String> {
+    let readers = Readers::new(&DataRoots::default());
+    readers.find(word).unwrap().iter().map(ScenarioRef::to_string).collect()
 }
 
 fn all_logs() -> Vec<PathBuf> {
@@ -52,15 +50,11 @@ fn logs_open_with_their_window() {
         assert!(scenario.frames.windows(2).all(|pair| pair[1].ego.time_us > pair[0].ego.time_us), "{id}");
         assert!(scenario.frames.iter().all(|frame| frame.ego.rear_axle.position().coords.norm() < 500.0), "{id}");
         assert!(scenario.frames.iter().all(|frame| !frame.objects.is_empty()), "{id}");
-        assert_eq!(
-            ScenarioSource::find(&log.to_string_lossy(), &no_nuplan()).unwrap(),
-            vec![ScenarioSource::Argoverse2(log.clone())]
-        );
-        let above = log.parent().unwrap().to_string_lossy();
-        let source = ScenarioSource::Argoverse2(log.clone());
-        assert!(ScenarioSource::find(&above, &no_nuplan()).unwrap().contains(&source));
-        let two_above = log.parent().unwrap().parent().unwrap().to_string_lossy();
-        assert!(ScenarioSource::find(&two_above, &no_nuplan()).unwrap().contains(&source));
+        let word = log.display().to_string();
+        assert_eq!(found(&word), [word.clone()]);
+        for above in log.ancestors().skip(1).take(2) {
+            assert!(found(&above.to_string_lossy()).contains(&word));
+        }
     }
 }
 

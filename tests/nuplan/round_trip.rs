@@ -7,7 +7,7 @@ use planagent::internals::planner::{IdmPlanner, LogReplay, PdmClosed, Planner};
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
 use planagent::internals::scenario::nuplan::export::{Departures, ExportSettings, Exported, write_scenarios};
-use planagent::internals::scenario::nuplan::{DataRoots, MapStore, ScenarioFilter, SearchResult, find, open};
+use planagent::internals::scenario::nuplan::{Logs, MapStore, ScenarioFilter, SearchResult, open, search};
 use planagent::internals::simulation::{Challenge, simulate};
 use planagent::internals::world::EgoState;
 use rayon::prelude::*;
@@ -22,13 +22,12 @@ pub(super) fn generated(kind: ScenarioType, seed: u64) -> Scenario {
 
 /// The scenarios that a written folder holds, with how far their origins moved.
 pub(super) fn read_back(exported: &Exported, settings: &ExportSettings, cache: &Path) -> Vec<(Scenario, Vector)> {
-    let roots = DataRoots { data: Some(exported.data.clone()), maps: Some(exported.maps.clone()) };
-    let maps = MapStore::with_cache(roots.maps.clone(), Some(cache.to_owned()));
-    let logs = roots.logs().unwrap().logs;
-    let SearchResult { found, .. } = find(&logs, &ScenarioFilter::default(), &maps, &|_, _| ()).unwrap();
-    assert_eq!(found.len(), exported.logs.len(), "a log is a scenario");
+    let maps = MapStore::with_cache(Some(exported.maps.clone()), Some(cache.to_owned()));
+    let logs = Logs::under(&exported.data).unwrap().logs;
+    let SearchResult { scenarios, .. } = search(&logs, &ScenarioFilter::default(), &maps, &|_, _| ()).unwrap();
+    assert_eq!(scenarios.len(), exported.logs.len(), "a log is a scenario");
     let read = exported.logs.iter().map(|log| {
-        let one = found.iter().find(|one| one.token.to_string() == log.token).unwrap();
+        let one = scenarios.iter().find(|one| one.token.to_string() == log.token).unwrap();
         let origin = maps.map(&log.location).unwrap().origin;
         (open(&maps, one).unwrap(), settings.origin.coords - origin)
     });

@@ -144,12 +144,12 @@ fn tokens_that_are_no_scenario_are_told_apart() {
         ..ScenarioFilter::default()
     };
     let findings = set.find(&filter).unwrap();
-    assert_eq!(findings.found, []);
+    assert_eq!(findings.scenarios, []);
     assert_eq!(findings.absent, ["00000000000000aa".parse().unwrap()]);
-    assert_eq!(findings.refused, [(set.token, Exclusion::SceneAtEdge)]);
+    assert_eq!(findings.excluded, [(set.token, Exclusion::SceneAtEdge)]);
     let refusal = |set: &DataSet, filter: ScenarioFilter| {
         let filter = ScenarioFilter { scenario_tokens: Some(vec![set.token]), ..filter };
-        set.find(&filter).unwrap().refused[0].1
+        set.find(&filter).unwrap().excluded[0].1
     };
     let names = |name: &str| Some(vec![name.to_owned()]);
     let set = DataSet::log_with("UPDATE scene SET goal_ego_pose_token = NULL");

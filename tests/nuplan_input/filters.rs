@@ -27,13 +27,13 @@ fn by_time(mut found: Vec<LogScenario>) -> Vec<LogScenario> {
 #[test]
 fn the_alphabetically_last_wanted_tag_is_the_type() {
     let set = tagged();
-    let all = set.find(&ScenarioFilter::default()).unwrap().found;
+    let all = set.find(&ScenarioFilter::default()).unwrap().scenarios;
     let count = |name: &str| all.iter().filter(|one| one.scenario_type == name).count();
     let rows = all.len();
     assert_eq!((count("changing_lane"), count("behind_bike")), (rows / 3, rows / 2 - rows / 6));
     assert_eq!(count("unknown"), rows - rows / 3 - rows / 2 + rows / 6);
     let bikes = ScenarioFilter { scenario_types: Some(types(&["behind_bike"])), ..Default::default() };
-    let bikes = set.find(&bikes).unwrap().found;
+    let bikes = set.find(&bikes).unwrap().scenarios;
     assert_eq!(bikes.len(), rows / 2, "a row with both tags counts for the one that is asked for");
     assert!(bikes.iter().all(|one| one.scenario_type == "behind_bike"));
     assert!(all.is_sorted_by_key(|one| one.token), "in order of token");
@@ -44,17 +44,17 @@ fn the_alphabetically_last_wanted_tag_is_the_type() {
 fn numbers_are_evenly_spaced_and_unknown_ones_go_first() {
     let set = tagged();
     let bikes = ScenarioFilter { scenario_types: Some(types(&["behind_bike"])), ..Default::default() };
-    let all = by_time(set.find(&bikes).unwrap().found);
+    let all = by_time(set.find(&bikes).unwrap().scenarios);
     let seven = ScenarioFilter { num_scenarios_per_type: Some(7), ..bikes.clone() };
-    let picked = by_time(set.find(&seven).unwrap().found);
+    let picked = by_time(set.find(&seven).unwrap().scenarios);
     let step = all.len() / 7;
     let expected: Vec<LogScenario> = all.iter().step_by(step).take(7).cloned().collect();
     assert_eq!(picked, expected);
-    let rows = set.find(&ScenarioFilter::default()).unwrap().found.len();
+    let rows = set.find(&ScenarioFilter::default()).unwrap().scenarios.len();
     let tags = rows / 3 + rows / 2 - rows / 6;
     let limited = |limit| {
         let filter = ScenarioFilter { limit_total_scenarios: Some(limit), ..Default::default() };
-        set.find(&filter).unwrap().found
+        set.find(&filter).unwrap().scenarios
     };
     let unknown = |found: &[LogScenario]| found.iter().filter(|one| one.scenario_type == "unknown").count();
     let most = limited(Limit::Count(tags + 5));
@@ -73,7 +73,7 @@ fn scenarios_of_a_type_lie_apart_in_time() {
         timestamp_threshold_s: Some(2.0),
         ..Default::default()
     };
-    let found = by_time(set.find(&filter).unwrap().found);
+    let found = by_time(set.find(&filter).unwrap().scenarios);
     for name in ["behind_bike", "changing_lane"] {
         let times: Vec<i64> =
             found.iter().filter(|one| one.scenario_type == name).map(|one| one.timestamp_us).collect();
@@ -93,7 +93,7 @@ fn shuffling_is_drawn_by_the_seed() {
         ..Default::default()
     };
     let tokens = |filter: &ScenarioFilter| -> Vec<Token> {
-        set.find(filter).unwrap().found.into_iter().map(|one| one.token).collect()
+        set.find(filter).unwrap().scenarios.into_iter().map(|one| one.token).collect()
     };
     assert_eq!(tokens(&filter(true, 1)), tokens(&filter(true, 1)));
     assert_ne!(tokens(&filter(true, 1)), tokens(&filter(true, 2)));
@@ -109,7 +109,7 @@ fn motion_of_the_ego() {
     let driven: f64 = expert.windows(2).skip(1).map(|pair| pair[0].center().distance(&pair[1].center())).sum();
     let passes = |filter: ScenarioFilter| {
         let filter = ScenarioFilter { scenario_tokens: Some(vec![set.token]), ..filter };
-        !set.find(&filter).unwrap().found.is_empty()
+        !set.find(&filter).unwrap().scenarios.is_empty()
     };
     let moves = |metres| passes(ScenarioFilter { ego_displacement_minimum_m: Some(metres), ..Default::default() });
     assert!(driven > 10.0 && moves(driven - 0.01) && !moves(driven + 0.01));
@@ -136,7 +136,7 @@ fn token_sets_and_routes() {
     let path = set.folder.path().join("tokens.json");
     let passes = |filter: ScenarioFilter| {
         let filter = ScenarioFilter { scenario_tokens: Some(vec![set.token]), ..filter };
-        set.find(&filter).map(|findings| !findings.found.is_empty())
+        set.find(&filter).map(|findings| !findings.scenarios.is_empty())
     };
     let in_set = |fraction| {
         let token_set = Some(TokenSet { path: path.clone(), fraction });

@@ -1,11 +1,11 @@
 //! A small nuPlan data set: an exported scene, written once and copied for each test.
 
-use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
 use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
 use planagent::internals::scenario::nuplan::{
-    DataRoots, LogScenario, Logs, MapStore, NuPlanError, ScenarioFilter, SearchResult, Token, find, open,
+    LogScenario, Logs, MapStore, NuPlanError, ScenarioFilter, SearchResult, Token, open, search,
 };
+use planagent::internals::scenario::{DataRoots, Scenario};
 use rusqlite::Connection;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -73,15 +73,15 @@ impl DataSet {
 
     pub(super) fn find(&self, filter: &ScenarioFilter) -> Result<SearchResult, NuPlanError> {
         let logs = Logs::under(&self.folder.path().join("data"))?;
-        find(&logs.logs, filter, &self.maps(), &|_, _| {})
+        search(&logs.logs, filter, &self.maps(), &|_, _| {})
     }
 
     /// The exported scenario as a search by its token finds it.
     pub(super) fn found(&self) -> Result<LogScenario, NuPlanError> {
         let filter = ScenarioFilter { scenario_tokens: Some(vec![self.token]), ..ScenarioFilter::default() };
         let findings = self.find(&filter)?;
-        assert_eq!(findings.refused, [], "the exported token is a scenario");
-        Ok(findings.found.into_iter().next().expect("the exported token is in the log"))
+        assert_eq!(findings.excluded, [], "the exported token is a scenario");
+        Ok(findings.scenarios.into_iter().next().expect("the exported token is in the log"))
     }
 
     pub(super) fn open(&self) -> Result<Scenario, NuPlanError> {

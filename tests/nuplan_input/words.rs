@@ -1,27 +1,26 @@
 //! The words that name nuPlan scenarios on the command line, and splits.
 
 use super::fixture::DataSet;
-use planagent::internals::experiment::nuplan_data::NuPlanData;
-use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::experiment::split::split;
-use planagent::internals::scenario::nuplan::{DataRoots, ScenarioFilter};
+use planagent::internals::scenario::nuplan::ScenarioFilter;
+use planagent::internals::scenario::{DataRoots, Readers};
 
-fn found(word: &str, data: &NuPlanData) -> Vec<String> {
-    ScenarioSource::find(word, data).unwrap().iter().map(ToString::to_string).collect()
+fn found(word: &str, readers: &Readers) -> Vec<String> {
+    readers.find(word).unwrap().iter().map(ToString::to_string).collect()
 }
 
 #[test]
 fn logs_folders_and_tokens() {
     let set = DataSet::new();
-    let data = NuPlanData::new(set.roots());
+    let readers = Readers::new(&set.roots());
     let log = set.log.display().to_string();
     let only = vec![format!("{log}#{}", set.token)];
-    assert_eq!(found(&log, &data), only);
-    assert_eq!(found(&only[0], &data), only);
-    assert_eq!(found(&set.folder.path().join("data").display().to_string(), &data), only);
-    let source = ScenarioSource::find(&only[0], &data).unwrap().remove(0);
+    assert_eq!(found(&log, &readers), only);
+    assert_eq!(found(&only[0], &readers), only);
+    assert_eq!(found(&set.folder.path().join("data").display().to_string(), &readers), only);
+    let source = readers.find(&only[0]).unwrap().remove(0);
     assert_eq!(source.open().unwrap().id, set.token.to_string());
-    let told = |word: String| ScenarioSource::find(&word, &data).unwrap_err().to_string();
+    let told = |word: String| readers.find(&word).unwrap_err().to_string();
     assert!(told(format!("{log}#12")).contains("`12` is no token"));
     assert!(told(format!("{log}#00000000000000aa")).contains("the log does not hold it"));
     assert!(told("nowhere.db".to_owned()).contains("there is no log nowhere.db; name it by its path"));
@@ -37,20 +36,20 @@ fn a_log_tells_how_many_of_its_scenarios_lie_too_close() {
          INSERT INTO scenario_tag SELECT randomblob(8), token, 'behind_bike', NULL FROM lidar_pc;
          UPDATE lidar_pc SET scene_token = (SELECT token FROM scene ORDER BY name LIMIT 1 OFFSET 2);",
     );
-    let rows = set.find(&ScenarioFilter::default()).unwrap().found.len();
-    let data = NuPlanData::new(set.roots());
-    let driven = found(&set.log.display().to_string(), &data).len();
+    let rows = set.find(&ScenarioFilter::default()).unwrap().scenarios.len();
+    let readers = Readers::new(&set.roots());
+    let driven = found(&set.log.display().to_string(), &readers).len();
     assert!(driven > 1 && driven < rows);
-    let notes = data.take_notes();
+    let notes = readers.take_notes();
     assert_eq!(notes.len(), 1, "{notes:?}");
     assert!(notes[0].contains(&format!("{} tagged scenarios are left out", rows - driven)), "{notes:?}");
-    assert!(data.take_notes().is_empty(), "told once");
+    assert!(readers.take_notes().is_empty(), "told once");
 }
 
 #[test]
 fn a_split_tells_what_is_missing() {
     let set = DataSet::new();
-    let data = NuPlanData::new(set.roots());
+    let readers = Readers::new(&set.roots());
     let file = set.folder.path().join("mine.yaml");
     let write = |tokens: &str| {
         std::fs::write(&file, format!("scenario_tokens:\n{tokens}log_names: ${{splitter.x}}\n")).unwrap();
@@ -58,19 +57,19 @@ fn a_split_tells_what_is_missing() {
     let name = file.display().to_string();
     write(&format!("  - '{}'\n  - '00000000000000aa'\n", set.token));
     let searched = std::sync::atomic::AtomicUsize::new(0);
-    let found = split(&name, &data, &|done, all| {
+    let found = split(&name, &readers, &|done, all| {
         assert!(done <= all);
         searched.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
     })
     .unwrap();
     assert_eq!(searched.into_inner(), 1, "one log, told once");
-    assert_eq!(found.sources.len(), 1);
+    assert_eq!(found.scenarios.len(), 1);
     let missing = format!("split {name}: 1 of 2 scenarios are missing; 1 in no log: 00000000000000aa");
     assert_eq!(found.missing.to_string(), missing);
     assert!(found.notes[0].contains("log_names refers to ${splitter.x}"), "{:?}", found.notes);
     write("  - '00000000000000aa'\n");
-    let told = split(&name, &data, &|_, _| {}).unwrap_err().to_string();
+    let told = split(&name, &readers, &|_, _| {}).unwrap_err().to_string();
     assert!(told.contains("no scenario found") && told.contains("--data-root"), "{told}");
-    let told = split(&name, &NuPlanData::new(DataRoots::default()), &|_, _| {}).unwrap_err().to_string();
+    let told = split(&name, &Readers::new(&DataRoots::default()), &|_, _| {}).unwrap_err().to_string();
     assert!(told.contains("NUPLAN_DATA_ROOT"), "{told}");
 }

@@ -5,9 +5,8 @@ use super::{assert_same_results, drives};
 use crate::cli::{read_json, run};
 use planagent::internals::experiment::panic_guard;
 use planagent::internals::experiment::run::{self as runner, AgentParts, SimulationRecord, SimulationTask};
-use planagent::internals::experiment::source::ScenarioSource;
 use planagent::internals::planner::PlannerName;
-use planagent::internals::scenario::generator;
+use planagent::internals::scenario::{ScenarioRef, generator};
 use planagent::internals::simulation::Challenge;
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,13 +15,13 @@ use std::sync::Mutex;
 use tempfile::TempDir;
 
 fn tasks() -> Vec<SimulationTask> {
-    let missing = ScenarioSource::Recording { path: "nowhere.tfrecord".into(), record: 0 };
-    let of = |source: &ScenarioSource, planner| SimulationTask {
+    let missing = ScenarioRef::unreadable(Path::new("nowhere.tfrecord"), "nowhere.tfrecord: cannot open".to_owned());
+    let of = |source: &ScenarioRef, planner| SimulationTask {
         source: source.clone(),
         planner,
         challenge: Challenge::ClosedLoopNonreactiveAgents,
     };
-    let scene = ScenarioSource::Generated(generator::DEFAULT);
+    let scene = ScenarioRef::from(generator::DEFAULT);
     vec![
         of(&missing, PlannerName::new("simple")),
         of(&scene, PlannerName::PLAN_AGENT),

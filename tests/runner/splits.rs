@@ -36,7 +36,7 @@ fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
     assert_eq!(summary["scenarios"].as_array().unwrap().len(), 1);
     assert_eq!(summary["scenarios"][0]["id"], token);
     assert_eq!(drives(&out).len(), 1);
-    let missing = json!([{"split": filter, "wanted": 2, "absent": [ABSENT], "refused": []}]);
+    let missing = json!([{"split": filter, "wanted": 2, "absent": [ABSENT], "excluded": []}]);
     assert_eq!(summary["missing"], missing);
     let manifest: toml::Table = fs::read_to_string(out.join("manifest.toml")).unwrap().parse().unwrap();
     assert_eq!(serde_json::to_value(&manifest["scenarios"]["missing"]).unwrap(), missing);

@@ -2,13 +2,11 @@
 
 use crate::cli::args::PlanArguments;
 use crate::cli::{Config, Exit, Printer, model};
-use crate::experiment::nuplan_data::NuPlanData;
-use crate::experiment::source::ScenarioSource;
 use crate::planner::PlannerName;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
 use crate::reasoning::Interruption;
 use crate::report::{CallTimes, attempt_markdown, call_record, decision_words, fixed};
-use crate::scenario::{Frame, Scenario, generator};
+use crate::scenario::{Frame, Readers, Scenario, generator};
 use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory};
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
@@ -18,7 +16,7 @@ use serde_json::{Value, json};
 /// # Errors
 /// When the input or the model cannot be used, or the instant lies outside the window.
 pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    let scenario = scenario(flags.scenario.as_deref(), &flags.data.data())?;
+    let scenario = scenario(flags.scenario.as_deref(), &flags.data.readers())?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
     let loaded = model::load(config, printer)?;
     let parts = model::parts(config, Some(&loaded));
@@ -44,10 +42,10 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
 ///
 /// # Errors
 /// When the word names none or several.
-pub(in crate::cli) fn scenario(word: Option<&str>, data: &NuPlanData) -> anyhow::Result<Scenario> {
+pub(in crate::cli) fn scenario(word: Option<&str>, readers: &Readers) -> anyhow::Result<Scenario> {
     let mut sources = match word {
-        Some(word) => ScenarioSource::find(word, data)?,
-        None => vec![ScenarioSource::Generated(generator::DEFAULT)],
+        Some(word) => readers.find(word)?,
+        None => vec![generator::DEFAULT.into()],
     };
     match (sources.pop(), sources.len()) {
         (Some(source), 0) => Ok(source.open()?),

@@ -7,9 +7,9 @@ mod paper;
 pub use catalogue::{NAMES, all, named};
 pub use paper::{Benchmark, Published, PublishedModel, Scores};
 
-use super::source::ScenarioSource;
 use super::suite::Suite;
 use crate::planner::PlannerName;
+use crate::scenario::ScenarioRef;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -157,7 +157,7 @@ impl Quick {
     pub const DEFAULT: Self = Self { per_type: 2, untyped: 14 };
 
     /// The first scenes of each type.
-    pub fn of(self, mut sources: Vec<ScenarioSource>) -> Vec<ScenarioSource> {
+    pub fn of(self, mut sources: Vec<ScenarioRef>) -> Vec<ScenarioRef> {
         let mut taken: BTreeMap<Option<String>, usize> = BTreeMap::new();
         sources.retain(|source| {
             let kind = source.scenario_type().map(str::to_owned);

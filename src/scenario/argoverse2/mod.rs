@@ -21,6 +21,7 @@ mod log;
 mod map;
 mod map_file;
 mod poses;
+mod reader;
 mod sensor;
 mod table;
 
@@ -35,6 +36,7 @@ mod tests;
 
 pub use error::{Argoverse2Error, LogFault};
 pub use files::{is_log, logs_in};
+pub use reader::Argoverse2Reader;
 
 use super::Scenario;
 use super::recording::window::window;

@@ -9,6 +9,7 @@
 
 mod expert;
 mod log;
+mod reader;
 mod recipe;
 mod rng;
 mod road;
@@ -18,6 +19,7 @@ mod tests;
 mod traffic;
 
 pub use log::Discard;
+pub use reader::GeneratedReader;
 pub use scenario_type::ScenarioType;
 
 use super::Scenario;

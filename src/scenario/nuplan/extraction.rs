@@ -78,9 +78,6 @@ pub const MAPPED_TYPES: [&str; 73] = [
     "waiting_for_pedestrian_to_cross",
 ];
 
-/// Type of a scenario without a tag (devkit `DEFAULT_SCENARIO_NAME`).
-pub const UNKNOWN_TYPE: &str = "unknown";
-
 /// Rows of a log that one iteration advances: every second one of 20 Hz (mapping: `subsample_ratio_override` 0.5).
 pub const ROWS_PER_STEP: usize = 2;
 
@@ -117,6 +114,7 @@ impl Extraction {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scenario::UNKNOWN_TYPE;
 
     #[test]
     fn the_mapping_covers_its_types_and_no_others() {

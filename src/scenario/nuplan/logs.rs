@@ -1,6 +1,7 @@
 //! Where logs and maps lie on disk.
 
 use super::error::NuPlanError;
+use crate::scenario::DataRoots;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,15 +12,6 @@ const LOG_ENDING: &str = "db";
 const WITHOUT_LOGS: [&str; 2] = ["sensor_blobs", "maps"];
 /// Folders below a folder of logs are searched so deep; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
 pub const MAX_FOLDER_DEPTH: usize = 5;
-
-/// The two folders of nuPlan's data, as nuPlan's variables name them.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct DataRoots {
-    /// `NUPLAN_DATA_ROOT`: the logs lie in it or in the folders below.
-    pub data: Option<PathBuf>,
-    /// `NUPLAN_MAPS_ROOT`: holds `nuplan-maps-v1.0.json` and a folder a location.
-    pub maps: Option<PathBuf>,
-}
 
 /// A log: one database file.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -49,6 +41,12 @@ pub struct Logs {
 }
 
 impl Logs {
+    /// The logs of the data root.
+    pub(super) fn of_root(roots: &DataRoots) -> Result<Self, NuPlanError> {
+        let root = roots.data.as_deref().ok_or(NuPlanError::NoDataRoot)?;
+        Self::under(root).map_err(|error| NuPlanError::DataRoot(Box::new(error)))
+    }
+
     /// The log of a file, or all logs in a folder and the folders below. A log that lies in several folders (nuPlan's mini split
     /// repeats logs) counts once: the first in order of their paths.
     ///
@@ -80,23 +78,6 @@ impl Logs {
             format!("{} log(s) lie in two folders and are read once, for example {}", again.len(), log.path.display())
         });
         Ok(Self { logs: by_name.into_values().collect(), notes: notes.into_iter().collect() })
-    }
-}
-
-impl DataRoots {
-    /// The folders that the environment names.
-    pub fn from_environment() -> Self {
-        let folder = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-        Self { data: folder("NUPLAN_DATA_ROOT"), maps: folder("NUPLAN_MAPS_ROOT") }
-    }
-
-    /// The logs of the data root.
-    ///
-    /// # Errors
-    /// When there is no data root, or as [`Logs::under`].
-    pub fn logs(&self) -> Result<Logs, NuPlanError> {
-        let root = self.data.as_deref().ok_or(NuPlanError::NoDataRoot)?;
-        Logs::under(root).map_err(|error| NuPlanError::DataRoot(Box::new(error)))
     }
 }
 

@@ -55,6 +55,8 @@ pub struct MapStore {
     root: Option<PathBuf>,
     indices: side_index::SideIndices,
     maps: Mutex<BTreeMap<String, Slot>>,
+    /// Locations whose map file exists.
+    checked: Mutex<BTreeSet<String>>,
     notes: Mutex<BTreeSet<String>>,
 }
 
@@ -67,7 +69,13 @@ impl MapStore {
 
     /// As [`Self::new`], with the folder for the indices of logs.
     pub fn with_cache(root: Option<PathBuf>, cache: Option<PathBuf>) -> Self {
-        Self { root, indices: side_index::SideIndices::new(cache), maps: Mutex::default(), notes: Mutex::default() }
+        Self {
+            root,
+            indices: side_index::SideIndices::new(cache),
+            maps: Mutex::default(),
+            checked: Mutex::default(),
+            notes: Mutex::default(),
+        }
     }
 
     /// The map of a location, as `us-ma-boston`.
@@ -94,7 +102,11 @@ impl MapStore {
     /// # Errors
     /// When the maps folder, the location or its version is missing.
     pub fn check(&self, location: &str) -> Result<(), NuPlanError> {
-        self.file(location).map(|_| ())
+        if !lock(&self.checked).contains(location) {
+            self.file(location)?;
+            lock(&self.checked).insert(location.to_owned());
+        }
+        Ok(())
     }
 
     /// What a user should know about the maps and logs that were opened since this was asked last, in alphabetical order.
@@ -133,15 +145,6 @@ impl MapStore {
         }
     }
 }
-
-impl PartialEq for MapStore {
-    /// Stores of one folder give the same maps.
-    fn eq(&self, other: &Self) -> bool {
-        self.root == other.root
-    }
-}
-
-impl Eq for MapStore {}
 
 /// A poisoned lock only means that a reader of another map panicked; what is stored is whole.
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {

@@ -4,6 +4,7 @@
 //! * `filter`, `filter_file`, `search`, `thinning`, `exclusion`: which scenarios there are and which of them are wanted;
 //! * `extraction`, `rows`, `open`, `route`: a scenario as [`super::Scenario`];
 //! * `map_store`, `layers`, `lane_map`, [`geometry_blob`], [`projection`]: the map around it;
+//! * `reader`, `split`: words of the command line and published lists;
 //! * [`export`]: the way back, from any scenario to a log and its map.
 //!
 //! Logs and maps are read as the nuPlan devkit's queries read them. What is damaged is an error that names file, table, row and
@@ -23,22 +24,26 @@ mod logs;
 mod map_store;
 mod open;
 pub mod projection;
+mod reader;
 mod route;
 mod rows;
 mod schema;
 mod search;
 mod side_index;
+mod split;
 mod thinning;
 mod token;
 
 pub use error::{CellFault, CellPlace, NuPlanError, RowName, ScenarioFault};
 pub use exclusion::{Exclusion, Exclusions};
-pub use extraction::{Extraction, MAPPED_TYPES, ROWS_PER_STEP, UNKNOWN_TYPE};
+pub use extraction::{Extraction, MAPPED_TYPES, ROWS_PER_STEP};
 pub use filter::{Limit, ScenarioFilter, THRESHOLD_KEY, ThresholdScope, TokenSet};
 pub use filter_file::{FilterError, FilterFault, FilterFile};
-pub use logs::{DataRoots, Log, Logs, MAX_FOLDER_DEPTH};
+pub use logs::{Log, Logs, MAX_FOLDER_DEPTH};
 pub use map_store::{MAPS_INDEX, MapStore, NuPlanMap};
 pub use open::open;
+pub use reader::{LogWordError, NuPlanReader};
 pub use route::RouteFault;
-pub use search::{LogScenario, SearchResult, UnreadableLog, find, tag_types};
+pub use search::{LogScenario, SearchResult, UnreadableLog, search, tag_types};
+pub use split::SplitError;
 pub use token::{TOKEN_BYTES, Token, TokenError};

@@ -3,13 +3,13 @@
 use super::database::{Database, Table};
 use super::error::NuPlanError;
 use super::exclusion::{Exclusion, Exclusions};
-use super::extraction::UNKNOWN_TYPE;
 use super::filter::ScenarioFilter;
 use super::logs::Log;
 use super::map_store::MapStore;
 use super::schema::{EGO_POSE, LIDAR, LIDAR_PC, LOG, SCENARIO_TAG, SCENE, open_log};
 use super::thinning::{self, ThinnedScenarios};
 use super::token::Token;
+use crate::scenario::UNKNOWN_TYPE;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -43,13 +43,13 @@ pub struct UnreadableLog {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SearchResult {
     /// The scenarios, in order of their tokens, or shuffled.
-    pub found: Vec<LogScenario>,
+    pub scenarios: Vec<LogScenario>,
     /// Tokens of the filter that no log holds, in order.
     pub absent: Vec<Token>,
     /// Tokens of the filter that a log holds but that are no scenario of this filter, in order.
-    pub refused: Vec<(Token, Exclusion)>,
+    pub excluded: Vec<(Token, Exclusion)>,
     /// What was looked at and not taken.
-    pub left_out: Exclusions,
+    pub exclusions: Exclusions,
     /// Logs that were passed over, in order of their name: what they hold is not known.
     pub unreadable: Vec<UnreadableLog>,
 }
@@ -58,7 +58,7 @@ pub struct SearchResult {
 ///
 /// # Errors
 /// When none of the logs can be read, two hold the same scenario, or a filter needs a map or file that cannot be read.
-pub fn find(
+pub fn search(
     logs: &[Arc<Log>],
     filter: &ScenarioFilter,
     maps: &MapStore,
@@ -71,7 +71,7 @@ pub fn find(
         found
     });
     let searched: Vec<Result<Option<InLog>, NuPlanError>> = searched.collect();
-    let mut findings = SearchResult::default();
+    let mut result = SearchResult::default();
     let mut held: BTreeMap<Token, &Log> = BTreeMap::new();
     let mut refused: BTreeMap<Token, Exclusion> = BTreeMap::new();
     let mut found = Vec::new();
@@ -80,18 +80,18 @@ pub fn find(
         let in_log = match searched {
             Ok(Some(in_log)) => in_log,
             Ok(None) => {
-                findings.left_out.other_logs += 1;
+                result.exclusions.other_logs += 1;
                 continue;
             }
             Err(error) => {
-                findings.unreadable.push(UnreadableLog { log: log.clone(), cause: error.to_string() });
+                result.unreadable.push(UnreadableLog { log: log.clone(), cause: error.to_string() });
                 first_error.get_or_insert(error);
                 continue;
             }
         };
-        findings.left_out.logs += 1;
+        result.exclusions.logs += 1;
         for (refusal, count) in in_log.left_out {
-            *findings.left_out.rows.entry(refusal).or_default() += count;
+            *result.exclusions.rows.entry(refusal).or_default() += count;
         }
         for token in in_log.found.iter().map(|f| f.token).chain(in_log.refused.iter().map(|(token, _)| *token)) {
             if let Some(first) = held.insert(token, log) {
@@ -102,24 +102,24 @@ pub fn find(
         found.extend(in_log.found);
         refused.extend(in_log.refused);
     }
-    if let Some(error) = first_error.filter(|_| findings.left_out.logs == 0) {
+    if let Some(error) = first_error.filter(|_| result.exclusions.logs == 0) {
         return Err(error);
     }
     let ThinnedScenarios { kept, refused: thinned } = thinning::thin(found, filter, maps)?;
     for (_, refusal) in &thinned {
-        *findings.left_out.rows.entry(*refusal).or_default() += 1;
+        *result.exclusions.rows.entry(*refusal).or_default() += 1;
     }
-    findings.found = kept;
+    result.scenarios = kept;
     if let Some(wanted) = &filter.scenario_tokens {
         refused.extend(thinned);
-        findings.refused = refused.into_iter().collect();
+        result.excluded = refused.into_iter().collect();
         let wanted: BTreeSet<Token> = wanted.iter().copied().collect();
-        findings.absent = wanted.into_iter().filter(|token| !held.contains_key(token)).collect();
+        result.absent = wanted.into_iter().filter(|token| !held.contains_key(token)).collect();
     }
-    Ok(findings)
+    Ok(result)
 }
 
-/// All types that tags of these logs name, in alphabetical order. Logs that cannot be read are passed over: [`find`] tells them.
+/// All types that tags of these logs name, in alphabetical order. Logs that cannot be read are passed over: [`search`] tells them.
 ///
 /// # Errors
 /// When none of the logs can be read.

@@ -6,7 +6,7 @@
 
 use super::error::NuPlanError;
 use super::exclusion::Exclusion;
-use super::extraction::{ROW_S, ROWS_PER_STEP, UNKNOWN_TYPE};
+use super::extraction::{ROW_S, ROWS_PER_STEP};
 use super::filter::{Limit, SPEED_NOISE, ScenarioFilter, THRESHOLD_KEY, ThresholdScope, TokenSet};
 use super::logs::Log;
 use super::map_store::{MapStore, NuPlanMap};
@@ -15,6 +15,7 @@ use super::rows::Rows;
 use super::schema::{EGO_POSE, open_log};
 use super::search::LogScenario;
 use super::token::Token;
+use crate::scenario::UNKNOWN_TYPE;
 use crate::world::{EgoState, MICROS_PER_SECOND, STEP_S};
 use rand::SeedableRng;
 use rand::seq::{IndexedRandom, SliceRandom};

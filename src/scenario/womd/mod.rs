@@ -19,6 +19,7 @@ mod features;
 mod map;
 mod outline;
 mod proto;
+mod reader;
 mod signals;
 #[cfg(test)]
 mod tests;
@@ -26,6 +27,7 @@ mod tfrecord;
 mod tracks;
 
 pub use error::{RecordingFault, WomdError};
+pub use reader::WomdReader;
 pub use tfrecord::{FramingFault, Record, Records, TfRecordError};
 
 use super::Scenario;

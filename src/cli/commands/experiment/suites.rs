@@ -3,11 +3,9 @@
 use crate::cli::Printer;
 use crate::cli::args::ExperimentArguments;
 use crate::cli::commands::simulate::selection::{Found, find};
-use crate::experiment::nuplan_data::NuPlanData;
-use crate::experiment::source::ScenarioSource;
 use crate::experiment::study::{Quick, SuiteName};
 use crate::report::ScenarioList;
-use crate::scenario::nuplan::DataRoots;
+use crate::scenario::{DataRoots, Readers, ScenarioRef, absolute_path};
 use anyhow::{Context, bail};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -25,7 +23,7 @@ pub(super) struct Suite {
     /// The name.
     pub(super) name: String,
     /// The scenes.
-    pub(super) sources: Vec<ScenarioSource>,
+    pub(super) sources: Vec<ScenarioRef>,
     /// The same, as a run's manifest tells of them.
     pub(super) list: ScenarioList,
 }
@@ -35,7 +33,7 @@ pub(super) struct Suites<'a> {
     flags: &'a ExperimentArguments,
     printer: Printer,
     roots: DataRoots,
-    data: NuPlanData,
+    readers: Readers,
     found: BTreeMap<String, Rc<Suite>>,
 }
 
@@ -48,7 +46,7 @@ impl<'a> Suites<'a> {
         let DataRoots { data, maps } = flags.data.roots();
         let absolute = |folder: Option<PathBuf>| folder.map(std::path::absolute).transpose();
         let roots = DataRoots { data: absolute(data)?, maps: absolute(maps)? };
-        Ok(Self { flags, printer, data: NuPlanData::new(roots.clone()), roots, found: BTreeMap::new() })
+        Ok(Self { flags, printer, readers: Readers::new(&roots), roots, found: BTreeMap::new() })
     }
 
     /// The suites of an experiment: those that the flags name, else its own, recordings only where some are at hand.
@@ -91,12 +89,12 @@ impl<'a> Suites<'a> {
                 RECORDINGS.join(", ")
             );
         }
-        let Found { mut sources, mut splits, missing } = find(&words, &splits, None, &self.data, self.printer)?;
+        let Found { mut sources, mut splits, missing } = find(&words, &splits, None, &self.readers, self.printer)?;
         if self.flags.quick {
             sources = Quick::DEFAULT.of(sources);
             (words, splits) = (sources.iter().map(ToString::to_string).collect(), Vec::new());
         }
-        ScenarioSource::check_maps(&sources)?;
+        sources.iter().try_for_each(ScenarioRef::check)?;
         let list = ScenarioList {
             words,
             splits,
@@ -116,11 +114,11 @@ impl<'a> Suites<'a> {
     /// The words that name recordings.
     fn recordings(&self) -> Vec<String> {
         if !self.flags.scenarios.is_empty() {
-            return self.flags.scenarios.iter().map(|word| ScenarioSource::absolute_word(word)).collect();
+            return self.flags.scenarios.iter().map(|word| self.readers.absolute_word(word)).collect();
         }
         let data = std::env::var_os(DATA).filter(|folder| !folder.is_empty()).map(PathBuf::from);
         let folders = data.into_iter().flat_map(|data| RECORDINGS.map(|folder| data.join(folder)));
         let words = folders.filter(|folder| folder.is_dir()).map(|folder| folder.to_string_lossy().into_owned());
-        words.map(|word| ScenarioSource::absolute_word(&word)).collect()
+        words.map(|word| absolute_path(&word)).collect()
     }
 }

@@ -2,10 +2,10 @@
 
 use super::suites::Suite;
 use crate::cli::{Config, Exit, Printer, model};
-use crate::experiment::source::ScenarioSource;
 use crate::experiment::study::SuiteName;
 use crate::experiment::tokens::{TokenCounter, TokenRow, TokenTable, count};
 use crate::report::{StudyFolder, json_value, token_table};
+use crate::scenario::ScenarioRef;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -71,7 +71,7 @@ pub(super) fn run(
 
 fn counted(suite: &Suite, counter: TokenCounter<'_>, config: &Config, printer: Printer) -> SuiteTokens {
     let bar = printer.progress(suite.sources.len() as u64, "scenes");
-    let of_source = |source: &ScenarioSource| {
+    let of_source = |source: &ScenarioRef| {
         let opened = source.open().map_err(|error| format!("{source}: {error}"));
         bar.inc(1);
         opened.map(|scenario| count(&scenario, config.reasoning.interval, config.environment.node_length_m, &counter))

@@ -2,10 +2,9 @@
 
 use crate::cli::args::{ExportArguments, ExportFormat};
 use crate::cli::{Exit, Printer};
-use crate::experiment::source::ScenarioSource;
 use crate::geometry::Point;
-use crate::scenario::Scenario;
 use crate::scenario::nuplan::export::{Departures, ExportSettings, write_scenarios};
+use crate::scenario::{Scenario, ScenarioRef};
 use anyhow::{Context, bail};
 use rayon::prelude::*;
 
@@ -14,10 +13,10 @@ use rayon::prelude::*;
 /// # Errors
 /// When a scenario cannot be opened or does not fit the format, or the folder cannot be written; then nothing is left behind.
 pub(super) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Result<Exit> {
-    let data = arguments.data.data();
-    let found = arguments.scenarios.iter().map(|word| ScenarioSource::find(word, &data));
-    let sources: Vec<ScenarioSource> = found.collect::<Result<Vec<_>, _>>()?.concat();
-    for note in data.take_notes() {
+    let readers = arguments.data.readers();
+    let found = arguments.scenarios.iter().map(|word| readers.find(word));
+    let sources: Vec<ScenarioRef> = found.collect::<Result<Vec<_>, _>>()?.concat();
+    for note in readers.take_notes() {
         printer.note(note);
     }
     let scenarios: Vec<Scenario> = sources

@@ -12,9 +12,6 @@ use crate::scenario::Scenario;
 use serde::Serialize;
 
 /// Runs one of the subcommands.
-///
-/// # Errors
-/// When a source cannot be read or a file cannot be written.
 pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyhow::Result<Exit> {
     match command {
         ScenariosCommand::List { sources, split } => list::run(sources, split, printer),
@@ -25,26 +22,23 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
     }
 }
 
-/// What `list` and `show` tell alike of a scenario; null is what is not known before it is opened.
+/// What both `list` and `show` print of a scenario; null is what is unknown before opening.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct About {
-    /// Its name.
     id: String,
-    /// The word that names it on the command line.
+    /// The word of the command line that names it.
     source: String,
-    /// nuPlan's type.
     scenario_type: String,
-    /// Name of the log that it was cut from.
     log_name: String,
-    /// Iterations that a simulation drives.
+    /// Iterations of a simulation.
     iterations: Option<usize>,
     /// Lanes for motor vehicles, lane connectors included.
     lanes: Option<usize>,
 }
 
-/// A scenario as JSON: what is told of it everywhere, then what one command alone tells.
+/// A scenario as JSON: the common fields, then those of one command.
 #[derive(Debug, Serialize)]
-struct Told<T> {
+struct Details<T> {
     #[serde(flatten)]
     about: About,
     #[serde(flatten)]
@@ -52,7 +46,7 @@ struct Told<T> {
 }
 
 impl About {
-    /// Of a scenario that is open; `source` is the word that named it.
+    /// Of an opened scenario; `source` is the word that named it.
     fn scenario(scenario: &Scenario, source: &str) -> Self {
         Self {
             id: scenario.id.clone(),

@@ -1,6 +1,6 @@
 //! `planagent scenarios show`.
 
-use super::{About, Told};
+use super::{About, Details};
 use crate::cli::args::ShowArguments;
 use crate::cli::commands::plan::{instant, scenario};
 use crate::cli::{Exit, Printer};
@@ -22,12 +22,12 @@ const INDENT: usize = 10;
 /// When it cannot be opened, the instant lies outside the window, or the picture cannot be drawn or written.
 pub(super) fn run(arguments: &ShowArguments, printer: Printer) -> anyhow::Result<Exit> {
     let view = BevView::new(PICTURE, arguments.view)?;
-    let scenario = scenario(Some(&arguments.scenario), &arguments.data.data())?;
+    let scenario = scenario(Some(&arguments.scenario), &arguments.data.readers())?;
     let (iteration, frame) = instant(&scenario, arguments.at)?;
     let about = About::scenario(&scenario, &arguments.scenario);
     let at_s = iteration as f64 * STEP_S;
     if printer.is_json() {
-        printer.json(&Told { about, more: contents(&scenario, frame, at_s) })?;
+        printer.json(&Details { about, more: contents(&scenario, frame, at_s) })?;
     } else {
         tell(&scenario, frame, at_s, printer);
     }

@@ -61,7 +61,7 @@ pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: P
     let rows = drives::rows(&folder, tasks)?;
     let session = drives::session(started, todo.len(), loaded.as_ref().map(|loaded| loaded.load_s));
     let exit = finish(&folder, &manifest, config.seed, session, &rows, printer);
-    for note in selection.data.take_notes() {
+    for note in selection.readers.take_notes() {
         printer.note(note);
     }
     exit

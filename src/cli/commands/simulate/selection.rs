@@ -2,14 +2,11 @@
 
 use crate::cli::Printer;
 use crate::cli::args::SimulateArguments;
-use crate::experiment::nuplan_data::NuPlanData;
 use crate::experiment::run::SimulationTask;
-use crate::experiment::source::ScenarioSource;
-use crate::experiment::split::{MissingTokens, split};
+use crate::experiment::split::split;
 use crate::planner::{PlannerName, PlannerRegistry};
 use crate::report::{Manifest, ScenarioList};
-use crate::scenario::generator;
-use crate::scenario::nuplan::DataRoots;
+use crate::scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
 use crate::simulation::Challenge;
 use anyhow::{Context, bail};
 use std::path::PathBuf;
@@ -24,14 +21,14 @@ pub(super) struct Selection {
     pub(super) challenges: Vec<Challenge>,
     /// Every scenario with every planner in every challenge.
     pub(super) tasks: Vec<SimulationTask>,
-    /// nuPlan's data, with what there is to know about the maps and logs that were opened.
-    pub(super) data: NuPlanData,
+    /// The readers that found the scenarios; they keep nuPlan's maps, and notes for the user.
+    pub(super) readers: Readers,
 }
 
 /// What words and splits name.
 pub(in crate::cli) struct Found {
     /// The scenarios, each once.
-    pub(in crate::cli) sources: Vec<ScenarioSource>,
+    pub(in crate::cli) sources: Vec<ScenarioRef>,
     /// The splits: their files, else their names.
     pub(in crate::cli) splits: Vec<String>,
     /// What the splits name and the data does not hold.
@@ -54,17 +51,17 @@ impl Selection {
             _ => (flags.scenarios.clone(), flags.split.splits.clone(), flags.limit),
         };
         // A run is gone on with from any folder: nothing of it may hang on this one.
-        let words: Vec<String> = words.iter().map(|word| ScenarioSource::absolute_word(word)).collect();
         let roots = roots(flags, manifest)?;
-        let data = NuPlanData::new(roots.clone());
-        let Found { sources, splits, missing } = find(&words, &splits, limit, &data, printer)?;
-        ScenarioSource::check_maps(&sources)?;
+        let readers = Readers::new(&roots);
+        let words: Vec<String> = words.iter().map(|word| readers.absolute_word(word)).collect();
+        let Found { sources, splits, missing } = find(&words, &splits, limit, &readers, printer)?;
+        sources.iter().try_for_each(ScenarioRef::check)?;
         let names = sources.iter().map(ToString::to_string);
         let (count, blake3) = (sources.len(), ScenarioList::digest(names));
         let DataRoots { data: data_root, maps: maps_root } = roots;
         let list = ScenarioList { words, splits, data_root, maps_root, limit, count, blake3, missing };
         let tasks = tasks(&sources, &planners, &challenges);
-        Ok(Self { list, planners, challenges, tasks, data })
+        Ok(Self { list, planners, challenges, tasks, readers })
     }
 
     /// The same, if its scenarios are those of a run.
@@ -104,19 +101,19 @@ pub(in crate::cli) fn find(
     words: &[String],
     splits: &[String],
     limit: Option<usize>,
-    data: &NuPlanData,
+    readers: &Readers,
     printer: Printer,
 ) -> anyhow::Result<Found> {
     let (mut found, mut missing, mut lists) = (Vec::new(), Vec::new(), Vec::new());
     for name in splits {
         let bar = printer.progress(0, "logs");
-        let of_split = split(name, data, &|done, all| {
+        let of_split = split(name, readers, &|done, all| {
             bar.set_length(all as u64);
             bar.set_position(done as u64);
         });
         bar.finish_and_clear();
         let of_split = of_split?;
-        found.extend(of_split.sources);
+        found.extend(of_split.scenarios);
         for note in of_split.notes {
             printer.note(format!("{name}: {note}"));
         }
@@ -125,21 +122,21 @@ pub(in crate::cli) fn find(
             missing.push(of_split.missing);
         }
         lists.push(match of_split.file {
-            Some(file) => ScenarioSource::absolute_word(&file.to_string_lossy()),
+            Some(file) => absolute_path(&file.to_string_lossy()),
             None => name.clone(),
         });
     }
     for word in words {
-        found.extend(ScenarioSource::find(word, data)?);
+        found.extend(readers.find(word)?);
     }
     if splits.is_empty() && words.is_empty() {
-        found.push(ScenarioSource::Generated(generator::DEFAULT));
+        found.push(generator::DEFAULT.into());
     }
-    for note in data.take_notes() {
+    for note in readers.take_notes() {
         printer.note(note);
     }
     // A scenario that is named twice is driven once, or it would count twice in the means.
-    let (mut sources, again) = ScenarioSource::distinct(found);
+    let (mut sources, again) = ScenarioRef::distinct(found);
     if let Some(first) = again.first() {
         printer
             .note(format!("{} scenarios are named more than once and driven once, for example {first}", again.len()));
@@ -195,7 +192,7 @@ fn challenges(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<V
 
 /// Every scenario with every planner in every challenge.
 pub(in crate::cli) fn tasks(
-    sources: &[ScenarioSource],
+    sources: &[ScenarioRef],
     planners: &[PlannerName],
     challenges: &[Challenge],
 ) -> Vec<SimulationTask> {

@@ -1,0 +1,32 @@
+//! Generated scenarios in the registry of readers.
+
+use super::{SOURCE, Spec, generate};
+use crate::scenario::{ReaderError, Recognition, ScenarioReader, ScenarioRef};
+
+/// Takes words of the form `generated/TYPE/SEED[.TRAFFIC]`.
+pub struct GeneratedReader;
+
+impl ScenarioReader for GeneratedReader {
+    fn recognizes(&self, word: &str) -> Recognition {
+        let is_ours = word.strip_prefix(SOURCE).is_some_and(|rest| rest.starts_with('/'));
+        if is_ours { Recognition::Certain } else { Recognition::No }
+    }
+
+    fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
+        let spec: Spec = word.parse().map_err(ReaderError::new)?;
+        Ok(vec![spec.into()])
+    }
+
+    fn absolute_word(&self, word: &str) -> String {
+        word.to_owned()
+    }
+}
+
+impl From<Spec> for ScenarioRef {
+    fn from(spec: Spec) -> Self {
+        Self::new(spec.to_string(), move || generate(&spec).map_err(ReaderError::new))
+            .with_id(spec.to_string())
+            .with_type(spec.scenario_type.name())
+            .with_log_name(spec.log_name())
+    }
+}

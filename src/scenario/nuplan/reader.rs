@@ -1,0 +1,205 @@
+//! nuPlan's logs in the registry of readers: words that name a log or one of its scenarios, and splits.
+
+use super::search::{SearchResult, UnreadableLog, search, tag_types};
+use super::split::{self, SplitError};
+use super::{
+    Exclusion, Exclusions, LogScenario, Logs, MAX_FOLDER_DEPTH, MapStore, NuPlanError, ScenarioFilter, THRESHOLD_KEY,
+    ThresholdScope, Token, TokenError, open,
+};
+use crate::scenario::{
+    DataRoots, OnProgress, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef, Split,
+};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Ending of nuPlan's logs.
+const LOG_ENDING: &str = ".db";
+/// Separates a log from the token of one of its scenarios.
+const TOKEN_MARK: char = '#';
+/// Tagged scenarios of one type in one log begin at least so long after one another, s: as in nuPlan's challenge.
+const MIN_SPACING_S: f64 = 15.0;
+
+/// Takes words of the form `LOG.db` or `LOG.db#TOKEN`, folders of logs, published splits and filter files.
+#[derive(Debug)]
+pub struct NuPlanReader {
+    roots: DataRoots,
+    maps: Arc<MapStore>,
+    notes: Mutex<Vec<String>>,
+}
+
+/// Why a word names no scenario of a nuPlan log.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum LogWordError {
+    #[error(transparent)]
+    Read(#[from] NuPlanError),
+    #[error("there is no log {}; name it by its path: only splits are looked for in the data root", .0.display())]
+    NoLog(PathBuf),
+    #[error("{word}: {source}")]
+    Token { word: String, source: TokenError },
+    #[error("{}: no scenario {token}: the log does not hold it", path.display())]
+    Absent { path: PathBuf, token: Token },
+    #[error("{}: no scenario {token}: {exclusion}", path.display())]
+    Excluded { path: PathBuf, token: Token, exclusion: Exclusion },
+    #[error("{}: no row has a scenario tag; name one as FILE.db{TOKEN_MARK}TOKEN", .0.display())]
+    NoTags(PathBuf),
+    #[error("{}: no scenario found: {exclusions}", path.display())]
+    NothingFound { path: PathBuf, exclusions: Exclusions },
+}
+
+impl NuPlanReader {
+    /// The data below these folders; nothing is read yet.
+    pub fn new(roots: DataRoots) -> Self {
+        let maps = Arc::new(MapStore::new(roots.maps.clone()));
+        Self { roots, maps, notes: Mutex::default() }
+    }
+
+    /// The scenarios of a log: the named one, else the tagged ones.
+    fn in_log(&self, word: &str) -> Result<Vec<ScenarioRef>, LogWordError> {
+        let (file, token) = split_token(word);
+        let path = Path::new(file);
+        if !path.exists() {
+            return Err(LogWordError::NoLog(path.to_owned()));
+        }
+        let Some(token) = token else { return self.tagged(&Logs::under(path)?, path) };
+        let token: Token = token.parse().map_err(|source| LogWordError::Token { word: word.to_owned(), source })?;
+        let filter = ScenarioFilter { scenario_tokens: Some(vec![token]), ..ScenarioFilter::default() };
+        let result = search(&Logs::under(path)?.logs, &filter, &self.maps, &|_, _| {})?;
+        let path = path.to_owned();
+        match result.excluded.first() {
+            Some(&(token, exclusion)) => Err(LogWordError::Excluded { path, token, exclusion }),
+            None if result.scenarios.is_empty() => Err(LogWordError::Absent { path, token }),
+            None => Ok(self.references(result.scenarios)),
+        }
+    }
+
+    /// The tagged scenarios of all logs in a folder; none when it holds no log.
+    fn in_folder(&self, folder: &Path) -> Result<Vec<ScenarioRef>, LogWordError> {
+        match Logs::under(folder) {
+            Err(NuPlanError::NoLogs(_)) => Ok(Vec::new()),
+            logs => self.tagged(&logs?, folder),
+        }
+    }
+
+    /// Tagged scenarios at least 15 s apart, log by log and type by type; then the logs that cannot be read.
+    fn tagged(&self, logs: &Logs, path: &Path) -> Result<Vec<ScenarioRef>, LogWordError> {
+        let types = tag_types(&logs.logs)?;
+        if types.is_empty() {
+            return Err(LogWordError::NoTags(path.to_owned()));
+        }
+        let filter = ScenarioFilter {
+            scenario_types: Some(types),
+            timestamp_threshold_s: Some(MIN_SPACING_S),
+            threshold_scope: ThresholdScope::EachLog,
+            ..ScenarioFilter::default()
+        };
+        let SearchResult { scenarios, exclusions, unreadable, .. } =
+            search(&logs.logs, &filter, &self.maps, &|_, _| {})?;
+        if scenarios.is_empty() {
+            return Err(LogWordError::NothingFound { path: path.to_owned(), exclusions });
+        }
+        self.note(logs.notes.iter().map(|note| format!("{}: {note}", path.display())));
+        let close = exclusions.by(THRESHOLD_KEY);
+        self.note((close > 0).then(|| {
+            format!(
+                "{}: {close} tagged scenarios are left out: they begin less than {MIN_SPACING_S} s after one of their type in the \
+                 same log; name one as LOG.db{TOKEN_MARK}TOKEN to simulate it",
+                path.display()
+            )
+        }));
+        let mut references = self.references(scenarios);
+        references.extend(unreadable.into_iter().map(unreadable_reference));
+        Ok(references)
+    }
+
+    fn split_named(&self, name: &str, on_progress: OnProgress<'_>) -> Option<Result<Split, SplitError>> {
+        let list = match split::open(name)? {
+            Ok(list) => list,
+            Err(error) => return Some(Err(error)),
+        };
+        Some(Logs::of_root(&self.roots).map_err(SplitError::from).and_then(|Logs { logs, notes }| {
+            let mut result = search(&logs, &list.filter, &self.maps, on_progress)?;
+            let scenarios = self.references(std::mem::take(&mut result.scenarios));
+            let unreadable = std::mem::take(&mut result.unreadable).into_iter().map(unreadable_reference).collect();
+            list.noting(notes).split(result, scenarios, unreadable)
+        }))
+    }
+
+    fn note(&self, notes: impl IntoIterator<Item = String>) {
+        self.notes.lock().unwrap_or_else(PoisonError::into_inner).extend(notes);
+    }
+
+    fn references(&self, scenarios: Vec<LogScenario>) -> Vec<ScenarioRef> {
+        let reference = |scenario: LogScenario| {
+            let (log, token) = (scenario.log.clone(), scenario.token.to_string());
+            let (word, scenario_type) =
+                (format!("{}{TOKEN_MARK}{token}", log.path.display()), scenario.scenario_type.clone());
+            ScenarioRef::new(word, InLog { scenario, maps: self.maps.clone() })
+                .with_id(token.clone())
+                .with_type(scenario_type)
+                .with_log_name(log.name.clone())
+                .in_file(log.path.clone(), token)
+        };
+        scenarios.into_iter().map(reference).collect()
+    }
+}
+
+impl ScenarioReader for NuPlanReader {
+    fn recognizes(&self, word: &str) -> Recognition {
+        if split_token(word).0.ends_with(LOG_ENDING) { Recognition::Certain } else { Recognition::No }
+    }
+
+    fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
+        let listed = match self.recognizes(word) {
+            Recognition::Certain => self.in_log(word),
+            _ => self.in_folder(Path::new(word)),
+        };
+        listed.map_err(ReaderError::new)
+    }
+
+    fn looks_for(&self) -> Option<String> {
+        Some(format!("nuPlan logs (*{LOG_ENDING}) down to {MAX_FOLDER_DEPTH} folders below"))
+    }
+
+    fn splits(&self) -> Vec<&'static str> {
+        split::names()
+    }
+
+    fn split(&self, name: &str, on_progress: OnProgress<'_>) -> Option<Result<Split, ReaderError>> {
+        self.split_named(name, on_progress).map(|split| split.map_err(ReaderError::new))
+    }
+
+    fn take_notes(&self) -> Vec<String> {
+        let mut notes = std::mem::take(&mut *self.notes.lock().unwrap_or_else(PoisonError::into_inner));
+        notes.extend(self.maps.take_notes());
+        notes
+    }
+}
+
+/// A scenario of a log, and the maps, which all scenarios share.
+struct InLog {
+    scenario: LogScenario,
+    maps: Arc<MapStore>,
+}
+
+impl OpenScenario for InLog {
+    fn open(&self) -> Result<Scenario, ReaderError> {
+        open(&self.maps, &self.scenario).map_err(ReaderError::new)
+    }
+
+    fn check(&self) -> Result<(), ReaderError> {
+        self.maps.check(&self.scenario.map_name).map_err(ReaderError::new)
+    }
+}
+
+fn unreadable_reference(unreadable: UnreadableLog) -> ScenarioRef {
+    ScenarioRef::unreadable(&unreadable.log.path, unreadable.cause)
+}
+
+/// A word without its token, and the token.
+fn split_token(word: &str) -> (&str, Option<&str>) {
+    match word.rsplit_once(TOKEN_MARK) {
+        Some((file, token)) if file.ends_with(LOG_ENDING) => (file, Some(token)),
+        _ => (word, None),
+    }
+}

@@ -1,0 +1,435 @@
+//! The registry of scenario readers: which scenarios a word of the command line names, and how they are opened.
+//!
+//! A reader is one folder of this stage and one line of [`READERS`]; a program adds its own by [`Readers::with`].
+
+use super::{Scenario, argoverse2, generator, nuplan, womd};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::error::Error;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// The readers of this package. In a folder that several of them read, their scenarios stand in this order.
+const READERS: &[fn(&DataRoots) -> Box<dyn ScenarioReader>] = &[
+    |_| Box::new(generator::GeneratedReader),
+    |_| Box::new(womd::WomdReader),
+    |_| Box::new(argoverse2::Argoverse2Reader),
+    |roots| Box::new(nuplan::NuPlanReader::new(roots.clone())),
+];
+
+/// Called with the number of finished steps and the number of all.
+pub type OnProgress<'a> = &'a (dyn Fn(usize, usize) + Sync);
+
+/// One source of scenarios.
+pub trait ScenarioReader: Send + Sync {
+    /// Whether this reader takes a word of the command line, judged without reading a file.
+    fn recognizes(&self, word: &str) -> Recognition;
+
+    /// All scenarios that a recognized word names. Of a folder, those that the reader finds in it, possibly none; a file
+    /// among others that cannot be read is a [`ScenarioRef::unreadable`].
+    fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError>;
+
+    /// What [`Self::list`] looks for in a folder, for a folder without scenarios; `None` where it reads no folders.
+    fn looks_for(&self) -> Option<String> {
+        None
+    }
+
+    /// The same word, independent of the working directory.
+    fn absolute_word(&self, word: &str) -> String {
+        absolute_path(word)
+    }
+
+    /// Names of the splits that this reader knows.
+    fn splits(&self) -> Vec<&'static str> {
+        Vec::new()
+    }
+
+    /// The scenarios of a named split or a filter file; `None` when the name is none of this reader's.
+    fn split(&self, _name: &str, _on_progress: OnProgress<'_>) -> Option<Result<Split, ReaderError>> {
+        None
+    }
+
+    /// What a user should know about the data that was read since the last call.
+    fn take_notes(&self) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+/// How surely a word is one of a reader's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Recognition {
+    No,
+    /// Where no other reader is certain.
+    Possible,
+    Certain,
+}
+
+/// How a reader opens one of its scenarios.
+pub trait OpenScenario: Send + Sync {
+    fn open(&self) -> Result<Scenario, ReaderError>;
+
+    /// Checks, without reading, that the files which opening needs exist: before the first simulation rather than in each.
+    fn check(&self) -> Result<(), ReaderError> {
+        Ok(())
+    }
+
+    /// What can be counted without building the scenario; `None` where that is nothing.
+    fn contents(&self) -> Result<Option<Contents>, ReaderError> {
+        Ok(None)
+    }
+}
+
+impl<F: Fn() -> Result<Scenario, ReaderError> + Send + Sync> OpenScenario for F {
+    fn open(&self) -> Result<Scenario, ReaderError> {
+        self()
+    }
+}
+
+/// What a recording holds, counted without building the scenario.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Contents {
+    /// Place in a file of several recordings, from 0.
+    pub record: Option<usize>,
+    /// Recorded steps at 10 Hz.
+    pub steps: usize,
+    /// Iterations of a simulation.
+    pub iterations: usize,
+    /// Recorded objects.
+    pub tracks: usize,
+    /// Lanes for motor vehicles, lane connectors included: as many as the map of the opened scenario has.
+    pub lanes: usize,
+}
+
+/// A scenario that can be opened, with what is known before that. Displayed as the word of the command line that names it.
+#[derive(Clone)]
+pub struct ScenarioRef {
+    word: String,
+    id: Option<String>,
+    scenario_type: Option<String>,
+    log_name: String,
+    path: Option<PathBuf>,
+    part: String,
+    fault: Option<String>,
+    source: Arc<dyn OpenScenario>,
+}
+
+impl ScenarioRef {
+    /// A scenario by the word that names it.
+    pub fn new(word: impl Into<String>, source: impl OpenScenario + 'static) -> Self {
+        let word = word.into();
+        Self {
+            log_name: word.clone(),
+            part: word.clone(),
+            word,
+            id: None,
+            scenario_type: None,
+            path: None,
+            fault: None,
+            source: Arc::new(source),
+        }
+    }
+
+    /// A file among others that cannot be read. Its contents are unknown: it stands for one scenario, which fails.
+    pub fn unreadable(path: &Path, fault: String) -> Self {
+        let cause = fault.clone();
+        let unopened = Self::new(path.display().to_string(), move || Err(ReaderError::Unreadable(cause.clone())));
+        let log_name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        Self { log_name, fault: Some(fault), ..unopened.in_file(path, "") }
+    }
+
+    /// With the id that the opened scenario will have.
+    #[must_use]
+    pub fn with_id(mut self, id: impl Into<String>) -> Self {
+        self.id = Some(id.into());
+        self
+    }
+
+    /// With nuPlan's scenario type.
+    #[must_use]
+    pub fn with_type(mut self, scenario_type: impl Into<String>) -> Self {
+        self.scenario_type = Some(scenario_type.into());
+        self
+    }
+
+    /// With the name of the log.
+    #[must_use]
+    pub fn with_log_name(mut self, log_name: impl Into<String>) -> Self {
+        self.log_name = log_name.into();
+        self
+    }
+
+    /// With its file or folder, and its name in that where there are several. Two words that lead to one file and part are
+    /// one scenario.
+    #[must_use]
+    pub fn in_file(mut self, path: impl Into<PathBuf>, part: impl Into<String>) -> Self {
+        self.path = Some(path.into());
+        self.part = part.into();
+        self
+    }
+
+    /// Id of the scenario, as far as it is known before opening.
+    pub fn id(&self) -> Option<&str> {
+        self.id.as_deref()
+    }
+
+    /// nuPlan's scenario type, as far as it is known before opening.
+    pub fn scenario_type(&self) -> Option<&str> {
+        self.scenario_type.as_deref()
+    }
+
+    pub fn log_name(&self) -> &str {
+        &self.log_name
+    }
+
+    /// Its file or folder; `None` for a generated scenario.
+    pub fn path(&self) -> Option<&Path> {
+        self.path.as_deref()
+    }
+
+    /// Why its file cannot be read, for a file among others.
+    pub fn fault(&self) -> Option<&str> {
+        self.fault.as_deref()
+    }
+
+    pub fn open(&self) -> Result<Scenario, ReaderError> {
+        self.source.open()
+    }
+
+    /// As [`OpenScenario::check`].
+    pub fn check(&self) -> Result<(), ReaderError> {
+        self.source.check()
+    }
+
+    /// As [`OpenScenario::contents`].
+    pub fn contents(&self) -> Result<Option<Contents>, ReaderError> {
+        self.source.contents()
+    }
+
+    /// Each scenario once, in the order in which they first appear; then the repeated ones, by whatever path.
+    pub fn distinct(scenarios: Vec<Self>) -> (Vec<Self>, Vec<Self>) {
+        let mut resolved: BTreeMap<PathBuf, PathBuf> = BTreeMap::new();
+        let mut seen = BTreeSet::new();
+        scenarios.into_iter().partition(|scenario| {
+            let path = scenario.path.as_ref().map(|path| {
+                // A path that cannot be resolved does not exist; opening the scenario will say so.
+                let resolve = || path.canonicalize().unwrap_or_else(|_| path.clone());
+                resolved.entry(path.clone()).or_insert_with(resolve).clone()
+            });
+            seen.insert((path, scenario.part.clone()))
+        })
+    }
+}
+
+impl fmt::Display for ScenarioRef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.word)
+    }
+}
+
+impl fmt::Debug for ScenarioRef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ScenarioRef({})", self.word)
+    }
+}
+
+/// Equal by the word.
+impl PartialEq for ScenarioRef {
+    fn eq(&self, other: &Self) -> bool {
+        self.word == other.word
+    }
+}
+
+impl Eq for ScenarioRef {}
+
+/// Why a word names no scenario, or a scenario cannot be opened.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum ReaderError {
+    /// What a reader says.
+    #[error(transparent)]
+    Source(Box<dyn Error + Send + Sync>),
+    #[error("there is no file or folder {}; a generated scenario is called generated/TYPE/SEED or \
+        generated/TYPE/SEED.TRAFFIC", .0.display())]
+    Missing(PathBuf),
+    #[error("no reader takes the file {}", .0.display())]
+    UnknownFile(PathBuf),
+    #[error("cannot list the folder {}: {source}", path.display())]
+    Folder { path: PathBuf, source: std::io::Error },
+    /// A file among others.
+    #[error("{0}")]
+    Unreadable(String),
+    #[error("the folder {} holds no scenarios: {}", path.display(), looked_for.join(", "))]
+    Empty { path: PathBuf, looked_for: Vec<String> },
+}
+
+impl ReaderError {
+    /// The error of a reader.
+    pub fn new(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
+        Self::Source(error.into())
+    }
+}
+
+/// The readers of a program, with the maps and notes that they keep.
+pub struct Readers {
+    readers: Vec<Box<dyn ScenarioReader>>,
+}
+
+impl Readers {
+    /// The readers of this package. Nothing is read yet.
+    pub fn new(roots: &DataRoots) -> Self {
+        Self { readers: READERS.iter().map(|reader| reader(roots)).collect() }
+    }
+
+    /// With one more reader.
+    #[must_use]
+    pub fn with(mut self, reader: impl ScenarioReader + 'static) -> Self {
+        self.readers.push(Box::new(reader));
+        self
+    }
+
+    /// The reader that takes a word: the first certain one, else the first possible one.
+    fn reader_of(&self, word: &str) -> Option<&dyn ScenarioReader> {
+        let first = |wanted| self.readers.iter().find(|reader| reader.recognizes(word) == wanted);
+        first(Recognition::Certain).or_else(|| first(Recognition::Possible)).map(|reader| &**reader)
+    }
+
+    /// All scenarios that a word of the command line names: those of the reader that takes it, else those that all readers
+    /// find in the folder of that name.
+    pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
+        let path = Path::new(word);
+        if let Some(reader) = self.reader_of(word) {
+            return reader.list(word);
+        }
+        if !path.is_dir() {
+            let path = path.to_owned();
+            return Err(if path.exists() { ReaderError::UnknownFile(path) } else { ReaderError::Missing(path) });
+        }
+        let (mut all, mut looked_for) = (Vec::new(), Vec::new());
+        for reader in &self.readers {
+            if let Some(files) = reader.looks_for() {
+                all.extend(reader.list(word)?);
+                looked_for.push(format!("no {files}"));
+            }
+        }
+        match all.first() {
+            None => Err(ReaderError::Empty { path: path.to_owned(), looked_for }),
+            Some(ScenarioRef { fault: Some(fault), .. }) if all.iter().all(|one| one.fault.is_some()) => {
+                Err(ReaderError::Unreadable(fault.clone()))
+            }
+            Some(_) => Ok(all),
+        }
+    }
+
+    /// The word by which the same scenarios are found from any working directory.
+    pub fn absolute_word(&self, word: &str) -> String {
+        self.reader_of(word).map_or_else(|| absolute_path(word), |reader| reader.absolute_word(word))
+    }
+
+    /// The names of all splits.
+    pub fn splits(&self) -> Vec<&'static str> {
+        self.readers.iter().flat_map(|reader| reader.splits()).collect()
+    }
+
+    /// The scenarios of a split; `None` when no reader knows the name.
+    pub fn split(&self, name: &str, on_progress: OnProgress<'_>) -> Option<Result<Split, ReaderError>> {
+        self.readers.iter().find_map(|reader| reader.split(name, on_progress))
+    }
+
+    /// What a user should know about the data that was read since the last call.
+    pub fn take_notes(&self) -> Vec<String> {
+        self.readers.iter().flat_map(|reader| reader.take_notes()).collect()
+    }
+}
+
+impl fmt::Debug for Readers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Readers({})", self.readers.len())
+    }
+}
+
+/// A path independent of the working directory; a word that is no path stays.
+pub fn absolute_path(word: &str) -> String {
+    let absolute = || std::path::absolute(word).ok()?.into_os_string().into_string().ok();
+    absolute().unwrap_or_else(|| word.to_owned())
+}
+
+/// The two folders of nuPlan's data, as nuPlan's environment variables name them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct DataRoots {
+    /// `NUPLAN_DATA_ROOT`: the logs lie in it or in the folders below.
+    pub data: Option<PathBuf>,
+    /// `NUPLAN_MAPS_ROOT`: holds `nuplan-maps-v1.0.json` and a folder for each location.
+    pub maps: Option<PathBuf>,
+}
+
+impl DataRoots {
+    /// The folders that the environment names.
+    pub fn from_environment() -> Self {
+        let folder = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        Self { data: folder("NUPLAN_DATA_ROOT"), maps: folder("NUPLAN_MAPS_ROOT") }
+    }
+}
+
+/// The scenarios of a list that has a name.
+#[derive(Debug, Clone, Default)]
+pub struct Split {
+    /// Those that exist.
+    pub scenarios: Vec<ScenarioRef>,
+    /// Those that do not: a run of the list is not the whole list.
+    pub missing: MissingTokens,
+    /// The file that holds the list, if one does.
+    pub file: Option<PathBuf>,
+    /// What a user should know, for example that a file is not the published one.
+    pub notes: Vec<String>,
+}
+
+/// Scenarios that a list names and that do not exist.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MissingTokens {
+    /// The list: its name, or its file.
+    pub split: String,
+    /// Number of its tokens.
+    pub wanted: usize,
+    /// Those that no log holds.
+    pub absent: Vec<String>,
+    /// Those that a log holds but that are no scenario of the list.
+    pub excluded: Vec<ExcludedToken>,
+}
+
+/// A token that a log holds and that is no scenario of a list.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExcludedToken {
+    pub token: String,
+    pub reason: String,
+}
+
+impl MissingTokens {
+    /// Whether every token gives a scenario.
+    pub fn is_empty(&self) -> bool {
+        self.absent.is_empty() && self.excluded.is_empty()
+    }
+}
+
+impl fmt::Display for MissingTokens {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let missing = self.absent.len() + self.excluded.len();
+        write!(f, "split {}: {missing} of {} scenarios are missing", self.split, self.wanted)?;
+        if !self.absent.is_empty() {
+            write!(f, "; {} in no log: {}", self.absent.len(), first_few(&self.absent, Clone::clone))?;
+        }
+        if !self.excluded.is_empty() {
+            let named = first_few(&self.excluded, |excluded| format!("{} ({})", excluded.token, excluded.reason));
+            write!(f, "; {} that are no scenario: {named}", self.excluded.len())?;
+        }
+        Ok(())
+    }
+}
+
+fn first_few<T>(list: &[T], word: impl Fn(&T) -> String) -> String {
+    const MAX_NAMED: usize = 5;
+    let more = if list.len() > MAX_NAMED { ", ..." } else { "" };
+    list.iter().take(MAX_NAMED).map(word).collect::<Vec<_>>().join(", ") + more
+}

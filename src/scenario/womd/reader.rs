@@ -1,0 +1,75 @@
+//! Waymo recordings in the registry of readers.
+
+use super::{Pick, Summary, WomdError, log_name, open_one, summaries};
+use crate::scenario::{Contents, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef};
+use std::path::{Path, PathBuf};
+
+/// Ending of recordings in a folder.
+const ENDING: &str = "tfrecord";
+
+/// Takes TFRecord files. A file of any name may be one: Waymo's end in `.tfrecord-00000-of-01000`.
+pub struct WomdReader;
+
+impl ScenarioReader for WomdReader {
+    fn recognizes(&self, word: &str) -> Recognition {
+        if Path::new(word).is_file() { Recognition::Possible } else { Recognition::No }
+    }
+
+    fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
+        let path = Path::new(word);
+        if !path.is_dir() {
+            return records(path).map_err(ReaderError::new);
+        }
+        let mut all = Vec::new();
+        for file in recordings_in(path)? {
+            match records(&file) {
+                Ok(records) => all.extend(records),
+                Err(error) => all.push(ScenarioRef::unreadable(&file, error.to_string())),
+            }
+        }
+        Ok(all)
+    }
+
+    fn looks_for(&self) -> Option<String> {
+        Some(format!("*.{ENDING} files (right in it)"))
+    }
+}
+
+/// The recordings of a folder, by name.
+fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReaderError> {
+    let failed = |source| ReaderError::Folder { path: folder.to_owned(), source };
+    let entries = std::fs::read_dir(folder).map_err(failed)?;
+    let mut files = entries.map(|entry| entry.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(failed)?;
+    files.retain(|path| path.extension().is_some_and(|ending| ending == ENDING));
+    files.sort();
+    Ok(files)
+}
+
+fn records(path: &Path) -> Result<Vec<ScenarioRef>, WomdError> {
+    let reference = |summary: Summary| {
+        let record = summary.record;
+        let word = if record == 0 { path.display().to_string() } else { format!("{} record {record}", path.display()) };
+        let id = summary.id.clone();
+        ScenarioRef::new(word, Recording { path: path.to_owned(), summary })
+            .with_id(id)
+            .with_log_name(log_name(path))
+            .in_file(path, record.to_string())
+    };
+    summaries(path)?.map(|summary| summary.map(reference)).collect()
+}
+
+struct Recording {
+    path: PathBuf,
+    summary: Summary,
+}
+
+impl OpenScenario for Recording {
+    fn open(&self) -> Result<Scenario, ReaderError> {
+        open_one(&self.path, &Pick::Index(self.summary.record)).map_err(ReaderError::new)
+    }
+
+    fn contents(&self) -> Result<Option<Contents>, ReaderError> {
+        let &Summary { record, steps, iterations, tracks, lanes, .. } = &self.summary;
+        Ok(Some(Contents { record: Some(record), steps, iterations, tracks, lanes }))
+    }
+}
