@@ -11,7 +11,6 @@ use planagent::internals::dynamics::IdmTraffic;
 use planagent::internals::environment::text::{self, Description};
 use planagent::internals::environment::{BevView, CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph, bev};
 use planagent::internals::geometry::{OrientedBox, Vector};
-use planagent::internals::metrics::{EvaluatedSimulation, evaluate};
 use planagent::internals::pdm::{
     Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, ReferencePath, plan_along, score_proposals, simulate_proposals,
 };
@@ -63,7 +62,7 @@ fn crowd(scene: &Scene<'_>, reference_path: &ReferencePath) -> Vec<TrackedObject
 
 fn pdm_closed(c: &mut Criterion) {
     let scenario = generate(&DEFAULT).unwrap();
-    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let base = drive.scene();
     let reference_path = ReferencePath::find(base.map, base.route, base.ego).unwrap();
     let objects = crowd(&base, &reference_path);
@@ -124,7 +123,7 @@ fn busy_road(map: &Arc<LaneMap>, ego: &EgoState) -> IdmTraffic {
 /// Planners and traffic, a step of the loop each.
 fn steps(c: &mut Criterion) {
     let scenario = generate(&DEFAULT).unwrap();
-    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let scene = drive.scene();
     let mut idm = IdmPlanner::new();
     drive.initialize(&mut idm).unwrap();
@@ -162,7 +161,7 @@ fn opening(c: &mut Criterion) {
 fn engine(c: &mut Criterion) {
     let scenario = generate(&DEFAULT).unwrap();
     let expert: Vec<EgoState> = scenario.expert().copied().collect();
-    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopReactiveAgents).unwrap();
+    let drive = ClosedLoop::new(&scenario, Challenge::Reactive).unwrap();
     let scene = drive.scene();
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
     let code = PlannerCode {
@@ -190,16 +189,14 @@ fn engine(c: &mut Criterion) {
         });
     });
     c.bench_function("drive 15 s, idm, non-reactive", |b| {
-        b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::ClosedLoopNonreactiveAgents).unwrap());
+        b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::NonReactive).unwrap());
     });
     c.bench_function("drive 15 s, idm, reactive", |b| {
-        b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::ClosedLoopReactiveAgents).unwrap());
+        b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::Reactive).unwrap());
     });
-    let log = simulate(&scenario, &mut LogReplay::new(expert.clone()), Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let log = simulate(&scenario, &mut LogReplay::new(expert.clone()), Challenge::NonReactive).unwrap();
     c.bench_function("metrics of a finished drive", |b| {
-        b.iter(|| {
-            evaluate(&EvaluatedSimulation { map: &scenario.map, samples: &log.samples, expert: &expert }).unwrap()
-        });
+        b.iter(|| log.evaluate(&scenario).unwrap());
     });
 }
 

@@ -134,7 +134,7 @@ pub(crate) fn drive(
 ) -> (PlanAgent, SimulationLog, Vec<String>) {
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
     let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source(script.clone(), rounds), settings);
-    let log = simulate(&scenario(id), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let log = simulate(&scenario(id), &mut agent, Challenge::NonReactive).unwrap();
     let asked = script.asked.lock().unwrap().clone();
     (agent, log, asked)
 }
@@ -265,7 +265,7 @@ fn reflection_refuses_to_run_into_the_leader_and_accepts_to_follow_it() {
     let (mut seen, mut braked) = (0, 0);
     for seed in 0..12 {
         let scenario = scenario(&format!("generated/stationary_in_traffic/{seed}"));
-        let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+        let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
         let scene = drive.scene();
         let Ok(graph) = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH) else { continue };
         let close = graph
@@ -297,7 +297,7 @@ fn reflection_refuses_to_run_into_the_leader_and_accepts_to_follow_it() {
 #[test]
 fn a_report_names_what_progress_was_compared_with() {
     let scenario = scenario("generated/high_magnitude_speed/1");
-    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let scene = drive.scene();
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
     let planner = planner_at(&drive, &graph, 3.0, LeadPolicy::Nearest);
@@ -320,7 +320,7 @@ fn a_roll_out_stops_before_a_red_light() {
     for seed in 0..30 {
         let id = format!("generated/starting_straight_traffic_light_intersection_traversal/{seed}");
         let scenario = scenario(&id);
-        let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+        let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
         let scene = drive.scene();
         let Ok(graph) = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH) else { continue };
         let red = graph.ego_lane().light.filter(|light| light.status == planagent::internals::world::SignalStatus::Red);
@@ -343,7 +343,7 @@ fn a_roll_out_stops_before_a_red_light() {
 fn the_controls_drive_without_a_model() {
     let best = |code_source: CodeSource| {
         let mut agent = PlanAgent::new(PlannerName::new("control"), code_source, settings());
-        simulate(&scenario("generated/changing_lane/3"), &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+        simulate(&scenario("generated/changing_lane/3"), &mut agent, Challenge::NonReactive).unwrap();
         let calls = agent.calls().to_vec();
         assert_eq!(calls.len(), 8);
         assert!(calls.iter().all(|call| call.image.is_none() && call.scene_text.is_none()));
@@ -371,7 +371,7 @@ fn the_controls_drive_without_a_model() {
 #[test]
 fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
     let scenario = scenario("generated/changing_lane/4");
-    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let free = Scene { objects: &[], ..drive.scene() };
     let graph = LaneGraph::build(&free, DEFAULT_NODE_LENGTH).unwrap();
     let lane = |name| {
@@ -400,7 +400,7 @@ fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
 #[test]
 fn who_leads_is_a_fact_of_the_scene() {
     let scenario = scenario("generated/following_lane_with_lead/0");
-    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let graph = LaneGraph::build(&drive.scene(), DEFAULT_NODE_LENGTH).unwrap();
     let leads = graph.lead_agent(CenterlineName::EgoLane).map(|agent| agent.token);
     assert!(leads.is_some());

@@ -11,7 +11,7 @@ const ROUNDABOUT: &str = "generated/case_roundabout/0";
 const RED_LIGHT: &str = "generated/case_red_light/0";
 
 fn by_rules(scenario: &Scenario) -> SimulationLog {
-    simulate(scenario, &mut PdmClosed::new(), Challenge::ClosedLoopNonreactiveAgents).unwrap()
+    simulate(scenario, &mut PdmClosed::new(), Challenge::NonReactive).unwrap()
 }
 
 /// A drive in which the n-th planning call gives the n-th code.

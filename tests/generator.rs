@@ -1,6 +1,5 @@
 //! Generated scenes, driven again by log replay: how far the recorded driver can be followed.
 
-use planagent::internals::metrics::{EvaluatedSimulation, evaluate};
 use planagent::internals::planner::LogReplay;
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
@@ -18,10 +17,8 @@ const MULTIPLIERS: [&str; 3] =
 fn failed(scenario: &Scenario) -> Vec<&'static str> {
     let expert: Vec<_> = scenario.expert().copied().collect();
     let mut planner = LogReplay::new(expert.clone());
-    let log = simulate(scenario, &mut planner, Challenge::ClosedLoopNonreactiveAgents)
-        .unwrap_or_else(|error| panic!("{error}"));
-    let evaluation = evaluate(&EvaluatedSimulation { map: &scenario.map, samples: &log.samples, expert: &expert })
-        .unwrap_or_else(|error| panic!("{}: {error}", scenario.id));
+    let log = simulate(scenario, &mut planner, Challenge::NonReactive).unwrap_or_else(|error| panic!("{error}"));
+    let evaluation = log.evaluate(scenario).unwrap_or_else(|error| panic!("{}: {error}", scenario.id));
     let passes = |name: &str| evaluation.metric(name).and_then(|metric| metric.score).is_some_and(|s| s >= 1.0);
     MULTIPLIERS.into_iter().filter(|name| !passes(name)).collect()
 }

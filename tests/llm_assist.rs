@@ -24,13 +24,13 @@ fn drive(
     let model: Arc<dyn Mllm> = script.clone();
     let asked = (model, Arc::new(PromptSet::open("paper").unwrap()), reasoning(&[Round::Code]));
     let mut planner = LlmAssist::new(PlannerName::new("llm-assist"), variant, asked, settings);
-    let log = simulate(&scenario(SCENE), &mut planner, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let log = simulate(&scenario(SCENE), &mut planner, Challenge::NonReactive).unwrap();
     let asked = script.asked.lock().unwrap().clone();
     (planner, log, asked)
 }
 
 fn by_rules() -> SimulationLog {
-    simulate(&scenario(SCENE), &mut PdmClosed::new(), Challenge::ClosedLoopNonreactiveAgents).unwrap()
+    simulate(&scenario(SCENE), &mut PdmClosed::new(), Challenge::NonReactive).unwrap()
 }
 
 #[test]
@@ -85,7 +85,7 @@ fn the_model_that_ships_answers_so_that_it_can_be_read() {
         let reasoning = ReasoningSettings { grammar: true, generation: spec.generation, ..reasoning(&[Round::Code]) };
         let asked = (model.clone(), Arc::new(PromptSet::open("compact").unwrap()), reasoning);
         let mut planner = LlmAssist::new(PlannerName::new("llm-assist"), variant, asked, never_content());
-        simulate(&scenario(SCENE), &mut planner, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+        simulate(&scenario(SCENE), &mut planner, Challenge::NonReactive).unwrap();
         assert_eq!(planner.calls().len(), 8);
         for attempt in planner.calls().iter().flat_map(|call| &call.attempts) {
             assert!(attempt.assistance.is_some() && attempt.errors.is_empty(), "{:?}", attempt.errors);

@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex};
 /// beside it, and the stop.
 fn monitored_simulation(id: &str, monitor: &PlanMonitor, v0: f64) -> [usize; 4] {
     let scenario = scenario(id);
-    let mut drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let mut drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let mut count = [0; 4];
     for _ in 0..60 {
         let scene = drive.scene();
@@ -71,7 +71,7 @@ fn standing(at: Pose, width: f64) -> TrackedObject {
 #[test]
 fn a_change_of_lanes_that_goes_bad_is_given_up() {
     let scenario = scenario("generated/changing_lane/4");
-    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let free = Scene { objects: &[], ..drive.scene() };
     let graph = LaneGraph::build(&free, DEFAULT_NODE_LENGTH).unwrap();
     let (own, left) = (graph.ego_lane(), graph.centerline(CenterlineName::LeftLane).unwrap());
@@ -98,7 +98,7 @@ fn a_change_of_lanes_that_goes_bad_is_given_up() {
 #[test]
 fn a_watched_planner_stops_only_in_danger_and_only_if_it_may() {
     let scenario = scenario("generated/waiting_for_pedestrian_to_cross/0");
-    let drive = ClosedLoop::new(&scenario, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let before = drive.scene();
     let ego = EgoState::from_log(before.ego.time_us, before.ego.rear_axle, Vector::new(9.0, 0.0), Vector::zeros());
     let graph = LaneGraph::build(&before, DEFAULT_NODE_LENGTH).unwrap();

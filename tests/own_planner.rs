@@ -57,7 +57,7 @@ fn an_own_planner_is_run_and_recorded_by_its_name() {
 #[test]
 fn an_unknown_planner_is_recorded_as_a_failure() {
     let source = generator::DEFAULT.into();
-    let challenge = Challenge::ClosedLoopNonreactiveAgents;
+    let challenge = Challenge::NonReactive;
     let tasks = [SimulationTask { source, planner: PlannerName::new("crawler"), challenge }];
     let outcome = run(&tasks, &[0], &AgentParts::default(), &|_| (), &|_, record| match record.outcome {
         Err(error) if error.contains("unknown planner 'crawler'") => Ok(()),

@@ -42,7 +42,7 @@ fn a_reader_from_outside_is_one_type_and_one_line() {
     let task = SimulationTask {
         source: found[0].clone(),
         planner: PlannerName::new("simple"),
-        challenge: Challenge::ClosedLoopNonreactiveAgents,
+        challenge: Challenge::NonReactive,
     };
     let record = Mutex::new(None);
     let outcome: Result<(), ()> = runner::run(&[task], &[0], &AgentParts::default(), &|_| (), &|_, done| {

@@ -57,7 +57,7 @@ fn a_gate_lets_the_rules_drive_where_they_are_expected_to_do_well() {
     assert!(asked.is_empty(), "the model was asked: {asked:?}");
     assert_eq!(agent.calls().len(), 8);
     assert!(agent.calls().iter().all(|call| matches!(call.decision, Decision::Gated(score) if score >= 0.5)));
-    let rules = simulate(&scenario(SCENE), &mut PdmClosed::new(), Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let rules = simulate(&scenario(SCENE), &mut PdmClosed::new(), Challenge::NonReactive).unwrap();
     let [mine, theirs] = [&log, &rules].map(|log| log.samples.last().unwrap().ego.rear_axle);
     assert!(mine.distance(&theirs) < 1.0, "{mine:?} {theirs:?}");
     let (agent, _, asked) = drive(&[EIGHT], &[Round::Code], gated(1.1), SCENE);

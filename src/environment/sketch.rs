@@ -1,119 +1,32 @@
 //! Hand-drawn roads for the tests of this stage. Right-hand traffic, lanes 3.5 m wide, limit 13.4 m/s.
 
-use crate::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
+use crate::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
 use crate::world::{
-    EgoState, History, Lane, LaneId, LaneKind, LaneMap, MapParts, Neighbor, ObjectKind, PACIFICA, Roadblock,
-    RoadblockId, Route, Scene, SignalStatus, StopLine, StopLineId, TrackToken, TrackedObject, TrafficLights,
+    EgoState, History, LaneId, LaneMap, MapBuilder, MapParts, ObjectKind, PACIFICA, Route, Scene, SignalStatus,
+    TrackToken, TrackedObject, TrafficLights,
 };
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 pub(super) const WIDTH: f64 = 3.5;
 const LIMIT: f64 = 13.4;
 
-/// A map being drawn.
+/// A map under construction with the width and limit of these tests.
 #[derive(Default)]
 pub(super) struct Sketch {
-    parts: MapParts,
-    groups: Vec<Vec<LaneId>>,
+    map: MapBuilder,
 }
 
 impl Sketch {
-    pub(super) fn lane(&mut self, points: Vec<Point>, kind: LaneKind) -> LaneId {
-        let id = LaneId(self.parts.lanes.len() as u32);
-        let centerline = Polyline::new(points).unwrap().resampled(1.0);
-        let polygon = Polygon::between(&centerline.offset(WIDTH / 2.0), &centerline.offset(-WIDTH / 2.0)).unwrap();
-        self.parts.lanes.push(Lane {
-            id,
-            source_id: i64::from(id.0) + 1000,
-            kind,
-            centerline,
-            polygon,
-            incoming: vec![],
-            outgoing: vec![],
-            left: vec![],
-            right: vec![],
-            roadblock: RoadblockId(0),
-            speed_limit: (kind == LaneKind::Lane).then_some(LIMIT),
-            has_traffic_lights: false,
-            stop_lines: vec![],
-        });
-        id
+    pub(super) fn lane(&mut self, points: Vec<Point>) -> LaneId {
+        self.map.lane(points, WIDTH, Some(LIMIT)).unwrap()
     }
 
-    fn connect(&mut self, from: LaneId, to: LaneId) {
-        self.parts.lanes[from.index()].outgoing.push(to);
-        self.parts.lanes[to.index()].incoming.push(from);
-    }
-
-    /// A connector along a smooth bend from the end of one lane to the start of another.
     fn join(&mut self, from: LaneId, to: LaneId) -> LaneId {
-        let (a, b) = (&self.parts.lanes[from.index()].centerline, &self.parts.lanes[to.index()].centerline);
-        let (start, end) = (a.pose_at(a.length()), b.pose_at(0.0));
-        let pull = start.distance(&end) * 0.5;
-        let (p1, p2) = (start.translated(pull, 0.0).position(), end.translated(-pull, 0.0).position());
-        let bend = (0..=24).map(|i| {
-            let t = f64::from(i) / 24.0;
-            let (u, t2) = (1.0 - t, t * t);
-            let at = start.position().coords * u.powi(3)
-                + p1.coords * (3.0 * u * u * t)
-                + p2.coords * (3.0 * u * t2)
-                + end.position().coords * (t2 * t);
-            Point::from(at)
-        });
-        let connector = self.lane(bend.collect(), LaneKind::Connector);
-        self.connect(from, connector);
-        self.connect(connector, to);
-        connector
+        self.map.join(from, to, WIDTH).unwrap()
     }
 
-    /// Makes lanes, left to right, neighbours and one roadblock.
-    fn abreast(&mut self, lanes: &[LaneId]) {
-        for pair in lanes.windows(2) {
-            let (left, right) = (pair[0], pair[1]);
-            let length = |id: LaneId| self.parts.lanes[id.index()].centerline.length();
-            let (left_length, right_length) = (length(left), length(right));
-            let to = |lane, to_s| Neighbor { lane, from_s: 0.0, to_s };
-            self.parts.lanes[left.index()].right.push(to(right, left_length));
-            self.parts.lanes[right.index()].left.push(to(left, right_length));
-        }
-        self.groups.push(lanes.to_vec());
-    }
-
-    fn stop_line(&mut self, connector: LaneId) {
-        let id = StopLineId(self.parts.stop_lines.len() as u32);
-        let at = self.parts.lanes[connector.index()].centerline.pose_at(0.0).translated(-1.0, 0.0);
-        let polygon = OrientedBox::new(at, 0.4, WIDTH).to_polygon();
-        self.parts.stop_lines.push(StopLine { polygon, lanes: vec![connector], stop_sign: false });
-        let lane = &mut self.parts.lanes[connector.index()];
-        lane.stop_lines.push(id);
-        lane.has_traffic_lights = true;
-    }
-
-    fn finish(mut self) -> LaneMap {
-        for id in self.parts.lanes.iter().map(|lane| lane.id).collect::<Vec<_>>() {
-            if !self.groups.iter().any(|group| group.contains(&id)) {
-                self.groups.push(vec![id]);
-            }
-        }
-        for (i, lanes) in self.groups.iter().enumerate() {
-            let id = RoadblockId(i as u32);
-            for lane in lanes {
-                self.parts.lanes[lane.index()].roadblock = id;
-            }
-            let kind = self.parts.lanes[lanes[0].index()].kind;
-            let areas = lanes.iter().map(|lane| self.parts.lanes[lane.index()].polygon.clone()).collect();
-            let (source_id, lanes) = (i64::from(id.0), lanes.clone());
-            self.parts.roadblocks.push(Roadblock {
-                id,
-                source_id,
-                kind,
-                lanes,
-                areas,
-                incoming: vec![],
-                outgoing: vec![],
-            });
-        }
-        LaneMap::new(self.parts.with_roadblocks_as_road()).unwrap()
+    fn finish(self) -> LaneMap {
+        self.map.finish().unwrap()
     }
 }
 
@@ -147,13 +60,7 @@ impl Drawn {
 
     /// Puts an object `forward` and `left` of the ego's box centre, turned by `turn`, moving along its heading.
     pub(super) fn put(mut self, kind: ObjectKind, forward: f64, left: f64, turn: f64, speed: f64) -> Self {
-        let (length, width) = match kind {
-            ObjectKind::Vehicle => (4.6, 1.9),
-            ObjectKind::Bicycle => (1.8, 0.7),
-            ObjectKind::Pedestrian => (0.7, 0.7),
-            ObjectKind::TrafficCone => (0.4, 0.4),
-            ObjectKind::Barrier | ObjectKind::CzoneSign | ObjectKind::GenericObject => (2.0, 0.6),
-        };
+        let (length, width) = kind.default_size();
         let mut center = self.ego.center().translated(forward, left);
         center.heading += turn;
         let token = TrackToken(self.objects.len() as u32);
@@ -208,13 +115,12 @@ pub(super) fn straight(own: u32, oncoming: u32, ego_lane: u32, speed: f64) -> Dr
     let west = Pose::new(40.0, 0.0, std::f64::consts::PI);
     let mut road = |frame: Pose, spans: [(f64, f64); 2], offsets: Vec<f64>| {
         let pieces = spans.map(|(from, to)| {
-            let lanes: Vec<LaneId> =
-                offsets.iter().map(|&left| sketch.lane(line(frame, from, to, left), LaneKind::Lane)).collect();
-            sketch.abreast(&lanes);
+            let lanes: Vec<LaneId> = offsets.iter().map(|&left| sketch.lane(line(frame, from, to, left))).collect();
+            sketch.map.abreast(&lanes);
             lanes
         });
         for (&from, &to) in pieces[0].iter().zip(&pieces[1]) {
-            sketch.connect(from, to);
+            sketch.map.connect(from, to);
         }
     };
     road(east, [(-100.0, 40.0), (40.0, 200.0)], (0..own).map(|i| -WIDTH * f64::from(i)).collect());
@@ -232,7 +138,7 @@ pub(super) fn curve(radius: f64, before: f64, speed: f64) -> Drawn {
         let a = f64::from(i) / 40.0 * FRAC_PI_2;
         Point::new(radius.abs() * a.sin(), radius * (1.0 - a.cos()))
     });
-    sketch.lane(std::iter::once(Point::new(-100.0, 0.0)).chain(bend).collect(), LaneKind::Lane);
+    sketch.lane(std::iter::once(Point::new(-100.0, 0.0)).chain(bend).collect());
     Drawn::new(sketch.finish(), Pose::new(-before, 0.0, 0.0), speed)
 }
 
@@ -255,29 +161,28 @@ pub(super) fn crossing(lanes: u32, ego_lane: u32, before: f64, speed: f64) -> (D
     for arm in 0..4 {
         let frame = Pose::new(0.0, 0.0, FRAC_PI_2 * f64::from(arm));
         let mut both = |from, to| {
-            let road: Vec<LaneId> =
-                (0..lanes).map(|k| sketch.lane(line(frame, from, to, right(k)), LaneKind::Lane)).collect();
-            sketch.abreast(&road);
+            let road: Vec<LaneId> = (0..lanes).map(|k| sketch.lane(line(frame, from, to, right(k)))).collect();
+            sketch.map.abreast(&road);
             road
         };
         arms.inbound.push(both(-120.0, -MIDDLE));
         arms.outbound.push(both(MIDDLE, 120.0));
         let across = OrientedBox::new(frame.translated(-MIDDLE + 2.0, 0.0), 3.0, 2.0 * WIDTH * f64::from(lanes));
-        sketch.parts.crosswalks.push(across.to_polygon());
+        sketch.map.parts.crosswalks.push(across.to_polygon());
     }
     for arm in 0..4 {
         let last = lanes as usize - 1;
         let straight: Vec<LaneId> =
             (0..=last).map(|k| sketch.join(arms.inbound[arm][k], arms.outbound[arm][k])).collect();
-        sketch.abreast(&straight);
+        sketch.map.abreast(&straight);
         let left = sketch.join(arms.inbound[arm][0], arms.outbound[(arm + 1) % 4][0]);
         let right = sketch.join(arms.inbound[arm][last], arms.outbound[(arm + 3) % 4][last]);
         for connector in straight.into_iter().chain([left, right]) {
-            sketch.stop_line(connector);
+            sketch.map.stop_line(connector, WIDTH);
         }
     }
     let side = 2.0 * MIDDLE;
-    sketch.parts.intersections.push(OrientedBox::new(Pose::default(), side, side).to_polygon());
+    sketch.map.parts.intersections.push(OrientedBox::new(Pose::default(), side, side).to_polygon());
     (Drawn::new(sketch.finish(), Pose::new(-MIDDLE - before, right(ego_lane), 0.0), speed), arms)
 }
 
@@ -292,19 +197,19 @@ pub(super) fn roundabout(radius: f64, before: f64, speed: f64) -> Drawn {
             let a = from + (to - from) * f64::from(i) / 12.0;
             Point::new(radius * a.cos(), radius * a.sin())
         });
-        sketch.lane(points.collect(), LaneKind::Lane)
+        sketch.lane(points.collect())
     };
     let arm_angle = |arm: usize| TAU / 2.0 + FRAC_PI_2 * arm as f64;
     let gates: Vec<LaneId> = (0..4).map(|a| arc(arm_angle(a) - OPENING, arm_angle(a) + OPENING)).collect();
     let sides: Vec<LaneId> = (0..4).map(|a| arc(arm_angle(a) + OPENING, arm_angle(a + 1) - OPENING)).collect();
     for arm in 0..4 {
-        sketch.connect(gates[arm], sides[arm]);
-        sketch.connect(sides[arm], gates[(arm + 1) % 4]);
+        sketch.map.connect(gates[arm], sides[arm]);
+        sketch.map.connect(sides[arm], gates[(arm + 1) % 4]);
         let frame = Pose::new(0.0, 0.0, FRAC_PI_2 * arm as f64);
         let end = -radius - 10.0;
-        let inbound = sketch.lane(line(frame, end - 80.0, end, -WIDTH / 2.0), LaneKind::Lane);
+        let inbound = sketch.lane(line(frame, end - 80.0, end, -WIDTH / 2.0));
         let back = Pose::new(0.0, 0.0, frame.heading + TAU / 2.0);
-        let outbound = sketch.lane(line(back, -end, 80.0 - end, -WIDTH / 2.0), LaneKind::Lane);
+        let outbound = sketch.lane(line(back, -end, 80.0 - end, -WIDTH / 2.0));
         sketch.join(inbound, sides[arm]);
         sketch.join(sides[(arm + 3) % 4], outbound);
     }

@@ -1,14 +1,23 @@
-//! `driving_direction_compliance`: a multiplier that punishes driving against the direction of the lane.
+//! `driving_direction_compliance`: 0.5 or 0 for driving against the direction of the lane.
 
-use super::{MetricName, MetricResult, Statistic, StatisticKind, TimeSeries};
+use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
 use crate::world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
 
-/// Movement against the direction within a second that is still compliant, metres.
+/// Compliant movement against the direction within a second, meters.
 pub const DIRECTION_COMPLIANCE: f64 = 2.0;
-/// Movement against the direction within a second from which the score is 0, metres.
+/// Movement against the direction within a second at which the score is 0, meters.
 pub const DIRECTION_VIOLATION: f64 = 6.0;
 /// Length of the window over which movement is summed, seconds.
 const HORIZON_S: f64 = 1.0;
+
+pub(super) const SPEC: MetricSpec = MetricSpec::new("driving_direction_compliance", |input| {
+    Ok(Some(driving_direction_compliance(input.simulation.map, input.states(), &input.lanes().center)))
+})
+.only(MetricList::ClosedLoop)
+.multiplier()
+.truth_value()
+.bounds(Some(-DIRECTION_COMPLIANCE), None)
+.label("dir");
 
 /// 1 for less than 2 m against the direction, 0.5 for less than 6 m, else 0.
 pub fn direction_score(meters_against: f64) -> f64 {
@@ -21,9 +30,8 @@ pub fn direction_score(meters_against: f64) -> f64 {
     }
 }
 
-/// Scores the worst second of a drive, along the lanes at the ego's centre (`center_lanes`, one entry a state).
+/// The [`direction_score`] of the worst second along the lanes at the ego's center (`center_lanes`, one entry a state).
 pub fn driving_direction_compliance(map: &LaneMap, states: &[EgoState], center_lanes: &[Vec<LaneId>]) -> MetricResult {
-    let metric = MetricName::DrivingDirectionCompliance;
     let progress = progress_along_lanes(map, states, center_lanes);
     let window = samples_in_horizon(states);
     let sums: Vec<f64> =
@@ -34,22 +42,22 @@ pub fn driving_direction_compliance(map: &LaneMap, states: &[EgoState], center_l
     let score = direction_score(against);
     let least = "min_progress_along_driving_direction_in_1_second_interval";
     let statistics = vec![
-        Statistic::new(StatisticKind::Value, format!("{metric}_score"), "value", score),
+        Statistic::new(StatisticKind::Value, format!("{}_score", SPEC.name), "value", score),
         Statistic::new(StatisticKind::Min, least, "meters", -against),
     ];
     let unit = "progress_along_driving_direction_in_last_1_seconds_[m]";
-    MetricResult::scored(metric, score, statistics).with_series(TimeSeries::of_states(unit, states, sums))
+    SPEC.scored(score, statistics).with_series(TimeSeries::of_states(unit, states, sums))
 }
 
-/// Samples before the present one that the window holds: 10 at 10 Hz, 9 when the mean step is any longer. Counted in
-/// microseconds, because a rounded step in seconds could lose the tenth.
+/// Samples in the window before the present one: 10 at 10 Hz, 9 when the mean step is any longer. Counted in microseconds,
+/// because rounding the step in seconds could lose the tenth.
 fn samples_in_horizon(states: &[EgoState]) -> usize {
     let [first, .., last] = states else { return 0 };
     let mean_step_us = (last.time_us - first.time_us) as f64 / (states.len() - 1) as f64;
     if mean_step_us > 0.0 { (HORIZON_S * MICROS_PER_SECOND / mean_step_us) as usize } else { 0 }
 }
 
-/// Movement of the ego's centre along the lane at each sample, metres.
+/// Movement of the ego's center along the lane at each sample, meters.
 fn progress_along_lanes(map: &LaneMap, states: &[EgoState], center_lanes: &[Vec<LaneId>]) -> Vec<f64> {
     let mut followed = center_lanes.first().and_then(|lanes| lanes.first().copied());
     let mut before: Option<f64> = None;

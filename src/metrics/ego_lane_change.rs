@@ -1,25 +1,30 @@
-//! `ego_lane_change`: how often and how long the ego changed lanes. It has no score; other metrics use its lanes.
+//! `ego_lane_change`: number and duration of the ego's lane changes, without score.
 
 use super::corners::{CornerAgreement, DrivenLanes};
-use super::{MetricCategory, MetricResult, Statistic, StatisticKind};
+use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind};
 use crate::world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
 use std::collections::BTreeSet;
 
-/// Share of failed lane changes that is still acceptable (devkit `ego_lane_change.yaml`).
+/// Acceptable share of failed lane changes (devkit `ego_lane_change.yaml`).
 const MAX_FAIL_RATE: f64 = 0.3;
+
+pub(super) const SPEC: MetricSpec = MetricSpec::new("ego_lane_change", |input| {
+    Ok(Some(ego_lane_change(input.simulation.map, input.states(), input.lanes())))
+})
+.only(MetricList::ClosedLoop);
 
 /// One lane change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LaneChange {
-    /// When the corners first were in different lanes, µs.
+    /// Time at which the corners first were in different lanes, µs.
     pub start_us: i64,
-    /// How long until they agreed again or the drive ended, µs.
+    /// Time until they agreed again or the simulation ended, µs.
     pub duration_us: i64,
-    /// Whether the ego ended in a lane that neither is nor follows the one it left.
+    /// Whether the ego ended in a lane that is not, and does not follow, the one it left.
     pub success: bool,
 }
 
-/// Finds the lane changes of a drive.
+/// The lane changes of a simulation.
 pub fn find_lane_changes(map: &LaneMap, states: &[EgoState], agreement: &[CornerAgreement]) -> Vec<LaneChange> {
     let mut found = Vec::new();
     let mut open: Option<(i64, &BTreeSet<LaneId>)> = None;
@@ -50,9 +55,9 @@ pub fn find_lane_changes(map: &LaneMap, states: &[EgoState], agreement: &[Corner
     found
 }
 
-/// Counts the lane changes of a drive.
+/// Counts the lane changes and their failures.
 pub fn ego_lane_change(map: &LaneMap, states: &[EgoState], lanes: &DrivenLanes) -> MetricResult {
-    const NAME: &str = "ego_lane_change";
+    const NAME: &str = SPEC.name;
     let changes = find_lane_changes(map, states, &lanes.agreement);
     let mut statistics = vec![Statistic::count(format!("number_of_{NAME}"), changes.len())];
     let mut acceptable = true;
@@ -70,5 +75,5 @@ pub fn ego_lane_change(map: &LaneMap, states: &[EgoState], lanes: &DrivenLanes) 
         ]);
     }
     statistics.push(Statistic::boolean(format!("{NAME}_fail_rate_below_threshold"), acceptable));
-    MetricResult::unscored(NAME, MetricCategory::Planning, statistics)
+    SPEC.unscored(statistics)
 }

@@ -1,15 +1,35 @@
-//! `ego_progress_along_expert_route`: how far the ego came along the expert's route, beside how far the expert came.
+//! `ego_progress_along_expert_route`: the ego's progress along the expert's route relative to the expert's; and
+//! `ego_is_making_progress`, which requires a fifth of it.
 
 use super::route::driven_route;
-use super::{MetricName, MetricResult, Statistic, StatisticKind, TimeSeries};
+use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
 use crate::geometry::{Point, Polyline, Pose};
 use crate::world::{EgoState, LaneId, LaneMap, RoadblockId};
 
-/// Distances below this count as this much, metres. The devkit's documentation says 0.1; its configuration, which
-/// decides, 2.
+/// Shorter distances count as this, meters. The devkit's documentation says 0.1; its configuration, which decides, 2.
 pub const SCORE_PROGRESS: f64 = 2.0;
+/// Least ratio for `ego_is_making_progress` (devkit `ego_is_making_progress_statistics.yaml`).
+pub const MIN_PROGRESS_RATIO: f64 = 0.2;
 
-/// A roadblock of the expert's route with the centreline along which progress in it is measured.
+pub(super) const SPEC: MetricSpec =
+    MetricSpec::new("ego_progress_along_expert_route", |input| Ok(Some(input.progress().clone())))
+        .only(MetricList::ClosedLoop)
+        .weight(5.0)
+        .label("prog");
+pub(super) const MAKING_PROGRESS: MetricSpec = MetricSpec::new("ego_is_making_progress", |input| {
+    Ok(Some(ego_is_making_progress(input.progress().score.unwrap_or(0.0))))
+})
+.only(MetricList::ClosedLoop)
+.multiplier()
+.truth_value()
+.label("moves");
+
+/// 1 when the ratio of `ego_progress_along_expert_route` is at least [`MIN_PROGRESS_RATIO`], else 0.
+pub fn ego_is_making_progress(progress_ratio: f64) -> MetricResult {
+    MAKING_PROGRESS.judged(progress_ratio >= MIN_PROGRESS_RATIO, vec![])
+}
+
+/// A roadblock of the expert's route with the centerline along which progress is measured.
 #[derive(Debug, Clone, Copy)]
 struct Stage<'a> {
     roadblock: RoadblockId,
@@ -24,7 +44,7 @@ pub struct RouteProgress<'a> {
 }
 
 impl<'a> RouteProgress<'a> {
-    /// The chain of roadblocks that a path drove through; empty when it never was in a lane.
+    /// The roadblocks along a path; empty when the path is in no lane.
     pub fn along(map: &'a LaneMap, centers: &[Pose]) -> Self {
         let mut stages: Vec<Stage<'a>> = Vec::new();
         for lane in simplified(&driven_route(map, centers)) {
@@ -41,7 +61,7 @@ impl<'a> RouteProgress<'a> {
         self.stages.is_empty()
     }
 
-    /// Progress at each point since the one before it, metres; 0 for the first and off the route.
+    /// Progress at each point since the previous one, meters; 0 for the first and off the route.
     pub fn per_frame(&self, points: &[Point]) -> Vec<f64> {
         let (Some(head), Some((first, rest))) = (self.stages.first(), points.split_first()) else {
             return vec![0.0; points.len()];
@@ -69,7 +89,7 @@ impl<'a> RouteProgress<'a> {
         progress
     }
 
-    /// The next stage after `current` that holds the point, and the metres of the stages skipped on the way there.
+    /// The next stage after `current` that contains the point, and the meters of the skipped stages.
     fn entered(&self, current: usize, point: Point) -> Option<(usize, f64)> {
         let mut skipped = 0.0;
         for (i, stage) in self.stages.iter().enumerate().skip(current + 1) {
@@ -94,8 +114,7 @@ fn simplified(route: &[Vec<LaneId>]) -> Vec<LaneId> {
     parts.into_iter().filter_map(|lanes| lanes.first().copied()).collect()
 }
 
-/// The score: 0 when the ego went back by more than 2 m, else the ratio of the distances, each held at 2 m or above, at
-/// most 1.
+/// 0 when the ego moved back by more than 2 m, else the ratio of the distances, each at least 2 m; at most 1.
 pub fn progress_ratio(ego_total: f64, expert_total: f64) -> f64 {
     if ego_total < -SCORE_PROGRESS {
         0.0
@@ -104,17 +123,16 @@ pub fn progress_ratio(ego_total: f64, expert_total: f64) -> f64 {
     }
 }
 
-/// Scores the progress of a drive. Without an expert route the score is 1.
+/// The score is the [`progress_ratio`]; 1 without an expert route.
 pub fn ego_progress_along_expert_route(map: &LaneMap, states: &[EgoState], expert: &[EgoState]) -> MetricResult {
-    let metric = MetricName::EgoProgressAlongExpertRoute;
     let expert_centers: Vec<Pose> = expert.iter().map(EgoState::center).collect();
     let route = RouteProgress::along(map, &expert_centers);
     let value = |name: &str, value| Statistic::new(StatisticKind::Value, name, "meters", value);
     let ratio = |value| Statistic::new(StatisticKind::Ratio, "ego_expert_progress_along_route_ratio", "ratio", value);
     if route.is_empty() {
         let statistics = vec![value("expert_total_progress_along_route", 0.0), ratio(1.0)];
-        // Here nuPlan forgets to pass the unit on.
-        return MetricResult { score_unit: None, ..MetricResult::scored(metric, 1.0, statistics) };
+        // nuPlan passes no unit here.
+        return MetricResult { score_unit: None, ..SPEC.scored(1.0, statistics) };
     }
     let centers: Vec<Point> = states.iter().map(|s| s.center().position()).collect();
     let progress = route.per_frame(&centers);
@@ -127,5 +145,5 @@ pub fn ego_progress_along_expert_route(map: &LaneMap, states: &[EgoState], exper
         value("ego_total_progress_along_route", ego_total),
         ratio(score),
     ];
-    MetricResult::scored(metric, score, statistics).with_series(TimeSeries::of_states("meters", states, progress))
+    SPEC.scored(score, statistics).with_series(TimeSeries::of_states("meters", states, progress))
 }

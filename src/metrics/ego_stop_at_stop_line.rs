@@ -1,24 +1,30 @@
 //! `ego_stop_at_stop_line`: whether the ego, first in its lane, stood when its front was nearest to a stop line (devkit
-//! `scenario_dependent/ego_stop_at_stop_line.py`). It is in none of nuPlan's challenge lists and has no score here; nuPlan
-//! would always give it a 1.
+//! `scenario_dependent/ego_stop_at_stop_line.py`). No list of nuPlan's challenges has it, and it has no score here; nuPlan's
+//! is always 1.
 
 use super::route::lanes_at;
-use super::{MetricCategory, MetricResult, Statistic, StatisticKind, TimeSeries};
+use super::{MetricCategory, MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
 use crate::dynamics::ProgressPath;
 use crate::geometry::{Corridor, Point, Polyline, Pose};
 use crate::world::{HistorySample, LaneId, LaneMap, PACIFICA, StopLine, StopLineId};
 
-/// Stops farther than this from the line are none, metres (devkit `ego_stop_at_stop_line_statistics.yaml`).
+/// A stop is nearer to the line than this, meters (devkit `ego_stop_at_stop_line_statistics.yaml`).
 const DISTANCE_THRESHOLD: f64 = 5.0;
 /// A slower ego stands, m/s.
 const VELOCITY_THRESHOLD: f64 = 0.1;
 
-/// The ego while its front edge is on one stop line.
+pub(super) const SPEC: MetricSpec = MetricSpec::new("ego_stop_at_stop_line", |input| {
+    Ok(ego_stop_at_stop_line(input.simulation.map, input.simulation.samples))
+})
+.only(MetricList::ClosedLoop)
+.category(MetricCategory::ScenarioDependent);
+
+/// The samples at which the front edge of the ego is on one stop line.
 struct Approach {
     stop_line: StopLineId,
     samples: Vec<usize>,
     speeds: Vec<f64>,
-    /// Distance of the front edge from the first edge of the line's polygon, metres.
+    /// Distance of the front edge from the first edge of the line's polygon, meters.
     distances: Vec<f64>,
 }
 
@@ -35,8 +41,7 @@ impl Approach {
     }
 }
 
-/// Looks at every stop line that the front of the ego came upon as the first of its lane; `None` when there was none, where
-/// nuPlan has no result either.
+/// Evaluates every stop line that the ego reached as the first of its lane; `None` without one, as in nuPlan.
 pub fn ego_stop_at_stop_line(map: &LaneMap, samples: &[HistorySample]) -> Option<MetricResult> {
     let approaches = approaches(map, samples);
     if approaches.is_empty() {
@@ -59,18 +64,17 @@ pub fn ego_stop_at_stop_line(map: &LaneMap, samples: &[HistorySample]) -> Option
         values: approaches.iter().flat_map(|a| a.speeds.iter().copied()).collect(),
         selected_frames: Some(frames),
     };
-    let name = "ego_stop_at_stop_line";
-    Some(MetricResult::unscored(name, MetricCategory::ScenarioDependent, statistics).with_series(series))
+    Some(SPEC.unscored(statistics).with_series(series))
 }
 
-/// The samples with the front edge on a stop line and nobody ahead, joined while the line stays the same.
+/// The samples with the front edge on a stop line and no lead agent, joined while the line stays the same.
 fn approaches(map: &LaneMap, samples: &[HistorySample]) -> Vec<Approach> {
     let mut found: Vec<Approach> = Vec::new();
     for (i, sample) in samples.iter().enumerate() {
         let footprint = sample.ego.footprint();
         let Ok(front) = Polyline::new(footprint.front_edge()) else { continue };
         let Some((stop_line, shape)) = nearest_stop_line(map, &front, footprint.center) else { continue };
-        if !shape.polygon.meets_line(&front) || has_leader(map, sample) {
+        if !shape.polygon.meets_line(&front) || has_lead_agent(map, sample) {
             continue;
         }
         let Ok(line) = Polyline::new(shape.polygon.ring().iter().copied().take(2)) else { continue };
@@ -86,13 +90,12 @@ fn approaches(map: &LaneMap, samples: &[HistorySample]) -> Vec<Approach> {
     found
 }
 
-/// The lane that holds a point; a connector is none.
+/// The lane, not connector, that contains a point.
 fn lane_at(map: &LaneMap, point: Point, pose: Pose) -> Option<LaneId> {
     lanes_at(map, point, pose).into_iter().next().filter(|&lane| !map[lane].is_connector())
 }
 
-/// The stop line nearest to the middle of the front edge, if that middle is in a lane and the line crosses this lane. Lines
-/// out of reach of the edge are not looked for: the nearest would not meet it.
+/// The stop line nearest to the middle of the front edge, if that middle is in a lane and the line crosses this lane.
 fn nearest_stop_line<'m>(map: &'m LaneMap, front: &Polyline, pose: Pose) -> Option<(StopLineId, &'m StopLine)> {
     let middle = front.point_at(front.length() / 2.0);
     let lane = lane_at(map, middle, pose)?;
@@ -101,9 +104,9 @@ fn nearest_stop_line<'m>(map: &'m LaneMap, front: &Polyline, pose: Pose) -> Opti
     line.polygon.overlaps(&map[lane].polygon).then_some((nearest, line))
 }
 
-/// Whether anything stands on the strip, as wide as the ego, from its centre to the end of its lane. (nuPlan fails where the
-/// front is in a lane and the centre is not; here nobody leads there.)
-fn has_leader(map: &LaneMap, sample: &HistorySample) -> bool {
+/// Whether an object is on the strip, as wide as the ego, from its center to the end of its lane. (nuPlan fails where the
+/// front is in a lane and the center is not; here there is no lead agent.)
+fn has_lead_agent(map: &LaneMap, sample: &HistorySample) -> bool {
     let center = sample.ego.center();
     let Some(lane) = lane_at(map, center.position(), center) else { return false };
     let baseline = &map[lane].centerline;

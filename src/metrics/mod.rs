@@ -1,35 +1,36 @@
-//! Stage 8: nuPlan's metrics of a driven trajectory and their aggregation into scores.
+//! Stage 8: nuPlan's metrics of a simulation, and their aggregation into scores.
 //!
-//! [`evaluate`] takes a [`EvaluatedSimulation`] (what a simulation saved and what the expert did) and gives the eight metrics of the
-//! closed-loop challenges, [`evaluate_open_loop`] the five of `open_loop_boxes`, both with the unscored ones, with their
-//! statistics, names, categories and units as nuPlan's devkit writes them, and the [`Score`]. [`aggregate`] joins the scores
-//! of many scenarios.
+//! [`METRICS`] is the table of all metrics: name, role in the score, category, unit, and the function that computes each.
+//! [`evaluate`] computes the metrics of one [`MetricList`] for an [`EvaluatedSimulation`] (the simulated samples and the
+//! expert) and joins them to a [`Score`]; a [`MetricRegistry`] does so with metrics of your own. Statistics, names,
+//! categories and units are those of nuPlan's devkit. [`aggregate`] joins the scores of many scenarios.
 //!
-//! Thresholds and quirks are those of `motional/nuplan-devkit` at `e924167`; where a behaviour looks unintended but
-//! decides scores, it is kept and the comment says so. One deviation: nuPlan asserts that at most one lane holds a
-//! point; maps derived from recordings without nuPlan's layers may hold several, and then the best by heading and
-//! distance counts (see [`lanes_at`]).
+//! To add a metric, write one file with a `SPEC` and add it to [`METRICS`].
+//!
+//! Thresholds and quirks are those of `motional/nuplan-devkit` at `e924167`. A comment marks behavior that looks unintended
+//! but decides scores. One deviation: nuPlan asserts that at most one lane contains a point. Maps derived from recordings
+//! may have several; then the best by heading and distance counts (see [`lanes_at`]).
 
 mod aggregate;
 mod collision;
 mod comfort;
+mod common;
 mod corners;
 mod drivable_area_compliance;
-mod drive;
 mod driving_direction_compliance;
-mod ego_expert_l2_error;
-mod ego_expert_l2_error_with_yaw;
-mod ego_is_comfortable;
-mod ego_is_making_progress;
 mod ego_lane_change;
-mod ego_mean_speed;
 mod ego_progress_along_expert_route;
 mod ego_stop_at_stop_line;
+mod error;
+mod expert_comparison;
+mod input;
 mod no_ego_at_fault_collisions;
 mod open_loop;
+mod registry;
 mod result;
 mod route;
 mod score;
+mod spec;
 mod speed_limit_compliance;
 mod time_to_collision_within_bound;
 
@@ -39,34 +40,36 @@ pub use collision::{
     in_collision, is_ahead, is_behind,
 };
 pub(crate) use comfort::{ACCELERATION_WINDOW, YAW_WINDOW};
-pub use comfort::{Bound, ComfortQuantity, SavitzkyGolay, differentiated, mean_step_s, smoothed};
+pub use comfort::{Bound, ComfortQuantity, SavitzkyGolay, differentiated, ego_is_comfortable, mean_step_s, smoothed};
+pub use common::{ego_expert_l2_error, ego_expert_l2_error_with_yaw, ego_mean_speed};
 pub use corners::{CornerAgreement, CornerLanes, DrivenLanes};
-pub use drivable_area_compliance::{MAX_DISTANCE_OUTSIDE, drivable_area_compliance};
-pub use drive::{EvaluatedPlans, EvaluatedSimulation, Evaluation, MetricError, evaluate, evaluate_open_loop};
+pub use drivable_area_compliance::{MAX_DISTANCE_OUTSIDE, corners_in_drivable_area, drivable_area_compliance};
 pub use driving_direction_compliance::{
     DIRECTION_COMPLIANCE, DIRECTION_VIOLATION, direction_score, driving_direction_compliance,
 };
-pub use ego_expert_l2_error::ego_expert_l2_error;
-pub use ego_expert_l2_error_with_yaw::ego_expert_l2_error_with_yaw;
-pub use ego_is_comfortable::ego_is_comfortable;
-pub use ego_is_making_progress::{MIN_PROGRESS_RATIO, ego_is_making_progress};
 pub use ego_lane_change::{LaneChange, ego_lane_change, find_lane_changes};
-pub use ego_mean_speed::ego_mean_speed;
 pub use ego_progress_along_expert_route::{
-    RouteProgress, SCORE_PROGRESS, ego_progress_along_expert_route, progress_ratio,
+    MIN_PROGRESS_RATIO, RouteProgress, SCORE_PROGRESS, ego_is_making_progress, ego_progress_along_expert_route,
+    progress_ratio,
 };
 pub use ego_stop_at_stop_line::ego_stop_at_stop_line;
+pub use error::MetricError;
+pub use expert_comparison::{
+    COMPARISON_HORIZONS_S, FRAMES_PER_SECOND, HorizonErrors, PlannerExpertErrors, compare_with_expert,
+};
+pub use input::{EvaluatedSimulation, MetricInput};
 pub use no_ego_at_fault_collisions::{find_collisions, no_ego_at_fault_collisions};
 pub use open_loop::{
-    COMPARISON_HORIZONS_S, FRAMES_PER_SECOND, HorizonErrors, MAX_AVERAGE_HEADING_ERROR, MAX_AVERAGE_L2_ERROR,
-    MAX_DISPLACEMENTS, MAX_FINAL_HEADING_ERROR, MAX_FINAL_L2_ERROR, MAX_MISS_RATE, PlannerExpertErrors,
-    compare_with_expert, planner_expert_average_heading_error_within_bound,
-    planner_expert_average_l2_error_within_bound, planner_expert_final_heading_error_within_bound,
-    planner_expert_final_l2_error_within_bound, planner_miss_rate_within_bound,
+    MAX_AVERAGE_HEADING_ERROR, MAX_AVERAGE_L2_ERROR, MAX_DISPLACEMENTS, MAX_FINAL_HEADING_ERROR, MAX_FINAL_L2_ERROR,
+    MAX_MISS_RATE, planner_expert_average_heading_error_within_bound, planner_expert_average_l2_error_within_bound,
+    planner_expert_final_heading_error_within_bound, planner_expert_final_l2_error_within_bound,
+    planner_miss_rate_within_bound,
 };
-pub use result::{MetricCategory, MetricResult, ScoreUnit, Statistic, StatisticKind, TimeSeries};
+pub use registry::{Evaluation, METRICS, MetricRegistry, evaluate, metric};
+pub use result::{MetricResult, Statistic, StatisticKind, TimeSeries};
 pub use route::{driven_route, lanes_at};
-pub use score::{MetricList, MetricName, Role, Score, ScoreError, ScorePart, Weighting, combine};
+pub use score::{Score, ScorePart, Weighting, combine};
+pub use spec::{Compute, MetricCategory, MetricList, MetricSpec, Role, ScoreUnit};
 pub use speed_limit_compliance::{MAX_OVERSPEED, speed_limit_compliance};
 pub use time_to_collision_within_bound::{
     MIN_TIME_TO_COLLISION, TTC_HORIZON_S, TTC_STEP_S, time_to_collision, time_to_collision_within_bound,

@@ -1,13 +1,20 @@
-//! `no_ego_at_fault_collisions`: a multiplier that is 0 after an avoidable collision with anyone on the road, and 0.5
-//! after one with a thing.
+//! `no_ego_at_fault_collisions`: 0 after an at-fault collision with a vehicle, pedestrian or bicycle, 0.5 after one with a
+//! static object.
 
 use super::collision::{Collision, CollisionGroup, classify_collision, delta_v, in_collision};
 use super::corners::DrivenLanes;
-use super::{MetricName, MetricResult, Statistic, StatisticKind};
+use super::{MetricCategory, MetricList, MetricResult, MetricSpec, Statistic, StatisticKind};
 use crate::world::{HistorySample, TrackToken};
 use std::collections::BTreeSet;
 
-/// The collisions of a drive, each track counted once, at the first sample at which it touches the ego.
+pub(super) const SPEC: MetricSpec =
+    MetricSpec::new("no_ego_at_fault_collisions", |input| Ok(Some(no_ego_at_fault_collisions(input.collisions()))))
+        .only(MetricList::ClosedLoop)
+        .multiplier()
+        .category(MetricCategory::Dynamics)
+        .label("coll");
+
+/// The collisions of a simulation. Each track counts once, at the first sample at which it touches the ego.
 pub fn find_collisions(samples: &[HistorySample], lanes: &DrivenLanes) -> Vec<Collision> {
     let mut collided: BTreeSet<TrackToken> = BTreeSet::new();
     let mut found = Vec::new();
@@ -32,10 +39,8 @@ pub fn find_collisions(samples: &[HistorySample], lanes: &DrivenLanes) -> Vec<Co
     found
 }
 
-/// Scores the collisions of a drive: 1 without any at fault, else the product over the groups of
-/// max(0, 1 − number / (tolerated + 1)).
+/// 1 without an at-fault collision, else the product over the groups of max(0, 1 − number / (tolerated + 1)).
 pub fn no_ego_at_fault_collisions(collisions: &[Collision]) -> MetricResult {
-    let metric = MetricName::NoEgoAtFaultCollisions;
     let by_group: Vec<(CollisionGroup, Vec<f64>)> = CollisionGroup::ALL
         .into_iter()
         .map(|group| {
@@ -48,10 +53,8 @@ pub fn no_ego_at_fault_collisions(collisions: &[Collision]) -> MetricResult {
         .iter()
         .map(|(group, energies)| (1.0 - energies.len() as f64 / (group.tolerated() + 1) as f64).max(0.0))
         .product();
-    let mut statistics = vec![
-        Statistic::boolean(metric.as_str(), total == 0),
-        Statistic::count("number_of_all_at_fault_collisions", total),
-    ];
+    let mut statistics =
+        vec![Statistic::boolean(SPEC.name, total == 0), Statistic::count("number_of_all_at_fault_collisions", total)];
     for (group, energies) in &by_group {
         let group = group.as_str();
         statistics.push(Statistic::count(format!("number_of_at_fault_collisions_with_{group}"), energies.len()));
@@ -67,5 +70,5 @@ pub fn no_ego_at_fault_collisions(collisions: &[Collision]) -> MetricResult {
             of(StatisticKind::Mean, "mean", energies.iter().sum::<f64>() / energies.len() as f64),
         ]);
     }
-    MetricResult::scored(metric, score, statistics)
+    SPEC.scored(score, statistics)
 }

@@ -1,56 +1,10 @@
-//! What a metric gives: a score, statistics and a time series, under nuPlan's names, categories and units.
+//! The result of a metric: a score, statistics and a time series, under nuPlan's names, categories and units.
 
-use super::MetricName;
+use super::{MetricCategory, ScoreUnit};
 use crate::world::EgoState;
 use serde::{Deserialize, Serialize};
 
-/// nuPlan's category of a metric (devkit `simulation_metric/**/*.yaml`, key `category`): the groups of its `nuBoard`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum MetricCategory {
-    /// How the ego moves; collisions too.
-    Dynamics,
-    /// What it drives, beside road, route and expert.
-    Planning,
-    /// Rules that it breaks.
-    Violations,
-    /// Metrics of some scenario types only.
-    #[serde(rename = "Scenario dependent")]
-    ScenarioDependent,
-}
-
-impl MetricCategory {
-    /// nuPlan's word.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Dynamics => "Dynamics",
-            Self::Planning => "Planning",
-            Self::Violations => "Violations",
-            Self::ScenarioDependent => "Scenario dependent",
-        }
-    }
-}
-
-/// nuPlan's `metric_score_unit`: what a score is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ScoreUnit {
-    /// A truth value; nuPlan says so of `driving_direction_compliance` too, which may be 0.5.
-    Bool,
-    /// A number in [0, 1].
-    Float,
-}
-
-impl ScoreUnit {
-    /// nuPlan's word.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Bool => "bool",
-            Self::Float => "float",
-        }
-    }
-}
-
-/// nuPlan's `MetricStatisticsType`, as far as the closed-loop metrics use it.
+/// nuPlan's `MetricStatisticsType`, as far as its challenges use it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
 pub enum StatisticKind {
@@ -72,16 +26,16 @@ pub enum StatisticKind {
     Boolean,
 }
 
-/// One number about a drive.
+/// One number about a simulation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Statistic {
-    /// nuPlan's name for it.
+    /// nuPlan's name of it.
     pub name: String,
-    /// nuPlan's name for its unit.
+    /// nuPlan's name of its unit.
     pub unit: String,
-    /// The number; truth values are 1 and 0.
+    /// Truth values are 1 and 0.
     pub value: f64,
-    /// What kind of number.
+    /// Its kind.
     pub kind: StatisticKind,
 }
 
@@ -102,16 +56,16 @@ impl Statistic {
     }
 }
 
-/// One value a sample.
+/// One value per sample.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TimeSeries {
-    /// nuPlan's name for the unit of the values.
+    /// nuPlan's name of the unit of the values.
     pub unit: String,
     /// Times of the samples, µs.
     pub time_stamps: Vec<i64>,
-    /// The values, as many as times.
+    /// One value per time.
     pub values: Vec<f64>,
-    /// Which samples of the drive these are, for a series that does not have them all.
+    /// Indices of the samples; `None`: all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub selected_frames: Option<Vec<usize>>,
 }
@@ -123,8 +77,7 @@ impl TimeSeries {
         Self { unit: unit.into(), time_stamps, values, selected_frames: None }
     }
 
-    /// The statistics of these kinds, in nuPlan's words; NaN is ignored. Kinds other than maximum, minimum, mean and 90th
-    /// percentile are no statistics of a series and are left out.
+    /// The statistics of these kinds; NaN is ignored. A series has a maximum, minimum, mean and 90th percentile only.
     pub fn statistics_of(&self, metric: &str, kinds: &[StatisticKind]) -> Vec<Statistic> {
         let all = self.statistics(metric);
         kinds.iter().filter_map(|kind| all.iter().find(|s| s.kind == *kind).cloned()).collect()
@@ -155,22 +108,22 @@ fn percentile_90(sorted: &[f64]) -> f64 {
     sorted.get(index).copied().unwrap_or(f64::NAN)
 }
 
-/// What one metric says about a drive.
+/// The result of one metric.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MetricResult {
     /// nuPlan's name of the result (`metric_statistics_name`).
     pub name: String,
-    /// nuPlan's name of the metric that computed it (`metric_computator`): `name`, except for second results.
+    /// nuPlan's name of the metric that computed it (`metric_computator`); it differs from `name` for second results.
     pub computator: String,
     /// nuPlan's category.
     pub category: MetricCategory,
     /// Its score in [0, 1]; `None` for metrics that do not enter the score.
     pub score: Option<f64>,
-    /// What the score is; `None` without one.
+    /// Unit of the score; `None` without one.
     pub score_unit: Option<ScoreUnit>,
     /// Its statistics, in nuPlan's order.
     pub statistics: Vec<Statistic>,
-    /// Its value at every sample, for metrics that have one.
+    /// Its value at every sample.
     pub time_series: Option<TimeSeries>,
 }
 
@@ -188,16 +141,7 @@ impl MetricResult {
         }
     }
 
-    /// The result of a metric that enters a score, with the metric's own category and unit.
-    pub fn scored(metric: MetricName, score: f64, statistics: Vec<Statistic>) -> Self {
-        Self {
-            score: Some(score),
-            score_unit: Some(metric.score_unit()),
-            ..Self::unscored(metric.as_str(), metric.category(), statistics)
-        }
-    }
-
-    /// The same with a time series.
+    /// Adds a time series.
     pub fn with_series(self, series: TimeSeries) -> Self {
         Self { time_series: Some(series), ..self }
     }

@@ -1,30 +1,38 @@
-//! `speed_limit_compliance`: how fast above the limit, for how long.
+//! `speed_limit_compliance`: the speed above the limit, over time.
 
-use super::{MetricName, MetricResult, Statistic, StatisticKind, TimeSeries};
+use super::{MetricCategory, MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
 use crate::world::{EgoState, LaneId, LaneMap, MICROS_PER_SECOND};
 
-/// Driving this much too fast all the time scores 0, m/s (devkit `speed_limit_compliance_statistics.yaml`).
+/// Mean speed above the limit at which the score is 0, m/s (devkit `speed_limit_compliance_statistics.yaml`).
 pub const MAX_OVERSPEED: f64 = 2.23;
 
-/// Scores a drive along the lanes at the ego's centre (`center_lanes`, one entry a state).
+pub(super) const SPEC: MetricSpec = MetricSpec::new("speed_limit_compliance", |input| {
+    Ok(Some(speed_limit_compliance(input.simulation.map, input.states(), &input.lanes().center)))
+})
+.only(MetricList::ClosedLoop)
+.weight(4.0)
+.category(MetricCategory::Violations)
+.bounds(None, Some(0.0))
+.label("speed");
+
+/// The score along the lanes at the ego's center (`center_lanes`, one entry a state).
 pub fn speed_limit_compliance(map: &LaneMap, states: &[EgoState], center_lanes: &[Vec<LaneId>]) -> MetricResult {
-    let metric = MetricName::SpeedLimitCompliance;
     let over: Vec<f64> = states
         .iter()
         .zip(center_lanes)
         .map(|(state, lanes)| limit_of(map, lanes).map_or(0.0, |limit| (state.speed() - limit).max(0.0)))
         .collect();
     let times: Vec<i64> = states.iter().map(|s| s.time_us).collect();
-    let statistics = statistics(metric.as_str(), &violations(&over, &times));
-    MetricResult::scored(metric, score(&over, &times), statistics).with_series(TimeSeries::of_states(
+    let statistics = statistics(SPEC.name, &violations(&over, &times));
+    SPEC.scored(score(&over, &times), statistics).with_series(TimeSeries::of_states(
         "over_speeding[meters_per_second]",
         states,
         over,
     ))
 }
 
-/// The limit that holds in these lanes, m/s: a lane's own; in connectors the highest of the lanes before and after
-/// them, when all have one. (nuPlan fails on connectors without any such lane; here they have no limit.)
+/// The limit of these lanes, m/s: a lane's own; in connectors the highest of the lanes before and after them, when all
+/// have one. (nuPlan fails on connectors without such a lane; here they have no limit.)
 fn limit_of(map: &LaneMap, lanes: &[LaneId]) -> Option<f64> {
     let first = map.lanes().get(lanes.first()?.index())?;
     let limits: Vec<Option<f64>> = if first.is_connector() {
@@ -48,10 +56,10 @@ fn score(over: &[f64], times: &[i64]) -> f64 {
     (1.0 - over.iter().sum::<f64>() * step / (MAX_OVERSPEED * duration)).max(0.0)
 }
 
-/// A stretch of samples above the limit.
+/// Consecutive samples above the limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Violation {
-    /// From its first sample to the first sample after it (or the last of the drive), seconds.
+    /// From its first sample to the first sample after it, or the last of the simulation, seconds.
     duration: f64,
     /// Largest overspeed, m/s.
     extremum: f64,
@@ -80,7 +88,7 @@ fn violations(over: &[f64], times: &[i64]) -> Vec<Violation> {
     found
 }
 
-/// Whether the limit was kept; where it was not, first how often and how far it was not.
+/// Number and size of the violations, then whether there is none.
 fn statistics(name: &str, violations: &[Violation]) -> Vec<Statistic> {
     let mut statistics = Vec::new();
     if !violations.is_empty() {

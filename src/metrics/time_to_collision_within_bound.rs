@@ -1,23 +1,33 @@
-//! `time_to_collision_within_bound`: whether, were everyone to go on as they do, a collision was ever less than 0.95 s
-//! away.
+//! `time_to_collision_within_bound`: whether a collision was ever less than 0.95 s away at constant velocities.
 
 use super::collision::{Collision, in_collision, is_ahead, is_behind};
 use super::corners::DrivenLanes;
-use super::{MetricName, MetricResult, Statistic, StatisticKind, TimeSeries};
+use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
 use crate::geometry::{OrientedBox, Pose, Vector};
 use crate::world::{EgoState, HistorySample, LaneMap, TrackToken, TrackedObject};
 use std::collections::BTreeMap;
 
 /// Step of the projection, seconds (devkit `time_to_collision_within_bound_statistics.yaml`).
 pub const TTC_STEP_S: f64 = 0.1;
-/// How far everyone is projected, seconds.
+/// Length of the projection, seconds.
 pub const TTC_HORIZON_S: f64 = 3.0;
-/// Times to collision must be longer than this, seconds.
+/// The time to collision must be longer than this, seconds.
 pub const MIN_TIME_TO_COLLISION: f64 = 0.95;
-/// An ego up to this speed cannot run into anyone, m/s.
+/// An ego up to this speed has no time to collision, m/s.
 const STOPPED_SPEED: f64 = 5e-3;
 
-/// A box that goes on along its heading.
+pub(super) const SPEC: MetricSpec = MetricSpec::new("time_to_collision_within_bound", |input| {
+    let simulation = &input.simulation;
+    let ttc = time_to_collision(simulation.map, simulation.samples, input.lanes(), input.collisions(), TTC_HORIZON_S);
+    Ok(Some(time_to_collision_within_bound(input.states(), ttc, TTC_HORIZON_S)))
+})
+.only(MetricList::ClosedLoop)
+.weight(5.0)
+.truth_value()
+.bounds(Some(MIN_TIME_TO_COLLISION), None)
+.label("TTC");
+
+/// A box that moves along its heading.
 #[derive(Debug, Clone, Copy)]
 struct Moving {
     shape: OrientedBox,
@@ -34,15 +44,15 @@ impl Moving {
         self.shape.moved_to(Pose::at(moved, self.shape.center.heading))
     }
 
-    /// Everything that the box sweeps in that time, as one longer box.
+    /// The area that the box sweeps in that time, as one longer box.
     fn swept(&self, seconds: f64) -> OrientedBox {
         let half_way = self.after(seconds / 2.0);
         OrientedBox { length: half_way.length + self.velocity.norm() * seconds, ..half_way }
     }
 }
 
-/// Time to collision at every sample, seconds; infinite where nothing is hit within `horizon` seconds, 0 at a collision
-/// at fault.
+/// Time to collision at every sample, seconds; infinite without a collision within `horizon` seconds, 0 at an at-fault
+/// collision.
 pub fn time_to_collision(
     map: &LaneMap,
     samples: &[HistorySample],
@@ -95,16 +105,11 @@ fn first_contact<'a>(ego: &EgoState, tracks: impl Iterator<Item = &'a TrackedObj
         .unwrap_or(f64::INFINITY)
 }
 
-/// Scores the times to collision (one a state): 1 when all are longer than 0.95 s, else 0.
+/// 1 when all times to collision (one a state) are longer than [`MIN_TIME_TO_COLLISION`], else 0.
 pub fn time_to_collision_within_bound(states: &[EgoState], ttc: Vec<f64>, horizon: f64) -> MetricResult {
-    let metric = MetricName::TimeToCollisionWithinBound;
     let within = ttc.iter().all(|&t| t > MIN_TIME_TO_COLLISION);
     let least = ttc.iter().copied().fold(f64::INFINITY, f64::min);
-    let statistics = vec![
-        Statistic::new(StatisticKind::Min, "min_time_to_collision", "seconds", least),
-        Statistic::boolean(metric.as_str(), within),
-    ];
+    let statistics = vec![Statistic::new(StatisticKind::Min, "min_time_to_collision", "seconds", least)];
     let unit = format!("time_to_collision_under_{horizon:.1}_seconds [s]");
-    MetricResult::scored(metric, f64::from(u8::from(within)), statistics)
-        .with_series(TimeSeries::of_states(unit, states, ttc))
+    SPEC.judged(within, statistics).with_series(TimeSeries::of_states(unit, states, ttc))
 }

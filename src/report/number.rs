@@ -57,7 +57,7 @@ pub(super) fn unsigned_zero(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::{MetricName, Statistic, StatisticKind, TimeSeries};
+    use crate::metrics::{MetricSpec, Statistic, StatisticKind, TimeSeries};
     use serde_json::json;
 
     #[test]
@@ -75,12 +75,8 @@ mod tests {
             values: vec![-0.0, -1.0],
             selected_frames: None,
         };
-        let metric = MetricResult::scored(
-            MetricName::SpeedLimitCompliance,
-            -0.0,
-            vec![Statistic::new(StatisticKind::Min, "min", "m", -0.0)],
-        )
-        .with_series(series);
+        let statistics = vec![Statistic::new(StatisticKind::Min, "min", "m", -0.0)];
+        let metric = MetricSpec::new("a", |_| Ok(None)).scored(-0.0, statistics).with_series(series);
         let metric = unsigned_metric(&metric);
         let values = metric.time_series.map(|series| series.values).unwrap_or_default();
         let all: Vec<f64> =

@@ -1,13 +1,15 @@
-//! The state of a drive and its step from iteration to iteration (devkit `simulation.py`).
+//! The state of a simulation and its step from iteration to iteration (devkit `simulation.py`).
 
+use super::agents::AgentPolicy;
+use super::challenge::Challenge;
 use super::controller::EgoController;
 use super::error::SimulationError;
-use super::observation::{Challenge, Observation};
 use crate::planner::{Planner, PlannerInitialization, PlannerInput};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{EgoState, History, HistorySample, Scene, Trajectory};
+use crate::world::{EgoState, History, HistorySample, MICROS_PER_SECOND, Scene, Trajectory};
 
-/// A drive in progress; in `open_loop_boxes` the loop is not closed, and the ego does what was recorded. It can be cloned at any iteration, so that several planners can be tried from one state.
+/// A simulation in progress. In open loop the ego replays the log. Clone it at any iteration to try several planners from
+/// one state.
 #[derive(Debug, Clone)]
 pub struct ClosedLoop<'a> {
     scenario: &'a Scenario,
@@ -15,15 +17,27 @@ pub struct ClosedLoop<'a> {
     present: HistorySample,
     history: History,
     controller: EgoController,
-    observation: Observation,
+    agents: Box<dyn AgentPolicy>,
 }
 
 impl<'a> ClosedLoop<'a> {
-    /// The drive at iteration 0: the recorded ego, the recorded past, and the traffic of the challenge.
+    /// The simulation at iteration 0: the recorded ego, the recorded past, and the agents of the challenge.
     ///
     /// # Errors
     /// When the scenario has fewer than two iterations or its times do not grow.
     pub fn new(scenario: &'a Scenario, challenge: Challenge) -> Result<Self, SimulationError> {
+        Self::with_agents(scenario, challenge, |first| (challenge.spec().agents.new)(scenario, first))
+    }
+
+    /// Like [`Self::new`], with other agents. `agents` makes their policy from the recorded frame of iteration 0.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn with_agents(
+        scenario: &'a Scenario,
+        challenge: Challenge,
+        agents: impl FnOnce(&Frame) -> Box<dyn AgentPolicy>,
+    ) -> Result<Self, SimulationError> {
         let iterations = scenario.iterations();
         let too_short = || SimulationError::TooShort { scenario: scenario.id.clone(), iterations };
         let first = scenario.frame(0).filter(|_| iterations >= 2).ok_or_else(too_short)?;
@@ -31,28 +45,27 @@ impl<'a> ClosedLoop<'a> {
         if let Some(k) = times.windows(2).position(|w| w[1] <= w[0]) {
             return Err(SimulationError::TimeNotIncreasing { scenario: scenario.id.clone(), iteration: k + 1 });
         }
-        let observation = Observation::new(challenge, scenario, first);
+        let agents = agents(first);
         let mut history = History::default();
         for frame in scenario.past() {
             history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });
         }
-        let present = HistorySample { ego: first.ego, objects: observation.objects(first) };
+        let present = HistorySample { ego: first.ego, objects: agents.objects(first) };
         history.push(present.clone());
-        let controller = EgoController::of(challenge);
-        Ok(Self { scenario, iteration: 0, present, history, controller, observation })
+        Ok(Self { scenario, iteration: 0, present, history, controller: challenge.spec().ego, agents })
     }
 
-    /// The scenario that is driven.
+    /// The scenario.
     pub fn scenario(&self) -> &'a Scenario {
         self.scenario
     }
 
-    /// Which iteration is the present, from 0.
+    /// The present iteration, from 0.
     pub fn iteration(&self) -> usize {
         self.iteration
     }
 
-    /// Whether the last iteration is reached: no trajectory is asked for there.
+    /// Whether the last iteration is reached, which needs no trajectory.
     pub fn is_over(&self) -> bool {
         self.iteration + 1 >= self.scenario.iterations()
     }
@@ -62,7 +75,7 @@ impl<'a> ClosedLoop<'a> {
         &self.present
     }
 
-    /// All that a planner may see now.
+    /// The input of a planner now.
     pub fn scene(&self) -> Scene<'_> {
         Scene {
             map: &self.scenario.map,
@@ -74,10 +87,7 @@ impl<'a> ClosedLoop<'a> {
         }
     }
 
-    /// Prepares a planner for this drive.
-    ///
-    /// # Errors
-    /// When the planner refuses.
+    /// Prepares a planner for this scenario.
     pub fn initialize(&self, planner: &mut dyn Planner) -> Result<(), SimulationError> {
         let initialization = PlannerInitialization { map: &self.scenario.map, route: &self.scenario.route };
         planner.initialize(&initialization).map_err(|source| SimulationError::Initialization {
@@ -87,10 +97,7 @@ impl<'a> ClosedLoop<'a> {
         })
     }
 
-    /// Asks a planner for its trajectory at the present iteration.
-    ///
-    /// # Errors
-    /// When the planner gives none.
+    /// The planner's trajectory at the present iteration.
     pub fn plan(&self, planner: &mut dyn Planner) -> Result<Trajectory, SimulationError> {
         let input = PlannerInput { iteration: self.iteration, scene: self.scene() };
         planner.compute_trajectory(&input).map_err(|source| SimulationError::Planner {
@@ -101,8 +108,8 @@ impl<'a> ClosedLoop<'a> {
         })
     }
 
-    /// Moves on to the next iteration: the ego along `trajectory`, the traffic by its rule. Nothing happens when the drive
-    /// is over. `planner` is named in errors.
+    /// Moves to the next iteration: the ego along `trajectory`, the agents by their policy. Does nothing after the last
+    /// iteration. `planner` is the name for errors.
     ///
     /// # Errors
     /// When the trajectory does not cover the present or leads to a state that is not finite.
@@ -126,8 +133,8 @@ impl<'a> ClosedLoop<'a> {
                 iteration: self.iteration,
             });
         }
-        self.observation.update(&self.present.ego, next, dt_us);
-        self.present = HistorySample { ego, objects: self.observation.objects(next) };
+        self.agents.step(&self.present.ego, next, dt_us as f64 / MICROS_PER_SECOND);
+        self.present = HistorySample { ego, objects: self.agents.objects(next) };
         self.history.push(self.present.clone());
         self.iteration += 1;
         Ok(())

@@ -1,65 +1,64 @@
-//! A drive from its first iteration to its last.
+//! A simulation from its first iteration to its last.
 
+use super::agents::AgentPolicy;
+use super::challenge::Challenge;
 use super::closed_loop::ClosedLoop;
 use super::error::SimulationError;
-use super::observation::Challenge;
-use crate::metrics::{
-    EvaluatedPlans, EvaluatedSimulation, Evaluation, MetricError, MetricList, evaluate, evaluate_open_loop,
-};
+use crate::metrics::{EvaluatedSimulation, Evaluation, MetricError, MetricRegistry};
 use crate::planner::Planner;
-use crate::scenario::Scenario;
+use crate::scenario::{Frame, Scenario};
 use crate::world::{EgoState, HistorySample, Trajectory};
 use std::time::Instant;
 
-/// What happened in a drive of N iterations.
+/// The result of a simulation of N iterations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulationLog {
-    /// Which challenge was driven.
+    /// The challenge.
     pub challenge: Challenge,
     /// Name of the planner.
     pub planner: String,
-    /// The ego and the objects at iterations 0 to N−2: what nuPlan's metrics look at.
+    /// The ego and the objects at iterations 0 to N−2, which nuPlan's metrics use.
     pub samples: Vec<HistorySample>,
-    /// The trajectory given at each of those iterations.
+    /// The planned trajectory at each of those iterations.
     pub trajectories: Vec<Trajectory>,
-    /// Wall time that the planner took at each of them, seconds. A measurement: it differs from run to run.
+    /// Wall time of the planner at each of them, seconds. It differs from run to run.
     pub runtimes_s: Vec<f64>,
 }
 
 impl SimulationLog {
-    /// Judges the drive by the metrics of its challenge; `scenario` is the one that was driven.
+    /// Computes nuPlan's metrics of the challenge; `scenario` is the simulated one.
     ///
     /// # Errors
-    /// As [`evaluate`] and [`evaluate_open_loop`].
+    /// As [`MetricRegistry::evaluate`].
     pub fn evaluate(&self, scenario: &Scenario) -> Result<Evaluation, MetricError> {
+        self.evaluate_with(scenario, &MetricRegistry::default())
+    }
+
+    /// Like [`Self::evaluate`], with other metrics.
+    ///
+    /// # Errors
+    /// As [`MetricRegistry::evaluate`].
+    pub fn evaluate_with(&self, scenario: &Scenario, metrics: &MetricRegistry) -> Result<Evaluation, MetricError> {
         let expert: Vec<EgoState> = scenario.expert().copied().collect();
-        match self.challenge.metric_list() {
-            MetricList::ClosedLoop => {
-                evaluate(&EvaluatedSimulation { map: &scenario.map, samples: &self.samples, expert: &expert })
-            }
-            MetricList::OpenLoop => evaluate_open_loop(&EvaluatedPlans {
-                samples: &self.samples,
-                trajectories: &self.trajectories,
-                expert: &expert,
-                future: &scenario.future,
-            }),
-        }
+        let simulation = EvaluatedSimulation::new(&scenario.map, &self.samples, &expert)
+            .with_plans(&self.trajectories, &scenario.future);
+        metrics.evaluate(self.challenge.metric_list(), &simulation)
     }
 }
 
-/// How far a drive has come.
+/// The progress of a simulation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Progress {
-    /// Iterations that are done.
+    /// Finished iterations.
     pub done: usize,
-    /// Iterations that there will be: N−1.
+    /// All iterations: N−1.
     pub total: usize,
 }
 
-/// Drives a scenario from iteration 0 to its end.
+/// Simulates a scenario from iteration 0 to its end.
 ///
 /// # Errors
-/// When the scenario is too short, the planner fails, or its trajectory cannot be followed.
+/// When the scenario is too short, the planner fails, or its trajectory cannot be tracked.
 pub fn simulate(
     scenario: &Scenario,
     planner: &mut dyn Planner,
@@ -68,20 +67,42 @@ pub fn simulate(
     simulate_with_progress(scenario, planner, challenge, &mut |_| ())
 }
 
-/// Like [`simulate`], calling `on_progress` after every iteration.
+/// Like [`simulate`], with a call of `on_progress` after every iteration.
 ///
 /// # Errors
-/// When the scenario is too short, the planner fails, or its trajectory cannot be followed.
+/// As [`simulate`].
 pub fn simulate_with_progress(
     scenario: &Scenario,
     planner: &mut dyn Planner,
     challenge: Challenge,
     on_progress: &mut dyn FnMut(Progress),
 ) -> Result<SimulationLog, SimulationError> {
-    let mut drive = ClosedLoop::new(scenario, challenge)?;
-    drive.initialize(planner)?;
+    run(ClosedLoop::new(scenario, challenge)?, planner, challenge, on_progress)
+}
+
+/// Like [`simulate`], with other agents than the challenge's. `agents` makes their policy from the recorded frame of
+/// iteration 0.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn simulate_with_agents(
+    scenario: &Scenario,
+    planner: &mut dyn Planner,
+    challenge: Challenge,
+    agents: impl FnOnce(&Frame) -> Box<dyn AgentPolicy>,
+) -> Result<SimulationLog, SimulationError> {
+    run(ClosedLoop::with_agents(scenario, challenge, agents)?, planner, challenge, &mut |_| ())
+}
+
+fn run(
+    mut simulation: ClosedLoop<'_>,
+    planner: &mut dyn Planner,
+    challenge: Challenge,
+    on_progress: &mut dyn FnMut(Progress),
+) -> Result<SimulationLog, SimulationError> {
+    simulation.initialize(planner)?;
     let name = planner.name().to_owned();
-    let total = scenario.iterations() - 1;
+    let total = simulation.scenario().iterations() - 1;
     let mut log = SimulationLog {
         challenge,
         planner: name.clone(),
@@ -89,12 +110,12 @@ pub fn simulate_with_progress(
         trajectories: Vec::with_capacity(total),
         runtimes_s: Vec::with_capacity(total),
     };
-    while !drive.is_over() {
+    while !simulation.is_over() {
         let started = Instant::now();
-        let trajectory = drive.plan(planner)?;
+        let trajectory = simulation.plan(planner)?;
         log.runtimes_s.push(started.elapsed().as_secs_f64());
-        log.samples.push(drive.present().clone());
-        drive.advance(&trajectory, &name)?;
+        log.samples.push(simulation.present().clone());
+        simulation.advance(&trajectory, &name)?;
         log.trajectories.push(trajectory);
         on_progress(Progress { done: log.samples.len(), total });
     }

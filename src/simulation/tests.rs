@@ -55,11 +55,11 @@ fn log_replay_tracks_the_recorded_drive() {
 #[test]
 fn replayed_objects_are_those_of_the_iteration() {
     let scenario = straight_drive(8.0, |k| vec![object(1, ObjectKind::Bicycle, 60.0 + k as f64, 1.0, 10.0)]);
-    let log = simulate(&scenario, &mut log_replay(&scenario), Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    let log = simulate(&scenario, &mut log_replay(&scenario), Challenge::NonReactive).unwrap();
     for (k, sample) in log.samples.iter().enumerate() {
         assert_eq!(sample.objects, scenario.frame(k).unwrap().objects);
     }
-    let reactive = simulate(&scenario, &mut log_replay(&scenario), Challenge::ClosedLoopReactiveAgents).unwrap();
+    let reactive = simulate(&scenario, &mut log_replay(&scenario), Challenge::Reactive).unwrap();
     assert!(reactive.samples.iter().all(|sample| sample.objects.is_empty()), "bicycles do not exist there");
 }
 
@@ -67,7 +67,7 @@ fn replayed_objects_are_those_of_the_iteration() {
 fn reactive_traffic_stops_behind_a_standing_ego() {
     let behind = |_: i64| vec![object(1, ObjectKind::Vehicle, 15.0, 0.0, 6.0)];
     let scenario = straight_drive(0.0, behind);
-    let log = simulate(&scenario, &mut log_replay(&scenario), Challenge::ClosedLoopReactiveAgents).unwrap();
+    let log = simulate(&scenario, &mut log_replay(&scenario), Challenge::Reactive).unwrap();
     let last = log.samples.last().unwrap();
     assert!(last.objects[0].shape.center.x > 25.0 && last.objects[0].speed() < 0.5);
     for sample in &log.samples {
@@ -82,7 +82,7 @@ fn the_same_drive_twice_is_the_same() {
         vehicles.chain([object(9, ObjectKind::Pedestrian, 170.0, 3.0 - 0.1 * k as f64, 1.0)]).collect()
     };
     let scenario = straight_drive(5.0, around);
-    let run = || simulate(&scenario, &mut log_replay(&scenario), Challenge::ClosedLoopReactiveAgents).unwrap();
+    let run = || simulate(&scenario, &mut log_replay(&scenario), Challenge::Reactive).unwrap();
     let (first, second) = (run(), run());
     assert_eq!(first.samples, second.samples);
     assert_eq!(first.trajectories, second.trajectories);
@@ -109,7 +109,7 @@ fn the_history_is_full_from_the_first_iteration_on() {
     }
     let scenario = straight_drive(8.0, |_| vec![]);
     let mut watcher = Watcher(log_replay(&scenario), vec![]);
-    simulate(&scenario, &mut watcher, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    simulate(&scenario, &mut watcher, Challenge::NonReactive).unwrap();
     let expected: Vec<_> = (0..ITERATIONS - 1).map(|k| (k, HISTORY_SAMPLES, 21 * STEP_US)).collect();
     assert_eq!(watcher.1, expected);
 }
@@ -118,7 +118,7 @@ fn the_history_is_full_from_the_first_iteration_on() {
 fn progress_is_told_after_every_iteration() {
     let scenario = straight_drive(8.0, |_| vec![]);
     let mut told = vec![];
-    let challenge = Challenge::ClosedLoopNonreactiveAgents;
+    let challenge = Challenge::NonReactive;
     simulate_with_progress(&scenario, &mut log_replay(&scenario), challenge, &mut |p| told.push(p)).unwrap();
     assert_eq!(told.len(), ITERATIONS - 1);
     assert_eq!(told.last(), Some(&Progress { done: ITERATIONS - 1, total: ITERATIONS - 1 }));
@@ -128,7 +128,7 @@ fn progress_is_told_after_every_iteration() {
 fn a_drive_can_be_forked() {
     let scenario = straight_drive(8.0, |_| vec![object(1, ObjectKind::Vehicle, 15.0, 0.0, 6.0)]);
     let mut planner = log_replay(&scenario);
-    let mut main = ClosedLoop::new(&scenario, Challenge::ClosedLoopReactiveAgents).unwrap();
+    let mut main = ClosedLoop::new(&scenario, Challenge::Reactive).unwrap();
     main.initialize(&mut planner).unwrap();
     for _ in 0..10 {
         let trajectory = main.plan(&mut planner).unwrap();
@@ -164,7 +164,7 @@ fn failures_say_who_and_when() {
     let scenario = straight_drive(8.0, |_| vec![]);
     let drive = |planner: Scripted| {
         let mut planner = planner;
-        simulate(&scenario, &mut planner, Challenge::ClosedLoopNonreactiveAgents).unwrap_err()
+        simulate(&scenario, &mut planner, Challenge::NonReactive).unwrap_err()
     };
     let mut replay = log_replay(&scenario);
     let refusing = Scripted(Box::new(move |input| {
@@ -193,10 +193,10 @@ fn failures_say_who_and_when() {
 fn a_single_frame_cannot_be_driven() {
     let mut scenario = straight_drive(8.0, |_| vec![]);
     scenario.frames.truncate(PAST + 1);
-    let error = simulate(&scenario, &mut log_replay(&scenario), Challenge::ClosedLoopNonreactiveAgents).unwrap_err();
+    let error = simulate(&scenario, &mut log_replay(&scenario), Challenge::NonReactive).unwrap_err();
     assert!(matches!(error, SimulationError::TooShort { iterations: 1, .. }));
     let mut scenario = straight_drive(8.0, |_| vec![]);
     scenario.frames[PAST + 5].ego.time_us = scenario.frames[PAST + 4].ego.time_us;
-    let error = simulate(&scenario, &mut log_replay(&scenario), Challenge::ClosedLoopNonreactiveAgents).unwrap_err();
+    let error = simulate(&scenario, &mut log_replay(&scenario), Challenge::NonReactive).unwrap_err();
     assert!(matches!(error, SimulationError::TimeNotIncreasing { iteration: 5, .. }));
 }

@@ -6,8 +6,10 @@
 mod ego;
 mod history;
 mod map;
+mod map_builder;
 mod map_query;
 mod object;
+mod owned_scene;
 mod path;
 mod scene;
 mod signal;
@@ -18,7 +20,9 @@ pub use history::{HISTORY_SAMPLES, History, HistorySample};
 pub use map::{
     Lane, LaneId, LaneKind, LaneMap, MapError, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId,
 };
+pub use map_builder::MapBuilder;
 pub use object::{ObjectKind, TrackToken, TrackedObject};
+pub use owned_scene::{OwnedScene, SceneBuilder, SceneError};
 pub use path::LanePath;
 pub use scene::{Route, Scene};
 pub use signal::{SignalStatus, TrafficLights};

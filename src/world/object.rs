@@ -29,6 +29,17 @@ impl ObjectKind {
         matches!(self, Self::Vehicle | Self::Pedestrian | Self::Bicycle)
     }
 
+    /// A typical length and width, meters.
+    pub fn default_size(self) -> (f64, f64) {
+        match self {
+            Self::Vehicle => (4.6, 1.9),
+            Self::Bicycle => (1.8, 0.7),
+            Self::Pedestrian => (0.7, 0.7),
+            Self::TrafficCone => (0.4, 0.4),
+            Self::Barrier | Self::CzoneSign | Self::GenericObject => (2.0, 0.6),
+        }
+    }
+
     /// Whether it is a vulnerable road user.
     pub fn is_vulnerable(self) -> bool {
         matches!(self, Self::Pedestrian | Self::Bicycle)

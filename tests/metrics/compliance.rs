@@ -2,7 +2,8 @@
 
 use crate::road::{Road, cruise, ego, rectangle, straight};
 use planagent::internals::metrics::{
-    DrivenLanes, MetricResult, drivable_area_compliance, driving_direction_compliance, speed_limit_compliance,
+    DrivenLanes, MetricResult, corners_in_drivable_area, drivable_area_compliance, driving_direction_compliance,
+    speed_limit_compliance,
 };
 use planagent::internals::world::{EgoState, LaneKind, LaneMap};
 
@@ -11,8 +12,9 @@ const HALF_WIDTH: f64 = 1.1485;
 
 fn drivable(map: &LaneMap, y: f64) -> (f64, f64) {
     let states = cruise(5, 0.0, y, 5.0);
-    let [compliance, corners] = drivable_area_compliance(map, &states, &DrivenLanes::of(map, &states));
-    (compliance.score.unwrap(), corners.statistics[0].value)
+    let lanes = DrivenLanes::of(map, &states);
+    let corners = corners_in_drivable_area(map, &states, &lanes);
+    (drivable_area_compliance(map, &states, &lanes).score.unwrap(), corners.statistics[0].value)
 }
 
 #[test]

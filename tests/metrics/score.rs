@@ -2,13 +2,15 @@
 
 use crate::road::{cruise, ego, object, samples, straight};
 use planagent::internals::geometry::Pose;
-use planagent::internals::metrics::{EvaluatedSimulation, Evaluation, MetricError, MetricName, ScoreUnit, evaluate};
+use planagent::internals::metrics::{
+    EvaluatedSimulation, Evaluation, MetricError, MetricList, MetricRegistry, MetricSpec, ScoreUnit, evaluate,
+};
 use planagent::internals::world::{EgoState, LaneMap, ObjectKind, TrackedObject};
 
-const PROGRESS: MetricName = MetricName::EgoProgressAlongExpertRoute;
+const PROGRESS: &str = "ego_progress_along_expert_route";
 
 fn judge(map: &LaneMap, states: &[EgoState], expert: &[EgoState], objects: &[TrackedObject]) -> Evaluation {
-    evaluate(&EvaluatedSimulation { map, samples: &samples(states, objects), expert }).unwrap()
+    evaluate(MetricList::ClosedLoop, &EvaluatedSimulation::new(map, &samples(states, objects), expert)).unwrap()
 }
 
 #[test]
@@ -29,8 +31,8 @@ fn every_metric_has_nuplans_name_and_comes_once() {
     let expert = cruise(30, 0.0, 0.0, 5.0);
     let evaluation = judge(&map, &expert[..29], &expert, &[]);
     let names: Vec<&str> = evaluation.metrics.iter().map(|m| m.name.as_str()).collect();
-    for name in MetricName::CLOSED_LOOP {
-        assert_eq!(names.iter().filter(|n| **n == name.as_str()).count(), 1, "{name}");
+    for metric in MetricList::ClosedLoop.scored() {
+        assert_eq!(names.iter().filter(|name| **name == metric.name).count(), 1, "{}", metric.name);
     }
     assert!(evaluation.metric("corners_in_drivable_area").unwrap().score.is_none());
     for metric in &evaluation.metrics {
@@ -47,7 +49,7 @@ fn standing_still_while_the_expert_drives_is_named_as_the_cause_of_zero() {
     // 0 m counts as 2 m: 2/149 is below a fifth.
     assert!((evaluation.score.metric(PROGRESS).unwrap() - 2.0 / 149.0).abs() < 1e-9);
     assert!(evaluation.score.value.abs() < 1e-12);
-    assert_eq!(evaluation.score.zero_multipliers().next(), Some(MetricName::EgoIsMakingProgress));
+    assert_eq!(evaluation.score.zero_multipliers().next(), Some("ego_is_making_progress"));
 }
 
 #[test]
@@ -65,8 +67,8 @@ fn one_cone_halves_and_the_time_to_collision_goes() {
     let expert = cruise(150, 0.0, 0.0, 10.0);
     let cone = object(1, ObjectKind::TrafficCone, Pose::new(60.0, 0.0, 0.0), (0.5, 0.5), 0.0);
     let score = judge(&map, &expert[..149], &expert, &[cone]).score;
-    assert!((score.metric(MetricName::NoEgoAtFaultCollisions).unwrap() - 0.5).abs() < 1e-12);
-    assert!(score.metric(MetricName::TimeToCollisionWithinBound).unwrap().abs() < 1e-12);
+    assert!((score.metric("no_ego_at_fault_collisions").unwrap() - 0.5).abs() < 1e-12);
+    assert!(score.metric("time_to_collision_within_bound").unwrap().abs() < 1e-12);
     let ratio = 148.0 / 149.0;
     assert!((score.value - 0.5 * (5.0 * ratio + 6.0) / 16.0).abs() < 1e-9);
 }
@@ -76,7 +78,7 @@ fn drives_that_cannot_be_judged_are_refused() {
     let map = straight();
     let expert = cruise(10, 0.0, 0.0, 5.0);
     let of = |states: &[EgoState], expert: &[EgoState]| {
-        evaluate(&EvaluatedSimulation { map: &map, samples: &samples(states, &[]), expert }).unwrap_err()
+        evaluate(MetricList::ClosedLoop, &EvaluatedSimulation::new(&map, &samples(states, &[]), expert)).unwrap_err()
     };
     assert_eq!(of(&expert[..3], &expert), MetricError::TooFewSamples { got: 3, needed: 4 });
     assert_eq!(of(&[], &expert), MetricError::TooFewSamples { got: 0, needed: 4 });
@@ -98,7 +100,7 @@ fn off_every_lane_there_is_no_expert_route_and_progress_is_free() {
     assert!((evaluation.score.metric(PROGRESS).unwrap() - 1.0).abs() < 1e-12);
     let progress = evaluation.metric("ego_progress_along_expert_route").unwrap();
     assert_eq!(progress.statistic("ego_total_progress_along_route"), None);
-    assert_eq!(evaluation.score.zero_multipliers().next(), Some(MetricName::DrivableAreaCompliance));
+    assert_eq!(evaluation.score.zero_multipliers().next(), Some("drivable_area_compliance"));
 }
 
 /// nuPlan's categories and score units (devkit `simulation_metric/**/*.yaml`).
@@ -121,9 +123,9 @@ fn every_result_carries_nuplans_category_unit_and_computator() {
         ("ego_yaw_acceleration", "Dynamics", None),
         ("ego_yaw_rate", "Dynamics", None),
         ("ego_progress_along_expert_route", "Planning", Some("float")),
+        ("no_ego_at_fault_collisions", "Dynamics", Some("float")),
         ("drivable_area_compliance", "Planning", Some("bool")),
         ("corners_in_drivable_area", "Planning", None),
-        ("no_ego_at_fault_collisions", "Dynamics", Some("float")),
         ("time_to_collision_within_bound", "Planning", Some("bool")),
         ("speed_limit_compliance", "Violations", Some("float")),
         ("ego_is_comfortable", "Violations", Some("bool")),
@@ -141,4 +143,33 @@ fn every_result_carries_nuplans_category_unit_and_computator() {
         assert_eq!(metric.computator, if second { "drivable_area_compliance" } else { &metric.name });
         assert_eq!(metric.score.is_some(), metric.score_unit.is_some(), "{}", metric.name);
     }
+}
+
+/// A metric of a user: the share of samples above a speed.
+const STEADY: MetricSpec = MetricSpec::new("ego_is_steady", |input| {
+    let slow = input.states().iter().filter(|state| state.speed() < 6.0).count();
+    Ok(Some(STEADY.scored(slow as f64 / input.states().len() as f64, vec![])))
+})
+.only(MetricList::ClosedLoop)
+.weight(16.0);
+
+#[test]
+fn an_own_metric_enters_the_results_and_the_score() {
+    let map = straight();
+    let expert = cruise(30, 0.0, 0.0, 5.0);
+    let samples = samples(&expert[..29], &[]);
+    let simulation = EvaluatedSimulation::new(&map, &samples, &expert);
+    let ours = evaluate(MetricList::ClosedLoop, &simulation).unwrap();
+    let theirs = MetricRegistry::default().with(STEADY).evaluate(MetricList::ClosedLoop, &simulation).unwrap();
+    assert_eq!(theirs.metric("ego_is_steady").unwrap().score, Some(1.0));
+    assert!((theirs.score.value - f64::midpoint(ours.score.value, 1.0)).abs() < 1e-12);
+    // As a multiplier, and only where its list is evaluated.
+    let fails =
+        MetricSpec::new("fails", |_| Ok(Some(STEADY.scored(0.0, vec![])))).only(MetricList::OpenLoop).multiplier();
+    let score = MetricRegistry::default().with(fails).evaluate(MetricList::ClosedLoop, &simulation).unwrap().score;
+    assert_eq!(score, ours.score);
+    // A scored metric without a result is an error.
+    let absent = MetricRegistry::default().with(MetricSpec::new("absent", |_| Ok(None)).weight(1.0));
+    let error = absent.evaluate(MetricList::ClosedLoop, &simulation).unwrap_err();
+    assert_eq!(error, MetricError::NoScore("absent"));
 }

@@ -256,7 +256,7 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
     let code_source = CodeSource::Model { model, prompts: Arc::new(PromptSet::open("compact").unwrap()), reasoning };
     let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source, settings);
     let scenario = generator::generate(&"generated/high_magnitude_speed/1".parse().unwrap()).unwrap();
-    simulate(&scenario, &mut agent, Challenge::ClosedLoopNonreactiveAgents).unwrap();
+    simulate(&scenario, &mut agent, Challenge::NonReactive).unwrap();
     agent
 }
 

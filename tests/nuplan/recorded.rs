@@ -80,7 +80,7 @@ fn recordings_come_back_with_their_verdicts() {
         assert_eq!(after.map.stop_lines().len(), before.map.stop_lines().len() + put_in.stop_lines_put_in);
         check_route(&pair);
         assert_eq!(put_in.future_left_out, before.future.len());
-        let as_recorded = (Driver::LogReplay, Challenge::ClosedLoopNonreactiveAgents);
+        let as_recorded = (Driver::LogReplay, Challenge::NonReactive);
         check_scores(before, after, as_recorded, SAME_DRIVE);
         let until_the_end = Scenario { future: Vec::new(), ..(*before).clone() };
         check_scores(&until_the_end, after, as_recorded, SAME_MAP);

@@ -2,14 +2,13 @@
 
 use super::compare::{Pair, blocks};
 use planagent::internals::geometry::{Point, Vector};
-use planagent::internals::metrics::{self, EvaluatedSimulation, Score};
+use planagent::internals::metrics::Score;
 use planagent::internals::planner::{IdmPlanner, LogReplay, PdmClosed, Planner};
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
 use planagent::internals::scenario::nuplan::export::{Departures, ExportSettings, Exported, write_scenarios};
 use planagent::internals::scenario::nuplan::{Logs, MapStore, ScenarioFilter, SearchResult, open, search};
 use planagent::internals::simulation::{Challenge, simulate};
-use planagent::internals::world::EgoState;
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -37,9 +36,7 @@ pub(super) fn read_back(exported: &Exported, settings: &ExportSettings, cache: &
 /// Scores of a planner on a scenario: the score, and each metric's.
 fn score(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> (f64, Vec<(String, Option<f64>)>) {
     let log = simulate(scenario, planner, challenge).unwrap();
-    let expert: Vec<EgoState> = scenario.expert().copied().collect();
-    let drive = EvaluatedSimulation { map: &scenario.map, samples: &log.samples, expert: &expert };
-    let evaluation = metrics::evaluate(&drive).unwrap();
+    let evaluation = log.evaluate(scenario).unwrap();
     let Score { value, .. } = evaluation.score;
     (value, evaluation.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect())
 }
@@ -54,12 +51,12 @@ pub(super) enum Driver {
 
 /// The drives that are compared; unoptimised, where all of them take minutes, each type makes one of them in turn.
 const DRIVES: [(Driver, Challenge); 6] = [
-    (Driver::LogReplay, Challenge::ClosedLoopNonreactiveAgents),
-    (Driver::Idm, Challenge::ClosedLoopReactiveAgents),
-    (Driver::PdmClosed, Challenge::ClosedLoopNonreactiveAgents),
-    (Driver::LogReplay, Challenge::ClosedLoopReactiveAgents),
-    (Driver::Idm, Challenge::ClosedLoopNonreactiveAgents),
-    (Driver::PdmClosed, Challenge::ClosedLoopReactiveAgents),
+    (Driver::LogReplay, Challenge::NonReactive),
+    (Driver::Idm, Challenge::Reactive),
+    (Driver::PdmClosed, Challenge::NonReactive),
+    (Driver::LogReplay, Challenge::Reactive),
+    (Driver::Idm, Challenge::NonReactive),
+    (Driver::PdmClosed, Challenge::Reactive),
 ];
 
 /// Drives both and compares every metric: verdicts must be the same, the rest within `close`.

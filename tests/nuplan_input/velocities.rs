@@ -1,7 +1,6 @@
 //! Agents without a velocity: NULL in the log, NaN for the devkit.
 
 use super::fixture::DataSet;
-use planagent::internals::metrics::{EvaluatedSimulation, evaluate};
 use planagent::internals::planner::IdmPlanner;
 use planagent::internals::simulation::{Challenge, simulate};
 
@@ -12,11 +11,9 @@ fn agents_without_a_velocity_are_driven_and_judged() {
     let objects = || scenario.frames.iter().flat_map(|frame| frame.objects.iter());
     assert!(objects().any(|object| object.kind.is_agent()));
     assert!(objects().all(|object| object.velocity.x.is_nan() == object.kind.is_agent()));
-    for challenge in [Challenge::ClosedLoopNonreactiveAgents, Challenge::ClosedLoopReactiveAgents] {
+    for challenge in [Challenge::NonReactive, Challenge::Reactive] {
         let log = simulate(&scenario, &mut IdmPlanner::new(), challenge).unwrap();
-        let expert: Vec<_> = scenario.expert().copied().collect();
-        let drive = EvaluatedSimulation { map: &scenario.map, samples: &log.samples, expert: &expert };
-        let score = evaluate(&drive).unwrap().score;
+        let score = log.evaluate(&scenario).unwrap().score;
         assert!(score.value.is_finite(), "{challenge}: {score:?}");
     }
 }

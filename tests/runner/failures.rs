@@ -19,7 +19,7 @@ fn tasks() -> Vec<SimulationTask> {
     let of = |source: &ScenarioRef, planner| SimulationTask {
         source: source.clone(),
         planner,
-        challenge: Challenge::ClosedLoopNonreactiveAgents,
+        challenge: Challenge::NonReactive,
     };
     let scene = ScenarioRef::from(generator::DEFAULT);
     vec![

@@ -2,7 +2,7 @@
 
 use crate::environment::lane_graph::Centerline;
 use crate::environment::{CenterlineName, LaneGraph};
-use crate::metrics::{self, EvaluatedSimulation};
+use crate::metrics::{self, EvaluatedSimulation, MetricList};
 use crate::pdm::PdmMemory;
 use crate::planner::{DEFAULT_ACCELERATIONS, build_idm_plan, feedback, monitored_step, planner_code};
 use crate::reasoning::{Feedback, PlannerCode};
@@ -156,8 +156,8 @@ impl Present<'_> {
         let from = scenario.start + drive.iteration();
         let expert: Vec<EgoState> =
             scenario.frames.get(from..=from + samples.len())?.iter().map(|frame| frame.ego).collect();
-        let judged = EvaluatedSimulation { map: &scenario.map, samples: &samples, expert: &expert };
-        let score = metrics::evaluate(&judged).ok()?.score.value;
+        let judged = EvaluatedSimulation::new(&scenario.map, &samples, &expert);
+        let score = metrics::evaluate(MetricList::ClosedLoop, &judged).ok()?.score.value;
         let driven: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
         let way = driven + samples.last()?.ego.speed() * TERMINAL_S;
         let possible = self.limit.max(1.0) * (HORIZON as f64 * STEP_S + TERMINAL_S);

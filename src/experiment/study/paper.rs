@@ -84,9 +84,9 @@ impl Published {
             Benchmark::Test14Hard => self.test14_hard,
         };
         match challenge {
-            Challenge::ClosedLoopNonreactiveAgents => scores.map(|scores| scores.nonreactive),
-            Challenge::ClosedLoopReactiveAgents => scores.map(|scores| scores.reactive),
-            Challenge::OpenLoopBoxes => None,
+            Challenge::NonReactive => scores.map(|scores| scores.nonreactive),
+            Challenge::Reactive => scores.map(|scores| scores.reactive),
+            Challenge::OpenLoop => None,
         }
     }
 }

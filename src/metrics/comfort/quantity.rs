@@ -1,9 +1,11 @@
 //! The quantities of comfort with nuPlan's names, filters and bounds (devkit `ego_*acceleration.py`, `ego_*jerk.py`,
-//! `ego_yaw_*.py`, `within_bound_metric_base.py`, `state_extractors.py`): eight metrics that differ in a row of a table.
+//! `ego_yaw_*.py`, `within_bound_metric_base.py`, `state_extractors.py`).
 
-use super::super::{MetricCategory, MetricError, MetricResult, Statistic, TimeSeries};
 use super::savgol::{SavitzkyGolay, differentiated, mean_step_s, smoothed};
 use crate::geometry::unwrap_angles;
+use crate::metrics::{
+    MetricCategory, MetricError, MetricInput, MetricList, MetricResult, MetricSpec, Statistic, TimeSeries,
+};
 use crate::world::EgoState;
 
 /// Window of the acceleration filter, samples. It is even, which shifts the signal by half a sample; nuPlan's value.
@@ -16,9 +18,9 @@ pub(crate) const YAW_WINDOW: usize = 5;
 /// Open bounds: a value must lie strictly between them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bound {
-    /// Lower limit.
+    #[allow(missing_docs)]
     pub min: f64,
-    /// Upper limit.
+    #[allow(missing_docs)]
     pub max: f64,
 }
 
@@ -56,7 +58,7 @@ pub enum ComfortQuantity {
 }
 
 impl ComfortQuantity {
-    /// All of them.
+    /// All, in nuPlan's order.
     pub const ALL: [Self; 8] = [
         Self::Jerk,
         Self::LatJerk,
@@ -69,7 +71,7 @@ impl ComfortQuantity {
     ];
 
     /// nuPlan's name of the metric.
-    pub fn name(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Acceleration => "ego_acceleration",
             Self::LonAcceleration => "ego_lon_acceleration",
@@ -83,7 +85,7 @@ impl ComfortQuantity {
     }
 
     /// nuPlan's name of its unit.
-    pub fn unit(self) -> &'static str {
+    pub const fn unit(self) -> &'static str {
         match self {
             Self::Acceleration | Self::LonAcceleration | Self::LatAcceleration => "meters_per_second_squared",
             Self::Jerk | Self::LonJerk | Self::LatJerk => "meters_per_second_cubed",
@@ -94,7 +96,7 @@ impl ComfortQuantity {
 
     /// The bounds of comfort, SI units (devkit `simulation_metric/low_level/*.yaml`); `None` for quantities that are
     /// only reported.
-    pub fn bound(self) -> Option<Bound> {
+    pub const fn bound(self) -> Option<Bound> {
         match self {
             Self::LonAcceleration => Some(Bound { min: -4.05, max: 2.40 }),
             Self::LatAcceleration => Some(Bound::magnitude(4.89)),
@@ -109,7 +111,7 @@ impl ComfortQuantity {
     /// The filtered signal along a sequence of states.
     ///
     /// # Errors
-    /// When there are fewer states than the filter needs (3, and 4 for the yaw acceleration).
+    /// With fewer than 3 states, or 4 for the yaw acceleration.
     pub fn signal(self, states: &[EgoState]) -> Result<Vec<f64>, MetricError> {
         let of = |read: fn(&EgoState) -> f64| states.iter().map(read).collect::<Vec<f64>>();
         let step = mean_step_s(states);
@@ -135,9 +137,6 @@ impl ComfortQuantity {
     }
 
     /// The quantity as a metric without score: its statistics, and whether it stays within its bounds.
-    ///
-    /// # Errors
-    /// As [`Self::signal`].
     pub fn evaluate(self, states: &[EgoState]) -> Result<MetricResult, MetricError> {
         let name = self.name();
         let series = TimeSeries::of_states(self.unit(), states, self.signal(states)?);
@@ -147,4 +146,35 @@ impl ComfortQuantity {
         }
         Ok(MetricResult::unscored(name, MetricCategory::Dynamics, statistics).with_series(series))
     }
+}
+
+const fn spec(
+    quantity: ComfortQuantity,
+    compute: fn(&MetricInput<'_>) -> Result<Option<MetricResult>, MetricError>,
+) -> MetricSpec {
+    let spec =
+        MetricSpec::new(quantity.name(), compute).only(MetricList::ClosedLoop).category(MetricCategory::Dynamics);
+    match quantity.bound() {
+        Some(bound) => spec.bounds(Some(bound.min), Some(bound.max)),
+        None => spec,
+    }
+}
+
+macro_rules! specs {
+    ($($name:ident $quantity:ident),* $(,)?) => {
+        $(pub(in crate::metrics) const $name: MetricSpec = spec(ComfortQuantity::$quantity, |input| {
+            ComfortQuantity::$quantity.evaluate(input.states()).map(Some)
+        });)*
+    };
+}
+
+specs! {
+    JERK Jerk,
+    LAT_JERK LatJerk,
+    LON_JERK LonJerk,
+    ACCELERATION Acceleration,
+    LAT_ACCELERATION LatAcceleration,
+    LON_ACCELERATION LonAcceleration,
+    YAW_ACCELERATION YawAcceleration,
+    YAW_RATE YawRate,
 }

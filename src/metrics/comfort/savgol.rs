@@ -1,6 +1,6 @@
 //! The Savitzky-Golay filter as scipy 1.9.1 computes it with `mode='interp'`, even windows included.
 
-use super::super::MetricError;
+use crate::metrics::MetricError;
 use crate::world::{EgoState, MICROS_PER_SECOND};
 use nalgebra::{DMatrix, RowDVector};
 

@@ -12,9 +12,9 @@ use crate::simulation::Challenge;
 /// Heads of panels.
 fn panel(challenge: Challenge) -> &'static str {
     match challenge {
-        Challenge::ClosedLoopNonreactiveAgents => "NR: replayed traffic",
-        Challenge::ClosedLoopReactiveAgents => "R: reactive traffic",
-        Challenge::OpenLoopBoxes => "open loop",
+        Challenge::NonReactive => "NR: replayed traffic",
+        Challenge::Reactive => "R: reactive traffic",
+        Challenge::OpenLoop => "open loop",
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::simulation::{SimulationParts, four_figures};
 use super::source::RunSimulations;
-use crate::metrics::{MetricList, MetricName, Role};
+use crate::metrics::{MetricList, MetricSpec, Role};
 use crate::report::simulation_row::SimulationRow;
 use crate::report::summary::{Aggregate, Summary, distinct};
 use crate::report::timing::PlannerTiming;
@@ -189,15 +189,15 @@ impl SimulationEntry {
 }
 
 fn metrics() -> Vec<MetricEntry> {
-    let entry = |list, metric: &MetricName| MetricEntry {
-        name: metric.as_str(),
+    let entry = |list, metric: &MetricSpec| MetricEntry {
+        name: metric.name,
         list,
-        weight: match metric.role() {
-            Role::Multiplier => None,
+        weight: match metric.role {
             Role::Weight(weight) => Some(weight),
+            Role::Multiplier | Role::Unscored => None,
         },
     };
-    let of = |list: MetricList| list.scored().iter().map(move |metric| entry(list, metric));
+    let of = |list: MetricList| list.scored().map(move |metric| entry(list, metric));
     of(MetricList::ClosedLoop).chain(of(MetricList::OpenLoop)).collect()
 }
 

@@ -2,7 +2,6 @@
 //! asks nothing of the network. Tables and replays lie in it as compressed JSON; the scripts beside this file draw them.
 
 mod assets;
-mod bounds;
 mod index;
 mod simulation;
 mod source;

@@ -1,6 +1,6 @@
 //! What a page holds of one drive: its statistics for the histograms and, packed, its replay with calls and time series.
 
-use super::{bounds, text};
+use super::text;
 use crate::metrics::{MetricResult, Statistic};
 use crate::report::call_record::calls_in;
 use crate::report::error::ReportError;
@@ -91,7 +91,7 @@ fn packed(folder: &Path, mut replay: Replay, metrics: &[MetricResult]) -> Result
 impl<'a> Series<'a> {
     fn of(metric: &'a MetricResult) -> Option<Self> {
         let series = metric.time_series.as_ref()?;
-        let (low, high) = bounds::of(&metric.name);
+        let (low, high) = crate::metrics::metric(&metric.name).map_or((None, None), |spec| spec.bounds);
         Some(Self {
             metric: &metric.name,
             unit: &series.unit,

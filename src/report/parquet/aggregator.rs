@@ -33,7 +33,7 @@ fn columns(rows: &[AggregateRow], list: MetricList) -> Columns {
         ("aggregator_type".to_owned(), text(|_| AGGREGATOR_TYPE)),
     ];
     let computed = rows.iter().flat_map(|row| row.metrics.iter().map(|(name, _)| name.as_str()));
-    let names: BTreeSet<&str> = computed.chain(list.scored().iter().map(|metric| metric.as_str())).collect();
+    let names: BTreeSet<&str> = computed.chain(list.scored().map(|metric| metric.name)).collect();
     for name in names {
         let value = |row: &AggregateRow| row.metrics.iter().find(|(n, _)| n == name).and_then(|(_, value)| *value);
         all.push((name.to_owned(), Column::Float(rows.iter().map(value).collect())));

@@ -156,7 +156,7 @@ fn kind_name(kind: StatisticKind) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::MetricName;
+    use crate::metrics::metric;
     use crate::report::SimulationTime;
     use crate::simulation::Challenge;
 
@@ -168,7 +168,7 @@ mod tests {
             scenario_type: "changing_lane".to_owned(),
             log_name: "generated-0".to_owned(),
             planner: "idm".to_owned(),
-            challenge: Challenge::ClosedLoopNonreactiveAgents,
+            challenge: Challenge::NonReactive,
             error: None,
             score: Some(1.0),
             zeroed_by: Vec::new(),
@@ -186,14 +186,13 @@ mod tests {
 
     #[test]
     fn what_a_drive_does_not_have_is_null_in_its_row() {
-        let metric = MetricName::SpeedLimitCompliance;
+        let metric = metric("speed_limit_compliance").unwrap();
         let count = "number_of_violations_of_speed_limit_compliance";
         let kept = Statistic::boolean(metric.as_str(), true);
         let broken = vec![Statistic::count(count, 2), Statistic::boolean(metric.as_str(), false)];
         let schema: Schema = broken.iter().map(|statistic| (statistic.name.clone(), statistic.kind)).collect();
         let row = simulation();
-        let rows =
-            [(&row, MetricResult::scored(metric, 1.0, vec![kept])), (&row, MetricResult::scored(metric, 0.5, broken))];
+        let rows = [(&row, metric.scored(1.0, vec![kept])), (&row, metric.scored(0.5, broken))];
         let columns: BTreeMap<String, Column> = columns(&schema, &rows).into_iter().collect();
         assert_eq!(columns[&format!("{count}_stat_value")], Column::Integer(vec![None, Some(2)]));
         assert_eq!(columns[&format!("{count}_stat_type")], Column::Text(vec![None, Some("COUNT".to_owned())]));

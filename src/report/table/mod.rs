@@ -76,9 +76,9 @@ pub fn fill(words: impl IntoIterator<Item = String>, width: usize) -> Vec<String
 /// Names of the challenges in tables, as papers write them.
 fn short(challenge: Challenge) -> &'static str {
     match challenge {
-        Challenge::ClosedLoopNonreactiveAgents => "NR",
-        Challenge::ClosedLoopReactiveAgents => "R",
-        Challenge::OpenLoopBoxes => "OLS",
+        Challenge::NonReactive => "NR",
+        Challenge::Reactive => "R",
+        Challenge::OpenLoop => "OLS",
     }
 }
 

@@ -1,29 +1,10 @@
 //! The drives one by one: their metrics, what made scores 0, what failed.
 
 use super::{fill, percent_or_dash, plain, short};
-use crate::metrics::{MetricList, MetricName};
+use crate::metrics::MetricList;
 use crate::report::number::fixed;
 use crate::report::simulation_row::SimulationRow;
 use console::style;
-
-/// Head of the column of a metric.
-fn short_name(name: MetricName) -> &'static str {
-    match name {
-        MetricName::NoEgoAtFaultCollisions => "coll",
-        MetricName::DrivableAreaCompliance => "area",
-        MetricName::EgoIsMakingProgress => "prog",
-        MetricName::DrivingDirectionCompliance => "dir",
-        MetricName::EgoProgressAlongExpertRoute => "rate",
-        MetricName::TimeToCollisionWithinBound => "ttc",
-        MetricName::SpeedLimitCompliance => "speed",
-        MetricName::EgoIsComfortable => "comf",
-        MetricName::PlannerMissRateWithinBound => "miss",
-        MetricName::PlannerExpertAverageL2ErrorWithinBound => "ADE",
-        MetricName::PlannerExpertFinalL2ErrorWithinBound => "FDE",
-        MetricName::PlannerExpertAverageHeadingErrorWithinBound => "AHE",
-        MetricName::PlannerExpertFinalHeadingErrorWithinBound => "FHE",
-    }
-}
 
 /// More drives than this are left to `summary.json`; the means stand for them.
 const MOST_ROWS: usize = 60;
@@ -32,7 +13,7 @@ const MOST_ROWS: usize = 60;
 pub(super) fn simulations(rows: &[SimulationRow], list: MetricList) -> String {
     let driven = || rows.iter().filter(|row| row.score.is_some() && row.challenge.metric_list() == list);
     let shown: Vec<&SimulationRow> = driven().take(MOST_ROWS).collect();
-    let metrics = list.scored().iter().map(|&name| short_name(name));
+    let metrics = list.scored().map(|metric| metric.label);
     let header = ["simulation", "", "score"].into_iter().chain(metrics).chain(["calls"]);
     let table = plain(&header.map(str::to_owned).collect::<Vec<_>>(), shown.iter().map(|row| cells(row)).collect(), 2);
     let mut lines = table.lines();
@@ -53,8 +34,8 @@ pub(super) fn simulations(rows: &[SimulationRow], list: MetricList) -> String {
 }
 
 fn cells(row: &SimulationRow) -> Vec<String> {
-    let list = row.challenge.metric_list().scored().iter();
-    let metrics = list.map(|name| row.metric(name.as_str()).map_or_else(|| "-".to_owned(), compact));
+    let list = row.challenge.metric_list().scored();
+    let metrics = list.map(|metric| row.metric(metric.name).map_or_else(|| "-".to_owned(), compact));
     let calls = if row.planning_calls == 0 { "-".to_owned() } else { row.planning_calls.to_string() };
     let head = [format!("  {}", row.planner), short(row.challenge).to_owned(), percent_or_dash(row.score)];
     head.into_iter().chain(metrics).chain([calls]).collect()
@@ -62,7 +43,7 @@ fn cells(row: &SimulationRow) -> Vec<String> {
 
 /// What the short heads mean.
 pub(super) fn legend(list: MetricList, width: u16) -> String {
-    let meanings = list.scored().iter().map(|&name| format!("{} = {name}", short_name(name)));
+    let meanings = list.scored().map(|metric| format!("{} = {}", metric.label, metric.name));
     let mut lines = fill(meanings, usize::from(width));
     lines.push(
         match list {

@@ -207,9 +207,9 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
 
 fn traffic(challenge: Challenge) -> &'static str {
     match challenge {
-        Challenge::ClosedLoopNonreactiveAgents => "replayed traffic",
-        Challenge::ClosedLoopReactiveAgents => "reactive traffic",
-        Challenge::OpenLoopBoxes => "open loop",
+        Challenge::NonReactive => "replayed traffic",
+        Challenge::Reactive => "reactive traffic",
+        Challenge::OpenLoop => "open loop",
     }
 }
 

@@ -15,9 +15,10 @@ use std::path::Path;
 /// When there is no run, or it lacks a score of a candidate.
 pub(super) fn run(folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
     RunFolder::manifest(folder)?;
-    let rows = RunFolder::ended(folder)?.rows.into_iter().filter(|row| {
-        row.planner == PlannerName::PDM_CLOSED.as_str() && row.challenge == Challenge::ClosedLoopNonreactiveAgents
-    });
+    let rows = RunFolder::ended(folder)?
+        .rows
+        .into_iter()
+        .filter(|row| row.planner == PlannerName::PDM_CLOSED.as_str() && row.challenge == Challenge::NonReactive);
     let scores = rows.filter_map(|row| Some((row.scenario.parse().ok()?, row.score?))).collect();
     let specs = hard_scenes(&scores).with_context(|| {
         let (folder, candidates, planner) = (folder.display(), Suite::Candidates.name(), PlannerName::PDM_CLOSED);

@@ -185,7 +185,7 @@ fn challenges(flags: &[String], manifest: Option<&Manifest>) -> anyhow::Result<V
         }
     }
     if challenges.is_empty() {
-        challenges.push(Challenge::ClosedLoopNonreactiveAgents);
+        challenges.push(Challenge::NonReactive);
     }
     Ok(challenges)
 }

@@ -1,77 +1,46 @@
-//! Planned trajectories beside the recorded drive, second by second (devkit
+//! Planned trajectories against the expert's, second by second (devkit
 //! `planner_expert_average_l2_error_within_bound.py`, `expert_comparisons.py`, `metric_base.py`).
 
-use super::super::{MetricError, MetricName, MetricResult, Statistic, StatisticKind, TimeSeries};
+use super::MetricError;
 use crate::geometry::{Pose, wrap_angle};
 use crate::world::{EgoState, PACIFICA, Trajectory, TrajectoryError, TrajectoryState};
 
-/// How far ahead planner and expert are compared, seconds (devkit `comparison_horizon`).
+/// Horizons of the comparison, seconds (devkit `comparison_horizon`).
 pub const COMPARISON_HORIZONS_S: [usize; 3] = [3, 5, 8];
-/// The farthest of them.
 const FARTHEST_S: usize = COMPARISON_HORIZONS_S[2];
-/// Frames of a scenario in one second: the comparison is made at 1 Hz (devkit `comparison_frequency`).
+/// Frames of a scenario in one second. The comparison runs at 1 Hz (devkit `comparison_frequency`).
 pub const FRAMES_PER_SECOND: usize = 10;
 
-/// The errors of one planned trajectory within one horizon. Positions are those of the box centre.
+/// The errors of one planned trajectory within one horizon. Positions are box centers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HorizonErrors {
-    /// Mean distance, metres.
+    /// Mean distance, meters.
     pub average_displacement: f64,
-    /// Largest distance, metres.
+    /// Largest distance, meters.
     pub maximum_displacement: f64,
-    /// Distance at the end of the horizon, metres.
+    /// Distance at the end of the horizon, meters.
     pub final_displacement: f64,
-    /// Mean turn between the headings, radians.
+    /// Mean angle between the headings, radians.
     pub average_heading: f64,
-    /// Turn between the headings at the end of the horizon, radians.
+    /// Angle between the headings at the end of the horizon, radians.
     pub final_heading: f64,
 }
 
-/// The errors of a drive: an entry a second, in it one for each of [`COMPARISON_HORIZONS_S`].
+/// The errors of a simulation: one entry a second, each with one value per horizon of [`COMPARISON_HORIZONS_S`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlannerExpertErrors {
-    /// Which samples of the drive were compared.
+    /// Indices of the compared samples.
     pub frames: Vec<usize>,
-    /// Their times, µs.
+    /// Times of these samples, µs.
     pub time_stamps: Vec<i64>,
-    /// Their errors.
+    /// Errors at these samples.
     pub errors: Vec<[HorizonErrors; 3]>,
 }
 
 impl PlannerExpertErrors {
-    /// One of the errors of all frames within a horizon (a place in [`COMPARISON_HORIZONS_S`]).
+    /// One error of all frames within a horizon (an index into [`COMPARISON_HORIZONS_S`]).
     pub(super) fn within(&self, horizon: usize, read: fn(&HorizonErrors) -> f64) -> impl Iterator<Item = f64> {
         self.errors.iter().map(move |of_frame| read(&of_frame[horizon]))
-    }
-
-    /// The result of a metric that holds a mean error under a threshold: the mean of each horizon, whether the mean over all
-    /// is within, that mean; the score falls from 1 to 0 as that mean grows to the threshold. `short` is nuPlan's name of the
-    /// error (`planner_expert_ADE`).
-    pub(super) fn mean_within(
-        &self,
-        metric: MetricName,
-        (short, unit): (&str, &str),
-        threshold: f64,
-        read: fn(&HorizonErrors) -> f64,
-    ) -> MetricResult {
-        let mean_statistic = |name: String, value| Statistic::new(StatisticKind::Mean, name, unit, value);
-        let mut statistics: Vec<Statistic> = COMPARISON_HORIZONS_S
-            .iter()
-            .enumerate()
-            .map(|(i, horizon)| mean_statistic(format!("{short}_horizon_{horizon}"), mean(self.within(i, read))))
-            .collect();
-        let by_frame: Vec<f64> = self.errors.iter().map(|of_frame| mean(of_frame.iter().map(read))).collect();
-        let overall = mean(self.errors.iter().flatten().map(read));
-        let averaged = format!("avg_{short}_over_all_horizons");
-        statistics.push(Statistic::boolean(metric.as_str(), overall <= threshold));
-        statistics.push(mean_statistic(averaged.clone(), overall));
-        let series = TimeSeries {
-            unit: format!("{averaged} [{unit}]"),
-            time_stamps: self.time_stamps.clone(),
-            values: by_frame,
-            selected_frames: Some(self.frames.clone()),
-        };
-        MetricResult::scored(metric, (1.0 - overall / threshold).max(0.0), statistics).with_series(series)
     }
 }
 
@@ -80,16 +49,15 @@ pub(super) fn mean(values: impl Iterator<Item = f64>) -> f64 {
     sum / count as f64
 }
 
-/// Compares the trajectories (one a sample of the drive) with the recorded drive: `expert` from iteration 0 to the end of the
-/// scenario, `future` what was recorded after it, both with `frames_per_second` states a second.
+/// Compares the trajectories (one a sample) with the expert. `expert` runs from iteration 0 to the end of the scenario and
+/// `future` holds the recording after it, both with `frames_per_second` states a second.
 ///
-/// As in nuPlan a trajectory that ends less than a second before the farthest horizon is compared at its own end. nuPlan's
-/// logs go on after every scenario; seconds whose next eight are not recorded are left out here (the time series names those
-/// that count). Kept: where the last state of the scenario lies on a full second, nuPlan counts it twice, as the last of the
-/// scenario and as the first of the future.
+/// As in nuPlan, a trajectory that ends less than a second before the farthest horizon is compared at its own end. nuPlan's
+/// logs continue after every scenario; here seconds whose next eight are not recorded are left out, and the time series
+/// names those that count. One quirk is kept: nuPlan counts the last state of a scenario twice when it lies on a full second.
 ///
 /// # Errors
-/// When a trajectory does not reach far enough, or no second has a recorded future.
+/// When a trajectory ends too early, or no second has a recorded future.
 pub fn compare_with_expert(
     trajectories: &[Trajectory],
     expert: &[EgoState],
@@ -118,7 +86,7 @@ pub fn compare_with_expert(
     Ok(found)
 }
 
-/// The recorded states that are compared: every second of the scenario, then eight more after its last compared frame.
+/// The recorded states of the comparison: every second of the scenario, then eight more after its last compared frame.
 fn sampled<'a>(expert: &'a [EgoState], future: &'a [EgoState], last: usize, step: usize) -> Vec<&'a EgoState> {
     let after = (1..=FARTHEST_S).map_while(|second| {
         let index = last + second * step;
@@ -127,7 +95,7 @@ fn sampled<'a>(expert: &'a [EgoState], future: &'a [EgoState], last: usize, step
     expert.iter().step_by(step).chain(after).collect()
 }
 
-/// Centres of planner and expert at the eight seconds after the first of `ahead`.
+/// Centers of planner and expert at the eight seconds after the first of `ahead`.
 fn compared_poses(trajectory: &Trajectory, ahead: &[&EgoState]) -> Result<(Vec<Pose>, Vec<Pose>), TrajectoryError> {
     let center = |state: &TrajectoryState| state.rear_axle.translated(PACIFICA.rear_axle_to_center(), 0.0);
     let end_us = trajectory.end_us();

@@ -1,0 +1,126 @@
+//! The metric table, and the evaluation of a simulation with it.
+
+use super::{
+    EvaluatedSimulation, MetricError, MetricInput, MetricList, MetricResult, MetricSpec, Role, Score, comfort, common,
+    drivable_area_compliance, driving_direction_compliance, ego_lane_change, ego_progress_along_expert_route,
+    ego_stop_at_stop_line, no_ego_at_fault_collisions, open_loop, speed_limit_compliance,
+    time_to_collision_within_bound,
+};
+
+/// nuPlan's metrics in the order of their results. A score takes the multipliers, then the weighted metrics, in this order.
+pub const METRICS: [MetricSpec; 27] = [
+    common::MEAN_SPEED,
+    common::EXPERT_ERROR,
+    common::EXPERT_ERROR_WITH_YAW,
+    ego_lane_change::SPEC,
+    comfort::JERK,
+    comfort::LAT_JERK,
+    comfort::LON_JERK,
+    comfort::ACCELERATION,
+    comfort::LAT_ACCELERATION,
+    comfort::LON_ACCELERATION,
+    comfort::YAW_ACCELERATION,
+    comfort::YAW_RATE,
+    ego_progress_along_expert_route::SPEC,
+    no_ego_at_fault_collisions::SPEC,
+    drivable_area_compliance::SPEC,
+    drivable_area_compliance::CORNERS,
+    time_to_collision_within_bound::SPEC,
+    speed_limit_compliance::SPEC,
+    comfort::SPEC,
+    ego_progress_along_expert_route::MAKING_PROGRESS,
+    driving_direction_compliance::SPEC,
+    ego_stop_at_stop_line::SPEC,
+    open_loop::AVERAGE_DISPLACEMENT,
+    open_loop::FINAL_DISPLACEMENT,
+    open_loop::MISS_RATE,
+    open_loop::AVERAGE_HEADING,
+    open_loop::FINAL_HEADING,
+];
+
+/// nuPlan's metric of this name.
+pub fn metric(name: &str) -> Option<&'static MetricSpec> {
+    const ALL: &[MetricSpec] = &METRICS;
+    ALL.iter().find(|spec| spec.name == name)
+}
+
+impl MetricList {
+    /// nuPlan's metrics that enter the score of this list, multipliers first.
+    pub fn scored(self) -> impl Iterator<Item = &'static MetricSpec> {
+        const ALL: &[MetricSpec] = &METRICS;
+        scored(ALL, self)
+    }
+}
+
+/// The metrics of a list that enter its score, multipliers first.
+pub(super) fn scored(specs: &[MetricSpec], list: MetricList) -> impl Iterator<Item = &MetricSpec> {
+    let of_list = move || specs.iter().filter(move |spec| spec.list.is_none_or(|own| own == list));
+    let weighted = |spec: &&MetricSpec| matches!(spec.role, Role::Weight(_));
+    of_list().filter(|spec| spec.is_multiplier()).chain(of_list().filter(weighted))
+}
+
+/// The metrics of an evaluation: nuPlan's, and those that a program adds.
+#[derive(Debug, Clone)]
+pub struct MetricRegistry {
+    specs: Vec<MetricSpec>,
+}
+
+impl Default for MetricRegistry {
+    fn default() -> Self {
+        Self { specs: METRICS.to_vec() }
+    }
+}
+
+impl MetricRegistry {
+    /// Adds a metric; one of the same name is replaced.
+    #[must_use]
+    pub fn with(mut self, spec: MetricSpec) -> Self {
+        self.specs.retain(|own| own.name != spec.name);
+        self.specs.push(spec);
+        self
+    }
+
+    /// The metrics in the order of their results.
+    pub fn specs(&self) -> &[MetricSpec] {
+        &self.specs
+    }
+
+    /// Computes the metrics of a list and their score.
+    ///
+    /// # Errors
+    /// As [`MetricInput::new`], and when a metric cannot be computed: open-loop metrics need plans of more than 7 s.
+    pub fn evaluate(&self, list: MetricList, simulation: &EvaluatedSimulation<'_>) -> Result<Evaluation, MetricError> {
+        let input = MetricInput::new(*simulation)?;
+        let of_list = self.specs.iter().filter(|spec| spec.list.is_none_or(|own| own == list));
+        let mut metrics = Vec::new();
+        for spec in of_list {
+            metrics.extend((spec.compute)(&input)?);
+        }
+        Ok(Evaluation { score: Score::of(list, &self.specs, &metrics)?, metrics })
+    }
+}
+
+/// All results of a simulation.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Evaluation {
+    /// The score.
+    pub score: Score,
+    /// The metrics in the order of the registry.
+    pub metrics: Vec<MetricResult>,
+}
+
+impl Evaluation {
+    /// A metric by nuPlan's name.
+    pub fn metric(&self, name: &str) -> Option<&MetricResult> {
+        self.metrics.iter().find(|m| m.name == name)
+    }
+}
+
+/// Computes nuPlan's metrics of a list and their score.
+///
+/// # Errors
+/// As [`MetricRegistry::evaluate`].
+pub fn evaluate(list: MetricList, simulation: &EvaluatedSimulation<'_>) -> Result<Evaluation, MetricError> {
+    MetricRegistry::default().evaluate(list, simulation)
+}

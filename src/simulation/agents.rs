@@ -1,0 +1,76 @@
+//! The policies that control the agents around the ego.
+
+use crate::dynamics::IdmTraffic;
+use crate::scenario::{Frame, Scenario};
+use crate::world::{EgoState, TrackedObject};
+use std::fmt::Debug;
+use std::sync::Arc;
+
+/// Controls all objects around the ego of one simulation. nuPlan calls it an observation.
+pub trait AgentPolicy: Debug + Send + Sync {
+    /// The objects now; `logged` is the recorded frame of this iteration.
+    fn objects(&self, logged: &Frame) -> Arc<[TrackedObject]>;
+
+    /// Moves to the next iteration, `dt_s` seconds later; `next` is its recorded frame. As in nuPlan, `ego` is still the
+    /// state before the step.
+    fn step(&mut self, ego: &EgoState, next: &Frame, dt_s: f64);
+
+    /// A copy in the same state. A simulation can be cloned at any iteration.
+    fn boxed_clone(&self) -> Box<dyn AgentPolicy>;
+}
+
+impl Clone for Box<dyn AgentPolicy> {
+    fn clone(&self) -> Self {
+        self.boxed_clone()
+    }
+}
+
+/// A named policy.
+#[derive(Debug, Clone, Copy)]
+#[non_exhaustive]
+pub struct AgentPolicySpec {
+    /// nuPlan's name.
+    pub name: &'static str,
+    /// Makes the policy for a scenario at iteration 0, whose recorded frame is given.
+    pub new: fn(&Scenario, &Frame) -> Box<dyn AgentPolicy>,
+}
+
+/// All objects replay the log.
+pub const LOG_REPLAY: AgentPolicySpec = AgentPolicySpec { name: "box_observation", new: |_, _| Box::new(LoggedAgents) };
+/// Vehicles follow their lanes by the intelligent driver model and react to the ego; the rest replays the log.
+pub const IDM: AgentPolicySpec = AgentPolicySpec {
+    name: "idm_agents_observation",
+    new: |scenario, first| Box::new(IdmTraffic::new(&scenario.map, &first.objects, &first.ego)),
+};
+
+/// The policies of nuPlan's challenges.
+pub const AGENT_POLICIES: [AgentPolicySpec; 2] = [LOG_REPLAY, IDM];
+
+#[derive(Debug, Clone, Copy)]
+struct LoggedAgents;
+
+impl AgentPolicy for LoggedAgents {
+    fn objects(&self, logged: &Frame) -> Arc<[TrackedObject]> {
+        Arc::clone(&logged.objects)
+    }
+
+    fn step(&mut self, _: &EgoState, _: &Frame, _: f64) {}
+
+    fn boxed_clone(&self) -> Box<dyn AgentPolicy> {
+        Box::new(*self)
+    }
+}
+
+impl AgentPolicy for IdmTraffic {
+    fn objects(&self, _: &Frame) -> Arc<[TrackedObject]> {
+        Self::objects(self)
+    }
+
+    fn step(&mut self, ego: &EgoState, next: &Frame, dt_s: f64) {
+        Self::step(self, ego, &next.objects, &next.lights, dt_s);
+    }
+
+    fn boxed_clone(&self) -> Box<dyn AgentPolicy> {
+        Box::new(self.clone())
+    }
+}
