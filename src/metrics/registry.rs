@@ -46,14 +46,14 @@ pub fn metric(name: &str) -> Option<&'static MetricSpec> {
 
 impl MetricList {
     /// nuPlan's metrics that enter the score of this list, multipliers first.
-    pub fn scored(self) -> impl Iterator<Item = &'static MetricSpec> {
+    pub fn scored(self) -> impl Iterator<Item = &'static MetricSpec> + Clone {
         const ALL: &[MetricSpec] = &METRICS;
         scored(ALL, self)
     }
 }
 
 /// The metrics of a list that enter its score, multipliers first.
-pub(super) fn scored(specs: &[MetricSpec], list: MetricList) -> impl Iterator<Item = &MetricSpec> {
+pub(super) fn scored(specs: &[MetricSpec], list: MetricList) -> impl Iterator<Item = &MetricSpec> + Clone {
     let of_list = move || specs.iter().filter(move |spec| spec.list.is_none_or(|own| own == list));
     let weighted = |spec: &&MetricSpec| matches!(spec.role, Role::Weight(_));
     of_list().filter(|spec| spec.is_multiplier()).chain(of_list().filter(weighted))

@@ -148,7 +148,7 @@ impl SimulationRow {
     /// first and in its order, so that the aggregation's sums are the score's to the last bit.
     pub fn scenario_row(&self) -> Option<ScenarioRow> {
         let scored = self.challenge.metric_list().scored();
-        let place = |name: &str| scored.iter().position(|metric| metric.as_str() == name).unwrap_or(scored.len());
+        let place = |name: &str| scored.clone().position(|metric| metric.name == name).unwrap_or(usize::MAX);
         let mut metrics: Vec<_> = self.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect();
         metrics.sort_by_key(|(name, _)| place(name));
         self.score.map(|_| ScenarioRow {

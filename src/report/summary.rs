@@ -55,7 +55,7 @@ impl From<&SimulationRow> for ScenarioSummary {
     fn from(row: &SimulationRow) -> Self {
         let mut metrics = Map::new();
         if row.score.is_some() {
-            let scored = row.challenge.metric_list().scored().iter().map(|name| name.as_str());
+            let scored = row.challenge.metric_list().scored().map(|metric| metric.name);
             metrics.extend(scored.filter_map(|name| Some((name.to_owned(), json!(row.metric(name)?)))));
             metrics.insert("zeroed_by".to_owned(), json!(row.zeroed_by));
         }
