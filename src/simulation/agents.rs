@@ -36,9 +36,10 @@ pub struct AgentPolicySpec {
 }
 
 /// All objects replay the log.
-pub const LOG_REPLAY: AgentPolicySpec = AgentPolicySpec { name: "box_observation", new: |_, _| Box::new(LoggedAgents) };
+pub(super) const LOG_REPLAY: AgentPolicySpec =
+    AgentPolicySpec { name: "box_observation", new: |_, _| Box::new(LoggedAgents) };
 /// Vehicles follow their lanes by the intelligent driver model and react to the ego; the rest replays the log.
-pub const IDM: AgentPolicySpec = AgentPolicySpec {
+pub(super) const IDM: AgentPolicySpec = AgentPolicySpec {
     name: "idm_agents_observation",
     new: |scenario, first| Box::new(IdmTraffic::new(&scenario.map, &first.objects, &first.ego)),
 };

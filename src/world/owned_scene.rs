@@ -8,9 +8,9 @@ use crate::geometry::{GeometryError, OrientedBox, Point, Pose, Vector};
 use std::sync::Arc;
 
 /// Width of a lane unless the builder sets another, meters.
-pub const DEFAULT_LANE_WIDTH: f64 = 3.5;
+const DEFAULT_LANE_WIDTH: f64 = 3.5;
 /// Speed limit of a lane unless the builder sets another, m/s (50 km/h).
-pub const DEFAULT_SPEED_LIMIT: f64 = 13.9;
+const DEFAULT_SPEED_LIMIT: f64 = 13.9;
 
 /// The world around the ego at one instant: map, route, ego, objects, lights, and the recent past.
 ///

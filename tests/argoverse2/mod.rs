@@ -171,7 +171,7 @@ fn log_replay_complies_and_idm_drives() {
             "ego_is_making_progress",
         ] {
             let score = replayed.metric(name).unwrap();
-            assert!((score - 1.0).abs() < 1e-12, "{}: {} is {score}", scenario.id, name.as_str());
+            assert!((score - 1.0).abs() < 1e-12, "{}: {} is {score}", scenario.id, name);
         }
         for challenge in [Challenge::NonReactive, Challenge::Reactive] {
             let driven = scores(&scenario, &mut IdmPlanner::default(), challenge);

@@ -188,8 +188,8 @@ mod tests {
     fn what_a_drive_does_not_have_is_null_in_its_row() {
         let metric = metric("speed_limit_compliance").unwrap();
         let count = "number_of_violations_of_speed_limit_compliance";
-        let kept = Statistic::boolean(metric.as_str(), true);
-        let broken = vec![Statistic::count(count, 2), Statistic::boolean(metric.as_str(), false)];
+        let kept = Statistic::boolean(metric.name, true);
+        let broken = vec![Statistic::count(count, 2), Statistic::boolean(metric.name, false)];
         let schema: Schema = broken.iter().map(|statistic| (statistic.name.clone(), statistic.kind)).collect();
         let row = simulation();
         let rows = [(&row, metric.scored(1.0, vec![kept])), (&row, metric.scored(0.5, broken))];
