@@ -22,7 +22,7 @@ use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scena
 use planagent::internals::scenario::{DataRoots, Readers};
 use planagent::internals::simulation::{Challenge, ClosedLoop, simulate};
 use planagent::internals::world::{
-    EgoState, LaneMap, ObjectKind, STEP_S, Scene, TrackToken, TrackedObject, TrafficLights,
+    EgoState, LaneMap, ObjectKind, STEP_S, SceneView, TrackToken, TrackedObject, TrafficLights,
 };
 use std::hint::black_box;
 use std::sync::Arc;
@@ -32,7 +32,7 @@ const CROWD: u32 = 50;
 
 /// Cars, pedestrians and cones on the lanes around the ego, as many as [`CROWD`], all within 50 m and none touching it:
 /// a third drives, a sixth walks, half of them stand; the way is clear.
-fn crowd(scene: &Scene<'_>, reference_path: &ReferencePath) -> Vec<TrackedObject> {
+fn crowd(scene: &SceneView<'_>, reference_path: &ReferencePath) -> Vec<TrackedObject> {
     let center = scene.ego.center();
     let lanes = scene.map.lanes_near(center.position(), 49.0);
     let places = lanes.iter().flat_map(|&lane| {
@@ -66,7 +66,7 @@ fn pdm_closed(c: &mut Criterion) {
     let base = drive.scene();
     let reference_path = ReferencePath::find(base.map, base.route, base.ego).unwrap();
     let objects = crowd(&base, &reference_path);
-    let scene = Scene { objects: &objects, ..base };
+    let scene = SceneView { objects: &objects, ..base };
     let instant = PdmInstant::along(&reference_path, &scene, &mut Collided::default());
     let proposals = instant.proposals(&reference_path, scene.ego, PROPOSAL_STEPS);
     let simulated = simulate_proposals(scene.ego, proposals.all());

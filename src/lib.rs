@@ -4,7 +4,7 @@
 //! latency record of every model call come out. The stages, in the order in which the data passes them:
 //!
 //! 1. [`scenario`] opens a drive: map, logged agents, traffic lights, route, expert.
-//! 2. [`environment`] turns a [`world::Scene`] into the two prompts of the paper: the BEV map and the lane-graph text.
+//! 2. [`environment`] turns a [`world::SceneView`] into the two prompts of the paper: the BEV map and the lane-graph text.
 //! 3. [`mllm`] runs a multimodal language model on the CPU.
 //! 4. [`reasoning`] asks it three rounds and parses the planner code that it writes.
 //! 5. [`reflection`] rolls that planner out, scores it by [`pdm`]'s measure, and accepts it or asks to rethink.

@@ -14,7 +14,7 @@ use planagent::internals::reasoning::{Interruption, PlannerCode, PromptSet, Reas
 use planagent::internals::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
 use planagent::internals::scenario::{Scenario, generator};
 use planagent::internals::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
-use planagent::internals::world::{Route, Scene};
+use planagent::internals::world::{Route, SceneView};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -301,7 +301,7 @@ fn a_report_names_what_progress_was_compared_with() {
     let scene = drive.scene();
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
     let planner = planner_at(&drive, &graph, 3.0, LeadPolicy::Nearest);
-    let report = |scene: &Scene<'_>| {
+    let report = |scene: &SceneView<'_>| {
         let mut memory = PdmMemory::default();
         let report = Judge::new(scene, &graph, 4.0, &mut memory).unwrap().reflect(&planner, 0.75).unwrap();
         (report.progress_reference, report.parts.progress, memory.reference_path.is_some())
@@ -309,7 +309,7 @@ fn a_report_names_what_progress_was_compared_with() {
     let (reference, progress, found) = report(&scene);
     assert!(reference == ProgressReference::PdmProposals && found && progress < 0.9, "{progress}");
     let nowhere = Route::default();
-    let (reference, progress, found) = report(&Scene { route: &nowhere, ..scene });
+    let (reference, progress, found) = report(&SceneView { route: &nowhere, ..scene });
     assert!(reference == ProgressReference::OwnProgress && !found, "without a route PDM-Closed has no proposals");
     assert!(progress <= 1.0);
 }
@@ -372,7 +372,7 @@ fn the_controls_drive_without_a_model() {
 fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
     let scenario = scenario("generated/changing_lane/4");
     let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
-    let free = Scene { objects: &[], ..drive.scene() };
+    let free = SceneView { objects: &[], ..drive.scene() };
     let graph = LaneGraph::build(&free, DEFAULT_NODE_LENGTH).unwrap();
     let lane = |name| {
         let path = &graph.centerline(name).unwrap().path;

@@ -8,7 +8,7 @@ use planagent::internals::planner::{PlanAgent, PlanAgentSettings, Planner, Plann
 use planagent::internals::reasoning::Round;
 use planagent::internals::reflection::{LeadPolicy, PlanMonitor, Version};
 use planagent::internals::simulation::{Challenge, ClosedLoop};
-use planagent::internals::world::{EgoState, LanePath, ObjectKind, Scene, TrackToken, TrackedObject};
+use planagent::internals::world::{EgoState, LanePath, ObjectKind, SceneView, TrackToken, TrackedObject};
 use std::sync::{Arc, Mutex};
 
 /// How often each version was chosen while one planner after the other is driven: as it was written, otherwise on its own path,
@@ -72,7 +72,7 @@ fn standing(at: Pose, width: f64) -> TrackedObject {
 fn a_change_of_lanes_that_goes_bad_is_given_up() {
     let scenario = scenario("generated/changing_lane/4");
     let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
-    let free = Scene { objects: &[], ..drive.scene() };
+    let free = SceneView { objects: &[], ..drive.scene() };
     let graph = LaneGraph::build(&free, DEFAULT_NODE_LENGTH).unwrap();
     let (own, left) = (graph.ego_lane(), graph.centerline(CenterlineName::LeftLane).unwrap());
     let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"];
@@ -90,7 +90,7 @@ fn a_change_of_lanes_that_goes_bad_is_given_up() {
     // Someone stands in the other lane now.
     let at = left.path.centerline.smooth_pose_at(left.ego_s + 28.0);
     let objects = [standing(at, 2.0)];
-    let blocked = Scene { objects: &objects, ..free };
+    let blocked = SceneView { objects: &objects, ..free };
     assert_eq!(step(1, blocked), (lane(&own.path), Some(1)));
     assert_eq!(step(2, free), (lane(&own.path), Some(1)), "until the next call");
 }
@@ -107,7 +107,7 @@ fn a_watched_planner_stops_only_in_danger_and_only_if_it_may() {
     let choose = |metres, emergency_brake| {
         let at = planner.path().smooth_pose_at(planner.path().project(ego.rear_axle.position()).s + metres);
         let objects = [standing(at, 30.0)];
-        let scene = Scene { ego: &ego, objects: &objects, ..before };
+        let scene = SceneView { ego: &ego, objects: &objects, ..before };
         let monitor = PlanMonitor { steps: 40, threshold: 0.75, emergency_brake };
         monitor.choose(&scene, &planner, &mut PdmMemory::default()).unwrap()
     };

@@ -2,7 +2,7 @@
 
 use crate::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
 use crate::world::{
-    EgoState, History, LaneId, LaneMap, MapBuilder, MapParts, ObjectKind, PACIFICA, Route, Scene, SignalStatus,
+    EgoState, History, LaneId, LaneMap, MapBuilder, MapParts, ObjectKind, PACIFICA, Route, SceneView, SignalStatus,
     TrackToken, TrackedObject, TrafficLights,
 };
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -47,8 +47,8 @@ impl Drawn {
         Self { map, route, ego, objects: vec![], lights, history: History::default() }
     }
 
-    pub(super) fn scene(&self) -> Scene<'_> {
-        Scene {
+    pub(super) fn scene(&self) -> SceneView<'_> {
+        SceneView {
             map: &self.map,
             route: &self.route,
             ego: &self.ego,

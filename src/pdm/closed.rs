@@ -10,7 +10,7 @@ use super::{
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::geometry::Polyline;
 use crate::metrics::MetricError;
-use crate::world::{EgoState, LaneId, STEP_US, Scene, Trajectory, TrajectoryError};
+use crate::world::{EgoState, LaneId, STEP_US, SceneView, Trajectory, TrajectoryError};
 use std::collections::BTreeSet;
 
 /// Why PDM-Closed gives no plan.
@@ -47,19 +47,19 @@ pub struct PdmInstant<'a> {
 impl<'a> PdmInstant<'a> {
     /// Looks at a scene from a route of these lanes. What the ego touches now is added to `collided`.
     pub fn new(
-        scene: &Scene<'a>,
+        scene: &SceneView<'a>,
         route_lanes: &BTreeSet<LaneId>,
         layers: DrivableLayers,
         collided: &mut Collided,
     ) -> Self {
-        let Scene { map, ego, objects, lights, .. } = *scene;
+        let SceneView { map, ego, objects, lights, .. } = *scene;
         let forecast = Forecast::new(map, route_lanes, ego, objects, lights, collided);
         let drivable = DrivableMap::around(map, route_lanes, ego.center().position(), layers);
         Self { drivable, forecast }
     }
 
     /// Looks at a scene along a way.
-    pub fn along(reference_path: &ReferencePath, scene: &Scene<'a>, collided: &mut Collided) -> Self {
+    pub fn along(reference_path: &ReferencePath, scene: &SceneView<'a>, collided: &mut Collided) -> Self {
         Self::new(scene, reference_path.lane_set(), reference_path.layers(), collided)
     }
 
@@ -123,7 +123,7 @@ pub struct PdmPlan {
 /// When the proposals cannot be scored or are not finite.
 pub fn plan_along(
     reference_path: &ReferencePath,
-    scene: &Scene<'_>,
+    scene: &SceneView<'_>,
     collided: &mut Collided,
 ) -> Result<PdmPlan, PdmError> {
     plan_tuned(reference_path, scene, collided, PdmParameters::default())
@@ -135,7 +135,7 @@ pub fn plan_along(
 /// As [`plan_along`].
 pub fn plan_tuned(
     reference_path: &ReferencePath,
-    scene: &Scene<'_>,
+    scene: &SceneView<'_>,
     collided: &mut Collided,
     parameters: PdmParameters,
 ) -> Result<PdmPlan, PdmError> {
@@ -160,7 +160,7 @@ pub fn plan_tuned(
 ///
 /// # Errors
 /// When there is no way, or the proposals cannot be scored or are not finite.
-pub fn plan(memory: &mut PdmMemory, scene: &Scene<'_>) -> Result<PdmPlan, PdmError> {
+pub fn plan(memory: &mut PdmMemory, scene: &SceneView<'_>) -> Result<PdmPlan, PdmError> {
     let PdmMemory { collided, reference_path } = memory;
     let reference_path = match reference_path {
         Some(reference_path) => reference_path,

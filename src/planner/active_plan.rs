@@ -5,7 +5,7 @@ use super::plan_agent::build_idm_plan;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::reasoning::PlannerCode;
 use crate::reflection::{IdmPlan, LeadPolicy};
-use crate::world::Scene;
+use crate::world::SceneView;
 
 /// acc and dec of an ego that goes on as it is, m/s².
 const GO_ON: (f64, f64) = (1.0, 3.0);
@@ -27,7 +27,12 @@ impl ActivePlan {
     ///
     /// # Errors
     /// When the ego's pose is not finite.
-    pub(super) fn follow_on(&mut self, scene: &Scene<'_>, graph: &LaneGraph, path_s: f64) -> Result<(), PlannerError> {
+    pub(super) fn follow_on(
+        &mut self,
+        scene: &SceneView<'_>,
+        graph: &LaneGraph,
+        path_s: f64,
+    ) -> Result<(), PlannerError> {
         if let Self::Generated(planner) = self {
             **planner = followed_on(planner, scene, graph, path_s)?;
         }
@@ -49,7 +54,7 @@ pub(super) struct Underway {
 /// # Errors
 /// When the ego's pose is not finite.
 pub(super) fn keep_lane_and_speed(
-    scene: &Scene<'_>,
+    scene: &SceneView<'_>,
     graph: &LaneGraph,
     lead_policy: LeadPolicy,
     path_s: f64,
@@ -71,7 +76,7 @@ pub(super) fn keep_lane_and_speed(
 /// When the ego's pose is not finite.
 pub(super) fn followed_on(
     planner: &IdmPlan,
-    scene: &Scene<'_>,
+    scene: &SceneView<'_>,
     graph: &LaneGraph,
     path_s: f64,
 ) -> Result<IdmPlan, PlannerError> {

@@ -4,7 +4,7 @@
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::dynamics::{IdmParameters, Lead, ProgressPath};
 use crate::geometry::{Corridor, OrientedBox, Polyline, wrap_angle};
-use crate::world::{EgoState, LaneId, LaneMap, PACIFICA, Route, Scene, TrackedObject, Trajectory, TrajectoryState};
+use crate::world::{EgoState, LaneId, LaneMap, PACIFICA, Route, SceneView, TrackedObject, Trajectory, TrajectoryState};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -171,7 +171,7 @@ struct Obstacles<'a> {
 }
 
 impl<'a> Obstacles<'a> {
-    fn seen(scene: &Scene<'a>, road: &Road) -> Self {
+    fn seen(scene: &SceneView<'a>, road: &Road) -> Self {
         let center = scene.ego.center();
         let near = |object: &&TrackedObject| object.shape.center.distance(&center) < RADIUS;
         Self {
@@ -247,7 +247,7 @@ mod tests {
         let mut planner = IdmPlanner::new();
         planner.initialize(&PlannerInitialization { map: &map, route: &route }).unwrap();
         let history = History::default();
-        let scene = Scene { map: &map, route: &route, ego, objects, lights: &lights, history: &history };
+        let scene = SceneView { map: &map, route: &route, ego, objects, lights: &lights, history: &history };
         planner.compute_trajectory(&PlannerInput { iteration: 0, scene }).unwrap()
     }
 
@@ -349,7 +349,7 @@ mod tests {
         assert!(matches!(nowhere, Err(PlannerError::EmptyRoute)));
         let (route, lights, history) = (whole_route(&map), TrafficLights::default(), History::default());
         let ego = ego_at(0, 5.0, 8.0);
-        let scene = Scene { map: &map, route: &route, ego: &ego, objects: &[], lights: &lights, history: &history };
+        let scene = SceneView { map: &map, route: &route, ego: &ego, objects: &[], lights: &lights, history: &history };
         let unprepared = planner.compute_trajectory(&PlannerInput { iteration: 0, scene });
         assert!(matches!(unprepared, Err(PlannerError::NotInitialized)));
     }

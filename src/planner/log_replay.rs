@@ -72,7 +72,7 @@ impl Planner for LogReplay {
 mod tests {
     use super::*;
     use crate::dynamics::test_road::{Stretch, ego_at, straight_road, whole_route};
-    use crate::world::{History, STEP_US, Scene, TrafficLights};
+    use crate::world::{History, STEP_US, SceneView, TrafficLights};
 
     fn recorded(samples: usize) -> LogReplay {
         LogReplay::new((0..samples).map(|k| ego_at(k as i64 * STEP_US, k as f64, 10.0)).collect())
@@ -82,7 +82,7 @@ mod tests {
         let map = straight_road(&[Stretch::Lane(100.0)], None);
         let (route, lights, history) = (whole_route(&map), TrafficLights::default(), History::default());
         let ego = ego_at(0, 0.0, 0.0);
-        let scene = Scene { map: &map, route: &route, ego: &ego, objects: &[], lights: &lights, history: &history };
+        let scene = SceneView { map: &map, route: &route, ego: &ego, objects: &[], lights: &lights, history: &history };
         planner.compute_trajectory(&PlannerInput { iteration, scene })
     }
 

@@ -29,7 +29,7 @@ pub use settings::{AfterMaxExec, PlanAgentSettings};
 pub use simple::SimplePlanner;
 
 use crate::pdm::DrivableLayers;
-use crate::world::{LaneMap, Route, Scene, Trajectory, TrajectoryError};
+use crate::world::{LaneMap, Route, SceneView, Trajectory, TrajectoryError};
 use std::sync::Arc;
 
 /// What a planner learns once, before the first iteration.
@@ -50,7 +50,7 @@ pub struct PlannerInput<'a> {
     /// Which iteration, from 0.
     pub iteration: usize,
     /// What is known now.
-    pub scene: Scene<'a>,
+    pub scene: SceneView<'a>,
 }
 
 /// Why a planner gives no trajectory.

@@ -6,7 +6,7 @@ use crate::environment::{CenterlineName, LaneGraph};
 use crate::pdm::{PdmMemory, emergency_brake};
 use crate::reasoning::PlannerCode;
 use crate::reflection::{IdmPlan, LeadPolicy, PlanMonitor, Version};
-use crate::world::{Scene, Trajectory};
+use crate::world::{SceneView, Trajectory};
 
 /// How a watched planner drives on.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,7 +33,7 @@ impl MonitoredStep {
 /// When the horizon is too short to be scored, or the state of the ego is not finite.
 pub fn monitored_step(
     planner: &IdmPlan,
-    scene: &Scene<'_>,
+    scene: &SceneView<'_>,
     monitor: &PlanMonitor,
     memory: &mut PdmMemory,
 ) -> Result<MonitoredStep, PlannerError> {
@@ -53,7 +53,7 @@ pub fn monitored_step(
 /// When the ego's pose is not finite.
 pub(super) fn back_to_own_lane(
     planner: &IdmPlan,
-    scene: &Scene<'_>,
+    scene: &SceneView<'_>,
     graph: &LaneGraph,
     lead_policy: LeadPolicy,
     path_s: f64,

@@ -2,7 +2,7 @@
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::pdm::{DrivableLayers, NoReferencePath, PdmError, PdmMemory, ReferencePath, plan, plan_along};
-use crate::world::{Scene, Trajectory};
+use crate::world::{SceneView, Trajectory};
 
 /// PDM-Closed: its centreline is chosen at the first iteration and kept; fifteen proposals are judged at every one.
 #[derive(Debug, Clone, Default)]
@@ -49,7 +49,7 @@ pub(super) fn pdm_failed(error: PdmError) -> PlannerError {
 ///
 /// # Errors
 /// When PDM-Closed cannot plan.
-pub(super) fn predicted_score(scene: &Scene<'_>, memory: &mut PdmMemory) -> Result<Option<f64>, PlannerError> {
+pub(super) fn predicted_score(scene: &SceneView<'_>, memory: &mut PdmMemory) -> Result<Option<f64>, PlannerError> {
     memory.reference_path = ReferencePath::find(scene.map, scene.route, scene.ego).ok();
     let PdmMemory { reference_path: Some(reference_path), collided } = memory else { return Ok(None) };
     let plan = plan_along(reference_path, scene, collided).map_err(pdm_failed)?;

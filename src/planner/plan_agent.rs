@@ -17,7 +17,7 @@ use crate::mllm::{Deadline, PromptPrefix, milliseconds};
 use crate::pdm::{self, PdmMemory, emergency_brake};
 use crate::reasoning::{Interruption, Names, ParseError, PlannerCode, ReasoningTrace, ScenarioPrompt};
 use crate::reflection::{IdmPlan, Judge, LeadPolicy, PlanMonitor, ReflectionReport, Verdict, needs_emergency_brake};
-use crate::world::{STEP_S, Scene, Trajectory};
+use crate::world::{STEP_S, SceneView, Trajectory};
 use std::time::Instant;
 
 /// Deceleration of a stop that no code asked for, m/s²: within nuPlan's comfort bound of 4.05.
@@ -86,7 +86,7 @@ impl PlanAgent {
     }
 
     /// One planning call: everything from the scene to the planner that drives from now on.
-    fn call(&mut self, iteration: usize, scene: &Scene<'_>) -> Result<(), PlannerError> {
+    fn call(&mut self, iteration: usize, scene: &SceneView<'_>) -> Result<(), PlannerError> {
         let started = Instant::now();
         if let Some(gate) = self.settings.gate
             && let Some(score) = predicted_score(scene, &mut self.memory)?.filter(|&score| score >= gate)
@@ -157,7 +157,7 @@ impl PlanAgent {
     }
 
     /// Lets the planner of a call that has lasted long enough take over.
-    fn arrive(&mut self, iteration: usize, scene: &Scene<'_>) -> Result<(), PlannerError> {
+    fn arrive(&mut self, iteration: usize, scene: &SceneView<'_>) -> Result<(), PlannerError> {
         let Some(underway) = self.underway.take_if(|underway| underway.arrives <= iteration) else { return Ok(()) };
         let Some(planner) = underway.planner else { return Ok(()) };
         self.active_plan = ActivePlan::Generated(Box::new(planner));
@@ -166,13 +166,13 @@ impl PlanAgent {
     }
 
     /// Lengthens the path of the planner in force from where the ego is now, if there is a lane graph.
-    fn go_on(&mut self, scene: &Scene<'_>) -> Result<(), PlannerError> {
+    fn go_on(&mut self, scene: &SceneView<'_>) -> Result<(), PlannerError> {
         let graph = LaneGraph::build(scene, self.settings.node_length_m);
         graph.map_or(Ok(()), |graph| self.active_plan.follow_on(scene, &graph, self.path_s()))
     }
 
     /// The Environment Transformation: what the model is shown.
-    fn look(&self, scene: &Scene<'_>, graph: &LaneGraph) -> Result<ScenarioPrompt, PlannerError> {
+    fn look(&self, scene: &SceneView<'_>, graph: &LaneGraph) -> Result<ScenarioPrompt, PlannerError> {
         let form =
             self.code_source.prompts().map(|prompts| prompts.forms().scene_text).filter(|_| self.settings.lane_graph);
         let image = match (self.settings.view_m, self.code_source.image_size()) {
@@ -200,7 +200,7 @@ impl PlanAgent {
     fn think(
         &mut self,
         iteration: usize,
-        scene: &Scene<'_>,
+        scene: &SceneView<'_>,
         graph: &LaneGraph,
         scenario: &ScenarioPrompt,
         deadline: Deadline,
@@ -264,13 +264,13 @@ impl PlanAgent {
     }
 
     /// λ of a planner: higher where a change of lanes would begin with it.
-    fn threshold_of(&self, planner: &IdmPlan, scene: &Scene<'_>, graph: &LaneGraph) -> f64 {
+    fn threshold_of(&self, planner: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph) -> f64 {
         let PlanAgentSettings { threshold, lane_change_threshold, .. } = self.settings;
         if self.begins_lane_change(planner, scene, graph) { threshold.max(lane_change_threshold) } else { threshold }
     }
 
     /// Whether a planner is bound for another lane than the ego's and the planner in force.
-    fn begins_lane_change(&self, planner: &IdmPlan, scene: &Scene<'_>, graph: &LaneGraph) -> bool {
+    fn begins_lane_change(&self, planner: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph) -> bool {
         let bound_for = planner.lane_now(scene);
         !graph.ego_lane().path.lanes.contains(&bound_for)
             && self.active_plan().is_none_or(|active_plan| active_plan.lane_now(scene) != bound_for)
@@ -279,7 +279,7 @@ impl PlanAgent {
     /// The planner that a thought means, with everything that was wrong with the answer.
     fn build(
         &self,
-        scene: &Scene<'_>,
+        scene: &SceneView<'_>,
         graph: &LaneGraph,
         trace: &ReasoningTrace,
     ) -> Result<(Option<IdmPlan>, Vec<ParseError>), PlannerError> {
@@ -356,7 +356,7 @@ impl PlanAgent {
     /// The planner in force, back in the ego's present lane, and how it would drive on there; `None` when it is bound for that lane.
     fn aborted_lane_change(
         &mut self,
-        scene: &Scene<'_>,
+        scene: &SceneView<'_>,
         monitor: &PlanMonitor,
     ) -> Result<Option<(IdmPlan, MonitoredStep)>, PlannerError> {
         let ActivePlan::Generated(planner) = &self.active_plan else { return Ok(None) };
@@ -367,7 +367,7 @@ impl PlanAgent {
         Ok(Some((back, driving)))
     }
 
-    fn drive_by_rules(&mut self, scene: &Scene<'_>) -> Result<Trajectory, PlannerError> {
+    fn drive_by_rules(&mut self, scene: &SceneView<'_>) -> Result<Trajectory, PlannerError> {
         Ok(pdm::plan(&mut self.memory, scene).map_err(pdm_failed)?.trajectory)
     }
 
@@ -431,7 +431,7 @@ pub fn names(graph: &LaneGraph) -> Names {
 /// # Errors
 /// When the ego's pose is not finite.
 pub fn build_idm_plan(
-    scene: &Scene<'_>,
+    scene: &SceneView<'_>,
     graph: &LaneGraph,
     code: PlannerCode,
     lead_policy: LeadPolicy,

@@ -10,12 +10,12 @@ use crate::pdm::{
     self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PdmInstant, PdmMemory, ProposalScore, ReferencePath,
     ScoringScene, no_at_fault_collisions, score_proposals, simulate_proposals,
 };
-use crate::world::{EgoState, STEP_S, Scene};
+use crate::world::{EgoState, STEP_S, SceneView};
 
 /// Whether PDM-Closed's emergency brake would overrule this roll-out: the ego is slow and would be at fault for a collision
 /// within two seconds. What the ego touches is remembered; areas are those of the remembered way, which is chosen now if
 /// there is none yet.
-pub fn needs_emergency_brake(scene: &Scene<'_>, rollout: &Rollout, memory: &mut PdmMemory) -> bool {
+pub fn needs_emergency_brake(scene: &SceneView<'_>, rollout: &Rollout, memory: &mut PdmMemory) -> bool {
     if memory.reference_path.is_none() {
         memory.reference_path = ReferencePath::find(scene.map, scene.route, scene.ego).ok();
     }
@@ -34,7 +34,7 @@ pub fn steps_of(seconds: f64) -> usize {
 }
 
 /// What PDM sees along the remembered way; without one, from the route as it is given.
-pub(super) fn look<'a>(scene: &Scene<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
+pub(super) fn look<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
     let PdmMemory { reference_path, collided } = memory;
     if let Some(reference_path) = reference_path {
         return PdmInstant::along(reference_path, scene, collided);
@@ -54,7 +54,7 @@ pub enum ReflectionError {
 
 /// What all planners of one planning call are judged against.
 pub struct Judge<'a> {
-    scene: &'a Scene<'a>,
+    scene: &'a SceneView<'a>,
     instant: PdmInstant<'a>,
     /// The line along which progress is measured.
     centerline: Polyline,
@@ -71,7 +71,7 @@ impl<'a> Judge<'a> {
     /// # Errors
     /// When the horizon is too short to be scored.
     pub fn new(
-        scene: &'a Scene<'a>,
+        scene: &'a SceneView<'a>,
         graph: &LaneGraph,
         horizon_s: f64,
         memory: &mut PdmMemory,
@@ -90,7 +90,7 @@ impl<'a> Judge<'a> {
     /// # Errors
     /// When the horizon is too short to be scored.
     pub fn along(
-        scene: &'a Scene<'a>,
+        scene: &'a SceneView<'a>,
         reference_path: &ReferencePath,
         horizon_s: f64,
         collided: &mut Collided,

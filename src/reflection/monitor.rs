@@ -5,7 +5,7 @@ use super::rollout::{IdmPlan, Version};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::metrics::MetricError;
 use crate::pdm::{PdmMemory, ProposalScore, ReferencePath, needs_emergency_brake, score_proposals};
-use crate::world::{EgoState, Scene};
+use crate::world::{EgoState, SceneView};
 
 /// How a planner is watched.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,7 +45,7 @@ impl PlanMonitor {
     /// When the roll-outs are too short to be scored.
     pub fn choose(
         &self,
-        scene: &Scene<'_>,
+        scene: &SceneView<'_>,
         planner: &IdmPlan,
         memory: &mut PdmMemory,
     ) -> Result<Choice, ReflectionError> {

@@ -6,8 +6,8 @@ use crate::geometry::{Corridor, GeometryError, OrientedBox, Polyline, Pose, Vect
 use crate::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
 use crate::reasoning::{DECELERATIONS, PlannerCode};
 use crate::world::{
-    EgoState, LaneId, LanePath, PACIFICA, STEP_S, STEP_US, Scene, SignalStatus, TrackToken, TrackedObject, Trajectory,
-    TrajectoryError, TrajectoryState,
+    EgoState, LaneId, LanePath, PACIFICA, STEP_S, STEP_US, SceneView, SignalStatus, TrackToken, TrackedObject,
+    Trajectory, TrajectoryError, TrajectoryState,
 };
 
 /// Exponent δ of the generated planner's IDM (PDM-Closed's).
@@ -91,7 +91,7 @@ impl IdmPlan {
     /// # Errors
     /// When the ego's pose is not finite.
     pub fn new(
-        scene: &Scene<'_>,
+        scene: &SceneView<'_>,
         code: PlannerCode,
         lanes: LanePath,
         lead_agent: Option<TrackToken>,
@@ -103,7 +103,7 @@ impl IdmPlan {
     }
 
     /// The lane that the planner is bound for at the ego's present place.
-    pub fn lane_now(&self, scene: &Scene<'_>) -> LaneId {
+    pub fn lane_now(&self, scene: &SceneView<'_>) -> LaneId {
         self.lanes.lane_at(self.lanes.centerline.project(scene.ego.center().position()).s)
     }
 
@@ -111,7 +111,7 @@ impl IdmPlan {
     ///
     /// # Errors
     /// When the ego's pose is not finite.
-    pub fn follow_on(&mut self, scene: &Scene<'_>, lanes: LanePath, horizon_s: f64) -> Result<(), GeometryError> {
+    pub fn follow_on(&mut self, scene: &SceneView<'_>, lanes: LanePath, horizon_s: f64) -> Result<(), GeometryError> {
         self.paths = lay_paths(scene, &self.code, &lanes, horizon_s)?;
         self.lanes = lanes;
         Ok(())
@@ -123,12 +123,12 @@ impl IdmPlan {
     }
 
     /// Drives on from the present state for `steps` steps of 0.1 s. Other objects keep their velocity.
-    pub fn roll_out(&self, scene: &Scene<'_>, steps: usize) -> Rollout {
+    pub fn roll_out(&self, scene: &SceneView<'_>, steps: usize) -> Rollout {
         self.roll_out_version(Version { path: 0, fraction: 1.0 }, scene, steps)
     }
 
     /// The same for every [`Version`], in their order; the stop is the last.
-    pub fn roll_out_versions(&self, scene: &Scene<'_>, steps: usize) -> Vec<(Version, Rollout)> {
+    pub fn roll_out_versions(&self, scene: &SceneView<'_>, steps: usize) -> Vec<(Version, Rollout)> {
         let mut rollouts = Vec::with_capacity(Version::COUNT);
         for (path, line) in self.paths.iter().enumerate() {
             let road = Road::new(self, line, scene, steps);
@@ -142,12 +142,12 @@ impl IdmPlan {
     }
 
     /// The same for one version.
-    pub fn roll_out_version(&self, version: Version, scene: &Scene<'_>, steps: usize) -> Rollout {
+    pub fn roll_out_version(&self, version: Version, scene: &SceneView<'_>, steps: usize) -> Rollout {
         let path = self.paths.get(version.path).unwrap_or(self.path());
         self.drive(&Road::new(self, path, scene, steps), version, scene, steps)
     }
 
-    fn drive(&self, road: &Road<'_>, version: Version, scene: &Scene<'_>, steps: usize) -> Rollout {
+    fn drive(&self, road: &Road<'_>, version: Version, scene: &SceneView<'_>, steps: usize) -> Rollout {
         let PlannerCode { target_speed, accel_max, .. } = self.code;
         let target_velocity = version.fraction * target_speed;
         let decel_max = if version == Version::STOP { STOP_DECEL } else { self.code.decel_max };
@@ -184,7 +184,7 @@ impl IdmPlan {
 
 /// The paths of a planner from the present state on, long enough for its fastest roll-out and what follows.
 fn lay_paths(
-    scene: &Scene<'_>,
+    scene: &SceneView<'_>,
     code: &PlannerCode,
     lanes: &LanePath,
     horizon_s: f64,
@@ -239,7 +239,7 @@ struct Road<'a> {
 }
 
 impl<'a> Road<'a> {
-    fn new(planner: &IdmPlan, path: &'a Polyline, scene: &Scene<'_>, steps: usize) -> Self {
+    fn new(planner: &IdmPlan, path: &'a Polyline, scene: &SceneView<'_>, steps: usize) -> Self {
         let corridor = Corridor::new(path.clone(), PACIFICA.width / 2.0);
         let seconds = steps as f64 * STEP_S;
         let footprint = scene.ego.footprint();
@@ -294,7 +294,7 @@ fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
 }
 
 /// Arc length on the path at which the first red light ahead begins to matter: the start of its connector.
-fn red_light(planner: &IdmPlan, path: &Polyline, scene: &Scene<'_>) -> Option<f64> {
+fn red_light(planner: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f64> {
     let here = planner.lanes.centerline.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
     let lanes = planner.lanes.lanes.iter().zip(&planner.lanes.starts);
     let red = lanes

@@ -1,6 +1,6 @@
 //! Stage 1: opening a drive. Whatever its source, it becomes a [`Scenario`]: map, logged ego and agents, lights, route.
 
-use crate::world::{EgoState, History, LaneMap, Route, Scene, TrackedObject, TrafficLights};
+use crate::world::{EgoState, History, LaneMap, Route, SceneView, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
 pub mod argoverse2;
@@ -78,8 +78,8 @@ impl Scenario {
     }
 
     /// The scene of one of its frames, as recorded.
-    pub fn scene<'a>(&'a self, frame: &'a Frame, history: &'a History) -> Scene<'a> {
-        Scene {
+    pub fn scene<'a>(&'a self, frame: &'a Frame, history: &'a History) -> SceneView<'a> {
+        SceneView {
             map: &self.map,
             route: &self.route,
             ego: &frame.ego,

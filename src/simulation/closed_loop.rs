@@ -6,7 +6,7 @@ use super::controller::EgoController;
 use super::error::SimulationError;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{EgoState, History, HistorySample, MICROS_PER_SECOND, Scene, Trajectory};
+use crate::world::{EgoState, History, HistorySample, MICROS_PER_SECOND, SceneView, Trajectory};
 
 /// A simulation in progress. In open loop the ego replays the log. Clone it at any iteration to try several planners from
 /// one state.
@@ -76,8 +76,8 @@ impl<'a> ClosedLoop<'a> {
     }
 
     /// The input of a planner now.
-    pub fn scene(&self) -> Scene<'_> {
-        Scene {
+    pub fn scene(&self) -> SceneView<'_> {
+        SceneView {
             map: &self.scenario.map,
             route: &self.scenario.route,
             ego: &self.present.ego,

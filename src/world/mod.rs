@@ -1,5 +1,5 @@
 //! The vocabulary of a drive, with nuPlan's names: the ego and its vehicle, the objects around it, the lane map, traffic
-//! lights, trajectories, history, and the [`Scene`]: all that a planner may see at one instant.
+//! lights, trajectories, history, and the [`SceneView`]: all that a planner may see at one instant.
 //!
 //! Plain data only. Time is in integer microseconds, space in local metres of the map frame.
 
@@ -9,9 +9,9 @@ mod map;
 mod map_builder;
 mod map_query;
 mod object;
-mod owned_scene;
 mod path;
 mod scene;
+mod scene_builder;
 mod signal;
 mod trajectory;
 
@@ -22,9 +22,9 @@ pub use map::{
 };
 pub use map_builder::MapBuilder;
 pub use object::{ObjectKind, TrackToken, TrackedObject};
-pub use owned_scene::{OwnedScene, SceneBuilder, SceneError};
 pub use path::LanePath;
-pub use scene::{Route, Scene};
+pub use scene::{Route, SceneView};
+pub use scene_builder::{Scene, SceneBuilder, SceneError};
 pub use signal::{SignalStatus, TrafficLights};
 pub use trajectory::{Trajectory, TrajectoryError, TrajectoryState};
 

@@ -27,7 +27,7 @@ impl Route {
 
 /// A view on the present and the recent past; there is no future in it.
 #[derive(Debug, Clone, Copy)]
-pub struct Scene<'a> {
+pub struct SceneView<'a> {
     /// The static map.
     pub map: &'a LaneMap,
     /// Where to go.

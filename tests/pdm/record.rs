@@ -6,7 +6,7 @@ use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline, Pose
 use planagent::internals::pdm::{Collided, DrivableLayers, PdmPlan, ReferencePath, braking_speed, plan_along};
 use planagent::internals::planner::{PdmClosed, Planner, PlannerInitialization, PlannerInput};
 use planagent::internals::world::{
-    EgoState, History, LaneId, LaneKind, LaneMap, ObjectKind, RoadblockId, Route, Scene, SignalStatus, TrackToken,
+    EgoState, History, LaneId, LaneKind, LaneMap, ObjectKind, RoadblockId, Route, SceneView, SignalStatus, TrackToken,
     TrackedObject, TrafficLights, Trajectory,
 };
 use serde_json::Value;
@@ -74,8 +74,8 @@ impl Case {
         }
     }
 
-    fn scene(&self) -> Scene<'_> {
-        Scene {
+    fn scene(&self) -> SceneView<'_> {
+        SceneView {
             map: &self.map,
             route: &self.route,
             ego: &self.ego,

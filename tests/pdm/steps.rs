@@ -8,7 +8,7 @@ use planagent::internals::pdm::{
 };
 use planagent::internals::planner::{PdmClosed, Planner, PlannerError, PlannerInitialization, PlannerInput};
 use planagent::internals::world::{
-    EgoState, History, LaneId, LaneKind, LaneMap, Neighbor, ObjectKind, Route, Scene, TrackToken, TrackedObject,
+    EgoState, History, LaneId, LaneKind, LaneMap, Neighbor, ObjectKind, Route, SceneView, TrackToken, TrackedObject,
     TrafficLights,
 };
 use std::collections::BTreeSet;
@@ -38,9 +38,9 @@ impl Around {
         Self { map: Arc::new(map), route: route(lanes), lights, history }
     }
 
-    fn scene<'a>(&'a self, ego: &'a EgoState, objects: &'a [TrackedObject]) -> Scene<'a> {
+    fn scene<'a>(&'a self, ego: &'a EgoState, objects: &'a [TrackedObject]) -> SceneView<'a> {
         let Self { map, route, lights, history } = self;
-        Scene { map, route, ego, objects, lights, history }
+        SceneView { map, route, ego, objects, lights, history }
     }
 }
 

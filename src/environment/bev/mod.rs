@@ -16,7 +16,7 @@ pub use palette::{ARROW, BACKGROUND, BevElement, Palette, Rgb};
 pub use traffic::{ARROW_SECONDS, MIN_SIZE_PX, MIN_SIZE_SHARE, MOVING_SPEED};
 
 use crate::geometry::{Point, Pose};
-use crate::world::Scene;
+use crate::world::SceneView;
 use canvas::Canvas;
 use image::RgbImage;
 
@@ -102,7 +102,7 @@ impl BevView {
 }
 
 /// Draws the scene; see the module for what and how. The same scene and view give the same bytes.
-pub fn render(scene: &Scene<'_>, view: &BevView) -> RgbImage {
+pub fn render(scene: &SceneView<'_>, view: &BevView) -> RgbImage {
     render_with_lines(scene, view, &[])
 }
 
@@ -118,7 +118,7 @@ pub struct BevLine {
 }
 
 /// Draws the scene with lines on the road, under what stands on it; later lines over earlier ones.
-pub fn render_with_lines(scene: &Scene<'_>, view: &BevView, lines: &[BevLine]) -> RgbImage {
+pub fn render_with_lines(scene: &SceneView<'_>, view: &BevView, lines: &[BevLine]) -> RgbImage {
     let mut canvas = Canvas::new(*view, scene.ego.center());
     road::draw(&mut canvas, scene.map);
     for line in lines {

@@ -3,7 +3,7 @@
 use super::canvas::Canvas;
 use super::{ARROW, BevElement, Palette};
 use crate::geometry::{OrientedBox, Point, Pose, Vector};
-use crate::world::{Scene, TrackedObject};
+use crate::world::{SceneView, TrackedObject};
 
 /// An arrow is as long as its agent goes in this time, seconds.
 pub const ARROW_SECONDS: f64 = 0.8;
@@ -27,7 +27,7 @@ const ORDER: [BevElement; 4] =
     [BevElement::StaticObstacles, BevElement::Vehicles, BevElement::Bicycles, BevElement::Pedestrians];
 
 /// Draws objects, ego and arrows.
-pub(super) fn draw(canvas: &mut Canvas, scene: &Scene<'_>) {
+pub(super) fn draw(canvas: &mut Canvas, scene: &SceneView<'_>) {
     let mut objects: Vec<&TrackedObject> = scene.objects.iter().filter(|object| may_show(canvas, object)).collect();
     objects.sort_by_key(|object| object.token);
     for element in ORDER {

@@ -9,7 +9,7 @@
 use super::{decimal, place};
 use crate::environment::lane_graph::Turn;
 use crate::geometry::{Point, Pose};
-use crate::world::{Scene, TrackedObject};
+use crate::world::{SceneView, TrackedObject};
 use std::fmt::Write;
 
 /// Farther objects are left out, metres along either axis.
@@ -34,7 +34,7 @@ pub struct GptDriverText {
 
 impl GptDriverText {
     /// Describes a scene whose route goes this way at the next intersection.
-    pub fn of(scene: &Scene<'_>, turn: Turn) -> Self {
+    pub fn of(scene: &SceneView<'_>, turn: Turn) -> Self {
         Self { objects: objects(scene), ego: ego(scene, turn) }
     }
 
@@ -50,7 +50,7 @@ fn seen(from: &Pose, point: Point) -> (f64, f64) {
     (-local.y, local.x)
 }
 
-fn objects(scene: &Scene<'_>) -> String {
+fn objects(scene: &SceneView<'_>) -> String {
     let ego = scene.ego.center();
     let mut text = "Objects, seen and expected:".to_owned();
     for object in scene.objects {
@@ -70,7 +70,7 @@ fn place_after(object: &TrackedObject, step: usize) -> Point {
     object.shape.center.position() + object.velocity * (step as f64 * HALF_SECOND)
 }
 
-fn ego(scene: &Scene<'_>, turn: Turn) -> String {
+fn ego(scene: &SceneView<'_>, turn: Turn) -> String {
     let (ego, center) = (scene.ego, scene.ego.center());
     let per_step = |sideways: f64, along: f64| place(sideways * HALF_SECOND, along * HALF_SECOND);
     let past = |step: usize| scene.history.samples().rev().nth(step * SAMPLES).map(|sample| sample.ego.center());

@@ -6,7 +6,7 @@
 
 use super::{decimal, seen_from};
 use crate::environment::lane_graph::{Centerline, LaneGraph};
-use crate::world::Scene;
+use crate::world::SceneView;
 use std::fmt::Write;
 
 /// Farther objects are left out, metres: PDM-Closed's reach.
@@ -19,7 +19,7 @@ const POINTS: usize = 5;
 const SPACING: f64 = 10.0;
 
 /// The scene in coordinates from the ego's centre: x ahead, y to the left.
-pub fn llm_assist_text(scene: &Scene<'_>, graph: &LaneGraph) -> String {
+pub fn llm_assist_text(scene: &SceneView<'_>, graph: &LaneGraph) -> String {
     let (ego, center) = (scene.ego, scene.ego.center());
     let limit =
         graph.ego_lane().speed_limit.map_or_else(|| "unknown".to_owned(), |limit| format!("{} m/s", decimal(limit)));

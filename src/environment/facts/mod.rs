@@ -21,7 +21,7 @@ pub use traffic::{CORRIDOR_MARGIN, SAME_SPEED, SIDE_GAP, STOPPED};
 use super::bev::BevView;
 use super::lane_graph::{LaneGraph, Turn};
 use crate::geometry::{OrientedBox, Point, Pose};
-use crate::world::{Scene, SignalStatus};
+use crate::world::{SceneView, SignalStatus};
 
 /// Side of the square around the ego's box centre, along its heading, in which things count, metres: the default BEV view.
 pub const VIEW_METRES: f64 = BevView::DEFAULT_METRES;
@@ -67,7 +67,7 @@ impl SceneFacts {
     pub const QUESTIONS: &'static [QuestionForm] = &Question::FORMS;
 
     /// The facts of a scene whose lane graph is `graph`.
-    pub fn of(scene: &Scene<'_>, graph: &LaneGraph) -> Self {
+    pub fn of(scene: &SceneView<'_>, graph: &LaneGraph) -> Self {
         let view = View { center: scene.ego.center() };
         let light = match graph.ego_lane().light.map(|light| light.status) {
             Some(SignalStatus::Green) => Light::Green,

@@ -3,7 +3,7 @@
 use super::{Ahead, LaneCount, LaneIndex, Oncoming, SceneType, VIEW_METRES, View, roundabout};
 use crate::environment::lane_graph::{Centerline, LaneGraph};
 use crate::geometry::{Bounds, Point, Polygon, Polyline, Pose, wrap_angle};
-use crate::world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, Scene};
+use crate::world::{Lane, LaneId, LaneMap, Neighbor, PACIFICA, SceneView};
 use std::collections::BTreeSet;
 
 /// A path that turns by more than this within the view is a curve, radians (15 degrees).
@@ -30,7 +30,7 @@ fn path_in_view(centerline: &Centerline, view: View) -> Option<Polyline> {
     line.slice(centerline.ego_s, centerline.ego_s + ahead)
 }
 
-pub(super) fn scene_type(scene: &Scene<'_>, graph: &LaneGraph, view: View) -> SceneType {
+pub(super) fn scene_type(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> SceneType {
     if roundabout::ahead(scene.map, view) {
         return SceneType::Roundabout;
     }
@@ -109,7 +109,7 @@ fn lines_cross(a: &Polyline, b: &Polyline) -> bool {
 }
 
 /// Lanes of the ego's direction at its place, and which of them is the ego's: neighbours of neighbours.
-pub(super) fn lanes_abreast(scene: &Scene<'_>, graph: &LaneGraph) -> (LaneCount, LaneIndex) {
+pub(super) fn lanes_abreast(scene: &SceneView<'_>, graph: &LaneGraph) -> (LaneCount, LaneIndex) {
     let ego = graph.ego_lane();
     let lane = ego.path.lane_at(ego.ego_s);
     let left = count_beside(scene, lane, |lane| &lane.left);
@@ -117,7 +117,7 @@ pub(super) fn lanes_abreast(scene: &Scene<'_>, graph: &LaneGraph) -> (LaneCount,
     (LaneCount::of(left + 1 + right), LaneIndex::of(left))
 }
 
-fn count_beside(scene: &Scene<'_>, from: LaneId, side: impl Fn(&Lane) -> &[Neighbor]) -> usize {
+fn count_beside(scene: &SceneView<'_>, from: LaneId, side: impl Fn(&Lane) -> &[Neighbor]) -> usize {
     let ego = scene.ego.center().position();
     let mut seen = BTreeSet::from([from]);
     let mut lane = &scene.map[from];
@@ -131,7 +131,7 @@ fn count_beside(scene: &Scene<'_>, from: LaneId, side: impl Fn(&Lane) -> &[Neigh
     }
 }
 
-pub(super) fn crosswalk(scene: &Scene<'_>, graph: &LaneGraph, view: View) -> Ahead {
+pub(super) fn crosswalk(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> Ahead {
     let ego = graph.ego_lane();
     let line = &ego.path.centerline;
     let front = ego.ego_s + PACIFICA.length() / 2.0;
@@ -144,7 +144,7 @@ pub(super) fn crosswalk(scene: &Scene<'_>, graph: &LaneGraph, view: View) -> Ahe
     Ahead::of(distance)
 }
 
-pub(super) fn oncoming(scene: &Scene<'_>, graph: &LaneGraph) -> Oncoming {
+pub(super) fn oncoming(scene: &SceneView<'_>, graph: &LaneGraph) -> Oncoming {
     let center = scene.ego.center();
     let heading = graph.ego_lane().path.centerline.heading_at(graph.ego_lane().ego_s);
     let found = scene.map.lanes_near(center.position(), ONCOMING_REACH.min(VIEW_METRES / 2.0)).into_iter().any(|id| {

@@ -2,7 +2,7 @@
 
 use super::{Ahead, LeadSpeed, SideLane, VehicleCount, View};
 use crate::environment::lane_graph::{CenterlineName, Heading, LaneGraph, LaneRelation, Window};
-use crate::world::{ObjectKind, PACIFICA, Scene, TrackedObject};
+use crate::world::{ObjectKind, PACIFICA, SceneView, TrackedObject};
 
 /// Slower is stopped, m/s.
 pub const STOPPED: f64 = 0.5;
@@ -25,7 +25,7 @@ pub(super) struct Traffic {
     pub(super) vehicle_count: VehicleCount,
 }
 
-pub(super) fn seen(scene: &Scene<'_>, graph: &LaneGraph, view: View) -> Traffic {
+pub(super) fn seen(scene: &SceneView<'_>, graph: &LaneGraph, view: View) -> Traffic {
     let objects: Vec<&TrackedObject> = scene.objects.iter().filter(|object| view.shows(&object.shape)).collect();
     let half_length = PACIFICA.length() / 2.0;
     let window = Window::new(graph.ego_lane(), half_length, half_length + Ahead::FAR + LONG_VEHICLE);

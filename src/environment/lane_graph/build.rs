@@ -6,7 +6,7 @@ use super::{
     MAX_NODE_LENGTH, MIN_NODE_LENGTH, NodePlace, OFF_ROAD_REACH,
 };
 use crate::geometry::wrap_angle;
-use crate::world::{LaneId, LaneMap, PACIFICA, Scene, TrackedObject};
+use crate::world::{LaneId, LaneMap, PACIFICA, SceneView, TrackedObject};
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_3;
 
@@ -19,7 +19,7 @@ const PARALLEL_TURN: f64 = 0.35;
 /// Lines nearer than this have become one, metres.
 const MERGED: f64 = 1.0;
 
-pub(super) fn build(scene: &Scene<'_>, node_length: f64) -> Result<LaneGraph, LaneGraphError> {
+pub(super) fn build(scene: &SceneView<'_>, node_length: f64) -> Result<LaneGraph, LaneGraphError> {
     if !(MIN_NODE_LENGTH..=MAX_NODE_LENGTH).contains(&node_length) {
         return Err(LaneGraphError::NodeLength(node_length));
     }
@@ -39,7 +39,7 @@ pub(super) fn build(scene: &Scene<'_>, node_length: f64) -> Result<LaneGraph, La
 }
 
 /// The lane under the ego: of those of the route the best fitting, else of all.
-fn ego_lane(scene: &Scene<'_>) -> Option<LaneId> {
+fn ego_lane(scene: &SceneView<'_>) -> Option<LaneId> {
     let (map, pose) = (scene.map, scene.ego.center());
     let on_route: Vec<LaneId> = map
         .lanes_at(pose.position())
@@ -53,7 +53,7 @@ fn ego_lane(scene: &Scene<'_>) -> Option<LaneId> {
     map.best_fit(&on_route, pose).or_else(|| map.lane_of(pose, OFF_ROAD_REACH))
 }
 
-fn centerlines(scene: &Scene<'_>, lane: LaneId, behind: f64) -> Vec<Centerline> {
+fn centerlines(scene: &SceneView<'_>, lane: LaneId, behind: f64) -> Vec<Centerline> {
     let s = scene.map[lane].centerline.project(scene.ego.center().position()).s;
     let beside = [
         (CenterlineName::EgoLane, Some(lane)),

@@ -3,7 +3,7 @@
 use super::AgentName;
 use crate::environment::choice::choice;
 use crate::geometry::{Point, wrap_angle};
-use crate::world::{LaneId, LaneMap, LanePath, PACIFICA, Route, Scene, SignalStatus};
+use crate::world::{LaneId, LaneMap, LanePath, PACIFICA, Route, SceneView, SignalStatus};
 
 /// Lights and turns further ahead of the ego's front bumper are not reported, metres.
 pub const LIGHT_REACH: f64 = 60.0;
@@ -76,7 +76,7 @@ pub struct Centerline {
 
 impl Centerline {
     /// The centreline through `lane`, seen from the ego; `behind` metres of it lie behind the ego where the map goes so far.
-    pub(super) fn through(scene: &Scene<'_>, name: CenterlineName, lane: LaneId, behind: f64) -> Self {
+    pub(super) fn through(scene: &SceneView<'_>, name: CenterlineName, lane: LaneId, behind: f64) -> Self {
         let (map, ego) = (scene.map, scene.ego.center().position());
         let limit = map[lane].speed_limit.unwrap_or(UNKNOWN_LIMIT);
         let ahead = MIN_AHEAD.max(AHEAD_SECONDS * limit);
@@ -143,7 +143,7 @@ fn lanes_ahead(path: &LanePath, from: f64) -> impl Iterator<Item = (LaneId, f64)
     starts.filter(move |&(_, start)| start >= from && start <= from + LIGHT_REACH)
 }
 
-fn light_ahead(scene: &Scene<'_>, path: &LanePath, ego_s: f64) -> Option<LightAhead> {
+fn light_ahead(scene: &SceneView<'_>, path: &LanePath, ego_s: f64) -> Option<LightAhead> {
     let front = front_s(ego_s);
     lanes_ahead(path, front - PAST_LINE).find_map(|(lane, start)| {
         let recorded = scene.lights.status(lane);

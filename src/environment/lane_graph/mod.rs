@@ -28,7 +28,7 @@ pub use lane_relation::{CROSSING_SECONDS, HALF_LANE, KERB_MARGIN, SWEEP_MARGIN};
 pub(in crate::environment) use lane_relation::{LaneRelation, Window};
 
 use super::choice::choice;
-use crate::world::{LaneId, Scene};
+use crate::world::{LaneId, SceneView};
 
 /// Node length unless told otherwise, metres.
 pub const DEFAULT_NODE_LENGTH: f64 = 20.0;
@@ -162,7 +162,7 @@ impl LaneGraph {
     ///
     /// # Errors
     /// When the ego is off the road or not finite, or the node length is out of range.
-    pub fn build(scene: &Scene<'_>, node_length: f64) -> Result<Self, LaneGraphError> {
+    pub fn build(scene: &SceneView<'_>, node_length: f64) -> Result<Self, LaneGraphError> {
         build::build(scene, node_length)
     }
 

@@ -15,7 +15,7 @@ use crate::environment::coordinates::{GptDriverText, llm_assist_text};
 use crate::environment::text::write;
 use crate::environment::{Description, LaneGraph, LaneGraphError, TextForm};
 use crate::scenario::Scenario;
-use crate::world::{HISTORY_SAMPLES, History, HistorySample, Scene};
+use crate::world::{HISTORY_SAMPLES, History, HistorySample, SceneView};
 use serde::Serialize;
 
 /// A way of describing a scene.
@@ -82,7 +82,7 @@ impl SceneText {
     }
 
     /// The description of a scene.
-    pub fn of(self, scene: &Scene<'_>, graph: &LaneGraph) -> String {
+    pub fn of(self, scene: &SceneView<'_>, graph: &LaneGraph) -> String {
         let turn = graph.ego_lane().turn;
         match self {
             Self::Paper => write(&Description::of(graph), TextForm::Paper),

@@ -26,7 +26,7 @@ use crate::reasoning::{
     ReasoningSettings, WAYPOINT_SECONDS,
 };
 use crate::reflection::{Judge, ReflectionReport, Verdict};
-use crate::world::{EgoState, STEP_S, Scene, Trajectory};
+use crate::world::{EgoState, STEP_S, SceneView, Trajectory};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -84,7 +84,7 @@ impl LlmAssist {
     }
 
     /// One call, because PDM-Closed's best proposal is not good enough.
-    fn call(&mut self, iteration: usize, scene: &Scene<'_>, rules: &PdmPlan) -> Result<(), PlannerError> {
+    fn call(&mut self, iteration: usize, scene: &SceneView<'_>, rules: &PdmPlan) -> Result<(), PlannerError> {
         let started = Instant::now();
         self.until = iteration + self.settings.interval.min(PLAN_ITERATIONS);
         let graph = match LaneGraph::build(scene, self.settings.node_length_m) {
@@ -119,7 +119,7 @@ impl LlmAssist {
         Ok(())
     }
 
-    fn question(&self, scene: &Scene<'_>, graph: &LaneGraph, rules: &PdmPlan) -> AssistQuestion {
+    fn question(&self, scene: &SceneView<'_>, graph: &LaneGraph, rules: &PdmPlan) -> AssistQuestion {
         let scene_text = match self.prompts.forms().scene_text {
             TextForm::Paper => llm_assist_text(scene, graph),
             TextForm::Compact => text::write(&Description::of(graph), TextForm::Compact),
@@ -131,7 +131,7 @@ impl LlmAssist {
     fn ask(
         &mut self,
         iteration: usize,
-        scene: &Scene<'_>,
+        scene: &SceneView<'_>,
         question: &AssistQuestion,
         deadline: Deadline,
     ) -> Result<Answers, PlannerError> {
@@ -219,7 +219,7 @@ struct Tried {
 
 fn try_out(
     reference_path: &ReferencePath,
-    scene: &Scene<'_>,
+    scene: &SceneView<'_>,
     collided: &mut Collided,
     assistance: Assistance,
 ) -> Result<Tried, PlannerError> {

@@ -3,7 +3,7 @@
 use super::Replay;
 use super::track::AgentTrack;
 use crate::geometry::Point;
-use crate::world::{EgoState, History, LaneMap, MapError, Route, Scene, TrackedObject, TrafficLights};
+use crate::world::{EgoState, History, LaneMap, MapError, Route, SceneView, TrackedObject, TrafficLights};
 
 /// A replay whose scenes can be drawn.
 #[derive(Debug, Clone)]
@@ -67,8 +67,8 @@ impl ReplayedSimulation {
     }
 
     /// The scene of a moment, without route, lights and history: what is drawn.
-    pub(in crate::report) fn scene<'a>(&'a self, moment: &'a Moment) -> Scene<'a> {
-        Scene {
+    pub(in crate::report) fn scene<'a>(&'a self, moment: &'a Moment) -> SceneView<'a> {
+        SceneView {
             map: &self.map,
             route: &self.route,
             ego: &moment.ego,

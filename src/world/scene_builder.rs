@@ -2,7 +2,7 @@
 
 use super::{
     EgoState, History, HistorySample, LaneId, LaneMap, MICROS_PER_SECOND, MapBuilder, MapError, ObjectKind, PACIFICA,
-    RoadblockId, Route, Scene, SignalStatus, TrackToken, TrackedObject, TrafficLights,
+    RoadblockId, Route, SceneView, SignalStatus, TrackToken, TrackedObject, TrafficLights,
 };
 use crate::geometry::{GeometryError, OrientedBox, Point, Pose, Vector};
 use std::sync::Arc;
@@ -28,7 +28,7 @@ const DEFAULT_SPEED_LIMIT: f64 = 13.9;
 /// ```
 #[derive(Debug, Clone)]
 #[non_exhaustive]
-pub struct OwnedScene {
+pub struct Scene {
     /// The static map.
     pub map: Arc<LaneMap>,
     /// Where the ego shall go.
@@ -43,15 +43,15 @@ pub struct OwnedScene {
     pub history: History,
 }
 
-impl OwnedScene {
+impl Scene {
     /// An empty builder.
     pub fn builder() -> SceneBuilder {
         SceneBuilder::default()
     }
 
     /// What a planner sees.
-    pub fn view(&self) -> Scene<'_> {
-        Scene {
+    pub fn view(&self) -> SceneView<'_> {
+        SceneView {
             map: &self.map,
             route: &self.route,
             ego: &self.ego,
@@ -102,7 +102,7 @@ struct Drawn {
     beside: bool,
 }
 
-/// Builds an [`OwnedScene`]. Lanes are numbered from 0 in the order of their calls. Positions are in meters, headings in
+/// Builds an [`Scene`]. Lanes are numbered from 0 in the order of their calls. Positions are in meters, headings in
 /// radians, speeds in m/s.
 #[derive(Debug, Clone)]
 pub struct SceneBuilder {
@@ -228,7 +228,7 @@ impl SceneBuilder {
     ///
     /// # Errors
     /// When there is no ego, a lane is no line, a light or route names no lane, or a value is NaN or infinite.
-    pub fn build(self) -> Result<OwnedScene, SceneError> {
+    pub fn build(self) -> Result<Scene, SceneError> {
         let ego = self.ego.ok_or(SceneError::NoEgo)?;
         if !(ego.rear_axle.is_finite() && ego.velocity.norm().is_finite() && ego.acceleration.norm().is_finite()) {
             return Err(SceneError::NotFinite { what: "ego" });
@@ -259,7 +259,7 @@ impl SceneBuilder {
         let mut history = History::default();
         history.push(HistorySample { ego, objects: Arc::clone(&objects) });
         let route = Route { roadblocks, goal: None };
-        Ok(OwnedScene { map, route, ego, objects, lights, history })
+        Ok(Scene { map, route, ego, objects, lights, history })
     }
 }
 
@@ -308,7 +308,7 @@ mod tests {
     use super::*;
 
     fn crossing() -> SceneBuilder {
-        OwnedScene::builder()
+        Scene::builder()
             .lanes(2, [[0.0, 0.0], [100.0, 0.0]])
             .connector([[100.0, -3.5], [120.0, -3.5]])
             .lane([[120.0, -3.5], [200.0, -3.5]])
@@ -331,8 +331,8 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named() {
-        assert_eq!(OwnedScene::builder().lane([[0.0, 0.0], [9.0, 0.0]]).build().unwrap_err(), SceneError::NoEgo);
-        let no_map = OwnedScene::builder().ego([0.0, 0.0], 0.0, 0.0).build().unwrap_err();
+        assert_eq!(Scene::builder().lane([[0.0, 0.0], [9.0, 0.0]]).build().unwrap_err(), SceneError::NoEgo);
+        let no_map = Scene::builder().ego([0.0, 0.0], 0.0, 0.0).build().unwrap_err();
         assert_eq!(no_map, SceneError::Map(MapError::NoLanes));
         let point = crossing().lane([[0.0, 0.0]]).build().unwrap_err();
         assert!(matches!(point, SceneError::Lane { lane: 4, .. }), "{point}");
