@@ -19,12 +19,12 @@ pub(super) fn kept(
     retry_failed: bool,
     printer: Printer,
 ) -> anyhow::Result<(BTreeSet<usize>, usize)> {
-    let recorded = folder.recorded(tasks)?;
-    for path in &recorded.damaged {
+    let completed = folder.completed(tasks)?;
+    for path in &completed.damaged {
         printer.note(format!("the record in {} is damaged; its drive is made again", path.display()));
     }
-    let all: BTreeSet<usize> = recorded.rows.iter().map(|row| row.number).collect();
-    let failed = recorded.rows.iter().filter(|row| retry_failed && row.error.is_some());
+    let all: BTreeSet<usize> = completed.rows.iter().map(|row| row.number).collect();
+    let failed = completed.rows.iter().filter(|row| retry_failed && row.error.is_some());
     let again: BTreeSet<usize> = failed.map(|row| row.number).collect();
     folder.discard(&again)?;
     Ok((all.difference(&again).copied().collect(), again.len()))
@@ -53,7 +53,7 @@ pub(super) fn make(
 /// # Errors
 /// When some are missing or cannot be read.
 pub(super) fn rows(folder: &RunFolder, tasks: &[SimulationTask]) -> anyhow::Result<Vec<SimulationRow>> {
-    let rows = folder.recorded(tasks)?.rows;
+    let rows = folder.completed(tasks)?.rows;
     if rows.len() != tasks.len() {
         let missing = tasks.len() - rows.len();
         bail!("{missing} of {} drives left no record in {}", tasks.len(), folder.path().display());

@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 pub const MAP_RADIUS: f64 = 50.0;
 
 /// Which layers a corner may stand on without being off the drivable area.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DrivableLayers {
     /// Lanes, connectors and car parks: PDM's choice, made for maps whose lanes tile the road.

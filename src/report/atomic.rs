@@ -1,27 +1,27 @@
-//! Files that are there whole or not at all.
+//! Files and folders that are either complete or absent.
 
 use super::error::ReportError;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Beginning of the names of what is not finished. Whatever bears it after a kill is worthless.
+/// Prefix of an unfinished file or folder. A process that was killed may leave one; it is safe to delete.
 pub(super) const UNFINISHED: &str = ".unfinished-";
 
-/// Where something is written before it gets its name: beside it.
+/// The temporary path of a file or folder, beside its final one.
 pub(super) fn unfinished(path: &Path) -> PathBuf {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     path.with_file_name(format!("{UNFINISHED}{name}"))
 }
 
-/// Writes a file under another name and then gives it its own.
+/// Writes a file at its temporary path, then renames it.
 pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
     let temporary = unfinished(path);
     create(&temporary, bytes)?;
     fs::rename(&temporary, path).map_err(ReportError::write(path))
 }
 
-/// Writes a file and waits until it lies on the disk.
+/// Writes a file and waits until it is on the disk.
 pub(super) fn create(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
     let written = fs::File::create(path).and_then(|mut file| {
         file.write_all(bytes)?;
@@ -30,12 +30,12 @@ pub(super) fn create(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
     written.map_err(ReportError::write(path))
 }
 
-/// Makes a folder and those above it.
+/// Creates a folder and its parents.
 pub(super) fn folder(path: &Path) -> Result<(), ReportError> {
     fs::create_dir_all(path).map_err(ReportError::write(path))
 }
 
-/// Removes what a killed process left unfinished in a folder.
+/// Deletes unfinished files and folders.
 pub(super) fn sweep(folder: &Path) -> Result<(), ReportError> {
     for entry in fs::read_dir(folder).map_err(ReportError::read(folder))? {
         let path = entry.map_err(ReportError::read(folder))?.path();

@@ -1,9 +1,9 @@
 //! A line of `calls.jsonl`: one planning call, attempts and rounds inside it. Measured times stand under the key `time`.
 
 use super::error::ReportError;
-use super::number::unsign_zeros;
-use super::run_folder::CALLS;
-use super::timing::CallTimes;
+use super::layout::CALLS;
+use super::number::remove_negative_zeros;
+use super::times::CallTimes;
 use crate::planner::{Attempt, Decision, PlanningCall};
 use crate::reasoning::PlannerCode;
 use crate::simulation::Challenge;
@@ -21,7 +21,7 @@ pub fn call_record(scenario: &str, planner: &str, challenge: Option<Challenge>, 
     if let (Some(fields), Value::Object(rest)) = (record.as_object_mut(), contents(call)) {
         fields.extend(rest);
     }
-    unsign_zeros(&mut record);
+    remove_negative_zeros(&mut record);
     record
 }
 
@@ -35,9 +35,7 @@ pub(super) fn calls_in(folder: &Path) -> Result<Vec<Value>, ReportError> {
         return Ok(Vec::new());
     }
     let text = fs::read_to_string(&path).map_err(ReportError::read(&path))?;
-    let line =
-        |line| serde_json::from_str(line).map_err(|source| ReportError::ParseJson { path: path.clone(), source });
-    text.lines().map(line).collect()
+    text.lines().map(|line| serde_json::from_str(line).map_err(ReportError::at(&path))).collect()
 }
 
 fn contents(call: &PlanningCall) -> Value {

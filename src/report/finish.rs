@@ -1,8 +1,8 @@
-//! The files of a run that has ended: made of the drives' folders, so that it does not matter in how many sessions the
-//! drives were made.
+//! The files of a complete run. They are made from the simulation folders, so the number of sessions does not matter.
 
 use super::atomic;
 use super::error::ReportError;
+use super::layout::{SUMMARY, TIMING};
 use super::manifest::Manifest;
 use super::number::json_value;
 use super::parquet::{write_aggregator, write_metric_files, write_runner_report};
@@ -10,15 +10,10 @@ use super::run_folder::RunFolder;
 use super::simulation_row::SimulationRow;
 use super::summary::{Summary, aggregated, distinct};
 use super::timing::Timing;
-
-/// The file that is written last: where it is, the run has ended.
-pub const SUMMARY: &str = "summary.json";
+use serde::Serialize;
 
 impl RunFolder {
-    /// Writes `summary.json`, `timing.json`, `calls.jsonl`, `config.toml`, and for each challenge nuPlan's result tree.
-    ///
-    /// # Errors
-    /// When a file cannot be written, or a drive's metrics cannot be read.
+    /// Writes `timing.json`, `calls.jsonl`, `config.toml`, nuPlan's result tree of each challenge, and last `summary.json`.
     pub fn finish(
         &self,
         manifest: &Manifest,
@@ -42,11 +37,12 @@ impl RunFolder {
             write_aggregator(&aggregator.join(name), &aggregated(challenge, own()), challenge.metric_list())?;
             write_runner_report(&folder.join("runner_report.parquet"), &own().collect::<Vec<_>>())?;
         }
-        self.write("timing.json", pretty(timing)?.as_bytes())?;
-        self.write(SUMMARY, pretty(summary)?.as_bytes())
+        self.write_json(TIMING, timing)?;
+        self.write_json(SUMMARY, summary)
     }
-}
 
-fn pretty(value: &impl serde::Serialize) -> Result<String, serde_json::Error> {
-    serde_json::to_string_pretty(&json_value(value)?).map(|text| text + "\n")
+    fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), ReportError> {
+        let text = json_value(value).and_then(|value| serde_json::to_string_pretty(&value));
+        self.write(name, (text.map_err(ReportError::at(self.path()))? + "\n").as_bytes())
+    }
 }

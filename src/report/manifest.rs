@@ -1,61 +1,67 @@
-//! `manifest.toml`: what a run is made of, written before its first drive.
+//! `manifest.toml`: what a run consists of, written before its first simulation.
 
 use crate::scenario::MissingTokens;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 use std::path::PathBuf;
 
-/// Name of the file.
-pub const MANIFEST: &str = "manifest.toml";
+/// The format of run folders that this program reads and writes.
+pub const FORMAT_VERSION: u32 = 2;
 
-/// What a run is made of. Two runs with the same manifest, start apart, leave the same results.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// What a run consists of. Runs with equal manifests, apart from the start time, have equal results.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
+    /// Format of the run folder: [`FORMAT_VERSION`].
+    pub format_version: u32,
     /// Version of the program.
     pub planagent: String,
-    /// When the run was started: `YYYY.MM.DD.hh.mm.ss`, UTC, nuPlan's form.
+    /// Start time in nuPlan's format: `YYYY.MM.DD.hh.mm.ss`, UTC.
     pub started: String,
-    /// Planners in their order, by name.
+    /// Names of the planners, in order.
     pub planners: Vec<String>,
-    /// Challenges in their order, by nuPlan's names.
+    /// nuPlan's names of the challenges, in order.
     pub challenges: Vec<String>,
-    /// What is driven.
+    /// The scenarios.
     pub scenarios: ScenarioList,
-    /// The model, when one is needed.
+    /// The model; none if no planner needs one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<Map<String, Value>>")]
     pub model: Option<toml::Table>,
-    /// The resolved configuration, its seed included.
+    /// The resolved configuration with its seed.
+    #[schemars(with = "Map<String, Value>")]
     pub config: toml::Table,
 }
 
 /// The scenarios of a run.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScenarioList {
-    /// Words of the command line that name scenarios; paths are absolute.
+    /// The values of `--scenario`, with absolute paths.
     pub words: Vec<String>,
-    /// Files of splits, absolute, or their names where no file holds them.
+    /// Absolute paths of split files, or the names of built-in splits.
     pub splits: Vec<String>,
-    /// Where nuPlan's logs lie; absolute.
+    /// Absolute path of nuPlan's logs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data_root: Option<PathBuf>,
-    /// Where nuPlan's maps lie; absolute.
+    /// Absolute path of nuPlan's maps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub maps_root: Option<PathBuf>,
-    /// Only the first so many.
+    /// The value of `--limit`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit: Option<usize>,
-    /// How many there are.
+    /// Number of scenarios.
     pub count: usize,
-    /// BLAKE3 of their names in their order, a line each.
+    /// BLAKE3 of their names, one a line, in order.
     pub blake3: String,
-    /// Scenarios that the splits name and that are not there.
+    /// Scenarios that a split names but no log holds.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub missing: Vec<MissingTokens>,
 }
 
 impl ScenarioList {
-    /// BLAKE3 of names, as [`ScenarioList::blake3`] has it.
+    /// The value of [`ScenarioList::blake3`] for these names.
     pub fn digest(names: impl IntoIterator<Item = impl AsRef<str>>) -> String {
         let mut hasher = blake3::Hasher::new();
         for name in names {
@@ -66,13 +72,12 @@ impl ScenarioList {
 }
 
 impl Manifest {
-    /// How many drives the run has.
+    /// Number of simulations of the run.
     pub fn simulations(&self) -> usize {
         self.scenarios.count * self.planners.len() * self.challenges.len()
     }
 
-    /// What differs from `now`, a line each, by dotted keys; the time of the start, and the words and folders that the
-    /// scenarios were found by, may differ.
+    /// The differences from `now`, one a line, by dotted keys. Start time, words and folders of the scenarios may differ.
     pub fn differences(&self, now: &Self) -> Vec<String> {
         let (then, now) = (self.flat(), now.flat());
         let text = |value: Option<&String>| value.map_or("none", String::as_str).to_owned();
@@ -86,12 +91,12 @@ impl Manifest {
             .collect()
     }
 
-    /// BLAKE3 of everything that must be the same for two runs to leave the same results.
+    /// BLAKE3 of everything that determines the results.
     pub fn digest(&self) -> String {
         ScenarioList::digest(self.flat().into_iter().map(|(key, value)| format!("{key}={value}")))
     }
 
-    /// Every value that must stay as it is, by its dotted key.
+    /// Every value that determines the results, by its dotted key.
     fn flat(&self) -> Vec<(String, String)> {
         let mut all = vec![
             ("planagent".to_owned(), self.planagent.clone()),
@@ -127,6 +132,7 @@ mod tests {
 
     fn manifest() -> Manifest {
         Manifest {
+            format_version: FORMAT_VERSION,
             planagent: "0.1.0".to_owned(),
             started: "2026.11.20.08.00.00".to_owned(),
             planners: vec!["idm".to_owned()],
@@ -162,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_read_as_it_was_written() {
+    fn a_manifest_survives_a_round_trip() {
         let written = toml::to_string_pretty(&manifest()).unwrap();
         assert_eq!(toml::from_str::<Manifest>(&written).unwrap(), manifest());
         assert_ne!(ScenarioList::digest(["ab"]), ScenarioList::digest(["a", "b"]));

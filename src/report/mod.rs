@@ -1,4 +1,4 @@
-//! Stage 10: what people and programs read of a run.
+//! Stage 10: the results of a run as files, tables, figures and a page.
 
 mod atomic;
 mod bench;
@@ -6,6 +6,7 @@ mod call_record;
 mod error;
 mod figure;
 mod finish;
+mod layout;
 mod manifest;
 mod number;
 pub mod page;
@@ -13,22 +14,26 @@ mod parquet;
 pub mod render;
 mod replay;
 mod run_folder;
+#[cfg(test)]
+mod schema_tests;
+mod simulation_folder;
 mod simulation_row;
 mod stamp;
 mod study;
 mod summary;
 mod table;
+mod times;
 mod timing;
 mod transcript;
 
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures, Spread};
 pub use call_record::call_record;
-pub use error::ReportError;
-pub use finish::SUMMARY;
-pub use manifest::{MANIFEST, Manifest, ScenarioList};
+pub use error::{ReportError, ReportFault};
+pub use layout::{MANIFEST, SUMMARY};
+pub use manifest::{FORMAT_VERSION, Manifest, ScenarioList};
 pub use number::{fixed, json_value};
-pub use run_folder::{Recorded, RunFolder};
-pub use simulation_row::{MetricScore, SimulationRow, SimulationTime};
+pub use run_folder::{CompletedSimulations, RunFolder};
+pub use simulation_row::{MetricScore, SimulationRow};
 pub use stamp::stamp;
 pub use study::{
     ChallengeResults, ModelCost, Outcome, StudyFolder, StudyResults, SuiteResults, SuiteSimulations, TypeResults,
@@ -36,5 +41,6 @@ pub use study::{
 };
 pub use summary::{Aggregate, ScenarioSummary, Summary};
 pub use table::{bench_markdown, bench_table, failures, fill, main_table, study_markdown, study_table, token_table};
-pub use timing::{CallTimes, PlannerTiming, Quantiles, Session, SimulationTiming, Timing};
+pub use times::{CallTimes, Quantiles, SimulationTime};
+pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};
 pub use transcript::{attempt_markdown, decision_words, transcript};

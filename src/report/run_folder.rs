@@ -1,87 +1,72 @@
-//! The folder of a run. It grows drive by drive: a drive that has ended has a folder of its own under `drives/`, which gets
-//! its name when it is complete, so that a kill at any moment loses no more than the drives under way.
+//! The folder of a run: created, locked, resumed.
+//!
+//! A simulation gets its folder under `simulations/` when it is complete. A process that is killed at any moment loses only
+//! the simulations in progress.
 
 use super::atomic::{self, UNFINISHED};
-use super::call_record::call_record;
-use super::error::ReportError;
-use super::manifest::{MANIFEST, Manifest};
-use super::number::unsigned_metric;
-use super::replay::Replay;
+use super::error::{ReportError, ReportFault};
+use super::layout::{CALLS, CONFIG, LOCK, MANIFEST, RECORD, RUNS, SIMULATIONS};
+use super::manifest::{FORMAT_VERSION, Manifest};
+use super::simulation_folder;
 use super::simulation_row::SimulationRow;
-use super::transcript::transcript;
-use crate::experiment::run::{SimulationOutcome, SimulationRecord, SimulationTask};
+use crate::experiment::run::{SimulationRecord, SimulationTask};
 use crate::metrics::MetricResult;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 
-/// Parent of the folders that are numbered.
-const RUNS: &str = "runs";
-/// Folder of the drives.
-const SIMULATIONS: &str = "simulations";
-/// What a drive's folder holds: the row of the drive,
-const RECORD: &str = "record.toml";
-/// its metrics with statistics and time series,
-const METRICS: &str = "metrics.toml";
-/// and its planning calls.
-pub(super) const CALLS: &str = "calls.jsonl";
-/// File that a running process holds locked.
-const LOCK: &str = ".lock";
-/// Digits of a drive's number in the name of its folder.
-const DIGITS: usize = 6;
-/// Most characters of the scenario's name in the name of a folder; file systems end at 255 bytes.
-const MOST_NAME: usize = 80;
-
-/// The folder of a run, locked against other processes for as long as this lives.
+/// The folder of a run, locked against other processes as long as this lives.
 #[derive(Debug)]
 pub struct RunFolder {
     path: PathBuf,
     _lock: File,
 }
 
-/// The drives that a folder holds.
+/// The completed simulations of a run.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Recorded {
-    /// What was read, by number.
+pub struct CompletedSimulations {
+    /// Their rows by number.
     pub rows: Vec<SimulationRow>,
-    /// Records that are damaged (a disk that lost power); they count as not driven.
+    /// Folders with a damaged record, for example after a power failure; they do not count as completed.
     pub damaged: Vec<PathBuf>,
 }
 
-/// `metrics.toml`.
-#[derive(Serialize, Deserialize)]
-struct MetricsFile {
-    metrics: Vec<MetricResult>,
+/// The part of a manifest that every format has.
+#[derive(Deserialize)]
+struct AnyManifest {
+    #[serde(default)]
+    format_version: u32,
 }
 
 impl RunFolder {
-    /// Makes the folder of a new run with its manifest; without a name, the next free `runs/NNNN`. Called before the
-    /// drives, so that hours of driving do not end at a folder that cannot be written.
+    /// Creates the folder of a new run with its manifest; without a path, the next free `runs/NNNN`.
     ///
     /// # Errors
-    /// When it cannot be made or written, is not empty, or holds a run.
+    /// When the folder cannot be written, is not empty, or holds a run. The first simulation has not started then.
     pub fn create(path: Option<&Path>, manifest: &Manifest) -> Result<Self, ReportError> {
         let path = path.map_or_else(next_free, Path::to_owned);
-        if path.join(MANIFEST).exists() {
-            return Err(ReportError::AlreadyRun(path));
+        let holds_run = |path: &Path| path.join(MANIFEST).exists();
+        if holds_run(&path) {
+            return Err(ReportError::at(&path)(ReportFault::AlreadyRun));
         }
         atomic::folder(&path)?;
-        let entries = fs::read_dir(&path).map_err(ReportError::read(&path))?;
-        for entry in entries {
+        for entry in fs::read_dir(&path).map_err(ReportError::read(&path))? {
             let name = entry.map_err(ReportError::read(&path))?.file_name();
             let name = name.to_string_lossy();
-            // A process that was killed before its manifest was there left nothing of worth.
+            // A process that was killed before it wrote its manifest left no results.
             if name != LOCK && !name.starts_with(UNFINISHED) {
-                return Err(ReportError::NotEmpty(path));
+                return Err(ReportError::at(&path)(ReportFault::NotEmpty));
             }
         }
         let folder = Self::locked(path)?;
-        if folder.path.join(MANIFEST).exists() {
-            return Err(ReportError::AlreadyRun(folder.path));
+        if holds_run(&folder.path) {
+            return Err(ReportError::at(&folder.path)(ReportFault::AlreadyRun));
         }
-        // The manifest comes first: from then on the folder is that of a run, which can be gone on with.
-        folder.write(MANIFEST, toml::to_string_pretty(manifest)?.as_bytes())?;
+        // The manifest comes first: from then on the run can be resumed.
+        let text = toml::to_string_pretty(manifest).map_err(ReportError::at(&folder.path))?;
+        folder.write(MANIFEST, text.as_bytes())?;
         folder.write_config(manifest)?;
         atomic::folder(&folder.path.join(SIMULATIONS))?;
         Ok(folder)
@@ -90,24 +75,29 @@ impl RunFolder {
     /// The manifest of the run in a folder.
     ///
     /// # Errors
-    /// When there is none, or it cannot be read.
+    /// When the folder holds no run, one of another format version, or the manifest is damaged.
     pub fn manifest(path: &Path) -> Result<Manifest, ReportError> {
         let file = path.join(MANIFEST);
         if !file.is_file() {
-            return Err(ReportError::NoRun(path.to_owned()));
+            return Err(ReportError::at(path)(ReportFault::NoRun));
         }
-        parse(&file)
+        let AnyManifest { format_version: found } = read_toml(&file)?;
+        if found == FORMAT_VERSION {
+            read_toml(&file)
+        } else {
+            Err(ReportError::at(path)(ReportFault::FormatVersion { found }))
+        }
     }
 
-    /// Opens the folder of a run to go on with it; `now` is what it would be started with today.
+    /// Opens the folder of a run to resume it; `now` is the manifest that a new run would have.
     ///
     /// # Errors
-    /// When there is none, another process is at it, or it was started otherwise.
+    /// When the folder holds no run, another process runs in it, or the two manifests differ.
     pub fn resume(path: &Path, now: &Manifest) -> Result<(Self, Manifest), ReportError> {
         let manifest = Self::manifest(path)?;
         let differences = manifest.differences(now);
         if !differences.is_empty() {
-            return Err(ReportError::Differs { path: path.to_owned(), differences });
+            return Err(ReportError::at(path)(ReportFault::Differs(differences)));
         }
         let folder = Self::locked(path.to_owned())?;
         atomic::folder(&folder.path.join(SIMULATIONS))?;
@@ -121,115 +111,79 @@ impl RunFolder {
         let lock = File::options().create(true).append(true).open(&file).map_err(ReportError::write(&file))?;
         match lock.try_lock() {
             Ok(()) => Ok(Self { path, _lock: lock }),
-            Err(TryLockError::WouldBlock) => Err(ReportError::Locked(path)),
-            Err(TryLockError::Error(source)) => Err(ReportError::Write { path: file, source }),
+            Err(TryLockError::WouldBlock) => Err(ReportError::at(&path)(ReportFault::Locked)),
+            Err(TryLockError::Error(error)) => Err(ReportError::write(&file)(error)),
         }
     }
 
-    /// Where it is.
+    /// The path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Writes what is kept of a drive: its row, its metrics, its replay, its calls with transcript and BEV maps. All of it is there
-    /// afterwards, or nothing.
-    ///
-    /// # Errors
-    /// When a file cannot be written.
+    /// Writes the folder of a completed simulation: all of it, or nothing.
     pub fn commit(&self, number: usize, record: &SimulationRecord) -> Result<(), ReportError> {
-        let folder = self.path.join(SIMULATIONS).join(folder_name(number, record));
-        let unfinished = atomic::unfinished(&folder);
-        atomic::folder(&unfinished)?;
-        if let Ok(driven) = &record.outcome {
-            write_calls(&unfinished, record, driven)?;
-            let metrics = MetricsFile { metrics: driven.metrics.iter().map(unsigned_metric).collect() };
-            atomic::create(&unfinished.join(METRICS), toml::to_string(&metrics)?.as_bytes())?;
-            Replay::of(driven).write(&unfinished)?;
-        }
-        let row = toml::to_string(&SimulationRow::new(number, record))?;
-        atomic::create(&unfinished.join(RECORD), row.as_bytes())?;
-        fs::rename(&unfinished, &folder).map_err(ReportError::write(&folder))
+        simulation_folder::write(&self.path.join(SIMULATIONS), number, record)
     }
 
-    /// The folders of the drives that have ended, by number.
-    fn folders(&self) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
-        folders(&self.path)
-    }
-
-    /// The drives that have ended in a folder. Nothing is locked or changed, and what the run is made of is not looked at.
+    /// The completed simulations of the run in a folder, without a lock and without a look at the manifest.
     ///
     /// # Errors
-    /// When a record cannot be read.
-    pub fn ended(path: &Path) -> Result<Recorded, ReportError> {
-        let mut recorded = Recorded::default();
+    /// When a record cannot be read or is in the folder of another simulation.
+    pub fn read_completed(path: &Path) -> Result<CompletedSimulations, ReportError> {
+        let mut completed = CompletedSimulations::default();
         for (number, folder) in folders(path)? {
             let path = folder.join(RECORD);
-            match parse::<SimulationRow>(&path) {
-                Ok(row) if row.number == number => recorded.rows.push(row),
-                Ok(row) => {
-                    let (found, expected) = (row.identity(), format!("simulation {number}"));
-                    return Err(ReportError::Foreign { path, found, expected });
-                }
-                Err(ReportError::Parse { .. }) => recorded.damaged.push(folder),
+            match read_toml::<SimulationRow>(&path) {
+                Ok(row) if row.number == number => completed.rows.push(row),
+                Ok(row) => return Err(wrong_record(&path, &row, format!("simulation {number}"))),
+                Err(ReportError { fault: ReportFault::Toml(_), .. }) => completed.damaged.push(folder),
                 Err(error) => return Err(error),
             }
         }
-        Ok(recorded)
+        Ok(completed)
     }
 
-    /// The drives that have ended, checked against what the run is made of. Records that are damaged are removed.
+    /// The completed simulations, checked against the tasks of the run. Damaged records are deleted.
     ///
     /// # Errors
-    /// When a record cannot be read or belongs to another drive.
-    pub fn recorded(&self, tasks: &[SimulationTask]) -> Result<Recorded, ReportError> {
-        let recorded = Self::ended(&self.path)?;
-        for row in &recorded.rows {
+    /// When a record cannot be read or belongs to another task.
+    pub fn completed(&self, tasks: &[SimulationTask]) -> Result<CompletedSimulations, ReportError> {
+        let completed = Self::read_completed(&self.path)?;
+        for row in &completed.rows {
             let expected = tasks.get(row.number).map_or_else(|| "nothing".to_owned(), SimulationTask::to_string);
             if row.identity() != expected {
-                let folder = self.folders()?.remove(&row.number).unwrap_or_default();
-                return Err(ReportError::Foreign { path: folder.join(RECORD), found: row.identity(), expected });
+                let folder = folders(&self.path)?.remove(&row.number).unwrap_or_default();
+                return Err(wrong_record(&folder.join(RECORD), row, expected));
             }
         }
-        for folder in &recorded.damaged {
-            remove(folder)?;
-        }
-        Ok(recorded)
+        completed.damaged.iter().try_for_each(|folder| simulation_folder::remove(folder))?;
+        Ok(completed)
     }
 
-    /// Takes back drives that have ended, so that they can be made again.
-    ///
-    /// # Errors
-    /// When a folder cannot be removed.
+    /// Deletes completed simulations, so that they run again.
     pub fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
-        let folders = self.folders()?;
-        folders.iter().filter(|(number, _)| numbers.contains(number)).try_for_each(|(_, folder)| remove(folder))
+        let discarded = folders(&self.path)?.into_iter().filter(|(number, _)| numbers.contains(number));
+        discarded.map(|(_, folder)| folder).try_for_each(|folder| simulation_folder::remove(&folder))
     }
 
-    /// The metrics of drives, in the order of their numbers.
+    /// The metrics of simulations, in the order of `rows`.
     pub(super) fn metrics<'a>(
         &self,
         rows: impl Iterator<Item = &'a SimulationRow> + Clone,
     ) -> Result<impl Iterator<Item = Result<(&'a SimulationRow, Vec<MetricResult>), ReportError>> + Clone, ReportError>
     {
-        let folders = self.folders()?;
+        let folders = folders(&self.path)?;
         let of_row = move |row: &'a SimulationRow| folders.get(&row.number).map(|folder| (row, folder.clone()));
-        Ok(rows.filter_map(of_row).map(|(row, folder)| Ok((row, Self::metrics_in(&folder)?))))
+        Ok(rows.filter_map(of_row).map(|(row, folder)| Ok((row, simulation_folder::metrics(&folder)?))))
     }
 
-    /// The metrics in a drive's folder.
-    ///
-    /// # Errors
-    /// When they cannot be read.
-    pub(super) fn metrics_in(folder: &Path) -> Result<Vec<MetricResult>, ReportError> {
-        parse::<MetricsFile>(&folder.join(METRICS)).map(|file| file.metrics)
-    }
-
-    /// Joins the planning calls of all drives to one file.
+    /// Joins the planning calls of all simulations to one file.
     pub(super) fn join_calls(&self) -> Result<(), ReportError> {
         let path = self.path.join(CALLS);
         let temporary = atomic::unfinished(&path);
         let mut all = File::create(&temporary).map_err(ReportError::write(&temporary))?;
-        for folder in self.folders()?.values() {
+        for folder in folders(&self.path)?.values() {
             let part = folder.join(CALLS);
             if part.is_file() {
                 let mut part = File::open(&part).map_err(ReportError::read(&part))?;
@@ -239,18 +193,19 @@ impl RunFolder {
         fs::rename(&temporary, &path).map_err(ReportError::write(&path))
     }
 
-    /// Writes the configuration as a file that `--config` takes.
+    /// Writes the configuration as a file for `--config`.
     pub(super) fn write_config(&self, manifest: &Manifest) -> Result<(), ReportError> {
-        self.write("config.toml", toml::to_string_pretty(&manifest.config)?.as_bytes())
+        let text = toml::to_string_pretty(&manifest.config).map_err(ReportError::at(&self.path))?;
+        self.write(CONFIG, text.as_bytes())
     }
 
-    /// Writes a file of the folder, whole or not at all.
+    /// Writes a file of the folder: all of it, or nothing.
     pub(super) fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ReportError> {
         atomic::write(&self.path.join(name), bytes)
     }
 }
 
-/// The folders of the drives that have ended in a run's folder, by number.
+/// The folders of the completed simulations of a run, by number.
 pub(super) fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
     let simulations = run.join(SIMULATIONS);
     let mut found = BTreeMap::new();
@@ -265,63 +220,18 @@ pub(super) fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportErro
     Ok(found)
 }
 
-/// Calls, transcript and BEV maps of a drive with planning calls.
-fn write_calls(folder: &Path, record: &SimulationRecord, driven: &SimulationOutcome) -> Result<(), ReportError> {
-    if driven.calls.is_empty() {
-        return Ok(());
-    }
-    let mut lines = String::new();
-    let planner = record.planner.as_str();
-    for call in &driven.calls {
-        let value = call_record(&record.scenario, planner, Some(record.challenge), call);
-        lines.push_str(&serde_json::to_string(&value)?);
-        lines.push('\n');
-    }
-    atomic::create(&folder.join(CALLS), lines.as_bytes())?;
-    atomic::folder(&folder.join("bev"))?;
-    for call in &driven.calls {
-        if let Some(image) = &call.image {
-            let path = folder.join(bev_name(call.iteration));
-            image.save(&path).map_err(|source| ReportError::Image { path, source })?;
-        }
-    }
-    let text = transcript(record, driven, |call| call.image.as_ref().map(|_| bev_name(call.iteration)));
-    atomic::create(&folder.join("transcript.md"), text.as_bytes())
+fn wrong_record(path: &Path, row: &SimulationRow, expected: String) -> ReportError {
+    ReportError::at(path)(ReportFault::WrongRecord { found: row.identity(), expected })
 }
 
-/// Where the BEV map of a planning call lies in a drive's folder.
-pub(super) fn bev_name(iteration: usize) -> String {
-    format!("bev/{iteration:03}.png")
-}
-
-/// Removes a drive's folder; a kill in between leaves nothing that looks whole.
-fn remove(folder: &Path) -> Result<(), ReportError> {
-    let condemned = atomic::unfinished(folder);
-    fs::rename(folder, &condemned).map_err(ReportError::write(folder))?;
-    fs::remove_dir_all(&condemned).map_err(ReportError::write(&condemned))
-}
-
-/// `NNNNNN-SCENARIO-PLANNER-CHALLENGE`, in characters that every file system takes.
-fn folder_name(number: usize, record: &SimulationRecord) -> String {
-    let safe = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-    let scenario: String = record.scenario.chars().map(safe).take(MOST_NAME).collect();
-    format!("{number:0DIGITS$}-{scenario}-{}-{}", record.planner, record.challenge.short_name())
-}
-
-fn parse<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, ReportError> {
+/// Reads a TOML file.
+pub(super) fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, ReportError> {
     let text = fs::read_to_string(path).map_err(ReportError::read(path))?;
-    toml::from_str(&text).map_err(|source| ReportError::Parse { path: path.to_owned(), source: Box::new(source) })
+    toml::from_str(&text).map_err(|error| ReportError::at(path)(Box::new(error)))
 }
 
 /// The first `runs/NNNN` that does not exist.
 fn next_free() -> PathBuf {
-    let runs = Path::new(RUNS);
-    let mut number = 1u32;
-    loop {
-        let path = runs.join(format!("{number:04}"));
-        if !path.exists() {
-            return path;
-        }
-        number += 1;
-    }
+    let path = |number: u32| Path::new(RUNS).join(format!("{number:04}"));
+    (1..).map(path).find(|path| !path.exists()).unwrap_or_else(|| path(u32::MAX))
 }

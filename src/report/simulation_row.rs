@@ -1,108 +1,95 @@
-//! What is kept of a drive when it has ended: `record.toml` of its folder.
+//! `record.toml`: the row of one simulation.
 
-use super::number::unsigned_zero;
-use super::timing::CallTimes;
+use super::number::positive_zero;
+use super::times::{CallTimes, SimulationTime};
 use crate::experiment::run::SimulationRecord;
 use crate::metrics::ScenarioRow;
 use crate::pdm::DrivableLayers;
 use crate::planner::PlanningCall;
 use crate::reasoning::Interruption;
 use crate::simulation::Challenge;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A drive that was made, or why it could not be.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// The result of a simulation, or why it failed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SimulationRow {
     /// Its number in the run, from 0.
     pub number: usize,
-    /// The source in the words of the command line.
+    /// The scenario's source as on the command line.
     pub source: String,
     /// Name of the scenario.
     pub scenario: String,
-    /// nuPlan's type.
+    /// nuPlan's scenario type.
     pub scenario_type: String,
     /// Name of the log.
     pub log_name: String,
-    /// Who drove.
+    /// Name of the planner.
     pub planner: String,
-    /// Among which traffic.
+    /// nuPlan's challenge.
     pub challenge: Challenge,
-    /// Why there is no result.
+    /// Why the simulation failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
-    /// nuPlan's score in [0, 1]; none for a failed drive.
+    /// nuPlan's score in [0, 1]; none if the simulation failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub score: Option<f64>,
     /// The multipliers that made the score 0.
     #[serde(default)]
     pub zeroed_by: Vec<String>,
-    /// Planning calls that were made.
+    /// Planning calls, without the gated ones.
     pub planning_calls: usize,
-    /// Planning calls that the gate saved; they are not among the others.
+    /// Planning calls that the gate skipped.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub gated_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,
-    /// What could not be read of the answers.
+    /// Parse errors of the answers.
     pub parse_errors: usize,
-    /// Planning calls that their deadline ended.
+    /// Planning calls that ended at their deadline.
     #[serde(default)]
     pub deadlines: usize,
-    /// Planning calls that a failure of the model ended.
+    /// Planning calls that ended by an error of the model.
     #[serde(default)]
     pub failed_calls: usize,
-    /// What counted as drivable, for `pdm-closed`.
+    /// What `pdm-closed` counted as drivable.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drivable_layers: Option<DrivableLayers>,
-    /// What was measured.
+    /// Wall times.
     pub time: SimulationTime,
-    /// The metrics' scores, in nuPlan's order of computation; their statistics lie in `metrics.toml`.
+    /// The metrics' scores, in nuPlan's order of computation; `metrics.toml` has their statistics.
     #[serde(default)]
     pub metrics: Vec<MetricScore>,
 }
 
-/// For fields that most records can do without.
+/// Lets serde omit fields that most records do not need.
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
 pub(super) fn is_zero(count: &usize) -> bool {
     *count == 0
 }
 
 /// The score of one metric.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MetricScore {
     /// nuPlan's name.
     pub name: String,
-    /// Its score in [0, 1]; none for metrics that do not enter the score.
+    /// The score in [0, 1]; none for metrics outside the score.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub score: Option<f64>,
 }
 
-/// What was measured of a drive.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SimulationTime {
-    /// Begin, seconds since 1970.
-    pub started_s: f64,
-    /// End, seconds since 1970.
-    pub ended_s: f64,
-    /// Time that the planner took at each iteration, seconds.
-    pub planner_s: Vec<f64>,
-    /// The planning calls by part.
-    pub calls: Vec<CallTimes>,
-}
-
 impl SimulationRow {
-    /// What is kept of a record.
+    /// The row of a record.
     pub fn new(number: usize, record: &SimulationRecord) -> Self {
-        let driven = record.outcome.as_ref().ok();
-        let calls = driven.map_or(&[][..], |driven| driven.calls.as_slice());
+        let outcome = record.outcome.as_ref().ok();
+        let calls = outcome.map_or(&[][..], |outcome| outcome.calls.as_slice());
         let gated_calls = calls.iter().filter(|call| call.is_gated()).count();
-        let score = driven.map(|driven| &driven.score);
+        let score = outcome.map(|outcome| &outcome.score);
         let interrupted =
             |why: fn(&Interruption) -> bool| calls.iter().filter(|call| call.interruption().is_some_and(why)).count();
-        let metrics = driven.map_or(&[][..], |driven| driven.metrics.as_slice());
+        let metrics = outcome.map_or(&[][..], |outcome| outcome.metrics.as_slice());
         Self {
             number,
             source: record.source.clone(),
@@ -112,7 +99,7 @@ impl SimulationRow {
             planner: record.planner.to_string(),
             challenge: record.challenge,
             error: record.outcome.as_ref().err().cloned(),
-            score: score.map(|score| unsigned_zero(score.value)),
+            score: score.map(|score| positive_zero(score.value)),
             zeroed_by: score.map_or_else(Vec::new, |score| score.zero_multipliers().map(|m| m.to_string()).collect()),
             planning_calls: calls.len() - gated_calls,
             gated_calls,
@@ -120,21 +107,21 @@ impl SimulationRow {
             parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
             deadlines: interrupted(|why| matches!(why, Interruption::Deadline)),
             failed_calls: interrupted(|why| matches!(why, Interruption::Model(_))),
-            drivable_layers: driven.and_then(|driven| driven.drivable_layers),
+            drivable_layers: outcome.and_then(|outcome| outcome.drivable_layers),
             time: SimulationTime {
                 started_s: record.started_s,
                 ended_s: record.ended_s,
-                planner_s: driven.map_or_else(Vec::new, |driven| driven.log.runtimes_s.clone()),
+                planner_s: outcome.map_or_else(Vec::new, |outcome| outcome.log.runtimes_s.clone()),
                 calls: calls.iter().filter(|call| !call.is_gated()).map(CallTimes::of).collect(),
             },
             metrics: metrics
                 .iter()
-                .map(|m| MetricScore { name: m.name.clone(), score: m.score.map(unsigned_zero) })
+                .map(|m| MetricScore { name: m.name.clone(), score: m.score.map(positive_zero) })
                 .collect(),
         }
     }
 
-    /// Which drive of a run this is, in words.
+    /// Source, planner and challenge in words.
     pub fn identity(&self) -> String {
         format!("{} by {} in {}", self.source, self.planner, self.challenge)
     }
@@ -144,8 +131,8 @@ impl SimulationRow {
         self.metrics.iter().find(|metric| metric.name == name).and_then(|metric| metric.score)
     }
 
-    /// The drive as the aggregation takes it; none for a failed one, which does not count. The metrics of the score come
-    /// first and in its order, so that the aggregation's sums are the score's to the last bit.
+    /// The input of nuPlan's aggregation; none for a failed simulation, which does not count. The scored metrics come first, in
+    /// the order of the score, so that the aggregation sums in the same order to the last bit.
     pub fn scenario_row(&self) -> Option<ScenarioRow> {
         let scored = self.challenge.metric_list().scored();
         let place = |name: &str| scored.clone().position(|metric| metric.name == name).unwrap_or(usize::MAX);
@@ -158,5 +145,32 @@ impl SimulationRow {
             planner: self.planner.clone(),
             metrics,
         })
+    }
+
+    /// A row without metrics, as tests need it.
+    #[cfg(test)]
+    pub(super) fn example(kind: &str, seed: usize, planner: &str, challenge: Challenge, score: Option<f64>) -> Self {
+        let source = format!("generated/{kind}/{seed}");
+        Self {
+            number: seed,
+            scenario: source.clone(),
+            source,
+            scenario_type: kind.to_owned(),
+            log_name: "generated".to_owned(),
+            planner: planner.to_owned(),
+            challenge,
+            error: score.is_none().then(|| "it broke".to_owned()),
+            score,
+            zeroed_by: Vec::new(),
+            planning_calls: 8,
+            gated_calls: 0,
+            rethinks: 0,
+            parse_errors: 0,
+            deadlines: 0,
+            failed_calls: 0,
+            drivable_layers: None,
+            time: SimulationTime::default(),
+            metrics: Vec::new(),
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! `summary.json`: scores only, no measured times, the same bytes for the same seed.
+//! `summary.json`: the scores, without wall times; equal seeds give equal bytes.
 
 use super::simulation_row::{SimulationRow, is_zero};
 use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate};
@@ -6,59 +6,58 @@ use crate::mllm::ModelDescription;
 use crate::pdm::DrivableLayers;
 use crate::scenario::MissingTokens;
 use crate::simulation::Challenge;
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-/// One drive.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// One simulation.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct ScenarioSummary {
     /// Name of the scenario.
     pub id: String,
-    /// nuPlan's type.
+    /// nuPlan's scenario type.
     pub scenario_type: String,
     /// Name of the log.
     pub log_name: String,
-    /// Who drove.
+    /// Name of the planner.
     pub planner: String,
-    /// Among which traffic.
+    /// nuPlan's challenge.
     pub challenge: Challenge,
-    /// Whether the drive came to its end.
+    /// Whether the simulation completed.
     pub succeeded: bool,
-    /// Why not.
+    /// Why the simulation failed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
     /// nuPlan's score in [0, 1].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub score: Option<f64>,
-    /// The metrics of the score by nuPlan's names, multipliers first, and `zeroed_by`: the multipliers that made the score 0.
+    /// The scored metrics by nuPlan's names, multipliers first.
     #[serde(flatten)]
     pub metrics: Map<String, Value>,
-    /// Planning calls that were made.
+    /// The multipliers that made the score 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub zeroed_by: Option<Vec<String>>,
+    /// Planning calls, without the gated ones.
     pub planning_calls: usize,
-    /// Planning calls that the gate saved.
+    /// Planning calls that the gate skipped.
     #[serde(skip_serializing_if = "is_zero")]
     pub gated_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,
-    /// What could not be read of the answers.
+    /// Parse errors of the answers.
     pub parse_errors: usize,
-    /// Planning calls that their deadline ended.
+    /// Planning calls that ended at their deadline.
     pub deadlines: usize,
-    /// Planning calls that a failure of the model ended.
+    /// Planning calls that ended by an error of the model.
     pub failed_calls: usize,
-    /// What counted as drivable, for `pdm-closed`.
+    /// What `pdm-closed` counted as drivable.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drivable_layers: Option<DrivableLayers>,
 }
 
 impl From<&SimulationRow> for ScenarioSummary {
     fn from(row: &SimulationRow) -> Self {
-        let mut metrics = Map::new();
-        if row.score.is_some() {
-            let scored = row.challenge.metric_list().scored().map(|metric| metric.name);
-            metrics.extend(scored.filter_map(|name| Some((name.to_owned(), json!(row.metric(name)?)))));
-            metrics.insert("zeroed_by".to_owned(), json!(row.zeroed_by));
-        }
+        let scored = row.score.into_iter().flat_map(|_| row.challenge.metric_list().scored()).map(|metric| metric.name);
         Self {
             id: row.scenario.clone(),
             scenario_type: row.scenario_type.clone(),
@@ -68,7 +67,8 @@ impl From<&SimulationRow> for ScenarioSummary {
             succeeded: row.error.is_none(),
             error: row.error.clone(),
             score: row.score,
-            metrics,
+            metrics: scored.filter_map(|name| Some((name.to_owned(), json!(row.metric(name)?)))).collect(),
+            zeroed_by: row.score.map(|_| row.zeroed_by.clone()),
             planning_calls: row.planning_calls,
             gated_calls: row.gated_calls,
             rethinks: row.rethinks,
@@ -80,45 +80,46 @@ impl From<&SimulationRow> for ScenarioSummary {
     }
 }
 
-/// Mean score of one planner in one challenge, over the drives that came to their end (nuPlan's rule).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// Mean score of one planner in one challenge over the completed simulations (nuPlan's rule).
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Aggregate {
-    /// Who drove.
+    /// Name of the planner.
     pub planner: String,
-    /// Among which traffic.
+    /// nuPlan's challenge.
     pub challenge: Challenge,
-    /// Which scenarios; all of them without a type.
+    /// nuPlan's scenario type; none for all scenarios.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scenario_type: Option<String>,
-    /// Drives that count.
+    /// Simulations that completed and count.
     pub scenarios: usize,
-    /// Drives that failed and do not count.
+    /// Simulations that failed and do not count.
     pub failed: usize,
-    /// Mean score in [0, 1]; none without a drive that counts.
+    /// Mean score in [0, 1]; none if no simulation counts.
     pub score: Option<f64>,
 }
 
 /// The whole file.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Summary {
     /// Version of the program.
     pub planagent: String,
     /// Seed of the run.
     pub seed: u64,
-    /// The model, when one was loaded.
+    /// The model; none if no planner needs one.
+    #[schemars(with = "Option<Map<String, Value>>")]
     pub model: Option<ModelDescription>,
-    /// Scenarios that splits name and that are not there: the means below are not those of the whole split.
+    /// Scenarios that a split names but no log holds; the means do not include them.
     pub missing: Vec<MissingTokens>,
-    /// A row a drive, in the order in which they were asked for.
+    /// The simulations in the order of the run.
     pub scenarios: Vec<ScenarioSummary>,
-    /// A row a planner and challenge.
+    /// Means by planner and challenge.
     pub aggregates: Vec<Aggregate>,
-    /// A row a scenario type, planner and challenge.
+    /// Means by scenario type, planner and challenge.
     pub scenario_types: Vec<Aggregate>,
 }
 
 impl Summary {
-    /// The summary of all drives of a run, and of those that could not be made for want of their scenario.
+    /// The summary of the simulations of a run; `missing` scenarios have none.
     pub fn new(seed: u64, model: Option<ModelDescription>, missing: &[MissingTokens], rows: &[SimulationRow]) -> Self {
         let mut aggregates = Vec::new();
         let mut scenario_types = Vec::new();
@@ -148,7 +149,7 @@ impl Summary {
     }
 }
 
-/// nuPlan's aggregation of the drives of one challenge.
+/// nuPlan's aggregation of the simulations of one challenge.
 pub(super) fn aggregated<'a>(challenge: Challenge, rows: impl Iterator<Item = &'a SimulationRow>) -> Vec<AggregateRow> {
     let scored: Vec<_> = rows.filter_map(SimulationRow::scenario_row).collect();
     aggregate(&scored, &Weighting::of(challenge.metric_list()))

@@ -1,68 +1,10 @@
-//! `timing.json`: what was measured, apart from the scores, with the machine it was measured on.
+//! `timing.json`: wall times, and the machine on which they were measured.
 
 use super::simulation_row::SimulationRow;
 use super::summary::distinct;
-use crate::planner::PlanningCall;
+use super::times::{CallTimes, Quantiles};
 use crate::simulation::Challenge;
-use serde::{Deserialize, Serialize};
-
-/// Wall time of a planning call by part, milliseconds.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct CallTimes {
-    /// Lane graph, text and BEV map.
-    pub environment: f64,
-    /// Vision tower and projector.
-    pub image_encode: f64,
-    /// Prompts of all rounds and attempts.
-    pub prefill: f64,
-    /// Answers of all rounds and attempts.
-    pub decode: f64,
-    /// Waiting for a server that computes the model, for the rounds that it answered.
-    #[serde(default)]
-    pub remote: f64,
-    /// Roll-outs and their scores, all attempts.
-    pub reflection: f64,
-    /// The whole call.
-    pub total: f64,
-}
-
-impl CallTimes {
-    /// The times of one call.
-    pub fn of(call: &PlanningCall) -> Self {
-        let rounds = || call.attempts.iter().flat_map(|attempt| &attempt.rounds);
-        Self {
-            environment: call.environment_ms,
-            image_encode: rounds().map(|round| round.time.image_encode).sum(),
-            prefill: rounds().map(|round| round.time.prefill).sum(),
-            decode: rounds().map(|round| round.time.decode).sum(),
-            remote: rounds().map(|round| round.time.remote).sum(),
-            reflection: call.attempts.iter().map(|attempt| attempt.reflection_ms).sum(),
-            total: call.total_ms,
-        }
-    }
-}
-
-/// Median and 95th percentile.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Quantiles {
-    /// Half of the values lie at or under this.
-    pub p50: f64,
-    /// 95 % of the values lie at or under this.
-    pub p95: f64,
-}
-
-impl Quantiles {
-    /// Of a list of values, nearest rank; `None` for an empty one.
-    pub fn of(mut values: Vec<f64>) -> Option<Self> {
-        values.sort_by(f64::total_cmp);
-        let rank = |share: f64| {
-            let place = (share * values.len() as f64).ceil() as usize;
-            values.get(place.max(1) - 1).copied()
-        };
-        Some(Self { p50: rank(0.50)?, p95: rank(0.95)? })
-    }
-}
+use serde::Serialize;
 
 /// Quantiles of each part of the planning calls, milliseconds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -77,7 +19,7 @@ pub struct CallQuantiles {
     pub total: Option<Quantiles>,
 }
 
-/// The time of one drive.
+/// Planner time of one simulation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SimulationTiming {
     id: String,
@@ -89,33 +31,33 @@ pub struct SimulationTiming {
     iteration_ms: Option<Quantiles>,
 }
 
-/// What a planner takes, over all its drives in all challenges.
+/// Times of a planner over all its simulations in all challenges.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PlannerTiming {
-    /// Which planner.
+    /// Name of the planner.
     pub planner: String,
-    /// Iterations that the times are of.
+    /// Number of iterations.
     pub iterations: usize,
-    /// Mean per iteration, milliseconds: planning calls are spread over the iterations between them.
+    /// Mean per iteration, milliseconds; it spreads a planning call over the iterations until the next.
     pub mean_iteration_ms: Option<f64>,
     /// Per iteration, milliseconds.
     pub iteration_ms: Option<Quantiles>,
-    /// Planning calls that the quantiles are of; none for a planner without a model.
+    /// Number of planning calls; 0 for a planner without a model.
     pub planning_calls: usize,
     /// Per planning call, milliseconds.
     pub planning_call_ms: Option<Quantiles>,
 }
 
-/// The machine and the session that ended the run.
+/// The machine and the session that completed the run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Session {
     /// Processor, as the system names it.
     pub cpu: String,
     /// Threads of the run.
     pub threads: usize,
-    /// Wall time of the session, loading of the model included, seconds.
+    /// Wall time of the session with the loading of the model, seconds.
     pub wall_s: f64,
-    /// Drives that this session made; a run that was gone on with has others.
+    /// Simulations of this session; a resumed run has more.
     pub simulations: usize,
     /// Time to load the model, seconds.
     pub load_s: Option<f64>,
@@ -124,16 +66,16 @@ pub struct Session {
 /// The whole file.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Timing {
-    /// The machine and the session that ended the run.
+    /// The machine and the session that completed the run.
     #[serde(flatten)]
     pub session: Session,
-    /// Planning calls that the quantiles are of.
+    /// Number of planning calls.
     pub planning_calls: usize,
     /// Milliseconds per planning call.
     pub planning_call_ms: CallQuantiles,
-    /// A row a planner.
+    /// Times by planner.
     pub planners: Vec<PlannerTiming>,
-    /// A row a drive.
+    /// Times by simulation.
     pub simulation_times: Vec<SimulationTiming>,
 }
 
@@ -174,7 +116,7 @@ impl Timing {
 }
 
 impl PlannerTiming {
-    /// The times of a planner's drives among `rows`.
+    /// The times of a planner's simulations among `rows`.
     pub(super) fn of(planner: &str, rows: &[SimulationRow]) -> Self {
         let own = || rows.iter().filter(|row| row.planner == planner);
         let steps: Vec<f64> = own().flat_map(|row| &row.time.planner_s).map(|s| s * 1e3).collect();
@@ -187,18 +129,5 @@ impl PlannerTiming {
             planning_calls: calls.len(),
             planning_call_ms: Quantiles::of(calls),
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn quantiles_are_values_that_occurred() {
-        let q = Quantiles::of((1..=20).map(f64::from).collect()).unwrap();
-        assert!((q.p50 - 10.0).abs() < 1e-12 && (q.p95 - 19.0).abs() < 1e-12);
-        assert_eq!(Quantiles::of(vec![]), None);
-        assert_eq!(Quantiles::of(vec![3.0]), Some(Quantiles { p50: 3.0, p95: 3.0 }));
     }
 }

@@ -1,35 +1,37 @@
-//! The transcript of a drive as Markdown: what was seen, asked, answered, written and judged.
+//! The transcript of a simulation as Markdown: scene, prompts, answers, planner codes, scores.
 
 use super::number::fixed;
-use super::timing::CallTimes;
+use super::times::CallTimes;
 use crate::experiment::run::{SimulationOutcome, SimulationRecord};
 use crate::planner::{Attempt, Decision, PlanningCall};
 use crate::world::STEP_S;
 use std::fmt::Write;
 
-/// The transcript of a drive; `image` gives the place of a call's BEV map, relative to the transcript.
+/// The transcript of a simulation; `image` gives the path of a call's BEV map, relative to the transcript.
 pub fn transcript(
     record: &SimulationRecord,
-    driven: &SimulationOutcome,
+    outcome: &SimulationOutcome,
     image: impl Fn(&PlanningCall) -> Option<String>,
 ) -> String {
     let mut text = format!("# {} · {} · {}\n\n", record.scenario, record.planner, record.challenge);
-    let score = &driven.score;
+    let score = &outcome.score;
+    // Writing to a string cannot fail.
     let _ = writeln!(text, "Scenario type `{}`. Score **{:.4}**.\n", record.scenario_type, score.value);
     text.push_str("| metric | score |\n|---|---|\n");
     for part in &score.parts {
         let _ = writeln!(text, "| `{}` | {:.4} |", part.name, part.score);
     }
-    for call in &driven.calls {
+    for call in &outcome.calls {
         text.push('\n');
-        text.push_str(&call_markdown(call, driven, image(call)));
+        text.push_str(&call_markdown(call, outcome, image(call)));
     }
     text
 }
 
-fn call_markdown(call: &PlanningCall, driven: &SimulationOutcome, image: Option<String>) -> String {
-    let mut text = format!("## {:.1} s (iteration {})\n\n", call.iteration as f64 * STEP_S, call.iteration);
-    if let Some(sample) = driven.log.samples.get(call.iteration) {
+fn call_markdown(call: &PlanningCall, outcome: &SimulationOutcome, image: Option<String>) -> String {
+    let seconds = |iteration: usize| iteration as f64 * STEP_S;
+    let mut text = format!("## {:.1} s (iteration {})\n\n", seconds(call.iteration), call.iteration);
+    if let Some(sample) = outcome.log.samples.get(call.iteration) {
         let _ = writeln!(text, "Ego at {:.1} m/s.\n", sample.ego.speed());
     }
     if let Some(image) = image {
@@ -41,13 +43,13 @@ fn call_markdown(call: &PlanningCall, driven: &SimulationOutcome, image: Option<
     }
     let _ = writeln!(text, "**Decision:** {}.\n", decision_words(&call.decision));
     if let Some(iteration) = call.active_from {
-        let _ = writeln!(text, "Active from {:.1} s on.\n", iteration as f64 * STEP_S);
+        let _ = writeln!(text, "Active from {:.1} s on.\n", seconds(iteration));
     }
     if let Some(iteration) = call.aborted_lane_change {
-        let _ = writeln!(text, "Back to the ego's lane at {:.1} s.\n", iteration as f64 * STEP_S);
+        let _ = writeln!(text, "Lane change aborted at {:.1} s.\n", seconds(iteration));
     }
     if call.emergency_brakes > 0 {
-        let _ = writeln!(text, "The emergency brake overruled it in {} iterations.\n", call.emergency_brakes);
+        let _ = writeln!(text, "The emergency brake acted in {} iterations.\n", call.emergency_brakes);
     }
     let time = CallTimes::of(call);
     let _ = writeln!(
@@ -58,7 +60,7 @@ fn call_markdown(call: &PlanningCall, driven: &SimulationOutcome, image: Option<
     text
 }
 
-/// One attempt: its rounds, its code, its reflection.
+/// One attempt: its rounds, its planner code, the reflection on it.
 pub fn attempt_markdown(attempt: &Attempt) -> String {
     let mut text = String::new();
     for round in &attempt.rounds {
@@ -78,19 +80,19 @@ pub fn attempt_markdown(attempt: &Attempt) -> String {
     text
 }
 
-/// How a planning call ended, in words.
+/// The decision of a planning call in words.
 pub fn decision_words(decision: &Decision) -> String {
     match decision {
-        Decision::Execute(index) => format!("attempt {} drives", index + 1),
-        Decision::Exhausted(index) => format!("all attempts refused; attempt {} drives", index + 1),
+        Decision::Execute(index) => format!("attempt {} is executed", index + 1),
+        Decision::Exhausted(index) => format!("all attempts refused; attempt {} is executed", index + 1),
         Decision::KeepActivePlan(why) => format!("the active plan is kept ({why})"),
         Decision::Brake(why) => format!("brake ({why})"),
-        Decision::Gated(score) => format!("not asked; PDM-Closed drives, whose plan is predicted to score {score:.2}"),
-        Decision::RuleBased(why) => format!("PDM-Closed drives ({why})"),
+        Decision::Gated(score) => format!("call skipped; PDM-Closed plans, with a predicted score of {score:.2}"),
+        Decision::RuleBased(why) => format!("PDM-Closed plans ({why})"),
     }
 }
 
-/// A fenced block, its fence longer than any run of backticks inside.
+/// A fenced block; its fence is longer than any run of backticks inside.
 fn fenced(text: &str) -> String {
     let longest = text.split(|c| c != '`').map(str::len).max().unwrap_or(0);
     let fence = "`".repeat(longest.max(2) + 1);

@@ -385,7 +385,7 @@ pub struct Split {
 }
 
 /// Scenarios that a list names and that do not exist.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MissingTokens {
     /// The list: its name, or its file.
@@ -399,7 +399,7 @@ pub struct MissingTokens {
 }
 
 /// A token that a log holds and that is no scenario of a list.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ExcludedToken {
     pub token: String,

@@ -7,7 +7,9 @@ use std::fmt;
 use std::str::FromStr;
 
 /// nuPlan's three challenges.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
+)]
 pub enum Challenge {
     /// Closed loop with non-reactive agents: they replay the log.
     #[serde(rename = "closed_loop_nonreactive_agents")]

@@ -12,7 +12,7 @@ use tempfile::TempDir;
 /// Scenarios of the run; the page of so many must open at once and fit in a mail.
 const SCENARIOS: usize = 20;
 /// Largest page of such a run, bytes.
-const MOST_BYTES: u64 = 15_000_000;
+const MAX_BYTES: u64 = 15_000_000;
 /// Time in the page's player.
 const NOW: &str = "scenarios.player.time";
 
@@ -30,7 +30,7 @@ fn the_page_of_a_run_plays_scrubs_and_shows_the_call_in_force() {
     let page = out.join("report.html");
     assert_eq!(stdout.trim(), page.to_str().unwrap());
     let bytes = fs::metadata(&page).unwrap().len();
-    assert!(bytes <= MOST_BYTES, "{bytes} bytes");
+    assert!(bytes <= MAX_BYTES, "{bytes} bytes");
 
     let mut browser = Chromium::start(&program);
     tables(&mut browser, &page);

@@ -65,7 +65,7 @@ fn a_run_that_is_killed_again_and_again_ends_like_one_that_is_not() {
     kill_when(spawn(&begin), || killed.is_dir());
     if !killed.join("manifest.toml").is_file() {
         let nothing = refused(&go_on);
-        assert!(nothing.contains("no run to go on with"), "{nothing}");
+        assert!(nothing.contains("holds no run"), "{nothing}");
         kill_when(spawn(&begin), || killed.join("manifest.toml").is_file());
     }
     let mut before = BTreeMap::new();
@@ -123,7 +123,7 @@ fn a_run_is_gone_on_with_only_as_it_was_started() {
     let again = refused(&[&flags[..], &["--out", folder]].concat());
     assert!(again.contains("--resume"), "{again}");
     let nowhere = refused(&["simulate", "--resume", work.path().join("nowhere").to_str().unwrap()]);
-    assert!(nowhere.contains("no run to go on with"), "{nowhere}");
+    assert!(nowhere.contains("holds no run"), "{nowhere}");
 
     // A record of another drive is no record of this one.
     let record = drives(&out)[0].join("record.toml");

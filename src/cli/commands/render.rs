@@ -37,7 +37,7 @@ pub(in crate::cli) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::
                 None => film.sheet(),
             };
             let written = picture.save_with_format(path, image::ImageFormat::Png);
-            written.map_err(|source| RenderError::Image { path: path.clone(), source })?;
+            written.map_err(RenderError::output(path))?;
             path
         }
         (None, None, None) => anyhow::bail!("name the file by --gif, --mp4 or --png"),

@@ -18,7 +18,7 @@ pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::
     }
     let first = flags.runs.first().context("name the folder of a run")?;
     let out = flags.out.clone().unwrap_or_else(|| first.join(PAGE));
-    let settings = PageSettings { most_bytes: (flags.max_mb * MEGABYTE) as usize, scenario: flags.scenario.clone() };
+    let settings = PageSettings { max_bytes: (flags.max_mb * MEGABYTE) as usize, scenario: flags.scenario.clone() };
     let bar = printer.progress(0, "simulations");
     let written = page::write(&flags.runs, &out, &settings, &|done, all| {
         bar.set_length(all as u64);

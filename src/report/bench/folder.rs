@@ -1,8 +1,8 @@
 //! The folder of a bench: `metadata.json`, `rows.jsonl`, and at the end `figures.json` and `table.md`.
 
 use crate::experiment::bench::Row;
-use crate::report::ReportError;
 use crate::report::atomic;
+use crate::report::{ReportError, ReportFault};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fs;
@@ -48,9 +48,9 @@ impl BenchFolder {
     pub fn create(path: &Path, metadata: &BenchMetadata) -> Result<Self, ReportError> {
         atomic::folder(path)?;
         if fs::read_dir(path).map_err(ReportError::read(path))?.next().is_some() {
-            return Err(ReportError::NotEmpty(path.to_owned()));
+            return Err(ReportError::at(path)(ReportFault::NotEmpty));
         }
-        atomic::write(&path.join(METADATA), &json(metadata)?)?;
+        atomic::write(&path.join(METADATA), &json(path, metadata)?)?;
         Ok(Self { path: path.to_owned(), rows: Vec::new() })
     }
 
@@ -70,7 +70,7 @@ impl BenchFolder {
             })
             .collect();
         if !differences.is_empty() {
-            return Err(ReportError::Differs { path: path.to_owned(), differences });
+            return Err(ReportError::at(path)(ReportFault::Differs(differences)));
         }
         let file = path.join(ROWS);
         // A model that failed is tried again.
@@ -111,7 +111,7 @@ impl BenchFolder {
         self.rows.extend_from_slice(rows);
         let mut text = Vec::new();
         for row in &self.rows {
-            serde_json::to_writer(&mut text, row)?;
+            serde_json::to_writer(&mut text, row).map_err(ReportError::at(&self.path))?;
             text.push(b'\n');
         }
         atomic::write(&self.path.join(ROWS), &text)
@@ -122,25 +122,22 @@ impl BenchFolder {
     /// # Errors
     /// When they cannot be written.
     pub fn finish(&self, figures: &impl Serialize, table: &str) -> Result<(), ReportError> {
-        atomic::write(&self.path.join(FIGURES), &json(figures)?)?;
+        atomic::write(&self.path.join(FIGURES), &json(&self.path, figures)?)?;
         atomic::write(&self.path.join(TABLE), table.as_bytes())
     }
 }
 
-fn json(value: &impl Serialize) -> Result<Vec<u8>, ReportError> {
-    let mut text = serde_json::to_vec_pretty(value)?;
+fn json(place: &Path, value: &impl Serialize) -> Result<Vec<u8>, ReportError> {
+    let mut text = serde_json::to_vec_pretty(value).map_err(ReportError::at(place))?;
     text.push(b'\n');
     Ok(text)
 }
 
 fn read_json(path: &Path) -> Result<BenchMetadata, ReportError> {
     let text = fs::read_to_string(path).map_err(ReportError::read(path))?;
-    serde_json::from_str(&text).map_err(|source| ReportError::ParseJson { path: path.to_owned(), source })
+    serde_json::from_str(&text).map_err(ReportError::at(path))
 }
 
 fn parse_rows(path: &Path, text: &str) -> Result<Vec<Row>, ReportError> {
-    serde_json::Deserializer::from_str(text)
-        .into_iter()
-        .collect::<Result<_, _>>()
-        .map_err(|source| ReportError::ParseJson { path: path.to_owned(), source })
+    serde_json::Deserializer::from_str(text).into_iter().collect::<Result<_, _>>().map_err(ReportError::at(path))
 }

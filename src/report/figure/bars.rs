@@ -1,12 +1,12 @@
-//! A bar a variant in each scenario type.
+//! Scores by scenario type, with a bar for each variant.
 
 use super::panel;
-use super::svg::{Anchor, Picture, Scale, colour};
+use super::svg::{Anchor, Picture, Scale, color};
 use crate::report::{StudyResults, SuiteResults, TypeResults};
 use crate::simulation::Challenge;
 
 const WIDTH: f64 = 980.0;
-/// Columns: names, then a panel a challenge. The longest name of a type has 54 letters.
+/// Columns: names, then a panel for each challenge. The longest type has 54 letters.
 const NAMES: f64 = 350.0;
 const GAP: f64 = 36.0;
 /// Rows.
@@ -35,7 +35,7 @@ pub(super) fn draw(results: &StudyResults, suite: &SuiteResults) -> String {
             for (series, variant) in suite.variants.iter().enumerate() {
                 let y = TOP + group * place as f64 + BAR * series as f64;
                 if let Some(score) = score(&variant.scenario_types, &kind.scenario_type, challenge) {
-                    picture.bar([left, y], [scale.at(score) - left, BAR - 1.0], colour(series));
+                    picture.bar([left, y], [scale.at(score) - left, BAR - 1.0], color(series));
                 }
             }
         }
@@ -43,7 +43,7 @@ pub(super) fn draw(results: &StudyResults, suite: &SuiteResults) -> String {
     let legend = bottom + 44.0;
     for (series, variant) in suite.variants.iter().enumerate() {
         let x = NAMES + 140.0 * series as f64;
-        picture.bar([x, legend - 9.0], [12.0, BAR], colour(series));
+        picture.bar([x, legend - 9.0], [12.0, BAR], color(series));
         picture.text([x + 18.0, legend], Anchor::Start, "faint", &variant.name);
     }
     picture.finish(legend + 16.0, &title)

@@ -1,13 +1,13 @@
-//! Differences to the reference with their intervals, a line a variant; the paper's as hollow points.
+//! Differences to the reference with their intervals, a row for each variant; the paper's differences are hollow points.
 
 use super::panel;
-use super::svg::{Anchor, Picture, Scale, colour};
+use super::svg::{Anchor, Picture, Scale, color};
 use crate::experiment::study::Study;
 use crate::report::{ChallengeResults, StudyResults, SuiteResults};
 use crate::simulation::Challenge;
 
 const WIDTH: f64 = 880.0;
-/// Columns: names, then a panel a challenge.
+/// Columns: names, then a panel for each challenge.
 const NAMES: f64 = 310.0;
 const GAP: f64 = 30.0;
 /// Rows.
@@ -43,21 +43,21 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults) 
             let Some(result) = result else { continue };
             let y = TOP + ROW * (place as f64 + 0.5);
             if let Some(difference) = result.difference {
-                picture.line(&[[scale.at(difference.low), y], [scale.at(difference.high), y]], colour(0), false);
-                picture.point([scale.at(difference.mean), y], colour(0), false);
+                picture.line(&[[scale.at(difference.low), y], [scale.at(difference.high), y]], color(0), false);
+                picture.point([scale.at(difference.mean), y], color(0), false);
             }
             if let Some(paper) = result.paper_difference {
-                picture.point([scale.at(paper), y], colour(1), true);
+                picture.point([scale.at(paper), y], color(1), true);
             }
         }
     }
     let legend = bottom + 44.0;
-    picture.point([NAMES, legend - 4.0], colour(0), false);
+    picture.point([NAMES, legend - 4.0], color(0), false);
     picture.text([NAMES + 12.0, legend], Anchor::Start, "faint", "here, with its 95 % interval");
     let of_paper =
         shown.iter().flat_map(|(_, variant)| &variant.challenges).any(|result| result.paper_difference.is_some());
     if let Some(benchmark) = suite.benchmark.filter(|_| of_paper) {
-        picture.point([NAMES + 220.0, legend - 4.0], colour(1), true);
+        picture.point([NAMES + 220.0, legend - 4.0], color(1), true);
         let text = format!("the paper, nuPlan {}", benchmark.name());
         picture.text([NAMES + 232.0, legend], Anchor::Start, "faint", &text);
     }

@@ -1,7 +1,7 @@
-//! Scores over a quantity that the variants differ in; the paper's as dashed lines.
+//! Scores over a quantity in which the variants differ; the paper's scores are dashed lines.
 
 use super::panel;
-use super::svg::{Anchor, Picture, Scale, colour};
+use super::svg::{Anchor, Picture, Scale, color};
 use crate::experiment::study::Study;
 use crate::report::{StudyResults, SuiteResults};
 use crate::simulation::Challenge;
@@ -13,10 +13,10 @@ const RIGHT: f64 = 610.0;
 const TOP: f64 = 44.0;
 const BOTTOM: f64 = 300.0;
 
-/// A curve: the value of each variant that has one.
+/// A curve through the variants that have a value.
 struct Curve {
     name: String,
-    colour: &'static str,
+    color: &'static str,
     paper: bool,
     points: Vec<[f64; 2]>,
 }
@@ -34,18 +34,18 @@ pub(super) fn draw(study: &Study, results: &StudyResults, suite: &SuiteResults, 
     picture.text([f64::midpoint(LEFT, RIGHT), BOTTOM + 38.0], Anchor::Middle, "", axis);
     for (place, curve) in curves.iter().enumerate() {
         let points: Vec<[f64; 2]> = curve.points.iter().map(|[x, y]| [across.at(*x), up.at(*y)]).collect();
-        picture.line(&points, curve.colour, curve.paper);
+        picture.line(&points, curve.color, curve.paper);
         for point in points {
-            picture.point(point, curve.colour, curve.paper);
+            picture.point(point, curve.color, curve.paper);
         }
         let [x, y] = [LEFT + 280.0 * (place % 2) as f64, BOTTOM + 64.0 + 20.0 * (place / 2) as f64];
-        picture.point([x, y - 4.0], curve.colour, curve.paper);
+        picture.point([x, y - 4.0], curve.color, curve.paper);
         picture.text([x + 12.0, y], Anchor::Start, "faint", &curve.name);
     }
     picture.finish(HEIGHT, &title)
 }
 
-/// Ours and the paper's of each challenge.
+/// Our curve and the paper's for each challenge.
 fn curves(study: &Study, suite: &SuiteResults) -> Vec<Curve> {
     let mut curves = Vec::new();
     for (series, challenge) in Challenge::CLOSED_LOOP.into_iter().enumerate() {
@@ -65,7 +65,7 @@ fn curves(study: &Study, suite: &SuiteResults) -> Vec<Curve> {
                 _ => String::new(),
             };
             let name = format!("{}{source}", panel(challenge));
-            curves.push(Curve { name, colour: colour(series), paper, points });
+            curves.push(Curve { name, color: color(series), paper, points });
         }
     }
     curves

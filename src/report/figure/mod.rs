@@ -9,16 +9,16 @@ use crate::experiment::study::{Figure, Study};
 use crate::report::StudyResults;
 use crate::simulation::Challenge;
 
-/// Heads of panels.
+/// Titles of the panels.
 fn panel(challenge: Challenge) -> &'static str {
     match challenge {
-        Challenge::NonReactive => "NR: replayed traffic",
-        Challenge::Reactive => "R: reactive traffic",
+        Challenge::NonReactive => "NR: non-reactive agents",
+        Challenge::Reactive => "R: reactive agents",
         Challenge::OpenLoop => "open loop",
     }
 }
 
-/// The figures of a study, one a suite: file name and text.
+/// The figures of a study, one for each suite: file name and text.
 pub(super) fn figures(study: &Study, results: &StudyResults) -> Vec<(String, String)> {
     let draw = |suite| match study.figure {
         Figure::Differences => differences::draw(study, results, suite),

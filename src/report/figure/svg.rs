@@ -1,47 +1,41 @@
-//! A picture of lines, points and words.
+//! An SVG picture of lines, points and text.
 
 use std::fmt::Write as _;
 
-/// Series are drawn in these, in their order: blue, orange, green, purple of Okabe and Ito's palette, which colour-blind readers
-/// can tell apart.
+/// Colors of the series: blue, orange, green, purple of Okabe and Ito's palette, which color-blind readers can tell apart.
 const SERIES: [&str; 4] = ["#0072b2", "#d98200", "#009e73", "#b0558d"];
 
-/// Words, lines and grounds by class, in light and in dark.
+/// Colors of text, lines and background, in light and dark.
 const STYLE: &str = "text{font:12px system-ui,sans-serif;fill:#24292f}.head{font-weight:600}.faint{fill:#6e7781}\
                      .ground{fill:#fff}.rule{stroke:#d0d7de}.axis{stroke:#8c959f}\
                      @media(prefers-color-scheme:dark){text{fill:#e6edf3}.faint{fill:#8d96a0}.ground{fill:#0d1117}\
                      .rule{stroke:#30363d}.axis{stroke:#6e7681}}";
 
-/// Where a text stands from its point.
+/// Where a text stands relative to its point.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Anchor {
-    /// To its right.
     Start,
-    /// Around it.
     Middle,
-    /// To its left.
     End,
 }
 
-/// A picture that is being drawn; pixels, y downwards.
+/// A picture in progress; pixels, y downwards.
 pub(super) struct Picture {
     width: f64,
     body: String,
 }
 
-/// The values that an axis shows, and where they lie.
+/// The value range of an axis and its pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Scale {
-    /// First and last value.
     values: [f64; 2],
-    /// Their pixels.
     pixels: [f64; 2],
-    /// Between two ticks.
+    /// Value between two ticks.
     step: f64,
 }
 
-/// The colour of a series.
-pub(super) fn colour(series: usize) -> &'static str {
+/// The color of a series.
+pub(super) fn color(series: usize) -> &'static str {
     SERIES.get(series % SERIES.len()).copied().unwrap_or(SERIES[0])
 }
 
@@ -50,7 +44,7 @@ impl Picture {
         Self { width, body: String::new() }
     }
 
-    /// The file, so many pixels high.
+    /// The file with this height.
     pub(super) fn finish(self, height: f64, title: &str) -> String {
         let (width, body) = (self.width, self.body);
         format!(
@@ -82,32 +76,29 @@ impl Picture {
         self.add(&format!("<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" class=\"{class}\"/>"));
     }
 
-    /// A line through points in a colour; `dashed` for what is not ours.
-    pub(super) fn line(&mut self, points: &[[f64; 2]], colour: &str, dashed: bool) {
+    /// A line through points in a color; `dashed` for the paper.
+    pub(super) fn line(&mut self, points: &[[f64; 2]], color: &str, dashed: bool) {
         let mut path = String::new();
         for [x, y] in points {
-            // Writing to a text cannot fail.
+            // Writing to a string cannot fail.
             let _ = write!(path, "{x:.1},{y:.1} ");
         }
         let dash = if dashed { " stroke-dasharray=\"4 4\"" } else { "" };
         let points = path.trim_end();
+        self.add(&format!("<polyline points=\"{points}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"2\"{dash}/>"));
+    }
+
+    /// A point; hollow for the paper.
+    pub(super) fn point(&mut self, [x, y]: [f64; 2], color: &str, hollow: bool) {
+        let fill = if hollow { "none" } else { color };
         self.add(&format!(
-            "<polyline points=\"{points}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\"{dash}/>"
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{fill}\" stroke=\"{color}\" stroke-width=\"1.5\"/>"
         ));
     }
 
-    /// A point; hollow for what is not ours.
-    pub(super) fn point(&mut self, [x, y]: [f64; 2], colour: &str, hollow: bool) {
-        let fill = if hollow { "none" } else { colour };
+    pub(super) fn bar(&mut self, [x, y]: [f64; 2], [width, height]: [f64; 2], color: &str) {
         self.add(&format!(
-            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{fill}\" stroke=\"{colour}\" stroke-width=\"1.5\"/>"
-        ));
-    }
-
-    /// A bar.
-    pub(super) fn bar(&mut self, [x, y]: [f64; 2], [width, height]: [f64; 2], colour: &str) {
-        self.add(&format!(
-            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{colour}\"/>"
+            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{color}\"/>"
         ));
     }
 
@@ -175,7 +166,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn scales_hold_their_values_and_end_at_ticks() {
+    fn scales_cover_their_values_and_end_at_ticks() {
         let scale = Scale::of([-3.2, 7.9], [100.0, 200.0]);
         let ticks: Vec<String> = scale.ticks().map(|(_, label)| label).collect();
         assert_eq!(ticks, ["-5", "0", "5", "10"]);
@@ -189,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn words_cannot_break_the_file() {
+    fn text_is_escaped() {
         let mut picture = Picture::new(10.0);
         picture.text([0.0, 0.0], Anchor::Start, "", "a < b & c");
         assert!(picture.finish(10.0, "<t>").contains("a &lt; b &amp; c"));

@@ -1,11 +1,11 @@
-//! The page around the data: markup, styles and scripts, put together from the files beside this one.
+//! The page around the data: markup, styles and scripts from the files in `assets/`.
 
-/// The markup, with places for the rest in double braces.
+/// The markup, with placeholders in double braces.
 const MARKUP: &str = include_str!("assets/page.html");
-/// Styles in their order.
+/// Styles, in order.
 const STYLES: [&str; 3] =
     [include_str!("assets/theme.css"), include_str!("assets/overview.css"), include_str!("assets/scenarios.css")];
-/// Scripts in their order: later ones use earlier ones.
+/// Scripts, in order: later ones use earlier ones.
 const SCRIPTS: [&str; 12] = [
     include_str!("assets/dom.js"),
     include_str!("assets/data.js"),
@@ -21,12 +21,12 @@ const SCRIPTS: [&str; 12] = [
     include_str!("assets/main.js"),
 ];
 
-/// Bytes of everything but the data.
+/// Size without the data, bytes.
 pub(super) fn size() -> usize {
     MARKUP.len() + STYLES.concat().len() + SCRIPTS.concat().len()
 }
 
-/// The page; `data` is markup already.
+/// The page; `data` is markup.
 pub(super) fn page(title: &str, data: &str) -> String {
     let parts = [
         ("{{title}}", escaped(title)),
@@ -34,7 +34,7 @@ pub(super) fn page(title: &str, data: &str) -> String {
         ("{{script}}", SCRIPTS.concat()),
         ("{{data}}", data.to_owned()),
     ];
-    // The data comes last: nothing is looked for in it.
+    // The data comes last, so no placeholder is searched in it.
     parts.iter().fold(MARKUP.to_owned(), |page, (place, text)| page.replacen(place, text, 1))
 }
 
@@ -47,11 +47,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_page_asks_for_nothing_else() {
+    fn the_page_requests_nothing_else() {
         let page = page("runs & <more>", "<script id=\"x\">{{script}}</script>");
         assert!(page.contains("<title>runs &amp; &lt;more></title>") && page.contains("id=\"x\">{{script}}<"));
         assert!(!page.contains("{{style}}") && !page.contains("{{data}}"));
-        // The namespace of SVG is a name, not an address that is asked.
+        // The namespace of SVG is a name that no browser requests.
         let page = page.replace("http://www.w3.org/2000/svg", "");
         for word in ["http:", "https:", "@import", "url(", "src=\"", "eval("] {
             assert!(!page.contains(word), "the page has {word}");

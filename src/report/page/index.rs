@@ -1,30 +1,29 @@
-//! The index of a page: runs, metrics, drives with their scores, means and times.
+//! The index of a page: runs, metrics, simulations, means and times.
 
-use super::simulation::{SimulationParts, four_figures};
+use super::simulation::{SimulationParts, four_digits};
 use super::source::RunSimulations;
 use crate::metrics::{MetricList, MetricSpec, Role};
 use crate::report::simulation_row::SimulationRow;
-use crate::report::summary::{Aggregate, Summary, distinct};
+use crate::report::summary::{Aggregate, ScenarioSummary, Summary, distinct};
 use crate::report::timing::PlannerTiming;
-use crate::simulation::Challenge;
 use crate::world::PACIFICA;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// All but the replays.
+/// Everything but statistics and replays.
 #[derive(Debug, Serialize)]
 pub(super) struct Index {
     vehicle: Vehicle,
     runs: Vec<RunEntry>,
     metrics: Vec<MetricEntry>,
     pub(super) simulations: Vec<SimulationEntry>,
-    aggregates: Vec<AggregateEntry>,
-    timings: Vec<TimingEntry>,
-    /// Drives that can be watched.
+    aggregates: Vec<OfRun<Aggregate>>,
+    timings: Vec<OfRun<PlannerTiming>>,
+    /// Number of simulations with a replay in the page.
     pub(super) replays: usize,
 }
 
-/// Measures of the ego, metres.
+/// Dimensions of the ego, meters.
 #[derive(Debug, Serialize)]
 struct Vehicle {
     length: f64,
@@ -41,7 +40,7 @@ struct RunEntry {
     seed: Option<f64>,
     /// λ.
     threshold: Option<f64>,
-    /// Drives that have ended, and those that there will be.
+    /// Completed simulations, and all of the run.
     simulations: usize,
     planned: usize,
 }
@@ -49,26 +48,20 @@ struct RunEntry {
 #[derive(Debug, Serialize)]
 struct MetricEntry {
     name: &'static str,
+    label: &'static str,
     list: MetricList,
-    /// None for a multiplier.
+    /// The weight; none for a multiplier.
     weight: Option<f64>,
 }
 
-/// A drive; runs are named by their place in [`Index::runs`].
+/// A simulation; `run` is an index into [`Index::runs`].
 #[derive(Debug, Serialize)]
 pub(super) struct SimulationEntry {
     run: usize,
     number: usize,
-    pub(super) scenario: String,
-    #[serde(rename = "type")]
-    scenario_type: String,
-    planner: String,
-    challenge: Challenge,
-    score: Option<f64>,
-    error: Option<String>,
-    zeroed_by: Vec<String>,
-    metrics: BTreeMap<String, Option<f64>>,
-    /// Number of the element that holds its replay, of that with its map, and of that with its pictures.
+    #[serde(flatten)]
+    pub(super) summary: ScenarioSummary,
+    /// Numbers of the elements with its replay, its map and its images.
     pub(super) replay: Option<usize>,
     pub(super) map: Option<usize>,
     pub(super) images: Option<usize>,
@@ -76,35 +69,27 @@ pub(super) struct SimulationEntry {
     pub(super) absent: Option<Absent>,
 }
 
-/// Why a drive cannot be watched.
+/// Why a simulation has no replay in the page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Absent {
-    /// The run kept no replay.
+    /// The run has no replay.
     Run,
-    /// Replays of other scenarios were asked for.
+    /// Only replays of other scenarios were requested.
     Scenario,
-    /// The page would have grown too large.
+    /// The page would be too large.
     Size,
 }
 
+/// A value of the run with the index `run`.
 #[derive(Debug, Serialize)]
-struct AggregateEntry {
+struct OfRun<T> {
     run: usize,
     #[serde(flatten)]
-    aggregate: Aggregate,
+    value: T,
 }
 
-#[derive(Debug, Serialize)]
-struct TimingEntry {
-    run: usize,
-    planner: String,
-    step_ms: Option<f64>,
-    call_p50_ms: Option<f64>,
-    call_p95_ms: Option<f64>,
-}
-
-/// The statistics of all drives: a column a statistic, a row a drive in the order of [`Index::drives`].
+/// The statistics: a column each, with a row for each simulation in the order of [`Index::simulations`].
 #[derive(Debug, Serialize)]
 pub(super) struct Statistics {
     columns: Vec<Column>,
@@ -120,14 +105,22 @@ struct Column {
 }
 
 impl Index {
-    /// The index of runs; no drive names a replay yet.
+    /// The index of runs, without the elements of the replays.
     pub(super) fn of(runs: &[RunSimulations], parts: &[SimulationParts], wanted: impl Fn(&str) -> bool) -> Self {
-        let rows =
-            runs.iter().enumerate().flat_map(|(run, simulations)| simulations.rows.iter().map(move |row| (run, row)));
-        let absent = |row: &SimulationRow, parts: &SimulationParts| match (parts.was_kept, wanted(&row.scenario)) {
+        let rows = runs.iter().enumerate().flat_map(|(run, of_run)| of_run.rows.iter().map(move |row| (run, row)));
+        let absent = |row: &SimulationRow, parts: &SimulationParts| match (parts.has_replay, wanted(&row.scenario)) {
             (false, _) => Some(Absent::Run),
             (true, false) => Some(Absent::Scenario),
             (true, true) => None,
+        };
+        let entry = |((run, row), part): ((usize, &SimulationRow), _)| SimulationEntry {
+            run,
+            number: row.number,
+            summary: ScenarioSummary::from(row),
+            replay: None,
+            map: None,
+            images: None,
+            absent: absent(row, part),
         };
         Self {
             vehicle: Vehicle {
@@ -137,19 +130,20 @@ impl Index {
             },
             runs: runs.iter().map(RunEntry::of).collect(),
             metrics: metrics(),
-            simulations: rows
-                .zip(parts)
-                .map(|((run, row), part)| SimulationEntry::of(run, row, absent(row, part)))
-                .collect(),
-            aggregates: runs
-                .iter()
-                .enumerate()
-                .flat_map(|(run, simulations)| aggregates(run, &simulations.rows))
-                .collect(),
-            timings: runs.iter().enumerate().flat_map(|(run, simulations)| timings(run, &simulations.rows)).collect(),
+            simulations: rows.zip(parts).map(entry).collect(),
+            aggregates: of_runs(runs, aggregates),
+            timings: of_runs(runs, timings),
             replays: 0,
         }
     }
+}
+
+/// The values of each run.
+fn of_runs<T>(runs: &[RunSimulations], values: fn(&[SimulationRow]) -> Vec<T>) -> Vec<OfRun<T>> {
+    let of_run = |(run, simulations): (usize, &RunSimulations)| {
+        values(&simulations.rows).into_iter().map(move |value| OfRun { run, value })
+    };
+    runs.iter().enumerate().flat_map(of_run).collect()
 }
 
 impl RunEntry {
@@ -167,30 +161,10 @@ impl RunEntry {
     }
 }
 
-impl SimulationEntry {
-    fn of(run: usize, row: &SimulationRow, absent: Option<Absent>) -> Self {
-        Self {
-            run,
-            number: row.number,
-            scenario: row.scenario.clone(),
-            scenario_type: row.scenario_type.clone(),
-            planner: row.planner.clone(),
-            challenge: row.challenge,
-            score: row.score,
-            error: row.error.clone(),
-            zeroed_by: row.zeroed_by.clone(),
-            metrics: row.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect(),
-            replay: None,
-            map: None,
-            images: None,
-            absent,
-        }
-    }
-}
-
 fn metrics() -> Vec<MetricEntry> {
     let entry = |list, metric: &MetricSpec| MetricEntry {
         name: metric.name,
+        label: metric.label,
         list,
         weight: match metric.role {
             Role::Weight(weight) => Some(weight),
@@ -201,28 +175,17 @@ fn metrics() -> Vec<MetricEntry> {
     of(MetricList::ClosedLoop).chain(of(MetricList::OpenLoop)).collect()
 }
 
-fn aggregates(run: usize, rows: &[SimulationRow]) -> Vec<AggregateEntry> {
+fn aggregates(rows: &[SimulationRow]) -> Vec<Aggregate> {
     let summary = Summary::new(0, None, &[], rows);
-    let all = summary.aggregates.into_iter().chain(summary.scenario_types);
-    all.map(|aggregate| AggregateEntry { run, aggregate }).collect()
+    summary.aggregates.into_iter().chain(summary.scenario_types).collect()
 }
 
-fn timings(run: usize, rows: &[SimulationRow]) -> Vec<TimingEntry> {
+fn timings(rows: &[SimulationRow]) -> Vec<PlannerTiming> {
     let planners = distinct(rows.iter().map(|row| row.planner.as_str()));
-    let entry = |planner: &str| {
-        let timing = PlannerTiming::of(planner, rows);
-        TimingEntry {
-            run,
-            planner: timing.planner,
-            step_ms: timing.mean_iteration_ms,
-            call_p50_ms: timing.planning_call_ms.map(|call| call.p50),
-            call_p95_ms: timing.planning_call_ms.map(|call| call.p95),
-        }
-    };
-    planners.into_iter().map(entry).collect()
+    planners.into_iter().map(|planner| PlannerTiming::of(planner, rows)).collect()
 }
 
-/// The statistics of drives.
+/// The statistics of simulations.
 pub(super) fn statistics(parts: &[SimulationParts]) -> Statistics {
     let mut places: BTreeMap<(&str, &str), usize> = BTreeMap::new();
     let mut columns = Vec::new();
@@ -241,7 +204,7 @@ pub(super) fn statistics(parts: &[SimulationParts]) -> Statistics {
         let mut row = vec![None; columns.len()];
         for (metric, _, statistic) in &part.statistics {
             if let Some(&place) = places.get(&(metric.as_str(), statistic.name.as_str())) {
-                row[place] = four_figures(statistic.value);
+                row[place] = four_digits(statistic.value);
             }
         }
         row

@@ -1,5 +1,7 @@
-//! The page of runs: one HTML file with nuBoard's three views, Overview, Histograms and Scenarios. It opens from the disk and
-//! asks nothing of the network. Tables and replays lie in it as compressed JSON; the scripts beside this file draw them.
+//! The page of runs: one HTML file with nuBoard's three views, Overview, Histograms and Scenarios.
+//!
+//! The page opens from the disk and makes no network request. It holds tables and replays as compressed JSON, which the scripts
+//! in `assets/` draw.
 
 mod assets;
 mod index;
@@ -7,7 +9,7 @@ mod simulation;
 mod source;
 
 use super::atomic;
-use super::error::ReportError;
+use super::error::{ReportError, ReportFault};
 use super::replay::packed;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -20,75 +22,73 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Most bytes of a page unless told otherwise: what a browser opens without a wait, and a mail may carry.
-pub const MOST_BYTES: usize = 15_000_000;
-/// Bytes by which naming its elements lengthens the packed index, a drive.
-const NAMES_BYTES: usize = 8;
-/// Name of the page in the folder of its run.
-pub const PAGE: &str = "report.html";
+pub use super::layout::PAGE;
 
-/// What goes into a page.
+/// Default maximum size of a page, bytes: a browser opens it at once, and most mail servers accept it.
+pub const DEFAULT_MAX_BYTES: usize = 15_000_000;
+/// Bytes that the element numbers of one simulation add to the packed index.
+const NUMBERS_BYTES: usize = 8;
+
+/// Settings of a page.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PageSettings {
-    /// Most bytes of the page: replays that do not fit in are left out, whole scenarios at a time, and the page says so.
-    pub most_bytes: usize,
-    /// Only replays of scenarios that have this in their name; tables and histograms are always of all drives.
+    /// Maximum size, bytes. Scenarios whose replays do not fit have no replay, and the page says so.
+    pub max_bytes: usize,
+    /// Only replays of scenarios with this in their name; tables and histograms include all simulations.
     pub scenario: Option<String>,
 }
 
 impl Default for PageSettings {
     fn default() -> Self {
-        Self { most_bytes: MOST_BYTES, scenario: None }
+        Self { max_bytes: DEFAULT_MAX_BYTES, scenario: None }
     }
 }
 
-/// What a page holds.
+/// The contents of a page.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct PageContents {
-    /// Where it is.
     pub page: PathBuf,
-    /// Its size.
+    /// Its size, bytes.
     pub bytes: usize,
-    /// Drives in its tables.
+    /// Simulations in its tables.
     pub simulations: usize,
-    /// Drives that can be watched.
+    /// Simulations with a replay.
     pub replays: usize,
-    /// Drives whose run kept no replay.
+    /// Simulations whose run has no replay.
     pub without_replay: usize,
 }
 
-/// Writes a page of runs to `out`; several runs are compared. `on_simulation(done, all)` is called after each drive that was read.
+/// Writes a page of one or more runs to `out`. Calls `on_simulation(done, all)` after it has read a simulation.
 ///
 /// # Errors
-/// When a folder holds no run or no drive, a file of it cannot be read, or the page cannot be written.
+/// When a folder holds no run or no completed simulation, a file cannot be read, or the page cannot be written.
 pub fn write(
-    runs: &[PathBuf],
+    folders: &[PathBuf],
     out: &Path,
     settings: &PageSettings,
     on_simulation: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<PageContents, ReportError> {
-    let runs = RunSimulations::read_all(runs)?;
+    let runs = RunSimulations::read_all(folders)?;
     let wanted = |scenario: &str| settings.scenario.as_ref().is_none_or(|part| scenario.contains(part.as_str()));
     if let Some(part) = &settings.scenario
         && !runs.iter().flat_map(|run| &run.rows).any(|row| wanted(&row.scenario))
     {
-        return Err(ReportError::NoScenario(part.clone()));
+        let place = folders.first().map_or(out, PathBuf::as_path);
+        return Err(ReportError::at(place)(ReportFault::NoScenario(part.clone())));
     }
     let done = AtomicUsize::new(0);
-    let all = runs.iter().map(|run| run.rows.len()).sum();
-    let simulations: Vec<(usize, usize)> =
-        runs.iter().enumerate().flat_map(|(r, run)| (0..run.rows.len()).map(move |i| (r, i))).collect();
+    let simulations: Vec<_> = runs.iter().flat_map(|run| run.rows.iter().map(move |row| (run, row))).collect();
+    let all = simulations.len();
     let parts: Vec<SimulationParts> = simulations
         .par_iter()
-        .map(|&(run, i)| {
-            let (run, row) = (&runs[run], &runs[run].rows[i]);
+        .map(|(run, row)| {
             let parts = SimulationParts::read(&run.folders[&row.number], row, wanted(&row.scenario))?;
             on_simulation(done.fetch_add(1, Ordering::Relaxed) + 1, all);
             Ok(parts)
         })
         .collect::<Result<_, ReportError>>()?;
     let mut index = Index::of(&runs, &parts, wanted);
-    let data = data(&mut index, &parts, settings.most_bytes)?;
+    let data = data(out, &mut index, &parts, settings.max_bytes)?;
     let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
     let page = assets::page(&format!("PlanAgent: {}", names.join(", ")), &data);
     atomic::write(out, page.as_bytes())?;
@@ -102,26 +102,26 @@ pub fn write(
     })
 }
 
-/// The data elements of the page; the index says what of it is there.
-fn data(index: &mut Index, parts: &[SimulationParts], most_bytes: usize) -> Result<String, ReportError> {
-    let statistics = element("statistics", &text(&index::statistics(parts))?);
-    let taken = assets::size() + statistics.len() + text(index)?.len() + NAMES_BYTES * parts.len();
-    let mut elements = Elements { text: statistics, left: most_bytes.saturating_sub(taken) };
+/// The data elements of the page; sets the element numbers in the index.
+fn data(out: &Path, index: &mut Index, parts: &[SimulationParts], max_bytes: usize) -> Result<String, ReportError> {
+    let statistics = element("statistics", &text(out, &index::statistics(parts))?);
+    let taken = assets::size() + statistics.len() + text(out, index)?.len() + NUMBERS_BYTES * parts.len();
+    let mut elements = Elements { text: statistics, left: max_bytes.saturating_sub(taken) };
     add_replays(index, parts, &mut elements);
     add_images(index, parts, &mut elements);
     index.replays = index.simulations.iter().filter(|simulation| simulation.replay.is_some()).count();
-    elements.text.push_str(&element("index", &text(index)?));
+    elements.text.push_str(&element("index", &text(out, index)?));
     Ok(elements.text)
 }
 
-/// Data elements within a number of bytes.
+/// Data elements within a size limit.
 struct Elements {
     text: String,
     left: usize,
 }
 
 impl Elements {
-    /// Adds what still fits; says whether it did.
+    /// Adds `more` if it fits, and returns whether it did.
     fn add(&mut self, more: &str) -> bool {
         let fits = more.len() <= self.left;
         if fits {
@@ -132,12 +132,12 @@ impl Elements {
     }
 }
 
-/// Adds the replays, scenario by scenario: who compares planners wants all of them or none.
+/// Adds the replays of whole scenarios, so that all planners of a scenario can be compared.
 fn add_replays(index: &mut Index, parts: &[SimulationParts], elements: &mut Elements) {
     let mut first: BTreeMap<&str, usize> = BTreeMap::new();
     let mut scenarios: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (i, simulation) in index.simulations.iter().enumerate() {
-        scenarios.entry(*first.entry(&simulation.scenario).or_insert(i)).or_default().push(i);
+        scenarios.entry(*first.entry(&simulation.summary.id).or_insert(i)).or_default().push(i);
     }
     let mut maps: BTreeMap<&str, usize> = BTreeMap::new();
     for simulations in scenarios.into_values() {
@@ -167,7 +167,7 @@ fn add_replays(index: &mut Index, parts: &[SimulationParts], elements: &mut Elem
     }
 }
 
-/// Adds the pictures that the model saw to the replays that are there.
+/// Adds the model's images to the replays of the page.
 fn add_images(index: &mut Index, parts: &[SimulationParts], elements: &mut Elements) {
     for (i, (simulation, part)) in index.simulations.iter_mut().zip(parts).enumerate() {
         let images = part.replay.as_ref().and_then(|replay| replay.images.as_ref());
@@ -179,10 +179,10 @@ fn add_images(index: &mut Index, parts: &[SimulationParts], elements: &mut Eleme
     }
 }
 
-/// A value as the page unpacks it: base64 of gzip of JSON.
-fn text(value: &impl Serialize) -> Result<String, ReportError> {
-    let bytes = packed(&serde_json::to_vec(value)?).map_err(serde_json::Error::io)?;
-    Ok(STANDARD.encode(bytes))
+/// A value as base64 of gzip of JSON; `place` is for the error.
+fn text(place: &Path, value: &impl Serialize) -> Result<String, ReportError> {
+    let json = serde_json::to_vec(value).map_err(ReportError::at(place))?;
+    Ok(STANDARD.encode(packed(&json).map_err(ReportError::write(place))?))
 }
 
 fn element(id: &str, text: &str) -> String {

@@ -1,11 +1,12 @@
-//! What a page holds of one drive: its statistics for the histograms and, packed, its replay with calls and time series.
+//! The parts of one simulation: statistics for the histograms and, packed, the replay with calls and time series.
 
 use super::text;
 use crate::metrics::{MetricResult, Statistic};
 use crate::report::call_record::calls_in;
 use crate::report::error::ReportError;
+use crate::report::layout::bev_name;
 use crate::report::replay::Replay;
-use crate::report::run_folder::{RunFolder, bev_name};
+use crate::report::simulation_folder;
 use crate::report::simulation_row::SimulationRow;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -14,29 +15,29 @@ use serde_json::{Map, Value};
 use std::fs;
 use std::path::Path;
 
-/// The parts of a drive.
+/// The parts of a simulation.
 #[derive(Debug)]
 pub(super) struct SimulationParts {
-    /// Statistics with their metric.
+    /// Statistics with metric and category.
     pub(super) statistics: Vec<(String, &'static str, Statistic)>,
-    /// The replay, if the run kept one and the page is to hold it.
+    /// The replay, if it exists and was requested.
     pub(super) replay: Option<PackedReplay>,
-    /// Whether the run kept one.
-    pub(super) was_kept: bool,
+    /// Whether the run has a replay.
+    pub(super) has_replay: bool,
 }
 
-/// A replay as the page unpacks it.
+/// A replay as base64 of gzip of JSON.
 #[derive(Debug)]
 pub(super) struct PackedReplay {
     /// Tracks, planning calls and time series.
     pub(super) simulation: String,
-    /// The map, which drives of the same scenario share.
+    /// The map, which simulations of a scenario share.
     pub(super) map: String,
-    /// The pictures that the model saw, by iteration; none without any.
+    /// The model's images by iteration; none if there are none.
     pub(super) images: Option<String>,
 }
 
-/// What [`PackedReplay::drive`] unpacks to.
+/// The content of [`PackedReplay::simulation`].
 #[derive(Serialize)]
 struct SimulationReplay<'a> {
     replay: &'a Replay,
@@ -56,17 +57,14 @@ struct Series<'a> {
 }
 
 impl SimulationParts {
-    /// Reads a drive's folder; `wants_replay` says whether the replay is wanted.
-    ///
-    /// # Errors
-    /// When a file of it cannot be read.
+    /// Reads the folder of a simulation, with its replay if `wants_replay`.
     pub(super) fn read(folder: &Path, row: &SimulationRow, wants_replay: bool) -> Result<Self, ReportError> {
         if row.error.is_some() {
-            return Ok(Self { statistics: Vec::new(), replay: None, was_kept: false });
+            return Ok(Self { statistics: Vec::new(), replay: None, has_replay: false });
         }
-        let metrics = RunFolder::metrics_in(folder)?;
+        let metrics = simulation_folder::metrics(folder)?;
         let replay = Replay::read(folder)?;
-        let was_kept = replay.is_some();
+        let has_replay = replay.is_some();
         let replay = match replay.filter(|_| wants_replay) {
             Some(replay) => Some(packed(folder, replay, &metrics)?),
             None => None,
@@ -75,17 +73,18 @@ impl SimulationParts {
             let (name, category) = (metric.name, metric.category.as_str());
             metric.statistics.into_iter().map(move |statistic| (name.clone(), category, statistic))
         };
-        Ok(Self { statistics: metrics.into_iter().flat_map(of_metric).collect(), replay, was_kept })
+        Ok(Self { statistics: metrics.into_iter().flat_map(of_metric).collect(), replay, has_replay })
     }
 }
 
 fn packed(folder: &Path, mut replay: Replay, metrics: &[MetricResult]) -> Result<PackedReplay, ReportError> {
-    let map = text(&replay.take_map())?;
+    let map = text(folder, &replay.take_map())?;
     let calls = calls_in(folder)?;
     let series = metrics.iter().filter_map(Series::of).collect();
     let images = images(folder, &calls)?;
-    let simulation = text(&SimulationReplay { replay: &replay, calls: &calls, series })?;
-    Ok(PackedReplay { simulation, map, images: if images.is_empty() { None } else { Some(text(&images)?) } })
+    let simulation = text(folder, &SimulationReplay { replay: &replay, calls: &calls, series })?;
+    let images = if images.is_empty() { None } else { Some(text(folder, &images)?) };
+    Ok(PackedReplay { simulation, map, images })
 }
 
 impl<'a> Series<'a> {
@@ -95,7 +94,7 @@ impl<'a> Series<'a> {
         Some(Self {
             metric: &metric.name,
             unit: &series.unit,
-            values: series.values.iter().map(|&value| four_figures(value)).collect(),
+            values: series.values.iter().map(|&value| four_digits(value)).collect(),
             frames: series.selected_frames.as_deref(),
             low,
             high,
@@ -103,12 +102,12 @@ impl<'a> Series<'a> {
     }
 }
 
-/// A number with four figures, which is more than a chart shows; none for what is not finite.
-pub(super) fn four_figures(value: f64) -> Option<f64> {
+/// A number with four digits, more than a chart shows; none if it is not finite.
+pub(super) fn four_digits(value: f64) -> Option<f64> {
     if value.is_finite() { format!("{value:.3e}").parse().ok() } else { None }
 }
 
-/// The pictures of the calls as base64, by iteration.
+/// The images of the calls as base64, by iteration.
 fn images(folder: &Path, calls: &[Value]) -> Result<Map<String, Value>, ReportError> {
     let mut images = Map::new();
     for iteration in calls.iter().filter_map(|call| call.get("iteration").and_then(Value::as_u64)) {

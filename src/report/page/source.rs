@@ -1,29 +1,28 @@
 //! The runs that a page is made of.
 
-use crate::report::error::ReportError;
+use crate::report::error::{ReportError, ReportFault};
 use crate::report::manifest::Manifest;
 use crate::report::run_folder::{RunFolder, folders};
 use crate::report::simulation_row::SimulationRow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// A run and its drives that have ended.
+/// A run with its completed simulations.
 pub(super) struct RunSimulations {
     /// Name of its folder.
     pub(super) name: String,
-    /// What it is made of.
     pub(super) manifest: Manifest,
-    /// Its drives by number.
+    /// Its simulations by number.
     pub(super) rows: Vec<SimulationRow>,
     /// Their folders by number.
     pub(super) folders: BTreeMap<usize, PathBuf>,
 }
 
 impl RunSimulations {
-    /// Reads the folders of runs. Those of the same name are told apart by the folder above.
+    /// Reads the folders of runs. Equal names get the parent folder as prefix.
     ///
     /// # Errors
-    /// When one holds no run or no drive, or a record cannot be read.
+    /// When a folder holds no run, no completed simulation, or a damaged one.
     pub(super) fn read_all(paths: &[PathBuf]) -> Result<Vec<Self>, ReportError> {
         let mut runs: Vec<Self> = paths.iter().map(|path| Self::read(path)).collect::<Result<_, _>>()?;
         let names: Vec<String> = runs.iter().map(|run| run.name.clone()).collect();
@@ -38,12 +37,12 @@ impl RunSimulations {
 
     fn read(path: &Path) -> Result<Self, ReportError> {
         let manifest = RunFolder::manifest(path)?;
-        let mut rows = RunFolder::ended(path)?.rows;
+        let mut rows = RunFolder::read_completed(path)?.rows;
         let folders = folders(path)?;
-        // One that is taken back this moment is no drive of the page.
+        // Another process may discard a simulation at this moment.
         rows.retain(|row| folders.contains_key(&row.number));
         if rows.is_empty() {
-            return Err(ReportError::NoSimulations(path.to_owned()));
+            return Err(ReportError::at(path)(ReportFault::NoSimulations));
         }
         let absolute = std::path::absolute(path).map_err(ReportError::read(path))?;
         let name = absolute.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
@@ -61,7 +60,7 @@ impl RunSimulations {
         value.and_then(|value| value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64)))
     }
 
-    /// Name of the model, if one drove.
+    /// Name of the model, if the run has one.
     pub(super) fn model(&self) -> Option<&str> {
         self.manifest.model.as_ref()?.get("name")?.as_str()
     }

@@ -1,5 +1,5 @@
-//! `aggregator_metric/CHALLENGE_weighted_average_metrics_STAMP.parquet`: per planner its scenarios, its scenario types and
-//! its final score.
+//! `aggregator_metric/CHALLENGE_weighted_average_metrics_STAMP.parquet`: scenarios, scenario types and final score of each
+//! planner.
 
 use super::table::{Column, Columns, TableWriter};
 use crate::metrics::{AggregateRow, MetricList, RowKind};
@@ -7,13 +7,13 @@ use crate::report::ReportError;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// nuPlan's name of the only aggregation there is.
+/// nuPlan's name of its only aggregation.
 const AGGREGATOR_TYPE: &str = "weighted_average";
 /// nuPlan's name of the last row of a planner.
 const FINAL_SCORE: &str = "final_score";
 
-/// Writes the table. Columns as in the devkit's `WeightedAverageMetricAggregator`: metrics by name, the score last. A drive that
-/// failed has no row; where all failed, the columns of the scored metrics are there without one, so that the table can be read.
+/// Writes the table with the columns of the devkit's `WeightedAverageMetricAggregator`: metrics by name, the score last. A failed
+/// simulation has no row; if all failed, the table has its columns and no row, so that readers still work.
 pub(in crate::report) fn write_aggregator(
     path: &Path,
     rows: &[AggregateRow],
@@ -64,7 +64,7 @@ fn scenario_type(row: &AggregateRow) -> &str {
     }
 }
 
-/// A double, as pandas makes of a column of integers with gaps.
+/// A double, because pandas reads integers with gaps as doubles.
 fn num_scenarios(row: &AggregateRow) -> Option<f64> {
     match &row.kind {
         RowKind::Scenario { .. } => None,

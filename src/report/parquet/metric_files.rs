@@ -1,4 +1,4 @@
-//! `metrics/METRIC.parquet`: a file a metric, a row a drive.
+//! `metrics/METRIC.parquet`: a file for each metric, with a row for each simulation.
 
 use super::table::{Column, Columns, TableWriter};
 use crate::metrics::{MetricResult, ScoreUnit, Statistic, StatisticKind};
@@ -6,17 +6,17 @@ use crate::report::{ReportError, SimulationRow};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Drives that are held in memory at a time.
+/// Simulations in memory at a time.
 const BATCH: usize = 256;
 
-/// Statistics of a metric in the order in which they first appear. Some are there in some drives only, such as the energies
-/// of collisions.
+/// Statistics of a metric in the order of their first occurrence. Some occur in few simulations, such as the energies of
+/// collisions.
 type Schema = Vec<(String, StatisticKind)>;
 
-/// A row to be: the drive and its result.
+/// A row: the simulation and its result.
 type Row<'a> = (&'a SimulationRow, MetricResult);
 
-/// Writes the files. The drives are gone through twice: once for the columns, once for the values.
+/// Writes the files in two passes over the simulations: one for the columns, one for the values.
 pub(in crate::report) fn write_metric_files<'a>(
     folder: &Path,
     simulations: impl Iterator<Item = Result<(&'a SimulationRow, Vec<MetricResult>), ReportError>> + Clone,
@@ -57,7 +57,7 @@ pub(in crate::report) fn write_metric_files<'a>(
     Ok(())
 }
 
-/// A file under way.
+/// A file in progress.
 struct MetricTable<'a> {
     schema: Schema,
     waiting: Vec<Row<'a>>,
@@ -82,16 +82,15 @@ impl MetricTable<'_> {
 
 /// The columns of the devkit's `construct_dataframe` and `MetricStatistics.serialize_dataframe`.
 fn columns(schema: &Schema, rows: &[Row<'_>]) -> Columns {
-    let of_simulation =
-        |of: fn(&SimulationRow) -> &str| Column::text(rows.iter().map(|(simulation, _)| of(simulation)));
+    let text = |of: fn(&SimulationRow) -> &str| Column::text(rows.iter().map(|(row, _)| of(row)));
     let of_metric = |of: fn(&MetricResult) -> Option<&str>| {
         Column::Text(rows.iter().map(|(_, metric)| of(metric).map(str::to_owned)).collect())
     };
     let mut all = vec![
-        ("log_name".to_owned(), of_simulation(|simulation| &simulation.log_name)),
-        ("scenario_name".to_owned(), of_simulation(|simulation| &simulation.scenario)),
-        ("scenario_type".to_owned(), of_simulation(|simulation| &simulation.scenario_type)),
-        ("planner_name".to_owned(), of_simulation(|simulation| &simulation.planner)),
+        ("log_name".to_owned(), text(|row| &row.log_name)),
+        ("scenario_name".to_owned(), text(|row| &row.scenario)),
+        ("scenario_type".to_owned(), text(|row| &row.scenario_type)),
+        ("planner_name".to_owned(), text(|row| &row.planner)),
         ("metric_computator".to_owned(), of_metric(|metric| Some(&metric.computator))),
         ("metric_statistics_name".to_owned(), of_metric(|metric| Some(&metric.name))),
         ("metric_score".to_owned(), Column::Float(rows.iter().map(|(_, metric)| metric.score).collect())),
@@ -111,7 +110,7 @@ fn columns(schema: &Schema, rows: &[Row<'_>]) -> Columns {
     all
 }
 
-/// Truth values and counts have their own types, as in the devkit.
+/// Booleans and counts have their own types, as in the devkit.
 fn values(kind: StatisticKind, found: &[Option<&Statistic>]) -> Column {
     let values = found.iter().map(|statistic| statistic.map(|s| s.value));
     match kind {
@@ -157,41 +156,16 @@ fn kind_name(kind: StatisticKind) -> &'static str {
 mod tests {
     use super::*;
     use crate::metrics::metric;
-    use crate::report::SimulationTime;
     use crate::simulation::Challenge;
 
-    fn simulation() -> SimulationRow {
-        SimulationRow {
-            number: 0,
-            source: "generated/changing_lane/0".to_owned(),
-            scenario: "generated/changing_lane/0".to_owned(),
-            scenario_type: "changing_lane".to_owned(),
-            log_name: "generated-0".to_owned(),
-            planner: "idm".to_owned(),
-            challenge: Challenge::NonReactive,
-            error: None,
-            score: Some(1.0),
-            zeroed_by: Vec::new(),
-            planning_calls: 0,
-            gated_calls: 0,
-            rethinks: 0,
-            parse_errors: 0,
-            deadlines: 0,
-            failed_calls: 0,
-            drivable_layers: None,
-            time: SimulationTime::default(),
-            metrics: Vec::new(),
-        }
-    }
-
     #[test]
-    fn what_a_drive_does_not_have_is_null_in_its_row() {
+    fn a_statistic_that_a_simulation_lacks_is_null() {
         let metric = metric("speed_limit_compliance").unwrap();
         let count = "number_of_violations_of_speed_limit_compliance";
         let kept = Statistic::boolean(metric.name, true);
         let broken = vec![Statistic::count(count, 2), Statistic::boolean(metric.name, false)];
         let schema: Schema = broken.iter().map(|statistic| (statistic.name.clone(), statistic.kind)).collect();
-        let row = simulation();
+        let row = SimulationRow::example("changing_lane", 0, "idm", Challenge::NonReactive, Some(1.0));
         let rows = [(&row, metric.scored(1.0, vec![kept])), (&row, metric.scored(0.5, broken))];
         let columns: BTreeMap<String, Column> = columns(&schema, &rows).into_iter().collect();
         assert_eq!(columns[&format!("{count}_stat_value")], Column::Integer(vec![None, Some(2)]));

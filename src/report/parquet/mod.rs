@@ -1,5 +1,5 @@
 //! nuPlan's result tables as Parquet, with the columns that the devkit writes (`MetricsEngine`,
-//! `WeightedAverageMetricAggregator`, `save_runner_reports`): what reads theirs reads ours.
+//! `WeightedAverageMetricAggregator`, `save_runner_reports`), so that its readers work on them.
 
 mod aggregator;
 mod metric_files;

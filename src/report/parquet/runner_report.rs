@@ -1,11 +1,11 @@
-//! `runner_report.parquet`: a row a drive, failed ones included.
+//! `runner_report.parquet`: a row for each simulation, also for failed ones.
 
 use super::table::{Column, Columns, TableWriter};
 use crate::report::{ReportError, SimulationRow};
 use std::path::Path;
 
-/// Writes the table. Columns as the devkit's `save_runner_reports` makes them of `RunnerReport` and `PlannerReport`; times
-/// are seconds, `start_time` and `end_time` since 1970.
+/// Writes the table with the columns of the devkit's `save_runner_reports`. Times are in seconds, `start_time` and `end_time`
+/// since 1970.
 pub(in crate::report) fn write_runner_report(path: &Path, rows: &[&SimulationRow]) -> Result<(), ReportError> {
     TableWriter::begin(path, columns(rows))?.finish()
 }

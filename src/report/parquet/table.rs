@@ -1,9 +1,11 @@
-//! Tables of named columns, written batch by batch.
+//! Parquet tables, written batch by batch.
 
 use crate::report::ReportError;
 use crate::report::atomic;
-use arrow::array::{ArrayRef, BooleanArray, Float64Array, Int64Array, ListArray, RecordBatch, StringArray};
-use arrow::datatypes::{DataType, Field, Float64Type, Int64Type, Schema};
+use arrow::array::{
+    ArrayRef, ArrowPrimitiveType, BooleanArray, Float64Array, Int64Array, ListArray, RecordBatch, StringArray,
+};
+use arrow::datatypes::{Field, Float64Type, Int64Type, Schema};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::Compression;
 use parquet::errors::ParquetError;
@@ -15,22 +17,16 @@ use std::sync::Arc;
 /// Values of a column; a missing one is null.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Column {
-    /// UTF-8.
     Text(Vec<Option<String>>),
-    /// Doubles.
     Float(Vec<Option<f64>>),
-    /// 64-bit integers.
     Integer(Vec<Option<i64>>),
-    /// Truth values.
     Boolean(Vec<Option<bool>>),
-    /// Lists of doubles.
     Floats(Vec<Option<Vec<f64>>>),
-    /// Lists of 64-bit integers.
     Integers(Vec<Option<Vec<i64>>>),
 }
 
 impl Column {
-    /// The same text in every row.
+    /// A text column without nulls.
     pub(super) fn text(values: impl IntoIterator<Item = impl Into<String>>) -> Self {
         Self::Text(values.into_iter().map(|value| Some(value.into())).collect())
     }
@@ -41,26 +37,15 @@ impl Column {
             Self::Float(values) => Arc::new(Float64Array::from(values)),
             Self::Integer(values) => Arc::new(Int64Array::from(values)),
             Self::Boolean(values) => Arc::new(BooleanArray::from(values)),
-            Self::Floats(values) => Arc::new(ListArray::from_iter_primitive::<Float64Type, _, _>(
-                values.into_iter().map(|list| list.map(|list| list.into_iter().map(Some))),
-            )),
-            Self::Integers(values) => Arc::new(ListArray::from_iter_primitive::<Int64Type, _, _>(
-                values.into_iter().map(|list| list.map(|list| list.into_iter().map(Some))),
-            )),
+            Self::Floats(values) => lists::<Float64Type>(values),
+            Self::Integers(values) => lists::<Int64Type>(values),
         }
     }
+}
 
-    fn data_type(&self) -> DataType {
-        let list = |item| DataType::List(Arc::new(Field::new_list_field(item, true)));
-        match self {
-            Self::Text(_) => DataType::Utf8,
-            Self::Float(_) => DataType::Float64,
-            Self::Integer(_) => DataType::Int64,
-            Self::Boolean(_) => DataType::Boolean,
-            Self::Floats(_) => list(DataType::Float64),
-            Self::Integers(_) => list(DataType::Int64),
-        }
-    }
+fn lists<T: ArrowPrimitiveType>(values: Vec<Option<Vec<T::Native>>>) -> ArrayRef {
+    let rows = values.into_iter().map(|list| list.map(|list| list.into_iter().map(Some)));
+    Arc::new(ListArray::from_iter_primitive::<T, _, _>(rows))
 }
 
 /// Columns of the same length, in their order.
@@ -77,37 +62,42 @@ pub(super) struct TableWriter {
 impl TableWriter {
     /// Begins a file with its first batch.
     pub(super) fn begin(path: &Path, first: Columns) -> Result<Self, ReportError> {
+        let (names, arrays): (Vec<String>, Vec<ArrayRef>) = arrays(first).unzip();
+        let fields = names.into_iter().zip(&arrays);
         let fields: Vec<Field> =
-            first.iter().map(|(name, column)| Field::new(name, column.data_type(), true)).collect();
+            fields.map(|(name, array)| Field::new(name, array.data_type().clone(), true)).collect();
         let schema = Arc::new(Schema::new(fields));
         let temporary = atomic::unfinished(path);
         let file = File::create(&temporary).map_err(ReportError::write(&temporary))?;
         let properties = WriterProperties::builder().set_compression(Compression::SNAPPY).build();
-        let writer = ArrowWriter::try_new(file, Arc::clone(&schema), Some(properties)).map_err(failed(path))?;
+        let writer =
+            ArrowWriter::try_new(file, Arc::clone(&schema), Some(properties)).map_err(ReportError::at(path))?;
         let mut table = Self { path: path.to_owned(), schema, writer };
-        table.append(first)?;
+        table.write(arrays)?;
         Ok(table)
     }
 
     /// Writes a further batch.
     pub(super) fn append(&mut self, columns: Columns) -> Result<(), ReportError> {
-        let arrays = columns.into_iter().map(|(_, column)| column.array()).collect();
+        self.write(arrays(columns).map(|(_, array)| array).collect())
+    }
+
+    fn write(&mut self, arrays: Vec<ArrayRef>) -> Result<(), ReportError> {
         let batch = RecordBatch::try_new(Arc::clone(&self.schema), arrays).map_err(ParquetError::from);
         let written = batch.and_then(|batch| {
             self.writer.write(&batch)?;
             self.writer.flush()
         });
-        written.map_err(failed(&self.path))
+        written.map_err(ReportError::at(&self.path))
     }
 
     /// Completes the file.
     pub(super) fn finish(self) -> Result<(), ReportError> {
-        self.writer.close().map_err(failed(&self.path))?;
+        self.writer.close().map_err(ReportError::at(&self.path))?;
         fs::rename(atomic::unfinished(&self.path), &self.path).map_err(ReportError::write(&self.path))
     }
 }
 
-fn failed(path: &Path) -> impl FnOnce(ParquetError) -> ReportError {
-    let path = path.to_owned();
-    move |source| ReportError::Parquet { path, source }
+fn arrays(columns: Columns) -> impl Iterator<Item = (String, ArrayRef)> {
+    columns.into_iter().map(|(name, column)| (name, column.array()))
 }

@@ -1,4 +1,4 @@
-//! Text below a picture.
+//! The caption below a picture.
 
 use embedded_graphics::Drawable;
 use embedded_graphics::draw_target::DrawTarget;
@@ -11,41 +11,42 @@ use embedded_graphics::text::{Baseline, Text};
 use image::{GenericImage, RgbImage};
 use std::convert::Infallible;
 
-/// Columns that a line should hold: planner code takes so many.
+/// Minimum number of characters in a line: half a planner code.
 const COLUMNS: u32 = 66;
-/// Lines of a caption: the planner code may take two.
+/// Lines of a caption; a planner code may take two.
 const LINES: u32 = 5;
 /// Space around the text, pixels.
 const MARGIN: u32 = 8;
-/// Colours: paper, what is said first, and the rest.
+/// Colors of the background, the first lines and the plan.
 const PAPER: [u8; 3] = [255, 255, 255];
 const INK: Rgb888 = Rgb888::new(28, 34, 38);
 const SOFT: Rgb888 = Rgb888::new(102, 112, 122);
 
-/// What is said of a frame.
+/// The text of a frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Caption {
-    /// Which drive.
+    /// Scenario, planner and challenge.
     pub(super) title: String,
-    /// What is now.
+    /// Time, speed and score.
     pub(super) now: String,
-    /// What is planned, two lines at most.
+    /// The plan, two lines at most.
     pub(super) plan: Vec<String>,
 }
 
-/// The picture with its caption below; sides are even, as films want it.
+/// The picture with its caption below. Both sides are even, as H.264 requires.
 pub(super) fn below(picture: &RgbImage, caption: &Caption) -> RgbImage {
     let (width, height) = picture.dimensions();
     let font = font(width);
     let line = font.character_size.height + 2;
     let even = |side: u32| side + side % 2;
     let mut page = RgbImage::from_pixel(even(width), even(height + LINES * line + 2 * MARGIN), image::Rgb(PAPER));
-    // It fits by construction.
+    // The picture fits by construction.
     let _ = page.copy_from(picture, 0, 0);
     let mut canvas = Page(page);
     let columns = (width.saturating_sub(2 * MARGIN) / font.character_size.width).max(1) as usize;
-    let said = [(&caption.title, INK), (&caption.now, INK)].into_iter().chain(caption.plan.iter().map(|l| (l, SOFT)));
-    let lines = said.flat_map(|(text, color)| wrapped(text, columns).into_iter().map(move |line| (line, color)));
+    let paragraphs =
+        [(&caption.title, INK), (&caption.now, INK)].into_iter().chain(caption.plan.iter().map(|l| (l, SOFT)));
+    let lines = paragraphs.flat_map(|(text, color)| wrapped(text, columns).into_iter().map(move |line| (line, color)));
     for (i, (text, color)) in lines.take(LINES as usize).enumerate() {
         let at = Point::new(MARGIN as i32, (height + MARGIN + i as u32 * line) as i32);
         let Ok(_) = Text::with_baseline(&text, at, MonoTextStyle::new(font, color), Baseline::Top).draw(&mut canvas);
@@ -53,20 +54,20 @@ pub(super) fn below(picture: &RgbImage, caption: &Caption) -> RgbImage {
     canvas.0
 }
 
-/// A text in lines of so many characters.
+/// A text in lines of `columns` characters.
 fn wrapped(text: &str, columns: usize) -> Vec<String> {
     let letters: Vec<char> = text.chars().collect();
     letters.chunks(columns).map(|line| line.iter().collect()).collect()
 }
 
-/// The largest font of which a line holds enough.
+/// The largest font with [`COLUMNS`] characters in a line.
 fn font(width: u32) -> &'static MonoFont<'static> {
     let fonts: [&MonoFont<'_>; 3] = [&FONT_9X18, &FONT_8X13, &FONT_6X13];
     let fits = |font: &&&MonoFont<'_>| font.character_size.width * COLUMNS + 2 * MARGIN <= width;
     fonts.iter().find(fits).copied().unwrap_or(&FONT_6X13)
 }
 
-/// An image that text is drawn on.
+/// An image as a target of `embedded-graphics`.
 struct Page(RgbImage);
 
 impl OriginDimensions for Page {
@@ -95,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_caption_stands_below_and_never_over_the_edge() {
+    fn a_caption_stands_below_the_picture_and_within_its_width() {
         let picture = RgbImage::from_pixel(321, 321, image::Rgb([1, 2, 3]));
         let caption = Caption { title: "x".repeat(500), now: "now é".to_owned(), plan: vec!["plan".to_owned(); 5] };
         let page = below(&picture, &caption);

@@ -1,6 +1,6 @@
-//! Films of a drive: GIF by our own means, MP4 by ffmpeg.
+//! Films of a simulation: GIF, and MP4 by ffmpeg.
 
-use super::error::RenderError;
+use super::error::{OutputFault, RenderError};
 use super::frame::Film;
 use crate::report::ReportError;
 use crate::report::atomic;
@@ -14,28 +14,24 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// How carefully a GIF's colours are chosen, 1 (best) to 30 (fastest).
+/// Quality of the color quantization of a GIF, 1 (best) to 30 (fastest).
 const GIF_SPEED: i32 = 10;
-/// Frames that are drawn at once.
+/// Frames that are drawn in parallel.
 const BATCH: usize = 16;
-/// Time that the last frame of a GIF stays before it begins again.
+/// Time of the last frame of a GIF before it repeats.
 const REST: Duration = Duration::from_millis(1500);
 
-/// Writes a GIF that repeats for ever. Pixels that stay as they were are left out of a frame.
-///
-/// # Errors
-/// When it cannot be encoded or written.
+/// Writes a GIF that repeats forever. A frame holds only the pixels that change.
 pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
-    let failed = |source| RenderError::Gif { path: path.to_owned(), source };
-    let too_large = || RenderError::TooLarge { path: path.to_owned() };
+    let failed = RenderError::output(path);
     let iterations = iterations(film, frames_per_s);
     let (width, height) = film.frame(0).dimensions();
-    let (width, height) =
-        (u16::try_from(width).map_err(|_| too_large())?, u16::try_from(height).map_err(|_| too_large())?);
+    let side = |side| u16::try_from(side).map_err(|_| RenderError::output(path)(OutputFault::TooLarge));
+    let (width, height) = (side(width)?, side(height)?);
     let mut bytes = Vec::new();
     {
-        let mut encoder = Encoder::new(&mut bytes, width, height, &[]).map_err(failed)?;
-        encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
+        let mut encoder = Encoder::new(&mut bytes, width, height, &[]).map_err(&failed)?;
+        encoder.set_repeat(Repeat::Infinite).map_err(&failed)?;
         let mut last: Option<RgbImage> = None;
         for batch in iterations.chunks(BATCH) {
             for (drawn, iteration) in drawn(film, batch).into_iter().zip(batch) {
@@ -44,9 +40,9 @@ pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &
                 let mut changes = changes(last.as_ref(), &drawn).into_raw();
                 let mut frame = Frame::from_rgba_speed(width, height, &mut changes, GIF_SPEED);
                 frame.delay = u16::try_from(shown.as_millis() / 10).unwrap_or(u16::MAX);
-                // What is transparent shows the frame before.
+                // Transparent pixels show the previous frame.
                 frame.dispose = DisposalMethod::Keep;
-                encoder.write_frame(&frame).map_err(failed)?;
+                encoder.write_frame(&frame).map_err(&failed)?;
                 last = Some(drawn);
                 on_frame();
             }
@@ -55,7 +51,7 @@ pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &
     Ok(atomic::write(path, &bytes)?)
 }
 
-/// A frame in which pixels that stay as they were are transparent.
+/// A frame in which unchanged pixels are transparent.
 fn changes(last: Option<&RgbImage>, frame: &RgbImage) -> RgbaImage {
     RgbaImage::from_fn(frame.width(), frame.height(), |x, y| {
         let [r, g, b] = frame.get_pixel(x, y).0;
@@ -65,9 +61,6 @@ fn changes(last: Option<&RgbImage>, frame: &RgbImage) -> RgbaImage {
 }
 
 /// Writes an MP4 (H.264) through ffmpeg.
-///
-/// # Errors
-/// When ffmpeg is not there or fails.
 pub fn write_mp4(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &dyn Fn()) -> Result<(), RenderError> {
     let iterations = iterations(film, frames_per_s);
     let (width, height) = film.frame(0).dimensions();
@@ -81,7 +74,7 @@ pub fn write_mp4(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &
     let mut input = ffmpeg.stdin.take();
     'film: for batch in iterations.chunks(BATCH) {
         for frame in drawn(film, batch) {
-            // When it goes away, its last words say why.
+            // If ffmpeg ends early, its error output says why.
             if input.as_mut().is_none_or(|input| input.write_all(frame.as_raw()).is_err()) {
                 break 'film;
             }
@@ -90,26 +83,26 @@ pub fn write_mp4(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &
     }
     drop(input);
     let mut message = String::new();
-    if let Some(mut words) = ffmpeg.stderr.take() {
-        // Words that are no text are no loss.
-        let _ = words.read_to_string(&mut message);
+    if let Some(mut output) = ffmpeg.stderr.take() {
+        // Error output that is not UTF-8 is of no use.
+        let _ = output.read_to_string(&mut message);
     }
     let ended = ffmpeg.wait().map_err(ReportError::write(path))?;
     if ended.success() {
         return Ok(());
     }
-    Err(RenderError::Ffmpeg { path: path.to_owned(), message: message.trim().to_owned() })
+    Err(RenderError::output(path)(OutputFault::Ffmpeg(message.trim().to_owned())))
 }
 
-/// The iterations that are shown: so many a second, the last one included.
+/// The iterations of the frames, with the last iteration.
 fn iterations(film: &Film, frames_per_s: NonZeroU32) -> Vec<usize> {
     let last = film.iterations().saturating_sub(1);
     let a_frame = 1.0 / (f64::from(frames_per_s.get()) * STEP_S);
     let count = (last as f64 / a_frame).ceil() as usize;
     let at = |k: usize| (k as f64 * a_frame).round() as usize;
-    let mut shown: Vec<usize> = (0..count).map(at).filter(|&iteration| iteration < last).collect();
-    shown.push(last);
-    shown
+    let mut iterations: Vec<usize> = (0..count).map(at).filter(|&iteration| iteration < last).collect();
+    iterations.push(last);
+    iterations
 }
 
 fn drawn(film: &Film, iterations: &[usize]) -> Vec<RgbImage> {

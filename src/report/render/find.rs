@@ -1,4 +1,4 @@
-//! Which drive of a run is meant.
+//! Finds a simulation of a run by the words of the command line.
 
 use super::error::RenderError;
 use crate::report::run_folder::{RunFolder, folders};
@@ -6,30 +6,30 @@ use crate::report::simulation_row::SimulationRow;
 use crate::simulation::Challenge;
 use std::path::{Path, PathBuf};
 
-/// Most drives that an error lists.
-const MOST_LISTED: usize = 10;
+/// Maximum number of simulations in an error.
+const MAX_LISTED: usize = 10;
 
-/// A drive, by the words of the command line.
+/// A simulation, by the words of the command line.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SimulationChoice {
     /// Its number in the run, or the name of its scenario.
     pub simulation: String,
-    /// By whom, if that is to be said.
+    /// Its planner, if the name is not enough.
     pub planner: Option<String>,
-    /// Among which traffic, if that is to be said.
+    /// Its challenge, if the name is not enough.
     pub challenge: Option<Challenge>,
 }
 
 impl SimulationChoice {
-    /// The one drive that is meant, and its folder.
+    /// The row and the folder of the simulation.
     ///
     /// # Errors
-    /// When the run cannot be read, or none or several of its drives are meant.
+    /// When the run cannot be read, or none or several of its simulations match.
     pub(super) fn find(&self, run: &Path) -> Result<(SimulationRow, PathBuf), RenderError> {
-        // A folder without a run says so better than one without drives.
+        // The error for a folder without a run is clearer than that for a missing simulation.
         RunFolder::manifest(run)?;
-        let mut rows = RunFolder::ended(run)?.rows;
-        rows.retain(|row| self.means(row));
+        let mut rows = RunFolder::read_completed(run)?.rows;
+        rows.retain(|row| self.matches(row));
         let folder = |row: &SimulationRow| Ok::<_, RenderError>(folders(run)?.remove(&row.number));
         match rows.as_slice() {
             [row] => match folder(row)? {
@@ -39,12 +39,12 @@ impl SimulationChoice {
             [] => Err(RenderError::NoSimulation(self.simulation.clone())),
             several => Err(RenderError::SeveralSimulations {
                 wanted: self.simulation.clone(),
-                simulations: several.iter().take(MOST_LISTED).map(|r| format!("{}  {}", r.number, words(r))).collect(),
+                simulations: several.iter().take(MAX_LISTED).map(|r| format!("{}  {}", r.number, words(r))).collect(),
             }),
         }
     }
 
-    fn means(&self, row: &SimulationRow) -> bool {
+    fn matches(&self, row: &SimulationRow) -> bool {
         let named = match self.simulation.parse::<usize>() {
             Ok(number) => row.number == number,
             Err(_) => row.scenario == self.simulation || row.scenario.ends_with(&format!("/{}", self.simulation)),
@@ -55,7 +55,7 @@ impl SimulationChoice {
     }
 }
 
-/// A drive in words.
+/// Scenario, planner and challenge of a simulation.
 pub(super) fn words(row: &SimulationRow) -> String {
     format!("{} by {}, {}", row.scenario, row.planner, row.challenge.short_name())
 }

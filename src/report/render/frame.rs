@@ -1,4 +1,4 @@
-//! A drive, frame by frame.
+//! The frames of a simulation.
 
 use super::caption::{self, Caption};
 use super::error::RenderError;
@@ -15,16 +15,16 @@ use std::path::Path;
 
 /// A refused plan: vermillion of Okabe and Ito.
 const REFUSED: Rgb = [213, 94, 0];
-/// Widths of lines, metres.
+/// Widths of lines, meters.
 const PLAN_M: f64 = 0.5;
 const REFUSED_M: f64 = 0.35;
 const TRAIL_M: f64 = 0.2;
-/// Frames of a contact sheet, across and down.
+/// Columns and rows of a contact sheet.
 const SHEET: (u32, u32) = (4, 2);
-/// Space between them, pixels.
+/// Space between its frames, pixels.
 const GAP: u32 = 6;
 
-/// How large a frame is, and how much it shows.
+/// The size of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Look {
     /// Side of the scene, pixels.
@@ -33,21 +33,21 @@ pub struct Look {
     pub metres: f64,
 }
 
-/// A drive whose frames can be drawn.
+/// A simulation ready for drawing.
 #[derive(Debug)]
 pub struct Film {
     row: SimulationRow,
     simulation: ReplayedSimulation,
-    /// The planning calls as they were recorded.
+    /// The recorded planning calls.
     calls: Vec<Value>,
     view: BevView,
 }
 
 impl Film {
-    /// Opens the replay of a drive.
+    /// Opens the replay of a simulation.
     ///
     /// # Errors
-    /// When the drive is not found, has no replay, or cannot be drawn.
+    /// When the simulation is not found, has no replay, or cannot be drawn.
     pub fn open(run: &Path, choice: &SimulationChoice, look: Look) -> Result<Self, RenderError> {
         let (row, folder) = choice.find(run)?;
         let view = BevView::new(look.pixels, look.metres)?;
@@ -55,7 +55,7 @@ impl Film {
         Ok(Self { simulation: ReplayedSimulation::new(&replay)?, calls: calls_in(&folder)?, row, view })
     }
 
-    /// Iterations that can be drawn.
+    /// Number of iterations.
     pub fn iterations(&self) -> usize {
         self.simulation.moments().len()
     }
@@ -63,18 +63,18 @@ impl Film {
     /// The iteration at a time in seconds.
     ///
     /// # Errors
-    /// When it lies outside the drive.
+    /// When the time is outside the simulation.
     pub fn iteration_at(&self, at_s: f64) -> Result<usize, RenderError> {
         let moments = self.simulation.moments();
         let end_s = moments.last().map_or(0.0, |moment| moment.at_s);
-        // A time that is no number lies nowhere.
+        // Also true for NaN.
         if !(0.0..=end_s + 1e-9).contains(&at_s) {
             return Err(RenderError::Outside { at_s, end_s });
         }
         Ok(moments.partition_point(|moment| moment.at_s <= at_s + 1e-9).saturating_sub(1))
     }
 
-    /// Draws an iteration; one past the end is the last.
+    /// Draws an iteration; later ones than the last are the last.
     pub fn frame(&self, iteration: usize) -> RgbImage {
         let moments = self.simulation.moments();
         let iteration = iteration.min(moments.len().saturating_sub(1));
@@ -83,7 +83,7 @@ impl Film {
         caption::below(&scene, &self.caption(iteration, moment))
     }
 
-    /// Frames at equal distances over the whole drive, in one picture.
+    /// Frames at equal intervals over the whole simulation, in one picture.
     pub fn sheet(&self) -> RgbImage {
         let (across, down) = SHEET;
         let count = across * down;
@@ -97,13 +97,13 @@ impl Film {
         );
         for (k, frame) in frames.iter().enumerate() {
             let (column, line) = (k as u32 % across, k as u32 / across);
-            // Each lies inside by construction.
+            // Each frame is inside by construction.
             let _ = sheet.copy_from(frame, column * (width + GAP), line * (height + GAP));
         }
         sheet
     }
 
-    /// Where the ego was, what was refused, what is planned.
+    /// The trail of the ego, the refused plans, the active plan.
     fn lines(&self, iteration: usize, moment: &Moment) -> Vec<BevLine> {
         let ego = Palette::color(BevElement::Ego);
         let trail: Vec<Point> = self
@@ -115,8 +115,8 @@ impl Film {
             .collect();
         let mut lines = vec![BevLine { points: trail, width: TRAIL_M, color: ego }];
         if let Some((call, attempts)) = self.simulation.call_at(iteration) {
-            let driving = self.calls.get(call).and_then(driving_attempt);
-            let refused = attempts.iter().enumerate().filter(|(i, _)| Some(*i) != driving);
+            let executed = self.calls.get(call).and_then(executed_attempt);
+            let refused = attempts.iter().enumerate().filter(|(i, _)| Some(*i) != executed);
             lines.extend(refused.map(|(_, points)| BevLine {
                 points: points.clone(),
                 width: REFUSED_M,
@@ -140,15 +140,15 @@ impl Film {
     }
 }
 
-/// The attempt that drives after a call, from its record.
-fn driving_attempt(call: &Value) -> Option<usize> {
+/// The executed attempt of a recorded call.
+fn executed_attempt(call: &Value) -> Option<usize> {
     let decision = call.get("decision")?;
     decision.get("attempt")?.as_u64().map(|attempt| attempt as usize)
 }
 
-/// The code that drives after a call, with Reflection's score.
+/// The executed planner code of a recorded call, with Reflection's score.
 fn plan_words(call: &Value) -> Vec<String> {
-    let Some(attempt) = driving_attempt(call) else {
+    let Some(attempt) = executed_attempt(call) else {
         let why = call.pointer("/decision/why").and_then(Value::as_str).unwrap_or_default();
         return vec![format!("no new plan: {why}")];
     };

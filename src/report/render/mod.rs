@@ -1,5 +1,5 @@
-//! A drive as a picture or a film: the BEV map as the model's is drawn, with the plan in force and the refused ones on the road,
-//! and what there is to say in a caption below.
+//! A simulation as a picture or a film: the BEV map in the model's style with the active plan and the refused plans, and a caption
+//! below.
 
 mod caption;
 mod error;
@@ -7,7 +7,7 @@ mod film;
 mod find;
 mod frame;
 
-pub use error::RenderError;
+pub use error::{OutputFault, RenderError};
 pub use film::{write_gif, write_mp4};
 pub use find::SimulationChoice;
 pub use frame::{Film, Look};

@@ -1,5 +1,5 @@
-//! Sequences of numbers as whole multiples of a unit, each as its difference from the one before: short as text, and shorter
-//! once compressed.
+//! Sequences of numbers as whole multiples of a unit. Each number is stored as its difference from the previous one, which is
+//! short as text and compresses well.
 
 use crate::geometry::Point;
 use serde::{Deserialize, Serialize};
@@ -23,7 +23,7 @@ impl Deltas {
         Self(values.into_iter().map(delta).collect())
     }
 
-    /// The numbers again.
+    /// The numbers.
     pub(super) fn values(&self, unit: f64) -> impl Iterator<Item = f64> + '_ {
         self.0.iter().scan(0i64, move |sum, delta| {
             *sum = sum.saturating_add(*delta);
@@ -46,7 +46,7 @@ impl Points {
         Self { x: along(|p| p.x), y: along(|p| p.y) }
     }
 
-    /// The points again.
+    /// The points.
     pub(super) fn points(&self) -> impl Iterator<Item = Point> + '_ {
         self.x.values(LENGTH).zip(self.y.values(LENGTH)).map(|(x, y)| Point::new(x, y))
     }

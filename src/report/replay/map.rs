@@ -1,4 +1,4 @@
-//! The map along a drive.
+//! The map along a simulation.
 
 use super::deltas::Points;
 use crate::geometry::{Bounds, Point, Polygon, Polyline, simplified};
@@ -6,10 +6,10 @@ use crate::scenario::Scenario;
 use crate::world::{Lane, LaneId, LaneKind, LaneMap, MapError, MapParts, Roadblock, RoadblockId};
 use serde::{Deserialize, Serialize};
 
-/// Vertices nearer than this to the line past them are left out, metres.
+/// Simplification removes vertices that are nearer than this to the remaining line, metres.
 const DETAIL_M: f64 = 0.05;
 
-/// The map along a drive: lanes, what is drivable besides, crosswalks, stop lines.
+/// The map along a simulation: lanes, other drivable areas, crosswalks, stop lines.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub(in crate::report) struct ReplayMap {
     lanes: Vec<ReplayLane>,
@@ -31,7 +31,7 @@ struct ReplayLane {
 }
 
 impl ReplayMap {
-    /// What of a scenario's map lies within `bounds`.
+    /// The part of a scenario's map within `bounds`.
     pub(super) fn of(scenario: &Scenario, bounds: &Bounds) -> Self {
         let map = &scenario.map;
         let near = |polygon: &&Polygon| polygon.bounds().overlaps(bounds);
@@ -42,7 +42,7 @@ impl ReplayMap {
             centerline: Points::of(&simplified(lane.centerline.vertices(), DETAIL_M)),
             ring: ring(lane.polygon.ring()),
         });
-        // Where a source draws no road of its own, it consists of the roadblocks, which the lanes show.
+        // A source without road polygons has the roadblocks instead, which the lanes show already.
         let blocks: Vec<&Polygon> = map.roadblocks().iter().flat_map(|block| &block.areas).collect();
         let roads = map.road_segments().iter().filter(|road| !blocks.contains(road));
         let drivable = roads.chain(map.intersections()).chain(map.generic_drivable()).chain(map.carparks());
@@ -57,15 +57,15 @@ impl ReplayMap {
         }
     }
 
-    /// The lanes that were kept.
+    /// Ids of the lanes.
     pub(super) fn lane_ids(&self) -> impl Iterator<Item = LaneId> + '_ {
         self.lanes.iter().map(|lane| lane.id)
     }
 
-    /// A map that can be drawn: lanes and crosswalks without relations. Lanes whose shape rounding has undone are left out.
+    /// A map for drawing: lanes and crosswalks without relations. It omits lanes that rounding made degenerate.
     ///
     /// # Errors
-    /// When no lane is left.
+    /// When no lane remains.
     pub(super) fn to_map(&self) -> Result<LaneMap, MapError> {
         let shapes = self.lanes.iter().filter_map(|lane| {
             let centerline = Polyline::new(lane.centerline.points()).ok()?;
@@ -103,11 +103,11 @@ impl ReplayMap {
     }
 }
 
-/// A ring with fewer vertices; the first is not repeated.
+/// A simplified ring; the first vertex is not repeated.
 fn ring(vertices: &[Point]) -> Points {
     let closed: Vec<Point> = vertices.iter().chain(vertices.first()).copied().collect();
     let mut fewer = simplified(&closed, DETAIL_M);
     fewer.pop();
-    // A ring thinner than the detail, as a stop line may be, would be a line.
+    // Simplification would reduce a thin ring, such as a stop line, to a line.
     Points::of(if fewer.len() < 3 { vertices } else { &fewer })
 }

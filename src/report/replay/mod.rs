@@ -1,9 +1,8 @@
-//! `replay.json.gz` of a drive's folder: what it takes to look at the drive again, without the source that it came from. The
-//! ego, everything around it, the lights, the map nearby, the plan in force at each iteration, and the roll-outs that Reflection
-//! judged.
+//! `replay.json.gz`: everything that the page and the renders need to show a simulation without its source.
 //!
-//! Lengths are whole centimetres, angles milliradians, speeds cm/s, all delta-coded (see [`deltas`]), in the map frame. The same
-//! drive gives the same bytes.
+//! It holds the ego, the agents, the lights, the map nearby, the active plan of each iteration, and the roll-outs of Reflection.
+//! Lengths are whole centimetres, angles milliradians, speeds cm/s, all delta-coded (see [`deltas`]), in the map frame. Equal
+//! simulations give equal bytes.
 
 mod deltas;
 mod map;
@@ -14,7 +13,8 @@ mod track;
 pub(super) use scene::{Moment, ReplayedSimulation};
 
 use super::atomic;
-use super::error::ReportError;
+use super::error::{ReportError, ReportFault};
+use super::layout::REPLAY;
 use deltas::Points;
 use flate2::Compression;
 use flate2::read::GzDecoder;
@@ -26,63 +26,56 @@ use std::io::{self, Read, Write};
 use std::path::Path;
 use track::{AgentTrack, EgoTrack, LightTrack};
 
-/// Name of the file.
-pub(super) const REPLAY: &str = "replay.json.gz";
-/// Which form of the file this program writes and reads.
-const FORM: u32 = 1;
-/// Most bytes of a replay once unpacked: far more than any drive takes, and less than memory.
-const MOST_BYTES: u64 = 256 << 20;
-/// Plans and roll-outs are kept every half second,
+/// The format that this program reads and writes.
+const FORMAT: u32 = 2;
+/// Maximum size of a replay once unpacked, bytes: far more than any simulation needs, and less than memory.
+const MAX_BYTES: u64 = 256 << 20;
+/// Time between the points of plans and roll-outs, microseconds.
 const PLAN_STEP_US: i64 = 500_000;
-/// for eight seconds: as far as nuPlan's planners plan.
+/// Points of plans and roll-outs: eight seconds, the horizon of nuPlan's planners.
 const PLAN_POINTS: usize = 17;
 
-/// A drive, ready to be looked at.
+/// A simulation as the page shows it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Replay {
-    /// Form of the file.
-    form: u32,
+    /// [`FORMAT`].
+    format: u32,
     /// Times of the samples since the first, whole milliseconds.
     times_ms: deltas::Deltas,
-    /// The map along the drive.
+    /// The map along the path of the ego.
     map: ReplayMap,
     /// The ego.
     ego: EgoTrack,
     /// The recorded ego's rear axle, a point an iteration.
     expert: Points,
-    /// Everything else.
+    /// All other objects.
     agents: Vec<AgentTrack>,
     /// The lights.
     lights: Vec<LightTrack>,
-    /// The plan in force at each iteration: rear axle, a point every half second, the present first.
+    /// The active plan of each iteration: rear axle, a point every half second, the present first.
     plans: Vec<Points>,
-    /// What Reflection rolled out, call by call.
+    /// Reflection's roll-outs by planning call.
     calls: Vec<CallTrack>,
 }
 
 /// The roll-outs of a planning call.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct CallTrack {
-    /// At which iteration.
+    /// The iteration of the call.
     iteration: usize,
-    /// For each attempt what Reflection judged, as in [`Replay::plans`]; none for an attempt that it did not see.
+    /// The roll-out of each attempt, in the form of [`Replay::plans`]; none for an attempt without reflection.
     attempts: Vec<Option<Points>>,
 }
 
 impl Replay {
-    /// Writes the file into a drive's folder.
-    ///
-    /// # Errors
-    /// When it cannot be written.
+    /// Writes the file into the folder of a simulation.
     pub(super) fn write(&self, folder: &Path) -> Result<(), ReportError> {
         let path = folder.join(REPLAY);
-        atomic::create(&path, &packed(&serde_json::to_vec(self)?).map_err(ReportError::write(&path))?)
+        let text = serde_json::to_vec(self).map_err(ReportError::at(&path))?;
+        atomic::create(&path, &packed(&text).map_err(ReportError::write(&path))?)
     }
 
-    /// Reads the file of a drive's folder; none where an earlier version made the drive.
-    ///
-    /// # Errors
-    /// When it cannot be read or understood.
+    /// Reads the file in the folder of a simulation; none where there is no file.
     pub(super) fn read(folder: &Path) -> Result<Option<Self>, ReportError> {
         let path = folder.join(REPLAY);
         if !path.is_file() {
@@ -90,13 +83,16 @@ impl Replay {
         }
         let file = File::open(&path).map_err(ReportError::read(&path))?;
         let mut text = String::new();
-        GzDecoder::new(file).take(MOST_BYTES).read_to_string(&mut text).map_err(ReportError::read(&path))?;
-        let replay: Self =
-            serde_json::from_str(&text).map_err(|source| ReportError::ParseJson { path: path.clone(), source })?;
-        if replay.form == FORM { Ok(Some(replay)) } else { Err(ReportError::ReplayForm { path, form: replay.form }) }
+        GzDecoder::new(file).take(MAX_BYTES).read_to_string(&mut text).map_err(ReportError::read(&path))?;
+        let replay: Self = serde_json::from_str(&text).map_err(ReportError::at(&path))?;
+        if replay.format == FORMAT {
+            Ok(Some(replay))
+        } else {
+            Err(ReportError::at(&path)(ReportFault::ReplayFormat(replay.format)))
+        }
     }
 
-    /// The map, taken out: the drives of a scenario mostly share it.
+    /// Removes the map, which simulations of a scenario mostly share.
     pub(super) fn take_map(&mut self) -> ReplayMap {
         std::mem::take(&mut self.map)
     }

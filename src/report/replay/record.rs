@@ -1,32 +1,32 @@
-//! Recording: a drive becomes its replay.
+//! The replay of a simulation that just ran.
 
 use super::deltas::{Deltas, Points};
 use super::map::ReplayMap;
 use super::track::{AgentTrack, EgoTrack, LightTrack};
-use super::{CallTrack, FORM, PLAN_POINTS, PLAN_STEP_US, Replay};
+use super::{CallTrack, FORMAT, PLAN_POINTS, PLAN_STEP_US, Replay};
 use crate::experiment::run::SimulationOutcome;
 use crate::geometry::{Bounds, Point};
 use crate::planner::{Attempt, PlanningCall};
 use crate::world::{STEP_US, Trajectory};
 
-/// What lies farther than this from the ways of the ego and the recorded ego is left out, metres.
+/// The replay holds map and objects up to this distance from the paths of the ego and the recorded ego, metres.
 const REACH_M: f64 = 80.0;
 
 impl Replay {
-    /// The replay of a drive.
-    pub(in crate::report) fn of(driven: &SimulationOutcome) -> Self {
-        let (scenario, log) = (&driven.scenario, &driven.log);
+    /// The replay of a simulation.
+    pub(in crate::report) fn of(outcome: &SimulationOutcome) -> Self {
+        let (scenario, log) = (&outcome.scenario, &outcome.log);
         let samples = &log.samples;
         let expert: Vec<Point> = scenario.expert().take(samples.len()).map(|ego| ego.rear_axle.position()).collect();
-        let mut way: Vec<Point> = samples.iter().map(|sample| sample.ego.rear_axle.position()).collect();
-        way.extend(&expert);
-        let map = ReplayMap::of(scenario, &Bounds::around(&way).grown(REACH_M));
+        let mut path: Vec<Point> = samples.iter().map(|sample| sample.ego.rear_axle.position()).collect();
+        path.extend(&expert);
+        let map = ReplayMap::of(scenario, &Bounds::around(&path).grown(REACH_M));
         let start = samples.first().map_or(0, |sample| sample.ego.time_us);
         let lights = LightTrack::all(map.lane_ids(), samples.len(), |i, lane| {
             scenario.frame(i).and_then(|frame| frame.lights.status(lane))
         });
         Self {
-            form: FORM,
+            format: FORMAT,
             times_ms: Deltas::of(samples.iter().map(|sample| (sample.ego.time_us - start) as f64), 1e3),
             map,
             ego: EgoTrack::of(samples),
@@ -34,7 +34,7 @@ impl Replay {
             agents: AgentTrack::all(samples, REACH_M),
             lights,
             plans: samples.iter().zip(&log.trajectories).map(|(s, plan)| plan_points(plan, s.ego.time_us)).collect(),
-            calls: driven.calls.iter().map(CallTrack::of).collect(),
+            calls: outcome.calls.iter().map(CallTrack::of).collect(),
         }
     }
 }
@@ -45,7 +45,7 @@ impl CallTrack {
     }
 }
 
-/// What Reflection judged of an attempt, every half second.
+/// Reflection's roll-out of an attempt, every half second.
 fn rolled_out(attempt: &Attempt) -> Option<Points> {
     let states = &attempt.reflection.as_ref()?.states;
     let every = (PLAN_STEP_US / STEP_US) as usize;
@@ -53,7 +53,7 @@ fn rolled_out(attempt: &Attempt) -> Option<Points> {
     Some(Points::of(&points))
 }
 
-/// A plan from `now_us` on, every half second, as far as it reaches.
+/// A plan from `now_us` to its end, every half second.
 fn plan_points(plan: &Trajectory, now_us: i64) -> Points {
     let times = (0..PLAN_POINTS as i64).map(|k| now_us + k * PLAN_STEP_US);
     let points: Vec<Point> = times.map_while(|t| plan.at(t).ok()).map(|state| state.rear_axle.position()).collect();

@@ -1,30 +1,30 @@
-//! Looking at a replay again: the scene of each iteration, and what was planned there.
+//! The scenes and plans of a replay.
 
 use super::Replay;
 use super::track::AgentTrack;
 use crate::geometry::Point;
 use crate::world::{EgoState, History, LaneMap, MapError, Route, SceneView, TrackedObject, TrafficLights};
 
-/// A replay whose scenes can be drawn.
+/// A replay ready for drawing.
 #[derive(Debug, Clone)]
 pub(in crate::report) struct ReplayedSimulation {
     map: LaneMap,
     moments: Vec<Moment>,
-    /// Planning calls: iteration, and the roll-out of each attempt.
+    /// Planning calls: iteration and the roll-out of each attempt.
     calls: Vec<(usize, Vec<Vec<Point>>)>,
     route: Route,
     lights: TrafficLights,
     history: History,
 }
 
-/// What was at one iteration.
+/// One iteration.
 #[derive(Debug, Clone)]
 pub(in crate::report) struct Moment {
     /// Seconds since the start.
     pub(in crate::report) at_s: f64,
     /// The ego.
     pub(in crate::report) ego: EgoState,
-    /// The plan in force: way of the rear axle.
+    /// The active plan: path of the rear axle.
     pub(in crate::report) plan: Vec<Point>,
     objects: Vec<TrackedObject>,
 }
@@ -66,7 +66,7 @@ impl ReplayedSimulation {
         &self.moments
     }
 
-    /// The scene of a moment, without route, lights and history: what is drawn.
+    /// The scene of a moment, without route, lights and history.
     pub(in crate::report) fn scene<'a>(&'a self, moment: &'a Moment) -> SceneView<'a> {
         SceneView {
             map: &self.map,
@@ -78,10 +78,10 @@ impl ReplayedSimulation {
         }
     }
 
-    /// The planning call in force at an iteration: its number and the roll-outs of its attempts.
+    /// The last planning call up to an iteration: its number and the roll-outs of its attempts.
     pub(in crate::report) fn call_at(&self, iteration: usize) -> Option<(usize, &[Vec<Point>])> {
-        let made = self.calls.iter().take_while(|(at, _)| *at <= iteration).count();
-        let call = made.checked_sub(1)?;
+        let count = self.calls.iter().take_while(|(at, _)| *at <= iteration).count();
+        let call = count.checked_sub(1)?;
         self.calls.get(call).map(|(_, attempts)| (call, attempts.as_slice()))
     }
 }

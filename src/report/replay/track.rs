@@ -1,4 +1,4 @@
-//! What moves or changes in a drive.
+//! Tracks of the ego, the agents and the lights.
 
 use super::deltas::{Deltas, LENGTH};
 use crate::geometry::{OrientedBox, Pose, Vector, unwrap_angles};
@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 
 /// Unit of angles, radians.
 const ANGLE: f64 = 0.001;
-/// Unit of the ego's speed, m/s; of its acceleration, m/s²; and of its yaw rate, rad/s.
+/// Unit of the ego's speed (m/s), acceleration (m/s²) and yaw rate (rad/s).
 const RATE: f64 = 0.01;
-/// Unit of the velocities of others, m/s.
+/// Unit of the agents' velocities, m/s.
 const VELOCITY: f64 = 0.1;
 
 /// Poses in order.
@@ -37,7 +37,7 @@ impl Poses {
     }
 }
 
-/// The ego at all samples: its rear axle, and what it does in its own frame.
+/// The ego at all samples: its rear axle, and its motion in its own frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct EgoTrack {
     #[serde(flatten)]
@@ -63,7 +63,7 @@ impl EgoTrack {
         }
     }
 
-    /// The states again, as far as they were kept.
+    /// The states; steering and lateral motion are not stored.
     pub(super) fn states(&self) -> impl Iterator<Item = EgoState> + '_ {
         let rates = self.speed.values(RATE).zip(self.acceleration.values(RATE)).zip(self.yaw_rate.values(RATE));
         self.poses.poses().zip(rates).map(|(rear_axle, ((speed, acceleration), yaw_rate))| EgoState {
@@ -79,15 +79,15 @@ impl EgoTrack {
     }
 }
 
-/// An object for as long as it is seen without a gap.
+/// An object during consecutive samples.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct AgentTrack {
     token: TrackToken,
     kind: ObjectKind,
-    /// Whole centimetres, where it is first seen.
+    /// Whole centimetres, at the first sample.
     length: i64,
     width: i64,
-    /// First sample in which it is seen.
+    /// The first sample.
     from: usize,
     /// Centre of its box.
     #[serde(flatten)]
@@ -109,7 +109,7 @@ impl AgentTrack {
                     ended.push((*from, std::mem::take(seen)));
                     *from = i;
                 }
-                // A token twice in one sample would shift all later ones.
+                // A token that occurs twice in one sample would shift the later samples.
                 if *from + seen.len() == i {
                     seen.push(*object);
                 }
@@ -142,7 +142,7 @@ impl AgentTrack {
         })
     }
 
-    /// The object again, with the samples in which it is seen.
+    /// The object at each of its samples.
     pub(super) fn objects(&self) -> impl Iterator<Item = (usize, TrackedObject)> + '_ {
         let velocities = self.vx.values(VELOCITY).zip(self.vy.values(VELOCITY));
         let (length, width) = (self.length as f64 * LENGTH, self.width as f64 * LENGTH);
@@ -154,7 +154,7 @@ impl AgentTrack {
     }
 }
 
-/// The light of a connector: the samples at which it changes, and to what; nothing where no light is recorded.
+/// The light of a connector: the samples of its changes, and its new status; none where no light is recorded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct LightTrack {
     lane: LaneId,
@@ -162,7 +162,7 @@ pub(super) struct LightTrack {
 }
 
 impl LightTrack {
-    /// The lights of `lanes`, as `status` tells them for each of so many samples.
+    /// The lights of `lanes`; `status` gives them by sample.
     pub(super) fn all(
         lanes: impl Iterator<Item = LaneId>,
         samples: usize,
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn objects_come_back_where_they_were_and_gaps_stay_gaps() {
+    fn objects_keep_their_places_and_gaps() {
         let seen: [&[TrackedObject]; 4] =
             [&[car(1, 10.0), car(7, 500.0)], &[car(1, 11.0), car(2, 20.0)], &[car(2, 21.0)], &[car(1, 13.0)]];
         let samples: Vec<HistorySample> = seen
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_light_is_told_when_it_changes() {
+    fn a_light_is_stored_when_it_changes() {
         let shown = [None, Some(SignalStatus::Red), Some(SignalStatus::Red), Some(SignalStatus::Green), None];
         let lights = LightTrack::all([LaneId(3), LaneId(4)].into_iter(), shown.len(), |i, lane| {
             if lane == LaneId(3) { shown[i] } else { None }

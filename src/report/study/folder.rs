@@ -1,4 +1,4 @@
-//! The folder of an experiment's results: `results.json`, `results.md` and its figures. Made anew of the runs each time.
+//! The folder of an experiment's results: `results.json`, `results.md` and figures. Each time it is written from the runs.
 
 use super::results::StudyResults;
 use crate::experiment::study::Study;
@@ -16,32 +16,27 @@ pub struct StudyFolder {
 }
 
 impl StudyFolder {
-    /// A folder; it need not be there.
+    /// A folder, which need not exist yet.
     pub fn new(path: PathBuf) -> Self {
         Self { path }
     }
 
-    /// Where it is.
+    /// The path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Writes the results of a study; `command` made them.
-    ///
-    /// # Errors
-    /// When a file cannot be written.
+    /// Writes the results of a study and the `command` that reproduces them.
     pub fn write(&self, study: &Study, results: &StudyResults, command: &str) -> Result<(), ReportError> {
         let mut files = figures(study, results);
         let names: Vec<String> = files.iter().map(|(name, _)| name.clone()).collect();
         files.push(("results.md".to_owned(), study_markdown(study, results, command, &names)));
-        files.push(("results.json".to_owned(), serde_json::to_string_pretty(&json_value(results)?)? + "\n"));
+        let json = json_value(results).and_then(|value| serde_json::to_string_pretty(&value));
+        files.push(("results.json".to_owned(), json.map_err(ReportError::at(&self.path))? + "\n"));
         self.write_files(&files)
     }
 
-    /// Writes files of these names, each whole or not at all.
-    ///
-    /// # Errors
-    /// When one cannot be written.
+    /// Writes files of these names, each completely or not at all.
     pub fn write_files(&self, files: &[(impl AsRef<Path>, String)]) -> Result<(), ReportError> {
         atomic::folder(&self.path)?;
         files.iter().try_for_each(|(name, text)| atomic::write(&self.path.join(name), text.as_bytes()))

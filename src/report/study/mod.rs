@@ -1,4 +1,4 @@
-//! What an experiment leaves: scores with paired differences and their intervals, as Markdown, JSON and figures.
+//! Results of an experiment: scores and paired differences with intervals, as Markdown, JSON and figures.
 
 mod folder;
 mod results;

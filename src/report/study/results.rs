@@ -1,4 +1,4 @@
-//! The numbers of an experiment. Scores and differences are nuPlan's scores x 100, as in the paper.
+//! `results.json` of an experiment. Scores and differences are nuPlan's scores x 100, as in the paper.
 
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use crate::experiment::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
@@ -9,12 +9,12 @@ use crate::simulation::Challenge;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// What was driven in a suite.
+/// The simulations of a suite.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SuiteSimulations {
-    /// Its name.
+    /// Name of the suite.
     pub name: String,
-    /// How many scenes it has.
+    /// Number of scenes.
     pub scenes: usize,
     /// BLAKE3 of their names.
     pub blake3: String,
@@ -22,26 +22,26 @@ pub struct SuiteSimulations {
     pub variants: Vec<VariantSimulations>,
 }
 
-/// What was driven by a variant.
+/// The simulations of a variant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VariantSimulations {
-    /// What came of it.
+    /// Its simulations, or why it has none.
     pub outcome: Outcome,
-    /// Parameters of its model, when one was loaded.
+    /// Parameters of its model, if one was loaded.
     pub parameters: Option<u64>,
 }
 
-/// What came of a variant.
+/// The simulations of a variant, or why it has none.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
-    /// It drove.
+    /// It was simulated.
     Simulated {
         /// Folder of the run, relative to that of the results.
         run: String,
-        /// Its drives.
+        /// Its simulations.
         rows: Vec<SimulationRow>,
     },
-    /// It did not, and why, in a word or two.
+    /// It was not simulated; the reason in a word or two.
     NotSimulated(&'static str),
 }
 
@@ -52,15 +52,15 @@ pub struct StudyResults {
     pub planagent: &'static str,
     /// Name of the experiment.
     pub experiment: &'static str,
-    /// What it shows.
+    /// The title.
     pub title: &'static str,
-    /// Where the paper has it.
+    /// The paper's table or figure.
     pub paper: Option<&'static str>,
-    /// How many scenes of each type were driven; all of them without it.
+    /// Scenes of each type; none if all were simulated.
     pub quick: Option<Quick>,
-    /// Seed of the drives.
+    /// Seed of the simulations.
     pub seed: u64,
-    /// How the intervals were made.
+    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// The variant that the others are compared with.
     pub reference: String,
@@ -73,9 +73,9 @@ pub struct StudyResults {
 pub struct SuiteResults {
     /// Its name.
     pub name: String,
-    /// The paper's benchmark that its numbers are set beside.
+    /// The paper's benchmark that is compared.
     pub benchmark: Option<Benchmark>,
-    /// How many scenes it has.
+    /// Number of scenes.
     pub scenes: usize,
     /// BLAKE3 of their names.
     pub blake3: String,
@@ -88,24 +88,24 @@ pub struct SuiteResults {
 pub struct VariantResults {
     /// Its name.
     pub name: String,
-    /// Who drove.
+    /// Name of the planner.
     pub planner: String,
-    /// TOML that was laid over the configuration.
+    /// TOML that overrides the configuration.
     pub settings: &'static str,
     /// Folder of the run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub run: Option<String>,
-    /// Why it did not drive.
+    /// Why it was not simulated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub not_simulated: Option<&'static str>,
     /// Its scores.
     pub challenges: Vec<ChallengeResults>,
-    /// The same by scenario type, where the experiment is about these.
+    /// Scores by scenario type, if the experiment compares these.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub scenario_types: Vec<TypeResults>,
-    /// Planning calls in a drive, on average; none for planners without.
+    /// Mean number of planning calls; none for planners without a model.
     pub calls_per_simulation: Option<f64>,
-    /// What its model costs, where the experiment is about that.
+    /// Cost of its model, if the experiment compares it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<ModelCost>,
 }
@@ -113,13 +113,13 @@ pub struct VariantResults {
 /// Scores in a challenge.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChallengeResults {
-    /// Among which traffic.
+    /// nuPlan's challenge.
     pub challenge: Challenge,
-    /// Mean score of the drives that came to their end.
+    /// Mean score of the completed simulations.
     pub score: Option<f64>,
-    /// How many these are.
+    /// Number of completed simulations.
     pub simulations: usize,
-    /// How many did not.
+    /// Number of failed simulations.
     pub failed: usize,
     /// Score minus the reference's on the same scenes; none for the reference itself.
     pub difference: Option<PairedDifference>,
@@ -138,21 +138,21 @@ pub struct TypeResults {
     pub challenges: Vec<ChallengeResults>,
 }
 
-/// What a model costs. The time is a measurement.
+/// The cost of a model. The time is a measurement.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ModelCost {
-    /// Its parameters.
+    /// Number of parameters.
     pub parameters: Option<u64>,
     /// Median time of a planning call, milliseconds.
     pub call_ms: Option<f64>,
-    /// Whether the time is a bench's, and not of the drives.
+    /// Whether the time is from a bench instead of the simulations.
     pub benched: bool,
-    /// What the paper has.
+    /// The paper's values.
     pub paper: Option<PublishedModel>,
 }
 
 impl StudyResults {
-    /// The numbers of what was driven; `bench` has the times of models that did not drive.
+    /// The results of simulations; `bench` has the times of models that were not simulated.
     pub fn new(
         study: &Study,
         suites: &[SuiteSimulations],
@@ -162,7 +162,7 @@ impl StudyResults {
     ) -> Self {
         let bootstrap = Bootstrap::default();
         let reference = study.variants.get(study.reference);
-        let telling = Telling { study, bootstrap, bench };
+        let source = ResultSource { study, bootstrap, bench };
         Self {
             planagent: env!("CARGO_PKG_VERSION"),
             experiment: study.name,
@@ -172,19 +172,19 @@ impl StudyResults {
             seed,
             bootstrap,
             reference: reference.map(|variant| study.name_of(variant)).unwrap_or_default(),
-            suites: suites.iter().map(|suite| telling.suite(suite)).collect(),
+            suites: suites.iter().map(|suite| source.suite(suite)).collect(),
         }
     }
 }
 
-/// How drives become numbers.
-struct Telling<'a> {
+/// What the results are computed from.
+struct ResultSource<'a> {
     study: &'a Study,
     bootstrap: Bootstrap,
     bench: &'a [ModelFigures],
 }
 
-impl Telling<'_> {
+impl ResultSource<'_> {
     fn suite(&self, suite: &SuiteSimulations) -> SuiteResults {
         let benchmark = benchmark(&suite.name);
         let reference = suite.variants.get(self.study.reference).map_or(&[][..], VariantSimulations::rows);
@@ -278,7 +278,7 @@ impl Telling<'_> {
             .collect()
     }
 
-    /// The time of the drives' calls; of a model that did not drive, that of its bench.
+    /// The time is that of the planning calls, or of a bench for a model that was not simulated.
     fn cost(&self, variant: &Variant, simulations: &VariantSimulations) -> ModelCost {
         let benched = self.bench.iter().find(|model| variant.labels.first() == Some(&model.about.model.as_str()));
         let calls = simulations.rows().iter().flat_map(|row| &row.time.calls).map(|call| call.total).collect();

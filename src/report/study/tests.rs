@@ -1,45 +1,24 @@
-//! Numbers and tables of made-up drives.
+//! Results and tables of example simulations.
 
 use super::*;
 use crate::experiment::study::{Figure, Quick, named};
 use crate::planner::PlannerName;
 use crate::report::figure::figures;
-use crate::report::{SimulationRow, SimulationTime, study_markdown, study_table};
+use crate::report::{SimulationRow, study_markdown, study_table};
 use crate::simulation::Challenge;
 
-/// A drive of a scene; without a score it failed.
+/// A simulation of a scene; without a score it failed.
 fn simulation(scene: usize, challenge: Challenge, score: Option<f64>) -> SimulationRow {
     let kind = if scene.is_multiple_of(2) { "changing_lane" } else { "stopping_with_lead" };
-    let source = format!("generated/{kind}/{scene}");
-    SimulationRow {
-        number: scene,
-        scenario: source.clone(),
-        source,
-        scenario_type: kind.to_owned(),
-        log_name: "generated".to_owned(),
-        planner: PlannerName::PLAN_AGENT.to_string(),
-        challenge,
-        error: score.is_none().then(|| "it broke".to_owned()),
-        score,
-        zeroed_by: Vec::new(),
-        planning_calls: 8,
-        gated_calls: 0,
-        rethinks: 0,
-        parse_errors: 0,
-        deadlines: 0,
-        failed_calls: 0,
-        drivable_layers: None,
-        time: SimulationTime::default(),
-        metrics: Vec::new(),
-    }
+    SimulationRow::example(kind, scene, PlannerName::PLAN_AGENT.as_str(), challenge, score)
 }
 
-/// Drives of four scenes in both challenges with these scores.
-fn driven(scores: [Option<f64>; 4]) -> VariantSimulations {
+/// Simulations of four scenes in both challenges with these scores.
+fn simulated(scores: [Option<f64>; 4]) -> VariantSimulations {
     let of = |challenge| scores.into_iter().enumerate().map(move |(scene, score)| simulation(scene, challenge, score));
     let rows = Challenge::CLOSED_LOOP.into_iter().flat_map(of).collect();
     VariantSimulations {
-        outcome: Outcome::Simulated { run: "../drives/a".to_owned(), rows },
+        outcome: Outcome::Simulated { run: "../runs/a".to_owned(), rows },
         parameters: Some(4_018_752),
     }
 }
@@ -48,14 +27,14 @@ fn suite(name: &str, variants: Vec<VariantSimulations>) -> SuiteSimulations {
     SuiteSimulations { name: name.to_owned(), scenes: 4, blake3: "0".to_owned(), variants }
 }
 
-const NOT_DRIVEN: VariantSimulations =
+const NOT_SIMULATED: VariantSimulations =
     VariantSimulations { outcome: Outcome::NotSimulated("no weights"), parameters: None };
 
 #[test]
-fn differences_are_paired_and_failed_drives_count_nowhere() {
+fn differences_are_paired_and_failed_simulations_do_not_count() {
     let study = named("interval").unwrap();
-    let full = driven([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
-    let other = driven([Some(0.9), None, Some(0.75), Some(1.0)]);
+    let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
+    let other = simulated([Some(0.9), None, Some(0.75), Some(1.0)]);
     let results =
         StudyResults::new(&study, &[suite("generated-14-hard", vec![other, full.clone(), full])], None, 3, &[]);
     let variants = &results.suites[0].variants;
@@ -76,23 +55,23 @@ fn differences_are_paired_and_failed_drives_count_nowhere() {
 #[test]
 fn the_tables_read_well_in_80_columns() {
     let study = named("reasoning").unwrap();
-    let full = driven([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
-    let worse = driven([Some(0.0), Some(0.5), Some(0.25), Some(0.9)]);
-    let variants = vec![worse.clone(), driven([Some(1.0), None, Some(0.75), Some(0.95)]), worse, full];
+    let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
+    let worse = simulated([Some(0.0), Some(0.5), Some(0.25), Some(0.9)]);
+    let variants = vec![worse.clone(), simulated([Some(1.0), None, Some(0.75), Some(0.95)]), worse, full];
     let results = StudyResults::new(&study, &[suite("generated-14-hard", variants)], Some(Quick::DEFAULT), 0, &[]);
     let table = study_table(&study, &results);
     assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
     insta::assert_snapshot!(table, @r#"
     What the model is asked, and whether its planners are judged
 
-    generated-14-hard, replayed traffic: 4 scenes
+    generated-14-hard, non-reactive agents: 4 scenes
     understanding  instruction  reflection     NR    diff   95 % interval  paper
     no             yes          yes         41.25  -37.50  -75.00 to 0.00  70.09
     yes            no           yes         90.00   +1.67   0.00 to +5.00  70.60
     yes            yes          no          41.25  -37.50  -75.00 to 0.00  69.84
     yes            yes          yes         78.75       -       reference  72.51
 
-    generated-14-hard, reactive traffic: 4 scenes
+    generated-14-hard, reactive agents: 4 scenes
     understanding  instruction  reflection      R    diff   95 % interval  paper
     no             yes          yes         41.25  -37.50  -75.00 to 0.00  75.26
     yes            no           yes         90.00   +1.67   0.00 to +5.00  75.39
@@ -100,21 +79,21 @@ fn the_tables_read_well_in_80_columns() {
     yes            yes          yes         78.75       -       reference  76.82
 
     Quick: only the first 2 scenes of each type; intervals are wide.
-    NR, R = replayed, reactive traffic; nuPlan's score x 100. diff = score minus
-    that of the whole agent on the same scenes; its interval holds 95 % of 10000
-    means over scenes drawn anew (percentile bootstrap, seed 0).
-    paper = the paper's on nuPlan's Test14-hard: other scenes than
-    generated-14-hard, for the direction alone.
-    2 simulations of no instruction on generated-14-hard failed and count in no mean.
+    NR, R = non-reactive, reactive agents; nuPlan's score x 100. diff = score minus
+    that of the whole agent on the same scenes. Its 95 % interval is a percentile
+    bootstrap over scenes (10000 resamples, seed 0).
+    paper = the paper's result on nuPlan's Test14-hard. Its scenes differ from
+    generated-14-hard: compare only the direction.
+    2 simulations of no instruction on generated-14-hard failed and do not count.
     "#);
 }
 
 #[test]
-fn models_that_do_not_drive_say_why_and_types_stand_on_lines_of_their_own() {
-    let full = driven([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
+fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
+    let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     let study = named("mllm").unwrap();
     let mut variants = vec![full.clone(), full.clone()];
-    variants.resize(study.variants.len(), NOT_DRIVEN);
+    variants.resize(study.variants.len(), NOT_SIMULATED);
     let mllm = StudyResults::new(&study, &[suite("generated-14-hard", variants)], None, 0, &[]);
     let table = study_table(&study, &mllm);
     assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
@@ -125,7 +104,7 @@ fn models_that_do_not_drive_say_why_and_types_stand_on_lines_of_their_own() {
     assert_eq!(costs, ["nano", "4.0", "M", "-", "-", "-"]);
 
     let study = named("scenario-types").unwrap();
-    let better = driven([Some(1.0), Some(1.0), Some(1.0), Some(1.0)]);
+    let better = simulated([Some(1.0), Some(1.0), Some(1.0), Some(1.0)]);
     let types = StudyResults::new(&study, &[suite("generated-14-hard", vec![full, better])], None, 0, &[]);
     let table = study_table(&study, &types);
     assert!(table.contains("\nchanging_lane\n"), "{table}");
@@ -137,8 +116,8 @@ fn models_that_do_not_drive_say_why_and_types_stand_on_lines_of_their_own() {
 }
 
 #[test]
-fn markdown_has_both_challenges_beside_the_papers_and_every_study_is_drawn() {
-    let full = driven([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
+fn markdown_has_both_challenges_and_the_paper_and_every_study_has_a_figure() {
+    let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     for study in crate::experiment::study::all() {
         let variants = vec![full.clone(); study.variants.len()];
         let results = StudyResults::new(&study, &[suite("generated-14-hard", variants)], None, 0, &[]);

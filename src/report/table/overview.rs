@@ -1,54 +1,40 @@
-//! The paper's main table, over all scenarios and by scenario type.
+//! Mean scores of the planners, over all scenarios and by scenario type.
 
-use super::{percent_or_dash, plain, short};
+use super::{Table, or_dash, percent, short, three_digits};
 use crate::report::summary::{Aggregate, Summary, distinct};
 use crate::report::timing::PlannerTiming;
 use crate::simulation::Challenge;
-use console::style;
 
-/// A row a planner: its mean scores, the mean time of a step and, where a planner calls a model, the median time of a call, how
-/// many drives it made. No quantile of a step: most steps of a planner with a model do not call it.
+/// A row for each planner: its mean scores, the mean time of a step, the median time of a planning call, its simulations.
+///
+/// There is no median of a step: most steps of a planner with a model do not call it.
 pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
     let challenges = distinct(summary.aggregates.iter().map(|row| row.challenge));
-    let head = ["planner"].into_iter().chain(challenges.iter().map(|&c| short(c)));
-    let calls = timings.iter().any(|timing| timing.planning_call_ms.is_some());
-    let call = calls.then_some("ms/call p50");
-    let header = head.chain(["ms/step"]).chain(call).chain(["simulations", "failed"]);
-    let header: Vec<String> = header.map(str::to_owned).collect();
+    let call = timings.iter().any(|timing| timing.planning_call_ms.is_some()).then_some("ms/call p50");
+    let scores = challenges.iter().map(|&challenge| short(challenge));
+    let headers = ["planner"].into_iter().chain(scores).chain(["ms/step"]).chain(call).chain(["simulations", "failed"]);
     let planners = distinct(summary.aggregates.iter().map(|row| row.planner.as_str()));
     let rows = planners.into_iter().map(|planner| {
         let own = || summary.aggregates.iter().filter(|row| row.planner == planner);
         let score = |challenge| own().find(|row| row.challenge == challenge).and_then(|row| row.score);
         let timing = timings.iter().find(|timing| timing.planner == planner);
-        let ms = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), milliseconds);
+        let step = or_dash(timing.and_then(|timing| timing.mean_iteration_ms), three_digits);
+        let call = call.map(|_| or_dash(timing.and_then(|t| t.planning_call_ms).map(|call| call.p50), three_digits));
         let simulations: usize = own().map(|row| row.scenarios + row.failed).sum();
         let failed: usize = own().map(|row| row.failed).sum();
-        let scores = challenges.iter().map(|&challenge| percent_or_dash(score(challenge)));
-        let step = ms(timing.and_then(|timing| timing.mean_iteration_ms));
-        let call = calls.then(|| ms(timing.and_then(|timing| timing.planning_call_ms).map(|call| call.p50)));
-        let counts = [simulations.to_string(), failed.to_string()];
+        let scores = challenges.iter().map(|&challenge| or_dash(score(challenge), percent));
+        let counts = [simulations, failed].map(|count| count.to_string());
         [planner.to_owned()].into_iter().chain(scores).chain([step]).chain(call).chain(counts).collect()
     });
-    plain(&header, rows.collect(), 1)
+    Table::new(headers, 1, rows).terminal()
 }
 
-/// Three figures at most.
-fn milliseconds(ms: f64) -> String {
-    match ms {
-        ms if ms < 0.1 => format!("{ms:.4}"),
-        ms if ms < 10.0 => format!("{ms:.2}"),
-        ms if ms < 100.0 => format!("{ms:.1}"),
-        ms => format!("{ms:.0}"),
-    }
-}
+/// Columns of the number of scenarios, of a score, and of the gap after each.
+const COUNT: usize = 4;
+const SCORE: usize = 6;
+const GAP: usize = 2;
 
-/// Columns that a score takes: `100.00` and a gap.
-const SCORE: usize = 7;
-/// Columns before the scores.
-const COUNT: usize = 6;
-
-/// Two lines a scenario type: its name, then how many scenarios and each planner's scores. As many planners side by side
-/// as the width holds, the others below.
+/// The scores of the planners by scenario type; planners that the width does not hold follow in tables below.
 pub(super) fn scenario_types(summary: &Summary, width: u16) -> String {
     let rows = &summary.scenario_types;
     let types = distinct(rows.iter().filter_map(|row| row.scenario_type.as_deref()));
@@ -57,42 +43,37 @@ pub(super) fn scenario_types(summary: &Summary, width: u16) -> String {
     }
     let challenges = distinct(rows.iter().map(|row| row.challenge));
     let planners = distinct(rows.iter().map(|row| row.planner.as_str()));
-    let longest = planners.iter().map(|name| name.chars().count() + 2).max().unwrap_or(0);
-    let group = (challenges.len() * SCORE).max(longest);
-    let beside = (usize::from(width).saturating_sub(COUNT) / group).max(1);
-    let blocks = planners.chunks(beside).map(|planners| block(rows, &types, planners, &challenges, group));
-    blocks.collect::<Vec<_>>().join("\n\n")
+    let name = planners.iter().map(|name| name.chars().count()).max().unwrap_or(0).max(SCORE) + GAP;
+    let group = name + (challenges.len() - 1) * (SCORE + GAP);
+    let beside = (usize::from(width).saturating_sub(COUNT + GAP) / group).max(1);
+    let tables = planners.chunks(beside).map(|planners| type_table(rows, &types, planners, &challenges));
+    tables.map(Table::terminal_below_names).collect::<Vec<_>>().join("\n\n")
 }
 
-fn block(rows: &[Aggregate], types: &[&str], planners: &[&str], challenges: &[Challenge], group: usize) -> String {
-    let cells = |of: &dyn Fn(&str, Challenge) -> String| -> String {
-        let scores = |planner: &str| -> Vec<String> {
-            challenges.iter().map(|&challenge| format!("{:>SCORE$}", of(planner, challenge))).collect()
-        };
-        let groups = planners.iter().map(|planner| format!("{:>group$}", scores(planner).concat()));
-        groups.collect::<Vec<_>>().concat()
+fn type_table(rows: &[Aggregate], types: &[&str], planners: &[&str], challenges: &[Challenge]) -> Table {
+    let columns: Vec<(&str, Challenge)> =
+        planners.iter().flat_map(|&planner| challenges.iter().map(move |&challenge| (planner, challenge))).collect();
+    let header = |&(planner, challenge): &(&str, Challenge)| {
+        let planner = if challenges.first() == Some(&challenge) { planner } else { "" };
+        format!("{planner}\n{}", short(challenge))
     };
-    let names = planners.iter().map(|planner| format!("{planner:>group$}")).collect::<Vec<_>>().concat();
-    let mut lines = vec![
-        format!("{:<COUNT$}{names}", "type"),
-        format!("{:>COUNT$}{}", "n", cells(&|_, challenge| short(challenge).to_owned())),
-    ];
-    for name in types {
-        let of_type = || rows.iter().filter(|row| row.scenario_type.as_deref() == Some(*name));
-        let n = of_type().map(|row| row.scenarios + row.failed).max().unwrap_or(0);
-        let score = |planner: &str, challenge| {
-            of_type().find(|row| row.planner == planner && row.challenge == challenge).and_then(|row| row.score)
-        };
-        lines.push(style(name).bold().to_string());
-        lines.push(format!("{n:>COUNT$}{}", cells(&|planner, challenge| percent_or_dash(score(planner, challenge)))));
-    }
-    lines.join("\n")
+    let headers = ["type".to_owned(), format!("\n{:>COUNT$}", "n")].into_iter().chain(columns.iter().map(header));
+    let cells = types.iter().map(|&name| {
+        let own = || rows.iter().filter(|row| row.scenario_type.as_deref() == Some(name));
+        let count = own().map(|row| row.scenarios + row.failed).max().unwrap_or(0);
+        let scores = columns.iter().map(|&(planner, challenge)| {
+            let row = own().find(|row| row.planner == planner && row.challenge == challenge);
+            or_dash(row.and_then(|row| row.score), percent)
+        });
+        [name.to_owned(), count.to_string()].into_iter().chain(scores).collect()
+    });
+    Table::new(headers, 1, cells)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::timing::Quantiles;
+    use crate::report::Quantiles;
     use std::slice;
 
     const CHALLENGES: [Challenge; 2] = Challenge::CLOSED_LOOP;
@@ -157,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn types_stay_within_the_width_and_planners_that_do_not_fit_stand_below() {
+    fn types_fit_the_width_and_further_planners_follow_below() {
         console::set_colors_enabled(false);
         let six = ["plan-agent", "log-replay", "idm", "simple", "pdm-closed", "a-planner-of-the-future"];
         let text = scenario_types(&summary(&six), 80);
@@ -165,10 +146,10 @@ mod tests {
         let blocks: Vec<&str> = text.split("\n\n").collect();
         assert_eq!(blocks.len(), 3, "{text}");
         let lines: Vec<&str> = blocks[0].lines().collect();
-        assert_eq!(words(lines[0]), ["type", "plan-agent", "log-replay"]);
-        assert_eq!(words(lines[1]), ["n", "NR", "R", "NR", "R"]);
-        assert_eq!((lines[2], words(lines[3])), ("changing_lane", vec!["10", "-", "-", "-", "-"]));
-        assert_eq!(words(lines[5]), ["10", "100.00", "100.00", "100.00", "100.00"]);
+        assert_eq!((lines[0], words(lines[1])), ("type", vec!["plan-agent", "log-replay"]));
+        assert_eq!(words(lines[2]), ["n", "NR", "R", "NR", "R"]);
+        assert_eq!((lines[3], words(lines[4])), ("changing_lane", vec!["10", "-", "-", "-", "-"]));
+        assert_eq!(words(lines[6]), ["10", "100.00", "100.00", "100.00", "100.00"]);
         assert_eq!(scenario_types(&Summary::new(0, None, &[], &[]), 80), "", "one type is all there is");
     }
 }

@@ -1,68 +1,56 @@
-//! The drives one by one: their metrics, what made scores 0, what failed.
+//! The simulations of a run: their metrics, what made scores 0, which failed.
 
-use super::{fill, percent_or_dash, plain, short};
+use super::{Table, fill, or_dash, percent, short};
 use crate::metrics::MetricList;
 use crate::report::number::fixed;
 use crate::report::simulation_row::SimulationRow;
 use console::style;
 
-/// More drives than this are left to `summary.json`; the means stand for them.
-const MOST_ROWS: usize = 60;
+/// Maximum number of rows; `summary.json` has all simulations.
+const MAX_ROWS: usize = 60;
 
-/// A row a drive under the name of its scenario: score x 100 and the metrics of the list.
-pub(super) fn simulations(rows: &[SimulationRow], list: MetricList) -> String {
-    let driven = || rows.iter().filter(|row| row.score.is_some() && row.challenge.metric_list() == list);
-    let shown: Vec<&SimulationRow> = driven().take(MOST_ROWS).collect();
-    let metrics = list.scored().map(|metric| metric.label);
-    let header = ["simulation", "", "score"].into_iter().chain(metrics).chain(["calls"]);
-    let table = plain(&header.map(str::to_owned).collect::<Vec<_>>(), shown.iter().map(|row| cells(row)).collect(), 2);
-    let mut lines = table.lines();
-    let mut text: Vec<String> = lines.next().map(str::to_owned).into_iter().collect();
-    let mut scenario = "";
-    for (row, line) in shown.iter().zip(lines) {
-        if row.scenario != scenario {
-            scenario = &row.scenario;
-            text.push(style(scenario).bold().to_string());
-        }
-        text.push(line.to_owned());
-    }
-    let left_out = driven().count() - shown.len();
+/// A row for each simulation below the name of its scenario: score x 100 and the metrics of the list.
+pub(super) fn table(rows: &[SimulationRow], list: MetricList) -> String {
+    let completed = || rows.iter().filter(|row| row.score.is_some() && row.challenge.metric_list() == list);
+    let labels = list.scored().map(|metric| metric.label);
+    let headers = ["scenario", "  planner", "", "score"].into_iter().chain(labels).chain(["calls"]);
+    let table = Table::new(headers, 3, completed().take(MAX_ROWS).map(cells));
+    let left_out = completed().count() - table.rows.len();
+    let mut text = table.terminal_below_names();
     if left_out > 0 {
-        text.push(format!("and {left_out} more simulations in summary.json"));
+        text.push_str(&format!("\nand {left_out} more simulations in summary.json"));
     }
-    text.join("\n")
+    text
 }
 
 fn cells(row: &SimulationRow) -> Vec<String> {
+    let decimals = |value: f64| if (value - value.round()).abs() < 1e-9 { 0 } else { 2 };
     let list = row.challenge.metric_list().scored();
-    let metrics = list.map(|metric| row.metric(metric.name).map_or_else(|| "-".to_owned(), compact));
-    let calls = if row.planning_calls == 0 { "-".to_owned() } else { row.planning_calls.to_string() };
-    let head = [format!("  {}", row.planner), short(row.challenge).to_owned(), percent_or_dash(row.score)];
+    let metrics = list.map(|metric| or_dash(row.metric(metric.name), |value| fixed(value, decimals(value))));
+    let calls = or_dash(Some(row.planning_calls).filter(|calls| *calls > 0), |calls| calls.to_string());
+    let planner = format!("  {}", row.planner);
+    let head = [row.scenario.clone(), planner, short(row.challenge).to_owned(), or_dash(row.score, percent)];
     head.into_iter().chain(metrics).chain([calls]).collect()
 }
 
-/// What the short heads mean.
+/// The meaning of the labels.
 pub(super) fn legend(list: MetricList, width: u16) -> String {
     let meanings = list.scored().map(|metric| format!("{} = {}", metric.label, metric.name));
-    let mut lines = fill(meanings, usize::from(width));
-    lines.push(
-        match list {
-            MetricList::ClosedLoop => "NR, R = replayed, reactive traffic  score = nuPlan's closed-loop score x 100",
-            MetricList::OpenLoop => "OLS = the ego does what was recorded  score = nuPlan's open-loop score x 100",
-        }
-        .to_owned(),
-    );
-    lines.iter().map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
+    let challenges = match list {
+        MetricList::ClosedLoop => "NR, R = non-reactive, reactive agents  score = nuPlan's closed-loop score x 100",
+        MetricList::OpenLoop => "OLS = the ego replays the log  score = nuPlan's open-loop score x 100",
+    };
+    let lines = fill(meanings, usize::from(width)).into_iter().chain([challenges.to_owned()]);
+    lines.map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
 }
 
-/// For each score of 0 the multipliers that made it, a line each.
+/// The multipliers that made scores 0, a line each, below the name of the scenario.
 pub(super) fn zeroed(rows: &[SimulationRow]) -> String {
     let mut lines: Vec<String> = Vec::new();
     let mut scenario = None;
     for row in rows.iter().filter(|row| !row.zeroed_by.is_empty()) {
-        if scenario != Some(&row.scenario) {
+        if scenario.replace(&row.scenario) != Some(&row.scenario) {
             lines.push(row.scenario.clone());
-            scenario = Some(&row.scenario);
         }
         let names = row.zeroed_by.iter();
         lines.extend(names.map(|name| format!("  {} {}: 0 because of {name}", row.planner, short(row.challenge))));
@@ -70,12 +58,8 @@ pub(super) fn zeroed(rows: &[SimulationRow]) -> String {
     lines.join("\n")
 }
 
-/// A line a failed drive.
+/// A line for each failed simulation.
 pub fn failures(rows: &[SimulationRow]) -> Vec<String> {
     let failed = rows.iter().filter_map(|row| row.error.as_ref().map(|error| (row, error)));
     failed.map(|(row, error)| format!("{} ({}, {}): {error}", row.scenario, row.planner, row.challenge)).collect()
-}
-
-fn compact(value: f64) -> String {
-    fixed(value, if (value - value.round()).abs() < 1e-9 { 0 } else { 2 })
 }

@@ -1,21 +1,17 @@
-//! The table of what scene descriptions take.
+//! The table of tokens that scene descriptions take.
 
-use super::plain;
+use super::{Table, or_dash};
 use crate::experiment::tokens::{TokenMean, TokenTable};
 use crate::report::number::fixed;
 
 /// A row a description: mean and 95th percentile by each tokenizer, and the paper's mean on nuPlan.
 pub fn token_table(table: &TokenTable) -> String {
     let model = table.model.as_deref().unwrap_or("model");
-    let header = ["description", "cl100k", "p95", model, "p95", "paper"].map(str::to_owned);
+    let counts = |mean: Option<TokenMean>| [or_dash(mean, |m| fixed(m.mean, 1)), or_dash(mean, |m| m.p95.to_string())];
     let rows = table.rows.iter().map(|row| {
-        let counts = [row.cl100k, row.model].map(cells).concat();
-        let paper = row.published.map_or_else(|| "-".to_owned(), |published| fixed(published, 2));
-        [row.text.name().to_owned()].into_iter().chain(counts).chain([paper]).collect()
+        let name = row.text.name().to_owned();
+        let paper = or_dash(row.published, |published| fixed(published, 2));
+        [name].into_iter().chain(counts(row.cl100k)).chain(counts(row.model)).chain([paper]).collect()
     });
-    plain(&header, rows.collect(), 1)
-}
-
-fn cells(mean: Option<TokenMean>) -> [String; 2] {
-    mean.map_or_else(|| ["-", "-"].map(str::to_owned), |mean| [fixed(mean.mean, 1), mean.p95.to_string()])
+    Table::new(["description", "cl100k", "p95", model, "p95", "paper"], 1, rows).terminal()
 }

@@ -9,7 +9,7 @@ use crate::cli::{Config, MllmConfig, Printer, drives};
 use crate::experiment::run::{AgentParts, SimulationTask};
 use crate::experiment::study::Variant;
 use crate::planner::{PlannerNeeds, PlannerRegistry};
-use crate::report::{MANIFEST, Manifest, RunFolder, SUMMARY, ScenarioList, SimulationRow, stamp};
+use crate::report::{FORMAT_VERSION, MANIFEST, Manifest, RunFolder, SUMMARY, ScenarioList, SimulationRow, stamp};
 use crate::simulation::Challenge;
 use anyhow::Context;
 use std::collections::BTreeMap;
@@ -83,6 +83,7 @@ impl<'a> Runs<'a> {
         let model = loaded.as_ref().map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?;
         let agent = model::parts(&asked, loaded.as_ref());
         let manifest = Manifest {
+            format_version: FORMAT_VERSION,
             planagent: env!("CARGO_PKG_VERSION").to_owned(),
             started: stamp(SystemTime::now()),
             planners: vec![planner.to_string()],
@@ -201,7 +202,7 @@ impl<'a> Runs<'a> {
 impl Run {
     fn open(&mut self, path: &Path, retry_failed: bool, printer: Printer) -> anyhow::Result<()> {
         if path.join(MANIFEST).is_file() {
-            let rows = RunFolder::ended(path)?.rows;
+            let rows = RunFolder::read_completed(path)?.rows;
             let again = retry_failed && rows.iter().any(|row| row.error.is_some());
             if rows.len() == self.tasks.len() && path.join(SUMMARY).is_file() && !again {
                 self.rows = rows;
@@ -214,7 +215,7 @@ impl Run {
             RunFolder::create(Some(path), &self.manifest)?
         };
         let (kept, _) = drives::kept(&folder, &self.tasks, retry_failed, printer)?;
-        self.rows = folder.recorded(&self.tasks)?.rows;
+        self.rows = folder.completed(&self.tasks)?.rows;
         self.todo = (0..self.tasks.len()).filter(|number| !kept.contains(number)).collect();
         self.folder = Some(folder);
         Ok(())
@@ -239,7 +240,7 @@ impl Run {
         drives::make(folder, &self.tasks, todo, &self.agent, progress)?;
         self.todo.retain(|number| !todo.contains(number));
         self.made += todo.len();
-        self.rows = folder.recorded(&self.tasks)?.rows;
+        self.rows = folder.completed(&self.tasks)?.rows;
         Ok(())
     }
 

@@ -15,7 +15,7 @@ use std::path::Path;
 /// When there is no run, or it lacks a score of a candidate.
 pub(super) fn run(folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
     RunFolder::manifest(folder)?;
-    let rows = RunFolder::ended(folder)?
+    let rows = RunFolder::read_completed(folder)?
         .rows
         .into_iter()
         .filter(|row| row.planner == PlannerName::PDM_CLOSED.as_str() && row.challenge == Challenge::NonReactive);

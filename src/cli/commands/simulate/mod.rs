@@ -8,7 +8,9 @@ use crate::cli::progress::SimulationProgress;
 use crate::cli::{Config, Exit, Printer, drives};
 use crate::experiment::run::SimulationTask;
 use crate::planner::PlannerRegistry;
-use crate::report::{Manifest, RunFolder, Session, SimulationRow, Summary, Timing, failures, main_table, stamp};
+use crate::report::{
+    FORMAT_VERSION, Manifest, RunFolder, Session, SimulationRow, Summary, Timing, failures, main_table, stamp,
+};
 use anyhow::{anyhow, bail};
 use selection::Selection;
 use std::collections::BTreeSet;
@@ -76,7 +78,7 @@ fn ended(
     printer: Printer,
 ) -> anyhow::Result<Exit> {
     let started = Instant::now();
-    let rows = RunFolder::ended(path)?.rows;
+    let rows = RunFolder::read_completed(path)?.rows;
     let all = manifest.simulations();
     if rows.len() != all || manifest.config != toml::Table::try_from(config)? {
         let made = rows.len();
@@ -110,6 +112,7 @@ fn finish(
 /// What this run would be started with.
 fn manifest(selection: &Selection, config: &Config, loaded: Option<&Loaded>) -> anyhow::Result<Manifest> {
     Ok(Manifest {
+        format_version: FORMAT_VERSION,
         planagent: env!("CARGO_PKG_VERSION").to_owned(),
         started: stamp(SystemTime::now()),
         planners: selection.planners.iter().map(ToString::to_string).collect(),

@@ -1,12 +1,12 @@
-// The scene from above: map, lights, agents, the ego, its plan, and the plans that were tried.
+// The scene from above: map, lights, agents, the ego, its plan, and the refused plans.
 
-/** Zoom at the start, its limits (pixels per metre), and its step. */
-const ZOOM = { start: 6, least: 1.5, most: 40, step: 1.25 };
-/** Lines of the map are this wide, metres. */
+/** Initial zoom, its limits (pixels per meter) and its step. */
+const ZOOM = { start: 6, min: 1.5, max: 40, step: 1.25 };
+/** Width of the map's lines, meters. */
 const CENTERLINE_M = 0.15;
-/** Cycle of a crosswalk's stripes, metres. */
+/** Period of a crosswalk's stripes, meters. */
 const STRIPE_M = 1.2;
-/** Slower agents get no arrow, m/s; an arrow is as long as its agent goes in this time, s. */
+/** Agents above this speed (m/s) have an arrow, as long as their path in ARROW_S seconds. */
 const MOVING = 0.5;
 const ARROW_S = 0.8;
 
@@ -26,7 +26,7 @@ class Bev {
     this.listen();
   }
 
-  /** Colours of the theme; to be called when it changes. */
+  /** Reads the colors of the theme; call it after a change. */
   readColors() {
     const style = getComputedStyle(document.documentElement);
     const names = ["ground", "drivable", "road", "route", "centerline", "crosswalk", "stop", "ego", "vehicle", "bicycle",
@@ -66,7 +66,7 @@ class Bev {
   }
 
   zoomBy(factor) {
-    this.zoom = Math.min(ZOOM.most, Math.max(ZOOM.least, this.zoom * factor));
+    this.zoom = Math.min(ZOOM.max, Math.max(ZOOM.min, this.zoom * factor));
     this.draw();
   }
 
@@ -76,7 +76,7 @@ class Bev {
     this.draw();
   }
 
-  /** Shows another simulation; `ghost` is one of the same scenario to compare with, or null. */
+  /** Shows a replay; `ghost` is another replay of the same scenario, or null. */
   open(replay, ghost = null) {
     this.replay = replay;
     this.ghost = ghost;
@@ -103,13 +103,13 @@ class Bev {
     const zoom = this.zoom * ratio;
     const [sin, cos] = [Math.sin(turn) * zoom, Math.cos(turn) * zoom];
     const middle = { x: canvas.width / 2 + this.pan.x * ratio, y: canvas.height * (this.headingUp ? 0.6 : 0.5) + this.pan.y * ratio };
-    // Map metres, y up, onto pixels, y down: turned about the ego, then flipped.
+    // From map meters, y up, to pixels, y down: a rotation about the ego, then a flip.
     this.onto = [cos, -sin, -sin, -cos, middle.x - cos * ego.x + sin * ego.y, middle.y + sin * ego.x + cos * ego.y];
     context.setTransform(...this.onto);
     context.lineJoin = "round";
     this.drawMap();
     this.drawLights(moment.iteration);
-    this.drawWays(moment);
+    this.drawPaths(moment);
     for (const agent of this.replay.agents) this.drawAgent(agent, moment);
     if (this.ghost) this.drawGhost();
     this.drawBox(ego, INDEX.vehicle.length, INDEX.vehicle.width, colors.ego, true);
@@ -139,7 +139,7 @@ class Bev {
     context.fill(map.stops);
   }
 
-  /** A pattern of stripes in metres. */
+  /** A pattern of stripes in meters. */
   stripePattern() {
     const tile = document.createElement("canvas");
     tile.width = tile.height = 16;
@@ -151,7 +151,7 @@ class Bev {
     return pattern;
   }
 
-  /** A bar across the beginning of each connector with a light; red ones are broader, for those who do not see the colour. */
+  /** A bar across the start of each connector with a light; red bars are wider, for color-blind readers. */
   drawLights(iteration) {
     const { context, colors } = this;
     for (const { lane, changes } of this.replay.lights) {
@@ -170,8 +170,8 @@ class Bev {
     }
   }
 
-  /** Where the ego was, where the recorded ego went, what was tried and what is planned. */
-  drawWays(moment) {
+  /** The trail of the ego, the path of the recorded ego, the refused plans and the active plan. */
+  drawPaths(moment) {
     const { context, colors, replay, show } = this;
     const thin = 1.6 / this.zoom;
     if (show.expert) this.drawLine(replay.expert, 0, replay.expert.x.length, colors.expert, thin, [0.4, 0.9]);
@@ -181,7 +181,7 @@ class Bev {
     if (call && show.tried) {
       call.tracks.forEach((track, i) => {
         if (!track || (i === executed && this.marked !== i)) return;
-        // Broader than the plan, which often lies over it.
+        // Wider than the plan, which often covers it.
         const wide = (this.marked === i ? 7 : 5) / this.zoom;
         this.drawLine(track, 0, track.x.length, colors.tried, wide, [1.2, 0.8]);
         this.drawScore(track, call.attempts[i], colors.tried);
@@ -210,7 +210,7 @@ class Bev {
     context.setLineDash([]);
   }
 
-  /** The score of a tried plan at its end. */
+  /** The score of a refused plan, at its end. */
   drawScore({ x, y }, attempt, color) {
     const score = attempt?.reflection?.score;
     if (score === undefined) return;
@@ -251,7 +251,7 @@ class Bev {
     if (speed >= MOVING) this.drawArrow(pose, Math.atan2(agent.vy[i], agent.vx[i]), speed);
   }
 
-  /** A box; what has a front shows it. */
+  /** A box, with a mark at its front. */
   drawBox({ x, y, heading }, length, width, color, front) {
     const { context } = this;
     context.save();
@@ -288,7 +288,7 @@ class Bev {
     context.restore();
   }
 
-  /** The ego of another simulation of the same scenario: an outline and its way. */
+  /** The ego of the ghost: an outline and its trail. */
   drawGhost() {
     const { context, ghost, colors } = this;
     const moment = momentAt(ghost, this.time);
@@ -307,7 +307,7 @@ class Bev {
 
   drawScale(ratio) {
     const { context, canvas, colors } = this;
-    const metres = [2, 5, 10, 20, 50].find((length) => length * this.zoom >= 60) ?? 100;
+    const meters = [2, 5, 10, 20, 50].find((length) => length * this.zoom >= 60) ?? 100;
     const [x, y] = [14, canvas.height / ratio - 14];
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.strokeStyle = colors["ink-soft"];
@@ -315,12 +315,12 @@ class Bev {
     context.beginPath();
     context.moveTo(x, y - 4);
     context.lineTo(x, y);
-    context.lineTo(x + metres * this.zoom, y);
-    context.lineTo(x + metres * this.zoom, y - 4);
+    context.lineTo(x + meters * this.zoom, y);
+    context.lineTo(x + meters * this.zoom, y - 4);
     context.stroke();
     context.font = this.font;
     context.fillStyle = colors["ink-soft"];
-    context.fillText(`${metres} m`, x + 6, y - 6);
+    context.fillText(`${meters} m`, x + 6, y - 6);
   }
 }
 
@@ -328,7 +328,7 @@ function mix(values, i, j, share) {
   return values[i] + (values[j] - values[i]) * share;
 }
 
-/** The ego's rear axle at a time, between two samples. */
+/** The ego's rear axle at a time, interpolated between samples. */
 function momentAt(replay, time) {
   const { times, ego } = replay;
   const last = times.length - 1;
@@ -343,7 +343,7 @@ function momentAt(replay, time) {
   return { iteration, share, ...pose };
 }
 
-/** The centre of the ego's box. */
+/** The center of the ego's box. */
 function center({ x, y, heading }) {
   const ahead = INDEX.vehicle.rear_axle_to_center;
   return { x: x + Math.cos(heading) * ahead, y: y + Math.sin(heading) * ahead, heading };

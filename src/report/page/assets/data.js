@@ -1,12 +1,12 @@
-// What the page holds: an index of runs and simulations, and a packed replay for each simulation that fits in.
+// The data of the page: an index of runs and simulations, and packed replays.
 
-/** Units of what is delta-coded in a replay: metres, radians, m/s. */
+/** Units of the delta-coded values of a replay: meters, radians, m/s. */
 const LENGTH = 0.01;
 const ANGLE = 0.001;
 const RATE = 0.01;
 const VELOCITY = 0.1;
-/** Replays that are kept unpacked. */
-const MOST_UNPACKED = 24;
+/** Maximum number of unpacked replays. */
+const MAX_UNPACKED = 24;
 
 /** The index; filled by `loadIndex`. */
 let INDEX = null;
@@ -19,7 +19,7 @@ async function unpack(id) {
   return new Response(stream).json();
 }
 
-/** Reads the index and gives every simulation its entrant: a planner of a run. */
+/** Reads the index and gives each simulation its entrant: a planner of a run. */
 async function loadIndex() {
   INDEX = await unpack("index");
   const several = INDEX.runs.length > 1;
@@ -31,29 +31,35 @@ async function loadIndex() {
       entrant = { run: simulation.run, planner: simulation.planner, label, place: INDEX.entrants.length };
       INDEX.entrants.push(entrant);
     }
-    simulation.entrant = entrant;
+    const { id, scenario_type: type, score = null, error = null } = simulation;
+    Object.assign(simulation, { entrant, scenario: id, type, score, error });
   }
   INDEX.challenges = distinct(INDEX.simulations.map((simulation) => simulation.challenge));
-  INDEX.scenarios = distinct(INDEX.simulations.map((simulation) => simulation.scenario));
+  INDEX.scenarios = distinct(INDEX.simulations.map((simulation) => simulation.id));
 }
 
-/** The colour of an entrant: one of eight that colour-blind people can tell apart (Okabe and Ito). */
+/** The color of an entrant: one of eight that color-blind readers can tell apart (Okabe and Ito). */
 function colorOf(entrant) {
   return `var(--c${entrant.place % 8})`;
 }
 
-/** The metrics that make the score of a challenge. */
+/** The scored metrics of a challenge. */
 function scoredMetrics(challenge) {
   const list = challenge === "open_loop_boxes" ? "open_loop" : "closed_loop";
   return INDEX.metrics.filter((metric) => metric.list === list);
 }
 
-/** The score of a metric of a simulation. */
-function metricScore(simulation, name) {
-  return simulation.metrics[name] ?? null;
+/** The label of a metric. */
+function labelOf(name) {
+  return INDEX.metrics.find((metric) => metric.name === name)?.label ?? spaced(name);
 }
 
-/** Numbers from their differences. */
+/** The score of a metric of a simulation. */
+function metricScore(simulation, name) {
+  return simulation[name] ?? null;
+}
+
+/** The values of delta-coded integers. */
 function undelta(deltas, unit) {
   const values = new Float64Array(deltas.length);
   let sum = 0;
@@ -70,12 +76,12 @@ function points({ x, y }) {
 
 const unpacked = new Map();
 
-/** The replay of a simulation, ready to be drawn; null where the page holds none. */
+/** The replay of a simulation; null if the page has none. */
 async function replayOf(simulation) {
   if (simulation.replay === null) return null;
   if (!unpacked.has(simulation)) {
     unpacked.set(simulation, readReplay(simulation));
-    if (unpacked.size > MOST_UNPACKED) unpacked.delete(unpacked.keys().next().value);
+    if (unpacked.size > MAX_UNPACKED) unpacked.delete(unpacked.keys().next().value);
   }
   return unpacked.get(simulation);
 }
@@ -113,7 +119,7 @@ async function readReplay(simulation) {
 
 const maps = new Map();
 
-/** A map with its outlines as paths in metres; shared by the simulations that hold the same one. */
+/** A map with its outlines as paths in meters; simulations share it. */
 function mapOf(number) {
   if (!maps.has(number)) maps.set(number, unpack(`map-${number}`).then(outlined));
   return maps.get(number);
@@ -144,7 +150,7 @@ function outlined(map) {
   return drawn;
 }
 
-/** the planning call that is active at an iteration: its place, or −1. */
+/** The index of the last planning call up to an iteration, or −1. */
 function callAt(replay, iteration) {
   let place = -1;
   replay.calls.forEach((call, i) => {
@@ -153,13 +159,13 @@ function callAt(replay, iteration) {
   return place;
 }
 
-/** The attempt whose plan is executed after a call; null where none is. */
+/** The executed attempt of a call, or null. */
 function executedAttempt(call) {
   const { kind, attempt } = call.decision;
   return kind === "execute" || kind === "exhausted" ? attempt : null;
 }
 
-/** How a call ended, in one word for its colour: `accepted`, `rethought`, `exhausted` or `none`. */
+/** The outcome of a call: `accepted`, `rethought`, `exhausted` or `none`. */
 function outcomeOf(call) {
   if (call.decision.kind === "execute") return call.attempts.length > 1 ? "rethought" : "accepted";
   return call.decision.kind === "exhausted" ? "exhausted" : "none";

@@ -1,18 +1,18 @@
-// Building blocks of the page: elements, numbers, names.
+// Elements, numbers and names.
 
-/** An element with attributes and children; `on…` attributes are listeners, children that are null are left out. */
+/** An element with attributes and children. `on…` attributes are listeners; null children are ignored. */
 function h(tag, attributes = {}, ...children) {
   const node = document.createElement(tag);
-  return dressed(node, attributes, children);
+  return completed(node, attributes, children);
 }
 
-/** The same in SVG. */
+/** The same for SVG. */
 function s(tag, attributes = {}, ...children) {
   const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  return dressed(node, attributes, children);
+  return completed(node, attributes, children);
 }
 
-function dressed(node, attributes, children) {
+function completed(node, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === null || value === undefined || value === false) continue;
     if (name.startsWith("on")) node.addEventListener(name.slice(2), value);
@@ -23,18 +23,18 @@ function dressed(node, attributes, children) {
   return node;
 }
 
-/** Puts children in place of those that an element has. */
+/** Replaces the children of an element. */
 function fill(node, ...children) {
   node.replaceChildren(...children.flat().filter((child) => child !== null && child !== undefined));
   return node;
 }
 
-/** A score in [0, 1] as people write it; a dash where there is none. */
+/** A score in [0, 1] times 100; a dash for none. */
 function percent(score) {
   return score === null || score === undefined ? "–" : (100 * score).toFixed(2);
 }
 
-/** Milliseconds with three figures. */
+/** Milliseconds with three digits. */
 function milliseconds(ms) {
   if (ms === null || ms === undefined) return "–";
   if (ms < 0.1) return ms.toFixed(4);
@@ -42,11 +42,10 @@ function milliseconds(ms) {
   return ms < 100 ? ms.toFixed(1) : ms.toFixed(0);
 }
 
-/** A number for a chart: as many figures as are worth reading. */
+/** A number for a chart, with few digits. */
 function figure(value) {
   if (!Number.isFinite(value)) return "–";
   const size = Math.abs(value);
-  if (size >= 1000) return value.toFixed(0);
   if (size >= 100) return value.toFixed(0);
   if (size >= 10) return value.toFixed(1);
   return tidy(value.toFixed(2));
@@ -67,7 +66,7 @@ function counted(count, word) {
   return `${count.toLocaleString("en")} ${word}${count === 1 ? "" : "s"}`;
 }
 
-/** nuPlan's units as people write them. */
+/** The symbol of nuPlan's unit. */
 function unitOf(name) {
   const known = {
     meters: "m", meters_per_second: "m/s", meters_per_second_squared: "m/s²", meters_per_second_cubed: "m/s³",
@@ -78,20 +77,6 @@ function unitOf(name) {
   const bracket = /\[([^\]]*)\]/.exec(name || "");
   if (bracket) return known[bracket[1]] ?? bracket[1];
   return name || "";
-}
-
-/** What a metric is called where there is little room; nuPlan's name stays in the title. */
-const SHORT_METRICS = {
-  no_ego_at_fault_collisions: "collision", drivable_area_compliance: "area", ego_is_making_progress: "moves",
-  driving_direction_compliance: "direction", ego_progress_along_expert_route: "progress",
-  time_to_collision_within_bound: "TTC", speed_limit_compliance: "speed", ego_is_comfortable: "comfort",
-  planner_miss_rate_within_bound: "miss rate", planner_expert_average_l2_error_within_bound: "ADE",
-  planner_expert_final_l2_error_within_bound: "FDE", planner_expert_average_heading_error_within_bound: "AHE",
-  planner_expert_final_heading_error_within_bound: "FHE",
-};
-
-function shortMetric(name) {
-  return SHORT_METRICS[name] ?? spaced(name);
 }
 
 /** A name without underscores. */
@@ -105,7 +90,7 @@ const CHALLENGES = {
   open_loop_boxes: { short: "OL", long: "open loop", plain: "open loop" },
 };
 
-/** A group of buttons of which one is pressed. */
+/** A group of buttons; one is pressed. */
 function choice(label, options, chosen, onchoose) {
   const group = h("div", { class: "choice", role: "group", "aria-label": label });
   const press = (value) => {
@@ -119,7 +104,7 @@ function choice(label, options, chosen, onchoose) {
   return group;
 }
 
-/** The values in the order in which they first appear. */
+/** The values without duplicates, in order. */
 function distinct(values) {
   return [...new Set(values)];
 }

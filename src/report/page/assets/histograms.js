@@ -1,6 +1,6 @@
-// Histograms: how the metrics' scores and statistics are distributed, planner by planner.
+// Histograms of the metrics' scores and statistics, by planner.
 
-/** Bars of a histogram. */
+/** Number of bars. */
 const BINS = 20;
 const HISTOGRAM = { width: 300, row: 34 };
 
@@ -49,7 +49,7 @@ class Histograms {
   scores() {
     const final = histogramCard("score", "", "", this.rows((simulation) => simulation.score), [0, 1]);
     const parts = scoredMetrics(this.challenge).map(({ name }) =>
-      histogramCard(shortMetric(name), name, "", this.rows((simulation) => metricScore(simulation, name)), [0, 1]));
+      histogramCard(labelOf(name), name, "", this.rows((simulation) => metricScore(simulation, name)), [0, 1]));
     return [final, ...parts];
   }
 
@@ -63,18 +63,18 @@ class Histograms {
   }
 }
 
-/** One statistic: a small histogram a planner, all on the same axis. */
+/** One statistic: a histogram for each planner, on the same axis. */
 function histogramCard(title, subtitle, unit, rows, range) {
   if (!rows.length) return null;
   const all = rows.flatMap((row) => row.values);
   let [low, high] = range ?? [Math.min(...all), Math.max(...all)];
   if (high - low < 1e-9) [low, high] = [low - 0.5, high + 0.5];
   const bins = rows.map(({ values }) => shares(values, low, high));
-  const most = Math.max(...bins.flat());
+  const max = Math.max(...bins.flat());
   const { width, row: height } = HISTOGRAM;
   const charts = rows.map(({ entrant, values }, i) => {
     const bars = bins[i].map((share, k) => (share > 0 ? s("rect", {
-      x: (width * k) / BINS + 0.75, width: width / BINS - 1.5, y: height - (height * share) / most, height: (height * share) / most,
+      x: (width * k) / BINS + 0.75, width: width / BINS - 1.5, y: height - (height * share) / max, height: (height * share) / max,
       style: `fill:${colorOf(entrant)}`,
     }, s("title", {}, `${figure(low + ((high - low) * k) / BINS)} to ${figure(low + ((high - low) * (k + 1)) / BINS)} ${unit}: ${(100 * share).toFixed(0)} % of ${values.length}`)) : null));
     const at = (width * (mean(values) - low)) / (high - low);
@@ -88,7 +88,7 @@ function histogramCard(title, subtitle, unit, rows, range) {
   h("div", { class: "axis" }, h("span", {}, figure(low)), h("span", {}, figure((low + high) / 2)), h("span", {}, figure(high))));
 }
 
-/** Shares of the values in equal bins. */
+/** The shares of the values in bins of equal width. */
 function shares(values, low, high) {
   const counts = new Array(BINS).fill(0);
   for (const value of values) {

@@ -1,4 +1,4 @@
-// Where the time of a planning call goes: a row a round, parts one behind the other.
+// The latency of a planning call by round and part.
 
 const TIMED = [
   ["environment", "environment"], ["image_encode", "image"], ["prefill", "prefill"], ["decode", "decode"],
@@ -33,18 +33,18 @@ class Latency {
       legend(call.time.call));
   }
 
-  /** A bar a call, its height the time that it took. */
+  /** A bar for each call; its height is the latency. */
   calls(place) {
     const { calls } = this.replay;
-    const most = Math.max(...calls.map((call) => call.time.call.total), 1e-9);
+    const max = Math.max(...calls.map((call) => call.time.call.total), 1e-9);
     return h("div", { class: "call-bars" }, calls.map((call, i) => h("button", {
       type: "button", "aria-current": i === place, title: `${call.at_s.toFixed(1)} s: ${milliseconds(call.time.call.total)} ms`,
       "aria-label": `Call at ${call.at_s.toFixed(1)} s`, onclick: () => this.onseek(call),
-    }, h("i", { style: `height:${Math.max(4, (100 * call.time.call.total) / most)}%` }))));
+    }, h("i", { style: `height:${Math.max(4, (100 * call.time.call.total) / max)}%` }))));
   }
 }
 
-/** The rows of a call: the environment, then each attempt's rounds and its reflection. */
+/** The rows of a call: the environment, then the rounds and the reflection of each attempt. */
 function waterfall(time, total) {
   const rows = [];
   let at = 0;

@@ -1,10 +1,10 @@
-// Which view is shown, light and dark, keys.
+// Views, theme and keys.
 
 const KEYS = [
-  ["1  2  3", "Overview, Histograms, Scenarios"], ["space", "play or stop"], ["←  →", "a step of 0.1 s back or on; with shift a second"],
-  ["↑  ↓", "scenario before or after"], ["[  ]", "planning call before or after"], ["Home  End", "begin or end of the simulation"],
-  ["+  −", "zoom; the wheel does it too"], ["0", "back to the ego, at the first zoom"], ["r", "heading up or north up"],
-  ["t", "plans that were tried, on or off"], ["e", "way of the recorded ego, on or off"], ["d", "light or dark"], ["?", "this list"],
+  ["1  2  3", "Overview, Histograms, Scenarios"], ["space", "play or stop"], ["←  →", "0.1 s back or forward; with shift 1 s"],
+  ["↑  ↓", "previous or next scenario"], ["[  ]", "previous or next planning call"], ["Home  End", "start or end of the simulation"],
+  ["+  −", "zoom; also with the mouse wheel"], ["0", "back to the ego and the initial zoom"], ["r", "heading up or north up"],
+  ["t", "refused plans on or off"], ["e", "path of the recorded ego on or off"], ["d", "light or dark"], ["?", "this list"],
 ];
 
 let scenarios = null;
@@ -55,7 +55,7 @@ function openHelp() {
   if (!dialog.open) dialog.showModal();
 }
 
-/** What the keys do everywhere, and what they do in the replay. */
+/** Handles keys: some everywhere, some in a replay only. */
 function keyed(event) {
   const typing = event.target.matches?.("input[type=search], select, textarea");
   if (typing || event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
@@ -81,7 +81,7 @@ function keyed(event) {
 }
 
 async function begin() {
-  if (typeof DecompressionStream === "undefined") throw new Error("this browser cannot unpack the page's data; Chrome 111, Firefox 113, Safari 16.4 and later can");
+  if (typeof DecompressionStream === "undefined") throw new Error("this browser cannot unpack the data of the page; use Chrome 111, Firefox 113, Safari 16.4 or later");
   theme(window.matchMedia("(prefers-color-scheme: dark)").matches);
   await loadIndex();
   document.getElementById("about").textContent = `${counted(INDEX.scenarios.length, "scenario")}, ${counted(INDEX.simulations.length, "simulation")}`

@@ -1,6 +1,6 @@
-// Overview: final scores by planner and challenge, by scenario type and by metric, and the simulations that failed.
+// Overview: final scores by planner and challenge, by scenario type and by metric; failed simulations.
 
-/** Rows of a list before the rest is asked for. */
+/** Rows of a list before "Show all". */
 const FIRST_ROWS = 12;
 
 function showOverview(node) {
@@ -56,7 +56,7 @@ function finalScores() {
           h("i", { style: `width:${100 * (score ?? 0)}%;background:${colorOf(entrant)}` }), h("span", {}, percent(score)));
       }),
       number(simulations.length), number(simulations.filter((d) => d.error !== null).length), number(simulations.filter((d) => d.score === 0).length),
-      number(milliseconds(timing?.step_ms)), number(milliseconds(timing?.call_p50_ms)), number(milliseconds(timing?.call_p95_ms)));
+      number(milliseconds(timing?.mean_iteration_ms)), number(milliseconds(timing?.planning_call_ms?.p50)), number(milliseconds(timing?.planning_call_ms?.p95)));
   });
   return h("table", { class: "scores" }, h("thead", {}, head), h("tbody", {}, rows));
 }
@@ -75,7 +75,7 @@ function scenarioTypes() {
   return h("table", { class: "tinted" }, h("thead", {}, groups, head), h("tbody", {}, rows));
 }
 
-/** A cell that is the darker the lower its score. */
+/** A cell; the lower the score, the darker. */
 function tinted(score) {
   const share = score === null ? 0 : Math.min(1, (1 - score) / 0.6);
   return h("td", { class: "number", style: `--share:${(100 * share).toFixed(0)}%` }, percent(score));
@@ -85,7 +85,7 @@ function metricMeans(challenge) {
   const metrics = scoredMetrics(challenge);
   const weight = ({ weight: value }) => (value === null ? "×" : `${value}`);
   const head = h("tr", {}, h("th", {}, "planner"), metrics.map((metric) => h("th", { class: "number", title: metric.name },
-    shortMetric(metric.name), h("small", {}, metric.weight === null ? "multiplier" : `weight ${weight(metric)}`))));
+    labelOf(metric.name), h("small", {}, metric.weight === null ? "multiplier" : `weight ${weight(metric)}`))));
   const rows = INDEX.entrants.map((entrant) => {
     const own = INDEX.simulations.filter((d) => d.entrant === entrant && d.challenge === challenge && d.score !== null);
     return h("tr", {}, entrantCell(entrant), metrics.map((metric) =>
@@ -108,7 +108,7 @@ function failedSimulations() {
 function zeroSimulations() {
   const zero = INDEX.simulations.filter((simulation) => simulation.score === 0);
   if (!zero.length) return h("p", { class: "quiet" }, "None.");
-  return simulationList(zero, ["made 0 by"], (simulation) => [h("td", {}, simulation.zeroed_by.map(spaced).join(", "))]);
+  return simulationList(zero, ["zeroed by"], (simulation) => [h("td", {}, simulation.zeroed_by.map(spaced).join(", "))]);
 }
 
 function simulationList(simulations, more, cells) {

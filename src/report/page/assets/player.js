@@ -1,4 +1,4 @@
-// The clock of a replay: play, stop, seek. Whoever shows something of the moment listens to it.
+// The clock of a replay: play, stop, seek. The views listen to it.
 
 class Player {
   constructor() {
@@ -10,17 +10,17 @@ class Player {
     this.changed = [];
   }
 
-  /** `listener(time, iteration)` is called whenever the time has changed. */
+  /** Calls `listener(time, iteration)` after each change of the time. */
   onTime(listener) {
     this.listeners.push(listener);
   }
 
-  /** `listener(playing)` is called when it begins or stops to play. */
+  /** Calls `listener(playing)` at each start and stop. */
   onState(listener) {
     this.changed.push(listener);
   }
 
-  /** Begins another simulation with these sample times. */
+  /** Opens a replay with these sample times. */
   open(times, time = 0) {
     this.pause();
     this.times = times;
@@ -31,7 +31,7 @@ class Player {
     return this.times[this.times.length - 1];
   }
 
-  /** The last sample that is not after the present. */
+  /** The last sample up to the present time. */
   get iteration() {
     let low = 0;
     for (let high = this.times.length - 1; low < high;) {
@@ -48,7 +48,7 @@ class Player {
     for (const listener of this.listeners) listener(this.time, iteration);
   }
 
-  /** So many samples on; back when negative. */
+  /** Moves forward by `samples`, or back if negative. */
   step(samples) {
     this.pause();
     const to = Math.min(this.times.length - 1, Math.max(0, this.iteration + samples));

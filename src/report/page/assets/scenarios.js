@@ -65,7 +65,7 @@ class Scenarios {
     fill(this.clock, h("b", {}, `${time.toFixed(1)} s`), h("span", {}, `${Math.abs(speed[iteration]).toFixed(1)} m/s`));
   }
 
-  /** The simulations of a scenario, in the challenge that is shown. */
+  /** The simulations of a scenario in the current challenge. */
   simulationsOf(scenario, challenge = this.simulation?.challenge ?? INDEX.challenges[0]) {
     return INDEX.simulations.filter((simulation) => simulation.scenario === scenario && simulation.challenge === challenge);
   }
@@ -110,7 +110,7 @@ class Scenarios {
       this.bev.open(null);
       this.latencyNode.hidden = true;
       fill(this.absent, whyAbsent(simulation));
-      fill(this.transcriptNode, h("p", { class: "quiet" }, "No replay, so nothing to read along."));
+      fill(this.transcriptNode, h("p", { class: "quiet" }, "Without a replay there is no transcript."));
       return;
     }
     this.bev.open(replay);
@@ -122,7 +122,7 @@ class Scenarios {
     this.bev.resize();
   }
 
-  /** Planner, challenge and whom to compare with. */
+  /** The menus for planner, challenge and ghost. */
   pick() {
     const { simulation } = this;
     const challenges = INDEX.simulations.filter((d) => d.scenario === simulation.scenario && d.entrant === simulation.entrant);
@@ -139,31 +139,31 @@ class Scenarios {
         async (other) => { this.bev.open(this.replay, other && await replayOf(other)); }) : null);
   }
 
-  /** The score and what it is made of. */
+  /** The score and its metrics. */
   showChips() {
     const { simulation } = this;
     const parts = scoredMetrics(simulation.challenge).map(({ name, weight }) => {
       const score = metricScore(simulation, name);
       const state = score === null ? "" : score >= 1 ? "" : score === 0 ? "zero" : "short";
       return h("span", { class: `chip ${state}`, title: `${name}, ${weight === null ? "multiplier" : `weight ${weight}`}` },
-        shortMetric(name), h("b", {}, score === null ? "–" : partFigure(score)));
+        labelOf(name), h("b", {}, score === null ? "–" : partFigure(score)));
     });
     fill(this.chips, h("span", { class: "chip total" }, "score", h("b", {}, percent(simulation.score))), parts);
   }
 
-  /** Keeps the place in the address, so that it can be shared and found again. */
+  /** Writes the place into the address, so that it can be shared. */
   remember() {
     if (this.simulation && !this.node.hidden) history.replaceState(null, "", hashOf(this.simulation, this.player.time));
   }
 
-  /** The scenario before or after, with the same planner where it drove there. */
+  /** Opens the previous or next scenario, with the same planner if possible. */
   neighbour(by) {
     const place = this.entries.findIndex(({ scenario }) => scenario === this.simulation?.scenario);
     const next = this.entries[place + by];
     if (next) location.hash = hashOf(next.own ?? next.simulations[0], 0);
   }
 
-  /** The planning call before or after. */
+  /** Seeks the previous or next planning call. */
   call(by) {
     const calls = this.replay?.calls ?? [];
     if (!calls.length) return;
@@ -183,8 +183,8 @@ function lastPart(scenario) {
 }
 
 function whyAbsent(simulation) {
-  if (simulation.error !== null) return `This simulation failed: ${simulation.error}`;
-  if (simulation.absent === "size") return "This page was kept small, and the replay of this simulation did not fit in. A page of fewer scenarios holds it: planagent report RUN --scenario NAME.";
-  if (simulation.absent === "scenario") return "This page was asked to hold replays of other scenarios only.";
-  return "The run was made by a version that kept no replays; run it again to see it.";
+  if (simulation.error !== null) return `The simulation failed: ${simulation.error}`;
+  if (simulation.absent === "size") return "The replay did not fit into the page. Write a page of fewer scenarios: planagent report RUN --scenario NAME.";
+  if (simulation.absent === "scenario") return "This page has replays of other scenarios only.";
+  return "The run has no replay of this simulation.";
 }

@@ -1,6 +1,6 @@
-// The metrics' time series of a simulation, with their thresholds and the present.
+// The metrics' time series with their thresholds.
 
-/** Height of the drawing area; widths and heights are stretched to the box. */
+/** Size of the drawing area, which is stretched to the box. */
 const SERIES_BOX = { width: 300, height: 100 };
 
 class SeriesPanel {
@@ -47,7 +47,7 @@ class SeriesPanel {
     return { node, cursor, now, value: (iteration) => index.get(iteration) };
   }
 
-  /** Moves the present. */
+  /** Moves the cursors. */
   at(time, iteration) {
     for (const { cursor, now, value } of this.rows) {
       cursor.style.left = `${(100 * time) / this.end}%`;
@@ -61,7 +61,7 @@ function bounded(series) {
   return series.low !== null || series.high !== null;
 }
 
-/** A path through the values for which `take` holds, broken where it does not; a lone value gets a short stroke. */
+/** A path through the values that `take` accepts, with gaps at the others; a single value is a short stroke. */
 function pathOf(values, x, y, take) {
   let path = "";
   let drawing = false;

@@ -1,6 +1,6 @@
-// What was asked, answered, written and judged in the planning call in force.
+// Prompts, answers, planner codes and scores of the last planning call.
 
-/** Reflection's parts in the order in which they make the score. */
+/** The parts of Reflection's score, in order. */
 const PARTS = [
   ["no_collision", "collision"], ["drivable_area", "area"], ["driving_direction", "direction"],
   ["progress", "progress"], ["time_to_collision", "TTC"], ["comfort", "comfort"],
@@ -9,12 +9,12 @@ const PARTS = [
 const ITERATIONS_A_SECOND = 10;
 
 const OUTCOMES = {
-  accepted: "accepted at once", rethought: "accepted after thinking again", exhausted: "all attempts refused",
+  accepted: "accepted at once", rethought: "accepted after a rethink", exhausted: "all attempts refused",
   none: "no plan",
 };
 
 class Transcript {
-  /** `onmark(attempt | null)` is called when the pointer rests on an attempt; `onseek(call)` when another call is wanted. */
+  /** Calls `onmark(attempt | null)` when the pointer enters or leaves an attempt, `onseek(call)` to show another call. */
   constructor(node, { onmark, onseek }) {
     this.node = node;
     this.onmark = onmark;
@@ -29,14 +29,14 @@ class Transcript {
     if (!replay.calls.length) this.showNone();
   }
 
-  /** Shows the call in force at an iteration. */
+  /** Shows the last call up to an iteration. */
   at(iteration) {
     if (!this.replay?.calls.length) return;
     const place = callAt(this.replay, iteration);
     if (place === this.place) return;
     this.place = place;
     this.onmark(null);
-    if (place < 0) fill(this.node, h("p", { class: "quiet" }, "No planning call has been made yet."));
+    if (place < 0) fill(this.node, h("p", { class: "quiet" }, "No planning call yet."));
     else this.showCall(this.replay.calls[place]);
     this.node.scrollTop = 0;
   }
@@ -52,7 +52,7 @@ class Transcript {
     const executed = executedAttempt(call);
     const outcome = outcomeOf(call);
     const go = (by) => ({
-      type: "button", class: "plain", "aria-label": by < 0 ? "Call before" : "Next call",
+      type: "button", class: "plain", "aria-label": by < 0 ? "Previous call" : "Next call",
       disabled: !replay.calls[place + by], onclick: () => this.onseek(replay.calls[place + by]),
     });
     const head = h("header", { class: "call-head" },
@@ -65,12 +65,12 @@ class Transcript {
     fill(this.node, head, seen, ...attempts);
   }
 
-  /** The picture and the text that the model was shown. */
+  /** The image and the text of the model's prompt. */
   showSeen(call) {
     const image = this.replay.images[call.iteration];
     const source = image ? `data:image/png;base64,${image}` : null;
-    const picture = image && h("button", { type: "button", class: "thumb", title: "The BEV map as the model saw it",
-      onclick: () => openPicture(source) }, h("img", { src: source, alt: "BEV map that the model saw", width: 72, height: 72 }));
+    const picture = image && h("button", { type: "button", class: "thumb", title: "The BEV map of the prompt",
+      onclick: () => openPicture(source) }, h("img", { src: source, alt: "BEV map of the prompt", width: 72, height: 72 }));
     const text = call.scene_text && h("details", { class: "scene-text" },
       h("summary", {}, "Scene as text"), h("pre", {}, call.scene_text));
     return h("div", { class: "seen" }, picture, text);
@@ -83,7 +83,7 @@ class Transcript {
     const judged = reflection
       ? h("span", { class: `verdict ${reflection.verdict}` }, h("b", {}, reflection.score.toFixed(2)),
         reflection.verdict === "execute" ? ` ≥ ${threshold} execute` : ` < ${threshold} rethink`)
-      : h("span", { class: "verdict" }, "not judged");
+      : h("span", { class: "verdict" }, "no reflection");
     const attributes = { class: `attempt ${isExecuted ? "executed" : ""}`, onmouseenter: () => this.onmark(i), onmouseleave: () => this.onmark(null) };
     return h("article", attributes,
       h("header", {}, h("h4", {}, `Attempt ${i + 1}`), isExecuted ? h("span", { class: "executed-tag" }, "executed") : null, judged),
@@ -95,18 +95,18 @@ class Transcript {
 }
 
 function decisionWords({ decision, emergency_brakes: brakes, aborted_lane_change: aborted }) {
-  const braked = brakes ? `; the emergency brake overruled it in ${counted(brakes, "step")}` : "";
+  const braked = brakes ? `; the emergency brake acted in ${counted(brakes, "step")}` : "";
   const words = {
     execute: () => `attempt ${decision.attempt + 1} is executed`,
-    exhausted: () => `attempt ${decision.attempt + 1} is executed all the same`,
+    exhausted: () => `attempt ${decision.attempt + 1} is executed`,
     keep_active_plan: () => `the active plan is kept: ${decision.why}`,
     brake: () => `the ego brakes: ${decision.why}`,
   };
-  const back = aborted == null ? "" : `; back to the ego's lane at ${(aborted / ITERATIONS_A_SECOND).toFixed(1)} s`;
+  const back = aborted == null ? "" : `; lane change aborted at ${(aborted / ITERATIONS_A_SECOND).toFixed(1)} s`;
   return (words[decision.kind]?.() ?? decision.kind) + back + braked;
 }
 
-/** An error as text, whatever its form. */
+/** The text of an error. */
 function errorWords(error) {
   return typeof error === "string" ? error : error.message ?? JSON.stringify(error);
 }
@@ -119,12 +119,12 @@ function partsTable(parts) {
 }
 
 function showRound(round) {
-  const prompt = h("details", {}, h("summary", {}, "asked"), h("pre", {}, round.prompt));
+  const prompt = h("details", {}, h("summary", {}, "prompt"), h("pre", {}, round.prompt));
   return h("li", {}, h("div", { class: "round-head" }, h("span", { class: "round-name" }, round.round), prompt), h("p", { class: "answer" }, round.answer));
 }
 
 function openPicture(source) {
   const dialog = document.getElementById("picture");
-  fill(dialog, h("img", { src: source, alt: "BEV map that the model saw" }), h("form", { method: "dialog" }, h("button", {}, "Close")));
+  fill(dialog, h("img", { src: source, alt: "BEV map of the prompt" }), h("form", { method: "dialog" }, h("button", {}, "Close")));
   dialog.showModal();
 }

@@ -1,0 +1,36 @@
+//! Names of the files and folders of a run.
+
+/// Parent of the run folders that get a number instead of a name.
+pub(super) const RUNS: &str = "runs";
+/// What the run consists of; written first.
+pub const MANIFEST: &str = "manifest.toml";
+/// The configuration in the form that `--config` takes.
+pub(super) const CONFIG: &str = "config.toml";
+/// The scores; written last, so the run is complete if the file exists.
+pub const SUMMARY: &str = "summary.json";
+/// Wall times and the machine.
+pub(super) const TIMING: &str = "timing.json";
+/// The planning calls: of one simulation in its folder, of all in the folder of the run.
+pub(super) const CALLS: &str = "calls.jsonl";
+/// The page of the run.
+pub const PAGE: &str = "report.html";
+/// File that a running process holds locked.
+pub(super) const LOCK: &str = ".lock";
+
+/// Parent of the simulation folders.
+pub(super) const SIMULATIONS: &str = "simulations";
+/// The row of the simulation.
+pub(super) const RECORD: &str = "record.toml";
+/// Its metrics with statistics and time series.
+pub(super) const METRICS: &str = "metrics.toml";
+/// Tracks, map and plans.
+pub(super) const REPLAY: &str = "replay.json.gz";
+/// The planning calls as Markdown.
+pub(super) const TRANSCRIPT: &str = "transcript.md";
+/// Parent of the BEV maps.
+pub(super) const BEV: &str = "bev";
+
+/// The BEV map of a planning call, relative to the simulation folder.
+pub(super) fn bev_name(iteration: usize) -> String {
+    format!("{BEV}/{iteration:03}.png")
+}

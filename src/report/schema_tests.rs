@@ -1,0 +1,24 @@
+//! The schemas of the records in `docs/schema/` are those of the types.
+
+use super::{Manifest, SimulationRow, Summary};
+use schemars::{JsonSchema, schema_for};
+use std::path::Path;
+use std::{env, fs};
+
+/// Compares a schema with its file, or writes the file if `PLANAGENT_UPDATE_GOLDEN` is set.
+fn check<T: JsonSchema>(name: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("docs/schema/{name}.schema.json"));
+    let text = serde_json::to_string_pretty(&schema_for!(T)).unwrap() + "\n";
+    if env::var_os("PLANAGENT_UPDATE_GOLDEN").is_some() {
+        fs::write(&path, &text).unwrap();
+    }
+    let file = fs::read_to_string(&path).unwrap_or_default();
+    assert!(file == text, "{} is out of date; PLANAGENT_UPDATE_GOLDEN=1 writes it", path.display());
+}
+
+#[test]
+fn schemas_of_the_records_are_up_to_date() {
+    check::<Manifest>("manifest");
+    check::<SimulationRow>("record");
+    check::<Summary>("summary");
+}

@@ -1,0 +1,89 @@
+//! Wall times of simulations and planning calls.
+
+use crate::planner::PlanningCall;
+use serde::{Deserialize, Serialize};
+
+/// Wall time of a planning call by part, milliseconds.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CallTimes {
+    /// Lane graph, text and BEV map.
+    pub environment: f64,
+    /// Vision tower and projector.
+    pub image_encode: f64,
+    /// Prompts of all rounds and attempts.
+    pub prefill: f64,
+    /// Answers of all rounds and attempts.
+    pub decode: f64,
+    /// Waiting for the model's server, in rounds that it answered.
+    #[serde(default)]
+    pub remote: f64,
+    /// Roll-outs and their scores, all attempts.
+    pub reflection: f64,
+    /// The whole call.
+    pub total: f64,
+}
+
+impl CallTimes {
+    /// The times of one call.
+    pub fn of(call: &PlanningCall) -> Self {
+        let rounds = || call.attempts.iter().flat_map(|attempt| &attempt.rounds);
+        Self {
+            environment: call.environment_ms,
+            image_encode: rounds().map(|round| round.time.image_encode).sum(),
+            prefill: rounds().map(|round| round.time.prefill).sum(),
+            decode: rounds().map(|round| round.time.decode).sum(),
+            remote: rounds().map(|round| round.time.remote).sum(),
+            reflection: call.attempts.iter().map(|attempt| attempt.reflection_ms).sum(),
+            total: call.total_ms,
+        }
+    }
+}
+
+/// Wall times of a simulation.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SimulationTime {
+    /// Start, seconds since 1970.
+    pub started_s: f64,
+    /// End, seconds since 1970.
+    pub ended_s: f64,
+    /// Planner time of each iteration, seconds.
+    pub planner_s: Vec<f64>,
+    /// The planning calls by part.
+    pub calls: Vec<CallTimes>,
+}
+
+/// Median and 95th percentile.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Quantiles {
+    /// Half of the values are at most this.
+    pub p50: f64,
+    /// 95 % of the values are at most this.
+    pub p95: f64,
+}
+
+impl Quantiles {
+    /// Quantiles by nearest rank; `None` for an empty list.
+    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+        values.sort_by(f64::total_cmp);
+        let rank = |share: f64| {
+            let place = (share * values.len() as f64).ceil() as usize;
+            values.get(place.max(1) - 1).copied()
+        };
+        Some(Self { p50: rank(0.50)?, p95: rank(0.95)? })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_values_that_occurred() {
+        let q = Quantiles::of((1..=20).map(f64::from).collect()).unwrap();
+        assert!((q.p50 - 10.0).abs() < 1e-12 && (q.p95 - 19.0).abs() < 1e-12);
+        assert_eq!(Quantiles::of(vec![]), None);
+        assert_eq!(Quantiles::of(vec![3.0]), Some(Quantiles { p50: 3.0, p95: 3.0 }));
+    }
+}
