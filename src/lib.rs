@@ -1,21 +1,103 @@
-//! `PlanAgent` on device: a driving agent that plans with a multimodal language model, in one offline process on the CPU.
+//! A driving agent that plans with a vision-language model, offline on the CPU, and the closed loop to test it in.
 //!
-//! A recorded or generated drive comes in; a driven trajectory with nuPlan scores, a transcript of every thought and a
-//! latency record of every model call come out. The stages, in the order in which the data passes them:
+//! ```no_run
+//! use planagent::{Agent, Challenge, Scenario, simulate};
 //!
-//! 1. [`scenario`] opens a drive: map, logged agents, traffic lights, route, expert.
-//! 2. [`environment`] turns a [`world::SceneView`] into the two prompts of the paper: the BEV map and the lane-graph text.
-//! 3. [`mllm`] runs a multimodal language model on the CPU.
-//! 4. [`reasoning`] asks it three rounds and parses the planner code that it writes.
-//! 5. [`reflection`] rolls that planner out, scores it by [`pdm`]'s measure, and accepts it or asks to rethink.
-//! 6. [`planner`] is the one trait the simulator knows; `PlanAgent` and the baselines implement it.
-//! 7. [`simulation`] closes the loop at 10 Hz.
-//! 8. [`metrics`] scores the driven trajectory with nuPlan's closed-loop metrics.
-//! 9. [`experiment`] drives many loops: simulation runs, datasets, model evaluation.
-//! 10. [`report`] writes tables and files.
+//! fn main() -> planagent::Result<()> {
+//!     let scenario = Scenario::open("generated/changing_lane/2")?;
+//!     let mut agent = Agent::builder().model("nano").build()?;
+//!     let run = simulate(&scenario, &mut agent, Challenge::NonReactive)?;
+//!     println!("{:.2}", run.score());
+//!     Ok(())
+//! }
+//! ```
 //!
-//! Below them lie [`geometry`], [`world`] (the vocabulary) and [`dynamics`]; above them [`cli`]. A module uses only what
-//! stands below it; `ARCHITECTURE.md` gives the order and `tests/architecture.rs` enforces it.
+//! In a simulator of your own, build a [`Scene`] and call [`Agent::plan`] at any step length.
+//!
+//! # How it works
+//! The stages, in the order of the data:
+//!
+//! 1. `scenario` opens a recording or generates one: map, logged agents, traffic lights, route, expert.
+//! 2. `environment` turns the scene into the two prompts of the paper: the BEV map and the lane-graph text.
+//! 3. `mllm` runs a vision-language model on the CPU, or asks a server.
+//! 4. `reasoning` asks the model in three rounds and parses the planner code that it writes.
+//! 5. `reflection` rolls the plan out, scores it with the measure of `pdm`, and accepts it or asks to rethink.
+//! 6. `planner` is the trait that the simulator knows; the agent and the baselines implement it.
+//! 7. `simulation` closes the loop at 10 Hz.
+//! 8. `metrics` scores the simulation with nuPlan's closed-loop metrics.
+//! 9. `experiment` runs many simulations, builds datasets and evaluates models.
+//! 10. `report` writes tables and files.
+//!
+//! Below them lie `geometry`, `world` (the vocabulary) and `dynamics`; above them the command line. A stage uses only lower
+//! stages; `ARCHITECTURE.md` has the order.
+//!
+//! # Where to extend
+//! - A planner: implement [`Planner`]; to name it, add it to a [`planning::PlannerRegistry`].
+//! - A metric: a [`evaluation::MetricSpec`] in a [`evaluation::MetricRegistry`], used by [`Simulation::metrics`].
+//! - The other agents: implement [`traffic::AgentPolicy`], used by [`Simulation::agents`].
+//! - A source of scenarios: implement [`sources::ScenarioReader`] and add it to [`sources::Readers`].
+//! - A model: a folder as Hugging Face writes it, a GGUF file, or a description in `models/`; see [`AgentBuilder::model`].
+//!
+//! The folder `examples/` has a program for each.
+
+// Stages are public for this package's tests only; see `internals`.
+#![cfg_attr(not(feature = "internals"), allow(unreachable_pub, dead_code, unused_imports))]
+
+pub use api::{Agent, AgentBuilder, Error, Result, Run, Simulation, simulate};
+pub use metrics::Score;
+pub use planner::Planner;
+pub use scenario::Scenario;
+pub use simulation::Challenge;
+pub use world::{EgoState, Scene, SceneBuilder, Trajectory};
+
+/// Planners: their input and output, their registry, and the settings and records of the agent.
+pub mod planning {
+    pub use crate::planner::{
+        AfterMaxExec, Attempt, CodeSource, Decision, IdmPlanner, Latency, LogReplay, NoPlan, PdmClosed,
+        PlanAgentSettings, Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
+        PlannerNeeds, PlannerParts, PlannerRegistry, PlanningCall, SimplePlanner,
+    };
+    pub use crate::reflection::LeadPolicy;
+    pub use crate::world::{
+        History, HistorySample, SceneError, SceneView, Trajectory, TrajectoryError, TrajectoryState,
+    };
+}
+
+/// Metrics and scores.
+pub mod evaluation {
+    pub use crate::metrics::{
+        EvaluatedSimulation, Evaluation, METRICS, MetricCategory, MetricError, MetricInput, MetricList, MetricRegistry,
+        MetricResult, MetricSpec, Role, Score, ScorePart, ScoreUnit, Statistic, StatisticKind, TimeSeries,
+    };
+}
+
+/// Maps and the geometry that they are made of.
+pub mod road {
+    pub use crate::geometry::{GeometryError, OrientedBox, Point, Polygon, Polyline, Pose, Vector};
+    pub use crate::world::{
+        Lane, LaneId, LaneKind, LaneMap, MapBuilder, MapError, MapParts, Neighbor, Roadblock, RoadblockId, Route,
+        StopLine, StopLineId,
+    };
+}
+
+/// The ego, the objects around it, and who controls them in a simulation.
+pub mod traffic {
+    pub use crate::dynamics::{TrackingError, follow};
+    pub use crate::scenario::Frame;
+    pub use crate::simulation::{AGENT_POLICIES, AgentPolicy, AgentPolicySpec, SimulationError, SimulationLog};
+    pub use crate::world::{
+        EgoState, ObjectKind, PACIFICA, SignalStatus, TrackToken, TrackedObject, TrafficLights, VehicleParameters,
+    };
+}
+
+/// Sources of scenarios.
+pub mod sources {
+    pub use crate::scenario::{
+        Contents, DataRoots, OpenScenario, ReaderError, Readers, Recognition, ScenarioReader, ScenarioRef, Split,
+    };
+}
+
+mod api;
 
 /// The command line of the `planagent` program.
 #[doc(hidden)]
@@ -93,7 +175,7 @@ pub mod simulation;
 #[doc(hidden)]
 pub mod world;
 
-/// All stages, for the tests and benches of this package. No promise of stability holds here.
+/// All stages, for the tests and benches of this package; not stable.
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {

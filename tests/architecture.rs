@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 15] = [
+const RANKS: [(&str, u8); 16] = [
     ("geometry", 0),
     ("world", 1),
     ("dynamics", 2),
@@ -22,6 +22,7 @@ const RANKS: [(&str, u8); 15] = [
     ("reflection", 5),
     ("planner", 6),
     ("simulation", 7),
+    ("api", 8),
     ("experiment", 8),
     ("report", 9),
     ("cli", 10),

@@ -1,6 +1,7 @@
 //! Finds and loads the model that the configuration names, with its prompts.
 
 use super::{Config, Printer};
+use crate::api::models_folder;
 use crate::experiment::run::AgentParts;
 use crate::mllm::{
     FetchProgress, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, ModelSpec, PromptSet as PromptSetName,
@@ -9,14 +10,8 @@ use crate::planner::{CodeSource, PlannerRegistry};
 use crate::reasoning::PromptSet;
 use anyhow::Context;
 use indicatif::ProgressBar;
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
-
-/// Folder of model descriptions, beside the working directory or the program.
-const MODELS: &str = "models";
-/// Environment variable that names it.
-const MODELS_VARIABLE: &str = "PLANAGENT_MODELS";
 
 /// A loaded model, ready to drive.
 pub(super) struct Loaded {
@@ -128,15 +123,4 @@ fn in_words(about: &ModelDescription, load_s: f64) -> String {
             about.image_tokens
         ),
     }
-}
-
-/// `$PLANAGENT_MODELS`, else `models` in the working directory, else beside the program or the package being run.
-fn models_folder() -> PathBuf {
-    if let Some(folder) = std::env::var_os(MODELS_VARIABLE) {
-        return folder.into();
-    }
-    let beside_program = std::env::current_exe().ok().and_then(|exe| exe.parent().map(|folder| folder.join(MODELS)));
-    let package = std::env::var_os("CARGO_MANIFEST_DIR").map(|folder| PathBuf::from(folder).join(MODELS));
-    let places = [Some(PathBuf::from(MODELS)), beside_program, package];
-    places.into_iter().flatten().find(|folder| folder.is_dir()).unwrap_or_else(|| PathBuf::from(MODELS))
 }

@@ -17,4 +17,4 @@ pub use lqr::{TrackingError, track};
 pub use profile::{JerkPenalty, MotionProfile};
 pub use progress_path::ProgressPath;
 pub use traffic::{IDM_AGENT, IdmTraffic};
-pub use two_stage::{drive, simulate_proposal};
+pub use two_stage::{follow, simulate_proposal};

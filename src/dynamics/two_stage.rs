@@ -11,7 +11,7 @@ use crate::world::{EgoState, STEP_US, Trajectory};
 ///
 /// # Errors
 /// When the trajectory does not cover the step, from the time of the ego to its end, or is too short to be tracked.
-pub fn drive(ego: &EgoState, trajectory: &Trajectory, dt_us: i64) -> Result<EgoState, TrackingError> {
+pub fn follow(ego: &EgoState, trajectory: &Trajectory, dt_us: i64) -> Result<EgoState, TrackingError> {
     trajectory.at(ego.time_us + dt_us)?;
     Ok(advance(ego, track(ego, trajectory)?, dt_us))
 }
@@ -94,7 +94,7 @@ mod tests {
                     "{} step {k}: {commands:?} {wanted:?}",
                     case["name"]
                 );
-                ego = drive(&ego, &trajectory, STEP_US).unwrap();
+                ego = follow(&ego, &trajectory, STEP_US).unwrap();
                 let expected = state(&step["next_state"]);
                 assert_eq!(ego.time_us, expected.time_us);
                 let off = deviation(&columns(&ego), &columns(&expected));
@@ -160,6 +160,6 @@ mod tests {
         let states = (0..3).map(|i| TrajectoryState::moving(i * STEP_US, Pose::new(i as f64, 0.0, 0.0), 10.0, 0.0));
         let trajectory = Trajectory::new(states.collect()).unwrap();
         let late = EgoState::from_log(300_000, Pose::default(), Vector::zeros(), Vector::zeros());
-        assert!(matches!(drive(&late, &trajectory, STEP_US), Err(TrackingError::NotCovered(_))));
+        assert!(matches!(follow(&late, &trajectory, STEP_US), Err(TrackingError::NotCovered(_))));
     }
 }

@@ -1,6 +1,6 @@
 //! The controllers that move the ego from one iteration to the next.
 
-use crate::dynamics::{TrackingError, drive};
+use crate::dynamics::{TrackingError, follow};
 use crate::scenario::Frame;
 use crate::world::{EgoState, Trajectory};
 
@@ -17,7 +17,7 @@ impl EgoController {
     /// The ego at the time of the recorded frame `next`.
     pub(super) fn update(self, ego: &EgoState, plan: &Trajectory, next: &Frame) -> Result<EgoState, TrackingError> {
         match self {
-            Self::TwoStage => drive(ego, plan, next.ego.time_us - ego.time_us),
+            Self::TwoStage => follow(ego, plan, next.ego.time_us - ego.time_us),
             Self::LogPlayback => Ok(next.ego),
         }
     }

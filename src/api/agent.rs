@@ -1,0 +1,200 @@
+//! The agent of the paper as a library type.
+
+use super::Result;
+use crate::mllm::{HubAccess, Mllm, ModelRegistry, PromptSet as PromptSetName, Sampling};
+use crate::planner::{
+    CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
+    PlannerParts, PlannerRegistry, PlanningCall,
+};
+use crate::reasoning::{PromptSet, ReasoningSettings, Round};
+use crate::world::{LaneMap, Scene, Trajectory};
+use std::fmt;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// The model that ships with the library.
+const DEFAULT_MODEL: &str = "nano";
+/// Temperature of the attempts after the first.
+const RETHINK_TEMPERATURE: f64 = 0.7;
+/// Folder of model descriptions, beside the working directory or the program.
+const MODELS: &str = "models";
+/// Environment variable that names it.
+const MODELS_VARIABLE: &str = "PLANAGENT_MODELS";
+
+/// A driving agent that plans with a vision-language model. It is a [`Planner`], so [`simulate`](crate::simulate) runs it;
+/// in a loop of your own, call [`Agent::plan`].
+pub struct Agent {
+    planner: Box<dyn Planner>,
+    /// The map and route that the planner was initialized with.
+    initialized: Option<Arc<LaneMap>>,
+    /// Time of the first plan since then, seconds.
+    start_s: f64,
+}
+
+impl fmt::Debug for Agent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Agent").field("planner", &self.planner.name()).finish_non_exhaustive()
+    }
+}
+
+impl Agent {
+    /// An agent with the model "nano" and default settings; every setting can be changed.
+    pub fn builder() -> AgentBuilder {
+        AgentBuilder::default()
+    }
+
+    /// The trajectory from now on. `time_s` is the agent's clock: call with growing times at any step length, and the agent
+    /// asks its model when its interval has passed. A scene with another map starts a new drive.
+    ///
+    /// # Errors
+    /// When the model fails or the scene has no lane near the ego.
+    pub fn plan(&mut self, scene: &Scene, time_s: f64) -> Result<Trajectory> {
+        if !self.initialized.as_ref().is_some_and(|map| Arc::ptr_eq(map, &scene.map)) {
+            let initialization = PlannerInitialization { map: &scene.map, route: &scene.route };
+            self.initialize(&initialization)?;
+            self.start_s = time_s;
+        }
+        let iteration = ((time_s - self.start_s) / crate::world::STEP_S).round().max(0.0) as usize;
+        Ok(self.planner.compute_trajectory(&PlannerInput { iteration, scene: scene.view() })?)
+    }
+
+    /// The planning calls since the drive began.
+    pub fn calls(&self) -> &[PlanningCall] {
+        self.planner.calls()
+    }
+}
+
+impl Planner for Agent {
+    fn name(&self) -> &str {
+        self.planner.name()
+    }
+
+    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+        self.planner.initialize(initialization)?;
+        self.initialized = Some(Arc::clone(initialization.map));
+        Ok(())
+    }
+
+    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        self.planner.compute_trajectory(input)
+    }
+
+    fn calls(&self) -> &[PlanningCall] {
+        self.planner.calls()
+    }
+
+    fn drivable_layers(&self) -> Option<crate::pdm::DrivableLayers> {
+        self.planner.drivable_layers()
+    }
+}
+
+/// Settings of an [`Agent`], each with a default.
+#[derive(Debug, Clone)]
+pub struct AgentBuilder {
+    planner: String,
+    model: String,
+    models: Option<PathBuf>,
+    prompts: Option<String>,
+    offline: bool,
+    settings: PlanAgentSettings,
+}
+
+impl Default for AgentBuilder {
+    fn default() -> Self {
+        Self {
+            planner: PlannerName::PLAN_AGENT.as_str().to_owned(),
+            model: DEFAULT_MODEL.to_owned(),
+            models: None,
+            prompts: None,
+            offline: false,
+            settings: PlanAgentSettings::default(),
+        }
+    }
+}
+
+impl AgentBuilder {
+    /// The model: a name ("nano", the default), a folder as Hugging Face writes it, a GGUF file, a hub id
+    /// (`llava-hf/llava-1.5-7b-hf`), or a `.toml` file that describes one.
+    #[must_use]
+    pub fn model(self, model: impl Into<String>) -> Self {
+        Self { model: model.into(), ..self }
+    }
+
+    /// Looks for the descriptions of models by name in this folder, instead of `$PLANAGENT_MODELS` or `models`.
+    #[must_use]
+    pub fn models_folder(self, folder: impl Into<PathBuf>) -> Self {
+        Self { models: Some(folder.into()), ..self }
+    }
+
+    /// Another planner of the registry, for example a baseline without a model (`fixed-code`, `random-code`, `grid-code`).
+    #[must_use]
+    pub fn planner(self, name: impl Into<String>) -> Self {
+        Self { planner: name.into(), ..self }
+    }
+
+    /// A prompt set: `paper`, `compact` or a folder. By default the model's description decides.
+    #[must_use]
+    pub fn prompts(self, name_or_folder: impl Into<String>) -> Self {
+        Self { prompts: Some(name_or_folder.into()), ..self }
+    }
+
+    /// Never uses the network.
+    #[must_use]
+    pub fn offline(self) -> Self {
+        Self { offline: true, ..self }
+    }
+
+    /// Seed of the model's samples.
+    #[must_use]
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.settings.seed = seed;
+        self
+    }
+
+    /// All other settings: reflection, gate, latency, monitoring and so on.
+    #[must_use]
+    pub fn settings(self, settings: PlanAgentSettings) -> Self {
+        Self { settings, ..self }
+    }
+
+    /// Loads the model.
+    ///
+    /// # Errors
+    /// When there is no such model, planner or prompt set, or the files of the model are broken.
+    pub fn build(self) -> Result<Agent> {
+        let registry = PlannerRegistry::default();
+        let entry = registry.find(&self.planner)?;
+        let model = if entry.needs_model() { Some(self.code_source()?) } else { None };
+        let parts = PlannerParts { name: entry.name, settings: &self.settings, model: model.as_ref(), recording: &[] };
+        Ok(Agent { planner: entry.build(&parts)?, initialized: None, start_s: 0.0 })
+    }
+
+    fn code_source(&self) -> Result<CodeSource> {
+        let hub = HubAccess { offline: self.offline, ..HubAccess::default() };
+        let registry = ModelRegistry::new(self.models.clone().unwrap_or_else(models_folder), hub);
+        let spec = registry.find(&self.model)?;
+        let model: Arc<dyn Mllm> = Arc::from(registry.open(&spec)?);
+        let prompts = self.prompts.as_deref().unwrap_or(match spec.prompt_set {
+            PromptSetName::Compact => "compact",
+            PromptSetName::Paper => "paper",
+        });
+        let reasoning = ReasoningSettings {
+            rounds: Round::ALL.to_vec(),
+            generation: spec.generation,
+            rethink_sampling: Sampling::Sample { temperature: RETHINK_TEMPERATURE, top_p: 1.0 },
+            grammar: true,
+        };
+        Ok(CodeSource::Model { model, prompts: Arc::new(PromptSet::open(prompts)?), reasoning })
+    }
+}
+
+/// `$PLANAGENT_MODELS`, else `models` in the working directory, else beside the program or the package being run.
+pub(crate) fn models_folder() -> PathBuf {
+    if let Some(folder) = std::env::var_os(MODELS_VARIABLE) {
+        return folder.into();
+    }
+    let beside_program = std::env::current_exe().ok().and_then(|exe| exe.parent().map(|folder| folder.join(MODELS)));
+    let package = std::env::var_os("CARGO_MANIFEST_DIR").map(|folder| PathBuf::from(folder).join(MODELS));
+    let places = [Some(PathBuf::from(MODELS)), beside_program, package];
+    places.into_iter().flatten().find(|folder| folder.is_dir()).unwrap_or_else(|| PathBuf::from(MODELS))
+}

@@ -1,0 +1,37 @@
+//! Why a call of the library fails.
+
+use crate::metrics::MetricError;
+use crate::mllm::MllmError;
+use crate::planner::{PlannerError, UnknownPlanner};
+use crate::reasoning::PromptError;
+use crate::scenario::ReaderError;
+use crate::simulation::SimulationError;
+use crate::world::SceneError;
+
+/// Why a call of the library fails.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum Error {
+    #[error(transparent)]
+    Scenario(#[from] ReaderError),
+    #[error("'{word}' names {count} scenarios; use Scenario::open_all")]
+    ManyScenarios { word: String, count: usize },
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    #[error(transparent)]
+    Model(#[from] MllmError),
+    #[error(transparent)]
+    Prompts(#[from] PromptError),
+    #[error(transparent)]
+    UnknownPlanner(#[from] UnknownPlanner),
+    #[error(transparent)]
+    Planner(#[from] PlannerError),
+    #[error(transparent)]
+    Simulation(#[from] SimulationError),
+    #[error(transparent)]
+    Metrics(#[from] MetricError),
+}
+
+/// The library's result.
+pub type Result<T, E = Error> = std::result::Result<T, E>;

@@ -1,0 +1,10 @@
+//! The front door of the library: an agent, a scenario, and a simulation of both.
+
+mod agent;
+mod error;
+mod run;
+
+pub(crate) use agent::models_folder;
+pub use agent::{Agent, AgentBuilder};
+pub use error::{Error, Result};
+pub use run::{Run, Simulation, simulate};
