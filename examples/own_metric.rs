@@ -1,5 +1,7 @@
 //! A metric of your own beside nuPlan's: `cargo run --release --example own_metric`
 
+#![allow(clippy::print_stdout, reason = "an example prints what it does")]
+
 use planagent::evaluation::{MetricList, MetricRegistry, MetricSpec, Statistic, StatisticKind};
 use planagent::planning::PdmClosed;
 use planagent::{Challenge, Scenario, Simulation};

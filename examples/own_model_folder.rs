@@ -1,5 +1,7 @@
 //! A model from a folder as Hugging Face writes it: `cargo run --release --example own_model_folder [FOLDER]`
 
+#![allow(clippy::print_stdout, reason = "an example prints what it does")]
+
 use planagent::{Agent, Challenge, Scenario, simulate};
 use std::path::Path;
 

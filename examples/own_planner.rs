@@ -1,5 +1,7 @@
 //! A planner of your own in nuPlan's closed loop: `cargo run --release --example own_planner`
 
+#![allow(clippy::print_stdout, reason = "an example prints what it does")]
+
 use planagent::planning::{PlannerError, PlannerInitialization, PlannerInput, TrajectoryState};
 use planagent::road::Pose;
 use planagent::{Challenge, Planner, Scenario, Trajectory, simulate};

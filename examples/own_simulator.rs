@@ -1,5 +1,7 @@
 //! The agent in a simulator of your own with steps of 0.05 s: `cargo run --release --example own_simulator`
 
+#![allow(clippy::print_stdout, reason = "an example prints what it does")]
+
 use planagent::planning::PlannerError;
 use planagent::road::Vector;
 use planagent::traffic::{TrackedObject, follow};

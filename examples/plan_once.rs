@@ -1,5 +1,7 @@
 //! One planning call on a hand-made scene: `cargo run --release --example plan_once`
 
+#![allow(clippy::print_stdout, reason = "an example prints what it does")]
+
 use planagent::{Agent, Scene};
 
 fn main() -> planagent::Result<()> {
@@ -14,7 +16,7 @@ fn main() -> planagent::Result<()> {
     let trajectory = agent.plan(&scene, 0.0)?;
 
     for call in agent.calls() {
-        println!("the model read:\n{}\n", call.scene_text);
+        println!("the model read:\n{}\n", call.scene_text.as_deref().unwrap_or_default());
         for attempt in &call.attempts {
             println!("the model wrote: {}", attempt.line().unwrap_or_default());
         }
