@@ -29,10 +29,30 @@ const RANKS: [(&str, u8); 16] = [
 ];
 
 /// Rooms of a stage (its files and folders) by rank, lowest first: a room uses only rooms of a lower rank.
-const INNER_RANKS: [(&str, &[&[&str]]); 0] = [];
+const INNER_RANKS: [(&str, &[&[&str]]); 1] = [(
+    "mllm",
+    &[
+        &["error", "values"],
+        &["deadline", "matrix"],
+        &["checkpoint"],
+        &["attention", "conversation", "gguf", "layer_norm", "linear", "pointwise", "rms_norm"],
+        &["decoder", "sampling", "text", "vision"],
+        &["endpoint", "family"],
+        &["cogvlm", "llava"],
+        &["llava_next"],
+        &["families"],
+        &["source"],
+        &["local"],
+        &["export", "latency"],
+        &["registry"],
+    ],
+)];
 
 /// Most files that may import each other in a circle.
-const MAX_CIRCLE: usize = 43;
+const MAX_CIRCLE: usize = 8;
+
+/// Stages that still have a larger circle, with the files of it. Make the number smaller when the circle shrinks.
+const LARGER_CIRCLES: [(&str, usize); 2] = [("metrics", 12), ("scenario", 9)];
 
 /// Modules that may write to disk, and nothing else may.
 const WRITERS: [&str; 5] = [
@@ -184,7 +204,10 @@ fn circles_of_imports_are_small() {
     let large: Vec<String> = graph
         .circles()
         .into_iter()
-        .filter(|circle| circle.len() > MAX_CIRCLE)
+        .filter(|circle| {
+            let known = LARGER_CIRCLES.iter().find(|(name, _)| circle.iter().all(|file| stage(file) == Some(*name)));
+            circle.len() > known.map_or(MAX_CIRCLE, |(_, files)| *files)
+        })
         .map(|circle| format!("{} files:\n  {}", circle.len(), circle.join("\n  ")))
         .collect();
     assert!(large.is_empty(), "circles of more than {MAX_CIRCLE} files:\n{}", large.join("\n"));

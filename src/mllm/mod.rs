@@ -16,6 +16,9 @@ mod deadline;
 mod decoder;
 mod endpoint;
 mod error;
+mod export;
+mod families;
+mod family;
 mod gguf;
 mod latency;
 mod layer_norm;
@@ -28,25 +31,33 @@ mod pointwise;
 mod registry;
 mod rms_norm;
 mod sampling;
+mod source;
 mod text;
 mod values;
 mod vision;
 
 pub(crate) use checkpoint::in_bytes;
-pub use checkpoint::{LoadReport, ModelPlace, WeightFormatException, WeightFormatShare};
+pub use checkpoint::{LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights};
 pub(crate) use conversation::milliseconds;
 pub use conversation::{
     Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription, PromptPrefix, Request,
     RoundTime, Sampling, Server, TokenCounts, Turn, prompt_hash,
 };
 pub use deadline::Deadline;
+pub use decoder::{DecoderInput, KvCache, Logits};
 pub use endpoint::{Endpoint, EndpointSettings, GrammarField, LimitField};
 pub use error::{EndpointFailure, MllmError};
-pub use gguf::{CreateFile, GgufPart};
-pub use latency::{LatencyProbe, ModelShape, PassTime, ProbeDescription, Step, StepTime};
-pub use local::{Architecture, Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
+pub use export::{CreateFile, GgufPart, export_model};
+pub use families::{Architecture, Families};
+pub use family::{Chat, ChatFormat, Family, LanguageModel, ModelInfo, Positions, Tiles, VisionLanguageModel};
+pub use gguf::{Entries, GgufLayout, Header as GgufHeader, Value as GgufValue};
+pub use latency::{LatencyProbe, PassTime, ProbeDescription, Step, StepTime};
+pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub use registry::{
     FetchListener, FetchProgress, GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec,
     PromptSet, RoundTokens,
 };
+pub use source::ModelPlace;
+pub use source::ModelShape;
+pub use text::ChatTokenizer;

@@ -10,6 +10,7 @@ mod families;
 mod gguf;
 mod hub;
 mod layouts;
+mod own_family;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

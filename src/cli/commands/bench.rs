@@ -6,7 +6,7 @@ use crate::cli::machine::{commit, cpu, memory};
 use crate::cli::{Config, Exit, Printer, model};
 use crate::experiment::bench::protocol::{GgufPair, ModelChoice};
 use crate::experiment::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
-use crate::mllm::{GgufPart, LocalModel, ModelPlace, ModelRegistry, ModelShape, PromptSet};
+use crate::mllm::{GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, export_model};
 use crate::report::{BenchFigures, BenchFolder, BenchMetadata, ReportError, bench_markdown, bench_table, stamp};
 use anyhow::{Context, bail};
 use serde_json::{Map, Value, json};
@@ -149,7 +149,7 @@ fn as_gguf(
         printer.note(format!("{}: writing it as {}", candidate.name, decoder.display()));
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
         write_gguf(&decoder, printer, |create, progress| {
-            LocalModel::export(&candidate.name, &place, &loading, create, progress)
+            export_model(&candidate.name, &place, &loading, create, progress)
         })
         .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
     }

@@ -2,7 +2,7 @@
 
 use super::budget::Layout;
 use super::protocol::{GgufPair, LoadRequest, Loaded, ModelChoice, Reply, Request};
-use crate::mllm::{Architecture, LatencyProbe, MllmError, ModelPlace, ModelRegistry, ModelShape};
+use crate::mllm::{LatencyProbe, MllmError, ModelPlace, ModelRegistry, ModelShape};
 use std::io::{self, BufRead, Write};
 use std::time::Instant;
 
@@ -59,10 +59,7 @@ fn load(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, Late
     let probe = LatencyProbe::open(&place, &loading, request.seed)?;
     let load_s = start.elapsed().as_secs_f64();
     let about = probe.describe()?;
-    let layout = match about.architecture {
-        Architecture::Llava | Architecture::LlavaNext => Layout::PrefixFirst,
-        Architecture::CogVlm => Layout::ImageFirst,
-    };
+    let layout = if about.image_first { Layout::ImageFirst } else { Layout::PrefixFirst };
     let version = env!("CARGO_PKG_VERSION").to_owned();
     let loaded = Loaded {
         parameters: about.parameters,

@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 
 use super::key_values::BLOCK_POSITIONS;
 use super::{AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryTable, attend, mix};
-use crate::mllm::checkpoint::{LlamaConfig, Section};
+use crate::mllm::checkpoint::{ConfigObject, LlamaConfig};
 use crate::mllm::matrix::Instructions;
 
 /// Projections of tokens, numbers between ±`scale`.
@@ -201,7 +201,7 @@ fn shapes_that_do_not_fit_are_errors() {
         assert!(KeyValues::new(other, Precision::Half).write(rows, 0).is_err());
     });
     let config = serde_json::json!({"vocab_size": 8, "hidden_size": 32, "num_attention_heads": 2});
-    let config = LlamaConfig::from_section(&Section::root("config.json".as_ref(), &config).unwrap()).unwrap();
+    let config = LlamaConfig::read(ConfigObject::root("config.json".as_ref(), &config).unwrap()).unwrap();
     let table = RotaryTable::new(&config);
     assert!(table.rows(&[config.context as u32]).is_err());
     let angles = table.rows(&[0, 1]).unwrap();

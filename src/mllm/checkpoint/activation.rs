@@ -1,37 +1,19 @@
 //! Activation functions by their names in configurations.
 
-use super::section::Section;
-use crate::mllm::MllmError;
+use serde::Deserialize;
 
 /// Activation functions by their names in Hugging Face configurations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub(crate) enum Activation {
-    /// `gelu`: with the error function.
+    /// With the error function.
     Gelu,
-    /// `gelu_new`, `gelu_pytorch_tanh`: with tanh.
+    /// With tanh.
+    #[serde(rename = "gelu_pytorch_tanh", alias = "gelu_new")]
     GeluTanh,
-    /// `quick_gelu`: x·σ(1.702 x).
+    /// x·σ(1.702 x).
     QuickGelu,
-    /// `relu`.
     Relu,
-    /// `silu`, `swish`.
+    #[serde(alias = "swish")]
     Silu,
-}
-
-impl Activation {
-    /// Reads an activation by its name.
-    ///
-    /// # Errors
-    /// When the name is not known.
-    pub(crate) fn from_section(section: &Section<'_>, key: &str, default: Self) -> Result<Self, MllmError> {
-        match section.text(key)? {
-            None => Ok(default),
-            Some("gelu") => Ok(Self::Gelu),
-            Some("gelu_new" | "gelu_pytorch_tanh") => Ok(Self::GeluTanh),
-            Some("quick_gelu") => Ok(Self::QuickGelu),
-            Some("relu") => Ok(Self::Relu),
-            Some("silu" | "swish") => Ok(Self::Silu),
-            Some(other) => Err(section.error(key, format!("activation {other:?} is not supported"))),
-        }
-    }
 }

@@ -8,19 +8,15 @@ use serde_json::Value;
 use super::read_text;
 use crate::mllm::MllmError;
 
-/// The files of a model folder, or what stands for them in a GGUF file.
+/// The files of a model folder, or their texts in the metadata of a GGUF file.
 #[derive(Debug, Clone)]
-pub(crate) struct ModelFiles {
+pub struct ModelFiles {
     place: PathBuf,
-    /// Files that do not lie in a folder, by name: where each comes from, and what it says.
+    /// Texts of files outside of a folder, by name, each with the path that messages show.
     packed: Option<BTreeMap<String, (PathBuf, String)>>,
 }
 
 impl ModelFiles {
-    /// The files of a folder.
-    ///
-    /// # Errors
-    /// When there is no such folder.
     pub(crate) fn folder(folder: &Path) -> Result<Self, MllmError> {
         if folder.is_dir() {
             return Ok(Self { place: folder.to_path_buf(), packed: None });
@@ -28,16 +24,13 @@ impl ModelFiles {
         Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: "such folder, and so no config.json".into() })
     }
 
-    /// Files that `place` holds or stands for, by name.
+    /// Texts of files by name; `place` is the file or shape that holds them.
     pub(crate) fn packed(place: &Path, texts: BTreeMap<String, String>) -> Self {
         let packed = texts.into_iter().map(|(name, text)| (name.clone(), (place.join(name), text))).collect();
         Self { place: place.to_path_buf(), packed: Some(packed) }
     }
 
-    /// Takes those of `names` that a folder holds from there.
-    ///
-    /// # Errors
-    /// When one cannot be read.
+    /// Replaces each file of `names` that a folder holds by the folder's.
     pub(crate) fn prefer(&mut self, folder: &Path, names: &[&str]) -> Result<(), MllmError> {
         let Some(packed) = &mut self.packed else { return Ok(()) };
         for name in names {
@@ -55,16 +48,13 @@ impl ModelFiles {
         &self.place
     }
 
-    /// What messages call a file.
+    /// The path of a file in messages.
     pub(crate) fn path(&self, name: &str) -> PathBuf {
         let packed = self.packed.as_ref().and_then(|packed| packed.get(name));
         packed.map_or_else(|| self.place.join(name), |(path, _)| path.clone())
     }
 
-    /// What a file says; none if it is not there.
-    ///
-    /// # Errors
-    /// When it cannot be read.
+    /// The text of a file; none if it does not exist.
     pub(crate) fn text(&self, name: &str) -> Result<Option<String>, MllmError> {
         if let Some(packed) = &self.packed {
             return Ok(packed.get(name).map(|(_, text)| text.clone()));
@@ -73,10 +63,7 @@ impl ModelFiles {
         if path.is_file() { read_text(&path).map(Some) } else { Ok(None) }
     }
 
-    /// What a JSON file says; none if it is not there.
-    ///
-    /// # Errors
-    /// When it cannot be read or is no JSON.
+    /// The content of a JSON file; none if it does not exist.
     pub(crate) fn json(&self, name: &str) -> Result<Option<Value>, MllmError> {
         let parse = |text: String| {
             serde_json::from_str(&text).map_err(|source| MllmError::Json { path: self.path(name), source })
@@ -84,15 +71,12 @@ impl ModelFiles {
         self.text(name)?.map(parse).transpose()
     }
 
-    /// What a JSON file says that a model must have.
-    ///
-    /// # Errors
-    /// When it is not there, cannot be read or is no JSON.
+    /// The content of a JSON file that a model must have.
     pub(crate) fn required_json(&self, name: &str) -> Result<Value, MllmError> {
         self.json(name)?.ok_or_else(|| self.missing(name))
     }
 
-    /// The error of a file, or of alternatives, that a model must have.
+    /// The error for a missing file. `file` may name alternatives.
     pub(crate) fn missing(&self, file: &str) -> MllmError {
         MllmError::MissingFile { folder: self.place.clone(), file: file.to_string() }
     }

@@ -1,38 +1,74 @@
-//! The `text_config` part of a configuration: a Llama or Mistral decoder.
+//! The configuration of a Llama or Mistral decoder.
+
+use serde::Deserialize;
+use serde_json::{Value, json};
 
 use super::activation::Activation;
-use super::section::Section;
+use super::config::{ConfigObject, count, optional_count, optional_positive, positive};
 use crate::mllm::MllmError;
 
-/// A Llama decoder (`LlamaConfig`), or a Mistral one (`MistralConfig`), which differs in its defaults and its window.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct LlamaConfig {
+/// A Llama decoder (`LlamaConfig`), or a Mistral one (`MistralConfig`), which has other defaults and a window.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct LlamaConfig {
     /// Number of token ids.
+    #[serde(rename = "vocab_size", deserialize_with = "count")]
     pub vocabulary: usize,
     /// Width of the hidden states.
+    #[serde(rename = "hidden_size", deserialize_with = "count")]
     pub hidden: usize,
     /// Width of the feed-forward layers.
+    #[serde(rename = "intermediate_size", deserialize_with = "count")]
     pub intermediate: usize,
-    /// Number of layers.
+    #[serde(rename = "num_hidden_layers", deserialize_with = "count")]
     pub layers: usize,
     /// Number of query heads.
+    #[serde(rename = "num_attention_heads", deserialize_with = "count")]
     pub heads: usize,
-    /// Number of key and value heads, which divides the query heads.
+    /// Number of key and value heads, a divisor of the query heads. The default is as many as query heads.
+    #[serde(rename = "num_key_value_heads", deserialize_with = "count")]
     pub kv_heads: usize,
-    /// Width of a head.
+    /// Width of a head. The default is the hidden width divided by the heads.
+    #[serde(deserialize_with = "count")]
     pub head_dim: usize,
-    /// Most positions (`max_position_embeddings`).
+    /// Positions that the decoder was trained for.
+    #[serde(rename = "max_position_embeddings", deserialize_with = "count")]
     pub context: usize,
-    /// Epsilon of the RMS norms.
+    #[serde(deserialize_with = "positive")]
     pub rms_norm_eps: f64,
-    /// Rotary position embedding.
-    pub rope: Rope,
+    #[serde(skip)]
+    pub(crate) rope: Rope,
     /// Whether the attention's projections have biases.
     pub attention_bias: bool,
     /// Whether the feed-forward layers have biases.
     pub mlp_bias: bool,
-    /// Positions that a token sees, its own among them (`sliding_window`); none for all.
+    /// Positions that a token sees, its own among them; none for all.
+    #[serde(rename = "sliding_window", deserialize_with = "optional_count")]
     pub window: Option<usize>,
+    /// Whether the output layer may share the embedding's weights.
+    pub tie_word_embeddings: bool,
+}
+
+/// The defaults of `LlamaConfig`. Zero heads and widths are set once the others are known.
+impl Default for LlamaConfig {
+    fn default() -> Self {
+        Self {
+            vocabulary: 32_000,
+            hidden: 4096,
+            intermediate: 11_008,
+            layers: 32,
+            heads: 32,
+            kv_heads: 0,
+            head_dim: 0,
+            context: 2048,
+            rms_norm_eps: 1e-6,
+            rope: Rope::default(),
+            attention_bias: false,
+            mlp_bias: false,
+            window: None,
+            tie_word_embeddings: false,
+        }
+    }
 }
 
 /// Rotary position embedding: base and scaling of its frequencies.
@@ -40,29 +76,31 @@ pub(crate) struct LlamaConfig {
 pub(crate) struct Rope {
     /// Base of the frequencies.
     pub theta: f64,
-    /// How they are stretched for contexts longer than trained.
     pub scaling: RopeScaling,
 }
 
-/// Frequency scaling of rotary embeddings (`rope_type`).
+impl Default for Rope {
+    fn default() -> Self {
+        Self { theta: 10_000.0, scaling: RopeScaling::None }
+    }
+}
+
+/// How the frequencies are scaled for contexts longer than in training (`rope_type`).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum RopeScaling {
-    /// `default`: none.
     None,
-    /// `linear`: all frequencies divided by the factor.
+    /// All frequencies are divided by the factor.
     Linear {
-        /// The factor.
         factor: f64,
     },
-    /// `llama3`: low frequencies divided by the factor, high ones kept, smooth between.
+    /// Low frequencies are divided by the factor, high ones kept, those between interpolated.
     Llama3 {
-        /// The factor.
         factor: f64,
         /// Wavelengths above `original_context / low_freq_factor` are scaled fully.
         low_freq_factor: f64,
         /// Wavelengths below `original_context / high_freq_factor` are kept.
         high_freq_factor: f64,
-        /// Context that the model was trained with first.
+        /// Context of the first training.
         original_context: f64,
     },
 }
@@ -70,141 +108,131 @@ pub(crate) enum RopeScaling {
 /// Longest context, positions: bounds the table of rotary angles.
 const MAX_CONTEXT: usize = 1 << 20;
 
-/// What a decoder's kind takes for absent keys.
-struct Defaults {
-    intermediate: usize,
-    /// None for as many as query heads.
-    kv_heads: Option<usize>,
-    context: usize,
-    /// None if the kind has no window at all.
-    window: Option<usize>,
-    rms_norm_eps: f64,
+/// Which decoder a `text_config` describes.
+#[derive(Clone, Copy, PartialEq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum ModelType {
+    #[default]
+    Llama,
+    Mistral,
 }
 
-/// Defaults of `LlamaConfig`.
-const LLAMA: Defaults =
-    Defaults { intermediate: 11_008, kv_heads: None, context: 2048, window: None, rms_norm_eps: 1e-6 };
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Kind {
+    model_type: ModelType,
+}
 
-/// Defaults of `CogVLMConfig`.
-const COGVLM: Defaults = Defaults { rms_norm_eps: 1e-5, ..LLAMA };
-
-/// Defaults of `MistralConfig`.
-const MISTRAL: Defaults =
-    Defaults { intermediate: 14_336, kv_heads: Some(8), context: 131_072, window: Some(4096), rms_norm_eps: 1e-6 };
-
-impl Defaults {
-    /// Reads `sliding_window`, whose null says that there is no window.
-    fn window(&self, section: &Section<'_>) -> Result<Option<usize>, MllmError> {
-        const KEY: &str = "sliding_window";
-        match self.window {
-            Some(default) if !section.is_null(KEY) => section.count(KEY, default).map(Some),
-            _ => Ok(None),
-        }
-    }
+/// Keys of a decoder that do not become fields as they are.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Rest {
+    hidden_act: Option<Activation>,
+    #[serde(deserialize_with = "optional_positive")]
+    rope_theta: Option<f64>,
 }
 
 impl LlamaConfig {
-    /// Reads the section.
-    ///
-    /// # Errors
-    /// When a key has the wrong type or range, is unsupported, or contradicts another.
-    pub(crate) fn from_section(section: &Section<'_>) -> Result<Self, MllmError> {
-        let default = match section.text("model_type")? {
-            None | Some("llama") => &LLAMA,
-            Some("mistral") => &MISTRAL,
-            Some(other) => {
-                return Err(
-                    section.error("model_type", format!("decoder {other:?} is not supported; llama and mistral are"))
-                );
-            }
-        };
-        Self::read(section, default)
+    /// Reads a `text_config`.
+    pub(crate) fn read(text: ConfigObject<'_>) -> Result<Self, MllmError> {
+        match text.read::<Kind>()?.model_type {
+            // Only Mistral's layers have a window.
+            ModelType::Llama => Ok(Self { window: None, ..Self::read_with(text, Value::Null)? }),
+            ModelType::Mistral => Self::read_with(
+                text,
+                json!({
+                    "intermediate_size": 14_336, "num_key_value_heads": 8, "max_position_embeddings": 131_072,
+                    "sliding_window": 4096,
+                }),
+            ),
+        }
     }
 
-    /// Reads the decoder's keys of a `CogVLMConfig`, which stand beside all others.
-    ///
-    /// # Errors
-    /// As [`Self::from_section`].
-    pub(crate) fn from_cogvlm_section(section: &Section<'_>) -> Result<Self, MllmError> {
-        Self::read(section, &COGVLM)
+    /// Reads the keys of a decoder without a `model_type` of its own. Absent keys take `defaults`, then those of Llama.
+    pub(crate) fn read_with(text: ConfigObject<'_>, defaults: Value) -> Result<Self, MllmError> {
+        let text = text.with_defaults(defaults);
+        let rest: Rest = text.read()?;
+        if rest.hidden_act.is_some_and(|act| act != Activation::Silu) {
+            return Err(text.error("hidden_act", "only silu is supported"));
+        }
+        let mut config: Self = text.read()?;
+        config.rope = Rope::read(&text, rest.rope_theta)?;
+        if config.kv_heads == 0 {
+            config.kv_heads = config.heads;
+        }
+        if config.head_dim == 0 {
+            config.head_dim = config.hidden / config.heads;
+        }
+        config.validate().map_err(|(key, problem)| text.error(key, problem))?;
+        Ok(config)
     }
 
-    fn read(section: &Section<'_>, default: &Defaults) -> Result<Self, MllmError> {
-        if Activation::from_section(section, "hidden_act", Activation::Silu)? != Activation::Silu {
-            return Err(section.error("hidden_act", "only silu is supported".into()));
+    /// The first key that contradicts another, and why.
+    fn validate(&self) -> Result<(), (&'static str, String)> {
+        let Self { hidden, heads, kv_heads, head_dim, context, .. } = self;
+        if !hidden.is_multiple_of(*heads) {
+            return Err(("hidden_size", format!("{hidden} is no multiple of {heads} attention heads")));
         }
-        let hidden = section.count("hidden_size", 4096)?;
-        let heads = section.count("num_attention_heads", 32)?;
-        let kv_heads = section.count("num_key_value_heads", default.kv_heads.unwrap_or(heads))?;
-        if !hidden.is_multiple_of(heads) {
-            return Err(section.error("hidden_size", format!("{hidden} is no multiple of {heads} attention heads")));
+        if !heads.is_multiple_of(*kv_heads) {
+            return Err(("num_key_value_heads", format!("{kv_heads} does not divide {heads} attention heads")));
         }
-        if !heads.is_multiple_of(kv_heads) {
-            return Err(
-                section.error("num_key_value_heads", format!("{kv_heads} does not divide {heads} attention heads"))
-            );
-        }
-        let head_dim = section.count("head_dim", hidden / heads)?;
         if !head_dim.is_multiple_of(2) {
-            return Err(section.error("head_dim", format!("{head_dim} is odd, rotary embeddings need pairs")));
+            return Err(("head_dim", format!("{head_dim} is odd; rotary embeddings need pairs")));
         }
-        let context = section.count("max_position_embeddings", default.context)?;
-        if context > MAX_CONTEXT {
-            return Err(section.error("max_position_embeddings", format!("at most {MAX_CONTEXT}")));
+        if *context > MAX_CONTEXT {
+            return Err(("max_position_embeddings", format!("at most {MAX_CONTEXT} positions are supported")));
         }
-        Ok(Self {
-            vocabulary: section.count("vocab_size", 32_000)?,
-            hidden,
-            intermediate: section.count("intermediate_size", default.intermediate)?,
-            layers: section.count("num_hidden_layers", 32)?,
-            heads,
-            kv_heads,
-            head_dim,
-            context,
-            rms_norm_eps: section.positive("rms_norm_eps", default.rms_norm_eps)?,
-            rope: Rope::from_section(section)?,
-            attention_bias: section.flag("attention_bias", false)?,
-            mlp_bias: section.flag("mlp_bias", false)?,
-            window: default.window(section)?,
-        })
+        Ok(())
     }
 }
 
+/// `rope_parameters` (transformers 5) or `rope_scaling` (before).
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct RopeKeys {
+    rope_type: Option<RopeType>,
+    r#type: Option<RopeType>,
+    #[serde(deserialize_with = "optional_positive")]
+    rope_theta: Option<f64>,
+    #[serde(deserialize_with = "optional_positive")]
+    factor: Option<f64>,
+    #[serde(deserialize_with = "optional_positive")]
+    low_freq_factor: Option<f64>,
+    #[serde(deserialize_with = "optional_positive")]
+    high_freq_factor: Option<f64>,
+    #[serde(deserialize_with = "optional_positive")]
+    original_max_position_embeddings: Option<f64>,
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum RopeType {
+    #[default]
+    Default,
+    Linear,
+    Llama3,
+}
+
 impl Rope {
-    /// Reads `rope_parameters` (transformers 5), or `rope_theta` with `rope_scaling` (before).
-    fn from_section(text: &Section<'_>) -> Result<Self, MllmError> {
-        let theta = text.positive("rope_theta", 10_000.0)?;
-        let section = match text.section("rope_parameters", "text_config.rope_parameters.")? {
-            Some(section) => Some(section),
-            None => text.section("rope_scaling", "text_config.rope_scaling.")?,
+    /// Reads `rope_parameters` or `rope_scaling`; `theta` is the decoder's own `rope_theta`.
+    fn read(text: &ConfigObject<'_>, theta: Option<f64>) -> Result<Self, MllmError> {
+        let section = match text.child("rope_parameters")? {
+            Some(section) => section,
+            None => text.child_or_empty("rope_scaling")?,
         };
-        let Some(section) = section else {
-            return Ok(Self { theta, scaling: RopeScaling::None });
-        };
-        let theta = section.positive("rope_theta", theta)?;
-        let kind = match section.text("rope_type")? {
-            Some(kind) => Some(kind),
-            None => section.text("type")?,
-        };
-        let required = |key: &str| match section.get(key) {
-            Some(_) => section.positive(key, 1.0),
-            None => Err(section.error(key, "is missing for this rope_type".into())),
-        };
-        let scaling = match kind {
-            None | Some("default") => RopeScaling::None,
-            Some("linear") => RopeScaling::Linear { factor: required("factor")? },
-            Some("llama3") => RopeScaling::Llama3 {
-                factor: required("factor")?,
-                low_freq_factor: required("low_freq_factor")?,
-                high_freq_factor: required("high_freq_factor")?,
-                original_context: required("original_max_position_embeddings")?,
+        let keys: RopeKeys = section.read()?;
+        let required =
+            |key: &str, value: Option<f64>| value.ok_or_else(|| section.error(key, "is missing for this rope_type"));
+        let scaling = match keys.rope_type.or(keys.r#type).unwrap_or_default() {
+            RopeType::Default => RopeScaling::None,
+            RopeType::Linear => RopeScaling::Linear { factor: required("factor", keys.factor)? },
+            RopeType::Llama3 => RopeScaling::Llama3 {
+                factor: required("factor", keys.factor)?,
+                low_freq_factor: required("low_freq_factor", keys.low_freq_factor)?,
+                high_freq_factor: required("high_freq_factor", keys.high_freq_factor)?,
+                original_context: required("original_max_position_embeddings", keys.original_max_position_embeddings)?,
             },
-            Some(other) => {
-                return Err(
-                    section.error("rope_type", format!("{other:?} is not supported; default, linear and llama3 are"))
-                );
-            }
         };
-        Ok(Self { theta, scaling })
+        Ok(Self { theta: keys.rope_theta.or(theta).unwrap_or(Self::default().theta), scaling })
     }
 }

@@ -1,4 +1,4 @@
-//! What became of a checkpoint's tensors when they were loaded.
+//! In which formats the tensors of a checkpoint were loaded.
 
 use candle_core::quantized::GgmlDType;
 use serde::{Deserialize, Serialize};
@@ -10,40 +10,40 @@ use crate::mllm::matrix::WeightFormat;
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct LoadReport {
-    /// The storage that was asked for (`mllm.quantize`); none to hold what the files hold.
+    /// The format of `mllm.quantize`; none for the format of the files.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantize: Option<WeightFormat>,
-    /// Tensors and bytes of each storage that is used.
+    /// Tensors and bytes of each format.
     pub weight_formats: Vec<WeightFormatShare>,
-    /// Tensors that are not held as was asked for, or as their file holds them.
+    /// Tensors in another format than the wanted one.
     pub exceptions: Vec<WeightFormatException>,
-    /// What a user should know of the files.
+    /// Further facts about the files for the user.
     pub notes: Vec<String>,
 }
 
-/// The tensors that are held alike.
+/// The tensors of one format.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WeightFormatShare {
-    /// How.
+    /// Their format.
     pub weight_format: WeightFormat,
-    /// How many.
+    /// Their number.
     pub tensors: usize,
     /// Their bytes in memory.
     pub bytes: u64,
 }
 
-/// Tensors of all layers that are not held as was asked for.
+/// A tensor of all layers in another format than the wanted one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WeightFormatException {
-    /// Their name, the number of the layer as `*`.
+    /// Its name, the number of the layer as `*`.
     pub name: String,
-    /// How many they are.
+    /// Number of layers.
     pub tensors: usize,
-    /// Their number format in the file.
+    /// Its number format in the file.
     pub file: String,
-    /// How they are held.
+    /// Its format in memory.
     pub weight_format: WeightFormat,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
@@ -69,7 +69,7 @@ impl LoadReport {
         }
     }
 
-    /// Adds a tensor to the count of a storage.
+    /// Adds a tensor to the count of a format.
     pub(super) fn add(&mut self, weight_format: WeightFormat, bytes: u64) {
         match self.weight_formats.iter_mut().find(|share| share.weight_format == weight_format) {
             Some(share) => {
@@ -81,7 +81,7 @@ impl LoadReport {
         self.weight_formats.sort_by_key(|share| std::cmp::Reverse(share.bytes));
     }
 
-    /// Whether it says nothing.
+    /// Whether nothing was loaded.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
@@ -91,7 +91,7 @@ impl LoadReport {
         self.weight_formats.iter().map(|share| share.bytes).sum()
     }
 
-    /// The report as lines for people: storages, then what is held otherwise with the names, then notes.
+    /// The report as lines for people: formats, then the exceptions with their names, then notes.
     pub fn lines(&self) -> Vec<String> {
         let share = |share: &WeightFormatShare| {
             format!("{}: {} tensors, {}", share.weight_format, share.tensors, in_bytes(share.bytes))

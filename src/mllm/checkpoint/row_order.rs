@@ -1,19 +1,16 @@
-//! The order of rows that rotary embeddings need, as Hugging Face and as llama.cpp have it.
+//! The order of the rows of queries and keys, in Hugging Face's and in llama.cpp's files.
 
-/// In which order a file has the rows of a tensor.
+/// The order of a tensor's rows in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RowOrder {
-    /// As Hugging Face has them.
+    /// Hugging Face's.
     Plain,
-    /// The rows of each of so many heads in pairs, as llama.cpp's rotary embedding takes them: a row of the first half,
-    /// then its partner of the second.
-    Paired {
-        /// Number of heads.
-        heads: usize,
-    },
+    /// llama.cpp's: within each head, a row of the first half and then its partner of the second half, as its rotary
+    /// embedding rotates them.
+    Paired { heads: usize },
 }
 
-/// Puts rows that lie in pairs ([`RowOrder::Paired`]) back in order.
+/// Puts paired rows ([`RowOrder::Paired`]) back in order.
 pub(super) fn unpaired(bytes: &[u8], rows: usize, heads: usize) -> Vec<u8> {
     reordered(bytes, rows, heads, |row, half| if row < half { 2 * row } else { 2 * (row - half) + 1 })
 }
@@ -23,7 +20,8 @@ pub(crate) fn paired(bytes: &[u8], rows: usize, heads: usize) -> Vec<u8> {
     reordered(bytes, rows, heads, |row, half| row / 2 + row % 2 * half)
 }
 
-/// Rows of which each head's are taken from where `source` says, by the row's number in its head and half the head's width.
+/// Reorders the rows of each head. `source` maps a row of the result, within its head, and half the head's height to the
+/// row that it is copied from.
 fn reordered(bytes: &[u8], rows: usize, heads: usize, source: impl Fn(usize, usize) -> usize) -> Vec<u8> {
     let (width, head) = (bytes.len() / rows.max(1), rows / heads.max(1));
     let mut out = Vec::with_capacity(bytes.len());

@@ -1,16 +1,18 @@
-//! The safetensors of a folder, whole or in shards, in any layout that transformers has written.
+//! The safetensors of a folder, in one file or in shards.
 
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use candle_core::quantized::GgmlDType;
 use safetensors::Dtype;
 use safetensors::tensor::Metadata;
+use serde::Deserialize;
 use serde_json::Value;
 
+use super::config::ConfigObject;
 use super::read_json;
 use super::row_order::RowOrder;
-use super::section::Section;
 use super::weight_file::{TensorPlace, WeightFile};
 use super::weight_format_plan::WeightFormatPlan;
 use super::weights::Weights;
@@ -19,25 +21,26 @@ use crate::mllm::matrix::WeightFormat;
 
 /// The file of a checkpoint that is not sharded.
 const WEIGHTS: &str = "model.safetensors";
-/// The index of a sharded checkpoint: which tensor is in which file.
+/// The index of a sharded checkpoint.
 const INDEX: &str = "model.safetensors.index.json";
 /// Longest header, bytes (the format's own limit).
 const MAX_HEADER: u64 = 100_000_000;
-/// Bytes of the number that says how long the header is.
+/// Bytes of the header's length.
 const LENGTH: u64 = 8;
 
-/// Opens the safetensors of a folder.
-///
-/// # Errors
-/// When a file is missing or broken, or a tensor has an unknown number format.
-pub(super) fn open(folder: &Path, quantize: Option<WeightFormat>) -> Result<Weights, MllmError> {
+/// Opens the safetensors of a folder. `canonical` gives the canonical name of a tensor, or none to leave it out.
+pub(crate) fn open(
+    folder: &Path,
+    quantize: Option<WeightFormat>,
+    canonical: impl Fn(&str) -> Option<String>,
+) -> Result<Weights, MllmError> {
     let mut weights = Weights::empty(folder, WeightFormatPlan { quantize, ..WeightFormatPlan::default() });
     for path in weight_files(folder)? {
         let file = WeightFile::open(&path)?;
         let tensors = read_header(&path, &mut file.reader()?, file.len())?;
         let index = weights.add_file(file);
         for (name, place) in tensors {
-            if let Some(canonical) = canonical_name(&name) {
+            if let Some(canonical) = canonical(&name) {
                 weights.add(canonical, index, name, place, RowOrder::Plain)?;
             }
         }
@@ -45,10 +48,7 @@ pub(super) fn open(folder: &Path, quantize: Option<WeightFormat>) -> Result<Weig
     Ok(weights)
 }
 
-/// Reads the header at the beginning of a file of `file_bytes` bytes: the tensors by their names in the file.
-///
-/// # Errors
-/// When it is broken, its tensors do not fill the file exactly, or one is in a number format that is not read.
+/// Reads the header of a file of `file_bytes` bytes: the tensors by their names in the file.
 fn read_header(path: &Path, source: &mut dyn Read, file_bytes: u64) -> Result<Vec<(String, TensorPlace)>, MllmError> {
     let broken = |problem: String| MllmError::Safetensors { path: path.to_path_buf(), problem };
     let failed = |error: std::io::Error| broken(format!("the header cannot be read: {error}"));
@@ -96,13 +96,19 @@ fn read_header(path: &Path, source: &mut dyn Read, file_bytes: u64) -> Result<Ve
         .collect()
 }
 
-/// Whether a folder holds the weights of a checkpoint, or says which files do.
-pub(super) fn has_safetensors(folder: &Path) -> bool {
+/// The index of a sharded checkpoint: the file of each tensor.
+#[derive(Deserialize)]
+struct Index {
+    weight_map: BTreeMap<String, String>,
+}
+
+/// Whether a folder has safetensors or their index.
+pub(crate) fn has_safetensors(folder: &Path) -> bool {
     [WEIGHTS, INDEX].iter().any(|file| folder.join(file).is_file())
 }
 
 /// The weight files of a folder in the order of their names.
-pub(super) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
+pub(crate) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
     let whole = folder.join(WEIGHTS);
     if whole.is_file() {
         return Ok(vec![whole]);
@@ -112,24 +118,17 @@ pub(super) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
         return Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: format!("{WEIGHTS} and no {INDEX}") });
     }
     let index: Value = read_json(&index_path)?;
-    let root = Section::root(&index_path, &index)?;
-    let Some(Value::Object(map)) = root.get("weight_map") else {
-        return Err(root.error("weight_map", "expected an object of tensor names and files".into()));
-    };
+    let root = ConfigObject::root(&index_path, &index)?;
+    let Index { weight_map } = root.read()?;
     let mut files: Vec<PathBuf> = Vec::new();
-    for (tensor, file) in map {
-        let file = file
-            .as_str()
-            .filter(|file| !file.is_empty() && !file.contains(['/', '\\']) && *file != "..")
-            .ok_or_else(|| {
-                root.error(
-                    &format!("weight_map.{tensor}"),
-                    format!("expected the name of a file in this folder, found {file}"),
-                )
-            })?;
-        let path = folder.join(file);
+    for (tensor, file) in weight_map {
+        if file.is_empty() || file.contains(['/', '\\']) || file == ".." {
+            let problem = format!("expected the name of a file in this folder, found {file:?}");
+            return Err(root.error(&format!("weight_map.{tensor}"), problem));
+        }
+        let path = folder.join(&file);
         if !path.is_file() {
-            return Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: file.to_string() });
+            return Err(MllmError::MissingFile { folder: folder.to_path_buf(), file });
         }
         files.push(path);
     }
@@ -138,52 +137,15 @@ pub(super) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
     Ok(files)
 }
 
-/// Whether a tensor is a table that older checkpoints hold beside the weights.
+/// Whether a tensor is a buffer that older checkpoints store beside the weights.
 fn is_buffer(name: &str) -> bool {
     name.ends_with("position_ids") || name.ends_with("rotary_emb.inv_freq")
-}
-
-/// Maps the names of all layouts to one; none for buffers that are no weights.
-fn canonical_name(name: &str) -> Option<String> {
-    if is_buffer(name) {
-        return None;
-    }
-    let name = name.strip_prefix("model.").unwrap_or(name);
-    let renamed = [
-        ("vision_tower.vision_model.", "vision_tower."),
-        ("language_model.model.", "language_model."),
-        ("language_model.lm_head.", "lm_head."),
-    ]
-    .into_iter()
-    .find_map(|(from, to)| name.strip_prefix(from).map(|rest| format!("{to}{rest}")));
-    Some(renamed.unwrap_or_else(|| name.to_string()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
-
-    #[test]
-    fn every_layout_has_one_canonical_name() {
-        for (name, canonical) in [
-            ("vision_tower.vision_model.encoder.layers.0.mlp.fc1.bias", "vision_tower.encoder.layers.0.mlp.fc1.bias"),
-            ("vision_tower.embeddings.class_embedding", "vision_tower.embeddings.class_embedding"),
-            ("model.vision_tower.vision_model.pre_layrnorm.bias", "vision_tower.pre_layrnorm.bias"),
-            ("model.vision_tower.pre_layrnorm.bias", "vision_tower.pre_layrnorm.bias"),
-            ("language_model.model.norm.weight", "language_model.norm.weight"),
-            ("model.language_model.norm.weight", "language_model.norm.weight"),
-            ("language_model.lm_head.weight", "lm_head.weight"),
-            ("lm_head.weight", "lm_head.weight"),
-            ("model.multi_modal_projector.linear_1.bias", "multi_modal_projector.linear_1.bias"),
-            ("model.image_newline", "image_newline"),
-            ("model.vision.boi", "vision.boi"),
-            ("model.layers.0.mlp.vision_mlp.up_proj.weight", "layers.0.mlp.vision_mlp.up_proj.weight"),
-        ] {
-            assert_eq!(canonical_name(name).as_deref(), Some(canonical));
-        }
-        assert_eq!(canonical_name("vision_tower.vision_model.embeddings.position_ids"), None);
-    }
 
     fn places(bytes: &[u8]) -> Result<Vec<(String, TensorPlace)>, MllmError> {
         read_header(Path::new("w"), &mut &*bytes, bytes.len() as u64)

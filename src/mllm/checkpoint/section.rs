@@ -6,11 +6,7 @@ use serde_json::{Map, Value};
 
 use crate::mllm::MllmError;
 
-/// Largest count that a configuration may hold: no width, layer count or context of a model that fits a machine is above.
-const MAX_COUNT: u64 = 1 << 22;
-
-/// A JSON object of a configuration file, with the path of keys that leads to it. `null` counts as absent, but for
-/// [`Section::is_null`].
+/// A JSON object of a configuration file, with the path of keys that leads to it. `null` counts as absent.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Section<'a> {
     path: &'a Path,
@@ -32,6 +28,11 @@ impl<'a> Section<'a> {
         Ok(Self { path, prefix: "", object })
     }
 
+    /// The object as serde reads it.
+    pub(crate) fn config(&self) -> super::ConfigObject<'a> {
+        super::ConfigObject::nested(self.path, self.prefix, self.object)
+    }
+
     /// A nested object; none if absent. `prefix` is the key with a dot, for messages.
     pub(crate) fn section(&self, key: &str, prefix: &'a str) -> Result<Option<Section<'a>>, MllmError> {
         match self.get(key) {
@@ -44,22 +45,6 @@ impl<'a> Section<'a> {
     /// The value of a key that is present and not null.
     pub(crate) fn get(&self, key: &str) -> Option<&'a Value> {
         self.object.get(key).filter(|value| !value.is_null())
-    }
-
-    /// Whether a key is present and null, for keys where that differs from absence.
-    pub(crate) fn is_null(&self, key: &str) -> bool {
-        self.object.get(key).is_some_and(Value::is_null)
-    }
-
-    /// A positive integer, or the default.
-    pub(crate) fn count(&self, key: &str, default: usize) -> Result<usize, MllmError> {
-        match self.get(key) {
-            None => Ok(default),
-            Some(value) => match value.as_u64() {
-                Some(count @ 1..=MAX_COUNT) => Ok(count as usize),
-                _ => Err(self.error(key, format!("expected a whole number from 1 to {MAX_COUNT}, found {value}"))),
-            },
-        }
     }
 
     /// A finite positive number, or the default.
@@ -91,21 +76,6 @@ impl<'a> Section<'a> {
                 .as_str()
                 .map(Some)
                 .ok_or_else(|| self.error(key, format!("expected a text, found {}", kind(value)))),
-        }
-    }
-
-    /// One token id or a list of them; empty if absent.
-    pub(crate) fn token_ids(&self, key: &str) -> Result<Vec<u32>, MllmError> {
-        let id = |value: &Value| {
-            value
-                .as_u64()
-                .and_then(|id| u32::try_from(id).ok())
-                .ok_or_else(|| self.error(key, format!("expected a token id, found {value}")))
-        };
-        match self.get(key) {
-            None => Ok(Vec::new()),
-            Some(Value::Array(values)) => values.iter().map(id).collect(),
-            Some(value) => Ok(vec![id(value)?]),
         }
     }
 

@@ -1,135 +1,117 @@
-//! The `vision_config` part of a configuration: a vision transformer.
+//! The configuration of a vision transformer.
+
+use serde::Deserialize;
+use serde_json::json;
 
 use super::activation::Activation;
-use super::section::Section;
+use super::config::{ConfigObject, count, positive};
 use crate::mllm::MllmError;
 
-/// A vision transformer over the patches of a square image and a class token.
-#[derive(Debug, Clone, PartialEq)]
+/// A vision transformer over the patches of a square image and a class token. `CogVLM` has other names for two keys.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default)]
 pub(crate) struct VisionConfig {
     /// Width of the hidden states.
+    #[serde(rename = "hidden_size", deserialize_with = "count")]
     pub hidden: usize,
     /// Width of the feed-forward layers.
+    #[serde(rename = "intermediate_size", deserialize_with = "count")]
     pub intermediate: usize,
-    /// Number of layers.
+    #[serde(rename = "num_hidden_layers", deserialize_with = "count")]
     pub layers: usize,
-    /// Number of attention heads.
+    #[serde(rename = "num_attention_heads", alias = "num_heads", deserialize_with = "count")]
     pub heads: usize,
     /// Side of the image, pixels.
+    #[serde(deserialize_with = "count")]
     pub image_size: usize,
     /// Side of a patch, pixels.
+    #[serde(deserialize_with = "count")]
     pub patch_size: usize,
     /// Activation of the feed-forward layers.
+    #[serde(rename = "hidden_act")]
     pub act: Activation,
-    /// Epsilon of the layer norms.
+    #[serde(deserialize_with = "positive")]
     pub layer_norm_eps: f64,
 }
 
-/// Defaults of `CLIPVisionConfig`.
-pub(crate) const CLIP_BASE: VisionConfig = VisionConfig {
-    hidden: 768,
-    intermediate: 3072,
-    layers: 12,
-    heads: 12,
-    image_size: 224,
-    patch_size: 32,
-    act: Activation::QuickGelu,
-    layer_norm_eps: 1e-5,
-};
-
-/// What `LlavaConfig` and `LlavaNextConfig` take when they have no `vision_config` at all: CLIP ViT-L/14 at 336 pixels.
-pub(crate) const LLAVA_TOWER: VisionConfig = VisionConfig {
-    hidden: 1024,
-    intermediate: 4096,
-    layers: 24,
-    heads: 16,
-    image_size: 336,
-    patch_size: 14,
-    act: Activation::QuickGelu,
-    layer_norm_eps: 1e-5,
-};
-
-/// The tower of `cogvlm-chat-hf`.
-const EVA_TOWER: VisionConfig = VisionConfig {
-    hidden: 1792,
-    intermediate: 15_360,
-    layers: 63,
-    heads: 16,
-    image_size: 490,
-    patch_size: 14,
-    act: Activation::Gelu,
-    layer_norm_eps: 1e-6,
-};
-
-/// Keys that not all configurations call alike.
-struct Keys {
-    heads: &'static str,
-    channels: &'static str,
+/// The defaults of `CLIPVisionConfig`.
+impl Default for VisionConfig {
+    fn default() -> Self {
+        Self {
+            hidden: 768,
+            intermediate: 3072,
+            layers: 12,
+            heads: 12,
+            image_size: 224,
+            patch_size: 32,
+            act: Activation::QuickGelu,
+            layer_norm_eps: 1e-5,
+        }
+    }
 }
 
 /// Largest image side, pixels: beyond it a configuration is taken for broken.
 const MAX_IMAGE_SIZE: usize = 8192;
 
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum TowerType {
+    ClipVisionModel,
+}
+
+#[derive(Deserialize)]
+struct Kind {
+    #[serde(rename = "model_type")]
+    _model_type: Option<TowerType>,
+}
+
+#[derive(Deserialize)]
+struct Channels {
+    num_channels: Option<u64>,
+    in_channels: Option<u64>,
+}
+
 impl VisionConfig {
-    /// Reads a `CLIPVisionConfig`.
-    ///
-    /// # Errors
-    /// When a key has the wrong type or range, is unsupported, or contradicts another.
-    pub(crate) fn from_clip_section(section: &Section<'_>, default: &Self) -> Result<Self, MllmError> {
-        match section.text("model_type")? {
-            None | Some("clip_vision_model") => {}
-            Some(other) => {
-                return Err(section
-                    .error("model_type", format!("vision tower {other:?} is not supported; clip_vision_model is")));
+    /// Reads the `vision_config` of a LLaVA, a `CLIPVisionConfig`. Without one, `LlavaConfig` and `LlavaNextConfig` take
+    /// CLIP ViT-L/14 at 336 pixels.
+    pub(crate) fn read_clip(root: &ConfigObject<'_>) -> Result<Self, MllmError> {
+        let vision = match root.child("vision_config")? {
+            Some(vision) => vision,
+            None => root.child_or_empty("vision_config")?.with_defaults(json!({
+                "hidden_size": 1024, "intermediate_size": 4096, "num_hidden_layers": 24, "num_attention_heads": 16,
+                "image_size": 336, "patch_size": 14,
+            })),
+        };
+        vision.read::<Kind>()?;
+        Self::read(&vision)
+    }
+
+    /// Reads the keys of a vision transformer of any kind.
+    pub(crate) fn read(vision: &ConfigObject<'_>) -> Result<Self, MllmError> {
+        let Channels { num_channels, in_channels } = vision.read()?;
+        for (key, channels) in [("num_channels", num_channels), ("in_channels", in_channels)] {
+            if channels.is_some_and(|channels| channels != 3) {
+                return Err(vision.error(key, "only 3 (RGB) is supported"));
             }
         }
-        Self::read(section, default, &Keys { heads: "num_attention_heads", channels: "num_channels" })
-    }
-
-    /// Reads the `vision_config` of a `CogVLMConfig`, an EVA2-CLIP tower.
-    ///
-    /// # Errors
-    /// As [`Self::from_clip_section`].
-    pub(crate) fn from_cogvlm_section(section: &Section<'_>) -> Result<Self, MllmError> {
-        let config = Self::read(section, &EVA_TOWER, &Keys { heads: "num_heads", channels: "in_channels" })?;
-        let positions = config.patches() + 1;
-        let named = section.count("num_positions", positions)?;
-        if named != positions {
-            return Err(section.error(
-                "num_positions",
-                format!("{named}, but {} patches and a class token make {positions}", config.patches()),
-            ));
-        }
+        let config: Self = vision.read()?;
+        config.validate().map_err(|(key, problem)| vision.error(key, problem))?;
         Ok(config)
     }
 
-    fn read(section: &Section<'_>, default: &Self, keys: &Keys) -> Result<Self, MllmError> {
-        let config = Self {
-            hidden: section.count("hidden_size", default.hidden)?,
-            intermediate: section.count("intermediate_size", default.intermediate)?,
-            layers: section.count("num_hidden_layers", default.layers)?,
-            heads: section.count(keys.heads, default.heads)?,
-            image_size: section.count("image_size", default.image_size)?,
-            patch_size: section.count("patch_size", default.patch_size)?,
-            act: Activation::from_section(section, "hidden_act", default.act)?,
-            layer_norm_eps: section.positive("layer_norm_eps", default.layer_norm_eps)?,
-        };
-        if section.count(keys.channels, 3)? != 3 {
-            return Err(section.error(keys.channels, "only 3 (RGB) is supported".into()));
+    /// The first key that contradicts another, and why.
+    fn validate(&self) -> Result<(), (&'static str, String)> {
+        let Self { hidden, heads, image_size, patch_size, .. } = self;
+        if !hidden.is_multiple_of(*heads) {
+            return Err(("hidden_size", format!("{hidden} is no multiple of {heads} heads")));
         }
-        if !config.hidden.is_multiple_of(config.heads) {
-            return Err(
-                section.error("hidden_size", format!("{} is no multiple of {} heads", config.hidden, config.heads))
-            );
+        if patch_size > image_size {
+            return Err(("patch_size", format!("{patch_size} exceeds the image size {image_size}")));
         }
-        if config.patch_size > config.image_size {
-            return Err(section
-                .error("patch_size", format!("{} exceeds the image size {}", config.patch_size, config.image_size)));
+        if *image_size > MAX_IMAGE_SIZE {
+            return Err(("image_size", format!("at most {MAX_IMAGE_SIZE} pixels are supported")));
         }
-        if config.image_size > MAX_IMAGE_SIZE {
-            return Err(section.error("image_size", format!("at most {MAX_IMAGE_SIZE}")));
-        }
-        Ok(config)
+        Ok(())
     }
 
     /// Patches of an image.

@@ -11,7 +11,6 @@ use candle_core::CpuStorage;
 use candle_core::quantized::GgmlDType;
 use half::{bf16, f16};
 
-use super::random::RandomTensors;
 use crate::mllm::MllmError;
 
 /// Where and how a tensor lies in a file.
@@ -27,41 +26,32 @@ pub(crate) struct TensorPlace {
     pub bytes: u64,
 }
 
+/// Where the bytes of tensors come from: a weight file, or a generator of random weights.
+pub(crate) trait TensorSource: std::fmt::Debug + Send + Sync {
+    /// What messages call it.
+    fn path(&self) -> &Path;
+
+    /// The bytes of a tensor.
+    fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError>;
+
+    /// Adds its whole content to a hash.
+    fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError>;
+}
+
 /// An open weight file.
 #[derive(Debug)]
 pub(crate) struct WeightFile {
     path: PathBuf,
-    source: Source,
+    file: File,
     bytes: u64,
 }
 
-/// Where the bytes of a file come from.
-#[derive(Debug)]
-enum Source {
-    File(File),
-    Random(RandomTensors),
-}
-
 impl WeightFile {
-    /// Opens a file.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub(crate) fn open(path: &Path) -> Result<Self, MllmError> {
         let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
         let file = File::open(path).map_err(failed)?;
         let bytes = file.metadata().map_err(failed)?.len();
-        Ok(Self { path: path.to_path_buf(), source: Source::File(file), bytes })
-    }
-
-    /// What stands for a file that is made up, called `path` in messages.
-    pub(super) fn random(path: &Path, tensors: RandomTensors) -> Self {
-        Self { path: path.to_path_buf(), source: Source::Random(tensors), bytes: 0 }
-    }
-
-    /// The file, for messages.
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
+        Ok(Self { path: path.to_path_buf(), file, bytes })
     }
 
     /// Its length, bytes.
@@ -70,59 +60,37 @@ impl WeightFile {
     }
 
     /// Reads it from its beginning.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub(crate) fn reader(&self) -> Result<impl Read, MllmError> {
-        match &self.source {
-            Source::File(file) => {
-                self.rewind(file, 0)?;
-                Ok(BufReader::with_capacity(1 << 20, file))
-            }
-            Source::Random(_) => Err(self.failed(io::ErrorKind::Unsupported.into())),
-        }
+        self.seek(0)?;
+        Ok(BufReader::with_capacity(1 << 20, &self.file))
     }
 
-    /// The bytes of a tensor.
-    ///
-    /// # Errors
-    /// When they cannot be read.
-    pub(crate) fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
-        match &self.source {
-            Source::File(file) => {
-                self.rewind(file, place.begin)?;
-                let mut bytes = vec![0; place.bytes as usize];
-                { file }.read_exact(&mut bytes).map_err(|source| self.failed(source))?;
-                Ok(bytes)
-            }
-            Source::Random(tensors) => tensors.bytes(place),
-        }
-    }
-
-    /// Adds its whole content to a hash.
-    ///
-    /// # Errors
-    /// When it cannot be read.
-    pub(crate) fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
-        match &self.source {
-            Source::File(file) => {
-                self.rewind(file, 0)?;
-                hasher.update_reader(file).map_err(|source| self.failed(source))?;
-            }
-            Source::Random(tensors) => {
-                hasher.update(&tensors.seed().to_le_bytes());
-            }
-        }
+    fn seek(&self, position: u64) -> Result<(), MllmError> {
+        (&self.file).seek(SeekFrom::Start(position)).map_err(|source| self.failed(source))?;
         Ok(())
     }
 
-    fn rewind(&self, mut file: &File, position: u64) -> Result<(), MllmError> {
-        file.seek(SeekFrom::Start(position)).map_err(|source| self.failed(source))?;
-        Ok(())
-    }
-
-    fn failed(&self, source: std::io::Error) -> MllmError {
+    fn failed(&self, source: io::Error) -> MllmError {
         MllmError::Read { path: self.path.clone(), source }
+    }
+}
+
+impl TensorSource for WeightFile {
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
+        self.seek(place.begin)?;
+        let mut bytes = vec![0; place.bytes as usize];
+        (&self.file).read_exact(&mut bytes).map_err(|source| self.failed(source))?;
+        Ok(bytes)
+    }
+
+    fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
+        self.seek(0)?;
+        hasher.update_reader(&self.file).map_err(|source| self.failed(source))?;
+        Ok(())
     }
 }
 
@@ -130,7 +98,7 @@ impl WeightFile {
 ///
 /// # Errors
 /// When the bytes are no whole blocks.
-pub(super) fn widen(format: GgmlDType, bytes: Vec<u8>) -> candle_core::Result<Vec<f32>> {
+pub(crate) fn widen(format: GgmlDType, bytes: Vec<u8>) -> candle_core::Result<Vec<f32>> {
     if !bytes.len().is_multiple_of(format.type_size()) {
         candle_core::bail!("{} bytes are no whole blocks of {format:?}", bytes.len());
     }

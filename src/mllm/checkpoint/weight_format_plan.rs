@@ -1,57 +1,54 @@
-//! In which storage each tensor of a checkpoint is held.
+//! Which format each tensor of a checkpoint has in memory.
 
 use candle_core::quantized::GgmlDType;
 
 use crate::mllm::matrix::WeightFormat;
 
-/// Decides how tensors are held, by what was asked for, what they are and how their file holds them.
+/// Chooses the format of tensors by the user's wish, their role, and their format in the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct WeightFormatPlan {
-    /// The storage that was asked for; none to hold what the file holds.
+    /// The wanted format; none for that of the file.
     pub quantize: Option<WeightFormat>,
-    /// Whether safetensors are held in f32 when nothing was asked for, and GGUF as it is.
+    /// Decides the format where none is wanted.
     pub kind: FileKind,
-    /// Whether the embedding is the output layer too.
+    /// Whether the embedding is also the output layer.
     pub tied: bool,
 }
 
-/// What the weights come from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum FileKind {
-    /// safetensors: made to be trained further, held in f32 unless something else is asked for.
+    /// Training checkpoints: f32 by default.
     #[default]
     Safetensors,
-    /// GGUF: made to be run, held as it is.
+    /// Inference files: their own format by default.
     Gguf,
 }
 
-/// How one matrix is held, and why not as was asked for.
+/// The format of one matrix.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct PlannedFormat {
-    /// The storage.
     pub weight_format: WeightFormat,
-    /// Why it is not what was asked for, or not what the file holds.
+    /// Why it is not the wanted one or that of the file.
     pub reason: Option<&'static str>,
 }
 
-/// What a matrix is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Role {
     Decoder,
-    /// The output layer, where llama.cpp spends more bits too: it decides the token.
+    /// The output layer decides the token; llama.cpp gives it more bits too.
     Output,
-    /// Vision tower and projector: a small part of the weights whose errors reach every image token.
+    /// Vision tower and projector are a small part of the weights, and their errors reach every image token.
     Vision,
 }
 
-/// Whether a tensor of this name and shape is a matrix that rows are multiplied with or taken from. All others (norms,
-/// biases, positions, the patch kernel, learned rows) are few and stay in f32.
+/// Whether a tensor of this name and shape is the matrix of a linear layer or an embedding. All others (norms, biases,
+/// positions, the patch kernel, learned rows) are small and stay in f32.
 pub(crate) fn is_matrix(name: &str, shape: &[usize]) -> bool {
     shape.len() == 2 && name.ends_with(".weight") && !name.contains("position_embedding")
 }
 
 impl WeightFormatPlan {
-    /// How a matrix with so many inputs, held in `format` by its file, is held in memory.
+    /// The format in memory of a matrix with so many inputs that has `format` in its file.
     pub(crate) fn matrix(self, name: &str, format: GgmlDType, inputs: usize) -> PlannedFormat {
         let (wanted, reason) = match self.quantize {
             None => self.as_in_file(format),
@@ -93,13 +90,13 @@ fn asked_for(asked: WeightFormat, role: Role, format: GgmlDType) -> (WeightForma
         _ => (asked, None),
     };
     match held_as(format) {
-        // What was rounded to few bits gains nothing from more.
+        // A matrix that was rounded to few bits gains nothing from more.
         Some(held) if held.block() > 1 && bits(held) < bits(wanted) => (held, Some("the file holds no more than this")),
         _ => (wanted, reason),
     }
 }
 
-/// The storage that is the same as a file's format.
+/// The format in memory that equals a file's format.
 pub(crate) fn held_as(format: GgmlDType) -> Option<WeightFormat> {
     match format {
         GgmlDType::F32 => Some(WeightFormat::F32),
@@ -111,8 +108,8 @@ pub(crate) fn held_as(format: GgmlDType) -> Option<WeightFormat> {
     }
 }
 
-/// The smallest storage with no fewer bits than a format that no storage is the same as. bf16 has f32's range, which f16
-/// has not.
+/// The smallest format in memory with at least the bits of a file's format that has no equal. bf16 needs f32, whose range
+/// f16 does not have.
 fn replacement(format: GgmlDType) -> WeightFormat {
     match format {
         GgmlDType::Q2K | GgmlDType::Q3K | GgmlDType::Q4_0 => WeightFormat::Q4K,
@@ -121,7 +118,7 @@ fn replacement(format: GgmlDType) -> WeightFormat {
     }
 }
 
-/// Bits a number, times 32.
+/// Bits of 32 numbers.
 fn bits(weight_format: WeightFormat) -> usize {
     weight_format.block_bytes() * 8 * 32 / weight_format.block()
 }
@@ -180,7 +177,7 @@ mod tests {
             let planned = plan.matrix(DECODER, format, 512);
             assert_eq!((planned.weight_format, planned.reason.is_some()), (expected, said), "{format:?}");
         }
-        // Asking for more bits than it has changes nothing, asking for fewer does.
+        // More bits than the file has change nothing; fewer do.
         let again = |weight_format| WeightFormatPlan { quantize: Some(weight_format), ..plan };
         assert_eq!(again(WeightFormat::Q8_0).matrix(DECODER, GgmlDType::Q4K, 512).weight_format, WeightFormat::Q4K);
         assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q8_0, 512).weight_format, WeightFormat::Q4K);

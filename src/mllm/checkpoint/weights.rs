@@ -1,4 +1,4 @@
-//! The tensors of a checkpoint under one set of names, whatever files they lie in.
+//! The tensors of a checkpoint under one set of names, from any kind of file.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,21 +9,20 @@ use half::f16;
 
 use super::load_report::LoadReport;
 use super::row_order::{RowOrder, unpaired};
-use super::weight_file::{TensorPlace, WeightFile, widen};
+use super::weight_file::{TensorPlace, TensorSource, widen};
 use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
 use crate::mllm::MllmError;
 use crate::mllm::matrix::{Matrix, WeightFormat};
 
-/// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite and held as
-/// the [`WeightFormatPlan`] says, so that there is never more than one tensor twice in memory.
+/// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite, and converted
+/// as the [`WeightFormatPlan`] says, so that at most one tensor is in memory twice.
 ///
-/// Canonical are the names that transformers 5 writes, without the `model.` prefixes. Of a LLaVA: `vision_tower.*`,
-/// `multi_modal_projector.*`, `image_newline`, `language_model.*` (embedding, layers, norm) and `lm_head.weight`; of a
-/// `CogVLM`: `vision.*`, `embed_tokens.weight`, `layers.*`, `norm.weight` and `lm_head.weight`.
+/// A family chooses its canonical names: those of its safetensors without layout prefixes. The output layer is
+/// `lm_head.weight`; names that begin with `vision` or `multi_modal_projector.` belong to the vision tower and projector.
 #[derive(Debug)]
-pub(crate) struct Weights {
+pub struct Weights {
     place: PathBuf,
-    files: Vec<WeightFile>,
+    files: Vec<Box<dyn TensorSource>>,
     tensors: BTreeMap<String, StoredTensor>,
     plan: WeightFormatPlan,
     report: LoadReport,
@@ -31,38 +30,38 @@ pub(crate) struct Weights {
     taking: Taking,
 }
 
-/// What is done about a tensor that is asked for.
+/// What taking a tensor does.
 #[derive(Debug)]
 enum Taking {
-    /// It is read.
+    /// Reads it.
     Read,
-    /// It is looked for and not read; these are missing or misshapen.
+    /// Checks that it exists and has the right shape; holds the errors so far.
     Look(Vec<MllmError>),
-    /// It is written down, whether there is one or not: name and shape.
+    /// Lists its name and shape, whether it exists or not.
     List(Vec<(String, Vec<usize>)>),
-    /// It is made up.
+    /// Draws random numbers.
     #[cfg(test)]
     Invent(rand_pcg::Pcg64Mcg),
 }
 
-/// Tensors that may be missing before looking for more is given up.
+/// Errors after which a check gives up.
 const MAX_PROBLEMS: usize = 1000;
-/// Numbers of a missing tensor from which on looking for more is given up: the configuration is broken.
+/// A check gives up at a missing tensor of so many numbers, because the configuration is broken.
 const MAX_STAND_IN: usize = 1 << 30;
 
-/// A tensor that was not taken yet.
+/// A tensor that is not taken yet.
 #[derive(Debug)]
 struct StoredTensor {
     /// Index into the files.
     file: usize,
-    /// Its name there.
+    /// Its name in the file.
     name: String,
     place: TensorPlace,
     rows: RowOrder,
 }
 
 impl Weights {
-    /// Weights without a tensor. `place` is what messages call them.
+    /// Weights without a tensor; messages call them `place`.
     pub(crate) fn empty(place: &Path, plan: WeightFormatPlan) -> Self {
         Self {
             place: place.to_path_buf(),
@@ -75,16 +74,16 @@ impl Weights {
         }
     }
 
-    /// Adds a file, whose tensors are added by the index that this gives.
-    pub(crate) fn add_file(&mut self, file: WeightFile) -> usize {
-        self.files.push(file);
+    /// Adds a file and gives its index for [`Self::add`].
+    pub(crate) fn add_file(&mut self, file: impl TensorSource + 'static) -> usize {
+        self.files.push(Box::new(file));
         self.files.len() - 1
     }
 
-    /// Adds a tensor called `name` in a file that was added.
+    /// Adds the tensor `name` of a file.
     ///
     /// # Errors
-    /// When there is another of this canonical name.
+    /// When the canonical name exists already.
     pub(crate) fn add(
         &mut self,
         canonical: String,
@@ -103,15 +102,12 @@ impl Weights {
         }
     }
 
-    /// Adds what a user should know of the files to the report.
+    /// Adds a fact about the files to the report.
     pub(crate) fn note(&mut self, note: String) {
         self.report.notes.push(note);
     }
 
-    /// BLAKE3 of the weight files in the order in which they were opened.
-    ///
-    /// # Errors
-    /// When one cannot be read.
+    /// Computes the BLAKE3 of the weight files in the order of opening.
     pub(crate) fn hash(&mut self) -> Result<(), MllmError> {
         let mut hasher = blake3::Hasher::new();
         for file in &self.files {
@@ -121,17 +117,17 @@ impl Weights {
         Ok(())
     }
 
-    /// What [`Self::hash`] found.
+    /// The result of [`Self::hash`].
     pub(crate) fn blake3(&self) -> &str {
         &self.blake3
     }
 
-    /// How the tensors that were taken are held.
+    /// The formats of the tensors taken so far.
     pub(crate) fn report(&self) -> &LoadReport {
         &self.report
     }
 
-    /// Numbers in all tensors that are left.
+    /// Number of weights that are not taken yet.
     pub(crate) fn elements(&self) -> usize {
         self.tensors.values().map(|stored| stored.place.shape.iter().product::<usize>()).sum()
     }
@@ -141,17 +137,17 @@ impl Weights {
         self.tensors.contains_key(name)
     }
 
-    /// Names and shapes of all tensors that are left.
+    /// Names and shapes of all tensors that are not taken yet.
     pub(crate) fn shapes(&self) -> impl Iterator<Item = (&str, &[usize])> {
         self.tensors.iter().map(|(name, stored)| (name.as_str(), stored.place.shape.as_slice()))
     }
 
-    /// From now on gives stand-ins for tensors without reading them, and notes which are missing or misshapen.
+    /// From now on, gives placeholders for tensors without reading them, and collects errors.
     pub(crate) fn only_look(&mut self) {
         self.taking = Taking::Look(Vec::new());
     }
 
-    /// What [`Self::only_look`] found.
+    /// The errors that were collected since [`Self::only_look`].
     pub(crate) fn problems(&self) -> &[MllmError] {
         match &self.taking {
             Taking::Look(problems) => problems,
@@ -159,23 +155,23 @@ impl Weights {
         }
     }
 
-    /// From now on gives stand-ins for tensors, whether there are any or not, and lists which are asked for.
-    pub(super) fn only_list(&mut self) {
+    /// From now on, gives placeholders for all tensors and lists them.
+    pub(crate) fn only_list(&mut self) {
         self.taking = Taking::List(Vec::new());
     }
 
-    /// What [`Self::only_list`] listed.
-    pub(super) fn listed(&self) -> &[(String, Vec<usize>)] {
+    /// The tensors that were listed since [`Self::only_list`].
+    pub(crate) fn listed(&self) -> &[(String, Vec<usize>)] {
         match &self.taking {
             Taking::List(asked) => asked,
             _ => &[],
         }
     }
 
-    /// Looks for a tensor; says whether that is all that is wanted.
+    /// Checks or lists a tensor where that is the task; gives whether a placeholder suffices.
     ///
     /// # Errors
-    /// When too much is missing.
+    /// When too many tensors are missing.
     fn looked(&mut self, name: &str, shape: &[usize]) -> Result<bool, MllmError> {
         if let Taking::List(asked) = &mut self.taking {
             asked.push((name.to_string(), shape.to_vec()));
@@ -196,7 +192,7 @@ impl Weights {
         }
     }
 
-    /// How a tensor that is left will be held.
+    /// The format in memory of a tensor that is not taken yet.
     pub(crate) fn weight_format_of(&self, name: &str) -> Option<WeightFormat> {
         let TensorPlace { format, shape, .. } = &self.tensors.get(name)?.place;
         match shape.as_slice() {
@@ -205,7 +201,7 @@ impl Weights {
         }
     }
 
-    /// What the report will say when all that is left has been taken, with another storage asked for.
+    /// The report of taking all tensors that are left, with another wanted format.
     pub(crate) fn forecast(&self, quantize: Option<WeightFormat>) -> LoadReport {
         let plan = WeightFormatPlan { quantize, ..self.plan };
         let mut report = LoadReport { quantize, ..LoadReport::default() };
@@ -224,9 +220,6 @@ impl Weights {
     }
 
     /// Takes a tensor out, in f32.
-    ///
-    /// # Errors
-    /// When it is missing, has another shape, cannot be read or is not finite.
     pub(crate) fn take(&mut self, name: &str, shape: &[usize]) -> Result<Tensor, MllmError> {
         self.report.add(WeightFormat::F32, f32_bytes(shape));
         #[cfg(test)]
@@ -242,10 +235,7 @@ impl Weights {
         Ok(Tensor::from_vec(self.values(&stored)?, shape, &Device::Cpu)?)
     }
 
-    /// Takes a tensor of shape [outputs, inputs] out as a matrix, held as the plan says.
-    ///
-    /// # Errors
-    /// As [`Self::take`].
+    /// Takes a tensor of shape [outputs, inputs] out as a matrix, in the format of the plan.
     pub(crate) fn take_matrix(&mut self, name: &str, shape: [usize; 2]) -> Result<Matrix, MllmError> {
         debug_assert!(is_matrix(name, &shape), "{name} is forecast to stay in f32");
         #[cfg(test)]
@@ -312,7 +302,7 @@ impl Weights {
         }
     }
 
-    /// Checks what decides whether the numbers of blocks are finite: the numbers themselves, or the scales.
+    /// Checks that the numbers of blocks are finite; of a quantized block the scale decides.
     fn check_blocks(&self, stored: &StoredTensor, bytes: &[u8]) -> Result<(), MllmError> {
         let format = stored.place.format;
         let block = bytes.chunks_exact(format.type_size()).enumerate();
@@ -346,7 +336,7 @@ fn f32_bytes(shape: &[usize]) -> u64 {
 
 #[cfg(test)]
 impl Weights {
-    /// Weights that hold whatever is asked for, at random.
+    /// Random weights of any name and shape.
     pub(crate) fn random(seed: u64) -> Self {
         let random = rand::SeedableRng::seed_from_u64(seed);
         Self { taking: Taking::Invent(random), ..Self::empty(Path::new(""), WeightFormatPlan::default()) }

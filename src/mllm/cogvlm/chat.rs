@@ -2,7 +2,7 @@
 
 use super::config::AnswerStyle;
 use crate::mllm::MllmError;
-use crate::mllm::local::{Chat, ChatFormat};
+use crate::mllm::family::{Chat, ChatFormat};
 use crate::mllm::text::ChatTokenizer;
 
 /// What stands before a chat without an image and without a system prompt: Vicuna's own.

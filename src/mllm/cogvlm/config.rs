@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
+use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{LlamaConfig, ModelFiles, Section, VisionConfig};
+use crate::mllm::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, OneOrMany, VisionConfig};
 
 /// A `CogVLM` model.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,67 +19,77 @@ pub(crate) struct CogVlmConfig {
     pub bos: u32,
     /// How answers are asked for.
     pub style: AnswerStyle,
-    /// Whether the output layer may share the embedding's weights.
-    pub tie_word_embeddings: bool,
 }
 
 /// What a question ends with (`template_version`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 pub(crate) enum AnswerStyle {
-    /// `chat`: `Answer:`.
+    /// `Answer:`.
+    #[default]
+    #[serde(rename = "chat")]
     Chat,
-    /// `vqa`: `Short answer:`.
+    /// `Short answer:`.
+    #[serde(rename = "vqa")]
     Short,
+}
+
+/// The keys beside those of the decoder.
+#[derive(Deserialize)]
+struct Keys {
+    bos_token_id: Option<OneOrMany<u32>>,
+    template_version: Option<AnswerStyle>,
+}
+
+#[derive(Deserialize)]
+struct Positions {
+    num_positions: Option<usize>,
 }
 
 impl CogVlmConfig {
     /// Reads the `config.json` of a model.
-    ///
-    /// # Errors
-    /// When it is missing or broken.
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
         Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
     }
 
-    /// Reads a configuration; `path` is for messages.
-    ///
-    /// # Errors
-    /// When a key has the wrong type or range, is unsupported, or contradicts another.
+    /// Reads a configuration; `path` is for messages. Absent keys take the values of `cogvlm-chat-hf`.
     pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
-        let root = Section::root(path, value)?;
+        let root = ConfigObject::root(path, value)?;
         if root.get("num_multi_query_heads").is_some() {
             return Err(root.error(
                 "num_multi_query_heads",
-                "this is CogVLM2, another architecture; the first version is supported".into(),
+                "this is CogVLM2, another architecture; the first version is supported",
             ));
         }
-        let text = LlamaConfig::from_cogvlm_section(&root)?;
-        let style = match root.text("template_version")? {
-            None | Some("chat") => AnswerStyle::Chat,
-            Some("vqa") => AnswerStyle::Short,
-            Some(other) => {
-                return Err(root.error(
-                    "template_version",
-                    format!("{other:?} is not supported: it has no form for a chat; chat and vqa are"),
-                ));
-            }
-        };
-        let absent = json!({});
-        let vision = match root.section("vision_config", "vision_config.")? {
-            Some(section) => VisionConfig::from_cogvlm_section(&section)?,
-            None => VisionConfig::from_cogvlm_section(&Section::root(path, &absent)?)?,
-        };
-        let bos = root.token_ids("bos_token_id")?.first().copied().unwrap_or(1);
+        // The decoder's keys stand beside all others.
+        let text = LlamaConfig { window: None, ..LlamaConfig::read_with(root.clone(), json!({"rms_norm_eps": 1e-5}))? };
+        let keys: Keys = root.read()?;
+        let bos = keys.bos_token_id.as_ref().and_then(|ids| ids.as_slice().first()).copied().unwrap_or(1);
         if bos as usize >= text.vocabulary {
             return Err(root.error("bos_token_id", format!("{bos} lies outside the vocabulary of {}", text.vocabulary)));
         }
-        let tie_word_embeddings = root.flag("tie_word_embeddings", false)?;
-        Ok(Self { vision, text, bos, style, tie_word_embeddings })
+        Ok(Self { vision: tower(&root)?, text, bos, style: keys.template_version.unwrap_or_default() })
     }
 
     /// Tokens that an image becomes: its patches between a beginning and an end.
     pub(crate) fn image_tokens(&self) -> usize {
         self.vision.patches() + 2
+    }
+}
+
+/// Reads the `vision_config`, an EVA2-CLIP tower.
+fn tower(root: &ConfigObject<'_>) -> Result<VisionConfig, MllmError> {
+    let vision = root.child_or_empty("vision_config")?.with_defaults(json!({
+        "hidden_size": 1792, "intermediate_size": 15_360, "num_hidden_layers": 63, "num_heads": 16, "image_size": 490,
+        "patch_size": 14, "hidden_act": "gelu", "layer_norm_eps": 1e-6,
+    }));
+    let config = VisionConfig::read(&vision)?;
+    let (patches, positions) = (config.patches(), config.patches() + 1);
+    match vision.read::<Positions>()?.num_positions {
+        Some(named) if named != positions => {
+            Err(vision
+                .error("num_positions", format!("{named}, but {patches} patches and a class token make {positions}")))
+        }
+        _ => Ok(config),
     }
 }
 

@@ -11,6 +11,8 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
+use std::ops::Range;
+
 use candle_core::Tensor;
 use image::RgbImage;
 
@@ -21,10 +23,49 @@ use language::{ExpertLayer, IMAGE_POSITIONS, positions, vision_rows};
 use vision::EvaVisionTower;
 
 use super::MllmError;
-use super::checkpoint::{Checkpoint, ModelFiles, Weights};
-use super::decoder::{Decoder, DecoderInput, KvCache, Logits};
-use super::local::{Architecture, ChatFormat, InputEmbeddings, ModelInfo, VisionLanguageModel};
+use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
+use super::decoder::Decoder;
+use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Positions, Tiles, VisionLanguageModel};
+use super::gguf::GgufLayout;
 use super::text::ChatTokenizer;
+
+/// The name in model descriptions and results.
+pub(crate) const NAME: &str = "cogvlm";
+
+/// `CogVLM`, first version (`CogVLMForCausalLM`).
+#[derive(Debug)]
+pub(crate) struct CogVlmFamily;
+
+impl Family for CogVlmFamily {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn config_names(&self) -> &'static [&'static str] {
+        &["cogvlm", "CogVLMForCausalLM"]
+    }
+
+    fn canonical_name(&self, stored: &str) -> Option<String> {
+        Some(stored.strip_prefix("model.").unwrap_or(stored).to_string())
+    }
+
+    fn gguf(&self) -> Result<&'static dyn GgufLayout, &'static str> {
+        Err("visual experts")
+    }
+
+    fn missing_tokenizer(&self) -> &'static str {
+        "tokenizer.json (CogVLM's repositories have none; that of a LLaMA fits: copy it here, or name it under tokenizer \
+         in the model's description)"
+    }
+
+    fn decoder_config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
+        Ok(CogVlmConfig::open(files)?.text)
+    }
+
+    fn open(&self, files: &ModelFiles, weights: &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
+        Ok(Box::new(CogVlm::take(weights, CogVlmConfig::open(files)?)?))
+    }
+}
 
 /// A `CogVLM` model. It takes one image, and nothing but the beginning-of-sequence token stands before it.
 #[derive(Debug)]
@@ -37,28 +78,17 @@ pub(crate) struct CogVlm {
 }
 
 impl CogVlm {
-    /// Opens the configuration and the weights of a checkpoint.
-    ///
-    /// # Errors
-    /// When one of them is missing or broken.
-    pub(crate) fn open(checkpoint: &mut Checkpoint) -> Result<Self, MllmError> {
-        let config = CogVlmConfig::open(&checkpoint.files)?;
-        Self::take(&mut checkpoint.weights, config)
-    }
-
     /// Takes the weights of a configuration.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
     fn take(weights: &mut Weights, config: CogVlmConfig) -> Result<Self, MllmError> {
         let before = weights.elements();
         let tower = EvaVisionTower::take(weights, &config.vision)?;
         let adapter = GluAdapter::take(weights, &config)?;
-        let decoder = Decoder::take(weights, &config.text, "", config.tie_word_embeddings)?;
+        let decoder = Decoder::take(weights, &config.text, "", config.text.tie_word_embeddings)?;
         let info = ModelInfo {
-            architecture: Architecture::CogVlm.name(),
+            architecture: NAME,
             // No token of the vocabulary stands for an image, so the first number behind it does.
             image_token: config.text.vocabulary as u32,
+            image_first: true,
             image_size: config.vision.image_size,
             max_image_tokens: config.image_tokens(),
             vocabulary: config.text.vocabulary,
@@ -67,11 +97,6 @@ impl CogVlm {
             blake3: weights.blake3().to_string(),
         };
         Ok(Self { config, tower, adapter, decoder, info })
-    }
-
-    /// Encodes pixel values (3, side, side) to (image tokens, decoder width).
-    fn encode_pixels(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        self.adapter.forward(&self.tower.forward(pixels)?)
     }
 }
 
@@ -97,36 +122,27 @@ impl VisionLanguageModel for CogVlm {
         Ok(self.info.max_image_tokens)
     }
 
-    fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
-        Ok(self.encode_pixels(&preprocess::pixel_values(image, self.info.image_size as u32)?)?)
+    fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
+        let pixels = vec![preprocess::pixel_values(image, self.info.image_size as u32)?];
+        Ok(Tiles { pixels, width: image.width(), height: image.height() })
     }
 
-    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
-        self.decoder.embed(ids)
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor> {
+        let Some(pixels) = tiles.pixels.first() else { candle_core::bail!("there is no tile") };
+        self.adapter.forward(&self.tower.forward(pixels)?)
     }
 
-    fn new_cache(&self) -> KvCache {
-        self.decoder.new_cache(self.context(self.info.max_image_tokens))
-    }
-
-    fn forward(
-        &self,
-        rows: &InputEmbeddings,
-        cache: &mut KvCache,
-        wanted: Logits,
-    ) -> candle_core::Result<Option<Tensor>> {
-        let tokens = rows.start..rows.start + rows.rows.dim(0)?;
-        let positions = positions(tokens.clone(), &rows.image);
-        if let Some(position) = positions.last().filter(|position| **position as usize >= self.info.positions) {
-            candle_core::bail!("position {position} lies outside the context of {}", self.info.positions);
-        }
-        let vision = vision_rows(&tokens, &rows.image);
-        self.decoder.forward(&DecoderInput { rows: rows.rows.clone(), positions, vision }, cache, wanted)
+    fn positions(&self, tokens: Range<usize>, image: &Range<usize>) -> Positions {
+        Positions { vision: vision_rows(&tokens, image), rotary: positions(tokens, image) }
     }
 
     fn chat_format(&self, _files: &ModelFiles, _tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
         let format =
             QuestionFormat { bos: self.config.bos, image_token: self.info.image_token, style: self.config.style };
         Ok(Box::new(format))
+    }
+
+    fn decoder(&self) -> &dyn LanguageModel {
+        &self.decoder
     }
 }

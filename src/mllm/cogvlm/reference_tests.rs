@@ -11,8 +11,8 @@ use super::language::positions;
 use super::preprocess::pixel_values;
 use crate::mllm::local::test_faults::{Deviation, Fault, Parts, one_further};
 use crate::mllm::local::test_reference::{
-    FEATURE_TOLERANCE, Reference, Run, assert_chat, difference, feature_difference, fixture, open_checkpoint,
-    shared_reference, synthetic,
+    FEATURE_TOLERANCE, Reference, Run, assert_chat, difference, feature_difference, fixture, shared_reference,
+    synthetic,
 };
 use crate::mllm::vision::{Filter, resize};
 
@@ -33,7 +33,7 @@ fn references() -> impl Iterator<Item = (PathBuf, Run, CogVlm)> {
 }
 
 fn features(model: &CogVlm, run: &Run) -> Tensor {
-    model.encode_pixels(&run.pixels[0]).unwrap()
+    model.adapter.forward(&model.tower.forward(&run.pixels[0]).unwrap()).unwrap()
 }
 
 #[test]
@@ -44,7 +44,7 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_the_reference() {
     let pixels = pixel_values(&image, 56).unwrap();
     let found = difference(&pixels, reference.tensor("pixel_values"));
     assert!(found < 1e-5, "the pixels differ by {found}");
-    let model = CogVlm::open(&mut open_checkpoint(&folder)).unwrap();
+    let model = assembled(&Parts::of(&folder));
     let found = feature_difference(&model.tower.forward(&pixels).unwrap(), reference.tensor("tower"));
     assert!(found < FEATURE_TOLERANCE, "the tower's output differs by {found}");
     assert_chat(&folder, &["", "chat_", "text_"]);

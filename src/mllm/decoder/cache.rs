@@ -7,7 +7,7 @@ use crate::mllm::attention::{HeadShape, KeyValues, Precision, Projected};
 /// The keys and values of every layer, append-only: going back to an earlier point of the chat is forgetting the rows
 /// behind it, so a snapshot is a length. It grows without moving what it holds.
 #[derive(Debug)]
-pub(crate) struct KvCache {
+pub struct KvCache {
     layers: Vec<KeyValues>,
     len: usize,
     limit: usize,

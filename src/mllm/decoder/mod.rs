@@ -12,7 +12,8 @@ use std::ops::Range;
 use candle_core::Tensor;
 
 pub(crate) use attention::CausalAttention;
-pub(crate) use cache::{KvCache, KvPrefix};
+pub use cache::KvCache;
+pub(crate) use cache::KvPrefix;
 pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
 pub(crate) use llama::LlamaLayer;
 
@@ -37,7 +38,7 @@ pub(crate) struct Decoder<L> {
 
 /// What a decoder reads in one pass.
 #[derive(Debug)]
-pub(crate) struct DecoderInput {
+pub struct DecoderInput {
     /// Input rows, (tokens, hidden).
     pub rows: Tensor,
     /// Position of each row, for its rotary embedding.
@@ -48,13 +49,12 @@ pub(crate) struct DecoderInput {
 
 /// Of which positions of a forward pass the logits are wanted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Logits {
+pub enum Logits {
     /// None: the pass only fills the cache.
     None,
     /// The last one.
     Last,
     /// Every one.
-    #[cfg_attr(not(test), allow(dead_code))]
     All,
 }
 

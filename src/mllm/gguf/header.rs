@@ -18,7 +18,7 @@ const MAGIC: &[u8; 4] = b"GGUF";
 /// Versions that are read: 2 and 3 differ in nothing but the byte order that a file may have, of which little-endian is read.
 const VERSIONS: [u32; 2] = [2, 3];
 /// Where data begins when the file does not say otherwise: at multiples of so many bytes.
-pub(super) const DEFAULT_ALIGNMENT: u64 = 32;
+pub(crate) const DEFAULT_ALIGNMENT: u64 = 32;
 /// Largest alignment, bytes: beyond it a file is taken for broken.
 const MAX_ALIGNMENT: u64 = 1 << 20;
 /// Most dimensions of a tensor (`GGML_MAX_DIMS`).
@@ -32,13 +32,12 @@ const MAX_HEADER: u64 = 1 << 28;
 
 /// What stands before the tensors' data.
 #[derive(Debug)]
-pub(crate) struct Header {
-    /// The file.
-    pub path: PathBuf,
+pub struct Header {
+    pub(crate) path: PathBuf,
     /// Metadata by key.
-    pub metadata: BTreeMap<String, Value>,
+    pub(crate) metadata: BTreeMap<String, Value>,
     /// The tensors by their names in the file.
-    pub tensors: BTreeMap<String, TensorPlace>,
+    pub(crate) tensors: BTreeMap<String, TensorPlace>,
 }
 
 impl Header {
@@ -320,6 +319,6 @@ fn format_of(number: u32) -> Option<GgmlDType> {
 }
 
 /// The number of a format in GGUF.
-pub(super) fn number_of(format: GgmlDType) -> Option<u32> {
+pub(crate) fn number_of(format: GgmlDType) -> Option<u32> {
     FORMATS.iter().find(|(_, known)| *known == format).map(|(number, _)| *number)
 }

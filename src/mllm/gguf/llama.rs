@@ -2,18 +2,20 @@
 
 use serde_json::{Value as Json, json};
 
+use super::Entries;
 use super::header::Header;
+use super::value::Value;
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{LlamaConfig, RopeScaling};
 
 /// The architecture that is read.
-pub(super) const ARCHITECTURE: &str = "llama";
+pub(crate) const ARCHITECTURE: &str = "llama";
 
 /// `text_config` of the decoder.
 ///
 /// # Errors
 /// When a key is missing, of the wrong type, or asks for what is not supported.
-pub(super) fn text_config(header: &Header) -> Result<Json, MllmError> {
+pub(crate) fn text_config(header: &Header) -> Result<Json, MllmError> {
     let embedding = header.tensors.get("token_embd.weight").and_then(|place| place.shape.first().copied());
     let Some(vocabulary) = embedding else {
         return Err(MllmError::MissingTensor { folder: header.path.clone(), name: "token_embd.weight".into() });
@@ -73,8 +75,8 @@ pub(super) fn text_config(header: &Header) -> Result<Json, MllmError> {
 ///
 /// # Errors
 /// When llama.cpp's `llama` has no key for it.
-pub(super) fn metadata(config: &LlamaConfig) -> Result<Vec<(&'static str, super::value::Value)>, &'static str> {
-    use super::value::Value::{Float, Text, Unsigned};
+pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
+    use Value::{Float, Text, Unsigned};
     let count = |number: usize| Unsigned(number as u64);
     let mut metadata = vec![
         ("llama.vocab_size", count(config.vocabulary)),
@@ -101,5 +103,10 @@ pub(super) fn metadata(config: &LlamaConfig) -> Result<Vec<(&'static str, super:
         }
         RopeScaling::Llama3 { .. } => return Err("llama3 scaling of rotary embeddings"),
     }
-    Ok(metadata)
+    Ok(metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect())
+}
+
+/// The projection of a decoder layer that a tensor makes (`attn_q`, `attn_k`, ...), by its name in the file.
+pub(crate) fn projection(name: &str) -> Option<&str> {
+    name.strip_prefix("blk.")?.split('.').nth(1)
 }

@@ -9,7 +9,7 @@ const MAX_COUNT: u64 = 1 << 22;
 
 impl Header {
     /// The error of a key.
-    pub(super) fn error(&self, key: &str, problem: impl Into<String>) -> MllmError {
+    pub(crate) fn error(&self, key: &str, problem: impl Into<String>) -> MllmError {
         MllmError::Config { path: self.path.clone(), key: key.into(), problem: problem.into() }
     }
 
@@ -32,7 +32,7 @@ impl Header {
     }
 
     /// A positive integer.
-    pub(super) fn count(&self, key: &str) -> Result<Option<usize>, MllmError> {
+    pub(crate) fn count(&self, key: &str) -> Result<Option<usize>, MllmError> {
         let count = |value: &Value| match value {
             // Layers that differ are written as lists; where they do not, the list is one number.
             Value::Integers(list) => {
@@ -48,12 +48,12 @@ impl Header {
     }
 
     /// A positive integer that must be there.
-    pub(super) fn required_count(&self, key: &str) -> Result<usize, MllmError> {
+    pub(crate) fn required_count(&self, key: &str) -> Result<usize, MllmError> {
         self.count(key)?.ok_or_else(|| self.missing(key))
     }
 
     /// A number: of a float of 32 bits, the shortest decimal that means it, which is what its writer had.
-    pub(super) fn number(&self, key: &str) -> Result<Option<f64>, MllmError> {
+    pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, MllmError> {
         let number = |value: &Value| match value {
             Value::Float(number) => number.to_string().parse().ok(),
             value => value.as_f64(),
@@ -62,7 +62,7 @@ impl Header {
     }
 
     /// A truth value.
-    pub(super) fn flag(&self, key: &str) -> Result<Option<bool>, MllmError> {
+    pub(crate) fn flag(&self, key: &str) -> Result<Option<bool>, MllmError> {
         self.typed(key, "true or false", |value| match value {
             Value::Bool(truth) => Some(*truth),
             _ => None,
@@ -70,7 +70,7 @@ impl Header {
     }
 
     /// A text.
-    pub(super) fn text(&self, key: &str) -> Result<Option<&str>, MllmError> {
+    pub(crate) fn text(&self, key: &str) -> Result<Option<&str>, MllmError> {
         self.typed(key, "a text", |value| match value {
             Value::Text(text) => Some(text.as_str()),
             _ => None,
@@ -78,7 +78,7 @@ impl Header {
     }
 
     /// A list of texts that must be there.
-    pub(super) fn required_texts(&self, key: &str) -> Result<&[String], MllmError> {
+    pub(crate) fn required_texts(&self, key: &str) -> Result<&[String], MllmError> {
         let texts = self.typed(key, "a list of texts", |value| match value {
             Value::Texts(list) => Some(list.as_slice()),
             _ => None,
@@ -87,7 +87,7 @@ impl Header {
     }
 
     /// A list of numbers.
-    pub(super) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, MllmError> {
+    pub(crate) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, MllmError> {
         self.typed(key, "a list of numbers", |value| match value {
             Value::Floats(list) => list.iter().map(|number| number.to_string().parse().ok()).collect(),
             _ => None,
@@ -95,7 +95,7 @@ impl Header {
     }
 
     /// A list of integers.
-    pub(super) fn integers(&self, key: &str) -> Result<Option<&[i64]>, MllmError> {
+    pub(crate) fn integers(&self, key: &str) -> Result<Option<&[i64]>, MllmError> {
         self.typed(key, "a list of integers", |value| match value {
             Value::Integers(list) => Some(list.as_slice()),
             _ => None,
@@ -106,7 +106,7 @@ impl Header {
     ///
     /// # Errors
     /// When it says nothing.
-    pub(super) fn architecture(&self) -> Result<&str, MllmError> {
+    pub(crate) fn architecture(&self) -> Result<&str, MllmError> {
         const KEY: &str = "general.architecture";
         self.text(KEY)?.ok_or_else(|| self.missing(KEY))
     }

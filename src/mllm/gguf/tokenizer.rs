@@ -8,22 +8,23 @@ use std::collections::HashMap;
 use serde_json::{Value as Json, json};
 
 use super::header::Header;
+use super::value::Value;
 use crate::mllm::MllmError;
 
 /// Kinds of pieces (`llama_token_type`).
-pub(super) mod piece {
+pub(crate) mod piece {
     /// Text.
-    pub(in super::super) const NORMAL: i64 = 1;
+    pub(crate) const NORMAL: i64 = 1;
     /// What stands for text that has no piece.
-    pub(in super::super) const UNKNOWN: i64 = 2;
+    pub(crate) const UNKNOWN: i64 = 2;
     /// A special token.
-    pub(in super::super) const CONTROL: i64 = 3;
+    pub(crate) const CONTROL: i64 = 3;
     /// A token that was added by a user.
-    pub(in super::super) const USER_DEFINED: i64 = 4;
+    pub(crate) const USER_DEFINED: i64 = 4;
     /// None: a row of the embedding without a token.
-    pub(in super::super) const UNUSED: i64 = 5;
+    pub(crate) const UNUSED: i64 = 5;
     /// A byte, `<0x0A>`.
-    pub(in super::super) const BYTE: i64 = 6;
+    pub(crate) const BYTE: i64 = 6;
 }
 
 /// The placeholder of an image.
@@ -32,7 +33,7 @@ const IMAGE: &str = "<image>";
 const MAX_PIECE: usize = 1024;
 
 /// What GGUF's metadata says of a tokenizer, as Hugging Face's files.
-pub(super) struct TokenizerFiles {
+pub(crate) struct TokenizerFiles {
     /// `tokenizer.json`.
     pub tokenizer: Json,
     /// `tokenizer_config.json`.
@@ -45,7 +46,7 @@ pub(super) struct TokenizerFiles {
 ///
 /// # Errors
 /// What is wrong with the file, in words.
-pub(super) fn image_token(tokenizer: &mut Json) -> Result<u64, &'static str> {
+pub(crate) fn image_token(tokenizer: &mut Json) -> Result<u64, &'static str> {
     let tokens = tokenizer["added_tokens"].as_array().into_iter().flatten();
     if let Some(known) = tokens.clone().find(|token| token["content"] == IMAGE) {
         return known["id"].as_u64().ok_or("the token <image> has no id");
@@ -72,7 +73,7 @@ fn added_token(id: u64, token: &str, special: bool) -> Json {
 ///
 /// # Errors
 /// When it is missing, broken, of another kind, or does not fit the vocabulary.
-pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles, MllmError> {
+pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles, MllmError> {
     const MODEL: &str = "tokenizer.ggml.model";
     match header.text(MODEL)? {
         Some("llama") => {}
@@ -89,7 +90,7 @@ pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     let pieces = Pieces::read(header, vocabulary)?;
     let special = |role: &str| -> Result<Option<(i64, &str)>, MllmError> {
         let key = format!("tokenizer.ggml.{role}_token_id");
-        let Some(id) = header.metadata.get(&key).and_then(super::value::Value::as_u64) else { return Ok(None) };
+        let Some(id) = header.metadata.get(&key).and_then(Value::as_u64) else { return Ok(None) };
         let token = pieces.tokens.get(id as usize);
         let token =
             token.ok_or_else(|| header.error(&key, format!("{id} is none of {} tokens", pieces.tokens.len())))?;

@@ -8,8 +8,9 @@ use serde_json::{Value as Json, json};
 use tokenizers::Tokenizer;
 
 use super::header::Header;
+use super::tokenizer;
 use super::value::Value;
-use super::{tokenizer, tokenizer_metadata};
+use crate::mllm::export::tokenizer_metadata;
 
 /// Words whose pieces overlap in many ways.
 const WORDS: [&str; 24] = [
@@ -45,7 +46,7 @@ fn llama(prefix: bool) -> Json {
 }
 
 /// One with few tokens.
-pub(super) fn small() -> Json {
+pub(crate) fn small() -> Json {
     made(true, ('a'..='z').chain(['\u{2581}', ':', '<', '>']), &["\u{2581}lane", "\u{2581}keep", "\u{2581}left"])
 }
 
@@ -107,7 +108,7 @@ fn made(prefix: bool, characters: impl Iterator<Item = char>, words: &[&str]) ->
 const VOCABULARY: usize = 512;
 
 /// GGUF's metadata of a tokenizer for a model of `vocabulary` rows.
-pub(super) fn metadata(json: &Json, vocabulary: usize) -> BTreeMap<String, Value> {
+pub(crate) fn metadata(json: &Json, vocabulary: usize) -> BTreeMap<String, Value> {
     let special = [("bos_token", "<s>"), ("eos_token", "</s>"), ("unk_token", "<unk>")];
     let special: BTreeMap<_, _> = special.map(|(role, token)| (role.to_string(), token.to_string())).into();
     tokenizer_metadata::metadata(json, &special, vocabulary).unwrap().into_iter().collect()

@@ -4,7 +4,7 @@ use std::fmt;
 
 /// A value of any of GGUF's types; integers of all widths are one.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Value {
+pub enum Value {
     /// An unsigned integer.
     Unsigned(u64),
     /// A signed integer.
@@ -38,7 +38,7 @@ impl Value {
     }
 
     /// A whole number, or a truth value as 0 or 1.
-    pub(super) fn as_i64(&self) -> Option<i64> {
+    pub(crate) fn as_i64(&self) -> Option<i64> {
         match self {
             Self::Unsigned(number) => i64::try_from(*number).ok(),
             Self::Signed(number) => Some(*number),

@@ -1,12 +1,10 @@
-//! What a model costs, token by token and without words: the same [`Step`]s as a conversation takes, on numbers of tokens.
+//! The time that a model takes for the [`Step`]s of a conversation, given in numbers of tokens.
 //!
-//! A step has no text in it, so any model can be measured, one with random weights too ([`ModelShape`]), and so can
-//! another program that holds the same weights. Left out is what needs words: chat template, tokenizer, grammar.
+//! A step has no text, so it can measure models with random weights ([`ModelShape`](super::ModelShape)) and other programs
+//! with the same weights. Chat template, tokenizer and grammar are not measured.
 
 mod probe;
-mod shape;
 mod step;
 
 pub use probe::{LatencyProbe, ProbeDescription};
-pub use shape::ModelShape;
 pub use step::{PassTime, Step, StepTime};

@@ -1,4 +1,4 @@
-//! A model that works off steps.
+//! A model whose steps are timed.
 
 use std::time::Instant;
 
@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::step::{Step, StepTime};
 use crate::mllm::decoder::Logits;
-use crate::mllm::local::{Sequence, VisionLanguageModel};
+use crate::mllm::family::VisionLanguageModel;
+use crate::mllm::local::Sequence;
 use crate::mllm::sampling::Sampler;
 use crate::mllm::{
     Architecture, Deadline, LoadReport, Loading, MllmError, ModelPlace, Sampling, WeightFormat, milliseconds,
@@ -23,45 +24,43 @@ pub struct LatencyProbe {
     load: LoadReport,
     model: Box<dyn VisionLanguageModel>,
     sequence: Sequence,
-    /// Tokens that are appended and not computed.
+    /// Tokens that are appended and not computed yet.
     pending: Vec<u32>,
-    /// Tokens of the image that was encoded last.
+    /// Input rows of the image that was encoded last.
     features: Option<Tensor>,
     image: RgbImage,
     words: Pcg64Mcg,
 }
 
-/// What is measured.
+/// The model that is measured.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProbeDescription {
     /// Its family.
     pub architecture: Architecture,
+    /// Whether the image stands before the system prompt.
+    pub image_first: bool,
     /// Number of weights.
     pub parameters: u64,
-    /// How most of them are held.
+    /// The format of most of them.
     pub weight_format: WeightFormat,
-    /// Side of the square image that it is shown, pixels.
+    /// Side of the square image, pixels.
     pub image_side: u32,
     /// Tokens that the image becomes.
     pub image_tokens: usize,
-    /// Most tokens of a sequence with the image in it.
+    /// Longest sequence with the image in it, tokens.
     pub context: usize,
 }
 
 impl LatencyProbe {
-    /// Opens a model; `seed` draws the words that it reads.
-    ///
-    /// # Errors
-    /// When a file is missing or broken, or there is too little memory.
+    /// Opens a model; `seed` draws the tokens that it reads.
     pub fn open(place: &ModelPlace, loading: &Loading, seed: u64) -> Result<Self, MllmError> {
         let mut checkpoint = loading.checkpoint(place)?;
-        let architecture = Architecture::of(&checkpoint.files)?;
-        let model = architecture.open(&mut checkpoint)?;
+        let model = checkpoint.open_model()?;
         let mut words = Pcg64Mcg::seed_from_u64(seed);
         let side = model.info().image_size as u32;
         let image = RgbImage::from_fn(side, side, |_, _| image::Rgb(words.random()));
         Ok(Self {
-            architecture,
+            architecture: checkpoint.family,
             load: checkpoint.weights.report().clone(),
             sequence: Sequence::new(&*model),
             model,
@@ -72,7 +71,7 @@ impl LatencyProbe {
         })
     }
 
-    /// What is measured.
+    /// The model that is measured.
     ///
     /// # Errors
     /// When the image cannot be used.
@@ -81,6 +80,7 @@ impl LatencyProbe {
         let image_tokens = self.image_tokens()?;
         Ok(ProbeDescription {
             architecture: self.architecture,
+            image_first: info.image_first,
             parameters: info.parameters,
             weight_format: self
                 .load
@@ -97,7 +97,7 @@ impl LatencyProbe {
         self.model.image_tokens(self.image.width(), self.image.height())
     }
 
-    /// Does a step. After an error the sequence is of no use.
+    /// Runs a step. After an error the sequence cannot be used.
     ///
     /// # Errors
     /// When the sequence outgrows the context, an image token has no image, or the model computes NaN.
@@ -136,7 +136,7 @@ impl LatencyProbe {
         Ok(time)
     }
 
-    /// Computes what is pending.
+    /// Computes the pending tokens.
     fn compute(&mut self, wanted: Logits, time: &mut StepTime) -> Result<Option<Tensor>, MllmError> {
         let start = Instant::now();
         let logits = self.sequence.append_in_passes(
@@ -151,7 +151,7 @@ impl LatencyProbe {
         Ok(logits)
     }
 
-    /// The likeliest token.
+    /// The most likely token.
     fn choose(&self, logits: Option<Tensor>) -> Result<u32, MllmError> {
         let Some(logits) = logits else {
             return Err(MllmError::Request {
@@ -163,7 +163,7 @@ impl LatencyProbe {
         Sampler::new(Sampling::Greedy, 0)?.choose(logits, None, self.model.info().image_token, position)
     }
 
-    /// Any token but that of the image.
+    /// A random token other than that of the image.
     fn word(&mut self) -> u32 {
         let info = self.model.info();
         loop {

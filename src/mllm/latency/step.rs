@@ -1,13 +1,13 @@
-//! The steps that a planning call is made of.
+//! The steps of a planning call.
 
 use serde::{Deserialize, Serialize};
 
-/// One thing that is asked of a model while it works off a planning call. Tokens that are appended are computed by the next
-/// step that needs their outcome, together, as in a conversation.
+/// A step of a planning call. Appended tokens are computed together by the next step that needs their result, as in a
+/// conversation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Step {
-    /// Goes back to the first so many tokens of the sequence and forgets the rest.
+    /// Keeps so many tokens of the sequence and drops the rest.
     Keep(usize),
     /// Encodes a new image: preprocessing, vision tower, projector.
     Encode,
@@ -15,11 +15,11 @@ pub enum Step {
     Image,
     /// Appends tokens of a prompt.
     Text(usize),
-    /// Appends tokens of an answer that its grammar leaves no choice about.
+    /// Appends tokens of an answer that the grammar fast-forwards.
     FastForwarded(usize),
-    /// Lets the model choose so many tokens, one after the other; the last one is appended, and not computed yet.
+    /// Samples so many tokens, one after the other; the last one is appended and not computed yet.
     Sampled(usize),
-    /// Computes what was appended and chooses nothing.
+    /// Computes the appended tokens and samples nothing.
     Compute,
 }
 
@@ -27,7 +27,7 @@ pub enum Step {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PassTime {
-    /// Tokens that they computed.
+    /// Computed tokens.
     pub tokens: usize,
     /// Wall time, milliseconds.
     pub ms: f64,
@@ -58,7 +58,7 @@ impl std::ops::AddAssign for PassTime {
 pub struct StepTime {
     /// The whole step, milliseconds.
     pub ms: f64,
-    /// From its start to the first token that the model chose, milliseconds; none if it chose none.
+    /// From its start to the first sampled token, milliseconds; none if none was sampled.
     pub first_token_ms: Option<f64>,
     /// Passes of several tokens.
     pub batch: PassTime,

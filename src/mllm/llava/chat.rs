@@ -2,7 +2,7 @@
 
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::local::{Chat, ChatFormat};
+use crate::mllm::family::{Chat, ChatFormat};
 use crate::mllm::text::{ChatTemplate, ChatTokenizer};
 
 /// A chat template, whose one placeholder for the image is repeated for each of its tokens.

@@ -5,12 +5,13 @@
 
 use std::path::Path;
 
-use serde_json::{Value, json};
+use serde::Deserialize;
+use serde_json::Value;
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, CLIP_BASE, LLAVA_TOWER, LlamaConfig, ModelFiles, Section, VisionConfig};
+use crate::mllm::checkpoint::{Activation, ConfigObject, LlamaConfig, ModelFiles, OneOrMany, VisionConfig};
 
-/// A LLaVA model: which vision tower, which decoder, and how they are joined.
+/// A LLaVA model: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LlavaConfig {
     /// The CLIP vision tower.
@@ -28,12 +29,11 @@ pub(crate) struct LlavaConfig {
     pub projector_act: Activation,
     /// Whether the projector's layers have biases.
     pub projector_bias: bool,
-    /// Whether the output layer may share the embedding's weights.
-    pub tie_word_embeddings: bool,
 }
 
 /// Which rows of a hidden state become image tokens (`vision_feature_select_strategy`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub(crate) enum FeatureSelect {
     /// The patches, without the class token.
     Default,
@@ -41,56 +41,65 @@ pub(crate) enum FeatureSelect {
     Full,
 }
 
-/// The key that says that no token of the vocabulary stands for an image: checkpoints of llama.cpp have none, and their
+/// The keys beside `vision_config` and `text_config`.
+#[derive(Deserialize)]
+#[serde(default)]
+struct Keys {
+    image_token_id: Option<OneOrMany<u32>>,
+    image_token_index: Option<OneOrMany<u32>>,
+    #[serde(rename = "image_token_beyond_vocabulary")]
+    image_token_beyond: bool,
+    vision_feature_layer: OneOrMany<i64>,
+    #[serde(rename = "vision_feature_select_strategy")]
+    feature_select: FeatureSelect,
+    #[serde(rename = "projector_hidden_act")]
+    projector_act: Activation,
+    #[serde(rename = "multimodal_projector_bias")]
+    projector_bias: bool,
+    tie_word_embeddings: bool,
+}
+
+/// The defaults of `LlavaConfig`.
+impl Default for Keys {
+    fn default() -> Self {
+        Self {
+            image_token_id: None,
+            image_token_index: None,
+            image_token_beyond: false,
+            vision_feature_layer: OneOrMany::One(-2),
+            feature_select: FeatureSelect::Default,
+            projector_act: Activation::Gelu,
+            projector_bias: true,
+            tie_word_embeddings: false,
+        }
+    }
+}
+
+/// The key that says that no token of the vocabulary stands for an image. Checkpoints of llama.cpp have none; their
 /// placeholder is the first id behind the vocabulary.
 pub(crate) const IMAGE_TOKEN_BEYOND: &str = "image_token_beyond_vocabulary";
 
 impl LlavaConfig {
     /// Reads the `config.json` of a model.
-    ///
-    /// # Errors
-    /// When it is missing or broken.
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
         Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
     }
 
     /// Reads a configuration; `path` is for messages.
-    ///
-    /// # Errors
-    /// When a key has the wrong type or range, is unsupported, or contradicts another.
     pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
-        let root = Section::root(path, value)?;
-        let absent = json!({});
-        let vision = match root.section("vision_config", "vision_config.")? {
-            Some(section) => VisionConfig::from_clip_section(&section, &CLIP_BASE)?,
-            None => VisionConfig::from_clip_section(&Section::root(path, &absent)?, &LLAVA_TOWER)?,
-        };
-        let text_section = match root.section("text_config", "text_config.")? {
-            Some(section) => section,
-            None => Section::root(path, &absent)?,
-        };
-        let text = LlamaConfig::from_section(&text_section)?;
-        let image_token = image_token(&root, text.vocabulary)?;
-        let feature_select = match root.text("vision_feature_select_strategy")? {
-            None | Some("default") => FeatureSelect::Default,
-            Some("full") => FeatureSelect::Full,
-            Some(other) => {
-                return Err(root.error(
-                    "vision_feature_select_strategy",
-                    format!("{other:?} is neither \"default\" nor \"full\""),
-                ));
-            }
-        };
+        let root = ConfigObject::root(path, value)?;
+        let vision = VisionConfig::read_clip(&root)?;
+        let mut text = LlamaConfig::read(root.child_or_empty("text_config")?)?;
+        let keys: Keys = root.read()?;
+        text.tie_word_embeddings |= keys.tie_word_embeddings;
         Ok(Self {
-            feature_layers: feature_layers(&root, vision.layers)?,
-            feature_select,
-            projector_act: Activation::from_section(&root, "projector_hidden_act", Activation::Gelu)?,
-            projector_bias: root.flag("multimodal_projector_bias", true)?,
-            tie_word_embeddings: root.flag("tie_word_embeddings", false)?
-                || text_section.flag("tie_word_embeddings", false)?,
+            image_token: keys.image_token(&root, text.vocabulary)?,
+            feature_layers: keys.feature_layers(&root, vision.layers)?,
+            feature_select: keys.feature_select,
+            projector_act: keys.projector_act,
+            projector_bias: keys.projector_bias,
             vision,
             text,
-            image_token,
         })
     }
 
@@ -101,38 +110,35 @@ impl LlavaConfig {
     }
 }
 
-/// Reads the id of the image's placeholder.
-fn image_token(root: &Section<'_>, vocabulary: usize) -> Result<u32, MllmError> {
-    if root.flag(IMAGE_TOKEN_BEYOND, false)? {
-        return Ok(vocabulary as u32);
+impl Keys {
+    /// The id of the image's placeholder.
+    fn image_token(&self, root: &ConfigObject<'_>, vocabulary: usize) -> Result<u32, MllmError> {
+        if self.image_token_beyond {
+            return Ok(vocabulary as u32);
+        }
+        let ids = [&self.image_token_id, &self.image_token_index];
+        let id = ids.into_iter().flatten().find_map(|ids| ids.as_slice().first()).copied().unwrap_or(32_000);
+        if (id as usize) < vocabulary {
+            return Ok(id);
+        }
+        let problem = format!("{id} lies outside the vocabulary of {vocabulary} (text_config.vocab_size)");
+        Err(root.error("image_token_index", problem))
     }
-    let ids = [root.token_ids("image_token_id")?, root.token_ids("image_token_index")?].concat();
-    let id = ids.first().copied().unwrap_or(32_000);
-    if (id as usize) < vocabulary {
-        return Ok(id);
-    }
-    Err(root.error(
-        "image_token_index",
-        format!("{id} lies outside the vocabulary of {vocabulary} (text_config.vocab_size)"),
-    ))
-}
 
-/// Reads `vision_feature_layer`: one index or a list, negative ones counted from the last hidden state.
-fn feature_layers(root: &Section<'_>, layers: usize) -> Result<Vec<usize>, MllmError> {
-    const KEY: &str = "vision_feature_layer";
-    let states = layers as i64 + 1;
-    let resolve = |value: &Value| {
-        value
-            .as_i64()
-            .map(|index| if index < 0 { index + states } else { index })
-            .filter(|index| (0..states).contains(index))
-            .map(|index| index as usize)
-            .ok_or_else(|| root.error(KEY, format!("{value} is no index into the {states} hidden states of the tower")))
-    };
-    match root.get(KEY) {
-        None => Ok(vec![resolve(&Value::from(-2))?]),
-        Some(Value::Array(values)) if !values.is_empty() => values.iter().map(resolve).collect(),
-        Some(value) => Ok(vec![resolve(value)?]),
+    /// The feature layers as indices from 0; negative ones of the file count from the last hidden state.
+    fn feature_layers(&self, root: &ConfigObject<'_>, layers: usize) -> Result<Vec<usize>, MllmError> {
+        const KEY: &str = "vision_feature_layer";
+        let states = layers as i64 + 1;
+        let resolve = |index: &i64| {
+            let resolved = if *index < 0 { index.saturating_add(states) } else { *index };
+            (0..states).contains(&resolved).then_some(resolved as usize).ok_or_else(|| {
+                root.error(KEY, format!("{index} is no index into the {states} hidden states of the tower"))
+            })
+        };
+        match self.vision_feature_layer.as_slice() {
+            [] => Err(root.error(KEY, "expected at least one index")),
+            indices => indices.iter().map(resolve).collect(),
+        }
     }
 }
 
@@ -140,6 +146,7 @@ fn feature_layers(root: &Section<'_>, layers: usize) -> Result<Vec<usize>, MllmE
 mod tests {
     use super::*;
     use crate::mllm::checkpoint::{Rope, RopeScaling};
+    use serde_json::json;
 
     fn parse(value: &Value) -> Result<LlavaConfig, MllmError> {
         LlavaConfig::from_json(Path::new("config.json"), value)

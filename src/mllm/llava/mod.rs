@@ -4,6 +4,7 @@
 mod chat;
 mod config;
 mod connector;
+mod gguf;
 mod vision;
 
 #[cfg(test)]
@@ -13,15 +14,70 @@ use candle_core::Tensor;
 use image::RgbImage;
 
 pub(crate) use chat::TemplateFormat;
-pub(crate) use config::{FeatureSelect, IMAGE_TOKEN_BEYOND, LlavaConfig};
+pub(crate) use config::{FeatureSelect, LlavaConfig};
+pub(crate) use gguf::LlavaGguf;
 pub(crate) use vision::ImageEncoder;
 
 use super::MllmError;
-use super::checkpoint::{Checkpoint, ModelFiles, Weights};
-use super::decoder::{Decoder, DecoderInput, KvCache, LlamaLayer, Logits};
-use super::local::{Architecture, ChatFormat, InputEmbeddings, ModelInfo, VisionLanguageModel};
+use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
+use super::decoder::{Decoder, LlamaLayer};
+use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Tiles, VisionLanguageModel};
+use super::gguf::GgufLayout;
 use super::text::ChatTokenizer;
 use super::vision::ClipImageProcessor;
+
+/// The name in model descriptions and results.
+pub(crate) const NAME: &str = "llava";
+
+/// LLaVA 1.5 (`LlavaForConditionalGeneration`).
+#[derive(Debug)]
+pub(crate) struct LlavaFamily;
+
+static GGUF: LlavaGguf = LlavaGguf {
+    next: false,
+    model_type: "llava",
+    image_processor: "CLIPImageProcessor",
+    config: |files| Ok((LlavaConfig::open(files)?, None)),
+};
+
+impl Family for LlavaFamily {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn config_names(&self) -> &'static [&'static str] {
+        &["llava", "LlavaForConditionalGeneration"]
+    }
+
+    fn canonical_name(&self, stored: &str) -> Option<String> {
+        Some(canonical_name(stored))
+    }
+
+    fn gguf(&self) -> Result<&'static dyn GgufLayout, &'static str> {
+        Ok(&GGUF)
+    }
+
+    fn decoder_config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
+        Ok(LlavaConfig::open(files)?.text)
+    }
+
+    fn open(&self, files: &ModelFiles, weights: &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
+        Ok(Box::new(Llava::open(files, weights)?))
+    }
+}
+
+/// The names of all layouts that transformers has written, as those of its version 5 without the `model.` prefix.
+pub(crate) fn canonical_name(stored: &str) -> String {
+    let name = stored.strip_prefix("model.").unwrap_or(stored);
+    let renamed = [
+        ("vision_tower.vision_model.", "vision_tower."),
+        ("language_model.model.", "language_model."),
+        ("language_model.lm_head.", "lm_head."),
+    ]
+    .into_iter()
+    .find_map(|(from, to)| name.strip_prefix(from).map(|rest| format!("{to}{rest}")));
+    renamed.unwrap_or_else(|| name.to_string())
+}
 
 /// A LLaVA model.
 #[derive(Debug)]
@@ -31,66 +87,49 @@ pub(crate) struct Llava {
     info: ModelInfo,
 }
 
-/// What LLaVA and LLaVA-NeXT have in common: tower, projector, decoder.
+/// Tower, projector and decoder, as LLaVA and LLaVA-NeXT have them.
 #[derive(Debug)]
 pub(crate) struct LlavaCore {
-    /// The configuration.
     pub config: LlavaConfig,
     /// Vision tower and projector.
     pub encoder: ImageEncoder,
-    /// The decoder.
     pub decoder: Decoder<LlamaLayer>,
 }
 
 impl LlavaCore {
     /// Takes the weights of a configuration.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
     pub(crate) fn take(weights: &mut Weights, config: LlavaConfig) -> Result<Self, MllmError> {
         let encoder = ImageEncoder::take(weights, &config)?;
-        let decoder = Decoder::take(weights, &config.text, "language_model.", config.tie_word_embeddings)?;
+        let decoder = Decoder::take(weights, &config.text, "language_model.", config.text.tie_word_embeddings)?;
         Ok(Self { config, encoder, decoder })
     }
 
-    /// An empty cache.
-    pub(crate) fn new_cache(&self) -> KvCache {
-        self.decoder.new_cache(self.config.text.context)
-    }
-
-    /// Runs rows through the decoder; every token has its own position.
-    pub(crate) fn forward(
-        &self,
-        rows: &InputEmbeddings,
-        cache: &mut KvCache,
-        wanted: Logits,
-    ) -> candle_core::Result<Option<Tensor>> {
-        let end = rows.start + rows.rows.dim(0)?;
-        if end > self.config.text.context {
-            candle_core::bail!("{end} positions do not fit into a context of {}", self.config.text.context);
+    /// Sizes and names of a model of the family `architecture`; `before` is the number of weights before it was taken.
+    pub(crate) fn info(&self, architecture: &'static str, weights: &Weights, before: usize) -> ModelInfo {
+        let config = &self.config;
+        ModelInfo {
+            architecture,
+            image_token: config.image_token,
+            image_first: false,
+            image_size: config.vision.image_size,
+            max_image_tokens: config.image_tokens(),
+            vocabulary: config.text.vocabulary,
+            positions: config.text.context,
+            parameters: (before - weights.elements()) as u64,
+            blake3: weights.blake3().to_string(),
         }
-        let positions = (rows.start as u32..end as u32).collect();
-        self.decoder.forward(&DecoderInput { rows: rows.rows.clone(), positions, vision: 0..0 }, cache, wanted)
     }
 }
 
 impl Llava {
-    /// Opens the configuration, the preprocessor and the weights of a checkpoint.
-    ///
-    /// # Errors
-    /// When one of them is missing or broken.
-    pub(crate) fn open(checkpoint: &mut Checkpoint) -> Result<Self, MllmError> {
-        let files = &checkpoint.files;
+    pub(crate) fn open(files: &ModelFiles, weights: &mut Weights) -> Result<Self, MllmError> {
         let config = LlavaConfig::open(files)?;
         let processor = ClipImageProcessor::open(files)?;
         processor.check_side(config.vision.image_size)?;
-        Self::take(&mut checkpoint.weights, config, processor)
+        Self::take(weights, config, processor)
     }
 
     /// Takes the weights of a configuration.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
     pub(crate) fn take(
         weights: &mut Weights,
         config: LlavaConfig,
@@ -98,23 +137,8 @@ impl Llava {
     ) -> Result<Self, MllmError> {
         let before = weights.elements();
         let core = LlavaCore::take(weights, config)?;
-        let config = &core.config;
-        let info = ModelInfo {
-            architecture: Architecture::Llava.name(),
-            image_token: config.image_token,
-            image_size: config.vision.image_size,
-            max_image_tokens: config.image_tokens(),
-            vocabulary: config.text.vocabulary,
-            positions: config.text.context,
-            parameters: (before - weights.elements()) as u64,
-            blake3: weights.blake3().to_string(),
-        };
+        let info = core.info(NAME, weights, before);
         Ok(Self { core, processor, info })
-    }
-
-    /// Encodes pixel values (3, side, side) to image features (image tokens, decoder width).
-    fn encode_pixels(&self, pixels: &Tensor) -> Result<Tensor, MllmError> {
-        Ok(self.core.encoder.encode(std::slice::from_ref(pixels))?)
     }
 }
 
@@ -133,36 +157,47 @@ impl VisionLanguageModel for Llava {
         &self.info
     }
 
-    fn context(&self, _image_tokens: usize) -> usize {
-        self.info.positions
-    }
-
     fn image_tokens(&self, _width: u32, _height: u32) -> Result<usize, MllmError> {
         Ok(self.info.max_image_tokens)
     }
 
-    fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
-        self.encode_pixels(&self.processor.process(image, self.info.image_size)?)
+    fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
+        let pixels = vec![self.processor.process(image, self.info.image_size)?];
+        Ok(Tiles { pixels, width: image.width(), height: image.height() })
     }
 
-    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
-        self.core.decoder.embed(ids)
-    }
-
-    fn new_cache(&self) -> KvCache {
-        self.core.new_cache()
-    }
-
-    fn forward(
-        &self,
-        rows: &InputEmbeddings,
-        cache: &mut KvCache,
-        wanted: Logits,
-    ) -> candle_core::Result<Option<Tensor>> {
-        self.core.forward(rows, cache, wanted)
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor> {
+        self.core.encoder.encode(&tiles.pixels)
     }
 
     fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
         Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token)?))
+    }
+
+    fn decoder(&self) -> &dyn LanguageModel {
+        &self.core.decoder
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::canonical_name;
+
+    #[test]
+    fn every_layout_has_one_canonical_name() {
+        for (name, canonical) in [
+            ("vision_tower.vision_model.encoder.layers.0.mlp.fc1.bias", "vision_tower.encoder.layers.0.mlp.fc1.bias"),
+            ("vision_tower.embeddings.class_embedding", "vision_tower.embeddings.class_embedding"),
+            ("model.vision_tower.vision_model.pre_layrnorm.bias", "vision_tower.pre_layrnorm.bias"),
+            ("model.vision_tower.pre_layrnorm.bias", "vision_tower.pre_layrnorm.bias"),
+            ("language_model.model.norm.weight", "language_model.norm.weight"),
+            ("model.language_model.norm.weight", "language_model.norm.weight"),
+            ("language_model.lm_head.weight", "lm_head.weight"),
+            ("lm_head.weight", "lm_head.weight"),
+            ("model.multi_modal_projector.linear_1.bias", "multi_modal_projector.linear_1.bias"),
+            ("model.image_newline", "image_newline"),
+        ] {
+            assert_eq!(canonical_name(name), canonical);
+        }
     }
 }

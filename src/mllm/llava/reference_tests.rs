@@ -10,12 +10,13 @@ use serde_json::json;
 
 use super::Llava;
 use super::config::LlavaConfig;
+use crate::mllm::family::VisionLanguageModel;
+use crate::mllm::local::LocalModel;
 use crate::mllm::local::test_faults::{Deviation, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
 use crate::mllm::local::test_reference::{
     LOGIT_TOLERANCE, Reference, Run, assert_chat, difference, fixture, logits_deviation, open_checkpoint,
     shared_reference,
 };
-use crate::mllm::local::{LocalModel, VisionLanguageModel};
 use crate::mllm::vision::ClipImageProcessor;
 
 /// Makes a model of parts.
@@ -34,8 +35,13 @@ fn references() -> impl Iterator<Item = (PathBuf, Run)> {
     })
 }
 
+fn open_llava(folder: &Path) -> Llava {
+    let mut checkpoint = open_checkpoint(folder);
+    Llava::open(&checkpoint.files, &mut checkpoint.weights).unwrap()
+}
+
 fn features(model: &Llava, run: &Run) -> Tensor {
-    model.encode_pixels(&run.pixels[0]).unwrap()
+    model.core.encoder.encode(&run.pixels[..1]).unwrap()
 }
 
 #[test]
@@ -91,7 +97,7 @@ fn a_complete_folder_gives_the_pixels_ids_logits_and_tokens_of_transformers() {
 fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/nano");
     let reference = Reference::open(&fixture("nano_reference").join("reference.safetensors"));
-    let model = Llava::open(&mut open_checkpoint(&folder)).unwrap();
+    let model = open_llava(&folder);
     let image = image::open(fixture("nano_reference").join("image.png")).unwrap().into_rgb8();
     let pixels = model.processor.process(&image, model.info.image_size).unwrap();
     let corner = pixels.narrow(1, 0, 4).unwrap().narrow(2, 0, 4).unwrap();

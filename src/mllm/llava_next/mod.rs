@@ -14,15 +14,58 @@ use image::RgbImage;
 
 pub(crate) use config::LlavaNextConfig;
 use connector::TilePacker;
-use grid::{Resolution, TileGrids, Tiling};
+use grid::{Resolution, TileGrids};
 use preprocess::AnyresImageProcessor;
 
 use super::MllmError;
-use super::checkpoint::{Checkpoint, ModelFiles, Weights};
-use super::decoder::{KvCache, Logits};
-use super::llava::{LlavaCore, TemplateFormat};
-use super::local::{Architecture, ChatFormat, InputEmbeddings, ModelInfo, VisionLanguageModel};
+use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
+use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Tiles, VisionLanguageModel};
+use super::gguf::GgufLayout;
+use super::llava::{LlavaCore, LlavaGguf, TemplateFormat, canonical_name};
 use super::text::ChatTokenizer;
+
+/// The name in model descriptions and results.
+pub(crate) const NAME: &str = "llava-next";
+
+/// LLaVA 1.6 (`LlavaNextForConditionalGeneration`).
+#[derive(Debug)]
+pub(crate) struct LlavaNextFamily;
+
+static GGUF: LlavaGguf = LlavaGguf {
+    next: true,
+    model_type: "llava_next",
+    image_processor: "LlavaNextImageProcessor",
+    config: |files| {
+        let LlavaNextConfig { llava, grids } = LlavaNextConfig::open(files)?;
+        Ok((llava, Some(grids.resolutions().iter().map(|size| [size.height, size.width]).collect())))
+    },
+};
+
+impl Family for LlavaNextFamily {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn config_names(&self) -> &'static [&'static str] {
+        &["llava_next", "LlavaNextForConditionalGeneration"]
+    }
+
+    fn canonical_name(&self, stored: &str) -> Option<String> {
+        Some(canonical_name(stored))
+    }
+
+    fn gguf(&self) -> Result<&'static dyn GgufLayout, &'static str> {
+        Ok(&GGUF)
+    }
+
+    fn decoder_config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
+        Ok(LlavaNextConfig::open(files)?.llava.text)
+    }
+
+    fn open(&self, files: &ModelFiles, weights: &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
+        Ok(Box::new(LlavaNext::open(files, weights)?))
+    }
+}
 
 /// A LLaVA-NeXT model.
 #[derive(Debug)]
@@ -35,21 +78,13 @@ pub(crate) struct LlavaNext {
 }
 
 impl LlavaNext {
-    /// Opens the configuration, the preprocessor and the weights of a checkpoint.
-    ///
-    /// # Errors
-    /// When one of them is missing or broken.
-    pub(crate) fn open(checkpoint: &mut Checkpoint) -> Result<Self, MllmError> {
-        let files = &checkpoint.files;
+    fn open(files: &ModelFiles, weights: &mut Weights) -> Result<Self, MllmError> {
         let config = LlavaNextConfig::open(files)?;
         let processor = AnyresImageProcessor::open(files, &config.grids, config.llava.vision.image_size as u32)?;
-        Self::take(&mut checkpoint.weights, config, processor)
+        Self::take(weights, config, processor)
     }
 
     /// Takes the weights of a configuration.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
     fn take(
         weights: &mut Weights,
         config: LlavaNextConfig,
@@ -58,22 +93,9 @@ impl LlavaNext {
         let before = weights.elements();
         let core = LlavaCore::take(weights, config.llava)?;
         let packer = TilePacker::take(weights, core.config.text.hidden)?;
-        let info = ModelInfo {
-            architecture: Architecture::LlavaNext.name(),
-            image_token: core.config.image_token,
-            image_size: core.config.vision.image_size,
-            max_image_tokens: config.grids.max_tokens(),
-            vocabulary: core.config.text.vocabulary,
-            positions: core.config.text.context,
-            parameters: (before - weights.elements()) as u64,
-            blake3: weights.blake3().to_string(),
-        };
+        let max_image_tokens = config.grids.max_tokens();
+        let info = ModelInfo { max_image_tokens, ..core.info(NAME, weights, before) };
         Ok(Self { core, packer, grids: config.grids, processor, info })
-    }
-
-    /// Encodes pixel values (3, side, side) of the whole image and of each tile to (image tokens, decoder width).
-    fn encode_tiles(&self, pixels: &[Tensor], tiling: &Tiling) -> candle_core::Result<Tensor> {
-        self.packer.pack(&self.core.encoder.encode(pixels)?, &self.grids, tiling)
     }
 }
 
@@ -93,10 +115,6 @@ impl VisionLanguageModel for LlavaNext {
         &self.info
     }
 
-    fn context(&self, _image_tokens: usize) -> usize {
-        self.info.positions
-    }
-
     fn image_tokens(&self, width: u32, height: u32) -> Result<usize, MllmError> {
         if width == 0 || height == 0 {
             return Err(MllmError::Image { problem: "it has no pixels".into() });
@@ -104,30 +122,22 @@ impl VisionLanguageModel for LlavaNext {
         Ok(self.grids.tokens(&self.grids.tiling(Resolution { height, width })))
     }
 
-    fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
-        let tiling = self.grids.tiling(Resolution { height: image.height(), width: image.width() });
-        let pixels = self.processor.process(image, &tiling, self.info.image_size as u32)?;
-        Ok(self.encode_tiles(&pixels, &tiling)?)
+    fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
+        let (width, height) = image.dimensions();
+        let tiling = self.grids.tiling(Resolution { height, width });
+        Ok(Tiles { pixels: self.processor.process(image, &tiling, self.info.image_size as u32)?, width, height })
     }
 
-    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
-        self.core.decoder.embed(ids)
-    }
-
-    fn new_cache(&self) -> KvCache {
-        self.core.new_cache()
-    }
-
-    fn forward(
-        &self,
-        rows: &InputEmbeddings,
-        cache: &mut KvCache,
-        wanted: Logits,
-    ) -> candle_core::Result<Option<Tensor>> {
-        self.core.forward(rows, cache, wanted)
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor> {
+        let tiling = self.grids.tiling(Resolution { height: tiles.height, width: tiles.width });
+        self.packer.pack(&self.core.encoder.encode(&tiles.pixels)?, &self.grids, &tiling)
     }
 
     fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
         Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token)?))
+    }
+
+    fn decoder(&self) -> &dyn LanguageModel {
+        &self.core.decoder
     }
 }

@@ -41,7 +41,7 @@ impl AnyresImageProcessor {
                 ));
             }
         }
-        if pinpoints(section)? != grids.resolutions() {
+        if pinpoints(&section.config())? != grids.resolutions() {
             return Err(section.error(PINPOINTS, "these are not the resolutions of the model's config.json".into()));
         }
         Ok(Self { filter: resample_filter(section)?, scale: PixelScale::from_section(section)? })

@@ -7,15 +7,16 @@ use serde_json::{Value, json};
 
 use super::LlavaNext;
 use super::config::LlavaNextConfig;
-use super::grid::{Resolution, TileGrids, Tiling};
+use super::grid::{Resolution, TileGrids};
 use super::preprocess::AnyresImageProcessor;
 use crate::mllm::checkpoint::read_json;
+use crate::mllm::family::{Tiles, VisionLanguageModel};
 use crate::mllm::llava::FeatureSelect;
+use crate::mllm::local::LocalModel;
 use crate::mllm::local::test_faults::{Deviation, Fault, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
 use crate::mllm::local::test_reference::{
     Reference, Run, assert_chat, difference, fixture, open_checkpoint, shared_reference, synthetic,
 };
-use crate::mllm::local::{LocalModel, VisionLanguageModel};
 use crate::mllm::vision::{Filter, PixelScale};
 
 /// Makes a model of parts whose configuration is changed once more after it is checked.
@@ -52,12 +53,12 @@ impl Case {
         [fixed("tiny_llava_next", 53, 75), fixed("tiny_llava_next_mistral", 53, 75)].into_iter().chain(larger)
     }
 
-    fn tiling(&self, model: &LlavaNext) -> Tiling {
-        model.grids.tiling(self.size)
+    fn tiles(&self) -> Tiles {
+        Tiles { pixels: self.run.pixels.clone(), width: self.size.width, height: self.size.height }
     }
 
     fn features(&self, model: &LlavaNext) -> Tensor {
-        model.encode_tiles(&self.run.pixels, &self.tiling(model)).unwrap()
+        model.encode(&self.tiles()).unwrap()
     }
 }
 
@@ -66,7 +67,8 @@ fn complete_folders_give_the_pixels_ids_logits_and_tokens_of_transformers() {
     for (name, rounds) in [("tiny_llava_next", &["", "chat_"][..]), ("tiny_llava_next_mistral", &[""])] {
         let folder = fixture(name);
         let reference = Reference::open(&folder.join("reference.safetensors"));
-        let model = LlavaNext::open(&mut open_checkpoint(&folder)).unwrap();
+        let mut checkpoint = open_checkpoint(&folder);
+        let model = LlavaNext::open(&checkpoint.files, &mut checkpoint.weights).unwrap();
         let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
         let tiling = model.grids.tiling(Resolution { height: image.height(), width: image.width() });
         let pixels = model.processor.process(&image, &tiling, 32).unwrap();
@@ -101,9 +103,9 @@ fn errors_that_are_easily_made_lead_far_away() {
         let with_class =
             assembled_after(&Parts::of(folder), |config| config.llava.feature_select = FeatureSelect::Full);
         Deviation::of(run, &right, &case.features(&with_class)).assert_far("the class tokens kept in the grid");
-        let mut swapped = run.pixels.clone();
-        swapped.swap(1, 2);
-        let swapped = right.encode_tiles(&swapped, &case.tiling(&right)).unwrap();
+        let mut swapped = case.tiles();
+        swapped.pixels.swap(1, 2);
+        let swapped = right.encode(&swapped).unwrap();
         Deviation::of(run, &right, &swapped).assert_far("two tiles swapped");
         for (what, fault) in LLAVA_DECODER_FAULTS {
             let model = assembled(&Parts::wrong(folder, fault));

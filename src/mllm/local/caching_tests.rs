@@ -1,14 +1,16 @@
 //! What a conversation computes, counted in passes through the decoder and images through the tower.
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex};
 
 use candle_core::Tensor;
 use image::RgbImage;
 
+use super::LocalModel;
 use super::test_reference::{fixture, open_checkpoint};
-use super::{Architecture, ChatFormat, InputEmbeddings, LocalModel, ModelInfo, VisionLanguageModel};
 use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::decoder::{KvCache, Logits};
+use crate::mllm::decoder::{DecoderInput, KvCache, Logits};
+use crate::mllm::family::{ChatFormat, LanguageModel, ModelInfo, Positions, Tiles, VisionLanguageModel};
 use crate::mllm::text::ChatTokenizer;
 use crate::mllm::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
 
@@ -39,31 +41,45 @@ impl VisionLanguageModel for Counting {
         self.model.image_tokens(width, height)
     }
 
-    fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
+    fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
         self.computed.lock().unwrap().images += 1;
-        self.model.encode_image(image)
+        self.model.preprocess(image)
     }
 
-    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
-        self.model.embed(ids)
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor> {
+        self.model.encode(tiles)
     }
 
-    fn new_cache(&self) -> KvCache {
-        self.model.new_cache()
-    }
-
-    fn forward(
-        &self,
-        rows: &InputEmbeddings,
-        cache: &mut KvCache,
-        wanted: Logits,
-    ) -> candle_core::Result<Option<Tensor>> {
-        self.computed.lock().unwrap().passes.push(rows.rows.dim(0)?);
-        self.model.forward(rows, cache, wanted)
+    fn positions(&self, tokens: Range<usize>, image: &Range<usize>) -> Positions {
+        self.model.positions(tokens, image)
     }
 
     fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
         self.model.chat_format(files, tokenizer)
+    }
+
+    fn decoder(&self) -> &dyn LanguageModel {
+        self
+    }
+}
+
+impl LanguageModel for Counting {
+    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
+        self.model.decoder().embed(ids)
+    }
+
+    fn new_cache(&self, limit: usize) -> KvCache {
+        self.model.decoder().new_cache(limit)
+    }
+
+    fn forward(
+        &self,
+        input: &DecoderInput,
+        cache: &mut KvCache,
+        wanted: Logits,
+    ) -> candle_core::Result<Option<Tensor>> {
+        self.computed.lock().unwrap().passes.push(input.rows.dim(0)?);
+        self.model.decoder().forward(input, cache, wanted)
     }
 }
 
@@ -72,7 +88,7 @@ fn counted(name: &str) -> (LocalModel, Arc<Mutex<Computed>>) {
     let folder = fixture(name);
     let mut local = LocalModel::open(name, &folder).unwrap();
     let computed = Arc::new(Mutex::new(Computed::default()));
-    let model = Architecture::detect(&folder).unwrap().open(&mut open_checkpoint(&folder)).unwrap();
+    let model = open_checkpoint(&folder).open_model().unwrap();
     local.model = Box::new(Counting { model, computed: Arc::clone(&computed) });
     (local, computed)
 }

@@ -1,29 +1,31 @@
-//! Looking at a model's files without reading its weights.
+//! Checks of a model's files that do not read its weights.
 
 use serde::Serialize;
 
-use super::{Architecture, Loading, LocalModel, MemoryCheck, MemoryNeed, end_tokens, memory};
+use super::{Loading, LocalModel, MemoryCheck, MemoryNeed, end_tokens, memory};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Checkpoint, LoadReport, ModelPlace};
+use crate::mllm::checkpoint::LoadReport;
+use crate::mllm::families::Architecture;
+use crate::mllm::source::{Checkpoint, ModelPlace};
 use crate::mllm::text::ChatTokenizer;
 
-/// What a look at a model's files found.
+/// The findings of a check.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ModelCheck {
-    /// The family of the model, if its files say.
+    /// The family of the model, if its files name one.
     pub architecture: Option<Architecture>,
     /// Number of weights in its files.
     pub parameters: u64,
-    /// How its weights would be held.
+    /// The formats of its weights in memory.
     pub load: LoadReport,
-    /// The memory that it would need.
+    /// The memory that it needs.
     pub memory: Option<MemoryNeed>,
-    /// Everything that is wrong; empty if it can be opened. Whether each weight is finite shows only when it is.
+    /// All errors; empty if the model can be opened. Weights that are not finite show only when it is opened.
     pub problems: Vec<String>,
 }
 
 impl LocalModel {
-    /// Opens the small files of a model and the headers of its weights, and says all that is wrong with them.
+    /// Opens the small files of a model and the headers of its weights, and collects the errors.
     pub fn check(place: &ModelPlace, loading: &Loading) -> ModelCheck {
         let mut check = ModelCheck {
             architecture: None,
@@ -39,30 +41,30 @@ impl LocalModel {
     }
 }
 
-/// Notes what can be gone on from, and ends with the first error that cannot.
+/// Collects errors that do not hinder further checks, and ends with the first one that does.
 fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) -> Result<(), MllmError> {
-    let mut checkpoint = Checkpoint::open(place, loading.quantize)?;
+    let mut checkpoint = Checkpoint::open(place, loading.quantize, &loading.families)?;
     check.load = checkpoint.weights.forecast(loading.quantize);
     check.parameters = checkpoint.weights.elements() as u64;
-    let architecture = loading.architecture(&checkpoint.files)?;
-    check.architecture = Some(architecture);
-    let decoder = architecture.decoder(&checkpoint.files)?;
+    loading.check_family(&checkpoint)?;
+    check.architecture = Some(checkpoint.family);
+    let decoder = checkpoint.family.family().decoder_config(&checkpoint.files)?;
     check.memory = Some(MemoryNeed::of(&checkpoint, &decoder, loading.quantize));
     if loading.memory == MemoryCheck::Refuse {
         note(check, memory::check(&checkpoint, &decoder, loading.quantize));
     }
     checkpoint.weights.only_look();
-    let model = architecture.open(&mut checkpoint);
+    let model = checkpoint.open_model();
     check.problems.extend(checkpoint.weights.problems().iter().map(ToString::to_string));
     let model = match model {
         Ok(model) => model,
-        // Beyond a number of tensors that are missing, looking for more is given up.
+        // The collected errors say more than the one that ended the check.
         Err(_) if !check.problems.is_empty() => return Ok(()),
         Err(error) => return Err(error),
     };
     let files = &checkpoint.files;
     let info = model.info();
-    let tokenizer = loading.tokenizer(files, architecture)?;
+    let tokenizer = loading.tokenizer(&checkpoint)?;
     let tokenizer = ChatTokenizer::open(&tokenizer, info.vocabulary, info.image_token)?;
     note(check, model.chat_format(files, &tokenizer));
     note(check, end_tokens(files, &tokenizer, info.vocabulary));

@@ -8,9 +8,10 @@ use candle_core::Tensor;
 use image::RgbImage;
 use serde_json::json;
 
-use super::{Sequence, VisionLanguageModel};
+use super::Sequence;
 use crate::mllm::cogvlm::CogVlm;
 use crate::mllm::decoder::Logits;
+use crate::mllm::family::VisionLanguageModel;
 use crate::mllm::llava::Llava;
 use crate::mllm::llava_next::LlavaNext;
 
@@ -21,15 +22,17 @@ const TEST: &str = "mllm::local::determinism_tests::logits_are_the_same_bits_at_
 /// Models of the shipped model's size (vision 4 x 192, decoder 6 x 256) with random weights: large enough for the matrix
 /// products to be split over threads.
 fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
-    let vision = json!({"hidden_size": 192, "intermediate_size": 768, "num_hidden_layers": 4, "num_attention_heads": 6,
-        "num_heads": 6, "image_size": 128, "patch_size": 16});
+    let vision = |heads: &str| {
+        json!({"hidden_size": 192, "intermediate_size": 768, "num_hidden_layers": 4, heads: 6, "image_size": 128,
+            "patch_size": 16})
+    };
     let text = json!({"hidden_size": 256, "intermediate_size": 688, "num_hidden_layers": 6, "num_attention_heads": 8,
         "num_key_value_heads": 4, "vocab_size": 512, "max_position_embeddings": 512});
-    let llava = json!({"image_token_index": 3, "vision_config": vision, "text_config": text,
+    let llava = json!({"image_token_index": 3, "vision_config": vision("num_attention_heads"), "text_config": text,
         "image_grid_pinpoints": [[128, 256], [256, 128]]});
     let mut cogvlm = text.clone();
     cogvlm["num_key_value_heads"] = json!(8);
-    cogvlm["vision_config"] = vision;
+    cogvlm["vision_config"] = vision("num_heads");
     let picture =
         |width, height| RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]));
     vec![

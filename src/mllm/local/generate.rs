@@ -6,8 +6,8 @@ use candle_core::Tensor;
 use toktrie::SimpleVob;
 
 use super::sequence::Sequence;
-use super::vlm::VisionLanguageModel;
 use crate::mllm::decoder::Logits;
+use crate::mllm::family::VisionLanguageModel;
 use crate::mllm::sampling::Sampler;
 use crate::mllm::text::GrammarState;
 use crate::mllm::{Deadline, FinishReason, MllmError, milliseconds};
@@ -17,38 +17,34 @@ use crate::mllm::{Deadline, FinishReason, MllmError, milliseconds};
 pub(super) struct Generated {
     /// The answer, without the token that ended it.
     pub(super) ids: Vec<u32>,
-    /// How many of them the grammar forced.
+    /// Number of tokens that the grammar fast-forwarded.
     pub(super) fast_forwarded: usize,
-    /// Why it ended.
     pub(super) finish: FinishReason,
-    /// Duration of the first forward pass, which computes the prompt.
+    /// Duration of the first forward pass, over the prompt.
     pub(super) prefill: f64,
-    /// End of the first forward pass since the start of the round; without one, the start of generation.
+    /// End of the first forward pass, from the start of the round; without a pass, the start of generation.
     pub(super) prefill_end: f64,
-    /// When the first free token was chosen, since the start of the round; zero if none was.
+    /// When the first token was sampled, from the start of the round; zero if none was.
     pub(super) first_token: f64,
 }
 
-/// Where an answer ends.
+/// What ends an answer.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct End<'a> {
-    /// The tokens that end it.
     pub(super) tokens: &'a [u32],
-    /// Most tokens of the answer.
     pub(super) max_new_tokens: usize,
-    /// Most tokens of the chat.
+    /// Longest chat, tokens.
     pub(super) context: usize,
-    /// When the answer must be there.
     pub(super) deadline: Deadline,
 }
 
-/// What is being generated.
+/// The state of a generation.
 struct Generation<'a> {
     model: &'a dyn VisionLanguageModel,
     sequence: &'a mut Sequence,
     features: Option<&'a Tensor>,
-    /// Tokens that the model has not computed yet: the rest of the prompt, then what was appended since. Forced tokens
-    /// gather here and are computed in one pass when the next free token needs it.
+    /// Tokens that the model has not computed yet: the rest of the prompt, then those appended since. Fast-forwarded tokens
+    /// gather here and are computed in one pass before the next token is sampled.
     pending: Vec<u32>,
     deadline: Deadline,
     out: Generated,
@@ -56,10 +52,10 @@ struct Generation<'a> {
     start: Instant,
 }
 
-/// Generates an answer behind `prompt`, the part of the prompt that `sequence` does not hold yet.
+/// Generates an answer after `prompt`, the part of the prompt that `sequence` does not hold yet.
 ///
 /// # Errors
-/// When the constraint cannot be followed, the model computes something that is not finite, or the deadline passes.
+/// When the constraint cannot be followed, a logit is not finite, or the deadline passes.
 #[expect(clippy::too_many_arguments, reason = "one call, and each argument is of another kind")]
 pub(super) fn generate(
     model: &dyn VisionLanguageModel,
@@ -131,7 +127,7 @@ pub(super) fn generate(
 }
 
 impl Generation<'_> {
-    /// Computes what is pending and lets the sampler choose.
+    /// Computes the pending tokens and samples one.
     fn choose(&mut self, sampler: &mut Sampler, allowed: Option<&SimpleVob>) -> Result<u32, MllmError> {
         let pass_start = Instant::now();
         let logits = self.compute_pending()?;
@@ -145,11 +141,11 @@ impl Generation<'_> {
             None => Vec::new(),
         };
         let position = self.sequence.ids().len().saturating_sub(1);
-        // An answer has no image of its own, so the placeholder of one is no word of it.
+        // An answer has no image, so the placeholder is never sampled.
         sampler.choose(logits, allowed, self.model.info().image_token, position)
     }
 
-    /// Computes what is pending; gives the logits behind its last token.
+    /// Computes the pending tokens; gives the logits after the last one.
     fn compute_pending(&mut self) -> Result<Option<Tensor>, MllmError> {
         let pending = std::mem::take(&mut self.pending);
         self.sequence.append_in_passes(self.model, &pending, self.features, Logits::Last, self.deadline)
@@ -175,7 +171,7 @@ impl Generation<'_> {
     }
 }
 
-/// The one token that is allowed, if it is one.
+/// The allowed token, if there is exactly one.
 fn only_token(allowed: &SimpleVob) -> Option<u32> {
     let first = allowed.first_bit_set()?;
     (allowed.num_set() == 1).then_some(first as u32)

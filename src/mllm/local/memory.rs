@@ -1,18 +1,19 @@
-//! How much memory a model will need, and how much there is.
+//! The memory that a model needs, and the memory that is free.
 
 use std::path::Path;
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Checkpoint, LlamaConfig, in_bytes};
+use crate::mllm::checkpoint::{LlamaConfig, in_bytes};
 use crate::mllm::matrix::WeightFormat;
+use crate::mllm::source::Checkpoint;
 
-/// What to do when a model seems to need more memory than is free.
+/// What to do with a model that needs more memory than is free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum MemoryCheck {
     /// Refuse to load it.
     #[default]
     Refuse,
-    /// Load it all the same.
+    /// Load it anyway.
     Ignore,
 }
 
@@ -23,24 +24,24 @@ pub struct MemoryNeed {
     pub weights: u64,
     /// Keys and values of a chat.
     pub cache: u64,
-    /// Activations of a prompt, or a tensor that is being quantised, whichever is more.
+    /// Activations of a prompt, or a tensor during quantization, whichever is larger.
     pub work: u64,
 }
 
 /// Tokens of a planning call with the long prompt set and the largest image (2928 tokens), rounded up.
 const CALL_TOKENS: u64 = 4096;
-/// Activations of a token that are alive at once: so many rows of the hidden width, and so many of the wide one between.
+/// Activations of a token that are alive at once: rows of the hidden width, and of the feed-forward width.
 const ROWS: (u64, u64) = (8, 3);
 
 impl MemoryNeed {
-    /// What a checkpoint with this decoder will need when its weights are held in `quantize`.
+    /// The need of a checkpoint with this decoder and weights in the format `quantize`.
     pub(crate) fn of(checkpoint: &Checkpoint, decoder: &LlamaConfig, quantize: Option<WeightFormat>) -> Self {
         let float = size_of::<f32>() as u64;
         let tokens = CALL_TOKENS.min(decoder.context as u64);
         let elements = |shape: &[usize]| shape.iter().product::<usize>() as u64;
         let shapes = || checkpoint.weights.shapes().map(|(_, shape)| shape);
         let largest = shapes().map(elements).max().unwrap_or(0);
-        // A configuration that asks for more than the weights have is refused when these are taken, with the key at fault.
+        // Bounded by the weights: a configuration that exceeds them is refused when they are taken, with the key at fault.
         let widest = shapes().flatten().copied().max().unwrap_or(0);
         let width = |width: usize| width.min(widest) as u64;
         let layers = decoder.layers.min(shapes().count()) as u64;
@@ -48,21 +49,21 @@ impl MemoryNeed {
         Self {
             weights: checkpoint.weights.forecast(quantize).bytes(),
             cache: 2 * float * tokens * width(decoder.kv_heads * decoder.head_dim) * layers,
-            // As it lies in the file and widened.
+            // Once as in the file, once in f32.
             work: (float * tokens * alive).max(2 * float * largest),
         }
     }
 
-    /// All of it.
+    /// The sum.
     pub fn total(&self) -> u64 {
         [self.cache, self.work].into_iter().fold(self.weights, u64::saturating_add)
     }
 }
 
-/// Refuses a model that does not fit into the memory that is free.
+/// Checks that a model fits into the free memory.
 ///
 /// # Errors
-/// When it does not; the error says which storage would.
+/// When it does not. The error names formats that need less.
 pub(super) fn check(
     checkpoint: &Checkpoint,
     decoder: &LlamaConfig,
@@ -103,8 +104,8 @@ fn check_against(
     })
 }
 
-/// Memory that this process may still take, bytes: what the system can give without swapping, within the limit of its
-/// control group. None where neither can be read (systems other than Linux).
+/// Memory that this process may still take, bytes: available memory without swapping, within the limit of the control
+/// group. None where neither can be read (systems other than Linux).
 fn free_memory() -> Option<u64> {
     let system = available(&std::fs::read_to_string("/proc/meminfo").ok()?)?;
     let group = std::fs::read_to_string("/proc/self/cgroup").ok().and_then(|text| group_left(&text));
@@ -117,14 +118,14 @@ fn available(meminfo: &str) -> Option<u64> {
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }
 
-/// What the limits of the control group (version 2) and of those above it leave; none if there is no limit.
+/// Bytes that the limits of the control group (version 2) and its ancestors leave; none without a limit.
 fn group_left(cgroup: &str) -> Option<u64> {
     let path = cgroup.lines().find_map(|line| line.strip_prefix("0::/"))?;
     let root = Path::new("/sys/fs/cgroup");
     let number = |file: &Path| std::fs::read_to_string(file).ok()?.trim().parse::<u64>().ok();
     let left = |group: &Path| {
         let limit = number(&group.join("memory.max"))?;
-        // Pages of files are given back when memory is short.
+        // The kernel reclaims pages of files when memory is short.
         let file = std::fs::read_to_string(group.join("memory.stat")).ok().and_then(|stat| inactive_file(&stat));
         Some(limit.saturating_sub(number(&group.join("memory.current"))?.saturating_sub(file.unwrap_or(0))))
     };
@@ -138,9 +139,7 @@ fn inactive_file(stat: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::checkpoint::ModelPlace;
-    use crate::mllm::local::Architecture;
-    use crate::mllm::local::test_reference::fixture;
+    use crate::mllm::local::test_reference::{fixture, open_checkpoint};
 
     #[test]
     fn the_kernels_tables_are_read() {
@@ -154,9 +153,8 @@ mod tests {
 
     #[test]
     fn a_model_that_does_not_fit_is_refused_with_what_would() {
-        let place = ModelPlace::Folder(fixture("tiny_llava"));
-        let checkpoint = Checkpoint::open(&place, None).unwrap();
-        let decoder = Architecture::Llava.decoder(&checkpoint.files).unwrap();
+        let checkpoint = open_checkpoint(&fixture("tiny_llava"));
+        let decoder = checkpoint.family.family().decoder_config(&checkpoint.files).unwrap();
         let need = MemoryNeed::of(&checkpoint, &decoder, None);
         // 299,352 bytes of f32, but for the header.
         assert!((280_000..299_352).contains(&need.weights), "{need:?}");

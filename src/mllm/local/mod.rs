@@ -1,12 +1,10 @@
-//! Models that are computed in this process: a folder as Hugging Face writes it, opened as it is and run on the CPU.
+//! Models that run in this process on the CPU.
 
-mod architecture;
 mod check;
 mod generate;
 mod memory;
 mod sequence;
 mod session;
-mod vlm;
 
 #[cfg(test)]
 mod caching_tests;
@@ -21,27 +19,29 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-pub use architecture::Architecture;
+use serde::Deserialize;
+
 pub use check::ModelCheck;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub(crate) use sequence::Sequence;
 use sequence::SequencePrefix;
 use session::LocalConversation;
-pub(crate) use vlm::{Chat, ChatFormat, InputEmbeddings, ModelInfo, VisionLanguageModel};
 
-use super::checkpoint::{Checkpoint, LoadReport, ModelFiles, ModelPlace, Section};
+use super::checkpoint::{ConfigObject, LoadReport, ModelFiles, OneOrMany};
 use super::decoder::Logits;
-use super::gguf::{self, CreateFile};
+use super::families::{Architecture, Families};
+use super::family::{Chat, ChatFormat, VisionLanguageModel};
 use super::matrix::WeightFormat;
+use super::source::{Checkpoint, ModelPlace};
 use super::text::{ChatTokenizer, GrammarEngine};
 use super::{Conversation, Mllm, MllmError, ModelDescription, PromptPrefix};
 
-/// System prompts whose keys and values are kept; a run uses one or two.
+/// Number of system prompts whose keys and values are cached; a run uses one or two.
 const KEPT_PREFIXES: usize = 8;
-/// Fewest tokens that are worth keeping: a lone beginning-of-sequence token is not.
+/// Shortest prefix that is cached, tokens: a lone beginning-of-sequence token is not worth it.
 const MIN_PREFIX: usize = 2;
 
-/// A vision-language model with all that stands around it: prompt format, tokenizer, grammars.
+/// A vision-language model with its prompt format, tokenizer and grammars.
 #[derive(Debug)]
 pub struct LocalModel {
     name: String,
@@ -54,7 +54,7 @@ pub struct LocalModel {
     prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
 }
 
-/// What all conversations of one system prompt begin with, computed once.
+/// The tokens that all conversations of one system prompt begin with, computed once.
 #[derive(Debug)]
 struct CallPrefix {
     system: String,
@@ -63,42 +63,38 @@ struct CallPrefix {
 }
 
 /// How a model is loaded.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Loading {
-    /// In which storage weights are held; none for that of the files (f32 where these are safetensors).
+    /// Format of the weights in memory; none for that of the files (f32 for safetensors).
     pub quantize: Option<WeightFormat>,
-    /// The folder of its tokenizer, for models whose files hold none (`CogVLM`'s).
+    /// The folder of the tokenizer, for models whose files have none.
     pub tokenizer: Option<PathBuf>,
-    /// What to do when there seems to be too little memory.
+    /// What to do when memory seems too small.
     pub memory: MemoryCheck,
-    /// The family that the model must be of, and who says so; none for any.
+    /// The family that the model must have, and the description that requires it; none for any.
     pub expected: Option<(Architecture, String)>,
+    /// The families that it may have.
+    pub families: Families,
 }
 
 impl Loading {
-    /// Opens a model's small files and the headers of its weights, if it is of the expected family and there is memory.
-    ///
-    /// # Errors
-    /// When a file is missing or broken, the family is another, or there is too little memory.
+    /// Opens a model's small files and the headers of its weights; checks its family and the memory.
     pub(crate) fn checkpoint(&self, place: &ModelPlace) -> Result<Checkpoint, MllmError> {
-        let checkpoint = Checkpoint::open(place, self.quantize)?;
-        let architecture = self.architecture(&checkpoint.files)?;
+        let checkpoint = Checkpoint::open(place, self.quantize, &self.families)?;
+        self.check_family(&checkpoint)?;
         if self.memory == MemoryCheck::Refuse {
-            let decoder = architecture.decoder(&checkpoint.files)?;
+            let decoder = checkpoint.family.family().decoder_config(&checkpoint.files)?;
             memory::check(&checkpoint, &decoder, self.quantize)?;
         }
         Ok(checkpoint)
     }
 
-    /// The family of a model.
-    ///
-    /// # Errors
-    /// When its configuration does not say, or it is not the one that is expected.
-    fn architecture(&self, files: &ModelFiles) -> Result<Architecture, MllmError> {
-        let found = Architecture::of(files)?;
+    /// Checks that a model is of the expected family.
+    pub(crate) fn check_family(&self, checkpoint: &Checkpoint) -> Result<(), MllmError> {
+        let found = checkpoint.family;
         match &self.expected {
             Some((expected, by)) if *expected != found => Err(MllmError::Config {
-                path: files.path("config.json"),
+                path: checkpoint.files.path("config.json"),
                 key: "model_type".into(),
                 problem: format!(
                     "this is a {} model, the description of {by:?} says {}",
@@ -106,56 +102,45 @@ impl Loading {
                     expected.name()
                 ),
             }),
-            _ => Ok(found),
+            _ => Ok(()),
         }
     }
 
     /// The files of a model's tokenizer.
-    ///
-    /// # Errors
-    /// When there are none.
-    fn tokenizer(&self, files: &ModelFiles, architecture: Architecture) -> Result<ModelFiles, MllmError> {
+    pub(crate) fn tokenizer(&self, checkpoint: &Checkpoint) -> Result<ModelFiles, MllmError> {
         let tokenizer = match &self.tokenizer {
             Some(folder) => ModelFiles::folder(folder)?,
-            None => files.clone(),
+            None => checkpoint.files.clone(),
         };
         if tokenizer.text("tokenizer.json")?.is_some() {
             return Ok(tokenizer);
         }
-        Err(tokenizer.missing(match architecture {
-            Architecture::Llava | Architecture::LlavaNext => "tokenizer.json",
-            Architecture::CogVlm => {
-                "tokenizer.json (CogVLM's repositories have none; that of a LLaMA fits: copy it here, or name it under \
-                 tokenizer in the model's description)"
-            }
-        }))
+        Err(tokenizer.missing(checkpoint.family.family().missing_tokenizer()))
     }
 }
 
 impl LocalModel {
-    /// Opens a model folder: `config.json`, safetensors (whole or sharded), `tokenizer.json`, for the LLaVA families
-    /// `preprocessor_config.json` and a chat template, and, if there, `tokenizer_config.json` and
-    /// `generation_config.json`; or GGUF files. The configuration says which [`Architecture`] it is. `name` is what results
-    /// call it.
+    /// Opens a model folder under the name `name` in results. The folder holds GGUF files, or:
+    /// - `config.json`, which names the family,
+    /// - safetensors, in one file or in shards,
+    /// - `tokenizer.json`,
+    /// - `preprocessor_config.json` and a chat template, where the family needs them,
+    /// - `tokenizer_config.json` and `generation_config.json` if they exist.
     ///
     /// # Errors
-    /// When a file is missing or broken, or the files contradict each other; the error names file, key or tensor.
+    /// When a file is missing or broken, or the files contradict each other. The error names the file, key or tensor.
     pub fn open(name: &str, folder: &Path) -> Result<Self, MllmError> {
         Self::load(name, &ModelPlace::Folder(folder.to_path_buf()), &Loading::default())
     }
 
-    /// Opens a model in a given way.
-    ///
-    /// # Errors
-    /// As [`Self::open`], and when there is too little memory.
+    /// Opens a model with settings.
     pub fn load(name: &str, place: &ModelPlace, loading: &Loading) -> Result<Self, MllmError> {
         let mut checkpoint = loading.checkpoint(place)?;
-        let architecture = loading.architecture(&checkpoint.files)?;
-        // Missed before the weights are read, which takes minutes.
-        let tokenizer = loading.tokenizer(&checkpoint.files, architecture)?;
+        // Before the weights are read, which takes minutes: a missing tokenizer is found at once.
+        let tokenizer = loading.tokenizer(&checkpoint)?;
         checkpoint.weights.hash()?;
-        let model = architecture.open(&mut checkpoint)?;
-        let Checkpoint { files, weights } = checkpoint;
+        let model = checkpoint.open_model()?;
+        let Checkpoint { files, weights, .. } = checkpoint;
         let vocabulary = model.info().vocabulary;
         let tokenizer = ChatTokenizer::open(&tokenizer, vocabulary, model.info().image_token)?;
         let format = model.chat_format(&files, &tokenizer)?;
@@ -172,31 +157,13 @@ impl LocalModel {
         })
     }
 
-    /// Writes a model as GGUF; see [`GgufPart`](crate::mllm::GgufPart) for the files. `progress` is told the bytes that are
-    /// written and their sum.
-    ///
-    /// # Errors
-    /// When the model is broken, or a file cannot be written.
-    pub fn export(
-        name: &str,
-        place: &ModelPlace,
-        loading: &Loading,
-        create: &mut CreateFile<'_>,
-        progress: &mut dyn FnMut(u64, u64),
-    ) -> Result<LoadReport, MllmError> {
-        let checkpoint = Checkpoint::open(place, loading.quantize)?;
-        let architecture = loading.architecture(&checkpoint.files)?;
-        let tokenizer = loading.tokenizer(&checkpoint.files, architecture)?;
-        gguf::export(checkpoint, &tokenizer, name, create, progress)
-    }
-
     /// Token ids of a chat.
     fn prompt_ids(&self, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
         self.format.ids(&self.tokenizer, chat)
     }
 
-    /// What stands before the image and the first prompt. It is always computed on its own, so that it is the same
-    /// whichever conversation comes first.
+    /// The tokens before the image and the first prompt. They are always computed in a pass of their own, so that their keys
+    /// and values do not depend on the first conversation.
     fn call_prefix(&self, system: &str, image_tokens: Option<usize>) -> Result<Arc<CallPrefix>, MllmError> {
         let image = image_tokens.is_some();
         let same = |prefix: &&Arc<CallPrefix>| prefix.image == image && prefix.system == system;
@@ -207,7 +174,7 @@ impl LocalModel {
         if let Some(prefix) = known {
             return Ok(prefix);
         }
-        // Two prompts that share no character agree in what does not depend on the prompt.
+        // Prompts without a common character share the tokens that do not depend on the prompt.
         let ids = self.prompt_ids(&Chat { system, image_tokens, turns: &[], prompt: "0" })?;
         let other = self.prompt_ids(&Chat { system, image_tokens, turns: &[], prompt: "z" })?;
         let image_token = self.model.info().image_token;
@@ -262,21 +229,26 @@ impl Mllm for LocalModel {
     }
 }
 
-/// The tokens that end an answer: of `generation_config.json`, else of the decoder's configuration, else of the tokenizer.
+#[derive(Deserialize)]
+struct EndTokens {
+    eos_token_id: Option<OneOrMany<u32>>,
+}
+
+/// The tokens that end an answer: those of `generation_config.json`, else of `config.json`, else of the tokenizer.
 fn end_tokens(files: &ModelFiles, tokenizer: &ChatTokenizer, vocabulary: usize) -> Result<Vec<u32>, MllmError> {
-    const KEY: &str = "eos_token_id";
     for file in ["generation_config.json", "config.json"] {
         let Some(value) = files.json(file)? else { continue };
         let path = files.path(file);
-        let root = Section::root(&path, &value)?;
-        let nested = root.section("text_config", "text_config.")?;
-        for section in [Some(root), nested].into_iter().flatten() {
-            let ids = section.token_ids(KEY)?;
+        let root = ConfigObject::root(&path, &value)?;
+        let text = root.child("text_config")?;
+        for object in [Some(root), text].into_iter().flatten() {
+            let ids = object.read::<EndTokens>()?.eos_token_id;
+            let ids = ids.as_ref().map_or(&[][..], OneOrMany::as_slice);
             if let Some(id) = ids.iter().find(|id| **id as usize >= vocabulary) {
-                return Err(section.error(KEY, format!("{id} lies outside the vocabulary of {vocabulary}")));
+                return Err(object.error("eos_token_id", format!("{id} lies outside the vocabulary of {vocabulary}")));
             }
             if !ids.is_empty() {
-                return Ok(ids);
+                return Ok(ids.to_vec());
             }
         }
     }

@@ -1,34 +1,39 @@
-//! The tokens of a chat that a model has computed.
+//! The computed tokens of a chat.
 
 use std::ops::Range;
 
 use candle_core::Tensor;
 
-use super::vlm::{InputEmbeddings, VisionLanguageModel};
-use crate::mllm::decoder::{KvCache, KvPrefix, Logits};
+use crate::mllm::decoder::{DecoderInput, KvCache, KvPrefix, Logits};
+use crate::mllm::family::{Positions, VisionLanguageModel};
 use crate::mllm::{Deadline, MllmError};
 
-/// Most tokens that are computed in one pass, so that a deadline is looked at in between and activations stay small.
+/// Tokens of one pass: bounds the activations, and the time between two looks at the deadline.
 const MAX_TOKENS_IN_PASS: usize = 512;
 
-/// Tokens that the decoder has seen, with their keys and values.
+/// Computed tokens with their keys and values.
 #[derive(Debug)]
 pub(crate) struct Sequence {
     ids: Vec<u32>,
     cache: KvCache,
 }
 
-/// The beginning of a sequence, to start others from.
+/// A sequence to start others from.
 #[derive(Debug)]
 pub(crate) struct SequencePrefix {
     ids: Vec<u32>,
     cache: KvPrefix,
 }
 
+/// An empty cache for the longest chat of a model.
+pub(super) fn new_cache(model: &dyn VisionLanguageModel) -> KvCache {
+    model.decoder().new_cache(model.context(model.info().max_image_tokens))
+}
+
 impl Sequence {
-    /// A sequence of no tokens.
+    /// An empty sequence.
     pub(crate) fn new(model: &dyn VisionLanguageModel) -> Self {
-        Self { ids: Vec::new(), cache: model.new_cache() }
+        Self { ids: Vec::new(), cache: new_cache(model) }
     }
 
     /// The tokens.
@@ -36,11 +41,11 @@ impl Sequence {
         &self.ids
     }
 
-    /// Appends tokens and gives the wanted logits (wanted positions, vocabulary). Image tokens take their rows of
-    /// `features`, in the order in which they stand in the sequence. After an error the sequence is unchanged.
+    /// Appends tokens and gives the wanted logits (wanted positions, vocabulary). The n-th image token of the sequence takes
+    /// the n-th row of `features`. After an error the sequence is unchanged.
     ///
     /// # Errors
-    /// When the sequence grows beyond the cache, or an image token has no feature.
+    /// When the sequence outgrows the cache, or an image token has no row.
     pub(crate) fn append(
         &mut self,
         model: &dyn VisionLanguageModel,
@@ -51,17 +56,14 @@ impl Sequence {
         if ids.is_empty() {
             return Ok(None);
         }
-        let rows = self.input_embeddings(model, ids, features)?;
-        let logits = model.forward(&rows, &mut self.cache, wanted)?;
+        let input = self.decoder_input(model, ids, features)?;
+        let logits = model.decoder().forward(&input, &mut self.cache, wanted)?;
         self.ids.extend_from_slice(ids);
         Ok(logits)
     }
 
-    /// Appends tokens in as many passes as they need, looks at the deadline before each, and gives the wanted logits of the
-    /// last. After an error the passes before it stay appended.
-    ///
-    /// # Errors
-    /// As [`Self::append`], and when the deadline passes.
+    /// Appends tokens in as many passes as they need, checks the deadline before each, and gives the wanted logits of the last.
+    /// After an error the earlier passes stay appended.
     pub(crate) fn append_in_passes(
         &mut self,
         model: &dyn VisionLanguageModel,
@@ -81,12 +83,12 @@ impl Sequence {
     }
 
     /// The decoder's input for tokens that follow the sequence.
-    pub(crate) fn input_embeddings(
+    pub(crate) fn decoder_input(
         &self,
         model: &dyn VisionLanguageModel,
         ids: &[u32],
         features: Option<&Tensor>,
-    ) -> Result<InputEmbeddings, MllmError> {
+    ) -> Result<DecoderInput, MllmError> {
         let image_token = model.info().image_token;
         let is_image = |id: &u32| *id == image_token;
         let mut used = self.ids.iter().filter(|id| is_image(id)).count();
@@ -100,17 +102,23 @@ impl Sequence {
                 rows.push(features.narrow(0, used, run.len())?);
                 used += run.len();
             } else {
-                rows.push(model.embed(run)?);
+                rows.push(model.decoder().embed(run)?);
             }
         }
         let image: Range<usize> = match self.ids.iter().chain(ids).position(is_image) {
             Some(first) => first..first + known,
             None => 0..0,
         };
-        Ok(InputEmbeddings { rows: Tensor::cat(&rows, 0)?, start: self.ids.len(), image })
+        let Positions { rotary, vision } = model.positions(self.ids.len()..self.ids.len() + ids.len(), &image);
+        let context = model.info().positions;
+        if let Some(position) = rotary.last().filter(|position| **position as usize >= context) {
+            let problem = format!("position {position} lies outside the context of {context}");
+            return Err(candle_core::Error::msg(problem).into());
+        }
+        Ok(DecoderInput { rows: Tensor::cat(&rows, 0)?, positions: rotary, vision })
     }
 
-    /// Forgets the tokens from `len` on.
+    /// Drops the tokens from `len` on.
     pub(crate) fn truncate(&mut self, len: usize) {
         self.ids.truncate(len);
         self.cache.truncate(len);

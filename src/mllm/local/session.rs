@@ -7,22 +7,21 @@ use candle_core::Tensor;
 use super::LocalModel;
 use super::generate::{End, Generated, generate};
 use super::sequence::Sequence;
-use super::vlm::Chat;
+use crate::mllm::family::Chat;
 use crate::mllm::sampling::{Sampler, answer_seed};
 use crate::mllm::{
     Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, PromptPrefix, Request, RoundTime, TokenCounts,
     Turn, milliseconds, prompt_hash,
 };
 
-/// A chat, and what the model has computed of it so far.
+/// A chat and its computed tokens.
 ///
-/// Each round renders the whole chat with the model's template and compares the tokens with those already computed: what
-/// agrees is kept, the rest is computed. So the template decides alone what the model reads, and rounds, rewinds and
-/// the system prompt cost nothing twice.
+/// Each round renders the whole chat with the model's template, keeps the computed tokens that agree, and computes the
+/// rest. So the template alone decides what the model reads, and nothing is computed twice across rounds and rewinds.
 pub(super) struct LocalConversation<'a> {
     local: &'a LocalModel,
     prefix: PromptPrefix,
-    /// Tokens that the opening's image becomes; none without one.
+    /// Tokens that the image becomes; none without one.
     image_tokens: Option<usize>,
     seed: u64,
     answers: u64,
@@ -34,10 +33,10 @@ pub(super) struct LocalConversation<'a> {
 }
 
 impl<'a> LocalConversation<'a> {
-    /// Opens a conversation and computes or fetches what stands before the image.
+    /// Opens a conversation and computes or fetches the tokens before the image.
     ///
     /// # Errors
-    /// When the template refuses the opening, the image cannot be used, or the system prompt is longer than the context.
+    /// When the template refuses the system prompt, the image cannot be used, or the system prompt exceeds the context.
     pub(super) fn open(local: &'a LocalModel, prefix: &PromptPrefix, seed: u64) -> Result<Self, MllmError> {
         let start = Instant::now();
         let image_tokens =
@@ -58,7 +57,7 @@ impl<'a> LocalConversation<'a> {
         })
     }
 
-    /// Encodes the image if a token of it is to be computed and it is not encoded yet.
+    /// Encodes the image if one of the tokens needs it and it is not encoded yet.
     fn encode_image(&mut self, ids: &[u32]) -> Result<(), MllmError> {
         if self.features.is_some() || !ids.contains(&self.local.model.info().image_token) {
             return Ok(());
@@ -72,7 +71,7 @@ impl<'a> LocalConversation<'a> {
     fn decode(&self, request: &Request, ids: &[u32]) -> Result<String, MllmError> {
         match request.constraint {
             Constraint::Free => self.local.tokenizer.decode(ids),
-            // The constraint is on the bytes of the tokens, so these are the answer.
+            // The grammar constrains the bytes of the tokens, so these are the answer.
             _ => Ok(self.local.tokenizer.decode_verbatim(ids)),
         }
     }
@@ -93,7 +92,7 @@ impl Conversation for LocalConversation<'_> {
             return Err(MllmError::PromptTooLong { tokens: ids.len(), context });
         }
         let agree = self.sequence.ids().iter().zip(&ids).take_while(|(a, b)| a == b).count();
-        // The last token is always computed: its logits choose the first word of the answer.
+        // The last token is always computed: its logits give the first token of the answer.
         let cached = agree.min(ids.len().saturating_sub(1));
         self.sequence.truncate(cached);
         let rest = ids.get(cached..).unwrap_or_default();
@@ -157,7 +156,7 @@ impl Conversation for LocalConversation<'_> {
     }
 
     fn rewind(&mut self, mark: Mark) {
-        // The computed tokens stay: the next round keeps as many as still agree.
+        // The computed tokens stay; the next round keeps those that still agree.
         self.turns.truncate(mark.0);
     }
 }

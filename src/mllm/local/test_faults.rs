@@ -10,10 +10,12 @@ use std::path::{Path, PathBuf};
 use candle_core::{Device, Tensor};
 use serde_json::{Value, json};
 
+use super::Sequence;
+use super::sequence::new_cache;
 use super::test_reference::{FEATURE_TOLERANCE, LOGIT_TOLERANCE, Run, feature_difference, open_checkpoint};
-use super::{Sequence, VisionLanguageModel};
 use crate::mllm::checkpoint::{Weights, read_json};
 use crate::mllm::decoder::{Decoder, DecoderInput, DecoderLayer, Logits};
+use crate::mllm::family::VisionLanguageModel;
 
 /// How many times what parity tests accept an error must lead away.
 const FAR: f32 = 100.0;
@@ -143,9 +145,9 @@ impl Deviation {
         positions: Vec<u32>,
         vision: Range<usize>,
     ) -> Self {
-        let rows = Sequence::new(model).input_embeddings(model, &run.ids, Some(&run.features)).unwrap().rows;
+        let rows = Sequence::new(model).decoder_input(model, &run.ids, Some(&run.features)).unwrap().rows;
         let input = DecoderInput { rows, positions, vision };
-        let logits = decoder.forward(&input, &mut model.new_cache(), Logits::All).unwrap().unwrap();
+        let logits = decoder.forward(&input, &mut new_cache(model), Logits::All).unwrap().unwrap();
         Self { features: 0.0, logits: run.logits_difference(&logits) }
     }
 

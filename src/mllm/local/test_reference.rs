@@ -4,10 +4,13 @@ use std::path::{Path, PathBuf};
 
 use candle_core::{Device, Tensor};
 
-use super::{Chat, LocalModel, Sequence, VisionLanguageModel};
+use super::{LocalModel, Sequence};
 use crate::mllm::Turn;
-use crate::mllm::checkpoint::{Checkpoint, ModelPlace, read_json};
+use crate::mllm::checkpoint::read_json;
 use crate::mllm::decoder::Logits;
+use crate::mllm::families::Families;
+use crate::mllm::family::{Chat, VisionLanguageModel};
+use crate::mllm::source::{Checkpoint, ModelPlace};
 
 /// Largest difference of image features that the parity tests accept, as a part of the largest feature: torch's own f32
 /// results lie up to 1e-5 from its f64 ones where features reach 11 (`mllm_reference/llava_next`).
@@ -27,7 +30,7 @@ pub(crate) fn shared_reference(name: &str) -> Option<PathBuf> {
 
 /// The checkpoint of a folder.
 pub(crate) fn open_checkpoint(folder: &Path) -> Checkpoint {
-    Checkpoint::open(&ModelPlace::Folder(folder.to_path_buf()), None).unwrap()
+    Checkpoint::open(&ModelPlace::Folder(folder.to_path_buf()), None, &Families::default()).unwrap()
 }
 
 /// The tensors of a reference file.

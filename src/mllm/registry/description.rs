@@ -196,7 +196,7 @@ fn endpoint_problem(text: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::{GrammarField, LimitField};
+    use crate::mllm::{Families, GrammarField, LimitField};
 
     fn parse(text: &str) -> Result<ModelSpec, MllmError> {
         ModelSpec::parse(Path::new("models/x.toml"), text)
@@ -266,7 +266,7 @@ mod tests {
 
     #[test]
     fn every_architecture_has_the_name_that_results_call_it() {
-        for architecture in Architecture::ALL {
+        for architecture in Families::default().iter() {
             let name = architecture.name();
             let spec = parse(&format!(
                 "name = 'm'\narchitecture = '{name}'\nsource = {{ folder = 'f' }}\nprompt_set = 'paper'"

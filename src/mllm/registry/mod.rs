@@ -10,10 +10,9 @@ use std::sync::Arc;
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
 pub use hub::{FetchListener, FetchProgress, HubAccess, HubFiles};
 
-use super::gguf::CreateFile;
 use super::{
-    Endpoint, EndpointSettings, LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError, ModelCheck, ModelPlace,
-    WeightFormat,
+    CreateFile, Endpoint, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError,
+    ModelCheck, ModelPlace, WeightFormat, export_model,
 };
 
 /// Finds and opens models.
@@ -61,6 +60,12 @@ impl ModelRegistry {
     /// Says what to do when a model seems to need more memory than there is.
     pub fn with_memory_check(mut self, memory: MemoryCheck) -> Self {
         self.loading.memory = memory;
+        self
+    }
+
+    /// Opens models of another family too.
+    pub fn with_family(mut self, family: &'static dyn Family) -> Self {
+        self.loading.families = self.loading.families.with(family);
         self
     }
 
@@ -218,7 +223,7 @@ impl ModelRegistry {
     ) -> Result<LoadReport, MllmError> {
         let place = self.place(spec)?;
         let loading = Loading { quantize: Some(weight_format), ..self.loading(spec)? };
-        LocalModel::export(&spec.name, &place, &loading, create, progress)
+        export_model(&spec.name, &place, &loading, create, progress)
     }
 
     /// How a model without a description is loaded: as this registry was told.

@@ -8,4 +8,5 @@ mod tokenizer;
 
 pub(crate) use grammar::{GrammarEngine, GrammarState};
 pub(crate) use template::ChatTemplate;
-pub(crate) use tokenizer::{ChatTokenizer, special_tokens};
+pub use tokenizer::ChatTokenizer;
+pub(crate) use tokenizer::special_tokens;

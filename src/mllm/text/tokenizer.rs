@@ -13,7 +13,7 @@ use crate::mllm::checkpoint::{ModelFiles, Section};
 
 /// The tokenizer of a model, with the special tokens that its chat template may name.
 #[derive(Debug, Clone)]
-pub(crate) struct ChatTokenizer {
+pub struct ChatTokenizer {
     tokenizer: Arc<Tokenizer>,
     path: PathBuf,
     special: BTreeMap<String, String>,

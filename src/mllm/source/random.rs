@@ -1,48 +1,46 @@
-//! Checkpoints whose weights are made up.
+//! Checkpoints with random weights, for benchmarks.
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use candle_core::quantized::GgmlDType;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use super::weight_format_plan::held_as;
-use super::{
-    Checkpoint, FileKind, ModelFiles, RowOrder, TensorPlace, WeightFile, WeightFormatPlan, Weights, is_matrix,
-};
+use super::Checkpoint;
 use crate::mllm::MllmError;
-use crate::mllm::local::Architecture;
+use crate::mllm::checkpoint::{
+    FileKind, ModelFiles, RowOrder, TensorPlace, TensorSource, WeightFormatPlan, Weights, held_as, is_matrix,
+};
+use crate::mllm::families::Families;
 use crate::mllm::matrix::{Matrix, WeightFormat};
 
-/// Rows that the matrices of one width and storage are composed of.
+/// Rows that the matrices of one width and format are composed of.
 const POOL: usize = 256;
-/// Largest magnitude of what is no matrix (norms, biases, positions).
+/// Largest magnitude of tensors other than matrices (norms, biases, positions).
 const VECTOR_RANGE: f32 = 0.1;
 
-/// Random tensors in the place of a weight file. A matrix is composed of stored rows out of a small pool, so that 17 billion
-/// weights take as long as copying them; how long it takes to multiply with them does not depend on their values.
+/// Random tensors in place of a weight file. A matrix is composed of rows from a small pool, so that 17 billion weights take
+/// no longer than a copy. The time of products does not depend on the values.
 #[derive(Debug)]
-pub(super) struct RandomTensors {
+struct RandomTensors {
+    /// Their name in messages.
+    path: PathBuf,
     seed: u64,
     pools: Mutex<Pools>,
 }
 
-/// Stored rows, by the storage's name and the width.
+/// Encoded rows, by the name of their format and their width.
 type Pools = BTreeMap<(&'static str, usize), Arc<Vec<u8>>>;
 
 impl RandomTensors {
     /// The same seed gives the same tensor at the same place.
-    pub(super) fn new(seed: u64) -> Self {
-        Self { seed, pools: Mutex::new(BTreeMap::new()) }
+    fn new(path: &Path, seed: u64) -> Self {
+        Self { path: path.to_path_buf(), seed, pools: Mutex::new(BTreeMap::new()) }
     }
 
-    /// The seed.
-    pub(super) fn seed(&self) -> u64 {
-        self.seed
-    }
-
-    /// Stored rows of one width, made when they are first asked for.
+    /// The encoded rows of one width, drawn at the first call.
     fn pool(&self, weight_format: WeightFormat, inputs: usize) -> Result<Arc<Vec<u8>>, MllmError> {
         let mut pools = self.pools.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(pool) = pools.get(&(weight_format.name(), inputs)) {
@@ -52,12 +50,14 @@ impl RandomTensors {
         pools.insert((weight_format.name(), inputs), Arc::clone(&pool));
         Ok(pool)
     }
+}
 
-    /// The bytes of the tensor at a place.
-    ///
-    /// # Errors
-    /// When its format is none of ours.
-    pub(super) fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
+impl TensorSource for RandomTensors {
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
         let mut random = Pcg64Mcg::seed_from_u64(self.seed ^ place.begin);
         let weight_format = held_as(place.format).unwrap_or_default();
         match place.shape.as_slice() {
@@ -77,9 +77,14 @@ impl RandomTensors {
             }
         }
     }
+
+    fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
+        hasher.update(&self.seed.to_le_bytes());
+        Ok(())
+    }
 }
 
-/// Stored rows that keep the variance of what is multiplied with them.
+/// Encoded rows that keep the variance of the activations.
 fn pool(weight_format: WeightFormat, inputs: usize, seed: u64) -> Result<Vec<u8>, MllmError> {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let range = (3.0 / inputs as f32).sqrt();
@@ -95,42 +100,42 @@ fn values(random: &mut Pcg64Mcg, count: usize, range: f32) -> impl Iterator<Item
     (0..count).map(move |_| random.random_range(-range..range))
 }
 
-impl Checkpoint {
-    /// A checkpoint of the model that these files describe, with random weights held in `weight_format`.
-    ///
-    /// # Errors
-    /// When the files are broken.
-    pub(crate) fn random(files: ModelFiles, weight_format: WeightFormat, seed: u64) -> Result<Self, MllmError> {
-        let plan = WeightFormatPlan { quantize: Some(weight_format), kind: FileKind::Gguf, tied: false };
-        let mut asked = Self { weights: Weights::empty(files.place(), plan), files };
-        asked.weights.only_list();
-        Architecture::of(&asked.files)?.open(&mut asked)?;
-        let Self { files, weights: asked } = asked;
-        let mut weights = Weights::empty(files.place(), plan);
-        let tied = !asked.listed().iter().any(|(name, _)| name == "lm_head.weight");
-        let file = weights.add_file(WeightFile::random(files.place(), RandomTensors::new(seed)));
-        let mut begin = 0;
-        for (name, shape) in asked.listed() {
-            let weight_format = match shape.as_slice() {
-                [_, inputs] if is_matrix(name, shape) => {
-                    WeightFormatPlan { tied, ..plan }.matrix(name, GgmlDType::F32, *inputs).weight_format
-                }
-                _ => WeightFormat::F32,
-            };
-            let elements: usize = shape.iter().product();
-            let bytes = (elements / weight_format.block() * weight_format.block_bytes()) as u64;
-            let place = TensorPlace { format: weight_format.ggml(), shape: shape.clone(), begin, bytes };
-            weights.add(name.clone(), file, name.clone(), place, RowOrder::Plain)?;
-            begin += bytes;
-        }
-        Ok(Self { files, weights })
+/// A checkpoint with random weights in `weight_format` for a model with these files.
+pub(super) fn checkpoint(
+    files: ModelFiles,
+    weight_format: WeightFormat,
+    seed: u64,
+    families: &Families,
+) -> Result<Checkpoint, MllmError> {
+    let family = families.of(&files)?;
+    let plan = WeightFormatPlan { quantize: Some(weight_format), kind: FileKind::Gguf, tied: false };
+    let mut asked = Weights::empty(files.place(), plan);
+    asked.only_list();
+    family.family().open(&files, &mut asked)?;
+    let mut weights = Weights::empty(files.place(), plan);
+    let tied = !asked.listed().iter().any(|(name, _)| name == "lm_head.weight");
+    let file = weights.add_file(RandomTensors::new(files.place(), seed));
+    let mut begin = 0;
+    for (name, shape) in asked.listed() {
+        let weight_format = match shape.as_slice() {
+            [_, inputs] if is_matrix(name, shape) => {
+                WeightFormatPlan { tied, ..plan }.matrix(name, GgmlDType::F32, *inputs).weight_format
+            }
+            _ => WeightFormat::F32,
+        };
+        let elements: usize = shape.iter().product();
+        let bytes = (elements / weight_format.block() * weight_format.block_bytes()) as u64;
+        let place = TensorPlace { format: weight_format.ggml(), shape: shape.clone(), begin, bytes };
+        weights.add(name.clone(), file, name.clone(), place, RowOrder::Plain)?;
+        begin += bytes;
     }
+    Ok(Checkpoint { family, files, weights })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::checkpoint::weight_file::widen;
+    use crate::mllm::checkpoint::widen;
 
     #[test]
     fn a_seed_gives_the_same_finite_numbers_in_every_storage() {
@@ -138,7 +143,7 @@ mod tests {
             let shape = vec![POOL + 40, 512];
             let bytes = |seed, begin| {
                 let place = TensorPlace { format: weight_format.ggml(), shape: shape.clone(), begin, bytes: 0 };
-                RandomTensors::new(seed).bytes(&place).unwrap()
+                RandomTensors::new(Path::new(""), seed).bytes(&place).unwrap()
             };
             assert_eq!(bytes(1, 0).len(), weight_format.matrix_bytes(POOL + 40, 512).unwrap());
             assert_eq!(bytes(1, 7), bytes(1, 7));

@@ -9,15 +9,17 @@ use candle_core::Tensor;
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use serde_json::{Value as Json, json};
 
-use super::export::{GgufPart, tower_path};
-use super::header::Header;
 use super::writer::{Layout, PlannedTensor};
-use super::{FILE, open_header, tokenizer_tests};
-use crate::mllm::checkpoint::{Checkpoint, ModelPlace};
+use super::{GgufPart, export_model};
+use crate::mllm::checkpoint::paired;
 use crate::mllm::decoder::Logits;
+use crate::mllm::families::Families;
+use crate::mllm::family::VisionLanguageModel;
+use crate::mllm::gguf::{FILE, Header, open_header, tokenizer_tests, tower_path};
 use crate::mllm::local::test_reference::{assert_chat, fixture, synthetic};
-use crate::mllm::local::{Architecture, Loading, LocalModel, Sequence, VisionLanguageModel};
+use crate::mllm::local::{Loading, LocalModel, Sequence};
 use crate::mllm::matrix::WeightFormat;
+use crate::mllm::source::{Checkpoint, ModelPlace};
 use crate::mllm::{Constraint, Deadline, Mllm, PromptPrefix, Request, Sampling};
 
 /// Writes a model of a folder to `m.gguf` in another.
@@ -27,7 +29,7 @@ fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {
         |part: GgufPart| -> std::io::Result<Box<dyn Write>> { Ok(Box::new(File::create(part.path(&model))?)) };
     let loading = Loading { quantize: Some(weight_format), ..Loading::default() };
     let mut written = (0, 1);
-    LocalModel::export("tiny", &ModelPlace::Folder(from.to_path_buf()), &loading, &mut create, &mut |bytes, total| {
+    export_model("tiny", &ModelPlace::Folder(from.to_path_buf()), &loading, &mut create, &mut |bytes, total| {
         assert!(written.0 < bytes);
         written = (bytes, total);
     })
@@ -145,7 +147,7 @@ fn rows_in_the_wrong_order_are_noticed() {
     let (header, _) = open_header(&model).unwrap();
     let query = &header.tensors["blk.0.attn_q.weight"];
     let range = query.begin as usize..(query.begin + query.bytes) as usize;
-    let plain = crate::mllm::checkpoint::paired(&bytes[range.clone()], 32, 4);
+    let plain = paired(&bytes[range.clone()], 32, 4);
     bytes[range].copy_from_slice(&plain);
     fs::write(&model, bytes).unwrap();
     let wrong = logits(&place, None);
@@ -155,8 +157,8 @@ fn rows_in_the_wrong_order_are_noticed() {
 
 /// Logits of an image and some tokens.
 fn logits(place: &ModelPlace, quantize: Option<WeightFormat>) -> Vec<f32> {
-    let mut checkpoint = Checkpoint::open(place, quantize).unwrap();
-    let model = Architecture::of(&checkpoint.files).unwrap().open(&mut checkpoint).unwrap();
+    let mut checkpoint = Checkpoint::open(place, quantize, &Families::default()).unwrap();
+    let model = checkpoint.open_model().unwrap();
     let model: &dyn VisionLanguageModel = &*model;
     let features = model.encode_image(&synthetic(40, 50)).unwrap();
     let image = model.info().image_token;
@@ -258,9 +260,9 @@ fn a_quantised_model_from_gguf_is_the_same_to_the_bit() {
 fn the_report_says_what_is_held_how() {
     let checkpoint = widened("tiny_llava");
     let place = ModelPlace::Folder(checkpoint.path().to_path_buf());
-    let mut opened = Checkpoint::open(&place, Some(WeightFormat::Q4K)).unwrap();
+    let mut opened = Checkpoint::open(&place, Some(WeightFormat::Q4K), &Families::default()).unwrap();
     let forecast = opened.weights.forecast(Some(WeightFormat::Q4K));
-    Architecture::Llava.open(&mut opened).unwrap();
+    opened.open_model().unwrap();
     let report = opened.weights.report();
     let tensors = |weight_format| {
         report.weight_formats.iter().find(|share| share.weight_format == weight_format).map_or(0, |share| share.tensors)

@@ -1,22 +1,21 @@
-//! Writing GGUF files, version 3.
+//! The writer of GGUF files, version 3.
 
 use std::io::{self, Write};
 
 use candle_core::quantized::GgmlDType;
 
-use super::header::{DEFAULT_ALIGNMENT, number_of};
-use super::value::Value;
+use crate::mllm::gguf::{DEFAULT_ALIGNMENT, Value, number_of};
 
-/// A file that is to be written: everything but the tensors' data.
+/// A file without the tensors' data.
 #[derive(Debug, Default)]
 pub(super) struct Layout {
-    /// Metadata in the order of writing.
+    /// Metadata in the order of the file.
     pub metadata: Vec<(String, Value)>,
-    /// The tensors in the order of writing.
+    /// Tensors in the order of the file.
     pub tensors: Vec<PlannedTensor>,
 }
 
-/// A tensor that is to be written.
+/// A tensor without its data.
 #[derive(Debug, Clone)]
 pub(super) struct PlannedTensor {
     /// Its name in the file.
@@ -36,7 +35,7 @@ impl PlannedTensor {
 }
 
 impl Layout {
-    /// Writes everything that stands before the data, which begins at a multiple of the alignment.
+    /// Writes the header, and pads it so that the data begins at a multiple of the alignment.
     pub(super) fn write_header(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut header = b"GGUF".to_vec();
         header.extend(3_u32.to_le_bytes());
@@ -63,7 +62,7 @@ impl Layout {
         pad(out, header.len() as u64)
     }
 
-    /// Writes the data of a tensor, with what must stand behind it.
+    /// Writes the data of a tensor, and pads it.
     pub(super) fn write_data(out: &mut dyn Write, data: &[u8]) -> io::Result<()> {
         out.write_all(data)?;
         pad(out, data.len() as u64)
@@ -80,7 +79,7 @@ fn put_text(out: &mut Vec<u8>, text: &str) {
     out.extend(text.as_bytes());
 }
 
-/// Writes a value with its type. Integers are of 32 bits where they can be: llama.cpp asks for these.
+/// Writes a value with its type. Integers take 32 bits where they fit, because llama.cpp reads these.
 fn put_value(out: &mut Vec<u8>, value: &Value) -> io::Result<()> {
     let kind = |out: &mut Vec<u8>, kind: u32| out.extend(kind.to_le_bytes());
     match value {
@@ -141,7 +140,7 @@ fn put_value(out: &mut Vec<u8>, value: &Value) -> io::Result<()> {
     Ok(())
 }
 
-/// Writes what stands before the values of a list.
+/// Writes the type and length of a list.
 fn put_list(out: &mut Vec<u8>, kind: u32, count: usize) {
     out.extend(9_u32.to_le_bytes());
     out.extend(kind.to_le_bytes());

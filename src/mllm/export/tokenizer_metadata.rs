@@ -1,15 +1,14 @@
-//! GGUF metadata of a `tokenizer.json`, for llama.cpp. Our own reader takes the file itself, which is packed beside it.
+//! GGUF metadata of a `tokenizer.json` for llama.cpp. This program reads the packed file instead.
 
 use std::collections::{BTreeMap, HashMap};
 
 use serde_json::Value as Json;
 
-use super::tokenizer::piece;
-use super::value::Value;
+use crate::mllm::gguf::{Value, tokenizer::piece};
 
-/// The metadata of a byte-pair tokenizer for a model of `vocabulary` rows. `special` are its special tokens by role
-/// (`bos_token`, ...). None for tokenizers of other kinds, which llama.cpp does not read in this form.
-pub(super) fn metadata(
+/// The metadata of a byte-pair tokenizer for a model of `vocabulary` rows. `special` holds its special tokens by role
+/// (`bos_token`, ...). None for other kinds of tokenizers, for which llama.cpp has no such keys.
+pub(crate) fn metadata(
     tokenizer: &Json,
     special: &BTreeMap<String, String>,
     vocabulary: usize,
@@ -73,7 +72,7 @@ pub(super) fn metadata(
     Some(metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect())
 }
 
-/// The merges, each a pair or two words of a text.
+/// The merges, each a pair or a text of two words.
 fn merges(merges: &Json) -> Option<Vec<[String; 2]>> {
     let pair = |merge: &Json| match merge {
         Json::String(text) => text.split_once(' ').map(|(left, right)| [left.to_string(), right.to_string()]),
@@ -86,7 +85,7 @@ fn merges(merges: &Json) -> Option<Vec<[String; 2]>> {
     merges.as_array()?.iter().map(pair).collect()
 }
 
-/// A score for every token: the earlier it is made by a merge, the higher; what no merge makes has the lowest.
+/// A score for every token: the earlier its merge, the higher. Tokens without a merge have the lowest score.
 fn scores(merges: &[[String; 2]], ids: &HashMap<String, usize>, vocabulary: usize) -> Vec<f32> {
     let mut scores = vec![-(merges.len() as f32) - 1.0; vocabulary];
     for (rank, [left, right]) in merges.iter().enumerate().rev() {

@@ -2,13 +2,11 @@
 
 use serde_json::{Value as Json, json};
 
-use super::header::Header;
-use super::value::Value;
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, VisionConfig};
+use crate::mllm::checkpoint::Activation;
+use crate::mllm::gguf::{Entries, Header, Value};
+use crate::mllm::llava::LlavaConfig;
 
-/// The architecture that is read.
-pub(super) const ARCHITECTURE: &str = "clip";
 /// The tensor that LLaVA-NeXT has and LLaVA has not.
 const IMAGE_NEWLINE: &str = "model.image_newline";
 /// llama.cpp's key of the hidden states that are the features.
@@ -21,11 +19,13 @@ pub(super) fn is_next(header: &Header) -> bool {
     header.tensors.contains_key(IMAGE_NEWLINE)
 }
 
+/// Width of the hidden states, where a file says it.
+pub(super) fn hidden(header: &Header) -> Result<Option<usize>, MllmError> {
+    header.count("clip.vision.embedding_length")
+}
+
 /// The keys of `config.json` that tower and projector decide. A note says what the file leaves open.
-///
-/// # Errors
-/// When a key is missing, of the wrong type, or asks for what is not supported.
-pub(super) fn config(header: &Header) -> Result<(Json, Option<String>), MllmError> {
+pub(super) fn config(header: &Header, model_type: &str) -> Result<(Json, Option<String>), MllmError> {
     for key in ["clip.projector_type", "clip.vision.projector_type"] {
         match header.text(key)? {
             None | Some("mlp") => {}
@@ -45,7 +45,7 @@ pub(super) fn config(header: &Header) -> Result<(Json, Option<String>), MllmErro
         (json!(layer), Some(note))
     };
     let mut config = json!({
-        "model_type": if is_next(header) { "llava_next" } else { "llava" },
+        "model_type": model_type,
         "projector_hidden_act": "gelu",
         "multimodal_projector_bias": header.tensors.contains_key("mm.0.bias"),
         "vision_feature_layer": features,
@@ -89,13 +89,10 @@ fn pinpoints(header: &Header) -> Result<Option<Json>, MllmError> {
 }
 
 /// `preprocessor_config.json` of the tower.
-///
-/// # Errors
-/// When a key is of the wrong type.
-pub(super) fn preprocessor(header: &Header) -> Result<Json, MllmError> {
+pub(super) fn preprocessor(header: &Header, image_processor: &str) -> Result<Json, MllmError> {
     let side = header.required_count("clip.vision.image_size")?;
     let mut preprocessor = json!({
-        "image_processor_type": if is_next(header) { "LlavaNextImageProcessor" } else { "CLIPImageProcessor" },
+        "image_processor_type": image_processor,
         "size": {"shortest_edge": side},
         "crop_size": {"height": side, "width": side},
         "resample": 3,
@@ -111,29 +108,20 @@ pub(super) fn preprocessor(header: &Header) -> Result<Json, MllmError> {
     Ok(preprocessor)
 }
 
-/// What a tower is, for [`metadata`].
-pub(super) struct Tower<'a> {
-    /// Its configuration.
-    pub vision: &'a VisionConfig,
-    /// The hidden states that are the features.
-    pub features: &'a [usize],
-    /// The resolutions that an image may be brought to (height, width), of a LLaVA-NeXT.
-    pub pinpoints: Option<Vec<[u32; 2]>>,
-    /// Mean and deviation of pixel values.
-    pub scale: [[f32; 3]; 2],
-    /// Width of the decoder.
-    pub projection: usize,
-}
-
-/// The metadata that says of a tower what [`config`] and [`preprocessor`] read.
+/// The metadata that says of a tower what [`config`] and [`preprocessor`] read; `scale` is mean and deviation of the pixel
+/// values.
 ///
 /// # Errors
-/// When llama.cpp has no key for it.
-pub(super) fn metadata(tower: &Tower<'_>) -> Result<Vec<(&'static str, Value)>, &'static str> {
+/// The part that llama.cpp has no key for.
+pub(super) fn metadata(
+    config: &LlavaConfig,
+    pinpoints: Option<Vec<[u32; 2]>>,
+    scale: [[f32; 3]; 2],
+) -> Result<Entries, &'static str> {
     use Value::{Bool, Float, Floats, Integers, Text, Unsigned};
-    let Tower { vision, features, .. } = tower;
+    let vision = &config.vision;
     let count = |number: usize| Unsigned(number as u64);
-    let [mean, deviation] = tower.scale;
+    let [mean, deviation] = scale;
     let mut metadata = vec![
         ("clip.has_vision_encoder", Bool(true)),
         ("clip.has_text_encoder", Bool(false)),
@@ -145,11 +133,11 @@ pub(super) fn metadata(tower: &Tower<'_>) -> Result<Vec<(&'static str, Value)>, 
         ("clip.vision.attention.head_count", count(vision.heads)),
         ("clip.vision.image_size", count(vision.image_size)),
         ("clip.vision.patch_size", count(vision.patch_size)),
-        ("clip.vision.projection_dim", count(tower.projection)),
+        ("clip.vision.projection_dim", count(config.text.hidden)),
         ("clip.vision.attention.layer_norm_epsilon", Float(vision.layer_norm_eps as f32)),
         ("clip.vision.image_mean", Floats(mean.to_vec())),
         ("clip.vision.image_std", Floats(deviation.to_vec())),
-        (FEATURE_LAYER, Integers(features.iter().map(|layer| *layer as i64).collect())),
+        (FEATURE_LAYER, Integers(config.feature_layers.iter().map(|layer| *layer as i64).collect())),
     ];
     match vision.act {
         Activation::QuickGelu => metadata.push(("clip.use_gelu", Bool(false))),
@@ -157,11 +145,11 @@ pub(super) fn metadata(tower: &Tower<'_>) -> Result<Vec<(&'static str, Value)>, 
         Activation::Silu => metadata.push(("clip.use_silu", Bool(true))),
         Activation::GeluTanh | Activation::Relu => return Err("the activation of the vision tower"),
     }
-    if let Some(pinpoints) = &tower.pinpoints {
-        metadata.push((PINPOINTS, Integers(pinpoints.iter().flatten().map(|side| i64::from(*side)).collect())));
+    if let Some(pinpoints) = pinpoints {
+        metadata.push((PINPOINTS, Integers(pinpoints.into_iter().flatten().map(i64::from).collect())));
         metadata.push(("clip.vision.mm_patch_merge_type", Text("spatial_unpad".into())));
     }
-    Ok(metadata)
+    Ok(metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect())
 }
 
 #[cfg(test)]

@@ -5,10 +5,9 @@ use std::path::Path;
 use candle_core::quantized::{GgmlDType, gguf_file};
 use proptest::prelude::*;
 
-use super::header::Header;
-use super::value::Value;
 use super::writer::{Layout, PlannedTensor};
 use crate::mllm::MllmError;
+use crate::mllm::gguf::{Header, Value};
 
 fn parse(bytes: &[u8]) -> Result<Header, MllmError> {
     Header::read(Path::new("m.gguf"), &mut &*bytes, bytes.len() as u64)

@@ -1,0 +1,212 @@
+//! Configurations in JSON, read by serde. Every error names the file and the key.
+
+use std::fmt::Display;
+use std::path::Path;
+
+use serde::de::{DeserializeOwned, Error};
+use serde::{Deserialize, Deserializer};
+use serde_json::{Map, Value};
+
+use crate::mllm::MllmError;
+
+/// Largest width, layer count or context of a configuration. No model that fits into a machine exceeds it.
+const MAX_COUNT: u64 = 1 << 22;
+
+/// Keys where null and absence differ: a null window is no window, an absent one takes the default.
+const NULLABLE: [&str; 1] = ["sliding_window"];
+
+/// An object of a configuration file. Null entries count as absent.
+#[derive(Debug, Clone)]
+pub(crate) struct ConfigObject<'a> {
+    path: &'a Path,
+    /// The keys that lead to the object, each with a dot behind it.
+    prefix: String,
+    entries: Map<String, Value>,
+}
+
+impl<'a> ConfigObject<'a> {
+    /// The object that a file holds.
+    pub(crate) fn root(path: &'a Path, value: &Value) -> Result<Self, MllmError> {
+        let empty = Self { path, prefix: String::new(), entries: Map::new() };
+        match value {
+            Value::Object(object) => Ok(empty.with_entries(object)),
+            other => Err(empty.error("(whole file)", not_an_object(other))),
+        }
+    }
+
+    /// An object behind the keys of `prefix`.
+    pub(super) fn nested(path: &'a Path, prefix: &str, object: &Map<String, Value>) -> Self {
+        Self { path, prefix: prefix.to_string(), entries: Map::new() }.with_entries(object)
+    }
+
+    fn with_entries(mut self, object: &Map<String, Value>) -> Self {
+        let present = |(key, value): &(&String, &Value)| !value.is_null() || NULLABLE.contains(&key.as_str());
+        self.entries = object.iter().filter(present).map(|(key, value)| (key.clone(), value.clone())).collect();
+        self
+    }
+
+    /// A nested object; none if absent.
+    pub(crate) fn child(&self, key: &str) -> Result<Option<Self>, MllmError> {
+        match self.entries.get(key) {
+            None => Ok(None),
+            Some(Value::Object(object)) => Ok(Some(self.empty_child(key).with_entries(object))),
+            Some(other) => Err(self.error(key, not_an_object(other))),
+        }
+    }
+
+    /// A nested object, empty if absent.
+    pub(crate) fn child_or_empty(&self, key: &str) -> Result<Self, MllmError> {
+        Ok(self.child(key)?.unwrap_or_else(|| self.empty_child(key)))
+    }
+
+    fn empty_child(&self, key: &str) -> Self {
+        Self { path: self.path, prefix: format!("{}{key}.", self.prefix), entries: Map::new() }
+    }
+
+    /// Takes `defaults`, an object, for absent keys.
+    pub(crate) fn with_defaults(mut self, defaults: Value) -> Self {
+        if let Value::Object(defaults) = defaults {
+            for (key, value) in defaults {
+                self.entries.entry(key).or_insert(value);
+            }
+        }
+        self
+    }
+
+    /// The value of a key.
+    pub(crate) fn get(&self, key: &str) -> Option<&Value> {
+        self.entries.get(key)
+    }
+
+    /// Reads the object as a struct; keys that the struct does not have are ignored.
+    pub(crate) fn read<T: DeserializeOwned>(&self) -> Result<T, MllmError> {
+        serde_path_to_error::deserialize(&self.entries).map_err(|error| {
+            let path = error.path().to_string();
+            let problem = error.inner().to_string();
+            match problem.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
+                Some(key) => self.error(key, "is missing"),
+                // The index of a list element says less than the whole list in the message.
+                None => self.error(path.split('[').next().unwrap_or_default(), problem),
+            }
+        })
+    }
+
+    /// The error of a key of this object.
+    pub(crate) fn error(&self, key: &str, problem: impl Display) -> MllmError {
+        MllmError::Config {
+            path: self.path.to_path_buf(),
+            key: format!("{}{key}", self.prefix),
+            problem: problem.to_string(),
+        }
+    }
+}
+
+fn not_an_object(value: &Value) -> String {
+    let shown: String = value.to_string().chars().take(60).collect();
+    format!("expected an object, found {shown}")
+}
+
+/// One value or a list of them.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(untagged, expecting = "expected a whole number or a list of whole numbers")]
+pub(crate) enum OneOrMany<T> {
+    One(T),
+    Many(Vec<T>),
+}
+
+impl<T> OneOrMany<T> {
+    pub(crate) fn as_slice(&self) -> &[T] {
+        match self {
+            Self::One(value) => std::slice::from_ref(value),
+            Self::Many(values) => values,
+        }
+    }
+}
+
+/// A whole number from 1 to [`MAX_COUNT`].
+pub(crate) fn count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
+    checked_count(u64::deserialize(deserializer)?)
+}
+
+/// A count, or null for none.
+pub(crate) fn optional_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<usize>, D::Error> {
+    Option::<u64>::deserialize(deserializer)?.map(checked_count).transpose()
+}
+
+fn checked_count<E: Error>(count: u64) -> Result<usize, E> {
+    if (1..=MAX_COUNT).contains(&count) {
+        return Ok(count as usize);
+    }
+    Err(E::custom(format!("expected a whole number from 1 to {MAX_COUNT}, found {count}")))
+}
+
+/// A finite number above zero.
+pub(crate) fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let number = f64::deserialize(deserializer)?;
+    if number.is_finite() && number > 0.0 {
+        return Ok(number);
+    }
+    Err(D::Error::custom(format!("expected a positive number, found {number}")))
+}
+
+/// A finite number above zero, which may be absent.
+pub(crate) fn optional_positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    positive(deserializer).map(Some)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[derive(Debug, PartialEq, Deserialize)]
+    #[serde(default)]
+    struct Example {
+        #[serde(deserialize_with = "count")]
+        width: usize,
+        #[serde(deserialize_with = "positive")]
+        eps: f64,
+        #[serde(deserialize_with = "optional_count")]
+        sliding_window: Option<usize>,
+    }
+
+    impl Default for Example {
+        fn default() -> Self {
+            Self { width: 4, eps: 1.0, sliding_window: Some(9) }
+        }
+    }
+
+    fn read(value: &Value) -> Result<Example, MllmError> {
+        let root = ConfigObject::root(Path::new("config.json"), &json!({"part": value}))?;
+        root.child_or_empty("part")?.with_defaults(json!({"eps": 2.0})).read()
+    }
+
+    #[test]
+    fn absent_and_null_keys_take_defaults() {
+        assert_eq!(read(&json!({"other": 1})).unwrap(), Example { eps: 2.0, ..Example::default() });
+        assert_eq!(read(&json!({"width": null, "eps": 3})).unwrap(), Example { eps: 3.0, ..Example::default() });
+        assert_eq!(read(&json!({"sliding_window": null})).unwrap().sliding_window, None);
+    }
+
+    #[test]
+    fn errors_name_file_and_key() {
+        for (value, key) in [
+            (json!({"width": 0}), "part.width"),
+            (json!({"width": -1}), "part.width"),
+            (json!({"width": 1_u64 << 40}), "part.width"),
+            (json!({"width": 1.5}), "part.width"),
+            (json!({"eps": "small"}), "part.eps"),
+            (json!({"eps": 0}), "part.eps"),
+            (json!({"sliding_window": 0}), "part.sliding_window"),
+            (json!([]), "part"),
+        ] {
+            match read(&value) {
+                Err(MllmError::Config { path, key: found, .. }) => {
+                    assert_eq!((path.to_str(), found.as_str()), (Some("config.json"), key));
+                }
+                other => panic!("{value}: {other:?}"),
+            }
+        }
+        assert!(ConfigObject::root(Path::new("config.json"), &json!([])).is_err());
+    }
+}

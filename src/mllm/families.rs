@@ -1,0 +1,119 @@
+//! The families of models. To add one, add its folder and a line to [`BUILT_IN`].
+
+use std::path::Path;
+
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::MllmError;
+use super::checkpoint::{ConfigObject, ModelFiles};
+use super::cogvlm::CogVlmFamily;
+use super::family::Family;
+use super::llava::LlavaFamily;
+use super::llava_next::LlavaNextFamily;
+
+/// The families that are built in.
+const BUILT_IN: &[&dyn Family] = &[&LlavaFamily, &LlavaNextFamily, &CogVlmFamily];
+
+/// The families that models are looked for in: those that are built in, and those of a program that uses this one.
+#[derive(Debug, Clone)]
+pub struct Families(Vec<Architecture>);
+
+/// A known family, by its name in model descriptions and results.
+#[derive(Debug, Clone, Copy)]
+pub struct Architecture(&'static dyn Family);
+
+/// The keys of `config.json` that name a model's family.
+#[derive(Deserialize)]
+struct Names {
+    model_type: Option<String>,
+    #[serde(default)]
+    architectures: Vec<String>,
+}
+
+impl Default for Families {
+    fn default() -> Self {
+        Self(BUILT_IN.iter().map(|family| Architecture(*family)).collect())
+    }
+}
+
+impl Families {
+    /// Adds a family.
+    pub fn with(mut self, family: &'static dyn Family) -> Self {
+        self.0.push(Architecture(family));
+        self
+    }
+
+    /// All shapes.
+    pub fn iter(&self) -> impl Iterator<Item = Architecture> {
+        self.0.iter().copied()
+    }
+
+    /// The family that the `config.json` of a folder names: by its `model_type`, else by the first of its `architectures`.
+    ///
+    /// # Errors
+    /// When there is no such file, it names none, or none of these.
+    pub fn detect(&self, folder: &Path) -> Result<Architecture, MllmError> {
+        self.of(&ModelFiles::folder(folder)?)
+    }
+
+    /// The family that the `config.json` of a model names.
+    pub(crate) fn of(&self, files: &ModelFiles) -> Result<Architecture, MllmError> {
+        let json = files.required_json("config.json")?;
+        let path = files.path("config.json");
+        let root = ConfigObject::root(&path, &json)?;
+        let names: Names = root.read()?;
+        let (key, found) = match &names.model_type {
+            Some(name) => ("model_type", Some(name)),
+            None => ("architectures", names.architectures.first()),
+        };
+        let Some(found) = found else {
+            return Err(root.error("model_type", "is missing, and architectures names no model either"));
+        };
+        self.iter().find(|family| family.0.config_names().contains(&found.as_str())).ok_or_else(|| {
+            let known: Vec<&str> = self.iter().filter_map(|family| family.0.config_names().first().copied()).collect();
+            root.error(key, format!("{found:?} is not supported; supported are {}", known.join(", ")))
+        })
+    }
+}
+
+impl Architecture {
+    /// The built-in family of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Families::default().iter().find(|family| family.name() == name)
+    }
+
+    /// The name in model descriptions and results.
+    pub fn name(self) -> &'static str {
+        self.0.name()
+    }
+
+    /// What the family knows.
+    pub fn family(self) -> &'static dyn Family {
+        self.0
+    }
+}
+
+impl PartialEq for Architecture {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name()
+    }
+}
+
+impl Eq for Architecture {}
+
+impl Serialize for Architecture {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
+impl<'de> Deserialize<'de> for Architecture {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        Self::named(&name).ok_or_else(|| {
+            let known: Vec<&str> = Families::default().iter().map(Self::name).collect();
+            D::Error::custom(format!("unknown architecture {name:?}; known are {}", known.join(", ")))
+        })
+    }
+}

@@ -1,0 +1,115 @@
+//! Where a model comes from: a folder with safetensors, GGUF files, or random weights in a known shape.
+
+mod gguf;
+mod random;
+mod shape;
+
+use std::path::{Path, PathBuf};
+
+pub use shape::ModelShape;
+
+use super::MllmError;
+use super::checkpoint::{ModelFiles, Weights, safetensors_folder};
+use super::families::{Architecture, Families};
+use super::family::VisionLanguageModel;
+use super::gguf::{files as gguf_files, find as find_gguf};
+use super::matrix::WeightFormat;
+
+/// Where the files of a model are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum ModelPlace {
+    /// A folder as Hugging Face writes it, or one with GGUF files that belong together.
+    Folder(PathBuf),
+    /// GGUF files.
+    Gguf {
+        /// The decoder, or the whole model.
+        model: PathBuf,
+        /// The vision tower; none if it is in the same file, or for the one that lies beside it.
+        mmproj: Option<PathBuf>,
+    },
+    /// Random weights in the shape of a known model, in [`DEFAULT_RANDOM_FORMAT`] unless another format is asked for.
+    Random {
+        /// The shape.
+        shape: &'static ModelShape,
+        /// Seed of the weights.
+        seed: u64,
+    },
+}
+
+/// The format that the weights of known models are published in.
+const DEFAULT_RANDOM_FORMAT: WeightFormat = WeightFormat::F16;
+
+impl ModelPlace {
+    /// The folder, or the file of the decoder; of random weights the name of their shape.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Folder(path) | Self::Gguf { model: path, .. } => path,
+            Self::Random { shape, .. } => Path::new(shape.name),
+        }
+    }
+
+    /// Bytes of its weight files.
+    ///
+    /// # Errors
+    /// When there are none.
+    pub fn weight_bytes(&self) -> Result<u64, MllmError> {
+        let files = match self {
+            Self::Folder(folder) if safetensors_folder::has_safetensors(folder) => {
+                safetensors_folder::weight_files(folder)?
+            }
+            Self::Folder(folder) => match find_gguf(folder)? {
+                Some(model) => gguf_files(&model, None)?,
+                None => return Err(ModelFiles::folder(folder)?.missing("model.safetensors, and no GGUF file")),
+            },
+            Self::Gguf { model, mmproj } => gguf_files(model, mmproj.as_deref())?,
+            Self::Random { .. } => Vec::new(),
+        };
+        let bytes = |path: &PathBuf| {
+            let metadata = std::fs::metadata(path).map_err(|source| MllmError::Read { path: path.clone(), source })?;
+            Ok(metadata.len())
+        };
+        files.iter().map(bytes).sum()
+    }
+}
+
+/// A model's family, its small files and its weights.
+#[derive(Debug)]
+pub(crate) struct Checkpoint {
+    pub family: Architecture,
+    /// Configurations, tokenizer, chat template.
+    pub files: ModelFiles,
+    /// The weights, not read yet.
+    pub weights: Weights,
+}
+
+impl Checkpoint {
+    /// Opens the small files of a model and the headers of its weights, which will be held in `quantize`.
+    pub(crate) fn open(
+        place: &ModelPlace,
+        quantize: Option<WeightFormat>,
+        families: &Families,
+    ) -> Result<Self, MllmError> {
+        let folder = match place {
+            ModelPlace::Gguf { model, mmproj } => return gguf::open(model, mmproj.as_deref(), quantize, families),
+            ModelPlace::Random { shape, seed } => {
+                let files = shape.files(families)?;
+                return random::checkpoint(files, quantize.unwrap_or(DEFAULT_RANDOM_FORMAT), *seed, families);
+            }
+            ModelPlace::Folder(folder) => folder,
+        };
+        let files = ModelFiles::folder(folder)?;
+        if !safetensors_folder::has_safetensors(folder)
+            && let Some(model) = find_gguf(folder)?
+        {
+            return gguf::open(&model, None, quantize, families);
+        }
+        let family = families.of(&files)?;
+        let weights = safetensors_folder::open(folder, quantize, |stored| family.family().canonical_name(stored))?;
+        Ok(Self { family, files, weights })
+    }
+
+    /// Opens the model and takes its weights.
+    pub(crate) fn open_model(&mut self) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
+        self.family.family().open(&self.files, &mut self.weights)
+    }
+}

@@ -1,0 +1,136 @@
+//! The shapes of known models, for benchmarks with random weights.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::ModelFiles;
+use crate::mllm::families::Families;
+
+/// A published model's configuration without its weights. Its outputs mean nothing, but it takes the same time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ModelShape {
+    /// The name in `models/shapes/`: that of its description in `models/`, where it has one.
+    pub name: &'static str,
+    /// JSON: where the configuration is from (`origin`), and the model's small files by name.
+    text: &'static str,
+}
+
+/// The shape of a file in `models/shapes/`.
+macro_rules! shape {
+    ($name:literal) => {
+        ModelShape { name: $name, text: include_str!(concat!("../../../models/shapes/", $name, ".json")) }
+    };
+}
+
+impl ModelShape {
+    /// All shapes.
+    pub const ALL: [Self; 8] = [
+        shape!("nano"),
+        shape!("llava-1.1b"),
+        shape!("llava-1.5-7b"),
+        shape!("llava-1.5-13b"),
+        shape!("llava-v1.6-vicuna-7b"),
+        shape!("llava-v1.6-mistral-7b"),
+        shape!("llava-v1.6-vicuna-13b"),
+        shape!("cogvlm-chat-17b"),
+    ];
+
+    /// The shape of this name.
+    ///
+    /// # Errors
+    /// When there is none; the error lists all.
+    pub fn find(name: &str) -> Result<&'static Self, MllmError> {
+        Self::ALL.iter().find(|shape| shape.name == name).ok_or_else(|| MllmError::UnknownShape {
+            name: name.to_string(),
+            known: Self::ALL.map(|shape| shape.name).join(", "),
+        })
+    }
+
+    /// The small files of a model of this shape. Its tokenizer has a token for each byte, and fills up the vocabulary.
+    pub(super) fn files(&self, families: &Families) -> Result<ModelFiles, MllmError> {
+        let place = Path::new(self.name);
+        let broken = |source| MllmError::Json { path: place.to_path_buf(), source };
+        let texts: BTreeMap<String, Value> = serde_json::from_str(self.text).map_err(broken)?;
+        let mut texts: BTreeMap<String, String> =
+            texts.into_iter().map(|(name, value)| (name, value.to_string())).collect();
+        let files = ModelFiles::packed(place, texts.clone());
+        let vocabulary = families.of(&files)?.family().decoder_config(&files)?.vocabulary;
+        let config = files.required_json("config.json")?;
+        let image = config["image_token_index"].as_u64().map_or(vocabulary, |id| id as usize);
+        texts.insert("tokenizer.json".into(), tokenizer(vocabulary, image).to_string());
+        texts.insert("tokenizer_config.json".into(), TOKENIZER_CONFIG.into());
+        texts.insert("chat_template.jinja".into(), CHAT_TEMPLATE.into());
+        Ok(ModelFiles::packed(place, texts))
+    }
+}
+
+/// The special tokens of [`tokenizer`].
+const TOKENIZER_CONFIG: &str = r#"{"bos_token": "<s>", "eos_token": "</s>", "unk_token": "<unk>"}"#;
+/// The chat template.
+const CHAT_TEMPLATE: &str = include_str!("../../../models/nano/chat_template.jinja");
+
+/// A byte-pair tokenizer without merges: special tokens, the bytes, an image, and filling up to `vocabulary` tokens.
+fn tokenizer(vocabulary: usize, image: usize) -> Value {
+    let token = |id: usize| match id {
+        0 => "<unk>".to_string(),
+        1 => "<s>".to_string(),
+        2 => "</s>".to_string(),
+        _ if id == image => "<image>".to_string(),
+        byte @ 3..=258 => format!("<0x{:02X}>", byte - 3),
+        other => format!("[{other}]"),
+    };
+    let vocab: Map<String, Value> = (0..vocabulary).map(|id| (token(id), id.into())).collect();
+    let added: Vec<Value> = [0, 1, 2, image]
+        .map(|id| {
+            json!({"id": id, "content": token(id), "special": true, "single_word": false, "lstrip": false,
+                "rstrip": false, "normalized": false})
+        })
+        .into();
+    json!({
+        "version": "1.0", "truncation": null, "padding": null, "added_tokens": added, "normalizer": null,
+        "pre_tokenizer": null, "post_processor": null, "decoder": {"type": "ByteFallback"},
+        "model": {"type": "BPE", "dropout": null, "unk_token": "<unk>", "continuing_subword_prefix": null,
+            "end_of_word_suffix": null, "fuse_unk": false, "byte_fallback": true, "vocab": vocab, "merges": []},
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mllm::matrix::WeightFormat;
+    use crate::mllm::source::{Checkpoint, ModelPlace};
+
+    /// Billions of weights by the sizes of decoders and towers that their papers and model cards give; the tower's last
+    /// layer, which LLaVA leaves unused, is not among them.
+    #[test]
+    fn shapes_have_the_weights_that_their_names_say() {
+        for (name, billions) in [
+            ("nano", 0.004_02),
+            ("llava-1.1b", 1.41),
+            ("llava-1.5-7b", 7.06),
+            ("llava-1.5-13b", 13.35),
+            ("llava-v1.6-vicuna-7b", 7.06),
+            ("llava-v1.6-mistral-7b", 7.57),
+            ("llava-v1.6-vicuna-13b", 13.35),
+            ("cogvlm-chat-17b", 17.64),
+        ] {
+            let shape = ModelShape::find(name).unwrap();
+            let place = ModelPlace::Random { shape, seed: 0 };
+            let checkpoint = Checkpoint::open(&place, Some(WeightFormat::Q4K), &Families::default()).unwrap();
+            let found = checkpoint.weights.elements() as f64 / 1e9;
+            assert!((found / billions - 1.0).abs() < 0.01, "{name}: {found}");
+        }
+        assert!(ModelShape::find("llava").unwrap_err().to_string().contains("llava-1.5-7b"));
+    }
+    #[test]
+    fn the_shape_of_nano_is_that_of_its_files() {
+        let files = ModelShape::find("nano").unwrap().files(&Families::default()).unwrap();
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/nano");
+        for name in ["config.json", "preprocessor_config.json"] {
+            assert_eq!(files.json(name).unwrap(), ModelFiles::folder(&folder).unwrap().json(name).unwrap(), "{name}");
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! A model family from outside of the package.
+
+use std::ops::Range;
+
+use candle_core::Tensor;
+use image::RgbImage;
+use planagent::internals::mllm::{
+    Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, LanguageModel, LlamaConfig, Mllm, MllmError,
+    ModelFiles, ModelInfo, ModelRegistry, Positions, Tiles, VisionLanguageModel, Weights,
+};
+
+use super::{Copy, FIRST, free, open, prefix};
+
+/// A LLaVA whose tensors have other names and whose images are turned upside down.
+#[derive(Debug)]
+struct Toy;
+
+#[derive(Debug)]
+struct ToyModel(Box<dyn VisionLanguageModel>);
+
+fn llava() -> &'static dyn Family {
+    Architecture::named("llava").unwrap().family()
+}
+
+impl Family for Toy {
+    fn name(&self) -> &'static str {
+        "toy"
+    }
+
+    fn config_names(&self) -> &'static [&'static str] {
+        &["toy", "ToyForConditionalGeneration"]
+    }
+
+    fn canonical_name(&self, stored: &str) -> Option<String> {
+        llava().canonical_name(stored.strip_prefix("toy.")?)
+    }
+
+    fn decoder_config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
+        llava().decoder_config(files)
+    }
+
+    fn open(&self, files: &ModelFiles, weights: &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
+        Ok(Box::new(ToyModel(llava().open(files, weights)?)))
+    }
+}
+
+impl VisionLanguageModel for ToyModel {
+    fn info(&self) -> &ModelInfo {
+        self.0.info()
+    }
+
+    fn image_tokens(&self, width: u32, height: u32) -> Result<usize, MllmError> {
+        self.0.image_tokens(width, height)
+    }
+
+    fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
+        self.0.preprocess(&image::imageops::rotate180(image))
+    }
+
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor> {
+        self.0.encode(tiles)
+    }
+
+    fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
+        self.0.chat_format(files, tokenizer)
+    }
+
+    fn positions(&self, tokens: Range<usize>, image: &Range<usize>) -> Positions {
+        self.0.positions(tokens, image)
+    }
+
+    fn decoder(&self) -> &dyn LanguageModel {
+        self.0.decoder()
+    }
+}
+
+/// The answer to the reference chat, its image turned upside down first if `turned`.
+fn answer(model: &dyn Mllm, turned: bool) -> String {
+    let mut prefix = prefix();
+    if turned {
+        prefix.image = prefix.image.map(|image| image::imageops::rotate180(&image));
+    }
+    model.converse(&prefix, 0).unwrap().ask(FIRST, &free(12)).unwrap().text
+}
+
+#[test]
+fn a_family_from_outside_opens_its_checkpoints() {
+    let copy = Copy::new();
+    copy.edit("config.json", |config| {
+        config["model_type"] = "toy".into();
+    });
+    copy.edit_tensors(|tensors| {
+        *tensors = std::mem::take(tensors).into_iter().map(|(name, tensor)| (format!("toy.{name}"), tensor)).collect();
+    });
+    let registry = ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() });
+    let folder = copy.folder().to_str().unwrap();
+    let unknown = registry.open(&registry.find(folder).unwrap());
+    assert!(matches!(unknown, Err(MllmError::Config { key, .. }) if key == "model_type"));
+    assert!(copy.error().to_string().contains("toy"));
+
+    let registry = registry.with_family(&Toy);
+    let model = registry.open(&registry.find(folder).unwrap()).unwrap();
+    assert_eq!(Families::default().with(&Toy).detect(copy.folder()).unwrap().name(), "toy");
+    let plain = open();
+    assert_eq!(answer(&*model, true), answer(&plain, false));
+    assert_eq!(answer(&*model, false), answer(&plain, true));
+}
