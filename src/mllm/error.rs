@@ -60,7 +60,7 @@ pub enum MllmError {
         problem: String,
     },
     /// Two tensors of a checkpoint mean the same weights.
-    #[error("{place}: tensor {name} stands twice in the checkpoint, perhaps under names of two layouts")]
+    #[error("{place}: tensor {name} occurs twice in the checkpoint, perhaps under names of two layouts")]
     TwiceStored {
         /// The model folder or file.
         place: PathBuf,
@@ -230,7 +230,7 @@ pub enum MllmError {
     /// A model of the hub is not in the local cache and must not be downloaded.
     #[error("{id} (revision {revision}): {file} is not in the cache {cache}, and downloads are off")]
     NotInCache {
-        /// The hub id, `organisation/name`.
+        /// The hub id, `organization/name`.
         id: String,
         /// The revision that was asked for.
         revision: String,
@@ -242,7 +242,7 @@ pub enum MllmError {
     /// The hub could not be reached or refused.
     #[error("{id} (revision {revision}): {problem}")]
     Hub {
-        /// The hub id, `organisation/name`.
+        /// The hub id, `organization/name`.
         id: String,
         /// The revision that was asked for.
         revision: String,

@@ -21,7 +21,7 @@ impl ModelFiles {
         if folder.is_dir() {
             return Ok(Self { place: folder.to_path_buf(), packed: None });
         }
-        Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: "such folder, and so no config.json".into() })
+        Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: "such folder, so no config.json".into() })
     }
 
     /// Texts of files by name; `place` is the file or shape that holds them.

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::weight_format_plan::{PlannedFormat, held_as};
 use crate::mllm::matrix::WeightFormat;
 
-/// How the weights of a model are held in memory.
+/// The formats of a model's weights in memory.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct LoadReport {
@@ -106,7 +106,7 @@ impl LoadReport {
             told.push(kind);
             let alike =
                 self.exceptions.iter().filter(|other| (other.weight_format, &*other.file, &*other.reason) == kind);
-            lines.push(format!("{file} held in {weight_format}: {reason}"));
+            lines.push(format!("{file} loaded as {weight_format}: {reason}"));
             lines.extend(alike.map(|exception| format!("  {} ({})", exception.name, exception.tensors)));
         }
         lines.extend(self.notes.iter().cloned());
@@ -144,7 +144,7 @@ mod tests {
             [
                 "f32: 1 tensors, 0.0 MiB",
                 "q8_0: 3 tensors, 0.0 MiB",
-                "f16 held in q8_0: because",
+                "f16 loaded as q8_0: because",
                 "  layers.*.up.weight (3)"
             ]
         );

@@ -55,7 +55,7 @@ impl WeightFormatPlan {
             Some(asked) => asked_for(asked, self.role(name), format),
         };
         let weight_format = wanted.or_finer(inputs);
-        let reason = if weight_format == wanted { reason } else { Some("rows are no whole blocks of what was wanted") };
+        let reason = if weight_format == wanted { reason } else { Some("the rows are no whole blocks of the wanted format") };
         PlannedFormat { weight_format, reason }
     }
 
@@ -63,7 +63,7 @@ impl WeightFormatPlan {
         match (self.kind, held_as(format)) {
             (FileKind::Safetensors, _) => (WeightFormat::F32, None),
             (FileKind::Gguf, Some(weight_format)) => (weight_format, None),
-            (FileKind::Gguf, None) => (replacement(format), Some("there is no fast product with the file's format")),
+            (FileKind::Gguf, None) => (replacement(format), Some("the file's format has no fast product")),
         }
     }
 
@@ -82,16 +82,16 @@ impl WeightFormatPlan {
 fn asked_for(asked: WeightFormat, role: Role, format: GgmlDType) -> (WeightFormat, Option<&'static str>) {
     let (wanted, reason) = match role {
         Role::Output if asked == WeightFormat::Q4K => {
-            (WeightFormat::Q6K, Some("the output layer is held in more bits"))
+            (WeightFormat::Q6K, Some("the output layer gets more bits"))
         }
         Role::Vision if matches!(asked, WeightFormat::Q4K | WeightFormat::Q6K) => {
-            (WeightFormat::Q8_0, Some("vision tower and projector are held in 8 bits at least"))
+            (WeightFormat::Q8_0, Some("vision tower and projector get at least 8 bits"))
         }
         _ => (asked, None),
     };
     match held_as(format) {
         // A matrix that was rounded to few bits gains nothing from more.
-        Some(held) if held.block() > 1 && bits(held) < bits(wanted) => (held, Some("the file holds no more than this")),
+        Some(held) if held.block() > 1 && bits(held) < bits(wanted) => (held, Some("the file has no more bits")),
         _ => (wanted, reason),
     }
 }
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_that_are_no_whole_blocks_fall_to_the_next_storage() {
+    fn rows_that_are_no_whole_blocks_fall_back_to_the_next_format() {
         for (inputs, expected) in [(512, WeightFormat::Q4K), (96, WeightFormat::Q8_0), (100, WeightFormat::F16)] {
             let planned = asked(WeightFormat::Q4K).matrix(DECODER, GgmlDType::F32, inputs);
             assert_eq!((planned.weight_format, planned.reason.is_some()), (expected, inputs != 512));
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_was_quantised_is_held_as_it_is() {
+    fn a_quantized_file_keeps_its_format() {
         let plan = WeightFormatPlan { kind: FileKind::Gguf, ..WeightFormatPlan::default() };
         for (format, expected, said) in [
             (GgmlDType::Q4K, WeightFormat::Q4K, false),

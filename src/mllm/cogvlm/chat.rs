@@ -1,26 +1,26 @@
-//! How chats with `CogVLM` are written; its repositories have no chat template.
+//! Prompts of `CogVLM`, whose repositories have no chat template.
 
 use super::config::AnswerStyle;
 use crate::mllm::MllmError;
 use crate::mllm::family::{Chat, ChatFormat};
 use crate::mllm::text::ChatTokenizer;
 
-/// What stands before a chat without an image and without a system prompt: Vicuna's own.
+/// Vicuna's system prompt, for a chat without an image and without a system prompt.
 const VICUNA_SYSTEM: &str = "A chat between a curious user and an artificial intelligence assistant. The assistant gives \
                              helpful, detailed, and polite answers to the user's questions.";
 
-/// Questions and answers behind the image; without an image, Vicuna's form of a chat (`build_conversation_input_ids` and
+/// Questions and answers after the image; without an image, Vicuna's chats (`build_conversation_input_ids` and
 /// `cli_demo_hf.py` of the model's authors).
 ///
-/// The form knows no system prompt: with an image it is the beginning of the first question, without one it takes the
-/// place of Vicuna's.
+/// The model has no system prompt. With an image it becomes the beginning of the first question; without one it replaces
+/// Vicuna's.
 #[derive(Debug)]
 pub(super) struct QuestionFormat {
     /// The token that a chat begins with.
     pub bos: u32,
     /// The placeholder of the image's tokens.
     pub image_token: u32,
-    /// How answers are asked for.
+    /// The end of a question.
     pub style: AnswerStyle,
 }
 

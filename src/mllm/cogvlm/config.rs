@@ -1,4 +1,4 @@
-//! `config.json` of a `CogVLMForCausalLM` checkpoint of the first version (`THUDM/cogvlm-chat-hf` and its kin).
+//! `config.json` of a `CogVLMForCausalLM` checkpoint, first version (such as `THUDM/cogvlm-chat-hf`).
 
 use std::path::Path;
 
@@ -17,7 +17,7 @@ pub(crate) struct CogVlmConfig {
     pub text: LlamaConfig,
     /// The token that a chat begins with.
     pub bos: u32,
-    /// How answers are asked for.
+    /// The end of a question.
     pub style: AnswerStyle,
 }
 

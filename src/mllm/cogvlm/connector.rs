@@ -9,7 +9,7 @@ use crate::mllm::decoder::{SwiGlu, SwiGluShape};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
 
-/// Epsilon of the adapter's layer norm: the default of torch, which the model's code does not change.
+/// Epsilon of the adapter's layer norm, torch's default.
 const NORM_EPS: f64 = 1e-5;
 
 /// The adapter of `CogVLM` (`linear_proj`, `boi`, `eoi`).
@@ -23,10 +23,6 @@ pub(super) struct GluAdapter {
 }
 
 impl GluAdapter {
-    /// Takes the adapter's weights.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
     pub(super) fn take(weights: &mut Weights, config: &CogVlmConfig) -> std::result::Result<Self, MllmError> {
         const NAME: &str = "vision.linear_proj";
         let hidden = config.text.hidden;

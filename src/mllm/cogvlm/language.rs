@@ -1,4 +1,4 @@
-//! The decoder with visual experts, and where the tokens of an image stand in it.
+//! The decoder with visual experts, and the positions of an image's tokens.
 
 use std::ops::Range;
 
@@ -13,8 +13,7 @@ use crate::mllm::rms_norm::RmsNorm;
 /// Positions that an image takes: one for its beginning, one for all its patches, one for its end.
 pub(super) const IMAGE_POSITIONS: usize = 3;
 
-/// A Llama layer with two sets of matrices: text goes through one, the image through the other. Norms and attention are
-/// shared.
+/// A Llama layer with two sets of matrices, one for text and one for the image. They share norms and attention.
 #[derive(Debug)]
 pub(super) struct ExpertLayer {
     input_norm: RmsNorm,
@@ -92,8 +91,8 @@ impl DecoderLayer for ExpertLayer {
     }
 }
 
-/// Positions of the tokens `tokens` of a chat whose image stands at `image` (empty for none): all patches share one
-/// (`build_position_ids` in the model's code).
+/// Positions of the tokens `tokens` of a chat whose image has the tokens `image` (empty for none). All patches share one
+/// position (`build_position_ids` in the model's code).
 pub(super) fn positions(tokens: Range<usize>, image: &Range<usize>) -> Vec<u32> {
     let position = |index: usize| {
         if image.is_empty() || index <= image.start {
@@ -107,8 +106,8 @@ pub(super) fn positions(tokens: Range<usize>, image: &Range<usize>) -> Vec<u32> 
     tokens.map(|index| position(index) as u32).collect()
 }
 
-/// Which of the rows of the tokens `tokens` go through the vision expert: the image but its end, whose successor is text
-/// (`get_expert_mask` in the model's code).
+/// The rows of the tokens `tokens` that go through the vision expert: the image without its end (`get_expert_mask` in the
+/// model's code).
 pub(super) fn vision_rows(tokens: &Range<usize>, image: &Range<usize>) -> Range<usize> {
     let last = image.end.saturating_sub(1);
     let begin = image.start.clamp(tokens.start, tokens.end);

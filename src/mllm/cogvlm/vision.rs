@@ -1,4 +1,4 @@
-//! The EVA2-CLIP vision transformer: norms stand behind each branch, and the last layer's output is used as it is.
+//! The EVA2-CLIP vision transformer. Each branch ends with a norm, and the last layer's output has no further norm.
 
 use candle_core::Tensor;
 
@@ -30,10 +30,6 @@ struct Layer {
 }
 
 impl EvaVisionTower {
-    /// Takes the tower's weights.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
     pub(super) fn take(weights: &mut Weights, config: &VisionConfig) -> Result<Self, MllmError> {
         let (hidden, patch) = (config.hidden, config.patch_size);
         let embeddings = "vision.patch_embedding";
@@ -51,7 +47,7 @@ impl EvaVisionTower {
         })
     }
 
-    /// Encodes pixel values (3, side, side) to (patches, hidden), the class token left out.
+    /// Encodes pixel values (3, side, side) to (patches, hidden), without the class token.
     pub(super) fn forward(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
         let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
         let mut x = embed(&self.class_embedding, &patches, &self.position_embedding)?;

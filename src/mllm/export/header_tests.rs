@@ -121,6 +121,21 @@ fn another_reader_reads_the_same() {
     }
 }
 
+/// Why the header has a reader of its own.
+#[test]
+fn candles_reader_does_not_refuse_what_it_should() {
+    let read = |bytes: Vec<u8>| gguf_file::Content::read(&mut std::io::Cursor::new(bytes));
+    let alignment = Raw::new(0, 1).text(b"general.alignment").u32(4).u32(0).data(0);
+    assert!(std::panic::catch_unwind(|| read(alignment)).is_err(), "it divides by the alignment");
+    let twice = read(Raw::new(2, 0).tensor("t", &[8], 0, 0).tensor("t", &[8], 0, 32).data(64)).unwrap();
+    assert_eq!(twice.tensor_infos.len(), 1, "the second tensor replaces the first");
+    let overlap = Raw::new(2, 0).tensor("t", &[16], 0, 0).tensor("u", &[8], 0, 32).data(64);
+    assert_eq!(read(overlap).unwrap().tensor_infos.len(), 2);
+    let text = read(Raw::new(0, 1).text(b"k").u32(8).text(b"\xff").data(8)).unwrap();
+    assert_eq!(text.metadata["k"].to_string().unwrap(), "\u{fffd}");
+    assert_eq!(size_of::<gguf_file::Value>(), 32, "for each element of a list, also of one byte");
+}
+
 #[test]
 fn what_cannot_be_right_is_named() {
     let alignment = |value: u32| Raw::new(0, 1).text(b"general.alignment").u32(4).u32(value).data(0);
@@ -142,7 +157,7 @@ fn what_cannot_be_right_is_named() {
         (list(8, 1 << 60), "values of a list are announced"),
         (list(4, u64::MAX), "values of a list are announced"),
         (list(99, 1), "list is of type 99"),
-        (Raw::new(0, 1).text(b"k").u32(9).u32(9).u64(1).u32(9).u64(1).u32(9).u64(0).data(64), "lists in lists"),
+        (Raw::new(0, 1).text(b"k").u32(9).u32(9).u64(1).u32(9).u64(1).u32(9).u64(0).data(64), "nested too deeply"),
         (alignment(0), "power of two"),
         (alignment(33), "power of two"),
         (alignment(1 << 30), "power of two"),
@@ -159,7 +174,7 @@ fn what_cannot_be_right_is_named() {
         (Raw::new(1, 0).tensor("t", &[16], 0, 0).data(63), "truncated"),
         (Raw::new(1, 0).tensor("t", &[8], 0, 8).data(64), "no multiple of 32"),
         (Raw::new(2, 0).tensor("t", &[16], 0, 0).tensor("u", &[8], 0, 32).data(64), "shares bytes"),
-        (Raw::new(2, 0).tensor("t", &[8], 0, 0).tensor("t", &[8], 0, 32).data(64), "stands twice"),
+        (Raw::new(2, 0).tensor("t", &[8], 0, 0).tensor("t", &[8], 0, 32).data(64), "occurs twice"),
     ] {
         let problem = problem(&bytes);
         assert!(problem.contains(expected), "{expected}: {problem}");

@@ -59,7 +59,7 @@ impl GgufPart {
 pub type CreateFile<'a> = dyn FnMut(GgufPart) -> io::Result<Box<dyn Write>> + 'a;
 
 /// Writes a model as GGUF under the name `name`, its weights in the format that `loading` asks for. `progress` gets the bytes
-/// that are written and their sum.
+/// that are written so far, and all bytes.
 ///
 /// # Errors
 /// When the model is broken, or a file cannot be written.

@@ -1,8 +1,9 @@
-//! The header of a GGUF file: metadata and the places of tensors, read as the hostile input that a downloaded file is.
+//! The header of a GGUF file: metadata, and the places of tensors. A downloaded file is hostile input.
 //!
 //! Every count and length is checked against the bytes that are left before anything is allocated. `candle_core`'s reader
-//! is not used: it divides by an alignment of 0, passes over names that stand twice, over texts that are not UTF-8 and
-//! over tensors that share bytes, and multiplies shapes without a check.
+//! would need a second reader in front of it (a test shows why): it panics at an alignment of 0, keeps the last of two equal
+//! keys or tensors, replaces text that is not UTF-8, takes 32 bytes for each one-byte element of a list, and checks neither
+//! the product of a shape nor whether tensors overlap.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,24 +14,23 @@ use super::value::Value;
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::TensorPlace;
 
-/// The first four bytes of every GGUF file.
 const MAGIC: &[u8; 4] = b"GGUF";
-/// Versions that are read: 2 and 3 differ in nothing but the byte order that a file may have, of which little-endian is read.
+/// Supported versions. 3 allows big-endian files, which are not supported.
 const VERSIONS: [u32; 2] = [2, 3];
-/// Where data begins when the file does not say otherwise: at multiples of so many bytes.
+/// Default alignment of the data, bytes.
 pub(crate) const DEFAULT_ALIGNMENT: u64 = 32;
 /// Largest alignment, bytes: beyond it a file is taken for broken.
 const MAX_ALIGNMENT: u64 = 1 << 20;
-/// Most dimensions of a tensor (`GGML_MAX_DIMS`).
+/// Dimensions of a tensor (`GGML_MAX_DIMS`).
 const MAX_DIMENSIONS: u32 = 4;
-/// Longest name of a tensor, bytes (`GGML_MAX_NAME` less its end mark, with room for newer writers).
+/// Longest name of a tensor, bytes (`GGML_MAX_NAME` without its end mark, with room for newer writers).
 const MAX_NAME: u64 = 1 << 10;
-/// Lists within lists; llama.cpp writes none.
+/// Depth of nested lists; llama.cpp writes none.
 const MAX_DEPTH: u8 = 2;
-/// Longest header, bytes: those of models with 256 thousand tokens take 20 MB. It bounds what reading one allocates.
+/// Longest header, bytes. It bounds the allocation; a model with 256 thousand tokens needs 20 MB.
 const MAX_HEADER: u64 = 1 << 28;
 
-/// What stands before the tensors' data.
+/// The part of a file before the tensors' data.
 #[derive(Debug)]
 pub struct Header {
     pub(crate) path: PathBuf,
@@ -41,16 +41,13 @@ pub struct Header {
 }
 
 impl Header {
-    /// Reads the header at the beginning of a file of `file_bytes` bytes.
-    ///
-    /// # Errors
-    /// When it is none, or a count, length, type, name or place in it cannot be right; the error names the byte.
+    /// Reads the header of a file of `file_bytes` bytes. Errors name the byte.
     pub(crate) fn read(path: &Path, source: &mut dyn std::io::Read, file_bytes: u64) -> Result<Self, MllmError> {
         Reader { path, source, position: 0, file_bytes }.header()
     }
 }
 
-/// Reads forward and knows where it is.
+/// A reader with its position.
 struct Reader<'a> {
     path: &'a Path,
     source: &'a mut dyn std::io::Read,
@@ -58,7 +55,7 @@ struct Reader<'a> {
     file_bytes: u64,
 }
 
-/// A tensor of the header before the place of the data is known.
+/// A tensor before the place of the data is known.
 struct Declared {
     name: String,
     format: GgmlDType,
@@ -75,12 +72,12 @@ impl Reader<'_> {
         let version = self.u32()?;
         if !VERSIONS.contains(&version) {
             return Err(self.error(if VERSIONS.contains(&version.swap_bytes()) {
-                "it is a big-endian file; little-endian ones are read".into()
+                "big-endian files are not supported".into()
             } else {
-                format!("version {version} is not read; 2 and 3 are")
+                format!("version {version} is not supported; 2 and 3 are")
             }));
         }
-        // The least a tensor (length of its name, dimensions, type, offset) and an entry (length of its key, type, value) take.
+        // Smallest tensor: length of its name, dimensions, type, offset. Smallest entry: length of its key, type, value.
         let tensors = self.count("tensors", 24)?;
         let entries = self.count("metadata entries", 13)?;
         let mut metadata = BTreeMap::new();
@@ -89,7 +86,7 @@ impl Reader<'_> {
             let kind = self.u32()?;
             let value = self.value(kind, 0).map_err(|error| in_entry(error, &key))?;
             if metadata.insert(key.clone(), value).is_some() {
-                return Err(self.error(format!("the metadata key {key:?} stands twice")));
+                return Err(self.error(format!("the metadata key {key:?} occurs twice")));
             }
         }
         let declared = (0..tensors).map(|_| self.tensor()).collect::<Result<Vec<_>, _>>()?;
@@ -125,9 +122,9 @@ impl Reader<'_> {
         let number = self.u32()?;
         let offset = self.u64()?;
         let Some(format) = format_of(number) else {
-            return Err(self.error(format!("tensor {name} has the number format {number}, which is not read")));
+            return Err(self.error(format!("tensor {name} has the unknown number format {number}")));
         };
-        // The first dimension of the file is the fastest: rows are made of whole blocks.
+        // The first dimension of the file is the fastest, and rows consist of whole blocks.
         let fastest = shape.first().copied().unwrap_or_default();
         let elements = shape.iter().try_fold(1_u64, |product, side| product.checked_mul(*side));
         let bytes = elements
@@ -144,7 +141,7 @@ impl Reader<'_> {
         Ok(Declared { name, format, shape, offset, bytes })
     }
 
-    /// Checks that every tensor lies within the file, where it may begin, and shares no byte with another.
+    /// Checks that every tensor lies within the file, is aligned, and shares no byte with another.
     fn places(
         &self,
         mut declared: Vec<Declared>,
@@ -172,7 +169,7 @@ impl Reader<'_> {
             }
             free = offset + bytes;
             if tensors.insert(name.clone(), TensorPlace { format, shape, begin, bytes }).is_some() {
-                return Err(self.broken(format!("tensor {name} stands twice")));
+                return Err(self.broken(format!("tensor {name} occurs twice")));
             }
         }
         Ok(tensors)
@@ -190,7 +187,7 @@ impl Reader<'_> {
             7 => match u8::from_le_bytes(self.array()?) {
                 0 => Value::Bool(false),
                 1 => Value::Bool(true),
-                other => return Err(self.error(format!("a truth value is {other}, expected 0 or 1"))),
+                other => return Err(self.error(format!("a boolean is {other}, expected 0 or 1"))),
             },
             8 => Value::Text(self.text("a text")?),
             9 => self.list(depth)?,
@@ -203,7 +200,7 @@ impl Reader<'_> {
 
     fn list(&mut self, depth: u8) -> Result<Value, MllmError> {
         if depth >= MAX_DEPTH {
-            return Err(self.error("lists stand in lists in lists"));
+            return Err(self.error("lists are nested too deeply"));
         }
         let kind = self.u32()?;
         let least = match kind {
@@ -215,7 +212,7 @@ impl Reader<'_> {
             other => return Err(self.error(format!("a list is of type {other}, which GGUF does not have"))),
         };
         let count = self.count("values of a list", least)?;
-        // Numbers are kept as they lie in the file: a list of a million costs a million of them.
+        // Numbers are kept unboxed: a list of a million floats takes 4 MB.
         Ok(match kind {
             0..=5 | 7 | 10 | 11 => {
                 Value::Integers(self.numbers(count, |reader| reader.value(kind, depth)?.as_i64_or(reader))?)
@@ -234,7 +231,7 @@ impl Reader<'_> {
         (0..count).map(|_| read(self)).collect()
     }
 
-    /// A number of things of at least `least` bytes each, which must still be there.
+    /// A number of items of at least `least` bytes each, which must fit into the rest of the file.
     fn count(&mut self, what: &str, least: u64) -> Result<u64, MllmError> {
         let count = self.u64()?;
         let left = self.file_bytes.min(MAX_HEADER).saturating_sub(self.position);
@@ -267,7 +264,7 @@ impl Reader<'_> {
 
     fn fill(&mut self, bytes: &mut [u8]) -> Result<(), MllmError> {
         self.source.read_exact(bytes).map_err(|source| match source.kind() {
-            std::io::ErrorKind::UnexpectedEof => self.error("the file ends within its header: it is truncated"),
+            std::io::ErrorKind::UnexpectedEof => self.error("the file is truncated within its header"),
             _ => MllmError::Read { path: self.path.to_path_buf(), source },
         })?;
         self.position += bytes.len() as u64;
@@ -296,7 +293,7 @@ fn in_entry(error: MllmError, key: &str) -> MllmError {
     }
 }
 
-/// Number formats by their numbers in GGUF (`ggml_type`).
+/// Number formats by their `ggml_type`.
 const FORMATS: [(u32, GgmlDType); 14] = [
     (0, GgmlDType::F32),
     (1, GgmlDType::F16),
@@ -318,7 +315,7 @@ fn format_of(number: u32) -> Option<GgmlDType> {
     FORMATS.iter().find(|(known, _)| *known == number).map(|(_, format)| *format)
 }
 
-/// The number of a format in GGUF.
+/// The `ggml_type` of a format.
 pub(crate) fn number_of(format: GgmlDType) -> Option<u32> {
     FORMATS.iter().find(|(_, known)| *known == format).map(|(number, _)| *number)
 }

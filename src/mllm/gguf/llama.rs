@@ -1,4 +1,4 @@
-//! The decoder's configuration, from the metadata of a `llama` GGUF file.
+//! The configuration of a decoder in the metadata of a `llama` GGUF file, in both directions.
 
 use serde_json::{Value as Json, json};
 
@@ -8,13 +8,10 @@ use super::value::Value;
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{LlamaConfig, RopeScaling};
 
-/// The architecture that is read.
+/// The value of `general.architecture`.
 pub(crate) const ARCHITECTURE: &str = "llama";
 
-/// `text_config` of the decoder.
-///
-/// # Errors
-/// When a key is missing, of the wrong type, or asks for what is not supported.
+/// The `text_config` of a decoder.
 pub(crate) fn text_config(header: &Header) -> Result<Json, MllmError> {
     let embedding = header.tensors.get("token_embd.weight").and_then(|place| place.shape.first().copied());
     let Some(vocabulary) = embedding else {
@@ -42,7 +39,7 @@ pub(crate) fn text_config(header: &Header) -> Result<Json, MllmError> {
     }
     let window = header.count("llama.attention.sliding_window")?;
     let mut config = json!({
-        // Mistral differs by its window alone.
+        // A window is the only difference of Mistral.
         "model_type": if window.is_some() { "mistral" } else { "llama" },
         "vocab_size": vocabulary,
         "hidden_size": hidden,
@@ -71,10 +68,10 @@ pub(crate) fn text_config(header: &Header) -> Result<Json, MllmError> {
     Ok(config)
 }
 
-/// The metadata that says of a decoder what [`text_config`] reads.
+/// The metadata that [`text_config`] reads.
 ///
 /// # Errors
-/// When llama.cpp's `llama` has no key for it.
+/// The part that llama.cpp has no key for.
 pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
     use Value::{Float, Text, Unsigned};
     let count = |number: usize| Unsigned(number as u64);

@@ -17,7 +17,7 @@ impl Header {
         self.error(key, "is missing from the metadata")
     }
 
-    /// A key's value as what `read` makes of it; none if it is absent.
+    /// A key's value, converted by `read`; none if it is absent.
     fn typed<'a, T>(
         &'a self,
         key: &str,
@@ -34,7 +34,7 @@ impl Header {
     /// A positive integer.
     pub(crate) fn count(&self, key: &str) -> Result<Option<usize>, MllmError> {
         let count = |value: &Value| match value {
-            // Layers that differ are written as lists; where they do not, the list is one number.
+            // llama.cpp may write one number for each layer.
             Value::Integers(list) => {
                 let first = list.first().copied()?;
                 list.iter().all(|number| *number == first).then(|| u64::try_from(first).ok())?
@@ -47,12 +47,12 @@ impl Header {
         })
     }
 
-    /// A positive integer that must be there.
+    /// A positive integer that must exist.
     pub(crate) fn required_count(&self, key: &str) -> Result<usize, MllmError> {
         self.count(key)?.ok_or_else(|| self.missing(key))
     }
 
-    /// A number: of a float of 32 bits, the shortest decimal that means it, which is what its writer had.
+    /// A number. A 32-bit float gives the shortest decimal that rounds to it, which is what its writer had.
     pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, MllmError> {
         let number = |value: &Value| match value {
             Value::Float(number) => number.to_string().parse().ok(),
@@ -77,7 +77,7 @@ impl Header {
         })
     }
 
-    /// A list of texts that must be there.
+    /// A list of texts that must exist.
     pub(crate) fn required_texts(&self, key: &str) -> Result<&[String], MllmError> {
         let texts = self.typed(key, "a list of texts", |value| match value {
             Value::Texts(list) => Some(list.as_slice()),
@@ -102,10 +102,7 @@ impl Header {
         })
     }
 
-    /// What `general.architecture` says.
-    ///
-    /// # Errors
-    /// When it says nothing.
+    /// The value of `general.architecture`.
     pub(crate) fn architecture(&self) -> Result<&str, MllmError> {
         const KEY: &str = "general.architecture";
         self.text(KEY)?.ok_or_else(|| self.missing(KEY))

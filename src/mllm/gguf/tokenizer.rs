@@ -1,7 +1,7 @@
-//! A SentencePiece tokenizer in GGUF metadata, as the `tokenizer.json` that says the same.
+//! A SentencePiece tokenizer in GGUF metadata, converted to an equivalent `tokenizer.json`.
 //!
-//! GGUF has the pieces with their scores (`tokenizer.ggml.model = llama`): of two neighbours, those whose piece has the
-//! highest score are joined first. A byte-pair model with the pairs in the order of their pieces' scores does the same.
+//! GGUF has pieces with scores (`tokenizer.ggml.model = llama`): the neighbors whose joint piece has the highest score are
+//! joined first. A byte-pair model with its merges in the order of the scores does the same.
 
 use std::collections::HashMap;
 
@@ -15,13 +15,13 @@ use crate::mllm::MllmError;
 pub(crate) mod piece {
     /// Text.
     pub(crate) const NORMAL: i64 = 1;
-    /// What stands for text that has no piece.
+    /// The piece for text without a piece.
     pub(crate) const UNKNOWN: i64 = 2;
     /// A special token.
     pub(crate) const CONTROL: i64 = 3;
-    /// A token that was added by a user.
+    /// A token added by a user.
     pub(crate) const USER_DEFINED: i64 = 4;
-    /// None: a row of the embedding without a token.
+    /// A row of the embedding without a token.
     pub(crate) const UNUSED: i64 = 5;
     /// A byte, `<0x0A>`.
     pub(crate) const BYTE: i64 = 6;
@@ -29,10 +29,10 @@ pub(crate) mod piece {
 
 /// The placeholder of an image.
 const IMAGE: &str = "<image>";
-/// Longest piece, bytes: SentencePiece's are of 16 characters, so beyond it a file is taken for broken.
+/// Longest piece, bytes. SentencePiece's pieces have 16 characters; a longer one means a broken file.
 const MAX_PIECE: usize = 1024;
 
-/// What GGUF's metadata says of a tokenizer, as Hugging Face's files.
+/// A tokenizer as Hugging Face's files.
 pub(crate) struct TokenizerFiles {
     /// `tokenizer.json`.
     pub tokenizer: Json,
@@ -42,10 +42,7 @@ pub(crate) struct TokenizerFiles {
     pub eos: Option<i64>,
 }
 
-/// The id of the image's placeholder in a `tokenizer.json`, to which it is added behind all tokens if it has none.
-///
-/// # Errors
-/// What is wrong with the file, in words.
+/// The id of the image's placeholder in a `tokenizer.json`. A file without one gets it after all other tokens.
 pub(crate) fn image_token(tokenizer: &mut Json) -> Result<u64, &'static str> {
     let tokens = tokenizer["added_tokens"].as_array().into_iter().flatten();
     if let Some(known) = tokens.clone().find(|token| token["content"] == IMAGE) {
@@ -61,7 +58,7 @@ pub(crate) fn image_token(tokenizer: &mut Json) -> Result<u64, &'static str> {
     Ok(next)
 }
 
-/// A token that is found before the text is taken apart.
+/// A token that is matched before the text is split.
 fn added_token(id: u64, token: &str, special: bool) -> Json {
     json!({
         "id": id, "content": token, "special": special,
@@ -70,9 +67,6 @@ fn added_token(id: u64, token: &str, special: bool) -> Json {
 }
 
 /// Reads the tokenizer of a model whose embedding has `vocabulary` rows.
-///
-/// # Errors
-/// When it is missing, broken, of another kind, or does not fit the vocabulary.
 pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles, MllmError> {
     const MODEL: &str = "tokenizer.ggml.model";
     match header.text(MODEL)? {
@@ -80,7 +74,7 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
         Some(other) => {
             return Err(header.error(
                 MODEL,
-                format!("{other:?} is not read from GGUF (llama, SentencePiece, is); put the model's tokenizer.json beside it"),
+                format!("{other:?} is not supported in GGUF (llama, SentencePiece, is); put the model's tokenizer.json beside it"),
             ));
         }
         None => {
@@ -144,13 +138,13 @@ impl<'a> Pieces<'a> {
         let mut ids = HashMap::new();
         for (id, token) in tokens.iter().enumerate() {
             if let Some(other) = ids.insert(token, id) {
-                return Err(header.error(TOKENS, format!("{token:?} stands twice, as {other} and {id}")));
+                return Err(header.error(TOKENS, format!("{token:?} occurs twice, as {other} and {id}")));
             }
         }
         Ok(Self { tokens, scores, kinds })
     }
 
-    /// Every way to make a piece of two, those of high scores first; of equal scores, as transformers orders them.
+    /// Every way to join two pieces to a third, by falling score; equal scores in the order of transformers.
     fn merges(&self) -> Vec<[&'a str; 2]> {
         let ids: HashMap<&str, usize> =
             self.tokens.iter().enumerate().map(|(id, token)| (token.as_str(), id)).collect();
@@ -204,7 +198,7 @@ impl<'a> Pieces<'a> {
     }
 }
 
-/// The post-processor that puts a token in front of every text.
+/// The post-processor that puts a token before every text.
 fn beginning(id: i64, token: &str) -> Json {
     let text = |part: &str, kind: u8| json!({"Sequence": {"id": part, "type_id": kind}});
     let special = |kind: u8| json!({"SpecialToken": {"id": token, "type_id": kind}});

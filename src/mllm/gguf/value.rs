@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// A value of any of GGUF's types; integers of all widths are one.
+/// A value of GGUF metadata; integers of all widths are one type.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
     /// An unsigned integer.
@@ -59,7 +59,7 @@ impl Value {
     }
 }
 
-/// As in messages: a list by its length, a long text by its beginning.
+/// For messages: a list by its length, a long text by its beginning.
 impl fmt::Display for Value {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         const SHOWN: usize = 60;

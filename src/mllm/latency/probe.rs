@@ -155,7 +155,7 @@ impl LatencyProbe {
     fn choose(&self, logits: Option<Tensor>) -> Result<u32, MllmError> {
         let Some(logits) = logits else {
             return Err(MllmError::Request {
-                problem: "a token is to be chosen, and none was appended before it".into(),
+                problem: "cannot sample: the sequence is empty".into(),
             });
         };
         let position = self.sequence.ids().len().saturating_sub(1);

@@ -1,11 +1,11 @@
-//! Prompts as the chat template of a model folder writes them.
+//! Prompts by the chat template of a model folder.
 
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::family::{Chat, ChatFormat};
 use crate::mllm::text::{ChatTemplate, ChatTokenizer};
 
-/// A chat template, whose one placeholder for the image is repeated for each of its tokens.
+/// A chat template. Its one placeholder for the image is repeated for each image token.
 #[derive(Debug)]
 pub(crate) struct TemplateFormat {
     template: ChatTemplate,
@@ -14,9 +14,6 @@ pub(crate) struct TemplateFormat {
 
 impl TemplateFormat {
     /// Opens the template of a model whose placeholder has this id.
-    ///
-    /// # Errors
-    /// When there is no template, it is broken, or the placeholder is no token.
     pub(crate) fn open(files: &ModelFiles, tokenizer: &ChatTokenizer, image_token: u32) -> Result<Self, MllmError> {
         let placeholder = placeholder(tokenizer, image_token)?;
         Ok(Self { template: ChatTemplate::open(files, tokenizer.special(), &placeholder)?, image_token })

@@ -1,7 +1,6 @@
-//! `config.json` of a `LlavaForConditionalGeneration` checkpoint, and what LLaVA-NeXT's has in common with it.
+//! `config.json` of a `LlavaForConditionalGeneration` checkpoint, and the keys that LLaVA-NeXT's shares with it.
 //!
-//! Absent keys take the defaults of Hugging Face transformers' `LlavaConfig`, `CLIPVisionConfig`, `LlamaConfig` and
-//! `MistralConfig`.
+//! Absent keys take the defaults of transformers' `LlavaConfig`, `CLIPVisionConfig`, `LlamaConfig` and `MistralConfig`.
 
 use std::path::Path;
 
@@ -75,8 +74,8 @@ impl Default for Keys {
     }
 }
 
-/// The key that says that no token of the vocabulary stands for an image. Checkpoints of llama.cpp have none; their
-/// placeholder is the first id behind the vocabulary.
+/// The key for models without an image token in the vocabulary, such as those of llama.cpp. Their placeholder is the first
+/// id after the vocabulary.
 pub(crate) const IMAGE_TOKEN_BEYOND: &str = "image_token_beyond_vocabulary";
 
 impl LlavaConfig {

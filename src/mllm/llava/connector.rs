@@ -1,4 +1,4 @@
-//! From the vision tower's states to rows of the decoder's input.
+//! The projector, from the vision tower's hidden states to input rows of the decoder.
 
 use candle_core::{Result, Tensor};
 
@@ -16,10 +16,6 @@ pub(crate) struct Projector {
 }
 
 impl Projector {
-    /// Takes the projector's weights.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
     pub(crate) fn take(weights: &mut Weights, config: &LlavaConfig) -> std::result::Result<Self, MllmError> {
         let hidden = config.text.hidden;
         let features = config.vision.hidden * config.feature_layers.len();

@@ -1,4 +1,4 @@
-//! From pixel values to image features: CLIP tower, choice of its hidden states, projector.
+//! The image encoder: CLIP tower, selected hidden states, projector.
 
 use candle_core::{D, Tensor};
 
@@ -8,7 +8,7 @@ use crate::mllm::MllmError;
 use crate::mllm::checkpoint::Weights;
 use crate::mllm::vision::ClipVisionTower;
 
-/// Vision tower and projector: pixels in, rows for the decoder's input out.
+/// Vision tower and projector, from pixel values to input rows of the decoder.
 #[derive(Debug)]
 pub(crate) struct ImageEncoder {
     tower: ClipVisionTower,
@@ -18,10 +18,6 @@ pub(crate) struct ImageEncoder {
 }
 
 impl ImageEncoder {
-    /// Takes the weights of tower and projector.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
     pub(crate) fn take(weights: &mut Weights, config: &LlavaConfig) -> Result<Self, MllmError> {
         let depth = config.feature_layers.iter().copied().max().unwrap_or(0);
         Ok(Self {

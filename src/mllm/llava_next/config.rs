@@ -10,21 +10,17 @@ use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
 use crate::mllm::llava::{FeatureSelect, LlavaConfig};
 
-/// A LLaVA-NeXT model: a LLaVA with the resolutions that its images are brought to.
+/// A LLaVA-NeXT model: a LLaVA and the resolutions of its grids.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LlavaNextConfig {
-    /// What it has in common with a LLaVA.
     pub llava: LlavaConfig,
-    /// The resolutions that an image may be brought to.
     pub grids: TileGrids,
 }
 
-/// `image_grid_pinpoints` of `LlavaNextConfig` and `LlavaNextImageProcessor` where a configuration has none; height and
-/// width, pixels.
+/// The default `image_grid_pinpoints` of `LlavaNextConfig` and `LlavaNextImageProcessor`: height and width, pixels.
 const DEFAULT_PINPOINTS: [[u32; 2]; 5] = [[336, 672], [672, 336], [672, 672], [1008, 336], [336, 1008]];
-/// Number of resolutions that a configuration may name.
 const MAX_PINPOINTS: usize = 64;
-/// Longest side of a resolution, pixels: beyond it a configuration is taken for broken.
+/// Longest side of a resolution, pixels; a longer one means a broken configuration.
 const MAX_SIDE: u32 = 1 << 14;
 
 impl LlavaNextConfig {

@@ -1,4 +1,4 @@
-//! From the features of tiles to those of the image.
+//! The features of an image from those of its tiles.
 
 use candle_core::{Device, Result, Tensor};
 
@@ -6,7 +6,7 @@ use super::grid::{TileGrids, Tiling};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::Weights;
 
-/// Joins the tiles' features: puts them back into their grid, leaves the border out, and ends each row with a newline
+/// Puts the features of tiles back into their grid, drops the border, and ends each row with a newline
 /// (`pack_image_features`).
 #[derive(Debug)]
 pub(crate) struct TilePacker {
@@ -16,9 +16,6 @@ pub(crate) struct TilePacker {
 
 impl TilePacker {
     /// Takes the newline of decoder width `hidden`.
-    ///
-    /// # Errors
-    /// When it is missing or misshapen.
     pub(crate) fn take(weights: &mut Weights, hidden: usize) -> std::result::Result<Self, MllmError> {
         Ok(Self { newline: weights.take("image_newline", &[hidden])?.unsqueeze(0)? })
     }

@@ -1,4 +1,4 @@
-//! Which tiles an image is cut into, and which of their patches become tokens ("anyres").
+//! The tiles of an image, and the patches that become tokens ("anyres").
 //!
 //! The arithmetic is that of transformers: `select_best_resolution`, `get_patch_output_size`, `unpad_image` and
 //! `pack_image_features`.
@@ -14,7 +14,7 @@ pub(crate) struct Resolution {
     pub width: u32,
 }
 
-/// The resolutions that images are brought to, each a grid of square tiles.
+/// The resolutions that images are scaled to, each a grid of square tiles.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct TileGrids {
     resolutions: Vec<Resolution>,
@@ -24,23 +24,23 @@ pub(crate) struct TileGrids {
     patches: u32,
 }
 
-/// How one image is cut.
+/// The tiles of one image.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Tiling {
-    /// The resolution that the image is brought to.
+    /// The resolution of its grid.
     pub target: Resolution,
     /// The size of the image within it; the rest is a black border.
     pub inner: Resolution,
-    /// Tiles from top to bottom and from left to right.
+    /// Numbers of tiles from top to bottom and from left to right.
     pub tiles: (u32, u32),
-    /// Rows of patches, of the whole grid, that are not border.
+    /// Rows of patches of the whole grid without the border.
     pub rows: Range<u32>,
-    /// Columns of patches, of the whole grid, that are not border.
+    /// Columns of patches of the whole grid without the border.
     pub columns: Range<u32>,
 }
 
 impl TileGrids {
-    /// Grids of tiles of `side` pixels and `patches` patches in each direction; there is at least one resolution.
+    /// Grids of tiles with `side` pixels and `patches` patches in each direction. There must be at least one resolution.
     ///
     /// # Errors
     /// The first resolution that is no multiple of a tile.
@@ -53,12 +53,11 @@ impl TileGrids {
         }
     }
 
-    /// The resolutions.
     pub(crate) fn resolutions(&self) -> &[Resolution] {
         &self.resolutions
     }
 
-    /// How an image of this size, not empty, is cut.
+    /// The tiles of an image of this size, which must not be empty.
     pub(crate) fn tiling(&self, image: Resolution) -> Tiling {
         let target = self.best(image);
         let tiles = (target.height / self.side, target.width / self.side);
@@ -66,7 +65,7 @@ impl TileGrids {
         Tiling { target, inner: inner_size(image, target), tiles, rows, columns }
     }
 
-    /// Most tokens that an image becomes: that of the largest grid without a border.
+    /// Tokens of the largest grid without a border.
     pub(crate) fn max_tokens(&self) -> usize {
         let base = (self.patches * self.patches) as usize;
         let grid = |resolution: &Resolution| {
@@ -77,13 +76,13 @@ impl TileGrids {
         self.resolutions.iter().map(grid).max().unwrap_or(base)
     }
 
-    /// Tokens that a tiling becomes: the whole image small, then row by row of the grid, each row with a newline.
+    /// Tokens of a tiling: the downscaled image, then each row of the grid with a newline.
     pub(crate) fn tokens(&self, tiling: &Tiling) -> usize {
         (self.patches * self.patches) as usize + tiling.rows.len() * (tiling.columns.len() + 1)
     }
 
-    /// The rows that become tokens, in their order: indices into the features of the small image, those of all tiles
-    /// (left to right, then down), and last the newline.
+    /// The features that become tokens, in order: indices into those of the downscaled image, of all tiles (left to right, then
+    /// down), and the newline.
     pub(crate) fn token_rows(&self, tiling: &Tiling) -> Vec<u32> {
         let patches = self.patches;
         let tile_rows = patches * patches;
@@ -100,8 +99,7 @@ impl TileGrids {
         indices
     }
 
-    /// The resolution that keeps most of the image's pixels, and of equals the one that wastes least
-    /// (`select_best_resolution`); of equals the first.
+    /// The resolution that keeps most of the image's pixels, then wastes least, then comes first (`select_best_resolution`).
     fn best(&self, image: Resolution) -> Resolution {
         let mut best = Resolution { height: self.side, width: self.side };
         let mut most = 0;
@@ -137,7 +135,7 @@ fn inner_size(image: Resolution, target: Resolution) -> Resolution {
     }
 }
 
-/// The rows and columns of a grid of patches that show the image and not its border (`unpad_image`).
+/// The rows and columns of a grid of patches without the border (`unpad_image`).
 fn unpadded(image: Resolution, rows: u32, columns: u32) -> (Range<u32>, Range<u32>) {
     let (height, width) = (f64::from(image.height), f64::from(image.width));
     let (grid_height, grid_width) = (f64::from(rows), f64::from(columns));
@@ -150,10 +148,10 @@ fn unpadded(image: Resolution, rows: u32, columns: u32) -> (Range<u32>, Range<u3
     }
 }
 
-/// Digits to which transformers rounds a size before it cuts off the fraction.
+/// transformers rounds a size to 7 digits before it truncates it.
 const DIGITS: f64 = 1e7;
 
-/// The whole part of a size, after rounding away what the division may have lost.
+/// The whole part of a size, without the rounding error of the division.
 fn rounded_down(size: f64) -> u32 {
     ((size * DIGITS).round_ties_even() / DIGITS) as u32
 }

@@ -1,4 +1,4 @@
-//! `LlavaNextImageProcessor`: the whole image small, then its tiles at a higher resolution.
+//! `LlavaNextImageProcessor`: the downscaled image, then its tiles at a higher resolution.
 
 use candle_core::Tensor;
 use image::{RgbImage, imageops};
@@ -15,17 +15,15 @@ use crate::mllm::vision::{
 /// Cuts images into tiles of the vision tower's size.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct AnyresImageProcessor {
-    /// How tiles are resampled.
     pub filter: Filter,
-    /// How pixels become values.
     pub scale: PixelScale,
 }
 
 impl AnyresImageProcessor {
-    /// Reads the image processor of a model with these grids, whose tiles are of `side` pixels.
+    /// Reads the image processor of a model with these grids of tiles of `side` pixels.
     ///
     /// # Errors
-    /// When it is missing or broken, or makes other tiles than the model takes.
+    /// When it is missing or broken, or its tiles differ from the model's.
     pub(crate) fn open(files: &ModelFiles, grids: &TileGrids, side: u32) -> Result<Self, MllmError> {
         read_processor(files, |_, section| Self::from_section(section, grids, side))
     }
@@ -47,11 +45,7 @@ impl AnyresImageProcessor {
         Ok(Self { filter: resample_filter(section)?, scale: PixelScale::from_section(section)? })
     }
 
-    /// Turns an image into pixel values, (3, `side`, `side`) each: of the whole image, its sides stretched to a square,
-    /// then of its tiles.
-    ///
-    /// # Errors
-    /// When the image is empty.
+    /// Pixel values, (3, `side`, `side`) each: of the whole image, stretched to a square, then of its tiles.
     pub(crate) fn process(&self, image: &RgbImage, tiling: &Tiling, side: u32) -> Result<Vec<Tensor>, MllmError> {
         check_not_empty(image)?;
         let whole = resize(image, side, side, self.filter);

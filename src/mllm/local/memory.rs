@@ -90,11 +90,11 @@ fn check_against(
     let hints: Vec<String> = smaller
         .map(|(weight_format, total)| format!("--quantize {weight_format} would take {}", in_bytes(total)))
         .collect();
-    let hint = if hints.is_empty() { "no storage is smaller".to_string() } else { hints.join(", ") };
+    let hint = if hints.is_empty() { "no format is smaller".to_string() } else { hints.join(", ") };
     Err(MllmError::Memory {
         place: checkpoint.files.place().to_path_buf(),
         problem: format!(
-            "it needs about {} (weights {}, cache {}, work {}), but {} are free; {hint}; --ignore-memory loads it all the same",
+            "it needs about {} (weights {}, cache {}, work {}), but {} are free; {hint}; --ignore-memory loads it anyway",
             in_bytes(need.total()),
             in_bytes(need.weights),
             in_bytes(need.cache),

@@ -97,7 +97,7 @@ impl Loading {
                 path: checkpoint.files.path("config.json"),
                 key: "model_type".into(),
                 problem: format!(
-                    "this is a {} model, the description of {by:?} says {}",
+                    "this is a {} model, but the description {by:?} says {}",
                     found.name(),
                     expected.name()
                 ),

@@ -1,4 +1,4 @@
-//! `models/NAME.toml`: what a model is, where it lies and how it is asked.
+//! Model descriptions, `models/NAME.toml`.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -8,64 +8,64 @@ use serde::{Deserialize, Serialize};
 use crate::mllm::checkpoint::read_text;
 use crate::mllm::{Architecture, EndpointSettings, MllmError, Sampling};
 
-/// A model as `models/NAME.toml` describes it.
+/// The description of a model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelSpec {
-    /// The name under which results are reported.
+    /// The name in results.
     pub name: String,
-    /// Family of the model; without it, what the `config.json` among its files says.
+    /// The family that its `config.json` must name; none for any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub architecture: Option<Architecture>,
     /// Where its files are.
     pub source: ModelSource,
-    /// Where its tokenizer is, if it is not among its files.
+    /// Where its tokenizer is; none if among its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tokenizer: Option<ModelSource>,
-    /// Which prompts it is asked with.
+    /// The set of prompts for it.
     pub prompt_set: PromptSet,
     /// How its answers are generated.
     #[serde(default)]
     pub generation: GenerationSettings,
 }
 
-/// Where the files of a model are, or who computes it.
+/// Where the files of a model are, or the server that computes it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged, deny_unknown_fields)]
 pub enum ModelSource {
-    /// A folder; a relative one lies beside the description.
+    /// A folder; a relative path starts at the description.
     Folder {
         /// The folder.
         folder: PathBuf,
     },
-    /// A GGUF file; a relative path starts beside the description.
+    /// A GGUF file; a relative path starts at the description.
     File {
         /// The decoder, or the whole model.
         file: PathBuf,
-        /// The vision tower; without it, the one that lies beside the decoder.
+        /// The vision tower; none for the one beside the decoder.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         mmproj: Option<PathBuf>,
     },
     /// A repository of the Hugging Face hub.
     Hub {
-        /// `organisation/name`.
+        /// `organization/name`.
         hub: String,
         /// Branch, tag or commit.
         #[serde(default = "default_revision")]
         revision: String,
-        /// Of a repository with GGUF files, the one that is wanted.
+        /// The GGUF file of the repository; none for a repository of safetensors.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         file: Option<String>,
-        /// The vision tower that belongs to it; without it, the repository's only one.
+        /// The vision tower for the GGUF file; none for the repository's only one.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         mmproj: Option<String>,
     },
-    /// A server; there are no files of the model here.
+    /// A server.
     Endpoint(EndpointSettings),
 }
 
 impl ModelSource {
-    /// Makes relative paths start at a folder.
+    /// Joins relative paths to a folder.
     fn start_at(&mut self, folder: &Path) {
         let paths = match self {
             Self::Folder { folder } => [Some(folder), None],
@@ -78,7 +78,7 @@ impl ModelSource {
     }
 }
 
-/// As in messages and lists: a path, the id with revision and file, or the server.
+/// For messages and lists: a path, the hub id with revision and file, or the server.
 impl fmt::Display for ModelSource {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -96,12 +96,12 @@ impl fmt::Display for ModelSource {
     }
 }
 
-/// The revision of a hub repository that is taken when none is named.
+/// The default revision of a hub repository.
 pub(super) fn default_revision() -> String {
     "main".into()
 }
 
-/// The prompt sets under `prompts/`.
+/// The prompt sets of `prompts/`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PromptSet {
@@ -115,13 +115,13 @@ pub enum PromptSet {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GenerationSettings {
-    /// Most tokens of an answer, a limit a round.
+    /// Longest answer of each round, tokens.
     pub max_new_tokens: RoundTokens,
-    /// How free tokens are chosen.
+    /// How tokens are sampled.
     pub sampling: Sampling,
 }
 
-/// A number of tokens for each of the three rounds.
+/// A number of tokens for each round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RoundTokens {
@@ -147,17 +147,11 @@ impl Default for RoundTokens {
 
 impl ModelSpec {
     /// Reads a description.
-    ///
-    /// # Errors
-    /// When the file cannot be read, is no TOML, or has a missing, unknown or wrongly typed key.
     pub fn open(path: &Path) -> Result<Self, MllmError> {
         Self::parse(path, &read_text(path)?)
     }
 
-    /// Parses a description; `path` is for messages and for relative folders.
-    ///
-    /// # Errors
-    /// As [`Self::open`].
+    /// Parses a description; `path` is for messages and relative paths.
     pub fn parse(path: &Path, text: &str) -> Result<Self, MllmError> {
         let broken = |problem: String| MllmError::Description { path: path.to_path_buf(), problem };
         let mut spec: Self = toml::from_str(text)
@@ -172,11 +166,11 @@ impl ModelSpec {
         if let ModelSource::Endpoint(settings) = &spec.source {
             settings.url().map_err(|problem| broken(format!("source: {problem}")))?;
             if spec.architecture.is_some() || spec.tokenizer.is_some() {
-                return Err(broken("architecture and tokenizer are the server's affair; leave them out".into()));
+                return Err(broken("architecture and tokenizer belong to the server; remove them".into()));
             }
         }
         if matches!(spec.tokenizer, Some(ModelSource::Endpoint(_))) {
-            return Err(broken("tokenizer: a tokenizer is a file, not a server".into()));
+            return Err(broken("tokenizer: expected files, found a server".into()));
         }
         for source in [Some(&mut spec.source), spec.tokenizer.as_mut()].into_iter().flatten() {
             source.start_at(path.parent().unwrap_or(Path::new("")));
@@ -185,7 +179,7 @@ impl ModelSpec {
     }
 }
 
-/// What is wrong with the settings of a server, if there are any; the error of the whole source would not say.
+/// The error of a server's settings, if the description has one. The error of the untagged enum would not name the key.
 fn endpoint_problem(text: &str) -> Option<String> {
     let description: toml::Table = toml::from_str(text).ok()?;
     let source = description.get("source")?.as_table().filter(|source| source.contains_key("endpoint"))?;

@@ -1,4 +1,4 @@
-//! Models of the Hugging Face hub, through the cache that the `huggingface_hub` tools share.
+//! Downloads from the Hugging Face hub into the cache of the `huggingface_hub` tools.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -9,15 +9,15 @@ use hf_hub::progress::{DownloadEvent, Progress, ProgressEvent, ProgressHandler};
 
 use crate::mllm::MllmError;
 
-/// Either of these holds the weights, or says which files do.
+/// The weights of a repository, or the index of their shards.
 const WEIGHTS: [&str; 2] = ["model.safetensors", "model.safetensors.index.json"];
 
-/// What of a repository is wanted.
+/// The wanted part of a repository.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum HubFiles {
-    /// Everything that a model is opened from.
+    /// All files of a model.
     Model,
-    /// The same, of a repository that has no tokenizer.
+    /// All files of a model whose tokenizer is elsewhere.
     ModelWithoutTokenizer,
     /// The tokenizer alone.
     Tokenizer,
@@ -25,13 +25,13 @@ pub enum HubFiles {
     Gguf {
         /// The decoder, or the whole model.
         file: String,
-        /// The vision tower; none for every one that the repository has.
+        /// The vision tower; none for all towers of the repository.
         mmproj: Option<String>,
     },
 }
 
 impl HubFiles {
-    /// The files that are downloaded, if they are there.
+    /// Patterns of the files to download, where they exist.
     fn patterns(&self) -> Vec<String> {
         let all = |names: &[&str]| names.iter().map(ToString::to_string).collect();
         match self {
@@ -46,7 +46,7 @@ impl HubFiles {
         }
     }
 
-    /// The files without which a snapshot is taken for incomplete.
+    /// The files that a complete snapshot must have.
     fn required(&self) -> Vec<String> {
         let all = |names: &[&str]| names.iter().map(ToString::to_string).collect();
         match self {
@@ -57,7 +57,7 @@ impl HubFiles {
         }
     }
 
-    /// What an incomplete snapshot lacks: a required file, or a weight file that its index names.
+    /// A file that a snapshot lacks: a required one, or a weight file of its index.
     fn missing(&self, folder: &Path) -> Option<String> {
         if let Some(file) = self.required().into_iter().find(|file| !folder.join(file).is_file()) {
             return Some(file);
@@ -69,35 +69,35 @@ impl HubFiles {
     }
 }
 
-/// How far a download is.
+/// The progress of a download.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FetchProgress {
-    /// Bytes that have arrived.
+    /// Bytes so far.
     pub bytes: u64,
-    /// Bytes of all files that are downloaded.
+    /// Bytes of all files.
     pub total: u64,
 }
 
-/// Who is told how far a download is.
+/// Receives the progress of a download.
 pub type FetchListener = dyn Fn(FetchProgress) + Send + Sync;
 
-/// How the hub may be used.
+/// Access to the hub.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct HubAccess {
-    /// Whether to take what is in the cache only.
+    /// Whether to use the cache alone.
     pub offline: bool,
-    /// The cache folder; none for the usual one (`HF_HUB_CACHE`, `HF_HOME`, `~/.cache/huggingface/hub`).
+    /// The cache folder; none for the default (`HF_HUB_CACHE`, `HF_HOME`, `~/.cache/huggingface/hub`).
     pub cache: Option<PathBuf>,
-    /// The hub's address; none for the usual one (`HF_ENDPOINT`, <https://huggingface.co>).
+    /// The hub's address; none for the default (`HF_ENDPOINT`, <https://huggingface.co>).
     pub endpoint: Option<String>,
 }
 
 impl HubAccess {
-    /// The folder with the files of a repository, downloaded if need be and allowed. Files that are complete in the cache are
-    /// not downloaded again; one that was broken off is begun anew.
+    /// The folder with the files of a repository. Missing files are downloaded, if this is allowed; an interrupted file starts
+    /// from its beginning.
     ///
     /// # Errors
-    /// When the id is no id, the hub refuses, or (offline) a file is not in the cache.
+    /// When the id is malformed, the hub refuses, or (offline) a file is not in the cache.
     pub fn fetch(
         &self,
         id: &str,
@@ -106,7 +106,7 @@ impl HubAccess {
         listener: Option<std::sync::Arc<FetchListener>>,
     ) -> Result<PathBuf, MllmError> {
         let failed = |problem: String| MllmError::Hub { id: id.to_string(), revision: revision.to_string(), problem };
-        let (owner, name) = split_id(id).ok_or_else(|| failed("a hub id is written organisation/name".into()))?;
+        let (owner, name) = split_id(id).ok_or_else(|| failed("a hub id has the form organization/name".into()))?;
         let mut builder = hf_hub::HFClient::builder();
         if let Some(cache) = &self.cache {
             builder = builder.cache_dir(cache.clone());
@@ -155,7 +155,7 @@ impl HubAccess {
     }
 }
 
-/// Sums what the client says of each file.
+/// Sums the progress of all files.
 struct Told {
     listener: std::sync::Arc<FetchListener>,
     state: Mutex<DownloadState>,
@@ -165,7 +165,7 @@ struct Told {
 struct DownloadState {
     total: u64,
     files: HashMap<String, u64>,
-    /// Of files that come in pieces of the hub's own store, which is told for all of them at once.
+    /// Bytes of files that come from the hub's chunk store, reported for all of them at once.
     pieces: u64,
 }
 
@@ -188,10 +188,10 @@ impl ProgressHandler for Told {
     }
 }
 
-/// Splits `organisation/name` or `organisation/name/file.gguf` into id and file; none if it cannot be either.
+/// Splits `organization/name` or `organization/name/file.gguf` into id and file.
 pub(super) fn split_file(name: &str) -> Option<(&str, Option<&str>)> {
     if split_id(name).is_some() {
-        // Whoever names a file that is not there means no repository.
+        // A name with the extension of a file means a file that does not exist.
         return (!super::is_gguf(Path::new(name))).then_some((name, None));
     }
     let (end, _) = name.match_indices('/').nth(1)?;
@@ -200,7 +200,7 @@ pub(super) fn split_file(name: &str) -> Option<(&str, Option<&str>)> {
     (split_id(id).is_some() && plain && super::is_gguf(Path::new(file))).then_some((id, Some(file)))
 }
 
-/// Splits `organisation/name`; none if it cannot be an id.
+/// Splits `organization/name`.
 pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
     let valid = |part: &str| {
         !part.is_empty()
@@ -210,7 +210,7 @@ pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
     id.split_once('/').filter(|(owner, name)| valid(owner) && valid(name))
 }
 
-/// The weight file that a folder lacks.
+/// A weight file that a folder lacks.
 fn missing_weights(folder: &Path) -> Option<String> {
     let [whole, index] = WEIGHTS;
     if folder.join(whole).is_file() {
@@ -247,7 +247,7 @@ mod tests {
         let access = HubAccess {
             offline: true,
             cache: Some(cache.path().to_path_buf()),
-            // Discard port: whoever asks the network gets an error at once.
+            // Discard port: any network access fails at once.
             endpoint: Some("http://127.0.0.1:9".into()),
         };
         (cache, access)

@@ -1,4 +1,4 @@
-//! Models by name: a description in `models/`, a folder, a repository of the hub, or a server.
+//! Models by name: a description in `models/`, a folder, a GGUF file, a repository of the hub, or a server.
 
 mod description;
 mod hub;
@@ -40,7 +40,7 @@ fn no_files(spec: &ModelSpec, settings: &EndpointSettings) -> MllmError {
     MllmError::NoFiles { name: spec.name.clone(), endpoint: settings.endpoint.clone() }
 }
 
-/// Whether a path is that of a GGUF file, by its name.
+/// Whether a path has the extension of a GGUF file.
 fn is_gguf(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
 }
@@ -51,34 +51,31 @@ impl ModelRegistry {
         Self { models: models.into(), hub, loading: Loading::default(), listener: None }
     }
 
-    /// Holds the weights of models in this storage; none for that of their files.
+    /// Sets the format of weights in memory; none for that of the files.
     pub fn with_quantize(mut self, quantize: Option<WeightFormat>) -> Self {
         self.loading.quantize = quantize;
         self
     }
 
-    /// Says what to do when a model seems to need more memory than there is.
+    /// Sets what to do with a model that needs more memory than is free.
     pub fn with_memory_check(mut self, memory: MemoryCheck) -> Self {
         self.loading.memory = memory;
         self
     }
 
-    /// Opens models of another family too.
+    /// Adds a model family.
     pub fn with_family(mut self, family: &'static dyn Family) -> Self {
         self.loading.families = self.loading.families.with(family);
         self
     }
 
-    /// Tells how far downloads are; the listener must not wait for anything.
+    /// Sets the listener for the progress of downloads. It must not block.
     pub fn with_listener(mut self, listener: Arc<FetchListener>) -> Self {
         self.listener = Some(listener);
         self
     }
 
     /// The names of the described models, sorted.
-    ///
-    /// # Errors
-    /// When the folder of descriptions exists but cannot be read.
     pub fn names(&self) -> Result<Vec<String>, MllmError> {
         let failed = |source| MllmError::Read { path: self.models.clone(), source };
         if !self.models.is_dir() {
@@ -95,12 +92,12 @@ impl ModelRegistry {
         Ok(names)
     }
 
-    /// Finds a model: a name described in the folder of descriptions, the path of a description, of a model folder or of a
-    /// GGUF file, a hub id, or a hub id with a GGUF file behind it (`org/name/file.gguf`), tried in this order. Models
-    /// without a description are taken for general ones, asked with the paper's prompts.
+    /// Finds a model. `name` is, in this order: the name of a description, the path of a description, a model folder or a GGUF
+    /// file, a hub id, or a hub id with a GGUF file (`org/name/file.gguf`). A model without a description gets the paper's
+    /// prompts.
     ///
     /// # Errors
-    /// When nothing goes by this name, or its description is broken.
+    /// When there is no such model, or its description is broken.
     pub fn find(&self, name: &str) -> Result<ModelSpec, MllmError> {
         let described = self.models.join(format!("{name}.toml"));
         if !name.is_empty() && !name.contains(['/', '\\']) && described.is_file() {
@@ -138,27 +135,24 @@ impl ModelRegistry {
         })
     }
 
-    /// Where a model's files are; a hub model is downloaded if need be and allowed.
+    /// Where a model's files are; a hub model is downloaded if it is missing and downloads are allowed.
     ///
     /// # Errors
-    /// When a hub model cannot be had, or a server computes the model.
+    /// When a hub model cannot be downloaded, or a server computes the model.
     pub fn place(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         self.place_by(&self.hub, spec)
     }
 
-    /// Downloads a model and its tokenizer if need be and allowed, and says where its files are.
-    ///
-    /// # Errors
-    /// When they cannot be had.
+    /// As [`Self::place`], and downloads the tokenizer too.
     pub fn fetch(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         self.loading(spec)?;
         self.place(spec)
     }
 
-    /// Where a model's files are, if they are on this machine.
+    /// Where a model's files are on this machine.
     ///
     /// # Errors
-    /// When they are not; the error says what is missing.
+    /// When one is missing; the error names it.
     pub fn place_here(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         self.place_by(&HubAccess { offline: true, ..self.hub.clone() }, spec)
     }
@@ -184,11 +178,11 @@ impl ModelRegistry {
         hub.fetch(id, revision, files, self.listener.clone())
     }
 
-    /// Opens a model of whatever architecture its configuration names, or prepares to ask the server that computes it.
+    /// Opens a model, or a connection to the server that computes it.
     ///
     /// # Errors
-    /// When its files cannot be had or are broken, are of another architecture than its description says, or need more
-    /// memory than there is; when a server's key is missing, or the server lies beyond the network that must not be used.
+    /// When its files are missing or broken, have another architecture than its description, or need more memory than is
+    /// free; when a server's key is missing, or it is remote and the network is off.
     pub fn open(&self, spec: &ModelSpec) -> Result<Box<dyn Mllm>, MllmError> {
         if let ModelSource::Endpoint(settings) = &spec.source {
             if self.hub.offline && !settings.is_local() {
@@ -201,19 +195,13 @@ impl ModelRegistry {
         Ok(Box::new(LocalModel::load(&spec.name, &place, &loading)?))
     }
 
-    /// Looks at a model's files without reading its weights.
-    ///
-    /// # Errors
-    /// When the files are not on this machine.
+    /// Checks a model's files on this machine without reading its weights.
     pub fn check(&self, spec: &ModelSpec) -> Result<ModelCheck, MllmError> {
         Ok(LocalModel::check(&self.place_here(spec)?, &self.loading(spec)?))
     }
 
-    /// Writes a model as GGUF, its weights held in `weight_format`; see [`GgufPart`] for the files. `progress` is told the bytes
-    /// that are written and their sum.
-    ///
-    /// # Errors
-    /// When its files cannot be had or are broken, or a file cannot be written.
+    /// Writes a model as GGUF with weights in `weight_format`; [`GgufPart`] lists the files. `progress` gets the bytes that are
+    /// written so far, and all bytes.
     pub fn export(
         &self,
         spec: &ModelSpec,
@@ -226,15 +214,15 @@ impl ModelRegistry {
         export_model(&spec.name, &place, &loading, create, progress)
     }
 
-    /// How a model without a description is loaded: as this registry was told.
+    /// The settings for a model without a description.
     pub fn plain_loading(&self) -> Loading {
         self.loading.clone()
     }
 
-    /// How a model is loaded by its description and what this registry was told.
+    /// The settings for a described model.
     ///
     /// # Errors
-    /// When its tokenizer cannot be had.
+    /// When its tokenizer cannot be downloaded.
     pub fn loading(&self, spec: &ModelSpec) -> Result<Loading, MllmError> {
         let tokenizer = match &spec.tokenizer {
             None => None,

@@ -25,7 +25,7 @@ pub(super) fn open(
     let (header, file) = open_header(model)?;
     if header.count("split.count")?.is_some_and(|parts| parts > 1) {
         return Err(header
-            .error("split.count", "a model in several files is not read; join them with llama-gguf-split --merge"));
+            .error("split.count", "models in several files are not supported; join them with llama-gguf-split --merge"));
     }
     match header.architecture()? {
         WHOLE_MODEL => open_whole(&header, file, quantize, families),
@@ -39,7 +39,7 @@ pub(super) fn open(
         }
         TOWER => Err(header.error(
             ARCHITECTURE,
-            "this is a vision tower (mmproj); name the file of the decoder, beside which it is found",
+            "this is a vision tower (mmproj); name the file of the decoder instead",
         )),
         other => Err(header.error(
             ARCHITECTURE,

@@ -83,7 +83,7 @@ pub(crate) struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// Opens the small files of a model and the headers of its weights, which will be held in `quantize`.
+    /// Opens the small files of a model and the headers of its weights, whose format in memory is `quantize`.
     pub(crate) fn open(
         place: &ModelPlace,
         quantize: Option<WeightFormat>,

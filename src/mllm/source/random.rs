@@ -138,7 +138,7 @@ mod tests {
     use crate::mllm::checkpoint::widen;
 
     #[test]
-    fn a_seed_gives_the_same_finite_numbers_in_every_storage() {
+    fn a_seed_gives_the_same_finite_numbers_in_every_format() {
         for weight_format in WeightFormat::ALL {
             let shape = vec![POOL + 40, 512];
             let bytes = |seed, begin| {

@@ -14,7 +14,7 @@ use crate::mllm::checkpoint::{ModelFiles, read_json};
 use crate::mllm::gguf::{Entries, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, tokenizer};
 use crate::mllm::vision::{PixelScale, read_processor};
 
-/// A LLaVA's or a LLaVA-NeXT's files.
+/// The files of a LLaVA or a LLaVA-NeXT.
 pub(crate) struct LlavaGguf {
     /// Whether the tower has the newline of LLaVA-NeXT.
     pub next: bool,
@@ -22,7 +22,7 @@ pub(crate) struct LlavaGguf {
     pub model_type: &'static str,
     /// The `image_processor_type` of the preprocessor.
     pub image_processor: &'static str,
-    /// Reads the configuration, and of a LLaVA-NeXT the resolutions (height, width) that images are brought to.
+    /// Reads the configuration, and of a LLaVA-NeXT the resolutions (height, width) of its grids.
     pub config: fn(&ModelFiles) -> Result<(LlavaConfig, Option<Vec<[u32; 2]>>), MllmError>,
 }
 
@@ -85,15 +85,15 @@ impl GgufLayout for LlavaGguf {
     fn metadata(&self, files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
         let (config, pinpoints) = (self.config)(files)?;
         let scale = read_processor(files, |_, section| PixelScale::from_section(section))?;
-        let Some(scale) = scale.mean_and_deviation() else { return Ok(Err("pixels that are not normalised")) };
+        let Some(scale) = scale.mean_and_deviation() else { return Ok(Err("pixels that are not normalized")) };
         let decoder = llama::metadata(&config.text);
         let tower = tower::metadata(&config, pinpoints, scale);
         Ok(decoder.and_then(|decoder| Ok([decoder, tower?])))
     }
 }
 
-/// llama.cpp's older converter calls the first layer of the tower's feed-forward part `ffn_down` and the second `ffn_up`.
-/// The widths tell: the first takes the hidden states.
+/// Undoes a swap of llama.cpp's older converter, which calls the first layer of the tower's feed-forward part `ffn_down` and
+/// the second `ffn_up`. The first layer is the one whose input is the hidden states.
 fn unswapped(header: &Header, canonical: String, hidden: Option<usize>) -> String {
     let Some(layer) = canonical.strip_prefix("vision_tower.encoder.layers.").and_then(|rest| rest.split('.').next())
     else {

@@ -1,6 +1,6 @@
 //! The names of tensors in llama.cpp's GGUF files and in Hugging Face's checkpoints.
 
-/// Tensors outside of layers: GGUF's name and the canonical one.
+/// Tensors outside of layers: name in GGUF, canonical name.
 const SINGLE: [(&str, &str); 13] = [
     ("token_embd.weight", "language_model.embed_tokens.weight"),
     ("output_norm.weight", "language_model.norm.weight"),
@@ -40,14 +40,14 @@ const VISION_PARTS: [(&str, &str); 8] = [
     ("ffn_down", "mlp.fc2"),
 ];
 
-/// GGUF's name of a part of a layer and the canonical one.
+/// A part of a layer: name in GGUF, canonical name.
 type Part = (&'static str, &'static str);
 
-/// Layers: what their names begin with in GGUF and canonically, and their parts.
+/// Layers: prefix in GGUF, canonical prefix, parts.
 const LAYERS: [(&str, &str, &[Part]); 2] =
     [("blk.", "language_model.layers.", &DECODER_PARTS), ("v.blk.", "vision_tower.encoder.layers.", &VISION_PARTS)];
 
-/// The canonical name of a tensor of llama.cpp; none if a LLaVA has no such tensor.
+/// The canonical name of a tensor in GGUF; none if a LLaVA has no such tensor.
 pub(super) fn to_canonical(name: &str) -> Option<String> {
     if let Some((_, canonical)) = SINGLE.iter().find(|(known, _)| *known == name) {
         return Some((*canonical).to_string());
@@ -59,7 +59,7 @@ pub(super) fn to_canonical(name: &str) -> Option<String> {
     })
 }
 
-/// llama.cpp's name of a canonical one; none if it has no such tensor.
+/// The name in GGUF of a canonical tensor; none if the format has no such tensor.
 pub(super) fn from_canonical(name: &str) -> Option<String> {
     if let Some((known, _)) = SINGLE.iter().find(|(_, canonical)| *canonical == name) {
         return Some((*known).to_string());
@@ -71,7 +71,7 @@ pub(super) fn from_canonical(name: &str) -> Option<String> {
     })
 }
 
-/// Takes `3.attn_q.weight` apart.
+/// Splits `3.attn_q.weight` into its three parts.
 fn layer(rest: &str) -> Option<(&str, &str, &str)> {
     let (number, rest) = rest.split_once('.')?;
     let (part, kind) = rest.rsplit_once('.')?;

@@ -1,4 +1,4 @@
-//! The vision tower's configuration and preprocessor, from the metadata of a `clip` GGUF file ("mmproj").
+//! The vision tower's configuration and preprocessor in the metadata of a `clip` GGUF file, in both directions.
 
 use serde_json::{Value as Json, json};
 
@@ -7,11 +7,11 @@ use crate::mllm::checkpoint::Activation;
 use crate::mllm::gguf::{Entries, Header, Value};
 use crate::mllm::llava::LlavaConfig;
 
-/// The tensor that LLaVA-NeXT has and LLaVA has not.
+/// The tensor that LLaVA-NeXT adds to LLaVA's.
 const IMAGE_NEWLINE: &str = "model.image_newline";
-/// llama.cpp's key of the hidden states that are the features.
+/// Key of the hidden states that are the image features.
 const FEATURE_LAYER: &str = "clip.vision.feature_layer";
-/// Its key of the resolutions that an image may be brought to, flattened.
+/// Key of the resolutions of LLaVA-NeXT's grids, flattened.
 const PINPOINTS: &str = "clip.vision.image_grid_pinpoints";
 
 /// Whether the tower belongs to a LLaVA-NeXT.
@@ -19,12 +19,12 @@ pub(super) fn is_next(header: &Header) -> bool {
     header.tensors.contains_key(IMAGE_NEWLINE)
 }
 
-/// Width of the hidden states, where a file says it.
+/// Width of the hidden states; none in a decoder's file.
 pub(super) fn hidden(header: &Header) -> Result<Option<usize>, MllmError> {
     header.count("clip.vision.embedding_length")
 }
 
-/// The keys of `config.json` that tower and projector decide. A note says what the file leaves open.
+/// The keys of `config.json` that describe tower and projector, and a note if the file leaves one open.
 pub(super) fn config(header: &Header, model_type: &str) -> Result<(Json, Option<String>), MllmError> {
     for key in ["clip.projector_type", "clip.vision.projector_type"] {
         match header.text(key)? {
@@ -67,9 +67,8 @@ pub(super) fn config(header: &Header, model_type: &str) -> Result<(Json, Option<
     Ok((config, note))
 }
 
-/// The hidden state that a file without [`FEATURE_LAYER`] means: the last but one of the tower that LLaVA was trained with.
-/// llama.cpp's converter leaves the last layer out, and CLIP's towers have even numbers of layers, so of an odd number all
-/// are used.
+/// The feature layer of a file without [`FEATURE_LAYER`]: the last but one of the tower in training. llama.cpp's converter
+/// drops the last layer, and CLIP's towers have even numbers of layers. So a tower with an odd number is used whole.
 fn default_feature_layer(layers: usize) -> (usize, String) {
     let layer = if layers.is_multiple_of(2) { layers - 1 } else { layers };
     let note = format!(
@@ -108,8 +107,7 @@ pub(super) fn preprocessor(header: &Header, image_processor: &str) -> Result<Jso
     Ok(preprocessor)
 }
 
-/// The metadata that says of a tower what [`config`] and [`preprocessor`] read; `scale` is mean and deviation of the pixel
-/// values.
+/// The metadata that [`config`] and [`preprocessor`] read; `scale` is mean and deviation of the pixel values.
 ///
 /// # Errors
 /// The part that llama.cpp has no key for.
