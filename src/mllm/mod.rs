@@ -1,12 +1,13 @@
-//! Multimodal language models, run in this process on the CPU, or asked over HTTP.
+//! Multimodal language models, on the CPU of this process or on an HTTP server.
 //!
-//! A model is a [`Mllm`]; a planning call opens a [`Conversation`] with it and asks round after round. [`LocalModel`] opens
-//! a Hugging Face folder or GGUF files as they are, of any [`Architecture`]; [`Endpoint`] asks a server with OpenAI's
-//! interface. [`ModelRegistry`] finds a model by name, folder, file or hub id.
+//! A planning call opens a [`Conversation`] with an [`Mllm`] and asks round after round. [`ModelRegistry`] finds a model by
+//! name, folder, file or hub id. [`Endpoint`] asks a server with `OpenAI`'s interface. A [`LocalModel`] runs here:
+//! 1. `source` opens the files of a model: safetensors, GGUF or random weights ([`ModelPlace`]).
+//! 2. A [`Family`] turns them into a [`VisionLanguageModel`]. `families` lists `llava`, `llava_next` and `cogvlm`; they share
+//!    `vision` and `decoder`.
+//! 3. `local` tokenizes a chat, computes what is new of it, and generates the answer under a grammar.
 //!
-//! A family of models is a folder: `llava`, `llava_next`, `cogvlm`, each with its configuration, preprocessing, vision
-//! tower, connector and language model as far as it does not share them (`vision`, `decoder`). `local` runs whatever
-//! implements its `VisionLanguageModel`.
+//! Below them, `checkpoint` and `gguf` read weights and configurations, and `matrix` and `attention` hold the kernels.
 
 mod attention;
 mod checkpoint;
@@ -55,9 +56,8 @@ pub use latency::{LatencyProbe, PassTime, ProbeDescription, Step, StepTime};
 pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub use registry::{
-    FetchListener, FetchProgress, GenerationSettings, HubAccess, HubFiles, ModelRegistry, ModelSource, ModelSpec,
+    FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelRegistry, ModelSource, ModelSpec,
     PromptSet, RoundTokens,
 };
-pub use source::ModelPlace;
-pub use source::ModelShape;
+pub use source::{ModelPlace, ModelShape};
 pub use text::ChatTokenizer;

@@ -8,65 +8,69 @@ use hf_hub::HFClientSync;
 use hf_hub::progress::{DownloadEvent, Progress, ProgressEvent, ProgressHandler};
 
 use crate::mllm::MllmError;
-
-/// The weights of a repository, or the index of their shards.
-const WEIGHTS: [&str; 2] = ["model.safetensors", "model.safetensors.index.json"];
+use crate::mllm::checkpoint::safetensors_folder::{has_safetensors, weight_files};
 
 /// The wanted part of a repository.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum HubFiles {
-    /// All files of a model.
-    Model,
-    /// All files of a model whose tokenizer is elsewhere.
-    ModelWithoutTokenizer,
-    /// The tokenizer alone.
-    Tokenizer,
-    /// GGUF files.
-    Gguf {
-        /// The decoder, or the whole model.
-        file: String,
-        /// The vision tower; none for all towers of the repository.
-        mmproj: Option<String>,
-    },
+#[derive(Debug, Clone)]
+pub(super) struct HubFiles {
+    /// Patterns of the files to download, where they exist.
+    patterns: Vec<String>,
+    /// The files that a complete snapshot must have.
+    required: Vec<String>,
+    /// Whether a complete snapshot has safetensors.
+    weights: bool,
 }
 
 impl HubFiles {
-    /// Patterns of the files to download, where they exist.
-    fn patterns(&self) -> Vec<String> {
-        let all = |names: &[&str]| names.iter().map(ToString::to_string).collect();
-        match self {
-            Self::Model | Self::ModelWithoutTokenizer => all(&["*.json", "*.jinja", "*.safetensors"]),
-            Self::Tokenizer => all(&["tokenizer.json", "tokenizer_config.json"]),
-            Self::Gguf { file, mmproj } => {
-                let tower = mmproj.clone().unwrap_or_else(|| "*mmproj*.gguf".to_string());
-                let mut names: Vec<String> = all(&["tokenizer.json", "tokenizer_config.json", "chat_template.jinja"]);
-                names.extend([file.clone(), tower]);
-                names
-            }
+    /// A model, without its tokenizer if that is elsewhere.
+    pub(super) fn model(tokenizer: bool) -> Self {
+        let required = if tokenizer { &["config.json", "tokenizer.json"][..] } else { &["config.json"] };
+        Self {
+            patterns: owned(&["*.json", "*.jinja", "*.safetensors"]),
+            required: owned(required),
+            weights: true,
         }
     }
 
-    /// The files that a complete snapshot must have.
-    fn required(&self) -> Vec<String> {
-        let all = |names: &[&str]| names.iter().map(ToString::to_string).collect();
-        match self {
-            Self::Model => all(&["config.json", "tokenizer.json"]),
-            Self::ModelWithoutTokenizer => all(&["config.json"]),
-            Self::Tokenizer => all(&["tokenizer.json"]),
-            Self::Gguf { file, mmproj } => std::iter::once(file).chain(mmproj).cloned().collect(),
+    /// A tokenizer alone.
+    pub(super) fn tokenizer() -> Self {
+        Self {
+            patterns: owned(&["tokenizer.json", "tokenizer_config.json"]),
+            required: owned(&["tokenizer.json"]),
+            weights: false,
+        }
+    }
+
+    /// A GGUF file with its vision tower; without a name, all towers of the repository.
+    pub(super) fn gguf(file: &str, mmproj: Option<&str>) -> Self {
+        let tower = mmproj.unwrap_or("*mmproj*.gguf");
+        Self {
+            patterns: owned(&["tokenizer.json", "tokenizer_config.json", "chat_template.jinja", file, tower]),
+            required: std::iter::once(file).chain(mmproj).map(ToString::to_string).collect(),
+            weights: false,
         }
     }
 
     /// A file that a snapshot lacks: a required one, or a weight file of its index.
     fn missing(&self, folder: &Path) -> Option<String> {
-        if let Some(file) = self.required().into_iter().find(|file| !folder.join(file).is_file()) {
-            return Some(file);
+        if let Some(file) = self.required.iter().find(|file| !folder.join(file).is_file()) {
+            return Some(file.clone());
         }
-        match self {
-            Self::Model | Self::ModelWithoutTokenizer => missing_weights(folder),
-            Self::Tokenizer | Self::Gguf { .. } => None,
+        if !self.weights {
+            return None;
+        }
+        if !has_safetensors(folder) {
+            return Some("model.safetensors".into());
+        }
+        match weight_files(folder) {
+            Err(MllmError::MissingFile { file, .. }) => Some(file),
+            _ => None,
         }
     }
+}
+
+fn owned(names: &[&str]) -> Vec<String> {
+    names.iter().map(ToString::to_string).collect()
 }
 
 /// The progress of a download.
@@ -98,7 +102,7 @@ impl HubAccess {
     ///
     /// # Errors
     /// When the id is malformed, the hub refuses, or (offline) a file is not in the cache.
-    pub fn fetch(
+    pub(super) fn fetch(
         &self,
         id: &str,
         revision: &str,
@@ -123,7 +127,7 @@ impl HubAccess {
             repository
                 .snapshot_download()
                 .revision(revision.to_string())
-                .allow_patterns(files.patterns())
+                .allow_patterns(files.patterns.clone())
                 .local_files_only(local_only)
                 .maybe_progress(progress.clone())
                 .send()
@@ -136,7 +140,7 @@ impl HubAccess {
                     None => return Ok(folder),
                     Some(file) => file,
                 },
-                Err(_) => files.required().into_iter().next().unwrap_or_default(),
+                Err(_) => files.required.first().cloned().unwrap_or_default(),
             };
             if self.offline {
                 return Err(MllmError::NotInCache {
@@ -210,24 +214,6 @@ pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
     id.split_once('/').filter(|(owner, name)| valid(owner) && valid(name))
 }
 
-/// A weight file that a folder lacks.
-fn missing_weights(folder: &Path) -> Option<String> {
-    let [whole, index] = WEIGHTS;
-    if folder.join(whole).is_file() {
-        return None;
-    }
-    let Ok(text) = std::fs::read_to_string(folder.join(index)) else {
-        return Some(whole.to_string());
-    };
-    let index: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
-    index["weight_map"]
-        .as_object()?
-        .values()
-        .filter_map(|file| file.as_str())
-        .find(|file| !folder.join(file).is_file())
-        .map(ToString::to_string)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -257,27 +243,26 @@ mod tests {
     fn a_cached_model_is_found_without_network() {
         let (_cache, access) = cached(&["config.json", "tokenizer.json", "model.safetensors"]);
         for revision in ["main", COMMIT] {
-            assert!(access.fetch("org/model", revision, &HubFiles::Model, None).unwrap().ends_with(COMMIT));
+            assert!(access.fetch("org/model", revision, &HubFiles::model(true), None).unwrap().ends_with(COMMIT));
         }
         let online = HubAccess { offline: false, ..access };
-        assert!(online.fetch("org/model", COMMIT, &HubFiles::Model, None).is_ok(), "a pinned commit needs no network");
+        assert!(online.fetch("org/model", COMMIT, &HubFiles::model(true), None).is_ok(), "a pinned commit needs no network");
     }
 
     #[test]
     fn a_model_and_its_tokenizer_may_lie_apart() {
         let (_cache, weights) = cached(&["config.json", "model.safetensors"]);
-        assert!(weights.fetch("org/model", "main", &HubFiles::ModelWithoutTokenizer, None).is_ok());
-        let missing = weights.fetch("org/model", "main", &HubFiles::Tokenizer, None);
+        assert!(weights.fetch("org/model", "main", &HubFiles::model(false), None).is_ok());
+        let missing = weights.fetch("org/model", "main", &HubFiles::tokenizer(), None);
         assert!(matches!(missing, Err(MllmError::NotInCache { file, .. }) if file == "tokenizer.json"));
         let (_cache, tokenizer) = cached(&["tokenizer.json"]);
-        assert!(tokenizer.fetch("org/model", "main", &HubFiles::Tokenizer, None).is_ok());
+        assert!(tokenizer.fetch("org/model", "main", &HubFiles::tokenizer(), None).is_ok());
     }
 
     #[test]
     fn gguf_files_are_asked_for_by_name() {
         let (_cache, access) = cached(&["model-q4_k.gguf", "mmproj.gguf"]);
-        let files =
-            |mmproj: Option<&str>| HubFiles::Gguf { file: "model-q4_k.gguf".into(), mmproj: mmproj.map(Into::into) };
+        let files = |mmproj: Option<&str>| HubFiles::gguf("model-q4_k.gguf", mmproj);
         assert!(access.fetch("org/model", "main", &files(None), None).is_ok());
         assert!(access.fetch("org/model", "main", &files(Some("mmproj.gguf")), None).is_ok());
         let missing = access.fetch("org/model", "main", &files(Some("mmproj-f16.gguf")), None);
@@ -292,11 +277,11 @@ mod tests {
             ("org/model", "v2", "config.json"),
             ("org/other", "main", "config.json"),
         ] {
-            match access.fetch(id, revision, &HubFiles::Model, None) {
+            match access.fetch(id, revision, &HubFiles::model(true), None) {
                 Err(MllmError::NotInCache { file, .. }) => assert_eq!(file, missing),
                 other => panic!("{id}: {other:?}"),
             }
         }
-        assert!(matches!(access.fetch("../x/y", "main", &HubFiles::Model, None), Err(MllmError::Hub { .. })));
+        assert!(matches!(access.fetch("../x/y", "main", &HubFiles::model(true), None), Err(MllmError::Hub { .. })));
     }
 }

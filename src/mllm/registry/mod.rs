@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
-pub use hub::{FetchListener, FetchProgress, HubAccess, HubFiles};
+use hub::HubFiles;
+pub use hub::{FetchListener, FetchProgress, HubAccess};
 
 use super::{
     CreateFile, Endpoint, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError,
@@ -163,11 +164,11 @@ impl ModelRegistry {
             ModelSource::Folder { folder } => ModelPlace::Folder(folder.clone()),
             ModelSource::File { file, mmproj } => ModelPlace::Gguf { model: file.clone(), mmproj: mmproj.clone() },
             ModelSource::Hub { hub: id, revision, file: None, .. } => {
-                let files = if spec.tokenizer.is_some() { HubFiles::ModelWithoutTokenizer } else { HubFiles::Model };
+                let files = HubFiles::model(spec.tokenizer.is_none());
                 ModelPlace::Folder(self.snapshot(hub, id, revision, &files)?)
             }
             ModelSource::Hub { hub: id, revision, file: Some(file), mmproj } => {
-                let files = HubFiles::Gguf { file: file.clone(), mmproj: mmproj.clone() };
+                let files = HubFiles::gguf(file, mmproj.as_deref());
                 let folder = self.snapshot(hub, id, revision, &files)?;
                 ModelPlace::Gguf { model: folder.join(file), mmproj: mmproj.as_ref().map(|name| folder.join(name)) }
             }
@@ -230,7 +231,7 @@ impl ModelRegistry {
             Some(ModelSource::Folder { folder }) => Some(folder.clone()),
             Some(ModelSource::File { file, .. }) => file.parent().map(Path::to_path_buf),
             Some(ModelSource::Hub { hub, revision, .. }) => {
-                Some(self.snapshot(&self.hub, hub, revision, &HubFiles::Tokenizer)?)
+                Some(self.snapshot(&self.hub, hub, revision, &HubFiles::tokenizer())?)
             }
         };
         let expected = spec.architecture.map(|architecture| (architecture, spec.name.clone()));
