@@ -5,15 +5,12 @@ use std::path::Path;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::MllmError;
 use super::checkpoint::{ConfigObject, ModelFiles};
-use super::cogvlm::CogVlmFamily;
 use super::family::Family;
-use super::llava::LlavaFamily;
-use super::llava_next::LlavaNextFamily;
+use super::{MllmError, cogvlm, llava, llava_next};
 
 /// The families that are built in.
-const BUILT_IN: &[&dyn Family] = &[&LlavaFamily, &LlavaNextFamily, &CogVlmFamily];
+const BUILT_IN: &[&Family] = &[&llava::FAMILY, &llava_next::FAMILY, &cogvlm::FAMILY];
 
 /// The families that models are looked for in: those that are built in, and those of a program that uses this one.
 #[derive(Debug, Clone)]
@@ -21,15 +18,7 @@ pub struct Families(Vec<Architecture>);
 
 /// A known family, by its name in model descriptions and results.
 #[derive(Debug, Clone, Copy)]
-pub struct Architecture(&'static dyn Family);
-
-/// The keys of `config.json` that name a model's family.
-#[derive(Deserialize)]
-struct Names {
-    model_type: Option<String>,
-    #[serde(default)]
-    architectures: Vec<String>,
-}
+pub struct Architecture(&'static Family);
 
 impl Default for Families {
     fn default() -> Self {
@@ -39,7 +28,7 @@ impl Default for Families {
 
 impl Families {
     /// Adds a family.
-    pub fn with(mut self, family: &'static dyn Family) -> Self {
+    pub fn with(mut self, family: &'static Family) -> Self {
         self.0.push(Architecture(family));
         self
     }
@@ -62,16 +51,18 @@ impl Families {
         let json = files.required_json("config.json")?;
         let path = files.path("config.json");
         let root = ConfigObject::root(&path, &json)?;
-        let names: Names = root.read()?;
-        let (key, found) = match &names.model_type {
+        let (key, found) = match root.value("model_type")? {
             Some(name) => ("model_type", Some(name)),
-            None => ("architectures", names.architectures.first()),
+            None => {
+                let names: Option<Vec<String>> = root.value("architectures")?;
+                ("architectures", names.and_then(|names| names.into_iter().next()))
+            }
         };
         let Some(found) = found else {
             return Err(root.error("model_type", "is missing, and architectures names no model either"));
         };
-        self.iter().find(|family| family.0.config_names().contains(&found.as_str())).ok_or_else(|| {
-            let known: Vec<&str> = self.iter().filter_map(|family| family.0.config_names().first().copied()).collect();
+        self.iter().find(|family| family.0.config_names.contains(&found.as_str())).ok_or_else(|| {
+            let known: Vec<&str> = self.iter().filter_map(|family| family.0.config_names.first().copied()).collect();
             root.error(key, format!("{found:?} is not supported; supported are {}", known.join(", ")))
         })
     }
@@ -85,11 +76,11 @@ impl Architecture {
 
     /// The name in model descriptions and results.
     pub fn name(self) -> &'static str {
-        self.0.name()
+        self.0.name
     }
 
     /// What the family knows.
-    pub fn family(self) -> &'static dyn Family {
+    pub fn family(self) -> &'static Family {
         self.0
     }
 }

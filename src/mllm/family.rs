@@ -5,9 +5,9 @@
 //! 2. How do tiles become input rows of the decoder ([`VisionLanguageModel::encode`])?
 //! 3. How does a chat become tokens, with placeholders for the image ([`VisionLanguageModel::chat_format`])?
 //! 4. Where do the tokens stand ([`VisionLanguageModel::positions`])?
-//! 5. What are its tensors called in safetensors and GGUF files ([`Family::canonical_name`], [`Family::gguf`])?
+//! 5. What are its tensors called in safetensors and GGUF files (`canonical_name` and `gguf` of [`Family`])?
 
-use std::fmt::Debug;
+use std::fmt::{self, Debug, Formatter};
 use std::ops::Range;
 
 use candle_core::Tensor;
@@ -20,31 +20,28 @@ use super::text::ChatTokenizer;
 use super::{MllmError, Turn};
 
 /// A family of vision-language models. `families.rs` lists those that are built in.
-pub trait Family: Debug + Send + Sync {
+#[derive(Clone, Copy)]
+pub struct Family {
     /// The name in model descriptions and results.
-    fn name(&self) -> &'static str;
-
+    pub name: &'static str,
     /// The `model_type` of `config.json`, then the entries of `architectures`, that this family opens.
-    fn config_names(&self) -> &'static [&'static str];
-
-    /// The canonical name of a tensor in safetensors; none for a buffer that is no weight.
-    fn canonical_name(&self, stored: &str) -> Option<String>;
-
+    pub config_names: &'static [&'static str],
+    /// The canonical name of a tensor in safetensors; none for a tensor that is no weight.
+    pub canonical_name: fn(stored: &str) -> Option<String>,
     /// How llama.cpp's GGUF files hold the family, or the part that its format has no place for.
-    fn gguf(&self) -> Result<&'static dyn GgufLayout, &'static str> {
-        Err("this architecture")
-    }
-
-    /// The file that is missing where a model has no tokenizer, and what to do.
-    fn missing_tokenizer(&self) -> &'static str {
-        "tokenizer.json"
-    }
-
-    /// The configuration of the decoder.
-    fn decoder_config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError>;
-
+    pub gguf: Result<&'static dyn GgufLayout, &'static str>,
+    /// The error where a model has no tokenizer: the missing file, and what to do.
+    pub missing_tokenizer: &'static str,
+    /// Reads the configuration of the decoder.
+    pub decoder_config: fn(&ModelFiles) -> Result<LlamaConfig, MllmError>,
     /// Opens the configuration and the preprocessor, and takes the weights.
-    fn open(&self, files: &ModelFiles, weights: &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError>;
+    pub open: fn(&ModelFiles, &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError>,
+}
+
+impl Debug for Family {
+    fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
+        out.debug_tuple("Family").field(&self.name).finish()
+    }
 }
 
 /// An opened model.

@@ -56,8 +56,8 @@ pub use latency::{LatencyProbe, PassTime, ProbeDescription, Step, StepTime};
 pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub use registry::{
-    FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelRegistry, ModelSource, ModelSpec,
-    PromptSet, RoundTokens,
+    FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelRegistry, ModelSource, ModelSpec, PromptSet,
+    RoundTokens,
 };
 pub use source::{ModelPlace, ModelShape};
 pub use text::ChatTokenizer;

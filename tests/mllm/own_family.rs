@@ -5,43 +5,28 @@ use std::ops::Range;
 use candle_core::Tensor;
 use image::RgbImage;
 use planagent::internals::mllm::{
-    Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, LanguageModel, LlamaConfig, Mllm, MllmError,
-    ModelFiles, ModelInfo, ModelRegistry, Positions, Tiles, VisionLanguageModel, Weights,
+    Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, LanguageModel, Mllm, MllmError, ModelFiles,
+    ModelInfo, ModelRegistry, Positions, Tiles, VisionLanguageModel,
 };
 
 use super::{Copy, FIRST, free, open, prefix};
 
 /// A LLaVA whose tensors have other names and whose images are turned upside down.
-#[derive(Debug)]
-struct Toy;
+static TOY: Family = Family {
+    name: "toy",
+    config_names: &["toy", "ToyForConditionalGeneration"],
+    canonical_name: |stored| (llava().canonical_name)(stored.strip_prefix("toy.")?),
+    gguf: Err("a toy"),
+    missing_tokenizer: "tokenizer.json",
+    decoder_config: |files| (llava().decoder_config)(files),
+    open: |files, weights| Ok(Box::new(ToyModel((llava().open)(files, weights)?))),
+};
 
 #[derive(Debug)]
 struct ToyModel(Box<dyn VisionLanguageModel>);
 
-fn llava() -> &'static dyn Family {
+fn llava() -> &'static Family {
     Architecture::named("llava").unwrap().family()
-}
-
-impl Family for Toy {
-    fn name(&self) -> &'static str {
-        "toy"
-    }
-
-    fn config_names(&self) -> &'static [&'static str] {
-        &["toy", "ToyForConditionalGeneration"]
-    }
-
-    fn canonical_name(&self, stored: &str) -> Option<String> {
-        llava().canonical_name(stored.strip_prefix("toy.")?)
-    }
-
-    fn decoder_config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
-        llava().decoder_config(files)
-    }
-
-    fn open(&self, files: &ModelFiles, weights: &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
-        Ok(Box::new(ToyModel(llava().open(files, weights)?)))
-    }
 }
 
 impl VisionLanguageModel for ToyModel {
@@ -98,9 +83,9 @@ fn a_family_from_outside_opens_its_checkpoints() {
     assert!(matches!(unknown, Err(MllmError::Config { key, .. }) if key == "model_type"));
     assert!(copy.error().to_string().contains("toy"));
 
-    let registry = registry.with_family(&Toy);
+    let registry = registry.with_family(&TOY);
     let model = registry.open(&registry.find(folder).unwrap()).unwrap();
-    assert_eq!(Families::default().with(&Toy).detect(copy.folder()).unwrap().name(), "toy");
+    assert_eq!(Families::default().with(&TOY).detect(copy.folder()).unwrap().name(), "toy");
     let plain = open();
     assert_eq!(answer(&*model, true), answer(&plain, false));
     assert_eq!(answer(&*model, false), answer(&plain, true));

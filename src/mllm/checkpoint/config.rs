@@ -73,22 +73,29 @@ impl<'a> ConfigObject<'a> {
         self
     }
 
-    /// The value of a key.
-    pub(crate) fn get(&self, key: &str) -> Option<&Value> {
-        self.entries.get(key)
+    pub(crate) fn contains(&self, key: &str) -> bool {
+        self.entries.contains_key(key)
     }
 
-    /// Reads the object as a struct; keys that the struct does not have are ignored.
+    /// Reads the value of a key; none if absent.
+    pub(crate) fn value<T: DeserializeOwned>(&self, key: &str) -> Result<Option<T>, MllmError> {
+        self.entries.get(key).map(|value| T::deserialize(value).map_err(|error| self.error(key, error))).transpose()
+    }
+
+    /// Reads a token id, or the first of a list; none if absent.
+    pub(crate) fn first_id(&self, key: &str) -> Result<Option<u32>, MllmError> {
+        Ok(self.value::<OneOrMany<u32>>(key)?.and_then(|ids| ids.as_slice().first().copied()))
+    }
+
+    /// Reads a finite number above zero; none if absent.
+    pub(crate) fn positive(&self, key: &str) -> Result<Option<f64>, MllmError> {
+        self.entries.get(key).map(|value| positive(value).map_err(|error| self.error(key, error))).transpose()
+    }
+
+    /// Reads the object as a flat struct with defaults; keys that the struct does not have are ignored.
     pub(crate) fn read<T: DeserializeOwned>(&self) -> Result<T, MllmError> {
-        serde_path_to_error::deserialize(&self.entries).map_err(|error| {
-            let path = error.path().to_string();
-            let problem = error.inner().to_string();
-            match problem.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
-                Some(key) => self.error(key, "is missing"),
-                // The index of a list element says less than the whole list in the message.
-                None => self.error(path.split('[').next().unwrap_or_default(), problem),
-            }
-        })
+        serde_path_to_error::deserialize(&self.entries)
+            .map_err(|error| self.error(&error.path().to_string(), error.inner()))
     }
 
     /// The error of a key of this object.
@@ -147,11 +154,6 @@ pub(crate) fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64
         return Ok(number);
     }
     Err(D::Error::custom(format!("expected a positive number, found {number}")))
-}
-
-/// A finite number above zero, which may be absent.
-pub(crate) fn optional_positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
-    positive(deserializer).map(Some)
 }
 
 #[cfg(test)]

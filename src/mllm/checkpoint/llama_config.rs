@@ -4,7 +4,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::activation::Activation;
-use super::config::{ConfigObject, count, optional_count, optional_positive, positive};
+use super::config::{ConfigObject, count, optional_count, positive};
 use crate::mllm::MllmError;
 
 /// A Llama decoder (`LlamaConfig`), or a Mistral one (`MistralConfig`), which has other defaults and a window.
@@ -109,33 +109,25 @@ pub(crate) enum RopeScaling {
 const MAX_CONTEXT: usize = 1 << 20;
 
 /// Which decoder a `text_config` describes.
-#[derive(Clone, Copy, PartialEq, Default, Deserialize)]
+#[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum ModelType {
-    #[default]
     Llama,
     Mistral,
 }
 
-#[derive(Default, Deserialize)]
-#[serde(default)]
-struct Kind {
-    model_type: ModelType,
-}
-
-/// Keys of a decoder that do not become fields as they are.
-#[derive(Default, Deserialize)]
-#[serde(default)]
-struct Rest {
-    hidden_act: Option<Activation>,
-    #[serde(deserialize_with = "optional_positive")]
-    rope_theta: Option<f64>,
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum RopeType {
+    Default,
+    Linear,
+    Llama3,
 }
 
 impl LlamaConfig {
     /// Reads a `text_config`.
     pub(crate) fn read(text: ConfigObject<'_>) -> Result<Self, MllmError> {
-        match text.read::<Kind>()?.model_type {
+        match text.value("model_type")?.unwrap_or(ModelType::Llama) {
             // Only Mistral's layers have a window.
             ModelType::Llama => Ok(Self { window: None, ..Self::read_with(text, Value::Null)? }),
             ModelType::Mistral => Self::read_with(
@@ -151,12 +143,11 @@ impl LlamaConfig {
     /// Reads the keys of a decoder without a `model_type` of its own. Absent keys take `defaults`, then those of Llama.
     pub(crate) fn read_with(text: ConfigObject<'_>, defaults: Value) -> Result<Self, MllmError> {
         let text = text.with_defaults(defaults);
-        let rest: Rest = text.read()?;
-        if rest.hidden_act.is_some_and(|act| act != Activation::Silu) {
+        if text.value("hidden_act")?.is_some_and(|act: Activation| act != Activation::Silu) {
             return Err(text.error("hidden_act", "only silu is supported"));
         }
         let mut config: Self = text.read()?;
-        config.rope = Rope::read(&text, rest.rope_theta)?;
+        config.rope = Rope::read(&text)?;
         if config.kv_heads == 0 {
             config.kv_heads = config.heads;
         }
@@ -186,53 +177,27 @@ impl LlamaConfig {
     }
 }
 
-/// `rope_parameters` (transformers 5) or `rope_scaling` (before).
-#[derive(Default, Deserialize)]
-#[serde(default)]
-struct RopeKeys {
-    rope_type: Option<RopeType>,
-    r#type: Option<RopeType>,
-    #[serde(deserialize_with = "optional_positive")]
-    rope_theta: Option<f64>,
-    #[serde(deserialize_with = "optional_positive")]
-    factor: Option<f64>,
-    #[serde(deserialize_with = "optional_positive")]
-    low_freq_factor: Option<f64>,
-    #[serde(deserialize_with = "optional_positive")]
-    high_freq_factor: Option<f64>,
-    #[serde(deserialize_with = "optional_positive")]
-    original_max_position_embeddings: Option<f64>,
-}
-
-#[derive(Clone, Copy, Default, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum RopeType {
-    #[default]
-    Default,
-    Linear,
-    Llama3,
-}
-
 impl Rope {
-    /// Reads `rope_parameters` or `rope_scaling`; `theta` is the decoder's own `rope_theta`.
-    fn read(text: &ConfigObject<'_>, theta: Option<f64>) -> Result<Self, MllmError> {
+    /// Reads `rope_parameters` (transformers 5), or `rope_theta` with `rope_scaling` (before).
+    fn read(text: &ConfigObject<'_>) -> Result<Self, MllmError> {
         let section = match text.child("rope_parameters")? {
             Some(section) => section,
             None => text.child_or_empty("rope_scaling")?,
         };
-        let keys: RopeKeys = section.read()?;
         let required =
-            |key: &str, value: Option<f64>| value.ok_or_else(|| section.error(key, "is missing for this rope_type"));
-        let scaling = match keys.rope_type.or(keys.r#type).unwrap_or_default() {
+            |key: &str| section.positive(key)?.ok_or_else(|| section.error(key, "is missing for this rope_type"));
+        let kind = if section.contains("rope_type") { "rope_type" } else { "type" };
+        let scaling = match section.value(kind)?.unwrap_or(RopeType::Default) {
             RopeType::Default => RopeScaling::None,
-            RopeType::Linear => RopeScaling::Linear { factor: required("factor", keys.factor)? },
+            RopeType::Linear => RopeScaling::Linear { factor: required("factor")? },
             RopeType::Llama3 => RopeScaling::Llama3 {
-                factor: required("factor", keys.factor)?,
-                low_freq_factor: required("low_freq_factor", keys.low_freq_factor)?,
-                high_freq_factor: required("high_freq_factor", keys.high_freq_factor)?,
-                original_context: required("original_max_position_embeddings", keys.original_max_position_embeddings)?,
+                factor: required("factor")?,
+                low_freq_factor: required("low_freq_factor")?,
+                high_freq_factor: required("high_freq_factor")?,
+                original_context: required("original_max_position_embeddings")?,
             },
         };
-        Ok(Self { theta: keys.rope_theta.or(theta).unwrap_or(Self::default().theta), scaling })
+        let theta = text.positive("rope_theta")?.unwrap_or(Self::default().theta);
+        Ok(Self { theta: section.positive("rope_theta")?.unwrap_or(theta), scaling })
     }
 }

@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 use candle_core::quantized::GgmlDType;
 use safetensors::Dtype;
 use safetensors::tensor::Metadata;
-use serde::Deserialize;
 use serde_json::Value;
 
 use super::config::ConfigObject;
@@ -96,12 +95,6 @@ fn read_header(path: &Path, source: &mut dyn Read, file_bytes: u64) -> Result<Ve
         .collect()
 }
 
-/// The index of a sharded checkpoint: the file of each tensor.
-#[derive(Deserialize)]
-struct Index {
-    weight_map: BTreeMap<String, String>,
-}
-
 /// Whether a folder has safetensors or their index.
 pub(crate) fn has_safetensors(folder: &Path) -> bool {
     [WEIGHTS, INDEX].iter().any(|file| folder.join(file).is_file())
@@ -119,7 +112,8 @@ pub(crate) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
     }
     let index: Value = read_json(&index_path)?;
     let root = ConfigObject::root(&index_path, &index)?;
-    let Index { weight_map } = root.read()?;
+    let weight_map: Option<BTreeMap<String, String>> = root.value("weight_map")?;
+    let weight_map = weight_map.ok_or_else(|| root.error("weight_map", "is missing"))?;
     let mut files: Vec<PathBuf> = Vec::new();
     for (tensor, file) in weight_map {
         if file.is_empty() || file.contains(['/', '\\']) || file == ".." {

@@ -53,22 +53,11 @@ impl Default for VisionConfig {
 /// Largest image side, pixels: beyond it a configuration is taken for broken.
 const MAX_IMAGE_SIZE: usize = 8192;
 
+/// The supported `model_type` of a LLaVA's tower.
 #[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum TowerType {
     ClipVisionModel,
-}
-
-#[derive(Deserialize)]
-struct Kind {
-    #[serde(rename = "model_type")]
-    _model_type: Option<TowerType>,
-}
-
-#[derive(Deserialize)]
-struct Channels {
-    num_channels: Option<u64>,
-    in_channels: Option<u64>,
 }
 
 impl VisionConfig {
@@ -82,15 +71,14 @@ impl VisionConfig {
                 "image_size": 336, "patch_size": 14,
             })),
         };
-        vision.read::<Kind>()?;
+        vision.value::<TowerType>("model_type")?;
         Self::read(&vision)
     }
 
     /// Reads the keys of a vision transformer of any kind.
     pub(crate) fn read(vision: &ConfigObject<'_>) -> Result<Self, MllmError> {
-        let Channels { num_channels, in_channels } = vision.read()?;
-        for (key, channels) in [("num_channels", num_channels), ("in_channels", in_channels)] {
-            if channels.is_some_and(|channels| channels != 3) {
+        for key in ["num_channels", "in_channels"] {
+            if vision.value(key)?.is_some_and(|channels: u64| channels != 3) {
                 return Err(vision.error(key, "only 3 (RGB) is supported"));
             }
         }

@@ -55,7 +55,8 @@ impl WeightFormatPlan {
             Some(asked) => asked_for(asked, self.role(name), format),
         };
         let weight_format = wanted.or_finer(inputs);
-        let reason = if weight_format == wanted { reason } else { Some("the rows are no whole blocks of the wanted format") };
+        let reason =
+            if weight_format == wanted { reason } else { Some("the rows are no whole blocks of the wanted format") };
         PlannedFormat { weight_format, reason }
     }
 
@@ -81,9 +82,7 @@ impl WeightFormatPlan {
 
 fn asked_for(asked: WeightFormat, role: Role, format: GgmlDType) -> (WeightFormat, Option<&'static str>) {
     let (wanted, reason) = match role {
-        Role::Output if asked == WeightFormat::Q4K => {
-            (WeightFormat::Q6K, Some("the output layer gets more bits"))
-        }
+        Role::Output if asked == WeightFormat::Q4K => (WeightFormat::Q6K, Some("the output layer gets more bits")),
         Role::Vision if matches!(asked, WeightFormat::Q4K | WeightFormat::Q6K) => {
             (WeightFormat::Q8_0, Some("vision tower and projector get at least 8 bits"))
         }

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, OneOrMany, VisionConfig};
+use crate::mllm::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
 
 /// A `CogVLM` model.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,18 +33,6 @@ pub(crate) enum AnswerStyle {
     Short,
 }
 
-/// The keys beside those of the decoder.
-#[derive(Deserialize)]
-struct Keys {
-    bos_token_id: Option<OneOrMany<u32>>,
-    template_version: Option<AnswerStyle>,
-}
-
-#[derive(Deserialize)]
-struct Positions {
-    num_positions: Option<usize>,
-}
-
 impl CogVlmConfig {
     /// Reads the `config.json` of a model.
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
@@ -54,7 +42,7 @@ impl CogVlmConfig {
     /// Reads a configuration; `path` is for messages. Absent keys take the values of `cogvlm-chat-hf`.
     pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
         let root = ConfigObject::root(path, value)?;
-        if root.get("num_multi_query_heads").is_some() {
+        if root.contains("num_multi_query_heads") {
             return Err(root.error(
                 "num_multi_query_heads",
                 "this is CogVLM2, another architecture; the first version is supported",
@@ -62,12 +50,11 @@ impl CogVlmConfig {
         }
         // The decoder's keys stand beside all others.
         let text = LlamaConfig { window: None, ..LlamaConfig::read_with(root.clone(), json!({"rms_norm_eps": 1e-5}))? };
-        let keys: Keys = root.read()?;
-        let bos = keys.bos_token_id.as_ref().and_then(|ids| ids.as_slice().first()).copied().unwrap_or(1);
+        let bos = root.first_id("bos_token_id")?.unwrap_or(1);
         if bos as usize >= text.vocabulary {
             return Err(root.error("bos_token_id", format!("{bos} lies outside the vocabulary of {}", text.vocabulary)));
         }
-        Ok(Self { vision: tower(&root)?, text, bos, style: keys.template_version.unwrap_or_default() })
+        Ok(Self { vision: tower(&root)?, text, bos, style: root.value("template_version")?.unwrap_or_default() })
     }
 
     /// Tokens that an image becomes: its patches between a beginning and an end.
@@ -84,7 +71,7 @@ fn tower(root: &ConfigObject<'_>) -> Result<VisionConfig, MllmError> {
     }));
     let config = VisionConfig::read(&vision)?;
     let (patches, positions) = (config.patches(), config.patches() + 1);
-    match vision.read::<Positions>()?.num_positions {
+    match vision.value::<usize>("num_positions")? {
         Some(named) if named != positions => {
             Err(vision
                 .error("num_positions", format!("{named}, but {patches} patches and a class token make {positions}")))

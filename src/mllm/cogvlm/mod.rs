@@ -23,49 +23,25 @@ use language::{ExpertLayer, IMAGE_POSITIONS, positions, vision_rows};
 use vision::EvaVisionTower;
 
 use super::MllmError;
-use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
+use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::Decoder;
 use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Positions, Tiles, VisionLanguageModel};
-use super::gguf::GgufLayout;
 use super::text::ChatTokenizer;
 
 /// The name in model descriptions and results.
-pub(crate) const NAME: &str = "cogvlm";
+const NAME: &str = "cogvlm";
 
-/// `CogVLM`, first version (`CogVLMForCausalLM`).
-#[derive(Debug)]
-pub(crate) struct CogVlmFamily;
-
-impl Family for CogVlmFamily {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
-    fn config_names(&self) -> &'static [&'static str] {
-        &["cogvlm", "CogVLMForCausalLM"]
-    }
-
-    fn canonical_name(&self, stored: &str) -> Option<String> {
-        Some(stored.strip_prefix("model.").unwrap_or(stored).to_string())
-    }
-
-    fn gguf(&self) -> Result<&'static dyn GgufLayout, &'static str> {
-        Err("visual experts")
-    }
-
-    fn missing_tokenizer(&self) -> &'static str {
-        "tokenizer.json (CogVLM's repositories have none; that of a LLaMA fits: copy it here, or name it under tokenizer \
-         in the model's description)"
-    }
-
-    fn decoder_config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
-        Ok(CogVlmConfig::open(files)?.text)
-    }
-
-    fn open(&self, files: &ModelFiles, weights: &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
-        Ok(Box::new(CogVlm::take(weights, CogVlmConfig::open(files)?)?))
-    }
-}
+/// `CogVLM`, first version.
+pub(crate) const FAMILY: Family = Family {
+    name: NAME,
+    config_names: &["cogvlm", "CogVLMForCausalLM"],
+    canonical_name: |stored| Some(stored.strip_prefix("model.").unwrap_or(stored).to_string()),
+    gguf: Err("visual experts"),
+    missing_tokenizer: "tokenizer.json (CogVLM's repositories have none; that of a LLaMA fits: copy it here, or name it \
+                        under tokenizer in the model's description)",
+    decoder_config: |files| Ok(CogVlmConfig::open(files)?.text),
+    open: |files, weights| Ok(Box::new(CogVlm::take(weights, CogVlmConfig::open(files)?)?)),
+};
 
 /// A `CogVLM` model. It takes one image, and nothing but the beginning-of-sequence token stands before it.
 #[derive(Debug)]

@@ -134,8 +134,8 @@ fn parts(checkpoint: &mut Checkpoint, tokenizer: &ModelFiles, name: &str) -> Res
             ("general.quantization_version".to_string(), Value::Unsigned(2)),
         ]
     };
-    let text = family.decoder_config(files)?;
-    let described = match family.gguf() {
+    let text = (family.decoder_config)(files)?;
+    let described = match family.gguf {
         Ok(layout) => layout.metadata(files)?.map(|metadata| (layout, metadata)),
         Err(lacking) => Err(lacking),
     };

@@ -154,9 +154,7 @@ impl LatencyProbe {
     /// The most likely token.
     fn choose(&self, logits: Option<Tensor>) -> Result<u32, MllmError> {
         let Some(logits) = logits else {
-            return Err(MllmError::Request {
-                problem: "cannot sample: the sequence is empty".into(),
-            });
+            return Err(MllmError::Request { problem: "cannot sample: the sequence is empty".into() });
         };
         let position = self.sequence.ids().len().saturating_sub(1);
         let logits = logits.flatten_all()?.to_vec1()?;

@@ -40,40 +40,6 @@ pub(crate) enum FeatureSelect {
     Full,
 }
 
-/// The keys beside `vision_config` and `text_config`.
-#[derive(Deserialize)]
-#[serde(default)]
-struct Keys {
-    image_token_id: Option<OneOrMany<u32>>,
-    image_token_index: Option<OneOrMany<u32>>,
-    #[serde(rename = "image_token_beyond_vocabulary")]
-    image_token_beyond: bool,
-    vision_feature_layer: OneOrMany<i64>,
-    #[serde(rename = "vision_feature_select_strategy")]
-    feature_select: FeatureSelect,
-    #[serde(rename = "projector_hidden_act")]
-    projector_act: Activation,
-    #[serde(rename = "multimodal_projector_bias")]
-    projector_bias: bool,
-    tie_word_embeddings: bool,
-}
-
-/// The defaults of `LlavaConfig`.
-impl Default for Keys {
-    fn default() -> Self {
-        Self {
-            image_token_id: None,
-            image_token_index: None,
-            image_token_beyond: false,
-            vision_feature_layer: OneOrMany::One(-2),
-            feature_select: FeatureSelect::Default,
-            projector_act: Activation::Gelu,
-            projector_bias: true,
-            tie_word_embeddings: false,
-        }
-    }
-}
-
 /// The key for models without an image token in the vocabulary, such as those of llama.cpp. Their placeholder is the first
 /// id after the vocabulary.
 pub(crate) const IMAGE_TOKEN_BEYOND: &str = "image_token_beyond_vocabulary";
@@ -89,14 +55,13 @@ impl LlavaConfig {
         let root = ConfigObject::root(path, value)?;
         let vision = VisionConfig::read_clip(&root)?;
         let mut text = LlamaConfig::read(root.child_or_empty("text_config")?)?;
-        let keys: Keys = root.read()?;
-        text.tie_word_embeddings |= keys.tie_word_embeddings;
+        text.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(false);
         Ok(Self {
-            image_token: keys.image_token(&root, text.vocabulary)?,
-            feature_layers: keys.feature_layers(&root, vision.layers)?,
-            feature_select: keys.feature_select,
-            projector_act: keys.projector_act,
-            projector_bias: keys.projector_bias,
+            image_token: image_token(&root, text.vocabulary)?,
+            feature_layers: feature_layers(&root, vision.layers)?,
+            feature_select: root.value("vision_feature_select_strategy")?.unwrap_or(FeatureSelect::Default),
+            projector_act: root.value("projector_hidden_act")?.unwrap_or(Activation::Gelu),
+            projector_bias: root.value("multimodal_projector_bias")?.unwrap_or(true),
             vision,
             text,
         })
@@ -109,35 +74,36 @@ impl LlavaConfig {
     }
 }
 
-impl Keys {
-    /// The id of the image's placeholder.
-    fn image_token(&self, root: &ConfigObject<'_>, vocabulary: usize) -> Result<u32, MllmError> {
-        if self.image_token_beyond {
-            return Ok(vocabulary as u32);
-        }
-        let ids = [&self.image_token_id, &self.image_token_index];
-        let id = ids.into_iter().flatten().find_map(|ids| ids.as_slice().first()).copied().unwrap_or(32_000);
-        if (id as usize) < vocabulary {
-            return Ok(id);
-        }
-        let problem = format!("{id} lies outside the vocabulary of {vocabulary} (text_config.vocab_size)");
-        Err(root.error("image_token_index", problem))
+/// The id of the image's placeholder.
+fn image_token(root: &ConfigObject<'_>, vocabulary: usize) -> Result<u32, MllmError> {
+    if root.value(IMAGE_TOKEN_BEYOND)?.unwrap_or(false) {
+        return Ok(vocabulary as u32);
     }
+    let id = match root.first_id("image_token_id")? {
+        Some(id) => id,
+        None => root.first_id("image_token_index")?.unwrap_or(32_000),
+    };
+    if (id as usize) < vocabulary {
+        return Ok(id);
+    }
+    let problem = format!("{id} lies outside the vocabulary of {vocabulary} (text_config.vocab_size)");
+    Err(root.error("image_token_index", problem))
+}
 
-    /// The feature layers as indices from 0; negative ones of the file count from the last hidden state.
-    fn feature_layers(&self, root: &ConfigObject<'_>, layers: usize) -> Result<Vec<usize>, MllmError> {
-        const KEY: &str = "vision_feature_layer";
-        let states = layers as i64 + 1;
-        let resolve = |index: &i64| {
-            let resolved = if *index < 0 { index.saturating_add(states) } else { *index };
-            (0..states).contains(&resolved).then_some(resolved as usize).ok_or_else(|| {
-                root.error(KEY, format!("{index} is no index into the {states} hidden states of the tower"))
-            })
-        };
-        match self.vision_feature_layer.as_slice() {
-            [] => Err(root.error(KEY, "expected at least one index")),
-            indices => indices.iter().map(resolve).collect(),
-        }
+/// The feature layers as indices from 0; negative ones in the file count from the last hidden state.
+fn feature_layers(root: &ConfigObject<'_>, layers: usize) -> Result<Vec<usize>, MllmError> {
+    const KEY: &str = "vision_feature_layer";
+    let states = layers as i64 + 1;
+    let resolve = |index: &i64| {
+        let resolved = if *index < 0 { index.saturating_add(states) } else { *index };
+        (0..states)
+            .contains(&resolved)
+            .then_some(resolved as usize)
+            .ok_or_else(|| root.error(KEY, format!("{index} is no index into the {states} hidden states of the tower")))
+    };
+    match root.value(KEY)?.unwrap_or(OneOrMany::One(-2)).as_slice() {
+        [] => Err(root.error(KEY, "expected at least one index")),
+        indices => indices.iter().map(resolve).collect(),
     }
 }
 

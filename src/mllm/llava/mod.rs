@@ -19,55 +19,33 @@ pub(crate) use gguf::LlavaGguf;
 pub(crate) use vision::ImageEncoder;
 
 use super::MllmError;
-use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
+use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::{Decoder, LlamaLayer};
 use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Tiles, VisionLanguageModel};
-use super::gguf::GgufLayout;
 use super::text::ChatTokenizer;
 use super::vision::ClipImageProcessor;
 
 /// The name in model descriptions and results.
-pub(crate) const NAME: &str = "llava";
+const NAME: &str = "llava";
 
-/// LLaVA 1.5 (`LlavaForConditionalGeneration`).
-#[derive(Debug)]
-pub(crate) struct LlavaFamily;
-
-static GGUF: LlavaGguf = LlavaGguf {
-    next: false,
-    model_type: "llava",
-    image_processor: "CLIPImageProcessor",
-    config: |files| Ok((LlavaConfig::open(files)?, None)),
+/// LLaVA 1.5.
+pub(crate) const FAMILY: Family = Family {
+    name: NAME,
+    config_names: &["llava", "LlavaForConditionalGeneration"],
+    canonical_name,
+    gguf: Ok(&LlavaGguf {
+        next: false,
+        model_type: "llava",
+        image_processor: "CLIPImageProcessor",
+        config: |files| Ok((LlavaConfig::open(files)?, None)),
+    }),
+    missing_tokenizer: "tokenizer.json",
+    decoder_config: |files| Ok(LlavaConfig::open(files)?.text),
+    open: |files, weights| Ok(Box::new(Llava::open(files, weights)?)),
 };
 
-impl Family for LlavaFamily {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
-    fn config_names(&self) -> &'static [&'static str] {
-        &["llava", "LlavaForConditionalGeneration"]
-    }
-
-    fn canonical_name(&self, stored: &str) -> Option<String> {
-        Some(canonical_name(stored))
-    }
-
-    fn gguf(&self) -> Result<&'static dyn GgufLayout, &'static str> {
-        Ok(&GGUF)
-    }
-
-    fn decoder_config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
-        Ok(LlavaConfig::open(files)?.text)
-    }
-
-    fn open(&self, files: &ModelFiles, weights: &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
-        Ok(Box::new(Llava::open(files, weights)?))
-    }
-}
-
 /// The names of all layouts that transformers has written, as those of its version 5 without the `model.` prefix.
-pub(crate) fn canonical_name(stored: &str) -> String {
+pub(crate) fn canonical_name(stored: &str) -> Option<String> {
     let name = stored.strip_prefix("model.").unwrap_or(stored);
     let renamed = [
         ("vision_tower.vision_model.", "vision_tower."),
@@ -76,7 +54,7 @@ pub(crate) fn canonical_name(stored: &str) -> String {
     ]
     .into_iter()
     .find_map(|(from, to)| name.strip_prefix(from).map(|rest| format!("{to}{rest}")));
-    renamed.unwrap_or_else(|| name.to_string())
+    Some(renamed.unwrap_or_else(|| name.to_string()))
 }
 
 /// A LLaVA model.
@@ -197,7 +175,7 @@ mod tests {
             ("model.multi_modal_projector.linear_1.bias", "multi_modal_projector.linear_1.bias"),
             ("model.image_newline", "image_newline"),
         ] {
-            assert_eq!(canonical_name(name), canonical);
+            assert_eq!(canonical_name(name).as_deref(), Some(canonical));
         }
     }
 }

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use serde::Deserialize;
 use serde_json::Value;
 
 use super::grid::{Resolution, TileGrids};
@@ -51,14 +50,9 @@ impl LlavaNextConfig {
 /// The key of the resolutions, in both configurations.
 pub(super) const PINPOINTS: &str = "image_grid_pinpoints";
 
-#[derive(Deserialize)]
-struct Pinpoints {
-    image_grid_pinpoints: Option<Vec<[u32; 2]>>,
-}
-
 /// Reads the resolutions, each a list of height and width.
 pub(super) fn pinpoints(object: &ConfigObject<'_>) -> Result<Vec<Resolution>, MllmError> {
-    let pairs = object.read::<Pinpoints>()?.image_grid_pinpoints.unwrap_or_else(|| DEFAULT_PINPOINTS.to_vec());
+    let pairs = object.value::<Vec<[u32; 2]>>(PINPOINTS)?.unwrap_or_else(|| DEFAULT_PINPOINTS.to_vec());
     if !(1..=MAX_PINPOINTS).contains(&pairs.len()) || pairs.iter().flatten().any(|side| !(1..=MAX_SIDE).contains(side))
     {
         let problem = format!("expected 1 to {MAX_PINPOINTS} pairs of height and width, each from 1 to {MAX_SIDE}");

@@ -18,54 +18,32 @@ use grid::{Resolution, TileGrids};
 use preprocess::AnyresImageProcessor;
 
 use super::MllmError;
-use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
+use super::checkpoint::{ModelFiles, Weights};
 use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Tiles, VisionLanguageModel};
-use super::gguf::GgufLayout;
 use super::llava::{LlavaCore, LlavaGguf, TemplateFormat, canonical_name};
 use super::text::ChatTokenizer;
 
 /// The name in model descriptions and results.
-pub(crate) const NAME: &str = "llava-next";
+const NAME: &str = "llava-next";
 
-/// LLaVA 1.6 (`LlavaNextForConditionalGeneration`).
-#[derive(Debug)]
-pub(crate) struct LlavaNextFamily;
-
-static GGUF: LlavaGguf = LlavaGguf {
-    next: true,
-    model_type: "llava_next",
-    image_processor: "LlavaNextImageProcessor",
-    config: |files| {
-        let LlavaNextConfig { llava, grids } = LlavaNextConfig::open(files)?;
-        Ok((llava, Some(grids.resolutions().iter().map(|size| [size.height, size.width]).collect())))
-    },
+/// LLaVA 1.6.
+pub(crate) const FAMILY: Family = Family {
+    name: NAME,
+    config_names: &["llava_next", "LlavaNextForConditionalGeneration"],
+    canonical_name,
+    gguf: Ok(&LlavaGguf {
+        next: true,
+        model_type: "llava_next",
+        image_processor: "LlavaNextImageProcessor",
+        config: |files| {
+            let LlavaNextConfig { llava, grids } = LlavaNextConfig::open(files)?;
+            Ok((llava, Some(grids.resolutions().iter().map(|size| [size.height, size.width]).collect())))
+        },
+    }),
+    missing_tokenizer: "tokenizer.json",
+    decoder_config: |files| Ok(LlavaNextConfig::open(files)?.llava.text),
+    open: |files, weights| Ok(Box::new(LlavaNext::open(files, weights)?)),
 };
-
-impl Family for LlavaNextFamily {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
-    fn config_names(&self) -> &'static [&'static str] {
-        &["llava_next", "LlavaNextForConditionalGeneration"]
-    }
-
-    fn canonical_name(&self, stored: &str) -> Option<String> {
-        Some(canonical_name(stored))
-    }
-
-    fn gguf(&self) -> Result<&'static dyn GgufLayout, &'static str> {
-        Ok(&GGUF)
-    }
-
-    fn decoder_config(&self, files: &ModelFiles) -> Result<LlamaConfig, MllmError> {
-        Ok(LlavaNextConfig::open(files)?.llava.text)
-    }
-
-    fn open(&self, files: &ModelFiles, weights: &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
-        Ok(Box::new(LlavaNext::open(files, weights)?))
-    }
-}
 
 /// A LLaVA-NeXT model.
 #[derive(Debug)]

@@ -48,7 +48,7 @@ fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) -> Result
     check.parameters = checkpoint.weights.elements() as u64;
     loading.check_family(&checkpoint)?;
     check.architecture = Some(checkpoint.family);
-    let decoder = checkpoint.family.family().decoder_config(&checkpoint.files)?;
+    let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
     check.memory = Some(MemoryNeed::of(&checkpoint, &decoder, loading.quantize));
     if loading.memory == MemoryCheck::Refuse {
         note(check, memory::check(&checkpoint, &decoder, loading.quantize));

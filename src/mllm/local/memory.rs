@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn a_model_that_does_not_fit_is_refused_with_what_would() {
         let checkpoint = open_checkpoint(&fixture("tiny_llava"));
-        let decoder = checkpoint.family.family().decoder_config(&checkpoint.files).unwrap();
+        let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files).unwrap();
         let need = MemoryNeed::of(&checkpoint, &decoder, None);
         // 299,352 bytes of f32, but for the header.
         assert!((280_000..299_352).contains(&need.weights), "{need:?}");

@@ -19,8 +19,6 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use serde::Deserialize;
-
 pub use check::ModelCheck;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub(crate) use sequence::Sequence;
@@ -83,7 +81,7 @@ impl Loading {
         let checkpoint = Checkpoint::open(place, self.quantize, &self.families)?;
         self.check_family(&checkpoint)?;
         if self.memory == MemoryCheck::Refuse {
-            let decoder = checkpoint.family.family().decoder_config(&checkpoint.files)?;
+            let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
             memory::check(&checkpoint, &decoder, self.quantize)?;
         }
         Ok(checkpoint)
@@ -115,7 +113,7 @@ impl Loading {
         if tokenizer.text("tokenizer.json")?.is_some() {
             return Ok(tokenizer);
         }
-        Err(tokenizer.missing(checkpoint.family.family().missing_tokenizer()))
+        Err(tokenizer.missing(checkpoint.family.family().missing_tokenizer))
     }
 }
 
@@ -229,11 +227,6 @@ impl Mllm for LocalModel {
     }
 }
 
-#[derive(Deserialize)]
-struct EndTokens {
-    eos_token_id: Option<OneOrMany<u32>>,
-}
-
 /// The tokens that end an answer: those of `generation_config.json`, else of `config.json`, else of the tokenizer.
 fn end_tokens(files: &ModelFiles, tokenizer: &ChatTokenizer, vocabulary: usize) -> Result<Vec<u32>, MllmError> {
     for file in ["generation_config.json", "config.json"] {
@@ -242,7 +235,7 @@ fn end_tokens(files: &ModelFiles, tokenizer: &ChatTokenizer, vocabulary: usize) 
         let root = ConfigObject::root(&path, &value)?;
         let text = root.child("text_config")?;
         for object in [Some(root), text].into_iter().flatten() {
-            let ids = object.read::<EndTokens>()?.eos_token_id;
+            let ids: Option<OneOrMany<u32>> = object.value("eos_token_id")?;
             let ids = ids.as_ref().map_or(&[][..], OneOrMany::as_slice);
             if let Some(id) = ids.iter().find(|id| **id as usize >= vocabulary) {
                 return Err(object.error("eos_token_id", format!("{id} lies outside the vocabulary of {vocabulary}")));

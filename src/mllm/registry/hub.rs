@@ -25,11 +25,7 @@ impl HubFiles {
     /// A model, without its tokenizer if that is elsewhere.
     pub(super) fn model(tokenizer: bool) -> Self {
         let required = if tokenizer { &["config.json", "tokenizer.json"][..] } else { &["config.json"] };
-        Self {
-            patterns: owned(&["*.json", "*.jinja", "*.safetensors"]),
-            required: owned(required),
-            weights: true,
-        }
+        Self { patterns: owned(&["*.json", "*.jinja", "*.safetensors"]), required: owned(required), weights: true }
     }
 
     /// A tokenizer alone.
@@ -246,7 +242,10 @@ mod tests {
             assert!(access.fetch("org/model", revision, &HubFiles::model(true), None).unwrap().ends_with(COMMIT));
         }
         let online = HubAccess { offline: false, ..access };
-        assert!(online.fetch("org/model", COMMIT, &HubFiles::model(true), None).is_ok(), "a pinned commit needs no network");
+        assert!(
+            online.fetch("org/model", COMMIT, &HubFiles::model(true), None).is_ok(),
+            "a pinned commit needs no network"
+        );
     }
 
     #[test]

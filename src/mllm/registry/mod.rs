@@ -65,7 +65,7 @@ impl ModelRegistry {
     }
 
     /// Adds a model family.
-    pub fn with_family(mut self, family: &'static dyn Family) -> Self {
+    pub fn with_family(mut self, family: &'static Family) -> Self {
         self.loading.families = self.loading.families.with(family);
         self
     }

@@ -24,8 +24,10 @@ pub(super) fn open(
     const ARCHITECTURE: &str = "general.architecture";
     let (header, file) = open_header(model)?;
     if header.count("split.count")?.is_some_and(|parts| parts > 1) {
-        return Err(header
-            .error("split.count", "models in several files are not supported; join them with llama-gguf-split --merge"));
+        return Err(header.error(
+            "split.count",
+            "models in several files are not supported; join them with llama-gguf-split --merge",
+        ));
     }
     match header.architecture()? {
         WHOLE_MODEL => open_whole(&header, file, quantize, families),
@@ -37,10 +39,9 @@ pub(super) fn open(
             }
             open_pair([(&header, file), (&tower, tower_file)], quantize, families)
         }
-        TOWER => Err(header.error(
-            ARCHITECTURE,
-            "this is a vision tower (mmproj); name the file of the decoder instead",
-        )),
+        TOWER => {
+            Err(header.error(ARCHITECTURE, "this is a vision tower (mmproj); name the file of the decoder instead"))
+        }
         other => Err(header.error(
             ARCHITECTURE,
             format!("{other:?} is not supported; decoders of architecture {:?} are", llama::ARCHITECTURE),
@@ -79,7 +80,7 @@ fn open_pair(
     let mut notes = Vec::new();
     let mut texts = packed_files(decoder)?;
     if texts.is_empty() {
-        let layouts = families.iter().filter_map(|family| family.family().gguf().ok());
+        let layouts = families.iter().filter_map(|family| family.family().gguf.ok());
         let Some(layout) = layouts.into_iter().find(|layout| layout.opens(decoder, tower)) else {
             return Err(tower.error("general.architecture", "no known model family has such a vision tower"));
         };
@@ -88,7 +89,7 @@ fn open_pair(
     let mut files = ModelFiles::packed(model, texts);
     files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;
     let family = families.of(&files)?;
-    let layout = family.family().gguf().map_err(|lacking| {
+    let layout = family.family().gguf.map_err(|lacking| {
         decoder.error("general.architecture", format!("a decoder file of llama.cpp has no place for {lacking}"))
     })?;
     let mut weights = Weights::empty(model, plan(quantize));

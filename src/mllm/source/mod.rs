@@ -104,12 +104,12 @@ impl Checkpoint {
             return gguf::open(&model, None, quantize, families);
         }
         let family = families.of(&files)?;
-        let weights = safetensors_folder::open(folder, quantize, |stored| family.family().canonical_name(stored))?;
+        let weights = safetensors_folder::open(folder, quantize, family.family().canonical_name)?;
         Ok(Self { family, files, weights })
     }
 
     /// Opens the model and takes its weights.
     pub(crate) fn open_model(&mut self) -> Result<Box<dyn VisionLanguageModel>, MllmError> {
-        self.family.family().open(&self.files, &mut self.weights)
+        (self.family.family().open)(&self.files, &mut self.weights)
     }
 }

@@ -111,7 +111,7 @@ pub(super) fn checkpoint(
     let plan = WeightFormatPlan { quantize: Some(weight_format), kind: FileKind::Gguf, tied: false };
     let mut asked = Weights::empty(files.place(), plan);
     asked.only_list();
-    family.family().open(&files, &mut asked)?;
+    (family.family().open)(&files, &mut asked)?;
     let mut weights = Weights::empty(files.place(), plan);
     let tied = !asked.listed().iter().any(|(name, _)| name == "lm_head.weight");
     let file = weights.add_file(RandomTensors::new(files.place(), seed));

@@ -57,7 +57,7 @@ impl ModelShape {
         let mut texts: BTreeMap<String, String> =
             texts.into_iter().map(|(name, value)| (name, value.to_string())).collect();
         let files = ModelFiles::packed(place, texts.clone());
-        let vocabulary = families.of(&files)?.family().decoder_config(&files)?.vocabulary;
+        let vocabulary = (families.of(&files)?.family().decoder_config)(&files)?.vocabulary;
         let config = files.required_json("config.json")?;
         let image = config["image_token_index"].as_u64().map_or(vocabulary, |id| id as usize);
         texts.insert("tokenizer.json".into(), tokenizer(vocabulary, image).to_string());
