@@ -27,6 +27,7 @@
 //! 8. `metrics` scores the simulation with nuPlan's closed-loop metrics.
 //! 9. `experiment` runs many simulations, builds datasets and evaluates models.
 //! 10. `report` writes tables and files.
+//! 11. `runner` starts and resumes runs of many simulations, and the experiments that compare them; see [`runs`].
 //!
 //! Below them lie `geometry`, `world` (the vocabulary) and `dynamics`; above them the command line. A stage uses only lower
 //! stages; `ARCHITECTURE.md` has the order.
@@ -97,6 +98,14 @@ pub mod sources {
     };
 }
 
+/// Runs of many simulations in a folder, resumed after an interruption, and the experiments that compare them.
+pub mod runs {
+    pub use crate::runner::{
+        Config, ConfigError, Event, Experiments, ExperimentsRequest, Listener, Request, RunResults, RunnerError,
+        StudyOutcome, resume, silent, start,
+    };
+}
+
 mod api;
 
 /// The command line of the `planagent` program.
@@ -125,6 +134,8 @@ mod reasoning;
 mod reflection;
 #[cfg(not(feature = "internals"))]
 mod report;
+#[cfg(not(feature = "internals"))]
+mod runner;
 #[cfg(not(feature = "internals"))]
 mod scenario;
 #[cfg(not(feature = "internals"))]
@@ -167,6 +178,9 @@ pub mod reflection;
 pub mod report;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
+pub mod runner;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
 pub mod scenario;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
@@ -181,7 +195,7 @@ pub mod world;
 pub mod internals {
     pub use crate::{
         cli, dynamics, environment, experiment, geometry, metrics, mllm, pdm, planner, reasoning, reflection, report,
-        scenario, simulation, world,
+        runner, scenario, simulation, world,
     };
 }
 

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 16] = [
+const RANKS: [(&str, u8); 17] = [
     ("geometry", 0),
     ("world", 1),
     ("dynamics", 2),
@@ -25,7 +25,8 @@ const RANKS: [(&str, u8); 16] = [
     ("api", 8),
     ("experiment", 8),
     ("report", 9),
-    ("cli", 10),
+    ("runner", 10),
+    ("cli", 11),
 ];
 
 /// Rooms of a stage (its files and folders) by rank, lowest first: a room uses only rooms of a lower rank.

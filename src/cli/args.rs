@@ -3,6 +3,8 @@
 use super::picture::PictureFile;
 use crate::experiment::study;
 use crate::mllm::WeightFormat;
+use crate::planner::PlannerRegistry;
+use crate::runner::{ExperimentsRequest, Request, TOKENS};
 use crate::scenario::{DataRoots, Readers};
 use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -48,8 +50,6 @@ pub(super) struct Arguments {
     pub(super) verbose: bool,
 }
 
-/// The experiment that drives nothing.
-pub(super) const TOKENS_EXPERIMENT: &str = "tokens";
 /// Stands for every experiment.
 pub(super) const ALL_EXPERIMENTS: &str = "all";
 
@@ -151,15 +151,17 @@ pub(super) struct SimulateArguments {
 }
 
 impl SimulateArguments {
-    /// Whether flags say which scenarios are meant.
-    pub(super) fn names_scenarios(&self) -> bool {
-        !self.scenarios.is_empty() || !self.split.splits.is_empty() || self.limit.is_some()
-    }
-
-    /// Whether nothing is asked for but to go on with a run as it was started.
-    pub(super) fn is_plain_resume(&self) -> bool {
-        let names_drives = self.names_scenarios() || !self.planner.is_empty() || !self.challenge.is_empty();
-        self.resume.is_some() && !names_drives && !self.retry_failed
+    pub(super) fn request(&self) -> Request {
+        Request {
+            scenarios: self.scenarios.clone(),
+            splits: self.split.splits.clone(),
+            limit: self.limit,
+            planners: self.planner.clone(),
+            challenges: self.challenge.clone(),
+            roots: self.split.data.roots(),
+            retry_failed: self.retry_failed,
+            ..Request::default()
+        }
     }
 }
 
@@ -425,9 +427,24 @@ pub(super) struct ExperimentArguments {
     pub(super) retry_failed: bool,
 }
 
+impl ExperimentArguments {
+    pub(super) fn request(&self) -> ExperimentsRequest {
+        ExperimentsRequest {
+            suites: self.suites.clone(),
+            scenarios: self.scenarios.clone(),
+            registry: PlannerRegistry::default(),
+            roots: self.data.roots(),
+            out: self.out.clone(),
+            bench: self.bench.clone(),
+            quick: self.quick,
+            retry_failed: self.retry_failed,
+        }
+    }
+}
+
 /// Takes the name of an experiment, or `all`.
 fn experiment_name() -> PossibleValuesParser {
-    PossibleValuesParser::new(study::NAMES.into_iter().chain([TOKENS_EXPERIMENT, ALL_EXPERIMENTS]))
+    PossibleValuesParser::new(study::NAMES.into_iter().chain([TOKENS, ALL_EXPERIMENTS]))
 }
 
 /// Flags of `bench`.

@@ -1,30 +1,24 @@
-//! The command line: flags, configuration, commands, exit codes.
+//! The command line: flags, commands, printing, exit codes.
 
 mod args;
 mod commands;
-mod config;
-mod drives;
 mod exit;
-mod machine;
-mod model;
 mod picture;
 mod printer;
 mod progress;
 
 use crate::experiment::panic_guard;
-use crate::report::RunFolder;
+use crate::runner::Config;
 use crate::scenario::absolute_path;
-use anyhow::{Context, bail};
+use anyhow::bail;
 use args::{Arguments, Command, SimulateArguments};
 use clap::Parser;
 use std::path::Path;
 use std::process::ExitCode;
 
-pub use config::{Config, EnvironmentConfig, MllmConfig, ReasoningConfig, ReflectionConfig};
 pub use exit::Exit;
 pub use printer::Printer;
 
-/// Most threads that may be asked for.
 const MAX_THREADS: usize = 512;
 
 /// Runs the program with the arguments of the process.
@@ -60,7 +54,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     config.mllm.quantize = arguments.quantize.or(config.mllm.quantize);
     config.mllm.ignore_memory |= arguments.ignore_memory;
     config.mllm.offline |= arguments.offline;
-    // A run is gone on with from any folder.
+    // Absolute paths let `--resume` work from any directory.
     for word in [Some(&mut config.mllm.model), config.reasoning.prompt_set.as_mut()].into_iter().flatten() {
         if word.contains(['/', '\\']) && Path::new(word).exists() {
             *word = absolute_path(word);
@@ -68,7 +62,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     }
     let threads = arguments.threads.unwrap_or(0);
     if threads > MAX_THREADS {
-        bail!("--threads is {threads}; more than {MAX_THREADS} would only wait for one another");
+        bail!("--threads is {threads}; it must be at most {MAX_THREADS}");
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     pool.install(|| match &arguments.command {
@@ -85,19 +79,14 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     })
 }
 
-/// The file that `--config` names; without it, for a run that is gone on with, what that was started with; for a measuring
-/// process, no file.
+/// The configuration of the file that `--config` names; without it, that of the run that is resumed.
 fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
-    match &arguments.command {
+    Ok(match &arguments.command {
         Command::Simulate(SimulateArguments { resume: Some(folder), .. }) if arguments.config.is_none() => {
-            let manifest = RunFolder::manifest(folder)?;
-            manifest
-                .config
-                .try_into()
-                .with_context(|| format!("in the configuration of the run in {}", folder.display()))
+            Config::of_run(folder)?
         }
-        // The bench that starts it says all that it needs.
-        Command::BenchProcess => Ok(Config::default()),
-        _ => Config::load(arguments.config.as_deref()),
-    }
+        // The parent process sends this one all that it needs.
+        Command::BenchProcess => Config::default(),
+        _ => Config::load(arguments.config.as_deref())?,
+    })
 }

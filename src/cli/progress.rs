@@ -1,34 +1,106 @@
-//! How far a run has come: one bar on a terminal, a line now and then elsewhere.
+//! Progress of a run: bars on a terminal, a line now and then elsewhere.
 
 use super::Printer;
+use crate::runner::{Event, Listener};
 use console::Term;
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
-use std::sync::Mutex;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-/// Time between two lines where stderr is no terminal. A run that is shorter prints none.
+/// Time between two lines where stderr is no terminal. A shorter run prints none.
 const LINE_EVERY: Duration = Duration::from_secs(30);
-/// What the bar shows, in 80 columns.
-const TEMPLATE: &str = "{bar:12} {pos}/{len} drives  {per_sec}  {eta} left  {msg}";
+/// The bar, in 80 columns.
+const TEMPLATE: &str = "{bar:12} {pos}/{len} simulations  {per_sec}  {eta} left  {msg}";
+/// Unit of a bar that shows its numbers as bytes.
+const BYTES: &str = "bytes";
 
-/// Progress of the drives of a run; shared by all threads.
-pub(super) struct SimulationProgress {
+/// Prints the events of a run.
+struct Console {
+    printer: Printer,
+    simulations: RwLock<Option<SimulationProgress>>,
+    /// The other bars, by unit.
+    bars: Mutex<BTreeMap<&'static str, ProgressBar>>,
+}
+
+/// A listener that prints the events of a run.
+pub(super) fn listener(printer: Printer) -> Listener {
+    let console = Console { printer, simulations: RwLock::default(), bars: Mutex::default() };
+    Arc::new(move |event| console.print(event))
+}
+
+impl Console {
+    fn print(&self, event: Event) {
+        match event {
+            Event::Note(text) => self.printer.note(text),
+            Event::Detail(text) => self.printer.detail(text),
+            Event::LogsSearched { done, total } => self.bar("logs", done as u64, total as u64),
+            Event::ScenesCounted { done, total } => self.bar("scenes", done as u64, total as u64),
+            Event::Fetched(progress) => self.bar(BYTES, progress.bytes, progress.total),
+            Event::Started { total } => self.replace(Some(SimulationProgress::new(self.printer, total))),
+            Event::Stepped => self.of_simulations(SimulationProgress::step),
+            Event::Ended { failed } => self.of_simulations(|progress| progress.ended(failed)),
+            Event::Finished => self.replace(None),
+            Event::Planned { runs, completed, left } => self.printer.note(format!(
+                "{} simulations in {runs} runs; {completed} are completed, {left} are left",
+                completed + left
+            )),
+            Event::Estimated { left, time } => {
+                let (time, threads) = (HumanDuration(time), rayon::current_num_threads());
+                self.printer.note(format!("about {time} for {left} simulations on {threads} threads"));
+            }
+        }
+    }
+
+    /// Shows a bar until all is done.
+    fn bar(&self, unit: &'static str, done: u64, total: u64) {
+        let mut bars = self.bars.lock().unwrap_or_else(PoisonError::into_inner);
+        if done >= total {
+            if let Some(bar) = bars.remove(unit) {
+                bar.finish_and_clear();
+            }
+            return;
+        }
+        let bar = bars.entry(unit).or_insert_with(|| match unit {
+            BYTES => self.printer.byte_progress(total),
+            _ => self.printer.progress(total, unit),
+        });
+        bar.set_length(total);
+        bar.set_position(done);
+    }
+
+    fn replace(&self, progress: Option<SimulationProgress>) {
+        let mut simulations = self.simulations.write().unwrap_or_else(PoisonError::into_inner);
+        if let Some(before) = std::mem::replace(&mut *simulations, progress) {
+            before.bar.finish_and_clear();
+        }
+    }
+
+    fn of_simulations(&self, act: impl FnOnce(&SimulationProgress)) {
+        if let Some(progress) = &*self.simulations.read().unwrap_or_else(PoisonError::into_inner) {
+            act(progress);
+        }
+    }
+}
+
+/// Progress of the simulations of a run; shared by all threads.
+struct SimulationProgress {
     printer: Printer,
     bar: ProgressBar,
     is_terminal: bool,
     total: usize,
-    begun: Instant,
+    started: Instant,
     ended: AtomicUsize,
     failed: AtomicUsize,
-    iterations: AtomicUsize,
+    steps: AtomicUsize,
     last_line: Mutex<Instant>,
 }
 
 impl SimulationProgress {
-    /// Of a run with `total` drives that are to be made.
-    pub(super) fn new(printer: Printer, total: usize) -> Self {
-        Self::with_bar(printer, printer.progress(total as u64, "drives"), total)
+    /// Progress of `total` simulations.
+    fn new(printer: Printer, total: usize) -> Self {
+        Self::with_bar(printer, printer.progress(total as u64, "simulations"), total)
     }
 
     fn with_bar(printer: Printer, bar: ProgressBar, total: usize) -> Self {
@@ -40,50 +112,44 @@ impl SimulationProgress {
             bar,
             is_terminal: Term::stderr().is_term(),
             total,
-            begun: Instant::now(),
+            started: Instant::now(),
             ended: AtomicUsize::new(0),
             failed: AtomicUsize::new(0),
-            iterations: AtomicUsize::new(0),
+            steps: AtomicUsize::new(0),
             last_line: Mutex::new(Instant::now()),
         }
     }
 
-    /// After every iteration of every drive: a model of 7B takes an hour for a drive.
-    pub(super) fn iteration(&self) {
-        let iterations = self.iterations.fetch_add(1, Ordering::Relaxed) + 1;
-        self.show(iterations);
+    /// Counts a step of a simulation: with a model of 7B parameters, a simulation takes an hour.
+    fn step(&self) {
+        let steps = self.steps.fetch_add(1, Ordering::Relaxed) + 1;
+        self.show(steps);
     }
 
-    /// After every drive.
-    pub(super) fn drive_ended(&self, failed: bool) {
+    fn ended(&self, failed: bool) {
         self.ended.fetch_add(1, Ordering::Relaxed);
         self.failed.fetch_add(usize::from(failed), Ordering::Relaxed);
         self.bar.inc(1);
-        self.show(self.iterations.load(Ordering::Relaxed));
+        self.show(self.steps.load(Ordering::Relaxed));
     }
 
-    /// Takes the bar away.
-    pub(super) fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
-
-    fn show(&self, iterations: usize) {
+    fn show(&self, steps: usize) {
         let failed = self.failed.load(Ordering::Relaxed);
         if self.is_terminal {
-            self.bar.set_message(format!("{failed} failed  {iterations} steps"));
+            self.bar.set_message(format!("{failed} failed  {steps} steps"));
             return;
         }
-        // Whoever finds the clock taken has nothing to say: another thread is saying it.
+        // A thread that finds the clock locked prints nothing: another thread prints.
         let Ok(mut last) = self.last_line.try_lock() else { return };
         if last.elapsed() >= LINE_EVERY {
             *last = Instant::now();
-            self.printer.note(self.line(failed, iterations));
+            self.printer.note(self.line(failed, steps));
         }
     }
 
-    fn line(&self, failed: usize, iterations: usize) -> String {
+    fn line(&self, failed: usize, steps: usize) -> String {
         let ended = self.ended.load(Ordering::Relaxed);
-        let passed = self.begun.elapsed();
+        let passed = self.started.elapsed();
         let left = match u32::try_from(ended) {
             Ok(done) if done > 0 => {
                 let rest = passed / done * u32::try_from(self.total - ended.min(self.total)).unwrap_or(u32::MAX);
@@ -92,11 +158,11 @@ impl SimulationProgress {
             _ => String::new(),
         };
         let rate = a_minute(ended as f64, passed);
-        format!("{ended}/{} drives, {failed} failed, {iterations} steps, {rate:.1}/min{left}", self.total)
+        format!("{ended}/{} simulations, {failed} failed, {steps} steps, {rate:.1}/min{left}", self.total)
     }
 }
 
-/// Drives a minute since the begin.
+/// Simulations a minute since the start.
 fn a_minute(ended: f64, passed: Duration) -> f64 {
     ended / passed.as_secs_f64().max(f64::EPSILON) * 60.0
 }
@@ -114,13 +180,13 @@ mod tests {
     use std::io;
     use std::sync::Arc;
 
-    /// Columns of a terminal that would hold any bar.
+    /// More columns than any bar has.
     const WIDE: u16 = 500;
 
-    /// How long the run has been going on.
+    /// Time since the start of the run.
     const PASSED: Duration = Duration::from_secs(600);
 
-    /// A wide terminal that keeps all it was given.
+    /// A wide terminal that stores its text.
     #[derive(Debug, Clone, Default)]
     struct Paper(Arc<Mutex<String>>);
 
@@ -167,21 +233,21 @@ mod tests {
 
     #[test]
     fn bar_and_lines_of_a_large_run_stay_within_80_columns() {
-        let (total, iterations) = (12_800, 1_907_200);
+        let (total, steps) = (12_800, 1_907_200);
         let paper = Paper::default();
         let target = ProgressDrawTarget::term_like_with_hz(Box::new(paper.clone()), 255);
         let bar = ProgressBar::with_draw_target(Some(total as u64), target).with_elapsed(PASSED);
         let progress = SimulationProgress::with_bar(Printer::new(false, true), bar, total);
-        let begun = Instant::now().checked_sub(PASSED).unwrap();
-        let progress = SimulationProgress { is_terminal: true, begun, ..progress };
+        let started = Instant::now().checked_sub(PASSED).unwrap();
+        let progress = SimulationProgress { is_terminal: true, started, ..progress };
         progress.bar.set_position(12_799);
         progress.ended.store(12_799, Ordering::Relaxed);
         progress.failed.store(99, Ordering::Relaxed);
-        progress.show(iterations);
+        progress.show(steps);
         progress.bar.force_draw();
         let drawn = paper.0.lock().unwrap().clone();
-        assert!(drawn.contains("12799/12800 drives") && drawn.contains("99 failed  1907200 steps"), "{drawn}");
-        let line = progress.line(99, iterations);
+        assert!(drawn.contains("12799/12800 simulations") && drawn.contains("99 failed  1907200 steps"), "{drawn}");
+        let line = progress.line(99, steps);
         for text in drawn.lines().chain([line.as_str()]) {
             assert!(console::measure_text_width(text) <= 80, "{text}");
         }

@@ -9,14 +9,19 @@ use std::path::PathBuf;
 /// The format of run folders that this program reads and writes.
 pub const FORMAT_VERSION: u32 = 2;
 
-/// What a run consists of. Runs with equal manifests, apart from the start time, have equal results.
+/// What a run consists of. Runs with the same [`Manifest::digest`] have equal results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
     /// Format of the run folder: [`FORMAT_VERSION`].
     pub format_version: u32,
+    /// Version of what simulations compute.
+    pub result_version: u32,
     /// Version of the program.
     pub planagent: String,
+    /// Commit that the program was built from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub commit: Option<String>,
     /// Start time in nuPlan's format: `YYYY.MM.DD.hh.mm.ss`, UTC.
     pub started: String,
     /// Names of the planners, in order.
@@ -77,7 +82,8 @@ impl Manifest {
         self.scenarios.count * self.planners.len() * self.challenges.len()
     }
 
-    /// The differences from `now`, one a line, by dotted keys. Start time, words and folders of the scenarios may differ.
+    /// The differences from `now`, one a line, by dotted keys. The version and commit of the program, the start time, and the
+    /// words and folders of the scenarios may differ.
     pub fn differences(&self, now: &Self) -> Vec<String> {
         let (then, now) = (self.flat(), now.flat());
         let text = |value: Option<&String>| value.map_or("none", String::as_str).to_owned();
@@ -99,7 +105,7 @@ impl Manifest {
     /// Every value that determines the results, by its dotted key.
     fn flat(&self) -> Vec<(String, String)> {
         let mut all = vec![
-            ("planagent".to_owned(), self.planagent.clone()),
+            ("result_version".to_owned(), self.result_version.to_string()),
             ("planners".to_owned(), self.planners.join(",")),
             ("challenges".to_owned(), self.challenges.join(",")),
             ("scenarios.count".to_owned(), self.scenarios.count.to_string()),
@@ -133,6 +139,8 @@ mod tests {
     fn manifest() -> Manifest {
         Manifest {
             format_version: FORMAT_VERSION,
+            result_version: 1,
+            commit: None,
             planagent: "0.1.0".to_owned(),
             started: "2026.11.20.08.00.00".to_owned(),
             planners: vec!["idm".to_owned()],

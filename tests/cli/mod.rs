@@ -12,7 +12,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// A generated scene that every planner drives in a second or two.
+/// A generated scene that every planner completes in a second or two.
 const SCENE: &str = "generated/changing_lane/3";
 
 pub(crate) fn planagent() -> Command {
@@ -363,9 +363,9 @@ fn plan_agent_drives_every_recording() {
 #[test]
 fn the_example_configuration_shows_every_default() {
     let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/planagent.toml")).unwrap();
-    let example: planagent::internals::cli::Config = toml::from_str(&text).unwrap();
-    assert_eq!(example, planagent::internals::cli::Config::default());
-    let defaults: toml::Table = toml::Table::try_from(planagent::internals::cli::Config::default()).unwrap();
+    let example: planagent::internals::runner::Config = toml::from_str(&text).unwrap();
+    assert_eq!(example, planagent::internals::runner::Config::default());
+    let defaults: toml::Table = toml::Table::try_from(planagent::internals::runner::Config::default()).unwrap();
     let shown: toml::Table = toml::from_str(&text).unwrap();
     for (section, value) in &defaults {
         let keys = value.as_table().map(|table| table.keys().cloned().collect::<Vec<_>>()).unwrap_or_default();

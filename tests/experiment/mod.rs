@@ -1,14 +1,14 @@
-//! `planagent experiment`: runs that are shared and gone on with, results that do not depend on how often it was killed.
+//! `planagent experiment`: runs are shared and resumed, and the results do not depend on interruptions.
 
 use crate::cli::{planagent, read_json, refused, run};
-use crate::runner::{drives, kill_when, spawn, written};
+use crate::runner::{kill_when, simulations, spawn, written};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// A suite that every planner drives in a few seconds.
+/// A suite that every planner completes in a few seconds.
 const SUITE: [&str; 5] =
     ["--suite", "recorded", "--scenario", "generated/changing_lane/3", "generated/stopping_with_lead/1"];
 
@@ -25,25 +25,25 @@ fn results(folder: &Path) -> BTreeMap<String, String> {
 
 /// The folders of the runs.
 fn runs(out: &Path) -> Vec<PathBuf> {
-    let Ok(entries) = fs::read_dir(out.join("drives")) else { return Vec::new() };
+    let Ok(entries) = fs::read_dir(out.join("runs")) else { return Vec::new() };
     let mut found: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
     found.sort();
     found
 }
 
-/// How many drives have ended in all runs.
+/// How many simulations of all runs are completed.
 fn ended(out: &Path) -> usize {
-    runs(out).iter().map(|run| drives(run).len()).sum()
+    runs(out).iter().map(|run| simulations(run).len()).sum()
 }
 
 #[test]
-fn an_experiment_that_is_killed_ends_like_one_that_is_not_and_shares_its_drives() {
+fn a_killed_experiment_ends_like_an_uninterrupted_one_and_shares_its_runs() {
     let work = TempDir::new().unwrap();
     let [whole, killed] = ["whole", "killed"].map(|name| work.path().join(name));
     let (code, stdout, stderr) = run(&experiment("scenario-types", &whole));
     assert_eq!(code, 0, "{stderr}");
-    assert!(stderr.contains("8 drives in 2 runs; 0 are made, 8 are left"), "{stderr}");
-    assert!(stderr.contains(" for 4 drives on"), "the time is told once the first scene is driven: {stderr}");
+    assert!(stderr.contains("8 simulations in 2 runs; 0 are completed, 8 are left"), "{stderr}");
+    assert!(stderr.contains(" for 4 simulations on"), "the time is known after the first scene: {stderr}");
     assert!(stdout.contains("stopping_with_lead") && stdout.lines().all(|l| l.chars().count() <= 80), "{stdout}");
     let expected = results(&whole.join("scenario-types"));
     assert_eq!(expected.keys().collect::<Vec<_>>(), ["recorded.svg", "results.json", "results.md"]);
@@ -56,23 +56,23 @@ fn an_experiment_that_is_killed_ends_like_one_that_is_not_and_shares_its_drives(
     let before: BTreeMap<_, _> = runs(&killed).iter().flat_map(|run| written(run)).collect();
     assert!(before.len() >= 5);
     let (code, _, stderr) = run(&experiment("scenario-types", &killed));
-    assert!(code == 0 && stderr.contains(&format!("{} are made", before.len())), "{stderr}");
+    assert!(code == 0 && stderr.contains(&format!("{} are completed", before.len())), "{stderr}");
     let after: BTreeMap<_, _> = runs(&killed).iter().flat_map(|run| written(run)).collect();
-    assert!(before.iter().all(|(drive, time)| after.get(drive) == Some(time)), "a drive was made twice");
+    assert!(before.iter().all(|(folder, time)| after.get(folder) == Some(time)), "a simulation was repeated");
     assert_eq!(results(&killed.join("scenario-types")), expected);
 
-    // Another experiment has a run in common with it; a run is one that simulate goes on with.
+    // Another experiment shares a run with it, and `simulate` can resume each run.
     let (code, stdout, stderr) = run(&[&experiment("interval", &killed)[..], &["--json"]].concat());
-    assert!(code == 0 && stderr.contains("12 drives in 3 runs; 4 are made, 8 are left"), "{stderr}");
+    assert!(code == 0 && stderr.contains("12 simulations in 3 runs; 4 are completed, 8 are left"), "{stderr}");
     let told: Value = serde_json::from_str(&stdout).unwrap();
     assert_eq!(told, read_json(&killed.join("interval/results.json")));
     assert_eq!(ended(&killed), 16);
     for simulated in runs(&killed) {
         let (code, _, stderr) = run(&["simulate", "--resume", simulated.to_str().unwrap(), "--json"]);
-        assert!(code == 0 && stderr.contains("4 of 4 drives are done"), "{stderr}");
+        assert!(code == 0 && stderr.contains("4 of 4 simulations are completed"), "{stderr}");
     }
 
-    // What is told is what was driven.
+    // The results are those of the runs.
     let suite = &told["suites"][0];
     assert_eq!((&suite["name"], &suite["scenes"], &suite["benchmark"]), (&"recorded".into(), &2.into(), &Value::Null));
     for variant in suite["variants"].as_array().unwrap() {

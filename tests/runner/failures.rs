@@ -1,7 +1,7 @@
-//! A drive that fails is recorded, and the run goes on.
+//! A failed simulation is recorded, and the run continues.
 
 use super::parquet::{aggregator_table, table};
-use super::{assert_same_results, drives};
+use super::{assert_same_results, simulations};
 use crate::cli::{read_json, run};
 use planagent::internals::experiment::panic_guard;
 use planagent::internals::experiment::run::{self as runner, AgentParts, SimulationRecord, SimulationTask};
@@ -29,7 +29,7 @@ fn tasks() -> Vec<SimulationTask> {
     ]
 }
 
-/// All records of a run of [`assignments`], by number.
+/// All records of a run of [`tasks`], by number.
 fn records(on_iteration: &(dyn Fn() + Sync)) -> BTreeMap<usize, SimulationRecord> {
     let records = Mutex::new(BTreeMap::new());
     let outcome: Result<(), ()> =
@@ -42,7 +42,7 @@ fn records(on_iteration: &(dyn Fn() + Sync)) -> BTreeMap<usize, SimulationRecord
 }
 
 #[test]
-fn an_error_is_recorded_and_the_run_goes_on() {
+fn an_error_is_recorded_and_the_run_continues() {
     let records = records(&|| ());
     let error = |number: usize| records[&number].outcome.as_ref().unwrap_err().clone();
     assert!(error(0).contains("nowhere.tfrecord"), "{}", error(0));
@@ -53,7 +53,7 @@ fn an_error_is_recorded_and_the_run_goes_on() {
 }
 
 #[test]
-fn a_panic_is_recorded_with_its_place_and_the_run_goes_on() {
+fn a_panic_is_recorded_with_its_place_and_the_run_continues() {
     panic_guard::install_hook();
     let records = records(&|| panic!("a wheel came off"));
     let error = records[&2].outcome.as_ref().unwrap_err();
@@ -62,16 +62,16 @@ fn a_panic_is_recorded_with_its_place_and_the_run_goes_on() {
 }
 
 #[test]
-fn nothing_is_begun_after_a_record_that_cannot_be_kept() {
+fn no_simulation_starts_after_a_record_that_cannot_be_written() {
     let outcome = runner::run(&tasks(), &[0, 1, 2], &AgentParts::default(), &|_| (), &|number, _| {
         Err(format!("disk full at {number}"))
     });
     assert!(outcome.unwrap_err().starts_with("disk full at"));
 }
 
-/// Makes the record of a drive say that it failed.
-fn mark_failed(drive: &Path) {
-    let record = drive.join("record.toml");
+/// Marks a simulation as failed in its record.
+fn mark_failed(folder: &Path) {
+    let record = folder.join("record.toml");
     let text = fs::read_to_string(&record).unwrap();
     let lines =
         text.lines().map(|line| if line.starts_with("score = ") { "error = \"a wheel came off\"" } else { line });
@@ -80,25 +80,28 @@ fn mark_failed(drive: &Path) {
 }
 
 #[test]
-fn failed_drives_are_listed_and_made_again_only_on_demand() {
+fn failed_simulations_are_listed_and_repeated_only_on_demand() {
     let work = TempDir::new().unwrap();
     let [whole, mended] = ["whole", "mended"].map(|name| work.path().join(name));
     for out in [&whole, &mended] {
         let flags = ["simulate", "--split", "generated", "--limit", "2", "--planner", "simple", "--quiet"];
         assert_eq!(run(&[&flags[..], &["--out", out.to_str().unwrap()]].concat()).0, 0);
     }
-    mark_failed(&drives(&mended)[1]);
+    mark_failed(&simulations(&mended)[1]);
 
     let resume = ["simulate", "--resume", mended.to_str().unwrap()];
     let (code, stdout, stderr) = run(&resume);
     assert_eq!(code, 1, "{stderr}");
-    assert!(stderr.contains("a wheel came off") && stderr.contains("1 of 2 drives failed"), "{stderr}");
+    assert!(stderr.contains("a wheel came off") && stderr.contains("1 of 2 simulations failed"), "{stderr}");
     assert!(stdout.lines().any(|line| line.starts_with("simple") && line.ends_with('1')), "{stdout}");
     let summary = read_json(&mended.join("summary.json"));
     assert_eq!(summary["scenarios"][1]["error"], "a wheel came off");
     assert_eq!(summary["scenarios"][1]["succeeded"], false);
     assert_eq!(summary["aggregates"][0]["failed"], 1);
-    assert_eq!(summary["aggregates"][0]["score"], summary["scenarios"][0]["score"], "a failed drive does not count");
+    assert_eq!(
+        summary["aggregates"][0]["score"], summary["scenarios"][0]["score"],
+        "a failed simulation does not count"
+    );
 
     let (code, _, stderr) = run(&[&resume[..], &["--retry-failed"]].concat());
     assert_eq!(code, 0, "{stderr}");
@@ -111,8 +114,8 @@ fn results_of_a_run_in_which_all_failed_can_be_read() {
     let out = work.path().join("run");
     let flags = ["simulate", "--split", "generated", "--limit", "2", "--planner", "simple", "--challenge", "both"];
     assert_eq!(run(&[&flags[..], &["--quiet", "--out", out.to_str().unwrap()]].concat()).0, 0);
-    for drive in drives(&out) {
-        mark_failed(&drive);
+    for folder in simulations(&out) {
+        mark_failed(&folder);
     }
     let (code, stdout, stderr) = run(&["simulate", "--resume", out.to_str().unwrap()]);
     assert_eq!(code, 1, "{stderr}");

@@ -1,8 +1,9 @@
-//! Runs of many drives: written drive by drive, gone on with, and read by others.
+//! Runs: written simulation by simulation, resumed, and read by other programs.
 
 mod failures;
 mod nuplan_folders;
 mod parquet;
+mod pinned;
 mod resume;
 mod splits;
 
@@ -19,8 +20,8 @@ fn quick_run(scenarios: usize) -> Vec<String> {
     flags.into_iter().chain(["--challenge", "both"]).map(str::to_owned).collect()
 }
 
-/// Folders of the drives that have ended, by name.
-pub(crate) fn drives(run: &Path) -> Vec<PathBuf> {
+/// Folders of the completed simulations, by name.
+pub(crate) fn simulations(run: &Path) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(run.join("simulations")) else { return Vec::new() };
     let mut found: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
     found.retain(|path| !path.file_name().unwrap().to_str().unwrap().starts_with('.'));

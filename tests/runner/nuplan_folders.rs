@@ -1,6 +1,6 @@
 //! Folders of nuPlan logs as they come: recorded at one time, damaged, named twice, without maps, moved.
 
-use super::drives;
+use super::simulations;
 use crate::cli::{planagent, read_json};
 use arrow::array::AsArray;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
@@ -70,7 +70,7 @@ fn logs_recorded_at_one_time_are_all_driven() {
     let work = Work::with(2);
     let (code, stdout, stderr) = work.simulate(&["--scenario", "nuplan/data"]);
     assert_eq!(code, 0, "{stderr}");
-    assert_eq!(drives(&work.path("run")).len(), 2, "{stdout}");
+    assert_eq!(simulations(&work.path("run")).len(), 2, "{stdout}");
     assert!(!stderr.contains("left out"), "{stderr}");
 
     // A filter that says so itself means the clock, as the devkit does.
@@ -115,7 +115,7 @@ fn a_damaged_log_among_others_is_a_failed_drive() {
     change(&work.log(1), "UPDATE lidar_box SET x = NULL");
     let (code, _, stderr) = work.simulate(&["--scenario", "nuplan/data"]);
     assert_eq!(code, 1, "{stderr}");
-    assert!(stderr.contains("2 of 3 drives failed"), "{stderr}");
+    assert!(stderr.contains("2 of 3 simulations failed"), "{stderr}");
     let summary = work.summary();
     let row = |log: &str| {
         let rows = summary["scenarios"].as_array().unwrap();
@@ -124,7 +124,7 @@ fn a_damaged_log_among_others_is_a_failed_drive() {
     let damaged = row("0000");
     assert!(damaged["error"].as_str().unwrap().contains("0000.db: not an SQLite database"), "{damaged}");
     assert!(row(&work.exported.logs[0].log)["score"].is_number());
-    // A drive that cannot be opened keeps what the log says of it.
+    // A scenario that cannot be opened keeps what the log says of it.
     let broken = row(&work.exported.logs[1].log);
     assert_eq!(
         (&broken["id"], &broken["scenario_type"]),
@@ -187,7 +187,7 @@ fn a_run_is_gone_on_with_from_anywhere_and_without_its_data_as_far_as_it_came() 
 
     let (code, stdout, stderr) = resume();
     assert_eq!((code, &stdout), (0, &table), "{stderr}");
-    assert!(stderr.contains("2 of 2 drives are done, 0 are left"), "{stderr}");
+    assert!(stderr.contains("2 of 2 simulations are completed, 0 are left"), "{stderr}");
 
     let moved = work.path("moved");
     fs::rename(work.path("nuplan"), &moved).unwrap();
@@ -196,14 +196,14 @@ fn a_run_is_gone_on_with_from_anywhere_and_without_its_data_as_far_as_it_came() 
     assert!(stderr.contains("not there any more") && stderr.contains("nuplan/data"), "{stderr}");
     assert_eq!(fs::read(work.path("run/summary.json")).unwrap(), summary);
 
-    // Nothing but its end can be told: what asks for more needs the data, and so does a drive that is left.
+    // Only its results can be shown: every other request needs the data, and so does a simulation that is left.
     let retry = ["simulate", "--retry-failed", "--resume", run.to_str().unwrap()];
     assert_eq!(work.run_in(elsewhere.path(), &retry).0, 2);
-    fs::remove_dir_all(&drives(&run)[1]).unwrap();
+    fs::remove_dir_all(&simulations(&run)[1]).unwrap();
     let (code, stdout, stderr) = resume();
     assert!(code == 2 && stdout.is_empty(), "{stdout}");
     let missing = work.path("nuplan/data");
-    assert!(stderr.contains("1 of 2 drives made") && stderr.contains(missing.to_str().unwrap()), "{stderr}");
+    assert!(stderr.contains("1 of 2 simulations completed") && stderr.contains(missing.to_str().unwrap()), "{stderr}");
     fs::rename(&moved, work.path("nuplan")).unwrap();
     let (code, _, stderr) = resume();
     assert_eq!(code, 0, "{stderr}");

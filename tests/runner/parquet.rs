@@ -1,6 +1,6 @@
 //! nuPlan's result tree, read by the `parquet` crate and by pandas.
 
-use super::{drives, quick_run};
+use super::{quick_run, simulations};
 use crate::cli::{read_json, run};
 use crate::outside::skipped;
 use arrow::array::{Array, AsArray, RecordBatch};
@@ -48,7 +48,7 @@ fn small_run(work: &TempDir) -> PathBuf {
     flags.extend(["--out".to_owned(), out.to_str().unwrap().to_owned()]);
     let (code, _, stderr) = run(&flags.iter().map(String::as_str).collect::<Vec<_>>());
     assert_eq!(code, 0, "{stderr}");
-    assert_eq!(drives(&out).len(), 12);
+    assert_eq!(simulations(&out).len(), 12);
     out
 }
 

@@ -1,6 +1,6 @@
-//! A run that was killed is gone on with: nothing lost, nothing twice, the same files at the end.
+//! A killed run is resumed: no simulation is lost or repeated, and the result is that of an uninterrupted run.
 
-use super::{assert_same_results, drives, quick_run};
+use super::{assert_same_results, quick_run, simulations};
 use crate::cli::{planagent, read_json, refused, run};
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,10 +9,10 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 use tempfile::TempDir;
 
-/// Scenes of the run that is killed; four drives each.
+/// Scenes of the killed run; four simulations each.
 const SCENES: usize = 5;
-/// Drives of that run.
-const DRIVES: usize = 4 * SCENES;
+/// Simulations of that run.
+const SIMULATIONS: usize = 4 * SCENES;
 
 fn strings(flags: &[String]) -> Vec<&str> {
     flags.iter().map(String::as_str).collect()
@@ -28,13 +28,13 @@ pub(crate) fn spawn(flags: &[&str]) -> Child {
     command.args(flags).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// When each drive's record was written.
+/// When each simulation's record was written.
 pub(crate) fn written(run: &Path) -> BTreeMap<PathBuf, SystemTime> {
-    let record = |drive: PathBuf| {
-        let time = fs::metadata(drive.join("record.toml")).unwrap().modified().unwrap();
-        (drive, time)
+    let record = |folder: PathBuf| {
+        let time = fs::metadata(folder.join("record.toml")).unwrap().modified().unwrap();
+        (folder, time)
     };
-    drives(run).into_iter().map(record).collect()
+    simulations(run).into_iter().map(record).collect()
 }
 
 /// Kills `child` (SIGKILL) as soon as `moment` has come; says whether it was still alive.
@@ -57,43 +57,43 @@ fn a_run_that_is_killed_again_and_again_ends_like_one_that_is_not() {
     let flags = quick_run(SCENES);
     let (code, _, stderr) = run(&[&strings(&flags)[..], &["--out", whole.to_str().unwrap()]].concat());
     assert_eq!(code, 0, "{stderr}");
-    assert_eq!(drives(&whole).len(), DRIVES);
+    assert_eq!(simulations(&whole).len(), SIMULATIONS);
 
     let begin = [&strings(&flags)[..], &["--out", killed.to_str().unwrap()]].concat();
-    let go_on = ["simulate", "--resume", killed.to_str().unwrap(), "--quiet"];
-    // Before the manifest is there, the run has to be begun again.
+    let resume = ["simulate", "--resume", killed.to_str().unwrap(), "--quiet"];
+    // Without a manifest, the run has to start again.
     kill_when(spawn(&begin), || killed.is_dir());
     if !killed.join("manifest.toml").is_file() {
-        let nothing = refused(&go_on);
+        let nothing = refused(&resume);
         assert!(nothing.contains("holds no run"), "{nothing}");
         kill_when(spawn(&begin), || killed.join("manifest.toml").is_file());
     }
     let mut before = BTreeMap::new();
     let mut kills = 0;
-    let halfway = |drives: usize| move |run: &Path| super::drives(run).len() >= drives;
-    for goal in [1, 2, 7, 12, DRIVES - 1, DRIVES] {
-        kills += usize::from(kill_when(spawn(&go_on), || halfway(goal)(&killed)));
+    let halfway = |count: usize| move |run: &Path| super::simulations(run).len() >= count;
+    for goal in [1, 2, 7, 12, SIMULATIONS - 1, SIMULATIONS] {
+        kills += usize::from(kill_when(spawn(&resume), || halfway(goal)(&killed)));
         let now = written(&killed);
-        assert!(before.iter().all(|(drive, time)| now.get(drive) == Some(time)), "a drive was lost or made twice");
+        assert!(before.iter().all(|(folder, time)| now.get(folder) == Some(time)), "a simulation was lost or repeated");
         before = now;
     }
     assert!(kills >= 4, "only {kills} kills came in time");
-    let (code, _, stderr) = run(&go_on);
+    let (code, _, stderr) = run(&resume);
     assert_eq!(code, 0, "{stderr}");
     let after = written(&killed);
-    assert_eq!(after.len(), DRIVES);
-    assert!(before.iter().all(|(drive, time)| after.get(drive) == Some(time)), "a drive was made twice");
+    assert_eq!(after.len(), SIMULATIONS);
+    assert!(before.iter().all(|(folder, time)| after.get(folder) == Some(time)), "a simulation was repeated");
     assert_same_results(&whole, &killed);
-    let leftovers = fs::read_dir(killed.join("simulations")).unwrap().count() - DRIVES;
-    assert_eq!(leftovers, 0, "unfinished drives are left behind");
+    let leftovers = fs::read_dir(killed.join("simulations")).unwrap().count() - SIMULATIONS;
+    assert_eq!(leftovers, 0, "unfinished simulations are left behind");
 
-    // Going on with a run that has ended changes nothing.
-    assert_eq!(run(&go_on).0, 0);
+    // Resuming a run that has ended changes nothing.
+    assert_eq!(run(&resume).0, 0);
     assert_same_results(&whole, &killed);
 }
 
 #[test]
-fn a_run_is_gone_on_with_only_as_it_was_started() {
+fn a_run_is_resumed_only_as_it_was_started() {
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
     let folder = out.to_str().unwrap();
@@ -125,20 +125,30 @@ fn a_run_is_gone_on_with_only_as_it_was_started() {
     let nowhere = refused(&["simulate", "--resume", work.path().join("nowhere").to_str().unwrap()]);
     assert!(nowhere.contains("holds no run"), "{nowhere}");
 
-    // A record of another drive is no record of this one.
-    let record = drives(&out)[0].join("record.toml");
+    // A record of another simulation is refused.
+    let record = simulations(&out)[0].join("record.toml");
     let text = fs::read_to_string(&record).unwrap();
     fs::write(&record, text.replace("changing_lane/3", "changing_lane/5")).unwrap();
     let foreign = refused(&["simulate", "--resume", folder]);
     assert!(foreign.contains("changing_lane/5 by log-replay") && foreign.contains("record.toml"), "{foreign}");
-    // A damaged one is made again.
+    // The simulation of a damaged record is repeated.
     fs::write(&record, &text[..text.len() / 2]).unwrap();
     let (code, _, stderr) = run(&["simulate", "--resume", folder]);
     assert!(code == 0 && stderr.contains("is damaged"), "{stderr}");
-    // So is a manifest that cannot be read refused with its place.
-    fs::write(out.join("manifest.toml"), "planagent = 1\n").unwrap();
+    // A run of another format version is refused by name.
+    let manifest = fs::read_to_string(out.join("manifest.toml")).unwrap();
+    fs::write(out.join("manifest.toml"), manifest.replace("format_version = 2\n", "format_version = 1\n")).unwrap();
+    let old = refused(&["simulate", "--resume", folder]);
+    assert!(old.contains("has format version 1, this program reads version 2"), "{old}");
+    assert_eq!(refused(&["report", folder]).replace('\n', ""), old.replace('\n', ""));
+    // So are results of another version,
+    fs::write(out.join("manifest.toml"), manifest.replace("result_version = ", "result_version = 9")).unwrap();
+    let other = refused(&["simulate", "--resume", folder]);
+    assert!(other.contains("result_version: was 9"), "{other}");
+    // and a manifest that cannot be read, with its place.
+    fs::write(out.join("manifest.toml"), "format_version = 2\nplanagent = 1\n").unwrap();
     let manifest = refused(&["simulate", "--resume", folder]);
-    assert!(manifest.contains("manifest.toml") && manifest.contains("line 1"), "{manifest}");
+    assert!(manifest.contains("manifest.toml") && manifest.contains("line 2"), "{manifest}");
 }
 
 #[test]
@@ -148,8 +158,8 @@ fn two_processes_do_not_share_a_folder() {
     let flags = quick_run(SCENES);
     let mut first = spawn(&[&strings(&flags)[..], &["--out", out.to_str().unwrap()]].concat());
     let patience = Instant::now();
-    while drives(&out).is_empty() {
-        assert!(patience.elapsed() < Duration::from_secs(120), "no drive came");
+    while simulations(&out).is_empty() {
+        assert!(patience.elapsed() < Duration::from_secs(120), "no simulation came");
         std::thread::sleep(Duration::from_millis(2));
     }
     let second = refused(&["simulate", "--resume", out.to_str().unwrap()]);

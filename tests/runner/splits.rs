@@ -1,6 +1,6 @@
 //! Lists of scenarios by name and file.
 
-use super::drives;
+use super::simulations;
 use crate::cli::{read_json, refused, run};
 use planagent::internals::experiment::suite::Suite;
 use planagent::internals::report::ScenarioList;
@@ -35,7 +35,7 @@ fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
     let summary = read_json(&out.join("summary.json"));
     assert_eq!(summary["scenarios"].as_array().unwrap().len(), 1);
     assert_eq!(summary["scenarios"][0]["id"], token);
-    assert_eq!(drives(&out).len(), 1);
+    assert_eq!(simulations(&out).len(), 1);
     let missing = json!([{"split": filter, "wanted": 2, "absent": [ABSENT], "excluded": []}]);
     assert_eq!(summary["missing"], missing);
     let manifest: toml::Table = fs::read_to_string(out.join("manifest.toml")).unwrap().parse().unwrap();
@@ -43,11 +43,11 @@ fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
 
     // The run knows where its data lies.
     let (code, _, stderr) = run(&["simulate", "--resume", out.to_str().unwrap()]);
-    assert!(code == 1 && stderr.contains("1 of 1 drives are done, 0 are left"), "{stderr}");
+    assert!(code == 1 && stderr.contains("1 of 1 simulations are completed, 0 are left"), "{stderr}");
     // Programs read what is missing, and who wants quiet is told nevertheless.
     let (code, stdout, stderr) = run(&["simulate", "--resume", out.to_str().unwrap(), "--json", "-q"]);
     assert_eq!((code, serde_json::from_str::<Value>(&stdout).unwrap()), (1, summary), "{stderr}");
-    assert!(stderr.starts_with("error: not driven") && stderr.contains(ABSENT), "{stderr}");
+    assert!(stderr.starts_with("error: not simulated") && stderr.contains(ABSENT), "{stderr}");
 
     let (code, stdout, _) = run(&[&["scenarios", "list"][..], &split, &roots].concat());
     let named = stdout.lines().filter(|line| line.contains(&format!("#{token}"))).count();

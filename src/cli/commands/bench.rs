@@ -2,12 +2,13 @@
 
 use crate::cli::args::{BENCH_PROCESS, BenchArguments, OtherEngine};
 use crate::cli::commands::models::quantize::write as write_gguf;
-use crate::cli::machine::{commit, cpu, memory};
-use crate::cli::{Config, Exit, Printer, model};
+use crate::cli::progress::listener;
+use crate::cli::{Exit, Printer};
 use crate::experiment::bench::protocol::{GgufPair, ModelChoice};
 use crate::experiment::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
 use crate::mllm::{GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, export_model};
 use crate::report::{BenchFigures, BenchFolder, BenchMetadata, ReportError, bench_markdown, bench_table, stamp};
+use crate::runner::{Config, build_commit, cpu, memory, model_registry};
 use anyhow::{Context, bail};
 use serde_json::{Map, Value, json};
 use std::io;
@@ -26,7 +27,7 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
     if flags.iterations == 0 {
         bail!("--iterations is 0; at least one planning call must count");
     }
-    let registry = model::registry(config, printer);
+    let registry = model_registry(config, &listener(printer));
     let candidates = candidates(flags, config, &registry)?;
     let started = stamp(SystemTime::now());
     let metadata = metadata(flags, config, &candidates, &started)?;
@@ -88,7 +89,7 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
 /// # Errors
 /// When stdout is gone.
 pub(in crate::cli) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    serve(&model::registry(config, printer), io::stdin().lock(), io::stdout().lock())?;
+    serve(&model_registry(config, &listener(printer)), io::stdin().lock(), io::stdout().lock())?;
     Ok(Exit::Success)
 }
 
@@ -192,7 +193,7 @@ fn metadata(
     let Value::Object(settings) = settings else { bail!("the settings are no object") };
     Ok(BenchMetadata {
         planagent: env!("CARGO_PKG_VERSION").to_owned(),
-        commit: commit(),
+        commit: build_commit().map(str::to_owned),
         started: started.to_owned(),
         command: std::env::args().collect(),
         cpu: cpu(),

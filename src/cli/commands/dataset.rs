@@ -1,11 +1,12 @@
 //! `planagent dataset`.
 
 use crate::cli::args::DatasetArguments;
-use crate::cli::model;
-use crate::cli::{Config, Exit, Printer};
+use crate::cli::progress::listener;
+use crate::cli::{Exit, Printer};
 use crate::environment::BevView;
 use crate::experiment::dataset::{Settings, Split, write_split};
 use crate::reasoning::PromptSet;
+use crate::runner::{Config, load_model};
 
 /// Prompt set of datasets: that of the models which are trained on them.
 const PROMPT_SET: &str = "compact";
@@ -17,8 +18,8 @@ const PROMPT_SET: &str = "compact";
 pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let prompts = PromptSet::open(config.reasoning.prompt_set.as_deref().unwrap_or(PROMPT_SET))?;
     let view = BevView::new(BevView::default().pixels(), config.environment.view_m)?;
-    let loaded = if flags.driven { Some(model::load(config, printer)?) } else { None };
-    let driver = loaded.as_ref().map(|loaded| model::parts(config, Some(loaded)));
+    let loaded = if flags.driven { Some(load_model(config, &listener(printer))?) } else { None };
+    let driver = loaded.as_ref().map(|loaded| loaded.agent_parts(config));
     let settings = Settings { seed: config.seed, prompts: &prompts, view, driver: driver.as_ref() };
     let splits = [(Split::Train, flags.states), (Split::Validation, flags.validation)];
     for (split, states) in splits.into_iter().filter(|(split, _)| *split == Split::Train || !flags.driven) {

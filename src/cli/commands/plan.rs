@@ -1,11 +1,13 @@
 //! `planagent plan`.
 
 use crate::cli::args::PlanArguments;
-use crate::cli::{Config, Exit, Printer, model};
+use crate::cli::progress::listener;
+use crate::cli::{Exit, Printer};
 use crate::planner::PlannerName;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
 use crate::reasoning::Interruption;
 use crate::report::{CallTimes, attempt_markdown, call_record, decision_words, fixed};
+use crate::runner::{Config, load_model};
 use crate::scenario::{Frame, Readers, Scenario, generator};
 use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory};
 use anyhow::{Context, bail};
@@ -18,8 +20,8 @@ use serde_json::{Value, json};
 pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let scenario = scenario(flags.scenario.as_deref(), &flags.data.readers())?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
-    let loaded = model::load(config, printer)?;
-    let parts = model::parts(config, Some(&loaded));
+    let loaded = load_model(config, &listener(printer))?;
+    let parts = loaded.agent_parts(config);
     let mut agent = parts.planner(PlannerName::PLAN_AGENT, &scenario)?;
     agent.initialize(&PlannerInitialization { map: &scenario.map, route: &scenario.route })?;
     let trajectory = compute(&scenario, iteration, frame, agent.as_mut())?;

@@ -6,14 +6,16 @@ mod list;
 pub(in crate::cli) mod quantize;
 
 use crate::cli::args::ModelsCommand;
-use crate::cli::{Config, Exit, Printer, model};
+use crate::cli::progress::listener;
+use crate::cli::{Exit, Printer};
+use crate::runner::{Config, model_registry};
 
 /// Lists, checks, fetches or quantises models.
 ///
 /// # Errors
 /// When a model does not exist, cannot be had or cannot be written.
 pub(in crate::cli) fn run(command: &ModelsCommand, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    let registry = model::registry(config, printer);
+    let registry = model_registry(config, &listener(printer));
     match command {
         ModelsCommand::List => list::run(&registry, printer),
         ModelsCommand::Check { models } => check::run(models, &registry, printer),

@@ -1,12 +1,13 @@
-//! The resolved configuration: defaults, then the file, then the flags.
+//! The configuration of a run.
 
+use super::error::RunnerError;
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use crate::environment::{BevView, DEFAULT_NODE_LENGTH};
 use crate::mllm::{GenerationSettings, Sampling, WeightFormat};
 use crate::planner::{AfterMaxExec, Latency, PlanAgentSettings};
 use crate::reasoning::{ReasoningSettings, Round};
 use crate::reflection::LeadPolicy;
-use anyhow::{Context, bail};
+use crate::report::RunFolder;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -149,34 +150,56 @@ impl Default for ReflectionConfig {
     }
 }
 
+/// Why a configuration cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum ConfigError {
+    #[error("cannot read the configuration {}: {source}", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("in the configuration {place}: {source}")]
+    Parse { place: String, source: Box<toml::de::Error> },
+    #[error("in the configuration {place}: {fault}")]
+    Value { place: String, fault: String },
+    #[error("cannot serialize the configuration")]
+    Serialize(#[from] toml::ser::Error),
+}
+
 impl Config {
-    /// Reads a file; `None` looks for `planagent.toml` in the working directory and takes the defaults when there is none.
-    ///
-    /// # Errors
-    /// When the file cannot be read, has a wrong key or type (with its line), or a value is out of range.
-    pub fn load(path: Option<&Path>) -> anyhow::Result<Self> {
+    /// Reads a file. `None` reads `planagent.toml` in the working directory; without that file the defaults apply.
+    pub fn load(path: Option<&Path>) -> Result<Self, ConfigError> {
         let found: Option<PathBuf> = match path {
             Some(path) => Some(path.to_owned()),
             None => Some(PathBuf::from("planagent.toml")).filter(|default| default.is_file()),
         };
         let Some(path) = found else { return Ok(Self::default()) };
-        let text = std::fs::read_to_string(&path)
-            .with_context(|| format!("cannot read the configuration {}", path.display()))?;
-        let config: Self = toml::from_str(&text).with_context(|| format!("in the configuration {}", path.display()))?;
-        config.check().with_context(|| format!("in the configuration {}", path.display()))?;
-        Ok(config)
+        let place = path.display().to_string();
+        let text = std::fs::read_to_string(&path).map_err(|source| ConfigError::Read { path, source })?;
+        let parsed = toml::from_str::<Self>(&text);
+        parsed.map_err(|source| ConfigError::Parse { place: place.clone(), source: Box::new(source) })?.checked(place)
     }
 
-    /// The same with TOML laid over it.
-    ///
-    /// # Errors
-    /// When the text is no TOML, has a wrong key or type, or a value is out of range.
-    pub fn overlaid(&self, settings: &str) -> anyhow::Result<Self> {
+    /// The configuration that the run in a folder was started with.
+    pub fn of_run(folder: &Path) -> Result<Self, RunnerError> {
+        let place = format!("of the run in {}", folder.display());
+        let table = RunFolder::manifest(folder)?.config;
+        Ok(table.try_into().map_err(|source| ConfigError::Parse { place, source: Box::new(source) })?)
+    }
+
+    /// This configuration with some keys replaced.
+    pub fn overlaid(&self, settings: &str) -> Result<Self, ConfigError> {
+        let place = || format!("settings {settings:?}");
+        let parse_error = |source| ConfigError::Parse { place: place(), source: Box::new(source) };
         let mut table = toml::Table::try_from(self)?;
-        overlay(&mut table, settings.parse().with_context(|| format!("in the settings {settings:?}"))?);
-        let config: Self = table.try_into().with_context(|| format!("in the settings {settings:?}"))?;
-        config.check()?;
-        Ok(config)
+        overlay(&mut table, settings.parse().map_err(parse_error)?);
+        table.try_into::<Self>().map_err(parse_error)?.checked(place())
+    }
+
+    fn checked(self, place: String) -> Result<Self, ConfigError> {
+        match self.check() {
+            Ok(()) => Ok(self),
+            Err(fault) => Err(ConfigError::Value { place, fault }),
+        }
     }
 
     /// How a model with these generation settings is asked.
@@ -215,20 +238,17 @@ impl Config {
         }
     }
 
-    /// Refuses values that are of the right type but make no sense.
-    ///
-    /// # Errors
-    /// Names the key, what it is and what it must be.
-    pub fn check(&self) -> anyhow::Result<()> {
+    /// Refuses values of the right type that make no sense; names the key, its value and its range.
+    fn check(&self) -> Result<(), String> {
         let within = |key: &str, value: f64, range: std::ops::RangeInclusive<f64>| {
             if range.contains(&value) {
                 return Ok(());
             }
-            bail!("{key} is {value:e}; it must lie in {} to {}", range.start(), range.end())
+            Err(format!("{key} is {value:e}; it must lie in {} to {}", range.start(), range.end()))
         };
         let Self { environment, reasoning, reflection, .. } = self;
         if self.agent.deadline_ms == Some(0) {
-            bail!("agent.deadline_ms is 0; it must be at least 1, or absent for no deadline");
+            return Err("agent.deadline_ms is 0; it must be at least 1, or absent for no deadline".to_owned());
         }
         within("agent.gate", self.agent.gate.unwrap_or(0.0), 0.0..=1.0)?;
         within("environment.view_m", environment.view_m, BevView::MIN_METRES..=BevView::MAX_METRES)?;
@@ -240,13 +260,14 @@ impl Config {
         within("reasoning.interval", reasoning.interval as f64, 1.0..=1000.0)?;
         within("reasoning.rethink_temperature", reasoning.rethink_temperature, 0.0..=10.0)?;
         if self.reasoning.rounds.last() != Some(&Round::Code) || !self.reasoning.rounds.is_sorted_by(|a, b| a < b) {
-            bail!("reasoning.rounds must be some of understanding, instruction, code, in this order, ending with code");
+            let rule = "must be some of understanding, instruction, code, in this order, ending with code";
+            return Err(format!("reasoning.rounds {rule}"));
         }
         Ok(())
     }
 }
 
-/// Puts the values of one table in the place of another's; tables within are merged.
+/// Replaces values of a table by those of another; tables within are merged.
 fn overlay(below: &mut toml::Table, above: toml::Table) {
     for (key, value) in above {
         match (below.get_mut(&key), value) {

@@ -1,0 +1,59 @@
+//! `planagent simulate`.
+
+use crate::cli::args::SimulateArguments;
+use crate::cli::progress::listener;
+use crate::cli::{Exit, Printer};
+use crate::report::{SimulationRow, failures, main_table};
+use crate::runner::{self, Config, RunResults};
+use anyhow::anyhow;
+
+/// Runs simulations; the results go to a folder, the table to stdout.
+pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    let (request, listener) = (flags.request(), listener(printer));
+    let results = match &flags.resume {
+        Some(folder) => runner::resume(folder, &request, config, &listener)?,
+        None => runner::start(&request, config, flags.out.as_deref(), &listener)?,
+    };
+    let succeeded = show(&results, printer)?;
+    for list in &results.missing {
+        printer.error(&anyhow!("not simulated: {list}"));
+    }
+    Ok(if succeeded && results.missing.is_empty() { Exit::Success } else { Exit::SomeFailed })
+}
+
+/// Prints tables to stdout, folder and failures to stderr. True if every simulation ended and every planning call was
+/// answered.
+fn show(results: &RunResults, printer: Printer) -> anyhow::Result<bool> {
+    let RunResults { folder, summary, timing, rows, .. } = results;
+    if printer.is_json() {
+        printer.json(summary)?;
+    } else {
+        printer.line(main_table(summary, &timing.planners, rows, printer.width()));
+        if let Some(total) = timing.planning_call_ms.total {
+            let count = timing.planning_calls;
+            printer.line(format!("\n{count} planning calls: p50 {:.0} ms, p95 {:.0} ms", total.p50, total.p95));
+        }
+    }
+    printer.note(format!("results in {}", folder.display()));
+    let failed = failures(rows);
+    for line in &failed {
+        printer.note(format!("failed: {line}"));
+    }
+    if !failed.is_empty() {
+        printer.note(format!("{} of {} simulations failed", failed.len(), rows.len()));
+    }
+    let count = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum::<usize>();
+    let (calls, deadlines, lost) =
+        (count(|row| row.planning_calls), count(|row| row.deadlines), count(|row| row.failed_calls));
+    let gated = count(|row| row.gated_calls);
+    if gated > 0 {
+        printer.note(format!("the gate skipped {gated} of {} planning calls", gated + calls));
+    }
+    if deadlines > 0 {
+        printer.note(format!("{deadlines} of {calls} planning calls ended at their deadline"));
+    }
+    if lost > 0 {
+        printer.note(format!("{lost} of {calls} planning calls got no answer; calls.jsonl says why"));
+    }
+    Ok(failed.is_empty() && lost == 0)
+}

@@ -1,0 +1,60 @@
+//! Errors of runs.
+
+use super::config::ConfigError;
+use crate::experiment::split::SplitError;
+use crate::mllm::MllmError;
+use crate::planner::{PlannerName, UnknownPlanner};
+use crate::reasoning::PromptError;
+use crate::report::ReportError;
+use crate::scenario::ReaderError;
+use crate::simulation::UnknownChallenge;
+use std::path::PathBuf;
+
+/// Why a run cannot start, resume or end. A failed simulation is no such error: the run records it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum RunnerError {
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    #[error(transparent)]
+    Split(#[from] SplitError),
+    #[error(transparent)]
+    Scenario(#[from] ReaderError),
+    #[error(transparent)]
+    Planner(#[from] UnknownPlanner),
+    #[error("{source}; --challenge takes nonreactive, reactive, both or open-loop")]
+    Challenge { source: UnknownChallenge },
+    #[error(transparent)]
+    Prompts(#[from] PromptError),
+    #[error(transparent)]
+    FindModel(MllmError),
+    #[error("cannot load the model '{name}'")]
+    LoadModel { name: String, source: MllmError },
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    #[error("cannot make {} absolute: {source}", path.display())]
+    Absolute { path: PathBuf, source: std::io::Error },
+    #[error("cannot serialize the configuration or the model")]
+    Toml(#[from] toml::ser::Error),
+    #[error("cannot serialize the results")]
+    Json(#[from] serde_json::Error),
+    #[error("the model of the run in {} is not what this program writes: {source}", folder.display())]
+    ManifestModel { folder: PathBuf, source: toml::de::Error },
+    #[error("no scenario is left to simulate")]
+    NoScenario,
+    #[error("{key} is not supported by {planner}; remove one of them")]
+    Unsupported { key: &'static str, planner: PlannerName },
+    #[error("the scenario set changed since the run started: {then} then, {now} now, named by {words}")]
+    ScenariosChanged { then: usize, now: usize, words: String },
+    #[error("cannot resume the run in {} ({completed} of {total} simulations completed)", folder.display())]
+    CannotResume { folder: PathBuf, completed: usize, total: usize, source: Box<Self> },
+    #[error("{missing} of {total} simulations left no record in {}", folder.display())]
+    Unrecorded { missing: usize, total: usize, folder: PathBuf },
+    #[error("suite {name}")]
+    Suite { name: String, source: Box<Self> },
+    #[error("no recordings: name some by --scenario, or name a folder that holds {folders} by ${variable}")]
+    NoRecordings { folders: String, variable: &'static str },
+    #[error("the bench in {} measured no model", .0.display())]
+    EmptyBench(PathBuf),
+}

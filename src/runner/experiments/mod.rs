@@ -1,0 +1,195 @@
+//! Experiments: the runs of studies, and what their comparison gives.
+
+mod runs;
+mod suites;
+mod tokens;
+
+pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
+
+use super::config::Config;
+use super::error::RunnerError;
+use super::event::{Event, Listener};
+use crate::experiment::study::{Quick, Study};
+use crate::planner::PlannerRegistry;
+use crate::report::{
+    BenchFigures, BenchFolder, ModelFigures, Outcome, SimulationRow, StudyFolder, StudyResults, SuiteSimulations,
+    VariantSimulations,
+};
+use crate::scenario::{DataRoots, MissingTokens};
+use runs::{PlannedRuns, RunName};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::rc::Rc;
+use std::time::Instant;
+use suites::{Suite, Suites};
+
+/// Name of the experiment that counts tokens and simulates nothing.
+pub const TOKENS: &str = "tokens";
+/// Folder of the runs, beside those of the results.
+const RUNS: &str = "runs";
+
+/// What experiments are asked for.
+#[derive(Debug, Clone, Default)]
+pub struct ExperimentsRequest {
+    /// Names of suites; without any, those of each study.
+    pub suites: Vec<String>,
+    /// Scenarios of the suite `recorded`; without any, the recordings in `$PLANAGENT_DATA`.
+    pub scenarios: Vec<String>,
+    /// The planners that the studies name.
+    pub registry: PlannerRegistry,
+    /// Folders of nuPlan's data.
+    pub roots: DataRoots,
+    /// Folder for results and runs.
+    pub out: PathBuf,
+    /// Folder of a bench that measured the models without weights on this machine.
+    pub bench: Option<PathBuf>,
+    /// Whether to take only the first scenes of each type.
+    pub quick: bool,
+    /// Whether to repeat failed simulations.
+    pub retry_failed: bool,
+}
+
+/// A session of experiments, which share their suites and runs.
+pub struct Experiments<'a> {
+    request: &'a ExperimentsRequest,
+    config: &'a Config,
+    listener: &'a Listener,
+    suites: Suites<'a>,
+}
+
+/// What studies came to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StudyOutcome {
+    /// The studies with their results and the folders of these.
+    pub studies: Vec<(Study, StudyResults, PathBuf)>,
+    /// The simulations that failed.
+    pub failed: Vec<SimulationRow>,
+    /// Planning calls without an answer.
+    pub failed_calls: usize,
+    /// Scenarios that the suites name and the data does not hold.
+    pub missing: Vec<MissingTokens>,
+}
+
+/// A study with its suites, and for each of them the names of its variants' runs.
+struct Planned {
+    study: Study,
+    suites: Vec<(Rc<Suite>, Vec<RunName>)>,
+}
+
+impl<'a> Experiments<'a> {
+    /// Starts a session.
+    pub fn new(
+        request: &'a ExperimentsRequest,
+        config: &'a Config,
+        listener: &'a Listener,
+    ) -> Result<Self, RunnerError> {
+        Ok(Self { request, config, listener, suites: Suites::new(request, listener)? })
+    }
+
+    /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
+    pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
+        let suites = self.suites.of(TOKENS, tokens::SUITES)?;
+        let counted = tokens::count_all(&suites, self.config, self.listener)?;
+        let folder = StudyFolder::new(self.folder(TOKENS));
+        tokens::write(&folder, &counted, &self.command(TOKENS))?;
+        Ok((counted, folder.path().to_owned()))
+    }
+
+    /// Simulates what is left of the studies' runs, and writes the results.
+    pub fn simulate(&mut self, studies: Vec<Study>) -> Result<StudyOutcome, RunnerError> {
+        let started = Instant::now();
+        let bench = self.bench()?;
+        let mut runs = PlannedRuns::new(self.config, &self.request.registry, self.listener);
+        let mut planned = Vec::new();
+        for study in studies {
+            let mut suites = Vec::new();
+            for suite in self.suites.of(study.name, study.suites)? {
+                let names = study.variants.iter().map(|variant| runs.add(&suite, variant));
+                let names = names.collect::<Result<_, RunnerError>>()?;
+                suites.push((suite, names));
+            }
+            planned.push(Planned { study, suites });
+        }
+        let parameters = runs.parameters();
+        let mut open = runs.open(&self.request.out.join(RUNS), self.request.retry_failed)?;
+        let (runs, completed, left) = open.counts();
+        (self.listener)(Event::Planned { runs, completed, left });
+        if left > 0 {
+            open.simulate_first()?;
+            (self.listener)(Event::Estimated { left: open.counts().2, time: open.time_left() });
+        }
+        let rows = open.complete(started)?;
+
+        let mut results = Vec::new();
+        let mut missing: Vec<MissingTokens> = Vec::new();
+        for Planned { study, suites } in planned {
+            for list in suites.iter().flat_map(|(suite, _)| &suite.list.missing) {
+                if !missing.contains(list) {
+                    missing.push(list.clone());
+                }
+            }
+            let simulated: Vec<SuiteSimulations> =
+                suites.iter().map(|(suite, names)| simulations(suite, names, &rows, &parameters)).collect();
+            let quick = self.request.quick.then_some(Quick::DEFAULT);
+            let of_study = StudyResults::new(&study, &simulated, quick, self.config.seed, &bench);
+            let folder = StudyFolder::new(self.folder(study.name));
+            folder.write(&study, &of_study, &self.command(study.name))?;
+            results.push((study, of_study, folder.path().to_owned()));
+        }
+        let all = || rows.values().flatten();
+        Ok(StudyOutcome {
+            studies: results,
+            failed: all().filter(|row| row.error.is_some()).cloned().collect(),
+            failed_calls: all().map(|row| row.failed_calls).sum(),
+            missing,
+        })
+    }
+
+    /// The models of the bench that is named.
+    fn bench(&self) -> Result<Vec<ModelFigures>, RunnerError> {
+        let Some(path) = &self.request.bench else { return Ok(Vec::new()) };
+        let figures = BenchFigures::of(&BenchFolder::read(path)?);
+        if figures.models.is_empty() {
+            return Err(RunnerError::EmptyBench(path.clone()));
+        }
+        Ok(figures.models)
+    }
+
+    /// The folder of a study's results.
+    fn folder(&self, name: &str) -> PathBuf {
+        self.request.out.join(if self.request.quick { format!("{name}-quick") } else { name.to_owned() })
+    }
+
+    /// The command that makes the results of a study.
+    fn command(&self, name: &str) -> String {
+        let mut words = vec!["planagent experiment".to_owned(), name.to_owned()];
+        words.extend(self.request.quick.then(|| "--quick".to_owned()));
+        if !self.request.suites.is_empty() {
+            words.push(format!("--suite {}", self.request.suites.join(",")));
+        }
+        words.join(" ")
+    }
+}
+
+/// The simulations of a suite, variant by variant.
+fn simulations(
+    suite: &Suite,
+    names: &[RunName],
+    rows: &BTreeMap<String, Vec<SimulationRow>>,
+    parameters: &BTreeMap<String, u64>,
+) -> SuiteSimulations {
+    let variant = |name: &RunName| match name {
+        Ok(name) => {
+            let rows = rows.get(name).cloned().unwrap_or_default();
+            let outcome = Outcome::Simulated { run: format!("../{RUNS}/{name}"), rows };
+            VariantSimulations { outcome, parameters: parameters.get(name).copied() }
+        }
+        Err(why) => VariantSimulations { outcome: Outcome::NotSimulated(why), parameters: None },
+    };
+    SuiteSimulations {
+        name: suite.name.clone(),
+        scenes: suite.sources.len(),
+        blake3: suite.list.blake3.clone(),
+        variants: names.iter().map(variant).collect(),
+    }
+}

@@ -1,0 +1,102 @@
+//! The suites of experiments.
+
+use super::ExperimentsRequest;
+use crate::experiment::study::{Quick, SuiteName};
+use crate::report::ScenarioList;
+use crate::runner::error::RunnerError;
+use crate::runner::event::{Event, Listener};
+use crate::runner::selection::{Selected, absolute, scenario_list, select};
+use crate::scenario::{DataRoots, Readers, ScenarioRef, absolute_path};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+/// Name of the suite of recordings.
+const RECORDED: &str = "recorded";
+/// Environment variable that names a folder of recordings,
+const DATA: &str = "PLANAGENT_DATA";
+/// and where they lie in it.
+const RECORDINGS: [&str; 3] = ["womd", "argoverse2/sensor", "argoverse2/motion_forecasting"];
+
+/// A named list of scenarios.
+pub(super) struct Suite {
+    pub(super) name: String,
+    pub(super) sources: Vec<ScenarioRef>,
+    /// The same as a run's manifest lists them.
+    pub(super) list: ScenarioList,
+}
+
+/// The suites of a session; each is searched once.
+pub(super) struct Suites<'a> {
+    request: &'a ExperimentsRequest,
+    listener: &'a Listener,
+    roots: DataRoots,
+    readers: Readers,
+    found: BTreeMap<String, Rc<Suite>>,
+}
+
+impl<'a> Suites<'a> {
+    pub(super) fn new(request: &'a ExperimentsRequest, listener: &'a Listener) -> Result<Self, RunnerError> {
+        let roots = absolute(request.roots.clone())?;
+        Ok(Self { request, listener, readers: Readers::new(&roots), roots, found: BTreeMap::new() })
+    }
+
+    /// The suites of an experiment: those of the request, else its own; recordings only where there are some.
+    pub(super) fn of(&mut self, experiment: &str, own: &[SuiteName]) -> Result<Vec<Rc<Suite>>, RunnerError> {
+        let request = self.request;
+        if !request.suites.is_empty() {
+            return request.suites.iter().map(|name| self.named(name)).collect();
+        }
+        let mut suites = Vec::new();
+        for suite in own {
+            match suite.split() {
+                Some(name) => suites.push(self.named(name)?),
+                None if self.recordings().is_empty() => {
+                    let text = format!("{experiment}: no recordings: neither --scenario nor ${DATA} names any");
+                    (self.listener)(Event::Note(text));
+                }
+                None => suites.push(self.named(RECORDED)?),
+            }
+        }
+        Ok(suites)
+    }
+
+    fn named(&mut self, name: &str) -> Result<Rc<Suite>, RunnerError> {
+        if let Some(suite) = self.found.get(name) {
+            return Ok(Rc::clone(suite));
+        }
+        let suite = self.find(name);
+        let suite = suite.map_err(|source| RunnerError::Suite { name: name.to_owned(), source: Box::new(source) })?;
+        Ok(Rc::clone(self.found.entry(name.to_owned()).or_insert(Rc::new(suite))))
+    }
+
+    fn find(&self, name: &str) -> Result<Suite, RunnerError> {
+        let (mut words, splits) =
+            if name == RECORDED { (self.recordings(), Vec::new()) } else { (Vec::new(), vec![name.to_owned()]) };
+        if words.is_empty() && splits.is_empty() {
+            return Err(RunnerError::NoRecordings { folders: RECORDINGS.join(", "), variable: DATA });
+        }
+        let Selected { mut sources, mut splits, missing } =
+            select(&words, &splits, None, &self.readers, self.listener)?;
+        if self.request.quick {
+            sources = Quick::DEFAULT.of(sources);
+            (words, splits) = (sources.iter().map(ToString::to_string).collect(), Vec::new());
+        }
+        let named = ScenarioList { words, splits, missing, ..ScenarioList::default() };
+        let list = scenario_list(&sources, named, self.roots.clone())?;
+        // A filter file goes by its name without the folder and the ending.
+        let stem = Path::new(name).file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        Ok(Suite { name: stem.unwrap_or_else(|| name.to_owned()), sources, list })
+    }
+
+    /// The words that name recordings.
+    fn recordings(&self) -> Vec<String> {
+        if !self.request.scenarios.is_empty() {
+            return self.request.scenarios.iter().map(|word| self.readers.absolute_word(word)).collect();
+        }
+        let data = std::env::var_os(DATA).filter(|folder| !folder.is_empty()).map(PathBuf::from);
+        let folders = data.into_iter().flat_map(|data| RECORDINGS.map(|folder| data.join(folder)));
+        let words = folders.filter(|folder| folder.is_dir()).map(|folder| folder.to_string_lossy().into_owned());
+        words.map(|word| absolute_path(&word)).collect()
+    }
+}

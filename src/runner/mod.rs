@@ -1,0 +1,26 @@
+//! Stage 11: runs. A run simulates every scenario with every planner in every challenge. It keeps each simulation as it
+//! ends, resumes after an interruption, and writes its results once all simulations are completed. Experiments are runs
+//! on the same scenarios whose scores are compared.
+
+mod config;
+mod error;
+mod event;
+mod experiments;
+mod machine;
+mod model;
+mod request;
+mod result_version;
+mod run;
+mod selection;
+mod simulate;
+
+pub use config::{AgentConfig, Config, ConfigError, EnvironmentConfig, MllmConfig, ReasoningConfig, ReflectionConfig};
+pub use error::RunnerError;
+pub use event::{Event, Listener, silent};
+pub use experiments::{Experiments, ExperimentsRequest, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE};
+pub use machine::{build_commit, cpu, memory};
+pub use model::{LoadedModel, load_model, model_registry};
+pub use request::Request;
+pub use result_version::RESULT_VERSION;
+pub use run::RunResults;
+pub use simulate::{resume, start};

@@ -1,0 +1,102 @@
+//! Loads the model that the configuration names, with its prompts.
+
+use super::config::Config;
+use super::error::RunnerError;
+use super::event::{Event, Listener};
+use crate::api::models_folder;
+use crate::experiment::run::AgentParts;
+use crate::mllm::{
+    HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, ModelSpec, PromptSet as PromptSetName,
+};
+use crate::planner::{CodeSource, PlannerRegistry};
+use crate::reasoning::PromptSet;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// A loaded model with its prompts.
+pub struct LoadedModel {
+    pub(super) code_source: CodeSource,
+    /// The model in words.
+    pub about: ModelDescription,
+    /// How long loading took, seconds.
+    pub load_s: f64,
+}
+
+/// A model in memory, which can be asked in several ways.
+pub(super) struct OpenModel {
+    model: Arc<dyn Mllm>,
+    spec: ModelSpec,
+    load_s: f64,
+}
+
+/// Loads the configured model and its prompt set.
+pub fn load_model(config: &Config, listener: &Listener) -> Result<LoadedModel, RunnerError> {
+    OpenModel::open(config, listener)?.with_prompts(config)
+}
+
+impl LoadedModel {
+    /// The parts of an agent with this model.
+    pub fn agent_parts(&self, config: &Config) -> AgentParts {
+        agent_parts(config, PlannerRegistry::default(), Some(self))
+    }
+}
+
+impl OpenModel {
+    pub(super) fn open(config: &Config, listener: &Listener) -> Result<Self, RunnerError> {
+        let started = Instant::now();
+        let registry = model_registry(config, listener);
+        let spec = registry.find(&config.mllm.model).map_err(RunnerError::FindModel)?;
+        let model =
+            registry.open(&spec).map_err(|source| RunnerError::LoadModel { name: spec.name.clone(), source })?;
+        let load_s = started.elapsed().as_secs_f64();
+        let about = model.describe();
+        about.load.lines().into_iter().for_each(|line| listener(Event::Detail(line)));
+        listener(Event::Note(in_words(&about, load_s)));
+        Ok(Self { model: Arc::from(model), spec, load_s })
+    }
+
+    pub(super) fn model(&self) -> &dyn Mllm {
+        self.model.as_ref()
+    }
+
+    /// The model with the prompts and the decoding of a configuration.
+    pub(super) fn with_prompts(&self, config: &Config) -> Result<LoadedModel, RunnerError> {
+        let set = config.reasoning.prompt_set.as_deref().unwrap_or(match self.spec.prompt_set {
+            PromptSetName::Compact => "compact",
+            PromptSetName::Paper => "paper",
+        });
+        let prompts = Arc::new(PromptSet::open(set)?);
+        let reasoning = config.reasoning_settings(self.spec.generation);
+        let code_source = CodeSource::Model { model: Arc::clone(&self.model), prompts, reasoning };
+        Ok(LoadedModel { code_source, about: self.model.describe(), load_s: self.load_s })
+    }
+}
+
+/// The parts of an agent, with the model where one is loaded.
+pub(super) fn agent_parts(config: &Config, registry: PlannerRegistry, loaded: Option<&LoadedModel>) -> AgentParts {
+    AgentParts { registry, model: loaded.map(|loaded| loaded.code_source.clone()), settings: config.agent_settings() }
+}
+
+/// The models that the configuration can name.
+pub fn model_registry(config: &Config, listener: &Listener) -> ModelRegistry {
+    let hub = HubAccess { offline: config.mllm.offline, ..HubAccess::default() };
+    let memory = if config.mllm.ignore_memory { MemoryCheck::Ignore } else { MemoryCheck::Refuse };
+    let listener = Arc::clone(listener);
+    ModelRegistry::new(models_folder(), hub)
+        .with_quantize(config.mllm.quantize)
+        .with_memory_check(memory)
+        .with_listener(Arc::new(move |progress| listener(Event::Fetched(progress))))
+}
+
+fn in_words(about: &ModelDescription, load_s: f64) -> String {
+    match &about.server {
+        Some(server) => format!("model {}: {} at {}", about.name, server.model, server.endpoint),
+        None => format!(
+            "model {}: {} M parameters, {}, {} image tokens, loaded in {load_s:.2} s",
+            about.name,
+            about.parameters / 1_000_000,
+            about.load.weight_formats.first().map_or(about.dtype.as_str(), |most| most.weight_format.name()),
+            about.image_tokens
+        ),
+    }
+}

@@ -1,0 +1,155 @@
+//! One run: its folder, its tasks, and which of them are left.
+
+use super::error::RunnerError;
+use super::event::{Event, Listener};
+use super::machine::cpu;
+use crate::experiment::run::{self, AgentParts, SimulationTask};
+use crate::report::{Manifest, RunFolder, Session, SimulationRow, Summary, Timing};
+use crate::scenario::MissingTokens;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What a run is made of, before it has a folder.
+pub(super) struct RunPlan {
+    pub(super) manifest: Manifest,
+    pub(super) tasks: Vec<SimulationTask>,
+    pub(super) agent: AgentParts,
+    /// Time that the model took to load, seconds.
+    pub(super) load_s: Option<f64>,
+}
+
+/// The results of a run whose simulations are all completed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RunResults {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// `summary.json`.
+    pub summary: Summary,
+    /// `timing.json`.
+    pub timing: Timing,
+    /// The simulations.
+    pub rows: Vec<SimulationRow>,
+    /// Scenarios that the splits name and the data does not hold.
+    pub missing: Vec<MissingTokens>,
+}
+
+/// A run in its folder.
+pub(super) struct Run {
+    plan: RunPlan,
+    folder: RunFolder,
+    /// Places in the tasks that are not completed.
+    left: Vec<usize>,
+    /// The completed simulations.
+    rows: Vec<SimulationRow>,
+    /// How many of them this session simulated.
+    simulated: usize,
+    /// How many failed ones were discarded to be repeated.
+    pub(super) retried: usize,
+}
+
+impl Run {
+    /// Starts a run in a new folder; without a name, in the next free `runs/NNNN`.
+    pub(super) fn create(path: Option<&Path>, plan: RunPlan) -> Result<Self, RunnerError> {
+        let folder = RunFolder::create(path, &plan.manifest)?;
+        let left = (0..plan.tasks.len()).collect();
+        Ok(Self { plan, folder, left, rows: Vec::new(), simulated: 0, retried: 0 })
+    }
+
+    /// Resumes the run in a folder; with `retry_failed`, discards failed simulations.
+    pub(super) fn resume(
+        path: &Path,
+        mut plan: RunPlan,
+        retry_failed: bool,
+        listener: &Listener,
+    ) -> Result<Self, RunnerError> {
+        let (folder, manifest) = RunFolder::resume(path, &plan.manifest)?;
+        plan.manifest = manifest;
+        let completed = folder.completed(&plan.tasks)?;
+        for path in &completed.damaged {
+            let text = format!("the record in {} is damaged; its simulation is repeated", path.display());
+            listener(Event::Note(text));
+        }
+        let (discarded, rows): (Vec<_>, Vec<_>) =
+            completed.rows.into_iter().partition(|row| retry_failed && row.error.is_some());
+        folder.discard(&discarded.iter().map(|row| row.number).collect())?;
+        let done: BTreeSet<usize> = rows.iter().map(|row| row.number).collect();
+        let left = (0..plan.tasks.len()).filter(|number| !done.contains(number)).collect();
+        Ok(Self { plan, folder, left, rows, simulated: 0, retried: discarded.len() })
+    }
+
+    /// Numbers of the tasks that are not completed.
+    pub(super) fn left(&self) -> &[usize] {
+        &self.left
+    }
+
+    /// How many tasks it has.
+    pub(super) fn total(&self) -> usize {
+        self.plan.tasks.len()
+    }
+
+    /// The completed simulations.
+    pub(super) fn rows(&self) -> &[SimulationRow] {
+        &self.rows
+    }
+
+    /// The tasks of its first scenario that are left.
+    pub(super) fn first(&self) -> Vec<usize> {
+        let source = |number: &usize| self.plan.tasks.get(*number).map(|task| &task.source);
+        let first = self.left.first().and_then(source);
+        self.left.iter().copied().take_while(|number| source(number) == first).collect()
+    }
+
+    /// Mean wall time of the completed simulations; none before the first.
+    pub(super) fn seconds_per_simulation(&self) -> Option<f64> {
+        let seconds: f64 = self.rows.iter().map(|row| row.time.ended_s - row.time.started_s).sum();
+        (!self.rows.is_empty()).then(|| seconds / self.rows.len() as f64)
+    }
+
+    /// Simulates some of the tasks that are left, and writes each as it ends.
+    pub(super) fn simulate(&mut self, numbers: &[usize], listener: &Listener) -> Result<(), RunnerError> {
+        let folder = &self.folder;
+        run::run(&self.plan.tasks, numbers, &self.plan.agent, &|_| listener(Event::Stepped), &|number, record| {
+            folder.commit(number, &record)?;
+            listener(Event::Ended { failed: record.outcome.is_err() });
+            Ok::<_, RunnerError>(())
+        })?;
+        self.left.retain(|number| !numbers.contains(number));
+        self.simulated += numbers.len();
+        self.rows = folder.completed(&self.plan.tasks)?.rows;
+        Ok(())
+    }
+
+    /// Writes the results of a run whose simulations are all completed, and unlocks its folder.
+    pub(super) fn finish(self, started: Instant) -> Result<RunResults, RunnerError> {
+        let Self { plan, folder, rows, simulated, .. } = self;
+        let (total, path) = (plan.tasks.len(), folder.path().to_owned());
+        if rows.len() != total {
+            return Err(RunnerError::Unrecorded { missing: total - rows.len(), total, folder: path });
+        }
+        finish(&folder, plan.manifest, session(started, simulated, plan.load_s), rows)
+    }
+}
+
+/// Writes the results of a run whose simulations are all completed.
+pub(super) fn finish(
+    folder: &RunFolder,
+    manifest: Manifest,
+    session: Session,
+    rows: Vec<SimulationRow>,
+) -> Result<RunResults, RunnerError> {
+    let path = folder.path().to_owned();
+    let seed = manifest.config.get("seed").and_then(toml::Value::as_integer).unwrap_or_default().unsigned_abs();
+    let model = manifest.model.clone().map(toml::Table::try_into).transpose();
+    let model = model.map_err(|source| RunnerError::ManifestModel { folder: path.clone(), source })?;
+    let summary = Summary::new(seed, model, &manifest.scenarios.missing, &rows);
+    let timing = Timing::new(session, &rows);
+    folder.finish(&manifest, &summary, &timing, &rows)?;
+    Ok(RunResults { folder: path, summary, timing, rows, missing: manifest.scenarios.missing })
+}
+
+/// This machine, and what this session simulated since it `started`.
+pub(super) fn session(started: Instant, simulations: usize, load_s: Option<f64>) -> Session {
+    let (threads, wall_s) = (rayon::current_num_threads(), started.elapsed().as_secs_f64());
+    Session { cpu: cpu(), threads, wall_s, simulations, load_s }
+}

@@ -1,0 +1,189 @@
+//! The tasks of a run: from the request, else from the run that is resumed, else by default.
+
+use super::error::RunnerError;
+use super::event::{Event, Listener};
+use super::request::Request;
+use crate::experiment::run::SimulationTask;
+use crate::experiment::split::split;
+use crate::planner::{PlannerName, PlannerRegistry};
+use crate::report::{Manifest, ScenarioList};
+use crate::scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
+use crate::simulation::Challenge;
+use std::path::PathBuf;
+
+/// The tasks of a run.
+pub(super) struct Selection {
+    /// The scenarios as the manifest lists them.
+    pub(super) list: ScenarioList,
+    pub(super) planners: Vec<PlannerName>,
+    pub(super) challenges: Vec<Challenge>,
+    /// Every scenario with every planner in every challenge.
+    pub(super) tasks: Vec<SimulationTask>,
+    /// The readers that found the scenarios; they collect notes on the data that is opened.
+    pub(super) readers: Readers,
+}
+
+/// The scenarios that words and splits name.
+pub(super) struct Selected {
+    /// The scenarios, each once.
+    pub(super) sources: Vec<ScenarioRef>,
+    /// Files of the splits, else their names.
+    pub(super) splits: Vec<String>,
+    /// Scenarios of the splits that the data does not hold.
+    pub(super) missing: Vec<MissingTokens>,
+}
+
+impl Selection {
+    pub(super) fn new(request: &Request, resumed: Option<&Manifest>, listener: &Listener) -> Result<Self, RunnerError> {
+        let own = |names: &[String], of: fn(&Manifest) -> &Vec<String>| match resumed {
+            Some(manifest) if names.is_empty() => of(manifest).clone(),
+            _ => names.to_vec(),
+        };
+        let planners = planners(&request.registry, &own(&request.planners, |manifest| &manifest.planners))?;
+        let challenges = challenges(&own(&request.challenges, |manifest| &manifest.challenges))?;
+        let (words, splits, limit) = match resumed {
+            Some(Manifest { scenarios, .. }) if !request.names_scenarios() => {
+                (scenarios.words.clone(), scenarios.splits.clone(), scenarios.limit)
+            }
+            _ => (request.scenarios.clone(), request.splits.clone(), request.limit),
+        };
+        let roots = roots(request, resumed)?;
+        let readers = (request.readers)(&roots);
+        // The run can be resumed from any working directory.
+        let words: Vec<String> = words.iter().map(|word| readers.absolute_word(word)).collect();
+        let Selected { sources, splits, missing } = select(&words, &splits, limit, &readers, listener)?;
+        let list =
+            scenario_list(&sources, ScenarioList { words, splits, limit, missing, ..ScenarioList::default() }, roots)?;
+        let tasks = tasks(&sources, &planners, &challenges);
+        Ok(Self { list, planners, challenges, tasks, readers })
+    }
+
+    /// Refuses a run whose scenarios changed since it started.
+    pub(super) fn check_unchanged(&self, manifest: &Manifest) -> Result<(), RunnerError> {
+        let (then, now) = (&manifest.scenarios, &self.list);
+        if then.blake3 == now.blake3 {
+            return Ok(());
+        }
+        let words = [&then.words[..], &then.splits[..]].concat().join(" ");
+        Err(RunnerError::ScenariosChanged { then: then.count, now: now.count, words })
+    }
+}
+
+/// Completes a manifest's list by the scenarios, and checks that their files exist: before the first simulation
+/// instead of in each.
+pub(super) fn scenario_list(
+    sources: &[ScenarioRef],
+    named: ScenarioList,
+    roots: DataRoots,
+) -> Result<ScenarioList, RunnerError> {
+    sources.iter().try_for_each(ScenarioRef::check)?;
+    let blake3 = ScenarioList::digest(sources.iter().map(ToString::to_string));
+    let DataRoots { data: data_root, maps: maps_root } = roots;
+    Ok(ScenarioList { data_root, maps_root, count: sources.len(), blake3, ..named })
+}
+
+/// The folders of nuPlan's data: those of the request, else those of the run that is resumed; absolute.
+fn roots(request: &Request, resumed: Option<&Manifest>) -> Result<DataRoots, RunnerError> {
+    let DataRoots { data, maps } = request.roots.clone();
+    let before = |of: fn(&ScenarioList) -> &Option<PathBuf>| resumed.and_then(|m| of(&m.scenarios).clone());
+    absolute(DataRoots {
+        data: data.or_else(|| before(|l| &l.data_root)),
+        maps: maps.or_else(|| before(|l| &l.maps_root)),
+    })
+}
+
+pub(super) fn absolute(DataRoots { data, maps }: DataRoots) -> Result<DataRoots, RunnerError> {
+    let absolute = |folder: Option<PathBuf>| {
+        folder
+            .map(|path| std::path::absolute(&path).map_err(|source| RunnerError::Absolute { path, source }))
+            .transpose()
+    };
+    Ok(DataRoots { data: absolute(data)?, maps: absolute(maps)? })
+}
+
+/// Finds the scenarios that words and splits name, or the default one where both are empty.
+pub(super) fn select(
+    words: &[String],
+    splits: &[String],
+    limit: Option<usize>,
+    readers: &Readers,
+    listener: &Listener,
+) -> Result<Selected, RunnerError> {
+    let note = |text: String| listener(Event::Note(text));
+    let (mut found, mut missing, mut lists) = (Vec::new(), Vec::new(), Vec::new());
+    for name in splits {
+        let of_split = split(name, readers, &|done, total| listener(Event::LogsSearched { done, total }))?;
+        found.extend(of_split.scenarios);
+        of_split.notes.iter().for_each(|text| note(format!("{name}: {text}")));
+        if !of_split.missing.is_empty() {
+            note(of_split.missing.to_string());
+            missing.push(of_split.missing);
+        }
+        let file = of_split.file.map(|file| absolute_path(&file.to_string_lossy()));
+        lists.push(file.unwrap_or_else(|| name.clone()));
+    }
+    for word in words {
+        found.extend(readers.find(word)?);
+    }
+    if splits.is_empty() && words.is_empty() {
+        found.push(generator::DEFAULT.into());
+    }
+    readers.take_notes().into_iter().for_each(note);
+    // A scenario that is named twice is simulated once, or it would count twice in the means.
+    let (mut sources, repeated) = ScenarioRef::distinct(found);
+    if let Some(first) = repeated.first() {
+        let count = repeated.len();
+        note(format!("{count} scenarios are named more than once and simulated once, for example {first}"));
+    }
+    sources.truncate(limit.unwrap_or(usize::MAX));
+    if sources.is_empty() {
+        return Err(RunnerError::NoScenario);
+    }
+    Ok(Selected { sources, splits: lists, missing })
+}
+
+fn planners(registry: &PlannerRegistry, names: &[String]) -> Result<Vec<PlannerName>, RunnerError> {
+    if names.is_empty() {
+        return Ok(vec![PlannerName::PLAN_AGENT]);
+    }
+    let planners = names.iter().map(|name| registry.find(name).map(|entry| entry.name));
+    Ok(distinct(planners.collect::<Result<_, _>>()?))
+}
+
+fn challenges(names: &[String]) -> Result<Vec<Challenge>, RunnerError> {
+    if names.is_empty() {
+        return Ok(vec![Challenge::NonReactive]);
+    }
+    let mut challenges = Vec::new();
+    for name in names {
+        match name.as_str() {
+            "both" => challenges.extend(Challenge::CLOSED_LOOP),
+            one => challenges.push(one.parse().map_err(|source| RunnerError::Challenge { source })?),
+        }
+    }
+    Ok(distinct(challenges))
+}
+
+/// Each value once, at its first place.
+fn distinct<T: PartialEq>(values: Vec<T>) -> Vec<T> {
+    let mut all = Vec::new();
+    for value in values {
+        if !all.contains(&value) {
+            all.push(value);
+        }
+    }
+    all
+}
+
+/// Every scenario with every planner in every challenge.
+pub(super) fn tasks(
+    sources: &[ScenarioRef],
+    planners: &[PlannerName],
+    challenges: &[Challenge],
+) -> Vec<SimulationTask> {
+    let of_planner = |source: &ScenarioRef, planner: PlannerName| {
+        let task = |&challenge: &Challenge| SimulationTask { source: source.clone(), planner, challenge };
+        challenges.iter().map(task).collect::<Vec<_>>()
+    };
+    sources.iter().flat_map(|source| planners.iter().flat_map(move |&planner| of_planner(source, planner))).collect()
+}

@@ -1,0 +1,142 @@
+//! Starts and resumes runs.
+
+use super::config::Config;
+use super::error::RunnerError;
+use super::event::{Event, Listener};
+use super::machine::build_commit;
+use super::model::{self, LoadedModel};
+use super::request::Request;
+use super::result_version::RESULT_VERSION;
+use super::run::{self, Run, RunPlan, RunResults};
+use super::selection::Selection;
+use crate::report::{FORMAT_VERSION, Manifest, RunFolder, ScenarioList, stamp};
+use std::path::Path;
+use std::time::{Instant, SystemTime};
+
+/// Simulates what a request names in a new folder; without a name, in the next free `runs/NNNN`. A failed simulation is
+/// recorded and no error.
+pub fn start(
+    request: &Request,
+    config: &Config,
+    folder: Option<&Path>,
+    listener: &Listener,
+) -> Result<RunResults, RunnerError> {
+    let started = Instant::now();
+    let selection = Selection::new(request, None, listener)?;
+    let run = Run::create(folder, plan(request, &selection, config, listener)?)?;
+    complete(run, &selection, started, listener)
+}
+
+/// Resumes the run in a folder. The request and the configuration must be those it was started with; completed
+/// simulations stay. A run whose simulations are all completed tells its results even where its scenarios are gone.
+pub fn resume(
+    folder: &Path,
+    request: &Request,
+    config: &Config,
+    listener: &Listener,
+) -> Result<RunResults, RunnerError> {
+    let started = Instant::now();
+    let before = RunFolder::manifest(folder)?;
+    let is_plain = request.is_plain_resume();
+    let selected = Selection::new(request, Some(&before), listener);
+    let selected = selected.and_then(|selection| match is_plain {
+        true => selection.check_unchanged(&before).map(|()| selection),
+        false => Ok(selection),
+    });
+    let selection = match selected {
+        Ok(selection) => selection,
+        Err(cause) if is_plain => return without_scenarios(folder, &before, config, cause, listener),
+        Err(cause) => return Err(cause),
+    };
+    let run = Run::resume(folder, plan(request, &selection, config, listener)?, request.retry_failed, listener)?;
+    let (total, left) = (run.total(), run.left().len());
+    let failed = if run.retried > 0 { format!(", {} of them had failed", run.retried) } else { String::new() };
+    let completed = total - left;
+    listener(Event::Note(format!("{completed} of {total} simulations are completed, {left} are left{failed}")));
+    complete(run, &selection, started, listener)
+}
+
+/// Loads the model, if a planner needs it, and writes the manifest.
+fn plan(
+    request: &Request,
+    selection: &Selection,
+    config: &Config,
+    listener: &Listener,
+) -> Result<RunPlan, RunnerError> {
+    let mut needs_model = false;
+    for &planner in &selection.planners {
+        let entry = request.registry.find(planner.as_str())?;
+        if let Some(key) = entry.unsupported(&config.agent_settings()) {
+            return Err(RunnerError::Unsupported { key, planner });
+        }
+        needs_model |= entry.needs_model();
+    }
+    let loaded = if needs_model { Some(model::load_model(config, listener)?) } else { None };
+    let planners = selection.planners.iter().map(ToString::to_string).collect();
+    let challenges = selection.challenges.iter().map(ToString::to_string).collect();
+    Ok(RunPlan {
+        manifest: manifest(planners, challenges, selection.list.clone(), loaded.as_ref(), config)?,
+        tasks: selection.tasks.clone(),
+        agent: model::agent_parts(config, request.registry.clone(), loaded.as_ref()),
+        load_s: loaded.map(|loaded| loaded.load_s),
+    })
+}
+
+/// What a run would be started with now.
+pub(super) fn manifest(
+    planners: Vec<String>,
+    challenges: Vec<String>,
+    scenarios: ScenarioList,
+    loaded: Option<&LoadedModel>,
+    config: &Config,
+) -> Result<Manifest, RunnerError> {
+    Ok(Manifest {
+        format_version: FORMAT_VERSION,
+        result_version: RESULT_VERSION,
+        planagent: env!("CARGO_PKG_VERSION").to_owned(),
+        commit: build_commit().map(str::to_owned),
+        started: stamp(SystemTime::now()),
+        planners,
+        challenges,
+        scenarios,
+        model: loaded.map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?,
+        config: toml::Table::try_from(config)?,
+    })
+}
+
+/// Simulates what is left of a run and writes its results.
+fn complete(
+    mut run: Run,
+    selection: &Selection,
+    started: Instant,
+    listener: &Listener,
+) -> Result<RunResults, RunnerError> {
+    let left = run.left().to_vec();
+    listener(Event::Started { total: left.len() });
+    let simulated = run.simulate(&left, listener);
+    listener(Event::Finished);
+    simulated?;
+    selection.readers.take_notes().into_iter().for_each(|text| listener(Event::Note(text)));
+    run.finish(started)
+}
+
+/// The results of a run whose scenarios cannot be found, because of `cause`.
+fn without_scenarios(
+    folder: &Path,
+    manifest: &Manifest,
+    config: &Config,
+    cause: RunnerError,
+    listener: &Listener,
+) -> Result<RunResults, RunnerError> {
+    let started = Instant::now();
+    let rows = RunFolder::read_completed(folder)?.rows;
+    let (completed, total) = (rows.len(), manifest.simulations());
+    let folder = folder.to_owned();
+    if completed != total || manifest.config != toml::Table::try_from(config)? {
+        return Err(RunnerError::CannotResume { folder, completed, total, source: Box::new(cause) });
+    }
+    let shown = folder.display();
+    listener(Event::Note(format!("the run in {shown} has ended; its scenarios cannot be found: {cause}")));
+    let (locked, manifest) = RunFolder::resume(&folder, manifest)?;
+    run::finish(&locked, manifest, run::session(started, 0, None), rows)
+}
