@@ -10,7 +10,7 @@
 use planagent::internals::experiment::run::{AgentParts, SimulationTask, run};
 use planagent::internals::planner::PlannerName;
 use planagent::internals::scenario::ScenarioRef;
-use planagent::internals::scenario::generator::{ScenarioType, Spec};
+use planagent::internals::scenario::generator::{Spec, types};
 use planagent::internals::simulation::Challenge;
 use std::time::Instant;
 
@@ -21,9 +21,8 @@ const SEEDS: u64 = 2;
 
 /// Every type of scene, driven by IDM and by PDM-Closed in both challenges.
 fn tasks() -> Vec<SimulationTask> {
-    let scenes = ScenarioType::ALL
-        .into_iter()
-        .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)));
+    let scenes =
+        types::in_suites().flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)));
     scenes
         .flat_map(|spec| {
             [PlannerName::new("idm"), PlannerName::PDM_CLOSED].into_iter().flat_map(move |planner| {

@@ -5,7 +5,7 @@ use planagent::internals::environment::facts::Question;
 use planagent::internals::environment::{
     BevView, DEFAULT_NODE_LENGTH, Description, LaneGraph, SceneFacts, TextForm, bev, text,
 };
-use planagent::internals::scenario::generator::{self, ScenarioType, Spec};
+use planagent::internals::scenario::generator::{self, Spec, types};
 use planagent::internals::scenario::{Frame, Scenario};
 use planagent::internals::world::History;
 use std::collections::BTreeSet;
@@ -51,7 +51,7 @@ fn every_recording_becomes_prompts() {
 fn generated_drives_become_prompts_with_varied_facts() {
     let history = History::default();
     let mut answers: BTreeSet<(&str, &str)> = BTreeSet::new();
-    for scenario_type in ScenarioType::ALL {
+    for scenario_type in types::in_suites() {
         let scenario = generator::generate(&Spec::new(scenario_type, 1)).unwrap();
         for frame in scenario.frames.iter().step_by(STRIDE) {
             answers.extend(facts_of(&scenario, frame, &history).answers());

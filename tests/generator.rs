@@ -1,19 +1,21 @@
-//! Generated scenes, driven again by log replay: how far the recorded driver can be followed.
+//! Generated scenarios under log replay: how well the tracker follows the expert. And a scenario type from outside the crate.
 
 use planagent::internals::planner::LogReplay;
 use planagent::internals::scenario::Scenario;
-use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
+use planagent::internals::scenario::generator::scene::builder::VehicleKind;
+use planagent::internals::scenario::generator::scene::setting::{self, Setting};
+use planagent::internals::scenario::generator::{ScenarioType, Spec, TypeDefinition, TypeGroup, generate, types};
 use planagent::internals::simulation::{Challenge, simulate};
 use proptest::prelude::*;
 use rayon::prelude::*;
 
-/// Seeds of each type that are driven here; `docs/generator.md` gives the figures for 50.
+/// Seeds of each type; `docs/generator.md` has the figures for 50.
 const SEEDS: u64 = 10;
-/// The multipliers that a recorded drive should not fail.
+/// Multipliers that log replay should not fail.
 const MULTIPLIERS: [&str; 3] =
     ["no_ego_at_fault_collisions", "drivable_area_compliance", "driving_direction_compliance"];
 
-/// Which multipliers log replay fails without reacting traffic.
+/// The multipliers that log replay fails with non-reactive agents.
 fn failed(scenario: &Scenario) -> Vec<&'static str> {
     let expert: Vec<_> = scenario.expert().copied().collect();
     let mut planner = LogReplay::new(expert.clone());
@@ -26,8 +28,7 @@ fn failed(scenario: &Scenario) -> Vec<&'static str> {
 #[test]
 fn log_replay_follows_the_expert_and_the_documentation_lists_where_it_cannot() {
     let listed = include_str!("../docs/generator.md");
-    let specs: Vec<Spec> = ScenarioType::ALL
-        .into_iter()
+    let specs: Vec<Spec> = types::in_suites()
         .flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)))
         .collect();
     let failures: Vec<(Spec, Vec<&str>)> = specs
@@ -44,12 +45,38 @@ fn log_replay_follows_the_expert_and_the_documentation_lists_where_it_cannot() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 12, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Any name gives a drive, and the drive can be replayed and judged.
+    /// Any name gives a scenario that can be simulated and scored.
     #[test]
-    fn any_name_gives_a_drive_that_can_be_replayed(kind in 0..ScenarioType::ALL.len(), seed in any::<u64>()) {
-        let spec = Spec::new(ScenarioType::ALL[kind], seed);
+    fn any_name_gives_a_scenario_that_can_be_simulated(kind in 0..types::in_suites().count(), seed in any::<u64>()) {
+        let spec = Spec::new(types::ALL[kind], seed);
         let scenario = generate(&spec).unwrap();
         prop_assert_eq!(&scenario.id, &spec.to_string());
         failed(&scenario);
     }
+}
+
+/// A type of this test: a country road behind a car.
+const COUNTRY_ROAD: ScenarioType = ScenarioType::new(&TypeDefinition {
+    name: "country_road",
+    seed: 1_000_000,
+    group: TypeGroup::Case,
+    setting: |rng| {
+        let style = setting::style(rng, [1, 1], [1, 1], &setting::LIMITS[4..]);
+        Ok(Setting::new(setting::corridor(rng, &style, 0.5)?, setting::BEHIND, 0.9))
+    },
+    populate: |builder| {
+        let speed = builder.ego_speed();
+        builder.put_ahead(VehicleKind::Car, 30.0, 0.9 * speed);
+        builder.add_clutter();
+    },
+    shows: |log| log.fast(9.0),
+});
+
+#[test]
+fn a_scenario_type_from_outside_the_crate_makes_scenarios() {
+    let spec = Spec::new(COUNTRY_ROAD, 3);
+    let [own, other] = [spec, spec.with_traffic_seed(1)].map(|spec| generate(&spec).unwrap());
+    assert_eq!((own.id.as_str(), own.scenario_type.as_str()), ("generated/country_road/3", "country_road"));
+    assert!(own.route == other.route && own.frames != other.frames);
+    assert_eq!(own.iterations(), 151);
 }

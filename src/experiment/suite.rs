@@ -1,7 +1,7 @@
 //! Suites: lists of generated scenes that have a name and stay as they are, so that results can be compared.
 
 use super::dataset;
-use crate::scenario::generator::{ScenarioType, Spec};
+use crate::scenario::generator::{ScenarioType, Spec, types};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -69,10 +69,10 @@ impl Suite {
         let test = dataset::Split::Test.seeds().start;
         let (common, candidates) = (test + FIRST_COMMON, test + FIRST_CANDIDATE);
         match self {
-            Self::Demonstration => each(ScenarioType::ALL, 0..DEMONSTRATION_SEEDS),
-            Self::Generated14 => each(ScenarioType::nuplan14(), common..common + COMMON_SEEDS),
+            Self::Demonstration => each(types::in_suites(), 0..DEMONSTRATION_SEEDS),
+            Self::Generated14 => each(types::nuplan14(), common..common + COMMON_SEEDS),
             Self::Candidates => {
-                let own = each(ScenarioType::nuplan14(), candidates..candidates + CANDIDATE_SEEDS);
+                let own = each(types::nuplan14(), candidates..candidates + CANDIDATE_SEEDS);
                 own.into_iter().map(|spec| spec.with_traffic_seed(CHOSEN_AMONG)).collect()
             }
             Self::Generated14Hard => HARD_LIST.lines().filter_map(|line| line.parse().ok()).collect(),
@@ -150,10 +150,10 @@ mod tests {
     fn the_hard_list_is_as_it_is_written() {
         let specs = Suite::Generated14Hard.specs();
         assert_eq!(hard_list(&specs), HARD_LIST);
-        for kind in ScenarioType::nuplan14() {
+        for kind in types::nuplan14() {
             assert_eq!(specs.iter().filter(|spec| spec.scenario_type == kind).count(), HARD_SCENES, "{kind}");
         }
-        assert!(specs.iter().all(|spec| spec.traffic == DRIVEN_AMONG));
+        assert!(specs.iter().all(|spec| spec.traffic_seed == DRIVEN_AMONG));
     }
 
     #[test]

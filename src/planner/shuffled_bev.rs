@@ -1,7 +1,7 @@
 //! The BEV map of another scene: what a model is shown instead of its own, to see what looking is worth to it.
 
 use crate::environment::{BevView, bev};
-use crate::scenario::generator::{self, GeneratorError, ScenarioType, Spec};
+use crate::scenario::generator::{self, GeneratorError, Spec, types};
 use crate::world::History;
 use image::RgbImage;
 
@@ -16,8 +16,8 @@ const MAX_TRIES: u64 = 20;
 /// # Errors
 /// When the generator finds no scene for many seeds on end.
 pub(super) fn render(draw: u64, view: &BevView) -> Result<RgbImage, GeneratorError> {
-    let kinds = ScenarioType::nuplan14().count() as u64;
-    let kind = ScenarioType::nuplan14().nth((draw % kinds) as usize).unwrap_or(generator::DEFAULT.scenario_type);
+    let kinds = types::nuplan14().count() as u64;
+    let kind = types::nuplan14().nth((draw % kinds) as usize).unwrap_or(generator::DEFAULT.scenario_type);
     let generated = |tries: u64| generator::generate(&Spec::new(kind, FIRST_SEED + draw.wrapping_add(tries) % SEEDS));
     let mut scenario = generated(0);
     for tries in 1..MAX_TRIES {

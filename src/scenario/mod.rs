@@ -1,4 +1,4 @@
-//! Stage 1: opening a drive. Whatever its source, it becomes a [`Scenario`]: map, logged ego and agents, lights, route.
+//! Stage 1: scenarios from any source: map, recorded ego and agents, traffic lights, route.
 
 use crate::world::{EgoState, History, LaneMap, Route, SceneView, TrackedObject, TrafficLights};
 use std::sync::Arc;
@@ -14,50 +14,49 @@ pub use reader::{
     Contents, DataRoots, ExcludedToken, MissingTokens, OnProgress, OpenScenario, ReaderError, Readers, Recognition,
     ScenarioReader, ScenarioRef, Split, absolute_path,
 };
-pub use recording::trace::LineFault;
-pub use recording::window::TimeFault;
+pub use recording::error::{FileError, FilePlace, RecordingFault};
 
 /// nuPlan's type of a scenario without a tag (devkit `DEFAULT_SCENARIO_NAME`).
 pub const UNKNOWN_TYPE: &str = "unknown";
 
-/// Most frames of [`Scenario::future`]: eight seconds at 10 Hz, the farthest that nuPlan looks ahead.
+/// Maximum number of frames of [`Scenario::future`]: eight seconds at 10 Hz, nuPlan's longest horizon.
 pub const FUTURE_FRAMES: usize = 80;
 
-/// One instant of the log.
+/// One time step of the log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
-    /// The recorded ego; its time is the time of the frame.
+    /// The recorded ego; its time is that of the frame.
     pub ego: EgoState,
-    /// Everything else that was seen.
+    /// Agents and static objects.
     pub objects: Arc<[TrackedObject]>,
-    /// The lights.
+    /// State of the traffic lights.
     pub lights: Arc<TrafficLights>,
 }
 
-/// A recorded or generated drive, cut to nuPlan's window.
+/// A recorded or generated scenario.
 #[derive(Debug, Clone)]
 pub struct Scenario {
-    /// Name that is unique within its source: a Waymo scenario id, a nuPlan token, a generator name with its seed.
+    /// Unique within its source: a Waymo scenario id, a nuPlan token, the name of a generated scenario.
     pub id: String,
-    /// nuPlan's scenario type; `unknown` where the source does not tag it.
+    /// nuPlan's scenario type; `unknown` if the source has none.
     pub scenario_type: String,
-    /// Name of the log that it was cut from.
+    /// Name of the source log.
     pub log_name: String,
-    /// The map around it.
+    /// Lanes and areas around the scenario.
     pub map: Arc<LaneMap>,
-    /// Where the ego is meant to go.
+    /// Route of the ego.
     pub route: Route,
-    /// All frames at 10 Hz, those of the history before the start included.
+    /// All frames at 10 Hz, with the history before the start.
     pub frames: Vec<Frame>,
-    /// Which frame is iteration 0.
+    /// Index of the frame of iteration 0.
     pub start: usize,
-    /// The recorded ego after the last frame at 10 Hz, as far as the recording goes and eight seconds at most. The simulation
-    /// ends before it; log replay and the open-loop metrics look at it, as in nuPlan.
+    /// The recorded ego after the last frame at 10 Hz, up to eight seconds. The simulation ends before it. Log replay and the
+    /// open-loop metrics use it, as in nuPlan.
     pub future: Vec<EgoState>,
 }
 
 impl Scenario {
-    /// Number N of iterations: the frames from the start on. A simulation saves N−1 samples.
+    /// Number N of iterations: the frames from the start on. A simulation records N−1 samples.
     pub fn iterations(&self) -> usize {
         self.frames.len() - self.start
     }
@@ -72,12 +71,12 @@ impl Scenario {
         self.frames[self.start..].iter().map(|frame| &frame.ego)
     }
 
-    /// The recorded ego from iteration 0 on, over the end of the scenario.
+    /// The recorded ego from iteration 0 on, beyond the end of the scenario.
     pub fn recorded(&self) -> impl Iterator<Item = &EgoState> {
         self.expert().chain(&self.future)
     }
 
-    /// The scene of one of its frames, as recorded.
+    /// The recorded scene of a frame.
     pub fn scene<'a>(&'a self, frame: &'a Frame, history: &'a History) -> SceneView<'a> {
         SceneView {
             map: &self.map,

@@ -5,7 +5,7 @@ use super::round_trip::generated;
 use crate::outside::skipped;
 use planagent::internals::geometry::{Point, Polygon};
 use planagent::internals::scenario::Scenario;
-use planagent::internals::scenario::generator::ScenarioType;
+use planagent::internals::scenario::generator::types;
 use planagent::internals::scenario::nuplan::Extraction;
 use planagent::internals::scenario::nuplan::export::{ExportSettings, ExportedLog, write_scenarios};
 use planagent::internals::world::{Lane, LaneKind};
@@ -117,9 +117,9 @@ fn public_readers_see_what_was_written() {
         return;
     }
     let kinds = [
-        ScenarioType::StartingStraightTrafficLightIntersectionTraversal,
-        ScenarioType::TraversingPickupDropoff,
-        ScenarioType::TraversingRoundabout,
+        types::starting_straight_traffic_light_intersection_traversal::TYPE,
+        types::traversing_pickup_dropoff::TYPE,
+        types::traversing_roundabout::TYPE,
     ];
     let scenarios: Vec<Scenario> = kinds.into_iter().map(|kind| generated(kind, 1)).collect();
     let settings = ExportSettings::default();

@@ -1,6 +1,6 @@
 //! A small nuPlan data set: an exported scene, written once and copied for each test.
 
-use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
+use planagent::internals::scenario::generator::{Spec, generate, types};
 use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
 use planagent::internals::scenario::nuplan::{
     LogScenario, Logs, MapStore, NuPlanError, ScenarioFilter, SearchResult, Token, open, search,
@@ -23,7 +23,7 @@ fn written() -> &'static Written {
     static WRITTEN: OnceLock<Written> = OnceLock::new();
     WRITTEN.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
-        let scenario = generate(&Spec::new(ScenarioType::ChangingLane, 0)).unwrap();
+        let scenario = generate(&Spec::new(types::changing_lane::TYPE, 0)).unwrap();
         let settings = ExportSettings { location: Some(LOCATION.to_owned()), ..ExportSettings::default() };
         let exported = write_scenario(&scenario, &folder.path().join("out"), &settings).unwrap();
         Written { token: exported.logs[0].token.parse().unwrap(), folder }

@@ -4,7 +4,7 @@ use super::simulations;
 use crate::cli::{planagent, read_json};
 use arrow::array::AsArray;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
+use planagent::internals::scenario::generator::{Spec, generate, types};
 use planagent::internals::scenario::nuplan::export::{ExportSettings, Exported, write_scenarios};
 use rusqlite::Connection;
 use serde_json::Value;
@@ -22,7 +22,7 @@ impl Work {
     fn with(logs: u64) -> Self {
         let folder = TempDir::new().unwrap();
         let scenes: Vec<_> =
-            (0..logs).map(|seed| generate(&Spec::new(ScenarioType::ChangingLane, seed)).unwrap()).collect();
+            (0..logs).map(|seed| generate(&Spec::new(types::changing_lane::TYPE, seed)).unwrap()).collect();
         let exported = write_scenarios(&scenes, &folder.path().join("nuplan"), &ExportSettings::default()).unwrap();
         Self { folder, exported }
     }

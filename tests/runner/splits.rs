@@ -4,7 +4,7 @@ use super::simulations;
 use crate::cli::{read_json, refused, run};
 use planagent::internals::experiment::suite::Suite;
 use planagent::internals::report::ScenarioList;
-use planagent::internals::scenario::generator::{ScenarioType, Spec, generate};
+use planagent::internals::scenario::generator::{Spec, generate, types};
 use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
 use serde_json::{Value, json};
 use std::fs;
@@ -16,7 +16,7 @@ const ABSENT: &str = "00000000000000ff";
 #[test]
 fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
     let work = TempDir::new().unwrap();
-    let scene = generate(&Spec::new(ScenarioType::ChangingLane, 0)).unwrap();
+    let scene = generate(&Spec::new(types::changing_lane::TYPE, 0)).unwrap();
     let exported = write_scenario(&scene, &work.path().join("nuplan"), &ExportSettings::default());
     let token = exported.unwrap().logs[0].token.clone();
     let filter = work.path().join("mine.yaml");

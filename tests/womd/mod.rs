@@ -1,18 +1,18 @@
-//! Waymo Open Motion: every recording at hand opens, its derived map keeps the rules, and driving as recorded complies.
+//! Waymo Open Motion: every recording opens, its derived map keeps the rules, and log replay complies.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 use crate::outside::data;
 use planagent::internals::geometry::{Point, wrap_angle};
-use planagent::internals::scenario::womd::{self, Pick, WomdError};
+use planagent::internals::scenario::womd::{self, WomdError, WomdFault};
 use planagent::internals::scenario::{Frame, Scenario};
 use planagent::internals::world::{LaneId, LaneKind, LaneMap, Neighbor, SignalStatus};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// The recordings, or nothing (and a loud word) where there are none.
+/// The files of recordings; none without outside data.
 fn files() -> Vec<PathBuf> {
     let Some(folder) = data("womd") else { return Vec::new() };
     let mut files: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
@@ -21,10 +21,15 @@ fn files() -> Vec<PathBuf> {
     files
 }
 
-/// All recordings at hand, opened once.
+/// The recordings of a file.
+fn open(file: &Path) -> Result<Vec<Scenario>, WomdError> {
+    womd::summaries(file)?.map(|summary| womd::open_one(file, summary?.record)).collect()
+}
+
+/// All recordings, opened once.
 pub(crate) fn recordings() -> &'static [Scenario] {
     static RECORDINGS: OnceLock<Vec<Scenario>> = OnceLock::new();
-    RECORDINGS.get_or_init(|| files().par_iter().flat_map_iter(|file| womd::open(file).unwrap()).collect())
+    RECORDINGS.get_or_init(|| files().par_iter().flat_map_iter(|file| open(file).unwrap()).collect())
 }
 
 /// One recording by id.
@@ -37,6 +42,7 @@ fn source_ids(map: &LaneMap, lanes: &[LaneId]) -> Vec<i64> {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn every_recording_opens_with_its_window() {
     for scenario in recordings() {
         let id = &scenario.id;
@@ -55,6 +61,7 @@ fn every_recording_opens_with_its_window() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn summaries_count_what_opening_finds() {
     for file in files() {
         let summaries: Vec<womd::Summary> = womd::summaries(&file).unwrap().map(Result::unwrap).collect();
@@ -67,6 +74,7 @@ fn summaries_count_what_opening_finds() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn the_recorded_motion_agrees_with_itself() {
     for scenario in recordings() {
         for (i, pair) in scenario.frames.windows(2).enumerate() {
@@ -84,6 +92,7 @@ fn the_recorded_motion_agrees_with_itself() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn every_lane_stands_in_one_roadblock_of_its_kind() {
     for Scenario { id, map, .. } in recordings() {
         let held: Vec<LaneId> = map.roadblocks().iter().flat_map(|block| block.lanes.iter().copied()).collect();
@@ -104,6 +113,7 @@ fn every_lane_stands_in_one_roadblock_of_its_kind() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn neighbors_run_one_way_and_share_a_roadblock_unless_one_would_follow_the_other() {
     let (mut listed, mut shared) = (0, 0);
     for Scenario { id, map, .. } in recordings() {
@@ -133,6 +143,7 @@ fn neighbors_run_one_way_and_share_a_roadblock_unless_one_would_follow_the_other
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn at_most_one_lane_holds_a_point_and_lanes_do_not_cross() {
     for Scenario { id, map, .. } in recordings() {
         let lanes: Vec<_> = map.lanes().iter().filter(|lane| !lane.is_connector()).collect();
@@ -150,6 +161,7 @@ fn at_most_one_lane_holds_a_point_and_lanes_do_not_cross() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn lights_stand_at_connectors() {
     for Scenario { id, map, frames, .. } in recordings() {
         for (lane, _) in frames.iter().flat_map(|frame| frame.lights.iter()) {
@@ -180,6 +192,7 @@ fn lights_stand_at_connectors() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn limits_are_known_where_they_were_recorded() {
     for Scenario { id, map, .. } in recordings() {
         let known = map.lanes().iter().filter_map(|lane| lane.speed_limit);
@@ -191,6 +204,7 @@ fn limits_are_known_where_they_were_recorded() {
 
 /// Places that the pictures of the maps show to be off the road: a median, a traffic island, the inside of a block.
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn medians_and_blocks_are_not_drivable() {
     for (id, places) in [
         ("eb4b91b10ca94ff2", [(10.6, -22.9), (-36.4, -26.9), (35.2, -11.0)]),
@@ -210,6 +224,7 @@ const BREAKS: [(&str, i64, i64); 1] = [
 ];
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn routes_are_connected_chains() {
     for Scenario { id, map, route, frames, start, .. } in recordings() {
         assert!(!route.roadblocks.is_empty(), "{id}");
@@ -229,6 +244,7 @@ fn routes_are_connected_chains() {
 
 /// nuPlan's drivable-area compliance of the recorded ego: every corner within 0.3 m of the drivable area.
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn log_replay_stays_on_the_drivable_area() {
     for scenario in recordings() {
         for (iteration, ego) in scenario.expert().enumerate() {
@@ -242,6 +258,7 @@ fn log_replay_stays_on_the_drivable_area() {
 
 /// nuPlan's driving-direction compliance of the recorded ego: within a second it comes less than 2 m backwards.
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn log_replay_drives_in_direction() {
     for scenario in recordings() {
         let centers: Vec<Point> = scenario.expert().map(|ego| ego.center().position()).collect();
@@ -301,14 +318,15 @@ fn lanes_along(map: &LaneMap, centers: &[Point]) -> Vec<Vec<LaneId>> {
 }
 
 #[test]
-fn broken_files_are_told_with_file_record_and_offset() {
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn broken_files_are_reported_with_file_record_and_offset() {
     let Some(file) = files().into_iter().next() else { return };
     let whole = std::fs::read(&file).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("broken.tfrecord");
     let told = |bytes: &[u8]| {
         std::fs::write(&path, bytes).unwrap();
-        womd::open(&path).unwrap_err().to_string()
+        open(&path).unwrap_err().to_string()
     };
     let place = format!("{}: record 0 at byte 0: ", path.display());
     for cut in [1, 7, 11, 12, 500, whole.len() - 4, whole.len() - 1] {
@@ -324,6 +342,6 @@ fn broken_files_are_told_with_file_record_and_offset() {
     let second = [whole.clone(), whole[..100].to_vec()].concat();
     assert!(told(&second).contains(&format!("record 1 at byte {}", whole.len())));
     assert!(told(&[]).contains("the file is empty"));
-    let wanted = womd::open_one(&file, &Pick::Index(3));
-    assert!(matches!(wanted, Err(WomdError::NotFound { records: 1, .. })));
+    let wanted = womd::open_one(&file, 3).unwrap_err();
+    assert!(matches!(wanted.fault, WomdFault::NotFound { wanted: 3, records: 1 }), "{wanted}");
 }

@@ -58,12 +58,12 @@ mod tests {
     use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
     use crate::experiment::dataset::search::search;
     use crate::reflection::Verdict;
-    use crate::scenario::generator::{self, ScenarioType, Spec};
+    use crate::scenario::generator::{self, Spec, types};
     use crate::simulation::{Challenge, ClosedLoop};
 
     /// Planners that differ in what stakes look at: lane, desired speed, value, and whether Reflection accepts them.
     fn tried(planners: &[(&str, f64, f64, bool)]) -> Vec<Tried> {
-        let scenario = generator::generate(&Spec::new(ScenarioType::ChangingLane, 3)).unwrap();
+        let scenario = generator::generate(&Spec::new(types::changing_lane::TYPE, 3)).unwrap();
         let drive = ClosedLoop::new(&scenario, Challenge::CLOSED_LOOP[0]).unwrap();
         let graph = LaneGraph::build(&drive.scene(), DEFAULT_NODE_LENGTH).unwrap();
         let some = search(&drive, &graph).remove(0);

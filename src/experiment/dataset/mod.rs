@@ -16,7 +16,7 @@ use crate::pdm::PdmMemory;
 use crate::planner::{Attempt, Planner, PlannerInput};
 use crate::reasoning::{Feedback, PromptError, PromptSet, feedback_text};
 use crate::reflection::Verdict;
-use crate::scenario::generator::{self, ScenarioType, Spec};
+use crate::scenario::generator::{self, ScenarioType, Spec, types};
 use crate::simulation::{Challenge, ClosedLoop};
 use image::RgbImage;
 use label_weights::DecisionWeights;
@@ -43,26 +43,26 @@ const RETHINK: f64 = 0.4;
 
 /// Types of the scenes, in turn; those where changing lanes is often right come more than once.
 const MIX: [ScenarioType; 20] = [
-    ScenarioType::StartingLeftTurn,
-    ScenarioType::StartingRightTurn,
-    ScenarioType::StartingStraightTrafficLightIntersectionTraversal,
-    ScenarioType::StoppingWithLead,
-    ScenarioType::HighLateralAcceleration,
-    ScenarioType::HighMagnitudeSpeed,
-    ScenarioType::LowMagnitudeSpeed,
-    ScenarioType::TraversingPickupDropoff,
-    ScenarioType::WaitingForPedestrianToCross,
-    ScenarioType::BehindLongVehicle,
-    ScenarioType::StationaryInTraffic,
-    ScenarioType::NearMultipleVehicles,
-    ScenarioType::ChangingLane,
-    ScenarioType::FollowingLaneWithLead,
-    ScenarioType::TraversingIntersection,
-    ScenarioType::TraversingRoundabout,
-    ScenarioType::ChangingLane,
-    ScenarioType::BehindLongVehicle,
-    ScenarioType::ChangingLane,
-    ScenarioType::FollowingLaneWithLead,
+    types::starting_left_turn::TYPE,
+    types::starting_right_turn::TYPE,
+    types::starting_straight_traffic_light_intersection_traversal::TYPE,
+    types::stopping_with_lead::TYPE,
+    types::high_lateral_acceleration::TYPE,
+    types::high_magnitude_speed::TYPE,
+    types::low_magnitude_speed::TYPE,
+    types::traversing_pickup_dropoff::TYPE,
+    types::waiting_for_pedestrian_to_cross::TYPE,
+    types::behind_long_vehicle::TYPE,
+    types::stationary_in_traffic::TYPE,
+    types::near_multiple_vehicles::TYPE,
+    types::changing_lane::TYPE,
+    types::following_lane_with_lead::TYPE,
+    types::traversing_intersection::TYPE,
+    types::traversing_roundabout::TYPE,
+    types::changing_lane::TYPE,
+    types::behind_long_vehicle::TYPE,
+    types::changing_lane::TYPE,
+    types::following_lane_with_lead::TYPE,
 ];
 
 /// Which part of the seeds.

@@ -1,27 +1,24 @@
-//! Annotated boxes of a sensor log: `annotations.feather`, or `annotations_with_ego.feather` as scenario mining writes it.
+//! Annotated boxes of a sensor log: `annotations.feather`, or `annotations_with_ego.feather` of the scenario-mining challenge.
 //!
-//! * Boxes are given in the ego frame of their sweep (10 Hz) and are moved to the map frame by the ego's pose at that time.
-//! * The dataset has no velocities. An agent's is the slope of its box centre over five sweeps (`recording::motion`), fewer at
-//!   either end of its track or at a gap; a track of a single sweep stands. Static kinds have none, as in nuPlan.
-//! * Sweeps without a single annotation are not in the table; such a gap of a tenth of a second or more is an error.
+//! * Boxes are in the ego frame of their sweep (10 Hz). The ego's pose at that time moves them to the map frame.
+//! * The dataset has no velocities. An agent's is the slope of its box center over five sweeps (`recording::motion`), fewer at
+//!   the ends of its track and at gaps. A track of a single sweep stands. Static kinds have none, as in nuPlan.
+//! * Sweeps without an annotation are not in the table. A gap of a tenth of a second or more is an error.
 
 use super::category::{Meaning, of_annotation};
 use super::error::LogFault;
 use super::poses::{heading, isometries};
-use super::table::Table;
+use super::table::{Table, in_range};
 use crate::geometry::{OrientedBox, Point, Pose, Vector};
-use crate::scenario::recording::motion::slope;
+use crate::scenario::recording::motion::{MAX_BOX, slopes};
 use crate::world::{ObjectKind, TrackToken, TrackedObject};
 use nalgebra::Isometry3;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Boxes beyond this are no road user's, metres.
-const LONGEST: f64 = 100.0;
-
-/// A box in the city frame at a sweep.
+/// A box in the map frame at a sweep.
 #[derive(Debug, Clone, Copy)]
-struct Sighting {
-    /// Number of the sweep.
+struct SweepBox {
+    /// Index of the sweep.
     sweep: usize,
     kind: ObjectKind,
     shape: OrientedBox,
@@ -30,11 +27,11 @@ struct Sighting {
 /// All boxes of a log.
 #[derive(Debug)]
 pub(super) struct Annotations {
-    /// Sightings of each track in order of time; tracks in order of their uuid.
-    tracks: Vec<Vec<Sighting>>,
+    /// Boxes of each track in order of time; tracks in order of their uuid.
+    tracks: Vec<Vec<SweepBox>>,
 }
 
-/// The table row by row, before it is moved to the map frame.
+/// The table, with boxes in the ego frame.
 struct Rows {
     times_ns: Vec<i64>,
     tracks: Vec<String>,
@@ -62,36 +59,23 @@ impl Rows {
 }
 
 fn sizes(table: &Table, column: &'static str) -> Result<Vec<f64>, LogFault> {
-    let sizes = table.numbers(column)?;
-    match sizes.iter().position(|&size| size <= 0.0 || size > LONGEST) {
-        Some(row) => Err(LogFault::Unbelievable { column, row, value: sizes[row] }),
-        None => Ok(sizes),
-    }
+    in_range(column, table.numbers(column)?, |size| size > 0.0 && size <= MAX_BOX)
 }
 
-/// The times of the sweeps of the table, ns, in order.
-///
-/// # Errors
-/// When the column is unsound.
+/// Times of the sweeps in order, ns.
 pub(super) fn sweeps(table: &Table) -> Result<Vec<i64>, LogFault> {
     let times: BTreeSet<i64> = table.integers("timestamp_ns")?.into_iter().collect();
     Ok(times.into_iter().collect())
 }
 
-/// The number of tracks of the table, the ego's included.
-///
-/// # Errors
-/// When the column is unsound.
+/// Number of tracks, the ego's included.
 pub(super) fn track_count(table: &Table) -> Result<usize, LogFault> {
     Ok(table.words("track_uuid")?.into_iter().collect::<BTreeSet<_>>().len())
 }
 
 impl Annotations {
-    /// Reads the table and moves every box to the city frame, less `origin`. The sweeps are those of the table, in order;
-    /// `egos` are the poses of the ego frame in the city frame at them.
-    ///
-    /// # Errors
-    /// When a column is missing or a row is unsound.
+    /// Reads the table and moves every box to the map frame. `sweeps_ns` are the sweeps of the table in order, `egos` the ego
+    /// frames in the city frame at them. `origin` becomes the point (0, 0).
     pub(super) fn read(
         table: &Table,
         sweeps_ns: &[i64],
@@ -99,14 +83,14 @@ impl Annotations {
         origin: Vector,
     ) -> Result<Self, LogFault> {
         let rows = Rows::read(table)?;
-        let mut tracks: BTreeMap<&str, BTreeMap<usize, Sighting>> = BTreeMap::new();
+        let mut tracks: BTreeMap<&str, BTreeMap<usize, SweepBox>> = BTreeMap::new();
         for (row, track) in rows.tracks.iter().enumerate() {
             let Meaning::Object(kind) = rows.kinds[row] else { continue };
             let sweep = sweeps_ns.partition_point(|&time| time < rows.times_ns[row]);
             let place = egos[sweep] * rows.boxes[row];
             let center = Point::new(place.translation.x - origin.x, place.translation.y - origin.y);
             let shape = OrientedBox::new(Pose::at(center, heading(&place)), rows.lengths[row], rows.widths[row]);
-            if tracks.entry(track).or_default().insert(sweep, Sighting { sweep, kind, shape }).is_some() {
+            if tracks.entry(track).or_default().insert(sweep, SweepBox { sweep, kind, shape }).is_some() {
                 return Err(LogFault::Twice { row, track: track.clone() });
             }
         }
@@ -114,16 +98,14 @@ impl Annotations {
         Ok(Self { tracks })
     }
 
-    /// The objects of every sweep, in order of track; `seconds` are the times of the sweeps.
+    /// Objects of every sweep in order of track. `seconds` are the times of the sweeps.
     pub(super) fn objects(&self, seconds: &[f64]) -> Vec<Vec<TrackedObject>> {
         let mut objects: Vec<Vec<TrackedObject>> = vec![Vec::new(); seconds.len()];
         for (number, track) in self.tracks.iter().enumerate() {
             for run in track.chunk_by(|before, after| after.sweep == before.sweep + 1) {
-                let times: Vec<f64> = run.iter().map(|sighting| seconds[sighting.sweep]).collect();
-                let east: Vec<f64> = run.iter().map(|sighting| sighting.shape.center.x).collect();
-                let north: Vec<f64> = run.iter().map(|sighting| sighting.shape.center.y).collect();
-                for (i, &Sighting { sweep, kind, shape }) in run.iter().enumerate() {
-                    let moving = Vector::new(slope(&times, &east, i), slope(&times, &north, i));
+                let times: Vec<f64> = run.iter().map(|state| seconds[state.sweep]).collect();
+                let velocities = slopes(&times, run.iter().map(|state| state.shape.center.position().coords));
+                for (&SweepBox { sweep, kind, shape }, moving) in run.iter().zip(velocities) {
                     let velocity = if kind.is_agent() { moving } else { Vector::zeros() };
                     objects[sweep].push(TrackedObject { token: TrackToken(number as u32), kind, shape, velocity });
                 }

@@ -1,72 +1,72 @@
-//! Broken logs: each is told with its place, and none makes the reader panic.
+//! Broken logs: errors name the place, and none makes the reader panic.
 
 use super::test_log::{ANNOTATIONS, CITY, Log, MAP, POSES, log, set, time_ns, with};
 use super::*;
-use crate::scenario::TimeFault;
+use crate::scenario::recording::error::{FileError, RecordingFault};
 use arrow::array::{Int64Array, StringArray};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
 #[test]
-fn broken_tables_are_told_with_file_column_and_row() {
-    let told = |file: &str, change: &dyn Fn(&mut Log), what: &str| {
+fn broken_tables_are_reported_with_file_column_and_row() {
+    let check = |file: &str, change: &dyn Fn(&mut Log), what: &str| {
         let mut log = log(30);
         change(&mut log);
         let message = log.opened().unwrap_err().to_string();
         assert!(message.contains(file) && message.contains(what), "{message}");
     };
     let drop_column = |name: &'static str| move |log: &mut Log| log.annotations.retain(|(column, _)| *column != name);
-    told(ANNOTATIONS, &drop_column("track_uuid"), "no column `track_uuid`");
-    told(ANNOTATIONS, &drop_column("tx_m"), "no column `tx_m`");
-    told(POSES, &|log| log.poses.retain(|(column, _)| *column != "qz"), "no column `qz`");
+    check(ANNOTATIONS, &drop_column("track_uuid"), "no column `track_uuid`");
+    check(ANNOTATIONS, &drop_column("tx_m"), "no column `tx_m`");
+    check(POSES, &|log| log.poses.retain(|(column, _)| *column != "qz"), "no column `qz`");
     let number = |name: &'static str, row: usize, value: Option<f64>| {
         move |log: &mut Log| {
             let array = with(&log.annotations, name, row, value);
             set(&mut log.annotations, name, array);
         }
     };
-    told(ANNOTATIONS, &number("ty_m", 7, Some(f64::NAN)), "column `ty_m`, row 7: NaN");
-    told(ANNOTATIONS, &number("tx_m", 3, Some(f64::INFINITY)), "column `tx_m`, row 3: inf");
-    told(ANNOTATIONS, &number("tx_m", 3, None), "column `tx_m`, row 3: no value");
-    told(ANNOTATIONS, &number("width_m", 9, Some(0.0)), "column `width_m`, row 9: 0");
-    told(ANNOTATIONS, &number("qw", 2, Some(0.0)), "row 2: a quaternion of norm 0");
-    told(ANNOTATIONS, &|log| set(&mut log.annotations, "qx", StringArray::from(vec!["x"; 95])), "not numbers");
-    told(ANNOTATIONS, &|log| set(&mut log.annotations, "category", Int64Array::from(vec![1; 95])), "not words");
+    check(ANNOTATIONS, &number("ty_m", 7, Some(f64::NAN)), "column `ty_m`, row 7: NaN");
+    check(ANNOTATIONS, &number("tx_m", 3, Some(f64::INFINITY)), "column `tx_m`, row 3: inf");
+    check(ANNOTATIONS, &number("tx_m", 3, None), "column `tx_m`, row 3: no value");
+    check(ANNOTATIONS, &number("width_m", 9, Some(0.0)), "column `width_m`, row 9: 0");
+    check(ANNOTATIONS, &number("qw", 2, Some(0.0)), "row 2: a quaternion of norm 0");
+    check(ANNOTATIONS, &|log| set(&mut log.annotations, "qx", StringArray::from(vec!["x"; 95])), "not numbers");
+    check(ANNOTATIONS, &|log| set(&mut log.annotations, "category", Int64Array::from(vec![1; 95])), "not text");
     let strange = |log: &mut Log| set(&mut log.annotations, "category", StringArray::from(vec!["SPACESHIP"; 95]));
-    told(ANNOTATIONS, &strange, "row 0: no category is called `SPACESHIP`");
+    check(ANNOTATIONS, &strange, "row 0: unknown category `SPACESHIP`");
     let one_track = |log: &mut Log| set(&mut log.annotations, "track_uuid", StringArray::from(vec!["same"; 95]));
-    told(ANNOTATIONS, &one_track, "row 1: track same stands there twice");
+    check(ANNOTATIONS, &one_track, "row 1: a second row of track same");
     let empty = |log: &mut Log| log.annotations.iter_mut().for_each(|(_, array)| *array = array.slice(0, 0));
-    told(ANNOTATIONS, &empty, "no rows");
+    check(ANNOTATIONS, &empty, "no rows");
     let short = |log: &mut Log| log.poses.iter_mut().for_each(|(_, array)| *array = array.slice(0, 20));
-    told(POSES, &short, &format!("no ego pose at {} ns", time_ns(20)));
+    check(POSES, &short, &format!("no ego pose at {} ns", time_ns(20)));
     let late = |log: &mut Log| log.poses.iter_mut().for_each(|(_, array)| *array = array.slice(1, 29));
-    told(POSES, &late, &format!("no ego pose at {} ns", time_ns(0)));
+    check(POSES, &late, &format!("no ego pose at {} ns", time_ns(0)));
 }
 
 #[test]
-fn short_logs_and_gaps_are_told() {
+fn short_logs_and_gaps_are_reported() {
     let fault = |log: &Log| match log.opened().unwrap_err() {
-        Argoverse2Error::Content { fault: LogFault::Time(fault), .. } => fault,
+        FileError { fault: LogFault::Recording(fault), .. } => fault,
         other => panic!("{other}"),
     };
-    assert_eq!(fault(&log(20)), TimeFault::TooShort { steps: 20, needed: 21 });
+    assert_eq!(fault(&log(20)), RecordingFault::TooShort { steps: 20, needed: 21 });
     let mut gap = log(40);
     // All rows of sweep 10, of which there are three, are gone.
     for (_, array) in &mut gap.annotations {
         let parts = [array.slice(0, 35), array.slice(38, array.len() - 38)];
         *array = arrow::compute::concat(&[&parts[0], &parts[1]]).unwrap();
     }
-    assert!(matches!(fault(&gap), TimeFault::StepTime { step: 10, .. }));
+    assert!(matches!(fault(&gap), RecordingFault::StepTime { step: 10, .. }));
 }
 
 #[test]
-fn broken_maps_are_told() {
+fn broken_maps_are_reported() {
     let fault = |change: &dyn Fn(&mut Value)| {
         let mut log = log(30);
         change(&mut log.map);
         match log.opened().unwrap_err() {
-            Argoverse2Error::Content { path, fault } if path.ends_with(MAP) => fault,
+            FileError { place, fault } if place.path.ends_with(MAP) => fault,
             other => panic!("{other}"),
         }
     };
@@ -76,18 +76,21 @@ fn broken_maps_are_told() {
     let message = fault(&|map| drop(map.as_object_mut().unwrap().remove("drivable_areas"))).to_string();
     assert!(message.contains("missing field `drivable_areas`"), "{message}");
     assert!(matches!(fault(&|map| lane(map, "successors", json!([1.5]))), LogFault::Json(_)));
-    assert!(matches!(fault(&|map| lane(map, "id", json!(1))), LogFault::DuplicateId { id: 1 }));
+    assert!(matches!(
+        fault(&|map| lane(map, "id", json!(1))),
+        LogFault::Recording(RecordingFault::DuplicateId { id: 1, .. })
+    ));
     assert!(matches!(fault(&|map| lane(map, "left_lane_boundary", json!([]))), LogFault::NoArea { id: 2 }));
     let far = json!([{"x": 1e6, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": 0.0}]);
-    let line_fault = |fault| matches!(fault, LogFault::Line(super::super::LineFault::NoPlace { feature: 2, point: 0 }));
-    assert!(line_fault(fault(&|map| lane(map, "right_lane_boundary", far.clone()))));
+    let far = fault(&|map| lane(map, "right_lane_boundary", far.clone()));
+    assert!(matches!(far, LogFault::Recording(RecordingFault::NoPlace { feature: 2, point: 0 })));
     let no_lanes = fault(&|map| map["lane_segments"] = json!({}));
-    assert!(matches!(no_lanes, LogFault::Map(crate::world::MapError::NoLanes)));
+    assert!(matches!(no_lanes, LogFault::Recording(RecordingFault::Map(crate::world::MapError::NoLanes))));
 }
 
 #[test]
-fn missing_and_damaged_files_are_told() {
-    let told = |change: &dyn Fn(&Path)| {
+fn missing_and_damaged_files_are_reported() {
+    let check = |change: &dyn Fn(&Path)| {
         let (_guard, folder) = log(30).written();
         change(&folder);
         open(&folder).unwrap_err().to_string()
@@ -97,7 +100,7 @@ fn missing_and_damaged_files_are_told() {
     assert!(without(ANNOTATIONS).contains("there is no annotations*.feather"));
     assert!(without(MAP).contains("there is no map/log_map_archive_*.json"));
     let cut = |file: &'static str, share: usize| {
-        told(&|folder| {
+        check(&|folder| {
             let bytes = std::fs::read(folder.join(file)).unwrap();
             std::fs::write(folder.join(file), &bytes[..bytes.len() * share / 100]).unwrap();
         })
@@ -115,7 +118,7 @@ fn missing_and_damaged_files_are_told() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Damaged bytes: whatever comes of them, it is no panic.
+    /// Damaged bytes cause no panic.
     #[test]
     fn damaged_tables_never_panic(
         of_poses: bool,

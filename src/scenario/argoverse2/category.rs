@@ -10,24 +10,22 @@
 //! | `BOLLARD`, `SIGN`, `ANIMAL`, `DOG` | generic object |
 //! | `EGO_VEHICLE`, `STOP_SIGN` | none |
 //!
-//! * nuPlan's bicycles are two-wheelers of any drive, its generic objects permanent poles and animals too.
-//! * A rider and what is ridden are two boxes here and two objects: they overlap, as annotated.
-//! * nuPlan's trailers are vehicles, so trailers that carry signs are.
-//! * `EGO_VEHICLE` is a row that scenario mining adds to the annotations (`annotations_with_ego.feather`): the recording car at
-//!   the origin of its own frame. A stop sign belongs to the map, and nuPlan's objects have none.
+//! * nuPlan's bicycles include motorcycles, its generic objects permanent poles and animals.
+//! * A rider and the vehicle are two annotated boxes, hence two objects that overlap.
+//! * nuPlan's trailers are vehicles, also those that carry signs.
+//! * `EGO_VEHICLE` is a row of `annotations_with_ego.feather`: the recording car at the origin of its own frame. Stop signs
+//!   belong to the map, not to nuPlan's objects.
 
 use crate::world::ObjectKind;
 
-/// What a category is to nuPlan.
+/// A category in nuPlan's terms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Meaning {
-    /// An object.
     Object(ObjectKind),
-    /// Nothing that stands around the ego.
     NoObject,
 }
 
-/// Reads a category of the sensor dataset; `None` when it has no such category.
+/// A category of the sensor dataset; `None` if unknown.
 pub(super) fn of_annotation(word: &str) -> Option<Meaning> {
     let kind = match word {
         "REGULAR_VEHICLE"

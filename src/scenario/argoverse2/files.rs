@@ -1,6 +1,6 @@
-//! The files of a log, by the names that Argoverse 2 gives them.
+//! The files of a log, by the names of Argoverse 2.
 
-use super::error::Argoverse2Error;
+use super::error::{Argoverse2Error, LogFault};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -9,34 +9,25 @@ const POSES: &str = "city_SE3_egovehicle.feather";
 /// Annotations of a sensor log, as published.
 const ANNOTATIONS: &str = "annotations.feather";
 
-/// Where a log has what.
+/// The files of a log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum LogFiles {
-    /// A log of the sensor dataset.
-    Sensor {
-        /// Ego poses.
-        poses: PathBuf,
-        /// Annotated boxes.
-        annotations: PathBuf,
-        /// Vector map.
-        map: PathBuf,
-    },
-    /// A scenario of the motion-forecasting dataset.
-    Forecasting {
-        /// Tracks.
-        tracks: PathBuf,
-        /// Vector map.
-        map: PathBuf,
-    },
+    Sensor(SensorFiles),
+    Forecasting { tracks: PathBuf, map: PathBuf },
+}
+
+/// The files of a sensor log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct SensorFiles {
+    pub(super) poses: PathBuf,
+    pub(super) annotations: PathBuf,
+    pub(super) map: PathBuf,
 }
 
 impl LogFiles {
-    /// What lies in a folder.
-    ///
-    /// # Errors
-    /// When the folder is no log, or a file of it is missing.
+    /// The log in a folder. Fails if the folder is no log or a file of it is missing.
     pub(super) fn of(folder: &Path) -> Result<Self, Argoverse2Error> {
-        let missing = |file| Argoverse2Error::Missing { folder: folder.to_owned(), file };
+        let missing = |file| Argoverse2Error::at(folder)(LogFault::Missing(file));
         let poses = folder.join(POSES);
         if poses.is_file() {
             let published = folder.join(ANNOTATIONS);
@@ -48,10 +39,10 @@ impl LogFiles {
             let maps = folder.join("map");
             let map = if maps.is_dir() { map_in(&maps)? } else { None };
             let map = map.ok_or_else(|| missing("map/log_map_archive_*.json"))?;
-            return Ok(Self::Sensor { poses, annotations, map });
+            return Ok(Self::Sensor(SensorFiles { poses, annotations, map }));
         }
         let tracks = first_named(folder, "scenario_", ".parquet")?;
-        let tracks = tracks.ok_or_else(|| Argoverse2Error::NoLog { folder: folder.to_owned() })?;
+        let tracks = tracks.ok_or_else(|| Argoverse2Error::at(folder)(LogFault::NoLog))?;
         let map = map_in(folder)?.ok_or_else(|| missing("log_map_archive_*.json"))?;
         Ok(Self::Forecasting { tracks, map })
     }
@@ -61,7 +52,7 @@ fn map_in(folder: &Path) -> Result<Option<PathBuf>, Argoverse2Error> {
     first_named(folder, "log_map_archive_", ".json")
 }
 
-/// The first file by name that begins and ends so.
+/// The first file by name with this beginning and ending.
 fn first_named(folder: &Path, beginning: &str, ending: &str) -> Result<Option<PathBuf>, Argoverse2Error> {
     let fits = |path: &PathBuf| {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -70,24 +61,20 @@ fn first_named(folder: &Path, beginning: &str, ending: &str) -> Result<Option<Pa
     Ok(entries(folder)?.into_iter().find(fits))
 }
 
-/// What a folder holds, by name.
+/// The entries of a folder, by name.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
-    let failed = |source| Argoverse2Error::Read { path: folder.to_owned(), source };
-    let listed = std::fs::read_dir(folder).map_err(failed)?;
-    let mut paths = listed.map(|entry| entry.map(|e| e.path())).collect::<io::Result<Vec<_>>>().map_err(failed)?;
+    let listed = std::fs::read_dir(folder).and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect());
+    let mut paths: Vec<PathBuf> = listed.map_err(|error: io::Error| Argoverse2Error::at(folder)(error))?;
     paths.sort();
     Ok(paths)
 }
 
-/// Whether a folder is a log, be it complete or not.
+/// True if a folder is a log, complete or not.
 pub fn is_log(folder: &Path) -> bool {
     folder.join(POSES).is_file() || matches!(first_named(folder, "scenario_", ".parquet"), Ok(Some(_)))
 }
 
-/// The logs in a folder and in the folders right below it (`sensor/val/LOG` for `sensor`), by name; none where there are none.
-///
-/// # Errors
-/// When a folder cannot be listed.
+/// The logs in a folder and in the folders directly below it (`sensor/val/LOG` for `sensor`), by name.
 pub fn logs_in(folder: &Path) -> Result<Vec<PathBuf>, Argoverse2Error> {
     let mut logs = Vec::new();
     for below in folders_in(folder)? {
@@ -115,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cities_are_read_off_the_names_of_maps() {
+    fn cities_are_parsed_from_the_names_of_maps() {
         assert_eq!(city_of(Path::new("map/log_map_archive_a-b____MIA_city_47894.json")), Some("MIA"));
         assert_eq!(city_of(Path::new("log_map_archive_a-b.json")), None);
     }

@@ -1,10 +1,10 @@
-//! A scenario of the motion-forecasting dataset to a drive: `scenario_*.parquet`, 11 s at 10 Hz.
+//! Scenarios of the motion-forecasting dataset: `scenario_*.parquet`, 11 s at 10 Hz.
 //!
-//! * The recording car is the track `AV`. Its position is that of its own frame's origin, the rear axle: in bends it does not
-//!   slide sideways. All others are told by the middle of their boxes.
-//! * The dataset has no sizes. They are those of usual road users (table in [`RoadUser::of`]).
-//! * Velocities are taken as recorded, the ego's too: its positions are smoothed, and run off within the first and last second
-//!   of a scenario. Static kinds have no velocity, as in nuPlan.
+//! * The recording car is the track `AV`. Its position is the origin of its frame, the rear axle, since it does not move sideways
+//!   in bends. The positions of other tracks are the centers of their boxes.
+//! * The dataset has no sizes. They are those of typical road users (table in [`RoadUser::of`]).
+//! * Velocities are those recorded, also the ego's: its positions are smoothed and drift within the first and last second of a
+//!   scenario. Static kinds have no velocity, as in nuPlan.
 //!
 //! | Argoverse 2 | nuPlan |
 //! |---|---|
@@ -16,24 +16,23 @@
 
 use super::Contents;
 use super::error::{Argoverse2Error, LogFault};
-use super::log::Log;
 use super::map::{lane_count, lane_map};
 use super::map_file::MapFile;
-use super::table::Table;
-use super::within;
+use super::table::{Table, in_range};
 use crate::geometry::{OrientedBox, Pose, Vector, wrap_angle};
+use crate::scenario::Scenario;
+use crate::scenario::recording::motion::{self, MAX_SPEED};
+use crate::scenario::recording::window::{Recording, step_times};
 use crate::world::{ObjectKind, STEP_S, TrackToken, TrackedObject};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Id of the recording car's track.
 const EGO: &str = "AV";
-/// No scenario has more steps: an hour.
+/// Maximum number of steps: an hour.
 const MAX_STEPS: i64 = 36_000;
-/// Speeds beyond this are no road user's, m/s.
-const FASTEST: f64 = 200.0;
 
-/// What a track is, and its assumed box, metres.
+/// Kind and assumed box of a track, meters.
 #[derive(Debug, Clone, Copy)]
 struct RoadUser {
     kind: ObjectKind,
@@ -42,7 +41,7 @@ struct RoadUser {
 }
 
 impl RoadUser {
-    /// Reads an object type; `None` when the dataset has no such type.
+    /// By object type; `None` if unknown.
     fn of(word: &str) -> Option<Self> {
         let (kind, length, width) = match word {
             "vehicle" => (ObjectKind::Vehicle, 4.6, 2.0),
@@ -89,54 +88,47 @@ impl Tracks {
     }
 }
 
-/// Steps of the rows, from 0.
+/// Steps of the rows.
 fn steps(table: &Table) -> Result<Vec<usize>, LogFault> {
     let column = "timestep";
     let steps = table.integers(column)?;
     match steps.iter().position(|step| !(0..MAX_STEPS).contains(step)) {
-        Some(row) => Err(LogFault::Unbelievable { column, row, value: steps[row] as f64 }),
+        Some(row) => Err(LogFault::OutOfRange { column, row, value: steps[row] as f64 }),
         None => Ok(steps.into_iter().map(|step| step as usize).collect()),
     }
 }
 
 fn speeds(table: &Table, column: &'static str) -> Result<Vec<f64>, LogFault> {
-    let speeds = table.numbers(column)?;
-    match speeds.iter().position(|speed| speed.abs() > FASTEST) {
-        Some(row) => Err(LogFault::Unbelievable { column, row, value: speeds[row] }),
-        None => Ok(speeds),
-    }
+    in_range(column, table.numbers(column)?, |speed| speed.abs() <= MAX_SPEED)
 }
 
-/// Seconds of all steps up to the last that a row names.
+/// Times of all steps up to the last one of a row, seconds.
 fn seconds(steps: &[usize]) -> Vec<f64> {
     (0..=steps.iter().copied().max().unwrap_or(0)).map(|step| step as f64 * STEP_S).collect()
 }
 
-/// Reads a scenario; `id` is the name of its folder.
-///
-/// # Errors
-/// When a file is unsound.
-pub(super) fn log(path: &Path, map: &Path, id: String) -> Result<Log, Argoverse2Error> {
-    let tracks = within(path, Tracks::read(&Table::parquet(path)?))?;
+/// Opens a scenario; `id` is the name of its folder.
+pub(super) fn scenario(path: &Path, map: &Path, id: String) -> Result<Scenario, Argoverse2Error> {
+    let tracks = Tracks::read(&Table::parquet(path)?).map_err(Argoverse2Error::at(path))?;
     let seconds = seconds(&tracks.steps);
-    let egos = within(path, ego_rows(&tracks, seconds.len()))?;
+    let egos = ego_rows(&tracks, seconds.len()).map_err(Argoverse2Error::at(path))?;
     let origin = egos.first().map_or_else(Vector::zeros, |&row| tracks.poses[row].position().coords.map(f64::round));
-    let objects = within(path, objects(&tracks, seconds.len(), origin))?;
-    let file = MapFile::read(map)?;
-    let map = within(map, lane_map(&file, &tracks.city, origin))?;
-    let rear_axles = egos.iter().map(|&row| moved(tracks.poses[row], origin)).collect();
-    let velocities = egos.iter().map(|&row| tracks.velocities[row]).collect();
-    Ok(Log { id, seconds, rear_axles, velocities, objects, map })
+    let objects = objects(&tracks, seconds.len(), origin).map_err(Argoverse2Error::at(path))?;
+    let map = lane_map(&MapFile::read(map)?, &tracks.city, origin).map_err(Argoverse2Error::at(map))?;
+    let rear_axles: Vec<Pose> = egos.iter().map(|&row| moved(tracks.poses[row], origin)).collect();
+    let velocities: Vec<Vector> = egos.iter().map(|&row| tracks.velocities[row]).collect();
+    let times_us = step_times(&seconds).map_err(Argoverse2Error::at(path))?;
+    let egos = motion::ego_states(&times_us, &seconds, &rear_axles, &velocities);
+    let objects = objects.into_iter().map(Into::into).collect();
+    Ok(Recording { log_name: id.clone(), id, map, egos, objects, lights: Vec::new() }.scenario())
 }
 
-/// What a scenario holds, without deriving anything.
-///
-/// # Errors
-/// When a file is no sound table or map.
+/// The counts of a scenario.
 pub(super) fn contents(path: &Path, map: &Path) -> Result<Contents, Argoverse2Error> {
     let table = Table::parquet(path)?;
-    let steps = within(path, steps(&table))?;
-    let tracks = within(path, table.words("track_id"))?.into_iter().collect::<BTreeSet<_>>().len();
+    let steps = steps(&table).map_err(Argoverse2Error::at(path))?;
+    let ids = table.words("track_id").map_err(Argoverse2Error::at(path))?;
+    let tracks = ids.into_iter().collect::<BTreeSet<_>>().len();
     Ok(Contents { seconds: seconds(&steps), tracks, lanes: lane_count(&MapFile::read(map)?) })
 }
 
@@ -144,7 +136,7 @@ fn moved(pose: Pose, origin: Vector) -> Pose {
     Pose::at(pose.position() - origin, pose.heading)
 }
 
-/// The ego's row at every step.
+/// Row of the ego at every step.
 fn ego_rows(tracks: &Tracks, count: usize) -> Result<Vec<usize>, LogFault> {
     let mut rows: Vec<Option<usize>> = vec![None; count];
     for (row, track) in tracks.ids.iter().enumerate().filter(|(_, track)| *track == EGO) {
@@ -155,7 +147,7 @@ fn ego_rows(tracks: &Tracks, count: usize) -> Result<Vec<usize>, LogFault> {
     rows.into_iter().enumerate().map(|(step, row)| row.ok_or(LogFault::NoEgo { step })).collect()
 }
 
-/// The objects of every step, in order of track.
+/// Objects of every step in order of track.
 fn objects(tracks: &Tracks, count: usize, origin: Vector) -> Result<Vec<Vec<TrackedObject>>, LogFault> {
     let mut rows: BTreeMap<&str, BTreeMap<usize, usize>> = BTreeMap::new();
     for (row, track) in tracks.ids.iter().enumerate().filter(|(_, track)| *track != EGO) {

@@ -1,4 +1,4 @@
-//! A scenario of the motion-forecasting dataset, of our own making.
+//! A synthetic scenario of the motion-forecasting dataset.
 
 use super::test_log::{CITY, Columns, crossing_map, set, with};
 use super::*;
@@ -41,7 +41,7 @@ fn forecasting_opened(columns: Columns) -> Result<Scenario, Argoverse2Error> {
 }
 
 #[test]
-fn a_forecasting_scenario_is_a_drive_too() {
+fn a_forecasting_scenario_opens() {
     let scenario = forecasting_opened(forecasting(110)).unwrap();
     assert_eq!((scenario.start, scenario.iterations()), (10, 100));
     assert_eq!(scenario.map.name(), "argoverse 2 pittsburgh, origin (1005, -500)");
@@ -54,16 +54,16 @@ fn a_forecasting_scenario_is_a_drive_too() {
 }
 
 #[test]
-fn broken_forecasting_scenarios_are_told() {
+fn broken_forecasting_scenarios_are_reported() {
     let fault = |change: &dyn Fn(&mut Columns)| {
         let mut columns = forecasting(30);
         change(&mut columns);
         forecasting_opened(columns).unwrap_err().to_string()
     };
     let nobody = fault(&|columns| set(columns, "track_id", StringArray::from(vec!["7"; 60])));
-    assert!(nobody.contains("track `AV` is not there at step 0"), "{nobody}");
+    assert!(nobody.contains("track `AV` is missing at step 0"), "{nobody}");
     let twice = fault(&|columns| set(columns, "timestep", Int64Array::from(vec![0; 60])));
-    assert!(twice.contains("row 2: track AV stands there twice"), "{twice}");
+    assert!(twice.contains("row 2: a second row of track AV"), "{twice}");
     let fast = fault(&|columns| set(columns, "velocity_y", with(columns, "velocity_y", 5, Some(1e6))));
     assert!(fast.contains("column `velocity_y`, row 5"), "{fast}");
     let endless = fault(&|columns| set(columns, "timestep", Int64Array::from(vec![i64::MAX; 60])));

@@ -1,27 +1,23 @@
-//! Whether all parts of an Arrow IPC file lie where they can.
+//! Checks of the offsets and lengths in an Arrow IPC file.
 //!
-//! The reader of the format trusts the offsets and lengths in a file, and asks for as much memory as a damaged length says,
-//! which may end the program. They are looked at first.
+//! Arrow's reader trusts them and allocates what a damaged length says, which may abort the program.
 
 use super::error::LogFault;
 use arrow::ipc::reader::read_footer_length;
 use arrow::ipc::{Block, CompressionType, MessageHeader, RecordBatch, root_as_footer, root_as_message};
 
-/// Bytes of the footer's length and the mark behind it.
+/// Length of the footer and the magic bytes behind it.
 const TAIL: usize = 10;
-/// First bytes of a message since version 0.15 of the format; its length follows.
+/// First bytes of a message since version 0.15 of the format. The length follows.
 const CONTINUATION: [u8; 4] = [0xff; 4];
-/// Bytes before a compressed buffer that tell its uncompressed length.
+/// Bytes of the uncompressed length before a compressed buffer.
 const PREFIX: usize = 8;
-/// Uncompressed length of a buffer that is not compressed after all.
+/// Marks a buffer that is not compressed.
 const NOT_COMPRESSED: i64 = -1;
-/// No column of a log is larger, bytes.
-const LARGEST_COLUMN: i64 = 1 << 28;
+/// Maximum size of a column, bytes.
+const MAX_COLUMN: i64 = 1 << 28;
 
 /// Checks every offset and length of a file.
-///
-/// # Errors
-/// At the first that cannot be.
 pub(super) fn check(bytes: &[u8]) -> Result<(), LogFault> {
     let Some((rest, tail)) = bytes.split_last_chunk::<TAIL>() else {
         return Err(LogFault::Damaged { part: "file", number: 0 });
@@ -36,7 +32,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), LogFault> {
     Ok(())
 }
 
-/// `None` when a block, or a buffer in it, does not lie where it can.
+/// `None` if a block, or a buffer in it, is out of bounds.
 fn check_block(bytes: &[u8], block: &Block) -> Option<()> {
     let from = usize::try_from(block.offset()).ok()?;
     let body_from = from.checked_add(usize::try_from(block.metaDataLength()).ok()?)?;
@@ -64,7 +60,7 @@ fn check_batch(body: &[u8], batch: RecordBatch<'_>) -> Option<()> {
         if compressed && !buffer.is_empty() {
             let prefix: [u8; PREFIX] = buffer.get(..PREFIX)?.try_into().ok()?;
             let length = i64::from_le_bytes(prefix);
-            if !(NOT_COMPRESSED..=LARGEST_COLUMN).contains(&length) {
+            if !(NOT_COMPRESSED..=MAX_COLUMN).contains(&length) {
                 return None;
             }
         }

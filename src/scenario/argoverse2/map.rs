@@ -1,37 +1,34 @@
-//! The lane map of a log: what Argoverse 2 gives, and nuPlan's other layers by the rules for every recording.
+//! The lane map of a log: Argoverse 2's lanes and areas, and nuPlan's other layers from `scenario::recording`.
 //!
-//! * A centreline is the middle between the boundaries, as Argoverse's own map reader computes it: both are sampled at equal
-//!   shares of their lengths, and opposite samples are averaged. It takes ten samples a lane, this one a sample every metre and
-//!   ten at least: connectors bend. A boundary that is a single point (the inside of a cul-de-sac) serves as well.
-//! * A lane's area lies between its boundaries, less what an earlier lane holds (`recording::exclusive`).
-//! * Lanes with `is_intersection` are connectors, and those that belong together make an intersection.
-//! * Bike lanes are no lanes of the graph: nuPlan's lanes are for motor vehicles. They stay drivable. Bus lanes are lanes.
-//! * A neighbour across the middle of the road runs the other way, and is none to nuPlan.
-//! * Relations to lanes that the map does not contain are dropped: each log has the map within 100 m of its ego.
-//! * The drivable areas are nuPlan's generic ones. Where one ends and no other begins is a road edge.
+//! * A centerline is the middle between the boundaries, as in Argoverse's map reader: both are sampled at equal shares of their
+//!   lengths, and opposite samples are averaged. Argoverse takes ten samples per lane, this module one per meter and at least
+//!   ten, since connectors bend. A boundary may be a single point (the inside of a cul-de-sac).
+//! * A lane's area lies between its boundaries, without the areas of earlier lanes (`recording::map`).
+//! * Lanes with `is_intersection` are connectors, and every cluster of them is an intersection.
+//! * Bike lanes are not part of the lane graph, since nuPlan's lanes are for motor vehicles. They stay drivable. Bus lanes are
+//!   lanes.
+//! * Neighbors of the opposite direction are dropped, as in nuPlan.
+//! * Relations to lanes outside the map are dropped: each log has the map within 100 m of its ego.
+//! * The drivable areas are nuPlan's generic ones. Their borders are road edges, except between two areas.
 //! * There are no speed limits and no traffic lights.
 
 use super::error::LogFault;
 use super::map_file::{LaneSegment, LaneType, MapFile, Waypoint, places};
 use crate::geometry::{Point, Polygon, Polyline, Vector};
-use crate::scenario::recording::crossings::crossings;
-use crate::scenario::recording::exclusive::separate;
-use crate::scenario::recording::junctions::{Cluster, clusters};
+use crate::scenario::recording::error::RecordingFault;
+use crate::scenario::recording::junctions::{Cluster, clusters, crossings};
 use crate::scenario::recording::lanes::{Beside, Ends, Places, RecordedLane, Sides};
-use crate::scenario::recording::map::{self, Layers};
+use crate::scenario::recording::map::{self, Layers, separate};
 use crate::scenario::recording::trace::{Place, Trace, local_points};
 use crate::world::LaneMap;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Samples of a centreline at least: Argoverse's own number.
+/// Minimum number of samples of a centerline: Argoverse's number.
 const MIN_SAMPLES: usize = 10;
-/// Distance between samples of a longer centreline, metres.
+/// Distance between samples of a longer centerline, meters.
 const SAMPLE_STEP: f64 = 1.0;
 
-/// Derives the map; `origin` becomes the place (0, 0) and is kept in the map's name.
-///
-/// # Errors
-/// When a line or area is unsound, an id occurs twice, or there is no lane for motor vehicles.
+/// Derives the map; `origin` becomes the point (0, 0).
 pub(super) fn lane_map(file: &MapFile, city: &str, origin: Vector) -> Result<LaneMap, LogFault> {
     let segments = motor_lanes(file)?;
     let mut lines: Vec<(&LaneSegment, Trace)> = Vec::new();
@@ -65,10 +62,10 @@ pub(super) fn lane_map(file: &MapFile, city: &str, origin: Vector) -> Result<Lan
         crosswalks: crosswalks(file, origin)?,
         generic_drivable: drivable,
     };
-    Ok(map::lane_map(layers)?)
+    Ok(map::lane_map(layers).map_err(RecordingFault::from)?)
 }
 
-/// How many lanes the map of a file has: those for motor vehicles that have a length.
+/// Number of lanes for motor vehicles with a length.
 pub(super) fn lane_count(file: &MapFile) -> usize {
     let lanes = file.lane_segments.values().filter(|segment| {
         let origin =
@@ -83,7 +80,7 @@ fn motor_lanes(file: &MapFile) -> Result<Vec<&LaneSegment>, LogFault> {
     let mut by_id: BTreeMap<i64, &LaneSegment> = BTreeMap::new();
     for segment in file.lane_segments.values() {
         if by_id.insert(segment.id, segment).is_some() {
-            return Err(LogFault::DuplicateId { id: segment.id });
+            return Err(RecordingFault::DuplicateId { layer: "lane segment", id: segment.id }.into());
         }
     }
     Ok(by_id.into_values().filter(|segment| segment.lane_type != LaneType::Bike).collect())
@@ -101,8 +98,8 @@ fn recorded_lanes(lines: Vec<(&LaneSegment, Trace)>, links: &Places<'_>) -> Vec<
             id: segment.id,
             flagged: segment.is_intersection,
             speed_limit: None,
-            entries: joints.iter().filter(|(_, to)| *to == place).map(|(from, _)| *from).collect(),
-            exits: joints.iter().filter(|(from, _)| *from == place).map(|(_, to)| *to).collect(),
+            entries: joints.into(place),
+            exits: joints.out_of(place),
             neighbors: Sides { left: beside(segment.left_neighbor_id), right: beside(segment.right_neighbor_id) },
             trace,
         }
@@ -123,12 +120,12 @@ fn recorded_lanes(lines: Vec<(&LaneSegment, Trace)>, links: &Places<'_>) -> Vec<
     lanes
 }
 
-/// The line between the boundaries; `None` when it has no length.
+/// The line between the boundaries; `None` if it has no length.
 fn centerline(segment: &LaneSegment, origin: Vector) -> Result<Option<Trace>, LogFault> {
     let sides = [places(&segment.left_lane_boundary), places(&segment.right_lane_boundary)];
     let mut longest: f64 = 0.0;
     for side in &sides {
-        // Whatever its length, a boundary with unsound points must be told.
+        // Invalid points are an error, whatever the length of the boundary.
         let trace = Trace::of(segment.id, side, origin)?;
         longest = longest.max(trace.map_or(0.0, |trace| trace.line.length()));
     }
@@ -139,8 +136,8 @@ fn centerline(segment: &LaneSegment, origin: Vector) -> Result<Option<Trace>, Lo
     Ok(Trace::of(segment.id, &middle, origin)?)
 }
 
-/// `count` places at equal distances along a line, both ends included; the same place again where the line is a point, and
-/// `None` where it is nothing.
+/// `count` points at equal distances along a line, both ends included. All are equal if the line is a point; `None` if it has
+/// no point.
 fn evenly(line: &[Place], count: usize) -> Option<Vec<Place>> {
     let first = line.first()?;
     let mut arcs = vec![0.0];
@@ -171,13 +168,13 @@ fn area(segment: &LaneSegment, origin: Vector) -> Result<Polygon, LogFault> {
 fn drivable_areas(file: &MapFile, origin: Vector) -> Result<Vec<Polygon>, LogFault> {
     let mut areas = Vec::new();
     for area in file.drivable_areas.values() {
-        // An outline without an area bounds nothing.
+        // Outlines without an area bound nothing.
         areas.extend(Polygon::new(local_points(area.id, &places(&area.area_boundary), origin)?).ok());
     }
     Ok(areas)
 }
 
-/// Crosswalks as the areas around both their edges.
+/// The convex hulls of both edges of each crosswalk.
 fn crosswalks(file: &MapFile, origin: Vector) -> Result<Vec<Polygon>, LogFault> {
     let mut areas = Vec::new();
     for crossing in file.pedestrian_crossings.values() {
@@ -187,9 +184,9 @@ fn crosswalks(file: &MapFile, origin: Vector) -> Result<Vec<Polygon>, LogFault> 
     Ok(areas)
 }
 
-/// Borders of the drivable areas with undrivable ground on one side, segment by segment.
+/// Borders of the drivable areas with a non-drivable side, segment by segment.
 fn road_edges(file: &MapFile, drivable: &[Polygon], origin: Vector) -> Result<Vec<Trace>, LogFault> {
-    /// How far beside a border one looks, metres.
+    /// Distance of the tested points from a border, meters.
     const BESIDE: f64 = 0.2;
     let holds = |point: Point| drivable.iter().any(|area| area.contains(point));
     let mut edges = Vec::new();

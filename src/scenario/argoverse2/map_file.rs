@@ -1,21 +1,20 @@
 //! The vector map of a log: `log_map_archive_*.json`, as Argoverse 2 writes it.
 
-use super::error::{Argoverse2Error, LogFault};
+use super::error::Argoverse2Error;
 use crate::scenario::recording::trace::Place;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The map, as it stands in the file.
 #[derive(Debug, Deserialize)]
 pub(super) struct MapFile {
-    /// By a key that repeats the id.
+    /// The key repeats the id.
     pub(super) lane_segments: BTreeMap<String, LaneSegment>,
     pub(super) pedestrian_crossings: BTreeMap<String, PedestrianCrossing>,
     pub(super) drivable_areas: BTreeMap<String, DrivableArea>,
 }
 
-/// A lane segment. Its paint and the centreline that some maps add are not read.
+/// A lane segment. Its markings and the centerline that some maps add are not read.
 #[derive(Debug, Clone, Deserialize)]
 pub(super) struct LaneSegment {
     pub(super) id: i64,
@@ -29,7 +28,6 @@ pub(super) struct LaneSegment {
     pub(super) right_neighbor_id: Option<i64>,
 }
 
-/// Who may use a lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub(super) enum LaneType {
@@ -38,7 +36,7 @@ pub(super) enum LaneType {
     Bus,
 }
 
-/// A crosswalk between two edges along which one walks.
+/// A crosswalk between two edges in walking direction.
 #[derive(Debug, Deserialize)]
 pub(super) struct PedestrianCrossing {
     pub(super) id: i64,
@@ -46,14 +44,13 @@ pub(super) struct PedestrianCrossing {
     pub(super) edge2: Vec<Waypoint>,
 }
 
-/// An area that can be driven on.
 #[derive(Debug, Deserialize)]
 pub(super) struct DrivableArea {
     pub(super) id: i64,
     pub(super) area_boundary: Vec<Waypoint>,
 }
 
-/// A place in the city frame, metres.
+/// A point in the city frame, meters.
 #[derive(Debug, Clone, Copy, Deserialize)]
 pub(super) struct Waypoint {
     pub(super) x: f64,
@@ -61,20 +58,13 @@ pub(super) struct Waypoint {
     pub(super) z: f64,
 }
 
-/// The places of a line or outline.
 pub(super) fn places(points: &[Waypoint]) -> Vec<Place> {
     points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect()
 }
 
 impl MapFile {
-    /// Reads the file.
-    ///
-    /// # Errors
-    /// When it cannot be read or is no such map.
     pub(super) fn read(path: &Path) -> Result<Self, Argoverse2Error> {
-        let failed = |source| Argoverse2Error::Read { path: path.to_owned(), source };
-        let bytes = std::fs::read(path).map_err(failed)?;
-        serde_json::from_slice(&bytes)
-            .map_err(|fault| Argoverse2Error::Content { path: path.to_owned(), fault: LogFault::Json(fault) })
+        let bytes = std::fs::read(path).map_err(Argoverse2Error::at(path))?;
+        serde_json::from_slice(&bytes).map_err(Argoverse2Error::at(path))
     }
 }

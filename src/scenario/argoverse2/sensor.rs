@@ -1,71 +1,57 @@
-//! A log of the sensor dataset to a drive.
+//! Logs of the sensor dataset.
 //!
-//! The steps are the annotated sweeps of the laser scanner, 10 a second. The ego's velocity is the slope of its position over
-//! five of them. Coordinates are moved to an origin near the ego's first place, in whole metres.
+//! The steps are the annotated sweeps of the laser scanner, 10 per second. The ego's velocity is the slope of its position over
+//! five of them. Coordinates have their origin near the ego's first position, in whole meters.
 
+use super::Contents;
 use super::annotations::{Annotations, sweeps, track_count};
 use super::error::{Argoverse2Error, LogFault};
-use super::files::city_of;
-use super::log::{Log, velocities_of};
+use super::files::{SensorFiles, city_of};
 use super::map::{lane_count, lane_map};
 use super::map_file::MapFile;
 use super::poses::{EgoPoses, heading};
 use super::table::Table;
-use super::{Contents, within};
 use crate::geometry::{Pose, Vector};
-use std::path::Path;
+use crate::scenario::Scenario;
+use crate::scenario::recording::motion::{self, slopes};
+use crate::scenario::recording::window::{Recording, step_times};
 
-/// Nanoseconds in a second.
 const NANOS_PER_SECOND: f64 = 1e9;
 
-/// The files of a sensor log.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct SensorFiles<'a> {
-    /// Ego poses.
-    pub(super) poses: &'a Path,
-    /// Annotated boxes.
-    pub(super) annotations: &'a Path,
-    /// Vector map.
-    pub(super) map: &'a Path,
-}
-
-/// Reads a log; `id` is the name of its folder.
-///
-/// # Errors
-/// When a file is missing or unsound.
-pub(super) fn log(files: SensorFiles<'_>, id: String) -> Result<Log, Argoverse2Error> {
-    let poses = within(files.poses, EgoPoses::read(&Table::feather(files.poses)?))?;
-    let table = Table::feather(files.annotations)?;
-    let in_annotations = |fault| Argoverse2Error::Content { path: files.annotations.to_owned(), fault };
-    let sweeps_ns = sweeps(&table).map_err(in_annotations)?;
-    let egos = sweeps_ns.iter().map(|&time| poses.at(time)).collect::<Result<Vec<_>, LogFault>>();
-    let egos = within(files.poses, egos)?;
-    let first = egos.first().ok_or_else(|| in_annotations(LogFault::Empty))?.translation;
+/// Opens a log; `id` is the name of its folder.
+pub(super) fn scenario(files: &SensorFiles, id: String) -> Result<Scenario, Argoverse2Error> {
+    let SensorFiles { poses, annotations, map } = files;
+    let frames = EgoPoses::read(&Table::feather(poses)?).map_err(Argoverse2Error::at(poses))?;
+    let table = Table::feather(annotations)?;
+    let sweeps_ns = sweeps(&table).map_err(Argoverse2Error::at(annotations))?;
+    let frames = sweeps_ns.iter().map(|&time| frames.at(time)).collect::<Result<Vec<_>, LogFault>>();
+    let frames = frames.map_err(Argoverse2Error::at(poses))?;
+    let first = frames.first().ok_or(LogFault::Empty).map_err(Argoverse2Error::at(annotations))?.translation;
     let origin = Vector::new(first.x.round(), first.y.round());
-    let annotations = Annotations::read(&table, &sweeps_ns, &egos, origin).map_err(in_annotations)?;
+    let boxes = Annotations::read(&table, &sweeps_ns, &frames, origin).map_err(Argoverse2Error::at(annotations))?;
     let seconds = seconds(&sweeps_ns);
-    let map = MapFile::read(files.map)?;
-    let map = within(files.map, lane_map(&map, city_of(files.map).unwrap_or("city"), origin))?;
-    let rear_axles: Vec<Pose> = egos
+    let city = city_of(map).unwrap_or("city");
+    let map = lane_map(&MapFile::read(map)?, city, origin).map_err(Argoverse2Error::at(map))?;
+    let rear_axles: Vec<Pose> = frames
         .iter()
-        .map(|ego| Pose::new(ego.translation.x - origin.x, ego.translation.y - origin.y, heading(ego)))
+        .map(|frame| Pose::new(frame.translation.x - origin.x, frame.translation.y - origin.y, heading(frame)))
         .collect();
-    let velocities = velocities_of(&seconds, &rear_axles);
-    Ok(Log { id, objects: annotations.objects(&seconds), seconds, rear_axles, velocities, map })
+    let velocities = slopes(&seconds, rear_axles.iter().map(|pose| pose.position().coords));
+    let times_us = step_times(&seconds).map_err(Argoverse2Error::at(annotations))?;
+    let egos = motion::ego_states(&times_us, &seconds, &rear_axles, &velocities);
+    let objects = boxes.objects(&seconds).into_iter().map(Into::into).collect();
+    Ok(Recording { log_name: id.clone(), id, map, egos, objects, lights: Vec::new() }.scenario())
 }
 
-/// What a log holds, without deriving anything.
-///
-/// # Errors
-/// When a file is missing or no sound table or map.
-pub(super) fn contents(files: SensorFiles<'_>) -> Result<Contents, Argoverse2Error> {
-    let table = Table::feather(files.annotations)?;
-    let sweeps_ns = within(files.annotations, sweeps(&table))?;
-    let tracks = within(files.annotations, track_count(&table))?;
-    Ok(Contents { seconds: seconds(&sweeps_ns), tracks, lanes: lane_count(&MapFile::read(files.map)?) })
+/// The counts of a log.
+pub(super) fn contents(files: &SensorFiles) -> Result<Contents, Argoverse2Error> {
+    let table = Table::feather(&files.annotations)?;
+    let sweeps_ns = sweeps(&table).map_err(Argoverse2Error::at(&files.annotations))?;
+    let tracks = track_count(&table).map_err(Argoverse2Error::at(&files.annotations))?;
+    Ok(Contents { seconds: seconds(&sweeps_ns), tracks, lanes: lane_count(&MapFile::read(&files.map)?) })
 }
 
-/// Seconds from the first sweep.
+/// Times of the sweeps from the first, seconds.
 fn seconds(sweeps_ns: &[i64]) -> Vec<f64> {
     let first = sweeps_ns.first().copied().unwrap_or(0);
     sweeps_ns.iter().map(|&time| time.saturating_sub(first) as f64 / NANOS_PER_SECOND).collect()

@@ -1,7 +1,8 @@
-//! Columns of Feather and Parquet tables, every cell checked.
+//! Columns of Feather and Parquet tables with checked cells.
 
 use super::error::{Argoverse2Error, LogFault};
 use super::ipc_bounds;
+use crate::scenario::recording::motion::MAX_COORDINATE;
 use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
 use arrow::compute::{cast, concat_batches};
 use arrow::datatypes::{DataType, Float64Type, Int64Type, SchemaRef};
@@ -16,8 +17,6 @@ use std::path::Path;
 
 /// First bytes of a Feather file of version 1.
 const FEATHER_1: &[u8] = b"FEA1";
-/// Numbers beyond this are no place on Earth and no size of anything, metres.
-const FARTHEST: f64 = 1e8;
 
 /// A table with at least one row.
 #[derive(Debug)]
@@ -26,26 +25,18 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Reads a Feather file (version 2, which is an Arrow IPC file; uncompressed, LZ4 or ZSTD).
-    ///
-    /// # Errors
-    /// When it cannot be read, is none, or the table is empty.
+    /// Reads a Feather file of version 2 (an Arrow IPC file; uncompressed, LZ4 or ZSTD).
     pub(super) fn feather(path: &Path) -> Result<Self, Argoverse2Error> {
-        let failed = |source| Argoverse2Error::Read { path: path.to_owned(), source };
-        let bytes = std::fs::read(path).map_err(failed)?;
+        let bytes = std::fs::read(path).map_err(Argoverse2Error::at(path))?;
         let table =
             if bytes.starts_with(FEATHER_1) { Err(LogFault::OldFeather) } else { guarded(|| Self::of_ipc(&bytes)) };
-        table.map_err(|fault| Argoverse2Error::Content { path: path.to_owned(), fault })
+        table.map_err(Argoverse2Error::at(path))
     }
 
     /// Reads a Parquet file (uncompressed or Snappy).
-    ///
-    /// # Errors
-    /// When it cannot be read, is none, or the table is empty.
     pub(super) fn parquet(path: &Path) -> Result<Self, Argoverse2Error> {
-        let failed = |source| Argoverse2Error::Read { path: path.to_owned(), source };
-        let file = File::open(path).map_err(failed)?;
-        guarded(|| Self::of_parquet(&file)).map_err(|fault| Argoverse2Error::Content { path: path.to_owned(), fault })
+        let file = File::open(path).map_err(Argoverse2Error::at(path))?;
+        guarded(|| Self::of_parquet(&file)).map_err(Argoverse2Error::at(path))
     }
 
     fn of_ipc(bytes: &[u8]) -> Result<Self, LogFault> {
@@ -71,43 +62,31 @@ impl Table {
         if rows.num_rows() == 0 { Err(LogFault::Empty) } else { Ok(Self { rows }) }
     }
 
-    /// A column of whole numbers.
-    ///
-    /// # Errors
-    /// When it is missing, holds something else or has an empty cell.
+    /// A column of integers without empty cells.
     pub(super) fn integers(&self, column: &'static str) -> Result<Vec<i64>, LogFault> {
-        let values = self.column(column, DataType::is_integer, &DataType::Int64, "whole numbers")?;
+        let values = self.column(column, DataType::is_integer, &DataType::Int64, "integers")?;
         Ok(values.as_primitive::<Int64Type>().values().to_vec())
     }
 
-    /// A column of finite numbers no larger than a place on Earth.
-    ///
-    /// # Errors
-    /// When it is missing, holds something else, or has a cell that is empty or not to be believed.
+    /// A column of finite numbers up to [`MAX_COORDINATE`], without empty cells.
     pub(super) fn numbers(&self, column: &'static str) -> Result<Vec<f64>, LogFault> {
         let values = self.column(column, DataType::is_numeric, &DataType::Float64, "numbers")?;
         let values = values.as_primitive::<Float64Type>().values().to_vec();
-        match values.iter().position(|value| value.is_nan() || value.abs() > FARTHEST) {
-            Some(row) => Err(LogFault::Unbelievable { column, row, value: values[row] }),
-            None => Ok(values),
-        }
+        in_range(column, values, |value| value.abs() <= MAX_COORDINATE)
     }
 
-    /// A column of words.
-    ///
-    /// # Errors
-    /// When it is missing, holds something else or has an empty cell.
+    /// A column of text without empty cells.
     pub(super) fn words(&self, column: &'static str) -> Result<Vec<String>, LogFault> {
         let is_text = |kind: &DataType| matches!(kind, DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View);
         let of_text = |kind: &DataType| match kind {
             DataType::Dictionary(_, values) => is_text(values),
             plain => is_text(plain),
         };
-        let values = self.column(column, of_text, &DataType::Utf8, "words")?;
+        let values = self.column(column, of_text, &DataType::Utf8, "text")?;
         Ok(values.as_string::<i32>().iter().map(|word| word.unwrap_or_default().to_owned()).collect())
     }
 
-    /// A column as `wanted`, without empty cells.
+    /// A column cast to `wanted`, without empty cells.
     fn column(
         &self,
         column: &'static str,
@@ -119,7 +98,7 @@ impl Table {
         if !suits(found.data_type()) {
             return Err(LogFault::WrongType { column, found: found.data_type().to_string(), needed });
         }
-        // A value that does not fit the wanted type becomes empty.
+        // The cast makes a cell empty if its value does not fit.
         let values = cast(found, wanted)?;
         match (0..values.len()).find(|&row| values.is_null(row)) {
             Some(row) => Err(LogFault::NoValue { column, row }),
@@ -128,8 +107,19 @@ impl Table {
     }
 }
 
-/// Reads a table, be it as damaged as it may: the readers of both formats stop with a panic at lengths that do not fit each
-/// other, and a damaged file is a fault of that file.
+/// Checks all values of a column.
+pub(super) fn in_range(
+    column: &'static str,
+    values: Vec<f64>,
+    is_valid: impl Fn(f64) -> bool,
+) -> Result<Vec<f64>, LogFault> {
+    match values.iter().position(|&value| !is_valid(value)) {
+        Some(row) => Err(LogFault::OutOfRange { column, row, value: values[row] }),
+        None => Ok(values),
+    }
+}
+
+/// Turns a panic into a fault: the readers of both formats panic at lengths that contradict each other.
 fn guarded(read: impl FnOnce() -> Result<Table, LogFault> + UnwindSafe) -> Result<Table, LogFault> {
     catch_unwind(read).unwrap_or(Err(LogFault::Unreadable))
 }

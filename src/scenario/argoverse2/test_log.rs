@@ -1,4 +1,4 @@
-//! A log of our own making, for the tests.
+//! A synthetic log for the tests.
 
 use super::{Argoverse2Error, Scenario, open};
 use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
@@ -13,7 +13,7 @@ use std::sync::Arc;
 pub(super) const MAP: &str = "map/log_map_archive_synthetic____PIT_city_1.json";
 pub(super) const ANNOTATIONS: &str = "annotations.feather";
 pub(super) const POSES: &str = "city_SE3_egovehicle.feather";
-/// Where the synthetic city begins, metres.
+/// Where the synthetic city begins, meters.
 pub(super) const CITY: (f64, f64) = (1_000.0, -500.0);
 
 /// A table: names and values.

@@ -1,4 +1,4 @@
-//! What is derived from a log of our own making.
+//! What is derived from a synthetic log.
 
 use super::test_log::{CITY, line, log, set, time_ns, with};
 use super::*;
@@ -19,7 +19,7 @@ fn the_crossing_becomes_nuplans_layers() {
     let of_kind = |kind| map.lanes().iter().filter(|lane| lane.kind == kind).map(|l| l.source_id).collect::<Vec<_>>();
     assert_eq!(of_kind(LaneKind::Connector), vec![11, 12, 13, 41]);
     assert_eq!(of_kind(LaneKind::Lane), vec![1, 2, 3, 21, 22, 23, 31, 51], "the bike lane is none");
-    // A neighbour is one of the same direction.
+    // Neighbors have the same direction.
     let (first, second) = (lane_of(&scenario, 1), lane_of(&scenario, 2));
     assert!(first.left.is_empty() && second.right.is_empty());
     assert_eq!((first.right_at(30.0), second.left_at(30.0)), (Some(second.id), Some(first.id)));
@@ -34,7 +34,7 @@ fn the_crossing_becomes_nuplans_layers() {
 }
 
 #[test]
-fn centrelines_run_in_the_middle_a_vertex_a_metre() {
+fn centerlines_run_in_the_middle_with_a_vertex_per_meter() {
     let scenario = log(30).opened().unwrap();
     let straight = &lane_of(&scenario, 2).centerline;
     assert_eq!(straight.vertices().len(), 61);
@@ -44,13 +44,13 @@ fn centrelines_run_in_the_middle_a_vertex_a_metre() {
 }
 
 #[test]
-fn a_cul_de_sac_turns_round_a_point() {
+fn a_cul_de_sac_turns_around_a_point() {
     let mut log = log(30);
     let point = (30.0, 0.0);
     log.map["lane_segments"]["2"]["left_lane_boundary"] = line(&[point, point]);
     let scenario = log.opened().unwrap();
     let centerline = &lane_of(&scenario, 2).centerline;
-    // Half-way between the point and the right boundary.
+    // Halfway between the point and the right boundary.
     assert!((centerline.start() - Point::new(10.0, -0.875)).norm() < 1e-9);
     assert!((centerline.length() - 30.0).abs() < 1e-9);
 }
@@ -98,9 +98,9 @@ fn a_turned_ego_turns_its_boxes() {
 }
 
 #[test]
-fn a_pose_that_is_missing_at_a_sweep_lies_between_its_neighbours() {
+fn a_pose_that_is_missing_at_a_sweep_lies_between_its_neighbors() {
     let mut log = log(30);
-    // The pose of sweep 7 was taken, and is told, 5 ms early: 0.04 m behind. From there to sweep 8 it is 0.84 m in 105 ms.
+    // The pose of sweep 7 is 5 ms early, 0.04 m behind. From there to sweep 8 it is 0.84 m in 105 ms.
     let early = |step: usize| if step == 7 { 5_000_000 } else { 0 };
     set(&mut log.poses, "timestamp_ns", (0..30).map(|step| Some(time_ns(step) - early(step))).collect::<Int64Array>());
     let behind = with(&log.poses, "tx_m", 7, Some(CITY.0 + 5.0 + 5.6 - 0.04));

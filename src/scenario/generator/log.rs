@@ -1,71 +1,61 @@
-//! One drive: the traffic is run with the expert at the wheel, recorded, and judged.
+//! The log of a generated scenario: runs the traffic with the expert as the ego's driver, records it and checks it.
 
 use super::expert::Expert;
-use super::recipe::SETTLING;
+use super::scene::setting::SETTLING;
 use super::traffic::Traffic;
-use crate::geometry::{Vector, wrap_angle};
+use crate::geometry::{Point, Vector, wrap_angle};
 use crate::scenario::Frame;
 use crate::world::{
-    EgoState, HISTORY_SAMPLES, LaneId, LaneMap, ObjectKind, STEP_S, STEP_US, SignalStatus, TrackedObject,
+    EgoState, HISTORY_SAMPLES, LaneId, LaneMap, ObjectKind, PACIFICA, STEP_S, STEP_US, SignalStatus, TrackedObject,
+    TrafficLights,
 };
 use std::sync::Arc;
 
-/// Iterations of a drive: 15 s at 10 Hz, both ends included.
+/// Iterations of a scenario: 15 s at 10 Hz, both ends included.
 pub(super) const ITERATIONS: usize = 151;
 /// Frames before iteration 0.
 pub(super) const PAST: usize = HISTORY_SAMPLES - 1;
-/// Objects further from the ego than this are not recorded, metres.
-const SEEN: f64 = 100.0;
-/// Vehicles nearer to the ego than this must not run into each other, metres.
-const WATCHED: f64 = 100.0;
+/// Objects farther from the ego than this are not recorded, meters.
+const RECORDED_WITHIN: f64 = 100.0;
+/// Objects nearer to the ego than this must not collide with each other, meters.
+const CHECKED_WITHIN: f64 = 100.0;
 /// Time stamp of iteration 0, µs.
 const START_US: i64 = 10_000_000;
 
-/// Why a drive is thrown away.
+/// Why a draw is discarded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum Discard {
-    /// The expert touches something.
     #[error("the expert collides")]
     Collision,
-    /// Other road users touch each other near the ego.
-    #[error("others collide")]
+    #[error("other agents collide near the ego")]
     OthersCollide,
-    /// A corner of the ego leaves the drivable area.
-    #[error("the expert leaves the road")]
+    #[error("the expert leaves the drivable area")]
     OffRoad,
-    /// The ego reaches the end of the roads.
-    #[error("the road ends")]
+    #[error("the ego reaches the end of the roads")]
     RoadEnds,
-    /// It is not what its type says.
-    #[error("the drive is not of its type")]
+    #[error("the log does not show what its scenario type says")]
     OtherType,
-    /// Among other traffic, the situation of the seed did not come about.
-    #[error("the situation is not that of its seed")]
+    #[error("the situation differs from that of the seed")]
     OtherSituation,
-    /// The roads cannot be laid so.
-    #[error("the roads do not fit")]
+    #[error("the roads overlap or have no extent")]
     Roads,
 }
 
-/// A recorded drive with what its judges need.
-pub(super) struct GeneratedLog {
-    /// The log.
+/// A recorded log, and what the checks of the scenario types need.
+pub struct GeneratedLog {
     pub(super) frames: Vec<Frame>,
-    /// Where it took place.
-    pub(super) map: Arc<LaneMap>,
-    /// The lane under the ego's box centre, by frame.
-    pub(super) lanes: Vec<LaneId>,
+    map: Arc<LaneMap>,
+    /// Lane under the center of the ego's box, by frame.
+    lanes: Vec<LaneId>,
     /// Curvature of the ego's path, 1/m, by frame.
-    pub(super) curvatures: Vec<f64>,
-    /// Whether the ego was between two lanes, by frame.
-    pub(super) changing: Vec<bool>,
+    curvatures: Vec<f64>,
+    /// True where the ego is between two lanes, by frame.
+    changing: Vec<bool>,
 }
 
 impl GeneratedLog {
-    /// Runs the traffic and records it.
-    ///
-    /// # Errors
-    /// When the expert collides or leaves the road, others collide, or the road ends.
+    /// Runs the traffic and records it until a draw must be discarded.
     pub(super) fn record(mut traffic: Traffic<'_>, mut expert: Expert) -> Result<Self, Discard> {
         let map = traffic.roads.map.clone();
         let settling = (SETTLING / STEP_S).round() as usize;
@@ -83,12 +73,12 @@ impl GeneratedLog {
                 if *lights != now {
                     lights = Arc::new(now);
                 }
-                log.take(&traffic, (step - settling) as i64 - PAST as i64, lights.clone())?;
+                log.record_frame(&traffic, (step - settling) as i64 - PAST as i64, lights.clone())?;
             }
-            let (wish, halt) = (expert.wish(&traffic), Expert::halt(&traffic));
-            traffic.movers[0].halt = halt;
+            let (command, stop_s) = (expert.lane_command(&traffic), Expert::stop_s(&traffic));
+            traffic.movers[0].stop_s = stop_s;
             let track = traffic.movers[0].track.clone();
-            traffic.step(wish);
+            traffic.step(command);
             if !Arc::ptr_eq(&track, &traffic.movers[0].track) {
                 expert.note_change();
             }
@@ -96,18 +86,17 @@ impl GeneratedLog {
         Ok(log)
     }
 
-    /// Records one instant.
-    fn take(
+    fn record_frame(
         &mut self,
         traffic: &Traffic<'_>,
         iteration: i64,
-        lights: Arc<crate::world::TrafficLights>,
+        lights: Arc<TrafficLights>,
     ) -> Result<(), Discard> {
         let ego = &traffic.movers[0];
         if ego.gone || ego.track.length() < ego.front_s() + 25.0 {
             return Err(Discard::RoadEnds);
         }
-        let objects: Arc<[TrackedObject]> = traffic.objects(SEEN).into();
+        let objects: Arc<[TrackedObject]> = traffic.objects(RECORDED_WITHIN).into();
         let shape = ego.shape();
         if objects.iter().any(|object| object.shape.overlaps(&shape)) {
             return Err(Discard::Collision);
@@ -126,40 +115,40 @@ impl GeneratedLog {
             objects,
             lights,
         });
-        self.lanes.push(ego.track.span_at(ego.s + crate::world::PACIFICA.rear_axle_to_center()).lane);
+        self.lanes.push(ego.track.span_at(ego.s + PACIFICA.rear_axle_to_center()).lane);
         self.curvatures.push(curvature);
         self.changing.push(ego.is_between_lanes());
         Ok(())
     }
 
-    /// Iterations and the frame of each.
-    fn driven(&self) -> impl Iterator<Item = (usize, &Frame)> {
+    /// The frames from iteration 0 on, with their indices.
+    fn simulated(&self) -> impl Iterator<Item = (usize, &Frame)> {
         self.frames.iter().enumerate().skip(PAST)
     }
 
-    /// Heading change between two frames of the log reaches `angle` (negative: to the right) within 8 s.
-    pub(super) fn turns(&self, angle: f64) -> bool {
-        let headings: Vec<f64> = self.driven().map(|(_, frame)| frame.ego.rear_axle.heading).collect();
+    /// True if the heading changes by more than `angle` radians (negative: to the right) within 8 s.
+    pub fn turns(&self, angle: f64) -> bool {
+        let headings: Vec<f64> = self.simulated().map(|(_, frame)| frame.ego.rear_axle.heading).collect();
         (0..headings.len()).any(|i| {
             let end = (i + 80).min(headings.len() - 1);
             wrap_angle(headings[end] - headings[i]) * angle.signum() > angle.abs()
         })
     }
 
-    /// The ego crosses a signalled connector.
-    pub(super) fn crosses_a_light(&self) -> bool {
-        self.driven().any(|(i, frame)| self.map[self.lanes[i]].has_traffic_lights && frame.ego.speed() > 1.0)
+    /// True if the ego drives on a connector with traffic lights.
+    pub fn crosses_a_light(&self) -> bool {
+        self.simulated().any(|(i, frame)| self.map[self.lanes[i]].has_traffic_lights && frame.ego.speed() > 1.0)
     }
 
-    /// The ego is inside a crossing or roundabout: on a connector among others that cross or join its own.
-    pub(super) fn in_intersection(&self) -> bool {
-        self.driven().any(|(i, frame)| {
+    /// True if the ego is on a connector that others cross or join.
+    pub fn in_intersection(&self) -> bool {
+        self.simulated().any(|(i, frame)| {
             let point = frame.ego.center().position();
             self.map[self.lanes[i]].is_connector() && self.map.lanes_at(point).len() > 1
         })
     }
 
-    /// Gap to and speed of the vehicle ahead of the ego in its lane at a frame.
+    /// The lead vehicle in a frame, and the gap to it, meters.
     fn lead(frame: &Frame) -> Option<(f64, &TrackedObject)> {
         let (front, own) = (frame.ego.center(), frame.ego.footprint());
         let leads =
@@ -172,63 +161,63 @@ impl GeneratedLog {
         leads.min_by(|a, b| a.0.total_cmp(&b.0))
     }
 
-    /// Comes to a stop, or nearly so, behind a vehicle.
-    pub(super) fn stops_behind_lead(&self) -> bool {
+    /// True if the ego drives and then stops, or nearly so, behind a vehicle.
+    pub fn stops_behind_lead(&self) -> bool {
         let (mut moved, mut stopped) = (false, false);
-        for (_, frame) in self.driven() {
+        for (_, frame) in self.simulated() {
             moved |= frame.ego.speed() > 3.0;
             stopped |= moved && frame.ego.speed() < 0.4 && Self::lead(frame).is_some_and(|(gap, _)| gap < 7.0);
         }
         stopped
     }
 
-    /// Follows a vehicle no further than `gap` metres ahead at more than `speed` m/s for two seconds in all.
-    pub(super) fn follows(&self, gap: f64, speed: f64) -> bool {
+    /// True if the ego follows a vehicle within `gap` meters at more than `speed` m/s for two seconds in all.
+    pub fn follows(&self, gap: f64, speed: f64) -> bool {
         let follows = |frame: &Frame| {
             frame.ego.speed() > speed && Self::lead(frame).is_some_and(|(d, o)| d < gap && o.speed() > speed / 2.0)
         };
-        self.driven().filter(|(_, frame)| follows(frame)).count() >= 20
+        self.simulated().filter(|(_, frame)| follows(frame)).count() >= 20
     }
 
-    /// Drives or stands within 25 m behind a vehicle longer than 8 m.
-    pub(super) fn behind_long(&self) -> bool {
+    /// True if the ego is within 25 m behind a vehicle longer than 8 m for two seconds in all.
+    pub fn behind_long(&self) -> bool {
         let long = |frame: &Frame| Self::lead(frame).is_some_and(|(gap, o)| gap < 25.0 && o.shape.length > 8.0);
-        self.driven().filter(|(_, frame)| long(frame)).count() >= 20
+        self.simulated().filter(|(_, frame)| long(frame)).count() >= 20
     }
 
-    /// Stands with at least four vehicles within 25 m.
-    pub(super) fn stands_in_traffic(&self) -> bool {
-        self.driven().take(60).any(|(_, frame)| frame.ego.speed() < 0.1 && vehicles_within(frame, 25.0) >= 4)
+    /// True if the ego stands with at least four vehicles within 25 m in the first 6 s.
+    pub fn stands_in_traffic(&self) -> bool {
+        self.simulated().take(60).any(|(_, frame)| frame.ego.speed() < 0.1 && vehicles_within(frame, 25.0) >= 4)
     }
 
-    /// Moves faster than 3 m/s with at least `count` moving vehicles within 25 m.
-    pub(super) fn near_vehicles(&self, count: usize) -> bool {
-        self.driven().any(|(_, frame)| frame.ego.speed() > 3.0 && vehicles_within(frame, 25.0) >= count)
+    /// True if the ego moves faster than 3 m/s with at least `count` vehicles within 25 m.
+    pub fn near_vehicles(&self, count: usize) -> bool {
+        self.simulated().any(|(_, frame)| frame.ego.speed() > 3.0 && vehicles_within(frame, 25.0) >= count)
     }
 
-    /// Moves, but slower than `speed`, for two seconds in all.
-    pub(super) fn slow(&self, speed: f64) -> bool {
-        self.driven().filter(|(_, frame)| (0.2..speed).contains(&frame.ego.speed())).count() >= 20
+    /// True if the ego moves, but slower than `speed` m/s, for two seconds in all.
+    pub fn slow(&self, speed: f64) -> bool {
+        self.simulated().filter(|(_, frame)| (0.2..speed).contains(&frame.ego.speed())).count() >= 20
     }
 
-    /// Is faster than `speed`.
-    pub(super) fn fast(&self, speed: f64) -> bool {
-        self.driven().any(|(_, frame)| frame.ego.speed() > speed)
+    /// True if the ego is faster than `speed` m/s.
+    pub fn fast(&self, speed: f64) -> bool {
+        self.simulated().any(|(_, frame)| frame.ego.speed() > speed)
     }
 
-    /// Has a lateral acceleration above `bound`.
-    pub(super) fn lateral(&self, bound: f64) -> bool {
-        self.driven().any(|(i, frame)| self.curvatures[i].abs() * frame.ego.speed().powi(2) > bound)
+    /// True if the lateral acceleration exceeds `bound` m/s².
+    pub fn lateral(&self, bound: f64) -> bool {
+        self.simulated().any(|(i, frame)| self.curvatures[i].abs() * frame.ego.speed().powi(2) > bound)
     }
 
-    /// Changes lanes.
-    pub(super) fn changes_lane(&self) -> bool {
-        self.driven().filter(|&(i, _)| self.changing[i]).count() >= 15
+    /// True if the ego is between two lanes for 1.5 s in all.
+    pub fn changes_lane(&self) -> bool {
+        self.simulated().filter(|&(i, _)| self.changing[i]).count() >= 15
     }
 
-    /// Slows down or stands while a pedestrian crosses within 20 m ahead.
-    pub(super) fn waits_for_pedestrian(&self) -> bool {
-        self.driven().any(|(_, frame)| {
+    /// True if the ego drives slower than 1.5 m/s while a pedestrian walks within 20 m ahead.
+    pub fn waits_for_pedestrian(&self) -> bool {
+        self.simulated().any(|(_, frame)| {
             let front = frame.ego.center();
             frame.ego.speed() < 1.5
                 && frame.objects.iter().any(|object| {
@@ -241,10 +230,10 @@ impl GeneratedLog {
         })
     }
 
-    /// Drives, and later stands, with a red light within 6 m ahead and nothing of itself on its connector.
-    pub(super) fn stops_before_red(&self) -> bool {
+    /// True if the ego drives and later stands on a lane within 6 m before a red light.
+    pub fn stops_before_red(&self) -> bool {
         let mut moved = false;
-        self.driven().any(|(i, frame)| {
+        self.simulated().any(|(i, frame)| {
             moved |= frame.ego.speed() > 5.0;
             let lane = &self.map[self.lanes[i]];
             let front = frame.ego.footprint().center.translated(frame.ego.footprint().length / 2.0, 0.0);
@@ -254,13 +243,13 @@ impl GeneratedLog {
         })
     }
 
-    /// Passes a kerb-side bay.
-    pub(super) fn passes_bay(&self) -> bool {
+    /// True if the ego is within 14 m of a bay at the curb for 1.5 s in all.
+    pub fn passes_bay(&self) -> bool {
         let near = |frame: &Frame| {
             let point = frame.ego.center().position();
             self.map.carparks().iter().any(|bay| bay.distance_to(point) < 14.0)
         };
-        self.driven().filter(|(_, frame)| near(frame)).count() >= 15
+        self.simulated().filter(|(_, frame)| near(frame)).count() >= 15
     }
 }
 
@@ -271,12 +260,12 @@ fn vehicles_within(frame: &Frame, reach: f64) -> usize {
     frame.objects.iter().filter(near).count()
 }
 
-/// Whether two of the objects near a place overlap; people may stand close together.
-fn collide(objects: &[TrackedObject], ego: crate::geometry::Point) -> bool {
-    let solid: Vec<&TrackedObject> =
-        objects.iter().filter(|object| (object.shape.center.position() - ego).norm() < WATCHED).collect();
-    solid.iter().enumerate().any(|(i, a)| {
-        solid[i + 1..].iter().any(|b| {
+/// True if two objects near the ego overlap. Pedestrians may stand close together.
+fn collide(objects: &[TrackedObject], ego: Point) -> bool {
+    let near: Vec<&TrackedObject> =
+        objects.iter().filter(|object| (object.shape.center.position() - ego).norm() < CHECKED_WITHIN).collect();
+    near.iter().enumerate().any(|(i, a)| {
+        near[i + 1..].iter().any(|b| {
             let moves = a.speed() > 0.0 || b.speed() > 0.0;
             let people = a.kind == ObjectKind::Pedestrian && b.kind == ObjectKind::Pedestrian;
             moves && !people && a.shape.overlaps(&b.shape)

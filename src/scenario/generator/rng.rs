@@ -1,31 +1,30 @@
-//! Seeded draws that do not depend on any library's sampling code.
+//! Seeded random numbers that do not depend on a library's sampling code.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// A stream of draws; the same seed gives the same stream everywhere.
+/// A stream of random draws; the same seed gives the same stream everywhere.
 ///
-/// Draws are of two sorts. Those of the *situation* say what a drive is about; all others are *luck*. Dice that are dealt
-/// [among other traffic](Self::among_other_traffic) repeat the situation and have luck of their own.
+/// Some draws determine the *situation*: what the scenario is about. With a traffic seed, the situation of the seed
+/// [is repeated](Self::with_situation_of) and all other draws change.
 #[derive(Debug, Clone)]
-pub(crate) struct SeededRng {
+pub struct SeededRng {
     source: Pcg64,
     situation: Situation,
 }
 
-/// The draws of the situation: the stream as it was before each.
+/// The state of the stream before each draw of the situation.
 #[derive(Debug, Clone)]
 enum Situation {
-    /// They are made and noted.
-    Noted(Vec<Pcg64>),
-    /// They are those that were noted; so many have been asked for.
+    Recorded(Vec<Pcg64>),
+    /// With the number of draws so far.
     Repeated(Vec<Pcg64>, usize),
 }
 
-/// A draw of luck that was made early, together with the situation: what it gave, and its bounds.
+/// A draw that is made with the situation but does not belong to it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct EarlyDraw {
-    drawn: f64,
+    value: f64,
     bounds: [f64; 2],
 }
 
@@ -33,87 +32,86 @@ impl SeededRng {
     /// The stream of `seed` for one purpose; streams of different purposes are unrelated.
     pub(crate) fn new(seed: u64, purpose: u64) -> Self {
         let source = Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ purpose.rotate_left(48));
-        Self { source, situation: Situation::Noted(Vec::new()) }
+        Self { source, situation: Situation::Recorded(Vec::new()) }
     }
 
-    /// Dice with the luck of `self` and the situation that `drawn` have noted.
-    pub(crate) fn among_other_traffic(self, drawn: &Self) -> Self {
-        let (Situation::Noted(noted) | Situation::Repeated(noted, _)) = &drawn.situation;
-        Self { source: self.source, situation: Situation::Repeated(noted.clone(), 0) }
+    /// This stream, with the situation that `drawn` recorded.
+    pub(crate) fn with_situation_of(self, drawn: &Self) -> Self {
+        let (Situation::Recorded(recorded) | Situation::Repeated(recorded, _)) = &drawn.situation;
+        Self { source: self.source, situation: Situation::Repeated(recorded.clone(), 0) }
     }
 
     /// A draw of the situation.
-    pub(crate) fn situation<T>(&mut self, draw: impl FnOnce(&mut Self) -> T) -> T {
+    pub fn situation<T>(&mut self, draw: impl FnOnce(&mut Self) -> T) -> T {
         let then = match &mut self.situation {
-            Situation::Noted(noted) => {
-                noted.push(self.source.clone());
+            Situation::Recorded(recorded) => {
+                recorded.push(self.source.clone());
                 None
             }
-            Situation::Repeated(noted, asked) => {
-                *asked += 1;
-                noted.get(*asked - 1).cloned()
+            Situation::Repeated(recorded, used) => {
+                *used += 1;
+                recorded.get(*used - 1).cloned()
             }
         };
         match then {
             None => draw(self),
-            Some(source) => draw(&mut Self { source, situation: Situation::Noted(Vec::new()) }),
+            Some(source) => draw(&mut Self { source, situation: Situation::Recorded(Vec::new()) }),
         }
     }
 
-    /// Whether the situation came about as it was noted: not one draw of it more or less.
+    /// True if exactly the recorded draws of the situation were repeated.
     pub(crate) fn kept_situation(&self) -> bool {
         match &self.situation {
-            Situation::Noted(_) => true,
-            Situation::Repeated(noted, asked) => noted.len() == *asked,
+            Situation::Recorded(_) => true,
+            Situation::Repeated(recorded, used) => recorded.len() == *used,
         }
     }
 
-    /// Luck that is drawn early, in [low, high).
+    /// A draw in [low, high) that is used later by [`Self::value_of`].
     pub(crate) fn early_draw(&mut self, low: f64, high: f64) -> EarlyDraw {
-        EarlyDraw { drawn: self.uniform(low, high), bounds: [low, high] }
+        EarlyDraw { value: self.uniform(low, high), bounds: [low, high] }
     }
 
-    /// What an early draw gave; drawn anew among other traffic.
+    /// The value of an early draw; with a traffic seed, a new one.
     pub(crate) fn value_of(&mut self, early: EarlyDraw) -> f64 {
         match self.situation {
-            Situation::Noted(_) => early.drawn,
+            Situation::Recorded(_) => early.value,
             Situation::Repeated(..) => self.uniform(early.bounds[0], early.bounds[1]),
         }
     }
 
     /// A number in [0, 1).
-    pub(crate) fn unit(&mut self) -> f64 {
+    pub fn unit(&mut self) -> f64 {
         const STEPS: f64 = (1u64 << 53) as f64;
         (self.next_u64() >> 11) as f64 / STEPS
     }
 
-    /// Any whole number of 64 bits.
     pub(crate) fn next_u64(&mut self) -> u64 {
         self.source.next_u64()
     }
 
     /// A number in [low, high).
-    pub(crate) fn uniform(&mut self, low: f64, high: f64) -> f64 {
+    pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
 
-    /// A whole number in [low, high], both ends included.
-    pub(crate) fn range(&mut self, low: usize, high: usize) -> usize {
+    /// An integer from `low` to `high`, both included.
+    pub fn range(&mut self, low: usize, high: usize) -> usize {
         low + (self.unit() * (high + 1 - low) as f64) as usize
     }
 
-    /// True with the given probability.
-    pub(crate) fn bool(&mut self, probability: f64) -> bool {
+    /// True with this probability.
+    pub fn bool(&mut self, probability: f64) -> bool {
         self.unit() < probability
     }
 
     /// −1 or 1.
-    pub(crate) fn sign(&mut self) -> f64 {
+    pub fn sign(&mut self) -> f64 {
         if self.bool(0.5) { 1.0 } else { -1.0 }
     }
 
-    /// One of several; the list must not be empty.
-    pub(crate) fn choose<T: Copy>(&mut self, list: &[T]) -> T {
+    /// An element of a list, which must not be empty.
+    pub fn choose<T: Copy>(&mut self, list: &[T]) -> T {
         list[self.range(0, list.len() - 1)]
     }
 }
@@ -135,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn other_traffic_repeats_the_situation_alone() {
+    fn a_repeated_situation_leaves_the_other_draws_free() {
         let deal = |rng: &mut SeededRng| {
             let (luck, situation) = (rng.unit(), rng.situation(SeededRng::unit));
             let early = rng.situation(|rng| rng.early_draw(3.0, 4.0));
@@ -145,7 +143,7 @@ mod tests {
         let mut plain = first.clone();
         let own = deal(&mut first);
         assert_eq!(own, [plain.unit(), plain.unit(), plain.uniform(3.0, 4.0)].map(f64::to_bits));
-        let mut other = SeededRng::new(8, 1).among_other_traffic(&first);
+        let mut other = SeededRng::new(8, 1).with_situation_of(&first);
         assert!(!other.kept_situation());
         let other_draws = deal(&mut other);
         assert!(other_draws[0] != own[0] && other_draws[1] == own[1] && other_draws[2] != own[2]);

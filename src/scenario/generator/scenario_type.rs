@@ -1,99 +1,105 @@
-//! The types of drives that the generator makes.
+//! What the generator needs of a scenario type.
 
+use super::log::GeneratedLog;
+use super::rng::SeededRng;
+use super::scene::builder::TrafficBuilder;
+use super::scene::setting::Setting;
+use crate::geometry::GeometryError;
+use std::cmp::Ordering;
 use std::fmt;
-use std::str::FromStr;
+use std::hash::{Hash, Hasher};
 
-macro_rules! scenario_types {
-    (
-        types { $($(#[$doc:meta])* $variant:ident = $name:literal,)* }
-        cases { $($(#[$case_doc:meta])* $case:ident = $case_name:literal,)* }
-    ) => {
-        /// Type of a generated drive: nuPlan's fourteen, two for junctions without lights, and two cases of the paper.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-        pub enum ScenarioType {
-            $($(#[$doc])* $variant,)*
-            $($(#[$case_doc])* $case,)*
-        }
-
-        impl ScenarioType {
-            /// All types; suites and data sets are made of these.
-            pub const ALL: [Self; [$($name),*].len()] = [$(Self::$variant),*];
-            /// The cases: driven by name alone.
-            pub const CASES: [Self; [$($case_name),*].len()] = [$(Self::$case),*];
-
-            /// Its name as nuPlan writes it.
-            pub fn name(self) -> &'static str {
-                match self {
-                    $(Self::$variant => $name,)*
-                    $(Self::$case => $case_name,)*
-                }
-            }
-        }
-    };
+/// A scenario type, as data and functions.
+#[derive(Debug)]
+pub struct TypeDefinition {
+    /// Name as nuPlan writes it; the second part of the scenarios' ids.
+    pub name: &'static str,
+    /// Selects the random numbers of the type. It must never change, since every scenario of the type would change with it.
+    /// The number of the draw is added, so two types differ by at least [`super::MAX_DRAWS`].
+    pub seed: u64,
+    /// Suites that hold the type.
+    pub group: TypeGroup,
+    /// Draws the roads and the start of the ego. The draws are those of the situation.
+    pub setting: fn(&mut SeededRng) -> Result<Setting, GeometryError>,
+    /// Puts agents and objects on the roads.
+    pub populate: fn(&mut TrafficBuilder<'_, '_>),
+    /// True if the recorded scenario shows what its type says.
+    pub shows: fn(&GeneratedLog) -> bool,
 }
 
-scenario_types! {
-    types {
-    /// Turns left at a crossing.
-    StartingLeftTurn = "starting_left_turn",
-    /// Turns right at a crossing.
-    StartingRightTurn = "starting_right_turn",
-    /// Crosses a signalled crossing straight on.
-    StartingStraightTrafficLightIntersectionTraversal = "starting_straight_traffic_light_intersection_traversal",
-    /// Comes to a stop behind a lead.
-    StoppingWithLead = "stopping_with_lead",
-    /// Drives through a bend with noticeable lateral acceleration.
-    HighLateralAcceleration = "high_lateral_acceleration",
-    /// Drives fast.
-    HighMagnitudeSpeed = "high_magnitude_speed",
-    /// Creeps.
-    LowMagnitudeSpeed = "low_magnitude_speed",
-    /// Passes a kerb-side bay where people get in and out.
-    TraversingPickupDropoff = "traversing_pickup_dropoff",
-    /// Gives way to a pedestrian.
-    WaitingForPedestrianToCross = "waiting_for_pedestrian_to_cross",
-    /// Follows a truck or bus.
-    BehindLongVehicle = "behind_long_vehicle",
-    /// Stands among other vehicles.
-    StationaryInTraffic = "stationary_in_traffic",
-    /// Drives among many vehicles.
-    NearMultipleVehicles = "near_multiple_vehicles",
-    /// Changes lanes.
-    ChangingLane = "changing_lane",
-    /// Follows a lead.
-    FollowingLaneWithLead = "following_lane_with_lead",
-    /// Crosses a crossing without lights (nuPlan: `traversing_intersection`).
-    TraversingIntersection = "traversing_intersection",
-    /// Drives through a roundabout; nuPlan has no type of its own for it.
-    TraversingRoundabout = "traversing_roundabout",
-    }
-    cases {
-    /// The paper's first: at the entry of a roundabout somebody waits in the ego's lane, and the lane beside is free.
-    CaseRoundabout = "case_roundabout",
-    /// The paper's second: a light turns red before the ego, with people at the crosswalk behind its stop line.
-    CaseRedLight = "case_red_light",
-    }
+/// Suites that hold a type.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TypeGroup {
+    /// `generated-14` and its variants: the types of nuPlan's benchmarks (Val14, Test14).
+    Nuplan14,
+    /// `generated` alone.
+    Additional,
+    /// None: a qualitative case of the paper, simulated by its name.
+    Case,
 }
+
+/// A scenario type of the generator, ordered by its seed constant.
+#[derive(Clone, Copy)]
+pub struct ScenarioType(&'static TypeDefinition);
 
 impl ScenarioType {
-    /// The fourteen types of nuPlan's benchmarks (Val14, Test14).
-    pub fn nuplan14() -> impl Iterator<Item = Self> {
-        let extra = [Self::TraversingIntersection, Self::TraversingRoundabout];
-        Self::ALL.into_iter().filter(move |kind| !extra.contains(kind))
+    /// The handle of a definition.
+    pub const fn new(definition: &'static TypeDefinition) -> Self {
+        Self(definition)
+    }
+
+    /// Name as nuPlan writes it.
+    pub fn name(self) -> &'static str {
+        self.0.name
+    }
+
+    pub(crate) fn group(self) -> TypeGroup {
+        self.0.group
+    }
+
+    pub(crate) fn definition(self) -> &'static TypeDefinition {
+        self.0
+    }
+
+    fn key(self) -> (u64, &'static str) {
+        (self.0.seed, self.0.name)
+    }
+}
+
+impl PartialEq for ScenarioType {
+    fn eq(&self, other: &Self) -> bool {
+        self.key() == other.key()
+    }
+}
+
+impl Eq for ScenarioType {}
+
+impl PartialOrd for ScenarioType {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for ScenarioType {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.key().cmp(&other.key())
+    }
+}
+
+impl Hash for ScenarioType {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.key().hash(state);
+    }
+}
+
+impl fmt::Debug for ScenarioType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
     }
 }
 
 impl fmt::Display for ScenarioType {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
-    }
-}
-
-impl FromStr for ScenarioType {
-    type Err = super::GeneratorError;
-
-    fn from_str(name: &str) -> Result<Self, Self::Err> {
-        let known = Self::ALL.into_iter().chain(Self::CASES).find(|kind| kind.name() == name);
-        known.ok_or_else(|| super::GeneratorError::UnknownType(name.to_owned()))
     }
 }

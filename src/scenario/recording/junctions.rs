@@ -1,25 +1,54 @@
-//! Intersections: clusters of connectors that cross, and the union of their areas.
+//! Crossings of lanes, and intersections: clusters of connectors that cross, and the union of their areas.
 //!
-//! Connectors belong together when they cross, leave the same lane or enter the same one; a cluster in which none cross (a fork
-//! of a freeway, a right turn) is no intersection, unless the source says so. Holes of the union are filled, unless a road edge
-//! runs through one: then it is the island of a roundabout, and the connectors' areas stand for the intersection one by one.
+//! Connectors are in one cluster if they cross, leave the same lane or enter the same lane. A cluster without a crossing (a
+//! fork of a freeway, a right turn) is no intersection, unless the source says so. Holes of the union are filled. If a road
+//! edge runs through a hole, it is the island of a roundabout, and the areas of the connectors are the intersection.
 
 use super::lanes::RecordedLane;
-use super::trace::{Segments, Trace};
-use crate::geometry::{Bounds, Polygon};
+use super::trace::{SAME_LEVEL, Segments, Trace};
+use crate::geometry::{Bounds, Point, Polygon};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Connectors that belong together.
-#[derive(Debug, Clone)]
-pub(in crate::scenario) struct Cluster {
-    /// Places of the connectors, in order.
-    pub(in crate::scenario) lanes: Vec<usize>,
-    /// Whether they make an intersection: by default, whether any of them cross.
-    pub(in crate::scenario) intersection: bool,
+/// Centerlines that meet at a smaller angle merge or run against each other, radians.
+const CROSSING_ANGLE: f64 = std::f64::consts::PI / 12.0;
+
+/// Pairs of lanes (smaller index first) whose centerlines cross on one level at 15° to 165°.
+pub(crate) fn crossings(lanes: &[RecordedLane]) -> BTreeSet<(usize, usize)> {
+    let segments = Segments::of(lanes.iter().map(|lane| &lane.trace));
+    let mut pairs = BTreeSet::new();
+    for a in segments.list() {
+        let along = a.to - a.from;
+        for b in segments.within(&Bounds::around(&[a.from, a.to])).filter(|b| b.owner > a.owner) {
+            let across = b.to - b.from;
+            let angle = along.perp(&across).atan2(along.dot(&across)).abs();
+            // Lanes that follow each other share a point and do not cross, however sharp the bend.
+            let follow = lanes[a.owner].exits.contains(&b.owner) || lanes[b.owner].exits.contains(&a.owner);
+            let steep = angle > CROSSING_ANGLE && angle < std::f64::consts::PI - CROSSING_ANGLE;
+            if steep && !follow && (a.height - b.height).abs() < SAME_LEVEL && cross(a.from, a.to, b.from, b.to) {
+                pairs.insert((a.owner, b.owner));
+            }
+        }
+    }
+    pairs
 }
 
-/// All clusters, in order of their first connector.
-pub(in crate::scenario) fn clusters(
+/// True if two segments cross. A line through a vertex crosses one of the two segments that meet there.
+fn cross(a: Point, b: Point, c: Point, d: Point) -> bool {
+    let left = |p: Point, q: Point, r: Point| (q - p).perp(&(r - p)) > 0.0;
+    left(c, d, a) != left(c, d, b) && left(a, b, c) != left(a, b, d)
+}
+
+/// Connectors of one junction.
+#[derive(Debug, Clone)]
+pub(crate) struct Cluster {
+    /// Indices of the connectors, in order.
+    pub(crate) lanes: Vec<usize>,
+    /// True if they form an intersection: by default, if any of them cross.
+    pub(crate) intersection: bool,
+}
+
+/// All clusters in order of their first connector.
+pub(crate) fn clusters(
     lanes: &[RecordedLane],
     connector: &[bool],
     crossings: &BTreeSet<(usize, usize)>,
@@ -49,11 +78,11 @@ fn find(root: &mut [usize], mut item: usize) -> usize {
     item
 }
 
-/// Pieces of a union under this are rounding, m².
-const SPLINTER: f64 = 0.1;
+/// Smaller pieces of a union are rounding, m².
+const MIN_AREA: f64 = 0.1;
 
-/// The area of each cluster that makes an intersection, as one or more polygons.
-pub(in crate::scenario) fn intersections(edges: &[Trace], clusters: &[Cluster], areas: &[Polygon]) -> Vec<Polygon> {
+/// The area of each intersection, as one or more polygons.
+pub(crate) fn intersections(edges: &[Trace], clusters: &[Cluster], areas: &[Polygon]) -> Vec<Polygon> {
     let edges = Segments::of(edges);
     clusters
         .iter()
@@ -61,16 +90,16 @@ pub(in crate::scenario) fn intersections(edges: &[Trace], clusters: &[Cluster], 
         .flat_map(|cluster| {
             let members: Vec<Polygon> = cluster.lanes.iter().map(|&lane| areas[lane].clone()).collect();
             let mut filled = Polygon::union_of(&members);
-            filled.retain(|outline| outline.area() > SPLINTER);
+            filled.retain(|outline| outline.area() > MIN_AREA);
             let island = filled.iter().any(|outline| holds_island(outline, &members, &edges));
             if island { members } else { filled }
         })
         .collect()
 }
 
-/// Whether a road edge runs inside the outline well off every connector.
+/// True if a road edge runs inside the outline, well off every connector.
 fn holds_island(outline: &Polygon, members: &[Polygon], edges: &Segments) -> bool {
-    /// A kerb nearer than this to the connectors is their border, metres.
+    /// A curb nearer than this to the connectors is their border, meters.
     const WELL_OFF: f64 = 1.0;
     let bounds: Bounds = outline.bounds();
     edges.within(&bounds).any(|edge| {

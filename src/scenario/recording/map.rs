@@ -1,40 +1,36 @@
-//! The lane map of a recording from its lanes and what the source derived for them.
+//! The lane map of a recording from its lanes and the layers of its source.
 
 use super::junctions::{Cluster, intersections};
 use super::lanes::{RecordedLane, Side};
 use super::roadblocks::roadblocks;
 use super::trace::Trace;
-use crate::geometry::Polygon;
+use crate::geometry::{Point, Polygon};
 use crate::world::{Lane, LaneId, LaneKind, LaneMap, MapError, MapParts, StopLine, StopLineId};
+use geo::{BooleanOps, Simplify};
 use std::collections::BTreeSet;
 
-/// A map in which lanes are places in a list; the n-th of every list belongs to the n-th lane.
+/// Layers of a map. Lanes are indices; the n-th element of every list belongs to the n-th lane.
 #[derive(Debug)]
-pub(in crate::scenario) struct Layers<'a> {
-    /// Name of the map with its origin.
-    pub(in crate::scenario) name: String,
-    pub(in crate::scenario) lanes: &'a [RecordedLane],
-    /// Which lanes are connectors.
-    pub(in crate::scenario) connector: &'a [bool],
-    /// The area of each lane.
-    pub(in crate::scenario) areas: Vec<Polygon>,
-    /// Connectors that belong together.
-    pub(in crate::scenario) clusters: &'a [Cluster],
+pub(crate) struct Layers<'a> {
+    /// Name of the map, with its origin.
+    pub(crate) name: String,
+    pub(crate) lanes: &'a [RecordedLane],
+    /// True for connectors.
+    pub(crate) connector: &'a [bool],
+    pub(crate) areas: Vec<Polygon>,
+    pub(crate) clusters: &'a [Cluster],
     /// Road edges.
-    pub(in crate::scenario) edges: &'a [Trace],
-    /// Lanes that a traffic light ever governs.
-    pub(in crate::scenario) lit: BTreeSet<usize>,
-    pub(in crate::scenario) stop_lines: Vec<StopLine>,
-    pub(in crate::scenario) crosswalks: Vec<Polygon>,
-    /// What is drivable beside the lanes.
-    pub(in crate::scenario) generic_drivable: Vec<Polygon>,
+    pub(crate) edges: &'a [Trace],
+    /// Lanes with a traffic light.
+    pub(crate) lit: BTreeSet<usize>,
+    pub(crate) stop_lines: Vec<StopLine>,
+    pub(crate) crosswalks: Vec<Polygon>,
+    /// Drivable area beside the lanes.
+    pub(crate) generic_drivable: Vec<Polygon>,
 }
 
-/// Derives roadblocks and intersections and checks the whole.
-///
-/// # Errors
-/// When there is no lane.
-pub(in crate::scenario) fn lane_map(layers: Layers<'_>) -> Result<LaneMap, MapError> {
+/// Derives roadblocks and intersections and checks the map.
+pub(crate) fn lane_map(layers: Layers<'_>) -> Result<LaneMap, MapError> {
     let Layers { name, lanes: recorded, connector, areas, stop_lines, crosswalks, generic_drivable, .. } = layers;
     let (roadblocks, block_of) = roadblocks(recorded, connector, &areas);
     let intersections = intersections(layers.edges, layers.clusters, &areas);
@@ -70,4 +66,43 @@ pub(in crate::scenario) fn lane_map(layers: Layers<'_>) -> Result<LaneMap, MapEr
         carparks: Vec::new(),
     };
     LaneMap::new(parts.with_roadblocks_as_road())
+}
+
+/// Cuts lane areas so that at most one lane holds a point, as nuPlan's metrics assume. An earlier lane keeps the overlap, and
+/// a lane that would lose everything keeps its area. Connectors may overlap each other and lanes.
+pub(crate) fn separate(areas: &mut [Polygon], connector: &[bool]) {
+    /// Smaller overlaps are rounding, m².
+    const MIN_OVERLAP: f64 = 1e-6;
+    for later in (0..areas.len()).filter(|&i| !connector[i]) {
+        for earlier in (0..later).filter(|&i| !connector[i]) {
+            let (a, b) = (&areas[earlier], &areas[later]);
+            if a.overlaps(b)
+                && a.shared_area(b) > MIN_OVERLAP
+                && let Some(rest) = without(b, a)
+            {
+                areas[later] = rest;
+            }
+        }
+    }
+}
+
+/// The largest piece of the difference of two polygons.
+fn without(polygon: &Polygon, other: &Polygon) -> Option<Polygon> {
+    let rest = to_geo(polygon).difference(&to_geo(other));
+    let pieces = rest.into_iter().filter_map(|piece| from_geo(&piece));
+    pieces.max_by(|a, b| a.area().total_cmp(&b.area()))
+}
+
+/// The polygon without the vertices that change its outline by less than `by` meters.
+pub(crate) fn simplified(polygon: &Polygon, by: f64) -> Polygon {
+    from_geo(&to_geo(polygon).simplify(by)).unwrap_or_else(|| polygon.clone())
+}
+
+fn to_geo(polygon: &Polygon) -> geo::Polygon<f64> {
+    let ring: Vec<(f64, f64)> = polygon.ring().iter().map(|p| (p.x, p.y)).collect();
+    geo::Polygon::new(geo::LineString::from(ring), vec![])
+}
+
+fn from_geo(polygon: &geo::Polygon<f64>) -> Option<Polygon> {
+    Polygon::new(polygon.exterior().coords().map(|c| Point::new(c.x, c.y))).ok()
 }

@@ -1,16 +1,15 @@
-//! What every recording without nuPlan's map layers is made a drive by: one definition of each rule for all such sources.
+//! Rules that turn a recording without nuPlan's map layers into a scenario, the same for all sources.
 //!
-//! * `window`: which steps are driven; `motion`: velocities and accelerations from what was recorded;
+//! * `window`: the simulated steps, and the scenario; `motion`: velocities and accelerations;
 //! * `lanes`, `trace`: recorded lanes with their relations, and rays that look for lines beside them;
-//! * `crossings`, `junctions`, `roadblocks`, `exclusive`: nuPlan's layers from the lanes; `map`: all of it as a [`LaneMap`];
-//! * `route`: the roadblocks that the recorded ego followed.
+//! * `junctions`, `roadblocks`, `map`: nuPlan's layers from the lanes, and the [`LaneMap`];
+//! * `route`: the roadblocks that the recorded ego followed; `error`: faults and their places.
 //!
-//! A source says which lanes are connectors, what area each has and what is drivable beside them; the rest follows.
+//! A source provides the connectors, the area of each lane and the drivable area beside the lanes.
 //!
 //! [`LaneMap`]: crate::world::LaneMap
 
-pub(super) mod crossings;
-pub(super) mod exclusive;
+pub(super) mod error;
 pub(super) mod junctions;
 pub(super) mod lanes;
 pub(super) mod map;

@@ -1,24 +1,23 @@
 //! Roadblocks: lanes side by side in one direction, and the connectors that join two such sets.
 //!
-//! Lanes that the source lists as neighbours of one direction share a roadblock, the longest neighbourhoods first, unless
-//! that would put a lane and its successor into one block: a long lane beside two short ones goes with the one that it
-//! accompanies longer. Connectors share a roadblock connector when they join the same roadblocks (or, where one follows
-//! another connector, the same connectors).
+//! Neighboring lanes of one direction share a roadblock, pairs with the longest common part first. A pair that would put a lane
+//! and its successor into one block is skipped, so a long lane beside two short ones joins the one with the longer common part.
+//! Connectors share a roadblock connector if they join the same roadblocks, or the same connectors where one follows another.
 
 use super::lanes::{RecordedLane, Side};
 use crate::geometry::Polygon;
 use crate::world::{LaneId, LaneKind, Roadblock, RoadblockId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// What a connector joins: a roadblock, or a single other connector.
+/// An end of a connector: a roadblock, or a single other connector.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Joint {
     Block(usize),
     Connector(usize),
 }
 
-/// The roadblocks and, for each lane, its own.
-pub(in crate::scenario) fn roadblocks(
+/// The roadblocks, and the roadblock of each lane.
+pub(crate) fn roadblocks(
     lanes: &[RecordedLane],
     connector: &[bool],
     areas: &[Polygon],
@@ -56,7 +55,7 @@ fn mark(groups: &[Vec<usize>], block_of: &mut [usize]) {
     }
 }
 
-/// Sets of lanes side by side, in order of their first lane.
+/// Groups of lanes side by side, in order of their first lane.
 fn lane_groups(lanes: &[RecordedLane], connector: &[bool]) -> Vec<Vec<usize>> {
     let mut beside: Vec<(f64, usize, usize)> = Vec::new();
     for (place, lane) in lanes.iter().enumerate().filter(|&(place, _)| !connector[place]) {
@@ -87,7 +86,7 @@ fn lane_groups(lanes: &[RecordedLane], connector: &[bool]) -> Vec<Vec<usize>> {
     groups
 }
 
-/// Whether a lane of one set leads, directly or over one more lane, to a lane of the other.
+/// True if a lane of one group leads, directly or over one more lane, to a lane of the other.
 fn follow_each_other(lanes: &[RecordedLane], a: &[usize], b: &[usize]) -> bool {
     let leads = |from: &[usize], to: &[usize]| {
         from.iter()

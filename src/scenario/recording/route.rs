@@ -1,37 +1,36 @@
 //! The route: the chain of roadblocks that the recorded ego followed.
 //!
-//! The recorded poses, from the start to the end of the recording, are matched to lanes as a whole (Viterbi): a lane fits a
-//! pose by its distance and heading, and a step from one lane to another costs little when the lane graph allows it within the
-//! way driven, more to a neighbour, much when it does not. The lanes' roadblocks, with what the graph needs in between, are
-//! the route.
+//! A Viterbi search matches the recorded poses to lanes. The cost of a lane at a pose grows with distance and heading difference.
+//! A step to another lane costs little along the lane graph, more to a neighbor, and much elsewhere. The route is the lanes'
+//! roadblocks, with those in between from the graph.
 
 use crate::geometry::{Point, Pose, wrap_angle};
 use crate::world::{Lane, LaneId, LaneMap, RoadblockId};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-/// Poses nearer than this are one place, metres.
+/// Minimum distance between samples, meters.
 const SAMPLE_STEP: f64 = 1.0;
-/// A centreline farther than this is not driven on, metres.
+/// Maximum distance of the ego from its centerline, meters.
 const REACH: f64 = 6.0;
-/// Distance from a centreline that is as usual as not, metres.
+/// Standard deviation of the distance from the centerline, meters.
 const OFFSET_SIGMA: f64 = 1.0;
-/// Turn from a lane's heading that is as usual as not, radians.
+/// Standard deviation of the heading difference to the lane, radians.
 const TURN_SIGMA: f64 = 0.3;
-/// Cost of following the graph to another lane: a little, so that the fewest lanes win.
+/// Cost of a step along the graph; it prefers routes with fewer lanes.
 const FOLLOW: f64 = 0.2;
 /// Cost of a lane change.
 const CHANGE: f64 = 3.0;
-/// Cost of a step that the graph does not allow.
+/// Cost of a step off the graph.
 const BREAK: f64 = 30.0;
-/// Cost of a metre backwards on a lane.
+/// Cost of a meter backwards on a lane.
 const BACKWARDS: f64 = 3.0;
 
-/// The chain of roadblocks along the poses; one at least.
-pub(in crate::scenario) fn route(map: &LaneMap, poses: &[Pose]) -> Vec<RoadblockId> {
+/// The chain of roadblocks along the poses, at least one.
+pub(crate) fn route(map: &LaneMap, poses: &[Pose]) -> Vec<RoadblockId> {
     let samples = spaced(poses);
     let matched = matched_lanes(map, &samples);
     if matched.is_empty() {
-        // Parked off the road: the lane that it would enter.
+        // The ego is parked off the road: the route is the lane that it would enter.
         return samples
             .first()
             .and_then(|&pose| nearest_lane(map, pose))
@@ -43,7 +42,7 @@ pub(in crate::scenario) fn route(map: &LaneMap, poses: &[Pose]) -> Vec<Roadblock
     for lane in matched {
         if let Some(&last) = lanes.last()
             && last != lane
-            && let Some(between) = way(map, last, lane, f64::INFINITY)
+            && let Some(between) = lanes_between(map, last, lane, f64::INFINITY)
         {
             lanes.extend(between);
         }
@@ -58,14 +57,14 @@ pub(in crate::scenario) fn route(map: &LaneMap, poses: &[Pose]) -> Vec<Roadblock
             continue;
         };
         if last != block {
-            blocks.extend(block_way(map, last, block));
+            blocks.extend(blocks_between(map, last, block));
             blocks.push(block);
         }
     }
     blocks
 }
 
-/// The poses at least [`SAMPLE_STEP`] apart, and the last.
+/// Poses at least [`SAMPLE_STEP`] apart.
 fn spaced(poses: &[Pose]) -> Vec<Pose> {
     let mut samples: Vec<Pose> = Vec::new();
     for &pose in poses {
@@ -81,7 +80,7 @@ fn nearest_lane(map: &LaneMap, pose: Pose) -> Option<LaneId> {
     map.lanes().iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).map(|lane| lane.id)
 }
 
-/// A lane that a pose may be on.
+/// A lane that may hold a pose.
 #[derive(Debug, Clone, Copy)]
 struct Candidate {
     lane: LaneId,
@@ -99,15 +98,15 @@ fn candidates(map: &LaneMap, pose: Pose) -> Vec<Candidate> {
     near.collect()
 }
 
-/// The best chain of lanes, a lane a sample; samples without a lane in reach are left out.
+/// The best chain of lanes, one per sample. Samples without a lane in reach are skipped.
 fn matched_lanes(map: &LaneMap, samples: &[Pose]) -> Vec<LaneId> {
-    struct Stage {
+    struct Layer {
         at: Point,
         candidates: Vec<Candidate>,
         costs: Vec<f64>,
         from: Vec<usize>,
     }
-    let mut stages: Vec<Stage> = Vec::new();
+    let mut layers: Vec<Layer> = Vec::new();
     for &pose in samples {
         let found = candidates(map, pose);
         if found.is_empty() {
@@ -115,7 +114,7 @@ fn matched_lanes(map: &LaneMap, samples: &[Pose]) -> Vec<LaneId> {
         }
         let (mut costs, mut from) = (Vec::new(), Vec::new());
         for candidate in &found {
-            let (cost, best) = match stages.last() {
+            let (cost, best) = match layers.last() {
                 None => (0.0, 0),
                 Some(last) => {
                     let moved = (pose.position() - last.at).norm();
@@ -128,35 +127,35 @@ fn matched_lanes(map: &LaneMap, samples: &[Pose]) -> Vec<LaneId> {
             costs.push(cost + candidate.misfit);
             from.push(best);
         }
-        stages.push(Stage { at: pose.position(), candidates: found, costs, from });
+        layers.push(Layer { at: pose.position(), candidates: found, costs, from });
     }
-    let Some(last) = stages.last() else { return Vec::new() };
+    let Some(last) = layers.last() else { return Vec::new() };
     let mut best = last.costs.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i);
-    let mut lanes = Vec::with_capacity(stages.len());
-    for stage in stages.iter().rev() {
-        lanes.push(stage.candidates[best].lane);
-        best = stage.from[best];
+    let mut lanes = Vec::with_capacity(layers.len());
+    for layer in layers.iter().rev() {
+        lanes.push(layer.candidates[best].lane);
+        best = layer.from[best];
     }
     lanes.reverse();
     lanes
 }
 
 fn step_cost(map: &LaneMap, before: Candidate, after: Candidate, moved: f64) -> f64 {
-    /// Metres by which the way along the graph may be longer than the way driven.
+    /// Maximum excess of the distance along the graph over the driven distance, meters.
     const SLACK: f64 = 4.0;
     if before.lane == after.lane {
         return BACKWARDS * (before.s - after.s - 0.5).max(0.0);
     }
     let left = map[before.lane].centerline.length() - before.s;
-    if let Some(between) = way(map, before.lane, after.lane, moved + SLACK - left - after.s) {
+    if let Some(between) = lanes_between(map, before.lane, after.lane, moved + SLACK - left - after.s) {
         return FOLLOW * (between.len() + 1) as f64;
     }
     let beside = map[before.lane].left.iter().chain(&map[before.lane].right);
     if beside.into_iter().any(|neighbor| neighbor.lane == after.lane) { CHANGE } else { BREAK }
 }
 
-/// The fewest lanes between two, at most four, with at most `spare` metres in all; empty when one leads to the other.
-fn way(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<Vec<LaneId>> {
+/// The shortest chain of lanes between two, at most four lanes and `spare` meters; empty if one leads to the other.
+fn lanes_between(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<Vec<LaneId>> {
     const MAX_BETWEEN: usize = 4;
     if map[from].outgoing.contains(&to) {
         return (spare >= 0.0).then(Vec::new);
@@ -177,8 +176,8 @@ fn way(map: &LaneMap, from: LaneId, to: LaneId, spare: f64) -> Option<Vec<LaneId
     None
 }
 
-/// The fewest roadblocks between two that do not follow each other, at most six; none when the graph does not join them.
-fn block_way(map: &LaneMap, from: RoadblockId, to: RoadblockId) -> Vec<RoadblockId> {
+/// The shortest chain of roadblocks between two, at most six; empty if the graph does not join them.
+fn blocks_between(map: &LaneMap, from: RoadblockId, to: RoadblockId) -> Vec<RoadblockId> {
     const MAX_BETWEEN: usize = 6;
     let mut parent: BTreeMap<RoadblockId, RoadblockId> = BTreeMap::new();
     let mut level = BTreeSet::from([from]);

@@ -1,56 +1,33 @@
-//! Lines of the map with their height, and rays that look for them.
+//! Lines of the map with heights, and rays that look for them.
 
+use super::error::RecordingFault;
 use crate::geometry::{Bounds, Point, Polyline, SpatialIndex, Vector};
 
-/// A place of a recorded map: east, north, up, metres.
-pub(in crate::scenario) type Place = nalgebra::Point3<f64>;
+/// A point of a recorded map: east, north, up, meters.
+pub(crate) type Place = nalgebra::Point3<f64>;
 
-/// Two places nearer in height than this are on one level: less than a bridge is high, more than a road is banked, metres.
-pub(in crate::scenario) const SAME_LEVEL: f64 = 3.0;
+/// Maximum difference in height on one level, meters: less than the height of a bridge, more than the bank of a road.
+pub(crate) const SAME_LEVEL: f64 = 3.0;
 
-/// A map ends nearer to the ego than this, metres: recorded maps end after some hundred.
-const FARTHEST: f64 = 20_000.0;
-/// No line of a map is longer, metres.
-const LONGEST: f64 = 100_000.0;
-
-/// Why points are no line or outline of a map.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum LineFault {
-    /// A map coordinate is NaN, infinite or farther from the ego than any map reaches.
-    #[error("map feature {feature}: point {point} is no place near the ego")]
-    NoPlace {
-        /// Id of the feature.
-        feature: i64,
-        /// Which of its points.
-        point: usize,
-    },
-    /// A line of the map is longer than any road that fits the map.
-    #[error("map feature {feature} is {length} m long")]
-    EndlessLine {
-        /// Id of the feature.
-        feature: i64,
-        /// Its length, m.
-        length: f64,
-    },
-}
+/// Maximum distance of a map point from the ego, meters; recorded maps end after some hundred.
+const MAX_DISTANCE: f64 = 20_000.0;
+/// Maximum length of a line, meters.
+const MAX_LENGTH: f64 = 100_000.0;
 
 /// A line of the map in local coordinates.
 #[derive(Debug, Clone)]
-pub(in crate::scenario) struct Trace {
-    pub(in crate::scenario) line: Polyline,
-    /// Height of each vertex of the line, metres.
+pub(crate) struct Trace {
+    pub(crate) line: Polyline,
+    /// Height of each vertex, meters.
     heights: Vec<f64>,
     /// Arc length of each recorded point; duplicates share one.
-    pub(in crate::scenario) point_s: Vec<f64>,
+    pub(crate) point_s: Vec<f64>,
 }
 
 impl Trace {
-    /// `None` when the points are not two distinct ones: there are such features, and they bound nothing.
-    ///
-    /// # Errors
-    /// When a coordinate is no place, or the line is endless.
-    pub(in crate::scenario) fn of(feature: i64, points: &[Place], origin: Vector) -> Result<Option<Self>, LineFault> {
-        /// Points nearer than this are one, metres.
+    /// `None` without two distinct points; such features exist and bound nothing.
+    pub(crate) fn of(feature: i64, points: &[Place], origin: Vector) -> Result<Option<Self>, RecordingFault> {
+        /// Points nearer than this are the same, meters.
         const SAME_POINT: f64 = 1e-6;
         let local = local_points(feature, points, origin)?;
         let (mut vertices, mut heights, mut point_s): (Vec<Point>, Vec<f64>, Vec<f64>) = Default::default();
@@ -64,20 +41,20 @@ impl Trace {
             }
             point_s.push(s);
         }
-        if s > LONGEST {
-            return Err(LineFault::EndlessLine { feature, length: s });
+        if s > MAX_LENGTH {
+            return Err(RecordingFault::EndlessLine { feature, length: s });
         }
         Ok(Polyline::new(vertices).ok().map(|line| Self { line, heights, point_s }))
     }
 
     /// Arc length of a recorded point, clamped to the line.
-    pub(in crate::scenario) fn s_of(&self, point: i32) -> f64 {
+    pub(crate) fn s_of(&self, point: i32) -> f64 {
         let last = self.point_s.len().saturating_sub(1);
         self.point_s.get((point.max(0) as usize).min(last)).copied().unwrap_or(0.0)
     }
 
-    /// Height at an arc length, metres.
-    pub(in crate::scenario) fn height_at(&self, s: f64) -> f64 {
+    /// Height at an arc length, meters.
+    pub(crate) fn height_at(&self, s: f64) -> f64 {
         let arcs = self.line.arc_lengths();
         let after = arcs.partition_point(|&a| a < s).min(arcs.len() - 1);
         let before = after.saturating_sub(1);
@@ -86,17 +63,17 @@ impl Trace {
         self.heights[before] + (self.heights[after] - self.heights[before]) * share
     }
 
-    /// Unit vector along the line at an arc length, smoothed over a lane's sampling distance.
-    pub(in crate::scenario) fn direction_at(&self, s: f64) -> Vector {
-        /// Half the distance over which the direction is taken, metres.
+    /// Unit vector along the line at an arc length, smoothed over the sampling distance of a lane.
+    pub(crate) fn direction_at(&self, s: f64) -> Vector {
+        /// Half of that distance, meters.
         const REACH: f64 = 0.75;
         let s = s.clamp(0.0, self.line.length());
         let along = self.line.point_at(s + REACH) - self.line.point_at(s - REACH);
         along.try_normalize(1e-9).unwrap_or_else(|| self.line.pose_at(s).direction())
     }
 
-    /// Arc lengths about `step` metres apart, both ends included.
-    pub(in crate::scenario) fn stations(&self, step: f64) -> Vec<f64> {
+    /// Arc lengths about `step` meters apart, both ends included.
+    pub(crate) fn stations(&self, step: f64) -> Vec<f64> {
         let length = self.line.length();
         let count = (length / step).ceil().max(1.0) as usize;
         (0..=count).map(|i| length * i as f64 / count as f64).collect()
@@ -104,40 +81,33 @@ impl Trace {
 }
 
 /// Recorded points in local coordinates.
-///
-/// # Errors
-/// When one is no place.
-pub(in crate::scenario) fn local_points(
-    feature: i64,
-    points: &[Place],
-    origin: Vector,
-) -> Result<Vec<Point>, LineFault> {
+pub(crate) fn local_points(feature: i64, points: &[Place], origin: Vector) -> Result<Vec<Point>, RecordingFault> {
     let local: Vec<Point> = points.iter().map(|p| Point::new(p.x - origin.x, p.y - origin.y)).collect();
-    match local.iter().position(|p| !p.coords.norm().is_finite() || p.coords.norm() > FARTHEST) {
-        Some(point) => Err(LineFault::NoPlace { feature, point }),
+    match local.iter().position(|p| !p.coords.norm().is_finite() || p.coords.norm() > MAX_DISTANCE) {
+        Some(point) => Err(RecordingFault::NoPlace { feature, point }),
         None => Ok(local),
     }
 }
 
-/// A piece of a line with the number of the line that it belongs to.
+/// A segment of a line, with the index of the line.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::scenario) struct Segment {
-    pub(in crate::scenario) from: Point,
-    pub(in crate::scenario) to: Point,
-    pub(in crate::scenario) height: f64,
-    pub(in crate::scenario) owner: usize,
+pub(crate) struct Segment {
+    pub(crate) from: Point,
+    pub(crate) to: Point,
+    pub(crate) height: f64,
+    pub(crate) owner: usize,
 }
 
-/// Many lines, cut into segments and indexed.
+/// The segments of many lines in a spatial index.
 #[derive(Debug)]
-pub(in crate::scenario) struct Segments {
+pub(crate) struct Segments {
     list: Vec<Segment>,
     index: SpatialIndex,
 }
 
 impl Segments {
-    /// The segments of all lines; the n-th line's have owner n.
-    pub(in crate::scenario) fn of<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
+    /// The segments of the n-th line have owner n.
+    pub(crate) fn of<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> Self {
         let mut list = Vec::new();
         for (owner, trace) in traces.into_iter().enumerate() {
             for (i, pair) in trace.line.vertices().windows(2).enumerate() {
@@ -149,22 +119,22 @@ impl Segments {
         Self { list, index }
     }
 
-    pub(in crate::scenario) fn list(&self) -> &[Segment] {
+    pub(crate) fn list(&self) -> &[Segment] {
         &self.list
     }
 
     /// Segments whose bounds meet the given ones.
-    pub(in crate::scenario) fn within<'a>(&'a self, bounds: &Bounds) -> impl Iterator<Item = &'a Segment> + use<'a> {
+    pub(crate) fn within<'a>(&'a self, bounds: &Bounds) -> impl Iterator<Item = &'a Segment> + use<'a> {
         self.index.within(bounds).into_iter().map(|i| &self.list[i])
     }
 
     /// Distance along the ray to the first segment on its level that `counts`.
-    pub(in crate::scenario) fn first_hit(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> Option<f64> {
+    pub(crate) fn first_hit(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> Option<f64> {
         self.hits(ray, counts).min_by(f64::total_cmp)
     }
 
     /// Distance along the ray to the last segment on its level that `counts`.
-    pub(in crate::scenario) fn last_hit(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> Option<f64> {
+    pub(crate) fn last_hit(&self, ray: &Ray, counts: impl Fn(&Segment) -> bool) -> Option<f64> {
         self.hits(ray, counts).max_by(f64::total_cmp)
     }
 
@@ -175,19 +145,19 @@ impl Segments {
     }
 }
 
-/// A look sideways.
+/// A horizontal ray.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::scenario) struct Ray {
-    pub(in crate::scenario) from: Point,
+pub(crate) struct Ray {
+    pub(crate) from: Point,
     /// Unit vector.
-    pub(in crate::scenario) direction: Vector,
-    pub(in crate::scenario) height: f64,
-    pub(in crate::scenario) reach: f64,
+    pub(crate) direction: Vector,
+    pub(crate) height: f64,
+    pub(crate) reach: f64,
 }
 
 impl Ray {
-    /// Distance at which the ray meets a segment, if it does.
-    pub(in crate::scenario) fn meets(&self, from: Point, to: Point) -> Option<f64> {
+    /// Distance along the ray to a segment, if they meet.
+    pub(crate) fn meets(&self, from: Point, to: Point) -> Option<f64> {
         let along = to - from;
         let turn = self.direction.perp(&along);
         if turn.abs() < 1e-12 {
@@ -228,10 +198,10 @@ mod tests {
     }
 
     #[test]
-    fn no_place_is_refused() {
+    fn points_far_away_are_refused() {
         let points = [Place::origin(), Place::new(f64::NAN, 0.0, 0.0)];
         let fault = Trace::of(9, &points, Vector::zeros()).unwrap_err();
-        assert_eq!(fault, LineFault::NoPlace { feature: 9, point: 1 });
+        assert_eq!(fault, RecordingFault::NoPlace { feature: 9, point: 1 });
         assert!(Trace::of(9, &points[..1], Vector::zeros()).unwrap().is_none());
     }
 }

@@ -1,70 +1,88 @@
-//! Which part of a recording is driven.
+//! The simulated part of a recording, and the scenario that it becomes.
 //!
-//! The drive begins at the first step with 2 s of history (1 s when the recording is shorter than 12 s) and lasts to the end of
-//! the recording, at most 15 s; the steps before it are kept as history.
+//! The simulation starts at the first step with 2 s of history (1 s if the recording is shorter than 12 s). It ends with the
+//! recording, after 15 s at most. The steps before it are the history.
 
-use crate::world::MICROS_PER_SECOND;
+use super::error::RecordingFault;
+use super::route::route;
+use crate::geometry::Pose;
+use crate::scenario::{FUTURE_FRAMES, Frame, Scenario, UNKNOWN_TYPE};
+use crate::world::{EgoState, LaneMap, MICROS_PER_SECOND, Route, TrackedObject, TrafficLights};
 use std::ops::{Range, RangeInclusive};
+use std::sync::Arc;
 
-/// Recordings shorter than this spend less on history, s.
+/// Shorter recordings have a shorter history, s.
 const LONG_RECORDING: f64 = 12.0;
 /// History of a long recording, s.
 const LONG_HISTORY: f64 = 2.0;
 /// History of a short recording, s.
 const SHORT_HISTORY: f64 = 1.0;
-/// Longest drive, s: nuPlan's scenario duration.
-const LONGEST_DRIVE: f64 = 15.0;
-/// Half a step, s: recorded times jitter.
+/// Maximum duration of a simulation, s: nuPlan's scenario duration.
+const MAX_DURATION: f64 = 15.0;
+/// Half a step, s, since recorded times jitter.
 const HALF_STEP: f64 = 0.05;
-/// Steps of the shortest recording that can be driven: a second of history and a second of driving.
+/// Minimum number of steps: a second of history and a second of simulation.
 const MIN_STEPS: usize = 21;
-/// Steps may be this much apart, s.
+/// Allowed distance between steps, s.
 const STEP_RANGE: RangeInclusive<f64> = 0.05..=0.15;
 
-/// Why the steps of a recording cannot be driven.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum TimeFault {
-    /// Too few steps to be driven.
-    #[error("{steps} steps are too few: {needed} are needed")]
-    TooShort {
-        /// Steps of the recording.
-        steps: usize,
-        /// Steps that a drive needs at least.
-        needed: usize,
-    },
-    /// Steps are not a tenth of a second apart.
-    #[error("step {step} lies {seconds} s after its predecessor; recordings have 10 Hz")]
-    StepTime {
-        /// Which step.
-        step: usize,
-        /// Its distance from the step before, s.
-        seconds: f64,
-    },
-}
-
-/// Whole microseconds from the first step.
-///
-/// # Errors
-/// When the steps are too few or not a tenth of a second apart.
-pub(in crate::scenario) fn step_times(seconds: &[f64]) -> Result<Vec<i64>, TimeFault> {
+/// Times from the first step, whole µs. Fails if the steps are too few or not a tenth of a second apart.
+pub(crate) fn step_times(seconds: &[f64]) -> Result<Vec<i64>, RecordingFault> {
     if seconds.len() < MIN_STEPS {
-        return Err(TimeFault::TooShort { steps: seconds.len(), needed: MIN_STEPS });
+        return Err(RecordingFault::TooShort { steps: seconds.len(), needed: MIN_STEPS });
     }
     let odd = seconds.windows(2).position(|pair| !STEP_RANGE.contains(&(pair[1] - pair[0])));
     if let Some(step) = odd {
-        return Err(TimeFault::StepTime { step: step + 1, seconds: seconds[step + 1] - seconds[step] });
+        return Err(RecordingFault::StepTime { step: step + 1, seconds: seconds[step + 1] - seconds[step] });
     }
     Ok(seconds.iter().map(|t| ((t - seconds[0]) * MICROS_PER_SECOND).round() as i64).collect())
 }
 
-/// The steps that are driven; those before are history.
-pub(in crate::scenario) fn window(times_us: &[i64]) -> Range<usize> {
+/// The simulated steps; those before are the history.
+pub(crate) fn window(times_us: &[i64]) -> Range<usize> {
     let seconds = |step: usize| times_us.get(step).map_or(0.0, |&t| t as f64 / MICROS_PER_SECOND);
     let duration = seconds(times_us.len().saturating_sub(1));
     let history = if duration < LONG_RECORDING { SHORT_HISTORY } else { LONG_HISTORY };
     let first = |after: f64| (0..times_us.len()).find(|&step| seconds(step) >= after).unwrap_or(times_us.len());
     let start = first(history - HALF_STEP);
-    start..first(seconds(start) + LONGEST_DRIVE + HALF_STEP)
+    start..first(seconds(start) + MAX_DURATION + HALF_STEP)
+}
+
+/// A recording in the map's coordinates.
+#[derive(Debug)]
+pub(crate) struct Recording {
+    pub(crate) id: String,
+    pub(crate) log_name: String,
+    pub(crate) map: LaneMap,
+    /// One state per step.
+    pub(crate) egos: Vec<EgoState>,
+    /// Of each step; those after the simulation may be missing.
+    pub(crate) objects: Vec<Arc<[TrackedObject]>>,
+    /// Of each step; missing ones are empty.
+    pub(crate) lights: Vec<Arc<TrafficLights>>,
+}
+
+impl Recording {
+    /// Cuts the window and derives the route. The goal is the last recorded pose, even after the simulation.
+    pub(crate) fn scenario(self) -> Scenario {
+        let times_us: Vec<i64> = self.egos.iter().map(|ego| ego.time_us).collect();
+        let window = window(&times_us);
+        let centers: Vec<Pose> = self.egos.iter().skip(window.start).map(EgoState::center).collect();
+        let route = Route { roadblocks: route(&self.map, &centers), goal: self.egos.last().map(|ego| ego.rear_axle) };
+        let future = self.egos.iter().copied().skip(window.end).take(FUTURE_FRAMES).collect();
+        let lights = self.lights.into_iter().chain(std::iter::repeat(Arc::default()));
+        let frames = self.egos.into_iter().zip(self.objects).zip(lights).take(window.end);
+        Scenario {
+            id: self.id,
+            scenario_type: UNKNOWN_TYPE.to_owned(),
+            log_name: self.log_name,
+            map: Arc::new(self.map),
+            route,
+            frames: frames.map(|((ego, objects), lights)| Frame { ego, objects, lights }).collect(),
+            start: window.start,
+            future,
+        }
+    }
 }
 
 #[cfg(test)]
@@ -89,9 +107,9 @@ mod tests {
         let mut seconds: Vec<f64> = (0..30).map(|i| 5.0 + f64::from(i) * 0.1).collect();
         assert_eq!(step_times(&seconds).unwrap()[29], 2_900_000);
         seconds[7] = f64::NAN;
-        assert!(matches!(step_times(&seconds), Err(TimeFault::StepTime { step: 7, .. })));
+        assert!(matches!(step_times(&seconds), Err(RecordingFault::StepTime { step: 7, .. })));
         seconds[7] = seconds[6];
-        assert!(matches!(step_times(&seconds), Err(TimeFault::StepTime { step: 7, .. })));
-        assert_eq!(step_times(&seconds[..20]), Err(TimeFault::TooShort { steps: 20, needed: 21 }));
+        assert!(matches!(step_times(&seconds), Err(RecordingFault::StepTime { step: 7, .. })));
+        assert_eq!(step_times(&seconds[..20]), Err(RecordingFault::TooShort { steps: 20, needed: 21 }));
     }
 }

@@ -1,25 +1,26 @@
-//! Which lanes are lane connectors.
+//! Classification of lanes as connectors.
 //!
-//! Waymo flags lanes that only join others as `interpolating`, but in many recordings no lane carries the flag. Lanes are cut
-//! where an intersection begins and ends, so that the ways across it can be told. A lane is a connector when
+//! Waymo flags lanes that only join others as `interpolating`, but in many recordings no lane has the flag. Lanes are cut where
+//! an intersection begins and ends. A lane is a connector if
 //!
 //! 1. it is flagged; or
-//! 2. its centreline crosses another's on the same level at 15° to 165°; or
-//! 3. a traffic light's stop point or a stop sign stands at its beginning: what follows is the intersection; or
-//! 4. it is at most [`LONGEST_CONNECTOR`] long and both leaves a fork and ends in a merge; or
-//! 5. it is at most that long and leaves a fork or ends in a merge, and a sibling goes straighter: it bends off, or on; or
-//! 6. it runs beside a connector of rule 2 or 3 from the same beginning to the same end.
+//! 2. its centerline crosses another on the same level at 15° to 165°; or
+//! 3. the stop point of a traffic light or a stop sign is at its start, since the intersection follows; or
+//! 4. it is at most [`MAX_CONNECTOR`] long and both leaves a fork and ends in a merge; or
+//! 5. it is at most that long, leaves a fork or ends in a merge, and a sibling is straighter; or
+//! 6. it runs beside a connector of rule 2 or 3 from the same start to the same end.
 //!
-//! Connectors may overlap each other and lanes; two lanes may not, which the rules 4 and 5 see to.
+//! Connectors may overlap each other and lanes. Two lanes may not overlap, hence the rules 4 and 5.
 
 use super::features::MapFeatures;
 use crate::geometry::{Pose, wrap_angle};
 use crate::scenario::recording::lanes::{RecordedLane, Side};
 use std::collections::BTreeSet;
 
-/// No way across an intersection is longer, metres: the recordings' longest flagged lane is 55 m.
-const LONGEST_CONNECTOR: f64 = 60.0;
-/// For each lane whether it is a connector; `governed` are the lanes behind a traffic light's stop point.
+/// Maximum length of a connector, meters. The recordings' longest flagged lane is 55 m.
+const MAX_CONNECTOR: f64 = 60.0;
+
+/// True for each connector. `governed` are the lanes behind the stop point of a traffic light.
 pub(super) fn classify(
     map: &MapFeatures,
     crossings: &BTreeSet<(usize, usize)>,
@@ -37,12 +38,12 @@ pub(super) fn classify(
 }
 
 fn is_short(lane: &RecordedLane) -> bool {
-    lane.length() <= LONGEST_CONNECTOR
+    lane.length() <= MAX_CONNECTOR
 }
 
 /// Rule 6.
 fn runs_beside(lanes: &[RecordedLane], place: usize, within: &BTreeSet<usize>) -> bool {
-    /// Ends nearer than this along the road are the same, metres.
+    /// Ends nearer than this along the road are the same, meters.
     const SAME_END: f64 = 6.0;
     let lane = &lanes[place];
     let beside = Side::BOTH.into_iter().flat_map(|side| lane.neighbors.at(side));
@@ -74,23 +75,23 @@ fn joins_or_bends(lanes: &[RecordedLane], place: usize) -> bool {
             || !straightest(&merged, joining_deviation))
 }
 
-/// How far a lane leaves the straight line of its beginning: metres aside plus metres for the turn.
+/// Deviation of a lane from the straight line of its start: lateral meters plus meters for the turn.
 fn leaving_deviation(lane: &RecordedLane) -> f64 {
     let line = &lane.trace.line;
     deviation(line.pose_at(0.0), line.pose_at(COMPARED))
 }
 
-/// How far a lane comes from beside the straight line of its end.
+/// Deviation of a lane from the straight line of its end.
 fn joining_deviation(lane: &RecordedLane) -> f64 {
     let line = &lane.trace.line;
     deviation(line.pose_at(lane.length()), line.pose_at(lane.length() - COMPARED))
 }
 
-/// Siblings are compared over this length, metres.
+/// Length over which siblings are compared, meters.
 const COMPARED: f64 = 30.0;
 
 fn deviation(from: Pose, to: Pose) -> f64 {
-    /// Metres aside that a radian of turn weighs.
+    /// Lateral meters that a radian of turn counts for.
     const METRES_PER_RADIAN: f64 = 10.0;
     from.to_local(to.position()).y.abs() + METRES_PER_RADIAN * wrap_angle(to.heading - from.heading).abs()
 }

@@ -1,11 +1,10 @@
-//! What is drivable beside lanes and connectors.
+//! The drivable area beside lanes and connectors.
 //!
-//! Waymo gives road edges, not areas. From every station of every lane, to each side, one looks for the first road edge of the
-//! same level: what lies between is road (shoulders, parking strips, bike lanes, turning bays), when the edge is at most
-//! [`FARTHEST_EDGE`] away. Without an edge in reach the road ends at the last lane in that reach: between two
-//! lanes without an edge between them is road; or else where the lane itself ends. The look from a connector that crosses, leaves or
-//! meets others goes on to a road edge, or to where it leaves the convex hull of them all:
-//! that closes the gaps between them. Driveways are drivable as they are drawn.
+//! Waymo records road edges, not areas. A ray from every station of a lane to each side finds the first road edge on the same
+//! level. If the edge is at most [`MAX_EDGE_DISTANCE`] away, the area between is road: shoulders, parking strips, bike lanes,
+//! turning bays. Without an edge in reach, the road ends at the last lane in reach, or else at the border of the lane itself.
+//! Rays from a connector that crosses, leaves or meets others extend to a road edge or to the convex hull of them all, which
+//! closes the gaps between them. Driveways are drivable as recorded.
 
 use super::features::MapFeatures;
 use super::outline::{DEFAULT_HALF, Strip};
@@ -15,11 +14,11 @@ use crate::scenario::recording::lanes::{RecordedLane, Side};
 use crate::scenario::recording::trace::{Ray, Segments};
 use std::collections::BTreeMap;
 
-/// A road edge farther from a centreline than this bounds something else, metres: a lane's half, a bike lane, a parking strip and
-/// a bay of the same width.
-const FARTHEST_EDGE: f64 = 12.0;
+/// Maximum distance of a road edge from a centerline, meters: half a lane, a bike lane, a parking strip and a bay of the same
+/// width.
+const MAX_EDGE_DISTANCE: f64 = 12.0;
 
-/// The drivable area beside the lanes: a strip a lane, then the driveways.
+/// The drivable area beside the lanes: a strip per lane, then the driveways.
 pub(super) fn beside_lanes(map: &MapFeatures, clusters: &[Cluster], areas: &[Polygon]) -> Vec<Polygon> {
     let edges = Segments::of(&map.edges);
     let centerlines = Segments::of(map.lanes.iter().map(|lane| &lane.trace));
@@ -42,7 +41,7 @@ fn hull(cluster: &[usize], areas: &[Polygon]) -> Option<Polygon> {
     Polygon::convex_hull(&points).ok()
 }
 
-/// Metres of road from the centreline to one side.
+/// Width of the road from the centerline to one side, meters.
 fn width_of_road(
     lane: &RecordedLane,
     side: Side,
@@ -53,18 +52,18 @@ fn width_of_road(
 ) -> f64 {
     let from = lane.trace.line.point_at(s);
     let direction = side.of(lane.trace.direction_at(s));
-    let ray = Ray { from, direction, height: lane.trace.height_at(s), reach: FARTHEST_EDGE };
+    let ray = Ray { from, direction, height: lane.trace.height_at(s), reach: MAX_EDGE_DISTANCE };
     let edge = |reach: f64| edges.first_hit(&Ray { reach, ..ray }, |_| true);
-    if let Some(edge) = edge(FARTHEST_EDGE) {
+    if let Some(edge) = edge(MAX_EDGE_DISTANCE) {
         return edge;
     }
-    let out_of_hull = hull.filter(|hull| hull.contains(from)).and_then(|hull| way_out(hull, &ray));
+    let out_of_hull = hull.filter(|hull| hull.contains(from)).and_then(|hull| exit_of_hull(hull, &ray));
     let open = [out_of_hull, other_lane(&ray)].into_iter().flatten().fold(DEFAULT_HALF, f64::max);
     edge(open).unwrap_or(open)
 }
 
 /// Distance along a ray from inside a convex polygon to its border.
-fn way_out(hull: &Polygon, ray: &Ray) -> Option<f64> {
+fn exit_of_hull(hull: &Polygon, ray: &Ray) -> Option<f64> {
     let unlimited = Ray { reach: f64::MAX, ..*ray };
     hull.edges().filter_map(|(from, to)| unlimited.meets(from, to)).max_by(f64::total_cmp)
 }

@@ -1,41 +1,41 @@
-//! Map features of a recording, in local coordinates, with the relations between lanes resolved to places in a list.
+//! Map features of a recording in local coordinates. Relations between lanes are indices.
 //!
-//! * Bike lanes are no lanes of the graph: nuPlan's lanes are for motor vehicles. Their surface is drivable where it lies
+//! * Bike lanes are not part of the lane graph, since nuPlan's lanes are for motor vehicles. They are drivable where they lie
 //!   between a lane and the road edge beside it.
-//! * A lane of one point has no length; what leads into it leads to what it leads to.
-//! * Relations to lanes that the recording does not contain are dropped.
+//! * A lane of one point has no length. Lanes that lead into it lead to its exits.
+//! * Relations to lanes outside the recording are dropped.
 
-use super::error::RecordingFault;
 use super::proto::{
     Area, BoundarySegment, FeatureData, LaneCenter, LaneNeighbor, LaneType, MapFeature, MapPoint, StopSign,
 };
 use crate::geometry::{Point, Polygon, Vector};
+use crate::scenario::recording::error::RecordingFault;
 use crate::scenario::recording::lanes::{Beside, Ends, Places, RecordedLane, Sides};
-use crate::scenario::recording::trace::{LineFault, Place, Trace, local_points};
+use crate::scenario::recording::trace::{Place, Trace, local_points};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A line that bounds a part of a lane.
+/// A line along a part of a lane.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Boundary {
     /// Arc lengths on the lane.
     pub(super) from_s: f64,
     pub(super) to_s: f64,
-    /// Place among [`MapFeatures::lines`].
+    /// Index in [`MapFeatures::lines`].
     pub(super) line: usize,
 }
 
 /// A stop sign.
 #[derive(Debug, Clone)]
 pub(super) struct Sign {
-    /// Places of the lanes that it governs.
+    /// Lanes that it governs.
     pub(super) lanes: Vec<usize>,
 }
 
-/// The map of a recording before anything is derived.
+/// The recorded map.
 #[derive(Debug)]
 pub(super) struct MapFeatures {
     pub(super) lanes: Vec<RecordedLane>,
-    /// Lines that bound each lane.
+    /// Of each lane.
     pub(super) boundaries: Vec<Sides<Vec<Boundary>>>,
     /// Painted lines and road edges.
     pub(super) lines: Vec<Trace>,
@@ -47,10 +47,7 @@ pub(super) struct MapFeatures {
 }
 
 impl MapFeatures {
-    /// Reads the features; `origin` becomes the place (0, 0).
-    ///
-    /// # Errors
-    /// When an id occurs twice or a coordinate is no place.
+    /// Reads the features; `origin` becomes the point (0, 0).
     pub(super) fn read(features: &[MapFeature], origin: Vector) -> Result<Self, RecordingFault> {
         let mut ids = BTreeSet::new();
         if let Some(twice) = features.iter().find(|feature| !ids.insert(feature.id)) {
@@ -106,7 +103,7 @@ impl MapFeatures {
     }
 }
 
-/// How many lanes the map of these features has: those for motor vehicles that have a length.
+/// Number of lanes for motor vehicles with a length.
 pub(super) fn lane_count(features: &[MapFeature]) -> usize {
     let lanes = features.iter().filter(|feature| match &feature.feature_data {
         Some(FeatureData::Lane(lane)) if lane.r#type != LaneType::BikeLane as i32 => {
@@ -119,12 +116,11 @@ pub(super) fn lane_count(features: &[MapFeature]) -> usize {
     lanes.count()
 }
 
-/// The places of a line or outline.
 fn places_of(points: &[MapPoint]) -> Vec<Place> {
     points.iter().map(|p| Place::new(p.x, p.y, p.z)).collect()
 }
 
-/// Where the lanes and lines of the message went.
+/// Indices of lanes and lines.
 struct Lookup<'a> {
     places: Places<'a>,
     line_places: BTreeMap<i64, usize>,
@@ -138,8 +134,8 @@ impl Lookup<'_> {
             id,
             flagged: lane.interpolating,
             speed_limit: metres_per_second(lane.speed_limit_mph),
-            entries: joints.iter().filter(|(_, to)| *to == place).map(|(from, _)| *from).collect(),
-            exits: joints.iter().filter(|(from, _)| *from == place).map(|(_, to)| *to).collect(),
+            entries: joints.into(place),
+            exits: joints.out_of(place),
             neighbors: Sides {
                 left: self.beside(place, &trace, &lane.left_neighbors),
                 right: self.beside(place, &trace, &lane.right_neighbors),
@@ -168,15 +164,15 @@ impl Lookup<'_> {
     }
 }
 
-/// Waymo writes 0 where the limit is unknown.
+/// Waymo writes 0 for an unknown limit.
 fn metres_per_second(miles_per_hour: f64) -> Option<f64> {
     /// m/s of a mile per hour.
     const MILE_PER_HOUR: f64 = 0.447_04;
     (miles_per_hour > 0.0 && miles_per_hour.is_finite()).then_some(miles_per_hour * MILE_PER_HOUR)
 }
 
-/// The outline of an area; `None` when it has none.
-fn outline(feature: i64, area: &Area, origin: Vector) -> Result<Option<Polygon>, LineFault> {
+/// The outline of an area; `None` if it has no extent.
+fn outline(feature: i64, area: &Area, origin: Vector) -> Result<Option<Polygon>, RecordingFault> {
     let ring: Vec<Point> = local_points(feature, &places_of(&area.polygon), origin)?;
     Ok(Polygon::new(ring).ok())
 }

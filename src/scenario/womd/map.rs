@@ -1,23 +1,19 @@
-//! The lane map of a Waymo recording, by the rules of the modules beside this one and those for every recording.
+//! The lane map of a Waymo recording.
 
 use super::connectors::classify;
 use super::drivable::beside_lanes;
-use super::error::RecordingFault;
 use super::features::MapFeatures;
 use super::outline::lane_areas;
 use super::proto::{DynamicMapState, MapFeature};
 use super::signals::{governed_lanes, stop_lines};
 use crate::geometry::Vector;
-use crate::scenario::recording::crossings::crossings;
-use crate::scenario::recording::junctions::clusters;
+use crate::scenario::recording::error::RecordingFault;
+use crate::scenario::recording::junctions::{clusters, crossings};
 use crate::scenario::recording::map::{self, Layers};
 use crate::world::LaneMap;
 use std::collections::BTreeSet;
 
-/// Derives the map; `origin` becomes the place (0, 0) and is kept in the map's name.
-///
-/// # Errors
-/// When a feature is unsound or there is no lane.
+/// Derives the map; `origin` becomes the point (0, 0).
 pub(super) fn lane_map(
     features: &[MapFeature],
     lights: &[DynamicMapState],
@@ -47,7 +43,7 @@ pub(super) fn lane_map(
     Ok(map::lane_map(layers)?)
 }
 
-/// Connectors with a light at their beginning, or whose only ways in have one at their end.
+/// Connectors with a light at their start, or at the end of a lane that leads to them.
 fn lit_connectors(
     map: &MapFeatures,
     lights: &[DynamicMapState],

@@ -1,15 +1,13 @@
 //! Waymo Open Motion recordings: `Scenario` messages in TFRecord files, as Waymo publishes them.
 //!
-//! [`open`] reads all recordings of a file, [`scenarios`] one after the other, [`open_one`] a chosen one; [`summaries`] only counts
-//! what is there. Everything that is derived is derived by a documented rule:
+//! [`summaries`] counts what the recordings of a file hold, [`open_one`] opens one of them.
 //!
-//! * `convert`: time, coordinates, the part that is driven; `tracks`: ego and objects of each step;
-//! * `features`, `connectors`: which lanes there are and which of them are connectors; `outline`: their areas;
-//! * `drivable`, `signals`: what is drivable beside them, and the lights.
+//! * `convert`: time, coordinates, the simulated part; `tracks`: ego and objects of each step;
+//! * `features`, `connectors`: the lanes, and which of them are connectors; `outline`: their areas;
+//! * `drivable`, `signals`: the drivable area beside them, and the traffic lights.
 //!
-//! The rest (window, roadblocks, intersections, route) is derived as for every recording, in `scenario::recording`.
-//!
-//! Bytes that cannot be trusted are an error that names file, record and offset; nothing that a file holds makes this panic.
+//! `scenario::recording` derives the rest (window, roadblocks, intersections, route) as for every recording. Errors name file,
+//! record and offset; no content of a file makes this module panic.
 
 mod connectors;
 mod convert;
@@ -26,106 +24,60 @@ mod tests;
 mod tfrecord;
 mod tracks;
 
-pub use error::{RecordingFault, WomdError};
+pub use error::{WomdError, WomdFault};
 pub use reader::WomdReader;
-pub use tfrecord::{FramingFault, Record, Records, TfRecordError};
+pub use tfrecord::FramingFault;
 
 use super::Scenario;
 use super::recording::window::window;
 use features::lane_count;
 use prost::Message;
-use std::fmt;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
+use tfrecord::Records;
 
-/// Which recording of a file.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Pick {
-    /// By its place, from 0.
-    Index(usize),
-    /// By its scenario id.
-    Id(String),
-}
-
-impl fmt::Display for Pick {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Index(index) => write!(f, "number {index}"),
-            Self::Id(id) => write!(f, "`{id}`"),
-        }
-    }
-}
-
-/// What a recording holds, without deriving anything.
+/// Contents of a recording, without a derived map.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Summary {
     /// Scenario id.
     pub id: String,
-    /// Place in the file, from 0.
+    /// Number in the file, from 0.
     pub record: usize,
     /// Recorded steps at 10 Hz.
     pub steps: usize,
-    /// Iterations that a simulation drives.
+    /// Iterations of a simulation.
     pub iterations: usize,
     /// Recorded objects, the recording car included.
     pub tracks: usize,
-    /// Lanes for motor vehicles, lane connectors included: as many as the map of the opened scenario has.
+    /// Lanes for motor vehicles, connectors included: as many as the map of the opened scenario has.
     pub lanes: usize,
 }
 
-/// All recordings of a file.
-///
-/// # Errors
-/// At the first recording that cannot be read, or when there is none.
-pub fn open(path: &Path) -> Result<Vec<Scenario>, WomdError> {
-    scenarios(path)?.collect()
-}
-
-/// The recordings of a file, one after the other. A recording whose content is unsound does not end the iteration; broken
-/// framing does.
-///
-/// # Errors
-/// When the file cannot be opened or is empty.
-pub fn scenarios(path: &Path) -> Result<impl Iterator<Item = Result<Scenario, WomdError>>, WomdError> {
-    let log_name = log_name(path);
-    Ok(messages(path)?.map(move |message| message.and_then(|message| message.scenario(&log_name))))
-}
-
-/// One recording of a file; the map is derived for that one only.
-///
-/// # Errors
-/// When the file cannot be read up to it, or does not hold it.
-pub fn open_one(path: &Path, pick: &Pick) -> Result<Scenario, WomdError> {
+/// Opens a recording by its number in the file, from 0. Only its map is derived.
+pub fn open_one(path: &Path, record: usize) -> Result<Scenario, WomdError> {
     let mut records = 0;
     for message in messages(path)? {
         let message = message?;
-        let wanted = match pick {
-            Pick::Index(index) => message.record == *index,
-            Pick::Id(id) => message.recording.scenario_id == *id,
-        };
-        if wanted {
+        if message.record == record {
             return message.scenario(&log_name(path));
         }
         records += 1;
     }
-    Err(WomdError::NotFound { path: path.to_owned(), wanted: pick.clone(), records })
+    Err(WomdError::at(path)(WomdFault::NotFound { wanted: record, records }))
 }
 
-/// What the recordings of a file hold, one after the other.
-///
-/// # Errors
-/// When the file cannot be opened or is empty.
+/// The contents of the recordings of a file, one after the other.
 pub fn summaries(path: &Path) -> Result<impl Iterator<Item = Result<Summary, WomdError>>, WomdError> {
     Ok(messages(path)?.map(|message| message.map(|message| message.summary())))
 }
 
-/// The name of the log that a file counts as: its own.
+/// Name of the log that a file counts as: the file's own.
 pub fn log_name(path: &Path) -> String {
     path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// A decoded record and where it came from.
+/// A decoded record and its place.
 struct Decoded {
     path: PathBuf,
     record: usize,
@@ -135,13 +87,8 @@ struct Decoded {
 
 impl Decoded {
     fn scenario(self, log_name: &str) -> Result<Scenario, WomdError> {
-        convert::scenario(&self.recording, log_name).map_err(|fault| WomdError::Content {
-            path: self.path,
-            record: self.record,
-            offset: self.offset,
-            id: self.recording.scenario_id,
-            fault,
-        })
+        let part = || format!("{}, scenario `{}`", part(self.record, self.offset), self.recording.scenario_id);
+        convert::scenario(&self.recording, log_name).map_err(|fault| WomdError::at_part(&self.path, part())(fault))
     }
 
     fn summary(&self) -> Summary {
@@ -160,14 +107,16 @@ impl Decoded {
     }
 }
 
-/// The messages of a file.
+fn part(record: usize, offset: u64) -> String {
+    format!("record {record} at byte {offset}")
+}
+
 fn messages(path: &Path) -> Result<Messages, WomdError> {
-    let path = path.to_owned();
-    match Records::open(&path) {
-        Err(source) => Err(WomdError::Open { path, source }),
-        Ok(records) if records.is_empty() => Err(WomdError::Empty { path }),
-        Ok(records) => Ok(Messages { path, records }),
+    let records = Records::open(path).map_err(WomdError::at(path))?;
+    if records.is_empty() {
+        return Err(WomdError::at(path)(WomdFault::Empty));
     }
+    Ok(Messages { path: path.to_owned(), records })
 }
 
 struct Messages {
@@ -179,14 +128,14 @@ impl Iterator for Messages {
     type Item = Result<Decoded, WomdError>;
 
     fn next(&mut self) -> Option<Self::Item> {
+        let record = self.records.next()?;
+        let (number, offset) = (record.number, record.offset);
+        let decoded =
+            record.payload.map_err(WomdFault::from).and_then(|bytes| Ok(proto::Scenario::decode(&bytes[..])?));
         let path = self.path.clone();
-        let Record { number: record, offset, payload } = match self.records.next()? {
-            Ok(record) => record,
-            Err(source) => return Some(Err(WomdError::Framing { path, source })),
-        };
-        Some(match proto::Scenario::decode(&payload[..]) {
-            Ok(recording) => Ok(Decoded { path, record, offset, recording }),
-            Err(source) => Err(WomdError::Decode { path, record, offset, source }),
+        Some(match decoded {
+            Ok(recording) => Ok(Decoded { path, record: number, offset, recording }),
+            Err(fault) => Err(WomdError::at_part(&path, part(number, offset))(fault)),
         })
     }
 }

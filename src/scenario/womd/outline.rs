@@ -1,54 +1,53 @@
 //! Areas of lanes and connectors.
 //!
-//! At every station of a lane's centreline and to each side, the lane reaches
-//! * to the line that bounds it there, when that line is at most [`WIDEST_HALF`] away;
-//! * else half-way to the lane beside it, when that half is as narrow;
+//! At every station of a lane's centerline and to each side, the lane extends
+//! * to its boundary line, if that is at most [`MAX_HALF`] away;
+//! * else halfway to the neighboring lane, within the same bound;
 //! * else [`DEFAULT_HALF`];
 //!
-//! but never farther than half-way to the next lane of its level, so that neighbours share a boundary. What still overlaps,
-//! where lanes fork or merge at a sharp angle, is left to the lane that comes first: at most one lane holds a point, as nuPlan's
-//! metrics assume. A connector is as wide as the lanes that it joins, in between in proportion.
+//! but never farther than halfway to the next lane of its level, so that neighbors share a boundary. Overlaps that remain at
+//! sharp forks and merges go to the lane that comes first: at most one lane holds a point, as nuPlan's metrics assume. The
+//! width of a connector changes linearly between the lanes that it joins.
 
 use super::features::MapFeatures;
 use crate::geometry::{OrientedBox, Point, Polygon};
-use crate::scenario::recording::exclusive::{separate, simplified};
 use crate::scenario::recording::lanes::{RecordedLane, Side, Sides};
+use crate::scenario::recording::map::{separate, simplified};
 use crate::scenario::recording::trace::{Ray, Segments};
 
-/// Half of a lane's width where nothing tells it, metres.
+/// Half of a lane's width without other information, meters.
 pub(super) const DEFAULT_HALF: f64 = 1.75;
-/// A line farther than this bounds a shoulder or a parking strip too, metres.
-const WIDEST_HALF: f64 = 2.75;
-/// A line nearer than this is the centreline's own marking, metres.
-const NARROWEST_HALF: f64 = 0.9;
-/// Another centreline nearer than this has not yet parted from this one, or no longer, metres.
-const NEAREST_LANE: f64 = 2.0 * NARROWEST_HALF;
-/// Distance between stations, metres.
+/// Maximum half of a lane's width, meters. A line farther away includes a shoulder or parking strip.
+const MAX_HALF: f64 = 2.75;
+/// Minimum half of a lane's width, meters. A nearer line is the marking of the centerline itself.
+const MIN_HALF: f64 = 0.9;
+/// Minimum distance of a neighboring centerline, meters. A nearer one forks from this lane or merges with it.
+const MIN_LANE_DISTANCE: f64 = 2.0 * MIN_HALF;
+/// Distance between stations, meters.
 pub(super) const STATION_STEP: f64 = 1.0;
-/// Vertices that move an outline by less are left out, metres.
-const SIMPLER_BY: f64 = 0.02;
+/// Tolerance for the simplification of outlines, meters.
+const TOLERANCE: f64 = 0.02;
 
-/// Stations of a piece of a strip: a strip that comes back to itself is no simple polygon.
-const LONGEST_PIECE: usize = 50;
+/// Maximum number of stations of a piece. A strip that returns to itself is no simple polygon.
+const MAX_PIECE: usize = 50;
 
-/// How far a strip reaches to either side at its stations.
+/// Widths of a strip to both sides at its stations.
 #[derive(Debug, Clone)]
 pub(super) struct Strip {
-    /// Arc lengths on the centreline.
+    /// Arc lengths on the centerline.
     pub(super) stations: Vec<f64>,
-    /// Metres, a number a station.
+    /// Of each station, meters.
     pub(super) reach: Sides<Vec<f64>>,
 }
 
 impl Strip {
-    /// Measures both sides of a lane at every station.
     pub(super) fn measured(lane: &RecordedLane, measure: impl Fn(Side, f64) -> f64) -> Self {
         let stations = lane.trace.stations(STATION_STEP);
         let reach = Sides::each(|side| stations.iter().map(|&s| measure(side, s)).collect());
         Self { stations, reach }
     }
 
-    /// Its area as pieces in driving order; one where the strip is short and does not fold.
+    /// The area as pieces in driving order; a single one if the strip is short and does not fold.
     pub(super) fn pieces(&self, lane: &RecordedLane) -> Vec<Polygon> {
         let [left, right] = Side::BOTH.map(|side| self.border(lane, side));
         let folded: Vec<bool> = (0..self.stations.len() - 1)
@@ -60,17 +59,17 @@ impl Strip {
         let mut pieces = Vec::new();
         let mut from = 0;
         while from < folded.len() {
-            let same = folded[from..].iter().take_while(|&&f| !f).take(LONGEST_PIECE).count();
+            let same = folded[from..].iter().take_while(|&&f| !f).take(MAX_PIECE).count();
             let to = from + same.max(1);
             let ring = left[from..=to].iter().chain(right[from..=to].iter().rev()).copied();
             let piece = if folded[from] { Polygon::convex_hull(&ring.collect::<Vec<_>>()) } else { Polygon::new(ring) };
-            pieces.extend(piece.ok().map(|piece| simplified(&piece, SIMPLER_BY)).filter(|piece| piece.area() > 0.0));
+            pieces.extend(piece.ok().map(|piece| simplified(&piece, TOLERANCE)).filter(|piece| piece.area() > 0.0));
             from = to;
         }
         pieces
     }
 
-    /// Its area as one polygon; `None` when it has none.
+    /// The area as one polygon; `None` if it is empty.
     fn area(&self, lane: &RecordedLane) -> Option<Polygon> {
         let mut pieces = self.pieces(lane);
         if pieces.len() > 1 {
@@ -79,7 +78,7 @@ impl Strip {
         pieces.into_iter().max_by(|a, b| a.area().total_cmp(&b.area()))
     }
 
-    /// The line along which the strip ends on one side.
+    /// The outer line of the strip on one side.
     fn border(&self, lane: &RecordedLane, side: Side) -> Vec<Point> {
         let line = &lane.trace.line;
         let stations = self.stations.iter().zip(self.reach.at(side));
@@ -87,7 +86,6 @@ impl Strip {
     }
 }
 
-/// Areas of all lanes, in order.
 pub(super) fn lane_areas(map: &MapFeatures, connector: &[bool]) -> Vec<Polygon> {
     let centerlines = Segments::of(map.lanes.iter().map(|lane| &lane.trace));
     let lines = Segments::of(&map.lines);
@@ -96,22 +94,22 @@ pub(super) fn lane_areas(map: &MapFeatures, connector: &[bool]) -> Vec<Polygon> 
         .collect();
     let areas = map.lanes.iter().zip(&lane_strips).enumerate().map(|(place, (lane, strip))| {
         let strip = strip.clone().unwrap_or_else(|| connector_strip(map, place, &lane_strips));
-        strip.area(lane).unwrap_or_else(|| speck(lane))
+        strip.area(lane).unwrap_or_else(|| minimal_area(lane))
     });
     let mut areas: Vec<Polygon> = areas.collect();
     separate(&mut areas, connector);
     areas
 }
 
-/// The area of a lane that is too short to have an outline.
-fn speck(lane: &RecordedLane) -> Polygon {
-    /// Metres.
+/// The area of a lane too short for an outline.
+fn minimal_area(lane: &RecordedLane) -> Polygon {
+    /// Meters.
     const LENGTH: f64 = 0.1;
     OrientedBox::new(lane.trace.line.pose_at(0.0), LENGTH, 2.0 * DEFAULT_HALF).to_polygon()
 }
 
 fn lane_strip(map: &MapFeatures, place: usize, connector: &[bool], centerlines: &Segments, lines: &Segments) -> Strip {
-    /// Lanes that run across are no neighbours: cosine of the angle from which on they are.
+    /// Cosine of the maximum angle between neighbors.
     const ALONG: f64 = 0.7;
     let lane = &map.lanes[place];
     Strip::measured(lane, |side, s| {
@@ -120,24 +118,26 @@ fn lane_strip(map: &MapFeatures, place: usize, connector: &[bool], centerlines: 
             from: lane.trace.line.point_at(s),
             direction: side.of(along),
             height: lane.trace.height_at(s),
-            reach: WIDEST_HALF,
+            reach: MAX_HALF,
         };
-        let outside =
-            Ray { from: ray.from + ray.direction * NEAREST_LANE, reach: 2.0 * WIDEST_HALF - NEAREST_LANE, ..ray };
+        let outside = Ray {
+            from: ray.from + ray.direction * MIN_LANE_DISTANCE,
+            reach: 2.0 * MAX_HALF - MIN_LANE_DISTANCE,
+            ..ray
+        };
         let beside = centerlines.first_hit(&outside, |other| {
             other.owner != place
                 && !connector[other.owner]
                 && (other.to - other.from).normalize().dot(&along).abs() > ALONG
         });
-        let half_way = beside.map(|distance| f64::midpoint(distance, NEAREST_LANE));
+        let half_way = beside.map(|distance| f64::midpoint(distance, MIN_LANE_DISTANCE));
         let bounds: Vec<usize> = map.boundaries[place]
             .at(side)
             .iter()
             .filter(|b| b.from_s - STATION_STEP <= s && s <= b.to_s + STATION_STEP)
             .map(|b| b.line)
             .collect();
-        let bound =
-            lines.first_hit(&ray, |line| bounds.contains(&line.owner)).filter(|&distance| distance > NARROWEST_HALF);
+        let bound = lines.first_hit(&ray, |line| bounds.contains(&line.owner)).filter(|&distance| distance > MIN_HALF);
         match (bound, half_way) {
             (Some(bound), Some(half)) => bound.min(half),
             (Some(bound), None) => bound,

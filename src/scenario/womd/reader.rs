@@ -1,6 +1,6 @@
 //! Waymo recordings in the registry of readers.
 
-use super::{Pick, Summary, WomdError, log_name, open_one, summaries};
+use super::{Summary, WomdError, log_name, open_one, summaries};
 use crate::scenario::{Contents, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef};
 use std::path::{Path, PathBuf};
 
@@ -65,7 +65,7 @@ struct Recording {
 
 impl OpenScenario for Recording {
     fn open(&self) -> Result<Scenario, ReaderError> {
-        open_one(&self.path, &Pick::Index(self.summary.record)).map_err(ReaderError::new)
+        open_one(&self.path, self.summary.record).map_err(ReaderError::new)
     }
 
     fn contents(&self) -> Result<Option<Contents>, ReaderError> {

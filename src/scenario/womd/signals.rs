@@ -1,11 +1,11 @@
 //! Traffic lights and stop lines.
 //!
-//! * A light names the lane that it controls: the one behind its stop point, which makes that lane a connector. Should the stop
-//!   point stand at the far end of a lane, the light governs the connectors that the lane leads to.
-//! * Arrow and plain states are read alike: stop is red, caution yellow, go green. A flashing light regulates like a sign, not like
-//!   a light: it is unknown to nuPlan, as are states that were not observed.
-//! * A connector that a light ever governs has traffic lights at every step; at a step without a state its light is unknown.
-//! * A stop line lies across the beginning of the governed connectors; those that begin at one place share it.
+//! * A light names the lane behind its stop point, which makes that lane a connector. If the stop point is at the end of the
+//!   lane, the light governs the connectors that the lane leads to.
+//! * Arrow and plain states are equal: stop is red, caution yellow, go green. Flashing lights regulate like a sign, so their
+//!   state is unknown, as are states that were not observed.
+//! * A connector with a light at any step has a light at all steps, unknown where it has no state.
+//! * A stop line lies across the start of the governed connectors. Connectors that start at one place share it.
 
 use super::features::MapFeatures;
 use super::outline::DEFAULT_HALF;
@@ -15,7 +15,7 @@ use crate::world::{LaneId, LaneKind, LaneMap, SignalStatus, StopLine, TrafficLig
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Places of the lanes that have a light at their beginning at any step.
+/// Lanes with a light at their start at any step.
 pub(super) fn governed_lanes(map: &MapFeatures, steps: &[DynamicMapState], origin: Vector) -> BTreeSet<usize> {
     let places: BTreeMap<i64, usize> = map.lanes.iter().enumerate().map(|(i, lane)| (lane.id, i)).collect();
     let lights = steps.iter().flat_map(|step| &step.lane_states);
@@ -34,7 +34,7 @@ fn stands_at_end(light: &TrafficSignalLaneState, start: Point, end: Point, origi
     })
 }
 
-/// The lights of every step, by connector.
+/// The lights of the first `count` steps, by connector.
 pub(super) fn lights(
     map: &LaneMap,
     steps: &[DynamicMapState],
@@ -54,7 +54,6 @@ pub(super) fn lights(
     observed.iter().map(|now| Arc::new(unknown.clone().chain(now.iter().copied()).collect())).collect()
 }
 
-/// The connectors that a light governs.
 fn connectors_of(map: &LaneMap, light: &TrafficSignalLaneState, origin: Vector) -> Vec<LaneId> {
     let Some(id) = map.lane_by_source(light.lane) else { return Vec::new() };
     let lane = &map[id];
@@ -78,7 +77,7 @@ fn status(light: &TrafficSignalLaneState) -> SignalStatus {
     }
 }
 
-/// Stop lines of all lights and stop signs. `lit` are the connectors that a light governs.
+/// Stop lines of all lights and stop signs. `lit` are the connectors with a light.
 pub(super) fn stop_lines(map: &MapFeatures, connector: &[bool], lit: &BTreeSet<usize>) -> Vec<StopLine> {
     let signed = map.signs.iter().flat_map(|sign| &sign.lanes).copied();
     let wanted: BTreeSet<(bool, usize)> =
@@ -95,14 +94,13 @@ pub(super) fn stop_lines(map: &MapFeatures, connector: &[bool], lit: &BTreeSet<u
 }
 
 fn same_place(a: Pose, b: Pose) -> bool {
-    /// Metres.
+    /// Meters.
     const SAME: f64 = 0.5;
     a.distance(&b) < SAME
 }
 
-/// A thin polygon across the lane.
 fn across(at: Pose) -> crate::geometry::Polygon {
-    /// Thickness of a painted stop line, metres.
+    /// Thickness of a painted stop line, meters.
     const THICKNESS: f64 = 0.5;
     OrientedBox::new(at, THICKNESS, 2.0 * DEFAULT_HALF).to_polygon()
 }
@@ -112,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn arrows_read_like_plain_lights_and_flashing_ones_are_unknown() {
+    fn arrows_equal_plain_lights_and_flashing_ones_are_unknown() {
         let shown =
             |state: SignalState| status(&TrafficSignalLaneState { lane: 1, state: state as i32, stop_point: None });
         assert_eq!(shown(SignalState::ArrowGo), SignalStatus::Green);

@@ -1,4 +1,4 @@
-//! A recording of our own making: what is derived from it, and what happens when it is broken.
+//! A synthetic recording: what is derived from it, and errors of broken ones.
 
 use super::proto::{
     DynamicMapState, FeatureData, LaneCenter, LaneNeighbor, LaneType, Line, MapFeature, MapPoint, ObjectState,
@@ -7,7 +7,7 @@ use super::proto::{
 use super::tfrecord::frame;
 use super::*;
 use crate::geometry::Point;
-use crate::scenario::{LineFault, TimeFault};
+use crate::scenario::recording::error::RecordingFault;
 use crate::world::{LaneId, LaneKind, SignalStatus};
 use proptest::prelude::*;
 use prost::Message;
@@ -39,8 +39,8 @@ fn edge(id: i64, points: &[(f64, f64)]) -> MapFeature {
     MapFeature { id, feature_data: Some(FeatureData::RoadEdge(Line { polyline: line(points) })) }
 }
 
-/// Two lanes to the east (1, 2), neighbours, 60 m; ways straight on (11, 12) and to the right (13), 20 m; what they lead to (21,
-/// 22, 23); and a road from the south (31, 41, 51) that crosses. Kerbs 6 m beside lane 2 and 5 m beside lane 1.
+/// Two neighboring lanes to the east (1, 2), 60 m; connectors straight on (11, 12) and to the right (13), 20 m; the lanes behind
+/// them (21, 22, 23); and a road from the south (31, 41, 51) that crosses. Curbs 6 m beside lane 2 and 5 m beside lane 1.
 fn crossing_map() -> Vec<MapFeature> {
     let mut map = vec![
         lane(1, &[(0.0, 3.5), (60.0, 3.5)], &[], &[11]),
@@ -71,7 +71,7 @@ fn crossing_map() -> Vec<MapFeature> {
     map
 }
 
-/// The ego on lane 2 at 8 m/s for 13 s, straight on; a pedestrian; a light for lane 12 that is seen from step 10 on.
+/// The ego on lane 2 at 8 m/s for 13 s, straight on; a pedestrian; a light for lane 12 that is observed from step 10 on.
 fn recording() -> proto::Scenario {
     let steps = 131;
     let moving = |speed: f64, y: f64, length: f32| {
@@ -146,7 +146,7 @@ fn the_crossing_becomes_nuplans_layers() {
 }
 
 #[test]
-fn lanes_meet_half_way_and_kerbs_end_the_drivable_area() {
+fn lanes_meet_halfway_and_curbs_end_the_drivable_area() {
     let map = convert::scenario(&recording(), "log").unwrap().map;
     for x in [0.0, 17.3, 50.0] {
         assert_eq!(map.lanes_at(Point::new(x, 1.70)).len(), 1);
@@ -178,33 +178,35 @@ fn time_route_lights_and_objects_are_as_recorded() {
 }
 
 #[test]
-fn faults_are_told() {
+fn faults_are_reported() {
     let fault = |change: fn(&mut proto::Scenario)| {
         let mut recording = recording();
         change(&mut recording);
         convert::scenario(&recording, "log").unwrap_err()
     };
-    assert!(matches!(fault(|r| r.sdc_track_index = -1), RecordingFault::NoEgoTrack { index: -1, tracks: 2 }));
-    assert!(matches!(fault(|r| r.sdc_track_index = 2), RecordingFault::NoEgoTrack { .. }));
-    assert!(matches!(fault(|r| r.tracks[0].id = 9), RecordingFault::DuplicateId { layer: "track", id: 9 }));
-    assert!(matches!(fault(|r| r.tracks[0].states.truncate(9)), RecordingFault::TrackLength { track: 5, .. }));
-    assert!(matches!(fault(|r| r.map_features[3].id = 1), RecordingFault::DuplicateId { id: 1, .. }));
-    assert!(matches!(fault(|r| r.map_features.clear()), RecordingFault::Map(_)));
-    assert!(matches!(
-        fault(|r| r.timestamps_seconds.truncate(9)),
-        RecordingFault::Time(TimeFault::TooShort { steps: 9, .. })
-    ));
+    assert!(matches!(fault(|r| r.sdc_track_index = -1), WomdFault::NoEgoTrack { index: -1, tracks: 2 }));
+    assert!(matches!(fault(|r| r.sdc_track_index = 2), WomdFault::NoEgoTrack { .. }));
+    let shared = |change| match fault(change) {
+        WomdFault::Recording(fault) => fault,
+        other => panic!("{other}"),
+    };
+    assert!(matches!(shared(|r| r.tracks[0].id = 9), RecordingFault::DuplicateId { layer: "track", id: 9 }));
+    assert!(matches!(fault(|r| r.tracks[0].states.truncate(9)), WomdFault::TrackLength { track: 5, .. }));
+    assert!(matches!(shared(|r| r.map_features[3].id = 1), RecordingFault::DuplicateId { id: 1, .. }));
+    assert!(matches!(shared(|r| r.map_features.clear()), RecordingFault::Map(_)));
+    let short = shared(|r| r.timestamps_seconds.truncate(9));
+    assert!(matches!(short, RecordingFault::TooShort { steps: 9, .. }));
     let lost = fault(|r| r.tracks[1].states.iter_mut().for_each(|s| s.valid = false));
-    assert!(matches!(lost, RecordingFault::EgoMissing { step: 0, missing: 131 }));
-    let far = fault(|r| {
+    assert!(matches!(lost, WomdFault::EgoMissing { step: 0, missing: 131 }));
+    let far = shared(|r| {
         if let Some(FeatureData::Lane(lane)) = &mut r.map_features[1].feature_data {
             lane.polyline[4].x = f64::INFINITY;
         }
     });
-    assert_eq!(far, RecordingFault::Line(LineFault::NoPlace { feature: 2, point: 4 }));
+    assert_eq!(far, RecordingFault::NoPlace { feature: 2, point: 4 });
 }
 
-/// A file in a folder that lasts as long as the guard.
+/// A file in a temporary folder, which the guard keeps.
 fn written(bytes: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recordings.tfrecord");
@@ -213,43 +215,43 @@ fn written(bytes: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
 }
 
 #[test]
-fn a_file_of_several_recordings_is_opened_by_place_and_by_id() {
+fn a_recording_is_opened_by_its_number() {
     let mut second = recording();
     second.scenario_id = "second".to_owned();
     let bytes = [frame(&recording().encode_to_vec()), frame(&second.encode_to_vec())].concat();
     let (_folder, path) = written(&bytes);
-    assert_eq!(open(&path).unwrap().len(), 2);
-    assert_eq!(open_one(&path, &Pick::Index(1)).unwrap().id, "second");
-    assert_eq!(open_one(&path, &Pick::Id("synthetic".to_owned())).unwrap().id, "synthetic");
-    let missing = open_one(&path, &Pick::Id("third".to_owned())).unwrap_err();
-    assert!(missing.to_string().ends_with("no recording `third` among the 2 of the file"), "{missing}");
+    assert_eq!(open_one(&path, 0).unwrap().id, "synthetic");
+    assert_eq!(open_one(&path, 1).unwrap().id, "second");
+    let missing = open_one(&path, 2).unwrap_err();
+    assert!(missing.to_string().ends_with("no recording number 2 among the 2 of the file"), "{missing}");
     let summaries: Vec<Summary> = summaries(&path).unwrap().map(Result::unwrap).collect();
     assert_eq!((summaries[1].id.as_str(), summaries[1].iterations, summaries[1].lanes), ("second", 111, 11));
 }
 
 #[test]
-fn broken_files_are_told_with_their_place() {
+fn broken_files_are_reported_with_their_place() {
     let payload = recording().encode_to_vec();
     let first = frame(&payload);
     let mut flipped = [first.clone(), first.clone()].concat();
     flipped[first.len() + 40] ^= 8;
     let (_folder, path) = written(&flipped);
-    let error = open(&path).unwrap_err().to_string();
+    let error = open_one(&path, 1).unwrap_err().to_string();
     assert!(error.contains(&format!("record 1 at byte {}", first.len())) && error.contains("checksum"), "{error}");
+    let fault = |path: &Path| open_one(path, 0).unwrap_err().fault;
     let (_folder, path) = written(&first[..first.len() / 2]);
-    assert!(matches!(open(&path), Err(WomdError::Framing { .. })));
+    assert!(matches!(fault(&path), WomdFault::Framing(_)));
     let (_folder, path) = written(&[]);
-    assert!(matches!(open(&path), Err(WomdError::Empty { .. })));
+    assert!(matches!(fault(&path), WomdFault::Empty));
     let (_folder, path) = written(&frame(&[0xff; 30]));
-    assert!(matches!(open(&path), Err(WomdError::Decode { record: 0, offset: 0, .. })));
-    assert!(matches!(open(&path.join("nothing")), Err(WomdError::Open { .. })));
-    assert!(matches!(open(path.parent().unwrap()), Err(WomdError::Open { .. })));
+    assert!(matches!(fault(&path), WomdFault::Decode(_)));
+    assert!(matches!(fault(&path.join("nothing")), WomdFault::Open(_)));
+    assert!(matches!(fault(path.parent().unwrap()), WomdFault::Open(_)));
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Sound checksums around a damaged message: whatever comes of it, it is no panic.
+    /// A damaged message with correct checksums causes no panic.
     #[test]
     fn damaged_messages_never_panic(damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12)) {
         let mut payload = recording().encode_to_vec();
@@ -266,7 +268,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
 
-    /// The same for coordinates, the numbers that geometry sees.
+    /// Nor do odd coordinates.
     #[test]
     fn odd_maps_never_panic(
         moves in prop::collection::vec((0..11usize, any::<prop::sample::Index>(), -200.0..200.0f64, -200.0..200.0f64), 1..40),

@@ -1,7 +1,7 @@
 //! The TFRecord container: framing and both checksums.
 //!
-//! A file is a row of records, each `{u64 length, u32 masked CRC32C of the length, payload, u32 masked CRC32C of the
-//! payload}`, little endian. Both checksums are always verified, the length's before the length is believed.
+//! A file is a sequence of records, each `{u64 length, u32 masked CRC32C of the length, payload, u32 masked CRC32C of the
+//! payload}`, little endian. Both checksums are verified, that of the length before the length is used.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read};
@@ -13,75 +13,39 @@ const MASK_DELTA: u32 = 0xa282_ead8;
 const HEADER_BYTES: u64 = 12;
 /// Checksum behind the payload, bytes.
 const FOOTER_BYTES: u64 = 4;
-/// Longest payload that is believed, bytes: protobuf's own limit.
-const LONGEST_PAYLOAD: u64 = i32::MAX as u64;
+/// Maximum length of a payload, bytes: protobuf's limit.
+const MAX_PAYLOAD: u64 = i32::MAX as u64;
 
 /// What is wrong with the framing.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FramingFault {
-    /// The file ends inside the record.
     #[error("the file ends inside the {part}: {needed} bytes needed, {left} left")]
-    Truncated {
-        /// Which part of the record is cut.
-        part: &'static str,
-        /// Its bytes.
-        needed: u64,
-        /// Bytes left in the file.
-        left: u64,
-    },
-    /// The length does not match its checksum.
-    #[error("the checksum of the length does not match (stored {stored:#010x}, computed {computed:#010x})")]
-    LengthChecksum {
-        /// As stored in the file.
-        stored: u32,
-        /// As computed from the length.
-        computed: u32,
-    },
-    /// A length with a good checksum that no record can have.
+    Truncated { part: &'static str, needed: u64, left: u64 },
+    #[error("the checksum of the {part} does not match (stored {stored:#010x}, computed {computed:#010x})")]
+    Checksum { part: &'static str, stored: u32, computed: u32 },
+    /// The checksum of the length matches.
     #[error("a payload of {0} bytes is longer than a protobuf message can be")]
-    AbsurdLength(u64),
-    /// The payload does not match its checksum.
-    #[error("the checksum of the payload does not match (stored {stored:#010x}, computed {computed:#010x})")]
-    PayloadChecksum {
-        /// As stored in the file.
-        stored: u32,
-        /// As computed from the payload.
-        computed: u32,
-    },
-    /// The file cannot be read.
+    TooLong(u64),
     #[error("cannot read: {0}")]
     Read(#[from] io::Error),
 }
 
-/// A broken record and where it stands.
-#[derive(Debug, thiserror::Error)]
-#[error("record {record} at byte {offset}: {fault}")]
-pub struct TfRecordError {
-    /// Number of the record, from 0.
-    pub record: usize,
-    /// Offset of its first byte.
-    pub offset: u64,
-    /// What is wrong.
-    #[source]
-    pub fault: FramingFault,
-}
-
-/// One record whose checksums hold.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Record {
-    /// Its number in the file, from 0.
-    pub number: usize,
-    /// Offset of its first byte.
-    pub offset: u64,
-    /// The payload.
-    pub payload: Vec<u8>,
-}
-
-/// Reads records one after the other; ends after the last, or after the first broken one.
+/// A record, or the fault at its place.
 #[derive(Debug)]
-pub struct Records<R> {
+pub(super) struct Record {
+    /// From 0.
+    pub(super) number: usize,
+    /// Offset of its first byte.
+    pub(super) offset: u64,
+    pub(super) payload: Result<Vec<u8>, FramingFault>,
+}
+
+/// Reads records one after the other. Ends after the last, or after the first broken one.
+#[derive(Debug)]
+pub(super) struct Records<R> {
     reader: R,
-    /// Bytes of the whole source.
+    /// Size of the source, bytes.
     total: u64,
     offset: u64,
     number: usize,
@@ -89,11 +53,7 @@ pub struct Records<R> {
 }
 
 impl Records<BufReader<File>> {
-    /// Records of a file.
-    ///
-    /// # Errors
-    /// When the file cannot be opened.
-    pub fn open(path: &Path) -> io::Result<Self> {
+    pub(super) fn open(path: &Path) -> io::Result<Self> {
         let file = File::open(path)?;
         let metadata = file.metadata()?;
         if metadata.is_dir() {
@@ -105,27 +65,25 @@ impl Records<BufReader<File>> {
 
 impl<R: Read> Records<R> {
     /// Records of a source of `total` bytes.
-    pub fn new(reader: R, total: u64) -> Self {
+    pub(super) fn new(reader: R, total: u64) -> Self {
         Self { reader, total, offset: 0, number: 0, broken: false }
     }
 
-    /// Whether the source has no bytes at all.
-    pub fn is_empty(&self) -> bool {
+    pub(super) fn is_empty(&self) -> bool {
         self.total == 0
     }
 
-    fn read_record(&mut self) -> Result<Record, FramingFault> {
-        let offset = self.offset;
+    fn read_payload(&mut self) -> Result<Vec<u8>, FramingFault> {
         let header: [u8; HEADER_BYTES as usize] = self.read_array("length")?;
         let [l0, l1, l2, l3, l4, l5, l6, l7, c0, c1, c2, c3] = header;
         let length_bytes = [l0, l1, l2, l3, l4, l5, l6, l7];
         let (stored, computed) = (u32::from_le_bytes([c0, c1, c2, c3]), masked_crc(&length_bytes));
         if stored != computed {
-            return Err(FramingFault::LengthChecksum { stored, computed });
+            return Err(FramingFault::Checksum { part: "length", stored, computed });
         }
         let length = u64::from_le_bytes(length_bytes);
-        if length > LONGEST_PAYLOAD {
-            return Err(FramingFault::AbsurdLength(length));
+        if length > MAX_PAYLOAD {
+            return Err(FramingFault::TooLong(length));
         }
         self.demand("payload", length)?;
         let mut payload = Vec::new();
@@ -137,9 +95,9 @@ impl<R: Read> Records<R> {
         let stored = u32::from_le_bytes(self.read_array::<{ FOOTER_BYTES as usize }>("checksum of the payload")?);
         let computed = masked_crc(&payload);
         if stored != computed {
-            return Err(FramingFault::PayloadChecksum { stored, computed });
+            return Err(FramingFault::Checksum { part: "payload", stored, computed });
         }
-        Ok(Record { number: self.number, offset, payload })
+        Ok(payload)
     }
 
     fn read_array<const N: usize>(&mut self, part: &'static str) -> Result<[u8; N], FramingFault> {
@@ -158,17 +116,17 @@ impl<R: Read> Records<R> {
 }
 
 impl<R: Read> Iterator for Records<R> {
-    type Item = Result<Record, TfRecordError>;
+    type Item = Record;
 
     fn next(&mut self) -> Option<Self::Item> {
         if self.broken || self.offset >= self.total {
             return None;
         }
-        let (record, offset) = (self.number, self.offset);
-        let read = self.read_record().map_err(|fault| TfRecordError { record, offset, fault });
-        self.broken = read.is_err();
+        let (number, offset) = (self.number, self.offset);
+        let payload = self.read_payload();
+        self.broken = payload.is_err();
         self.number += 1;
-        Some(read)
+        Some(Record { number, offset, payload })
     }
 }
 
@@ -193,7 +151,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn records(bytes: &[u8]) -> Vec<Result<Record, TfRecordError>> {
+    fn records(bytes: &[u8]) -> Vec<Record> {
         Records::new(bytes, bytes.len() as u64).collect()
     }
 
@@ -208,25 +166,27 @@ mod tests {
 
     #[test]
     fn several_records_come_with_number_and_offset() {
-        let read: Vec<Record> = records(&two_records()).into_iter().map(Result::unwrap).collect();
+        let read = records(&two_records());
         assert_eq!(read.len(), 2);
-        assert_eq!(read[0], Record { number: 0, offset: 0, payload: b"first payload".to_vec() });
-        assert_eq!(read[1], Record { number: 1, offset: 29, payload: b"second".to_vec() });
+        assert_eq!((read[0].number, read[0].offset), (0, 0));
+        assert_eq!((read[1].number, read[1].offset), (1, 29));
+        let payloads: Vec<Vec<u8>> = read.into_iter().map(|record| record.payload.unwrap()).collect();
+        assert_eq!(payloads, [b"first payload".to_vec(), b"second".to_vec()]);
     }
 
     #[test]
-    fn every_truncation_is_told_with_its_place() {
+    fn every_truncation_is_reported_with_its_place() {
         let whole = two_records();
         for end in 1..whole.len() {
             let read = records(&whole[..end]);
             if end == 29 {
-                assert!(read.len() == 1 && read[0].is_ok());
+                assert!(read.len() == 1 && read[0].payload.is_ok());
                 continue;
             }
-            let error = read.into_iter().find_map(Result::err).unwrap();
+            let broken = read.into_iter().find(|record| record.payload.is_err()).unwrap();
             let expected = if end < 29 { (0, 0) } else { (1, 29) };
-            assert_eq!((error.record, error.offset), expected, "cut at {end}");
-            assert!(matches!(error.fault, FramingFault::Truncated { .. }), "cut at {end}: {error}");
+            assert_eq!((broken.number, broken.offset), expected, "cut at {end}");
+            assert!(matches!(broken.payload, Err(FramingFault::Truncated { .. })), "cut at {end}: {broken:?}");
         }
     }
 
@@ -237,7 +197,7 @@ mod tests {
             let mut bytes = whole.clone();
             bytes[bit / 8] ^= 1 << (bit % 8);
             let read = records(&bytes);
-            assert!(matches!(&read[..], [Err(_)]), "bit {bit}: {read:?}");
+            assert!(matches!(&read[..], [Record { payload: Err(_), .. }]), "bit {bit}: {read:?}");
         }
     }
 
@@ -245,8 +205,8 @@ mod tests {
     fn an_absurd_length_with_a_good_checksum_is_refused() {
         let length = u64::MAX.to_le_bytes();
         let bytes = [length.to_vec(), masked_crc(&length).to_le_bytes().to_vec(), vec![0; 64]].concat();
-        let error = records(&bytes).remove(0).unwrap_err();
-        assert!(matches!(error.fault, FramingFault::AbsurdLength(u64::MAX)), "{error}");
+        let payload = records(&bytes).remove(0).payload;
+        assert!(matches!(payload, Err(FramingFault::TooLong(u64::MAX))), "{payload:?}");
     }
 
     #[test]
@@ -265,7 +225,7 @@ mod tests {
         #[test]
         fn framed_payloads_come_back(payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..80), 0..6)) {
             let bytes: Vec<u8> = payloads.iter().flat_map(|p| frame(p)).collect();
-            let read: Vec<Vec<u8>> = records(&bytes).into_iter().map(|r| r.unwrap().payload).collect();
+            let read: Vec<Vec<u8>> = records(&bytes).into_iter().map(|r| r.payload.unwrap()).collect();
             prop_assert_eq!(read, payloads);
         }
     }

@@ -1,44 +1,37 @@
-//! Tracks to frames: the recorded ego and the objects around it, step by step.
+//! The recorded ego and the objects around it at each step.
 //!
-//! * A state counts when it is flagged valid and all its numbers are finite and near Earth; any other is as if the object had
-//!   not been seen. A box must have a length and a width.
-//! * The recording car's own size is replaced by nuPlan's vehicle around the same box centre: all scores assume that vehicle.
-//! * Short gaps of the ego are interpolated; longer ones, and gaps at either end, are an error.
-//! * Waymo records no acceleration. It is the slope of the rear-axle velocity (map frame) over five samples
-//!   (`recording::motion`), turned into the body frame.
+//! * A state counts if it is flagged valid and its numbers are plausible. Any other state counts as not observed. A box needs a
+//!   length and a width.
+//! * nuPlan's vehicle replaces the recording car around the same box center, since all scores assume that vehicle.
+//! * Short gaps of the ego are interpolated. Longer gaps, and gaps at either end, are an error.
+//! * Waymo records no accelerations. They are slopes of the rear-axle velocity in the map frame (`recording::motion`).
 
-use super::error::RecordingFault;
+use super::error::WomdFault;
 use super::proto::{ObjectState, ObjectType, Track};
 use crate::geometry::{OrientedBox, Point, Pose, Vector, unwrap_angles, wrap_angle};
-use crate::scenario::recording::motion::slope;
+use crate::scenario::recording::motion::{self, MAX_BOX, MAX_COORDINATE, MAX_SPEED, slope};
 use crate::world::{EgoState, MICROS_PER_SECOND, ObjectKind, PACIFICA, TrackToken, TrackedObject};
 use std::sync::Arc;
 
-/// Longest gap of the ego that is interpolated, steps.
-pub(super) const LONGEST_EGO_GAP: usize = 5;
-/// Coordinates beyond this are no place on Earth, metres.
-const FARTHEST: f64 = 1e8;
-/// Speeds beyond this are no road user's, m/s.
-const FASTEST: f64 = 200.0;
-/// Boxes beyond this are no road user's, metres.
-const LONGEST: f64 = 100.0;
+/// Maximum gap of the ego that is interpolated, steps.
+const MAX_EGO_GAP: usize = 5;
 
-/// The centre of a box and its velocity, map frame.
+/// The center of a box and its velocity in the map frame.
 #[derive(Debug, Clone, Copy)]
-struct Sighting {
+struct BoxState {
     center: Pose,
     velocity: Vector,
 }
 
-impl Sighting {
+impl BoxState {
     fn of(state: &ObjectState, origin: Vector) -> Option<Self> {
         let center = Pose::new(state.center_x - origin.x, state.center_y - origin.y, f64::from(state.heading));
         let velocity = Vector::new(f64::from(state.velocity_x), f64::from(state.velocity_y));
         let sound = state.valid
             && center.is_finite()
-            && center.position().coords.norm() < FARTHEST
-            && center.heading.abs() < FARTHEST
-            && velocity.norm() < FASTEST;
+            && center.position().coords.norm() < MAX_COORDINATE
+            && center.heading.abs() < MAX_COORDINATE
+            && velocity.norm() < MAX_SPEED;
         sound.then(|| Self { center: Pose { heading: wrap_angle(center.heading), ..center }, velocity })
     }
 
@@ -52,52 +45,42 @@ impl Sighting {
     }
 }
 
-/// Where the recording car is first seen, in the recording's own coordinates.
+/// First valid position of the recording car, in recorded coordinates.
 pub(super) fn first_position(track: &Track) -> Option<Point> {
-    let seen = track.states.iter().find_map(|state| Sighting::of(state, Vector::zeros()));
-    seen.map(|sighting| sighting.center.position())
+    let seen = track.states.iter().find_map(|state| BoxState::of(state, Vector::zeros()));
+    seen.map(|state| state.center.position())
 }
 
-/// The recorded ego, a state a step.
-///
-/// # Errors
-/// When it is missing for longer than [`LONGEST_EGO_GAP`] steps, or at either end.
-pub(super) fn ego_states(track: &Track, times_us: &[i64], origin: Vector) -> Result<Vec<EgoState>, RecordingFault> {
-    let seen: Vec<Option<Sighting>> = track.states.iter().map(|state| Sighting::of(state, origin)).collect();
-    let sightings = fill_gaps(&seen, times_us)?;
+/// The recorded ego, one state per step. Fails if it is missing for more than [`MAX_EGO_GAP`] steps, or at either end.
+pub(super) fn ego_states(track: &Track, times_us: &[i64], origin: Vector) -> Result<Vec<EgoState>, WomdFault> {
+    let seen: Vec<Option<BoxState>> = track.states.iter().map(|state| BoxState::of(state, origin)).collect();
+    let boxes = fill_gaps(&seen, times_us)?;
     let seconds: Vec<f64> = times_us.iter().map(|&t| t as f64 / MICROS_PER_SECOND).collect();
-    let headings = unwrap_angles(&sightings.iter().map(|s| s.center.heading).collect::<Vec<_>>());
+    let headings = unwrap_angles(&boxes.iter().map(|s| s.center.heading).collect::<Vec<_>>());
     let to_axle = PACIFICA.rear_axle_to_center();
-    // The rear axle of a turning car does not slide sideways with the centre of its box.
-    let velocities: Vec<Vector> = sightings
+    // The rear axle of a turning car does not move sideways with the center of its box.
+    let velocities: Vec<Vector> = boxes
         .iter()
         .enumerate()
         .map(|(i, s)| s.velocity - s.center.rotate(Vector::new(0.0, to_axle * slope(&seconds, &headings, i))))
         .collect();
-    let east: Vec<f64> = velocities.iter().map(|v| v.x).collect();
-    let north: Vec<f64> = velocities.iter().map(|v| v.y).collect();
-    let states = sightings.iter().enumerate().map(|(i, sighting)| {
-        let rear_axle = PACIFICA.rear_axle_of(sighting.center);
-        let into_body = Pose::new(0.0, 0.0, -rear_axle.heading);
-        let acceleration = Vector::new(slope(&seconds, &east, i), slope(&seconds, &north, i));
-        EgoState::from_log(times_us[i], rear_axle, into_body.rotate(velocities[i]), into_body.rotate(acceleration))
-    });
-    Ok(states.collect())
+    let rear_axles: Vec<Pose> = boxes.iter().map(|state| PACIFICA.rear_axle_of(state.center)).collect();
+    Ok(motion::ego_states(times_us, &seconds, &rear_axles, &velocities))
 }
 
-fn fill_gaps(seen: &[Option<Sighting>], times_us: &[i64]) -> Result<Vec<Sighting>, RecordingFault> {
-    let mut filled: Vec<Sighting> = Vec::with_capacity(seen.len());
+fn fill_gaps(seen: &[Option<BoxState>], times_us: &[i64]) -> Result<Vec<BoxState>, WomdFault> {
+    let mut filled: Vec<BoxState> = Vec::with_capacity(seen.len());
     let mut step = 0;
     while step < seen.len() {
-        if let Some(sighting) = seen[step] {
-            filled.push(sighting);
+        if let Some(state) = seen[step] {
+            filled.push(state);
             step += 1;
             continue;
         }
         let missing = seen[step..].iter().take_while(|s| s.is_none()).count();
-        let fault = RecordingFault::EgoMissing { step, missing };
+        let fault = WomdFault::EgoMissing { step, missing };
         let (Some(&before), Some(Some(after))) = (filled.last(), seen.get(step + missing)) else { return Err(fault) };
-        if missing > LONGEST_EGO_GAP {
+        if missing > MAX_EGO_GAP {
             return Err(fault);
         }
         let (from, to) = (times_us[step - 1], times_us[step + missing]);
@@ -109,18 +92,18 @@ fn fill_gaps(seen: &[Option<Sighting>], times_us: &[i64]) -> Result<Vec<Sighting
     Ok(filled)
 }
 
-/// What stands around the ego at a step, in order of track.
+/// Objects around the ego at a step, in order of track.
 pub(super) fn objects_at(tracks: &[Track], ego: usize, step: usize, origin: Vector) -> Arc<[TrackedObject]> {
     let others = tracks.iter().enumerate().filter(|&(index, _)| index != ego).map(|(_, track)| track);
     others.filter_map(|track| object(track, track.states.get(step)?, origin)).collect()
 }
 
-/// A state as nuPlan's object. Waymo's cyclists are bicycles; what is neither vehicle, pedestrian nor cyclist is a generic
-/// object, which nuPlan takes for static: its velocity is zero.
+/// A state as nuPlan's object. Cyclists are bicycles. Other types are generic objects, which are static in nuPlan: their
+/// velocity is zero.
 fn object(track: &Track, state: &ObjectState, origin: Vector) -> Option<TrackedObject> {
-    let sighting = Sighting::of(state, origin)?;
+    let state = BoxState::of(state, origin)?;
     let (length, width) = (f64::from(state.length), f64::from(state.width));
-    let has_size = length > 0.0 && length < LONGEST && width > 0.0 && width < LONGEST;
+    let has_size = length > 0.0 && length < MAX_BOX && width > 0.0 && width < MAX_BOX;
     let kind = match ObjectType::try_from(track.object_type) {
         Ok(ObjectType::Vehicle) => ObjectKind::Vehicle,
         Ok(ObjectType::Pedestrian) => ObjectKind::Pedestrian,
@@ -130,8 +113,8 @@ fn object(track: &Track, state: &ObjectState, origin: Vector) -> Option<TrackedO
     has_size.then(|| TrackedObject {
         token: TrackToken(track.id.cast_unsigned()),
         kind,
-        shape: OrientedBox::new(sighting.center, length, width),
-        velocity: if kind.is_agent() { sighting.velocity } else { Vector::zeros() },
+        shape: OrientedBox::new(state.center, length, width),
+        velocity: if kind.is_agent() { state.velocity } else { Vector::zeros() },
     })
 }
 
@@ -166,14 +149,14 @@ mod tests {
         for state in &states[5..295] {
             assert!((state.velocity.x - 5.0).abs() < 1e-3, "{state:?}");
             assert!((state.velocity.y + PACIFICA.rear_axle_to_center() * 0.25).abs() < 1e-3, "{state:?}");
-            // v²/r of the box centre, less what the rear axle turns: 5 · 0.25, and d·ω² forward.
+            // v²/r of the box center, less what the rear axle turns: 5 · 0.25, and d·ω² forward.
             assert!((state.acceleration.y - 1.25).abs() < 0.01, "{state:?}");
             assert!((state.acceleration.x - PACIFICA.rear_axle_to_center() * 0.0625).abs() < 0.01, "{state:?}");
         }
     }
 
     #[test]
-    fn short_gaps_are_bridged_and_long_ones_told() {
+    fn short_gaps_are_interpolated_and_long_ones_are_errors() {
         let (mut track, times) = circling(40);
         let whole = ego_states(&track, &times, Vector::zeros()).unwrap();
         for state in &mut track.states[10..15] {
@@ -183,15 +166,15 @@ mod tests {
         assert!(bridged.iter().zip(&whole).all(|(a, b)| a.rear_axle.distance(&b.rear_axle) < 0.1));
         track.states[15].center_x = f64::NAN;
         let fault = ego_states(&track, &times, Vector::zeros()).unwrap_err();
-        assert_eq!(fault, RecordingFault::EgoMissing { step: 10, missing: 6 });
+        assert_eq!(fault, WomdFault::EgoMissing { step: 10, missing: 6 });
         let (mut track, times) = circling(40);
         track.states[39].valid = false;
         let fault = ego_states(&track, &times, Vector::zeros()).unwrap_err();
-        assert_eq!(fault, RecordingFault::EgoMissing { step: 39, missing: 1 });
+        assert_eq!(fault, WomdFault::EgoMissing { step: 39, missing: 1 });
     }
 
     #[test]
-    fn unsound_states_are_not_seen() {
+    fn implausible_states_are_not_observed() {
         let (track, _) = circling(3);
         let mut tracks = vec![track.clone(), track];
         tracks[1].states[0].heading = f32::NAN;

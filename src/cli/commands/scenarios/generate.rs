@@ -2,7 +2,7 @@
 
 use crate::cli::args::GenerateArguments;
 use crate::cli::{Exit, Printer};
-use crate::scenario::generator::{ScenarioType, Spec, generate};
+use crate::scenario::generator::{GeneratorError, Spec, generate, types};
 use serde_json::json;
 
 /// Generates scenarios and tells how their expert drives.
@@ -10,11 +10,12 @@ use serde_json::json;
 /// # Errors
 /// When a type is unknown.
 pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Result<Exit> {
-    let GenerateArguments { types, from, count, traffic } = arguments;
-    let kinds = if types.is_empty() {
-        ScenarioType::ALL.to_vec()
+    let GenerateArguments { types: names, from, count, traffic } = arguments;
+    let known = |name: &String| types::named(name).ok_or_else(|| GeneratorError::UnknownType(name.clone()));
+    let kinds = if names.is_empty() {
+        types::in_suites().collect()
     } else {
-        types.iter().map(|name| name.parse()).collect::<Result<Vec<ScenarioType>, _>>()?
+        names.iter().map(known).collect::<Result<Vec<_>, _>>()?
     };
     let mut failed = false;
     for kind in kinds {

@@ -4,7 +4,7 @@ use super::{About, Details};
 use crate::cli::args::SplitArguments;
 use crate::cli::{Exit, Printer};
 use crate::experiment::split::split;
-use crate::scenario::generator::{ScenarioType, Spec};
+use crate::scenario::generator::{Spec, types};
 use crate::scenario::{Contents, Readers, ScenarioRef, UNKNOWN_TYPE};
 use crate::world::STEP_S;
 use anyhow::anyhow;
@@ -42,7 +42,7 @@ pub(super) fn run(words: &[String], flags: &SplitArguments, printer: Printer) ->
 
 fn list_types(printer: Printer) -> anyhow::Result<Exit> {
     printer.note("types of generated scenarios; name one as generated/TYPE/SEED or generated/TYPE/SEED.TRAFFIC");
-    for scenario_type in ScenarioType::ALL {
+    for scenario_type in types::in_suites() {
         list(&Spec::new(scenario_type, 0).into(), None, printer)?;
     }
     Ok(Exit::Success)

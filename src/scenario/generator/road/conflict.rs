@@ -1,12 +1,12 @@
-//! Which connectors of a junction cannot be driven at once, and who gives way.
+//! Conflicts between the connectors of a junction, and which one yields.
 
 use super::network::{Conflict, Network};
 use crate::geometry::Point;
 use crate::world::LaneId;
 
-/// Two paths nearer than this are in conflict, metres: a wide vehicle and a margin.
+/// Two paths nearer than this conflict, meters: the width of a vehicle and a margin.
 const TOO_NEAR: f64 = 2.9;
-/// Spacing of the samples that are compared, metres.
+/// Distance between samples, meters.
 const SAMPLE: f64 = 1.0;
 
 impl Network {
@@ -32,7 +32,7 @@ impl Network {
                     continue;
                 }
                 let Some((own, others)) = near_parts(line_a, line_b) else { continue };
-                let conflict = |other, own, others, gives_way| Conflict { other, own, others, gives_way };
+                let conflict = |other, own, others, yields| Conflict { other, own, others, yields };
                 if let Some(passage) = &mut self.passages[a.index()] {
                     passage.conflicts.push(conflict(*b, own, others, rank_a < rank_b));
                 }
@@ -44,7 +44,7 @@ impl Network {
     }
 }
 
-/// The parts of two sampled lines that come too near to each other, as arc lengths on each.
+/// The parts of two sampled lines that are too near to each other, as arc lengths on each.
 fn near_parts(a: &[Point], b: &[Point]) -> Option<([f64; 2], [f64; 2])> {
     let (mut on_a, mut on_b) = ([f64::INFINITY, f64::NEG_INFINITY], [f64::INFINITY, f64::NEG_INFINITY]);
     let mut i = 0;
@@ -59,7 +59,7 @@ fn near_parts(a: &[Point], b: &[Point]) -> Option<([f64; 2], [f64; 2])> {
                 on_b = [on_b[0].min(t), on_b[1].max(t)];
             }
         }
-        // The distance shrinks by at most one sample per sample, so far apart lines are skipped in strides.
+        // The distance shrinks by at most one sample per sample, so strides skip the parts that are far apart.
         i += ((nearest - TOO_NEAR) / SAMPLE).floor().max(1.0) as usize;
     }
     (on_a[0] <= on_a[1]).then_some((on_a, on_b))

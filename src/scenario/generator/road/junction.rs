@@ -1,4 +1,4 @@
-//! Where roads meet: joints on the way, crossings with their turns, stop lines, crosswalks and lights.
+//! Joints between two roads, and crossings with their connectors, stop lines, crosswalks and traffic lights.
 
 use super::line::connection;
 use super::network::{Network, Passage, RoadIndex};
@@ -7,53 +7,42 @@ use crate::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
 use crate::world::LaneId;
 use std::f64::consts::PI;
 
-/// Which end of a road meets a junction.
+/// An end of a road, by the direction of its line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum End {
-    /// Where its line begins.
     Start,
-    /// Where its line ends.
     Finish,
 }
 
 /// A road's end at a junction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Arm {
-    /// Which road.
     pub(crate) road: RoadIndex,
-    /// Which of its ends.
     pub(crate) end: End,
-    /// Whether it belongs to the lesser of the two roads that cross.
+    /// True if it belongs to the minor of the two roads that cross.
     pub(crate) minor: bool,
 }
 
-/// Who goes first.
+/// Right of way at a crossing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Control {
-    /// Lights; whether left turns have a phase of their own.
-    Signals {
-        /// Left turns have their own green.
-        protected_left: bool,
-    },
-    /// The major road goes first; the minor one stops at a sign.
+    /// Traffic lights; `protected_left` gives left turns a phase of their own.
+    Signals { protected_left: bool },
+    /// The minor road stops at a sign.
     StopSigns,
-    /// The major road goes first; the minor one gives way.
+    /// The minor road yields.
     Priority,
 }
 
-/// Which way a connector turns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Turn {
-    /// To the left.
     Left,
-    /// Ahead.
     Straight,
-    /// To the right.
     Right,
 }
 
 impl Turn {
-    /// The turn between two headings: straight up to 50 degrees.
+    /// The turn between two headings: straight below 50 degrees.
     pub(crate) fn between(from: f64, to: f64) -> Self {
         const STRAIGHT: f64 = 50.0 / 180.0 * PI;
         let angle = wrap_angle(to - from);
@@ -77,7 +66,7 @@ struct Movement {
 }
 
 impl Network {
-    /// The mouth of an arm: the pose of its line where the junction begins, looking away from the junction.
+    /// The mouth of an arm: its line where the junction begins, facing away from the junction.
     pub(super) fn mouth(&self, arm: Arm) -> Pose {
         let road = &self.roads[arm.road];
         match arm.end {
@@ -89,7 +78,7 @@ impl Network {
         }
     }
 
-    /// Distances from an arm's line to the edges of its pavement, seen from the junction outwards: right, left.
+    /// Distances from an arm's line to the right and left edge of its pavement, facing away from the junction.
     pub(super) fn edges(&self, arm: Arm) -> [f64; 2] {
         let road = &self.roads[arm.road];
         match arm.end {
@@ -110,10 +99,7 @@ impl Network {
         if arm.end == End::Finish { &road.backward } else { &road.forward }
     }
 
-    /// Joins two roads end to start, lane by lane, across a short paved piece (nuPlan: a pass-through intersection).
-    ///
-    /// # Errors
-    /// When the two ends coincide.
+    /// Joins two roads end to start, lane by lane, over a short paved piece (nuPlan: a pass-through intersection).
     pub(crate) fn join(&mut self, before: RoadIndex, after: RoadIndex) -> Result<(), GeometryError> {
         let arms =
             [Arm { road: before, end: End::Finish, minor: false }, Arm { road: after, end: End::Start, minor: false }];
@@ -133,22 +119,22 @@ impl Network {
         Ok(())
     }
 
-    /// Begins a junction of these arms: its number; its area is the pavement between them.
+    /// Adds a junction of these arms and gives its index. Its area is the pavement between them.
     fn open_junction(&mut self, arms: &[Arm]) -> Result<usize, GeometryError> {
         let area = self.junction_area(arms)?;
         Ok(self.add_junction(area, arms.iter().map(|arm| arm.road).collect()))
     }
 
-    /// Begins a junction of the given area that touches the given roads: its number.
+    /// Adds a junction with the roads that it touches and gives its index.
     pub(super) fn add_junction(&mut self, area: Polygon, touching: Vec<RoadIndex>) -> usize {
         self.parts.intersections.push(area);
         self.touching.push(touching);
         self.touching.len() - 1
     }
 
-    /// The pavement between the mouths, with rounded kerbs. The arms stand in counter-clockwise order.
+    /// The pavement between the mouths, with rounded curbs. The arms are in counter-clockwise order.
     fn junction_area(&self, arms: &[Arm]) -> Result<Polygon, GeometryError> {
-        /// How far the area reaches into each arm, so that no gap opens at the seam, metres.
+        /// Overlap with each arm against gaps at the seam, meters.
         const SEAM: f64 = 0.05;
         let sides: Vec<[Pose; 2]> = arms
             .iter()
@@ -161,15 +147,12 @@ impl Network {
         for (i, &[right, left]) in sides.iter().enumerate() {
             outline.push(right.position());
             outline.push(left.position());
-            outline.extend(kerb(left, sides[(i + 1) % sides.len()][0]));
+            outline.extend(curb(left, sides[(i + 1) % sides.len()][0]));
         }
         Polygon::new(outline)
     }
 
-    /// Lays a crossing of three or four arms, which stand in counter-clockwise order.
-    ///
-    /// # Errors
-    /// When the arms coincide.
+    /// Adds a crossing of three or four arms, which are in counter-clockwise order.
     pub(crate) fn cross(&mut self, arms: &[Arm], control: Control, crosswalks: &[bool]) -> Result<(), GeometryError> {
         let junction = self.open_junction(arms)?;
         let mut movements = Vec::new();
@@ -205,7 +188,7 @@ impl Network {
         Ok(())
     }
 
-    /// Pairs of lanes that a crossing connects, from one arm, left turns first, leftmost first.
+    /// Pairs of lanes that a crossing connects from one arm, left turns first, leftmost first.
     fn lane_pairs(&self, arms: &[Arm], from_arm: usize) -> Vec<(LaneId, LaneId, Turn, usize)> {
         let arriving = self.arriving(arms[from_arm]);
         if arriving.is_empty() {
@@ -217,11 +200,11 @@ impl Network {
             .map(|to| (Turn::between(heading, self.mouth(arms[to]).heading), to))
             .collect();
         exits.sort_unstable();
-        let ways = |turn: Turn| exits.iter().any(|&(t, _)| t == turn);
+        let leads = |turn: Turn| exits.iter().any(|&(t, _)| t == turn);
         let count = arriving.len();
-        // With three lanes or more the outer ones turn only, where there is somewhere to turn to.
-        let left_only = usize::from(count >= 3 && ways(Turn::Left));
-        let right_only = usize::from(count >= 4 && ways(Turn::Right));
+        // From three lanes on, the left one only turns; from four on, the right one too. Both need an exit on that side.
+        let left_only = usize::from(count >= 3 && leads(Turn::Left));
+        let right_only = usize::from(count >= 4 && leads(Turn::Right));
         let mut pairs = Vec::new();
         for &(turn, to) in &exits {
             let leaving = self.leaving(arms[to]);
@@ -238,7 +221,7 @@ impl Network {
                 }
             }
         }
-        // A lane that would lead nowhere takes the outermost way that its arm has.
+        // A lane without a connector takes the straight exit, or else the rightmost.
         for (i, &lane) in arriving.iter().enumerate() {
             if pairs.iter().all(|p| p.0 != lane)
                 && let Some(&(turn, to)) = exits.iter().max_by_key(|&&(turn, _)| (turn == Turn::Straight, turn))
@@ -251,20 +234,20 @@ impl Network {
     }
 }
 
-/// A crosswalk just behind the mouth of an arm, from kerb to kerb.
+/// A crosswalk at the mouth of an arm, from curb to curb.
 pub(super) fn crossing_band(mouth: Pose, right: f64, left: f64) -> Result<Polygon, GeometryError> {
-    /// Distances of its edges from the mouth into the junction, metres.
+    /// Distances of its edges from the mouth into the junction, meters.
     const NEAR: f64 = 1.5;
     const FAR: f64 = 4.5;
     let corner = |forward: f64, side: f64| mouth.to_map(Point::new(forward, side));
     Polygon::new([corner(-NEAR, left), corner(-FAR, left), corner(-FAR, -right), corner(-NEAR, -right)])
 }
 
-/// The rounded kerb between two arms' edges (both poses look away from the junction), without its two ends; empty when
-/// the edges are nearly parallel.
-pub(super) fn kerb(from: Pose, to: Pose) -> Vec<Point> {
+/// The rounded curb between two arms' edges, without its two ends; empty if the edges are nearly parallel. Both poses face
+/// away from the junction.
+pub(super) fn curb(from: Pose, to: Pose) -> Vec<Point> {
     const SAMPLES: usize = 8;
-    let Some(corner) = kerb_corner(from, to) else { return Vec::new() };
+    let Some(corner) = curb_corner(from, to) else { return Vec::new() };
     let (a, b) = (from.position().coords, to.position().coords);
     (1..SAMPLES)
         .map(|k| k as f64 / SAMPLES as f64)
@@ -272,19 +255,19 @@ pub(super) fn kerb(from: Pose, to: Pose) -> Vec<Point> {
         .collect()
 }
 
-/// Where two kerb lines meet inside the junction; both poses look away from it. `None` when they are nearly parallel.
-fn kerb_corner(a: Pose, b: Pose) -> Option<Point> {
+/// Intersection of two curb lines inside the junction, or `None` if they are nearly parallel. Both poses face away from it.
+fn curb_corner(a: Pose, b: Pose) -> Option<Point> {
     let (u, w) = (a.direction(), b.direction());
     let cross = u.perp(&w);
     if cross.abs() < 0.3 {
         return None;
     }
     let along = (b.position() - a.position()).perp(&w) / cross;
-    // The corner lies behind the mouth, towards the junction.
+    // The corner lies behind the mouth, toward the junction.
     (along < 0.0).then(|| a.position() + u * along)
 }
 
-/// Right of way: higher goes first.
+/// Rank for the right of way: higher ranks go first.
 fn rank(control: Control, minor: bool, turn: Turn) -> u8 {
     let by_turn = match turn {
         Turn::Left => 1,
@@ -297,9 +280,9 @@ fn rank(control: Control, minor: bool, turn: Turn) -> u8 {
     }
 }
 
-/// Opposite arms share a phase; protected left turns get theirs before it.
+/// Opposite arms share a phase. Protected left turns get theirs before it.
 fn signal_plan(movements: &[Movement], protected_left: bool) -> SignalPlan {
-    /// Seconds of green for through traffic and for protected left turns.
+    /// Duration of green for through traffic and for protected left turns, seconds.
     const THROUGH: f64 = 14.0;
     const LEFT: f64 = 8.0;
     let mut phases = Vec::new();

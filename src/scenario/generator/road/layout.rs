@@ -1,4 +1,4 @@
-//! Lays roads one after another along the way that the ego will take.
+//! Lays roads one after another along the ego's route.
 
 use super::junction::{Arm, Control, End, Turn};
 use super::line::{bend, straight, trace};
@@ -8,45 +8,44 @@ use crate::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
 use crate::scenario::generator::rng::SeededRng;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Turn that a road's bend may make at most, radians.
+/// Maximum turn of a road's bend, radians.
 const MAX_TURN: f64 = 0.9;
 
-/// Cross-section and limit of a road.
+/// Cross-section and speed limit of a road.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct RoadStyle {
-    /// Lanes along the way.
+pub struct RoadStyle {
+    /// Lanes in the ego's direction.
     pub(crate) own: usize,
     /// Oncoming lanes.
     pub(crate) oncoming: usize,
-    /// Width of a lane, metres.
+    /// Meters.
     pub(crate) lane_width: f64,
-    /// Speed limit, m/s.
+    /// m/s.
     pub(crate) speed_limit: f64,
-    /// Paved width beside the outermost lanes: right, left, metres.
+    /// Paved width beside the outermost lanes, right and left, meters.
     pub(crate) shoulder: [f64; 2],
 }
 
 impl RoadStyle {
-    /// Distance from the line to the further edge of the pavement, metres.
+    /// Distance from the line to the farther edge of the pavement, meters.
     fn reach(&self) -> f64 {
         let right = self.own as f64 * self.lane_width + self.shoulder[0];
         right.max(self.oncoming as f64 * self.lane_width + self.shoulder[1])
     }
 }
 
-/// The course of one road: how long and how it bends.
+/// Length and bend of a road.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Course {
-    /// Length, metres.
+    /// Meters.
     pub(crate) length: f64,
-    /// Curvature of its bend, 1/m; 0 for a straight road.
+    /// Curvature of the bend, 1/m; 0 for a straight road.
     pub(crate) curvature: f64,
-    /// Straight piece before the bend, metres.
+    /// Length before the bend, meters.
     pub(crate) lead: f64,
 }
 
 impl Course {
-    /// A straight road.
     pub(crate) fn straight(length: f64) -> Self {
         Self { length, curvature: 0.0, lead: 0.0 }
     }
@@ -61,78 +60,73 @@ impl Course {
     }
 }
 
-/// A crossing as it is to be laid.
+/// Parameters of a crossing.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CrossingPlan {
-    /// Who goes first.
     pub(crate) control: Control,
-    /// Which way the ego's way goes.
+    /// Turn of the route.
     pub(crate) turn: Turn,
-    /// Whether there are arms to the left, ahead, to the right.
+    /// True for each arm to the left, ahead, to the right.
     pub(crate) arms: [bool; 3],
-    /// Whether each of them and, last, the approach has a crosswalk.
+    /// True for a crosswalk at each of these arms and, last, at the approach.
     pub(crate) crosswalks: [bool; 4],
     /// Cross-section of the crossing road.
     pub(crate) side: RoadStyle,
-    /// Whether the ego comes from the lesser road.
+    /// True if the ego comes from the minor road.
     pub(crate) from_minor: bool,
-    /// Turn of the crossing road away from the right angle, radians.
+    /// Deviation of the crossing road from the right angle, radians.
     pub(crate) skew: f64,
-    /// Radius left for the kerbs at the corners, metres.
+    /// Radius of the curbs at the corners, meters.
     pub(crate) corner: f64,
-    /// Length of the arms that the way does not take, metres.
+    /// Length of the arms off the route, meters.
     pub(crate) arm_length: f64,
 }
 
-/// A roundabout as it is to be laid.
+/// Parameters of a roundabout.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CirclePlan {
-    /// Radius of the island, metres.
+    /// Radius of the island, meters.
     pub(crate) island: f64,
     /// Circulating lanes.
     pub(crate) lanes: usize,
     /// Arms, the approach included: 3 or 4.
     pub(crate) arms: usize,
-    /// Which exit the way takes, counted from the first one after the approach (0).
+    /// Exit of the route, counted from the first one after the approach (0).
     pub(crate) exit: usize,
     /// Cross-section of the other arms.
     pub(crate) side: RoadStyle,
-    /// Length of the arms that the way does not take, metres.
+    /// Length of the arms off the route, meters.
     pub(crate) arm_length: f64,
 }
 
-/// Roads along a way, growing at its end.
+/// Roads along a route, which grows at its end.
 #[derive(Debug, Default)]
-pub(crate) struct Layout {
-    /// All that has been laid.
+pub struct Layout {
     pub(crate) network: Network,
-    /// The roads of the way, in driving order; all are driven along their line.
-    pub(crate) way: Vec<RoadIndex>,
+    /// Roads of the route in driving order, all driven along their line.
+    pub(crate) route: Vec<RoadIndex>,
 }
 
 impl Layout {
-    /// Begins a way with its first road.
-    ///
-    /// # Errors
-    /// When the course has no extent.
+    /// A route with its first road.
     pub(crate) fn begin(start: Pose, style: &RoadStyle, course: Course) -> Result<Self, GeometryError> {
         let mut layout = Self::default();
         layout.extend(start, style, course)?;
         Ok(layout)
     }
 
-    /// Where the way ends at present.
+    /// End of the route.
     pub(crate) fn end(&self) -> Pose {
         self.network.roads[self.last()].end()
     }
 
     fn last(&self) -> RoadIndex {
-        self.way[self.way.len() - 1]
+        self.route[self.route.len() - 1]
     }
 
     fn extend(&mut self, start: Pose, style: &RoadStyle, course: Course) -> Result<RoadIndex, GeometryError> {
         let road = self.add(start, style, course)?;
-        self.way.push(road);
+        self.route.push(road);
         Ok(road)
     }
 
@@ -147,10 +141,7 @@ impl Layout {
         })
     }
 
-    /// Goes on with a road behind a joint of `gap` metres, with a crosswalk on it if wanted.
-    ///
-    /// # Errors
-    /// When the course has no extent.
+    /// Adds a joint of `gap` meters, with a crosswalk if wanted, and a road behind it.
     pub(crate) fn joint(
         &mut self,
         gap: f64,
@@ -171,10 +162,7 @@ impl Layout {
         Ok(())
     }
 
-    /// Goes on across a crossing, then along `course`.
-    ///
-    /// # Errors
-    /// When a course has no extent.
+    /// Adds a crossing and a road behind it.
     pub(crate) fn crossing(
         &mut self,
         plan: &CrossingPlan,
@@ -188,14 +176,14 @@ impl Layout {
         let radius = style.reach().max(plan.side.reach()) + walks + plan.corner + slack;
         let center = end.translated(radius, 0.0);
         // Counter-clockwise from the approach: right, ahead, left.
-        let ways = [
+        let exits = [
             (Turn::Right, plan.arms[2], end.heading - FRAC_PI_2 + plan.skew, plan.crosswalks[2]),
             (Turn::Straight, plan.arms[1], end.heading, plan.crosswalks[1]),
             (Turn::Left, plan.arms[0], end.heading + FRAC_PI_2 + plan.skew, plan.crosswalks[0]),
         ];
         let mut arms = vec![Arm { road: before, end: End::Finish, minor: plan.from_minor }];
         let mut crosswalks = vec![plan.crosswalks[3]];
-        for (turn, wanted, heading, crosswalk) in ways {
+        for (turn, wanted, heading, crosswalk) in exits {
             if !wanted {
                 continue;
             }
@@ -215,10 +203,7 @@ impl Layout {
         self.network.cross(&arms, plan.control, &crosswalks)
     }
 
-    /// Goes on through a roundabout, then along `course`.
-    ///
-    /// # Errors
-    /// When a course has no extent.
+    /// Adds a roundabout and a road behind it.
     pub(crate) fn roundabout(
         &mut self,
         plan: &CirclePlan,
@@ -255,18 +240,15 @@ impl Layout {
             arms.push(Arm { road, end: End::Start, minor: true });
         }
         let around = self.network.circle(&ring, &arms)?;
-        self.way.extend(around.iter().take(plan.exit + 1));
+        self.route.extend(around.iter().take(plan.exit + 1));
         if let Some(road) = exit_road {
-            self.way.push(road);
+            self.route.push(road);
         }
         Ok(())
     }
 
-    /// Adds a kerb-side bay of `depth` metres right of the last road, over `length` metres from arc length `from` on; the
-    /// road must be straight there.
-    ///
-    /// # Errors
-    /// When the bay has no extent.
+    /// Adds a bay of `depth` meters at the right curb of the last road, `length` meters long from arc length `from` on. The road
+    /// must be straight there.
     pub(crate) fn bay(&mut self, depth: f64, from: f64, length: f64) -> Result<(), GeometryError> {
         let road = &self.network.roads[self.last()];
         let edge = road.right_edge();

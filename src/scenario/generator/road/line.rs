@@ -2,21 +2,21 @@
 
 use crate::geometry::{Point, Pose, wrap_angle};
 
-/// Largest turn between two samples of a line, radians: chords stay within 0.01 rad of the tangent.
+/// Maximum turn between two samples of a line, radians. Chords stay within 0.01 rad of the tangent.
 const TURN_PER_SAMPLE: f64 = 0.02;
-/// Largest distance between two samples of a straight line, metres.
+/// Maximum distance between two samples of a straight line, meters.
 const SAMPLE_SPACING: f64 = 10.0;
-/// Largest distance between two samples of a bend, metres.
+/// Maximum distance between two samples of a bend, meters.
 const BEND_SPACING: f64 = 2.0;
-/// Step of the integration along a line, metres.
+/// Step of the integration along a line, meters.
 const INTEGRATION_STEP: f64 = 0.25;
-/// Length over which the curvature of a road builds up, metres.
+/// Length over which the curvature of a road builds up, meters.
 const RAMP: f64 = 18.0;
 
-/// A stretch whose curvature grows linearly along it (a clothoid; an arc or a straight when both are equal).
+/// A piece of a line with linear curvature: a clothoid, or an arc or straight line if both ends are equal.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Stretch {
-    /// Length, metres.
+pub(crate) struct Piece {
+    /// Meters.
     pub(crate) length: f64,
     /// Curvature at its start, 1/m, positive to the left.
     pub(crate) from: f64,
@@ -24,13 +24,12 @@ pub(crate) struct Stretch {
     pub(crate) to: f64,
 }
 
-/// A straight.
-pub(crate) fn straight(length: f64) -> Vec<Stretch> {
-    vec![Stretch { length, from: 0.0, to: 0.0 }]
+pub(crate) fn straight(length: f64) -> Vec<Piece> {
+    vec![Piece { length, from: 0.0, to: 0.0 }]
 }
 
-/// A bend of the given curvature between two straights, with clothoid ramps; straight where there is no room for it.
-pub(crate) fn bend(lead: f64, length: f64, curvature: f64, tail: f64) -> Vec<Stretch> {
+/// A bend between two straight pieces, with clothoid ramps; straight if there is no room for it.
+pub(crate) fn bend(lead: f64, length: f64, curvature: f64, tail: f64) -> Vec<Piece> {
     if length <= 2.0 * RAMP || curvature == 0.0 {
         return straight(lead + length + tail);
     }
@@ -41,20 +40,20 @@ pub(crate) fn bend(lead: f64, length: f64, curvature: f64, tail: f64) -> Vec<Str
         (RAMP, curvature, 0.0),
         (tail, 0.0, 0.0),
     ];
-    parts.into_iter().filter(|p| p.0 > 0.0).map(|(length, from, to)| Stretch { length, from, to }).collect()
+    parts.into_iter().filter(|p| p.0 > 0.0).map(|(length, from, to)| Piece { length, from, to }).collect()
 }
 
-/// Samples of the line that starts at `start` and runs through the stretches; each pose has the true tangent.
-pub(crate) fn trace(start: Pose, stretches: &[Stretch]) -> Vec<Pose> {
+/// Samples of the line from `start` through the pieces, with exact tangents.
+pub(crate) fn trace(start: Pose, pieces: &[Piece]) -> Vec<Pose> {
     let mut line = vec![start];
     let mut pose = start;
     let (mut since, mut turned) = (0.0, 0.0f64);
-    for stretch in stretches {
-        let steps = (stretch.length / INTEGRATION_STEP).ceil().max(1.0) as usize;
-        let step = stretch.length / steps as f64;
+    for piece in pieces {
+        let steps = (piece.length / INTEGRATION_STEP).ceil().max(1.0) as usize;
+        let step = piece.length / steps as f64;
         for i in 0..steps {
             let share = (i as f64 + 0.5) / steps as f64;
-            let turn = (stretch.from + (stretch.to - stretch.from) * share) * step;
+            let turn = (piece.from + (piece.to - piece.from) * share) * step;
             let spacing = if turned + turn == 0.0 { SAMPLE_SPACING } else { BEND_SPACING };
             if since > 0.0 && (since + step > spacing + 1e-9 || (turned + turn).abs() > TURN_PER_SAMPLE) {
                 line.push(pose);
@@ -73,12 +72,12 @@ pub(crate) fn trace(start: Pose, stretches: &[Stretch]) -> Vec<Pose> {
     line
 }
 
-/// The line moved sideways by `lateral` metres (positive to the left), exact at every sample.
+/// The line moved sideways by `lateral` meters (positive to the left), exact at every sample.
 pub(crate) fn shifted(line: &[Pose], lateral: f64) -> Vec<Point> {
     line.iter().map(|pose| pose.to_map(Point::new(0.0, lateral))).collect()
 }
 
-/// The arc from `start` of the given radius (positive: to the left) through `angle` radians.
+/// The arc from `start` with this radius (positive: to the left) through `angle` radians.
 pub(crate) fn arc(start: Pose, radius: f64, angle: f64) -> Vec<Pose> {
     let count = (angle.abs() / TURN_PER_SAMPLE).ceil().max(1.0) as usize;
     let center = start.to_map(Point::new(0.0, radius));
@@ -90,10 +89,10 @@ pub(crate) fn arc(start: Pose, radius: f64, angle: f64) -> Vec<Pose> {
         .collect()
 }
 
-/// A smooth line between two poses without curvature at its ends: the quintic Bézier curve whose inner control points lie
-/// on the two tangents, two fifths and four fifths of the way to where these meet.
+/// A smooth line between two poses without curvature at its ends: a quintic Bézier curve. Its inner control points lie on the
+/// two tangents, at two and four fifths of the distance to their intersection.
 pub(crate) fn connection(from: Pose, to: Pose) -> Vec<Pose> {
-    /// Share of the leg between neighbouring control points.
+    /// Share of the leg between neighboring control points.
     const SHARE: f64 = 0.4;
     let chord = to.position() - from.position();
     let (u, w) = (from.direction(), to.direction());
@@ -116,7 +115,7 @@ pub(crate) fn connection(from: Pose, to: Pose) -> Vec<Pose> {
         to.position(),
     ];
     let turn = wrap_angle(to.heading - from.heading).abs();
-    // The curve turns fastest in its middle, about twice the mean.
+    // The maximum curvature, in the middle, is about twice the mean.
     let count = ((2.0 * turn / TURN_PER_SAMPLE).max(chord.norm() / 2.0).ceil() as usize).clamp(4, 160);
     (0..=count)
         .map(|i| {

@@ -1,4 +1,4 @@
-//! The roads of a generated drive: lines, cross-sections, junctions, roundabouts, lights.
+//! Roads of a generated scenario: lines, cross-sections, junctions, roundabouts, traffic lights.
 
 mod conflict;
 mod junction;
@@ -10,7 +10,8 @@ mod roundabout;
 mod signal;
 
 pub(crate) use junction::{Control, Turn};
-pub(crate) use layout::{CirclePlan, Course, CrossingPlan, Layout, RoadStyle};
+pub(crate) use layout::{CirclePlan, Course, CrossingPlan};
+pub use layout::{Layout, RoadStyle};
 pub(crate) use network::{Conflict, Passage};
 pub(crate) use roads::Roads;
 pub(crate) use signal::YELLOW;

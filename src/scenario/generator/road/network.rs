@@ -1,106 +1,94 @@
-//! The road network while it is being laid: roads with their lanes, junctions with their connectors.
+//! The road network under construction: roads with their lanes, junctions with their connectors.
 
 use super::line::shifted;
 use super::signal::SignalPlan;
 use crate::geometry::{GeometryError, Point, Polygon, Polyline, Pose};
 use crate::world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId};
 
-/// How a road is built. Lanes in the direction of the line lie to its right, oncoming ones to its left.
+/// Parameters of a road. Lanes in the direction of the line lie to its right, oncoming ones to its left.
 #[derive(Debug, Clone)]
 pub(crate) struct RoadPlan {
-    /// The line between the two directions, with true tangents.
+    /// Line between the two directions, with exact tangents.
     pub(crate) line: Vec<Pose>,
     /// Lanes along the line.
     pub(crate) forward: usize,
     /// Lanes against it.
     pub(crate) backward: usize,
-    /// Width of a lane, metres.
+    /// Meters.
     pub(crate) lane_width: f64,
-    /// Speed limit, m/s.
+    /// m/s.
     pub(crate) speed_limit: f64,
-    /// Paved width beside the outermost lanes (kerb margin, bicycle strip or parking strip), metres: right of the line, left of it.
+    /// Paved width beside the outermost lanes (curb margin, bicycle strip or parking strip), right and left of the line, meters.
     pub(crate) shoulder: [f64; 2],
 }
 
-/// A road in the network.
 #[derive(Debug, Clone)]
 pub(crate) struct Road {
-    /// How it was built.
     pub(crate) plan: RoadPlan,
     /// Lanes along the line, leftmost first.
     pub(crate) forward: Vec<LaneId>,
-    /// Lanes against it, leftmost (for their drivers) first.
+    /// Lanes against it, leftmost for their drivers first.
     pub(crate) backward: Vec<LaneId>,
-    /// Outline from kerb to kerb.
+    /// Outline from curb to curb.
     pub(crate) outline: Polygon,
 }
 
 impl Road {
-    /// Distance from the line to the right edge of the pavement, metres.
+    /// Distance from the line to the right edge of the pavement, meters.
     pub(crate) fn right_edge(&self) -> f64 {
         self.plan.forward as f64 * self.plan.lane_width + self.plan.shoulder[0]
     }
 
-    /// Distance from the line to the left edge of the pavement, metres.
+    /// Distance from the line to the left edge of the pavement, meters.
     pub(crate) fn left_edge(&self) -> f64 {
         self.plan.backward as f64 * self.plan.lane_width + self.plan.shoulder[1]
     }
 
-    /// Pose of the line at the end of the road.
     pub(crate) fn end(&self) -> Pose {
         self.plan.line[self.plan.line.len() - 1]
     }
 }
 
-/// Place of a road in [`Network::roads`].
+/// Index in [`Network::roads`].
 pub(crate) type RoadIndex = usize;
 
-/// What a connector means for the right of way.
+/// Right of way of a connector.
 #[derive(Debug, Clone)]
 pub(crate) struct Passage {
-    /// Which junction it crosses.
     pub(crate) junction: usize,
     /// Higher ranks go first.
     pub(crate) rank: u8,
-    /// Whether everybody must come to a stop before it.
+    /// True if every vehicle must stop before it.
     pub(crate) stop_sign: bool,
-    /// Where other connectors of the junction come too near.
+    /// Conflicts with other connectors of the junction.
     pub(crate) conflicts: Vec<Conflict>,
 }
 
-/// Two connectors that cannot be driven at once.
+/// A conflict with another connector: both cannot be driven at once.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Conflict {
-    /// The other connector.
     pub(crate) other: LaneId,
-    /// Where on this connector it begins and ends, metres.
+    /// Start and end on this connector, meters.
     pub(crate) own: [f64; 2],
-    /// Where on the other.
+    /// Start and end on the other connector, meters.
     pub(crate) others: [f64; 2],
-    /// Whether this one gives way.
-    pub(crate) gives_way: bool,
+    /// True if this connector yields.
+    pub(crate) yields: bool,
 }
 
-/// Layers under construction.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Network {
-    /// The map so far.
     pub(crate) parts: MapParts,
-    /// The roads so far.
     pub(crate) roads: Vec<Road>,
-    /// Right of way, by lane; `None` for lanes of roads.
+    /// By lane; `None` for lanes of roads.
     pub(crate) passages: Vec<Option<Passage>>,
-    /// Lights of the junctions that have them.
     pub(crate) signals: Vec<SignalPlan>,
-    /// The roads that each intersection polygon touches.
+    /// Roads that each intersection polygon touches.
     pub(crate) touching: Vec<Vec<RoadIndex>>,
 }
 
 impl Network {
     /// Adds a road with its lanes, roadblocks and margins.
-    ///
-    /// # Errors
-    /// When the plan has no extent.
     pub(crate) fn add_road(&mut self, plan: RoadPlan) -> Result<RoadIndex, GeometryError> {
         let width = plan.lane_width;
         let forward = self.add_side(&plan, plan.forward, true)?;
@@ -116,7 +104,7 @@ impl Network {
         Ok(self.roads.len() - 1)
     }
 
-    /// The lanes of one direction with their roadblock; leftmost first for their drivers.
+    /// Adds the lanes of one direction with their roadblock, leftmost for their drivers first.
     fn add_side(&mut self, plan: &RoadPlan, count: usize, along: bool) -> Result<Vec<LaneId>, GeometryError> {
         if count == 0 {
             return Ok(Vec::new());
@@ -166,16 +154,13 @@ impl Network {
         Ok(lanes)
     }
 
-    /// Width of a lane of a road, metres.
+    /// Width of a lane of a road, meters.
     pub(crate) fn width_of(&self, lane: LaneId) -> f64 {
         let owner = self.roads.iter().find(|road| road.forward.contains(&lane) || road.backward.contains(&lane));
         owner.map_or(3.5, |road| road.plan.lane_width)
     }
 
     /// Adds a connector along `line` from the end of one lane to the start of another.
-    ///
-    /// # Errors
-    /// When the line has no extent.
     pub(crate) fn connect(
         &mut self,
         from: LaneId,
@@ -239,7 +224,7 @@ impl Network {
         id
     }
 
-    /// Makes connectors that run side by side from neighbouring lanes to neighbouring lanes neighbours of each other.
+    /// Makes two connectors neighbors that join neighboring lanes side by side.
     pub(crate) fn adjoin(&mut self, left: LaneId, right: LaneId) {
         let length = |network: &Self, lane: LaneId| network.parts.lanes[lane.index()].centerline.length();
         let (of_left, of_right) = (length(self, left), length(self, right));
@@ -247,12 +232,9 @@ impl Network {
         self.parts.lanes[right.index()].left.push(Neighbor { lane: left, from_s: 0.0, to_s: of_right });
     }
 
-    /// Puts a stop line across the first metre of the connectors that leave `lane`.
-    ///
-    /// # Errors
-    /// When the lane has no width.
+    /// Puts a stop line across the first meter of the connectors that leave `lane`.
     pub(crate) fn add_stop_line(&mut self, lane: LaneId, stop_sign: bool) -> Result<(), GeometryError> {
-        /// Distance of the line's two edges behind the end of the lane, metres.
+        /// Distances of the line's two edges from the end of the lane, meters.
         const PAINTED: [f64; 2] = [0.2, 0.7];
         let half = self.width_of(lane) / 2.0;
         let end = self.end_of(lane);
@@ -274,19 +256,19 @@ impl Network {
         Ok(())
     }
 
-    /// End of a road's lane with the road's own tangent there.
+    /// End of a road's lane, with the tangent of the road.
     pub(crate) fn end_of(&self, lane: LaneId) -> Pose {
         let centerline = &self.parts.lanes[lane.index()].centerline;
         Pose::at(centerline.end(), self.tangent(lane, false))
     }
 
-    /// Start of a road's lane with the road's own tangent there.
+    /// Start of a road's lane, with the tangent of the road.
     pub(crate) fn start_of(&self, lane: LaneId) -> Pose {
         let centerline = &self.parts.lanes[lane.index()].centerline;
         Pose::at(centerline.start(), self.tangent(lane, true))
     }
 
-    /// True tangent at an end of a lane: that of its road's line.
+    /// Heading of the road's line at an end of a lane.
     fn tangent(&self, lane: LaneId, at_start: bool) -> f64 {
         let turned = crate::geometry::wrap_angle;
         for road in &self.roads {
@@ -309,7 +291,7 @@ pub(crate) fn band(line: &[Pose], left: f64, right: f64) -> Result<Polygon, Geom
     ring(shifted(line, left), shifted(line, right))
 }
 
-/// The area between a left and a right edge that run the same way; counter-clockwise: along the right edge, back along the left.
+/// The area between a left and a right edge in the same direction: along the right edge, back along the left.
 fn ring(left: Vec<Point>, right: Vec<Point>) -> Result<Polygon, GeometryError> {
     Polygon::new(right.into_iter().chain(left.into_iter().rev()))
 }

@@ -1,4 +1,4 @@
-//! Finished roads: the checked map with everything that drivers must know beside it.
+//! Finished roads: the checked map and what drivers need beside it.
 
 use super::layout::Layout;
 use super::network::{Passage, RoadIndex};
@@ -10,16 +10,12 @@ use std::sync::Arc;
 /// Why a layout cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(crate) enum RoadsError {
-    /// Its relations do not hold.
     #[error(transparent)]
     Map(#[from] MapError),
-    /// Two roads run over each other.
     #[error("roads {0} and {1} overlap")]
     Overlap(usize, usize),
-    /// A road runs into a junction that it does not belong to.
     #[error("road {0} runs into junction {1}")]
     RunsInto(usize, usize),
-    /// Two junctions share ground.
     #[error("junctions {0} and {1} overlap")]
     JunctionsOverlap(usize, usize),
 }
@@ -27,34 +23,29 @@ pub(crate) enum RoadsError {
 /// Cross-section of a finished road.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct RoadFacts {
-    /// Width of its lanes, metres.
+    /// Meters.
     pub(crate) lane_width: f64,
-    /// Paved width right of the lanes along its line and left of the oncoming ones, metres.
+    /// Paved width right of the lanes along the line and left of the oncoming ones, meters.
     pub(crate) shoulder: [f64; 2],
 }
 
-/// A map with right of way, lights and the way of the ego.
+/// A map with right of way, traffic lights and the ego's route.
 #[derive(Debug, Clone)]
 pub(crate) struct Roads {
-    /// The map.
     pub(crate) map: Arc<LaneMap>,
-    /// Right of way by lane; `None` for lanes of roads.
+    /// By lane; `None` for lanes of roads.
     pub(crate) passages: Vec<Option<Passage>>,
-    /// Lights.
     pub(crate) signals: Vec<SignalPlan>,
-    /// Lanes of the ego's way, road after road, leftmost first.
-    pub(crate) way: Vec<Vec<LaneId>>,
+    /// Lanes of the ego's route, road after road, leftmost first.
+    pub(crate) route_lanes: Vec<Vec<LaneId>>,
     /// Cross-section of the road of each lane; `None` for connectors.
     pub(crate) facts: Vec<Option<RoadFacts>>,
 }
 
 impl Roads {
     /// Checks and finishes a layout.
-    ///
-    /// # Errors
-    /// When roads overlap or relations do not hold.
     pub(crate) fn new(layout: Layout, name: String) -> Result<Self, RoadsError> {
-        let Layout { mut network, way } = layout;
+        let Layout { mut network, route } = layout;
         network.find_conflicts();
         check_overlaps(&network.roads, &network.parts.intersections, &network.touching)?;
         let mut facts = vec![None; network.parts.lanes.len()];
@@ -68,18 +59,18 @@ impl Roads {
                 facts[lane.index()] = Some(turned);
             }
         }
-        let way = way.iter().map(|&road| network.roads[road].forward.clone()).collect();
+        let route_lanes = route.iter().map(|&road| network.roads[road].forward.clone()).collect();
         network.parts.name = name;
-        // One number names one thing, whichever layer it lies in, as in nuPlan's maps: roadblocks count on behind the lanes.
+        // As in nuPlan's maps, an id is unique over all layers: roadblocks count from the number of lanes on.
         let lanes = network.parts.lanes.len() as i64;
         for block in &mut network.parts.roadblocks {
             block.source_id += lanes;
         }
         let map = Arc::new(LaneMap::new(network.parts.with_roadblocks_as_road())?);
-        Ok(Self { map, passages: network.passages, signals: network.signals, way, facts })
+        Ok(Self { map, passages: network.passages, signals: network.signals, route_lanes, facts })
     }
 
-    /// What all lights show at `time` seconds.
+    /// The traffic lights at `time` seconds.
     pub(crate) fn lights(&self, time: f64) -> TrafficLights {
         let mut lights = TrafficLights::default();
         for signal in &self.signals {
@@ -88,11 +79,11 @@ impl Roads {
         lights
     }
 
-    /// The roadblocks of the way, connectors included.
+    /// The roadblocks of the route, connectors included.
     pub(crate) fn route(&self) -> Vec<RoadblockId> {
         let block = |lanes: &[LaneId]| self.map[lanes[0]].roadblock;
-        let mut route = vec![block(&self.way[0])];
-        for pair in self.way.windows(2) {
+        let mut route = vec![block(&self.route_lanes[0])];
+        for pair in self.route_lanes.windows(2) {
             let (before, after) = (block(&pair[0]), block(&pair[1]));
             let between = self.map[before].outgoing.iter().find(|&&b| self.map[b].outgoing.contains(&after));
             route.extend(between);
@@ -101,11 +92,10 @@ impl Roads {
         route
     }
 
-    /// The chains of lanes that stay on the way from `lane`, a lane of the road number `place` of it, to the way's end,
-    /// as far as lanes connect; straight on first.
-    pub(crate) fn chain_on_way(&self, place: usize, lane: LaneId) -> Vec<LaneId> {
+    /// The chain of lanes along the route from `lane`, a lane of its road number `place`, as far as lanes connect.
+    pub(crate) fn chain_on_route(&self, place: usize, lane: LaneId) -> Vec<LaneId> {
         let mut chain = vec![lane];
-        for next in place + 1..self.way.len() {
+        for next in place + 1..self.route_lanes.len() {
             let last = chain[chain.len() - 1];
             let Some((connector, after)) = self.onward(last, next) else { break };
             chain.extend([connector, after]);
@@ -113,28 +103,28 @@ impl Roads {
         chain
     }
 
-    /// The connector from a lane to the road number `next` of the way, and the lane that it leads to: the one from which
-    /// the way goes on furthest.
+    /// The connector from a lane to the road number `next` of the route, and the lane behind it: the one with the largest
+    /// [reach](Self::reach).
     fn onward(&self, lane: LaneId, next: usize) -> Option<(LaneId, LaneId)> {
         self.map[lane]
             .outgoing
             .iter()
             .flat_map(|&connector| self.map[connector].outgoing.iter().map(move |&after| (connector, after)))
-            .filter(|(_, after)| self.way[next].contains(after))
+            .filter(|(_, after)| self.route_lanes[next].contains(after))
             .max_by_key(|&(connector, after)| (self.reach(next, after), std::cmp::Reverse(connector)))
     }
 
-    /// How many roads of the way can be driven from a lane on it without changing lanes.
+    /// Number of the last road of the route that can be reached from a lane without a lane change.
     pub(crate) fn reach(&self, place: usize, lane: LaneId) -> usize {
-        if place + 1 >= self.way.len() {
+        if place + 1 >= self.route_lanes.len() {
             return place;
         }
         let onward = self.map[lane].outgoing.iter().flat_map(|&c| self.map[c].outgoing.iter());
-        let further = onward.filter(|after| self.way[place + 1].contains(after));
+        let further = onward.filter(|after| self.route_lanes[place + 1].contains(after));
         further.map(|&after| self.reach(place + 1, after)).max().unwrap_or(place)
     }
 
-    /// The chain of lanes that goes on straight from `lane` until the roads end.
+    /// The straightest chain of lanes from `lane` to the end of the roads.
     pub(crate) fn straight_chain(&self, lane: LaneId) -> Vec<LaneId> {
         let mut chain = vec![lane];
         let bend = |&lane: &LaneId| {
@@ -152,13 +142,13 @@ impl Roads {
         chain
     }
 
-    /// All lanes of roads (no connectors).
+    /// All lanes of roads, without connectors.
     pub(crate) fn road_lanes(&self) -> impl Iterator<Item = LaneId> + '_ {
         self.map.lanes().iter().filter(|lane| lane.kind == LaneKind::Lane).map(|lane| lane.id)
     }
 }
 
-/// No two roads may share ground, nor a road and a junction that it does not lead to.
+/// Checks that no two roads overlap, and no road and a junction that it does not lead to.
 fn check_overlaps(
     roads: &[super::network::Road],
     junctions: &[crate::geometry::Polygon],

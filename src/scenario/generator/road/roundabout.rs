@@ -1,54 +1,50 @@
-//! Roundabouts: a ring of short one-way roads, and at each arm a junction with entries, exits and the way round.
+//! Roundabouts: a ring of short one-way roads, and at each arm a junction with entries, exits and the ring.
 
-use super::junction::{Arm, kerb};
+use super::junction::{Arm, curb};
 use super::line::{arc, connection};
 use super::network::{Network, Passage, RoadIndex, RoadPlan};
 use crate::geometry::{GeometryError, Point, Polygon, Pose, wrap_angle};
 use crate::world::LaneId;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// A ring as it is to be laid.
+/// Parameters of a ring.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ring {
-    /// Its centre.
     pub(crate) center: Point,
-    /// Radius of the island, metres.
+    /// Radius of the island, meters.
     pub(crate) island: f64,
     /// Circulating lanes.
     pub(crate) lanes: usize,
-    /// Width of a circulating lane, metres.
+    /// Meters.
     pub(crate) lane_width: f64,
-    /// Speed limit on it, m/s.
+    /// m/s.
     pub(crate) speed_limit: f64,
-    /// Half the angle that an arm's junction takes of the ring, radians.
+    /// Half the angle of the ring that an arm's junction takes, radians.
     pub(crate) half_opening: f64,
 }
 
-/// Paved apron of the ring: outside, inside, metres.
+/// Paved apron of the ring, outside and inside, meters.
 const APRON: [f64; 2] = [0.4, 1.2];
 /// Right of way on the ring and at its entries.
 const RANK_ON_RING: u8 = 2;
 const RANK_ENTRY: u8 = 1;
 
 impl Ring {
-    /// Pose on the ring's inner line at an angle seen from the centre, driving counter-clockwise.
+    /// Pose on the inner line at an angle from the center, in the counter-clockwise driving direction.
     fn inner(&self, angle: f64) -> Pose {
         let radial = Pose::at(self.center, angle);
         Pose::at(radial.to_map(Point::new(self.island, 0.0)), wrap_angle(angle + FRAC_PI_2))
     }
 
-    /// Radius of the outer edge of the circulating lanes, metres.
+    /// Radius of the outer edge of the circulating lanes, meters.
     pub(crate) fn outer(&self) -> f64 {
         self.island + self.lanes as f64 * self.lane_width
     }
 }
 
 impl Network {
-    /// Lays a roundabout between arms in counter-clockwise order that look at its centre: the roads of the ring, the n-th
-    /// from the n-th arm to the next.
-    ///
-    /// # Errors
-    /// When the arms coincide.
+    /// Adds a roundabout between arms in counter-clockwise order. Gives the roads of the ring, the n-th from the n-th arm to
+    /// the next.
     pub(crate) fn circle(&mut self, ring: &Ring, arms: &[Arm]) -> Result<Vec<RoadIndex>, GeometryError> {
         let angles: Vec<f64> = arms
             .iter()
@@ -95,23 +91,23 @@ impl Network {
 
     /// Pavement where an arm meets the ring: the strip of the ring and the funnel to the arm's mouth.
     fn ring_arm_area(&self, ring: &Ring, arm: Arm, angle: f64) -> Result<Polygon, GeometryError> {
-        /// How far the area reaches into the ring's roads and the arm, so that no gap opens at the seam, metres.
+        /// Overlap with the ring's roads and the arm against gaps at the seam, meters.
         const SEAM: f64 = 0.05;
         let reach = ring.half_opening + SEAM / ring.outer();
         let outer = ring.outer() + APRON[0];
         let (first, last) = (ring.inner(angle - reach), ring.inner(angle + reach));
         let offset = ring.island - outer;
-        // Both edges look away from the junction: back along the ring before the arm, onwards along it after the arm.
+        // Both edges face away from the junction: back along the ring before the arm, forward along it after the arm.
         let before = first.translated(0.0, offset);
         let before = Pose::new(before.x, before.y, wrap_angle(before.heading + PI));
         let after = last.translated(0.0, offset);
         let ([right, left], mouth) = (self.edges(arm), self.mouth(arm));
         let (right, left) = (mouth.translated(SEAM, -right), mouth.translated(SEAM, left));
         let mut outline = vec![before.position()];
-        outline.extend(kerb(before, right));
+        outline.extend(curb(before, right));
         outline.push(right.position());
         outline.push(left.position());
-        outline.extend(kerb(left, after));
+        outline.extend(curb(left, after));
         outline.push(after.position());
         let start = first.translated(0.0, APRON[1]);
         let strip = arc(start, ring.island - APRON[1], 2.0 * reach);
@@ -120,7 +116,7 @@ impl Network {
     }
 }
 
-/// Lanes of two roads in pairs, outermost with outermost; the wider road's inner lanes share the last partner.
+/// Pairs of lanes of two roads, outermost with outermost. The wider road's inner lanes share the last partner.
 fn side_by_side(from: &[LaneId], to: &[LaneId]) -> Vec<(LaneId, LaneId)> {
     if from.is_empty() || to.is_empty() {
         return Vec::new();

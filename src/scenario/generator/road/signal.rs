@@ -1,23 +1,23 @@
-//! Traffic lights that run through their phases.
+//! Traffic lights with fixed phases.
 
 use crate::world::{LaneId, SignalStatus, TrafficLights};
 
-/// How long yellow shows, seconds.
+/// Duration of yellow, seconds.
 pub(crate) const YELLOW: f64 = 3.0;
-/// How long everything shows red between two phases, seconds.
+/// Duration of red for all between two phases, seconds.
 const ALL_RED: f64 = 1.5;
 
-/// The lights of one junction: each connector is green in one window of a cycle, then yellow, else red.
+/// Traffic lights of a junction: each connector is green in one window of the cycle, then yellow, else red.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct SignalPlan {
-    /// Connector with the start and the end of its green, seconds into the cycle.
+    /// Connector, start and end of green in the cycle, seconds.
     windows: Vec<(LaneId, f64, f64)>,
     cycle: f64,
     offset: f64,
 }
 
 impl SignalPlan {
-    /// A plan that gives each group of connectors green for so many seconds, in turn.
+    /// A plan that gives each group of connectors green in turn, for its number of seconds.
     pub(crate) fn new(phases: &[(Vec<LaneId>, f64)]) -> Self {
         let mut plan = Self::default();
         for (connectors, green) in phases {
@@ -28,7 +28,6 @@ impl SignalPlan {
         plan
     }
 
-    /// The connectors that it governs.
     pub(crate) fn connectors(&self) -> impl Iterator<Item = LaneId> + '_ {
         self.windows.iter().map(|&(connector, _, _)| connector)
     }
@@ -47,7 +46,7 @@ impl SignalPlan {
         }
     }
 
-    /// Writes what every connector shows at `time` seconds.
+    /// Sets the state of every connector at `time` seconds.
     pub(crate) fn show(&self, time: f64, lights: &mut TrafficLights) {
         let into = (time + self.offset).rem_euclid(self.cycle.max(f64::MIN_POSITIVE));
         for &(connector, from, to) in &self.windows {

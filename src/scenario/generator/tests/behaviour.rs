@@ -1,4 +1,4 @@
-//! How others behave: what share of the drives shows what a driver must cope with.
+//! Behavior of other agents: the share of scenarios with difficult situations.
 
 use super::CORPUS;
 use crate::geometry::{Pose, wrap_angle};
@@ -13,16 +13,16 @@ fn vehicles(frame: &Frame) -> impl Iterator<Item = &TrackedObject> {
     frame.objects.iter().filter(|object| object.kind == ObjectKind::Vehicle)
 }
 
-/// Whether `object` is in the lane of `ego`, as far as a straight look tells, from `from` to `to` metres ahead of it.
+/// True if `object` is straight ahead of `ego`, from `from` to `to` meters.
 fn in_lane(ego: &Pose, object: &TrackedObject, from: f64, to: f64) -> bool {
     let place = ego.to_local(object.shape.center.position());
     let turned = wrap_angle(object.shape.center.heading - ego.heading).abs();
     place.x > from && place.x < to && place.y.abs() < 1.2 && turned < 0.3
 }
 
-/// Somebody moves from a neighbouring lane to less than 25 m before the ego, which keeps straight on.
+/// A vehicle moves from a neighboring lane to less than 25 m ahead of the ego, which drives straight on.
 fn cuts_in(scenario: &Scenario) -> bool {
-    /// Frames that it takes at most.
+    /// Maximum duration, frames.
     const WITHIN: usize = 35;
     scenario.frames.iter().skip(WITHIN).zip(&scenario.frames).any(|(now, before)| {
         let (ego, ego_before) = (now.ego.center(), before.ego.center());
@@ -38,7 +38,7 @@ fn cuts_in(scenario: &Scenario) -> bool {
     })
 }
 
-/// Somebody stands for the whole drive in a lane of the route that the ego comes by, with no light to wait for.
+/// A vehicle stands through the whole scenario in a lane of the route that the ego passes, without a traffic light.
 fn stands_in_the_way(scenario: &Scenario) -> bool {
     let Scenario { map, route, frames, .. } = scenario;
     let first = &frames[scenario.start];
@@ -53,7 +53,7 @@ fn stands_in_the_way(scenario: &Scenario) -> bool {
         })
 }
 
-/// Somebody drives up to the ego and stands there for the last three seconds, with no light to wait for.
+/// A vehicle first drives and then stands near the ego for the last three seconds, without a traffic light.
 fn breaks_down(scenario: &Scenario) -> bool {
     let (first, last) = (&scenario.frames[scenario.start], &scenario.frames[scenario.frames.len() - 30..]);
     let moved = |object: &TrackedObject| vehicles(first).any(|o| o.token == object.token && o.speed() > 3.0);
@@ -65,7 +65,7 @@ fn breaks_down(scenario: &Scenario) -> bool {
         })
 }
 
-/// Somebody walks on the road less than 50 m before the ego.
+/// A pedestrian walks on the road less than 50 m ahead of the ego.
 fn crosses_on_foot(scenario: &Scenario) -> bool {
     scenario.frames.iter().any(|frame| {
         let ego = frame.ego.center();
@@ -81,9 +81,9 @@ fn crosses_on_foot(scenario: &Scenario) -> bool {
     })
 }
 
-/// Floors somewhat below what was measured (docs/generator.md): none of it may get lost.
+/// The bounds are somewhat below the measured shares (docs/generator.md).
 #[test]
-fn others_do_what_must_be_coped_with() {
+fn difficult_situations_are_frequent_enough() {
     let shares = [
         ("cuts in", share(cuts_in), 0.02),
         ("stands in the way", share(stands_in_the_way), 0.02),
@@ -91,6 +91,6 @@ fn others_do_what_must_be_coped_with() {
         ("crosses on foot", share(crosses_on_foot), 0.05),
     ];
     for (what, share, least) in shares {
-        assert!(share >= least, "{what}: {share} of the drives, fewer than {least}: {shares:?}");
+        assert!(share >= least, "{what}: {share} of the scenarios, fewer than {least}: {shares:?}");
     }
 }

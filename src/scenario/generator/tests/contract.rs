@@ -1,4 +1,4 @@
-//! What everything downstream relies on: nuPlan's window, states as a log holds them, ids, areas.
+//! What the other stages rely on: nuPlan's window, states as in a log, ids, areas.
 
 use super::super::{Generated, log};
 use super::{CORPUS, one_each};
@@ -39,7 +39,7 @@ fn frames_are_nuplans_window() {
     }
 }
 
-/// nuPlan's logs hold pose, velocity and acceleration; the rest is 0 until the controller has driven.
+/// nuPlan's logs hold pose, velocity and acceleration. The rest is 0 until the controller has moved the ego.
 #[test]
 fn ego_states_are_those_of_a_log() {
     for ego in CORPUS.iter().flat_map(|generated| generated.scenario.frames.iter().map(|frame| frame.ego)) {

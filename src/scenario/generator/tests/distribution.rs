@@ -1,4 +1,4 @@
-//! Variety: what share of the drives has what.
+//! Variety: the share of scenarios with certain features.
 
 use super::CORPUS;
 use crate::scenario::Scenario;
@@ -20,7 +20,7 @@ fn own_lanes(scenario: &Scenario) -> usize {
 }
 
 #[test]
-fn the_drives_are_varied() {
+fn scenarios_are_varied() {
     let within = |name: &str, share: f64, low: f64, high: f64| {
         assert!(share >= low && share <= high, "{name}: {share} is not within {low} and {high}");
     };
@@ -48,7 +48,7 @@ fn the_drives_are_varied() {
 }
 
 #[test]
-fn few_draws_are_thrown_away() {
+fn few_draws_are_discarded() {
     let discarded: usize = CORPUS.iter().map(|generated| generated.discarded.len()).sum();
     assert!(discarded < CORPUS.len(), "{discarded} of {}", CORPUS.len() + discarded);
 }

@@ -1,6 +1,6 @@
-//! The drives: the expert stays on the road, obeys, is comfortable; others are plausible.
+//! The logs: the expert stays on the road, obeys the rules and is comfortable; other agents are plausible.
 
-use super::super::{ScenarioType, log};
+use super::super::{log, types};
 use super::{CORPUS, SEEDS};
 use crate::geometry::wrap_angle;
 use crate::scenario::Scenario;
@@ -8,7 +8,7 @@ use crate::world::{LaneId, ObjectKind, STEP_S, STEP_US, SignalStatus};
 
 #[test]
 fn every_type_and_seed_gives_a_full_log() {
-    assert_eq!(CORPUS.len(), ScenarioType::ALL.len() * SEEDS as usize);
+    assert_eq!(CORPUS.len(), types::in_suites().count() * SEEDS as usize);
     for generated in CORPUS.iter() {
         let scenario = &generated.scenario;
         assert_eq!((scenario.iterations(), scenario.past().len()), (log::ITERATIONS, log::PAST));

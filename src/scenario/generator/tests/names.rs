@@ -1,24 +1,32 @@
 //! Names and determinism.
 
-use super::super::{DEFAULT, GeneratorError, ScenarioType, Spec, generate};
+use super::super::{DEFAULT, GeneratorError, MAX_DRAWS, Spec, generate, types};
 use crate::scenario::Scenario;
 use crate::world::LaneMap;
 use rayon::prelude::*;
 
 #[test]
 fn names_read_back() {
-    for scenario_type in ScenarioType::ALL {
+    for &scenario_type in types::ALL {
         let spec = Spec::new(scenario_type, u64::MAX);
         assert_eq!(spec.to_string().parse(), Ok(spec));
         assert_eq!(spec.with_traffic_seed(u64::MAX).to_string().parse(), Ok(spec.with_traffic_seed(u64::MAX)));
     }
-    let spec = Spec::new(ScenarioType::ChangingLane, 3);
+    let spec = Spec::new(types::changing_lane::TYPE, 3);
     assert_eq!(
         ("generated/changing_lane/3.0".parse(), spec.to_string()),
         (Ok(spec), "generated/changing_lane/3".into())
     );
     assert_eq!(spec.with_traffic_seed(12).to_string(), "generated/changing_lane/3.12");
-    assert_eq!(ScenarioType::nuplan14().count(), 14);
+    assert_eq!(types::nuplan14().count(), 14);
+}
+
+/// Two types with overlapping seeds would share draws.
+#[test]
+fn seeds_of_types_lie_apart() {
+    let mut seeds: Vec<u64> = types::ALL.iter().map(|kind| kind.definition().seed).collect();
+    seeds.sort_unstable();
+    assert!(seeds.windows(2).all(|pair| pair[1] - pair[0] >= MAX_DRAWS as u64), "{seeds:?}");
 }
 
 #[test]
@@ -45,23 +53,23 @@ pub(super) fn same_map(a: &LaneMap, b: &LaneMap) -> bool {
     lanes && areas && a.name() == b.name()
 }
 
-/// Every number of a drive: frames, map and route.
+/// Every number of a scenario: frames, map and route.
 fn same(a: &Scenario, b: &Scenario) -> bool {
     same_map(&a.map, &b.map) && a.frames == b.frames && a.route == b.route && a.id == b.id && a.start == b.start
 }
 
 #[test]
-fn a_name_gives_the_same_drive_at_any_number_of_threads() {
-    let specs: Vec<Spec> = ScenarioType::ALL.into_iter().map(|scenario_type| Spec::new(scenario_type, 7)).collect();
-    let logs = |threads: usize| -> Vec<Scenario> {
+fn a_name_gives_the_same_scenario_at_any_number_of_threads() {
+    let specs: Vec<Spec> = types::in_suites().map(|scenario_type| Spec::new(scenario_type, 7)).collect();
+    let scenarios = |threads: usize| -> Vec<Scenario> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| specs.par_iter().map(|spec| generate(spec).unwrap()).collect())
     };
-    assert!(logs(1).iter().zip(&logs(2)).all(|(a, b)| same(a, b)));
+    assert!(scenarios(1).iter().zip(&scenarios(2)).all(|(a, b)| same(a, b)));
 }
 
 #[test]
-fn different_seeds_give_different_drives() {
+fn different_seeds_give_different_scenarios() {
     let corpus = &super::CORPUS;
     for (i, a) in corpus.iter().enumerate() {
         for b in &corpus[i + 1..] {
@@ -71,7 +79,7 @@ fn different_seeds_give_different_drives() {
 }
 
 #[test]
-fn the_default_drive_goes_round_something() {
+fn the_default_scenario_has_a_lane_change() {
     let scenario = generate(&DEFAULT).unwrap();
     let lanes: std::collections::BTreeSet<_> = scenario
         .expert()

@@ -1,6 +1,6 @@
-//! The same seed among other traffic.
+//! The same seed with other traffic.
 
-use super::super::{ScenarioType, Spec, generate, generate_with_record};
+use super::super::{Spec, generate, generate_with_record, types};
 use super::CORPUS;
 use super::names::same_map;
 use crate::scenario::Scenario;
@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 #[test]
 fn other_traffic_keeps_roads_route_and_situation() {
-    let seeds = || ScenarioType::ALL.into_iter().flat_map(|kind| (3..6).map(move |seed| Spec::new(kind, seed)));
+    let seeds = || types::in_suites().flat_map(|kind| (3..6).map(move |seed| Spec::new(kind, seed)));
     let check = |spec: Spec| {
         let [own, first, second] = [0, 1, 2].map(|traffic| generate(&spec.with_traffic_seed(traffic)).unwrap());
         for (a, b) in [(&own, &first), (&own, &second), (&first, &second)] {
@@ -25,9 +25,9 @@ fn other_traffic_keeps_roads_route_and_situation() {
     seeds().collect::<Vec<_>>().into_par_iter().for_each(check);
 }
 
-/// Draws that are thrown away among other traffic are drawn anew among it: those of the seed's own come first.
+/// The discarded draws of the seed come first, then those with the traffic seed.
 #[test]
-fn draws_are_thrown_away_by_traffic() {
+fn discarded_draws_are_kept_in_order() {
     let own = &CORPUS[0];
     let spec: Spec = own.scenario.id.parse().unwrap();
     let other = generate_with_record(&spec.with_traffic_seed(3)).unwrap();

@@ -1,23 +1,23 @@
-//! What a driver does about everything ahead: the intelligent driver model against whatever is nearest in time.
+//! A driver's acceleration: the intelligent driver model against everything ahead.
 
 use super::right_of_way::Claims;
 use super::{Body, Mover, Steering, Traffic};
 use crate::dynamics::Lead;
 use crate::world::{PACIFICA, TrafficLights};
 
-/// Clearance to the side under which something counts as in the way, metres.
+/// Lateral clearance below which a body blocks the path, meters.
 const SIDE_MARGIN: f64 = 0.25;
-/// Look-ahead for what moves sideways into the way, seconds.
+/// Horizon for bodies that move sideways into the path, seconds.
 const SIDE_LOOKAHEAD: f64 = 1.0;
-/// Where to stand before a stop line or a yield line, metres.
+/// Distance to a stop line or yield line at a stop, meters.
 const BEFORE_LINE: f64 = 0.8;
-/// Deceleration with which a driver slows down towards what its own path asks for, m/s².
+/// Deceleration toward a lower speed that the driver's own path asks for, m/s².
 const ANTICIPATION: f64 = 0.9;
-/// Where to stand before a pedestrian's way, metres.
+/// Distance to a pedestrian's path at a stop, meters.
 const BEFORE_WALKER: f64 = 1.8;
 
 impl Traffic<'_> {
-    /// Acceleration that the driver of mover `i` wants, m/s².
+    /// Acceleration that the driver of mover `i` chooses, m/s².
     pub(super) fn wanted_acceleration(
         &self,
         i: usize,
@@ -29,20 +29,20 @@ impl Traffic<'_> {
         let mut wanted = me.free_acceleration();
         let (place, ahead) = (me.track.pose_at(me.s).position(), me.track.direction_at(me.s));
         for body in bodies.iter().filter(|body| body.mover != Some(i)) {
-            // Most bodies are out of sight or behind; a cheap look comes first.
+            // Most bodies are far away or behind; this test is cheap.
             let to = body.shape.center.position() - place;
-            let (sight, reach) = (me.sight(), body.shape.length / 2.0);
-            if to.norm_squared() > (sight + reach).powi(2) || ahead.dot(&to) < -(reach + 8.0) {
+            let (lookahead, reach) = (me.lookahead(), body.shape.length / 2.0);
+            if to.norm_squared() > (lookahead + reach).powi(2) || ahead.dot(&to) < -(reach + 8.0) {
                 continue;
             }
-            if let Some(lead) = me.lead(body, sight + reach) {
+            if let Some(lead) = me.lead(body, lookahead + reach) {
                 wanted = wanted.min(me.following(lead));
             }
         }
         if let Some(s) = self.place_to_stop(i, claims, lights) {
             wanted = wanted.min(me.stopping(s - BEFORE_LINE));
         }
-        if let Some(s) = me.halt {
+        if let Some(s) = me.stop_s {
             wanted = wanted.min(me.stopping(s));
         }
         for walker in &self.walkers {
@@ -55,15 +55,15 @@ impl Traffic<'_> {
 }
 
 impl Mover {
-    /// Speed that the driver wants here, m/s.
+    /// Desired speed here, m/s.
     fn desired_speed(&self) -> f64 {
         let by_path = self.profile.steering.map_or(f64::INFINITY, |steering| self.steerable_speed(steering));
         (self.track.allowed_at(self.s) * self.profile.speed_factor).min(self.speed_cap).min(by_path)
     }
 
-    /// Speed from which this vehicle can slow down comfortably to what its path allows within these bounds, m/s.
+    /// Maximum speed from which the vehicle can slow down comfortably to the speeds that its path allows, m/s.
     fn steerable_speed(&self, steering: Steering) -> f64 {
-        /// How far ahead the path is looked at, metres, and in which steps.
+        /// Samples of the path ahead and the distance between them, meters.
         const AHEAD: usize = 30;
         const STEP: f64 = 1.0;
         let angle = |k: usize| (PACIFICA.wheel_base * self.path_curvature(self.s + (k as f64 - 1.0) * STEP)).atan();
@@ -78,14 +78,13 @@ impl Mover {
         allowed.fold(f64::INFINITY, f64::min)
     }
 
-    /// Acceleration on a free road.
     fn free_acceleration(&self) -> f64 {
-        self.profile.law(self.desired_speed()).acceleration(self.speed, None)
+        self.profile.idm(self.desired_speed()).acceleration(self.speed, None)
     }
 
-    /// Acceleration behind a lead: the law of following, and harder braking where that would come too late.
+    /// Acceleration behind a lead vehicle: the intelligent driver model, or harder braking where that would come too late.
     fn following(&self, lead: Lead) -> f64 {
-        let by_law = self.profile.law(self.desired_speed()).acceleration(self.speed, Some(lead));
+        let by_law = self.profile.idm(self.desired_speed()).acceleration(self.speed, Some(lead));
         let closing = self.speed - lead.speed;
         if closing <= 0.0 {
             return by_law;
@@ -94,22 +93,22 @@ impl Mover {
         if needed > self.profile.decel { by_law.min(-needed) } else { by_law }
     }
 
-    /// Acceleration towards a standstill with the front at arc length `s`.
+    /// Acceleration toward a stop with the front at arc length `s`.
     fn stopping(&self, s: f64) -> f64 {
-        // The law keeps its own gap to a lead, so the lead is put that much further.
+        // The model keeps its minimum gap to a lead, so the virtual lead stands farther away by that gap.
         self.following(Lead { gap: s - self.front_s() + self.profile.min_gap, speed: 0.0 })
     }
 
-    /// Distance that must be looked at, metres.
-    pub(super) fn sight(&self) -> f64 {
+    /// Distance ahead that matters at this speed, meters.
+    pub(super) fn lookahead(&self) -> f64 {
         25.0 + 4.0 * self.speed
     }
 
-    /// The lead that a body within `sight` metres is to this driver, if it is in the way.
-    fn lead(&self, body: &Body, sight: f64) -> Option<Lead> {
-        /// What is further beside the track than this, half its length apart, is of no concern, metres.
+    /// A body within `lookahead` meters as a lead, if it blocks the path.
+    fn lead(&self, body: &Body, lookahead: f64) -> Option<Lead> {
+        /// A body farther beside the track than this and half its length cannot block it, meters.
         const ASIDE: f64 = 6.0;
-        let (s, lateral) = self.track.project(body.shape.center.position(), self.s - 10.0, self.s + sight);
+        let (s, lateral) = self.track.project(body.shape.center.position(), self.s - 10.0, self.s + lookahead);
         let sideways_reach = if body.speed > 0.0 { body.speed * SIDE_LOOKAHEAD } else { 0.0 };
         if lateral.abs() > ASIDE + body.shape.length / 2.0 + sideways_reach || s <= self.s {
             return None;
@@ -122,12 +121,12 @@ impl Mover {
         let sideways = body.speed * sin;
         let now = self.clearance(s - along, s + along, lateral, across);
         let soon = self.clearance(s - along, s + along, lateral + sideways * SIDE_LOOKAHEAD, across);
-        let in_the_way = now < SIDE_MARGIN || (sideways.abs() > 0.4 && soon < 0.0 && now < 3.0);
-        in_the_way.then(|| Lead { gap: s - along - self.front_s(), speed: (body.speed * cos).max(0.0) })
+        let blocks = now < SIDE_MARGIN || (sideways.abs() > 0.4 && soon < 0.0 && now < 3.0);
+        blocks.then(|| Lead { gap: s - along - self.front_s(), speed: (body.speed * cos).max(0.0) })
     }
 
-    /// Room between this vehicle, when it passes from `from` to `to` along its track, and something `across` metres to both
-    /// sides of `lateral`; negative when they would touch.
+    /// Lateral clearance between this vehicle, while it passes from `from` to `to`, and a body `across` meters to both sides of
+    /// `lateral`. Negative where they would touch.
     fn clearance(&self, from: f64, to: f64, lateral: f64, across: f64) -> f64 {
         let (a, b) = (self.shift.at(from.max(self.s)).0, self.shift.at(to.max(self.s)).0);
         let half = self.width / 2.0;
@@ -135,15 +134,15 @@ impl Mover {
         (lateral - across - left).max(right - (lateral + across))
     }
 
-    /// Where this driver must stop for a pedestrian who is on the way across in `wait` seconds, if it must: the near edge of
-    /// the crosswalk, or of the pedestrian's path where there is none.
+    /// Where this driver must stop for a pedestrian who starts to cross in `wait` seconds: the near edge of the crosswalk, or of
+    /// the pedestrian's path where there is none. `None` if it need not stop.
     fn give_way_to(&self, walker: &super::Walker, wait: f64) -> Option<f64> {
-        let sight = self.sight().min(50.0);
+        let lookahead = self.lookahead().min(50.0);
         let position = walker.position();
-        if (position - self.track.pose_at(self.s).position()).norm() > sight + 10.0 {
+        if (position - self.track.pose_at(self.s).position()).norm() > lookahead + 10.0 {
             return None;
         }
-        let (s, lateral) = self.track.project(position, self.s, self.s + sight + 5.0);
+        let (s, lateral) = self.track.project(position, self.s, self.s + lookahead + 5.0);
         if s <= self.front_s() - 0.5 || lateral.abs() > 25.0 {
             return None;
         }

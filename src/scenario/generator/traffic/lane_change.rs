@@ -1,43 +1,41 @@
-//! Moving over to a neighbouring lane: where it leads, whether there is room, how it is driven.
+//! Lane changes: the target track, whether there is room, and the lateral path.
 
 use super::{Act, Body, Mover, Shift, Track, Traffic};
 use crate::geometry::wrap_angle;
 use std::sync::Arc;
 
-/// What the ego wants to do with its place across the road.
+/// What the expert does about the ego's lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Wish {
-    /// Stay.
+pub(crate) enum LaneCommand {
     Keep,
-    /// Move over to the neighbouring lane as soon as there is room.
+    /// Change to the neighboring lane as soon as there is room.
     Change {
-        /// To the left or to the right.
         left: bool,
-        /// Distance within which it must be done, metres.
+        /// Distance for the lane change, meters.
         within: f64,
     },
-    /// Keep to the lane but this far beside its centreline, metres to the left.
-    Nudge(f64),
+    /// Keep this offset from the centerline, meters to the left.
+    Offset(f64),
 }
 
-/// How much room somebody wants for a lane change.
+/// Room that a driver needs for a lane change.
 #[derive(Debug, Clone, Copy)]
 struct Room {
-    /// Clear distance to both sides at least, metres.
+    /// Minimum gap ahead and behind, meters.
     gap: f64,
-    /// Time kept to whoever comes from behind, seconds.
+    /// Headway of the vehicle behind, seconds.
     behind: f64,
 }
 
-/// Shortest lane change, metres.
+/// Minimum length of a lane change, meters.
 const MIN_LENGTH: f64 = 12.0;
 const POLITE: Room = Room { gap: 3.0, behind: 0.6 };
 const PUSHY: Room = Room { gap: 3.5, behind: 0.15 };
 
 impl Traffic<'_> {
-    /// Carries out what the scripts say for now.
+    /// Executes the scripted actions whose time has come.
     pub(super) fn play_scripts(&mut self, bodies: &[Body]) {
-        /// How soon a lane change that found no room is tried again, seconds.
+        /// Time after which a lane change without room is tried again, seconds.
         const RETRY: f64 = 0.3;
         for i in 0..self.movers.len() {
             while let Some(&act) = self.movers[i].script.last().filter(|act| act.at() <= self.time) {
@@ -56,14 +54,13 @@ impl Traffic<'_> {
         }
     }
 
-    /// Carries out the ego's wish if it can be.
-    pub(super) fn follow_wish(&mut self, wish: Wish, bodies: &[Body]) {
-        match wish {
-            Wish::Keep => {}
-            Wish::Change { left, within } => {
+    pub(super) fn follow_command(&mut self, command: LaneCommand, bodies: &[Body]) {
+        match command {
+            LaneCommand::Keep => {}
+            LaneCommand::Change { left, within } => {
                 self.change_lane(0, left, within, POLITE, bodies);
             }
-            Wish::Nudge(lateral) => {
+            LaneCommand::Offset(lateral) => {
                 let ego = &mut self.movers[0];
                 if !ego.is_changing() && (ego.shift.to_d - lateral).abs() > 0.05 {
                     let length = (ego.speed * 2.5).max(9.0);
@@ -74,7 +71,7 @@ impl Traffic<'_> {
         }
     }
 
-    /// Moves a mover over if it is on a lane with such a neighbour and there is room; whether it did.
+    /// Starts a lane change if there is a lane on that side and room on it; true if it did.
     fn change_lane(&mut self, i: usize, left: bool, within: f64, room: Room, bodies: &[Body]) -> bool {
         let mover = &self.movers[i];
         let Some(track) = self.track_beside(mover, left) else { return false };
@@ -84,26 +81,27 @@ impl Traffic<'_> {
         if mover.is_between_lanes() || (mover.is_changing() && mover.speed > 1.0) || s + length > track.length() {
             return false;
         }
-        // The manoeuvre ends before the next junction.
-        if track.span_at(s + length * 0.8).lane != track.span_at(s).lane && !self.runs_on(&track, s, s + length) {
+        // The lane change ends before the next junction.
+        if track.span_at(s + length * 0.8).lane != track.span_at(s).lane && !self.has_no_crossing(&track, s, s + length)
+        {
             return false;
         }
         if !has_room(mover, &track, s, room, bodies, i) {
             return false;
         }
-        self.movers[i].go_over(Arc::new(track), s, lateral, length);
+        self.movers[i].change_track(Arc::new(track), s, lateral, length);
         true
     }
 
-    /// Whether the track has only joints (no crossings) between two arc lengths.
-    fn runs_on(&self, track: &Track, from: f64, to: f64) -> bool {
+    /// True if there are only joints (no crossings) between two arc lengths.
+    fn has_no_crossing(&self, track: &Track, from: f64, to: f64) -> bool {
         let within = track.spans.iter().filter(|span| span.connector && span.to > from && span.from < to);
         within.into_iter().all(|span| {
             self.roads.passages[span.lane.index()].as_ref().is_none_or(|passage| passage.conflicts.is_empty())
         })
     }
 
-    /// The track that begins on the lane beside a mover's own; the ego's stays on its way.
+    /// The track from the lane beside a mover's own. The ego's stays on its route.
     fn track_beside(&self, mover: &Mover, left: bool) -> Option<Track> {
         let span = mover.track.span_at(mover.s);
         let along = mover.s - span.from;
@@ -112,16 +110,16 @@ impl Traffic<'_> {
         if lane.is_connector() {
             return None;
         }
-        let place = self.roads.way.iter().position(|lanes| lanes.contains(&beside));
+        let place = self.roads.route_lanes.iter().position(|lanes| lanes.contains(&beside));
         let chain = match place {
-            Some(place) => self.roads.chain_on_way(place, beside),
+            Some(place) => self.roads.chain_on_route(place, beside),
             None => self.roads.straight_chain(beside),
         };
         Track::along(self.roads, chain)
     }
 }
 
-/// Whether a mover finds room on a track at arc length `s`.
+/// True if a mover has room on a track at arc length `s`.
 fn has_room(mover: &Mover, track: &Track, s: f64, room: Room, bodies: &[Body], i: usize) -> bool {
     let (front, rear) = (s + mover.front, s - mover.back());
     bodies.iter().filter(|body| body.mover != Some(i)).all(|body| {

@@ -1,4 +1,4 @@
-//! Traffic that reacts to the ego and to itself: one step at a time, everybody deciding on the same instant.
+//! Reactive traffic of the generator: in each step, all drivers decide on the same instant.
 
 mod driver;
 mod lane_change;
@@ -7,7 +7,7 @@ mod right_of_way;
 mod track;
 mod walker;
 
-pub(crate) use lane_change::Wish;
+pub(crate) use lane_change::LaneCommand;
 pub(crate) use mover::{Act, DriverProfile, Mover, Shift, Steering};
 pub(crate) use track::Track;
 pub(crate) use walker::{Departure, Walker};
@@ -17,41 +17,37 @@ use crate::geometry::{OrientedBox, Vector};
 use crate::world::{ObjectKind, STEP_S, TrackedObject, TrafficLights};
 use right_of_way::Claims;
 
-/// Something to keep clear of, as it is now.
+/// A vehicle or object to keep clear of, as it is now.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Body {
-    /// Its box.
     pub(crate) shape: OrientedBox,
     /// Unit vector along its heading.
     pub(crate) direction: Vector,
-    /// Norm of it, m/s.
+    /// m/s.
     pub(crate) speed: f64,
-    /// Which mover it is; `None` for what stands still.
+    /// Index of the mover; `None` for a static object.
     pub(crate) mover: Option<usize>,
 }
 
-/// All that moves, stands or walks on the roads. The first mover is the ego.
+/// All agents and objects on the roads.
 #[derive(Debug, Clone)]
 pub(crate) struct Traffic<'a> {
-    /// Where it drives.
     pub(crate) roads: &'a Roads,
-    /// Drivers; the first is the ego.
+    /// Vehicles and cyclists; the first is the ego.
     pub(crate) movers: Vec<Mover>,
-    /// People on foot.
     pub(crate) walkers: Vec<Walker>,
-    /// Parked vehicles, cones, barriers and the like.
+    /// Static objects: parked vehicles, cones, barriers.
     pub(crate) fixtures: Vec<TrackedObject>,
-    /// Time of the present state, seconds; 0 is iteration 0.
+    /// Seconds from iteration 0.
     pub(crate) time: f64,
 }
 
 impl Traffic<'_> {
-    /// The lights now.
     pub(crate) fn lights(&self) -> TrafficLights {
         self.roads.lights(self.time)
     }
 
-    /// Everything solid now: movers in order, then fixtures.
+    /// Movers in order, then static objects, as they are now.
     pub(crate) fn bodies(&self) -> Vec<Body> {
         let body = |shape: OrientedBox, speed, mover| Body { shape, direction: shape.center.direction(), speed, mover };
         let movers = self.movers.iter().enumerate().filter(|(_, mover)| !mover.gone);
@@ -60,12 +56,12 @@ impl Traffic<'_> {
         movers.chain(fixtures).collect()
     }
 
-    /// One step of 0.1 s; `wish` is the ego's wish for a lane.
-    pub(crate) fn step(&mut self, wish: Wish) {
+    /// Advances everything by one step of 0.1 s.
+    pub(crate) fn step(&mut self, command: LaneCommand) {
         let lights = self.lights();
         let bodies = self.bodies();
         self.play_scripts(&bodies);
-        self.follow_wish(wish, &bodies);
+        self.follow_command(command, &bodies);
         let claims = Claims::new(self);
         let wanted: Vec<f64> = (0..self.movers.len())
             .map(|i| if self.movers[i].gone { 0.0 } else { self.wanted_acceleration(i, &bodies, &claims, &lights) })
@@ -83,7 +79,7 @@ impl Traffic<'_> {
         self.time += STEP_S;
     }
 
-    /// What a planner would see: everything within `reach` metres of the ego.
+    /// Agents and objects within `reach` meters of the ego, in order of their tokens.
     pub(crate) fn objects(&self, reach: f64) -> Vec<TrackedObject> {
         let ego = self.movers[0].shape().center.position();
         let near = |object: &TrackedObject| (object.shape.center.position() - ego).norm() <= reach;
@@ -106,10 +102,9 @@ impl Traffic<'_> {
     }
 }
 
-/// Whether the drivers leave room for a pedestrian to step onto the carriageway: everybody near is far in time, stands
-/// or has passed.
+/// True if a pedestrian may step onto the road: every vehicle near is far in time, stands or has passed.
 fn leaves_room(walker: &Walker, bodies: &[Body]) -> bool {
-    /// Time that an approaching vehicle must be away, seconds.
+    /// Minimum time to the arrival of a vehicle, seconds.
     const TIME_GAP: f64 = 4.5;
     let middle = nalgebra::center(&walker.from, &walker.to);
     bodies.iter().all(|body| {

@@ -1,4 +1,4 @@
-//! Whatever drives: cars, long vehicles, bicycles and the ego, each on its track.
+//! Vehicles and cyclists, each on its track.
 
 use super::track::Track;
 use crate::dynamics::IdmParameters;
@@ -6,41 +6,41 @@ use crate::geometry::{OrientedBox, Pose, Vector, wrap_angle};
 use crate::world::{LaneId, ObjectKind, PACIFICA, STEP_S, TrackToken};
 use std::sync::Arc;
 
-/// How somebody drives.
+/// How a driver drives.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct DriverProfile {
-    /// Desired speed as a share of what the road allows.
+    /// Desired speed as a share of the allowed speed.
     pub(crate) speed_factor: f64,
-    /// Gap kept at standstill, metres.
+    /// Gap at a standstill, meters.
     pub(crate) min_gap: f64,
     /// Time headway, seconds.
     pub(crate) headway: f64,
-    /// Acceleration, m/s².
+    /// m/s².
     pub(crate) accel: f64,
     /// Comfortable deceleration, m/s².
     pub(crate) decel: f64,
-    /// Time that must remain after clearing a crossing path, seconds.
+    /// Time that must remain after clearing a conflicting path, seconds.
     pub(crate) gap_margin: f64,
-    /// Largest rise of the acceleration, m/s³.
+    /// Maximum increase of the acceleration, m/s³.
     pub(crate) jerk: f64,
-    /// Hardest braking, m/s².
+    /// m/s².
     pub(crate) max_braking: f64,
-    /// How it takes the bends of its own path; `None` where only the road's bends slow it down.
+    /// Bounds for the bends of the driver's own path; `None` if only the road's bends slow it down.
     pub(crate) steering: Option<Steering>,
 }
 
-/// How calmly somebody steers: the speed goes down before the wheel would have to be turned faster.
+/// Bounds of the steering. The speed is reduced to stay within them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Steering {
-    /// Largest rate of the front wheels' angle, rad/s.
+    /// Maximum rate of the front wheels' angle, rad/s.
     pub(crate) rate: f64,
-    /// Largest lateral acceleration on the path, m/s².
+    /// Maximum lateral acceleration on the path, m/s².
     pub(crate) lateral: f64,
 }
 
 impl DriverProfile {
-    /// The law of following for a desired speed.
-    pub(crate) fn law(&self, target_velocity: f64) -> IdmParameters {
+    /// The intelligent driver model for a desired speed.
+    pub(crate) fn idm(&self, target_velocity: f64) -> IdmParameters {
         IdmParameters {
             target_velocity: target_velocity.max(0.1),
             min_gap: self.min_gap,
@@ -52,23 +52,21 @@ impl DriverProfile {
     }
 }
 
-/// A lateral move along the track: from one offset and slope to another offset, a quintic without curvature at its ends.
+/// A lateral movement along the track: a quintic from an offset and slope to another offset, without curvature at its ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Shift {
-    /// Where it begins, metres along the track.
+    /// Start, meters along the track.
     pub(crate) from_s: f64,
-    /// Where it ends.
     pub(crate) to_s: f64,
-    /// Offset before it, metres to the left.
+    /// Offset before it, meters to the left.
     pub(crate) from_d: f64,
-    /// Offset after it.
+    /// Offset after it, meters to the left.
     pub(crate) to_d: f64,
-    /// Slope of the offset where it begins.
+    /// Slope of the offset at the start.
     pub(crate) from_slope: f64,
 }
 
 impl Shift {
-    /// A constant offset.
     pub(crate) fn constant(lateral: f64) -> Self {
         Self { from_s: 0.0, to_s: 0.0, from_d: lateral, to_d: lateral, from_slope: 0.0 }
     }
@@ -86,7 +84,7 @@ impl Shift {
         let share = t.powi(3) * (10.0 - 15.0 * t + 6.0 * t * t);
         let slope = 30.0 * t * t * (1.0 - t).powi(2);
         let by = self.to_d - self.from_d;
-        // The part that takes up the slope with which it begins.
+        // The part that reduces the initial slope to zero.
         let lead_in = t - 6.0 * t.powi(3) + 8.0 * t.powi(4) - 3.0 * t.powi(5);
         let lead_in_slope = 1.0 - 18.0 * t * t + 32.0 * t.powi(3) - 15.0 * t.powi(4);
         let offset = self.from_d + by * share + self.from_slope * length * lead_in;
@@ -94,27 +92,16 @@ impl Shift {
     }
 }
 
-/// Something that happens at its time, whatever the driver thinks.
+/// A scripted action at a given time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Act {
-    /// From now on no faster than this, m/s.
-    Limit {
-        /// When, seconds.
-        at: f64,
-        /// Speed, m/s.
-        speed: f64,
-    },
-    /// Moves over to the neighbouring lane.
-    ChangeLane {
-        /// When, seconds.
-        at: f64,
-        /// To the left or to the right.
-        left: bool,
-    },
+    /// Limits the speed, m/s, from a time on, seconds.
+    Limit { at: f64, speed: f64 },
+    /// Changes to the neighboring lane at a time, seconds.
+    ChangeLane { at: f64, left: bool },
 }
 
 impl Act {
-    /// When it happens, seconds.
     pub(crate) fn at(&self) -> f64 {
         match *self {
             Self::Limit { at, .. } | Self::ChangeLane { at, .. } => at,
@@ -122,55 +109,52 @@ impl Act {
     }
 }
 
-/// A driver with a vehicle. Its reference point is the centre of its box, for the ego the rear axle.
+/// A vehicle or cyclist with its driver. The reference point is the center of its box, for the ego the rear axle.
 #[derive(Debug, Clone)]
 pub(crate) struct Mover {
-    /// Its track token; the ego's is not used.
+    /// The ego's is not used.
     pub(crate) token: TrackToken,
-    /// What it is.
     pub(crate) kind: ObjectKind,
-    /// Length, metres.
+    /// Meters.
     pub(crate) length: f64,
-    /// Width, metres.
+    /// Meters.
     pub(crate) width: f64,
-    /// From the reference point to the front, metres.
+    /// From the reference point to the front bumper, meters.
     pub(crate) front: f64,
-    /// The line it follows.
     pub(crate) track: Arc<Track>,
-    /// Reference point along the track, metres.
+    /// Reference point along the track, meters.
     pub(crate) s: f64,
-    /// Speed, m/s.
+    /// m/s.
     pub(crate) speed: f64,
-    /// Acceleration, m/s².
+    /// m/s².
     pub(crate) accel: f64,
-    /// Its place across the track.
+    /// Offset from the track.
     pub(crate) shift: Shift,
-    /// How it is driven.
     pub(crate) profile: DriverProfile,
-    /// Speed that it must not exceed, m/s.
+    /// Maximum speed beside the road's limit, m/s.
     pub(crate) speed_cap: f64,
-    /// Arc length that its front must not pass for now, of its driver's own accord.
-    pub(crate) halt: Option<f64>,
-    /// What is to happen, soonest last.
+    /// Arc length at which the driver stops its front for now.
+    pub(crate) stop_s: Option<f64>,
+    /// Scripted actions, soonest last.
     pub(crate) script: Vec<Act>,
-    /// The connector before which it has already stopped for the sign.
+    /// The connector at whose stop sign it has stopped.
     pub(crate) served: Option<LaneId>,
-    /// Whether it has left the roads.
+    /// True after it has left the roads.
     pub(crate) gone: bool,
 }
 
 impl Mover {
-    /// From the reference point to the rear, metres.
+    /// From the reference point to the rear bumper, meters.
     pub(crate) fn back(&self) -> f64 {
         self.length - self.front
     }
 
-    /// Front bumper along the track, metres.
+    /// Front bumper along the track, meters.
     pub(crate) fn front_s(&self) -> f64 {
         self.s + self.front
     }
 
-    /// Rear bumper along the track, metres.
+    /// Rear bumper along the track, meters.
     pub(crate) fn rear_s(&self) -> f64 {
         self.s - self.back()
     }
@@ -184,45 +168,44 @@ impl Mover {
         Pose::new(moved.x, moved.y, wrap_angle(base.heading + slope.atan2(along)))
     }
 
-    /// Heading of its path at arc length `s` of its track, radians, not wrapped.
+    /// Heading of the path at arc length `s` of the track, radians, not wrapped.
     pub(crate) fn heading_at(&self, s: f64) -> f64 {
         let (lateral, slope) = self.shift.at(s);
         self.track.pose_at(s).heading + slope.atan2(1.0 - self.track.curvature_at(s) * lateral)
     }
 
-    /// Curvature of its path at arc length `s` of its track, 1/m: by the headings a little before and after.
+    /// Curvature of the path at arc length `s` of the track, 1/m, from the headings before and after.
     pub(crate) fn path_curvature(&self, s: f64) -> f64 {
         const SPAN: f64 = 1.2;
         wrap_angle(self.heading_at(s + SPAN) - self.heading_at(s - SPAN)) / (2.0 * SPAN)
     }
 
-    /// Its box.
     pub(crate) fn shape(&self) -> OrientedBox {
         let ahead = self.front - self.length / 2.0;
         OrientedBox::new(self.pose().translated(ahead, 0.0), self.length, self.width)
     }
 
-    /// Its velocity, map frame.
+    /// Velocity in the map frame, m/s.
     pub(crate) fn velocity(&self) -> Vector {
         self.pose().direction() * self.speed
     }
 
-    /// Whether it is between two lanes.
+    /// True during a lateral movement.
     pub(crate) fn is_changing(&self) -> bool {
         let (from_s, to_s) = (self.shift.from_s, self.shift.to_s);
         to_s > from_s && self.s < to_s
     }
 
-    /// Whether it is on its way from one lane to another, not only keeping clear of something within its lane.
+    /// True during a lane change, not during an offset within the lane.
     pub(crate) fn is_between_lanes(&self) -> bool {
         const WITHIN_LANE: f64 = 1.6;
         self.is_changing() && (self.shift.to_d - self.shift.from_d).abs() > WITHIN_LANE
     }
 
-    /// Moves on for one step with the wanted acceleration, within the jerk that its driver allows.
+    /// Advances by one step with this acceleration, within the driver's jerk.
     pub(crate) fn advance(&mut self, wanted: f64) {
         let rise = self.profile.jerk * STEP_S;
-        // Braking harder than comfort asks for may build up faster.
+        // Emergency braking may build up faster.
         let fall = if wanted < -self.profile.decel - 0.5 { 3.0 * rise } else { 1.2 * rise };
         self.accel =
             wanted.clamp(self.accel - fall, self.accel + rise).clamp(-self.profile.max_braking, self.profile.accel);
@@ -235,22 +218,22 @@ impl Mover {
         let (lateral, slope) = self.shift.at(self.s);
         let along = 1.0 - self.track.curvature_at(self.s) * lateral;
         self.s += driven / along.hypot(slope).max(0.2);
-        // Out of sight before the line ends, so that nobody is seen to vanish near the ego.
+        // It leaves the roads before its track ends.
         self.gone |= self.front_s() + 1.0 > self.track.length();
     }
 
-    /// Goes over to another track, from which it is now `lateral` metres away at `s`, within `length` metres; its pose stays.
-    pub(crate) fn go_over(&mut self, track: Arc<Track>, s: f64, lateral: f64, length: f64) {
+    /// Moves to another track, from which it is `lateral` meters away at `s`, within `length` meters. Its pose does not jump.
+    pub(crate) fn change_track(&mut self, track: Arc<Track>, s: f64, lateral: f64, length: f64) {
         let turned = wrap_angle(self.pose().heading - track.pose_at(s).heading);
         let from_slope = turned.tan() * (1.0 - track.curvature_at(s) * lateral);
         self.track = track;
         self.s = s;
         self.shift = Shift { from_s: s, to_s: s + length, from_d: lateral, to_d: 0.0, from_slope };
         self.served = None;
-        self.halt = None;
+        self.stop_s = None;
     }
 
-    /// The ego at a place of its track.
+    /// The ego at arc length `s` of its track.
     pub(crate) fn ego(track: Arc<Track>, s: f64, speed: f64, profile: DriverProfile) -> Self {
         Self {
             token: TrackToken(0),
@@ -265,7 +248,7 @@ impl Mover {
             shift: Shift::constant(0.0),
             profile,
             speed_cap: f64::INFINITY,
-            halt: None,
+            stop_s: None,
             script: Vec::new(),
             served: None,
             gone: false,

@@ -1,28 +1,27 @@
-//! Lights, signs and who goes first where paths cross.
+//! Traffic lights, stop signs and the right of way.
 
 use super::{Mover, Traffic};
 use crate::scenario::generator::road::{Conflict, Passage};
 use crate::world::{SignalStatus, TrafficLights};
 
-/// How far before a junction its drivers are noticed, metres.
+/// Distance before a junction at which other drivers notice a vehicle, meters.
 const NOTICED: f64 = 70.0;
-/// Speed under which a vehicle counts as standing, m/s.
+/// Speed below which a vehicle counts as standing, m/s.
 const STANDING: f64 = 0.5;
-/// Speed that drivers reckon with when they cross a junction from a standstill, m/s.
+/// Assumed speed when crossing a junction from a standstill, m/s.
 const CROSSING_SPEED: f64 = 7.0;
-/// Acceleration that they reckon with, m/s².
+/// Assumed acceleration, m/s².
 const CROSSING_ACCELERATION: f64 = 1.4;
-/// Deceleration above which a driver drives on through yellow, m/s².
+/// A driver who would have to brake harder than this continues through yellow, m/s².
 const YELLOW_DECELERATION: f64 = 2.2;
 
-/// Who is about to use which connector: for each lane the movers with the arc length on their track at which it begins.
+/// Connectors that movers are about to use: for each lane, the movers and the arc length on their track at which it begins.
 #[derive(Debug, Clone)]
 pub(crate) struct Claims {
     by_lane: Vec<Vec<(usize, f64)>>,
 }
 
 impl Claims {
-    /// The claims of all movers now.
     pub(crate) fn new(traffic: &Traffic<'_>) -> Self {
         let mut by_lane = vec![Vec::new(); traffic.roads.passages.len()];
         for (i, mover) in traffic.movers.iter().enumerate().filter(|(_, mover)| !mover.gone) {
@@ -37,12 +36,12 @@ impl Claims {
 }
 
 impl Traffic<'_> {
-    /// Arc length at which the front of mover `i` has to stop now for lights, signs or others' right of way.
+    /// Arc length at which the front of mover `i` must stop now for lights, signs or the right of way of others.
     pub(super) fn place_to_stop(&self, i: usize, claims: &Claims, lights: &TrafficLights) -> Option<f64> {
         let me = &self.movers[i];
-        let sight = me.sight();
+        let lookahead = me.lookahead();
         let upcoming = me.track.spans.iter().filter(|span| span.connector && span.to > me.s);
-        for span in upcoming.take_while(|span| span.from < me.front_s() + sight) {
+        for span in upcoming.take_while(|span| span.from < me.front_s() + lookahead) {
             let Some(passage) = self.roads.passages[span.lane.index()].as_ref() else { continue };
             let before = me.front_s() <= span.from + 0.5;
             if before {
@@ -66,7 +65,7 @@ impl Traffic<'_> {
         None
     }
 
-    /// The first conflict on a connector for which mover `i` has to give way now.
+    /// The first conflict on a connector at which mover `i` must yield now.
     fn conflict_ahead(
         &self,
         i: usize,
@@ -79,18 +78,18 @@ impl Traffic<'_> {
         if start - me.front_s() > 2.5 * me.speed + 12.0 {
             return None;
         }
-        let gives_way = |conflict: &&Conflict| {
-            // Who is already past the beginning of the crossing path goes on.
+        let yields = |conflict: &&Conflict| {
+            // A driver past the start of the conflict continues.
             me.front_s() < start + conflict.own[0]
                 && claims.by_lane[conflict.other.index()]
                     .iter()
-                    .any(|&(j, begins)| j != i && self.must_let_go(me, start, conflict, j, begins, lights))
+                    .any(|&(j, begins)| j != i && self.must_yield_to(me, start, conflict, j, begins, lights))
         };
-        passage.conflicts.iter().filter(gives_way).min_by(|a, b| a.own[0].total_cmp(&b.own[0])).copied()
+        passage.conflicts.iter().filter(yields).min_by(|a, b| a.own[0].total_cmp(&b.own[0])).copied()
     }
 
-    /// Whether a driver has to let mover `j` go first, whose connector begins at `begins` on its track.
-    fn must_let_go(
+    /// True if a driver must yield to mover `j`, whose connector begins at `begins` on its track.
+    fn must_yield_to(
         &self,
         me: &Mover,
         start: f64,
@@ -105,10 +104,10 @@ impl Traffic<'_> {
             return false;
         }
         if other.front_s() >= enters {
-            // Somebody is inside. Where paths merge, following takes over once it is ahead.
+            // The other vehicle is inside. Where paths merge, car following takes over once it is ahead.
             return true;
         }
-        if !conflict.gives_way {
+        if !conflict.yields {
             return false;
         }
         let waits = other.front_s() < begins + 0.5
@@ -129,9 +128,9 @@ impl Traffic<'_> {
         mine_out + margin > arrives && mine_in < clears + 0.5
     }
 
-    /// Remembers who has come to a stop at a sign.
+    /// Notes which vehicles have stopped at a sign.
     pub(super) fn note_stops(&mut self) {
-        /// Nearer than this to the line with a standing vehicle, the stop counts, metres.
+        /// Maximum distance to the line for a stop to count, meters.
         const AT_LINE: f64 = 3.0;
         for mover in self.movers.iter_mut().filter(|mover| !mover.gone && mover.speed < 0.2) {
             let (front, s) = (mover.front_s(), mover.s);
@@ -146,7 +145,7 @@ impl Traffic<'_> {
 fn must_stop_at_light(me: &Mover, line: f64, status: Option<SignalStatus>) -> bool {
     match status {
         Some(SignalStatus::Red) => {
-            // A light that has just turned red before a driver who can no longer stop.
+            // A driver who can no longer stop before a light that has just turned red continues.
             let needed = me.speed * me.speed / (2.0 * (line - me.front_s()).max(0.1));
             needed < me.profile.max_braking + 1.0 || me.speed < 1.0
         }
@@ -157,7 +156,7 @@ fn must_stop_at_light(me: &Mover, line: f64, status: Option<SignalStatus>) -> bo
     }
 }
 
-/// Time to cover a distance from a given speed on, accelerating to the speed of crossing, seconds.
+/// Time to cover a distance while accelerating to the crossing speed, seconds.
 fn travel_time(distance: f64, speed: f64) -> f64 {
     if distance <= 0.0 {
         return 0.0;

@@ -1,46 +1,44 @@
-//! The line that a driver follows, sampled evenly so that questions to it are cheap.
+//! The line that a driver follows, sampled evenly so that queries are cheap.
 
 use crate::geometry::{Point, Polyline, Pose, Vector, unwrap_angles};
 use crate::scenario::generator::road::Roads;
 use crate::world::{LaneId, LanePath};
 
-/// Distance between two samples, metres.
+/// Distance between samples, meters.
 const SPACING: f64 = 1.0;
-/// Lateral acceleration that drivers accept in bends, m/s².
+/// Maximum lateral acceleration in bends, m/s².
 const LATERAL_ACCELERATION: f64 = 1.8;
-/// Deceleration with which they slow down towards bends and lower limits, m/s².
+/// Deceleration toward bends and lower limits, m/s².
 const ANTICIPATION: f64 = 0.9;
-/// Speed where no limit applies, m/s.
+/// Speed on a connector without limits around it, m/s.
 const UNLIMITED: f64 = 13.4;
 
 /// Samples to each side over which headings are averaged.
 const SMOOTHED: usize = 2;
 
-/// A lane of the track and where on it it lies.
+/// A lane of the track.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Span {
-    /// Which lane or connector.
     pub(crate) lane: LaneId,
-    /// Where it begins, metres along the track.
+    /// Start, meters along the track.
     pub(crate) from: f64,
-    /// Where it ends.
+    /// End, meters along the track.
     pub(crate) to: f64,
-    /// Whether it is a connector of a junction.
     pub(crate) connector: bool,
 }
 
-/// A line along lanes with the speed that it allows.
+/// A line along lanes with the allowed speeds.
 #[derive(Debug, Clone)]
 pub(crate) struct Track {
-    /// Even samples; their headings run on without jumps.
+    /// Even samples; their headings are not wrapped.
     poses: Vec<Pose>,
     /// Unit vectors along the headings.
     directions: Vec<Vector>,
     curvature: Vec<f64>,
     allowed: Vec<f64>,
-    /// The lanes in driving order.
+    /// Lanes in driving order.
     pub(crate) spans: Vec<Span>,
-    /// Crosswalks on it: from, to, metres along the track.
+    /// Crosswalks: start and end, meters along the track.
     pub(crate) crosswalks: Vec<[f64; 2]>,
     length: f64,
 }
@@ -104,19 +102,19 @@ impl Track {
         found
     }
 
-    /// Length, metres.
+    /// Meters.
     pub(crate) fn length(&self) -> f64 {
         self.length
     }
 
-    /// Index of the sample before `s` and the share of the way to the next one.
+    /// Index of the sample before `s`, and the share of the distance to the next one.
     fn place(&self, s: f64) -> (usize, f64) {
         let at = (s / SPACING).clamp(0.0, (self.poses.len() - 1) as f64);
         let i = (at as usize).min(self.poses.len() - 2);
         (i, at - i as f64)
     }
 
-    /// Pose at arc length `s` (clamped); its heading is not wrapped.
+    /// Pose at arc length `s` (clamped). The heading is not wrapped.
     pub(crate) fn pose_at(&self, s: f64) -> Pose {
         let (i, share) = self.place(s);
         let (a, b) = (self.poses[i], self.poses[i + 1]);
@@ -129,7 +127,7 @@ impl Track {
         self.curvature[i] + (self.curvature[i + 1] - self.curvature[i]) * share
     }
 
-    /// Speed that signs, bends and what comes after `s` allow, m/s.
+    /// Speed that limits and bends at `s` and behind it allow, m/s.
     pub(crate) fn allowed_at(&self, s: f64) -> f64 {
         let (i, share) = self.place(s);
         self.allowed[i] + (self.allowed[i + 1] - self.allowed[i]) * share
@@ -163,7 +161,7 @@ impl Track {
         (best as f64 * SPACING + along.dot(&d), along.perp(&d))
     }
 
-    /// As [`Self::project`] over the whole track, consistent with [`Self::pose_at`] to less than a millimetre.
+    /// As [`Self::project`] over the whole track, consistent with [`Self::pose_at`] to less than a millimeter.
     pub(crate) fn project_exactly(&self, point: Point) -> (f64, f64) {
         const STEPS: usize = 4;
         let (mut s, mut lateral) = self.project(point, 0.0, self.length);
@@ -180,23 +178,22 @@ impl Track {
         self.directions[((s / SPACING).round().max(0.0) as usize).min(self.directions.len() - 1)]
     }
 
-    /// The span at arc length `s`.
     pub(crate) fn span_at(&self, s: f64) -> Span {
         let place = self.spans.partition_point(|span| span.to <= s).min(self.spans.len() - 1);
         self.spans[place]
     }
 }
 
-/// Even samples of a line with headings between their neighbours.
+/// Even samples of a line, with the headings of the chords between neighbors.
 fn sample(line: &Polyline) -> Vec<Pose> {
     let count = (line.length() / SPACING).floor().max(1.0) as usize;
     let points: Vec<Point> = (0..=count).map(|i| line.point_at(i as f64 * SPACING)).collect();
     let chords: Vec<f64> =
         (0..=count).map(|i| points[(i + 1).min(count)] - points[i.saturating_sub(1)]).map(|d| d.y.atan2(d.x)).collect();
     let chords = unwrap_angles(&chords);
-    // Lines have corners at their vertices; drivers do not steer around each of them.
+    // Lines have corners at their vertices. Drivers steer along a smoothed heading.
     let headings = (0..=count).map(|i| {
-        // The same number of samples to both sides, so that the average stays in place.
+        // The same number of samples to both sides keeps the average in place.
         let reach = SMOOTHED.min(i).min(count - i);
         chords[i - reach..=i + reach].iter().sum::<f64>() / (2 * reach + 1) as f64
     });

@@ -1,39 +1,32 @@
-//! People on foot: they wait, cross at crosswalks or between them, or walk along the road.
+//! Pedestrians: they wait, cross at crosswalks or between them, or walk along the road.
 
 use crate::geometry::{OrientedBox, Point, Pose, Vector};
 use crate::world::{STEP_S, TrackToken};
 
-/// What a pedestrian waits for before walking.
+/// When a pedestrian starts to walk. Times are seconds from iteration 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Departure {
-    /// A moment, seconds.
     At(f64),
-    /// That the drivers leave a gap or stop, from a moment on, seconds.
+    /// From this time on, when the drivers leave a gap or stop.
     WhenClear(f64),
-    /// Never.
     Never,
 }
 
-/// A pedestrian who walks from one point to another.
+/// A pedestrian on a straight path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Walker {
-    /// Its track token.
     pub(crate) token: TrackToken,
-    /// From where.
     pub(crate) from: Point,
-    /// To where.
     pub(crate) to: Point,
     /// Walking speed, m/s.
     pub(crate) pace: f64,
-    /// When it sets off.
     pub(crate) departure: Departure,
-    /// Whether the way leads across the carriageway.
+    /// True if the path crosses the road.
     pub(crate) crosses: bool,
-    /// Distance walked, metres.
+    /// Distance walked, meters.
     pub(crate) walked: f64,
-    /// Whether it walks now.
     pub(crate) moving: bool,
-    /// Side of its square box, metres.
+    /// Side of the square box, meters.
     pub(crate) size: f64,
 }
 
@@ -42,22 +35,20 @@ impl Walker {
         (self.to - self.from).normalize()
     }
 
-    /// Length of the way, metres.
+    /// Length of the path, meters.
     pub(crate) fn distance(&self) -> f64 {
         (self.to - self.from).norm()
     }
 
-    /// Where it is.
     pub(crate) fn position(&self) -> Point {
         self.from + self.direction() * self.walked
     }
 
-    /// Its velocity, m/s.
+    /// m/s.
     pub(crate) fn velocity(&self) -> Vector {
         if self.moving { self.stride() } else { Vector::zeros() }
     }
 
-    /// Its box.
     pub(crate) fn shape(&self) -> OrientedBox {
         let d = self.direction();
         OrientedBox::new(Pose::at(self.position(), d.y.atan2(d.x)), self.size, self.size)
@@ -68,10 +59,10 @@ impl Walker {
         self.direction() * self.pace
     }
 
-    /// Seconds until it is on its way across, 0 when it is; `None` when drivers need not mind it. Drivers see shortly before
-    /// that somebody is about to set off; who waits for a gap does not count.
+    /// Seconds until the pedestrian starts to cross, 0 while crossing, `None` if drivers need not react. Drivers foresee the
+    /// start shortly before; pedestrians who wait for a gap do not count.
     pub(crate) fn crosses_in(&self, time: f64) -> Option<f64> {
-        /// How long before somebody sets off it can be seen, seconds.
+        /// Time before the start at which drivers foresee it, seconds.
         const FORESEEN: f64 = 2.5;
         if !self.crosses {
             return None;
@@ -85,7 +76,7 @@ impl Walker {
         }
     }
 
-    /// One step; `clear` tells whether the drivers leave room now.
+    /// One step; `clear` is true if the drivers leave room now.
     pub(crate) fn advance(&mut self, time: f64, clear: bool) {
         if self.moving {
             self.walked = (self.walked + self.pace * STEP_S).min(self.distance());

@@ -5,7 +5,7 @@ use super::route::route_ids;
 use super::stops::stop_rows;
 use super::*;
 use crate::geometry::{OrientedBox, Polyline, Pose};
-use crate::scenario::generator::{ScenarioType, Spec, generate};
+use crate::scenario::generator::{ScenarioType, Spec, generate, types};
 use crate::world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId};
 use rusqlite::Connection;
 
@@ -158,7 +158,7 @@ fn scenario(kind: ScenarioType, seed: u64) -> Scenario {
 fn a_folder_is_written_whole_or_not_at_all() {
     let home = tempfile::tempdir().unwrap();
     let (folder, settings) = (home.path().join("out"), ExportSettings::default());
-    let one = scenario(ScenarioType::FollowingLaneWithLead, 1);
+    let one = scenario(types::following_lane_with_lead::TYPE, 1);
     let left = || std::fs::read_dir(home.path()).unwrap().count();
     let refused = |scenarios: &[Scenario], settings: &ExportSettings| {
         let error = write_scenarios(scenarios, &folder, settings).unwrap_err();
@@ -174,7 +174,7 @@ fn a_folder_is_written_whole_or_not_at_all() {
     let off_earth = ExportSettings { origin: Point::new(f64::NAN, 0.0), ..settings.clone() };
     assert!(matches!(refused(std::slice::from_ref(&one), &off_earth), ExportError::Shape { .. }));
     let named = ExportSettings { location: Some("here".to_owned()), ..settings.clone() };
-    let other = scenario(ScenarioType::FollowingLaneWithLead, 2);
+    let other = scenario(types::following_lane_with_lead::TYPE, 2);
     assert!(matches!(refused(&[one.clone(), other], &named), ExportError::MapsDiffer { .. }));
     let mut short = one.clone();
     short.frames.truncate(one.start + 10);
@@ -188,7 +188,7 @@ fn a_folder_is_written_whole_or_not_at_all() {
 #[test]
 fn the_same_scenarios_give_the_same_bytes_and_equal_maps_are_one() {
     let home = tempfile::tempdir().unwrap();
-    let one = scenario(ScenarioType::StartingRightTurn, 1);
+    let one = scenario(types::starting_right_turn::TYPE, 1);
     let renamed = Scenario { id: "another".to_owned(), ..one.clone() };
     let settings = ExportSettings::default();
     let write =
@@ -211,8 +211,8 @@ fn the_same_scenarios_give_the_same_bytes_and_equal_maps_are_one() {
 #[test]
 fn every_table_is_there_and_types_without_a_window_are_tagged_at_their_start() {
     let home = tempfile::tempdir().unwrap();
-    let scenarios = [scenario(ScenarioType::TraversingRoundabout, 1), {
-        let one = scenario(ScenarioType::FollowingLaneWithLead, 1);
+    let scenarios = [scenario(types::traversing_roundabout::TYPE, 1), {
+        let one = scenario(types::following_lane_with_lead::TYPE, 1);
         Scenario { scenario_type: "unknown".to_owned(), ..one }
     }];
     let exported = write_scenarios(&scenarios, &home.path().join("out"), &ExportSettings::default()).unwrap();

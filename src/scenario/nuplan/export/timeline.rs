@@ -171,7 +171,7 @@ fn half_way(from: Pose, to: Pose) -> Pose {
 mod tests {
     use super::*;
     use crate::geometry::{OrientedBox, Vector};
-    use crate::scenario::generator::{ScenarioType, Spec, generate};
+    use crate::scenario::generator::{Spec, generate, types};
     use crate::world::{ObjectKind, TrackToken};
     use std::f64::consts::PI;
     use std::sync::Arc;
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn the_window_around_the_anchor_is_the_scenario() {
-        for (kind, apart) in [(ScenarioType::ChangingLane, 60), (ScenarioType::TraversingRoundabout, 0)] {
+        for (kind, apart) in [(types::changing_lane::TYPE, 60), (types::traversing_roundabout::TYPE, 0)] {
             let scenario = generate(&Spec::new(kind, 1)).unwrap();
             let timeline = Timeline::of(&scenario).unwrap();
             assert_eq!(timeline.anchor, scenario.start * 2 + apart);
@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn a_window_that_nuplan_cannot_cut_is_an_error() {
-        let mut scenario = generate(&Spec::new(ScenarioType::ChangingLane, 1)).unwrap();
+        let mut scenario = generate(&Spec::new(types::changing_lane::TYPE, 1)).unwrap();
         let cut = |scenario: &Scenario| Timeline::of(scenario).map(|timeline| timeline.anchor);
         scenario.frames.truncate(scenario.start + 31);
         assert_eq!(cut(&scenario), Ok((scenario.start + 30) * 2));
@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn the_recorded_future_is_kept_where_the_window_does_not_reach_it() {
-        let mut scenario = generate(&Spec::new(ScenarioType::ChangingLane, 1)).unwrap();
+        let mut scenario = generate(&Spec::new(types::changing_lane::TYPE, 1)).unwrap();
         let last = scenario.frames.last().unwrap().ego;
         let later = |step: i64| EgoState { time_us: last.time_us + step * 100_000, ..last };
         scenario.future = vec![later(1), later(2)];

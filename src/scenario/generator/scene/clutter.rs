@@ -1,32 +1,33 @@
-//! What makes a street a street: parked cars, cyclists, people on the pavement and at crosswalks, cones.
+//! Random objects beside the traffic: parked cars, cyclists, pedestrians, cones.
 
-use super::stage::{Make, Stage};
-use crate::geometry::{Point, Polygon, Pose, wrap_angle};
+use super::builder::{TrafficBuilder, VehicleKind};
+use super::setting::LEAD_IN;
+use crate::geometry::{OrientedBox, Point, Polygon, Pose, wrap_angle};
 use crate::scenario::generator::traffic::{Departure, Walker};
 use crate::world::{LaneId, ObjectKind, TrackToken};
 use std::f64::consts::PI;
 
-/// A parking strip is at least this wide, metres.
+/// Minimum width of a parking strip, meters.
 const PARKING: f64 = 2.4;
-/// A strip at the kerb that bicycles use is at least this wide, metres.
+/// Minimum width of a strip at the curb that cyclists use, meters.
 const BICYCLES: f64 = 1.4;
 
-impl Stage<'_, '_> {
-    /// The rightmost lanes of all roads with what lies beside them: lane width and width of the strip.
-    fn kerb_lanes(&self) -> Vec<(LaneId, f64, f64)> {
+impl TrafficBuilder<'_, '_> {
+    /// The rightmost lanes of all roads, with lane width and width of the strip at the curb.
+    fn curb_lanes(&self) -> Vec<(LaneId, f64, f64)> {
         let roads = self.roads();
-        let kerb = |lane: &LaneId| roads.map[*lane].right.is_empty();
+        let at_curb = |lane: &LaneId| roads.map[*lane].right.is_empty();
         roads
             .road_lanes()
-            .filter(kerb)
+            .filter(at_curb)
             .filter_map(|lane| roads.facts[lane.index()].map(|f| (lane, f.lane_width, f.shoulder[0])))
             .collect()
     }
 
-    /// Everything that is not traffic proper, as the dice will have it.
-    pub(super) fn add_clutter(&mut self) {
+    /// Adds random clutter: parked cars, cyclists, pedestrians, cones.
+    pub fn add_clutter(&mut self) {
         let (parked, cyclists, strollers) = (self.rng.uniform(0.2, 0.8), self.rng.bool(0.5), self.rng.range(0, 4));
-        for (lane, lane_width, strip) in self.kerb_lanes() {
+        for (lane, lane_width, strip) in self.curb_lanes() {
             if strip >= PARKING {
                 self.park_along(lane, lane_width / 2.0 + strip / 2.0 + 0.1, parked);
             } else if strip >= BICYCLES && cyclists && self.rng.bool(0.6) {
@@ -53,7 +54,7 @@ impl Stage<'_, '_> {
         }
     }
 
-    /// Parks cars in a row beside a lane, `offset` metres right of its centreline.
+    /// Parks cars in a row beside a lane, `offset` meters to the right of its centerline.
     fn park_along(&mut self, lane: LaneId, offset: f64, share: f64) {
         let line = self.roads().map[lane].centerline.clone();
         let mut s = 9.0;
@@ -67,20 +68,20 @@ impl Stage<'_, '_> {
         }
     }
 
-    /// Sends a cyclist along a lane, `lateral` metres left of its centreline.
-    pub(super) fn cycle_along(&mut self, lane: LaneId, lateral: f64) {
+    /// Adds a cyclist along a lane, `lateral` meters to the left of its centerline.
+    fn cycle_along(&mut self, lane: LaneId, lateral: f64) {
         let length = self.roads().map[lane].centerline.length();
         let (s, pace) = (self.rng.uniform(3.0, (length - 6.0).max(4.0)), self.rng.uniform(3.0, 6.0));
         let chain = self.roads().straight_chain(lane);
-        if let Some(i) = self.put(Make::Bicycle, chain, s, pace, lateral) {
+        if let Some(i) = self.put(VehicleKind::Bicycle, chain, s, pace, lateral) {
             self.traffic.movers[i].speed_cap = pace;
         }
     }
 
-    /// Somebody walks along the pavement.
+    /// Adds a pedestrian who walks along the sidewalk.
     fn stroll(&mut self) {
-        let kerbs = self.kerb_lanes();
-        let (lane, lane_width, strip) = self.rng.choose(&kerbs);
+        let curbs = self.curb_lanes();
+        let (lane, lane_width, strip) = self.rng.choose(&curbs);
         let line = &self.roads().map[lane].centerline;
         if line.length() < 50.0 {
             return;
@@ -93,8 +94,8 @@ impl Stage<'_, '_> {
         self.put_walker(Walker { pace, departure: Departure::At(-10.0), crosses: false, ..walker(from, to) });
     }
 
-    /// Somebody stands at a crosswalk and crosses at the departure.
-    pub(super) fn wait_at(&mut self, walk: &Polygon, departure: Departure, other_way: bool) {
+    /// Adds a pedestrian who waits at a crosswalk.
+    pub(crate) fn wait_at(&mut self, walk: &Polygon, departure: Departure, other_way: bool) {
         let (a, b) = ends(walk);
         let (from, to) = if other_way { (b, a) } else { (a, b) };
         let aside = Pose::at(from, 0.0).translated(self.rng.uniform(-0.6, 0.6), self.rng.uniform(-0.6, 0.6));
@@ -102,11 +103,34 @@ impl Stage<'_, '_> {
         self.put_walker(Walker { pace, departure, crosses: true, ..walker(aside.position(), to) });
     }
 
-    /// Fills the kerb-side bays with standing vehicles and with people beside them.
-    pub(super) fn fill_bay(&mut self) {
+    /// Adds a pedestrian who crosses the road away from any crosswalk, where no object blocks the path.
+    pub(crate) fn add_jaywalker(&mut self) {
+        const REACH: f64 = 14.0;
+        const TRIES: usize = 5;
+        for _ in 0..TRIES {
+            let (s, side) = (self.ego().s + self.rng.uniform(50.0, 110.0), self.rng.sign());
+            let early = self.rng.uniform(8.0, 12.0);
+            let pose = self.ego().track.pose_at(s);
+            let (from, to) = (pose.to_map(Point::new(0.0, side * REACH)), pose.to_map(Point::new(1.0, -side * REACH)));
+            let blocked = self.traffic.fixtures.iter().any(|fixture| {
+                let shape = fixture.shape;
+                OrientedBox::new(shape.center, shape.length + 1.2, shape.width + 1.2).meets_segment(from, to)
+            });
+            if blocked || self.ego().track.span_at(s).connector {
+                continue;
+            }
+            let arrives = (s - self.ego().s) / self.ego().speed.max(3.0) - LEAD_IN;
+            let pace = self.rng.uniform(1.2, 1.9);
+            self.put_walker(Walker { pace, departure: Departure::At(arrives - early), ..walker(from, to) });
+            return;
+        }
+    }
+
+    /// Fills the bays at the curb with parked vehicles and with pedestrians beside them.
+    pub(crate) fn fill_bay(&mut self) {
         let bays = self.roads().map.carparks().to_vec();
         for bay in &bays {
-            // The ring runs along the road on its right edge first, then back along the left one.
+            // The outline runs along the right edge of the road first, then back along the left one.
             let ring = bay.ring();
             let (left, right) = ((ring[3], ring[2]), (ring[0], ring[1]));
             let heading = (left.1 - left.0).y.atan2((left.1 - left.0).x);
@@ -131,10 +155,10 @@ impl Stage<'_, '_> {
         }
     }
 
-    /// Cones and a sign on the strip beside a road.
+    /// Adds cones and a sign on the strip beside a road.
     fn road_works_beside(&mut self) {
-        let kerbs = self.kerb_lanes();
-        let (lane, lane_width, strip) = self.rng.choose(&kerbs);
+        let curbs = self.curb_lanes();
+        let (lane, lane_width, strip) = self.rng.choose(&curbs);
         let line = self.roads().map[lane].centerline.clone();
         if line.length() < 60.0 {
             return;
@@ -148,11 +172,11 @@ impl Stage<'_, '_> {
         }
     }
 
-    /// Closes a lane for good from arc length `s` on with barriers and cones over `length` metres.
-    pub(super) fn close_lane(&mut self, lane: LaneId, s: f64, length: f64, width: f64) {
+    /// Closes a lane from arc length `s` on with barriers and cones over `length` meters.
+    pub(crate) fn close_lane(&mut self, lane: LaneId, s: f64, length: f64, width: f64) {
         let line = self.roads().map[lane].centerline.clone();
         let at = |s: f64, d: f64| Pose::at(line.frenet_to_map(s, d), line.heading_at(s));
-        // A taper of cones, then barriers across and cones along.
+        // A taper of cones, then a barrier across the lane and cones along it.
         for k in 0..4 {
             let share = f64::from(k) / 3.0;
             let pose = at(s - 12.0 + 12.0 * share, (-0.5 + share * 0.8) * width);
@@ -170,8 +194,8 @@ impl Stage<'_, '_> {
     }
 }
 
-/// A pedestrian who stays where it is until told otherwise.
-pub(super) fn walker(from: Point, to: Point) -> Walker {
+/// A pedestrian who stands still.
+fn walker(from: Point, to: Point) -> Walker {
     Walker {
         token: TrackToken(0),
         from,
@@ -185,9 +209,9 @@ pub(super) fn walker(from: Point, to: Point) -> Walker {
     }
 }
 
-/// The two places on the pavement that a crosswalk joins.
-pub(super) fn ends(walk: &Polygon) -> (Point, Point) {
-    /// Distance from the kerb, metres.
+/// The two places on the sidewalk that a crosswalk joins.
+fn ends(walk: &Polygon) -> (Point, Point) {
+    /// Distance from the curb, meters.
     const BACK: f64 = 1.1;
     let ring = walk.ring();
     let (a, b) = (nalgebra::center(&ring[0], &ring[1]), nalgebra::center(&ring[2], &ring[3]));

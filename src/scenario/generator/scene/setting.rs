@@ -1,80 +1,75 @@
-//! The stage before anybody enters it: roads, where the ego starts, what its light will do.
+//! Roads, where the ego starts on them, and what its traffic light shows.
 
 use crate::geometry::{GeometryError, Pose};
-use crate::scenario::generator::expert::Task;
+use crate::scenario::generator::expert::ExpertTask;
 use crate::scenario::generator::rng::{EarlyDraw, SeededRng};
 use crate::scenario::generator::road::{CirclePlan, Control, Course, CrossingPlan, Layout, RoadStyle, Turn};
 use std::f64::consts::PI;
 
 /// Speed limits of city roads, m/s (20 to 45 mph).
-pub(super) const LIMITS: [f64; 6] = [8.9, 11.2, 13.4, 15.6, 17.9, 20.1];
+pub const LIMITS: [f64; 6] = [8.9, 11.2, 13.4, 15.6, 17.9, 20.1];
 
-/// Seconds that the traffic runs before the log begins, so that everybody has settled.
+/// Seconds that the traffic runs before the log begins, so that speeds and gaps settle.
 pub(crate) const SETTLING: f64 = 2.0;
-/// Seconds from the first instant of the traffic to iteration 0: settling and the history.
+/// Seconds from the first instant of the traffic to iteration 0: settling and history.
 pub(crate) const LEAD_IN: f64 = SETTLING + 2.1;
-/// Seconds driven from iteration 0 on.
+/// Seconds that the ego drives from iteration 0 on.
 const DRIVEN: f64 = 15.0;
-/// Road that must lie ahead of the ego when it is done, metres.
+/// Road that must lie ahead of the ego at the end, meters.
 const LOOKAHEAD: f64 = 165.0;
-/// Road behind the ego when it starts, metres.
-pub(super) const BEHIND: f64 = 62.0;
+/// Road behind the ego at the start, meters.
+pub const BEHIND: f64 = 62.0;
 
-/// Which of the lanes that stay on the way longest the ego takes.
+/// The ego's lane at the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum LanePick {
-    /// Any of them.
-    Any,
-    /// The rightmost.
+    /// Any of the lanes that follow the route farthest.
+    OnRoute,
+    /// The rightmost of these.
     Rightmost,
-    /// Any lane at all, also one that leads off the way.
-    Whichever,
+    /// Any lane, also one that leads off the route.
+    AnyLane,
 }
 
-/// What the first light on the ego's way does.
+/// The first traffic light on the ego's route. Times count from iteration 0, seconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum LightWish {
-    /// Whatever.
+pub(crate) enum LightTiming {
     Any,
-    /// Turns green at this moment, seconds.
+    /// Turns green at this time.
     GreenFrom(EarlyDraw),
-    /// Turns yellow at this moment, seconds.
+    /// Turns yellow at this time.
     GreenUntil(EarlyDraw),
 }
 
-/// Roads and the ego's part on them.
+/// Roads and the ego on them.
 #[derive(Debug)]
-pub(crate) struct Setting {
-    /// The roads.
+pub struct Setting {
     pub(crate) layout: Layout,
-    /// Rear axle of the ego along the first road when the traffic starts, metres.
+    /// Rear axle of the ego along the first road when the traffic starts, meters.
     pub(crate) start_s: f64,
-    /// Its speed then as a share of what the road allows.
+    /// Speed of the ego then, as a share of the allowed speed.
     pub(crate) start_speed: f64,
-    /// Its lane.
-    pub(crate) pick: LanePick,
-    /// Its light.
-    pub(crate) light: LightWish,
-    /// What its driver is to do.
-    pub(crate) task: Task,
+    pub(crate) lane: LanePick,
+    pub(crate) light: LightTiming,
+    pub(crate) task: ExpertTask,
 }
 
 impl Setting {
-    /// A setting in which the ego starts with `start_speed` of the allowed speed at `start_s` on its first road.
-    pub(super) fn new(layout: Layout, start_s: f64, start_speed: f64) -> Self {
-        let task = Task { change: None, overtakes: false };
-        Self { layout, start_s, start_speed, pick: LanePick::Any, light: LightWish::Any, task }
+    /// The ego starts at `start_s` meters of the first road with `start_speed` of the allowed speed.
+    pub fn new(layout: Layout, start_s: f64, start_speed: f64) -> Self {
+        let task = ExpertTask { change: None, overtakes: false };
+        Self { layout, start_s, start_speed, lane: LanePick::OnRoute, light: LightTiming::Any, task }
     }
 }
 
-/// A start anywhere, looking anywhere.
-pub(super) fn anywhere(rng: &mut SeededRng) -> Pose {
+/// A random start pose.
+pub(crate) fn anywhere(rng: &mut SeededRng) -> Pose {
     Pose::new(rng.uniform(-40.0, 40.0), rng.uniform(-40.0, 40.0), rng.uniform(-PI, PI))
 }
 
-/// A cross-section with the given numbers of lanes and one of the limits.
-pub(super) fn style(rng: &mut SeededRng, own: [usize; 2], oncoming: [usize; 2], limits: &[f64]) -> RoadStyle {
-    // A kerb margin, a strip wide enough for bicycles, or a parking strip.
+/// A random cross-section: numbers of lanes in both directions within bounds, and one of the limits.
+pub fn style(rng: &mut SeededRng, own: [usize; 2], oncoming: [usize; 2], limits: &[f64]) -> RoadStyle {
+    // A curb margin, a strip wide enough for bicycles, or a parking strip.
     let shoulder = |rng: &mut SeededRng| {
         let kind = rng.unit();
         if kind < 0.5 {
@@ -96,28 +91,28 @@ pub(super) fn style(rng: &mut SeededRng, own: [usize; 2], oncoming: [usize; 2], 
     }
 }
 
-/// Length of road that the ego needs ahead of its start.
-pub(super) fn needed_ahead(style: &RoadStyle) -> f64 {
+/// Length of road that the ego needs ahead of its start, meters.
+pub(crate) fn needed_ahead(style: &RoadStyle) -> f64 {
     style.speed_limit * (DRIVEN + LEAD_IN) + LOOKAHEAD
 }
 
-/// Sharpest bend that still allows a share of the speed limit, 1/m.
-pub(super) fn bend_for(style: &RoadStyle, share: f64) -> f64 {
+/// Largest curvature that allows a share of the speed limit, 1/m.
+pub(crate) fn max_curvature(style: &RoadStyle, share: f64) -> f64 {
     1.8 / (style.speed_limit * share).powi(2)
 }
 
-/// A gentle course.
-pub(super) fn course(rng: &mut SeededRng, length: f64, style: &RoadStyle, bendiness: f64) -> Course {
+/// A straight course, or with the probability `bendiness` a gentle bend.
+pub(crate) fn course(rng: &mut SeededRng, length: f64, style: &RoadStyle, bendiness: f64) -> Course {
     if rng.bool(bendiness) {
-        let curvature = rng.sign() * rng.uniform(0.3, 0.95) * bend_for(style, 1.0).min(0.02);
+        let curvature = rng.sign() * rng.uniform(0.3, 0.95) * max_curvature(style, 1.0).min(0.02);
         Course { length, curvature, lead: rng.uniform(0.0, 0.3) * length }
     } else {
         Course::straight(length)
     }
 }
 
-/// A road without crossings, long enough to drive along.
-pub(super) fn corridor(rng: &mut SeededRng, style: &RoadStyle, bendiness: f64) -> Result<Layout, GeometryError> {
+/// A road, long enough for the scenario.
+pub fn corridor(rng: &mut SeededRng, style: &RoadStyle, bendiness: f64) -> Result<Layout, GeometryError> {
     let start = anywhere(rng);
     let total = BEHIND + 25.0 + needed_ahead(style);
     let first = rng.uniform(130.0, 240.0).min(total);
@@ -127,8 +122,8 @@ pub(super) fn corridor(rng: &mut SeededRng, style: &RoadStyle, bendiness: f64) -
     Ok(layout)
 }
 
-/// Goes on for `length` metres: joints, now and then with a crosswalk, and now and then a crossing.
-pub(super) fn extend(
+/// Adds `length` meters of road: joints, some with a crosswalk, and some crossings.
+pub(crate) fn extend(
     layout: &mut Layout,
     rng: &mut SeededRng,
     style: &RoadStyle,
@@ -150,11 +145,11 @@ pub(super) fn extend(
     Ok(())
 }
 
-/// A crossing for a way that turns so.
-pub(super) fn crossing(rng: &mut SeededRng, style: &RoadStyle, turn: Turn) -> CrossingPlan {
+/// A random crossing at which the route takes this turn.
+pub(crate) fn crossing(rng: &mut SeededRng, style: &RoadStyle, turn: Turn) -> CrossingPlan {
     let mut arms = [true; 3];
     if rng.bool(0.3) {
-        // A T-junction lacks an arm that the way does not need.
+        // A T-junction lacks an arm that the route does not need.
         let spare = match turn {
             Turn::Left => [1, 2],
             Turn::Straight => [0, 2],
@@ -193,8 +188,8 @@ pub(super) fn crossing(rng: &mut SeededRng, style: &RoadStyle, turn: Turn) -> Cr
     }
 }
 
-/// A way up to a crossing, across it and on; the ego starts `before` metres before it.
-pub(super) fn town(
+/// A road to a crossing and on behind it. The ego starts `before` meters ahead of the crossing.
+pub(crate) fn town(
     rng: &mut SeededRng,
     style: &RoadStyle,
     plan: &CrossingPlan,
@@ -213,8 +208,8 @@ pub(super) fn town(
     Ok((layout, approach - before))
 }
 
-/// A way up to a roundabout, through it and on; the ego starts `before` metres before it.
-pub(super) fn circus(rng: &mut SeededRng, style: &RoadStyle, before: f64) -> Result<(Layout, f64), GeometryError> {
+/// A road to a roundabout and on behind it. The ego starts `before` meters ahead of the roundabout.
+pub(crate) fn roundabout(rng: &mut SeededRng, style: &RoadStyle, before: f64) -> Result<(Layout, f64), GeometryError> {
     let start = anywhere(rng);
     let approach = BEHIND + before + rng.uniform(0.0, 25.0);
     let mut layout = Layout::begin(start, style, Course::straight(approach))?;

@@ -1,17 +1,17 @@
-//! Putting people and vehicles on the roads.
+//! Puts vehicles, objects and pedestrians on the roads.
 
-use super::setting::{LEAD_IN, LanePick, LightWish, Setting};
-use crate::geometry::{OrientedBox, Pose};
-use crate::scenario::generator::expert::{EXPERT, Task};
+use super::setting::{LEAD_IN, LanePick, LightTiming, Setting};
+use crate::geometry::{OrientedBox, Polygon, Pose};
+use crate::scenario::generator::expert::{EXPERT, ExpertTask};
 use crate::scenario::generator::rng::SeededRng;
 use crate::scenario::generator::road::Roads;
 use crate::scenario::generator::traffic::{DriverProfile, Mover, Shift, Track, Traffic, Walker};
 use crate::world::{LaneId, ObjectKind, SignalStatus, TrackToken, TrackedObject};
 use std::sync::Arc;
 
-/// What kind of vehicle.
+/// Size of a vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Make {
+pub enum VehicleKind {
     /// A passenger car or van.
     Car,
     /// A truck or bus.
@@ -20,28 +20,29 @@ pub(super) enum Make {
     Bicycle,
 }
 
-/// The roads with everybody on them.
-pub(crate) struct Stage<'a, 'd> {
-    /// The draws.
-    pub(super) rng: &'d mut SeededRng,
-    /// Everybody; the ego is the first mover.
-    pub(super) traffic: Traffic<'a>,
-    /// Place of the ego's lane on the first road, 0 the leftmost.
-    pub(super) ego_lane: usize,
+/// Puts agents and objects on the roads; the ego is there from the start.
+pub struct TrafficBuilder<'a, 'd> {
+    /// Random numbers of the scene.
+    pub rng: &'d mut SeededRng,
+    /// The ego is the first mover.
+    pub(crate) traffic: Traffic<'a>,
+    /// Index of the ego's lane on the first road, 0 the leftmost.
+    pub(crate) ego_lane: usize,
+    pub(crate) task: ExpertTask,
     tokens: u32,
 }
 
-/// Sets the lights and picks the ego's lane: its chain of lanes, and its number on the first road.
+/// Sets the traffic lights and picks the ego's lane: its chain of lanes, and its index on the first road.
 pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, rng: &mut SeededRng) -> (Vec<LaneId>, usize) {
-    let first = &roads.way[0];
+    let first = &roads.route_lanes[0];
     let best = first.iter().map(|&lane| roads.reach(0, lane)).max().unwrap_or(0);
     let good: Vec<usize> = (0..first.len()).filter(|&i| roads.reach(0, first[i]) == best).collect();
-    let place = match setting.pick {
-        LanePick::Any => rng.situation(|rng| rng.choose(&good)),
+    let place = match setting.lane {
+        LanePick::OnRoute => rng.situation(|rng| rng.choose(&good)),
         LanePick::Rightmost => good[good.len() - 1],
-        LanePick::Whichever => rng.situation(|rng| rng.range(0, first.len() - 1)),
+        LanePick::AnyLane => rng.situation(|rng| rng.range(0, first.len() - 1)),
     };
-    let chain = roads.chain_on_way(0, first[place]);
+    let chain = roads.chain_on_route(0, first[place]);
     for n in 0..roads.signals.len() {
         let governed: Vec<LaneId> = roads.signals[n].connectors().collect();
         let own = chain.iter().copied().find(|lane| governed.contains(lane));
@@ -51,8 +52,8 @@ pub(crate) fn prepare(roads: &mut Roads, setting: &Setting, rng: &mut SeededRng)
         });
         let connector = own.unwrap_or(governed[0]);
         match setting.light {
-            LightWish::GreenFrom(time) if is_first => roads.signals[n].start_green_at(connector, rng.value_of(time)),
-            LightWish::GreenUntil(time) if is_first => roads.signals[n].end_green_at(connector, rng.value_of(time)),
+            LightTiming::GreenFrom(time) if is_first => roads.signals[n].start_green_at(connector, rng.value_of(time)),
+            LightTiming::GreenUntil(time) if is_first => roads.signals[n].end_green_at(connector, rng.value_of(time)),
             _ => roads.signals[n].start_green_at(connector, rng.uniform(0.0, 40.0)),
         }
     }
@@ -76,8 +77,8 @@ pub(super) fn driver_profile(rng: &mut SeededRng) -> DriverProfile {
     }
 }
 
-impl<'a, 'd> Stage<'a, 'd> {
-    /// The roads with the ego alone; `None` when its lanes give no track.
+impl<'a, 'd> TrafficBuilder<'a, 'd> {
+    /// The ego alone; `None` if its lanes give no track.
     pub(crate) fn new(
         roads: &'a Roads,
         chain: Vec<LaneId>,
@@ -89,22 +90,35 @@ impl<'a, 'd> Stage<'a, 'd> {
         let speed = setting.start_speed * track.allowed_at(setting.start_s) * EXPERT.speed_factor;
         let ego = Mover::ego(track, setting.start_s, speed, EXPERT);
         let traffic = Traffic { roads, movers: vec![ego], walkers: Vec::new(), fixtures: Vec::new(), time: -LEAD_IN };
-        Some(Self { rng, traffic, ego_lane, tokens: 0 })
+        Some(Self { rng, traffic, ego_lane, task: setting.task, tokens: 0 })
     }
 
-    /// The roads.
-    pub(super) fn roads(&self) -> &'a Roads {
+    pub(crate) fn roads(&self) -> &'a Roads {
         self.traffic.roads
     }
 
-    /// The ego.
-    pub(super) fn ego(&self) -> &Mover {
+    pub(crate) fn ego(&self) -> &Mover {
         &self.traffic.movers[0]
     }
 
-    /// Mostly a car, now and then a long vehicle; the situation's choice.
-    pub(super) fn mostly_a_car(&mut self) -> Make {
-        if self.rng.situation(|rng| rng.bool(0.85)) { Make::Car } else { Make::Long }
+    /// A car with a probability of 85 %, else a long vehicle; a draw of the situation.
+    pub fn mostly_a_car(&mut self) -> VehicleKind {
+        if self.rng.situation(|rng| rng.bool(0.85)) { VehicleKind::Car } else { VehicleKind::Long }
+    }
+
+    pub(crate) fn car_or_long(&mut self, long: f64) -> VehicleKind {
+        if self.rng.bool(long) { VehicleKind::Long } else { VehicleKind::Car }
+    }
+
+    /// Speed of the ego when the traffic starts, m/s.
+    pub fn ego_speed(&self) -> f64 {
+        self.ego().speed
+    }
+
+    /// The crosswalk that covers this part of the ego's track.
+    pub(crate) fn crosswalk_at(&self, span: [f64; 2]) -> Option<Polygon> {
+        let at = self.ego().track.pose_at(f64::midpoint(span[0], span[1])).position();
+        self.roads().map.crosswalks().iter().find(|walk| walk.contains(at)).cloned()
     }
 
     fn token(&mut self) -> TrackToken {
@@ -112,31 +126,45 @@ impl<'a, 'd> Stage<'a, 'd> {
         TrackToken(self.tokens)
     }
 
-    /// Length and width of a vehicle, metres.
-    fn size(&mut self, make: Make) -> (f64, f64) {
-        match make {
-            Make::Car => (self.rng.uniform(4.2, 5.3), self.rng.uniform(1.8, 2.1)),
-            Make::Long => (self.rng.uniform(8.5, 13.0), self.rng.uniform(2.4, 2.6)),
-            Make::Bicycle => (1.8, 0.65),
+    /// Length and width of a vehicle, meters.
+    fn size(&mut self, kind: VehicleKind) -> (f64, f64) {
+        match kind {
+            VehicleKind::Car => (self.rng.uniform(4.2, 5.3), self.rng.uniform(1.8, 2.1)),
+            VehicleKind::Long => (self.rng.uniform(8.5, 13.0), self.rng.uniform(2.4, 2.6)),
+            VehicleKind::Bicycle => (1.8, 0.65),
         }
     }
 
-    /// Puts a vehicle on a chain of lanes, its centre at `s` of the chain; its place among the movers, or `None` when the
+    /// Puts a vehicle on a chain of lanes with its center at `s` meters. Gives its index among the movers, or `None` if the
     /// place is taken.
-    pub(super) fn put(&mut self, make: Make, chain: Vec<LaneId>, s: f64, speed: f64, lateral: f64) -> Option<usize> {
+    pub(crate) fn put(
+        &mut self,
+        kind: VehicleKind,
+        chain: Vec<LaneId>,
+        s: f64,
+        speed: f64,
+        lateral: f64,
+    ) -> Option<usize> {
         let track = Arc::new(Track::along(self.roads(), chain)?);
-        self.put_on(make, track, s, speed, lateral)
+        self.put_on(kind, track, s, speed, lateral)
     }
 
     /// Puts a vehicle on a track; see [`Self::put`].
-    pub(super) fn put_on(&mut self, make: Make, track: Arc<Track>, s: f64, speed: f64, lateral: f64) -> Option<usize> {
-        let ((length, width), profile) = (self.size(make), driver_profile(self.rng));
+    pub(crate) fn put_on(
+        &mut self,
+        kind: VehicleKind,
+        track: Arc<Track>,
+        s: f64,
+        speed: f64,
+        lateral: f64,
+    ) -> Option<usize> {
+        let ((length, width), profile) = (self.size(kind), driver_profile(self.rng));
         if s < length / 2.0 + 1.0 || s + length / 2.0 + 3.0 > track.length() {
             return None;
         }
         let mover = Mover {
             token: TrackToken(0),
-            kind: if make == Make::Bicycle { ObjectKind::Bicycle } else { ObjectKind::Vehicle },
+            kind: if kind == VehicleKind::Bicycle { ObjectKind::Bicycle } else { ObjectKind::Vehicle },
             length,
             width,
             front: length / 2.0,
@@ -147,7 +175,7 @@ impl<'a, 'd> Stage<'a, 'd> {
             shift: Shift::constant(lateral),
             profile,
             speed_cap: f64::INFINITY,
-            halt: None,
+            stop_s: None,
             script: Vec::new(),
             served: None,
             gone: false,
@@ -160,24 +188,24 @@ impl<'a, 'd> Stage<'a, 'd> {
         Some(self.traffic.movers.len() - 1)
     }
 
-    /// Puts a vehicle ahead of the ego (or behind it), bumper to bumper `gap` metres away, on the ego's own track.
-    pub(super) fn put_ahead(&mut self, make: Make, gap: f64, speed: f64) -> Option<usize> {
+    /// Puts a vehicle on the ego's track with a gap of `gap` meters between the bumpers. Gives its index among the movers.
+    pub fn put_ahead(&mut self, kind: VehicleKind, gap: f64, speed: f64) -> Option<usize> {
         let (track, front) = (self.ego().track.clone(), self.ego().front_s());
-        // The length is drawn inside; half a long vehicle is kept free for it.
-        let half = if make == Make::Long { 5.4 } else { 2.4 };
-        self.put_on(make, track, front + gap + half, speed, 0.0)
+        // The length is not known yet; this leaves room for half a vehicle.
+        let half = if kind == VehicleKind::Long { 5.4 } else { 2.4 };
+        self.put_on(kind, track, front + gap + half, speed, 0.0)
     }
 
-    /// Whether a box, longer and wider by these margins on every side, touches nothing.
-    pub(super) fn is_free(&self, shape: &OrientedBox, along: f64, across: f64) -> bool {
+    /// True if a box with these margins on every side touches nothing.
+    fn is_free(&self, shape: &OrientedBox, along: f64, across: f64) -> bool {
         let grown = OrientedBox::new(shape.center, shape.length + 2.0 * along, shape.width + 2.0 * across);
         let movers = self.traffic.movers.iter().map(Mover::shape);
         movers.chain(self.traffic.fixtures.iter().map(|f| f.shape)).all(|other| !other.overlaps(&grown))
             && self.traffic.walkers.iter().all(|walker| !walker.shape().overlaps(&grown))
     }
 
-    /// Puts something that stands still; whether there was room.
-    pub(super) fn put_fixture(&mut self, kind: ObjectKind, center: Pose, length: f64, width: f64) -> bool {
+    /// Puts a static object; true if there was room.
+    pub(crate) fn put_fixture(&mut self, kind: ObjectKind, center: Pose, length: f64, width: f64) -> bool {
         let shape = OrientedBox::new(center, length, width);
         let free = self.is_free(&shape, 0.3, 0.1);
         if free {
@@ -188,14 +216,13 @@ impl<'a, 'd> Stage<'a, 'd> {
         free
     }
 
-    /// Puts a pedestrian.
-    pub(super) fn put_walker(&mut self, walker: Walker) {
+    pub(crate) fn put_walker(&mut self, walker: Walker) {
         let token = self.token();
         self.traffic.walkers.push(Walker { token, ..walker });
     }
 
-    /// A chain of lanes from `lane` that turns at random.
-    pub(super) fn wander(&mut self, lane: LaneId) -> Vec<LaneId> {
+    /// A chain of lanes from `lane` with random turns.
+    pub(crate) fn wander(&mut self, lane: LaneId) -> Vec<LaneId> {
         let roads = self.roads();
         let mut chain = vec![lane];
         while chain.len() < 9 {
@@ -212,9 +239,15 @@ impl<'a, 'd> Stage<'a, 'd> {
         chain
     }
 
-    /// Fills all lanes with drivers, on average `density` a hundred metres of lane; none within `clear` metres ahead of or
-    /// behind the ego in its own lane.
-    pub(super) fn populate(&mut self, density: f64, clear: [f64; 2]) {
+    /// As [`Self::fill_lanes_to`] with a density that the situation draws within bounds.
+    pub fn fill_lanes(&mut self, density: [f64; 2], clear: [f64; 2]) {
+        let density = self.rng.situation(|rng| rng.uniform(density[0], density[1]));
+        self.fill_lanes_to(density, clear);
+    }
+
+    /// Fills all lanes with vehicles, on average `density` per hundred meters of lane. In the ego's lane, none is nearer than
+    /// `clear` meters ahead and behind.
+    pub(crate) fn fill_lanes_to(&mut self, density: f64, clear: [f64; 2]) {
         const MAX_MOVERS: usize = 34;
         let lanes: Vec<LaneId> = self.roads().road_lanes().collect();
         let ego = self.ego().clone();
@@ -229,17 +262,17 @@ impl<'a, 'd> Stage<'a, 'd> {
                 let in_own_lane = lateral.abs() < 2.0 && near < 3.0;
                 let ahead = along - ego.s;
                 if !(in_own_lane && ahead > -clear[1] && ahead < clear[0]) {
-                    let make = if self.rng.bool(0.1) { Make::Long } else { Make::Car };
+                    let kind = if self.rng.bool(0.1) { VehicleKind::Long } else { VehicleKind::Car };
                     let chain = self.wander(lane);
-                    self.put_settled(make, chain, s);
+                    self.put_settled(kind, chain, s);
                 }
                 s += spacing;
             }
         }
     }
 
-    /// Puts a vehicle with a speed that suits what lies ahead of it.
-    fn put_settled(&mut self, make: Make, chain: Vec<LaneId>, s: f64) {
+    /// Puts a vehicle with a speed that suits the road ahead of it.
+    fn put_settled(&mut self, kind: VehicleKind, chain: Vec<LaneId>, s: f64) {
         let Some(track) = Track::along(self.roads(), chain).map(Arc::new) else { return };
         let lights = self.traffic.lights();
         let allowed = track.allowed_at(s) * self.rng.uniform(0.7, 1.0);
@@ -248,16 +281,16 @@ impl<'a, 'd> Stage<'a, 'd> {
             let passage = roads.passages[span.lane.index()].as_ref();
             match lights.status(span.lane) {
                 Some(status) => status != SignalStatus::Green,
-                None => passage.is_some_and(|p| p.stop_sign || p.conflicts.iter().any(|c| c.gives_way)),
+                None => passage.is_some_and(|p| p.stop_sign || p.conflicts.iter().any(|c| c.yields)),
             }
         });
         let room = halt.map_or(f64::INFINITY, |span| (span.from - s - 6.0).max(0.0));
         let speed = allowed.min((2.0 * 1.4 * room).sqrt());
-        self.put_on(make, track, s, speed, 0.0);
+        self.put_on(kind, track, s, speed, 0.0);
     }
 
-    /// Slows everybody down who would otherwise run up to a slower one ahead.
-    pub(super) fn settle(&mut self) {
+    /// Slows down every vehicle that could not brake comfortably behind a slower one ahead.
+    fn settle(&mut self) {
         const BRAKING: f64 = 1.3;
         for _ in 0..3 {
             let bodies = self.traffic.bodies();
@@ -280,9 +313,9 @@ impl<'a, 'd> Stage<'a, 'd> {
         }
     }
 
-    /// Everybody, ready to start, with the ego's task.
-    pub(crate) fn finish(mut self, task: Task) -> (Traffic<'a>, Task) {
+    /// The traffic, ready to start, and the ego's task.
+    pub(crate) fn finish(mut self) -> (Traffic<'a>, ExpertTask) {
         self.settle();
-        (self.traffic, task)
+        (self.traffic, self.task)
     }
 }

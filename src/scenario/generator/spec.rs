@@ -1,0 +1,82 @@
+//! Names of generated scenarios.
+
+use super::log::Discard;
+use super::scenario_type::ScenarioType;
+use super::types;
+use std::fmt;
+use std::str::FromStr;
+
+/// First part of the id of every generated scenario.
+pub const SOURCE: &str = "generated";
+
+/// Names a generated scenario and determines its every byte. Written `generated/<scenario type>/<seed>` or
+/// `generated/<scenario type>/<seed>.<traffic seed>`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Spec {
+    /// Scenario type.
+    pub scenario_type: ScenarioType,
+    /// Seed of roads, route and situation.
+    pub seed: u64,
+    /// Seed of all other draws; 0 stands for the own traffic of `seed` and is not written.
+    pub traffic_seed: u64,
+}
+
+/// Why there is no such generated scenario.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum GeneratorError {
+    #[error(
+        "`{0}` does not name a generated scenario: expected generated/<scenario type>/<seed> or \
+        generated/<scenario type>/<seed>.<traffic seed>"
+    )]
+    Form(String),
+    #[error("`{0}` is not a scenario type of the generator; `planagent scenarios list` names them")]
+    UnknownType(String),
+    #[error("the {which} `{seed}` of `{id}` is not an integer from 0 to 2^64 - 1")]
+    Seed { which: &'static str, seed: String, id: String },
+    #[error("cannot generate {id}: all {draws} draws were discarded, the last one because {last}")]
+    Exhausted { id: String, draws: usize, last: Discard },
+}
+
+impl Spec {
+    /// The scenario of a seed with its own traffic.
+    pub const fn new(scenario_type: ScenarioType, seed: u64) -> Self {
+        Self { scenario_type, seed, traffic_seed: 0 }
+    }
+
+    /// The same situation with other traffic.
+    #[must_use]
+    pub const fn with_traffic_seed(self, traffic_seed: u64) -> Self {
+        Self { traffic_seed, ..self }
+    }
+
+    /// Name of the log that the scenario counts as cut from; it depends on the seed alone.
+    pub fn log_name(&self) -> String {
+        format!("{SOURCE}-{}", self.seed)
+    }
+}
+
+impl fmt::Display for Spec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{SOURCE}/{}/{}", self.scenario_type, self.seed)?;
+        if self.traffic_seed == 0 { Ok(()) } else { write!(f, ".{}", self.traffic_seed) }
+    }
+}
+
+impl FromStr for Spec {
+    type Err = GeneratorError;
+
+    fn from_str(id: &str) -> Result<Self, Self::Err> {
+        let mut parts = id.split('/');
+        let (Some(SOURCE), Some(kind), Some(seed), None) = (parts.next(), parts.next(), parts.next(), parts.next())
+        else {
+            return Err(GeneratorError::Form(id.to_owned()));
+        };
+        let scenario_type = types::named(kind).ok_or_else(|| GeneratorError::UnknownType(kind.to_owned()))?;
+        let number = |which, seed: &str| {
+            seed.parse().map_err(|_| GeneratorError::Seed { which, seed: seed.to_owned(), id: id.to_owned() })
+        };
+        let (seed, traffic) = seed.split_once('.').unwrap_or((seed, "0"));
+        Ok(Self { scenario_type, seed: number("seed", seed)?, traffic_seed: number("traffic seed", traffic)? })
+    }
+}

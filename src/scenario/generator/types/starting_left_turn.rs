@@ -1,0 +1,15 @@
+//! The ego turns left at a crossing.
+
+use crate::scenario::generator::road::Turn;
+use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
+use crate::scenario::generator::scene::crossing;
+
+/// `starting_left_turn`.
+pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {
+    name: "starting_left_turn",
+    seed: 1_000,
+    group: TypeGroup::Nuplan14,
+    setting: |rng| crossing::turn(rng, Turn::Left, 0.65),
+    populate: crossing::populate,
+    shows: |log| log.turns(0.9),
+});
