@@ -2,9 +2,8 @@
 
 use planagent::internals::planner::LogReplay;
 use planagent::internals::scenario::Scenario;
-use planagent::internals::scenario::generator::scene::builder::VehicleKind;
-use planagent::internals::scenario::generator::scene::setting::{self, Setting};
-use planagent::internals::scenario::generator::{ScenarioType, Spec, TypeDefinition, TypeGroup, generate, types};
+use planagent::internals::scenario::generator::prelude::*;
+use planagent::internals::scenario::generator::{Spec, generate, types};
 use planagent::internals::simulation::{Challenge, simulate};
 use proptest::prelude::*;
 use rayon::prelude::*;
@@ -61,8 +60,8 @@ const COUNTRY_ROAD: ScenarioType = ScenarioType::new(&TypeDefinition {
     seed: 1_000_000,
     group: TypeGroup::Case,
     setting: |rng| {
-        let style = setting::style(rng, [1, 1], [1, 1], &setting::LIMITS[4..]);
-        Ok(Setting::new(setting::corridor(rng, &style, 0.5)?, setting::BEHIND, 0.9))
+        let style = setting::style(rng, [1, 1], [1, 1], &LIMITS[4..]);
+        Ok(Setting::new(setting::corridor(rng, &style, 0.5)?, BEHIND, 0.9))
     },
     populate: |builder| {
         let speed = builder.ego_speed();

@@ -111,7 +111,7 @@ impl DataArguments {
 /// Flags that name lists of scenarios.
 #[derive(Debug, Args)]
 pub(super) struct SplitArguments {
-    /// List of scenarios: val14, test14-hard, reduced-val14; generated (16 types x 10 seeds), generated-14 (14 x 50),
+    /// List of scenarios: val14, test14-hard, reduced-val14; generated (16 types x 10 seeds), generated-14 (14 x 150),
     /// generated-14-hard (14 x 20), generated-14-candidates (14 x 100); or a nuPlan scenario filter FILE.yaml.
     #[arg(long = "split", value_name = "NAME")]
     pub(super) splits: Vec<String>,

@@ -80,3 +80,17 @@ fn suites_stay_as_they_are() {
         assert!(listed.contains(&format!("`{blake3}`")), "docs/generator.md lacks the digest of {}", suite.name());
     }
 }
+
+/// The help names the size of every suite.
+#[test]
+fn the_help_names_the_sizes_of_the_suites() {
+    let (_, help, _) = run(&["simulate", "--help"]);
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    for suite in Suite::ALL {
+        let specs = suite.specs();
+        let types = specs.chunk_by(|a, b| a.scenario_type == b.scenario_type).count();
+        let (name, seeds) = (suite.name(), specs.len() / types);
+        let sizes = [format!("{name} ({types} x {seeds})"), format!("{name} ({types} types x {seeds} seeds)")];
+        assert!(sizes.iter().any(|size| help.contains(size)), "the help lacks {}: {help}", sizes[0]);
+    }
+}

@@ -1,7 +1,7 @@
-//! A labelled state: the three rounds with their answers, built from the facts of the scene and of the search.
+//! A labeled state: three rounds with their answers, from the facts of the scene and the search.
 
 use super::label_weights::DecisionWeights;
-use super::search::{NEAR_LIMIT, Tried};
+use super::search::{Candidate, NEAR_LIMIT};
 use crate::environment::facts::{Ahead, Light, Question};
 use crate::environment::text::{self, Description};
 use crate::environment::{CenterlineName, LaneGraph, SceneFacts};
@@ -13,12 +13,12 @@ use crate::reasoning::{
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// A change of speed within 3 s that counts as an instruction, m/s.
+/// Minimum change of speed within 3 s for an instruction, m/s.
 const SPEED_CHANGE: f64 = 0.7;
 
-/// A difference of values by which a decision weighs as much as a fact.
-const UNIT_WEIGHT: f64 = 0.1;
-/// What a decision weighs at least.
+/// Gain at which a decision weighs as much as a fact.
+const UNIT_GAIN: f64 = 0.1;
+/// Minimum weight of a decision.
 const MIN_WEIGHT: f64 = 0.05;
 
 /// One turn of the conversation.
@@ -26,30 +26,30 @@ const MIN_WEIGHT: f64 = 0.05;
 pub struct Message {
     role: &'static str,
     content: String,
-    /// Of an answer: the spans of characters that are not forced by the grammar.
+    /// Of an answer: spans of characters that the grammar does not fast-forward.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     learn: Vec<[usize; 2]>,
-    /// Of each of these spans: its weight in the loss, where they are not all 1.
+    /// Weights of these spans in the loss, unless all are 1.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     weights: Vec<f64>,
 }
 
 /// A line of a shard.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct LabelledState {
+pub struct LabeledState {
     /// Scenario and time.
     pub state: String,
-    /// Row of the image in the shard's PNG.
+    /// Index of the image in the shard's PNG.
     pub image: usize,
     /// System prompt, then prompts and answers.
     pub conversation: Vec<Message>,
-    /// All answers by question: round 1, then `lateral`, `longitudinal`, and the search's `code`.
+    /// All answers by question: those of round 1, `lateral`, `longitudinal`, and the search's `code`.
     pub facts: BTreeMap<String, String>,
-    /// nuPlan's score of the labelled planner over the search's horizon.
+    /// nuPlan's score of the labeled planner over the search's horizon.
     pub score: f64,
 }
 
-/// An answer in pieces, some of which are to be learnt.
+/// An answer in pieces, some of which are learned.
 #[derive(Default)]
 struct Answer {
     text: String,
@@ -58,13 +58,13 @@ struct Answer {
 }
 
 impl Answer {
-    /// Words that the grammar forces.
+    /// Adds text that the grammar fast-forwards.
     fn fixed(mut self, text: &str) -> Self {
         self.text.push_str(text);
         self
     }
 
-    /// Words that the model chooses.
+    /// Adds text that the model samples.
     fn chosen(mut self, text: &str) -> Self {
         let start = self.text.chars().count();
         self.text.push_str(text);
@@ -72,9 +72,9 @@ impl Answer {
         self
     }
 
-    /// A decision that the model makes, for which so much is at stake.
-    fn decided(mut self, text: &str, stake: f64) -> Self {
-        self.weights.push((stake / UNIT_WEIGHT).max(MIN_WEIGHT));
+    /// Adds a decision with this gain.
+    fn decided(mut self, text: &str, gain: f64) -> Self {
+        self.weights.push((gain / UNIT_GAIN).max(MIN_WEIGHT));
         self.chosen(text)
     }
 
@@ -83,7 +83,7 @@ impl Answer {
     }
 }
 
-/// What the search says to do and why.
+/// The instruction of the search, with reasons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Instruction {
     lateral: Lateral,
@@ -92,18 +92,15 @@ struct Instruction {
     why_longitudinal: LongitudinalReason,
 }
 
-/// The label of a state. `feedback` is what the first prompt says of a refused planner, if anything.
-///
-/// # Errors
-/// When a prompt template names something that does not exist.
+/// The label of a state. The first prompt contains `feedback` on a rejected planner, if any.
 pub(super) fn label(
     state: String,
     graph: &LaneGraph,
     facts: &SceneFacts,
-    (best, weights): (&Tried, DecisionWeights),
+    (best, weights): (&Candidate, DecisionWeights),
     prompts: &PromptSet,
     feedback: Option<&str>,
-) -> Result<LabelledState, PromptError> {
+) -> Result<LabeledState, PromptError> {
     let scene_text = text::write(&Description::of(graph), prompts.forms().scene_text);
     let instruction = instruction(graph, facts, best);
     let names = names(graph);
@@ -126,7 +123,7 @@ pub(super) fn label(
     answers.insert("lateral".to_owned(), instruction.lateral.to_string());
     answers.insert("longitudinal".to_owned(), instruction.longitudinal.to_string());
     answers.insert("code".to_owned(), best.code.to_string());
-    Ok(LabelledState { state, image: 0, conversation, facts: answers, score: best.score })
+    Ok(LabeledState { state, image: 0, conversation, facts: answers, score: best.score })
 }
 
 fn understanding_answer(facts: &SceneFacts) -> Message {
@@ -151,14 +148,14 @@ fn instruction_answer(instruction: Instruction, weights: DecisionWeights) -> Mes
         .message()
 }
 
-fn code_answer(best: &Tried, weights: DecisionWeights) -> Message {
+fn code_answer(best: &Candidate, weights: DecisionWeights) -> Message {
     let code = &best.code;
     Answer::default()
         .fixed(&format!("{}(c=", crate::reasoning::FUNCTION))
         .decided(&code.centerline, weights.lane)
         .fixed(", la=")
-        // Who leads on a centreline is a fact of the scene.
-        .decided(code.lead_agent.as_deref().unwrap_or("None"), UNIT_WEIGHT)
+        // The lead agent on a centerline is a fact of the scene.
+        .decided(code.lead_agent.as_deref().unwrap_or("None"), UNIT_GAIN)
         .fixed(", v0=")
         .decided(&code.target_speed.to_string(), weights.speed)
         .fixed(", acc=")
@@ -169,7 +166,7 @@ fn code_answer(best: &Tried, weights: DecisionWeights) -> Message {
         .message()
 }
 
-fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Tried) -> Instruction {
+fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate) -> Instruction {
     let lateral = match best.code.centerline.parse() {
         Ok(CenterlineName::LeftLane) => Lateral::ChangeLeft,
         Ok(CenterlineName::RightLane) => Lateral::ChangeRight,
@@ -192,8 +189,8 @@ fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Tried) -> Instructi
     Instruction { lateral, why_lateral, longitudinal, why_longitudinal: why_longitudinal(graph, facts, best, lateral) }
 }
 
-/// What limits the speed most, of what can be seen.
-fn why_longitudinal(graph: &LaneGraph, facts: &SceneFacts, best: &Tried, lateral: Lateral) -> LongitudinalReason {
+/// The visible reason that limits the speed most.
+fn why_longitudinal(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate, lateral: Lateral) -> LongitudinalReason {
     let limit = graph.ego_lane().speed_limit.unwrap_or(f64::INFINITY);
     if best.speed_later > NEAR_LIMIT * limit {
         return LongitudinalReason::SpeedLimit;

@@ -1,4 +1,4 @@
-//! Privileged search: from a state, many planners are driven in the true simulation, and the best becomes the label.
+//! Privileged search: simulates many planners from a state. The best one is the label.
 
 use crate::environment::lane_graph::Centerline;
 use crate::environment::{CenterlineName, LaneGraph};
@@ -10,52 +10,49 @@ use crate::reflection::{IdmPlan, Judge, LeadPolicy, PlanMonitor, ReflectionRepor
 use crate::simulation::ClosedLoop;
 use crate::world::{EgoState, HistorySample, STEP_S};
 
-/// Length of the search, iterations: long enough for a lane change and what comes of it.
+/// Horizon of the search, iterations: long enough for a lane change and its effect.
 pub const HORIZON: usize = 60;
-/// Iterations that one roll-out is followed before the next.
+/// Iterations between roll-outs.
 const REPLAN: usize = 5;
 /// Length of the roll-outs, seconds: Reflection's default.
 const ROLLOUT_S: f64 = 4.0;
 /// λ: Reflection's default.
 pub const THRESHOLD: f64 = 0.75;
-/// Desired speeds that are tried, as fractions of the limit. A planner is watched as it drives and slows down by itself for what
-/// can be foreseen.
+/// Desired speeds, as fractions of the limit. A monitored planner slows down by itself for foreseeable events.
 const SPEED_FRACTIONS: [f64; 4] = [1.0, 0.7, 0.4, 0.2];
-/// Fractions that are tried with a lane change: to change lanes in order to crawl is never wanted.
+/// Desired speeds with a lane change; a slow one makes no sense.
 const LANE_CHANGE_FRACTIONS: [f64; 1] = [1.0];
-/// From this share of the limit on, a speed is not slow: the limit is what holds it.
+/// From this share of the limit on, the limit determines the speed.
 pub(super) const NEAR_LIMIT: f64 = 0.85;
-/// Limit where the map has none, m/s.
+/// Limit if the map has none, m/s.
 const FALLBACK_LIMIT: f64 = 15.0;
-/// Other pairs that are tried with the best centreline and speed, where these leave something to gain, m/s²: gentle, firm,
-/// emergency.
+/// Other accelerations, tried with the best centerline and speed if these leave something to gain, m/s²: gentle, firm, emergency.
 const REFINEMENTS: [(f64, f64); 3] = [(1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
-/// A score from which on slower planners and other accelerations are not tried.
+/// From this score on, slower planners and other accelerations are not tried.
 const GOOD: f64 = 0.95;
-/// What full progress at the limit adds to a score. nuPlan's progress is capped by the expert's, so it leaves ties.
+/// Bonus of full progress at the limit. nuPlan's progress is capped by the expert's, which leaves ties.
 const PROGRESS_BONUS: f64 = 0.2;
-/// The speed at the end counts as if it were driven for so long, seconds: what it is worth to be rid of a slow leader.
+/// Time for which the final speed counts as progress, seconds. It rewards passing a slow lead vehicle.
 const TERMINAL_S: f64 = 4.0;
-/// A lane change must stay on the route for this long ahead of the ego, metres: what lies behind the horizon counts too.
+/// Distance ahead for which a lane change must stay on the route, meters, beyond the horizon.
 const ON_ROUTE_AHEAD: f64 = 120.0;
-/// What a lane change must gain.
+/// Minimum gain of a lane change.
 const LANE_CHANGE_COST: f64 = 0.02;
-/// What slow driving must gain: the best of several slow planners is picked after the fact, and in a drive the model has to pick one
-/// before. About what remains are collisions.
+/// Minimum gain of a slow planner. The search picks the best of several slow ones in hindsight, which a model cannot. About
+/// what remains are collisions.
 const SLOW_COST: f64 = 0.7;
-/// What a change of lanes must gain that Reflection would refuse: more than there is to gain.
-const REFUSED_CHANGE_COST: f64 = 2.0;
-/// What a planner in the own lane must gain that Reflection would refuse: little, since it is the best of the refused that drives in the
-/// end, watched; the search drives it so.
-const REFUSED_COST: f64 = 0.05;
-/// What an unusual acc and dec must gain: as with slow driving, the best of several is picked after the fact. In drives they only
-/// scattered the scores: on 350 validation scenes among reactive traffic -0.5 to +0.2 of 100 by the weights, always in few drives.
+/// Minimum gain of a lane change that Reflection rejects: more than possible.
+const REJECTED_CHANGE_COST: f64 = 2.0;
+/// Minimum gain of a rejected planner in the ego's lane. It is small, since the best rejected one is executed in the end,
+/// monitored as in the search.
+const REJECTED_COST: f64 = 0.05;
+/// Minimum gain of other accelerations, which are also picked in hindsight. In simulations they only scattered the scores: on 350
+/// validation scenarios with reactive agents by -0.5 to +0.2 of 100, depending on the weights, in few scenarios.
 const REFINEMENT_COST: f64 = 0.5;
 
-/// A planner that was tried.
+/// A simulated planner.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Tried {
-    /// Its code.
+pub struct Candidate {
     pub code: PlannerCode,
     /// nuPlan's score over the horizon.
     pub score: f64,
@@ -63,40 +60,39 @@ pub struct Tried {
     pub value: f64,
     /// Speed after 3 s, m/s.
     pub speed_later: f64,
-    /// What Reflection says of it now.
+    /// Reflection's report at the state.
     pub reflection: ReflectionReport,
 }
 
-impl Tried {
-    /// Whether Reflection would let it drive now.
+impl Candidate {
+    /// True if Reflection accepts it.
     pub fn is_accepted(&self) -> bool {
         self.reflection.verdict == Verdict::Execute
     }
 
-    /// What an attempt is told after this one.
+    /// Feedback to an attempt after this one.
     pub fn feedback(&self) -> Feedback {
         feedback(Some(self.code.to_string()), Some(&self.reflection), &[], THRESHOLD)
     }
 }
 
-/// Drives every candidate from the present state of `drive` and gives them in the order in which they were tried.
-/// Candidates that the simulation or the metrics refuse are left out.
-pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
+/// Simulates every candidate from the present state, in order. Candidates that fail in the simulation or the metrics are skipped.
+pub fn search(simulation: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Candidate> {
     let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
-    let mut tried: Vec<Tried> = Vec::new();
-    let scene = drive.scene();
+    let mut tried: Vec<Candidate> = Vec::new();
+    let scene = simulation.scene();
     let mut memory = PdmMemory::default();
     let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else { return tried };
-    let present = Present { drive, graph, judge: &judge, memory: &memory, limit };
+    let present = Present { simulation, graph, judge: &judge, memory: &memory, limit };
     for centerline in &graph.centerlines {
         let fractions: &[f64] = match centerline.name {
             CenterlineName::EgoLane => &SPEED_FRACTIONS,
-            _ if stays_on_route(drive, centerline) => &LANE_CHANGE_FRACTIONS,
+            _ if stays_on_route(simulation, centerline) => &LANE_CHANGE_FRACTIONS,
             _ => continue,
         };
         for fraction in fractions {
             let code = planner_code(graph, centerline.name, *fraction, DEFAULT_ACCELERATIONS);
-            // Slower is not tried where the limit does well: what remains to be gained is less than the ties that it would make.
+            // Slower planners are skipped if the limit scores well: their gain would be smaller than the ties that they cause.
             if *fraction < 1.0 && tried.iter().any(|t| t.score >= GOOD && t.is_accepted()) {
                 continue;
             }
@@ -114,9 +110,9 @@ pub fn search(drive: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Tried> {
     tried
 }
 
-/// Whether a centreline keeps to the route as far as a lane change must, or to the route's end.
-fn stays_on_route(drive: &ClosedLoop<'_>, centerline: &Centerline) -> bool {
-    let scenario = drive.scenario();
+/// True if a centerline stays on the route for [`ON_ROUTE_AHEAD`], or to the route's end.
+fn stays_on_route(simulation: &ClosedLoop<'_>, centerline: &Centerline) -> bool {
+    let scenario = simulation.scenario();
     let last = scenario.route.roadblocks.last();
     let path = &centerline.path;
     let ahead = path.lanes.iter().zip(&path.starts).filter(|&(_, &start)| start < centerline.ego_s + ON_ROUTE_AHEAD);
@@ -128,62 +124,62 @@ fn stays_on_route(drive: &ClosedLoop<'_>, centerline: &Centerline) -> bool {
     })
 }
 
-/// The one with the highest value; the first tried wins ties.
-pub fn best(tried: &[Tried]) -> Option<&Tried> {
+/// The candidate with the highest value, the first one of equals.
+pub fn best(tried: &[Candidate]) -> Option<&Candidate> {
     tried.iter().rev().max_by(|a, b| a.value.total_cmp(&b.value))
 }
 
-/// The state that is searched from.
+/// The state from which the search starts.
 struct Present<'a> {
-    drive: &'a ClosedLoop<'a>,
+    simulation: &'a ClosedLoop<'a>,
     graph: &'a LaneGraph,
     judge: &'a Judge<'a>,
-    /// What PDM's rules know here.
+    /// PDM-Closed's memory at the state.
     memory: &'a PdmMemory,
     /// Speed limit, m/s.
     limit: f64,
 }
 
 impl Present<'_> {
-    /// Drives one candidate and judges it.
-    fn attempt(&self, code: PlannerCode) -> Option<Tried> {
-        let drive = self.drive;
-        let planner = planner(drive, self.graph, code)?;
+    /// Simulates and scores one candidate.
+    fn attempt(&self, code: PlannerCode) -> Option<Candidate> {
+        let simulation = self.simulation;
+        let planner = planner(simulation, self.graph, code)?;
         let reflection = self.judge.reflect(&planner, THRESHOLD).ok()?;
-        let mut future = drive.clone();
+        let mut future = simulation.clone();
         let samples = follow(&mut future, &planner, &mut self.memory.clone(), HORIZON)?;
-        let scenario = drive.scenario();
-        let from = scenario.start + drive.iteration();
+        let scenario = simulation.scenario();
+        let from = scenario.start + simulation.iteration();
         let expert: Vec<EgoState> =
             scenario.frames.get(from..=from + samples.len())?.iter().map(|frame| frame.ego).collect();
         let judged = EvaluatedSimulation::new(&scenario.map, &samples, &expert);
         let score = metrics::evaluate(MetricList::ClosedLoop, &judged).ok()?.score.value;
         let driven: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
-        let way = driven + samples.last()?.ego.speed() * TERMINAL_S;
+        let distance = driven + samples.last()?.ego.speed() * TERMINAL_S;
         let possible = self.limit.max(1.0) * (HORIZON as f64 * STEP_S + TERMINAL_S);
         let unusual = (planner.code.accel_max, planner.code.decel_max) != DEFAULT_ACCELERATIONS;
         let changes = planner.code.centerline != CenterlineName::EgoLane.as_str();
         let slow = planner.code.target_speed < NEAR_LIMIT * self.limit;
         let cost = |when: bool, cost: f64| if when { cost } else { 0.0 };
-        let value = score + PROGRESS_BONUS * (way / possible).min(1.0)
+        let value = score + PROGRESS_BONUS * (distance / possible).min(1.0)
             - cost(changes, LANE_CHANGE_COST)
             - cost(slow, SLOW_COST)
             - cost(unusual, REFINEMENT_COST)
-            - cost(reflection.verdict == Verdict::Rethink, if changes { REFUSED_CHANGE_COST } else { REFUSED_COST });
+            - cost(reflection.verdict == Verdict::Rethink, if changes { REJECTED_CHANGE_COST } else { REJECTED_COST });
         let speed_later = samples.get(30).or(samples.last())?.ego.speed();
-        Some(Tried { code: planner.code, score, value, speed_later, reflection })
+        Some(Candidate { code: planner.code, score, value, speed_later, reflection })
     }
 }
 
-/// The planner of a code at the present state of a drive.
-pub fn planner(drive: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode) -> Option<IdmPlan> {
-    build_idm_plan(&drive.scene(), graph, code, LeadPolicy::Nearest, ROLLOUT_S).ok().flatten()
+/// The plan of a code at the present state.
+pub fn planner(simulation: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode) -> Option<IdmPlan> {
+    build_idm_plan(&simulation.scene(), graph, code, LeadPolicy::Nearest, ROLLOUT_S).ok().flatten()
 }
 
-/// Drives a planner, watched, for so many iterations; the samples begin with the present. `None` when the drive ends or fails
+/// Simulates a monitored plan for some iterations. The samples begin with the present. `None` if the simulation ends or fails
 /// before.
 pub fn follow(
-    drive: &mut ClosedLoop<'_>,
+    simulation: &mut ClosedLoop<'_>,
     planner: &IdmPlan,
     memory: &mut PdmMemory,
     iterations: usize,
@@ -192,15 +188,15 @@ pub fn follow(
     let mut samples = Vec::with_capacity(iterations + 1);
     let mut trajectory = None;
     for i in 0..iterations {
-        if drive.is_over() {
+        if simulation.is_over() {
             return None;
         }
         if i % REPLAN == 0 {
-            let scene = drive.scene();
+            let scene = simulation.scene();
             trajectory = Some(monitored_step(planner, &scene, &monitor, memory).ok()?.trajectory);
         }
-        samples.push(drive.present().clone());
-        drive.advance(trajectory.as_ref()?, "search").ok()?;
+        samples.push(simulation.present().clone());
+        simulation.advance(trajectory.as_ref()?, "search").ok()?;
     }
     Some(samples)
 }

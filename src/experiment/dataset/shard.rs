@@ -1,6 +1,6 @@
-//! Shards on disk: a JSONL file of labelled states and a PNG with their images, one below the other.
+//! Shards on disk: a JSONL file of labeled states and a PNG with their images, one below the other.
 
-use super::label::LabelledState;
+use super::label::LabeledState;
 use image::{ImageError, RgbImage};
 use serde::Serialize;
 use std::fs;
@@ -12,28 +12,15 @@ pub const FORMAT: u32 = 1;
 
 /// Why a shard cannot be written.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ShardError {
-    /// A file cannot be written.
     #[error("cannot write {}: {source}", path.display())]
-    Write {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// The image cannot be written.
+    Write { path: PathBuf, source: io::Error },
     #[error("cannot write {}: {source}", path.display())]
-    Image {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        source: ImageError,
-    },
-    /// A state cannot be put into JSON.
-    #[error("cannot serialise a labelled state")]
+    Image { path: PathBuf, source: ImageError },
+    #[error("cannot serialize a labeled state: {0}")]
     Json(#[from] serde_json::Error),
-    /// The folder holds a dataset that was made in another way.
-    #[error("{} holds something else, or a dataset made with other settings; name a new folder", .0.display())]
+    #[error("{} holds other files, or a dataset with other settings; name a new folder", .0.display())]
     OtherSettings(PathBuf),
 }
 
@@ -44,20 +31,17 @@ pub struct Meta {
     pub format: u32,
     /// Side of an image, pixels.
     pub image_pixels: u32,
-    /// Side of what an image shows, metres.
+    /// Side of the area that an image shows, meters.
     pub view_m: f64,
     /// Prompt set of the conversations.
     pub prompt_set: String,
-    /// Seed.
+    /// Seed of the dataset.
     pub seed: u64,
     /// Version of the program.
     pub planagent: String,
 }
 
-/// Makes the folder and writes `meta.json`; a folder with the same `meta.json` is gone on with.
-///
-/// # Errors
-/// When the folder cannot be written or holds another dataset.
+/// Creates the folder with its `meta.json`, or resumes a dataset with the same `meta.json`.
 pub(super) fn open_folder(folder: &Path, meta: &Meta) -> Result<(), ShardError> {
     let failed = |source| ShardError::Write { path: folder.to_owned(), source };
     fs::create_dir_all(folder).map_err(failed)?;
@@ -73,26 +57,23 @@ pub(super) fn open_folder(folder: &Path, meta: &Meta) -> Result<(), ShardError> 
     }
 }
 
-/// Where the files of a shard lie: JSONL and PNG.
+/// The JSONL and PNG file of a shard.
 pub(super) fn paths(folder: &Path, split: &str, shard: usize) -> (PathBuf, PathBuf) {
     let base = folder.join(format!("{split}-{shard:05}"));
     (base.with_extension("jsonl"), base.with_extension("png"))
 }
 
-/// Number of states in a shard that is complete; the JSONL file is written last, so its presence says so.
+/// Number of states of a complete shard. The JSONL file is written last, so its presence shows completeness.
 pub(super) fn complete(folder: &Path, split: &str, shard: usize) -> Option<usize> {
     fs::read_to_string(paths(folder, split, shard).0).ok().map(|text| text.lines().count())
 }
 
-/// Writes a shard: each file under another name first, the PNG before the JSONL.
-///
-/// # Errors
-/// When a file cannot be written.
+/// Writes a shard: each file under a temporary name first, the PNG before the JSONL.
 pub(super) fn write(
     folder: &Path,
     split: &str,
     shard: usize,
-    states: Vec<(LabelledState, RgbImage)>,
+    states: Vec<(LabeledState, RgbImage)>,
     pixels: u32,
 ) -> Result<(), ShardError> {
     let (jsonl, png) = paths(folder, split, shard);

@@ -95,7 +95,7 @@ fn missing_and_damaged_files_are_reported() {
         change(&folder);
         open(&folder).unwrap_err().to_string()
     };
-    let without = |file: &'static str| told(&|folder| std::fs::remove_file(folder.join(file)).unwrap());
+    let without = |file: &'static str| check(&|folder| std::fs::remove_file(folder.join(file)).unwrap());
     assert!(without(POSES).contains("neither city_SE3_egovehicle.feather"));
     assert!(without(ANNOTATIONS).contains("there is no annotations*.feather"));
     assert!(without(MAP).contains("there is no map/log_map_archive_*.json"));
@@ -111,7 +111,7 @@ fn missing_and_damaged_files_are_reported() {
             assert!(message.contains(file) && message.contains(word), "{share} %: {message}");
         }
     }
-    let old = told(&|folder| std::fs::write(folder.join(POSES), b"FEA1 and so on").unwrap());
+    let old = check(&|folder| std::fs::write(folder.join(POSES), b"FEA1 and so on").unwrap());
     assert!(old.contains("Feather version 1"), "{old}");
 }
 

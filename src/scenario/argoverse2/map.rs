@@ -98,8 +98,8 @@ fn recorded_lanes(lines: Vec<(&LaneSegment, Trace)>, links: &Places<'_>) -> Vec<
             id: segment.id,
             flagged: segment.is_intersection,
             speed_limit: None,
-            entries: joints.into(place),
-            exits: joints.out_of(place),
+            entries: joints.before(place),
+            exits: joints.after(place),
             neighbors: Sides { left: beside(segment.left_neighbor_id), right: beside(segment.right_neighbor_id) },
             trace,
         }

@@ -12,11 +12,12 @@
 
 mod expert;
 mod log;
+pub mod prelude;
 mod reader;
 mod rng;
 mod road;
 mod scenario_type;
-pub mod scene;
+mod scene;
 mod spec;
 #[cfg(test)]
 mod tests;
@@ -25,7 +26,6 @@ pub mod types;
 
 pub use log::{Discard, GeneratedLog};
 pub use reader::GeneratedReader;
-pub use rng::SeededRng;
 pub use scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
 pub use spec::{GeneratorError, SOURCE, Spec};
 
@@ -33,6 +33,7 @@ use super::Scenario;
 use crate::world::Route;
 use expert::Expert;
 use log::PAST;
+use rng::SeededRng;
 use road::Roads;
 use scene::builder::{TrafficBuilder, prepare};
 

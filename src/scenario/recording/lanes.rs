@@ -149,12 +149,12 @@ pub(crate) struct Joints(BTreeSet<(usize, usize)>);
 
 impl Joints {
     /// The lanes that lead into a lane.
-    pub(crate) fn into(&self, lane: usize) -> Vec<usize> {
+    pub(crate) fn before(&self, lane: usize) -> Vec<usize> {
         self.0.iter().filter(|(_, to)| *to == lane).map(|(from, _)| *from).collect()
     }
 
     /// The lanes that a lane leads to.
-    pub(crate) fn out_of(&self, lane: usize) -> Vec<usize> {
+    pub(crate) fn after(&self, lane: usize) -> Vec<usize> {
         self.0.iter().filter(|(from, _)| *from == lane).map(|(_, to)| *to).collect()
     }
 }

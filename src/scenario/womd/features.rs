@@ -134,8 +134,8 @@ impl Lookup<'_> {
             id,
             flagged: lane.interpolating,
             speed_limit: metres_per_second(lane.speed_limit_mph),
-            entries: joints.into(place),
-            exits: joints.out_of(place),
+            entries: joints.before(place),
+            exits: joints.after(place),
             neighbors: Sides {
                 left: self.beside(place, &trace, &lane.left_neighbors),
                 right: self.beside(place, &trace, &lane.right_neighbors),

@@ -1,13 +1,6 @@
 //! Second qualitative case of the paper: a light turns red when the ego can just no longer stop at PDM-Closed's rate.
 
-use crate::geometry::GeometryError;
-use crate::scenario::generator::expert::EXPERT;
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::road::{Control, Turn, YELLOW};
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::builder::TrafficBuilder;
-use crate::scenario::generator::scene::setting::{self, LEAD_IN, LightTiming, Setting};
-use crate::scenario::generator::traffic::Departure;
+use crate::scenario::generator::prelude::*;
 
 /// `case_red_light`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,11 +1,6 @@
 //! First qualitative case of the paper: a vehicle waits at the entry of a roundabout, and the lane beside is free.
 
-use crate::geometry::GeometryError;
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::builder::{TrafficBuilder, VehicleKind};
-use crate::scenario::generator::scene::setting::{self, LanePick, Setting};
-use crate::scenario::generator::traffic::Act;
+use crate::scenario::generator::prelude::*;
 
 /// `case_roundabout`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

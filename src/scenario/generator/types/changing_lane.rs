@@ -1,12 +1,6 @@
 //! The ego changes lanes: its own is closed, slow or leads off the route, or the expert changes for no reason.
 
-use crate::geometry::GeometryError;
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::road::{Control, Turn};
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::builder::{TrafficBuilder, VehicleKind};
-use crate::scenario::generator::scene::obstacles::{close_ahead, double_park};
-use crate::scenario::generator::scene::setting::{self, BEHIND, LIMITS, LanePick, LightTiming, Setting};
+use crate::scenario::generator::prelude::*;
 
 /// `changing_lane`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

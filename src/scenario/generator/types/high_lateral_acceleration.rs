@@ -1,11 +1,6 @@
 //! The ego drives through a bend with noticeable lateral acceleration.
 
-use crate::geometry::GeometryError;
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::road::{Course, Layout};
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::setting::{self, BEHIND, LIMITS, Setting};
-use crate::scenario::generator::scene::stream;
+use crate::scenario::generator::prelude::*;
 
 /// `high_lateral_acceleration`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

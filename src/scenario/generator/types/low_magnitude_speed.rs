@@ -1,12 +1,6 @@
 //! The ego creeps in a traffic jam.
 
-use crate::geometry::GeometryError;
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::builder::TrafficBuilder;
-use crate::scenario::generator::scene::setting::{LightTiming, Setting};
-use crate::scenario::generator::scene::stream;
-use crate::scenario::generator::traffic::Act;
+use crate::scenario::generator::prelude::*;
 
 /// `low_magnitude_speed`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,8 +1,6 @@
 //! The ego drives in a platoon.
 
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::builder::TrafficBuilder;
-use crate::scenario::generator::scene::stream;
+use crate::scenario::generator::prelude::*;
 
 /// `near_multiple_vehicles`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,8 +1,6 @@
 //! The ego turns left at a crossing.
 
-use crate::scenario::generator::road::Turn;
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::crossing;
+use crate::scenario::generator::prelude::*;
 
 /// `starting_left_turn`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

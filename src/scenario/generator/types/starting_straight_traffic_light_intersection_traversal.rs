@@ -1,8 +1,6 @@
 //! The ego goes straight on at a crossing with traffic lights.
 
-use crate::scenario::generator::road::Turn;
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::crossing;
+use crate::scenario::generator::prelude::*;
 
 /// `starting_straight_traffic_light_intersection_traversal`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

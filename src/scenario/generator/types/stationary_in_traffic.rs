@@ -1,11 +1,6 @@
 //! The ego stands in a queue before a red light.
 
-use crate::geometry::GeometryError;
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::builder::{TrafficBuilder, VehicleKind};
-use crate::scenario::generator::scene::setting::{LightTiming, Setting};
-use crate::scenario::generator::scene::stream;
+use crate::scenario::generator::prelude::*;
 
 /// `stationary_in_traffic`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,12 +1,6 @@
 //! The ego comes to a stop behind a lead vehicle.
 
-use crate::geometry::GeometryError;
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::builder::TrafficBuilder;
-use crate::scenario::generator::scene::setting::{LightTiming, Setting};
-use crate::scenario::generator::scene::stream;
-use crate::scenario::generator::traffic::Act;
+use crate::scenario::generator::prelude::*;
 
 /// `stopping_with_lead`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

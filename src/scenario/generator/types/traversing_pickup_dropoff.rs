@@ -1,12 +1,6 @@
 //! The ego passes a bay at the curb where people get in and out of cars.
 
-use crate::geometry::GeometryError;
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::road::{Course, Layout};
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::builder::TrafficBuilder;
-use crate::scenario::generator::scene::obstacles::double_park;
-use crate::scenario::generator::scene::setting::{self, BEHIND, LIMITS, LanePick, Setting};
+use crate::scenario::generator::prelude::*;
 
 /// `traversing_pickup_dropoff`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

@@ -1,10 +1,6 @@
 //! The ego drives through a roundabout; nuPlan has no type for it.
 
-use crate::geometry::GeometryError;
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::crossing;
-use crate::scenario::generator::scene::setting::{self, LIMITS, Setting};
+use crate::scenario::generator::prelude::*;
 
 /// `traversing_roundabout`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {

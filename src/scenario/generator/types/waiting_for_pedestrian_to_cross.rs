@@ -1,12 +1,6 @@
 //! The ego gives way to a pedestrian at a crosswalk.
 
-use crate::geometry::GeometryError;
-use crate::scenario::generator::rng::SeededRng;
-use crate::scenario::generator::road::{Control, Course, Layout, Turn};
-use crate::scenario::generator::scenario_type::{ScenarioType, TypeDefinition, TypeGroup};
-use crate::scenario::generator::scene::builder::TrafficBuilder;
-use crate::scenario::generator::scene::setting::{self, BEHIND, LEAD_IN, LIMITS, LightTiming, Setting};
-use crate::scenario::generator::traffic::Departure;
+use crate::scenario::generator::prelude::*;
 
 /// `waiting_for_pedestrian_to_cross`.
 pub const TYPE: ScenarioType = ScenarioType::new(&TypeDefinition {
