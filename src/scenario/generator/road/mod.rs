@@ -11,7 +11,7 @@ mod signal;
 
 pub(crate) use junction::{Control, Turn};
 pub(crate) use layout::{CirclePlan, Course, CrossingPlan};
-pub use layout::{Layout, RoadStyle};
+pub(crate) use layout::{Layout, RoadStyle};
 pub(crate) use network::{Conflict, Passage};
 pub(crate) use roads::Roads;
 pub(crate) use signal::YELLOW;

@@ -4,7 +4,7 @@
 //! * `clutter`: parked cars, cyclists, pedestrians, cones; `obstacles`: what blocks the ego's lane;
 //! * `crossing`, `stream`: what several types have in common.
 
-pub mod builder;
+pub(crate) mod builder;
 mod clutter;
 pub(crate) mod crossing;
 pub(crate) mod obstacles;
