@@ -10,7 +10,44 @@ use rayon::prelude::*;
 const CORPUS_DIGEST: &str = "680c75eaa0c18188d1b27b4be5541b1e16d2f4c073ff5baeed7e01fe0bb996eb";
 
 /// Digests of seed 3 of each type, without and with a traffic seed.
-const DIGESTS: [&str; 1] = [""];
+const DIGESTS: [&str; 36] = [
+    "generated/starting_left_turn/3 d3f41040617e7cdf",
+    "generated/starting_left_turn/3.1 c6b624943e833728",
+    "generated/starting_right_turn/3 9ff345ffc6ff2f80",
+    "generated/starting_right_turn/3.1 1cc62d53eb9261db",
+    "generated/starting_straight_traffic_light_intersection_traversal/3 d629897a8a55c99e",
+    "generated/starting_straight_traffic_light_intersection_traversal/3.1 d5e6f9e573f1fe9c",
+    "generated/stopping_with_lead/3 a641e047265f0132",
+    "generated/stopping_with_lead/3.1 d289478319b824fb",
+    "generated/high_lateral_acceleration/3 0e8e4e538f04a53d",
+    "generated/high_lateral_acceleration/3.1 6c7b05cc1ad0fe04",
+    "generated/high_magnitude_speed/3 71a087b4b1208882",
+    "generated/high_magnitude_speed/3.1 d26b4a07baf18c92",
+    "generated/low_magnitude_speed/3 433b2693ab9c7335",
+    "generated/low_magnitude_speed/3.1 d7b4c96e00796f2c",
+    "generated/traversing_pickup_dropoff/3 68e2b86b896a8cd0",
+    "generated/traversing_pickup_dropoff/3.1 a428587c2198b5ae",
+    "generated/waiting_for_pedestrian_to_cross/3 0e09e478736a12bc",
+    "generated/waiting_for_pedestrian_to_cross/3.1 0786b3b63c791b69",
+    "generated/behind_long_vehicle/3 a4927f053daee2f5",
+    "generated/behind_long_vehicle/3.1 4a679177ab3498c9",
+    "generated/stationary_in_traffic/3 f48be24b7471ba60",
+    "generated/stationary_in_traffic/3.1 1fc53abbcef65804",
+    "generated/near_multiple_vehicles/3 6469329c0c99ccc9",
+    "generated/near_multiple_vehicles/3.1 a88346d53c7b7486",
+    "generated/changing_lane/3 542ce04e5062b544",
+    "generated/changing_lane/3.1 e7ecb2c0a8f6ce84",
+    "generated/following_lane_with_lead/3 66e4e0ec467bd27b",
+    "generated/following_lane_with_lead/3.1 dcaab04cc484e5c3",
+    "generated/traversing_intersection/3 08346b86af5de11b",
+    "generated/traversing_intersection/3.1 c273188372a8b483",
+    "generated/traversing_roundabout/3 151273f945b0b7bb",
+    "generated/traversing_roundabout/3.1 bc744c54b294b145",
+    "generated/case_roundabout/3 7175546dc8f3ca5a",
+    "generated/case_roundabout/3.1 f987d78a563fecd6",
+    "generated/case_red_light/3 3fb8cc940cd4725c",
+    "generated/case_red_light/3.1 670959121368b994",
+];
 
 fn line(scenario: &Scenario) -> String {
     let steps = scenario.expert().zip(scenario.expert().skip(1));
