@@ -30,24 +30,47 @@ const RANKS: [(&str, u8); 17] = [
 ];
 
 /// Rooms of a stage (its files and folders) by rank, lowest first: a room uses only rooms of a lower rank.
-const INNER_RANKS: [(&str, &[&[&str]]); 1] = [(
-    "mllm",
-    &[
-        &["error", "values"],
-        &["deadline", "matrix"],
-        &["checkpoint"],
-        &["attention", "conversation", "gguf", "layer_norm", "linear", "pointwise", "rms_norm"],
-        &["decoder", "sampling", "text", "vision"],
-        &["endpoint", "family"],
-        &["cogvlm", "llava"],
-        &["llava_next"],
-        &["families"],
-        &["source"],
-        &["local"],
-        &["export", "latency"],
-        &["registry"],
-    ],
-)];
+const INNER_RANKS: &[(&str, &[&[&str]])] = &[
+    (
+        "mllm",
+        &[
+            &["error", "values"],
+            &["deadline", "matrix"],
+            &["checkpoint"],
+            &["attention", "conversation", "gguf", "layer_norm", "linear", "pointwise", "rms_norm"],
+            &["decoder", "sampling", "text", "vision"],
+            &["endpoint", "family"],
+            &["cogvlm", "llava"],
+            &["llava_next"],
+            &["families"],
+            &["source"],
+            &["local"],
+            &["export", "latency"],
+            &["registry"],
+        ],
+    ),
+    (
+        "scenario/generator",
+        &[
+            &["rng"],
+            &["road"],
+            &["traffic"],
+            &["expert"],
+            &["scene"],
+            &["log"],
+            &["scenario_type"],
+            &["prelude"],
+            &["types"],
+            &["spec"],
+            &["reader"],
+            &["tests"],
+        ],
+    ),
+    (
+        "scenario/recording",
+        &[&["error", "motion", "route"], &["trace", "window"], &["lanes"], &["junctions", "roadblocks"], &["map"]],
+    ),
+];
 
 /// Most files that may import each other in a circle.
 const MAX_CIRCLE: usize = 8;

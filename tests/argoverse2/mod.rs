@@ -88,10 +88,13 @@ fn the_recorded_motion_agrees_with_itself() {
         for (i, pair) in frames.windows(2).enumerate() {
             let (a, b) = (&pair[0].ego, &pair[1].ego);
             let moved = (b.rear_axle.position() - a.rear_axle.position()) / ((b.time_us - a.time_us) as f64 / 1e6);
-            let told = a.rear_axle.rotate(a.velocity).lerp(&b.rear_axle.rotate(b.velocity), 0.5);
+            let recorded = a.rear_axle.rotate(a.velocity).lerp(&b.rear_axle.rotate(b.velocity), 0.5);
             // Positions of a motion-forecasting scenario run off within its first and last second.
             let smooth = log.join("map").is_dir() || (10..frames.len() - 11).contains(&i);
-            assert!(!smooth || (moved - told).norm() < 0.6, "{id} frame {i}: moved {moved:?}, velocity {told:?}");
+            assert!(
+                !smooth || (moved - recorded).norm() < 0.6,
+                "{id} frame {i}: moved {moved:?}, velocity {recorded:?}"
+            );
             assert!(a.velocity.y.abs() < 0.3, "{id} frame {i}: slides {:?}", a.velocity);
             assert!(a.acceleration.norm() < 6.0, "{id} frame {i}: {:?}", a.acceleration);
             for object in &*pair[0].objects {

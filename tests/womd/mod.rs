@@ -81,9 +81,13 @@ fn the_recorded_motion_agrees_with_itself() {
             let (a, b) = (&pair[0].ego, &pair[1].ego);
             let dt = (b.time_us - a.time_us) as f64 / 1e6;
             let moved = (b.rear_axle.position() - a.rear_axle.position()) / dt;
-            let told = a.rear_axle.rotate(a.velocity).lerp(&b.rear_axle.rotate(b.velocity), 0.5);
+            let recorded = a.rear_axle.rotate(a.velocity).lerp(&b.rear_axle.rotate(b.velocity), 0.5);
             // 8d3d061e518531d0 hops by 10 cm at 1.8 s and at 6.6 s, as recorded.
-            assert!((moved - told).norm() < 0.6, "{} frame {i}: moved {moved:?}, velocity {told:?}", scenario.id);
+            assert!(
+                (moved - recorded).norm() < 0.6,
+                "{} frame {i}: moved {moved:?}, velocity {recorded:?}",
+                scenario.id
+            );
             assert!(a.velocity.y.abs() < 0.3, "{} frame {i}: slides {:?}", scenario.id, a.velocity);
             assert!(a.acceleration.norm() < 5.0, "{} frame {i}: {:?}", scenario.id, a.acceleration);
             assert!((b.acceleration - a.acceleration).norm() < 2.0, "{} frame {i} jerks", scenario.id);
@@ -324,24 +328,24 @@ fn broken_files_are_reported_with_file_record_and_offset() {
     let whole = std::fs::read(&file).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("broken.tfrecord");
-    let told = |bytes: &[u8]| {
+    let message_for = |bytes: &[u8]| {
         std::fs::write(&path, bytes).unwrap();
         open(&path).unwrap_err().to_string()
     };
     let place = format!("{}: record 0 at byte 0: ", path.display());
     for cut in [1, 7, 11, 12, 500, whole.len() - 4, whole.len() - 1] {
-        let message = told(&whole[..cut]);
+        let message = message_for(&whole[..cut]);
         assert!(message.starts_with(&place) && message.contains("ends inside"), "cut at {cut}: {message}");
     }
     for flipped in [0, 9, 12, whole.len() / 2, whole.len() - 1] {
         let mut bytes = whole.clone();
         bytes[flipped] ^= 0x10;
-        let message = told(&bytes);
+        let message = message_for(&bytes);
         assert!(message.starts_with(&place) && message.contains("checksum"), "byte {flipped}: {message}");
     }
     let second = [whole.clone(), whole[..100].to_vec()].concat();
-    assert!(told(&second).contains(&format!("record 1 at byte {}", whole.len())));
-    assert!(told(&[]).contains("the file is empty"));
+    assert!(message_for(&second).contains(&format!("record 1 at byte {}", whole.len())));
+    assert!(message_for(&[]).contains("the file is empty"));
     let wanted = womd::open_one(&file, 3).unwrap_err();
     assert!(matches!(wanted.fault, WomdFault::NotFound { wanted: 3, records: 1 }), "{wanted}");
 }

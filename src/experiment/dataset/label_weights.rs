@@ -61,7 +61,7 @@ mod tests {
     use crate::scenario::generator::{self, Spec, types};
     use crate::simulation::{Challenge, ClosedLoop};
 
-    /// Planners that differ in what stakes look at: lane, desired speed, value, and whether Reflection accepts them.
+    /// Candidates with these lanes, desired speeds and values, accepted by Reflection or not.
     fn tried(planners: &[(&str, f64, f64, bool)]) -> Vec<Candidate> {
         let scenario = generator::generate(&Spec::new(types::changing_lane::TYPE, 3)).unwrap();
         let simulation = ClosedLoop::new(&scenario, Challenge::CLOSED_LOOP[0]).unwrap();

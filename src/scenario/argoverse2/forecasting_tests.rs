@@ -60,8 +60,8 @@ fn broken_forecasting_scenarios_are_reported() {
         change(&mut columns);
         forecasting_opened(columns).unwrap_err().to_string()
     };
-    let nobody = fault(&|columns| set(columns, "track_id", StringArray::from(vec!["7"; 60])));
-    assert!(nobody.contains("track `AV` is missing at step 0"), "{nobody}");
+    let no_ego = fault(&|columns| set(columns, "track_id", StringArray::from(vec!["7"; 60])));
+    assert!(no_ego.contains("track `AV` is missing at step 0"), "{no_ego}");
     let twice = fault(&|columns| set(columns, "timestep", Int64Array::from(vec![0; 60])));
     assert!(twice.contains("row 2: a second row of track AV"), "{twice}");
     let fast = fault(&|columns| set(columns, "velocity_y", with(columns, "velocity_y", 5, Some(1e6))));

@@ -6,7 +6,7 @@ use crate::geometry::Point;
 use crate::scenario::Scenario;
 use rayon::prelude::*;
 
-/// BLAKE3 of the scenes of the tests, a line each: name, length of the expert's path in centimetres, objects at the start.
+/// BLAKE3 of the scenarios of the tests, one line each: name, length of the expert's path in centimeters, objects at the start.
 const CORPUS_DIGEST: &str = "680c75eaa0c18188d1b27b4be5541b1e16d2f4c073ff5baeed7e01fe0bb996eb";
 
 /// Digests of seed 3 of each type, without and with a traffic seed.
@@ -56,7 +56,7 @@ fn line(scenario: &Scenario) -> String {
     format!("{} {:.0} {objects}\n", scenario.id, length * 100.0)
 }
 
-/// BLAKE3 of every number of a scene: map, route, ego, objects, lights.
+/// BLAKE3 of every number of a scenario: map, route, ego, objects, lights.
 fn digest(scenario: &Scenario) -> String {
     let mut numbers: Vec<f64> = Vec::new();
     let points = |points: &[Point]| -> Vec<f64> { points.iter().flat_map(|point| [point.x, point.y]).collect() };
@@ -86,13 +86,13 @@ fn digest(scenario: &Scenario) -> String {
 }
 
 #[test]
-fn the_scenes_of_the_tests_stay() {
+fn the_scenarios_of_the_tests_stay() {
     let lines: String = CORPUS.iter().map(|generated| line(&generated.scenario)).collect();
     assert_eq!(blake3::hash(lines.as_bytes()).to_hex().as_str(), CORPUS_DIGEST, "{lines}");
 }
 
 #[test]
-fn every_number_of_a_scene_of_each_type_stays() {
+fn every_number_of_a_scenario_of_each_type_stays() {
     let own = types::ALL.iter().map(|&kind| Spec::new(kind, 3));
     let specs: Vec<Spec> = own.flat_map(|spec| [spec, spec.with_traffic_seed(1)]).collect();
     let digests: Vec<String> = specs.par_iter().map(|spec| digest(&generate(spec).unwrap())).collect();

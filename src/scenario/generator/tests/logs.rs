@@ -100,7 +100,7 @@ fn the_expert_keeps_to_the_limit_and_stops_at_red() {
 }
 
 #[test]
-fn nobody_overlaps_at_the_start_and_vehicles_move_along_their_heading() {
+fn nothing_overlaps_at_the_start_and_vehicles_move_along_their_heading() {
     for generated in CORPUS.iter() {
         let first = &generated.scenario.frames[0].objects;
         for (i, a) in first.iter().enumerate() {

@@ -1,7 +1,9 @@
 //! A driver's acceleration: the intelligent driver model against everything ahead.
 
+use super::mover::{Mover, Steering};
 use super::right_of_way::Claims;
-use super::{Body, Mover, Steering, Traffic};
+use super::state::{Body, Traffic};
+use super::walker::Walker;
 use crate::dynamics::Lead;
 use crate::world::{PACIFICA, TrafficLights};
 
@@ -136,7 +138,7 @@ impl Mover {
 
     /// Where this driver must stop for a pedestrian who starts to cross in `wait` seconds: the near edge of the crosswalk, or of
     /// the pedestrian's path where there is none. `None` if it need not stop.
-    fn give_way_to(&self, walker: &super::Walker, wait: f64) -> Option<f64> {
+    fn give_way_to(&self, walker: &Walker, wait: f64) -> Option<f64> {
         let lookahead = self.lookahead().min(50.0);
         let position = walker.position();
         if (position - self.track.pose_at(self.s).position()).norm() > lookahead + 10.0 {

@@ -1,6 +1,8 @@
 //! Lane changes: the target track, whether there is room, and the lateral path.
 
-use super::{Act, Body, Mover, Shift, Track, Traffic};
+use super::mover::{Act, Mover, Shift};
+use super::state::{Body, Traffic};
+use super::track::Track;
 use crate::geometry::wrap_angle;
 use std::sync::Arc;
 

@@ -6,7 +6,7 @@ use crate::geometry::{OrientedBox, Pose, Vector, wrap_angle};
 use crate::world::{LaneId, ObjectKind, PACIFICA, STEP_S, TrackToken};
 use std::sync::Arc;
 
-/// How a driver drives.
+/// Parameters of a driver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct DriverProfile {
     /// Desired speed as a share of the allowed speed.

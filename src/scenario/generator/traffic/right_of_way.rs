@@ -1,6 +1,7 @@
 //! Traffic lights, stop signs and the right of way.
 
-use super::{Mover, Traffic};
+use super::mover::Mover;
+use super::state::Traffic;
 use crate::scenario::generator::road::{Conflict, Passage};
 use crate::world::{SignalStatus, TrafficLights};
 

@@ -30,7 +30,7 @@ fn populate(builder: &mut TrafficBuilder<'_, '_>) {
     if let Some(lead) = builder.put_ahead(VehicleKind::Long, gap, lead_speed) {
         builder.traffic.movers[lead].speed_cap = lead_speed.max(2.5);
         if builder.rng.situation(|rng| rng.bool(0.35)) {
-            // It stops at a bus stop, say, and drives on.
+            // It stops for a while, as at a bus stop.
             let at = builder.rng.uniform(1.0, 6.0);
             let again = Act::Limit { at: at + builder.rng.uniform(4.0, 8.0), speed: lead_speed.max(4.0) };
             builder.traffic.movers[lead].script = vec![again, Act::Limit { at, speed: 0.05 }];
