@@ -82,11 +82,12 @@ pub fn aggregate(rows: &[ScenarioRow], weighting: &Weighting) -> Vec<AggregateRo
     table
 }
 
-fn distinct<'a>(names: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
-    let mut seen: Vec<&String> = Vec::new();
-    for name in names {
-        if !seen.contains(&name) {
-            seen.push(name);
+/// The values in the order of their first occurrence.
+pub(crate) fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
+    let mut seen: Vec<T> = Vec::new();
+    for value in values {
+        if !seen.contains(&value) {
+            seen.push(value);
         }
     }
     seen

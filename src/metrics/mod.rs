@@ -34,6 +34,7 @@ mod spec;
 mod speed_limit_compliance;
 mod time_to_collision_within_bound;
 
+pub(crate) use aggregate::distinct;
 pub use aggregate::{AggregateRow, RowKind, ScenarioRow, aggregate};
 pub use collision::{
     AHEAD_ANGLE, BEHIND_ANGLE, Collision, CollisionGroup, CollisionType, STOPPED_SPEED, classify_collision, delta_v,

@@ -8,8 +8,9 @@ use super::number::json_value;
 use super::parquet::{write_aggregator, write_metric_files, write_runner_report};
 use super::run_folder::RunFolder;
 use super::simulation_row::SimulationRow;
-use super::summary::{Summary, aggregated, distinct};
+use super::summary::{Summary, aggregated};
 use super::timing::Timing;
+use crate::metrics::distinct;
 use serde::Serialize;
 
 impl RunFolder {

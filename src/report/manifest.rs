@@ -9,11 +9,11 @@ use std::path::PathBuf;
 /// The format of run folders that this program reads and writes.
 pub const FORMAT_VERSION: u32 = 2;
 
-/// What a run consists of. Runs with the same [`Manifest::digest`] have equal results.
+/// What a run consists of. Runs with the same digest have equal results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// Format of the run folder: [`FORMAT_VERSION`].
+    /// Format of the run folder.
     pub format_version: u32,
     /// Version of what simulations compute.
     pub result_version: u32,

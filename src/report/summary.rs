@@ -1,7 +1,7 @@
 //! `summary.json`: the scores, without wall times; equal seeds give equal bytes.
 
 use super::simulation_row::{SimulationRow, is_zero};
-use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate};
+use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate, distinct};
 use crate::mllm::ModelDescription;
 use crate::pdm::DrivableLayers;
 use crate::scenario::MissingTokens;
@@ -98,7 +98,7 @@ pub struct Aggregate {
     pub score: Option<f64>,
 }
 
-/// The whole file.
+/// The scores of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Summary {
     /// Version of the program.
@@ -177,15 +177,4 @@ fn mean(
         failed,
         score: row.map(|row| row.score),
     }
-}
-
-/// The values in the order in which they first appear.
-pub(super) fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
-    let mut seen: Vec<T> = Vec::new();
-    for value in values {
-        if !seen.contains(&value) {
-            seen.push(value);
-        }
-    }
-    seen
 }

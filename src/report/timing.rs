@@ -1,8 +1,8 @@
 //! `timing.json`: wall times, and the machine on which they were measured.
 
 use super::simulation_row::SimulationRow;
-use super::summary::distinct;
 use super::times::{CallTimes, Quantiles};
+use crate::metrics::distinct;
 use crate::simulation::Challenge;
 use serde::Serialize;
 
@@ -63,7 +63,7 @@ pub struct Session {
     pub load_s: Option<f64>,
 }
 
-/// The whole file.
+/// The wall times of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Timing {
     /// The machine and the session that completed the run.

@@ -1,9 +1,9 @@
-//! What is printed reads well in a terminal of 80 columns.
+//! The output fits a terminal of 80 columns.
 
 use super::{planagent, run};
 use tempfile::TempDir;
 
-/// Every command line that has a help of its own.
+/// Every command with its own help.
 const COMMANDS: [&str; 16] = [
     "",
     "simulate",
@@ -25,7 +25,7 @@ const COMMANDS: [&str; 16] = [
 /// The scenario type with the longest name.
 const LONGEST: &str = "starting_straight_traffic_light_intersection_traversal";
 
-/// Fails with the lines that are too wide.
+/// Fails if a line is too wide.
 fn assert_narrow(what: &str, text: &str) {
     let wide: Vec<&str> = text.lines().filter(|line| line.chars().count() > 80).collect();
     assert!(wide.is_empty(), "{what}:\n{}", wide.join("\n"));
@@ -47,7 +47,7 @@ fn help_is_wrapped() {
 }
 
 #[test]
-fn lists_put_below_a_name_what_does_not_fit_beside_it() {
+fn lists_wrap_below_long_names() {
     let work = TempDir::new().unwrap();
     let out = work.path().join("exported");
     let longest = format!("generated/{LONGEST}/0");
@@ -65,7 +65,7 @@ fn lists_put_below_a_name_what_does_not_fit_beside_it() {
     }
     let (code, stdout, stderr) = run(&["scenarios", "list", out.join("data").to_str().unwrap()]);
     assert_eq!(code, 0, "{stderr}");
-    // A path may be wider than any terminal; it is there to be copied.
+    // A path may be wider than the terminal, because users copy it.
     let (names, details): (Vec<&str>, Vec<&str>) = stdout.lines().partition(|line| line.contains(".db#"));
     assert_eq!(names.len(), 1, "{stdout}");
     assert_eq!(details, [format!("  {LONGEST}")]);

@@ -1,4 +1,4 @@
-//! The page as people use it, in a browser.
+//! The page in a browser.
 
 use super::chromium::Chromium;
 use super::{scenes, simulate};
@@ -9,17 +9,17 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-/// Scenarios of the run; the page of so many must open at once and fit in a mail.
+/// Number of scenarios of the run.
 const SCENARIOS: usize = 20;
-/// Largest page of such a run, bytes.
+/// Maximum size of its page, bytes.
 const MAX_BYTES: u64 = 15_000_000;
-/// Time in the page's player.
+/// The time of the page's player.
 const NOW: &str = "scenarios.player.time";
 
 #[test]
-fn the_page_of_a_run_plays_scrubs_and_shows_the_call_in_force() {
+fn the_page_of_a_run_plays_scrubs_and_shows_the_last_call() {
     let Some(program) = Chromium::program() else {
-        skipped("no Chromium on the path and none in PLANAGENT_CHROMIUM; nobody looked at the page");
+        skipped("no Chromium on the path or in PLANAGENT_CHROMIUM; the page was not opened");
         return;
     };
     let folder = TempDir::new().unwrap();
@@ -52,14 +52,14 @@ fn tables(browser: &mut Chromium, page: &Path) {
     assert!(score.as_str().unwrap().parse::<f64>().unwrap() > 50.0, "{score}");
     assert_eq!(browser.value("document.querySelectorAll('.view:not([hidden])').length"), 1);
     browser.press("2");
-    // The score and the eight metrics that it is made of.
+    // The score and its eight metrics.
     browser.wait_for("document.querySelectorAll('.card').length === 9");
     browser.picture("histograms");
     browser.value("document.querySelector('#histograms [data-value=Dynamics]').click()");
     browser.wait_for("document.querySelectorAll('.card').length > 20");
 }
 
-/// A replay plays, can be scrubbed, and its transcript keeps up.
+/// A replay plays and can be scrubbed, and its transcript follows.
 fn replay(browser: &mut Chromium, page: &Path, run: &Path) {
     let folders = fs::read_dir(run.join("simulations")).unwrap();
     let first = folders.map(|entry| entry.unwrap().path()).find(|d| d.to_str().unwrap().contains("000000-")).unwrap();
@@ -110,14 +110,14 @@ fn replay(browser: &mut Chromium, page: &Path, run: &Path) {
         // A row for the environment, then rounds and reflection of each attempt.
         assert_eq!(browser.value("document.querySelectorAll('.waterfall > div').length"), 1 + 4 * attempts.len());
     }
-    assert!(browser.value("document.querySelectorAll('.thumb img').length") == 1, "no picture of what the model saw");
+    assert!(browser.value("document.querySelectorAll('.thumb img').length") == 1, "no image of the prompt");
     let series = browser.value("document.querySelectorAll('.series').length").as_u64().unwrap();
     assert!(series >= 12, "only {series} time series");
     assert!(browser.value("document.querySelectorAll('.series .limit').length").as_u64().unwrap() >= 10);
     browser.picture("scenarios");
 }
 
-/// What the keys do, and where they lead.
+/// The keys.
 fn keys(browser: &mut Chromium) {
     browser.press("Home");
     assert_eq!(browser.value(NOW), 0);

@@ -1,4 +1,4 @@
-//! A headless Chromium, driven by its debugging protocol over a pair of pipes.
+//! A headless Chromium, controlled by its debugging protocol over a pair of pipes.
 
 use serde_json::{Value, json};
 use std::fs::File;
@@ -9,9 +9,9 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// How long an answer may take on a busy machine.
+/// Maximum time of an answer on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Names under which Chromium is installed.
+/// Program names of Chromium.
 const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
 
 /// A running browser with one page.
@@ -21,13 +21,13 @@ pub(super) struct Chromium {
     from: Receiver<Value>,
     session: Option<String>,
     sent: u64,
-    /// What the page reported without being asked.
+    /// Events of the page.
     events: Vec<Value>,
     _profile: TempDir,
 }
 
 impl Chromium {
-    /// The browser's program: `$PLANAGENT_CHROMIUM`, else one that is on the path.
+    /// The browser: `$PLANAGENT_CHROMIUM`, or one on the path.
     pub(super) fn program() -> Option<PathBuf> {
         if let Some(named) = std::env::var_os("PLANAGENT_CHROMIUM") {
             return Some(named.into());
@@ -42,7 +42,7 @@ impl Chromium {
         let profile = TempDir::new().unwrap();
         let [to, from] = ["to", "from"].map(|name| profile.path().join(name));
         assert!(Command::new("mkfifo").args([&to, &from]).status().unwrap().success());
-        // It reads commands from descriptor 3 and answers on 4, which the shell opens for it.
+        // The browser reads commands from descriptor 3 and answers on 4; the shell opens both.
         let script = "exec \"$0\" \"$@\" 3<\"$TO\" 4>\"$FROM\"";
         let process = Command::new("sh")
             .args(["-c", script])
@@ -101,7 +101,7 @@ impl Chromium {
         }
     }
 
-    /// Opens a file at a fragment and waits until the page says that it is ready.
+    /// Opens a file at a fragment and waits until the page is ready.
     pub(super) fn open(&mut self, page: &Path, fragment: &str) {
         let url = format!("file://{}#{fragment}", page.display());
         self.call("Page.navigate", &json!({"url": url}));
@@ -137,7 +137,7 @@ impl Chromium {
         }
     }
 
-    /// Errors and warnings of the console, and exceptions that nothing caught.
+    /// Errors and warnings of the console, and uncaught exceptions.
     pub(super) fn errors(&self) -> Vec<String> {
         let is_error = |event: &&Value| match event["method"].as_str() {
             Some("Runtime.exceptionThrown") => true,
@@ -150,7 +150,7 @@ impl Chromium {
         self.events.iter().filter(is_error).map(ToString::to_string).collect()
     }
 
-    /// What the page asked for over the network: everything but itself and what lies in it.
+    /// The network requests of the page, without its own file and data.
     pub(super) fn requests(&self) -> Vec<String> {
         let urls = self.events.iter().filter(|event| event["method"] == "Network.requestWillBeSent");
         let urls = urls.filter_map(|event| event["params"]["request"]["url"].as_str());
@@ -159,7 +159,7 @@ impl Chromium {
             .collect()
     }
 
-    /// Writes a picture of the page into the folder that `$PLANAGENT_SCREENSHOTS` names, if it does.
+    /// Writes a screenshot into the folder `$PLANAGENT_SCREENSHOTS`, if it is set.
     pub(super) fn picture(&mut self, name: &str) {
         use base64::Engine;
         let Some(folder) = std::env::var_os("PLANAGENT_SCREENSHOTS") else { return };
@@ -171,7 +171,7 @@ impl Chromium {
 
 impl Drop for Chromium {
     fn drop(&mut self) {
-        // One that has gone already needs no end.
+        // The process may have ended already.
         let _ = self.process.kill();
         let _ = self.process.wait();
     }

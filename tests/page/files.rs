@@ -1,4 +1,4 @@
-//! What `report` and `render` write, without a browser.
+//! The files of `report` and `render`, without a browser.
 
 use super::{scenes, simulate};
 use crate::cli::{refused, run};
@@ -16,7 +16,7 @@ fn simulation_folders(run: &Path) -> Vec<std::path::PathBuf> {
 }
 
 #[test]
-fn pages_hold_runs_and_say_what_they_leave_out() {
+fn pages_hold_runs_and_name_what_is_missing() {
     let work = TempDir::new().unwrap();
     let [one, other] = ["one", "other"].map(|name| work.path().join(name));
     simulate(&one, &scenes(3), "log-replay,simple");
@@ -73,7 +73,7 @@ fn a_simulation_is_rendered() {
     render(&["0", "--png", &png, "--at", "3.0"]);
     let frame = image::open(&png).unwrap().to_rgb8();
     assert!(frame.width() == 160 && frame.height() > 160);
-    // What a viewer has put together by then is the simulation at that instant, and not what has changed in it.
+    // A decoded frame is the whole scene, not only its changes.
     let seen = frames[6].buffer();
     let close =
         |(a, b): (&image::Rgba<u8>, &image::Rgb<u8>)| a.0[3] == 255 && (0..3).all(|i| a.0[i].abs_diff(b.0[i]) < 48);
@@ -88,13 +88,13 @@ fn a_simulation_is_rendered() {
     assert!(fails(&["7", "--png", &png]).contains("no simulation 7"));
     assert!(fails(&["0", "--png", &png, "--at", "99"]).contains("outside the simulation"));
     assert!(fails(&["0"]).contains("--gif"));
-    // Without ffmpeg there is a hint; with it, a film.
+    // Without ffmpeg the error has a hint; with it there is a film.
     let arguments = ["render", run_folder, "0", "--mp4", &mp4, "--pixels", "160"];
     let output = crate::cli::planagent().args(arguments).env("PATH", work.path()).output().unwrap();
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(2) && stderr.contains("ffmpeg") && stderr.contains("--gif"), "{stderr}");
     if std::process::Command::new("ffmpeg").arg("-version").output().is_err() {
-        skipped("no ffmpeg on the path; nobody wrote an MP4");
+        skipped("no ffmpeg on the path; no MP4 was written");
         return;
     }
     assert_eq!(run(&arguments).0, 0);

@@ -1,4 +1,4 @@
-//! The page of a run and the renders of its drives.
+//! The page of a run and the renders of its simulations.
 
 #[cfg(unix)]
 mod browser;
@@ -9,11 +9,11 @@ mod files;
 use crate::cli::run;
 use std::path::Path;
 
-/// Types of generated scenes, whose seed 1 is driven.
+/// Types of the generated scenes.
 const TYPES: [&str; 4] =
     ["changing_lane", "stopping_with_lead", "traversing_roundabout", "waiting_for_pedestrian_to_cross"];
 
-/// Drives scenes and writes their page; gives the last line of what `report` tells.
+/// Simulates scenarios.
 fn simulate(out: &Path, scenarios: &[String], planners: &str) {
     let words: Vec<&str> = scenarios.iter().map(String::as_str).collect();
     let flags = ["--planner", planners, "--out", out.to_str().unwrap(), "--quiet"];

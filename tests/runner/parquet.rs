@@ -35,7 +35,7 @@ fn names(batch: &RecordBatch) -> Vec<String> {
     batch.schema().fields().iter().map(|field| field.name().clone()).collect()
 }
 
-/// Equal but for the last bit, which `serde_json` may read wrong; `read_results.py` wants it exact.
+/// Equal up to the last bit, which `serde_json` may read wrong; `read_results.py` requires exact equality.
 fn assert_close(value: Option<f64>, expected: Option<f64>) {
     let close = value.zip(expected).is_some_and(|(value, expected)| (value - expected).abs() < 1e-15);
     assert!(close || value == expected, "{value:?} is not {expected:?}");
@@ -66,7 +66,7 @@ pub(super) fn table(path: &Path) -> (Vec<String>, usize) {
     (columns, builder.build().unwrap().map(|batch| batch.unwrap().num_rows()).sum())
 }
 
-/// The same of the aggregator's table.
+/// The same for the aggregator's table.
 pub(super) fn aggregator_table(run: &Path, challenge: &str) -> (Vec<String>, usize) {
     table(&aggregator_file(run, challenge))
 }
@@ -176,7 +176,7 @@ fn check_aggregator(out: &Path, challenge: &str, summary: &Value) {
         assert!((progress[of_type].unwrap() - sum).abs() < 1e-12);
         assert!((progress[last].unwrap() - sum / 3.0).abs() < 1e-12);
     }
-    assert!(floats(&table, "ego_jerk").iter().all(Option::is_none), "a metric without score has none here");
+    assert!(floats(&table, "ego_jerk").iter().all(Option::is_none), "a metric outside the score has no score");
 }
 
 fn check_runner_report(out: &Path, challenge: &str) {
@@ -204,13 +204,13 @@ fn check_runner_report(out: &Path, challenge: &str) {
     assert!(floats(&report, "compute_trajectory_runtimes_mean").into_iter().flatten().all(|seconds| seconds > 0.0));
 }
 
-/// What pandas makes of it, by `read_results.py`; says so when pandas or pyarrow is missing.
+/// Reads the tree with pandas, by `read_results.py`, if pandas and pyarrow are installed.
 fn read_with_pandas(out: &Path) {
     let python = std::env::var_os("PLANAGENT_PYTHON").unwrap_or_else(|| "python3".into());
     let found = Command::new(&python).args(["-c", "import pandas, pyarrow"]).output();
     if !found.is_ok_and(|output| output.status.success()) {
         skipped(format!(
-            "{} has no pandas and pyarrow; name one that has in PLANAGENT_PYTHON",
+            "{} has no pandas or no pyarrow; set PLANAGENT_PYTHON to a Python that has both",
             python.to_string_lossy()
         ));
         return;

@@ -1,4 +1,4 @@
-"""Reads a run's folder as a nuPlan user does, with pandas, and holds it against summary.json.
+"""Reads the result tree of a run with pandas, as nuPlan users do, and checks it against summary.json.
 
 Usage: read_results.py RUN
 """
@@ -33,7 +33,7 @@ def check_metric(path, scores):
     assert (frame["metric_statistics_name"] == path.stem).all()
     assert set(frame["metric_category"]) <= CATEGORIES, set(frame["metric_category"])
     assert types.is_float_dtype(frame["metric_score"].dtype)
-    # nuBoard finds the statistics by the ending of their columns.
+    # nuBoard finds the statistics by the suffix of their columns.
     statistics = [column.split("_stat_type")[0] for column in columns if "_stat_type" in column]
     assert statistics, columns
     for name in statistics:
@@ -79,7 +79,7 @@ def check_aggregator(path, scores, aggregates):
 
 
 def check_challenge(run, challenge, summary):
-    """One challenge's tree."""
+    """The tree of one challenge."""
     rows = [row for row in summary["scenarios"] if row["challenge"] == challenge]
     scores = {(row["id"], row["planner"]): row for row in rows}
     aggregates = {row["planner"]: row["score"] for row in summary["aggregates"] if row["challenge"] == challenge}

@@ -5,6 +5,8 @@ mod differences;
 mod lines;
 mod svg;
 
+pub(super) use svg::escaped;
+
 use crate::experiment::study::{Figure, Study};
 use crate::report::StudyResults;
 use crate::simulation::Challenge;

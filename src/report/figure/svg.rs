@@ -157,7 +157,8 @@ impl Scale {
     }
 }
 
-fn escaped(text: &str) -> String {
+/// A text for SVG or HTML.
+pub(in crate::report) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 

@@ -1,5 +1,7 @@
 //! The page around the data: markup, styles and scripts from the files in `assets/`.
 
+use crate::report::figure::escaped;
+
 /// The markup, with placeholders in double braces.
 const MARKUP: &str = include_str!("assets/page.html");
 /// Styles, in order.
@@ -38,10 +40,6 @@ pub(super) fn page(title: &str, data: &str) -> String {
     parts.iter().fold(MARKUP.to_owned(), |page, (place, text)| page.replacen(place, text, 1))
 }
 
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -49,7 +47,7 @@ mod tests {
     #[test]
     fn the_page_requests_nothing_else() {
         let page = page("runs & <more>", "<script id=\"x\">{{script}}</script>");
-        assert!(page.contains("<title>runs &amp; &lt;more></title>") && page.contains("id=\"x\">{{script}}<"));
+        assert!(page.contains("<title>runs &amp; &lt;more&gt;</title>") && page.contains("id=\"x\">{{script}}<"));
         assert!(!page.contains("{{style}}") && !page.contains("{{data}}"));
         // The namespace of SVG is a name that no browser requests.
         let page = page.replace("http://www.w3.org/2000/svg", "");

@@ -2,9 +2,9 @@
 
 use super::simulation::{SimulationParts, four_digits};
 use super::source::RunSimulations;
-use crate::metrics::{MetricList, MetricSpec, Role};
+use crate::metrics::{MetricList, MetricSpec, Role, distinct};
 use crate::report::simulation_row::SimulationRow;
-use crate::report::summary::{Aggregate, ScenarioSummary, Summary, distinct};
+use crate::report::summary::{Aggregate, ScenarioSummary, Summary};
 use crate::report::timing::PlannerTiming;
 use crate::world::PACIFICA;
 use serde::Serialize;

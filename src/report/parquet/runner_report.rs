@@ -1,7 +1,7 @@
 //! `runner_report.parquet`: a row for each simulation, also for failed ones.
 
 use super::table::{Column, Columns, TableWriter};
-use crate::report::{ReportError, SimulationRow};
+use crate::report::{ReportError, SimulationRow, Spread};
 use std::path::Path;
 
 /// Writes the table with the columns of the devkit's `save_runner_reports`. Times are in seconds, `start_time` and `end_time`
@@ -22,7 +22,10 @@ fn columns(rows: &[&SimulationRow]) -> Columns {
         ("planner_name", text(|row| &row.planner)),
         ("log_name", text(|row| &row.log_name)),
         ("compute_trajectory_runtimes_mean", float(|row| mean(&row.time.planner_s))),
-        ("compute_trajectory_runtimes_median", float(|row| median(&row.time.planner_s))),
+        (
+            "compute_trajectory_runtimes_median",
+            float(|row| Spread::of(row.time.planner_s.clone()).map(|spread| spread.median)),
+        ),
         ("compute_trajectory_runtimes_std", float(|row| deviation(&row.time.planner_s))),
         ("duration", float(|row| Some(row.time.ended_s - row.time.started_s))),
     ];
@@ -33,18 +36,7 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// numpy's: the mean of the middle two for an even number.
-fn median(values: &[f64]) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let upper = *sorted.get(sorted.len() / 2)?;
-    if sorted.len() % 2 == 1 {
-        return Some(upper);
-    }
-    sorted.get(sorted.len() / 2 - 1).map(|lower| f64::midpoint(*lower, upper))
-}
-
-/// numpy's: of the population.
+/// The standard deviation of the population, as in numpy.
 fn deviation(values: &[f64]) -> Option<f64> {
     let mean = mean(values)?;
     Some((values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt())
@@ -57,9 +49,8 @@ mod tests {
     #[test]
     fn statistics_are_numpys() {
         let values = [4.0, 1.0, 3.0, 2.0];
-        assert_eq!((mean(&values), median(&values)), (Some(2.5), Some(2.5)));
+        assert_eq!(mean(&values), Some(2.5));
         assert!((deviation(&values).unwrap() - 1.25f64.sqrt()).abs() < 1e-15);
-        assert_eq!(median(&values[..3]), Some(3.0));
-        assert_eq!((mean(&[]), median(&[]), deviation(&[])), (None, None, None));
+        assert_eq!((mean(&[]), deviation(&[])), (None, None));
     }
 }

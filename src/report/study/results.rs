@@ -2,8 +2,8 @@
 
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use crate::experiment::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
+use crate::metrics::distinct;
 use crate::report::simulation_row::SimulationRow;
-use crate::report::summary::distinct;
 use crate::report::{ModelFigures, Quantiles};
 use crate::simulation::Challenge;
 use serde::Serialize;

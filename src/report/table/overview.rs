@@ -1,7 +1,8 @@
 //! Mean scores of the planners, over all scenarios and by scenario type.
 
 use super::{Table, or_dash, percent, short, three_digits};
-use crate::report::summary::{Aggregate, Summary, distinct};
+use crate::metrics::distinct;
+use crate::report::summary::{Aggregate, Summary};
 use crate::report::timing::PlannerTiming;
 use crate::simulation::Challenge;
 

@@ -101,6 +101,8 @@ function decisionWords({ decision, emergency_brakes: brakes, aborted_lane_change
     exhausted: () => `attempt ${decision.attempt + 1} is executed`,
     keep_active_plan: () => `the active plan is kept: ${decision.why}`,
     brake: () => `the ego brakes: ${decision.why}`,
+    gated: () => "call skipped; PDM-Closed plans",
+    rule_based: () => `PDM-Closed plans: ${decision.why}`,
   };
   const back = aborted == null ? "" : `; lane change aborted at ${(aborted / ITERATIONS_A_SECOND).toFixed(1)} s`;
   return (words[decision.kind]?.() ?? decision.kind) + back + braked;
