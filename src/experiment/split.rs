@@ -1,4 +1,4 @@
-//! Lists of scenarios that have a name: the suites of generated scenes, and the splits that scenario readers know.
+//! Named lists of scenarios: the suites of generated scenarios, and the splits of the scenario readers.
 
 use super::suite::Suite;
 use crate::scenario::{OnProgress, ReaderError, Readers, Split};
@@ -21,7 +21,7 @@ pub fn split(name: &str, readers: &Readers, on_progress: OnProgress<'_>) -> Resu
         return Ok(Split { scenarios, ..Split::default() });
     }
     let Some(split) = readers.split(name, on_progress) else {
-        let known = Suite::ALL.map(Suite::name).into_iter().chain(readers.splits()).collect();
+        let known = Suite::ALL.map(|suite| suite.name).into_iter().chain(readers.splits()).collect();
         return Err(SplitError::Unknown { name: name.to_owned(), known });
     };
     Ok(split?)

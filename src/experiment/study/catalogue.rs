@@ -1,8 +1,12 @@
 //! The experiments that there are.
 
 use super::paper::{self, Published};
-use super::{Column, Figure, NO, Rows, Study, SuiteName, Variant, YES};
+use super::{Column, Figure, NO, Rows, Study, Variant, YES};
+use crate::experiment::suite::{RECORDED, Suite};
 use crate::planner::PlannerName;
+
+const GENERATED_14: &str = Suite::GENERATED_14.name;
+const HARD: &str = Suite::GENERATED_14_HARD.name;
 
 /// Their names, in the order in which `all` makes them.
 pub const NAMES: [&str; 11] = [
@@ -84,7 +88,7 @@ fn main() -> Study {
             PLAN_AGENT,
         ],
         reference: 2,
-        suites: &[SuiteName::Common, SuiteName::Hard, SuiteName::Recorded],
+        suites: &[GENERATED_14, HARD, RECORDED],
         rows: Rows::Variants,
         columns: &[],
         figure: Figure::Differences,
@@ -106,7 +110,7 @@ fn scenario_types() -> Study {
         labels: &["planner"],
         variants: vec![PDM_CLOSED, PLAN_AGENT],
         reference: 0,
-        suites: &[SuiteName::Hard],
+        suites: &[HARD],
         rows: Rows::ScenarioTypes,
         columns: &[],
         figure: Figure::Bars,
@@ -130,7 +134,7 @@ fn environment() -> Study {
             agent(&[YES, YES], "", paper::PLAN_AGENT),
         ],
         reference: 3,
-        suites: &[SuiteName::Hard],
+        suites: &[HARD],
         rows: Rows::Variants,
         columns: &[],
         figure: Figure::Differences,
@@ -151,7 +155,7 @@ fn reasoning() -> Study {
             agent(&[YES, YES, YES], "", paper::PLAN_AGENT),
         ],
         reference: 3,
-        suites: &[SuiteName::Hard],
+        suites: &[HARD],
         rows: Rows::Variants,
         columns: &[],
         figure: Figure::Differences,
@@ -171,7 +175,7 @@ fn interval() -> Study {
             agent_at(&["3 s"], "reasoning.interval = 30", paper::EVERY_THIRD_SECOND, 3.0),
         ],
         reference: 1,
-        suites: &[SuiteName::Hard],
+        suites: &[HARD],
         rows: Rows::Variants,
         columns: &[Column::Calls],
         figure: Figure::Lines("seconds between planning calls"),
@@ -194,7 +198,7 @@ fn mllm() -> Study {
             agent(&["gpt-4v"], "mllm.model = 'openai'", paper::GPT_4V),
         ],
         reference: 0,
-        suites: &[SuiteName::Hard],
+        suites: &[HARD],
         rows: Rows::Variants,
         columns: &[Column::Parameters, Column::CallTime],
         figure: Figure::Differences,
@@ -214,7 +218,7 @@ fn controls() -> Study {
         labels: &["codes"],
         variants: vec![RANDOM_CODE, FIXED_CODE, GRID_CODE, Variant { labels: &["the model's"], ..PLAN_AGENT }],
         reference: 3,
-        suites: &[SuiteName::Common, SuiteName::Hard],
+        suites: &[GENERATED_14, HARD],
         rows: Rows::Variants,
         columns: &[Column::CallTime],
         figure: Figure::Differences,
@@ -239,7 +243,7 @@ fn inputs() -> Study {
             agent(&["own", "own"], "", Published::NOTHING),
         ],
         reference: 4,
-        suites: &[SuiteName::Hard],
+        suites: &[HARD],
         rows: Rows::Variants,
         columns: &[],
         figure: Figure::Differences,
@@ -261,7 +265,7 @@ fn execution() -> Study {
             refused(&["best", "watched"], "reflection = { after_max_exec = 'best', monitoring = true }"),
         ],
         reference: 0,
-        suites: &[SuiteName::Hard],
+        suites: &[HARD],
         rows: Rows::Variants,
         columns: &[],
         figure: Figure::Differences,
@@ -284,7 +288,7 @@ fn gate() -> Study {
             below(&["always"], "", 1.0),
         ],
         reference: 4,
-        suites: &[SuiteName::Common, SuiteName::Hard],
+        suites: &[GENERATED_14, HARD],
         rows: Rows::Variants,
         columns: &[Column::Calls],
         figure: Figure::Lines("predicted score of PDM-Closed below which the model is asked; 1: always"),
@@ -309,7 +313,7 @@ fn latency_aware() -> Study {
             lasting(&["5.568 s"], "agent.latency = 5568", 5.568),
         ],
         reference: 0,
-        suites: &[SuiteName::Hard],
+        suites: &[HARD],
         rows: Rows::Variants,
         columns: &[Column::Calls],
         figure: Figure::Lines("seconds that a planning call lasts in the simulated world"),

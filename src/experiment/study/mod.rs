@@ -7,7 +7,6 @@ mod paper;
 pub use catalogue::{NAMES, all, named};
 pub use paper::{Benchmark, Published, PublishedModel, Scores};
 
-use super::suite::Suite;
 use crate::planner::PlannerName;
 use crate::scenario::ScenarioRef;
 use serde::Serialize;
@@ -29,7 +28,7 @@ pub struct Study {
     /// Place of the variant that all are compared with.
     pub reference: usize,
     /// The suites that it is driven on unless others are asked for.
-    pub suites: &'static [SuiteName],
+    pub suites: &'static [&'static str],
     /// What the rows of its table stand for.
     pub rows: Rows,
     /// Columns beside the scores.
@@ -110,28 +109,6 @@ pub enum Figure {
     Lines(&'static str),
     /// A bar a variant in each scenario type.
     Bars,
-}
-
-/// Scenes that a study is driven on by default.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SuiteName {
-    /// Generated scenes of nuPlan's types, as Val14.
-    Common,
-    /// Those that are hard for PDM-Closed, as Test14-hard.
-    Hard,
-    /// Recordings, where some are at hand.
-    Recorded,
-}
-
-impl SuiteName {
-    /// The split that it is; none for recordings.
-    pub fn split(self) -> Option<&'static str> {
-        match self {
-            Self::Common => Some(Suite::Generated14.name()),
-            Self::Hard => Some(Suite::Generated14Hard.name()),
-            Self::Recorded => None,
-        }
-    }
 }
 
 /// The benchmark of the paper that a split stands for; none for scenes of another kind.

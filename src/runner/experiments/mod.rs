@@ -21,7 +21,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::time::Instant;
-use suites::{Suite, Suites};
+use suites::{SelectedSuite, Suites};
 
 /// Name of the experiment that counts tokens and simulates nothing.
 pub const TOKENS: &str = "tokens";
@@ -73,7 +73,7 @@ pub struct StudyOutcome {
 /// A study with its suites, and for each of them the names of its variants' runs.
 struct Planned {
     study: Study,
-    suites: Vec<(Rc<Suite>, Vec<RunName>)>,
+    suites: Vec<(Rc<SelectedSuite>, Vec<RunName>)>,
 }
 
 impl<'a> Experiments<'a> {
@@ -173,7 +173,7 @@ impl<'a> Experiments<'a> {
 
 /// The simulations of a suite, variant by variant.
 fn simulations(
-    suite: &Suite,
+    suite: &SelectedSuite,
     names: &[RunName],
     rows: &BTreeMap<String, Vec<SimulationRow>>,
     parameters: &BTreeMap<String, u64>,

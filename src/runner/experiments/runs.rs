@@ -1,7 +1,7 @@
 //! The runs of experiments. Each has a folder whose name is a digest of everything that determines the run, so that
 //! experiments share equal runs and resume interrupted ones.
 
-use super::suites::Suite;
+use super::suites::SelectedSuite;
 use crate::experiment::study::Variant;
 use crate::planner::{PlannerNeeds, PlannerRegistry};
 use crate::report::{MANIFEST, RunFolder, SUMMARY, SimulationRow};
@@ -51,7 +51,7 @@ impl<'a> PlannedRuns<'a> {
     }
 
     /// Plans the run of a variant on a suite and gives its name; or why the variant cannot be simulated.
-    pub(super) fn add(&mut self, suite: &Suite, variant: &Variant) -> Result<RunName, RunnerError> {
+    pub(super) fn add(&mut self, suite: &SelectedSuite, variant: &Variant) -> Result<RunName, RunnerError> {
         let entry = self.registry.find(variant.planner.as_str())?;
         let (planner, needs) = (entry.name, entry.needs);
         let config = self.config.overlaid(variant.settings)?;

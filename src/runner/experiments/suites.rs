@@ -1,7 +1,8 @@
 //! The suites of experiments.
 
 use super::ExperimentsRequest;
-use crate::experiment::study::{Quick, SuiteName};
+use crate::experiment::study::Quick;
+use crate::experiment::suite::RECORDED;
 use crate::report::ScenarioList;
 use crate::runner::error::RunnerError;
 use crate::runner::event::{Event, Listener};
@@ -11,15 +12,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
-/// Name of the suite of recordings.
-const RECORDED: &str = "recorded";
 /// Environment variable that names a folder of recordings,
 const DATA: &str = "PLANAGENT_DATA";
 /// and where they lie in it.
 const RECORDINGS: [&str; 3] = ["womd", "argoverse2/sensor", "argoverse2/motion_forecasting"];
 
-/// A named list of scenarios.
-pub(super) struct Suite {
+/// The scenarios of a suite, found in the data of this machine.
+pub(super) struct SelectedSuite {
     pub(super) name: String,
     pub(super) sources: Vec<ScenarioRef>,
     /// The same as a run's manifest lists them.
@@ -32,7 +31,7 @@ pub(super) struct Suites<'a> {
     listener: &'a Listener,
     roots: DataRoots,
     readers: Readers,
-    found: BTreeMap<String, Rc<Suite>>,
+    found: BTreeMap<String, Rc<SelectedSuite>>,
 }
 
 impl<'a> Suites<'a> {
@@ -42,26 +41,24 @@ impl<'a> Suites<'a> {
     }
 
     /// The suites of an experiment: those of the request, else its own; recordings only where there are some.
-    pub(super) fn of(&mut self, experiment: &str, own: &[SuiteName]) -> Result<Vec<Rc<Suite>>, RunnerError> {
+    pub(super) fn of(&mut self, experiment: &str, own: &[&str]) -> Result<Vec<Rc<SelectedSuite>>, RunnerError> {
         let request = self.request;
         if !request.suites.is_empty() {
             return request.suites.iter().map(|name| self.named(name)).collect();
         }
         let mut suites = Vec::new();
-        for suite in own {
-            match suite.split() {
-                Some(name) => suites.push(self.named(name)?),
-                None if self.recordings().is_empty() => {
-                    let text = format!("{experiment}: no recordings: neither --scenario nor ${DATA} names any");
-                    (self.listener)(Event::Note(text));
-                }
-                None => suites.push(self.named(RECORDED)?),
+        for &name in own {
+            if name == RECORDED && self.recordings().is_empty() {
+                let text = format!("{experiment}: no recordings: neither --scenario nor ${DATA} names any");
+                (self.listener)(Event::Note(text));
+            } else {
+                suites.push(self.named(name)?);
             }
         }
         Ok(suites)
     }
 
-    fn named(&mut self, name: &str) -> Result<Rc<Suite>, RunnerError> {
+    fn named(&mut self, name: &str) -> Result<Rc<SelectedSuite>, RunnerError> {
         if let Some(suite) = self.found.get(name) {
             return Ok(Rc::clone(suite));
         }
@@ -70,7 +67,7 @@ impl<'a> Suites<'a> {
         Ok(Rc::clone(self.found.entry(name.to_owned()).or_insert(Rc::new(suite))))
     }
 
-    fn find(&self, name: &str) -> Result<Suite, RunnerError> {
+    fn find(&self, name: &str) -> Result<SelectedSuite, RunnerError> {
         let (mut words, splits) =
             if name == RECORDED { (self.recordings(), Vec::new()) } else { (Vec::new(), vec![name.to_owned()]) };
         if words.is_empty() && splits.is_empty() {
@@ -86,7 +83,7 @@ impl<'a> Suites<'a> {
         let list = scenario_list(&sources, named, self.roots.clone())?;
         // A filter file goes by its name without the folder and the ending.
         let stem = Path::new(name).file_stem().map(|stem| stem.to_string_lossy().into_owned());
-        Ok(Suite { name: stem.unwrap_or_else(|| name.to_owned()), sources, list })
+        Ok(SelectedSuite { name: stem.unwrap_or_else(|| name.to_owned()), sources, list })
     }
 
     /// The words that name recordings.

@@ -1,7 +1,7 @@
 //! The experiment `tokens`: how many tokens the description of a scene takes.
 
-use super::suites::Suite;
-use crate::experiment::study::SuiteName;
+use super::suites::SelectedSuite;
+use crate::experiment::suite::{RECORDED, Suite};
 use crate::experiment::tokens::{TokenCounter, TokenRow, TokenTable, count};
 use crate::report::{StudyFolder, json_value};
 use crate::runner::config::Config;
@@ -16,7 +16,7 @@ use std::rc::Rc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Its suites, unless the request names others.
-pub(super) const SUITES: &[SuiteName] = &[SuiteName::Common, SuiteName::Recorded];
+pub(super) const SUITES: &[&str] = &[Suite::GENERATED_14.name, RECORDED];
 /// Its title.
 pub const TITLE: &str = "Tokens that the description of a scene takes";
 
@@ -40,7 +40,7 @@ pub struct SuiteTokens {
 
 /// Counts the descriptions of all states of suites at which PlanAgent would call its model.
 pub(super) fn count_all(
-    suites: &[Rc<Suite>],
+    suites: &[Rc<SelectedSuite>],
     config: &Config,
     listener: &Listener,
 ) -> Result<Vec<SuiteTokens>, RunnerError> {
@@ -55,7 +55,7 @@ pub(super) fn write(folder: &StudyFolder, counted: &[SuiteTokens], command: &str
     Ok(folder.write_files(&[("results.md", markdown(counted, command)), ("results.json", json)])?)
 }
 
-fn counted(suite: &Suite, counter: TokenCounter<'_>, config: &Config, listener: &Listener) -> SuiteTokens {
+fn counted(suite: &SelectedSuite, counter: TokenCounter<'_>, config: &Config, listener: &Listener) -> SuiteTokens {
     let (total, done) = (suite.sources.len(), AtomicUsize::new(0));
     let of_source = |source: &ScenarioRef| {
         let opened = source.open().map_err(|error| format!("{source}: {error}"));

@@ -1,7 +1,7 @@
 //! `planagent scenarios hard`: the scenes of generated-14-hard, chosen out of a run.
 
 use crate::cli::{Exit, Printer};
-use crate::experiment::suite::{Suite, hard_list, hard_scenes};
+use crate::experiment::suite::{Suite, hard_list, hard_scenarios};
 use crate::planner::PlannerName;
 use crate::report::RunFolder;
 use crate::simulation::Challenge;
@@ -20,13 +20,13 @@ pub(super) fn run(folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
         .into_iter()
         .filter(|row| row.planner == PlannerName::PDM_CLOSED.as_str() && row.challenge == Challenge::NonReactive);
     let scores = rows.filter_map(|row| Some((row.scenario.parse().ok()?, row.score?))).collect();
-    let specs = hard_scenes(&scores).with_context(|| {
-        let (folder, candidates, planner) = (folder.display(), Suite::Candidates.name(), PlannerName::PDM_CLOSED);
+    let specs = hard_scenarios(&scores).with_context(|| {
+        let (folder, candidates, planner) = (folder.display(), Suite::CANDIDATES.name, PlannerName::PDM_CLOSED);
         format!("in {folder}, which should be a run of `simulate --split {candidates} --planner {planner}`")
     })?;
     printer.line(hard_list(&specs).trim_end());
     if printer.is_json() {
-        printer.json(&json!({"split": Suite::Generated14Hard.name(), "scenarios": specs.iter().map(ToString::to_string).collect::<Vec<_>>()}))?;
+        printer.json(&json!({"split": Suite::GENERATED_14_HARD.name, "scenarios": specs.iter().map(ToString::to_string).collect::<Vec<_>>()}))?;
     }
     Ok(Exit::Success)
 }
