@@ -22,6 +22,7 @@ mod own_planner;
 mod own_reader;
 mod page;
 mod pdm;
+mod public_api;
 mod road;
 mod runner;
 mod simulation;
