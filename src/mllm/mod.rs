@@ -59,5 +59,5 @@ pub use registry::{
     FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelRegistry, ModelSource, ModelSpec, PromptSet,
     RoundTokens,
 };
-pub use source::{ModelPlace, ModelShape};
+pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::ChatTokenizer;

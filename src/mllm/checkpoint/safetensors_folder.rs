@@ -12,7 +12,7 @@ use serde_json::Value;
 use super::config::ConfigObject;
 use super::read_json;
 use super::row_order::RowOrder;
-use super::weight_file::{TensorPlace, WeightFile};
+use super::weight_file::{TensorPlace, TensorSource, WeightFile};
 use super::weight_format_plan::WeightFormatPlan;
 use super::weights::Weights;
 use crate::mllm::MllmError;
@@ -37,14 +37,62 @@ pub(crate) fn open(
     for path in weight_files(folder)? {
         let file = WeightFile::open(&path)?;
         let tensors = read_header(&path, &mut file.reader()?, file.len())?;
-        let index = weights.add_file(file);
-        for (name, place) in tensors {
-            if let Some(canonical) = canonical(&name) {
-                weights.add(canonical, index, name, place, RowOrder::Plain)?;
-            }
-        }
+        add(&mut weights, file, tensors, &canonical)?;
     }
     Ok(weights)
+}
+
+/// Opens safetensors in memory; `place` stands in messages.
+pub(crate) fn of_bytes(
+    place: &Path,
+    bytes: &'static [u8],
+    quantize: Option<WeightFormat>,
+    canonical: impl Fn(&str) -> Option<String>,
+) -> Result<Weights, MllmError> {
+    let mut weights = Weights::empty(place, WeightFormatPlan { quantize, ..WeightFormatPlan::default() });
+    let path = place.join(WEIGHTS);
+    let tensors = read_header(&path, &mut &*bytes, bytes.len() as u64)?;
+    add(&mut weights, MemoryFile { path, bytes }, tensors, &canonical)?;
+    Ok(weights)
+}
+
+fn add(
+    weights: &mut Weights,
+    file: impl TensorSource + 'static,
+    tensors: Vec<(String, TensorPlace)>,
+    canonical: &impl Fn(&str) -> Option<String>,
+) -> Result<(), MllmError> {
+    let index = weights.add_file(file);
+    for (name, place) in tensors {
+        if let Some(canonical) = canonical(&name) {
+            weights.add(canonical, index, name, place, RowOrder::Plain)?;
+        }
+    }
+    Ok(())
+}
+
+/// A weight file in memory.
+#[derive(Debug)]
+struct MemoryFile {
+    path: PathBuf,
+    bytes: &'static [u8],
+}
+
+impl TensorSource for MemoryFile {
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
+        // The header was checked against the length.
+        let begin = place.begin as usize;
+        Ok(self.bytes.get(begin..begin + place.bytes as usize).unwrap_or_default().to_vec())
+    }
+
+    fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
+        hasher.update(self.bytes);
+        Ok(())
+    }
 }
 
 /// Reads the header of a file of `file_bytes` bytes: the tensors by their names in the file.

@@ -60,6 +60,11 @@ pub enum ModelSource {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         mmproj: Option<String>,
     },
+    /// Files in the program.
+    Embedded {
+        /// Name of the embedded model.
+        embedded: String,
+    },
     /// A server.
     Endpoint(EndpointSettings),
 }
@@ -70,7 +75,7 @@ impl ModelSource {
         let paths = match self {
             Self::Folder { folder } => [Some(folder), None],
             Self::File { file, mmproj } => [Some(file), mmproj.as_mut()],
-            Self::Hub { .. } | Self::Endpoint(_) => [None, None],
+            Self::Hub { .. } | Self::Embedded { .. } | Self::Endpoint(_) => [None, None],
         };
         for path in paths.into_iter().flatten() {
             *path = folder.join(&*path);
@@ -84,6 +89,7 @@ impl fmt::Display for ModelSource {
         match self {
             Self::Folder { folder } => write!(out, "{}", folder.display()),
             Self::File { file, .. } => write!(out, "{}", file.display()),
+            Self::Embedded { embedded } => write!(out, "{embedded}, in the program"),
             Self::Endpoint(settings) => write!(out, "{} at {}", settings.model, settings.endpoint),
             Self::Hub { hub, revision, file, .. } => {
                 write!(out, "{hub}")?;

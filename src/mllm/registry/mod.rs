@@ -12,8 +12,8 @@ use hub::HubFiles;
 pub use hub::{FetchListener, FetchProgress, HubAccess};
 
 use super::{
-    CreateFile, Endpoint, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError,
-    ModelCheck, ModelPlace, WeightFormat, export_model,
+    CreateFile, EmbeddedModel, Endpoint, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck, Mllm,
+    MllmError, ModelCheck, ModelPlace, WeightFormat, export_model,
 };
 
 /// Finds and opens models.
@@ -76,24 +76,29 @@ impl ModelRegistry {
         self
     }
 
-    /// The names of the described models, sorted.
+    /// The names of the described and embedded models, sorted.
     pub fn names(&self) -> Result<Vec<String>, MllmError> {
         let failed = |source| MllmError::Read { path: self.models.clone(), source };
-        if !self.models.is_dir() {
-            return Ok(Vec::new());
-        }
-        let mut names = Vec::new();
-        for entry in std::fs::read_dir(&self.models).map_err(failed)? {
-            let path = entry.map_err(failed)?.path();
-            if path.extension().is_some_and(|extension| extension == "toml") {
-                names.extend(path.file_stem().map(|stem| stem.to_string_lossy().into_owned()));
+        let mut names: Vec<String> = EmbeddedModel::all().iter().map(|model| model.name.to_owned()).collect();
+        if self.models.is_dir() {
+            for entry in std::fs::read_dir(&self.models).map_err(failed)? {
+                let path = entry.map_err(failed)?.path();
+                if path.extension().is_some_and(|extension| extension == "toml") {
+                    names.extend(path.file_stem().map(|stem| stem.to_string_lossy().into_owned()));
+                }
             }
         }
         names.sort();
+        names.dedup();
         Ok(names)
     }
 
-    /// Finds a model. `name` is, in this order: the name of a description, the path of a description, a model folder or a GGUF
+    fn unknown(&self, name: &str) -> MllmError {
+        let known = self.names().unwrap_or_default().join(", ");
+        MllmError::UnknownModel { name: name.to_string(), models: self.models.clone(), known }
+    }
+
+    /// Finds a model. `name` is, in this order: the name of a description, of an embedded model, the path of a description, a model folder or a GGUF
     /// file, a hub id, or a hub id with a GGUF file (`org/name/file.gguf`). A model without a description gets the paper's
     /// prompts.
     ///
@@ -103,6 +108,10 @@ impl ModelRegistry {
         let described = self.models.join(format!("{name}.toml"));
         if !name.is_empty() && !name.contains(['/', '\\']) && described.is_file() {
             return ModelSpec::open(&described);
+        }
+        if let Some(model) = EmbeddedModel::find(name) {
+            let source = ModelSource::Embedded { embedded: name.to_owned() };
+            return Ok(ModelSpec { source, ..ModelSpec::parse(Path::new(name), model.description)? });
         }
         let path = Path::new(name);
         if path.extension().is_some_and(|extension| extension == "toml") && path.is_file() {
@@ -120,11 +129,7 @@ impl ModelRegistry {
                 mmproj: None,
             }
         } else {
-            return Err(MllmError::UnknownModel {
-                name: name.to_string(),
-                models: self.models.clone(),
-                known: self.names()?.join(", "),
-            });
+            return Err(self.unknown(name));
         };
         Ok(ModelSpec {
             name: path.file_name().map_or_else(|| name.to_string(), |last| last.to_string_lossy().into_owned()),
@@ -162,6 +167,9 @@ impl ModelRegistry {
         Ok(match &spec.source {
             ModelSource::Endpoint(settings) => return Err(no_files(spec, settings)),
             ModelSource::Folder { folder } => ModelPlace::Folder(folder.clone()),
+            ModelSource::Embedded { embedded } => {
+                ModelPlace::Embedded(EmbeddedModel::find(embedded).ok_or_else(|| self.unknown(embedded))?)
+            }
             ModelSource::File { file, mmproj } => ModelPlace::Gguf { model: file.clone(), mmproj: mmproj.clone() },
             ModelSource::Hub { hub: id, revision, file: None, .. } => {
                 let files = HubFiles::model(spec.tokenizer.is_none());
@@ -228,6 +236,8 @@ impl ModelRegistry {
         let tokenizer = match &spec.tokenizer {
             None => None,
             Some(ModelSource::Endpoint(settings)) => return Err(no_files(spec, settings)),
+            // An embedded model reads its own tokenizer only.
+            Some(ModelSource::Embedded { embedded }) => return Err(self.unknown(embedded)),
             Some(ModelSource::Folder { folder }) => Some(folder.clone()),
             Some(ModelSource::File { file, .. }) => file.parent().map(Path::to_path_buf),
             Some(ModelSource::Hub { hub, revision, .. }) => {
@@ -280,6 +290,18 @@ mod tests {
         assert_eq!(here.source, ModelSource::File { file, mmproj: None });
     }
 
+    #[cfg(feature = "nano")]
+    #[test]
+    fn the_embedded_nano_is_that_of_the_folder() {
+        let open = |models: &Path| {
+            let registry = ModelRegistry::new(models, HubAccess { offline: true, ..HubAccess::default() });
+            registry.open(&registry.find("nano").unwrap()).unwrap().describe()
+        };
+        let nowhere = tempfile::tempdir().unwrap();
+        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+        assert_eq!(open(nowhere.path()), open(&repository));
+    }
+
     #[test]
     fn every_description_that_ships_is_read() {
         let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
@@ -287,7 +309,7 @@ mod tests {
         let names = registry.names().unwrap();
         let servers = names.iter().filter(|name| match registry.find(name).unwrap().source {
             ModelSource::Endpoint(settings) => settings.url().is_ok(),
-            ModelSource::Folder { .. } | ModelSource::File { .. } | ModelSource::Hub { .. } => false,
+            _ => false,
         });
         assert_eq!(servers.collect::<Vec<_>>(), ["local-server", "openai"]);
         let openai = registry.find("openai").unwrap();

@@ -1,11 +1,13 @@
-//! Where a model comes from: a folder with safetensors, GGUF files, or random weights in a known shape.
+//! Where a model comes from: a folder with safetensors, GGUF files, the program itself, or random weights in a known shape.
 
+mod embedded;
 mod gguf;
 mod random;
 mod shape;
 
 use std::path::{Path, PathBuf};
 
+pub use embedded::EmbeddedModel;
 pub use shape::ModelShape;
 
 use super::MllmError;
@@ -27,6 +29,8 @@ pub enum ModelPlace {
         /// The vision tower; none if it is in the same file, or for the one that lies beside it.
         mmproj: Option<PathBuf>,
     },
+    /// Files in the program.
+    Embedded(&'static EmbeddedModel),
     /// Random weights in the shape of a known model, in [`DEFAULT_RANDOM_FORMAT`] unless another format is asked for.
     Random {
         /// The shape.
@@ -44,6 +48,7 @@ impl ModelPlace {
     pub fn path(&self) -> &Path {
         match self {
             Self::Folder(path) | Self::Gguf { model: path, .. } => path,
+            Self::Embedded(model) => Path::new(model.name),
             Self::Random { shape, .. } => Path::new(shape.name),
         }
     }
@@ -62,6 +67,7 @@ impl ModelPlace {
                 None => return Err(ModelFiles::folder(folder)?.missing("model.safetensors, and no GGUF file")),
             },
             Self::Gguf { model, mmproj } => gguf_files(model, mmproj.as_deref())?,
+            Self::Embedded(model) => return Ok(model.weights.len() as u64),
             Self::Random { .. } => Vec::new(),
         };
         let bytes = |path: &PathBuf| {
@@ -91,6 +97,7 @@ impl Checkpoint {
     ) -> Result<Self, MllmError> {
         let folder = match place {
             ModelPlace::Gguf { model, mmproj } => return gguf::open(model, mmproj.as_deref(), quantize, families),
+            ModelPlace::Embedded(model) => return model.checkpoint(quantize, families),
             ModelPlace::Random { shape, seed } => {
                 let files = shape.files(families)?;
                 return random::checkpoint(files, quantize.unwrap_or(DEFAULT_RANDOM_FORMAT), *seed, families);
