@@ -1,93 +1,94 @@
-//! The flags, as typed.
+//! The arguments of the command line.
 
 use super::picture::PictureFile;
 use crate::experiment::study;
+use crate::experiment::suite::Suite;
 use crate::mllm::WeightFormat;
-use crate::planner::PlannerRegistry;
-use crate::runner::{ExperimentsRequest, Request, TOKENS};
+use crate::planner::{PlannerName, PlannerRegistry};
+use crate::runner::{ExperimentsRequest, Request, TOKENS, build_commit};
 use crate::scenario::{DataRoots, Readers};
-use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
+use std::sync::LazyLock;
 
 #[expect(clippy::struct_excessive_bools, reason = "these are flags")]
-/// A driving agent that plans with a multimodal language model, offline, on the CPU.
+/// A driving agent that plans with a vision-language model, offline, on the CPU.
 #[derive(Debug, Parser)]
-#[command(name = "planagent", version, max_term_width = 80)]
+#[command(name = "planagent", version = version(), max_term_width = 80)]
 pub(super) struct Arguments {
-    /// What to do.
     #[command(subcommand)]
     pub(super) command: Command,
-    /// Configuration file [default: planagent.toml in the working directory, if it is there].
+    /// Configuration file [default: planagent.toml in the working directory, if it exists].
     #[arg(long, global = true, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
     /// Model: a name from models/, a folder in Hugging Face's layout, a GGUF file, or a hub id.
     #[arg(long, global = true, value_name = "MODEL")]
     pub(super) model: Option<String>,
-    /// Hold the model's weights in `f32`, `f16`, `q8_0`, `q6_k` or `q4_k` [default: as its files hold them, safetensors in f32].
+    /// Weight format in memory: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k` [default: that of the files, f32 for safetensors].
     #[arg(long, global = true, value_name = "KIND")]
     pub(super) quantize: Option<WeightFormat>,
     /// Load the model even if it seems to need more memory than is free.
     #[arg(long, global = true)]
     pub(super) ignore_memory: bool,
-    /// Never use the network: models of the hub must be in the cache.
+    /// Do not use the network: models of the hub must be in the cache.
     #[arg(long, global = true)]
     pub(super) offline: bool,
-    /// Seed of everything that is drawn at random.
+    /// Seed of all random numbers.
     #[arg(long, global = true)]
     pub(super) seed: Option<u64>,
-    /// Number of threads; 0 takes all cores.
+    /// Number of threads; 0 for one per core.
     #[arg(long, global = true, value_name = "N")]
     pub(super) threads: Option<usize>,
-    /// Data on stdout as JSON.
+    /// Print data on stdout as JSON.
     #[arg(long, global = true)]
     pub(super) json: bool,
-    /// Nothing but errors on stderr.
+    /// Print only errors on stderr.
     #[arg(long, short, global = true)]
     pub(super) quiet: bool,
-    /// More on stderr: how the weights of a model are held.
+    /// Print details on stderr, for example the weight formats of a model.
     #[arg(long, short, global = true, conflicts_with = "quiet")]
     pub(super) verbose: bool,
 }
 
-/// Stands for every experiment.
+/// Word for every experiment.
 pub(super) const ALL_EXPERIMENTS: &str = "all";
 
-/// Name of the hidden subcommand that `bench` starts itself by.
+/// Name of the hidden subcommand in which `bench` measures.
 pub(super) const BENCH_PROCESS: &str = "bench-process";
 
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 pub(super) enum Command {
-    /// Drive scenarios in closed loop and score them with nuPlan's metrics.
+    /// Simulate scenarios and score them with nuPlan's metrics.
     Simulate(SimulateArguments),
-    /// Make one planning call and show what was seen, thought, written and judged.
+    /// Run one planning call and show its input, answers, code and scores.
     Plan(PlanArguments),
-    /// Write a page of runs: scores, histograms, and replays with their transcripts.
+    /// Write an HTML page of runs: scores, histograms, and replays with their transcripts.
     Report(ReportArguments),
-    /// Write a drive of a run as a film or a picture.
+    /// Write a simulation of a run as a film or a picture.
     Render(RenderArguments),
     /// List, show and generate scenarios.
     #[command(subcommand)]
     Scenarios(ScenariosCommand),
-    /// List, check, fetch and quantise language models.
+    /// List, check, fetch and quantize models.
     #[command(subcommand)]
     Models(ModelsCommand),
-    /// Write labelled states for training: BEV images and the three rounds with their answers.
+    /// Write labeled states for training: BEV images and the three rounds with their answers.
     Dataset(DatasetArguments),
-    /// Make the paper's tables and figures, and some beyond it.
+    /// Reproduce the paper's tables and figures, and run further studies.
     Experiment(ExperimentArguments),
-    /// Measure what a planning call costs with local models, and beside llama.cpp.
+    /// Measure the time of a planning call with local models, also against llama.cpp.
     Bench(BenchArguments),
     /// The measuring process of `bench`: requests on stdin, replies on stdout.
     #[command(name = BENCH_PROCESS, hide = true)]
     BenchProcess,
 }
 
-/// Flags that say where nuPlan's data lies.
+/// Folders of nuPlan's data.
 #[derive(Debug, Args)]
 pub(super) struct DataArguments {
-    /// Folder of nuPlan's logs, with folders below [default: `$NUPLAN_DATA_ROOT`].
+    /// Folder of nuPlan's logs, searched with its subfolders [default: `$NUPLAN_DATA_ROOT`].
     #[arg(long, value_name = "FOLDER")]
     data_root: Option<PathBuf>,
     /// Folder of nuPlan's maps [default: `$NUPLAN_MAPS_ROOT`].
@@ -96,7 +97,7 @@ pub(super) struct DataArguments {
 }
 
 impl DataArguments {
-    /// The folders by these flags, else by the environment.
+    /// The folders of these flags, else of the environment.
     pub(super) fn roots(&self) -> DataRoots {
         let known = DataRoots::from_environment();
         DataRoots { data: self.data_root.clone().or(known.data), maps: self.maps_root.clone().or(known.maps) }
@@ -108,22 +109,20 @@ impl DataArguments {
     }
 }
 
-/// Flags that name lists of scenarios.
+/// Named lists of scenarios.
 #[derive(Debug, Args)]
 pub(super) struct SplitArguments {
-    /// List of scenarios: val14, test14-hard, reduced-val14; generated (16 types x 10 seeds), generated-14 (14 x 150),
-    /// generated-14-hard (14 x 20), generated-14-candidates (14 x 100); or a nuPlan scenario filter FILE.yaml.
-    #[arg(long = "split", value_name = "NAME")]
+    #[arg(long = "split", value_name = "NAME", help = split_help())]
     pub(super) splits: Vec<String>,
     #[command(flatten)]
     pub(super) data: DataArguments,
 }
 
-/// Flags of `simulate`.
+/// Arguments of `simulate`.
 #[derive(Debug, Args)]
 pub(super) struct SimulateArguments {
     /// Scenarios: TFRecord files, nuPlan logs (LOG.db, or one scenario as LOG.db#TOKEN), Argoverse 2 logs, folders of these, or
-    /// generated/TYPE/SEED[.TRAFFIC] [default: one generated scene].
+    /// generated/TYPE/SEED[.TRAFFIC] [default: one generated scenario].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
     pub(super) scenarios: Vec<String>,
     #[command(flatten)]
@@ -131,21 +130,19 @@ pub(super) struct SimulateArguments {
     /// Only the first N scenarios.
     #[arg(long, value_name = "N")]
     pub(super) limit: Option<usize>,
-    /// Planners, separated by commas: plan-agent, log-replay, idm, simple, pdm-closed, llm-assist-unc, llm-assist-par, and the
-    /// controls random-code, fixed-code, grid-code (the agent with codes that no model wrote) [default: plan-agent].
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', help = planner_help())]
     pub(super) planner: Vec<String>,
-    /// Challenges, separated by commas: nonreactive (replayed traffic), reactive (IDM traffic), both of these, open-loop
+    /// Challenges, separated by commas: nonreactive (agents replay the log), reactive (IDM agents), both of these, open-loop
     /// (plans compared with the log) [default: nonreactive].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) challenge: Vec<String>,
-    /// Folder for the results; must be new or empty [default: the next free runs/NNNN].
+    /// Folder for the results, new or empty [default: the next free runs/NNNN].
     #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
     pub(super) out: Option<PathBuf>,
-    /// Go on with the run in this folder, with what it was started with; drives that have ended are kept.
+    /// Resume the run in this folder with its own settings; completed simulations stay.
     #[arg(long, value_name = "FOLDER")]
     pub(super) resume: Option<PathBuf>,
-    /// With --resume: make drives that failed once more.
+    /// With --resume: repeat failed simulations.
     #[arg(long, requires = "resume")]
     pub(super) retry_failed: bool,
 }
@@ -165,11 +162,11 @@ impl SimulateArguments {
     }
 }
 
-/// Flags of `plan`.
+/// Arguments of `plan`.
 #[derive(Debug, Args)]
 pub(super) struct PlanArguments {
     /// The scenario: a TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED[.TRAFFIC] [default: one
-    /// generated scene].
+    /// generated scenario].
     #[arg(long, value_name = "SCENARIO")]
     pub(super) scenario: Option<String>,
     #[command(flatten)]
@@ -177,41 +174,41 @@ pub(super) struct PlanArguments {
     /// Seconds after the start of the window.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
     pub(super) at: f64,
-    /// Write the BEV map to this file, a PNG or JPEG by its ending.
+    /// Write the BEV image to this file, a .png or .jpg.
     #[arg(long, value_name = "FILE", value_parser = picture_file())]
     pub(super) image: Option<PictureFile>,
 }
 
-/// Flags of `report`.
+/// Arguments of `report`.
 #[derive(Debug, Args)]
 pub(super) struct ReportArguments {
-    /// Folders of runs; several are compared.
+    /// Folders of runs; the page compares several.
     #[arg(required = true, value_name = "RUN")]
     pub(super) runs: Vec<PathBuf>,
     /// The page [default: report.html in the folder of the first run].
     #[arg(long, value_name = "FILE")]
     pub(super) out: Option<PathBuf>,
-    /// Largest page, megabytes: replays that do not fit in are left out, whole scenarios at a time.
+    /// Maximum size of the page, megabytes; replays that do not fit are left out, by whole scenarios.
     #[arg(long, value_name = "MB", default_value_t = 15.0, allow_negative_numbers = true)]
     pub(super) max_mb: f64,
-    /// Only replays of scenarios with this in their name; tables and histograms are of all drives.
+    /// Only replays of scenarios with this text in their name; tables and histograms show all simulations.
     #[arg(long, value_name = "TEXT")]
     pub(super) scenario: Option<String>,
 }
 
-/// Flags of `render`.
+/// Arguments of `render`.
 #[derive(Debug, Args)]
 pub(super) struct RenderArguments {
     /// Folder of the run.
     #[arg(value_name = "RUN")]
     pub(super) run: PathBuf,
-    /// The drive: its number in the run, or the name of its scenario.
-    #[arg(value_name = "DRIVE")]
-    pub(super) drive: String,
-    /// By which planner, where several drove the scenario.
+    /// The simulation: its number in the run, or the name of its scenario.
+    #[arg(value_name = "SIMULATION")]
+    pub(super) simulation: String,
+    /// Its planner, where the scenario has several.
     #[arg(long, value_name = "NAME")]
     pub(super) planner: Option<String>,
-    /// In which challenge, where it was driven in several.
+    /// Its challenge, where the scenario has several.
     #[arg(long, value_name = "NAME")]
     pub(super) challenge: Option<String>,
     #[command(flatten)]
@@ -222,15 +219,15 @@ pub(super) struct RenderArguments {
     /// Side of the scene, pixels.
     #[arg(long, value_name = "N", default_value_t = 640)]
     pub(super) pixels: u32,
-    /// Side of the scene, metres.
+    /// Side of the scene, meters.
     #[arg(long, value_name = "METRES", default_value_t = 64.0, allow_negative_numbers = true)]
     pub(super) view: f64,
-    /// Frames a second of a film; the drive has 10.
+    /// Frames per second of a film; a simulation has 10.
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=10))]
     pub(super) fps: u32,
 }
 
-/// What `render` writes: one of these.
+/// Output of `render`: one of these.
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 pub(super) struct RenderOutput {
@@ -245,7 +242,38 @@ pub(super) struct RenderOutput {
     pub(super) png: Option<PathBuf>,
 }
 
-/// Takes a path whose ending names a format that pictures are written in.
+/// Version of the program, with the commit of the build.
+fn version() -> &'static str {
+    static VERSION: LazyLock<String> = LazyLock::new(|| {
+        let version = env!("CARGO_PKG_VERSION");
+        build_commit().map_or_else(|| version.to_owned(), |commit| format!("{version} ({commit})"))
+    });
+    &VERSION
+}
+
+fn planner_help() -> String {
+    let registry = PlannerRegistry::default();
+    let names: Vec<&str> = registry.entries().iter().map(|entry| entry.name.as_str()).collect();
+    format!("Planners, separated by commas: {} [default: {}]", names.join(", "), PlannerName::PLAN_AGENT)
+}
+
+fn split_help() -> String {
+    let suite = |suite: Suite| {
+        let specs = suite.specs();
+        let types = specs.chunk_by(|a, b| a.scenario_type == b.scenario_type).count();
+        format!("{} ({types} types x {})", suite.name, specs.len() / types.max(1))
+    };
+    let known = Readers::new(&DataRoots::default()).splits().into_iter().map(str::to_owned);
+    let names: Vec<String> = known.chain(Suite::ALL.map(suite)).collect();
+    format!("List of scenarios: {}; or a nuPlan scenario filter FILE.yaml", names.join(", "))
+}
+
+fn experiment_help() -> String {
+    let names: Vec<&str> = study::names().chain([TOKENS]).collect();
+    format!("{}; {ALL_EXPERIMENTS} for all of these; or the path of a study FILE.toml", names.join(", "))
+}
+
+/// Takes a path with the extension of a picture format.
 fn picture_file() -> impl TypedValueParser<Value = PictureFile> {
     PathBufValueParser::new().try_map(PictureFile::try_from)
 }
@@ -262,18 +290,18 @@ pub(super) enum ScenariosCommand {
     },
     /// Show one scenario: its map, route, objects and lights; with --image a picture.
     Show(ShowArguments),
-    /// Generate scenarios and drive them with their expert: a line each.
+    /// Generate scenarios with their expert drivers, and print a line for each.
     Generate(GenerateArguments),
-    /// Write scenarios as another tool's files.
+    /// Write scenarios in the format of another tool.
     Export(ExportArguments),
-    /// Choose the scenes of generated-14-hard out of a run of PDM-Closed on generated-14-candidates.
+    /// Select the scenes of generated-14-hard from a run of PDM-Closed on generated-14-candidates.
     Hard {
         /// Folder of the run.
         run: PathBuf,
     },
 }
 
-/// Flags of `scenarios generate`.
+/// Arguments of `scenarios generate`.
 #[derive(Debug, Args)]
 pub(super) struct GenerateArguments {
     /// Types [default: all].
@@ -282,15 +310,15 @@ pub(super) struct GenerateArguments {
     /// First seed.
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     pub(super) from: u64,
-    /// How many seeds of each type.
+    /// Number of seeds of each type.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(super) count: u64,
-    /// Among which traffic: another traffic seed keeps roads, route and situation of a seed, and draws anew what is luck.
+    /// Traffic seed: another one keeps roads, route and situation of a seed, and redraws the traffic around them.
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     pub(super) traffic: u64,
 }
 
-/// Flags of `scenarios show`.
+/// Arguments of `scenarios show`.
 #[derive(Debug, Args)]
 pub(super) struct ShowArguments {
     /// A TFRecord file, LOG.db#TOKEN, an Argoverse 2 log or generated/TYPE/SEED[.TRAFFIC].
@@ -300,44 +328,44 @@ pub(super) struct ShowArguments {
     /// Seconds after the start of the window.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
     pub(super) at: f64,
-    /// Write a BEV picture to this file, a PNG or JPEG by its ending.
+    /// Write a BEV picture to this file, a .png or .jpg.
     #[arg(long, value_name = "FILE", value_parser = picture_file())]
     pub(super) image: Option<PictureFile>,
-    /// Side of the picture, metres.
+    /// Side of the picture, meters.
     #[arg(long, value_name = "METRES", default_value_t = 128.0, allow_negative_numbers = true)]
     pub(super) view: f64,
 }
 
-/// Flags of `scenarios export`.
+/// Arguments of `scenarios export`.
 #[derive(Debug, Args)]
 // clap does not wrap this line.
 #[command(
     override_usage = "planagent scenarios export [OPTIONS] --format <FORMAT> --out <FOLDER>\n       <SCENARIO>..."
 )]
 pub(super) struct ExportArguments {
-    /// Scenarios, as `simulate` takes them; generated/TYPE/SEED[.TRAFFIC] among them.
+    /// Scenarios, as `simulate` takes them.
     #[arg(required = true, value_name = "SCENARIO")]
     pub(super) scenarios: Vec<String>,
     #[command(flatten)]
     pub(super) data: DataArguments,
-    /// Which files: nuplan writes a log for each scenario and a map for each map.
+    /// Format: nuplan writes a log for each scenario and a package for each map.
     #[arg(long, value_enum)]
     pub(super) format: ExportFormat,
-    /// Folder for them; must be new or empty.
+    /// Folder for the files, new or empty.
     #[arg(long, value_name = "FOLDER")]
     pub(super) out: PathBuf,
-    /// Name of the map; without it maps are named by their content.
+    /// Name of the map [default: a digest of its content].
     #[arg(long, value_name = "NAME")]
     pub(super) location: Option<String>,
-    /// UTM zone in which the scenarios are put, as an EPSG code.
+    /// UTM zone of the scenarios, as an EPSG code.
     #[arg(long, value_name = "CODE", default_value_t = 32_611)]
     pub(super) epsg: u32,
-    /// Easting and northing at which their origin is put, metres.
+    /// Easting and northing of their origin, meters.
     #[arg(long, value_name = "METRES", num_args = 2, default_values_t = [664_000.0, 3_998_000.0], allow_negative_numbers = true)]
     pub(super) origin: Vec<f64>,
 }
 
-/// What `scenarios export` writes.
+/// Format of `scenarios export`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum ExportFormat {
     /// nuPlan's log databases and map packages.
@@ -347,11 +375,11 @@ pub(super) enum ExportFormat {
 /// Subcommands of `models`.
 #[derive(Debug, Subcommand)]
 pub(super) enum ModelsCommand {
-    /// List the described models: family, source, where their files are, size.
+    /// List the described models: family, source, place of their files, size.
     List,
-    /// Look at the files of models without reading the weights, and say all that is wrong.
+    /// Check the files of models without reading the weights, and report every fault.
     Check {
-        /// Models as `--model` takes them [default: all that are described and on this machine].
+        /// Models as `--model` takes them [default: all described models on this machine].
         models: Vec<String>,
     },
     /// Download models of the hub.
@@ -360,69 +388,68 @@ pub(super) enum ModelsCommand {
         #[arg(required = true)]
         models: Vec<String>,
     },
-    /// Write a model as GGUF, for a quicker start and for llama.cpp.
+    /// Write a model as GGUF, for a faster start and for llama.cpp.
     Quantize(QuantizeArguments),
 }
 
-/// Flags of `models quantize`.
+/// Arguments of `models quantize`.
 #[derive(Debug, Args)]
 pub(super) struct QuantizeArguments {
     /// The model, as `--model` takes it.
     #[arg(value_name = "MODEL")]
     pub(super) source: String,
-    /// How its weights are held: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k`.
+    /// Weight format: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k`.
     #[arg(long, value_name = "KIND")]
     pub(super) to: WeightFormat,
-    /// The file, called NAME.gguf; a LLaVA's vision tower goes beside it as mmproj-NAME.gguf.
+    /// The file, NAME.gguf; the vision tower of a LLaVA is written beside it as mmproj-NAME.gguf.
     #[arg(long, value_name = "FILE")]
     pub(super) out: PathBuf,
-    /// Replace files that are there.
+    /// Overwrite existing files.
     #[arg(long)]
     pub(super) force: bool,
 }
 
-/// Flags of `dataset`.
+/// Arguments of `dataset`.
 #[derive(Debug, Args)]
 pub(super) struct DatasetArguments {
-    /// Folder for the shards; an interrupted run goes on where it stopped.
+    /// Folder for the shards; an interrupted run continues where it stopped.
     #[arg(long, value_name = "FOLDER")]
     pub(super) out: PathBuf,
-    /// Labelled states to make for training; whole shards are made, so there may be more.
+    /// Labeled states for training; there may be more, because shards are written whole.
     #[arg(long, default_value_t = 20_000)]
     pub(super) states: usize,
-    /// Labelled states to make for validation, from seeds of their own; likewise.
+    /// Labeled states for validation, from seeds of their own.
     #[arg(long, default_value_t = 2_000)]
     pub(super) validation: usize,
-    /// Let PlanAgent with the configured model drive from state to state, so that the states are those that it reaches, and label
-    /// those; for training only. Such shards may lie in the same folder as others.
+    /// Label the states that PlanAgent reaches with the configured model in control; for training only. These shards may lie in
+    /// the same folder as others.
     #[arg(long)]
     pub(super) driven: bool,
 }
 
-/// Flags of `experiment`.
+/// Arguments of `experiment`.
 #[derive(Debug, Args)]
 pub(super) struct ExperimentArguments {
-    /// Which one; all makes every one, and they share their drives.
-    #[arg(value_name = "NAME", value_parser = experiment_name())]
+    #[arg(value_name = "NAME", help = experiment_help())]
     pub(super) name: String,
-    /// Only 2 scenes of each type, and 14 recordings: a look, in minutes.
+    /// Only 2 scenes of each type and 14 recordings: a first look, in minutes.
     #[arg(long)]
     pub(super) quick: bool,
-    /// Suites to drive on, separated by commas: splits as simulate takes them, or recorded [default: the experiment's own].
+    /// Suites, separated by commas: splits as `simulate` takes them, or recorded [default: those of the experiment].
     #[arg(long = "suite", value_name = "NAMES", value_delimiter = ',')]
     pub(super) suites: Vec<String>,
-    /// What the suite recorded holds: recordings as simulate takes them [default: those in `$PLANAGENT_DATA`].
+    /// Scenarios of the suite recorded, as `simulate` takes them [default: the recordings in `$PLANAGENT_DATA`].
     #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
     pub(super) scenarios: Vec<String>,
     #[command(flatten)]
     pub(super) data: DataArguments,
-    /// Folder for results and drives; drives that lie there are not made again.
+    /// Folder for results and runs; completed simulations in it are not repeated.
     #[arg(long, value_name = "FOLDER", default_value = "runs/experiments")]
     pub(super) out: PathBuf,
-    /// Folder of a bench that has the times of models that cannot drive here.
+    /// Folder of a bench with the times of models whose weights are not on this machine.
     #[arg(long, value_name = "FOLDER")]
     pub(super) bench: Option<PathBuf>,
-    /// Make drives that failed once more.
+    /// Repeat failed simulations.
     #[arg(long)]
     pub(super) retry_failed: bool,
 }
@@ -442,48 +469,43 @@ impl ExperimentArguments {
     }
 }
 
-/// Takes the name of an experiment, or `all`.
-fn experiment_name() -> PossibleValuesParser {
-    PossibleValuesParser::new(study::NAMES.into_iter().chain([TOKENS, ALL_EXPERIMENTS]))
-}
-
-/// Flags of `bench`.
+/// Arguments of `bench`.
 #[derive(Debug, Args)]
 pub(super) struct BenchArguments {
     /// Models, as --model takes them [default: the configured one, unless --random-weights is given].
     #[arg(value_name = "MODEL")]
     pub(super) models: Vec<String>,
-    /// Shapes of known models to be filled with random weights, separated by commas; nothing is downloaded. A wrong name lists
+    /// Shapes of known models to fill with random weights, separated by commas; nothing is downloaded. A wrong name lists
     /// them.
     #[arg(long, value_name = "SHAPES", value_delimiter = ',')]
     pub(super) random_weights: Vec<String>,
-    /// Planning calls of each model that do not count.
+    /// Planning calls of each model before the measurement.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(super) warm_up: usize,
-    /// Planning calls of each model that count.
+    /// Measured planning calls of each model.
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub(super) iterations: usize,
-    /// Compare with another engine on the same GGUF files, the two taking turns.
+    /// Compare with another engine on the same GGUF files, in alternation.
     #[arg(long, value_name = "ENGINE", value_enum)]
     pub(super) vs: Option<OtherEngine>,
-    /// Python interpreter that has the package llama-cpp-python [default: `$PLANAGENT_LLAMA_PYTHON`, else python3].
+    /// Python interpreter with the package llama-cpp-python [default: `$PLANAGENT_LLAMA_PYTHON`, else python3].
     #[arg(long, value_name = "FILE", requires = "vs")]
     pub(super) llama_python: Option<PathBuf>,
-    /// Folder in which the GGUF files of random weights are kept for --vs [default: weights in the folder of the results].
+    /// Folder for the GGUF files of random weights for --vs [default: weights in the folder of the results].
     #[arg(long, value_name = "FOLDER", requires = "vs")]
     pub(super) weights: Option<PathBuf>,
-    /// Folder for the results; must be new or empty [default: runs/bench-DATE].
+    /// Folder for the results, new or empty [default: runs/bench-DATE].
     #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
     pub(super) out: Option<PathBuf>,
-    /// Go on with the bench in this folder; models that are done are kept.
+    /// Resume the bench in this folder; measured models stay.
     #[arg(long, value_name = "FOLDER")]
     pub(super) resume: Option<PathBuf>,
 }
 
-/// What `bench` can compare with.
+/// Engines that `bench` compares with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum OtherEngine {
-    /// llama.cpp, driven through llama-cpp-python's low-level interface.
+    /// llama.cpp through the low-level interface of llama-cpp-python.
     #[value(name = "llama.cpp")]
     LlamaCpp,
 }

@@ -2,6 +2,7 @@
 
 use super::config::ConfigError;
 use crate::experiment::split::SplitError;
+use crate::experiment::study::StudyError;
 use crate::mllm::MllmError;
 use crate::planner::{PlannerName, UnknownPlanner};
 use crate::reasoning::PromptError;
@@ -21,6 +22,8 @@ pub enum RunnerError {
     Split(#[from] SplitError),
     #[error(transparent)]
     Scenario(#[from] ReaderError),
+    #[error(transparent)]
+    Study(#[from] StudyError),
     #[error(transparent)]
     Planner(#[from] UnknownPlanner),
     #[error("{source}; --challenge takes nonreactive, reactive, both or open-loop")]

@@ -20,7 +20,7 @@ pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer:
     }
     if flags.name != TOKENS {
         let all = flags.name == ALL_EXPERIMENTS;
-        let studies = if all { study::all() } else { study::named(&flags.name).into_iter().collect() };
+        let studies = if all { study::all()? } else { vec![study::find(&flags.name)?] };
         exit = exit.max(show(&experiments.simulate(studies)?, printer)?);
     }
     Ok(exit)

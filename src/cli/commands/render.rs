@@ -15,7 +15,7 @@ use std::path::Path;
 pub(in crate::cli) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::Result<Exit> {
     let challenge = flags.challenge.as_deref().map(str::parse).transpose();
     let challenge = challenge.context("--challenge takes nonreactive, reactive or open-loop")?;
-    let choice = SimulationChoice { simulation: flags.drive.clone(), planner: flags.planner.clone(), challenge };
+    let choice = SimulationChoice { simulation: flags.simulation.clone(), planner: flags.planner.clone(), challenge };
     let rate = NonZeroU32::new(flags.fps).context("--fps is 0; a film needs frames")?;
     let film = Film::open(&flags.run, &choice, Look { pixels: flags.pixels, metres: flags.view })?;
     let frames = (film.iterations() as f64 * STEP_S * f64::from(flags.fps)).ceil() as u64;

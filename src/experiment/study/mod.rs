@@ -1,126 +1,172 @@
-//! The paper's tables and figures, and what goes beyond them, as data: which variants are driven where, what they are compared
-//! with, and what the paper has in their place.
+//! Studies: the paper's tables and figures, and others beyond them, as data. A study is a TOML file of variants that
+//! simulate the same scenes, each compared with one of them. The built-in ones lie in `studies/`.
 
 mod catalogue;
 mod paper;
 
-pub use catalogue::{NAMES, all, named};
-pub use paper::{Benchmark, Published, PublishedModel, Scores};
+pub use catalogue::{StudyError, all, find, names};
+pub use paper::{Benchmark, Published, PublishedModel, benchmark};
 
-use crate::planner::PlannerName;
 use crate::scenario::ScenarioRef;
-use serde::Serialize;
-use std::collections::BTreeMap;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
 
-/// An experiment: variants that drive the same scenes, each compared with one of them.
-#[derive(Debug, Clone, PartialEq)]
+/// Variants that simulate the same scenes, each compared with one of them.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Study {
-    /// Its name on the command line.
-    pub name: &'static str,
-    /// What it shows, in a line.
-    pub title: &'static str,
+    /// Its name, which is that of the folder of its results.
+    pub name: String,
+    /// Its title, in a line.
+    pub title: String,
     /// Where the paper has it.
-    pub paper: Option<&'static str>,
+    #[serde(default)]
+    pub paper: Option<String>,
     /// Heads of the columns that name a variant.
-    pub labels: &'static [&'static str],
-    /// What is driven.
-    pub variants: Vec<Variant>,
-    /// Place of the variant that all are compared with.
+    pub labels: Vec<String>,
+    /// Place of the variant that the others are compared with, from 0.
+    #[serde(default)]
     pub reference: usize,
-    /// The suites that it is driven on unless others are asked for.
-    pub suites: &'static [&'static str],
-    /// What the rows of its table stand for.
+    /// Its suites, as `--suite` takes them.
+    pub suites: Vec<String>,
+    /// What a row of its table is.
+    #[serde(default)]
     pub rows: Rows,
     /// Columns beside the scores.
-    pub columns: &'static [Column],
+    #[serde(default)]
+    pub columns: Vec<Column>,
     /// Its figure.
+    #[serde(default)]
     pub figure: Figure,
-    /// What a reader has to know.
-    pub remarks: &'static [&'static str],
+    /// Notes below its table.
+    #[serde(default)]
+    pub remarks: Vec<String>,
+    /// What is compared.
+    pub variants: Vec<Variant>,
 }
 
-impl Study {
-    /// A variant's name in a word or a few: its label; of several, what it goes without, or all.
-    pub fn name_of(&self, variant: &Variant) -> String {
-        if let [name] = variant.labels {
-            return (*name).to_owned();
-        }
-        if !variant.labels.iter().all(|label| [YES, NO].contains(label)) {
-            let labelled = self.labels.iter().zip(variant.labels);
-            return labelled.map(|(head, label)| format!("{head}: {label}")).collect::<Vec<_>>().join(", ");
-        }
-        let labelled = self.labels.iter().zip(variant.labels);
-        let missing: Vec<&str> = labelled.filter(|(_, label)| **label == NO).map(|(head, _)| *head).collect();
-        if missing.is_empty() { "the whole agent".to_owned() } else { format!("no {}", missing.join(", no ")) }
-    }
-
-    /// Whether it is about what models cost.
-    pub fn measures_models(&self) -> bool {
-        self.columns.iter().any(|column| *column != Column::Calls)
-    }
-}
-
-/// Labels of what a variant has,
-pub(super) const YES: &str = "yes";
-/// and of what it goes without.
-pub(super) const NO: &str = "no";
-
-/// A planner with settings of its own.
-#[derive(Debug, Clone, PartialEq)]
+/// A planner with its settings.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Variant {
-    /// Its name, a word for each of the study's label columns.
-    pub labels: &'static [&'static str],
-    /// Who drives.
-    pub planner: PlannerName,
-    /// TOML that is laid over the configuration.
-    pub settings: &'static str,
-    /// What the paper has in its place.
+    /// Its name, a text for each of the study's labels.
+    pub labels: Vec<String>,
+    /// Name of its planner.
+    #[serde(default = "plan_agent")]
+    pub planner: String,
+    /// Configuration keys that it replaces.
+    #[serde(default)]
+    pub settings: toml::Table,
+    /// The paper's numbers of it.
+    #[serde(default)]
     pub published: Published,
     /// Its place on the horizontal axis of a line figure.
+    #[serde(default)]
     pub x: Option<f64>,
 }
 
-/// What the rows of a table stand for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+fn plan_agent() -> String {
+    crate::planner::PlannerName::PLAN_AGENT.to_string()
+}
+
+/// What a row of a table is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Rows {
-    /// The variants, over all scenes.
+    /// A variant, over all scenes.
+    #[default]
     Variants,
-    /// The scenario types: the variants side by side.
+    /// A scenario type, with the variants side by side.
     ScenarioTypes,
 }
 
 /// A column beside the scores.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Column {
-    /// Parameters of the language model, ours and the paper's.
+    /// Parameters of the model, ours and the paper's.
     Parameters,
     /// Median time of a planning call, ours and the paper's. A measurement.
     CallTime,
-    /// Planning calls in a drive.
+    /// Planning calls in a simulation.
     Calls,
 }
 
-/// How a study is drawn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// The figure of a study.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Figure {
     /// Differences to the reference with their intervals.
+    #[default]
     Differences,
-    /// Scores over [`Variant::x`], whose meaning this is.
-    Lines(&'static str),
-    /// A bar a variant in each scenario type.
+    /// Scores over [`Variant::x`], with the title of that axis.
+    Lines(String),
+    /// A bar for each variant and scenario type.
     Bars,
 }
 
-/// The benchmark of the paper that a split stands for; none for scenes of another kind.
-pub fn benchmark(split: &str) -> Option<Benchmark> {
-    match split {
-        "generated-14" | "generated" | "val14" | "reduced-val14" => Some(Benchmark::Val14),
-        "generated-14-hard" | "test14-hard" => Some(Benchmark::Test14Hard),
-        _ => None,
+impl Study {
+    /// A variant's name: its label; of several yes-or-no labels, those that it lacks; of other ones, all.
+    pub fn name_of(&self, variant: &Variant) -> String {
+        if let [name] = &variant.labels[..] {
+            return name.clone();
+        }
+        let labelled = || self.labels.iter().zip(&variant.labels);
+        if !variant.labels.iter().all(|label| [YES, NO].contains(&label.as_str())) {
+            return labelled().map(|(head, label)| format!("{head}: {label}")).collect::<Vec<_>>().join(", ");
+        }
+        let missing: Vec<&str> = labelled().filter(|(_, label)| *label == NO).map(|(head, _)| head.as_str()).collect();
+        if missing.is_empty() { "the whole agent".to_owned() } else { format!("no {}", missing.join(", no ")) }
+    }
+
+    /// Whether it compares the cost of models.
+    pub fn measures_models(&self) -> bool {
+        self.columns.iter().any(|column| *column != Column::Calls)
+    }
+
+    /// Refuses a study whose parts do not fit together.
+    fn check(&self) -> Result<(), String> {
+        let safe = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(safe) {
+            return Err(format!(
+                "name is {:?}; it must be a folder name of letters, digits, '-', '_' and '.'",
+                self.name
+            ));
+        }
+        if self.suites.is_empty() || self.labels.is_empty() {
+            return Err("suites and labels must not be empty".to_owned());
+        }
+        let count = self.variants.len();
+        if self.reference >= count {
+            return Err(format!("reference is {}; there are {count} variants, counted from 0", self.reference));
+        }
+        let mut seen = BTreeSet::new();
+        let needs_x = matches!(self.figure, Figure::Lines(_));
+        for Variant { labels, x, .. } in &self.variants {
+            if labels.len() != self.labels.len() {
+                return Err(format!(
+                    "variant {labels:?} has {} labels; the study has {}",
+                    labels.len(),
+                    self.labels.len()
+                ));
+            }
+            if !seen.insert(labels) {
+                return Err(format!("two variants have the labels {labels:?}"));
+            }
+            if x.is_some() != needs_x {
+                return Err(format!("variant {labels:?}: x belongs to figure.lines, and to it alone"));
+            }
+        }
+        Ok(())
     }
 }
 
-/// How many scenes of each type a quick experiment drives, and of those whose type is not known before they are opened.
+/// Labels of what a variant has,
+const YES: &str = "yes";
+/// and of what it lacks.
+const NO: &str = "no";
+
+/// How many scenes of each type a quick experiment takes, and how many whose type is not known before they are opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Quick {
     /// Of each type.
@@ -130,7 +176,7 @@ pub struct Quick {
 }
 
 impl Quick {
-    /// As `--quick` has it: enough to see whether everything works, and large differences.
+    /// The numbers of `--quick`: enough to see whether everything works, and large differences.
     pub const DEFAULT: Self = Self { per_type: 2, untyped: 14 };
 
     /// The first scenes of each type.
@@ -138,10 +184,10 @@ impl Quick {
         let mut taken: BTreeMap<Option<String>, usize> = BTreeMap::new();
         sources.retain(|source| {
             let kind = source.scenario_type().map(str::to_owned);
-            let most = if kind.is_some() { self.per_type } else { self.untyped };
+            let max = if kind.is_some() { self.per_type } else { self.untyped };
             let taken = taken.entry(kind).or_default();
             *taken += 1;
-            *taken <= most
+            *taken <= max
         });
         sources
     }

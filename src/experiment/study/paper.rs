@@ -1,10 +1,10 @@
-//! The numbers of the paper's tables: closed-loop scores x 100 on nuPlan's Val14 and Test14-hard, GPT-4V where nothing else is
-//! said. They are set beside our own for the direction; the scenes are others.
+//! The paper's numbers: closed-loop scores x 100 on nuPlan's Val14 and Test14-hard, with GPT-4V unless a row names another
+//! model. They stand beside ours to compare directions; the scenes differ.
 
 use crate::simulation::Challenge;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-/// Which of nuPlan's benchmarks a number is of.
+/// A benchmark of nuPlan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub enum Benchmark {
     /// Common scenes.
@@ -24,115 +24,67 @@ impl Benchmark {
     }
 }
 
-/// NR-CLS and R-CLS.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Scores {
-    /// Among replayed traffic.
-    pub nonreactive: f64,
-    /// Among reactive traffic.
-    pub reactive: f64,
+/// The benchmark of the paper that a suite stands for.
+pub fn benchmark(suite: &str) -> Option<Benchmark> {
+    match suite {
+        "generated-14" | "generated" | "val14" | "reduced-val14" => Some(Benchmark::Val14),
+        "generated-14-hard" | "test14-hard" => Some(Benchmark::Test14Hard),
+        _ => None,
+    }
 }
 
-/// What the paper reports of a row.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+/// What the paper reports of a row: scores with non-reactive and with reactive agents.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Published {
-    /// On Val14.
-    pub val14: Option<Scores>,
-    /// On Test14-hard.
-    pub test14_hard: Option<Scores>,
-    /// What its model is and takes.
+    /// NR-CLS and R-CLS on Val14.
+    #[serde(default)]
+    pub val14: Option<[f64; 2]>,
+    /// NR-CLS and R-CLS on Test14-hard.
+    #[serde(default)]
+    pub test14_hard: Option<[f64; 2]>,
+    /// Its model.
+    #[serde(default)]
     pub model: Option<PublishedModel>,
 }
 
 /// A language model in the paper's table.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct PublishedModel {
     /// Parameters, as the paper writes them.
-    pub parameters: Option<&'static str>,
+    #[serde(default)]
+    pub parameters: Option<String>,
     /// Mean time of an inference, milliseconds.
     pub time_ms: u32,
 }
 
 impl Published {
-    /// What the paper does not have.
-    pub const NOTHING: Self = Self { val14: None, test14_hard: None, model: None };
-
-    /// A row of both benchmarks.
-    const fn both(val14: [f64; 2], test14_hard: [f64; 2]) -> Self {
-        Self { val14: Some(scores(val14)), test14_hard: Some(scores(test14_hard)), model: None }
-    }
-
-    /// A row without numbers on Test14-hard.
-    const fn common(val14: [f64; 2]) -> Self {
-        Self { val14: Some(scores(val14)), ..Self::NOTHING }
-    }
-
-    /// A row of the ablations.
-    const fn hard(test14_hard: [f64; 2]) -> Self {
-        Self { test14_hard: Some(scores(test14_hard)), ..Self::NOTHING }
-    }
-
-    /// A row of the table of models.
-    const fn of_model(test14_hard: [f64; 2], parameters: Option<&'static str>, time_ms: u32) -> Self {
-        Self { model: Some(PublishedModel { parameters, time_ms }), ..Self::hard(test14_hard) }
-    }
-
     /// The score in a challenge of a benchmark.
     pub fn score(&self, benchmark: Benchmark, challenge: Challenge) -> Option<f64> {
-        let scores = match benchmark {
+        let [nonreactive, reactive] = match benchmark {
             Benchmark::Val14 => self.val14,
             Benchmark::Test14Hard => self.test14_hard,
-        };
+        }?;
         match challenge {
-            Challenge::NonReactive => scores.map(|scores| scores.nonreactive),
-            Challenge::Reactive => scores.map(|scores| scores.reactive),
+            Challenge::NonReactive => Some(nonreactive),
+            Challenge::Reactive => Some(reactive),
             Challenge::OpenLoop => None,
         }
     }
 }
 
-const fn scores([nonreactive, reactive]: [f64; 2]) -> Scores {
-    Scores { nonreactive, reactive }
-}
-
-// Comparison with other methods.
-pub(super) const LOG_REPLAY: Published = Published::both([94.03, 75.86], [85.96, 68.80]);
-pub(super) const IDM: Published = Published::both([70.39, 72.42], [56.16, 62.26]);
-pub(super) const PDM_CLOSED: Published = Published::both([92.51, 91.79], [65.07, 75.18]);
-pub(super) const LLM_ASSIST_UNC: Published = Published::common([90.11, 90.32]);
-pub(super) const LLM_ASSIST_PAR: Published = Published::common([93.05, 92.20]);
-pub(super) const PLAN_AGENT: Published = Published::both([93.26, 92.75], [72.51, 76.82]);
-
-// Ablation of the Environment Transformation.
-pub(super) const NEITHER_INPUT: Published = Published::hard([67.96, 72.44]);
-pub(super) const LANE_GRAPH_ALONE: Published = Published::hard([70.97, 75.61]);
-pub(super) const BEV_ALONE: Published = Published::hard([71.23, 75.25]);
-
-// Ablation of the Reasoning Engine and Reflection.
-pub(super) const WITHOUT_UNDERSTANDING: Published = Published::hard([70.09, 75.26]);
-pub(super) const WITHOUT_INSTRUCTION: Published = Published::hard([70.60, 75.39]);
-pub(super) const WITHOUT_REFLECTION: Published = Published::hard([69.84, 74.08]);
-
-// Ablation of the interval between calls.
-pub(super) const EVERY_SECOND: Published = Published::hard([71.85, 76.10]);
-pub(super) const EVERY_THIRD_SECOND: Published = Published::hard([71.35, 75.26]);
-
-// Language models.
-pub(super) const COGVLM: Published = Published::of_model([68.37, 72.21], Some("17B"), 4405);
-pub(super) const LLAVA_7B: Published = Published::of_model([67.73, 72.06], Some("7B"), 2936);
-pub(super) const LLAVA_13B: Published = Published::of_model([69.40, 73.89], Some("13B"), 3694);
-pub(super) const GPT_4V: Published = Published::of_model([72.51, 76.82], None, 5568);
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::experiment::study::find;
 
     /// The paper's source; says so when it is missing.
     fn paper() -> Option<String> {
         crate::outside::data("../paper/planagent.tex").map(|file| std::fs::read_to_string(file).unwrap())
     }
 
-    /// The numbers with two decimals in each row of the table with a label, rows without any left out.
+    /// The numbers with two decimals in each row of the table with a label; rows without any are left out.
     fn rows(paper: &str, label: &str) -> Vec<(String, Vec<f64>)> {
         let end = paper.find(&format!("\\label{{{label}}}")).unwrap();
         let begin = paper[..end].rfind("\\begin{tabular}").unwrap();
@@ -147,48 +99,61 @@ mod tests {
         rows.filter(|(_, numbers)| numbers.len() > 1).collect()
     }
 
-    fn of(published: &Published) -> Vec<f64> {
-        let scores = [published.val14, published.test14_hard].into_iter().flatten();
-        scores.flat_map(|scores| [scores.nonreactive, scores.reactive]).collect()
+    /// The published rows of a study, by name of the variant.
+    fn published(study: &str) -> Vec<(String, Published)> {
+        let study = find(study).unwrap();
+        let rows = study.variants.iter().map(|variant| (study.name_of(variant), variant.published.clone()));
+        rows.filter(|(_, published)| *published != Published::default()).collect()
     }
 
     #[test]
     fn the_main_table_is_the_papers() {
         let Some(paper) = paper() else { return };
         let rows = rows(&paper, "tab: main_result");
+        let ours = published("main");
         let named = [
-            ("Log-replay", LOG_REPLAY),
-            ("{IDM", IDM),
-            ("{PDM-Closed", PDM_CLOSED),
-            ("{UNC}", LLM_ASSIST_UNC),
-            ("{PAR}", LLM_ASSIST_PAR),
-            ("PlanAgent(Ours)", PLAN_AGENT),
+            ("Log-replay", "log-replay"),
+            ("{IDM", "idm"),
+            ("{PDM-Closed", "pdm-closed"),
+            ("{UNC}", "llm-assist-unc"),
+            ("{PAR}", "llm-assist-par"),
+            ("PlanAgent(Ours)", "plan-agent (paper)"),
+            ("PlanAgent(Ours)", "plan-agent"),
         ];
-        for (name, published) in named {
-            let row = rows.iter().find(|(row, _)| row.contains(name));
-            assert_eq!(row.map(|(_, numbers)| numbers), Some(&of(&published)), "{name}");
+        assert_eq!(ours.len(), named.len());
+        for (name, variant) in named {
+            let row = rows.iter().find(|(row, _)| row.contains(name)).map(|(_, numbers)| numbers.clone());
+            let (_, published) = ours.iter().find(|(own, _)| own == variant).unwrap();
+            let scores = [published.val14, published.test14_hard].into_iter().flatten().flatten();
+            assert_eq!(row, Some(scores.collect()), "{name}");
         }
     }
 
     #[test]
     fn the_other_tables_are_the_papers() {
         let Some(paper) = paper() else { return };
-        let full = Published::hard([72.51, 76.82]);
-        let tables = [
-            ("tab: ablation_et", vec![NEITHER_INPUT, LANE_GRAPH_ALONE, BEV_ALONE, full]),
-            ("tab: ablation_rr", vec![WITHOUT_UNDERSTANDING, WITHOUT_INSTRUCTION, WITHOUT_REFLECTION, full]),
-            ("tab: interval", vec![EVERY_SECOND, full, EVERY_THIRD_SECOND]),
-            ("tab: llm", vec![COGVLM, LLAVA_7B, LLAVA_13B, GPT_4V]),
-        ];
-        for (label, expected) in tables {
-            let rows = rows(&paper, label);
-            let numbers: Vec<Vec<f64>> = rows.iter().map(|(_, numbers)| numbers.clone()).collect();
-            assert_eq!(numbers, expected.iter().map(of).collect::<Vec<_>>(), "{label}");
-            for ((row, _), model) in rows.iter().zip(expected.iter().map(|published| published.model)) {
-                let Some(PublishedModel { parameters, time_ms }) = model else { continue };
-                assert!(row.contains(&format!("& {} & {time_ms} ms", parameters.unwrap_or("-"))), "{row}");
+        for (label, study) in [
+            ("tab: ablation_et", "environment"),
+            ("tab: ablation_rr", "reasoning"),
+            ("tab: interval", "interval"),
+            ("tab: llm", "mllm"),
+        ] {
+            let mut ours = published(study);
+            ours.retain(|(name, _)| name != "(pdm-closed)");
+            let table = rows(&paper, label);
+            let scores = |published: &Published| published.test14_hard.into_iter().flatten().collect::<Vec<f64>>();
+            let mut theirs: Vec<Vec<f64>> = table.iter().map(|(_, numbers)| numbers.clone()).collect();
+            let mut own: Vec<Vec<f64>> = ours.iter().map(|(_, published)| scores(published)).collect();
+            for numbers in [&mut theirs, &mut own] {
+                numbers.sort_by(|a, b| a[0].total_cmp(&b[0]));
+            }
+            assert_eq!(theirs, own, "{label}");
+            for PublishedModel { parameters, time_ms } in
+                ours.iter().filter_map(|(_, published)| published.model.clone())
+            {
+                let cells = format!("& {} & {time_ms} ms", parameters.as_deref().unwrap_or("-"));
+                assert!(table.iter().any(|(row, _)| row.contains(&cells)), "{cells}");
             }
         }
-        assert_eq!(PLAN_AGENT.test14_hard, full.test14_hard);
     }
 }

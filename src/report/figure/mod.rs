@@ -22,7 +22,7 @@ fn panel(challenge: Challenge) -> &'static str {
 
 /// The figures of a study, one for each suite: file name and text.
 pub(super) fn figures(study: &Study, results: &StudyResults) -> Vec<(String, String)> {
-    let draw = |suite| match study.figure {
+    let draw = |suite| match &study.figure {
         Figure::Differences => differences::draw(study, results, suite),
         Figure::Lines(axis) => lines::draw(study, results, suite, axis),
         Figure::Bars => bars::draw(results, suite),

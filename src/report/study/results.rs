@@ -51,11 +51,11 @@ pub struct StudyResults {
     /// Version of the program.
     pub planagent: &'static str,
     /// Name of the experiment.
-    pub experiment: &'static str,
+    pub experiment: String,
     /// The title.
-    pub title: &'static str,
+    pub title: String,
     /// The paper's table or figure.
-    pub paper: Option<&'static str>,
+    pub paper: Option<String>,
     /// Scenes of each type; none if all were simulated.
     pub quick: Option<Quick>,
     /// Seed of the simulations.
@@ -90,8 +90,8 @@ pub struct VariantResults {
     pub name: String,
     /// Name of the planner.
     pub planner: String,
-    /// TOML that overrides the configuration.
-    pub settings: &'static str,
+    /// Configuration keys that it replaces.
+    pub settings: toml::Table,
     /// Folder of the run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub run: Option<String>,
@@ -165,9 +165,9 @@ impl StudyResults {
         let source = ResultSource { study, bootstrap, bench };
         Self {
             planagent: env!("CARGO_PKG_VERSION"),
-            experiment: study.name,
-            title: study.title,
-            paper: study.paper,
+            experiment: study.name.clone(),
+            title: study.title.clone(),
+            paper: study.paper.clone(),
             quick,
             seed,
             bootstrap,
@@ -230,7 +230,7 @@ impl ResultSource<'_> {
         VariantResults {
             name: self.study.name_of(variant),
             planner: variant.planner.to_string(),
-            settings: variant.settings,
+            settings: variant.settings.clone(),
             run,
             not_simulated,
             challenges: self.challenges(variant, rows, against, benchmark, |_| true),
@@ -280,7 +280,7 @@ impl ResultSource<'_> {
 
     /// The time is that of the planning calls, or of a bench for a model that was not simulated.
     fn cost(&self, variant: &Variant, simulations: &VariantSimulations) -> ModelCost {
-        let benched = self.bench.iter().find(|model| variant.labels.first() == Some(&model.about.model.as_str()));
+        let benched = self.bench.iter().find(|model| variant.labels.first() == Some(&model.about.model));
         let calls = simulations.rows().iter().flat_map(|row| &row.time.calls).map(|call| call.total).collect();
         let driven = Quantiles::of(calls).map(|quantiles| quantiles.p50);
         let from_bench = benched.and_then(|model| model.call_ms).map(|quantiles| quantiles.p50);
@@ -288,7 +288,7 @@ impl ResultSource<'_> {
             parameters: simulations.parameters.or_else(|| benched.map(|model| model.about.loaded.parameters)),
             call_ms: driven.or(from_bench),
             benched: driven.is_none() && from_bench.is_some(),
-            paper: variant.published.model,
+            paper: variant.published.model.clone(),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Results and tables of example simulations.
 
 use super::*;
-use crate::experiment::study::{Figure, Quick, named};
+use crate::experiment::study::{Figure, Quick, find};
 use crate::planner::PlannerName;
 use crate::report::figure::figures;
 use crate::report::{SimulationRow, study_markdown, study_table};
@@ -32,7 +32,7 @@ const NOT_SIMULATED: VariantSimulations =
 
 #[test]
 fn differences_are_paired_and_failed_simulations_do_not_count() {
-    let study = named("interval").unwrap();
+    let study = find("interval").unwrap();
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     let other = simulated([Some(0.9), None, Some(0.75), Some(1.0)]);
     let results =
@@ -54,7 +54,7 @@ fn differences_are_paired_and_failed_simulations_do_not_count() {
 
 #[test]
 fn the_tables_read_well_in_80_columns() {
-    let study = named("reasoning").unwrap();
+    let study = find("reasoning").unwrap();
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     let worse = simulated([Some(0.0), Some(0.5), Some(0.25), Some(0.9)]);
     let variants = vec![worse.clone(), simulated([Some(1.0), None, Some(0.75), Some(0.95)]), worse, full];
@@ -62,7 +62,7 @@ fn the_tables_read_well_in_80_columns() {
     let table = study_table(&study, &results);
     assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
     insta::assert_snapshot!(table, @r#"
-    What the model is asked, and whether its planners are judged
+    Rounds of the model, and whether its plans are scored
 
     generated-14-hard, non-reactive agents: 4 scenes
     understanding  instruction  reflection     NR    diff   95 % interval  paper
@@ -91,7 +91,7 @@ fn the_tables_read_well_in_80_columns() {
 #[test]
 fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
-    let study = named("mllm").unwrap();
+    let study = find("mllm").unwrap();
     let mut variants = vec![full.clone(), full.clone()];
     variants.resize(study.variants.len(), NOT_SIMULATED);
     let mllm = StudyResults::new(&study, &[suite("generated-14-hard", variants)], None, 0, &[]);
@@ -103,7 +103,7 @@ fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
     let costs: Vec<&str> = of("nano")[2].split_whitespace().collect();
     assert_eq!(costs, ["nano", "4.0", "M", "-", "-", "-"]);
 
-    let study = named("scenario-types").unwrap();
+    let study = find("scenario-types").unwrap();
     let better = simulated([Some(1.0), Some(1.0), Some(1.0), Some(1.0)]);
     let types = StudyResults::new(&study, &[suite("generated-14-hard", vec![full, better])], None, 0, &[]);
     let table = study_table(&study, &types);
@@ -118,7 +118,7 @@ fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
 #[test]
 fn markdown_has_both_challenges_and_the_paper_and_every_study_has_a_figure() {
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
-    for study in crate::experiment::study::all() {
+    for study in crate::experiment::study::all().unwrap() {
         let variants = vec![full.clone(); study.variants.len()];
         let results = StudyResults::new(&study, &[suite("generated-14-hard", variants)], None, 0, &[]);
         let drawn = figures(&study, &results);

@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 
 /// The tables for a terminal of 80 columns: one for each suite and challenge.
 pub fn study_table(study: &Study, results: &StudyResults) -> String {
-    let mut parts = vec![results.title.to_owned()];
+    let mut parts = vec![results.title.clone()];
     for suite in &results.suites {
         for challenge in Challenge::CLOSED_LOOP {
             let heading = format!("{}, {}: {} scenes", suite.name, agents(challenge), suite.scenes);
@@ -67,7 +67,7 @@ fn scores(study: &Study, suite: &SuiteResults, challenges: &[Challenge], width: 
 
 /// A row for each variant: score, difference with interval, and the paper's values.
 fn variants(study: &Study, suite: &SuiteResults, challenges: &[Challenge], width: Width) -> Table {
-    let mut headers = labels(study.labels);
+    let mut headers = study.labels.clone();
     let paper = has_paper(suite);
     for &challenge in challenges {
         headers.extend([short(challenge), "diff", "95 % interval"].map(str::to_owned));
@@ -78,7 +78,7 @@ fn variants(study: &Study, suite: &SuiteResults, challenges: &[Challenge], width
         }
     }
     let rows = rows_of(study, suite).enumerate().map(|(place, (variant, results))| {
-        let mut cells = labels(variant.labels);
+        let mut cells = variant.labels.clone();
         for result in results.challenges.iter().filter(|result| challenges.contains(&result.challenge)) {
             cells.push(results.not_simulated.map_or_else(|| number(result.score), str::to_owned));
             cells.extend(difference(result.difference, place == study.reference));
@@ -118,24 +118,25 @@ fn scenario_types(suite: &SuiteResults, challenges: &[Challenge], width: Width) 
 
 /// The columns of the study beside scores; none if it has none.
 fn costs(study: &Study, suite: &SuiteResults) -> Option<Table> {
-    let mut headers = labels(study.labels);
-    for column in study.columns {
-        headers.extend(labels(match column {
+    let mut headers = study.labels.clone();
+    for column in &study.columns {
+        let heads: &[&str] = match column {
             Column::Calls => &["calls/sim"],
             Column::Parameters => &["params", "paper"],
             Column::CallTime => &["ms/call p50", "paper ms"],
-        }));
+        };
+        headers.extend(heads.iter().map(ToString::to_string));
     }
     let rows = rows_of(study, suite).map(|(variant, results)| {
-        let mut cells = labels(variant.labels);
+        let mut cells = variant.labels.clone();
         let model = results.model.as_ref();
-        let paper = model.and_then(|model| model.paper);
-        for column in study.columns {
+        let paper = model.and_then(|model| model.paper.as_ref());
+        for column in &study.columns {
             match column {
                 Column::Calls => cells.push(or_dash(results.calls_per_simulation, |calls| fixed(calls, 1))),
                 Column::Parameters => cells.extend([
                     or_dash(model.and_then(|model| model.parameters), weights),
-                    or_dash(paper.and_then(|paper| paper.parameters), str::to_owned),
+                    or_dash(paper.and_then(|paper| paper.parameters.clone()), |parameters| parameters),
                 ]),
                 Column::CallTime => cells.extend([
                     or_dash(model.and_then(|model| model.call_ms), three_digits),
@@ -150,10 +151,6 @@ fn costs(study: &Study, suite: &SuiteResults) -> Option<Table> {
 
 fn rows_of<'a>(study: &'a Study, suite: &'a SuiteResults) -> impl Iterator<Item = (&'a Variant, &'a VariantResults)> {
     study.variants.iter().zip(&suite.variants)
-}
-
-fn labels(labels: &[&str]) -> Vec<String> {
-    labels.iter().map(|&label| label.to_owned()).collect()
 }
 
 fn has_paper(suite: &SuiteResults) -> bool {
@@ -188,7 +185,7 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
     if variants().any(|(_, variant)| variant.model.as_ref().is_some_and(|model| model.benched)) {
         notes.push("Times of models that were not simulated are from a bench.".to_owned());
     }
-    notes.extend(labels(study.remarks));
+    notes.extend(study.remarks.iter().cloned());
     for (suite, variant) in variants() {
         let failed: usize = variant.challenges.iter().map(|result| result.failed).sum();
         if failed > 0 {

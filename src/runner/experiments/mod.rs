@@ -103,7 +103,7 @@ impl<'a> Experiments<'a> {
         let mut planned = Vec::new();
         for study in studies {
             let mut suites = Vec::new();
-            for suite in self.suites.of(study.name, study.suites)? {
+            for suite in self.suites.of(&study.name, &study.suites)? {
                 let names = study.variants.iter().map(|variant| runs.add(&suite, variant));
                 let names = names.collect::<Result<_, RunnerError>>()?;
                 suites.push((suite, names));
@@ -132,8 +132,8 @@ impl<'a> Experiments<'a> {
                 suites.iter().map(|(suite, names)| simulations(suite, names, &rows, &parameters)).collect();
             let quick = self.request.quick.then_some(Quick::DEFAULT);
             let of_study = StudyResults::new(&study, &simulated, quick, self.config.seed, &bench);
-            let folder = StudyFolder::new(self.folder(study.name));
-            folder.write(&study, &of_study, &self.command(study.name))?;
+            let folder = StudyFolder::new(self.folder(&study.name));
+            folder.write(&study, &of_study, &self.command(&study.name))?;
             results.push((study, of_study, folder.path().to_owned()));
         }
         let all = || rows.values().flatten();

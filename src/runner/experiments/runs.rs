@@ -52,9 +52,9 @@ impl<'a> PlannedRuns<'a> {
 
     /// Plans the run of a variant on a suite and gives its name; or why the variant cannot be simulated.
     pub(super) fn add(&mut self, suite: &SelectedSuite, variant: &Variant) -> Result<RunName, RunnerError> {
-        let entry = self.registry.find(variant.planner.as_str())?;
+        let entry = self.registry.find(&variant.planner)?;
         let (planner, needs) = (entry.name, entry.needs);
-        let config = self.config.overlaid(variant.settings)?;
+        let config = self.config.overlaid(&variant.settings)?;
         let loaded = match needs {
             needs if needs != PlannerNeeds::Model => None,
             _ if !self.has_weights(&config)? => return Ok(Err(NO_WEIGHTS)),

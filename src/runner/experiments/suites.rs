@@ -41,13 +41,18 @@ impl<'a> Suites<'a> {
     }
 
     /// The suites of an experiment: those of the request, else its own; recordings only where there are some.
-    pub(super) fn of(&mut self, experiment: &str, own: &[&str]) -> Result<Vec<Rc<SelectedSuite>>, RunnerError> {
+    pub(super) fn of(
+        &mut self,
+        experiment: &str,
+        own: &[impl AsRef<str>],
+    ) -> Result<Vec<Rc<SelectedSuite>>, RunnerError> {
         let request = self.request;
         if !request.suites.is_empty() {
             return request.suites.iter().map(|name| self.named(name)).collect();
         }
         let mut suites = Vec::new();
-        for &name in own {
+        for name in own {
+            let name = name.as_ref();
             if name == RECORDED && self.recordings().is_empty() {
                 let text = format!("{experiment}: no recordings: neither --scenario nor ${DATA} names any");
                 (self.listener)(Event::Note(text));
