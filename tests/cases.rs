@@ -24,7 +24,7 @@ fn last(log: &SimulationLog) -> &EgoState {
     &log.samples.last().unwrap().ego
 }
 
-/// Metres driven.
+/// Meters driven.
 fn driven(log: &SimulationLog) -> f64 {
     log.samples.windows(2).map(|pair| pair[0].ego.rear_axle.distance(&pair[1].ego.rear_axle)).sum()
 }
@@ -34,7 +34,7 @@ fn passes(log: &SimulationLog, scenario: &Scenario, metric: &str) -> bool {
     evaluation.metric(metric).and_then(|metric| metric.score).is_some_and(|score| score >= 1.0)
 }
 
-/// Distance from the ego's front bumper to the nearest vehicle that stands before it in its lane, metres.
+/// Distance from the ego's front bumper to the nearest vehicle that stands before it in its lane, meters.
 fn gap_ahead(log: &SimulationLog) -> f64 {
     let sample = log.samples.last().unwrap();
     let (center, own) = (sample.ego.center(), sample.ego.footprint());
@@ -63,7 +63,7 @@ fn at_the_roundabout_the_rules_wait_for_good_and_a_lane_change_leads_past() {
     assert!(passes(&agent, &scenario, "drivable_area_compliance"));
 }
 
-/// How far the front bumper is beyond the line of the first light on the ego's way, metres.
+/// How far the front bumper is beyond the line of the first light on the ego's way, meters.
 fn beyond_line(log: &SimulationLog, scenario: &Scenario) -> f64 {
     let ego = last(log);
     let front = ego.footprint().center.translated(ego.footprint().length / 2.0, 0.0).position();

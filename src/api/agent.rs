@@ -7,7 +7,7 @@ use crate::planner::{
     PlannerParts, PlannerRegistry, PlanningCall,
 };
 use crate::reasoning::{PromptSet, ReasoningSettings, Round};
-use crate::world::{LaneMap, Scene, Trajectory};
+use crate::world::{EgoState, LaneMap, MICROS_PER_SECOND, STEP_S, Scene, SceneView, Trajectory};
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ const MODELS_VARIABLE: &str = "PLANAGENT_MODELS";
 /// in a loop of your own, call [`Agent::plan`].
 pub struct Agent {
     planner: Box<dyn Planner>,
-    /// The map and route that the planner was initialized with.
+    /// The map that the planner was initialized with.
     initialized: Option<Arc<LaneMap>>,
     /// Time of the first plan since then, seconds.
     start_s: f64,
@@ -43,8 +43,9 @@ impl Agent {
         AgentBuilder::default()
     }
 
-    /// The trajectory from now on. `time_s` is the agent's clock: call with growing times at any step length, and the agent
-    /// asks its model when its interval has passed. A scene with another map starts a new drive.
+    /// The trajectory from now on. `time_s` is the agent's clock and the time of the trajectory's first state: call with
+    /// growing times at any step length, and the agent asks its model when its interval has passed. A scene with another map
+    /// starts the agent again.
     ///
     /// # Errors
     /// When the model fails or the scene has no lane near the ego.
@@ -54,11 +55,13 @@ impl Agent {
             self.initialize(&initialization)?;
             self.start_s = time_s;
         }
-        let iteration = ((time_s - self.start_s) / crate::world::STEP_S).round().max(0.0) as usize;
-        Ok(self.planner.compute_trajectory(&PlannerInput { iteration, scene: scene.view() })?)
+        let iteration = ((time_s - self.start_s) / STEP_S).round().max(0.0) as usize;
+        let ego = EgoState { time_us: (time_s * MICROS_PER_SECOND).round() as i64, ..scene.ego };
+        let scene = SceneView { ego: &ego, ..scene.view() };
+        Ok(self.planner.compute_trajectory(&PlannerInput { iteration, scene })?)
     }
 
-    /// The planning calls since the drive began.
+    /// The planning calls since the agent started on this map.
     pub fn calls(&self) -> &[PlanningCall] {
         self.planner.calls()
     }

@@ -20,7 +20,7 @@ pub struct IdmParameters {
 /// What drives ahead.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lead {
-    /// Free distance from the front of the follower, metres.
+    /// Free distance from the front of the follower, meters.
     pub gap: f64,
     /// Speed along the follower's direction, m/s.
     pub speed: f64,

@@ -73,7 +73,7 @@ fn longitudinal(speed: f64, reference: f64) -> f64 {
     -b * Q_VELOCITY / (b * Q_VELOCITY * b + R_ACCELERATION) * (speed - reference)
 }
 
-/// One-step LQR for a steering rate held over the horizon, the lateral dynamics linearised along the predicted speeds and
+/// One-step LQR for a steering rate held over the horizon, the lateral dynamics linearized along the predicted speeds and
 /// the reference curvatures.
 fn lateral(ego: &EgoState, target: Pose, acceleration: f64, profile: &MotionProfile, steps: f64) -> f64 {
     let (sin, cos) = target.heading.sin_cos();

@@ -17,7 +17,7 @@ const INITIAL_CURVATURE_PENALTY: f64 = 1e-10;
 /// What the velocity fit penalises.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum JerkPenalty {
-    /// Differences of neighbouring accelerations: nuPlan's tracker.
+    /// Differences of neighboring accelerations: nuPlan's tracker.
     #[default]
     AccelerationDifferences,
     /// The batch tracker of PDM-Closed (and NAVSIM): an overwritten assignment upstream leaves the accelerations themselves

@@ -3,13 +3,13 @@
 
 use crate::geometry::{Polyline, Pose, unwrap_angles, wrap_angle};
 
-/// A pose nearer than this to its successor is dropped, metres (numpy's `isclose`).
+/// A pose nearer than this to its successor is dropped, meters (numpy's `isclose`).
 const COINCIDENT: f64 = 1e-8;
-/// Baselines are given a vertex at least this often, metres. nuPlan's are dense; a sparser one would lose much of its end
+/// Baselines are given a vertex at least this often, meters. nuPlan's are dense; a sparser one would lose much of its end
 /// to the rule that drops the last pose.
 const MAX_SPACING: f64 = 5.0;
 
-/// Poses with their progress: cumulated chord length, metres from the first. At least two poses.
+/// Poses with their progress: cumulated chord length, meters from the first. At least two poses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ProgressPath {
     progress: Vec<f64>,
@@ -60,12 +60,12 @@ impl ProgressPath {
         poses
     }
 
-    /// Progress of the last pose, metres.
+    /// Progress of the last pose, meters.
     pub fn length(&self) -> f64 {
         self.progress[self.progress.len() - 1]
     }
 
-    /// Pose at a progress (clamped): position and heading linear between the neighbours.
+    /// Pose at a progress (clamped): position and heading linear between the neighbors.
     pub fn pose_at(&self, progress: f64) -> Pose {
         let progress = progress.clamp(0.0, self.length());
         let before = self.pose_before(progress);

@@ -6,7 +6,7 @@ use crate::world::{
     StopLineId, TrackToken, TrackedObject,
 };
 
-/// Width of every lane, metres.
+/// Width of every lane, meters.
 pub(crate) const LANE_WIDTH: f64 = 3.6;
 
 /// A piece of the road: a lane, a connector, or a connector with a traffic light.
@@ -22,7 +22,7 @@ fn strip(from: f64, to: f64) -> Polygon {
     Polygon::new([(from, -half), (to, -half), (to, half), (from, half)].map(|(x, y)| Point::new(x, y))).unwrap()
 }
 
-/// A road along the x axis from x = 0 with a vertex every metre, one lane id a stretch, in a roadblock of its own; a signal
+/// A road along the x axis from x = 0 with a vertex every meter, one lane id a stretch, in a roadblock of its own; a signal
 /// has a stop line 1 m before it. Lanes have the speed limit.
 pub(crate) fn straight_road(stretches: &[Stretch], speed_limit: Option<f64>) -> LaneMap {
     let mut parts = MapParts { name: "straight".into(), ..MapParts::default() };
@@ -83,7 +83,7 @@ pub(crate) fn ego_at(time_us: i64, x: f64, speed: f64) -> EgoState {
     EgoState::from_log(time_us, Pose::new(x, 0.0, 0.0), Vector::new(speed, 0.0), Vector::zeros())
 }
 
-/// An object of a kind, centred at (x, y), that faces along the road.
+/// An object of a kind, centerd at (x, y), that faces along the road.
 pub(crate) fn object(token: u32, kind: ObjectKind, x: f64, y: f64, speed: f64) -> TrackedObject {
     let (length, width) = if kind == ObjectKind::Vehicle { (4.6, 2.0) } else { (0.6, 0.6) };
     TrackedObject {

@@ -2,8 +2,8 @@
 //! BEV map (global) and the lane-graph text (local), and, for training and evaluation, the true answers to what the
 //! first round asks about them.
 //!
-//! - [`bev`]: the image, ego-centred, heading up.
-//! - [`lane_graph`]: the node under the ego, its eight neighbours, who is on them, and the centrelines to follow.
+//! - [`bev`]: the image, ego-centerd, heading up.
+//! - [`lane_graph`]: the node under the ego, its eight neighbors, who is on them, and the centerlines to follow.
 //! - [`text`]: the lane graph in words, in two prompt sets, and the way back.
 //! - [`facts`]: what is true of the scene, as choices.
 //! - [`coordinates`]: the texts of other language-model planners, to compare with.

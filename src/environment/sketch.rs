@@ -58,7 +58,7 @@ impl Drawn {
         }
     }
 
-    /// Puts an object `forward` and `left` of the ego's box centre, turned by `turn`, moving along its heading.
+    /// Puts an object `forward` and `left` of the ego's box center, turned by `turn`, moving along its heading.
     pub(super) fn put(mut self, kind: ObjectKind, forward: f64, left: f64, turn: f64, speed: f64) -> Self {
         let (length, width) = kind.default_size();
         let mut center = self.ego.center().translated(forward, left);
@@ -108,7 +108,7 @@ fn line(frame: Pose, from: f64, to: f64, left: f64) -> Vec<Point> {
 }
 
 /// A straight road along x with `own` lanes (number 0 on the left, at y = 0) and `oncoming` ones left of them, each of two
-/// pieces that meet at x = 40; the ego's box centre at x = 0 on lane `ego_lane`, with `speed`.
+/// pieces that meet at x = 40; the ego's box center at x = 0 on lane `ego_lane`, with `speed`.
 pub(super) fn straight(own: u32, oncoming: u32, ego_lane: u32, speed: f64) -> Drawn {
     let mut sketch = Sketch::default();
     let east = Pose::new(0.0, 0.0, 0.0);
@@ -130,8 +130,8 @@ pub(super) fn straight(own: u32, oncoming: u32, ego_lane: u32, speed: f64) -> Dr
     Drawn::new(sketch.finish(), Pose::new(0.0, -WIDTH * f64::from(ego_lane), 0.0), speed)
 }
 
-/// A single lane that runs straight for 100 m, then bends with `radius` metres (positive: left) for a quarter circle; the
-/// ego's box centre `before` metres in front of the bend.
+/// A single lane that runs straight for 100 m, then bends with `radius` meters (positive: left) for a quarter circle; the
+/// ego's box center `before` meters in front of the bend.
 pub(super) fn curve(radius: f64, before: f64, speed: f64) -> Drawn {
     let mut sketch = Sketch::default();
     let bend = (0..=40).map(|i| {
@@ -142,7 +142,7 @@ pub(super) fn curve(radius: f64, before: f64, speed: f64) -> Drawn {
     Drawn::new(sketch.finish(), Pose::new(-before, 0.0, 0.0), speed)
 }
 
-/// Half the width of the crossing's middle, metres.
+/// Half the width of the crossing's middle, meters.
 pub(super) const MIDDLE: f64 = 14.0;
 
 /// The lanes of a crossing: `inbound[arm][k]` and `outbound[arm][k]`, k from the left; arm 0 drives along +x, then by
@@ -153,7 +153,7 @@ pub(super) struct Arms {
 }
 
 /// A four-armed signalled crossing around the origin, `lanes` each way, crosswalks over every arm; the ego drives along +x
-/// on inbound lane `ego_lane`, its box centre `before` metres from the middle's edge. All lights are unset.
+/// on inbound lane `ego_lane`, its box center `before` meters from the middle's edge. All lights are unset.
 pub(super) fn crossing(lanes: u32, ego_lane: u32, before: f64, speed: f64) -> (Drawn, Arms) {
     let mut sketch = Sketch::default();
     let right = |k: u32| -WIDTH * (f64::from(k) + 0.5);
@@ -186,8 +186,8 @@ pub(super) fn crossing(lanes: u32, ego_lane: u32, before: f64, speed: f64) -> (D
     (Drawn::new(sketch.finish(), Pose::new(-MIDDLE - before, right(ego_lane), 0.0), speed), arms)
 }
 
-/// A roundabout of `radius` metres around the origin with four arms; the ego drives along +x towards it, its box centre
-/// `before` metres from the end of its lane.
+/// A roundabout of `radius` meters around the origin with four arms; the ego drives along +x towards it, its box center
+/// `before` meters from the end of its lane.
 pub(super) fn roundabout(radius: f64, before: f64, speed: f64) -> Drawn {
     /// Half the angle between exit and entry of an arm.
     const OPENING: f64 = 0.45;

@@ -9,7 +9,7 @@ pub fn wrap_angle(angle: f64) -> f64 {
     if wrapped >= PI { -PI } else { wrapped }
 }
 
-/// Removes jumps of more than π between neighbours, as `numpy.unwrap` does.
+/// Removes jumps of more than π between neighbors, as `numpy.unwrap` does.
 pub fn unwrap_angles(angles: &[f64]) -> Vec<f64> {
     let mut unwrapped: Vec<f64> = Vec::with_capacity(angles.len());
     for &angle in angles {

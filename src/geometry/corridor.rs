@@ -11,17 +11,17 @@ pub struct Corridor {
     pieces: Vec<OrientedBox>,
     /// Bounds of each run of [`BLOCK`] pieces, widened.
     blocks: Vec<Bounds>,
-    /// Centres of the round bends.
+    /// Centers of the round bends.
     bends: Vec<Point>,
     bounds: Bounds,
 }
 
-/// Bends sharper than this are rounded on their outside, radians. Below it the missing wedge is under half a millimetre deep;
+/// Bends sharper than this are rounded on their outside, radians. Below it the missing wedge is under half a millimeter deep;
 /// rounded, a vertex near a flat end would stick out of it.
 const ROUNDED_BEND: f64 = 0.05;
 
 impl Corridor {
-    /// The strip of `half_width` metres to both sides of `line`.
+    /// The strip of `half_width` meters to both sides of `line`.
     pub fn new(line: Polyline, half_width: f64) -> Self {
         let pieces: Vec<OrientedBox> = line
             .vertices()

@@ -4,7 +4,7 @@ use super::Point;
 use rstar::primitives::{GeomWithData, Rectangle};
 use rstar::{AABB, RTree};
 
-/// An axis-aligned rectangle in the map frame, metres.
+/// An axis-aligned rectangle in the map frame, meters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
     /// South-west corner.
@@ -60,7 +60,7 @@ impl Bounds {
         self.min.x <= other.max.x && other.min.x <= self.max.x && self.min.y <= other.max.y && other.min.y <= self.max.y
     }
 
-    /// Distance from a point to the rectangle, metres; 0 inside.
+    /// Distance from a point to the rectangle, meters; 0 inside.
     pub fn distance_to(&self, p: Point) -> f64 {
         let outside = |low: f64, at: f64, high: f64| (low - at).max(at - high).max(0.0);
         outside(self.min.x, p.x, self.max.x).hypot(outside(self.min.y, p.y, self.max.y))

@@ -1,4 +1,4 @@
-//! Poses, polylines, boxes, polygons, corridors and a spatial index, all in local metres (f64).
+//! Poses, polylines, boxes, polygons, corridors and a spatial index, all in local meters (f64).
 //!
 //! Everything here is plain data without meaning on a road; [`crate::world`] gives it one. Angles are radians,
 //! counter-clockwise; lateral offsets are positive to the left.
@@ -23,7 +23,7 @@ pub use polyline::{Polyline, Projection};
 pub use pose::Pose;
 pub use simplify::simplified;
 
-/// A position in metres.
+/// A position in meters.
 pub type Point = nalgebra::Point2<f64>;
 /// A displacement, velocity or acceleration.
 pub type Vector = nalgebra::Vector2<f64>;

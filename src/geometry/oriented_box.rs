@@ -5,14 +5,14 @@ use parry2d_f64::math::{Pose as Isometry, Vector as GlamVector};
 use parry2d_f64::query;
 use parry2d_f64::shape::Cuboid;
 
-/// A rectangle, `length` along its heading and `width` across, metres.
+/// A rectangle, `length` along its heading and `width` across, meters.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct OrientedBox {
-    /// Centre and heading.
+    /// Center and heading.
     pub center: Pose,
-    /// Extent along the heading, metres.
+    /// Extent along the heading, meters.
     pub length: f64,
-    /// Extent across the heading, metres.
+    /// Extent across the heading, meters.
     pub width: f64,
 }
 
@@ -34,7 +34,7 @@ impl OrientedBox {
         [front_left, front_right]
     }
 
-    /// Length of the diagonal, metres.
+    /// Length of the diagonal, meters.
     pub fn diagonal(&self) -> f64 {
         self.length.hypot(self.width)
     }
@@ -55,7 +55,7 @@ impl OrientedBox {
         local.x.abs() <= self.length / 2.0 && local.y.abs() <= self.width / 2.0
     }
 
-    /// The same box at another centre pose.
+    /// The same box at another center pose.
     pub fn moved_to(&self, center: Pose) -> Self {
         Self { center, ..*self }
     }
@@ -77,7 +77,7 @@ impl OrientedBox {
         query::details::intersection_test_cuboid_cuboid(&a_at.inv_mul(&b_at), &a, &b)
     }
 
-    /// Distance between two boxes, metres; 0 when they overlap. Of boxes apart, a corner of one is nearest to the other.
+    /// Distance between two boxes, meters; 0 when they overlap. Of boxes apart, a corner of one is nearest to the other.
     pub fn distance(&self, other: &Self) -> f64 {
         if self.overlaps(other) {
             return 0.0;
@@ -122,7 +122,7 @@ pub(super) struct BoxFrame {
     center: Point,
     sin: f64,
     cos: f64,
-    /// Half length and half width, metres.
+    /// Half length and half width, meters.
     half: (f64, f64),
 }
 

@@ -75,12 +75,12 @@ impl Polygon {
             && !self.holes.iter().any(|hole| ring_holds(hole, point))
     }
 
-    /// Distance from a point to the polygon, metres; 0 inside.
+    /// Distance from a point to the polygon, meters; 0 inside.
     pub fn distance_to(&self, point: Point) -> f64 {
         if self.contains(point) { 0.0 } else { self.edge_distance(point) }
     }
 
-    /// Distance from a point to the nearest edge, metres, inside or outside.
+    /// Distance from a point to the nearest edge, meters, inside or outside.
     pub fn edge_distance(&self, point: Point) -> f64 {
         self.edges().map(|(a, b)| segment_distance(point, a, b)).fold(f64::INFINITY, f64::min)
     }
@@ -98,7 +98,7 @@ impl Polygon {
         shape.corners().iter().all(|&c| self.contains(c)) && !self.rings().flatten().any(|&v| shape.contains(v))
     }
 
-    /// Distance between a box and the polygon, metres; 0 when they overlap.
+    /// Distance between a box and the polygon, meters; 0 when they overlap.
     pub fn distance_to_box(&self, shape: &OrientedBox) -> f64 {
         if self.meets_box(shape) {
             return 0.0;
@@ -162,7 +162,7 @@ impl Polygon {
         Self::new(hull.exterior().coords().map(|c| Point::new(c.x, c.y)))
     }
 
-    /// Centre of area.
+    /// Center of area.
     pub fn centroid(&self) -> Point {
         self.to_geo().centroid().map_or(self.ring[0], |c| Point::new(c.x(), c.y()))
     }
@@ -207,7 +207,7 @@ fn ring_holds(ring: &[Point], point: Point) -> bool {
     inside
 }
 
-/// Distance from a point to the segment between two others, metres.
+/// Distance from a point to the segment between two others, meters.
 pub(super) fn segment_distance(point: Point, from: Point, to: Point) -> f64 {
     let along = to - from;
     let squared = along.norm_squared();

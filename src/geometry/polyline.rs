@@ -3,11 +3,11 @@
 use super::polygon::segments_cross;
 use super::{Bounds, GeometryError, Point, Pose, Vector, check_finite, wrap_angle};
 
-/// Two vertices nearer than this are one, metres.
+/// Two vertices nearer than this are one, meters.
 const SAME_VERTEX: f64 = 1e-9;
 /// Segments of a long line that share one bounding rectangle in the search for the nearest point.
 pub(super) const BLOCK: usize = 16;
-/// Look-ahead of nuPlan's nearest-pose heading, metres (devkit `polyline_map_object`).
+/// Look-ahead of nuPlan's nearest-pose heading, meters (devkit `polyline_map_object`).
 const HEADING_LOOKAHEAD: f64 = 0.5;
 
 /// A line through at least two distinct vertices, with the arc length of each.
@@ -22,11 +22,11 @@ pub struct Polyline {
 /// Where a point falls on a [`Polyline`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projection {
-    /// Arc length of the nearest point, metres from the start, clamped to the line.
+    /// Arc length of the nearest point, meters from the start, clamped to the line.
     pub s: f64,
-    /// Signed distance to the line, metres, positive to the left of its direction.
+    /// Signed distance to the line, meters, positive to the left of its direction.
     pub lateral: f64,
-    /// Distance to the nearest point, metres.
+    /// Distance to the nearest point, meters.
     pub distance: f64,
     /// The nearest point itself.
     pub point: Point,
@@ -62,12 +62,12 @@ impl Polyline {
         &self.vertices
     }
 
-    /// Arc length at each vertex, metres; the first is 0.
+    /// Arc length at each vertex, meters; the first is 0.
     pub fn arc_lengths(&self) -> &[f64] {
         &self.arc_lengths
     }
 
-    /// Total length, metres.
+    /// Total length, meters.
     pub fn length(&self) -> f64 {
         self.arc_lengths[self.arc_lengths.len() - 1]
     }
@@ -138,7 +138,7 @@ impl Polyline {
         Pose::at(self.point_at(s), wrap_angle(from + wrap_angle(to - from) * share))
     }
 
-    /// The point `lateral` metres to the left of the line at arc length `s`.
+    /// The point `lateral` meters to the left of the line at arc length `s`.
     pub fn frenet_to_map(&self, s: f64, lateral: f64) -> Point {
         self.pose_at(s).to_map(Point::new(0.0, lateral))
     }
@@ -196,12 +196,12 @@ impl Polyline {
         Pose::at(at, d.y.atan2(d.x))
     }
 
-    /// Distance from a point to the line, metres.
+    /// Distance from a point to the line, meters.
     pub fn distance_to(&self, point: Point) -> f64 {
         self.project(point).distance
     }
 
-    /// Distance between two lines, metres; 0 when they share a point.
+    /// Distance between two lines, meters; 0 when they share a point.
     pub fn distance_to_line(&self, other: &Self) -> f64 {
         let edges = |line: &Self| line.vertices.windows(2).map(|w| (w[0], w[1])).collect::<Vec<_>>();
         let (own, theirs) = (edges(self), edges(other));
@@ -248,7 +248,7 @@ impl Polyline {
         Self::new(moved).unwrap_or_else(|_| self.clone())
     }
 
-    /// The same line with vertices every `step` metres (the last piece may be shorter).
+    /// The same line with vertices every `step` meters (the last piece may be shorter).
     pub fn resampled(&self, step: f64) -> Self {
         let count = (self.length() / step).floor() as usize;
         let points = (0..=count).map(|i| self.point_at(i as f64 * step)).chain(std::iter::once(self.end()));

@@ -2,12 +2,12 @@
 
 use super::{Point, Vector, wrap_angle};
 
-/// Position (metres) and heading (radians, counter-clockwise from the x axis), in the map frame unless said otherwise.
+/// Position (meters) and heading (radians, counter-clockwise from the x axis), in the map frame unless said otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Pose {
-    /// East, metres.
+    /// East, meters.
     pub x: f64,
-    /// North, metres.
+    /// North, meters.
     pub y: f64,
     /// Radians, counter-clockwise.
     pub heading: f64,
@@ -52,12 +52,12 @@ impl Pose {
         Point::new(cos * d.x + sin * d.y, -sin * d.x + cos * d.y)
     }
 
-    /// The pose moved along its own axes: `forward` metres ahead, `left` metres to the left; the heading stays.
+    /// The pose moved along its own axes: `forward` meters ahead, `left` meters to the left; the heading stays.
     pub fn translated(&self, forward: f64, left: f64) -> Self {
         Self::at(self.to_map(Point::new(forward, left)), self.heading)
     }
 
-    /// Straight-line distance between two positions, metres.
+    /// Straight-line distance between two positions, meters.
     pub fn distance(&self, other: &Self) -> f64 {
         (self.position() - other.position()).norm()
     }

@@ -3,7 +3,7 @@
 use super::Point;
 use geo::Simplify;
 
-/// The line without the vertices that lie within `tolerance` metres of the line through those that stay (Ramer, Douglas and
+/// The line without the vertices that lie within `tolerance` meters of the line through those that stay (Ramer, Douglas and
 /// Peucker); its ends stay.
 pub fn simplified(points: &[Point], tolerance: f64) -> Vec<Point> {
     let line: geo::LineString<f64> = points.iter().map(|p| (p.x, p.y)).collect();

@@ -30,7 +30,7 @@ pub enum RowKind {
         /// Its type.
         scenario_type: String,
     },
-    /// All scenarios of a type. Its metric columns are sums, its score is a mean: nuPlan's behaviour.
+    /// All scenarios of a type. Its metric columns are sums, its score is a mean: nuPlan's behavior.
     ScenarioType {
         /// The type.
         scenario_type: String,

@@ -12,17 +12,17 @@ pub const AHEAD_ANGLE: f64 = PI / 6.0;
 /// What lies more than this angle off the heading is behind, radians (150°).
 pub const BEHIND_ANGLE: f64 = PI * 5.0 / 6.0;
 
-/// Whether a point (the centre of an object) lies ahead of a rear axle.
+/// Whether a point (the center of an object) lies ahead of a rear axle.
 pub fn is_ahead(rear_axle: Pose, point: Point) -> bool {
     rear_axle.bearing_to(point) < AHEAD_ANGLE
 }
 
-/// Whether a point (the centre of an object) lies behind a rear axle.
+/// Whether a point (the center of an object) lies behind a rear axle.
 pub fn is_behind(rear_axle: Pose, point: Point) -> bool {
     rear_axle.bearing_to(point) > BEHIND_ANGLE
 }
 
-/// nuPlan's overlap test: centres nearer than half the sum of the diagonals, and shapes that share a point.
+/// nuPlan's overlap test: centers nearer than half the sum of the diagonals, and shapes that share a point.
 pub fn in_collision(a: &OrientedBox, b: &OrientedBox) -> bool {
     let reach = f64::midpoint(a.diagonal(), b.diagonal());
     (a.center.position() - b.center.position()).norm_squared() < reach * reach && a.overlaps(b)

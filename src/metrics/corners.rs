@@ -20,10 +20,10 @@ pub enum CornerAgreement {
     Split,
 }
 
-/// The lanes that a driven path used: at the centre, at the corners, and whether the corners agree, for every sample.
+/// The lanes that a driven path used: at the center, at the corners, and whether the corners agree, for every sample.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DrivenLanes {
-    /// At the centre of the ego.
+    /// At the center of the ego.
     pub center: Vec<Vec<LaneId>>,
     /// At its corners.
     pub corners: Vec<CornerLanes>,

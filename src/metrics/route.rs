@@ -3,13 +3,13 @@
 use crate::geometry::{Point, Pose};
 use crate::world::{LaneId, LaneMap};
 
-/// Connectors of the previous sample nearer than this stay assigned where the map offers only other connectors, metres.
+/// Connectors of the previous sample nearer than this stay assigned where the map offers only other connectors, meters.
 const CONNECTOR_REACH: f64 = 5.0;
 
 /// The lane that holds a point, or all connectors that do, or none.
 ///
 /// nuPlan asserts that no two lanes hold a point. Where a derived map breaks that, the lane counts that fits `pose`
-/// (the centre of the vehicle whose point this is) best by heading and distance.
+/// (the center of the vehicle whose point this is) best by heading and distance.
 pub fn lanes_at(map: &LaneMap, point: Point, pose: Pose) -> Vec<LaneId> {
     one_lane_or_connectors(map, map.lanes_at(point), pose)
 }
@@ -79,7 +79,7 @@ fn resolve_backwards(map: &LaneMap, route: &mut [Vec<LaneId>]) {
             continue;
         }
         let original = here.clone();
-        // An empty next entry passes this test too and empties the entry: nuPlan's behaviour.
+        // An empty next entry passes this test too and empties the entry: nuPlan's behavior.
         if original.len() > next.len() && next.iter().all(|id| original.contains(id)) {
             here.clone_from(next);
         }

@@ -2,7 +2,7 @@
 
 use crate::geometry::{OrientedBox, Pose, Vector};
 
-/// Dimensions of the ego vehicle, metres (devkit `vehicle_parameters.py`).
+/// Dimensions of the ego vehicle, meters (devkit `vehicle_parameters.py`).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VehicleParameters {
     /// Width over all.
@@ -20,12 +20,12 @@ pub const PACIFICA: VehicleParameters =
     VehicleParameters { width: 2.297, front_length: 4.049, rear_length: 1.127, wheel_base: 3.089 };
 
 impl VehicleParameters {
-    /// Length over all, metres.
+    /// Length over all, meters.
     pub fn length(&self) -> f64 {
         self.front_length + self.rear_length
     }
 
-    /// From the rear axle forward to the centre of the box, metres.
+    /// From the rear axle forward to the center of the box, meters.
     pub fn rear_axle_to_center(&self) -> f64 {
         self.length() / 2.0 - self.rear_length
     }
@@ -35,7 +35,7 @@ impl VehicleParameters {
         OrientedBox::new(rear_axle.translated(self.rear_axle_to_center(), 0.0), self.length(), self.width)
     }
 
-    /// Rear-axle pose of a vehicle whose box is centred at `center`.
+    /// Rear-axle pose of a vehicle whose box is centerd at `center`.
     pub fn rear_axle_of(&self, center: Pose) -> Pose {
         center.translated(-self.rear_axle_to_center(), 0.0)
     }
@@ -82,7 +82,7 @@ impl EgoState {
         self.velocity.norm()
     }
 
-    /// Pose of the box centre, map frame.
+    /// Pose of the box center, map frame.
     pub fn center(&self) -> Pose {
         self.rear_axle.translated(PACIFICA.rear_axle_to_center(), 0.0)
     }
@@ -92,12 +92,12 @@ impl EgoState {
         PACIFICA.footprint(self.rear_axle)
     }
 
-    /// Velocity of the box centre in the body frame, m/s (devkit `dynamic_car_state.py`).
+    /// Velocity of the box center in the body frame, m/s (devkit `dynamic_car_state.py`).
     pub fn center_velocity(&self) -> Vector {
         self.velocity + Vector::new(0.0, PACIFICA.rear_axle_to_center() * self.angular_velocity)
     }
 
-    /// Acceleration of the box centre in the body frame, m/s². nuPlan adds d·(ω² + α) to the forward component and nothing
+    /// Acceleration of the box center in the body frame, m/s². nuPlan adds d·(ω² + α) to the forward component and nothing
     /// to the lateral one, which is not rigid-body kinematics; its metrics use this value, so it is kept.
     pub fn center_acceleration(&self) -> Vector {
         let d = PACIFICA.rear_axle_to_center();

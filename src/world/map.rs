@@ -43,14 +43,14 @@ pub enum LaneKind {
     Connector,
 }
 
-/// A neighbouring lane of the same direction, along a part of this lane.
+/// A neighboring lane of the same direction, along a part of this lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Neighbor {
     /// The lane beside.
     pub lane: LaneId,
-    /// Where on this lane's centreline the neighbourhood begins, metres.
+    /// Where on this lane's centerline the neighborhood begins, meters.
     pub from_s: f64,
-    /// Where it ends, metres.
+    /// Where it ends, meters.
     pub to_s: f64,
 }
 
@@ -91,12 +91,12 @@ impl Lane {
         self.kind == LaneKind::Connector
     }
 
-    /// The left neighbour at arc length `s`.
+    /// The left neighbor at arc length `s`.
     pub fn left_at(&self, s: f64) -> Option<LaneId> {
         neighbor_at(&self.left, s)
     }
 
-    /// The right neighbour at arc length `s`.
+    /// The right neighbor at arc length `s`.
     pub fn right_at(&self, s: f64) -> Option<LaneId> {
         neighbor_at(&self.right, s)
     }

@@ -19,7 +19,7 @@ impl LaneMap {
         self.lanes_at(point).into_iter().filter(|&id| self[id].kind == kind).collect()
     }
 
-    /// Lanes and connectors whose polygon meets the square patch of `half_size` metres around `point`, in map order.
+    /// Lanes and connectors whose polygon meets the square patch of `half_size` meters around `point`, in map order.
     pub fn lanes_near(&self, point: Point, half_size: f64) -> Vec<LaneId> {
         let patch = Bounds::square(point, half_size);
         let side = 2.0 * half_size;
@@ -42,7 +42,7 @@ impl LaneMap {
         found
     }
 
-    /// Roadblocks (and connectors) whose area meets the square patch of `half_size` metres around `point`, in map order.
+    /// Roadblocks (and connectors) whose area meets the square patch of `half_size` meters around `point`, in map order.
     pub fn roadblocks_near(&self, point: Point, half_size: f64) -> Vec<RoadblockId> {
         let side = 2.0 * half_size;
         let square = OrientedBox::new(Pose::at(point, 0.0), side, side);
@@ -102,7 +102,7 @@ impl LaneMap {
             || any_holds(&self.carpark_index, &self.parts.carparks, point)
     }
 
-    /// Distance from a point to the drivable area, metres, searched up to `reach`; `None` when there is none so near.
+    /// Distance from a point to the drivable area, meters, searched up to `reach`; `None` when there is none so near.
     pub fn distance_to_drivable(&self, point: Point, reach: f64) -> Option<f64> {
         let patch = Bounds::square(point, reach);
         let layers = [
@@ -124,7 +124,7 @@ impl LaneMap {
     }
 
     /// The lane or connector that a vehicle at `pose` is driving on: of those that hold the point, the one that fits best by
-    /// heading and distance to its centreline; where none holds it, the one with the nearest polygon within `reach` metres.
+    /// heading and distance to its centerline; where none holds it, the one with the nearest polygon within `reach` meters.
     pub fn lane_of(&self, pose: Pose, reach: f64) -> Option<LaneId> {
         let point = pose.position();
         let holding = self.lanes_at(point);
@@ -146,9 +146,9 @@ impl LaneMap {
     }
 }
 
-/// How badly a lane fits a pose: metres beside the centreline plus metres for the turn away from it.
+/// How badly a lane fits a pose: meters beside the centerline plus meters for the turn away from it.
 fn misfit(lane: &Lane, pose: Pose) -> f64 {
-    /// A radian of heading error weighs as much as this many metres beside the line: a lane width.
+    /// A radian of heading error weighs as much as this many meters beside the line: a lane width.
     const METRES_PER_RADIAN: f64 = 3.5;
     let foot = lane.centerline.project(pose.position());
     foot.distance + METRES_PER_RADIAN * wrap_angle(foot.heading - pose.heading).abs()

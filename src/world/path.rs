@@ -4,14 +4,14 @@ use super::{LaneId, LaneMap, Route};
 use crate::geometry::{Polyline, wrap_angle};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-/// A chain of connected lanes with its centreline in one piece.
+/// A chain of connected lanes with its centerline in one piece.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LanePath {
     /// The lanes in driving order.
     pub lanes: Vec<LaneId>,
-    /// Arc length on [`Self::centerline`] at which each lane begins, metres.
+    /// Arc length on [`Self::centerline`] at which each lane begins, meters.
     pub starts: Vec<f64>,
-    /// Their centrelines joined.
+    /// Their centerlines joined.
     pub centerline: Polyline,
 }
 
@@ -29,7 +29,7 @@ impl LanePath {
     }
 
     /// The way from the start of `first` on that stays on the route as long as it can, then goes on along the straightest
-    /// successor, until at least `length` metres (from the start of `first`) or a dead end.
+    /// successor, until at least `length` meters (from the start of `first`) or a dead end.
     pub fn along(map: &LaneMap, route: &Route, first: LaneId, length: f64) -> Self {
         let mut lanes = longest_on_route(map, &route.lanes(map), first);
         let mut covered: f64 = lanes.iter().map(|&lane| map[lane].centerline.length()).sum();
@@ -49,7 +49,7 @@ impl LanePath {
         Self::of(map, lanes).unwrap_or(single)
     }
 
-    /// The lane at arc length `s` of the joined centreline (clamped).
+    /// The lane at arc length `s` of the joined centerline (clamped).
     pub fn lane_at(&self, s: f64) -> LaneId {
         let place = self.starts.partition_point(|&start| start <= s).saturating_sub(1);
         self.lanes[place]

@@ -111,7 +111,7 @@ impl Trajectory {
         self.states[self.states.len() - 1].time_us
     }
 
-    /// State at a time: every channel linear between its neighbours, the heading along the shorter turn.
+    /// State at a time: every channel linear between its neighbors, the heading along the shorter turn.
     ///
     /// # Errors
     /// When the time lies outside the trajectory.

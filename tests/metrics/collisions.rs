@@ -1,4 +1,4 @@
-//! Collisions and times to collision on a hand-made road with two lanes (centred at y = 0 and y = 4, each 4 m wide).
+//! Collisions and times to collision on a hand-made road with two lanes (centerd at y = 0 and y = 4, each 4 m wide).
 
 use crate::road::{Road, cruise, object, rectangle, samples, straight, two_lanes};
 use planagent::internals::geometry::Pose;
@@ -36,8 +36,8 @@ fn a_lateral_collision_is_at_fault_only_between_lanes() {
 #[test]
 fn each_track_counts_once_at_its_first_touch() {
     let map = straight();
-    // The ego's front is 2.588 m ahead of its centre; a car standing at x = 20 has its rear at 18: first overlap at
-    // centre 15.5.
+    // The ego's front is 2.588 m ahead of its center; a car standing at x = 20 has its rear at 18: first overlap at
+    // center 15.5.
     let (found, score) = collisions(&map, &cruise(60, 0.0, 0.0, 5.0), &[car(7, 20.0, 0.0, 0.0)]);
     assert_eq!(found.len(), 1);
     assert_eq!((found[0].sample, found[0].collision_type), (31, CollisionType::StoppedTrack));
@@ -110,7 +110,7 @@ fn those_behind_never_count_and_those_within_thirty_degrees_always_do() {
     let astride = cruise(1, 0.0, 1.5, 5.0);
     // A faster car close behind, even while the ego is between lanes: 15 m back at 20 m/s would be 0.7 s.
     assert!(least_ttc(&map, &astride, &[car(1, -15.0, 1.5, 20.0)]).is_infinite());
-    // 150° off the heading, seen from the rear axle at −1.461: a centre 10 m back counts from 5.774 m to the side on.
+    // 150° off the heading, seen from the rear axle at −1.461: a center 10 m back counts from 5.774 m to the side on.
     let behind = |y: f64| object(1, ObjectKind::Vehicle, Pose::new(-11.461, 1.5 + y, -0.5), CAR, 15.0);
     assert!(least_ttc(&map, &astride, &[behind(5.7)]).is_infinite());
     assert!(least_ttc(&map, &astride, &[behind(5.85)]).is_finite());

@@ -7,7 +7,7 @@ use planagent::internals::metrics::{
 };
 use planagent::internals::world::{EgoState, LaneKind, LaneMap};
 
-/// Half the width of the ego, metres.
+/// Half the width of the ego, meters.
 const HALF_WIDTH: f64 = 1.1485;
 
 fn drivable(map: &LaneMap, y: f64) -> (f64, f64) {

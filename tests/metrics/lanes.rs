@@ -43,7 +43,7 @@ fn drift(from: f64, to: f64, steps: usize) -> Vec<EgoState> {
 #[test]
 fn a_lane_change_lasts_while_the_corners_disagree() {
     let map = two_lanes();
-    // The left side crosses y = 2 when the centre passes 0.8515, the right side when it passes 3.1485: steps of 0.1 m.
+    // The left side crosses y = 2 when the center passes 0.8515, the right side when it passes 3.1485: steps of 0.1 m.
     let states = drift(0.0, 4.0, 40);
     let lanes = DrivenLanes::of(&map, &states);
     let changes = find_lane_changes(&map, &states, &lanes.agreement);
@@ -131,7 +131,7 @@ fn at_the_second_sample_what_one_corner_finds_binds_the_corners_after_it() {
         assert_eq!((fl, rl, rr), (vec![b], vec![a], vec![a]));
         fr
     };
-    // The front is 2.588 m before the centre: over the joint at 48.5, not at 45.
+    // The front is 2.588 m before the center: over the joint at 48.5, not at 45.
     assert_eq!(front_right(&[45.0, 48.5]), [b]);
     assert_eq!(front_right(&[45.0, 45.0, 48.5]), [b, c]);
 }

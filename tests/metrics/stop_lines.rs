@@ -5,9 +5,9 @@ use planagent::internals::geometry::Pose;
 use planagent::internals::metrics::{MetricCategory, MetricResult, ego_stop_at_stop_line};
 use planagent::internals::world::{EgoState, LaneKind, LaneMap, ObjectKind, TrackedObject};
 
-/// From the centre of the ego to its front edge, metres.
+/// From the center of the ego to its front edge, meters.
 const FRONT: f64 = 2.588;
-/// From the end of the front edge to the side of the lane, where the first edge of the line's polygon runs, metres.
+/// From the end of the front edge to the side of the lane, where the first edge of the line's polygon runs, meters.
 const ASIDE: f64 = 2.0 - 1.1485;
 
 fn lane() -> LaneMap {

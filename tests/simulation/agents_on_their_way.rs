@@ -23,7 +23,7 @@ fn an_agent_a_hundred_metres_away_stays_and_one_farther_goes_for_good() {
     let map = long_lane();
     let cars = [car(1, at(150.0), 0.0), car(2, at(150.1 + 4.7), 0.0)];
     let mut traffic = IdmTraffic::new(&map, &cars, &ego(Pose::new(54.75, 0.0, 0.0), 0.0));
-    // The distance is that of the centres: 95.25 and 100.05 m. At the start nobody is too far.
+    // The distance is that of the centers: 95.25 and 100.05 m. At the start nobody is too far.
     assert_eq!(traffic.agent_count(), 2);
     traffic.step(&ego(Pose::new(54.75, 0.0, 0.0), 0.0), &[], &no_lights(), STEP_S);
     assert_eq!(traffic.objects().iter().map(|o| o.token.0).collect::<Vec<_>>(), [1]);
@@ -43,7 +43,7 @@ fn behind(ego: &EgoState) -> f64 {
 
 #[test]
 fn the_speed_of_a_leader_is_projected_on_the_heading_of_the_agent() {
-    // Gap: from 32.3 to the rear of an ego centred at 60 (2.588 m).
+    // Gap: from 32.3 to the rear of an ego centerd at 60 (2.588 m).
     let gap = 60.0 - 2.588 - 32.3;
     let same = behind(&ego(at(60.0), 5.0));
     assert!((same - (8.0 + 0.1 * law(8.0, 12.0, gap, 5.0))).abs() < 1e-6, "{same}");
@@ -75,7 +75,7 @@ fn after_its_first_step_an_agent_measures_from_its_projected_footprint() {
     let first = traffic.objects()[1].speed();
     assert!((first - (8.0 + 0.1 * law(8.0, 12.0, 80.0 - 4.6 - 30.0, 0.0))).abs() < 1e-6, "{first}");
     traffic.step(&bystander(), &[wall], &no_lights(), STEP_S);
-    // Its centre is at 30.8; its footprint reaches half its length and 1.5 s of driving ahead.
+    // Its center is at 30.8; its footprint reaches half its length and 1.5 s of driving ahead.
     let gap = (80.0 - 2.3) - (30.8 + 2.3 + 1.5 * first);
     let second = traffic.objects()[1].speed();
     assert!((second - (first + 0.1 * law(first, 12.0, gap, 0.0))).abs() < 1e-6, "{second}");
@@ -153,7 +153,7 @@ fn stop_lines_of_the_route_count_while_they_show_red() {
 #[test]
 fn an_agent_at_the_very_end_of_its_path_waits_and_sets_out_from_the_pose_before() {
     let (map, connector) = crossing(true);
-    // Centred at 59.6, beyond the last pose of its path (59; the vertex at 60 is dropped): it is seen at that pose.
+    // Centerd at 59.6, beyond the last pose of its path (59; the vertex at 60 is dropped): it is seen at that pose.
     let mut traffic = IdmTraffic::new(&map, &[car(1, at(59.6), 0.0)], &bystander());
     for _ in 0..5 {
         traffic.step(&bystander(), &[], &lights(connector, SignalStatus::Red), STEP_S);

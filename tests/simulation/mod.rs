@@ -12,7 +12,7 @@ use planagent::internals::world::{
 };
 use std::sync::Arc;
 
-/// Length and width of every car, metres.
+/// Length and width of every car, meters.
 const CAR: (f64, f64) = (4.6, 2.0);
 
 fn car(token: u32, center: Pose, speed: f64) -> TrackedObject {
@@ -24,7 +24,7 @@ fn object(token: u32, kind: ObjectKind, center: Pose, (length, width): (f64, f64
     TrackedObject { token: TrackToken(token), kind, shape: OrientedBox::new(center, length, width), velocity }
 }
 
-/// An ego whose box is centred at a pose.
+/// An ego whose box is centerd at a pose.
 fn ego(center: Pose, speed: f64) -> EgoState {
     let velocity = planagent::internals::geometry::Vector::new(speed, 0.0);
     EgoState::from_log(0, PACIFICA.rear_axle_of(center), velocity, planagent::internals::geometry::Vector::zeros())
@@ -39,7 +39,7 @@ fn lights(lane: LaneId, status: SignalStatus) -> TrafficLights {
     [(lane, status)].into_iter().collect()
 }
 
-/// One lane along the x axis from 0 to 300 m with a vertex every metre and a limit of 12 m/s.
+/// One lane along the x axis from 0 to 300 m with a vertex every meter and a limit of 12 m/s.
 fn long_lane() -> Arc<LaneMap> {
     let mut road = Road::default();
     road.dense(LaneKind::Lane, (0.0, 0.0), (300.0, 0.0), Some(12.0));

@@ -8,7 +8,7 @@ use crate::world::{LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, Tracke
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Length of way that an agent wants ahead of itself, beside its headway, metres.
+/// Length of way that an agent wants ahead of itself, beside its headway, meters.
 const MIN_PATH_LENGTH: f64 = 20.0;
 /// Segments that an agent remembers of its route.
 const ROUTE_SEGMENTS: usize = 5;
@@ -22,7 +22,7 @@ pub(super) struct IdmAgent {
     idm: IdmParameters,
     route: VecDeque<LaneId>,
     path: Arc<ProgressPath>,
-    /// Metres along the path; may run a little past its end, where the pose stays.
+    /// Meters along the path; may run a little past its end, where the pose stays.
     progress: f64,
     speed: f64,
     footprint: Arc<Footprint>,
@@ -73,7 +73,7 @@ impl IdmAgent {
         &self.footprint
     }
 
-    /// Pose of its centre.
+    /// Pose of its center.
     pub(super) fn pose(&self) -> Pose {
         self.path.pose_at(self.progress)
     }
@@ -118,8 +118,8 @@ impl IdmAgent {
         }
     }
 
-    /// The strip of its width from its centre to the end of its path; at the very end the last piece of the path, which lies
-    /// behind its centre.
+    /// The strip of its width from its center to the end of its path; at the very end the last piece of the path, which lies
+    /// behind its center.
     pub(super) fn way_ahead(&self) -> Option<Footprint> {
         Footprint::of_strip(&self.path.between(self.progress, self.path.length()), self.width / 2.0)
     }

@@ -41,7 +41,7 @@ pub(super) fn agents(
     agents
 }
 
-/// The lane that holds the centre of a vehicle, in an intersection the connector; of several the one whose heading is
+/// The lane that holds the center of a vehicle, in an intersection the connector; of several the one whose heading is
 /// nearest. nuPlan does not wrap the difference of the headings.
 fn lane_of(map: &LaneMap, vehicle: &TrackedObject) -> Option<LaneId> {
     let center = vehicle.shape.center.position();

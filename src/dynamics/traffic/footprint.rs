@@ -2,9 +2,9 @@
 
 use crate::geometry::{Bounds, OrientedBox, Point, Polygon, Pose, Vector, wrap_angle};
 
-/// Bends sharper than this are rounded on their outside, radians. Below it the missing wedge is under half a millimetre deep.
+/// Bends sharper than this are rounded on their outside, radians. Below it the missing wedge is under half a millimeter deep.
 const ROUNDED_BEND: f64 = 0.05;
-/// A line that strays less than this from its first segment's direction goes straight on, metres.
+/// A line that strays less than this from its first segment's direction goes straight on, meters.
 const STRAIGHT: f64 = 1e-3;
 
 /// A convex or simple part of a footprint.
@@ -32,7 +32,7 @@ impl Piece {
         Self { shape: Shape::Disc, center, reach: radius }
     }
 
-    /// Distance at least, metres; may be negative.
+    /// Distance at least, meters; may be negative.
     fn distance_at_least(&self, other: &Self) -> f64 {
         (self.center - other.center).norm() - self.reach - other.reach
     }
@@ -129,7 +129,7 @@ impl Footprint {
         Self { pieces: vec![piece], bounds }
     }
 
-    /// The strip of `half_width` metres to both sides of a line of poses, its ends flat; `None` when the line has no length.
+    /// The strip of `half_width` meters to both sides of a line of poses, its ends flat; `None` when the line has no length.
     pub(super) fn of_strip(poses: &[Pose], half_width: f64) -> Option<Self> {
         let mut pieces = Vec::new();
         let mut last_heading = None;
@@ -169,7 +169,7 @@ impl Footprint {
                 .any(|piece| other.pieces.iter().any(|theirs| piece.meets(theirs)))
     }
 
-    /// Distance between two areas, metres; 0 when they share a point.
+    /// Distance between two areas, meters; 0 when they share a point.
     pub(super) fn distance(&self, other: &Self) -> f64 {
         let pairs = || self.pieces.iter().flat_map(|a| other.pieces.iter().map(move |b| (a, b)));
         let likely = pairs().min_by(|(a, b), (c, d)| a.distance_at_least(b).total_cmp(&c.distance_at_least(d)));
@@ -182,7 +182,7 @@ impl Footprint {
         best
     }
 
-    /// Distance between the rectangles around two areas, metres: never more than [`Self::distance`].
+    /// Distance between the rectangles around two areas, meters: never more than [`Self::distance`].
     pub(super) fn distance_at_least(&self, other: &Self) -> f64 {
         let (a, b) = (&self.bounds, &other.bounds);
         let dx = (b.min.x - a.max.x).max(a.min.x - b.max.x).max(0.0);

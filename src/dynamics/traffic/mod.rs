@@ -25,7 +25,7 @@ use std::sync::Arc;
 pub const IDM_AGENT: IdmParameters =
     IdmParameters { target_velocity: 10.0, min_gap: 1.0, headway: 1.5, accel_max: 1.0, decel_max: 2.0, exponent: 4 };
 
-/// Agents whose centre is farther from the centre of the ego are removed, metres.
+/// Agents whose center is farther from the center of the ego are removed, meters.
 const RADIUS: f64 = 100.0;
 
 /// Whether objects of a kind are replayed from the log in reactive simulation.

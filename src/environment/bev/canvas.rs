@@ -1,4 +1,4 @@
-//! Shapes in map metres onto pixels, anti-aliased.
+//! Shapes in map meters onto pixels, anti-aliased.
 
 use super::{BACKGROUND, BevView, Rgb};
 use crate::geometry::{Point, Polygon, Pose, Vector};
@@ -22,7 +22,7 @@ pub(super) struct Canvas {
 }
 
 impl Canvas {
-    /// A plain image around the ego's box centre.
+    /// A plain image around the ego's box center.
     pub(super) fn new(view: BevView, center: Pose) -> Self {
         // `BevView` allows only sizes for which there is a pixmap.
         let mut pixmap = Pixmap::new(view.pixels(), view.pixels());
@@ -45,12 +45,12 @@ impl Canvas {
         &self.view
     }
 
-    /// The pose in the centre of the image.
+    /// The pose in the center of the image.
     pub(super) fn center(&self) -> Pose {
         self.center
     }
 
-    /// Radius of a circle around the centre that holds the whole view, metres.
+    /// Radius of a circle around the center that holds the whole view, meters.
     pub(super) fn reach(&self) -> f64 {
         self.view.metres() * std::f64::consts::FRAC_1_SQRT_2
     }
@@ -77,7 +77,7 @@ impl Canvas {
         kept
     }
 
-    /// Fills the union of areas in one go, so that no seam shows between neighbours.
+    /// Fills the union of areas in one go, so that no seam shows between neighbors.
     pub(super) fn areas<'a>(&mut self, polygons: impl IntoIterator<Item = &'a Polygon>, fill: Rgb) {
         let mut builder = PathBuilder::new();
         for polygon in polygons {
@@ -102,7 +102,7 @@ impl Canvas {
         self.fill(builder.finish(), fill);
     }
 
-    /// Fills a circle of a diameter in metres.
+    /// Fills a circle of a diameter in meters.
     pub(super) fn disc(&mut self, center: Point, diameter: f64, fill: Rgb) {
         let (x, y) = self.pixel(center);
         let radius = diameter * self.view.scale() / 2.0;

@@ -1,9 +1,9 @@
-//! The BEV map: the paper's eight elements seen from above, ego-centred, the ego's heading up.
+//! The BEV map: the paper's eight elements seen from above, ego-centerd, the ego's heading up.
 //!
-//! The centre of the ego's box lies in the centre of the image. Drawn in this order, later over earlier: background, lane
-//! and connector areas, crosswalks, centrelines (on lanes with arrowheads in driving direction, 10 m apart), static
+//! The center of the ego's box lies in the center of the image. Drawn in this order, later over earlier: background, lane
+//! and connector areas, crosswalks, centerlines (on lanes with arrowheads in driving direction, 10 m apart), static
 //! obstacles, vehicles, bicycles, pedestrians, the ego, and last a red arrow for each moving agent, the ego included: from
-//! the centre of its box, [`ARROW_SECONDS`] long at its present velocity. Within an element objects are drawn by track
+//! the center of its box, [`ARROW_SECONDS`] long at its present velocity. Within an element objects are drawn by track
 //! token. Small things are drawn larger than they are, so that they stay visible (see [`MIN_SIZE_PX`], [`MIN_SIZE_SHARE`]);
 //! pedestrians are discs; lines are at least a pixel wide. Neither the route nor the traffic lights are drawn.
 
@@ -46,15 +46,15 @@ impl Default for BevView {
 }
 
 impl BevView {
-    /// Side of the view unless told otherwise, metres.
+    /// Side of the view unless told otherwise, meters.
     pub const DEFAULT_METRES: f64 = 64.0;
     /// Fewest pixels a side.
     pub const MIN_PIXELS: u32 = 16;
     /// Most pixels a side.
     pub const MAX_PIXELS: u32 = 4096;
-    /// Smallest view, metres.
+    /// Smallest view, meters.
     pub const MIN_METRES: f64 = 8.0;
-    /// Largest view, metres.
+    /// Largest view, meters.
     pub const MAX_METRES: f64 = 1000.0;
 
     /// A view of `metres` a side in `pixels` a side.
@@ -76,17 +76,17 @@ impl BevView {
         self.pixels
     }
 
-    /// Metres a side.
+    /// Meters a side.
     pub fn metres(&self) -> f64 {
         self.metres
     }
 
-    /// Pixels per metre.
+    /// Pixels per meter.
     pub fn scale(&self) -> f64 {
         f64::from(self.pixels) / self.metres
     }
 
-    /// Whether a point of the map lies in the view around `center` (the ego's box centre).
+    /// Whether a point of the map lies in the view around `center` (the ego's box center).
     pub fn holds(&self, center: Pose, point: Point) -> bool {
         let local = center.to_local(point);
         let half = self.metres / 2.0;
@@ -111,9 +111,9 @@ pub fn render(scene: &SceneView<'_>, view: &BevView) -> RgbImage {
 pub struct BevLine {
     /// Its vertices, map frame.
     pub points: Vec<Point>,
-    /// Its width, metres.
+    /// Its width, meters.
     pub width: f64,
-    /// Its colour.
+    /// Its color.
     pub color: Rgb,
 }
 

@@ -1,9 +1,9 @@
-//! The colours of the BEV map.
+//! The colors of the BEV map.
 
 use crate::environment::choice::choice;
 use crate::world::ObjectKind;
 
-/// A colour: red, green, blue.
+/// A color: red, green, blue.
 pub type Rgb = [u8; 3];
 
 /// What lies beside the road.
@@ -14,7 +14,7 @@ pub const ARROW: Rgb = [230, 0, 0];
 choice! {
     /// The eight elements of the paper's BEV map.
     pub enum BevElement {
-        /// Centrelines of lanes and connectors.
+        /// Centerlines of lanes and connectors.
         Centerlines = "centerlines",
         /// Crosswalks.
         Crosswalks = "crosswalks",
@@ -33,11 +33,11 @@ choice! {
     }
 }
 
-/// The colour of every element, by a name that a prompt may use.
+/// The color of every element, by a name that a prompt may use.
 pub struct Palette;
 
 impl Palette {
-    /// Element, colour name and colour, in the order of [`BevElement::ALL`].
+    /// Element, color name and color, in the order of [`BevElement::ALL`].
     pub const COLORS: [(BevElement, &'static str, Rgb); 8] = [
         (BevElement::Centerlines, "dark grey", [96, 102, 112]),
         (BevElement::Crosswalks, "yellow", [255, 205, 40]),
@@ -49,19 +49,19 @@ impl Palette {
         (BevElement::StaticObstacles, "black", [20, 20, 20]),
     ];
 
-    /// The colour of an element.
+    /// The color of an element.
     pub const fn color(element: BevElement) -> Rgb {
         Self::COLORS[element as usize].2
     }
 
-    /// The elements and their colours in one sentence, for prompts.
+    /// The elements and their colors in one sentence, for prompts.
     pub fn legend() -> String {
         let parts =
             Self::COLORS.iter().map(|(element, color, _)| format!("{} {color}", element.as_str().replace('_', " ")));
         format!("Colours: {}.", parts.collect::<Vec<_>>().join(", "))
     }
 
-    /// The name of an element's colour.
+    /// The name of an element's color.
     pub const fn color_name(element: BevElement) -> &'static str {
         Self::COLORS[element as usize].1
     }

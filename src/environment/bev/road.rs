@@ -1,17 +1,17 @@
-//! The map layers of the BEV map: lanes, crosswalks, centrelines.
+//! The map layers of the BEV map: lanes, crosswalks, centerlines.
 
 use super::canvas::Canvas;
 use super::{BevElement, Palette};
 use crate::geometry::{Bounds, Point, Polyline};
 use crate::world::{Lane, LaneMap};
 
-/// Width of a centreline, metres.
+/// Width of a centerline, meters.
 const LINE_WIDTH_M: f64 = 0.2;
 /// Least width of a line, pixels.
 const MIN_LINE_PX: f64 = 1.0;
-/// Distance between the arrowheads that show a lane's direction, metres.
+/// Distance between the arrowheads that show a lane's direction, meters.
 const HEAD_SPACING_M: f64 = 10.0;
-/// Length and width of such an arrowhead, metres.
+/// Length and width of such an arrowhead, meters.
 const HEAD_M: f64 = 1.5;
 /// Least length and width of an arrowhead, pixels: enough to tell its point from its base.
 const MIN_HEAD_PX: f64 = 4.0;

@@ -13,7 +13,7 @@ pub const MOVING_SPEED: f64 = 0.5;
 pub const MIN_SIZE_PX: f64 = 4.0;
 /// Least length and width of a drawn object as a share of the image's side: large images go to towers with large patches.
 pub const MIN_SIZE_SHARE: f64 = 1.0 / 56.0;
-/// Width of an arrow's shaft, metres.
+/// Width of an arrow's shaft, meters.
 const SHAFT_M: f64 = 0.35;
 /// Least width of an arrow's shaft, pixels.
 const MIN_SHAFT_PX: f64 = 1.2;
@@ -55,7 +55,7 @@ fn may_show(canvas: &Canvas, object: &TrackedObject) -> bool {
     distance <= canvas.reach() + object.shape.diagonal() + ARROW_SECONDS * object.speed()
 }
 
-/// Least length and width of an object, metres.
+/// Least length and width of an object, meters.
 fn least_size(canvas: &Canvas) -> f64 {
     let view = canvas.view();
     MIN_SIZE_PX.max(MIN_SIZE_SHARE * f64::from(view.pixels())) / view.scale()

@@ -2,7 +2,7 @@
 //!
 //! Its user message has four parts: every object with its place now and in 3 s; the motion of the ego in six lines, per
 //! half second; the ego's places in the last two seconds; the mission goal. x points to the right, y ahead, from the ego's
-//! centre. An object is left out when it is farther than 20 m sideways or along now or at any half second of the next three,
+//! center. An object is left out when it is farther than 20 m sideways or along now or at any half second of the next three,
 //! or behind the ego now and at all of them. Upstream takes the forecast from a perception model; here objects keep their
 //! velocity.
 
@@ -12,7 +12,7 @@ use crate::geometry::{Point, Pose};
 use crate::world::{SceneView, TrackedObject};
 use std::fmt::Write;
 
-/// Farther objects are left out, metres along either axis.
+/// Farther objects are left out, meters along either axis.
 const REACH: f64 = 20.0;
 /// Half seconds of the forecast.
 const FORECAST_STEPS: usize = 6;
@@ -44,7 +44,7 @@ impl GptDriverText {
     }
 }
 
-/// A point as seen from the ego: metres to the right, metres ahead.
+/// A point as seen from the ego: meters to the right, meters ahead.
 fn seen(from: &Pose, point: Point) -> (f64, f64) {
     let local = from.to_local(point);
     (-local.y, local.x)
@@ -65,7 +65,7 @@ fn objects(scene: &SceneView<'_>) -> String {
     text
 }
 
-/// Where the centre of an object is after so many half seconds.
+/// Where the center of an object is after so many half seconds.
 fn place_after(object: &TrackedObject, step: usize) -> Point {
     object.shape.center.position() + object.velocity * (step as f64 * HALF_SECOND)
 }

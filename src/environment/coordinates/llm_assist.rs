@@ -1,7 +1,7 @@
 //! A description of a scene for LLM-ASSIST's planners (Sharan et al. 2024).
 //!
 //! Neither its prompts nor its code are public; known is that the scene is told as text, in coordinates, on the reach of
-//! PDM-Closed. So the choice of facts is ours: the ego's motion and limit, the centrelines of its lane and the lanes beside,
+//! PDM-Closed. So the choice of facts is ours: the ego's motion and limit, the centerlines of its lane and the lanes beside,
 //! the next light, and the nearest agents and objects with place, heading, speed and size.
 
 use super::{decimal, seen_from};
@@ -9,16 +9,16 @@ use crate::environment::lane_graph::{Centerline, LaneGraph};
 use crate::world::SceneView;
 use std::fmt::Write;
 
-/// Farther objects are left out, metres: PDM-Closed's reach.
+/// Farther objects are left out, meters: PDM-Closed's reach.
 const REACH: f64 = 50.0;
 /// Most objects that are told.
 const MAX_OBJECTS: usize = 10;
-/// Points of a centreline that are told,
+/// Points of a centerline that are told,
 const POINTS: usize = 5;
-/// so far apart, metres.
+/// so far apart, meters.
 const SPACING: f64 = 10.0;
 
-/// The scene in coordinates from the ego's centre: x ahead, y to the left.
+/// The scene in coordinates from the ego's center: x ahead, y to the left.
 pub fn llm_assist_text(scene: &SceneView<'_>, graph: &LaneGraph) -> String {
     let (ego, center) = (scene.ego, scene.ego.center());
     let limit =
@@ -56,7 +56,7 @@ pub fn llm_assist_text(scene: &SceneView<'_>, graph: &LaneGraph) -> String {
     text
 }
 
-/// Points of a centreline ahead of the ego, as far as it goes.
+/// Points of a centerline ahead of the ego, as far as it goes.
 fn points(centerline: &Centerline) -> impl Iterator<Item = crate::geometry::Point> + '_ {
     let line = &centerline.path.centerline;
     let ahead = (1..=POINTS).map(|i| centerline.ego_s + i as f64 * SPACING);

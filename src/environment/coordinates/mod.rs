@@ -10,12 +10,12 @@ pub use llm_assist::llm_assist_text;
 
 use crate::geometry::{Point, Pose};
 
-/// A place in a frame, metres.
+/// A place in a frame, meters.
 fn place(x: f64, y: f64) -> String {
     format!("({},{})", decimal(x), decimal(y))
 }
 
-/// A point as seen from a pose: metres ahead, metres to the left.
+/// A point as seen from a pose: meters ahead, meters to the left.
 fn seen_from(from: &Pose, point: Point) -> String {
     let local = from.to_local(point);
     place(local.x, local.y)

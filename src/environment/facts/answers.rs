@@ -174,11 +174,11 @@ choice! {
 }
 
 impl Ahead {
-    /// Near ends here, metres.
+    /// Near ends here, meters.
     pub const NEAR: f64 = 12.0;
-    /// Mid ends here, metres.
+    /// Mid ends here, meters.
     pub const MID: f64 = 24.0;
-    /// Far ends here, metres.
+    /// Far ends here, meters.
     pub const FAR: f64 = 32.0;
 
     pub(super) fn of(distance: Option<f64>) -> Self {

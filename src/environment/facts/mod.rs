@@ -2,7 +2,7 @@
 //! them as labels, evaluation as the truth.
 //!
 //! Only what the view of [`VIEW_METRES`] shows counts; the light and the turn of the route, which no image shows, are those
-//! of the scene text. *The path* is the ego's centreline of the [`LaneGraph`] from the ego's box centre on, as far as it is
+//! of the scene text. *The path* is the ego's centerline of the [`LaneGraph`] from the ego's box center on, as far as it is
 //! in view. Distances are along the path from the ego's front bumper, in three steps (see [`Ahead`]).
 
 mod answers;
@@ -23,7 +23,7 @@ use super::lane_graph::{LaneGraph, Turn};
 use crate::geometry::{OrientedBox, Point, Pose};
 use crate::world::{SceneView, SignalStatus};
 
-/// Side of the square around the ego's box centre, along its heading, in which things count, metres: the default BEV view.
+/// Side of the square around the ego's box center, along its heading, in which things count, meters: the default BEV view.
 pub const VIEW_METRES: f64 = BevView::DEFAULT_METRES;
 
 /// The true answers for one scene.
@@ -43,7 +43,7 @@ pub struct SceneFacts {
     pub lead_distance: Ahead,
     /// Its speed.
     pub lead_speed: LeadSpeed,
-    /// The nearest pedestrian with its centre in the corridor of the path: the ego's width and [`CORRIDOR_MARGIN`] to both
+    /// The nearest pedestrian with its center in the corridor of the path: the ego's width and [`CORRIDOR_MARGIN`] to both
     /// sides.
     pub pedestrian: Ahead,
     /// The nearest static obstacle or stopped vehicle in the ego's way on the path.
@@ -52,7 +52,7 @@ pub struct SceneFacts {
     pub left_lane: SideLane,
     /// The same to the right.
     pub right_lane: SideLane,
-    /// Other vehicles with their centre in view.
+    /// Other vehicles with their center in view.
     pub vehicle_count: VehicleCount,
     /// Whether a lane of the opposite direction passes beside the ego within [`ONCOMING_REACH`].
     pub oncoming: Oncoming,
@@ -135,7 +135,7 @@ impl View {
         local.x.abs() <= VIEW_METRES / 2.0 && local.y.abs() <= VIEW_METRES / 2.0
     }
 
-    /// Whether the centre or a corner of a box is in view.
+    /// Whether the center or a corner of a box is in view.
     fn shows(self, shape: &OrientedBox) -> bool {
         self.holds(shape.center.position()) || shape.corners().iter().any(|&corner| self.holds(corner))
     }

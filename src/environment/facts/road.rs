@@ -8,18 +8,18 @@ use std::collections::BTreeSet;
 
 /// A path that turns by more than this within the view is a curve, radians (15 degrees).
 pub const CURVE: f64 = std::f64::consts::PI / 12.0;
-/// How far to the side a lane of the other direction counts, metres.
+/// How far to the side a lane of the other direction counts, meters.
 pub const ONCOMING_REACH: f64 = 20.0;
-/// It must pass the ego's centre no further ahead or behind than this, metres.
+/// It must pass the ego's center no further ahead or behind than this, meters.
 const ABREAST: f64 = 5.0;
 /// Lanes whose directions differ by more than this are opposite, radians (135 degrees).
 const OPPOSITE: f64 = 3.0 * std::f64::consts::FRAC_PI_4;
 /// Ways that differ by more than this, and by less than a straight angle less this, cross, radians (30 degrees).
 const ACROSS: f64 = std::f64::consts::FRAC_PI_6;
-/// Spacing of the places on the path that are looked at, metres.
+/// Spacing of the places on the path that are looked at, meters.
 const STEP: f64 = 0.5;
 
-/// The path from the ego's centre to where it first leaves the view; `None` when the road ends under the ego.
+/// The path from the ego's center to where it first leaves the view; `None` when the road ends under the ego.
 fn path_in_view(centerline: &Centerline, view: View) -> Option<Polyline> {
     let line = &centerline.path.centerline;
     let most = (line.length() - centerline.ego_s).clamp(0.0, VIEW_METRES);
@@ -108,7 +108,7 @@ fn lines_cross(a: &Polyline, b: &Polyline) -> bool {
     })
 }
 
-/// Lanes of the ego's direction at its place, and which of them is the ego's: neighbours of neighbours.
+/// Lanes of the ego's direction at its place, and which of them is the ego's: neighbors of neighbors.
 pub(super) fn lanes_abreast(scene: &SceneView<'_>, graph: &LaneGraph) -> (LaneCount, LaneIndex) {
     let ego = graph.ego_lane();
     let lane = ego.path.lane_at(ego.ego_s);

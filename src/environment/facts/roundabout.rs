@@ -5,12 +5,12 @@ use crate::geometry::{Point, Polygon};
 use crate::world::{LaneId, LaneMap};
 use std::collections::{BTreeMap, VecDeque};
 
-/// A longer cycle of lanes is a block of streets, metres round.
+/// A longer cycle of lanes is a block of streets, meters round.
 pub const ROUNDABOUT_LENGTH: f64 = 250.0;
 /// A cycle must enclose at least this share of the area of a circle of the same length: an ellipse of 3:2 has 0.94, a rounded
 /// block of streets 0.85, two lanes joined by U-turns far less.
 pub const ROUNDNESS: f64 = 0.9;
-/// Only cycles with a part no further behind the ego's centre than this count, metres: the ego's length.
+/// Only cycles with a part no further behind the ego's center than this count, meters: the ego's length.
 const BEHIND: f64 = 5.0;
 
 /// Whether a roundabout is in view, ahead of the ego or under it.

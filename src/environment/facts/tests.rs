@@ -69,7 +69,7 @@ fn lanes_are_counted_from_the_left() {
 
 #[test]
 fn crosswalks_by_distance_from_the_front() {
-    // The crosswalk of the own arm begins half a metre beyond the middle's edge.
+    // The crosswalk of the own arm begins half a meter beyond the middle's edge.
     let at = |before: f64| facts(&sketch::crossing(1, 0, before, 8.0).0).crosswalk;
     let front = PACIFICA_FRONT;
     assert_eq!(at(front + 5.0 - 0.5), Ahead::Near);
@@ -81,9 +81,9 @@ fn crosswalks_by_distance_from_the_front() {
     assert_eq!(facts(&road()).crosswalk, Ahead::None);
 }
 
-/// From the ego's box centre to its front bumper, metres.
+/// From the ego's box center to its front bumper, meters.
 const PACIFICA_FRONT: f64 = 2.588;
-/// From the centre of a sketched vehicle to its rear bumper, metres.
+/// From the center of a sketched vehicle to its rear bumper, meters.
 const VEHICLE_REAR: f64 = 2.3;
 
 #[test]

@@ -8,11 +8,11 @@ use crate::world::{ObjectKind, PACIFICA, SceneView, TrackedObject};
 pub const STOPPED: f64 = 0.5;
 /// A leading vehicle that is slower than the ego by no more than this drives the same speed, m/s.
 pub const SAME_SPEED: f64 = 1.0;
-/// How far beside the ego's sides a pedestrian counts as in the corridor of its path, metres.
+/// How far beside the ego's sides a pedestrian counts as in the corridor of its path, meters.
 pub const CORRIDOR_MARGIN: f64 = 2.0;
-/// A lane beside is occupied when somebody on it is nearer to the ego's bumpers than this, ahead or behind, metres.
+/// A lane beside is occupied when somebody on it is nearer to the ego's bumpers than this, ahead or behind, meters.
 pub const SIDE_GAP: f64 = 8.0;
-/// How far beyond the last distance that counts centres are looked for, metres: half a long vehicle.
+/// How far beyond the last distance that counts centers are looked for, meters: half a long vehicle.
 const LONG_VEHICLE: f64 = 12.0;
 
 pub(super) struct Traffic {

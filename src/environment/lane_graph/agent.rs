@@ -99,11 +99,11 @@ pub struct GraphAgent {
     pub kind: ObjectKind,
     /// The node that it is on.
     pub place: NodePlace,
-    /// From the ego's centre to its centre along the lane, metres; negative behind.
+    /// From the ego's center to its center along the lane, meters; negative behind.
     pub offset: f64,
-    /// From bumper to bumper along the lane, metres; 0 when side by side.
+    /// From bumper to bumper along the lane, meters; 0 when side by side.
     pub gap: f64,
-    /// Of its centre from the centreline, metres, positive to the left.
+    /// Of its center from the centerline, meters, positive to the left.
     pub lateral: f64,
     /// Norm of its velocity, m/s.
     pub speed: f64,

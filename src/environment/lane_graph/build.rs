@@ -12,11 +12,11 @@ use std::f64::consts::FRAC_PI_3;
 
 /// A route lane that turns away from the ego's heading by more than this does not hold the ego, radians.
 const ROUTE_LANE_TURN: f64 = FRAC_PI_3;
-/// Lines no further apart than this, metres, and no more turned than [`PARALLEL_TURN`] run side by side.
+/// Lines no further apart than this, meters, and no more turned than [`PARALLEL_TURN`] run side by side.
 const BESIDE: f64 = 5.5;
 /// See [`BESIDE`], radians (20 degrees).
 const PARALLEL_TURN: f64 = 0.35;
-/// Lines nearer than this have become one, metres.
+/// Lines nearer than this have become one, meters.
 const MERGED: f64 = 1.0;
 
 pub(super) fn build(scene: &SceneView<'_>, node_length: f64) -> Result<LaneGraph, LaneGraphError> {
@@ -63,7 +63,7 @@ fn centerlines(scene: &SceneView<'_>, lane: LaneId, behind: f64) -> Vec<Centerli
     beside.into_iter().filter_map(|(name, lane)| Some(Centerline::through(scene, name, lane?, behind))).collect()
 }
 
-/// Where the three nodes of a centreline begin, from the ego's centre, metres: beside, ahead, behind.
+/// Where the three nodes of a centerline begin, from the ego's center, meters: beside, ahead, behind.
 fn node_starts(node_length: f64) -> [f64; 3] {
     let rear = -PACIFICA.length() / 2.0;
     [rear, rear + node_length, rear - node_length]
@@ -109,12 +109,12 @@ fn connection(map: &LaneMap, place: NodePlace, own: &Centerline, ego: &Centerlin
     Some(if listed || parallel { Connection::Neighbor } else { Connection::Apart })
 }
 
-/// An object on a node, with how it lies to every centreline.
+/// An object on a node, with how it lies to every centerline.
 struct NodeObject<'a> {
     object: &'a TrackedObject,
-    /// In the order of the centrelines.
+    /// In the order of the centerlines.
     relations: Vec<Option<LaneRelation>>,
-    /// The centreline on whose node it is.
+    /// The centerline on whose node it is.
     home: usize,
     place: NodePlace,
 }
@@ -149,7 +149,7 @@ fn objects_on_nodes<'a>(
     on_nodes
 }
 
-/// The centreline that an object counts for: the ego's where it stands in the way there, else the nearest that it is on.
+/// The centerline that an object counts for: the ego's where it stands in the way there, else the nearest that it is on.
 fn home(relations: &[Option<LaneRelation>]) -> Option<usize> {
     let on = |relation: &LaneRelation| relation.on_lane || relation.blocks_path;
     if relations.first().is_some_and(|ego| ego.is_some_and(|ego| ego.blocks_path)) {
@@ -171,7 +171,7 @@ fn place(centerline: CenterlineName, offset: f64, node_length: f64) -> NodePlace
     }
 }
 
-/// By centreline; those ahead before those behind; the nearest first; by track where all is equal.
+/// By centerline; those ahead before those behind; the nearest first; by track where all is equal.
 fn order(placed: &NodeObject<'_>) -> (usize, bool, f64, u32) {
     let offset = placed.at_home().map_or(0.0, |relation| relation.offset);
     (placed.home, offset < 0.0, offset.abs(), placed.object.token.0)
@@ -201,7 +201,7 @@ fn name(on_nodes: &[NodeObject<'_>]) -> Vec<GraphAgent> {
         .collect()
 }
 
-/// Of those that stand in the way on a centreline ahead of the ego, the nearest.
+/// Of those that stand in the way on a centerline ahead of the ego, the nearest.
 fn lead_agent(on_nodes: &[NodeObject<'_>], agents: &[GraphAgent], centerline: usize) -> Option<AgentName> {
     on_nodes
         .iter()

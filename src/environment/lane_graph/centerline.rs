@@ -1,27 +1,27 @@
-//! The centrelines that planner code may follow, with what holds along them: limit, lights, turns.
+//! The centerlines that planner code may follow, with what holds along them: limit, lights, turns.
 
 use super::AgentName;
 use crate::environment::choice::choice;
 use crate::geometry::{Point, wrap_angle};
 use crate::world::{LaneId, LaneMap, LanePath, PACIFICA, Route, SceneView, SignalStatus};
 
-/// Lights and turns further ahead of the ego's front bumper are not reported, metres.
+/// Lights and turns further ahead of the ego's front bumper are not reported, meters.
 pub const LIGHT_REACH: f64 = 60.0;
-/// Time ahead that a centreline covers at the speed limit, seconds.
+/// Time ahead that a centerline covers at the speed limit, seconds.
 const AHEAD_SECONDS: f64 = 8.0;
-/// Least length of a centreline ahead of the ego, metres.
+/// Least length of a centerline ahead of the ego, meters.
 const MIN_AHEAD: f64 = 100.0;
 /// Limit assumed for that length where the map has none, m/s.
 const UNKNOWN_LIMIT: f64 = 20.0;
 /// A connector that turns by more than this is a turn, radians (30 degrees).
 const TURN: f64 = std::f64::consts::FRAC_PI_6;
-/// The ego's front may stand this far beyond a connector's start and still wait at its light, metres.
+/// The ego's front may stand this far beyond a connector's start and still wait at its light, meters.
 const PAST_LINE: f64 = 2.0;
-/// A stop line belongs to the start of its connector when it is at most this far from it, metres.
+/// A stop line belongs to the start of its connector when it is at most this far from it, meters.
 const STOP_LINE_REACH: f64 = 15.0;
 
 choice! {
-    /// Name of a centreline, as scene text and planner code write it.
+    /// Name of a centerline, as scene text and planner code write it.
     pub enum CenterlineName {
         /// The lane that the ego is on.
         EgoLane = "ego_lane",
@@ -44,25 +44,25 @@ choice! {
     }
 }
 
-/// The next traffic light on a centreline.
+/// The next traffic light on a centerline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LightAhead {
     /// The connector that it governs.
     pub connector: LaneId,
     /// What it shows; unknown where the map knows of a light but nothing was seen of it.
     pub status: SignalStatus,
-    /// From the ego's front bumper to the stop line (else the connector's start) along the path, metres; 0 on it.
+    /// From the ego's front bumper to the stop line (else the connector's start) along the path, meters; 0 on it.
     pub distance: f64,
 }
 
-/// A centreline to follow.
+/// A centerline to follow.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Centerline {
     /// Its name.
     pub name: CenterlineName,
-    /// The way: from some metres behind the ego to at least 8 s at the limit and 100 m ahead of it, unless the road ends.
+    /// The way: from some meters behind the ego to at least 8 s at the limit and 100 m ahead of it, unless the road ends.
     pub path: LanePath,
-    /// Where on the path the ego's box centre is (or is beside), metres.
+    /// Where on the path the ego's box center is (or is beside), meters.
     pub ego_s: f64,
     /// The speed limit at the ego, m/s: of the lane there, else of the next lane of the path that has one.
     pub speed_limit: Option<f64>,
@@ -75,7 +75,7 @@ pub struct Centerline {
 }
 
 impl Centerline {
-    /// The centreline through `lane`, seen from the ego; `behind` metres of it lie behind the ego where the map goes so far.
+    /// The centerline through `lane`, seen from the ego; `behind` meters of it lie behind the ego where the map goes so far.
     pub(super) fn through(scene: &SceneView<'_>, name: CenterlineName, lane: LaneId, behind: f64) -> Self {
         let (map, ego) = (scene.map, scene.ego.center().position());
         let limit = map[lane].speed_limit.unwrap_or(UNKNOWN_LIMIT);
@@ -88,7 +88,7 @@ impl Centerline {
         Self { name, path, ego_s, speed_limit, light, turn, lead_agent: None }
     }
 
-    /// Length of the path ahead of the ego's centre, metres.
+    /// Length of the path ahead of the ego's center, meters.
     pub fn ahead(&self) -> f64 {
         self.path.centerline.length() - self.ego_s
     }

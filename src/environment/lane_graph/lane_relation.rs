@@ -1,30 +1,30 @@
-//! How an object lies to a centreline.
+//! How an object lies to a centerline.
 
 use super::{Centerline, Heading};
 use crate::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector, wrap_angle};
 use crate::world::{ObjectKind, PACIFICA, TrackedObject};
 
-/// Half a usual lane's width: a centre nearer to the centreline is on the lane, metres.
+/// Half a usual lane's width: a center nearer to the centerline is on the lane, meters.
 pub const HALF_LANE: f64 = 1.75;
-/// Pedestrians this much further out still count: they may step on the road, metres.
+/// Pedestrians this much further out still count: they may step on the road, meters.
 pub const KERB_MARGIN: f64 = 2.0;
-/// Free space that the ego wants beside itself, metres.
+/// Free space that the ego wants beside itself, meters.
 pub const SWEEP_MARGIN: f64 = 0.3;
 /// Pedestrians and cyclists count where they will be within this time, seconds.
 pub const CROSSING_SECONDS: f64 = 2.0;
 /// Slower objects stand still, m/s.
 pub(in crate::environment) const STANDING_SPEED: f64 = 0.5;
 
-/// Where along and beside a centreline an object is.
+/// Where along and beside a centerline an object is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::environment) struct LaneRelation {
-    /// From the ego's centre to its centre along the line, metres.
+    /// From the ego's center to its center along the line, meters.
     pub offset: f64,
-    /// Of its centre, metres, positive to the left.
+    /// Of its center, meters, positive to the left.
     pub lateral: f64,
-    /// From bumper to bumper along the line, metres; 0 when side by side.
+    /// From bumper to bumper along the line, meters; 0 when side by side.
     pub gap: f64,
-    /// Whether its centre is on the lane.
+    /// Whether its center is on the lane.
     pub on_lane: bool,
     /// Whether it stands (or, on foot or bicycle, soon will stand) where the ego would drive.
     pub blocks_path: bool,
@@ -34,16 +34,16 @@ pub(in crate::environment) struct LaneRelation {
     pub heading: Heading,
 }
 
-/// The stretch of a centreline around the ego on which objects are looked for.
+/// The stretch of a centerline around the ego on which objects are looked for.
 pub(in crate::environment) struct Window {
     line: Polyline,
-    /// Arc length on `line` of the point at (or beside) the ego's centre.
+    /// Arc length on `line` of the point at (or beside) the ego's center.
     ego_s: f64,
     sweep: Corridor,
 }
 
 impl Window {
-    /// From `behind` metres behind to `ahead` metres ahead of the ego's centre, as far as the path goes; `None` when there
+    /// From `behind` meters behind to `ahead` meters ahead of the ego's center, as far as the path goes; `None` when there
     /// is no path there.
     pub(in crate::environment) fn new(centerline: &Centerline, behind: f64, ahead: f64) -> Option<Self> {
         let from = (centerline.ego_s - behind).max(0.0);
@@ -88,7 +88,7 @@ impl Window {
     }
 }
 
-/// Half the length that a box takes up along a direction, metres.
+/// Half the length that a box takes up along a direction, meters.
 pub(in crate::environment) fn half_extent(shape: &OrientedBox, heading: f64) -> f64 {
     let turn = wrap_angle(shape.center.heading - heading);
     f64::midpoint(shape.length * turn.cos().abs(), shape.width * turn.sin().abs())

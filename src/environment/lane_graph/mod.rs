@@ -1,17 +1,17 @@
 //! The lane graph: the way ahead of the ego and of the lanes beside it, cut into nodes of equal length; who is on the nodes
-//! around the ego; and the centrelines that planner code may follow.
+//! around the ego; and the centerlines that planner code may follow.
 //!
-//! **Centrelines.** `ego_lane`, and where there is a lane of the same direction beside the ego, `left_lane` and
+//! **Centerlines.** `ego_lane`, and where there is a lane of the same direction beside the ego, `left_lane` and
 //! `right_lane`. Each is a [`crate::world::LanePath`] that prefers the route.
 //!
 //! **Nodes.** All have the same length. They are cut so that a node begins at the ego's rear bumper: the node under the ego
 //! reaches from there one node length ahead, `front` is the next one, `back` the one before; the nodes of the lanes beside
-//! are cut at the same distances from the point beside the ego. A node exists when its middle lies on the centreline, and
+//! are cut at the same distances from the point beside the ego. A node exists when its middle lies on the centerline, and
 //! does not when the lane beside has merged into the ego's there.
 //!
-//! **Agents.** An agent or obstacle is on a centreline where its box meets the strip that the ego would sweep (its half
+//! **Agents.** An agent or obstacle is on a centerline where its box meets the strip that the ego would sweep (its half
 //! width and [`SWEEP_MARGIN`]; pedestrians and cyclists also by where they will be within [`CROSSING_SECONDS`] at their
-//! present velocity), or where its centre lies within half a lane width of the line (pedestrians: [`KERB_MARGIN`] more). On
+//! present velocity), or where its center lies within half a lane width of the line (pedestrians: [`KERB_MARGIN`] more). On
 //! several, it counts for the ego's lane if it stands in the ego's way there, else for the nearest line. Only agents on one
 //! of the nine nodes are part of the graph.
 //!
@@ -30,9 +30,9 @@ pub(in crate::environment) use lane_relation::{LaneRelation, Window};
 use super::choice::choice;
 use crate::world::{LaneId, SceneView};
 
-/// Node length unless told otherwise, metres.
+/// Node length unless told otherwise, meters.
 pub const DEFAULT_NODE_LENGTH: f64 = 20.0;
-/// How far beside every lane the ego still counts as on the nearest one, metres.
+/// How far beside every lane the ego still counts as on the nearest one, meters.
 pub const OFF_ROAD_REACH: f64 = 3.0;
 
 choice! {
@@ -60,7 +60,7 @@ choice! {
 }
 
 impl NodePlace {
-    /// The centreline on which the node lies.
+    /// The centerline on which the node lies.
     pub fn centerline(self) -> CenterlineName {
         match self {
             Self::Ego | Self::Front | Self::Back => CenterlineName::EgoLane,
@@ -69,7 +69,7 @@ impl NodePlace {
         }
     }
 
-    /// The nodes of a centreline: beside (or under) the ego, ahead, behind.
+    /// The nodes of a centerline: beside (or under) the ego, ahead, behind.
     pub fn on(centerline: CenterlineName) -> [Self; 3] {
         match centerline {
             CenterlineName::EgoLane => [Self::Ego, Self::Front, Self::Back],
@@ -95,7 +95,7 @@ choice! {
     }
 }
 
-/// A piece of a centreline.
+/// A piece of a centerline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LaneNode {
     /// Where it is, seen from the ego.
@@ -104,9 +104,9 @@ pub struct LaneNode {
     pub lane: LaneId,
     /// How it hangs together with the ego's lane.
     pub connection: Connection,
-    /// Where it begins on its centreline's path, metres.
+    /// Where it begins on its centerline's path, meters.
     pub from_s: f64,
-    /// Where it ends, metres; a node at the end of a path may be shorter than the others.
+    /// Where it ends, meters; a node at the end of a path may be shorter than the others.
     pub to_s: f64,
 }
 
@@ -116,9 +116,9 @@ pub enum LaneGraphError {
     /// The ego's state holds NaN or infinity.
     #[error("the ego's pose is not finite: ({x}, {y}), heading {heading}")]
     NotFinite {
-        /// x of the box centre, map frame.
+        /// x of the box center, map frame.
         x: f64,
-        /// y of the box centre, map frame.
+        /// y of the box center, map frame.
         y: f64,
         /// Heading, radians.
         heading: f64,
@@ -126,9 +126,9 @@ pub enum LaneGraphError {
     /// No lane holds the ego or is near it.
     #[error("the ego at ({x:.1}, {y:.1}) is off the road: no lane within {OFF_ROAD_REACH} m")]
     OffRoad {
-        /// x of the box centre, map frame.
+        /// x of the box center, map frame.
         x: f64,
-        /// y of the box centre, map frame.
+        /// y of the box center, map frame.
         y: f64,
     },
     /// No sensible node length.
@@ -136,29 +136,29 @@ pub enum LaneGraphError {
     NodeLength(f64),
 }
 
-/// Shortest node, metres: the ego fits in.
+/// Shortest node, meters: the ego fits in.
 pub const MIN_NODE_LENGTH: f64 = 6.0;
-/// Longest node, metres.
+/// Longest node, meters.
 pub const MAX_NODE_LENGTH: f64 = 100.0;
 
 /// The lane graph of one scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LaneGraph {
-    /// Length of every node, metres.
+    /// Length of every node, meters.
     pub node_length: f64,
     /// Speed of the ego, m/s.
     pub ego_speed: f64,
     /// The nodes that exist, in order of [`NodePlace::ALL`]; the first is the ego's.
     pub nodes: Vec<LaneNode>,
-    /// The centrelines that can be followed, in order of [`CenterlineName::ALL`]; the first is the ego's.
+    /// The centerlines that can be followed, in order of [`CenterlineName::ALL`]; the first is the ego's.
     pub centerlines: Vec<Centerline>,
-    /// Who is on the nodes, ordered by centreline; on each those ahead, nearest first, then those behind, nearest first.
+    /// Who is on the nodes, ordered by centerline; on each those ahead, nearest first, then those behind, nearest first.
     /// Names are numbered in this order.
     pub agents: Vec<GraphAgent>,
 }
 
 impl LaneGraph {
-    /// Builds the graph of a scene with nodes of `node_length` metres ([`DEFAULT_NODE_LENGTH`] unless there is a reason).
+    /// Builds the graph of a scene with nodes of `node_length` meters ([`DEFAULT_NODE_LENGTH`] unless there is a reason).
     ///
     /// # Errors
     /// When the ego is off the road or not finite, or the node length is out of range.
@@ -171,12 +171,12 @@ impl LaneGraph {
         self.nodes.iter().find(|node| node.place == place)
     }
 
-    /// The centreline of this name, if it can be followed.
+    /// The centerline of this name, if it can be followed.
     pub fn centerline(&self, name: CenterlineName) -> Option<&Centerline> {
         self.centerlines.iter().find(|centerline| centerline.name == name)
     }
 
-    /// The ego's own centreline.
+    /// The ego's own centerline.
     pub fn ego_lane(&self) -> &Centerline {
         &self.centerlines[0]
     }
@@ -191,7 +191,7 @@ impl LaneGraph {
         self.agents.iter().filter(move |agent| agent.place == place)
     }
 
-    /// The nearest agent or obstacle that stands in the ego's way ahead on a centreline.
+    /// The nearest agent or obstacle that stands in the ego's way ahead on a centerline.
     pub fn lead_agent(&self, centerline: CenterlineName) -> Option<&GraphAgent> {
         let name = self.centerline(centerline)?.lead_agent?;
         self.agent(name)

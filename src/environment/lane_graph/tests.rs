@@ -79,7 +79,7 @@ fn agents_are_named_by_lane_nearest_ahead_first() {
 
 #[test]
 fn who_reaches_into_the_ego_lane_leads_there() {
-    // A vehicle that cuts in: its centre is still on the left lane, its side in the ego's way.
+    // A vehicle that cuts in: its center is still on the left lane, its side in the ego's way.
     let drawn = sketch::straight(2, 0, 1, 9.0).put(Vehicle, 12.0, 2.2, -0.1, 7.0);
     let graph = graph(&drawn);
     assert_eq!(graph.agents[0].place, NodePlace::Ego);
@@ -118,7 +118,7 @@ fn lights_are_found_with_the_distance_to_the_stop_line() {
         let (drawn, _) = sketch::crossing(1, 0, before, 5.0);
         graph(&drawn.all_lights(SignalStatus::Red)).ego_lane().light
     };
-    // The stop line lies one metre before the connector, the front bumper 2.588 m before the ego's centre.
+    // The stop line lies one meter before the connector, the front bumper 2.588 m before the ego's center.
     let found = light(20.0).unwrap();
     assert_eq!(found.status, SignalStatus::Red);
     assert!((found.distance - (20.0 - 1.0 - 2.588)).abs() < 1e-6, "{}", found.distance);

@@ -5,7 +5,7 @@ use crate::environment::lane_graph::{
 };
 use crate::world::SignalStatus;
 
-/// Larger numbers are written as this one: metres and metres per second beyond it make no difference to the next seconds.
+/// Larger numbers are written as this one: meters and meters per second beyond it make no difference to the next seconds.
 pub const MAX_NUMBER: u8 = 60;
 
 /// A traffic light ahead.
@@ -13,7 +13,7 @@ pub const MAX_NUMBER: u8 = 60;
 pub struct LightDescription {
     /// What it shows.
     pub status: SignalStatus,
-    /// Whole metres from the ego's front bumper to the stop line.
+    /// Whole meters from the ego's front bumper to the stop line.
     pub distance: u8,
 }
 
@@ -22,7 +22,7 @@ pub struct LightDescription {
 pub struct AgentDescription {
     /// Its name; planner code uses the same.
     pub name: AgentName,
-    /// Whole metres from bumper to bumper along the lane.
+    /// Whole meters from bumper to bumper along the lane.
     pub distance: u8,
     /// Speed in whole m/s.
     pub speed: u8,

@@ -1,7 +1,7 @@
 //! The lane graph in words, and the way back.
 //!
-//! A [`Description`] holds the facts that are put into words, already rounded to what the words say: whole metres and
-//! whole metres per second, both at most [`MAX_NUMBER`]. [`TextForm::Paper`] puts all of it into short English lines for
+//! A [`Description`] holds the facts that are put into words, already rounded to what the words say: whole meters and
+//! whole meters per second, both at most [`MAX_NUMBER`]. [`TextForm::Paper`] puts all of it into short English lines for
 //! general models; [`TextForm::Compact`] says its [`Description::reduced`] part in words at fixed places for a small model.
 //! [`parse`] reads either text back: `parse(write(d)) = d` (for the compact set: of the reduced description).
 //!

@@ -41,9 +41,9 @@ impl Bound {
 pub enum ComfortQuantity {
     /// Norm of the rear-axle acceleration; unbounded.
     Acceleration,
-    /// Forward acceleration of the centre.
+    /// Forward acceleration of the center.
     LonAcceleration,
-    /// Sideways acceleration of the centre.
+    /// Sideways acceleration of the center.
     LatAcceleration,
     /// Derivative of the norm of the rear-axle acceleration.
     Jerk,

@@ -18,7 +18,7 @@ pub struct SavitzkyGolay {
 impl SavitzkyGolay {
     /// Filters equally spaced values, `step` apart. The first and last half windows come from the fit to the first and
     /// last window; inside, an even window of size w around sample i spans i − w/2 + 1 … i + w/2 and is evaluated in
-    /// its middle, half a sample late: scipy's behaviour, on which nuPlan's accelerations rest.
+    /// its middle, half a sample late: scipy's behavior, on which nuPlan's accelerations rest.
     ///
     /// # Errors
     /// When there are not more samples than the order of the polynomial.
