@@ -108,7 +108,7 @@ pub(crate) fn straight() -> LaneMap {
     road.build()
 }
 
-/// Two lanes along the x axis, centerd at y = 0 and y = 4, without a road around them.
+/// Two lanes along the x axis, centered at y = 0 and y = 4, without a road around them.
 pub(crate) fn two_lanes() -> LaneMap {
     let mut road = Road::default();
     road.lane((-100.0, 0.0), (400.0, 0.0));
@@ -116,7 +116,7 @@ pub(crate) fn two_lanes() -> LaneMap {
     road.build()
 }
 
-/// An ego whose box is centerd at (x, y).
+/// An ego whose box is centered at (x, y).
 pub(crate) fn ego(step: i64, x: f64, y: f64, heading: f64, speed: f64) -> EgoState {
     let rear = PACIFICA.rear_axle_of(Pose::new(x, y, heading));
     EgoState::from_log(step * 100_000, rear, Vector::new(speed, 0.0), Vector::zeros())

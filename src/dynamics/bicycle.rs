@@ -11,7 +11,7 @@ const ACCELERATION_LAG: f64 = 0.2;
 /// Time constant of the low-pass filter between commanded and actual steering angle, seconds.
 const STEERING_LAG: f64 = 0.05;
 
-/// What a tracker asks of the vehicle for one step.
+/// The command of a tracker for one step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Command {
     /// Acceleration of the rear axle, m/s².
@@ -23,7 +23,7 @@ pub struct Command {
 /// The ego after `dt_us` microseconds under `command`.
 ///
 /// Explicit Euler: pose and heading move with the old speed and steering angle, speed and steering angle with the lagged
-/// command. The speed is not clamped, so a braking vehicle may come to rest a hair below zero, as in nuPlan.
+/// command. The speed is not clamped, so a braking vehicle may come to rest slightly below zero, as in nuPlan.
 pub fn advance(ego: &EgoState, command: Command, dt_us: i64) -> EgoState {
     let dt = dt_us as f64 / MICROS_PER_SECOND;
     let (speed, steering) = (ego.velocity.x, ego.steering_angle);

@@ -17,7 +17,7 @@ pub struct IdmParameters {
     pub exponent: i32,
 }
 
-/// What drives ahead.
+/// The lead agent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lead {
     /// Free distance from the front of the follower, meters.
@@ -28,7 +28,7 @@ pub struct Lead {
 
 impl IdmParameters {
     /// Acceleration of a vehicle of `speed` behind `lead` (`None`: free road), m/s², within [−b, a]; paper equation 1, with
-    /// s* = s0 + v·T + v·Δv/(2·√(a·b)) and the gap held at s0 or above.
+    /// s* = s0 + v·T + v·Δv/(2·√(a·b)) and the gap at least s0.
     pub fn acceleration(&self, speed: f64, lead: Option<Lead>) -> f64 {
         let free = (speed / self.target_velocity).powi(self.exponent);
         let interaction = lead.map_or(0.0, |lead| {

@@ -6,7 +6,7 @@ use crate::geometry::{Pose, wrap_angle};
 use crate::world::{EgoState, MICROS_PER_SECOND, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError};
 use nalgebra::{Matrix3, Vector3};
 
-/// Steps of 0.1 s over which the tracker looks ahead.
+/// Horizon of the tracker, steps of 0.1 s.
 const HORIZON: usize = 10;
 /// Cost of a velocity error.
 const Q_VELOCITY: f64 = 10.0;
@@ -16,26 +16,22 @@ const R_ACCELERATION: f64 = 1.0;
 const Q_LATERAL: [f64; 3] = [1.0, 10.0, 0.0];
 /// Cost of a steering rate.
 const R_STEERING_RATE: f64 = 1.0;
-/// Gain that brings a vehicle to rest, 1/s.
+/// Gain of the stop, 1/s.
 const STOPPING_GAIN: f64 = 0.5;
-/// Below this speed, own and wanted, the vehicle is brought to rest, m/s.
+/// Below this speed, actual and desired, the vehicle stops, m/s.
 const STOPPING_VELOCITY: f64 = 0.2;
 
 /// Why a trajectory cannot be tracked.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum TrackingError {
-    /// It does not reach over the step to be driven.
     #[error("the trajectory does not cover the step to be driven")]
     NotCovered(#[from] TrajectoryError),
-    /// It is too short to fit a velocity to.
     #[error("the trajectory lasts {duration_s} s; the tracker needs at least one step of {STEP_S} s")]
-    TooShort {
-        /// Seconds from its first to its last state.
-        duration_s: f64,
-    },
+    TooShort { duration_s: f64 },
 }
 
-/// The command that steers `ego` onto `trajectory`, asked at the time of the ego.
+/// The command that steers `ego` onto `trajectory` at the time of the ego.
 ///
 /// # Errors
 /// When the trajectory does not cover that time or lasts less than 0.1 s.

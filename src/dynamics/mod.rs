@@ -1,4 +1,4 @@
-//! How things move: the intelligent driver model, the kinematic bicycle, the LQR tracker and reactive IDM traffic.
+//! Motion models: the intelligent driver model, the kinematic bicycle, the LQR tracker and reactive IDM agents.
 
 mod bicycle;
 mod idm;

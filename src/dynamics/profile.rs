@@ -1,4 +1,4 @@
-//! Velocity and curvature along a reference of poses, fitted by regularised least squares (devkit `tracker_utils.py`).
+//! Velocity and curvature along a reference of poses, fitted by regularized least squares (devkit `tracker_utils.py`).
 //!
 //! nuPlan solves both fits for an initial value and its rates with the pseudo-inverse of a dense normal matrix. Written for
 //! the velocities and curvatures themselves, the same problems have a banded matrix that does not depend on the headings:
@@ -14,7 +14,7 @@ const CURVATURE_RATE_PENALTY: f64 = 1e-2;
 /// Weight of the initial curvature, which makes a standing reference well-posed.
 const INITIAL_CURVATURE_PENALTY: f64 = 1e-10;
 
-/// What the velocity fit penalises.
+/// The penalty of the velocity fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum JerkPenalty {
     /// Differences of neighboring accelerations: nuPlan's tracker.
@@ -72,8 +72,8 @@ fn interpolate(values: &[f64], place: f64) -> f64 {
     values[before] + (values[after] - values[before]) * (place - before as f64)
 }
 
-/// Speeds v that minimise `Σ (dt·v_k − p_k)² + λ·‖R a‖²`, where `p_k` is the displacement k along the heading at its start,
-/// `a_k = (v_{k+1} − v_k)/dt`, and R is what `penalty` says.
+/// Speeds v that minimize `Σ (dt·v_k − p_k)² + λ·‖R a‖²`, where `p_k` is the displacement k along the heading at its start,
+/// `a_k = (v_{k+1} − v_k)/dt`, and `penalty` names R.
 fn fit_velocity(poses: &[Pose], penalty: JerkPenalty) -> Vec<f64> {
     let along = |w: &[Pose]| {
         let (sin, cos) = w[0].heading.sin_cos();
@@ -95,7 +95,7 @@ fn fit_velocity(poses: &[Pose], penalty: JerkPenalty) -> Vec<f64> {
     normal.solve(rhs)
 }
 
-/// Curvatures κ that minimise `Σ (v_k·dt·κ_k − Δθ_k)² + λ_c·Σ ((κ_{k+1} − κ_k)/dt)² + ε·κ_0²`.
+/// Curvatures κ that minimize `Σ (v_k·dt·κ_k − Δθ_k)² + λ_c·Σ ((κ_{k+1} − κ_k)/dt)² + ε·κ_0²`.
 ///
 /// The matrix is a chain Laplacian plus a non-negative diagonal. Eliminating the diagonal's excess instead of the diagonal
 /// needs no subtraction, so that a nearly standing reference loses no digits.
@@ -144,7 +144,7 @@ impl Pentadiagonal {
         }
     }
 
-    /// Solves for `rhs` by an `LDLᵀ` factorisation within the bands.
+    /// Solves for `rhs` by an `LDLᵀ` factorization within the bands.
     fn solve(mut self, mut rhs: Vec<f64>) -> Vec<f64> {
         let size = rhs.len();
         for i in 0..size {

@@ -1,4 +1,4 @@
-//! A path of poses by progress: how nuPlan's IDM agents and its IDM planner hold their way (devkit `path/utils.py`,
+//! A path of poses by progress, as nuPlan's IDM agents and IDM planner have it (devkit `path/utils.py`,
 //! `interpolated_path.py`).
 
 use crate::geometry::{Polyline, Pose, unwrap_angles, wrap_angle};
@@ -9,7 +9,7 @@ const COINCIDENT: f64 = 1e-8;
 /// to the rule that drops the last pose.
 const MAX_SPACING: f64 = 5.0;
 
-/// Poses with their progress: cumulated chord length, meters from the first. At least two poses.
+/// Poses with their progress: cumulative chord length, meters from the first. At least two poses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ProgressPath {
     progress: Vec<f64>,
@@ -75,8 +75,8 @@ impl ProgressPath {
         Pose::new(mix(a.x, b.x), mix(a.y, b.y), wrap_angle(mix(a.heading, b.heading)))
     }
 
-    /// The poses from `from` to `to` (clamped), both ends interpolated. As in nuPlan what begins at the very end are the last
-    /// two poses of the path, and what ends at the very start its first two (devkit `trim_path`, `trim_path_up_to_progress`).
+    /// The poses from `from` to `to` (clamped), both ends interpolated. As in nuPlan, a part that begins at the very end
+    /// has the last two poses of the path, and one that ends at the very start the first two (devkit `trim_path`, `trim_path_up_to_progress`).
     pub fn between(&self, from: f64, to: f64) -> Vec<Pose> {
         let (from, to) = (from.clamp(0.0, self.length()), to.clamp(0.0, self.length()));
         if from >= self.length() {

@@ -1,4 +1,4 @@
-//! Hand-made roads for the tests of everything that drives.
+//! Hand-made roads for tests.
 
 use crate::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
 use crate::world::{
@@ -83,7 +83,7 @@ pub(crate) fn ego_at(time_us: i64, x: f64, speed: f64) -> EgoState {
     EgoState::from_log(time_us, Pose::new(x, 0.0, 0.0), Vector::new(speed, 0.0), Vector::zeros())
 }
 
-/// An object of a kind, centerd at (x, y), that faces along the road.
+/// An object of a kind, centered at (x, y), that faces along the road.
 pub(crate) fn object(token: u32, kind: ObjectKind, x: f64, y: f64, speed: f64) -> TrackedObject {
     let (length, width) = if kind == ObjectKind::Vehicle { (4.6, 2.0) } else { (0.6, 0.6) };
     TrackedObject {

@@ -1,5 +1,5 @@
-//! nuPlan's two-stage ego controller: the tracker gives a command, the kinematic bicycle carries it out (devkit
-//! `two_stage_controller.py`), for a planned trajectory step by step or for a whole proposal at once.
+//! nuPlan's two-stage ego controller: an LQR tracker and a kinematic bicycle (devkit `two_stage_controller.py`), for one
+//! step of a planned trajectory or for a whole proposal.
 
 use super::bicycle::advance;
 use super::lqr::{TrackingError, command, track};
@@ -7,10 +7,10 @@ use super::profile::{JerkPenalty, MotionProfile};
 use crate::geometry::Pose;
 use crate::world::{EgoState, STEP_US, Trajectory};
 
-/// The ego `dt_us` microseconds on, driven along `trajectory`. nuPlan takes the step from the timestamps of the log.
+/// The ego after it followed `trajectory` for `dt_us` microseconds. nuPlan takes the step from the timestamps of the log.
 ///
 /// # Errors
-/// When the trajectory does not cover the step, from the time of the ego to its end, or is too short to be tracked.
+/// When the trajectory does not cover the step or lasts less than 0.1 s.
 pub fn follow(ego: &EgoState, trajectory: &Trajectory, dt_us: i64) -> Result<EgoState, TrackingError> {
     trajectory.at(ego.time_us + dt_us)?;
     Ok(advance(ego, track(ego, trajectory)?, dt_us))
@@ -18,7 +18,7 @@ pub fn follow(ego: &EgoState, trajectory: &Trajectory, dt_us: i64) -> Result<Ego
 
 /// Rolls an ego out along a fixed reference of rear-axle poses 0.1 s apart, the first at the time of `start`: PDM-Closed's
 /// proposal simulation (`tuplan_garage`'s `pdm_simulator.py`). The profiles are fitted once, and the pose with the same index
-/// is tracked without interpolation. Gives as many states as poses, `start` first; with fewer than two poses `start` alone.
+/// is tracked without interpolation. Returns as many states as poses, `start` first; with fewer than two poses `start` alone.
 pub fn simulate_proposal(start: &EgoState, reference: &[Pose], penalty: JerkPenalty) -> Vec<EgoState> {
     let mut states = Vec::with_capacity(reference.len().max(1));
     states.push(*start);

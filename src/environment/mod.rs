@@ -2,7 +2,7 @@
 //! BEV map (global) and the lane-graph text (local), and, for training and evaluation, the true answers to what the
 //! first round asks about them.
 //!
-//! - [`bev`]: the image, ego-centerd, heading up.
+//! - [`bev`]: the image, ego-centered, heading up.
 //! - [`lane_graph`]: the node under the ego, its eight neighbors, who is on them, and the centerlines to follow.
 //! - [`text`]: the lane graph in words, in two prompt sets, and the way back.
 //! - [`facts`]: what is true of the scene, as choices.

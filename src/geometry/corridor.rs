@@ -41,7 +41,7 @@ impl Corridor {
         Self { line, half_width, pieces, blocks, bends, bounds }
     }
 
-    /// The same strip lengthened at both ends by its half width: square caps.
+    /// The strip with square caps: longer at both ends by its half width.
     pub fn with_square_caps(line: &Polyline, half_width: f64) -> Self {
         let (first, last) = (line.pose_at(0.0), line.pose_at(line.length()));
         let before = first.translated(-half_width, 0.0).position();

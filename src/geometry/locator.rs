@@ -2,13 +2,12 @@
 
 use super::{Bounds, Point, Polygon};
 
-/// Edges that share a slab, about.
+/// Mean number of edges per slab.
 const EDGES_PER_SLAB: usize = 4;
-/// Most slabs of a polygon.
 const MAX_SLABS: usize = 64;
 
-/// A polygon whose edges are sorted into horizontal slabs, so that a point is compared with the edges at its height alone.
-/// Answers exactly what [`Polygon::contains`] does.
+/// A polygon whose edges are sorted into horizontal slabs, so that a query compares a point only with the edges at its height.
+/// Gives the same answers as [`Polygon::contains`].
 #[derive(Debug, Clone)]
 pub struct PointLocator<'a> {
     polygon: &'a Polygon,

@@ -1,6 +1,6 @@
 //! Poses, polylines, boxes, polygons, corridors and a spatial index, all in local meters (f64).
 //!
-//! Everything here is plain data without meaning on a road; [`crate::world`] gives it one. Angles are radians,
+//! Plain data without meaning on a road; [`crate::world`] gives it one. Angles are radians,
 //! counter-clockwise; lateral offsets are positive to the left.
 
 mod angle;
@@ -28,29 +28,14 @@ pub type Point = nalgebra::Point2<f64>;
 /// A displacement, velocity or acceleration.
 pub type Vector = nalgebra::Vector2<f64>;
 
-/// Why a shape cannot be made of the given numbers.
+/// Why coordinates make no shape.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum GeometryError {
-    /// A coordinate is NaN or infinite.
-    #[error("vertex {index} is not finite: ({x}, {y})")]
-    NotFinite {
-        /// Which vertex.
-        index: usize,
-        /// Its x.
-        x: f64,
-        /// Its y.
-        y: f64,
-    },
-    /// Fewer distinct vertices than the shape needs.
+    #[error("vertex {index} has a NaN or infinite coordinate: ({x}, {y})")]
+    NotFinite { index: usize, x: f64, y: f64 },
     #[error("{shape} needs at least {needed} distinct vertices, got {got}")]
-    TooFewVertices {
-        /// What was to be made.
-        shape: &'static str,
-        /// How many it needs.
-        needed: usize,
-        /// How many there are.
-        got: usize,
-    },
+    TooFewVertices { shape: &'static str, needed: usize, got: usize },
 }
 
 pub(crate) fn check_finite(points: &[Point]) -> Result<(), GeometryError> {

@@ -88,7 +88,7 @@ impl OrientedBox {
         to_other.chain(to_self).fold(f64::INFINITY, f64::min).sqrt()
     }
 
-    /// The box with its heading resolved, for many questions.
+    /// The box with the sine and cosine of its heading, for many queries.
     pub(super) fn frame(&self) -> BoxFrame {
         let (sin, cos) = self.center.heading.sin_cos();
         let half = (self.length / 2.0, self.width / 2.0);

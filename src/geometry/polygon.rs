@@ -1,4 +1,4 @@
-//! Polygons: areas of the map and footprints, with the queries that the simulation asks millions of times.
+//! Polygons: areas of the map and footprints. Their queries run millions of times in a simulation.
 
 use super::{Bounds, GeometryError, OrientedBox, Point, Polyline, check_finite};
 use geo::orient::Direction;

@@ -19,7 +19,7 @@ pub struct Polyline {
     blocks: Vec<Bounds>,
 }
 
-/// Where a point falls on a [`Polyline`].
+/// Projection of a point on a [`Polyline`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projection {
     /// Arc length of the nearest point, meters from the start, clamped to the line.
@@ -161,7 +161,7 @@ impl Polyline {
         }
     }
 
-    /// The nearest point by segment. Blocks whose bounds lie beyond what is found are passed over.
+    /// The nearest point by segment. Blocks farther than the best so far are skipped.
     fn nearest(&self, point: Point) -> Nearest {
         /// Rounding that the distance to bounds is allowed to be off by, as a share.
         const MARGIN: f64 = 1e-9;

@@ -1,4 +1,4 @@
-//! Fewer vertices for what is only looked at.
+//! Simplification of lines for display.
 
 use super::Point;
 use geo::Simplify;

@@ -11,7 +11,7 @@ use std::sync::Arc;
 const PAST: usize = 21;
 const ITERATIONS: usize = 151;
 
-/// A drive along a straight road at constant speed; `objects` says what stands around at each iteration (negative: past).
+/// A scenario along a straight road at constant speed with `objects` at each iteration (negative: past).
 fn straight_drive(speed: f64, objects: impl Fn(i64) -> Vec<TrackedObject>) -> Scenario {
     let map = straight_road(&[Stretch::Lane(100.0), Stretch::Connector(30.0), Stretch::Lane(300.0)], Some(15.0));
     let frame = |i: usize| {
@@ -142,7 +142,7 @@ fn a_drive_can_be_forked() {
     assert_eq!(main.present(), fork.present());
 }
 
-/// Gives whatever it is told to, to see what the loop makes of it.
+/// A planner that returns a given trajectory.
 struct Scripted(Box<Script>);
 
 type Script = dyn FnMut(&PlannerInput<'_>) -> Result<Trajectory, PlannerError> + Send;

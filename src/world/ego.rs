@@ -35,7 +35,7 @@ impl VehicleParameters {
         OrientedBox::new(rear_axle.translated(self.rear_axle_to_center(), 0.0), self.length(), self.width)
     }
 
-    /// Rear-axle pose of a vehicle whose box is centerd at `center`.
+    /// Rear-axle pose of a vehicle whose box is centered at `center`.
     pub fn rear_axle_of(&self, center: Pose) -> Pose {
         center.translated(-self.rear_axle_to_center(), 0.0)
     }

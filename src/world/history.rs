@@ -1,13 +1,13 @@
-//! The recent past that a planner may look at.
+//! The recent past.
 
 use super::{EgoState, TrackedObject};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Samples that the buffer holds: 2.1 s at 10 Hz, both ends included (devkit `simulation_history_buffer.py`).
+/// Capacity of the buffer, samples: 2.1 s at 10 Hz, both ends included (devkit `simulation_history_buffer.py`).
 pub const HISTORY_SAMPLES: usize = 22;
 
-/// What was at one instant.
+/// The ego and its surroundings at one instant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HistorySample {
     /// State of the ego.

@@ -39,7 +39,7 @@ map_id!(
 pub enum LaneKind {
     /// A lane of a road.
     Lane,
-    /// A way across an intersection.
+    /// A lane across an intersection.
     Connector,
 }
 
@@ -81,7 +81,7 @@ pub struct Lane {
     pub speed_limit: Option<f64>,
     /// Whether a traffic light ever governs it.
     pub has_traffic_lights: bool,
-    /// Where to stop before it.
+    /// Its stop lines.
     pub stop_lines: Vec<StopLineId>,
 }
 
@@ -139,7 +139,7 @@ pub struct StopLine {
 /// The layers of a map before their relations are checked.
 #[derive(Debug, Clone, Default)]
 pub struct MapParts {
-    /// Name of the map or its origin, for people.
+    /// Name of the map or its origin.
     pub name: String,
     /// Lanes and connectors; the n-th must have id n.
     pub lanes: Vec<Lane>,
@@ -167,36 +167,16 @@ impl MapParts {
     }
 }
 
-/// Why layers do not make a map.
+/// Why layers make no map.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum MapError {
-    /// No lane at all.
     #[error("the map has no lanes")]
     NoLanes,
-    /// An element does not stand at the place that its id names.
     #[error("{layer} number {index} has id {id}")]
-    Misplaced {
-        /// Which layer.
-        layer: &'static str,
-        /// Place in the list.
-        index: usize,
-        /// Its id.
-        id: u32,
-    },
-    /// A relation names an element that does not exist.
+    Misplaced { layer: &'static str, index: usize, id: u32 },
     #[error("{layer} {id} (source id {source_id}): its {relation} names number {target}, which does not exist")]
-    Dangling {
-        /// Which layer.
-        layer: &'static str,
-        /// Which element.
-        id: u32,
-        /// Its id in the source.
-        source_id: i64,
-        /// Which relation.
-        relation: &'static str,
-        /// The missing target.
-        target: u32,
-    },
+    Dangling { layer: &'static str, id: u32, source_id: i64, relation: &'static str, target: u32 },
 }
 
 /// A map whose every relation is known to hold, with spatial indices over its layers.

@@ -1,4 +1,4 @@
-//! Questions to the lane map: what lies here, what is near, where does the road go.
+//! Queries of the lane map.
 
 use super::{Lane, LaneId, LaneKind, LaneMap, RoadblockId, StopLineId};
 use crate::geometry::{Bounds, OrientedBox, Point, Polygon, Pose, SpatialIndex, wrap_angle};
@@ -146,7 +146,7 @@ impl LaneMap {
     }
 }
 
-/// How badly a lane fits a pose: meters beside the centerline plus meters for the turn away from it.
+/// Misfit of a lane and a pose, meters: distance to the centerline plus weighted heading error.
 fn misfit(lane: &Lane, pose: Pose) -> f64 {
     /// A radian of heading error weighs as much as this many meters beside the line: a lane width.
     const METRES_PER_RADIAN: f64 = 3.5;

@@ -1,5 +1,5 @@
-//! The vocabulary of a drive, with nuPlan's names: the ego and its vehicle, the objects around it, the lane map, traffic
-//! lights, trajectories, history, and the [`SceneView`]: all that a planner may see at one instant.
+//! The vocabulary of driving, with nuPlan's names: the ego and its vehicle, the objects around it, the lane map, traffic
+//! lights, trajectories, history, and the [`SceneView`], which is all that a planner sees at one instant.
 //!
 //! Plain data only. Time is in integer microseconds, space in local meters of the map frame.
 

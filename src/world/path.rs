@@ -1,4 +1,4 @@
-//! The way along lanes that a vehicle will follow from where it is.
+//! Paths along lanes.
 
 use super::{LaneId, LaneMap, Route};
 use crate::geometry::{Polyline, wrap_angle};
@@ -28,8 +28,8 @@ impl LanePath {
         Some(Self { lanes, starts, centerline })
     }
 
-    /// The way from the start of `first` on that stays on the route as long as it can, then goes on along the straightest
-    /// successor, until at least `length` meters (from the start of `first`) or a dead end.
+    /// The path from the start of `first` that stays on the route as long as possible, then follows the straightest
+    /// successors, for at least `length` meters or until a dead end.
     pub fn along(map: &LaneMap, route: &Route, first: LaneId, length: f64) -> Self {
         let mut lanes = longest_on_route(map, &route.lanes(map), first);
         let mut covered: f64 = lanes.iter().map(|&lane| map[lane].centerline.length()).sum();
@@ -56,7 +56,7 @@ impl LanePath {
     }
 }
 
-/// Of the chains that leave `first` through lanes of the route, the one with most lanes; the first found wins ties.
+/// Of the chains from `first` through lanes of the route, the one with most lanes; the first found wins ties.
 fn longest_on_route(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, first: LaneId) -> Vec<LaneId> {
     let mut parent: BTreeMap<LaneId, LaneId> = BTreeMap::new();
     let mut queue = VecDeque::from([first]);
@@ -80,13 +80,13 @@ fn longest_on_route(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, first: LaneId
     lanes
 }
 
-/// How far a lane turns from its start to its end, radians, without sign.
+/// Angle between the start and the end of a lane, radians, without sign.
 fn bend(map: &LaneMap, lane: LaneId) -> f64 {
     let line = &map[lane].centerline;
     wrap_angle(line.heading_at(line.length()) - line.heading_at(0.0)).abs()
 }
 
-/// The successor that turns least.
+/// The successor with the smallest angle.
 fn straightest_successor(map: &LaneMap, lane: LaneId) -> Option<LaneId> {
     map[lane].outgoing.iter().copied().min_by(|a, b| bend(map, *a).total_cmp(&bend(map, *b)))
 }

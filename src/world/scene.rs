@@ -1,15 +1,15 @@
-//! All that a planner may see at one instant.
+//! The input of a planner at one instant.
 
 use super::{EgoState, History, LaneId, LaneMap, RoadblockId, TrackedObject, TrafficLights};
 use crate::geometry::Pose;
 use std::collections::BTreeSet;
 
-/// Where the ego is meant to go.
+/// The route that the ego shall follow.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Route {
     /// The chain of roadblocks, from the start on.
     pub roadblocks: Vec<RoadblockId>,
-    /// nuPlan's mission goal: where the recorded drive ends up; `None` when unknown.
+    /// nuPlan's mission goal: the end of the recording; `None` when unknown.
     pub goal: Option<Pose>,
 }
 
@@ -25,12 +25,12 @@ impl Route {
     }
 }
 
-/// A view on the present and the recent past; there is no future in it.
+/// The present and the recent past. It holds no future.
 #[derive(Debug, Clone, Copy)]
 pub struct SceneView<'a> {
     /// The static map.
     pub map: &'a LaneMap,
-    /// Where to go.
+    /// The route.
     pub route: &'a Route,
     /// The ego now.
     pub ego: &'a EgoState,

@@ -4,7 +4,7 @@ use super::LaneId;
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// What a light shows.
+/// State of a light.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SignalStatus {
@@ -36,7 +36,7 @@ pub struct TrafficLights {
 }
 
 impl TrafficLights {
-    /// What the light of this connector shows; `None` when no light is recorded for it.
+    /// The state of the light of this connector; `None` without a recorded light.
     pub fn status(&self, connector: LaneId) -> Option<SignalStatus> {
         self.by_connector.get(&connector).copied()
     }

@@ -3,7 +3,7 @@
 use super::{EgoState, MICROS_PER_SECOND};
 use crate::geometry::{Pose, Vector, wrap_angle};
 
-/// One state of a trajectory: what nuPlan interpolates (devkit `interpolated_trajectory.py`).
+/// One state of a trajectory: the quantities that nuPlan interpolates (devkit `interpolated_trajectory.py`).
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TrajectoryState {
     /// Time, µs.
@@ -43,33 +43,18 @@ impl From<&EgoState> for TrajectoryState {
     }
 }
 
-/// Why a trajectory cannot be made or asked.
+/// Why there is no such trajectory or state.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum TrajectoryError {
-    /// Fewer than two states.
     #[error("a trajectory needs at least 2 states, got {0}")]
     TooShort(usize),
-    /// Times do not grow.
-    #[error("time of state {index} ({time_us} µs) does not lie after its predecessor")]
-    TimeNotIncreasing {
-        /// Which state.
-        index: usize,
-        /// Its time.
-        time_us: i64,
-    },
-    /// A number is NaN or infinite.
-    #[error("state {0} of the trajectory is not finite")]
+    #[error("time of state {index} ({time_us} µs) is not after that of the state before")]
+    TimeNotIncreasing { index: usize, time_us: i64 },
+    #[error("state {0} of the trajectory has a NaN or infinite value")]
     NotFinite(usize),
-    /// The asked time lies outside.
     #[error("time {time_us} µs lies outside the trajectory ({start_us} to {end_us} µs)")]
-    OutOfRange {
-        /// The asked time.
-        time_us: i64,
-        /// First time.
-        start_us: i64,
-        /// Last time.
-        end_us: i64,
-    },
+    OutOfRange { time_us: i64, start_us: i64, end_us: i64 },
 }
 
 /// A path in time of the ego's rear axle: at least two states, times increasing, all finite.

@@ -1,4 +1,4 @@
-//! Collisions and times to collision on a hand-made road with two lanes (centerd at y = 0 and y = 4, each 4 m wide).
+//! Collisions and times to collision on a hand-made road with two lanes (centered at y = 0 and y = 4, each 4 m wide).
 
 use crate::road::{Road, cruise, object, rectangle, samples, straight, two_lanes};
 use planagent::internals::geometry::Pose;

@@ -43,7 +43,7 @@ fn behind(ego: &EgoState) -> f64 {
 
 #[test]
 fn the_speed_of_a_leader_is_projected_on_the_heading_of_the_agent() {
-    // Gap: from 32.3 to the rear of an ego centerd at 60 (2.588 m).
+    // Gap: from 32.3 to the rear of an ego centered at 60 (2.588 m).
     let gap = 60.0 - 2.588 - 32.3;
     let same = behind(&ego(at(60.0), 5.0));
     assert!((same - (8.0 + 0.1 * law(8.0, 12.0, gap, 5.0))).abs() < 1e-6, "{same}");

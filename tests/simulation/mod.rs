@@ -24,7 +24,7 @@ fn object(token: u32, kind: ObjectKind, center: Pose, (length, width): (f64, f64
     TrackedObject { token: TrackToken(token), kind, shape: OrientedBox::new(center, length, width), velocity }
 }
 
-/// An ego whose box is centerd at a pose.
+/// An ego whose box is centered at a pose.
 fn ego(center: Pose, speed: f64) -> EgoState {
     let velocity = planagent::internals::geometry::Vector::new(speed, 0.0);
     EgoState::from_log(0, PACIFICA.rear_axle_of(center), velocity, planagent::internals::geometry::Vector::zeros())

@@ -1,4 +1,4 @@
-//! One reactive vehicle: where it is on its path, where it goes on, how fast (devkit `idm_agent.py`).
+//! One reactive vehicle: its path, progress and speed (devkit `idm_agent.py`).
 
 use super::footprint::Footprint;
 use crate::dynamics::idm::{IdmParameters, Lead};
@@ -8,9 +8,9 @@ use crate::world::{LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, Tracke
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Length of way that an agent wants ahead of itself, beside its headway, meters.
+/// Path length ahead of an agent in addition to its headway, meters.
 const MIN_PATH_LENGTH: f64 = 20.0;
-/// Segments that an agent remembers of its route.
+/// Segments of its route that an agent keeps.
 const ROUTE_SEGMENTS: usize = 5;
 
 /// A vehicle on its path. Its size stays that of iteration 0.
@@ -53,7 +53,7 @@ impl IdmAgent {
         })
     }
 
-    /// Which track it was.
+    /// Its recorded track.
     pub(super) fn token(&self) -> TrackToken {
         self.token
     }
@@ -63,12 +63,12 @@ impl IdmAgent {
         self.speed
     }
 
-    /// The segments of its way, the oldest first.
+    /// The segments of its route, the oldest first.
     pub(super) fn route(&self) -> impl Iterator<Item = LaneId> {
         self.route.iter().copied()
     }
 
-    /// What it occupied after the update before.
+    /// Its footprint after the previous step.
     pub(super) fn footprint(&self) -> &Footprint {
         &self.footprint
     }
@@ -82,14 +82,14 @@ impl IdmAgent {
         OrientedBox::new(self.pose(), self.length, self.width)
     }
 
-    /// How it is seen by others.
+    /// The agent as an object of the scene.
     pub(super) fn object(&self) -> TrackedObject {
         let shape = self.shape();
         let velocity = shape.center.direction() * self.speed;
         TrackedObject { token: self.token, kind: ObjectKind::Vehicle, shape, velocity }
     }
 
-    /// Appends lanes until enough way lies ahead: of those that may be entered, the one that bends least at its start. An
+    /// Appends lanes until the path is long enough: of those that may be entered, the one that bends least at its start. An
     /// edge with traffic lights may be entered when it shows green, any other when it does not show red. An agent that stands
     /// at the very end of its path starts the longer one at the last pose but one, as in nuPlan.
     pub(super) fn extend_route(&mut self, map: &LaneMap, lights: &TrafficLights) {
@@ -124,7 +124,7 @@ impl IdmAgent {
         Footprint::of_strip(&self.path.between(self.progress, self.path.length()), self.width / 2.0)
     }
 
-    /// Drives on for `dt` seconds behind `lead`; without one it treats the end of its path as a standing obstacle.
+    /// Moves for `dt` seconds behind `lead`; without one, the end of its path is a standing obstacle.
     pub(super) fn propagate(&mut self, lead: Option<Lead>, map: &LaneMap, dt: f64) {
         if let Some(limit) = self.route.back().and_then(|&lane| map[lane].speed_limit).filter(|&limit| limit > 0.0) {
             self.idm.target_velocity = limit;

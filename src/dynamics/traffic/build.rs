@@ -1,4 +1,4 @@
-//! Which recorded vehicles become reactive agents, and how they start (devkit `idm_agents_builder.py`).
+//! The reactive agents at iteration 0 (devkit `idm_agents_builder.py`).
 
 use super::agent::IdmAgent;
 use crate::dynamics::idm::IdmParameters;
@@ -6,7 +6,7 @@ use crate::geometry::OrientedBox;
 use crate::world::{EgoState, LaneId, LaneKind, LaneMap, ObjectKind, TrackedObject};
 
 /// The agents of iteration 0 in the order of the log: vehicles on a lane or a connector, snapped to its baseline, unless the
-/// snapped box meets the ego, a replayed object or an agent before it, or that agent is the same track.
+/// snapped box meets the ego, a logged object or an earlier agent, or an earlier agent has the same track.
 pub(super) fn agents(
     map: &LaneMap,
     objects: &[TrackedObject],
@@ -41,8 +41,8 @@ pub(super) fn agents(
     agents
 }
 
-/// The lane that holds the center of a vehicle, in an intersection the connector; of several the one whose heading is
-/// nearest. nuPlan does not wrap the difference of the headings.
+/// The lane that contains the center of a vehicle, or in an intersection the connector; of several the one with the nearest
+/// heading. nuPlan does not wrap the difference of the headings.
 fn lane_of(map: &LaneMap, vehicle: &TrackedObject) -> Option<LaneId> {
     let center = vehicle.shape.center.position();
     let lanes = map.lanes_of_kind_at(center, LaneKind::Lane);

@@ -1,10 +1,10 @@
-//! The area that a road user claims: its box and the strip of road that it is about to sweep.
+//! The area that an agent claims: its box and the strip of road ahead of it.
 
 use crate::geometry::{Bounds, OrientedBox, Point, Polygon, Pose, Vector, wrap_angle};
 
 /// Bends sharper than this are rounded on their outside, radians. Below it the missing wedge is under half a millimeter deep.
 const ROUNDED_BEND: f64 = 0.05;
-/// A line that strays less than this from its first segment's direction goes straight on, meters.
+/// A line that deviates less than this from the direction of its first segment is straight, meters.
 const STRAIGHT: f64 = 1e-3;
 
 /// A convex or simple part of a footprint.
@@ -84,7 +84,7 @@ fn polygon_distance(a: &Polygon, b: &Polygon) -> f64 {
     one_way(a, b).min(one_way(b, a))
 }
 
-/// The line of poses as segments, those that go straight on joined to one.
+/// The line of poses as segments; straight runs are joined.
 fn straight_runs(poses: &[Pose]) -> Vec<(Point, Point)> {
     let mut runs: Vec<(Point, Point)> = Vec::new();
     let mut direction = Vector::zeros();

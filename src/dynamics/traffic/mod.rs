@@ -1,11 +1,10 @@
-//! Reactive traffic: vehicles that follow the lanes by the intelligent driver model (devkit `idm_agents.py`,
+//! Reactive agents: vehicles that follow their lanes by the intelligent driver model (devkit `idm_agents.py`,
 //! `idm_agent_manager.py`, `idm_agents_builder.py`).
 //!
-//! nuPlan's ways are kept, odd ones included: bicycles do not exist in it; only vehicles on a lane at iteration 0 become
-//! agents; one that falls more than 100 m behind or ahead of the ego is gone for good; the end of a path is an obstacle.
-//! One difference: identities are compared as wholes, where upstream compares substrings (nuPlan's equally long tokens never
-//! differ in it). Where several things are at distance 0 from an agent, upstream takes whichever its tree finds first; here
-//! agents come before the ego, replayed objects and stop lines.
+//! nuPlan's quirks are kept: bicycles are removed; only vehicles on a lane at iteration 0 become agents; an agent more than
+//! 100 m from the ego is removed and does not return; the end of a path is an obstacle. Two differences: tokens are compared
+//! as a whole, not as substrings, which is the same for nuPlan's tokens of equal length. And of several obstacles at distance
+//! 0, upstream takes the first in its tree; here agents come before the ego, logged objects and stop lines.
 
 mod agent;
 mod build;
@@ -21,14 +20,14 @@ use agent::IdmAgent;
 use footprint::Footprint;
 use std::sync::Arc;
 
-/// The law of nuPlan's IDM agents; the target velocity holds until a lane with a speed limit is met.
+/// Parameters of nuPlan's IDM agents. The target velocity applies until the first lane with a speed limit.
 pub const IDM_AGENT: IdmParameters =
     IdmParameters { target_velocity: 10.0, min_gap: 1.0, headway: 1.5, accel_max: 1.0, decel_max: 2.0, exponent: 4 };
 
-/// Agents whose center is farther from the center of the ego are removed, meters.
+/// Agents farther from the ego are removed, center to center, meters.
 const RADIUS: f64 = 100.0;
 
-/// Whether objects of a kind are replayed from the log in reactive simulation.
+/// Whether objects of a kind replay the log.
 fn is_open_loop(kind: ObjectKind) -> bool {
     match kind {
         ObjectKind::Pedestrian
@@ -40,8 +39,8 @@ fn is_open_loop(kind: ObjectKind) -> bool {
     }
 }
 
-/// All reactive vehicles of a scenario and the objects that are replayed beside them. Clones share map and paths, so that
-/// many futures can be tried from one state.
+/// All reactive agents of a scenario and the objects that replay the log. Clones share map and paths, so that many futures
+/// can be tried from one state.
 #[derive(Debug, Clone)]
 pub struct IdmTraffic {
     map: Arc<LaneMap>,
@@ -49,7 +48,7 @@ pub struct IdmTraffic {
     open_loop: Vec<TrackedObject>,
 }
 
-/// Something that an agent may have to stop for.
+/// An obstacle on the path of an agent.
 struct Obstacle {
     footprint: Footprint,
     heading: f64,
@@ -64,7 +63,7 @@ impl Obstacle {
 }
 
 impl IdmTraffic {
-    /// The traffic at iteration 0 from the logged objects and the ego of that instant.
+    /// The agents at iteration 0, from the logged objects and the ego of that instant.
     pub fn new(map: &Arc<LaneMap>, objects: &[TrackedObject], ego: &EgoState) -> Self {
         Self::with_law(map, objects, ego, IDM_AGENT)
     }
@@ -76,18 +75,18 @@ impl IdmTraffic {
         Self { map: Arc::clone(map), agents, open_loop }
     }
 
-    /// How many reactive vehicles there are.
+    /// Number of reactive agents.
     pub fn agent_count(&self) -> usize {
         self.agents.len()
     }
 
-    /// What an observer sees now: the reactive vehicles, then the replayed objects.
+    /// The objects now: the reactive agents, then the logged objects.
     pub fn objects(&self) -> Arc<[TrackedObject]> {
         self.agents.iter().map(IdmAgent::object).chain(self.open_loop.iter().copied()).collect()
     }
 
-    /// Moves everything from iteration k to k+1, `dt` seconds later. As in nuPlan the agents see the ego at k but the logged
-    /// objects and lights of k+1, and each sees those before it in the list already moved.
+    /// Moves the agents from iteration k to k+1, `dt` seconds later. As in nuPlan, they see the ego at k but the logged objects
+    /// and lights of k+1, and each sees earlier agents already moved.
     pub fn step(&mut self, ego: &EgoState, logged: &[TrackedObject], lights: &TrafficLights, dt: f64) {
         self.open_loop = logged.iter().filter(|object| is_open_loop(object.kind)).copied().collect();
         let center = ego.center().position();
@@ -116,7 +115,7 @@ impl IdmTraffic {
             .collect()
     }
 
-    /// The nearest of those whose footprint meets the way ahead of an agent; the distance is that between footprints.
+    /// The nearest obstacle whose footprint meets the path of an agent; the distance is that between footprints.
     fn lead_of(&self, index: usize, others: &[Obstacle], stop_lines: &[Obstacle]) -> Option<Lead> {
         let agent = &self.agents[index];
         let way = agent.way_ahead()?;
@@ -155,7 +154,7 @@ impl IdmTraffic {
     }
 }
 
-/// Whom an agent sees.
+/// An obstacle that an agent sees.
 #[derive(Clone, Copy)]
 enum Seen<'a> {
     Agent(usize),

@@ -1,4 +1,4 @@
-//! The BEV map: the paper's eight elements seen from above, ego-centerd, the ego's heading up.
+//! The BEV map: the paper's eight elements seen from above, ego-centered, the ego's heading up.
 //!
 //! The center of the ego's box lies in the center of the image. Drawn in this order, later over earlier: background, lane
 //! and connector areas, crosswalks, centerlines (on lanes with arrowheads in driving direction, 10 m apart), static
@@ -29,11 +29,10 @@ pub struct BevView {
 
 /// Why a view cannot be drawn.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BevError {
-    /// Too few or too many pixels.
     #[error("a BEV image needs between {min} and {max} pixels a side, got {0}", min = BevView::MIN_PIXELS, max = BevView::MAX_PIXELS)]
     Pixels(u32),
-    /// No sensible extent.
     #[error("a BEV view needs between {min} and {max} metres a side, got {0}", min = BevView::MIN_METRES, max = BevView::MAX_METRES)]
     Metres(f64),
 }

@@ -112,26 +112,12 @@ pub struct LaneNode {
 
 /// Why a scene has no lane graph.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum LaneGraphError {
-    /// The ego's state holds NaN or infinity.
     #[error("the ego's pose is not finite: ({x}, {y}), heading {heading}")]
-    NotFinite {
-        /// x of the box center, map frame.
-        x: f64,
-        /// y of the box center, map frame.
-        y: f64,
-        /// Heading, radians.
-        heading: f64,
-    },
-    /// No lane holds the ego or is near it.
+    NotFinite { x: f64, y: f64, heading: f64 },
     #[error("the ego at ({x:.1}, {y:.1}) is off the road: no lane within {OFF_ROAD_REACH} m")]
-    OffRoad {
-        /// x of the box center, map frame.
-        x: f64,
-        /// y of the box center, map frame.
-        y: f64,
-    },
-    /// No sensible node length.
+    OffRoad { x: f64, y: f64 },
     #[error("a node length must lie between {MIN_NODE_LENGTH} and {MAX_NODE_LENGTH} m, got {0}")]
     NodeLength(f64),
 }
