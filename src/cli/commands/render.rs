@@ -17,7 +17,7 @@ pub(in crate::cli) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::
     let challenge = challenge.context("--challenge takes nonreactive, reactive or open-loop")?;
     let choice = SimulationChoice { simulation: flags.simulation.clone(), planner: flags.planner.clone(), challenge };
     let rate = NonZeroU32::new(flags.fps).context("--fps is 0; a film needs frames")?;
-    let film = Film::open(&flags.run, &choice, Look { pixels: flags.pixels, metres: flags.view })?;
+    let film = Film::open(&flags.run, &choice, Look { pixels: flags.pixels, meters: flags.view })?;
     let frames = (film.iterations() as f64 * STEP_S * f64::from(flags.fps)).ceil() as u64;
     let bar = printer.progress(frames, "frames");
     let on_frame = || bar.inc(1);

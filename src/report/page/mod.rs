@@ -59,9 +59,6 @@ pub struct PageContents {
 }
 
 /// Writes a page of one or more runs to `out`. Calls `on_simulation(done, all)` after it has read a simulation.
-///
-/// # Errors
-/// When a folder holds no run or no completed simulation, a file cannot be read, or the page cannot be written.
 pub fn write(
     folders: &[PathBuf],
     out: &Path,

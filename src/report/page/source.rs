@@ -20,9 +20,6 @@ pub(super) struct RunSimulations {
 
 impl RunSimulations {
     /// Reads the folders of runs. Equal names get the parent folder as prefix.
-    ///
-    /// # Errors
-    /// When a folder holds no run, no completed simulation, or a damaged one.
     pub(super) fn read_all(paths: &[PathBuf]) -> Result<Vec<Self>, ReportError> {
         let mut runs: Vec<Self> = paths.iter().map(|path| Self::read(path)).collect::<Result<_, _>>()?;
         let names: Vec<String> = runs.iter().map(|run| run.name.clone()).collect();

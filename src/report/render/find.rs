@@ -22,9 +22,6 @@ pub struct SimulationChoice {
 
 impl SimulationChoice {
     /// The row and the folder of the simulation.
-    ///
-    /// # Errors
-    /// When the run cannot be read, or none or several of its simulations match.
     pub(super) fn find(&self, run: &Path) -> Result<(SimulationRow, PathBuf), RenderError> {
         // The error for a folder without a run is clearer than that for a missing simulation.
         RunFolder::manifest(run)?;

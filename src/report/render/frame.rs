@@ -29,8 +29,8 @@ const GAP: u32 = 6;
 pub struct Look {
     /// Side of the scene, pixels.
     pub pixels: u32,
-    /// Side of the scene, metres.
-    pub metres: f64,
+    /// Side of the scene, meters.
+    pub meters: f64,
 }
 
 /// A simulation ready for drawing.
@@ -45,12 +45,9 @@ pub struct Film {
 
 impl Film {
     /// Opens the replay of a simulation.
-    ///
-    /// # Errors
-    /// When the simulation is not found, has no replay, or cannot be drawn.
     pub fn open(run: &Path, choice: &SimulationChoice, look: Look) -> Result<Self, RenderError> {
         let (row, folder) = choice.find(run)?;
-        let view = BevView::new(look.pixels, look.metres)?;
+        let view = BevView::new(look.pixels, look.meters)?;
         let replay = Replay::read(&folder)?.ok_or_else(|| RenderError::NoReplay(words(&row)))?;
         Ok(Self { simulation: ReplayedSimulation::new(&replay)?, calls: calls_in(&folder)?, row, view })
     }
@@ -61,9 +58,6 @@ impl Film {
     }
 
     /// The iteration at a time in seconds.
-    ///
-    /// # Errors
-    /// When the time is outside the simulation.
     pub fn iteration_at(&self, at_s: f64) -> Result<usize, RenderError> {
         let moments = self.simulation.moments();
         let end_s = moments.last().map_or(0.0, |moment| moment.at_s);

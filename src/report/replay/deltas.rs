@@ -4,7 +4,7 @@
 use crate::geometry::Point;
 use serde::{Deserialize, Serialize};
 
-/// Unit of lengths, metres.
+/// Unit of lengths, meters.
 pub(super) const LENGTH: f64 = 0.01;
 
 /// A sequence: its first number, then the differences, in whole units.
@@ -32,7 +32,7 @@ impl Deltas {
     }
 }
 
-/// Points in order, map frame, whole centimetres.
+/// Points in order, map frame, whole centimeters.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub(super) struct Points {
     x: Deltas,

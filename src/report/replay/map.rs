@@ -6,7 +6,7 @@ use crate::scenario::Scenario;
 use crate::world::{Lane, LaneId, LaneKind, LaneMap, MapError, MapParts, Roadblock, RoadblockId};
 use serde::{Deserialize, Serialize};
 
-/// Simplification removes vertices that are nearer than this to the remaining line, metres.
+/// Simplification removes vertices that are nearer than this to the remaining line, meters.
 const DETAIL_M: f64 = 0.05;
 
 /// The map along a simulation: lanes, other drivable areas, crosswalks, stop lines.
@@ -63,9 +63,6 @@ impl ReplayMap {
     }
 
     /// A map for drawing: lanes and crosswalks without relations. It omits lanes that rounding made degenerate.
-    ///
-    /// # Errors
-    /// When no lane remains.
     pub(super) fn to_map(&self) -> Result<LaneMap, MapError> {
         let shapes = self.lanes.iter().filter_map(|lane| {
             let centerline = Polyline::new(lane.centerline.points()).ok()?;

@@ -1,7 +1,7 @@
 //! `replay.json.gz`: everything that the page and the renders need to show a simulation without its source.
 //!
 //! It holds the ego, the agents, the lights, the map nearby, the active plan of each iteration, and the roll-outs of Reflection.
-//! Lengths are whole centimetres, angles milliradians, speeds cm/s, all delta-coded (see [`deltas`]), in the map frame. Equal
+//! Lengths are whole centimeters, angles milliradians, speeds cm/s, all delta-coded (see [`deltas`]), in the map frame. Equal
 //! simulations give equal bytes.
 
 mod deltas;

@@ -9,7 +9,7 @@ use crate::geometry::{Bounds, Point};
 use crate::planner::{Attempt, PlanningCall};
 use crate::world::{STEP_US, Trajectory};
 
-/// The replay holds map and objects up to this distance from the paths of the ego and the recorded ego, metres.
+/// The replay holds map and objects up to this distance from the paths of the ego and the recorded ego, meters.
 const REACH_M: f64 = 80.0;
 
 impl Replay {

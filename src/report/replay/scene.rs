@@ -31,9 +31,6 @@ pub(in crate::report) struct Moment {
 
 impl ReplayedSimulation {
     /// The scenes of a replay.
-    ///
-    /// # Errors
-    /// When its map holds no lane.
     pub(in crate::report) fn new(replay: &Replay) -> Result<Self, MapError> {
         let plans = replay.plans.iter().map(|plan| plan.points().collect()).chain(std::iter::repeat(Vec::new()));
         let mut moments: Vec<Moment> = replay

@@ -84,12 +84,12 @@ impl EgoTrack {
 pub(super) struct AgentTrack {
     token: TrackToken,
     kind: ObjectKind,
-    /// Whole centimetres, at the first sample.
+    /// Whole centimeters, at the first sample.
     length: i64,
     width: i64,
     /// The first sample.
     from: usize,
-    /// Centre of its box.
+    /// Center of its box.
     #[serde(flatten)]
     poses: Poses,
     /// Velocity, map frame.
@@ -98,7 +98,7 @@ pub(super) struct AgentTrack {
 }
 
 impl AgentTrack {
-    /// The objects of these samples that come within `reach` metres of the ego, by token.
+    /// The objects of these samples that come within `reach` meters of the ego, by token.
     pub(super) fn all(samples: &[HistorySample], reach: f64) -> Vec<Self> {
         let mut open: BTreeMap<TrackToken, (usize, Vec<TrackedObject>)> = BTreeMap::new();
         let mut ended = Vec::new();
@@ -129,7 +129,7 @@ impl AgentTrack {
     fn of(from: usize, seen: &[TrackedObject]) -> Option<Self> {
         let first = seen.first()?;
         let poses: Vec<Pose> = seen.iter().map(|object| object.shape.center).collect();
-        let whole = |metres: f64| (metres / LENGTH).round() as i64;
+        let whole = |meters: f64| (meters / LENGTH).round() as i64;
         Some(Self {
             token: first.token,
             kind: first.kind,

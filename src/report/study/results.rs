@@ -225,8 +225,8 @@ impl ResultSource<'_> {
                 })
                 .collect(),
         };
-        let driven = rows.iter().filter(|row| row.score.is_some());
-        let calls: usize = driven.clone().map(|row| row.planning_calls).sum();
+        let completed = rows.iter().filter(|row| row.score.is_some());
+        let calls: usize = completed.clone().map(|row| row.planning_calls).sum();
         VariantResults {
             name: self.study.name_of(variant),
             planner: variant.planner.to_string(),
@@ -236,7 +236,7 @@ impl ResultSource<'_> {
             challenges: self.challenges(variant, rows, against, benchmark, |_| true),
             scenario_types,
             calls_per_simulation: (calls > 0 || self.study.columns.contains(&Column::Calls))
-                .then(|| calls as f64 / driven.count() as f64),
+                .then(|| calls as f64 / completed.count() as f64),
             model: self.study.measures_models().then(|| self.cost(variant, simulations)),
         }
     }
@@ -282,12 +282,12 @@ impl ResultSource<'_> {
     fn cost(&self, variant: &Variant, simulations: &VariantSimulations) -> ModelCost {
         let benched = self.bench.iter().find(|model| variant.labels.first() == Some(&model.about.model));
         let calls = simulations.rows().iter().flat_map(|row| &row.time.calls).map(|call| call.total).collect();
-        let driven = Quantiles::of(calls).map(|quantiles| quantiles.p50);
+        let simulated = Quantiles::of(calls).map(|quantiles| quantiles.p50);
         let from_bench = benched.and_then(|model| model.call_ms).map(|quantiles| quantiles.p50);
         ModelCost {
             parameters: simulations.parameters.or_else(|| benched.map(|model| model.about.loaded.parameters)),
-            call_ms: driven.or(from_bench),
-            benched: driven.is_none() && from_bench.is_some(),
+            call_ms: simulated.or(from_bench),
+            benched: simulated.is_none() && from_bench.is_some(),
             paper: variant.published.model.clone(),
         }
     }

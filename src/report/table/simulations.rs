@@ -13,7 +13,7 @@ const MAX_ROWS: usize = 60;
 pub(super) fn table(rows: &[SimulationRow], list: MetricList) -> String {
     let completed = || rows.iter().filter(|row| row.score.is_some() && row.challenge.metric_list() == list);
     let labels = list.scored().map(|metric| metric.label);
-    let headers = ["scenario", "  planner", "", "score"].into_iter().chain(labels).chain(["calls"]);
+    let headers = ["scenario", " planner", "", "score"].into_iter().chain(labels).chain(["calls"]);
     let table = Table::new(headers, 3, completed().take(MAX_ROWS).map(cells));
     let left_out = completed().count() - table.rows.len();
     let mut text = table.terminal_below_names();
@@ -28,7 +28,7 @@ fn cells(row: &SimulationRow) -> Vec<String> {
     let list = row.challenge.metric_list().scored();
     let metrics = list.map(|metric| or_dash(row.metric(metric.name), |value| fixed(value, decimals(value))));
     let calls = or_dash(Some(row.planning_calls).filter(|calls| *calls > 0), |calls| calls.to_string());
-    let planner = format!("  {}", row.planner);
+    let planner = format!(" {}", row.planner);
     let head = [row.scenario.clone(), planner, short(row.challenge).to_owned(), or_dash(row.score, percent)];
     head.into_iter().chain(metrics).chain([calls]).collect()
 }

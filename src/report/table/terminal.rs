@@ -13,7 +13,7 @@ impl Table {
         self.lines().join("\n")
     }
 
-    /// The table with the first cell of each row on a line of its own, once for equal neighbours: long names take no width.
+    /// The table with the first cell of each row on a line of its own, once for equal neighbors: long names take no width.
     pub(super) fn terminal_below_names(mut self) -> String {
         let header_lines = self.headers.iter().map(|header| header.split('\n').count()).max().unwrap_or(1);
         let rows = std::iter::once(&mut self.headers).chain(&mut self.rows).filter(|row| !row.is_empty());

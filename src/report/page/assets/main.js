@@ -67,7 +67,7 @@ function keyed(event) {
   const toggle = (what) => () => { bev.show[what] = !bev.show[what]; bev.draw(); };
   const replaying = {
     " ": () => player.toggle(), ArrowLeft: () => player.step(event.shiftKey ? -10 : -1), ArrowRight: () => player.step(event.shiftKey ? 10 : 1),
-    ArrowUp: () => scenarios.neighbour(-1), ArrowDown: () => scenarios.neighbour(1), "[": () => scenarios.call(-1), "]": () => scenarios.call(1),
+    ArrowUp: () => scenarios.neighbor(-1), ArrowDown: () => scenarios.neighbor(1), "[": () => scenarios.call(-1), "]": () => scenarios.call(1),
     Home: () => player.seek(0), End: () => { player.pause(); player.seek(player.end); }, "+": () => bev.zoomBy(ZOOM.step), "=": () => bev.zoomBy(ZOOM.step),
     "-": () => bev.zoomBy(1 / ZOOM.step), 0: () => bev.recenter(), r: () => { bev.headingUp = !bev.headingUp; bev.draw(); },
     t: toggle("tried"), e: toggle("expert"),

@@ -157,7 +157,7 @@ class Scenarios {
   }
 
   /** Opens the previous or next scenario, with the same planner if possible. */
-  neighbour(by) {
+  neighbor(by) {
     const place = this.entries.findIndex(({ scenario }) => scenario === this.simulation?.scenario);
     const next = this.entries[place + by];
     if (next) location.hash = hashOf(next.own ?? next.simulations[0], 0);
