@@ -14,9 +14,9 @@ use planagent::internals::geometry::{OrientedBox, Vector};
 use planagent::internals::pdm::{
     Collided, PROPOSAL_STEPS, PdmInstant, PdmMemory, ReferencePath, plan_along, score_proposals, simulate_proposals,
 };
-use planagent::internals::planner::{IdmPlanner, LogReplay, Planner, PlannerInput, build_idm_plan};
+use planagent::internals::planner::{IdmPlanner, LogReplay, Planner, PlannerInput};
 use planagent::internals::reasoning::PlannerCode;
-use planagent::internals::reflection::{Judge, LeadPolicy};
+use planagent::internals::reflection::{Judge, LeadPolicy, PlanBuilder};
 use planagent::internals::scenario::generator::{DEFAULT, generate};
 use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
 use planagent::internals::scenario::{DataRoots, Readers};
@@ -165,13 +165,14 @@ fn engine(c: &mut Criterion) {
     let scene = drive.scene();
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
     let code = PlannerCode {
-        centerline: CenterlineName::EgoLane.to_string(),
+        centerline: CenterlineName::EgoLane,
         lead_agent: None,
         target_speed: 10.0,
         accel_max: 1.5,
         decel_max: 3.0,
     };
-    let planner = build_idm_plan(&scene, &graph, code, LeadPolicy::Nearest, 4.0).unwrap().unwrap();
+    let planner =
+        PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: 4.0 }.build(&scene, &graph, code).unwrap().unwrap();
 
     c.bench_function("generate a scenario", |b| b.iter(|| generate(black_box(&DEFAULT)).unwrap()));
     c.bench_function("draw the BEV map, 128 px", |b| b.iter(|| bev::render(black_box(&scene), &BevView::default())));

@@ -7,16 +7,17 @@ use planagent::internals::mllm::{
 };
 use planagent::internals::pdm::PdmMemory;
 use planagent::internals::planner::{
-    AfterMaxExec, CodeSource, Decision, Latency, NoPlan, PlanAgent, PlanAgentSettings, Planner, PlannerInput,
-    PlannerName, PlanningCall, build_idm_plan,
+    AfterMaxExec, AgentLayer, CodeSource, Decision, NoPlan, PlanAgent, PlanAgentSettings, Planner, PlannerInput,
+    PlannerName, PlanningCall,
 };
 use planagent::internals::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
-use planagent::internals::reflection::{Judge, LeadPolicy, ProgressReference, Verdict, needs_emergency_brake};
+use planagent::internals::reflection::{
+    Judge, LeadPolicy, PlanBuilder, ProgressReference, Verdict, needs_emergency_brake,
+};
 use planagent::internals::scenario::{Scenario, generator};
 use planagent::internals::simulation::{Challenge, ClosedLoop, SimulationLog, simulate};
 use planagent::internals::world::{Route, SceneView};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 /// Answers the n-th question with the n-th answer, from the start again at the end; remembers the questions.
 pub(crate) struct Script {
@@ -83,27 +84,18 @@ impl Conversation for Scripted<'_> {
     fn rewind(&mut self, _: Mark) {}
 }
 
+/// The settings of the paper's loop.
 pub(crate) fn settings() -> PlanAgentSettings {
-    PlanAgentSettings {
-        view_m: Some(64.0),
-        shuffled_bev: false,
-        lane_graph: true,
-        node_length_m: DEFAULT_NODE_LENGTH,
-        interval: 20,
-        deadline: None,
-        gate: None,
-        latency: Latency::None,
-        reflect: true,
-        threshold: 0.75,
-        lane_change_threshold: 0.98,
-        max_exec: 3,
-        horizon_s: 4.0,
-        after_max_exec: AfterMaxExec::Last,
-        lead_policy: LeadPolicy::Nearest,
-        monitoring: false,
-        emergency_brake: true,
-        seed: 0,
-    }
+    let mut settings = PlanAgentSettings::default();
+    (settings.reflection.after_max_exec, settings.reflection.monitoring) = (AfterMaxExec::Last, false);
+    settings
+}
+
+/// The same with a change.
+pub(crate) fn settings_with(change: impl FnOnce(&mut PlanAgentSettings)) -> PlanAgentSettings {
+    let mut settings = settings();
+    change(&mut settings);
+    settings
 }
 
 pub(crate) fn scenario(id: &str) -> Scenario {
@@ -131,9 +123,9 @@ pub(crate) fn drive(
     rounds: &[Round],
     settings: PlanAgentSettings,
     id: &str,
-) -> (PlanAgent, SimulationLog, Vec<String>) {
+) -> (Box<dyn AgentLayer>, SimulationLog, Vec<String>) {
     let script = Arc::new(Script { answers: answers.to_vec(), asked: Mutex::new(Vec::new()) });
-    let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source(script.clone(), rounds), settings);
+    let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source(script.clone(), rounds), settings).layered();
     let log = simulate(&scenario(id), &mut agent, Challenge::NonReactive).unwrap();
     let asked = script.asked.lock().unwrap().clone();
     (agent, log, asked)
@@ -153,7 +145,7 @@ fn readable_code_drives_and_three_rounds_are_asked() {
     assert!(asked[2].contains("ego_lane"));
     let call = &agent.calls()[0];
     assert_eq!(call.parse_errors(), 0);
-    assert!(call.driving().unwrap().instruction.is_some());
+    assert!(call.accepted().unwrap().instruction.is_some());
     // The code asks for 8 m/s and for no more.
     assert!((log.samples.last().unwrap().ego.speed() - 8.0).abs() < 0.5);
 }
@@ -176,7 +168,7 @@ fn a_planner_in_force_goes_on_when_later_answers_fail() {
     let mut answers = vec!["nothing to read"; 60];
     answers[0] = "Generate_IDM_Planner(c=ego_lane, la=None, v0=6, acc=1, dec=3)";
     let mut settings = settings();
-    settings.reflect = false;
+    settings.reflection.enabled = false;
     let (agent, log, _) = drive(&answers, &[Round::Code], settings, "generated/high_magnitude_speed/1");
     assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
     assert!(agent.calls()[1..].iter().all(|call| matches!(call.decision, Decision::KeepActivePlan(_))));
@@ -202,15 +194,15 @@ fn a_deadline_ends_the_call_with_the_planner_in_force() {
     let mut answers = vec!["A road.", "keep", code, "A road.", SLOW, "A road.", "keep", "drive on", SLOW];
     answers.extend([SLOW; 5]);
     let mut settings = settings();
-    settings.reflect = false;
-    settings.deadline = Some(Duration::from_millis(400));
+    settings.reflection.enabled = false;
+    settings.agent.deadline_ms = Some(400);
     let (agent, log, asked) = drive(&answers, &Round::ALL, settings, "generated/high_magnitude_speed/1");
     assert_eq!((agent.calls().len(), asked.len()), (8, answers.len()));
     assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
     let ended = Decision::KeepActivePlan(NoPlan::Interrupted(Interruption::Deadline));
     for call in &agent.calls()[1..] {
         assert_eq!(call.decision, ended);
-        assert!(call.total_ms >= 400.0 && call.driving().is_none());
+        assert!(call.total_ms >= 400.0 && call.accepted().is_none());
     }
     let attempts: Vec<Vec<usize>> =
         agent.calls().iter().map(|call| call.attempts.iter().map(|attempt| attempt.rounds.len()).collect()).collect();
@@ -224,19 +216,19 @@ fn a_deadline_ends_the_call_with_the_planner_in_force() {
 fn a_refused_planner_does_not_drive_because_time_is_up() {
     let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=3)";
     let mut settings = settings();
-    settings.threshold = 1.5;
-    settings.deadline = Some(Duration::from_secs(2));
+    settings.reflection.threshold = 1.5;
+    settings.agent.deadline_ms = Some(2000);
     let (agent, _, _) = drive(&[code, SLOW], &[Round::Code], settings, "generated/high_magnitude_speed/1");
     let call = &agent.calls()[0];
     assert_eq!(call.decision, Decision::Brake(NoPlan::Interrupted(Interruption::Deadline)));
     assert_eq!(call.attempts.len(), 1);
-    assert!(call.attempts[0].code.is_some() && agent.active_plan().is_none());
+    assert!(call.attempts[0].answer.is_some() && agent.state().active_plan().is_none());
 }
 
 #[test]
 fn without_a_planner_in_force_a_deadline_ends_in_a_stop() {
     let mut settings = settings();
-    settings.deadline = Some(Duration::from_millis(20));
+    settings.agent.deadline_ms = Some(20);
     let (agent, log, _) = drive(&[SLOW], &[Round::Code], settings, "generated/high_magnitude_speed/1");
     let ended = Decision::Brake(NoPlan::Interrupted(Interruption::Deadline));
     assert!(agent.calls().iter().all(|call| call.decision == ended));
@@ -251,13 +243,13 @@ pub(crate) fn planner_at<'a>(
     lead_policy: LeadPolicy,
 ) -> planagent::internals::reflection::IdmPlan {
     let code = PlannerCode {
-        centerline: CenterlineName::EgoLane.to_string(),
+        centerline: CenterlineName::EgoLane,
         lead_agent: None,
         target_speed,
         accel_max: 2.0,
         decel_max: 3.0,
     };
-    build_idm_plan(&drive.scene(), graph, code, lead_policy, 4.0).unwrap().unwrap()
+    PlanBuilder { lead_policy, horizon_s: 4.0 }.build(&drive.scene(), graph, code).unwrap().unwrap()
 }
 
 #[test]
@@ -350,11 +342,15 @@ fn the_controls_drive_without_a_model() {
         calls
     };
     let codes = |calls: &[PlanningCall]| -> Vec<PlannerCode> {
-        calls.iter().flat_map(|call| &call.attempts).map(|attempt| attempt.code.clone().unwrap()).collect()
+        calls.iter().flat_map(|call| &call.attempts).map(|attempt| attempt.answer.unwrap().code().unwrap()).collect()
     };
     let fixed = best(CodeSource::Fixed);
     assert!(fixed.iter().all(|call| call.attempts.len() == 1));
-    assert!(codes(&fixed).iter().all(|code| code.centerline == "ego_lane" && (code.accel_max - 1.5).abs() < 1e-9));
+    assert!(
+        codes(&fixed)
+            .iter()
+            .all(|code| code.centerline == CenterlineName::EgoLane && (code.accel_max - 1.5).abs() < 1e-9)
+    );
 
     let random = best(CodeSource::Random);
     assert!(random.iter().all(|call| (1..=3).contains(&call.attempts.len())));
@@ -363,7 +359,7 @@ fn the_controls_drive_without_a_model() {
 
     // Before anything has been driven the three see the same scene, and the grid holds the fixed code.
     let grid = best(CodeSource::Grid);
-    let first = |calls: &[PlanningCall]| calls[0].driving().unwrap().reflection.as_ref().unwrap().score;
+    let first = |calls: &[PlanningCall]| calls[0].accepted().unwrap().reflection.as_ref().unwrap().score;
     assert!(first(&grid) >= first(&fixed));
     assert!(grid.iter().all(|call| call.attempts.len() == 1));
 }
@@ -381,12 +377,15 @@ fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
     let call = |lane_change_threshold| {
         let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"; 3];
         let code_source = code_source(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
-        let settings = PlanAgentSettings { lane_change_threshold, after_max_exec: AfterMaxExec::Best, ..settings() };
+        let settings = settings_with(|settings| {
+            settings.reflection.lane_change_threshold = lane_change_threshold;
+            settings.reflection.after_max_exec = AfterMaxExec::Best;
+        });
         let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source, settings);
         agent.compute_trajectory(&PlannerInput { iteration: 0, scene: free }).unwrap();
         let call = &agent.calls()[0];
         (
-            agent.active_plan().unwrap().lane_now(&free),
+            agent.state().active_plan().unwrap().lane_now(&free),
             call.attempts.len(),
             call.decision.clone(),
             call.aborted_lane_change,
@@ -417,7 +416,7 @@ fn the_best_of_refused_planners_drives_only_if_the_planner_in_force_is_worse() {
     let mut answers = vec![go];
     answers.extend([stop; 21]);
     let mut settings = settings();
-    settings.after_max_exec = AfterMaxExec::Best;
+    settings.reflection.after_max_exec = AfterMaxExec::Best;
     let (agent, log, _) = drive(&answers, &[Round::Code], settings, "generated/high_magnitude_speed/1");
     assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
     assert_eq!(agent.calls()[1].decision, Decision::KeepActivePlan(NoPlan::Worse));

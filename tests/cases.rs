@@ -1,7 +1,7 @@
 //! The paper's two cases: what PDM-Closed does in them, and what the agent's planner code can do.
 
-use crate::agent::{drive, scenario, settings};
-use planagent::internals::planner::{PdmClosed, PlanAgentSettings};
+use crate::agent::{drive, scenario, settings_with};
+use planagent::internals::planner::PdmClosed;
 use planagent::internals::reasoning::Round;
 use planagent::internals::scenario::Scenario;
 use planagent::internals::simulation::{Challenge, SimulationLog, simulate};
@@ -16,7 +16,7 @@ fn by_rules(scenario: &Scenario) -> SimulationLog {
 
 /// A drive in which the n-th planning call gives the n-th code.
 fn by_code(codes: &[&'static str], id: &str) -> SimulationLog {
-    let settings = PlanAgentSettings { reflect: false, ..settings() };
+    let settings = settings_with(|settings| settings.reflection.enabled = false);
     drive(codes, &[Round::Code], settings, id).1
 }
 

@@ -1,9 +1,9 @@
 //! LLM-ASSIST with a scripted model and with the one that ships.
 
-use crate::agent::{Script, reasoning, scenario, settings};
+use crate::agent::{Script, reasoning, scenario, settings_with};
 use planagent::internals::mllm::{HubAccess, Mllm, ModelRegistry};
 use planagent::internals::planner::{Decision, LlmAssist, NoPlan, PdmClosed, PlanAgentSettings, Planner, PlannerName};
-use planagent::internals::reasoning::{AssistVariant, Assistance, PromptSet, ReasoningSettings, Round};
+use planagent::internals::reasoning::{AssistVariant, Assistance, PlannerAnswer, PromptSet, ReasoningSettings, Round};
 use planagent::internals::simulation::{Challenge, SimulationLog, simulate};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -12,7 +12,7 @@ const SCENE: &str = "generated/high_magnitude_speed/1";
 
 /// No proposal of PDM-Closed reaches this τ, and no answer either.
 fn never_content() -> PlanAgentSettings {
-    PlanAgentSettings { threshold: 1.01, ..settings() }
+    settings_with(|settings| settings.reflection.threshold = 1.01)
 }
 
 fn drive(
@@ -35,7 +35,7 @@ fn by_rules() -> SimulationLog {
 
 #[test]
 fn the_model_is_not_asked_while_a_proposal_is_good_enough() {
-    let settings = PlanAgentSettings { threshold: 0.1, ..settings() };
+    let settings = settings_with(|settings| settings.reflection.threshold = 0.1);
     let (planner, log, asked) = drive(&["nothing"], AssistVariant::Unconstrained, settings);
     assert!(planner.calls().is_empty() && asked.is_empty());
     assert_eq!(log.samples, by_rules().samples);
@@ -68,7 +68,7 @@ fn the_question_tells_the_scene_in_coordinates_and_the_answer_is_scored() {
     assert!(asked[0].contains("scores 1.00 of 1") || asked[0].contains("scores 0."), "{}", asked[0]);
     assert!(asked[1].contains(answer) && asked[1].contains("refused"), "{}", asked[1]);
     let attempt = &planner.calls()[0].attempts[0];
-    assert!(matches!(attempt.assistance, Some(Assistance::Waypoints(_))));
+    assert!(matches!(attempt.answer, Some(PlannerAnswer::Assistance(Assistance::Waypoints(_)))));
     let reflection = attempt.reflection.as_ref().unwrap();
     assert_eq!(reflection.states.len(), 41);
     assert!(reflection.score > 0.5 && attempt.path.len() == 41, "{:?}", reflection.parts);
@@ -88,7 +88,7 @@ fn the_model_that_ships_answers_so_that_it_can_be_read() {
         simulate(&scenario(SCENE), &mut planner, Challenge::NonReactive).unwrap();
         assert_eq!(planner.calls().len(), 8);
         for attempt in planner.calls().iter().flat_map(|call| &call.attempts) {
-            assert!(attempt.assistance.is_some() && attempt.errors.is_empty(), "{:?}", attempt.errors);
+            assert!(attempt.answer.is_some() && attempt.errors.is_empty(), "{:?}", attempt.errors);
         }
     }
 }

@@ -1,10 +1,10 @@
 //! The planner in force while it is watched: which version of it drives, when it stops and when a change of lanes is given up.
 
-use crate::agent::{Script, code_source, planner_at, scenario, settings};
+use crate::agent::{Script, code_source, planner_at, scenario, settings_with};
 use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent::internals::geometry::{OrientedBox, Pose, Vector};
 use planagent::internals::pdm::PdmMemory;
-use planagent::internals::planner::{PlanAgent, PlanAgentSettings, Planner, PlannerInput, PlannerName};
+use planagent::internals::planner::{AgentLayer, PlanAgent, Planner, PlannerInput, PlannerName};
 use planagent::internals::reasoning::Round;
 use planagent::internals::reflection::{LeadPolicy, PlanMonitor, Version};
 use planagent::internals::simulation::{Challenge, ClosedLoop};
@@ -77,11 +77,15 @@ fn a_change_of_lanes_that_goes_bad_is_given_up() {
     let (own, left) = (graph.ego_lane(), graph.centerline(CenterlineName::LeftLane).unwrap());
     let answers = vec!["Generate_IDM_Planner(c=left_lane, la=None, v0=12, acc=1.5, dec=3)"];
     let code_source = code_source(Arc::new(Script { answers, asked: Mutex::default() }), &[Round::Code]);
-    let mut agent =
-        PlanAgent::new(PlannerName::PLAN_AGENT, code_source, PlanAgentSettings { monitoring: true, ..settings() });
+    let mut agent = PlanAgent::new(
+        PlannerName::PLAN_AGENT,
+        code_source,
+        settings_with(|settings| settings.reflection.monitoring = true),
+    )
+    .layered();
     let mut step = |iteration, scene| {
         agent.compute_trajectory(&PlannerInput { iteration, scene }).unwrap();
-        let bound_for = agent.active_plan().unwrap().lane_now(&free);
+        let bound_for = agent.state().active_plan().unwrap().lane_now(&free);
         (bound_for, agent.calls()[0].aborted_lane_change)
     };
     let lane = |path: &LanePath| path.lane_at(path.centerline.project(free.ego.center().position()).s);

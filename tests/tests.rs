@@ -18,6 +18,7 @@ mod monitored_agent;
 mod nuplan;
 mod nuplan_input;
 mod outside;
+mod own_clock;
 mod own_planner;
 mod own_reader;
 mod page;

@@ -1,6 +1,6 @@
 //! The agent when its calls take simulated time, and when a gate saves them.
 
-use crate::agent::{drive, scenario, settings};
+use crate::agent::{drive, scenario, settings_with};
 use planagent::internals::planner::{Decision, Latency, PdmClosed, PlanAgentSettings, Planner};
 use planagent::internals::reasoning::Round;
 use planagent::internals::simulation::{Challenge, simulate};
@@ -11,7 +11,7 @@ const EIGHT: &str = "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=
 
 fn after(milliseconds: u64) -> PlanAgentSettings {
     let latency = Latency::Fixed(Duration::from_millis(milliseconds));
-    PlanAgentSettings { latency, reflect: false, ..settings() }
+    settings_with(|settings| (settings.agent.latency, settings.reflection.enabled) = (latency, false))
 }
 
 #[test]
@@ -31,7 +31,8 @@ fn a_planner_comes_into_force_when_its_time_has_passed() {
 #[test]
 fn a_call_of_no_length_is_as_good_as_no_latency() {
     let (_, at_once, _) = drive(&[EIGHT], &[Round::Code], after(0), SCENE);
-    let none = PlanAgentSettings { latency: Latency::None, ..after(0) };
+    let mut none = after(0);
+    none.agent.latency = Latency::None;
     let (agent, log, _) = drive(&[EIGHT], &[Round::Code], none, SCENE);
     assert_eq!(at_once.samples, log.samples);
     assert!(agent.calls().iter().all(|call| call.active_from.is_none()));
@@ -52,7 +53,7 @@ fn a_late_lane_change_begins_where_the_ego_is() {
 
 #[test]
 fn a_gate_lets_the_rules_drive_where_they_are_expected_to_do_well() {
-    let gated = |gate| PlanAgentSettings { gate: Some(gate), ..settings() };
+    let gated = |gate| settings_with(|settings| settings.agent.gate = Some(gate));
     let (agent, log, asked) = drive(&[EIGHT], &[Round::Code], gated(0.5), SCENE);
     assert!(asked.is_empty(), "the model was asked: {asked:?}");
     assert_eq!(agent.calls().len(), 8);

@@ -168,7 +168,8 @@ impl AgentBuilder {
         let registry = PlannerRegistry::default();
         let entry = registry.find(&self.planner)?;
         let model = if entry.needs_model() { Some(self.code_source()?) } else { None };
-        let parts = PlannerParts { name: entry.name, settings: &self.settings, model: model.as_ref(), recording: &[] };
+        let (settings, model) = (&self.settings, model.as_ref());
+        let parts = PlannerParts { name: entry.name, settings, model, recording: &[], shuffled_bev: None };
         Ok(Agent { planner: entry.build(&parts)?, initialized: None, start_s: 0.0 })
     }
 

@@ -5,6 +5,7 @@ pub mod bench;
 pub mod dataset;
 pub mod panic_guard;
 pub mod run;
+mod shuffled_bev;
 pub mod split;
 pub mod statistics;
 pub mod study;

@@ -1,11 +1,12 @@
 //! Many drives: scenarios x planners x challenges on all cores, each handed over with its score or its error when it ends.
 
 use super::panic_guard::catch_panic;
+use super::shuffled_bev;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::pdm::DrivableLayers;
 use crate::planner::{
-    CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, PlannerNeeds, PlannerParts,
-    PlannerRegistry, PlanningCall, UnknownPlanner,
+    AgentLayer, BevSource, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerName, PlannerNeeds,
+    PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
 };
 use crate::scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
 
@@ -39,13 +40,25 @@ impl AgentParts {
             _ => Vec::new(),
         };
         let settings = self.settings_for(&scenario.id);
-        let parts = PlannerParts { name, settings: &settings, model: self.model.as_ref(), recording: &recording };
-        Ok(entry.build(&parts)?)
+        let shuffled_bev = self.shuffled_bev();
+        Ok(entry.build(&PlannerParts {
+            name,
+            settings: &settings,
+            model: self.model.as_ref(),
+            recording: &recording,
+            shuffled_bev: shuffled_bev.as_ref(),
+        })?)
     }
 
     /// PlanAgent for one scenario; `None` without a model.
-    pub fn agent(&self, scenario_id: &str) -> Option<PlanAgent> {
-        Some(PlanAgent::new(PlannerName::PLAN_AGENT, self.model.clone()?, self.settings_for(scenario_id)))
+    pub fn agent(&self, scenario_id: &str) -> Option<Box<dyn AgentLayer>> {
+        let settings = self.settings_for(scenario_id);
+        let agent = PlanAgent::new(PlannerName::PLAN_AGENT, self.model.clone()?, settings);
+        Some(agent.with_shuffled_bev(self.shuffled_bev()).layered())
+    }
+
+    fn shuffled_bev(&self) -> Option<BevSource> {
+        self.settings.environment.shuffled_bev.then(shuffled_bev::source)
     }
 
     fn settings_for(&self, scenario_id: &str) -> PlanAgentSettings {
@@ -197,7 +210,7 @@ fn simulate_task(
     let mut planner = parts.planner(planner, scenario).map_err(|error| with_causes(&error))?;
     let log = simulate_with_progress(scenario, planner.as_mut(), challenge, &mut |progress| on_iteration(progress))
         .map_err(|error| with_causes(&error))?;
-    let (calls, drivable_layers) = (planner.calls().to_vec(), planner.drivable_layers());
+    let (calls, drivable_layers) = (planner.take_calls(), planner.drivable_layers());
     let Evaluation { score, metrics } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;
     Ok(SimulationOutcome { scenario: Arc::clone(scenario), score, metrics, calls, drivable_layers, log })
 }

@@ -1,5 +1,6 @@
 //! The one interface to every model backend: open a conversation, ask, go back to a mark.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use image::RgbImage;
@@ -54,20 +55,16 @@ pub struct PromptPrefix {
     /// The system prompt; empty for none.
     pub system: String,
     /// The image of the first user turn, before its text. It is resized as the model's preprocessor says.
-    pub image: Option<RgbImage>,
+    pub image: Option<Arc<RgbImage>>,
 }
 
-impl PromptPrefix {
-    /// BLAKE3 of the image's width, height and RGB bytes, in hexadecimal.
-    pub fn image_hash(&self) -> Option<String> {
-        self.image.as_ref().map(|image| {
-            let mut hasher = blake3::Hasher::new();
-            hasher.update(&image.width().to_le_bytes());
-            hasher.update(&image.height().to_le_bytes());
-            hasher.update(image.as_raw());
-            hasher.finalize().to_hex().to_string()
-        })
-    }
+/// BLAKE3 of an image's width, height and RGB bytes, in hexadecimal.
+pub fn image_hash(image: &RgbImage) -> String {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&image.width().to_le_bytes());
+    hasher.update(&image.height().to_le_bytes());
+    hasher.update(image.as_raw());
+    hasher.finalize().to_hex().to_string()
 }
 
 /// One question with its answer.
@@ -127,7 +124,7 @@ pub enum Constraint {
 }
 
 /// What became of a request's constraint.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ConstraintUse {
     /// None was asked for.
@@ -179,7 +176,7 @@ pub struct Answer {
 ///
 /// An endpoint tells what its server counts: image tokens stand under `text`, forced ones under `free`, and all is zero
 /// where the server says nothing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct TokenCounts {
     /// Text tokens of the prompt that were computed in this round.
     pub text: usize,
@@ -194,7 +191,7 @@ pub struct TokenCounts {
 }
 
 /// Wall time of one round, milliseconds. Parts that a backend cannot tell are zero.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct RoundTime {
     /// Preprocessing the image, vision tower and projector; zero when the features were known.
     pub image_encode: f64,
@@ -217,7 +214,7 @@ pub(crate) fn milliseconds(time: Duration) -> f64 {
 }
 
 /// Why an answer ends.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FinishReason {
     /// The model said so (end-of-sequence token).

@@ -42,7 +42,7 @@ pub use checkpoint::{LlamaConfig, LoadReport, ModelFiles, WeightFormatException,
 pub(crate) use conversation::milliseconds;
 pub use conversation::{
     Answer, Constraint, ConstraintUse, Conversation, FinishReason, Mark, Mllm, ModelDescription, PromptPrefix, Request,
-    RoundTime, Sampling, Server, TokenCounts, Turn, prompt_hash,
+    RoundTime, Sampling, Server, TokenCounts, Turn, image_hash, prompt_hash,
 };
 pub use deadline::Deadline;
 pub use decoder::{DecoderInput, KvCache, Logits};

@@ -1,4 +1,4 @@
-//! Where the ego is: in several lanes, off the drivable area, off the route (`tuplan_garage` `pdm_scorer.py`,
+//! The ego area: in several lanes, off the drivable area, off the route (`tuplan_garage` `pdm_scorer.py`,
 //! `_calculate_ego_area`, and `pdm_observation_utils.py`, `get_drivable_area_map`).
 
 use super::Placed;
@@ -6,31 +6,31 @@ use crate::geometry::{Bounds, Point, PointLocator, Polygon};
 use crate::world::{EgoState, LaneId, LaneMap};
 use std::collections::BTreeSet;
 
-/// Half size of the square around the ego whose roadblocks make the map, metres.
+/// Half size of the square around the ego whose roadblocks make the map, meters.
 pub const MAP_RADIUS: f64 = 50.0;
 
-/// Which layers a corner may stand on without being off the drivable area.
+/// The layers that count as drivable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DrivableLayers {
-    /// Lanes, connectors and car parks: PDM's choice, made for maps whose lanes tile the road.
+    /// Lanes, connectors and car parks: PDM's choice for maps whose lanes tile the road.
     Lanes,
-    /// Also whatever nuPlan's drivable area holds: roadblocks, intersections, generic drivable areas. For maps derived
+    /// All of nuPlan's drivable area: roadblocks, intersections, generic drivable areas. For maps derived
     /// from recordings, whose lane polygons leave gaps.
     DrivableArea,
 }
 
-/// Distance between the places along a lane at which it is looked whether lanes tile the road, metres.
+/// Distance between the tested places along a lane, meters.
 const TILING_STEP: f64 = 10.0;
-/// Distance between the points that are looked at there, across the border, metres.
+/// Distance between the tested points across the border, meters.
 const TILING_WIDTH_STEP: f64 = 0.25;
-/// Lanes tile the road when so great a share of the points lies on lanes. Generated maps have 0.996 and more; of eleven maps
+/// Lanes tile the road when at least this share of the points lies on lanes. Generated maps have 0.996 and more; of eleven maps
 /// derived from Waymo's recordings eight have 0.987 and less.
 const TILING_SHARE: f64 = 0.99;
 
 impl DrivableLayers {
     /// The layers for a map, by how its lanes lie on a route and within [`MAP_RADIUS`] of the ego: [`Self::Lanes`] where they
-    /// tile the road. Looked at are points every 10 m along each lane, from its baseline across to that of its neighbours,
+    /// tile the road. The tested points lie every 10 m along each lane, from its baseline across to that of its neighbors,
     /// and from its end into its successors; at least 99 % must lie on some lane.
     pub fn of(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
         let near = map.lanes_near(center, MAP_RADIUS);
@@ -46,7 +46,7 @@ impl DrivableLayers {
     }
 }
 
-/// A way over the border of two lanes.
+/// A segment over the border of two lanes.
 #[derive(Debug, Clone, Copy)]
 struct Crossing {
     lanes: [LaneId; 2],
@@ -56,9 +56,9 @@ struct Crossing {
 
 impl Crossing {
     fn points(self) -> impl Iterator<Item = Point> {
-        let way = self.to - self.from;
-        let steps = (way.norm() / TILING_WIDTH_STEP).ceil().max(1.0) as usize;
-        (0..=steps).map(move |step| self.from + way * (step as f64 / steps as f64))
+        let segment = self.to - self.from;
+        let steps = (segment.norm() / TILING_WIDTH_STEP).ceil().max(1.0) as usize;
+        (0..=steps).map(move |step| self.from + segment * (step as f64 / steps as f64))
     }
 
     fn is_on_lane(self, map: &LaneMap, point: Point) -> bool {
@@ -66,7 +66,7 @@ impl Crossing {
     }
 }
 
-/// Ways from a lane to the middle of its neighbours and into its successors.
+/// Segments from a lane to the middle of its neighbors and into its successors.
 fn crossings(map: &LaneMap, id: LaneId) -> Vec<Crossing> {
     let lane = &map[id];
     let line = &lane.centerline;
@@ -88,14 +88,14 @@ fn crossings(map: &LaneMap, id: LaneId) -> Vec<Crossing> {
     beside.chain(onward).collect()
 }
 
-/// Where the ego is at one instant.
+/// The ego area at one instant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct EgoAreas {
     /// Several polygons hold a corner and none holds all four.
     pub multiple_lanes: bool,
     /// At least one corner is off the drivable area.
     pub non_drivable: bool,
-    /// The centre is in no lane of the route.
+    /// The center is in no lane of the route.
     pub oncoming: bool,
 }
 
@@ -120,7 +120,7 @@ pub struct DrivableMap<'a> {
 }
 
 impl<'a> DrivableMap<'a> {
-    /// All lanes and connectors of the roadblocks that meet the square of [`MAP_RADIUS`] around `center` (the centre of
+    /// All lanes and connectors of the roadblocks that meet the square of [`MAP_RADIUS`] around `center` (the center of
     /// the ego), and the car parks there.
     pub fn around(map: &'a LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point, layers: DrivableLayers) -> Self {
         let blocks: BTreeSet<_> =
@@ -136,7 +136,7 @@ impl<'a> DrivableMap<'a> {
         Self { map, areas, layers }
     }
 
-    /// What counts as drivable.
+    /// The layers that count as drivable.
     pub fn layers(&self) -> DrivableLayers {
         self.layers
     }
@@ -146,13 +146,13 @@ impl<'a> DrivableMap<'a> {
         self.map
     }
 
-    /// Where the ego is.
+    /// The area of an ego state.
     pub fn areas_of(&self, ego: &EgoState) -> EgoAreas {
         let placed = Placed::of(ego);
         self.near(&placed.bounds()).areas_of(&placed)
     }
 
-    /// What of it meets some bounds, made ready for many questions.
+    /// The polygons that meet some bounds, prepared for many queries.
     pub(super) fn near(&self, bounds: &Bounds) -> NearAreas<'a> {
         let near = self.areas.iter().filter(|area| area.polygon.bounds().overlaps(bounds));
         let areas = near.map(|area| (PointLocator::new(area.polygon), area.on_route)).collect();
@@ -168,7 +168,7 @@ pub(super) struct NearAreas<'a> {
 }
 
 impl NearAreas<'_> {
-    /// Where an ego within the bounds is.
+    /// The area of an ego within the bounds.
     pub(super) fn areas_of(&self, ego: &Placed) -> EgoAreas {
         let (mut covered, mut holders, mut whole) = ([false; 4], 0, false);
         let mut on_route = false;

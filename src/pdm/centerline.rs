@@ -5,16 +5,16 @@ use crate::geometry::Pose;
 use crate::world::{LaneId, LaneMap, RoadblockId};
 use std::collections::BTreeMap;
 
-/// The search looks so many roadblocks ahead, that of the ego included.
+/// Number of roadblocks that the search covers, the ego's included.
 const SEARCH_DEPTH: usize = 30;
-/// Cost of the starting lane, metres.
+/// Cost of the starting lane, meters.
 const START_COST: f64 = 1.0;
 
 /// A lane that the search has reached.
 #[derive(Debug, Clone, Copy)]
 struct Reached {
     lane: LaneId,
-    /// Metres of baseline driven up to its end.
+    /// Meters of baseline driven up to its end.
     cost: f64,
     /// Lanes up to here, itself included.
     depth: usize,
@@ -54,7 +54,7 @@ pub fn lane_chain(map: &LaneMap, route: &[RoadblockId], route_lanes: &[LaneId], 
     chain_to(end, &parent)
 }
 
-/// Place of the cheapest, the first of equals.
+/// Index of the cheapest, the first of equals.
 fn cheapest(frontier: &[Reached]) -> Option<usize> {
     frontier.iter().enumerate().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost)).map(|(place, _)| place)
 }

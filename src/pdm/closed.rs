@@ -1,8 +1,9 @@
-//! One step of PDM-Closed: forecast, proposals, simulation, score, and what is driven (`tuplan_garage`
+//! One step of PDM-Closed: forecast, proposals, simulation, score, trajectory (`tuplan_garage`
 //! `abstract_pdm_closed_planner.py`).
 
 use super::emergency_brake::{emergency_brake, needs_emergency_brake, standing};
-use super::proposals::{PROPOSAL_STEPS, Proposals, TRAJECTORY_STEPS};
+use super::parameters::TRAJECTORY_STEPS;
+use super::proposals::{PROPOSAL_STEPS, Proposals};
 use super::{
     Collided, DrivableLayers, DrivableMap, Forecast, NoReferencePath, PdmParameters, Proposal, ProposalScore,
     ReferencePath, ScoringScene, score_proposals,
@@ -15,37 +16,49 @@ use std::collections::BTreeSet;
 
 /// Why PDM-Closed gives no plan.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum PdmError {
-    /// There is no way to drive.
     #[error(transparent)]
     NoReferencePath(#[from] NoReferencePath),
-    /// The proposals cannot be scored.
     #[error("the proposals cannot be scored")]
     Score(#[from] MetricError),
-    /// The planned states are not finite.
     #[error("the planned states make no trajectory")]
     Trajectory(#[from] TrajectoryError),
 }
 
-/// What one PDM-Closed planner remembers over its iterations.
+/// The memory of PDM-Closed over its iterations.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PdmMemory {
-    /// What the ego has touched.
+    /// The objects that the ego has touched.
     pub collided: Collided,
-    /// The way that was chosen; PDM-Closed chooses at its first iteration and keeps it.
+    /// The reference path; PDM-Closed chooses it at its first iteration and keeps it.
     pub reference_path: Option<ReferencePath>,
 }
 
-/// What PDM-Closed sees at one instant.
+impl PdmMemory {
+    /// Chooses the reference path for the ego's present place; none where the route has no lanes.
+    pub fn choose_reference_path(&mut self, scene: &SceneView<'_>) {
+        self.reference_path = ReferencePath::find(scene.map, scene.route, scene.ego).ok();
+    }
+
+    /// Chooses the reference path if there is none.
+    pub fn keep_reference_path(&mut self, scene: &SceneView<'_>) {
+        if self.reference_path.is_none() {
+            self.choose_reference_path(scene);
+        }
+    }
+}
+
+/// PDM-Closed's view of the scene at one instant.
 pub struct PdmInstant<'a> {
     /// The drivable polygons around the ego.
     pub drivable: DrivableMap<'a>,
-    /// Everyone else.
+    /// The forecast of all objects.
     pub forecast: Forecast,
 }
 
 impl<'a> PdmInstant<'a> {
-    /// Looks at a scene from a route of these lanes. What the ego touches now is added to `collided`.
+    /// The view for a route of these lanes. What the ego touches now is added to `collided`.
     pub fn new(
         scene: &SceneView<'a>,
         route_lanes: &BTreeSet<LaneId>,
@@ -58,12 +71,12 @@ impl<'a> PdmInstant<'a> {
         Self { drivable, forecast }
     }
 
-    /// Looks at a scene along a way.
+    /// The view along a reference path.
     pub fn along(reference_path: &ReferencePath, scene: &SceneView<'a>, collided: &mut Collided) -> Self {
         Self::new(scene, reference_path.lane_set(), reference_path.layers(), collided)
     }
 
-    /// The proposals along a way from the present state of the ego, rolled out for `steps` steps of 0.1 s.
+    /// The proposals along a reference path from the ego's present state, `steps` steps of 0.1 s long.
     pub fn proposals<'s>(&'s self, reference_path: &'s ReferencePath, ego: &EgoState, steps: usize) -> Proposals<'s> {
         self.tuned_proposals(reference_path, ego, PdmParameters::default(), steps)
     }
@@ -88,36 +101,36 @@ impl<'a> PdmInstant<'a> {
         )
     }
 
-    /// What a score needs beside its proposals, progress measured along `centerline`; `rival_progress` as [`ScoringScene`]
-    /// has it.
+    /// The input of the score beside the proposals; progress is measured along `centerline`, `rival_progress` is that of
+    /// [`ScoringScene`].
     pub fn scoring<'s>(&'s self, centerline: &'s Polyline, rival_progress: f64) -> ScoringScene<'s> {
         ScoringScene { drivable: &self.drivable, forecast: &self.forecast, centerline, rival_progress }
     }
 }
 
-/// The proposals as PDM's tracker would drive them from the present state, 0.1 s apart.
+/// The proposals as PDM's tracker follows them from the present state, a state every 0.1 s.
 pub fn simulate_proposals(ego: &EgoState, proposals: &[Proposal]) -> Vec<Vec<EgoState>> {
     proposals.iter().map(|proposal| simulate_proposal(ego, &proposal.poses, JerkPenalty::PdmClosed)).collect()
 }
 
-/// What came out of one step.
+/// The result of one step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PdmPlan {
-    /// The proposals; the best one is rolled out over the whole trajectory.
+    /// The proposals; the best one is as long as the trajectory.
     pub proposals: Vec<Proposal>,
-    /// Each as the ego would drive it.
+    /// Their simulated states.
     pub simulated: Vec<Vec<EgoState>>,
     /// Their scores.
     pub scores: Vec<ProposalScore>,
-    /// The best proposal, the first of equals.
+    /// Index of the best proposal, the first of equals.
     pub best: usize,
     /// Whether the emergency brake overrules it.
     pub emergency_brake: bool,
-    /// What is to be driven: 81 states 0.1 s apart, of which only the poses are planned.
+    /// The trajectory: 81 states 0.1 s apart, of which only the poses are planned.
     pub trajectory: Trajectory,
 }
 
-/// One step of PDM-Closed along a way.
+/// One step of PDM-Closed along a reference path.
 ///
 /// # Errors
 /// When the proposals cannot be scored or are not finite.
@@ -129,7 +142,7 @@ pub fn plan_along(
     plan_tuned(reference_path, scene, collided, PdmParameters::default())
 }
 
-/// One step of PDM-Closed with other parameters along a way.
+/// One step of PDM-Closed with other parameters along a reference path.
 ///
 /// # Errors
 /// As [`plan_along`].
@@ -156,10 +169,10 @@ pub fn plan_tuned(
     Ok(PdmPlan { proposals, simulated, scores, best, emergency_brake: brake, trajectory })
 }
 
-/// One step of PDM-Closed; the way is chosen at the first one and kept in `memory`.
+/// One step of PDM-Closed; the reference path is chosen at the first one and kept in `memory`.
 ///
 /// # Errors
-/// When there is no way, or the proposals cannot be scored or are not finite.
+/// When there is no reference path, or the proposals cannot be scored or are not finite.
 pub fn plan(memory: &mut PdmMemory, scene: &SceneView<'_>) -> Result<PdmPlan, PdmError> {
     let PdmMemory { collided, reference_path } = memory;
     let reference_path = match reference_path {
@@ -169,7 +182,7 @@ pub fn plan(memory: &mut PdmMemory, scene: &SceneView<'_>) -> Result<PdmPlan, Pd
     plan_along(reference_path, scene, collided)
 }
 
-/// The best of some proposals, the first of equals; `None` of none.
+/// Index of the best score, the first of equals; `None` without scores.
 pub fn best_of(scores: &[ProposalScore]) -> Option<usize> {
     let numbered = scores.iter().enumerate().rev();
     numbered.max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total)).map(|(index, _)| index)

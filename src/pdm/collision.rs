@@ -5,10 +5,10 @@ use super::{EgoAreas, Forecast, Placed};
 use crate::metrics::{CollisionGroup, classify_collision, is_ahead, is_behind};
 use crate::world::{EgoState, LaneMap, STEP_S, TrackToken};
 
-/// An ego slower than this cannot run into anyone, m/s.
+/// An ego slower than this is never at fault, m/s.
 const STOPPED_SPEED: f64 = 5e-3;
 
-/// One proposal as the terms look at it; the lists have one entry a state.
+/// The input of the terms for one proposal; the lists have one entry per state.
 #[derive(Clone, Copy)]
 pub(super) struct Driven<'a> {
     pub(super) states: &'a [EgoState],
@@ -25,8 +25,8 @@ pub struct FirstTouch {
     pub state: Option<usize>,
 }
 
-/// 0 after a collision at fault with a vehicle, pedestrian or bicycle, 0.5 after one with a thing. A track that the ego
-/// first touches without fault is never its fault later. `areas` has one entry a state.
+/// 0 after a collision at fault with a vehicle, pedestrian or bicycle, 0.5 after one with another object. A track that the ego
+/// first touches without fault is never its fault later. `areas` has one entry per state.
 pub fn no_at_fault_collisions(states: &[EgoState], areas: &[EgoAreas], forecast: &Forecast) -> FirstTouch {
     let batch: [Vec<Placed>; 1] = [states.iter().map(Placed::of).collect()];
     let [placed] = &batch;
@@ -55,7 +55,7 @@ pub(super) fn collide(driven: Driven<'_>, encounters: &Encounters<'_>) -> FirstT
     result
 }
 
-/// 0 when, going straight on at its speed, the ego would touch someone relevant within 0.9 s. Tracks ahead are
+/// 0 when the ego, straight ahead at its speed, would touch a relevant track within 0.9 s. Tracks ahead are
 /// relevant; those beside only while the ego is in multiple lanes, off the road or in an intersection. A track that was
 /// touched while not relevant is ignored from then on: PDM's behaviour.
 pub fn time_to_collision(map: &LaneMap, states: &[EgoState], areas: &[EgoAreas], forecast: &Forecast) -> FirstTouch {

@@ -1,4 +1,4 @@
-//! On which roadblock and on which lane of its route the ego is (`tuplan_garage` `route_utils.py`,
+//! The ego's roadblock and its lane of the route (`tuplan_garage` `route_utils.py`,
 //! `abstract_pdm_planner.py`).
 
 use crate::dynamics::ProgressPath;
@@ -6,17 +6,17 @@ use crate::geometry::{Point, Pose, wrap_angle};
 use crate::world::{EgoState, Lane, LaneId, LaneKind, LaneMap, Roadblock, RoadblockId};
 use std::f64::consts::FRAC_PI_4;
 
-/// Half size of the square around the rear axle in which roadblocks are looked for, metres.
+/// Half size of the square around the rear axle in which roadblocks are searched, meters.
 const SEARCH_RADIUS: f64 = 1.0;
 /// Heading errors below this qualify a lane, radians.
 const MAX_HEADING_ERROR: f64 = FRAC_PI_4;
-/// Distances to the nearest vertex of its baseline below this qualify a lane, metres.
+/// Distances to the nearest vertex of its baseline below this qualify a lane, meters.
 const MAX_DISPLACEMENT: f64 = 3.0;
 
-/// How far a pose is from the nearest vertex of a lane's baseline.
+/// Distance of a pose from the nearest vertex of a lane's baseline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Misfit {
-    /// Metres.
+    /// Meters.
     displacement: f64,
     /// Radians in [0, π].
     heading_error: f64,
@@ -36,10 +36,10 @@ impl Misfit {
     }
 }
 
-/// The roadblock under the ego, and those that were in question.
+/// The roadblock under the ego, and the candidates.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StartingBlock {
-    /// The chosen one.
+    /// The chosen roadblock.
     pub block: RoadblockId,
     /// The chosen one and its rivals of the same rank: qualifying ones on the route, else qualifying ones off it, else all.
     /// One that qualifies by several lanes stands several times.
@@ -79,7 +79,7 @@ fn blocks_around(map: &LaneMap, point: Point) -> Vec<&Roadblock> {
 }
 
 /// The lane that the ego is on: of the lanes of the route under the rear axle the one that fits best by heading; without
-/// one, the first of the route under the centre of the box; without that, the nearest to the box. `route_lanes` are the lanes
+/// one, the first of the route under the center of the box; without that, the nearest to the box. `route_lanes` are the lanes
 /// of the route in its order; `None` when there are none.
 pub fn current_lane(map: &LaneMap, route_lanes: &[LaneId], ego: &EgoState) -> Option<LaneId> {
     let rear_axle = ego.rear_axle;

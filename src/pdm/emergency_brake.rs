@@ -1,28 +1,28 @@
-//! The last resort against a collision that is near (`tuplan_garage` `pdm_emergency_brake.py`).
+//! The emergency brake (`tuplan_garage` `pdm_emergency_brake.py`).
 
 use crate::geometry::Vector;
 use crate::world::{EgoState, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError, TrajectoryState};
 
-/// Collisions at fault up to this time from now call for the brake, seconds.
+/// The brake acts on at-fault collisions up to this time from now, seconds.
 pub const EMERGENCY_TIME_S: f64 = 2.0;
 /// The brake overrules at this speed or below, m/s.
 pub const EMERGENCY_SPEED: f64 = 5.0;
 
 /// Up to this speed the brake regulates the acceleration too, m/s.
 const CREEPING_SPEED: f64 = 0.2;
-/// Change of speed asked for per m/s of speed.
+/// Change of speed per m/s of speed.
 const SPEED_GAIN: f64 = 10.0;
-/// The same while creeping.
+/// The same at creeping speed.
 const CREEPING_SPEED_GAIN: f64 = 4.0;
-/// Change of speed asked for per m/s² of acceleration, while creeping.
+/// Change of speed per m/s² of acceleration, at creeping speed.
 const CREEPING_ACCELERATION_GAIN: f64 = 1.0;
-/// What may be asked for: nuPlan's bounds of comfort on the acceleration, m/s².
+/// Bounds of the change: nuPlan's comfort bounds on the acceleration, m/s².
 const CONTROL_BOUNDS: (f64, f64) = (-4.05, 2.40);
-/// Factor on the speed that is left; upstream's.
+/// Factor on the remaining speed, as upstream.
 const OVERSHOOT: f64 = 1.1;
 
 /// Whether the ego is slow and a collision at its fault is near. `first_at_fault_s` is the time of the first one of the
-/// proposal that would be driven, seconds from now.
+/// best proposal, seconds from now.
 pub fn needs_emergency_brake(first_at_fault_s: Option<f64>, ego: &EgoState) -> bool {
     ego.speed() <= EMERGENCY_SPEED && first_at_fault_s.is_some_and(|seconds| seconds <= EMERGENCY_TIME_S)
 }
@@ -46,9 +46,9 @@ pub fn braking_speed(ego: &EgoState) -> f64 {
 pub fn emergency_brake(ego: &EgoState, steps: usize) -> Result<Trajectory, TrajectoryError> {
     let (center, speed) = (ego.center(), braking_speed(ego));
     let state = |step: usize| {
-        let way = center.direction() * (speed * step as f64 * STEP_S);
+        let offset = center.direction() * (speed * step as f64 * STEP_S);
         let mut moved = center;
-        (moved.x, moved.y) = (center.x + way.x, center.y + way.y);
+        (moved.x, moved.y) = (center.x + offset.x, center.y + offset.y);
         standing(ego.time_us + step as i64 * STEP_US, PACIFICA.rear_axle_of(moved))
     };
     Trajectory::new((0..=steps).map(state).collect())

@@ -10,12 +10,12 @@ pub(super) const PROJECTED_STEPS: [usize; 4] = [0, 3, 6, 9];
 /// For each step of a batch of proposals the objects that come near any of them, in the order of the forecast.
 pub(super) struct Encounters<'a> {
     near: Vec<Vec<&'a ForecastObject>>,
-    /// From the centre of the ego's box to its corners, metres.
+    /// From the center of the ego's box to its corners, meters.
     radius: f64,
 }
 
 impl<'a> Encounters<'a> {
-    /// Looks where the proposals are at each step, and where they would be within 0.9 s of it straight on.
+    /// The objects near the proposals at each step and within 0.9 s of it straight ahead.
     pub(super) fn of(forecast: &'a Forecast, batch: &[Vec<Placed>]) -> Self {
         let steps = batch.iter().map(Vec::len).max().unwrap_or(0);
         let last = PROJECTED_STEPS[PROJECTED_STEPS.len() - 1];
@@ -35,7 +35,7 @@ impl<'a> Encounters<'a> {
         Self { near: near.collect(), radius }
     }
 
-    /// Whether nobody comes near at a step or within 0.9 s of it.
+    /// Whether no object comes near at a step or within 0.9 s of it.
     pub(super) fn is_clear(&self, step: usize) -> bool {
         self.near[step].is_empty()
     }

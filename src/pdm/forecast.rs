@@ -1,4 +1,4 @@
-//! Where everyone else will be, were they to keep speed and direction (`tuplan_garage` `pdm_observation.py`,
+//! The forecast of all objects at constant speed and direction (`tuplan_garage` `pdm_observation.py`,
 //! `pdm_object_manager.py`).
 
 use crate::geometry::{OrientedBox, Point, Pose, Vector, wrap_angle};
@@ -7,12 +7,12 @@ use crate::world::{EgoState, LaneId, LaneMap, ObjectKind, STEP_S, TrackToken, Tr
 use std::collections::BTreeSet;
 use std::f64::consts::FRAC_PI_2;
 
-/// Objects farther than this from the centre of the ego are not seen, metres.
+/// Objects farther than this from the ego's center are ignored, meters.
 pub const MAX_DISTANCE: f64 = 50.0;
 /// Steps of 0.1 s that share one occupancy map: its resolution is 0.2 s.
 pub const RESOLUTION_STEPS: usize = 2;
 
-/// How many of the nearest of each sort are kept, in the order of the occupancy map.
+/// How many of the nearest objects of each kind are kept, in the order of the occupancy map.
 const CAPS: [(Sort, usize); 4] = [(Sort::Static, 50), (Sort::Vehicle, 50), (Sort::Pedestrian, 25), (Sort::Bicycle, 10)];
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,7 +36,7 @@ impl Sort {
     }
 }
 
-/// What the ego has touched already. It is ignored from then on, so this lives as long as the planner.
+/// The objects that the ego has touched. They are ignored from then on, so this lives as long as the planner.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Collided {
     /// Tracks.
@@ -52,7 +52,7 @@ pub struct ForecastObject {
     pub track: TrackedObject,
     /// Forecast velocity in the map frame, m/s: along the axis of the box; zero for static objects.
     pub velocity: Vector,
-    /// Half the diagonal of the box, metres.
+    /// Half the diagonal of the box, meters.
     pub(super) radius: f64,
 }
 
@@ -65,7 +65,7 @@ impl ForecastObject {
         Self { track: *track, velocity: if backwards { -along } else { along }, radius: track.shape.diagonal() / 2.0 }
     }
 
-    /// The centre after so many steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
+    /// The center after so many steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
     pub(super) fn center_at(&self, step: usize) -> Point {
         let seconds = (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S;
         self.track.shape.center.position() + self.velocity * seconds
@@ -76,7 +76,7 @@ impl ForecastObject {
         self.track.shape.moved_to(Pose::at(self.center_at(step), self.track.shape.center.heading))
     }
 
-    /// The object as it is forecast after so many steps; its velocity is the observed one.
+    /// The object after so many steps; its velocity is the observed one.
     pub fn track_at(&self, step: usize) -> TrackedObject {
         TrackedObject { shape: self.shape_at(step), ..self.track }
     }
@@ -90,7 +90,7 @@ pub struct Forecast {
 }
 
 impl Forecast {
-    /// Forecasts what is near: at most 50 static objects, 50 vehicles, 25 pedestrians and 10 bicycles, the nearest ones
+    /// Forecasts the near objects: at most 50 static objects, 50 vehicles, 25 pedestrians and 10 bicycles, the nearest ones
     /// within [`MAX_DISTANCE`], and the connectors of the route that show red. What the ego touches now is added to
     /// `collided` and left out from now on.
     pub fn new(
@@ -118,12 +118,12 @@ impl Forecast {
         Self { objects: kept, red_lights }
     }
 
-    /// The objects: static ones, vehicles, pedestrians, bicycles, each sort by distance.
+    /// The objects: static ones, vehicles, pedestrians, bicycles, each kind by distance.
     pub fn objects(&self) -> &[ForecastObject] {
         &self.objects
     }
 
-    /// Connectors of the route that show red; their polygons stand in the way for the whole forecast. The scorer
+    /// Connectors of the route that show red; their polygons block the path for the whole forecast. The scorer
     /// ignores them.
     pub fn red_lights(&self) -> &[LaneId] {
         &self.red_lights

@@ -1,22 +1,22 @@
-//! Who leads a proposal along its path (`tuplan_garage` `pdm_generator.py`).
+//! The lead object of a proposal along its path (`tuplan_garage` `pdm_generator.py`).
 
-use super::proposals::TRAJECTORY_STEPS;
+use super::parameters::TRAJECTORY_STEPS;
 use super::{Forecast, ForecastObject, PdmPath};
 use crate::geometry::{Bounds, Corridor, OrientedBox, Point, Polygon, Pose, Vector};
 use crate::world::{LaneMap, PACIFICA, TrackedObject};
 
-/// What a proposal stays behind.
+/// The lead object of a proposal.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LeadState {
-    /// Progress of its rear along the path, metres.
+    /// Progress of its rear along the path, meters.
     pub progress: f64,
     /// Its speed along the heading of the ego, m/s.
     pub velocity: f64,
-    /// Length to be left behind it, metres.
+    /// Length that stays free behind it, meters.
     pub length_rear: f64,
 }
 
-/// The corridor of one path and what of the forecast may come into it.
+/// The corridor of one path and the forecast objects that may enter it.
 pub(super) struct PathTraffic<'a> {
     path: &'a PdmPath,
     corridor: Corridor,
@@ -29,14 +29,14 @@ pub(super) struct PathTraffic<'a> {
 enum Nearby<'a> {
     /// It stands in the corridor.
     Standing(Blocking<'a>),
-    /// It moves and may come into the corridor.
+    /// It moves and may enter the corridor.
     Moving(&'a ForecastObject),
 }
 
-/// Something in the corridor at one step.
+/// An object in the corridor at one step.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Blocking<'a> {
-    /// Of its centre along the path, metres.
+    /// Of its center along the path, meters.
     progress: f64,
     obstacle: Obstacle<'a>,
 }
@@ -45,15 +45,15 @@ pub(super) struct Blocking<'a> {
 enum Obstacle<'a> {
     Track {
         track: TrackedObject,
-        /// Half the diagonal of its box, metres.
+        /// Half the diagonal of its box, meters.
         radius: f64,
     },
     RedLight(&'a Polygon),
 }
 
 impl Obstacle<'_> {
-    /// A distance that the distance to a box around `center`, whose corners are `reach` away, is not below.
-    fn least_distance(&self, center: Point, reach: f64) -> f64 {
+    /// A lower bound of the distance to a box around `center`, whose corners are `reach` away.
+    fn min_distance(&self, center: Point, reach: f64) -> f64 {
         match self {
             Self::Track { track, radius } => (track.shape.center.position() - center).norm() - radius - reach,
             Self::RedLight(polygon) => polygon.bounds().distance_squared(center).sqrt() - reach,
@@ -69,7 +69,7 @@ impl Obstacle<'_> {
 }
 
 impl<'a> PathTraffic<'a> {
-    /// The traffic on `path` from progress `from` to progress `to`, metres.
+    /// The traffic on `path` from progress `from` to progress `to`, meters.
     pub(super) fn new(map: &'a LaneMap, path: &'a PdmPath, forecast: &'a Forecast, from: f64, to: f64) -> Self {
         let corridor = Corridor::with_square_caps(&path.substring(from, to), PACIFICA.width / 2.0);
         let polygons = forecast.red_lights().iter().map(|&lane| &map[lane].polygon);
@@ -99,7 +99,7 @@ impl<'a> PathTraffic<'a> {
         })
     }
 
-    /// What is in the corridor after so many steps of 0.1 s.
+    /// The objects in the corridor after so many steps of 0.1 s.
     pub(super) fn blocking(&self, step: usize) -> Vec<Blocking<'a>> {
         let objects = self.objects.iter().filter_map(|object| match object {
             Nearby::Standing(blocking) => Some(*blocking),
@@ -108,15 +108,15 @@ impl<'a> PathTraffic<'a> {
         objects.chain(self.red_lights.iter().copied()).collect()
     }
 
-    /// Writes into `lead` who leads an ego at `progress`, which is at `pose`. What upstream does not set keeps the value that
-    /// `lead` comes with: a red light leaves the velocity, a free road the velocity, an obstacle the length.
+    /// Writes the lead object of an ego at `progress` and `pose` into `lead`. As upstream, a red light and a free road leave the
+    /// velocity in `lead` as it is, and an obstacle leaves the length.
     pub(super) fn find_lead(&self, blocking: &[Blocking<'_>], progress: f64, pose: Pose, lead: &mut LeadState) {
         let ego = PACIFICA.footprint(pose);
         let (center, reach) = (ego.center.position(), ego.diagonal() / 2.0);
         let mut nearest: Option<(f64, &Obstacle<'_>)> = None;
         for Blocking { obstacle, .. } in blocking.iter().filter(|b| b.progress > progress) {
             let known = nearest.map_or(f64::INFINITY, |(distance, _)| distance);
-            if obstacle.least_distance(center, reach) <= known {
+            if obstacle.min_distance(center, reach) <= known {
                 let distance = obstacle.distance(&ego);
                 if distance < known {
                     nearest = Some((distance, obstacle));

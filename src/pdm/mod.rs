@@ -1,11 +1,11 @@
 //! PDM-Closed, the rule-based planner whose scorer is Reflection's (`autonomousvision/tuplan_garage` at `b51d5d0`,
-//! `pdm_planner/`). A step of it, in order: a constant-velocity [`Forecast`] of everyone else; [`Proposals`], fifteen IDM
-//! roll-outs along the centreline of the [`Way`] and beside it; their simulation by a tracker; [`score_proposals`]; the
+//! `pdm_planner/`). A step of it, in order: a constant-velocity [`Forecast`] of all objects; [`Proposals`], fifteen IDM
+//! roll-outs along the centerline of the [`ReferencePath`] and beside it; their simulation by a tracker; [`score_proposals`]; the
 //! emergency brake. [`plan`] ties them together.
 //!
 //! The score is a second aggregation of the primitives of nuPlan's metrics. It differs from them in these points: other
 //! agents come from a forecast; a corner outside the drivable polygons counts without tolerance; movement against the
-//! direction is summed over whole stretches off the route; progress is relative to the best proposal; times to
+//! direction is summed over whole segments off the route; progress is relative to the best proposal; times to
 //! collision are tested at 0, 0.3, 0.6 and 0.9 s; comfort uses the rear-axle acceleration and wider filters; there is
 //! no speed-limit and no making-progress term.
 
@@ -37,11 +37,10 @@ pub use current_lane::{StartingBlock, current_lane, starting_block};
 pub use emergency_brake::{EMERGENCY_SPEED, EMERGENCY_TIME_S, braking_speed, emergency_brake, needs_emergency_brake};
 pub use forecast::{Collided, Forecast, ForecastObject, MAX_DISTANCE, RESOLUTION_STEPS};
 pub use lead::LeadState;
-pub use parameters::PdmParameters;
+pub use parameters::{PdmParameters, TRAJECTORY_STEPS};
 pub use path::PdmPath;
 pub use proposals::{
     FALLBACK_LIMIT, IdmState, LATERAL_OFFSETS, PROPOSAL_STEPS, PROPOSALS, Proposal, Proposals, SPEED_FRACTIONS,
-    TRAJECTORY_STEPS,
 };
 pub use reference_path::{NoReferencePath, ReferencePath};
 pub use route::corrected_route;

@@ -2,10 +2,10 @@
 
 use crate::geometry::{GeometryError, Point, Polyline, Pose, unwrap_angles, wrap_angle};
 
-/// Queries never lie nearer to the start than this, metres.
+/// Queries never lie nearer to the start than this, meters.
 const MIN_PROGRESS: f64 = 1e-5;
 
-/// Rear-axle poses with their progress: cumulated chord length, metres from the first. Repeated poses are kept, so that the
+/// Rear-axle poses with their progress: cumulated chord length, meters from the first. Repeated poses are kept, so that the
 /// heading may jump where two baselines meet.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PdmPath {
@@ -47,17 +47,17 @@ impl PdmPath {
         &self.line
     }
 
-    /// Progress of the last pose, metres.
+    /// Progress of the last pose, meters.
     pub fn length(&self) -> f64 {
         self.progress[self.progress.len() - 1]
     }
 
-    /// Progress of the point of the path that is nearest to `point`, metres.
+    /// Progress of the point of the path that is nearest to `point`, meters.
     pub fn project(&self, point: Point) -> f64 {
         self.line.project(point).s
     }
 
-    /// Pose at a progress, clamped to [1e-5 m, length]: position and unwrapped heading linear between the neighbours.
+    /// Pose at a progress, clamped to [1e-5 m, length]: position and unwrapped heading linear between the neighbors.
     pub fn pose_at(&self, progress: f64) -> Pose {
         let progress = self.clamped(progress);
         let after = self.progress.partition_point(|&p| p < progress).clamp(1, self.progress.len() - 1);

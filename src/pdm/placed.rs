@@ -1,9 +1,9 @@
-//! Where a state puts the ego, worked out once for all terms of the score.
+//! The box of an ego state, computed once for all terms of the score.
 
 use crate::geometry::{Bounds, OrientedBox, Point, Pose, Vector};
 use crate::world::{EgoState, PACIFICA};
 
-/// The box of an ego state, with what is asked of it again and again.
+/// The box of an ego state with its corners and direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Placed {
     /// The box, map frame.
@@ -32,7 +32,7 @@ impl Placed {
         Bounds::around(&self.corners)
     }
 
-    /// The box moved straight on at its speed for some seconds.
+    /// The box after some seconds straight ahead at its speed.
     pub(super) fn moved(&self, seconds: f64) -> OrientedBox {
         let moved = self.shape.center.position() + self.direction * (self.speed * seconds);
         self.shape.moved_to(Pose::at(moved, self.shape.center.heading))

@@ -2,31 +2,30 @@
 //! `batch_idm_policy.py`).
 
 use super::lead::{LeadState, PathTraffic};
-use super::{Forecast, PdmParameters, PdmPath};
+use super::parameters::{PdmParameters, TRAJECTORY_STEPS};
+use super::{Forecast, PdmPath};
 use crate::dynamics::Lead;
 use crate::geometry::Pose;
 use crate::world::{EgoState, LaneMap, STEP_S};
 
-/// Target velocities as shares of the speed limit, one a policy.
+/// Target velocities of the five policies, as fractions of the speed limit.
 pub const SPEED_FRACTIONS: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
-/// Sideways offsets of the paths from the centreline, metres, positive to the left.
+/// Lateral offsets of the paths from the centerline, meters, positive to the left.
 pub const LATERAL_OFFSETS: [f64; 3] = [0.0, -1.0, 1.0];
-/// How many proposals there are; the n-th has path n / 5 and policy n % 5.
+/// Number of proposals; the n-th has path n / 5 and policy n % 5.
 pub const PROPOSALS: usize = SPEED_FRACTIONS.len() * LATERAL_OFFSETS.len();
-/// Limit of a lane that has none, m/s.
+/// Speed limit of a lane without one, m/s.
 pub const FALLBACK_LIMIT: f64 = 15.0;
-/// Steps of 0.1 s that are generated for all proposals, simulated and scored.
+/// Steps of 0.1 s of each proposal, which are simulated and scored.
 pub const PROPOSAL_STEPS: usize = 40;
-/// Steps of 0.1 s of the trajectory that is driven.
-pub const TRAJECTORY_STEPS: usize = 80;
 
-/// Every so many steps the lead is looked up anew.
+/// Steps between two searches for the lead object.
 const LEAD_REFRESH: usize = 2;
 
-/// Where a roll-out is.
+/// A state of a roll-out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IdmState {
-    /// Progress of the rear axle along the path, metres; may pass its end.
+    /// Progress of the rear axle along the path, meters; may pass its end.
     pub progress: f64,
     /// Speed, m/s; not clamped, so it may fall a little below zero.
     pub velocity: f64,
@@ -35,13 +34,13 @@ pub struct IdmState {
 /// One IDM roll-out, a state every 0.1 s, the present one first.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Proposal {
-    /// Which of [`LATERAL_OFFSETS`] its path has.
+    /// Index of its path in [`LATERAL_OFFSETS`].
     pub path: usize,
-    /// What it would drive on a free road, m/s.
+    /// Its speed on a free road, m/s.
     pub target_velocity: f64,
-    /// Where it is at each step.
+    /// Its states at each step.
     pub states: Vec<IdmState>,
-    /// What it stays behind at each step; the first two are zero.
+    /// Its lead objects at each step; the first two are zero.
     pub leads: Vec<LeadState>,
     /// Rear-axle poses on the path at each step, map frame.
     pub poses: Vec<Pose>,

@@ -1,4 +1,4 @@
-//! What PDM-Closed decides once: the repaired route, the centreline and the three paths.
+//! The reference path: the repaired route, the centerline and the three paths, chosen once.
 
 use super::centerline::{centerline_poses, lane_chain};
 use super::current_lane::current_lane;
@@ -9,30 +9,29 @@ use crate::geometry::{GeometryError, Pose};
 use crate::world::{EgoState, LaneId, LaneMap, RoadblockId, Route};
 use std::collections::BTreeSet;
 
-/// Why PDM-Closed has no way to drive.
+/// Why PDM-Closed has no reference path.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum NoReferencePath {
-    /// The route holds no lane.
     #[error("the route has no lanes")]
     EmptyRoute,
-    /// The centreline, or a path beside it, makes no line.
-    #[error("the centreline of the route makes no path")]
+    #[error("the centerline of the route makes no path")]
     Path(#[from] GeometryError),
 }
 
-/// The way that PDM-Closed drives: chosen at the first iteration and kept.
+/// The path that PDM-Closed follows: chosen at the first iteration and kept.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReferencePath {
     lanes: Vec<LaneId>,
     lane_set: BTreeSet<LaneId>,
     layers: DrivableLayers,
-    /// One a lateral offset; the first is the centreline.
+    /// One for each lateral offset; the first is the centerline.
     paths: [PdmPath; LATERAL_OFFSETS.len()],
 }
 
 impl ReferencePath {
-    /// The way of an ego along a route: the route repaired, the lane under the ego, and the cheapest chain of lanes from
-    /// there on.
+    /// The reference path of an ego on a route: the route is repaired, and the cheapest chain of lanes starts at the lane under the
+    /// ego.
     ///
     /// # Errors
     /// When the route has no lanes or they make no line.
@@ -44,7 +43,7 @@ impl ReferencePath {
         Self::along(map, &blocks, &centerline_poses(map, &chain), ego)
     }
 
-    /// The way of an ego along a given centreline (rear-axle poses, map frame) on a given route.
+    /// The reference path of an ego along a given centerline (rear-axle poses, map frame) on a given route.
     ///
     /// # Errors
     /// When the poses make no line.
@@ -73,7 +72,7 @@ impl ReferencePath {
         &self.lane_set
     }
 
-    /// What counts as drivable along this way.
+    /// The layers that count as drivable.
     pub fn layers(&self) -> DrivableLayers {
         self.layers
     }
@@ -83,12 +82,12 @@ impl ReferencePath {
         &self.paths[0]
     }
 
-    /// The paths of the proposals, one a lateral offset.
+    /// The paths of the proposals, one for each lateral offset.
     pub fn paths(&self) -> &[PdmPath; LATERAL_OFFSETS.len()] {
         &self.paths
     }
 
-    /// Speed limit of the lane that the ego is on now, m/s; `None` when it has none.
+    /// Speed limit of the ego's present lane, m/s; `None` when it has none.
     pub fn speed_limit(&self, map: &LaneMap, ego: &EgoState) -> Option<f64> {
         map[current_lane(map, &self.lanes, ego)?].speed_limit
     }

@@ -6,16 +6,16 @@ use crate::geometry::{Polygon, Pose};
 use crate::world::{LaneKind, LaneMap, RoadblockId};
 use std::collections::BTreeSet;
 
-/// Longest way back from the route to the ego, roadblocks.
+/// Maximum length of a chain back from the route to the ego, roadblocks.
 const MAX_DEPTH_BACKWARD: usize = 15;
-/// Longest way from the ego to the route, or over a gap of it, roadblocks.
+/// Maximum length of a chain from the ego to the route, or over a gap in it, roadblocks.
 const MAX_DEPTH_FORWARD: usize = 30;
-/// So many roadblocks at the start of the route may be driven to.
+/// Number of roadblocks at the start of the route that a chain may end at.
 const ENTRIES: usize = 3;
 /// Connectors that share more than this are a loop, m².
 const LOOP_AREA: f64 = 1.0;
 
-/// The route of an ego whose rear axle is at `rear_axle`: begun where the ego is, its gaps closed, cut before its first
+/// The route of an ego whose rear axle is at `rear_axle`: started at the ego, its gaps closed, cut before its first
 /// loop. What cannot be repaired stays as it is; an empty route stays empty.
 pub fn corrected_route(map: &LaneMap, route: &[RoadblockId], rear_axle: Pose) -> Vec<RoadblockId> {
     let mut seen = BTreeSet::new();
@@ -24,7 +24,7 @@ pub fn corrected_route(map: &LaneMap, route: &[RoadblockId], rear_axle: Pose) ->
     without_loops(map, &without_gaps(map, &begun))
 }
 
-/// The route, begun at the roadblock under the ego: back from its first roadblock, or forward to one of its first three.
+/// The route, started at the roadblock under the ego: back from its first roadblock, or forward to one of its first three.
 fn begun_at(map: &LaneMap, route: Vec<RoadblockId>, rear_axle: Pose) -> Vec<RoadblockId> {
     let (Some(&first), Some(start)) = (route.first(), starting_block(map, &route, rear_axle)) else { return route };
     if route.contains(&start.block) {

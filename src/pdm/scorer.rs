@@ -15,23 +15,23 @@ pub const WEIGHT_PROGRESS: f64 = 5.0;
 pub const WEIGHT_TTC: f64 = 5.0;
 /// Weight of comfort.
 pub const WEIGHT_COMFORT: f64 = 2.0;
-/// Below this best progress, standing still is as good as any, metres.
+/// Below this best progress, standing still is as good as any, meters.
 const PROGRESS_THRESHOLD: f64 = 0.1;
 
-/// What proposals are scored in.
+/// The input of the score beside the proposals.
 #[derive(Clone, Copy)]
 pub struct ScoringScene<'a> {
     /// The drivable polygons around the ego.
     pub drivable: &'a DrivableMap<'a>,
-    /// Everyone else.
+    /// The forecast of all objects.
     pub forecast: &'a Forecast,
     /// The line along which progress is measured.
     pub centerline: &'a Polyline,
-    /// Progress of something outside the batch that counts as a rival, metres; 0 when the batch is all there is.
+    /// Progress of a rival outside of the batch, meters; 0 without one.
     pub rival_progress: f64,
 }
 
-/// The score of one proposal and what it is made of.
+/// The score of one proposal with its parts.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ProposalScore {
     /// Product of the multipliers times the weighted mean of progress, time to collision and comfort, in [0, 1].
@@ -42,13 +42,13 @@ pub struct ProposalScore {
     pub drivable_area: f64,
     /// Multiplier: 1, 0.5 or 0.
     pub driving_direction: f64,
-    /// Weight 5: progress beside the best of the batch, in [0, 1].
+    /// Weight 5: progress relative to the best of the batch, in [0, 1].
     pub progress: f64,
     /// Weight 5: 1 or 0.
     pub time_to_collision: f64,
     /// Weight 2: 1 or 0.
     pub comfort: f64,
-    /// Progress along the centreline, metres, not below 0.
+    /// Progress along the centerline, meters, not below 0.
     pub progress_m: f64,
     /// Time of the first collision at fault, seconds from the first state.
     pub first_at_fault_s: Option<f64>,
@@ -91,13 +91,13 @@ pub fn score_proposals(
     Ok(scores)
 }
 
-/// What a batch of proposals may touch.
+/// The objects that a batch of proposals may touch.
 struct Around<'a> {
     areas: NearAreas<'a>,
     encounters: Encounters<'a>,
 }
 
-/// All terms of a proposal but the share of its progress, which needs the whole batch.
+/// All terms of a proposal but its relative progress, which needs the whole batch.
 fn judge(
     scene: &ScoringScene<'_>,
     around: &Around<'_>,
@@ -123,7 +123,7 @@ fn judge(
     })
 }
 
-/// The longest way of the centre in one stretch off the route, metres.
+/// The longest distance of the center in one segment off the route, meters.
 fn longest_oncoming(placed: &[Placed], areas: &[EgoAreas]) -> f64 {
     let (mut longest, mut stretch) = (0.0f64, 0.0);
     for (pair, areas) in placed.windows(2).zip(areas.iter().skip(1)) {

@@ -21,8 +21,8 @@ impl SearchDirection {
     }
 }
 
-/// The chain with fewest links between `start` and any of `targets`, both included, in the direction of traffic whichever
-/// way is searched; `None` when there is none of at most `max_depth` roadblocks.
+/// The chain with fewest links between `start` and any of `targets`, both included, in the direction of traffic for both
+/// search directions; `None` when there is none of at most `max_depth` roadblocks.
 ///
 /// Of chains of one length upstream's choice is made: the target that its queue reaches first, each roadblock entered from
 /// the one of the level before that its queue expands last. Upstream's queue repeats roadblocks; here each stands once a

@@ -1,6 +1,5 @@
-//! How long a planning call lasts in the simulated world: its planner comes into force only after that time.
+//! How long a planning call lasts in simulated time.
 
-use crate::world::STEP_S;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
@@ -12,22 +11,20 @@ pub enum Latency {
     /// No time passes: nuPlan's simulation waits for the planner.
     #[default]
     None,
-    /// As long as it took. What is driven depends on the machine.
+    /// As long as it took. The result depends on the machine.
     Measured,
     /// Always this long.
     Fixed(Duration),
 }
 
 impl Latency {
-    /// Iterations from a call that took `total_ms` to the first one at which its planner is there; `None` when no time passes.
-    pub(super) fn iterations(self, total_ms: f64) -> Option<usize> {
-        let seconds = match self {
-            Self::None => return None,
-            Self::Measured => total_ms / 1e3,
-            Self::Fixed(duration) => duration.as_secs_f64(),
-        };
-        // Times that are whole iterations but for rounding count as such.
-        Some((seconds / STEP_S - 1e-9).ceil().max(0.0) as usize)
+    /// The simulated time that a call lasts which took `call_ms` milliseconds of wall time, µs.
+    pub(super) fn micros(self, call_ms: f64) -> i64 {
+        match self {
+            Self::None => 0,
+            Self::Measured => (call_ms * 1e3).round() as i64,
+            Self::Fixed(duration) => duration.as_micros() as i64,
+        }
     }
 }
 
@@ -101,9 +98,9 @@ mod tests {
     }
 
     #[test]
-    fn a_planner_is_there_at_the_first_iteration_after_its_time() {
-        let fixed = |milliseconds| Latency::Fixed(Duration::from_millis(milliseconds)).iterations(7.0);
-        assert_eq!([fixed(0), fixed(1), fixed(100), fixed(300), fixed(5568)], [0, 1, 1, 3, 56].map(Some));
-        assert_eq!((Latency::None.iterations(9e9), Latency::Measured.iterations(230.0)), (None, Some(3)));
+    fn a_measured_call_lasts_its_wall_time() {
+        let fixed = Latency::Fixed(Duration::from_millis(5568));
+        let lasts = [Latency::None, Latency::Measured, fixed].map(|latency| latency.micros(230.5));
+        assert_eq!(lasts, [0, 230_500, 5_568_000]);
     }
 }

@@ -1,70 +1,61 @@
-//! The planner in force under Reflection's eyes, between planning calls.
+//! Monitoring: Reflection scores the active plan at every step and chooses the version of it that is executed.
 
-use super::PlannerError;
-use super::plan_agent::{PLAN_STEPS, build_idm_plan, reflection_failed};
-use crate::environment::{CenterlineName, LaneGraph};
-use crate::pdm::{PdmMemory, emergency_brake};
-use crate::reasoning::PlannerCode;
-use crate::reflection::{IdmPlan, LeadPolicy, PlanMonitor, Version};
+use super::agent_state::ActivePlan;
+use super::layer::{AgentLayer, forward};
+use super::{PlannerError, PlannerInput};
+use crate::reflection::{IdmPlan, MonitoredStep, PlanMonitor};
 use crate::world::{SceneView, Trajectory};
+use std::time::Instant;
 
-/// How a watched planner drives on.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MonitoredStep {
-    /// What drives: the version that is chosen, or the emergency brake.
-    pub trajectory: Trajectory,
-    /// The version's score by PDM's measure.
-    pub score: f64,
-    /// Whether the ego brakes hard: the version is the stop, or the emergency brake overrules it.
-    pub brakes: bool,
+/// An agent whose active plan is monitored. A lane change that needs hard braking or scores less than λ is aborted where the plan
+/// is better in the ego's present lane; the ego stays there until the next planning call.
+#[derive(Debug)]
+pub struct Monitored<A> {
+    inner: A,
+    monitor: PlanMonitor,
 }
 
-impl MonitoredStep {
-    /// Whether it does without hard braking where `other` does not, or else has the higher score. Scores of hard braking say little:
-    /// progress is relative to versions that all collide.
-    pub(super) fn is_better_than(&self, other: &Self) -> bool {
-        (!self.brakes, self.score) > (!other.brakes, other.score)
+impl<A> Monitored<A> {
+    /// An agent whose active plan is monitored.
+    pub fn new(inner: A, monitor: PlanMonitor) -> Self {
+        Self { inner, monitor }
     }
 }
 
-/// Lets Reflection choose what of a planner drives on.
-///
-/// # Errors
-/// When the horizon is too short to be scored, or the state of the ego is not finite.
-pub fn monitored_step(
-    planner: &IdmPlan,
-    scene: &SceneView<'_>,
-    monitor: &PlanMonitor,
-    memory: &mut PdmMemory,
-) -> Result<MonitoredStep, PlannerError> {
-    let choice = monitor.choose(scene, planner, memory).map_err(reflection_failed)?;
-    let trajectory = if choice.emergency_brake {
-        emergency_brake(scene.ego, PLAN_STEPS)?
-    } else {
-        planner.roll_out_version(choice.version, scene, PLAN_STEPS).to_trajectory(scene.ego)?
-    };
-    let brakes = choice.emergency_brake || choice.version == Version::STOP;
-    Ok(MonitoredStep { trajectory, score: choice.score, brakes })
+impl<A: AgentLayer> Monitored<A> {
+    /// The active plan in the ego's present lane, and its step; `None` when it is bound for that lane already.
+    fn aborted_lane_change(&mut self, scene: &SceneView<'_>) -> Result<Option<(IdmPlan, MonitoredStep)>, PlannerError> {
+        let state = self.inner.state_mut();
+        let (Some(plan), Ok(graph)) = (state.active_plan(), state.lane_graph(scene)) else { return Ok(None) };
+        let Some(back) = state.builder.back_to_ego_lane(plan, scene, &graph)? else { return Ok(None) };
+        let step = self.monitor.step(scene, &back, &mut state.memory)?;
+        Ok(Some((back, step)))
+    }
 }
 
-/// The planner of the same code in the ego's present lane; `None` when it is bound for that lane already.
-///
-/// # Errors
-/// When the ego's pose is not finite.
-pub(super) fn back_to_own_lane(
-    planner: &IdmPlan,
-    scene: &SceneView<'_>,
-    graph: &LaneGraph,
-    lead_policy: LeadPolicy,
-    path_s: f64,
-) -> Result<Option<IdmPlan>, PlannerError> {
-    if graph.ego_lane().path.lanes.contains(&planner.lane_now(scene)) {
-        return Ok(None);
+impl<A: AgentLayer> AgentLayer for Monitored<A> {
+    forward!(inner: state, reset, advance, plan);
+
+    fn execute(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        let scene = &input.scene;
+        let state = self.inner.state_mut();
+        let ActivePlan::Generated(plan) = &state.active else { return self.inner.execute(input) };
+        let mut step = self.monitor.step(scene, plan, &mut state.memory)?;
+        let mut aborted = None;
+        if (step.brakes || step.score < self.monitor.threshold)
+            && let Some((back, instead)) = self.aborted_lane_change(scene)?
+            && instead.is_better_than(&step)
+        {
+            (step, aborted) = (instead, Some(back));
+        }
+        let state = self.inner.state_mut();
+        if let Some(back) = aborted {
+            state.active = back.into();
+            state.note(|call| call.aborted_lane_change = Some(input.iteration));
+        }
+        if step.brakes {
+            state.note(|call| call.emergency_brakes += 1);
+        }
+        Ok(step.trajectory)
     }
-    let code = PlannerCode {
-        centerline: CenterlineName::EgoLane.to_string(),
-        lead_agent: graph.lead_agent(CenterlineName::EgoLane).map(|agent| agent.name.to_string()),
-        ..planner.code.clone()
-    };
-    build_idm_plan(scene, graph, code, lead_policy, path_s)
 }

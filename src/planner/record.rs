@@ -1,38 +1,57 @@
 //! The record that every planning call leaves.
 
 use crate::geometry::Pose;
-use crate::reasoning::{Assistance, Feedback, Interruption, MotionInstruction, ParseError, PlannerCode, RoundRecord};
+use crate::reasoning::{Feedback, Interruption, MotionInstruction, ParseError, PlannerAnswer, RoundRecord};
 use crate::reflection::ReflectionReport;
 use image::RgbImage;
 use std::fmt;
+use std::sync::Arc;
 
-/// What a planning call ended with.
+/// The outcome of a planning call.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Decision {
-    /// The planner of this attempt (from 0) scored λ or more and drives.
+    /// The plan of this attempt (from 0) scored λ or more and becomes active.
     Execute(usize),
-    /// All attempts were refused; the planner of this attempt drives all the same, as the paper prescribes.
+    /// All attempts were refused; the plan of this attempt becomes active all the same, as in the paper.
     Exhausted(usize),
-    /// The call gave no planner; the one in force goes on.
+    /// The call gave no plan; the active one is kept.
     KeepActivePlan(NoPlan),
-    /// The call gave no planner and none was in force: the ego brakes straight ahead.
+    /// The call gave no plan and none was active: the ego brakes straight ahead.
     Brake(NoPlan),
-    /// The call gave nothing to drive by; PDM-Closed drives.
+    /// The call gave no answer that is better than PDM-Closed, which is executed.
     RuleBased(NoPlan),
-    /// The model was not asked: PDM-Closed's plan is predicted to score this, which passes the gate; PDM-Closed drives.
+    /// The model was not asked: the predicted score of PDM-Closed's plan, given here, passes the gate. PDM-Closed is executed.
     Gated(f64),
 }
 
-/// Why a planning call gave no new planner.
+impl Decision {
+    /// The attempt whose plan becomes active.
+    pub fn attempt(&self) -> Option<usize> {
+        match *self {
+            Self::Execute(index) | Self::Exhausted(index) => Some(index),
+            _ => None,
+        }
+    }
+
+    /// Why there is no new plan, where there is none although the model was asked.
+    pub fn no_plan(&self) -> Option<&NoPlan> {
+        match self {
+            Self::KeepActivePlan(why) | Self::Brake(why) | Self::RuleBased(why) => Some(why),
+            Self::Execute(_) | Self::Exhausted(_) | Self::Gated(_) => None,
+        }
+    }
+}
+
+/// Why a planning call gave no new plan.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum NoPlan {
-    /// There was nothing to show to the model. The text says why.
+    /// The scene has no lane graph. The text says why.
     NoLaneGraph(String),
-    /// No attempt gave a planner that can be read.
+    /// No attempt gave a plan that can be read.
     Unreadable,
     /// PDM-Closed's own proposal scores no less than any answer.
     Outscored,
-    /// All attempts were refused, and the planner in force scores more than each of them.
+    /// All attempts were refused, and the active plan scores more than each of them.
     Worse,
     /// The call was ended by its deadline or by a failure of the model.
     Interrupted(Interruption),
@@ -55,7 +74,7 @@ impl NoPlan {
 impl fmt::Display for NoPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unreadable => f.write_str("no attempt gave a planner that can be read"),
+            Self::Unreadable => f.write_str("no attempt gave a plan that can be read"),
             Self::Outscored => f.write_str("PDM-Closed's own proposal scores no less than any answer"),
             Self::Worse => f.write_str("the active plan scores more than all attempts"),
             Self::Interrupted(Interruption::Deadline) => f.write_str("the deadline passed"),
@@ -64,41 +83,38 @@ impl fmt::Display for NoPlan {
     }
 }
 
-/// One attempt: three rounds (of LLM-ASSIST one), a planner, its reflection; fewer rounds and no planner where it was interrupted.
+/// One attempt: three rounds (one of LLM-ASSIST), an answer, its reflection. An interrupted attempt has fewer rounds and no answer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Attempt {
     /// The rounds as they were asked and answered.
     pub rounds: Vec<RoundRecord>,
     /// The motion instruction, if it was given.
     pub instruction: Option<MotionInstruction>,
-    /// The planner code, if the answer held one.
-    pub code: Option<PlannerCode>,
-    /// What the answer says, of LLM-ASSIST's.
-    pub assistance: Option<Assistance>,
-    /// What could not be read.
+    /// The line that was read.
+    pub answer: Option<PlannerAnswer>,
+    /// The errors in the answer.
     pub errors: Vec<ParseError>,
-    /// What Reflection said; `None` without code or with Reflection switched off.
+    /// Reflection's report; `None` without a plan or with Reflection off.
     pub reflection: Option<ReflectionReport>,
-    /// Path of the planner, map frame.
+    /// Path of the plan, map frame.
     pub path: Vec<Pose>,
     /// Wall time of the roll-out and its scoring, milliseconds.
     pub reflection_ms: f64,
 }
 
 impl Attempt {
-    /// The line that the model wrote, as it was read.
+    /// The line as it was read, in text.
     pub fn line(&self) -> Option<String> {
-        let code = self.code.as_ref().map(ToString::to_string);
-        code.or_else(|| self.assistance.as_ref().map(ToString::to_string))
+        self.answer.as_ref().map(ToString::to_string)
     }
 
-    /// What the next attempt is told of it.
+    /// The feedback that the next attempt gets.
     pub fn feedback(&self, threshold: f64) -> Feedback {
         feedback(self.line(), self.reflection.as_ref(), &self.errors, threshold)
     }
 }
 
-/// What there is to say about an answer that was refused, or that could not be read.
+/// The feedback on an answer that was refused or could not be read.
 pub fn feedback(
     line: Option<String>,
     reflection: Option<&ReflectionReport>,
@@ -118,24 +134,26 @@ pub fn feedback(
 /// All attempts at one instant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanningCall {
-    /// Iteration at which it was made.
+    /// Iteration of the call.
     pub iteration: usize,
-    /// The BEV map as the model saw it.
-    pub image: Option<RgbImage>,
+    /// Time of the call after the first step, seconds.
+    pub at_s: f64,
+    /// The BEV image that the model saw.
+    pub image: Option<Arc<RgbImage>>,
     /// BLAKE3 of the image.
     pub image_hash: Option<String>,
     /// The lane-graph text.
     pub scene_text: Option<String>,
     /// The attempts, in order.
     pub attempts: Vec<Attempt>,
-    /// How it ended.
+    /// The outcome.
     pub decision: Decision,
-    /// Iterations after this call in which the ego braked hard against what the planner in force does: by PDM-Closed's emergency
-    /// brake, or by the stop of a watched planner.
+    /// Iterations after this call in which the ego braked hard against the active plan: by PDM-Closed's emergency brake, or by the
+    /// stop of a monitored plan.
     pub emergency_brakes: usize,
-    /// The iteration after this call at which the ego went back to the lane it was in instead of changing lanes.
+    /// The iteration at which a lane change was aborted.
     pub aborted_lane_change: Option<usize>,
-    /// With a latency: the iteration at which the call's planner came into force; `None` where it did not in this drive.
+    /// With a latency: the iteration at which the call's plan became active; `None` where it did not.
     pub active_from: Option<usize>,
     /// Wall time of the environment transformation, milliseconds.
     pub environment_ms: f64,
@@ -144,10 +162,11 @@ pub struct PlanningCall {
 }
 
 impl PlanningCall {
-    /// A call that could not even begin.
-    pub(super) fn without_attempts(iteration: usize, decision: Decision, total_ms: f64) -> Self {
+    /// A call at an iteration and a time that ended before the first attempt.
+    pub(super) fn without_attempts((iteration, at_s): (usize, f64), decision: Decision, total_ms: f64) -> Self {
         Self {
             iteration,
+            at_s,
             image: None,
             image_hash: None,
             scene_text: None,
@@ -171,26 +190,26 @@ impl PlanningCall {
         self.attempts.iter().map(|attempt| attempt.errors.len()).sum()
     }
 
-    /// Whether the gate saved the call.
+    /// Whether the gate skipped the model.
     pub fn is_gated(&self) -> bool {
         matches!(self.decision, Decision::Gated(_))
     }
 
-    /// What ended the call before its time, if anything did.
+    /// Whether the call came to ask the model.
+    pub(super) fn asks_model(&self) -> bool {
+        !self.is_gated() && !matches!(self.decision.no_plan(), Some(NoPlan::NoLaneGraph(_)))
+    }
+
+    /// The interruption that ended the call, if there was one.
     pub fn interruption(&self) -> Option<&Interruption> {
-        match &self.decision {
-            Decision::KeepActivePlan(NoPlan::Interrupted(why))
-            | Decision::Brake(NoPlan::Interrupted(why))
-            | Decision::RuleBased(NoPlan::Interrupted(why)) => Some(why),
+        match self.decision.no_plan() {
+            Some(NoPlan::Interrupted(why)) => Some(why),
             _ => None,
         }
     }
 
-    /// The attempt whose planner drives from here on, if one of this call does.
-    pub fn driving(&self) -> Option<&Attempt> {
-        match self.decision {
-            Decision::Execute(index) | Decision::Exhausted(index) => self.attempts.get(index),
-            _ => None,
-        }
+    /// The attempt whose plan becomes active, if one does.
+    pub fn accepted(&self) -> Option<&Attempt> {
+        self.attempts.get(self.decision.attempt()?)
     }
 }

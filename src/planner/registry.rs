@@ -1,43 +1,14 @@
 //! The planners that a run can name. A new planner is its file and one line of [`PlannerRegistry::default`]; a program adds its
 //! own with [`PlannerRegistry::with`].
 
-use super::plan_agent::PlanAgent;
 use super::{
-    CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay, PdmClosed, PlanAgentSettings, Planner, PlannerError,
-    SimplePlanner,
+    AgentLayer, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay, PdmClosed, PlanAgent,
+    PlanAgentSettings, Planner, PlannerError, PlannerName, SimplePlanner,
 };
 use crate::reasoning::AssistVariant;
 use crate::world::EgoState;
 use std::fmt;
 use std::sync::Arc;
-
-/// Name of a planner on the command line, in records and in file names.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize)]
-#[serde(transparent)]
-pub struct PlannerName(&'static str);
-
-impl PlannerName {
-    /// The agent of the paper.
-    pub const PLAN_AGENT: Self = Self("plan-agent");
-    /// PDM-Closed.
-    pub const PDM_CLOSED: Self = Self("pdm-closed");
-
-    /// A name; it becomes part of file names.
-    pub const fn new(name: &'static str) -> Self {
-        Self(name)
-    }
-
-    /// The name as text.
-    pub const fn as_str(self) -> &'static str {
-        self.0
-    }
-}
-
-impl fmt::Display for PlannerName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.0)
-    }
-}
 
 /// What a planner is built from. Runs load a model only for a planner that needs one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,6 +34,8 @@ pub struct PlannerParts<'a> {
     pub model: Option<&'a CodeSource>,
     /// The recorded ego states from iteration 0 on, for a planner that needs them.
     pub recording: &'a [EgoState],
+    /// Images of other scenes, for the ablation that shows them to the model.
+    pub shuffled_bev: Option<&'a BevSource>,
 }
 
 type Built = Result<Box<dyn Planner>, PlannerError>;
@@ -140,7 +113,7 @@ impl Default for PlannerRegistry {
             PlannerEntry::new(name, summary, Settings, move |parts| boxed(agent(parts, source.clone())))
         };
         let assist = |name, summary, variant| PlannerEntry {
-            unsupported: |settings| (settings.latency != Latency::None).then_some("agent.latency"),
+            unsupported: |settings| (settings.agent.latency != Latency::None).then_some("agent.latency"),
             ..PlannerEntry::new(name, summary, Model, move |parts| llm_assist(parts, variant))
         };
         let name = PlannerName::new;
@@ -195,8 +168,9 @@ fn boxed(planner: impl Planner + 'static) -> Built {
     Ok(Box::new(planner))
 }
 
-fn agent(parts: &PlannerParts<'_>, source: CodeSource) -> PlanAgent {
-    PlanAgent::new(parts.name, source, parts.settings.clone())
+fn agent(parts: &PlannerParts<'_>, source: CodeSource) -> Box<dyn AgentLayer> {
+    let agent = PlanAgent::new(parts.name, source, parts.settings.clone());
+    agent.with_shuffled_bev(parts.shuffled_bev.cloned()).layered()
 }
 
 fn plan_agent(parts: &PlannerParts<'_>) -> Built {

@@ -1,78 +1,90 @@
-//! Settings of the agent.
+//! Settings of the agent, in the sections of the configuration file. The defaults are those of the published results; where
+//! they differ from the paper, `docs/decisions` says why.
 
 use super::latency::Latency;
 use crate::environment::DEFAULT_NODE_LENGTH;
 use crate::reflection::{LeadPolicy, PlanMonitor, steps_of};
+use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// Which planner drives when all attempts were refused.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+/// Which plan becomes active when all attempts were refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AfterMaxExec {
     /// The last one (the paper).
     Last,
-    /// The one with the best score; the planner in force goes on where it scores more.
+    /// The one with the best score; the active plan is kept where it scores more.
     #[default]
     Best,
 }
 
-/// Settings of the agent.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PlanAgentSettings {
-    /// Side of the BEV map, metres; `None` leaves the image out.
-    pub view_m: Option<f64>,
-    /// Whether that map is of an unrelated scene, a new one at each planning call: an ablation.
-    pub shuffled_bev: bool,
-    /// Whether the model gets the lane-graph text.
-    pub lane_graph: bool,
-    /// Length of a lane-graph node, metres.
-    pub node_length_m: f64,
-    /// Iterations between planning calls.
-    pub interval: usize,
-    /// Time after which a planning call ends with the planner in force; `None` lets it think to the end. What was drawn
-    /// and what is being judged is done to the end all the same.
-    pub deadline: Option<Duration>,
-    /// The predicted score of PDM-Closed's plan from which on the model is not asked and PDM-Closed drives; `None` always asks.
+/// Section `agent`: a planning call as a whole.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CallSettings {
+    /// Wall time after which a planning call is interrupted and the active plan is kept, milliseconds; `None` for no limit. The
+    /// image and a running reflection are completed all the same.
+    pub deadline_ms: Option<u64>,
+    /// Predicted score of PDM-Closed from which on the model is not asked and PDM-Closed is executed; `None` always asks.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub gate: Option<f64>,
     /// How long a planning call lasts in simulated time.
     pub latency: Latency,
-    /// Whether planners are judged.
-    pub reflect: bool,
-    /// λ.
-    pub threshold: f64,
-    /// λ of a planner with which a change of lanes would begin, where that is higher.
-    pub lane_change_threshold: f64,
-    /// Most attempts of a planning call.
-    pub max_exec: usize,
-    /// Length of the roll-outs, seconds.
-    pub horizon_s: f64,
-    /// Which planner drives when all attempts were refused.
-    pub after_max_exec: AfterMaxExec,
-    /// Whom generated planners follow.
-    pub lead_policy: LeadPolicy,
-    /// Whether the active plan is monitored between planning calls, which needs Reflection: at every iteration [`PlanMonitor`]
-    /// scores the plan, its slower and lateral versions and a stop, and chooses one. A lane change whose score falls is
-    /// aborted where the present lane scores more. Without, the plan is executed as the model wrote it (the paper).
-    pub monitoring: bool,
-    /// Whether the ego may brake hard against what the planner in force does: by PDM-Closed's rule, and where it is watched by its
-    /// version that stops too.
-    pub emergency_brake: bool,
-    /// Seed of the run; each planning call draws from its own stream.
-    pub seed: u64,
 }
 
-impl Default for PlanAgentSettings {
+/// Section `environment`: the input of the model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnvironmentSettings {
+    /// Whether the model gets the BEV image.
+    pub bev: bool,
+    /// Whether that image is of an unrelated scene, a new one at each planning call (an ablation).
+    pub shuffled_bev: bool,
+    /// Whether the model gets the lane-graph text.
+    pub lane_graph: bool,
+    /// Side of the square that the BEV image shows, meters; its pixels are those of the model's vision tower.
+    pub view_m: f64,
+    /// Length of a lane-graph node, meters.
+    pub node_length_m: f64,
+}
+
+impl Default for EnvironmentSettings {
+    fn default() -> Self {
+        Self { bev: true, shuffled_bev: false, lane_graph: true, view_m: 64.0, node_length_m: DEFAULT_NODE_LENGTH }
+    }
+}
+
+/// Section `reflection`: how plans are scored and executed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReflectionSettings {
+    /// Whether plans are scored; without, the first plan that can be read becomes active.
+    pub enabled: bool,
+    /// λ: a plan that scores this becomes active (the paper: 0.75).
+    pub threshold: f64,
+    /// λ of a plan that begins a lane change, where it is higher. 0.98: of the lane changes in 350 validation scenes that scored
+    /// less, most lowered the score of the simulation.
+    pub lane_change_threshold: f64,
+    /// Maximum number of attempts of a planning call (the paper: 3).
+    pub max_exec: usize,
+    /// Length of the roll-outs, seconds. 4 s are PDM-Closed's.
+    pub horizon_s: f64,
+    /// Which plan becomes active when all attempts were refused.
+    pub after_max_exec: AfterMaxExec,
+    /// Which objects a plan follows.
+    pub lead_policy: LeadPolicy,
+    /// Whether the active plan is monitored between planning calls: at every step it is scored with its slower and lateral versions
+    /// and a stop, one of them is executed, and a lane change whose score falls is aborted. Without, the plan is executed as the
+    /// model wrote it (the paper).
+    pub monitoring: bool,
+    /// Whether the ego may brake hard against the active plan: by PDM-Closed's emergency brake, and under monitoring by the stop.
+    pub emergency_brake: bool,
+}
+
+impl Default for ReflectionSettings {
     fn default() -> Self {
         Self {
-            view_m: Some(64.0),
-            shuffled_bev: false,
-            lane_graph: true,
-            node_length_m: DEFAULT_NODE_LENGTH,
-            interval: 20,
-            deadline: None,
-            gate: None,
-            latency: Latency::None,
-            reflect: true,
+            enabled: true,
             threshold: 0.75,
             lane_change_threshold: 0.98,
             max_exec: 3,
@@ -81,16 +93,42 @@ impl Default for PlanAgentSettings {
             lead_policy: LeadPolicy::Nearest,
             monitoring: true,
             emergency_brake: true,
-            seed: 0,
         }
     }
 }
 
+/// Settings of the agent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanAgentSettings {
+    /// Section `agent`.
+    pub agent: CallSettings,
+    /// Section `environment`.
+    pub environment: EnvironmentSettings,
+    /// Section `reflection`.
+    pub reflection: ReflectionSettings,
+    /// Time between planning calls, seconds (the paper: 2).
+    pub plan_interval_s: f64,
+    /// Seed of the simulation; each planning call draws from a stream of its own.
+    pub seed: u64,
+}
+
+impl Default for PlanAgentSettings {
+    fn default() -> Self {
+        let (agent, environment) = (CallSettings::default(), EnvironmentSettings::default());
+        Self { agent, environment, reflection: ReflectionSettings::default(), plan_interval_s: 2.0, seed: 0 }
+    }
+}
+
 impl PlanAgentSettings {
-    /// How the planner in force is watched.
-    pub(super) fn monitor(&self) -> PlanMonitor {
-        let Self { horizon_s, threshold, emergency_brake, .. } = *self;
-        PlanMonitor { steps: steps_of(horizon_s), threshold, emergency_brake }
+    /// The deadline of a planning call, if there is one.
+    pub(super) fn deadline(&self) -> Option<Duration> {
+        self.agent.deadline_ms.map(Duration::from_millis)
+    }
+
+    /// How the active plan is monitored; `None` where it is not.
+    pub(super) fn monitor(&self) -> Option<PlanMonitor> {
+        let ReflectionSettings { enabled, monitoring, horizon_s, threshold, emergency_brake, .. } = self.reflection;
+        (enabled && monitoring).then(|| PlanMonitor { steps: steps_of(horizon_s), threshold, emergency_brake })
     }
 
     /// The seed of the planning call at an iteration.

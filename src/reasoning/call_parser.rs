@@ -7,7 +7,7 @@ use std::fmt;
 use std::ops::Range;
 
 /// One thing wrong with an answer.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 pub struct ParseError {
     /// Bytes of the answer that are meant; empty at the end of the text when something is missing.
     pub span: Range<usize>,
@@ -144,16 +144,21 @@ impl<'a> Call<'a> {
     }
 
     /// Takes one of the `known` names; `other` is what would be right as well.
-    pub(super) fn name(&mut self, parameter: &str, known: &[String], other: Option<&str>) -> Option<String> {
+    pub(super) fn name<T: Copy + fmt::Display>(
+        &mut self,
+        parameter: &str,
+        known: &[T],
+        other: Option<&str>,
+    ) -> Option<T> {
         let Argument { value, span } = self.take(parameter)?;
         let message = match value {
-            Token::Word(word) => match known.iter().find(|name| name.eq_ignore_ascii_case(&word)) {
-                Some(name) => return Some(name.clone()),
+            Token::Word(word) => match known.iter().find(|name| name.to_string().eq_ignore_ascii_case(&word)) {
+                Some(name) => return Some(*name),
                 None => format!("{parameter} names '{word}', which is not in the scene"),
             },
             _ => format!("{parameter} is not a name"),
         };
-        let allowed: Vec<&str> = known.iter().map(String::as_str).chain(other).collect();
+        let allowed: Vec<String> = known.iter().map(T::to_string).chain(other.map(str::to_owned)).collect();
         self.fail(span, message, format!("the scene has {}", allowed.join(", ")));
         None
     }

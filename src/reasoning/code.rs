@@ -1,17 +1,18 @@
 //! The planner code of the paper: what it says, its ranges, and how it is printed.
 
+use crate::environment::{AgentName, CenterlineName, LaneGraph};
 use std::fmt;
 
 /// Name of the one function that planner code calls (paper, section 3, planner code generation).
 pub const FUNCTION: &str = "Generate_IDM_Planner";
 
-/// A call `Generate_IDM_Planner(c, la, v0, acc, dec)`: an IDM planner along a centreline behind a leader.
-#[derive(Debug, Clone, PartialEq)]
+/// A call `Generate_IDM_Planner(c, la, v0, acc, dec)`: an IDM planner along a centerline behind a lead agent.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlannerCode {
-    /// `c`: name of the centreline to follow, as the scene text gives it.
-    pub centerline: String,
-    /// `la`: name of the leading agent, as the scene text gives it; `None` when nothing leads.
-    pub lead_agent: Option<String>,
+    /// `c`: the centerline to follow.
+    pub centerline: CenterlineName,
+    /// `la`: the lead agent; `None` without one.
+    pub lead_agent: Option<AgentName>,
     /// `v0`: desired speed, m/s.
     pub target_speed: f64,
     /// `acc`: maximum acceleration, m/s².
@@ -20,7 +21,10 @@ pub struct PlannerCode {
     pub decel_max: f64,
 }
 
-/// What a number of the code may be.
+/// How a code says that no agent leads.
+pub(super) const NO_LEAD_AGENT: &str = "None";
+
+/// The values that a number of the code may take.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Range {
     /// Smallest allowed value.
@@ -53,19 +57,34 @@ impl fmt::Display for Range {
 
 impl fmt::Display for PlannerCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let lead_agent = self.lead_agent.as_deref().unwrap_or("None");
-        let Self { centerline, target_speed, accel_max, decel_max, .. } = self;
-        write!(f, "{FUNCTION}(c={centerline}, la={lead_agent}, v0={target_speed}, acc={accel_max}, dec={decel_max})")
+        let Self { centerline, lead_agent, target_speed, accel_max, decel_max } = self;
+        write!(f, "{FUNCTION}(c={centerline}, la=")?;
+        match lead_agent {
+            Some(name) => write!(f, "{name}")?,
+            None => f.write_str(NO_LEAD_AGENT)?,
+        }
+        write!(f, ", v0={target_speed}, acc={accel_max}, dec={decel_max})")
     }
 }
 
 /// The names that a scene text gives: what planner code may refer to.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Names {
-    /// Centrelines that may be followed.
-    pub centerlines: Vec<String>,
+    /// Centerlines that a plan may follow.
+    pub centerlines: Vec<CenterlineName>,
     /// Agents and obstacles that may lead.
-    pub lead_agents: Vec<String>,
-    /// Speed limit of the ego's lane, whole m/s: under a grammar no more can be asked for. `None` where it is unknown.
+    pub lead_agents: Vec<AgentName>,
+    /// Speed limit of the ego's lane, whole m/s, the upper bound of v0 under a grammar. `None` where it is unknown.
     pub speed_limit: Option<u32>,
+}
+
+impl Names {
+    /// The names of a scene's lane graph.
+    pub fn of(graph: &LaneGraph) -> Self {
+        Self {
+            centerlines: graph.centerlines.iter().map(|centerline| centerline.name).collect(),
+            lead_agents: graph.agents.iter().map(|agent| agent.name).collect(),
+            speed_limit: graph.ego_lane().speed_limit.map(|limit| limit.round() as u32),
+        }
+    }
 }

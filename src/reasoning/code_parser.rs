@@ -2,37 +2,44 @@
 //! their place; the errors go into the rethink prompt and are counted.
 
 use super::call_parser::{Call, ParseError, Signature};
-use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, TARGET_SPEED};
+use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, NO_LEAD_AGENT, Names, PlannerCode, TARGET_SPEED};
 
-/// What was understood of an answer, and what not. A code is given only when all five arguments were understood.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Parsed {
-    /// The planner, when the answer holds a whole one.
-    pub code: Option<PlannerCode>,
-    /// Everything that is wrong, in order of place.
+/// What was read in an answer: the whole line, or the errors in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parsed<A> {
+    /// The line, when all of its arguments were read.
+    pub answer: Option<A>,
+    /// The errors, in order of place.
     pub errors: Vec<ParseError>,
+}
+
+impl<A> Parsed<A> {
+    /// Nothing read, and nothing wrong.
+    pub const NOTHING: Self = Self { answer: None, errors: Vec::new() };
+
+    /// An answer without errors.
+    pub fn of(answer: A) -> Self {
+        Self { answer: Some(answer), errors: Vec::new() }
+    }
 }
 
 /// The call of planner code.
 const SIGNATURE: Signature<'_> = Signature { function: FUNCTION, parameters: &["c", "la", "v0", "acc", "dec"] };
 
-/// What stands for no leader.
-const NOBODY: &str = "None";
-
 /// Reads the last call of the function in `text`; names are checked against those of the scene.
-pub fn parse(text: &str, names: &Names) -> Parsed {
+pub fn parse(text: &str, names: &Names) -> Parsed<PlannerCode> {
     let mut call = match Call::find(text, SIGNATURE) {
         Ok(call) => call,
-        Err(error) => return Parsed { code: None, errors: vec![error] },
+        Err(error) => return Parsed { answer: None, errors: vec![error] },
     };
-    let code = understand(&mut call, names);
-    Parsed { code, errors: call.into_errors() }
+    let answer = read(&mut call, names);
+    Parsed { answer, errors: call.into_errors() }
 }
 
-fn understand(call: &mut Call<'_>, names: &Names) -> Option<PlannerCode> {
+fn read(call: &mut Call<'_>, names: &Names) -> Option<PlannerCode> {
     let centerline = call.name("c", &names.centerlines, None);
-    let follows = !call.is("la", NOBODY);
-    let lead_agent = if follows { call.name("la", &names.lead_agents, Some(NOBODY)) } else { None };
+    let follows = !call.is("la", NO_LEAD_AGENT);
+    let lead_agent = if follows { call.name("la", &names.lead_agents, Some(NO_LEAD_AGENT)) } else { None };
     let target_speed = call.number("v0", TARGET_SPEED);
     let accel_max = call.number("acc", ACCEL_MAX);
     let decel_max = call.magnitude("dec", DECEL_MAX);
@@ -48,12 +55,13 @@ fn understand(call: &mut Call<'_>, names: &Names) -> Option<PlannerCode> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::environment::CenterlineName;
     use proptest::prelude::*;
 
     fn names() -> Names {
         Names {
-            centerlines: ["ego_lane", "left_lane"].map(String::from).to_vec(),
-            lead_agents: ["vehicle1", "pedestrian2"].map(String::from).to_vec(),
+            centerlines: vec![CenterlineName::EgoLane, CenterlineName::LeftLane],
+            lead_agents: ["vehicle1", "pedestrian2"].map(|name| name.parse().unwrap()).to_vec(),
             speed_limit: None,
         }
     }
@@ -65,8 +73,8 @@ mod tests {
     #[test]
     fn reads_positional_named_and_quoted_arguments() {
         let expected = PlannerCode {
-            centerline: "left_lane".to_owned(),
-            lead_agent: Some("vehicle1".to_owned()),
+            centerline: CenterlineName::LeftLane,
+            lead_agent: Some("vehicle1".parse().unwrap()),
             target_speed: 8.0,
             accel_max: 1.5,
             decel_max: 3.0,
@@ -77,7 +85,7 @@ mod tests {
             "First Generate_IDM_Planner(ego_lane, None, 1, 1, 1)\nno: generate_idm_planner(dec=3, acc=1.5, v0=8, la=vehicle1, c=left_lane).",
         ] {
             let parsed = parse(text, &names());
-            assert_eq!(parsed.code.as_ref(), Some(&expected), "{text}: {:?}", parsed.errors);
+            assert_eq!(parsed.answer.as_ref(), Some(&expected), "{text}: {:?}", parsed.errors);
             assert!(parsed.errors.is_empty(), "{:?}", parsed.errors);
         }
     }
@@ -100,13 +108,13 @@ mod tests {
         #[test]
         fn any_text_is_read_without_failing(text in "\\PC*") {
             let parsed = parse(&text, &names());
-            prop_assert!(parsed.code.is_some() || !parsed.errors.is_empty());
+            prop_assert!(parsed.answer.is_some() || !parsed.errors.is_empty());
         }
 
         #[test]
         fn almost_code_is_read_without_failing(text in "Generate_IDM_Planner[(),=a-z0-9. \"'-]{0,40}") {
             let parsed = parse(&text, &names());
-            prop_assert!(parsed.code.is_some() || !parsed.errors.is_empty());
+            prop_assert!(parsed.answer.is_some() || !parsed.errors.is_empty());
             for error in &parsed.errors {
                 prop_assert!(error.span.end <= text.len() && error.span.start <= error.span.end);
             }
@@ -119,13 +127,13 @@ mod tests {
         ) {
             let names = names();
             let code = PlannerCode {
-                centerline: names.centerlines[c].clone(),
-                lead_agent: names.lead_agents.get(la).cloned(),
+                centerline: names.centerlines[c],
+                lead_agent: names.lead_agents.get(la).copied(),
                 target_speed, accel_max, decel_max,
             };
             let parsed = parse(&code.to_string(), &names);
             prop_assert_eq!(parsed.errors, vec![]);
-            prop_assert_eq!(parsed.code, Some(code));
+            prop_assert_eq!(parsed.answer, Some(code));
         }
     }
 }

@@ -1,11 +1,12 @@
 //! Asks a model the rounds of an attempt and reads its answers.
 
 use super::call_parser::ParseError;
-use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, TARGET_SPEED};
+use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, TARGET_SPEED};
 use super::code_parser::{Parsed, parse};
+use super::error::{PromptError, ReasoningError};
 use super::grammar;
 use super::instruction::MotionInstruction;
-use super::prompt_set::{PromptError, PromptSet};
+use super::prompt_set::PromptSet;
 use super::round::Round;
 use crate::mllm::{
     Answer, Constraint, ConstraintUse, Conversation, Deadline, FinishReason, GenerationSettings, Mark, Mllm, MllmError,
@@ -13,12 +14,13 @@ use crate::mllm::{
 };
 use image::RgbImage;
 use minijinja::context;
+use std::sync::Arc;
 
-/// What a planning call shows to the model.
+/// The input of a planning call to the model.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ScenarioPrompt {
-    /// The BEV map; `None` leaves the image out.
-    pub image: Option<RgbImage>,
+    /// The BEV image; `None` leaves it out.
+    pub image: Option<Arc<RgbImage>>,
     /// The lane-graph text; `None` leaves it out.
     pub text: Option<String>,
     /// The names that planner code may use.
@@ -43,7 +45,7 @@ pub struct Feedback {
 }
 
 /// Record of one round: prompt, answer, and what it cost.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 pub struct RoundRecord {
     /// Which round.
     pub round: Round,
@@ -84,26 +86,22 @@ impl From<MllmError> for Interruption {
 
 /// The outcome of one attempt's rounds.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ReasoningTrace {
+pub struct ReasoningTrace<A> {
     /// The rounds that were answered.
     pub rounds: Vec<RoundRecord>,
-    /// Why there are no more of them; none when all were answered.
+    /// Why the later rounds were not answered; `None` when all were.
     pub interruption: Option<Interruption>,
     /// The motion instruction, if round 2 was asked and its words were found.
     pub instruction: Option<MotionInstruction>,
-    /// The planner code and what could not be read.
-    pub parsed: Parsed,
+    /// The last answer as it was read.
+    pub parsed: Parsed<A>,
 }
 
-/// Why reasoning failed as a whole. A wrong answer is no such failure.
-#[derive(Debug, thiserror::Error)]
-pub enum ReasoningError {
-    /// The model failed.
-    #[error(transparent)]
-    Model(#[from] MllmError),
-    /// A prompt could not be made.
-    #[error(transparent)]
-    Prompt(#[from] PromptError),
+impl<A> ReasoningTrace<A> {
+    /// An answer that no model gave.
+    pub fn without_rounds(answer: A) -> Self {
+        Self { rounds: Vec::new(), interruption: None, instruction: None, parsed: Parsed::of(answer) }
+    }
 }
 
 /// How the rounds are asked.
@@ -165,7 +163,7 @@ impl<'a> Reasoning<'a> {
     /// # Errors
     /// When the model fails for good or a prompt cannot be made. Answers that make no sense are no error, and neither is
     /// what [`Interruption`] names.
-    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace, ReasoningError> {
+    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace<PlannerCode>, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;
         let mut feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
@@ -179,7 +177,7 @@ impl<'a> Reasoning<'a> {
                 Ok(answer) => answer,
                 Err(error) if error.is_transient() => {
                     let interruption = Some(error.into());
-                    return Ok(ReasoningTrace { rounds, interruption, instruction, parsed: Parsed::default() });
+                    return Ok(ReasoningTrace { rounds, interruption, instruction, parsed: Parsed::NOTHING });
                 }
                 Err(error) => return Err(error.into()),
             };
@@ -233,11 +231,14 @@ pub fn round_prompt(
     scene_text: Option<&str>,
     feedback: Option<&str>,
 ) -> Result<String, PromptError> {
+    fn words<T: ToString>(names: &[T]) -> Vec<String> {
+        names.iter().map(T::to_string).collect()
+    }
     let context = context! {
         scene_text => scene_text.unwrap_or_default(),
         feedback => feedback,
-        centerlines => &names.centerlines,
-        leaders => &names.lead_agents,
+        centerlines => words(&names.centerlines),
+        leaders => words(&names.lead_agents),
     };
     prompts.round(round, context)
 }

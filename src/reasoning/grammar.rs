@@ -1,6 +1,6 @@
 //! What answers must look like, so that an answer always parses.
 
-use super::code::{FUNCTION, Names};
+use super::code::{FUNCTION, NO_LEAD_AGENT, Names};
 use super::instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason};
 use super::prompt_set::{InstructionForm, UnderstandingForm};
 use crate::environment::facts::Question;
@@ -79,9 +79,9 @@ pub fn target_speeds(names: &Names) -> RangeInclusive<u32> {
 pub(super) fn code(names: &Names) -> Constraint {
     Constraint::Sequence(vec![
         text(format!("{FUNCTION}(c=")),
-        any_of(&names.centerlines),
+        any_of(names.centerlines.iter().map(ToString::to_string)),
         text(", la="),
-        any_of(names.lead_agents.iter().map(String::as_str).chain(["None"])),
+        any_of(names.lead_agents.iter().map(ToString::to_string).chain([NO_LEAD_AGENT.to_owned()])),
         text(", v0="),
         any_of(target_speeds(names).map(|v| v.to_string())),
         text(", acc="),
@@ -95,11 +95,15 @@ pub(super) fn code(names: &Names) -> Constraint {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::environment::CenterlineName;
 
     #[test]
     fn the_code_grammar_offers_the_names_of_the_scene() {
-        let names =
-            Names { centerlines: vec!["ego_lane".into()], lead_agents: vec!["vehicle1".into()], speed_limit: Some(2) };
+        let names = Names {
+            centerlines: vec![CenterlineName::EgoLane],
+            lead_agents: vec!["vehicle1".parse().unwrap()],
+            speed_limit: Some(2),
+        };
         let Constraint::Sequence(parts) = code(&names) else { panic!("not a sequence") };
         for offered in [&["0", "1", "2"][..], &["ego_lane"], &["vehicle1", "None"]] {
             assert!(parts.contains(&any_of(offered)), "{offered:?}: {parts:?}");

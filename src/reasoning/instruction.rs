@@ -59,7 +59,7 @@ choice! {
 }
 
 /// The answer of round 2.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 pub struct MotionInstruction {
     /// Along the road.
     pub longitudinal: Longitudinal,

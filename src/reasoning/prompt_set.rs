@@ -1,5 +1,6 @@
 //! Prompt sets: folders of templates with a `set.toml`, two of them built in.
 
+use super::error::PromptError;
 use super::round::Round;
 use super::templates::Templates;
 use crate::environment::text::TextForm;
@@ -40,40 +41,6 @@ pub struct PromptForms {
     pub understanding: UnderstandingForm,
     /// Form of round 2.
     pub instruction: InstructionForm,
-}
-
-/// Why a prompt set cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum PromptError {
-    /// Neither a built-in name nor a folder.
-    #[error("prompt set '{0}' is neither built in (paper, compact) nor a folder with a set.toml")]
-    Unknown(String),
-    /// A file cannot be read.
-    #[error("cannot read {path}: {source}")]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// `set.toml` is wrong.
-    #[error("{path}: {source}")]
-    Settings {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong and where.
-        source: Box<toml::de::Error>,
-    },
-    /// A template is wrong or names something that does not exist.
-    #[error("prompt template {name} of set '{set}': {source}")]
-    Template {
-        /// Which set.
-        set: String,
-        /// Which template.
-        name: &'static str,
-        /// What is wrong.
-        source: minijinja::Error,
-    },
 }
 
 /// A set of prompts: its forms and its compiled templates.

@@ -1,6 +1,6 @@
 //! Compiled prompt templates.
 
-use super::prompt_set::PromptError;
+use super::error::PromptError;
 use minijinja::{Environment, UndefinedBehavior, Value};
 
 /// The templates of one set; a template that names something that does not exist cannot be rendered.

@@ -1,4 +1,4 @@
-//! Scores generated planners by PDM's measure over a short horizon.
+//! Scores plans by PDM's measure over a short horizon.
 
 use super::report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use super::rollout::{IdmPlan, Rollout};
@@ -10,16 +10,14 @@ use crate::pdm::{
     self, Collided, DrivableLayers, EMERGENCY_TIME_S, EgoAreas, PdmInstant, PdmMemory, ProposalScore, ReferencePath,
     ScoringScene, no_at_fault_collisions, score_proposals, simulate_proposals,
 };
-use crate::world::{EgoState, STEP_S, SceneView};
+use crate::world::{EgoState, STEP_S, SceneView, TrajectoryError};
 
 /// Whether PDM-Closed's emergency brake would overrule this roll-out: the ego is slow and would be at fault for a collision
-/// within two seconds. What the ego touches is remembered; areas are those of the remembered way, which is chosen now if
-/// there is none yet.
+/// within two seconds. What the ego touches is added to `memory`; areas are those of its reference path, which is chosen now if
+/// there is none.
 pub fn needs_emergency_brake(scene: &SceneView<'_>, rollout: &Rollout, memory: &mut PdmMemory) -> bool {
-    if memory.reference_path.is_none() {
-        memory.reference_path = ReferencePath::find(scene.map, scene.route, scene.ego).ok();
-    }
-    let instant = look(scene, memory);
+    memory.keep_reference_path(scene);
+    let instant = observe(scene, memory);
     let steps = steps_of(EMERGENCY_TIME_S);
     let reference = rollout.poses.get(..=steps).unwrap_or(&rollout.poses);
     let states = simulate_proposal(scene.ego, reference, JerkPenalty::PdmClosed);
@@ -28,13 +26,13 @@ pub fn needs_emergency_brake(scene: &SceneView<'_>, rollout: &Rollout, memory: &
     pdm::needs_emergency_brake(first.map(|state| state as f64 * STEP_S), scene.ego)
 }
 
-/// Steps of 0.1 s in so many seconds.
+/// Steps of 0.1 s in a time in seconds.
 pub fn steps_of(seconds: f64) -> usize {
     (seconds / STEP_S).round() as usize
 }
 
-/// What PDM sees along the remembered way; without one, from the route as it is given.
-pub(super) fn look<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
+/// PDM's view of the scene along the reference path in `memory`; without one, along the lanes of the route.
+pub(super) fn observe<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
     let PdmMemory { reference_path, collided } = memory;
     if let Some(reference_path) = reference_path {
         return PdmInstant::along(reference_path, scene, collided);
@@ -44,15 +42,17 @@ pub(super) fn look<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmInst
     PdmInstant::new(scene, &lanes, layers, collided)
 }
 
-/// Why a planner cannot be judged at all.
+/// Why a plan cannot be scored or executed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ReflectionError {
-    /// The horizon has too few states.
     #[error("the roll-out cannot be scored")]
     Score(#[from] MetricError),
+    #[error("the states of the plan make no trajectory")]
+    Trajectory(#[from] TrajectoryError),
 }
 
-/// What all planners of one planning call are judged against.
+/// Scores the plans of one planning call, all against the same view of the scene.
 pub struct Judge<'a> {
     scene: &'a SceneView<'a>,
     instant: PdmInstant<'a>,
@@ -64,9 +64,9 @@ pub struct Judge<'a> {
 }
 
 impl<'a> Judge<'a> {
-    /// Looks at the scene: forecast, areas, and the progress of PDM-Closed's proposals, all along the way that PDM-Closed
-    /// would choose here and now; it is kept in `memory`, with what the ego has touched. Where PDM-Closed finds no way, there
-    /// are no proposals, and progress is measured along the ego's own centreline.
+    /// Observes the scene: forecast, areas, and the progress of PDM-Closed's proposals, all along the reference path that PDM-Closed
+    /// chooses now. It is kept in `memory`, with what the ego has touched. Where PDM-Closed finds none, there are no proposals, and
+    /// progress is measured along the ego's own centerline.
     ///
     /// # Errors
     /// When the horizon is too short to be scored.
@@ -76,16 +76,16 @@ impl<'a> Judge<'a> {
         horizon_s: f64,
         memory: &mut PdmMemory,
     ) -> Result<Self, ReflectionError> {
-        memory.reference_path = ReferencePath::find(scene.map, scene.route, scene.ego).ok();
+        memory.choose_reference_path(scene);
         if let PdmMemory { reference_path: Some(reference_path), collided } = memory {
             return Self::along(scene, reference_path, horizon_s, collided);
         }
-        let (instant, steps) = (look(scene, memory), steps_of(horizon_s));
+        let (instant, steps) = (observe(scene, memory), steps_of(horizon_s));
         let centerline = graph.ego_lane().path.centerline.clone();
         Ok(Self { scene, instant, centerline, steps, rival_progress: 0.0, reference: ProgressReference::OwnProgress })
     }
 
-    /// As [`Self::new`], along a way that is given. What the ego touches now is added to `collided`.
+    /// As [`Self::new`], along a given reference path. What the ego touches now is added to `collided`.
     ///
     /// # Errors
     /// When the horizon is too short to be scored.
@@ -106,8 +106,8 @@ impl<'a> Judge<'a> {
         Ok(Self { scene, instant, centerline, steps, rival_progress, reference })
     }
 
-    fn simulate(&self, planner: &IdmPlan) -> Vec<EgoState> {
-        let rollout = planner.roll_out(self.scene, self.steps);
+    fn simulate(&self, plan: &IdmPlan) -> Vec<EgoState> {
+        let rollout = plan.roll_out(self.scene, self.steps);
         simulate_proposal(self.scene.ego, &rollout.poses, JerkPenalty::PdmClosed)
     }
 
@@ -115,15 +115,15 @@ impl<'a> Judge<'a> {
         self.instant.scoring(&self.centerline, self.rival_progress)
     }
 
-    /// Rolls a planner out, scores it, and compares the score with λ.
+    /// Rolls a plan out, scores it, and compares the score with λ.
     ///
     /// # Errors
     /// When the horizon is too short to be scored.
-    pub fn reflect(&self, planner: &IdmPlan, threshold: f64) -> Result<ReflectionReport, ReflectionError> {
-        self.assess(self.simulate(planner), threshold)
+    pub fn reflect(&self, plan: &IdmPlan, threshold: f64) -> Result<ReflectionReport, ReflectionError> {
+        self.assess(self.simulate(plan), threshold)
     }
 
-    /// Scores what the ego would do, every 0.1 s over the horizon, the present state first, and compares the score with λ.
+    /// Scores the ego's states, one every 0.1 s over the horizon, the present one first, and compares the score with λ.
     ///
     /// # Errors
     /// When the horizon is too short to be scored.

@@ -1,14 +1,16 @@
-//! Stage 5: the Reflection module of the paper. A generated planner is rolled out over a short horizon and scored before it
-//! may drive.
+//! Stage 5: the Reflection module of the paper. It builds the plan of a planner code, rolls it out over a short horizon and scores
+//! it before it becomes active.
 
 mod judge;
 mod monitor;
 mod path;
+mod plan_builder;
 mod report;
 mod rollout;
 
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
-pub use monitor::{Choice, PlanMonitor};
+pub use monitor::{Choice, MonitoredStep, PlanMonitor};
 pub use path::onto_centerline;
+pub use plan_builder::PlanBuilder;
 pub use report::{ProgressReference, ReflectionReport, SubScores, Verdict};
 pub use rollout::{IdmPlan, LeadPolicy, Rollout, Version};

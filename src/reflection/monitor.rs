@@ -1,27 +1,27 @@
-//! Watches the planner in force between planning calls: what of it drives on.
+//! Runtime monitoring: scores the active plan and its versions at every step and chooses one.
 
-use super::judge::{ReflectionError, look};
+use super::judge::{ReflectionError, observe};
 use super::rollout::{IdmPlan, Version};
 use crate::dynamics::{JerkPenalty, simulate_proposal};
 use crate::metrics::MetricError;
-use crate::pdm::{PdmMemory, ProposalScore, ReferencePath, needs_emergency_brake, score_proposals};
-use crate::world::{EgoState, SceneView};
+use crate::pdm::{PdmMemory, ProposalScore, TRAJECTORY_STEPS, emergency_brake, needs_emergency_brake, score_proposals};
+use crate::world::{EgoState, SceneView, Trajectory};
 
-/// How a planner is watched.
+/// How a plan is monitored.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlanMonitor {
     /// Length of the roll-outs, steps of 0.1 s.
     pub steps: usize,
-    /// λ: what a version on the planner's own path must score for nothing else to be asked for.
+    /// λ: a version on the plan's own path that scores this is executed, whatever the others score.
     pub threshold: f64,
     /// Whether the ego may brake hard: by the stop, or by PDM-Closed's emergency brake.
     pub emergency_brake: bool,
 }
 
-/// What drives on of a planner.
+/// The version that the monitor chooses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Choice {
-    /// Which version.
+    /// The version.
     pub version: Version,
     /// Its score by PDM's measure.
     pub score: f64,
@@ -29,33 +29,71 @@ pub struct Choice {
     pub emergency_brake: bool,
 }
 
+/// One monitored step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MonitoredStep {
+    /// The trajectory of the chosen version, or of the emergency brake.
+    pub trajectory: Trajectory,
+    /// The version's score by PDM's measure.
+    pub score: f64,
+    /// Whether the ego brakes hard: the version is the stop, or the emergency brake overrules it.
+    pub brakes: bool,
+}
+
+impl MonitoredStep {
+    /// Whether it avoids hard braking where `other` does not, or else has the higher score. Scores of hard braking say little:
+    /// their progress is relative to versions that all collide.
+    pub fn is_better_than(&self, other: &Self) -> bool {
+        (!self.brakes, self.score) > (!other.brakes, other.score)
+    }
+}
+
 impl PlanMonitor {
-    /// Chooses between the versions of a planner by PDM's measure, as PDM-Closed does between its proposals; progress is relative
-    /// to the best of them. In this order: the best of those on the planner's own path, if it scores λ; the best of those
-    /// beside it too; and where even that would be at fault for a collision or come too near one, the stop, if it scores more. Equals:
-    /// the first. Where nothing helps, a slow ego brakes by PDM-Closed's rule and a fast one drives on: such forecasts are often wrong.
+    /// The trajectory of the version that [`Self::choose`] chooses.
     ///
-    /// A path beside the centreline is often a little shorter, so that without the first rule the ego drifts towards whoever drives
-    /// in the next lane for a gain of centimetres.
+    /// # Errors
+    /// When the roll-outs are too short to be scored, or the ego's state is not finite.
+    pub fn step(
+        &self,
+        scene: &SceneView<'_>,
+        plan: &IdmPlan,
+        memory: &mut PdmMemory,
+    ) -> Result<MonitoredStep, ReflectionError> {
+        let choice = self.choose(scene, plan, memory)?;
+        let trajectory = if choice.emergency_brake {
+            emergency_brake(scene.ego, TRAJECTORY_STEPS)?
+        } else {
+            plan.roll_out_version(choice.version, scene, TRAJECTORY_STEPS).to_trajectory(scene.ego)?
+        };
+        let brakes = choice.emergency_brake || choice.version == Version::STOP;
+        Ok(MonitoredStep { trajectory, score: choice.score, brakes })
+    }
+
+    /// Chooses between the versions of a plan by PDM's measure, as PDM-Closed does between its proposals; progress is relative to
+    /// the best of them. In this order:
+    /// 1. The best version on the plan's own path, if it scores λ. A path beside the centerline is often a little shorter; without
+    ///    this rule the ego drifts towards the next lane for a gain of centimeters.
+    /// 2. The best of all versions but the stop.
+    /// 3. The stop, where that version would be at fault for a collision or come near one, and the stop scores more.
     ///
-    /// What the ego touches is remembered; areas and progress are those of the remembered way, which is chosen now if there is
-    /// none yet, and progress is that along the planner's own path where there is none at all.
+    /// Of equals the first is chosen. Where nothing avoids the collision, a slow ego brakes by PDM-Closed's rule, and a fast one
+    /// executes the plan: such forecasts are often wrong.
+    ///
+    /// Areas and progress are those of the reference path in `memory`, which is chosen now if there is none. Where PDM-Closed finds
+    /// none, progress is measured along the plan's own path. What the ego touches is added to `memory`.
     ///
     /// # Errors
     /// When the roll-outs are too short to be scored.
     pub fn choose(
         &self,
         scene: &SceneView<'_>,
-        planner: &IdmPlan,
+        plan: &IdmPlan,
         memory: &mut PdmMemory,
     ) -> Result<Choice, ReflectionError> {
-        if memory.reference_path.is_none() {
-            memory.reference_path = ReferencePath::find(scene.map, scene.route, scene.ego).ok();
-        }
-        let instant = look(scene, memory);
-        let centerline =
-            memory.reference_path.as_ref().map_or(planner.path(), |reference_path| reference_path.centerline().line());
-        let (versions, batch): (Vec<Version>, Vec<Vec<EgoState>>) = planner
+        memory.keep_reference_path(scene);
+        let instant = observe(scene, memory);
+        let centerline = memory.reference_path.as_ref().map_or(plan.path(), |path| path.centerline().line());
+        let (versions, batch): (Vec<Version>, Vec<Vec<EgoState>>) = plan
             .roll_out_versions(scene, self.steps)
             .into_iter()
             .map(|(version, rollout)| (version, simulate_proposal(scene.ego, &rollout.poses, JerkPenalty::PdmClosed)))
@@ -71,19 +109,19 @@ impl PlanMonitor {
             among.rev().max_by(|(_, a), (_, b)| a.total.total_cmp(&b.total))
         };
         let own = best(Version::is_on_own_path).filter(|(_, score)| score.total >= self.threshold);
-        let driving = own.or_else(|| best(|version| version != Version::STOP))?;
+        let moving = own.or_else(|| best(|version| version != Version::STOP))?;
         let stop = scored.iter().find(|&&(version, _)| version == Version::STOP);
         let helps = |(_, stop): &&(Version, ProposalScore)| {
-            self.emergency_brake && is_in_danger(&driving.1) && stop.total > driving.1.total
+            self.emergency_brake && is_in_danger(&moving.1) && stop.total > moving.1.total
         };
-        let &(version, score) = stop.filter(helps).unwrap_or(driving);
-        let brakes = self.emergency_brake && needs_emergency_brake(score.first_at_fault_s, ego);
-        Some(Choice { version, score: score.total, emergency_brake: brakes })
+        let &(version, score) = stop.filter(helps).unwrap_or(moving);
+        let emergency_brake = self.emergency_brake && needs_emergency_brake(score.first_at_fault_s, ego);
+        Some(Choice { version, score: score.total, emergency_brake })
     }
 }
 
-/// Whether what drives would be at fault for a collision, or come too near one on a way that is otherwise fit to drive: where it leaves
-/// the drivable area as well, as at the mouth of a junction, the ego would stop for good.
-fn is_in_danger(driving: &ProposalScore) -> bool {
-    driving.no_at_fault_collisions < 1.0 || (driving.time_to_collision < 1.0 && driving.multiplier() > 0.0)
+/// Whether a version would be at fault for a collision, or come near one while all of its path can be driven. A path that leaves the
+/// drivable area does not count: at the mouth of a junction the ego would stop and never start again.
+fn is_in_danger(moving: &ProposalScore) -> bool {
+    moving.no_at_fault_collisions < 1.0 || (moving.time_to_collision < 1.0 && moving.multiplier() > 0.0)
 }

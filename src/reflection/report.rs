@@ -1,31 +1,31 @@
-//! What Reflection says about a planner.
+//! Reflection's report on a plan.
 
 use crate::pdm::DrivableLayers;
 use crate::world::EgoState;
 
-/// Whether a planner may drive (paper, section 3, Reflection).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+/// Whether a plan is executed (paper, section 3, Reflection).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// s ≥ λ: the planner drives.
+    /// s ≥ λ: the plan is executed.
     Execute,
-    /// s < λ: the model thinks again.
+    /// s < λ: the model is asked again.
     Rethink,
 }
 
-/// By what the progress of a planner is divided.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+/// What the progress of a plan is divided by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ProgressReference {
-    /// The best progress among this planner and PDM-Closed's 15 proposals of the same instant.
+    /// The best progress among this plan and PDM-Closed's 15 proposals of the same instant.
     PdmProposals,
-    /// The planner's own: PDM-Closed found no way here (a route without lanes), so there are no proposals to compare with, and
-    /// whoever moves without fault has all of the term.
+    /// The plan's own progress: PDM-Closed found no reference path (a route without lanes), so there are no proposals to compare
+    /// with. A plan that moves without fault gets the whole term.
     OwnProgress,
 }
 
 /// The parts of the score (PDM's, with its weights).
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 pub struct SubScores {
     /// Multiplier: 1 without an at-fault collision, 0.5 or 0 with one.
     pub no_collision: f64,
@@ -42,7 +42,7 @@ pub struct SubScores {
 }
 
 impl SubScores {
-    /// The parts by the short names that are told to the model.
+    /// The parts by the short names that the model reads.
     pub fn named(&self) -> [(&'static str, f64); 6] {
         [
             ("collision", self.no_collision),
@@ -55,18 +55,18 @@ impl SubScores {
     }
 }
 
-/// Reflection's record of one planner.
+/// Reflection's record of one plan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReflectionReport {
     /// s, in [0, 1].
     pub score: f64,
-    /// Its parts.
+    /// The parts of the score.
     pub parts: SubScores,
     /// How progress was normalised.
     pub progress_reference: ProgressReference,
-    /// What counted as drivable.
+    /// The areas that counted as drivable.
     pub drivable_layers: DrivableLayers,
-    /// Whether the planner may drive.
+    /// Whether the plan is executed.
     pub verdict: Verdict,
     /// The simulated states, every 0.1 s, the present one first.
     pub states: Vec<EgoState>,

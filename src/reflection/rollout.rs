@@ -1,4 +1,4 @@
-//! The generated planner, rolled out: IDM along its path behind whatever leads.
+//! Rolls plans out: IDM along the path of the plan, behind the lead object.
 
 use super::path::onto_centerline;
 use crate::dynamics::{IdmParameters, Lead};
@@ -10,7 +10,7 @@ use crate::world::{
     Trajectory, TrajectoryError, TrajectoryState,
 };
 
-/// Exponent δ of the generated planner's IDM (PDM-Closed's).
+/// Exponent δ of the plan's IDM (PDM-Closed's).
 const EXPONENT: i32 = 10;
 /// Gap at standstill s0, m (PDM-Closed's).
 const MIN_GAP: f64 = 1.0;
@@ -18,58 +18,57 @@ const MIN_GAP: f64 = 1.0;
 const HEADWAY: f64 = 1.5;
 /// A desired speed below this means: stand still, m/s.
 const STANDSTILL: f64 = 0.05;
-/// Steps after which the lead is looked up anew; in between it is carried on (PDM-Closed looks every second step).
+/// Steps between two searches for the lead object, as in PDM-Closed.
 const LEAD_REFRESH: usize = 2;
-/// Deceleration of the version that stops, m/s²: the hardest that a code may ask for.
+/// Deceleration of the stop, m/s²: the highest that a code may contain.
 const STOP_DECEL: f64 = DECELERATIONS[DECELERATIONS.len() - 1];
-/// Metres of path kept beyond what the fastest roll-out can reach.
+/// Length of path beyond the end of the fastest roll-out, meters.
 const PATH_MARGIN: f64 = 30.0;
 
-/// Which objects the generated planner follows.
+/// Which objects a plan follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LeadPolicy {
-    /// The named leader alone: exactly what the code says.
+    /// The named lead agent alone: exactly what the code says.
     Named,
-    /// The nearest of the centreline's leader, everything on the path, and red lights (as PDM-Closed's own roll-out looks), whomever the
-    /// code names.
+    /// The nearest of the centerline's lead agent, all objects on the path, and red lights, as in PDM-Closed's roll-out. The name in
+    /// the code does not matter.
     #[default]
     Nearest,
 }
 
-/// A planner that can be driven: the code, and the path that it follows.
+/// The plan of a code: an IDM planner with its path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IdmPlan {
-    /// The code that the model wrote.
+    /// The planner code.
     pub code: PlannerCode,
-    /// Lanes of the followed centreline.
+    /// Lanes of the followed centerline.
     pub lanes: LanePath,
-    /// Track of the leader: the named one, or the centreline's ([`LeadPolicy`]).
+    /// Track of the lead agent: the named one, or the centerline's ([`LeadPolicy`]).
     pub lead_agent: Option<TrackToken>,
     /// Which objects are followed.
     pub lead_policy: LeadPolicy,
-    /// Paths of the rear axle, one a lateral offset from the centreline ([`LATERAL_OFFSETS`]); the first is the code's.
+    /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline; the first is the code's.
     paths: [Polyline; LATERAL_OFFSETS.len()],
 }
 
-/// What may drive in a planner's stead: the same planner slower, or to the side within its lane, by the fractions and offsets of
-/// PDM-Closed's proposals, or a hard stop. The first is the planner as it was written.
+/// A version of a plan: slower, or to the side within its lane, by the fractions and offsets of PDM-Closed's proposals, or a hard
+/// stop. The first is the plan itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Version {
-    /// Place of its path: see [`LATERAL_OFFSETS`].
+    /// Index of its path in [`LATERAL_OFFSETS`].
     path: usize,
     /// Its share of the desired speed.
     fraction: f64,
 }
 
 impl Version {
-    /// A stop on the planner's own path, as hard as a code may ask for.
+    /// A stop on the plan's own path, at the highest deceleration that a code may contain.
     pub const STOP: Self = Self { path: 0, fraction: 0.0 };
 
-    /// How many there are.
     const COUNT: usize = LATERAL_OFFSETS.len() * SPEED_FRACTIONS.len() + 1;
 
-    /// Whether it drives along the path as it was written.
+    /// Whether it moves along the path of the plan itself.
     pub fn is_on_own_path(self) -> bool {
         self.path == 0 && self != Self::STOP
     }
@@ -85,8 +84,7 @@ pub struct Rollout {
 }
 
 impl IdmPlan {
-    /// The planner of `code` from the present state on, along `lanes`, for roll-outs of up to `horizon_s` seconds and the
-    /// planning interval after it.
+    /// The plan of `code` from the present state on, along `lanes`, with paths for roll-outs of `horizon_s` seconds.
     ///
     /// # Errors
     /// When the ego's pose is not finite.
@@ -102,52 +100,51 @@ impl IdmPlan {
         Ok(Self { code, lanes, lead_agent, lead_policy, paths })
     }
 
-    /// The lane that the planner is bound for at the ego's present place.
+    /// The lane of the plan beside the ego's present place.
     pub fn lane_now(&self, scene: &SceneView<'_>) -> LaneId {
         self.lanes.lane_at(self.lanes.centerline.project(scene.ego.center().position()).s)
     }
 
-    /// Goes on along `lanes`, which reach further: for a planner that stays in force longer than its path was laid for.
+    /// The plan along `lanes`, which reach further, with a path from the ego's present place.
     ///
     /// # Errors
     /// When the ego's pose is not finite.
-    pub fn follow_on(&mut self, scene: &SceneView<'_>, lanes: LanePath, horizon_s: f64) -> Result<(), GeometryError> {
-        self.paths = lay_paths(scene, &self.code, &lanes, horizon_s)?;
-        self.lanes = lanes;
-        Ok(())
+    pub fn extended(&self, scene: &SceneView<'_>, lanes: LanePath, horizon_s: f64) -> Result<Self, GeometryError> {
+        let paths = lay_paths(scene, &self.code, &lanes, horizon_s)?;
+        Ok(Self { lanes, paths, ..self.clone() })
     }
 
-    /// The path of the rear axle, from where the ego was when the planner was made.
+    /// The path of the rear axle, from the ego's place when the plan was built.
     pub fn path(&self) -> &Polyline {
         &self.paths[0]
     }
 
-    /// Drives on from the present state for `steps` steps of 0.1 s. Other objects keep their velocity.
+    /// The roll-out from the present state, `steps` steps of 0.1 s long. Other objects keep their velocity.
     pub fn roll_out(&self, scene: &SceneView<'_>, steps: usize) -> Rollout {
         self.roll_out_version(Version { path: 0, fraction: 1.0 }, scene, steps)
     }
 
-    /// The same for every [`Version`], in their order; the stop is the last.
+    /// The roll-outs of every [`Version`], in order; the stop is the last.
     pub fn roll_out_versions(&self, scene: &SceneView<'_>, steps: usize) -> Vec<(Version, Rollout)> {
         let mut rollouts = Vec::with_capacity(Version::COUNT);
         for (path, line) in self.paths.iter().enumerate() {
             let road = Road::new(self, line, scene, steps);
             for fraction in SPEED_FRACTIONS.into_iter().rev() {
                 let version = Version { path, fraction };
-                rollouts.push((version, self.drive(&road, version, scene, steps)));
+                rollouts.push((version, self.roll_out_along(&road, version, scene, steps)));
             }
         }
         rollouts.push((Version::STOP, self.roll_out_version(Version::STOP, scene, steps)));
         rollouts
     }
 
-    /// The same for one version.
+    /// The roll-out of one version.
     pub fn roll_out_version(&self, version: Version, scene: &SceneView<'_>, steps: usize) -> Rollout {
         let path = self.paths.get(version.path).unwrap_or(self.path());
-        self.drive(&Road::new(self, path, scene, steps), version, scene, steps)
+        self.roll_out_along(&Road::new(self, path, scene, steps), version, scene, steps)
     }
 
-    fn drive(&self, road: &Road<'_>, version: Version, scene: &SceneView<'_>, steps: usize) -> Rollout {
+    fn roll_out_along(&self, road: &Road<'_>, version: Version, scene: &SceneView<'_>, steps: usize) -> Rollout {
         let PlannerCode { target_speed, accel_max, .. } = self.code;
         let target_velocity = version.fraction * target_speed;
         let decel_max = if version == Version::STOP { STOP_DECEL } else { self.code.decel_max };
@@ -182,7 +179,7 @@ impl IdmPlan {
     }
 }
 
-/// The paths of a planner from the present state on, long enough for its fastest roll-out and what follows.
+/// The paths of a plan from the present state on, long enough for its fastest roll-out.
 fn lay_paths(
     scene: &SceneView<'_>,
     code: &PlannerCode,
@@ -207,13 +204,13 @@ impl Rollout {
         Trajectory::new(std::iter::once(TrajectoryState::from(ego)).chain(planned).collect())
     }
 
-    /// Length of the way, metres.
+    /// Length of the path, meters.
     pub fn distance(&self) -> f64 {
         self.poses.windows(2).map(|w| w[0].distance(&w[1])).sum()
     }
 }
 
-/// Something to stay behind: where its rear is on the path, and how fast it goes along it.
+/// The lead object: arc length of its rear on the path, and its speed along the path.
 #[derive(Debug, Clone, Copy)]
 struct LeadOnPath {
     rear_s: f64,
@@ -221,25 +218,25 @@ struct LeadOnPath {
 }
 
 impl LeadOnPath {
-    /// As seen by the ego whose rear axle is at arc length `progress`.
+    /// As IDM takes it, for an ego whose rear axle is at arc length `progress`.
     fn behind(self, progress: f64) -> Lead {
         Lead { gap: self.rear_s - progress - PACIFICA.front_length, speed: self.speed }
     }
 }
 
-/// What may lead along one path during one roll-out.
+/// The candidates for the lead object along one path during one roll-out.
 struct Road<'a> {
     path: &'a Polyline,
     corridor: Corridor,
     /// Objects that may come onto the corridor within the horizon.
     objects: Vec<TrackedObject>,
     named: Option<TrackedObject>,
-    /// Where the front bumper must stand, arc length, for a red light or the end of the path.
+    /// Arc length at which the front bumper stops, for a red light or the end of the path.
     stop_s: f64,
 }
 
 impl<'a> Road<'a> {
-    fn new(planner: &IdmPlan, path: &'a Polyline, scene: &SceneView<'_>, steps: usize) -> Self {
+    fn new(plan: &IdmPlan, path: &'a Polyline, scene: &SceneView<'_>, steps: usize) -> Self {
         let corridor = Corridor::new(path.clone(), PACIFICA.width / 2.0);
         let seconds = steps as f64 * STEP_S;
         let footprint = scene.ego.footprint();
@@ -248,19 +245,19 @@ impl<'a> Road<'a> {
             let sweep = object.shape.bounds().joined(later.bounds());
             corridor.bounds().overlaps(&sweep) && !object.shape.overlaps(&footprint)
         };
-        let objects = match planner.lead_policy {
+        let objects = match plan.lead_policy {
             LeadPolicy::Named => Vec::new(),
             LeadPolicy::Nearest => scene.objects.iter().filter(may_come).copied().collect(),
         };
-        let named = planner.lead_agent.and_then(|token| scene.objects.iter().find(|o| o.token == token).copied());
-        let stop_s = match planner.lead_policy {
+        let named = plan.lead_agent.and_then(|token| scene.objects.iter().find(|o| o.token == token).copied());
+        let stop_s = match plan.lead_policy {
             LeadPolicy::Named => path.length(),
-            LeadPolicy::Nearest => red_light(planner, path, scene).unwrap_or(f64::INFINITY).min(path.length()),
+            LeadPolicy::Nearest => red_light(plan, path, scene).unwrap_or(f64::INFINITY).min(path.length()),
         };
         Self { path, corridor, objects, named, stop_s }
     }
 
-    /// What leads after `seconds`, seen from arc length `progress`.
+    /// The lead object after `seconds`, for an ego at arc length `progress`.
     fn lead(&self, progress: f64, seconds: f64) -> Option<LeadOnPath> {
         let front = progress + PACIFICA.front_length;
         let on_path = self.objects.iter().filter_map(|object| {
@@ -275,7 +272,7 @@ impl<'a> Road<'a> {
         on_path.chain(named).chain(stop).min_by(|a, b| a.rear_s.total_cmp(&b.rear_s))
     }
 
-    /// Where a box is on the path; `None` when its centre lies behind the ego's rear axle.
+    /// The object's place on the path; `None` when its center lies behind the ego's rear axle.
     fn place(&self, object: &TrackedObject, shape: &OrientedBox, progress: f64) -> Option<LeadOnPath> {
         let foot = self.path.project(shape.center.position());
         if foot.s <= progress {
@@ -293,12 +290,12 @@ fn moved(object: &TrackedObject, seconds: f64) -> OrientedBox {
     object.shape.moved_to(Pose::at(at, object.shape.center.heading))
 }
 
-/// Arc length on the path at which the first red light ahead begins to matter: the start of its connector.
-fn red_light(planner: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f64> {
-    let here = planner.lanes.centerline.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
-    let lanes = planner.lanes.lanes.iter().zip(&planner.lanes.starts);
+/// Arc length on the path of the first red light ahead: the start of its connector.
+fn red_light(plan: &IdmPlan, path: &Polyline, scene: &SceneView<'_>) -> Option<f64> {
+    let here = plan.lanes.centerline.project(scene.ego.rear_axle.position()).s + PACIFICA.front_length;
+    let lanes = plan.lanes.lanes.iter().zip(&plan.lanes.starts);
     let red = lanes
         .filter(|&(&lane, &start)| start >= here - MIN_GAP && scene.lights.status(lane) == Some(SignalStatus::Red));
     let start = red.map(|(_, &start)| start).next()?;
-    Some(path.project(planner.lanes.centerline.point_at(start)).s)
+    Some(path.project(plan.lanes.centerline.point_at(start)).s)
 }

@@ -1,35 +1,301 @@
 //! A line of `calls.jsonl`: one planning call, attempts and rounds inside it. Measured times stand under the key `time`.
+//! `docs/schema/calls.schema.json` is derived from these types.
 
 use super::error::ReportError;
 use super::layout::CALLS;
-use super::number::remove_negative_zeros;
+use super::number::json_value;
 use super::times::CallTimes;
-use crate::planner::{Attempt, Decision, PlanningCall};
-use crate::reasoning::PlannerCode;
+use crate::environment::CenterlineName;
+use crate::mllm::RoundTime;
+use crate::pdm::DrivableLayers;
+use crate::planner::{Attempt, Decision, NoPlan, PlanningCall};
+use crate::reasoning::{Assistance, MotionInstruction, ParseError, PlannerAnswer, RoundRecord};
+use crate::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use crate::simulation::Challenge;
-use crate::world::STEP_S;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::fs;
 use std::path::Path;
 
-/// The record of a call that `planner` made in a scenario; without challenge for a call that belongs to no drive.
-pub fn call_record(scenario: &str, planner: &str, challenge: Option<Challenge>, call: &PlanningCall) -> Value {
-    let mut record = json!({"scenario": scenario, "planner": planner});
-    if let (Some(fields), Some(challenge)) = (record.as_object_mut(), challenge) {
-        fields.insert("challenge".to_owned(), json!(challenge));
-    }
-    if let (Some(fields), Value::Object(rest)) = (record.as_object_mut(), contents(call)) {
-        fields.extend(rest);
-    }
-    remove_negative_zeros(&mut record);
-    record
+/// The record of a planning call.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CallRecord {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Name of the planner.
+    pub planner: String,
+    /// The challenge; absent for a call outside of a simulation.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub challenge: Option<Challenge>,
+    /// Iteration of the call.
+    pub iteration: usize,
+    /// Time of the call after the first step, seconds.
+    pub at_s: f64,
+    /// BLAKE3 of the BEV image's width, height and RGB bytes.
+    pub image_blake3: Option<String>,
+    /// The lane-graph text.
+    pub scene_text: Option<String>,
+    /// The attempts, in order.
+    pub attempts: Vec<AttemptRecord>,
+    /// The outcome.
+    pub decision: DecisionRecord,
+    /// Iterations until the next call in which the ego braked hard against the active plan.
+    pub emergency_brakes: usize,
+    /// Measured times, milliseconds.
+    pub time: TimeRecord,
+    /// Under a latency: the iteration at which the call's plan became active.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub active_from: Option<usize>,
+    /// The iteration at which a lane change was aborted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub aborted_lane_change: Option<usize>,
 }
 
-/// The planning calls in a drive's folder, as they were recorded; none for a planner that makes none.
+/// An attempt of a planning call.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AttemptRecord {
+    /// The rounds as they were asked and answered.
+    pub rounds: Vec<RoundRecord>,
+    /// The motion instruction, if one was read.
+    pub instruction: Option<MotionInstruction>,
+    /// The line that the attempt ends with, if one was read.
+    pub code: Option<LineRecord>,
+    /// The errors in the answer.
+    pub errors: Vec<ParseError>,
+    /// Reflection on the plan, if there is a plan and Reflection is on.
+    pub reflection: Option<ReflectionRecord>,
+}
+
+/// A line that was read, with its parts.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum LineRecord {
+    /// The planner code of PlanAgent.
+    Code(CodeRecord),
+    /// The answer of LLM-ASSIST.
+    Assistance(AssistanceRecord),
+}
+
+/// A planner code.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CodeRecord {
+    /// The whole line.
+    pub text: String,
+    /// The centerline.
+    pub c: CenterlineName,
+    /// The lead agent.
+    pub la: Option<String>,
+    /// Target speed, m/s.
+    pub v0: f64,
+    /// Maximum acceleration, m/s².
+    pub acc: f64,
+    /// Maximum deceleration, m/s².
+    pub dec: f64,
+}
+
+/// An answer of LLM-ASSIST.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AssistanceRecord {
+    /// The whole line.
+    pub text: String,
+    /// Waypoints or parameters of PDM-Closed.
+    pub assistance: Assistance,
+}
+
+/// Reflection on a plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ReflectionRecord {
+    /// s, in [0, 1].
+    pub score: f64,
+    /// The parts of the score.
+    pub parts: SubScores,
+    /// What progress was divided by.
+    pub progress_reference: ProgressReference,
+    /// The areas that counted as drivable.
+    pub drivable_layers: DrivableLayers,
+    /// Whether the plan is executed.
+    pub verdict: Verdict,
+}
+
+/// The outcome of a planning call.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+#[allow(missing_docs)]
+pub enum DecisionRecord {
+    /// The plan of this attempt (from 0) scored λ or more.
+    Execute { attempt: usize },
+    /// All attempts were refused; the plan of this attempt becomes active all the same.
+    Exhausted { attempt: usize },
+    /// There is no new plan; the active one is kept.
+    KeepActivePlan { cause: String, why: String },
+    /// There is no plan; the ego brakes.
+    Brake { cause: String, why: String },
+    /// The predicted score of PDM-Closed passes the gate; the model was not asked.
+    Gated { score: f64 },
+    /// There is no answer that is better than PDM-Closed.
+    RuleBased { cause: String, why: String },
+}
+
+/// Measured times of a planning call, milliseconds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TimeRecord {
+    /// The call by part.
+    pub call: CallTimes,
+    /// Each attempt.
+    pub attempts: Vec<AttemptTimes>,
+}
+
+/// Measured times of an attempt, milliseconds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AttemptTimes {
+    /// Each round.
+    pub rounds: Vec<RoundTime>,
+    /// Roll-out and score.
+    pub reflection: f64,
+    /// The whole attempt.
+    pub total: f64,
+}
+
+impl CallRecord {
+    /// The record of a call that `planner` made in a scenario; without challenge for a call outside of a simulation.
+    pub fn of(scenario: &str, planner: &str, challenge: Option<Challenge>, call: &PlanningCall) -> Self {
+        Self {
+            scenario: scenario.to_owned(),
+            planner: planner.to_owned(),
+            challenge,
+            iteration: call.iteration,
+            at_s: call.at_s,
+            image_blake3: call.image_hash.clone(),
+            scene_text: call.scene_text.clone(),
+            attempts: call.attempts.iter().map(AttemptRecord::of).collect(),
+            decision: DecisionRecord::of(&call.decision),
+            emergency_brakes: call.emergency_brakes,
+            time: TimeRecord {
+                call: CallTimes::of(call),
+                attempts: call.attempts.iter().map(AttemptTimes::of).collect(),
+            },
+            active_from: call.active_from,
+            aborted_lane_change: call.aborted_lane_change,
+        }
+    }
+
+    /// The record as JSON in which no zero has a minus.
+    ///
+    /// # Errors
+    /// When it cannot be serialized.
+    pub fn to_json(&self) -> serde_json::Result<Value> {
+        json_value(self)
+    }
+
+    /// The attempt whose plan becomes active.
+    pub fn accepted(&self) -> Option<(usize, &AttemptRecord)> {
+        let index = match self.decision {
+            DecisionRecord::Execute { attempt } | DecisionRecord::Exhausted { attempt } => attempt,
+            _ => return None,
+        };
+        Some((index, self.attempts.get(index)?))
+    }
+}
+
+impl AttemptRecord {
+    fn of(attempt: &Attempt) -> Self {
+        Self {
+            rounds: attempt.rounds.clone(),
+            instruction: attempt.instruction,
+            code: attempt.answer.map(LineRecord::of),
+            errors: attempt.errors.clone(),
+            reflection: attempt.reflection.as_ref().map(ReflectionRecord::of),
+        }
+    }
+}
+
+impl LineRecord {
+    fn of(answer: PlannerAnswer) -> Self {
+        let text = answer.to_string();
+        match answer {
+            PlannerAnswer::Assistance(assistance) => Self::Assistance(AssistanceRecord { text, assistance }),
+            PlannerAnswer::Code(code) => Self::Code(CodeRecord {
+                text,
+                c: code.centerline,
+                la: code.lead_agent.map(|name| name.to_string()),
+                v0: code.target_speed,
+                acc: code.accel_max,
+                dec: code.decel_max,
+            }),
+        }
+    }
+
+    /// The whole line.
+    pub fn text(&self) -> &str {
+        match self {
+            Self::Code(code) => &code.text,
+            Self::Assistance(assistance) => &assistance.text,
+        }
+    }
+}
+
+impl ReflectionRecord {
+    fn of(report: &ReflectionReport) -> Self {
+        let ReflectionReport { score, parts, progress_reference, drivable_layers, verdict, .. } = *report;
+        Self { score, parts, progress_reference, drivable_layers, verdict }
+    }
+}
+
+impl DecisionRecord {
+    fn of(decision: &Decision) -> Self {
+        let words = |why: &NoPlan| (why.cause().to_owned(), why.to_string());
+        match decision {
+            Decision::Execute(attempt) => Self::Execute { attempt: *attempt },
+            Decision::Exhausted(attempt) => Self::Exhausted { attempt: *attempt },
+            Decision::Gated(score) => Self::Gated { score: *score },
+            Decision::KeepActivePlan(why) => {
+                let (cause, why) = words(why);
+                Self::KeepActivePlan { cause, why }
+            }
+            Decision::Brake(why) => {
+                let (cause, why) = words(why);
+                Self::Brake { cause, why }
+            }
+            Decision::RuleBased(why) => {
+                let (cause, why) = words(why);
+                Self::RuleBased { cause, why }
+            }
+        }
+    }
+
+    /// Why there is no new plan.
+    pub fn why(&self) -> Option<&str> {
+        match self {
+            Self::KeepActivePlan { why, .. } | Self::Brake { why, .. } | Self::RuleBased { why, .. } => Some(why),
+            Self::Execute { .. } | Self::Exhausted { .. } | Self::Gated { .. } => None,
+        }
+    }
+}
+
+impl AttemptTimes {
+    fn of(attempt: &Attempt) -> Self {
+        let reasoning: f64 = attempt.rounds.iter().map(|round| round.time.total).sum();
+        Self {
+            rounds: attempt.rounds.iter().map(|round| round.time).collect(),
+            reflection: attempt.reflection_ms,
+            total: reasoning + attempt.reflection_ms,
+        }
+    }
+}
+
+/// The planning calls in a simulation's folder; none for a planner that makes none.
 ///
 /// # Errors
 /// When they cannot be read.
-pub(super) fn calls_in(folder: &Path) -> Result<Vec<Value>, ReportError> {
+pub(super) fn calls_in(folder: &Path) -> Result<Vec<CallRecord>, ReportError> {
     let path = folder.join(CALLS);
     if !path.is_file() {
         return Ok(Vec::new());
@@ -38,85 +304,28 @@ pub(super) fn calls_in(folder: &Path) -> Result<Vec<Value>, ReportError> {
     text.lines().map(|line| serde_json::from_str(line).map_err(ReportError::at(&path))).collect()
 }
 
-fn contents(call: &PlanningCall) -> Value {
-    let mut contents = json!({
-        "iteration": call.iteration,
-        "at_s": call.iteration as f64 * STEP_S,
-        "image_blake3": call.image_hash,
-        "scene_text": call.scene_text,
-        "attempts": call.attempts.iter().map(attempt).collect::<Vec<_>>(),
-        "decision": decision(&call.decision),
-        "emergency_brakes": call.emergency_brakes,
-        "time": time(call),
-    });
-    for (name, iteration) in [("active_from", call.active_from), ("aborted_lane_change", call.aborted_lane_change)] {
-        if let (Some(iteration), Some(fields)) = (iteration, contents.as_object_mut()) {
-            fields.insert(name.to_owned(), json!(iteration));
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::run::AgentParts;
+    use crate::scenario::generator::{self, DEFAULT};
+    use crate::simulation::simulate;
+
+    #[test]
+    fn the_calls_of_a_simulation_are_read_as_they_were_written() {
+        let scenario = generator::generate(&DEFAULT).unwrap();
+        let parts = AgentParts::default();
+        let name = parts.registry.find("grid-code").unwrap().name;
+        let mut planner = parts.planner(name, &scenario).unwrap();
+        simulate(&scenario, planner.as_mut(), Challenge::NonReactive).unwrap();
+        let calls = planner.take_calls();
+        assert!(calls.len() >= 7);
+        for call in &calls {
+            let record = CallRecord::of(&scenario.id, name.as_str(), Some(Challenge::NonReactive), call);
+            let line = record.to_json().unwrap().to_string();
+            let read: CallRecord = serde_json::from_str(&line).unwrap();
+            assert_eq!(read.to_json().unwrap().to_string(), line);
+            assert!(read.accepted().is_some(), "{:?}", read.decision);
         }
     }
-    contents
-}
-
-fn decision(decision: &Decision) -> Value {
-    match decision {
-        Decision::Execute(index) => json!({"kind": "execute", "attempt": index}),
-        Decision::Exhausted(index) => json!({"kind": "exhausted", "attempt": index}),
-        Decision::KeepActivePlan(why) => {
-            json!({"kind": "keep_active_plan", "cause": why.cause(), "why": why.to_string()})
-        }
-        Decision::Brake(why) => json!({"kind": "brake", "cause": why.cause(), "why": why.to_string()}),
-        Decision::Gated(score) => json!({"kind": "gated", "score": score}),
-        Decision::RuleBased(why) => json!({"kind": "rule_based", "cause": why.cause(), "why": why.to_string()}),
-    }
-}
-
-fn attempt(attempt: &Attempt) -> Value {
-    json!({
-        "rounds": attempt.rounds,
-        "instruction": attempt.instruction,
-        "code": written(attempt),
-        "errors": attempt.errors,
-        "reflection": attempt.reflection.as_ref().map(|reflection| json!({
-            "score": reflection.score,
-            "parts": reflection.parts,
-            "progress_reference": reflection.progress_reference,
-            "drivable_layers": reflection.drivable_layers,
-            "verdict": reflection.verdict,
-        })),
-    })
-}
-
-/// The line that the model wrote, with its parts.
-fn written(attempt: &Attempt) -> Option<Value> {
-    let assistance = attempt.assistance.as_ref();
-    attempt.code.as_ref().map(code).or_else(|| assistance.map(|a| json!({"text": a.to_string(), "assistance": a})))
-}
-
-fn code(code: &PlannerCode) -> Value {
-    json!({
-        "text": code.to_string(),
-        "c": code.centerline,
-        "la": code.lead_agent,
-        "v0": code.target_speed,
-        "acc": code.accel_max,
-        "dec": code.decel_max,
-    })
-}
-
-/// Milliseconds: of the call by part, of each attempt, of each round.
-fn time(call: &PlanningCall) -> Value {
-    let rounds = |attempt: &Attempt| attempt.rounds.iter().map(|round| json!(round.time)).collect::<Vec<_>>();
-    let attempts: Vec<Value> = call
-        .attempts
-        .iter()
-        .map(|attempt| {
-            let thinking: f64 = attempt.rounds.iter().map(|round| round.time.total).sum();
-            json!({
-                "rounds": rounds(attempt),
-                "reflection": attempt.reflection_ms,
-                "total": thinking + attempt.reflection_ms,
-            })
-        })
-        .collect();
-    json!({"call": CallTimes::of(call), "attempts": attempts})
 }

@@ -27,7 +27,7 @@ mod timing;
 mod transcript;
 
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures, Spread};
-pub use call_record::call_record;
+pub use call_record::{CallRecord, DecisionRecord};
 pub use error::{ReportError, ReportFault};
 pub use layout::{MANIFEST, SUMMARY};
 pub use manifest::{FORMAT_VERSION, Manifest, ScenarioList};

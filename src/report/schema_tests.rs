@@ -1,6 +1,6 @@
 //! The schemas of the records in `docs/schema/` are those of the types.
 
-use super::{Manifest, SimulationRow, Summary};
+use super::{CallRecord, Manifest, SimulationRow, Summary};
 use schemars::{JsonSchema, schema_for};
 use std::path::Path;
 use std::{env, fs};
@@ -18,6 +18,7 @@ fn check<T: JsonSchema>(name: &str) {
 
 #[test]
 fn schemas_of_the_records_are_up_to_date() {
+    check::<CallRecord>("calls");
     check::<Manifest>("manifest");
     check::<SimulationRow>("record");
     check::<Summary>("summary");

@@ -1,7 +1,7 @@
 //! The folder of one simulation: record, metrics, replay, planning calls with transcript and BEV maps.
 
 use super::atomic;
-use super::call_record::call_record;
+use super::call_record::CallRecord;
 use super::error::ReportError;
 use super::layout::{BEV, CALLS, METRICS, RECORD, TRANSCRIPT, bev_name};
 use super::number::without_negative_zeros;
@@ -65,7 +65,8 @@ fn write_calls(folder: &Path, record: &SimulationRecord, outcome: &SimulationOut
     let path = folder.join(CALLS);
     let mut lines = String::new();
     for call in &outcome.calls {
-        let value = call_record(&record.scenario, record.planner.as_str(), Some(record.challenge), call);
+        let value = CallRecord::of(&record.scenario, record.planner.as_str(), Some(record.challenge), call);
+        let value = value.to_json().map_err(ReportError::at(&path))?;
         lines.push_str(&serde_json::to_string(&value).map_err(ReportError::at(&path))?);
         lines.push('\n');
     }

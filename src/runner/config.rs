@@ -1,16 +1,15 @@
 //! The configuration of a run.
 
 use super::error::RunnerError;
+use crate::environment::BevView;
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
-use crate::environment::{BevView, DEFAULT_NODE_LENGTH};
 use crate::mllm::{GenerationSettings, Sampling, WeightFormat};
-use crate::planner::{AfterMaxExec, Latency, PlanAgentSettings};
+use crate::planner::{CallSettings, EnvironmentSettings, PlanAgentSettings, ReflectionSettings};
 use crate::reasoning::{ReasoningSettings, Round};
-use crate::reflection::LeadPolicy;
 use crate::report::RunFolder;
+use crate::world::STEP_S;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 /// Everything that can be configured. The file `planagent.toml` at the root of the project shows every key with its default.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -21,13 +20,13 @@ pub struct Config {
     /// The language model.
     pub mllm: MllmConfig,
     /// A planning call as a whole.
-    pub agent: AgentConfig,
+    pub agent: CallSettings,
     /// What the model is shown.
-    pub environment: EnvironmentConfig,
+    pub environment: EnvironmentSettings,
     /// How it is asked.
     pub reasoning: ReasoningConfig,
     /// How its planners are judged.
-    pub reflection: ReflectionConfig,
+    pub reflection: ReflectionSettings,
 }
 
 /// Section `mllm`.
@@ -52,41 +51,6 @@ impl Default for MllmConfig {
     }
 }
 
-/// Section `agent`.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct AgentConfig {
-    /// Milliseconds after which a planning call ends with the planner in force; none lets it think to the end.
-    pub deadline_ms: Option<u64>,
-    /// Predicted score of PDM-Closed's plan from which on the model is not asked and PDM-Closed drives; none always asks.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gate: Option<f64>,
-    /// How long a planning call lasts in simulated time.
-    pub latency: Latency,
-}
-
-/// Section `environment`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct EnvironmentConfig {
-    /// Whether the model gets the BEV map.
-    pub bev: bool,
-    /// Whether that map is of an unrelated scene (an ablation).
-    pub shuffled_bev: bool,
-    /// Whether it gets the lane-graph text.
-    pub lane_graph: bool,
-    /// Side of the square that the BEV map shows, metres.
-    pub view_m: f64,
-    /// Length of a lane-graph node, metres.
-    pub node_length_m: f64,
-}
-
-impl Default for EnvironmentConfig {
-    fn default() -> Self {
-        Self { bev: true, shuffled_bev: false, lane_graph: true, view_m: 64.0, node_length_m: DEFAULT_NODE_LENGTH }
-    }
-}
-
 /// Section `reasoning`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -106,47 +70,6 @@ pub struct ReasoningConfig {
 impl Default for ReasoningConfig {
     fn default() -> Self {
         Self { prompt_set: None, rounds: Round::ALL.to_vec(), interval: 20, rethink_temperature: 0.7, grammar: true }
-    }
-}
-
-/// Section `reflection`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ReflectionConfig {
-    /// Whether planners are judged at all; without, the first that can be read drives.
-    pub enabled: bool,
-    /// λ: a planner that scores this or more drives (the paper: 0.75).
-    pub threshold: f64,
-    /// λ of a planner with which a change of lanes would begin, where that is higher. 0.98 by 350 validation scenes: of the changes in them
-    /// that scored less most lost.
-    pub lane_change_threshold: f64,
-    /// `max_exec`: attempts of a planning call (the paper: 3).
-    pub max_exec: usize,
-    /// Length of the roll-out that is scored, seconds.
-    pub horizon_s: f64,
-    /// Which planner drives when all attempts were refused.
-    pub after_max_exec: AfterMaxExec,
-    /// Whom the generated IDM planner follows.
-    pub lead_policy: LeadPolicy,
-    /// Whether the active plan is scored at every iteration and replaced where a version of it scores more.
-    pub monitoring: bool,
-    /// Whether the ego may brake hard against what the planner in force does.
-    pub emergency_brake: bool,
-}
-
-impl Default for ReflectionConfig {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            threshold: 0.75,
-            lane_change_threshold: 0.98,
-            max_exec: 3,
-            horizon_s: 4.0,
-            after_max_exec: AfterMaxExec::default(),
-            lead_policy: LeadPolicy::Nearest,
-            monitoring: true,
-            emergency_brake: true,
-        }
     }
 }
 
@@ -215,26 +138,12 @@ impl Config {
 
     /// What an agent needs of it apart from the model.
     pub fn agent_settings(&self) -> PlanAgentSettings {
-        let Self { seed, agent, environment, reasoning, reflection, .. } = self;
         PlanAgentSettings {
-            view_m: environment.bev.then_some(environment.view_m),
-            shuffled_bev: environment.shuffled_bev,
-            lane_graph: environment.lane_graph,
-            node_length_m: environment.node_length_m,
-            interval: reasoning.interval,
-            deadline: agent.deadline_ms.map(Duration::from_millis),
-            gate: agent.gate,
-            latency: agent.latency,
-            reflect: reflection.enabled,
-            threshold: reflection.threshold,
-            lane_change_threshold: reflection.lane_change_threshold,
-            max_exec: reflection.max_exec,
-            horizon_s: reflection.horizon_s,
-            after_max_exec: reflection.after_max_exec,
-            lead_policy: reflection.lead_policy,
-            monitoring: reflection.monitoring,
-            emergency_brake: reflection.emergency_brake,
-            seed: *seed,
+            agent: self.agent.clone(),
+            environment: self.environment.clone(),
+            reflection: self.reflection.clone(),
+            plan_interval_s: self.reasoning.interval as f64 * STEP_S,
+            seed: self.seed,
         }
     }
 

@@ -14,7 +14,7 @@ fn tiny() -> Arc<LocalModel> {
 
 fn prefix() -> PromptPrefix {
     let image = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/tiny_llava/image.png")).unwrap();
-    PromptPrefix { system: "Drive safely.".into(), image: Some(image.into_rgb8()) }
+    PromptPrefix { system: "Drive safely.".into(), image: Some(image.into_rgb8().into()) }
 }
 
 #[test]

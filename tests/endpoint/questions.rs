@@ -20,7 +20,7 @@ fn rounds_are_turns_and_the_image_is_in_the_first() {
     let server = Server::start(|number, _| completion(&format!("answer {number}")));
     let endpoint = open(&server);
     let image = RgbImage::from_fn(40, 40, |x, y| image::Rgb([x as u8, y as u8, 7]));
-    let prefix = PromptPrefix { system: "Drive.".into(), image: Some(image.clone()) };
+    let prefix = PromptPrefix { system: "Drive.".into(), image: Some(image.clone().into()) };
     let mut conversation = endpoint.converse(&prefix, 3).unwrap();
     let start = conversation.mark();
     conversation.ask("first", &request(Constraint::Free)).unwrap();

@@ -4,16 +4,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use image::RgbImage;
-use planagent::internals::environment::DEFAULT_NODE_LENGTH;
 use planagent::internals::mllm::{
     Architecture, Constraint, Families, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry,
     ModelSource, PromptPrefix, RoundTokens, Sampling,
 };
 use planagent::internals::planner::{
-    AfterMaxExec, CodeSource, Latency, PlanAgent, PlanAgentSettings, Planner, PlannerName,
+    AfterMaxExec, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerName, ReflectionSettings,
 };
 use planagent::internals::reasoning::{PromptSet, ReasoningSettings, Round};
-use planagent::internals::reflection::LeadPolicy;
 use planagent::internals::scenario::generator;
 use planagent::internals::simulation::{Challenge, simulate};
 use serde_json::json;
@@ -41,7 +39,7 @@ fn open_folder(folder: &Path) -> Box<dyn Mllm> {
 /// The opening of the reference chat of a checkpoint.
 fn prefix(folder: &Path) -> PromptPrefix {
     let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
-    PromptPrefix { system: "Drive safely.".into(), image: Some(image) }
+    PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) }
 }
 
 /// The text of a reference's greedy tokens.
@@ -129,11 +127,11 @@ fn images_of_any_shape_are_taken_and_empty_ones_refused() {
         let most = model.describe().image_tokens;
         for (width, height) in [(336, 336), (90, 20), (3, 70), (1, 1)] {
             let image = RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, 99]));
-            let prefix = PromptPrefix { system: String::new(), image: Some(image) };
+            let prefix = PromptPrefix { system: String::new(), image: Some(image.into()) };
             let answer = model.converse(&prefix, 0).unwrap().ask("Go?", &free(2)).unwrap();
             assert!(answer.tokens.image > 0 && answer.tokens.image <= most, "{name}, {width} x {height}");
         }
-        let prefix = PromptPrefix { system: String::new(), image: Some(RgbImage::new(0, 0)) };
+        let prefix = PromptPrefix { system: String::new(), image: Some(RgbImage::new(0, 0).into()) };
         let refused = model.converse(&prefix, 0).and_then(|mut conversation| conversation.ask("Go?", &free(2)));
         assert!(matches!(refused, Err(MllmError::Image { .. })), "{name}: {refused:?}");
     }
@@ -227,25 +225,14 @@ fn the_described_models_are_all_readable() {
 /// Drives the beginning of a generated scene with one planning call.
 fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
     let max_new_tokens = RoundTokens { scene: 8, motion: 64, code: 64 };
-    let settings = PlanAgentSettings {
-        view_m: Some(64.0),
-        shuffled_bev: false,
-        lane_graph: true,
-        node_length_m: DEFAULT_NODE_LENGTH,
-        interval: 1000,
-        deadline: None,
-        gate: None,
-        latency: Latency::None,
-        reflect: true,
+    let mut settings = PlanAgentSettings { plan_interval_s: 100.0, ..PlanAgentSettings::default() };
+    settings.reflection = ReflectionSettings {
         threshold: 1.0,
         lane_change_threshold: 1.0,
         max_exec: 2,
-        horizon_s: 4.0,
         after_max_exec: AfterMaxExec::Last,
-        lead_policy: LeadPolicy::Nearest,
         monitoring: false,
-        emergency_brake: true,
-        seed: 0,
+        ..ReflectionSettings::default()
     };
     let reasoning = ReasoningSettings {
         rounds: Round::ALL.to_vec(),
@@ -275,7 +262,7 @@ fn the_agent_drives_with_every_family_and_nothing_else_changes() {
         for (index, attempt) in call.attempts.iter().enumerate() {
             let rounds = &attempt.rounds;
             assert_eq!(rounds.len(), 3, "{name}");
-            assert!(attempt.code.is_some(), "{name}: {}", rounds[2].answer);
+            assert!(attempt.answer.is_some(), "{name}: {}", rounds[2].answer);
             let image = rounds.iter().map(|round| round.tokens.image).sum::<usize>();
             assert_eq!(image > 0, index == 0, "{name}: the image is computed once, {image}");
         }

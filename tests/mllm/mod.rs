@@ -41,7 +41,7 @@ fn picture() -> RgbImage {
 
 /// The opening of the reference chat.
 fn prefix() -> PromptPrefix {
-    PromptPrefix { system: "Drive safely.".into(), image: Some(picture()) }
+    PromptPrefix { system: "Drive safely.".into(), image: Some(picture().into()) }
 }
 
 /// The first prompt of the reference chat.

@@ -63,7 +63,7 @@ impl VisionLanguageModel for ToyModel {
 fn answer(model: &dyn Mllm, turned: bool) -> String {
     let mut prefix = prefix();
     if turned {
-        prefix.image = prefix.image.map(|image| image::imageops::rotate180(&image));
+        prefix.image = prefix.image.map(|image| image::imageops::rotate180(image.as_ref()).into());
     }
     model.converse(&prefix, 0).unwrap().ask(FIRST, &free(12)).unwrap().text
 }

@@ -54,8 +54,7 @@ fn simulate() -> Vec<Simulation> {
         let outcome = record.outcome?;
         let mut codes = blake3::Hasher::new();
         for attempt in outcome.calls.iter().flat_map(|call| &call.attempts) {
-            let assistance = || attempt.assistance.as_ref().map(ToString::to_string);
-            let code = attempt.code.as_ref().map(ToString::to_string).or_else(assistance).unwrap_or_default();
+            let code = attempt.line().unwrap_or_default();
             codes.update(code.as_bytes()).update(b"\n");
         }
         let codes = codes.finalize().to_hex().to_string();

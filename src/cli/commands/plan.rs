@@ -6,7 +6,7 @@ use crate::cli::{Exit, Printer};
 use crate::planner::PlannerName;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
 use crate::reasoning::Interruption;
-use crate::report::{CallTimes, attempt_markdown, call_record, decision_words, fixed};
+use crate::report::{CallRecord, CallTimes, attempt_markdown, decision_words, fixed};
 use crate::runner::{Config, load_model};
 use crate::scenario::{Frame, Readers, Scenario, generator};
 use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory};
@@ -27,12 +27,12 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
     let trajectory = compute(&scenario, iteration, frame, agent.as_mut())?;
     // The planner counts calls from iteration 0; the record tells where in the drive this one was made.
     let call = agent.calls().last().context("the planner made no call")?;
-    let call = PlanningCall { iteration, ..call.clone() };
+    let call = PlanningCall { iteration, at_s: iteration as f64 * STEP_S, ..call.clone() };
     if let (Some(file), Some(image)) = (&flags.image, &call.image) {
         file.save(image)?;
     }
     if printer.is_json() {
-        printer.json(&with_trajectory(&scenario, &call, &trajectory))?;
+        printer.json(&with_trajectory(&scenario, &call, &trajectory)?)?;
     } else {
         show(&scenario, &call, &trajectory, printer);
     }
@@ -83,8 +83,8 @@ fn compute(
 }
 
 /// The call's record with the trajectory: seconds from now, x, y, heading (map frame), speed.
-fn with_trajectory(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory) -> Value {
-    let mut record = call_record(&scenario.id, PlannerName::PLAN_AGENT.as_str(), None, call);
+fn with_trajectory(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory) -> anyhow::Result<Value> {
+    let mut record = CallRecord::of(&scenario.id, PlannerName::PLAN_AGENT.as_str(), None, call).to_json()?;
     let start = trajectory.start_us();
     let states = trajectory.states().iter().map(|state| {
         let pose = state.rear_axle;
@@ -96,7 +96,7 @@ fn with_trajectory(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajec
     if let Some(fields) = record.as_object_mut() {
         fields.insert("trajectory".to_owned(), states.collect());
     }
-    record
+    Ok(record)
 }
 
 fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, printer: Printer) {

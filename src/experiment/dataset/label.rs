@@ -5,9 +5,8 @@ use super::search::{Candidate, NEAR_LIMIT};
 use crate::environment::facts::{Ahead, Light, Question};
 use crate::environment::text::{self, Description};
 use crate::environment::{CenterlineName, LaneGraph, SceneFacts};
-use crate::planner::names;
 use crate::reasoning::{
-    Lateral, LateralReason, Longitudinal, LongitudinalReason, PromptError, PromptSet, Round, round_prompt,
+    Lateral, LateralReason, Longitudinal, LongitudinalReason, Names, PromptError, PromptSet, Round, round_prompt,
     system_prompt,
 };
 use serde::Serialize;
@@ -103,7 +102,7 @@ pub(super) fn label(
 ) -> Result<LabeledState, PromptError> {
     let scene_text = text::write(&Description::of(graph), prompts.forms().scene_text);
     let instruction = instruction(graph, facts, best);
-    let names = names(graph);
+    let names = Names::of(graph);
     let mut conversation =
         vec![Message { role: "system", content: system_prompt(prompts, "")?, learn: vec![], weights: vec![] }];
     for round in Round::ALL {
@@ -152,10 +151,10 @@ fn code_answer(best: &Candidate, weights: DecisionWeights) -> Message {
     let code = &best.code;
     Answer::default()
         .fixed(&format!("{}(c=", crate::reasoning::FUNCTION))
-        .decided(&code.centerline, weights.lane)
+        .decided(code.centerline.as_str(), weights.lane)
         .fixed(", la=")
         // The lead agent on a centerline is a fact of the scene.
-        .decided(code.lead_agent.as_deref().unwrap_or("None"), UNIT_GAIN)
+        .decided(&code.lead_agent.map_or_else(|| "None".to_owned(), |name| name.to_string()), UNIT_GAIN)
         .fixed(", v0=")
         .decided(&code.target_speed.to_string(), weights.speed)
         .fixed(", acc=")
@@ -167,10 +166,10 @@ fn code_answer(best: &Candidate, weights: DecisionWeights) -> Message {
 }
 
 fn instruction(graph: &LaneGraph, facts: &SceneFacts, best: &Candidate) -> Instruction {
-    let lateral = match best.code.centerline.parse() {
-        Ok(CenterlineName::LeftLane) => Lateral::ChangeLeft,
-        Ok(CenterlineName::RightLane) => Lateral::ChangeRight,
-        _ => Lateral::Keep,
+    let lateral = match best.code.centerline {
+        CenterlineName::EgoLane => Lateral::Keep,
+        CenterlineName::LeftLane => Lateral::ChangeLeft,
+        CenterlineName::RightLane => Lateral::ChangeRight,
     };
     let why_lateral = match lateral {
         Lateral::Keep => LateralReason::LaneServes,

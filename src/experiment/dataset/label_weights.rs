@@ -28,20 +28,20 @@ impl DecisionWeights {
     /// Gains of the best candidate over the others. Rejected candidates do not count, since another attempt would follow.
     /// `after_rejection` is true if the prompt already reports a rejection.
     pub(super) fn of(best: &Candidate, tried: &[Candidate], after_rejection: bool) -> Self {
-        let (lane, speed) = (&best.code.centerline, best.code.target_speed);
+        let (lane, speed) = (best.code.centerline, best.code.target_speed);
         let accepted = || tried.iter().filter(|t| t.is_accepted());
-        let in_lane = || accepted().filter(|t| t.code.centerline == *lane);
+        let in_lane = || accepted().filter(|t| t.code.centerline == lane);
         let fastest = in_lane().map(|t| t.code.target_speed).fold(speed, f64::max);
-        let elsewhere = accepted().filter(|t| t.code.centerline != *lane);
+        let elsewhere = accepted().filter(|t| t.code.centerline != lane);
         let at_other_speeds = in_lane().filter(|t| {
             let other = t.code.target_speed;
             if speed < fastest { other >= fastest } else { other < fastest }
         });
         let rejected_faster =
-            tried.iter().any(|t| t.code.centerline == *lane && t.code.target_speed > fastest && !t.is_accepted());
+            tried.iter().any(|t| t.code.centerline == lane && t.code.target_speed > fastest && !t.is_accepted());
         let PlannerCode { accel_max, decel_max, .. } = best.code;
-        let with_other_pairs = accepted()
-            .filter(|t| t.code != best.code && PlannerCode { accel_max, decel_max, ..t.code.clone() } == best.code);
+        let with_other_pairs =
+            accepted().filter(|t| t.code != best.code && PlannerCode { accel_max, decel_max, ..t.code } == best.code);
         let speed = if rejected_faster && !after_rejection { RETRY_GAIN } else { gain(best, at_other_speeds) };
         Self { lane: gain(best, elsewhere), speed, accelerations: gain(best, with_other_pairs) }
     }
@@ -69,7 +69,7 @@ mod tests {
         let some = search(&simulation, &graph).remove(0);
         let change = |&(lane, speed, value, accepted): &(&str, f64, f64, bool)| {
             let mut tried = Candidate { value, ..some.clone() };
-            tried.code.centerline = lane.to_owned();
+            tried.code.centerline = lane.parse().unwrap();
             tried.code.target_speed = speed;
             tried.reflection.verdict = if accepted { Verdict::Execute } else { Verdict::Rethink };
             tried

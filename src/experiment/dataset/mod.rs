@@ -14,7 +14,7 @@ pub use shard::{FORMAT, Meta, ShardError};
 use super::run::AgentParts;
 use crate::environment::{BevError, BevView, LaneGraph, SceneFacts, bev};
 use crate::pdm::PdmMemory;
-use crate::planner::{Attempt, Planner, PlannerInput};
+use crate::planner::{AgentLayer, Attempt, Planner, PlannerInput};
 use crate::reasoning::{Feedback, PromptError, PromptSet, feedback_text};
 use crate::reflection::Verdict;
 use crate::scenario::generator::{self, ScenarioType, Spec, types};
@@ -218,6 +218,7 @@ fn label_scenario(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabeledSt
         };
         // The label is also the right answer after a rejection: it is accepted, or it is the best of the rejected.
         let planner = if let Some(agent) = &mut agent {
+            agent.state_mut().request_call();
             if agent.compute_trajectory(&PlannerInput { iteration: 0, scene }).is_err() {
                 break;
             }
@@ -226,13 +227,13 @@ fn label_scenario(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabeledSt
             for rejected in call.iter().flat_map(|call| &call.attempts).filter(|attempt| is_rejected(attempt)) {
                 label(Some(rejected.feedback(search::THRESHOLD)))?;
             }
-            agent.active_plan().cloned()
+            agent.state().active_plan().cloned()
         } else {
             let rejected: Vec<&Candidate> = tried.iter().filter(|t| !t.is_accepted() && *t != best).collect();
             let reported = rejected.choose(&mut random).filter(|_| random.random_bool(RETHINK));
             label(reported.map(|candidate| candidate.feedback()))?;
             let next = if random.random_bool(EXPLORE) { tried.choose(&mut random).unwrap_or(best) } else { best };
-            search::planner(&simulation, &graph, next.code.clone())
+            search::planner(&simulation, &graph, next.code)
         };
         let Some(planner) = planner else { break };
         if search::follow(&mut simulation, &planner, &mut PdmMemory::default(), random.random_range(GAP)).is_none() {

@@ -4,9 +4,9 @@ use crate::environment::lane_graph::Centerline;
 use crate::environment::{CenterlineName, LaneGraph};
 use crate::metrics::{self, EvaluatedSimulation, MetricList};
 use crate::pdm::PdmMemory;
-use crate::planner::{DEFAULT_ACCELERATIONS, build_idm_plan, feedback, monitored_step, planner_code};
+use crate::planner::{DEFAULT_ACCELERATIONS, feedback, planner_code};
 use crate::reasoning::{Feedback, PlannerCode};
-use crate::reflection::{IdmPlan, Judge, LeadPolicy, PlanMonitor, ReflectionReport, Verdict, steps_of};
+use crate::reflection::{IdmPlan, Judge, LeadPolicy, PlanBuilder, PlanMonitor, ReflectionReport, Verdict, steps_of};
 use crate::simulation::ClosedLoop;
 use crate::world::{EgoState, HistorySample, STEP_S};
 
@@ -103,7 +103,7 @@ pub fn search(simulation: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Candidate> 
     }
     if let Some(best) = best(&tried).filter(|best| best.score < GOOD).cloned() {
         for (accel_max, decel_max) in REFINEMENTS {
-            let code = PlannerCode { accel_max, decel_max, ..best.code.clone() };
+            let code = PlannerCode { accel_max, decel_max, ..best.code };
             tried.extend(present.attempt(code));
         }
     }
@@ -158,7 +158,7 @@ impl Present<'_> {
         let distance = driven + samples.last()?.ego.speed() * TERMINAL_S;
         let possible = self.limit.max(1.0) * (HORIZON as f64 * STEP_S + TERMINAL_S);
         let unusual = (planner.code.accel_max, planner.code.decel_max) != DEFAULT_ACCELERATIONS;
-        let changes = planner.code.centerline != CenterlineName::EgoLane.as_str();
+        let changes = planner.code.centerline != CenterlineName::EgoLane;
         let slow = planner.code.target_speed < NEAR_LIMIT * self.limit;
         let cost = |when: bool, cost: f64| if when { cost } else { 0.0 };
         let value = score + PROGRESS_BONUS * (distance / possible).min(1.0)
@@ -173,7 +173,8 @@ impl Present<'_> {
 
 /// The plan of a code at the present state.
 pub fn planner(simulation: &ClosedLoop<'_>, graph: &LaneGraph, code: PlannerCode) -> Option<IdmPlan> {
-    build_idm_plan(&simulation.scene(), graph, code, LeadPolicy::Nearest, ROLLOUT_S).ok().flatten()
+    let builder = PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: ROLLOUT_S };
+    builder.build(&simulation.scene(), graph, code).ok().flatten()
 }
 
 /// Simulates a monitored plan for some iterations. The samples begin with the present. `None` if the simulation ends or fails
@@ -193,7 +194,7 @@ pub fn follow(
         }
         if i % REPLAN == 0 {
             let scene = simulation.scene();
-            trajectory = Some(monitored_step(planner, &scene, &monitor, memory).ok()?.trajectory);
+            trajectory = Some(monitor.step(&scene, planner, memory).ok()?.trajectory);
         }
         samples.push(simulation.present().clone());
         simulation.advance(trajectory.as_ref()?, "search").ok()?;

@@ -67,7 +67,7 @@ impl Mllm for Endpoint {
         Ok(Box::new(EndpointConversation {
             endpoint: self,
             system: prefix.system.clone(),
-            image: prefix.image.as_ref().map(chat::data_url).transpose()?,
+            image: prefix.image.as_deref().map(chat::data_url).transpose()?,
             seed,
             answers: 0,
             turns: Vec::new(),

@@ -124,7 +124,8 @@ fn a_model_of_llama_cpp_with_its_own_tokenizer_answers() {
     let place = ModelPlace::Folder(folder.path().to_path_buf());
     let model = LocalModel::load("tiny", &place, &Loading::default()).unwrap();
     let image = synthetic(32, 32);
-    let mut conversation = model.converse(&PromptPrefix { system: "keep lane".into(), image: Some(image) }, 0).unwrap();
+    let mut conversation =
+        model.converse(&PromptPrefix { system: "keep lane".into(), image: Some(image.into()) }, 0).unwrap();
     let request =
         |constraint| Request { constraint, max_new_tokens: 8, sampling: Sampling::Greedy, deadline: Deadline::NONE };
     let first = conversation.ask("left?", &request(Constraint::Free)).unwrap().tokens;

@@ -103,7 +103,7 @@ fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass
         let (local, computed) = counted(name);
         let take = || std::mem::take(&mut *computed.lock().unwrap());
         let image = image::open(fixture(name).join("image.png")).unwrap().into_rgb8();
-        let prefix = PromptPrefix { system: "Drive safely.".into(), image: Some(image) };
+        let prefix = PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) };
         for call in 0..2 {
             let mut conversation = local.converse(&prefix, 0).unwrap();
             // The system prompt before the image is computed by the first call alone; of a CogVLM there is none.
@@ -147,7 +147,7 @@ fn a_prompt_that_leaves_no_choice_is_computed_and_counted_by_the_next_round() {
         let (local, computed) = counted(name);
         let take = || std::mem::take(&mut *computed.lock().unwrap());
         let image = image::open(fixture(name).join("image.png")).unwrap().into_rgb8();
-        let prefix = PromptPrefix { system: "Drive safely.".into(), image: Some(image) };
+        let prefix = PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) };
         let mut conversation = local.converse(&prefix, 0).unwrap();
         let known: usize = take().passes.iter().sum();
         let first = conversation.ask("Look.", &request(Constraint::Choice(vec!["keep".into()]), 8)).unwrap();

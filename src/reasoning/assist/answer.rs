@@ -2,8 +2,9 @@
 
 use super::AssistVariant;
 use crate::mllm::Constraint;
-use crate::reasoning::call_parser::{Call, ParseError, Signature};
+use crate::reasoning::call_parser::{Call, Signature};
 use crate::reasoning::code::Range;
+use crate::reasoning::code_parser::Parsed;
 use crate::reasoning::grammar::{FASTEST, any_of, text};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -41,7 +42,7 @@ const GRAMMAR_ACCELERATIONS: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
 const GRAMMAR_DECELERATIONS: [f64; 4] = [2.0, 3.0, 4.0, 6.0];
 
 /// Where the ego's centre is to be, in its frame at the moment of the question, metres.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Waypoint {
     /// Ahead.
     pub ahead: f64,
@@ -50,11 +51,11 @@ pub struct Waypoint {
 }
 
 /// A plan: a waypoint a second, the first after one second.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Waypoints(pub [Waypoint; WAYPOINT_SECONDS]);
 
 /// Parameters of PDM-Closed.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct AssistParameters {
     /// Speed of the fastest proposal on a free road, m/s.
     pub speed_cap: f64,
@@ -71,7 +72,7 @@ pub struct AssistParameters {
 }
 
 /// An answer.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Assistance {
     /// Of the unconstrained variant.
@@ -116,16 +117,16 @@ pub(super) fn signature(variant: AssistVariant) -> Signature<'static> {
 }
 
 /// Reads the last call in an answer; what was not understood is listed, and then nothing is given.
-pub fn parse_assistance(answer: &str, variant: AssistVariant) -> (Option<Assistance>, Vec<ParseError>) {
+pub fn parse_assistance(answer: &str, variant: AssistVariant) -> Parsed<Assistance> {
     let mut call = match Call::find(answer, signature(variant)) {
         Ok(call) => call,
-        Err(error) => return (None, vec![error]),
+        Err(error) => return Parsed { answer: None, errors: vec![error] },
     };
-    let read = match variant {
+    let answer = match variant {
         AssistVariant::Unconstrained => waypoints(&mut call).map(Assistance::Waypoints),
         AssistVariant::Parameters => parameters(&mut call).map(Assistance::Parameters),
     };
-    (read, call.into_errors())
+    Parsed { answer, errors: call.into_errors() }
 }
 
 fn waypoints(call: &mut Call<'_>) -> Option<Waypoints> {
@@ -206,13 +207,14 @@ mod tests {
     #[test]
     fn answers_are_read_and_printed() {
         for (answer, variant) in [(PLAN, AssistVariant::Unconstrained), (TUNED, AssistVariant::Parameters)] {
-            let (read, errors) = parse_assistance(&format!("Carefully:\n{answer}"), variant);
+            let Parsed { answer: read, errors } = parse_assistance(&format!("Carefully:\n{answer}"), variant);
             assert_eq!(errors, []);
             assert_eq!(read.map(|read| read.to_string()).as_deref(), Some(answer));
         }
-        let (read, errors) = parse_assistance(TUNED, AssistVariant::Unconstrained);
+        let Parsed { answer: read, errors } = parse_assistance(TUNED, AssistVariant::Unconstrained);
         assert_eq!((read, errors[0].message.as_str()), (None, "no call of Follow_Waypoints"));
-        let (read, errors) = parse_assistance("Tune_PDM(0, 2, 1.5, 1, 4, maybe)", AssistVariant::Parameters);
+        let Parsed { answer: read, errors } =
+            parse_assistance("Tune_PDM(0, 2, 1.5, 1, 4, maybe)", AssistVariant::Parameters);
         let messages: Vec<&str> = errors.iter().map(|error| error.message.as_str()).collect();
         assert_eq!((read, messages), (None, vec!["v0 = 0 is out of range", "brake is none of its words"]));
     }
@@ -222,7 +224,7 @@ mod tests {
         fn whatever_the_grammar_allows_is_read(pick in any::<usize>(), limit in prop::option::of(0..40u32)) {
             for &variant in AssistVariant::ALL {
                 let answer = allowed(&grammar(variant, limit), pick);
-                let (read, errors) = parse_assistance(&answer, variant);
+                let Parsed { answer: read, errors } = parse_assistance(&answer, variant);
                 prop_assert!(read.is_some() && errors.is_empty(), "{}: {:?}", answer, errors);
             }
         }
@@ -230,7 +232,7 @@ mod tests {
         #[test]
         fn any_text_is_read_without_failing(text in "(Follow_Waypoints|Tune_PDM)?\\PC{0,60}") {
             for &variant in AssistVariant::ALL {
-                let (read, errors) = parse_assistance(&text, variant);
+                let Parsed { answer: read, errors } = parse_assistance(&text, variant);
                 prop_assert!(read.is_some() || !errors.is_empty());
             }
         }

@@ -4,10 +4,9 @@ use super::AssistVariant;
 use super::answer::{Assistance, grammar, parse_assistance};
 use super::prompts::AssistPrompts;
 use crate::mllm::{Constraint, Conversation, Deadline, Mark, Mllm, PromptPrefix, Request};
-use crate::reasoning::call_parser::ParseError;
-use crate::reasoning::engine::{
-    Feedback, Interruption, ReasoningError, ReasoningSettings, RoundRecord, feedback_text, record,
-};
+use crate::reasoning::code_parser::Parsed;
+use crate::reasoning::engine::{Feedback, ReasoningSettings, ReasoningTrace, feedback_text, record};
+use crate::reasoning::error::ReasoningError;
 use crate::reasoning::prompt_set::PromptSet;
 use crate::reasoning::round::Round;
 
@@ -23,19 +22,6 @@ pub struct AssistQuestion {
     pub score: f64,
     /// Speed limit of the ego's lane, whole m/s; `None` where it is unknown.
     pub speed_limit: Option<u32>,
-}
-
-/// One answer.
-#[derive(Debug, Clone, PartialEq)]
-pub struct AssistTrace {
-    /// The question as it was asked and answered; nothing when there was no answer.
-    pub rounds: Vec<RoundRecord>,
-    /// Why there is none.
-    pub interruption: Option<Interruption>,
-    /// What was understood of it.
-    pub assistance: Option<Assistance>,
-    /// What was not.
-    pub errors: Vec<ParseError>,
 }
 
 /// The conversation of one call.
@@ -75,7 +61,7 @@ impl<'a> AssistReasoning<'a> {
     ///
     /// # Errors
     /// When the model fails for good or a prompt cannot be made.
-    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<AssistTrace, ReasoningError> {
+    pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace<Assistance>, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;
         let feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
@@ -85,13 +71,18 @@ impl<'a> AssistReasoning<'a> {
             Ok(answer) => answer,
             Err(error) if error.is_transient() => {
                 let interruption = Some(error.into());
-                return Ok(AssistTrace { rounds: Vec::new(), interruption, assistance: None, errors: Vec::new() });
+                return Ok(ReasoningTrace {
+                    rounds: Vec::new(),
+                    interruption,
+                    instruction: None,
+                    parsed: Parsed::NOTHING,
+                });
             }
             Err(error) => return Err(error.into()),
         };
-        let (assistance, errors) = parse_assistance(&answer.text, self.variant);
+        let parsed = parse_assistance(&answer.text, self.variant);
         let rounds = vec![record(Round::Code, prompt, answer)];
-        Ok(AssistTrace { rounds, interruption: None, assistance, errors })
+        Ok(ReasoningTrace { rounds, interruption: None, instruction: None, parsed })
     }
 
     fn request(&self) -> Request {

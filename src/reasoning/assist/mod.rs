@@ -6,7 +6,7 @@ mod engine;
 mod prompts;
 
 pub use answer::{AssistParameters, Assistance, WAYPOINT_SECONDS, Waypoint, Waypoints, parse_assistance};
-pub use engine::{AssistQuestion, AssistReasoning, AssistTrace};
+pub use engine::{AssistQuestion, AssistReasoning};
 
 use crate::environment::choice::choice;
 

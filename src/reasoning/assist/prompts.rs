@@ -3,7 +3,7 @@
 use super::AssistVariant;
 use super::answer::signature;
 use crate::environment::TextForm;
-use crate::reasoning::prompt_set::PromptError;
+use crate::reasoning::error::PromptError;
 use crate::reasoning::templates::Templates;
 use minijinja::context;
 

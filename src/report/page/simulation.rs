@@ -2,7 +2,7 @@
 
 use super::text;
 use crate::metrics::{MetricResult, Statistic};
-use crate::report::call_record::calls_in;
+use crate::report::call_record::{CallRecord, calls_in};
 use crate::report::error::ReportError;
 use crate::report::layout::bev_name;
 use crate::report::replay::Replay;
@@ -41,7 +41,7 @@ pub(super) struct PackedReplay {
 #[derive(Serialize)]
 struct SimulationReplay<'a> {
     replay: &'a Replay,
-    calls: &'a [Value],
+    calls: &'a [CallRecord],
     series: Vec<Series<'a>>,
 }
 
@@ -108,10 +108,10 @@ pub(super) fn four_digits(value: f64) -> Option<f64> {
 }
 
 /// The images of the calls as base64, by iteration.
-fn images(folder: &Path, calls: &[Value]) -> Result<Map<String, Value>, ReportError> {
+fn images(folder: &Path, calls: &[CallRecord]) -> Result<Map<String, Value>, ReportError> {
     let mut images = Map::new();
-    for iteration in calls.iter().filter_map(|call| call.get("iteration").and_then(Value::as_u64)) {
-        let path = folder.join(bev_name(iteration as usize));
+    for iteration in calls.iter().map(|call| call.iteration) {
+        let path = folder.join(bev_name(iteration));
         if path.is_file() {
             let bytes = fs::read(&path).map_err(ReportError::read(&path))?;
             images.insert(iteration.to_string(), STANDARD.encode(bytes).into());

@@ -5,12 +5,11 @@ use super::error::RenderError;
 use super::find::{SimulationChoice, words};
 use crate::environment::bev::{BevElement, BevLine, BevView, Palette, Rgb, render_with_lines};
 use crate::geometry::Point;
-use crate::report::call_record::calls_in;
+use crate::report::call_record::{CallRecord, LineRecord, calls_in};
 use crate::report::number::fixed;
 use crate::report::replay::{Moment, Replay, ReplayedSimulation};
 use crate::report::simulation_row::SimulationRow;
 use image::{GenericImage, RgbImage};
-use serde_json::Value;
 use std::path::Path;
 
 /// A refused plan: vermillion of Okabe and Ito.
@@ -39,7 +38,7 @@ pub struct Film {
     row: SimulationRow,
     simulation: ReplayedSimulation,
     /// The recorded planning calls.
-    calls: Vec<Value>,
+    calls: Vec<CallRecord>,
     view: BevView,
 }
 
@@ -109,8 +108,8 @@ impl Film {
             .collect();
         let mut lines = vec![BevLine { points: trail, width: TRAIL_M, color: ego }];
         if let Some((call, attempts)) = self.simulation.call_at(iteration) {
-            let executed = self.calls.get(call).and_then(executed_attempt);
-            let refused = attempts.iter().enumerate().filter(|(i, _)| Some(*i) != executed);
+            let driving = self.calls.get(call).and_then(|call| Some(call.accepted()?.0));
+            let refused = attempts.iter().enumerate().filter(|(i, _)| Some(*i) != driving);
             lines.extend(refused.map(|(_, points)| BevLine {
                 points: points.clone(),
                 width: REFUSED_M,
@@ -134,21 +133,12 @@ impl Film {
     }
 }
 
-/// The executed attempt of a recorded call.
-fn executed_attempt(call: &Value) -> Option<usize> {
-    let decision = call.get("decision")?;
-    decision.get("attempt")?.as_u64().map(|attempt| attempt as usize)
-}
-
-/// The executed planner code of a recorded call, with Reflection's score.
-fn plan_words(call: &Value) -> Vec<String> {
-    let Some(attempt) = executed_attempt(call) else {
-        let why = call.pointer("/decision/why").and_then(Value::as_str).unwrap_or_default();
-        return vec![format!("no new plan: {why}")];
+/// The code of the plan that becomes active with a call, with Reflection's score.
+fn plan_words(call: &CallRecord) -> Vec<String> {
+    let Some((index, attempt)) = call.accepted() else {
+        return vec![format!("no new plan: {}", call.decision.why().unwrap_or_default())];
     };
-    let of = |pointer: &str| call.pointer(&format!("/attempts/{attempt}/{pointer}"));
-    let code = of("code/text").and_then(Value::as_str).unwrap_or_default();
-    let score = of("reflection/score").and_then(Value::as_f64);
-    let judged = score.map_or_else(String::new, |score| format!(", Reflection {}", fixed(score, 2)));
-    vec![format!("attempt {}{judged}", attempt + 1), code.to_owned()]
+    let code = attempt.code.as_ref().map_or("", LineRecord::text);
+    let scored = attempt.reflection.as_ref().map(|reflection| format!(", Reflection {}", fixed(reflection.score, 2)));
+    vec![format!("attempt {}{}", index + 1, scored.unwrap_or_default()), code.to_owned()]
 }

@@ -1,21 +1,28 @@
-//! The BEV map of another scene: what a model is shown instead of its own, to see what looking is worth to it.
+//! The shuffled-BEV ablation: the model gets the BEV image of an unrelated scene, to measure what the image is worth.
 
 use crate::environment::{BevView, bev};
+use crate::planner::BevSource;
 use crate::scenario::generator::{self, GeneratorError, Spec, types};
 use crate::world::History;
 use image::RgbImage;
+use std::sync::Arc;
 
-/// Seeds of the scenes that are shown: none that is trained on or driven.
+/// First seed of the scenes; no training or test scene has such a seed.
 const FIRST_SEED: u64 = 900_000_000;
 const SEEDS: u64 = 1_000_000;
-/// Seeds that are tried one after another: the generator finds no scene for some.
+/// Maximum number of seeds that are tried: the generator finds no scene for some.
 const MAX_TRIES: u64 = 20;
 
-/// The BEV map of a generated scene at some moment of its log; the same draw gives the same.
+/// Images of generated scenes for an agent.
+pub(super) fn source() -> BevSource {
+    Arc::new(|draw, view| Ok(render(draw, view)?))
+}
+
+/// The BEV image of a generated scene at some time of its log; the same one for the same draw.
 ///
 /// # Errors
-/// When the generator finds no scene for many seeds on end.
-pub(super) fn render(draw: u64, view: &BevView) -> Result<RgbImage, GeneratorError> {
+/// When the generator finds no scene for [`MAX_TRIES`] seeds.
+fn render(draw: u64, view: &BevView) -> Result<RgbImage, GeneratorError> {
     let kinds = types::nuplan14().count() as u64;
     let kind = types::nuplan14().nth((draw % kinds) as usize).unwrap_or(generator::DEFAULT.scenario_type);
     let generated = |tries: u64| generator::generate(&Spec::new(kind, FIRST_SEED + draw.wrapping_add(tries) % SEEDS));

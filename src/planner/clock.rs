@@ -1,0 +1,70 @@
+//! The agent's clock. It runs in the scene's time, so that an agent plans at the same times at any step length.
+
+use crate::world::MICROS_PER_SECOND;
+
+/// When the next planning call is due.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Clock {
+    started_us: Option<i64>,
+    previous_us: Option<i64>,
+    due_us: Option<i64>,
+}
+
+impl Clock {
+    /// Whether a planning call is due at this step: no later step is nearer to the due time. The first step is always due. To be
+    /// asked once at every step.
+    pub(super) fn is_due(&mut self, now_us: i64) -> bool {
+        self.started_us.get_or_insert(now_us);
+        let step_us = self.previous_us.replace(now_us).map_or(0, |previous| now_us - previous);
+        self.due_us.is_none_or(|due| now_us + step_us / 2 >= due)
+    }
+
+    /// The next planning call is due so many seconds from now.
+    pub(super) fn set(&mut self, now_us: i64, seconds: f64) {
+        self.due_us = Some(now_us + (seconds * MICROS_PER_SECOND).round() as i64);
+    }
+
+    /// A planning call is due at the next step.
+    pub(super) fn set_due(&mut self) {
+        self.due_us = None;
+    }
+
+    /// Seconds since the first step.
+    pub(super) fn elapsed_s(&self, now_us: i64) -> f64 {
+        self.started_us.map_or(0.0, |started| (now_us - started) as f64 / MICROS_PER_SECOND)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Steps at which calls are due every 2 s.
+    fn due(step_us: impl Fn(i64) -> i64, steps: i64) -> Vec<i64> {
+        let mut clock = Clock::default();
+        let is_due = |k: &i64| {
+            let now = 1_600_000_000_000_000 + step_us(*k);
+            let due = clock.is_due(now);
+            if due {
+                clock.set(now, 2.0);
+            }
+            due
+        };
+        (0..steps).filter(is_due).collect()
+    }
+
+    #[test]
+    fn calls_are_due_every_two_seconds_at_any_step_length() {
+        assert_eq!(due(|k| k * 100_000, 61), [0, 20, 40, 60]);
+        assert_eq!(due(|k| k * 50_000, 121), [0, 40, 80, 120]);
+        assert_eq!(due(|k| k * 200_000, 31), [0, 10, 20, 30]);
+        assert_eq!(due(|k| k * 300_000, 15), [0, 7, 14]);
+        assert_eq!(due(|k| k * 5_000_000, 3), [0, 1, 2]);
+    }
+
+    #[test]
+    fn recorded_times_that_jitter_or_run_slow_keep_their_iterations() {
+        assert_eq!(due(|k| k * 100_000 + [0, 4_000, -3_000][k as usize % 3], 150), [0, 20, 40, 60, 80, 100, 120, 140]);
+        assert_eq!(due(|k| k * 99_000, 150), [0, 20, 40, 60, 80, 100, 120, 140]);
+    }
+}

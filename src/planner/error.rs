@@ -1,0 +1,44 @@
+//! Why a planner gives no trajectory.
+
+use super::name::PlannerName;
+use crate::geometry::GeometryError;
+use crate::pdm::{NoReferencePath, PdmError};
+use crate::reasoning::ReasoningError;
+use crate::reflection::ReflectionError;
+use crate::world::TrajectoryError;
+
+/// Why a planner gives no trajectory.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum PlannerError {
+    #[error("the planner was asked for a trajectory before it was initialized")]
+    NotInitialized,
+    #[error("the route has no lanes")]
+    EmptyRoute,
+    #[error("the recording holds {samples} samples; iteration {iteration} has no future to replay")]
+    NoRecordedFuture { iteration: usize, samples: usize },
+    #[error("{planner} needs {part}")]
+    MissingPart { planner: PlannerName, part: &'static str },
+    #[error("the planned states make no trajectory")]
+    Trajectory(#[from] TrajectoryError),
+    #[error("the plan's path cannot be built")]
+    Path(#[from] GeometryError),
+    #[error("asking the model failed")]
+    Reasoning(#[from] ReasoningError),
+    #[error("reflecting on the plan failed")]
+    Reflection(#[from] ReflectionError),
+    #[error("planning with PDM-Closed failed")]
+    Pdm(#[source] PdmError),
+    #[error("{doing} failed")]
+    Failed { doing: &'static str, source: Box<dyn std::error::Error + Send + Sync> },
+}
+
+impl From<PdmError> for PlannerError {
+    fn from(error: PdmError) -> Self {
+        match error {
+            PdmError::NoReferencePath(NoReferencePath::EmptyRoute) => Self::EmptyRoute,
+            error => Self::Pdm(error),
+        }
+    }
+}

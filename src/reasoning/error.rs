@@ -1,0 +1,28 @@
+//! Why a prompt cannot be written, or the model cannot be asked.
+
+use crate::mllm::MllmError;
+use std::path::PathBuf;
+
+/// Why a prompt set cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum PromptError {
+    #[error("prompt set '{0}' is neither built in (paper, compact) nor a folder with a set.toml")]
+    Unknown(String),
+    #[error("cannot read {path}: {source}")]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{path}: {source}")]
+    Settings { path: PathBuf, source: Box<toml::de::Error> },
+    #[error("prompt template {name} of set '{set}': {source}")]
+    Template { set: String, name: &'static str, source: minijinja::Error },
+}
+
+/// Why reasoning failed as a whole. A wrong answer is no such failure.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum ReasoningError {
+    #[error(transparent)]
+    Model(#[from] MllmError),
+    #[error(transparent)]
+    Prompt(#[from] PromptError),
+}

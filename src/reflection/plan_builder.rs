@@ -1,0 +1,75 @@
+//! Builds plans from planner codes, and from plans that stay active.
+
+use super::rollout::{IdmPlan, LeadPolicy};
+use crate::environment::{AgentName, CenterlineName, LaneGraph};
+use crate::geometry::GeometryError;
+use crate::reasoning::PlannerCode;
+use crate::world::SceneView;
+
+/// Maximum acceleration and deceleration of an ego that keeps its lane and speed, m/s².
+const KEEP_LANE_ACCELERATIONS: (f64, f64) = (1.0, 3.0);
+
+/// What all plans of an agent have in common. Its functions fail where the ego's pose is not finite.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlanBuilder {
+    /// Which objects a plan follows.
+    pub lead_policy: LeadPolicy,
+    /// Time that a plan's path is long enough for, seconds.
+    pub horizon_s: f64,
+}
+
+impl PlanBuilder {
+    /// The plan of a code; `None` when the scene has no such centerline.
+    pub fn build(
+        &self,
+        scene: &SceneView<'_>,
+        graph: &LaneGraph,
+        code: PlannerCode,
+    ) -> Result<Option<IdmPlan>, GeometryError> {
+        let Some(centerline) = graph.centerline(code.centerline) else { return Ok(None) };
+        let name = match self.lead_policy {
+            LeadPolicy::Named => code.lead_agent,
+            LeadPolicy::Nearest => centerline.lead_agent,
+        };
+        let lead_agent = name.and_then(|name| graph.agent(name)).map(|agent| agent.token);
+        IdmPlan::new(scene, code, centerline.path.clone(), lead_agent, self.lead_policy, self.horizon_s).map(Some)
+    }
+
+    /// A plan that stays active: its path begins at the ego's present place, on the centerline that it is bound for.
+    pub fn extend(&self, plan: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph) -> Result<IdmPlan, GeometryError> {
+        let lane = plan.lane_now(scene);
+        let bound_for = graph.centerlines.iter().find(|centerline| centerline.path.lanes.contains(&lane));
+        plan.extended(scene, bound_for.unwrap_or(graph.ego_lane()).path.clone(), self.horizon_s)
+    }
+
+    /// The plan of the same code in the ego's present lane; `None` when the plan is bound for that lane already.
+    pub fn back_to_ego_lane(
+        &self,
+        plan: &IdmPlan,
+        scene: &SceneView<'_>,
+        graph: &LaneGraph,
+    ) -> Result<Option<IdmPlan>, GeometryError> {
+        if graph.ego_lane().path.lanes.contains(&plan.lane_now(scene)) {
+            return Ok(None);
+        }
+        let (centerline, lead_agent) = ego_lane(graph);
+        self.build(scene, graph, PlannerCode { centerline, lead_agent, ..plan.code })
+    }
+
+    /// The plan of an ego that keeps its lane and its speed behind the lead agent.
+    pub fn keep_lane_and_speed(
+        &self,
+        scene: &SceneView<'_>,
+        graph: &LaneGraph,
+    ) -> Result<Option<IdmPlan>, GeometryError> {
+        let (centerline, lead_agent) = ego_lane(graph);
+        let (accel_max, decel_max) = KEEP_LANE_ACCELERATIONS;
+        let code = PlannerCode { centerline, lead_agent, target_speed: scene.ego.speed(), accel_max, decel_max };
+        self.build(scene, graph, code)
+    }
+}
+
+fn ego_lane(graph: &LaneGraph) -> (CenterlineName, Option<AgentName>) {
+    let name = CenterlineName::EgoLane;
+    (name, graph.lead_agent(name).map(|agent| agent.name))
+}
