@@ -41,11 +41,11 @@ fn map_file(log: &Path) -> serde_json::Value {
 fn logs_open_with_their_window() {
     for log in all_logs() {
         let scenario = argoverse2::open(&log).unwrap();
-        let summary = argoverse2::summary(&log).unwrap();
+        let contents = argoverse2::contents(&log).unwrap();
         let id = &scenario.id;
         assert_eq!(*id, log.file_name().unwrap().to_string_lossy());
-        assert_eq!((summary.iterations, &summary.id), (scenario.iterations(), id));
-        assert_eq!(summary.lanes, scenario.map.lanes().len(), "{id}");
+        assert_eq!(contents.iterations, scenario.iterations(), "{id}");
+        assert_eq!(contents.lanes, scenario.map.lanes().len(), "{id}");
         let sensor = log.join("map").is_dir();
         assert_eq!(scenario.start, if sensor { 20 } else { 10 }, "{id}");
         assert!(scenario.frames.windows(2).all(|pair| pair[1].ego.time_us > pair[0].ego.time_us), "{id}");

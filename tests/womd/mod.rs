@@ -23,7 +23,10 @@ fn files() -> Vec<PathBuf> {
 
 /// The recordings of a file.
 fn open(file: &Path) -> Result<Vec<Scenario>, WomdError> {
-    womd::summaries(file)?.map(|summary| womd::open_one(file, summary?.record)).collect()
+    womd::contents(file)?
+        .enumerate()
+        .map(|(record, contents)| contents.and_then(|_| womd::open_one(file, record)))
+        .collect()
 }
 
 /// All recordings, opened once.
@@ -62,14 +65,14 @@ fn every_recording_opens_with_its_window() {
 
 #[test]
 #[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
-fn summaries_count_what_opening_finds() {
+fn contents_count_what_opening_finds() {
     for file in files() {
-        let summaries: Vec<womd::Summary> = womd::summaries(&file).unwrap().map(Result::unwrap).collect();
-        assert_eq!(summaries.len(), 1);
-        let scenario = recording(&summaries[0].id).unwrap();
-        assert_eq!(summaries[0].iterations, scenario.iterations(), "{}", scenario.id);
-        assert!(summaries[0].steps >= scenario.frames.len(), "{}", scenario.id);
-        assert_eq!(summaries[0].lanes, scenario.map.lanes().len(), "{}", scenario.id);
+        let recordings: Vec<_> = womd::contents(&file).unwrap().map(Result::unwrap).collect();
+        let [(id, contents)] = &recordings[..] else { panic!("{recordings:?}") };
+        let scenario = recording(id).unwrap();
+        assert_eq!(contents.iterations, scenario.iterations(), "{id}");
+        assert!(contents.steps >= scenario.frames.len(), "{id}");
+        assert_eq!(contents.lanes, scenario.map.lanes().len(), "{id}");
     }
 }
 

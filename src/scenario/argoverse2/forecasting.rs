@@ -14,7 +14,7 @@
 //! | `construction` | traffic cone |
 //! | `static`, `background`, `unknown` | generic object |
 
-use super::Contents;
+use super::Counts;
 use super::error::{Argoverse2Error, LogFault};
 use super::map::{lane_count, lane_map};
 use super::map_file::MapFile;
@@ -124,12 +124,12 @@ pub(super) fn scenario(path: &Path, map: &Path, id: String) -> Result<Scenario, 
 }
 
 /// The counts of a scenario.
-pub(super) fn contents(path: &Path, map: &Path) -> Result<Contents, Argoverse2Error> {
+pub(super) fn counts(path: &Path, map: &Path) -> Result<Counts, Argoverse2Error> {
     let table = Table::parquet(path)?;
     let steps = steps(&table).map_err(Argoverse2Error::at(path))?;
     let ids = table.words("track_id").map_err(Argoverse2Error::at(path))?;
     let tracks = ids.into_iter().collect::<BTreeSet<_>>().len();
-    Ok(Contents { seconds: seconds(&steps), tracks, lanes: lane_count(&MapFile::read(map)?) })
+    Ok(Counts { seconds: seconds(&steps), tracks, lanes: lane_count(&MapFile::read(map)?) })
 }
 
 fn moved(pose: Pose, origin: Vector) -> Pose {

@@ -1,7 +1,7 @@
 //! Argoverse 2 logs as published: a folder of the sensor dataset (boxes at 10 Hz, ego poses, vector map), or of the
 //! motion-forecasting dataset (tracks over 11 s, vector map).
 //!
-//! [`open`] opens a log folder, [`summary`] counts what it holds, [`logs_in`] lists the logs of a folder.
+//! [`open`] opens a log folder, [`contents`] counts what it holds, [`logs_in`] lists the logs of a folder.
 //!
 //! * `files`, `table` (with `ipc_bounds`), `map_file`: the files of a log, and checked cells and fields;
 //! * `poses`, `annotations`, `category`: ego and objects of a sensor log; `forecasting`: those of a motion-forecasting scenario;
@@ -36,26 +36,11 @@ pub use error::{Argoverse2Error, LogFault};
 pub use files::{is_log, logs_in};
 pub use reader::Argoverse2Reader;
 
-use super::Scenario;
 use super::recording::window::window;
+use super::{Contents, Scenario};
 use crate::world::MICROS_PER_SECOND;
 use files::LogFiles;
 use std::path::Path;
-
-/// Contents of a log, without a derived map.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Summary {
-    /// Name of the folder.
-    pub id: String,
-    /// Recorded steps at 10 Hz.
-    pub steps: usize,
-    /// Iterations of a simulation.
-    pub iterations: usize,
-    /// Recorded objects; the recording car counts if the file lists it.
-    pub tracks: usize,
-    /// Lanes for motor vehicles, connectors included: as many as the map of the opened scenario has.
-    pub lanes: usize,
-}
 
 /// Opens the log in a folder.
 pub fn open(folder: &Path) -> Result<Scenario, Argoverse2Error> {
@@ -67,24 +52,24 @@ pub fn open(folder: &Path) -> Result<Scenario, Argoverse2Error> {
 }
 
 /// The contents of the log in a folder.
-pub fn summary(folder: &Path) -> Result<Summary, Argoverse2Error> {
-    let contents = match LogFiles::of(folder)? {
-        LogFiles::Sensor(files) => sensor::contents(&files)?,
-        LogFiles::Forecasting { tracks, map } => forecasting::contents(&tracks, &map)?,
+pub fn contents(folder: &Path) -> Result<Contents, Argoverse2Error> {
+    let counts = match LogFiles::of(folder)? {
+        LogFiles::Sensor(files) => sensor::counts(&files)?,
+        LogFiles::Forecasting { tracks, map } => forecasting::counts(&tracks, &map)?,
     };
-    let times_us: Vec<i64> = contents.seconds.iter().map(|t| (t * MICROS_PER_SECOND) as i64).collect();
-    Ok(Summary {
-        id: name(folder),
+    let times_us: Vec<i64> = counts.seconds.iter().map(|t| (t * MICROS_PER_SECOND) as i64).collect();
+    Ok(Contents {
+        record: None,
         steps: times_us.len(),
         iterations: window(&times_us).len(),
-        tracks: contents.tracks,
-        lanes: contents.lanes,
+        tracks: counts.tracks,
+        lanes: counts.lanes,
     })
 }
 
 /// Counts of a log.
 #[derive(Debug)]
-struct Contents {
+struct Counts {
     /// Time of each step from the first, seconds.
     seconds: Vec<f64>,
     tracks: usize,

@@ -1,6 +1,6 @@
 //! Argoverse 2 logs in the registry of readers.
 
-use super::{Summary, is_log, logs_in, name, open, summary};
+use super::{contents, is_log, logs_in, name, open};
 use crate::scenario::{Contents, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef};
 use std::path::{Path, PathBuf};
 
@@ -39,7 +39,6 @@ impl OpenScenario for Log {
     }
 
     fn contents(&self) -> Result<Option<Contents>, ReaderError> {
-        let Summary { steps, iterations, tracks, lanes, .. } = summary(&self.0).map_err(ReaderError::new)?;
-        Ok(Some(Contents { record: None, steps, iterations, tracks, lanes }))
+        contents(&self.0).map(Some).map_err(ReaderError::new)
     }
 }

@@ -3,7 +3,7 @@
 //! The steps are the annotated sweeps of the laser scanner, 10 per second. The ego's velocity is the slope of its position over
 //! five of them. Coordinates have their origin near the ego's first position, in whole meters.
 
-use super::Contents;
+use super::Counts;
 use super::annotations::{Annotations, sweeps, track_count};
 use super::error::{Argoverse2Error, LogFault};
 use super::files::{SensorFiles, city_of};
@@ -44,11 +44,11 @@ pub(super) fn scenario(files: &SensorFiles, id: String) -> Result<Scenario, Argo
 }
 
 /// The counts of a log.
-pub(super) fn contents(files: &SensorFiles) -> Result<Contents, Argoverse2Error> {
+pub(super) fn counts(files: &SensorFiles) -> Result<Counts, Argoverse2Error> {
     let table = Table::feather(&files.annotations)?;
     let sweeps_ns = sweeps(&table).map_err(Argoverse2Error::at(&files.annotations))?;
     let tracks = track_count(&table).map_err(Argoverse2Error::at(&files.annotations))?;
-    Ok(Contents { seconds: seconds(&sweeps_ns), tracks, lanes: lane_count(&MapFile::read(&files.map)?) })
+    Ok(Counts { seconds: seconds(&sweeps_ns), tracks, lanes: lane_count(&MapFile::read(&files.map)?) })
 }
 
 /// Times of the sweeps from the first, seconds.

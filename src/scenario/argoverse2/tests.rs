@@ -73,9 +73,10 @@ fn ego_objects_route_and_window_are_as_recorded() {
     assert!((car.shape.center.x - 52.0).abs() < 1e-9 && (car.velocity.x - 8.0).abs() < 1e-6);
     assert!((person.shape.center.x - 25.0).abs() < 1e-9 && person.speed() < 1e-6);
     assert_eq!(car.token, scenario.frames[2].objects[0].token);
-    let summary = summary(&log(131).written().1).unwrap();
+    let (_guard, folder) = log(131).written();
+    let contents = contents(&folder).unwrap();
     assert_eq!(
-        (summary.steps, summary.iterations, summary.tracks, summary.lanes),
+        (contents.steps, contents.iterations, contents.tracks, contents.lanes),
         (131, 111, 4, 12),
         "the bike lane is none"
     );

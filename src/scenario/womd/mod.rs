@@ -1,6 +1,6 @@
 //! Waymo Open Motion recordings: `Scenario` messages in TFRecord files, as Waymo publishes them.
 //!
-//! [`summaries`] counts what the recordings of a file hold, [`open_one`] opens one of them.
+//! [`contents`] counts what the recordings of a file hold, [`open_one`] opens one of them.
 //!
 //! * `convert`: time, coordinates, the simulated part; `tracks`: ego and objects of each step;
 //! * `features`, `connectors`: the lanes, and which of them are connectors; `outline`: their areas;
@@ -28,31 +28,14 @@ pub use error::{WomdError, WomdFault};
 pub use reader::WomdReader;
 pub use tfrecord::FramingFault;
 
-use super::Scenario;
 use super::recording::window::window;
+use super::{Contents, Scenario};
 use features::lane_count;
 use prost::Message;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use tfrecord::Records;
-
-/// Contents of a recording, without a derived map.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Summary {
-    /// Scenario id.
-    pub id: String,
-    /// Number in the file, from 0.
-    pub record: usize,
-    /// Recorded steps at 10 Hz.
-    pub steps: usize,
-    /// Iterations of a simulation.
-    pub iterations: usize,
-    /// Recorded objects, the recording car included.
-    pub tracks: usize,
-    /// Lanes for motor vehicles, connectors included: as many as the map of the opened scenario has.
-    pub lanes: usize,
-}
 
 /// Opens a recording by its number in the file, from 0. Only its map is derived.
 pub fn open_one(path: &Path, record: usize) -> Result<Scenario, WomdError> {
@@ -67,9 +50,9 @@ pub fn open_one(path: &Path, record: usize) -> Result<Scenario, WomdError> {
     Err(WomdError::at(path)(WomdFault::NotFound { wanted: record, records }))
 }
 
-/// The contents of the recordings of a file, one after the other.
-pub fn summaries(path: &Path) -> Result<impl Iterator<Item = Result<Summary, WomdError>>, WomdError> {
-    Ok(messages(path)?.map(|message| message.map(|message| message.summary())))
+/// The scenario ids and contents of the recordings of a file, one after the other.
+pub fn contents(path: &Path) -> Result<impl Iterator<Item = Result<(String, Contents), WomdError>>, WomdError> {
+    Ok(messages(path)?.map(|message| message.map(Decoded::contents)))
 }
 
 /// Name of the log that a file counts as: the file's own.
@@ -91,19 +74,19 @@ impl Decoded {
         convert::scenario(&self.recording, log_name).map_err(|fault| WomdError::at_part(&self.path, part())(fault))
     }
 
-    fn summary(&self) -> Summary {
+    fn contents(self) -> (String, Contents) {
         let seconds = &self.recording.timestamps_seconds;
         let first = seconds.first().copied().unwrap_or(0.0);
         let times_us: Vec<i64> =
             seconds.iter().map(|t| ((t - first) * crate::world::MICROS_PER_SECOND) as i64).collect();
-        Summary {
-            id: self.recording.scenario_id.clone(),
-            record: self.record,
+        let contents = Contents {
+            record: Some(self.record),
             steps: seconds.len(),
             iterations: window(&times_us).len(),
             tracks: self.recording.tracks.len(),
             lanes: lane_count(&self.recording.map_features),
-        }
+        };
+        (self.recording.scenario_id, contents)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Waymo recordings in the registry of readers.
 
-use super::{Summary, WomdError, log_name, open_one, summaries};
+use super::{WomdError, contents, log_name, open_one};
 use crate::scenario::{Contents, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef};
 use std::path::{Path, PathBuf};
 
@@ -46,30 +46,29 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReaderError> {
 }
 
 fn records(path: &Path) -> Result<Vec<ScenarioRef>, WomdError> {
-    let reference = |summary: Summary| {
-        let record = summary.record;
+    let reference = |(id, contents): (String, Contents)| {
+        let record = contents.record.unwrap_or_default();
         let word = if record == 0 { path.display().to_string() } else { format!("{} record {record}", path.display()) };
-        let id = summary.id.clone();
-        ScenarioRef::new(word, Recording { path: path.to_owned(), summary })
+        ScenarioRef::new(word, Recording { path: path.to_owned(), record, contents })
             .with_id(id)
             .with_log_name(log_name(path))
             .in_file(path, record.to_string())
     };
-    summaries(path)?.map(|summary| summary.map(reference)).collect()
+    contents(path)?.map(|contents| contents.map(reference)).collect()
 }
 
 struct Recording {
     path: PathBuf,
-    summary: Summary,
+    record: usize,
+    contents: Contents,
 }
 
 impl OpenScenario for Recording {
     fn open(&self) -> Result<Scenario, ReaderError> {
-        open_one(&self.path, self.summary.record).map_err(ReaderError::new)
+        open_one(&self.path, self.record).map_err(ReaderError::new)
     }
 
     fn contents(&self) -> Result<Option<Contents>, ReaderError> {
-        let &Summary { record, steps, iterations, tracks, lanes, .. } = &self.summary;
-        Ok(Some(Contents { record: Some(record), steps, iterations, tracks, lanes }))
+        Ok(Some(self.contents))
     }
 }
