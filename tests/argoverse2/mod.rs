@@ -52,7 +52,7 @@ fn logs_open_with_their_window() {
         assert!(scenario.frames.iter().all(|frame| frame.ego.rear_axle.position().coords.norm() < 500.0), "{id}");
         assert!(scenario.frames.iter().all(|frame| !frame.objects.is_empty()), "{id}");
         let word = log.display().to_string();
-        assert_eq!(found(&word), [word.clone()]);
+        assert_eq!(found(&word), std::slice::from_ref(&word));
         for above in log.ancestors().skip(1).take(2) {
             assert!(found(&above.to_string_lossy()).contains(&word));
         }
