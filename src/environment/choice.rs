@@ -1,4 +1,4 @@
-//! Enums that are words: every variant has one text, and the text gives the variant back.
+//! Enums with one text per variant.
 
 /// A text that names no variant of the expected choice.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -6,9 +6,9 @@
 pub struct UnknownChoice {
     /// Name of the choice.
     pub choice: &'static str,
-    /// What was read.
+    /// The text.
     pub got: String,
-    /// The texts that are known, separated by commas.
+    /// The known texts, separated by commas.
     pub expected: String,
 }
 

@@ -1,4 +1,4 @@
-//! From the scores of many scenarios to those of a scenario type and of a planner (devkit
+//! Aggregation of the scores of many scenarios by scenario type and by planner (devkit
 //! `weighted_average_metric_aggregator.py`).
 
 use super::score::{Weighting, combine};
@@ -8,17 +8,17 @@ use super::score::{Weighting, combine};
 pub struct ScenarioRow {
     /// Name of the scenario.
     pub scenario: String,
-    /// Log that it was cut from.
+    /// Its log.
     pub log_name: String,
     /// nuPlan's scenario type.
     pub scenario_type: String,
-    /// Who drove.
+    /// The planner.
     pub planner: String,
     /// Metric scores by name; `None` where a metric gives none.
     pub metrics: Vec<(String, Option<f64>)>,
 }
 
-/// What a row of the aggregate stands for.
+/// The kind of a row of the aggregate.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum RowKind {
     /// One scenario of a log.
@@ -34,12 +34,12 @@ pub enum RowKind {
     ScenarioType {
         /// The type.
         scenario_type: String,
-        /// How many scenarios.
+        /// Number of scenarios.
         scenarios: usize,
     },
     /// All scenarios of a planner.
     FinalScore {
-        /// How many scenarios.
+        /// Number of scenarios.
         scenarios: usize,
     },
 }
@@ -47,9 +47,9 @@ pub enum RowKind {
 /// One row of the aggregate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AggregateRow {
-    /// What it stands for.
+    /// Its kind.
     pub kind: RowKind,
-    /// Who drove.
+    /// The planner.
     pub planner: String,
     /// Metric values, sorted by name; `None` where no scenario has one.
     pub metrics: Vec<(String, Option<f64>)>,

@@ -1,15 +1,15 @@
-//! What a collision is and whose fault it is: nuPlan's rules, shared by its metrics and by PDM's scorer (devkit
+//! Collisions and their fault by nuPlan's rules, for its metrics and PDM's scorer (devkit
 //! `collision_utils.py`, `no_ego_at_fault_collisions.py`, `observation/idm/utils.py`).
 
 use crate::geometry::{OrientedBox, Point, Pose};
 use crate::world::{EgoState, ObjectKind, TrackToken, TrackedObject};
 use std::f64::consts::PI;
 
-/// Speeds up to this count as standing in the classification of collisions, m/s.
+/// Up to this speed an agent stands in the classification of collisions, m/s.
 pub const STOPPED_SPEED: f64 = 0.05;
-/// What lies less than this angle off the heading is ahead, radians (30°).
+/// Largest bearing of an object ahead, radians (30°).
 pub const AHEAD_ANGLE: f64 = PI / 6.0;
-/// What lies more than this angle off the heading is behind, radians (150°).
+/// Smallest bearing of an object behind, radians (150°).
 pub const BEHIND_ANGLE: f64 = PI * 5.0 / 6.0;
 
 /// Whether a point (the center of an object) lies ahead of a rear axle.
@@ -28,13 +28,13 @@ pub fn in_collision(a: &OrientedBox, b: &OrientedBox) -> bool {
     (a.center.position() - b.center.position()).norm_squared() < reach * reach && a.overlaps(b)
 }
 
-/// How the ego and a track came to touch.
+/// How the ego and a track collided.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CollisionType {
     /// The ego stood.
     StoppedEgo,
-    /// The track stood, or is a thing that never moves.
+    /// The track stood, or is static.
     StoppedTrack,
     /// Both moved; the front edge of the ego touches the track.
     ActiveFront,
@@ -45,8 +45,7 @@ pub enum CollisionType {
 }
 
 impl CollisionType {
-    /// Whether the ego could have prevented it. A lateral collision is its fault only when it was in multiple lanes or
-    /// off the road.
+    /// Whether the ego is at fault. In a lateral collision it is when it was in multiple lanes or off the road.
     pub fn is_at_fault(self, in_multiple_lanes_or_off_road: bool) -> bool {
         match self {
             Self::StoppedTrack | Self::ActiveFront => true,
@@ -56,7 +55,7 @@ impl CollisionType {
     }
 }
 
-/// The type of a collision between the ego and an object that overlaps it, the first rule that holds deciding.
+/// The type of a collision between the ego and an overlapping object; the first matching rule decides.
 pub fn classify_collision(ego: &EgoState, track: &TrackedObject) -> CollisionType {
     if ego.speed() <= STOPPED_SPEED {
         return CollisionType::StoppedEgo;
@@ -79,14 +78,14 @@ pub fn delta_v(ego: &EgoState, track: &TrackedObject) -> f64 {
     0.5 * squared.max(0.0).sqrt()
 }
 
-/// Groups of track types that are counted apart.
+/// Groups of track types that are counted separately.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CollisionGroup {
     /// Vulnerable road users: pedestrians and bicycles.
     Vru,
     /// Vehicles.
     Vehicle,
-    /// Things that never move.
+    /// Static objects.
     Object,
 }
 

@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 /// Lanes at the corners: front left, rear left, rear right, front right.
 pub type CornerLanes = [Vec<LaneId>; 4];
 
-/// How the corners of the ego agree on a lane.
+/// Whether the corners of the ego are in one lane.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CornerAgreement {
     /// No corner is in any lane (nuPlan: the empty set).

@@ -1,4 +1,4 @@
-//! Which lanes a driven path used (devkit `route_extractor.py`, `get_route`).
+//! The lanes of a driven path (devkit `route_extractor.py`, `get_route`).
 
 use crate::geometry::{Point, Pose};
 use crate::world::{LaneId, LaneMap};
@@ -6,7 +6,7 @@ use crate::world::{LaneId, LaneMap};
 /// Connectors of the previous sample nearer than this stay assigned where the map offers only other connectors, meters.
 const CONNECTOR_REACH: f64 = 5.0;
 
-/// The lane that holds a point, or all connectors that do, or none.
+/// The lane that contains a point, or all connectors that do, or none.
 ///
 /// nuPlan asserts that no two lanes hold a point. Where a derived map breaks that, the lane counts that fits `pose`
 /// (the center of the vehicle whose point this is) best by heading and distance.
@@ -54,8 +54,7 @@ pub fn driven_route(map: &LaneMap, centers: &[Pose]) -> Vec<Vec<LaneId>> {
     route
 }
 
-/// A path that leaves its connector sideways into another one, or into the open intersection, is still held to the
-/// connectors that it came along while they are near.
+/// A path that leaves its connector sideways keeps the connectors that it came along while they are near.
 fn connectors_nearby(map: &LaneMap, previous: &[LaneId], found: &[LaneId], point: Point) -> Option<Vec<LaneId>> {
     let from_connector = previous.first().is_some_and(|&id| map[id].is_connector());
     let into_open = match found.first() {

@@ -1,4 +1,4 @@
-//! How the metrics of one scenario become its score.
+//! The score of one scenario from its metrics.
 
 use super::registry::scored;
 use super::{MetricError, MetricList, MetricResult, MetricSpec, Role};

@@ -164,7 +164,7 @@ fn seconds_without_a_recorded_future_are_left_out_and_none_is_an_error() {
     let log = simulate(&short, &mut SimplePlanner::default(), Challenge::OpenLoop).unwrap();
     assert_eq!(
         log.evaluate(&short).unwrap_err().to_string(),
-        "7 s are recorded from the start of the scenario on; open-loop metrics need 8"
+        "the recording has 7 s from the start of the scenario; the open-loop metrics need 8 s"
     );
 }
 
@@ -179,10 +179,7 @@ fn a_plan_that_ends_early_is_compared_at_its_end_or_refused() {
     // Straight on at 4 m/s is what was recorded, also at 7.5 s.
     assert!((planned(7_500_000).unwrap().score.value - 1.0).abs() < 1e-9);
     let error = planned(6_500_000).unwrap_err().to_string();
-    assert_eq!(
-        error,
-        "the plan of sample 0 ends 6.5 s ahead; open-loop metrics compare plans 8 s ahead and need more than 7 s"
-    );
+    assert_eq!(error, "the trajectory of sample 0 ends 6.5 s ahead; the open-loop metrics need more than 7 s");
 }
 
 /// Agents of a user: everything stands where it was recorded at the start, and hides from an ego that is near.

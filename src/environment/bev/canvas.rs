@@ -1,4 +1,4 @@
-//! Shapes in map meters onto pixels, anti-aliased.
+//! Anti-aliased drawing of shapes given in map meters.
 
 use super::{BACKGROUND, BevView, Rgb};
 use crate::geometry::{Point, Polygon, Pose, Vector};
@@ -12,12 +12,12 @@ const MARGIN_PX: f32 = 8.0;
 
 type Pixel = (f32, f32);
 
-/// An image in the making.
+/// An image under construction.
 pub(super) struct Canvas {
     pixmap: Option<Pixmap>,
     view: BevView,
     center: Pose,
-    /// Map to pixels, rows (x, y, 1): worked out once, for it is asked for every vertex.
+    /// Map to pixels, rows (x, y, 1); computed once, because every vertex uses it.
     to_pixel: [[f64; 3]; 2],
 }
 
@@ -40,7 +40,7 @@ impl Canvas {
         Self { pixmap, view, center, to_pixel }
     }
 
-    /// The view that is drawn.
+    /// The view.
     pub(super) fn view(&self) -> &BevView {
         &self.view
     }
@@ -77,7 +77,7 @@ impl Canvas {
         kept
     }
 
-    /// Fills the union of areas in one go, so that no seam shows between neighbors.
+    /// Fills the union of areas at once, so that no seam shows between neighbors.
     pub(super) fn areas<'a>(&mut self, polygons: impl IntoIterator<Item = &'a Polygon>, fill: Rgb) {
         let mut builder = PathBuilder::new();
         for polygon in polygons {
@@ -92,7 +92,7 @@ impl Canvas {
         self.fill(builder.finish(), fill);
     }
 
-    /// Fills outlines given in map coordinates, all turning the same way, in one go.
+    /// Fills outlines in map coordinates at once; all have the same orientation.
     pub(super) fn outlines<const N: usize>(&mut self, rings: impl IntoIterator<Item = [Point; N]>, fill: Rgb) {
         let mut builder = PathBuilder::new();
         for ring in rings {

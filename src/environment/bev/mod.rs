@@ -20,7 +20,7 @@ use crate::world::SceneView;
 use canvas::Canvas;
 use image::RgbImage;
 
-/// Which part of the world becomes how large an image; always square.
+/// A square part of the map and the size of its image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BevView {
     pixels: u32,
@@ -38,22 +38,22 @@ pub enum BevError {
 }
 
 impl Default for BevView {
-    /// What the nano model looks at: 64 m in 128 pixels.
+    /// The view of the nano model: 64 m in 128 pixels.
     fn default() -> Self {
         Self { pixels: 128, metres: Self::DEFAULT_METRES }
     }
 }
 
 impl BevView {
-    /// Side of the view unless told otherwise, meters.
+    /// Meters.
     pub const DEFAULT_METRES: f64 = 64.0;
-    /// Fewest pixels a side.
+    /// Pixels a side.
     pub const MIN_PIXELS: u32 = 16;
-    /// Most pixels a side.
+    /// Pixels a side.
     pub const MAX_PIXELS: u32 = 4096;
-    /// Smallest view, meters.
+    /// Meters a side.
     pub const MIN_METRES: f64 = 8.0;
-    /// Largest view, meters.
+    /// Meters a side.
     pub const MAX_METRES: f64 = 1000.0;
 
     /// A view of `metres` a side in `pixels` a side.
@@ -92,7 +92,7 @@ impl BevView {
         local.x.abs() <= half && local.y.abs() <= half
     }
 
-    /// Where a point of the map falls in the image around `center`: pixels right of and below its top left corner.
+    /// Position of a map point in the image around `center`: pixels right of and below its top left corner.
     pub fn to_pixel(&self, center: Pose, point: Point) -> (f64, f64) {
         let local = center.to_local(point);
         let half = f64::from(self.pixels) / 2.0;
@@ -100,12 +100,12 @@ impl BevView {
     }
 }
 
-/// Draws the scene; see the module for what and how. The same scene and view give the same bytes.
+/// Draws the scene as the module says. The same scene and view give the same bytes.
 pub fn render(scene: &SceneView<'_>, view: &BevView) -> RgbImage {
     render_with_lines(scene, view, &[])
 }
 
-/// A line on the road, for people: a plan or a way that was driven. The model never sees one.
+/// A line on the road for people: a plan or a driven path. The model never sees one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BevLine {
     /// Its vertices, map frame.
@@ -116,7 +116,7 @@ pub struct BevLine {
     pub color: Rgb,
 }
 
-/// Draws the scene with lines on the road, under what stands on it; later lines over earlier ones.
+/// Draws the scene with lines on the road under the objects; later lines over earlier ones.
 pub fn render_with_lines(scene: &SceneView<'_>, view: &BevView, lines: &[BevLine]) -> RgbImage {
     let mut canvas = Canvas::new(*view, scene.ego.center());
     road::draw(&mut canvas, scene.map);

@@ -6,7 +6,7 @@ use crate::world::ObjectKind;
 /// A color: red, green, blue.
 pub type Rgb = [u8; 3];
 
-/// What lies beside the road.
+/// Background.
 pub const BACKGROUND: Rgb = [255, 255, 255];
 /// The speed arrow of a moving agent: the paper's red, which no element shares.
 pub const ARROW: Rgb = [230, 0, 0];
@@ -28,7 +28,7 @@ choice! {
         Bicycles = "bicycles",
         /// Pedestrians.
         Pedestrians = "pedestrians",
-        /// Cones, barriers, signs and other things that stand still.
+        /// Cones, barriers, signs and other static objects.
         StaticObstacles = "static_obstacles",
     }
 }
@@ -68,7 +68,7 @@ impl Palette {
 }
 
 impl BevElement {
-    /// The element as which an object is drawn.
+    /// The element of an object.
     pub fn of(kind: ObjectKind) -> Self {
         match kind {
             ObjectKind::Vehicle => Self::Vehicles,

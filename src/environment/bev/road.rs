@@ -9,7 +9,7 @@ use crate::world::{Lane, LaneMap};
 const LINE_WIDTH_M: f64 = 0.2;
 /// Least width of a line, pixels.
 const MIN_LINE_PX: f64 = 1.0;
-/// Distance between the arrowheads that show a lane's direction, meters.
+/// Distance between arrowheads, meters.
 const HEAD_SPACING_M: f64 = 10.0;
 /// Length and width of such an arrowhead, meters.
 const HEAD_M: f64 = 1.5;

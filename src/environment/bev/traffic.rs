@@ -1,11 +1,11 @@
-//! What stands and moves on the BEV map: obstacles, agents, the ego, speed arrows.
+//! Objects on the BEV map: obstacles, agents, the ego, speed arrows.
 
 use super::canvas::Canvas;
 use super::{ARROW, BevElement, Palette};
 use crate::geometry::{OrientedBox, Point, Pose, Vector};
 use crate::world::{SceneView, TrackedObject};
 
-/// An arrow is as long as its agent goes in this time, seconds.
+/// An arrow is as long as the distance of its agent in this time, seconds.
 pub const ARROW_SECONDS: f64 = 0.8;
 /// Slower agents stand still and get no arrow, m/s.
 pub const MOVING_SPEED: f64 = 0.5;
@@ -22,7 +22,7 @@ const HEAD_SHAFTS: f64 = 3.0;
 /// The head takes at most this share of the arrow.
 const HEAD_SHARE: f64 = 0.6;
 
-/// Order of drawing, later over earlier.
+/// Drawing order, later over earlier.
 const ORDER: [BevElement; 4] =
     [BevElement::StaticObstacles, BevElement::Vehicles, BevElement::Bicycles, BevElement::Pedestrians];
 

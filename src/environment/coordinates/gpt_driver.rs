@@ -1,4 +1,4 @@
-//! The facts that GPT-Driver tells of a scene (Mao et al. 2023), taken over to what a planner of nuPlan knows.
+//! The facts of a scene in GPT-Driver's prompt (Mao et al. 2023), from a nuPlan planner's input.
 //!
 //! Its user message has four parts: every object with its place now and in 3 s; the motion of the ego in six lines, per
 //! half second; the ego's places in the last two seconds; the mission goal. x points to the right, y ahead, from the ego's
@@ -20,7 +20,7 @@ const FORECAST_STEPS: usize = 6;
 const HALF_SECOND: f64 = 0.5;
 /// Samples of the history in half a second.
 const SAMPLES: usize = 5;
-/// Half seconds of the past that are told.
+/// Half seconds of the past in the text.
 const PAST_STEPS: usize = 4;
 
 /// GPT-Driver's description of a scene.

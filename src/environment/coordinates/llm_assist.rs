@@ -1,7 +1,7 @@
 //! A description of a scene for LLM-ASSIST's planners (Sharan et al. 2024).
 //!
-//! Neither its prompts nor its code are public; known is that the scene is told as text, in coordinates, on the reach of
-//! PDM-Closed. So the choice of facts is ours: the ego's motion and limit, the centerlines of its lane and the lanes beside,
+//! Neither its prompts nor its code are public. The paper says that the scene is text in coordinates within the reach of
+//! PDM-Closed. The choice of facts is ours: the ego's motion and limit, the centerlines of its lane and the lanes beside,
 //! the next light, and the nearest agents and objects with place, heading, speed and size.
 
 use super::{decimal, seen_from};
@@ -11,11 +11,10 @@ use std::fmt::Write;
 
 /// Farther objects are left out, meters: PDM-Closed's reach.
 const REACH: f64 = 50.0;
-/// Most objects that are told.
 const MAX_OBJECTS: usize = 10;
-/// Points of a centerline that are told,
+/// Points of a centerline in the text.
 const POINTS: usize = 5;
-/// so far apart, meters.
+/// Spacing of these points, meters.
 const SPACING: f64 = 10.0;
 
 /// The scene in coordinates from the ego's center: x ahead, y to the left.

@@ -1,6 +1,6 @@
-//! Scene texts in coordinates, as earlier language-model planners write them: to be counted beside the lane graph's text, and
-//! to be shown to LLM-ASSIST's planners. Which facts they state is published in part; where it is not, the choice is ours and
-//! said so. All sentences are ours. Every number has two decimals.
+//! Scene texts in coordinates, as earlier language-model planners write them: for token counts beside the lane graph's text,
+//! and for LLM-ASSIST's planners. Their facts are published in part; the docs name our choices. All sentences are ours.
+//! Every number has two decimals.
 
 mod gpt_driver;
 mod llm_assist;

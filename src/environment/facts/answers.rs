@@ -1,11 +1,11 @@
-//! The choices that the questions allow.
+//! The questions of the first round and their possible answers.
 
 use super::traffic::{SAME_SPEED, STOPPED};
 use crate::environment::choice::choice;
 use crate::environment::lane_graph::Turn;
 
 choice! {
-    /// What is asked; the text is the key in labels and results.
+    /// A question; its text is the key in labels and results.
     pub enum Question {
         /// Kind of place.
         SceneType = "scene_type",
@@ -13,17 +13,17 @@ choice! {
         Light = "light",
         /// Lanes of the own direction.
         LaneCount = "lane_count",
-        /// The ego's of them.
+        /// The ego's lane among them.
         LaneIndex = "lane_index",
         /// Crosswalk ahead.
         Crosswalk = "crosswalk",
-        /// Leading vehicle's distance.
+        /// Distance of the lead vehicle.
         LeadDistance = "lead_distance",
-        /// Leading vehicle's speed.
+        /// Speed of the lead vehicle.
         LeadSpeed = "lead_speed",
         /// Pedestrian ahead.
         Pedestrian = "pedestrian",
-        /// Something that blocks the ego's lane.
+        /// Obstacle in the ego's lane.
         Blocked = "blocked",
         /// The lane to the left.
         LeftLane = "left_lane",
@@ -61,7 +61,7 @@ impl Question {
         forms
     };
 
-    /// The answers that there are.
+    /// Its possible answers.
     pub const fn choices(self) -> &'static [&'static str] {
         match self {
             Self::SceneType => SceneType::TEXTS,
@@ -88,7 +88,7 @@ choice! {
         CurveLeft = "curve_left",
         /// The path turns right by more than that.
         CurveRight = "curve_right",
-        /// The path meets, within the view, an intersection in which ways cross.
+        /// The path meets, within the view, an intersection in which connectors cross.
         Intersection = "intersection",
         /// A round cycle of lanes, shorter than [`super::ROUNDABOUT_LENGTH`], begins ahead within the view.
         Roundabout = "roundabout",
@@ -110,7 +110,7 @@ choice! {
 }
 
 choice! {
-    /// How many lanes of one direction lie side by side.
+    /// Number of lanes of one direction.
     pub enum LaneCount {
         /// One.
         One = "1",
@@ -135,7 +135,7 @@ impl LaneCount {
 }
 
 choice! {
-    /// Which lane of one direction, counted from the left.
+    /// Number of a lane of one direction, from the left.
     pub enum LaneIndex {
         /// The leftmost.
         First = "1",
@@ -160,7 +160,7 @@ impl LaneIndex {
 }
 
 choice! {
-    /// How far ahead along the path, from the ego's front bumper.
+    /// Distance along the path from the ego's front bumper.
     pub enum Ahead {
         /// Nothing within [`Ahead::FAR`], or not in view.
         None = "none",
@@ -174,11 +174,11 @@ choice! {
 }
 
 impl Ahead {
-    /// Near ends here, meters.
+    /// End of near, meters.
     pub const NEAR: f64 = 12.0;
-    /// Mid ends here, meters.
+    /// End of mid, meters.
     pub const MID: f64 = 24.0;
-    /// Far ends here, meters.
+    /// End of far, meters.
     pub const FAR: f64 = 32.0;
 
     pub(super) fn of(distance: Option<f64>) -> Self {
@@ -192,7 +192,7 @@ impl Ahead {
 }
 
 choice! {
-    /// Speed of the leading vehicle.
+    /// Speed of the lead vehicle.
     pub enum LeadSpeed {
         /// There is none in view.
         None = "none",
@@ -222,15 +222,15 @@ choice! {
     pub enum SideLane {
         /// There is none.
         None = "none",
-        /// Nobody is beside the ego or near.
+        /// No object is beside the ego or near.
         Free = "free",
-        /// Somebody is.
+        /// An object is.
         Occupied = "occupied",
     }
 }
 
 choice! {
-    /// Vehicles in view, the ego not counted.
+    /// Vehicles in view without the ego.
     pub enum VehicleCount {
         /// None.
         Zero = "0",
@@ -279,9 +279,9 @@ choice! {
 }
 
 impl EgoSpeed {
-    /// Slow ends here, m/s.
+    /// End of slow, m/s.
     pub const SLOW: f64 = 5.0;
-    /// Medium ends here, m/s.
+    /// End of medium, m/s.
     pub const MEDIUM: f64 = 10.0;
 
     pub(super) fn of(speed: f64) -> Self {

@@ -1,5 +1,5 @@
-//! What is true of a scene, from the map and the objects alone: the answers to what the first round asks. Training takes
-//! them as labels, evaluation as the truth.
+//! The true answers to the questions of the first round, from map and objects alone. Training uses them as labels,
+//! evaluation as the truth.
 //!
 //! Only what the view of [`VIEW_METRES`] shows counts; the light and the turn of the route, which no image shows, are those
 //! of the scene text. *The path* is the ego's centerline of the [`LaneGraph`] from the ego's box center on, as far as it is
@@ -29,26 +29,26 @@ pub const VIEW_METRES: f64 = BevView::DEFAULT_METRES;
 /// The true answers for one scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct SceneFacts {
-    /// What kind of place it is: the first that holds of roundabout, intersection, curve, straight.
+    /// Kind of place: the first that applies of roundabout, intersection, curve, straight.
     pub scene_type: SceneType,
-    /// The next light on the ego's way, as in the scene text; `none` also where it was not observed.
+    /// The next light on the ego's path, as in the scene text; `none` also when it is not observed.
     pub light: Light,
     /// Lanes of the ego's direction side by side at its place.
     pub lane_count: LaneCount,
-    /// Which of them the ego is on, from the left.
+    /// The number of the ego's lane, from the left.
     pub lane_index: LaneIndex,
     /// Where the path next meets a crosswalk.
     pub crosswalk: Ahead,
-    /// The nearest vehicle or bicycle that moves along (or stands on) the path in the ego's way.
+    /// The nearest vehicle or bicycle that moves along the path, or stands on it, and blocks it.
     pub lead_distance: Ahead,
     /// Its speed.
     pub lead_speed: LeadSpeed,
     /// The nearest pedestrian with its center in the corridor of the path: the ego's width and [`CORRIDOR_MARGIN`] to both
     /// sides.
     pub pedestrian: Ahead,
-    /// The nearest static obstacle or stopped vehicle in the ego's way on the path.
+    /// The nearest static obstacle or stopped vehicle that blocks the path.
     pub blocked: Ahead,
-    /// Whether there is a lane to the left and whether anybody is on it within [`SIDE_GAP`] of the ego's bumpers.
+    /// Whether there is a lane to the left, and an object on it within [`SIDE_GAP`] of the ego's bumpers.
     pub left_lane: SideLane,
     /// The same to the right.
     pub right_lane: SideLane,
@@ -58,12 +58,12 @@ pub struct SceneFacts {
     pub oncoming: Oncoming,
     /// Speed of the ego.
     pub ego_speed: EgoSpeed,
-    /// Which way the route goes at the next intersection, as in the scene text.
+    /// Turn of the route at the next intersection, as in the scene text.
     pub turn: Turn,
 }
 
 impl SceneFacts {
-    /// What is asked, in the order of the answers.
+    /// The questions, in the order of the answers.
     pub const QUESTIONS: &'static [QuestionForm] = &Question::FORMS;
 
     /// The facts of a scene whose lane graph is `graph`.
@@ -123,7 +123,7 @@ impl SceneFacts {
     }
 }
 
-/// The square that counts.
+/// The view.
 #[derive(Debug, Clone, Copy)]
 struct View {
     center: Pose,

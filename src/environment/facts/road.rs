@@ -8,15 +8,15 @@ use std::collections::BTreeSet;
 
 /// A path that turns by more than this within the view is a curve, radians (15 degrees).
 pub const CURVE: f64 = std::f64::consts::PI / 12.0;
-/// How far to the side a lane of the other direction counts, meters.
+/// Lateral reach for lanes of the other direction, meters.
 pub const ONCOMING_REACH: f64 = 20.0;
-/// It must pass the ego's center no further ahead or behind than this, meters.
+/// Longitudinal reach for lanes of the other direction from the ego's center, meters.
 const ABREAST: f64 = 5.0;
 /// Lanes whose directions differ by more than this are opposite, radians (135 degrees).
 const OPPOSITE: f64 = 3.0 * std::f64::consts::FRAC_PI_4;
-/// Ways that differ by more than this, and by less than a straight angle less this, cross, radians (30 degrees).
+/// Connectors cross when their directions differ by more than this, and by less than π minus this, radians (30 degrees).
 const ACROSS: f64 = std::f64::consts::FRAC_PI_6;
-/// Spacing of the places on the path that are looked at, meters.
+/// Spacing of the sampled points on the path, meters.
 const STEP: f64 = 0.5;
 
 /// The path from the ego's center to where it first leaves the view; `None` when the road ends under the ego.
@@ -53,8 +53,8 @@ fn turned(line: &Polyline) -> f64 {
     line.vertex_headings().windows(2).map(|w| wrap_angle(w[1] - w[0])).sum()
 }
 
-/// Whether the path enters an intersection's area in which a connector leads another way (an area around a mere crosswalk
-/// is none to the eye), or one of the path's connectors is crossed by another.
+/// Whether the path enters an intersection in which a connector leads elsewhere (an area around a crosswalk alone does not
+/// look like one), or another connector crosses one of the path's.
 fn meets_intersection(map: &LaneMap, centerline: &Centerline, path: &Polyline) -> bool {
     let places = path.resampled(STEP);
     let poses = places.vertex_poses();

@@ -1,16 +1,16 @@
-//! Finding a roundabout: a short, round cycle in the graph of lanes.
+//! Roundabout detection: a short, round cycle in the graph of lanes.
 
 use super::View;
 use crate::geometry::{Point, Polygon};
 use crate::world::{LaneId, LaneMap};
 use std::collections::{BTreeMap, VecDeque};
 
-/// A longer cycle of lanes is a block of streets, meters round.
+/// A longer cycle of lanes is a block of streets, meters.
 pub const ROUNDABOUT_LENGTH: f64 = 250.0;
 /// A cycle must enclose at least this share of the area of a circle of the same length: an ellipse of 3:2 has 0.94, a rounded
 /// block of streets 0.85, two lanes joined by U-turns far less.
 pub const ROUNDNESS: f64 = 0.9;
-/// Only cycles with a part no further behind the ego's center than this count, meters: the ego's length.
+/// Only cycles with a part at most this far behind the ego's center count, meters: the ego's length.
 const BEHIND: f64 = 5.0;
 
 /// Whether a roundabout is in view, ahead of the ego or under it.
@@ -25,7 +25,7 @@ pub(super) fn ahead(map: &LaneMap, view: View) -> bool {
         .any(|cycle| is_round(map, &cycle))
 }
 
-/// The shortest way from the end of a lane back to its start, that lane included, if shorter than [`ROUNDABOUT_LENGTH`].
+/// The shortest path from the end of a lane back to its start, that lane included, if shorter than [`ROUNDABOUT_LENGTH`].
 fn shortest_cycle(map: &LaneMap, lane: LaneId) -> Option<Vec<LaneId>> {
     let length = |id: LaneId| map[id].centerline.length();
     // Length round so far, and the lane before, for each lane that was reached from the end of `lane`.

@@ -1,4 +1,4 @@
-//! Facts of the objects: who leads, walks, blocks, is beside.
+//! Facts of the objects: lead vehicle, pedestrian, obstacle, occupied lanes.
 
 use super::{Ahead, LeadSpeed, SideLane, VehicleCount, View};
 use crate::environment::lane_graph::{CenterlineName, Heading, LaneGraph, LaneRelation, Window};
@@ -6,13 +6,13 @@ use crate::world::{ObjectKind, PACIFICA, SceneView, TrackedObject};
 
 /// Slower is stopped, m/s.
 pub const STOPPED: f64 = 0.5;
-/// A leading vehicle that is slower than the ego by no more than this drives the same speed, m/s.
+/// A lead vehicle slower than the ego by at most this has the same speed, m/s.
 pub const SAME_SPEED: f64 = 1.0;
-/// How far beside the ego's sides a pedestrian counts as in the corridor of its path, meters.
+/// Half width of the pedestrian corridor beyond the ego's sides, meters.
 pub const CORRIDOR_MARGIN: f64 = 2.0;
-/// A lane beside is occupied when somebody on it is nearer to the ego's bumpers than this, ahead or behind, meters.
+/// A lane beside is occupied by an object nearer than this to the ego's bumpers, meters.
 pub const SIDE_GAP: f64 = 8.0;
-/// How far beyond the last distance that counts centers are looked for, meters: half a long vehicle.
+/// Centers are searched this far beyond the last distance that counts, meters: half a long vehicle.
 const LONG_VEHICLE: f64 = 12.0;
 
 pub(super) struct Traffic {

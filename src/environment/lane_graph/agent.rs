@@ -7,7 +7,7 @@ use std::fmt;
 use std::str::FromStr;
 
 choice! {
-    /// What a name says of an object.
+    /// Class of an object in its name.
     pub enum AgentClass {
         /// A vehicle.
         Vehicle = "vehicle",
@@ -15,7 +15,7 @@ choice! {
         Bicycle = "bicycle",
         /// A pedestrian.
         Pedestrian = "pedestrian",
-        /// A cone, barrier, sign or other thing that stands still.
+        /// A cone, barrier, sign or other static object.
         Obstacle = "obstacle",
     }
 }
@@ -36,13 +36,13 @@ impl From<ObjectKind> for AgentClass {
 /// Name of an agent within one scene: its class and a number from 1, written together: `vehicle1`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct AgentName {
-    /// What it is.
+    /// Its kind.
     pub class: AgentClass,
-    /// Which of its class, from 1.
+    /// Its number within the class, from 1.
     pub number: u16,
 }
 
-/// A text that is no agent's name.
+/// A text that names no agent.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is no agent's name (a name is a kind and a number, like vehicle1)")]
 pub struct UnknownAgent(pub String);
@@ -70,7 +70,7 @@ impl FromStr for AgentName {
 }
 
 choice! {
-    /// Which way an agent moves, against the direction of the lane.
+    /// Direction of movement of an agent relative to the lane.
     pub enum Heading {
         /// With the lane, or not at all.
         Along = "along",
@@ -82,9 +82,9 @@ choice! {
 }
 
 impl Heading {
-    /// From this angle between velocity and lane on it moves across, radians.
+    /// Angle between velocity and lane from which it crosses, radians.
     pub const CROSSING: f64 = std::f64::consts::FRAC_PI_4;
-    /// From this angle on it moves against the lane, radians.
+    /// Angle from which it is oncoming, radians.
     pub const ONCOMING: f64 = 3.0 * std::f64::consts::FRAC_PI_4;
 }
 
@@ -93,9 +93,9 @@ impl Heading {
 pub struct GraphAgent {
     /// Its name in this scene.
     pub name: AgentName,
-    /// Which track it is.
+    /// Its track.
     pub token: TrackToken,
-    /// What it is.
+    /// Its kind.
     pub kind: ObjectKind,
     /// The node that it is on.
     pub place: NodePlace,
@@ -109,7 +109,7 @@ pub struct GraphAgent {
     pub speed: f64,
     /// Velocity along the lane, m/s; negative against it.
     pub along_speed: f64,
-    /// Which way it moves.
+    /// Its direction of movement.
     pub heading: Heading,
 }
 

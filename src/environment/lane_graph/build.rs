@@ -89,7 +89,7 @@ fn nodes(map: &LaneMap, centerlines: &[Centerline], node_length: f64) -> Vec<Lan
     nodes
 }
 
-/// How a node with its middle at `middle` hangs together with the ego's lane; `None` where its lane has merged into it.
+/// The connection of a node with its middle at `middle` with the ego's lane; `None` where its lane has merged into it.
 fn connection(map: &LaneMap, place: NodePlace, own: &Centerline, ego: &Centerline, middle: f64) -> Option<Connection> {
     match place {
         NodePlace::Ego => return Some(Connection::Itself),
@@ -109,7 +109,7 @@ fn connection(map: &LaneMap, place: NodePlace, own: &Centerline, ego: &Centerlin
     Some(if listed || parallel { Connection::Neighbor } else { Connection::Apart })
 }
 
-/// An object on a node, with how it lies to every centerline.
+/// An object on a node, with its relation to every centerline.
 struct NodeObject<'a> {
     object: &'a TrackedObject,
     /// In the order of the centerlines.
@@ -149,7 +149,7 @@ fn objects_on_nodes<'a>(
     on_nodes
 }
 
-/// The centerline that an object counts for: the ego's where it stands in the way there, else the nearest that it is on.
+/// The centerline that an object counts for: the ego's if it blocks that, else the nearest that it is on.
 fn home(relations: &[Option<LaneRelation>]) -> Option<usize> {
     let on = |relation: &LaneRelation| relation.on_lane || relation.blocks_path;
     if relations.first().is_some_and(|ego| ego.is_some_and(|ego| ego.blocks_path)) {
@@ -201,7 +201,7 @@ fn name(on_nodes: &[NodeObject<'_>]) -> Vec<GraphAgent> {
         .collect()
 }
 
-/// Of those that stand in the way on a centerline ahead of the ego, the nearest.
+/// The nearest agent ahead of the ego that blocks a centerline.
 fn lead_agent(on_nodes: &[NodeObject<'_>], agents: &[GraphAgent], centerline: usize) -> Option<AgentName> {
     on_nodes
         .iter()

@@ -1,4 +1,4 @@
-//! The centerlines that planner code may follow, with what holds along them: limit, lights, turns.
+//! The centerlines that planner code may follow, with their limit, light and turn.
 
 use super::AgentName;
 use crate::environment::choice::choice;
@@ -7,7 +7,7 @@ use crate::world::{LaneId, LaneMap, LanePath, PACIFICA, Route, SceneView, Signal
 
 /// Lights and turns further ahead of the ego's front bumper are not reported, meters.
 pub const LIGHT_REACH: f64 = 60.0;
-/// Time ahead that a centerline covers at the speed limit, seconds.
+/// A centerline covers this time at the speed limit, seconds.
 const AHEAD_SECONDS: f64 = 8.0;
 /// Least length of a centerline ahead of the ego, meters.
 const MIN_AHEAD: f64 = 100.0;
@@ -70,7 +70,7 @@ pub struct Centerline {
     pub light: Option<LightAhead>,
     /// Where the first connector within [`LIGHT_REACH`] turns to, the one under the ego included.
     pub turn: Turn,
-    /// Who leads on it, see [`super::LaneGraph::leader`].
+    /// Its lead agent, see [`super::LaneGraph::leader`].
     pub lead_agent: Option<AgentName>,
 }
 

@@ -1,21 +1,21 @@
-//! How an object lies to a centerline.
+//! The position of an object relative to a centerline.
 
 use super::{Centerline, Heading};
 use crate::geometry::{Corridor, OrientedBox, Polyline, Pose, Vector, wrap_angle};
 use crate::world::{ObjectKind, PACIFICA, TrackedObject};
 
-/// Half a usual lane's width: a center nearer to the centerline is on the lane, meters.
+/// Half a typical lane width: a center nearer to the centerline is on the lane, meters.
 pub const HALF_LANE: f64 = 1.75;
-/// Pedestrians this much further out still count: they may step on the road, meters.
+/// Pedestrians count this much farther out, since they may step on the road, meters.
 pub const KERB_MARGIN: f64 = 2.0;
-/// Free space that the ego wants beside itself, meters.
+/// Free space beside the ego, meters.
 pub const SWEEP_MARGIN: f64 = 0.3;
-/// Pedestrians and cyclists count where they will be within this time, seconds.
+/// Pedestrians and cyclists count at their positions within this time, seconds.
 pub const CROSSING_SECONDS: f64 = 2.0;
 /// Slower objects stand still, m/s.
 pub(in crate::environment) const STANDING_SPEED: f64 = 0.5;
 
-/// Where along and beside a centerline an object is.
+/// The position of an object relative to a centerline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::environment) struct LaneRelation {
     /// From the ego's center to its center along the line, meters.
@@ -26,15 +26,15 @@ pub(in crate::environment) struct LaneRelation {
     pub gap: f64,
     /// Whether its center is on the lane.
     pub on_lane: bool,
-    /// Whether it stands (or, on foot or bicycle, soon will stand) where the ego would drive.
+    /// Whether it is on the strip that the ego would sweep, or on foot or bicycle soon will be.
     pub blocks_path: bool,
     /// Velocity along the line, m/s.
     pub along_speed: f64,
-    /// Which way it moves.
+    /// Its direction of movement.
     pub heading: Heading,
 }
 
-/// The stretch of a centerline around the ego on which objects are looked for.
+/// The part of a centerline around the ego on which objects count.
 pub(in crate::environment) struct Window {
     line: Polyline,
     /// Arc length on `line` of the point at (or beside) the ego's center.
@@ -43,8 +43,7 @@ pub(in crate::environment) struct Window {
 }
 
 impl Window {
-    /// From `behind` meters behind to `ahead` meters ahead of the ego's center, as far as the path goes; `None` when there
-    /// is no path there.
+    /// From `behind` meters behind to `ahead` meters ahead of the ego's center, within the path; `None` without a path there.
     pub(in crate::environment) fn new(centerline: &Centerline, behind: f64, ahead: f64) -> Option<Self> {
         let from = (centerline.ego_s - behind).max(0.0);
         let line = centerline.path.centerline.slice(from, centerline.ego_s + ahead)?;
@@ -52,7 +51,7 @@ impl Window {
         Some(Self { line, ego_s: centerline.ego_s - from, sweep })
     }
 
-    /// How the object lies to this stretch; `None` when its box lies wholly before or after it.
+    /// The relation of an object; `None` when its box is completely before or after this part.
     pub(in crate::environment) fn project(&self, object: &TrackedObject) -> Option<LaneRelation> {
         let foot = self.line.project(object.shape.center.position());
         let along = Pose::at(foot.point, foot.heading);
@@ -77,7 +76,7 @@ impl Window {
     }
 
     fn blocks(&self, object: &TrackedObject) -> bool {
-        /// Steps between the places that are looked at, seconds: a walker moves less than its own size meanwhile.
+        /// Time between the tested positions, seconds: a pedestrian moves less than its own size.
         const STEP: f64 = 0.25;
         let steps = if object.kind.is_vulnerable() { (CROSSING_SECONDS / STEP) as u32 } else { 0 };
         (0..=steps).any(|i| {
@@ -88,7 +87,7 @@ impl Window {
     }
 }
 
-/// Half the length that a box takes up along a direction, meters.
+/// Half the extent of a box along a direction, meters.
 pub(in crate::environment) fn half_extent(shape: &OrientedBox, heading: f64) -> f64 {
     let turn = wrap_angle(shape.center.heading - heading);
     f64::midpoint(shape.length * turn.cos().abs(), shape.width * turn.sin().abs())

@@ -1,5 +1,5 @@
-//! The lane graph: the way ahead of the ego and of the lanes beside it, cut into nodes of equal length; who is on the nodes
-//! around the ego; and the centerlines that planner code may follow.
+//! The lane graph: the lanes of the ego and beside it as nodes of equal length, the agents on these nodes, and the
+//! centerlines that planner code may follow.
 //!
 //! **Centerlines.** `ego_lane`, and where there is a lane of the same direction beside the ego, `left_lane` and
 //! `right_lane`. Each is a [`crate::world::LanePath`] that prefers the route.
@@ -12,7 +12,7 @@
 //! **Agents.** An agent or obstacle is on a centerline where its box meets the strip that the ego would sweep (its half
 //! width and [`SWEEP_MARGIN`]; pedestrians and cyclists also by where they will be within [`CROSSING_SECONDS`] at their
 //! present velocity), or where its center lies within half a lane width of the line (pedestrians: [`KERB_MARGIN`] more). On
-//! several, it counts for the ego's lane if it stands in the ego's way there, else for the nearest line. Only agents on one
+//! several, it counts for the ego's lane if it blocks the path there, else for the nearest line. Only agents on one
 //! of the nine nodes are part of the graph.
 //!
 //! **Distances** are along the lane from bumper to bumper (0: side by side).
@@ -30,13 +30,13 @@ pub(in crate::environment) use lane_relation::{LaneRelation, Window};
 use super::choice::choice;
 use crate::world::{LaneId, SceneView};
 
-/// Node length unless told otherwise, meters.
+/// Meters.
 pub const DEFAULT_NODE_LENGTH: f64 = 20.0;
-/// How far beside every lane the ego still counts as on the nearest one, meters.
+/// An ego this near to a lane counts as on it, meters.
 pub const OFF_ROAD_REACH: f64 = 3.0;
 
 choice! {
-    /// A node's place, seen from the ego; in the order in which the text names them.
+    /// Position of a node relative to the ego, in the order of the text.
     pub enum NodePlace {
         /// Under the ego, from its rear bumper on.
         Ego = "ego",
@@ -80,7 +80,7 @@ impl NodePlace {
 }
 
 choice! {
-    /// How a node hangs together with the node under the ego or, for the corners, with the node ahead or behind.
+    /// How a node is connected with the node under the ego or, for the corners, with the node ahead or behind.
     pub enum Connection {
         /// The node under the ego itself.
         Itself = "itself",
@@ -98,15 +98,15 @@ choice! {
 /// A piece of a centerline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LaneNode {
-    /// Where it is, seen from the ego.
+    /// Its position relative to the ego.
     pub place: NodePlace,
     /// The lane that holds its middle.
     pub lane: LaneId,
-    /// How it hangs together with the ego's lane.
+    /// Its connection with the ego's lane.
     pub connection: Connection,
-    /// Where it begins on its centerline's path, meters.
+    /// Start on the path of its centerline, meters.
     pub from_s: f64,
-    /// Where it ends, meters; a node at the end of a path may be shorter than the others.
+    /// End, meters; the last node of a path may be shorter than the others.
     pub to_s: f64,
 }
 
@@ -114,7 +114,7 @@ pub struct LaneNode {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum LaneGraphError {
-    #[error("the ego's pose is not finite: ({x}, {y}), heading {heading}")]
+    #[error("the ego's pose has a NaN or infinite value: ({x}, {y}), heading {heading}")]
     NotFinite { x: f64, y: f64, heading: f64 },
     #[error("the ego at ({x:.1}, {y:.1}) is off the road: no lane within {OFF_ROAD_REACH} m")]
     OffRoad { x: f64, y: f64 },
@@ -136,9 +136,9 @@ pub struct LaneGraph {
     pub ego_speed: f64,
     /// The nodes that exist, in order of [`NodePlace::ALL`]; the first is the ego's.
     pub nodes: Vec<LaneNode>,
-    /// The centerlines that can be followed, in order of [`CenterlineName::ALL`]; the first is the ego's.
+    /// The centerlines, in order of [`CenterlineName::ALL`]; the first is the ego's.
     pub centerlines: Vec<Centerline>,
-    /// Who is on the nodes, ordered by centerline; on each those ahead, nearest first, then those behind, nearest first.
+    /// The agents on the nodes by centerline; on each those ahead, nearest first, then those behind, nearest first.
     /// Names are numbered in this order.
     pub agents: Vec<GraphAgent>,
 }
@@ -147,7 +147,7 @@ impl LaneGraph {
     /// Builds the graph of a scene with nodes of `node_length` meters ([`DEFAULT_NODE_LENGTH`] unless there is a reason).
     ///
     /// # Errors
-    /// When the ego is off the road or not finite, or the node length is out of range.
+    /// When the ego is off the road or has a NaN or infinite pose, or the node length is out of range.
     pub fn build(scene: &SceneView<'_>, node_length: f64) -> Result<Self, LaneGraphError> {
         build::build(scene, node_length)
     }
@@ -177,7 +177,7 @@ impl LaneGraph {
         self.agents.iter().filter(move |agent| agent.place == place)
     }
 
-    /// The nearest agent or obstacle that stands in the ego's way ahead on a centerline.
+    /// The nearest agent or obstacle ahead that blocks a centerline.
     pub fn lead_agent(&self, centerline: CenterlineName) -> Option<&GraphAgent> {
         let name = self.centerline(centerline)?.lead_agent?;
         self.agent(name)

@@ -3,7 +3,7 @@
 use super::MAX_NUMBER;
 use std::str::FromStr;
 
-/// Something in a scene text that is not as it should be.
+/// A fault in a scene text.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}, column {column}: {what}")]
 pub struct TextError {
@@ -11,7 +11,7 @@ pub struct TextError {
     pub line: usize,
     /// Column in characters, from 1.
     pub column: usize,
-    /// What is wrong.
+    /// The fault.
     pub what: String,
 }
 
@@ -23,7 +23,7 @@ struct Word<'a> {
     column: usize,
 }
 
-/// Marks that stand for themselves, wherever they are; a slash belongs to its word (`m/s`).
+/// Marks that are tokens of their own; a slash belongs to its word (`m/s`).
 const MARKS: [char; 6] = [',', ';', ':', '.', '(', ')'];
 
 fn words(text: &str) -> Vec<Word<'_>> {
