@@ -2,14 +2,14 @@
 
 use std::process::ExitCode;
 
-/// How the program ends.
+/// Exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Exit {
-    /// Everything asked for was done.
+    /// Everything succeeded.
     Success,
-    /// The run ended, but some scenario or planning call failed; its error is recorded.
+    /// The run ended, but a simulation or a planning call failed; its error is recorded.
     SomeFailed,
-    /// The input, the configuration or the environment does not allow it.
+    /// The input, the configuration or the environment does not allow the command.
     Error,
 }
 

@@ -1,19 +1,19 @@
-//! Pictures that commands write where they are told to.
+//! Picture files of commands.
 
 use anyhow::Context;
 use image::{ImageFormat, RgbImage};
 use std::path::{Path, PathBuf};
 
-/// A file for a picture; its ending names the format.
+/// A file for a picture; its extension names the format.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct PictureFile {
     path: PathBuf,
     format: ImageFormat,
 }
 
-/// An ending that names no format in which pictures are written.
+/// An extension of no supported format.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("pictures are written as .png, .jpg or .jpeg, by the ending of the file")]
+#[error("the name of a picture must end in .png, .jpg or .jpeg")]
 pub(super) struct UnknownEnding;
 
 impl TryFrom<PathBuf> for PictureFile {
@@ -32,16 +32,13 @@ impl TryFrom<PathBuf> for PictureFile {
 
 impl PictureFile {
     /// Writes the picture.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
     pub(super) fn save(&self, picture: &RgbImage) -> anyhow::Result<()> {
         picture
             .save_with_format(&self.path, self.format)
             .with_context(|| format!("cannot write {}", self.path.display()))
     }
 
-    /// Where it is written.
+    /// Path of the file.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }

@@ -1,4 +1,4 @@
-//! The one place that prints: data to stdout, talk and progress to stderr, colours only where they are wanted.
+//! The only module that prints: data to stdout, notes and progress to stderr, colors only on terminals.
 
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "this is the printer")]
 
@@ -17,17 +17,17 @@ pub struct Printer {
 }
 
 impl Printer {
-    /// A printer; with `json`, people's output is left out of stdout; with `quiet`, stderr carries errors alone.
+    /// A printer. With `json`, stdout carries JSON alone; with `quiet`, stderr carries errors alone.
     pub fn new(json: bool, quiet: bool) -> Self {
         Self { json, quiet, details: false }
     }
 
-    /// With details on stderr too.
+    /// With details on stderr.
     pub fn with_details(self, details: bool) -> Self {
         Self { details, ..self }
     }
 
-    /// Talk on stderr for those who want all of it.
+    /// A line on stderr for users who ask for details.
     pub fn detail(&self, text: impl AsRef<str>) {
         if self.details {
             self.note(text);
@@ -39,15 +39,15 @@ impl Printer {
         self.json
     }
 
-    /// A line for people on stdout; nothing when stdout carries JSON.
+    /// A line on stdout, unless stdout carries JSON.
     pub fn line(&self, text: impl AsRef<str>) {
         if !self.json {
             write_line(text.as_ref());
         }
     }
 
-    /// A name with what there is to say of it: beside it where the width holds both, else below it. The name stays whole: it is
-    /// there to be copied.
+    /// A name with details beside it, or below it where the line would be too long. The name is never broken, so that it can
+    /// be copied.
     pub fn named(&self, name: &str, details: &str) {
         if details.is_empty() || measure_text_width(name) + 2 + measure_text_width(details) <= usize::from(self.width())
         {
@@ -58,27 +58,24 @@ impl Printer {
     }
 
     /// A value on stdout, as one line of JSON.
-    ///
-    /// # Errors
-    /// When the value cannot be serialised.
     pub fn json(&self, value: &impl serde::Serialize) -> anyhow::Result<()> {
         write_line(&json_value(value)?.to_string());
         Ok(())
     }
 
-    /// Talk on stderr.
+    /// A line on stderr.
     pub fn note(&self, text: impl AsRef<str>) {
         if !self.quiet {
             eprintln!("{}", text.as_ref());
         }
     }
 
-    /// An error with its causes, and a hint where there is one.
+    /// An error with its causes.
     pub fn error(&self, error: &anyhow::Error) {
         let red = Style::new().for_stderr().red().bold();
         let mut text = String::new();
         for cause in error.chain().map(ToString::to_string) {
-            // Many errors tell their cause themselves; it is told once.
+            // Many errors contain their cause; it is printed once.
             if text.is_empty() {
                 text = cause;
             } else if !text.contains(&cause) {
@@ -88,19 +85,16 @@ impl Printer {
         eprintln!("{} {text}", red.apply_to("error:"));
     }
 
-    /// Says whether all data reached stdout.
-    ///
-    /// # Errors
-    /// When some could not be written, for want of space for instance; a reader that went away is none.
+    /// Fails if some data could not be written to stdout, for example to a full disk; a closed pipe is no failure.
     pub fn finish(&self) -> anyhow::Result<()> {
         let flushed = std::io::stdout().lock().flush();
         if STDOUT_FAILED.load(Ordering::Relaxed) || flushed.is_err_and(|e| e.kind() != ErrorKind::BrokenPipe) {
-            anyhow::bail!("stdout cannot be written; the output is not complete");
+            anyhow::bail!("cannot write to stdout; the output is incomplete");
         }
         Ok(())
     }
 
-    /// A progress bar on stderr; hidden when quiet or when stderr is no terminal.
+    /// A progress bar on stderr; hidden when quiet or without a terminal.
     pub fn progress(&self, length: u64, unit: &str) -> ProgressBar {
         let target = if self.quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
         let bar = ProgressBar::with_draw_target(Some(length), target);
@@ -111,7 +105,7 @@ impl Printer {
         bar
     }
 
-    /// A progress bar of bytes on stderr; hidden when quiet or when stderr is no terminal.
+    /// A progress bar of bytes on stderr; hidden when quiet or without a terminal.
     pub fn byte_progress(&self, length: u64) -> ProgressBar {
         let bar = self.progress(length, "bytes");
         if let Ok(style) =
@@ -133,7 +127,7 @@ impl Printer {
     }
 }
 
-/// Whether a line was lost.
+/// Whether a line could not be written.
 static STDOUT_FAILED: AtomicBool = AtomicBool::new(false);
 
 /// Writes a line to stdout; a closed pipe ends the output, not the program.

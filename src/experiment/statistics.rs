@@ -1,16 +1,15 @@
-//! How far one planner is ahead of another on the same scenes, and how sure that is.
+//! Paired differences between two planners on the same scenes, with bootstrap intervals.
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::Serialize;
 
-/// How an interval is made: the percentile bootstrap over scenes (Efron and Tibshirani, *An Introduction to the Bootstrap*,
-/// section 13.3).
+/// Settings of the percentile bootstrap over scenes (Efron and Tibshirani, *An Introduction to the Bootstrap*, section 13.3).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Bootstrap {
-    /// Times that the scenes are drawn anew, with replacement.
+    /// Number of resamples, with replacement.
     pub resamples: usize,
-    /// Share of the means that lie within the interval.
+    /// Share of the means within the interval.
     pub level: f64,
     /// Seed of the draws.
     pub seed: u64,
@@ -31,13 +30,13 @@ pub struct PairedDifference {
     pub low: f64,
     /// Upper end of the interval.
     pub high: f64,
-    /// How many pairs there are.
+    /// Number of pairs.
     pub pairs: usize,
 }
 
 impl Bootstrap {
-    /// The mean of differences, one a scene, with its interval; `None` without a scene. The same differences in the same order
-    /// give the same interval everywhere.
+    /// The mean of differences, one a scene, with its interval; `None` without a scene. Equal differences in equal order give
+    /// the same interval on every machine.
     pub fn difference(&self, differences: &[f64]) -> Option<PairedDifference> {
         let pairs = differences.len();
         if pairs == 0 {
@@ -58,7 +57,7 @@ impl Bootstrap {
     }
 }
 
-/// A number below `end`, by multiplication with a fraction of 32 bits: no library's sampling code, which may change.
+/// A number below `end`, by multiplication with a fraction of 32 bits. The sampling code of a library may change.
 fn below(random: &mut Pcg64Mcg, end: usize) -> usize {
     ((u64::from(random.next_u32()) * end as u64) >> 32) as usize
 }

@@ -198,7 +198,7 @@ fn scenarios_are_listed_shown_and_generated() {
 }
 
 #[test]
-fn a_dataset_is_written_and_gone_on_with() {
+fn a_dataset_is_written_and_resumed() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("data");
     let arguments = ["dataset", "--out", out.to_str().unwrap(), "--states", "1", "--validation", "1", "--quiet"];
@@ -374,4 +374,17 @@ fn the_example_configuration_shows_every_default() {
             assert!(shown[section].as_table().unwrap().contains_key(&key), "{section}.{key} is not shown");
         }
     }
+}
+
+/// Help names what the registries hold.
+#[test]
+fn help_lists_planners_suites_and_experiments_with_their_sizes() {
+    let help = |command: &str| run(&[command, "--help"]).1.split_whitespace().collect::<Vec<_>>().join(" ");
+    let simulate = help("simulate");
+    for part in ["generated (16 types x 10)", "generated-14 (14 types x 150)", "generated-14-hard (14 types x 20)"] {
+        assert!(simulate.contains(part), "no {part} in {simulate}");
+    }
+    assert!(simulate.contains("val14") && simulate.contains("grid-code [default: plan-agent]"), "{simulate}");
+    let experiment = help("experiment");
+    assert!(experiment.contains("latency-aware, tokens; all for all of these"), "{experiment}");
 }

@@ -123,3 +123,29 @@ fn what_cannot_be_driven_is_refused_with_what_to_do() {
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(2) && stderr.contains("--scenario") && stderr.contains("womd"), "{stderr}");
 }
+
+#[test]
+fn a_study_of_a_user_is_a_file() {
+    let work = TempDir::new().unwrap();
+    let file = work.path().join("mine.toml");
+    let study = "name = 'speeds'\ntitle = 'Two planners'\nlabels = ['planner', 'threshold']\nreference = 1\n\
+        suites = ['generated']\n[[variants]]\nlabels = ['simple', '-']\nplanner = 'simple'\n\
+        [[variants]]\nlabels = ['fixed', '0.5']\nplanner = 'fixed-code'\nsettings.reflection.threshold = 0.5\n";
+    fs::write(&file, study).unwrap();
+    let (code, stdout, stderr) = run(&experiment(file.to_str().unwrap(), work.path()));
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stdout.contains("Two planners") && stderr.contains("8 simulations in 2 runs"), "{stdout}{stderr}");
+    let results = read_json(&work.path().join("speeds/results.json"));
+    assert_eq!(results["reference"], "planner: fixed, threshold: 0.5");
+    assert_eq!(results["suites"][0]["variants"][1]["settings"]["reflection"]["threshold"], 0.5);
+    let config = |run: &Path| fs::read_to_string(run.join("config.toml")).unwrap();
+    assert_eq!(runs(work.path()).iter().filter(|run| config(run).contains("threshold = 0.5")).count(), 1);
+
+    let out = work.path().to_str().unwrap();
+    fs::write(&file, study.replace("threshold = 0.5", "threshhold = 0.5")).unwrap();
+    let wrong = refused(&["experiment", file.to_str().unwrap(), "--out", out]);
+    assert!(wrong.contains("threshhold"), "{wrong}");
+    fs::write(&file, study.replace("reference = 1", "reference = 2")).unwrap();
+    let wrong = refused(&["experiment", file.to_str().unwrap(), "--out", out]);
+    assert!(wrong.contains("mine.toml") && wrong.contains("reference is 2"), "{wrong}");
+}

@@ -177,7 +177,7 @@ fn missing_maps_are_one_error_before_any_drive() {
 }
 
 #[test]
-fn a_run_is_gone_on_with_from_anywhere_and_without_its_data_as_far_as_it_came() {
+fn a_run_is_resumed_from_any_directory_and_shows_its_results_without_its_data() {
     let work = Work::with(2);
     let (code, table, stderr) = work.simulate(&["--scenario", "nuplan/data"]);
     assert_eq!(code, 0, "{stderr}");
@@ -193,7 +193,7 @@ fn a_run_is_gone_on_with_from_anywhere_and_without_its_data_as_far_as_it_came() 
     fs::rename(work.path("nuplan"), &moved).unwrap();
     let (code, stdout, stderr) = resume();
     assert_eq!((code, &stdout), (0, &table), "{stderr}");
-    assert!(stderr.contains("not there any more") && stderr.contains("nuplan/data"), "{stderr}");
+    assert!(stderr.contains("cannot be found") && stderr.contains("nuplan/data"), "{stderr}");
     assert_eq!(fs::read(work.path("run/summary.json")).unwrap(), summary);
 
     // Only its results can be shown: every other request needs the data, and so does a simulation that is left.

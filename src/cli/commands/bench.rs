@@ -20,9 +20,6 @@ use std::time::SystemTime;
 const LLAMA_PYTHON: &str = "PLANAGENT_LLAMA_PYTHON";
 
 /// Measures models; the table goes to stdout, everything to a folder.
-///
-/// # Errors
-/// When a model is not known, or the folder cannot be used. A model that cannot be measured is no such error.
 pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     if flags.iterations == 0 {
         bail!("--iterations is 0; at least one planning call must count");
@@ -85,9 +82,6 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
 }
 
 /// The measuring process: works until stdin ends.
-///
-/// # Errors
-/// When stdout is gone.
 pub(in crate::cli) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     serve(&model_registry(config, &listener(printer)), io::stdin().lock(), io::stdout().lock())?;
     Ok(Exit::Success)

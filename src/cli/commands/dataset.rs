@@ -8,13 +8,10 @@ use crate::experiment::dataset::{Settings, Split, write_split};
 use crate::reasoning::PromptSet;
 use crate::runner::{Config, load_model};
 
-/// Prompt set of datasets: that of the models which are trained on them.
+/// Prompt set of datasets: that of the models that are trained on them.
 const PROMPT_SET: &str = "compact";
 
-/// Writes labelled states.
-///
-/// # Errors
-/// When the folder cannot be written or holds another dataset.
+/// Writes labeled states.
 pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let prompts = PromptSet::open(config.reasoning.prompt_set.as_deref().unwrap_or(PROMPT_SET))?;
     let view = BevView::new(BevView::default().pixels(), config.environment.view_m)?;
@@ -25,11 +22,11 @@ pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Pr
     for (split, states) in splits.into_iter().filter(|(split, _)| *split == Split::Train || !flags.driven) {
         let bar = printer.progress(states as u64, "states");
         bar.set_message(split.as_str());
-        let made = write_split(&flags.out, split, states, &settings, &|states| bar.inc(states as u64))?;
+        let written = write_split(&flags.out, split, states, &settings, &|states| bar.inc(states as u64))?;
         bar.finish_and_clear();
-        printer.note(format!("{}: {made} states", split.as_str()));
+        printer.note(format!("{}: {written} states", split.as_str()));
         if printer.is_json() {
-            printer.json(&serde_json::json!({"split": split.as_str(), "states": made}))?;
+            printer.json(&serde_json::json!({"split": split.as_str(), "states": written}))?;
         }
     }
     Ok(Exit::Success)

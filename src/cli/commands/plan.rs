@@ -13,10 +13,7 @@ use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
 
-/// One planning call at an instant of the recorded drive.
-///
-/// # Errors
-/// When the input or the model cannot be used, or the instant lies outside the window.
+/// Runs one planning call at a time of the recorded scenario.
 pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let scenario = scenario(flags.scenario.as_deref(), &flags.data.readers())?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
@@ -25,7 +22,7 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
     let mut agent = parts.planner(PlannerName::PLAN_AGENT, &scenario)?;
     agent.initialize(&PlannerInitialization { map: &scenario.map, route: &scenario.route })?;
     let trajectory = compute(&scenario, iteration, frame, agent.as_mut())?;
-    // The planner counts calls from iteration 0; the record tells where in the drive this one was made.
+    // The planner starts at iteration 0; the record has the iteration of the scenario.
     let call = agent.calls().last().context("the planner made no call")?;
     let call = PlanningCall { iteration, at_s: iteration as f64 * STEP_S, ..call.clone() };
     if let (Some(file), Some(image)) = (&flags.image, &call.image) {
@@ -40,10 +37,7 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
     Ok(if failed { Exit::SomeFailed } else { Exit::Success })
 }
 
-/// The one scenario that is meant.
-///
-/// # Errors
-/// When the word names none or several.
+/// The one scenario that a word names.
 pub(in crate::cli) fn scenario(word: Option<&str>, readers: &Readers) -> anyhow::Result<Scenario> {
     let mut sources = match word {
         Some(word) => readers.find(word)?,
@@ -55,10 +49,7 @@ pub(in crate::cli) fn scenario(word: Option<&str>, readers: &Readers) -> anyhow:
     }
 }
 
-/// The iteration nearest to a time in seconds after the start of the window, and what was recorded then.
-///
-/// # Errors
-/// When it lies outside the window.
+/// The iteration nearest to a time in seconds after the start of the window, with its frame.
 pub(in crate::cli) fn instant(scenario: &Scenario, at: f64) -> anyhow::Result<(usize, &Frame)> {
     let iteration = (at / STEP_S).round();
     let in_window = (0.0..scenario.iterations() as f64).contains(&iteration);
@@ -68,7 +59,7 @@ pub(in crate::cli) fn instant(scenario: &Scenario, at: f64) -> anyhow::Result<(u
     })
 }
 
-/// The scene of an iteration of the log, as a planner would see it.
+/// The trajectory of the planner for the recorded scene of an iteration.
 fn compute(
     scenario: &Scenario,
     iteration: usize,

@@ -8,10 +8,7 @@ use anyhow::Context;
 use std::num::NonZeroU32;
 use std::path::Path;
 
-/// Writes a drive as a film or a picture.
-///
-/// # Errors
-/// When the drive is not found or has no replay, or the file cannot be written.
+/// Writes a simulation as a film or a picture.
 pub(in crate::cli) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::Result<Exit> {
     let challenge = flags.challenge.as_deref().map(str::parse).transpose();
     let challenge = challenge.context("--challenge takes nonreactive, reactive or open-loop")?;

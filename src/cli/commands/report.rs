@@ -9,12 +9,9 @@ use anyhow::{Context, bail};
 const MEGABYTE: f64 = 1e6;
 
 /// Writes the page of one or more runs.
-///
-/// # Errors
-/// When a folder holds no run, or the page cannot be written.
 pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::Result<Exit> {
     if !flags.max_mb.is_finite() || flags.max_mb <= 0.0 {
-        bail!("--max-mb is {}; it must be above 0", flags.max_mb);
+        bail!("--max-mb is {}; it must be greater than 0", flags.max_mb);
     }
     let first = flags.runs.first().context("name the folder of a run")?;
     let out = flags.out.clone().unwrap_or_else(|| first.join(PAGE));
@@ -41,7 +38,7 @@ pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::
     }
     let left_out = contents.simulations - contents.replays - contents.without_replay;
     if left_out > 0 && flags.scenario.is_none() {
-        printer.note(format!("{left_out} replays did not fit in; --max-mb or --scenario lets them in"));
+        printer.note(format!("{left_out} replays did not fit; raise --max-mb or select some by --scenario"));
     }
     Ok(Exit::Success)
 }

@@ -61,8 +61,9 @@ pub fn find(word: &str) -> Result<Study, StudyError> {
 
 fn parse(place: &str, text: &str) -> Result<Study, StudyError> {
     let place = || place.to_owned();
-    let study: Study =
+    let mut study: Study =
         toml::from_str(text).map_err(|source| StudyError::Parse { place: place(), source: Box::new(source) })?;
+    study.word = place();
     study.check().map_err(|fault| StudyError::Value { place: place(), fault })?;
     Ok(study)
 }

@@ -17,6 +17,9 @@ use std::collections::{BTreeMap, BTreeSet};
 pub struct Study {
     /// Its name, which is that of the folder of its results.
     pub name: String,
+    /// The word that finds it: its name, or the path of a user's file.
+    #[serde(skip)]
+    pub word: String,
     /// Its title, in a line.
     pub title: String,
     /// Where the paper has it.

@@ -133,7 +133,7 @@ impl<'a> Experiments<'a> {
             let quick = self.request.quick.then_some(Quick::DEFAULT);
             let of_study = StudyResults::new(&study, &simulated, quick, self.config.seed, &bench);
             let folder = StudyFolder::new(self.folder(&study.name));
-            folder.write(&study, &of_study, &self.command(&study.name))?;
+            folder.write(&study, &of_study, &self.command(&study.word))?;
             results.push((study, of_study, folder.path().to_owned()));
         }
         let all = || rows.values().flatten();

@@ -4,23 +4,20 @@ use crate::cli::{Exit, Printer};
 use crate::mllm::{ModelCheck, ModelRegistry, in_bytes};
 use serde::Serialize;
 
-/// A model as it was found.
+/// The check of a model.
 #[derive(Debug, Serialize)]
 struct Row<'a> {
-    /// What was asked for.
+    /// Its name.
     model: &'a str,
-    /// What was found; none if the model is not on this machine.
+    /// The result; none if the model is not on this machine.
     #[serde(flatten)]
     check: Option<ModelCheck>,
-    /// Why nothing was found.
+    /// Why there is no result.
     #[serde(skip_serializing_if = "Option::is_none")]
     missing: Option<String>,
 }
 
-/// Checks models; without names, all that are described, of which those that are not on this machine are only told.
-///
-/// # Errors
-/// When a model that was named does not exist.
+/// Checks models; without names, all described ones. A described model that is not on this machine is no error.
 pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
     let all = models.is_empty();
     let names = if all { registry.names()? } else { models.to_vec() };

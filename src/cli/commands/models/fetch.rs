@@ -4,10 +4,7 @@ use crate::cli::{Exit, Printer};
 use crate::mllm::{ModelRegistry, in_bytes};
 use anyhow::Context;
 
-/// Downloads models of the hub, with their tokenizers; says where each lies.
-///
-/// # Errors
-/// When one does not exist or cannot be had.
+/// Downloads models of the hub with their tokenizers, and prints the folder of each.
 pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
     for model in models {
         let spec = registry.find(model)?;

@@ -5,32 +5,29 @@ use crate::mllm::{ModelRegistry, ModelSource, in_bytes};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Columns that a line may take.
+/// Width of a line, columns.
 const WIDTH: usize = 80;
 
-/// A described model as it is listed.
+/// A described model.
 #[derive(Debug, Default, Serialize)]
 struct Row {
-    /// What `--model` takes.
+    /// Its name for `--model`.
     model: String,
-    /// Its family, as the description says; none to see from its files.
+    /// Its family; none if its files decide.
     family: Option<&'static str>,
     /// Where it comes from.
     source: Option<String>,
-    /// Whether a server computes it.
+    /// Whether it runs on a server.
     server: bool,
     /// Where its files are on this machine.
     place: Option<PathBuf>,
     /// Bytes of its weight files.
     bytes: Option<u64>,
-    /// Why it cannot be used as it is.
+    /// Why it cannot be used.
     problem: Option<String>,
 }
 
 /// Lists the described models.
-///
-/// # Errors
-/// When the folder of descriptions cannot be read.
 pub(super) fn run(registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
     for name in registry.names()? {
         let row = row(name, registry);
@@ -49,7 +46,7 @@ pub(super) fn run(registry: &ModelRegistry, printer: Printer) -> anyhow::Result<
         if line.chars().count() <= WIDTH {
             printer.line(line);
         } else {
-            // What does not fit beside the rest stands below it, to be copied.
+            // The last field is often copied: it moves to a line of its own when the line is too long.
             printer.line(line.strip_suffix(&last).unwrap_or(&line).trim_end());
             printer.line(format!("  {last}"));
         }

@@ -10,10 +10,7 @@ use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
 use crate::runner::{Config, model_registry};
 
-/// Lists, checks, fetches or quantises models.
-///
-/// # Errors
-/// When a model does not exist, cannot be had or cannot be written.
+/// Lists, checks, fetches or quantizes models.
 pub(in crate::cli) fn run(command: &ModelsCommand, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let registry = model_registry(config, &listener(printer));
     match command {

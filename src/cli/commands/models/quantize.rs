@@ -8,18 +8,15 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// Writes a model as GGUF. The files get their names when they are whole.
-///
-/// # Errors
-/// When the model cannot be had or is broken, or a file is there or cannot be written.
+/// Writes a model as GGUF. The files get their names when they are complete.
 pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
     if flags.out.extension().is_none_or(|extension| extension != "gguf") {
-        bail!("--out {}: the file must be called FILE.gguf, or it is not found as a model", flags.out.display());
+        bail!("--out {}: the name must end in .gguf, or the file is not recognized as a model", flags.out.display());
     }
     let parts = [GgufPart::Model, GgufPart::Tower];
     let there = parts.map(|part| part.path(&flags.out)).into_iter().find(|path| path.exists());
     if let Some(path) = there.filter(|_| !flags.force) {
-        bail!("{} is there already; --force replaces it", path.display());
+        bail!("{} exists; --force overwrites it", path.display());
     }
     let spec = registry.find(&flags.source)?;
     let (report, files) =
@@ -38,11 +35,8 @@ pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: 
     Ok(Exit::Success)
 }
 
-/// Writes a model's GGUF files with a bar; they get their names when they are whole. Gives what became of the tensors, and
-/// each file with its length.
-///
-/// # Errors
-/// When `export` fails or a file cannot be written; then nothing is left behind.
+/// Writes a model's GGUF files with a bar, and gives the report of the tensors and each file with its length. The files get
+/// their names when they are complete; a failure leaves none behind.
 pub(in crate::cli) fn write(
     out: &Path,
     printer: Printer,
@@ -63,7 +57,7 @@ pub(in crate::cli) fn write(
     let report = match exported {
         Ok(report) => report,
         Err(error) => {
-            // What is left of an earlier failure may be in the way of the next try; the first error is the one to tell.
+            // Leftovers could block the next try. The first error is the one to report.
             for (_, partial) in &written {
                 let _ = fs::remove_file(partial);
             }
@@ -79,7 +73,7 @@ pub(in crate::cli) fn write(
     Ok((report, files))
 }
 
-/// Where a file is written until it is whole.
+/// Path of a file until it is complete.
 fn partial(path: &Path) -> PathBuf {
     path.with_extension("gguf.partial")
 }

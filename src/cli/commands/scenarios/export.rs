@@ -8,10 +8,7 @@ use crate::scenario::{Scenario, ScenarioRef};
 use anyhow::{Context, bail};
 use rayon::prelude::*;
 
-/// Writes scenarios in another format.
-///
-/// # Errors
-/// When a scenario cannot be opened or does not fit the format, or the folder cannot be written; then nothing is left behind.
+/// Writes scenarios in another format. A failure leaves no files behind.
 pub(super) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Result<Exit> {
     let readers = arguments.data.readers();
     let found = arguments.scenarios.iter().map(|word| readers.find(word));
@@ -47,7 +44,7 @@ fn nuplan(arguments: &ExportArguments, scenarios: &[Scenario], printer: Printer)
     Ok(Exit::Success)
 }
 
-/// How a written map departs from the scenario's, in words.
+/// The differences of a written map from the scenario's, in words.
 fn said_otherwise(departures: &Departures) -> String {
     let counted = [
         (departures.connectors_put_in, "connectors put between lanes"),

@@ -5,10 +5,7 @@ use crate::cli::{Exit, Printer};
 use crate::scenario::generator::{GeneratorError, Spec, generate, types};
 use serde_json::json;
 
-/// Generates scenarios and tells how their expert drives.
-///
-/// # Errors
-/// When a type is unknown.
+/// Generates scenarios and prints a line about the expert driver of each.
 pub(super) fn run(arguments: &GenerateArguments, printer: Printer) -> anyhow::Result<Exit> {
     let GenerateArguments { types: names, from, count, traffic } = arguments;
     let known = |name: &String| types::named(name).ok_or_else(|| GeneratorError::UnknownType(name.clone()));

@@ -1,4 +1,4 @@
-//! `planagent scenarios hard`: the scenes of generated-14-hard, chosen out of a run.
+//! `planagent scenarios hard`: selects the scenarios of generated-14-hard from a run.
 
 use crate::cli::{Exit, Printer};
 use crate::experiment::suite::{Suite, hard_list, hard_scenarios};
@@ -9,10 +9,7 @@ use anyhow::Context;
 use serde_json::json;
 use std::path::Path;
 
-/// Chooses them by the scores of PDM-Closed in the run.
-///
-/// # Errors
-/// When there is no run, or it lacks a score of a candidate.
+/// Selects them by the scores of PDM-Closed in the run.
 pub(super) fn run(folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
     RunFolder::manifest(folder)?;
     let rows = RunFolder::read_completed(folder)?

@@ -13,13 +13,10 @@ use serde_json::{Value, json};
 
 /// Side of the picture, pixels.
 const PICTURE: u32 = 1024;
-/// Columns before what is told.
+/// Width of the first column.
 const INDENT: usize = 10;
 
 /// Shows a scenario at an instant.
-///
-/// # Errors
-/// When it cannot be opened, the instant lies outside the window, or the picture cannot be drawn or written.
 pub(super) fn run(arguments: &ShowArguments, printer: Printer) -> anyhow::Result<Exit> {
     let view = BevView::new(PICTURE, arguments.view)?;
     let scenario = scenario(Some(&arguments.scenario), &arguments.data.readers())?;
@@ -48,7 +45,7 @@ fn connectors(scenario: &Scenario) -> usize {
     scenario.map.lanes().iter().filter(|lane| lane.kind == LaneKind::Connector).count()
 }
 
-/// What `show` alone tells a program.
+/// Fields of `show` alone.
 fn contents(scenario: &Scenario, frame: &Frame, at_s: f64) -> Value {
     let map = &scenario.map;
     let lights = frame.lights.iter().map(|(id, status)| json!({"lane": map[id].source_id, "status": status}));
@@ -106,7 +103,7 @@ fn counted(counts: &[(usize, &str)]) -> Vec<String> {
     counts.iter().map(|(count, what)| format!("{count} {what}")).collect()
 }
 
-/// The scene from above.
+/// A BEV picture of the scene.
 fn draw(scenario: &Scenario, frame: &Frame, view: &BevView) -> RgbImage {
     let mut history = History::default();
     history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });
