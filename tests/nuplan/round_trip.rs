@@ -6,7 +6,7 @@ use planagent::internals::metrics::Score;
 use planagent::internals::planner::{IdmPlanner, LogReplay, PdmClosed, Planner};
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{ScenarioType, Spec, generate, types};
-use planagent::internals::scenario::nuplan::export::{Departures, ExportSettings, Exported, write_scenarios};
+use planagent::internals::scenario::nuplan::export::{ExportChanges, ExportSettings, Exported, write_scenarios};
 use planagent::internals::scenario::nuplan::{Logs, MapStore, ScenarioFilter, SearchResult, open, search};
 use planagent::internals::simulation::{Challenge, simulate};
 use rayon::prelude::*;
@@ -102,8 +102,8 @@ fn every_generated_type_comes_back_with_its_scores() {
             let lost: usize =
                 before.map.lanes().iter().filter(connectors_beside).map(|l| l.left.len() + l.right.len()).sum();
             assert_eq!(
-                log.departures,
-                Departures { neighbors_changed: lost, ..Departures::default() },
+                log.changes,
+                ExportChanges { neighbors_changed: lost, ..ExportChanges::default() },
                 "{}",
                 before.id
             );
@@ -147,7 +147,7 @@ fn what_was_read_writes_and_reads_again() {
     let exported = write_scenarios(std::slice::from_ref(&first), &home.path().join("one"), &settings).unwrap();
     let (second, _) = read_back(&exported, &settings, home.path()).remove(0);
     let exported = write_scenarios(std::slice::from_ref(&second), &home.path().join("two"), &settings).unwrap();
-    assert_eq!(exported.logs[0].departures, Departures::default(), "nuPlan can say what it said");
+    assert_eq!(exported.logs[0].changes, ExportChanges::default(), "nuPlan can say what it said");
     let (third, shift) = read_back(&exported, &settings, home.path()).remove(0);
     let pair = Pair { before: &second, after: &third, shift };
     pair.check_map();

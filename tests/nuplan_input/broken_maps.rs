@@ -1,9 +1,9 @@
 //! Every way in which a map can be wrong is an error that names the place.
 
 use super::fixture::{DataSet, LOCATION, run};
-use geo::{LineString, Polygon};
+use geo::{LineString, MultiPolygon, Polygon};
 use planagent::internals::geometry::Point;
-use planagent::internals::scenario::nuplan::geometry_blob::encode_polygons;
+use planagent::internals::scenario::nuplan::geometry_blob::encode;
 use planagent::internals::scenario::nuplan::projection::{Utm, WGS84};
 use planagent::internals::scenario::nuplan::{MAPS_INDEX, MapStore};
 use rusqlite::Connection;
@@ -46,7 +46,7 @@ fn geometries() {
             "UPDATE intersections SET geom = 'POLYGON'; UPDATE lane_groups_polygons SET geom = 'POLYGON'",
             ["fid ", "column geom holds a text"],
         ),
-        ("UPDATE baseline_paths SET geom = x'4750000100'", ["table baseline_paths, fid ", "ends inside its header"]),
+        ("UPDATE baseline_paths SET geom = x'4750000100'", ["table baseline_paths, fid ", "its header is damaged"]),
         (
             "UPDATE baseline_paths SET geom = substr(geom, 1, length(geom) - 9)",
             ["table baseline_paths, fid ", "damaged"],
@@ -133,7 +133,7 @@ fn areas_of_several_parts_with_holes() {
         .for_each(|(c, (x, y))| *c = degrees(x, y));
     let ring = Polygon::new(LineString(square(0.0, 30.0).to_vec()), vec![LineString(island.to_vec())]);
     let apart = Polygon::new(LineString(square(100.0, 30.0).to_vec()), vec![]);
-    let blob = encode_polygons(vec![ring, apart], WGS84).unwrap();
+    let blob = encode(&MultiPolygon(vec![ring, apart]).into(), WGS84).unwrap().0;
     run(&set.map, "DELETE FROM carpark_areas");
     Connection::open(&set.map)
         .unwrap()

@@ -82,6 +82,6 @@ fn without_a_cache_it_says_so_and_goes_on() {
         let maps = MapStore::with_cache(set.roots().maps, cache);
         assert_eq!(open(&maps, &set.found().unwrap()).unwrap().frames, frames);
         let notes = maps.take_notes();
-        assert!(notes[0].contains("no index for logs can be kept"), "{notes:?}");
+        assert!(notes[0].contains("no index of logs can be written"), "{notes:?}");
     }
 }

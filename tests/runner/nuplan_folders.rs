@@ -82,7 +82,7 @@ fn logs_recorded_at_one_time_are_all_driven() {
     // What nothing passes says which field of the filter took how much.
     fs::write(work.path("mine.yaml"), "scenario_types: [changing_lane]\nmap_names: [atlantis]\n").unwrap();
     let (code, _, stderr) = work.run_in(work.folder.path(), &list);
-    assert!(code == 2 && stderr.contains("of 2 rows 2 were left out by map_names"), "{stderr}");
+    assert!(code == 2 && stderr.contains("of 2 rows 2 were excluded by map_names"), "{stderr}");
     fs::write(work.path("mine.yaml"), "log_names: [2021.06.09]\n").unwrap();
     let (code, _, stderr) = work.run_in(work.folder.path(), &list);
     assert!(code == 2 && stderr.contains("log_names names none of the 2 logs"), "{stderr}");

@@ -1,8 +1,9 @@
-//! An `SQLite` file that is only ever read, with checks of what it holds.
+//! Read-only access to an `SQLite` file, with checks of its contents.
 //!
-//! Files are opened as immutable: nothing is locked, and no journal or shared-memory file appears beside the user's data.
+//! Files are opened as immutable: nothing is locked, and no journal or shared-memory file is created beside the user's data.
 
-use super::error::{CellFault, CellPlace, NuPlanError, RowName};
+use super::error::{CellFault, CellPlace, FileFault, NuPlanError, RowName};
+use super::schema::Table;
 use super::token::{TOKEN_BYTES, Token};
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, ErrorCode, OpenFlags, Params, Row};
@@ -13,15 +14,6 @@ use std::path::{Path, PathBuf};
 /// First bytes of every `SQLite` file.
 const MAGIC: &[u8; 16] = b"SQLite format 3\0";
 
-/// Columns of a table that are read together; the first names the row.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Table {
-    pub(super) name: &'static str,
-    /// The column that names a row (`token`, `fid`), then the others.
-    pub(super) columns: &'static [&'static str],
-}
-
-/// An open file.
 #[derive(Debug)]
 pub(super) struct Database {
     pub(super) path: PathBuf,
@@ -29,13 +21,12 @@ pub(super) struct Database {
 }
 
 impl Database {
-    /// Opens a file for reading.
     pub(super) fn open(path: &Path) -> Result<Self, NuPlanError> {
         check_bytes(path)?;
         check_finished(path)?;
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(immutable_uri(path), flags)
-            .map_err(|source| NuPlanError::Sqlite { path: path.to_owned(), reading: "the file".to_owned(), source })?;
+            .map_err(|source| NuPlanError::file(path, FileFault::Sqlite { reading: "the file".to_owned(), source }))?;
         Ok(Self { path: path.to_owned(), connection })
     }
 
@@ -43,10 +34,10 @@ impl Database {
     pub(super) fn require(&self, table: Table, kind: &'static str) -> Result<(), NuPlanError> {
         let present = self.columns(table.name)?;
         if present.is_empty() {
-            return Err(NuPlanError::MissingTable { path: self.path.clone(), table: table.name, kind });
+            return Err(NuPlanError::file(&self.path, FileFault::MissingTable { table: table.name, kind }));
         }
-        match table.columns.iter().find(|&&column| !present.iter().any(|p| p == column)) {
-            Some(&column) => Err(NuPlanError::MissingColumn { path: self.path.clone(), table: table.name, column }),
+        match table.read_columns().into_iter().find(|&column| !present.iter().any(|p| p == column)) {
+            Some(column) => Err(NuPlanError::file(&self.path, FileFault::MissingColumn { table: table.name, column })),
             None => Ok(()),
         }
     }
@@ -60,7 +51,7 @@ impl Database {
         read().map_err(|source| self.failed("the list of tables", source))
     }
 
-    /// Whether an index begins with this column, so that rows are found by it at once.
+    /// Whether an index starts with this column.
     pub(super) fn is_indexed(&self, table: &str, column: &str) -> Result<bool, NuPlanError> {
         let found = self.connection.query_row(
             "SELECT EXISTS(SELECT 1 FROM pragma_index_list(?1) AS l, pragma_index_info(l.name) AS i \
@@ -71,7 +62,7 @@ impl Database {
         found.map_err(|source| self.failed(table, source))
     }
 
-    /// Calls `take` with each row of a table; `rest` is the query behind its name.
+    /// Calls `take` with each row of a table; `rest` is the query after the name of the table.
     pub(super) fn each(
         &self,
         table: Table,
@@ -79,8 +70,7 @@ impl Database {
         params: impl Params,
         mut take: impl FnMut(&Record<'_>) -> Result<(), NuPlanError>,
     ) -> Result<(), NuPlanError> {
-        let columns: Vec<String> = table.columns.iter().map(|column| format!("{}.\"{column}\"", table.name)).collect();
-        let query = format!("SELECT {}, {}.rowid FROM {} {rest}", columns.join(", "), table.name, table.name);
+        let query = format!("{} FROM {} {rest}", table.select(), table.name);
         self.each_of(table, &query, params, &mut take)
     }
 
@@ -95,8 +85,9 @@ impl Database {
         let failed = |source| self.failed(table.name, source);
         let mut statement = self.connection.prepare_cached(query).map_err(failed)?;
         let mut rows = statement.query(params).map_err(failed)?;
+        let columns = table.read_columns();
         while let Some(row) = rows.next().map_err(failed)? {
-            take(&Record { database: self, table, row })?;
+            take(&Record { database: self, table, columns: &columns, row })?;
         }
         Ok(())
     }
@@ -117,41 +108,40 @@ impl Database {
         Ok(found)
     }
 
-    /// The error of `SQLite` while it read a table.
+    /// The error of `SQLite` when reading a table.
     pub(super) fn failed(&self, reading: &str, source: rusqlite::Error) -> NuPlanError {
-        let (path, reading) = (self.path.clone(), format!("table {reading}"));
-        match source.sqlite_error_code() {
-            Some(ErrorCode::NotADatabase) => NuPlanError::NotADatabase(path),
-            Some(ErrorCode::DatabaseCorrupt | ErrorCode::SystemIoFailure) => {
-                NuPlanError::Damaged { path, reading, source }
-            }
-            _ => NuPlanError::Sqlite { path, reading, source },
-        }
+        let reading = format!("table {reading}");
+        let fault = match source.sqlite_error_code() {
+            Some(ErrorCode::NotADatabase) => FileFault::NotADatabase,
+            Some(ErrorCode::DatabaseCorrupt | ErrorCode::SystemIoFailure) => FileFault::Damaged { reading, source },
+            _ => FileFault::Sqlite { reading, source },
+        };
+        NuPlanError::file(&self.path, fault)
     }
 }
 
-/// An empty file would pass for an empty database; both are no nuPlan data.
+/// `SQLite` takes an empty file for an empty database; neither is nuPlan data.
 fn check_bytes(path: &Path) -> Result<(), NuPlanError> {
-    let io = |source| NuPlanError::Io { path: path.to_owned(), doing: "open", source };
+    let io = |source| NuPlanError::file(path, FileFault::Open(source));
     let mut start = Vec::with_capacity(MAGIC.len());
     File::open(path).map_err(io)?.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(io)?;
-    if start == MAGIC { Ok(()) } else { Err(NuPlanError::NotADatabase(path.to_owned())) }
+    if start == MAGIC { Ok(()) } else { Err(NuPlanError::file(path, FileFault::NotADatabase)) }
 }
 
-/// Refuses a database whose last changes lie in a file beside it: reading without them would be wrong, and taking them in writes.
+/// Rejects a database whose last changes lie in a file beside it: ignoring them would be wrong, and merging them would write.
 fn check_finished(path: &Path) -> Result<(), NuPlanError> {
     for ending in ["-wal", "-journal"] {
         let mut name = path.as_os_str().to_owned();
         name.push(ending);
         let beside = PathBuf::from(name);
         if std::fs::metadata(&beside).is_ok_and(|file| file.len() > 0) {
-            return Err(NuPlanError::Unfinished { path: path.to_owned(), beside });
+            return Err(NuPlanError::file(path, FileFault::Unfinished(beside)));
         }
     }
     Ok(())
 }
 
-/// The name by which `SQLite` opens a file without ever writing to it or beside it.
+/// The name by which `SQLite` opens a file without writing to it or beside it.
 pub(super) fn immutable_uri(path: &Path) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/-._~".contains(&byte);
     let bytes = path.as_os_str().as_encoded_bytes().iter();
@@ -159,23 +149,24 @@ pub(super) fn immutable_uri(path: &Path) -> String {
     format!("file:{}?mode=ro&immutable=1", name.collect::<Vec<_>>().concat())
 }
 
-/// One row; every getter says where it failed.
+/// One row. The error of every getter names the cell.
 pub(super) struct Record<'a> {
     database: &'a Database,
     table: Table,
+    /// The columns that are read; the first names the row.
+    columns: &'a [&'static str],
     row: &'a Row<'a>,
 }
 
 impl Record<'_> {
     fn value(&self, column: &'static str) -> ValueRef<'_> {
-        let place = self.table.columns.iter().position(|&c| c == column);
+        let place = self.columns.iter().position(|&c| c == column);
         place.and_then(|place| self.row.get_ref(place).ok()).unwrap_or(ValueRef::Null)
     }
 
-    /// The row by its name, else by its number.
     fn name(&self) -> RowName {
-        let number = self.row.get::<_, i64>(self.table.columns.len()).unwrap_or_default();
-        let key = self.table.columns.first().copied().unwrap_or_default();
+        let number = self.row.get::<_, i64>(self.columns.len()).unwrap_or_default();
+        let key = self.columns.first().copied().unwrap_or_default();
         match (key, self.value(key)) {
             (_, ValueRef::Blob(bytes)) => match <[u8; TOKEN_BYTES]>::try_from(bytes) {
                 Ok(bytes) => RowName::Token(Token::new(bytes)),
@@ -188,9 +179,8 @@ impl Record<'_> {
 
     /// An error about a cell of this row.
     pub(super) fn fault(&self, column: &'static str, fault: impl Into<CellFault>) -> NuPlanError {
-        let place =
-            CellPlace { path: self.database.path.clone(), table: self.table.name.to_owned(), column, row: self.name() };
-        NuPlanError::Cell { place: Box::new(place), fault: Box::new(fault.into()) }
+        let place = CellPlace { path: self.database.path.clone(), table: self.table.name, column, row: self.name() };
+        NuPlanError::cell(place, fault)
     }
 
     fn wrong(&self, column: &'static str, expected: &'static str) -> NuPlanError {
@@ -204,7 +194,7 @@ impl Record<'_> {
         self.fault(column, CellFault::Type { expected, got })
     }
 
-    /// A number; `None` where it is NULL, which is also how `SQLite` stores NaN.
+    /// `None` for NULL, which is also how `SQLite` stores NaN.
     pub(super) fn maybe_float(&self, column: &'static str) -> Result<Option<f64>, NuPlanError> {
         match self.value(column) {
             ValueRef::Null => Ok(None),
@@ -214,7 +204,6 @@ impl Record<'_> {
         }
     }
 
-    /// A finite number.
     pub(super) fn float(&self, column: &'static str) -> Result<f64, NuPlanError> {
         let number = self.maybe_float(column)?.ok_or_else(|| self.fault(column, CellFault::Null))?;
         if number.is_finite() {
@@ -224,7 +213,6 @@ impl Record<'_> {
         }
     }
 
-    /// An integer.
     pub(super) fn integer(&self, column: &'static str) -> Result<i64, NuPlanError> {
         match self.value(column) {
             ValueRef::Integer(number) => Ok(number),
@@ -232,7 +220,7 @@ impl Record<'_> {
         }
     }
 
-    /// A feature id; `None` where it is NULL or NaN. Columns of ids with gaps come as numbers with a fraction of 0 or as text.
+    /// A feature id; `None` for NULL or NaN. Columns of ids with gaps hold numbers with a fraction of 0, or text.
     pub(super) fn maybe_fid(&self, column: &'static str) -> Result<Option<i64>, NuPlanError> {
         match self.value(column) {
             ValueRef::Null => Ok(None),
@@ -250,12 +238,10 @@ impl Record<'_> {
         }
     }
 
-    /// A feature id.
     pub(super) fn fid(&self, column: &'static str) -> Result<i64, NuPlanError> {
         self.maybe_fid(column)?.ok_or_else(|| self.fault(column, CellFault::Null))
     }
 
-    /// A text; `None` where it is NULL.
     pub(super) fn maybe_text(&self, column: &'static str) -> Result<Option<String>, NuPlanError> {
         match self.value(column) {
             ValueRef::Null => Ok(None),
@@ -264,12 +250,10 @@ impl Record<'_> {
         }
     }
 
-    /// A text.
     pub(super) fn text(&self, column: &'static str) -> Result<String, NuPlanError> {
         self.maybe_text(column)?.ok_or_else(|| self.fault(column, CellFault::Null))
     }
 
-    /// A token; `None` where it is NULL.
     pub(super) fn maybe_token(&self, column: &'static str) -> Result<Option<Token>, NuPlanError> {
         match self.value(column) {
             ValueRef::Null => Ok(None),
@@ -281,12 +265,10 @@ impl Record<'_> {
         }
     }
 
-    /// A token.
     pub(super) fn token(&self, column: &'static str) -> Result<Token, NuPlanError> {
         self.maybe_token(column)?.ok_or_else(|| self.fault(column, CellFault::Null))
     }
 
-    /// Bytes.
     pub(super) fn blob(&self, column: &'static str) -> Result<&[u8], NuPlanError> {
         match self.value(column) {
             ValueRef::Blob(bytes) => Ok(bytes),

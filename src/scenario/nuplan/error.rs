@@ -1,21 +1,20 @@
-//! Why a log, a map or a scenario of nuPlan's cannot be read: what is wrong, where it stands, and what to do.
+//! Why a log, a map or a scenario of nuPlan cannot be read: what is wrong, where, and what to do.
 
+use super::Token;
 use super::geometry_blob::BlobError;
 use super::projection::ProjectionError;
-use super::{RouteFault, Token};
 use crate::geometry::GeometryError;
 use crate::world::MapError;
 use std::fmt;
 use std::path::PathBuf;
 
-/// A row, as its table knows it.
+/// A row, by what its table knows it by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RowName {
-    /// By its token.
     Token(Token),
-    /// By its feature id.
+    /// Feature id.
     Fid(i64),
-    /// By `SQLite`'s own number: its token or id cannot be read.
+    /// `SQLite`'s own number, for a row whose token or id cannot be read.
     Number(i64),
 }
 
@@ -29,16 +28,12 @@ impl fmt::Display for RowName {
     }
 }
 
-/// A cell of a table.
+/// A cell of a table or layer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CellPlace {
-    /// The file.
     pub path: PathBuf,
-    /// The table or layer.
-    pub table: String,
-    /// The column.
+    pub table: &'static str,
     pub column: &'static str,
-    /// The row.
     pub row: RowName,
 }
 
@@ -50,274 +45,103 @@ impl fmt::Display for CellPlace {
 
 /// What is wrong with the content of a cell.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum CellFault {
-    /// Nothing there.
     #[error("is NULL")]
     Null,
-    /// Not of the type that the format says.
     #[error("holds {got}, expected {expected}")]
-    Type {
-        /// What it should hold.
-        expected: &'static str,
-        /// What it holds.
-        got: &'static str,
-    },
-    /// NaN, infinite, or out of the range that makes sense.
+    Type { expected: &'static str, got: &'static str },
+    /// NaN, infinite, or out of range.
     #[error("holds {got}, expected {expected}")]
-    Number {
-        /// The value.
-        got: f64,
-        /// What makes sense.
-        expected: &'static str,
-    },
-    /// A token of another length.
+    Number { got: f64, expected: &'static str },
     #[error("holds a token of {0} bytes, expected 8")]
     TokenLength(usize),
-    /// A word that the format does not know.
     #[error("holds `{got}`, expected {expected}")]
-    Word {
-        /// The word.
-        got: String,
-        /// What is known.
-        expected: &'static str,
-    },
+    Word { got: String, expected: &'static str },
     /// Names a row that does not exist.
     #[error("names {target}, which table {table} does not hold")]
-    Dangling {
-        /// The missing row, by its token or id.
-        target: String,
-        /// Where it should be.
-        table: &'static str,
-    },
-    /// Says again what another row says.
+    Dangling { target: String, table: &'static str },
     #[error("holds {0} for the second time")]
     Twice(i64),
-    /// The geometry's bytes cannot be read.
-    #[error("{0}")]
+    #[error(transparent)]
     Blob(#[from] BlobError),
-    /// The geometry makes no shape.
-    #[error("{0}")]
+    #[error(transparent)]
     Shape(#[from] GeometryError),
-    /// The geometry lies outside the map's projection.
-    #[error("{0}")]
+    #[error(transparent)]
     Projection(#[from] ProjectionError),
 }
 
-/// Why a sound log does not hold a scenario that can be driven.
+/// Why an intact log does not hold a scenario that can be simulated.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ScenarioFault {
-    /// No such row.
     #[error("the log holds no lidar_pc row of this token")]
     NotInLog,
-    /// No row of the sensor that nuPlan reads.
     #[error("table lidar has no row with channel `MergedPointCloud`, so no row belongs to the scenario")]
     NoSensor,
-    /// Less than 3 s of rows.
     #[error("its window holds {seconds:.1} s of the log; at least {needed} s are needed")]
-    TooShort {
-        /// What there is, s.
-        seconds: f64,
-        /// What is needed, s.
-        needed: f64,
-    },
-    /// Nothing before iteration 0.
+    TooShort { seconds: f64, needed: f64 },
     #[error(
         "its window begins at the first row of the log: no row before it could be the history; take a later row as scenario"
     )]
     NoHistory,
-    /// Two rows of one time.
     #[error("lidar_pc rows {before} and {after} have the same timestamp {time_us}")]
-    SameTime {
-        /// The one row.
-        before: Token,
-        /// The other row.
-        after: Token,
-        /// Their time, µs.
-        time_us: i64,
-    },
-    /// The route cannot be used.
+    SameTime { before: Token, after: Token, time_us: i64 },
     #[error("scene {scene}: {fault}")]
-    Route {
-        /// The scene of the tagged row.
-        scene: Token,
-        /// What is wrong.
-        fault: RouteFault,
-    },
+    Route { scene: Token, fault: RouteFault },
 }
 
-/// Why nuPlan data cannot be read.
+/// Why the route of a scene cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum RouteFault {
+    #[error("its route is empty (column roadblock_ids)")]
+    Empty,
+    #[error("its route holds `{0}` in column roadblock_ids, expected ids separated by spaces")]
+    Word(String),
+    #[error("its route holds roadblock {id}, which the map {map} does not have; do log and map belong together?")]
+    Unknown { id: i64, map: String },
+}
+
+/// What is wrong with a file or folder.
 #[derive(Debug, thiserror::Error)]
-pub enum NuPlanError {
-    /// Nobody said where the logs are.
-    #[error(
-        "where nuPlan's logs are is not known: give --data-root or set NUPLAN_DATA_ROOT to the folder that holds them"
-    )]
-    NoDataRoot,
-    /// Nobody said where the maps are.
-    #[error(
-        "where nuPlan's maps are is not known: give --maps-root or set NUPLAN_MAPS_ROOT to the folder that holds {}",
-        super::MAPS_INDEX
-    )]
-    NoMapsRoot,
-    /// The folder that should hold the logs cannot be used.
-    #[error("nuPlan's logs (--data-root or NUPLAN_DATA_ROOT): {0}")]
-    DataRoot(#[source] Box<NuPlanError>),
-    /// The list of maps cannot be opened.
-    #[error(
-        "{}: cannot open: {source}; --maps-root or NUPLAN_MAPS_ROOT must name the folder that holds it",
-        path.display()
-    )]
-    NoMapsIndex {
-        /// Where it should be.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// A file or folder cannot be opened or listed.
-    #[error("{}: cannot {doing}: {source}", path.display())]
-    Io {
-        /// Which.
-        path: PathBuf,
-        /// What was tried: `open`, `list`.
-        doing: &'static str,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// No log below the folder.
-    #[error("{}: no *.db file in it or in the folders below", .0.display())]
-    NoLogs(PathBuf),
-    /// Another program has not finished writing it.
-    #[error(
-        "{}: changes that are not part of it yet lie in {}; open it once with `sqlite3` to take them in",
-        path.display(), beside.display()
-    )]
-    Unfinished {
-        /// The database.
-        path: PathBuf,
-        /// The file beside it.
-        beside: PathBuf,
-    },
-    /// Not an `SQLite` file.
-    #[error("{}: not an SQLite database", .0.display())]
-    NotADatabase(PathBuf),
-    /// `SQLite` finds it damaged.
-    #[error("{}: damaged, found when reading {reading} ({source}); copy or download it again", path.display())]
-    Damaged {
-        /// Which file.
-        path: PathBuf,
-        /// Which table.
-        reading: String,
-        /// What `SQLite` says.
-        source: rusqlite::Error,
-    },
-    /// `SQLite` cannot read it for another reason.
-    #[error("{}: cannot read {reading}: {source}", path.display())]
-    Sqlite {
-        /// Which file.
-        path: PathBuf,
-        /// Which table.
-        reading: String,
-        /// What `SQLite` says.
-        source: rusqlite::Error,
-    },
-    /// A table or layer is missing.
-    #[error("{}: no table {table}; is it {kind}?", path.display())]
-    MissingTable {
-        /// Which file.
-        path: PathBuf,
-        /// Which table.
-        table: &'static str,
-        /// What it should be.
-        kind: &'static str,
-    },
-    /// A column is missing.
-    #[error("{}: table {table} has no column {column}", path.display())]
-    MissingColumn {
-        /// Which file.
-        path: PathBuf,
-        /// Which table.
-        table: &'static str,
-        /// Which column.
-        column: &'static str,
-    },
-    /// A cell holds something that cannot be used.
-    #[error("{place} {fault}")]
-    Cell {
-        /// Where.
-        place: Box<CellPlace>,
-        /// What.
-        fault: Box<CellFault>,
-    },
-    /// The log is sound, the scenario is not.
-    #[error("{}: scenario {token}: {fault}", path.display())]
-    Scenario {
-        /// Which log.
-        path: PathBuf,
-        /// Which scenario.
-        token: Token,
-        /// What is wrong.
-        fault: ScenarioFault,
-    },
-    /// Two logs hold one token.
-    #[error("scenario {token} is in two logs: {} and {}", first.display(), second.display())]
-    TwoLogs {
-        /// The token.
-        token: Token,
-        /// One log.
-        first: PathBuf,
-        /// The other.
-        second: PathBuf,
-    },
-    /// The list of maps cannot be read.
-    #[error("{}: {reason}", path.display())]
-    MapsIndex {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
-    /// The list of maps does not know the location.
-    #[error("{}: no map of `{location}`; there are {}", path.display(), known.join(", "))]
-    UnknownLocation {
-        /// The list of maps.
-        path: PathBuf,
-        /// What the log asks for.
-        location: String,
-        /// What there is.
-        known: Vec<String>,
-    },
-    /// The map's file is not where the list says.
-    #[error("{}: missing; {}", path.display(), versions(found))]
-    MissingMap {
-        /// Where it should be.
-        path: PathBuf,
-        /// Versions of the location that there are.
-        found: Vec<String>,
-    },
+#[allow(missing_docs)]
+pub enum FileFault {
+    #[error("cannot open: {0}")]
+    Open(#[source] std::io::Error),
+    #[error("cannot list: {0}")]
+    List(#[source] std::io::Error),
+    #[error("no *.db file in it or in the folders below")]
+    NoLogs,
+    #[error("changes that are not part of it yet lie in {}; open it once with `sqlite3` to merge them", .0.display())]
+    Unfinished(PathBuf),
+    #[error("not an SQLite database")]
+    NotADatabase,
+    #[error("damaged, found when reading {reading} ({source}); copy or download it again")]
+    Damaged { reading: String, source: rusqlite::Error },
+    #[error("cannot read {reading}: {source}")]
+    Sqlite { reading: String, source: rusqlite::Error },
+    #[error("no table {table}; is it {kind}?")]
+    MissingTable { table: &'static str, kind: &'static str },
+    #[error("table {table} has no column {column}")]
+    MissingColumn { table: &'static str, column: &'static str },
+    /// The list of maps.
+    #[error("cannot open: {0}; --maps-root or NUPLAN_MAPS_ROOT must name the folder that holds it")]
+    NoMapsIndex(#[source] std::io::Error),
+    /// The list of maps.
+    #[error("{0}")]
+    MapsIndex(String),
+    #[error("no map of `{location}`; there are {}", known.join(", "))]
+    UnknownLocation { location: String, known: Vec<String> },
+    #[error("missing; {}", versions(found))]
+    MissingMap { found: Vec<String> },
     /// The map does not name its projection.
-    #[error("{}: layer meta: {reason}", path.display())]
-    MapMeta {
-        /// Which map.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
-    /// The layers do not make a map.
-    #[error("{}: {source}", path.display())]
-    Map {
-        /// Which map.
-        path: PathBuf,
-        /// Why.
-        source: MapError,
-    },
-    /// The file of a token set cannot be used.
-    #[error("{}: a token set is a JSON list of tokens: {reason}", path.display())]
-    TokenSet {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
+    #[error("layer meta: {0}")]
+    MapMeta(String),
+    #[error(transparent)]
+    Map(#[from] MapError),
+    #[error("a token set is a JSON list of tokens: {0}")]
+    TokenSet(String),
 }
 
 fn versions(found: &[String]) -> String {
@@ -325,5 +149,41 @@ fn versions(found: &[String]) -> String {
         "its location has no version there: is this the maps folder, fully unpacked?".to_owned()
     } else {
         format!("its location has version {} there", found.join(", "))
+    }
+}
+
+/// Why nuPlan data cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum NuPlanError {
+    #[error(
+        "the folder of nuPlan's logs is not known: give --data-root or set NUPLAN_DATA_ROOT to the folder that holds them"
+    )]
+    NoDataRoot,
+    #[error(
+        "the folder of nuPlan's maps is not known: give --maps-root or set NUPLAN_MAPS_ROOT to the folder that holds {}",
+        super::MAPS_INDEX
+    )]
+    NoMapsRoot,
+    #[error("nuPlan's logs (--data-root or NUPLAN_DATA_ROOT): {0}")]
+    DataRoot(#[source] Box<NuPlanError>),
+    #[error("{}: {fault}", path.display())]
+    File { path: PathBuf, fault: Box<FileFault> },
+    #[error("{place} {fault}")]
+    Cell { place: Box<CellPlace>, fault: Box<CellFault> },
+    /// The log is intact, the scenario is not.
+    #[error("{}: scenario {token}: {fault}", path.display())]
+    Scenario { path: PathBuf, token: Token, fault: ScenarioFault },
+    #[error("scenario {token} is in two logs: {} and {}", first.display(), second.display())]
+    TwoLogs { token: Token, first: PathBuf, second: PathBuf },
+}
+
+impl NuPlanError {
+    pub(super) fn file(path: impl Into<PathBuf>, fault: FileFault) -> Self {
+        Self::File { path: path.into(), fault: Box::new(fault) }
+    }
+
+    pub(super) fn cell(place: CellPlace, fault: impl Into<CellFault>) -> Self {
+        Self::Cell { place: Box::new(place), fault: Box::new(fault.into()) }
     }
 }

@@ -8,22 +8,20 @@ use std::fmt;
 pub enum Exclusion {
     /// Its scene is one of the first two or last two of the log, or none.
     SceneAtEdge,
-    /// It has no tag of the types that were asked for.
+    /// It has no tag of the wanted types.
     OtherType,
-    /// Its map is not one of those that were asked for.
     OtherMap,
-    /// Its log is not one of those that were asked for.
     OtherLog,
     /// Its scene has no mission goal.
     NoGoal,
-    /// A filter looked into it and found that it cannot be driven: too short, or without a route.
+    /// A filter read its rows and found it too short, or without a route.
     NotDrivable,
-    /// This field of the filter, by nuPlan's name, took it out.
+    /// A field of the filter excludes it, by nuPlan's name.
     Filtered(&'static str),
 }
 
 impl Exclusion {
-    /// The field of the filter that decided, else the rule, in words.
+    /// The deciding field of the filter, else the rule in words.
     fn key(self) -> &'static str {
         match self {
             Self::SceneAtEdge => "nuPlan's rule that the first two and last two scenes of a log give none",
@@ -46,24 +44,24 @@ impl fmt::Display for Exclusion {
             Self::OtherLog => "its log is not listed",
             Self::NoGoal => "its scene has no mission goal",
             Self::NotDrivable => "it is too short or has no route",
-            Self::Filtered(key) => return write!(f, "{key} took it out"),
+            Self::Filtered(key) => return write!(f, "{key} excludes it"),
         })
     }
 }
 
-/// What a search looked at and did not take, counted.
+/// The number of logs and rows that a search excluded.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Exclusions {
     /// Logs that were searched.
     pub logs: usize,
-    /// Logs that were not even opened: `log_names` does not name them.
+    /// Logs that `log_names` does not name; they were not opened.
     pub other_logs: usize,
-    /// Rows by what took them out.
+    /// Rows by reason.
     pub rows: BTreeMap<Exclusion, usize>,
 }
 
 impl Exclusions {
-    /// Rows that a field of the filter took out.
+    /// Rows that a field of the filter excludes.
     pub fn by(&self, key: &'static str) -> usize {
         self.rows.get(&Exclusion::Filtered(key)).copied().unwrap_or_default()
     }
@@ -82,7 +80,7 @@ impl fmt::Display for Exclusions {
         }
         for (place, (refusal, count)) in self.rows.iter().enumerate() {
             let comma = if place > 0 { "," } else { "" };
-            write!(f, "{comma} {count} were left out by {}", refusal.key())?;
+            write!(f, "{comma} {count} were excluded by {}", refusal.key())?;
         }
         if self.other_logs > 0 {
             write!(f, "; log_names does not name {} other logs", self.other_logs)?;

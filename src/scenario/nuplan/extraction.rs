@@ -1,7 +1,7 @@
-//! Which part of a log a scenario is: nuPlan's scenario types and the window around their tag.
+//! The part of a log that is a scenario: nuPlan's scenario types and the window around their tag.
 
-/// The scenario types that nuPlan's scenario mapping lists, in alphabetical order (devkit `nuplan_scenario_mapping.yaml`; the
-/// challenge's mapping says the same).
+/// The scenario types of nuPlan's scenario mapping, in alphabetical order (devkit `nuplan_scenario_mapping.yaml`; the
+/// challenge's mapping is the same).
 pub const MAPPED_TYPES: [&str; 73] = [
     "accelerating_at_crosswalk",
     "accelerating_at_stop_sign",
@@ -78,28 +78,27 @@ pub const MAPPED_TYPES: [&str; 73] = [
     "waiting_for_pedestrian_to_cross",
 ];
 
-/// Rows of a log that one iteration advances: every second one of 20 Hz (mapping: `subsample_ratio_override` 0.5).
+/// Rows per iteration: every second row of 20 Hz (mapping: `subsample_ratio_override` 0.5).
 pub const ROWS_PER_STEP: usize = 2;
 
-/// Length of a row at the nominal rate, s (the devkit's database interval).
+/// Nominal time between rows, s (the devkit's database interval).
 pub(super) const ROW_S: f64 = 0.05;
 
 /// The part of a log around the tagged row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Extraction {
-    /// From the tagged row to the start, µs; negative when the start lies before it.
+    /// From the tagged row to the start, µs; negative for an earlier start.
     pub offset_us: i64,
-    /// From the start to the end, µs; both are inclusive.
+    /// From the start to the end, µs, both inclusive.
     pub duration_us: i64,
 }
 
 impl Extraction {
-    /// Of the types that the mapping lists: 15 s from 3 s before the tag on.
+    /// Of the types in the mapping: 15 s, from 3 s before the tag.
     pub const MAPPED: Self = Self { offset_us: -3_000_000, duration_us: 15_000_000 };
-    /// Of all others: 20 s from the row on.
+    /// Of all other types: 20 s, from the row on.
     pub const UNMAPPED: Self = Self { offset_us: 0, duration_us: 20_000_000 };
 
-    /// The part that belongs to a scenario type.
     pub fn of(scenario_type: &str) -> Self {
         if MAPPED_TYPES.binary_search(&scenario_type).is_ok() { Self::MAPPED } else { Self::UNMAPPED }
     }

@@ -1,12 +1,15 @@
-//! Scenario filters as nuPlan users keep them: YAML files, with the keys that Hydra puts into them.
+//! Scenario filters as nuPlan users keep them: YAML files, with the keys that Hydra adds.
 //!
-//! Nothing is ignored in silence: a key that is not known, a value of another type and a field that cannot be honoured are errors with
-//! their line. References to other Hydra files (`${...}`) cannot be followed and are told.
+//! An unknown key, a value of another type and a field that cannot be applied are errors with their line. References to
+//! other Hydra files (`key: ${...}`) cannot be followed: they are errors, or notes where listed tokens decide alone.
 
 use super::filter::{Limit, ScenarioFilter, TokenSet};
 use super::token::Token;
-use saphyr::{LoadableYamlNode, MarkedYaml, Scalar, YamlData};
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+use serde_saphyr::{Error as YamlError, Spanned};
 use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 /// End of the `_target_` of nuPlan's own filter.
@@ -17,265 +20,199 @@ const INTERPLAN: &str = "BenchmarkScenarioFilter";
 /// A filter file that was read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FilterFile {
-    /// The filter.
     pub filter: ScenarioFilter,
-    /// What of the file could not be followed, for the user.
+    /// What of the file could not be applied, for the user.
     pub notes: Vec<String>,
 }
 
 /// What is wrong in a filter file.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FilterFault {
-    /// No YAML.
-    #[error("not YAML: {0}")]
-    Syntax(String),
-    /// No mapping of keys to values.
-    #[error("a scenario filter is a list of `key: value` lines")]
-    NotAMapping,
-    /// A key that nuPlan's filter does not have.
-    #[error("`{0}` is not a field of nuPlan's ScenarioFilter")]
-    UnknownKey(String),
-    /// A value of another type.
+    #[error("not a scenario filter in YAML: {0}")]
+    Yaml(String),
+    #[error("`{0}` is read as a number by YAML: put it in quotes")]
+    Unquoted(String),
     #[error("{key} must be {expected}")]
-    Type {
-        /// The field.
-        key: String,
-        /// What it should be.
-        expected: &'static str,
-    },
-    /// A token that YAML takes for a number.
-    #[error("the token `{0}` is read as a number by YAML: put it in quotes")]
-    UnquotedToken(String),
-    /// No token.
-    #[error("`{0}` is no token: expected 16 hexadecimal digits in quotes")]
-    NotAToken(String),
-    /// A token again.
+    Value { key: &'static str, expected: &'static str },
     #[error("the token {token} stands in line {first} already")]
-    DuplicateToken {
-        /// Which.
-        token: Token,
-        /// Where it stands first.
-        first: usize,
-    },
-    /// An empty list, which nothing would pass.
+    DuplicateToken { token: Token, first: u64 },
     #[error("{0} is an empty list, which no scenario passes; write null to let all pass")]
-    EmptyList(String),
-    /// A reference that cannot be followed and without which the filter means something else.
+    EmptyList(&'static str),
     #[error(
-        "{key} refers to {reference}, which lies in nuPlan's own configuration: write the names out or list scenario_tokens"
+        "{key} refers to {target}, which lies in nuPlan's own configuration: write the names out or list scenario_tokens"
     )]
-    Reference {
-        /// The field.
-        key: String,
-        /// The reference.
-        reference: String,
-    },
-    /// Single-frame scenarios.
-    #[error("expand_scenarios makes scenarios of a single frame, in which nothing can be driven: set it to false")]
+    Reference { key: String, target: String },
+    #[error("expand_scenarios makes scenarios of a single frame, which cannot be simulated: set it to false")]
     ExpandScenarios,
-    /// interPlan's filter.
     #[error(
-        "this is interPlan's filter: its tokens (as d480a5d2b0fe5fe6-dlgloa) name scenarios whose traffic and goal interPlan's own \
+        "this is interPlan's filter: its tokens (as d480a5d2b0fe5fe6-dlgloa) name scenarios whose agents and goal interPlan's own \
          code rewrites; they are not in nuPlan's logs"
     )]
     InterPlan,
-    /// A filter of something else.
     #[error("_target_ is `{0}`, not nuPlan's ScenarioFilter")]
     Target(String),
-    /// One of the two fields of a token set.
-    #[error("token_set_path and fraction_in_token_set_threshold belong together")]
+    #[error("token_set_path and fraction_in_token_set_threshold belong together: give both or neither")]
     HalfTokenSet,
 }
 
 /// Why a filter file cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum FilterError {
-    /// The file cannot be read.
     #[error("{}: cannot open: {source}", path.display())]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// Something is wrong in it.
+    Io { path: PathBuf, source: std::io::Error },
     #[error("{}, line {line}: {fault}", path.display())]
-    Content {
-        /// Which file.
-        path: PathBuf,
-        /// Which line, from 1.
-        line: usize,
-        /// What.
-        fault: FilterFault,
-    },
+    Content { path: PathBuf, line: u64, fault: FilterFault },
 }
 
+/// The line, from 1, and what is wrong there.
+type Fault = (u64, FilterFault);
+
 impl FilterFile {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// When it cannot be opened, or says something that cannot be honoured.
     pub fn open(path: &Path) -> Result<Self, FilterError> {
         let text = std::fs::read_to_string(path).map_err(|source| FilterError::Io { path: path.to_owned(), source })?;
         Self::parse(&text).map_err(|(line, fault)| FilterError::Content { path: path.to_owned(), line, fault })
     }
 
     /// Reads the text of a file.
-    ///
-    /// # Errors
-    /// The line from 1 and what is wrong there.
-    pub fn parse(text: &str) -> Result<Self, (usize, FilterFault)> {
-        let documents = MarkedYaml::load_from_str(text)
-            .map_err(|error| (error.marker().line(), FilterFault::Syntax(error.info().to_owned())))?;
-        let Some(document) = documents.first() else { return Err((1, FilterFault::NotAMapping)) };
-        let YamlData::Mapping(mapping) = &document.data else {
-            return Err((document.span.start.line(), FilterFault::NotAMapping));
-        };
-        let mut reader = Reader { text, ..Reader::default() };
-        for (key, value) in mapping {
-            let line = key.span.start.line();
-            let Some(name) = string(key) else { return Err((line, FilterFault::UnknownKey(reader.source(key)))) };
-            reader.field(name, line, value)?;
+    fn parse(text: &str) -> Result<Self, Fault> {
+        let (text, references) = without_references(text);
+        // Without a schema a plain scalar that reads as a number is no text: the devkit would read it as a number.
+        let options = serde_saphyr::options! { no_schema: true, strict_booleans: true, with_snippet: false };
+        // Another program's filter is recognized before its fields are judged.
+        if let Ok(Kind { _target_: Some(target) }) = serde_saphyr::from_str(&text) {
+            check_target(&target.value).map_err(|fault| (line_of(&target), fault))?;
         }
-        reader.finish()
+        let fields: Fields = serde_saphyr::from_str_with_options(&text, options).map_err(|error| yaml_fault(&error))?;
+        fields.apply(references)
     }
 }
 
-type Node<'a> = MarkedYaml<'a>;
-type Fault = (usize, FilterFault);
-
-#[derive(Default)]
-struct Reader<'t> {
-    text: &'t str,
-    filter: ScenarioFilter,
-    notes: Vec<String>,
-    /// References that matter unless tokens are listed: field, reference, line.
-    references: Vec<(String, String, usize)>,
-    token_set_path: Option<(PathBuf, usize)>,
-    token_set_fraction: Option<(f64, usize)>,
+fn yaml_fault(error: &YamlError) -> Fault {
+    let fault = match error {
+        YamlError::QuotingRequired { value, .. } => FilterFault::Unquoted(value.clone()),
+        other => FilterFault::Yaml(other.to_string()),
+    };
+    (error.location().map_or(1, |location| location.line().max(1)), fault)
 }
 
-impl Reader<'_> {
-    fn field(&mut self, key: &str, key_line: usize, value: &Node<'_>) -> Result<(), Fault> {
-        let line = value.span.start.line().max(key_line);
-        if let Some(reference) = string(value).filter(|text| text.starts_with("${")) {
-            self.references.push((key.to_owned(), reference.to_owned(), line));
-            return Ok(());
-        }
-        let wrong = |expected: &'static str| (line, FilterFault::Type { key: key.to_owned(), expected });
-        let amount = || match number(value) {
-            None if is_null(value) => Ok(None),
-            Some(number) if number.is_finite() && number >= 0.0 => Ok(Some(number)),
-            _ => Err(wrong("a number from 0 on, or null")),
-        };
-        let flag = || match &value.data {
-            YamlData::Value(Scalar::Boolean(flag)) => Ok(*flag),
-            YamlData::Value(Scalar::Null) => Ok(false),
-            _ => Err(wrong("true or false")),
-        };
-        let filter = &mut self.filter;
-        match key {
-            "_target_" => return target(string(value).unwrap_or_default()).map_err(|fault| (line, fault)),
-            "defaults" => self.notes.push(format!("line {key_line}: the files that `defaults` names are not read")),
-            "scenario_types" => filter.scenario_types = names(key, value)?,
-            "scenario_tokens" => self.filter.scenario_tokens = self.tokens(key, value)?,
-            "log_names" => filter.log_names = names(key, value)?,
-            "map_names" => filter.map_names = names(key, value)?,
-            "num_scenarios_per_type" => {
-                filter.num_scenarios_per_type = match &value.data {
-                    YamlData::Value(Scalar::Null) => None,
-                    YamlData::Value(Scalar::Integer(count)) if *count > 0 => Some(*count as usize),
-                    _ => return Err(wrong("a whole number above 0, or null")),
-                }
-            }
-            "limit_total_scenarios" => {
-                filter.limit_total_scenarios = match &value.data {
-                    YamlData::Value(Scalar::Null) => None,
-                    YamlData::Value(Scalar::Integer(count)) if *count > 0 => Some(Limit::Count(*count as usize)),
-                    YamlData::Value(Scalar::FloatingPoint(share)) if share.0 > 0.0 && share.0 < 1.0 => {
-                        Some(Limit::Fraction(share.0))
-                    }
-                    _ => return Err(wrong("a whole number above 0, a share between 0.0 and 1.0, or null")),
-                }
-            }
-            "timestamp_threshold_s" => filter.timestamp_threshold_s = amount()?,
-            "ego_displacement_minimum_m" => filter.ego_displacement_minimum_m = amount()?,
-            "ego_start_speed_threshold" => filter.ego_start_speed_threshold = amount()?,
-            "ego_stop_speed_threshold" => filter.ego_stop_speed_threshold = amount()?,
-            "speed_noise_tolerance" => filter.speed_noise_tolerance = amount()?,
-            "ego_route_radius" => filter.ego_route_radius = amount()?,
-            "expand_scenarios" if flag()? => return Err((line, FilterFault::ExpandScenarios)),
-            "_convert_" | "expand_scenarios" => {}
-            "remove_invalid_goals" => filter.remove_invalid_goals = flag()?,
-            "shuffle" => filter.shuffle = flag()?,
-            "token_set_path" if is_null(value) => {}
-            "token_set_path" => {
-                let path = string(value).ok_or_else(|| wrong("the path of a JSON file, or null"))?;
-                self.token_set_path = Some((PathBuf::from(path), line));
-            }
-            "fraction_in_token_set_threshold" => match amount()? {
-                Some(share) if share > 1.0 => return Err(wrong("a share from 0 to 1")),
-                share => self.token_set_fraction = share.map(|share| (share, line)),
-            },
-            _ => return Err((key_line, FilterFault::UnknownKey(key.to_owned()))),
-        }
-        Ok(())
-    }
+/// A field that refers to another Hydra file.
+struct Reference {
+    line: u64,
+    key: String,
+    target: String,
+}
 
-    fn finish(mut self) -> Result<FilterFile, Fault> {
-        for (key, reference, line) in &self.references {
-            if self.filter.scenario_tokens.is_none() || key == "scenario_tokens" {
-                let (key, reference) = (key.clone(), reference.clone());
-                return Err((*line, FilterFault::Reference { key, reference }));
+/// A text with null in place of the references, and the references.
+fn without_references(text: &str) -> (String, Vec<Reference>) {
+    let mut references = Vec::new();
+    let mut lines = Vec::new();
+    for (line, number) in text.lines().zip(1..) {
+        let target = |value: &str| value.trim().trim_matches(['\'', '"']).to_owned();
+        match line.split_once(':').map(|(key, value)| (key, target(value))) {
+            Some((key, target)) if target.starts_with("${") => {
+                references.push(Reference { line: number, key: key.trim().to_owned(), target });
+                lines.push(format!("{key}: null"));
             }
-            self.notes.push(format!(
-                "line {line}: {key} refers to {reference}, which is not known here; the listed tokens decide alone"
+            _ => lines.push(line.to_owned()),
+        }
+    }
+    (lines.join("\n"), references)
+}
+
+type Field<T> = Option<Spanned<T>>;
+
+/// What the file configures.
+#[derive(Deserialize)]
+struct Kind {
+    _target_: Field<String>,
+}
+
+/// The fields of a file, by nuPlan's and Hydra's names.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, expecting = "`key: value` lines")]
+struct Fields {
+    #[serde(rename = "_target_")]
+    _target: Option<IgnoredAny>,
+    #[serde(rename = "_convert_")]
+    _convert: Option<IgnoredAny>,
+    defaults: Field<IgnoredAny>,
+    scenario_types: Field<Vec<String>>,
+    scenario_tokens: Field<Vec<Spanned<Token>>>,
+    log_names: Field<Vec<String>>,
+    map_names: Field<Vec<String>>,
+    num_scenarios_per_type: Option<NonZeroUsize>,
+    limit_total_scenarios: Field<TotalLimit>,
+    timestamp_threshold_s: Field<f64>,
+    ego_displacement_minimum_m: Field<f64>,
+    expand_scenarios: Field<bool>,
+    remove_invalid_goals: Option<bool>,
+    shuffle: Option<bool>,
+    ego_start_speed_threshold: Field<f64>,
+    ego_stop_speed_threshold: Field<f64>,
+    speed_noise_tolerance: Field<f64>,
+    token_set_path: Field<PathBuf>,
+    fraction_in_token_set_threshold: Field<f64>,
+    ego_route_radius: Field<f64>,
+}
+
+/// nuPlan's limit: a whole number counts, a number with a point is a share.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(untagged, expecting = "expected a whole number above 0, a share between 0.0 and 1.0, or null")]
+enum TotalLimit {
+    Count(NonZeroUsize),
+    Share(f64),
+}
+
+impl Fields {
+    fn apply(self, references: Vec<Reference>) -> Result<FilterFile, Fault> {
+        let mut notes = Vec::new();
+        if let Some(defaults) = &self.defaults {
+            notes.push(format!("line {}: the files that `defaults` names are not read", line_of(defaults)));
+        }
+        if let Some(expand) = self.expand_scenarios.filter(|expand| expand.value) {
+            return Err((line_of(&expand), FilterFault::ExpandScenarios));
+        }
+        let scenario_tokens = list("scenario_tokens", self.scenario_tokens)?.map(distinct).transpose()?;
+        for Reference { line, key, target } in references {
+            if scenario_tokens.is_none() {
+                return Err((line, FilterFault::Reference { key, target }));
+            }
+            notes.push(format!(
+                "line {line}: {key} refers to {target}, which is not known here; the listed tokens decide alone"
             ));
         }
-        self.filter.token_set = match (self.token_set_path, self.token_set_fraction) {
-            (None, None) => None,
-            (Some((path, _)), Some((fraction, _))) => Some(TokenSet { path, fraction }),
-            (Some((_, line)), None) | (None, Some((_, line))) => return Err((line, FilterFault::HalfTokenSet)),
+        let filter = ScenarioFilter {
+            scenario_types: list("scenario_types", self.scenario_types)?,
+            scenario_tokens,
+            log_names: list("log_names", self.log_names)?,
+            map_names: list("map_names", self.map_names)?,
+            num_scenarios_per_type: self.num_scenarios_per_type.map(NonZeroUsize::get),
+            limit_total_scenarios: self.limit_total_scenarios.map(limit).transpose()?,
+            timestamp_threshold_s: amount("timestamp_threshold_s", self.timestamp_threshold_s)?,
+            ego_displacement_minimum_m: amount("ego_displacement_minimum_m", self.ego_displacement_minimum_m)?,
+            remove_invalid_goals: self.remove_invalid_goals.unwrap_or_default(),
+            shuffle: self.shuffle.unwrap_or_default(),
+            ego_start_speed_threshold: amount("ego_start_speed_threshold", self.ego_start_speed_threshold)?,
+            ego_stop_speed_threshold: amount("ego_stop_speed_threshold", self.ego_stop_speed_threshold)?,
+            speed_noise_tolerance: amount("speed_noise_tolerance", self.speed_noise_tolerance)?,
+            token_set: token_set(self.token_set_path, self.fraction_in_token_set_threshold)?,
+            ego_route_radius: amount("ego_route_radius", self.ego_route_radius)?,
+            ..ScenarioFilter::default()
         };
-        if self.filter.shuffle {
-            self.notes.push(format!(
-                "shuffle: drawn with seed {}; the devkit's order differs from run to run",
-                self.filter.seed
-            ));
+        if filter.shuffle {
+            notes.push(format!("shuffle: drawn with seed {}; the devkit's order differs from run to run", filter.seed));
         }
-        Ok(FilterFile { filter: self.filter, notes: self.notes })
-    }
-
-    fn tokens(&self, key: &str, value: &Node<'_>) -> Result<Option<Vec<Token>>, Fault> {
-        let Some(items) = list(key, value)? else { return Ok(None) };
-        let mut lines: BTreeMap<Token, usize> = BTreeMap::new();
-        let mut tokens = Vec::with_capacity(items.len());
-        for item in items {
-            let line = item.span.start.line();
-            let Some(text) = string(item) else {
-                let source = self.source(item);
-                let numeric = matches!(item.data, YamlData::Value(Scalar::Integer(_) | Scalar::FloatingPoint(_)));
-                let fault = if numeric { FilterFault::UnquotedToken(source) } else { FilterFault::NotAToken(source) };
-                return Err((line, fault));
-            };
-            let token: Token = text.parse().map_err(|_| (line, FilterFault::NotAToken(text.to_owned())))?;
-            if let Some(first) = lines.insert(token, line) {
-                return Err((line, FilterFault::DuplicateToken { token, first }));
-            }
-            tokens.push(token);
-        }
-        Ok(Some(tokens))
-    }
-
-    /// What stands in the file where a node is, without the dash of its list entry.
-    fn source(&self, node: &Node<'_>) -> String {
-        let (start, end) = (node.span.start.index(), node.span.end.index());
-        let source: String = self.text.chars().skip(start).take(end.saturating_sub(start).min(40)).collect();
-        source.trim().to_owned()
+        Ok(FilterFile { filter, notes })
     }
 }
 
-fn target(name: &str) -> Result<(), FilterFault> {
+fn line_of<T>(value: &Spanned<T>) -> u64 {
+    value.referenced.line()
+}
+
+fn check_target(name: &str) -> Result<(), FilterFault> {
     if name.ends_with(INTERPLAN) {
         Err(FilterFault::InterPlan)
     } else if name.ends_with(TARGET) {
@@ -285,43 +222,56 @@ fn target(name: &str) -> Result<(), FilterFault> {
     }
 }
 
-fn string<'a>(node: &'a Node<'_>) -> Option<&'a str> {
-    match &node.data {
-        YamlData::Value(Scalar::String(text)) => Some(text),
-        _ => None,
+/// The entries of a list that is not empty.
+fn list<T>(key: &'static str, value: Field<Vec<T>>) -> Result<Option<Vec<T>>, Fault> {
+    match value {
+        Some(list) if list.value.is_empty() => Err((line_of(&list), FilterFault::EmptyList(key))),
+        list => Ok(list.map(|list| list.value)),
     }
 }
 
-fn number(node: &Node<'_>) -> Option<f64> {
-    match &node.data {
-        YamlData::Value(Scalar::Integer(number)) => Some(*number as f64),
-        YamlData::Value(Scalar::FloatingPoint(number)) => Some(number.0),
-        _ => None,
-    }
-}
-
-fn is_null(node: &Node<'_>) -> bool {
-    matches!(node.data, YamlData::Value(Scalar::Null))
-}
-
-/// The entries of a list that is not empty; `None` for null.
-fn list<'a, 'i>(key: &str, value: &'a Node<'i>) -> Result<Option<&'a [Node<'i>]>, Fault> {
-    let line = value.span.start.line();
-    match &value.data {
-        YamlData::Value(Scalar::Null) => Ok(None),
-        YamlData::Sequence(items) if items.is_empty() => Err((line, FilterFault::EmptyList(key.to_owned()))),
-        YamlData::Sequence(items) => Ok(Some(items)),
-        _ => Err((line, FilterFault::Type { key: key.to_owned(), expected: "a list, or null" })),
-    }
-}
-
-fn names(key: &str, value: &Node<'_>) -> Result<Option<Vec<String>>, Fault> {
-    let Some(items) = list(key, value)? else { return Ok(None) };
-    let name = |item: &Node<'_>| {
-        let fault = FilterFault::Type { key: key.to_owned(), expected: "a list of names" };
-        string(item).map(str::to_owned).ok_or((item.span.start.line(), fault))
+fn distinct(tokens: Vec<Spanned<Token>>) -> Result<Vec<Token>, Fault> {
+    let mut lines: BTreeMap<Token, u64> = BTreeMap::new();
+    let once = |token: Spanned<Token>| match lines.insert(token.value, line_of(&token)) {
+        Some(first) => Err((line_of(&token), FilterFault::DuplicateToken { token: token.value, first })),
+        None => Ok(token.value),
     };
-    items.iter().map(name).collect::<Result<_, _>>().map(Some)
+    tokens.into_iter().map(once).collect()
+}
+
+fn amount(key: &'static str, value: Field<f64>) -> Result<Option<f64>, Fault> {
+    match value {
+        Some(amount) if !(amount.value.is_finite() && amount.value >= 0.0) => {
+            Err((line_of(&amount), FilterFault::Value { key, expected: "a number from 0 on, or null" }))
+        }
+        amount => Ok(amount.map(|amount| amount.value)),
+    }
+}
+
+fn limit(value: Spanned<TotalLimit>) -> Result<Limit, Fault> {
+    match value.value {
+        TotalLimit::Count(count) => Ok(Limit::Count(count.get())),
+        TotalLimit::Share(share) if share > 0.0 && share < 1.0 => Ok(Limit::Fraction(share)),
+        TotalLimit::Share(_) => {
+            let expected = "a whole number above 0, a share between 0.0 and 1.0, or null";
+            Err((line_of(&value), FilterFault::Value { key: "limit_total_scenarios", expected }))
+        }
+    }
+}
+
+fn token_set(path: Field<PathBuf>, fraction: Field<f64>) -> Result<Option<TokenSet>, Fault> {
+    match (path, fraction) {
+        (None, None) => Ok(None),
+        (Some(path), Some(fraction)) if (0.0..=1.0).contains(&fraction.value) => {
+            Ok(Some(TokenSet { path: path.value, fraction: fraction.value }))
+        }
+        (Some(_), Some(fraction)) => {
+            let (key, expected) = ("fraction_in_token_set_threshold", "a share from 0 to 1, or null");
+            Err((line_of(&fraction), FilterFault::Value { key, expected }))
+        }
+        (Some(path), None) => Err((line_of(&path), FilterFault::HalfTokenSet)),
+        (None, Some(fraction)) => Err((line_of(&fraction), FilterFault::HalfTokenSet)),
+    }
 }
 
 #[cfg(test)]
@@ -349,19 +299,19 @@ mod tests {
         assert!(filter.remove_invalid_goals && !filter.shuffle && filter.log_names.is_none());
         assert_eq!(file.notes.len(), 1, "{:?}", file.notes);
         assert!(file.notes[0].contains("line 8") && file.notes[0].contains("${splitter.log_splits.val}"));
+        let limit = |text: &str| FilterFile::parse(text).unwrap().filter.limit_total_scenarios;
+        assert_eq!(limit("limit_total_scenarios: 3\n"), Some(Limit::Count(3)));
+        assert_eq!(limit("limit_total_scenarios: null\n"), None);
     }
 
     #[test]
-    fn tokens_that_yaml_reads_as_numbers_are_told_with_their_line() {
-        let (line, fault_) = fault("scenario_tokens:\n  - '0488dbdf03b55f00'\n  - 1234567890123456\n");
-        assert_eq!((line, fault_), (3, FilterFault::UnquotedToken("1234567890123456".to_owned())));
-        assert!(FilterFault::UnquotedToken("1".to_owned()).to_string().contains("in quotes"));
-        let (line, fault_) = fault("scenario_tokens:\n  - 12345678901234e5\n");
-        assert_eq!((line, fault_), (2, FilterFault::UnquotedToken("12345678901234e5".to_owned())));
-        assert_eq!(
-            fault("scenario_tokens: ['0488dbdf03b55f0']"),
-            (1, FilterFault::NotAToken("0488dbdf03b55f0".to_owned()))
-        );
+    fn tokens_that_yaml_reads_as_numbers_are_reported_with_their_line() {
+        let unquoted = |text: &str| FilterFault::Unquoted(text.to_owned());
+        let text = "scenario_tokens:\n  - '0488dbdf03b55f00'\n  - 1234567890123456\n";
+        assert_eq!(fault(text), (3, unquoted("1234567890123456")));
+        assert_eq!(fault("scenario_tokens:\n  - 12345678901234e5\n"), (2, unquoted("12345678901234e5")));
+        let (line, fault_) = fault("scenario_tokens:\n  - '0488dbdf03b55f0'");
+        assert!(line == 2 && fault_.to_string().contains("`0488dbdf03b55f0` is no token"), "{fault_}");
         let twice = fault("scenario_tokens:\n- '0488dbdf03b55f00'\n- '0488DBDF03B55F00'\n");
         let token = "0488dbdf03b55f00".parse().unwrap();
         assert_eq!(twice, (3, FilterFault::DuplicateToken { token, first: 2 }));
@@ -369,19 +319,31 @@ mod tests {
 
     #[test]
     fn nothing_is_ignored_in_silence() {
-        assert_eq!(fault("shufle: true\n"), (1, FilterFault::UnknownKey("shufle".to_owned())));
-        assert_eq!(fault("shuffle: true\nexpand_scenarios: true\n"), (2, FilterFault::ExpandScenarios));
-        assert_eq!(fault("scenario_types: []\n"), (1, FilterFault::EmptyList("scenario_types".to_owned())));
-        assert!(matches!(fault("timestamp_threshold_s: -1\n"), (1, FilterFault::Type { .. })));
-        assert!(matches!(fault("num_scenarios_per_type: 1.5\n"), (1, FilterFault::Type { .. })));
-        assert!(matches!(fault("limit_total_scenarios: 1.0\n"), (1, FilterFault::Type { .. })));
-        assert!(matches!(fault("log_names: ${x}\n"), (1, FilterFault::Reference { .. })));
-        assert!(matches!(fault("token_set_path: a.json\n"), (1, FilterFault::HalfTokenSet)));
-        assert!(matches!(fault("_target_: a.BenchmarkScenarioFilter\n"), (1, FilterFault::InterPlan)));
-        assert!(matches!(fault("_target_: a.SceneFilter\n"), (1, FilterFault::Target(_))));
-        assert!(matches!(fault("shuffle: true\nshuffle: false\n"), (2, FilterFault::Syntax(_))));
-        assert!(matches!(fault("- a\n"), (1, FilterFault::NotAMapping)));
-        assert!(matches!(fault(""), (1, FilterFault::NotAMapping)));
-        assert!(matches!(fault("a: [\n"), (_, FilterFault::Syntax(_))));
+        for (text, line, part) in [
+            ("shufle: true\n", 1, "shufle"),
+            ("shuffle: true\nexpand_scenarios: true\n", 2, "set it to false"),
+            ("scenario_types: []\n", 1, "scenario_types is an empty list"),
+            ("shuffle: true\ntimestamp_threshold_s: -1\n", 2, "timestamp_threshold_s must be a number from 0 on"),
+            ("timestamp_threshold_s: soon\n", 1, "soon"),
+            ("num_scenarios_per_type: 1.5\n", 1, "1.5"),
+            ("num_scenarios_per_type: 0\n", 1, "nonzero"),
+            ("limit_total_scenarios: 1.0\n", 1, "a share between 0.0 and 1.0"),
+            ("limit_total_scenarios: half\n", 1, "a share between 0.0 and 1.0"),
+            ("log_names: ${x}\n", 1, "log_names refers to ${x}"),
+            ("scenario_tokens: ${x}\n", 1, "scenario_tokens refers to ${x}"),
+            ("token_set_path: a.json\n", 1, "belong together"),
+            ("_target_: a.BenchmarkScenarioFilter\n", 1, "interPlan"),
+            ("_target_: a.SceneFilter\n", 1, "`a.SceneFilter`"),
+            ("shuffle: true\nshuffle: false\n", 2, "shuffle"),
+            ("shuffle: maybe\n", 1, "YAML"),
+            ("- a\n", 1, "`key: value` lines"),
+            ("scenario_types: 5\n", 1, "YAML"),
+            ("a: [\n", 1, "YAML"),
+            ("", 1, "YAML"),
+        ] {
+            let (at, fault) = fault(text);
+            assert!(fault.to_string().contains(part), "{text}: {fault}");
+            assert!(at == line || text == "a: [\n", "{text}: line {at}");
+        }
     }
 }

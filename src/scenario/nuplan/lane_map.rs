@@ -1,17 +1,16 @@
 //! The lane map of a `map.gpkg`, with nuPlan's derived relations.
 //!
-//! * Lanes lead into the connectors whose `exit_lane_fid` they are, and come from those whose `entry_lane_fid` they are.
-//! * Neighbours of a lane are those of its lane group whose `lane_index` is one less (left) or one more (right), all along.
+//! * A connector succeeds the lane of its `exit_lane_fid` and precedes the lane of its `entry_lane_fid`.
+//! * The left and right neighbors of a lane have a `lane_index` of one less and one more in its lane group, along its length.
 //! * Lane groups are roadblocks, lane group connectors are roadblock connectors.
-//! * A connector has traffic lights when `traffic_light_stop_line_fids` names any stop polygon. Its stop lines are those of them that
-//!   meet its baseline; when none does, the one nearest to the start of the baseline.
-//! * A connector without traffic lights takes the stop-sign polygons that name it in `lane_connector_fids`; nuPlan's simulation never asks
-//!   for them.
+//! * A connector has traffic lights when `traffic_light_stop_line_fids` names any stop polygon. Of these, its stop lines are
+//!   those that meet its baseline; when none does, the one nearest to the start of the baseline.
+//! * A connector without traffic lights has the stop-sign polygons that name it in `lane_connector_fids`; nuPlan's simulation
+//!   does not use them.
 
 use super::error::{CellFault, CellPlace, NuPlanError, RowName};
 use super::layers::{ConnectorRow, Layers, StopRow, largest};
-use super::map_store::NuPlanMap;
-use crate::geometry::{Polygon, Polyline};
+use crate::geometry::{Polygon, Polyline, Pose, Vector};
 use crate::world::{Lane, LaneId, LaneKind, LaneMap, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -20,7 +19,39 @@ use std::sync::Arc;
 /// `stop_polygon_type_fid` of a stop sign (devkit `StopLineType`).
 const STOP_SIGN: i64 = 1;
 
-/// Reads a map file; also gives what a user should know about it.
+/// The map of a location in local meters.
+#[derive(Debug, Clone)]
+pub struct NuPlanMap {
+    /// Its name holds location, version, projection and origin.
+    pub lanes: Arc<LaneMap>,
+    /// Easting and northing of the map's (0, 0), m.
+    pub origin: Vector,
+    /// By fid.
+    connectors: BTreeMap<i64, LaneId>,
+    /// By fid.
+    roadblocks: BTreeMap<i64, RoadblockId>,
+    /// By fid.
+    roadblock_connectors: BTreeMap<i64, RoadblockId>,
+}
+
+impl NuPlanMap {
+    /// The roadblock of this fid, else the roadblock connector.
+    pub fn roadblock(&self, fid: i64) -> Option<RoadblockId> {
+        self.roadblocks.get(&fid).or_else(|| self.roadblock_connectors.get(&fid)).copied()
+    }
+
+    /// The lane connector of this fid.
+    pub fn connector(&self, fid: i64) -> Option<LaneId> {
+        self.connectors.get(&fid).copied()
+    }
+
+    /// A pose of the projection in local meters.
+    pub fn to_local(&self, pose: Pose) -> Pose {
+        Pose { x: pose.x - self.origin.x, y: pose.y - self.origin.y, ..pose }
+    }
+}
+
+/// Reads a map file; also returns notes for the user.
 pub(super) fn read(path: &Path, location: &str, version: &str) -> Result<(NuPlanMap, Vec<String>), NuPlanError> {
     let mut layers = Layers::read(path)?;
     let origin = layers.origin;
@@ -42,7 +73,7 @@ pub(super) fn read(path: &Path, location: &str, version: &str) -> Result<(NuPlan
         generic_drivable: layers.generic_drivable,
         carparks: layers.carparks,
     };
-    let lanes = LaneMap::new(parts).map_err(|source| NuPlanError::Map { path: path.to_owned(), source })?;
+    let lanes = LaneMap::new(parts).map_err(|fault| NuPlanError::file(path, fault.into()))?;
     let Ids { connectors, lane_groups, group_connectors, .. } = ids;
     let map = NuPlanMap {
         lanes: Arc::new(lanes),
@@ -57,7 +88,7 @@ pub(super) fn read(path: &Path, location: &str, version: &str) -> Result<(NuPlan
     Ok((map, note.into_iter().collect()))
 }
 
-/// Where the rows of the layers stand in the map, by their fids.
+/// Ids in the map of the rows of each layer, by fid.
 struct Ids<'a> {
     path: &'a Path,
     lanes: BTreeMap<i64, LaneId>,
@@ -163,7 +194,7 @@ impl<'a> Ids<'a> {
         connectors.iter().map(connector).collect()
     }
 
-    /// Links lanes and connectors; gives the number of ends that name lanes which do not exist.
+    /// Links lanes and connectors; the number of connector ends whose lanes do not exist.
     fn link(&self, layers: &Layers, lanes: &mut [Lane]) -> usize {
         let mut open_ends = 0;
         for row in &layers.connectors {
@@ -186,7 +217,7 @@ impl<'a> Ids<'a> {
         open_ends
     }
 
-    /// Gives connectors their stop lines, and all stop polygons the connectors that stop there.
+    /// Adds the stop lines to the connectors; returns them with the lanes that stop there.
     fn stop(&self, layers: &Layers, lanes: &mut [Lane]) -> Result<Vec<StopLine>, NuPlanError> {
         for row in &layers.connectors {
             let Some(&connector) = self.connectors.get(&row.fid) else { continue };
@@ -266,15 +297,14 @@ impl<'a> Ids<'a> {
     }
 }
 
-fn cell(path: &Path, table: &str, fid: i64, column: &'static str, fault: CellFault) -> NuPlanError {
-    let place = CellPlace { path: path.to_owned(), table: table.to_owned(), column, row: RowName::Fid(fid) };
-    NuPlanError::Cell { place: Box::new(place), fault: Box::new(fault) }
+fn cell(path: &Path, table: &'static str, fid: i64, column: &'static str, fault: CellFault) -> NuPlanError {
+    NuPlanError::cell(CellPlace { path: path.to_owned(), table, column, row: RowName::Fid(fid) }, fault)
 }
 
-/// The place of each row by its fid, which no other row may have.
+/// The id of each row by its fid, which must be unique.
 fn places<Id>(
     path: &Path,
-    table: &str,
+    table: &'static str,
     fids: impl Iterator<Item = i64>,
     id: impl Fn(usize) -> Id,
 ) -> Result<BTreeMap<i64, Id>, NuPlanError> {
@@ -287,7 +317,7 @@ fn places<Id>(
     Ok(places)
 }
 
-/// Of the named stop polygons those that meet the baseline, else the one nearest to its start.
+/// Of the named stop polygons, those that meet the baseline, else the one nearest to its start.
 fn stop_lines_of(baseline: &Polyline, named: &[StopLineId], stops: &[StopRow]) -> Vec<StopLineId> {
     let area = |id: StopLineId| &stops[id.index()].area;
     let met: Vec<StopLineId> = named.iter().copied().filter(|&id| area(id).meets_line(baseline)).collect();

@@ -1,63 +1,19 @@
-//! The layers of a `map.gpkg`, decoded: shapes in metres of the map, ids as they are.
+//! The layers of a `map.gpkg`, decoded: shapes in local meters, ids unchanged.
 
-use super::database::{Database, Record, Table};
-use super::error::{CellFault, NuPlanError};
+use super::database::{Database, Record};
+use super::error::{CellFault, FileFault, NuPlanError};
 use super::geometry_blob::{decode_line, decode_polygons};
 use super::projection::{ProjectionError, Utm, WGS84};
+use super::schema::{
+    BASELINE_PATHS, CARPARK_AREAS, CONNECTOR_AREAS, CROSSWALKS, GENERIC_DRIVABLE_AREAS, INTERSECTIONS, LANE_CONNECTORS,
+    LANE_GROUP_CONNECTORS, LANE_GROUPS, LANES, META, PROJECTION_KEY, READ_LAYERS, ROAD_SEGMENTS, STOP_POLYGONS, Table,
+};
 use crate::geometry::{Point, Polygon, Polyline, Vector};
 use geo::{Coord, LineString};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-const LANES: Table = Table {
-    name: "lanes_polygons",
-    columns: &["fid", "lane_fid", "lane_group_fid", "lane_index", "speed_limit_mps", "geom"],
-};
-const CONNECTORS: Table = Table {
-    name: "lane_connectors",
-    columns: &[
-        "fid",
-        "exit_lane_fid",
-        "entry_lane_fid",
-        "lane_group_connector_fid",
-        "speed_limit_mps",
-        "traffic_light_stop_line_fids",
-    ],
-};
-const CONNECTOR_AREAS: Table =
-    Table { name: "gen_lane_connectors_scaled_width_polygons", columns: &["fid", "lane_connector_fid", "geom"] };
-const BASELINES: Table = Table { name: "baseline_paths", columns: &["fid", "lane_fid", "lane_connector_fid", "geom"] };
-const LANE_GROUPS: Table = Table { name: "lane_groups_polygons", columns: &["fid", "geom"] };
-const GROUP_CONNECTORS: Table =
-    Table { name: "lane_group_connectors", columns: &["fid", "from_lane_group_fid", "to_lane_group_fid", "geom"] };
-const STOPS: Table =
-    Table { name: "stop_polygons", columns: &["fid", "stop_polygon_type_fid", "lane_connector_fids", "geom"] };
-const INTERSECTIONS: Table = Table { name: "intersections", columns: &["fid", "geom"] };
-const CROSSWALKS: Table = Table { name: "crosswalks", columns: &["fid", "geom"] };
-const ROAD_SEGMENTS: Table = Table { name: "road_segments", columns: &["fid", "geom"] };
-const GENERIC_DRIVABLE: Table = Table { name: "generic_drivable_areas", columns: &["fid", "geom"] };
-const CARPARKS: Table = Table { name: "carpark_areas", columns: &["fid", "geom"] };
-const META: Table = Table { name: "meta", columns: &["key", "value"] };
-
-const ALL: [Table; 13] = [
-    LANES,
-    CONNECTORS,
-    CONNECTOR_AREAS,
-    BASELINES,
-    LANE_GROUPS,
-    GROUP_CONNECTORS,
-    STOPS,
-    INTERSECTIONS,
-    CROSSWALKS,
-    ROAD_SEGMENTS,
-    GENERIC_DRIVABLE,
-    CARPARKS,
-    META,
-];
-
-/// The row of `meta` that names the projection.
-const PROJECTION_KEY: &str = "projectedCoordSystem";
-/// The origin of a map lies on a grid of this width, metres.
+/// Grid of map origins, m.
 const ORIGIN_GRID: f64 = 1000.0;
 
 /// A row of `lanes_polygons`.
@@ -72,9 +28,9 @@ pub(super) struct LaneRow {
 /// A row of `lane_connectors`.
 pub(super) struct ConnectorRow {
     pub(super) fid: i64,
-    /// The lane that it comes from (`exit_lane_fid`).
+    /// `exit_lane_fid`: the lane before the connector.
     pub(super) from: i64,
-    /// The lane that it leads into (`entry_lane_fid`).
+    /// `entry_lane_fid`: the lane behind the connector.
     pub(super) into: i64,
     pub(super) group: i64,
     pub(super) speed_limit: Option<f64>,
@@ -117,10 +73,10 @@ pub(super) struct Layers {
 }
 
 impl Layers {
-    /// Reads a map file. The layers are decoded side by side on threads of their own: a caller may hold a lock.
+    /// Reads a map file. The layers are decoded in parallel, not on rayon's threads: the caller holds a lock that they may wait for.
     pub(super) fn read(path: &Path) -> Result<Self, NuPlanError> {
         let database = Database::open(path)?;
-        for table in ALL {
+        for table in READ_LAYERS {
             database.require(table, "a nuPlan map")?;
         }
         let projection = projection(&database)?;
@@ -129,16 +85,22 @@ impl Layers {
         std::thread::scope(|scope| {
             let lanes = scope.spawn(|| source.each(LANES, Source::lane));
             let connector_areas = scope.spawn(|| source.each(CONNECTOR_AREAS, Source::connector_area));
-            let baselines = scope.spawn(|| source.each(BASELINES, Source::baseline));
+            let baselines = scope.spawn(|| source.each(BASELINE_PATHS, Source::baseline));
             let lane_groups =
                 scope.spawn(|| source.each(LANE_GROUPS, |source, r| Ok((r.fid("fid")?, source.areas(r)?))));
-            let group_connectors = scope.spawn(|| source.each(GROUP_CONNECTORS, Source::group_connector));
+            let group_connectors = scope.spawn(|| source.each(LANE_GROUP_CONNECTORS, Source::group_connector));
             let drivable = scope.spawn(|| {
                 let of = |table| source.each(table, Source::areas).map(|rows| rows.concat());
-                Ok([of(ROAD_SEGMENTS)?, of(GENERIC_DRIVABLE)?, of(CARPARKS)?, of(INTERSECTIONS)?, of(CROSSWALKS)?])
+                Ok([
+                    of(ROAD_SEGMENTS)?,
+                    of(GENERIC_DRIVABLE_AREAS)?,
+                    of(CARPARK_AREAS)?,
+                    of(INTERSECTIONS)?,
+                    of(CROSSWALKS)?,
+                ])
             });
-            let stops = source.each(STOPS, Source::stop)?;
-            let connectors = source.each(CONNECTORS, |_, record| connector(record))?;
+            let stops = source.each(STOP_POLYGONS, Source::stop)?;
+            let connectors = source.each(LANE_CONNECTORS, |_, record| connector(record))?;
             let [road_segments, generic_drivable, carparks, intersections, crosswalks] = joined(drivable)?;
             let (lane_baselines, connector_baselines) = split(joined(baselines)?);
             Ok(Self {
@@ -162,12 +124,12 @@ impl Layers {
     }
 }
 
-/// What a thread found; its panic goes on here.
+/// The result of a thread; its panic continues here.
 fn joined<T>(thread: std::thread::ScopedJoinHandle<'_, T>) -> T {
     thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
-/// A baseline and what it belongs to.
+/// A baseline with the fid of its lane or connector.
 enum Baseline {
     Lane(i64, Polyline),
     Connector(i64, Polyline),
@@ -186,21 +148,21 @@ fn split(baselines: Vec<Baseline>) -> (BTreeMap<i64, Polyline>, BTreeMap<i64, Po
 }
 
 fn projection(database: &Database) -> Result<Utm, NuPlanError> {
-    let failed = |reason: String| NuPlanError::MapMeta { path: database.path.clone(), reason };
+    let failed = |reason: String| NuPlanError::file(&database.path, FileFault::MapMeta(reason));
     let name = database.first(META, "WHERE key = ?1", [PROJECTION_KEY], |record| record.text("value"))?;
     let name = name.ok_or_else(|| failed(format!("no row with key `{PROJECTION_KEY}` names the projection")))?;
     Utm::from_name(&name).map_err(|error| failed(format!("key `{PROJECTION_KEY}`: {error}")))
 }
 
-/// The grid point nearest to the start of the first baseline.
+/// The grid point nearest to the start of the first baseline, m.
 fn origin(database: &Database, projection: &Utm) -> Result<Vector, NuPlanError> {
     let source = Source { path: &database.path, projection, origin: Vector::zeros() };
-    let start = database.first(BASELINES, "ORDER BY fid", [], |record| Ok(source.line(record)?.start()))?;
+    let start = database.first(BASELINE_PATHS, "ORDER BY fid", [], |record| Ok(source.line(record)?.start()))?;
     let start = start.map_or_else(Vector::zeros, |start| start.coords);
     Ok(start.map(|metres| (metres / ORIGIN_GRID).round() * ORIGIN_GRID))
 }
 
-/// A map file and how degrees become metres of the map.
+/// A map file, and its projection from degrees to local meters.
 struct Source<'a> {
     path: &'a Path,
     projection: &'a Utm,
@@ -208,7 +170,7 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// All rows of a layer in order of their fids, over a connection of its own.
+    /// All rows of a layer in order of fids, over a connection of its own.
     fn each<T>(
         &self,
         table: Table,
@@ -303,7 +265,7 @@ fn connector(record: &Record<'_>) -> Result<ConnectorRow, NuPlanError> {
     })
 }
 
-/// A speed limit, m/s; NULL and NaN both say that there is none.
+/// A speed limit, m/s; NULL and NaN both mean none.
 fn speed_limit(record: &Record<'_>) -> Result<Option<f64>, NuPlanError> {
     match record.maybe_float("speed_limit_mps")? {
         Some(limit) if limit.is_infinite() || limit < 0.0 => {
@@ -321,7 +283,7 @@ fn fids(record: &Record<'_>, column: &'static str) -> Result<Vec<i64>, NuPlanErr
     words.map(|word| word.parse().map_err(|_| record.fault(column, unknown(word)))).collect()
 }
 
-/// The largest part of an area that should have one only.
+/// The largest part of an area that should have one part only.
 pub(super) fn largest(areas: Vec<Polygon>) -> Option<Polygon> {
     if areas.len() == 1 {
         return areas.into_iter().next();

@@ -1,6 +1,9 @@
-//! Where logs and maps lie on disk.
+//! Logs on disk.
 
-use super::error::NuPlanError;
+use super::database::Database;
+use super::error::{FileFault, NuPlanError};
+use super::schema::LOG_TABLES;
+use super::token::Token;
 use crate::scenario::DataRoots;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,35 +11,65 @@ use std::sync::Arc;
 
 /// Ending of log databases.
 const LOG_ENDING: &str = "db";
-/// Folders of a nuPlan tree in which no logs lie, but very many files.
+/// Folders of a nuPlan tree that hold no logs, but very many files.
 const WITHOUT_LOGS: [&str; 2] = ["sensor_blobs", "maps"];
-/// Folders below a folder of logs are searched so deep; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
+/// Depth to which folders are searched for logs; nuPlan's own tree needs `nuplan-v1.1/splits/mini`.
 pub const MAX_FOLDER_DEPTH: usize = 5;
 
 /// A log: one database file.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Log {
-    /// Its name: that of the file, without the ending.
+    /// Stem of the file.
     pub name: String,
-    /// The file.
     pub path: PathBuf,
 }
 
 impl Log {
-    /// The log of a file, which need not exist.
+    /// The log of a file, existing or not.
     pub fn at(path: impl Into<PathBuf>) -> Self {
         let path = path.into();
         let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         Self { name, path }
     }
+
+    /// Opens the log and checks that it has every table and column that is read.
+    pub(super) fn open(&self) -> Result<Database, NuPlanError> {
+        let database = Database::open(&self.path)?;
+        for table in LOG_TABLES.into_iter().filter(|table| !table.read_columns().is_empty()) {
+            database.require(table, "a nuPlan log")?;
+        }
+        Ok(database)
+    }
 }
 
-/// Logs, and what a user should know about the search for them.
+/// A scenario of a log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LogScenario {
+    pub log: Arc<Log>,
+    /// Token of the tagged `lidar_pc` row.
+    pub token: Token,
+    /// Alphabetically last of the wanted tags; `unknown` without a tag.
+    pub scenario_type: String,
+    /// Time of the tagged row, µs.
+    pub timestamp_us: i64,
+    /// Name of the map (column `map_version` of table `log`).
+    pub map_name: String,
+}
+
+/// A log that cannot be read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnreadableLog {
+    pub log: Arc<Log>,
+    /// Why, with the path.
+    pub cause: String,
+}
+
+/// The logs of a folder.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Logs {
-    /// In order of their name.
+    /// In order of names.
     pub logs: Vec<Arc<Log>>,
-    /// For example that one log lies in two folders.
+    /// For the user, for example that a log lies in two folders.
     pub notes: Vec<String>,
 }
 
@@ -48,12 +81,9 @@ impl Logs {
     }
 
     /// The log of a file, or all logs in a folder and the folders below. A log that lies in several folders (nuPlan's mini split
-    /// repeats logs) counts once: the first in order of their paths.
-    ///
-    /// # Errors
-    /// When a folder cannot be listed or there is no log.
+    /// repeats logs) counts once: the first path.
     pub fn under(path: &Path) -> Result<Self, NuPlanError> {
-        let io = |source| NuPlanError::Io { path: path.to_owned(), doing: "open", source };
+        let io = |source| NuPlanError::file(path, FileFault::Open(source));
         if !std::fs::metadata(path).map_err(io)?.is_dir() {
             return Ok(Self { logs: vec![Arc::new(Log::at(path))], notes: Vec::new() });
         }
@@ -72,7 +102,7 @@ impl Logs {
             }
         }
         if by_name.is_empty() {
-            return Err(NuPlanError::NoLogs(path.to_owned()));
+            return Err(NuPlanError::file(path, FileFault::NoLogs));
         }
         let notes = again.first().map(|log| {
             format!("{} log(s) lie in two folders and are read once, for example {}", again.len(), log.path.display())
@@ -82,7 +112,7 @@ impl Logs {
 }
 
 fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), NuPlanError> {
-    let io = |source| NuPlanError::Io { path: folder.to_owned(), doing: "list", source };
+    let io = |source| NuPlanError::file(folder, FileFault::List(source));
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let entry = entry.map_err(io)?;
         let path = entry.path();

@@ -1,10 +1,9 @@
-//! Maps by location, each read once in a process.
+//! Cache of maps by location: each is read once in a process.
 
 use super::database::Database;
-use super::error::NuPlanError;
-use super::{lane_map, side_index};
-use crate::geometry::{Pose, Vector};
-use crate::world::{LaneId, LaneMap, RoadblockId};
+use super::error::{FileFault, NuPlanError};
+use super::lane_map::{self, NuPlanMap};
+use super::side_index;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -12,44 +11,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// The list of locations in the maps folder.
 pub const MAPS_INDEX: &str = "nuplan-maps-v1.0.json";
-/// The map of a version of a location.
+/// The map file in the folder of a version.
 const MAP_FILE: &str = "map.gpkg";
-
-/// The map of a location in local metres.
-#[derive(Debug, Clone)]
-pub struct NuPlanMap {
-    /// The map; its name says location, version, projection and origin.
-    pub lanes: Arc<LaneMap>,
-    /// The place of the projection (easting, northing, metres) that is (0, 0) of the map.
-    pub origin: Vector,
-    /// Lane connectors by their fid.
-    pub(super) connectors: BTreeMap<i64, LaneId>,
-    /// Roadblocks by their fid.
-    pub(super) roadblocks: BTreeMap<i64, RoadblockId>,
-    /// Roadblock connectors by their fid.
-    pub(super) roadblock_connectors: BTreeMap<i64, RoadblockId>,
-}
-
-impl NuPlanMap {
-    /// The roadblock of this fid, else the roadblock connector.
-    pub fn roadblock(&self, fid: i64) -> Option<RoadblockId> {
-        self.roadblocks.get(&fid).or_else(|| self.roadblock_connectors.get(&fid)).copied()
-    }
-
-    /// The lane connector of this fid.
-    pub fn connector(&self, fid: i64) -> Option<LaneId> {
-        self.connectors.get(&fid).copied()
-    }
-
-    /// A pose of the projection in the map's metres.
-    pub fn to_local(&self, pose: Pose) -> Pose {
-        Pose { x: pose.x - self.origin.x, y: pose.y - self.origin.y, ..pose }
-    }
-}
 
 type Slot = Arc<Mutex<Option<Arc<NuPlanMap>>>>;
 
-/// The maps of a maps folder, and the indices of the logs that are opened with them.
+/// The maps of a maps folder, and the indices of the logs that use them.
 #[derive(Debug)]
 pub struct MapStore {
     root: Option<PathBuf>,
@@ -79,12 +46,9 @@ impl MapStore {
     }
 
     /// The map of a location, as `us-ma-boston`.
-    ///
-    /// # Errors
-    /// When the maps folder, the location or its version is missing, or the map is unsound.
     pub fn map(&self, location: &str) -> Result<Arc<NuPlanMap>, NuPlanError> {
         let slot = lock(&self.maps).entry(location.to_owned()).or_default().clone();
-        // Others who want this map wait here until it is read.
+        // Other threads that need this map wait here until it is read.
         let mut slot = lock(&slot);
         if let Some(map) = &*slot {
             return Ok(map.clone());
@@ -97,10 +61,7 @@ impl MapStore {
         Ok(map)
     }
 
-    /// Checks that the map of a location is there, without reading it.
-    ///
-    /// # Errors
-    /// When the maps folder, the location or its version is missing.
+    /// Checks that the map of a location exists, without reading it.
     pub fn check(&self, location: &str) -> Result<(), NuPlanError> {
         if !lock(&self.checked).contains(location) {
             self.file(location)?;
@@ -109,12 +70,12 @@ impl MapStore {
         Ok(())
     }
 
-    /// What a user should know about the maps and logs that were opened since this was asked last, in alphabetical order.
+    /// Notes for the user about the maps and logs that were opened since the last call, in alphabetical order.
     pub fn take_notes(&self) -> Vec<String> {
         std::mem::take(&mut *lock(&self.notes)).into_iter().collect()
     }
 
-    /// Makes sure that the rows of a log from one time to another (µs) are found quickly.
+    /// Provides indices for the rows of a log between two times, µs.
     pub(super) fn attach_index(&self, log: &Database, times: (i64, i64)) -> Result<side_index::LogIndex, NuPlanError> {
         let found = self.indices.attach(log, times)?;
         lock(&self.notes).extend(found.note.clone());
@@ -126,13 +87,13 @@ impl MapStore {
         let root = self.root.as_deref().ok_or(NuPlanError::NoMapsRoot)?;
         let index = root.join(MAPS_INDEX);
         let text = std::fs::read_to_string(&index)
-            .map_err(|source| NuPlanError::NoMapsIndex { path: index.clone(), source })?;
-        let wrong = |reason: String| NuPlanError::MapsIndex { path: index.clone(), reason };
+            .map_err(|source| NuPlanError::file(&index, FileFault::NoMapsIndex(source)))?;
+        let wrong = |reason: String| NuPlanError::file(&index, FileFault::MapsIndex(reason));
         let known: BTreeMap<String, Value> =
             serde_json::from_str(&text).map_err(|error| wrong(format!("not a JSON object: {error}")))?;
         let Some(entry) = known.get(location) else {
             let (location, known) = (location.to_owned(), known.into_keys().collect());
-            return Err(NuPlanError::UnknownLocation { path: index, location, known });
+            return Err(NuPlanError::file(index, FileFault::UnknownLocation { location, known }));
         };
         let version = entry.get("version").and_then(Value::as_str);
         let version = version.ok_or_else(|| wrong(format!("`{location}` has no version")))?.to_owned();
@@ -141,12 +102,12 @@ impl MapStore {
             Ok((path, version))
         } else {
             let found = versions_in(&root.join(location));
-            Err(NuPlanError::MissingMap { path, found })
+            Err(NuPlanError::file(path, FileFault::MissingMap { found }))
         }
     }
 }
 
-/// A poisoned lock only means that a reader of another map panicked; what is stored is whole.
+/// A poisoned lock means that a reader of another map panicked; the stored values are complete.
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

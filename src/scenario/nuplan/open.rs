@@ -1,32 +1,30 @@
 //! A scenario of a log as [`Scenario`].
 //!
-//! The ego's time is that of the `lidar_pc` row, its pose the rear axle; positions are moved by the map's origin, headings stay.
+//! The time of the ego is that of the `lidar_pc` row, its pose that of the rear axle. Positions are relative to the map's origin.
 
 use super::database::{Database, Record};
 use super::error::{CellFault, NuPlanError, ScenarioFault};
-use super::map_store::{MapStore, NuPlanMap};
-use super::rows::{Rows, Sweep};
-use super::schema::{CATEGORY, EGO_POSE, LIDAR_BOX, LIDAR_PC, SCENE, TRACK, TRAFFIC_LIGHT_STATUS, open_log};
-use super::search::LogScenario;
+use super::lane_map::NuPlanMap;
+use super::logs::LogScenario;
+use super::map_store::MapStore;
+use super::route;
+use super::rows::{Rows, Sweep, ego_of};
+use super::schema::{CATEGORY, EGO_POSE, LIDAR_BOX, LIDAR_PC, TRACK, TRAFFIC_LIGHT_STATUS};
 use super::side_index;
 use super::token::Token;
-use super::{RouteFault, route};
 use crate::geometry::{OrientedBox, Pose, Vector};
 use crate::scenario::{Frame, Scenario};
-use crate::world::{EgoState, ObjectKind, Route, SignalStatus, TrackToken, TrackedObject, TrafficLights};
+use crate::world::{EgoState, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Opens a scenario: its rows, its route, and the map around it.
-///
-/// # Errors
-/// When the log, the map or the scenario is unsound; the error names the place.
 pub fn open(maps: &MapStore, found: &LogScenario) -> Result<Scenario, NuPlanError> {
-    let database = open_log(&found.log)?;
+    let database = found.log.open()?;
     let rows = Rows::read(&database, found)?;
     let indices = maps.attach_index(&database, rows.times())?;
     let map = maps.map(&found.map_name)?;
-    let route = read_route(&database, found, &map)?;
+    let route = route::read(&database, found, &map)?;
     let mut reader = Reader { database: &database, indices: &indices, map: &map, tracks: Tracks::default() };
     let frames = rows.past.iter().chain(rows.iterations()).map(|sweep| reader.frame(sweep));
     let frames = frames.collect::<Result<_, _>>()?;
@@ -42,61 +40,7 @@ pub fn open(maps: &MapStore, found: &LogScenario) -> Result<Scenario, NuPlanErro
     })
 }
 
-/// The route ids of the scene of a scenario's tagged row.
-pub(super) fn route_ids(database: &Database, token: Token) -> Result<(Token, Option<Token>, Vec<i64>), NuPlanError> {
-    let failed = |fault| NuPlanError::Scenario { path: database.path.clone(), token, fault };
-    let scene = database.first(LIDAR_PC, "WHERE token = ?1", [token], |record| record.token("scene_token"))?;
-    let scene = scene.ok_or_else(|| failed(ScenarioFault::NotInLog))?;
-    let found = database.first(SCENE, "WHERE token = ?1", [scene], |record| {
-        Ok((record.maybe_token("goal_ego_pose_token")?, record.maybe_text("roadblock_ids")?))
-    })?;
-    let Some((goal, text)) = found else {
-        return Err(failed(ScenarioFault::Route { scene, fault: RouteFault::Empty }));
-    };
-    let ids = route::ids(text.as_deref()).map_err(|fault| failed(ScenarioFault::Route { scene, fault }))?;
-    Ok((scene, goal, ids))
-}
-
-fn read_route(database: &Database, found: &LogScenario, map: &NuPlanMap) -> Result<Route, NuPlanError> {
-    let (scene, goal, ids) = route_ids(database, found.token)?;
-    let roadblocks = route::roadblocks(&ids, map).map_err(|fault| NuPlanError::Scenario {
-        path: database.path.clone(),
-        token: found.token,
-        fault: ScenarioFault::Route { scene, fault },
-    })?;
-    let goal = match goal {
-        Some(pose) => database.first(EGO_POSE, "WHERE token = ?1", [pose], pose_of)?,
-        None => None,
-    };
-    Ok(Route { roadblocks, goal: goal.map(|goal| map.to_local(goal)) })
-}
-
-/// The pose of an `ego_pose` row, in the map's projection.
-fn pose_of(record: &Record<'_>) -> Result<Pose, NuPlanError> {
-    let q = [record.float("qw")?, record.float("qx")?, record.float("qy")?, record.float("qz")?];
-    let heading = yaw(q).ok_or_else(|| {
-        record.fault("qw", CellFault::Number { got: q[0], expected: "the first part of a rotation that is not zero" })
-    })?;
-    Ok(Pose::new(record.float("x")?, record.float("y")?, heading))
-}
-
-/// Yaw of a quaternion (w, x, y, z) as pyquaternion's `yaw_pitch_roll` has it, which the devkit reads: of the intrinsic rotations
-/// about z, y and x. `None` when it is no rotation.
-fn yaw(q: [f64; 4]) -> Option<f64> {
-    let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
-    let [w, x, y, z] = q.map(|c| c / norm);
-    let angle = (2.0 * (w * z - x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
-    (norm > 0.0 && norm.is_finite() && angle.is_finite()).then_some(angle)
-}
-
-/// The ego of an `ego_pose` row at the time of its sweep, in the map's projection.
-pub(super) fn ego_of(record: &Record<'_>, time_us: i64) -> Result<EgoState, NuPlanError> {
-    let velocity = Vector::new(record.float("vx")?, record.float("vy")?);
-    let acceleration = Vector::new(record.float("acceleration_x")?, record.float("acceleration_y")?);
-    Ok(EgoState::from_log(time_us, pose_of(record)?, velocity, acceleration))
-}
-
-/// The number and kind of each track that was seen, by its token.
+/// The number and kind of each known track, by its token.
 #[derive(Default)]
 struct Tracks {
     known: BTreeMap<Token, (TrackToken, ObjectKind)>,
@@ -138,7 +82,7 @@ impl Reader<'_> {
         Err(told.unwrap_or(NuPlanError::Scenario { path, token, fault: ScenarioFault::NotInLog }))
     }
 
-    /// The boxes of a sweep in the order in which the log holds them.
+    /// The boxes of a sweep, in the order of the log.
     fn objects(&mut self, sweep: &Sweep) -> Result<Arc<[TrackedObject]>, NuPlanError> {
         let mut objects = Vec::new();
         let (database, map) = (self.database, self.map);
@@ -154,7 +98,7 @@ impl Reader<'_> {
         Ok(objects.into())
     }
 
-    /// Number and kind of the track of a box. Tracks are numbered as they appear.
+    /// Number and kind of the track of a box. Tracks are numbered in order of appearance.
     fn track(&mut self, record: &Record<'_>) -> Result<(TrackToken, ObjectKind), NuPlanError> {
         let token = record.token("track_token")?;
         if let Some(&known) = self.tracks.known.get(&token) {
@@ -173,7 +117,7 @@ impl Reader<'_> {
         Ok(known)
     }
 
-    /// The lights of a sweep. A light of a connector that the map does not have governs nothing and is left out.
+    /// The lights of a sweep, without those of connectors that the map does not have.
     fn lights(&self, sweep: &Sweep) -> Result<Arc<TrafficLights>, NuPlanError> {
         let mut lights = TrafficLights::default();
         let query = self.indices.search(TRAFFIC_LIGHT_STATUS, "lidar_pc_token");
@@ -214,7 +158,7 @@ impl Tracks {
     }
 }
 
-/// The kind with one of nuPlan's category names.
+/// The kind of one of nuPlan's category names.
 fn object_kind(name: &str) -> Option<ObjectKind> {
     Some(match name {
         "vehicle" => ObjectKind::Vehicle,
@@ -237,28 +181,8 @@ fn extent(record: &Record<'_>, column: &'static str) -> Result<f64, NuPlanError>
     }
 }
 
-/// Velocity of an agent, map frame. Where the log has none it is NaN, as in the devkit: reactive traffic then takes the ego's speed.
+/// Velocity of an agent, map frame. NaN where the log has none, as in the devkit: a reactive agent then takes the ego's speed.
 fn velocity(record: &Record<'_>) -> Result<Vector, NuPlanError> {
     let part = |column| record.maybe_float(column).map(|speed| speed.unwrap_or(f64::NAN));
     Ok(Vector::new(part("vx")?, part("vy")?))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn yaw_is_that_of_pyquaternion() {
-        // Rotations about z alone, then the numbers of pyquaternion 0.9.9 for a tilted one that is not normalised.
-        for angle in [-3.0_f64, -0.5, 0.0, 1.2, 3.1] {
-            let half = angle / 2.0;
-            assert!((yaw([half.cos(), 0.0, 0.0, half.sin()]).unwrap() - angle).abs() < 1e-12);
-        }
-        assert!((yaw([0.9, 0.05, -0.02, 0.4]).unwrap() - TILTED).abs() < 1e-12);
-        assert_eq!(yaw([0.0; 4]), None);
-        assert_eq!(yaw([f64::MAX; 4]), None);
-    }
-
-    /// `Quaternion(0.9, 0.05, -0.02, 0.4).yaw_pitch_roll[0]`.
-    const TILTED: f64 = 0.836_224_012_689_028;
 }

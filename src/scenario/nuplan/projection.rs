@@ -1,7 +1,7 @@
-//! From longitude and latitude to the metres of a map: the universal transverse Mercator projection.
+//! The universal transverse Mercator projection: between longitude and latitude and the meters of a map.
 //!
-//! nuPlan's maps store their shapes in WGS 84 degrees (EPSG:4326) and name the projection that makes metres of them (layer `meta`,
-//! key `projectedCoordSystem`, for example `epsg:32619`). Ego poses and boxes of the logs are in these metres.
+//! nuPlan's maps store shapes in WGS 84 degrees (EPSG:4326) and name the projection to meters in layer `meta`, key
+//! `projectedCoordSystem`, for example `epsg:32619`. Ego poses and boxes of the logs are in these meters.
 
 use proj4rs::Proj;
 use proj4rs::transform::transform;
@@ -9,37 +9,27 @@ use std::fmt;
 
 /// EPSG code of WGS 84 longitude and latitude, in which maps are stored.
 pub const WGS84: i32 = 4326;
-/// EPSG code of WGS 84 / UTM zone 1 N, less one; the zone is added.
+/// EPSG code of UTM zone z north, less z.
 const NORTH: u32 = 32_600;
-/// EPSG code of WGS 84 / UTM zone 1 S, less one; the zone is added.
+/// EPSG code of UTM zone z south, less z.
 const SOUTH: u32 = 32_700;
 /// Number of zones, 6° wide each.
 const ZONES: u32 = 60;
 
 /// Why coordinates cannot be projected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ProjectionError {
-    /// The text does not name a coordinate system.
     #[error("`{0}` does not name a coordinate system: expected for example `epsg:32611`")]
     Name(String),
-    /// The code is no UTM zone on WGS 84.
     #[error("EPSG:{0} is not a UTM zone on WGS 84: expected 32601 to 32660 (north) or 32701 to 32760 (south)")]
     NotUtm(u32),
-    /// The projection itself failed.
+    /// The coordinates are degrees or meters, as given.
     #[error("EPSG:{epsg} cannot project ({x}, {y}): {reason}")]
-    Failed {
-        /// Code of the zone.
-        epsg: u32,
-        /// First coordinate as given: longitude in degrees or easting in metres.
-        x: f64,
-        /// Second coordinate as given: latitude in degrees or northing in metres.
-        y: f64,
-        /// What the projection says.
-        reason: String,
-    },
+    Failed { epsg: u32, x: f64, y: f64, reason: String },
 }
 
-/// A zone of the universal transverse Mercator projection on WGS 84.
+/// A zone of the projection on WGS 84.
 #[derive(Debug, Clone)]
 pub struct Utm {
     epsg: u32,
@@ -48,10 +38,7 @@ pub struct Utm {
 }
 
 impl Utm {
-    /// The zone with this EPSG code.
-    ///
-    /// # Errors
-    /// When the code names no UTM zone on WGS 84.
+    /// The zone of an EPSG code.
     pub fn from_epsg(epsg: u32) -> Result<Self, ProjectionError> {
         let (zone, south) = match epsg {
             _ if (NORTH + 1..=NORTH + ZONES).contains(&epsg) => (epsg - NORTH, ""),
@@ -66,10 +53,7 @@ impl Utm {
         })
     }
 
-    /// The zone that a map's `meta` layer names, as `epsg:32611` in any case.
-    ///
-    /// # Errors
-    /// When the text has another form or names no UTM zone on WGS 84.
+    /// The zone that the layer `meta` of a map names: `epsg:32611`, in upper or lower case.
     pub fn from_name(name: &str) -> Result<Self, ProjectionError> {
         let unknown = || ProjectionError::Name(name.to_owned());
         let (authority, code) = name.trim().split_once(':').ok_or_else(unknown)?;
@@ -79,24 +63,18 @@ impl Utm {
         Self::from_epsg(code.parse().map_err(|_| unknown())?)
     }
 
-    /// Its EPSG code.
+    /// EPSG code.
     pub fn epsg(&self) -> u32 {
         self.epsg
     }
 
-    /// Easting and northing, metres, of a longitude and latitude, degrees.
-    ///
-    /// # Errors
-    /// When the point lies outside the projection's domain or is not finite.
+    /// Easting and northing, m, of a longitude and latitude, degrees.
     pub fn to_utm(&self, lon_deg: f64, lat_deg: f64) -> Result<(f64, f64), ProjectionError> {
         let start = (lon_deg.to_radians(), lat_deg.to_radians());
         project(&self.degrees, &self.metres, start).map_err(|reason| self.failed(lon_deg, lat_deg, reason))
     }
 
-    /// Longitude and latitude, degrees, of an easting and northing, metres.
-    ///
-    /// # Errors
-    /// When the point lies outside the projection's domain or is not finite.
+    /// Longitude and latitude, degrees, of an easting and northing, m.
     pub fn to_geographic(&self, x: f64, y: f64) -> Result<(f64, f64), ProjectionError> {
         let (lon, lat) = project(&self.metres, &self.degrees, (x, y)).map_err(|reason| self.failed(x, y, reason))?;
         Ok((lon.to_degrees(), lat.to_degrees()))
@@ -152,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn agrees_with_pyproj_to_a_micrometre() {
+    fn agrees_with_pyproj_to_a_micrometer() {
         let text = include_str!("../../../tests/fixtures/projection/utm_grid.json");
         let samples: Vec<Sample> = serde_json::from_str(text).unwrap();
         assert!(samples.len() > 500, "only {} samples", samples.len());

@@ -1,6 +1,8 @@
 //! nuPlan's logs in the registry of readers: words that name a log or one of its scenarios, and splits.
 
-use super::search::{SearchResult, UnreadableLog, search, tag_types};
+use super::error::FileFault;
+use super::logs::UnreadableLog;
+use super::search::{SearchResult, search, tag_types};
 use super::split::{self, SplitError};
 use super::{
     Exclusion, Exclusions, LogScenario, Logs, MAX_FOLDER_DEPTH, MapStore, NuPlanError, ScenarioFilter, THRESHOLD_KEY,
@@ -76,7 +78,7 @@ impl NuPlanReader {
     /// The tagged scenarios of all logs in a folder; none when it holds no log.
     fn in_folder(&self, folder: &Path) -> Result<Vec<ScenarioRef>, LogWordError> {
         match Logs::under(folder) {
-            Err(NuPlanError::NoLogs(_)) => Ok(Vec::new()),
+            Err(NuPlanError::File { fault, .. }) if matches!(*fault, FileFault::NoLogs) => Ok(Vec::new()),
             logs => self.tagged(&logs?, folder),
         }
     }

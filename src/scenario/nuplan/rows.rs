@@ -1,18 +1,19 @@
 //! The rows of a log that make up a scenario.
 
-use super::database::Database;
-use super::error::{NuPlanError, ScenarioFault};
+use super::database::{Database, Record};
+use super::error::{CellFault, NuPlanError, ScenarioFault};
 use super::extraction::{Extraction, ROWS_PER_STEP};
+use super::logs::LogScenario;
 use super::schema::{CHANNEL, LIDAR, LIDAR_PC};
-use super::search::LogScenario;
 use super::token::Token;
+use crate::geometry::{Pose, Vector};
 use crate::scenario::FUTURE_FRAMES;
-use crate::world::{HISTORY_SAMPLES, MICROS_PER_SECOND};
+use crate::world::{EgoState, HISTORY_SAMPLES, MICROS_PER_SECOND};
 
-/// A scenario spans at least this, s; a shorter one is over before the look-ahead of the metrics ends.
+/// Shorter scenarios end before the look-ahead of the metrics, s.
 const MIN_DURATION_S: f64 = 3.0;
 
-/// Rows that belong to the sensor of the scenarios.
+/// Condition: the row belongs to the sensor of the scenarios.
 const OF_SENSOR: &str = "lidar_token IN (SELECT token FROM lidar WHERE channel = 'MergedPointCloud')";
 
 /// A row of `lidar_pc`.
@@ -23,19 +24,19 @@ pub(super) struct Sweep {
     pub(super) ego_pose: Token,
 }
 
-/// The rows of a scenario, 20 Hz, in order of time.
+/// The rows of a scenario at 20 Hz, in order of time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Rows {
-    /// Those of the window; the first is iteration 0.
+    /// The window; its first row is iteration 0.
     pub(super) window: Vec<Sweep>,
-    /// Those that the history is sampled from: every second one back from iteration 0, oldest first.
+    /// The rows of the history: every second row before iteration 0, oldest first.
     pub(super) past: Vec<Sweep>,
-    /// Every second row after the last iteration, eight seconds at most.
+    /// Every second row after the last iteration, up to eight seconds.
     pub(super) future: Vec<Sweep>,
 }
 
 impl Rows {
-    /// Reads the rows of a scenario. Where the log ends within the window, so does the scenario, as the devkit has it.
+    /// Reads the rows of a scenario. A log that ends within the window ends the scenario, as in the devkit.
     pub(super) fn read(database: &Database, found: &LogScenario) -> Result<Self, NuPlanError> {
         let failed = |fault| NuPlanError::Scenario { path: database.path.clone(), token: found.token, fault };
         let (start, end) = Extraction::of(&found.scenario_type).window(found.timestamp_us);
@@ -100,4 +101,49 @@ fn read(database: &Database, rest: &str, params: (i64, i64), sweeps: &mut Vec<Sw
         });
         Ok(())
     })
+}
+
+/// The pose of an `ego_pose` row in the projection of the map.
+pub(super) fn pose_of(record: &Record<'_>) -> Result<Pose, NuPlanError> {
+    let q = [record.float("qw")?, record.float("qx")?, record.float("qy")?, record.float("qz")?];
+    let heading = yaw(q).ok_or_else(|| {
+        record.fault("qw", CellFault::Number { got: q[0], expected: "the first part of a rotation that is not zero" })
+    })?;
+    Ok(Pose::new(record.float("x")?, record.float("y")?, heading))
+}
+
+/// Yaw of a quaternion (w, x, y, z) as in pyquaternion's `yaw_pitch_roll`, which the devkit uses: intrinsic rotations about z, y
+/// and x. `None` when it is no rotation.
+fn yaw(q: [f64; 4]) -> Option<f64> {
+    let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let [w, x, y, z] = q.map(|c| c / norm);
+    let angle = (2.0 * (w * z - x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
+    (norm > 0.0 && norm.is_finite() && angle.is_finite()).then_some(angle)
+}
+
+/// The ego of an `ego_pose` row at the time of its sweep, in the projection of the map.
+pub(super) fn ego_of(record: &Record<'_>, time_us: i64) -> Result<EgoState, NuPlanError> {
+    let velocity = Vector::new(record.float("vx")?, record.float("vy")?);
+    let acceleration = Vector::new(record.float("acceleration_x")?, record.float("acceleration_y")?);
+    Ok(EgoState::from_log(time_us, pose_of(record)?, velocity, acceleration))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn yaw_is_that_of_pyquaternion() {
+        // Rotations about z alone, then pyquaternion 0.9.9's value for a tilted one that is not normalized.
+        for angle in [-3.0_f64, -0.5, 0.0, 1.2, 3.1] {
+            let half = angle / 2.0;
+            assert!((yaw([half.cos(), 0.0, 0.0, half.sin()]).unwrap() - angle).abs() < 1e-12);
+        }
+        assert!((yaw([0.9, 0.05, -0.02, 0.4]).unwrap() - TILTED).abs() < 1e-12);
+        assert_eq!(yaw([0.0; 4]), None);
+        assert_eq!(yaw([f64::MAX; 4]), None);
+    }
+
+    /// `Quaternion(0.9, 0.05, -0.02, 0.4).yaw_pitch_roll[0]`.
+    const TILTED: f64 = 0.836_224_012_689_028;
 }

@@ -1,79 +1,53 @@
-//! Finding scenarios in logs: nuPlan's scenario query, then the filters in the devkit's order.
+//! Finds scenarios in logs: nuPlan's scenario query, then the filters in the devkit's order.
 
-use super::database::{Database, Table};
+use super::database::{Database, Record};
 use super::error::NuPlanError;
 use super::exclusion::{Exclusion, Exclusions};
 use super::filter::ScenarioFilter;
-use super::logs::Log;
+use super::filter_steps::{self, Filtered};
+use super::logs::{Log, LogScenario, UnreadableLog};
 use super::map_store::MapStore;
-use super::schema::{EGO_POSE, LIDAR, LIDAR_PC, LOG, SCENARIO_TAG, SCENE, open_log};
-use super::thinning::{self, ThinnedScenarios};
+use super::schema::{EGO_POSE, LIDAR, LIDAR_PC, LOG, SCENARIO_TAG, SCENE};
 use super::token::Token;
-use crate::scenario::UNKNOWN_TYPE;
+use crate::scenario::{OnProgress, UNKNOWN_TYPE};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A scenario that a log holds.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LogScenario {
-    /// Its log.
-    pub log: Arc<Log>,
-    /// Token of the tagged `lidar_pc` row.
-    pub token: Token,
-    /// Alphabetically last of its tags that were asked for; `unknown` without a tag.
-    pub scenario_type: String,
-    /// Time of the tagged row, µs.
-    pub timestamp_us: i64,
-    /// Name of the map (column `map_version` of table `log`).
-    pub map_name: String,
-}
-
-/// A log that cannot be read.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct UnreadableLog {
-    /// Which.
-    pub log: Arc<Log>,
-    /// Why, with its file.
-    pub cause: String,
-}
-
-/// What a search gives.
+/// The result of a search.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SearchResult {
     /// The scenarios, in order of their tokens, or shuffled.
     pub scenarios: Vec<LogScenario>,
-    /// Tokens of the filter that no log holds, in order.
+    /// Tokens of the filter that no log holds, sorted.
     pub absent: Vec<Token>,
-    /// Tokens of the filter that a log holds but that are no scenario of this filter, in order.
+    /// Tokens of the filter that a log holds but that are no scenario of it, sorted.
     pub excluded: Vec<(Token, Exclusion)>,
-    /// What was looked at and not taken.
+    /// What was excluded, counted.
     pub exclusions: Exclusions,
-    /// Logs that were passed over, in order of their name: what they hold is not known.
+    /// Logs that cannot be read, in order of names.
     pub unreadable: Vec<UnreadableLog>,
 }
 
-/// Finds the scenarios of a filter in logs, on all threads; `progress` is told how many logs of how many are searched.
-///
-/// # Errors
-/// When none of the logs can be read, two hold the same scenario, or a filter needs a map or file that cannot be read.
+/// Finds the scenarios of a filter in logs, in parallel. Fails when no log can be read, when two logs hold the same scenario, or
+/// when a map or file that a filter needs cannot be read.
 pub fn search(
     logs: &[Arc<Log>],
     filter: &ScenarioFilter,
     maps: &MapStore,
-    progress: &(dyn Fn(usize, usize) + Sync),
+    on_progress: OnProgress<'_>,
 ) -> Result<SearchResult, NuPlanError> {
     let done = AtomicUsize::new(0);
     let searched = logs.par_iter().map(|log| {
         let found = search_log(log, filter);
-        progress(done.fetch_add(1, Ordering::Relaxed) + 1, logs.len());
+        on_progress(done.fetch_add(1, Ordering::Relaxed) + 1, logs.len());
         found
     });
     let searched: Vec<Result<Option<InLog>, NuPlanError>> = searched.collect();
     let mut result = SearchResult::default();
     let mut held: BTreeMap<Token, &Log> = BTreeMap::new();
-    let mut refused: BTreeMap<Token, Exclusion> = BTreeMap::new();
+    let mut excluded: BTreeMap<Token, Exclusion> = BTreeMap::new();
     let mut found = Vec::new();
     let mut first_error = None;
     for (log, searched) in logs.iter().zip(searched) {
@@ -90,42 +64,40 @@ pub fn search(
             }
         };
         result.exclusions.logs += 1;
-        for (refusal, count) in in_log.left_out {
-            *result.exclusions.rows.entry(refusal).or_default() += count;
+        for (exclusion, count) in in_log.counts {
+            *result.exclusions.rows.entry(exclusion).or_default() += count;
         }
-        for token in in_log.found.iter().map(|f| f.token).chain(in_log.refused.iter().map(|(token, _)| *token)) {
+        for token in in_log.scenarios.iter().map(|f| f.token).chain(in_log.excluded.iter().map(|(token, _)| *token)) {
             if let Some(first) = held.insert(token, log) {
                 let (first, second) = (first.path.clone(), log.path.clone());
                 return Err(NuPlanError::TwoLogs { token, first, second });
             }
         }
-        found.extend(in_log.found);
-        refused.extend(in_log.refused);
+        found.extend(in_log.scenarios);
+        excluded.extend(in_log.excluded);
     }
     if let Some(error) = first_error.filter(|_| result.exclusions.logs == 0) {
         return Err(error);
     }
-    let ThinnedScenarios { kept, refused: thinned } = thinning::thin(found, filter, maps)?;
-    for (_, refusal) in &thinned {
-        *result.exclusions.rows.entry(*refusal).or_default() += 1;
+    let Filtered { kept, excluded: filtered } = filter_steps::apply(found, filter, maps)?;
+    for (_, exclusion) in &filtered {
+        *result.exclusions.rows.entry(*exclusion).or_default() += 1;
     }
     result.scenarios = kept;
     if let Some(wanted) = &filter.scenario_tokens {
-        refused.extend(thinned);
-        result.excluded = refused.into_iter().collect();
+        excluded.extend(filtered);
+        result.excluded = excluded.into_iter().collect();
         let wanted: BTreeSet<Token> = wanted.iter().copied().collect();
         result.absent = wanted.into_iter().filter(|token| !held.contains_key(token)).collect();
     }
     Ok(result)
 }
 
-/// All types that tags of these logs name, in alphabetical order. Logs that cannot be read are passed over: [`search`] tells them.
-///
-/// # Errors
-/// When none of the logs can be read.
+/// All types among the tags of these logs, in alphabetical order. Logs that cannot be read are skipped, unless all are:
+/// [`search`] reports them.
 pub fn tag_types(logs: &[Arc<Log>]) -> Result<Vec<String>, NuPlanError> {
     let of_log = |log: &Arc<Log>| {
-        let tags = tags(&open_log(log)?, None)?;
+        let tags = tags(&log.open()?, None)?;
         Ok(tags.into_values().collect::<BTreeSet<String>>())
     };
     let read: Vec<Result<BTreeSet<String>, NuPlanError>> = logs.par_iter().map(of_log).collect();
@@ -135,14 +107,14 @@ pub fn tag_types(logs: &[Arc<Log>]) -> Result<Vec<String>, NuPlanError> {
     Ok(read.into_iter().flatten().flatten().collect::<BTreeSet<String>>().into_iter().collect())
 }
 
-/// What one log holds of a filter.
+/// The scenarios of a filter in one log.
 #[derive(Default)]
 struct InLog {
-    found: Vec<LogScenario>,
+    scenarios: Vec<LogScenario>,
     /// Tokens of the filter that are no scenario of it.
-    refused: Vec<(Token, Exclusion)>,
-    /// Rows that are no scenario of the filter.
-    left_out: BTreeMap<Exclusion, usize>,
+    excluded: Vec<(Token, Exclusion)>,
+    /// Number of excluded rows by reason.
+    counts: BTreeMap<Exclusion, usize>,
 }
 
 /// A row that may be a scenario.
@@ -153,17 +125,14 @@ struct Candidate {
     scene: Option<Token>,
 }
 
-/// Columns of `lidar_pc` that the search reads.
-const CANDIDATE: Table = Table { name: "lidar_pc", columns: &["token", "lidar_token", "scene_token", "timestamp"] };
-
-/// nuPlan's scenario query on one log: in order of time, all rows of a valid scene that pass the filter. `None` for a log that
+/// nuPlan's scenario query on one log: all rows of a valid scene that pass the filter, in order of time. `None` for a log that
 /// the filter does not name.
 fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<Option<InLog>, NuPlanError> {
     let named = filter.log_names.as_ref().is_none_or(|names| names.contains(&log.name));
     if !named && filter.scenario_tokens.is_none() {
         return Ok(None);
     }
-    let database = open_log(log)?;
+    let database = log.open()?;
     let candidates = candidates(&database, filter)?;
     if candidates.is_empty() {
         return Ok(Some(InLog::default()));
@@ -176,7 +145,7 @@ fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<Option<InLog>, 
         let tag = tags.get(&candidate.token);
         let map_name = maps.get(&candidate.lidar);
         let scene = candidate.scene.and_then(|scene| scenes.get(&scene));
-        let refusal = if !named {
+        let exclusion = if !named {
             Some(Exclusion::OtherLog)
         } else if !scene.is_some_and(|scene| scene.is_valid) || map_name.is_none() {
             Some(Exclusion::SceneAtEdge)
@@ -189,18 +158,18 @@ fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<Option<InLog>, 
         } else {
             None
         };
-        match refusal {
-            None => in_log.found.push(LogScenario {
+        match exclusion {
+            None => in_log.scenarios.push(LogScenario {
                 log: log.clone(),
                 token: candidate.token,
                 scenario_type: tag.cloned().unwrap_or_else(|| UNKNOWN_TYPE.to_owned()),
                 timestamp_us: candidate.time_us,
                 map_name: map_name.cloned().unwrap_or_default(),
             }),
-            Some(refusal) => {
-                *in_log.left_out.entry(refusal).or_default() += 1;
+            Some(exclusion) => {
+                *in_log.counts.entry(exclusion).or_default() += 1;
                 if filter.scenario_tokens.is_some() {
-                    in_log.refused.push((candidate.token, refusal));
+                    in_log.excluded.push((candidate.token, exclusion));
                 }
             }
         }
@@ -211,7 +180,7 @@ fn search_log(log: &Arc<Log>, filter: &ScenarioFilter) -> Result<Option<InLog>, 
 /// The rows of the filter's tokens, of its types, or all, in order of time.
 fn candidates(database: &Database, filter: &ScenarioFilter) -> Result<Vec<Candidate>, NuPlanError> {
     let mut found = Vec::new();
-    let mut take = |record: &super::database::Record<'_>| {
+    let mut take = |record: &Record<'_>| {
         found.push(Candidate {
             token: record.token("token")?,
             time_us: record.integer("timestamp")?,
@@ -223,19 +192,19 @@ fn candidates(database: &Database, filter: &ScenarioFilter) -> Result<Vec<Candid
     match &filter.scenario_tokens {
         Some(tokens) if database.is_indexed(LIDAR_PC.name, "token")? => {
             for token in tokens {
-                database.each(CANDIDATE, "WHERE token = ?1", [token], &mut take)?;
+                database.each(LIDAR_PC, "WHERE token = ?1", [token], &mut take)?;
             }
         }
         Some(tokens) => {
             let wanted: BTreeSet<Token> = tokens.iter().copied().collect();
-            database.each(CANDIDATE, "", [], |record| {
+            database.each(LIDAR_PC, "", [], |record| {
                 if wanted.contains(&record.token("token")?) { take(record) } else { Ok(()) }
             })?;
         }
         None if filter.scenario_types.is_some() => {
-            database.each(CANDIDATE, "WHERE token IN (SELECT lidar_pc_token FROM scenario_tag)", [], &mut take)?;
+            database.each(LIDAR_PC, "WHERE token IN (SELECT lidar_pc_token FROM scenario_tag)", [], &mut take)?;
         }
-        None => database.each(CANDIDATE, "", [], &mut take)?,
+        None => database.each(LIDAR_PC, "", [], &mut take)?,
     }
     found.sort_by_key(|candidate| (candidate.time_us, candidate.token));
     Ok(found)
@@ -258,14 +227,13 @@ fn tags(database: &Database, types: Option<&[String]>) -> Result<BTreeMap<Token,
 }
 
 /// A scene of a log.
-struct SceneFacts {
-    /// At least two scenes lie before it and two behind it, in order of their names.
+struct SceneState {
+    /// At least two scenes lie before it and two behind it, in order of names.
     is_valid: bool,
-    /// Its mission goal exists.
     has_goal: bool,
 }
 
-fn scenes(database: &Database) -> Result<BTreeMap<Token, SceneFacts>, NuPlanError> {
+fn scenes(database: &Database) -> Result<BTreeMap<Token, SceneState>, NuPlanError> {
     let mut rows: Vec<(Token, Option<Token>)> = Vec::new();
     database.each(SCENE, "ORDER BY name ASC, scene.rowid", [], |record| {
         rows.push((record.token("token")?, record.maybe_token("goal_ego_pose_token")?));
@@ -279,7 +247,7 @@ fn scenes(database: &Database) -> Result<BTreeMap<Token, SceneFacts>, NuPlanErro
             None => false,
         };
         let number = place + 1;
-        scenes.insert(token, SceneFacts { is_valid: number >= 3 && number + 1 < count, has_goal });
+        scenes.insert(token, SceneState { is_valid: number >= 3 && number + 1 < count, has_goal });
     }
     Ok(scenes)
 }

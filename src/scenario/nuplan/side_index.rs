@@ -1,12 +1,12 @@
-//! Indices that a log lacks, in a file of their own.
+//! Indices for logs that lack them, in files of their own.
 //!
-//! Official logs need not have an index on `lidar_box (lidar_pc_token)`, and without one every frame would read the whole table. The
-//! user's files are never written; the index is a small database in the cache folder, named by path, size and modification
-//! time of the log, so that a changed log gets a new one. It appears under its name only when it is complete.
+//! Official logs need not have an index on `lidar_box (lidar_pc_token)`; without one every frame would read the whole table. The
+//! user's files are never written. An index is a small database in the cache folder, named by path, size and modification time
+//! of the log, so that a changed log gets a new one. It gets its name only when it is complete.
 
-use super::database::{Database, Table, immutable_uri};
-use super::error::NuPlanError;
-use super::schema::{EGO_POSE, LIDAR_BOX, TRACK, TRAFFIC_LIGHT_STATUS};
+use super::database::{Database, immutable_uri};
+use super::error::{FileFault, NuPlanError};
+use super::schema::{EGO_POSE, LIDAR_BOX, TRACK, TRAFFIC_LIGHT_STATUS, Table};
 use rusqlite::{Connection, OpenFlags};
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,47 +15,46 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::UNIX_EPOCH;
 
-/// Grows when the layout of the file changes.
+/// Incremented when the layout of the file changes.
 const VERSION: u32 = 1;
 /// Ending of the files.
 const ENDING: &str = "index";
-/// The tables that are searched by a column, frame by frame.
+/// The tables that each frame searches, and the column.
 const SEARCHED: [(Table, &str); 4] =
     [(LIDAR_BOX, "lidar_pc_token"), (TRAFFIC_LIGHT_STATUS, "lidar_pc_token"), (EGO_POSE, "token"), (TRACK, "token")];
 
 /// The folder of the indices.
 #[derive(Debug)]
 pub(super) struct SideIndices {
-    /// `None` when the system names no cache folder.
+    /// `None` when the platform has no cache folder.
     folder: Option<PathBuf>,
-    /// A lock a log, so that two threads do not build one index twice.
+    /// A lock for each log, so that two threads do not build the same index.
     building: Mutex<BTreeMap<PathBuf, Arc<Mutex<()>>>>,
 }
 
-/// How rows of a log are found by a column.
+/// How the rows of a log are found by a column.
 #[derive(Debug, Default)]
 pub(super) struct LogIndex {
-    /// The tables that are searched by an index of ours.
+    /// The tables that need our index.
     aside: Vec<&'static str>,
-    /// Where that index is: the attached file, or memory.
+    /// Schema of our index: the attached file, or memory.
     schema: &'static str,
-    /// What kept the index from being made, for the user.
+    /// Why the index is in memory, for the user.
     pub(super) note: Option<String>,
 }
 
 impl LogIndex {
-    /// The query behind the name of a table that finds rows by a column: with the attached index, else by the table's own.
+    /// The query that finds the rows of a table by a column: with our index, else with the table's own.
     pub(super) fn search(&self, table: Table, column: &str) -> String {
         let (name, schema) = (table.name, self.schema);
-        let columns: Vec<String> = table.columns.iter().map(|column| format!("{name}.\"{column}\"")).collect();
-        let selected = format!("SELECT {}, {name}.rowid", columns.join(", "));
+        let select = table.select();
         if self.aside.contains(&name) {
             format!(
-                "{selected} FROM {schema}.{name}_{column} AS i CROSS JOIN {name} ON {name}.rowid = i.number \
+                "{select} FROM {schema}.{name}_{column} AS i CROSS JOIN {name} ON {name}.rowid = i.number \
                  WHERE i.key = ?1 ORDER BY i.number"
             )
         } else {
-            format!("{selected} FROM {name} WHERE {name}.\"{column}\" = ?1 ORDER BY {name}.rowid")
+            format!("{select} FROM {name} WHERE {name}.\"{column}\" = ?1 ORDER BY {name}.rowid")
         }
     }
 }
@@ -66,8 +65,8 @@ impl SideIndices {
         Self { folder, building: Mutex::default() }
     }
 
-    /// Makes sure that each searched table has an index, and attaches the file that holds the missing ones. Where no file can be
-    /// kept, the rows from one time to another (µs) are looked up once and remembered in memory.
+    /// Attaches a file with the indices that the log lacks. Where no file can be written, the rows between two times, µs, are
+    /// indexed in memory.
     pub(super) fn attach(&self, log: &Database, times: (i64, i64)) -> Result<LogIndex, NuPlanError> {
         let mut missing = Vec::new();
         for (table, column) in SEARCHED {
@@ -95,8 +94,8 @@ impl SideIndices {
                     aside: missing.into_iter().map(|(table, _)| table).collect(),
                     schema: "temp",
                     note: Some(format!(
-                        "no index for logs can be kept ({reason}): each scenario reads its whole log; set PLANAGENT_CACHE to a \
-                         folder that can be written"
+                        "no index of logs can be written ({reason}): each scenario reads its whole log; set PLANAGENT_CACHE to a \
+                         writable folder"
                     )),
                 })
             }
@@ -121,7 +120,7 @@ impl SideIndices {
     }
 }
 
-/// Indexes in memory what belongs to the rows of some time.
+/// Indexes in memory the rows between two times, µs.
 fn remember(log: &Database, missing: &[(&'static str, &'static str)], times: (i64, i64)) -> Result<(), NuPlanError> {
     let run = |query: &str| log.connection.execute_batch(query);
     run("PRAGMA temp_store = MEMORY").map_err(|source| log.failed("the index in memory", source))?;
@@ -143,7 +142,7 @@ fn remember(log: &Database, missing: &[(&'static str, &'static str)], times: (i6
     Ok(())
 }
 
-/// The query that makes an index.
+/// The query that creates an index.
 fn created(schema: &str, name: &str) -> String {
     format!("CREATE TABLE {schema}.{name} (key BLOB, number INTEGER, PRIMARY KEY (key, number)) WITHOUT ROWID")
 }
@@ -156,9 +155,9 @@ enum IndexError {
     Cache(String),
 }
 
-/// The part of the name that all indices of a log share, and the name.
+/// The common part of the names of all indices of a log, and the name of the present one.
 fn file_name(log: &Path) -> Result<(String, String), NuPlanError> {
-    let io = |source| NuPlanError::Io { path: log.to_owned(), doing: "open", source };
+    let io = |source| NuPlanError::file(log, FileFault::Open(source));
     let real = fs::canonicalize(log).map_err(io)?;
     let file = fs::metadata(&real).map_err(io)?;
     let modified = file.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok()).unwrap_or_default();
@@ -168,7 +167,7 @@ fn file_name(log: &Path) -> Result<(String, String), NuPlanError> {
     Ok((stem, name))
 }
 
-/// Whether a file is a whole index with all that is asked of it.
+/// Whether a file is complete and holds all missing indices.
 fn is_complete(file: &Path, missing: &[(&str, &str)]) -> bool {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let Ok(index) = Connection::open_with_flags(immutable_uri(file), flags) else { return false };
@@ -182,7 +181,7 @@ fn is_complete(file: &Path, missing: &[(&str, &str)]) -> bool {
 }
 
 fn build(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) -> Result<(), IndexError> {
-    /// Tells apart the files that threads of this process write.
+    /// Distinguishes the files that threads of this process write.
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
     let unfinished = file.with_extension(format!("{}-{number}.tmp", std::process::id()));
@@ -190,7 +189,7 @@ fn build(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) 
         fs::rename(&unfinished, file).map_err(|e| IndexError::Cache(format!("{}: {e}", file.display())))
     });
     if written.is_err() {
-        // What is left over is of no use; when it cannot be removed either, the first error is the one to tell.
+        // Should the removal fail as well, the first error matters.
         let _ = fs::remove_file(&unfinished);
     }
     written
@@ -207,7 +206,7 @@ fn write(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) 
     for (table, column) in missing {
         let name = format!("{table}_{column}");
         index.execute_batch(&created("main", &name)).map_err(cache)?;
-        // A row without the column belongs to no frame; it is no row that a search by the column could find.
+        // A row with NULL in the column belongs to no frame.
         let filled = format!(
             "INSERT INTO {name} SELECT \"{column}\", rowid FROM log.{table} WHERE \"{column}\" IS NOT NULL ORDER BY 1, 2"
         );
@@ -220,7 +219,7 @@ fn write(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) 
     index.close().map_err(|(_, source)| cache(source))
 }
 
-/// Removes the indices of former states of a log. They are not used; what cannot be removed stays.
+/// Removes the indices of former states of a log, as far as possible.
 fn remove_stale(folder: &Path, stem: &str, current: &str) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for entry in entries.flatten() {
@@ -232,7 +231,7 @@ fn remove_stale(folder: &Path, stem: &str, current: &str) {
     }
 }
 
-/// `$PLANAGENT_CACHE`, else the folder in which the platform keeps caches, with a folder of ours in it.
+/// `$PLANAGENT_CACHE`, else a folder of ours in the cache folder of the platform.
 pub(super) fn default_folder() -> Option<PathBuf> {
     let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     let own = variable("PLANAGENT_CACHE").or_else(|| {

@@ -182,6 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
+    #[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
     fn published_lists_are_known_by_their_tokens() {
         let Some(folder) = crate::outside::data("splits") else { return };
         for published in &PUBLISHED {

@@ -1,4 +1,4 @@
-//! Names of rows: 8 bytes in a log, 16 hexadecimal digits everywhere else.
+//! Names of rows: 8 bytes in a log, 16 hexadecimal digits elsewhere.
 
 use rusqlite::ToSql;
 use rusqlite::types::{ToSqlOutput, ValueRef};
@@ -9,16 +9,17 @@ use std::str::FromStr;
 pub const TOKEN_BYTES: usize = 8;
 
 /// The name of a row of a log; that of a `lidar_pc` row also names the scenario around it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Deserialize)]
+#[serde(try_from = "String")]
 pub struct Token([u8; TOKEN_BYTES]);
 
 impl Token {
-    /// The token of these bytes.
+    /// From the bytes of a log.
     pub const fn new(bytes: [u8; TOKEN_BYTES]) -> Self {
         Self(bytes)
     }
 
-    /// Its bytes, as logs store them.
+    /// The bytes that a log stores.
     pub const fn bytes(&self) -> &[u8; TOKEN_BYTES] {
         &self.0
     }
@@ -26,7 +27,7 @@ impl Token {
 
 /// A text that is no token.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no token: expected 16 hexadecimal digits")]
+#[error("`{0}` is no token: expected 16 hexadecimal digits in quotes")]
 pub struct TokenError(pub String);
 
 impl FromStr for Token {
@@ -38,6 +39,14 @@ impl FromStr for Token {
             return Err(wrong());
         }
         u64::from_str_radix(text, 16).map(|number| Self(number.to_be_bytes())).map_err(|_| wrong())
+    }
+}
+
+impl TryFrom<String> for Token {
+    type Error = TokenError;
+
+    fn try_from(text: String) -> Result<Self, TokenError> {
+        text.parse()
     }
 }
 

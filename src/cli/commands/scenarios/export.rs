@@ -3,7 +3,7 @@
 use crate::cli::args::{ExportArguments, ExportFormat};
 use crate::cli::{Exit, Printer};
 use crate::geometry::Point;
-use crate::scenario::nuplan::export::{Departures, ExportSettings, write_scenarios};
+use crate::scenario::nuplan::export::{ExportChanges, ExportSettings, write_scenarios};
 use crate::scenario::{Scenario, ScenarioRef};
 use anyhow::{Context, bail};
 use rayon::prelude::*;
@@ -32,8 +32,8 @@ fn nuplan(arguments: &ExportArguments, scenarios: &[Scenario], printer: Printer)
     let exported = write_scenarios(scenarios, &arguments.out, &settings)?;
     for log in &exported.logs {
         printer.named(&log.log, &format!("token {}  map {}", log.token, log.location));
-        if log.departures != Departures::default() {
-            printer.note(format!("{}: {}", log.scenario, said_otherwise(&log.departures)));
+        if log.changes != ExportChanges::default() {
+            printer.note(format!("{}: {}", log.scenario, summary(&log.changes)));
         }
         if printer.is_json() {
             printer.json(log)?;
@@ -44,16 +44,16 @@ fn nuplan(arguments: &ExportArguments, scenarios: &[Scenario], printer: Printer)
     Ok(Exit::Success)
 }
 
-/// The differences of a written map from the scenario's, in words.
-fn said_otherwise(departures: &Departures) -> String {
+/// The changes in words.
+fn summary(changes: &ExportChanges) -> String {
     let counted = [
-        (departures.connectors_put_in, "connectors put between lanes"),
-        (departures.lanes_put_in, "lanes put between connectors"),
-        (departures.open_ends_closed, "lanes put at open ends of connectors"),
-        (departures.connectors_repeated, "connectors repeated for more lanes"),
-        (departures.stop_lines_put_in, "stop lines put in"),
-        (departures.future_left_out, "recorded states after the end left out"),
-        (departures.neighbors_changed, "neighbourhoods not said as they are"),
+        (changes.inserted_connectors, "connectors inserted between lanes"),
+        (changes.inserted_lanes, "lanes inserted between connectors"),
+        (changes.open_ends_closed, "lanes inserted at open ends of connectors"),
+        (changes.connectors_repeated, "connectors repeated for more lanes"),
+        (changes.inserted_stop_lines, "stop lines inserted"),
+        (changes.dropped_future_states, "recorded states after the end dropped"),
+        (changes.neighbors_changed, "neighbor relations changed"),
     ];
     let some = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
     some.collect::<Vec<_>>().join(", ")

@@ -26,7 +26,7 @@ pub(super) fn run(arguments: &ShowArguments, printer: Printer) -> anyhow::Result
     if printer.is_json() {
         printer.json(&Details { about, more: contents(&scenario, frame, at_s) })?;
     } else {
-        tell(&scenario, frame, at_s, printer);
+        print(&scenario, frame, at_s, printer);
     }
     if let Some(file) = &arguments.image {
         file.save(&draw(&scenario, frame, &view))?;
@@ -40,7 +40,7 @@ fn route(scenario: &Scenario) -> Vec<i64> {
     scenario.route.roadblocks.iter().map(|&block| scenario.map[block].source_id).collect()
 }
 
-/// How many of the lanes are connectors.
+/// Number of lanes that are connectors.
 fn connectors(scenario: &Scenario) -> usize {
     scenario.map.lanes().iter().filter(|lane| lane.kind == LaneKind::Connector).count()
 }
@@ -61,8 +61,8 @@ fn contents(scenario: &Scenario, frame: &Frame, at_s: f64) -> Value {
     })
 }
 
-/// The same for people.
-fn tell(scenario: &Scenario, frame: &Frame, at_s: f64, printer: Printer) {
+/// The same as text.
+fn print(scenario: &Scenario, frame: &Frame, at_s: f64, printer: Printer) {
     let map = &scenario.map;
     let section = |name: &str, words: Vec<String>| {
         let width = usize::from(printer.width()).saturating_sub(INDENT);

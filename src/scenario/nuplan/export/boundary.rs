@@ -1,21 +1,19 @@
-//! The left and right border of a lane, from its area.
+//! The left and right borders of a lane, from its area.
 
 use crate::geometry::{Point, Polygon, Polyline};
 
-/// The two borders of a lane in driving direction.
+/// The two borders of a lane, in driving direction.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Borders {
-    /// To the left.
     pub(super) left: Polyline,
-    /// To the right.
     pub(super) right: Polyline,
 }
 
-/// Half the width that a lane has where its area does not tell its borders, metres.
+/// Distance of the borders from the centerline where the area does not give them, m.
 const HALF_WIDTH: f64 = 1.75;
 
-/// The ring of the area without the edges across the lane's beginning and end. Where one edge is nearest to both, the centreline is
-/// shifted instead.
+/// The ring of the area without the edges across the lane's start and end. Where one edge is nearest to both ends, the
+/// centerline is offset instead.
 pub(super) fn borders(centerline: &Polyline, area: &Polygon) -> Borders {
     from_ring(centerline, area.ring())
         .unwrap_or_else(|| Borders { left: centerline.offset(HALF_WIDTH), right: centerline.offset(-HALF_WIDTH) })
@@ -26,7 +24,7 @@ fn from_ring(centerline: &Polyline, ring: &[Point]) -> Option<Borders> {
     if start == end {
         return None;
     }
-    // From the far end of one edge across to the near end of the other.
+    // From the far vertex of one edge to the near vertex of the other.
     let walk = |from: usize, to: usize| -> Vec<Point> {
         let count = (to + ring.len() - from - 1) % ring.len() + 1;
         (0..count).map(|step| ring[(from + 1 + step) % ring.len()]).collect()
@@ -41,7 +39,7 @@ fn from_ring(centerline: &Polyline, ring: &[Point]) -> Option<Borders> {
     })
 }
 
-/// Number of the edge (from vertex i to i + 1) whose middle is nearest to a point.
+/// Index i of the edge (vertex i to i + 1) whose midpoint is nearest to a point.
 fn nearest_edge(ring: &[Point], point: Point) -> Option<usize> {
     let distance = |i: usize| (nalgebra::center(&ring[i], &ring[(i + 1) % ring.len()]) - point).norm();
     (0..ring.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b)))

@@ -3,29 +3,30 @@
 use super::boundary::borders;
 use super::graph::{ConnectorRow, Graph, LaneRow};
 use super::lane_order::{changed_neighbors, lane_indices};
-use super::layers::{self, Layer};
 use super::package::{Feature, LayerRows};
-use super::placement::{Placement, ShapeError, StoredShape};
+use super::placement::{Placement, ShapeError};
 use super::stops::{StopRow, stop_rows};
 use crate::geometry::{Polygon, Polyline};
+use crate::scenario::nuplan::geometry_blob::StoredShape;
+use crate::scenario::nuplan::schema::{self, Table};
 use crate::world::{LaneId, LaneKind, LaneMap};
 use rusqlite::types::Value;
 use std::collections::BTreeMap;
 
-/// Kinds of intersections in nuPlan's enumeration.
+/// Intersection types of nuPlan's enumeration: with traffic lights,
 const TRAFFIC_LIGHT: i64 = 1;
-/// One with a stop sign.
+/// with a stop sign,
 const STOP_SIGN: i64 = 2;
-/// One that is merely driven through.
+/// and with neither.
 const PASS_THROUGH: i64 = 5;
-/// Kind of a lane for vehicles.
+/// Lane type of nuPlan's enumeration: for vehicles.
 const VEHICLE_LANE: i64 = 0;
 
-/// A layer while it is filled.
+/// A layer under construction.
 struct LayerBuilder(LayerRows);
 
 impl LayerBuilder {
-    fn new(layer: Layer) -> Self {
+    fn new(layer: Table) -> Self {
         Self(LayerRows { layer, features: Vec::new(), bounds: None })
     }
 
@@ -41,10 +42,7 @@ impl LayerBuilder {
     }
 }
 
-/// All layers of a map, and what could not be said in them.
-///
-/// # Errors
-/// When a shape lies outside the projection.
+/// All layers of a map. What they cannot express is counted in `graph.changes`.
 pub(super) fn layers(map: &LaneMap, graph: &mut Graph, place: &Placement) -> Result<Vec<LayerRows>, ShapeError> {
     let indices: BTreeMap<LaneId, i64> = map
         .roadblocks()
@@ -52,31 +50,31 @@ pub(super) fn layers(map: &LaneMap, graph: &mut Graph, place: &Placement) -> Res
         .filter(|block| block.kind == LaneKind::Lane)
         .flat_map(|block| lane_indices(map, block))
         .collect();
-    graph.departures.neighbors_changed += changed_neighbors(map, &indices);
+    graph.changes.neighbors_changed += changed_neighbors(map, &indices);
     let stops = stop_rows(map, graph);
-    graph.departures.stop_lines_put_in += stops.iter().filter(|stop| stop.put_in).count();
+    graph.changes.inserted_stop_lines += stops.iter().filter(|stop| stop.inserted).count();
     let mut lines = Lines {
         place,
-        baselines: LayerBuilder::new(layers::BASELINE_PATHS),
-        boundaries: LayerBuilder::new(layers::BOUNDARIES),
+        baselines: LayerBuilder::new(schema::BASELINE_PATHS),
+        boundaries: LayerBuilder::new(schema::BOUNDARIES),
     };
     let mut edges: BTreeMap<i64, GroupEdges> = BTreeMap::new();
     let lanes = lanes(map, graph, &indices, &mut lines, &mut edges)?;
     let [connectors, connector_areas] = connectors(map, graph, &stops, &mut lines, &mut edges)?;
     let [groups, group_connectors] = groups(map, graph, place, &edges)?;
-    let plain = |layer: Layer, areas: &[Polygon]| plain(layer, areas, place);
+    let plain = |layer: Table, areas: &[Polygon]| plain(layer, areas, place);
     let mut all = vec![lanes, connectors, connector_areas, lines.baselines, lines.boundaries, groups, group_connectors];
     all.push(intersections(map, place)?);
     all.push(stop_polygons(&stops, place)?);
-    all.push(plain(layers::CROSSWALKS, map.crosswalks())?);
-    all.push(plain(layers::CARPARK_AREAS, map.carparks())?);
-    all.push(plain(layers::ROAD_SEGMENTS, map.road_segments())?);
-    all.push(plain(layers::GENERIC_DRIVABLE_AREAS, map.generic_drivable())?);
-    all.extend(layers::EMPTY.into_iter().map(LayerBuilder::new));
+    all.push(plain(schema::CROSSWALKS, map.crosswalks())?);
+    all.push(plain(schema::CARPARK_AREAS, map.carparks())?);
+    all.push(plain(schema::ROAD_SEGMENTS, map.road_segments())?);
+    all.push(plain(schema::GENERIC_DRIVABLE_AREAS, map.generic_drivable())?);
+    all.extend(schema::EMPTY_LAYERS.into_iter().map(LayerBuilder::new));
     Ok(all.into_iter().map(|filling| filling.0).collect())
 }
 
-/// Baseline paths and borders, which lanes and connectors share as layers.
+/// The layers that lanes and connectors share: baseline paths and borders.
 struct Lines<'a> {
     place: &'a Placement,
     baselines: LayerBuilder,
@@ -84,14 +82,14 @@ struct Lines<'a> {
 }
 
 impl Lines<'_> {
-    /// Enters the baseline path of a lane or connector.
+    /// Adds the baseline path of a lane or connector; its fid.
     fn baseline(&mut self, line: &Polyline, owner: &'static str, fid: i64) -> Result<i64, ShapeError> {
         let own = self.baselines.next_fid();
         self.baselines.push(own, self.place.line(line)?, vec![(owner, fid.into()), ("path_type_fid", 0.into())]);
         Ok(own)
     }
 
-    /// Enters the borders of a lane or connector: left, right.
+    /// Adds the borders of a lane or connector; the fids of the left and the right one.
     fn borders(&mut self, line: &Polyline, area: &Polygon) -> Result<[i64; 2], ShapeError> {
         let found = borders(line, area);
         let mut enter = |border: &Polyline| -> Result<i64, ShapeError> {
@@ -103,7 +101,7 @@ impl Lines<'_> {
     }
 }
 
-/// The outermost borders of a roadblock: by number of lane, the leftmost's left and the rightmost's right.
+/// The outermost borders of a roadblock, each as lane index and fid.
 #[derive(Debug, Clone, Copy)]
 struct GroupEdges {
     left: (i64, i64),
@@ -126,7 +124,7 @@ fn lanes(
     lines: &mut Lines<'_>,
     edges: &mut BTreeMap<i64, GroupEdges>,
 ) -> Result<LayerBuilder, ShapeError> {
-    let mut layer = LayerBuilder::new(layers::LANES);
+    let mut layer = LayerBuilder::new(schema::LANES);
     for row in &graph.lanes {
         let LaneRow { fid, centerline, polygon, group, source } = row;
         let index = source.and_then(|lane| indices.get(&lane).copied()).unwrap_or_default();
@@ -150,7 +148,7 @@ fn lanes(
     Ok(layer)
 }
 
-/// The connectors and their areas.
+/// Lane connectors and their areas.
 fn connectors(
     map: &LaneMap,
     graph: &Graph,
@@ -158,8 +156,8 @@ fn connectors(
     lines: &mut Lines<'_>,
     edges: &mut BTreeMap<i64, GroupEdges>,
 ) -> Result<[LayerBuilder; 2], ShapeError> {
-    let mut layer = LayerBuilder::new(layers::LANE_CONNECTORS);
-    let mut areas = LayerBuilder::new(layers::CONNECTOR_AREAS);
+    let mut layer = LayerBuilder::new(schema::LANE_CONNECTORS);
+    let mut areas = LayerBuilder::new(schema::CONNECTOR_AREAS);
     let group_of: BTreeMap<i64, i64> = graph.lanes.iter().map(|row| (row.fid, row.group)).collect();
     for (place, row) in graph.connectors.iter().enumerate() {
         let ConnectorRow { fid, centerline, polygon, exit_lane, entry_lane, group, source } = row;
@@ -192,7 +190,6 @@ fn connectors(
     Ok([layer, areas])
 }
 
-/// Roadblocks and roadblock connectors.
 fn groups(
     map: &LaneMap,
     graph: &Graph,
@@ -204,11 +201,11 @@ fn groups(
         let (left, right) = (known.map(|edges| edges.left.1), known.map(|edges| edges.right.1));
         [("left_boundary_fid", left.into()), ("right_boundary_fid", right.into())]
     };
-    let mut layer = LayerBuilder::new(layers::LANE_GROUPS);
+    let mut layer = LayerBuilder::new(schema::LANE_GROUPS);
     for row in &graph.groups {
         layer.push(row.fid, place.union(&row.areas)?, borders(row.fid).to_vec());
     }
-    let mut connecting = LayerBuilder::new(layers::LANE_GROUP_CONNECTORS);
+    let mut connecting = LayerBuilder::new(schema::LANE_GROUP_CONNECTORS);
     for row in &graph.group_connectors {
         let first = graph.connectors.iter().find(|connector| connector.group == row.fid);
         let intersection = first.and_then(|connector| intersection_of(map, &connector.centerline));
@@ -223,15 +220,15 @@ fn groups(
     Ok([layer, connecting])
 }
 
-/// Id of the intersection in which the middle of a connector lies.
+/// Fid of the intersection that holds the midpoint of a connector.
 fn intersection_of(map: &LaneMap, centerline: &Polyline) -> Option<i64> {
     let middle = centerline.point_at(centerline.length() / 2.0);
     map.intersections().iter().position(|area| area.contains(middle)).map(|place| place as i64 + 1)
 }
 
-/// Intersections, with the kind that their connectors tell.
+/// Intersections, with the type that follows from their connectors.
 fn intersections(map: &LaneMap, place: &Placement) -> Result<LayerBuilder, ShapeError> {
-    let mut layer = LayerBuilder::new(layers::INTERSECTIONS);
+    let mut layer = LayerBuilder::new(schema::INTERSECTIONS);
     for area in map.intersections() {
         let fid = layer.next_fid();
         let inside = map
@@ -252,7 +249,7 @@ fn intersections(map: &LaneMap, place: &Placement) -> Result<LayerBuilder, Shape
 }
 
 fn stop_polygons(stops: &[StopRow], place: &Placement) -> Result<LayerBuilder, ShapeError> {
-    let mut layer = LayerBuilder::new(layers::STOP_POLYGONS);
+    let mut layer = LayerBuilder::new(schema::STOP_POLYGONS);
     for stop in stops {
         let values = vec![
             ("stop_polygon_type_fid", stop.kind.into()),
@@ -264,8 +261,8 @@ fn stop_polygons(stops: &[StopRow], place: &Placement) -> Result<LayerBuilder, S
     Ok(layer)
 }
 
-/// A layer of areas that say nothing but where they are.
-fn plain(layer: Layer, areas: &[Polygon], place: &Placement) -> Result<LayerBuilder, ShapeError> {
+/// A layer of areas without further columns.
+fn plain(layer: Table, areas: &[Polygon], place: &Placement) -> Result<LayerBuilder, ShapeError> {
     let mut filling = LayerBuilder::new(layer);
     for area in areas {
         filling.push(filling.next_fid(), place.polygon(area)?, Vec::new());
@@ -273,7 +270,7 @@ fn plain(layer: Layer, areas: &[Polygon], place: &Placement) -> Result<LayerBuil
     Ok(filling)
 }
 
-/// Ids as nuPlan lists them, separated by commas.
+/// Ids as nuPlan lists them: separated by commas.
 fn listed(ids: &[i64]) -> String {
     ids.iter().map(ToString::to_string).collect::<Vec<_>>().join(",")
 }

@@ -1,129 +1,108 @@
-//! The lane graph in nuPlan's shape.
+//! The lane graph with nuPlan's relations.
 //!
-//! In nuPlan a lane connector leads from exactly one lane to exactly one lane, and lanes follow each other only over connectors. Maps
-//! derived from recordings are freer. What does not fit is rewritten so that the driven geometry stays:
+//! In nuPlan a lane connector leads from exactly one lane to exactly one lane, and lanes are joined by connectors only. Maps
+//! of recordings need not keep these rules. What breaks them is rewritten without changing the drivable geometry:
 //!
-//! * lanes that follow each other directly get a connector between them: the last [`STITCH`] metres of the first lane, cut
-//!   off its centreline, or the straight line over the gap where there is one;
-//! * connectors that follow each other get a lane between them, cut off in the same way;
-//! * a connector that begins or ends nowhere gets a lane of [`OPEN_END`] metres there;
+//! * between directly successive lanes a connector is inserted: the last [`STITCH`] metres of the first lane, cut off its
+//!   centerline, or the straight line over a gap;
+//! * between successive connectors a lane is inserted, cut off in the same way;
+//! * at an open end of a connector a lane of [`OPEN_END`] metres is inserted;
 //! * a connector that joins several lanes is written once for each pair.
 //!
-//! Maps in nuPlan's shape (all generated ones) pass unchanged. [`Departures`] counts what was done.
+//! Maps that keep the rules (all generated ones) pass unchanged. [`ExportChanges`] counts the changes.
 
-use super::Departures;
+use super::ExportChanges;
 use super::ids::{FreeIds, feature_ids};
 use crate::geometry::{GeometryError, OrientedBox, Point, Polygon, Polyline};
 use crate::world::{Lane, LaneId, LaneMap, RoadblockId};
 use std::collections::BTreeMap;
 
-/// Length that is cut off where a lane or connector must be put in, metres.
+/// Length of a lane or connector that is cut off a predecessor, m.
 pub const STITCH: f64 = 0.1;
-/// Length of the lane at an open end of a connector, metres.
+/// Length of the lane at an open end of a connector, m.
 pub const OPEN_END: f64 = 1.0;
-/// Width of lanes and connectors that are put in, metres.
+/// Width of inserted lanes and connectors, m.
 const WIDTH: f64 = 3.5;
-/// Ends nearer than this touch, metres.
+/// Ends nearer than this touch, m.
 const TOUCHING: f64 = 1e-3;
 
 /// A row of `lanes_polygons` with its baseline path.
 #[derive(Debug, Clone)]
 pub(super) struct LaneRow {
-    /// Its id.
     pub(super) fid: i64,
-    /// Its baseline path.
     pub(super) centerline: Polyline,
-    /// Its area.
     pub(super) polygon: Polygon,
-    /// Its roadblock.
     pub(super) group: i64,
-    /// The lane that it is; `None` when it was put in.
+    /// The lane of the map; `None` for an inserted one.
     pub(super) source: Option<LaneId>,
 }
 
 /// A row of `lane_connectors` with its area and baseline path.
 #[derive(Debug, Clone)]
 pub(super) struct ConnectorRow {
-    /// Its id.
     pub(super) fid: i64,
-    /// Its baseline path.
     pub(super) centerline: Polyline,
-    /// Its area.
     pub(super) polygon: Polygon,
-    /// The lane that it comes from.
     pub(super) exit_lane: i64,
-    /// The lane that it leads to.
     pub(super) entry_lane: i64,
-    /// Its roadblock connector.
     pub(super) group: i64,
-    /// The connector that it is; `None` when it was put in.
+    /// The connector of the map; `None` for an inserted one.
     pub(super) source: Option<LaneId>,
 }
 
 /// A row of `lane_groups_polygons`.
 #[derive(Debug, Clone)]
 pub(super) struct GroupRow {
-    /// Its id.
     pub(super) fid: i64,
-    /// Its area, as pieces.
+    /// The pieces of its area.
     pub(super) areas: Vec<Polygon>,
 }
 
 /// A row of `lane_group_connectors`.
 #[derive(Debug, Clone)]
 pub(super) struct GroupConnectorRow {
-    /// Its id.
     pub(super) fid: i64,
-    /// Its area, as pieces.
+    /// The pieces of its area.
     pub(super) areas: Vec<Polygon>,
-    /// The roadblock that it comes from.
     pub(super) from: i64,
-    /// The roadblock that it leads to.
     pub(super) to: i64,
-    /// The roadblock connector that it is; `None` when it was put in.
+    /// The roadblock connector of the map; `None` for an inserted one.
     pub(super) source: Option<RoadblockId>,
 }
 
-/// Lanes, connectors and their groups with nuPlan's relations.
+/// Lanes, connectors and their groups with nuPlan's relations, each in order of its ids.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Graph {
-    /// Lanes, by id.
     pub(super) lanes: Vec<LaneRow>,
-    /// Connectors, by id.
     pub(super) connectors: Vec<ConnectorRow>,
-    /// Roadblocks, by id.
+    /// Roadblocks.
     pub(super) groups: Vec<GroupRow>,
-    /// Roadblock connectors, by id.
+    /// Roadblock connectors.
     pub(super) group_connectors: Vec<GroupConnectorRow>,
-    /// Id of each roadblock and roadblock connector of the map, by its place.
+    /// Id of each roadblock and roadblock connector, by its index in the map.
     pub(super) block_fids: Vec<i64>,
-    /// What was done to fit the map in.
-    pub(super) departures: Departures,
+    pub(super) changes: ExportChanges,
 }
 
-/// Where a connector comes from or leads to.
+/// The lane at an end of a connector.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum End {
-    /// A lane of the map.
     Lane(LaneId),
-    /// The lane put between two connectors.
+    /// The lane inserted between two connectors.
     Between(LaneId, LaneId),
-    /// The lane put where this connector begins.
+    /// The lane inserted at the open start of this connector.
     OpenStart(LaneId),
-    /// The lane put where this connector ends.
+    /// The lane inserted at the open end of this connector.
     OpenFinish(LaneId),
 }
 
 impl Graph {
-    /// The graph of a map.
-    ///
-    /// # Errors
-    /// When a piece that must be put in has no extent.
+    /// Fails when an inserted piece has no extent.
     pub(super) fn of(map: &LaneMap) -> Result<Self, GeometryError> {
         GraphBuilder::new(map).fit()
     }
 
-    /// Ids of the connectors that stand for each connector of the map.
+    /// Ids of the rows of each connector of the map.
     pub(super) fn connectors_by_lane(&self) -> BTreeMap<LaneId, Vec<i64>> {
         let mut by_lane: BTreeMap<LaneId, Vec<i64>> = BTreeMap::new();
         for row in &self.connectors {
@@ -185,7 +164,7 @@ impl<'m> GraphBuilder<'m> {
         Ok(self.graph)
     }
 
-    /// A lane of the map, shortened where a connector is cut off it.
+    /// Adds a lane of the map, shortened where a connector is cut off it.
     fn add_lane(&mut self, lane: &Lane) {
         let stitched = lane.outgoing.iter().any(|&next| {
             let next = &self.map[next];
@@ -201,7 +180,7 @@ impl<'m> GraphBuilder<'m> {
         self.graph.lanes.push(LaneRow { fid, centerline, polygon: lane.polygon.clone(), group, source: Some(lane.id) });
     }
 
-    /// Connectors from a lane to the lanes that follow it directly.
+    /// Inserts connectors from a lane to its direct successors.
     fn join_directly(&mut self, lane: &Lane) -> Result<(), GeometryError> {
         for &next in lane.outgoing.iter().filter(|&&next| !self.map[next].is_connector()) {
             let centerline = joint(lane, &self.map[next])?;
@@ -209,14 +188,14 @@ impl<'m> GraphBuilder<'m> {
             let (exit_lane, entry_lane) = (self.lane_fids[lane.id.index()], self.lane_fids[next.index()]);
             let polygon = strip(&centerline)?;
             let group = self.group_connector(None, exit_lane, entry_lane, std::slice::from_ref(&polygon));
-            self.graph.departures.connectors_put_in += 1;
+            self.graph.changes.inserted_connectors += 1;
             let row = ConnectorRow { fid, centerline, polygon, exit_lane, entry_lane, group, source: None };
             self.graph.connectors.push(row);
         }
         Ok(())
     }
 
-    /// A connector of the map, once for each pair of lanes that it joins.
+    /// Adds a connector of the map, once for each pair of lanes that it joins.
     fn add_connector(&mut self, lane: &Lane) -> Result<(), GeometryError> {
         let end = |id: LaneId, between: End| if self.map[id].is_connector() { between } else { End::Lane(id) };
         let mut starts: Vec<End> = lane.incoming.iter().map(|&i| end(i, End::Between(i, lane.id))).collect();
@@ -232,7 +211,7 @@ impl<'m> GraphBuilder<'m> {
             for &finish in &finishes {
                 let (exit_lane, entry_lane) = (self.end_lane(start)?, self.end_lane(finish)?);
                 let fid = own.take().unwrap_or_else(|| {
-                    self.graph.departures.connectors_repeated += 1;
+                    self.graph.changes.connectors_repeated += 1;
                     self.free.take()
                 });
                 let areas = &self.map[lane.roadblock].areas;
@@ -258,25 +237,25 @@ impl<'m> GraphBuilder<'m> {
         Ok(())
     }
 
-    /// The lane at an end of a connector, put in if need be.
+    /// The lane at an end of a connector, inserted if it is missing.
     fn end_lane(&mut self, end: End) -> Result<i64, GeometryError> {
         if let Some(&fid) = self.ends.get(&end) {
             return Ok(fid);
         }
         let centerline = match end {
-            // Every lane of the map was entered before.
+            // Every lane of the map was added before.
             End::Lane(lane) => return Ok(self.lane_fids[lane.index()]),
             End::Between(first, second) => {
-                self.graph.departures.lanes_put_in += 1;
+                self.graph.changes.inserted_lanes += 1;
                 joint(&self.map[first], &self.map[second])?
             }
             End::OpenStart(lane) => {
-                self.graph.departures.open_ends_closed += 1;
+                self.graph.changes.open_ends_closed += 1;
                 let start = self.map[lane].centerline.pose_at(0.0);
                 Polyline::new([start.translated(-OPEN_END, 0.0).position(), start.position()])?
             }
             End::OpenFinish(lane) => {
-                self.graph.departures.open_ends_closed += 1;
+                self.graph.changes.open_ends_closed += 1;
                 let line = &self.map[lane].centerline;
                 let finish = line.pose_at(line.length());
                 Polyline::new([finish.position(), finish.translated(OPEN_END, 0.0).position()])?
@@ -291,7 +270,7 @@ impl<'m> GraphBuilder<'m> {
         Ok(fid)
     }
 
-    /// The roadblock connector between the roadblocks of two lanes that stands for `source`.
+    /// The roadblock connector of `source` between the roadblocks of two lanes.
     fn group_connector(&mut self, source: Option<RoadblockId>, exit: i64, entry: i64, areas: &[Polygon]) -> i64 {
         let group = |lane: i64| self.group_of_lane.get(&lane).copied().unwrap_or_default();
         let (from, to) = (group(exit), group(entry));
@@ -307,7 +286,7 @@ impl<'m> GraphBuilder<'m> {
     }
 }
 
-/// Whether one lane begins where the other ends.
+/// Whether the second lane starts where the first ends.
 fn touch(lane: &Lane, next: &Lane) -> bool {
     (next.centerline.start() - lane.centerline.end()).norm() < TOUCHING
 }
@@ -317,7 +296,7 @@ fn stitch(lane: &Lane) -> f64 {
     STITCH.min(lane.centerline.length() / 2.0)
 }
 
-/// The piece between two lanes that follow each other: the end of the first, or the line over the gap.
+/// The piece between two successive lanes: the end of the first, or the line over the gap.
 fn joint(lane: &Lane, next: &Lane) -> Result<Polyline, GeometryError> {
     let whole = &lane.centerline;
     if touch(lane, next) {
@@ -330,7 +309,7 @@ fn joint(lane: &Lane, next: &Lane) -> Result<Polyline, GeometryError> {
     }
 }
 
-/// The area along a short line.
+/// The area around a short line.
 fn strip(line: &Polyline) -> Result<Polygon, GeometryError> {
     let (from, to): (Point, Point) = (line.start(), line.end());
     let along = to - from;

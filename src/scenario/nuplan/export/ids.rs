@@ -3,8 +3,8 @@
 use crate::world::LaneKind;
 use std::collections::BTreeSet;
 
-/// Ids for a list of lanes or roadblocks, by their kinds and their ids in the source. The latter are kept where they are all different
-/// and ascend within each kind, which has a layer of its own (readers go by id, and order can matter); else they count from 1 on.
+/// Ids for a list of lanes or roadblocks, by their kinds and ids in the source. The ids of the source are kept where they are
+/// distinct and ascend within each kind: a kind has its own layer, and readers sort by id. Otherwise ids count from 1.
 pub(super) fn feature_ids(elements: impl Iterator<Item = (LaneKind, i64)>) -> Vec<i64> {
     let elements: Vec<(LaneKind, i64)> = elements.collect();
     let of = |wanted: LaneKind| elements.iter().filter(move |(kind, _)| *kind == wanted).map(|&(_, id)| id);
@@ -17,7 +17,7 @@ pub(super) fn feature_ids(elements: impl Iterator<Item = (LaneKind, i64)>) -> Ve
     if kept { elements.into_iter().map(|(_, id)| id).collect() } else { (1..).take(elements.len()).collect() }
 }
 
-/// Gives out the ids after those in use.
+/// Hands out ids that are not in use.
 #[derive(Debug, Clone)]
 pub(super) struct FreeIds {
     next: i64,
@@ -29,7 +29,6 @@ impl FreeIds {
         Self { next: used.iter().max().map_or(1, |&last| last.saturating_add(1)) }
     }
 
-    /// The next one.
     pub(super) fn take(&mut self) -> i64 {
         let id = self.next;
         self.next += 1;

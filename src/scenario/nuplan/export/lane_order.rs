@@ -1,12 +1,12 @@
-//! Which lane lies beside which: nuPlan says it with one number a lane within its roadblock, counted from the left.
+//! Neighbors of lanes as nuPlan stores them: an index of each lane in its roadblock, counted from the left.
 //!
-//! The lane beside counts along its whole length and both ways. Where the map says it for parts of a lane, the lanes that run beside
-//! each other longest are neighbours; lanes of a roadblock that are no neighbours get numbers further apart.
+//! In nuPlan two lanes are neighbors along their whole length and both ways. Where the map has neighbors for parts of a lane,
+//! the pair with the longest common part is kept; lanes that are no neighbors get indices that differ by more than one.
 
 use crate::world::{LaneId, LaneMap, Neighbor, Roadblock};
 use std::collections::BTreeMap;
 
-/// Number of each lane of a roadblock.
+/// Index of each lane of a roadblock.
 pub(super) fn lane_indices(map: &LaneMap, block: &Roadblock) -> BTreeMap<LaneId, i64> {
     let right_of = pairs(map, block);
     let mut indices = BTreeMap::new();
@@ -21,7 +21,7 @@ pub(super) fn lane_indices(map: &LaneMap, block: &Roadblock) -> BTreeMap<LaneId,
         }
         next += 1;
     }
-    // Lanes that lie beside each other in a circle have no leftmost one.
+    // Lanes that are neighbors in a circle have no leftmost one.
     for &lane in &block.lanes {
         indices.entry(lane).or_insert_with(|| {
             next += 2;
@@ -31,7 +31,7 @@ pub(super) fn lane_indices(map: &LaneMap, block: &Roadblock) -> BTreeMap<LaneId,
     indices
 }
 
-/// For each lane the one to its right; no lane is right of two. The longest neighbourhoods come first.
+/// The right neighbor of each lane; no lane is the right neighbor of two. The pairs with the longest common part win.
 fn pairs(map: &LaneMap, block: &Roadblock) -> BTreeMap<LaneId, LaneId> {
     let length = |n: &Neighbor| n.to_s - n.from_s;
     let mut beside: Vec<(f64, LaneId, LaneId)> = Vec::new();
@@ -50,7 +50,7 @@ fn pairs(map: &LaneMap, block: &Roadblock) -> BTreeMap<LaneId, LaneId> {
     right_of
 }
 
-/// How many neighbourhoods of the map the numbers do not say, or say for the whole lane instead of a part.
+/// Number of neighbor relations of the map that the indices drop, or extend from a part to the whole lane.
 pub(super) fn changed_neighbors(map: &LaneMap, indices: &BTreeMap<LaneId, i64>) -> usize {
     let kept = |lane: LaneId, neighbor: &Neighbor, step: i64| {
         let here = &map[lane];

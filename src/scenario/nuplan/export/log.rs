@@ -1,23 +1,26 @@
-//! Writes the log database of one scenario.
+//! The log database of one scenario.
 
-use super::log_schema as sql;
 use super::naming::Tokens;
 use super::timeline::{Row, Timeline};
 use crate::geometry::{Point, Pose};
 use crate::scenario::Scenario;
+use crate::scenario::nuplan::schema::{
+    CATEGORY, CHANNEL, EGO_POSE, LIDAR, LIDAR_BOX, LIDAR_PC, LOG, LOG_INDICES, LOG_TABLES, SCENARIO_TAG, SCENE, TRACK,
+    TRAFFIC_LIGHT_STATUS,
+};
 use crate::scenario::nuplan::token::Token;
 use crate::world::{EgoState, LaneId, MICROS_PER_SECOND, ObjectKind, TrackToken, TrackedObject};
+use jiff::Timestamp;
+use rusqlite::types::Null;
 use rusqlite::{Connection, Transaction, params};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The channel that the devkit takes scenarios from.
-const CHANNEL: &str = "MergedPointCloud";
 /// Python pickle (protocol 0) of `[0.0, 0.0, 0.0]`: the lidar sits at the ego's origin.
 const NO_TRANSLATION: &[u8] = b"(lp0\nF0.0\naF0.0\naF0.0\na.";
-/// Python pickle (protocol 0) of `[1.0, 0.0, 0.0, 0.0]`, a quaternion: it is not turned.
+/// Python pickle (protocol 0) of `[1.0, 0.0, 0.0, 0.0]`: a quaternion without rotation.
 const NO_ROTATION: &[u8] = b"(lp0\nF1.0\naF0.0\naF0.0\naF0.0\na.";
-/// Categories in the order of the devkit's enumeration, with heights that nothing reads, metres.
+/// Categories in the order of the devkit's enumeration, with nominal heights, m, which nothing reads.
 const CATEGORIES: [(ObjectKind, f64); 7] = [
     (ObjectKind::Vehicle, 1.7),
     (ObjectKind::Pedestrian, 1.7),
@@ -27,37 +30,32 @@ const CATEGORIES: [(ObjectKind, f64); 7] = [
     (ObjectKind::CzoneSign, 1.5),
     (ObjectKind::GenericObject, 1.0),
 ];
-/// Names of the scenes, in order of time. The devkit takes scenarios only from scenes with two before and two after them.
+/// Names of the scenes, in order of time. The devkit takes scenarios only from scenes with two scenes on either side.
 const SCENES: [&str; 5] = ["scene-000", "scene-001", "scene-002", "scene-003", "scene-004"];
-/// The scene of the tagged row, which has it for itself: a log gives one scenario.
+/// The scene of the tagged row alone, so that a log gives one scenario.
 const ANCHOR_SCENE: usize = 2;
 
-/// What a log says beside its rows.
+/// The contents of a log besides its rows.
 #[derive(Debug, Clone)]
 pub(super) struct LogHeader<'a> {
-    /// Name of the log, which is the stem of its file.
+    /// Name of the log: the stem of its file.
     pub(super) log: &'a str,
-    /// Name of its map.
     pub(super) location: &'a str,
-    /// EPSG code of the map's projection.
     pub(super) epsg: u32,
-    /// Easting and northing of the scenario's own origin, metres.
+    /// Easting and northing of the scenario's origin, m.
     pub(super) origin: Point,
-    /// Ids of the map's lane connectors by lane.
+    /// Fids of the lane connectors by lane.
     pub(super) connectors: &'a BTreeMap<LaneId, Vec<i64>>,
-    /// Ids of the route's roadblocks.
+    /// Fids of the roadblocks of the route.
     pub(super) route: &'a [i64],
 }
 
-/// Token of the row that names the scenario.
+/// Token of the tagged row, which names the scenario.
 pub(super) fn anchor_token(log: &str, timeline: &Timeline<'_>) -> Token {
     Tokens::new(log).of("lidar_pc", timeline.anchor as u64)
 }
 
 /// Writes a new database.
-///
-/// # Errors
-/// What SQLite says.
 pub(super) fn write_log(
     path: &Path,
     facts: &LogHeader<'_>,
@@ -67,16 +65,24 @@ pub(super) fn write_log(
     let mut connection = Connection::open(path)?;
     connection.execute_batch("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")?;
     let transaction = connection.transaction()?;
-    transaction.execute_batch(sql::TABLES)?;
+    for table in LOG_TABLES {
+        transaction.execute(&table.created(), [])?;
+    }
+    for (table, column) in LOG_INDICES {
+        transaction.execute(&format!("CREATE INDEX {table}_{column} ON {table} ({column})"), [])?;
+    }
     let writer = Writer { transaction: &transaction, facts, tokens: Tokens::new(facts.log), timeline };
-    writer.write_frame_of_reference(scenario)?;
+    writer.write_header(scenario)?;
     writer.write_tracks()?;
     let mut boxes = 0;
     for (number, row) in timeline.rows.iter().enumerate() {
         writer.write_row(number, row, &mut boxes)?;
     }
     let anchor = anchor_token(facts.log, timeline);
-    transaction.execute(sql::TAG, params![writer.tokens.of("scenario_tag", 0), anchor, scenario.scenario_type])?;
+    transaction.execute(
+        &SCENARIO_TAG.insert(),
+        params![writer.tokens.of("scenario_tag", 0), anchor, scenario.scenario_type, Null],
+    )?;
     transaction.commit()?;
     connection.close().map_err(|(_, error)| error)
 }
@@ -89,12 +95,12 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    /// Log, lidar, categories, scenes and the goal.
-    fn write_frame_of_reference(&self, scenario: &Scenario) -> rusqlite::Result<()> {
+    /// Writes log, lidar, categories, scenes and goal.
+    fn write_header(&self, scenario: &Scenario) -> rusqlite::Result<()> {
         let log = self.tokens.of("log", 0);
         let first_us = self.timeline.rows.first().map_or(0, |row| row.ego.time_us);
         self.transaction.execute(
-            sql::LOG,
+            &LOG.insert(),
             params![
                 log,
                 "planagent",
@@ -106,20 +112,20 @@ impl Writer<'_> {
             ],
         )?;
         let lidar = self.tokens.of("lidar", 0);
-        self.transaction.execute(sql::LIDAR, params![lidar, log, CHANNEL, "none", NO_TRANSLATION, NO_ROTATION])?;
+        self.transaction.execute(&LIDAR.insert(), params![lidar, log, CHANNEL, "none", NO_TRANSLATION, NO_ROTATION])?;
         for (kind, _) in CATEGORIES {
-            self.transaction.execute(sql::CATEGORY, params![self.category(kind), kind.to_string(), ""])?;
+            self.transaction.execute(&CATEGORY.insert(), params![self.category(kind), kind.to_string(), ""])?;
         }
         let goal = scenario.route.goal.map(|goal| self.write_goal(goal)).transpose()?;
         let route: Vec<String> = self.facts.route.iter().map(ToString::to_string).collect();
         for (number, name) in SCENES.into_iter().enumerate() {
             let token = self.tokens.of("scene", number as u64);
-            self.transaction.execute(sql::SCENE, params![token, log, name, goal, route.join(" ")])?;
+            self.transaction.execute(&SCENE.insert(), params![token, log, name, goal, route.join(" ")])?;
         }
         Ok(())
     }
 
-    /// The goal is an ego pose after the last row, which no row uses.
+    /// Writes the goal as an ego pose after the last row; no row uses it.
     fn write_goal(&self, goal: Pose) -> rusqlite::Result<Token> {
         let after_us = self.timeline.rows.last().map_or(0, |row| row.ego.time_us) + MICROS_PER_SECOND as i64;
         let state =
@@ -127,13 +133,13 @@ impl Writer<'_> {
         self.write_ego(self.timeline.rows.len(), &state)
     }
 
-    /// A track an object, in order of track, with its size where it is first seen.
+    /// Writes a track for each object, in order of tracks, with the size of its first box.
     fn write_tracks(&self) -> rusqlite::Result<()> {
         let mut first: BTreeMap<TrackToken, &TrackedObject> = BTreeMap::new();
         for object in self.timeline.rows.iter().flat_map(|row| row.objects.iter()) {
             first.entry(object.token).or_insert(object);
         }
-        let mut insert = self.transaction.prepare_cached(sql::TRACK)?;
+        let mut insert = self.transaction.prepare_cached(&TRACK.insert())?;
         for (track, object) in first {
             let shape = object.shape;
             let (token, category) = (self.track(track), self.category(object.kind));
@@ -142,7 +148,7 @@ impl Writer<'_> {
         Ok(())
     }
 
-    /// A row with its ego, boxes and lights; `boxes` counts the boxes of the log.
+    /// Writes a row with its ego, boxes and lights; `boxes` counts the boxes of the log.
     fn write_row(&self, number: usize, row: &Row<'_>, boxes: &mut u64) -> rusqlite::Result<()> {
         let time = |number: usize| self.tokens.of("lidar_pc", number as u64);
         let token = time(number);
@@ -152,31 +158,22 @@ impl Writer<'_> {
         let scene = self.tokens.of("scene", self.scene_of(number) as u64);
         let file = format!("{}/{CHANNEL}/{token}.pcd", self.facts.log);
         let lidar = self.tokens.of("lidar", 0);
-        let mut insert = self.transaction.prepare_cached(sql::LIDAR_PC)?;
+        let mut insert = self.transaction.prepare_cached(&LIDAR_PC.insert())?;
         insert.execute(params![token, next, previous, ego, lidar, scene, file, row.ego.time_us])?;
-        let mut insert = self.transaction.prepare_cached(sql::LIDAR_BOX)?;
+        let mut insert = self.transaction.prepare_cached(&LIDAR_BOX.insert())?;
         for object in row.objects.iter() {
             let own = self.tokens.of("lidar_box", *boxes);
             *boxes += 1;
             let (shape, at) = (object.shape, self.projected(object.shape.center));
             let (tall, velocity) = (height(object.kind), object.velocity);
             let (track, yaw) = (self.track(object.token), shape.center.heading);
+            let (length, width, z) = (shape.length, shape.width, tall / 2.0);
             insert.execute(params![
-                own,
-                token,
-                track,
-                at.x,
-                at.y,
-                tall / 2.0,
-                shape.width,
-                shape.length,
-                tall,
-                velocity.x,
-                velocity.y,
-                yaw
+                own, token, track, Null, Null, at.x, at.y, z, width, length, tall, velocity.x, velocity.y, 0.0, yaw,
+                1.0
             ])?;
         }
-        let mut insert = self.transaction.prepare_cached(sql::LIGHT)?;
+        let mut insert = self.transaction.prepare_cached(&TRAFFIC_LIGHT_STATUS.insert())?;
         let lights = row.lights.into_iter().flat_map(crate::world::TrafficLights::iter).flat_map(|(lane, status)| {
             self.facts.connectors.get(&lane).into_iter().flatten().map(move |&connector| (connector, status))
         });
@@ -191,27 +188,35 @@ impl Writer<'_> {
         let token = self.tokens.of("ego_pose", number as u64);
         let at = self.projected(ego.rear_axle);
         let (sin, cos) = (ego.rear_axle.heading / 2.0).sin_cos();
-        let (velocity, acceleration) = (ego.velocity, ego.acceleration);
-        let mut insert = self.transaction.prepare_cached(sql::EGO_POSE)?;
+        let mut insert = self.transaction.prepare_cached(&EGO_POSE.insert())?;
+        let (v, a, yaw_rate) = (ego.velocity, ego.acceleration, ego.angular_velocity);
+        let log = self.tokens.of("log", 0);
         insert.execute(params![
             token,
             ego.time_us,
             at.x,
             at.y,
+            0.0,
             cos,
+            0.0,
+            0.0,
             sin,
-            velocity.x,
-            velocity.y,
-            acceleration.x,
-            acceleration.y,
-            ego.angular_velocity,
+            v.x,
+            v.y,
+            0.0,
+            a.x,
+            a.y,
+            0.0,
+            0.0,
+            0.0,
+            yaw_rate,
             self.facts.epsg,
-            self.tokens.of("log", 0)
+            log
         ])?;
         Ok(token)
     }
 
-    /// Before, at and after the tagged row; the very first and the very last row stand for the outer scenes.
+    /// The scene of a row: before, at or after the tagged row; the first and the last row are the outer scenes.
     fn scene_of(&self, number: usize) -> usize {
         let last = self.timeline.rows.len() - 1;
         match number.cmp(&self.timeline.anchor) {
@@ -240,28 +245,5 @@ fn height(kind: ObjectKind) -> f64 {
 
 /// The day of a Unix time, `YYYY-MM-DD`.
 fn date(time_us: i64) -> String {
-    const DAY_US: i64 = 86_400_000_000;
-    // Days from civil epoch, with years that begin in March (H. Hinnant, "chrono-compatible low-level date algorithms").
-    let days = time_us.div_euclid(DAY_US) + 719_468;
-    let era = days.div_euclid(146_097);
-    let of_era = days.rem_euclid(146_097);
-    let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year + year / 4 - year / 100);
-    let month = (5 * of_year + 2) / 153;
-    let day = of_year - (153 * month + 2) / 5 + 1;
-    let month = if month < 10 { month + 3 } else { month - 9 };
-    format!("{:04}-{month:02}-{day:02}", year + era * 400 + i64::from(month <= 2))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::date;
-
-    #[test]
-    fn days_have_their_dates() {
-        let days = [(0, "1970-01-01"), (18_780, "2021-06-02"), (19_782, "2024-02-29"), (-1, "1969-12-31")];
-        for (day, text) in days {
-            assert_eq!(date(day * 86_400_000_000 + 86_399_999_999), text);
-        }
-    }
+    Timestamp::from_microsecond(time_us).map_or_else(|_| String::new(), |time| time.strftime("%F").to_string())
 }

@@ -1,17 +1,15 @@
-//! Names of what is written: tokens, files, locations. All are functions of the content, so that the same scenario gets the
-//! same names everywhere.
+//! Names of tokens, files and locations. They depend on the content only: the same scenario gets the same names everywhere.
 
 use crate::scenario::nuplan::token::{TOKEN_BYTES, Token};
 use std::path::Path;
 
-/// Makes the tokens of one log.
+/// The tokens of one log.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Tokens<'a> {
     log: &'a str,
 }
 
 impl<'a> Tokens<'a> {
-    /// The tokens of the log of this name.
     pub(super) fn new(log: &'a str) -> Self {
         Self { log }
     }
@@ -29,22 +27,22 @@ impl<'a> Tokens<'a> {
     }
 }
 
-/// A text as a file name that every system takes: what is neither letter, digit, dot, minus nor underscore becomes an underscore.
+/// A text as a portable file name: anything but letters, digits, dots, minuses and underscores becomes an underscore.
 pub(super) fn file_name(text: &str) -> String {
     let safe = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '_' };
     let name: String = text.chars().map(safe).collect();
-    // A leading dot would hide the file, or climb out of the folder.
+    // A leading dot would hide the file, or leave the folder.
     let name = name.trim_start_matches('.');
     if name.is_empty() { "scenario".to_owned() } else { name.to_owned() }
 }
 
-/// Name of the log of a scenario: its own log's name and its id, as one file name.
+/// Name of the written log: the name of the scenario's log and its id, as one file name.
 pub(super) fn log_name(log: &str, id: &str) -> String {
     let (log, id) = (file_name(log), file_name(id));
     if log == id { id } else { format!("{log}_{id}") }
 }
 
-/// Whether a text can name a folder of its own.
+/// Whether a text can name a folder.
 pub(super) fn is_folder_name(text: &str) -> bool {
     !text.is_empty() && file_name(text) == text && Path::new(text).components().count() == 1
 }

@@ -1,7 +1,7 @@
-//! The container of a map: a `GeoPackage`, which is a SQLite database with the tables of the OGC standard 12-128.
+//! The container of a map: a `GeoPackage`, that is a SQLite database with the tables of the OGC standard 12-128.
 
-use super::layers::Layer;
 use crate::scenario::nuplan::projection::WGS84;
+use crate::scenario::nuplan::schema::{META, Table};
 use rusqlite::types::Value;
 use rusqlite::{Connection, Transaction, params, params_from_iter};
 use std::path::Path;
@@ -10,13 +10,13 @@ use std::path::Path;
 const APPLICATION_ID: i64 = 0x4750_4B47;
 /// Version of the standard, 1.3, as SQLite's user version.
 const USER_VERSION: i64 = 10_300;
-/// Time of the last change that every layer states; a constant, so that the same map gives the same file.
+/// Time of the last change of every layer; constant, so that the same map gives the same file.
 const LAST_CHANGE: &str = "1970-01-01T00:00:00.000Z";
-/// WGS 84 in the well-known text that the standard asks for.
+/// WGS 84 in the well-known text that the standard requires.
 const WGS84_WKT: &str = "GEOGCS[\"WGS 84\",DATUM[\"WGS_1984\",SPHEROID[\"WGS 84\",6378137,298.257223563,\
     AUTHORITY[\"EPSG\",\"7030\"]],AUTHORITY[\"EPSG\",\"6326\"]],PRIMEM[\"Greenwich\",0,AUTHORITY[\"EPSG\",\"8901\"]],\
     UNIT[\"degree\",0.0174532925199433,AUTHORITY[\"EPSG\",\"9122\"]],AUTHORITY[\"EPSG\",\"4326\"]]";
-/// Tables of the standard, and nuPlan's table of facts about the map.
+/// Tables of the standard.
 const TABLES: &str = "
 CREATE TABLE gpkg_spatial_ref_sys (
     srs_name TEXT NOT NULL,
@@ -48,35 +48,27 @@ CREATE TABLE gpkg_geometry_columns (
     CONSTRAINT fk_gc_tn FOREIGN KEY (table_name) REFERENCES gpkg_contents (table_name),
     CONSTRAINT fk_gc_srs FOREIGN KEY (srs_id) REFERENCES gpkg_spatial_ref_sys (srs_id)
 );
-CREATE TABLE meta (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, key TEXT, value TEXT);
 ";
 
-/// One row of a layer. Columns that are not named are NULL.
+/// One row of a layer. Columns without a value are NULL.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Feature {
-    /// Its id.
     pub(super) fid: i64,
-    /// Its geometry as the package stores it.
+    /// The geometry as a `GeoPackage` stores it.
     pub(super) geometry: Vec<u8>,
-    /// Named columns.
     pub(super) values: Vec<(&'static str, Value)>,
 }
 
 /// A layer with its rows.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct LayerRows {
-    /// Which layer.
-    pub(super) layer: Layer,
-    /// Its rows.
+    pub(super) layer: Table,
     pub(super) features: Vec<Feature>,
-    /// Smallest and largest longitude and latitude, degrees: west, south, east, north; `None` without rows.
+    /// Extent in degrees: west, south, east, north; `None` without rows.
     pub(super) bounds: Option<[f64; 4]>,
 }
 
 /// Writes a new package.
-///
-/// # Errors
-/// What SQLite says.
 pub(super) fn write_package(path: &Path, meta: &[(&str, String)], layers: &[LayerRows]) -> rusqlite::Result<()> {
     let mut connection = Connection::open(path)?;
     connection.execute_batch("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")?;
@@ -85,7 +77,7 @@ pub(super) fn write_package(path: &Path, meta: &[(&str, String)], layers: &[Laye
     let transaction = connection.transaction()?;
     write_reference_systems(&transaction)?;
     for (key, value) in meta {
-        transaction.execute("INSERT INTO meta (key, value) VALUES (?, ?)", params![key, value])?;
+        transaction.execute(&META.insert_into(&["key", "value"]), params![key, value])?;
     }
     for filled in layers {
         write_layer(&transaction, filled)?;
@@ -94,9 +86,10 @@ pub(super) fn write_package(path: &Path, meta: &[(&str, String)], layers: &[Laye
     connection.close().map_err(|(_, error)| error)
 }
 
-/// The standard's tables and the three systems that it asks for.
+/// Writes the tables of the standard and the three reference systems that it requires.
 fn write_reference_systems(transaction: &Transaction<'_>) -> rusqlite::Result<()> {
     transaction.execute_batch(TABLES)?;
+    transaction.execute(&META.created(), [])?;
     let systems = [
         ("Undefined Cartesian SRS", -1, "NONE", -1, "undefined"),
         ("Undefined geographic SRS", 0, "NONE", 0, "undefined"),
@@ -118,12 +111,8 @@ fn write_reference_systems(transaction: &Transaction<'_>) -> rusqlite::Result<()
 }
 
 fn write_layer(transaction: &Transaction<'_>, filled: &LayerRows) -> rusqlite::Result<()> {
-    let Layer { name, geometry, columns } = filled.layer;
-    let columns: Vec<String> = columns.iter().map(|(column, kind)| format!("{column} {kind}")).collect();
-    let columns = columns.join(", ");
-    transaction.execute_batch(&format!(
-        "CREATE TABLE {name} (fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, geom {geometry}, {columns})"
-    ))?;
+    let Table { name, .. } = filled.layer;
+    transaction.execute(&filled.layer.created(), [])?;
     let bound = |i: usize| filled.bounds.map(|bounds| bounds[i]);
     transaction.execute(
         "INSERT INTO gpkg_contents (table_name, data_type, identifier, last_change, min_x, min_y, max_x, max_y, srs_id) \
@@ -133,14 +122,12 @@ fn write_layer(transaction: &Transaction<'_>, filled: &LayerRows) -> rusqlite::R
     transaction.execute(
         "INSERT INTO gpkg_geometry_columns (table_name, column_name, geometry_type_name, srs_id, z, m) \
          VALUES (?, 'geom', ?, ?, 0, 0)",
-        params![name, geometry, WGS84],
+        params![name, filled.layer.kind("geom"), WGS84],
     )?;
     for feature in &filled.features {
         let named: Vec<&str> =
             ["fid", "geom"].into_iter().chain(feature.values.iter().map(|&(column, _)| column)).collect();
-        let named = named.join(", ");
-        let places = ", ?".repeat(feature.values.len());
-        let mut insert = transaction.prepare_cached(&format!("INSERT INTO {name} ({named}) VALUES (?, ?{places})"))?;
+        let mut insert = transaction.prepare_cached(&filled.layer.insert_into(&named))?;
         let own = [Value::Integer(feature.fid), Value::Blob(feature.geometry.clone())];
         insert.execute(params_from_iter(own.iter().chain(feature.values.iter().map(|(_, value)| value))))?;
     }

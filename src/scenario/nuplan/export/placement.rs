@@ -1,18 +1,17 @@
-//! Where on Earth a scenario's own coordinates lie, and its shapes as a map package stores them.
+//! Where on Earth the scenario's own coordinates lie, and its shapes as a map package stores them.
 
 use crate::geometry::{Point, Polygon, Polyline};
-use crate::scenario::nuplan::geometry_blob::{BlobError, encode_line, encode_polygon, encode_polygons};
+use crate::scenario::nuplan::geometry_blob::{BlobError, StoredShape, encode};
 use crate::scenario::nuplan::projection::{ProjectionError, Utm, WGS84};
 use geo::orient::Direction;
-use geo::{Coord, LineString, Orient};
+use geo::{Coord, LineString, MultiPolygon, Orient};
 
 /// Why a shape cannot be written.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ShapeError {
-    /// It does not lie on Earth.
     #[error(transparent)]
     Projection(#[from] ProjectionError),
-    /// It cannot be encoded.
     #[error(transparent)]
     Blob(#[from] BlobError),
 }
@@ -20,57 +19,32 @@ pub enum ShapeError {
 /// A zone, and the scenario's origin in it.
 #[derive(Debug, Clone)]
 pub(super) struct Placement {
-    /// The projection.
     pub(super) utm: Utm,
-    /// Easting and northing of the scenario's origin, metres.
+    /// Easting and northing of the scenario's origin, m.
     pub(super) origin: Point,
 }
 
-/// A shape as it is stored, and its smallest and largest longitude and latitude: west, south, east, north.
-pub(super) type StoredShape = (Vec<u8>, [f64; 4]);
-
 impl Placement {
-    /// A line, stored.
-    ///
-    /// # Errors
-    /// When it lies outside the projection.
     pub(super) fn line(&self, line: &Polyline) -> Result<StoredShape, ShapeError> {
-        let line = self.degrees(line.vertices())?;
-        let bounds = bounds(line.coords());
-        Ok((encode_line(line, WGS84)?, bounds))
+        Ok(encode(&self.degrees(line.vertices())?.into(), WGS84)?)
     }
 
-    /// An area with its holes, stored.
-    ///
-    /// # Errors
-    /// When it lies outside the projection.
+    /// An area with its holes.
     pub(super) fn polygon(&self, polygon: &Polygon) -> Result<StoredShape, ShapeError> {
-        self.outline(&to_geo(polygon))
+        Ok(encode(&self.degrees_of(&to_geo(polygon))?.into(), WGS84)?)
     }
 
-    /// Several pieces as one area: a single piece as it is, several joined where they touch.
-    ///
-    /// # Errors
-    /// When it lies outside the projection.
+    /// Several pieces as one area: a single piece unchanged, several as their union.
     pub(super) fn union(&self, pieces: &[Polygon]) -> Result<StoredShape, ShapeError> {
         if let [only] = pieces {
             return self.polygon(only);
         }
-        // Rings that run opposite ways would cut each other out.
+        // Rings of opposite orientation would cancel each other.
         let pieces: Vec<geo::Polygon<f64>> = pieces.iter().map(|p| to_geo(p).orient(Direction::Default)).collect();
         let joined = geo::unary_union(&pieces).0;
-        if let [only] = joined.as_slice() {
-            return self.outline(only);
-        }
-        let placed = joined.iter().map(|piece| self.degrees_of(piece)).collect::<Result<Vec<_>, _>>()?;
-        let bounds = bounds(placed.iter().flat_map(|piece| piece.exterior().coords()));
-        Ok((encode_polygons(placed, WGS84)?, bounds))
-    }
-
-    fn outline(&self, polygon: &geo::Polygon<f64>) -> Result<StoredShape, ShapeError> {
-        let placed = self.degrees_of(polygon)?;
-        let bounds = bounds(placed.exterior().coords());
-        Ok((encode_polygon(placed, WGS84)?, bounds))
+        let mut placed = joined.iter().map(|piece| self.degrees_of(piece)).collect::<Result<Vec<_>, _>>()?;
+        let only = if placed.len() == 1 { placed.pop() } else { None };
+        Ok(encode(&only.map_or_else(|| MultiPolygon(placed).into(), Into::into), WGS84)?)
     }
 
     fn degrees_of(&self, polygon: &geo::Polygon<f64>) -> Result<geo::Polygon<f64>, ShapeError> {
@@ -95,9 +69,4 @@ impl Placement {
 fn to_geo(polygon: &Polygon) -> geo::Polygon<f64> {
     let line = |ring: &[Point]| LineString::from(ring.iter().map(|p| (p.x, p.y)).collect::<Vec<_>>());
     geo::Polygon::new(line(polygon.ring()), polygon.holes().iter().map(|hole| line(hole)).collect())
-}
-
-fn bounds<'a>(coords: impl Iterator<Item = &'a Coord<f64>>) -> [f64; 4] {
-    let none = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
-    coords.fold(none, |[west, south, east, north], c| [west.min(c.x), south.min(c.y), east.max(c.x), north.max(c.y)])
 }

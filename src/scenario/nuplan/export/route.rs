@@ -1,13 +1,13 @@
-//! The route in the ids of the written map.
+//! The route of a scenario in ids of the written map.
 
 use super::graph::Graph;
 use crate::world::{LaneKind, LaneMap, RoadblockId};
 use std::collections::{BTreeMap, VecDeque};
 
-/// Roadblocks that are put in between two of the route at most: a connector, or a connector, a lane and a connector.
+/// At most so many inserted roadblocks lie between two of the route: a connector, or a connector, a lane and a connector.
 const MAX_GAP: usize = 3;
 
-/// Ids of the route's roadblocks and roadblock connectors, those that the written map has between them included.
+/// Ids of the roadblocks and roadblock connectors of the route, with the inserted ones between them.
 pub(super) fn route_ids(map: &LaneMap, graph: &Graph, route: &[RoadblockId]) -> Vec<i64> {
     let mut onward: BTreeMap<i64, Vec<i64>> = BTreeMap::new();
     for row in &graph.group_connectors {
@@ -18,11 +18,13 @@ pub(super) fn route_ids(map: &LaneMap, graph: &Graph, route: &[RoadblockId]) -> 
     for (place, &block) in route.iter().enumerate() {
         let candidates = written(map, graph, block);
         let after = route.get(place + 1).map_or_else(Vec::new, |&next| written(map, graph, next));
-        let leads_on = |from: i64| after.iter().filter_map(|&to| way(&onward, from, to)).map(|way| way.len()).min();
-        // The nearest of the rows that stand for it; of equally near ones that from which the route goes on soonest.
-        let ways = candidates.iter().map(|&fid| (fid, ids.last().and_then(|&last| way(&onward, last, fid))));
-        let best = ways
-            .min_by_key(|(fid, way)| (way.as_ref().map_or(usize::MAX, Vec::len), leads_on(*fid).unwrap_or(usize::MAX)));
+        let distance_on =
+            |from: i64| after.iter().filter_map(|&to| path_between(&onward, from, to)).map(|path| path.len()).min();
+        // The row nearest to the route so far; of equally near ones, the nearest to the next roadblock.
+        let paths = candidates.iter().map(|&fid| (fid, ids.last().and_then(|&last| path_between(&onward, last, fid))));
+        let best = paths.min_by_key(|(fid, path)| {
+            (path.as_ref().map_or(usize::MAX, Vec::len), distance_on(*fid).unwrap_or(usize::MAX))
+        });
         if let Some((fid, between)) = best {
             ids.extend(between.unwrap_or_default());
             ids.push(fid);
@@ -31,7 +33,7 @@ pub(super) fn route_ids(map: &LaneMap, graph: &Graph, route: &[RoadblockId]) -> 
     ids
 }
 
-/// The rows that stand for a roadblock.
+/// The rows of a roadblock.
 fn written(map: &LaneMap, graph: &Graph, block: RoadblockId) -> Vec<i64> {
     if map[block].kind == LaneKind::Lane {
         return vec![graph.block_fids[block.index()]];
@@ -39,8 +41,8 @@ fn written(map: &LaneMap, graph: &Graph, block: RoadblockId) -> Vec<i64> {
     graph.group_connectors.iter().filter(|row| row.source == Some(block)).map(|row| row.fid).collect()
 }
 
-/// What lies between two rows on the shortest way; `None` when that is more than [`MAX_GAP`] rows.
-fn way(onward: &BTreeMap<i64, Vec<i64>>, from: i64, to: i64) -> Option<Vec<i64>> {
+/// The rows between two rows on the shortest path; `None` for more than [`MAX_GAP`].
+fn path_between(onward: &BTreeMap<i64, Vec<i64>>, from: i64, to: i64) -> Option<Vec<i64>> {
     let mut queue = VecDeque::from([vec![from]]);
     while let Some(path) = queue.pop_front() {
         let last = path.last().copied()?;

@@ -1,10 +1,10 @@
-//! Writing a folder in one piece: everything goes to a folder beside it, which takes the name at the end.
+//! Writes a folder atomically: into a hidden folder beside it, which is renamed at the end.
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A folder being written; dropped before it is finished, it disappears.
+/// A folder under construction. Dropped before [`Self::finish`], it is removed.
 #[derive(Debug)]
 pub(super) struct Staging {
     target: PathBuf,
@@ -13,10 +13,7 @@ pub(super) struct Staging {
 }
 
 impl Staging {
-    /// Begins to write `target`, which must not exist or be an empty folder.
-    ///
-    /// # Errors
-    /// `AlreadyExists` when there is something, or what the system says.
+    /// Begins to write `target`; `AlreadyExists` unless it is missing or an empty folder.
     pub(super) fn begin(target: &Path) -> io::Result<Self> {
         if is_taken(target)? {
             return Err(io::ErrorKind::AlreadyExists.into());
@@ -29,10 +26,7 @@ impl Staging {
         Ok(Self { target: target.to_owned(), folder, finished: false })
     }
 
-    /// Where a file of the finished folder is to be written now; its folder exists.
-    ///
-    /// # Errors
-    /// When its folder cannot be made.
+    /// The present path of a file of the finished folder; its parent folder exists.
     pub(super) fn path(&self, inside: &Path) -> io::Result<PathBuf> {
         let path = self.folder.join(inside);
         if let Some(parent) = path.parent() {
@@ -41,18 +35,11 @@ impl Staging {
         Ok(path)
     }
 
-    /// Writes a text file.
-    ///
-    /// # Errors
-    /// What the system says.
     pub(super) fn write(&self, inside: &Path, text: &str) -> io::Result<()> {
         fs::write(self.path(inside)?, text)
     }
 
     /// Gives the folder its name.
-    ///
-    /// # Errors
-    /// When something has taken the name meanwhile.
     pub(super) fn finish(mut self) -> io::Result<()> {
         fs::rename(&self.folder, &self.target)?;
         self.finished = true;
@@ -63,13 +50,13 @@ impl Staging {
 impl Drop for Staging {
     fn drop(&mut self) {
         if !self.finished {
-            // Nobody is left to tell should even this fail; what remains is a hidden folder that says it is a part.
+            // An error cannot be reported here; a hidden folder that ends in `.part` would remain.
             let _ = fs::remove_dir_all(&self.folder);
         }
     }
 }
 
-/// Whether anything but an empty folder is there.
+/// Whether the path is anything but missing or an empty folder.
 fn is_taken(path: &Path) -> io::Result<bool> {
     match fs::read_dir(path) {
         Ok(mut entries) => Ok(entries.next().is_some()),

@@ -1,4 +1,4 @@
-//! Maps that nuPlan cannot say as they are, and folders that must not be written.
+//! Maps that nuPlan's formats cannot express, and folders that must not be written.
 
 use super::graph::{ConnectorRow, Graph, LaneRow};
 use super::route::route_ids;
@@ -9,7 +9,7 @@ use crate::scenario::generator::{ScenarioType, Spec, generate, types};
 use crate::world::{Lane, LaneId, LaneKind, MapParts, Neighbor, Roadblock, RoadblockId};
 use rusqlite::Connection;
 
-/// A map of straight lanes along the x axis, each in a roadblock of its own: kind, start and end, and the lanes that it leads to.
+/// A map of straight lanes along the x axis, each in its own roadblock: kind, start, end, and successors.
 fn road(pieces: &[(LaneKind, f64, f64, &[u32])]) -> LaneMap {
     let ids = |list: &[u32]| list.iter().map(|&id| LaneId(id)).collect::<Vec<_>>();
     let before = |id: usize| -> Vec<u32> {
@@ -57,7 +57,7 @@ fn lane(graph: &Graph, fid: i64) -> &LaneRow {
     graph.lanes.iter().find(|row| row.fid == fid).unwrap()
 }
 
-/// The connectors with the lanes that they join.
+/// Each connector with the lanes that it joins.
 fn joints(graph: &Graph) -> Vec<(i64, i64, i64)> {
     graph
         .connectors
@@ -67,11 +67,11 @@ fn joints(graph: &Graph) -> Vec<(i64, i64, i64)> {
 }
 
 #[test]
-fn lanes_that_follow_each_other_get_a_connector() {
+fn successive_lanes_get_a_connector() {
     let map = road(&[(L, 0.0, 50.0, &[1]), (L, 50.0, 90.0, &[2]), (L, 95.0, 99.0, &[])]);
     let graph = Graph::of(&map).unwrap();
     assert_eq!(joints(&graph), [(13, 10, 11), (14, 11, 12)]);
-    assert_eq!(graph.departures, Departures { connectors_put_in: 2, ..Departures::default() });
+    assert_eq!(graph.changes, ExportChanges { inserted_connectors: 2, ..ExportChanges::default() });
     assert!((lane(&graph, 10).centerline.length() - (50.0 - STITCH)).abs() < 1e-9);
     assert_eq!(lane(&graph, 11).centerline, map.lanes()[1].centerline, "a gap needs no cut");
     assert_eq!(lane(&graph, 10).polygon, map.lanes()[0].polygon);
@@ -93,9 +93,10 @@ fn connectors_lead_from_a_lane_to_a_lane() {
         (C, 70.0, 80.0, &[]),
     ]);
     let graph = Graph::of(&map).unwrap();
-    let put_in = Departures { lanes_put_in: 1, open_ends_closed: 2, connectors_repeated: 1, ..Departures::default() };
-    assert_eq!(graph.departures, put_in);
-    // 15 opens the road, 16 lies between 10 and 11, 17 is 11 once more, 18 ends the road.
+    let inserted =
+        ExportChanges { inserted_lanes: 1, open_ends_closed: 2, connectors_repeated: 1, ..ExportChanges::default() };
+    assert_eq!(graph.changes, inserted);
+    // 15 is the open start, 16 lies between 10 and 11, 17 repeats 11, 18 is the open end.
     assert_eq!(joints(&graph), [(10, 15, 16), (11, 16, 12), (14, 13, 18), (17, 16, 13)]);
     let spans = [15, 16, 18].map(|fid| (lane(&graph, fid).centerline.start().x, lane(&graph, fid).centerline.end().x));
     assert_eq!(spans, [(-OPEN_END, 0.0), (10.0 - STITCH, 10.0), (80.0, 80.0 + OPEN_END)]);
@@ -113,10 +114,10 @@ fn a_light_without_a_stop_line_gets_one() {
     lanes[1].has_traffic_lights = true;
     map = LaneMap::new(MapParts { lanes, roadblocks: map.roadblocks().to_vec(), ..MapParts::default() }).unwrap();
     let graph = Graph::of(&map).unwrap();
-    assert_eq!(graph.departures, Departures::default());
+    assert_eq!(graph.changes, ExportChanges::default());
     let stops = stop_rows(&map, &graph);
     assert_eq!(
-        stops.iter().map(|stop| (stop.fid, stop.put_in, stop.governs.clone())).collect::<Vec<_>>(),
+        stops.iter().map(|stop| (stop.fid, stop.inserted, stop.governs.clone())).collect::<Vec<_>>(),
         [(1, true, vec![11])]
     );
     assert!(stops[0].polygon.meets_line(&lanes_line(&map, 1)) && !stops[0].polygon.meets_line(&lanes_line(&map, 2)));
@@ -127,11 +128,11 @@ fn lanes_line(map: &LaneMap, lane: usize) -> Polyline {
 }
 
 #[test]
-fn numbers_of_lanes_say_who_lies_beside_whom() {
+fn lane_indices_express_neighbors() {
     let map = road(&[(L, 0.0, 50.0, &[] as &[u32]); 4]);
     let mut lanes = map.lanes().to_vec();
     let beside = |lane: u32, to_s: f64| Neighbor { lane: LaneId(lane), from_s: 0.0, to_s };
-    // 2 lies left of 0, all along; 1 right of 0 for a while; 3 beside nobody.
+    // 2 is left of 0 along its length, 1 right of 0 along a part, 3 has no neighbor.
     lanes[2].right.push(beside(0, 50.0));
     lanes[0].left.push(beside(2, 50.0));
     lanes[0].right.push(beside(1, 20.0));
@@ -147,7 +148,7 @@ fn numbers_of_lanes_say_who_lies_beside_whom() {
         [(0, 1), (1, 2), (2, 0), (3, 4)]
     );
     let indices = lane_order::lane_indices(&map, &map.roadblocks()[0]);
-    assert_eq!(lane_order::changed_neighbors(&map, &indices), 2, "those for a while");
+    assert_eq!(lane_order::changed_neighbors(&map, &indices), 2, "those along a part");
 }
 
 fn scenario(kind: ScenarioType, seed: u64) -> Scenario {
@@ -172,13 +173,19 @@ fn a_folder_is_written_whole_or_not_at_all() {
     let nowhere = ExportSettings { epsg: 4326, ..settings.clone() };
     assert!(matches!(refused(std::slice::from_ref(&one), &nowhere), ExportError::Zone(ProjectionError::NotUtm(4326))));
     let off_earth = ExportSettings { origin: Point::new(f64::NAN, 0.0), ..settings.clone() };
-    assert!(matches!(refused(std::slice::from_ref(&one), &off_earth), ExportError::Shape { .. }));
+    assert!(matches!(
+        refused(std::slice::from_ref(&one), &off_earth),
+        ExportError::Scenario { fault: ScenarioExportFault::Shape(_), .. }
+    ));
     let named = ExportSettings { location: Some("here".to_owned()), ..settings.clone() };
     let other = scenario(types::following_lane_with_lead::TYPE, 2);
     assert!(matches!(refused(&[one.clone(), other], &named), ExportError::MapsDiffer { .. }));
     let mut short = one.clone();
     short.frames.truncate(one.start + 10);
-    assert!(matches!(refused(&[short], &settings), ExportError::Timeline { fault: TimelineError::Window { .. }, .. }));
+    assert!(matches!(
+        refused(&[short], &settings),
+        ExportError::Scenario { fault: ScenarioExportFault::Timeline(TimelineError::Window { .. }), .. }
+    ));
     write_scenario(&one, &folder, &named).unwrap();
     let again = write_scenario(&one, &folder, &named).unwrap_err();
     assert!(matches!(again, ExportError::Exists(path) if path == folder));

@@ -1,9 +1,8 @@
 //! The rows of a log: nuPlan's 20 Hz from a scenario's 10 Hz.
 //!
-//! Every frame is a row as it is; between two frames stands one more, half-way: the ego, and the objects that both frames hold, with
-//! the lights of the earlier one. Recorded states of the ego after the last frame follow in the same way. The devkit takes every second row, so that it
-//! sees the frames and nothing else. The tagged row is chosen so that the window that nuPlan cuts around it is the scenario's
-//! own, tried by the devkit's own rule.
+//! Every frame is a row. Between two frames lies one more row: the interpolated ego, the interpolated objects of both frames, and
+//! the lights of the earlier frame. Recorded ego states after the last frame follow in the same way. The devkit takes every
+//! second row, that is exactly the frames. The tagged row is chosen by the devkit's own rule: its window is the scenario.
 
 use crate::geometry::{Point, Pose, wrap_angle};
 use crate::scenario::nuplan::extraction::{Extraction, ROWS_PER_STEP};
@@ -12,67 +11,48 @@ use crate::world::{EgoState, TrackedObject, TrafficLights};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// One row of `lidar_pc` with what belongs to it.
+/// One row of `lidar_pc` with its ego, boxes and lights.
 #[derive(Debug, Clone)]
 pub(super) struct Row<'a> {
-    /// The ego; its time is the row's.
+    /// Its time is that of the row.
     pub(super) ego: EgoState,
-    /// The boxes.
     pub(super) objects: Cow<'a, [TrackedObject]>,
-    /// The lights; `None` after the last frame, where only the ego is known.
+    /// `None` after the last frame, where only the ego is known.
     pub(super) lights: Option<&'a TrafficLights>,
 }
 
-/// The rows of a scenario and the one that names it.
+/// The rows of a scenario, and its tagged row.
 #[derive(Debug, Clone)]
 pub(super) struct Timeline<'a> {
-    /// All rows, in order of time.
+    /// In order of time.
     pub(super) rows: Vec<Row<'a>>,
-    /// The tagged row.
+    /// Index of the tagged row.
     pub(super) anchor: usize,
-    /// Recorded states of the ego after the last frame for which there is no place: nuPlan's window would take them in.
-    pub(super) future_left_out: usize,
+    /// Number of recorded ego states after the last frame that nuPlan's window would include.
+    pub(super) dropped_future_states: usize,
 }
 
-/// Why a scenario is no part of a nuPlan log.
+/// Why a scenario cannot be part of a nuPlan log.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum TimelineError {
-    /// Two frames follow each other too closely, or backwards.
     #[error("frame {frame} is {step_us} µs after the one before it; at least 2 µs are needed")]
-    Step {
-        /// The later frame.
-        frame: usize,
-        /// Time from the earlier one, µs.
-        step_us: i64,
-    },
-    /// nuPlan's window around no row is the scenario.
+    Step { frame: usize, step_us: i64 },
+    /// No row has the scenario as its window.
     #[error(
         "no row has the scenario's {iterations} iterations in nuPlan's window of `{scenario_type}` ({duration_s} s from \
          {offset_s} s after the tagged row); give it another scenario type or cut it to that length"
     )]
-    Window {
-        /// The type that decides on the window.
-        scenario_type: String,
-        /// Iterations of the scenario.
-        iterations: usize,
-        /// Length of the window, seconds.
-        duration_s: i64,
-        /// From the tagged row to its start, seconds.
-        offset_s: i64,
-    },
+    Window { scenario_type: String, iterations: usize, duration_s: i64, offset_s: i64 },
 }
 
 impl<'a> Timeline<'a> {
-    /// The rows of a scenario.
-    ///
-    /// # Errors
-    /// When frames do not follow each other in time, or nuPlan could not cut the scenario out again.
     pub(super) fn of(scenario: &'a Scenario) -> Result<Self, TimelineError> {
         let mut rows = rows(&scenario.frames)?;
         let frames = rows.len();
         rows.extend(future_rows(scenario)?);
         if let Some(anchor) = anchor(&rows, scenario) {
-            return Ok(Self { rows, anchor, future_left_out: 0 });
+            return Ok(Self { rows, anchor, dropped_future_states: 0 });
         }
         rows.truncate(frames);
         let extraction = Extraction::of(&scenario.scenario_type);
@@ -82,24 +62,24 @@ impl<'a> Timeline<'a> {
             duration_s: extraction.duration_us / 1_000_000,
             offset_s: extraction.offset_us / 1_000_000,
         })?;
-        Ok(Self { rows, anchor, future_left_out: scenario.future.len() })
+        Ok(Self { rows, anchor, dropped_future_states: scenario.future.len() })
     }
 }
 
-/// The row around which nuPlan's window is the scenario; `None` when there is none.
+/// Index of the row whose window is the scenario.
 fn anchor(rows: &[Row<'_>], scenario: &Scenario) -> Option<usize> {
     let extraction = Extraction::of(&scenario.scenario_type);
     let times: Vec<i64> = rows.iter().map(|row| row.ego.time_us).collect();
     let start = scenario.start * ROWS_PER_STEP;
     let wanted = (start, scenario.iterations());
-    // Recorded times jitter: the row nearest to the nominal place first, then those around it.
+    // Recorded times jitter: try the row nearest to the nominal time first, then those around it.
     let nominal = times.get(start)?.saturating_sub(extraction.offset_us);
     let mut candidates: Vec<usize> = (0..rows.len()).collect();
     candidates.sort_by_key(|&row| (times[row].abs_diff(nominal), row));
     candidates.into_iter().find(|&row| selected(&times, row, extraction) == Some(wanted))
 }
 
-/// First row and number of rows that nuPlan takes around an anchor: every second one of the window, both ends included.
+/// First row and number of rows that nuPlan takes around an anchor: every second row of the window, both ends included.
 fn selected(times: &[i64], anchor: usize, extraction: Extraction) -> Option<(usize, usize)> {
     let (from, to) = extraction.window(*times.get(anchor)?);
     let first = times.partition_point(|&time| time < from);
@@ -119,7 +99,7 @@ fn rows(frames: &[Frame]) -> Result<Vec<Row<'_>>, TimelineError> {
     Ok(rows)
 }
 
-/// The rows of the recorded ego after the last frame.
+/// The rows of the recorded ego states after the last frame.
 fn future_rows(scenario: &Scenario) -> Result<Vec<Row<'static>>, TimelineError> {
     let mut rows = Vec::with_capacity(scenario.future.len() * ROWS_PER_STEP);
     let mut before = scenario.frames.last().map(|frame| frame.ego);
@@ -131,7 +111,7 @@ fn future_rows(scenario: &Scenario) -> Result<Vec<Row<'static>>, TimelineError> 
     Ok(rows)
 }
 
-/// The ego half-way between two frames, of which `frame` is the later one.
+/// The ego midway between two frames; `frame` is the index of the later one.
 fn ego_between(a: &EgoState, b: &EgoState, frame: usize) -> Result<EgoState, TimelineError> {
     let step_us = b.time_us.saturating_sub(a.time_us);
     if step_us < 2 {
@@ -139,7 +119,7 @@ fn ego_between(a: &EgoState, b: &EgoState, frame: usize) -> Result<EgoState, Tim
     }
     Ok(EgoState {
         time_us: a.time_us + step_us / 2,
-        rear_axle: half_way(a.rear_axle, b.rear_axle),
+        rear_axle: midway(a.rear_axle, b.rear_axle),
         velocity: a.velocity.lerp(&b.velocity, 0.5),
         acceleration: a.acceleration.lerp(&b.acceleration, 0.5),
         steering_angle: f64::midpoint(a.steering_angle, b.steering_angle),
@@ -149,19 +129,19 @@ fn ego_between(a: &EgoState, b: &EgoState, frame: usize) -> Result<EgoState, Tim
     })
 }
 
-/// The objects that two frames hold, half-way between them.
+/// The objects of both frames, midway between them.
 fn objects_between(before: &Frame, after: &Frame) -> Vec<TrackedObject> {
     let later: BTreeMap<_, _> = after.objects.iter().map(|object| (object.token, object)).collect();
     let between = before.objects.iter().filter_map(|object| {
         let next = later.get(&object.token)?;
-        let center = half_way(object.shape.center, next.shape.center);
+        let center = midway(object.shape.center, next.shape.center);
         let shape = object.shape.moved_to(center);
         Some(TrackedObject { shape, velocity: object.velocity.lerp(&next.velocity, 0.5), ..*object })
     });
     between.collect()
 }
 
-fn half_way(from: Pose, to: Pose) -> Pose {
+fn midway(from: Pose, to: Pose) -> Pose {
     let turn = wrap_angle(to.heading - from.heading);
     let middle = Point::from(from.position().coords.lerp(&to.position().coords, 0.5));
     Pose::at(middle, wrap_angle(from.heading + turn / 2.0))
@@ -192,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_stay_and_halves_lie_between() {
+    fn frames_stay_and_midpoints_lie_between() {
         let frames = [frame(0, PI - 0.1, &[1, 2]), frame(100_000, -PI + 0.1, &[2, 3]), frame(200_100, 0.0, &[])];
         let rows = rows(&frames).unwrap();
         assert_eq!(rows.iter().map(|row| row.ego.time_us).collect::<Vec<_>>(), [0, 50_000, 100_000, 150_050, 200_100]);
@@ -235,11 +215,11 @@ mod tests {
         scenario.future = vec![later(1), later(2)];
         let rows = scenario.frames.len() * 2 - 1;
         let timeline = Timeline::of(&scenario).unwrap();
-        assert_eq!((timeline.rows.len(), timeline.future_left_out), (rows + 4, 0));
+        assert_eq!((timeline.rows.len(), timeline.dropped_future_states), (rows + 4, 0));
         assert_eq!(timeline.rows[rows].ego.time_us, last.time_us + 50_000);
         assert_eq!(timeline.rows[rows + 3].ego, later(2));
         scenario.scenario_type = "unknown".to_owned();
         let timeline = Timeline::of(&scenario).unwrap();
-        assert_eq!((timeline.rows.len(), timeline.future_left_out), (rows, 2));
+        assert_eq!((timeline.rows.len(), timeline.dropped_future_states), (rows, 2));
     }
 }

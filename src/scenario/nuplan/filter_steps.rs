@@ -1,19 +1,19 @@
 //! The filters that follow nuPlan's scenario query, in the devkit's order: number per type, number in all, time between scenarios,
 //! motion of the ego, token set, route; then the order of the scenarios.
 //!
-//! A type's scenarios stand in order of log and time until the filter of time sorts them by time alone, those of all logs together
-//! (devkit `_filter_scenarios_by_timestamp`).
+//! The scenarios of a type are in order of log and time, until the filter of time sorts those of all logs by time alone (devkit
+//! `_filter_scenarios_by_timestamp`).
 
-use super::error::NuPlanError;
+use super::error::{FileFault, NuPlanError};
 use super::exclusion::Exclusion;
 use super::extraction::{ROW_S, ROWS_PER_STEP};
 use super::filter::{Limit, SPEED_NOISE, ScenarioFilter, THRESHOLD_KEY, ThresholdScope, TokenSet};
-use super::logs::Log;
-use super::map_store::{MapStore, NuPlanMap};
-use super::open::{ego_of, route_ids};
-use super::rows::Rows;
-use super::schema::{EGO_POSE, open_log};
-use super::search::LogScenario;
+use super::lane_map::NuPlanMap;
+use super::logs::{Log, LogScenario};
+use super::map_store::MapStore;
+use super::route::route_ids;
+use super::rows::{Rows, ego_of};
+use super::schema::EGO_POSE;
 use super::token::Token;
 use crate::scenario::UNKNOWN_TYPE;
 use crate::world::{EgoState, MICROS_PER_SECOND, STEP_S};
@@ -26,91 +26,88 @@ use std::sync::Arc;
 
 type ByType = BTreeMap<String, Vec<LogScenario>>;
 
-/// What the filters left.
-pub(super) struct ThinnedScenarios {
-    /// The scenarios, in order of their tokens, or shuffled.
+/// The result of the filters.
+pub(super) struct Filtered {
+    /// In order of tokens, or shuffled.
     pub(super) kept: Vec<LogScenario>,
-    /// The others, each with what took it out.
-    pub(super) refused: Vec<(Token, Exclusion)>,
+    pub(super) excluded: Vec<(Token, Exclusion)>,
 }
 
-/// Applies the filters.
-///
-/// # Errors
-/// When the token set or a map that a filter needs cannot be read.
-pub(super) fn thin(
+/// Applies the filters. Fails when the token set or a map that a filter needs cannot be read.
+pub(super) fn apply(
     found: Vec<LogScenario>,
     filter: &ScenarioFilter,
     maps: &MapStore,
-) -> Result<ThinnedScenarios, NuPlanError> {
-    let mut dice = filter.shuffle.then(|| Pcg64Mcg::seed_from_u64(filter.seed));
-    let mut ledger = Ledger { left: found.iter().map(|one| one.token).collect(), refused: Vec::new() };
+) -> Result<Filtered, NuPlanError> {
+    let mut rng = filter.shuffle.then(|| Pcg64Mcg::seed_from_u64(filter.seed));
+    let mut ledger = Ledger { left: found.iter().map(|one| one.token).collect(), excluded: Vec::new() };
     let mut by_type = ByType::new();
     for one in found {
         by_type.entry(one.scenario_type.clone()).or_default().push(one);
     }
     if let Some(count) = filter.num_scenarios_per_type {
         for scenarios in by_type.values_mut() {
-            *scenarios = sample(std::mem::take(scenarios), count, dice.as_mut());
+            *scenarios = sample(std::mem::take(scenarios), count, rng.as_mut());
         }
-        ledger.strike("num_scenarios_per_type", &by_type);
+        ledger.keep("num_scenarios_per_type", &by_type);
     }
     if let Some(limit) = filter.limit_total_scenarios {
-        by_type = limited(by_type, limit, dice.as_mut());
-        ledger.strike("limit_total_scenarios", &by_type);
+        by_type = limited(by_type, limit, rng.as_mut());
+        ledger.keep("limit_total_scenarios", &by_type);
     }
     if let Some(seconds) = filter.timestamp_threshold_s {
         for scenarios in by_type.values_mut() {
             *scenarios = apart(std::mem::take(scenarios), seconds, filter.threshold_scope);
         }
-        ledger.strike(THRESHOLD_KEY, &by_type);
+        ledger.keep(THRESHOLD_KEY, &by_type);
     }
     let mut kept: Vec<LogScenario> = by_type.into_values().flatten().collect();
-    if filter.looks_inside() {
+    if filter.needs_rows() {
         let set = filter.token_set.as_ref().map(read_token_set).transpose()?;
-        let judged = kept.into_par_iter().map(|one| refusal(&one, filter, set.as_ref(), maps).map(|told| (one, told)));
+        let judged =
+            kept.into_par_iter().map(|one| exclusion(&one, filter, set.as_ref(), maps).map(|judged| (one, judged)));
         let judged = judged.collect::<Result<Vec<_>, NuPlanError>>()?;
         kept = Vec::with_capacity(judged.len());
-        for (one, told) in judged {
-            match told {
-                Some(refusal) => ledger.refused.push((one.token, refusal)),
+        for (one, exclusion) in judged {
+            match exclusion {
+                Some(exclusion) => ledger.excluded.push((one.token, exclusion)),
                 None => kept.push(one),
             }
         }
     }
     kept.sort_by_key(|one| one.token);
-    if let Some(dice) = &mut dice {
-        kept.shuffle(dice);
+    if let Some(rng) = &mut rng {
+        kept.shuffle(rng);
     }
-    Ok(ThinnedScenarios { kept, refused: ledger.refused })
+    Ok(Filtered { kept, excluded: ledger.excluded })
 }
 
-/// Which scenarios are left, and what took the others out.
+/// The scenarios that are left, and why the others are not.
 struct Ledger {
     left: BTreeSet<Token>,
-    refused: Vec<(Token, Exclusion)>,
+    excluded: Vec<(Token, Exclusion)>,
 }
 
 impl Ledger {
-    /// Notes that of those that were left the ones that are not in `kept` went because of a field of the filter.
-    fn strike(&mut self, key: &'static str, kept: &ByType) {
+    /// Records that a field of the filter excluded those that were left and are not in `kept`.
+    fn keep(&mut self, key: &'static str, kept: &ByType) {
         let kept: BTreeSet<Token> = kept.values().flatten().map(|one| one.token).collect();
-        self.refused.extend(self.left.difference(&kept).map(|&token| (token, Exclusion::Filtered(key))));
+        self.excluded.extend(self.left.difference(&kept).map(|&token| (token, Exclusion::Filtered(key))));
         self.left = kept;
     }
 }
 
-/// `count` scenarios: drawn at random, else evenly spaced from the first on.
-fn sample(scenarios: Vec<LogScenario>, count: usize, dice: Option<&mut Pcg64Mcg>) -> Vec<LogScenario> {
-    if let Some(dice) = dice.filter(|_| count < scenarios.len()) {
-        return scenarios.sample(dice, count).cloned().collect();
+/// `count` scenarios: random, or evenly spaced from the first on.
+fn sample(scenarios: Vec<LogScenario>, count: usize, rng: Option<&mut Pcg64Mcg>) -> Vec<LogScenario> {
+    if let Some(rng) = rng.filter(|_| count < scenarios.len()) {
+        return scenarios.sample(rng, count).cloned().collect();
     }
     let step = (scenarios.len() / count.max(1)).max(1);
     scenarios.into_iter().step_by(step).take(count).collect()
 }
 
-/// Scenarios without a tag go first; only when they do not suffice, tagged ones follow.
-fn limited(mut by_type: ByType, limit: Limit, dice: Option<&mut Pcg64Mcg>) -> ByType {
+/// Drops scenarios without a tag first; tagged ones only when those do not suffice.
+fn limited(mut by_type: ByType, limit: Limit, rng: Option<&mut Pcg64Mcg>) -> ByType {
     let total: usize = by_type.values().map(Vec::len).sum();
     let wanted = match limit {
         Limit::Count(count) => count,
@@ -124,19 +121,19 @@ fn limited(mut by_type: ByType, limit: Limit, dice: Option<&mut Pcg64Mcg>) -> By
         && surplus < unknown.len()
     {
         let kept = unknown.len() - surplus;
-        by_type.insert(UNKNOWN_TYPE.to_owned(), sample(unknown, kept, dice));
+        by_type.insert(UNKNOWN_TYPE.to_owned(), sample(unknown, kept, rng));
         return by_type;
     }
     let mut all: Vec<LogScenario> = by_type.into_values().flatten().collect();
     all.sort_by_key(|one| one.token);
     let mut kept = ByType::new();
-    for one in sample(all, wanted, dice) {
+    for one in sample(all, wanted, rng) {
         kept.entry(one.scenario_type.clone()).or_default().push(one);
     }
     kept
 }
 
-/// In order of time, those that begin at least so long after the one before that was kept.
+/// In order of time, the scenarios that start at least so long after the previously kept one.
 fn apart(mut scenarios: Vec<LogScenario>, seconds: f64, scope: ThresholdScope) -> Vec<LogScenario> {
     scenarios.sort_by_key(|one| one.timestamp_us);
     let mut next: BTreeMap<Option<Arc<Log>>, f64> = BTreeMap::new();
@@ -157,38 +154,38 @@ fn apart(mut scenarios: Vec<LogScenario>, seconds: f64, scope: ThresholdScope) -
 }
 
 fn read_token_set(set: &TokenSet) -> Result<(BTreeSet<Token>, f64), NuPlanError> {
-    let failed = |reason: String| NuPlanError::TokenSet { path: set.path.clone(), reason };
+    let failed = |reason: String| NuPlanError::file(&set.path, FileFault::TokenSet(reason));
     let text = std::fs::read_to_string(&set.path).map_err(|error| failed(error.to_string()))?;
     let words: Vec<String> = serde_json::from_str(&text).map_err(|error| failed(error.to_string()))?;
     let tokens = words.iter().map(|word| word.parse().map_err(|error| failed(format!("{error}"))));
     Ok((tokens.collect::<Result<_, _>>()?, set.fraction))
 }
 
-/// What of the filters that look at its rows takes a scenario out. One that could not be driven (too short, without route) does not
-/// pass; one whose log is damaged does, for nobody can say, and its drive will fail with the damage.
-fn refusal(
+/// The exclusion of a scenario by its rows. One that cannot be simulated (too short, without route) is excluded. One whose log is
+/// damaged passes: its simulation will fail and report the damage.
+fn exclusion(
     found: &LogScenario,
     filter: &ScenarioFilter,
     set: Option<&(BTreeSet<Token>, f64)>,
     maps: &MapStore,
 ) -> Result<Option<Exclusion>, NuPlanError> {
     let route = filter.ego_route_radius.map(|radius| maps.map(&found.map_name).map(|map| (radius, map))).transpose()?;
-    match refused_inside(found, filter, set, route.as_ref()) {
+    match excluded_by_rows(found, filter, set, route.as_ref()) {
         Err(NuPlanError::Scenario { .. }) => Ok(Some(Exclusion::NotDrivable)),
         Err(_) => Ok(None),
         judged => judged,
     }
 }
 
-/// The first field of the filter that a scenario's rows do not satisfy; `route` is the radius in metres within
-/// which a lane of the route must lie, and the map.
-fn refused_inside(
+/// The first field of the filter that the rows of a scenario do not satisfy; `route` is the maximal distance to a lane of the
+/// route, m, and the map.
+fn excluded_by_rows(
     found: &LogScenario,
     filter: &ScenarioFilter,
     set: Option<&(BTreeSet<Token>, f64)>,
     route: Option<&(f64, Arc<NuPlanMap>)>,
 ) -> Result<Option<Exclusion>, NuPlanError> {
-    let database = open_log(&found.log)?;
+    let database = found.log.open()?;
     let rows = Rows::read(&database, found)?;
     let iterations: Vec<_> = rows.iterations().collect();
     let ego = |place: usize| match rows.window.get(place) {
@@ -237,7 +234,7 @@ fn refused_inside(
     Ok(None)
 }
 
-/// The rows behind iteration 0 that the devkit samples over a scenario's duration (`sample_indices_with_time_horizon`).
+/// The rows after iteration 0 that the devkit samples over the duration of a scenario (`sample_indices_with_time_horizon`).
 fn future_rows(duration_s: f64) -> impl Iterator<Item = usize> {
     let count = (duration_s / STEP_S) as usize;
     let rows = (duration_s / ROW_S) as usize + 1;
@@ -245,12 +242,12 @@ fn future_rows(duration_s: f64) -> impl Iterator<Item = usize> {
     (1..=count).map(move |sample| sample * step)
 }
 
-/// Metres that the centre of the ego covers from sample to sample.
+/// Distance that the center of the ego covers from sample to sample, m.
 fn displacement(states: &[EgoState]) -> f64 {
     states.windows(2).map(|pair| pair[0].center().distance(&pair[1].center())).sum()
 }
 
-/// Whether the speed rises above a threshold, and whether it falls to it (devkit `_check_for_speed_edge`).
+/// Whether the speed rises above a threshold, and whether it falls to the threshold (devkit `_check_for_speed_edge`).
 fn crosses(start: &EgoState, future: &[EgoState], threshold: f64, noise: f64) -> (bool, bool) {
     let (mut highest, mut lowest) = (start.speed(), start.speed());
     let (mut rises, mut falls) = (false, false);
