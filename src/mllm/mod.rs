@@ -51,7 +51,7 @@ pub use error::{EndpointFailure, MllmError};
 pub use export::{CreateFile, GgufPart, export_model};
 pub use families::{Architecture, Families};
 pub use family::{Chat, ChatFormat, Family, LanguageModel, ModelInfo, Positions, Tiles, VisionLanguageModel};
-pub use gguf::{Entries, GgufLayout, Header as GgufHeader, Value as GgufValue};
+pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, ProbeDescription, Step, StepTime};
 pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};

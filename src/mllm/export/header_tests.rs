@@ -4,10 +4,11 @@ use std::path::Path;
 
 use candle_core::quantized::{GgmlDType, gguf_file};
 use proptest::prelude::*;
+use serde_json::{Value, json};
 
 use super::writer::{Layout, PlannedTensor};
 use crate::mllm::MllmError;
-use crate::mllm::gguf::{Header, Value};
+use crate::mllm::gguf::Header;
 
 fn parse(bytes: &[u8]) -> Result<Header, MllmError> {
     Header::read(Path::new("m.gguf"), &mut &*bytes, bytes.len() as u64)
@@ -23,18 +24,17 @@ fn problem(bytes: &[u8]) -> String {
 /// A value of every kind.
 fn metadata() -> Vec<(String, Value)> {
     [
-        ("general.architecture", Value::Text("llama".into())),
-        ("count", Value::Unsigned(7)),
-        ("large", Value::Unsigned(1 << 40)),
-        ("signed", Value::Signed(-3)),
-        ("low", Value::Signed(-(1 << 40))),
-        ("float", Value::Float(1e-5)),
-        ("double", Value::Double(0.1)),
-        ("flag", Value::Bool(true)),
-        ("texts", Value::Texts(vec!["a".into(), String::new(), "\u{2581}b".into()])),
-        ("floats", Value::Floats(vec![0.5, -1.0])),
-        ("integers", Value::Integers(vec![1, -2])),
-        ("wide", Value::Integers(vec![1 << 40])),
+        ("general.architecture", json!("llama")),
+        ("count", json!(7)),
+        ("large", json!(1_u64 << 40)),
+        ("signed", json!(-3)),
+        ("low", json!(-(1_i64 << 40))),
+        ("float", json!(1e-5)),
+        ("flag", json!(true)),
+        ("texts", json!(["a", "", "\u{2581}b"])),
+        ("floats", json!([0.5, -1.0])),
+        ("integers", json!([1, -2])),
+        ("wide", json!([1_i64 << 40])),
     ]
     .map(|(key, value)| (key.to_string(), value))
     .to_vec()
@@ -133,7 +133,6 @@ fn candles_reader_does_not_refuse_what_it_should() {
     assert_eq!(read(overlap).unwrap().tensor_infos.len(), 2);
     let text = read(Raw::new(0, 1).text(b"k").u32(8).text(b"\xff").data(8)).unwrap();
     assert_eq!(text.metadata["k"].to_string().unwrap(), "\u{fffd}");
-    assert_eq!(size_of::<gguf_file::Value>(), 32, "for each element of a list, also of one byte");
 }
 
 #[test]

@@ -15,9 +15,11 @@ mod round_trip_tests;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use serde_json::json;
+
 use super::MllmError;
 use super::checkpoint::{LoadReport, ModelFiles, Weights, is_matrix, paired};
-use super::gguf::{Entries, FILE, TOWER, Value, WHOLE_MODEL, llama, tower_path};
+use super::gguf::{Entries, FILE, TOWER, WHOLE_MODEL, llama, tower_path};
 use super::local::Loading;
 use super::matrix::WeightFormat;
 use super::source::{Checkpoint, ModelPlace};
@@ -128,10 +130,10 @@ fn parts(checkpoint: &mut Checkpoint, tokenizer: &ModelFiles, name: &str) -> Res
     let family = checkpoint.family.family();
     let general = |architecture: &str| {
         vec![
-            ("general.architecture".to_string(), Value::Text(architecture.into())),
-            ("general.name".to_string(), Value::Text(name.into())),
+            ("general.architecture".to_string(), json!(architecture)),
+            ("general.name".to_string(), json!(name)),
             // GGML_QNT_VERSION: the layout of quantized blocks.
-            ("general.quantization_version".to_string(), Value::Unsigned(2)),
+            ("general.quantization_version".to_string(), json!(2)),
         ]
     };
     let text = (family.decoder_config)(files)?;
@@ -203,7 +205,7 @@ fn packed_files(files: &ModelFiles, tokenizer: &ModelFiles) -> Result<Entries, M
     for name in FILES {
         let source = if name.starts_with("tokenizer") { tokenizer } else { files };
         if let Some(text) = source.text(name)? {
-            packed.push((format!("{FILE}{name}"), Value::Text(text)));
+            packed.push((format!("{FILE}{name}"), json!(text)));
         }
     }
     Ok(packed)

@@ -2,17 +2,13 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use serde_json::Value as Json;
+use serde_json::{Value as Json, json};
 
-use crate::mllm::gguf::{Value, tokenizer::piece};
+use crate::mllm::gguf::{Entries, tokenizer::piece};
 
 /// The metadata of a byte-pair tokenizer for a model of `vocabulary` rows. `special` holds its special tokens by role
 /// (`bos_token`, ...). None for other kinds of tokenizers, for which llama.cpp has no such keys.
-pub(crate) fn metadata(
-    tokenizer: &Json,
-    special: &BTreeMap<String, String>,
-    vocabulary: usize,
-) -> Option<Vec<(String, Value)>> {
+pub(crate) fn metadata(tokenizer: &Json, special: &BTreeMap<String, String>, vocabulary: usize) -> Option<Entries> {
     let model = &tokenizer["model"];
     let merges = merges(&model["merges"])?;
     let sentence_piece = model["byte_fallback"].as_bool() == Some(true);
@@ -44,21 +40,21 @@ pub(crate) fn metadata(
     let mut metadata = Vec::new();
     if sentence_piece {
         let scores = scores(&merges, &ids, vocabulary);
-        metadata.push(("tokenizer.ggml.scores", Value::Floats(scores)));
-        metadata.push(("tokenizer.ggml.model", Value::Text("llama".into())));
+        metadata.push(("tokenizer.ggml.scores", json!(scores)));
+        metadata.push(("tokenizer.ggml.model", json!("llama")));
         let prefix = tokenizer["normalizer"].to_string().contains("Prepend")
             || tokenizer["pre_tokenizer"]["prepend_scheme"].as_str().is_some_and(|scheme| scheme != "never");
-        metadata.push(("tokenizer.ggml.add_space_prefix", Value::Bool(prefix)));
+        metadata.push(("tokenizer.ggml.add_space_prefix", json!(prefix)));
     } else {
-        let merges = merges.iter().map(|[left, right]| format!("{left} {right}")).collect();
-        metadata.push(("tokenizer.ggml.merges", Value::Texts(merges)));
-        metadata.push(("tokenizer.ggml.model", Value::Text("gpt2".into())));
-        metadata.push(("tokenizer.ggml.pre", Value::Text("default".into())));
+        let merges: Vec<String> = merges.iter().map(|[left, right]| format!("{left} {right}")).collect();
+        metadata.push(("tokenizer.ggml.merges", json!(merges)));
+        metadata.push(("tokenizer.ggml.model", json!("gpt2")));
+        metadata.push(("tokenizer.ggml.pre", json!("default")));
     }
-    metadata.push(("tokenizer.ggml.tokens", Value::Texts(tokens)));
-    metadata.push(("tokenizer.ggml.token_type", Value::Integers(kinds)));
+    metadata.push(("tokenizer.ggml.tokens", json!(tokens)));
+    metadata.push(("tokenizer.ggml.token_type", json!(kinds)));
     let begins = tokenizer["post_processor"]["single"].to_string().contains("SpecialToken");
-    metadata.push(("tokenizer.ggml.add_bos_token", Value::Bool(begins)));
+    metadata.push(("tokenizer.ggml.add_bos_token", json!(begins)));
     for (role, key) in [
         ("bos_token", "tokenizer.ggml.bos_token_id"),
         ("eos_token", "tokenizer.ggml.eos_token_id"),
@@ -66,7 +62,7 @@ pub(crate) fn metadata(
         ("pad_token", "tokenizer.ggml.padding_token_id"),
     ] {
         if let Some(id) = special.get(role).and_then(|token| ids.get(token)) {
-            metadata.push((key, Value::Unsigned(*id as u64)));
+            metadata.push((key, json!(id)));
         }
     }
     Some(metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect())

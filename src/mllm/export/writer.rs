@@ -3,14 +3,15 @@
 use std::io::{self, Write};
 
 use candle_core::quantized::GgmlDType;
+use serde_json::Value;
 
-use crate::mllm::gguf::{DEFAULT_ALIGNMENT, Value, number_of};
+use crate::mllm::gguf::{DEFAULT_ALIGNMENT, Entries, number_of};
 
 /// A file without the tensors' data.
 #[derive(Debug, Default)]
 pub(super) struct Layout {
     /// Metadata in the order of the file.
-    pub metadata: Vec<(String, Value)>,
+    pub metadata: Entries,
     /// Tensors in the order of the file.
     pub tensors: Vec<PlannedTensor>,
 }
@@ -79,70 +80,54 @@ fn put_text(out: &mut Vec<u8>, text: &str) {
     out.extend(text.as_bytes());
 }
 
-/// Writes a value with its type. Integers take 32 bits where they fit, because llama.cpp reads these.
-fn put_value(out: &mut Vec<u8>, value: &Value) -> io::Result<()> {
-    let kind = |out: &mut Vec<u8>, kind: u32| out.extend(kind.to_le_bytes());
+/// The type of a value in a file. Integers take 32 bits where they fit, because llama.cpp reads these.
+fn kind_of(value: &Value) -> u32 {
     match value {
-        Value::Unsigned(number) => {
-            if let Ok(number) = u32::try_from(*number) {
-                kind(out, 4);
-                out.extend(number.to_le_bytes());
-            } else {
-                kind(out, 10);
-                out.extend(number.to_le_bytes());
-            }
-        }
-        Value::Signed(number) => {
-            if let Ok(number) = i32::try_from(*number) {
-                kind(out, 5);
-                out.extend(number.to_le_bytes());
-            } else {
-                kind(out, 11);
-                out.extend(number.to_le_bytes());
-            }
-        }
-        Value::Float(number) => {
-            kind(out, 6);
-            out.extend(number.to_le_bytes());
-        }
-        Value::Double(number) => {
-            kind(out, 12);
-            out.extend(number.to_le_bytes());
-        }
-        Value::Bool(truth) => {
-            kind(out, 7);
-            out.push(u8::from(*truth));
-        }
-        Value::Text(text) => {
-            kind(out, 8);
-            put_text(out, text);
-        }
-        Value::Integers(list) => {
-            let narrow: Result<Vec<i32>, _> = list.iter().map(|number| i32::try_from(*number)).collect();
-            put_list(out, if narrow.is_ok() { 5 } else { 11 }, list.len());
-            match narrow {
-                Ok(list) => out.extend(list.iter().flat_map(|number| number.to_le_bytes())),
-                Err(_) => out.extend(list.iter().flat_map(|number| number.to_le_bytes())),
-            }
-        }
-        Value::Floats(list) => {
-            put_list(out, 6, list.len());
-            out.extend(list.iter().flat_map(|number| number.to_le_bytes()));
-        }
-        Value::Texts(list) => {
-            put_list(out, 8, list.len());
-            for text in list {
-                put_text(out, text);
-            }
-        }
-        Value::List(_) => return Err(io::Error::other("lists of lists are not written")),
+        Value::Bool(_) => 7,
+        Value::Number(number) if number.is_f64() => 6,
+        Value::Number(number) => match (number.as_u64(), number.as_i64()) {
+            (Some(number), _) if u32::try_from(number).is_ok() => 4,
+            (Some(_), _) => 10,
+            (None, Some(number)) if i32::try_from(number).is_ok() => 5,
+            _ => 11,
+        },
+        Value::Array(_) => 9,
+        _ => 8,
     }
-    Ok(())
 }
 
-/// Writes the type and length of a list.
-fn put_list(out: &mut Vec<u8>, kind: u32, count: usize) {
-    out.extend(9_u32.to_le_bytes());
+/// The type of a list's elements: signed integers, else the type of the first.
+fn kind_of_elements(list: &[Value]) -> u32 {
+    let fits = |value: &Value| value.as_i64().is_some_and(|number| i32::try_from(number).is_ok());
+    match list.first() {
+        None => 8,
+        Some(first) if !first.is_i64() && !first.is_u64() => kind_of(first),
+        Some(_) if list.iter().all(fits) => 5,
+        Some(_) => 11,
+    }
+}
+
+/// Writes a value with its type.
+fn put_value(out: &mut Vec<u8>, value: &Value) -> io::Result<()> {
+    out.extend(kind_of(value).to_le_bytes());
+    let Value::Array(list) = value else { return put_plain(out, kind_of(value), value) };
+    let kind = kind_of_elements(list);
     out.extend(kind.to_le_bytes());
-    out.extend((count as u64).to_le_bytes());
+    out.extend((list.len() as u64).to_le_bytes());
+    list.iter().try_for_each(|element| put_plain(out, kind, element))
+}
+
+/// Writes a value that is no list as `kind`.
+fn put_plain(out: &mut Vec<u8>, kind: u32, value: &Value) -> io::Result<()> {
+    match (kind, value) {
+        (8, Value::String(text)) => put_text(out, text),
+        (7, Value::Bool(flag)) => out.push(u8::from(*flag)),
+        (6, Value::Number(number)) => out.extend((number.as_f64().unwrap_or_default() as f32).to_le_bytes()),
+        (4, Value::Number(number)) => out.extend((number.as_u64().unwrap_or_default() as u32).to_le_bytes()),
+        (5, Value::Number(number)) => out.extend((number.as_i64().unwrap_or_default() as i32).to_le_bytes()),
+        (10, Value::Number(number)) => out.extend(number.as_u64().unwrap_or_default().to_le_bytes()),
+        (11, Value::Number(number)) => out.extend(number.as_i64().unwrap_or_default().to_le_bytes()),
+        _ => return Err(io::Error::other(format!("{value} has no type in GGUF"))),
+    }
+    Ok(())
 }

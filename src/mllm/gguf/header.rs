@@ -2,15 +2,15 @@
 //!
 //! Every count and length is checked against the bytes that are left before anything is allocated. `candle_core`'s reader
 //! would need a second reader in front of it (a test shows why): it panics at an alignment of 0, keeps the last of two equal
-//! keys or tensors, replaces text that is not UTF-8, takes 32 bytes for each one-byte element of a list, and checks neither
+//! keys or tensors, replaces text that is not UTF-8, bounds lists by the file's size alone, and checks neither
 //! the product of a shape nor whether tensors overlap.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use candle_core::quantized::GgmlDType;
+use serde_json::{Number, Value};
 
-use super::value::Value;
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::TensorPlace;
 
@@ -30,6 +30,9 @@ const MAX_DEPTH: u8 = 2;
 /// Longest header, bytes. It bounds the allocation; a model with 256 thousand tokens needs 20 MB.
 const MAX_HEADER: u64 = 1 << 28;
 
+/// Elements of all lists of a header. Each takes about 80 bytes in memory; a model with 256 thousand tokens has a million.
+const MAX_ELEMENTS: u64 = 1 << 22;
+
 /// The part of a file before the tensors' data.
 #[derive(Debug)]
 pub struct Header {
@@ -43,7 +46,7 @@ pub struct Header {
 impl Header {
     /// Reads the header of a file of `file_bytes` bytes. Errors name the byte.
     pub(crate) fn read(path: &Path, source: &mut dyn std::io::Read, file_bytes: u64) -> Result<Self, MllmError> {
-        Reader { path, source, position: 0, file_bytes }.header()
+        Reader { path, source, position: 0, file_bytes, elements: 0 }.header()
     }
 }
 
@@ -53,6 +56,8 @@ struct Reader<'a> {
     source: &'a mut dyn std::io::Read,
     position: u64,
     file_bytes: u64,
+    /// Elements of all lists so far.
+    elements: u64,
 }
 
 /// A tensor before the place of the data is known.
@@ -177,23 +182,23 @@ impl Reader<'_> {
 
     fn value(&mut self, kind: u32, depth: u8) -> Result<Value, MllmError> {
         Ok(match kind {
-            0 => Value::Unsigned(u64::from(u8::from_le_bytes(self.array()?))),
-            1 => Value::Signed(i64::from(i8::from_le_bytes(self.array()?))),
-            2 => Value::Unsigned(u64::from(u16::from_le_bytes(self.array()?))),
-            3 => Value::Signed(i64::from(i16::from_le_bytes(self.array()?))),
-            4 => Value::Unsigned(u64::from(self.u32()?)),
-            5 => Value::Signed(i64::from(i32::from_le_bytes(self.array()?))),
-            6 => Value::Float(f32::from_le_bytes(self.array()?)),
+            0 => u8::from_le_bytes(self.array()?).into(),
+            1 => i8::from_le_bytes(self.array()?).into(),
+            2 => u16::from_le_bytes(self.array()?).into(),
+            3 => i16::from_le_bytes(self.array()?).into(),
+            4 => self.u32()?.into(),
+            5 => i32::from_le_bytes(self.array()?).into(),
+            6 => shortest(f32::from_le_bytes(self.array()?)),
             7 => match u8::from_le_bytes(self.array()?) {
-                0 => Value::Bool(false),
-                1 => Value::Bool(true),
+                0 => false.into(),
+                1 => true.into(),
                 other => return Err(self.error(format!("a boolean is {other}, expected 0 or 1"))),
             },
-            8 => Value::Text(self.text("a text")?),
+            8 => self.text("a text")?.into(),
             9 => self.list(depth)?,
-            10 => Value::Unsigned(self.u64()?),
-            11 => Value::Signed(i64::from_le_bytes(self.array()?)),
-            12 => Value::Double(f64::from_le_bytes(self.array()?)),
+            10 => self.u64()?.into(),
+            11 => i64::from_le_bytes(self.array()?).into(),
+            12 => f64::from_le_bytes(self.array()?).into(),
             other => return Err(self.error(format!("a value is of type {other}, which GGUF does not have"))),
         })
     }
@@ -212,23 +217,11 @@ impl Reader<'_> {
             other => return Err(self.error(format!("a list is of type {other}, which GGUF does not have"))),
         };
         let count = self.count("values of a list", least)?;
-        // Numbers are kept unboxed: a list of a million floats takes 4 MB.
-        Ok(match kind {
-            0..=5 | 7 | 10 | 11 => {
-                Value::Integers(self.numbers(count, |reader| reader.value(kind, depth)?.as_i64_or(reader))?)
-            }
-            6 => Value::Floats(self.numbers(count, |reader| Ok(f32::from_le_bytes(reader.array()?)))?),
-            8 => Value::Texts(self.numbers(count, |reader| reader.text("a text of a list"))?),
-            _ => Value::List(self.numbers(count, |reader| reader.value(kind, depth + 1))?),
-        })
-    }
-
-    fn numbers<T>(
-        &mut self,
-        count: u64,
-        mut read: impl FnMut(&mut Self) -> Result<T, MllmError>,
-    ) -> Result<Vec<T>, MllmError> {
-        (0..count).map(|_| read(self)).collect()
+        self.elements += count;
+        if self.elements > MAX_ELEMENTS {
+            return Err(self.error(format!("the lists have more than {MAX_ELEMENTS} elements")));
+        }
+        (0..count).map(|_| self.value(kind, depth + 1)).collect()
     }
 
     /// A number of items of at least `least` bytes each, which must fit into the rest of the file.
@@ -280,10 +273,9 @@ impl Reader<'_> {
     }
 }
 
-impl Value {
-    fn as_i64_or(&self, reader: &Reader<'_>) -> Result<i64, MllmError> {
-        self.as_i64().ok_or_else(|| reader.error(format!("the number {self} of a list is too large")))
-    }
+/// The shortest decimal that rounds to a 32-bit float, which is what its writer had; null if it is not finite.
+fn shortest(number: f32) -> Value {
+    number.to_string().parse().ok().and_then(Number::from_f64).map_or(Value::Null, Value::Number)
 }
 
 fn in_entry(error: MllmError, key: &str) -> MllmError {

@@ -1,10 +1,9 @@
 //! The configuration of a decoder in the metadata of a `llama` GGUF file, in both directions.
 
-use serde_json::{Value as Json, json};
+use serde_json::{Value, json};
 
 use super::Entries;
 use super::header::Header;
-use super::value::Value;
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{LlamaConfig, RopeScaling};
 
@@ -12,7 +11,7 @@ use crate::mllm::checkpoint::{LlamaConfig, RopeScaling};
 pub(crate) const ARCHITECTURE: &str = "llama";
 
 /// The `text_config` of a decoder.
-pub(crate) fn text_config(header: &Header) -> Result<Json, MllmError> {
+pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     let embedding = header.tensors.get("token_embd.weight").and_then(|place| place.shape.first().copied());
     let Some(vocabulary) = embedding else {
         return Err(MllmError::MissingTensor { folder: header.path.clone(), name: "token_embd.weight".into() });
@@ -73,30 +72,28 @@ pub(crate) fn text_config(header: &Header) -> Result<Json, MllmError> {
 /// # Errors
 /// The part that llama.cpp has no key for.
 pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
-    use Value::{Float, Text, Unsigned};
-    let count = |number: usize| Unsigned(number as u64);
     let mut metadata = vec![
-        ("llama.vocab_size", count(config.vocabulary)),
-        ("llama.embedding_length", count(config.hidden)),
-        ("llama.feed_forward_length", count(config.intermediate)),
-        ("llama.block_count", count(config.layers)),
-        ("llama.attention.head_count", count(config.heads)),
-        ("llama.attention.head_count_kv", count(config.kv_heads)),
-        ("llama.attention.key_length", count(config.head_dim)),
-        ("llama.attention.value_length", count(config.head_dim)),
-        ("llama.context_length", count(config.context)),
-        ("llama.attention.layer_norm_rms_epsilon", Float(config.rms_norm_eps as f32)),
-        ("llama.rope.dimension_count", count(config.head_dim)),
-        ("llama.rope.freq_base", Float(config.rope.theta as f32)),
+        ("llama.vocab_size", json!(config.vocabulary)),
+        ("llama.embedding_length", json!(config.hidden)),
+        ("llama.feed_forward_length", json!(config.intermediate)),
+        ("llama.block_count", json!(config.layers)),
+        ("llama.attention.head_count", json!(config.heads)),
+        ("llama.attention.head_count_kv", json!(config.kv_heads)),
+        ("llama.attention.key_length", json!(config.head_dim)),
+        ("llama.attention.value_length", json!(config.head_dim)),
+        ("llama.context_length", json!(config.context)),
+        ("llama.attention.layer_norm_rms_epsilon", json!(config.rms_norm_eps)),
+        ("llama.rope.dimension_count", json!(config.head_dim)),
+        ("llama.rope.freq_base", json!(config.rope.theta)),
     ];
     if let Some(window) = config.window {
-        metadata.push(("llama.attention.sliding_window", count(window)));
+        metadata.push(("llama.attention.sliding_window", json!(window)));
     }
     match config.rope.scaling {
         RopeScaling::None => {}
         RopeScaling::Linear { factor } => {
-            metadata.push(("llama.rope.scaling.type", Text("linear".into())));
-            metadata.push(("llama.rope.scaling.factor", Float(factor as f32)));
+            metadata.push(("llama.rope.scaling.type", json!("linear")));
+            metadata.push(("llama.rope.scaling.factor", json!(factor)));
         }
         RopeScaling::Llama3 { .. } => return Err("llama3 scaling of rotary embeddings"),
     }

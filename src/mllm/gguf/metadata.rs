@@ -1,10 +1,13 @@
 //! Typed access to the metadata of a GGUF file, whose errors name file and key.
 
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
 use super::header::Header;
-use super::value::Value;
 use crate::mllm::MllmError;
 
-/// Largest count that metadata may hold, as in configurations.
+/// Largest count in metadata, as in configurations.
 const MAX_COUNT: u64 = 1 << 22;
 
 impl Header {
@@ -24,20 +27,22 @@ impl Header {
         expected: &str,
         read: impl FnOnce(&'a Value) -> Option<T>,
     ) -> Result<Option<T>, MllmError> {
+        /// Longest part of a value in a message, characters.
+        const SHOWN: usize = 60;
         let Some(value) = self.metadata.get(key) else { return Ok(None) };
-        match read(value) {
-            Some(value) => Ok(Some(value)),
-            None => Err(self.error(key, format!("expected {expected}, found {value}"))),
-        }
+        read(value).map(Some).ok_or_else(|| {
+            let found: String = value.to_string().chars().take(SHOWN).collect();
+            self.error(key, format!("expected {expected}, found {found}"))
+        })
     }
 
     /// A positive integer.
     pub(crate) fn count(&self, key: &str) -> Result<Option<usize>, MllmError> {
         let count = |value: &Value| match value {
             // llama.cpp may write one number for each layer.
-            Value::Integers(list) => {
-                let first = list.first().copied()?;
-                list.iter().all(|number| *number == first).then(|| u64::try_from(first).ok())?
+            Value::Array(list) => {
+                let first = list.first()?;
+                list.iter().all(|number| number == first).then(|| first.as_u64())?
             }
             value => value.as_u64(),
         };
@@ -52,54 +57,21 @@ impl Header {
         self.count(key)?.ok_or_else(|| self.missing(key))
     }
 
-    /// A number. A 32-bit float gives the shortest decimal that rounds to it, which is what its writer had.
     pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, MllmError> {
-        let number = |value: &Value| match value {
-            Value::Float(number) => number.to_string().parse().ok(),
-            value => value.as_f64(),
-        };
-        self.typed(key, "a number", |value| number(value).filter(|number| number.is_finite()))
+        self.typed(key, "a number", Value::as_f64)
     }
 
-    /// A truth value.
     pub(crate) fn flag(&self, key: &str) -> Result<Option<bool>, MllmError> {
-        self.typed(key, "true or false", |value| match value {
-            Value::Bool(truth) => Some(*truth),
-            _ => None,
-        })
+        self.typed(key, "true or false", Value::as_bool)
     }
 
-    /// A text.
     pub(crate) fn text(&self, key: &str) -> Result<Option<&str>, MllmError> {
-        self.typed(key, "a text", |value| match value {
-            Value::Text(text) => Some(text.as_str()),
-            _ => None,
-        })
+        self.typed(key, "a text", Value::as_str)
     }
 
-    /// A list of texts that must exist.
-    pub(crate) fn required_texts(&self, key: &str) -> Result<&[String], MllmError> {
-        let texts = self.typed(key, "a list of texts", |value| match value {
-            Value::Texts(list) => Some(list.as_slice()),
-            _ => None,
-        })?;
-        texts.ok_or_else(|| self.missing(key))
-    }
-
-    /// A list of numbers.
-    pub(crate) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, MllmError> {
-        self.typed(key, "a list of numbers", |value| match value {
-            Value::Floats(list) => list.iter().map(|number| number.to_string().parse().ok()).collect(),
-            _ => None,
-        })
-    }
-
-    /// A list of integers.
-    pub(crate) fn integers(&self, key: &str) -> Result<Option<&[i64]>, MllmError> {
-        self.typed(key, "a list of integers", |value| match value {
-            Value::Integers(list) => Some(list.as_slice()),
-            _ => None,
-        })
+    /// A list of values of one type.
+    pub(crate) fn list<T: DeserializeOwned>(&self, key: &str, expected: &str) -> Result<Option<Vec<T>>, MllmError> {
+        self.typed(key, expected, |value| Vec::deserialize(value).ok())
     }
 
     /// The value of `general.architecture`.

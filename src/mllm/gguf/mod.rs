@@ -9,7 +9,6 @@ mod header;
 pub(crate) mod llama;
 mod metadata;
 pub(crate) mod tokenizer;
-mod value;
 
 #[cfg(test)]
 pub(crate) mod tokenizer_tests;
@@ -19,7 +18,8 @@ use std::path::{Path, PathBuf};
 
 pub use header::Header;
 pub(crate) use header::{DEFAULT_ALIGNMENT, number_of};
-pub use value::Value;
+
+use serde_json::Value;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, RowOrder, TensorPlace, WeightFile};
@@ -35,7 +35,7 @@ pub(crate) const TOKENIZER: &str = "tokenizer.json";
 /// The chat template, which a user may put beside it too.
 pub(crate) const TEMPLATE: &str = "chat_template.jinja";
 
-/// Metadata keys with their values.
+/// Metadata keys with their values. Floats are of 32 bits in a file.
 pub type Entries = Vec<(String, Value)>;
 
 /// How llama.cpp's files hold a model family: a `llama` decoder, and a vision tower beside it.

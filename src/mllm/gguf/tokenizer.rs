@@ -8,7 +8,6 @@ use std::collections::HashMap;
 use serde_json::{Value as Json, json};
 
 use super::header::Header;
-use super::value::Value;
 use crate::mllm::MllmError;
 
 /// Kinds of pieces (`llama_token_type`).
@@ -84,11 +83,11 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     let pieces = Pieces::read(header, vocabulary)?;
     let special = |role: &str| -> Result<Option<(i64, &str)>, MllmError> {
         let key = format!("tokenizer.ggml.{role}_token_id");
-        let Some(id) = header.metadata.get(&key).and_then(Value::as_u64) else { return Ok(None) };
+        let Some(id) = header.metadata.get(&key).and_then(Json::as_u64) else { return Ok(None) };
         let token = pieces.tokens.get(id as usize);
         let token =
             token.ok_or_else(|| header.error(&key, format!("{id} is none of {} tokens", pieces.tokens.len())))?;
-        Ok(Some((id as i64, token.as_str())))
+        Ok(Some((id as i64, *token)))
     };
     let (bos, eos, unknown) = (special("bos")?, special("eos")?, special("unknown")?);
     let mut config = json!({});
@@ -106,7 +105,7 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
 
 /// The pieces of a vocabulary, by id.
 struct Pieces<'a> {
-    tokens: &'a [String],
+    tokens: Vec<&'a str>,
     scores: Vec<f64>,
     kinds: Vec<i64>,
 }
@@ -114,7 +113,11 @@ struct Pieces<'a> {
 impl<'a> Pieces<'a> {
     fn read(header: &'a Header, vocabulary: usize) -> Result<Self, MllmError> {
         const TOKENS: &str = "tokenizer.ggml.tokens";
-        let tokens = header.required_texts(TOKENS)?;
+        let Some(Json::Array(list)) = header.metadata.get(TOKENS) else {
+            return Err(header.error(TOKENS, "expected a list of texts"));
+        };
+        let tokens: Option<Vec<&str>> = list.iter().map(Json::as_str).collect();
+        let tokens = tokens.ok_or_else(|| header.error(TOKENS, "expected a list of texts"))?;
         if tokens.len() > vocabulary {
             return Err(
                 header.error(TOKENS, format!("{} tokens, but the embedding has {vocabulary} rows", tokens.len()))
@@ -123,12 +126,12 @@ impl<'a> Pieces<'a> {
         if let Some((id, long)) = tokens.iter().enumerate().find(|(_, token)| token.len() > MAX_PIECE) {
             return Err(header.error(TOKENS, format!("token {id} has {} bytes", long.len())));
         }
-        let scores = header.numbers("tokenizer.ggml.scores")?.unwrap_or_default();
-        if scores.len() != tokens.len() || scores.iter().any(|score| score.is_nan()) {
+        let scores: Vec<f64> = header.list("tokenizer.ggml.scores", "a list of numbers")?.unwrap_or_default();
+        if scores.len() != tokens.len() {
             return Err(header.error("tokenizer.ggml.scores", format!("expected {} scores", tokens.len())));
         }
-        let kinds = match header.integers("tokenizer.ggml.token_type")? {
-            Some(kinds) if kinds.len() == tokens.len() => kinds.to_vec(),
+        let kinds = match header.list("tokenizer.ggml.token_type", "a list of integers")? {
+            Some(kinds) if kinds.len() == tokens.len() => kinds,
             Some(kinds) => {
                 let problem = format!("{} types of {} tokens", kinds.len(), tokens.len());
                 return Err(header.error("tokenizer.ggml.token_type", problem));
@@ -146,8 +149,7 @@ impl<'a> Pieces<'a> {
 
     /// Every way to join two pieces to a third, by falling score; equal scores in the order of transformers.
     fn merges(&self) -> Vec<[&'a str; 2]> {
-        let ids: HashMap<&str, usize> =
-            self.tokens.iter().enumerate().map(|(id, token)| (token.as_str(), id)).collect();
+        let ids: HashMap<&str, usize> = self.tokens.iter().enumerate().map(|(id, token)| (*token, id)).collect();
         let mut merges = Vec::new();
         for (id, token) in self.tokens.iter().enumerate().filter(|(id, _)| self.kinds[*id] == piece::NORMAL) {
             let halves = token.char_indices().skip(1).map(|(at, _)| token.split_at(at));
@@ -166,10 +168,11 @@ impl<'a> Pieces<'a> {
     /// `tokenizer.json`.
     fn to_json(&self, bos: Option<(i64, &str)>, unknown: Option<&str>, prefix: bool) -> Json {
         let all = || self.tokens.iter().enumerate();
-        let vocabulary: serde_json::Map<String, Json> = all().map(|(id, token)| (token.clone(), json!(id))).collect();
+        let vocabulary: serde_json::Map<String, Json> =
+            all().map(|(id, token)| ((*token).to_string(), json!(id))).collect();
         let tokens: Vec<Json> = all()
             .filter(|(id, _)| [piece::UNKNOWN, piece::CONTROL, piece::USER_DEFINED].contains(&self.kinds[*id]))
-            .map(|(id, token)| added_token(id as u64, token, self.kinds[id] != piece::USER_DEFINED || token == IMAGE))
+            .map(|(id, token)| added_token(id as u64, token, self.kinds[id] != piece::USER_DEFINED || *token == IMAGE))
             .collect();
         let space = json!({"type": "Replace", "pattern": {"String": " "}, "content": "\u{2581}"});
         let normalizers =

@@ -9,7 +9,6 @@ use tokenizers::Tokenizer;
 
 use super::header::Header;
 use super::tokenizer;
-use super::value::Value;
 use crate::mllm::export::tokenizer_metadata;
 
 /// Words whose pieces overlap in many ways.
@@ -108,7 +107,7 @@ fn made(prefix: bool, characters: impl Iterator<Item = char>, words: &[&str]) ->
 const VOCABULARY: usize = 512;
 
 /// GGUF's metadata of a tokenizer for a model of `vocabulary` rows.
-pub(crate) fn metadata(json: &Json, vocabulary: usize) -> BTreeMap<String, Value> {
+pub(crate) fn metadata(json: &Json, vocabulary: usize) -> BTreeMap<String, Json> {
     let special = [("bos_token", "<s>"), ("eos_token", "</s>"), ("unk_token", "<unk>")];
     let special: BTreeMap<_, _> = special.map(|(role, token)| (role.to_string(), token.to_string())).into();
     tokenizer_metadata::metadata(json, &special, vocabulary).unwrap().into_iter().collect()
@@ -177,7 +176,7 @@ fn a_placeholder_of_images_is_found_or_added_behind_all_tokens() {
 
 #[test]
 fn what_is_no_tokenizer_is_named() {
-    let broken = |change: &dyn Fn(&mut BTreeMap<String, Value>)| {
+    let broken = |change: &dyn Fn(&mut BTreeMap<String, Json>)| {
         let mut header = header(&llama(true));
         change(&mut header.metadata);
         match tokenizer::read(&header, VOCABULARY) {
@@ -185,21 +184,21 @@ fn what_is_no_tokenizer_is_named() {
             Ok(_) => panic!("it is read"),
         }
     };
-    let set = |key: &'static str, value: Value| {
-        move |metadata: &mut BTreeMap<String, Value>| {
+    let set = |key: &'static str, value: Json| {
+        move |metadata: &mut BTreeMap<String, Json>| {
             drop(metadata.insert(format!("tokenizer.ggml.{key}"), value.clone()));
         }
     };
     for (error, expected) in [
         (broken(&|metadata| metadata.clear()), "tokenizer.json beside"),
-        (broken(&set("model", Value::Text("gpt2".into()))), "tokenizer.json beside"),
-        (broken(&set("model", Value::Unsigned(3))), "expected a text, found 3"),
-        (broken(&set("tokens", Value::Texts(vec!["a".into(); 513]))), "512 rows"),
-        (broken(&set("tokens", Value::Texts(vec!["a".into(); 3]))), "expected 3 scores"),
-        (broken(&set("tokens", Value::Texts(vec!["a".repeat(2000)]))), "2000 bytes"),
-        (broken(&set("scores", Value::Floats(vec![f32::NAN; 512]))), "expected"),
-        (broken(&set("token_type", Value::Integers(vec![1]))), "1 types"),
-        (broken(&set("bos_token_id", Value::Unsigned(70_000))), "70000 is none"),
+        (broken(&set("model", json!("gpt2"))), "tokenizer.json beside"),
+        (broken(&set("model", json!(3))), "expected a text, found 3"),
+        (broken(&set("tokens", json!(vec!["a"; 513]))), "512 rows"),
+        (broken(&set("tokens", json!(vec!["a"; 3]))), "expected 3 scores"),
+        (broken(&set("tokens", json!(["a".repeat(2000)]))), "2000 bytes"),
+        (broken(&set("scores", json!(vec![f32::NAN; 512]))), "expected"),
+        (broken(&set("token_type", json!([1]))), "1 types"),
+        (broken(&set("bos_token_id", json!(70_000))), "70000 is none"),
     ] {
         assert!(error.contains(expected), "{expected}: {error}");
     }

@@ -1,10 +1,10 @@
 //! The vision tower's configuration and preprocessor in the metadata of a `clip` GGUF file, in both directions.
 
-use serde_json::{Value as Json, json};
+use serde_json::{Value, json};
 
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::Activation;
-use crate::mllm::gguf::{Entries, Header, Value};
+use crate::mllm::gguf::{Entries, Header};
 use crate::mllm::llava::LlavaConfig;
 
 /// The tensor that LLaVA-NeXT adds to LLaVA's.
@@ -25,7 +25,7 @@ pub(super) fn hidden(header: &Header) -> Result<Option<usize>, MllmError> {
 }
 
 /// The keys of `config.json` that describe tower and projector, and a note if the file leaves one open.
-pub(super) fn config(header: &Header, model_type: &str) -> Result<(Json, Option<String>), MllmError> {
+pub(super) fn config(header: &Header, model_type: &str) -> Result<(Value, Option<String>), MllmError> {
     for key in ["clip.projector_type", "clip.vision.projector_type"] {
         match header.text(key)? {
             None | Some("mlp") => {}
@@ -38,7 +38,7 @@ pub(super) fn config(header: &Header, model_type: &str) -> Result<(Json, Option<
         (_, Some(true)) => "silu",
         _ => "quick_gelu",
     };
-    let (features, note) = if let Some(features) = header.integers(FEATURE_LAYER)? {
+    let (features, note) = if let Some(features) = header.list::<i64>(FEATURE_LAYER, "a list of integers")? {
         (json!(features), None)
     } else {
         let (layer, note) = default_feature_layer(layers);
@@ -78,8 +78,8 @@ fn default_feature_layer(layers: usize) -> (usize, String) {
     (layer, note)
 }
 
-fn pinpoints(header: &Header) -> Result<Option<Json>, MllmError> {
-    let Some(flat) = header.integers(PINPOINTS)? else { return Ok(None) };
+fn pinpoints(header: &Header) -> Result<Option<Value>, MllmError> {
+    let Some(flat) = header.list::<i64>(PINPOINTS, "a list of integers")? else { return Ok(None) };
     let (pairs, rest) = flat.as_chunks::<2>();
     if !rest.is_empty() || pairs.is_empty() {
         return Err(header.error(PINPOINTS, format!("{} numbers are no pairs of height and width", flat.len())));
@@ -88,7 +88,7 @@ fn pinpoints(header: &Header) -> Result<Option<Json>, MllmError> {
 }
 
 /// `preprocessor_config.json` of the tower.
-pub(super) fn preprocessor(header: &Header, image_processor: &str) -> Result<Json, MllmError> {
+pub(super) fn preprocessor(header: &Header, image_processor: &str) -> Result<Value, MllmError> {
     let side = header.required_count("clip.vision.image_size")?;
     let mut preprocessor = json!({
         "image_processor_type": image_processor,
@@ -97,7 +97,7 @@ pub(super) fn preprocessor(header: &Header, image_processor: &str) -> Result<Jso
         "resample": 3,
     });
     for key in ["image_mean", "image_std"] {
-        if let Some(values) = header.numbers(&format!("clip.vision.{key}"))? {
+        if let Some(values) = header.list::<f64>(&format!("clip.vision.{key}"), "a list of numbers")? {
             preprocessor[key] = json!(values);
         }
     }
@@ -116,36 +116,34 @@ pub(super) fn metadata(
     pinpoints: Option<Vec<[u32; 2]>>,
     scale: [[f32; 3]; 2],
 ) -> Result<Entries, &'static str> {
-    use Value::{Bool, Float, Floats, Integers, Text, Unsigned};
     let vision = &config.vision;
-    let count = |number: usize| Unsigned(number as u64);
     let [mean, deviation] = scale;
     let mut metadata = vec![
-        ("clip.has_vision_encoder", Bool(true)),
-        ("clip.has_text_encoder", Bool(false)),
-        ("clip.has_llava_projector", Bool(true)),
-        ("clip.projector_type", Text("mlp".into())),
-        ("clip.vision.embedding_length", count(vision.hidden)),
-        ("clip.vision.feed_forward_length", count(vision.intermediate)),
-        ("clip.vision.block_count", count(vision.layers)),
-        ("clip.vision.attention.head_count", count(vision.heads)),
-        ("clip.vision.image_size", count(vision.image_size)),
-        ("clip.vision.patch_size", count(vision.patch_size)),
-        ("clip.vision.projection_dim", count(config.text.hidden)),
-        ("clip.vision.attention.layer_norm_epsilon", Float(vision.layer_norm_eps as f32)),
-        ("clip.vision.image_mean", Floats(mean.to_vec())),
-        ("clip.vision.image_std", Floats(deviation.to_vec())),
-        (FEATURE_LAYER, Integers(config.feature_layers.iter().map(|layer| *layer as i64).collect())),
+        ("clip.has_vision_encoder", json!(true)),
+        ("clip.has_text_encoder", json!(false)),
+        ("clip.has_llava_projector", json!(true)),
+        ("clip.projector_type", json!("mlp")),
+        ("clip.vision.embedding_length", json!(vision.hidden)),
+        ("clip.vision.feed_forward_length", json!(vision.intermediate)),
+        ("clip.vision.block_count", json!(vision.layers)),
+        ("clip.vision.attention.head_count", json!(vision.heads)),
+        ("clip.vision.image_size", json!(vision.image_size)),
+        ("clip.vision.patch_size", json!(vision.patch_size)),
+        ("clip.vision.projection_dim", json!(config.text.hidden)),
+        ("clip.vision.attention.layer_norm_epsilon", json!(vision.layer_norm_eps)),
+        ("clip.vision.image_mean", json!(mean)),
+        ("clip.vision.image_std", json!(deviation)),
+        (FEATURE_LAYER, json!(config.feature_layers)),
     ];
     match vision.act {
-        Activation::QuickGelu => metadata.push(("clip.use_gelu", Bool(false))),
-        Activation::Gelu => metadata.push(("clip.use_gelu", Bool(true))),
-        Activation::Silu => metadata.push(("clip.use_silu", Bool(true))),
+        Activation::QuickGelu => metadata.push(("clip.use_gelu", json!(false))),
+        Activation::Gelu => metadata.push(("clip.use_gelu", json!(true))),
+        Activation::Silu => metadata.push(("clip.use_silu", json!(true))),
         Activation::GeluTanh | Activation::Relu => return Err("the activation of the vision tower"),
     }
     if let Some(pinpoints) = pinpoints {
-        metadata.push((PINPOINTS, Integers(pinpoints.into_iter().flatten().map(i64::from).collect())));
-        metadata.push(("clip.vision.mm_patch_merge_type", Text("spatial_unpad".into())));
+        metadata.push((PINPOINTS, json!(pinpoints.concat())));
+        metadata.push(("clip.vision.mm_patch_merge_type", json!("spatial_unpad")));
     }
     Ok(metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect())
 }
