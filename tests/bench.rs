@@ -1,4 +1,4 @@
-//! `planagent bench`: what it prints, what it leaves behind, and that a model that fails fails alone.
+//! `planagent bench`: output, result folder, and failures of single models.
 
 use crate::cli::{planagent, read_json, refused, run};
 use crate::outside::skipped;
@@ -13,7 +13,7 @@ fn rows(folder: &Path) -> Vec<Value> {
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-/// Runs a bench into a folder, on one thread; gives the exit code and the figures.
+/// Runs a benchmark on one thread; returns the exit code and the statistics.
 fn bench(arguments: &[&str], out: &Path) -> (i32, Value) {
     let out = ["--threads", "1", "--json", "--out", out.to_str().unwrap()];
     let (code, stdout, stderr) = run(&[&["bench"], arguments, &out].concat());
@@ -39,8 +39,7 @@ fn a_model_is_measured_by_its_steps() {
     let kinds: Vec<(&str, bool)> =
         rows.iter().map(|row| (row["row"].as_str().unwrap(), row["warm_up"] == true)).collect();
     assert_eq!(kinds, [("iteration", true), ("iteration", false), ("iteration", false), ("model", false)]);
-    // Every token that something was chosen behind was computed, and no other: what is appended at an answer's end waits for
-    // the next prompt.
+    // Only tokens before a sampled token are computed; those at the end of an answer wait for the next prompt.
     let steps = rows[1]["steps"].as_array().unwrap();
     let (mut pending, mut expected, mut computed) = (0, 0, 0);
     for timed in steps {
@@ -78,7 +77,7 @@ fn random_weights_have_the_shape_of_the_real_ones() {
 }
 
 #[test]
-fn a_bench_is_gone_on_with_and_only_by_the_same_settings() {
+fn a_benchmark_resumes_only_with_the_same_settings() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("bench");
     let arguments = ["nano", "--warm-up", "0", "--iterations", "1"];
@@ -87,7 +86,7 @@ fn a_bench_is_gone_on_with_and_only_by_the_same_settings() {
     let resume = ["--threads", "1", "--resume", out.to_str().unwrap()];
     let (code, _, stderr) = run(&[&["bench"], &arguments[..], &resume].concat());
     assert_eq!(code, 0, "{stderr}");
-    assert_eq!(fs::read(out.join("rows.jsonl")).unwrap(), before, "what is done is kept");
+    assert_eq!(fs::read(out.join("rows.jsonl")).unwrap(), before, "completed rows stay");
     let otherwise = ["nano", "--warm-up", "0", "--iterations", "2"];
     let stderr = refused(&[&["bench"], &otherwise[..], &resume].concat());
     assert!(stderr.contains("iterations: was 1, is 2"), "{stderr}");
@@ -111,7 +110,7 @@ fn a_broken_model_fails_alone() {
 #[test]
 fn a_model_is_measured_by_the_configuration_that_is_named() {
     let folder = TempDir::new().unwrap();
-    // What the process that measures would find if it looked for itself.
+    // The measuring process must not read this file.
     fs::write(folder.path().join("planagent.toml"), "[mllm]\nquantize = \"q3_k\"\n").unwrap();
     fs::write(folder.path().join("named.toml"), "[mllm]\nquantize = \"f16\"\n").unwrap();
     let arguments =
@@ -123,7 +122,7 @@ fn a_model_is_measured_by_the_configuration_that_is_named() {
 }
 
 #[test]
-fn wrong_words_are_refused_with_what_there_is() {
+fn unknown_values_are_refused_with_the_known_ones() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().to_str().unwrap();
     for (arguments, expected) in [
@@ -139,7 +138,7 @@ fn wrong_words_are_refused_with_what_there_is() {
     }
 }
 
-/// A Python interpreter with llama.cpp; says so when there is none.
+/// A Python interpreter with llama.cpp; reports a skipped test if there is none.
 fn llama_python() -> Option<PathBuf> {
     let python = std::env::var_os("PLANAGENT_LLAMA_PYTHON").map_or_else(|| PathBuf::from("python3"), PathBuf::from);
     let mut command = Command::new(&python);
@@ -152,7 +151,7 @@ fn llama_python() -> Option<PathBuf> {
 }
 
 #[test]
-fn both_engines_work_off_the_same_steps() {
+fn both_engines_run_the_same_steps() {
     let Some(python) = llama_python() else { return };
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("bench");

@@ -1,4 +1,4 @@
-//! The one interface to every model backend: open a conversation, ask, go back to a mark.
+//! The interface of every model backend: open a conversation, ask, rewind to a mark.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,48 +8,46 @@ use serde::{Deserialize, Serialize};
 
 use super::{Deadline, LoadReport, MllmError};
 
-/// A multimodal language model that can be talked to.
+/// A vision-language model.
 ///
-/// Backends: [`LocalModel`](super::LocalModel) computes the answers in this process, [`Endpoint`](super::Endpoint) asks a
-/// server, [`Replay`](super::Replay) gives recorded ones.
+/// Backends: [`LocalModel`](super::LocalModel) runs in this process, [`Endpoint`](super::Endpoint) asks a server.
 pub trait Mllm: Send + Sync {
-    /// The name under which results are reported.
+    /// The name in results.
     fn name(&self) -> &str;
 
-    /// What the model is: size, number format, context, identity of its weights.
+    /// Identity and size of the model.
     fn describe(&self) -> ModelDescription;
 
-    /// Opens a conversation. The same opening, seed and requests give the same answers at any thread count, unless a
-    /// deadline cuts one short; an endpoint promises as much as its server does.
+    /// Opens a conversation. The same prefix, seed and requests give the same answers at any thread count, unless a deadline
+    /// ends one early. A server's answers are as repeatable as the server.
     ///
     /// # Errors
-    /// When the opening cannot be rendered by the model's chat template or its image cannot be used.
+    /// When the chat template cannot render the prefix, or its image cannot be used.
     fn converse<'a>(&'a self, prefix: &PromptPrefix, seed: u64) -> Result<Box<dyn Conversation + 'a>, MllmError>;
 
-    /// Tokens that the model's own tokenizer makes of a text, without special ones; `None` where it is not at hand.
+    /// Number of tokens of a text, without special tokens; `None` if the backend has no tokenizer.
     fn count_tokens(&self, _text: &str) -> Option<usize> {
         None
     }
 }
 
-/// A chat in progress: the rounds of a planning call continue one another.
+/// A chat. The rounds of a planning call are its turns.
 pub trait Conversation: Send {
-    /// Appends a user turn and generates the assistant's. After an error the conversation is as it was before.
+    /// Appends a user turn and generates the assistant's turn. An error leaves the conversation unchanged.
     ///
     /// # Errors
-    /// When the constraint does not compile, the prompt does not fit into the context, the model computes NaN, a server
-    /// fails, or the request's deadline passes.
+    /// When the constraint does not compile, the prompt exceeds the context, the model computes NaN, a server fails, or the
+    /// request's deadline passes.
     fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError>;
 
-    /// Remembers this point of the conversation.
+    /// The current point of the conversation.
     fn mark(&self) -> Mark;
 
-    /// Goes back to a mark: later turns are forgotten, what was computed before the mark stays.
-    /// A mark that lies ahead (made before an earlier rewind went behind it) changes nothing.
+    /// Drops the turns after a mark; what was computed before it stays cached. A mark after the current point changes nothing.
     fn rewind(&mut self, mark: Mark);
 }
 
-/// What stands at the head of a conversation.
+/// The prompt prefix of a conversation.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct PromptPrefix {
     /// The system prompt; empty for none.
@@ -58,7 +56,7 @@ pub struct PromptPrefix {
     pub image: Option<Arc<RgbImage>>,
 }
 
-/// BLAKE3 of an image's width, height and RGB bytes, in hexadecimal.
+/// BLAKE3 of an image's width, height and RGB bytes, hexadecimal.
 pub fn image_hash(image: &RgbImage) -> String {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&image.width().to_le_bytes());
@@ -67,17 +65,15 @@ pub fn image_hash(image: &RgbImage) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// One question with its answer.
+/// A prompt with its answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Turn {
-    /// What the user said.
     pub prompt: String,
-    /// What the model answered.
     pub answer: String,
 }
 
-/// BLAKE3, in hexadecimal, of all text the model has been told when it answers `prompt`: the system prompt, the earlier
-/// turns and the prompt itself. Every part is preceded by its length, so no two chats share a hash.
+/// BLAKE3, hexadecimal, of the whole chat: the system prompt, the earlier turns and `prompt`. Each part follows its length, so
+/// no two chats share a hash.
 pub fn prompt_hash(system: &str, turns: &[Turn], prompt: &str) -> String {
     let mut hasher = blake3::Hasher::new();
     let mut part = |text: &str| {
@@ -93,178 +89,170 @@ pub fn prompt_hash(system: &str, turns: &[Turn], prompt: &str) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// How an answer is to be generated.
+/// Settings of one answer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Request {
-    /// What the answer must look like.
     pub constraint: Constraint,
-    /// Most tokens of the answer, forced ones included.
+    /// Maximum tokens of the answer, fast-forwarded tokens included.
     pub max_new_tokens: usize,
-    /// How free tokens are chosen.
     pub sampling: Sampling,
-    /// When the answer must be there. Models here look at it between tokens and between chunks of the prompt; for an
-    /// endpoint it bounds the wait.
+    /// A local model checks it between tokens and between chunks of the prompt; for a server it limits the wait.
     pub deadline: Deadline,
 }
 
-/// What an answer must look like. A constrained answer always matches, unless `max_new_tokens` cuts it short, which
-/// [`Answer::finish`] says, or a server did not keep to it, which [`Answer::constraint`] says.
+/// The form of an answer. A constrained answer matches, except where `max_new_tokens` ends it ([`Answer::finish`]) or a server
+/// violates the constraint ([`Answer::constraint`]).
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Constraint {
-    /// Any text, until the model ends it.
+    /// Any text.
     Free,
     /// Exactly one of these texts.
     Choice(Vec<String>),
-    /// A text that matches this regular expression as a whole (syntax of the `regex` crate, no look-around).
+    /// A text that this regular expression matches as a whole (syntax of the `regex` crate, no look-around).
     Regex(String),
-    /// These one after the other; free text and Lark cannot be among them.
+    /// These in order; free text and Lark are not allowed.
     Sequence(Vec<Constraint>),
-    /// A text of this grammar in llguidance's dialect of Lark, whose start rule is `start`.
+    /// A text of this grammar in llguidance's dialect of Lark, with the start rule `start`.
     Lark(String),
 }
 
-/// What became of a request's constraint.
+/// How a constraint was applied.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ConstraintUse {
-    /// None was asked for.
+    /// The request had none.
     Unconstrained,
-    /// The answer was decoded under it in this process.
+    /// Decoding in this process enforced it.
     Enforced,
-    /// It was sent to a server, and the answer is as it says.
+    /// A server received it, and the answer matches.
     Satisfied,
-    /// It was sent to a server, but the answer is not as it says: it was cut short, or the server ignored it.
+    /// A server received it, but the answer does not match: it is too short, or the server ignored the constraint.
     Violated,
-    /// It was not sent, since the endpoint's description says `grammar = "none"`.
+    /// The server did not receive it, because its description has `grammar = "none"`.
     NotSent,
 }
 
-/// How free tokens are chosen from the model's distribution.
+/// How tokens are sampled from the model's distribution.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Sampling {
-    /// The most likely token; of equals, the lowest id.
+    /// The most likely token, the lowest id of equals.
     Greedy,
     /// A random token, seeded by the conversation.
     Sample {
         /// Divides the logits; above 0.
         temperature: f64,
-        /// Nucleus: only the likeliest tokens whose probabilities sum to this, in (0, 1].
+        /// Nucleus: only the most likely tokens whose probabilities add up to this, in (0, 1].
         top_p: f64,
     },
 }
 
-/// A generated answer and what it cost.
+/// A generated answer with its cost.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answer {
     /// The text, without special tokens.
     pub text: String,
-    /// Tokens read and written.
     pub tokens: TokenCounts,
-    /// Wall time.
     pub time: RoundTime,
-    /// Why the answer ends where it ends.
     pub finish: FinishReason,
-    /// What became of the constraint.
     pub constraint: ConstraintUse,
-    /// [`prompt_hash`] of the chat that was answered.
+    /// [`prompt_hash`] of the chat.
     pub prompt_hash: String,
 }
 
-/// Tokens of one round. The prompt has `text + image + cached` tokens, the answer `forced + free`. Where the constraint left
-/// nothing to choose, the prompt is not computed: what was not known of it is counted by the next round that computes it.
+/// Tokens of one round. The prompt has `text + image + cached` tokens, the answer `fast_forwarded + sampled`. If the constraint
+/// determines the whole answer, the prompt is not computed; its tokens count in the next round that computes them.
 ///
-/// An endpoint tells what its server counts: image tokens stand under `text`, forced ones under `free`, and all is zero
-/// where the server says nothing.
+/// For a server these are the server's counts: `text` includes image tokens, `sampled` includes fast-forwarded tokens, and all
+/// are zero if the server gives none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct TokenCounts {
-    /// Text tokens of the prompt that were computed in this round.
+    /// Text tokens of the prompt computed in this round.
     pub text: usize,
-    /// Image tokens of the prompt that were computed in this round.
+    /// Image tokens of the prompt computed in this round.
     pub image: usize,
-    /// Tokens of the prompt that were still known: of earlier rounds, or of the system prompt that all calls share.
+    /// Prompt tokens in the cache: from earlier rounds, or from the prompt prefix that all calls share.
     pub cached: usize,
-    /// Tokens of the answer that the constraint left no choice about.
+    /// Answer tokens that the constraint determined.
     pub fast_forwarded: usize,
-    /// Tokens of the answer that the model chose.
+    /// Answer tokens that the model sampled.
     pub sampled: usize,
 }
 
-/// Wall time of one round, milliseconds. Parts that a backend cannot tell are zero.
+/// Wall time of one round, milliseconds. Parts that a backend does not measure are zero.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct RoundTime {
-    /// Preprocessing the image, vision tower and projector; zero when the features were known.
+    /// Image preprocessing, vision tower and projector; zero if the features were cached.
     pub image_encode: f64,
-    /// Computing the prompt's tokens (and those of the answer that are forced from its start).
+    /// Computation of the prompt's tokens, and of the fast-forwarded tokens that begin the answer.
     pub prefill: f64,
-    /// From the start of the round to the first token that the model chose; zero if it chose none.
+    /// From the start of the round to the first sampled token; zero if there is none.
     pub first_token: f64,
     /// Everything after the prefill.
     pub decode: f64,
-    /// Waiting for a server, retries included; how it spent the time is not known.
+    /// Wait for a server, retries included.
     #[serde(default)]
     pub remote: f64,
-    /// The whole round, chat template and tokenizer included.
+    /// The whole round with chat template and tokenizer.
     pub total: f64,
 }
 
-/// A time as [`RoundTime`] has it, milliseconds.
 pub(crate) fn milliseconds(time: Duration) -> f64 {
     time.as_secs_f64() * 1e3
 }
 
-/// Why an answer ends.
+/// Why an answer ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FinishReason {
-    /// The model said so (end-of-sequence token).
+    /// The model sampled an end-of-sequence token.
     EndOfSequence,
-    /// The constraint is fulfilled and allows nothing more.
+    /// The constraint allows no further token.
     Complete,
-    /// `max_new_tokens` were generated.
+    /// The answer has `max_new_tokens`.
     Length,
     /// The model's context is full.
     ContextFull,
 }
 
-/// A point of a conversation, from [`Conversation::mark`]; the default is its beginning.
+/// A point of a conversation, from [`Conversation::mark`]. The default is the beginning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Mark(pub(super) usize);
 
-/// What a model is.
+/// Identity and size of a model.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ModelDescription {
-    /// The name under which results are reported.
+    /// The name in results.
     pub name: String,
-    /// Kind of model (`llava`, `llava-next`, `cogvlm`, `endpoint`, `replay`).
+    /// Kind of model (`llava`, `llava-next`, `cogvlm`, `endpoint`).
     pub architecture: String,
     /// Number of weights.
     pub parameters: u64,
-    /// Number format that it computes in.
+    /// Number format of the computation.
     pub dtype: String,
-    /// Side of the square image that the vision tower sees, pixels; none if it takes no images.
+    /// Side of the vision tower's square input, pixels; `None` for a model without images.
     pub image_size: Option<u32>,
-    /// Tokens that an image becomes; the most, where that depends on its shape.
+    /// Tokens of an image; the maximum if they depend on its shape.
     pub image_tokens: usize,
     /// Number of token ids.
     pub vocabulary: usize,
-    /// Most tokens of a chat; of `CogVLM` most positions, of which an image takes three.
+    /// Maximum tokens of a chat; for `CogVLM` maximum positions, of which an image takes three.
     pub context: usize,
-    /// BLAKE3 of the weight files in the order of their names, hexadecimal; empty if there are none.
+    /// BLAKE3, hexadecimal, of the weight files in the order of their names; empty without files.
     pub weights_blake3: String,
-    /// How its weights are held in memory; empty if it is not computed here.
+    /// The weights in memory; empty for a server.
     #[serde(default, skip_serializing_if = "LoadReport::is_empty")]
     pub load: LoadReport,
-    /// The server that answers, of an endpoint; of such a model neither size nor weights are known.
+    /// The server of a remote model, whose size and weights are unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub server: Option<Server>,
 }
 
-/// Who answers for an endpoint.
+/// The server of a remote model.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Server {
-    /// Its address.
+    /// The server's address.
     pub endpoint: String,
-    /// The model, as the server calls it.
+    /// The server's name of the model.
     pub model: String,
 }

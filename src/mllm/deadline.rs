@@ -1,36 +1,32 @@
-//! The instant at which a planning call must end.
+//! The deadline of a planning call.
 
 use std::time::{Duration, Instant};
 
 use super::MllmError;
 
-/// When a planning call must end; by default never.
+/// When a planning call must end. The default is no deadline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Deadline(Option<Instant>);
 
 impl Deadline {
-    /// No deadline.
     pub const NONE: Self = Self(None);
 
-    /// A deadline this long after an instant; none if that lies beyond what the clock can tell.
+    /// `limit` after `start`; no deadline if the clock cannot represent that time.
     pub fn after(start: Instant, limit: Duration) -> Self {
         Self(start.checked_add(limit))
     }
 
-    /// Whether there is one.
     pub fn is_set(self) -> bool {
         self.0.is_some()
     }
 
-    /// What is left until then, zero once it has passed; `None` without a deadline.
+    /// The remaining time, zero after the deadline; `None` without a deadline.
     pub fn left(self) -> Option<Duration> {
         self.0.map(|at| at.saturating_duration_since(Instant::now()))
     }
 
-    /// Goes on while there is time.
-    ///
     /// # Errors
-    /// [`MllmError::Deadline`] once it has passed.
+    /// [`MllmError::Deadline`] after the deadline.
     pub fn check(self) -> Result<(), MllmError> {
         match self.left() {
             Some(Duration::ZERO) => Err(MllmError::Deadline),

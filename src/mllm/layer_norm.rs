@@ -1,4 +1,4 @@
-//! Layer normalisation.
+//! Layer normalization.
 
 use candle_core::{Result, Tensor};
 
@@ -9,8 +9,8 @@ use super::values::row_by_row;
 
 /// (x − mean) / sqrt(variance + ε) · weight + bias over the last dimension, in f32.
 ///
-/// Mean and variance are taken one after the other and summed in f64. candle-nn's layer norm takes the variance as
-/// E(x²) − E(x)² in f32, which loses digits where the mean is large.
+/// Computes the mean first, then the variance, both summed in f64. candle-nn computes the variance as E(x²) − E(x)² in f32,
+/// which loses digits where the mean is large.
 #[derive(Debug)]
 pub(crate) struct LayerNorm {
     weight: Vec<f32>,
@@ -19,10 +19,7 @@ pub(crate) struct LayerNorm {
 }
 
 impl LayerNorm {
-    /// Takes the norm called `name`.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
+    /// Takes `NAME.weight` and `NAME.bias`.
     pub(crate) fn take(
         weights: &mut Weights,
         name: &str,
@@ -42,7 +39,7 @@ impl LayerNorm {
     }
 }
 
-/// Normalises whole rows.
+/// Normalizes whole rows.
 struct Rows<'a> {
     norm: &'a LayerNorm,
     x: &'a [f32],
@@ -51,7 +48,7 @@ struct Rows<'a> {
 
 impl Kernel for Rows<'_> {
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+    #[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
     fn run<S: Simd>(self, _: S) {
         let LayerNorm { weight, bias, eps } = self.norm;
         let width = weight.len();
@@ -68,7 +65,7 @@ impl Kernel for Rows<'_> {
 
 /// The sum of a function of numbers.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+#[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
 fn sum_of(row: &[f32], function: impl Fn(f64) -> f64) -> f64 {
     let (whole, rest) = row.as_chunks::<LANES>();
     let mut sums = [0f64; LANES];

@@ -1,4 +1,4 @@
-//! Affine layers on matrices of one row a token.
+//! Affine layers; each row is a token.
 
 use candle_core::{Result, Tensor};
 
@@ -6,7 +6,7 @@ use super::MllmError;
 use super::checkpoint::Weights;
 use super::matrix::Matrix;
 
-/// y = x Wᵀ + b on a matrix of shape (tokens, inputs).
+/// y = x Wᵀ + b with x of shape (tokens, inputs).
 #[derive(Debug, Clone)]
 pub(crate) struct Linear {
     weight: Matrix,
@@ -14,10 +14,7 @@ pub(crate) struct Linear {
 }
 
 impl Linear {
-    /// Takes `NAME.weight` of shape (outputs, inputs), and `NAME.bias` if there is one.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
+    /// Takes `NAME.weight` of shape (outputs, inputs), and `NAME.bias` if `bias` is set.
     pub(crate) fn take(
         weights: &mut Weights,
         name: &str,
@@ -28,10 +25,7 @@ impl Linear {
         Self::take_fused(weights, &[(name.to_string(), outputs)], inputs, bias)
     }
 
-    /// Takes several layers of the same input as one, their outputs side by side: one pass over the input instead of many.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
+    /// Takes layers with the same input as one layer with concatenated outputs, so that one product replaces several.
     pub(crate) fn take_fused(
         weights: &mut Weights,
         parts: &[(String, usize)],
@@ -50,7 +44,6 @@ impl Linear {
         Ok(Self { weight: Matrix::stack(matrices)?, bias })
     }
 
-    /// A layer around a matrix and a bias of shape (outputs).
     pub(crate) fn from_matrix(weight: Matrix, bias: Option<Tensor>) -> Self {
         Self { weight, bias }
     }

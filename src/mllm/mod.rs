@@ -16,6 +16,7 @@ mod conversation;
 mod deadline;
 mod decoder;
 mod endpoint;
+mod endpoint_settings;
 mod error;
 mod export;
 mod families;
@@ -37,6 +38,8 @@ mod text;
 mod values;
 mod vision;
 
+#[cfg(feature = "internals")]
+pub use attention::AttentionProbe;
 pub(crate) use checkpoint::in_bytes;
 pub use checkpoint::{LlamaConfig, LoadReport, ModelFiles, WeightFormatException, WeightFormatShare, Weights};
 pub(crate) use conversation::milliseconds;
@@ -46,7 +49,8 @@ pub use conversation::{
 };
 pub use deadline::Deadline;
 pub use decoder::{DecoderInput, KvCache, Logits};
-pub use endpoint::{Endpoint, EndpointSettings, GrammarField, LimitField};
+pub use endpoint::Endpoint;
+pub use endpoint_settings::{EndpointSettings, GrammarField, LimitField};
 pub use error::{EndpointFailure, MllmError};
 pub use export::{CreateFile, GgufPart, export_model};
 pub use families::{Architecture, Families};

@@ -1,5 +1,5 @@
-//! Activation functions, number by number: vectorised, over threads, in one pass.
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+//! Elementwise activation functions, vectorized and parallel, in one pass over the numbers.
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
 
 use candle_core::{D, Result, Tensor, bail};
 
@@ -8,7 +8,6 @@ use super::matrix::{Instructions, Kernel, Simd};
 use super::values::row_by_row;
 
 impl Activation {
-    /// Applies the activation.
     pub(crate) fn forward(self, x: &Tensor) -> Result<Tensor> {
         let width = x.dims().last().copied().unwrap_or(0);
         row_by_row(x, width, width, |out, values| {
@@ -21,7 +20,7 @@ impl Activation {
         let both = gate_up.dim(D::Minus1)?;
         let width = both / 2;
         if both % 2 == 1 {
-            bail!("rows of {both} numbers are no gates and as many values");
+            bail!("rows of {both} numbers do not split into gates and values of equal width");
         }
         row_by_row(gate_up, both, width, |out, values| {
             Instructions::best().run(SwiGluKernel { width, values, out });
@@ -84,11 +83,11 @@ fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
 }
 
-/// eˣ to about two units in the last place, without branches: e^x = 2ⁿ e^r with |r| ≤ ln 2 / 2, the latter by its Taylor
-/// series. Beyond ±87 it stays what it is there.
+/// eˣ to about two units in the last place, without branches: eˣ = 2ⁿ eʳ with |r| ≤ ln 2 / 2 and eʳ by its Taylor series. x
+/// is clamped to ±87.
 #[inline(always)]
 fn exp(x: f32) -> f32 {
-    /// ln 2 in two parts (Cody and Waite): products of the first with small integers are exact.
+    /// ln 2 in two parts (Cody and Waite): products of the first part with small integers are exact.
     const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
     const SERIES: [f32; 8] = [1.0 / 5040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0];
     let x = x.clamp(-87.0, 87.0);

@@ -1,4 +1,4 @@
-//! Root mean square normalisation.
+//! Root mean square normalization.
 
 use candle_core::{Result, Tensor};
 
@@ -15,10 +15,7 @@ pub(crate) struct RmsNorm {
 }
 
 impl RmsNorm {
-    /// Takes the norm called `name`.
-    ///
-    /// # Errors
-    /// When it is missing or misshapen.
+    /// Takes `NAME.weight`.
     pub(crate) fn take(
         weights: &mut Weights,
         name: &str,
@@ -36,7 +33,7 @@ impl RmsNorm {
     }
 }
 
-/// Normalises whole rows.
+/// Normalizes whole rows.
 struct Rows<'a> {
     norm: &'a RmsNorm,
     x: &'a [f32],
@@ -45,7 +42,7 @@ struct Rows<'a> {
 
 impl Kernel for Rows<'_> {
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+    #[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
     fn run<S: Simd>(self, _: S) {
         let RmsNorm { weight, eps } = self.norm;
         for (out, row) in self.out.chunks_exact_mut(weight.len()).zip(self.x.chunks_exact(weight.len())) {

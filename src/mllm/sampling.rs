@@ -1,4 +1,4 @@
-//! From logits to a token.
+//! Sampling of tokens from logits.
 
 use candle_core::{Device, Tensor};
 use candle_transformers::generation::{LogitsProcessor, Sampling as Draw};
@@ -6,17 +6,15 @@ use toktrie::SimpleVob;
 
 use super::{MllmError, Sampling};
 
-/// Chooses the free tokens of one answer.
+/// Samples the tokens of an answer.
 pub(crate) enum Sampler {
-    /// The likeliest.
+    /// The most likely token.
     Greedy,
-    /// Drawn by a seeded generator.
+    /// A random token of a seeded generator.
     Draw(Box<LogitsProcessor>),
 }
 
 impl Sampling {
-    /// Refuses what cannot be sampled by.
-    ///
     /// # Errors
     /// When temperature or nucleus is out of range.
     pub(crate) fn check(self) -> Result<(), MllmError> {
@@ -26,7 +24,7 @@ impl Sampling {
             {
                 Err(MllmError::Request {
                     problem: format!(
-                        "sampling needs a temperature above 0 and top_p in (0, 1], found {temperature} and {top_p}"
+                        "temperature must be above 0 and top_p in (0, 1], found {temperature} and {top_p}"
                     ),
                 })
             }
@@ -36,8 +34,6 @@ impl Sampling {
 }
 
 impl Sampler {
-    /// The sampler of a request.
-    ///
     /// # Errors
     /// When its temperature or nucleus is out of range.
     pub(crate) fn new(sampling: Sampling, seed: u64) -> Result<Self, MllmError> {
@@ -51,11 +47,10 @@ impl Sampler {
         })
     }
 
-    /// Chooses among the allowed tokens, never `banned`. `position` is the position in the chat that the logits were
-    /// computed at.
+    /// Samples one of the allowed tokens, never `banned`. `position` is the position of the logits in the chat.
     ///
     /// # Errors
-    /// When a logit is not finite, or no token is allowed.
+    /// When a logit is NaN or infinite, or no token is allowed.
     pub(crate) fn choose(
         &mut self,
         mut logits: Vec<f32>,
@@ -76,7 +71,7 @@ impl Sampler {
         if let Some(logit) = logits.get_mut(banned as usize) {
             *logit = f32::NEG_INFINITY;
         }
-        let best = likeliest(&logits).ok_or_else(|| MllmError::Request { problem: "no token is allowed".into() })?;
+        let best = most_likely(&logits).ok_or_else(|| MllmError::Request { problem: "no token is allowed".into() })?;
         match self {
             Self::Greedy => Ok(best),
             Self::Draw(processor) => {
@@ -87,8 +82,8 @@ impl Sampler {
     }
 }
 
-/// The first of the largest logits above minus infinity.
-fn likeliest(logits: &[f32]) -> Option<u32> {
+/// The token of the largest logit, the lowest of equals; `None` if all are minus infinity.
+fn most_likely(logits: &[f32]) -> Option<u32> {
     let mut best = None;
     let mut highest = f32::NEG_INFINITY;
     for (token, logit) in logits.iter().enumerate() {
@@ -100,7 +95,7 @@ fn likeliest(logits: &[f32]) -> Option<u32> {
     best
 }
 
-/// Spreads a conversation's seed over its answers (the finaliser of `SplitMix64`).
+/// The seed of an answer, from the conversation's seed (the finalizer of `SplitMix64`).
 pub(crate) fn answer_seed(conversation: u64, answer: u64) -> u64 {
     let mut z = conversation.wrapping_add(answer.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -112,7 +107,7 @@ pub(crate) fn answer_seed(conversation: u64, answer: u64) -> u64 {
 mod tests {
     use super::*;
 
-    /// The likeliest token of the tests, which must never be chosen.
+    /// The most likely token of the tests, which is banned.
     const BANNED: u32 = 4;
 
     fn only(tokens: &[u32]) -> SimpleVob {

@@ -1,33 +1,39 @@
-//! The numbers of a tensor, in place.
+//! Access to the numbers of a tensor without a copy.
 
 use candle_core::{Result, Storage, Tensor, bail};
 use rayon::prelude::*;
 
-/// Numbers that a thread takes at once in work that goes number by number, and half of what is worth waking other threads
-/// for.
+/// Numbers of a piece of elementwise work. Two pieces or more are worth waking other threads for.
 pub(crate) const PIECE: usize = 1 << 15;
 
-/// Runs `read` on the numbers of an f32 tensor, row-major.
+/// Runs `read` on the row-major numbers of a contiguous f32 tensor on the CPU, without a copy.
 ///
 /// # Errors
-/// When it holds other numbers, or what `read` returns.
-pub(crate) fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
-    let tensor = tensor.contiguous()?;
+/// When the tensor is of another kind, or `read` fails.
+pub(crate) fn with_contiguous<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
     let (storage, layout) = tensor.storage_and_layout();
     let (Storage::Cpu(storage), Some((start, end))) = (&*storage, layout.contiguous_offsets()) else {
-        bail!("a tensor that is not on the CPU");
+        bail!("the tensor is not contiguous, or not on the CPU");
     };
     match storage.as_slice::<f32>()?.get(start..end) {
         Some(values) => read(values),
-        None => bail!("a tensor beyond its storage"),
+        None => bail!("the tensor extends beyond its storage"),
     }
 }
 
-/// Makes a row of `outputs` numbers of each row of `inputs` numbers of an f32 tensor, whose last dimension they are, on all
-/// threads where that pays. `apply` gets whole rows, any number of them, to write and to read.
+/// Runs `read` on the row-major numbers of an f32 tensor, which is copied if it is not contiguous.
 ///
 /// # Errors
-/// When the tensor's rows are of another width, or it holds other numbers.
+/// When the tensor has another number type, or `read` fails.
+pub(crate) fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
+    with_contiguous(&tensor.contiguous()?, read)
+}
+
+/// Maps rows of `inputs` numbers, the last dimension of an f32 tensor, to rows of `outputs` numbers, on all threads where
+/// that pays. `apply` takes the rows to write and as many rows to read.
+///
+/// # Errors
+/// When the tensor's rows have another width, or it has another number type.
 pub(crate) fn row_by_row(
     x: &Tensor,
     inputs: usize,
@@ -37,7 +43,7 @@ pub(crate) fn row_by_row(
     let mut shape = x.dims().to_vec();
     match shape.last_mut() {
         Some(width) if *width == inputs && inputs > 0 => *width = outputs,
-        _ => bail!("rows of {inputs} numbers are expected, found {:?}", x.shape()),
+        _ => bail!("expected rows of {inputs} numbers, found {:?}", x.shape()),
     }
     with_values(x, |values| {
         let mut out = vec![0f32; values.len() / inputs * outputs];

@@ -164,7 +164,7 @@ fn a_refused_key_fails_the_drive_and_a_missing_one_the_start() {
     let other = description(&server, "").replace("TEST_KEY", "PLANAGENT_NO_SUCH_KEY");
     let run = Run::with(&other, "");
     assert_eq!(run.code, 2, "{}", run.stderr);
-    assert!(run.stderr.contains("$PLANAGENT_NO_SUCH_KEY, which is not set"), "{}", run.stderr);
+    assert!(run.stderr.contains("PLANAGENT_NO_SUCH_KEY is not set"), "{}", run.stderr);
     assert!(!run.path().exists());
 
     let away = description(&server, "").replace(&server.url(), "http://192.0.2.1/v1");

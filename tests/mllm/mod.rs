@@ -11,6 +11,7 @@ mod gguf;
 mod hub;
 mod layouts;
 mod own_family;
+mod token_ids;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -16,13 +16,13 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::SystemTime;
 
-/// Environment variable that names the Python interpreter with llama.cpp.
+/// Environment variable with the Python interpreter that has llama.cpp.
 const LLAMA_PYTHON: &str = "PLANAGENT_LLAMA_PYTHON";
 
-/// Measures models; the table goes to stdout, everything to a folder.
+/// Measures models. Prints the table and writes all results to a folder. A model that fails is a row, not an error.
 pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     if flags.iterations == 0 {
-        bail!("--iterations is 0; at least one planning call must count");
+        bail!("--iterations is 0; it must be at least 1");
     }
     let registry = model_registry(config, &listener(printer));
     let candidates = candidates(flags, config, &registry)?;
@@ -50,7 +50,7 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
         versus: llama_cpp(flags),
     };
     let program =
-        std::env::current_exe().context("cannot find this program, which measures in processes of its own")?;
+        std::env::current_exe().context("cannot find the path of this program to start the measuring process")?;
     let own = || {
         let mut command = Command::new(&program);
         command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
@@ -60,7 +60,7 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
     };
     let committed: Result<(), ReportError> =
         measure(&left, &settings, &own, &mut |rows| folder.commit(rows), &|progress| {
-            printer.note(said(progress));
+            printer.note(progress_line(progress));
         });
     committed?;
 
@@ -81,13 +81,13 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
     Ok(if figures.failed.is_empty() { Exit::Success } else { Exit::SomeFailed })
 }
 
-/// The measuring process: works until stdin ends.
+/// The measuring process; runs until stdin ends.
 pub(in crate::cli) fn process(config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     serve(&model_registry(config, &listener(printer)), io::stdin().lock(), io::stdout().lock())?;
     Ok(Exit::Success)
 }
 
-/// The models that are to be measured.
+/// The models to measure.
 fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry) -> anyhow::Result<Vec<Candidate>> {
     let configured = [config.mllm.model.clone()];
     let none = flags.models.is_empty() && flags.random_weights.is_empty();
@@ -104,13 +104,13 @@ fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry)
     }
     for (index, candidate) in all.iter().enumerate() {
         if all.iter().take(index).any(|other| other.name == candidate.name) {
-            bail!("two models are called {}; measure them in two benches", candidate.name);
+            bail!("two models are called {}; measure them in two runs", candidate.name);
         }
     }
     Ok(all)
 }
 
-/// A model as files that llama.cpp reads too: its own, or written to a folder.
+/// A model as GGUF files that llama.cpp reads too: its own, or newly written ones.
 fn as_gguf(
     candidate: &Candidate,
     folder: &Path,
@@ -136,25 +136,27 @@ fn as_gguf(
         return Ok(pair(model, mmproj));
     }
     let Some(weight_format) = config.mllm.quantize else {
-        bail!("--vs needs --quantize, or GGUF files with their mmproj named: both engines must read the same files");
+        bail!(
+            "--vs needs --quantize, or a model of GGUF files with mmproj, because both engines must read the same files"
+        );
     };
     let decoder = folder.join(format!("{}-{weight_format}-seed-{}.gguf", candidate.name, config.seed));
     let projector = GgufPart::Tower.path(&decoder);
     if !decoder.is_file() || !projector.is_file() {
-        printer.note(format!("{}: writing it as {}", candidate.name, decoder.display()));
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        printer.note(format!("{}: writing {}", candidate.name, decoder.display()));
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
         write_gguf(&decoder, printer, |create, progress| {
             export_model(&candidate.name, &place, &loading, create, progress)
         })
         .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
     }
     if !projector.is_file() {
-        bail!("{} cannot be compared: llama.cpp's format has no place for its vision tower", candidate.name);
+        bail!("cannot compare {}: llama.cpp's file format does not support its vision tower", candidate.name);
     }
     Ok(pair(&decoder, &projector))
 }
 
-/// How llama.cpp is run, if it is asked for.
+/// llama.cpp, if the flags ask for it.
 fn llama_cpp(flags: &BenchArguments) -> Option<LlamaCpp> {
     flags.vs.map(|OtherEngine::LlamaCpp| {
         let python = flags.llama_python.clone().or_else(|| std::env::var_os(LLAMA_PYTHON).map(PathBuf::from));
@@ -184,7 +186,7 @@ fn metadata(
         "quantize": config.mllm.quantize,
         "vs_llama_cpp": flags.vs.is_some(),
     });
-    let Value::Object(settings) = settings else { bail!("the settings are no object") };
+    let Value::Object(settings) = settings else { bail!("the settings are not a JSON object") };
     Ok(BenchMetadata {
         planagent: env!("CARGO_PKG_VERSION").to_owned(),
         commit: build_commit().map(str::to_owned),
@@ -196,11 +198,11 @@ fn metadata(
     })
 }
 
-/// A line about how far the bench is.
-fn said(progress: Progress<'_>) -> String {
+/// A line of progress.
+fn progress_line(progress: Progress<'_>) -> String {
     match progress {
-        Progress::Loading(engine, candidate) => format!("{}: {engine} loads it", candidate.name),
-        Progress::LeftOut(candidate, why) => format!("{}: left out: {why}", candidate.name),
+        Progress::Loading(engine, candidate) => format!("{}: {engine} loads the model", candidate.name),
+        Progress::LeftOut(candidate, why) => format!("{}: skipped: {why}", candidate.name),
         Progress::Done(row, of) => {
             let warm_up = if row.warm_up { ", warm-up" } else { "" };
             let done = row.iteration + 1;

@@ -1,49 +1,45 @@
-//! How many tokens a planning call reads and writes.
+//! Token counts of a planning call.
 
 use crate::mllm::{PromptSet, Step};
 use serde::{Deserialize, Serialize};
 
-/// The tokens of a planning call: the same for every model and engine, whatever it would rather say.
+/// The token counts of a planning call. They are the same for every model and engine, whatever its answers would be.
 ///
-/// The rounds, the places where answers are forced, and what stays computed between rounds and attempts are those of
-/// [`Reasoning`](crate::reasoning::Reasoning) with grammars on.
+/// Rounds, fast-forwarded tokens and cached prefixes are those of [`Reasoning`](crate::reasoning::Reasoning) with grammars.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CallBudget {
-    /// The system prompt with what the chat template puts around it. Where it stands before the image it is computed once
-    /// for all calls, else in every call.
+    /// The system prompt with the chat template's tokens. Before the image, it is computed once for all calls; after the
+    /// image, in every call.
     pub prefix: usize,
     /// The lane-graph text.
     pub scene: usize,
-    /// What a refused planner was refused for, in the first prompt of a later attempt.
+    /// The reflection's feedback in the first prompt of a later attempt.
     pub feedback: usize,
-    /// The rounds in their order.
     pub rounds: Vec<RoundBudget>,
     /// Attempts after the first.
     pub rethinks: usize,
 }
 
-/// The tokens of a round.
+/// The token counts of a round.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoundBudget {
-    /// The question with what the chat template puts around it; scene text and feedback not counted.
+    /// The question with the chat template's tokens, without scene text and feedback.
     pub question: usize,
-    /// The answer. No model ends it early.
+    /// The answer, which no model ends early.
     pub answer: Vec<AnswerPart>,
 }
 
-/// A piece of an answer: first what its grammar forces, then what the model chooses.
+/// A piece of an answer: fast-forwarded tokens, then sampled tokens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AnswerPart {
-    /// Tokens that are forced.
     pub fast_forwarded: usize,
-    /// Tokens that are chosen.
     pub sampled: usize,
 }
 
-/// Where the system prompt of a family stands.
+/// Position of a family's system prompt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Layout {
@@ -54,7 +50,7 @@ pub enum Layout {
 }
 
 impl CallBudget {
-    /// What a prompt set takes: the one source of these counts, which `docs/latency.md` explains.
+    /// The token counts of a prompt set; `docs/latency.md` explains them.
     pub fn of(prompts: PromptSet) -> Self {
         let part = |(fast_forwarded, sampled)| AnswerPart { fast_forwarded, sampled };
         match prompts {
@@ -89,7 +85,7 @@ impl CallBudget {
         }
     }
 
-    /// What must be done once before the first call.
+    /// Steps before the first call.
     pub fn prefix_steps(&self, layout: Layout) -> Vec<Step> {
         match layout {
             Layout::PrefixFirst => vec![Step::Keep(0), Step::Text(self.prefix), Step::Compute],
@@ -97,7 +93,7 @@ impl CallBudget {
         }
     }
 
-    /// The steps of a call, for a model whose image becomes `image` tokens.
+    /// The steps of a call for a model whose image has `image` tokens.
     pub fn call_steps(&self, layout: Layout, image: usize) -> Vec<Step> {
         let mut steps = match layout {
             Layout::PrefixFirst => vec![Step::Keep(self.prefix), Step::Encode, Step::Image],
@@ -106,7 +102,7 @@ impl CallBudget {
         steps.push(Step::Text(self.scene));
         self.add_rounds(&mut steps);
         for _ in 0..self.rethinks {
-            // The chats of two attempts agree up to the end of the lane-graph text.
+            // The chats of two attempts share everything up to the end of the lane-graph text.
             steps.extend([Step::Keep(self.prefix + image + self.scene), Step::Text(self.feedback)]);
             self.add_rounds(&mut steps);
         }
@@ -123,13 +119,13 @@ impl CallBudget {
         steps.retain(|step| !matches!(step, Step::Text(0) | Step::FastForwarded(0) | Step::Sampled(0)));
     }
 
-    /// Text tokens of the prompts of a call, what is computed in it or stays computed.
+    /// Text tokens of the prompts of a call, computed or cached.
     pub fn prompt_tokens(&self) -> usize {
         let questions: usize = self.rounds.iter().map(|round| round.question).sum();
         self.prefix + self.scene + questions + self.rethinks * (self.feedback + questions)
     }
 
-    /// Most tokens that the sequence holds at once, those of the image apart.
+    /// Maximum length of the sequence without the image, tokens.
     pub fn longest(&self) -> usize {
         let answer =
             |round: &RoundBudget| round.answer.iter().map(|part| part.fast_forwarded + part.sampled).sum::<usize>();

@@ -7,13 +7,11 @@ use std::fmt;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-/// Which program computes.
+/// The program that computes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum EngineName {
-    /// This one.
     #[serde(rename = "planagent")]
     PlanAgent,
-    /// llama.cpp.
     #[serde(rename = "llama.cpp")]
     LlamaCpp,
 }
@@ -27,44 +25,21 @@ impl fmt::Display for EngineName {
     }
 }
 
-/// Why a model could not be measured.
+/// Why an engine could not measure a model.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum EngineError {
-    /// The process cannot be started.
     #[error("cannot start {program}: {source}")]
-    Start {
-        /// What was to be started.
-        program: String,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// The process ended or went silent.
-    #[error("{engine} ended before it answered{status}")]
-    Ended {
-        /// Which engine.
-        engine: EngineName,
-        /// Its exit status.
-        status: String,
-    },
-    /// The process said something that is no answer.
-    #[error("{engine} answered {found}")]
-    InvalidReply {
-        /// Which engine.
-        engine: EngineName,
-        /// What it said, shortened.
-        found: String,
-    },
-    /// The process could not do what it was asked.
+    Start { program: String, source: std::io::Error },
+    #[error("{engine} ended without a reply{status}")]
+    Ended { engine: EngineName, status: String },
+    #[error("{engine} sent an invalid reply: {found}")]
+    InvalidReply { engine: EngineName, found: String },
     #[error("{engine}: {problem}")]
-    Failed {
-        /// Which engine.
-        engine: EngineName,
-        /// What it said.
-        problem: String,
-    },
+    Failed { engine: EngineName, problem: String },
 }
 
-/// A running process that measures one model. It is ended when this is dropped.
+/// A running process that measures one model. The drop of this value ends it.
 #[derive(Debug)]
 pub struct Engine {
     name: EngineName,
@@ -73,14 +48,11 @@ pub struct Engine {
     replies: BufReader<ChildStdout>,
 }
 
-/// Most characters of a strange answer that an error repeats.
+/// Maximum characters of an invalid reply in an error.
 const MAX_SHOWN: usize = 200;
 
 impl Engine {
-    /// Starts a process that reads requests and writes replies; its stderr is ours.
-    ///
-    /// # Errors
-    /// When it cannot be started.
+    /// Starts a process that reads requests and writes replies. It shares our stderr.
     pub fn start(name: EngineName, command: &mut Command) -> Result<Self, EngineError> {
         let program = command.get_program().to_string_lossy().into_owned();
         let mut child = command
@@ -94,15 +66,10 @@ impl Engine {
         }
     }
 
-    /// Which engine it is.
     pub fn name(&self) -> EngineName {
         self.name
     }
 
-    /// Loads a model.
-    ///
-    /// # Errors
-    /// When the model cannot be loaded or the process fails.
     pub fn load(&mut self, request: LoadRequest) -> Result<Loaded, EngineError> {
         match self.ask(&Request::Load(request))? {
             Reply::Loaded(loaded) => Ok(loaded),
@@ -110,10 +77,7 @@ impl Engine {
         }
     }
 
-    /// Does steps and gives a time for each.
-    ///
-    /// # Errors
-    /// When a step cannot be done or the process fails.
+    /// Runs steps and returns the time of each.
     pub fn run(&mut self, steps: Vec<Step>) -> Result<Vec<StepTime>, EngineError> {
         let count = steps.len();
         match self.ask(&Request::Run(steps))? {
@@ -122,7 +86,7 @@ impl Engine {
         }
     }
 
-    /// Most memory that the process has held so far, bytes (`VmHWM`); none where the system does not tell.
+    /// Peak memory of the process so far, bytes (`VmHWM`); `None` where the system does not report it.
     pub fn peak_memory(&self) -> Option<u64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
@@ -158,7 +122,7 @@ impl Engine {
 
 impl Drop for Engine {
     fn drop(&mut self) {
-        // Nothing is left to do where it has ended already.
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

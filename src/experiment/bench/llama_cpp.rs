@@ -1,15 +1,14 @@
-//! llama.cpp, as the Python package `llama-cpp-python` brings it along.
+//! llama.cpp through the Python package `llama-cpp-python`.
 
 use std::path::PathBuf;
 use std::process::Command;
 
-/// The process that measures: reads requests, drives `llama_cpp`'s low-level interface, writes replies.
+/// The measuring process: reads requests, calls the low-level interface of `llama_cpp`, writes replies.
 const WORKER: &str = include_str!("llama_cpp_worker.py");
 
-/// How llama.cpp is run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LlamaCpp {
-    /// A Python interpreter that has `llama_cpp`.
+    /// A Python interpreter with `llama_cpp`.
     pub python: PathBuf,
 }
 

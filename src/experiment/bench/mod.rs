@@ -1,8 +1,8 @@
-//! What a planning call costs, model by model, and beside llama.cpp.
+//! The cost of a planning call, for each model, also compared with llama.cpp.
 //!
-//! Every model is measured in a process of its own ([`Engine`]), so that its peak of memory is its own. The process is this
-//! program again ([`serve`]) or Python with llama.cpp in it ([`LlamaCpp`]); both speak the same [`protocol`] and work off
-//! the same [`Step`](crate::mllm::Step)s, which a [`Workload`] lists.
+//! Each model has its own process ([`Engine`]), so that its peak memory is its own. The process is this program ([`serve`]) or
+//! Python with llama.cpp ([`LlamaCpp`]). Both use the same [`protocol`] and run the same [`Step`](crate::mllm::Step)s of a
+//! [`Workload`].
 
 mod budget;
 mod engine;

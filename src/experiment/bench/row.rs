@@ -1,74 +1,55 @@
-//! What a bench leaves behind, row by row.
+//! The rows of a benchmark's results.
 
 use super::engine::EngineName;
 use super::protocol::Loaded;
 use crate::mllm::{PassTime, Step, StepTime};
 use serde::{Deserialize, Serialize};
 
-/// A row.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "row", rename_all = "snake_case")]
 pub enum Row {
-    /// A workload has been done once.
     Iteration(IterationRow),
-    /// A model has been measured to the end by an engine.
+    /// An engine finished a model.
     Model(ModelRow),
-    /// A model could not be measured.
     Failed(FailedRow),
 }
 
-/// A workload done once.
+/// One iteration of a workload.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IterationRow {
-    /// The model's name.
     pub model: String,
-    /// Who computed.
     pub engine: EngineName,
-    /// The workload's name.
     pub workload: String,
-    /// How often it had been done before.
     pub iteration: usize,
-    /// Whether it does not count.
     pub warm_up: bool,
-    /// What was done and how long it took.
     pub steps: Vec<TimedStep>,
 }
 
-/// A step with its time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TimedStep {
-    /// What was done.
     pub step: Step,
-    /// How long it took.
     pub time: StepTime,
 }
 
-/// What was loaded, and the memory that all of it took.
+/// The loaded model and its memory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelRow {
-    /// The model's name.
     pub model: String,
-    /// Who computed.
     pub engine: EngineName,
-    /// What was loaded.
     pub loaded: Loaded,
-    /// Text tokens of the prompts of a call.
+    /// Text tokens of a planning call's prompts.
     pub prompt_tokens: usize,
-    /// Most memory that the process held, bytes; none where the system does not tell.
+    /// Peak memory of the process, bytes; `None` where the system does not report it.
     pub peak_memory: Option<u64>,
 }
 
-/// Why a model was not measured.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FailedRow {
-    /// The model's name.
     pub model: String,
-    /// Why.
     pub problem: String,
 }
 
 impl Row {
-    /// The model's name.
     pub fn model(&self) -> &str {
         match self {
             Self::Iteration(row) => &row.model,

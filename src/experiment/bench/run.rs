@@ -1,4 +1,4 @@
-//! The bench: model after model, and engine beside engine.
+//! The benchmark loop: one model after the other, engines in alternation.
 
 use super::budget::CallBudget;
 use super::engine::{Engine, EngineError, EngineName};
@@ -9,50 +9,46 @@ use super::workload::{DEPTHS, Workload};
 use crate::mllm::{PromptSet, WeightFormat};
 use std::process::Command;
 
-/// A model that is to be measured.
+/// A model to measure.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Candidate {
     /// The name in results.
     pub name: String,
-    /// Which it is.
     pub model: ModelChoice,
-    /// The prompts that its calls are budgeted for.
+    /// The prompt set that determines the token counts of its calls.
     pub prompts: PromptSet,
 }
 
-/// How is measured.
 #[derive(Debug)]
 pub struct BenchSettings {
-    /// Iterations that do not count, of each workload.
+    /// Iterations of each workload before the measured ones.
     pub warm_up: usize,
-    /// Iterations that count.
+    /// Measured iterations of each workload.
     pub iterations: usize,
-    /// Threads of an engine.
     pub threads: usize,
-    /// Seed of weights and words.
+    /// Seed of random weights and of the prompt tokens.
     pub seed: u64,
-    /// How matrices are stored; none for as they are.
+    /// Weight format of the matrices; `None` for that of the files.
     pub weight_format: Option<WeightFormat>,
-    /// How llama.cpp is run that is compared with, if it is; then all models must be GGUF files.
+    /// llama.cpp, to compare with. It requires that all models are GGUF files.
     pub versus: Option<LlamaCpp>,
 }
 
-/// What is told while a bench runs.
+/// Progress of a benchmark.
 #[derive(Debug, Clone, Copy)]
 pub enum Progress<'a> {
-    /// A model is being loaded.
     Loading(EngineName, &'a Candidate),
-    /// A depth is not measured, and why.
+    /// A depth is not measured, with the reason.
     LeftOut(&'a Candidate, &'a EngineError),
-    /// A workload has been done once more, of so many times.
+    /// An iteration is done; the number is the total of iterations.
     Done(&'a IterationRow, usize),
 }
 
-/// Measures models. `program` starts a process of this program that runs [`serve`](super::serve()); `commit` gets all rows
-/// of a model at once. A model that cannot be measured leaves a [`Row::Failed`], and the next one follows.
+/// Measures models. `program` starts a process of this program that runs [`serve`](super::serve()). `commit` gets all rows of
+/// a model at once. A model that fails gives a [`Row::Failed`], and the next model follows.
 ///
 /// # Errors
-/// What `commit` says.
+/// The error of `commit`.
 pub fn run<E>(
     candidates: &[Candidate],
     settings: &BenchSettings,
@@ -70,7 +66,6 @@ pub fn run<E>(
     Ok(())
 }
 
-/// The bench of one model.
 struct Bench<'a> {
     candidate: &'a Candidate,
     settings: &'a BenchSettings,
@@ -78,7 +73,7 @@ struct Bench<'a> {
     progress: &'a dyn Fn(Progress<'_>),
 }
 
-/// An engine with the model in it.
+/// An engine with a loaded model.
 struct Ready {
     engine: Engine,
     loaded: Loaded,
@@ -95,7 +90,7 @@ impl Bench<'_> {
                 let theirs = Engine::start(EngineName::LlamaCpp, &mut llama_cpp.command())?;
                 let Loaded { context, image_side, .. } = ours.loaded;
                 let mut theirs = self.load(theirs, Some(Like { context, image_side }))?;
-                // llama.cpp tells these of the decoder alone; the files are the same.
+                // llama.cpp reports these for the decoder only; the files are the same.
                 theirs.loaded.parameters = ours.loaded.parameters;
                 theirs.loaded.weight_format.clone_from(&ours.loaded.weight_format);
                 engines.extend([ours, theirs]);
@@ -135,16 +130,16 @@ impl Bench<'_> {
         Ok(Ready { engine, loaded })
     }
 
-    /// Why a workload cannot be done by these engines, if so.
+    /// Why these engines cannot run a workload, if so.
     fn misfit(workload: &Workload, engines: &[Ready]) -> Option<EngineError> {
         engines.iter().find_map(|Ready { engine, loaded }| {
             let needed = workload.longest(loaded.image_tokens);
-            let problem = format!("{} takes {needed} tokens, the context holds {}", workload.name(), loaded.context);
+            let problem = format!("{} takes {needed} tokens, and the context has {}", workload.name(), loaded.context);
             (needed > loaded.context).then(|| EngineError::Failed { engine: engine.name(), problem })
         })
     }
 
-    /// Does a workload again and again, by one engine after the other each time.
+    /// Runs the iterations of a workload; in each, one engine follows the other.
     fn alternate(&self, workload: &Workload, engines: &mut [Ready]) -> Result<Vec<IterationRow>, EngineError> {
         for Ready { engine, loaded } in engines.iter_mut() {
             engine.run(workload.first_steps(loaded.layout))?;

@@ -6,10 +6,10 @@ use crate::mllm::{LatencyProbe, MllmError, ModelPlace, ModelRegistry, ModelShape
 use std::io::{self, BufRead, Write};
 use std::time::Instant;
 
-/// Answers requests until there are no more.
+/// Answers requests until the input ends.
 ///
 /// # Errors
-/// When a reply cannot be written; whatever else fails is a reply.
+/// When a reply cannot be written. Any other failure is a reply.
 pub fn serve(registry: &ModelRegistry, requests: impl BufRead, mut replies: impl Write) -> io::Result<()> {
     let mut probe = None;
     for line in requests.lines() {
@@ -17,7 +17,7 @@ pub fn serve(registry: &ModelRegistry, requests: impl BufRead, mut replies: impl
             Ok(request) => {
                 answer(registry, &mut probe, request).unwrap_or_else(|error| Reply::Failed(error.to_string()))
             }
-            Err(error) => Reply::Failed(format!("this is no request: {error}")),
+            Err(error) => Reply::Failed(format!("invalid request: {error}")),
         };
         writeln!(replies, "{}", serde_json::to_string(&reply)?)?;
         replies.flush()?;

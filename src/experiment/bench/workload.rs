@@ -1,24 +1,23 @@
-//! What is measured, as lists of steps.
+//! The measured workloads as lists of steps.
 
 use super::budget::{CallBudget, Layout};
 use crate::mllm::Step;
 
-/// One kind of thing that is measured again and again.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Workload {
     /// A whole planning call.
     Call(CallBudget),
-    /// A prompt of so many tokens, then [`DECODED`] more one by one.
+    /// A prompt of this many tokens, then [`DECODED`] sampled tokens.
     Depth(usize),
 }
 
-/// Tokens that are decoded behind a prompt whose depth is measured.
+/// Tokens decoded after the prompt of a depth workload.
 const DECODED: usize = 64;
-/// Depths that engines are compared at, tokens.
+/// Compared depths, tokens.
 pub(super) const DEPTHS: [usize; 2] = [512, 2048];
 
 impl Workload {
-    /// Its name in rows.
+    /// The name in rows.
     pub fn name(&self) -> String {
         match self {
             Self::Call(_) => "call".to_owned(),
@@ -26,7 +25,7 @@ impl Workload {
         }
     }
 
-    /// What must be done once, before the first time and whenever another workload came between.
+    /// Steps before the first iteration, and again after another workload.
     pub fn first_steps(&self, layout: Layout) -> Vec<Step> {
         match self {
             Self::Call(budget) => budget.prefix_steps(layout),
@@ -34,16 +33,16 @@ impl Workload {
         }
     }
 
-    /// What is measured, for a model whose image becomes `image` tokens.
+    /// The measured steps for a model whose image has `image` tokens.
     pub fn steps(&self, layout: Layout, image: usize) -> Vec<Step> {
         match self {
             Self::Call(budget) => budget.call_steps(layout, image),
-            // The first token comes with the prompt.
+            // The prompt's pass gives the first token.
             Self::Depth(tokens) => vec![Step::Keep(0), Step::Text(*tokens), Step::Sampled(DECODED + 1)],
         }
     }
 
-    /// Most tokens that the sequence holds at once.
+    /// Maximum length of the sequence, tokens.
     pub fn longest(&self, image: usize) -> usize {
         match self {
             Self::Call(budget) => budget.longest() + image,

@@ -1,4 +1,4 @@
-//! Keys and values of the positions that may be attended to, as the attention kernel reads them.
+//! Cached keys and values in the layout that the attention kernel reads.
 
 use std::sync::Arc;
 
@@ -6,19 +6,16 @@ use half::f16;
 use half::slice::{HalfBitsSliceExt, HalfFloatSliceExt};
 use rayon::prelude::*;
 
-use super::{HeadShape, Projected};
+use super::projected::{HeadShape, Projected};
 use crate::mllm::matrix::{LANES, Simd};
 
 /// Positions of a block.
 pub(super) const BLOCK_POSITIONS: usize = 64;
 
-/// A number as keys and values are held: an f32, or the bits of an f16.
+/// A number type of cached keys and values: f32, or the bits of an f16.
 pub(super) trait StoredFloat: Copy + Default + Send + Sync + std::fmt::Debug {
-    /// Whether it is an f32 already.
     const IS_F32: bool;
-    /// Rounds numbers.
     fn from_f32(from: &[f32], to: &mut [Self]);
-    /// Reads and widens numbers.
     fn load<S: Simd>(simd: S, from: &[Self; LANES]) -> S::Floats;
 }
 
@@ -48,24 +45,22 @@ impl StoredFloat for u16 {
     }
 }
 
-/// How keys and values are held.
+/// Number type of cached keys and values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Precision {
-    /// As they were computed.
+    /// f32, as computed.
     Single,
-    /// Rounded to half precision: half of the memory that a decoding step reads.
+    /// f16: a decoding step reads half of the memory.
     Half,
 }
 
-/// Keys and values of one layer, in blocks that never move: more positions are more blocks, and a copy shares the blocks
-/// until one of both writes to them.
+/// Keys and values of one layer in blocks. Growth adds blocks and moves none. Clones share blocks until one of them writes.
 #[derive(Debug, Clone)]
 pub(crate) struct KeyValues {
     pub(super) shape: HeadShape,
     pub(super) blocks: Blocks,
 }
 
-/// The blocks in order of their positions.
 #[derive(Debug, Clone)]
 pub(super) enum Blocks {
     Single(Vec<Arc<Block<f32>>>),
@@ -99,9 +94,9 @@ impl<N: StoredFloat> Block<N> {
         self.values.chunks_exact(BLOCK_POSITIONS * shape.padded()).nth(head).unwrap_or_default().as_chunks().0
     }
 
-    /// Takes over keys and values of `rows` at places from `first` on.
+    /// Writes keys and values of `tokens` from index `first` of the block on.
     fn write(&mut self, rows: &Projected<'_>, tokens: std::ops::Range<usize>, first: usize) {
-        let shape = rows.shape;
+        let shape = rows.shape();
         let mut key = vec![0f32; shape.width];
         let mut number = vec![N::default(); shape.width];
         for (place, token) in (first..).zip(tokens) {
@@ -122,7 +117,6 @@ impl<N: StoredFloat> Block<N> {
 }
 
 impl KeyValues {
-    /// No positions.
     pub(crate) fn new(shape: HeadShape, precision: Precision) -> Self {
         let blocks = match precision {
             Precision::Single => Blocks::Single(Vec::new()),
@@ -131,13 +125,13 @@ impl KeyValues {
         Self { shape, blocks }
     }
 
-    /// Writes the keys and values of rows, the keys rotated, to the positions from `start` on.
+    /// Writes the rotated keys and the values of rows to the positions from `start` on.
     ///
     /// # Errors
-    /// When the heads are others.
+    /// When the heads differ.
     pub(crate) fn write(&mut self, rows: &Projected<'_>, start: usize) -> candle_core::Result<()> {
-        if rows.shape != self.shape {
-            candle_core::bail!("keys and values of {:?} are no {:?}", rows.shape, self.shape);
+        if rows.shape() != self.shape {
+            candle_core::bail!("cannot write keys and values of {:?} to a cache of {:?}", rows.shape(), self.shape);
         }
         match &mut self.blocks {
             Blocks::Single(blocks) => write(blocks, rows, start),
@@ -156,7 +150,7 @@ impl KeyValues {
         Self { shape: self.shape, blocks }
     }
 
-    /// Positions that there is room for without another block.
+    /// Positions of the allocated blocks.
     pub(super) fn capacity(&self) -> usize {
         match &self.blocks {
             Blocks::Single(blocks) => blocks.len() * BLOCK_POSITIONS,
@@ -167,7 +161,7 @@ impl KeyValues {
 
 fn write<N: StoredFloat>(blocks: &mut Vec<Arc<Block<N>>>, rows: &Projected<'_>, start: usize) {
     let end = start + rows.tokens();
-    blocks.resize_with(end.div_ceil(BLOCK_POSITIONS).max(blocks.len()), || Arc::new(Block::new(rows.shape)));
+    blocks.resize_with(end.div_ceil(BLOCK_POSITIONS).max(blocks.len()), || Arc::new(Block::new(rows.shape())));
     let write = |(index, block): (usize, &mut Arc<Block<N>>)| {
         let base = index * BLOCK_POSITIONS;
         let (from, to) = (start.max(base), end.min(base + BLOCK_POSITIONS));

@@ -1,8 +1,8 @@
-//! Rotary position embedding.
+//! Rotary position embeddings.
 
 use crate::mllm::checkpoint::{LlamaConfig, Rope, RopeScaling};
 
-/// Cosines and sines of every position.
+/// Cosines and sines of every position of a context.
 #[derive(Debug)]
 pub(crate) struct RotaryTable {
     /// (context, head width / 2)
@@ -26,7 +26,6 @@ struct Turn {
 }
 
 impl RotaryTable {
-    /// The table of a decoder.
     pub(crate) fn new(config: &LlamaConfig) -> Self {
         let frequencies = frequencies(&config.rope, config.head_dim);
         let angles = (0..config.context)
@@ -36,15 +35,13 @@ impl RotaryTable {
         Self { angles, pairs: frequencies.len() }
     }
 
-    /// The angles of rows at these positions.
-    ///
     /// # Errors
-    /// When a position lies outside the context.
+    /// When a position is outside the context.
     pub(crate) fn rows(&self, positions: &[u32]) -> candle_core::Result<RotaryRows> {
         let mut angles = Vec::with_capacity(positions.len() * self.pairs);
         for position in positions {
             let Some(row) = self.angles.chunks_exact(self.pairs).nth(*position as usize) else {
-                candle_core::bail!("position {position} lies outside the context");
+                candle_core::bail!("position {position} is outside the context");
             };
             angles.extend_from_slice(row);
         }
@@ -53,12 +50,11 @@ impl RotaryTable {
 }
 
 impl RotaryRows {
-    /// Whether there are angles for so many tokens and heads of this width.
     pub(super) fn fits(&self, tokens: usize, width: usize) -> bool {
         self.pairs * 2 == width && self.angles.len() == tokens * self.pairs
     }
 
-    /// Turns a query or key by its token's angles and scales it. Channels i and i + width / 2 are a pair, as in
+    /// Rotates a query or key by its token's angles and scales it. Channels i and i + width / 2 form a pair, as in
     /// transformers.
     pub(super) fn rotate(&self, token: usize, head: &[f32], scale: f32, out: &mut [f32]) {
         let (first, second) = head.split_at(self.pairs);
@@ -72,7 +68,7 @@ impl RotaryRows {
     }
 }
 
-/// Angle per position of each pair of channels, f32 as in transformers.
+/// Angle per position of each pair of channels, rounded to f32 as in transformers.
 fn frequencies(rope: &Rope, head_dim: usize) -> Vec<f32> {
     (0..head_dim / 2)
         .map(|pair| {

@@ -1,38 +1,35 @@
-//! The part of an attention that one thread computes at once.
+//! A work unit: the part of an attention that one thread computes.
 
 use std::ops::Range;
 use std::sync::Arc;
 
 use super::key_values::{BLOCK_POSITIONS, Block, StoredFloat};
-use super::{AttentionMask, HeadShape, Projected};
+use super::mask::AttentionMask;
+use super::projected::{HeadShape, Projected};
 use crate::mllm::matrix::{Instructions, Kernel, LANES, Simd};
 
-/// Rows from which it pays to widen a block of half-precision numbers once rather than for every few rows.
+/// Minimum rows for which one conversion of an f16 block is cheaper than a conversion for every few rows.
 const MIN_WIDENED_ROWS: usize = 16;
-/// Registers for a tile of the sums of six rows and four vectors: those, what is multiplied, and one to spare.
+/// Minimum registers for the sums of six rows and four vectors, their factors, and a spare.
 const MIN_TILE_REGISTERS: usize = 32;
-/// Vectors of the keys of a block.
+/// Key vectors of a block and channel.
 const KEY_VECTORS: usize = BLOCK_POSITIONS / LANES;
 
-/// The queries of some tokens that share a key head, and some of the positions.
+/// The queries of some tokens and one key head, and some of the positions.
 #[derive(Debug)]
 pub(super) struct WorkUnit<'a, N> {
-    /// What the tokens are read from.
     pub(super) rows: Projected<'a>,
     /// The keys and values of all positions.
     pub(super) blocks: &'a [Arc<Block<N>>],
-    /// What each token sees.
     pub(super) mask: AttentionMask,
-    /// The key head.
+    /// Index of the key head.
     pub(super) head: usize,
-    /// The tokens.
     pub(super) tokens: Range<usize>,
-    /// The positions.
     pub(super) positions: Range<usize>,
 }
 
-/// What came out of a unit: of each row, one a token and query head, the sum of e^(score - greatest) and of as much of the
-/// values.
+/// Result of a unit. A row is a token and query head; it has the sum of its weights e^(score − maximum score), and the sum of
+/// the values with these weights.
 #[derive(Debug)]
 pub(super) struct PartialOutput {
     max_score: Vec<f32>,
@@ -41,19 +38,18 @@ pub(super) struct PartialOutput {
     values: Vec<[f32; LANES]>,
 }
 
-/// A block's keys, (head width, vectors of positions), and values, (positions, vectors of channels).
+/// Keys of a head in a block, (head width, vectors of positions), and its values, (positions, vectors of channels).
 #[derive(Clone, Copy)]
 struct HeadBlock<'a, N> {
     keys: &'a [[N; LANES]],
     values: &'a [[N; LANES]],
-    /// Position of the first.
+    /// Position of the first entry.
     base: usize,
 }
 
-/// Rows of scores of a block, then of weights.
+/// Scores of rows in a block, later their weights.
 type Scores<const R: usize> = [[[f32; LANES]; KEY_VECTORS]; R];
 
-/// A unit as work for vector instructions.
 struct WorkUnitKernel<'a, N> {
     unit: &'a WorkUnit<'a, N>,
     queries: &'a [f32],
@@ -64,7 +60,7 @@ impl<N: StoredFloat> Kernel for WorkUnitKernel<'_, N> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let Self { unit, queries, partial } = self;
-        let shape = unit.rows.shape;
+        let shape = unit.rows.shape();
         let widen = partial.max_score.len() >= MIN_WIDENED_ROWS && !N::IS_F32;
         let (mut keys, mut values) = (Vec::new(), Vec::new());
         for index in unit.positions.start / BLOCK_POSITIONS..unit.positions.end.div_ceil(BLOCK_POSITIONS) {
@@ -83,18 +79,17 @@ impl<N: StoredFloat> Kernel for WorkUnitKernel<'_, N> {
 }
 
 impl<N: StoredFloat> WorkUnit<'_, N> {
-    /// Computes the unit.
     pub(super) fn run(&self, instructions: Instructions) -> PartialOutput {
-        let shape = self.rows.shape;
+        let shape = self.rows.shape();
         let mut partial = PartialOutput::new(self.tokens.len() * shape.group(), shape.padded() / LANES);
         instructions.run(WorkUnitKernel { unit: self, queries: &self.queries(), partial: &mut partial });
         partial
     }
 
-    /// The queries, rotated and scaled by 1/√width; the rows that are computed at once channel by channel.
+    /// The queries, rotated and scaled by 1/√width. Rows that are computed together alternate channel by channel.
     fn queries(&self) -> Vec<f32> {
-        let HeadShape { width, .. } = self.rows.shape;
-        let group = self.rows.shape.group();
+        let HeadShape { width, .. } = self.rows.shape();
+        let group = self.rows.shape().group();
         let scale = 1.0 / (width as f32).sqrt();
         let mut turned = vec![0f32; width];
         let rows = self.tokens.len() * group;
@@ -137,7 +132,7 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
         }
     }
 
-    /// Attends from the `R` rows that begin with `row` to a block; gives their number.
+    /// Attends from `R` rows, beginning with `row`, to a block; returns `R`.
     #[inline(always)]
     fn attend_from<S: Simd, M: StoredFloat, const R: usize>(
         &self,
@@ -147,7 +142,7 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
         row: usize,
         partial: &mut PartialOutput,
     ) -> usize {
-        let shape = self.rows.shape;
+        let shape = self.rows.shape();
         let seen: [Range<usize>; R] = std::array::from_fn(|r| self.seen(row + r, block.base));
         let depth = seen.iter().map(|seen| seen.end).max().unwrap_or(0);
         if seen.iter().all(Range::is_empty) {
@@ -163,7 +158,7 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
                 score::<S, M, R, 1>(simd, rows, block.keys, column, &mut scores)
             };
         }
-        let faded = weigh(
+        let rescale = weigh(
             simd,
             &seen,
             &mut scores,
@@ -177,27 +172,27 @@ impl<N: StoredFloat> WorkUnit<'_, N> {
         while column < vectors {
             column += match vectors - column {
                 4.. if S::REGISTERS >= MIN_TILE_REGISTERS => {
-                    mix::<S, M, R, 4>(simd, &scores, depth, block.values, column, faded, out)
+                    mix::<S, M, R, 4>(simd, &scores, depth, block.values, column, rescale, out)
                 }
                 2.. if S::REGISTERS >= MIN_TILE_REGISTERS => {
-                    mix::<S, M, R, 2>(simd, &scores, depth, block.values, column, faded, out)
+                    mix::<S, M, R, 2>(simd, &scores, depth, block.values, column, rescale, out)
                 }
-                _ => mix::<S, M, R, 1>(simd, &scores, depth, block.values, column, faded, out),
+                _ => mix::<S, M, R, 1>(simd, &scores, depth, block.values, column, rescale, out),
             };
         }
         R
     }
 
-    /// What a row sees of the block whose first position is `base`, counted from there.
+    /// The positions that a row attends to in the block whose first position is `base`, relative to it.
     fn seen(&self, row: usize, base: usize) -> Range<usize> {
-        let seen = self.mask.of(self.tokens.start + row / self.rows.shape.group());
+        let seen = self.mask.of(self.tokens.start + row / self.rows.shape().group());
         let start = seen.start.max(self.positions.start).saturating_sub(base).min(BLOCK_POSITIONS);
         let end = seen.end.min(self.positions.end).saturating_sub(base).min(BLOCK_POSITIONS);
         start..end.max(start)
     }
 }
 
-/// Of so many rows that are left, how many are computed at once.
+/// How many of the remaining rows are computed together.
 fn rows_at_once(rows: usize) -> usize {
     match rows {
         6.. => 6,
@@ -207,7 +202,6 @@ fn rows_at_once(rows: usize) -> usize {
     }
 }
 
-/// Widens numbers.
 #[inline(always)]
 fn widen_all<S: Simd, N: StoredFloat>(simd: S, from: &[[N; LANES]], to: &mut Vec<[f32; LANES]>) {
     to.resize(from.len(), [0.0; LANES]);
@@ -216,7 +210,7 @@ fn widen_all<S: Simd, N: StoredFloat>(simd: S, from: &[[N; LANES]], to: &mut Vec
     }
 }
 
-/// Adds A·B to sums: `columns` are those of A, B is rows of `stride` vectors of which the first `C` count.
+/// Adds A·B to sums. `columns` are the columns of A; B has rows of `stride` vectors, of which the first `C` count.
 #[inline(always)]
 fn add_product<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     simd: S,
@@ -241,7 +235,7 @@ fn add_product<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     sums
 }
 
-/// Scores of `C` vectors of keys.
+/// Computes the scores of `C` key vectors; returns `C`.
 #[inline(always)]
 fn score<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     simd: S,
@@ -260,8 +254,8 @@ fn score<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     C
 }
 
-/// Turns scores into weights e^(score - greatest), none where a row does not see, and counts them in; gives by what the
-/// rows' earlier weights fade, because what is greatest has grown.
+/// Turns scores into weights e^(score − maximum score), 0 at masked positions, and adds them to the weight sums. Returns the
+/// factor that rescales the rows' earlier weights to the new maximum.
 #[inline(always)]
 fn weigh<S: Simd, const R: usize>(
     simd: S,
@@ -283,7 +277,7 @@ fn weigh<S: Simd, const R: usize>(
             most = simd.max(most, simd.load(vector));
         }
         let top = max_score[r].max(simd.max_lane(most));
-        // A row that has seen nothing yet has no weights that could fade.
+        // A row without any position so far has no weights to rescale.
         let shift = if top == f32::NEG_INFINITY { 0.0 } else { top };
         growth[r] = max_score[r] - shift;
         max_score[r] = top;
@@ -295,15 +289,15 @@ fn weigh<S: Simd, const R: usize>(
         }
         sums[r] = simd.sum(sum);
     }
-    let mut faded = [0f32; LANES];
-    simd.store(simd.exp(simd.load(&growth)), &mut faded);
+    let mut rescale = [0f32; LANES];
+    simd.store(simd.exp(simd.load(&growth)), &mut rescale);
     for r in 0..R {
-        weight_sum[r] = weight_sum[r] * faded[r] + sums[r];
+        weight_sum[r] = weight_sum[r] * rescale[r] + sums[r];
     }
-    faded
+    rescale
 }
 
-/// Fades `C` vectors of the rows' sums and adds the weighed values.
+/// Rescales `C` vectors of the rows' sums and adds the weighted values; returns `C`.
 #[inline(always)]
 fn mix<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     simd: S,
@@ -311,14 +305,14 @@ fn mix<S: Simd, N: StoredFloat, const R: usize, const C: usize>(
     depth: usize,
     values: &[[N; LANES]],
     column: usize,
-    faded: [f32; LANES],
+    rescale: [f32; LANES],
     out: &mut [[f32; LANES]],
 ) -> usize {
     let vectors = out.len() / R;
     let mut sums = [[simd.floats(0.0); C]; R];
     for r in 0..R {
         for c in 0..C {
-            sums[r][c] = simd.mul(simd.load(&out[r * vectors + column + c]), simd.floats(faded[r]));
+            sums[r][c] = simd.mul(simd.load(&out[r * vectors + column + c]), simd.floats(rescale[r]));
         }
     }
     let column_of = |k: usize| std::array::from_fn(|r| weights[r].as_flattened()[k]);
@@ -340,7 +334,7 @@ impl PartialOutput {
         }
     }
 
-    /// Joins what came out of units of the same rows and other positions, in their order.
+    /// Merges the results of units with the same rows and other positions, in order.
     pub(super) fn join(mut parts: impl Iterator<Item = Self>) -> Self {
         let mut joined = parts.next().unwrap_or_else(|| Self::new(0, 0));
         for part in parts {
@@ -366,7 +360,7 @@ impl PartialOutput {
         }
     }
 
-    /// Writes the means of the values to the places of a key head's queries in (tokens, query heads · head width).
+    /// Writes the weighted means of the values to the query heads of a key head in (tokens, query heads · head width).
     pub(super) fn write(&self, shape: HeadShape, head: usize, out: &mut [f32]) {
         let group = shape.group() * shape.width;
         let tokens = out.chunks_exact_mut(shape.query_heads * shape.width);

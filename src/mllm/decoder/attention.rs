@@ -1,4 +1,4 @@
-//! Causal attention of a layer over the cache.
+//! Causal attention of a layer over the key-value cache.
 
 use candle_core::Tensor;
 
@@ -7,7 +7,7 @@ use super::layer::Pass;
 use crate::mllm::attention::{AttentionMask, HeadShape, Projected, attend};
 use crate::mllm::checkpoint::LlamaConfig;
 
-/// Causal attention of one layer, between its projections: it has no weights of its own.
+/// Causal attention of a layer, without the projections.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CausalAttention {
     shape: HeadShape,
@@ -15,13 +15,12 @@ pub(crate) struct CausalAttention {
 }
 
 impl CausalAttention {
-    /// The attention of a decoder's layers.
     pub(crate) fn new(config: &LlamaConfig) -> Self {
         Self { shape: config.into(), window: config.window }
     }
 
-    /// Attends from rows that follow what the cache holds to all positions up to their own. `qkv` are their queries, keys
-    /// and values side by side, (tokens, (heads + 2 · key heads) · head width); the result is (tokens, heads · head width).
+    /// Attends from tokens that follow the cached positions. `qkv` has their queries, keys and values, (tokens, (heads +
+    /// 2 · key heads) · head width); the result is (tokens, heads · head width).
     pub(crate) fn forward(&self, qkv: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
         let mask = AttentionMask::Causal { start: cache.len(), window: self.window };
         Projected::of(qkv, self.shape, Some(&pass.rotary), |rows| attend(rows, cache.write(pass.layer, rows)?, mask))

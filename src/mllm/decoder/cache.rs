@@ -1,11 +1,10 @@
-//! Keys and values of the positions that the decoder has seen.
+//! The key-value cache of a decoder.
 
 use candle_core::Result;
 
 use crate::mllm::attention::{HeadShape, KeyValues, Precision, Projected};
 
-/// The keys and values of every layer, append-only: going back to an earlier point of the chat is forgetting the rows
-/// behind it, so a snapshot is a length. It grows without moving what it holds.
+/// Keys and values of every layer. It only grows and truncates, so an earlier state is a length. Growth moves no data.
 #[derive(Debug)]
 pub struct KvCache {
     layers: Vec<KeyValues>,
@@ -13,7 +12,7 @@ pub struct KvCache {
     limit: usize,
 }
 
-/// The first rows of a cache, to start other caches from; they share its memory until they write to it.
+/// The first positions of a cache, from which other caches start. They share its memory until one of them writes.
 #[derive(Debug)]
 pub(crate) struct KvPrefix {
     layers: Vec<KeyValues>,
@@ -26,20 +25,17 @@ impl KvCache {
         Self { layers: vec![KeyValues::new(shape, precision); depth], len: 0, limit }
     }
 
-    /// Positions held.
+    /// Number of positions.
     pub(crate) fn len(&self) -> usize {
         self.len
     }
 
-    /// Forgets the positions from `len` on.
     pub(crate) fn truncate(&mut self, len: usize) {
         self.len = self.len.min(len);
     }
 
-    /// Checks that `tokens` more positions fit.
-    ///
     /// # Errors
-    /// When they do not.
+    /// When `tokens` more positions do not fit.
     pub(crate) fn check_room(&self, tokens: usize) -> Result<()> {
         let needed = self.len + tokens;
         if needed > self.limit {
@@ -48,11 +44,11 @@ impl KvCache {
         Ok(())
     }
 
-    /// Writes the keys and values of rows behind the positions held, and gives all of that layer.
-    /// [`Self::advance`] makes them held once every layer has written.
+    /// Writes the keys and values of rows of a layer after the last position and returns all of that layer. When every layer
+    /// has written, [`Self::advance`] counts the new positions.
     ///
     /// # Errors
-    /// When there is no such layer, or no room.
+    /// When the layer does not exist, or the cache is full.
     pub(crate) fn write(&mut self, layer: usize, rows: &Projected<'_>) -> Result<&KeyValues> {
         self.check_room(rows.tokens())?;
         let Some(layer) = self.layers.get_mut(layer) else {
@@ -62,7 +58,7 @@ impl KvCache {
         Ok(layer)
     }
 
-    /// Takes `tokens` written positions as held.
+    /// Counts `tokens` positions that every layer has written.
     pub(crate) fn advance(&mut self, tokens: usize) {
         self.len = (self.len + tokens).min(self.limit);
     }
@@ -73,10 +69,10 @@ impl KvCache {
         KvPrefix { layers: self.layers.iter().map(|layer| layer.first(len)).collect(), len }
     }
 
-    /// Holds a prefix and nothing else.
+    /// Replaces the contents by a prefix.
     ///
     /// # Errors
-    /// When it does not fit.
+    /// When the prefix does not fit.
     pub(crate) fn restore(&mut self, prefix: &KvPrefix) -> Result<()> {
         self.truncate(0);
         self.check_room(prefix.len)?;

@@ -1,4 +1,4 @@
-//! What the layers of all decoders have in common.
+//! Shared parts of decoder layers.
 
 use std::ops::Range;
 
@@ -11,54 +11,46 @@ use crate::mllm::checkpoint::{Activation, LlamaConfig, Weights};
 use crate::mllm::linear::Linear;
 use crate::mllm::rms_norm::RmsNorm;
 
-/// One layer of a decoder.
 pub(crate) trait DecoderLayer: Sized {
-    /// Takes the weights of the layer called `name`.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
+    /// Takes the weights under `name`.
     fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError>;
 
-    /// Maps rows (tokens, hidden) to as many, writing their keys and values to the cache.
+    /// Maps (tokens, hidden) to the same shape and writes keys and values to the cache.
     fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor>;
 }
 
-/// A forward pass as a layer sees it.
+/// The data of a forward pass that a layer needs.
 #[derive(Debug)]
 pub(crate) struct Pass {
     /// Index of the layer.
     pub layer: usize,
     /// Angles of the rows' positions.
     pub rotary: RotaryRows,
-    /// The rows that are parts of an image, for layers that treat them apart.
+    /// The rows of an image, for layers with weights of their own for them.
     pub vision: Range<usize>,
 }
 
-/// The feed-forward part of a layer: `down(silu(gate(x)) · up(x))`. Gate and up projection are one matrix.
+/// The feed-forward network of a layer: `down(silu(gate(x)) · up(x))`. Gate and up projection are one matrix.
 #[derive(Debug)]
 pub(crate) struct SwiGlu {
     gate_up: Linear,
     down: Linear,
 }
 
-/// Names and widths of a [`SwiGlu`]'s matrices.
+/// Names and widths of a [`SwiGlu`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SwiGluShape<'a> {
     /// Names of the gate, up and down projection.
     pub names: [&'a str; 3],
     /// Width of input and output.
     pub hidden: usize,
-    /// Width between.
+    /// Width between the projections.
     pub intermediate: usize,
-    /// Whether the projections have biases.
     pub bias: bool,
 }
 
 impl SwiGlu {
-    /// Takes the weights that stand under `name`.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
+    /// Takes the weights under `name`.
     pub(crate) fn take(weights: &mut Weights, name: &str, shape: SwiGluShape<'_>) -> Result<Self, MllmError> {
         let [gate, up, down] = shape.names.map(|part| format!("{name}.{part}"));
         let wide = shape.intermediate;
@@ -68,10 +60,7 @@ impl SwiGlu {
         })
     }
 
-    /// Takes the weights of a decoder layer, which all families call alike.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
+    /// Takes the weights of a decoder layer, which have the same names in all families.
     pub(crate) fn take_mlp(weights: &mut Weights, name: &str, config: &LlamaConfig) -> Result<Self, MllmError> {
         let shape = SwiGluShape {
             names: ["gate_proj", "up_proj", "down_proj"],
@@ -82,21 +71,18 @@ impl SwiGlu {
         Self::take(weights, name, shape)
     }
 
-    /// Applies it to (tokens, hidden).
+    /// Maps (tokens, hidden) to the same shape.
     pub(crate) fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
         self.down.forward(&Activation::swiglu(&self.gate_up.forward(x)?)?)
     }
 
-    /// residual + what it makes of x, both (tokens, hidden).
+    /// residual + network(x), both (tokens, hidden).
     pub(crate) fn forward_onto(&self, x: &Tensor, residual: &Tensor) -> candle_core::Result<Tensor> {
         self.down.forward_onto(&Activation::swiglu(&self.gate_up.forward(x)?)?, residual)
     }
 }
 
-/// Takes the RMS norm called `name`.
-///
-/// # Errors
-/// When it is missing or misshapen.
+/// Takes the RMS norm under `name`.
 pub(crate) fn rms_norm(weights: &mut Weights, name: &str, config: &LlamaConfig) -> Result<RmsNorm, MllmError> {
     RmsNorm::take(weights, name, config.hidden, config.rms_norm_eps)
 }

@@ -10,7 +10,7 @@ use crate::mllm::checkpoint::{LlamaConfig, Weights};
 use crate::mllm::linear::Linear;
 use crate::mllm::rms_norm::RmsNorm;
 
-/// A layer of a Llama decoder; query, key and value projections are one matrix.
+/// A Llama layer. Query, key and value projections are one matrix.
 #[derive(Debug)]
 pub(crate) struct LlamaLayer {
     input_norm: RmsNorm,

@@ -1,6 +1,6 @@
-//! Decoders of the Llama kind: embedding, layers over a cache of keys and values, RMS norm, output layer.
+//! Llama-style decoders: embedding, layers with a key-value cache, RMS norm, output layer.
 //!
-//! [`LlamaLayer`] is the layer of Llama and Mistral; a family with another one brings it along.
+//! [`LlamaLayer`] is the layer of Llama and Mistral. A family with another layer implements [`DecoderLayer`].
 
 mod attention;
 mod cache;
@@ -24,7 +24,6 @@ use super::linear::Linear;
 use super::matrix::{Matrix, WeightFormat};
 use super::rms_norm::RmsNorm;
 
-/// A decoder with its embedding and output layer.
 #[derive(Debug)]
 pub(crate) struct Decoder<L> {
     embedding: Matrix,
@@ -36,34 +35,31 @@ pub(crate) struct Decoder<L> {
     precision: Precision,
 }
 
-/// What a decoder reads in one pass.
+/// Input of one forward pass.
 #[derive(Debug)]
 pub struct DecoderInput {
     /// Input rows, (tokens, hidden).
     pub rows: Tensor,
-    /// Position of each row, for its rotary embedding.
+    /// Position of each row for the rotary embedding.
     pub positions: Vec<u32>,
-    /// The rows that are parts of an image, for layers that treat them apart.
+    /// The rows of an image, for layers with weights of their own for them.
     pub vision: Range<usize>,
 }
 
-/// Of which positions of a forward pass the logits are wanted.
+/// The positions of a forward pass whose logits the caller needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Logits {
-    /// None: the pass only fills the cache.
+    /// None; the pass only fills the cache.
     None,
-    /// The last one.
+    /// The last position.
     Last,
-    /// Every one.
+    /// Every position.
     All,
 }
 
 impl<L: DecoderLayer> Decoder<L> {
-    /// Takes the decoder's weights, whose names begin with `prefix` (the output layer's is `lm_head.weight` in all
-    /// families). `tied` tells that the output layer may be the embedding.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
+    /// Takes the decoder's weights, whose names begin with `prefix`; the output layer is `lm_head.weight` in all families. With
+    /// `tied`, the embedding is the output layer where there is no other.
     pub(crate) fn take(
         weights: &mut Weights,
         config: &LlamaConfig,
@@ -78,7 +74,7 @@ impl<L: DecoderLayer> Decoder<L> {
         } else {
             weights.take_matrix("lm_head.weight", matrix)?
         };
-        // Of rounded weights, rounded keys and values cost no further digits that count, and half of the time to read.
+        // Beside rounded weights, f16 keys and values lose no relevant accuracy, and reads take half of the time.
         let precision =
             if embedding.weight_format() == WeightFormat::F32 { Precision::Single } else { Precision::Half };
         let layers = (0..config.layers)
@@ -95,18 +91,18 @@ impl<L: DecoderLayer> Decoder<L> {
         })
     }
 
-    /// An empty cache for at most `limit` tokens.
+    /// An empty cache with room for `limit` positions.
     pub(crate) fn new_cache(&self, limit: usize) -> KvCache {
         KvCache::new(self.layers.len(), self.heads, self.precision, limit)
     }
 
-    /// The input rows of tokens, shape (tokens, hidden).
+    /// The embeddings of tokens, (tokens, hidden).
     pub(crate) fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
         self.embedding.rows(ids)
     }
 
-    /// Runs input rows that follow what the cache holds, adds them to the cache, and gives the logits of shape (wanted
-    /// positions, vocabulary).
+    /// Runs rows that follow the cached positions and adds them to the cache. Returns the wanted logits, (positions,
+    /// vocabulary).
     pub(crate) fn forward(
         &self,
         input: &DecoderInput,

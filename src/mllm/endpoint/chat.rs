@@ -1,4 +1,4 @@
-//! What is sent: one chat completion.
+//! The request for one chat completion.
 
 use std::io::Cursor;
 
@@ -8,31 +8,32 @@ use image::{ImageFormat, RgbImage};
 use serde_json::{Map, Value, json};
 
 use super::grammar::{gbnf, pattern};
-use super::settings::{EndpointSettings, GrammarField};
-use crate::mllm::{Constraint, ConstraintUse, MllmError, Request, Sampling, Turn};
+use crate::mllm::{
+    Constraint, ConstraintUse, EndpointSettings, GrammarField, LimitField, MllmError, Request, Sampling, Turn,
+};
 
-/// The member of a JSON answer that holds the text.
+/// The member of a JSON answer with the text.
 const ANSWER: &str = "answer";
-/// Seeds are sent as positive 32-bit integers, which every server takes.
+/// Mask of the seed: every server accepts positive 32-bit integers.
 const SEED_BITS: u64 = 0x7fff_ffff;
 
-/// A chat that ends with a user's prompt.
+/// A chat that ends with a prompt of the user.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Chat<'a> {
     /// The system prompt; empty for none.
     pub(super) system: &'a str,
-    /// The image of the first prompt, as [`data_url`] writes it.
+    /// The image of the first prompt, from [`data_url`].
     pub(super) image: Option<&'a str>,
-    /// What was said.
+    /// The turns so far.
     pub(super) turns: &'a [Turn],
-    /// The prompt that is to be answered.
+    /// The prompt to answer.
     pub(super) prompt: &'a str,
 }
 
 /// The body of a request.
 ///
 /// # Errors
-/// When the constraint cannot be written in the language that the server takes.
+/// When the server's grammar language cannot express the constraint.
 pub(super) fn body(
     settings: &EndpointSettings,
     chat: &Chat<'_>,
@@ -43,7 +44,11 @@ pub(super) fn body(
     let mut set = |name: &str, value: Value| fields.insert(name.to_string(), value);
     set("model", json!(settings.model));
     set("messages", messages(chat));
-    set(settings.limit.as_str(), json!(request.max_new_tokens));
+    let limit = match settings.limit {
+        LimitField::MaxTokens => "max_tokens",
+        LimitField::MaxCompletionTokens => "max_completion_tokens",
+    };
+    set(limit, json!(request.max_new_tokens));
     match request.sampling {
         Sampling::Greedy => {
             set("temperature", json!(0));
@@ -90,7 +95,7 @@ fn messages(chat: &Chat<'_>) -> Value {
     Value::Array(messages)
 }
 
-/// The field that carries the constraint; none where there is nothing to send.
+/// The field that carries the constraint; `None` where there is nothing to send.
 fn constraint_field(field: GrammarField, constraint: &Constraint) -> Result<Option<(&'static str, Value)>, MllmError> {
     if *constraint == Constraint::Free {
         return Ok(None);
@@ -107,7 +112,7 @@ fn constraint_field(field: GrammarField, constraint: &Constraint) -> Result<Opti
     })
 }
 
-/// An object, as `OpenAI` wants it, whose only member is a string of this pattern.
+/// A schema of an object with one string of this pattern: `OpenAI` accepts only objects.
 fn json_schema(pattern: &str) -> Value {
     json!({"type": "json_schema", "json_schema": {"name": ANSWER, "strict": true, "schema": {
         "type": "object",
@@ -117,7 +122,7 @@ fn json_schema(pattern: &str) -> Value {
     }}})
 }
 
-/// The text of an answer: of a JSON answer its member, of anything else itself.
+/// The text of an answer. A JSON answer has it in a member.
 pub(super) fn text(settings: &EndpointSettings, constraint: &Constraint, content: String) -> String {
     if settings.grammar != GrammarField::JsonSchema || *constraint == Constraint::Free {
         return content;
@@ -127,7 +132,7 @@ pub(super) fn text(settings: &EndpointSettings, constraint: &Constraint, content
     member.map(ToString::to_string).unwrap_or(content)
 }
 
-/// What became of the constraint.
+/// Checks the answer against the constraint.
 pub(super) fn constraint_use(settings: &EndpointSettings, constraint: &Constraint, text: &str) -> ConstraintUse {
     if *constraint == Constraint::Free {
         return ConstraintUse::Unconstrained;
@@ -139,10 +144,7 @@ pub(super) fn constraint_use(settings: &EndpointSettings, constraint: &Constrain
     if whole.is_some_and(|whole| whole.is_match(text)) { ConstraintUse::Satisfied } else { ConstraintUse::Violated }
 }
 
-/// An image as a `data:` address, in PNG.
-///
-/// # Errors
-/// When it cannot be encoded.
+/// An image as a `data:` address with a PNG.
 pub(super) fn data_url(image: &RgbImage) -> Result<String, MllmError> {
     let mut png = Cursor::new(Vec::new());
     image.write_to(&mut png, ImageFormat::Png).map_err(|error| MllmError::Image { problem: error.to_string() })?;

@@ -1,4 +1,4 @@
-//! One request to the server, made again where that may help.
+//! One request to the server, with retries after transient failures.
 
 use std::time::{Duration, SystemTime};
 
@@ -11,10 +11,9 @@ use serde_json::Value;
 
 use super::key::ApiKey;
 use super::reply::{Reply, error_message, read_stream, read_whole};
-use super::settings::EndpointSettings;
-use crate::mllm::{Deadline, EndpointFailure, MllmError};
+use crate::mllm::{Deadline, EndpointFailure, EndpointSettings, MllmError};
 
-/// Longest wait between two requests that no server asked for.
+/// Maximum wait before a retry, unless the server asks for a longer one.
 const MAX_WAIT: Duration = Duration::from_secs(30);
 
 /// A connection pool to one server.
@@ -23,17 +22,16 @@ pub(super) struct Client {
     http: reqwest::blocking::Client,
     url: Url,
     key: Option<ApiKey>,
-    /// The time limit of a request.
+    /// Time limit of a request.
     timeout: Duration,
     retries: usize,
     first_wait: Duration,
 }
 
-/// A request that failed.
 #[derive(Debug)]
 struct Failed {
     failure: EndpointFailure,
-    /// How long the server asks to wait.
+    /// The wait that the server asks for.
     retry_after: Option<Duration>,
 }
 
@@ -44,10 +42,8 @@ impl From<EndpointFailure> for Failed {
 }
 
 impl Client {
-    /// A client of the server that a description names, whose address is `url`; nothing is sent yet.
-    ///
     /// # Errors
-    /// When TLS cannot be set up.
+    /// When the TLS setup fails.
     pub(super) fn new(settings: &EndpointSettings, url: Url, key: Option<ApiKey>) -> Result<Self, MllmError> {
         let mut builder = reqwest::blocking::Client::builder()
             .connect_timeout(Duration::from_millis(settings.connect_timeout_ms))
@@ -70,10 +66,10 @@ impl Client {
         })
     }
 
-    /// Sends a request until it is answered, as often as the settings allow; `seed` decides the waits' random parts.
+    /// Sends a request, with retries as the settings allow; `seed` determines the random parts of the waits.
     ///
     /// # Errors
-    /// The last failure, or [`MllmError::Deadline`] when the deadline passes, or would while waiting.
+    /// The last failure, or [`MllmError::Deadline`] when the deadline passes or would pass during a wait.
     pub(super) fn ask(&self, body: &Value, seed: u64, deadline: Deadline) -> Result<Reply, MllmError> {
         let mut waits = ExponentialBuilder::default()
             .with_min_delay(self.first_wait)
@@ -89,7 +85,7 @@ impl Client {
                 Err(failed) => failed,
             };
             deadline.check()?;
-            let again = if is_transient(&failure) { waits.next() } else { None };
+            let again = if may_retry(&failure) { waits.next() } else { None };
             let Some(wait) = again else { return Err(self.error(failure)) };
             let wait = retry_after.unwrap_or(wait);
             if let (EndpointFailure::Unavailable { status, .. }, true) = (&failure, wait > self.timeout) {
@@ -118,10 +114,10 @@ impl Client {
             .and_then(|kind| kind.to_str().ok())
             .is_some_and(|kind| kind.starts_with("text/event-stream"));
         let reply = if streamed { read_stream(response) } else { read_whole(response) };
-        reply.map_err(|failure| self.told(failure).into())
+        reply.map_err(|failure| self.redacted(failure).into())
     }
 
-    /// What an error before the answer's head means.
+    /// The failure behind an error before the response status.
     fn unsent(&self, error: &reqwest::Error) -> Failed {
         let failure = if error.is_connect() {
             EndpointFailure::Connect(causes(error))
@@ -130,16 +126,16 @@ impl Client {
         } else {
             EndpointFailure::Closed(causes(error))
         };
-        self.told(failure).into()
+        self.redacted(failure).into()
     }
 
-    /// What an error status means.
+    /// The failure behind an error status.
     fn refused(&self, response: Response) -> Failed {
         let status = response.status();
         let retry_after =
             response.headers().get(RETRY_AFTER).and_then(|wait| retry_after(wait.to_str().ok()?, SystemTime::now()));
         let message = match response.headers().get(reqwest::header::LOCATION).and_then(|place| place.to_str().ok()) {
-            Some(place) => format!("the address has moved to {place}"),
+            Some(place) => format!("the address moved to {place}"),
             None => error_message(response),
         };
         let failure = if status.is_server_error() || status == StatusCode::TOO_MANY_REQUESTS {
@@ -147,23 +143,25 @@ impl Client {
         } else {
             EndpointFailure::Refused { status: status.as_u16(), message }
         };
-        Failed { failure: self.told(failure), retry_after }
+        Failed { failure: self.redacted(failure), retry_after }
     }
 
-    /// A failure as it may be told: with the time limit, without the key.
-    fn told(&self, failure: EndpointFailure) -> EndpointFailure {
-        let hide = |text: String| self.key.as_ref().map_or_else(|| text.clone(), |key| key.hide(&text));
-        match failure {
-            EndpointFailure::Timeout(_) => EndpointFailure::Timeout(self.timeout),
-            EndpointFailure::Connect(text) => EndpointFailure::Connect(hide(text)),
-            EndpointFailure::Closed(text) => EndpointFailure::Closed(hide(text)),
-            EndpointFailure::InvalidReply(text) => EndpointFailure::InvalidReply(hide(text)),
-            EndpointFailure::Unavailable { status, message } => {
-                EndpointFailure::Unavailable { status, message: hide(message) }
+    /// Sets the time limit of a failure and removes the API key from its text.
+    fn redacted(&self, mut failure: EndpointFailure) -> EndpointFailure {
+        match &mut failure {
+            EndpointFailure::Timeout(limit) => *limit = self.timeout,
+            EndpointFailure::Connect(text)
+            | EndpointFailure::Closed(text)
+            | EndpointFailure::InvalidReply(text)
+            | EndpointFailure::Unavailable { message: text, .. }
+            | EndpointFailure::Refused { message: text, .. } => {
+                if let Some(key) = &self.key {
+                    *text = key.hide(text);
+                }
             }
-            EndpointFailure::Refused { status, message } => EndpointFailure::Refused { status, message: hide(message) },
-            other @ (EndpointFailure::Wait { .. } | EndpointFailure::TooLong(_)) => other,
+            EndpointFailure::Wait { .. } | EndpointFailure::TooLong(_) => {}
         }
+        failure
     }
 
     fn error(&self, failure: EndpointFailure) -> MllmError {
@@ -171,12 +169,12 @@ impl Client {
     }
 }
 
-/// Whether the same request may succeed a little later. One that used up its time is not made again.
-fn is_transient(failure: &EndpointFailure) -> bool {
+/// Whether a retry of the same request can succeed. A request that reached its time limit is not retried.
+fn may_retry(failure: &EndpointFailure) -> bool {
     matches!(failure, EndpointFailure::Connect(_) | EndpointFailure::Closed(_) | EndpointFailure::Unavailable { .. })
 }
 
-/// The header `Retry-After`: seconds, or a date (RFC 9110, 10.2.3).
+/// Reads the header `Retry-After`: seconds, or a date (RFC 9110, 10.2.3).
 fn retry_after(value: &str, now: SystemTime) -> Option<Duration> {
     let value = value.trim();
     if let Ok(seconds) = value.parse::<f64>() {
@@ -185,7 +183,7 @@ fn retry_after(value: &str, now: SystemTime) -> Option<Duration> {
     httpdate::parse_http_date(value).ok().map(|date| date.duration_since(now).unwrap_or_default())
 }
 
-/// An error with what lies under it, without the address, which the message names already.
+/// The innermost cause of an error. The outer ones repeat the address, which the message has already.
 fn causes(error: &reqwest::Error) -> String {
     let mut innermost: &dyn std::error::Error = error;
     while let Some(cause) = innermost.source() {

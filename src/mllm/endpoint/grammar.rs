@@ -1,20 +1,20 @@
-//! Constraints in the languages that servers take: llama.cpp's GBNF, and regular expressions without what some of them
-//! do not know (anchors, groups other than plain ones).
+//! Constraints in the grammar languages of servers: llama.cpp's GBNF, and regular expressions with plain groups and without
+//! anchors, which all of them know.
 
 use regex_syntax::hir::{Class, ClassUnicode, Hir, HirKind};
 
 use crate::mllm::Constraint;
 
-/// Characters that mean something in a regular expression.
+/// Characters with a special meaning in a regular expression.
 const META: &str = r"\^$.|?*+()[]{}";
 
-/// A constraint as a regular expression that the whole answer must match, without anchors.
+/// A constraint as an unanchored regular expression that the whole answer must match.
 ///
 /// # Errors
-/// When it is none of choices, regular expressions and sequences of these.
+/// When it is not made of choices, regular expressions and sequences.
 pub(super) fn pattern(constraint: &Constraint) -> Result<String, String> {
     match constraint {
-        Constraint::Choice(texts) if texts.is_empty() => Err("there is nothing to choose from".into()),
+        Constraint::Choice(texts) if texts.is_empty() => Err("the choice is empty".into()),
         Constraint::Choice(texts) => match texts.as_slice() {
             [only] => Ok(literal_pattern(only)),
             several => Ok(format!("({})", several.iter().map(|t| literal_pattern(t)).collect::<Vec<_>>().join("|"))),
@@ -25,16 +25,15 @@ pub(super) fn pattern(constraint: &Constraint) -> Result<String, String> {
     }
 }
 
-/// A constraint as a grammar of llama.cpp.
+/// A constraint as a GBNF grammar.
 ///
 /// # Errors
-/// As [`pattern`], or when a regular expression holds anchors, look-around or bytes that are no text.
+/// As [`pattern`], or when a regular expression has anchors, look-around or bytes that are not UTF-8.
 pub(super) fn gbnf(constraint: &Constraint) -> Result<String, String> {
     Ok(format!("root ::= {}", expression(constraint)?))
 }
 
-/// Why a constraint cannot be sent.
-const NOT_REGULAR: &str = "servers are sent choices, regular expressions and sequences of these";
+const NOT_REGULAR: &str = "a server accepts only choices, regular expressions and sequences of these";
 
 fn literal_pattern(text: &str) -> String {
     let mut pattern = String::with_capacity(text.len());
@@ -56,7 +55,7 @@ fn literal_pattern(text: &str) -> String {
 
 fn expression(constraint: &Constraint) -> Result<String, String> {
     match constraint {
-        Constraint::Choice(texts) if texts.is_empty() => Err("there is nothing to choose from".into()),
+        Constraint::Choice(texts) if texts.is_empty() => Err("the choice is empty".into()),
         Constraint::Choice(texts) => Ok(alternatives(texts.iter().map(|text| quoted(text)))),
         Constraint::Regex(pattern) => {
             let parsed = regex_syntax::parse(pattern).map_err(|error| first_line(&error.to_string()))?;
@@ -72,16 +71,16 @@ fn regular(hir: &Hir) -> Result<String, String> {
     match hir.kind() {
         HirKind::Empty => Ok("\"\"".into()),
         HirKind::Literal(literal) => {
-            let text = std::str::from_utf8(&literal.0).map_err(|_| "GBNF knows no bytes that are no text")?;
+            let text = std::str::from_utf8(&literal.0).map_err(|_| "GBNF has no bytes that are not UTF-8")?;
             Ok(quoted(text))
         }
         HirKind::Class(Class::Unicode(class)) => Ok(class_expression(class)),
-        HirKind::Class(Class::Bytes(_)) => Err("GBNF knows no classes of bytes".into()),
-        HirKind::Look(_) => Err("GBNF knows no anchors and word borders".into()),
+        HirKind::Class(Class::Bytes(_)) => Err("GBNF has no byte classes".into()),
+        HirKind::Look(_) => Err("GBNF has no anchors or word boundaries".into()),
         HirKind::Repetition(repetition) => {
             let count = match (repetition.min, repetition.max) {
-                (least, Some(most)) if least == most => format!("{{{least}}}"),
-                (least, most) => format!("{{{least},{}}}", most.map(|most| most.to_string()).unwrap_or_default()),
+                (min, Some(max)) if min == max => format!("{{{min}}}"),
+                (min, max) => format!("{{{min},{}}}", max.map(|max| max.to_string()).unwrap_or_default()),
             };
             Ok(format!("({}){count}", regular(&repetition.sub)?))
         }
@@ -91,7 +90,7 @@ fn regular(hir: &Hir) -> Result<String, String> {
     }
 }
 
-/// Every class is written by ranges, one that holds the character 0 by what it does not hold: llama.cpp ends a text there.
+/// Writes a class as ranges. A class with the character 0 is written negated, because llama.cpp ends a text there.
 fn class_expression(class: &ClassUnicode) -> String {
     let negated = class.ranges().first().is_some_and(|range| range.start() == '\0');
     let mut shown = class.clone();

@@ -1,4 +1,4 @@
-//! The key of a server: read from the environment, shown nowhere.
+//! The API key of a server. It comes from the environment and never appears in output.
 
 use std::fmt;
 
@@ -6,10 +6,10 @@ use reqwest::header::HeaderValue;
 
 use crate::mllm::MllmError;
 
-/// What a key is shown as.
+/// Replacement of the key in texts.
 const HIDDEN: &str = "[key]";
 
-/// A key. It has no `Display`, its `Debug` hides it, and [`Self::hide`] takes it out of what a server says.
+/// A key. It has no `Display`, its `Debug` hides it, and [`Self::hide`] removes it from the server's texts.
 #[derive(Clone)]
 pub(super) struct ApiKey {
     text: String,
@@ -17,10 +17,10 @@ pub(super) struct ApiKey {
 }
 
 impl ApiKey {
-    /// The key that an environment variable holds.
+    /// Reads the key from an environment variable.
     ///
     /// # Errors
-    /// When it is not set, empty, or holds what no header can carry. The error does not hold the key.
+    /// When the variable is not set or empty, or a header cannot carry its value. The error does not contain the key.
     pub(super) fn from_environment(variable: &str) -> Result<Self, MllmError> {
         Self::parse(std::env::var_os(variable).and_then(|value| value.into_string().ok()))
             .map_err(|problem| MllmError::Key { variable: variable.to_string(), problem })
@@ -32,17 +32,17 @@ impl ApiKey {
             return Err("is empty");
         }
         let mut header = HeaderValue::from_str(&format!("Bearer {text}"))
-            .map_err(|_| "holds characters that cannot be sent in a header")?;
+            .map_err(|_| "has characters that a header cannot carry")?;
         header.set_sensitive(true);
         Ok(Self { text, header })
     }
 
-    /// The value of the header `Authorization`.
+    /// The value of the `Authorization` header.
     pub(super) fn header(&self) -> HeaderValue {
         self.header.clone()
     }
 
-    /// A text without the key.
+    /// Replaces the key in a text.
     pub(super) fn hide(&self, text: &str) -> String {
         text.replace(&self.text, HIDDEN)
     }
@@ -74,6 +74,6 @@ mod tests {
         let problem = ApiKey::parse(Some("sk-\u{1}secret".into())).unwrap_err();
         assert!(!problem.contains("secret"), "{problem}");
         let error = ApiKey::from_environment("PLANAGENT_NO_SUCH_KEY").unwrap_err().to_string();
-        assert!(error.contains("$PLANAGENT_NO_SUCH_KEY, which is not set"), "{error}");
+        assert!(error.contains("PLANAGENT_NO_SUCH_KEY is not set"), "{error}");
     }
 }

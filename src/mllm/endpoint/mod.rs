@@ -1,27 +1,25 @@
-//! Models that a server computes, asked over HTTP by `OpenAI`'s chat completions, which vLLM, llama.cpp's server and Ollama
-//! offer too.
+//! Models behind a server with `OpenAI`'s chat completions; vLLM, llama.cpp's server and Ollama have them too.
 
 mod chat;
 mod client;
 mod grammar;
 mod key;
 mod reply;
-mod settings;
 
 use std::time::Instant;
 
-pub use settings::{EndpointSettings, GrammarField, LimitField};
+use reqwest::Url;
 
 use super::sampling::answer_seed;
 use super::{
-    Answer, Conversation, LoadReport, Mark, Mllm, MllmError, ModelDescription, PromptPrefix, Request, RoundTime,
-    Server, Turn, milliseconds, prompt_hash,
+    Answer, Conversation, EndpointSettings, LoadReport, Mark, Mllm, MllmError, ModelDescription, PromptPrefix, Request,
+    RoundTime, Server, Turn, milliseconds, prompt_hash,
 };
 use chat::Chat;
 use client::Client;
 use key::ApiKey;
 
-/// A model that a server computes.
+/// A model behind a server.
 #[derive(Debug)]
 pub struct Endpoint {
     name: String,
@@ -30,13 +28,14 @@ pub struct Endpoint {
 }
 
 impl Endpoint {
-    /// Prepares to ask the server that the settings name; `name` is what results call it. The key is read from the
-    /// environment now; nothing is sent before the first question.
+    /// Reads the API key from the environment. Sends nothing before the first question. `name` is the model's name in results.
     ///
     /// # Errors
-    /// When a setting makes no sense, or there is no key where one is asked for.
+    /// When a setting is invalid, or the API key is missing.
     pub fn open(name: &str, settings: &EndpointSettings) -> Result<Self, MllmError> {
-        let url = settings.url().map_err(|problem| MllmError::Request { problem })?;
+        let invalid = |problem: String| MllmError::Request { problem };
+        let url = settings.url().map_err(invalid)?;
+        let url = Url::parse(&url).map_err(|error| invalid(format!("{url} is not an address: {error}")))?;
         let key = settings.key_env.as_deref().map(ApiKey::from_environment).transpose()?;
         Ok(Self { name: name.to_string(), settings: settings.clone(), client: Client::new(settings, url, key)? })
     }
@@ -75,11 +74,11 @@ impl Mllm for Endpoint {
     }
 }
 
-/// A chat with a server. The server remembers nothing: every question carries the whole chat.
+/// A chat with a server. The server keeps no state, so every request carries the whole chat.
 struct EndpointConversation<'a> {
     endpoint: &'a Endpoint,
     system: String,
-    /// The image as it is sent.
+    /// The image as a `data:` address.
     image: Option<String>,
     seed: u64,
     answers: u64,

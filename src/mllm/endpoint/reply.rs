@@ -1,4 +1,4 @@
-//! What comes back: a chat completion in one piece or as a stream of server-sent events, read up to a limit.
+//! The response: a chat completion in one piece or as a stream of server-sent events, of limited size.
 
 use std::io::{BufRead, BufReader, Read};
 use std::time::Instant;
@@ -7,25 +7,22 @@ use serde::Deserialize;
 
 use crate::mllm::{EndpointFailure, FinishReason, TokenCounts};
 
-/// Most bytes of an answer; the longest sensible one, in stream events of a token each, takes a tenth of it.
+/// Maximum bytes of a response. The longest sensible one, with a stream event for each token, takes a tenth of it.
 pub(super) const MAX_BYTES: u64 = 4 << 20;
-/// Characters of a server's words that a message shows.
-const SHOWN: usize = 300;
+/// Maximum characters of a server's text in a message.
+const MAX_SHOWN: usize = 300;
 
-/// A complete answer.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Reply {
-    /// The text.
     pub(super) content: String,
-    /// Why it ends.
     pub(super) finish: FinishReason,
-    /// What the server counts; zero where it says nothing.
+    /// The server's counts; zero where it gives none.
     pub(super) tokens: TokenCounts,
-    /// When the first text came; none if the answer came in one piece.
+    /// When the first text arrived; `None` if the answer came in one piece.
     pub(super) first_text: Option<Instant>,
 }
 
-/// A chat completion, or a part of one.
+/// A chat completion, or an event of a streamed one.
 #[derive(Debug, Deserialize)]
 struct Completion {
     #[serde(default)]
@@ -74,7 +71,7 @@ impl From<&Usage> for TokenCounts {
     }
 }
 
-/// What has come so far.
+/// The answer so far.
 #[derive(Debug, Default)]
 struct Gathered {
     content: String,
@@ -87,7 +84,7 @@ impl Gathered {
     fn add(&mut self, text: &str) -> Result<(), EndpointFailure> {
         let invalid = |problem: String| EndpointFailure::InvalidReply(problem);
         let part: Completion =
-            serde_json::from_str(text).map_err(|error| invalid(format!("{error} in {:?}", shown(text))))?;
+            serde_json::from_str(text).map_err(|error| invalid(format!("{error} in {:?}", shortened(text))))?;
         if let Some(error) = part.error {
             return Err(invalid(message_of(&error)));
         }
@@ -97,7 +94,7 @@ impl Gathered {
         let Some(choice) = part.choices.into_iter().next() else { return Ok(()) };
         let message = choice.message.unwrap_or_default();
         if let Some(refusal) = message.refusal.filter(|refusal| !refusal.is_empty()) {
-            return Err(invalid(format!("the model refuses: {}", shown(&refusal))));
+            return Err(invalid(format!("the model refuses: {}", shortened(&refusal))));
         }
         if let Some(content) = message.content.filter(|content| !content.is_empty()) {
             self.first_text.get_or_insert_with(Instant::now);
@@ -107,25 +104,25 @@ impl Gathered {
             None => self.finish,
             Some("stop") => Some(FinishReason::EndOfSequence),
             Some("length") => Some(FinishReason::Length),
-            Some(other) => return Err(invalid(format!("it ends by {:?}", shown(other)))),
+            Some(other) => return Err(invalid(format!("unknown finish_reason {:?}", shortened(other)))),
         };
         Ok(())
     }
 
-    /// The whole answer; none before its end was told.
+    /// The complete answer; `None` before its finish reason arrived.
     fn complete(self) -> Option<Reply> {
         let Self { content, finish, tokens, first_text } = self;
         finish.map(|finish| Reply { content, finish, tokens, first_text })
     }
 }
 
-/// Reads an answer that comes in one piece.
+/// Reads a chat completion in one piece.
 ///
 /// # Errors
-/// When it is too long, breaks off, or is no chat completion.
+/// When it is too long, incomplete, or not a chat completion.
 pub(super) fn read_whole(body: impl Read) -> Result<Reply, EndpointFailure> {
     let mut bytes = Vec::new();
-    body.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(|error| broken_off(&error))?;
+    body.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(|error| incomplete(&error))?;
     if bytes.len() as u64 > MAX_BYTES {
         return Err(EndpointFailure::TooLong(MAX_BYTES));
     }
@@ -135,13 +132,13 @@ pub(super) fn read_whole(body: impl Read) -> Result<Reply, EndpointFailure> {
     gathered.first_text = None;
     gathered
         .complete()
-        .ok_or_else(|| EndpointFailure::InvalidReply(format!("no finished choice in {:?}", shown(&text))))
+        .ok_or_else(|| EndpointFailure::InvalidReply(format!("no finished choice in {:?}", shortened(&text))))
 }
 
-/// Reads an answer that is streamed.
+/// Reads a streamed chat completion.
 ///
 /// # Errors
-/// As [`read_whole`]; a stream that ends before the answer did breaks off.
+/// As [`read_whole`]; a stream without the end of the answer is incomplete.
 pub(super) fn read_stream(body: impl Read) -> Result<Reply, EndpointFailure> {
     let mut lines = BufReader::new(body.take(MAX_BYTES + 1));
     let mut gathered = Gathered::default();
@@ -149,12 +146,12 @@ pub(super) fn read_stream(body: impl Read) -> Result<Reply, EndpointFailure> {
     let mut line = Vec::new();
     loop {
         line.clear();
-        let length = lines.read_until(b'\n', &mut line).map_err(|error| broken_off(&error))?;
+        let length = lines.read_until(b'\n', &mut line).map_err(|error| incomplete(&error))?;
         read += length as u64;
         if read > MAX_BYTES {
             return Err(EndpointFailure::TooLong(MAX_BYTES));
         }
-        // Lines of other fields and comments, by which a server keeps the connection open, say nothing.
+        // Other fields and comments, which keep the connection open, carry no text.
         let text = String::from_utf8_lossy(&line);
         match text.strip_prefix("data:").map(str::trim) {
             Some("[DONE]") => break,
@@ -163,40 +160,39 @@ pub(super) fn read_stream(body: impl Read) -> Result<Reply, EndpointFailure> {
             _ => {}
         }
     }
-    gathered.complete().ok_or_else(|| EndpointFailure::Closed("the stream ended early".into()))
+    gathered.complete().ok_or_else(|| EndpointFailure::Closed("the stream ended before the answer".into()))
 }
 
-/// A body of an error status in words: the message of `OpenAI`'s error object, else its beginning.
+/// The message of an error response: that of `OpenAI`'s error object, else the beginning of the body.
 pub(super) fn error_message(body: impl Read) -> String {
     let mut bytes = Vec::new();
-    // What cannot be read of an explanation is no other error than the status.
+    // The status is the error; an unreadable explanation adds none.
     let _ = body.take(MAX_BYTES).read_to_end(&mut bytes);
     let text = String::from_utf8_lossy(&bytes);
     match serde_json::from_str::<Completion>(&text) {
         Ok(Completion { error: Some(error), .. }) => message_of(&error),
-        _ => shown(text.trim()),
+        _ => shortened(text.trim()),
     }
 }
 
 fn message_of(error: &serde_json::Value) -> String {
     let message = error.get("message").unwrap_or(error);
-    shown(&message.as_str().map_or_else(|| message.to_string(), ToString::to_string))
+    shortened(&message.as_str().map_or_else(|| message.to_string(), ToString::to_string))
 }
 
-fn broken_off(error: &std::io::Error) -> EndpointFailure {
+fn incomplete(error: &std::io::Error) -> EndpointFailure {
     let timed_out = |error: &(dyn std::error::Error + Send + Sync + 'static)| {
         error.downcast_ref::<reqwest::Error>().is_some_and(reqwest::Error::is_timeout)
     };
     match error.get_ref() {
-        // The limit is known to the caller, who puts it in.
+        // The caller sets the limit.
         Some(inner) if timed_out(inner) => EndpointFailure::Timeout(std::time::Duration::ZERO),
         _ => EndpointFailure::Closed(error.to_string()),
     }
 }
 
-/// The beginning of a text.
-fn shown(text: &str) -> String {
-    match text.char_indices().nth(SHOWN) {
+fn shortened(text: &str) -> String {
+    match text.char_indices().nth(MAX_SHOWN) {
         None => text.to_string(),
         Some((end, _)) => format!("{}...", &text[..end]),
     }
@@ -260,6 +256,6 @@ mod tests {
         assert_eq!(error_message(&br#"{"error": {"message": "no such model", "code": 404}}"#[..]), "no such model");
         assert_eq!(error_message(&br#"{"error": "busy"}"#[..]), "busy");
         assert_eq!(error_message(&b" Bad gateway\n"[..]), "Bad gateway");
-        assert_eq!(error_message("x".repeat(1000).as_bytes()).len(), SHOWN + 3);
+        assert_eq!(error_message("x".repeat(1000).as_bytes()).len(), MAX_SHOWN + 3);
     }
 }

@@ -8,6 +8,8 @@ mod gguf;
 mod vision;
 
 #[cfg(test)]
+mod candle_tests;
+#[cfg(test)]
 mod reference_tests;
 
 use candle_core::Tensor;

@@ -1,4 +1,4 @@
-//! ggml's blocks, read number by number: what the kernels are tested against, and how rows of an embedding are read.
+//! Decodes ggml's blocks number by number: to read rows of an embedding, and as the reference of the kernels' tests.
 //!
 //! Formats: ggml, `ggml-common.h` and `ggml-quants.c`.
 
@@ -6,7 +6,7 @@ use half::f16;
 
 use super::weight_format::WeightFormat;
 
-/// Decodes the blocks of a row into as many numbers as `out` has.
+/// Decodes the blocks of a row until `out` is full.
 pub(super) fn decode_row(weight_format: WeightFormat, bytes: &[u8], out: &mut [f32]) {
     let blocks = bytes.chunks_exact(weight_format.block_bytes());
     match weight_format {
@@ -39,8 +39,8 @@ fn q8_0(block: &[u8], out: &mut [f32]) {
     }
 }
 
-/// 128 bytes of low four bits, 64 of high two bits, 16 signed scales, scale of the scales. Each half of the numbers takes
-/// 64 and 32 of these bytes for four runs of 32 numbers.
+/// 128 bytes of low four bits, 64 bytes of high two bits, 16 signed scales, then the scale of the scales. Each half of the
+/// numbers takes 64 and 32 of these bytes for four runs of 32 numbers.
 fn q6_k(block: &[u8], out: &mut [f32]) {
     let (low, rest) = block.split_at(128);
     let (high, rest) = rest.split_at(64);
@@ -55,8 +55,8 @@ fn q6_k(block: &[u8], out: &mut [f32]) {
     }
 }
 
-/// Scale of the scales, scale of the minima, 12 bytes of eight scales and minima of six bits, 128 bytes of two numbers:
-/// each 32 of them hold a run of 32 in their low halves and the next run in their high ones.
+/// Scale of the scales, scale of the minima, 12 bytes with eight scales and minima of six bits, then 128 bytes of two
+/// numbers each. Every 32 of those bytes hold a run of 32 numbers in their low halves and the next run in their high halves.
 fn q4_k(block: &[u8], out: &mut [f32]) {
     let (head, numbers) = block.split_at(16);
     let (scale, minimum, packed) = (half(head), half(&head[2..]), &head[4..]);

@@ -1,13 +1,13 @@
-//! Products of weights in 16-bit floating point with activations in 32 bits, summed in 32 bits.
+//! Products of f16 weights with f32 activations, summed in f32.
 
 use super::format::{Format, TILES, TileSums};
-use super::line::CacheLine;
-use super::simd::{LANES, Simd};
+use super::line::{CacheLine, LANES};
+use super::simd::Simd;
 
-/// Numbers in a span: with two tiles they fill half of a first-level cache.
+/// Numbers in a span: the unpacked spans of two tiles fill half of a 32 KiB first-level cache.
 const SPAN: usize = 128;
 
-/// IEEE's 16-bit numbers, two of each output a line.
+/// IEEE half precision; a cache line holds two numbers of each output.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct F16;
 
@@ -36,7 +36,7 @@ impl Format for F16 {
                 simd.store(simd.load_half(&line.halves(half)), numbers);
             }
         }
-        // Behind the end of a row the activations are zero, but what an earlier row left here need not be finite.
+        // Past the end of a row the activations are zero, but values left from an earlier row may be infinite.
         for numbers in &mut pairs[lines.len()..] {
             *numbers = [[0.0; LANES]; 2];
         }

@@ -1,6 +1,7 @@
-//! Memory in cache lines, the unit in which the kernels read weights.
+//! Weights in memory as whole cache lines, the unit that the kernels load.
 
-use super::simd::LANES;
+/// Lanes of a vector, and rows of a weight tile: AVX-512 holds 16 numbers of 32 bits.
+pub(crate) const LANES: usize = 16;
 
 /// A cache line of weights.
 #[derive(Debug, Clone, Copy)]
@@ -8,10 +9,9 @@ use super::simd::LANES;
 pub(crate) struct CacheLine(pub(crate) [u8; 64]);
 
 impl CacheLine {
-    /// A line of zeros.
     pub(crate) const ZERO: Self = Self([0; 64]);
 
-    /// The 16-bit numbers of a half of the line.
+    /// The 16-bit numbers of the first (0) or second (1) half.
     #[inline(always)]
     pub(crate) fn halves(&self, half: usize) -> [u16; LANES] {
         let mut values = [0; LANES];
@@ -21,7 +21,7 @@ impl CacheLine {
         values
     }
 
-    /// The bytes of a quarter of the line.
+    /// The bytes of a quarter, 0 to 3.
     #[inline(always)]
     pub(crate) fn quarter(&self, quarter: usize) -> [u8; LANES] {
         self.0.as_chunks::<LANES>().0[quarter]

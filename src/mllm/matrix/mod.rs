@@ -1,5 +1,5 @@
-//! Weight matrices in the form they are stored in, and their products with rows of activations.
-#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that have the instructions")]
+//! Weight matrices in their stored weight format, and their products with rows of activations.
+#![allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
 
 mod blocks;
 mod float;
@@ -20,47 +20,47 @@ use candle_core::quantized::QTensor;
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
 
+pub(crate) use line::LANES;
 use packed_tiles::PackedTiles;
 use product::Columns;
-pub(crate) use simd::{Instructions, Kernel, LANES, Simd};
+pub(crate) use simd::{Instructions, Kernel, Simd};
 pub use weight_format::{UnknownWeightFormat, WeightFormat};
 
 use super::values::{PIECE, with_values};
 
-/// A matrix of shape (outputs, inputs) that is multiplied from the right: x Wᵀ. It holds one copy of its weights, and a
-/// clone shares it.
+/// A matrix W of shape (outputs, inputs); its product with rows x is x Wᵀ. Clones share one copy of the weights.
 #[derive(Debug, Clone)]
 pub struct Matrix {
     inputs: usize,
     outputs: usize,
-    /// Their outputs stand side by side. More than one where matrices of a layer were stacked.
+    /// Their outputs are concatenated. A stack of matrices has more than one segment.
     segments: Vec<Arc<Segment>>,
 }
 
-/// The rows of a matrix that are stored alike.
+/// Consecutive rows of a matrix in one weight format.
 #[derive(Debug)]
 enum Segment {
-    /// f32 of shape (inputs, outputs), transposed: for few rows, which is what decoding has, the product would otherwise
-    /// spend most of its time on transposing blocks of it.
+    /// f32 of shape (inputs, outputs). Candle's product transposes blocks of a matrix of shape (outputs, inputs), which
+    /// takes most of the time when decoding multiplies a single row.
     Transposed(Tensor),
-    /// Any other storage.
+    /// Any other weight format.
     Tiles(PackedTiles),
 }
 
 impl Matrix {
-    /// Whether a storage can hold a matrix of this shape.
+    /// Whether a weight format can hold a matrix of this shape.
     pub fn fits(weight_format: WeightFormat, outputs: usize, inputs: usize) -> bool {
         outputs > 0 && inputs > 0 && weight_format.matrix_bytes(outputs, inputs).is_some()
     }
 
-    /// Stores row-major values, whose blocks are chosen as ggml's reference quantisers choose them.
+    /// Quantizes row-major values with ggml's reference quantizers.
     ///
     /// # Errors
-    /// When the storage cannot hold this shape or the values are not as many.
+    /// When the weight format cannot hold this shape, or the number of values differs from it.
     pub fn quantize(values: &[f32], outputs: usize, inputs: usize, weight_format: WeightFormat) -> Result<Self> {
         check_shape(weight_format, outputs, inputs)?;
         if outputs.checked_mul(inputs) != Some(values.len()) {
-            bail!("{} values are no matrix of {outputs} x {inputs}", values.len());
+            bail!("{} values do not fill a matrix of {outputs} x {inputs}", values.len());
         }
         if weight_format == WeightFormat::F32 {
             let tensor = Tensor::from_slice(values, (outputs, inputs), &Device::Cpu)?;
@@ -76,14 +76,14 @@ impl Matrix {
         Self::from_blocks(weight_format, outputs, inputs, &blocks)
     }
 
-    /// Stores ggml's row-major blocks, as they lie in a GGUF file.
+    /// Takes ggml's row-major blocks as a GGUF file stores them.
     ///
     /// # Errors
-    /// When the storage cannot hold this shape or the bytes are not as many.
+    /// When the weight format cannot hold this shape, or the number of bytes differs from it.
     pub fn from_blocks(weight_format: WeightFormat, outputs: usize, inputs: usize, bytes: &[u8]) -> Result<Self> {
         check_shape(weight_format, outputs, inputs)?;
         if weight_format.matrix_bytes(outputs, inputs) != Some(bytes.len()) {
-            bail!("{} bytes are no {weight_format} matrix of {outputs} x {inputs}", bytes.len());
+            bail!("{} bytes do not fill a {weight_format} matrix of {outputs} x {inputs}", bytes.len());
         }
         if weight_format == WeightFormat::F32 {
             let mut values = vec![0.0; outputs * inputs];
@@ -97,26 +97,23 @@ impl Matrix {
         })
     }
 
-    /// Stores an f32 tensor of shape (outputs, inputs) as it is.
-    ///
-    /// # Errors
-    /// When it is no matrix of f32.
+    /// Takes an f32 tensor of shape (outputs, inputs).
     pub fn from_tensor(tensor: &Tensor) -> Result<Self> {
         let (outputs, inputs) = tensor.dims2()?;
         Ok(Self { inputs, outputs, segments: vec![Arc::new(Segment::Transposed(tensor.t()?.contiguous()?))] })
     }
 
-    /// Matrices of the same inputs as one, their outputs side by side: one pass over the input instead of many. They may be
-    /// stored differently.
+    /// Concatenates the outputs of matrices with the same inputs, so that one product replaces several. Their weight
+    /// formats may differ.
     ///
     /// # Errors
-    /// When their inputs differ or there are none.
+    /// When the inputs differ or the list is empty.
     pub fn stack(matrices: Vec<Self>) -> Result<Self> {
         let Some(inputs) = matrices.first().map(|matrix| matrix.inputs) else {
-            bail!("a stack of no matrices");
+            bail!("cannot stack zero matrices");
         };
         if let Some(other) = matrices.iter().find(|matrix| matrix.inputs != inputs) {
-            bail!("matrices of {inputs} and {} inputs cannot be stacked", other.inputs);
+            bail!("cannot stack matrices of {inputs} and {} inputs", other.inputs);
         }
         let outputs = matrices.iter().map(|matrix| matrix.outputs).sum();
         let mut segments: Vec<Arc<Segment>> = Vec::new();
@@ -130,39 +127,33 @@ impl Matrix {
         Ok(Self { inputs, outputs, segments })
     }
 
-    /// Width of the result.
     pub fn outputs(&self) -> usize {
         self.outputs
     }
 
-    /// Width of the rows that it is multiplied with.
     pub fn inputs(&self) -> usize {
         self.inputs
     }
 
-    /// How its rows are stored; of a stack, the first.
+    /// The weight format of the first segment.
     pub fn weight_format(&self) -> WeightFormat {
         self.segments.first().map_or_else(WeightFormat::default, |segment| segment.weight_format())
     }
 
-    /// Bytes in memory.
+    /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         self.segments.iter().map(|segment| segment.bytes()).sum()
     }
 
-    /// Writes the row-major blocks that [`Self::from_blocks`] takes, bit for bit; of a stack, those of one matrix after the
-    /// other.
-    ///
-    /// # Errors
-    /// When writing fails.
+    /// Writes the row-major blocks that [`Self::from_blocks`] takes, bit for bit, segment after segment.
     pub fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
         self.segments.iter().try_for_each(|segment| segment.write_blocks(out))
     }
 
-    /// Rows of the matrix, (ids, inputs) in f32: as an embedding is read.
+    /// Reads rows of the matrix as f32, (ids, inputs), as an embedding needs them.
     ///
     /// # Errors
-    /// When an id is no row.
+    /// When an id is not below the number of outputs.
     pub fn rows(&self, ids: &[u32]) -> Result<Tensor> {
         let mut values = vec![0.0; ids.len() * self.inputs];
         for (id, row) in ids.iter().zip(values.chunks_exact_mut(self.inputs)) {
@@ -175,29 +166,29 @@ impl Matrix {
                 found
             });
             let Some(segment) = segment else {
-                bail!("row {id} of a matrix of {} rows", self.outputs);
+                bail!("row {id} is out of range: the matrix has {} rows", self.outputs);
             };
             segment.read_row(index, row)?;
         }
         Tensor::from_vec(values, (ids.len(), self.inputs), &Device::Cpu)
     }
 
-    /// Multiplies rows (tokens, inputs) of f32 to (tokens, outputs).
+    /// Maps f32 rows (tokens, inputs) to (tokens, outputs).
     ///
     /// # Errors
-    /// When they have another width.
+    /// When the rows have another width.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         self.forward_onto(x, None, None)
     }
 
-    /// The product with rows (tokens, inputs), to which a bias (outputs) is added, and a residual (tokens, outputs).
+    /// The product with rows (tokens, inputs) plus a bias (outputs) plus a residual (tokens, outputs).
     ///
     /// # Errors
     /// When one of them has another shape.
     pub(crate) fn forward_onto(&self, x: &Tensor, bias: Option<&Tensor>, residual: Option<&Tensor>) -> Result<Tensor> {
         let (tokens, width) = x.dims2()?;
         if width != self.inputs {
-            bail!("rows of {width} numbers times a matrix of {} inputs", self.inputs);
+            bail!("cannot multiply rows of {width} numbers with a matrix of {} inputs", self.inputs);
         }
         if let [segment] = self.segments.as_slice()
             && let Segment::Transposed(weights) = &**segment
@@ -210,7 +201,7 @@ impl Matrix {
             if tensor.dims() == shape {
                 with_values(tensor, |values| Ok(values.to_vec()))
             } else {
-                bail!("{:?} cannot be added to a product of {shape:?}", tensor.shape())
+                bail!("cannot add a tensor of {:?} to a product of {shape:?}", tensor.shape())
             }
         };
         let bias = bias.map(|bias| read(bias, &[self.outputs])).transpose()?;
@@ -256,7 +247,7 @@ impl Segment {
         }
     }
 
-    /// Appends another part to this one, or gives it back if they cannot be one.
+    /// Appends another segment to this one, or returns it if their weight formats differ.
     fn append(&mut self, other: Arc<Self>) -> Result<Option<Arc<Self>>> {
         let appended = match (self, &*other) {
             (Self::Transposed(weights), Self::Transposed(others)) => {
@@ -292,7 +283,7 @@ impl Segment {
         Ok(())
     }
 
-    /// Adds the products with rows of activations to columns of a result.
+    /// Adds the products with row-major activations to columns of a result.
     fn multiply(&self, x: &[f32], columns: &Columns<'_>) -> Result<()> {
         match self {
             Self::Tiles(tiles) => product::multiply(tiles, x, columns, Instructions::best()),

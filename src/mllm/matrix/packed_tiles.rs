@@ -1,53 +1,51 @@
-//! The layout of weights in memory: sixteen rows at a time, side by side.
+//! The layout of packed weights: tiles of sixteen rows that the kernels load as vectors.
 //!
-//! A tile holds sixteen rows of a matrix, so that a vector register holds one number, or four bytes, of each. Along its
-//! inputs it is cut into groups; a group holds the very bytes of the rows' blocks in another order, so the file is made of
-//! it again bit for bit, and memory holds hardly more than the file.
+//! A vector register holds one number, or four bytes, of each row of a tile. A tile is cut into groups along its inputs. A
+//! group holds the bytes of the rows' blocks in another order, so the original blocks can be written again bit for bit, and
+//! the packed weights take hardly more memory than the file.
 
 use std::io::{self, Write};
 
 use rayon::prelude::*;
 
 use super::blocks::decode_row;
-use super::line::CacheLine;
-use super::simd::LANES;
+use super::line::{CacheLine, LANES};
 use super::weight_format::WeightFormat;
 
-/// Bytes of a line.
+/// Bytes of a cache line.
 const LINE: usize = size_of::<CacheLine>();
 
-/// Where the bytes of a group lie.
+/// The byte order of a group.
 #[derive(Debug, Clone)]
 pub(super) struct Layout {
     /// Numbers of a row in a group.
     span: usize,
     /// Bytes of a row in a group.
     row_bytes: usize,
-    /// Lines of a group.
+    /// Cache lines of a group.
     lines: usize,
     runs: Vec<Run>,
 }
 
-/// Bytes of a row that stay together.
+/// Bytes of a row that stay adjacent.
 #[derive(Debug, Clone, Copy)]
 struct Run {
-    /// Their place in the row's bytes.
+    /// Offset in the row's bytes.
     from: usize,
     width: usize,
-    /// Their place in the group, of row 0; the other rows follow.
+    /// Offset in the group for row 0; the other rows follow.
     to: usize,
-    /// What their bits are inverted with.
+    /// XOR mask of each byte.
     flip: u8,
 }
 
-/// Lays runs of bytes one behind the other.
 struct LayoutBuilder {
     runs: Vec<Run>,
     end: usize,
 }
 
 impl LayoutBuilder {
-    /// Lays `count` runs of `width` bytes of each row, which begin at `from`, behind what is laid.
+    /// Appends `count` runs of `width` bytes of each row; the first begins at `from`.
     fn lay(mut self, from: usize, width: usize, count: usize, flip: u8) -> Self {
         for index in 0..count {
             self.runs.push(Run { from: from + index * width, width, to: self.end, flip });
@@ -58,15 +56,14 @@ impl LayoutBuilder {
 }
 
 impl Layout {
-    /// The layout of a storage.
     pub(super) fn of(weight_format: WeightFormat) -> Self {
         let empty = LayoutBuilder { runs: Vec::new(), end: 0 };
         let block = weight_format.block_bytes();
-        // Numbers of bytes come first, four of each row a line; then what belongs to whole blocks.
+        // Byte numbers come first, four of each row a cache line; then the scales of whole blocks.
         let (built, span) = match weight_format {
             WeightFormat::F32 => (empty.lay(0, 4, 1, 0), 1),
             WeightFormat::F16 => (empty.lay(0, 2, 2, 0), 2),
-            // Two blocks, so that their scales fill a line. Numbers become unsigned: 128 is added.
+            // Two blocks, so that their scales fill a cache line. The XOR adds 128 and makes the numbers unsigned.
             WeightFormat::Q8_0 => {
                 let numbers = empty.lay(2, 4, 8, 0x80).lay(block + 2, 4, 8, 0x80);
                 (numbers.lay(0, 2, 1, 0).lay(block, 2, 1, 0), 64)
@@ -78,11 +75,11 @@ impl Layout {
         Self { span, row_bytes, lines: built.end.div_ceil(LINE), runs: built.runs }
     }
 
-    /// Writes a row's bytes of a group, fewer at the end of a row whose blocks do not fill it.
+    /// Writes a row's bytes of a group. The last group of a row may get fewer bytes.
     fn pack(&self, row: usize, bytes: &[u8], group: &mut [CacheLine]) {
         for run in self.runs_within(bytes.len()) {
             let to = run.to + row * run.width;
-            // No run crosses a line: its width divides one.
+            // No run crosses a cache line, because its width divides one.
             let line = &mut group[to / LINE].0[to % LINE..];
             for (to, from) in line.iter_mut().zip(&bytes[run.from..run.from + run.width]) {
                 *to = from ^ run.flip;
@@ -90,7 +87,7 @@ impl Layout {
         }
     }
 
-    /// Reads a row's bytes of a group back.
+    /// Reads a row's bytes of a group.
     fn unpack(&self, row: usize, bytes: &mut [u8], group: &[CacheLine]) {
         for run in self.runs_within(bytes.len()) {
             let from = run.to + row * run.width;
@@ -106,7 +103,7 @@ impl Layout {
     }
 }
 
-/// The rows of a matrix that are stored alike, in tiles; the last is filled up with zeros.
+/// Rows of a matrix in tiles; zeros pad the last tile.
 #[derive(Debug)]
 pub(super) struct PackedTiles {
     weight_format: WeightFormat,
@@ -117,7 +114,7 @@ pub(super) struct PackedTiles {
 }
 
 impl PackedTiles {
-    /// Lays out row-major blocks, of which there are exactly as many as the shape asks for.
+    /// Packs row-major blocks. `bytes` has exactly the size of the shape.
     pub(super) fn pack(weight_format: WeightFormat, outputs: usize, inputs: usize, bytes: &[u8]) -> Self {
         let layout = Layout::of(weight_format);
         let mut tiles = Self { weight_format, outputs, inputs, layout, lines: Vec::new() };
@@ -135,7 +132,7 @@ impl PackedTiles {
         tiles
     }
 
-    /// Appends rows that are stored alike; says whether it could.
+    /// Appends rows of the same weight format; returns false where that is not possible.
     pub(super) fn append(&mut self, other: &Self) -> bool {
         let whole = self.outputs.is_multiple_of(LANES);
         let alike = whole && self.weight_format == other.weight_format && self.inputs == other.inputs;
@@ -146,37 +143,34 @@ impl PackedTiles {
         alike
     }
 
-    /// Rows of the matrix.
     pub(super) fn outputs(&self) -> usize {
         self.outputs
     }
 
-    /// Numbers of a row.
     pub(super) fn inputs(&self) -> usize {
         self.inputs
     }
 
-    /// How they are stored.
     pub(super) fn weight_format(&self) -> WeightFormat {
         self.weight_format
     }
 
-    /// Bytes in memory.
+    /// Size in memory, bytes.
     pub(super) fn bytes(&self) -> usize {
         size_of_val(self.lines.as_slice())
     }
 
-    /// Lines of a tile: its groups one after the other.
+    /// Cache lines of a tile.
     pub(super) fn tile_lines(&self) -> usize {
         self.inputs.div_ceil(self.layout.span) * self.layout.lines
     }
 
-    /// All tiles, one after the other.
+    /// The cache lines of all tiles.
     pub(super) fn lines(&self) -> &[CacheLine] {
         &self.lines
     }
 
-    /// The blocks of a row as they were given.
+    /// The original blocks of a row.
     fn row_blocks(&self, index: usize) -> Vec<u8> {
         let mut bytes = vec![0; self.inputs / self.weight_format.block() * self.weight_format.block_bytes()];
         let tile = self.lines.chunks_exact(self.tile_lines()).nth(index / LANES).unwrap_or_default();
@@ -186,12 +180,11 @@ impl PackedTiles {
         bytes
     }
 
-    /// Decodes a row.
     pub(super) fn read_row(&self, index: usize, row: &mut [f32]) {
         decode_row(self.weight_format, &self.row_blocks(index), row);
     }
 
-    /// Writes the row-major blocks, bit for bit as they were given.
+    /// Writes the original row-major blocks, bit for bit.
     pub(super) fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
         (0..self.outputs).try_for_each(|index| out.write_all(&self.row_blocks(index)))
     }

@@ -1,4 +1,4 @@
-//! Rows of activations times a matrix in tiles, over threads and instruction sets.
+//! The product of row-major activations with packed tiles, over threads and instruction sets.
 #![allow(unsafe_code, reason = "threads write disjoint columns of one result")]
 
 use std::marker::PhantomData;
@@ -7,29 +7,28 @@ use rayon::prelude::*;
 
 use super::float::F16;
 use super::format::{Format, MAX_BATCH, TILES, TileSums};
-use super::line::CacheLine;
+use super::line::{CacheLine, LANES};
 use super::packed_tiles::PackedTiles;
 use super::quantized::{Q4K, Q6K, Q8_0};
-use super::simd::{Instructions, Kernel, LANES, Simd};
+use super::simd::{Instructions, Kernel, Simd};
 use super::weight_format::WeightFormat;
 
 /// Outputs that a kernel computes at once.
 const COLUMNS: usize = TILES * LANES;
 
-/// Bytes of packed activations that are multiplied with all weights before the next rows are: they stay in a core's
-/// second-level cache.
+/// Maximum bytes of packed activations that one pass over the weights multiplies; they stay in a core's second-level cache.
 const MAX_PACKED_BYTES: usize = 1 << 20;
 
-/// Fewest multiplications that are worth waking other threads for: about 20 µs of one core.
+/// Minimum multiplications for which other threads are worth waking: about 20 µs of one core.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 
-/// Lines between those that are unpacked and those that are asked for.
+/// Cache lines between the one that is unpacked and the one that is prefetched.
 const PREFETCH_LINES: usize = 64;
 
-/// Pieces of work for each thread: the slower of two unequal cores gets fewer of them.
+/// Pieces of work for each thread; a slower core takes fewer of them.
 const PIECES_PER_THREAD: usize = 4;
 
-/// The part of a result that a product is added to: columns of a row-major matrix of `stride` columns.
+/// The columns of a row-major result of `stride` columns that a product is added to.
 #[derive(Debug)]
 pub(super) struct Columns<'a> {
     start: *mut f32,
@@ -40,12 +39,12 @@ pub(super) struct Columns<'a> {
     result: PhantomData<&'a mut [f32]>,
 }
 
-// SAFETY: every thread writes other columns, as `multiply` hands them out.
+// SAFETY: `multiply` gives every thread different columns.
 unsafe impl Sync for Columns<'_> {}
 
 impl<'a> Columns<'a> {
-    /// The columns from `first` on, `width` of them, of a result whose rows have `stride`; none if it has no such columns.
-    /// A bias, one number a column, is added to what is written.
+    /// `width` columns from `first` on of a result whose rows have `stride` columns; `None` if they do not exist. `bias` has
+    /// one number a column and is added to every row.
     pub(super) fn new(
         result: &'a mut [f32],
         stride: usize,
@@ -57,29 +56,29 @@ impl<'a> Columns<'a> {
         if first.checked_add(width)? > stride || rows == 0 || bias.is_some_and(|bias| bias.len() != width) {
             return None;
         }
-        // SAFETY: `first` lies within the first row.
+        // SAFETY: `first` is within the first row.
         let start = unsafe { result.as_mut_ptr().add(first) };
         Some(Self { start, stride, width, rows, bias, result: PhantomData })
     }
 
-    /// Adds a product of all these columns.
+    /// Adds a product that covers all these columns.
     pub(super) fn add_all(&self, product: &[f32]) {
         for (row, sums) in product.chunks_exact(self.width).take(self.rows).enumerate() {
-            // SAFETY: only this thread has the columns here.
+            // SAFETY: only this thread writes the columns here.
             unsafe { self.add(row, 0, sums) };
         }
     }
 
-    /// Adds the sums of a row from a column on, as far as there are columns.
+    /// Adds the sums of a row from a column on, up to the last column.
     ///
     /// # Safety
-    /// No other thread may read or write these columns meanwhile.
+    /// No other thread may read or write these columns at the same time.
     #[inline(always)]
     unsafe fn add(&self, row: usize, column: usize, sums: &[f32]) {
         assert!(row < self.rows && column < self.width, "a sum outside the result");
         let count = sums.len().min(self.width - column);
-        // SAFETY: the row and `count` columns from `column` on lie within the result, as was just seen; nobody else has
-        // them.
+        // SAFETY: the assertion shows that the row and `count` columns from `column` on are within the result; the caller
+        // has exclusive access.
         let result = unsafe { std::slice::from_raw_parts_mut(self.start.add(row * self.stride + column), count) };
         if let Some(bias) = self.bias {
             for ((result, sum), bias) in result.iter_mut().zip(sums).zip(&bias[column..]) {
@@ -93,8 +92,7 @@ impl<'a> Columns<'a> {
     }
 }
 
-/// Adds the products of rows of activations (row-major, as wide as the tiles' inputs) with tiles to columns; nothing if the storage
-/// has no kernel ([`WeightFormat::F32`]).
+/// Adds the products of row-major activations with tiles to columns. [`WeightFormat::F32`] has no kernel and adds nothing.
 pub(super) fn multiply(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, instructions: Instructions) {
     match tiles.weight_format() {
         WeightFormat::F32 => {}
@@ -146,7 +144,7 @@ fn multiply_as<F: Format>(tiles: &PackedTiles, x: &[f32], out: &Columns<'_>, ins
     }
 }
 
-/// Packs the rows of a tile.
+/// Packs the rows of a batch.
 struct Pack<'a, F> {
     inputs: usize,
     rows: &'a [f32],
@@ -183,9 +181,9 @@ struct Product<'a, F> {
     tile_lines: usize,
     words: &'a [i32],
     row_words: usize,
-    /// The first row's place in the result.
+    /// Index of the first row in the result.
     row: usize,
-    /// The first tile's place in the result.
+    /// Column of the first tile in the result.
     first: usize,
     out: &'a Columns<'a>,
     format: PhantomData<F>,
@@ -215,14 +213,14 @@ impl<F: Format> Kernel for Product<'_, F> {
             }
             let column = self.first + index * COLUMNS;
             for (row, sums) in sums.iter().enumerate() {
-                // SAFETY: this thread alone has the outputs of these tiles.
+                // SAFETY: only this thread writes the outputs of these tiles.
                 unsafe { self.out.add(self.row + row, column, sums.as_flattened()) };
             }
         }
     }
 }
 
-/// Multiplies a tile of as many rows as there are sums.
+/// Multiplies a batch; `sums` has one entry a row.
 #[inline(always)]
 fn multiply_batch<F: Format, S: Simd>(simd: S, blocks: &[F::Block; TILES], words: &[i32], sums: &mut [TileSums]) {
     if let Ok(sums) = <&mut [TileSums; MAX_BATCH]>::try_from(&mut *sums) {

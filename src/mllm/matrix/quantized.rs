@@ -1,17 +1,17 @@
-//! Products of quantized weights: bytes by bytes, summed in integers as far as scales reach.
+//! Products of quantized weights: byte products, summed in integers within a scale's range.
 //!
-//! Activations are quantized to eight bits as ggml does it: with a scale for every span where weights are k-quants
-//! (`block_q8_K`), with one for every run where they have eight bits themselves (`block_q8_0`).
+//! Activations are quantized to eight bits as ggml does it: with one scale a span for k-quants (`block_q8_K`), with one
+//! scale a run for `q8_0` (`block_q8_0`).
 
 use super::format::{Format, TILES, TileSums};
-use super::line::CacheLine;
-use super::simd::{LANES, Simd};
+use super::line::{CacheLine, LANES};
+use super::simd::Simd;
 
 /// Numbers in a span: a block of the k-quants.
 const SPAN: usize = 256;
 /// Groups of four bytes in a span.
 const STEPS: usize = SPAN / 4;
-/// Numbers whose activations are summed together: the shortest run with a scale of its own.
+/// Activations in a partial sum: the length of the shortest run with its own scale.
 const SUMMED: usize = 16;
 /// Largest magnitude of a quantized activation.
 const MAX_MAGNITUDE: f32 = 127.0;
@@ -19,34 +19,33 @@ const MAX_MAGNITUDE: f32 = 127.0;
 /// Unpacked weights of sixteen outputs in a span.
 #[derive(Debug, Clone)]
 pub(super) struct Block {
-    /// Unsigned bytes, four of each output a line.
+    /// Unsigned bytes, four of each output a cache line.
     numbers: [CacheLine; STEPS],
     /// Scale of each run.
     scales: [[f32; LANES]; SPAN / SUMMED],
-    /// What is subtracted for each run, two runs in an `i32`.
+    /// The minimum of each run, two runs in an `i32`.
     minima: [[i32; LANES]; 4],
     /// Scale of the minima.
     minimum_scale: [f32; LANES],
 }
 
-/// What tells the quantized formats apart.
+/// The differences between the quantized formats.
 trait Quantized {
-    /// Storage lines of a tile in a span.
+    /// Cache lines of a tile in a span.
     const LINES: usize;
-    /// Numbers with a scale of their own.
+    /// Numbers that share a scale.
     const RUN: usize;
-    /// Words with sums of activations, of a span: one for each run, or for two if there are minima.
+    /// Words of activation sums in a span: one for each run, or for two runs where they have minima.
     const SUM_WORDS: usize;
     /// Whether runs have minima beside scales.
     const MINIMA: bool;
-    /// Activations with a scale of their own: a run, or the span.
+    /// Activations that share a scale: a run, or the span.
     const SCALED: usize;
 
-    /// The word of sums `index`, from the sums of every [`SUMMED`] activations.
+    /// Word `index` of the activation sums, from the sums of every [`SUMMED`] activations.
     fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32;
-    /// Unpacks a span.
     fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block);
-    /// The start of the sum of a run with this word of sums.
+    /// The value that the sum of a run with this word of activation sums starts from.
     fn start<S: Simd>(simd: S, word: i32) -> S::Ints;
     /// Adds the products of four numbers of each output.
     fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints;
@@ -160,14 +159,14 @@ impl<Q: Quantized> Format for Q {
     }
 }
 
-/// The floating-point number that a word holds.
+/// The f32 whose bits a word holds.
 #[inline(always)]
 fn float(word: i32) -> f32 {
     f32::from_bits(word.cast_unsigned())
 }
 
-/// Rounds activations, a multiple of sixteen, to multiples of a scale, and gives the scale. What is not finite makes it NaN,
-/// so that it is seen in the result.
+/// Rounds activations to multiples of a scale and returns the scale. Their number is a multiple of sixteen. A NaN or an
+/// infinity makes the scale NaN, so that the result shows it.
 #[inline(always)]
 fn quantize_activations(values: &[f32], numbers: &mut [i8]) -> f32 {
     let mut largest = [0f32; LANES];

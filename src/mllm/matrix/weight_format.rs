@@ -1,4 +1,4 @@
-//! The forms in which the numbers of a weight matrix are kept.
+//! The weight formats of matrices.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,7 +6,7 @@ use std::str::FromStr;
 use candle_core::quantized::GgmlDType;
 use serde::{Deserialize, Serialize};
 
-/// How the numbers of a weight matrix are stored; the names are those of ggml's formats.
+/// Number format of a weight matrix, by ggml's names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WeightFormat {
@@ -15,18 +15,18 @@ pub enum WeightFormat {
     F32,
     /// 16-bit floating point, 5 bits of exponent.
     F16,
-    /// 8 bits a number with a scale for every 32 (8.5 bits).
+    /// 8 bits a number and a scale for every 32 (8.5 bits).
     Q8_0,
-    /// 6 bits a number with a scale for every 16, in blocks of 256 (6.56 bits).
+    /// 6 bits a number and a scale for every 16, in blocks of 256 (6.56 bits).
     #[serde(rename = "q6_k")]
     Q6K,
-    /// 4 bits a number with a scale and a minimum for every 32, in blocks of 256 (4.5 bits).
+    /// 4 bits a number, a scale and a minimum for every 32, in blocks of 256 (4.5 bits).
     #[serde(rename = "q4_k")]
     Q4K,
 }
 
 impl WeightFormat {
-    /// All of them.
+    /// From largest to smallest.
     pub const ALL: [Self; 5] = [Self::F32, Self::F16, Self::Q8_0, Self::Q6K, Self::Q4K];
 
     /// The name in configurations and on the command line.
@@ -60,14 +60,13 @@ impl WeightFormat {
         }
     }
 
-    /// Bytes of a matrix of this shape; none if the storage cannot hold it or they cannot be counted.
+    /// Bytes of a matrix of this shape; `None` if the format cannot hold it or the number overflows.
     pub(crate) fn matrix_bytes(self, outputs: usize, inputs: usize) -> Option<usize> {
         let blocks = inputs.is_multiple_of(self.block()).then(|| inputs / self.block())?;
         blocks.checked_mul(self.block_bytes())?.checked_mul(outputs)
     }
 
-    /// The storage for a matrix with so many inputs where this one was asked for: itself if it can hold it, else the
-    /// next finer one that can.
+    /// This format if it can hold rows of `inputs` numbers, else the next finer one that can.
     pub(crate) fn or_finer(self, inputs: usize) -> Self {
         let finer = match self {
             Self::Q4K | Self::Q6K => Self::Q8_0,
@@ -77,7 +76,7 @@ impl WeightFormat {
         if inputs.is_multiple_of(self.block()) { self } else { finer.or_finer(inputs) }
     }
 
-    /// ggml's format of the same blocks.
+    /// Candle's name of the same format.
     pub(crate) fn ggml(self) -> GgmlDType {
         match self {
             Self::F32 => GgmlDType::F32,
@@ -95,11 +94,10 @@ impl fmt::Display for WeightFormat {
     }
 }
 
-/// A name that is none of [`WeightFormat::ALL`].
+/// A name that is not in [`WeightFormat::ALL`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no storage of weights is called {name:?}; there are {}", WeightFormat::ALL.map(WeightFormat::name).join(", "))]
+#[error("unknown weight format {name:?}; choose one of {}", WeightFormat::ALL.map(WeightFormat::name).join(", "))]
 pub struct UnknownWeightFormat {
-    /// The name.
     name: String,
 }
 

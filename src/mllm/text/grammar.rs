@@ -1,4 +1,4 @@
-//! Decoding under a grammar: which tokens may come next, and which must.
+//! Constrained decoding: the tokens that a grammar allows or determines next.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,30 +12,30 @@ use toktrie::{InferenceCapabilities, SimpleVob, TokEnv, TokRxInfo, TokTrie, Toke
 use super::tokenizer::ChatTokenizer;
 use crate::mllm::{Constraint, MllmError};
 
-/// Compiled grammars that are kept; a run uses a handful.
-const KEPT_GRAMMARS: usize = 64;
-/// Characters of a constraint that an error message shows.
-const SHOWN: usize = 200;
+/// Maximum compiled grammars in the cache. A run uses fewer than ten.
+const MAX_GRAMMARS: usize = 64;
+/// Maximum characters of a constraint in an error message.
+const MAX_SHOWN: usize = 200;
 /// A control character that no tokenizer merges with text; see [`Vocabulary::tokenize`].
 const SENTINEL: &str = "\u{2}";
 
-/// Compiles constraints for one vocabulary.
+/// Compiles constraints for a vocabulary.
 pub(crate) struct GrammarEngine {
     factory: ParserFactory,
     compiled: Mutex<BTreeMap<Constraint, Matcher>>,
 }
 
-/// A constraint being followed.
+/// Progress of an answer under a constraint.
 pub(crate) struct GrammarState {
     matcher: Matcher,
     shown: String,
 }
 
-/// The tokens that a grammar works with.
+/// The tokenizer as the grammar library needs it.
 struct Vocabulary {
     trie: TokTrie,
     tokenizer: Tokenizer,
-    /// Whether the tokenizer puts a space before a text that does not begin with one.
+    /// Whether the tokenizer adds a space before a text.
     prepends_space: bool,
 }
 
@@ -46,14 +46,14 @@ impl std::fmt::Debug for GrammarEngine {
 }
 
 impl GrammarEngine {
-    /// The engine of a tokenizer; `end` are the ids that end an answer, not empty.
+    /// `end` are the ids that end an answer; at least one.
     ///
     /// # Errors
     /// When the vocabulary cannot be indexed.
     pub(crate) fn new(tokenizer: &ChatTokenizer, end: &[u32]) -> Result<Self, MllmError> {
         let broken = |problem: String| MllmError::Tokenizer { path: tokenizer.path().to_path_buf(), problem };
         let words = tokenizer.bytes();
-        let first_end = *end.first().ok_or_else(|| broken("no token ends an answer".into()))?;
+        let first_end = *end.first().ok_or_else(|| broken("the model has no end-of-sequence token".into()))?;
         let factory = catch_unwind(std::panic::AssertUnwindSafe(|| {
             let trie = TokTrie::from(&TokRxInfo::new(words.len() as u32, first_end), words).with_eos_tokens(end);
             let plain = tokenizer.for_plain_text();
@@ -70,10 +70,10 @@ impl GrammarEngine {
         Ok(Self { factory, compiled: Mutex::new(BTreeMap::new()) })
     }
 
-    /// Begins to follow a constraint; none for [`Constraint::Free`].
+    /// Starts an answer under a constraint; `None` for [`Constraint::Free`].
     ///
     /// # Errors
-    /// When the constraint does not compile, or nothing can fulfil it.
+    /// When the constraint does not compile, or no text matches it.
     pub(crate) fn begin(&self, constraint: &Constraint) -> Result<Option<GrammarState>, MllmError> {
         let shown = shown(constraint);
         let fail = |problem: String| MllmError::Grammar { constraint: shown.clone(), problem };
@@ -95,7 +95,7 @@ impl GrammarEngine {
             return Err(fail(problem));
         }
         let mut compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
-        if compiled.len() >= KEPT_GRAMMARS {
+        if compiled.len() >= MAX_GRAMMARS {
             compiled.clear();
         }
         compiled.insert(constraint.clone(), matcher.deep_clone());
@@ -104,15 +104,12 @@ impl GrammarEngine {
 }
 
 impl GrammarState {
-    /// Whether the constraint is fulfilled and allows nothing more.
+    /// Whether the answer is complete and no further token is allowed.
     pub(crate) fn is_complete(&self) -> bool {
         self.matcher.is_stopped() && !self.matcher.is_error()
     }
 
-    /// The tokens that must come next, in the tokenizer's own spelling; they are taken as generated.
-    ///
-    /// # Errors
-    /// When the grammar engine gives up.
+    /// The tokens that the grammar determines next, in the tokenizer's spelling. They count as generated.
     pub(crate) fn take_fast_forwarded(&mut self) -> Result<Vec<TokenId>, MllmError> {
         if self.matcher.is_stopped() {
             self.check()?;
@@ -126,15 +123,12 @@ impl GrammarState {
         Ok(fast_forwarded)
     }
 
-    /// The tokens that may come next; an end token is among them where the text may end.
-    ///
-    /// # Errors
-    /// When the grammar engine gives up.
+    /// The tokens that the grammar allows next. End tokens are among them where the text may end.
     pub(crate) fn allowed(&mut self) -> Result<SimpleVob, MllmError> {
         self.matcher.compute_mask().map_err(|error| self.error(&error.to_string()))
     }
 
-    /// Takes tokens as generated.
+    /// Adds generated tokens.
     ///
     /// # Errors
     /// When the constraint does not allow them.
@@ -155,8 +149,8 @@ impl GrammarState {
 }
 
 impl Vocabulary {
-    /// Ids of a text in the middle of an answer. A tokenizer that puts a space before every text is given a sentinel to put
-    /// it before; the sentinel's tokens are cut off again.
+    /// Ids of a text in the middle of an answer. A tokenizer that adds a space before every text gets a sentinel before it,
+    /// whose tokens are removed again.
     fn tokenize(&self, text: &str) -> Vec<TokenId> {
         let encode = |text: &str| self.tokenizer.encode_fast(text, false).map(|encoding| encoding.get_ids().to_vec());
         let ids = if self.prepends_space {
@@ -167,7 +161,7 @@ impl Vocabulary {
         } else {
             encode(text)
         };
-        // What the tokenizer spells otherwise than asked, down to the last byte, must not be forced on an answer.
+        // Fast-forwarded tokens must give exactly these bytes, so other spellings are not used.
         match ids {
             Ok(ids) if self.trie.decode_raw(&ids) == text.as_bytes() => ids,
             _ => self.trie.greedy_tokenize(text.as_bytes()),
@@ -190,29 +184,27 @@ fn lark(constraint: &Constraint) -> Result<String, String> {
     match constraint {
         Constraint::Choice(texts) => choice(texts),
         Constraint::Regex(pattern) => regex(pattern),
-        Constraint::Sequence(parts) if parts.is_empty() => Err("a sequence of nothing".into()),
+        Constraint::Sequence(parts) if parts.is_empty() => Err("the sequence is empty".into()),
         Constraint::Sequence(parts) => {
             let parts = parts.iter().map(|part| Ok(format!("({})", lark(part)?)));
             Ok(parts.collect::<Result<Vec<String>, String>>()?.join(" "))
         }
-        Constraint::Free | Constraint::Lark(_) => Err("free text and Lark cannot be parts of a sequence".into()),
+        Constraint::Free | Constraint::Lark(_) => Err("a sequence cannot contain free text or Lark".into()),
     }
 }
 
-/// Alternatives.
 fn choice(texts: &[String]) -> Result<String, String> {
     if texts.is_empty() {
-        return Err("there is nothing to choose from".into());
+        return Err("the choice is empty".into());
     }
     if texts.iter().any(String::is_empty) {
-        return Err("an empty text cannot be chosen".into());
+        return Err("a choice has an empty text".into());
     }
     let alternatives: Vec<String> =
         texts.iter().map(|text| serde_json::Value::from(text.as_str()).to_string()).collect();
     Ok(alternatives.join(" | "))
 }
 
-/// A regular expression.
 fn regex(pattern: &str) -> Result<String, String> {
     let escapes = pattern.len() - pattern.trim_end_matches('\\').len();
     if pattern.is_empty() || escapes % 2 == 1 {
@@ -223,7 +215,7 @@ fn regex(pattern: &str) -> Result<String, String> {
 
 fn shown(constraint: &Constraint) -> String {
     let text = format!("{constraint:?}");
-    match text.char_indices().nth(SHOWN) {
+    match text.char_indices().nth(MAX_SHOWN) {
         None => text,
         Some((end, _)) => format!("{}...", &text[..end]),
     }
@@ -239,7 +231,7 @@ mod tests {
     use crate::mllm::checkpoint::ModelFiles;
     use serde_json::json;
 
-    /// A tokenizer as Llama 2 has it: a space before every text, `▁` for spaces, bytes for what is not in the vocabulary.
+    /// A tokenizer like that of Llama 2: adds a space before every text, writes `▁` for spaces, and unknown characters as bytes.
     fn sentence_piece() -> (tempfile::TempDir, ChatTokenizer) {
         let mut vocabulary = serde_json::Map::new();
         let bytes = (0..256).map(|byte| format!("<0x{byte:02X}>"));
@@ -274,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn sentence_piece_answers_are_forced_in_the_tokenizers_spelling_without_its_space() {
+    fn sentence_piece_answers_are_fast_forwarded_without_the_added_space() {
         let (_folder, tokenizer) = sentence_piece();
         let engine = GrammarEngine::new(&tokenizer, &[2]).unwrap();
         let mut state = engine.begin(&Constraint::Choice(vec!["keep lane\n".into()])).unwrap().unwrap();

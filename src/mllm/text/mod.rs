@@ -1,6 +1,5 @@
-//! Text around the model: tokenizer, chat template, grammars.
+//! Text processing for models: tokenizer, chat template, grammars.
 
-mod date;
 mod grammar;
 mod template;
 mod token_bytes;

@@ -1,4 +1,4 @@
-//! The chat template of a model: from a list of messages to the text that the model was trained on.
+//! The chat template of a model, which renders messages as the text that the model was trained on.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,6 @@ use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Value;
 use minijinja::{Environment, Error, ErrorKind, context};
 
-use super::date::format_fixed_date;
 use crate::mllm::checkpoint::{ModelFiles, Section};
 use crate::mllm::{MllmError, Turn};
 
@@ -21,20 +20,20 @@ pub(crate) struct ChatTemplate {
     image_token: String,
 }
 
-/// What a template takes as the content of a message.
+/// The form of a message's content that a template accepts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Content {
-    /// A list of parts, each an image or a text, as multimodal templates do.
+    /// A list of parts, each an image or a text: multimodal templates.
     Parts,
-    /// One text, as templates of language models do; the image's placeholder is put in front of it.
+    /// One text: templates of language models. The image placeholder goes before the text.
     Text,
 }
 
 const NAME: &str = "chat";
 
 impl ChatTemplate {
-    /// Opens `chat_template.jinja`, `chat_template.json` or the `chat_template` of `tokenizer_config.json`, whichever comes
-    /// first. `special` are the special tokens by role, `image_token` the placeholder of an image.
+    /// Opens the first of `chat_template.jinja`, `chat_template.json` and the `chat_template` of `tokenizer_config.json`.
+    /// `special` has the special tokens by role; `image_token` is the placeholder of an image.
     ///
     /// # Errors
     /// When there is none, it does not compile, or it renders neither lists of parts nor texts.
@@ -59,7 +58,7 @@ impl ChatTemplate {
     /// Renders a chat that ends with `prompt` and the beginning of the model's answer.
     ///
     /// # Errors
-    /// When the template refuses the chat.
+    /// When the template rejects the chat.
     pub(crate) fn render(&self, system: &str, image: bool, turns: &[Turn], prompt: &str) -> Result<String, MllmError> {
         self.render_as(self.content, system, image, turns, prompt).map_err(|error| failure(&self.path, &error))
     }
@@ -81,7 +80,7 @@ impl ChatTemplate {
         }
         for (index, turn) in turns.iter().enumerate() {
             say("user", image && index == 0, &turn.prompt);
-            // A model may write the placeholder's name; the chat still has only the images that it was given.
+            // An answer with the placeholder's name must not add an image to the chat.
             say("assistant", false, &turn.answer.replace(&self.image_token, ""));
         }
         say("user", image && turns.is_empty(), prompt);
@@ -104,13 +103,13 @@ impl ChatTemplate {
         }
     }
 
-    /// Tries which form of content the template carries through to its output.
+    /// Finds the form of content that the template renders.
     fn accepted_content(&self) -> Result<Content, MllmError> {
         const PROBE: &str = "probe";
         let mut last = None;
         for content in [Content::Parts, Content::Text] {
             match self.render_as(content, "", true, &[], PROBE) {
-                // A template for texts may print the list itself, so the keys of the parts must not show.
+                // A template for texts can print the list itself, so the output must not contain the keys of the parts.
                 Ok(text)
                     if text.matches(&self.image_token).count() == 1
                         && text.contains(PROBE)
@@ -126,7 +125,7 @@ impl ChatTemplate {
     }
 }
 
-/// The template engine as transformers sets it up, with one template.
+/// The template engine, set up as in transformers.
 fn environment(source: &str) -> Result<Environment<'static>, Error> {
     let mut environment = Environment::new();
     environment.set_syntax(SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).build()?);
@@ -134,12 +133,19 @@ fn environment(source: &str) -> Result<Environment<'static>, Error> {
     environment.add_function("raise_exception", |message: String| {
         Err::<Value, Error>(Error::new(ErrorKind::InvalidOperation, message))
     });
-    environment.add_function("strftime_now", |format: String| format_fixed_date(&format));
+    environment.add_function("strftime_now", |format: String| fixed_date(&format));
     environment.add_template_owned(NAME, without_generation_tags(source))?;
     Ok(environment)
 }
 
-/// The template of a model and the file that it stands in.
+/// `strftime_now` of chat templates. The same chat must give the same prompt every day, so the date is always that of Llama 3's
+/// template: 26 July 2024, 00:00:00.
+fn fixed_date(format: &str) -> Result<String, Error> {
+    jiff::fmt::strtime::format(format, jiff::civil::date(2024, 7, 26).at(0, 0, 0, 0))
+        .map_err(|error| Error::new(ErrorKind::InvalidOperation, format!("strftime_now: {error}")))
+}
+
+/// The source of the template and its file.
 fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
     const NAME: &str = "chat_template.jinja";
     if let Some(source) = files.text(NAME)? {
@@ -163,7 +169,7 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
     Err(files.missing("chat_template.jinja (nor a chat_template in chat_template.json or tokenizer_config.json)"))
 }
 
-/// `{% generation %}` marks the model's words for training; here it becomes a block that changes nothing.
+/// Replaces `{% generation %}`, which marks the model's text for training, by a block without effect.
 fn without_generation_tags(source: &str) -> String {
     let mut out = String::with_capacity(source.len());
     let mut rest = source;
@@ -226,6 +232,16 @@ mod tests {
             open("{{ bos_token }}{% for m in messages %}[{{ m.role }}] {{ m.content | trim }}\n{% endfor %}").unwrap();
         assert_eq!(template.render("s", true, &[], "hello ").unwrap(), "<s>[system] s\n[user] <image>\nhello\n");
     }
+
+    #[test]
+    fn the_date_is_always_the_same() {
+        assert_eq!(fixed_date("%d %b %Y, 100%%").unwrap(), "26 Jul 2024, 100%");
+        assert_eq!(fixed_date("%y %m %B %h %A %a %j %H:%M:%S %I %p %F %T").unwrap(), FIXED_DATE);
+        assert!(fixed_date("%Z").is_err());
+        assert!(fixed_date("%").is_err());
+    }
+
+    const FIXED_DATE: &str = "24 07 July Jul Friday Fri 208 00:00:00 12 AM 2024-07-26 00:00:00";
 
     #[test]
     fn broken_and_refusing_templates_are_errors() {

@@ -1,13 +1,13 @@
-//! What each token stands for, in bytes: the ground on which a grammar is enforced.
+//! The bytes of each token, on which grammars work.
 
 use serde_json::Value;
 use tokenizers::Tokenizer;
 use toktrie::TokTrie;
 
-/// Longest token that takes part in constrained decoding, bytes (the token trie's own limit is 1,024 levels).
+/// Maximum bytes of a token in constrained decoding (the token trie has at most 1,024 levels).
 const MAX_TOKEN_BYTES: usize = 1000;
 
-/// How a vocabulary writes bytes.
+/// How a vocabulary spells bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Spelling {
     /// GPT-2: every byte is one printable character.
@@ -16,8 +16,8 @@ enum Spelling {
     SentencePiece,
 }
 
-/// The bytes of every token id below `vocabulary`; empty for ids that are no token. Special tokens are marked by a first
-/// byte of [`TokTrie::SPECIAL_TOKEN_MARKER`], which no text contains.
+/// The bytes of every token id below `vocabulary`, empty for ids without a token. Special tokens begin with
+/// [`TokTrie::SPECIAL_TOKEN_MARKER`], a byte that no text contains.
 pub(super) fn token_bytes(json: &Value, tokenizer: &Tokenizer, vocabulary: usize) -> Result<Vec<Vec<u8>>, String> {
     let spelling = spelling(json)?;
     let mut bytes = vec![Vec::new(); vocabulary];
@@ -25,7 +25,7 @@ pub(super) fn token_bytes(json: &Value, tokenizer: &Tokenizer, vocabulary: usize
         if let Some(entry) = bytes.get_mut(id as usize) {
             *entry = match spelling {
                 Spelling::ByteLevel => byte_level(&token)
-                    .ok_or_else(|| format!("token {token:?} is not spelled in byte-level characters"))?,
+                    .ok_or_else(|| format!("token {token:?} has characters outside the byte-level spelling"))?,
                 Spelling::SentencePiece => sentence_piece(&token),
             };
         }
@@ -47,7 +47,7 @@ pub(super) fn token_bytes(json: &Value, tokenizer: &Tokenizer, vocabulary: usize
     Ok(bytes)
 }
 
-/// Finds out how the vocabulary writes bytes, from the decoder and the pre-tokenizer.
+/// The spelling of the vocabulary, from the decoder and the pre-tokenizer.
 fn spelling(json: &Value) -> Result<Spelling, String> {
     let (decoder, pre_tokenizer, model) = (&json["decoder"], &json["pre_tokenizer"], &json["model"]);
     if has_type(decoder, "decoders", "ByteLevel") || has_type(pre_tokenizer, "pretokenizers", "ByteLevel") {
@@ -58,11 +58,11 @@ fn spelling(json: &Value) -> Result<Spelling, String> {
     {
         Ok(Spelling::SentencePiece)
     } else {
-        Err("neither a byte-level nor a SentencePiece tokenizer: its tokens cannot be written as bytes".into())
+        Err("the tokenizer is neither byte-level nor SentencePiece, so its tokens have no known bytes".into())
     }
 }
 
-/// Whether a component is of a type, or is a sequence with a part of it.
+/// Whether a component has a type, or is a sequence with a part of that type.
 fn has_type(component: &Value, parts: &str, wanted: &str) -> bool {
     component["type"].as_str() == Some(wanted)
         || component[parts]
@@ -70,7 +70,7 @@ fn has_type(component: &Value, parts: &str, wanted: &str) -> bool {
             .is_some_and(|parts| parts.iter().any(|part| part["type"].as_str() == Some(wanted)))
 }
 
-/// Undoes GPT-2's spelling: printable Latin-1 stands for itself, the 68 other bytes, in order, for U+0100 and up.
+/// Decodes GPT-2's spelling: printable Latin-1 stands for itself; the 68 other bytes are, in order, U+0100 and up.
 fn byte_level(token: &str) -> Option<Vec<u8>> {
     token
         .chars()

@@ -1,4 +1,4 @@
-//! Text to token ids and back, from a model's `tokenizer.json`.
+//! Conversion of text to token ids and back, by a model's `tokenizer.json`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use super::token_bytes::token_bytes;
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{ModelFiles, Section};
 
-/// The tokenizer of a model, with the special tokens that its chat template may name.
+/// The tokenizer of a model with the special tokens of its chat template.
 #[derive(Debug, Clone)]
 pub struct ChatTokenizer {
     tokenizer: Arc<Tokenizer>,
@@ -20,22 +20,22 @@ pub struct ChatTokenizer {
     bytes: Arc<Vec<Vec<u8>>>,
 }
 
-/// Keys of `tokenizer_config.json` that name a special token.
+/// Keys of special tokens in `tokenizer_config.json`.
 const SPECIAL_TOKENS: [&str; 4] = ["bos_token", "eos_token", "unk_token", "pad_token"];
 
 impl ChatTokenizer {
-    /// Opens `tokenizer.json`, and `tokenizer_config.json` if it is there, for a model of `vocabulary` token ids, outside of
-    /// which only the placeholder of an image may lie.
+    /// Opens `tokenizer.json`, and `tokenizer_config.json` if it exists, for a model with `vocabulary` token ids. Only the image
+    /// placeholder may have an id outside of them.
     ///
     /// # Errors
-    /// When the file is missing or broken, or makes ids outside of the vocabulary.
+    /// When the file is missing or broken, or has ids outside the vocabulary.
     pub(crate) fn open(files: &ModelFiles, vocabulary: usize, image_token: u32) -> Result<Self, MllmError> {
         let json = files.required_json("tokenizer.json")?;
         let path = files.path("tokenizer.json");
         let broken = |problem: String| MllmError::Tokenizer { path: path.clone(), problem };
         let mut tokenizer: Tokenizer =
             serde_json::from_value(json.clone()).map_err(|error| broken(error.to_string()))?;
-        // A fixed length for batches, which some files carry, would cut or pad prompts.
+        // Some files set a fixed length for batches, which would cut or pad prompts.
         tokenizer.with_padding(None);
         tokenizer.with_truncation(None).map_err(|error| broken(error.to_string()))?;
         let outside = tokenizer
@@ -51,7 +51,7 @@ impl ChatTokenizer {
         Ok(Self { special: special_tokens(files)?, tokenizer: Arc::new(tokenizer), path, bytes: Arc::new(bytes) })
     }
 
-    /// The file, for messages.
+    /// The file, for error messages.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
@@ -61,33 +61,28 @@ impl ChatTokenizer {
         &self.special
     }
 
-    /// The underlying tokenizer, made to take the names of special tokens for text.
+    /// The tokenizer with the names of special tokens treated as text.
     pub(crate) fn for_plain_text(&self) -> Tokenizer {
         let mut tokenizer = (*self.tokenizer).clone();
         tokenizer.set_encode_special_tokens(true);
         tokenizer
     }
 
-    /// What each token id stands for in an answer; see [`token_bytes`].
+    /// The bytes of each token id; see [`token_bytes`].
     pub(crate) fn bytes(&self) -> &[Vec<u8>] {
         &self.bytes
     }
 
-    /// The id of a token.
     pub(crate) fn id(&self, token: &str) -> Option<u32> {
         self.tokenizer.token_to_id(token)
     }
 
-    /// The token of an id.
     pub(crate) fn token(&self, id: u32) -> Option<String> {
         self.tokenizer.id_to_token(id)
     }
 
-    /// Ids of a rendered chat. As in transformers, the tokenizer adds its own special tokens only if the chat template
-    /// has not begun with the beginning-of-sequence token itself.
-    ///
-    /// # Errors
-    /// When the tokenizer refuses the text.
+    /// Ids of a rendered chat. As in transformers, the tokenizer adds its special tokens only if the rendered chat does not
+    /// begin with the beginning-of-sequence token.
     pub(crate) fn encode_chat(&self, rendered: &str) -> Result<Vec<u32>, MllmError> {
         let begun = self.special.get("bos_token").is_some_and(|bos| rendered.starts_with(bos.as_str()));
         self.tokenizer
@@ -96,10 +91,7 @@ impl ChatTokenizer {
             .map_err(|error| self.error(error.to_string()))
     }
 
-    /// Ids of a text, without special tokens around it.
-    ///
-    /// # Errors
-    /// When the tokenizer refuses the text.
+    /// Ids of a text, without special tokens.
     pub(crate) fn encode_text(&self, text: &str) -> Result<Vec<u32>, MllmError> {
         self.tokenizer
             .encode_fast(text, false)
@@ -108,15 +100,12 @@ impl ChatTokenizer {
     }
 
     /// Text of an answer, without special tokens.
-    ///
-    /// # Errors
-    /// When the tokenizer cannot decode the ids.
     pub(crate) fn decode(&self, ids: &[u32]) -> Result<String, MllmError> {
         self.tokenizer.decode(ids, true).map_err(|error| self.error(error.to_string()))
     }
 
-    /// Text of an answer, each token's bytes one after another; unlike [`Self::decode`] it keeps a leading space that the
-    /// tokenizer takes for its own.
+    /// Text of an answer by the bytes of its tokens. Unlike [`Self::decode`], it keeps the leading space that some tokenizers
+    /// add and remove.
     pub(crate) fn decode_verbatim(&self, ids: &[u32]) -> String {
         let bytes: Vec<u8> = ids
             .iter()
@@ -133,10 +122,7 @@ impl ChatTokenizer {
     }
 }
 
-/// Reads the special tokens of `tokenizer_config.json` by role, each a text or an object with its `content`.
-///
-/// # Errors
-/// When the file is broken.
+/// Reads the special tokens of `tokenizer_config.json` by role. Each is a text, or an object with its `content`.
 pub(crate) fn special_tokens(files: &ModelFiles) -> Result<BTreeMap<String, String>, MllmError> {
     const NAME: &str = "tokenizer_config.json";
     let mut special = BTreeMap::new();

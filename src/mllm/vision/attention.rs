@@ -1,33 +1,31 @@
-//! What the vision transformers of all families have in common.
+//! Shared parts of vision transformers.
 
 use candle_core::{Result, Tensor};
 
 use crate::mllm::attention::{AttentionMask, HeadShape, KeyValues, Precision, Projected, attend};
 use crate::mllm::linear::Linear;
 
-/// Attention of every row of an image to every row of it; query, key and value projections are one matrix.
+/// Attention among all tokens of an image. Query, key and value projections are one matrix.
 #[derive(Debug)]
 pub(crate) struct SelfAttention {
     /// (hidden) to (3, heads, head width).
     pub qkv: Linear,
-    /// The output projection.
     pub out: Linear,
-    /// Number of heads.
     pub heads: usize,
 }
 
 impl SelfAttention {
-    /// Maps rows of as many tokens each image, (images · tokens, hidden), to as many.
+    /// Maps (images · tokens, hidden) to the same shape.
     pub(crate) fn forward(&self, x: &Tensor, images: usize) -> Result<Tensor> {
         self.out.forward(&self.mix(x, images)?)
     }
 
-    /// residual + what it makes of x, both (images · tokens, hidden).
+    /// residual + attention(x), both (images · tokens, hidden).
     pub(crate) fn forward_onto(&self, x: &Tensor, images: usize, residual: &Tensor) -> Result<Tensor> {
         self.out.forward_onto(&self.mix(x, images)?, residual)
     }
 
-    /// The heads' results side by side.
+    /// The concatenated results of the heads.
     fn mix(&self, x: &Tensor, images: usize) -> Result<Tensor> {
         let (rows, hidden) = x.dims2()?;
         let tokens = rows / images;
@@ -44,8 +42,8 @@ impl SelfAttention {
     }
 }
 
-/// Cuts pixels (3, side, side) into rows of one patch each, (patches, 3 · patch²), as a convolution's kernel is laid out;
-/// what is left over at the right and the bottom is dropped.
+/// Cuts pixels (3, side, side) into patches, (patches, 3 · patch²), in the layout of a convolution kernel. Drops the remainder
+/// at the right and at the bottom.
 pub(crate) fn unfold(pixels: &Tensor, patch: usize) -> Result<Tensor> {
     let grid = pixels.dim(1)? / patch;
     let used = grid * patch;
@@ -57,8 +55,8 @@ pub(crate) fn unfold(pixels: &Tensor, patch: usize) -> Result<Tensor> {
         .reshape((grid * grid, 3 * patch * patch))
 }
 
-/// Puts a class token, (1, hidden), before the patches of each image, (images · patches, hidden), and adds the embeddings of
-/// their positions, (1 + patches, hidden); gives (images · (1 + patches), hidden).
+/// Puts a class token, (1, hidden), before the patches of each image, (images · patches, hidden), and adds the position
+/// embeddings, (1 + patches, hidden). Returns (images · (1 + patches), hidden).
 pub(crate) fn embed(class: &Tensor, patches: &Tensor, positions: &Tensor) -> Result<Tensor> {
     let (tokens, hidden) = positions.dims2()?;
     let patches = patches.reshape(((), tokens - 1, hidden))?;

@@ -9,7 +9,7 @@ use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
 use crate::mllm::matrix::Matrix;
 
-/// A CLIP vision tower, as deep as its user needs it.
+/// The first layers of a CLIP vision tower.
 #[derive(Debug)]
 pub(crate) struct ClipVisionTower {
     class_embedding: Tensor,
@@ -31,10 +31,7 @@ struct Layer {
 }
 
 impl ClipVisionTower {
-    /// Takes the weights of the first `depth` layers, after checking that the others are there too.
-    ///
-    /// # Errors
-    /// When a tensor is missing or misshapen.
+    /// Takes the weights of the first `depth` layers. The other layers must be in the checkpoint too.
     pub(crate) fn take(weights: &mut Weights, config: &VisionConfig, depth: usize) -> Result<Self, MllmError> {
         let hidden = config.hidden;
         let patch = config.patch_size;
@@ -52,18 +49,18 @@ impl ClipVisionTower {
             patch_embedding: Linear::from_matrix(Matrix::from_tensor(&patch_kernel.flatten_from(1)?)?, None),
             position_embedding: weights
                 .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches() + 1, hidden])?,
-            // The misspelling is CLIP's own and stands in every checkpoint.
+            // The misspelling is CLIP's own and is in every checkpoint.
             pre_norm: LayerNorm::take(weights, "vision_tower.pre_layrnorm", hidden, config.layer_norm_eps)?,
             layers,
             config: config.clone(),
         })
     }
 
-    /// Hidden states of images, pixels (3, side, side) each: the `wanted` ones of that of the embeddings, which is 0, and of
-    /// those after each layer, of shape (images, 1 + patches, hidden) each.
+    /// The `wanted` hidden states of images with pixels (3, side, side): 0 are the embeddings, n is the state after layer n.
+    /// Each has shape (images, 1 + patches, hidden).
     ///
     /// # Errors
-    /// When there is no such state.
+    /// When a wanted state does not exist.
     pub(crate) fn hidden_states(&self, images: &[Tensor], wanted: &[usize]) -> candle_core::Result<Vec<Tensor>> {
         let patches = images.iter().map(|pixels| unfold(pixels, self.config.patch_size));
         let patches = Tensor::cat(&patches.collect::<candle_core::Result<Vec<_>>>()?, 0)?;
@@ -82,7 +79,7 @@ impl ClipVisionTower {
         found
             .into_iter()
             .collect::<Option<_>>()
-            .ok_or_else(|| candle_core::Error::Msg(format!("no hidden states {wanted:?}")))
+            .ok_or_else(|| candle_core::Error::Msg(format!("the vision tower has no hidden states {wanted:?}")))
     }
 }
 

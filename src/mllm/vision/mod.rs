@@ -1,4 +1,4 @@
-//! What the families' ways from an image to image tokens share: preprocessing, the CLIP tower, attention.
+//! Shared parts of image encoding: preprocessing, the CLIP tower, attention.
 
 mod attention;
 mod clip;

@@ -1,4 +1,4 @@
-//! From 8-bit pixels to the numbers that a vision tower was trained on.
+//! Conversion of 8-bit pixels to the input of a vision tower.
 
 use candle_core::{Device, Tensor};
 use image::RgbImage;
@@ -6,24 +6,24 @@ use image::RgbImage;
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::Section;
 
-/// Mean of the RGB channels that CLIP was trained with (`OPENAI_CLIP_MEAN` in transformers).
+/// Mean of the RGB channels in CLIP's training (`OPENAI_CLIP_MEAN` in transformers).
 const CLIP_MEAN: [f32; 3] = [0.481_454_66, 0.457_827_5, 0.408_210_73];
-/// Standard deviation of the RGB channels that CLIP was trained with (`OPENAI_CLIP_STD` in transformers).
+/// Standard deviation of the RGB channels in CLIP's training (`OPENAI_CLIP_STD` in transformers).
 const CLIP_STD: [f32; 3] = [0.268_629_54, 0.261_302_6, 0.275_777_1];
-/// What takes an 8-bit channel to [0, 1].
+/// Factor from an 8-bit channel to [0, 1].
 const UNIT: f64 = 1.0 / 255.0;
 
-/// Rescaling and normalising of pixel values.
+/// Rescaling and normalization of pixel values.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PixelScale {
     rescale: Option<f64>,
     /// Mean and standard deviation of the channels.
-    normalise: Option<([f32; 3], [f32; 3])>,
+    normalize: Option<([f32; 3], [f32; 3])>,
 }
 
 impl PixelScale {
     /// To [0, 1], then by CLIP's mean and standard deviation.
-    pub(crate) const CLIP: Self = Self { rescale: Some(UNIT), normalise: Some((CLIP_MEAN, CLIP_STD)) };
+    pub(crate) const CLIP: Self = Self { rescale: Some(UNIT), normalize: Some((CLIP_MEAN, CLIP_STD)) };
 
     /// Reads `do_rescale`, `rescale_factor`, `do_normalize`, `image_mean` and `image_std`; absent keys are CLIP's.
     ///
@@ -32,7 +32,7 @@ impl PixelScale {
     pub(crate) fn from_section(section: &Section<'_>) -> Result<Self, MllmError> {
         let rescale =
             if section.flag("do_rescale", true)? { Some(section.positive("rescale_factor", UNIT)?) } else { None };
-        let normalise = if section.flag("do_normalize", true)? {
+        let normalize = if section.flag("do_normalize", true)? {
             let std = section.triple("image_std", CLIP_STD)?;
             if std.contains(&0.0) {
                 return Err(section.error("image_std", "must not be zero".into()));
@@ -41,13 +41,13 @@ impl PixelScale {
         } else {
             None
         };
-        Ok(Self { rescale, normalise })
+        Ok(Self { rescale, normalize })
     }
 
-    /// Mean and standard deviation, of 8-bit pixels brought to [0, 1]; none if it does something else.
+    /// Mean and standard deviation of pixels rescaled to [0, 1]; `None` for any other rescaling.
     pub(crate) fn mean_and_deviation(&self) -> Option<[[f32; 3]; 2]> {
         let to_unit = self.rescale.is_some_and(|factor| (factor - UNIT).abs() < 1e-9);
-        self.normalise.filter(|_| to_unit).map(|(mean, deviation)| [mean, deviation])
+        self.normalize.filter(|_| to_unit).map(|(mean, deviation)| [mean, deviation])
     }
 
     /// Pixel values of shape (3, height, width).
@@ -61,7 +61,7 @@ impl PixelScale {
                     Some(factor) => (f64::from(value) * factor) as f32,
                     None => f32::from(value),
                 };
-                if let Some((mean, std)) = self.normalise {
+                if let Some((mean, std)) = self.normalize {
                     value = (value - mean[channel]) / std[channel];
                 }
                 values[channel * plane + index] = value;
@@ -71,13 +71,11 @@ impl PixelScale {
     }
 }
 
-/// Refuses an image without pixels.
-///
 /// # Errors
-/// When it has none.
+/// When the image has no pixels.
 pub(crate) fn check_not_empty(image: &RgbImage) -> Result<(), MllmError> {
     if image.width() == 0 || image.height() == 0 {
-        return Err(MllmError::Image { problem: "it has no pixels".into() });
+        return Err(MllmError::Image { problem: "the image has no pixels".into() });
     }
     Ok(())
 }

@@ -1,16 +1,15 @@
-//! Image resampling to the bit as Pillow does it, which is what the models were trained on.
+//! Image resampling, bit-identical to Pillow's, which the models were trained with.
 //!
-//! Separable convolution, first along rows, then along columns, with 8-bit results in between (Pillow before 13, which
-//! began to take the columns of tall images first). When an image shrinks, the
-//! filter is stretched by the same factor, so nothing aliases. Coefficients are 22-bit fixed point
-//! (Pillow, `libImaging/Resample.c`).
+//! A separable convolution, first along rows, then along columns, with 8-bit intermediate results. Pillow 13 and later take
+//! the columns of tall images first; this is the order of earlier versions. For a smaller target, the filter is stretched by
+//! the same factor against aliasing. Coefficients are 22-bit fixed point (Pillow, `libImaging/Resample.c`).
 
 use image::RgbImage;
 
 /// Bits after the point of the filter coefficients.
 const PRECISION_BITS: u32 = 32 - 8 - 2;
 
-/// Filters by their Pillow names.
+/// Pillow's filters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Filter {
     /// Windowed sinc of three lobes.
@@ -22,7 +21,7 @@ pub(crate) enum Filter {
 }
 
 impl Filter {
-    /// Filter by its number in `preprocessor_config.json` (`PIL.Image.Resampling`).
+    /// The filter of a number in `preprocessor_config.json` (`PIL.Image.Resampling`).
     pub(crate) fn from_pillow(number: u64) -> Option<Self> {
         match number {
             1 => Some(Self::Lanczos),

@@ -1,78 +1,72 @@
-//! The figures of a bench.
+//! Statistics of a benchmark.
 
 use crate::experiment::bench::{EngineName, IterationRow, ModelRow, Row};
 use crate::report::Quantiles;
 use serde::Serialize;
 
-/// The figures of a bench.
+/// Statistics of a benchmark.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BenchFigures {
-    /// A line a model and engine.
+    /// One entry for each model and engine.
     pub models: Vec<ModelFigures>,
-    /// This program against llama.cpp; empty without a comparison.
+    /// This program compared with llama.cpp; empty without llama.cpp.
     pub comparisons: Vec<Comparison>,
-    /// Models that could not be measured, with the reason.
+    /// Failed models with the reason.
     pub failed: Vec<(String, String)>,
 }
 
-/// What a model costs. Times are medians over the iterations that count.
+/// Cost of a model. Times are medians over the measured iterations.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ModelFigures {
-    /// What was loaded.
     #[serde(flatten)]
     pub about: ModelRow,
-    /// Planning calls that count.
+    /// Measured planning calls.
     pub calls: usize,
     /// Preprocessing, vision tower and projector, milliseconds.
     pub image_encode_ms: Option<f64>,
-    /// Tokens a second of the first prompt, the image's among them.
+    /// Tokens a second of the first prompt, image included.
     pub prefill_tokens_per_s: Option<f64>,
-    /// From the start of a call to the first token that the model chose, milliseconds.
+    /// From the start of a call to the first sampled token, milliseconds.
     pub first_token_ms: Option<f64>,
-    /// Tokens a second, one by one.
+    /// Tokens a second in passes of one token.
     pub decode_tokens_per_s: Option<f64>,
-    /// A whole planning call, milliseconds.
+    /// Planning call, milliseconds.
     pub call_ms: Option<Quantiles>,
 }
 
-/// This program against llama.cpp in one thing, pair by pair.
+/// One measurement of this program and of llama.cpp, iteration by iteration.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The model's name.
     pub model: String,
-    /// What was measured.
     pub what: String,
-    /// In what: `tok/s` or `ms`.
+    /// `tok/s` or `ms`.
     pub unit: &'static str,
-    /// This program, median.
+    /// Median of this program.
     pub ours: f64,
-    /// llama.cpp, median.
+    /// Median of llama.cpp.
     pub theirs: f64,
-    /// How many times as fast this program is.
+    /// Speed of this program relative to llama.cpp.
     pub ratio: Spread,
 }
 
 /// Median and extremes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
-    /// The median (the mean of the middle two of an even number).
+    /// For an even number of values the mean of the middle two.
     pub median: f64,
-    /// The least.
-    pub least: f64,
-    /// The most.
-    pub most: f64,
+    pub min: f64,
+    pub max: f64,
 }
 
-/// Units of comparisons: more is faster,
+/// Unit where more is faster.
 const TOKENS_PER_S: &str = "tok/s";
-/// and less is faster.
+/// Unit where less is faster.
 const MS: &str = "ms";
 
-/// The workload that the table of models is made of.
+/// The workload of the table of models.
 const CALL: &str = "call";
 
 impl BenchFigures {
-    /// The figures of rows.
     pub fn of(rows: &[Row]) -> Self {
         let iterations: Vec<&IterationRow> = rows
             .iter()
@@ -120,7 +114,7 @@ impl ModelFigures {
     }
 }
 
-/// A thing that is compared: its name, its unit, and how it is read off an iteration.
+/// Name, unit and value of a compared measurement.
 type Compared = (String, &'static str, fn(&IterationRow) -> Option<f64>);
 
 fn comparisons(model: &str, iterations: &[&IterationRow]) -> Vec<Comparison> {
@@ -183,13 +177,13 @@ impl Comparison {
 }
 
 impl Spread {
-    /// Of some values; none of none.
+    /// `None` without values.
     pub fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
-        let (least, most) = (*values.first()?, *values.last()?);
-        let middle = |place: usize| values.get(place).copied().unwrap_or(most);
+        let (min, max) = (*values.first()?, *values.last()?);
+        let middle = |place: usize| values.get(place).copied().unwrap_or(max);
         let median = f64::midpoint(middle((values.len() - 1) / 2), middle(values.len() / 2));
-        Some(Self { median, least, most })
+        Some(Self { median, min, max })
     }
 }
 
@@ -213,8 +207,8 @@ mod tests {
     #[test]
     fn the_middle_of_an_even_number_is_a_mean() {
         let spread = Spread::of(vec![3.0, 1.0, 2.0, 10.0]).unwrap();
-        assert_eq!(spread, Spread { median: 2.5, least: 1.0, most: 10.0 });
-        assert_eq!(Spread::of(vec![7.0]), Some(Spread { median: 7.0, least: 7.0, most: 7.0 }));
+        assert_eq!(spread, Spread { median: 2.5, min: 1.0, max: 10.0 });
+        assert_eq!(Spread::of(vec![7.0]), Some(Spread { median: 7.0, min: 7.0, max: 7.0 }));
         assert_eq!(Spread::of(vec![]), None);
     }
 
@@ -237,6 +231,6 @@ mod tests {
         let found = comparisons("m", &iterations);
         assert_eq!(found.len(), 1, "{found:?}");
         assert_eq!((found[0].ours, found[0].theirs), (10.0, 30.0));
-        assert_eq!(found[0].ratio, Spread { median: 2.0, least: 1.5, most: 3.0 });
+        assert_eq!(found[0].ratio, Spread { median: 2.0, min: 1.5, max: 3.0 });
     }
 }

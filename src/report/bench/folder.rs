@@ -1,4 +1,4 @@
-//! The folder of a bench: `metadata.json`, `rows.jsonl`, and at the end `figures.json` and `table.md`.
+//! The folder of a benchmark: `metadata.json`, `rows.jsonl`, and at the end `figures.json` and `table.md`.
 
 use crate::experiment::bench::Row;
 use crate::report::atomic;
@@ -13,27 +13,26 @@ const ROWS: &str = "rows.jsonl";
 const FIGURES: &str = "figures.json";
 const TABLE: &str = "table.md";
 
-/// What was measured where and how.
+/// Settings and machine of a benchmark.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BenchMetadata {
     /// Version of the program.
     pub planagent: String,
-    /// Commit of the work tree that the program lies in, with `-dirty` if it was changed since; none if it lies in none.
+    /// Commit of the build, with `-dirty` for uncommitted changes; `None` if unknown.
     pub commit: Option<String>,
-    /// When the bench was started: `YYYY.MM.DD.hh.mm.ss`, UTC.
+    /// Start time: `YYYY.MM.DD.hh.mm.ss`, UTC.
     pub started: String,
-    /// The command line.
     pub command: Vec<String>,
-    /// Processor, as the system names it.
+    /// The system's name of the processor.
     pub cpu: String,
-    /// Memory of the machine, bytes; none where the system does not tell.
+    /// Memory of the machine, bytes; `None` where the system does not report it.
     pub memory: Option<u64>,
-    /// What two sessions of one bench must agree in.
+    /// Settings that a resumed benchmark must share.
     pub settings: serde_json::Map<String, serde_json::Value>,
 }
 
-/// The folder of a bench. A model's rows are written when it is done, all at once.
+/// The folder of a benchmark. All rows of a model are written together.
 #[derive(Debug)]
 pub struct BenchFolder {
     path: PathBuf,
@@ -41,10 +40,10 @@ pub struct BenchFolder {
 }
 
 impl BenchFolder {
-    /// Makes the folder of a new bench.
+    /// Creates the folder of a new benchmark.
     ///
     /// # Errors
-    /// When it cannot be made or written, or is not empty.
+    /// When the folder is not empty or cannot be written.
     pub fn create(path: &Path, metadata: &BenchMetadata) -> Result<Self, ReportError> {
         atomic::folder(path)?;
         if fs::read_dir(path).map_err(ReportError::read(path))?.next().is_some() {
@@ -54,10 +53,10 @@ impl BenchFolder {
         Ok(Self { path: path.to_owned(), rows: Vec::new() })
     }
 
-    /// Opens the folder of a bench to go on with it; `now` is what it would be started with today.
+    /// Opens the folder of a benchmark to resume it; `now` has the current settings.
     ///
     /// # Errors
-    /// When there is none, or it was started otherwise.
+    /// When the folder does not exist, or the settings differ.
     pub fn resume(path: &Path, now: &BenchMetadata) -> Result<Self, ReportError> {
         let then: BenchMetadata = read_json(&path.join(METADATA))?;
         let differences: Vec<String> = now
@@ -73,40 +72,30 @@ impl BenchFolder {
             return Err(ReportError::at(path)(ReportFault::Differs(differences)));
         }
         let file = path.join(ROWS);
-        // A model that failed is tried again.
+        // Failed models run again.
         let rows = if file.is_file() { Self::read(path)? } else { Vec::new() };
         let rows: Vec<Row> = rows.into_iter().filter(|row| !matches!(row, Row::Failed(_))).collect();
         Ok(Self { path: path.to_owned(), rows })
     }
 
-    /// The rows of the bench in a folder.
-    ///
-    /// # Errors
-    /// When there is none, or a row cannot be understood.
     pub fn read(path: &Path) -> Result<Vec<Row>, ReportError> {
         let file = path.join(ROWS);
         parse_rows(&file, &fs::read_to_string(&file).map_err(ReportError::read(&file))?)
     }
 
-    /// Where it is.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// All rows.
     pub fn rows(&self) -> &[Row] {
         &self.rows
     }
 
-    /// The names of the models that are done.
+    /// Names of the completed models.
     pub fn done(&self) -> BTreeSet<&str> {
         self.rows.iter().map(Row::model).collect()
     }
 
-    /// Adds the rows of a model.
-    ///
-    /// # Errors
-    /// When they cannot be written.
     pub fn commit(&mut self, rows: &[Row]) -> Result<(), ReportError> {
         self.rows.extend_from_slice(rows);
         let mut text = Vec::new();
@@ -117,10 +106,6 @@ impl BenchFolder {
         atomic::write(&self.path.join(ROWS), &text)
     }
 
-    /// Writes the figures and the table.
-    ///
-    /// # Errors
-    /// When they cannot be written.
     pub fn finish(&self, figures: &impl Serialize, table: &str) -> Result<(), ReportError> {
         atomic::write(&self.path.join(FIGURES), &json(&self.path, figures)?)?;
         atomic::write(&self.path.join(TABLE), table.as_bytes())

@@ -1,4 +1,4 @@
-//! What a bench leaves: a folder with its rows, and figures made of them.
+//! Results of a benchmark: the folder with its rows, and statistics of them.
 
 mod figures;
 mod folder;

@@ -97,7 +97,7 @@ fn models<'a>(
 fn comparisons(figures: &BenchFigures) -> Table {
     let row = |row: &Comparison| {
         let [ours, theirs] = [row.ours, row.theirs].map(three_digits);
-        let range = format!("{:.2} to {:.2}", row.ratio.least, row.ratio.most);
+        let range = format!("{:.2} to {:.2}", row.ratio.min, row.ratio.max);
         let ratio = format!("{:.2}", row.ratio.median);
         vec![row.model.clone(), row.what.clone(), row.unit.to_owned(), ours, theirs, ratio, range]
     };

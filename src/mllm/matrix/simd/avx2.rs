@@ -1,5 +1,5 @@
-//! AVX2 with FMA and F16C: Intel since Haswell, AMD since Zen. A vector is two registers.
-#![allow(unsafe_code, reason = "vector instructions; a value of Avx2 is proof that the machine has them")]
+//! AVX2 with FMA and F16C: Intel since Haswell, AMD since Zen. A vector takes two registers.
+#![allow(unsafe_code, reason = "vector instructions; an `Avx2` value exists only where the CPU has them")]
 
 use std::arch::x86_64::{
     __m256, __m256i, _MM_FROUND_NO_EXC, _MM_FROUND_TO_NEAREST_INT, _MM_HINT_T0, _mm_loadl_epi64, _mm_loadu_si128,
@@ -11,15 +11,14 @@ use std::arch::x86_64::{
     _mm256_slli_epi32, _mm256_srli_epi16, _mm256_store_si256, _mm256_storeu_ps, _mm256_xor_si256,
 };
 
-use super::{Kernel, LANES, Simd};
-use crate::mllm::matrix::line::CacheLine;
+use super::{Kernel, Simd};
+use crate::mllm::matrix::line::{CacheLine, LANES};
 
-/// Proof that the machine has AVX2, FMA and F16C.
+/// A value exists only where the CPU has AVX2, FMA and F16C.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::mllm::matrix) struct Avx2(());
 
 impl Avx2 {
-    /// The proof, if there is one.
     pub(in crate::mllm::matrix) fn detect() -> Option<Self> {
         let all =
             is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") && is_x86_feature_detected!("f16c");
@@ -39,8 +38,8 @@ fn both_of_three<A: Copy>(a: [A; 2], b: [A; 2], c: [A; 2], function: impl Fn(A, 
     [function(a[0], b[0], c[0]), function(a[1], b[1], c[1])]
 }
 
-// SAFETY of all blocks below: the instructions exist, because `self` does; what is loaded and stored are references to
-// arrays of twice the operand's size, lines are aligned to theirs.
+// SAFETY of all blocks below: `self` exists, so the CPU has the instructions. Loads and stores take references to arrays
+// of twice the operand's size; cache lines have the operand's alignment.
 impl Simd for Avx2 {
     type Ints = [__m256i; 2];
     type Floats = [__m256; 2];
@@ -114,7 +113,7 @@ impl Simd for Avx2 {
 
     #[inline(always)]
     fn dot(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints {
-        // Two products of a weight below 128 and a signed byte fit 16 bits.
+        // Two products of a weight below 128 and a signed byte fit in 16 bits.
         // SAFETY: as above.
         both_of_three(sum, weights, weights, |sum, weights, _| unsafe {
             let pairs = _mm256_maddubs_epi16(weights, _mm256_set1_epi32(activations));
@@ -128,8 +127,8 @@ impl Simd for Avx2 {
         unsafe { [_mm256_setzero_si256(); 2] }
     }
 
-    // Two products of an unsigned byte above 127 and a signed one might not fit 16 bits, so the sign of the weight goes to
-    // the activation.
+    // Two products of an unsigned byte above 127 and a signed byte can overflow 16 bits, so the activation takes the
+    // weight's sign.
     #[inline(always)]
     fn dot_biased(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints {
         // SAFETY: as above.

@@ -1,5 +1,5 @@
 //! AVX-512 with VNNI: Intel since Ice Lake, AMD since Zen 4.
-#![allow(unsafe_code, reason = "vector instructions; a value of Avx512 is proof that the machine has them")]
+#![allow(unsafe_code, reason = "vector instructions; an `Avx512` value exists only where the CPU has them")]
 
 use std::arch::x86_64::{
     __m512, __m512i, _MM_FROUND_NO_EXC, _MM_FROUND_TO_NEAREST_INT, _MM_HINT_T0, _mm_loadu_si128, _mm_prefetch,
@@ -10,15 +10,14 @@ use std::arch::x86_64::{
     _mm512_set1_epi32, _mm512_set1_ps, _mm512_slli_epi16, _mm512_srli_epi16, _mm512_store_si512, _mm512_storeu_ps,
 };
 
-use super::{Kernel, LANES, Simd};
-use crate::mllm::matrix::line::CacheLine;
+use super::{Kernel, Simd};
+use crate::mllm::matrix::line::{CacheLine, LANES};
 
-/// Proof that the machine has AVX-512 F, BW and VNNI.
+/// A value exists only where the CPU has AVX-512 F, BW and VNNI.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::mllm::matrix) struct Avx512(());
 
 impl Avx512 {
-    /// The proof, if there is one.
     pub(in crate::mllm::matrix) fn detect() -> Option<Self> {
         let all = is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512bw")
@@ -27,8 +26,8 @@ impl Avx512 {
     }
 }
 
-// SAFETY of all blocks below: the instructions exist, because `self` does; what is loaded and stored are references to
-// arrays of the operand's size, lines are aligned to theirs.
+// SAFETY of all blocks below: `self` exists, so the CPU has the instructions. Loads and stores take references to arrays
+// of the operand's size; cache lines have the operand's alignment.
 impl Simd for Avx512 {
     type Ints = __m512i;
     type Floats = __m512;
@@ -101,7 +100,7 @@ impl Simd for Avx512 {
         unsafe { _mm512_dpbusd_epi32(sum, weights, _mm512_set1_epi32(activations)) }
     }
 
-    // The weights are taken as they are, 128 too large, and the surplus is subtracted beforehand.
+    // The weights are 128 too large here; `biased_start` subtracts the surplus first.
     #[inline(always)]
     fn biased_start(self, sum: i32) -> __m512i {
         self.ints(-128 * sum)

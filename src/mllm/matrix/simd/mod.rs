@@ -1,6 +1,7 @@
-//! Vectors of sixteen outputs, in each instruction set that the kernels are compiled for.
+//! Vectors of sixteen lanes in each instruction set that the kernels are compiled for.
 //!
-//! A kernel is written once, over [`Simd`], and [`dispatch`] runs it with the best instructions that this machine has.
+//! A kernel is generic over [`Simd`]. [`Instructions::run`] picks the instruction set at run time. Only x86-64 has vector
+//! code of its own; other processors run [`portable`], which the compiler vectorizes as far as it can.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -8,15 +9,12 @@ mod avx2;
 mod avx512;
 mod portable;
 
-use super::line::CacheLine;
+use super::line::{CacheLine, LANES};
 
-/// Outputs that a vector holds: the rows of a tile.
-pub(crate) const LANES: usize = 16;
-
-/// Operations on sixteen lanes. A value of such a type exists only where the machine has the instructions.
+/// Operations on sixteen lanes. A value of an implementing type exists only where the CPU has the instructions.
 ///
-/// Products of bytes: each lane holds four unsigned bytes of its output's weights; the activations are four signed bytes in
-/// an `i32`, the same for all lanes.
+/// Byte products: each lane holds four unsigned bytes of its output's weights. The activations are four signed bytes in an
+/// `i32`, the same for all lanes.
 pub(crate) trait Simd: Copy + Send + Sync {
     /// 16 lanes of i32, or 32 of i16.
     type Ints: Copy;
@@ -25,65 +23,56 @@ pub(crate) trait Simd: Copy + Send + Sync {
     /// 16 lanes of four bytes.
     type Bytes: Copy;
 
-    /// Vectors of f32 that the registers hold: how large a tile of sums may be.
+    /// f32 vectors that fit in the registers; limits how many sums a kernel keeps at once.
     const REGISTERS: usize;
 
-    /// Runs a kernel where the compiler may use the instructions.
+    /// Runs a kernel in a function that enables the instructions.
     fn run<K: Kernel>(self, kernel: K);
 
-    /// Asks for a line that is soon wanted.
     fn prefetch(self, line: &CacheLine);
-    /// Loads a line.
     fn bytes(self, line: &CacheLine) -> Self::Bytes;
-    /// Stores a line.
     fn store_bytes(self, bytes: Self::Bytes, line: &mut CacheLine);
     /// The low four bits of each byte.
     fn low(self, bytes: Self::Bytes) -> Self::Bytes;
     /// The high four bits of each byte.
     fn high(self, bytes: Self::Bytes) -> Self::Bytes;
-    /// Adds to numbers of four bits the two bits that stand at bit 2 · RUN of `high` as bits 4 and 5.
+    /// Sets bits 4 and 5 of four-bit numbers to the two bits at bit 2 · RUN of `high`.
     fn with_two_bits<const RUN: u32>(self, low: Self::Bytes, high: Self::Bytes) -> Self::Bytes;
 
     /// The same number in every lane.
     fn ints(self, value: i32) -> Self::Ints;
-    /// sum + Σ weight · activation over the four bytes of each lane; weights are below 128.
+    /// sum + Σ weight · activation over the four bytes of each lane, for weights below 128.
     fn dot(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints;
-    /// The start of a sum by [`Self::dot_biased`], where `sum` is the sum of all its activations.
+    /// The value that a sum by [`Self::dot_biased`] starts from; `sum` is the sum of all its activations.
     fn biased_start(self, sum: i32) -> Self::Ints;
     /// sum + Σ (weight − 128) · activation over the four bytes of each lane.
     fn dot_biased(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints;
     /// sum + Σ weight · activation over the two i16 of each lane; the activations are two i16 in an `i32`.
     fn dot_pairs(self, sum: Self::Ints, weights: Self::Ints, activations: i32) -> Self::Ints;
-    /// Loads 16 i32.
     fn load_ints(self, values: &[i32; LANES]) -> Self::Ints;
-    /// To floating point.
     fn to_floats(self, values: Self::Ints) -> Self::Floats;
 
     /// The same number in every lane.
     fn floats(self, value: f32) -> Self::Floats;
-    /// Loads 16 f32.
     fn load(self, values: &[f32; LANES]) -> Self::Floats;
-    /// Stores 16 f32.
     fn store(self, values: Self::Floats, out: &mut [f32; LANES]);
-    /// Loads 16 f16.
+    /// Loads the bits of 16 f16.
     fn load_half(self, values: &[u16; LANES]) -> Self::Floats;
     /// Loads 16 bytes as signed numbers.
     fn load_signed(self, values: &[u8; LANES]) -> Self::Floats;
     /// Loads 16 bytes as unsigned numbers.
     fn load_unsigned(self, values: &[u8; LANES]) -> Self::Ints;
-    /// a · b.
     fn mul(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
-    /// a · b + c, rounded once where the instructions do so.
+    /// a · b + c, rounded once where the CPU has fused operations.
     fn mul_add(self, a: Self::Floats, b: Self::Floats, c: Self::Floats) -> Self::Floats;
-    /// c − a · b, rounded once where the instructions do so.
+    /// c − a · b, rounded once where the CPU has fused operations.
     fn mul_sub_from(self, a: Self::Floats, b: Self::Floats, c: Self::Floats) -> Self::Floats;
-    /// a + b.
     fn add(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
-    /// The greater of both; b where one is not a number.
+    /// The larger of both; b where one is NaN.
     fn max(self, a: Self::Floats, b: Self::Floats) -> Self::Floats;
-    /// To the nearest whole number.
+    /// To the nearest integer, ties to even.
     fn round(self, a: Self::Floats) -> Self::Floats;
-    /// 2ⁿ of whole numbers from -126 to 127.
+    /// 2ⁿ of integers from -126 to 127.
     fn two_to_the(self, n: Self::Floats) -> Self::Floats;
     /// The sum of the lanes.
     #[inline(always)]
@@ -100,15 +89,15 @@ pub(crate) trait Simd: Copy + Send + Sync {
         fold(lanes, |a, b| if a > b { a } else { b })
     }
 
-    /// eˣ for x ≤ 0, to two units in the last place; below -87 it stays what it is there.
+    /// eˣ for x ≤ 0, to two units in the last place; e⁻⁸⁷ for every x below -87.
     ///
-    /// eˣ = 2ⁿ eʳ with n = round(x / ln 2), the latter by its Taylor series; ln 2 in two parts, so that products of the
-    /// first with n are exact (W. Cody, W. Waite, "Software Manual for the Elementary Functions", 1980).
+    /// eˣ = 2ⁿ eʳ with n = round(x / ln 2) and eʳ by its Taylor series. ln 2 has two parts, so that products of the first
+    /// part with n are exact (W. Cody, W. Waite, "Software Manual for the Elementary Functions", 1980).
     #[inline(always)]
     fn exp(self, x: Self::Floats) -> Self::Floats {
         const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
         const SERIES: [f32; 7] = [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0];
-        // In this order, what is not a number stays so.
+        // In this order, NaN stays NaN.
         let x = self.max(self.floats(-87.0), x);
         let n = self.round(self.mul(x, self.floats(std::f32::consts::LOG2_E)));
         let r = self.mul_sub_from(n, self.floats(LN_2[0]), x);
@@ -121,7 +110,7 @@ pub(crate) trait Simd: Copy + Send + Sync {
     }
 }
 
-/// Folds halves of lanes onto each other.
+/// Reduces the lanes by halves, so that the order of operations is fixed.
 #[inline(always)]
 fn fold(mut lanes: [f32; LANES], operation: impl Fn(f32, f32) -> f32) -> f32 {
     let mut half = LANES / 2;
@@ -135,11 +124,11 @@ fn fold(mut lanes: [f32; LANES], operation: impl Fn(f32, f32) -> f32) -> f32 {
 
 /// Work that is compiled for every instruction set.
 pub(crate) trait Kernel {
-    /// Does it with these instructions; to be inlined into [`Simd::run`].
+    /// Must be inlined into [`Simd::run`].
     fn run<S: Simd>(self, simd: S);
 }
 
-/// Instruction sets that kernels are compiled for, the best first.
+/// Instruction sets that kernels are compiled for, fastest first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Instructions {
     /// AVX-512 with VNNI.
@@ -148,12 +137,11 @@ pub(crate) enum Instructions {
     /// AVX2 with FMA and F16C.
     #[cfg(target_arch = "x86_64")]
     Avx2,
-    /// None in particular.
     Portable,
 }
 
 impl Instructions {
-    /// Those that this machine has, the best first.
+    /// Those that this CPU has, fastest first.
     pub(crate) fn available() -> impl Iterator<Item = Self> {
         #[cfg(target_arch = "x86_64")]
         let vectors = [avx512::Avx512::detect().map(|_| Self::Avx512), avx2::Avx2::detect().map(|_| Self::Avx2)];
@@ -162,12 +150,12 @@ impl Instructions {
         vectors.into_iter().flatten().chain([Self::Portable])
     }
 
-    /// The best that this machine has.
+    /// The fastest that this CPU has.
     pub(crate) fn best() -> Self {
         Self::available().next().unwrap_or(Self::Portable)
     }
 
-    /// Runs a kernel with these instructions, or plainly if the machine lacks them.
+    /// Runs a kernel with these instructions, or with the portable ones if the CPU lacks them.
     pub(crate) fn run<K: Kernel>(self, kernel: K) {
         #[cfg(target_arch = "x86_64")]
         match self {

@@ -1,15 +1,14 @@
-//! Plain arrays: for machines without the other instruction sets, and what those are tested against.
+//! Plain arrays: for CPUs without the other instruction sets, and the reference of their tests.
 
 use half::f16;
 
-use super::{Kernel, LANES, Simd};
-use crate::mllm::matrix::line::CacheLine;
+use super::{Kernel, Simd};
+use crate::mllm::matrix::line::{CacheLine, LANES};
 
-/// No particular instructions.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::mllm::matrix) struct Portable;
 
-/// The signed bytes of a group of activations.
+/// The four signed bytes of packed activations.
 fn activations(packed: i32) -> [i32; 4] {
     packed.to_le_bytes().map(|byte| i32::from(byte.cast_signed()))
 }
@@ -123,7 +122,7 @@ impl Simd for Portable {
         std::array::from_fn(|lane| a[lane] * b[lane])
     }
 
-    // Rounded twice: a fused operation without the instruction is a slow call.
+    // Rounds twice: without the instruction, a fused operation is a slow function call.
     fn mul_add(self, a: [f32; LANES], b: [f32; LANES], c: [f32; LANES]) -> [f32; LANES] {
         std::array::from_fn(|lane| a[lane] * b[lane] + c[lane])
     }
