@@ -1,5 +1,5 @@
-//! What a second core brings: the same drives on one thread and on two, in turn, several times. Prints the wall times and the
-//! median of their ratio. `cargo bench --bench cores`.
+//! Speedup by a second core: the same simulations on one thread and on two, several times in turn. Prints the wall times and
+//! the median of their ratio. `cargo bench --bench cores`.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
@@ -16,10 +16,10 @@ use std::time::Instant;
 
 /// Pairs of runs.
 const ROUNDS: usize = 9;
-/// Seeds of every type of scene.
+/// Seeds of every scenario type.
 const SEEDS: u64 = 2;
 
-/// Every type of scene, driven by IDM and by PDM-Closed in both challenges.
+/// Every scenario type with IDM and PDM-Closed in both challenges.
 fn tasks() -> Vec<SimulationTask> {
     let scenes =
         types::in_suites().flat_map(|scenario_type| (0..SEEDS).map(move |seed| Spec::new(scenario_type, seed)));
@@ -33,7 +33,7 @@ fn tasks() -> Vec<SimulationTask> {
         .collect()
 }
 
-/// Seconds that all drives take on so many threads.
+/// Wall time of all simulations with this many threads, seconds.
 fn seconds(tasks: &[SimulationTask], threads: usize) -> f64 {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let todo: Vec<usize> = (0..tasks.len()).collect();
@@ -51,7 +51,7 @@ fn main() {
         .map(|round| {
             let (one, two) = (seconds(&tasks, 1), seconds(&tasks, 2));
             println!(
-                "round {round}: {} drives, one thread {one:.3} s, two threads {two:.3} s, ratio {:.3}",
+                "round {round}: {} simulations, one thread {one:.3} s, two threads {two:.3} s, ratio {:.3}",
                 tasks.len(),
                 one / two
             );

@@ -27,11 +27,11 @@ use planagent::internals::world::{
 use std::hint::black_box;
 use std::sync::Arc;
 
-/// Agents within PDM-Closed's sight in its bench.
+/// Agents in the bench of PDM-Closed.
 const CROWD: u32 = 50;
 
-/// Cars, pedestrians and cones on the lanes around the ego, as many as [`CROWD`], all within 50 m and none touching it:
-/// a third drives, a sixth walks, half of them stand; the way is clear.
+/// [`CROWD`] cars, pedestrians and cones on the lanes around the ego, all within 50 m and none in contact with it. A third
+/// drives, a sixth walks, half of them stand. The ego's path is clear.
 fn crowd(scene: &SceneView<'_>, reference_path: &ReferencePath) -> Vec<TrackedObject> {
     let center = scene.ego.center();
     let lanes = scene.map.lanes_near(center.position(), 49.0);
@@ -62,8 +62,8 @@ fn crowd(scene: &SceneView<'_>, reference_path: &ReferencePath) -> Vec<TrackedOb
 
 fn pdm_closed(c: &mut Criterion) {
     let scenario = generate(&DEFAULT).unwrap();
-    let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
-    let base = drive.scene();
+    let simulation = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
+    let base = simulation.scene();
     let reference_path = ReferencePath::find(base.map, base.route, base.ego).unwrap();
     let objects = crowd(&base, &reference_path);
     let scene = SceneView { objects: &objects, ..base };
@@ -71,7 +71,7 @@ fn pdm_closed(c: &mut Criterion) {
     let proposals = instant.proposals(&reference_path, scene.ego, PROPOSAL_STEPS);
     let simulated = simulate_proposals(scene.ego, proposals.all());
 
-    c.bench_function("choose the way of pdm-closed", |b| {
+    c.bench_function("choose the reference path of pdm-closed", |b| {
         b.iter(|| ReferencePath::find(black_box(scene.map), scene.route, scene.ego));
     });
     c.bench_function("a step of pdm-closed, 50 agents", |b| {
@@ -93,10 +93,10 @@ fn pdm_closed(c: &mut Criterion) {
     });
 }
 
-/// Vehicles in the bench of the reactive traffic.
+/// Vehicles in the bench of reactive agents.
 const TRAFFIC: usize = 100;
 
-/// Moving cars in the lanes around the ego, one behind the other: as many reactive agents as [`TRAFFIC`].
+/// [`TRAFFIC`] reactive agents: moving cars in the lanes around the ego.
 fn busy_road(map: &Arc<LaneMap>, ego: &EgoState) -> IdmTraffic {
     let center = ego.center();
     let lanes = map.lanes_near(center.position(), 95.0);
@@ -114,19 +114,19 @@ fn busy_road(map: &Arc<LaneMap>, ego: &EgoState) -> IdmTraffic {
             velocity: pose.direction() * 5.0,
         })
         .collect();
-    // Some places overlap and are left out: the least number of cars that gives enough agents.
+    // Overlapping cars are dropped, so this finds the smallest number of cars with enough agents.
     let counts = TRAFFIC..=cars.len();
     let traffic = counts.map(|count| IdmTraffic::new(map, &cars[..count], ego)).find(|t| t.agent_count() == TRAFFIC);
     traffic.expect("the bench needs a busy road")
 }
 
-/// Planners and traffic, a step of the loop each.
+/// One step of the loop, for planners and for reactive agents.
 fn steps(c: &mut Criterion) {
     let scenario = generate(&DEFAULT).unwrap();
-    let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
-    let scene = drive.scene();
+    let simulation = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
+    let scene = simulation.scene();
     let mut idm = IdmPlanner::new();
-    drive.initialize(&mut idm).unwrap();
+    simulation.initialize(&mut idm).unwrap();
     c.bench_function("a step of idm", |b| {
         b.iter(|| idm.compute_trajectory(&PlannerInput { iteration: 1, scene: black_box(scene) }).unwrap());
     });
@@ -134,7 +134,7 @@ fn steps(c: &mut Criterion) {
     let roundabout = generate(&"generated/traversing_intersection/1".parse().unwrap()).unwrap();
     let ego = roundabout.frames[roundabout.start].ego;
     let traffic = busy_road(&roundabout.map, &ego);
-    c.bench_function("a step of reactive traffic, 100 agents", |b| {
+    c.bench_function("a step of 100 reactive agents", |b| {
         b.iter_batched_ref(
             || traffic.clone(),
             |traffic| traffic.step(black_box(&ego), &[], &TrafficLights::default(), STEP_S),
@@ -143,8 +143,8 @@ fn steps(c: &mut Criterion) {
     });
 }
 
-/// Opening a scenario: exported to nuPlan's formats, with its map read anew and with the map at hand.
-fn opening(c: &mut Criterion) {
+/// Opens a scenario in nuPlan's formats, with and without reading its map.
+fn open_scenario(c: &mut Criterion) {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("export");
     write_scenario(&generate(&DEFAULT).unwrap(), &target, &ExportSettings::default()).unwrap();
@@ -155,14 +155,14 @@ fn opening(c: &mut Criterion) {
     };
     c.bench_function("open a nuPlan scenario, map included", |b| b.iter(|| open(&Readers::new(&roots()))));
     let warm = Readers::new(&roots());
-    c.bench_function("open a nuPlan scenario, map at hand", |b| b.iter(|| open(&warm)));
+    c.bench_function("open a nuPlan scenario, map loaded", |b| b.iter(|| open(&warm)));
 }
 
 fn engine(c: &mut Criterion) {
     let scenario = generate(&DEFAULT).unwrap();
     let expert: Vec<EgoState> = scenario.expert().copied().collect();
-    let drive = ClosedLoop::new(&scenario, Challenge::Reactive).unwrap();
-    let scene = drive.scene();
+    let simulation = ClosedLoop::new(&scenario, Challenge::Reactive).unwrap();
+    let scene = simulation.scene();
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap();
     let code = PlannerCode {
         centerline: CenterlineName::EgoLane,
@@ -175,13 +175,13 @@ fn engine(c: &mut Criterion) {
         PlanBuilder { lead_policy: LeadPolicy::Nearest, horizon_s: 4.0 }.build(&scene, &graph, code).unwrap().unwrap();
 
     c.bench_function("generate a scenario", |b| b.iter(|| generate(black_box(&DEFAULT)).unwrap()));
-    c.bench_function("draw the BEV map, 128 px", |b| b.iter(|| bev::render(black_box(&scene), &BevView::default())));
+    c.bench_function("draw the BEV image, 128 px", |b| b.iter(|| bev::render(black_box(&scene), &BevView::default())));
     c.bench_function("build the lane graph", |b| b.iter(|| LaneGraph::build(black_box(&scene), DEFAULT_NODE_LENGTH)));
     c.bench_function("write the compact text", |b| {
         b.iter(|| text::write(&Description::of(black_box(&graph)), text::TextForm::Compact));
     });
-    c.bench_function("roll a planner out, 4 s", |b| b.iter(|| planner.roll_out(black_box(&scene), 40)));
-    c.bench_function("reflect on a planner, proposals included", |b| {
+    c.bench_function("roll out an IDM plan, 4 s", |b| b.iter(|| planner.roll_out(black_box(&scene), 40)));
+    c.bench_function("reflect on a plan, proposals included", |b| {
         b.iter(|| {
             Judge::new(black_box(&scene), &graph, 4.0, &mut PdmMemory::default())
                 .unwrap()
@@ -189,17 +189,17 @@ fn engine(c: &mut Criterion) {
                 .unwrap()
         });
     });
-    c.bench_function("drive 15 s, idm, non-reactive", |b| {
+    c.bench_function("simulate 15 s, idm, non-reactive", |b| {
         b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::NonReactive).unwrap());
     });
-    c.bench_function("drive 15 s, idm, reactive", |b| {
+    c.bench_function("simulate 15 s, idm, reactive", |b| {
         b.iter(|| simulate(&scenario, &mut IdmPlanner::new(), Challenge::Reactive).unwrap());
     });
     let log = simulate(&scenario, &mut LogReplay::new(expert.clone()), Challenge::NonReactive).unwrap();
-    c.bench_function("metrics of a finished drive", |b| {
+    c.bench_function("metrics of a simulation", |b| {
         b.iter(|| log.evaluate(&scenario).unwrap());
     });
 }
 
-criterion_group!(benches, engine, steps, pdm_closed, opening);
+criterion_group!(benches, engine, steps, pdm_closed, open_scenario);
 criterion_main!(benches);

@@ -1,6 +1,6 @@
-//! What the products of the language models cost: the two wide matrices of a layer of 1.1 and of 7 billion parameters, in
-//! every storage, with a prompt of 512 tokens (operations a second: two for each weight and token) and with one token, as
-//! decoding has it (bytes a second of weights). `cargo bench --bench mllm`.
+//! Speed of the matrix products: the two wide matrices of a layer of a 1.1B and of a 7B model in every weight format. A prompt
+//! of 512 tokens gives operations a second (two for each weight and token), one token bytes of weights a second. `cargo bench
+//! --bench mllm`.
 #![allow(missing_docs, clippy::unwrap_used, reason = "a benchmark is no interface and may stop at an error")]
 
 use std::hint::black_box;

@@ -1,4 +1,4 @@
-//! The deadline of a planning call, with models of this process and with scripted ones.
+//! The deadline of a planning call, with local and with scripted models.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -27,7 +27,7 @@ fn a_local_model_stops_between_tokens_and_answers_later_as_if_never_asked() {
     };
     let short = request(Constraint::Regex("[a-f]{6}".into()));
     let mut conversation = model.converse(&prefix(), 5).unwrap();
-    // Asked until the deadline falls into the answer: 200 tokens take many times a millisecond.
+    // The deadline passes during the answer: 200 tokens take many milliseconds.
     assert!(matches!(conversation.ask("Which lane?", &long), Err(MllmError::Deadline)));
     let again = conversation.ask("Where to?", &short).unwrap();
     let fresh = model.converse(&prefix(), 5).unwrap().ask("Where to?", &short).unwrap();

@@ -1,5 +1,5 @@
-//! llama.cpp's own server, of the Python package `llama-cpp-python[server]`, as the model of a drive.
-//! `$PLANAGENT_LLAMA_PYTHON` names a Python that has it and the package `gguf`.
+//! A simulation with llama.cpp's server from the Python package `llama-cpp-python[server]`. `$PLANAGENT_LLAMA_PYTHON` is a
+//! Python with this package and the package `gguf`.
 
 use crate::outside::skipped;
 use std::ffi::OsString;
@@ -14,18 +14,18 @@ use tempfile::TempDir;
 
 use crate::cli::{planagent, read_json};
 
-/// The server's process, which ends with the value.
+/// The server's process; the drop of this value ends it.
 struct LlamaServer(Child);
 
 impl Drop for LlamaServer {
     fn drop(&mut self) {
-        // A process that has ended already cannot be ended again.
+        // The process may have ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// The Python to take, if it has what is needed; says so when not.
+/// The Python with the packages; reports a skipped test if there is none.
 fn python() -> Option<OsString> {
     let Some(python) = std::env::var_os("PLANAGENT_LLAMA_PYTHON") else {
         skipped("llama.cpp's server; $PLANAGENT_LLAMA_PYTHON names no Python with llama-cpp-python[server]");

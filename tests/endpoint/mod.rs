@@ -1,10 +1,10 @@
-//! Models that a server computes: what is sent, what is made of answers and failures, and that a drive goes on.
+//! Models behind a server: requests, answers, failures, and simulations that continue after them.
 
 mod deadline;
-mod drive;
 mod llama_cpp;
 mod questions;
 mod server;
+mod simulation;
 mod troubles;
 
 use planagent::internals::mllm::{
@@ -13,7 +13,7 @@ use planagent::internals::mllm::{
 use server::Server;
 use toml::toml;
 
-/// Settings of a server that takes GBNF and is given up soon.
+/// Settings of a server with GBNF, few retries and short waits.
 fn settings(url: &str) -> EndpointSettings {
     let mut table = toml! {
         model = "test-model"
@@ -34,7 +34,7 @@ fn request(constraint: Constraint) -> Request {
     Request { constraint, max_new_tokens: 50, sampling: Sampling::Greedy, deadline: Deadline::NONE }
 }
 
-/// The answer to one question, or what went wrong.
+/// Asks one question.
 fn ask(endpoint: &Endpoint, request: &Request) -> Result<planagent::internals::mllm::Answer, MllmError> {
     endpoint.converse(&planagent::internals::mllm::PromptPrefix::default(), 0).unwrap().ask("Which lane?", request)
 }

@@ -1,4 +1,4 @@
-//! What is sent, and what is made of answers.
+//! Requests and answers.
 
 use base64::Engine;
 use image::RgbImage;

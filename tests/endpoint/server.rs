@@ -1,4 +1,4 @@
-//! A server on this machine that answers, or fails, as a test wants it to.
+//! A server on this machine whose answers and failures a test chooses.
 
 use std::fmt::Write as _;
 use std::io::{Read, Write};
@@ -10,26 +10,24 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-/// A request as it came.
 #[derive(Debug, Clone)]
 pub(crate) struct Received {
-    /// First line and headers.
+    /// Request line and headers.
     pub(crate) head: String,
-    /// The body.
     pub(crate) body: Value,
 }
 
-/// What the server does with a request.
+/// The server's reaction to a request.
 pub(crate) enum Reaction {
     /// Sends these bytes and closes the connection.
     Send(Vec<u8>),
-    /// Sends these bytes again and again.
+    /// Sends these bytes repeatedly.
     Repeat(Vec<u8>),
     /// Sends these bytes, then nothing, and keeps the connection open.
     Hang(Vec<u8>),
 }
 
-/// The server; it ends with the value.
+/// The server; the drop of this value ends it.
 pub(crate) struct Server {
     address: String,
     received: Arc<Mutex<Vec<Received>>>,
@@ -38,7 +36,7 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// A server that treats the n-th request (from 0) as `react` says.
+    /// `react` gets the index of each request.
     pub(crate) fn start(react: impl Fn(usize, &Received) -> Reaction + Send + Sync + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap().to_string();
@@ -60,12 +58,12 @@ impl Server {
         Self { address, received, stop, thread: Some(thread) }
     }
 
-    /// A server that treats every request alike.
+    /// A server with the same reaction to every request.
     pub(crate) fn always(react: impl Fn() -> Reaction + Send + Sync + 'static) -> Self {
         Self::start(move |_, _| react())
     }
 
-    /// What a description gives as its address.
+    /// The address for a model description.
     pub(crate) fn url(&self) -> String {
         format!("http://{}/v1", self.address)
     }
@@ -79,7 +77,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::SeqCst);
-        // Wakes the listener; should it be gone already, there is nobody to wake.
+        // Wakes the listener, which may have ended already.
         let _ = TcpStream::connect(&self.address);
         if let Some(thread) = self.thread.take() {
             thread.join().unwrap();
@@ -113,7 +111,7 @@ fn serve(
     }
 }
 
-/// Reads head and body; none if the client left.
+/// Reads head and body; `None` if the client disconnected.
 fn read(stream: &mut TcpStream) -> Option<Received> {
     let mut bytes = Vec::new();
     let mut buffer = [0; 4096];
@@ -141,7 +139,7 @@ fn read(stream: &mut TcpStream) -> Option<Received> {
     Some(Received { head, body: serde_json::from_slice(&body).unwrap() })
 }
 
-/// A response of this status, with further header lines, each ended by `\r\n`.
+/// A response with additional header lines, each ended by `\r\n`.
 pub(crate) fn response(status: &str, headers: &str, body: &str) -> Vec<u8> {
     let length = body.len();
     format!("HTTP/1.1 {status}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}").into_bytes()
@@ -157,7 +155,7 @@ pub(crate) fn completion(text: &str) -> Reaction {
     Reaction::Send(response("200 OK", "Content-Type: application/json\r\n", &body.to_string()))
 }
 
-/// A streamed chat completion of these parts; without an end it breaks off behind them.
+/// A streamed chat completion of these parts. If not `ended`, it breaks off after them.
 pub(crate) fn stream(parts: &[&str], ended: bool) -> Reaction {
     let mut body = String::from("HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Type: text/event-stream\r\n\r\n");
     let mut event = |value: Value| write!(body, "data: {value}\n\n").unwrap();
@@ -172,7 +170,7 @@ pub(crate) fn stream(parts: &[&str], ended: bool) -> Reaction {
     Reaction::Send(body.into_bytes())
 }
 
-/// An error in `OpenAI`'s words.
+/// An error response in `OpenAI`'s form.
 pub(crate) fn error(status: &str, headers: &str, message: &str) -> Reaction {
     let body = json!({"error": {"message": message, "type": "some_error", "code": null}});
     Reaction::Send(response(status, headers, &body.to_string()))

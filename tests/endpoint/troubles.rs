@@ -1,4 +1,4 @@
-//! A server that hangs, closes, refuses or answers nonsense.
+//! A server that hangs, closes the connection, refuses requests or sends invalid replies.
 
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,7 @@ use planagent::internals::mllm::{
 use super::server::{Reaction, Server, completion, error, response, stream};
 use super::{EndpointSettings, ask, open, request, settings};
 
-/// What a server does wrong, and how often it was asked.
+/// The failure of a server and the number of requests.
 fn trouble(server: &Server) -> (EndpointFailure, usize) {
     match ask(&open(server), &request(Constraint::Free)) {
         Err(MllmError::Endpoint { endpoint, failure }) => {
@@ -33,7 +33,7 @@ fn a_server_that_hangs_is_left_when_its_time_is_up() {
             other => panic!("{other:?}"),
         }
         assert!(asked.elapsed() >= Duration::from_millis(150));
-        assert_eq!(server.received().len(), 1, "what used up its time is not asked again");
+        assert_eq!(server.received().len(), 1, "no retry after the time limit");
     }
 }
 
@@ -72,7 +72,7 @@ fn a_stream_that_is_cut_is_tried_again() {
 }
 
 #[test]
-fn nonsense_is_told_and_not_asked_for_again() {
+fn invalid_replies_are_reported_and_not_retried() {
     for invalid in ["{\"choices\": [", "<html>Welcome</html>", "{\"choices\": []}", "null"] {
         let server = Server::always(move || Reaction::Send(response("200 OK", "", invalid)));
         let (failure, requests) = trouble(&server);
@@ -110,7 +110,7 @@ fn a_server_that_keeps_failing_is_given_up() {
 
 #[test]
 fn a_wrong_key_ends_the_matter_and_is_not_shown() {
-    // A variable that the test runner sets, so that the test need not write the environment.
+    // Cargo sets this variable, so the test need not change the environment.
     let (variable, key) = ("CARGO_MANIFEST_DIR", env!("CARGO_MANIFEST_DIR"));
     let server = Server::always(move || error("401 Unauthorized", "", &format!("Incorrect API key: {key}.")));
     let settings = EndpointSettings { key_env: Some(variable.into()), ..settings(&server.url()) };

@@ -1,9 +1,8 @@
-"""The measuring process for llama.cpp: requests on stdin, replies on stdout, a line of JSON each.
+"""The measuring process for llama.cpp: requests on stdin, replies on stdout, each a line of JSON.
 
-It works off the same steps on numbers of tokens as PlanAgent's own process, through llama.cpp's low-level interface, so
-nothing but the engines differs. Prompts stay in the key-value cache as far as a step says so (prompt cache on). All settings
-of llama.cpp are its defaults but threads and context. Tokens that a grammar forces are decoded one by one, since
-llama.cpp's grammar sampler takes them one by one.
+It runs the same steps as PlanAgent's own process through llama.cpp's low-level interface, so only the engines differ. Prompts
+stay in the key-value cache as the steps say. All settings of llama.cpp are its defaults except threads and context.
+Fast-forwarded tokens are decoded one by one, because llama.cpp's grammar sampler takes them one by one.
 """
 
 import ctypes
@@ -13,13 +12,13 @@ import random
 import sys
 import time
 
-# Whatever the libraries print goes to stderr: stdout is for replies.
+# The libraries print to stderr, because stdout carries the replies.
 REPLIES = os.fdopen(os.dup(1), "w")
 os.dup2(2, 1)
 
 
 class Problem(Exception):
-    """Something that the asking process is told."""
+    """A failure that the reply reports."""
 
 
 def now_ms():
@@ -199,7 +198,7 @@ class Model:
         self.pending.extend(self.words.randrange(self.vocabulary) for _ in range(tokens))
 
     def compute(self, step):
-        """Decodes what is pending; the logits of its last token are there afterwards."""
+        """Decodes the pending tokens; the logits of the last one are available afterwards."""
         for first in range(0, len(self.pending), self.most_in_batch):
             part = self.pending[first : first + self.most_in_batch]
             start = now_ms()

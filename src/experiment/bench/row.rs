@@ -65,13 +65,13 @@ impl IterationRow {
         self.steps.iter().map(|timed| timed.time.ms).sum()
     }
 
-    /// Wall time of encoding images, milliseconds; none if there was none.
+    /// Wall time of image encoding, milliseconds; `None` without an image.
     pub fn image_encode_ms(&self) -> Option<f64> {
         let encodings = self.steps.iter().filter(|timed| timed.step == Step::Encode);
         encodings.map(|timed| timed.time.ms).reduce(|sum, ms| sum + ms)
     }
 
-    /// From the start to the first token that the model chose, milliseconds.
+    /// From the start to the first sampled token, milliseconds.
     pub fn first_token_ms(&self) -> Option<f64> {
         let mut before = 0.0;
         for TimedStep { time, .. } in &self.steps {
@@ -83,7 +83,7 @@ impl IterationRow {
         None
     }
 
-    /// The passes that computed the first prompt.
+    /// The passes of the first prompt.
     pub fn prefill(&self) -> PassTime {
         let mut sum = PassTime::default();
         for TimedStep { time, .. } in &self.steps {
@@ -95,19 +95,20 @@ impl IterationRow {
         sum
     }
 
-    /// The passes that computed answers: all but the first behind each prompt, which computes that. Forced tokens count.
+    /// The passes of answers, fast-forwarded tokens included. The first pass after a prompt computes the prompt and does not
+    /// count.
     pub fn decode(&self) -> PassTime {
         let mut sum = PassTime::default();
-        let mut behind_prompt = false;
+        let mut after_prompt = false;
         for TimedStep { step, time } in &self.steps {
             match step {
-                Step::Text(_) | Step::Image => behind_prompt = true,
+                Step::Text(_) | Step::Image => after_prompt = true,
                 Step::FastForwarded(_) | Step::Sampled(_) => {
                     sum += time.single;
-                    if !behind_prompt {
+                    if !after_prompt {
                         sum += time.batch;
                     }
-                    behind_prompt &= time.batch.tokens == 0;
+                    after_prompt &= time.batch.tokens == 0;
                 }
                 Step::Keep(_) | Step::Encode | Step::Compute => {}
             }

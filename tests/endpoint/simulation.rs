@@ -1,4 +1,4 @@
-//! Whole drives with a server as the model, through the program.
+//! Whole simulations with a model behind a server, through the program.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,15 +9,15 @@ use tempfile::TempDir;
 use super::server::{Reaction, Server, completion, error, response, stream};
 use crate::cli::{planagent, read_json};
 
-/// A generated scene; 15 s with a planning call every two.
+/// A generated scene of 15 s; a planning call every 2 s.
 const SCENE: &str = "generated/high_magnitude_speed/1";
-/// An answer that every round can be read from.
+/// An answer that parses in every round.
 const ANSWER: &str = "Longitudinal: maintain, because the road is free\nLateral: keep, because it serves\n\
     Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1.0, dec=3.0)";
-/// What no file and no message may hold.
+/// The API key, which no file and no message may contain.
 const KEY: &str = "sk-test-3f9a-secret";
 
-/// A run's folder with what it is made from.
+/// A run folder with its inputs.
 struct Run {
     folder: TempDir,
     code: i32,
@@ -25,7 +25,7 @@ struct Run {
 }
 
 impl Run {
-    /// Drives the scene with this description and configuration.
+    /// Simulates the scene with this description and configuration.
     fn with(description: &str, config: &str) -> Self {
         let folder = TempDir::new().unwrap();
         let model = folder.path().join("server.toml");
@@ -59,7 +59,7 @@ impl Run {
         text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
     }
 
-    /// Every byte of the run's files and messages.
+    /// All text of the run's files and messages.
     fn everything(&self) -> String {
         fn walk(folder: &Path, text: &mut String) {
             for entry in fs::read_dir(folder).unwrap() {
@@ -87,7 +87,7 @@ fn description(server: &Server, more: &str) -> String {
 
 #[test]
 fn a_drive_goes_on_over_failures_of_every_kind() {
-    // A planning call is three rounds at most; each of these ends a call, and what follows it begins the next.
+    // Each of these failures ends a planning call; the next request begins the next call.
     let server = Server::start(|number, _| match number {
         3 => Reaction::Hang(Vec::new()),
         4 => Reaction::Send(Vec::new()),
@@ -127,7 +127,7 @@ fn a_drive_goes_on_over_failures_of_every_kind() {
     assert_eq!((&row["succeeded"], &row["failed_calls"], &row["deadlines"]), (&true.into(), &6.into(), &0.into()));
     assert!(row["score"].as_f64().is_some());
     assert!(run.stderr.contains("6 of 8 planning calls got no answer"), "{}", run.stderr);
-    // The answers fit no round's grammar but are read all the same, and the record says so.
+    // The answers violate every round's grammar but parse, and the record says so.
     assert_eq!(calls[0]["attempts"][0]["rounds"][0]["constraint"], "violated");
     assert!(!run.everything().contains(KEY) && server.received()[0].head.contains(KEY));
 }
@@ -193,7 +193,7 @@ fn a_deadline_ends_the_call_with_the_planner_in_force() {
     assert!(run.stderr.contains("7 of 8 planning calls ended by their deadline"), "{}", run.stderr);
 }
 
-/// The LLaVA of the fixtures with room for whole prompts.
+/// The fixtures' LLaVA with a context for whole prompts.
 fn roomy_llava(folder: &Path) -> PathBuf {
     let model = folder.join("llava");
     fs::create_dir(&model).unwrap();
@@ -207,7 +207,7 @@ fn roomy_llava(folder: &Path) -> PathBuf {
     model
 }
 
-/// The keys of an object, of the objects in it, and of the first of each list.
+/// The keys of an object, of its nested objects, and of the first element of each list.
 fn shape(value: &Value) -> Value {
     match value {
         Value::Object(fields) => fields.iter().map(|(name, field)| (name.clone(), shape(field))).collect(),
