@@ -11,7 +11,7 @@ use candle_transformers::models::llava::{LLaVA, config::LLaVAConfig};
 use serde_json::json;
 
 use super::Llava;
-use crate::mllm::local::VisionLanguageModel;
+use crate::mllm::family::VisionLanguageModel;
 use crate::mllm::local::test_reference::{
     LOGIT_TOLERANCE, Reference, difference, fixture, logits_deviation, open_checkpoint,
 };
@@ -80,7 +80,8 @@ fn candle_deviation(layers: usize, reference: &Reference) -> [f32; 2] {
 fn candles_llava_takes_the_vision_tower_one_layer_too_far() {
     let folder = fixture("tiny_llava");
     let reference = Reference::open(&folder.join("reference.safetensors"));
-    let model = Llava::open(&mut open_checkpoint(&folder)).unwrap();
+    let mut checkpoint = open_checkpoint(&folder);
+    let model = Llava::open(&checkpoint.files, &mut checkpoint.weights).unwrap();
     let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
     let features = model.encode_image(&image).unwrap();
     let ids = reference.ids("input_ids", model.info().image_token);
