@@ -50,6 +50,18 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         ],
     ),
     (
+        "runner",
+        &[
+            &["event", "machine", "request", "result_version"],
+            &["config"],
+            &["error"],
+            &["model", "selection"],
+            &["run"],
+            &["simulate"],
+            &["experiments"],
+        ],
+    ),
+    (
         "scenario/generator",
         &[
             &["rng"],

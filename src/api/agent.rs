@@ -1,12 +1,12 @@
 //! The agent of the paper as a library type.
 
 use super::Result;
-use crate::mllm::{HubAccess, Mllm, ModelRegistry, PromptSet as PromptSetName, Sampling};
+use crate::mllm::{HubAccess, Mllm, ModelRegistry};
 use crate::planner::{
     CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
     PlannerParts, PlannerRegistry, PlanningCall,
 };
-use crate::reasoning::{PromptSet, ReasoningSettings, Round};
+use crate::reasoning::ReasoningConfig;
 use crate::world::{EgoState, LaneMap, MICROS_PER_SECOND, STEP_S, Scene, SceneView, Trajectory};
 use std::fmt;
 use std::path::PathBuf;
@@ -14,8 +14,6 @@ use std::sync::Arc;
 
 /// The model that ships with the library.
 const DEFAULT_MODEL: &str = "nano";
-/// Temperature of the attempts after the first.
-const RETHINK_TEMPERATURE: f64 = 0.7;
 /// Folder of model descriptions, beside the working directory or the program.
 const MODELS: &str = "models";
 /// Environment variable that names it.
@@ -178,17 +176,9 @@ impl AgentBuilder {
         let registry = ModelRegistry::new(self.models.clone().unwrap_or_else(models_folder), hub);
         let spec = registry.find(&self.model)?;
         let model: Arc<dyn Mllm> = Arc::from(registry.open(&spec)?);
-        let prompts = self.prompts.as_deref().unwrap_or(match spec.prompt_set {
-            PromptSetName::Compact => "compact",
-            PromptSetName::Paper => "paper",
-        });
-        let reasoning = ReasoningSettings {
-            rounds: Round::ALL.to_vec(),
-            generation: spec.generation,
-            rethink_sampling: Sampling::Sample { temperature: RETHINK_TEMPERATURE, top_p: 1.0 },
-            grammar: true,
-        };
-        Ok(CodeSource::Model { model, prompts: Arc::new(PromptSet::open(prompts)?), reasoning })
+        let config = ReasoningConfig { prompt_set: self.prompts.clone(), ..ReasoningConfig::default() };
+        let (prompts, reasoning) = (Arc::new(config.prompts(spec.prompt_set)?), config.settings(spec.generation));
+        Ok(CodeSource::Model { model, prompts, reasoning })
     }
 }
 

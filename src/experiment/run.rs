@@ -1,4 +1,4 @@
-//! Many drives: scenarios x planners x challenges on all cores, each handed over with its score or its error when it ends.
+//! Many simulations on all cores: scenarios x planners x challenges, each with its score or its error.
 
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
@@ -9,7 +9,6 @@ use crate::planner::{
     PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
 };
 use crate::scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
-
 use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
 use crate::world::EgoState;
 use rayon::prelude::*;
@@ -79,14 +78,11 @@ pub enum BuildError {
     Planner(#[from] PlannerError),
 }
 
-/// One drive to be made.
+/// One planner on one scenario.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SimulationTask {
-    /// What is driven.
     pub source: ScenarioRef,
-    /// By whom.
     pub planner: PlannerName,
-    /// Among which traffic.
     pub challenge: Challenge,
 }
 
@@ -96,73 +92,66 @@ impl fmt::Display for SimulationTask {
     }
 }
 
-/// A drive that came to its end.
+/// A simulation that ended.
 #[derive(Debug, Clone)]
 pub struct SimulationOutcome {
-    /// What was driven.
     pub scenario: Arc<Scenario>,
-    /// What it scored.
     pub score: Score,
     /// All metrics with their statistics and time series, in nuPlan's order.
     pub metrics: Vec<MetricResult>,
     /// The planning calls, for agents.
     pub calls: Vec<PlanningCall>,
-    /// What counted as drivable, for `pdm-closed`; for `plan-agent` every reflection says it.
+    /// The map layers that counted as drivable, for `pdm-closed`; for `plan-agent` they are in every reflection.
     pub drivable_layers: Option<DrivableLayers>,
-    /// What happened.
     pub log: SimulationLog,
 }
 
-/// The record of one assignment.
+/// The record of one task.
 #[derive(Debug, Clone)]
 pub struct SimulationRecord {
-    /// The source in the words of the command line.
+    /// The word of the command line that names the scenario.
     pub source: String,
-    /// Name of the scenario; of the source, when it could not be opened and its name is not known.
+    /// Name of the scenario; the word, where the name is not known before opening.
     pub scenario: String,
     /// nuPlan's type of the scenario.
     pub scenario_type: String,
     /// Name of the log.
     pub log_name: String,
-    /// By whom.
     pub planner: PlannerName,
-    /// Among which traffic.
     pub challenge: Challenge,
-    /// When the drive began, seconds since 1970. A measurement.
+    /// Start, seconds since 1970. A measurement.
     pub started_s: f64,
-    /// When it ended, seconds since 1970. A measurement.
+    /// End, seconds since 1970. A measurement.
     pub ended_s: f64,
-    /// The drive, or why there is none.
+    /// The simulation, or why it failed.
     pub outcome: Result<SimulationOutcome, String>,
 }
 
-/// Makes the drives `todo` (places in `assignments`, in growing order) on all threads of the current pool. Each record is
-/// given to `on_simulation` as soon as its drive has ended, from any thread and in any order, and is not kept. `on_iteration` is
-/// called after every iteration of every drive. A drive that fails or panics is recorded with its error.
-///
-/// # Errors
-/// The first error of `on_simulation`; no further drive begins after it.
+/// Simulates the tasks of these numbers (places in `tasks`, ascending) on all threads of the current pool. `on_simulation` gets
+/// each record when its simulation ends, from any thread and in any order. `on_iteration` is called after every iteration of
+/// every simulation. A simulation that fails or panics is recorded with its error. The first error of `on_simulation` is
+/// returned, and no further simulation starts.
 pub fn run<E: Send>(
     tasks: &[SimulationTask],
-    todo: &[usize],
+    numbers: &[usize],
     parts: &AgentParts,
     on_iteration: &(dyn Fn(Progress) + Sync),
     on_simulation: &(dyn Fn(usize, SimulationRecord) -> Result<(), E> + Sync),
 ) -> Result<(), E> {
-    let drives: Vec<(usize, &SimulationTask)> = todo.iter().filter_map(|&i| Some((i, tasks.get(i)?))).collect();
-    // Neighbours of one source share the scenario: opening a recording can cost more than driving it.
-    let groups: Vec<&[(usize, &SimulationTask)]> = drives.chunk_by(|(_, a), (_, b)| a.source == b.source).collect();
+    let numbered: Vec<(usize, &SimulationTask)> = numbers.iter().filter_map(|&i| Some((i, tasks.get(i)?))).collect();
+    // Neighboring tasks of one source share the scenario: opening a recording can take longer than simulating it.
+    let groups: Vec<&[(usize, &SimulationTask)]> = numbered.chunk_by(|(_, a), (_, b)| a.source == b.source).collect();
     groups.par_iter().try_for_each(|group| {
         let Some((_, first)) = group.first() else { return Ok(()) };
         let opened = catch_panic(|| first.source.open().map(Arc::new).map_err(|error| with_causes(&error)));
         group.par_iter().try_for_each(|&(i, task)| {
             let scenario = opened.as_ref().map_err(String::as_str);
-            on_simulation(i, drive(task, scenario, parts, on_iteration))
+            on_simulation(i, record(task, scenario, parts, on_iteration))
         })
     })
 }
 
-fn drive(
+fn record(
     task: &SimulationTask,
     scenario: Result<&Arc<Scenario>, &str>,
     parts: &AgentParts,
@@ -199,7 +188,6 @@ fn now_s() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
 }
 
-/// One drive with its score.
 fn simulate_task(
     scenario: &Arc<Scenario>,
     planner: PlannerName,

@@ -7,6 +7,7 @@ mod call_parser;
 mod code;
 mod code_lexer;
 mod code_parser;
+mod config;
 mod engine;
 mod error;
 mod grammar;
@@ -23,6 +24,7 @@ pub use assist::{
 pub use call_parser::ParseError;
 pub use code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range, TARGET_SPEED};
 pub use code_parser::{Parsed, parse};
+pub use config::ReasoningConfig;
 pub use engine::{
     Feedback, Interruption, Reasoning, ReasoningSettings, ReasoningTrace, RoundRecord, ScenarioPrompt, feedback_text,
     round_prompt, system_prompt,

@@ -1,31 +1,29 @@
 //! The configuration of a run.
 
-use super::error::RunnerError;
 use crate::environment::BevView;
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
-use crate::mllm::{GenerationSettings, Sampling, WeightFormat};
+use crate::mllm::WeightFormat;
 use crate::planner::{CallSettings, EnvironmentSettings, PlanAgentSettings, ReflectionSettings};
-use crate::reasoning::{ReasoningSettings, Round};
-use crate::report::RunFolder;
+use crate::reasoning::{ReasoningConfig, Round};
 use crate::world::STEP_S;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Everything that can be configured. The file `planagent.toml` at the root of the project shows every key with its default.
+/// The configuration, in the sections of its file. `planagent.toml` at the root of the project has every key with its default.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Seed of everything that is drawn at random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// The language model.
+    /// The model.
     pub mllm: MllmConfig,
     /// A planning call as a whole.
     pub agent: CallSettings,
-    /// What the model is shown.
+    /// Inputs of the model.
     pub environment: EnvironmentSettings,
-    /// How it is asked.
+    /// Rounds and prompts of the model.
     pub reasoning: ReasoningConfig,
-    /// How its planners are judged.
+    /// How plans are scored and executed.
     pub reflection: ReflectionSettings,
 }
 
@@ -36,9 +34,9 @@ pub struct MllmConfig {
     /// Name of a `models/NAME.toml` or the path of such a file, a folder in Hugging Face's layout, a GGUF file, or a hub id
     /// `org/name` (`org/name/file.gguf`).
     pub model: String,
-    /// Never use the network: a hub id must be in the cache, a server on this machine.
+    /// Do not use the network: a hub id must be in the cache, a server on this machine.
     pub offline: bool,
-    /// How weights are held in memory; by default as their files hold them (safetensors in f32).
+    /// Weight format in memory; `None` for that of the files (f32 for safetensors).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantize: Option<WeightFormat>,
     /// Load a model even if it seems to need more memory than is free.
@@ -48,28 +46,6 @@ pub struct MllmConfig {
 impl Default for MllmConfig {
     fn default() -> Self {
         Self { model: "nano".to_owned(), offline: false, quantize: None, ignore_memory: false }
-    }
-}
-
-/// Section `reasoning`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ReasoningConfig {
-    /// `paper`, `compact` or a folder; by default what the model's description names.
-    pub prompt_set: Option<String>,
-    /// The rounds that are asked; the last must be `code`.
-    pub rounds: Vec<Round>,
-    /// Iterations of 0.1 s between planning calls (the paper: 20).
-    pub interval: usize,
-    /// Temperature of later attempts; 0 takes the likeliest token again. The first attempt goes by the model's description.
-    pub rethink_temperature: f64,
-    /// Whether answers are decoded under grammars.
-    pub grammar: bool,
-}
-
-impl Default for ReasoningConfig {
-    fn default() -> Self {
-        Self { prompt_set: None, rounds: Round::ALL.to_vec(), interval: 20, rethink_temperature: 0.7, grammar: true }
     }
 }
 
@@ -102,13 +78,6 @@ impl Config {
         parsed.map_err(|source| ConfigError::Parse { place: place.clone(), source: Box::new(source) })?.checked(place)
     }
 
-    /// The configuration that the run in a folder was started with.
-    pub fn of_run(folder: &Path) -> Result<Self, RunnerError> {
-        let place = format!("of the run in {}", folder.display());
-        let table = RunFolder::manifest(folder)?.config;
-        Ok(table.try_into().map_err(|source| ConfigError::Parse { place, source: Box::new(source) })?)
-    }
-
     /// This configuration with some keys replaced.
     pub fn overlaid(&self, settings: &toml::Table) -> Result<Self, ConfigError> {
         let place = || format!("settings {settings}");
@@ -125,18 +94,7 @@ impl Config {
         }
     }
 
-    /// How a model with these generation settings is asked.
-    pub fn reasoning_settings(&self, generation: GenerationSettings) -> ReasoningSettings {
-        let ReasoningConfig { rounds, rethink_temperature, grammar, .. } = &self.reasoning;
-        let rethink_sampling = if *rethink_temperature > 0.0 {
-            Sampling::Sample { temperature: *rethink_temperature, top_p: 1.0 }
-        } else {
-            Sampling::Greedy
-        };
-        ReasoningSettings { rounds: rounds.clone(), generation, rethink_sampling, grammar: *grammar }
-    }
-
-    /// What an agent needs of it apart from the model.
+    /// The settings of agents, apart from the model.
     pub fn agent_settings(&self) -> PlanAgentSettings {
         PlanAgentSettings {
             agent: self.agent.clone(),

@@ -14,7 +14,7 @@ mod run;
 mod selection;
 mod simulate;
 
-pub use config::{Config, ConfigError, MllmConfig, ReasoningConfig};
+pub use config::{Config, ConfigError, MllmConfig};
 pub use error::RunnerError;
 pub use event::{Event, Listener, silent};
 pub use experiments::{Experiments, ExperimentsRequest, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE};

@@ -5,11 +5,8 @@ use super::error::RunnerError;
 use super::event::{Event, Listener};
 use crate::api::models_folder;
 use crate::experiment::run::AgentParts;
-use crate::mllm::{
-    HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, ModelSpec, PromptSet as PromptSetName,
-};
+use crate::mllm::{HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, ModelSpec};
 use crate::planner::{CodeSource, PlannerRegistry};
-use crate::reasoning::PromptSet;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -61,12 +58,8 @@ impl OpenModel {
 
     /// The model with the prompts and the decoding of a configuration.
     pub(super) fn with_prompts(&self, config: &Config) -> Result<LoadedModel, RunnerError> {
-        let set = config.reasoning.prompt_set.as_deref().unwrap_or(match self.spec.prompt_set {
-            PromptSetName::Compact => "compact",
-            PromptSetName::Paper => "paper",
-        });
-        let prompts = Arc::new(PromptSet::open(set)?);
-        let reasoning = config.reasoning_settings(self.spec.generation);
+        let prompts = Arc::new(config.reasoning.prompts(self.spec.prompt_set)?);
+        let reasoning = config.reasoning.settings(self.spec.generation);
         let code_source = CodeSource::Model { model: Arc::clone(&self.model), prompts, reasoning };
         Ok(LoadedModel { code_source, about: self.model.describe(), load_s: self.load_s })
     }

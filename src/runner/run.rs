@@ -88,11 +88,6 @@ impl Run {
         self.plan.tasks.len()
     }
 
-    /// The completed simulations.
-    pub(super) fn rows(&self) -> &[SimulationRow] {
-        &self.rows
-    }
-
     /// The tasks of its first scenario that are left.
     pub(super) fn first(&self) -> Vec<usize> {
         let source = |number: &usize| self.plan.tasks.get(*number).map(|task| &task.source);

@@ -1,6 +1,6 @@
 //! Starts and resumes runs.
 
-use super::config::Config;
+use super::config::{Config, ConfigError};
 use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::machine::build_commit;
@@ -54,6 +54,15 @@ pub fn resume(
     let completed = total - left;
     listener(Event::Note(format!("{completed} of {total} simulations are completed, {left} are left{failed}")));
     complete(run, &selection, started, listener)
+}
+
+impl Config {
+    /// The configuration that the run in a folder was started with.
+    pub fn of_run(folder: &Path) -> Result<Self, RunnerError> {
+        let place = format!("of the run in {}", folder.display());
+        let table = RunFolder::manifest(folder)?.config;
+        Ok(table.try_into().map_err(|source| ConfigError::Parse { place, source: Box::new(source) })?)
+    }
 }
 
 /// Loads the model, if a planner needs it, and writes the manifest.

@@ -1,21 +1,22 @@
 //! Experiments: the runs of studies, and what their comparison gives.
 
+mod request;
 mod runs;
 mod suites;
 mod tokens;
 
+pub use request::ExperimentsRequest;
 pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
 
 use super::config::Config;
 use super::error::RunnerError;
 use super::event::{Event, Listener};
 use crate::experiment::study::{Quick, Study};
-use crate::planner::PlannerRegistry;
 use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, SimulationRow, StudyFolder, StudyResults, SuiteSimulations,
     VariantSimulations,
 };
-use crate::scenario::{DataRoots, MissingTokens};
+use crate::scenario::MissingTokens;
 use runs::{PlannedRuns, RunName};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -27,27 +28,6 @@ use suites::{SelectedSuite, Suites};
 pub const TOKENS: &str = "tokens";
 /// Folder of the runs, beside those of the results.
 const RUNS: &str = "runs";
-
-/// What experiments are asked for.
-#[derive(Debug, Clone, Default)]
-pub struct ExperimentsRequest {
-    /// Names of suites; without any, those of each study.
-    pub suites: Vec<String>,
-    /// Scenarios of the suite `recorded`; without any, the recordings in `$PLANAGENT_DATA`.
-    pub scenarios: Vec<String>,
-    /// The planners that the studies name.
-    pub registry: PlannerRegistry,
-    /// Folders of nuPlan's data.
-    pub roots: DataRoots,
-    /// Folder for results and runs.
-    pub out: PathBuf,
-    /// Folder of a bench that measured the models without weights on this machine.
-    pub bench: Option<PathBuf>,
-    /// Whether to take only the first scenes of each type.
-    pub quick: bool,
-    /// Whether to repeat failed simulations.
-    pub retry_failed: bool,
-}
 
 /// A session of experiments, which share their suites and runs.
 pub struct Experiments<'a> {

@@ -1,6 +1,6 @@
 //! The suites of experiments.
 
-use super::ExperimentsRequest;
+use super::request::ExperimentsRequest;
 use crate::experiment::study::Quick;
 use crate::experiment::suite::RECORDED;
 use crate::report::ScenarioList;

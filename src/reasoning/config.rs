@@ -1,0 +1,47 @@
+//! Section `reasoning` of the configuration.
+
+use super::{PromptError, PromptSet, ReasoningSettings, Round};
+use crate::mllm::{GenerationSettings, PromptSet as PromptSetName, Sampling};
+use serde::{Deserialize, Serialize};
+
+/// How the model is asked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReasoningConfig {
+    /// `paper`, `compact` or a folder of templates; `None` for the set that the model's description names.
+    pub prompt_set: Option<String>,
+    /// The rounds in order; the last must be `code`.
+    pub rounds: Vec<Round>,
+    /// Iterations of 0.1 s between planning calls (the paper: 20).
+    pub interval: usize,
+    /// Sampling temperature of later attempts; 0 takes the most likely token. The model's description decides for the first.
+    pub rethink_temperature: f64,
+    /// Whether answers are decoded under grammars.
+    pub grammar: bool,
+}
+
+impl Default for ReasoningConfig {
+    fn default() -> Self {
+        Self { prompt_set: None, rounds: Round::ALL.to_vec(), interval: 20, rethink_temperature: 0.7, grammar: true }
+    }
+}
+
+impl ReasoningConfig {
+    /// The prompt set for a model whose description names `of_model`.
+    pub fn prompts(&self, of_model: PromptSetName) -> Result<PromptSet, PromptError> {
+        PromptSet::open(self.prompt_set.as_deref().unwrap_or(match of_model {
+            PromptSetName::Compact => "compact",
+            PromptSetName::Paper => "paper",
+        }))
+    }
+
+    /// The settings for a model with these generation settings.
+    pub fn settings(&self, generation: GenerationSettings) -> ReasoningSettings {
+        let rethink_sampling = if self.rethink_temperature > 0.0 {
+            Sampling::Sample { temperature: self.rethink_temperature, top_p: 1.0 }
+        } else {
+            Sampling::Greedy
+        };
+        ReasoningSettings { rounds: self.rounds.clone(), generation, rethink_sampling, grammar: self.grammar }
+    }
+}
