@@ -1,4 +1,4 @@
-//! The agent with a scripted model: what it does with answers of every kind.
+//! The agent with a scripted model and answers of every kind.
 
 use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
 use planagent::internals::mllm::{
@@ -132,7 +132,7 @@ pub(crate) fn drive(
 }
 
 #[test]
-fn readable_code_drives_and_three_rounds_are_asked() {
+fn a_readable_code_is_executed_and_three_rounds_are_asked() {
     let answers = [
         "A straight road.",
         "Longitudinal: maintain, because free\nLateral: keep, because it serves",
@@ -146,12 +146,12 @@ fn readable_code_drives_and_three_rounds_are_asked() {
     let call = &agent.calls()[0];
     assert_eq!(call.parse_errors(), 0);
     assert!(call.accepted().unwrap().instruction.is_some());
-    // The code asks for 8 m/s and for no more.
+    // The target speed is 8 m/s.
     assert!((log.samples.last().unwrap().ego.speed() - 8.0).abs() < 0.5);
 }
 
 #[test]
-fn unreadable_answers_are_told_back_counted_and_end_in_a_stop() {
+fn unreadable_answers_are_fed_back_counted_and_end_in_a_stop() {
     let answers = ["drive on, it looks fine"];
     let (agent, log, asked) = drive(&answers, &[Round::Code], settings(), "generated/high_magnitude_speed/1");
     let call = &agent.calls()[0];
@@ -163,7 +163,7 @@ fn unreadable_answers_are_told_back_counted_and_end_in_a_stop() {
 }
 
 #[test]
-fn a_planner_in_force_goes_on_when_later_answers_fail() {
+fn the_active_plan_is_kept_when_later_answers_fail() {
     // Eight calls: one readable code, then answers that no attempt can read.
     let mut answers = vec!["nothing to read"; 60];
     answers[0] = "Generate_IDM_Planner(c=ego_lane, la=None, v0=6, acc=1, dec=3)";
@@ -176,7 +176,7 @@ fn a_planner_in_force_goes_on_when_later_answers_fail() {
 }
 
 #[test]
-fn a_refused_planner_is_told_its_parts_and_the_last_one_drives() {
+fn feedback_names_the_parts_and_the_last_refused_plan_is_executed() {
     // A crawl on a free road makes no progress beside the proposals, so it scores under the threshold.
     let answers = ["Generate_IDM_Planner(c=ego_lane, la=None, v0=1, acc=0.5, dec=3)"];
     let (agent, _, asked) = drive(&answers, &[Round::Code], settings(), "generated/high_magnitude_speed/1");
@@ -187,7 +187,7 @@ fn a_refused_planner_is_told_its_parts_and_the_last_one_drives() {
 }
 
 #[test]
-fn a_deadline_ends_the_call_with_the_planner_in_force() {
+fn a_deadline_ends_the_call_and_keeps_the_active_plan() {
     // A whole first call; in the second the instruction is too slow; in the third an attempt cannot be read, and thinking
     // again is too slow; nothing is in time after that.
     let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=3)";
@@ -209,11 +209,11 @@ fn a_deadline_ends_the_call_with_the_planner_in_force() {
     assert_eq!(attempts[..4], [vec![3], vec![1], vec![3], vec![]], "what was answered in time is recorded");
     let errors: Vec<usize> = agent.calls()[..4].iter().map(PlanningCall::parse_errors).collect();
     assert_eq!(errors, [0, 0, 1, 0], "what was not answered was not misunderstood");
-    assert!((log.samples.last().unwrap().ego.speed() - 8.0).abs() < 0.5, "the first planner drives to the end");
+    assert!((log.samples.last().unwrap().ego.speed() - 8.0).abs() < 0.5, "the first plan is kept to the end");
 }
 
 #[test]
-fn a_refused_planner_does_not_drive_because_time_is_up() {
+fn a_refused_plan_is_not_executed_at_the_deadline() {
     let code = "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=3)";
     let mut settings = settings();
     settings.reflection.threshold = 1.5;
@@ -226,7 +226,7 @@ fn a_refused_planner_does_not_drive_because_time_is_up() {
 }
 
 #[test]
-fn without_a_planner_in_force_a_deadline_ends_in_a_stop() {
+fn without_an_active_plan_a_deadline_ends_in_a_stop() {
     let mut settings = settings();
     settings.agent.deadline_ms = Some(20);
     let (agent, log, _) = drive(&[SLOW], &[Round::Code], settings, "generated/high_magnitude_speed/1");
@@ -235,7 +235,7 @@ fn without_a_planner_in_force_a_deadline_ends_in_a_stop() {
     assert!(log.samples.last().unwrap().ego.speed() < 0.3);
 }
 
-/// A planner of the ego's lane at the start of a scene.
+/// A plan in the ego's lane at the start of a scene.
 pub(crate) fn planner_at<'a>(
     drive: &'a ClosedLoop<'a>,
     graph: &LaneGraph,
@@ -253,7 +253,7 @@ pub(crate) fn planner_at<'a>(
 }
 
 #[test]
-fn reflection_refuses_to_run_into_the_leader_and_accepts_to_follow_it() {
+fn reflection_refuses_to_hit_the_lead_agent_and_accepts_to_follow_it() {
     let (mut seen, mut braked) = (0, 0);
     for seed in 0..12 {
         let scenario = scenario(&format!("generated/stationary_in_traffic/{seed}"));
@@ -282,8 +282,8 @@ fn reflection_refuses_to_run_into_the_leader_and_accepts_to_follow_it() {
         assert_eq!(report.verdict, Verdict::Execute, "seed {seed}: {:?}", report.parts);
         assert!(!needs_emergency_brake(&scene, &careful.roll_out(&scene, 40), &mut PdmMemory::default()));
     }
-    assert!(seen >= 3, "only {seen} scenes have a standing leader close ahead");
-    assert!(braked >= 1, "the emergency brake never overrules a planner that does not see its leader");
+    assert!(seen >= 3, "only {seen} scenes have a standing lead agent close ahead");
+    assert!(braked >= 1, "the emergency brake never overrules a plan that ignores its lead agent");
 }
 
 #[test]
@@ -332,7 +332,7 @@ fn a_roll_out_stops_before_a_red_light() {
 }
 
 #[test]
-fn the_controls_drive_without_a_model() {
+fn the_baselines_plan_without_a_model() {
     let best = |code_source: CodeSource| {
         let mut agent = PlanAgent::new(PlannerName::new("control"), code_source, settings());
         simulate(&scenario("generated/changing_lane/3"), &mut agent, Challenge::NonReactive).unwrap();
@@ -357,7 +357,7 @@ fn the_controls_drive_without_a_model() {
     assert_eq!(codes(&random), codes(&best(CodeSource::Random)));
     assert!(codes(&random).windows(2).any(|pair| pair[0] != pair[1]));
 
-    // Before anything has been driven the three see the same scene, and the grid holds the fixed code.
+    // At the first call the three see the same scene, and the grid contains the fixed code.
     let grid = best(CodeSource::Grid);
     let first = |calls: &[PlanningCall]| calls[0].accepted().unwrap().reflection.as_ref().unwrap().score;
     assert!(first(&grid) >= first(&fixed));
@@ -365,7 +365,7 @@ fn the_controls_drive_without_a_model() {
 }
 
 #[test]
-fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
+fn a_lane_change_that_scores_too_little_does_not_begin() {
     let scenario = scenario("generated/changing_lane/4");
     let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let free = SceneView { objects: &[], ..drive.scene() };
@@ -392,24 +392,24 @@ fn a_change_of_lanes_that_scores_too_little_does_not_begin() {
         )
     };
     assert_eq!(call(0.0), (lane(CenterlineName::LeftLane), 1, Decision::Execute(0), None));
-    // More than can be scored: the code drives in the own lane.
+    // No plan scores 1.1: the code is executed in the ego's own lane.
     assert_eq!(call(1.1), (lane(CenterlineName::EgoLane), 3, Decision::Exhausted(0), Some(0)));
 }
 
 #[test]
-fn who_leads_is_a_fact_of_the_scene() {
+fn the_lead_agent_is_a_fact_of_the_scene() {
     let scenario = scenario("generated/following_lane_with_lead/0");
     let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let graph = LaneGraph::build(&drive.scene(), DEFAULT_NODE_LENGTH).unwrap();
     let leads = graph.lead_agent(CenterlineName::EgoLane).map(|agent| agent.token);
     assert!(leads.is_some());
-    // Codes that name nobody.
+    // Codes without a lead agent.
     assert_eq!(planner_at(&drive, &graph, 10.0, LeadPolicy::Nearest).lead_agent, leads);
     assert_eq!(planner_at(&drive, &graph, 10.0, LeadPolicy::Named).lead_agent, None);
 }
 
 #[test]
-fn the_best_of_refused_planners_drives_only_if_the_planner_in_force_is_worse() {
+fn the_best_refused_plan_is_executed_only_if_the_active_plan_is_worse() {
     // The second call and those after it ask for a stop in the middle of the road, which makes no progress.
     let go = "Generate_IDM_Planner(c=ego_lane, la=None, v0=12, acc=1.5, dec=3)";
     let stop = "Generate_IDM_Planner(c=ego_lane, la=None, v0=0, acc=0.5, dec=6)";

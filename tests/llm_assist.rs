@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 const SCENE: &str = "generated/high_magnitude_speed/1";
 
 /// No proposal of PDM-Closed reaches this τ, and no answer either.
-fn never_content() -> PlanAgentSettings {
+fn unreachable_threshold() -> PlanAgentSettings {
     settings_with(|settings| settings.reflection.threshold = 1.01)
 }
 
@@ -42,7 +42,7 @@ fn the_model_is_not_asked_while_a_proposal_is_good_enough() {
 }
 
 #[test]
-fn an_answer_that_is_no_better_or_cannot_be_read_leaves_the_wheel_to_pdm_closed() {
+fn pdm_closed_is_executed_where_no_answer_is_better_or_can_be_read() {
     // PDM-Closed's own parameters give its own proposals.
     let own = "Tune_PDM(v0=40, gap=1, headway=1.5, acc=1.5, dec=3, brake=on)";
     for (answer, variant, why) in [
@@ -50,7 +50,7 @@ fn an_answer_that_is_no_better_or_cannot_be_read_leaves_the_wheel_to_pdm_closed(
         ("drive on", AssistVariant::Parameters, NoPlan::Unreadable),
         ("Follow_Waypoints(x1=1)", AssistVariant::Unconstrained, NoPlan::Unreadable),
     ] {
-        let (planner, log, asked) = drive(&[answer], variant, never_content());
+        let (planner, log, asked) = drive(&[answer], variant, unreachable_threshold());
         assert_eq!((planner.calls().len(), asked.len()), (8, 24), "eight calls of three attempts");
         for call in planner.calls() {
             assert_eq!(call.decision, Decision::RuleBased(why.clone()));
@@ -61,9 +61,9 @@ fn an_answer_that_is_no_better_or_cannot_be_read_leaves_the_wheel_to_pdm_closed(
 }
 
 #[test]
-fn the_question_tells_the_scene_in_coordinates_and_the_answer_is_scored() {
+fn the_question_has_the_scene_in_coordinates_and_the_answer_is_scored() {
     let answer = "Follow_Waypoints(x1=12, y1=0, x2=24, y2=0, x3=36, y3=0, x4=48, y4=0)";
-    let (planner, _, asked) = drive(&[answer], AssistVariant::Unconstrained, never_content());
+    let (planner, _, asked) = drive(&[answer], AssistVariant::Unconstrained, unreachable_threshold());
     assert!(asked[0].starts_with("Ego: speed ") && asked[0].contains("ego_lane: ("), "{}", asked[0]);
     assert!(asked[0].contains("scores 1.00 of 1") || asked[0].contains("scores 0."), "{}", asked[0]);
     assert!(asked[1].contains(answer) && asked[1].contains("refused"), "{}", asked[1]);
@@ -74,7 +74,7 @@ fn the_question_tells_the_scene_in_coordinates_and_the_answer_is_scored() {
     assert!(reflection.score > 0.5 && attempt.path.len() == 41, "{:?}", reflection.parts);
 }
 
-/// nano was not trained for these questions; under the grammars its answers are read all the same.
+/// nano was not trained for these questions; under the grammars its answers can be read.
 #[test]
 fn the_model_that_ships_answers_so_that_it_can_be_read() {
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
@@ -84,7 +84,7 @@ fn the_model_that_ships_answers_so_that_it_can_be_read() {
     for &variant in AssistVariant::ALL {
         let reasoning = ReasoningSettings { grammar: true, generation: spec.generation, ..reasoning(&[Round::Code]) };
         let asked = (model.clone(), Arc::new(PromptSet::open("compact").unwrap()), reasoning);
-        let mut planner = LlmAssist::new(PlannerName::new("llm-assist"), variant, asked, never_content());
+        let mut planner = LlmAssist::new(PlannerName::new("llm-assist"), variant, asked, unreachable_threshold());
         simulate(&scenario(SCENE), &mut planner, Challenge::NonReactive).unwrap();
         assert_eq!(planner.calls().len(), 8);
         for attempt in planner.calls().iter().flat_map(|call| &call.attempts) {

@@ -1,4 +1,4 @@
-//! The planner in force while it is watched: which version of it drives, when it stops and when a change of lanes is given up.
+//! Monitoring: which version of the active plan is executed, when it stops, when a lane change is aborted.
 
 use crate::agent::{Script, code_source, planner_at, scenario, settings_with};
 use planagent::internals::environment::{CenterlineName, DEFAULT_NODE_LENGTH, LaneGraph};
@@ -11,8 +11,7 @@ use planagent::internals::simulation::{Challenge, ClosedLoop};
 use planagent::internals::world::{EgoState, LanePath, ObjectKind, SceneView, TrackToken, TrackedObject};
 use std::sync::{Arc, Mutex};
 
-/// How often each version was chosen while one planner after the other is driven: as it was written, otherwise on its own path,
-/// beside it, and the stop.
+/// How often each version of a plan was chosen: the plan itself, another one on its path, one beside it, and the stop.
 fn monitored_simulation(id: &str, monitor: &PlanMonitor, v0: f64) -> [usize; 4] {
     let scenario = scenario(id);
     let mut drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
@@ -23,11 +22,7 @@ fn monitored_simulation(id: &str, monitor: &PlanMonitor, v0: f64) -> [usize; 4] 
         let planner = planner_at(&drive, &graph, v0, LeadPolicy::Nearest);
         let versions = planner.roll_out_versions(&scene, monitor.steps);
         assert_eq!(versions.len(), 16);
-        assert_eq!(
-            versions[0].1,
-            planner.roll_out(&scene, monitor.steps),
-            "the first is the planner as it was written"
-        );
+        assert_eq!(versions[0].1, planner.roll_out(&scene, monitor.steps), "the first is the plan itself");
         assert_eq!(versions[15].0, Version::STOP);
         let choice = monitor.choose(&scene, &planner, &mut PdmMemory::default()).unwrap();
         let place = versions.iter().position(|(version, _)| *version == choice.version).unwrap();
@@ -40,17 +35,17 @@ fn monitored_simulation(id: &str, monitor: &PlanMonitor, v0: f64) -> [usize; 4] 
             5..15 => 2,
             _ => 3,
         }] += 1;
-        drive.advance(&again.to_trajectory(scene.ego).unwrap(), "watched").unwrap();
+        drive.advance(&again.to_trajectory(scene.ego).unwrap(), "monitored").unwrap();
     }
     count
 }
 
 #[test]
-fn a_watched_planner_drives_as_written_or_as_one_of_its_versions() {
+fn a_monitored_plan_is_executed_itself_or_in_one_of_its_versions() {
     let monitor = PlanMonitor { steps: 40, threshold: 0.75, emergency_brake: true };
     let pedestrians = "generated/waiting_for_pedestrian_to_cross/0";
     let [unmonitored, slower, ..] = monitored_simulation(pedestrians, &monitor, 12.0);
-    assert!(unmonitored > 0 && slower > 0, "as written {unmonitored}, slower {slower}");
+    assert!(unmonitored > 0 && slower > 0, "itself {unmonitored}, slower {slower}");
 
     // The path beside is taken only where the own one does not pass; if nothing passes, it is compared with all.
     let never_passes = PlanMonitor { threshold: 1.1, ..monitor };
@@ -69,7 +64,7 @@ fn standing(at: Pose, width: f64) -> TrackedObject {
 }
 
 #[test]
-fn a_change_of_lanes_that_goes_bad_is_given_up() {
+fn a_lane_change_whose_score_falls_is_aborted() {
     let scenario = scenario("generated/changing_lane/4");
     let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let free = SceneView { objects: &[], ..drive.scene() };
@@ -91,7 +86,7 @@ fn a_change_of_lanes_that_goes_bad_is_given_up() {
     let lane = |path: &LanePath| path.lane_at(path.centerline.project(free.ego.center().position()).s);
     assert_eq!(step(0, free), (lane(&left.path), None));
 
-    // Someone stands in the other lane now.
+    // A vehicle stands in the other lane now.
     let at = left.path.centerline.smooth_pose_at(left.ego_s + 28.0);
     let objects = [standing(at, 2.0)];
     let blocked = SceneView { objects: &objects, ..free };
@@ -100,7 +95,7 @@ fn a_change_of_lanes_that_goes_bad_is_given_up() {
 }
 
 #[test]
-fn a_watched_planner_stops_only_in_danger_and_only_if_it_may() {
+fn a_monitored_plan_stops_only_in_danger_and_only_if_it_may() {
     let scenario = scenario("generated/waiting_for_pedestrian_to_cross/0");
     let drive = ClosedLoop::new(&scenario, Challenge::NonReactive).unwrap();
     let before = drive.scene();
@@ -120,7 +115,7 @@ fn a_watched_planner_stops_only_in_danger_and_only_if_it_may() {
     assert_eq!(stops.version, Version::STOP);
     assert_ne!(drives.version, Version::STOP);
     assert!(stops.score > 0.0 && drives.score == 0.0, "{stops:?} {drives:?}");
-    // Farther away they do, but come too near it.
+    // Farther away they do, but the time to collision is short.
     let near = (17..40).map(f64::from).find(|&metres| choose(metres, false).score > 0.0).unwrap();
     let (stops, drives) = (choose(near, true), choose(near, false));
     assert_eq!(stops.version, Version::STOP);

@@ -1,4 +1,4 @@
-//! The agent when its calls take simulated time, and when a gate saves them.
+//! The agent with calls that last in simulated time, and behind a gate.
 
 use crate::agent::{drive, scenario, settings_with};
 use planagent::internals::planner::{Decision, Latency, PdmClosed, PlanAgentSettings, Planner};
@@ -15,7 +15,7 @@ fn after(milliseconds: u64) -> PlanAgentSettings {
 }
 
 #[test]
-fn a_planner_comes_into_force_when_its_time_has_passed() {
+fn a_plan_becomes_active_when_the_time_of_its_call_has_passed() {
     let (agent, log, asked) = drive(&[EIGHT], &[Round::Code], after(2500), SCENE);
     let calls: Vec<_> = agent.calls().iter().map(|call| (call.iteration, call.active_from)).collect();
     // While the model is busy it cannot be asked again: the next call is the first one due after that.
@@ -29,7 +29,7 @@ fn a_planner_comes_into_force_when_its_time_has_passed() {
 }
 
 #[test]
-fn a_call_of_no_length_is_as_good_as_no_latency() {
+fn a_latency_of_zero_is_no_latency() {
     let (_, at_once, _) = drive(&[EIGHT], &[Round::Code], after(0), SCENE);
     let mut none = after(0);
     none.agent.latency = Latency::None;
@@ -52,7 +52,7 @@ fn a_late_lane_change_begins_where_the_ego_is() {
 }
 
 #[test]
-fn a_gate_lets_the_rules_drive_where_they_are_expected_to_do_well() {
+fn behind_a_gate_pdm_closed_is_executed_where_it_is_predicted_to_score() {
     let gated = |gate| settings_with(|settings| settings.agent.gate = Some(gate));
     let (agent, log, asked) = drive(&[EIGHT], &[Round::Code], gated(0.5), SCENE);
     assert!(asked.is_empty(), "the model was asked: {asked:?}");

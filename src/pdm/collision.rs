@@ -10,7 +10,7 @@ const STOPPED_SPEED: f64 = 5e-3;
 
 /// The input of the terms for one proposal; the lists have one entry per state.
 #[derive(Clone, Copy)]
-pub(super) struct Driven<'a> {
+pub(super) struct SimulatedProposal<'a> {
     pub(super) states: &'a [EgoState],
     pub(super) placed: &'a [Placed],
     pub(super) areas: &'a [EgoAreas],
@@ -30,20 +30,20 @@ pub struct FirstTouch {
 pub fn no_at_fault_collisions(states: &[EgoState], areas: &[EgoAreas], forecast: &Forecast) -> FirstTouch {
     let batch: [Vec<Placed>; 1] = [states.iter().map(Placed::of).collect()];
     let [placed] = &batch;
-    collide(Driven { states, placed, areas }, &Encounters::of(forecast, &batch))
+    collide(SimulatedProposal { states, placed, areas }, &Encounters::of(forecast, &batch))
 }
 
 /// [`no_at_fault_collisions`] for one of a batch.
-pub(super) fn collide(driven: Driven<'_>, encounters: &Encounters<'_>) -> FirstTouch {
+pub(super) fn collide(proposal: SimulatedProposal<'_>, encounters: &Encounters<'_>) -> FirstTouch {
     let mut ignored: Vec<TrackToken> = Vec::new();
     let mut result = FirstTouch { score: 1.0, state: None };
-    for (i, placed) in driven.placed.iter().enumerate() {
+    for (i, placed) in proposal.placed.iter().enumerate() {
         for track in encounters.touching(&placed.shape, i, 0) {
             if ignored.contains(&track.token) {
                 continue;
             }
-            let off_lane = driven.areas[i].in_multiple_lanes_or_off_road();
-            if classify_collision(&driven.states[i], &track).is_at_fault(off_lane) {
+            let off_lane = proposal.areas[i].in_multiple_lanes_or_off_road();
+            if classify_collision(&proposal.states[i], &track).is_at_fault(off_lane) {
                 let left = if CollisionGroup::of(track.kind) == CollisionGroup::Object { 0.5 } else { 0.0 };
                 result.score = result.score.min(left);
                 result.state.get_or_insert(i);
@@ -61,17 +61,17 @@ pub(super) fn collide(driven: Driven<'_>, encounters: &Encounters<'_>) -> FirstT
 pub fn time_to_collision(map: &LaneMap, states: &[EgoState], areas: &[EgoAreas], forecast: &Forecast) -> FirstTouch {
     let batch: [Vec<Placed>; 1] = [states.iter().map(Placed::of).collect()];
     let [placed] = &batch;
-    approach(map, Driven { states, placed, areas }, &Encounters::of(forecast, &batch))
+    approach(map, SimulatedProposal { states, placed, areas }, &Encounters::of(forecast, &batch))
 }
 
 /// [`time_to_collision`] for one of a batch.
-pub(super) fn approach(map: &LaneMap, driven: Driven<'_>, encounters: &Encounters<'_>) -> FirstTouch {
+pub(super) fn approach(map: &LaneMap, proposal: SimulatedProposal<'_>, encounters: &Encounters<'_>) -> FirstTouch {
     let mut ignored: Vec<TrackToken> = Vec::new();
-    for (i, placed) in driven.placed.iter().enumerate() {
+    for (i, placed) in proposal.placed.iter().enumerate() {
         if placed.speed < STOPPED_SPEED || encounters.is_clear(i) {
             continue;
         }
-        let rear_axle = driven.states[i].rear_axle;
+        let rear_axle = proposal.states[i].rear_axle;
         let mut sideways: Option<bool> = None;
         for ahead in PROJECTED_STEPS {
             let shape = placed.moved(ahead as f64 * STEP_S);
@@ -81,7 +81,7 @@ pub(super) fn approach(map: &LaneMap, driven: Driven<'_>, encounters: &Encounter
                 }
                 let center = track.shape.center.position();
                 let sideways = *sideways.get_or_insert_with(|| {
-                    driven.areas[i].in_multiple_lanes_or_off_road() || map.in_intersection(rear_axle.position())
+                    proposal.areas[i].in_multiple_lanes_or_off_road() || map.in_intersection(rear_axle.position())
                 });
                 if is_ahead(rear_axle, center) || (sideways && !is_behind(rear_axle, center)) {
                     return FirstTouch { score: 0.0, state: Some(i) };

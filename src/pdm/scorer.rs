@@ -1,7 +1,7 @@
 //! The score of proposals (`tuplan_garage` `pdm_scorer.py`).
 
 use super::areas::NearAreas;
-use super::collision::{Driven, approach, collide};
+use super::collision::{SimulatedProposal, approach, collide};
 use super::encounters::Encounters;
 use super::{DrivableMap, EgoAreas, Forecast, Placed, is_comfortable};
 use crate::geometry::{Bounds, Polyline};
@@ -105,9 +105,9 @@ fn judge(
     placed: &[Placed],
 ) -> Result<ProposalScore, MetricError> {
     let areas: Vec<EgoAreas> = placed.iter().map(|placed| around.areas.areas_of(placed)).collect();
-    let driven = Driven { states, placed, areas: &areas };
-    let collisions = collide(driven, &around.encounters);
-    let ttc = approach(scene.drivable.map(), driven, &around.encounters);
+    let proposal = SimulatedProposal { states, placed, areas: &areas };
+    let collisions = collide(proposal, &around.encounters);
+    let ttc = approach(scene.drivable.map(), proposal, &around.encounters);
     let seconds = |state: Option<usize>| state.map(|i| i as f64 * STEP_S);
     Ok(ProposalScore {
         total: 0.0,

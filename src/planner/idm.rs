@@ -1,4 +1,4 @@
-//! nuPlan's built-in IDM planner: along the route's centreline behind whatever stands in the way (devkit `idm_planner.py`,
+//! nuPlan's IDM planner: along the route's centerline behind the nearest obstacle (devkit `idm_planner.py`,
 //! `abstract_idm_planner.py`, `breadth_first_search.py`).
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
@@ -11,31 +11,31 @@ use std::sync::Arc;
 /// nuPlan's parameters; the target velocity is that of a lane without a limit.
 const LAW: IdmParameters =
     IdmParameters { target_velocity: 10.0, min_gap: 1.0, headway: 1.5, accel_max: 1.0, decel_max: 3.0, exponent: 4 };
-/// Samples of a trajectory beside the first.
+/// Samples of a trajectory after the first.
 const SAMPLES: usize = 16;
 /// Time between samples, µs.
 const SAMPLE_US: i64 = 500_000;
 /// Time between samples, seconds.
 const SAMPLE_S: f64 = 0.5;
-/// Objects whose centre is nearer than this to the centre of the ego are seen, metres.
+/// Maximum distance between the centers of an obstacle and the ego, meters.
 const RADIUS: f64 = 40.0;
 
-/// The IDM planner. Its path and its target velocity are chosen at the first iteration and kept. Where the map does not join
-/// the roadblocks of the route (an unmapped U-turn), the path ends before the gap and so does the drive, as in nuPlan.
+/// The IDM planner. It chooses its path and its target velocity at the first iteration and keeps them. Where the map does not join
+/// the roadblocks of the route (an unmapped U-turn), the path ends before the gap and the ego stops there, as in nuPlan.
 #[derive(Debug, Clone, Default)]
 pub struct IdmPlanner {
     road: Option<Road>,
-    way: Option<Way>,
+    path: Option<IdmPath>,
 }
 
 impl IdmPlanner {
-    /// A planner that has not been initialised yet.
+    /// A planner before its initialization.
     pub fn new() -> Self {
         Self::default()
     }
 }
 
-/// What the planner knows from its initialisation.
+/// Map and route from the initialization.
 #[derive(Debug, Clone)]
 struct Road {
     map: Arc<LaneMap>,
@@ -43,15 +43,15 @@ struct Road {
     lanes: BTreeSet<LaneId>,
 }
 
-/// The path that is driven.
+/// The path with its IDM.
 #[derive(Debug, Clone)]
-struct Way {
+struct IdmPath {
     path: ProgressPath,
     line: Polyline,
     law: IdmParameters,
 }
 
-/// Where the ego is on its path.
+/// The ego's progress along its path.
 #[derive(Debug, Clone, Copy)]
 struct Progress {
     s: f64,
@@ -69,26 +69,26 @@ impl Planner for IdmPlanner {
             return Err(PlannerError::EmptyRoute);
         }
         let (map, route) = (Arc::clone(initialization.map), initialization.route.clone());
-        *self = Self { road: Some(Road { map, route, lanes }), way: None };
+        *self = Self { road: Some(Road { map, route, lanes }), path: None };
         Ok(())
     }
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let road = self.road.as_ref().ok_or(PlannerError::NotInitialized)?;
         let scene = &input.scene;
-        if self.way.is_none() {
-            self.way = Some(road.way(scene.ego)?);
-        }
-        let way = self.way.as_ref().ok_or(PlannerError::NotInitialized)?;
+        let path = match &mut self.path {
+            Some(path) => path,
+            none => none.insert(road.path(scene.ego)?),
+        };
         let obstacles = Obstacles::seen(scene, road);
-        way.roll_out(scene.ego, &obstacles)
+        path.roll_out(scene.ego, &obstacles)
     }
 }
 
 impl Road {
-    /// The path from the lane of the ego to the end of the route, with its target velocity: the limit of the first lane, or
-    /// the speed of the ego if that is higher.
-    fn way(&self, ego: &EgoState) -> Result<Way, PlannerError> {
+    /// The path from the ego's lane to the end of the route. Its target velocity is the limit of the first lane, or the ego's speed if
+    /// that is higher.
+    fn path(&self, ego: &EgoState) -> Result<IdmPath, PlannerError> {
         let start = self.starting_lane(ego).ok_or(PlannerError::EmptyRoute)?;
         let lanes = self.route_plan(start);
         let poses: Vec<_> =
@@ -98,10 +98,10 @@ impl Road {
         let points = path.between(0.0, path.length()).into_iter().map(|pose| pose.position());
         let line = Polyline::new(points).map_err(|_| PlannerError::EmptyRoute)?;
         let limit = self.map[start].speed_limit.filter(|&limit| limit > 0.0).unwrap_or(LAW.target_velocity);
-        Ok(Way { path, line, law: IdmParameters { target_velocity: limit.max(ego.speed()), ..LAW } })
+        Ok(IdmPath { path, line, law: IdmParameters { target_velocity: limit.max(ego.speed()), ..LAW } })
     }
 
-    /// Of the lanes of the first two roadblocks the first that holds the centre of the ego, else the nearest to its box.
+    /// The first lane of the first two roadblocks that holds the ego's center, else the nearest one to its box.
     fn starting_lane(&self, ego: &EgoState) -> Option<LaneId> {
         let center = ego.center().position();
         let footprint = ego.footprint();
@@ -163,7 +163,7 @@ fn chain(end: LaneId, parents: &[BTreeMap<LaneId, LaneId>]) -> Vec<LaneId> {
     lanes
 }
 
-/// What may stand in the way, frozen at the present.
+/// The obstacles near the ego, frozen at the present.
 struct Obstacles<'a> {
     objects: Vec<&'a TrackedObject>,
     red: Vec<LaneId>,
@@ -199,12 +199,12 @@ impl<'a> Obstacles<'a> {
     }
 }
 
-impl Way {
+impl IdmPath {
     /// The trajectory from the projection of the ego on the path, by forward Euler at 0.5 s.
     fn roll_out(&self, ego: &EgoState, obstacles: &Obstacles<'_>) -> Result<Trajectory, PlannerError> {
         let mut at = Progress { s: self.line.project(ego.center().position()).s, speed: ego.center_velocity().x };
         let mut states = vec![self.state(at, ego.time_us)];
-        // At every sample, the first included, obstacles are looked for around the ego on its path, not where it really is.
+        // At every sample, the first included, the search is around the ego's projection on its path, as in nuPlan.
         let mut footprint = PACIFICA.footprint(states[0].rear_axle);
         for sample in 1..=SAMPLES {
             let reach = self.law.target_velocity.abs() * SAMPLES as f64 * SAMPLE_S;
@@ -219,7 +219,7 @@ impl Way {
         Ok(Trajectory::new(states)?)
     }
 
-    /// One sample on; without a lead the end of the path is a standing obstacle.
+    /// The next sample; without a lead object the end of the path is a standing obstacle.
     fn propagate(&self, at: Progress, lead: Option<Lead>) -> Progress {
         let path_end = Lead { gap: self.path.length() - at.s - PACIFICA.length() / 2.0, speed: 0.0 };
         let acceleration = self.law.acceleration(at.speed, Some(lead.unwrap_or(path_end)));

@@ -1,16 +1,16 @@
-//! Drives what was recorded: nuPlan's `log_future_planner`, the reference that scores are compared with.
+//! Replays the recorded ego: nuPlan's `log_future_planner`, the reference of scores.
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::world::{EgoState, Trajectory, TrajectoryState};
 
-/// Poses of a trajectory beside the first.
+/// Poses of a trajectory after the first.
 const POSES: usize = 16;
-/// Steps of 0.1 s from pose to pose: 16 poses make 8 s.
+/// Steps of 0.1 s between poses: 16 poses make 8 s.
 const STEPS_BETWEEN: usize = 5;
 
 /// The log-replay planner: at iteration k the recorded state k and 16 later ones, 0.5 s apart.
 ///
-/// Where the recording has too few later states, the trajectory before is kept, as in nuPlan. A recording shorter than 8 s
+/// Where the recording has too few later states, the last trajectory is kept, as in nuPlan. A recording shorter than 8 s
 /// is replayed to its last state.
 #[derive(Debug, Clone)]
 pub struct LogReplay {
@@ -19,8 +19,7 @@ pub struct LogReplay {
 }
 
 impl LogReplay {
-    /// A planner that replays the recorded states, one an iteration from iteration 0 on; those after the end of the scenario
-    /// belong to it.
+    /// A planner that replays the recorded states, one per iteration, with those after the end of the scenario.
     pub fn new(expert: Vec<EgoState>) -> Self {
         Self { expert, current: None }
     }
@@ -30,7 +29,7 @@ impl LogReplay {
         (0..=POSES).map(|i| self.expert.get(iteration + i * STEPS_BETWEEN).map(TrajectoryState::from)).collect()
     }
 
-    /// What is recorded from an iteration on, the last state included.
+    /// The recorded states from an iteration on, the last one included.
     fn rest(&self, iteration: usize) -> Vec<TrajectoryState> {
         let rest = self.expert.get(iteration..).unwrap_or_default();
         let last = rest.len().saturating_sub(1);

@@ -1,23 +1,22 @@
-//! nuPlan's `simple_planner`: straight on, at most at a speed that is set (devkit `simple_planner.py`). Its open-loop vectors
-//! are made with it.
+//! nuPlan's `simple_planner`: straight ahead up to a set speed (devkit `simple_planner.py`). nuPlan's open-loop vectors use it.
 
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::dynamics::{Command, advance};
 use crate::geometry::Vector;
 use crate::world::{EgoState, Trajectory, TrajectoryError, TrajectoryState};
 
-/// The planner that goes straight on. Its default is nuPlan's `simple_planner.yaml`.
+/// The planner that drives straight ahead. The default is nuPlan's `simple_planner.yaml`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimplePlanner {
     /// Length of a trajectory, µs.
     pub horizon_us: i64,
     /// Time between its states, µs.
     pub sampling_us: i64,
-    /// Acceleration that is kept up to the speed limit, body frame, m/s².
+    /// Acceleration up to the speed limit, body frame, m/s².
     pub acceleration: Vector,
     /// Speed limit, m/s. A faster ego brakes by the excess over it, per second.
     pub max_velocity: f64,
-    /// Steering angle that is kept, radians.
+    /// Constant steering angle, radians.
     pub steering_angle: f64,
 }
 

@@ -1,19 +1,19 @@
-//! Reads a call of a known function out of a model's answer. Reading never fails: it gives the arguments that were
-//! understood and a list of errors with their place.
+//! Reads a call of a known function from a model's answer. Reading never fails: it gives the arguments that were read and a list
+//! of errors with their place.
 
 use super::code::Range as NumberRange;
 use super::code_lexer::{Spanned, Token, tokens};
 use std::fmt;
 use std::ops::Range;
 
-/// One thing wrong with an answer.
+/// An error in an answer.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 pub struct ParseError {
-    /// Bytes of the answer that are meant; empty at the end of the text when something is missing.
+    /// The wrong bytes of the answer; an empty range at the end when something is missing.
     pub span: Range<usize>,
     /// What is wrong.
     pub message: String,
-    /// What would be right.
+    /// How to correct it.
     pub hint: String,
 }
 
@@ -26,9 +26,7 @@ impl fmt::Display for ParseError {
 /// A function that a model may call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Signature<'a> {
-    /// Its name.
     pub(super) function: &'a str,
-    /// Its parameters, in order.
     pub(super) parameters: &'a [&'a str],
 }
 
@@ -45,7 +43,7 @@ pub(super) struct Argument {
     pub(super) span: Range<usize>,
 }
 
-/// A call being read: its arguments are taken one by one.
+/// A call whose arguments are taken one by one.
 pub(super) struct Call<'a> {
     signature: Signature<'a>,
     /// By parameter.
@@ -57,9 +55,6 @@ pub(super) struct Call<'a> {
 
 impl<'a> Call<'a> {
     /// Finds the last call of the function in `text`: a model that reasons aloud may write drafts first.
-    ///
-    /// # Errors
-    /// When there is none.
     pub(super) fn find(text: &str, signature: Signature<'a>) -> Result<Self, ParseError> {
         let tokens = tokens(text);
         let is_name = |s: &Spanned| matches!(&s.token, Token::Word(w) if w.eq_ignore_ascii_case(signature.function));
@@ -120,7 +115,7 @@ impl<'a> Call<'a> {
         self.errors.push(ParseError { span, message, hint });
     }
 
-    /// Takes what was given for a parameter; where nothing was, that is an error.
+    /// Takes the argument of a parameter; a missing one is an error.
     pub(super) fn take(&mut self, parameter: &str) -> Option<Argument> {
         let given = self.given(parameter);
         if given.is_none() {
@@ -143,7 +138,7 @@ impl<'a> Call<'a> {
         })
     }
 
-    /// Takes one of the `known` names; `other` is what would be right as well.
+    /// Takes one of the `known` names. The hint of an error names `other` too.
     pub(super) fn name<T: Copy + fmt::Display>(
         &mut self,
         parameter: &str,
@@ -163,7 +158,7 @@ impl<'a> Call<'a> {
         None
     }
 
-    /// Takes one of these words; gives its place.
+    /// Takes one of these words; gives its index.
     pub(super) fn word(&mut self, parameter: &str, words: &[&str]) -> Option<usize> {
         let Argument { value, span } = self.take(parameter)?;
         let place = match &value {
@@ -181,7 +176,7 @@ impl<'a> Call<'a> {
         self.number_of(parameter, range, |value| value)
     }
 
-    /// Takes the magnitude of a number: some write a deceleration as a negative acceleration.
+    /// Takes the magnitude of a number: models write decelerations with either sign.
     pub(super) fn magnitude(&mut self, parameter: &str, range: NumberRange) -> Option<f64> {
         self.number_of(parameter, range, f64::abs)
     }
@@ -197,7 +192,7 @@ impl<'a> Call<'a> {
         None
     }
 
-    /// Everything that is wrong, in order of place.
+    /// All errors, in order of place.
     pub(super) fn into_errors(mut self) -> Vec<ParseError> {
         self.errors.sort_by_key(|error| (error.span.start, error.span.end));
         self.errors

@@ -1,9 +1,9 @@
-//! The planner code of the paper: what it says, its ranges, and how it is printed.
+//! The planner code of the paper: its parts, its ranges, its text.
 
 use crate::environment::{AgentName, CenterlineName, LaneGraph};
 use std::fmt;
 
-/// Name of the one function that planner code calls (paper, section 3, planner code generation).
+/// The function that planner code calls (paper, section 3, planner code generation).
 pub const FUNCTION: &str = "Generate_IDM_Planner";
 
 /// A call `Generate_IDM_Planner(c, la, v0, acc, dec)`: an IDM planner along a centerline behind a lead agent.
@@ -27,15 +27,13 @@ pub(super) const NO_LEAD_AGENT: &str = "None";
 /// The values that a number of the code may take.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Range {
-    /// Smallest allowed value.
     pub min: f64,
-    /// Largest allowed value.
     pub max: f64,
-    /// Its unit, for messages.
+    /// The unit, for messages.
     pub unit: &'static str,
 }
 
-/// `v0`: from standing still to more than any speed limit of nuPlan's maps.
+/// `v0`: from standstill to more than any speed limit of nuPlan's maps.
 pub const TARGET_SPEED: Range = Range { min: 0.0, max: 40.0, unit: "m/s" };
 /// `acc`: up to what a passenger car can give.
 pub const ACCEL_MAX: Range = Range { min: 0.1, max: 5.0, unit: "m/s²" };

@@ -1,4 +1,4 @@
-//! Splits an answer into the few kinds of words that planner code is made of. Any text can be split.
+//! Splits an answer into the tokens of planner code. Any text can be split.
 
 use std::ops::Range;
 

@@ -1,5 +1,5 @@
-//! Reads planner code out of a model's answer. Reading never fails: it gives what was understood and a list of errors with
-//! their place; the errors go into the rethink prompt and are counted.
+//! Reads planner code from a model's answer. Reading never fails: it gives the code or a list of errors with their place. The
+//! errors go into the feedback prompt and are counted.
 
 use super::call_parser::{Call, ParseError, Signature};
 use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, NO_LEAD_AGENT, Names, PlannerCode, TARGET_SPEED};

@@ -25,43 +25,40 @@ pub struct ScenarioPrompt {
     pub text: Option<String>,
     /// The names that planner code may use.
     pub names: Names,
-    /// What the colours of the image mean, for the system prompt.
+    /// The meaning of the image's colors, for the system prompt.
     pub legend: String,
 }
 
-/// Why a refused planner was refused.
+/// Why a plan was refused.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Feedback {
-    /// The planner, as it was read.
+    /// The line, as it was read.
     pub code: Option<String>,
-    /// Its score; `None` when there was nothing to simulate.
+    /// The score of its plan; `None` without a plan.
     pub score: Option<f64>,
-    /// The score that is needed.
+    /// The score that a plan needs.
     pub threshold: f64,
     /// The parts of the score by name.
     pub parts: Vec<(String, f64)>,
-    /// What could not be read.
+    /// The errors in the answer.
     pub errors: Vec<ParseError>,
 }
 
 /// Record of one round: prompt, answer, and what it cost.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 pub struct RoundRecord {
-    /// Which round.
     pub round: Round,
-    /// What was asked.
     pub prompt: String,
-    /// BLAKE3 of all text that the model had been told.
+    /// BLAKE3 of the whole chat before the answer.
     pub prompt_hash: String,
-    /// What was answered.
     pub answer: String,
     /// Why the answer ends.
     pub finish: FinishReason,
-    /// What became of the round's grammar.
+    /// How the round's grammar was used.
     pub constraint: ConstraintUse,
     /// Tokens read and written.
     pub tokens: TokenCounts,
-    /// Wall time; kept apart from the rest of a record.
+    /// Wall time; written apart from the rest of a record.
     #[serde(skip)]
     pub time: RoundTime,
 }
@@ -71,7 +68,7 @@ pub struct RoundRecord {
 pub enum Interruption {
     /// The planning call's deadline passed.
     Deadline,
-    /// The model failed in a way that can pass. The text says how.
+    /// A transient failure of the model. The text says how.
     Model(String),
 }
 
@@ -104,16 +101,16 @@ impl<A> ReasoningTrace<A> {
     }
 }
 
-/// How the rounds are asked.
+/// Settings of the rounds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReasoningSettings {
-    /// Which rounds are asked, in order; the last must be [`Round::Code`].
+    /// The rounds that are asked, in order; the last must be [`Round::Code`].
     pub rounds: Vec<Round>,
-    /// Most tokens of an answer and how the first attempt chooses them: the model's own settings.
+    /// The model's own settings: bounds on answers, and the sampling of the first attempt.
     pub generation: GenerationSettings,
-    /// How later attempts choose their tokens.
+    /// Sampling of later attempts.
     pub rethink_sampling: Sampling,
-    /// Whether rounds are decoded under their grammars. Without, answers are free and may fail to parse.
+    /// Whether answers are decoded under grammars. Without, they may fail to parse.
     pub grammar: bool,
 }
 
@@ -143,7 +140,7 @@ impl<'a> Reasoning<'a> {
     /// Opens the conversation of a planning call that must end by `deadline`.
     ///
     /// # Errors
-    /// When the system prompt cannot be made or the model cannot take the image.
+    /// When the system prompt cannot be rendered or the model cannot take the image.
     pub fn open(
         model: &'a dyn Mllm,
         prompts: &'a PromptSet,
@@ -158,11 +155,10 @@ impl<'a> Reasoning<'a> {
         Ok(Self { conversation, start, prompts, settings, scenario, deadline, attempts: 0 })
     }
 
-    /// One attempt: all rounds from the start, with what was wrong with the last attempt in the first prompt.
+    /// One attempt: all rounds from the start, with feedback on the last attempt in the first prompt.
     ///
     /// # Errors
-    /// When the model fails for good or a prompt cannot be made. Answers that make no sense are no error, and neither is
-    /// what [`Interruption`] names.
+    /// On a permanent failure of the model, or when a prompt cannot be rendered. Wrong answers and interruptions are no errors.
     pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace<PlannerCode>, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;
@@ -207,9 +203,6 @@ impl<'a> Reasoning<'a> {
 }
 
 /// The system prompt of a set: the same for all calls of a run.
-///
-/// # Errors
-/// When the template names something that does not exist.
 pub fn system_prompt(prompts: &PromptSet, legend: &str) -> Result<String, PromptError> {
     prompts.system(context! {
         function => FUNCTION,
@@ -221,9 +214,6 @@ pub fn system_prompt(prompts: &PromptSet, legend: &str) -> Result<String, Prompt
 }
 
 /// The prompt of a round; the first round that is asked carries the scene text and the feedback.
-///
-/// # Errors
-/// When the template names something that does not exist.
 pub fn round_prompt(
     prompts: &PromptSet,
     round: Round,
@@ -243,10 +233,7 @@ pub fn round_prompt(
     prompts.round(round, context)
 }
 
-/// What is said to the model about a refused planner.
-///
-/// # Errors
-/// When the template names something that does not exist.
+/// The feedback on a refused plan that the model reads.
 pub fn feedback_text(prompts: &PromptSet, feedback: &Feedback) -> Result<String, PromptError> {
     let rounded = |value: f64| format!("{value:.2}");
     prompts.feedback(context! {

@@ -1,4 +1,4 @@
-//! What answers must look like, so that an answer always parses.
+//! The grammars of the rounds, under which an answer always parses.
 
 use super::code::{FUNCTION, NO_LEAD_AGENT, Names};
 use super::instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason};
@@ -7,13 +7,13 @@ use crate::environment::facts::Question;
 use crate::mllm::Constraint;
 use std::ops::RangeInclusive;
 
-/// Desired speeds that a model may write, m/s: whole numbers up to the speed limit, or up to this where it is unknown.
+/// Maximum target speed where the speed limit is unknown, m/s. Speeds are whole numbers.
 pub(super) const FASTEST: u32 = 30;
 /// Accelerations that a model may write, m/s².
 pub const ACCELERATIONS: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
 /// Decelerations that a model may write, m/s².
 pub const DECELERATIONS: [f64; 4] = [2.0, 3.0, 4.0, 6.0];
-/// A reason in free words: one line that begins with a letter.
+/// A reason in free text: one line that begins with a letter.
 const REASON: &str = r"[A-Za-z][^\n]{2,160}";
 
 /// One of these words.
@@ -21,12 +21,11 @@ pub(super) fn any_of<S: AsRef<str>>(words: impl IntoIterator<Item = S>) -> Const
     Constraint::Choice(words.into_iter().map(|word| word.as_ref().to_owned()).collect())
 }
 
-/// Exactly this text.
 pub(super) fn text(text: impl AsRef<str>) -> Constraint {
     any_of([text])
 }
 
-/// What answers of round 1 look like.
+/// The grammar of round 1.
 pub(super) fn understanding(form: UnderstandingForm) -> Constraint {
     match form {
         UnderstandingForm::Free => Constraint::Free,
@@ -40,7 +39,7 @@ pub(super) fn understanding(form: UnderstandingForm) -> Constraint {
     }
 }
 
-/// What answers of round 2 look like.
+/// The grammar of round 2.
 pub(super) fn instruction(form: InstructionForm) -> Constraint {
     let (longitudinal, lateral) = (any_of(Longitudinal::TEXTS), any_of(Lateral::TEXTS));
     Constraint::Sequence(match form {
@@ -70,12 +69,12 @@ pub(super) fn instruction(form: InstructionForm) -> Constraint {
     })
 }
 
-/// The desired speeds that a code may ask for in a scene, m/s.
+/// The target speeds of codes in a scene, m/s.
 pub fn target_speeds(names: &Names) -> RangeInclusive<u32> {
     0..=names.speed_limit.unwrap_or(FASTEST)
 }
 
-/// What answers of round 3 look like: one call with the names of this scene.
+/// The grammar of round 3: one call with the names of this scene.
 pub(super) fn code(names: &Names) -> Constraint {
     Constraint::Sequence(vec![
         text(format!("{FUNCTION}(c=")),

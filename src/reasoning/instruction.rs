@@ -3,7 +3,7 @@
 use crate::environment::choice::choice;
 
 choice! {
-    /// What to do along the road.
+    /// The longitudinal instruction.
     pub enum Longitudinal {
         /// Go faster.
         Accelerate = "accelerate",
@@ -15,7 +15,7 @@ choice! {
 }
 
 choice! {
-    /// What to do across the road.
+    /// The lateral instruction.
     pub enum Lateral {
         /// Into the lane to the left.
         ChangeLeft = "change_left",
@@ -27,7 +27,7 @@ choice! {
 }
 
 choice! {
-    /// Why the longitudinal instruction was given: what limits the speed most.
+    /// The reason for the longitudinal instruction: the strongest limit on the speed.
     pub enum LongitudinalReason {
         /// Nothing ahead, below the limit.
         FreeRoad = "free_road",
@@ -37,23 +37,23 @@ choice! {
         Lead = "lead",
         /// A red or yellow light.
         Light = "light",
-        /// Somebody on foot or on a bicycle on the way.
+        /// A pedestrian or bicycle on the path.
         Person = "person",
-        /// An obstacle on the way.
+        /// An obstacle on the path.
         Obstacle = "obstacle",
     }
 }
 
 choice! {
-    /// Why the lateral instruction was given.
+    /// The reason for the lateral instruction.
     pub enum LateralReason {
-        /// The lane serves.
+        /// The lane follows the route without hindrance.
         LaneServes = "lane_serves",
-        /// Something stands in the lane.
+        /// The lane is blocked.
         Blocked = "blocked",
-        /// Somebody drives ahead in the lane.
+        /// There is a slower lead agent.
         SlowLead = "slow_lead",
-        /// The other lane gets on better.
+        /// The other lane is faster.
         FasterLane = "faster_lane",
     }
 }
@@ -61,14 +61,12 @@ choice! {
 /// The answer of round 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 pub struct MotionInstruction {
-    /// Along the road.
     pub longitudinal: Longitudinal,
-    /// Across the road.
     pub lateral: Lateral,
 }
 
 impl MotionInstruction {
-    /// Reads the two words out of an answer of either form: the first longitudinal and the first lateral word in it.
+    /// Reads the first longitudinal and the first lateral word in an answer of either form.
     pub fn find(answer: &str) -> Option<Self> {
         let words: Vec<String> = answer
             .split(|c: char| !(c.is_alphanumeric() || c == '_'))

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// File names of the templates.
 const TEMPLATES: [&str; 5] = ["system", "understanding", "instruction", "code", "feedback"];
 
-/// How round 1 is answered.
+/// The form of answers in round 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum UnderstandingForm {
@@ -21,11 +21,11 @@ pub enum UnderstandingForm {
     Choices,
 }
 
-/// How round 2 is answered.
+/// The form of answers in round 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InstructionForm {
-    /// Two lines with a reason in words, under a grammar.
+    /// Two lines with a reason in free text, under a grammar.
     Reasoned,
     /// `key=value`, under a grammar.
     Choices,
@@ -98,12 +98,12 @@ impl PromptSet {
         Ok(Self { forms, templates: Templates::compile(name, TEMPLATES.into_iter().zip(sources))? })
     }
 
-    /// The name or folder it was opened by.
+    /// The name or folder that it was opened by.
     pub fn name(&self) -> &str {
         self.templates.set()
     }
 
-    /// How answers look.
+    /// The forms of texts and answers.
     pub fn forms(&self) -> &PromptForms {
         &self.forms
     }
@@ -118,7 +118,7 @@ impl PromptSet {
         self.templates.render(round.as_str(), context)
     }
 
-    /// What is said of a refused planner.
+    /// The feedback on a refused plan.
     pub(super) fn feedback(&self, context: Value) -> Result<String, PromptError> {
         self.templates.render("feedback", context)
     }

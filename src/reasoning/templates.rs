@@ -3,7 +3,7 @@
 use super::error::PromptError;
 use minijinja::{Environment, UndefinedBehavior, Value};
 
-/// The templates of one set; a template that names something that does not exist cannot be rendered.
+/// The templates of one set. A template that names a missing value cannot be rendered.
 #[derive(Debug)]
 pub(super) struct Templates {
     set: String,
@@ -12,9 +12,6 @@ pub(super) struct Templates {
 
 impl Templates {
     /// Compiles the templates of the set of this name.
-    ///
-    /// # Errors
-    /// When a template is wrong.
     pub(super) fn compile(
         set: &str,
         templates: impl IntoIterator<Item = (&'static str, String)>,
@@ -31,15 +28,11 @@ impl Templates {
         Ok(Self { set: set.to_owned(), environment })
     }
 
-    /// The name of the set.
     pub(super) fn set(&self) -> &str {
         &self.set
     }
 
     /// The text of a template, without white space around it.
-    ///
-    /// # Errors
-    /// When it names something that the context lacks.
     pub(super) fn render(&self, name: &'static str, context: Value) -> Result<String, PromptError> {
         let rendered = self.environment.get_template(name).and_then(|template| template.render(context));
         rendered.map(|text| text.trim().to_owned()).map_err(|source| PromptError::Template {

@@ -1,4 +1,4 @@
-//! The path that a planner drives: from where the ego is, smoothly onto the followed centreline.
+//! The path of a plan: from the ego's pose smoothly onto the followed centerline.
 
 use crate::geometry::{GeometryError, Point, Polyline, Pose, wrap_angle};
 use crate::world::EgoState;
@@ -7,19 +7,19 @@ use crate::world::EgoState;
 const LANE_CHANGE_S: f64 = 3.5;
 /// Time in which the smallest offset decays, seconds.
 const SETTLE_S: f64 = 1.2;
-/// A usual lane width, metres.
+/// A typical lane width, meters.
 const LANE_WIDTH: f64 = 3.5;
-/// The decay is never shorter than this, metres, so that a slow ego does not have to turn on the spot.
-const SHORTEST_DECAY: f64 = 8.0;
-/// Distance between the vertices of the path, metres.
+/// Minimum length of the decay, meters, so that a slow ego does not have to turn on the spot.
+const MIN_DECAY: f64 = 8.0;
+/// Distance between the vertices of the path, meters.
 const SPACING: f64 = 1.0;
-/// Largest slope (tangent of the heading error) from which the path starts: beyond it the ego is not driving along the lane.
-const STEEPEST: f64 = 0.7;
+/// Maximum slope (tangent of the heading error) at the start of the path: beyond it the ego does not follow the lane.
+const MAX_SLOPE: f64 = 0.7;
 
-/// The path of the rear axle from the ego's present pose to `beside` metres to the left of `centerline`, then along it for
-/// `length` metres.
+/// The path of the rear axle from the ego's present pose to `beside` meters to the left of `centerline`, then along it for
+/// `length` meters.
 ///
-/// In the centreline's frame the distance d(s) from that line is the quintic with the ego's distance and slope and no curvature
+/// In the centerline's frame the distance d(s) from that line is the quintic with the ego's distance and slope and no curvature
 /// at the start, and d = d' = d'' = 0 at the end of the decay.
 ///
 /// # Errors
@@ -33,9 +33,9 @@ pub fn onto_centerline(
     let rear = ego.rear_axle;
     let foot = centerline.project(rear.position());
     let offset = foot.lateral - beside;
-    let slope = wrap_angle(rear.heading - centerline.smooth_pose_at(foot.s).heading).tan().clamp(-STEEPEST, STEEPEST);
+    let slope = wrap_angle(rear.heading - centerline.smooth_pose_at(foot.s).heading).tan().clamp(-MAX_SLOPE, MAX_SLOPE);
     let seconds = SETTLE_S + (LANE_CHANGE_S - SETTLE_S) * (offset.abs() / LANE_WIDTH).min(1.0);
-    let decay = (ego.speed() * seconds).max(SHORTEST_DECAY);
+    let decay = (ego.speed() * seconds).max(MIN_DECAY);
     let lateral = quintic(offset, slope, decay);
     let end = (foot.s + length).min(centerline.length());
     let count = ((end - foot.s) / SPACING).ceil().max(1.0) as usize;
@@ -44,7 +44,7 @@ pub fn onto_centerline(
         centerline.smooth_pose_at(s).to_map(Point::new(0.0, beside + lateral(s - foot.s)))
     });
     let path = Polyline::new(std::iter::once(rear.position()).chain(points));
-    // An ego at the very end of its centreline goes straight on.
+    // An ego at the very end of its centerline continues straight ahead.
     path.or_else(|_| straight_ahead(rear, length))
 }
 

@@ -31,9 +31,9 @@ pub struct SubScores {
     pub no_collision: f64,
     /// Multiplier: 1 while all corners stay on drivable area.
     pub drivable_area: f64,
-    /// Multiplier: 1, 0.5 or 0 by metres driven in oncoming lanes.
+    /// Multiplier: 1, 0.5 or 0 by meters driven in oncoming lanes.
     pub driving_direction: f64,
-    /// Weight 5: progress along the route centreline, relative to the reference.
+    /// Weight 5: progress along the route centerline, relative to the reference.
     pub progress: f64,
     /// Weight 5: 1 when no collision is near at constant speed.
     pub time_to_collision: f64,

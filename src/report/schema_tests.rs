@@ -12,8 +12,11 @@ fn check<T: JsonSchema>(name: &str) {
     if env::var_os("PLANAGENT_UPDATE_GOLDEN").is_some() {
         fs::write(&path, &text).unwrap();
     }
-    let file = fs::read_to_string(&path).unwrap_or_default();
-    assert!(file == text, "{} is out of date; PLANAGENT_UPDATE_GOLDEN=1 writes it", path.display());
+    if fs::read_to_string(&path).unwrap_or_default() != text {
+        let derived = env::temp_dir().join(format!("{name}.schema.json"));
+        fs::write(&derived, &text).unwrap();
+        panic!("{} is out of date: {} is the derived schema", path.display(), derived.display());
+    }
 }
 
 #[test]

@@ -54,7 +54,7 @@ fn boxes_move_along_their_axis_every_second_step() {
 }
 
 #[test]
-fn what_is_touched_once_is_ignored_for_good() {
+fn what_is_touched_once_is_ignored_later() {
     let map = straight();
     let mut collided = Collided::default();
     let objects = [cone(1, 2.0), cone(2, 20.0)];

@@ -7,13 +7,13 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Steps of 0.1 s between two waypoints.
 const STEPS: usize = 10;
-/// Steps of 0.1 s of the trajectory: 8 s, what nuPlan's planners give.
+/// Steps of 0.1 s of the trajectory: 8 s, as nuPlan's planners give.
 const ALL_STEPS: usize = 80;
 /// Below this speed the heading is kept, m/s.
 const STANDSTILL: f64 = 0.2;
 
 /// From the present state through the waypoints on cubic Hermite splines, whose slopes at inner waypoints are those of
-/// Catmull and Rom; straight on after the last one. What lies behind is driven to in reverse.
+/// Catmull and Rom; straight ahead after the last one. Waypoints behind the ego are reached in reverse.
 ///
 /// # Errors
 /// When the state of the ego is not finite.
@@ -53,7 +53,7 @@ pub(super) fn through(ego: &EgoState, waypoints: &Waypoints) -> Result<Trajector
     Trajectory::new(states)
 }
 
-/// Place and velocity at a share of the way between two knots a second apart.
+/// Position and velocity at a fraction between two knots that are one second apart.
 fn hermite([start, end]: [Vector; 2], [first, last]: [Vector; 2], u: f64) -> (Vector, Vector) {
     let (u2, u3) = (u * u, u * u * u);
     let place = start * (2.0 * u3 - 3.0 * u2 + 1.0)

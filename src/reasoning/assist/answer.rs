@@ -1,4 +1,4 @@
-//! The answers: what they say, how they are printed, read and constrained.
+//! The answers: their parts, text, parser and grammar.
 
 use super::AssistVariant;
 use crate::mllm::Constraint;
@@ -9,48 +9,46 @@ use crate::reasoning::grammar::{FASTEST, any_of, text};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// How many seconds a plan covers, a waypoint each.
+/// Length of a plan, seconds; one waypoint per second.
 pub const WAYPOINT_SECONDS: usize = 4;
-/// The function that gives a plan.
+/// The function of an answer with waypoints.
 const WAYPOINTS: Signature<'_> =
     Signature { function: "Follow_Waypoints", parameters: &["x1", "y1", "x2", "y2", "x3", "y3", "x4", "y4"] };
-/// The function that gives parameters.
+/// The function of an answer with parameters.
 const PARAMETERS: Signature<'_> =
     Signature { function: "Tune_PDM", parameters: &["v0", "gap", "headway", "acc", "dec", "brake"] };
 /// Words of the parameter `brake`.
 const SWITCH: [&str; 2] = ["on", "off"];
 
-/// `x`: backwards a little, forwards as far as any speed leads in four seconds.
+/// `x`: a little backwards, forwards as far as four seconds at any speed.
 const AHEAD: Range = Range { min: -20.0, max: 160.0, unit: "m" };
-/// `y`: as far as a turn leads in four seconds.
+/// `y`: as far as a turn of four seconds.
 const LEFT: Range = Range { min: -60.0, max: 60.0, unit: "m" };
-/// `v0`: not to a standstill, which the law of the proposals does not know.
+/// `v0`: above standstill, which the IDM of the proposals does not allow.
 const SPEED_CAP: Range = Range { min: 1.0, max: 40.0, unit: "m/s" };
 const MIN_GAP: Range = Range { min: 0.1, max: 10.0, unit: "m" };
 const HEADWAY: Range = Range { min: 0.1, max: 5.0, unit: "s" };
 const ACCEL_MAX: Range = Range { min: 0.1, max: 5.0, unit: "m/s²" };
 const DECEL_MAX: Range = Range { min: 0.1, max: 9.0, unit: "m/s²" };
 
-/// What the grammar offers: `y` goes so far to either side, metres,
+/// Bound of `y` in the grammar, meters.
 const GRAMMAR_LEFT: i32 = 8;
-/// in steps of so much.
+/// Step of `y` in the grammar, meters.
 const GRAMMAR_LEFT_STEP: f64 = 0.5;
-/// `gap`, `headway`, `acc` and `dec`; PDM-Closed's own values are among them.
+/// Values of `gap`, `headway`, `acc` and `dec` in the grammar; PDM-Closed's own are among them.
 const GRAMMAR_GAPS: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
 const GRAMMAR_HEADWAYS: [f64; 4] = [0.8, 1.2, 1.5, 2.5];
 const GRAMMAR_ACCELERATIONS: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
 const GRAMMAR_DECELERATIONS: [f64; 4] = [2.0, 3.0, 4.0, 6.0];
 
-/// Where the ego's centre is to be, in its frame at the moment of the question, metres.
+/// A position of the ego's center, in its frame at the time of the call, meters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Waypoint {
-    /// Ahead.
     pub ahead: f64,
-    /// To the left.
     pub left: f64,
 }
 
-/// A plan: a waypoint a second, the first after one second.
+/// A plan: one waypoint per second, the first after one second.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct Waypoints(pub [Waypoint; WAYPOINT_SECONDS]);
 
@@ -59,15 +57,15 @@ pub struct Waypoints(pub [Waypoint; WAYPOINT_SECONDS]);
 pub struct AssistParameters {
     /// Speed of the fastest proposal on a free road, m/s.
     pub speed_cap: f64,
-    /// Gap kept at standstill, metres.
+    /// Gap at standstill, meters.
     pub min_gap: f64,
     /// Headway, seconds.
     pub headway: f64,
-    /// Largest acceleration, m/s².
+    /// Maximum acceleration, m/s².
     pub accel_max: f64,
-    /// Largest deceleration as a positive magnitude, m/s².
+    /// Maximum deceleration as a positive magnitude, m/s².
     pub decel_max: f64,
-    /// Whether the emergency brake may overrule.
+    /// Whether the emergency brake may overrule the best proposal.
     pub emergency_brake: bool,
 }
 
@@ -75,9 +73,9 @@ pub struct AssistParameters {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Assistance {
-    /// Of the unconstrained variant.
+    /// The answer of the unconstrained variant.
     Waypoints(Waypoints),
-    /// Of the other.
+    /// The answer of the other variant.
     Parameters(AssistParameters),
 }
 
@@ -116,7 +114,7 @@ pub(super) fn signature(variant: AssistVariant) -> Signature<'static> {
     }
 }
 
-/// Reads the last call in an answer; what was not understood is listed, and then nothing is given.
+/// Reads the last call in an answer.
 pub fn parse_assistance(answer: &str, variant: AssistVariant) -> Parsed<Assistance> {
     let mut call = match Call::find(answer, signature(variant)) {
         Ok(call) => call,
@@ -157,7 +155,7 @@ fn parameters(call: &mut Call<'_>) -> Option<AssistParameters> {
     })
 }
 
-/// What answers look like where the speed limit is `limit`, whole m/s.
+/// The grammar of answers for a speed limit in whole m/s.
 pub(super) fn grammar(variant: AssistVariant, limit: Option<u32>) -> Constraint {
     let limit = limit.unwrap_or(FASTEST).max(1);
     let offered: Vec<Constraint> = match variant {
@@ -195,7 +193,7 @@ mod tests {
     const PLAN: &str = "Follow_Waypoints(x1=8, y1=0, x2=16, y2=0.5, x3=23, y3=-1, x4=30, y4=0)";
     const TUNED: &str = "Tune_PDM(v0=8, gap=2, headway=1.5, acc=1, dec=4, brake=off)";
 
-    /// A text that a constraint of choices allows: at each choice the one that `pick` names.
+    /// A text that a constraint of choices allows; `pick` selects each choice.
     fn allowed(constraint: &Constraint, pick: usize) -> String {
         match constraint {
             Constraint::Sequence(parts) => parts.iter().map(|part| allowed(part, pick)).collect(),

@@ -1,4 +1,4 @@
-//! Asks the one question of a call, again with what was wrong with the last answer, and reads the answers.
+//! Asks the question of a planning call, with feedback on the last answer, and reads the answers.
 
 use super::AssistVariant;
 use super::answer::{Assistance, grammar, parse_assistance};
@@ -10,15 +10,15 @@ use crate::reasoning::error::ReasoningError;
 use crate::reasoning::prompt_set::PromptSet;
 use crate::reasoning::round::Round;
 
-/// Tokens that an answer may take at least, whatever the model's own bound on codes: small vocabularies spell names out.
+/// Minimum of the bound on an answer, tokens: small vocabularies spell names out.
 const MIN_TOKENS: usize = 128;
 
-/// What a call is about.
+/// The input of a planning call to the model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AssistQuestion {
-    /// The scene in words.
+    /// The scene as text.
     pub scene_text: String,
-    /// What PDM-Closed's best proposal scores.
+    /// The score of PDM-Closed's best proposal.
     pub score: f64,
     /// Speed limit of the ego's lane, whole m/s; `None` where it is unknown.
     pub speed_limit: Option<u32>,
@@ -30,7 +30,7 @@ pub struct AssistReasoning<'a> {
     conversation: Box<dyn Conversation + 'a>,
     start: Mark,
     templates: AssistPrompts,
-    /// The agent's own prompts, for what is said of a refused answer.
+    /// The agent's own prompts, for the feedback.
     prompts: &'a PromptSet,
     settings: &'a ReasoningSettings,
     question: &'a AssistQuestion,
@@ -42,7 +42,7 @@ impl<'a> AssistReasoning<'a> {
     /// Opens the conversation of a call that must end by `deadline`. There is no image: LLM-ASSIST's models read text alone.
     ///
     /// # Errors
-    /// When the system prompt cannot be made or does not fit into the model's context.
+    /// When the system prompt cannot be rendered or does not fit into the model's context.
     pub fn open(
         variant: AssistVariant,
         model: &'a dyn Mllm,
@@ -57,10 +57,10 @@ impl<'a> AssistReasoning<'a> {
         Ok(Self { variant, conversation, start, templates, prompts, settings, question, deadline, attempts: 0 })
     }
 
-    /// Asks once, from the start, with what was wrong with the last answer.
+    /// Asks once from the start, with feedback on the last answer.
     ///
     /// # Errors
-    /// When the model fails for good or a prompt cannot be made.
+    /// On a permanent failure of the model, or when a prompt cannot be rendered.
     pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace<Assistance>, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;

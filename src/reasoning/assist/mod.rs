@@ -1,5 +1,5 @@
-//! What LLM-ASSIST's planners ask a model (Sharan et al. 2024): one question, answered with one line, which is either a plan or
-//! parameters of PDM-Closed. Its prompts are not public; these are ours (`prompts/llm_assist_*`).
+//! The question of LLM-ASSIST (Sharan et al. 2024). The answer is one line: a plan or parameters of PDM-Closed. Its prompts are not
+//! public; these are ours (`prompts/llm_assist_*`).
 
 mod answer;
 mod engine;

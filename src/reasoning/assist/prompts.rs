@@ -12,13 +12,13 @@ const UNCONSTRAINED: [(&str, &str); 2] = [
     ("system", include_str!("../../../prompts/llm_assist_unc/system.jinja")),
     ("question", include_str!("../../../prompts/llm_assist_unc/question.jinja")),
 ];
-/// Those of the other.
+/// Templates of the other variant.
 const PARAMETERS: [(&str, &str); 2] = [
     ("system", include_str!("../../../prompts/llm_assist_par/system.jinja")),
     ("question", include_str!("../../../prompts/llm_assist_par/question.jinja")),
 ];
 
-/// The prompts of a variant, long or, for models that read the compact texts, in a word.
+/// The prompts of a variant; short ones for models that read the compact texts.
 #[derive(Debug)]
 pub(super) struct AssistPrompts {
     templates: Templates,
@@ -27,10 +27,7 @@ pub(super) struct AssistPrompts {
 }
 
 impl AssistPrompts {
-    /// Those of a variant for models that read scene texts of this form.
-    ///
-    /// # Errors
-    /// When a template does not compile.
+    /// The prompts for models that read scene texts of this form.
     pub(super) fn new(variant: AssistVariant, form: TextForm) -> Result<Self, PromptError> {
         let (set, sources) = match variant {
             AssistVariant::Unconstrained => ("llm_assist_unc", UNCONSTRAINED),
@@ -41,18 +38,12 @@ impl AssistPrompts {
     }
 
     /// The system prompt.
-    ///
-    /// # Errors
-    /// When the template names something that does not exist.
     pub(super) fn system(&self) -> Result<String, PromptError> {
         let signature = signature(self.variant).to_string();
         self.templates.render("system", context! { compact => self.compact, signature => signature })
     }
 
-    /// The question about a scene in which PDM-Closed's best proposal scores so much; `feedback` about the last answer.
-    ///
-    /// # Errors
-    /// When the template names something that does not exist.
+    /// The question about a scene, with the score of PDM-Closed's best proposal and feedback on the last answer.
     pub(super) fn question(&self, scene: &str, score: f64, feedback: Option<&str>) -> Result<String, PromptError> {
         let score = format!("{score:.2}");
         let context = context! { compact => self.compact, scene_text => scene, score => score, feedback => feedback };
