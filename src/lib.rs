@@ -1,6 +1,6 @@
 //! A driving agent that plans with a vision-language model, offline on the CPU, and the closed loop to test it in.
 //!
-//! ```no_run
+//! ```
 //! use planagent::{Agent, Challenge, Scenario, simulate};
 //!
 //! fn main() -> planagent::Result<()> {

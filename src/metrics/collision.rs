@@ -1,8 +1,10 @@
 //! Collisions and their fault by nuPlan's rules, for its metrics and PDM's scorer (devkit
 //! `collision_utils.py`, `no_ego_at_fault_collisions.py`, `observation/idm/utils.py`).
 
+use super::corners::DrivenLanes;
 use crate::geometry::{OrientedBox, Point, Pose};
-use crate::world::{EgoState, ObjectKind, TrackToken, TrackedObject};
+use crate::world::{EgoState, HistorySample, ObjectKind, TrackToken, TrackedObject};
+use std::collections::BTreeSet;
 use std::f64::consts::PI;
 
 /// Up to this speed an agent stands in the classification of collisions, m/s.
@@ -139,6 +141,31 @@ pub struct Collision {
     pub at_fault: bool,
     /// Change of the ego's velocity, m/s.
     pub delta_v: f64,
+}
+
+/// The collisions of a simulation. Each track counts once, at the first sample at which it touches the ego.
+pub fn find_collisions(samples: &[HistorySample], lanes: &DrivenLanes) -> Vec<Collision> {
+    let mut collided: BTreeSet<TrackToken> = BTreeSet::new();
+    let mut found = Vec::new();
+    for (i, sample) in samples.iter().enumerate() {
+        let shape = sample.ego.footprint();
+        for track in sample.objects.iter() {
+            if !in_collision(&shape, &track.shape) || !collided.insert(track.token) {
+                continue;
+            }
+            let collision_type = classify_collision(&sample.ego, track);
+            found.push(Collision {
+                sample: i,
+                time_us: sample.ego.time_us,
+                token: track.token,
+                kind: track.kind,
+                collision_type,
+                at_fault: collision_type.is_at_fault(!lanes.in_common(i)),
+                delta_v: delta_v(&sample.ego, track),
+            });
+        }
+    }
+    found
 }
 
 #[cfg(test)]

@@ -1,11 +1,10 @@
 //! The input of the metrics, with the intermediate results that several of them share.
 
-use super::collision::Collision;
+use super::MetricError;
+use super::collision::{Collision, find_collisions};
 use super::corners::DrivenLanes;
-use super::ego_progress_along_expert_route::ego_progress_along_expert_route;
 use super::expert_comparison::{FRAMES_PER_SECOND, PlannerExpertErrors, compare_with_expert};
-use super::no_ego_at_fault_collisions::find_collisions;
-use super::{MetricError, MetricResult};
+use super::route_progress::Progress;
 use crate::world::{EgoState, HistorySample, LaneMap, Trajectory};
 use std::cell::OnceCell;
 
@@ -45,7 +44,7 @@ pub struct MetricInput<'a> {
     states: Vec<EgoState>,
     lanes: OnceCell<DrivenLanes>,
     collisions: OnceCell<Vec<Collision>>,
-    progress: OnceCell<MetricResult>,
+    progress: OnceCell<Option<Progress>>,
     comparison: OnceCell<Result<PlannerExpertErrors, MetricError>>,
 }
 
@@ -81,9 +80,10 @@ impl<'a> MetricInput<'a> {
         self.collisions.get_or_init(|| find_collisions(self.simulation.samples, self.lanes()))
     }
 
-    pub(super) fn progress(&self) -> &MetricResult {
+    /// The progress along the expert's route; `None` without one.
+    pub(super) fn progress(&self) -> Option<&Progress> {
         let EvaluatedSimulation { map, expert, .. } = self.simulation;
-        self.progress.get_or_init(|| ego_progress_along_expert_route(map, &self.states, expert))
+        self.progress.get_or_init(|| Progress::of(map, &self.states, expert)).as_ref()
     }
 
     /// The planned trajectories against the expert.

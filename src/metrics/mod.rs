@@ -29,6 +29,7 @@ mod open_loop;
 mod registry;
 mod result;
 mod route;
+mod route_progress;
 mod score;
 mod spec;
 mod speed_limit_compliance;
@@ -38,7 +39,7 @@ pub(crate) use aggregate::distinct;
 pub use aggregate::{AggregateRow, RowKind, ScenarioRow, aggregate};
 pub use collision::{
     AHEAD_ANGLE, BEHIND_ANGLE, Collision, CollisionGroup, CollisionType, STOPPED_SPEED, classify_collision, delta_v,
-    in_collision, is_ahead, is_behind,
+    find_collisions, in_collision, is_ahead, is_behind,
 };
 pub(crate) use comfort::{ACCELERATION_WINDOW, YAW_WINDOW};
 pub use comfort::{Bound, ComfortQuantity, SavitzkyGolay, differentiated, ego_is_comfortable, mean_step_s, smoothed};
@@ -50,8 +51,7 @@ pub use driving_direction_compliance::{
 };
 pub use ego_lane_change::{LaneChange, ego_lane_change, find_lane_changes};
 pub use ego_progress_along_expert_route::{
-    MIN_PROGRESS_RATIO, RouteProgress, SCORE_PROGRESS, ego_is_making_progress, ego_progress_along_expert_route,
-    progress_ratio,
+    MIN_PROGRESS_RATIO, ego_is_making_progress, ego_progress_along_expert_route,
 };
 pub use ego_stop_at_stop_line::ego_stop_at_stop_line;
 pub use error::MetricError;
@@ -59,7 +59,7 @@ pub use expert_comparison::{
     COMPARISON_HORIZONS_S, FRAMES_PER_SECOND, HorizonErrors, PlannerExpertErrors, compare_with_expert,
 };
 pub use input::{EvaluatedSimulation, MetricInput};
-pub use no_ego_at_fault_collisions::{find_collisions, no_ego_at_fault_collisions};
+pub use no_ego_at_fault_collisions::no_ego_at_fault_collisions;
 pub use open_loop::{
     MAX_AVERAGE_HEADING_ERROR, MAX_AVERAGE_L2_ERROR, MAX_DISPLACEMENTS, MAX_FINAL_HEADING_ERROR, MAX_FINAL_L2_ERROR,
     MAX_MISS_RATE, planner_expert_average_heading_error_within_bound, planner_expert_average_l2_error_within_bound,
@@ -67,10 +67,11 @@ pub use open_loop::{
     planner_miss_rate_within_bound,
 };
 pub use registry::{Evaluation, METRICS, MetricRegistry, evaluate, metric};
-pub use result::{MetricResult, Statistic, StatisticKind, TimeSeries};
+pub use result::{MetricCategory, MetricResult, ScoreUnit, Statistic, StatisticKind, TimeSeries};
 pub use route::{driven_route, lanes_at};
+pub use route_progress::{RouteProgress, SCORE_PROGRESS, progress_ratio};
 pub use score::{Score, ScorePart, Weighting, combine};
-pub use spec::{Compute, MetricCategory, MetricList, MetricSpec, Role, ScoreUnit};
+pub use spec::{Compute, MetricList, MetricSpec, Role};
 pub use speed_limit_compliance::{MAX_OVERSPEED, speed_limit_compliance};
 pub use time_to_collision_within_bound::{
     MIN_TIME_TO_COLLISION, TTC_HORIZON_S, TTC_STEP_S, time_to_collision, time_to_collision_within_bound,

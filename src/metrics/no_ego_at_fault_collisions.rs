@@ -1,11 +1,8 @@
 //! `no_ego_at_fault_collisions`: 0 after an at-fault collision with a vehicle, pedestrian or bicycle, 0.5 after one with a
 //! static object.
 
-use super::collision::{Collision, CollisionGroup, classify_collision, delta_v, in_collision};
-use super::corners::DrivenLanes;
+use super::collision::{Collision, CollisionGroup};
 use super::{MetricCategory, MetricList, MetricResult, MetricSpec, Statistic, StatisticKind};
-use crate::world::{HistorySample, TrackToken};
-use std::collections::BTreeSet;
 
 pub(super) const SPEC: MetricSpec =
     MetricSpec::new("no_ego_at_fault_collisions", |input| Ok(Some(no_ego_at_fault_collisions(input.collisions()))))
@@ -13,31 +10,6 @@ pub(super) const SPEC: MetricSpec =
         .multiplier()
         .category(MetricCategory::Dynamics)
         .label("coll");
-
-/// The collisions of a simulation. Each track counts once, at the first sample at which it touches the ego.
-pub fn find_collisions(samples: &[HistorySample], lanes: &DrivenLanes) -> Vec<Collision> {
-    let mut collided: BTreeSet<TrackToken> = BTreeSet::new();
-    let mut found = Vec::new();
-    for (i, sample) in samples.iter().enumerate() {
-        let shape = sample.ego.footprint();
-        for track in sample.objects.iter() {
-            if !in_collision(&shape, &track.shape) || !collided.insert(track.token) {
-                continue;
-            }
-            let collision_type = classify_collision(&sample.ego, track);
-            found.push(Collision {
-                sample: i,
-                time_us: sample.ego.time_us,
-                token: track.token,
-                kind: track.kind,
-                collision_type,
-                at_fault: collision_type.is_at_fault(!lanes.in_common(i)),
-                delta_v: delta_v(&sample.ego, track),
-            });
-        }
-    }
-    found
-}
 
 /// 1 without an at-fault collision, else the product over the groups of max(0, 1 − number / (tolerated + 1)).
 pub fn no_ego_at_fault_collisions(collisions: &[Collision]) -> MetricResult {

@@ -1,8 +1,9 @@
 //! The metric table, and the evaluation of a simulation with it.
 
+use super::spec::scored;
 use super::{
-    EvaluatedSimulation, MetricError, MetricInput, MetricList, MetricResult, MetricSpec, Role, Score, comfort, common,
-    drivable_area_compliance, driving_direction_compliance, ego_lane_change, ego_progress_along_expert_route,
+    EvaluatedSimulation, MetricError, MetricInput, MetricList, MetricResult, MetricSpec, Score, Weighting, comfort,
+    common, drivable_area_compliance, driving_direction_compliance, ego_lane_change, ego_progress_along_expert_route,
     ego_stop_at_stop_line, no_ego_at_fault_collisions, open_loop, speed_limit_compliance,
     time_to_collision_within_bound,
 };
@@ -52,11 +53,11 @@ impl MetricList {
     }
 }
 
-/// The metrics of a list that enter its score, multipliers first.
-pub(super) fn scored(specs: &[MetricSpec], list: MetricList) -> impl Iterator<Item = &MetricSpec> + Clone {
-    let of_list = move || specs.iter().filter(move |spec| spec.list.is_none_or(|own| own == list));
-    let weighted = |spec: &&MetricSpec| matches!(spec.role, Role::Weight(_));
-    of_list().filter(|spec| spec.is_multiplier()).chain(of_list().filter(weighted))
+impl Weighting {
+    /// nuPlan's weighting of a list of metrics; the same with non-reactive and reactive agents.
+    pub fn of(list: MetricList) -> Self {
+        Self::new(list.scored())
+    }
 }
 
 /// The metrics of an evaluation: nuPlan's, and those that a program adds.

@@ -1,8 +1,54 @@
 //! The result of a metric: a score, statistics and a time series, under nuPlan's names, categories and units.
 
-use super::{MetricCategory, ScoreUnit};
 use crate::world::EgoState;
 use serde::{Deserialize, Serialize};
+
+/// nuPlan's category of a metric (devkit `simulation_metric/**/*.yaml`, key `category`): the groups of its `nuBoard`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum MetricCategory {
+    /// How the ego moves; collisions too.
+    Dynamics,
+    /// The ego's path against road, route and expert.
+    Planning,
+    /// Broken rules.
+    Violations,
+    /// Metrics of some scenario types only.
+    #[serde(rename = "Scenario dependent")]
+    ScenarioDependent,
+}
+
+impl MetricCategory {
+    /// nuPlan's word.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Dynamics => "Dynamics",
+            Self::Planning => "Planning",
+            Self::Violations => "Violations",
+            Self::ScenarioDependent => "Scenario dependent",
+        }
+    }
+}
+
+/// nuPlan's `metric_score_unit`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScoreUnit {
+    /// A truth value; nuPlan says so of `driving_direction_compliance` too, which may be 0.5.
+    Bool,
+    /// A number in [0, 1].
+    Float,
+}
+
+impl ScoreUnit {
+    /// nuPlan's word.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Bool => "bool",
+            Self::Float => "float",
+        }
+    }
+}
 
 /// nuPlan's `MetricStatisticsType`, as far as its challenges use it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

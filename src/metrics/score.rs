@@ -1,6 +1,6 @@
 //! The score of one scenario from its metrics.
 
-use super::registry::scored;
+use super::spec::scored;
 use super::{MetricError, MetricList, MetricResult, MetricSpec, Role};
 
 /// Which metrics multiply and how much the others weigh.
@@ -15,13 +15,8 @@ pub struct Weighting {
 }
 
 impl Weighting {
-    /// nuPlan's weighting of a list of metrics; the same with non-reactive and reactive agents.
-    pub fn of(list: MetricList) -> Self {
-        Self::new(list.scored())
-    }
-
     /// The weighting by the roles of these metrics.
-    fn new<'a>(specs: impl Iterator<Item = &'a MetricSpec>) -> Self {
+    pub(super) fn new<'a>(specs: impl Iterator<Item = &'a MetricSpec>) -> Self {
         let mut weighting = Self { multipliers: Vec::new(), weights: Vec::new(), default_weight: 1.0 };
         for spec in specs {
             match spec.role {

@@ -1,54 +1,7 @@
 //! What a metric is: its name, its part in a score, and the function that computes it.
 
-use super::{MetricError, MetricInput, MetricResult, Statistic};
+use super::{MetricCategory, MetricError, MetricInput, MetricResult, ScoreUnit, Statistic};
 use serde::{Deserialize, Serialize};
-
-/// nuPlan's category of a metric (devkit `simulation_metric/**/*.yaml`, key `category`): the groups of its `nuBoard`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub enum MetricCategory {
-    /// How the ego moves; collisions too.
-    Dynamics,
-    /// The ego's path against road, route and expert.
-    Planning,
-    /// Broken rules.
-    Violations,
-    /// Metrics of some scenario types only.
-    #[serde(rename = "Scenario dependent")]
-    ScenarioDependent,
-}
-
-impl MetricCategory {
-    /// nuPlan's word.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Dynamics => "Dynamics",
-            Self::Planning => "Planning",
-            Self::Violations => "Violations",
-            Self::ScenarioDependent => "Scenario dependent",
-        }
-    }
-}
-
-/// nuPlan's `metric_score_unit`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ScoreUnit {
-    /// A truth value; nuPlan says so of `driving_direction_compliance` too, which may be 0.5.
-    Bool,
-    /// A number in [0, 1].
-    Float,
-}
-
-impl ScoreUnit {
-    /// nuPlan's word.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Bool => "bool",
-            Self::Float => "float",
-        }
-    }
-}
 
 /// nuPlan's lists of metrics.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -166,4 +119,11 @@ impl MetricSpec {
         statistics.push(Statistic::boolean(self.name, holds));
         self.scored(f64::from(u8::from(holds)), statistics)
     }
+}
+
+/// The metrics of a list that enter its score, multipliers first.
+pub(super) fn scored(specs: &[MetricSpec], list: MetricList) -> impl Iterator<Item = &MetricSpec> + Clone {
+    let of_list = move || specs.iter().filter(move |spec| spec.list.is_none_or(|own| own == list));
+    let weighted = |spec: &&MetricSpec| matches!(spec.role, Role::Weight(_));
+    of_list().filter(|spec| spec.is_multiplier()).chain(of_list().filter(weighted))
 }

@@ -109,7 +109,7 @@ fn crossing(light: bool) -> (Arc<LaneMap>, LaneId) {
 
 #[test]
 fn an_edge_with_lights_needs_green_and_one_without_only_no_red() {
-    // From x = 30 a way of 20 + 12·1.5 = 38 m is wanted and 29 m are there: the route goes on if it may.
+    // From x = 30 a path of 20 + 12·1.5 = 38 m is wanted and 29 m are there: the route continues if it may.
     let goes_on = |light: bool, status: Option<SignalStatus>| {
         let (map, connector) = crossing(light);
         let mut traffic = IdmTraffic::new(&map, &[car(1, at(30.0), 8.0)], &bystander());

@@ -89,7 +89,7 @@ fn limits_are_inherited_by_those_without() {
         objects.iter().find(|o| o.token.0 == 0).map(TrackedObject::speed).unwrap()
     };
     // With the default target of 10 m/s, 35 m of way suffice and the path ends on the connector; with the inherited 20 m/s
-    // it goes on to the next lane, whose own limit then holds.
+    // it continues on the next lane, whose limit then applies.
     assert!(speed_after_a_step(&[on_connector]) < speed_after_a_step(&[on_lane, on_connector]) - 0.01);
 }
 
