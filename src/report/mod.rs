@@ -40,7 +40,9 @@ pub use study::{
     VariantResults, VariantSimulations,
 };
 pub use summary::{Aggregate, ScenarioSummary, Summary};
-pub use table::{bench_markdown, bench_table, failures, fill, main_table, study_markdown, study_table, token_table};
+pub use table::{
+    bench_markdown, bench_table, failures, fill, main_table, study_markdown, study_table, token_markdown, token_table,
+};
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};
 pub use transcript::{attempt_markdown, decision_words, transcript};

@@ -53,20 +53,19 @@ impl SceneText {
     pub fn definition(self) -> &'static str {
         match self {
             Self::Paper => {
-                "node under the ego and its eight neighbours, every agent on them with distance and speed, the lights of all \
-                 lanes, the ego's speed and limit, the route; in whole metres and m/s"
+                "the node of the ego and its eight neighbors; every agent on them with distance and speed; the lights of all \
+                 lanes; the ego's speed and limit; the route. Numbers are whole meters and m/s"
             }
-            Self::Compact => {
-                "the same nodes with the nearest agent on each and the number of the others, in fixed places"
-            }
+            Self::Compact => "the same nodes, each with its nearest agent and the number of others, at fixed positions",
             Self::GptDriver => {
-                "its published facts in our sentences: objects within 20 m ahead now and in 3 s at constant velocity, the \
-                 ego's motion in six lines, four past places, the goal; coordinates with two decimals"
+                "its published facts in our sentences: objects within 20 m ahead, now and in 3 s at constant velocity; the \
+                 ego's motion in six lines; four past positions; the goal. Coordinates have two decimals"
             }
-            Self::GptDriverObjects => "of these the objects alone",
+            Self::GptDriverObjects => "only the objects",
             Self::LlmAssist => {
-                "no prompt of it is public, so the facts are our choice: the ego's motion, centrelines of its lane and those \
-                 beside at five points, lights, the ten nearest objects within 50 m with place, heading, speed and size"
+                "its prompts are not public, so we chose the facts: the ego's motion; the centerlines of its lane and the \
+                 adjacent lanes at five points; lights; the ten nearest objects within 50 m with position, heading, speed \
+                 and size"
             }
         }
     }

@@ -2,7 +2,6 @@
 
 use super::{SceneText, TokenRow, Tokens};
 use serde::Serialize;
-use std::fmt::Write;
 
 /// Mean and 95th percentile (by rank) of a number of tokens.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -72,30 +71,6 @@ impl TokenTable {
             rows: described.collect(),
         }
     }
-
-    /// The table in Markdown, with the definitions below it.
-    pub fn markdown(&self) -> String {
-        let model = self.model.as_deref().unwrap_or("model");
-        let mut text =
-            format!("| description | cl100k mean | cl100k p95 | {model} mean | {model} p95 | paper, on nuPlan |\n");
-        text.push_str("|---|---|---|---|---|---|\n");
-        for row in &self.rows {
-            let [cl100k, own] = [row.cl100k, row.model].map(cells);
-            let published = row.published.map_or_else(|| "-".to_owned(), |published| format!("{published:.2}"));
-            let _ = writeln!(text, "| {} | {cl100k} | {own} | {published} |", row.text.name());
-        }
-        let agents =
-            self.agents.map_or_else(String::new, |agents| format!(", {agents:.1} agents on the nine nodes on average"));
-        let _ = writeln!(text, "\n{} states{agents}. Counted are:\n", self.states);
-        for row in &self.rows {
-            let _ = writeln!(text, "- {}: {}.", row.text.name(), row.definition);
-        }
-        text
-    }
-}
-
-fn cells(mean: Option<TokenMean>) -> String {
-    mean.map_or_else(|| "- | -".to_owned(), |mean| format!("{:.2} | {}", mean.mean, mean.p95))
 }
 
 #[cfg(test)]
@@ -114,7 +89,6 @@ mod tests {
         let table = TokenTable::new(&rows, None);
         assert_eq!(table.rows[0].cl100k, Some(TokenMean { mean: 10.5, p95: 19 }));
         assert_eq!((table.states, table.agents, table.rows[0].model), (20, Some(10.5), None));
-        assert!(table.markdown().contains("| 10.50 | 19 | - | - | 448.66 |"), "{}", table.markdown());
         assert_eq!(TokenTable::new(&[], None).rows[0].cl100k, None);
     }
 }

@@ -19,7 +19,7 @@ pub use bench::{bench_markdown, bench_table};
 pub use simulations::failures;
 pub use study::{study_markdown, study_table};
 pub use terminal::fill;
-pub use tokens::token_table;
+pub use tokens::{token_markdown, token_table};
 
 /// A table of text.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -3,7 +3,7 @@
 use super::suites::SelectedSuite;
 use crate::experiment::suite::{RECORDED, Suite};
 use crate::experiment::tokens::{TokenCounter, TokenRow, TokenTable, count};
-use crate::report::{StudyFolder, json_value};
+use crate::report::{StudyFolder, json_value, token_markdown};
 use crate::runner::config::Config;
 use crate::runner::error::RunnerError;
 use crate::runner::event::{Event, Listener};
@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Its suites, unless the request names others.
 pub(super) const SUITES: &[&str] = &[Suite::GENERATED_14.name, RECORDED];
 /// Its title.
-pub const TITLE: &str = "Tokens that the description of a scene takes";
+pub const TITLE: &str = "Tokens of a scene description";
 
 /// The tokens of a suite's scene descriptions.
 #[derive(Debug, Clone, Serialize)]
@@ -79,7 +79,7 @@ fn markdown(suites: &[SuiteTokens], command: &str) -> String {
     let mut text = format!("# {TITLE}\n\n```console\n$ {command}\n```\n");
     for suite in suites {
         // Writing to a text cannot fail.
-        let _ = write!(text, "\n## {}: {} scenes\n\n{}", suite.suite, suite.scenes, suite.table.markdown());
+        let _ = write!(text, "\n## {}: {} scenes\n\n{}", suite.suite, suite.scenes, token_markdown(&suite.table));
         if suite.left_out > 0 {
             let _ = writeln!(text, "- {} states have no lane graph and are left out.", suite.left_out);
         }
