@@ -1,8 +1,9 @@
-//! What descriptions of scenes take in tokens, on generated and recorded drives.
+//! The tokens of scene descriptions, on generated and recorded scenarios.
 
 use crate::womd::recordings;
 use planagent::internals::experiment::tokens::{SceneText, TokenCounter, TokenRow, TokenTable, count};
 use planagent::internals::mllm::{HubAccess, Mllm, ModelRegistry};
+use planagent::internals::report::token_markdown;
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{self, Spec, types};
 use std::path::Path;
@@ -23,7 +24,7 @@ fn mean(table: &TokenTable, text: SceneText) -> f64 {
 
 /// Ours takes less than the aim and than what coordinates take.
 fn check(table: &TokenTable) {
-    let shown = table.markdown();
+    let shown = token_markdown(table);
     let ours = mean(table, SceneText::Paper);
     assert!(ours > 30.0 && ours <= AIM, "{shown}");
     assert!(ours < mean(table, SceneText::GptDriver) && ours < mean(table, SceneText::LlmAssist), "{shown}");
@@ -45,7 +46,8 @@ fn generated_scenes_take_few_tokens() {
     let table = TokenTable::new(&rows, counter.model_name());
     check(&table);
     assert!(table.rows.iter().all(|row| row.model.is_some()));
-    assert!(table.markdown().contains("| nano mean |"), "{}", table.markdown());
+    let shown = token_markdown(&table);
+    assert!(shown.contains("| nano mean |"), "{shown}");
 }
 
 #[test]
