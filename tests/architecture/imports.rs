@@ -92,8 +92,12 @@ impl Module {
         let mut lines = source.lines();
         while let Some(line) = lines.next() {
             let Some(start) = use_start(line) else {
-                module.code += line;
-                module.code.push('\n');
+                // A module may have the name of a function that is re-exported from it.
+                let declares_module = line.ends_with(';') && line.split_whitespace().any(|word| word == "mod");
+                if !declares_module {
+                    module.code += line;
+                    module.code.push('\n');
+                }
                 continue;
             };
             let mut text = line.trim()[start..].to_string();
@@ -116,8 +120,9 @@ impl Module {
         }
         for start in ["crate::", "super::"] {
             for (at, _) in module.code.match_indices(start) {
-                // The middle of a path was seen from its beginning.
-                if !module.code[..at].ends_with("::") && !module.code[..at].ends_with(char::is_alphanumeric) {
+                // The middle of a path was seen from its beginning; `pub(in path)` uses nothing.
+                let before = &module.code[..at];
+                if !before.ends_with("::") && !before.ends_with("(in ") && !before.ends_with(char::is_alphanumeric) {
                     let path = module.code[at..].split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
                     let path = path.into_iter().next().unwrap_or_default().trim_end_matches(':');
                     module.inline.push(path.split("::").map(str::to_string).collect());

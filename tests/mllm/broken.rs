@@ -1,4 +1,4 @@
-//! Broken checkpoints: each a typed error that names what is wrong, never a panic.
+//! Broken checkpoints give typed errors that name the cause, and never a panic.
 
 use planagent::internals::mllm::{Mllm, MllmError};
 use proptest::prelude::*;

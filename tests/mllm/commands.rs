@@ -47,7 +47,7 @@ fn a_model_is_checked_quantised_and_checked_again() {
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "nothing unfinished is left");
     let after = &lines(&["models", "check", to, "--json"], 0)[0];
     assert!(after["memory"]["weights"].as_u64() < before["memory"]["weights"].as_u64());
-    // Nothing is overwritten unasked.
+    // An existing file is not overwritten without --force.
     let again = planagent(&["models", "quantize", from, "--to", "q8_0", "--out", to]).assert().code(2);
     assert!(String::from_utf8_lossy(&again.get_output().stderr).contains("--force replaces it"));
     planagent(&["models", "quantize", from, "--to", "f32", "--out", to, "--force", "--quiet"]).assert().success();

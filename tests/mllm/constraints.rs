@@ -36,7 +36,7 @@ fn what_the_grammar_forces_is_not_chosen() {
     let (lane, speed) = inside.split_once(", v0=").unwrap();
     assert!(["left", "right"].contains(&lane) && speed.len() == 3, "{}", answer.text);
     assert_eq!(answer.finish, FinishReason::Complete);
-    // Free are one token of the lane, and the digits around the point.
+    // Sampled are one token of the lane, and the digits around the point.
     assert!(answer.tokens.sampled <= 4, "{:?}", answer.tokens);
     assert!(answer.tokens.fast_forwarded > answer.tokens.sampled, "{:?}", answer.tokens);
 }

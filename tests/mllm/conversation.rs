@@ -29,7 +29,7 @@ fn both_rounds_are_answered_as_transformers_answers_them() {
     assert!(first.time.image_encode > 0.0 && first.time.prefill > 0.0 && first.time.decode > 0.0);
     assert!(first.time.first_token >= first.time.prefill && first.time.total >= first.time.first_token);
 
-    // The reference chat goes on as if the first answer had been "keep left".
+    // The reference chat continues after the answer "keep left".
     conversation.rewind(start);
     let forced = conversation.ask(FIRST, &request(Constraint::Choice(vec!["keep left".into()]), 12)).unwrap();
     assert_eq!((forced.text.as_str(), forced.tokens.sampled), ("keep left", 0));

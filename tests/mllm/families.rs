@@ -1,4 +1,4 @@
-//! Every family through what the planner uses: the registry, conversations with rounds and rethinks, the agent itself.
+//! Every family through the registry, in conversations with rounds and rethinks, and in the agent.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -36,7 +36,7 @@ fn open_folder(folder: &Path) -> Box<dyn Mllm> {
     registry.open(&registry.find(folder.to_str().unwrap()).unwrap()).unwrap()
 }
 
-/// The opening of the reference chat of a checkpoint.
+/// The prompt prefix of a checkpoint's reference chat.
 fn prefix(folder: &Path) -> PromptPrefix {
     let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
     PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) }
@@ -87,7 +87,7 @@ fn rounds_and_rethinks_compute_the_image_once() {
             let first = conversation.ask(prompt, &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
             if attempt == 0 {
                 assert!(first.time.image_encode > 0.0 && first.tokens.image > 0);
-                // Nothing but the beginning-of-sequence token stands before the image of a CogVLM.
+                // The chat of a CogVLM begins with the image.
                 assert_eq!(first.tokens.cached == 0, architecture == "cogvlm", "{:?}", first.tokens);
             } else {
                 assert!(first.time.image_encode.abs() < f64::EPSILON);
@@ -147,7 +147,7 @@ fn an_image_takes_three_positions_of_cogvlm() {
     let answer = conversation.ask(FIRST, &request(Constraint::Regex("[ab]{900}".into()), 1000)).unwrap();
     assert_eq!(answer.finish, FinishReason::ContextFull);
     let tokens = answer.tokens;
-    // 18 tokens of the image stand at three positions, so 15 more than 60 fit.
+    // The 18 image tokens share three positions, so 15 more than 60 fit.
     assert_eq!(tokens.text + tokens.image + tokens.cached + tokens.fast_forwarded + tokens.sampled, 75, "{tokens:?}");
     match conversation.ask(&"left ".repeat(40), &free(4)) {
         Err(MllmError::PromptTooLong { tokens, context: 75 }) => assert!(tokens > 75),
@@ -222,7 +222,7 @@ fn the_described_models_are_all_readable() {
     }
 }
 
-/// Drives the beginning of a generated scene with one planning call.
+/// Runs the beginning of a generated scene with one planning call.
 fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
     let max_new_tokens = RoundTokens { scene: 8, motion: 64, code: 64 };
     let mut settings = PlanAgentSettings { plan_interval_s: 100.0, ..PlanAgentSettings::default() };

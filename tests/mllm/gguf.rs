@@ -132,7 +132,7 @@ fn what_is_missing_is_named_with_what_to_do() {
     let moved = folder.path().join("tower.bin");
     fs::rename(&tower, &moved).unwrap();
     assert!(error(&model).contains("mmproj"), "{}", error(&model));
-    // Of several, none of which is named after the decoder, none is taken.
+    // Of several towers without the decoder's name, none is chosen.
     for name in ["one.gguf", "two.gguf"] {
         fs::copy(&moved, folder.path().join(name)).unwrap();
     }
@@ -152,7 +152,7 @@ fn a_file_of_another_writer_needs_a_tokenizer_that_fits() {
     let folder = tempfile::tempdir().unwrap();
     let model = export("tiny_llava", folder.path(), WeightFormat::F32);
     let error = || open(&model).map(|_| ()).unwrap_err();
-    // Without what this program packs into its files.
+    // Without the packed files of this program.
     for file in ["config", "tokenizer", "tokenizer_config", "generation_config", "preprocessor_config"] {
         replace(&model, &format!("planagent.file.{file}.json"), &format!("someagent.file.{file}.json"));
     }
@@ -165,7 +165,7 @@ fn a_file_of_another_writer_needs_a_tokenizer_that_fits() {
     }
     let opened = open(&model).unwrap();
     assert_eq!(answer(&*opened), answer(&super::open()));
-    // Without a template beside it, that of Vicuna is taken, and the report says so.
+    // Without a template beside it, it gets Vicuna's, and the report says so.
     fs::remove_file(folder.path().join("chat_template.jinja")).unwrap();
     let notes = open(&model).unwrap().describe().load.notes;
     assert!(notes.iter().any(|note| note.contains("Vicuna")), "{notes:?}");
@@ -225,7 +225,7 @@ fn a_check_tells_everything_at_once() {
         assert!(problems.iter().any(|problem| problem.contains(expected)), "{expected}: {problems:?}");
     }
     assert_eq!(problems.len(), 5, "{problems:?}");
-    // Beyond all reason, looking is given up.
+    // The check gives up at some number of errors.
     copy.edit("config.json", |config| config["text_config"]["num_hidden_layers"] = serde_json::json!(4_000_000));
     assert!((1000..1010).contains(&check().problems.len()));
 }

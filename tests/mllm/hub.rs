@@ -1,4 +1,4 @@
-//! A model fetched from a hub: a server on this machine that speaks the part of the hub's protocol that is needed.
+//! Downloads from a local server that implements a part of the hub's protocol.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
@@ -26,7 +26,7 @@ const FILES: [&str; 7] = [
 struct Repository {
     folder: PathBuf,
     files: Vec<String>,
-    /// Downloads of the weights that are still to be broken off in their middle.
+    /// Number of downloads of the weights that the server will interrupt.
     broken: AtomicUsize,
     /// The files that were sent, in this order.
     sent: Mutex<Vec<String>>,
@@ -99,7 +99,7 @@ fn answer(mut stream: TcpStream, repository: &Repository) {
     if let Some(file) = path.strip_prefix(&format!("/org/tiny/resolve/{COMMIT}/")) {
         repository.sent.lock().unwrap().push(file.to_string());
     }
-    // A client that has given up is no concern of the server's.
+    // The client may have closed the connection.
     let _ = stream.write_all(&body);
 }
 
@@ -131,7 +131,7 @@ fn a_hub_model_is_downloaded_once_and_then_found_offline() {
     assert!(matches!(refused, Err(MllmError::Hub { .. })), "{refused:?}");
 }
 
-/// A registry that fetches from a server into a cache, and what it is told on the way.
+/// A registry with a server and a cache, and its reports of progress.
 fn listening(cache: &Path, endpoint: &str) -> (ModelRegistry, Arc<Mutex<Vec<FetchProgress>>>) {
     let access = HubAccess { offline: false, cache: Some(cache.to_path_buf()), endpoint: Some(endpoint.to_string()) };
     let told = Arc::new(Mutex::new(Vec::new()));
@@ -158,7 +158,7 @@ fn a_download_tells_how_far_it_is() {
 fn a_download_that_was_broken_off_is_taken_up_file_by_file() {
     let cache = tempfile::tempdir().unwrap();
     let repository = Repository::new(&tiny(), &FILES);
-    // More often than the client tries by itself.
+    // More often than the client's own retries.
     repository.broken.store(100, Ordering::SeqCst);
     let (registry, _) = listening(cache.path(), &repository.serve());
     let spec = registry.find("org/tiny").unwrap();

@@ -1,4 +1,4 @@
-//! The same checkpoint in every layout that transformers has written gives the same answers.
+//! The same checkpoint gives the same answers in every layout of transformers.
 
 use half::{bf16, f16};
 use planagent::internals::mllm::{LocalModel, Mllm};

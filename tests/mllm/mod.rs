@@ -40,7 +40,7 @@ fn picture() -> RgbImage {
     image::open(tiny().join("image.png")).unwrap().into_rgb8()
 }
 
-/// The opening of the reference chat.
+/// The prompt prefix of the reference chat.
 fn prefix() -> PromptPrefix {
     PromptPrefix { system: "Drive safely.".into(), image: Some(picture().into()) }
 }
@@ -58,7 +58,7 @@ fn free(max_new_tokens: usize) -> Request {
     request(Constraint::Free, max_new_tokens)
 }
 
-/// A copy of the checkpoint to be changed.
+/// A copy of a checkpoint, to change.
 struct Copy(TempDir);
 
 /// Tensors by name: number format, shape, bytes.

@@ -1,14 +1,14 @@
-//! Our numbers against a statement of the model in torch (`tests/fixtures/tiny_cogvlm/make_tiny_cogvlm.py`).
+//! Parity with a torch implementation of the model (`tests/fixtures/tiny_cogvlm/make_tiny_cogvlm.py`).
 
 use std::path::PathBuf;
 
 use candle_core::{DType, Device, Tensor};
 use serde_json::json;
 
-use super::CogVlm;
 use super::config::CogVlmConfig;
 use super::language::positions;
 use super::preprocess::pixel_values;
+use super::{CogVlm, FAMILY};
 use crate::mllm::local::test_faults::{Deviation, Fault, Parts, one_further};
 use crate::mllm::local::test_reference::{
     FEATURE_TOLERANCE, Reference, Run, assert_chat, difference, feature_difference, fixture, shared_reference,
@@ -16,10 +16,10 @@ use crate::mllm::local::test_reference::{
 };
 use crate::mllm::vision::{Filter, resize};
 
-/// Makes a model of parts.
+/// Opens a model from parts.
 fn assembled(parts: &Parts) -> CogVlm {
     let config = CogVlmConfig::from_json(&parts.path, &parts.config).unwrap();
-    CogVlm::take(&mut parts.weights(), config).unwrap()
+    CogVlm::take(&mut parts.weights(&FAMILY), config).unwrap()
 }
 
 /// The references: the folder, the file, and the model without a fault.
@@ -70,7 +70,7 @@ fn positions_are_those_of_the_larger_reference() {
 
 /// Errors on the way from pixels to features.
 const IMAGE_FAULTS: [Fault; 6] = [
-    // The layer before the last is the one that LLaVA takes.
+    // LLaVA takes the layer before the last.
     ("the tower's last layer but one", |parts| {
         let layers = &mut parts.config["vision_config"]["num_hidden_layers"];
         *layers = json!(layers.as_u64().unwrap() - 1);

@@ -1,4 +1,4 @@
-//! Headers of GGUF files, whole and hostile.
+//! Valid and hostile headers of GGUF files.
 
 use std::path::Path;
 
@@ -56,7 +56,7 @@ fn file() -> Vec<u8> {
     bytes
 }
 
-/// A header made by hand.
+/// A header, field by field.
 struct Raw(Vec<u8>);
 
 impl Raw {
@@ -87,7 +87,7 @@ impl Raw {
         shape.iter().fold(raw, |raw, side| raw.u64(*side)).u32(format).u64(offset)
     }
 
-    /// With so many bytes of data behind it.
+    /// Appends so many bytes of data.
     fn data(mut self, bytes: usize) -> Vec<u8> {
         self.0.resize(self.0.len().next_multiple_of(32) + bytes, 0);
         self.0
@@ -121,7 +121,7 @@ fn another_reader_reads_the_same() {
     }
 }
 
-/// Why the header has a reader of its own.
+/// The reasons for a reader of our own.
 #[test]
 fn candles_reader_does_not_refuse_what_it_should() {
     let read = |bytes: Vec<u8>| gguf_file::Content::read(&mut std::io::Cursor::new(bytes));
@@ -152,7 +152,7 @@ fn what_cannot_be_right_is_named() {
         (Raw::new(0, 1).text(b"\xff\xfe").u32(4).u32(1).data(9), "UTF-8"),
         (Raw::new(0, 1).text(b"k").u32(13).data(64), "type 13"),
         (Raw::new(0, 1).text(b"k").u32(8).text(b"\xc3").data(64), "metadata k: at byte"),
-        (Raw::new(0, 1).text(b"k").u32(7).u32(2).data(64), "truth value is 2"),
+        (Raw::new(0, 1).text(b"k").u32(7).u32(2).data(64), "boolean is 2"),
         (list(8, 1 << 60), "values of a list are announced"),
         (list(4, u64::MAX), "values of a list are announced"),
         (list(99, 1), "list is of type 99"),

@@ -1,4 +1,4 @@
-//! Models written as GGUF and opened again.
+//! Models exported as GGUF and opened again.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -22,7 +22,7 @@ use crate::mllm::matrix::WeightFormat;
 use crate::mllm::source::{Checkpoint, ModelPlace};
 use crate::mllm::{Constraint, Deadline, Mllm, PromptPrefix, Request, Sampling};
 
-/// Writes a model of a folder to `m.gguf` in another.
+/// Exports a model folder to `m.gguf` in another folder.
 fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {
     let model = to.join("m.gguf");
     let mut create =
@@ -38,7 +38,7 @@ fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {
     model
 }
 
-/// The files that [`assert_chat`] compares with.
+/// Copies the reference files of [`assert_chat`].
 fn copy_reference(from: &Path, to: &Path) {
     for file in ["reference.safetensors", "prompts.json", "image.png"] {
         fs::copy(from.join(file), to.join(file)).unwrap();
@@ -62,7 +62,7 @@ fn edit(path: &Path, change: impl FnOnce(&mut Header, &mut Vec<PlannedTensor>)) 
     let layout = Layout { metadata: header.metadata.into_iter().collect(), tensors };
     let mut out = Vec::new();
     layout.write_header(&mut out).unwrap();
-    // Tensors that got another name stand where they stood.
+    // Renamed tensors keep their place.
     for (tensor, data) in layout.tensors.iter().zip(data.values()) {
         Layout::write_data(&mut out, data).unwrap();
         assert_eq!(tensor.bytes(), data.len() as u64);
@@ -86,8 +86,8 @@ fn a_model_from_gguf_computes_what_transformers_computes() {
     }
 }
 
-/// A decoder and a tower as llama.cpp publishes them: nothing of ours in the metadata, the older names of the tower's
-/// feed-forward layers. The tokenizer, which is of a kind that is not read from GGUF, lies beside.
+/// A decoder and a tower as from llama.cpp: without packed files, with the older names of the tower's feed-forward layers.
+/// The tokenizer lies beside them, because its kind is not supported in GGUF.
 #[test]
 fn a_model_of_llama_cpp_computes_what_transformers_computes() {
     for name in ["tiny_llava", "tiny_llava_next"] {
@@ -112,7 +112,7 @@ fn a_model_of_llama_cpp_computes_what_transformers_computes() {
     }
 }
 
-/// As most files of llama.cpp are: a SentencePiece tokenizer in the metadata, no token for the image, no chat template.
+/// As most files of llama.cpp: a SentencePiece tokenizer in the metadata, no image token, no chat template.
 #[test]
 fn a_model_of_llama_cpp_with_its_own_tokenizer_answers() {
     let folder = tempfile::tempdir().unwrap();
@@ -143,7 +143,7 @@ fn rows_in_the_wrong_order_are_noticed() {
     let model = export(&fixture("tiny_llava"), folder.path(), WeightFormat::F32);
     let place = ModelPlace::Folder(folder.path().to_path_buf());
     let right = logits(&place, None);
-    // The rows of queries as Hugging Face has them, where llama.cpp's are expected.
+    // The rows of queries in Hugging Face's order, where llama.cpp's is expected.
     let mut bytes = fs::read(&model).unwrap();
     let (header, _) = open_header(&model).unwrap();
     let query = &header.tensors["blk.0.attn_q.weight"];
@@ -170,8 +170,7 @@ fn logits(place: &ModelPlace, quantize: Option<WeightFormat>) -> Vec<f32> {
     logits.flatten_all().unwrap().to_vec1().unwrap()
 }
 
-/// A checkpoint like a fixture, but wide enough for the k-quants: every side of 16, 24, 32, 48, 64, 72 or 96 is so many
-/// times longer, and the numbers are random.
+/// A checkpoint like a fixture, but wide enough for the k-quants and with random weights.
 fn widened(name: &str) -> tempfile::TempDir {
     let from = fixture(name);
     let folder = tempfile::tempdir().unwrap();
@@ -201,7 +200,7 @@ fn widened(name: &str) -> tempfile::TempDir {
         .iter()
         .map(|(name, view)| {
             let shape: Vec<usize> = match view.shape() {
-                // Kernels of patches keep their sides.
+                // The patch kernel keeps its sides.
                 [outputs, rest @ ..] if rest.len() == 3 => [&[wide(*outputs)], rest].concat(),
                 shape => shape.iter().map(|side| wide(*side)).collect(),
             };
@@ -275,7 +274,7 @@ fn the_report_says_what_is_held_how() {
             .iter()
             .any(|known| known.name == "lm_head.weight" && known.weight_format == WeightFormat::Q6K)
     );
-    // The forecast knows nothing of how the products want their blocks, and counts a norm that no LLaVA uses.
+    // The forecast ignores the packing for products, and counts a norm that no LLaVA uses.
     let (foreseen, held) = (forecast.bytes() as f64, report.bytes() as f64);
     assert!((foreseen / held - 1.0).abs() < 0.01, "{foreseen} {held}");
 }

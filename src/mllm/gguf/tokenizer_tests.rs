@@ -1,4 +1,4 @@
-//! SentencePiece tokenizers, written to GGUF metadata and read back.
+//! SentencePiece tokenizers in GGUF metadata, there and back.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -39,7 +39,7 @@ const WORDS: [&str; 24] = [
     "über",
 ];
 
-/// A tokenizer as Llama 2 has it, its merges in the order of the words: bytes, a space before every text, `▁` for spaces.
+/// A tokenizer like Llama 2's: bytes, a space before every text, `▁` for spaces; merges in the order of the words.
 fn llama(prefix: bool) -> Json {
     made(prefix, ('!'..='~').chain(['\u{2581}', 'ü']), &WORDS)
 }
@@ -59,7 +59,7 @@ fn made(prefix: bool, characters: impl Iterator<Item = char>, words: &[&str]) ->
         for end in 2..=characters.len() {
             let piece: String = characters[..end].iter().collect();
             if !tokens.contains(&piece) {
-                // A piece is made in every way that it can be, as SentencePiece makes it.
+                // Like SentencePiece, with every pair of pieces that makes the piece.
                 for at in 1..end {
                     let (left, right): (String, String) =
                         (characters[..at].iter().collect(), characters[at..end].iter().collect());
@@ -118,7 +118,7 @@ fn header(json: &Json) -> Header {
     Header { path: PathBuf::from("m.gguf"), metadata, tensors: BTreeMap::new() }
 }
 
-/// The tokenizer as it is, and as it comes back from GGUF.
+/// A tokenizer before and after GGUF.
 fn both(prefix: bool) -> [Tokenizer; 2] {
     let json = llama(prefix);
     let read = tokenizer::read(&header(&json), VOCABULARY).unwrap();

@@ -1,15 +1,15 @@
-//! Our numbers against those of Hugging Face transformers.
+//! Parity with Hugging Face transformers.
 //!
-//! `tests/fixtures/llava_reference` holds weights, inputs and outputs of a small LLaVA (its script stands beside it),
-//! `tests/fixtures/tiny_llava` a complete folder with tokenizer, preprocessor and chat template.
+//! `tests/fixtures/llava_reference` has weights, inputs and outputs of a small LLaVA, with its script.
+//! `tests/fixtures/tiny_llava` is a complete folder with tokenizer, preprocessor and chat template.
 
 use std::path::{Path, PathBuf};
 
 use candle_core::Tensor;
 use serde_json::json;
 
-use super::Llava;
 use super::config::LlavaConfig;
+use super::{FAMILY, Llava};
 use crate::mllm::family::VisionLanguageModel;
 use crate::mllm::local::LocalModel;
 use crate::mllm::local::test_faults::{Deviation, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
@@ -19,14 +19,14 @@ use crate::mllm::local::test_reference::{
 };
 use crate::mllm::vision::ClipImageProcessor;
 
-/// Makes a model of parts.
+/// Opens a model from parts.
 fn assembled(parts: &Parts) -> Llava {
     let config = LlavaConfig::from_json(&parts.path, &parts.config).unwrap();
     let processor = ClipImageProcessor::square(config.vision.image_size as u32);
-    Llava::take(&mut parts.weights(), config, processor).unwrap()
+    Llava::take(&mut parts.weights(&FAMILY), config, processor).unwrap()
 }
 
-/// The references with random pixels; the second is the same as the first where it is at hand.
+/// The references with random pixels. The second is a larger copy outside of the package.
 fn references() -> impl Iterator<Item = (PathBuf, Run)> {
     let folders = [Some(fixture("llava_reference")), shared_reference("llava")];
     folders.into_iter().flatten().map(|folder| {

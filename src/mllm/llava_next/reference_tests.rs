@@ -1,14 +1,14 @@
-//! Our numbers against those of Hugging Face transformers: pixels of tiles, packed features, logits, greedy tokens.
+//! Parity with Hugging Face transformers: pixels of tiles, packed features, logits, greedy tokens.
 
 use std::path::{Path, PathBuf};
 
 use candle_core::{DType, Tensor};
 use serde_json::{Value, json};
 
-use super::LlavaNext;
 use super::config::LlavaNextConfig;
 use super::grid::{Resolution, TileGrids};
 use super::preprocess::AnyresImageProcessor;
+use super::{FAMILY, LlavaNext};
 use crate::mllm::checkpoint::read_json;
 use crate::mllm::family::{Tiles, VisionLanguageModel};
 use crate::mllm::llava::FeatureSelect;
@@ -19,15 +19,15 @@ use crate::mllm::local::test_reference::{
 };
 use crate::mllm::vision::{Filter, PixelScale};
 
-/// Makes a model of parts whose configuration is changed once more after it is checked.
+/// Opens a model from parts with a change of the validated configuration.
 fn assembled_after(parts: &Parts, change: impl FnOnce(&mut LlavaNextConfig)) -> LlavaNext {
     let mut config = LlavaNextConfig::from_json(&parts.path, &parts.config).unwrap();
     change(&mut config);
     let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
-    LlavaNext::take(&mut parts.weights(), config, processor).unwrap()
+    LlavaNext::take(&mut parts.weights(&FAMILY), config, processor).unwrap()
 }
 
-/// Makes a model of parts.
+/// Opens a model from parts.
 fn assembled(parts: &Parts) -> LlavaNext {
     assembled_after(parts, |_| {})
 }
@@ -153,7 +153,7 @@ fn tiles_of_odd_images_have_the_pixels_of_transformers() {
     }
 }
 
-/// A processor that leaves the 8-bit values as they are.
+/// A processor that keeps the 8-bit values.
 fn raw_processor() -> AnyresImageProcessor {
     let path = Path::new("preprocessor_config.json");
     let raw = json!({"do_rescale": false, "do_normalize": false});

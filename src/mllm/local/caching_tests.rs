@@ -1,4 +1,4 @@
-//! What a conversation computes, counted in passes through the decoder and images through the tower.
+//! The work of a conversation, counted in passes of the decoder and images of the tower.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
@@ -14,14 +14,14 @@ use crate::mllm::family::{ChatFormat, LanguageModel, ModelInfo, Positions, Tiles
 use crate::mllm::text::ChatTokenizer;
 use crate::mllm::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
 
-/// What was computed: rows of each pass, and images.
+/// Rows of each pass, and number of images.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
 struct Computed {
     passes: Vec<usize>,
     images: usize,
 }
 
-/// A model that writes down what it computes.
+/// A model that counts its passes and images.
 #[derive(Debug)]
 struct Counting {
     model: Box<dyn VisionLanguageModel>,
@@ -83,7 +83,7 @@ impl LanguageModel for Counting {
     }
 }
 
-/// A tiny checkpoint, and the counts of what it computes.
+/// A tiny checkpoint and its counts.
 fn counted(name: &str) -> (LocalModel, Arc<Mutex<Computed>>) {
     let folder = fixture(name);
     let mut local = LocalModel::open(name, &folder).unwrap();
@@ -106,7 +106,7 @@ fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass
         let prefix = PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) };
         for call in 0..2 {
             let mut conversation = local.converse(&prefix, 0).unwrap();
-            // The system prompt before the image is computed by the first call alone; of a CogVLM there is none.
+            // Only the first call computes the system prompt before the image; a CogVLM has none there.
             let before = take().passes;
             assert_eq!(before.len(), usize::from(shared && call == 0), "{name}: {before:?}");
             let start = conversation.mark();

@@ -1,4 +1,4 @@
-//! The same weights and prompt give the same logits, to the bit, at any thread count.
+//! The same weights and prompt give bit-identical logits at any thread count.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -15,12 +15,12 @@ use crate::mllm::family::VisionLanguageModel;
 use crate::mllm::llava::Llava;
 use crate::mllm::llava_next::LlavaNext;
 
-/// Tells the test that it is the child that computes, and where it leaves its result.
+/// Set in the child process of the test: the folder for its result.
 const FOLDER: &str = "PLANAGENT_TEST_FOLDER";
 const TEST: &str = "mllm::local::determinism_tests::logits_are_the_same_bits_at_any_thread_count";
 
-/// Models of the shipped model's size (vision 4 x 192, decoder 6 x 256) with random weights: large enough for the matrix
-/// products to be split over threads.
+/// Models of nano's size (vision 4 x 192, decoder 6 x 256) with random weights, large enough to split matrix products over
+/// threads.
 fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     let vision = |heads: &str| {
         json!({"hidden_size": 192, "intermediate_size": 768, "num_hidden_layers": 4, heads: 6, "image_size": 128,
@@ -42,7 +42,7 @@ fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
     ]
 }
 
-/// The bits of the logits of a prefill, of ten single steps and of a rewound piece, of every family.
+/// A hash of the logits of a prefill, ten single steps and a rewound piece, for every family.
 fn logits_hash() -> String {
     let mut hasher = blake3::Hasher::new();
     for (model, image) in models() {

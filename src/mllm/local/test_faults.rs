@@ -1,5 +1,5 @@
-//! Errors that are easily made when a model is ported, and how far they lead away from a reference: were they not far
-//! beyond what parity tests accept, these would prove nothing.
+//! Typical errors of porting a model. Each must deviate from a reference far more than the parity tests accept; otherwise
+//! those tests would prove nothing.
 //!
 //! `cargo test --lib easily_made -- --nocapture` prints the deviations.
 
@@ -12,17 +12,17 @@ use serde_json::{Value, json};
 
 use super::Sequence;
 use super::sequence::new_cache;
-use super::test_reference::{FEATURE_TOLERANCE, LOGIT_TOLERANCE, Run, feature_difference, open_checkpoint};
-use crate::mllm::checkpoint::{Weights, read_json};
+use super::test_reference::{FEATURE_TOLERANCE, LOGIT_TOLERANCE, Run, feature_difference};
+use crate::mllm::checkpoint::{Weights, read_json, safetensors_folder};
 use crate::mllm::decoder::{Decoder, DecoderInput, DecoderLayer, Logits};
-use crate::mllm::family::VisionLanguageModel;
+use crate::mllm::family::{Family, VisionLanguageModel};
 
-/// How many times what parity tests accept an error must lead away.
+/// Smallest deviation of an error, in multiples of the parity tests' tolerance.
 const FAR: f32 = 100.0;
 
-/// Configuration and weights of a model, to be changed before it is made of them.
+/// Configuration and weights of a model, to change before it is opened.
 pub(crate) struct Parts {
-    /// Where the configuration is from.
+    /// The file of the configuration.
     pub path: PathBuf,
     /// The configuration.
     pub config: Value,
@@ -47,21 +47,20 @@ impl Parts {
         parts
     }
 
-    /// The weights, as they are read from a file.
-    pub(crate) fn weights(&self) -> Weights {
+    /// The weights of a family, read from a file.
+    pub(crate) fn weights(&self, family: &Family) -> Weights {
         let folder = tempfile::tempdir().unwrap();
         candle_core::safetensors::save(&self.tensors, folder.path().join("model.safetensors")).unwrap();
-        std::fs::write(folder.path().join("config.json"), self.config.to_string()).unwrap();
-        open_checkpoint(folder.path()).weights
+        safetensors_folder::open(folder.path(), None, family.canonical_name).unwrap()
     }
 
-    /// Gives two tensors each the other's name.
+    /// Swaps two tensors.
     pub(crate) fn swap(&mut self, one: &str, other: &str) {
         let [first, second] = [one, other].map(|name| self.tensors.remove(name).unwrap());
         self.tensors.extend([(one.to_string(), second), (other.to_string(), first)]);
     }
 
-    /// Changes each tensor whose name ends so; there is one.
+    /// Changes every tensor whose name has this end; there must be one.
     pub(crate) fn change(&mut self, end: &str, change: impl Fn(&Tensor) -> Tensor) {
         let mut changed = 0;
         for (_, tensor) in self.tensors.iter_mut().filter(|(name, _)| name.ends_with(end)) {
@@ -103,19 +102,19 @@ pub(crate) const LLAVA_DECODER_FAULTS: [Fault; 2] = [
     }),
 ];
 
-/// The rows of each head in pairs, one of the first half and its partner of the second.
+/// The rows of each head in llama.cpp's order: one of the first half, then its partner of the second.
 fn paired(rows: &Tensor, heads: usize) -> Tensor {
     let (outputs, inputs) = rows.dims2().unwrap();
     let halves = rows.reshape((heads, 2, outputs / heads / 2, inputs)).unwrap();
     halves.transpose(1, 2).unwrap().reshape((outputs, inputs)).unwrap()
 }
 
-/// Positions, those of `part` one further.
+/// Positions with those of `part` increased by one.
 pub(crate) fn one_further(positions: &[u32], part: &Range<usize>) -> Vec<u32> {
     positions.iter().enumerate().map(|(index, position)| position + u32::from(part.contains(&index))).collect()
 }
 
-/// How far a model is from a reference.
+/// The deviation of a model from a reference.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Deviation {
     features: f32,
@@ -123,21 +122,20 @@ pub(crate) struct Deviation {
 }
 
 impl Deviation {
-    /// Begins the table of a reference.
+    /// Prints the head of a reference's table.
     pub(crate) fn print_heading(reference: &Path) {
         println!("{}", reference.display());
         println!("  {:48} {FEATURE_TOLERANCE:>10.1e} {LOGIT_TOLERANCE:>10.1e}", "accepted (features, logits)");
     }
 
-    /// Of a model that makes these features.
+    /// The deviation of a model with these features.
     pub(crate) fn of(run: &Run, model: &dyn VisionLanguageModel, features: &Tensor) -> Self {
         let mut sequence = Sequence::new(model);
         let logits = sequence.append(model, &run.ids, Some(features), Logits::All).unwrap().unwrap();
         Self { features: feature_difference(features, &run.features), logits: run.logits_difference(&logits) }
     }
 
-    /// Of a model with this decoder that is given the right features and told these positions, and that the rows `vision`
-    /// are the image's.
+    /// The deviation of a model with the right features, these positions, and image rows `vision`.
     pub(crate) fn of_placed<L: DecoderLayer>(
         run: &Run,
         model: &dyn VisionLanguageModel,
@@ -151,7 +149,7 @@ impl Deviation {
         Self { features: 0.0, logits: run.logits_difference(&logits) }
     }
 
-    /// Checks that it is none.
+    /// Checks that there is none.
     pub(crate) fn assert_none(self, what: &str) {
         let (features, logits) = self.print(what);
         assert!(features < 1.0 && logits < 1.0, "{what}: {self:?}");
@@ -163,13 +161,13 @@ impl Deviation {
         assert!(features > FAR && logits > FAR, "{what} is hardly noticed: {self:?}");
     }
 
-    /// Checks that the logits are far off behind features that are right.
+    /// Checks that the logits are far off although the features are right.
     pub(crate) fn assert_logits_far(self, what: &str) {
         let (features, logits) = self.print(what);
         assert!(features < 1.0 && logits > FAR, "{what} is hardly noticed: {self:?}");
     }
 
-    /// Adds a line to the table; gives both as multiples of what is accepted.
+    /// Prints a line of the table; returns both deviations in multiples of the tolerance.
     fn print(self, what: &str) -> (f32, f32) {
         println!("  {what:48} {:>10.1e} {:>10.1e}", self.features, self.logits);
         (self.features / FEATURE_TOLERANCE, self.logits / LOGIT_TOLERANCE)

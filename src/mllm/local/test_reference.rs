@@ -1,4 +1,4 @@
-//! What the parity tests of all families share: reference files, and the ways to compute the same logits.
+//! Shared parts of the parity tests of all families: reference files, and ways to compute the same logits.
 
 use std::path::{Path, PathBuf};
 
@@ -12,10 +12,10 @@ use crate::mllm::families::Families;
 use crate::mllm::family::{Chat, VisionLanguageModel};
 use crate::mllm::source::{Checkpoint, ModelPlace};
 
-/// Largest difference of image features that the parity tests accept, as a part of the largest feature: torch's own f32
-/// results lie up to 1e-5 from its f64 ones where features reach 11 (`mllm_reference/llava_next`).
+/// Tolerance for image features, relative to the largest feature. torch's own f32 results differ from its f64 results by up
+/// to 1e-5 where features reach 11 (`mllm_reference/llava_next`).
 pub(crate) const FEATURE_TOLERANCE: f32 = 1e-5;
-/// Largest difference of logits that the parity tests accept.
+/// Tolerance for logits.
 pub(crate) const LOGIT_TOLERANCE: f32 = 1e-4;
 
 /// A folder of `tests/fixtures`.
@@ -23,7 +23,7 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
 }
 
-/// A folder of the reference data that is not part of the package; says so when it is not there.
+/// A folder of the reference data outside of the package; prints a note if it is missing.
 pub(crate) fn shared_reference(name: &str) -> Option<PathBuf> {
     crate::outside::data(&format!("mllm_reference/{name}"))
 }
@@ -67,7 +67,7 @@ pub(crate) struct Run {
 }
 
 impl Run {
-    /// Reads a run under the names of any generator script.
+    /// Reads a run by any generator script.
     pub(crate) fn open(path: &Path, image_token: u32) -> Self {
         let reference = Reference::open(path);
         let any = |names: &[&'static str]| *names.iter().find(|name| reference.0.contains_key(**name)).unwrap();
@@ -96,7 +96,7 @@ impl Run {
         first..first + self.features.dims()[0]
     }
 
-    /// Checks that a model does the same.
+    /// Checks that a model gives the same outputs.
     pub(crate) fn assert_same(&self, model: &dyn VisionLanguageModel, features: &Tensor) {
         let found = feature_difference(features, &self.features);
         assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
@@ -104,13 +104,13 @@ impl Run {
         assert_greedy(model, &self.ids, features, &self.greedy);
     }
 
-    /// How far the logits of the whole prompt are from the reference.
+    /// Largest difference between the logits of the whole prompt and the reference.
     pub(crate) fn logits_difference(&self, logits: &Tensor) -> f32 {
         difference(&last_rows(logits, &self.logits), &self.logits)
     }
 }
 
-/// Largest difference of two tensors of as many elements.
+/// Largest difference between two tensors with equally many elements.
 pub(crate) fn difference(found: &Tensor, expected: &Tensor) -> f32 {
     let found = found.flatten_all().unwrap();
     let expected = expected.flatten_all().unwrap();
@@ -119,7 +119,7 @@ pub(crate) fn difference(found: &Tensor, expected: &Tensor) -> f32 {
     difference.to_scalar().unwrap()
 }
 
-/// Difference of image features as a part of the largest, or of 1.
+/// Difference of image features relative to the largest one, or to 1 if that is larger.
 pub(crate) fn feature_difference(found: &Tensor, expected: &Tensor) -> f32 {
     let largest = expected.abs().unwrap().flatten_all().unwrap().max(0).unwrap().to_scalar::<f32>().unwrap();
     difference(found, expected) / largest.max(1.0)
@@ -163,7 +163,7 @@ pub(crate) fn greedy(
     tokens
 }
 
-/// Checks the logits of the last positions, as many as the reference has, in one piece, in several, token by token.
+/// Checks the logits of the reference's last positions, computed in one piece, in several, and token by token.
 pub(crate) fn assert_logits(model: &dyn VisionLanguageModel, ids: &[u32], features: &Tensor, expected: &Tensor) {
     let one_by_one = vec![1; ids.len()];
     for pieces in [&[][..], &[1], &[4, 3, 9], &[7, 12], &one_by_one] {
@@ -173,7 +173,7 @@ pub(crate) fn assert_logits(model: &dyn VisionLanguageModel, ids: &[u32], featur
     }
 }
 
-/// How far the logits of the whole prompt are from the reference.
+/// Largest difference between the logits of the whole prompt and the reference.
 pub(crate) fn logits_deviation(
     model: &dyn VisionLanguageModel,
     ids: &[u32],
@@ -189,12 +189,12 @@ fn last_rows(logits: &Tensor, expected: &Tensor) -> Tensor {
     logits.narrow(0, logits.dims()[0] - kept, kept).unwrap()
 }
 
-/// Checks greedy tokens, also after going back and from a copy.
+/// Checks greedy tokens, also after a truncation and from a copy.
 pub(crate) fn assert_greedy(model: &dyn VisionLanguageModel, ids: &[u32], features: &Tensor, expected: &[u32]) {
     let mut sequence = Sequence::new(model);
     let count = expected.len();
     assert_eq!(greedy(model, &mut sequence, ids, features, count), expected);
-    // Going back and taking another way leaves no trace; 7 lies within an image that stands at the head.
+    // A truncation leaves no trace; 7 lies within an image at the beginning.
     sequence.truncate(7);
     assert_eq!(greedy(model, &mut sequence, &ids[7..], features, count), expected);
     let mut copy = Sequence::new(model);
