@@ -101,8 +101,7 @@ pub mod sources {
 /// Runs of many simulations in a folder, resumed after an interruption, and the experiments that compare them.
 pub mod runs {
     pub use crate::runner::{
-        Config, ConfigError, Event, Experiments, ExperimentsRequest, Listener, Request, RunResults, RunnerError,
-        StudyOutcome, resume, silent, start,
+        Config, Event, Experiments, ExperimentsRequest, Listener, Request, RunResults, resume, start,
     };
 }
 

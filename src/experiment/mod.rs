@@ -1,5 +1,4 @@
-//! Stage 9: what drives many loops. Simulation runs; the paper's tables; label search and datasets; what a planning call costs;
-//! what descriptions of scenes take.
+//! Stage 9: many simulations in parallel, the studies behind the paper's tables, datasets, benches, and token counts.
 
 pub mod bench;
 pub mod dataset;

@@ -145,7 +145,7 @@ fn without_scenarios(
         return Err(RunnerError::CannotResume { folder, completed, total, source: Box::new(cause) });
     }
     let shown = folder.display();
-    listener(Event::Note(format!("the run in {shown} has ended; its scenarios cannot be found: {cause}")));
+    listener(Event::Note(format!("the run in {shown} has ended; only its results are shown, because {cause}")));
     let (locked, manifest) = RunFolder::resume(&folder, manifest)?;
     run::finish(&locked, manifest, run::session(started, 0, None), rows)
 }

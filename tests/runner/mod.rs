@@ -1,6 +1,7 @@
 //! Runs: written simulation by simulation, resumed, and read by other programs.
 
 mod failures;
+mod library;
 mod nuplan_folders;
 mod parquet;
 mod pinned;

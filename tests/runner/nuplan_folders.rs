@@ -193,7 +193,7 @@ fn a_run_is_resumed_from_any_directory_and_shows_its_results_without_its_data() 
     fs::rename(work.path("nuplan"), &moved).unwrap();
     let (code, stdout, stderr) = resume();
     assert_eq!((code, &stdout), (0, &table), "{stderr}");
-    assert!(stderr.contains("cannot be found") && stderr.contains("nuplan/data"), "{stderr}");
+    assert!(stderr.contains("only its results are shown") && stderr.contains("nuplan/data"), "{stderr}");
     assert_eq!(fs::read(work.path("run/summary.json")).unwrap(), summary);
 
     // Only its results can be shown: every other request needs the data, and so does a simulation that is left.

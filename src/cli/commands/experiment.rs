@@ -20,8 +20,8 @@ pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer:
     }
     if flags.name != TOKENS {
         let all = flags.name == ALL_EXPERIMENTS;
-        let studies = if all { study::all()? } else { vec![study::find(&flags.name)?] };
-        exit = exit.max(show(&experiments.simulate(studies)?, printer)?);
+        let words = if all { study::names().collect() } else { vec![flags.name.as_str()] };
+        exit = exit.max(show(&experiments.simulate(words)?, printer)?);
     }
     Ok(exit)
 }

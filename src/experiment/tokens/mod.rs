@@ -1,8 +1,8 @@
-//! How many tokens a scene's description takes (the paper's table of token utilisation): our texts, and those of GPT-Driver
+//! Token counts of scene descriptions (the paper's table of token utilization): our texts, and those of GPT-Driver
 //! and LLM-ASSIST of the same scenes, counted with OpenAI's `cl100k_base` (that of GPT-3.5 and GPT-4) and with the tokenizer of
 //! a model at hand.
 //!
-//! The scenes are the recorded states of drives at the iterations at which PlanAgent would call its model. A description is
+//! The scenes are the recorded states of scenarios at the iterations at which PlanAgent would call its model. A description is
 //! the text about the scene alone, without system prompt, question and image.
 
 mod counter;
@@ -102,12 +102,10 @@ pub struct Tokens {
     pub model: Option<usize>,
 }
 
-/// The descriptions of one state of a drive, counted.
+/// The token counts of one recorded state.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TokenRow {
-    /// Which drive.
     pub scenario: String,
-    /// Which iteration.
     pub iteration: usize,
     /// Agents and obstacles on the nine nodes.
     pub agents: usize,
@@ -115,7 +113,7 @@ pub struct TokenRow {
     pub tokens: [Tokens; SceneText::ALL.len()],
 }
 
-/// Counts the descriptions of a drive's recorded states, one every `interval` iterations; an error for a state that has no
+/// Counts the descriptions of a scenario's recorded states, one every `interval` iterations; an error for a state without a
 /// lane graph.
 pub fn count(
     scenario: &Scenario,

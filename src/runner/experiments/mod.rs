@@ -11,7 +11,7 @@ pub use tokens::{SuiteTokens, TITLE as TOKENS_TITLE};
 use super::config::Config;
 use super::error::RunnerError;
 use super::event::{Event, Listener};
-use crate::experiment::study::{Quick, Study};
+use crate::experiment::study::{Quick, Study, find};
 use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, SimulationRow, StudyFolder, StudyResults, SuiteSimulations,
     VariantSimulations,
@@ -75,9 +75,11 @@ impl<'a> Experiments<'a> {
         Ok((counted, folder.path().to_owned()))
     }
 
-    /// Simulates what is left of the studies' runs, and writes the results.
-    pub fn simulate(&mut self, studies: Vec<Study>) -> Result<StudyOutcome, RunnerError> {
+    /// Simulates what is left of the studies' runs, and writes the results. A word is the name of a study or the path of its
+    /// file.
+    pub fn simulate<'w>(&mut self, words: impl IntoIterator<Item = &'w str>) -> Result<StudyOutcome, RunnerError> {
         let started = Instant::now();
+        let studies = words.into_iter().map(find).collect::<Result<Vec<_>, _>>()?;
         let bench = self.bench()?;
         let mut runs = PlannedRuns::new(self.config, &self.request.registry, self.listener);
         let mut planned = Vec::new();
