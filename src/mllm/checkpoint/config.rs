@@ -34,11 +34,6 @@ impl<'a> ConfigObject<'a> {
         }
     }
 
-    /// An object behind the keys of `prefix`.
-    pub(super) fn nested(path: &'a Path, prefix: &str, object: &Map<String, Value>) -> Self {
-        Self { path, prefix: prefix.to_string(), entries: Map::new() }.with_entries(object)
-    }
-
     fn with_entries(mut self, object: &Map<String, Value>) -> Self {
         let present = |(key, value): &(&String, &Value)| !value.is_null() || NULLABLE.contains(&key.as_str());
         self.entries = object.iter().filter(present).map(|(key, value)| (key.clone(), value.clone())).collect();

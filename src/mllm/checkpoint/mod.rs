@@ -7,7 +7,6 @@ mod llama_config;
 mod load_report;
 mod row_order;
 pub(crate) mod safetensors_folder;
-mod section;
 mod vision_config;
 mod weight_file;
 mod weight_format_plan;
@@ -18,14 +17,13 @@ use std::path::Path;
 use serde_json::Value;
 
 pub(crate) use activation::Activation;
-pub(crate) use config::{ConfigObject, OneOrMany};
+pub(crate) use config::{ConfigObject, OneOrMany, positive};
 pub use files::ModelFiles;
 pub use llama_config::LlamaConfig;
 pub(crate) use llama_config::{Rope, RopeScaling};
 pub(crate) use load_report::in_bytes;
 pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
 pub(crate) use row_order::{RowOrder, paired};
-pub(crate) use section::Section;
 pub(crate) use vision_config::VisionConfig;
 #[cfg(test)]
 pub(crate) use weight_file::widen;

@@ -6,11 +6,8 @@ use image::{RgbImage, imageops};
 use super::config::{PINPOINTS, pinpoints};
 use super::grid::{TileGrids, Tiling};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ModelFiles, Section};
-use crate::mllm::vision::{
-    DEFAULT_SIDE, Filter, PixelScale, Sides, check_not_empty, check_processor, read_processor, resample_filter, resize,
-    sides,
-};
+use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
+use crate::mllm::vision::{Filter, PixelScale, ProcessorKeys, check_not_empty, read_processor, resize};
 
 /// Cuts images into tiles of the vision tower's size.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,24 +22,22 @@ impl AnyresImageProcessor {
     /// # Errors
     /// When it is missing or broken, or its tiles differ from the model's.
     pub(crate) fn open(files: &ModelFiles, grids: &TileGrids, side: u32) -> Result<Self, MllmError> {
-        read_processor(files, |_, section| Self::from_section(section, grids, side))
+        read_processor(files, |_, object| Self::read(object, grids, side))
     }
 
-    fn from_section(section: &Section<'_>, grids: &TileGrids, side: u32) -> Result<Self, MllmError> {
-        check_processor(section, "LlavaNextImageProcessor")?;
-        for key in ["size", "crop_size"] {
-            let (height, width) = sides(section, key)?.unwrap_or(Sides::One(DEFAULT_SIDE)).height_width();
+    fn read(object: &ConfigObject<'_>, grids: &TileGrids, side: u32) -> Result<Self, MllmError> {
+        let keys = ProcessorKeys::read(object, "LlavaNextImageProcessor")?;
+        for (key, size) in [("size", keys.size), ("crop_size", keys.crop_size)] {
+            let (height, width) = size.height_width();
             if (height, width) != (side, side) {
-                return Err(section.error(
-                    key,
-                    format!("makes tiles of {width} x {height} pixels, the vision tower takes {side} x {side}"),
-                ));
+                let problem = format!("is {width} x {height} pixels; the vision tower takes {side} x {side}");
+                return Err(object.error(key, problem));
             }
         }
-        if pinpoints(&section.config())? != grids.resolutions() {
-            return Err(section.error(PINPOINTS, "these are not the resolutions of the model's config.json".into()));
+        if pinpoints(object)? != grids.resolutions() {
+            return Err(object.error(PINPOINTS, "these are not the resolutions of the model's config.json"));
         }
-        Ok(Self { filter: resample_filter(section)?, scale: PixelScale::from_section(section)? })
+        Ok(Self { filter: keys.resample, scale: PixelScale::read(object)? })
     }
 
     /// Pixel values, (3, `side`, `side`) each: of the whole image, stretched to a square, then of its tiles.

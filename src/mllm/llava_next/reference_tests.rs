@@ -157,8 +157,8 @@ fn tiles_of_odd_images_have_the_pixels_of_transformers() {
 fn raw_processor() -> AnyresImageProcessor {
     let path = Path::new("preprocessor_config.json");
     let raw = json!({"do_rescale": false, "do_normalize": false});
-    let section = crate::mllm::checkpoint::Section::root(path, &raw).unwrap();
-    AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::from_section(&section).unwrap() }
+    let object = crate::mllm::checkpoint::ConfigObject::root(path, &raw).unwrap();
+    AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::read(&object).unwrap() }
 }
 
 #[test]

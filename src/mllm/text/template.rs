@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Value;
 use minijinja::{Environment, Error, ErrorKind, context};
+use serde::Deserialize;
 
-use crate::mllm::checkpoint::{ModelFiles, Section};
+use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
 use crate::mllm::{MllmError, Turn};
 
 /// A compiled chat template.
@@ -145,6 +146,20 @@ fn fixed_date(format: &str) -> Result<String, Error> {
         .map_err(|error| Error::new(ErrorKind::InvalidOperation, format!("strftime_now: {error}")))
 }
 
+/// The `chat_template` of a configuration.
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "expected a text, or a list of templates with names")]
+enum Templates {
+    One(String),
+    Named(Vec<NamedTemplate>),
+}
+
+#[derive(Deserialize)]
+struct NamedTemplate {
+    name: String,
+    template: String,
+}
+
 /// The source of the template and its file.
 fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
     const NAME: &str = "chat_template.jinja";
@@ -154,17 +169,16 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
     for file in ["chat_template.json", "tokenizer_config.json"] {
         let Some(value) = files.json(file)? else { continue };
         let path = files.path(file);
-        let root = Section::root(&path, &value)?;
-        let source = match root.get("chat_template") {
+        let root = ConfigObject::root(&path, &value)?;
+        let source = match root.value("chat_template")? {
             None => continue,
-            Some(serde_json::Value::Array(named)) => {
-                named.iter().find(|entry| entry["name"] == "default").and_then(|entry| entry["template"].as_str())
+            Some(Templates::One(source)) => source,
+            Some(Templates::Named(named)) => {
+                let default = named.into_iter().find(|entry| entry.name == "default");
+                default.ok_or_else(|| root.error("chat_template", "has no template named default"))?.template
             }
-            Some(value) => value.as_str(),
         };
-        let source = source
-            .ok_or_else(|| root.error("chat_template", "expected a text, or a list with one named default".into()))?;
-        return Ok((path.clone(), source.to_string()));
+        return Ok((path, source));
     }
     Err(files.missing("chat_template.jinja (nor a chat_template in chat_template.json or tokenizer_config.json)"))
 }

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use serde_json::Value;
+use serde::Deserialize;
 use tokenizers::Tokenizer;
 
 use super::token_bytes::token_bytes;
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ModelFiles, Section};
+use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
 
 /// The tokenizer of a model with the special tokens of its chat template.
 #[derive(Debug, Clone)]
@@ -122,6 +122,14 @@ impl ChatTokenizer {
     }
 }
 
+/// A special token in `tokenizer_config.json`.
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "expected a text, or an object with a text as content")]
+enum SpecialToken {
+    Text(String),
+    Object { content: String },
+}
+
 /// Reads the special tokens of `tokenizer_config.json` by role. Each is a text, or an object with its `content`.
 pub(crate) fn special_tokens(files: &ModelFiles) -> Result<BTreeMap<String, String>, MllmError> {
     const NAME: &str = "tokenizer_config.json";
@@ -130,20 +138,11 @@ pub(crate) fn special_tokens(files: &ModelFiles) -> Result<BTreeMap<String, Stri
         return Ok(special);
     };
     let path = files.path(NAME);
-    let root = Section::root(&path, &value)?;
+    let root = ConfigObject::root(&path, &value)?;
     for key in SPECIAL_TOKENS {
-        let text = match root.get(key) {
-            None => continue,
-            Some(Value::String(text)) => Some(text),
-            Some(Value::Object(token)) => match token.get("content") {
-                Some(Value::String(text)) => Some(text),
-                _ => None,
-            },
-            Some(_) => None,
-        };
-        let text =
-            text.ok_or_else(|| root.error(key, "expected a text, or an object with a text as content".into()))?;
-        special.insert(key.to_string(), text.clone());
+        if let Some(SpecialToken::Text(text) | SpecialToken::Object { content: text }) = root.value(key)? {
+            special.insert(key.to_string(), text);
+        }
     }
     Ok(special)
 }

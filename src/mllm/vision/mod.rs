@@ -9,7 +9,5 @@ mod resample;
 pub(crate) use attention::{SelfAttention, embed, unfold};
 pub(crate) use clip::ClipVisionTower;
 pub(crate) use pixels::{PixelScale, check_not_empty};
-pub(crate) use processor::{
-    ClipImageProcessor, DEFAULT_SIDE, Sides, check_processor, read_processor, resample_filter, sides,
-};
+pub(crate) use processor::{ClipImageProcessor, ProcessorKeys, read_processor};
 pub(crate) use resample::{Filter, resize};

@@ -2,9 +2,10 @@
 
 use candle_core::{Device, Tensor};
 use image::RgbImage;
+use serde::Deserialize;
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Section;
+use crate::mllm::checkpoint::{ConfigObject, positive};
 
 /// Mean of the RGB channels in CLIP's training (`OPENAI_CLIP_MEAN` in transformers).
 const CLIP_MEAN: [f32; 3] = [0.481_454_66, 0.457_827_5, 0.408_210_73];
@@ -12,6 +13,24 @@ const CLIP_MEAN: [f32; 3] = [0.481_454_66, 0.457_827_5, 0.408_210_73];
 const CLIP_STD: [f32; 3] = [0.268_629_54, 0.261_302_6, 0.275_777_1];
 /// Factor from an 8-bit channel to [0, 1].
 const UNIT: f64 = 1.0 / 255.0;
+
+/// The keys of rescaling and normalization.
+#[derive(Deserialize)]
+#[serde(default)]
+struct ScaleKeys {
+    do_rescale: bool,
+    #[serde(deserialize_with = "positive")]
+    rescale_factor: f64,
+    do_normalize: bool,
+    image_mean: [f32; 3],
+    image_std: [f32; 3],
+}
+
+impl Default for ScaleKeys {
+    fn default() -> Self {
+        Self { do_rescale: true, rescale_factor: UNIT, do_normalize: true, image_mean: CLIP_MEAN, image_std: CLIP_STD }
+    }
+}
 
 /// Rescaling and normalization of pixel values.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,23 +44,23 @@ impl PixelScale {
     /// To [0, 1], then by CLIP's mean and standard deviation.
     pub(crate) const CLIP: Self = Self { rescale: Some(UNIT), normalize: Some((CLIP_MEAN, CLIP_STD)) };
 
-    /// Reads `do_rescale`, `rescale_factor`, `do_normalize`, `image_mean` and `image_std`; absent keys are CLIP's.
+    /// Reads the keys of an image processor; absent keys have CLIP's values.
     ///
     /// # Errors
     /// When a key has the wrong type or range.
-    pub(crate) fn from_section(section: &Section<'_>) -> Result<Self, MllmError> {
-        let rescale =
-            if section.flag("do_rescale", true)? { Some(section.positive("rescale_factor", UNIT)?) } else { None };
-        let normalize = if section.flag("do_normalize", true)? {
-            let std = section.triple("image_std", CLIP_STD)?;
-            if std.contains(&0.0) {
-                return Err(section.error("image_std", "must not be zero".into()));
-            }
-            Some((section.triple("image_mean", CLIP_MEAN)?, std))
-        } else {
-            None
-        };
-        Ok(Self { rescale, normalize })
+    pub(crate) fn read(processor: &ConfigObject<'_>) -> Result<Self, MllmError> {
+        let keys: ScaleKeys = processor.read()?;
+        let finite = |numbers: [f32; 3]| numbers.iter().all(|number| number.is_finite());
+        if !finite(keys.image_mean) {
+            return Err(processor.error("image_mean", "must be finite"));
+        }
+        if !finite(keys.image_std) || keys.image_std.contains(&0.0) {
+            return Err(processor.error("image_std", "must be finite and not zero"));
+        }
+        Ok(Self {
+            rescale: keys.do_rescale.then_some(keys.rescale_factor),
+            normalize: keys.do_normalize.then_some((keys.image_mean, keys.image_std)),
+        })
     }
 
     /// Mean and standard deviation of pixels rescaled to [0, 1]; `None` for any other rescaling.

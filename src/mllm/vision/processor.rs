@@ -1,21 +1,21 @@
-//! The image processor of CLIP: from an RGB image to the pixel values that the vision tower was trained on.
+//! The image processor of CLIP, which converts an RGB image to the input of the vision tower.
 
 use std::path::{Path, PathBuf};
 
 use candle_core::Tensor;
 use image::RgbImage;
 use image::imageops;
-use serde_json::Value;
+use serde::Deserialize;
 
 use super::pixels::{PixelScale, check_not_empty};
 use super::resample::{Filter, resize};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ModelFiles, Section};
+use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
 
-/// Side that `CLIPImageProcessor` resizes and crops to when its configuration does not say.
-pub(crate) const DEFAULT_SIDE: u32 = 224;
+/// Default side of `CLIPImageProcessor`.
+const DEFAULT_SIDE: u32 = 224;
 
-/// `CLIPImageProcessor`: resize, centre crop, rescale, normalise.
+/// `CLIPImageProcessor`: resize, center crop, rescale, normalize.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ClipImageProcessor {
     path: PathBuf,
@@ -25,43 +25,42 @@ pub(crate) struct ClipImageProcessor {
     scale: PixelScale,
 }
 
-/// The `size` of a preprocessor configuration.
+/// Target of the resizing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum TargetSize {
-    /// The shorter side becomes so long, the ratio stays.
+    /// Length of the shorter side; the aspect ratio stays.
     ShortestEdge(u32),
-    /// Exactly this.
-    Exact { height: u32, width: u32 },
+    Exact {
+        height: u32,
+        width: u32,
+    },
 }
 
 impl ClipImageProcessor {
-    /// Reads `preprocessor_config.json`, or the `image_processor` part of `processor_config.json` (transformers 5).
-    ///
     /// # Errors
-    /// When neither file is there, or a key has a wrong type or an unsupported value.
+    /// When the configuration is missing, or a key has the wrong type or an unsupported value.
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
-        read_processor(files, Self::from_section)
+        read_processor(files, Self::read)
     }
 
-    fn from_section(path: &Path, section: &Section<'_>) -> Result<Self, MllmError> {
-        check_processor(section, "CLIPImageProcessor")?;
-        let resize = if section.flag("do_resize", true)? {
-            Some((target_size(section)?, resample_filter(section)?))
-        } else {
-            None
+    fn read(path: &Path, object: &ConfigObject<'_>) -> Result<Self, MllmError> {
+        let keys = ProcessorKeys::read(object, "CLIPImageProcessor")?;
+        let target = match keys.size {
+            Sides::One(edge) | Sides::ShortestEdge { shortest_edge: edge } => TargetSize::ShortestEdge(edge.0),
+            Sides::Exact { height, width } => TargetSize::Exact { height: height.0, width: width.0 },
         };
-        let crop = if section.flag("do_center_crop", true)? {
-            Some(sides(section, "crop_size")?.unwrap_or(Sides::One(DEFAULT_SIDE)).height_width())
-        } else {
-            None
-        };
-        Ok(Self { path: path.to_path_buf(), resize, crop, scale: PixelScale::from_section(section)? })
+        Ok(Self {
+            path: path.to_path_buf(),
+            resize: keys.do_resize.then_some((target, keys.resample)),
+            crop: keys.do_center_crop.then(|| keys.crop_size.height_width()),
+            scale: PixelScale::read(object)?,
+        })
     }
 
-    /// Checks that every image comes out as a square of the vision tower's side, as far as that is known beforehand.
+    /// Checks that the configured size is the square input of the vision tower, where one is configured.
     ///
     /// # Errors
-    /// When the configured size is another.
+    /// When the size differs.
     pub(crate) fn check_side(&self, side: usize) -> Result<(), MllmError> {
         let (key, height, width) = match (self.crop, self.resize) {
             (Some((height, width)), _) => ("crop_size", height, width),
@@ -74,14 +73,14 @@ impl ClipImageProcessor {
         Err(MllmError::Config {
             path: self.path.clone(),
             key: key.into(),
-            problem: format!("makes images of {width} x {height} pixels, the vision tower takes {side} x {side}"),
+            problem: format!("is {width} x {height} pixels; the vision tower takes {side} x {side}"),
         })
     }
 
-    /// Turns an image into pixel values of shape (3, `side`, `side`), channels first.
+    /// Converts an image to pixel values (3, `side`, `side`).
     ///
     /// # Errors
-    /// When the image is empty, or does not become a square of that side.
+    /// When the image is empty, or the result is not a square of that side.
     pub(crate) fn process(&self, image: &RgbImage, side: usize) -> Result<Tensor, MllmError> {
         check_not_empty(image)?;
         let resized = match self.resize {
@@ -97,7 +96,7 @@ impl ClipImageProcessor {
         if (pixels.width() as usize, pixels.height() as usize) != (side, side) {
             return Err(MllmError::Image {
                 problem: format!(
-                    "{} x {} pixels become {} x {}, the vision tower takes {side} x {side}",
+                    "{} x {} pixels become {} x {}; the vision tower takes {side} x {side}",
                     image.width(),
                     image.height(),
                     pixels.width(),
@@ -109,58 +108,71 @@ impl ClipImageProcessor {
     }
 }
 
-/// Reads the image processor of a model: `preprocessor_config.json`, or the `image_processor` part of
-/// `processor_config.json` (transformers 5).
+/// Reads `preprocessor_config.json`, or the `image_processor` of `processor_config.json` (transformers 5).
 ///
 /// # Errors
-/// When neither file is there or is broken, and what `read` returns.
+/// When both are missing or one is broken, or `read` fails.
 pub(crate) fn read_processor<T>(
     files: &ModelFiles,
-    read: impl FnOnce(&Path, &Section<'_>) -> Result<T, MllmError>,
+    read: impl FnOnce(&Path, &ConfigObject<'_>) -> Result<T, MllmError>,
 ) -> Result<T, MllmError> {
     const NAME: &str = "preprocessor_config.json";
     if let Some(value) = files.json(NAME)? {
         let path = files.path(NAME);
-        return read(&path, &Section::root(&path, &value)?);
+        return read(&path, &ConfigObject::root(&path, &value)?);
     }
     if let Some(value) = files.json("processor_config.json")? {
         let path = files.path("processor_config.json");
-        if let Some(section) = Section::root(&path, &value)?.section("image_processor", "image_processor.")? {
-            return read(&path, &section);
+        if let Some(object) = ConfigObject::root(&path, &value)?.child("image_processor")? {
+            return read(&path, &object);
         }
     }
     Err(files.missing(NAME))
 }
 
-/// Checks that a section describes an image processor of this kind (its `Fast` and `Pil` forms compute the same).
-///
-/// # Errors
-/// When it names another.
-pub(crate) fn check_processor(section: &Section<'_>, expected: &str) -> Result<(), MllmError> {
-    match section.text("image_processor_type")? {
-        Some(kind) if !kind.starts_with(expected) => {
-            Err(section.error("image_processor_type", format!("{kind:?} is not supported; {expected} is")))
+/// The keys of an image processor, with the defaults of `CLIPImageProcessor`.
+#[derive(Deserialize)]
+#[serde(default)]
+pub(crate) struct ProcessorKeys {
+    image_processor_type: Option<String>,
+    do_resize: bool,
+    pub size: Sides,
+    pub resample: Filter,
+    do_center_crop: bool,
+    pub crop_size: Sides,
+}
+
+impl Default for ProcessorKeys {
+    fn default() -> Self {
+        Self {
+            image_processor_type: None,
+            do_resize: true,
+            size: Sides::One(Side(DEFAULT_SIDE)),
+            resample: Filter::Bicubic,
+            do_center_crop: true,
+            crop_size: Sides::One(Side(DEFAULT_SIDE)),
         }
-        _ => Ok(()),
     }
 }
 
-/// Reads `resample`; bicubic if absent.
-///
-/// # Errors
-/// When the filter is not known.
-pub(crate) fn resample_filter(section: &Section<'_>) -> Result<Filter, MllmError> {
-    let number = match section.get("resample") {
-        None => return Ok(Filter::Bicubic),
-        Some(value) => value.as_u64(),
-    };
-    number
-        .and_then(Filter::from_pillow)
-        .ok_or_else(|| section.error("resample", "expected 1 (Lanczos), 2 (bilinear) or 3 (bicubic)".into()))
+impl ProcessorKeys {
+    /// Reads a processor of this type; its `Fast` and `Pil` forms compute the same.
+    ///
+    /// # Errors
+    /// When the type differs, or a key is invalid.
+    pub(crate) fn read(object: &ConfigObject<'_>, expected: &str) -> Result<Self, MllmError> {
+        let keys: Self = object.read()?;
+        match &keys.image_processor_type {
+            Some(kind) if !kind.starts_with(expected) => {
+                Err(object.error("image_processor_type", format!("{kind:?} is not supported; {expected} is")))
+            }
+            _ => Ok(keys),
+        }
+    }
 }
 
 impl TargetSize {
-    /// Width and height that an image is resized to.
+    /// Width and height of the resized image.
     fn dimensions(self, image: &RgbImage) -> Result<(u32, u32), MllmError> {
         match self {
             Self::Exact { height, width } => Ok((width, height)),
@@ -176,69 +188,49 @@ impl TargetSize {
     }
 }
 
-/// Longest side that an image is resized to, pixels.
+/// Maximum side of a resized image, pixels.
 const MAX_SIDE: usize = 1 << 16;
 
-/// How a configuration writes a size.
+/// A side, pixels, from 1 to [`MAX_SIDE`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "u64")]
+pub(crate) struct Side(pub u32);
+
+impl TryFrom<u64> for Side {
+    type Error = String;
+
+    fn try_from(side: u64) -> Result<Self, String> {
+        let valid = (1..=MAX_SIDE as u64).contains(&side);
+        valid.then_some(Self(side as u32)).ok_or_else(|| format!("expected a side from 1 to {MAX_SIDE}, found {side}"))
+    }
+}
+
+/// A size in a configuration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(
+    untagged,
+    deny_unknown_fields,
+    expecting = "expected a size: a number, shortest_edge, or height and width, each from 1 to 65536"
+)]
 pub(crate) enum Sides {
-    /// A number.
-    One(u32),
-    /// `shortest_edge`.
-    ShortestEdge(u32),
-    /// `height` and `width`.
-    Exact {
-        /// Rows.
-        height: u32,
-        /// Columns.
-        width: u32,
-    },
+    One(Side),
+    ShortestEdge { shortest_edge: Side },
+    Exact { height: Side, width: Side },
 }
 
 impl Sides {
-    /// Height and width, where one number stands for a square.
-    pub(crate) fn height_width(&self) -> (u32, u32) {
-        match *self {
-            Self::One(side) | Self::ShortestEdge(side) => (side, side),
-            Self::Exact { height, width } => (height, width),
+    /// Height and width; one number stands for a square.
+    pub(crate) fn height_width(self) -> (u32, u32) {
+        match self {
+            Self::One(side) | Self::ShortestEdge { shortest_edge: side } => (side.0, side.0),
+            Self::Exact { height, width } => (height.0, width.0),
         }
     }
 }
 
-/// Reads a size; none if absent.
-///
-/// # Errors
-/// When it is none, or out of range.
-pub(crate) fn sides(section: &Section<'_>, key: &str) -> Result<Option<Sides>, MllmError> {
-    let side = |value: &Value| {
-        value
-            .as_u64()
-            .filter(|side| (1..=MAX_SIDE as u64).contains(side))
-            .map(|side| side as u32)
-            .ok_or_else(|| section.error(key, format!("expected sides from 1 to {MAX_SIDE}, found {value}")))
-    };
-    match section.get(key) {
-        None => Ok(None),
-        Some(value @ Value::Number(_)) => Ok(Some(Sides::One(side(value)?))),
-        Some(Value::Object(map)) => match (map.get("shortest_edge"), map.get("height"), map.get("width")) {
-            (Some(edge), None, None) => Ok(Some(Sides::ShortestEdge(side(edge)?))),
-            (None, Some(height), Some(width)) => Ok(Some(Sides::Exact { height: side(height)?, width: side(width)? })),
-            _ => Err(section.error(key, "expected shortest_edge, or height and width".into())),
-        },
-        Some(value) => Err(section.error(key, format!("expected a size, found {value}"))),
-    }
-}
-
-fn target_size(section: &Section<'_>) -> Result<TargetSize, MllmError> {
-    Ok(match sides(section, "size")? {
-        None => TargetSize::ShortestEdge(DEFAULT_SIDE),
-        Some(Sides::One(edge) | Sides::ShortestEdge(edge)) => TargetSize::ShortestEdge(edge),
-        Some(Sides::Exact { height, width }) => TargetSize::Exact { height, width },
-    })
-}
-
-/// Cuts out the middle; what lies outside of a smaller image is black, as transformers pads it.
+/// Cuts out the middle. A smaller image gets black margins, as in transformers.
 fn center_crop(image: &RgbImage, width: u32, height: u32) -> RgbImage {
-    // Floor for a margin that is cut off, so that a padded one gets its odd pixel above and left.
+    // Rounding down puts the odd pixel of a black margin above and left.
     let offset = |have: u32, want: u32| (i64::from(have) - i64::from(want)).div_euclid(2);
     let mut cropped = RgbImage::new(width, height);
     imageops::replace(&mut cropped, image, -offset(image.width(), width), -offset(image.height(), height));
@@ -261,11 +253,11 @@ impl ClipImageProcessor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
+    use serde_json::{Value, json};
 
     fn processor(value: &Value) -> Result<ClipImageProcessor, MllmError> {
         let path = Path::new("preprocessor_config.json");
-        ClipImageProcessor::from_section(path, &Section::root(path, value)?)
+        ClipImageProcessor::read(path, &ConfigObject::root(path, value)?)
     }
 
     #[test]
@@ -277,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn values_are_rescaled_then_normalised() {
+    fn values_are_rescaled_then_normalized() {
         let processor = processor(&json!({
             "do_resize": false, "do_center_crop": false,
             "image_mean": [0.5, 0.5, 0.5], "image_std": [0.25, 0.5, 1.0],
@@ -294,6 +286,7 @@ mod tests {
     fn wrong_sizes_and_filters_are_errors() {
         for wrong in [
             json!({"size": {"height": 3}}),
+            json!({"size": {"shortest_edge": 3, "height": 3}}),
             json!({"size": "big"}),
             json!({"crop_size": 0}),
             json!({"resample": 0}),

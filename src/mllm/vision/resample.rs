@@ -5,12 +5,14 @@
 //! the same factor against aliasing. Coefficients are 22-bit fixed point (Pillow, `libImaging/Resample.c`).
 
 use image::RgbImage;
+use serde::Deserialize;
 
 /// Bits after the point of the filter coefficients.
 const PRECISION_BITS: u32 = 32 - 8 - 2;
 
 /// Pillow's filters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "u64")]
 pub(crate) enum Filter {
     /// Windowed sinc of three lobes.
     Lanczos,
@@ -21,16 +23,6 @@ pub(crate) enum Filter {
 }
 
 impl Filter {
-    /// The filter of a number in `preprocessor_config.json` (`PIL.Image.Resampling`).
-    pub(crate) fn from_pillow(number: u64) -> Option<Self> {
-        match number {
-            1 => Some(Self::Lanczos),
-            2 => Some(Self::Bilinear),
-            3 => Some(Self::Bicubic),
-            _ => None,
-        }
-    }
-
     /// Half width, in source pixels at scale 1.
     fn support(self) -> f64 {
         match self {
@@ -48,6 +40,20 @@ impl Filter {
             Self::Bicubic if x < 1.0 => (1.5 * x - 2.5) * x * x + 1.0,
             Self::Bicubic if x < 2.0 => (((x - 5.0) * x + 8.0) * x - 4.0) * -0.5,
             _ => 0.0,
+        }
+    }
+}
+
+impl TryFrom<u64> for Filter {
+    type Error = &'static str;
+
+    /// The filter of a number in `preprocessor_config.json` (`PIL.Image.Resampling`).
+    fn try_from(number: u64) -> Result<Self, Self::Error> {
+        match number {
+            1 => Ok(Self::Lanczos),
+            2 => Ok(Self::Bilinear),
+            3 => Ok(Self::Bicubic),
+            _ => Err("expected 1 (Lanczos), 2 (bilinear) or 3 (bicubic)"),
         }
     }
 }

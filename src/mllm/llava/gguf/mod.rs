@@ -84,7 +84,7 @@ impl GgufLayout for LlavaGguf {
 
     fn metadata(&self, files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
         let (config, pinpoints) = (self.config)(files)?;
-        let scale = read_processor(files, |_, section| PixelScale::from_section(section))?;
+        let scale = read_processor(files, |_, object| PixelScale::read(object))?;
         let Some(scale) = scale.mean_and_deviation() else { return Ok(Err("pixels that are not normalized")) };
         let decoder = llama::metadata(&config.text);
         let tower = tower::metadata(&config, pinpoints, scale);
