@@ -1,4 +1,4 @@
-//! The three rounds of the hierarchical chain of thought.
+//! The three rounds of an attempt.
 
 use std::fmt;
 
