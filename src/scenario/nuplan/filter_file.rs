@@ -29,7 +29,7 @@ pub struct FilterFile {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum FilterFault {
-    #[error("not a scenario filter in YAML: {0}")]
+    #[error("not a scenario filter in YAML (lines of `key: value`): {0}")]
     Yaml(String),
     #[error("`{0}` is read as a number by YAML: put it in quotes")]
     Unquoted(String),
@@ -84,8 +84,11 @@ impl FilterFile {
         if let Ok(Kind { _target_: Some(target) }) = serde_saphyr::from_str(&text) {
             check_target(&target.value).map_err(|fault| (line_of(&target), fault))?;
         }
-        let fields: Fields = serde_saphyr::from_str_with_options(&text, options).map_err(|error| yaml_fault(&error))?;
-        fields.apply(references)
+        match serde_saphyr::from_str_with_options::<Option<Fields>>(&text, options) {
+            Ok(Some(fields)) => fields.apply(references),
+            Ok(None) => Err((1, FilterFault::Yaml("the file is empty".to_owned()))),
+            Err(error) => Err(yaml_fault(&error)),
+        }
     }
 }
 
@@ -131,7 +134,7 @@ struct Kind {
 
 /// The fields of a file, by nuPlan's and Hydra's names.
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields, expecting = "`key: value` lines")]
+#[serde(deny_unknown_fields)]
 struct Fields {
     #[serde(rename = "_target_")]
     _target: Option<IgnoredAny>,
@@ -324,8 +327,8 @@ mod tests {
             ("shuffle: true\nexpand_scenarios: true\n", 2, "set it to false"),
             ("scenario_types: []\n", 1, "scenario_types is an empty list"),
             ("shuffle: true\ntimestamp_threshold_s: -1\n", 2, "timestamp_threshold_s must be a number from 0 on"),
-            ("timestamp_threshold_s: soon\n", 1, "soon"),
-            ("num_scenarios_per_type: 1.5\n", 1, "1.5"),
+            ("timestamp_threshold_s: soon\n", 1, "floating point"),
+            ("num_scenarios_per_type: 1.5\n", 1, "column 25"),
             ("num_scenarios_per_type: 0\n", 1, "nonzero"),
             ("limit_total_scenarios: 1.0\n", 1, "a share between 0.0 and 1.0"),
             ("limit_total_scenarios: half\n", 1, "a share between 0.0 and 1.0"),
@@ -336,10 +339,10 @@ mod tests {
             ("_target_: a.SceneFilter\n", 1, "`a.SceneFilter`"),
             ("shuffle: true\nshuffle: false\n", 2, "shuffle"),
             ("shuffle: maybe\n", 1, "YAML"),
-            ("- a\n", 1, "`key: value` lines"),
+            ("- a\n", 1, "lines of `key: value`"),
             ("scenario_types: 5\n", 1, "YAML"),
             ("a: [\n", 1, "YAML"),
-            ("", 1, "YAML"),
+            ("", 1, "the file is empty"),
         ] {
             let (at, fault) = fault(text);
             assert!(fault.to_string().contains(part), "{text}: {fault}");
