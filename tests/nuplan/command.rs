@@ -1,9 +1,9 @@
-//! `planagent scenarios export`, and finding what it wrote.
+//! `planagent scenarios export`, and reading the exported folder.
 
 use assert_cmd::Command;
 use std::path::Path;
 
-/// Runs the program with `NUPLAN_MAPS_ROOT`; exit code, standard output and standard error.
+/// Runs the program with `NUPLAN_MAPS_ROOT`; exit code, stdout and stderr.
 fn run(home: &Path, words: &[&str]) -> (i32, String, String) {
     let mut command = Command::cargo_bin("planagent").unwrap();
     let maps = home.join("out").join("maps");
@@ -32,7 +32,7 @@ fn an_exported_scenario_is_found_in_its_folder() {
 }
 
 #[test]
-fn what_cannot_be_exported_leaves_nothing_behind() {
+fn a_failed_export_leaves_nothing_behind() {
     let home = tempfile::tempdir().unwrap();
     let export = |words: &[&str]| {
         let all = [&["scenarios", "export", "--format", "nuplan", "--out", "out"], words].concat();

@@ -1,18 +1,18 @@
-//! Whether a scenario that went through nuPlan's formats is the one that went in.
+//! Compares a scenario with the one that comes back from nuPlan's formats.
 
 use planagent::internals::geometry::{Point, Polygon, Polyline, Pose, Vector, wrap_angle};
 use planagent::internals::scenario::{Frame, Scenario};
 use planagent::internals::world::{Lane, LaneId, LaneMap, RoadblockId, StopLineId, TrackToken};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Farthest that a coordinate may move, metres.
+/// Maximal change of a coordinate, m.
 pub(super) const CLOSE: f64 = 1e-6;
 
-/// A scenario before and after, and how far the origin moved.
+/// A scenario before and after, and the shift of the origin.
 pub(super) struct Pair<'a> {
     pub(super) before: &'a Scenario,
     pub(super) after: &'a Scenario,
-    /// What must be added to a place of the first to get that of the second.
+    /// Point in `after` minus point in `before`.
     pub(super) shift: Vector,
 }
 
@@ -49,7 +49,7 @@ impl Pair<'_> {
         &self.after.map[id.unwrap_or_else(|| panic!("lane {} is lost", lane.source_id))]
     }
 
-    /// Every shape and relation of a map that nuPlan can say.
+    /// Every shape and relation of a map that nuPlan can express.
     pub(super) fn check_map(&self) {
         let (before, after) = (&*self.before.map, &*self.after.map);
         assert_eq!(before.lanes().len(), after.lanes().len());
@@ -83,11 +83,11 @@ impl Pair<'_> {
         let (before, after, twin) = (&*self.before.map, &*self.after.map, self.twin(lane));
         let name = format!("{} lane {}", self.before.id, lane.source_id);
         assert_eq!(lane.kind, twin.kind, "{name}");
-        assert!(self.same_line(&lane.centerline, &twin.centerline), "{name}: centreline");
+        assert!(self.same_line(&lane.centerline, &twin.centerline), "{name}: centerline");
         assert!(self.same_polygon(&lane.polygon, &twin.polygon), "{name}: area");
         assert_eq!(lanes(before, &lane.incoming), lanes(after, &twin.incoming), "{name}");
         assert_eq!(lanes(before, &lane.outgoing), lanes(after, &twin.outgoing), "{name}");
-        // nuPlan knows neighbours among the lanes of a roadblock, not among connectors.
+        // nuPlan has neighbors among the lanes of a roadblock, not among connectors.
         for (a, b) in [(&lane.left, &twin.left), (&lane.right, &twin.right)] {
             let ids = |map: &LaneMap, list: &[planagent::internals::world::Neighbor]| {
                 lanes(map, &list.iter().map(|n| n.lane).collect::<Vec<_>>())
@@ -111,7 +111,7 @@ impl Pair<'_> {
         assert_eq!(stops(lane), stops(twin), "{name}");
     }
 
-    /// A single piece is the same; several are joined into the same area.
+    /// A single piece is equal; several are joined into the same area.
     fn check_area(&self, a: &[Polygon], b: &[Polygon]) {
         if let ([a], [b]) = (a, b) {
             assert!(self.same_polygon(a, b));
@@ -138,14 +138,14 @@ impl Pair<'_> {
     }
 
     /// Every frame with its ego, objects and lights, and the route.
-    pub(super) fn check_drive(&self) {
+    pub(super) fn check_frames(&self) {
         let (before, after) = (self.before, self.after);
         assert_eq!((before.start, before.frames.len()), (after.start, after.frames.len()), "{}", before.id);
         let mut tracks: BTreeMap<TrackToken, TrackToken> = BTreeMap::new();
         for (a, b) in before.frames.iter().zip(&after.frames) {
             self.check_frame(a, b, &mut tracks);
         }
-        // States for which nuPlan's window leaves no place are left out all together.
+        // Either all future states are written, or none.
         if !after.future.is_empty() {
             assert_eq!(before.future.len(), after.future.len(), "{}", before.id);
         }
@@ -173,12 +173,10 @@ impl Pair<'_> {
     }
 }
 
-/// Ids of lanes in their source.
 pub(super) fn lanes(map: &LaneMap, ids: &[LaneId]) -> BTreeSet<i64> {
     ids.iter().map(|&id| map[id].source_id).collect()
 }
 
-/// Ids of roadblocks in their source.
 pub(super) fn blocks(map: &LaneMap, ids: &[RoadblockId]) -> BTreeSet<i64> {
     ids.iter().map(|&id| map[id].source_id).collect()
 }

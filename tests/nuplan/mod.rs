@@ -1,4 +1,4 @@
-//! nuPlan's formats: what is written reads back, by our reader and by the public ones.
+//! nuPlan's formats: our reader and public readers read what is written.
 
 mod command;
 mod compare;

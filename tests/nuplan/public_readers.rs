@@ -1,4 +1,4 @@
-//! Exported folders in the hands of geopandas, pyogrio and Python's sqlite3.
+//! Exported folders read by geopandas, pyogrio and Python's sqlite3.
 
 use super::compare::lanes;
 use super::round_trip::generated;
@@ -12,7 +12,7 @@ use planagent::internals::world::{Lane, LaneKind};
 use serde_json::{Map, Value, json};
 use std::process::Command;
 
-/// The interpreter whose packages are used.
+/// The interpreter that has the packages.
 fn python() -> String {
     std::env::var("PLANAGENT_PYTHON").unwrap_or_else(|_| "python3".to_owned())
 }
@@ -25,7 +25,7 @@ fn rings(areas: &[Polygon], origin: Point) -> Value {
     areas.iter().map(|area| placed(area.ring(), origin)).collect()
 }
 
-/// What the map package should hold, in metres of the projection.
+/// The expected contents of the map package, in meters of the projection.
 fn map_of(scenario: &Scenario, log: &ExportedLog, settings: &ExportSettings) -> Value {
     let (map, origin) = (&*scenario.map, settings.origin);
     let each = |kind: LaneKind, value: &dyn Fn(&Lane) -> Value| -> Map<String, Value> {
@@ -62,7 +62,7 @@ fn map_of(scenario: &Scenario, log: &ExportedLog, settings: &ExportSettings) -> 
     })
 }
 
-/// What the log should hold.
+/// The expected contents of the log.
 fn drive_of(scenario: &Scenario, log: &ExportedLog, settings: &ExportSettings) -> Value {
     let (map, origin) = (&*scenario.map, settings.origin);
     let extraction = Extraction::of(&scenario.scenario_type);

@@ -2,7 +2,7 @@
 //! connectors end at the edge of the map. The inserted pieces must change neither the recorded trajectories nor any metric.
 
 use super::compare::Pair;
-use super::round_trip::{Driver, check_scores, read_back};
+use super::round_trip::{SimulatedPlanner, check_scores, read_back};
 use crate::womd::recordings;
 use planagent::internals::geometry::Polyline;
 use planagent::internals::scenario::Scenario;
@@ -14,7 +14,7 @@ use rayon::prelude::*;
 /// Inserted pieces change the progress: by at most 2e-4, measured.
 const SAME_MAP: f64 = 5e-4;
 /// Log replay lacks the recorded states after the end: at most 8e-3, measured.
-const SAME_DRIVE: f64 = 2e-2;
+const SAME_LOG_REPLAY: f64 = 2e-2;
 
 /// nuPlan's rules: a connector leads from one lane to one lane, and lanes are joined by connectors only.
 fn check_graph(map: &LaneMap) {
@@ -65,7 +65,7 @@ fn recordings_come_back_with_their_metrics() {
     let each = scenarios.par_iter().zip(&read).zip(&exported.logs);
     each.for_each(|((before, (after, shift)), log): ((_, _), &ExportedLog)| {
         let pair = Pair { before, after, shift: *shift };
-        pair.check_drive();
+        pair.check_frames();
         check_graph(&after.map);
         before.map.lanes().iter().for_each(|lane| check_lane(&pair, lane));
         assert!(pair.same_polygons(before.map.intersections(), after.map.intersections()));
@@ -80,8 +80,8 @@ fn recordings_come_back_with_their_metrics() {
         assert_eq!(after.map.stop_lines().len(), before.map.stop_lines().len() + changes.inserted_stop_lines);
         check_route(&pair);
         assert_eq!(changes.dropped_future_states, before.future.len());
-        let as_recorded = (Driver::LogReplay, Challenge::NonReactive);
-        check_scores(before, after, as_recorded, SAME_DRIVE);
+        let as_recorded = (SimulatedPlanner::LogReplay, Challenge::NonReactive);
+        check_scores(before, after, as_recorded, SAME_LOG_REPLAY);
         let until_the_end = Scenario { future: Vec::new(), ..(*before).clone() };
         check_scores(&until_the_end, after, as_recorded, SAME_MAP);
     });

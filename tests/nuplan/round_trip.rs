@@ -1,4 +1,4 @@
-//! Scenarios written as nuPlan's files and read again.
+//! Scenarios written in nuPlan's formats and read again.
 
 use super::compare::{Pair, blocks};
 use planagent::internals::geometry::{Point, Vector};
@@ -12,14 +12,14 @@ use planagent::internals::simulation::{Challenge, simulate};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Differences of scores up to this are rounding.
+/// Maximal difference of scores by rounding.
 const SAME_SCORE: f64 = 1e-6;
 
 pub(super) fn generated(kind: ScenarioType, seed: u64) -> Scenario {
     generate(&Spec::new(kind, seed)).unwrap()
 }
 
-/// The scenarios that a written folder holds, with how far their origins moved.
+/// The scenarios of a written folder, with the shift of their origins.
 pub(super) fn read_back(exported: &Exported, settings: &ExportSettings, cache: &Path) -> Vec<(Scenario, Vector)> {
     let maps = MapStore::with_cache(Some(exported.maps.clone()), Some(cache.to_owned()));
     let logs = Logs::under(&exported.data).unwrap().logs;
@@ -33,7 +33,7 @@ pub(super) fn read_back(exported: &Exported, settings: &ExportSettings, cache: &
     read.collect()
 }
 
-/// Scores of a planner on a scenario: the score, and each metric's.
+/// Scores of a planner on a scenario: the total, and of each metric.
 fn score(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> (f64, Vec<(String, Option<f64>)>) {
     let log = simulate(scenario, planner, challenge).unwrap();
     let evaluation = log.evaluate(scenario).unwrap();
@@ -41,42 +41,49 @@ fn score(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -
     (value, evaluation.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect())
 }
 
-/// Who drives both the scene as it was and as it came back.
+/// The planner of a comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Driver {
+pub(super) enum SimulatedPlanner {
     LogReplay,
     Idm,
     PdmClosed,
 }
 
-/// The drives that are compared; unoptimised, where all of them take minutes, each type makes one of them in turn.
-const DRIVES: [(Driver, Challenge); 6] = [
-    (Driver::LogReplay, Challenge::NonReactive),
-    (Driver::Idm, Challenge::Reactive),
-    (Driver::PdmClosed, Challenge::NonReactive),
-    (Driver::LogReplay, Challenge::Reactive),
-    (Driver::Idm, Challenge::NonReactive),
-    (Driver::PdmClosed, Challenge::Reactive),
+/// The compared simulations. An unoptimized build takes minutes for all of them: each type runs one of them in turn.
+const SIMULATIONS: [(SimulatedPlanner, Challenge); 6] = [
+    (SimulatedPlanner::LogReplay, Challenge::NonReactive),
+    (SimulatedPlanner::Idm, Challenge::Reactive),
+    (SimulatedPlanner::PdmClosed, Challenge::NonReactive),
+    (SimulatedPlanner::LogReplay, Challenge::Reactive),
+    (SimulatedPlanner::Idm, Challenge::NonReactive),
+    (SimulatedPlanner::PdmClosed, Challenge::Reactive),
 ];
 
-/// Drives both and compares every metric: verdicts must be the same, the rest within `close`.
-pub(super) fn check_scores(before: &Scenario, after: &Scenario, (driver, challenge): (Driver, Challenge), close: f64) {
-    let driven = |scenario: &Scenario| match driver {
-        Driver::LogReplay => score(scenario, &mut LogReplay::new(scenario.recorded().copied().collect()), challenge),
-        Driver::Idm => score(scenario, &mut IdmPlanner::default(), challenge),
-        Driver::PdmClosed => score(scenario, &mut PdmClosed::new(), challenge),
+/// Simulates both and compares every metric: binary ones must be equal, the others within `close`.
+pub(super) fn check_scores(
+    before: &Scenario,
+    after: &Scenario,
+    (planner, challenge): (SimulatedPlanner, Challenge),
+    close: f64,
+) {
+    let simulated = |scenario: &Scenario| match planner {
+        SimulatedPlanner::LogReplay => {
+            score(scenario, &mut LogReplay::new(scenario.recorded().copied().collect()), challenge)
+        }
+        SimulatedPlanner::Idm => score(scenario, &mut IdmPlanner::default(), challenge),
+        SimulatedPlanner::PdmClosed => score(scenario, &mut PdmClosed::new(), challenge),
     };
-    let ((value, metrics), (value_after, metrics_after)) = (driven(before), driven(after));
-    let drive = format!("{} {driver:?} {challenge:?}", before.id);
-    assert!((value - value_after).abs() <= close, "{drive}: {value} {value_after}");
+    let ((value, metrics), (value_after, metrics_after)) = (simulated(before), simulated(after));
+    let simulation = format!("{} {planner:?} {challenge:?}", before.id);
+    assert!((value - value_after).abs() <= close, "{simulation}: {value} {value_after}");
     for ((name, score), (_, score_after)) in metrics.iter().zip(&metrics_after) {
         let same = match (score, score_after) {
-            // Whole and half scores are verdicts, which must not move at all.
+            // Scores of 0, 1/2 and 1 come from binary metrics and must be equal.
             (Some(a), Some(b)) if [0.0, 0.5, 1.0].contains(a) => a.total_cmp(b).is_eq(),
             (Some(a), Some(b)) => (a - b).abs() <= close,
             (a, b) => a == b,
         };
-        assert!(same, "{drive} {name}: {score:?} {score_after:?}");
+        assert!(same, "{simulation} {name}: {score:?} {score_after:?}");
     }
 }
 
@@ -93,7 +100,7 @@ fn every_generated_type_comes_back_with_its_scores() {
             let pair = Pair { before, after, shift: *shift };
             assert_eq!(before.scenario_type, after.scenario_type);
             pair.check_map();
-            pair.check_drive();
+            pair.check_frames();
             let names = |scenario: &Scenario| -> Vec<i64> {
                 scenario.route.roadblocks.iter().map(|&block| scenario.map[block].source_id).collect()
             };
@@ -115,9 +122,9 @@ fn every_generated_type_comes_back_with_its_scores() {
                 };
                 assert_eq!(lights(before, a), lights(after, b));
             }
-            let own = place % DRIVES.len();
-            let drives = if cfg!(debug_assertions) { &DRIVES[own..=own] } else { &DRIVES[..] };
-            drives.par_iter().for_each(|&drive| check_scores(before, after, drive, SAME_SCORE));
+            let own = place % SIMULATIONS.len();
+            let simulations = if cfg!(debug_assertions) { &SIMULATIONS[own..=own] } else { &SIMULATIONS[..] };
+            simulations.par_iter().for_each(|&simulation| check_scores(before, after, simulation, SAME_SCORE));
         },
     );
 }
@@ -134,7 +141,7 @@ fn other_zones_and_origins_do_as_well() {
         let (after, shift) = &read[0];
         let pair = Pair { before: &scenario, after, shift: *shift };
         pair.check_map();
-        pair.check_drive();
+        pair.check_frames();
         assert!(after.map.name().contains(&format!("EPSG:{epsg}")), "{}", after.map.name());
     }
 }
@@ -151,6 +158,6 @@ fn what_was_read_writes_and_reads_again() {
     let (third, shift) = read_back(&exported, &settings, home.path()).remove(0);
     let pair = Pair { before: &second, after: &third, shift };
     pair.check_map();
-    pair.check_drive();
+    pair.check_frames();
     assert_eq!(blocks(&second.map, &second.route.roadblocks), blocks(&third.map, &third.route.roadblocks));
 }

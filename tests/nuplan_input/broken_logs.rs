@@ -1,4 +1,4 @@
-//! Every way in which a log can be wrong is an error that names the place.
+//! Every fault of a log is an error that names the place.
 
 use super::fixture::{DataSet, LOCATION};
 use planagent::internals::scenario::nuplan::{Exclusion, NuPlanError, ScenarioFault, ScenarioFilter};
@@ -19,11 +19,11 @@ fn the_unspoilt_data_set_opens() {
 fn files_that_are_no_database() {
     let set = DataSet::new();
     std::fs::write(&set.log, "<html>404: not found</html>").unwrap();
-    set.assert_told(&[".db: not an SQLite database"]);
+    set.assert_error_has(&[".db: not an SQLite database"]);
     std::fs::write(&set.log, "").unwrap();
-    set.assert_told(&[".db: not an SQLite database"]);
+    set.assert_error_has(&[".db: not an SQLite database"]);
     std::fs::write(&set.log, "SQLite format 3\0").unwrap();
-    set.assert_told(&[".db: not an SQLite database"]);
+    set.assert_error_has(&[".db: not an SQLite database"]);
 }
 
 #[test]
@@ -35,10 +35,10 @@ fn damaged_pages_and_cut_files() {
         file.seek(SeekFrom::Start(page * 4096)).unwrap();
         file.write_all(&[0xA5; 4096]).unwrap();
     }
-    set.assert_told(&[".db: damaged", "when reading table", "copy or download it again"]);
+    set.assert_error_has(&[".db: damaged", "when reading table", "copy or download it again"]);
     let set = DataSet::new();
     std::fs::OpenOptions::new().write(true).open(&set.log).unwrap().set_len(length / 2).unwrap();
-    set.assert_told(&[".db: damaged"]);
+    set.assert_error_has(&[".db: damaged"]);
 }
 
 #[test]
@@ -46,14 +46,14 @@ fn a_log_that_another_program_is_writing() {
     let set = DataSet::new();
     let beside = format!("{}-wal", set.log.display());
     std::fs::write(&beside, "changes").unwrap();
-    set.assert_told(&[".db: changes that are not part of it yet lie in", "-wal"]);
+    set.assert_error_has(&[".db: changes that are not part of it yet lie in", "-wal"]);
 }
 
 #[test]
 fn missing_tables_and_columns() {
-    DataSet::log_with("DROP TABLE scenario_tag").assert_told(&["no table scenario_tag; is it a nuPlan log?"]);
+    DataSet::log_with("DROP TABLE scenario_tag").assert_error_has(&["no table scenario_tag; is it a nuPlan log?"]);
     DataSet::log_with("ALTER TABLE ego_pose DROP COLUMN acceleration_x")
-        .assert_told(&["table ego_pose has no column acceleration_x"]);
+        .assert_error_has(&["table ego_pose has no column acceleration_x"]);
 }
 
 #[test]
@@ -61,7 +61,7 @@ fn cells_that_cannot_be_used() {
     for (sql, parts) in [
         ("UPDATE lidar_box SET x = NULL", ["table lidar_box, row ", "column x is NULL"]),
         ("UPDATE lidar_box SET yaw = 9e999", ["column yaw holds inf", "expected a finite number"]),
-        ("UPDATE lidar_box SET width = 0", ["column width holds 0", "expected metres above 0"]),
+        ("UPDATE lidar_box SET width = 0", ["column width holds 0", "expected meters above 0"]),
         ("UPDATE lidar_box SET length = 'long'", ["column length holds a text", "expected a number"]),
         (
             "UPDATE lidar_box SET track_token = x'0102030405060708'",
@@ -91,7 +91,7 @@ fn cells_that_cannot_be_used() {
             ["table traffic_light_status", "expected an id"],
         ),
     ] {
-        DataSet::log_with(sql).assert_told(&parts);
+        DataSet::log_with(sql).assert_error_has(&parts);
     }
 }
 
@@ -104,30 +104,31 @@ fn routes_that_cannot_be_driven() {
         ("'None'", "its route holds `None`"),
         ("'987654321'", "its route holds roadblock 987654321, which the map test-town"),
     ] {
-        DataSet::log_with(&format!("UPDATE scene SET roadblock_ids = {route}")).assert_told(&[
+        DataSet::log_with(&format!("UPDATE scene SET roadblock_ids = {route}")).assert_error_has(&[
             "scenario ",
             ": scene ",
             part,
         ]);
     }
-    DataSet::log_with("UPDATE log SET map_version = 'atlantis'").assert_told(&["no map of `atlantis`", LOCATION]);
+    DataSet::log_with("UPDATE log SET map_version = 'atlantis'").assert_error_has(&["no map of `atlantis`", LOCATION]);
 }
 
 #[test]
 fn windows_that_the_log_does_not_hold() {
-    // A type that the mapping does not list: from the tagged row on.
+    // The window of a type outside the mapping starts at the tagged row.
     let short = DataSet::log_with(&format!(
         "DELETE FROM lidar_pc WHERE timestamp > {START} + 5500000; UPDATE scenario_tag SET type = 'unlisted'"
     ));
-    short.assert_told(&["its window holds 2.", "at least 3 s are needed"]);
+    short.assert_error_has(&["its window holds 2.", "at least 3 s are needed"]);
     DataSet::log_with(&format!("DELETE FROM lidar_pc WHERE timestamp < {START}"))
-        .assert_told(&["its window begins at the first row of the log"]);
-    DataSet::log_with("UPDATE lidar SET channel = 'TopLidar'").assert_told(&["no row with channel `MergedPointCloud`"]);
+        .assert_error_has(&["its window begins at the first row of the log"]);
+    DataSet::log_with("UPDATE lidar SET channel = 'TopLidar'")
+        .assert_error_has(&["no row with channel `MergedPointCloud`"]);
     DataSet::log_with(&format!(
         "UPDATE lidar_pc SET timestamp = (SELECT MIN(timestamp) FROM lidar_pc WHERE timestamp >= {START}) \
          WHERE timestamp IN (SELECT timestamp FROM lidar_pc WHERE timestamp >= {START} ORDER BY timestamp LIMIT 2)"
     ))
-    .assert_told(&["have the same timestamp"]);
+    .assert_error_has(&["have the same timestamp"]);
 }
 
 #[test]
@@ -137,7 +138,7 @@ fn a_window_that_reaches_over_the_end_is_cut_as_the_devkit_cuts_it() {
 }
 
 #[test]
-fn tokens_that_are_no_scenario_are_told_apart() {
+fn tokens_that_are_no_scenario_have_their_reason() {
     let set = DataSet::log_with("DELETE FROM scene WHERE rowid NOT IN (SELECT rowid FROM scene ORDER BY name LIMIT 4)");
     let filter = ScenarioFilter {
         scenario_tokens: Some(vec!["00000000000000aa".parse().unwrap(), set.token]),
@@ -169,7 +170,7 @@ fn tokens_that_are_no_scenario_are_told_apart() {
 fn one_token_in_two_logs() {
     let set = DataSet::new();
     std::fs::copy(&set.log, set.folder.path().join("data/other.db")).unwrap();
-    set.assert_told(&["is in two logs", "other.db"]);
+    set.assert_error_has(&["is in two logs", "other.db"]);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Every way in which a map can be wrong is an error that names the place.
+//! Every fault of a map is an error that names the place.
 
 use super::fixture::{DataSet, LOCATION, run};
 use geo::{LineString, MultiPolygon, Polygon};
@@ -16,26 +16,26 @@ fn the_maps_folder() {
     let nowhere = planagent::internals::scenario::nuplan::open(&MapStore::with_cache(None, None), &found).unwrap_err();
     assert!(nowhere.to_string().contains("NUPLAN_MAPS_ROOT"), "{nowhere}");
     std::fs::write(&index, format!("{{\"{LOCATION}\": {{\"version\": \"9.9\"}}}}")).unwrap();
-    set.assert_told(&["9.9/map.gpkg: missing", "version 1.0 there"]);
+    set.assert_error_has(&["9.9/map.gpkg: missing", "version 1.0 there"]);
     std::fs::write(&index, format!("{{\"{LOCATION}\": {{}}}}")).unwrap();
-    set.assert_told(&[MAPS_INDEX, "has no version"]);
+    set.assert_error_has(&[MAPS_INDEX, "has no version"]);
     std::fs::write(&index, "{\"us-ma-boston\": {\"version\": \"9.12.1817\"}}").unwrap();
-    set.assert_told(&["no map of `test-town`; there are us-ma-boston"]);
+    set.assert_error_has(&["no map of `test-town`; there are us-ma-boston"]);
     std::fs::write(&index, "[").unwrap();
-    set.assert_told(&[MAPS_INDEX, "not a JSON object"]);
+    set.assert_error_has(&[MAPS_INDEX, "not a JSON object"]);
     std::fs::remove_file(&index).unwrap();
-    set.assert_told(&[MAPS_INDEX, "cannot open"]);
+    set.assert_error_has(&[MAPS_INDEX, "cannot open"]);
 }
 
 #[test]
 fn missing_layers_and_projections() {
-    DataSet::map_with("DROP TABLE road_segments").assert_told(&["no table road_segments; is it a nuPlan map?"]);
+    DataSet::map_with("DROP TABLE road_segments").assert_error_has(&["no table road_segments; is it a nuPlan map?"]);
     DataSet::map_with("ALTER TABLE lane_connectors DROP COLUMN exit_lane_fid")
-        .assert_told(&["table lane_connectors has no column exit_lane_fid"]);
+        .assert_error_has(&["table lane_connectors has no column exit_lane_fid"]);
     DataSet::map_with("DELETE FROM meta WHERE key = 'projectedCoordSystem'")
-        .assert_told(&["layer meta: no row with key `projectedCoordSystem`"]);
+        .assert_error_has(&["layer meta: no row with key `projectedCoordSystem`"]);
     DataSet::map_with("UPDATE meta SET value = 'epsg:3857' WHERE key = 'projectedCoordSystem'")
-        .assert_told(&["layer meta", "EPSG:3857 is not a UTM zone"]);
+        .assert_error_has(&["layer meta", "EPSG:3857 is not a UTM zone"]);
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn geometries() {
             ["table baseline_paths, fid ", "expected a line"],
         ),
     ] {
-        DataSet::map_with(sql).assert_told(&parts);
+        DataSet::map_with(sql).assert_error_has(&parts);
     }
 }
 
@@ -95,7 +95,7 @@ fn relations() {
         ("UPDATE lanes_polygons SET lane_fid = 1", ["table lanes_polygons, fid 1", "holds 1 for the second time"]),
         ("UPDATE lanes_polygons SET speed_limit_mps = -3", ["column speed_limit_mps holds -3", "m/s from 0 on"]),
     ] {
-        DataSet::map_with(sql).assert_told(&parts);
+        DataSet::map_with(sql).assert_error_has(&parts);
     }
 }
 
@@ -119,7 +119,7 @@ fn areas_of_several_parts_with_holes() {
     let set = DataSet::new();
     let origin = set.maps().map(LOCATION).unwrap().origin;
     let utm = Utm::from_epsg(32_611).unwrap();
-    // Far from the scene: nothing else is drivable there.
+    // Far from the scene, where nothing else is drivable.
     let degrees = |x: f64, y: f64| {
         let (lon, lat) = utm.to_geographic(origin.x + x - 3000.0, origin.y + y).unwrap();
         geo::Coord { x: lon, y: lat }

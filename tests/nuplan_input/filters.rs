@@ -1,10 +1,10 @@
-//! Filters pick what the devkit picks, in its order.
+//! Filters take the scenarios that the devkit takes, in its order.
 
 use super::fixture::{DataSet, LOCATION};
 use planagent::internals::scenario::nuplan::{Limit, LogScenario, ScenarioFilter, Token, TokenSet};
 use std::collections::BTreeSet;
 
-/// With every second row tagged `behind_bike` and every third `changing_lane`, all in a scene that scenarios may come from.
+/// Every second row is tagged `behind_bike`, every third `changing_lane`; all rows lie in a valid scene.
 fn tagged() -> DataSet {
     DataSet::log_with(
         "DELETE FROM scenario_tag;
@@ -106,13 +106,13 @@ fn motion_of_the_ego() {
     let set = DataSet::new();
     let scenario = set.open().unwrap();
     let expert: Vec<_> = scenario.expert().collect();
-    let driven: f64 = expert.windows(2).skip(1).map(|pair| pair[0].center().distance(&pair[1].center())).sum();
+    let distance: f64 = expert.windows(2).skip(1).map(|pair| pair[0].center().distance(&pair[1].center())).sum();
     let passes = |filter: ScenarioFilter| {
         let filter = ScenarioFilter { scenario_tokens: Some(vec![set.token]), ..filter };
         !set.find(&filter).unwrap().scenarios.is_empty()
     };
-    let moves = |metres| passes(ScenarioFilter { ego_displacement_minimum_m: Some(metres), ..Default::default() });
-    assert!(driven > 10.0 && moves(driven - 0.01) && !moves(driven + 0.01));
+    let moves = |meters| passes(ScenarioFilter { ego_displacement_minimum_m: Some(meters), ..Default::default() });
+    assert!(distance > 10.0 && moves(distance - 0.01) && !moves(distance + 0.01));
     let speeds: Vec<f64> = expert.iter().map(|state| state.speed()).collect();
     let (low, high) = speeds.iter().fold((f64::MAX, 0.0_f64), |(low, high), &speed| (low.min(speed), high.max(speed)));
     let starts = |speed| passes(ScenarioFilter { ego_start_speed_threshold: Some(speed), ..Default::default() });

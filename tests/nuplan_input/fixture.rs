@@ -30,7 +30,7 @@ fn written() -> &'static Written {
     })
 }
 
-/// A copy of the data set that a test may spoil.
+/// A copy of the data set that a test may change.
 pub(super) struct DataSet {
     pub(super) folder: TempDir,
     pub(super) log: PathBuf,
@@ -49,14 +49,12 @@ impl DataSet {
         Self { folder, log, map, token: written().token }
     }
 
-    /// With the log changed by SQL.
     pub(super) fn log_with(sql: &str) -> Self {
         let set = Self::new();
         run(&set.log, sql);
         set
     }
 
-    /// With the map changed by SQL.
     pub(super) fn map_with(sql: &str) -> Self {
         let set = Self::new();
         run(&set.map, sql);
@@ -76,7 +74,7 @@ impl DataSet {
         search(&logs.logs, filter, &self.maps(), &|_, _| {})
     }
 
-    /// The exported scenario as a search by its token finds it.
+    /// The exported scenario, found by its token.
     pub(super) fn found(&self) -> Result<LogScenario, NuPlanError> {
         let filter = ScenarioFilter { scenario_tokens: Some(vec![self.token]), ..ScenarioFilter::default() };
         let findings = self.find(&filter)?;
@@ -88,19 +86,19 @@ impl DataSet {
         open(&self.maps(), &self.found()?)
     }
 
-    /// What is said when the scenario is opened.
-    pub(super) fn told(&self) -> String {
+    /// The error of opening the scenario.
+    pub(super) fn error(&self) -> String {
         match self.open() {
             Ok(_) => panic!("the broken data set opens"),
             Err(error) => error.to_string(),
         }
     }
 
-    /// Asserts that what is said holds all of these.
-    pub(super) fn assert_told(&self, parts: &[&str]) {
-        let told = self.told();
+    /// Asserts that the error contains all parts.
+    pub(super) fn assert_error_has(&self, parts: &[&str]) {
+        let error = self.error();
         for part in parts {
-            assert!(told.contains(part), "`{part}` is not in: {told}");
+            assert!(error.contains(part), "`{part}` is not in: {error}");
         }
     }
 }

@@ -1,11 +1,11 @@
-//! Logs without indices: found by a side file, never by writing to the log.
+//! Logs without indices: an index is written to a file of its own, never to the log.
 
 use super::fixture::{DataSet, run};
 use planagent::internals::scenario::nuplan::{MapStore, open};
 use rusqlite::Connection;
 use std::path::{Path, PathBuf};
 
-/// A data set whose log has lost every index that can be dropped.
+/// A data set whose log has no index.
 fn without_indices() -> DataSet {
     let set = DataSet::new();
     let names: Vec<String> = {
@@ -17,7 +17,7 @@ fn without_indices() -> DataSet {
     for name in names {
         run(&set.log, &format!("DROP INDEX \"{name}\""));
     }
-    // A table without its primary key has no index on the token either.
+    // A table without a primary key has no index on the token.
     run(&set.log, "CREATE TABLE t AS SELECT * FROM ego_pose; DROP TABLE ego_pose; ALTER TABLE t RENAME TO ego_pose");
     set
 }

@@ -1,4 +1,4 @@
-//! nuPlan's data as input: what filters pick, what indices do, and what is said about broken logs and maps.
+//! nuPlan's data as input: filters, indices, and the errors of broken logs and maps.
 
 mod broken_filters;
 mod broken_logs;

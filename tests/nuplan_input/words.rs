@@ -1,4 +1,4 @@
-//! The words that name nuPlan scenarios on the command line, and splits.
+//! Words of the command line that name nuPlan scenarios, and splits.
 
 use super::fixture::DataSet;
 use planagent::internals::experiment::split::split;
@@ -20,17 +20,17 @@ fn logs_folders_and_tokens() {
     assert_eq!(found(&set.folder.path().join("data").display().to_string(), &readers), only);
     let source = readers.find(&only[0]).unwrap().remove(0);
     assert_eq!(source.open().unwrap().id, set.token.to_string());
-    let told = |word: String| readers.find(&word).unwrap_err().to_string();
-    assert!(told(format!("{log}#12")).contains("`12` is no token"));
-    assert!(told(format!("{log}#00000000000000aa")).contains("the log does not hold it"));
-    assert!(told("nowhere.db".to_owned()).contains("there is no log nowhere.db; name it by its path"));
-    assert!(told(set.folder.path().join("maps").display().to_string()).contains("no nuPlan logs (*.db)"));
+    let error = |word: String| readers.find(&word).unwrap_err().to_string();
+    assert!(error(format!("{log}#12")).contains("`12` is no token"));
+    assert!(error(format!("{log}#00000000000000aa")).contains("the log does not hold it"));
+    assert!(error("nowhere.db".to_owned()).contains("there is no log nowhere.db; name it by its path"));
+    assert!(error(set.folder.path().join("maps").display().to_string()).contains("no nuPlan logs (*.db)"));
     let untagged = DataSet::log_with("DELETE FROM scenario_tag");
-    assert!(told(untagged.log.display().to_string()).contains("name one as FILE.db#TOKEN"));
+    assert!(error(untagged.log.display().to_string()).contains("name one as FILE.db#TOKEN"));
 }
 
 #[test]
-fn a_log_tells_how_many_of_its_scenarios_lie_too_close() {
+fn a_log_reports_how_many_of_its_scenarios_lie_too_close() {
     let set = DataSet::log_with(
         "DELETE FROM scenario_tag;
          INSERT INTO scenario_tag SELECT randomblob(8), token, 'behind_bike', NULL FROM lidar_pc;
@@ -38,16 +38,16 @@ fn a_log_tells_how_many_of_its_scenarios_lie_too_close() {
     );
     let rows = set.find(&ScenarioFilter::default()).unwrap().scenarios.len();
     let readers = Readers::new(&set.roots());
-    let driven = found(&set.log.display().to_string(), &readers).len();
-    assert!(driven > 1 && driven < rows);
+    let taken = found(&set.log.display().to_string(), &readers).len();
+    assert!(taken > 1 && taken < rows);
     let notes = readers.take_notes();
     assert_eq!(notes.len(), 1, "{notes:?}");
-    assert!(notes[0].contains(&format!("{} tagged scenarios are left out", rows - driven)), "{notes:?}");
-    assert!(readers.take_notes().is_empty(), "told once");
+    assert!(notes[0].contains(&format!("{} tagged scenarios are left out", rows - taken)), "{notes:?}");
+    assert!(readers.take_notes().is_empty(), "reported once");
 }
 
 #[test]
-fn a_split_tells_what_is_missing() {
+fn a_split_reports_what_is_missing() {
     let set = DataSet::new();
     let readers = Readers::new(&set.roots());
     let file = set.folder.path().join("mine.yaml");
@@ -62,14 +62,14 @@ fn a_split_tells_what_is_missing() {
         searched.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
     })
     .unwrap();
-    assert_eq!(searched.into_inner(), 1, "one log, told once");
+    assert_eq!(searched.into_inner(), 1, "one log, counted once");
     assert_eq!(found.scenarios.len(), 1);
     let missing = format!("split {name}: 1 of 2 scenarios are missing; 1 in no log: 00000000000000aa");
     assert_eq!(found.missing.to_string(), missing);
     assert!(found.notes[0].contains("log_names refers to ${splitter.x}"), "{:?}", found.notes);
     write("  - '00000000000000aa'\n");
-    let told = split(&name, &readers, &|_, _| {}).unwrap_err().to_string();
-    assert!(told.contains("no scenario found") && told.contains("--data-root"), "{told}");
-    let told = split(&name, &Readers::new(&DataRoots::default()), &|_, _| {}).unwrap_err().to_string();
-    assert!(told.contains("NUPLAN_DATA_ROOT"), "{told}");
+    let error = split(&name, &readers, &|_, _| {}).unwrap_err().to_string();
+    assert!(error.contains("no scenario found") && error.contains("--data-root"), "{error}");
+    let error = split(&name, &Readers::new(&DataRoots::default()), &|_, _| {}).unwrap_err().to_string();
+    assert!(error.contains("NUPLAN_DATA_ROOT"), "{error}");
 }

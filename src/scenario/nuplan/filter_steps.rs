@@ -205,7 +205,7 @@ fn excluded_by_rows(
         let noise = filter.speed_noise_tolerance.unwrap_or(SPEED_NOISE);
         let starts = |threshold: f64| crosses(&start, &future, threshold, noise).0;
         let stops = |threshold: f64| crosses(&start, &future, threshold, noise).1;
-        if filter.ego_displacement_minimum_m.is_some_and(|metres| displacement(&future) < metres) {
+        if filter.ego_displacement_minimum_m.is_some_and(|meters| displacement(&future) < meters) {
             return Ok(Some(Exclusion::Filtered("ego_displacement_minimum_m")));
         }
         if !filter.ego_start_speed_threshold.is_none_or(starts) {

@@ -159,7 +159,7 @@ fn origin(database: &Database, projection: &Utm) -> Result<Vector, NuPlanError> 
     let source = Source { path: &database.path, projection, origin: Vector::zeros() };
     let start = database.first(BASELINE_PATHS, "ORDER BY fid", [], |record| Ok(source.line(record)?.start()))?;
     let start = start.map_or_else(Vector::zeros, |start| start.coords);
-    Ok(start.map(|metres| (metres / ORIGIN_GRID).round() * ORIGIN_GRID))
+    Ok(start.map(|meters| (meters / ORIGIN_GRID).round() * ORIGIN_GRID))
 }
 
 /// A map file, and its projection from degrees to local meters.

@@ -173,11 +173,11 @@ fn object_kind(name: &str) -> Option<ObjectKind> {
 }
 
 fn extent(record: &Record<'_>, column: &'static str) -> Result<f64, NuPlanError> {
-    let metres = record.float(column)?;
-    if metres > 0.0 {
-        Ok(metres)
+    let meters = record.float(column)?;
+    if meters > 0.0 {
+        Ok(meters)
     } else {
-        Err(record.fault(column, CellFault::Number { got: metres, expected: "metres above 0" }))
+        Err(record.fault(column, CellFault::Number { got: meters, expected: "meters above 0" }))
     }
 }
 

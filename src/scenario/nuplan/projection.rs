@@ -33,7 +33,7 @@ pub enum ProjectionError {
 #[derive(Debug, Clone)]
 pub struct Utm {
     epsg: u32,
-    metres: Proj,
+    meters: Proj,
     degrees: Proj,
 }
 
@@ -48,7 +48,7 @@ impl Utm {
         let proj = |text: &str| Proj::from_proj_string(text).map_err(|_| ProjectionError::NotUtm(epsg));
         Ok(Self {
             epsg,
-            metres: proj(&format!("+proj=utm +zone={zone}{south} +datum=WGS84 +units=m +no_defs +type=crs"))?,
+            meters: proj(&format!("+proj=utm +zone={zone}{south} +datum=WGS84 +units=m +no_defs +type=crs"))?,
             degrees: proj("+proj=longlat +datum=WGS84 +no_defs +type=crs")?,
         })
     }
@@ -71,12 +71,12 @@ impl Utm {
     /// Easting and northing, m, of a longitude and latitude, degrees.
     pub fn to_utm(&self, lon_deg: f64, lat_deg: f64) -> Result<(f64, f64), ProjectionError> {
         let start = (lon_deg.to_radians(), lat_deg.to_radians());
-        project(&self.degrees, &self.metres, start).map_err(|reason| self.failed(lon_deg, lat_deg, reason))
+        project(&self.degrees, &self.meters, start).map_err(|reason| self.failed(lon_deg, lat_deg, reason))
     }
 
     /// Longitude and latitude, degrees, of an easting and northing, m.
     pub fn to_geographic(&self, x: f64, y: f64) -> Result<(f64, f64), ProjectionError> {
-        let (lon, lat) = project(&self.metres, &self.degrees, (x, y)).map_err(|reason| self.failed(x, y, reason))?;
+        let (lon, lat) = project(&self.meters, &self.degrees, (x, y)).map_err(|reason| self.failed(x, y, reason))?;
         Ok((lon.to_degrees(), lat.to_degrees()))
     }
 

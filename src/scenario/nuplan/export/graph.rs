@@ -3,10 +3,10 @@
 //! In nuPlan a lane connector leads from exactly one lane to exactly one lane, and lanes are joined by connectors only. Maps
 //! of recordings need not keep these rules. What breaks them is rewritten without changing the drivable geometry:
 //!
-//! * between directly successive lanes a connector is inserted: the last [`STITCH`] metres of the first lane, cut off its
+//! * between directly successive lanes a connector is inserted: the last [`STITCH`] meters of the first lane, cut off its
 //!   centerline, or the straight line over a gap;
 //! * between successive connectors a lane is inserted, cut off in the same way;
-//! * at an open end of a connector a lane of [`OPEN_END`] metres is inserted;
+//! * at an open end of a connector a lane of [`OPEN_END`] meters is inserted;
 //! * a connector that joins several lanes is written once for each pair.
 //!
 //! Maps that keep the rules (all generated ones) pass unchanged. [`ExportChanges`] counts the changes.
