@@ -99,6 +99,7 @@ pub mod sources {
 }
 
 /// Runs of many simulations in a folder, resumed after an interruption, and the experiments that compare them.
+#[cfg(feature = "report")]
 pub mod runs {
     pub use crate::runner::{
         Config, Event, Experiments, ExperimentsRequest, Listener, Request, RunResults, resume, start,
@@ -108,6 +109,7 @@ pub mod runs {
 mod api;
 
 /// The command line of the `planagent` program.
+#[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
 
@@ -115,7 +117,7 @@ pub mod cli;
 mod dynamics;
 #[cfg(not(feature = "internals"))]
 mod environment;
-#[cfg(not(feature = "internals"))]
+#[cfg(all(feature = "report", not(feature = "internals")))]
 mod experiment;
 #[cfg(not(feature = "internals"))]
 mod geometry;
@@ -131,9 +133,9 @@ mod planner;
 mod reasoning;
 #[cfg(not(feature = "internals"))]
 mod reflection;
-#[cfg(not(feature = "internals"))]
+#[cfg(all(feature = "report", not(feature = "internals")))]
 mod report;
-#[cfg(not(feature = "internals"))]
+#[cfg(all(feature = "report", not(feature = "internals")))]
 mod runner;
 #[cfg(not(feature = "internals"))]
 mod scenario;
@@ -148,7 +150,7 @@ pub mod dynamics;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod environment;
-#[cfg(feature = "internals")]
+#[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod experiment;
 #[cfg(feature = "internals")]
@@ -172,10 +174,10 @@ pub mod reasoning;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod reflection;
-#[cfg(feature = "internals")]
+#[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod report;
-#[cfg(feature = "internals")]
+#[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod runner;
 #[cfg(feature = "internals")]

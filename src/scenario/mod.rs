@@ -3,11 +3,14 @@
 use crate::world::{EgoState, History, LaneMap, Route, SceneView, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
+#[cfg(feature = "argoverse2")]
 pub mod argoverse2;
 pub mod generator;
+#[cfg(feature = "nuplan")]
 pub mod nuplan;
 mod reader;
 mod recording;
+#[cfg(feature = "womd")]
 pub mod womd;
 
 pub use reader::{

@@ -2,7 +2,13 @@
 //!
 //! A reader is one folder of this stage and one line of [`READERS`]; a program adds its own by [`Readers::with`].
 
-use super::{Scenario, argoverse2, generator, nuplan, womd};
+#[cfg(feature = "argoverse2")]
+use super::argoverse2;
+#[cfg(feature = "nuplan")]
+use super::nuplan;
+#[cfg(feature = "womd")]
+use super::womd;
+use super::{Scenario, generator};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
@@ -13,8 +19,11 @@ use std::sync::Arc;
 /// The readers of this package. In a folder that several of them read, their scenarios stand in this order.
 const READERS: &[fn(&DataRoots) -> Box<dyn ScenarioReader>] = &[
     |_| Box::new(generator::GeneratedReader),
+    #[cfg(feature = "womd")]
     |_| Box::new(womd::WomdReader),
+    #[cfg(feature = "argoverse2")]
     |_| Box::new(argoverse2::Argoverse2Reader),
+    #[cfg(feature = "nuplan")]
     |roots| Box::new(nuplan::NuPlanReader::new(roots.clone())),
 ];
 
