@@ -55,20 +55,18 @@ pub use world::{EgoState, Scene, SceneBuilder, Trajectory};
 pub mod planning {
     pub use crate::planner::{
         AfterMaxExec, Attempt, CodeSource, Decision, IdmPlanner, Latency, LogReplay, NoPlan, PdmClosed,
-        PlanAgentSettings, Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
-        PlannerNeeds, PlannerParts, PlannerRegistry, PlanningCall, SimplePlanner,
+        PlanAgentSettings, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
+        PlannerParts, PlannerRegistry, PlanningCall, SimplePlanner,
     };
     pub use crate::reflection::LeadPolicy;
-    pub use crate::world::{
-        History, HistorySample, SceneError, SceneView, Trajectory, TrajectoryError, TrajectoryState,
-    };
+    pub use crate::world::{History, HistorySample, SceneError, SceneView, TrajectoryError, TrajectoryState};
 }
 
 /// Metrics and scores.
 pub mod evaluation {
     pub use crate::metrics::{
         EvaluatedSimulation, Evaluation, METRICS, MetricCategory, MetricError, MetricInput, MetricList, MetricRegistry,
-        MetricResult, MetricSpec, Role, Score, ScorePart, ScoreUnit, Statistic, StatisticKind, TimeSeries,
+        MetricResult, MetricSpec, Role, ScorePart, ScoreUnit, Statistic, StatisticKind, TimeSeries,
     };
 }
 
@@ -87,7 +85,7 @@ pub mod traffic {
     pub use crate::scenario::Frame;
     pub use crate::simulation::{AGENT_POLICIES, AgentPolicy, AgentPolicySpec, SimulationError, SimulationLog};
     pub use crate::world::{
-        EgoState, ObjectKind, PACIFICA, SignalStatus, TrackToken, TrackedObject, TrafficLights, VehicleParameters,
+        ObjectKind, PACIFICA, SignalStatus, TrackToken, TrackedObject, TrafficLights, VehicleParameters,
     };
 }
 

@@ -84,6 +84,10 @@ impl Planner for Agent {
         self.planner.calls()
     }
 
+    fn take_calls(&mut self) -> Vec<PlanningCall> {
+        self.planner.take_calls()
+    }
+
     fn drivable_layers(&self) -> Option<crate::pdm::DrivableLayers> {
         self.planner.drivable_layers()
     }

@@ -68,14 +68,17 @@ pub trait ScenarioReader: Send + Sync {
 /// How surely a word is one of a reader's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Recognition {
+    /// The word is not one of this reader's.
     No,
     /// Where no other reader is certain.
     Possible,
+    /// The word is this reader's.
     Certain,
 }
 
 /// How a reader opens one of its scenarios.
 pub trait OpenScenario: Send + Sync {
+    /// Reads the scenario.
     fn open(&self) -> Result<Scenario, ReaderError>;
 
     /// Checks, without reading, that the files which opening needs exist: before the first simulation rather than in each.
@@ -187,6 +190,7 @@ impl ScenarioRef {
         self.scenario_type.as_deref()
     }
 
+    /// Name of its log.
     pub fn log_name(&self) -> &str {
         &self.log_name
     }
@@ -201,6 +205,7 @@ impl ScenarioRef {
         self.fault.as_deref()
     }
 
+    /// Reads the scenario.
     pub fn open(&self) -> Result<Scenario, ReaderError> {
         self.source.open()
     }
