@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 /// Time between two lines where stderr is no terminal. A shorter run prints none.
 const LINE_EVERY: Duration = Duration::from_secs(30);
 /// The bar, in 80 columns.
-const TEMPLATE: &str = "{bar:12} {pos}/{len} simulations  {per_sec}  {eta} left  {msg}";
+const TEMPLATE: &str = "{bar:10} {pos}/{len} simulations {per_sec} {eta} left {msg}";
 /// Unit of a bar that shows its numbers as bytes.
 const BYTES: &str = "bytes";
 
@@ -136,7 +136,7 @@ impl SimulationProgress {
     fn show(&self, steps: usize) {
         let failed = self.failed.load(Ordering::Relaxed);
         if self.is_terminal {
-            self.bar.set_message(format!("{failed} failed  {steps} steps"));
+            self.bar.set_message(format!("{failed} failed {steps} steps"));
             return;
         }
         // A thread that finds the clock locked prints nothing: another thread prints.
@@ -153,7 +153,7 @@ impl SimulationProgress {
         let left = match u32::try_from(ended) {
             Ok(done) if done > 0 => {
                 let rest = passed / done * u32::try_from(self.total - ended.min(self.total)).unwrap_or(u32::MAX);
-                format!(", about {} left", HumanDuration(rest))
+                format!(", {:#} left", HumanDuration(rest))
             }
             _ => String::new(),
         };
@@ -246,7 +246,7 @@ mod tests {
         progress.show(steps);
         progress.bar.force_draw();
         let drawn = paper.0.lock().unwrap().clone();
-        assert!(drawn.contains("12799/12800 simulations") && drawn.contains("99 failed  1907200 steps"), "{drawn}");
+        assert!(drawn.contains("12799/12800 simulations") && drawn.contains("99 failed 1907200 steps"), "{drawn}");
         let line = progress.line(99, steps);
         for text in drawn.lines().chain([line.as_str()]) {
             assert!(console::measure_text_width(text) <= 80, "{text}");

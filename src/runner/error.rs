@@ -31,9 +31,9 @@ pub enum RunnerError {
     #[error(transparent)]
     Prompts(#[from] PromptError),
     #[error(transparent)]
-    FindModel(MllmError),
+    FindModel(Box<MllmError>),
     #[error("cannot load the model '{name}'")]
-    LoadModel { name: String, source: MllmError },
+    LoadModel { name: String, source: Box<MllmError> },
     #[error(transparent)]
     Config(#[from] ConfigError),
     #[error("cannot make {} absolute: {source}", path.display())]

@@ -42,9 +42,10 @@ impl OpenModel {
     pub(super) fn open(config: &Config, listener: &Listener) -> Result<Self, RunnerError> {
         let started = Instant::now();
         let registry = model_registry(config, listener);
-        let spec = registry.find(&config.mllm.model).map_err(RunnerError::FindModel)?;
-        let model =
-            registry.open(&spec).map_err(|source| RunnerError::LoadModel { name: spec.name.clone(), source })?;
+        let spec = registry.find(&config.mllm.model).map_err(|error| RunnerError::FindModel(Box::new(error)))?;
+        let model = registry
+            .open(&spec)
+            .map_err(|source| RunnerError::LoadModel { name: spec.name.clone(), source: Box::new(source) })?;
         let load_s = started.elapsed().as_secs_f64();
         let about = model.describe();
         about.load.lines().into_iter().for_each(|line| listener(Event::Detail(line)));

@@ -39,9 +39,11 @@ pub fn resume(
     let before = RunFolder::manifest(folder)?;
     let is_plain = request.is_plain_resume();
     let selected = Selection::new(request, Some(&before), listener);
-    let selected = selected.and_then(|selection| match is_plain {
-        true => selection.check_unchanged(&before).map(|()| selection),
-        false => Ok(selection),
+    let selected = selected.and_then(|selection| {
+        if is_plain {
+            selection.check_unchanged(&before)?;
+        }
+        Ok(selection)
     });
     let selection = match selected {
         Ok(selection) => selection,

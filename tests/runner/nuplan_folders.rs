@@ -104,7 +104,7 @@ fn a_scenario_that_two_paths_reach_is_driven_once() {
     let words = ["--scenario", "nuplan/data", &roundabout, log.to_str().unwrap(), "link.db"];
     let (code, _, stderr) = work.simulate(&words);
     assert_eq!(code, 0, "{stderr}");
-    assert!(stderr.contains("3 scenarios are named more than once and driven once"), "{stderr}");
+    assert!(stderr.contains("3 scenarios are named more than once and simulated once"), "{stderr}");
     assert_eq!(work.summary()["scenarios"].as_array().unwrap().len(), 1);
 }
 

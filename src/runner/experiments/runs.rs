@@ -85,7 +85,7 @@ impl<'a> PlannedRuns<'a> {
             return Ok(true);
         }
         let registry = model::model_registry(config, self.listener);
-        let spec = registry.find(&config.mllm.model).map_err(RunnerError::FindModel)?;
+        let spec = registry.find(&config.mllm.model).map_err(|error| RunnerError::FindModel(Box::new(error)))?;
         Ok(registry.place_here(&spec).and_then(|place| place.weight_bytes()).is_ok())
     }
 
