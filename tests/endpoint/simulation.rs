@@ -174,7 +174,7 @@ fn a_refused_key_fails_the_drive_and_a_missing_one_the_start() {
 }
 
 #[test]
-fn a_deadline_ends_the_call_with_the_planner_in_force() {
+fn a_deadline_ends_the_call_and_keeps_the_active_plan() {
     let server = Server::start(|number, _| if number < 3 { completion(ANSWER) } else { Reaction::Hang(Vec::new()) });
     let config = "[reflection]\nenabled = false\n[agent]\ndeadline_ms = 1500\n";
     let run = Run::with(&description(&server, ""), config);
@@ -190,7 +190,7 @@ fn a_deadline_ends_the_call_with_the_planner_in_force() {
     }
     let row = &run.summary()["scenarios"][0];
     assert_eq!((&row["deadlines"], &row["failed_calls"]), (&7.into(), &0.into()));
-    assert!(run.stderr.contains("7 of 8 planning calls ended by their deadline"), "{}", run.stderr);
+    assert!(run.stderr.contains("7 of 8 planning calls ended at their deadline"), "{}", run.stderr);
 }
 
 /// The fixtures' LLaVA with a context for whole prompts.
