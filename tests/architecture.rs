@@ -35,7 +35,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
         "mllm",
         &[
             &["error", "values"],
-            &["deadline", "matrix"],
+            &["deadline", "endpoint_settings", "matrix"],
             &["checkpoint"],
             &["attention", "conversation", "gguf", "layer_norm", "linear", "pointwise", "rms_norm"],
             &["decoder", "sampling", "text", "vision"],
@@ -86,9 +86,6 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
 
 /// Most files that may import each other in a circle.
 const MAX_CIRCLE: usize = 8;
-
-/// Stages that still have a larger circle, with the files of it. Make the number smaller when the circle shrinks.
-const LARGER_CIRCLES: [(&str, usize); 2] = [("metrics", 12), ("scenario", 9)];
 
 /// Modules that may write to disk, and nothing else may.
 const WRITERS: [&str; 5] = [
@@ -148,7 +145,7 @@ fn code_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
             }
             return false;
         }
-        if line.trim() == "#[cfg(test)]" {
+        if ["#[cfg(test)]", "#[cfg(all(test,"].iter().any(|attribute| line.trim().starts_with(attribute)) {
             item = Some(TestItem { indent: &line[..line.len() - line.trim_start().len()], begun: false });
             return false;
         }
@@ -240,10 +237,7 @@ fn circles_of_imports_are_small() {
     let large: Vec<String> = graph
         .circles()
         .into_iter()
-        .filter(|circle| {
-            let known = LARGER_CIRCLES.iter().find(|(name, _)| circle.iter().all(|file| stage(file) == Some(*name)));
-            circle.len() > known.map_or(MAX_CIRCLE, |(_, files)| *files)
-        })
+        .filter(|circle| circle.len() > MAX_CIRCLE)
         .map(|circle| format!("{} files:\n  {}", circle.len(), circle.join("\n  ")))
         .collect();
     assert!(large.is_empty(), "circles of more than {MAX_CIRCLE} files:\n{}", large.join("\n"));
