@@ -14,7 +14,7 @@ mod recording;
 pub mod womd;
 
 pub use reader::{
-    Contents, DataRoots, ExcludedToken, MissingTokens, OnProgress, OpenScenario, ReaderError, Readers, Recognition,
+    DataRoots, ExcludedToken, MissingTokens, OnProgress, OpenScenario, ReaderError, Readers, Recognition,
     ScenarioReader, ScenarioRef, Split, absolute_path,
 };
 pub use recording::error::{FileError, FilePlace, RecordingFault};
@@ -95,4 +95,19 @@ impl Scenario {
     pub fn past(&self) -> &[Frame] {
         &self.frames[..self.start]
     }
+}
+
+/// What a recording holds, counted without building the scenario.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Contents {
+    /// Place in a file of several recordings, from 0.
+    pub record: Option<usize>,
+    /// Recorded steps at 10 Hz.
+    pub steps: usize,
+    /// Iterations of a simulation.
+    pub iterations: usize,
+    /// Recorded objects.
+    pub tracks: usize,
+    /// Lanes for motor vehicles, lane connectors included: as many as the map of the opened scenario has.
+    pub lanes: usize,
 }

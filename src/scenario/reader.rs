@@ -8,7 +8,7 @@ use super::argoverse2;
 use super::nuplan;
 #[cfg(feature = "womd")]
 use super::womd;
-use super::{Scenario, generator};
+use super::{Contents, Scenario, generator};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
@@ -96,21 +96,6 @@ impl<F: Fn() -> Result<Scenario, ReaderError> + Send + Sync> OpenScenario for F 
     fn open(&self) -> Result<Scenario, ReaderError> {
         self()
     }
-}
-
-/// What a recording holds, counted without building the scenario.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Contents {
-    /// Place in a file of several recordings, from 0.
-    pub record: Option<usize>,
-    /// Recorded steps at 10 Hz.
-    pub steps: usize,
-    /// Iterations of a simulation.
-    pub iterations: usize,
-    /// Recorded objects.
-    pub tracks: usize,
-    /// Lanes for motor vehicles, lane connectors included: as many as the map of the opened scenario has.
-    pub lanes: usize,
 }
 
 /// A scenario that can be opened, with what is known before that. Displayed as the word of the command line that names it.
