@@ -28,7 +28,7 @@ pub fn start(
 }
 
 /// Resumes the run in a folder. The request and the configuration must be those it was started with; completed
-/// simulations stay. A run whose simulations are all completed tells its results even where its scenarios are gone.
+/// simulations stay. A run without simulations left gives its results even if its scenarios cannot be found.
 pub fn resume(
     folder: &Path,
     request: &Request,

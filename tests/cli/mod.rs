@@ -47,7 +47,7 @@ fn recordings() -> Option<PathBuf> {
     data("womd")
 }
 
-fn drive(out: &Path, threads: &str) -> Vec<u8> {
+fn simulated(out: &Path, threads: &str) -> Vec<u8> {
     let out = out.to_str().unwrap();
     let arguments = ["simulate", "--scenario", SCENE, "generated/stopping_with_lead/1", "--challenge", "both"];
     let (code, _, stderr) =
@@ -59,8 +59,8 @@ fn drive(out: &Path, threads: &str) -> Vec<u8> {
 #[test]
 fn the_same_seed_gives_the_same_bytes_at_any_thread_count() {
     let folder = TempDir::new().unwrap();
-    let one = drive(&folder.path().join("one"), "1");
-    let two = drive(&folder.path().join("two"), "2");
+    let one = simulated(&folder.path().join("one"), "1");
+    let two = simulated(&folder.path().join("two"), "2");
     assert!(one == two, "{}\n{}", String::from_utf8_lossy(&one), String::from_utf8_lossy(&two));
     let calls = |run: &str| {
         let text = fs::read_to_string(folder.path().join(run).join("calls.jsonl")).unwrap();
@@ -142,10 +142,10 @@ fn a_run_leaves_what_the_readme_says() {
         assert!(attempt["reflection"]["score"].as_f64().is_some());
         assert!(call["time"]["call"]["total"].as_f64().unwrap() > 0.0);
     }
-    let drive = out.join("simulations/000000-generated_changing_lane_3-plan-agent-nonreactive");
-    let transcript = fs::read_to_string(drive.join("transcript.md")).unwrap();
+    let simulation = out.join("simulations/000000-generated_changing_lane_3-plan-agent-nonreactive");
+    let transcript = fs::read_to_string(simulation.join("transcript.md")).unwrap();
     assert!(transcript.contains("Generate_IDM_Planner(") && transcript.contains("bev/020.png"), "{transcript}");
-    assert!(image::open(drive.join("bev/020.png")).unwrap().width() > 16);
+    assert!(image::open(simulation.join("bev/020.png")).unwrap().width() > 16);
     let timing = read_json(&out.join("timing.json"));
     assert!(timing["planning_call_ms"]["total"]["p50"].as_f64().unwrap() > 0.0);
     let agent = &timing["planners"][0];
@@ -259,7 +259,7 @@ fn bad_input_is_refused_with_what_and_where() {
     let unwritable = file.join("run");
     let folder_error = refused(&["simulate", "--planner", "idm", "--out", unwritable.to_str().unwrap()]);
     assert!(folder_error.contains("cannot write"), "{folder_error}");
-    assert_eq!(folder_error.matches("os error").count(), 1, "a cause is told once: {folder_error}");
+    assert_eq!(folder_error.matches("os error").count(), 1, "a cause is printed once: {folder_error}");
 
     let foreign = folder.path().join("foreign");
     fs::create_dir(&foreign).unwrap();
@@ -330,8 +330,8 @@ fn broken_recordings_are_refused() {
     assert!(checksum.to_lowercase().contains("crc") || checksum.contains("checksum"), "{checksum}");
 }
 
-/// Drives every recording; gives the rows of the summary, or nothing where there are no recordings.
-fn drive_recordings(flags: &[&str]) -> Option<Vec<Value>> {
+/// Simulates every recording; gives the rows of the summary, or nothing where there are no recordings.
+fn simulate_recordings(flags: &[&str]) -> Option<Vec<Value>> {
     let folder = recordings()?;
     let work = TempDir::new().unwrap();
     let out = work.path().join("run");
@@ -345,15 +345,15 @@ fn drive_recordings(flags: &[&str]) -> Option<Vec<Value>> {
 
 #[test]
 fn log_replay_keeps_to_road_and_direction_on_every_recording() {
-    for row in drive_recordings(&["--planner", "log-replay"]).unwrap_or_default() {
+    for row in simulate_recordings(&["--planner", "log-replay"]).unwrap_or_default() {
         assert_eq!(row["drivable_area_compliance"], 1.0, "{row}");
         assert_eq!(row["driving_direction_compliance"], 1.0, "{row}");
     }
 }
 
 #[test]
-fn plan_agent_drives_every_recording() {
-    for row in drive_recordings(&["--challenge", "both"]).unwrap_or_default() {
+fn plan_agent_simulates_every_recording() {
+    for row in simulate_recordings(&["--challenge", "both"]).unwrap_or_default() {
         assert!(row["planning_calls"].as_u64().unwrap() >= 3, "{row}");
         let score = row["score"].as_f64().unwrap();
         assert_eq!(score <= 0.0, !row["zeroed_by"].as_array().unwrap().is_empty(), "{row}");

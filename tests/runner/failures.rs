@@ -47,9 +47,9 @@ fn an_error_is_recorded_and_the_run_continues() {
     let error = |number: usize| records[&number].outcome.as_ref().unwrap_err().clone();
     assert!(error(0).contains("nowhere.tfrecord"), "{}", error(0));
     assert!(error(1).contains("needs a model"), "{}", error(1));
-    let driven = records[&2].outcome.as_ref().unwrap();
+    let outcome = records[&2].outcome.as_ref().unwrap();
     assert_eq!(records[&2].scenario, generator::DEFAULT.to_string());
-    assert!(driven.metrics.len() > 8 && driven.log.runtimes_s.len() == driven.log.samples.len());
+    assert!(outcome.metrics.len() > 8 && outcome.log.runtimes_s.len() == outcome.log.samples.len());
 }
 
 #[test]

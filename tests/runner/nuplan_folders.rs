@@ -45,7 +45,7 @@ impl Work {
         (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
     }
 
-    /// Drives what `words` name with a quick planner, into the folder `run`.
+    /// Simulates what `words` name with a quick planner, into the folder `run`.
     fn simulate(&self, words: &[&str]) -> (i32, String, String) {
         let flags = ["simulate", "--planner", "log-replay", "--maps-root", "nuplan/maps", "--out", "run"];
         self.run_in(self.folder.path(), &[&flags[..], words].concat())
@@ -161,18 +161,18 @@ fn a_damaged_log_among_others_is_a_failed_drive() {
 #[test]
 fn missing_maps_are_one_error_before_any_drive() {
     let work = Work::with(2);
-    let drive = |maps: &[&str]| {
+    let refusal = |maps: &[&str]| {
         let flags = ["simulate", "--scenario", "nuplan/data", "--planner", "log-replay", "--out", "run"];
         let (code, stdout, stderr) = work.run_in(work.folder.path(), &[&flags[..], maps].concat());
         assert!(code == 2 && stdout.is_empty() && stderr.matches("error:").count() == 1, "{stderr}");
         assert!(!work.path("run").exists(), "nothing was begun");
         stderr
     };
-    assert!(drive(&[]).contains("NUPLAN_MAPS_ROOT"));
-    let wrong = drive(&["--maps-root", "nuplan/data"]);
+    assert!(refusal(&[]).contains("NUPLAN_MAPS_ROOT"));
+    let wrong = refusal(&["--maps-root", "nuplan/data"]);
     assert!(wrong.contains("nuplan-maps-v1.0.json: cannot open: No such") && wrong.contains("--maps-root"), "{wrong}");
     fs::remove_dir_all(work.exported.maps.join(&work.exported.logs[0].location)).unwrap();
-    let gone = drive(&["--maps-root", "nuplan/maps"]);
+    let gone = refusal(&["--maps-root", "nuplan/maps"]);
     assert!(gone.contains("map.gpkg: missing"), "{gone}");
 }
 

@@ -44,7 +44,7 @@ fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
     // The run knows where its data lies.
     let (code, _, stderr) = run(&["simulate", "--resume", out.to_str().unwrap()]);
     assert!(code == 1 && stderr.contains("1 of 1 simulations are completed, 0 are left"), "{stderr}");
-    // Programs read what is missing, and who wants quiet is told nevertheless.
+    // The summary lists the missing scenarios, and stderr names them even with -q.
     let (code, stdout, stderr) = run(&["simulate", "--resume", out.to_str().unwrap(), "--json", "-q"]);
     assert_eq!((code, serde_json::from_str::<Value>(&stdout).unwrap()), (1, summary), "{stderr}");
     assert!(stderr.starts_with("error: not simulated") && stderr.contains(ABSENT), "{stderr}");
@@ -66,7 +66,7 @@ fn the_generated_split_is_listed_whole() {
     assert!(unknown.contains("val15") && unknown.contains("generated"), "{unknown}");
 }
 
-/// Scores of a suite can be compared as long as its scenes stay: the documentation tells their digests.
+/// Scores of a suite are comparable as long as its scenarios stay: the documentation has their digests.
 #[test]
 fn suites_stay_as_they_are() {
     let listed = include_str!("../../docs/generator.md");

@@ -26,7 +26,7 @@ pub enum SceneText {
     Paper,
     /// Our lane-graph text for small models.
     Compact,
-    /// All that GPT-Driver's user message tells.
+    /// GPT-Driver's user message.
     GptDriver,
     /// Its list of objects alone.
     GptDriverObjects,
