@@ -31,8 +31,8 @@ fn both_rounds_are_answered_as_transformers_answers_them() {
 
     // The reference chat continues after the answer "keep left".
     conversation.rewind(start);
-    let forced = conversation.ask(FIRST, &request(Constraint::Choice(vec!["keep left".into()]), 12)).unwrap();
-    assert_eq!((forced.text.as_str(), forced.tokens.sampled), ("keep left", 0));
+    let chosen = conversation.ask(FIRST, &request(Constraint::Choice(vec!["keep left".into()]), 12)).unwrap();
+    assert_eq!((chosen.text.as_str(), chosen.tokens.sampled), ("keep left", 0));
     let second = conversation.ask(SECOND, &free(12)).unwrap();
     assert_eq!(second.text, reference_answer("chat_generated"));
     assert_eq!(second.tokens.image, 0, "the image stays computed");
@@ -88,7 +88,7 @@ fn sampling_follows_the_seed() {
     };
     let (first, retry) = sampled(11);
     assert_eq!((first.clone(), retry.clone()), sampled(11));
-    assert_ne!(first, retry, "another attempt draws anew");
+    assert_ne!(first, retry, "another attempt samples other tokens");
     assert_ne!(first, sampled(12).0);
 }
 

@@ -223,7 +223,7 @@ fn the_described_models_are_all_readable() {
 }
 
 /// Runs the beginning of a generated scene with one planning call.
-fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
+fn plan_once(model: Arc<dyn Mllm>) -> PlanAgent {
     let max_new_tokens = RoundTokens { scene: 8, motion: 64, code: 64 };
     let mut settings = PlanAgentSettings { plan_interval_s: 100.0, ..PlanAgentSettings::default() };
     settings.reflection = ReflectionSettings {
@@ -248,7 +248,7 @@ fn drive(model: Arc<dyn Mllm>) -> PlanAgent {
 }
 
 #[test]
-fn the_agent_drives_with_every_family_and_nothing_else_changes() {
+fn the_agent_plans_with_every_family_and_nothing_else_changes() {
     for (name, architecture) in FAMILIES {
         let copy = Copy::of(name);
         // Random weights spell long answers in single bytes, so the chat needs more room than the reference's.
@@ -256,7 +256,7 @@ fn the_agent_drives_with_every_family_and_nothing_else_changes() {
             let text = if architecture == "cogvlm" { config } else { &mut config["text_config"] };
             text["max_position_embeddings"] = json!(4096);
         });
-        let agent = drive(Arc::from(open_folder(copy.folder())));
+        let agent = plan_once(Arc::from(open_folder(copy.folder())));
         let call = agent.calls().first().unwrap();
         assert!(!call.attempts.is_empty(), "{name}: {call:?}");
         for (index, attempt) in call.attempts.iter().enumerate() {

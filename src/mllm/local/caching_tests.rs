@@ -129,7 +129,7 @@ fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass
                 "{name}: a pass for each free token: {passes:?}"
             );
             assert!(third.tokens.fast_forwarded > third.tokens.sampled, "{:?}", third.tokens);
-            // What the first two rounds left uncomputed, and what was forced before the number.
+            // What the first two rounds left uncomputed, and the fast-forwarded tokens before the number.
             assert!(passes[0] > third.tokens.text + third.tokens.image, "{passes:?} {:?}", third.tokens);
             conversation.rewind(start);
             let again = conversation.ask("Look again.", &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
