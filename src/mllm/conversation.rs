@@ -10,7 +10,7 @@ use super::{Deadline, LoadReport, MllmError};
 
 /// A vision-language model.
 ///
-/// Backends: [`LocalModel`](super::LocalModel) runs in this process, [`Endpoint`](super::Endpoint) asks a server.
+/// Backends: [`LocalModel`](super::LocalModel) runs in this process, `Endpoint` asks a server.
 pub trait Mllm: Send + Sync {
     /// The name in results.
     fn name(&self) -> &str;

@@ -1,7 +1,7 @@
 //! Multimodal language models, on the CPU of this process or on an HTTP server.
 //!
 //! A planning call opens a [`Conversation`] with an [`Mllm`] and asks round after round. [`ModelRegistry`] finds a model by
-//! name, folder, file or hub id. [`Endpoint`] asks a server with `OpenAI`'s interface. A [`LocalModel`] runs here:
+//! name, folder, file or hub id. `Endpoint` asks a server with `OpenAI`'s interface. A [`LocalModel`] runs here:
 //! 1. `source` opens the files of a model: safetensors, GGUF or random weights ([`ModelPlace`]).
 //! 2. A [`Family`] turns them into a [`VisionLanguageModel`]. `families` lists `llava`, `llava_next` and `cogvlm`; they share
 //!    `vision` and `decoder`.
@@ -15,6 +15,7 @@ mod cogvlm;
 mod conversation;
 mod deadline;
 mod decoder;
+#[cfg(feature = "endpoint")]
 mod endpoint;
 mod endpoint_settings;
 mod error;
@@ -49,6 +50,7 @@ pub use conversation::{
 };
 pub use deadline::Deadline;
 pub use decoder::{DecoderInput, KvCache, Logits};
+#[cfg(feature = "endpoint")]
 pub use endpoint::Endpoint;
 pub use endpoint_settings::{EndpointSettings, GrammarField, LimitField};
 pub use error::{EndpointFailure, MllmError};

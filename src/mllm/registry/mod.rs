@@ -12,8 +12,8 @@ use hub::HubFiles;
 pub use hub::{FetchListener, FetchProgress, HubAccess};
 
 use super::{
-    CreateFile, EmbeddedModel, Endpoint, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck, Mllm,
-    MllmError, ModelCheck, ModelPlace, WeightFormat, export_model,
+    CreateFile, EmbeddedModel, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError,
+    ModelCheck, ModelPlace, WeightFormat, export_model,
 };
 
 /// Finds and opens models.
@@ -35,6 +35,17 @@ impl fmt::Debug for ModelRegistry {
             .field("loading", loading)
             .finish_non_exhaustive()
     }
+}
+
+#[cfg(feature = "endpoint")]
+fn connect(name: &str, settings: &EndpointSettings) -> Result<Box<dyn Mllm>, MllmError> {
+    Ok(Box::new(super::Endpoint::open(name, settings)?))
+}
+
+#[cfg(not(feature = "endpoint"))]
+fn connect(_: &str, settings: &EndpointSettings) -> Result<Box<dyn Mllm>, MllmError> {
+    let problem = format!("this build cannot ask {}; build with the cargo feature `endpoint`", settings.endpoint);
+    Err(MllmError::Request { problem })
 }
 
 fn no_files(spec: &ModelSpec, settings: &EndpointSettings) -> MllmError {
@@ -197,7 +208,7 @@ impl ModelRegistry {
             if self.hub.offline && !settings.is_local() {
                 return Err(MllmError::Offline { endpoint: settings.endpoint.clone() });
             }
-            return Ok(Box::new(Endpoint::open(&spec.name, settings)?));
+            return connect(&spec.name, settings);
         }
         let place = self.place(spec)?;
         let loading = self.loading(spec)?;
