@@ -9,6 +9,7 @@ pub mod generator;
 #[cfg(feature = "nuplan")]
 pub mod nuplan;
 mod reader;
+#[cfg(any(feature = "womd", feature = "argoverse2"))]
 mod recording;
 #[cfg(feature = "womd")]
 pub mod womd;
@@ -17,6 +18,7 @@ pub use reader::{
     DataRoots, ExcludedToken, MissingTokens, OnProgress, OpenScenario, ReaderError, Readers, Recognition,
     ScenarioReader, ScenarioRef, Split, absolute_path,
 };
+#[cfg(any(feature = "womd", feature = "argoverse2"))]
 pub use recording::error::{FileError, FilePlace, RecordingFault};
 
 /// nuPlan's type of a scenario without a tag (devkit `DEFAULT_SCENARIO_NAME`).
