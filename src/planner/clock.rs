@@ -2,36 +2,36 @@
 
 use crate::world::MICROS_PER_SECOND;
 
-/// When the next planning call is due.
+/// When the next planning call is due; times of the scene, µs.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Clock {
-    started_us: Option<i64>,
-    previous_us: Option<i64>,
-    due_us: Option<i64>,
+    started: Option<i64>,
+    previous: Option<i64>,
+    due: Option<i64>,
 }
 
 impl Clock {
     /// Whether a planning call is due at this step: no later step is nearer to the due time. The first step is always due. To be
     /// asked once at every step.
     pub(super) fn is_due(&mut self, now_us: i64) -> bool {
-        self.started_us.get_or_insert(now_us);
-        let step_us = self.previous_us.replace(now_us).map_or(0, |previous| now_us - previous);
-        self.due_us.is_none_or(|due| now_us + step_us / 2 >= due)
+        self.started.get_or_insert(now_us);
+        let step_us = self.previous.replace(now_us).map_or(0, |previous| now_us - previous);
+        self.due.is_none_or(|due| now_us + step_us / 2 >= due)
     }
 
     /// The next planning call is due so many seconds from now.
     pub(super) fn set(&mut self, now_us: i64, seconds: f64) {
-        self.due_us = Some(now_us + (seconds * MICROS_PER_SECOND).round() as i64);
+        self.due = Some(now_us + (seconds * MICROS_PER_SECOND).round() as i64);
     }
 
     /// A planning call is due at the next step.
     pub(super) fn set_due(&mut self) {
-        self.due_us = None;
+        self.due = None;
     }
 
     /// Seconds since the first step.
     pub(super) fn elapsed_s(&self, now_us: i64) -> f64 {
-        self.started_us.map_or(0.0, |started| (now_us - started) as f64 / MICROS_PER_SECOND)
+        self.started.map_or(0.0, |started| (now_us - started) as f64 / MICROS_PER_SECOND)
     }
 }
 

@@ -25,11 +25,11 @@ pub enum PlannerError {
     #[error("the plan's path cannot be built")]
     Path(#[from] GeometryError),
     #[error("asking the model failed")]
-    Reasoning(#[from] ReasoningError),
+    Reasoning(#[source] Box<ReasoningError>),
     #[error("reflecting on the plan failed")]
-    Reflection(#[from] ReflectionError),
+    Reflection(#[source] Box<ReflectionError>),
     #[error("planning with PDM-Closed failed")]
-    Pdm(#[source] PdmError),
+    Pdm(#[source] Box<PdmError>),
     #[error("{doing} failed")]
     Failed { doing: &'static str, source: Box<dyn std::error::Error + Send + Sync> },
 }
@@ -38,7 +38,19 @@ impl From<PdmError> for PlannerError {
     fn from(error: PdmError) -> Self {
         match error {
             PdmError::NoReferencePath(NoReferencePath::EmptyRoute) => Self::EmptyRoute,
-            error => Self::Pdm(error),
+            error => Self::Pdm(Box::new(error)),
         }
+    }
+}
+
+impl From<ReasoningError> for PlannerError {
+    fn from(error: ReasoningError) -> Self {
+        Self::Reasoning(Box::new(error))
+    }
+}
+
+impl From<ReflectionError> for PlannerError {
+    fn from(error: ReflectionError) -> Self {
+        Self::Reflection(Box::new(error))
     }
 }

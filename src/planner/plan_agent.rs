@@ -97,9 +97,10 @@ impl PlanAgent {
         let ReflectionSettings { threshold, lane_change_threshold, max_exec, .. } = settings.reflection;
         let codes = source.open(prompt, graph, (seed, deadline), max_exec)?;
         let started = Instant::now();
-        let judge = match settings.reflection.enabled {
-            true => Some(Judge::new(scene, graph, settings.reflection.horizon_s, &mut state.memory)?),
-            false => None,
+        let judge = if settings.reflection.enabled {
+            Some(Judge::new(scene, graph, settings.reflection.horizon_s, &mut state.memory)?)
+        } else {
+            None
         };
         let observation_ms = milliseconds(started.elapsed());
         let thresholds = (threshold, lane_change_threshold);
@@ -236,10 +237,8 @@ impl Question for CodeQuestion<'_> {
     fn try_out(&mut self, code: PlannerCode) -> Result<Option<Trial<IdmPlan>>, PlannerError> {
         let Some(plan) = self.state.builder.build(self.scene, self.graph, code)? else { return Ok(None) };
         let (lane_kept, lane_changed) = self.thresholds;
-        let threshold = match begins_lane_change(&plan, self.scene, self.graph, self.state) {
-            true => lane_kept.max(lane_changed),
-            false => lane_kept,
-        };
+        let changes_lane = begins_lane_change(&plan, self.scene, self.graph, self.state);
+        let threshold = if changes_lane { lane_kept.max(lane_changed) } else { lane_kept };
         let reflection = self.judge.map(|judge| judge.reflect(&plan, threshold)).transpose()?;
         Ok(Some(Trial { path: plan.path().vertex_poses(), plan, reflection, threshold }))
     }

@@ -164,6 +164,7 @@ impl PlannerRegistry {
     }
 }
 
+#[allow(clippy::unnecessary_wraps, reason = "the shape of a build function")]
 fn boxed(planner: impl Planner + 'static) -> Built {
     Ok(Box::new(planner))
 }

@@ -197,11 +197,10 @@ impl CallRecord {
 
     /// The attempt whose plan becomes active.
     pub fn accepted(&self) -> Option<(usize, &AttemptRecord)> {
-        let index = match self.decision {
-            DecisionRecord::Execute { attempt } | DecisionRecord::Exhausted { attempt } => attempt,
-            _ => return None,
+        let (DecisionRecord::Execute { attempt } | DecisionRecord::Exhausted { attempt }) = self.decision else {
+            return None;
         };
-        Some((index, self.attempts.get(index)?))
+        Some((attempt, self.attempts.get(attempt)?))
     }
 }
 
