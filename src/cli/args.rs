@@ -1,21 +1,19 @@
 //! The arguments of the command line.
 
+use super::help;
 use super::picture::PictureFile;
-use crate::experiment::study;
-use crate::experiment::suite::Suite;
 use crate::mllm::WeightFormat;
-use crate::planner::{PlannerName, PlannerRegistry};
-use crate::runner::{ExperimentsRequest, Request, TOKENS, build_commit};
+use crate::planner::PlannerRegistry;
+use crate::runner::{ExperimentsRequest, Request};
 use crate::scenario::{DataRoots, Readers};
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
-use std::sync::LazyLock;
 
 #[expect(clippy::struct_excessive_bools, reason = "these are flags")]
 /// A driving agent that plans with a vision-language model, offline, on the CPU.
 #[derive(Debug, Parser)]
-#[command(name = "planagent", version = version(), max_term_width = 80)]
+#[command(name = "planagent", version = help::version(), max_term_width = 80)]
 pub(super) struct Arguments {
     #[command(subcommand)]
     pub(super) command: Command,
@@ -112,7 +110,7 @@ impl DataArguments {
 /// Named lists of scenarios.
 #[derive(Debug, Args)]
 pub(super) struct SplitArguments {
-    #[arg(long = "split", value_name = "NAME", help = split_help())]
+    #[arg(long = "split", value_name = "NAME", help = help::splits())]
     pub(super) splits: Vec<String>,
     #[command(flatten)]
     pub(super) data: DataArguments,
@@ -130,7 +128,7 @@ pub(super) struct SimulateArguments {
     /// Only the first N scenarios.
     #[arg(long, value_name = "N")]
     pub(super) limit: Option<usize>,
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', help = planner_help())]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', help = help::planners())]
     pub(super) planner: Vec<String>,
     /// Challenges, separated by commas: nonreactive (agents replay the log), reactive (IDM agents), both of these, open-loop
     /// (plans compared with the log) [default: nonreactive].
@@ -240,37 +238,6 @@ pub(super) struct RenderOutput {
     /// Write a PNG.
     #[arg(long, value_name = "FILE")]
     pub(super) png: Option<PathBuf>,
-}
-
-/// Version of the program, with the commit of the build.
-fn version() -> &'static str {
-    static VERSION: LazyLock<String> = LazyLock::new(|| {
-        let version = env!("CARGO_PKG_VERSION");
-        build_commit().map_or_else(|| version.to_owned(), |commit| format!("{version} ({commit})"))
-    });
-    &VERSION
-}
-
-fn planner_help() -> String {
-    let registry = PlannerRegistry::default();
-    let names: Vec<&str> = registry.entries().iter().map(|entry| entry.name.as_str()).collect();
-    format!("Planners, separated by commas: {} [default: {}]", names.join(", "), PlannerName::PLAN_AGENT)
-}
-
-fn split_help() -> String {
-    let suite = |suite: Suite| {
-        let specs = suite.specs();
-        let types = specs.chunk_by(|a, b| a.scenario_type == b.scenario_type).count();
-        format!("{} ({types} types x {})", suite.name, specs.len() / types.max(1))
-    };
-    let known = Readers::new(&DataRoots::default()).splits().into_iter().map(str::to_owned);
-    let names: Vec<String> = known.chain(Suite::ALL.map(suite)).collect();
-    format!("List of scenarios: {}; or a nuPlan scenario filter FILE.yaml", names.join(", "))
-}
-
-fn experiment_help() -> String {
-    let names: Vec<&str> = study::names().chain([TOKENS]).collect();
-    format!("{}; {ALL_EXPERIMENTS} for all of these; or the path of a study FILE.toml", names.join(", "))
 }
 
 /// Takes a path with the extension of a picture format.
@@ -430,7 +397,7 @@ pub(super) struct DatasetArguments {
 /// Arguments of `experiment`.
 #[derive(Debug, Args)]
 pub(super) struct ExperimentArguments {
-    #[arg(value_name = "NAME", help = experiment_help())]
+    #[arg(value_name = "NAME", help = help::experiments())]
     pub(super) name: String,
     /// Only 2 scenes of each type and 14 recordings: a first look, in minutes.
     #[arg(long)]
