@@ -10,7 +10,7 @@ use planagent::{Challenge, Planner, Scenario, Trajectory, simulate};
 struct CruiseInLane;
 
 impl Planner for CruiseInLane {
-    fn name(&self) -> &str {
+    fn name(&self) -> &'static str {
         "cruise-in-lane"
     }
 

@@ -232,7 +232,9 @@ fn the_public_api_is_the_reviewed_one() {
     let stages = stages(root, &all);
 
     let mut text = format!("The crate root: {} names\n\n", at_root.len());
-    at_root.iter().for_each(|export| describe(export, &stages, &mut text));
+    for export in &at_root {
+        describe(export, &stages, &mut text);
+    }
     let known: BTreeSet<(&str, &str)> = at_root.iter().map(|e| (e.stage.as_str(), e.declared.as_str())).collect();
     for (module, names) in &modules {
         writeln!(text, "\nModule {module}: {} names\n", names.len()).unwrap();

@@ -20,18 +20,30 @@ pub enum Error {
     #[error(transparent)]
     Scene(#[from] SceneError),
     #[error(transparent)]
-    Model(#[from] MllmError),
+    Model(Box<MllmError>),
     #[error(transparent)]
     Prompts(#[from] PromptError),
     #[error(transparent)]
     UnknownPlanner(#[from] UnknownPlanner),
     #[error(transparent)]
-    Planner(#[from] PlannerError),
+    Planner(Box<PlannerError>),
     #[error(transparent)]
-    Simulation(#[from] SimulationError),
+    Simulation(Box<SimulationError>),
     #[error(transparent)]
     Metrics(#[from] MetricError),
 }
+
+macro_rules! boxed {
+    ($($variant:ident $error:ty),*) => {
+        $(impl From<$error> for Error {
+            fn from(error: $error) -> Self {
+                Self::$variant(Box::new(error))
+            }
+        })*
+    };
+}
+
+boxed!(Model MllmError, Planner PlannerError, Simulation SimulationError);
 
 /// The library's result.
 pub type Result<T, E = Error> = std::result::Result<T, E>;

@@ -93,7 +93,7 @@ impl<'a> ClosedLoop<'a> {
         planner.initialize(&initialization).map_err(|source| SimulationError::Initialization {
             planner: planner.name().to_owned(),
             scenario: self.scenario.id.clone(),
-            source,
+            source: Box::new(source),
         })
     }
 
@@ -104,7 +104,7 @@ impl<'a> ClosedLoop<'a> {
             planner: planner.name().to_owned(),
             scenario: self.scenario.id.clone(),
             iteration: self.iteration,
-            source,
+            source: Box::new(source),
         })
     }
 

@@ -13,9 +13,9 @@ pub enum SimulationError {
     #[error("scenario {scenario}: the time of iteration {iteration} is not after that of the iteration before")]
     TimeNotIncreasing { scenario: String, iteration: usize },
     #[error("planner {planner} cannot be initialized for scenario {scenario}")]
-    Initialization { planner: String, scenario: String, source: PlannerError },
+    Initialization { planner: String, scenario: String, source: Box<PlannerError> },
     #[error("planner {planner} failed at iteration {iteration} of scenario {scenario}")]
-    Planner { planner: String, scenario: String, iteration: usize, source: PlannerError },
+    Planner { planner: String, scenario: String, iteration: usize, source: Box<PlannerError> },
     #[error("the trajectory of planner {planner} at iteration {iteration} of scenario {scenario} cannot be tracked")]
     Tracking { planner: String, scenario: String, iteration: usize, source: TrackingError },
     #[error(

@@ -96,8 +96,8 @@ pub enum SceneError {
 struct Drawn {
     points: Vec<Point>,
     width: f64,
-    /// `None`: a connector.
-    speed_limit: Option<Option<f64>>,
+    connector: bool,
+    speed_limit: Option<f64>,
     /// Whether the lane before it is its left neighbor.
     beside: bool,
 }
@@ -166,8 +166,8 @@ impl SceneBuilder {
                 // `build` reports what is wrong with it.
                 Err(_) => line.clone(),
             };
-            let (width, speed_limit) = (self.width, Some(self.speed_limit));
-            self.drawn.push(Drawn { points, width, speed_limit, beside: i > 0 });
+            let (width, speed_limit) = (self.width, self.speed_limit);
+            self.drawn.push(Drawn { points, width, connector: false, speed_limit, beside: i > 0 });
         }
         self
     }
@@ -175,7 +175,7 @@ impl SceneBuilder {
     /// Adds a connector: a lane across an intersection, which may have a light.
     pub fn connector(mut self, points: impl IntoIterator<Item = [f64; 2]>) -> Self {
         let points = points.into_iter().map(Point::from).collect();
-        self.drawn.push(Drawn { points, width: self.width, speed_limit: None, beside: false });
+        self.drawn.push(Drawn { points, width: self.width, connector: true, speed_limit: None, beside: false });
         self
     }
 
@@ -268,16 +268,17 @@ fn map_of(drawn: &[Drawn], lights: &[(usize, SignalStatus)]) -> Result<LaneMap, 
     let mut abreast: Vec<LaneId> = vec![];
     for (number, lane) in drawn.iter().enumerate() {
         let points = lane.points.iter().copied();
-        let added = match lane.speed_limit {
-            Some(limit) => map.lane(points, lane.width, limit),
-            None => map.connector(points, lane.width),
+        let added = if lane.connector {
+            map.connector(points, lane.width)
+        } else {
+            map.lane(points, lane.width, lane.speed_limit)
         };
         let id = added.map_err(|source| SceneError::Lane { lane: number, source })?;
         if !lane.beside && !abreast.is_empty() {
             map.abreast(&std::mem::take(&mut abreast));
         }
         abreast.push(id);
-        if lane.speed_limit.is_none() {
+        if lane.connector {
             let polygon = map.parts.lanes[id.index()].polygon.clone();
             map.parts.intersections.push(polygon);
         }
