@@ -1,4 +1,4 @@
-//! Attention against plain sums in f64.
+//! Attention compared with plain sums in f64.
 
 use candle_core::{DType, Device, Tensor};
 use half::f16;
@@ -10,7 +10,7 @@ use super::{AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryTab
 use crate::mllm::checkpoint::{ConfigObject, LlamaConfig};
 use crate::mllm::matrix::Instructions;
 
-/// Projections of tokens, numbers between ±`scale`.
+/// Random projections of tokens, between ±`scale`.
 fn projections(tokens: usize, shape: HeadShape, scale: f32, seed: u64) -> Tensor {
     let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
     let values: Vec<f32> = (0..tokens * shape.row()).map(|_| random.random_range(-scale..scale)).collect();
@@ -28,7 +28,7 @@ fn held(tensor: &Tensor, shape: HeadShape, precision: Precision) -> KeyValues {
     held
 }
 
-/// The definition: softmax(q kᵀ / √width) v of the last `tokens` of the rows, of what they see.
+/// The definition: masked softmax(q kᵀ / √width) v of the last `tokens` rows.
 fn plain(all: &Tensor, shape: HeadShape, tokens: usize, precision: Precision, mask: AttentionMask) -> Vec<f32> {
     let rounded = |value: &f32| match precision {
         Precision::Single => f64::from(*value),
@@ -65,7 +65,7 @@ fn difference(found: &[f32], expected: &[f32]) -> f32 {
     found.iter().zip(expected).map(|(found, expected)| (found - expected).abs()).fold(0.0, f32::max)
 }
 
-/// What every set of instructions makes of the last `tokens` of `positions` rows.
+/// Largest deviation from the definition in any instruction set, for the last `tokens` of `positions` rows.
 fn deviations(
     shape: HeadShape,
     tokens: usize,
@@ -101,7 +101,7 @@ proptest! {
         causal: bool, window in proptest::option::of(1usize..200), large: bool,
     ) {
         let shape = HeadShape { query_heads: group * key_heads, key_heads, width };
-        // Scores of hundreds: weights that a sum without the greatest score taken off would lose.
+        // Scores of hundreds overflow unless the maximum score is subtracted.
         let scale = if large { 20.0 } else { 1.0 };
         let found = deviations(shape, tokens, before + tokens, scale, causal, window);
         prop_assert!(found < if large { 2e-4 } else { 5e-6 }, "{found}");
@@ -168,7 +168,7 @@ fn a_copy_shares_memory_until_it_is_written_to() {
 }
 
 #[test]
-fn what_is_not_a_number_is_seen_in_the_result() {
+fn nan_appears_in_the_result() {
     let shape = HeadShape { query_heads: 2, key_heads: 1, width: 16 };
     for part in [0, 2, 3] {
         let mut values: Vec<f32> = projections(70, shape, 1.0, 5).flatten_all().unwrap().to_vec1().unwrap();

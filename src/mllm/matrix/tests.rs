@@ -1,4 +1,4 @@
-//! Products against plain arithmetic, in every instruction set that this machine has.
+//! Products compared with plain arithmetic, in every instruction set of this CPU.
 
 use half::f16;
 use proptest::prelude::*;
@@ -7,10 +7,10 @@ use rand_pcg::Pcg64Mcg;
 
 use super::*;
 
-/// Storages that the kernels of this folder multiply.
+/// Weight formats with kernels of their own.
 const PACKED: [WeightFormat; 4] = [WeightFormat::F16, WeightFormat::Q8_0, WeightFormat::Q6K, WeightFormat::Q4K];
 
-/// Random blocks of a matrix, whose scales are below `largest`.
+/// Random blocks with scales below `largest`.
 fn random_blocks(
     weight_format: WeightFormat,
     outputs: usize,
@@ -36,7 +36,7 @@ fn random_blocks(
 }
 
 fn random_rows(count: usize, inputs: usize, random: &mut Pcg64Mcg) -> Vec<f32> {
-    // A few numbers far larger than the others, as activations have them.
+    // Like activations, a few numbers are much larger than the others.
     (0..count * inputs)
         .map(|_| random.random_range(-1.0..1.0) * if random.random_range(0..50) == 0 { 40.0 } else { 1.0 })
         .collect()
@@ -49,7 +49,7 @@ fn multiplied(tiles: &PackedTiles, x: &[f32], instructions: Instructions) -> Vec
     result
 }
 
-/// What quantized kernels make of a row of activations, of which so many have a scale of their own.
+/// A row of activations as the quantized kernels round it; `scaled` activations share a scale.
 fn rounded(row: &[f32], scaled: usize) -> Vec<f32> {
     row.chunks(scaled)
         .flat_map(|span| {
@@ -144,7 +144,7 @@ fn a_row_gives_the_same_bits_alone_and_among_others_at_any_thread_count() {
 }
 
 #[test]
-fn numbers_that_are_not_finite_are_seen_in_the_result() {
+fn nan_and_infinity_appear_in_the_result() {
     let mut random = Pcg64Mcg::seed_from_u64(2);
     for weight_format in PACKED {
         let bytes = random_blocks(weight_format, 20, 512, 1.0, &mut random);
@@ -162,7 +162,7 @@ fn numbers_that_are_not_finite_are_seen_in_the_result() {
 }
 
 #[test]
-fn a_stack_multiplies_and_reads_as_its_matrices_do() {
+fn a_stack_multiplies_and_reads_like_its_matrices() {
     let mut random = Pcg64Mcg::seed_from_u64(3);
     let inputs = 256;
     let parts = [
@@ -215,7 +215,7 @@ fn shapes_that_do_not_fit_are_errors() {
 }
 
 #[test]
-fn a_storage_loses_what_its_bits_cannot_hold_and_no_more() {
+fn each_format_has_the_error_of_its_bits() {
     let mut random = Pcg64Mcg::seed_from_u64(4);
     let (outputs, inputs) = (40, 512);
     let values: Vec<f32> = (0..outputs * inputs).map(|_| random.random_range(-0.1..0.1)).collect();
