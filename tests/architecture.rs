@@ -306,13 +306,13 @@ fn the_simulator_knows_an_agent_only_by_the_trait() {
 #[test]
 fn files_stay_readable() {
     /// A file longer than this holds more than one idea.
-    const MOST_LINES: usize = 500;
+    const MAX_LINES: usize = 500;
     let long: Vec<String> = sources()
         .into_iter()
-        .filter(|(_, text)| text.lines().count() > MOST_LINES)
+        .filter(|(_, text)| text.lines().count() > MAX_LINES)
         .map(|(file, text)| format!("{file}: {} lines", text.lines().count()))
         .collect();
-    assert!(long.is_empty(), "files over {MOST_LINES} lines:\n{}", long.join("\n"));
+    assert!(long.is_empty(), "files over {MAX_LINES} lines:\n{}", long.join("\n"));
 }
 
 #[test]

@@ -30,3 +30,4 @@ mod simulation;
 mod timed_agent;
 mod tokens;
 mod womd;
+mod words;

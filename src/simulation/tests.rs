@@ -90,10 +90,10 @@ fn the_same_drive_twice_is_the_same() {
 
 #[test]
 fn the_history_is_full_from_the_first_iteration_on() {
-    struct Watcher(LogReplay, Vec<(usize, usize, i64)>);
-    impl Planner for Watcher {
+    struct Recorder(LogReplay, Vec<(usize, usize, i64)>);
+    impl Planner for Recorder {
         fn name(&self) -> &'static str {
-            "watcher"
+            "recorder"
         }
         fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
             self.0.initialize(initialization)
@@ -108,10 +108,10 @@ fn the_history_is_full_from_the_first_iteration_on() {
         }
     }
     let scenario = straight_drive(8.0, |_| vec![]);
-    let mut watcher = Watcher(log_replay(&scenario), vec![]);
-    simulate(&scenario, &mut watcher, Challenge::NonReactive).unwrap();
+    let mut recorder = Recorder(log_replay(&scenario), vec![]);
+    simulate(&scenario, &mut recorder, Challenge::NonReactive).unwrap();
     let expected: Vec<_> = (0..ITERATIONS - 1).map(|k| (k, HISTORY_SAMPLES, 21 * STEP_US)).collect();
-    assert_eq!(watcher.1, expected);
+    assert_eq!(recorder.1, expected);
 }
 
 #[test]

@@ -74,14 +74,14 @@ fn ego_and_traffic_move_in_the_logs_own_time() {
 }
 
 /// Replays the log and writes down what it is shown.
-struct Watcher(LogReplay, Seen);
+struct Recorder(LogReplay, Seen);
 
 /// Iterations and the lights of the connector.
 type Seen = Arc<Mutex<Vec<(usize, Option<SignalStatus>)>>>;
 
-impl Planner for Watcher {
+impl Planner for Recorder {
     fn name(&self) -> &'static str {
-        "watcher"
+        "recorder"
     }
     fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
         self.0.initialize(initialization)
@@ -96,8 +96,8 @@ impl Planner for Watcher {
 fn the_planner_sees_the_logged_lights_of_its_iteration() {
     let scenario = drive(&regular(60), 6.0, 0);
     let seen = Seen::default();
-    let mut watcher = Watcher(log_replay(&scenario), seen.clone());
-    simulate(&scenario, &mut watcher, Challenge::NonReactive).unwrap();
+    let mut recorder = Recorder(log_replay(&scenario), seen.clone());
+    simulate(&scenario, &mut recorder, Challenge::NonReactive).unwrap();
     for &(k, status) in seen.lock().unwrap().iter() {
         assert_eq!(status, Some(if k % 2 == 0 { SignalStatus::Green } else { SignalStatus::Red }));
     }

@@ -1,4 +1,4 @@
-//! Opening GGUF files as a model of a family.
+//! Opens GGUF files as a model of a family.
 
 use std::path::Path;
 

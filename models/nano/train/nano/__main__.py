@@ -57,7 +57,7 @@ def arguments() -> argparse.ArgumentParser:
     export.add_argument("--dtype", choices=["float32", "float16", "bfloat16"], default="float32")
     export.add_argument("--reference", type=Path)
 
-    average = commands.add_parser("average", help="the mean of a run's weights and those it started from; export it anew")
+    average = commands.add_parser("average", help="the mean of a run's weights and those it started from; export it again")
     average.add_argument("--out", type=Path, required=True, help="run folder; keeps what was trained in trained.pt")
     average.add_argument("--start", type=Path, required=True, help="folder of the model that the run started from")
     average.add_argument("--share", type=float, default=0.5, help="of the start")

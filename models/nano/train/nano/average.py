@@ -25,7 +25,7 @@ def run(out: Path, start: Path, share: float) -> None:
         raise ValueError(f"a share of {share}: it lies between 0 and 1")
     checkpoint, trained = out / "checkpoint.pt", out / TRAINED
     if trained.exists():
-        raise FileExistsError(f"{trained} exists: the run has been averaged already; to begin anew, put it back as {checkpoint.name}")
+        raise FileExistsError(f"{trained} exists: the run has been averaged already; to start again, put it back as {checkpoint.name}")
     if (start / "tokenizer.json").read_bytes() != (out / "tokenizer.json").read_bytes():
         raise ValueError(f"{start} has another tokenizer than {out}: their weights have no mean")
     state = torch.load(checkpoint, map_location="cpu", weights_only=True)
