@@ -11,15 +11,18 @@ pub mod nuplan;
 mod reader;
 #[cfg(any(feature = "womd", feature = "argoverse2"))]
 mod recording;
+mod registry;
+mod split;
 #[cfg(feature = "womd")]
 pub mod womd;
 
 pub use reader::{
-    DataRoots, ExcludedToken, MissingTokens, OnProgress, OpenScenario, ReaderError, Readers, Recognition,
-    ScenarioReader, ScenarioRef, Split, absolute_path,
+    DataRoots, OnProgress, OpenScenario, ReaderError, Recognition, ScenarioReader, ScenarioRef, absolute_path,
 };
 #[cfg(any(feature = "womd", feature = "argoverse2"))]
 pub use recording::error::{FileError, FilePlace, RecordingFault};
+pub use registry::Readers;
+pub use split::{ExcludedToken, MissingTokens, Split};
 
 /// nuPlan's type of a scenario without a tag (devkit `DEFAULT_SCENARIO_NAME`).
 pub const UNKNOWN_TYPE: &str = "unknown";

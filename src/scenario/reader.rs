@@ -1,31 +1,12 @@
-//! The registry of scenario readers: which scenarios a word of the command line names, and how they are opened.
-//!
-//! A reader is one folder of this stage and one line of [`READERS`]; a program adds its own by [`Readers::with`].
+//! What a scenario reader is, and a reference to a scenario that it can open.
 
-#[cfg(feature = "argoverse2")]
-use super::argoverse2;
-#[cfg(feature = "nuplan")]
-use super::nuplan;
-#[cfg(feature = "womd")]
-use super::womd;
-use super::{Contents, Scenario, generator};
-use serde::{Deserialize, Serialize};
+use super::split::Split;
+use super::{Contents, Scenario};
 use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// The readers of this package. In a folder that several of them read, their scenarios stand in this order.
-const READERS: &[fn(&DataRoots) -> Box<dyn ScenarioReader>] = &[
-    |_| Box::new(generator::GeneratedReader),
-    #[cfg(feature = "womd")]
-    |_| Box::new(womd::WomdReader),
-    #[cfg(feature = "argoverse2")]
-    |_| Box::new(argoverse2::Argoverse2Reader),
-    #[cfg(feature = "nuplan")]
-    |roots| Box::new(nuplan::NuPlanReader::new(roots.clone())),
-];
 
 /// Called with the number of finished steps and the number of all.
 pub type OnProgress<'a> = &'a (dyn Fn(usize, usize) + Sync);
@@ -269,84 +250,6 @@ impl ReaderError {
     }
 }
 
-/// The readers of a program, with the maps and notes that they keep.
-pub struct Readers {
-    readers: Vec<Box<dyn ScenarioReader>>,
-}
-
-impl Readers {
-    /// The readers of this package. Nothing is read yet.
-    pub fn new(roots: &DataRoots) -> Self {
-        Self { readers: READERS.iter().map(|reader| reader(roots)).collect() }
-    }
-
-    /// With one more reader.
-    #[must_use]
-    pub fn with(mut self, reader: impl ScenarioReader + 'static) -> Self {
-        self.readers.push(Box::new(reader));
-        self
-    }
-
-    /// The reader that takes a word: the first certain one, else the first possible one.
-    fn reader_of(&self, word: &str) -> Option<&dyn ScenarioReader> {
-        let first = |wanted| self.readers.iter().find(|reader| reader.recognizes(word) == wanted);
-        first(Recognition::Certain).or_else(|| first(Recognition::Possible)).map(|reader| &**reader)
-    }
-
-    /// All scenarios that a word of the command line names: those of the reader that takes it, else those that all readers
-    /// find in the folder of that name.
-    pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
-        let path = Path::new(word);
-        if let Some(reader) = self.reader_of(word) {
-            return reader.list(word);
-        }
-        if !path.is_dir() {
-            let path = path.to_owned();
-            return Err(if path.exists() { ReaderError::UnknownFile(path) } else { ReaderError::Missing(path) });
-        }
-        let (mut all, mut looked_for) = (Vec::new(), Vec::new());
-        for reader in &self.readers {
-            if let Some(files) = reader.looks_for() {
-                all.extend(reader.list(word)?);
-                looked_for.push(format!("no {files}"));
-            }
-        }
-        match all.first() {
-            None => Err(ReaderError::Empty { path: path.to_owned(), looked_for }),
-            Some(ScenarioRef { fault: Some(fault), .. }) if all.iter().all(|one| one.fault.is_some()) => {
-                Err(ReaderError::Unreadable(fault.clone()))
-            }
-            Some(_) => Ok(all),
-        }
-    }
-
-    /// The word by which the same scenarios are found from any working directory.
-    pub fn absolute_word(&self, word: &str) -> String {
-        self.reader_of(word).map_or_else(|| absolute_path(word), |reader| reader.absolute_word(word))
-    }
-
-    /// The names of all splits.
-    pub fn splits(&self) -> Vec<&'static str> {
-        self.readers.iter().flat_map(|reader| reader.splits()).collect()
-    }
-
-    /// The scenarios of a split; `None` when no reader knows the name.
-    pub fn split(&self, name: &str, on_progress: OnProgress<'_>) -> Option<Result<Split, ReaderError>> {
-        self.readers.iter().find_map(|reader| reader.split(name, on_progress))
-    }
-
-    /// What a user should know about the data that was read since the last call.
-    pub fn take_notes(&self) -> Vec<String> {
-        self.readers.iter().flat_map(|reader| reader.take_notes()).collect()
-    }
-}
-
-impl fmt::Debug for Readers {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Readers({})", self.readers.len())
-    }
-}
-
 /// A path independent of the working directory; a word that is no path stays.
 pub fn absolute_path(word: &str) -> String {
     let absolute = || std::path::absolute(word).ok()?.into_os_string().into_string().ok();
@@ -368,67 +271,4 @@ impl DataRoots {
         let folder = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
         Self { data: folder("NUPLAN_DATA_ROOT"), maps: folder("NUPLAN_MAPS_ROOT") }
     }
-}
-
-/// The scenarios of a list that has a name.
-#[derive(Debug, Clone, Default)]
-pub struct Split {
-    /// Those that exist.
-    pub scenarios: Vec<ScenarioRef>,
-    /// Those that do not: a run of the list is not the whole list.
-    pub missing: MissingTokens,
-    /// The file that holds the list, if one does.
-    pub file: Option<PathBuf>,
-    /// What a user should know, for example that a file is not the published one.
-    pub notes: Vec<String>,
-}
-
-/// Scenarios that a list names and that do not exist.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct MissingTokens {
-    /// The list: its name, or its file.
-    pub split: String,
-    /// Number of its tokens.
-    pub wanted: usize,
-    /// Those that no log holds.
-    pub absent: Vec<String>,
-    /// Those that a log holds but that are no scenario of the list.
-    pub excluded: Vec<ExcludedToken>,
-}
-
-/// A token that a log holds and that is no scenario of a list.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ExcludedToken {
-    pub token: String,
-    pub reason: String,
-}
-
-impl MissingTokens {
-    /// Whether every token gives a scenario.
-    pub fn is_empty(&self) -> bool {
-        self.absent.is_empty() && self.excluded.is_empty()
-    }
-}
-
-impl fmt::Display for MissingTokens {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let missing = self.absent.len() + self.excluded.len();
-        write!(f, "split {}: {missing} of {} scenarios are missing", self.split, self.wanted)?;
-        if !self.absent.is_empty() {
-            write!(f, "; {} in no log: {}", self.absent.len(), first_few(&self.absent, Clone::clone))?;
-        }
-        if !self.excluded.is_empty() {
-            let named = first_few(&self.excluded, |excluded| format!("{} ({})", excluded.token, excluded.reason));
-            write!(f, "; {} that are no scenario: {named}", self.excluded.len())?;
-        }
-        Ok(())
-    }
-}
-
-fn first_few<T>(list: &[T], word: impl Fn(&T) -> String) -> String {
-    const MAX_NAMED: usize = 5;
-    let more = if list.len() > MAX_NAMED { ", ..." } else { "" };
-    list.iter().take(MAX_NAMED).map(word).collect::<Vec<_>>().join(", ") + more
 }

@@ -162,7 +162,7 @@ pub enum NuPlanError {
     NoDataRoot,
     #[error(
         "the folder of nuPlan's maps is not known: give --maps-root or set NUPLAN_MAPS_ROOT to the folder that holds {}",
-        super::MAPS_INDEX
+        super::schema::MAPS_INDEX
     )]
     NoMapsRoot,
     #[error("nuPlan's logs (--data-root or NUPLAN_DATA_ROOT): {0}")]

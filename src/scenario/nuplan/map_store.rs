@@ -3,14 +3,13 @@
 use super::database::Database;
 use super::error::{FileFault, NuPlanError};
 use super::lane_map::{self, NuPlanMap};
+use super::schema::MAPS_INDEX;
 use super::side_index;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The list of locations in the maps folder.
-pub const MAPS_INDEX: &str = "nuplan-maps-v1.0.json";
 /// The map file in the folder of a version.
 const MAP_FILE: &str = "map.gpkg";
 

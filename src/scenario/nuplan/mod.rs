@@ -42,9 +42,10 @@ pub use filter::{Limit, ScenarioFilter, THRESHOLD_KEY, ThresholdScope, TokenSet}
 pub use filter_file::{FilterError, FilterFault, FilterFile};
 pub use lane_map::NuPlanMap;
 pub use logs::{Log, LogScenario, Logs, MAX_FOLDER_DEPTH, UnreadableLog};
-pub use map_store::{MAPS_INDEX, MapStore};
+pub use map_store::MapStore;
 pub use open::open;
 pub use reader::{LogWordError, NuPlanReader};
+pub use schema::MAPS_INDEX;
 pub use search::{SearchResult, search, tag_types};
 pub use split::SplitError;
 pub use token::{TOKEN_BYTES, Token, TokenError};

@@ -25,6 +25,7 @@ pub use graph::{OPEN_END, STITCH};
 pub use placement::ShapeError;
 pub use timeline::TimelineError;
 
+use super::MAPS_INDEX;
 use super::projection::{ProjectionError, Utm};
 use super::token::Token;
 use crate::geometry::{GeometryError, Point};
@@ -41,8 +42,6 @@ use std::io;
 use std::path::{Path, PathBuf};
 use timeline::Timeline;
 
-/// The file that lists the maps.
-pub const MAP_LIST: &str = "nuplan-maps-v1.0.json";
 /// Version of every map that is written.
 pub const MAP_VERSION: &str = "1.0";
 const DATA: &str = "data";
@@ -193,7 +192,7 @@ pub fn write_scenarios(
     let logs = std::mem::take(&mut writer.logs);
     let list: serde_json::Map<String, serde_json::Value> =
         writer.maps.keys().map(|location| (location.clone(), json!({"version": MAP_VERSION, "layers": {}}))).collect();
-    staging.write(&Path::new(MAPS).join(MAP_LIST), &format!("{:#}\n", json!(list))).map_err(io_failed)?;
+    staging.write(&Path::new(MAPS).join(MAPS_INDEX), &format!("{:#}\n", json!(list))).map_err(io_failed)?;
     staging.finish().map_err(io_failed)?;
     Ok(Exported { data: folder.join(DATA), maps: folder.join(MAPS), logs })
 }

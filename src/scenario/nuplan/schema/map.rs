@@ -83,6 +83,9 @@ pub(in super::super) const GENERIC_DRIVABLE_AREAS: Table =
 pub(in super::super) const META: Table =
     Table::new("meta", "fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, *key TEXT, *value TEXT");
 
+/// The list of locations in a maps folder.
+pub const MAPS_INDEX: &str = "nuplan-maps-v1.0.json";
+
 /// The row of [`META`] that names the projection.
 pub(in super::super) const PROJECTION_KEY: &str = "projectedCoordSystem";
 

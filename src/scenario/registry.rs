@@ -1,0 +1,106 @@
+//! The registry of scenario readers: which scenarios a word of the command line names.
+//!
+//! A reader is one folder of this stage and one line of [`READERS`]; a program adds its own by [`Readers::with`].
+
+#[cfg(feature = "argoverse2")]
+use super::argoverse2;
+use super::generator;
+#[cfg(feature = "nuplan")]
+use super::nuplan;
+use super::reader::{DataRoots, OnProgress, ReaderError, Recognition, ScenarioReader, ScenarioRef, absolute_path};
+use super::split::Split;
+#[cfg(feature = "womd")]
+use super::womd;
+use std::fmt;
+use std::path::Path;
+
+/// The readers of this package. In a folder that several of them read, their scenarios stand in this order.
+const READERS: &[fn(&DataRoots) -> Box<dyn ScenarioReader>] = &[
+    |_| Box::new(generator::GeneratedReader),
+    #[cfg(feature = "womd")]
+    |_| Box::new(womd::WomdReader),
+    #[cfg(feature = "argoverse2")]
+    |_| Box::new(argoverse2::Argoverse2Reader),
+    #[cfg(feature = "nuplan")]
+    |roots| Box::new(nuplan::NuPlanReader::new(roots.clone())),
+];
+
+/// The readers of a program, with the maps and notes that they keep.
+pub struct Readers {
+    readers: Vec<Box<dyn ScenarioReader>>,
+}
+
+impl Readers {
+    /// The readers of this package. Nothing is read yet.
+    pub fn new(roots: &DataRoots) -> Self {
+        Self { readers: READERS.iter().map(|reader| reader(roots)).collect() }
+    }
+
+    /// With one more reader.
+    #[must_use]
+    pub fn with(mut self, reader: impl ScenarioReader + 'static) -> Self {
+        self.readers.push(Box::new(reader));
+        self
+    }
+
+    /// The reader that takes a word: the first certain one, else the first possible one.
+    fn reader_of(&self, word: &str) -> Option<&dyn ScenarioReader> {
+        let first = |wanted| self.readers.iter().find(|reader| reader.recognizes(word) == wanted);
+        first(Recognition::Certain).or_else(|| first(Recognition::Possible)).map(|reader| &**reader)
+    }
+
+    /// All scenarios that a word of the command line names: those of the reader that takes it, else those that all readers
+    /// find in the folder of that name.
+    pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
+        let path = Path::new(word);
+        if let Some(reader) = self.reader_of(word) {
+            return reader.list(word);
+        }
+        if !path.is_dir() {
+            let path = path.to_owned();
+            return Err(if path.exists() { ReaderError::UnknownFile(path) } else { ReaderError::Missing(path) });
+        }
+        let (mut all, mut looked_for) = (Vec::new(), Vec::new());
+        for reader in &self.readers {
+            if let Some(files) = reader.looks_for() {
+                all.extend(reader.list(word)?);
+                looked_for.push(format!("no {files}"));
+            }
+        }
+        match all.first() {
+            None => Err(ReaderError::Empty { path: path.to_owned(), looked_for }),
+            Some(first) => match first.fault() {
+                Some(fault) if all.iter().all(|one| one.fault().is_some()) => {
+                    Err(ReaderError::Unreadable(fault.to_owned()))
+                }
+                _ => Ok(all),
+            },
+        }
+    }
+
+    /// The word by which the same scenarios are found from any working directory.
+    pub fn absolute_word(&self, word: &str) -> String {
+        self.reader_of(word).map_or_else(|| absolute_path(word), |reader| reader.absolute_word(word))
+    }
+
+    /// The names of all splits.
+    pub fn splits(&self) -> Vec<&'static str> {
+        self.readers.iter().flat_map(|reader| reader.splits()).collect()
+    }
+
+    /// The scenarios of a split; `None` when no reader knows the name.
+    pub fn split(&self, name: &str, on_progress: OnProgress<'_>) -> Option<Result<Split, ReaderError>> {
+        self.readers.iter().find_map(|reader| reader.split(name, on_progress))
+    }
+
+    /// What a user should know about the data that was read since the last call.
+    pub fn take_notes(&self) -> Vec<String> {
+        self.readers.iter().flat_map(|reader| reader.take_notes()).collect()
+    }
+}
+
+impl fmt::Debug for Readers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Readers({})", self.readers.len())
+    }
+}
