@@ -158,7 +158,9 @@ fn products(shape: &Shape, format: WeightFormat, tokens: usize) -> Option<Pairs>
         return None;
     }
     let mut sum = Pairs::default();
-    matrices.into_iter().for_each(|matrix| sum.add(product(format, matrix, tokens)));
+    for matrix in matrices {
+        sum.add(product(format, matrix, tokens));
+    }
     Some(sum)
 }
 

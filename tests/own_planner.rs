@@ -15,7 +15,7 @@ use std::sync::Mutex;
 struct Crawler(SimplePlanner);
 
 impl Planner for Crawler {
-    fn name(&self) -> &str {
+    fn name(&self) -> &'static str {
         "crawler"
     }
 

@@ -22,7 +22,7 @@ pub struct Architecture(&'static Family);
 
 impl Default for Families {
     fn default() -> Self {
-        Self(BUILT_IN.iter().map(|family| Architecture(*family)).collect())
+        Self(BUILT_IN.iter().map(|family| Architecture(family)).collect())
     }
 }
 
@@ -51,12 +51,11 @@ impl Families {
         let json = files.required_json("config.json")?;
         let path = files.path("config.json");
         let root = ConfigObject::root(&path, &json)?;
-        let (key, found) = match root.value("model_type")? {
-            Some(name) => ("model_type", Some(name)),
-            None => {
-                let names: Option<Vec<String>> = root.value("architectures")?;
-                ("architectures", names.and_then(|names| names.into_iter().next()))
-            }
+        let (key, found) = if let Some(name) = root.value("model_type")? {
+            ("model_type", Some(name))
+        } else {
+            let names: Option<Vec<String>> = root.value("architectures")?;
+            ("architectures", names.and_then(|names| names.into_iter().next()))
         };
         let Some(found) = found else {
             return Err(root.error("model_type", "is missing, and architectures names no model either"));

@@ -19,6 +19,9 @@ use super::gguf::GgufLayout;
 use super::text::ChatTokenizer;
 use super::{MllmError, Turn};
 
+/// A model, or why it cannot be opened.
+pub type OpenedModel = Result<Box<dyn VisionLanguageModel>, MllmError>;
+
 /// A family of vision-language models. `families.rs` lists those that are built in.
 #[derive(Clone, Copy)]
 pub struct Family {
@@ -35,7 +38,7 @@ pub struct Family {
     /// Reads the configuration of the decoder.
     pub decoder_config: fn(&ModelFiles) -> Result<LlamaConfig, MllmError>,
     /// Opens the configuration and the preprocessor, and takes the weights.
-    pub open: fn(&ModelFiles, &mut Weights) -> Result<Box<dyn VisionLanguageModel>, MllmError>,
+    pub open: fn(&ModelFiles, &mut Weights) -> OpenedModel,
 }
 
 impl Debug for Family {

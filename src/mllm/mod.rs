@@ -56,7 +56,9 @@ pub use endpoint_settings::{EndpointSettings, GrammarField, LimitField};
 pub use error::{EndpointFailure, MllmError};
 pub use export::{CreateFile, GgufPart, export_model};
 pub use families::{Architecture, Families};
-pub use family::{Chat, ChatFormat, Family, LanguageModel, ModelInfo, Positions, Tiles, VisionLanguageModel};
+pub use family::{
+    Chat, ChatFormat, Family, LanguageModel, ModelInfo, OpenedModel, Positions, Tiles, VisionLanguageModel,
+};
 pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, ProbeDescription, Step, StepTime};
 pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};

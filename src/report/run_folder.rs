@@ -233,5 +233,5 @@ pub(super) fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, ReportErr
 /// The first `runs/NNNN` that does not exist.
 fn next_free() -> PathBuf {
     let path = |number: u32| Path::new(RUNS).join(format!("{number:04}"));
-    (1..).map(path).find(|path| !path.exists()).unwrap_or_else(|| path(u32::MAX))
+    (1..u32::MAX).map(path).find(|path| !path.exists()).unwrap_or_else(|| path(u32::MAX))
 }

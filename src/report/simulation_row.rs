@@ -100,7 +100,7 @@ impl SimulationRow {
             challenge: record.challenge,
             error: record.outcome.as_ref().err().cloned(),
             score: score.map(|score| positive_zero(score.value)),
-            zeroed_by: score.map_or_else(Vec::new, |score| score.zero_multipliers().map(|m| m.to_string()).collect()),
+            zeroed_by: score.map_or_else(Vec::new, |score| score.zero_multipliers().map(ToString::to_string).collect()),
             planning_calls: calls.len() - gated_calls,
             gated_calls,
             rethinks: calls.iter().map(PlanningCall::rethinks).sum(),

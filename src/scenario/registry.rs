@@ -14,8 +14,10 @@ use super::womd;
 use std::fmt;
 use std::path::Path;
 
+type BuildReader = fn(&DataRoots) -> Box<dyn ScenarioReader>;
+
 /// The readers of this package. In a folder that several of them read, their scenarios stand in this order.
-const READERS: &[fn(&DataRoots) -> Box<dyn ScenarioReader>] = &[
+const READERS: &[BuildReader] = &[
     |_| Box::new(generator::GeneratedReader),
     #[cfg(feature = "womd")]
     |_| Box::new(womd::WomdReader),

@@ -46,7 +46,7 @@ fn tasks() -> Vec<SimulationTask> {
 
 fn simulate() -> Vec<Simulation> {
     let mut config = Config::default();
-    config.mllm.model = concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano.toml").to_owned();
+    concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano.toml").clone_into(&mut config.mllm.model);
     let agent = load_model(&config, &silent()).unwrap().agent_parts(&config);
     let (tasks, done) = (tasks(), Mutex::new(Vec::new()));
     let numbers: Vec<usize> = (0..tasks.len()).collect();

@@ -68,7 +68,7 @@ fn candle_deviation(layers: usize, reference: &Reference) -> [f32; 2] {
     ids.dedup_by(|second, first| *first == IMAGE_TOKEN && *second == IMAGE_TOKEN);
     let count = ids.len();
     let ids = Tensor::from_vec(ids, (1, count), &Device::Cpu).unwrap();
-    let inputs = model.prepare_inputs_labels_for_multimodal(&ids, &[pixels.clone()], &[(32, 32)]).unwrap();
+    let inputs = model.prepare_inputs_labels_for_multimodal(&ids, std::slice::from_ref(pixels), &[(32, 32)]).unwrap();
     let mut cache = Cache::new(false, DType::F32, &config.to_llama_config(), &Device::Cpu).unwrap();
     let logits = model.forward(&inputs, 0, &mut cache).unwrap();
     let expected = reference.tensor("logits");

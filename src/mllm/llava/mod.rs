@@ -34,7 +34,7 @@ const NAME: &str = "llava";
 pub(crate) const FAMILY: Family = Family {
     name: NAME,
     config_names: &["llava", "LlavaForConditionalGeneration"],
-    canonical_name,
+    canonical_name: |stored| Some(canonical_name(stored)),
     gguf: Ok(&LlavaGguf {
         next: false,
         model_type: "llava",
@@ -47,7 +47,7 @@ pub(crate) const FAMILY: Family = Family {
 };
 
 /// The names of all layouts that transformers has written, as those of its version 5 without the `model.` prefix.
-pub(crate) fn canonical_name(stored: &str) -> Option<String> {
+pub(crate) fn canonical_name(stored: &str) -> String {
     let name = stored.strip_prefix("model.").unwrap_or(stored);
     let renamed = [
         ("vision_tower.vision_model.", "vision_tower."),
@@ -56,7 +56,7 @@ pub(crate) fn canonical_name(stored: &str) -> Option<String> {
     ]
     .into_iter()
     .find_map(|(from, to)| name.strip_prefix(from).map(|rest| format!("{to}{rest}")));
-    Some(renamed.unwrap_or_else(|| name.to_string()))
+    renamed.unwrap_or_else(|| name.to_string())
 }
 
 /// A LLaVA model.
@@ -177,7 +177,7 @@ mod tests {
             ("model.multi_modal_projector.linear_1.bias", "multi_modal_projector.linear_1.bias"),
             ("model.image_newline", "image_newline"),
         ] {
-            assert_eq!(canonical_name(name).as_deref(), Some(canonical));
+            assert_eq!(canonical_name(name), canonical);
         }
     }
 }

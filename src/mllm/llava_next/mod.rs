@@ -30,7 +30,7 @@ const NAME: &str = "llava-next";
 pub(crate) const FAMILY: Family = Family {
     name: NAME,
     config_names: &["llava_next", "LlavaNextForConditionalGeneration"],
-    canonical_name,
+    canonical_name: |stored| Some(canonical_name(stored)),
     gguf: Ok(&LlavaGguf {
         next: true,
         model_type: "llava_next",

@@ -127,7 +127,8 @@ pub(super) fn split_id(id: &str) -> Option<(&str, &str)> {
     id.split_once('/').filter(|(owner, name)| valid(owner) && valid(name))
 }
 
-#[cfg(all(test, feature = "hub"))]
+#[cfg(test)]
+#[cfg(feature = "hub")]
 mod tests {
     use super::*;
 

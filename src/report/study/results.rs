@@ -229,7 +229,7 @@ impl ResultSource<'_> {
         let calls: usize = completed.clone().map(|row| row.planning_calls).sum();
         VariantResults {
             name: self.study.name_of(variant),
-            planner: variant.planner.to_string(),
+            planner: variant.planner.clone(),
             settings: variant.settings.clone(),
             run,
             not_simulated,

@@ -11,6 +11,6 @@ impl Table {
         };
         let rules: Vec<String> = self.alignment.iter().map(rule).collect();
         let lines = [&self.headers, &rules].into_iter().chain(&self.rows);
-        lines.map(|cells| format!("| {} |\n", cells.join(" | "))).collect()
+        lines.flat_map(|cells| ["| ".to_owned(), cells.join(" | "), " |\n".to_owned()]).collect()
     }
 }

@@ -5,6 +5,7 @@ use crate::metrics::MetricList;
 use crate::report::number::fixed;
 use crate::report::simulation_row::SimulationRow;
 use console::style;
+use std::fmt::Write;
 
 /// Maximum number of rows; `summary.json` has all simulations.
 const MAX_ROWS: usize = 60;
@@ -18,7 +19,8 @@ pub(super) fn table(rows: &[SimulationRow], list: MetricList) -> String {
     let left_out = completed().count() - table.rows.len();
     let mut text = table.terminal_below_names();
     if left_out > 0 {
-        text.push_str(&format!("\nand {left_out} more simulations in summary.json"));
+        // Writing to a string cannot fail.
+        let _ = write!(text, "\nand {left_out} more simulations in summary.json");
     }
     text
 }

@@ -192,7 +192,7 @@ impl Fields {
             log_names: list("log_names", self.log_names)?,
             map_names: list("map_names", self.map_names)?,
             num_scenarios_per_type: self.num_scenarios_per_type.map(NonZeroUsize::get),
-            limit_total_scenarios: self.limit_total_scenarios.map(limit).transpose()?,
+            limit_total_scenarios: self.limit_total_scenarios.as_ref().map(limit).transpose()?,
             timestamp_threshold_s: amount("timestamp_threshold_s", self.timestamp_threshold_s)?,
             ego_displacement_minimum_m: amount("ego_displacement_minimum_m", self.ego_displacement_minimum_m)?,
             remove_invalid_goals: self.remove_invalid_goals.unwrap_or_default(),
@@ -251,13 +251,13 @@ fn amount(key: &'static str, value: Field<f64>) -> Result<Option<f64>, Fault> {
     }
 }
 
-fn limit(value: Spanned<TotalLimit>) -> Result<Limit, Fault> {
+fn limit(value: &Spanned<TotalLimit>) -> Result<Limit, Fault> {
     match value.value {
         TotalLimit::Count(count) => Ok(Limit::Count(count.get())),
         TotalLimit::Share(share) if share > 0.0 && share < 1.0 => Ok(Limit::Fraction(share)),
         TotalLimit::Share(_) => {
             let expected = "a whole number above 0, a share between 0.0 and 1.0, or null";
-            Err((line_of(&value), FilterFault::Value { key: "limit_total_scenarios", expected }))
+            Err((line_of(value), FilterFault::Value { key: "limit_total_scenarios", expected }))
         }
     }
 }

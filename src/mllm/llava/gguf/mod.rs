@@ -14,6 +14,9 @@ use crate::mllm::checkpoint::{ModelFiles, read_json};
 use crate::mllm::gguf::{Entries, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, tokenizer};
 use crate::mllm::vision::{PixelScale, read_processor};
 
+/// The configuration, and of a LLaVA-NeXT the resolutions (height, width) of its grids.
+type Configured = (LlavaConfig, Option<Vec<[u32; 2]>>);
+
 /// The files of a LLaVA or a LLaVA-NeXT.
 pub(crate) struct LlavaGguf {
     /// Whether the tower has the newline of LLaVA-NeXT.
@@ -22,8 +25,8 @@ pub(crate) struct LlavaGguf {
     pub model_type: &'static str,
     /// The `image_processor_type` of the preprocessor.
     pub image_processor: &'static str,
-    /// Reads the configuration, and of a LLaVA-NeXT the resolutions (height, width) of its grids.
-    pub config: fn(&ModelFiles) -> Result<(LlavaConfig, Option<Vec<[u32; 2]>>), MllmError>,
+    /// Reads the configuration.
+    pub config: fn(&ModelFiles) -> Result<Configured, MllmError>,
 }
 
 impl GgufLayout for LlavaGguf {

@@ -81,7 +81,7 @@ pub(crate) trait Simd: Copy + Send + Sync {
         self.store(a, &mut lanes);
         fold(lanes, |a, b| a + b)
     }
-    /// The max_lane lane.
+    /// The largest lane.
     #[inline(always)]
     fn max_lane(self, a: Self::Floats) -> f32 {
         let mut lanes = [0.0; LANES];
