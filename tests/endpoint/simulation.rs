@@ -86,7 +86,7 @@ fn description(server: &Server, more: &str) -> String {
 }
 
 #[test]
-fn a_drive_goes_on_over_failures_of_every_kind() {
+fn a_simulation_continues_over_failures_of_every_kind() {
     // Each of these failures ends a planning call; the next request begins the next call.
     let server = Server::start(|number, _| match number {
         3 => Reaction::Hang(Vec::new()),
@@ -105,8 +105,8 @@ fn a_drive_goes_on_over_failures_of_every_kind() {
     let expected = [
         "",
         "complete answer",
-        "was closed",
-        "no chat completion",
+        "the connection ended",
+        "not a chat completion",
         "status 429",
         "status 503: come back later",
         "stream ended",
@@ -133,7 +133,7 @@ fn a_drive_goes_on_over_failures_of_every_kind() {
 }
 
 #[test]
-fn retries_make_a_drive_whole() {
+fn retries_complete_a_simulation() {
     let server = Server::start(|number, _| match number % 3 {
         0 => error("429 Too Many Requests", "Retry-After: 0\r\n", "slow down"),
         1 => Reaction::Send(Vec::new()),
@@ -152,7 +152,7 @@ fn retries_make_a_drive_whole() {
 }
 
 #[test]
-fn a_refused_key_fails_the_drive_and_a_missing_one_the_start() {
+fn a_refused_key_fails_the_simulation_and_a_missing_one_the_start() {
     let server = Server::always(|| error("401 Unauthorized", "", &format!("Incorrect API key provided: {KEY}")));
     let run = Run::with(&description(&server, ""), "");
     assert_eq!(run.code, 1, "{}", run.stderr);

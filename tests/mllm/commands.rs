@@ -49,7 +49,7 @@ fn a_model_is_checked_quantised_and_checked_again() {
     assert!(after["memory"]["weights"].as_u64() < before["memory"]["weights"].as_u64());
     // An existing file is not overwritten without --force.
     let again = planagent(&["models", "quantize", from, "--to", "q8_0", "--out", to]).assert().code(2);
-    assert!(String::from_utf8_lossy(&again.get_output().stderr).contains("--force replaces it"));
+    assert!(String::from_utf8_lossy(&again.get_output().stderr).contains("--force overwrites it"));
     planagent(&["models", "quantize", from, "--to", "f32", "--out", to, "--force", "--quiet"]).assert().success();
 }
 
@@ -59,12 +59,12 @@ fn what_cannot_be_done_says_why() {
         (
             &["models", "quantize", "nano", "--to", "q5_k", "--out", "x.gguf"][..],
             2,
-            "there are f32, f16, q8_0, q6_k, q4_k",
+            "choose one of f32, f16, q8_0, q6_k, q4_k",
         ),
         (&["models", "quantize", "nano", "--to", "q4_k", "--out", "x.bin"], 2, "FILE.gguf"),
-        (&["models", "fetch", "no-such-model"], 2, "no model \"no-such-model\""),
+        (&["models", "fetch", "no-such-model"], 2, "unknown model \"no-such-model\""),
         (&["models", "fetch", "llava-1.5-7b", "--offline"], 2, "not in the cache"),
-        (&["plan", "--model", "nowhere.gguf"], 2, "no model \"nowhere.gguf\""),
+        (&["plan", "--model", "nowhere.gguf"], 2, "unknown model \"nowhere.gguf\""),
     ] {
         let output = planagent(arguments).assert().code(code).get_output().stderr.clone();
         let text = String::from_utf8_lossy(&output).into_owned();

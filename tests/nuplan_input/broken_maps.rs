@@ -61,7 +61,7 @@ fn geometries() {
         ),
         (
             "UPDATE baseline_paths SET geom = CAST(substr(geom, 1, length(geom) - 8) || x'000000000000F87F' AS BLOB)",
-            ["table baseline_paths, fid ", "NaN or infinite"],
+            ["table baseline_paths, fid ", "is not finite"],
         ),
         (
             "UPDATE baseline_paths SET geom = (SELECT geom FROM lanes_polygons)",
