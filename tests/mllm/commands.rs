@@ -61,7 +61,7 @@ fn what_cannot_be_done_says_why() {
             2,
             "choose one of f32, f16, q8_0, q6_k, q4_k",
         ),
-        (&["models", "quantize", "nano", "--to", "q4_k", "--out", "x.bin"], 2, "FILE.gguf"),
+        (&["models", "quantize", "nano", "--to", "q4_k", "--out", "x.bin"], 2, "must end in .gguf"),
         (&["models", "fetch", "no-such-model"], 2, "unknown model \"no-such-model\""),
         (&["models", "fetch", "llava-1.5-7b", "--offline"], 2, "not in the cache"),
         (&["plan", "--model", "nowhere.gguf"], 2, "unknown model \"nowhere.gguf\""),
