@@ -159,7 +159,7 @@ fn percentile_90(sorted: &[f64]) -> f64 {
 pub struct MetricResult {
     /// nuPlan's name of the result (`metric_statistics_name`).
     pub name: String,
-    /// nuPlan's name of the metric that computed it (`metric_computator`); it differs from `name` for second results.
+    /// nuPlan's name of the metric that computed it (`metric_computator`); it differs from `name` for a metric with several results.
     pub computator: String,
     /// nuPlan's category.
     pub category: MetricCategory,

@@ -33,7 +33,7 @@ impl Families {
         self
     }
 
-    /// All shapes.
+    /// All families.
     pub fn iter(&self) -> impl Iterator<Item = Architecture> {
         self.0.iter().copied()
     }

@@ -38,7 +38,7 @@ pub(super) fn build(scene: &SceneView<'_>, node_length: f64) -> Result<LaneGraph
     Ok(LaneGraph { node_length, ego_speed: scene.ego.speed(), nodes, centerlines, agents })
 }
 
-/// The lane under the ego: of those of the route the best fitting, else of all.
+/// The best-fitting lane of the route under the ego, else the best-fitting lane of the map.
 fn ego_lane(scene: &SceneView<'_>) -> Option<LaneId> {
     let (map, pose) = (scene.map, scene.ego.center());
     let on_route: Vec<LaneId> = map

@@ -15,9 +15,9 @@ pub(super) type TileSums = [[f32; LANES]; TILES];
 /// A weight format in a product. A product goes span by span along the inputs: it unpacks the weights of a span once for all
 /// rows, and packs the activations once for all outputs.
 pub(super) trait Format {
-    /// Numbers of a row in a span.
+    /// Inputs in a span.
     const SPAN: usize;
-    /// Cache lines of a tile in a span.
+    /// Cache lines that hold the weights of a tile for one span.
     const LINES: usize;
     /// Words of a row's packed activations in a span. The rows of a batch alternate word by word.
     const WORDS: usize;

@@ -63,7 +63,7 @@ impl ModelRegistry {
         Self { models: models.into(), hub, loading: Loading::default(), listener: None }
     }
 
-    /// Sets the format of weights in memory; none for that of the files.
+    /// Sets the format of weights in memory; `None` keeps that of the files.
     pub fn with_quantize(mut self, quantize: Option<WeightFormat>) -> Self {
         self.loading.quantize = quantize;
         self
@@ -109,9 +109,12 @@ impl ModelRegistry {
         MllmError::UnknownModel { name: name.to_string(), models: self.models.clone(), known }
     }
 
-    /// Finds a model. `name` is, in this order: the name of a description, of an embedded model, the path of a description, a model folder or a GGUF
-    /// file, a hub id, or a hub id with a GGUF file (`org/name/file.gguf`). A model without a description gets the paper's
-    /// prompts.
+    /// Finds a model. `name` is, in this order:
+    /// 1. the name of a description, then of an embedded model,
+    /// 2. the path of a description, a model folder or a GGUF file,
+    /// 3. a hub id, or a hub id with a GGUF file (`org/name/file.gguf`).
+    ///
+    /// A model without a description gets the paper's prompts.
     ///
     /// # Errors
     /// When there is no such model, or its description is broken.
