@@ -313,6 +313,7 @@ fn broken_checkpoints_are_refused() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn broken_recordings_are_refused() {
     let Some(folder) = recordings() else { return };
     let whole = fs::read(folder.join("8799c31b5be1f312.tfrecord")).unwrap();
@@ -344,6 +345,7 @@ fn simulate_recordings(flags: &[&str]) -> Option<Vec<Value>> {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn log_replay_keeps_to_road_and_direction_on_every_recording() {
     for row in simulate_recordings(&["--planner", "log-replay"]).unwrap_or_default() {
         assert_eq!(row["drivable_area_compliance"], 1.0, "{row}");
@@ -352,6 +354,7 @@ fn log_replay_keeps_to_road_and_direction_on_every_recording() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn plan_agent_simulates_every_recording() {
     for row in simulate_recordings(&["--challenge", "both"]).unwrap_or_default() {
         assert!(row["planning_calls"].as_u64().unwrap() >= 3, "{row}");

@@ -81,6 +81,7 @@ fn motion() -> Option<Vec<Compared>> {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn motion_statistics() {
     assert_close(motion(), 8);
 }
@@ -106,6 +107,7 @@ fn comfort() -> Option<Vec<Compared>> {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn comfort_with_upstreams_bounds() {
     assert_close(comfort(), 1);
 }
@@ -135,6 +137,7 @@ fn collisions() -> Option<Vec<Compared>> {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn collisions_at_fault() {
     assert_close(collisions(), 7);
 }
@@ -159,6 +162,7 @@ fn times() -> Option<Vec<Compared>> {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn times_to_collision() {
     assert_close(times(), 5);
 }
@@ -179,6 +183,7 @@ fn beside_expert() -> Option<Vec<Compared>> {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn errors_beside_the_expert() {
     assert_close(beside_expert(), 4);
 }
@@ -217,6 +222,7 @@ fn plans() -> Option<Vec<Compared>> {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn plans_beside_the_expert() {
     assert_close(plans(), 5);
 }

@@ -138,6 +138,7 @@ fn same(found: f64, expected: &Value, tolerance: f64) -> bool {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn proposals_follow_the_recorded_roll_outs() {
     with_each(|record, case| {
         let plan = case.plan();
@@ -161,6 +162,7 @@ fn proposals_follow_the_recorded_roll_outs() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn simulated_states_are_the_recorded_ones() {
     with_each(|record, case| {
         let plan = case.plan();
@@ -177,6 +179,7 @@ fn simulated_states_are_the_recorded_ones() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn every_term_of_every_score_is_the_recorded_one() {
     with_each(|record, case| {
         let plan = case.plan();
@@ -217,6 +220,7 @@ fn off_the_record(trajectory: &Trajectory, record: &Value) -> f64 {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn what_is_driven_is_the_recorded_trajectory() {
     with_each(|record, case| {
         let plan = case.plan();
@@ -230,6 +234,7 @@ fn what_is_driven_is_the_recorded_trajectory() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn the_planner_finds_the_recorded_centreline_by_itself() {
     with_each(|record, case| {
         // In the curve the recorded headings are those of the circle, not of the chords that a map gives.

@@ -107,6 +107,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
     fn the_main_table_is_the_papers() {
         let Some(paper) = paper() else { return };
         let rows = rows(&paper, "tab: main_result");
@@ -130,6 +131,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
     fn the_other_tables_are_the_papers() {
         let Some(paper) = paper() else { return };
         for (label, study) in [

@@ -58,6 +58,7 @@ fn features_logits_and_greedy_tokens_are_those_of_the_references() {
 }
 
 #[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
 fn positions_are_those_of_the_larger_reference() {
     let Some(folder) = shared_reference("cogvlm") else {
         return;
