@@ -24,6 +24,7 @@ const STOPPING_VELOCITY: f64 = 0.2;
 /// Why a trajectory cannot be tracked.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
+#[non_exhaustive]
 pub enum TrackingError {
     #[error("the trajectory does not cover the step to be driven")]
     NotCovered(#[from] TrajectoryError),

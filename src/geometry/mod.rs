@@ -31,6 +31,7 @@ pub type Vector = nalgebra::Vector2<f64>;
 /// Why coordinates make no shape.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
+#[non_exhaustive]
 pub enum GeometryError {
     #[error("vertex {index} has a NaN or infinite coordinate: ({x}, {y})")]
     NotFinite { index: usize, x: f64, y: f64 },

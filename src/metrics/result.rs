@@ -33,6 +33,7 @@ impl MetricCategory {
 /// nuPlan's `metric_score_unit`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum ScoreUnit {
     /// A truth value; nuPlan says so of `driving_direction_compliance` too, which may be 0.5.
     Bool,
@@ -53,6 +54,7 @@ impl ScoreUnit {
 /// nuPlan's `MetricStatisticsType`, as far as its challenges use it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
+#[non_exhaustive]
 pub enum StatisticKind {
     /// Largest value.
     Max,

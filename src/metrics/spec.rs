@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 /// nuPlan's lists of metrics.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum MetricList {
     /// For the two closed-loop challenges.
     ClosedLoop,
@@ -15,6 +16,7 @@ pub enum MetricList {
 
 /// How a metric enters the score.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub enum Role {
     /// It multiplies the weighted mean.
     Multiplier,

@@ -22,6 +22,7 @@ const FALLBACK_LIMIT: f64 = 15.0;
 
 /// The source of an agent's planner codes.
 #[derive(Clone)]
+#[non_exhaustive]
 pub enum CodeSource {
     /// A vision-language model that reasons in rounds.
     #[allow(missing_docs)]

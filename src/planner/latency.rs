@@ -7,6 +7,7 @@ use std::time::Duration;
 
 /// How long a planning call lasts in simulated time. Written `"none"`, `"measured"` or a number of milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub enum Latency {
     /// No time passes: nuPlan's simulation waits for the planner.
     #[default]

@@ -3,6 +3,7 @@
 mod agent_state;
 mod attempts;
 mod clock;
+mod code_question;
 mod code_source;
 mod delayed;
 mod error;
@@ -10,8 +11,10 @@ mod gated;
 mod idm;
 mod latency;
 mod layer;
+mod layered;
 mod llm_assist;
 mod log_replay;
+mod model_input;
 mod monitored;
 mod name;
 mod pdm_closed;

@@ -2,25 +2,22 @@
 //! is executed until the next call.
 
 use super::agent_state::{ActivePlan, AgentState};
-use super::attempts::{AttemptLimits, Attempts, Question, Trial};
-use super::code_source::{CodeSource, Codes};
-use super::delayed::Delayed;
-use super::gated::Gated;
+use super::attempts::{AttemptLimits, Attempts};
+use super::code_question::{CodeQuestion, begins_lane_change};
+use super::code_source::CodeSource;
 use super::layer::AgentLayer;
-use super::monitored::Monitored;
+use super::layered::with_layers;
+use super::model_input::ModelInput;
 use super::record::{Decision, NoPlan, PlanningCall};
 use super::settings::{AfterMaxExec, PlanAgentSettings, ReflectionSettings};
 use super::stop::comfortable_stop;
-use super::{BevSource, Latency, PlannerError, PlannerInput, PlannerName};
-use crate::environment::text::{self, Description};
-use crate::environment::{BevView, LaneGraph, bev};
+use super::{BevSource, PlannerError, PlannerInput, PlannerName};
+use crate::environment::LaneGraph;
 use crate::mllm::{Deadline, image_hash, milliseconds};
 use crate::pdm::{TRAJECTORY_STEPS, emergency_brake, plan};
-use crate::reasoning::{Feedback, Names, PlannerCode, ReasoningError, ReasoningTrace, ScenarioPrompt};
+use crate::reasoning::ScenarioPrompt;
 use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
 use crate::world::{SceneView, Trajectory};
-use image::RgbImage;
-use std::sync::Arc;
 use std::time::Instant;
 
 /// PlanAgent: Environment Transformation, Reasoning Engine and Reflection in one planner.
@@ -46,43 +43,8 @@ impl PlanAgent {
 
     /// The agent with the layers that its settings ask for.
     pub fn layered(self) -> Box<dyn AgentLayer> {
-        let (monitor, call) = (self.settings.monitor(), self.settings.agent.clone());
-        let mut agent: Box<dyn AgentLayer> = Box::new(self);
-        if let Some(monitor) = monitor {
-            agent = Box::new(Monitored::new(agent, monitor));
-        }
-        if let Some(gate) = call.gate {
-            agent = Box::new(Gated::new(agent, gate));
-        }
-        if call.latency != Latency::None {
-            agent = Box::new(Delayed::new(agent, call.latency));
-        }
-        agent
-    }
-
-    /// Environment Transformation: the input of the model.
-    fn transform(&self, scene: &SceneView<'_>, graph: &LaneGraph) -> Result<ScenarioPrompt, PlannerError> {
-        let environment = &self.settings.environment;
-        let form = self.source.prompts().map(|prompts| prompts.forms().scene_text).filter(|_| environment.lane_graph);
-        let pixels = self.source.image_size().filter(|_| environment.bev);
-        Ok(ScenarioPrompt {
-            image: pixels.map(|pixels| self.bev(scene, pixels)).transpose()?.map(Arc::new),
-            text: form.map(|form| text::write(&Description::of(graph), form)),
-            names: Names::of(graph),
-            legend: bev::Palette::legend(),
-        })
-    }
-
-    fn bev(&self, scene: &SceneView<'_>, pixels: u32) -> Result<RgbImage, PlannerError> {
-        let view = BevView::new(pixels, self.settings.environment.view_m)
-            .map_err(|error| PlannerError::Failed { doing: "rendering the BEV image", source: Box::new(error) })?;
-        if !self.settings.environment.shuffled_bev {
-            return Ok(bev::render(scene, &view));
-        }
-        let missing = PlannerError::MissingPart { planner: self.state.name, part: "a source of shuffled BEV images" };
-        let shuffled = self.shuffled_bev.as_ref().ok_or(missing)?;
-        shuffled(self.settings.seed ^ scene.ego.time_us as u64, &view)
-            .map_err(|source| PlannerError::Failed { doing: "rendering a shuffled BEV image", source })
+        let settings = self.settings.clone();
+        with_layers(Box::new(self), &settings)
     }
 
     /// Reasoning and Reflection: the attempts, and the score of the active plan where it may be kept instead of a refused one.
@@ -166,7 +128,9 @@ impl AgentLayer for PlanAgent {
                 return Ok(None);
             }
         };
-        let prompt = self.transform(scene, &graph)?;
+        let Self { state, source, settings, shuffled_bev } = &*self;
+        let input = ModelInput { planner: state.name, source, settings, shuffled_bev: shuffled_bev.as_ref() };
+        let prompt = input.of(scene, &graph)?;
         let environment_ms = milliseconds(started.elapsed());
         let seed = self.settings.call_seed(iteration);
         let (attempts, active) = self.attempt((scene, &graph), &prompt, seed, deadline)?;
@@ -213,40 +177,4 @@ impl AgentLayer for PlanAgent {
         }
         Ok(rollout.to_trajectory(scene.ego)?)
     }
-}
-
-/// The planner codes of a planning call, and Reflection on their plans.
-struct CodeQuestion<'a> {
-    codes: Codes<'a>,
-    scene: &'a SceneView<'a>,
-    graph: &'a LaneGraph,
-    judge: Option<&'a Judge<'a>>,
-    state: &'a AgentState,
-    /// λ of plans that keep the lane, and of those that begin a lane change.
-    thresholds: (f64, f64),
-}
-
-impl Question for CodeQuestion<'_> {
-    type Answer = PlannerCode;
-    type Plan = IdmPlan;
-
-    fn ask(&mut self, feedback: Option<&Feedback>) -> Result<Option<ReasoningTrace<PlannerCode>>, ReasoningError> {
-        self.codes.next(feedback)
-    }
-
-    fn try_out(&mut self, code: PlannerCode) -> Result<Option<Trial<IdmPlan>>, PlannerError> {
-        let Some(plan) = self.state.builder.build(self.scene, self.graph, code)? else { return Ok(None) };
-        let (lane_kept, lane_changed) = self.thresholds;
-        let changes_lane = begins_lane_change(&plan, self.scene, self.graph, self.state);
-        let threshold = if changes_lane { lane_kept.max(lane_changed) } else { lane_kept };
-        let reflection = self.judge.map(|judge| judge.reflect(&plan, threshold)).transpose()?;
-        Ok(Some(Trial { path: plan.path().vertex_poses(), plan, reflection, threshold }))
-    }
-}
-
-/// Whether a plan is bound for another lane than the ego's and the active plan's.
-fn begins_lane_change(plan: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph, state: &AgentState) -> bool {
-    let bound_for = plan.lane_now(scene);
-    !graph.ego_lane().path.lanes.contains(&bound_for)
-        && state.active_plan().is_none_or(|active| active.lane_now(scene) != bound_for)
 }

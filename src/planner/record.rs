@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 /// The outcome of a planning call.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum Decision {
     /// The plan of this attempt (from 0) scored λ or more and becomes active.
     Execute(usize),
@@ -44,6 +45,7 @@ impl Decision {
 
 /// Why a planning call gave no new plan.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum NoPlan {
     /// The scene has no lane graph. The text says why.
     NoLaneGraph(String),
@@ -85,6 +87,7 @@ impl fmt::Display for NoPlan {
 
 /// One attempt: three rounds (one of LLM-ASSIST), an answer, its reflection. An interrupted attempt has fewer rounds and no answer.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Attempt {
     /// The rounds as they were asked and answered.
     pub rounds: Vec<RoundRecord>,
@@ -133,6 +136,7 @@ pub fn feedback(
 
 /// All attempts at one instant.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct PlanningCall {
     /// Iteration of the call.
     pub iteration: usize,

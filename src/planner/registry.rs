@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 /// What a planner is built from. Runs load a model only for a planner that needs one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum PlannerNeeds {
     /// Nothing but the scenario's map and route.
     Nothing,

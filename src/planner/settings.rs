@@ -10,6 +10,7 @@ use std::time::Duration;
 /// Which plan becomes active when all attempts were refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum AfterMaxExec {
     /// The last one (the paper).
     Last,

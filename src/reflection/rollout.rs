@@ -28,6 +28,7 @@ const PATH_MARGIN: f64 = 30.0;
 /// Which objects a plan follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum LeadPolicy {
     /// The named lead agent alone: exactly what the code says.
     Named,

@@ -21,6 +21,7 @@ pub(super) struct RunPlan {
 
 /// The results of a run whose simulations are all completed.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct RunResults {
     /// Its folder.
     pub folder: PathBuf,

@@ -225,6 +225,7 @@ impl Eq for ScenarioRef {}
 /// Why a word names no scenario, or a scenario cannot be opened.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
+#[non_exhaustive]
 pub enum ReaderError {
     /// What a reader says.
     #[error(transparent)]

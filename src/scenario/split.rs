@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 /// The scenarios of a list that has a name.
 #[derive(Debug, Clone, Default)]
+#[non_exhaustive]
 pub struct Split {
     /// Those that exist.
     pub scenarios: Vec<ScenarioRef>,

@@ -10,6 +10,7 @@ use std::str::FromStr;
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize, schemars::JsonSchema,
 )]
+#[non_exhaustive]
 pub enum Challenge {
     /// Closed loop with non-reactive agents: they replay the log.
     #[serde(rename = "closed_loop_nonreactive_agents")]

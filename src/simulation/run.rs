@@ -12,6 +12,7 @@ use std::time::Instant;
 
 /// The result of a simulation of N iterations.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct SimulationLog {
     /// The challenge.
     pub challenge: Challenge,

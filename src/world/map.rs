@@ -170,6 +170,7 @@ impl MapParts {
 /// Why layers make no map.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
+#[non_exhaustive]
 pub enum MapError {
     #[error("the map has no lanes")]
     NoLanes,

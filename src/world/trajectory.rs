@@ -46,6 +46,7 @@ impl From<&EgoState> for TrajectoryState {
 /// Why there is no such trajectory or state.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
+#[non_exhaustive]
 pub enum TrajectoryError {
     #[error("a trajectory needs at least 2 states, got {0}")]
     TooShort(usize),

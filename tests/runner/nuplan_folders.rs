@@ -2,7 +2,7 @@
 
 use super::simulations;
 use crate::cli::{planagent, read_json};
-use arrow::array::AsArray;
+use arrow_array::cast::AsArray;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use planagent::internals::scenario::generator::{Spec, generate, types};
 use planagent::internals::scenario::nuplan::export::{ExportSettings, Exported, write_scenarios};

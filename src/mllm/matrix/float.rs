@@ -1,6 +1,6 @@
 //! Products of f16 weights with f32 activations, summed in f32.
 
-use super::format::{Format, TILES, TileSums};
+use super::format::{Format, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
 
@@ -66,6 +66,31 @@ impl Format for F16 {
             for (sum, total) in sums.iter_mut().zip(totals) {
                 simd.store(total, sum);
             }
+        }
+    }
+
+    #[inline(always)]
+    fn multiply_row<S: Simd>(
+        simd: S,
+        tiles: [&[CacheLine]; TILES],
+        ahead: [&[CacheLine]; TILES],
+        _: &mut [Self::Block; TILES],
+        words: &[i32],
+        sums: &mut TileSums,
+    ) {
+        let mut totals = sums.each_ref().map(|sum| simd.load(sum));
+        let pairs = words.as_chunks::<2>().0.iter().zip(tiles[0]).zip(tiles[1]);
+        for (index, ((activations, first), second)) in pairs.enumerate() {
+            prefetch_part(simd, ahead, index, Self::LINES);
+            for (half, activation) in activations.iter().enumerate() {
+                let activation = simd.floats(f32::from_bits(activation.cast_unsigned()));
+                for (total, line) in totals.iter_mut().zip([first, second]) {
+                    *total = simd.mul_add(activation, simd.load_half(&line.halves(half)), *total);
+                }
+            }
+        }
+        for (sum, total) in sums.iter_mut().zip(totals) {
+            simd.store(total, sum);
         }
     }
 }

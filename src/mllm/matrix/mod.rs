@@ -40,9 +40,8 @@ pub struct Matrix {
 /// Consecutive rows of a matrix in one weight format.
 #[derive(Debug)]
 enum Segment {
-    /// f32 of shape (inputs, outputs). Candle's product transposes blocks of a matrix of shape (outputs, inputs), which
-    /// takes most of the time when decoding multiplies a single row.
-    Transposed(Tensor),
+    /// f32 of shape (outputs, inputs), multiplied by candle.
+    Tensor(Tensor),
     /// Any other weight format.
     Tiles(PackedTiles),
 }
@@ -100,7 +99,7 @@ impl Matrix {
     /// Takes an f32 tensor of shape (outputs, inputs).
     pub fn from_tensor(tensor: &Tensor) -> Result<Self> {
         let (outputs, inputs) = tensor.dims2()?;
-        Ok(Self { inputs, outputs, segments: vec![Arc::new(Segment::Transposed(tensor.t()?.contiguous()?))] })
+        Ok(Self { inputs, outputs, segments: vec![Arc::new(Segment::Tensor(tensor.contiguous()?))] })
     }
 
     /// Concatenates the outputs of matrices with the same inputs, so that one product replaces several. Their weight
@@ -191,9 +190,9 @@ impl Matrix {
             bail!("cannot multiply rows of {width} numbers with a matrix of {} inputs", self.inputs);
         }
         if let [segment] = self.segments.as_slice()
-            && let Segment::Transposed(weights) = &**segment
+            && let Segment::Tensor(weights) = &**segment
         {
-            let product = x.matmul(weights)?;
+            let product = x.matmul(&weights.t()?)?;
             let product = bias.map_or(Ok(product.clone()), |bias| product.broadcast_add(bias))?;
             return residual.map_or(Ok(product.clone()), |residual| residual + &product);
         }
@@ -228,21 +227,21 @@ impl Matrix {
 impl Segment {
     fn weight_format(&self) -> WeightFormat {
         match self {
-            Self::Transposed(_) => WeightFormat::F32,
+            Self::Tensor(_) => WeightFormat::F32,
             Self::Tiles(tiles) => tiles.weight_format(),
         }
     }
 
     fn outputs(&self) -> usize {
         match self {
-            Self::Transposed(weights) => weights.dims().last().copied().unwrap_or(0),
+            Self::Tensor(weights) => weights.dims().first().copied().unwrap_or(0),
             Self::Tiles(tiles) => tiles.outputs(),
         }
     }
 
     fn bytes(&self) -> usize {
         match self {
-            Self::Transposed(weights) => weights.elem_count() * size_of::<f32>(),
+            Self::Tensor(weights) => weights.elem_count() * size_of::<f32>(),
             Self::Tiles(tiles) => tiles.bytes(),
         }
     }
@@ -250,8 +249,8 @@ impl Segment {
     /// Appends another segment to this one, or returns it if their weight formats differ.
     fn append(&mut self, other: Arc<Self>) -> Result<Option<Arc<Self>>> {
         let appended = match (self, &*other) {
-            (Self::Transposed(weights), Self::Transposed(others)) => {
-                *weights = Tensor::cat(&[&*weights, others], 1)?.contiguous()?;
+            (Self::Tensor(weights), Self::Tensor(others)) => {
+                *weights = Tensor::cat(&[&*weights, others], 0)?;
                 true
             }
             (Self::Tiles(tiles), Self::Tiles(others)) => tiles.append(others),
@@ -263,21 +262,19 @@ impl Segment {
     fn write_blocks(&self, out: &mut dyn Write) -> io::Result<()> {
         match self {
             Self::Tiles(tiles) => tiles.write_blocks(out),
-            Self::Transposed(weights) => {
-                let mut row = vec![0.0; weights.dims().first().copied().unwrap_or(0)];
-                (0..self.outputs()).try_for_each(|index| {
-                    self.read_row(index, &mut row).map_err(io::Error::other)?;
-                    row.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
-                })
-            }
+            Self::Tensor(weights) => with_values(weights, |values| {
+                Ok(values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes())))
+            })
+            .map_err(io::Error::other)?,
         }
     }
 
     fn read_row(&self, index: usize, row: &mut [f32]) -> Result<()> {
         match self {
-            Self::Transposed(weights) => {
-                row.copy_from_slice(&weights.narrow(1, index, 1)?.flatten_all()?.to_vec1::<f32>()?);
-            }
+            Self::Tensor(weights) => with_values(&weights.get(index)?, |values| {
+                row.copy_from_slice(values);
+                Ok(())
+            })?,
             Self::Tiles(tiles) => tiles.read_row(index, row),
         }
         Ok(())
@@ -287,9 +284,9 @@ impl Segment {
     fn multiply(&self, x: &[f32], columns: &Columns<'_>) -> Result<()> {
         match self {
             Self::Tiles(tiles) => product::multiply(tiles, x, columns, Instructions::best()),
-            Self::Transposed(weights) => {
-                let inputs = weights.dim(0)?;
-                let product = Tensor::from_slice(x, (x.len() / inputs, inputs), &Device::Cpu)?.matmul(weights)?;
+            Self::Tensor(weights) => {
+                let inputs = weights.dim(1)?;
+                let product = Tensor::from_slice(x, (x.len() / inputs, inputs), &Device::Cpu)?.matmul(&weights.t()?)?;
                 with_values(&product, |product| {
                     columns.add_all(product);
                     Ok(())

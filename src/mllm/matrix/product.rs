@@ -189,15 +189,35 @@ struct Product<'a, F> {
     format: PhantomData<F>,
 }
 
+impl<'a, F: Format> Product<'a, F> {
+    /// The lines of a span of a tile of a pair of tiles; fewer, or none, at the end.
+    #[inline(always)]
+    fn span(&self, pair: usize, span: usize, tile: usize) -> &'a [CacheLine] {
+        let tile = self.lines.chunks_exact(self.tile_lines).nth(pair * TILES + tile).unwrap_or_default();
+        tile.chunks(F::LINES).nth(span).unwrap_or_default()
+    }
+}
+
 impl<F: Format> Kernel for Product<'_, F> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let rows = self.words.len() / self.row_words;
         let mut blocks: [F::Block; TILES] = std::array::from_fn(|_| F::zeros());
         let mut sums = vec![[[0.0; LANES]; TILES]; rows];
+        let spans = self.row_words / F::WORDS;
         for (index, pair) in self.lines.chunks(TILES * self.tile_lines).enumerate() {
             sums.fill([[0.0; LANES]; TILES]);
-            for span in 0..self.row_words / F::WORDS {
+            for span in 0..spans {
+                if let [sums] = sums.as_mut_slice()
+                    && let tiles = [0, 1].map(|tile| self.span(index, span, tile))
+                    && tiles.iter().all(|lines| lines.len() == F::LINES)
+                {
+                    let next = if span + 1 < spans { (index, span + 1) } else { (index + 1, 0) };
+                    let ahead = [0, 1].map(|tile| self.span(next.0, next.1, tile));
+                    let words = &self.words[span * F::WORDS..][..F::WORDS];
+                    F::multiply_row(simd, tiles, ahead, &mut blocks, words, sums);
+                    continue;
+                }
                 for (tile, block) in pair.chunks_exact(self.tile_lines).zip(&mut blocks) {
                     let end = self.tile_lines.min((span + 1) * F::LINES);
                     for line in tile[end..].iter().skip(PREFETCH_LINES).take(F::LINES) {

@@ -3,7 +3,7 @@
 //! Activations are quantized to eight bits as ggml does it: with one scale a span for k-quants (`block_q8_K`), with one
 //! scale a run for `q8_0` (`block_q8_0`).
 
-use super::format::{Format, TILES, TileSums};
+use super::format::{Format, TILES, TileSums, prefetch_part};
 use super::line::{CacheLine, LANES};
 use super::simd::Simd;
 
@@ -44,7 +44,10 @@ trait Quantized {
 
     /// Word `index` of the activation sums, from the sums of every [`SUMMED`] activations.
     fn sum_word(sums: &[i32; SPAN / SUMMED], index: usize) -> i32;
-    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block);
+    /// The numbers of a step: four of each output, unsigned bytes. `lines` may end early: then zeros.
+    fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes;
+    /// Unpacks scales and minima. `lines` may end early: then zeros.
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block);
     /// The value that the sum of a run with this word of activation sums starts from.
     fn start<S: Simd>(simd: S, word: i32) -> S::Ints;
     /// Adds the products of four numbers of each output.
@@ -90,7 +93,10 @@ impl<Q: Quantized> Format for Q {
 
     #[inline(always)]
     fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        <Q as Quantized>::unpack(simd, lines, block);
+        for (step, numbers) in block.numbers.iter_mut().enumerate() {
+            simd.store_bytes(Q::numbers(simd, lines, step), numbers);
+        }
+        Q::unpack_scales(simd, lines, block);
     }
 
     #[inline(always)]
@@ -100,61 +106,94 @@ impl<Q: Quantized> Format for Q {
         words: &[i32],
         sums: &mut [TileSums; ROWS],
     ) {
-        let (rows, _) = words.as_chunks::<ROWS>();
-        let (numbers, rest) = rows.split_at(STEPS);
-        let (run_sums, scales) = rest.split_at(Q::SUM_WORDS);
-        let mut spans = [[simd.floats(0.0); TILES]; ROWS];
-        let steps = Q::RUN / 4;
-        for (run, numbers) in numbers.chunks_exact(steps).enumerate() {
-            let mut products = [[simd.ints(0); TILES]; ROWS];
-            if !Q::MINIMA {
-                for (products, word) in products.iter_mut().zip(&run_sums[run]) {
-                    *products = [Q::start(simd, *word); TILES];
-                }
+        let numbers = |step: usize| blocks.each_ref().map(|block| simd.bytes(&block.numbers[step]));
+        add_products::<Q, S, ROWS>(simd, blocks, numbers, |_| {}, words, sums);
+    }
+
+    #[inline(always)]
+    fn multiply_row<S: Simd>(
+        simd: S,
+        tiles: [&[CacheLine]; TILES],
+        ahead: [&[CacheLine]; TILES],
+        blocks: &mut [Block; TILES],
+        words: &[i32],
+        sums: &mut TileSums,
+    ) {
+        for (lines, block) in tiles.into_iter().zip(&mut *blocks) {
+            Q::unpack_scales(simd, lines, block);
+        }
+        let numbers = |step: usize| tiles.map(|lines| Q::numbers(simd, lines, step));
+        let prefetch = |run: usize| prefetch_part(simd, ahead, run, SPAN / Q::RUN);
+        add_products::<Q, S, 1>(simd, blocks, numbers, prefetch, words, std::array::from_mut(sums));
+    }
+}
+
+/// Adds the products of a span with `ROWS` rows to their sums. `numbers` gives the numbers of a step of both tiles; `begin` is called
+/// with the index of each run of numbers that share a scale.
+#[inline(always)]
+fn add_products<Q: Quantized, S: Simd, const ROWS: usize>(
+    simd: S,
+    blocks: &[Block; TILES],
+    numbers: impl Fn(usize) -> [S::Bytes; TILES],
+    begin: impl Fn(usize),
+    words: &[i32],
+    sums: &mut [TileSums; ROWS],
+) {
+    let (rows, _) = words.as_chunks::<ROWS>();
+    let (activations, rest) = rows.split_at(STEPS);
+    let (run_sums, scales) = rest.split_at(Q::SUM_WORDS);
+    let mut spans = [[simd.floats(0.0); TILES]; ROWS];
+    let steps = Q::RUN / 4;
+    for (run, activations) in activations.chunks_exact(steps).enumerate() {
+        begin(run);
+        let mut products = [[simd.ints(0); TILES]; ROWS];
+        if !Q::MINIMA {
+            for (products, word) in products.iter_mut().zip(&run_sums[run]) {
+                *products = [Q::start(simd, *word); TILES];
             }
-            for (step, activations) in numbers.iter().enumerate() {
-                let weights = blocks.each_ref().map(|block| simd.bytes(&block.numbers[run * steps + step]));
-                for (products, activations) in products.iter_mut().zip(activations) {
-                    for (product, weights) in products.iter_mut().zip(weights) {
-                        *product = Q::dot(simd, *product, weights, *activations);
-                    }
-                }
-            }
-            let weight_scales = blocks.each_ref().map(|block| simd.load(&block.scales[run]));
-            for (row, (span, products)) in spans.iter_mut().zip(products).enumerate() {
-                for ((span, product), weight_scale) in span.iter_mut().zip(products).zip(weight_scales) {
-                    let product = simd.to_floats(product);
-                    *span = if Q::SCALED == Q::RUN {
-                        let scale = simd.floats(float(scales[run][row]));
-                        simd.mul_add(simd.mul(product, scale), weight_scale, *span)
-                    } else {
-                        simd.mul_add(product, weight_scale, *span)
-                    };
+        }
+        for (step, activations) in activations.iter().enumerate() {
+            let weights = numbers(run * steps + step);
+            for (products, activations) in products.iter_mut().zip(activations) {
+                for (product, weights) in products.iter_mut().zip(weights) {
+                    *product = Q::dot(simd, *product, weights, *activations);
                 }
             }
         }
-        if Q::MINIMA {
-            let mut products = [[simd.ints(0); TILES]; ROWS];
-            for (pair, sums) in run_sums.iter().enumerate() {
-                let minima = blocks.each_ref().map(|block| simd.load_ints(&block.minima[pair]));
-                for (products, sum) in products.iter_mut().zip(sums) {
-                    for (product, minima) in products.iter_mut().zip(minima) {
-                        *product = simd.dot_pairs(*product, minima, *sum);
-                    }
-                }
+        let weight_scales = blocks.each_ref().map(|block| simd.load(&block.scales[run]));
+        for (row, (span, products)) in spans.iter_mut().zip(products).enumerate() {
+            for ((span, product), weight_scale) in span.iter_mut().zip(products).zip(weight_scales) {
+                let product = simd.to_floats(product);
+                *span = if Q::SCALED == Q::RUN {
+                    let scale = simd.floats(float(scales[run][row]));
+                    simd.mul_add(simd.mul(product, scale), weight_scale, *span)
+                } else {
+                    simd.mul_add(product, weight_scale, *span)
+                };
             }
-            let scales = blocks.each_ref().map(|block| simd.load(&block.minimum_scale));
-            for (span, products) in spans.iter_mut().zip(products) {
-                for ((span, product), scale) in span.iter_mut().zip(products).zip(scales) {
-                    *span = simd.mul_sub_from(simd.to_floats(product), scale, *span);
+        }
+    }
+    if Q::MINIMA {
+        let mut products = [[simd.ints(0); TILES]; ROWS];
+        for (pair, sums) in run_sums.iter().enumerate() {
+            let minima = blocks.each_ref().map(|block| simd.load_ints(&block.minima[pair]));
+            for (products, sum) in products.iter_mut().zip(sums) {
+                for (product, minima) in products.iter_mut().zip(minima) {
+                    *product = simd.dot_pairs(*product, minima, *sum);
                 }
             }
         }
-        for (row, (sums, span)) in sums.iter_mut().zip(spans).enumerate() {
-            let scale = simd.floats(if Q::SCALED == SPAN { float(scales[0][row]) } else { 1.0 });
-            for (sum, span) in sums.iter_mut().zip(span) {
-                simd.store(simd.mul_add(span, scale, simd.load(sum)), sum);
+        let scales = blocks.each_ref().map(|block| simd.load(&block.minimum_scale));
+        for (span, products) in spans.iter_mut().zip(products) {
+            for ((span, product), scale) in span.iter_mut().zip(products).zip(scales) {
+                *span = simd.mul_sub_from(simd.to_floats(product), scale, *span);
             }
+        }
+    }
+    for (row, (sums, span)) in sums.iter_mut().zip(spans).enumerate() {
+        let scale = simd.floats(if Q::SCALED == SPAN { float(scales[0][row]) } else { 1.0 });
+        for (sum, span) in sums.iter_mut().zip(span) {
+            simd.store(simd.mul_add(span, scale, simd.load(sum)), sum);
         }
     }
 }
@@ -204,16 +243,15 @@ impl Quantized for Q8_0 {
     }
 
     #[inline(always)]
-    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        let (groups, _) = lines.as_chunks::<17>();
-        block.scales = [[0.0; LANES]; SPAN / SUMMED];
-        for (index, group) in groups.iter().enumerate() {
-            for (step, line) in group[..16].iter().enumerate() {
-                simd.store_bytes(simd.bytes(line), &mut block.numbers[16 * index + step]);
-            }
-            for half in 0..2 {
-                simd.store(simd.load_half(&group[16].halves(half)), &mut block.scales[2 * index + half]);
-            }
+    fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
+        simd.bytes(lines.get(step / 16 * 17 + step % 16).unwrap_or(&CacheLine::ZERO))
+    }
+
+    #[inline(always)]
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+        for run in 0..8 {
+            let scales = lines.get(run / 2 * 17 + 16).unwrap_or(&CacheLine::ZERO);
+            simd.store(simd.load_half(&scales.halves(run % 2)), &mut block.scales[run]);
         }
     }
 
@@ -246,25 +284,22 @@ impl Quantized for Q6K {
     }
 
     #[inline(always)]
-    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
-        let Some(lines) = lines.first_chunk::<53>() else { return };
-        for part in 0..2 {
-            for step in 0..8 {
-                let high = simd.bytes(&lines[32 + 8 * part + step]);
-                let first = simd.bytes(&lines[16 * part + step]);
-                let second = simd.bytes(&lines[16 * part + 8 + step]);
-                let at = 32 * part + step;
-                let numbers = [
-                    simd.with_two_bits::<0>(simd.low(first), high),
-                    simd.with_two_bits::<1>(simd.low(second), high),
-                    simd.with_two_bits::<2>(simd.high(first), high),
-                    simd.with_two_bits::<3>(simd.high(second), high),
-                ];
-                for (run, numbers) in numbers.into_iter().enumerate() {
-                    simd.store_bytes(numbers, &mut block.numbers[at + 8 * run]);
-                }
-            }
+    fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
+        let Some(lines) = lines.first_chunk::<53>() else { return simd.bytes(&CacheLine::ZERO) };
+        let (part, run, step) = (step / 32, step / 8 % 4, step % 8);
+        let high = simd.bytes(&lines[32 + 8 * part + step]);
+        let low = simd.bytes(&lines[16 * part + run % 2 * 8 + step]);
+        match run {
+            0 => simd.with_two_bits::<0>(simd.low(low), high),
+            1 => simd.with_two_bits::<1>(simd.low(low), high),
+            2 => simd.with_two_bits::<2>(simd.high(low), high),
+            _ => simd.with_two_bits::<3>(simd.high(low), high),
         }
+    }
+
+    #[inline(always)]
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+        let Some(lines) = lines.first_chunk::<53>() else { return };
         let scale = simd.load_half(&lines[52].halves(0));
         for (run, scales) in block.scales.iter_mut().enumerate() {
             simd.store(simd.mul(scale, simd.load_signed(&lines[48 + run / 4].quarter(run % 4))), scales);
@@ -301,15 +336,15 @@ impl Quantized for Q4K {
     }
 
     #[inline(always)]
-    fn unpack<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
+    fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes {
+        let Some(lines) = lines.first_chunk::<36>() else { return simd.bytes(&CacheLine::ZERO) };
+        let both = simd.bytes(&lines[step / 16 * 8 + step % 8]);
+        if (step / 8).is_multiple_of(2) { simd.low(both) } else { simd.high(both) }
+    }
+
+    #[inline(always)]
+    fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block) {
         let Some(lines) = lines.first_chunk::<36>() else { return };
-        for pair in 0..4 {
-            for step in 0..8 {
-                let both = simd.bytes(&lines[8 * pair + step]);
-                simd.store_bytes(simd.low(both), &mut block.numbers[16 * pair + step]);
-                simd.store_bytes(simd.high(both), &mut block.numbers[16 * pair + 8 + step]);
-            }
-        }
         let packed: [[u8; LANES]; 12] = std::array::from_fn(|index| lines[33 + index / 4].quarter(index % 4));
         let (mut scales, mut minima) = ([[0; LANES]; 8], [[0; LANES]; 8]);
         for lane in 0..LANES {

@@ -2,10 +2,11 @@
 
 use crate::report::ReportError;
 use crate::report::atomic;
-use arrow::array::{
+use arrow_array::types::{Float64Type, Int64Type};
+use arrow_array::{
     ArrayRef, ArrowPrimitiveType, BooleanArray, Float64Array, Int64Array, ListArray, RecordBatch, StringArray,
 };
-use arrow::datatypes::{Field, Float64Type, Int64Type, Schema};
+use arrow_schema::{Field, Schema};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::Compression;
 use parquet::errors::ParquetError;

@@ -3,7 +3,7 @@
 use super::test_log::{ANNOTATIONS, CITY, Log, MAP, POSES, log, set, time_ns, with};
 use super::*;
 use crate::scenario::recording::error::{FileError, RecordingFault};
-use arrow::array::{Int64Array, StringArray};
+use arrow_array::{Int64Array, StringArray};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -55,7 +55,7 @@ fn short_logs_and_gaps_are_reported() {
     // All rows of sweep 10, of which there are three, are gone.
     for (_, array) in &mut gap.annotations {
         let parts = [array.slice(0, 35), array.slice(38, array.len() - 38)];
-        *array = arrow::compute::concat(&[&parts[0], &parts[1]]).unwrap();
+        *array = arrow_select::concat::concat(&[&parts[0], &parts[1]]).unwrap();
     }
     assert!(matches!(fault(&gap), RecordingFault::StepTime { step: 10, .. }));
 }

@@ -1,7 +1,7 @@
 //! Faults of Argoverse 2 logs.
 
 use crate::scenario::recording::error::{FileError, RecordingFault};
-use arrow::error::ArrowError;
+use arrow_schema::ArrowError;
 use parquet::errors::ParquetError;
 use std::io;
 

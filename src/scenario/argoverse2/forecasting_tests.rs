@@ -2,7 +2,7 @@
 
 use super::test_log::{CITY, Columns, crossing_map, set, with};
 use super::*;
-use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
+use arrow_array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
 use parquet::arrow::ArrowWriter;
 use std::fs::File;
 use std::sync::Arc;

@@ -3,8 +3,8 @@
 //! Arrow's reader trusts them and allocates what a damaged length says, which may abort the program.
 
 use super::error::LogFault;
-use arrow::ipc::reader::read_footer_length;
-use arrow::ipc::{Block, CompressionType, MessageHeader, RecordBatch, root_as_footer, root_as_message};
+use arrow_ipc::reader::read_footer_length;
+use arrow_ipc::{Block, CompressionType, MessageHeader, RecordBatch, root_as_footer, root_as_message};
 
 /// Length of the footer and the magic bytes behind it.
 const TAIL: usize = 10;

@@ -12,6 +12,7 @@
 
 mod annotations;
 mod category;
+mod cells;
 mod error;
 mod files;
 mod forecasting;

@@ -1,13 +1,12 @@
 //! Columns of Feather and Parquet tables with checked cells.
 
 use super::error::{Argoverse2Error, LogFault};
-use super::ipc_bounds;
+use super::{cells, ipc_bounds};
 use crate::scenario::recording::motion::MAX_COORDINATE;
-use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
-use arrow::compute::{cast, concat_batches};
-use arrow::datatypes::{DataType, Float64Type, Int64Type, SchemaRef};
-use arrow::error::ArrowError;
-use arrow::ipc::reader::FileReader;
+use arrow_array::{Array, RecordBatch};
+use arrow_ipc::reader::FileReader;
+use arrow_schema::{ArrowError, SchemaRef};
+use arrow_select::concat::concat_batches;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::errors::ParquetError;
 use std::fs::File;
@@ -64,46 +63,31 @@ impl Table {
 
     /// A column of integers without empty cells.
     pub(super) fn integers(&self, column: &'static str) -> Result<Vec<i64>, LogFault> {
-        let values = self.column(column, DataType::is_integer, &DataType::Int64, "integers")?;
-        Ok(values.as_primitive::<Int64Type>().values().to_vec())
+        self.column(column, cells::integers, "integers")
     }
 
     /// A column of finite numbers up to [`MAX_COORDINATE`], without empty cells.
     pub(super) fn numbers(&self, column: &'static str) -> Result<Vec<f64>, LogFault> {
-        let values = self.column(column, DataType::is_numeric, &DataType::Float64, "numbers")?;
-        let values = values.as_primitive::<Float64Type>().values().to_vec();
+        let values = self.column(column, cells::numbers, "numbers")?;
         in_range(column, values, |value| value.abs() <= MAX_COORDINATE)
     }
 
     /// A column of text without empty cells.
     pub(super) fn words(&self, column: &'static str) -> Result<Vec<String>, LogFault> {
-        let is_text = |kind: &DataType| matches!(kind, DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View);
-        let of_text = |kind: &DataType| match kind {
-            DataType::Dictionary(_, values) => is_text(values),
-            plain => is_text(plain),
-        };
-        let values = self.column(column, of_text, &DataType::Utf8, "text")?;
-        Ok(values.as_string::<i32>().iter().map(|word| word.unwrap_or_default().to_owned()).collect())
+        self.column(column, cells::words, "text")
     }
 
-    /// A column cast to `wanted`, without empty cells.
-    fn column(
+    /// A column without empty cells, by a function that gives nothing for another type of column.
+    fn column<T>(
         &self,
         column: &'static str,
-        suits: impl Fn(&DataType) -> bool,
-        wanted: &DataType,
+        read: impl Fn(&dyn Array) -> Option<Vec<Option<T>>>,
         needed: &'static str,
-    ) -> Result<ArrayRef, LogFault> {
+    ) -> Result<Vec<T>, LogFault> {
         let found = self.rows.column_by_name(column).ok_or(LogFault::NoColumn { column })?;
-        if !suits(found.data_type()) {
-            return Err(LogFault::WrongType { column, found: found.data_type().to_string(), needed });
-        }
-        // The cast makes a cell empty if its value does not fit.
-        let values = cast(found, wanted)?;
-        match (0..values.len()).find(|&row| values.is_null(row)) {
-            Some(row) => Err(LogFault::NoValue { column, row }),
-            None => Ok(values),
-        }
+        let wrong_type = || LogFault::WrongType { column, found: found.data_type().to_string(), needed };
+        let cells = read(found).ok_or_else(wrong_type)?.into_iter().enumerate();
+        cells.map(|(row, cell)| cell.ok_or(LogFault::NoValue { column, row })).collect()
     }
 }
 

@@ -1,9 +1,9 @@
 //! A synthetic log for the tests.
 
 use super::{Argoverse2Error, Scenario, open};
-use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
-use arrow::ipc::CompressionType;
-use arrow::ipc::writer::{FileWriter, IpcWriteOptions};
+use arrow_array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
+use arrow_ipc::CompressionType;
+use arrow_ipc::writer::{FileWriter, IpcWriteOptions};
 use serde_json::{Value, json};
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -143,15 +143,15 @@ pub(super) fn log(steps: usize) -> Log {
 }
 
 /// Puts another array in the place of a column.
-pub(super) fn set(columns: &mut Columns, name: &str, array: impl arrow::array::Array + 'static) {
+pub(super) fn set(columns: &mut Columns, name: &str, array: impl arrow_array::Array + 'static) {
     columns.iter_mut().find(|(column, _)| *column == name).unwrap().1 = Arc::new(array);
 }
 
 /// A column of numbers with one of them changed.
 pub(super) fn with(columns: &Columns, name: &str, row: usize, value: Option<f64>) -> Float64Array {
-    use arrow::array::AsArray;
+    use arrow_array::cast::AsArray;
     let column = &columns.iter().find(|(column, _)| *column == name).unwrap().1;
-    let mut values: Vec<Option<f64>> = column.as_primitive::<arrow::datatypes::Float64Type>().iter().collect();
+    let mut values: Vec<Option<f64>> = column.as_primitive::<arrow_array::types::Float64Type>().iter().collect();
     values[row] = value;
     Float64Array::from(values)
 }

@@ -4,7 +4,7 @@ use super::test_log::{CITY, line, log, set, time_ns, with};
 use super::*;
 use crate::geometry::Point;
 use crate::world::{Lane, LaneId, LaneKind, ObjectKind};
-use arrow::array::{Float64Array, Int64Array};
+use arrow_array::{Float64Array, Int64Array};
 
 fn lane_of(scenario: &Scenario, source_id: i64) -> &Lane {
     &scenario.map[scenario.map.lane_by_source(source_id).unwrap()]

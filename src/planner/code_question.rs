@@ -1,0 +1,46 @@
+//! The attempts of PlanAgent: planner codes, and Reflection on their plans.
+
+use super::PlannerError;
+use super::agent_state::AgentState;
+use super::attempts::{Question, Trial};
+use super::code_source::Codes;
+use crate::environment::LaneGraph;
+use crate::reasoning::{Feedback, PlannerCode, ReasoningError, ReasoningTrace};
+use crate::reflection::{IdmPlan, Judge};
+use crate::world::SceneView;
+
+/// The planner codes of a planning call, and Reflection on their plans.
+pub(super) struct CodeQuestion<'a> {
+    pub(super) codes: Codes<'a>,
+    pub(super) scene: &'a SceneView<'a>,
+    pub(super) graph: &'a LaneGraph,
+    pub(super) judge: Option<&'a Judge<'a>>,
+    pub(super) state: &'a AgentState,
+    /// λ of plans that keep the lane, and of those that begin a lane change.
+    pub(super) thresholds: (f64, f64),
+}
+
+impl Question for CodeQuestion<'_> {
+    type Answer = PlannerCode;
+    type Plan = IdmPlan;
+
+    fn ask(&mut self, feedback: Option<&Feedback>) -> Result<Option<ReasoningTrace<PlannerCode>>, ReasoningError> {
+        self.codes.next(feedback)
+    }
+
+    fn try_out(&mut self, code: PlannerCode) -> Result<Option<Trial<IdmPlan>>, PlannerError> {
+        let Some(plan) = self.state.builder.build(self.scene, self.graph, code)? else { return Ok(None) };
+        let (lane_kept, lane_changed) = self.thresholds;
+        let changes_lane = begins_lane_change(&plan, self.scene, self.graph, self.state);
+        let threshold = if changes_lane { lane_kept.max(lane_changed) } else { lane_kept };
+        let reflection = self.judge.map(|judge| judge.reflect(&plan, threshold)).transpose()?;
+        Ok(Some(Trial { path: plan.path().vertex_poses(), plan, reflection, threshold }))
+    }
+}
+
+/// Whether a plan is bound for another lane than the ego's and the active plan's.
+pub(super) fn begins_lane_change(plan: &IdmPlan, scene: &SceneView<'_>, graph: &LaneGraph, state: &AgentState) -> bool {
+    let bound_for = plan.lane_now(scene);
+    !graph.ego_lane().path.lanes.contains(&bound_for)
+        && state.active_plan().is_none_or(|active| active.lane_now(scene) != bound_for)
+}
