@@ -324,6 +324,12 @@ pub(super) struct ExportArguments {
     /// Name of the map [default: a digest of its content].
     #[arg(long, value_name = "NAME")]
     pub(super) location: Option<String>,
+    /// Also write empty maps for those of nuPlan's four locations that are missing: the devkit opens no folder without them.
+    #[arg(long)]
+    pub(super) stand_in_maps: bool,
+    /// Scenario type of all logs [default: that of each scenario].
+    #[arg(long, value_name = "TYPE")]
+    pub(super) scenario_type: Option<String>,
     /// UTM zone of the scenarios, as an EPSG code.
     #[arg(long, value_name = "CODE", default_value_t = 32_611)]
     pub(super) epsg: u32,

@@ -117,6 +117,9 @@ def check_relations(layers, wanted):
     def keys(name, column):
         return set(layers[name][column].astype(int))
 
+    # A NULL would make the column floating point, and the devkit looks the number up as text.
+    crossings = set(map(str, layers["lane_group_connectors"]["intersection_fid"])) - {"0"}
+    assert crossings <= set(layers["intersections"].index), crossings
     lanes, connectors = layers["lanes_polygons"], layers["lane_connectors"]
     assert (lanes["lane_fid"].astype(int) == lanes.index.astype(int)).all()
     assert keys("lanes_polygons", "lane_group_fid") <= ids("lane_groups_polygons")
@@ -231,6 +234,8 @@ def check_log(wanted, map_wanted):
     assert [int(word) for word in route["roadblock_ids"].split(" ")] == wanted["route"]
     x, y, heading = wanted["goal"]
     assert near(route["x"], x) and near(route["y"], y) and near(yaw(route["qw"], route["qz"]), heading)
+    for prev, following in connection.execute("SELECT prev_token, next_token FROM lidar_pc"):
+        assert len(prev) == 8 and len(following) == 8
     assert all(len(row[0]) == 8 for table in ("track", "lidar_box", "scene") for row in connection.execute(f"SELECT token FROM {table}"))
     assert connection.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
 

@@ -32,6 +32,20 @@ fn an_exported_scenario_is_found_in_its_folder() {
 }
 
 #[test]
+fn stand_in_maps_are_written_and_the_scenario_is_still_found() {
+    let home = tempfile::tempdir().unwrap();
+    let words = ["scenarios", "export", "generated/traversing_roundabout/1", "--format", "nuplan", "--out", "out"];
+    let flags = ["--stand-in-maps", "--scenario-type", "traversing_intersection"];
+    let (code, _, stderr) = run(home.path(), &[&words[..], &flags].concat());
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(std::fs::read_dir(home.path().join("out/maps")).unwrap().count(), 6, "the list, the map and four more");
+    let (code, stdout, stderr) = run(home.path(), &["scenarios", "show", "out/data", "--json"]);
+    assert_eq!(code, 0, "{stderr}");
+    let shown: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    assert_eq!((&shown["iterations"], &shown["scenario_type"]), (&151.into(), &"traversing_intersection".into()));
+}
+
+#[test]
 fn a_failed_export_leaves_nothing_behind() {
     let home = tempfile::tempdir().unwrap();
     let export = |words: &[&str]| {

@@ -4,7 +4,7 @@ use super::expert::Expert;
 use super::scene::setting::SETTLING;
 use super::traffic::Traffic;
 use crate::geometry::{Point, Vector, wrap_angle};
-use crate::scenario::Frame;
+use crate::scenario::{FUTURE_FRAMES, Frame};
 use crate::world::{
     EgoState, HISTORY_SAMPLES, LaneId, LaneMap, ObjectKind, PACIFICA, STEP_S, STEP_US, SignalStatus, TrackedObject,
     TrafficLights,
@@ -56,7 +56,7 @@ pub struct GeneratedLog {
 
 impl GeneratedLog {
     /// Runs the traffic and records it until a draw must be discarded.
-    pub(super) fn record(mut traffic: Traffic<'_>, mut expert: Expert) -> Result<Self, Discard> {
+    pub(super) fn record(traffic: &mut Traffic<'_>, expert: &mut Expert) -> Result<Self, Discard> {
         let map = traffic.roads.map.clone();
         let settling = (SETTLING / STEP_S).round() as usize;
         let mut log = Self {
@@ -73,15 +73,9 @@ impl GeneratedLog {
                 if *lights != now {
                     lights = Arc::new(now);
                 }
-                log.record_frame(&traffic, (step - settling) as i64 - PAST as i64, lights.clone())?;
+                log.record_frame(traffic, (step - settling) as i64 - PAST as i64, lights.clone())?;
             }
-            let (command, stop_s) = (expert.lane_command(&traffic), Expert::stop_s(&traffic));
-            traffic.movers[0].stop_s = stop_s;
-            let track = traffic.movers[0].track.clone();
-            traffic.step(command);
-            if !Arc::ptr_eq(&track, &traffic.movers[0].track) {
-                expert.note_change();
-            }
+            advance(traffic, expert);
         }
         Ok(log)
     }
@@ -93,32 +87,23 @@ impl GeneratedLog {
         lights: Arc<TrafficLights>,
     ) -> Result<(), Discard> {
         let ego = &traffic.movers[0];
-        if ego.gone || ego.track.length() < ego.front_s() + 25.0 {
-            return Err(Discard::RoadEnds);
-        }
-        let objects: Arc<[TrackedObject]> = traffic.objects(RECORDED_WITHIN).into();
-        let shape = ego.shape();
-        if objects.iter().any(|object| object.shape.overlaps(&shape)) {
-            return Err(Discard::Collision);
-        }
-        if iteration % 2 == 0 && collide(&objects, shape.center.position()) {
-            return Err(Discard::OthersCollide);
-        }
-        if !shape.corners().iter().all(|&corner| self.map.is_drivable(corner)) {
-            return Err(Discard::OffRoad);
-        }
-        let curvature = ego.path_curvature(ego.s);
-        let acceleration = Vector::new(ego.accel, curvature * ego.speed * ego.speed);
-        let time_us = START_US + iteration * STEP_US;
-        self.frames.push(Frame {
-            ego: EgoState::from_log(time_us, ego.pose(), Vector::new(ego.speed, 0.0), acceleration),
-            objects,
-            lights,
-        });
+        let (state, objects) = observe(traffic, &self.map, iteration)?;
+        self.frames.push(Frame { ego: state, objects, lights });
         self.lanes.push(ego.track.span_at(ego.s + PACIFICA.rear_axle_to_center()).lane);
-        self.curvatures.push(curvature);
+        self.curvatures.push(ego.path_curvature(ego.s));
         self.changing.push(ego.is_between_lanes());
         Ok(())
+    }
+
+    /// The ego after the last frame: the traffic runs on, for eight seconds or until the ego collides or leaves the roads.
+    pub(super) fn future(&self, traffic: &mut Traffic<'_>, expert: &mut Expert) -> Vec<EgoState> {
+        let mut future = Vec::with_capacity(FUTURE_FRAMES);
+        for step in 0..FUTURE_FRAMES {
+            let Ok((ego, _)) = observe(traffic, &self.map, (ITERATIONS + step) as i64) else { break };
+            future.push(ego);
+            advance(traffic, expert);
+        }
+        future
     }
 
     /// The frames from iteration 0 on, with their indices.
@@ -258,6 +243,39 @@ fn vehicles_within(frame: &Frame, reach: f64) -> usize {
     let near =
         |object: &&TrackedObject| object.kind == ObjectKind::Vehicle && object.shape.center.distance(&center) < reach;
     frame.objects.iter().filter(near).count()
+}
+
+/// One step of the traffic, with the expert as the ego's driver.
+fn advance(traffic: &mut Traffic<'_>, expert: &mut Expert) {
+    let (command, stop_s) = (expert.lane_command(traffic), Expert::stop_s(traffic));
+    traffic.movers[0].stop_s = stop_s;
+    let track = traffic.movers[0].track.clone();
+    traffic.step(command);
+    if !Arc::ptr_eq(&track, &traffic.movers[0].track) {
+        expert.note_change();
+    }
+}
+
+/// The ego and the objects around it, unless the draw must be discarded.
+fn observe(traffic: &Traffic<'_>, map: &LaneMap, iteration: i64) -> Result<(EgoState, Arc<[TrackedObject]>), Discard> {
+    let ego = &traffic.movers[0];
+    if ego.gone || ego.track.length() < ego.front_s() + 25.0 {
+        return Err(Discard::RoadEnds);
+    }
+    let objects: Arc<[TrackedObject]> = traffic.objects(RECORDED_WITHIN).into();
+    let shape = ego.shape();
+    if objects.iter().any(|object| object.shape.overlaps(&shape)) {
+        return Err(Discard::Collision);
+    }
+    if iteration % 2 == 0 && collide(&objects, shape.center.position()) {
+        return Err(Discard::OthersCollide);
+    }
+    if !shape.corners().iter().all(|&corner| map.is_drivable(corner)) {
+        return Err(Discard::OffRoad);
+    }
+    let acceleration = Vector::new(ego.accel, ego.path_curvature(ego.s) * ego.speed * ego.speed);
+    let time_us = START_US + iteration * STEP_US;
+    Ok((EgoState::from_log(time_us, ego.pose(), Vector::new(ego.speed, 0.0), acceleration), objects))
 }
 
 /// True if two objects near the ego overlap. Pedestrians may stand close together.

@@ -46,7 +46,7 @@ pub const DEFAULT: Spec = Spec::new(types::changing_lane::TYPE, 2);
 /// A generated scenario and the draws before it.
 #[derive(Debug, Clone)]
 pub struct Generated {
-    /// 2.1 s of history, then 15 s in which the expert controls the ego.
+    /// 2.1 s of history, then 15 s in which the expert controls the ego, then up to 8 s of the ego alone.
     pub scenario: Scenario,
     /// Why each earlier draw was discarded, in order.
     pub discarded: Vec<Discard>,
@@ -105,14 +105,16 @@ fn draw(spec: &Spec, rng: &mut SeededRng) -> Result<Scenario, Discard> {
     let (chain, ego_lane) = prepare(&mut roads, &setting, rng);
     let mut builder = TrafficBuilder::new(&roads, chain, ego_lane, &setting, rng).ok_or(Discard::Roads)?;
     (kind.populate)(&mut builder);
-    let (traffic, task) = builder.finish();
+    let (mut traffic, task) = builder.finish();
     if !rng.kept_situation() {
         return Err(Discard::OtherSituation);
     }
-    let log = GeneratedLog::record(traffic, Expert::new(task))?;
+    let mut expert = Expert::new(task);
+    let log = GeneratedLog::record(&mut traffic, &mut expert)?;
     if !(kind.shows)(&log) {
         return Err(Discard::OtherType);
     }
+    let future = log.future(&mut traffic, &mut expert);
     let goal = log.frames.last().map(|frame| frame.ego.center());
     Ok(Scenario {
         id: spec.to_string(),
@@ -122,6 +124,6 @@ fn draw(spec: &Spec, rng: &mut SeededRng) -> Result<Scenario, Discard> {
         route: Route { roadblocks: roads.route(), goal },
         frames: log.frames,
         start: PAST,
-        future: Vec::new(),
+        future,
     })
 }

@@ -27,8 +27,13 @@ pub(super) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Resu
 
 fn nuplan(arguments: &ExportArguments, scenarios: &[Scenario], printer: Printer) -> anyhow::Result<Exit> {
     let &[x, y] = arguments.origin.as_slice() else { bail!("--origin takes an easting and a northing") };
-    let settings =
-        ExportSettings { location: arguments.location.clone(), epsg: arguments.epsg, origin: Point::new(x, y) };
+    let settings = ExportSettings {
+        location: arguments.location.clone(),
+        epsg: arguments.epsg,
+        origin: Point::new(x, y),
+        scenario_type: arguments.scenario_type.clone(),
+        stand_in_maps: arguments.stand_in_maps,
+    };
     let exported = write_scenarios(scenarios, &arguments.out, &settings)?;
     for log in &exported.logs {
         printer.named(&log.log, &format!("token {}  map {}", log.token, log.location));

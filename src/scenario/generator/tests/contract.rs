@@ -133,3 +133,22 @@ fn a_car_on_a_joint_stands_on_drivable_ground() {
         }
     }
 }
+
+#[test]
+fn the_ego_after_the_end_goes_on_where_the_scenario_ends() {
+    let mut complete = 0;
+    for Generated { scenario, .. } in CORPUS.iter() {
+        let recorded: Vec<EgoState> = scenario.recorded().copied().collect();
+        for pair in recorded.windows(2) {
+            assert_eq!(pair[1].time_us - pair[0].time_us, STEP_US, "{}", scenario.id);
+            let moved = pair[0].rear_axle.distance(&pair[1].rear_axle);
+            let expected = f64::midpoint(pair[0].speed(), pair[1].speed()) * 0.1;
+            assert!((moved - expected).abs() < 0.05, "{}: {moved} m, expected {expected} m", scenario.id);
+        }
+        assert!(scenario.future.len() <= crate::scenario::FUTURE_FRAMES);
+        complete += usize::from(scenario.future.len() == crate::scenario::FUTURE_FRAMES);
+        eprintln!("{} {}", scenario.id, scenario.future.len());
+    }
+    // Where the roads end, so do the states.
+    assert!(complete * 10 >= CORPUS.len() * 7, "{complete} of {}", CORPUS.len());
+}

@@ -19,6 +19,9 @@ const TRAFFIC_LIGHT: i64 = 1;
 const STOP_SIGN: i64 = 2;
 /// and with neither.
 const PASS_THROUGH: i64 = 5;
+/// The intersection of a connector outside all intersections: their ids begin at 1. With NULL, pandas reads the column as
+/// floating point, and the devkit finds the intersection of no connector (`roadblock_connector.py`).
+const NO_INTERSECTION: i64 = 0;
 /// Lane type of nuPlan's enumeration: for vehicles.
 const VEHICLE_LANE: i64 = 0;
 
@@ -72,6 +75,12 @@ pub(super) fn layers(map: &LaneMap, graph: &mut Graph, place: &Placement) -> Res
     all.push(plain(schema::GENERIC_DRIVABLE_AREAS, map.generic_drivable())?);
     all.extend(schema::EMPTY_LAYERS.into_iter().map(LayerBuilder::new));
     Ok(all.into_iter().map(|filling| filling.0).collect())
+}
+
+/// All layers of a map that has nothing.
+pub(super) fn empty_layers() -> Vec<LayerRows> {
+    let all = schema::READ_LAYERS.into_iter().filter(|layer| *layer != schema::META).chain([schema::BOUNDARIES]);
+    all.chain(schema::EMPTY_LAYERS).map(|layer| LayerBuilder::new(layer).0).collect()
 }
 
 /// The layers that lanes and connectors share: baseline paths and borders.
@@ -172,7 +181,7 @@ fn connectors(
             ("exit_lane_group_fid", group_fid(exit_lane)),
             ("entry_lane_group_fid", group_fid(entry_lane)),
             ("lane_group_connector_fid", (*group).into()),
-            ("intersection_fid", intersection_of(map, centerline).into()),
+            ("intersection_fid", intersection_of(map, centerline).unwrap_or(NO_INTERSECTION).into()),
             ("speed_limit_mps", source.and_then(|lane| map[lane].speed_limit).into()),
             ("traffic_light_stop_line_fids", listed(&governing).into()),
             ("bulb_fids", String::new().into()),
@@ -210,7 +219,7 @@ fn groups(
         let first = graph.connectors.iter().find(|connector| connector.group == row.fid);
         let intersection = first.and_then(|connector| intersection_of(map, &connector.centerline));
         let mut values = vec![
-            ("intersection_fid", intersection.into()),
+            ("intersection_fid", intersection.unwrap_or(NO_INTERSECTION).into()),
             ("from_lane_group_fid", row.from.into()),
             ("to_lane_group_fid", row.to.into()),
         ];

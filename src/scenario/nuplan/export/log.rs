@@ -8,7 +8,7 @@ use crate::scenario::nuplan::schema::{
     CATEGORY, CHANNEL, EGO_POSE, LIDAR, LIDAR_BOX, LIDAR_PC, LOG, LOG_INDICES, LOG_TABLES, SCENARIO_TAG, SCENE, TRACK,
     TRAFFIC_LIGHT_STATUS,
 };
-use crate::scenario::nuplan::token::Token;
+use crate::scenario::nuplan::token::{TOKEN_BYTES, Token};
 use crate::world::{EgoState, LaneId, MICROS_PER_SECOND, ObjectKind, TrackToken, TrackedObject};
 use jiff::Timestamp;
 use rusqlite::types::Null;
@@ -20,6 +20,8 @@ use std::path::Path;
 const NO_TRANSLATION: &[u8] = b"(lp0\nF0.0\naF0.0\naF0.0\na.";
 /// Python pickle (protocol 0) of `[1.0, 0.0, 0.0, 0.0]`: a quaternion without rotation.
 const NO_ROTATION: &[u8] = b"(lp0\nF1.0\naF0.0\naF0.0\naF0.0\na.";
+/// Written where a row has no neighbor: the devkit fails on NULL there (`lidar_pc.py`, `from_db_row`).
+const NO_TOKEN: Token = Token::new([0; TOKEN_BYTES]);
 /// Categories in the order of the devkit's enumeration, with nominal heights, m, which nothing reads.
 const CATEGORIES: [(ObjectKind, f64); 7] = [
     (ObjectKind::Vehicle, 1.7),
@@ -51,7 +53,7 @@ pub(super) struct LogHeader<'a> {
 }
 
 /// Token of the tagged row, which names the scenario.
-pub(super) fn anchor_token(log: &str, timeline: &Timeline<'_>) -> Token {
+pub(super) fn anchor_token(log: &str, timeline: &Timeline) -> Token {
     Tokens::new(log).of("lidar_pc", timeline.anchor as u64)
 }
 
@@ -60,7 +62,7 @@ pub(super) fn write_log(
     path: &Path,
     facts: &LogHeader<'_>,
     scenario: &Scenario,
-    timeline: &Timeline<'_>,
+    timeline: &Timeline,
 ) -> rusqlite::Result<()> {
     let mut connection = Connection::open(path)?;
     connection.execute_batch("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF;")?;
@@ -91,7 +93,7 @@ struct Writer<'a> {
     transaction: &'a Transaction<'a>,
     facts: &'a LogHeader<'a>,
     tokens: Tokens<'a>,
-    timeline: &'a Timeline<'a>,
+    timeline: &'a Timeline,
 }
 
 impl Writer<'_> {
@@ -149,12 +151,12 @@ impl Writer<'_> {
     }
 
     /// Writes a row with its ego, boxes and lights; `boxes` counts the boxes of the log.
-    fn write_row(&self, number: usize, row: &Row<'_>, boxes: &mut u64) -> rusqlite::Result<()> {
+    fn write_row(&self, number: usize, row: &Row, boxes: &mut u64) -> rusqlite::Result<()> {
         let time = |number: usize| self.tokens.of("lidar_pc", number as u64);
         let token = time(number);
         let ego = self.write_ego(number, &row.ego)?;
-        let next = (number + 1 < self.timeline.rows.len()).then(|| time(number + 1));
-        let previous = number.checked_sub(1).map(time);
+        let next = if number + 1 < self.timeline.rows.len() { time(number + 1) } else { NO_TOKEN };
+        let previous = number.checked_sub(1).map_or(NO_TOKEN, time);
         let scene = self.tokens.of("scene", self.scene_of(number) as u64);
         let file = format!("{}/{CHANNEL}/{token}.pcd", self.facts.log);
         let lidar = self.tokens.of("lidar", 0);
@@ -174,7 +176,7 @@ impl Writer<'_> {
             ])?;
         }
         let mut insert = self.transaction.prepare_cached(&TRAFFIC_LIGHT_STATUS.insert())?;
-        let lights = row.lights.into_iter().flat_map(crate::world::TrafficLights::iter).flat_map(|(lane, status)| {
+        let lights = row.lights.iter().flat_map(|(lane, status)| {
             self.facts.connectors.get(&lane).into_iter().flatten().map(move |&connector| (connector, status))
         });
         for (connector, status) in lights {
@@ -216,9 +218,10 @@ impl Writer<'_> {
         Ok(token)
     }
 
-    /// The scene of a row: before, at or after the tagged row; the first and the last row are the outer scenes.
+    /// The scene of a row: before, at or after the tagged row. The first row is the first scene; the row of
+    /// the last frame and all after it are the last.
     fn scene_of(&self, number: usize) -> usize {
-        let last = self.timeline.rows.len() - 1;
+        let last = self.timeline.scenario_rows - 1;
         match number.cmp(&self.timeline.anchor) {
             std::cmp::Ordering::Equal => ANCHOR_SCENE,
             std::cmp::Ordering::Less => usize::from(number > 0),

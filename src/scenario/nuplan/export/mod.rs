@@ -6,6 +6,7 @@
 //! around it is the scenario. [`ExportChanges`] counts what nuPlan's formats cannot express.
 
 mod boundary;
+mod continuation;
 mod features;
 mod graph;
 mod ids;
@@ -16,6 +17,7 @@ mod package;
 mod placement;
 mod route;
 mod staging;
+mod stand_in;
 mod stops;
 #[cfg(test)]
 mod tests;
@@ -23,6 +25,7 @@ mod timeline;
 
 pub use graph::{OPEN_END, STITCH};
 pub use placement::ShapeError;
+pub use stand_in::OFFICIAL_LOCATIONS;
 pub use timeline::TimelineError;
 
 use super::MAPS_INDEX;
@@ -37,7 +40,8 @@ use package::LayerRows;
 use placement::Placement;
 use serde_json::json;
 use staging::Staging;
-use std::collections::BTreeMap;
+use stand_in::{STAND_IN_KEY, STAND_IN_NOTE};
+use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 use timeline::Timeline;
@@ -47,7 +51,7 @@ pub const MAP_VERSION: &str = "1.0";
 const DATA: &str = "data";
 const MAPS: &str = "maps";
 
-/// Where on Earth scenarios are placed.
+/// How scenarios are written: names, and their place on Earth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExportSettings {
     /// Name of the map; `None` derives it from the content, so that scenarios with equal maps share one.
@@ -56,12 +60,23 @@ pub struct ExportSettings {
     pub epsg: u32,
     /// Easting and northing of the scenarios' origin, m.
     pub origin: Point,
+    /// Scenario type of all logs; `None` keeps that of each scenario.
+    pub scenario_type: Option<String>,
+    /// Also write an empty map for each of nuPlan's four locations that is not written: the devkit opens no maps folder
+    /// without them.
+    pub stand_in_maps: bool,
 }
 
 impl Default for ExportSettings {
     /// Near the Las Vegas Strip, one of nuPlan's locations.
     fn default() -> Self {
-        Self { location: None, epsg: 32_611, origin: Point::new(664_000.0, 3_998_000.0) }
+        Self {
+            location: None,
+            epsg: 32_611,
+            origin: Point::new(664_000.0, 3_998_000.0),
+            scenario_type: None,
+            stand_in_maps: false,
+        }
     }
 }
 
@@ -187,11 +202,23 @@ pub fn write_scenarios(
         logs: Vec::with_capacity(scenarios.len()),
     };
     for scenario in scenarios {
-        writer.write(scenario)?;
+        match &settings.scenario_type {
+            Some(kind) => writer.write(&Scenario { scenario_type: kind.clone(), ..scenario.clone() })?,
+            None => writer.write(scenario)?,
+        }
     }
-    let logs = std::mem::take(&mut writer.logs);
-    let list: serde_json::Map<String, serde_json::Value> =
-        writer.maps.keys().map(|location| (location.clone(), json!({"version": MAP_VERSION, "layers": {}}))).collect();
+    let mut locations: BTreeSet<&str> = writer.maps.keys().map(String::as_str).collect();
+    if settings.stand_in_maps {
+        for location in OFFICIAL_LOCATIONS.into_iter().filter(|location| !writer.maps.contains_key(*location)) {
+            writer.write_stand_in(location)?;
+            locations.insert(location);
+        }
+    }
+    let logs = writer.logs.clone();
+    let list: serde_json::Map<String, serde_json::Value> = locations
+        .into_iter()
+        .map(|location| (location.to_owned(), json!({"version": MAP_VERSION, "layers": {}})))
+        .collect();
     staging.write(&Path::new(MAPS).join(MAPS_INDEX), &format!("{:#}\n", json!(list))).map_err(io_failed)?;
     staging.finish().map_err(io_failed)?;
     Ok(Exported { data: folder.join(DATA), maps: folder.join(MAPS), logs })
@@ -256,12 +283,27 @@ impl Writer<'_> {
             }
             None => {}
         }
-        let meta =
-            [("geographicCoordSystem", "epsg:4326".to_owned()), ("projectedCoordSystem", self.place.utm.to_string())];
-        let inside = Path::new(MAPS).join(&location).join(MAP_VERSION).join("map.gpkg");
-        self.write_database(&inside, |path| package::write_package(path, &meta, &layers))?;
+        self.write_map_package(&location, &layers, &[])?;
         self.maps.insert(location.clone(), WrittenMap { hash, scenario: id.to_owned() });
         Ok(location)
+    }
+
+    /// Writes an empty map under the name of one of nuPlan's locations.
+    fn write_stand_in(&self, location: &str) -> Result<(), ExportError> {
+        self.write_map_package(location, &features::empty_layers(), &[(STAND_IN_KEY, STAND_IN_NOTE.to_owned())])
+    }
+
+    fn write_map_package(
+        &self,
+        location: &str,
+        layers: &[LayerRows],
+        notes: &[(&str, String)],
+    ) -> Result<(), ExportError> {
+        let systems =
+            [("geographicCoordSystem", "epsg:4326".to_owned()), ("projectedCoordSystem", self.place.utm.to_string())];
+        let meta = [&systems[..], notes].concat();
+        let inside = Path::new(MAPS).join(location).join(MAP_VERSION).join("map.gpkg");
+        self.write_database(&inside, |path| package::write_package(path, &meta, layers))
     }
 
     /// Writes a database into the staged folder; errors name its path in the finished one.

@@ -251,6 +251,10 @@ fn every_table_is_there_and_types_without_a_window_are_tagged_at_their_start() {
     );
     let rows = scenarios[0].frames.len() as i64 * 2 - 1;
     assert_eq!((count(0, "lidar_pc"), count(0, "ego_pose")), (rows, rows + 1), "the goal is a pose more");
+    let null: i64 = database(0)
+        .query_row("SELECT COUNT(*) FROM lidar_pc WHERE prev_token IS NULL OR next_token IS NULL", [], |row| row.get(0))
+        .unwrap();
+    assert_eq!(null, 0, "the devkit calls `.hex()` on both");
     for (place, scenario) in scenarios.iter().enumerate() {
         let time: i64 = database(place)
             .query_row(
@@ -261,4 +265,82 @@ fn every_table_is_there_and_types_without_a_window_are_tagged_at_their_start() {
             .unwrap();
         assert_eq!(time, scenario.frame(0).unwrap().ego.time_us);
     }
+}
+
+#[test]
+fn the_log_goes_on_for_nine_seconds_with_ego_objects_and_lights() {
+    let home = tempfile::tempdir().unwrap();
+    let one = scenario(types::starting_straight_traffic_light_intersection_traversal::TYPE, 1);
+    let exported = write_scenario(&one, &home.path().join("out"), &ExportSettings::default()).unwrap();
+    let database = Connection::open(exported.data.join(format!("{}.db", exported.logs[0].log))).unwrap();
+    let last = one.frames.last().unwrap();
+    let after = |what: &str| -> i64 {
+        let query = format!("SELECT COUNT(*) FROM lidar_pc AS lp JOIN {what} WHERE lp.timestamp > ?");
+        database.query_row(&query, [last.ego.time_us], |row| row.get(0)).unwrap()
+    };
+    assert_eq!(after("ego_pose AS ep ON lp.ego_pose_token = ep.token"), 180);
+    assert_eq!(after("lidar_box AS lb ON lb.lidar_pc_token = lp.token"), 180 * last.objects.len() as i64);
+    let lights = after("traffic_light_status AS tl ON tl.lidar_pc_token = lp.token");
+    assert!(lights > 0 && lights % 180 == 0, "{lights}");
+    let end: i64 = database.query_row("SELECT MAX(timestamp) FROM lidar_pc", [], |row| row.get(0)).unwrap();
+    assert_eq!(end, last.ego.time_us + 9_000_000);
+}
+
+#[test]
+fn no_connector_is_without_an_intersection_number() {
+    let home = tempfile::tempdir().unwrap();
+    let one = scenario(types::traversing_roundabout::TYPE, 3);
+    let settings = ExportSettings::default();
+    let exported = write_scenario(&one, &home.path().join("out"), &settings).unwrap();
+    let path = exported.maps.join(&exported.logs[0].location).join(MAP_VERSION).join("map.gpkg");
+    let map = Connection::open(path).unwrap();
+    for layer in ["lane_group_connectors", "lane_connectors"] {
+        let count = |condition: &str| -> i64 {
+            let query = format!("SELECT COUNT(*) FROM {layer} WHERE {condition}");
+            map.query_row(&query, [], |row| row.get(0)).unwrap()
+        };
+        assert_eq!(count("intersection_fid IS NULL"), 0, "{layer}");
+        assert!(count("intersection_fid > 0") > 0, "{layer}");
+        assert_eq!(count("intersection_fid > 0 AND intersection_fid NOT IN (SELECT fid FROM intersections)"), 0);
+    }
+}
+
+#[test]
+fn stand_in_maps_complete_the_four_locations() {
+    let home = tempfile::tempdir().unwrap();
+    let one = scenario(types::changing_lane::TYPE, 1);
+    let location = Some("us-ma-boston".to_owned());
+    let settings = ExportSettings { stand_in_maps: true, location, ..ExportSettings::default() };
+    let exported = write_scenario(&one, &home.path().join("out"), &settings).unwrap();
+    let list: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(exported.maps.join(MAPS_INDEX)).unwrap()).unwrap();
+    assert_eq!(list.as_object().unwrap().keys().collect::<Vec<_>>(), OFFICIAL_LOCATIONS);
+    for location in OFFICIAL_LOCATIONS {
+        assert_eq!(list[location]["version"], MAP_VERSION);
+        let map = Connection::open(exported.maps.join(location).join(MAP_VERSION).join("map.gpkg")).unwrap();
+        let count = |from: &str| -> i64 {
+            map.query_row(&format!("SELECT COUNT(*) FROM {from}"), [], |row| row.get(0)).unwrap()
+        };
+        assert_eq!(count("lane_connectors") > 0, location == "us-ma-boston", "{location}");
+        assert_eq!(count("meta WHERE key = 'standIn'") > 0, location != "us-ma-boston", "{location}");
+        assert_eq!(count("meta WHERE key = 'projectedCoordSystem'"), 1);
+        assert_eq!(count("gpkg_contents WHERE data_type = 'features'"), 16, "{location}");
+    }
+    let without = write_scenario(&one, &home.path().join("without"), &ExportSettings::default()).unwrap();
+    assert_eq!(std::fs::read_dir(&without.maps).unwrap().count(), 2);
+}
+
+#[test]
+fn a_mapped_type_lets_the_log_of_an_unmapped_one_go_on() {
+    let home = tempfile::tempdir().unwrap();
+    let one = scenario(types::traversing_roundabout::TYPE, 1);
+    let kind = "traversing_intersection";
+    let settings = ExportSettings { scenario_type: Some(kind.to_owned()), ..ExportSettings::default() };
+    let exported = write_scenario(&one, &home.path().join("out"), &settings).unwrap();
+    assert_eq!(exported.logs[0].changes.dropped_future_states, 0);
+    let database = Connection::open(exported.data.join(format!("{}.db", exported.logs[0].log))).unwrap();
+    let tag: String = database.query_row("SELECT type FROM scenario_tag", [], |row| row.get(0)).unwrap();
+    assert_eq!(tag, kind);
+    let rows: i64 = database.query_row("SELECT COUNT(*) FROM lidar_pc", [], |row| row.get(0)).unwrap();
+    assert_eq!(rows, one.frames.len() as i64 * 2 - 1 + 180);
 }

@@ -1,33 +1,36 @@
 //! The rows of a log: nuPlan's 20 Hz from a scenario's 10 Hz.
 //!
 //! Every frame is a row. Between two frames lies one more row: the interpolated ego, the interpolated objects of both frames, and
-//! the lights of the earlier frame. Recorded ego states after the last frame follow in the same way. The devkit takes every
-//! second row, that is exactly the frames. The tagged row is chosen by the devkit's own rule: its window is the scenario.
+//! the lights of the earlier frame. The frames after the end (`continuation`) follow in the same way. The devkit takes every
+//! second row, that is exactly the frames. The tagged row is chosen by the devkit's own rule: its window is the scenario. Where
+//! the window would reach beyond the end, the log ends with the scenario: the end of the log is what cuts the window there.
 
+use super::continuation::frames_after;
 use crate::geometry::{Point, Pose, wrap_angle};
 use crate::scenario::nuplan::extraction::{Extraction, ROWS_PER_STEP};
 use crate::scenario::{Frame, Scenario};
 use crate::world::{EgoState, TrackedObject, TrafficLights};
-use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// One row of `lidar_pc` with its ego, boxes and lights.
 #[derive(Debug, Clone)]
-pub(super) struct Row<'a> {
+pub(super) struct Row {
     /// Its time is that of the row.
     pub(super) ego: EgoState,
-    pub(super) objects: Cow<'a, [TrackedObject]>,
-    /// `None` after the last frame, where only the ego is known.
-    pub(super) lights: Option<&'a TrafficLights>,
+    pub(super) objects: Arc<[TrackedObject]>,
+    pub(super) lights: Arc<TrafficLights>,
 }
 
 /// The rows of a scenario, and its tagged row.
 #[derive(Debug, Clone)]
-pub(super) struct Timeline<'a> {
+pub(super) struct Timeline {
     /// In order of time.
-    pub(super) rows: Vec<Row<'a>>,
+    pub(super) rows: Vec<Row>,
     /// Index of the tagged row.
     pub(super) anchor: usize,
+    /// Number of rows up to the last frame of the scenario; those after it are the continuation.
+    pub(super) scenario_rows: usize,
     /// Number of recorded ego states after the last frame that nuPlan's window would include.
     pub(super) dropped_future_states: usize,
 }
@@ -46,15 +49,15 @@ pub enum TimelineError {
     Window { scenario_type: String, iterations: usize, duration_s: i64, offset_s: i64 },
 }
 
-impl<'a> Timeline<'a> {
-    pub(super) fn of(scenario: &'a Scenario) -> Result<Self, TimelineError> {
-        let mut rows = rows(&scenario.frames)?;
-        let frames = rows.len();
-        rows.extend(future_rows(scenario)?);
+impl Timeline {
+    pub(super) fn of(scenario: &Scenario) -> Result<Self, TimelineError> {
+        let after = frames_after(scenario);
+        let mut rows = rows(scenario.frames.iter().chain(&after))?;
         if let Some(anchor) = anchor(&rows, scenario) {
-            return Ok(Self { rows, anchor, dropped_future_states: 0 });
+            let scenario_rows = rows.len() - after.len() * ROWS_PER_STEP;
+            return Ok(Self { rows, anchor, scenario_rows, dropped_future_states: 0 });
         }
-        rows.truncate(frames);
+        rows.truncate(rows.len() - after.len() * ROWS_PER_STEP);
         let extraction = Extraction::of(&scenario.scenario_type);
         let anchor = anchor(&rows, scenario).ok_or_else(|| TimelineError::Window {
             scenario_type: scenario.scenario_type.clone(),
@@ -62,12 +65,12 @@ impl<'a> Timeline<'a> {
             duration_s: extraction.duration_us / 1_000_000,
             offset_s: extraction.offset_us / 1_000_000,
         })?;
-        Ok(Self { rows, anchor, dropped_future_states: scenario.future.len() })
+        Ok(Self { scenario_rows: rows.len(), rows, anchor, dropped_future_states: scenario.future.len() })
     }
 }
 
 /// Index of the row whose window is the scenario.
-fn anchor(rows: &[Row<'_>], scenario: &Scenario) -> Option<usize> {
+fn anchor(rows: &[Row], scenario: &Scenario) -> Option<usize> {
     let extraction = Extraction::of(&scenario.scenario_type);
     let times: Vec<i64> = rows.iter().map(|row| row.ego.time_us).collect();
     let start = scenario.start * ROWS_PER_STEP;
@@ -87,26 +90,15 @@ fn selected(times: &[i64], anchor: usize, extraction: Extraction) -> Option<(usi
     (first < end).then(|| (first, (end - first).div_ceil(ROWS_PER_STEP)))
 }
 
-fn rows(frames: &[Frame]) -> Result<Vec<Row<'_>>, TimelineError> {
-    let mut rows = Vec::with_capacity(frames.len() * ROWS_PER_STEP);
-    for (index, frame) in frames.iter().enumerate() {
-        if let Some(before) = index.checked_sub(1).and_then(|i| frames.get(i)) {
+fn rows<'a>(frames: impl Iterator<Item = &'a Frame>) -> Result<Vec<Row>, TimelineError> {
+    let mut rows = Vec::new();
+    let mut before: Option<&Frame> = None;
+    for (index, frame) in frames.enumerate() {
+        if let Some(before) = before.replace(frame) {
             let ego = ego_between(&before.ego, &frame.ego, index)?;
-            rows.push(Row { ego, objects: objects_between(before, frame).into(), lights: Some(&before.lights) });
+            rows.push(Row { ego, objects: objects_between(before, frame).into(), lights: before.lights.clone() });
         }
-        rows.push(Row { ego: frame.ego, objects: Cow::Borrowed(&frame.objects), lights: Some(&frame.lights) });
-    }
-    Ok(rows)
-}
-
-/// The rows of the recorded ego states after the last frame.
-fn future_rows(scenario: &Scenario) -> Result<Vec<Row<'static>>, TimelineError> {
-    let mut rows = Vec::with_capacity(scenario.future.len() * ROWS_PER_STEP);
-    let mut before = scenario.frames.last().map(|frame| frame.ego);
-    for (index, &ego) in scenario.future.iter().enumerate() {
-        let middle = before.replace(ego).map(|before| ego_between(&before, &ego, scenario.frames.len() + index));
-        let egos = [middle.transpose()?, Some(ego)];
-        rows.extend(egos.into_iter().flatten().map(|ego| Row { ego, objects: Cow::Borrowed(&[]), lights: None }));
+        rows.push(Row { ego: frame.ego, objects: frame.objects.clone(), lights: frame.lights.clone() });
     }
     Ok(rows)
 }
@@ -149,12 +141,12 @@ fn midway(from: Pose, to: Pose) -> Pose {
 
 #[cfg(test)]
 mod tests {
+    use super::super::continuation::FRAMES_AFTER;
     use super::*;
     use crate::geometry::{OrientedBox, Vector};
     use crate::scenario::generator::{Spec, generate, types};
     use crate::world::{ObjectKind, TrackToken};
     use std::f64::consts::PI;
-    use std::sync::Arc;
 
     fn frame(time_us: i64, heading: f64, tracks: &[u32]) -> Frame {
         let pose = Pose::new(time_us as f64 * 1e-5, 2.0, heading);
@@ -174,7 +166,7 @@ mod tests {
     #[test]
     fn frames_stay_and_midpoints_lie_between() {
         let frames = [frame(0, PI - 0.1, &[1, 2]), frame(100_000, -PI + 0.1, &[2, 3]), frame(200_100, 0.0, &[])];
-        let rows = rows(&frames).unwrap();
+        let rows = rows(frames.iter()).unwrap();
         assert_eq!(rows.iter().map(|row| row.ego.time_us).collect::<Vec<_>>(), [0, 50_000, 100_000, 150_050, 200_100]);
         assert_eq!(rows[2].ego, frames[1].ego);
         assert!((rows[1].ego.rear_axle.heading.abs() - PI).abs() < 1e-12, "{}", rows[1].ego.rear_axle.heading);
@@ -182,22 +174,26 @@ mod tests {
         assert_eq!(rows[1].objects.iter().map(|o| o.token.0).collect::<Vec<_>>(), [2]);
         assert!(rows[3].objects.is_empty());
         let back = [frame(0, 0.0, &[]), frame(1, 0.0, &[])];
-        assert!(matches!(super::rows(&back), Err(TimelineError::Step { frame: 1, step_us: 1 })));
+        assert!(matches!(super::rows(back.iter()), Err(TimelineError::Step { frame: 1, step_us: 1 })));
     }
 
     #[test]
     fn the_window_around_the_anchor_is_the_scenario() {
-        for (kind, apart) in [(types::changing_lane::TYPE, 60), (types::traversing_roundabout::TYPE, 0)] {
+        for (kind, apart, after) in
+            [(types::changing_lane::TYPE, 60, FRAMES_AFTER * 2), (types::traversing_roundabout::TYPE, 0, 0)]
+        {
             let scenario = generate(&Spec::new(kind, 1)).unwrap();
             let timeline = Timeline::of(&scenario).unwrap();
             assert_eq!(timeline.anchor, scenario.start * 2 + apart);
-            assert_eq!(timeline.rows.len(), scenario.frames.len() * 2 - 1);
+            assert_eq!(timeline.scenario_rows, scenario.frames.len() * 2 - 1);
+            assert_eq!(timeline.rows.len(), timeline.scenario_rows + after);
         }
     }
 
     #[test]
     fn a_window_that_nuplan_cannot_cut_is_an_error() {
         let mut scenario = generate(&Spec::new(types::changing_lane::TYPE, 1)).unwrap();
+        scenario.future.clear();
         let cut = |scenario: &Scenario| Timeline::of(scenario).map(|timeline| timeline.anchor);
         scenario.frames.truncate(scenario.start + 31);
         assert_eq!(cut(&scenario), Ok((scenario.start + 30) * 2));
@@ -208,16 +204,18 @@ mod tests {
     }
 
     #[test]
-    fn the_recorded_future_is_kept_where_the_window_does_not_reach_it() {
+    fn the_log_goes_on_where_the_window_does_not_reach_beyond_the_end() {
         let mut scenario = generate(&Spec::new(types::changing_lane::TYPE, 1)).unwrap();
         let last = scenario.frames.last().unwrap().ego;
         let later = |step: i64| EgoState { time_us: last.time_us + step * 100_000, ..last };
         scenario.future = vec![later(1), later(2)];
         let rows = scenario.frames.len() * 2 - 1;
         let timeline = Timeline::of(&scenario).unwrap();
-        assert_eq!((timeline.rows.len(), timeline.dropped_future_states), (rows + 4, 0));
+        assert_eq!((timeline.scenario_rows, timeline.dropped_future_states), (rows, 0));
+        assert_eq!(timeline.rows.len(), rows + FRAMES_AFTER * 2);
         assert_eq!(timeline.rows[rows].ego.time_us, last.time_us + 50_000);
         assert_eq!(timeline.rows[rows + 3].ego, later(2));
+        assert_eq!(timeline.rows[rows + FRAMES_AFTER * 2 - 1].ego.time_us, last.time_us + 9_000_000);
         scenario.scenario_type = "unknown".to_owned();
         let timeline = Timeline::of(&scenario).unwrap();
         assert_eq!((timeline.rows.len(), timeline.dropped_future_states), (rows, 2));
