@@ -29,12 +29,13 @@ pub fn ego_mean_speed(states: &[EgoState]) -> MetricResult {
 /// Distance between the centers of ego and expert at every sample, meters. nuPlan's discount of later samples is 1 in its
 /// configuration, so there is none.
 pub fn ego_expert_l2_error(states: &[EgoState], expert: &[EgoState]) -> Result<MetricResult, MetricError> {
-    error_series(&EXPERT_ERROR, states, expert, |ego, expert| ego.center().distance(&expert.center()))
+    error_series(&EXPERT_ERROR, "meters", states, expert, |ego, expert| ego.center().distance(&expert.center()))
 }
 
-/// Distance between the centers of ego and expert plus the weighted heading error at every sample, meters.
+/// Distance between the centers of ego and expert plus the weighted heading error at every sample. Its unit is nuPlan's word
+/// `None`.
 pub fn ego_expert_l2_error_with_yaw(states: &[EgoState], expert: &[EgoState]) -> Result<MetricResult, MetricError> {
-    error_series(&EXPERT_ERROR_WITH_YAW, states, expert, |ego, expert| {
+    error_series(&EXPERT_ERROR_WITH_YAW, "None", states, expert, |ego, expert| {
         let (ego, expert) = (ego.center(), expert.center());
         ego.distance(&expert) + HEADING_DIFF_WEIGHT * wrap_angle(ego.heading - expert.heading).abs()
     })
@@ -43,6 +44,7 @@ pub fn ego_expert_l2_error_with_yaw(states: &[EgoState], expert: &[EgoState]) ->
 /// One distance a sample with nuPlan's three statistics of it.
 fn error_series(
     spec: &MetricSpec,
+    unit: &str,
     states: &[EgoState],
     expert: &[EgoState],
     error: impl Fn(&EgoState, &EgoState) -> f64,
@@ -51,7 +53,7 @@ fn error_series(
         return Err(MetricError::ExpertLength { samples: states.len(), expert: expert.len() });
     }
     let errors = states.iter().zip(expert).map(|(ego, expert)| error(ego, expert)).collect();
-    let series = TimeSeries::of_states("meters", states, errors);
+    let series = TimeSeries::of_states(unit, states, errors);
     let statistics = series.statistics_of(spec.name, &[StatisticKind::Max, StatisticKind::Mean, StatisticKind::P90]);
     Ok(spec.unscored(statistics).with_series(series))
 }

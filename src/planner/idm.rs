@@ -46,7 +46,9 @@ struct Road {
 /// The path with its IDM.
 #[derive(Debug, Clone)]
 struct IdmPath {
+    /// What the ego follows and what ends ahead of it: without its last pose, as in nuPlan.
     path: ProgressPath,
+    /// The baselines in full; the ego is projected on it.
     line: Polyline,
     law: IdmParameters,
 }
@@ -89,13 +91,16 @@ impl Road {
     /// The path from the ego's lane to the end of the route. Its target velocity is the limit of the first lane, or the ego's speed if
     /// that is higher.
     fn path(&self, ego: &EgoState) -> Result<IdmPath, PlannerError> {
-        let start = self.starting_lane(ego).ok_or(PlannerError::EmptyRoute)?;
+        self.path_from(self.starting_lane(ego).ok_or(PlannerError::EmptyRoute)?, ego)
+    }
+
+    /// The path from a lane.
+    fn path_from(&self, start: LaneId, ego: &EgoState) -> Result<IdmPath, PlannerError> {
         let lanes = self.route_plan(start);
         let poses: Vec<_> =
             lanes.iter().flat_map(|&lane| ProgressPath::baseline_poses(&self.map[lane].centerline)).collect();
         let path = ProgressPath::new(&poses).ok_or(PlannerError::EmptyRoute)?;
-        // The ego is projected on the path as it is, its dropped last pose included.
-        let points = path.between(0.0, path.length()).into_iter().map(|pose| pose.position());
+        let points = lanes.iter().flat_map(|&lane| self.map[lane].centerline.vertices()).copied();
         let line = Polyline::new(points).map_err(|_| PlannerError::EmptyRoute)?;
         let limit = self.map[start].speed_limit.filter(|&limit| limit > 0.0).unwrap_or(LAW.target_velocity);
         Ok(IdmPath { path, line, law: IdmParameters { target_velocity: limit.max(ego.speed()), ..LAW } })
@@ -202,21 +207,30 @@ impl<'a> Obstacles<'a> {
 impl IdmPath {
     /// The trajectory from the projection of the ego on the path, by forward Euler at 0.5 s.
     fn roll_out(&self, ego: &EgoState, obstacles: &Obstacles<'_>) -> Result<Trajectory, PlannerError> {
-        let mut at = Progress { s: self.line.project(ego.center().position()).s, speed: ego.center_velocity().x };
+        let mut at = self.progress(ego);
         let mut states = vec![self.state(at, ego.time_us)];
-        // At every sample, the first included, the search is around the ego's projection on its path, as in nuPlan.
-        let mut footprint = PACIFICA.footprint(states[0].rear_axle);
+        // The first search is around the ego itself, the later ones around the samples on the path, as in nuPlan.
+        let mut footprint = ego.footprint();
         for sample in 1..=SAMPLES {
-            let reach = self.law.target_velocity.abs() * SAMPLES as f64 * SAMPLE_S;
-            let ahead = self.line.slice(at.s, at.s + reach);
-            let corridor = ahead.map(|line| Corridor::with_square_caps(&line, PACIFICA.width / 2.0));
-            let lead = obstacles.nearest(&footprint, corridor.as_ref());
+            let lead = obstacles.nearest(&footprint, self.corridor(at).as_ref());
             at = self.propagate(at, lead);
             let state = self.state(at, ego.time_us + sample as i64 * SAMPLE_US);
             footprint = PACIFICA.footprint(state.rear_axle);
             states.push(state);
         }
         Ok(Trajectory::new(states)?)
+    }
+
+    /// Where the ego is; beyond the end of the path if it is there.
+    fn progress(&self, ego: &EgoState) -> Progress {
+        Progress { s: self.line.project(ego.center().position()).s, speed: ego.center_velocity().x }
+    }
+
+    /// The strip that the ego sweeps at its target velocity.
+    fn corridor(&self, at: Progress) -> Option<Corridor> {
+        let reach = self.law.target_velocity.abs() * SAMPLES as f64 * SAMPLE_S;
+        let ahead = self.path.between(at.s, at.s + reach).into_iter().map(|pose| pose.position());
+        Polyline::new(ahead).ok().map(|line| Corridor::with_square_caps(&line, PACIFICA.width / 2.0))
     }
 
     /// The next sample; without a lead object the end of the path is a standing obstacle.
@@ -283,19 +297,75 @@ mod tests {
         assert!(past.rear_axle.x > 60.0);
     }
 
-    /// An ego that stands 0.8 m left of its path and is turned away from it: the gap is that of the box on the path.
+    /// Speed after a sample of the free gap to a standing object, m/s.
+    fn next_speed(speed: f64, limit: f64, gap: f64) -> f64 {
+        let desired = 1.0 + speed * 1.5 + speed * speed / (2.0 * 3.0f64.sqrt());
+        speed + 0.5 * (1.0 - (speed / limit).powi(4) - (desired / gap).powi(2)).max(-3.0)
+    }
+
+    /// An ego 0.8 m left of its path and turned away from it: its own box counts in the first sample, its box on the path
+    /// from the second on.
     #[test]
-    fn gaps_are_measured_from_the_path() {
+    fn the_first_gap_is_that_of_the_ego_itself() {
         let mut ego = ego_at(0, 5.0, 8.0);
         ego.rear_axle = Pose::new(5.0, 0.8, 0.15);
         let parked = [object(1, ObjectKind::Vehicle, 30.0, 0.0, 0.0)];
         let trajectory = plan(&ego, &parked, SignalStatus::Green);
-        let s = 5.0 + PACIFICA.rear_axle_to_center() * 0.15f64.cos();
-        let gap = 30.0 - parked[0].shape.length / 2.0 - (s + PACIFICA.length() / 2.0);
-        let desired: f64 = 1.0 + 8.0 * 1.5 + 64.0 / (2.0 * 3.0f64.sqrt());
-        let acceleration = (1.0 - (8.0f64 / 12.0).powi(4) - (desired / gap).powi(2)).max(-3.0);
         assert!((trajectory.states()[0].rear_axle.y).abs() < 1e-9);
-        assert!((trajectory.states()[1].velocity.x - (8.0 + 0.5 * acceleration)).abs() < 1e-9);
+        let rear = 30.0 - parked[0].shape.length / 2.0;
+        let [front_left, _, _, front_right] = ego.footprint().corners();
+        let gap = rear - front_left.x.max(front_right.x);
+        let (first, second) = (trajectory.states()[1].velocity.x, trajectory.states()[2].velocity.x);
+        assert!((first - next_speed(8.0, 12.0, gap)).abs() < 1e-9);
+        let s = 5.0 + PACIFICA.rear_axle_to_center() * 0.15f64.cos() + 0.5 * 8.0;
+        assert!((second - next_speed(first, 12.0, rear - (s + PACIFICA.length() / 2.0))).abs() < 1e-9);
+    }
+
+    /// A pedestrian whom only the box of the real ego touches stops it; one whom only the box on the path would touch does not.
+    #[test]
+    fn beside_the_path_the_ego_itself_meets_objects_in_the_first_sample() {
+        let mut ego = ego_at(0, 5.0, 8.0);
+        ego.rear_axle = Pose::new(5.0, 3.0, 0.0);
+        let touched = [object(1, ObjectKind::Pedestrian, 7.0, 4.0, 0.0)];
+        let speed = plan(&ego, &touched, SignalStatus::Green).states()[1].velocity.x;
+        assert!((speed - (8.0 - 0.5 * 3.0)).abs() < 1e-9, "{speed}");
+        // The corridor begins at the ego's center; what is behind it lies in no strip.
+        let behind = [object(1, ObjectKind::Pedestrian, 4.6, -0.9, 0.0)];
+        let free = plan(&ego, &[], SignalStatus::Green).states()[1].velocity.x;
+        let speed = plan(&ego, &behind, SignalStatus::Green).states()[1].velocity.x;
+        assert!((speed - free).abs() < 1e-12, "{speed} against {free}");
+    }
+
+    /// The heading of an object counts relative to the real ego in the first sample.
+    #[test]
+    fn the_first_relative_heading_is_that_of_the_ego_itself() {
+        let mut ego = ego_at(0, 5.0, 8.0);
+        ego.rear_axle = Pose::new(5.0, 0.0, 0.5);
+        let lead = [object(1, ObjectKind::Vehicle, 30.0, 0.0, 6.0)];
+        let first = plan(&ego, &lead, SignalStatus::Green).states()[1].velocity.x;
+        let [front_left, _, _, front_right] = ego.footprint().corners();
+        let gap = 30.0 - lead[0].shape.length / 2.0 - front_left.x.max(front_right.x);
+        let desired = 1.0 + 8.0 * 1.5 + 8.0 * (8.0 - 6.0 * 0.5f64.cos()) / (2.0 * 3.0f64.sqrt());
+        let expected = 8.0 + 0.5 * (1.0 - (8.0f64 / 12.0).powi(4) - (desired / gap).powi(2)).max(-3.0);
+        assert!((first - expected).abs() < 1e-9, "{first} against {expected}");
+    }
+
+    /// Beyond the end of the path, which lacks the last pose, the ego is still projected on the whole line. The strip is that of
+    /// the last two poses.
+    #[test]
+    fn the_ego_is_projected_on_the_whole_line() {
+        let ego = ego_at(0, 229.6 - PACIFICA.rear_axle_to_center(), 8.0);
+        let map = Arc::new(straight_road(&ROAD, Some(12.0)));
+        let route = whole_route(&map);
+        let road = Road { lanes: route.lanes(&map), map, route };
+        let path = road.path_from(LaneId(0), &ego).unwrap();
+        assert!((path.path.length() - 229.0).abs() < 1e-9);
+        let progress = path.progress(&ego);
+        assert!((progress.s - 229.6).abs() < 1e-9, "{}", progress.s);
+        let strip = path.corridor(progress).unwrap();
+        let place = |x: f64| OrientedBox::new(Pose::new(x, 0.0, 0.0), 0.1, 0.1);
+        let last_pose = path.path.between(progress.s, progress.s)[0].x;
+        assert!(strip.meets_box(&place(last_pose)) && !strip.meets_box(&place(229.0 + PACIFICA.width / 2.0 + 0.1)));
     }
 
     /// The corridor reaches the target velocity times 8 s from where the ego is, and its cap is square.

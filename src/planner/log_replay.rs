@@ -8,10 +8,10 @@ const POSES: usize = 16;
 /// Steps of 0.1 s between poses: 16 poses make 8 s.
 const STEPS_BETWEEN: usize = 5;
 
-/// The log-replay planner: at iteration k the recorded state k and 16 later ones, 0.5 s apart.
+/// The log-replay planner: at iteration k the recorded state k and up to 16 later ones, 0.5 s apart.
 ///
-/// Where the recording has too few later states, the last trajectory is kept, as in nuPlan. A recording shorter than 8 s
-/// is replayed to its last state.
+/// Where fewer are recorded, the shorter future is the trajectory, as in nuPlan. Where none is, nuPlan's planner fails. Recordings
+/// that end with their scenario get there in the last 0.4 s; here the last trajectory is kept.
 #[derive(Debug, Clone)]
 pub struct LogReplay {
     expert: Vec<EgoState>,
@@ -24,17 +24,10 @@ impl LogReplay {
         Self { expert, current: None }
     }
 
-    /// The trajectory of an iteration whose whole future is recorded.
-    fn full(&self, iteration: usize) -> Option<Vec<TrajectoryState>> {
-        (0..=POSES).map(|i| self.expert.get(iteration + i * STEPS_BETWEEN).map(TrajectoryState::from)).collect()
-    }
-
-    /// The recorded states from an iteration on, the last one included.
-    fn rest(&self, iteration: usize) -> Vec<TrajectoryState> {
+    /// The recorded state of an iteration and its recorded future.
+    fn recorded(&self, iteration: usize) -> Vec<TrajectoryState> {
         let rest = self.expert.get(iteration..).unwrap_or_default();
-        let last = rest.len().saturating_sub(1);
-        let kept = rest.iter().enumerate().filter(|(i, _)| i % STEPS_BETWEEN == 0 || *i == last);
-        kept.map(|(_, state)| TrajectoryState::from(state)).collect()
+        rest.iter().step_by(STEPS_BETWEEN).take(1 + POSES).map(TrajectoryState::from).collect()
     }
 }
 
@@ -50,20 +43,12 @@ impl Planner for LogReplay {
 
     fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
         let iteration = input.iteration;
-        let trajectory = match (self.full(iteration), &self.current) {
-            (Some(states), _) => Trajectory::new(states)?,
-            (None, Some(earlier)) => earlier.clone(),
-            (None, None) => {
-                let states = self.rest(iteration);
-                if states.len() < 2 {
-                    let samples = self.expert.len();
-                    return Err(PlannerError::NoRecordedFuture { iteration, samples });
-                }
-                Trajectory::new(states)?
-            }
-        };
-        self.current = Some(trajectory.clone());
-        Ok(trajectory)
+        let states = self.recorded(iteration);
+        if states.len() >= 2 {
+            self.current = Some(Trajectory::new(states)?);
+        }
+        let samples = self.expert.len();
+        self.current.clone().ok_or(PlannerError::NoRecordedFuture { iteration, samples })
     }
 }
 
@@ -94,20 +79,23 @@ mod tests {
     }
 
     #[test]
-    fn keeps_its_trajectory_near_the_end_of_the_recording() {
+    fn a_shorter_future_is_used_as_it_is() {
         let mut planner = recorded(151);
-        let last_full = ask(&mut planner, 70).unwrap();
-        assert_eq!(last_full.end_us(), 15_000_000);
-        assert_eq!(ask(&mut planner, 71).unwrap(), last_full);
-        assert_eq!(ask(&mut planner, 149).unwrap(), last_full);
+        assert_eq!(ask(&mut planner, 70).unwrap().end_us(), 15_000_000);
+        for (iteration, end_us, states) in [(71, 14_600_000, 16), (143, 14_800_000, 2), (145, 15_000_000, 2)] {
+            let trajectory = ask(&mut planner, iteration).unwrap();
+            assert_eq!((trajectory.start_us(), trajectory.end_us()), (iteration as i64 * STEP_US, end_us));
+            assert_eq!(trajectory.states().len(), states);
+        }
     }
 
     #[test]
-    fn replays_a_short_recording_to_its_end() {
-        let mut planner = recorded(53);
-        let trajectory = ask(&mut planner, 0).unwrap();
-        assert_eq!(trajectory.end_us(), 5_200_000);
-        assert_eq!(ask(&mut planner, 51).unwrap(), trajectory);
+    fn without_a_future_the_last_trajectory_is_kept() {
+        let mut planner = recorded(151);
+        let last = ask(&mut planner, 145).unwrap();
+        for iteration in 146..=150 {
+            assert_eq!(ask(&mut planner, iteration).unwrap(), last);
+        }
     }
 
     #[test]

@@ -143,6 +143,16 @@ fn every_result_carries_nuplans_category_unit_and_computator() {
         assert_eq!(metric.computator, if second { "drivable_area_compliance" } else { &metric.name });
         assert_eq!(metric.score.is_some(), metric.score_unit.is_some(), "{}", metric.name);
     }
+    // Meters and weighted radians together have the unit `None`.
+    for (name, unit) in [("ego_expert_L2_error", "meters"), ("ego_expert_l2_error_with_yaw", "None")] {
+        let metric = evaluation.metric(name).unwrap();
+        let units = metric
+            .statistics
+            .iter()
+            .map(|s| s.unit.as_str())
+            .chain(metric.time_series.as_ref().map(|s| s.unit.as_str()));
+        assert_eq!(units.collect::<Vec<_>>(), [unit; 4], "{name}");
+    }
 }
 
 /// A metric of a user: the share of samples above a speed.
