@@ -74,8 +74,8 @@ pub mod evaluation {
 pub mod road {
     pub use crate::geometry::{GeometryError, OrientedBox, Point, Polygon, Polyline, Pose, Vector};
     pub use crate::world::{
-        Lane, LaneId, LaneKind, LaneMap, MapBuilder, MapError, MapParts, Neighbor, Roadblock, RoadblockId, Route,
-        StopLine, StopLineId,
+        Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapBuilder, MapError, MapParts, Neighbor, Roadblock, RoadblockId,
+        Route, StopLine, StopLineId,
     };
 }
 

@@ -3,7 +3,7 @@
 
 use super::Placed;
 use crate::geometry::{Bounds, Point, PointLocator, Polygon};
-use crate::world::{EgoState, LaneId, LaneMap};
+use crate::world::{EgoState, LaneAreas, LaneId, LaneMap};
 use std::collections::BTreeSet;
 
 /// Half size of the square around the ego whose roadblocks make the map, meters.
@@ -13,10 +13,10 @@ pub const MAP_RADIUS: f64 = 50.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DrivableLayers {
-    /// Lanes, connectors and car parks: PDM's choice for maps whose lanes tile the road.
+    /// Lanes, connectors and car parks: PDM's choice. For nuPlan's maps, and others whose lanes tile the road.
     Lanes,
-    /// All of nuPlan's drivable area: roadblocks, intersections, generic drivable areas. For maps derived
-    /// from recordings, whose lane polygons leave gaps.
+    /// All of nuPlan's drivable area: roadblocks, intersections, generic drivable areas. For maps with derived lane polygons
+    /// that leave gaps.
     DrivableArea,
 }
 
@@ -29,10 +29,14 @@ const TILING_WIDTH_STEP: f64 = 0.25;
 const TILING_SHARE: f64 = 0.99;
 
 impl DrivableLayers {
-    /// The layers for a map, by how its lanes lie on a route and within [`MAP_RADIUS`] of the ego: [`Self::Lanes`] where they
-    /// tile the road. The tested points lie every 10 m along each lane, from its baseline across to that of its neighbors,
-    /// and from its end into its successors; at least 99 % must lie on some lane.
+    /// The layers for a map: [`Self::Lanes`] where the source draws the areas of lanes (nuPlan's maps). Where they are derived, how
+    /// they lie on a route and within [`MAP_RADIUS`] of the ego decides: [`Self::Lanes`] if they tile the road. The tested points
+    /// lie every 10 m along each lane, from its baseline across to that of its neighbors, and from its end into its
+    /// successors; at least 99 % must lie on some lane.
     pub fn of(map: &LaneMap, route_lanes: &BTreeSet<LaneId>, center: Point) -> Self {
+        if map.lane_areas() == LaneAreas::Drawn {
+            return Self::Lanes;
+        }
         let near = map.lanes_near(center, MAP_RADIUS);
         let lanes: BTreeSet<LaneId> = route_lanes.iter().copied().chain(near).collect();
         let (mut on_lanes, mut all) = (0usize, 0usize);

@@ -43,6 +43,16 @@ pub enum LaneKind {
     Connector,
 }
 
+/// Where the areas of a map's lanes come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LaneAreas {
+    /// The source draws them, and they cover the road, as nuPlan's do.
+    Drawn,
+    /// Derived from other layers of the source, or of unknown origin: they may leave gaps.
+    #[default]
+    Derived,
+}
+
 /// A neighboring lane of the same direction, along a part of this lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Neighbor {
@@ -143,6 +153,8 @@ pub struct MapParts {
     pub name: String,
     /// Lanes and connectors; the n-th must have id n.
     pub lanes: Vec<Lane>,
+    /// Where their areas come from.
+    pub lane_areas: LaneAreas,
     /// Roadblocks and their connectors; the n-th must have id n.
     pub roadblocks: Vec<Roadblock>,
     /// Stop lines.
@@ -231,6 +243,11 @@ impl LaneMap {
     /// All lanes and connectors.
     pub fn lanes(&self) -> &[Lane] {
         &self.parts.lanes
+    }
+
+    /// Where the areas of the lanes come from.
+    pub fn lane_areas(&self) -> LaneAreas {
+        self.parts.lane_areas
     }
 
     /// All roadblocks and roadblock connectors.

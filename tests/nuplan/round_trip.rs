@@ -9,6 +9,7 @@ use planagent::internals::scenario::generator::{ScenarioType, Spec, generate, ty
 use planagent::internals::scenario::nuplan::export::{ExportChanges, ExportSettings, Exported, write_scenarios};
 use planagent::internals::scenario::nuplan::{Logs, MapStore, ScenarioFilter, SearchResult, open, search};
 use planagent::internals::simulation::{Challenge, simulate};
+use planagent::internals::world::LaneAreas;
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -148,6 +149,7 @@ fn other_zones_and_origins_do_as_well() {
         pair.check_map();
         pair.check_frames();
         assert!(after.map.name().contains(&format!("EPSG:{epsg}")), "{}", after.map.name());
+        assert_eq!((scenario.map.lane_areas(), after.map.lane_areas()), (LaneAreas::Derived, LaneAreas::Drawn));
     }
 }
 

@@ -8,8 +8,8 @@ use planagent::internals::pdm::{
 };
 use planagent::internals::planner::{PdmClosed, Planner, PlannerError, PlannerInitialization, PlannerInput};
 use planagent::internals::world::{
-    EgoState, History, LaneId, LaneKind, LaneMap, Neighbor, ObjectKind, Route, SceneView, TrackToken, TrackedObject,
-    TrafficLights,
+    EgoState, History, LaneAreas, LaneId, LaneKind, LaneMap, Neighbor, ObjectKind, Route, SceneView, TrackToken,
+    TrackedObject, TrafficLights,
 };
 use std::collections::BTreeSet;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
@@ -144,16 +144,18 @@ fn beside_an_ego_in_an_intersection_everyone_is_relevant() {
 
 #[test]
 fn lanes_tile_the_road_or_leave_gaps() {
-    let layers = |gap: f64| {
+    let layers = |gap: f64, areas: LaneAreas| {
         let mut town = Town::default();
+        town.parts.lane_areas = areas;
         let right = town.lane((0.0, 0.0), (100.0, 0.0));
         let left = town.lane((0.0, 4.0 + gap), (100.0, 4.0 + gap));
         town.parts.lanes[0].left.push(Neighbor { lane: left, from_s: 0.0, to_s: 100.0 });
         town.parts.lanes[1].right.push(Neighbor { lane: right, from_s: 0.0, to_s: 100.0 });
         DrivableLayers::of(&town.build(), &BTreeSet::from([right]), Point::origin())
     };
-    assert_eq!(layers(0.0), DrivableLayers::Lanes);
-    assert_eq!(layers(1.0), DrivableLayers::DrivableArea);
+    assert_eq!(layers(0.0, LaneAreas::Derived), DrivableLayers::Lanes);
+    assert_eq!(layers(1.0, LaneAreas::Derived), DrivableLayers::DrivableArea);
+    assert_eq!(layers(1.0, LaneAreas::Drawn), DrivableLayers::Lanes, "what nuPlan draws counts as it is");
     let mut town = Town::default();
     let (a, b) = (town.lane((0.0, 0.0), (50.0, 0.0)), town.lane((51.0, 0.0), (100.0, 0.0)));
     town.link(a, b);

@@ -11,7 +11,9 @@
 use super::error::{CellFault, CellPlace, NuPlanError, RowName};
 use super::layers::{ConnectorRow, Layers, StopRow, largest};
 use crate::geometry::{Polygon, Polyline, Pose, Vector};
-use crate::world::{Lane, LaneId, LaneKind, LaneMap, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId};
+use crate::world::{
+    Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapParts, Neighbor, Roadblock, RoadblockId, StopLine, StopLineId,
+};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -65,6 +67,7 @@ pub(super) fn read(path: &Path, location: &str, version: &str) -> Result<(NuPlan
     let parts = MapParts {
         name,
         lanes,
+        lane_areas: LaneAreas::Drawn,
         roadblocks,
         stop_lines,
         intersections: layers.intersections,

@@ -5,7 +5,7 @@ use super::lanes::{RecordedLane, Side};
 use super::roadblocks::roadblocks;
 use super::trace::Trace;
 use crate::geometry::{Point, Polygon};
-use crate::world::{Lane, LaneId, LaneKind, LaneMap, MapError, MapParts, StopLine, StopLineId};
+use crate::world::{Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, StopLine, StopLineId};
 use geo::{BooleanOps, Simplify};
 use std::collections::BTreeSet;
 
@@ -57,6 +57,7 @@ pub(crate) fn lane_map(layers: Layers<'_>) -> Result<LaneMap, MapError> {
     let parts = MapParts {
         name,
         lanes,
+        lane_areas: LaneAreas::Derived,
         roadblocks,
         stop_lines,
         intersections,
