@@ -144,6 +144,13 @@ impl Polygon {
         self.to_geo().intersection(&other.to_geo()).unsigned_area()
     }
 
+    /// The largest piece of the polygon outside another, its holes filled; `None` if nothing is left.
+    #[cfg(any(feature = "womd", feature = "argoverse2", feature = "nuplan"))]
+    pub(crate) fn without(&self, other: &Self) -> Option<Self> {
+        let pieces = self.to_geo().difference(&other.to_geo()).into_iter().filter_map(|piece| Self::from_geo(&piece));
+        pieces.max_by(|a, b| a.area().total_cmp(&b.area()))
+    }
+
     /// The union of several polygons as simple outlines; holes are filled.
     pub fn union_of(polygons: &[Self]) -> Vec<Self> {
         // Rings that run opposite ways would cut each other out.

@@ -32,6 +32,19 @@ fn check_graph(map: &LaneMap) {
     }
 }
 
+/// At most one lane holds a point: nuPlan's metrics fail where two do. Connectors may overlap.
+fn check_apart(map: &LaneMap) {
+    /// m².
+    const SLIVER: f64 = 1e-3;
+    let lanes: Vec<&Lane> = map.lanes().iter().filter(|lane| !lane.is_connector()).collect();
+    for (place, a) in lanes.iter().enumerate() {
+        for b in &lanes[..place] {
+            let shared = a.polygon.shared_area(&b.polygon);
+            assert!(shared < SLIVER, "{}: lanes {} and {} share {shared} m²", map.name(), a.source_id, b.source_id);
+        }
+    }
+}
+
 /// A lane keeps its area; its centerline loses at most a stitch at the end.
 fn check_lane(pair: &Pair<'_>, lane: &Lane) {
     let twin = pair.twin(lane);
@@ -67,6 +80,8 @@ fn recordings_come_back_with_their_metrics() {
         let pair = Pair { before, after, shift: *shift };
         pair.check_frames();
         check_graph(&after.map);
+        check_apart(&before.map);
+        check_apart(&after.map);
         before.map.lanes().iter().for_each(|lane| check_lane(&pair, lane));
         assert!(pair.same_polygons(before.map.intersections(), after.map.intersections()));
         assert!(pair.same_polygons(before.map.road_segments(), after.map.road_segments()));

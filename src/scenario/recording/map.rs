@@ -6,7 +6,7 @@ use super::roadblocks::roadblocks;
 use super::trace::Trace;
 use crate::geometry::{Point, Polygon};
 use crate::world::{Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, StopLine, StopLineId};
-use geo::{BooleanOps, Simplify};
+use geo::Simplify;
 use std::collections::BTreeSet;
 
 /// Layers of a map. Lanes are indices; the n-th element of every list belongs to the n-th lane.
@@ -79,19 +79,12 @@ pub(crate) fn separate(areas: &mut [Polygon], connector: &[bool]) {
             let (a, b) = (&areas[earlier], &areas[later]);
             if a.overlaps(b)
                 && a.shared_area(b) > MIN_OVERLAP
-                && let Some(rest) = without(b, a)
+                && let Some(rest) = b.without(a)
             {
                 areas[later] = rest;
             }
         }
     }
-}
-
-/// The largest piece of the difference of two polygons.
-fn without(polygon: &Polygon, other: &Polygon) -> Option<Polygon> {
-    let rest = to_geo(polygon).difference(&to_geo(other));
-    let pieces = rest.into_iter().filter_map(|piece| from_geo(&piece));
-    pieces.max_by(|a, b| a.area().total_cmp(&b.area()))
 }
 
 /// The polygon without the vertices that change its outline by less than `by` meters.

@@ -9,10 +9,13 @@
 //! * at an open end of a connector a lane of [`OPEN_END`] meters is inserted;
 //! * a connector that joins several lanes is written once for each pair.
 //!
+//! Inserted lanes have areas clear of all other lanes (`overlap`).
+//!
 //! Maps that keep the rules (all generated ones) pass unchanged. [`ExportChanges`] counts the changes.
 
 use super::ExportChanges;
 use super::ids::{FreeIds, feature_ids};
+use super::overlap::cut_inserted;
 use crate::geometry::{GeometryError, OrientedBox, Point, Polygon, Polyline};
 use crate::world::{Lane, LaneId, LaneMap, RoadblockId};
 use std::collections::BTreeMap;
@@ -161,6 +164,7 @@ impl<'m> GraphBuilder<'m> {
         graph.connectors.sort_by_key(|row| row.fid);
         graph.groups.sort_by_key(|row| row.fid);
         graph.group_connectors.sort_by_key(|row| row.fid);
+        cut_inserted(&mut graph.lanes, &mut graph.groups);
         Ok(self.graph)
     }
 

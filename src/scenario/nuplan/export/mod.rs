@@ -13,6 +13,7 @@ mod ids;
 mod lane_order;
 mod log;
 mod naming;
+mod overlap;
 mod package;
 mod placement;
 mod route;

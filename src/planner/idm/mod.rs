@@ -1,11 +1,13 @@
 //! nuPlan's IDM planner: along the route's centerline behind the nearest obstacle (devkit `idm_planner.py`,
-//! `abstract_idm_planner.py`, `breadth_first_search.py`).
+//! `abstract_idm_planner.py`).
 
+mod route;
+
+use self::route::Road;
 use super::{Planner, PlannerError, PlannerInitialization, PlannerInput};
 use crate::dynamics::{IdmParameters, Lead, ProgressPath};
 use crate::geometry::{Corridor, OrientedBox, Polyline, wrap_angle};
-use crate::world::{EgoState, LaneId, LaneMap, PACIFICA, Route, SceneView, TrackedObject, Trajectory, TrajectoryState};
-use std::collections::{BTreeMap, BTreeSet};
+use crate::world::{EgoState, LaneId, LaneMap, PACIFICA, SceneView, TrackedObject, Trajectory, TrajectoryState};
 use std::sync::Arc;
 
 /// nuPlan's parameters; the target velocity is that of a lane without a limit.
@@ -33,14 +35,6 @@ impl IdmPlanner {
     pub fn new() -> Self {
         Self::default()
     }
-}
-
-/// Map and route from the initialization.
-#[derive(Debug, Clone)]
-struct Road {
-    map: Arc<LaneMap>,
-    route: Route,
-    lanes: BTreeSet<LaneId>,
 }
 
 /// The path with its IDM.
@@ -105,67 +99,6 @@ impl Road {
         let limit = self.map[start].speed_limit.filter(|&limit| limit > 0.0).unwrap_or(LAW.target_velocity);
         Ok(IdmPath { path, line, law: IdmParameters { target_velocity: limit.max(ego.speed()), ..LAW } })
     }
-
-    /// The first lane of the first two roadblocks that holds the ego's center, else the nearest one to its box.
-    fn starting_lane(&self, ego: &EgoState) -> Option<LaneId> {
-        let center = ego.center().position();
-        let footprint = ego.footprint();
-        let blocks = self.route.roadblocks.iter().take(2);
-        let lanes: Vec<LaneId> = blocks.flat_map(|&block| self.map[block].lanes.iter().copied()).collect();
-        let holding = lanes.iter().copied().find(|&lane| self.map[lane].polygon.contains(center));
-        let distance = |lane: &LaneId| self.map[*lane].polygon.distance_to_box(&footprint);
-        holding.or_else(|| lanes.iter().copied().min_by(|a, b| distance(a).total_cmp(&distance(b))))
-    }
-
-    /// Breadth-first search along lanes of the route for a lane of its last roadblock at the depth that the route has; when
-    /// there is none, the chain to the lane found last.
-    fn route_plan(&self, start: LaneId) -> Vec<LaneId> {
-        let blocks = &self.route.roadblocks;
-        let in_second = blocks.get(1) == Some(&self.map[start].roadblock);
-        let depth = if in_second { blocks.len() - 1 } else { blocks.len() };
-        let is_goal = |lane: LaneId| blocks.last() == Some(&self.map[lane].roadblock);
-        let mut level = vec![start];
-        let mut parents: Vec<BTreeMap<LaneId, LaneId>> = Vec::new();
-        let mut end = start;
-        for at in 1..=depth {
-            if at == depth
-                && let Some(&goal) = level.iter().find(|&&lane| is_goal(lane))
-            {
-                end = goal;
-                break;
-            }
-            let mut next = Vec::new();
-            let mut parent = BTreeMap::new();
-            for &lane in &level {
-                for &onward in self.map[lane].outgoing.iter().filter(|onward| self.lanes.contains(onward)) {
-                    if parent.insert(onward, lane).is_none() {
-                        next.push(onward);
-                    }
-                    end = onward;
-                }
-            }
-            if next.is_empty() {
-                break;
-            }
-            parents.push(parent);
-            level = next;
-        }
-        chain(end, &parents)
-    }
-}
-
-/// The lanes from the start to `end`, which lies on the last level that holds it.
-fn chain(end: LaneId, parents: &[BTreeMap<LaneId, LaneId>]) -> Vec<LaneId> {
-    let mut lanes = vec![end];
-    let reached = parents.iter().rposition(|parent| parent.contains_key(&end)).map_or(0, |level| level + 1);
-    let mut lane = end;
-    for parent in parents[..reached].iter().rev() {
-        let Some(&before) = parent.get(&lane) else { break };
-        lanes.push(before);
-        lane = before;
-    }
-    lanes.reverse();
-    lanes
 }
 
 /// The obstacles near the ego, frozen at the present.
@@ -250,7 +183,7 @@ mod tests {
     use super::*;
     use crate::dynamics::test_road::{Stretch, ego_at, object, straight_road, whole_route};
     use crate::geometry::Pose;
-    use crate::world::{History, ObjectKind, SignalStatus, TrafficLights};
+    use crate::world::{History, ObjectKind, Route, SignalStatus, TrafficLights};
 
     const ROAD: [Stretch; 3] = [Stretch::Lane(60.0), Stretch::Signal(20.0), Stretch::Lane(150.0)];
 
@@ -382,19 +315,6 @@ mod tests {
             corridor.meets_box(&rear_at(along + reach - 0.01)) && !corridor.meets_box(&rear_at(along + reach + 0.01))
         );
         assert!((law.target_velocity * SAMPLES as f64 * SAMPLE_S - 8.0).abs() < 1e-12);
-    }
-
-    /// A route of one roadblock and a search that never reaches the last one: the longest chain found.
-    #[test]
-    fn a_route_with_a_gap_ends_before_it() {
-        let map = Arc::new(straight_road(&ROAD, Some(12.0)));
-        let mut route = whole_route(&map);
-        route.roadblocks.truncate(2);
-        let mut planner = IdmPlanner::new();
-        planner.initialize(&PlannerInitialization { map: &map, route: &route }).unwrap();
-        let road = planner.road.as_ref().unwrap();
-        assert_eq!(road.route_plan(LaneId(0)), [LaneId(0), LaneId(1)]);
-        assert_eq!(road.route_plan(LaneId(1)), [LaneId(1)]);
     }
 
     #[test]
