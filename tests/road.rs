@@ -93,7 +93,7 @@ impl Road {
     }
 
     pub(crate) fn build(self) -> LaneMap {
-        LaneMap::new(self.parts.with_roadblocks_as_road()).unwrap()
+        LaneMap::new(self.parts.with_roadblocks_as_road().with_dense_baselines()).unwrap()
     }
 }
 

@@ -1,13 +1,10 @@
 //! A path of poses by progress, as nuPlan's IDM agents and IDM planner have it (devkit `path/utils.py`,
 //! `interpolated_path.py`).
 
-use crate::geometry::{Polyline, Pose, unwrap_angles, wrap_angle};
+use crate::geometry::{Pose, unwrap_angles, wrap_angle};
 
 /// A pose nearer than this to its successor is dropped, meters (numpy's `isclose`).
 const COINCIDENT: f64 = 1e-8;
-/// Baselines are given a vertex at least this often, meters. nuPlan's are dense; a sparser one would lose much of its end
-/// to the rule that drops the last pose.
-const MAX_SPACING: f64 = 5.0;
 
 /// Poses with their progress: cumulative chord length, meters from the first. At least two poses.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,21 +40,6 @@ impl ProgressPath {
             progress: progress.collect(),
             poses: kept.iter().zip(headings).map(|(pose, heading)| Pose { heading, ..*pose }).collect(),
         })
-    }
-
-    /// The poses of a baseline as a path sees them: its vertices, each heading towards the next, and on long straight pieces
-    /// vertices in between.
-    pub fn baseline_poses(line: &Polyline) -> Vec<Pose> {
-        let vertices = line.vertex_poses();
-        let mut poses = Vec::with_capacity(vertices.len());
-        for pair in vertices.windows(2) {
-            let length = pair[0].distance(&pair[1]);
-            let pieces = (length / MAX_SPACING).ceil().max(1.0);
-            let steps = (0..pieces as usize).map(|i| pair[0].translated(length * i as f64 / pieces, 0.0));
-            poses.extend(steps);
-        }
-        poses.extend(vertices.last());
-        poses
     }
 
     /// Progress of the last pose, meters.
@@ -101,7 +83,6 @@ impl ProgressPath {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Point;
 
     fn straight(count: usize) -> Vec<Pose> {
         (0..count).map(|i| Pose::new(i as f64, 0.0, 0.0)).collect()
@@ -149,13 +130,5 @@ mod tests {
         assert_eq!(xs(12.0, 15.0), [8.0, 9.0]);
         assert_eq!(xs(-4.0, 0.0), [0.0, 1.0]);
         assert_eq!(xs(8.5, 20.0), [8.5, 9.0]);
-    }
-
-    #[test]
-    fn sparse_baselines_are_filled() {
-        let line = Polyline::new([Point::new(0.0, 0.0), Point::new(0.0, 12.0)]).unwrap();
-        let poses = ProgressPath::baseline_poses(&line);
-        assert_eq!(poses.len(), 4);
-        assert!((poses[1].y - 4.0).abs() < 1e-12 && (poses[1].heading - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
     }
 }

@@ -22,7 +22,7 @@ fn strip(from: f64, to: f64) -> Polygon {
     Polygon::new([(from, -half), (to, -half), (to, half), (from, half)].map(|(x, y)| Point::new(x, y))).unwrap()
 }
 
-/// A road along the x axis from x = 0 with a vertex every meter, one lane id a stretch, in a roadblock of its own; a signal
+/// A road along the x axis from x = 0, one lane id a stretch, in a roadblock of its own; a signal
 /// has a stop line 1 m before it. Lanes have the speed limit.
 pub(crate) fn straight_road(stretches: &[Stretch], speed_limit: Option<f64>) -> LaneMap {
     let mut parts = MapParts { name: "straight".into(), ..MapParts::default() };
@@ -70,7 +70,7 @@ pub(crate) fn straight_road(stretches: &[Stretch], speed_limit: Option<f64>) -> 
         });
         from += length;
     }
-    LaneMap::new(parts.with_roadblocks_as_road()).unwrap()
+    LaneMap::new(parts.with_roadblocks_as_road().with_dense_baselines()).unwrap()
 }
 
 /// The route along a whole straight road.

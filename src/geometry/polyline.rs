@@ -255,6 +255,20 @@ impl Polyline {
         Self::new(points).unwrap_or_else(|_| self.clone())
     }
 
+    /// The same line with vertices added so that none is farther than `spacing` meters from the next. All vertices stay.
+    pub fn densified(&self, spacing: f64) -> Self {
+        /// A piece longer than the spacing by this share is not split: maps round coordinates, by nanometers.
+        const ROUNDING: f64 = 1e-6;
+        let mut vertices = Vec::with_capacity(self.vertices.len() + (self.length() / spacing) as usize);
+        for pair in self.vertices.windows(2) {
+            let along = pair[1] - pair[0];
+            let pieces = (along.norm() / spacing - ROUNDING).ceil().max(1.0);
+            vertices.extend((0..pieces as usize).map(|i| pair[0] + along * (i as f64 / pieces)));
+        }
+        vertices.push(self.end());
+        Self::new(vertices).unwrap_or_else(|_| self.clone())
+    }
+
     /// This line followed by another; a shared joint is merged.
     pub fn joined(&self, next: &Self) -> Self {
         let points = self.vertices.iter().chain(&next.vertices).copied();
@@ -345,6 +359,17 @@ mod tests {
         assert!((part.length() - 5.0).abs() < 1e-12);
         assert_eq!(part.vertices().len(), 3);
         assert!(corner().slice(3.0, 3.0).is_none());
+    }
+
+    #[test]
+    fn a_dense_line_keeps_its_vertices() {
+        let line = corner().joined(&Polyline::new([Point::new(10.0, 10.0), Point::new(10.0, 10.3)]).unwrap());
+        let dense = line.densified(0.5);
+        assert_eq!(dense.vertices().len(), 20 + 20 + 1 + 1);
+        assert!(line.vertices().iter().all(|vertex| dense.vertices().contains(vertex)));
+        assert!(dense.vertices().windows(2).all(|pair| (pair[1] - pair[0]).norm() < 0.5 + 1e-6));
+        assert!((dense.length() - line.length()).abs() < 1e-9);
+        assert_eq!(dense.densified(0.5), dense);
     }
 
     proptest! {

@@ -110,7 +110,7 @@ fn has_lead_agent(map: &LaneMap, sample: &HistorySample) -> bool {
     let center = sample.ego.center();
     let Some(lane) = lane_at(map, center.position(), center) else { return false };
     let baseline = &map[lane].centerline;
-    let Some(path) = ProgressPath::new(&ProgressPath::baseline_poses(baseline)) else { return false };
+    let Some(path) = ProgressPath::new(&baseline.vertex_poses()) else { return false };
     let ahead = path.between(baseline.project(center.position()).s, path.length());
     let Ok(line) = Polyline::new(ahead.iter().map(Pose::position)) else { return false };
     let strip = Corridor::new(line, PACIFICA.width / 2.0);

@@ -1,6 +1,5 @@
 //! The lanes that PDM-Closed follows: Dijkstra's search along the route (`tuplan_garage` `dijkstra.py`).
 
-use crate::dynamics::ProgressPath;
 use crate::geometry::Pose;
 use crate::world::{LaneId, LaneMap, RoadblockId};
 use std::collections::BTreeMap;
@@ -68,8 +67,7 @@ fn chain_to(end: LaneId, parent: &BTreeMap<LaneId, LaneId>) -> Vec<LaneId> {
     chain
 }
 
-/// The baselines of the lanes one after the other; where two meet, both poses are kept. Sparse baselines are given vertices
-/// at least every 5 m.
+/// The baselines of the lanes one after the other; where two meet, both poses are kept.
 pub fn centerline_poses(map: &LaneMap, lanes: &[LaneId]) -> Vec<Pose> {
-    lanes.iter().flat_map(|&lane| ProgressPath::baseline_poses(&map[lane].centerline)).collect()
+    lanes.iter().flat_map(|&lane| map[lane].centerline.vertex_poses()).collect()
 }

@@ -1,7 +1,6 @@
 //! The ego's roadblock and its lane of the route (`tuplan_garage` `route_utils.py`,
 //! `abstract_pdm_planner.py`).
 
-use crate::dynamics::ProgressPath;
 use crate::geometry::{Point, Pose, wrap_angle};
 use crate::world::{EgoState, Lane, LaneId, LaneKind, LaneMap, Roadblock, RoadblockId};
 use std::f64::consts::FRAC_PI_4;
@@ -23,9 +22,8 @@ struct Misfit {
 }
 
 impl Misfit {
-    /// nuPlan's baselines are dense; a sparse one is given vertices at least every 5 m.
     fn of(lane: &Lane, pose: Pose) -> Self {
-        let poses = ProgressPath::baseline_poses(&lane.centerline);
+        let poses = lane.centerline.vertex_poses();
         let distances = poses.iter().map(|vertex| (vertex.distance(&pose), vertex.heading));
         let (displacement, heading) = distances.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, 0.0));
         Self { displacement, heading_error: wrap_angle(heading - pose.heading).abs() }

@@ -171,7 +171,27 @@ pub struct MapParts {
     pub carparks: Vec<Polygon>,
 }
 
+/// Maximum distance between two vertices of a baseline, meters. nuPlan's rules for paths go from vertex to vertex and drop the
+/// last one (devkit `idm/utils.py`), so a sparse baseline ends too early. Ours: nuPlan's maps state no spacing; the devkit
+/// runs on maps with this one.
+pub const BASELINE_SPACING: f64 = 0.5;
+
 impl MapParts {
+    /// Gives the centerlines vertices at least every [`BASELINE_SPACING`]: for sources other than nuPlan's maps, which are
+    /// taken as they are.
+    pub fn with_dense_baselines(mut self) -> Self {
+        let sparse: Vec<f64> = self.lanes.iter().map(|lane| lane.centerline.length()).collect();
+        for (lane, before) in self.lanes.iter_mut().zip(sparse) {
+            lane.centerline = lane.centerline.densified(BASELINE_SPACING);
+            // Neighbors along the whole lane stay so whatever the length was rounded to.
+            let whole = lane.centerline.length();
+            for neighbor in lane.left.iter_mut().chain(&mut lane.right).filter(|neighbor| neighbor.to_s >= before) {
+                neighbor.to_s = whole;
+            }
+        }
+        self
+    }
+
     /// Adds the areas of all roadblocks to the road segments: for sources that do not draw that layer.
     pub fn with_roadblocks_as_road(mut self) -> Self {
         self.road_segments.extend(self.roadblocks.iter().flat_map(|block| block.areas.iter().cloned()));
@@ -210,7 +230,7 @@ pub struct LaneMap {
 }
 
 impl LaneMap {
-    /// Checks the relations and builds the indices.
+    /// Checks the relations and builds the indices. Baselines are taken as they are; see [`MapParts::with_dense_baselines`].
     ///
     /// # Errors
     /// When there is no lane, an id does not match its place, or a relation dangles.
@@ -233,6 +253,12 @@ impl LaneMap {
             stop_index: SpatialIndex::new(parts.stop_lines.iter().map(|line| line.polygon.bounds())),
             parts,
         })
+    }
+
+    /// The same map with dense baselines; see [`MapParts::with_dense_baselines`].
+    pub fn with_dense_baselines(mut self) -> Self {
+        self.parts = std::mem::take(&mut self.parts).with_dense_baselines();
+        self
     }
 
     /// Name of the map.

@@ -10,7 +10,7 @@ const BEND_STEPS: u32 = 24;
 /// A lane that ends this near to the start of another leads into it, meters.
 const JOINT: f64 = 0.5;
 
-/// A lane map under construction. Centerlines get a vertex every meter.
+/// A lane map under construction. Centerlines get a vertex every meter, those of the finished map every half meter.
 #[derive(Debug, Clone, Default)]
 pub struct MapBuilder {
     /// The layers so far; add areas such as crosswalks here.
@@ -171,6 +171,6 @@ impl MapBuilder {
             };
             self.parts.roadblocks.push(block);
         }
-        LaneMap::new(self.parts.with_roadblocks_as_road())
+        LaneMap::new(self.parts.with_roadblocks_as_road().with_dense_baselines())
     }
 }

@@ -18,8 +18,8 @@ mod trajectory;
 pub use ego::{EgoState, PACIFICA, VehicleParameters};
 pub use history::{HISTORY_SAMPLES, History, HistorySample};
 pub use map::{
-    Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, Neighbor, Roadblock, RoadblockId, StopLine,
-    StopLineId,
+    BASELINE_SPACING, Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, Neighbor, Roadblock, RoadblockId,
+    StopLine, StopLineId,
 };
 pub use map_builder::MapBuilder;
 pub use object::{ObjectKind, TrackToken, TrackedObject};

@@ -331,6 +331,15 @@ mod tests {
     }
 
     #[test]
+    fn baselines_are_dense() {
+        let scene = crossing().build().unwrap();
+        for lane in scene.map.lanes() {
+            let steps = lane.centerline.vertices().windows(2).map(|pair| (pair[1] - pair[0]).norm());
+            assert!(steps.fold(0.0, f64::max) < crate::world::BASELINE_SPACING + 1e-6, "{:?}", lane.id);
+        }
+    }
+
+    #[test]
     fn what_is_wrong_is_named() {
         assert_eq!(Scene::builder().lane([[0.0, 0.0], [9.0, 0.0]]).build().unwrap_err(), SceneError::NoEgo);
         let no_map = Scene::builder().ego([0.0, 0.0], 0.0, 0.0).build().unwrap_err();

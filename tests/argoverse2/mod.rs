@@ -9,7 +9,7 @@ use planagent::internals::planner::{IdmPlanner, LogReplay, Planner};
 use planagent::internals::scenario::argoverse2;
 use planagent::internals::scenario::{DataRoots, Readers, Scenario, ScenarioRef};
 use planagent::internals::simulation::{Challenge, simulate};
-use planagent::internals::world::{EgoState, LaneKind, PACIFICA};
+use planagent::internals::world::{BASELINE_SPACING, EgoState, LaneKind, PACIFICA};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -24,7 +24,8 @@ fn found(word: &str) -> Vec<String> {
     readers.find(word).unwrap().iter().map(ScenarioRef::to_string).collect()
 }
 
-fn all_logs() -> Vec<PathBuf> {
+/// All logs; none without outside data.
+pub(crate) fn all_logs() -> Vec<PathBuf> {
     [logs("sensor"), logs("motion_forecasting")].concat()
 }
 
@@ -137,6 +138,8 @@ fn derived_maps_keep_the_rules() {
             }
         }
         for lane in map.lanes() {
+            let steps = lane.centerline.vertices().windows(2).map(|pair| (pair[1] - pair[0]).norm());
+            assert!(steps.fold(0.0, f64::max) < BASELINE_SPACING + 1e-6, "{id}: lane {}", lane.source_id);
             let middle = lane.centerline.pose_at(lane.centerline.length() / 2.0);
             assert!(map.is_drivable(middle.position()), "{id}: lane {}", lane.source_id);
             assert!(

@@ -78,7 +78,7 @@ impl Town {
     }
 
     pub(super) fn build(self) -> LaneMap {
-        LaneMap::new(self.parts).unwrap()
+        LaneMap::new(self.parts.with_dense_baselines()).unwrap()
     }
 }
 

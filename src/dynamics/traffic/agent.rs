@@ -46,7 +46,7 @@ impl IdmAgent {
             width: vehicle.shape.width,
             idm,
             route: VecDeque::from([lane]),
-            path: Arc::new(ProgressPath::new(&ProgressPath::baseline_poses(baseline))?),
+            path: Arc::new(ProgressPath::new(&baseline.vertex_poses())?),
             progress: baseline.project(center).s,
             speed,
             footprint: Arc::new(Footprint::of_box(snapped)),
@@ -107,7 +107,7 @@ impl IdmAgent {
             let open = map[last].outgoing.iter().copied().filter(may_enter);
             let Some(next) = open.min_by(|a, b| bend(a).total_cmp(&bend(b))) else { return };
             let mut poses = self.path.between(self.progress, self.path.length());
-            poses.extend(ProgressPath::baseline_poses(&map[next].centerline));
+            poses.extend(map[next].centerline.vertex_poses());
             let Some(path) = ProgressPath::new(&poses) else { return };
             self.path = Arc::new(path);
             self.progress = 0.0;

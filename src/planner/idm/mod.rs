@@ -91,8 +91,7 @@ impl Road {
     /// The path from a lane.
     fn path_from(&self, start: LaneId, ego: &EgoState) -> Result<IdmPath, PlannerError> {
         let lanes = self.route_plan(start);
-        let poses: Vec<_> =
-            lanes.iter().flat_map(|&lane| ProgressPath::baseline_poses(&self.map[lane].centerline)).collect();
+        let poses: Vec<_> = lanes.iter().flat_map(|&lane| self.map[lane].centerline.vertex_poses()).collect();
         let path = ProgressPath::new(&poses).ok_or(PlannerError::EmptyRoute)?;
         let points = lanes.iter().flat_map(|&lane| self.map[lane].centerline.vertices()).copied();
         let line = Polyline::new(points).map_err(|_| PlannerError::EmptyRoute)?;

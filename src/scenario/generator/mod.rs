@@ -36,6 +36,7 @@ use log::PAST;
 use rng::SeededRng;
 use road::Roads;
 use scene::builder::{TrafficBuilder, prepare};
+use std::sync::Arc;
 
 /// Maximum number of draws for a scenario.
 pub const MAX_DRAWS: usize = 60;
@@ -120,7 +121,8 @@ fn draw(spec: &Spec, rng: &mut SeededRng) -> Result<Scenario, Discard> {
         id: spec.to_string(),
         scenario_type: kind.name.to_owned(),
         log_name: spec.log_name(),
-        map: roads.map.clone(),
+        // The traffic ran on the lines as they were drawn: their vertices must not move its last bits.
+        map: Arc::new((*roads.map).clone().with_dense_baselines()),
         route: Route { roadblocks: roads.route(), goal },
         frames: log.frames,
         start: PAST,

@@ -66,7 +66,7 @@ pub(crate) fn lane_map(layers: Layers<'_>) -> Result<LaneMap, MapError> {
         generic_drivable,
         carparks: Vec::new(),
     };
-    LaneMap::new(parts.with_roadblocks_as_road())
+    LaneMap::new(parts.with_roadblocks_as_road().with_dense_baselines())
 }
 
 /// Cuts lane areas so that at most one lane holds a point, as nuPlan's metrics assume. An earlier lane keeps the overlap, and

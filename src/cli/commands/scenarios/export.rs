@@ -58,6 +58,7 @@ fn summary(changes: &ExportChanges) -> String {
         (changes.connectors_repeated, "connectors repeated for more lanes"),
         (changes.inserted_stop_lines, "stop lines inserted"),
         (changes.dropped_future_states, "recorded states after the end dropped"),
+        (changes.appended_roadblocks, "roadblocks appended to the route"),
         (changes.neighbors_changed, "neighbor relations changed"),
     ];
     let some = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));

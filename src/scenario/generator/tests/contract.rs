@@ -152,3 +152,17 @@ fn the_ego_after_the_end_goes_on_where_the_scenario_ends() {
     // Where the roads end, so do the states.
     assert!(complete * 10 >= CORPUS.len() * 7, "{complete} of {}", CORPUS.len());
 }
+
+#[test]
+fn baselines_are_dense_and_lead_to_each_other() {
+    for Generated { scenario, .. } in CORPUS.iter() {
+        for lane in scenario.map.lanes() {
+            let line = &lane.centerline;
+            let longest = line.vertices().windows(2).map(|pair| (pair[1] - pair[0]).norm()).fold(0.0, f64::max);
+            assert!(longest < crate::world::BASELINE_SPACING + 1e-6, "{} {:?}: {longest} m", scenario.id, lane.id);
+            for beside in lane.left.iter().chain(&lane.right).filter(|beside| beside.from_s <= 0.0) {
+                assert!(beside.to_s >= line.length(), "{} {:?}", scenario.id, lane.id);
+            }
+        }
+    }
+}

@@ -116,7 +116,7 @@ impl Lanes {
         let mut lane = map.best_fit(if on_route.is_empty() { &here } else { &on_route }, start)?;
         let mut line = map[lane].centerline.clone();
         let foot = line.project(start.position());
-        let turned = wrap_angle(start.heading - foot.heading);
+        let turned = wrap_angle(start.heading - line.smooth_pose_at(foot.s).heading);
         while line.length() < foot.s + length {
             let Some(next) = next_lane(map, route, lane) else { break };
             lane = next;

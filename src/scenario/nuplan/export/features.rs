@@ -9,7 +9,7 @@ use super::stops::{StopRow, stop_rows};
 use crate::geometry::{Polygon, Polyline};
 use crate::scenario::nuplan::geometry_blob::StoredShape;
 use crate::scenario::nuplan::schema::{self, Table};
-use crate::world::{LaneId, LaneKind, LaneMap};
+use crate::world::{BASELINE_SPACING, LaneId, LaneKind, LaneMap};
 use rusqlite::types::Value;
 use std::collections::BTreeMap;
 
@@ -94,7 +94,11 @@ impl Lines<'_> {
     /// Adds the baseline path of a lane or connector; its fid.
     fn baseline(&mut self, line: &Polyline, owner: &'static str, fid: i64) -> Result<i64, ShapeError> {
         let own = self.baselines.next_fid();
-        self.baselines.push(own, self.place.line(line)?, vec![(owner, fid.into()), ("path_type_fid", 0.into())]);
+        self.baselines.push(
+            own,
+            self.place.line(&line.densified(BASELINE_SPACING))?,
+            vec![(owner, fid.into()), ("path_type_fid", 0.into())],
+        );
         Ok(own)
     }
 
@@ -187,7 +191,7 @@ fn connectors(
             ("bulb_fids", String::new().into()),
             ("overlap", 0.into()),
         ];
-        layer.push(*fid, lines.place.line(centerline)?, values);
+        layer.push(*fid, lines.place.line(&centerline.densified(BASELINE_SPACING))?, values);
         let values = vec![
             ("lane_connector_fid", (*fid).into()),
             ("left_boundary_fid", borders[0].into()),

@@ -23,6 +23,7 @@ mod stops;
 #[cfg(test)]
 mod tests;
 mod timeline;
+mod valid_area;
 
 pub use graph::{OPEN_END, STITCH};
 pub use placement::ShapeError;
@@ -96,6 +97,8 @@ pub struct ExportChanges {
     pub inserted_stop_lines: usize,
     /// Recorded ego states after the end, dropped because nuPlan's window would include them.
     pub dropped_future_states: usize,
+    /// Roadblocks appended to a route of one, connectors included.
+    pub appended_roadblocks: usize,
     /// Neighbor relations dropped, or extended from a part to the whole lane; nuPlan has none between connectors.
     pub neighbors_changed: usize,
 }
@@ -252,7 +255,8 @@ impl Writer<'_> {
             return Err(ExportError::SameLog(id()));
         }
         let connectors = graph.connectors_by_lane();
-        let route = route::route_ids(&scenario.map, &graph, &scenario.route.roadblocks);
+        let mut route = route::route_ids(&scenario.map, &graph, &scenario.route.roadblocks);
+        graph.changes.appended_roadblocks = route::extend_short(&mut route, &graph);
         let facts = LogHeader {
             log: &log,
             location: &location,

@@ -1,10 +1,10 @@
 //! Where on Earth the scenario's own coordinates lie, and its shapes as a map package stores them.
 
+use super::valid_area::valid_union;
 use crate::geometry::{Point, Polygon, Polyline};
 use crate::scenario::nuplan::geometry_blob::{BlobError, StoredShape, encode};
 use crate::scenario::nuplan::projection::{ProjectionError, Utm, WGS84};
-use geo::orient::Direction;
-use geo::{Coord, LineString, MultiPolygon, Orient};
+use geo::{Coord, LineString, MapCoords, MultiPolygon};
 
 /// Why a shape cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -14,6 +14,8 @@ pub enum ShapeError {
     Projection(#[from] ProjectionError),
     #[error(transparent)]
     Blob(#[from] BlobError),
+    #[error("the outline of an area crosses itself and encloses nothing that can be written")]
+    Crossing,
 }
 
 /// A zone, and the scenario's origin in it.
@@ -29,31 +31,32 @@ impl Placement {
         Ok(encode(&self.degrees(line.vertices())?.into(), WGS84)?)
     }
 
-    /// An area with its holes.
+    /// An area with its holes, without crossings.
     pub(super) fn polygon(&self, polygon: &Polygon) -> Result<StoredShape, ShapeError> {
-        Ok(encode(&self.degrees_of(&to_geo(polygon))?.into(), WGS84)?)
+        self.union(std::slice::from_ref(polygon))
     }
 
-    /// Several pieces as one area: a single piece unchanged, several as their union.
+    /// Several pieces as one area, without crossings: a single piece unchanged where it has none, several as their union.
     pub(super) fn union(&self, pieces: &[Polygon]) -> Result<StoredShape, ShapeError> {
-        if let [only] = pieces {
-            return self.polygon(only);
-        }
-        // Rings of opposite orientation would cancel each other.
-        let pieces: Vec<geo::Polygon<f64>> = pieces.iter().map(|p| to_geo(p).orient(Direction::Default)).collect();
-        let joined = geo::unary_union(&pieces).0;
-        let mut placed = joined.iter().map(|piece| self.degrees_of(piece)).collect::<Result<Vec<_>, _>>()?;
+        let area = valid_union(pieces, |area| {
+            let degrees = self.in_degrees(area)?;
+            let meters = degrees.try_map_coords(|c| {
+                let (x, y) = self.utm.to_utm(c.x, c.y)?;
+                Ok::<_, ShapeError>(Coord { x, y })
+            })?;
+            Ok([degrees, meters])
+        })?;
+        let mut placed = self.in_degrees(&area)?.0;
         let only = if placed.len() == 1 { placed.pop() } else { None };
         Ok(encode(&only.map_or_else(|| MultiPolygon(placed).into(), Into::into), WGS84)?)
     }
 
-    fn degrees_of(&self, polygon: &geo::Polygon<f64>) -> Result<geo::Polygon<f64>, ShapeError> {
-        let ring = |line: &LineString<f64>| {
-            let points: Vec<Point> = line.coords().map(|c| Point::new(c.x, c.y)).collect();
-            self.degrees(&points)
-        };
-        let holes = polygon.interiors().iter().map(ring).collect::<Result<Vec<_>, _>>()?;
-        Ok(geo::Polygon::new(ring(polygon.exterior())?, holes))
+    fn in_degrees(&self, area: &MultiPolygon<f64>) -> Result<MultiPolygon<f64>, ShapeError> {
+        area.try_map_coords(|c| {
+            let there = Point::new(c.x, c.y) + self.origin.coords;
+            let (x, y) = self.utm.to_geographic(there.x, there.y)?;
+            Ok(Coord { x, y })
+        })
     }
 
     fn degrees(&self, points: &[Point]) -> Result<LineString<f64>, ShapeError> {
@@ -64,9 +67,4 @@ impl Placement {
         };
         points.iter().map(place).collect()
     }
-}
-
-fn to_geo(polygon: &Polygon) -> geo::Polygon<f64> {
-    let line = |ring: &[Point]| LineString::from(ring.iter().map(|p| (p.x, p.y)).collect::<Vec<_>>());
-    geo::Polygon::new(line(polygon.ring()), polygon.holes().iter().map(|hole| line(hole)).collect())
 }

@@ -1,6 +1,7 @@
 //! The route of a scenario in ids of the written map.
 
 use super::graph::Graph;
+use crate::geometry::wrap_angle;
 use crate::world::{LaneKind, LaneMap, RoadblockId};
 use std::collections::{BTreeMap, VecDeque};
 
@@ -31,6 +32,28 @@ pub(super) fn route_ids(map: &LaneMap, graph: &Graph, route: &[RoadblockId]) -> 
         }
     }
     ids
+}
+
+/// Appends the next roadblock to a route of one, with the connector between, and returns how many were appended. The devkit's IDM
+/// planner demands two. Of several connectors the one that turns least is taken, as a driver without a route would.
+pub(super) fn extend_short(route: &mut Vec<i64>, graph: &Graph) -> usize {
+    let &[only] = route.as_slice() else { return 0 };
+    let ahead = match graph.group_connectors.iter().find(|row| row.fid == only) {
+        Some(connector) => vec![connector.to],
+        None => straightest_from(graph, only).map_or_else(Vec::new, |(connector, next)| vec![connector, next]),
+    };
+    route.extend(&ahead);
+    ahead.len()
+}
+
+/// The roadblock connector from a roadblock that turns least, and where it leads.
+fn straightest_from(graph: &Graph, from: i64) -> Option<(i64, i64)> {
+    let onward = graph.group_connectors.iter().filter(|row| row.from == from);
+    let turn = |group: i64| {
+        let lines = graph.connectors.iter().filter(|row| row.group == group).map(|row| &row.centerline);
+        lines.map(|l| wrap_angle(l.heading_at(l.length()) - l.heading_at(0.0)).abs()).fold(f64::INFINITY, f64::min)
+    };
+    onward.min_by(|a, b| turn(a.fid).total_cmp(&turn(b.fid))).map(|row| (row.fid, row.to))
 }
 
 /// The rows of a roadblock.

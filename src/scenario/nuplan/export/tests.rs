@@ -1,7 +1,7 @@
 //! Maps that nuPlan's formats cannot express, and folders that must not be written.
 
 use super::graph::{ConnectorRow, Graph, LaneRow};
-use super::route::route_ids;
+use super::route::{extend_short, route_ids};
 use super::stops::stop_rows;
 use super::*;
 use crate::geometry::{OrientedBox, Polyline, Pose};
@@ -105,6 +105,40 @@ fn connectors_lead_from_a_lane_to_a_lane() {
     let ids = route_ids(&map, &graph, &route);
     let group = |fid: i64| graph.connectors.iter().find(|row| row.fid == fid).unwrap().group;
     assert_eq!(ids, [100, lane(&graph, 16).group, group(17), 103, 104]);
+}
+
+#[test]
+fn a_route_of_one_roadblock_is_extended() {
+    let map = road(&[(L, 0.0, 50.0, &[1]), (C, 50.0, 70.0, &[2]), (L, 70.0, 90.0, &[]), (C, 90.0, 99.0, &[])]);
+    let graph = Graph::of(&map).unwrap();
+    let extended = |blocks: &[u32]| {
+        let mut route = route_ids(&map, &graph, &blocks.iter().copied().map(RoadblockId).collect::<Vec<_>>());
+        let appended = extend_short(&mut route, &graph);
+        (route, appended)
+    };
+    assert_eq!(extended(&[0]), (vec![100, 101, 102], 2));
+    assert_eq!(extended(&[1]), (vec![101, 102], 1));
+    assert_eq!(extended(&[2]), (vec![102], 0), "it leads nowhere");
+    assert_eq!(extended(&[0, 1]), (vec![100, 101], 0));
+}
+
+#[test]
+fn of_several_connectors_the_straightest_extends_a_route() {
+    let scenario = scenario(types::starting_left_turn::TYPE, 3);
+    let map = &scenario.map;
+    let graph = Graph::of(map).unwrap();
+    let turn = |id: LaneId| {
+        let line = &map[id].centerline;
+        crate::geometry::wrap_angle(line.heading_at(line.length()) - line.heading_at(0.0)).abs()
+    };
+    let choices = |block: &&Roadblock| block.kind == LaneKind::Lane && block.outgoing.len() > 1;
+    let block = map.roadblocks().iter().find(choices).unwrap();
+    let mut route = route_ids(map, &graph, &[block.id]);
+    assert_eq!(extend_short(&mut route, &graph), 2);
+    let straightest = block.outgoing.iter().flat_map(|&next| &map[next].lanes).map(|&lane| turn(lane));
+    let taken = map.roadblocks().iter().find(|other| other.source_id == route[1]).unwrap();
+    let least = taken.lanes.iter().map(|&lane| turn(lane)).fold(f64::INFINITY, f64::min);
+    assert!(least <= straightest.fold(f64::INFINITY, f64::min), "{route:?}");
 }
 
 #[test]
