@@ -249,7 +249,7 @@ impl ReflectionRecord {
 }
 
 impl DecisionRecord {
-    fn of(decision: &Decision) -> Self {
+    pub(super) fn of(decision: &Decision) -> Self {
         let words = |why: &NoPlan| (why.cause().to_owned(), why.to_string());
         match decision {
             Decision::Execute(attempt) => Self::Execute { attempt: *attempt },

@@ -3,6 +3,7 @@
 mod atomic;
 mod bench;
 mod call_record;
+mod decision;
 mod error;
 mod figure;
 mod finish;
@@ -28,6 +29,7 @@ mod transcript;
 
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures, Spread};
 pub use call_record::{CallRecord, DecisionRecord};
+pub use decision::decision_words;
 pub use error::{ReportError, ReportFault};
 pub use layout::{MANIFEST, SUMMARY};
 pub use manifest::{FORMAT_VERSION, Manifest, ScenarioList};
@@ -45,4 +47,4 @@ pub use table::{
 };
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};
-pub use transcript::{attempt_markdown, decision_words, transcript};
+pub use transcript::{attempt_markdown, transcript};

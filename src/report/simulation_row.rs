@@ -1,5 +1,6 @@
 //! `record.toml`: the row of one simulation.
 
+use super::decision::all_refused;
 use super::number::positive_zero;
 use super::times::{CallTimes, SimulationTime};
 use crate::experiment::run::SimulationRecord;
@@ -43,6 +44,9 @@ pub struct SimulationRow {
     /// Planning calls that the gate skipped.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub gated_calls: usize,
+    /// Planning calls in which Reflection refused all attempts.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub refused_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,
     /// Parse errors of the answers.
@@ -103,6 +107,7 @@ impl SimulationRow {
             zeroed_by: score.map_or_else(Vec::new, |score| score.zero_multipliers().map(ToString::to_string).collect()),
             planning_calls: calls.len() - gated_calls,
             gated_calls,
+            refused_calls: calls.iter().filter(|call| all_refused(call)).count(),
             rethinks: calls.iter().map(PlanningCall::rethinks).sum(),
             parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
             deadlines: interrupted(|why| matches!(why, Interruption::Deadline)),
@@ -164,6 +169,7 @@ impl SimulationRow {
             zeroed_by: Vec::new(),
             planning_calls: 8,
             gated_calls: 0,
+            refused_calls: 0,
             rethinks: 0,
             parse_errors: 0,
             deadlines: 0,

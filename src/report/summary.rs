@@ -42,6 +42,9 @@ pub struct ScenarioSummary {
     /// Planning calls that the gate skipped.
     #[serde(skip_serializing_if = "is_zero")]
     pub gated_calls: usize,
+    /// Planning calls in which Reflection refused all attempts.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub refused_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,
     /// Parse errors of the answers.
@@ -71,6 +74,7 @@ impl From<&SimulationRow> for ScenarioSummary {
             zeroed_by: row.score.map(|_| row.zeroed_by.clone()),
             planning_calls: row.planning_calls,
             gated_calls: row.gated_calls,
+            refused_calls: row.refused_calls,
             rethinks: row.rethinks,
             parse_errors: row.parse_errors,
             deadlines: row.deadlines,

@@ -1,9 +1,10 @@
 //! The transcript of a simulation as Markdown: scene, prompts, answers, planner codes, scores.
 
+use super::decision::decision_words;
 use super::number::fixed;
 use super::times::CallTimes;
 use crate::experiment::run::{SimulationOutcome, SimulationRecord};
-use crate::planner::{Attempt, Decision, PlanningCall};
+use crate::planner::{Attempt, PlanningCall};
 use crate::world::STEP_S;
 use std::fmt::Write;
 
@@ -41,7 +42,7 @@ fn call_markdown(call: &PlanningCall, outcome: &SimulationOutcome, image: Option
         let _ = writeln!(text, "### Attempt {}\n", i + 1);
         text.push_str(&attempt_markdown(attempt));
     }
-    let _ = writeln!(text, "**Decision:** {}.\n", decision_words(&call.decision));
+    let _ = writeln!(text, "**Decision:** {}.\n", decision_words(call));
     if let Some(iteration) = call.active_from {
         let _ = writeln!(text, "Active from {:.1} s on.\n", seconds(iteration));
     }
@@ -78,18 +79,6 @@ pub fn attempt_markdown(attempt: &Attempt) -> String {
         let _ = writeln!(text, "Reflection: **{:.2}** ({})\n", reflection.score, parts.join(", "));
     }
     text
-}
-
-/// The decision of a planning call in words.
-pub fn decision_words(decision: &Decision) -> String {
-    match decision {
-        Decision::Execute(index) => format!("attempt {} is executed", index + 1),
-        Decision::Exhausted(index) => format!("all attempts refused; attempt {} is executed", index + 1),
-        Decision::KeepActivePlan(why) => format!("the active plan is kept ({why})"),
-        Decision::Brake(why) => format!("brake ({why})"),
-        Decision::Gated(score) => format!("call skipped; PDM-Closed plans, with a predicted score of {score:.2}"),
-        Decision::RuleBased(why) => format!("PDM-Closed plans ({why})"),
-    }
 }
 
 /// A fenced block; its fence is longer than any run of backticks inside.

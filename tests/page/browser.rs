@@ -46,9 +46,9 @@ fn the_page_of_a_run_plays_scrubs_and_shows_the_last_call() {
 fn tables(browser: &mut Chromium, page: &Path) {
     browser.open(page, "overview");
     browser.picture("overview");
-    let rows = browser.value("document.querySelectorAll('.scores tbody tr').length");
+    let rows = browser.value("document.querySelectorAll('.figures tbody tr').length");
     assert_eq!(rows, 2);
-    let score = browser.value("document.querySelector('.scores tbody tr:last-child td.gauge span').textContent");
+    let score = browser.value("document.querySelector('.score-row:nth-child(3) .score-value output').textContent");
     assert!(score.as_str().unwrap().parse::<f64>().unwrap() > 50.0, "{score}");
     assert_eq!(browser.value("document.querySelectorAll('.view:not([hidden])').length"), 1);
     browser.press("2");

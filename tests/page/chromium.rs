@@ -75,9 +75,16 @@ impl Chromium {
         for domain in ["Runtime", "Log", "Page", "Network"] {
             browser.call(&format!("{domain}.enable"), &json!({}));
         }
-        let screen = json!({"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": false});
-        browser.call("Emulation.setDeviceMetricsOverride", &screen);
+        browser.show_at(1280, 800, "light");
         browser
+    }
+
+    /// Sets the size of the page in pixels, and the color scheme: `light` or `dark`.
+    pub(super) fn show_at(&mut self, width: u32, height: u32, scheme: &str) {
+        let screen = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
+        self.call("Emulation.setDeviceMetricsOverride", &screen);
+        let features = json!([{"name": "prefers-color-scheme", "value": scheme}]);
+        self.call("Emulation.setEmulatedMedia", &json!({"features": features}));
     }
 
     /// Sends a command and waits for its result.

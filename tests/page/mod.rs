@@ -5,6 +5,8 @@ mod browser;
 #[cfg(unix)]
 mod chromium;
 mod files;
+#[cfg(unix)]
+mod layout;
 
 use crate::cli::run;
 use std::path::Path;

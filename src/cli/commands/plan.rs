@@ -96,7 +96,7 @@ fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, print
         printer.line(format!("Attempt {}\n", i + 1));
         printer.line(attempt_markdown(attempt));
     }
-    printer.line(format!("Decision: {}", decision_words(&call.decision)));
+    printer.line(format!("Decision: {}", decision_words(call)));
     printer.line("Trajectory: time s, forward m, left m, speed m/s");
     let ego = trajectory.states()[0].rear_axle;
     for state in trajectory.states().iter().step_by(10) {

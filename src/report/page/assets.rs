@@ -5,17 +5,30 @@ use crate::report::figure::escaped;
 /// The markup, with placeholders in double braces.
 const MARKUP: &str = include_str!("assets/page.html");
 /// Styles, in order.
-const STYLES: [&str; 3] =
-    [include_str!("assets/theme.css"), include_str!("assets/overview.css"), include_str!("assets/scenarios.css")];
+const STYLES: [&str; 5] = [
+    include_str!("assets/theme.css"),
+    include_str!("assets/overview.css"),
+    include_str!("assets/scenarios.css"),
+    include_str!("assets/scene.css"),
+    include_str!("assets/transcript.css"),
+];
 /// Scripts, in order: later ones use earlier ones.
-const SCRIPTS: [&str; 12] = [
+const SCRIPTS: [&str; 20] = [
     include_str!("assets/dom.js"),
     include_str!("assets/data.js"),
+    include_str!("assets/moment.js"),
+    include_str!("assets/decision.js"),
+    include_str!("assets/names.js"),
+    include_str!("assets/charts.js"),
+    include_str!("assets/comparison.js"),
     include_str!("assets/overview.js"),
     include_str!("assets/histograms.js"),
     include_str!("assets/player.js"),
     include_str!("assets/controls.js"),
     include_str!("assets/bev.js"),
+    include_str!("assets/legend.js"),
+    include_str!("assets/thumbnails.js"),
+    include_str!("assets/scenario_list.js"),
     include_str!("assets/series.js"),
     include_str!("assets/transcript.js"),
     include_str!("assets/latency.js"),

@@ -1,14 +1,16 @@
-//! The index of a page: runs, metrics, simulations, means and times.
+//! The index of a page: runs, metrics, simulations, comparisons and times.
 
+use super::comparison::{Comparison, comparisons};
 use super::simulation::{SimulationParts, four_digits};
 use super::source::RunSimulations;
 use crate::metrics::{MetricList, MetricSpec, Role, distinct};
+use crate::report::replay::Sketch;
 use crate::report::simulation_row::SimulationRow;
-use crate::report::summary::{Aggregate, ScenarioSummary, Summary};
+use crate::report::summary::ScenarioSummary;
 use crate::report::timing::PlannerTiming;
 use crate::world::PACIFICA;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Everything but statistics and replays.
 #[derive(Debug, Serialize)]
@@ -17,7 +19,7 @@ pub(super) struct Index {
     runs: Vec<RunEntry>,
     metrics: Vec<MetricEntry>,
     pub(super) simulations: Vec<SimulationEntry>,
-    aggregates: Vec<OfRun<Aggregate>>,
+    comparisons: Vec<Comparison>,
     timings: Vec<OfRun<PlannerTiming>>,
     /// Number of simulations with a replay in the page.
     pub(super) replays: usize,
@@ -38,11 +40,25 @@ struct RunEntry {
     started: String,
     model: Option<String>,
     seed: Option<f64>,
-    /// λ.
-    threshold: Option<f64>,
+    thresholds: Thresholds,
+    /// Whether the active plan is monitored between planning calls.
+    monitoring: bool,
+    /// `reflection.after_max_exec`: the attempt that is executed after all were refused.
+    after_max_exec: Option<String>,
     /// Completed simulations, and all of the run.
     simulations: usize,
     planned: usize,
+}
+
+/// The scores that Reflection requires of a plan.
+#[derive(Debug, Serialize)]
+struct Thresholds {
+    /// λ of plans that keep the lane.
+    keep_lane: Option<f64>,
+    /// λ of plans that begin a lane change.
+    lane_change: Option<f64>,
+    /// τ of LLM-ASSIST.
+    assist: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -67,6 +83,8 @@ pub(super) struct SimulationEntry {
     pub(super) images: Option<usize>,
     /// Why there is no replay.
     pub(super) absent: Option<Absent>,
+    /// The recorded ego's path; only for the first simulation of a scenario.
+    sketch: Option<Sketch>,
 }
 
 /// Why a simulation has no replay in the page.
@@ -108,12 +126,14 @@ impl Index {
     /// The index of runs, without the elements of the replays.
     pub(super) fn of(runs: &[RunSimulations], parts: &[SimulationParts], wanted: impl Fn(&str) -> bool) -> Self {
         let rows = runs.iter().enumerate().flat_map(|(run, of_run)| of_run.rows.iter().map(move |row| (run, row)));
-        let absent = |row: &SimulationRow, parts: &SimulationParts| match (parts.has_replay, wanted(&row.scenario)) {
-            (false, _) => Some(Absent::Run),
-            (true, false) => Some(Absent::Scenario),
-            (true, true) => None,
-        };
-        let entry = |((run, row), part): ((usize, &SimulationRow), _)| SimulationEntry {
+        let absent =
+            |row: &SimulationRow, parts: &SimulationParts| match (parts.sketch.is_some(), wanted(&row.scenario)) {
+                (false, _) => Some(Absent::Run),
+                (true, false) => Some(Absent::Scenario),
+                (true, true) => None,
+            };
+        let mut sketched = BTreeSet::new();
+        let entry = |((run, row), part): ((usize, &SimulationRow), &SimulationParts)| SimulationEntry {
             run,
             number: row.number,
             summary: ScenarioSummary::from(row),
@@ -121,6 +141,7 @@ impl Index {
             map: None,
             images: None,
             absent: absent(row, part),
+            sketch: part.sketch.clone().filter(|_| sketched.insert(row.scenario.clone())),
         };
         Self {
             vehicle: Vehicle {
@@ -131,7 +152,7 @@ impl Index {
             runs: runs.iter().map(RunEntry::of).collect(),
             metrics: metrics(),
             simulations: rows.zip(parts).map(entry).collect(),
-            aggregates: of_runs(runs, aggregates),
+            comparisons: comparisons(runs),
             timings: of_runs(runs, timings),
             replays: 0,
         }
@@ -154,7 +175,13 @@ impl RunEntry {
             started: run.manifest.started.clone(),
             model: run.model().map(str::to_owned),
             seed: run.setting("seed"),
-            threshold: run.setting("reflection.threshold"),
+            thresholds: Thresholds {
+                keep_lane: run.setting("reflection.threshold"),
+                lane_change: run.setting("reflection.lane_change_threshold"),
+                assist: run.setting("agent.gate").or_else(|| run.setting("reflection.threshold")),
+            },
+            monitoring: run.is_on("reflection.monitoring"),
+            after_max_exec: run.word("reflection.after_max_exec").map(str::to_owned),
             simulations: run.rows.len(),
             planned: run.manifest.simulations(),
         }
@@ -173,11 +200,6 @@ fn metrics() -> Vec<MetricEntry> {
     };
     let of = |list: MetricList| list.scored().map(move |metric| entry(list, metric));
     of(MetricList::ClosedLoop).chain(of(MetricList::OpenLoop)).collect()
-}
-
-fn aggregates(rows: &[SimulationRow]) -> Vec<Aggregate> {
-    let summary = Summary::new(0, None, &[], rows);
-    summary.aggregates.into_iter().chain(summary.scenario_types).collect()
 }
 
 fn timings(rows: &[SimulationRow]) -> Vec<PlannerTiming> {

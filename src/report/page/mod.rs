@@ -4,6 +4,7 @@
 //! in `assets/` draw.
 
 mod assets;
+mod comparison;
 mod index;
 mod simulation;
 mod source;

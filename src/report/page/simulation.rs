@@ -5,7 +5,7 @@ use crate::metrics::{MetricResult, Statistic};
 use crate::report::call_record::{CallRecord, calls_in};
 use crate::report::error::ReportError;
 use crate::report::layout::bev_name;
-use crate::report::replay::Replay;
+use crate::report::replay::{Replay, Sketch};
 use crate::report::simulation_folder;
 use crate::report::simulation_row::SimulationRow;
 use base64::Engine;
@@ -22,8 +22,8 @@ pub(super) struct SimulationParts {
     pub(super) statistics: Vec<(String, &'static str, Statistic)>,
     /// The replay, if it exists and was requested.
     pub(super) replay: Option<PackedReplay>,
-    /// Whether the run has a replay.
-    pub(super) has_replay: bool,
+    /// The recorded ego's path; none if the run has no replay.
+    pub(super) sketch: Option<Sketch>,
 }
 
 /// A replay as base64 of gzip of JSON.
@@ -60,11 +60,11 @@ impl SimulationParts {
     /// Reads the folder of a simulation, with its replay if `wants_replay`.
     pub(super) fn read(folder: &Path, row: &SimulationRow, wants_replay: bool) -> Result<Self, ReportError> {
         if row.error.is_some() {
-            return Ok(Self { statistics: Vec::new(), replay: None, has_replay: false });
+            return Ok(Self { statistics: Vec::new(), replay: None, sketch: None });
         }
         let metrics = simulation_folder::metrics(folder)?;
         let replay = Replay::read(folder)?;
-        let has_replay = replay.is_some();
+        let sketch = replay.as_ref().map(Replay::sketch);
         let replay = match replay.filter(|_| wants_replay) {
             Some(replay) => Some(packed(folder, replay, &metrics)?),
             None => None,
@@ -73,7 +73,7 @@ impl SimulationParts {
             let (name, category) = (metric.name, metric.category.as_str());
             metric.statistics.into_iter().map(move |statistic| (name.clone(), category, statistic))
         };
-        Ok(Self { statistics: metrics.into_iter().flat_map(of_metric).collect(), replay, has_replay })
+        Ok(Self { statistics: metrics.into_iter().flat_map(of_metric).collect(), replay, sketch })
     }
 }
 

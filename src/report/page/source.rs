@@ -48,13 +48,28 @@ impl RunSimulations {
 
     /// A number of the configuration, by its dotted key.
     pub(super) fn setting(&self, key: &str) -> Option<f64> {
-        let mut value = None;
-        let mut table = Some(&self.manifest.config);
-        for part in key.split('.') {
-            value = table.and_then(|table| table.get(part));
-            table = value.and_then(toml::Value::as_table);
-        }
-        value.and_then(|value| value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64)))
+        let value = self.value(key)?;
+        value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64))
+    }
+
+    /// A word of the configuration, by its dotted key.
+    pub(super) fn word(&self, key: &str) -> Option<&str> {
+        self.value(key)?.as_str()
+    }
+
+    /// Whether a switch of the configuration is on, by its dotted key.
+    pub(super) fn is_on(&self, key: &str) -> bool {
+        self.value(key).and_then(toml::Value::as_bool).unwrap_or(false)
+    }
+
+    fn value(&self, key: &str) -> Option<&toml::Value> {
+        let (table, name) = match key.rsplit_once('.') {
+            Some((above, name)) => {
+                (above.split('.').try_fold(&self.manifest.config, |t, part| t.get(part)?.as_table())?, name)
+            }
+            None => (&self.manifest.config, key),
+        };
+        table.get(name)
     }
 
     /// Name of the model, if the run has one.

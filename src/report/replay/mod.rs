@@ -8,9 +8,11 @@ mod deltas;
 mod map;
 mod record;
 mod scene;
+mod sketch;
 mod track;
 
 pub(super) use scene::{Moment, ReplayedSimulation};
+pub(super) use sketch::Sketch;
 
 use super::atomic;
 use super::error::{ReportError, ReportFault};

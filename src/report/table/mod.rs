@@ -50,13 +50,14 @@ impl Table {
 }
 
 /// The tables of a run: planners, scenario types if there are several, simulations with a legend for each list of metrics, and
-/// the multipliers that made scores 0.
+/// the multipliers that made scores 0, and how many planning calls were refused whole.
 pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[SimulationRow], width: u16) -> String {
     let scored = |list| rows.iter().any(|row| row.score.is_some() && row.challenge.metric_list() == list);
     let lists = [MetricList::ClosedLoop, MetricList::OpenLoop].into_iter().filter(|&list| scored(list));
     let mut parts = vec![overview::planners(summary, planners), overview::scenario_types(summary, width)];
     parts.extend(lists.flat_map(|list| [simulations::table(rows, list), simulations::legend(list, width)]));
     parts.push(simulations::zeroed(rows));
+    parts.push(simulations::refused(rows));
     parts.retain(|part| !part.is_empty());
     parts.join("\n\n")
 }

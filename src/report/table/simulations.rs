@@ -1,7 +1,7 @@
 //! The simulations of a run: their metrics, what made scores 0, which failed.
 
 use super::{Table, fill, or_dash, percent, short};
-use crate::metrics::MetricList;
+use crate::metrics::{MetricList, distinct};
 use crate::report::number::fixed;
 use crate::report::simulation_row::SimulationRow;
 use console::style;
@@ -58,6 +58,17 @@ pub(super) fn zeroed(rows: &[SimulationRow]) -> String {
         lines.extend(names.map(|name| format!("  {} {}: 0 because of {name}", row.planner, short(row.challenge))));
     }
     lines.join("\n")
+}
+
+/// A line for each planner some of whose planning calls were refused whole.
+pub(super) fn refused(rows: &[SimulationRow]) -> String {
+    let planners = distinct(rows.iter().filter(|row| row.refused_calls > 0).map(|row| row.planner.as_str()));
+    let line = |planner: &str| {
+        let sum = |of: fn(&SimulationRow) -> usize| rows.iter().filter(|r| r.planner == planner).map(of).sum::<usize>();
+        let (refused, calls) = (sum(|row| row.refused_calls), sum(|row| row.planning_calls));
+        format!("{planner}: all attempts refused in {refused} of {calls} planning calls")
+    };
+    planners.into_iter().map(line).collect::<Vec<_>>().join("\n")
 }
 
 /// A line for each failed simulation.

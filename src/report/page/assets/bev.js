@@ -28,12 +28,9 @@ class Bev {
 
   /** Reads the colors of the theme; call it after a change. */
   readColors() {
-    const style = getComputedStyle(document.documentElement);
-    const names = ["ground", "drivable", "road", "route", "centerline", "crosswalk", "stop", "ego", "vehicle", "bicycle",
-      "pedestrian", "static", "tried", "expert", "ink", "ink-soft", "panel", "red", "green", "amber", "ghost"];
-    this.colors = Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+    this.colors = themeColors();
     this.stripes = this.stripePattern();
-    this.font = `12px ${style.getPropertyValue("--sans").trim() || "sans-serif"}`;
+    this.font = `12px ${this.colors.sans || "sans-serif"}`;
   }
 
   listen() {
@@ -115,6 +112,7 @@ class Bev {
     this.drawBox(ego, INDEX.vehicle.length, INDEX.vehicle.width, colors.ego, true);
     const speed = Math.abs(this.replay.ego.speed[moment.iteration]);
     if (speed >= MOVING) this.drawArrow(ego, ego.heading, speed);
+    this.drawScores(moment);
     this.drawScale(ratio);
   }
 
@@ -130,9 +128,10 @@ class Bev {
     context.lineWidth = CENTERLINE_M;
     context.strokeStyle = colors.centerline;
     context.stroke(map.centerlines);
-    context.setLineDash([1, 1.5]);
+    // Faint: many cross in a junction.
+    context.globalAlpha = 0.45;
     context.stroke(map.connectors);
-    context.setLineDash([]);
+    context.globalAlpha = 1;
     context.fillStyle = this.stripes;
     for (const crosswalk of map.crosswalks) context.fill(crosswalk);
     context.fillStyle = colors.stop;
@@ -174,7 +173,7 @@ class Bev {
   drawPaths(moment) {
     const { context, colors, replay, show } = this;
     const thin = 1.6 / this.zoom;
-    if (show.expert) this.drawLine(replay.expert, 0, replay.expert.x.length, colors.expert, thin, [0.4, 0.9]);
+    if (show.expert) this.drawExpert(moment);
     if (show.trail) this.drawLine(replay.ego, 0, moment.iteration + 1, colors.ego, thin, []);
     const call = replay.calls[callAt(replay, moment.iteration)];
     const executed = call ? executedAttempt(call) : null;
@@ -184,7 +183,6 @@ class Bev {
         // Wider than the plan, which often covers it.
         const wide = (this.marked === i ? 7 : 5) / this.zoom;
         this.drawLine(track, 0, track.x.length, colors.tried, wide, [1.2, 0.8]);
-        this.drawScore(track, call.attempts[i], colors.tried);
       });
     }
     const plan = replay.plans[moment.iteration];
@@ -199,6 +197,19 @@ class Bev {
     }
   }
 
+  /** The path of the recorded ego, with a circle where it is now. */
+  drawExpert({ iteration }) {
+    const { context, colors, replay } = this;
+    const { x, y } = replay.expert;
+    this.drawLine(replay.expert, 0, x.length, colors.expert, 2 / this.zoom, [0.5, 0.7]);
+    const now = Math.min(iteration, x.length - 1);
+    if (now < 0) return;
+    context.beginPath();
+    context.arc(x[now], y[now], 5 / this.zoom, 0, 7);
+    context.lineWidth = 2 / this.zoom;
+    context.stroke();
+  }
+
   drawLine({ x, y }, from, to, color, width, dash) {
     const { context } = this;
     context.beginPath();
@@ -210,12 +221,22 @@ class Bev {
     context.setLineDash([]);
   }
 
-  /** The score of a refused plan, at its end. */
-  drawScore({ x, y }, attempt, color) {
+  /** The scores of the refused plans, over the objects. */
+  drawScores(moment) {
+    const { replay, colors } = this;
+    const call = replay.calls[callAt(replay, moment.iteration)];
+    if (!call || !this.show.tried) return;
+    call.tracks.forEach((track, i) => {
+      if (track && (i !== executedAttempt(call) || this.marked === i)) this.drawScore(track, call.attempts[i], 14 * i, colors.tried);
+    });
+  }
+
+  /** The score of a refused plan, at its end; `below` in pixels keeps scores of equal plans apart. */
+  drawScore({ x, y }, attempt, below, color) {
     const score = attempt?.reflection?.score;
     if (score === undefined) return;
     const end = new DOMPoint(x[x.length - 1], y[y.length - 1]).matrixTransform(new DOMMatrix(this.onto));
-    this.drawLabel(score.toFixed(2), end.x, end.y, color);
+    this.drawLabel(score.toFixed(2), end.x, end.y + below * (window.devicePixelRatio || 1), color);
   }
 
   drawLabel(text, x, y, color) {
@@ -322,29 +343,4 @@ class Bev {
     context.fillStyle = colors["ink-soft"];
     context.fillText(`${meters} m`, x + 6, y - 6);
   }
-}
-
-function mix(values, i, j, share) {
-  return values[i] + (values[j] - values[i]) * share;
-}
-
-/** The ego's rear axle at a time, interpolated between samples. */
-function momentAt(replay, time) {
-  const { times, ego } = replay;
-  const last = times.length - 1;
-  let iteration = Math.min(last, Math.max(0, Math.floor(time * 10)));
-  while (iteration > 0 && times[iteration] > time + 1e-6) iteration--;
-  while (iteration < last && times[iteration + 1] <= time + 1e-6) iteration++;
-  const next = Math.min(iteration + 1, last);
-  const gap = times[next] - times[iteration];
-  const share = gap > 0 ? Math.min(1, Math.max(0, (time - times[iteration]) / gap)) : 0;
-  const pose = { x: mix(ego.x, iteration, next, share), y: mix(ego.y, iteration, next, share),
-    heading: mix(ego.heading, iteration, next, share) };
-  return { iteration, share, ...pose };
-}
-
-/** The center of the ego's box. */
-function center({ x, y, heading }) {
-  const ahead = INDEX.vehicle.rear_axle_to_center;
-  return { x: x + Math.cos(heading) * ahead, y: y + Math.sin(heading) * ahead, heading };
 }

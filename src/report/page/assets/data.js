@@ -49,9 +49,19 @@ function scoredMetrics(challenge) {
   return INDEX.metrics.filter((metric) => metric.list === list);
 }
 
-/** The label of a metric. */
+/** The short label of a metric. */
 function labelOf(name) {
   return INDEX.metrics.find((metric) => metric.name === name)?.label ?? spaced(name);
+}
+
+/** The words for a metric where there is room. */
+function metricTitle(name) {
+  const known = {
+    no_ego_at_fault_collisions: "no at-fault collision", drivable_area_compliance: "drivable area", driving_direction_compliance: "driving direction",
+    ego_is_making_progress: "making progress", time_to_collision_within_bound: "time to collision", speed_limit_compliance: "speed limit",
+    ego_progress_along_expert_route: "progress along the expert's route", ego_is_comfortable: "comfort",
+  };
+  return known[name] ?? spaced(name);
 }
 
 /** The score of a metric of a simulation. */
@@ -147,26 +157,6 @@ function outlined(map) {
     drawn.crosswalks.push(path);
   }
   for (const each of map.stop_lines) ring(drawn.stops, points(each));
+  drawn.has = { route: map.lanes.some((lane) => lane.on_route), drivable: map.drivable.length > 0, stops: map.stop_lines.length > 0 };
   return drawn;
-}
-
-/** The index of the last planning call up to an iteration, or −1. */
-function callAt(replay, iteration) {
-  let place = -1;
-  replay.calls.forEach((call, i) => {
-    if (call.iteration <= iteration) place = i;
-  });
-  return place;
-}
-
-/** The executed attempt of a call, or null. */
-function executedAttempt(call) {
-  const { kind, attempt } = call.decision;
-  return kind === "execute" || kind === "exhausted" ? attempt : null;
-}
-
-/** The outcome of a call: `accepted`, `rethought`, `exhausted` or `none`. */
-function outcomeOf(call) {
-  if (call.decision.kind === "execute") return call.attempts.length > 1 ? "rethought" : "accepted";
-  return call.decision.kind === "exhausted" ? "exhausted" : "none";
 }

@@ -24,11 +24,11 @@ class Histograms {
     const challenges = INDEX.challenges.map((value) => ({ value, text: CHALLENGES[value].short, title: CHALLENGES[value].long }));
     this.cards = h("div", { class: "cards" });
     fill(this.node, h("div", { class: "page" },
-      h("div", { class: "heading" },
+      h("div", { class: "heading" }, h("h2", {}, "Distributions"),
         choice("Group", groups.map((value) => ({ value, text: value })), this.group, (group) => { this.group = group; this.draw(); }),
         challenges.length > 1 ? choice("Challenge", challenges, this.challenge, (c) => { this.challenge = c; this.draw(); }) : null,
         h("p", { class: "legend" }, INDEX.entrants.map((entrant) => h("span", {}, h("i", { style: `background:${colorOf(entrant)}` }), entrant.label)))),
-      h("p", { class: "note" }, "Each row is a planner; a bar's height is its share of that planner's simulations. The line marks the mean."),
+      h("p", { class: "note" }, "Each row is a planner; a bar's height is its share of that planner's simulations. The line and the number at the right are the mean."),
       this.cards));
     this.draw();
   }
@@ -47,9 +47,9 @@ class Histograms {
   }
 
   scores() {
-    const final = histogramCard("score", "", "", this.rows((simulation) => simulation.score), [0, 1]);
+    const final = histogramCard("Final score", "", "", this.rows((simulation) => simulation.score), [0, 1]);
     const parts = scoredMetrics(this.challenge).map(({ name }) =>
-      histogramCard(labelOf(name), name, "", this.rows((simulation) => metricScore(simulation, name)), [0, 1]));
+      histogramCard(capital(metricTitle(name)), name, "", this.rows((simulation) => metricScore(simulation, name)), [0, 1]));
     return [final, ...parts];
   }
 
@@ -58,7 +58,7 @@ class Histograms {
     return this.statistics.columns.flatMap((column, c) => {
       if (column.category !== this.group) return [];
       const rows = this.rows((simulation) => this.statistics.rows[place.get(simulation)][c]);
-      return [histogramCard(spaced(column.statistic), column.metric, unitOf(column.unit), rows, null)];
+      return [histogramCard(capital(spaced(column.statistic)), column.metric, unitOf(column.unit), rows, null)];
     });
   }
 }
@@ -85,7 +85,8 @@ function histogramCard(title, subtitle, unit, rows, range) {
   });
   return h("figure", { class: "card" }, h("figcaption", {}, h("b", {}, title), unit ? h("span", { class: "unit" }, unit) : null,
     subtitle && subtitle.replaceAll("_", " ") !== title ? h("small", {}, subtitle) : null), charts,
-  h("div", { class: "axis" }, h("span", {}, figure(low)), h("span", {}, figure((low + high) / 2)), h("span", {}, figure(high))));
+  h("div", { class: "axis", "aria-hidden": "true" }, ticks(low, high, 5).map((mark) => h("span", { style: `left:${((100 * (mark - low)) / (high - low)).toFixed(1)}%` }, axisFigure(mark)))),
+  h("p", { class: "axis-title" }, range ? "score" : unit || "value"));
 }
 
 /** The shares of the values in bins of equal width. */

@@ -4,7 +4,7 @@ const KEYS = [
   ["1  2  3", "Overview, Histograms, Scenarios"], ["space", "play or stop"], ["←  →", "0.1 s back or forward; with shift 1 s"],
   ["↑  ↓", "previous or next scenario"], ["[  ]", "previous or next planning call"], ["Home  End", "start or end of the simulation"],
   ["+  −", "zoom; also with the mouse wheel"], ["0", "back to the ego and the initial zoom"], ["r", "heading up or north up"],
-  ["t", "refused plans on or off"], ["e", "path of the recorded ego on or off"], ["d", "light or dark"], ["?", "this list"],
+  ["t", "refused plans on or off"], ["e", "path of the recorded ego on or off"], ["l", "list of scenarios, on narrow screens"], ["d", "light or dark"], ["?", "this list"],
 ];
 
 let scenarios = null;
@@ -20,14 +20,14 @@ async function route() {
   }
   document.body.dataset.view = name;
   if (name !== "scenarios") scenarios.player.pause();
+  scenarios.openList(false);
   if (name === "histograms") await histograms.show();
   if (name === "scenarios") await openPlace(place);
 }
 
 async function openPlace([first, second, time]) {
   if (first === "type") {
-    scenarios.search.value = second;
-    scenarios.filter = second.toLowerCase();
+    scenarios.list.find(spaced(second));
     const simulation = INDEX.simulations.find((d) => d.type === second && d.entrant === (scenarios.simulation?.entrant ?? INDEX.entrants[0]));
     return void await scenarios.open(simulation ?? INDEX.simulations[0]);
   }
@@ -41,6 +41,15 @@ function theme(dark) {
   document.documentElement.dataset.theme = dark ? "dark" : "light";
   scenarios?.bev.readColors();
   scenarios?.bev.draw();
+  scenarios?.list.thumbnails.recolor();
+}
+
+/** The colors of the theme by the names of their properties, with the typeface. */
+function themeColors() {
+  const style = getComputedStyle(document.documentElement);
+  const names = ["ground", "drivable", "road", "route", "centerline", "crosswalk", "stop", "ego", "vehicle", "bicycle", "pedestrian",
+    "static", "tried", "expert", "ink", "ink-soft", "panel", "red", "green", "amber", "ghost", "sans"];
+  return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
 function isDark() {
@@ -64,13 +73,13 @@ function keyed(event) {
     d: () => theme(!isDark()), "?": openHelp,
   };
   const { player, bev } = scenarios;
-  const toggle = (what) => () => { bev.show[what] = !bev.show[what]; bev.draw(); };
+  const toggle = (what) => () => scenarios.legend.toggle(what);
   const replaying = {
     " ": () => player.toggle(), ArrowLeft: () => player.step(event.shiftKey ? -10 : -1), ArrowRight: () => player.step(event.shiftKey ? 10 : 1),
     ArrowUp: () => scenarios.neighbor(-1), ArrowDown: () => scenarios.neighbor(1), "[": () => scenarios.call(-1), "]": () => scenarios.call(1),
     Home: () => player.seek(0), End: () => { player.pause(); player.seek(player.end); }, "+": () => bev.zoomBy(ZOOM.step), "=": () => bev.zoomBy(ZOOM.step),
     "-": () => bev.zoomBy(1 / ZOOM.step), 0: () => bev.recenter(), r: () => { bev.headingUp = !bev.headingUp; bev.draw(); },
-    t: toggle("tried"), e: toggle("expert"),
+    t: toggle("tried"), e: toggle("expert"), l: () => scenarios.openList(!scenarios.layout.classList.contains("listing")),
   };
   const action = anywhere[event.key] ?? (document.body.dataset.view === "scenarios" && scenarios.replay ? replaying[event.key] : null);
   if (!action) return;

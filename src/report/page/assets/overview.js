@@ -1,126 +1,115 @@
-// Overview: final scores by planner and challenge, by scenario type and by metric; failed simulations.
+// Overview: runs, final scores, times, scores by scenario type and by metric; failed simulations and those with score 0.
 
 /** Rows of a list before "Show all". */
 const FIRST_ROWS = 12;
 
 function showOverview(node) {
-  const challenge = INDEX.challenges[0];
-  const metricTable = h("div", {});
-  const show = (chosen) => fill(metricTable, metricMeans(chosen));
-  show(challenge);
-  const options = INDEX.challenges.map((value) => ({ value, text: CHALLENGES[value].short, title: CHALLENGES[value].long }));
+  COMPARED.challenge = INDEX.challenges[0];
   fill(node, h("div", { class: "page" },
     runsLine(),
-    h("h2", {}, "Final scores"),
-    h("div", { class: "scroll" }, finalScores()),
-    h("p", { class: "note" }, `nuPlan's scores × 100, mean over scenarios (${INDEX.challenges.map((c) => `${CHALLENGES[c].short}: ${CHALLENGES[c].long}`).join("; ")}). `
-      + "Failed simulations do not count. The bars begin at 0; the best of a column is bold."),
-    h("h2", {}, "By scenario type"),
-    h("div", { class: "scroll" }, scenarioTypes()),
-    h("div", { class: "heading" }, h("h2", {}, "By metric"), options.length > 1 ? choice("Challenge", options, challenge, show) : null),
-    h("div", { class: "scroll" }, metricTable),
+    finalScores(),
+    h("h2", {}, "Simulations and times"), figures(),
+    scoresInDetail(),
     h("h2", {}, "Failed simulations"), failedSimulations(),
     h("h2", {}, "Simulations with score 0"), zeroSimulations()));
 }
 
 function runsLine() {
   return h("ul", { class: "runs" }, INDEX.runs.map((run) => h("li", {}, h("b", {}, run.name),
-    h("span", {}, [run.model ? `model ${run.model}` : null, `seed ${run.seed}`, `started ${run.started}`,
+    h("span", {}, [run.model ? `model ${run.model}` : null, run.seed === null ? null : `seed ${run.seed}`, `started ${run.started}`,
       run.simulations < run.planned ? `${run.simulations} of ${run.planned} simulations completed` : counted(run.simulations, "simulation"),
       `planagent ${run.version}`].filter(Boolean).join(" · ")))));
-}
-
-function aggregate(entrant, challenge, type = null) {
-  return INDEX.aggregates.find((row) => row.run === entrant.run && row.planner === entrant.planner
-    && row.challenge === challenge && (row.scenario_type ?? null) === type);
 }
 
 function entrantCell(entrant) {
   return h("th", { scope: "row" }, h("i", { class: "dot", style: `background:${colorOf(entrant)}` }), entrant.label);
 }
 
-function finalScores() {
-  const best = Object.fromEntries(INDEX.challenges.map((challenge) =>
-    [challenge, Math.max(...INDEX.entrants.map((entrant) => aggregate(entrant, challenge)?.score ?? -1))]));
-  const head = h("tr", {}, h("th", {}, "planner"),
-    INDEX.challenges.map((c) => h("th", { class: "number", title: CHALLENGES[c].long }, CHALLENGES[c].short)),
-    ["simulations", "failed", "score 0", "ms/step", "ms/call p50", "p95"].map((name) => h("th", { class: "number" }, name)));
+/** Counts and times of the planners. */
+function figures() {
+  const heads = ["simulations", "failed", "score 0", "planning calls", "refused calls", "ms/step", "ms/call p50", "p95"];
   const rows = INDEX.entrants.map((entrant) => {
-    const simulations = INDEX.simulations.filter((simulation) => simulation.entrant === entrant);
+    const own = INDEX.simulations.filter((simulation) => simulation.entrant === entrant);
+    const sum = (of) => own.reduce((total, simulation) => total + (of(simulation) ?? 0), 0);
+    const calls = sum((d) => d.planning_calls);
     const timing = INDEX.timings.find((row) => row.run === entrant.run && row.planner === entrant.planner);
-    const number = (text) => h("td", { class: "number" }, text);
-    return h("tr", {}, entrantCell(entrant),
-      INDEX.challenges.map((c) => {
-        const score = aggregate(entrant, c)?.score ?? null;
-        return h("td", { class: score !== null && score === best[c] ? "number gauge best" : "number gauge" },
-          h("i", { style: `width:${100 * (score ?? 0)}%;background:${colorOf(entrant)}` }), h("span", {}, percent(score)));
-      }),
-      number(simulations.length), number(simulations.filter((d) => d.error !== null).length), number(simulations.filter((d) => d.score === 0).length),
-      number(milliseconds(timing?.mean_iteration_ms)), number(milliseconds(timing?.planning_call_ms?.p50)), number(milliseconds(timing?.planning_call_ms?.p95)));
+    const values = [own.length, own.filter((d) => d.error !== null).length, own.filter((d) => d.score === 0).length,
+      calls || "–", calls ? sum((d) => d.refused_calls) : "–",
+      milliseconds(timing?.mean_iteration_ms), milliseconds(timing?.planning_call_ms?.p50), milliseconds(timing?.planning_call_ms?.p95)];
+    return h("tr", {}, entrantCell(entrant), values.map((value, i) => h("td", { class: "number", "data-head": heads[i] }, String(value))));
   });
-  return h("table", { class: "scores" }, h("thead", {}, head), h("tbody", {}, rows));
+  const titles = { "refused calls": "Planning calls in which Reflection refused all attempts" };
+  return h("div", { class: "scroll" }, h("table", { class: "figures stacking" },
+    h("thead", {}, h("tr", {}, h("th", {}, "planner"), heads.map((name) => h("th", { class: "number", title: titles[name] }, name)))), h("tbody", {}, rows)));
 }
 
-function scenarioTypes() {
-  const types = distinct(INDEX.simulations.map((simulation) => simulation.type)).sort();
-  const groups = h("tr", {}, h("th", {}), h("th", {}), INDEX.entrants.map((entrant) =>
-    h("th", { colspan: INDEX.challenges.length, class: "group" }, h("i", { class: "dot", style: `background:${colorOf(entrant)}` }), entrant.label)));
-  const head = h("tr", {}, h("th", {}, "type"), h("th", { class: "number" }, "n"), INDEX.entrants.flatMap(() =>
-    INDEX.challenges.map((c) => h("th", { class: "number", title: CHALLENGES[c].long }, CHALLENGES[c].short))));
-  const rows = types.map((type) => {
-    const count = distinct(INDEX.simulations.filter((simulation) => simulation.type === type).map((simulation) => simulation.scenario)).length;
-    return h("tr", {}, h("th", { scope: "row" }, h("a", { href: `#scenarios/type/${type}` }, spaced(type))), h("td", { class: "number" }, count),
-      INDEX.entrants.flatMap((entrant) => INDEX.challenges.map((c) => tinted(aggregate(entrant, c, type)?.score ?? null))));
-  });
-  return h("table", { class: "tinted" }, h("thead", {}, groups, head), h("tbody", {}, rows));
+/** Scores by type and by metric in one challenge. */
+function scoresInDetail() {
+  const node = h("div", {});
+  const challenges = INDEX.challenges.map((value) => ({ value, text: CHALLENGES[value].short, title: CHALLENGES[value].long }));
+  const challengeChoice = () => (challenges.length < 2 ? null : choice("Challenge", challenges, COMPARED.challenge, (challenge) => {
+    COMPARED.challenge = challenge;
+    draw();
+  }));
+  const draw = () => fill(node,
+    h("div", { class: "heading" }, h("h2", {}, "By scenario type"),
+      choice("Form", [{ value: "chart", text: "chart" }, { value: "table", text: "numbers" }], COMPARED.types, (form) => {
+        COMPARED.types = form;
+        draw();
+      }), challengeChoice()),
+    scenarioTypes(COMPARED.challenge),
+    h("div", { class: "heading" }, h("h2", {}, "By metric"), challengeChoice()),
+    h("div", { class: "scroll" }, metricMeans(COMPARED.challenge)),
+    h("p", { class: "note" }, "Means over all completed scenes × 100; the lower, the stronger the tint."));
+  document.addEventListener("scope", draw);
+  draw();
+  return node;
 }
 
-/** A cell; the lower the score, the darker. */
-function tinted(score) {
+/** A cell; the lower the score in [0, 1], the darker. */
+function tinted(score, title = null) {
   const share = score === null ? 0 : Math.min(1, (1 - score) / 0.6);
-  return h("td", { class: "number", style: `--share:${(100 * share).toFixed(0)}%` }, percent(score));
+  return h("td", { class: "number", style: `--share:${(100 * share).toFixed(0)}%`, title }, percent(score));
 }
 
 function metricMeans(challenge) {
-  const metrics = scoredMetrics(challenge);
-  const weight = ({ weight: value }) => (value === null ? "×" : `${value}`);
-  const head = h("tr", {}, h("th", {}, "planner"), metrics.map((metric) => h("th", { class: "number", title: metric.name },
-    labelOf(metric.name), h("small", {}, metric.weight === null ? "multiplier" : `weight ${weight(metric)}`))));
-  const rows = INDEX.entrants.map((entrant) => {
-    const own = INDEX.simulations.filter((d) => d.entrant === entrant && d.challenge === challenge && d.score !== null);
-    return h("tr", {}, entrantCell(entrant), metrics.map((metric) =>
-      tinted(mean(own.map((simulation) => metricScore(simulation, metric.name)).filter((value) => value !== null)))));
-  });
+  const head = h("tr", {}, h("th", {}, "metric"), h("th", { class: "number" }, "weight"), INDEX.entrants.map(entrantHead));
+  const rows = scoredMetrics(challenge).map((metric) => h("tr", {},
+    h("th", { scope: "row", title: metric.name }, capital(metricTitle(metric.name))),
+    h("td", { class: "number quiet" }, metric.weight === null ? "×" : `${metric.weight}`),
+    INDEX.entrants.map((entrant) => {
+      const own = INDEX.simulations.filter((d) => d.entrant === entrant && d.challenge === challenge && d.score !== null);
+      return tinted(mean(own.map((simulation) => metricScore(simulation, metric.name)).filter((value) => value !== null)));
+    })));
   return h("table", { class: "tinted" }, h("thead", {}, head), h("tbody", {}, rows));
 }
 
 function simulationLink(simulation) {
-  const name = `${simulation.scenario}`;
-  return h("a", { href: `#scenarios/${simulation.run}/${simulation.number}` }, name);
+  return h("a", { href: hashOf(simulation, 0), title: simulation.scenario }, titleOf(simulation));
 }
 
 function failedSimulations() {
   const failed = INDEX.simulations.filter((simulation) => simulation.error !== null);
   if (!failed.length) return h("p", { class: "quiet" }, `None of the ${counted(INDEX.simulations.length, "simulation")} failed.`);
-  return simulationList(failed, ["error"], (simulation) => [h("td", {}, simulation.error)]);
+  return simulationList(failed, "error", (simulation) => simulation.error);
 }
 
 function zeroSimulations() {
   const zero = INDEX.simulations.filter((simulation) => simulation.score === 0);
   if (!zero.length) return h("p", { class: "quiet" }, "None.");
-  return simulationList(zero, ["zeroed by"], (simulation) => [h("td", {}, simulation.zeroed_by.map(spaced).join(", "))]);
+  return simulationList(zero, "zeroed by", (simulation) => simulation.zeroed_by.map(metricTitle).join(", "));
 }
 
-function simulationList(simulations, more, cells) {
+function simulationList(simulations, last, words) {
   const body = h("tbody", {});
   const row = (simulation) => h("tr", {}, h("td", {}, simulationLink(simulation)), entrantCell(simulation.entrant),
-    h("td", { title: CHALLENGES[simulation.challenge].long }, CHALLENGES[simulation.challenge].short), cells(simulation));
+    h("td", { title: CHALLENGES[simulation.challenge].long, "data-head": "challenge" }, CHALLENGES[simulation.challenge].short), h("td", { "data-head": last }, words(simulation)));
   body.append(...simulations.slice(0, FIRST_ROWS).map(row));
-  const table = h("table", { class: "list" }, h("thead", {}, h("tr", {}, ["scenario", "planner", "challenge", ...more].map((name) => h("th", {}, name)))), body);
-  if (simulations.length <= FIRST_ROWS) return table;
+  const table = h("table", { class: "list stacking" }, h("thead", {}, h("tr", {}, ["scenario", "planner", "challenge", last].map((name) => h("th", {}, name)))), body);
+  if (simulations.length <= FIRST_ROWS) return h("div", { class: "scroll" }, table);
   const button = h("button", { type: "button", class: "more", onclick: () => {
     body.append(...simulations.slice(FIRST_ROWS).map(row));
     button.remove();
   } }, `Show all ${simulations.length}`);
-  return h("div", {}, table, button);
+  return h("div", {}, h("div", { class: "scroll" }, table), button);
 }

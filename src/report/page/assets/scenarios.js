@@ -1,47 +1,58 @@
 // Scenarios: choose a simulation, play it, read its transcript.
 
+/** Time between two changes of the address while a replay plays, milliseconds; browsers refuse many changes. */
+const ADDRESS_MS = 400;
+
 class Scenarios {
   constructor(node) {
     this.node = node;
     this.player = new Player();
     this.simulation = null;
-    this.wanted = null;
-    this.filter = "";
-    this.sort = "order";
+    this.replay = null;
+    this.addressed = 0;
     this.build();
   }
 
   build() {
-    this.listNode = h("ol", { class: "scenario-list" });
-    const search = h("input", { type: "search", placeholder: "Filter scenarios", "aria-label": "Filter scenarios", oninput: () => {
-      this.filter = search.value.trim().toLowerCase().replaceAll(" ", "_");
-      this.list();
-    } });
-    this.search = search;
-    const sort = choice("Sort", [{ value: "order", text: "in order" }, { value: "score", text: "worst first" }], this.sort, (value) => {
-      this.sort = value;
-      this.list();
-    });
+    const aside = h("aside", { "aria-label": "Scenarios" });
     this.picker = h("div", { class: "picker" });
     this.chips = h("div", { class: "chips" });
     this.canvas = h("canvas", { tabindex: "0", "aria-label": "The scene from above" });
     this.clock = h("div", { class: "hud clock" });
-    this.legend = h("div", { class: "hud bev-legend" }, ["ego", "vehicle", "bicycle", "pedestrian", "tried"].map((kind) =>
-      h("span", {}, h("i", { class: `k-${kind}` }), kind === "tried" ? "refused plan" : kind)));
+    this.legendNode = h("div", { class: "scene-legend", "aria-label": "Legend" });
     this.absent = h("p", { class: "absent", hidden: true });
     this.controls = new Controls(this.player);
     this.seriesNode = h("div", { class: "series-panel" });
     this.transcriptNode = h("div", { class: "transcript", tabindex: "0", "aria-label": "Transcript" });
     this.latencyNode = h("div", { class: "latency", hidden: true });
-    fill(this.node, h("div", { class: "scenarios" },
-      h("aside", {}, h("div", { class: "list-head" }, search, sort), this.listNode),
+    this.layout = h("div", { class: "scenarios", "data-panel": "transcript" },
+      aside,
       h("div", { class: "stage" }, this.picker, this.chips,
-        h("div", { class: "bev" }, this.canvas, this.clock, this.legend, this.absent), this.controls.node, this.seriesNode),
-      h("div", { class: "side" }, this.transcriptNode, this.latencyNode)));
+        h("div", { class: "bev" }, this.canvas, this.clock, this.absent), this.controls.node, this.legendNode,
+        this.panels(), this.seriesNode),
+      h("div", { class: "side" }, this.transcriptNode, this.latencyNode),
+      h("button", { type: "button", class: "shade", "aria-label": "Close the list", onclick: () => this.openList(false) }));
+    fill(this.node, this.layout);
+    this.list = new ScenarioList(aside);
+    aside.addEventListener("click", (event) => {
+      if (event.target.closest("a")) this.openList(false);
+    });
     this.bev = new Bev(this.canvas);
-    const seek = (time) => this.player.seek(time);
+    this.legend = new SceneLegend(this.legendNode, this.bev);
+    this.listen();
+  }
+
+  /** On narrow screens: which panel is below the scene. */
+  panels() {
+    const options = [{ value: "transcript", text: "Transcript" }, { value: "latency", text: "Latency" }, { value: "series", text: "Metrics over time" }];
+    const group = choice("Panel", options, "transcript", (panel) => { this.layout.dataset.panel = panel; });
+    group.classList.add("panels");
+    return group;
+  }
+
+  listen() {
     const toCall = (call) => this.player.seek(this.player.times[call.iteration] ?? 0);
-    this.series = new SeriesPanel(this.seriesNode, seek);
+    this.series = new SeriesPanel(this.seriesNode, (time) => this.player.seek(time));
     this.latency = new Latency(this.latencyNode, toCall);
     this.transcript = new Transcript(this.transcriptNode, { onseek: toCall, onmark: (attempt) => {
       this.bev.marked = attempt;
@@ -54,40 +65,21 @@ class Scenarios {
       this.series.at(time, iteration);
       this.bev.at(time);
       this.showClock(time, iteration);
+      this.remember();
     });
     this.player.onState((playing) => {
       if (!playing) this.remember();
     });
   }
 
+  /** Opens or closes the list where it lies over the scene. */
+  openList(open) {
+    this.layout.classList.toggle("listing", open);
+  }
+
   showClock(time, iteration) {
     const { speed } = this.replay.ego;
     fill(this.clock, h("b", {}, `${time.toFixed(1)} s`), h("span", {}, `${Math.abs(speed[iteration]).toFixed(1)} m/s`));
-  }
-
-  /** The simulations of a scenario in the current challenge. */
-  simulationsOf(scenario, challenge = this.simulation?.challenge ?? INDEX.challenges[0]) {
-    return INDEX.simulations.filter((simulation) => simulation.scenario === scenario && simulation.challenge === challenge);
-  }
-
-  list() {
-    const shown = this.simulation?.entrant ?? INDEX.entrants[0];
-    const entries = INDEX.scenarios.map((scenario) => {
-      const simulations = this.simulationsOf(scenario);
-      return { scenario, simulations, own: simulations.find((simulation) => simulation.entrant === shown) };
-    }).filter(({ scenario, simulations }) => simulations.length && `${scenario} ${simulations[0].type}`.toLowerCase().includes(this.filter));
-    if (this.sort === "score") entries.sort((a, b) => (a.own?.score ?? -1) - (b.own?.score ?? -1));
-    this.entries = entries;
-    fill(this.listNode, entries.map(({ scenario, simulations, own }) => {
-      const target = own ?? simulations[0];
-      const current = scenario === this.simulation?.scenario;
-      return h("li", { "aria-current": current, class: simulations.some((simulation) => simulation.replay !== null) ? null : "no-replay" },
-        h("a", { href: `#scenarios/${target.run}/${target.number}` }, h("span", { class: "scenario-name" }, lastPart(scenario)),
-          h("span", { class: "scores-line" }, simulations.map((simulation) => h("span", { title: `${simulation.entrant.label} ${percent(simulation.score)}`,
-            class: simulation.score === 0 || simulation.error !== null ? "zero" : null },
-          h("i", { style: `background:${colorOf(simulation.entrant)}` }), simulation.score === null ? "–" : (100 * simulation.score).toFixed(0))))));
-    }));
-    this.listNode.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
   }
 
   /** Shows a simulation; `time` in seconds. */
@@ -97,23 +89,23 @@ class Scenarios {
     this.simulation = simulation;
     this.replay = null;
     this.pick();
-    this.list();
+    this.list.mark(simulation);
     const replay = await replayOf(simulation);
     if (this.simulation !== simulation) return;
     this.replay = replay;
     this.showChips();
     const empty = replay === null;
-    for (const node of [this.controls.node, this.seriesNode, this.canvas, this.clock, this.legend]) node.hidden = empty;
+    for (const node of [this.controls.node, this.seriesNode, this.canvas, this.clock, this.legendNode]) node.hidden = empty;
     this.absent.hidden = !empty;
     this.node.dataset.simulation = `${simulation.run}/${simulation.number}`;
+    this.bev.open(replay);
+    this.legend.draw();
     if (empty) {
-      this.bev.open(null);
       this.latencyNode.hidden = true;
       fill(this.absent, whyAbsent(simulation));
       fill(this.transcriptNode, h("p", { class: "quiet" }, "Without a replay there is no transcript."));
       return;
     }
-    this.bev.open(replay);
     this.transcript.open(replay);
     this.latency.open(replay);
     this.series.open(replay);
@@ -122,21 +114,32 @@ class Scenarios {
     this.bev.resize();
   }
 
-  /** The menus for planner, challenge and ghost. */
+  /** The name, and the menus for planner, challenge and ghost. */
   pick() {
     const { simulation } = this;
-    const challenges = INDEX.simulations.filter((d) => d.scenario === simulation.scenario && d.entrant === simulation.entrant);
+    const same = (d) => d.scenario === simulation.scenario;
+    const challenges = INDEX.simulations.filter((d) => same(d) && d.entrant === simulation.entrant);
+    const planners = INDEX.simulations.filter((d) => same(d) && d.challenge === simulation.challenge);
+    const others = planners.filter((other) => other !== simulation && other.replay !== null);
     const go = (target) => { if (target) location.hash = hashOf(target, this.player.time); };
-    const select = (label, options, chosen, onchange) => h("label", { title: label }, label === "ghost" ? h("span", {}, label) : null,
+    const select = (label, options, chosen, onchange) => h("label", { class: `${label}-choice`, title: label }, h("span", {}, label),
       h("select", { "aria-label": label, onchange: (event) => onchange(options[event.target.selectedIndex].value) },
         options.map(({ text, value }) => h("option", { selected: value === chosen }, text))));
-    const planners = this.simulationsOf(simulation.scenario, simulation.challenge);
-    const others = planners.filter((other) => other !== simulation && other.replay !== null);
-    fill(this.picker, h("h2", { title: simulation.scenario }, lastPart(simulation.scenario)),
+    const { name, detail } = nameOf(simulation);
+    fill(this.picker,
+      h("button", { type: "button", class: "list-open", onclick: () => this.openList(true) }, "☰ Scenarios"),
+      h("div", { class: "scenario-title", title: simulation.scenario }, h("h2", {}, name), h("p", { class: "quiet" }, detail)),
       select("planner", planners.map((d) => ({ text: d.entrant.label, value: d })), simulation, go),
-      select("challenge", challenges.map((d) => ({ text: CHALLENGES[d.challenge].plain, value: d })), simulation, go),
+      challenges.length > 1 ? select("agents", challenges.map((d) => ({ text: CHALLENGES[d.challenge].plain, value: d })), simulation, go) : null,
       others.length ? select("ghost", [{ text: "none", value: null }, ...others.map((d) => ({ text: d.entrant.label, value: d }))], null,
-        async (other) => { this.bev.open(this.replay, other && await replayOf(other)); }) : null);
+        (other) => this.haunt(other).catch(trouble)) : null);
+  }
+
+  /** Adds the ego of another simulation, or removes it. */
+  async haunt(other) {
+    const ghost = other && await replayOf(other);
+    this.bev.open(this.replay, ghost);
+    this.legend.draw();
   }
 
   /** The score and its metrics. */
@@ -144,23 +147,32 @@ class Scenarios {
     const { simulation } = this;
     const parts = scoredMetrics(simulation.challenge).map(({ name, weight }) => {
       const score = metricScore(simulation, name);
-      const state = score === null ? "" : score >= 1 ? "" : score === 0 ? "zero" : "short";
+      const state = score === null ? "" : score >= 1 ? "whole" : score === 0 ? "zero" : "short";
       return h("span", { class: `chip ${state}`, title: `${name}, ${weight === null ? "multiplier" : `weight ${weight}`}` },
         labelOf(name), h("b", {}, score === null ? "–" : partFigure(score)));
     });
-    fill(this.chips, h("span", { class: "chip total" }, "score", h("b", {}, percent(simulation.score))), parts);
+    const whole = parts.filter((part) => part.classList.contains("whole")).length;
+    fill(this.chips, h("span", { class: "chip total" }, "score", h("b", {}, percent(simulation.score))), parts,
+      whole ? h("span", { class: "chip others" }, `${whole} of ${parts.length} metrics`, h("b", {}, "1")) : null);
   }
 
-  /** Writes the place into the address, so that it can be shared. */
+  /** Writes the moment into the address, so that it can be shared. */
   remember() {
-    if (this.simulation && !this.node.hidden) history.replaceState(null, "", hashOf(this.simulation, this.player.time));
+    if (!this.simulation || this.node.hidden) return;
+    const wait = this.player.playing ? ADDRESS_MS - (performance.now() - this.addressed) : 0;
+    if (wait > 0) return;
+    this.addressed = performance.now();
+    clearTimeout(this.addressing);
+    // Scrubbing changes the time more often than browsers let a page change its address.
+    this.addressing = setTimeout(() => {
+      if (!this.node.hidden) history.replaceState(null, "", hashOf(this.simulation, this.player.time));
+    }, this.player.playing ? 0 : ADDRESS_MS / 4);
   }
 
   /** Opens the previous or next scenario, with the same planner if possible. */
   neighbor(by) {
-    const place = this.entries.findIndex(({ scenario }) => scenario === this.simulation?.scenario);
-    const next = this.entries[place + by];
-    if (next) location.hash = hashOf(next.own ?? next.simulations[0], 0);
+    const next = this.list.neighbor(by);
+    if (next) location.hash = hashOf(next, 0);
   }
 
   /** Seeks the previous or next planning call. */
@@ -176,10 +188,6 @@ class Scenarios {
 
 function hashOf(simulation, time) {
   return `#scenarios/${simulation.run}/${simulation.number}${time > 0 ? `/${time.toFixed(1)}` : ""}`;
-}
-
-function lastPart(scenario) {
-  return spaced(scenario.replace(/^generated\//, ""));
 }
 
 function whyAbsent(simulation) {

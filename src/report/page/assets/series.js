@@ -1,7 +1,12 @@
-// The metrics' time series with their thresholds.
+// The metrics' time series with axes, units and thresholds.
 
 /** Size of the drawing area, which is stretched to the box. */
 const SERIES_BOX = { width: 300, height: 100 };
+/** Titles of series whose metric has another name than its values. */
+const SERIES_TITLES = {
+  ego_speed: "speed", speed_limit_compliance: "over the speed limit", ego_progress_along_expert_route: "progress along the expert's route",
+  time_to_collision_within_bound: "time to collision", driving_direction_compliance: "progress along the lanes in 1 s",
+};
 
 class SeriesPanel {
   constructor(node, onseek) {
@@ -18,43 +23,84 @@ class SeriesPanel {
     fill(this.node, this.rows.map((row) => row.node));
   }
 
-  chart({ metric, unit, values, frames, low, high }, times) {
+  chart(series, times) {
+    const { metric, values, frames, low, high } = series;
     const at = (i) => times[frames ? frames[i] : i] ?? times[times.length - 1];
-    const known = values.filter((value) => value !== null);
-    const limits = [low, high].filter((limit) => limit !== null && limit !== undefined);
-    let [bottom, top] = [Math.min(...known, ...limits), Math.max(...known, ...limits)];
-    if (!known.length) [bottom, top] = [0, 1];
-    const room = (top - bottom || 1) * 0.08;
-    [bottom, top] = [bottom - room, top + room];
+    const scale = new SeriesScale(series);
     const x = (time) => (SERIES_BOX.width * time) / this.end;
-    const y = (value) => SERIES_BOX.height * (1 - (value - bottom) / (top - bottom));
+    const y = (value) => SERIES_BOX.height * (1 - scale.at(value));
     const outside = (value) => value !== null && ((low !== null && value < low) || (high !== null && value > high));
+    const line = (kind, value) => s("line", { class: kind, x1: 0, x2: SERIES_BOX.width, y1: y(value), y2: y(value) });
+    const seconds = ticks(0, this.end, 5);
     const drawing = s("svg", { viewBox: `0 0 ${SERIES_BOX.width} ${SERIES_BOX.height}`, preserveAspectRatio: "none", "aria-hidden": "true" },
-      limits.map((limit) => s("line", { class: "limit", x1: 0, x2: SERIES_BOX.width, y1: y(limit), y2: y(limit) })),
+      scale.marks.map((mark) => line("grid", mark)),
+      seconds.map((time) => s("line", { class: "grid", x1: x(time), x2: x(time), y1: 0, y2: SERIES_BOX.height })),
+      scale.limits.map((limit) => line("limit", limit)),
       s("path", { class: "line", d: pathOf(values, (i) => x(at(i)), y, () => true) }),
       s("path", { class: "line outside", d: pathOf(values, (i) => x(at(i)), y, outside) }));
     const cursor = h("i", { class: "cursor" });
     const now = h("output", {}, "–");
-    const bad = values.some(outside);
-    const bounds = limits.length ? `, threshold ${limits.map(figure).join(" and ")}` : "";
-    const plot = h("div", { class: "plot", title: `${metric}${bounds}`, onclick: (event) => {
+    const plot = h("div", { class: "plot", title: `${metric}: ${thresholdWords(scale)}`, onclick: (event) => {
       const box = plot.getBoundingClientRect();
       this.onseek(((event.clientX - box.left) / box.width) * this.end);
     } }, drawing, cursor);
-    const node = h("figure", { class: bad ? "series bad" : "series" },
-      h("figcaption", {}, h("span", { class: "name" }, seriesName(metric)), now, h("span", { class: "unit" }, unitOf(unit))), plot);
+    const node = h("figure", { class: values.some(outside) ? "series bad" : "series" },
+      h("figcaption", {}, h("span", { class: "name", title: thresholdWords(scale) }, seriesTitle(metric)), now, h("span", { class: "unit" }, scale.unit)),
+      h("div", { class: "y-axis", "aria-hidden": "true" }, scale.marks.map((mark) =>
+        h("span", { style: `bottom:${(100 * scale.at(mark)).toFixed(1)}%` }, axisFigure(mark)))),
+      plot,
+      h("div", { class: "x-axis", "aria-hidden": "true" }, seconds.map((time, i) =>
+        h("span", { style: `left:${((100 * time) / this.end).toFixed(1)}%` }, i === seconds.length - 1 ? `${axisFigure(time)} s` : axisFigure(time)))));
     const index = new Map(values.map((value, i) => [frames ? frames[i] : i, value]));
-    return { node, cursor, now, value: (iteration) => index.get(iteration) };
+    return { node, cursor, now, value: (iteration) => index.get(iteration), words: scale.overLimit ? overWords : figure };
   }
 
   /** Moves the cursors. */
   at(time, iteration) {
-    for (const { cursor, now, value } of this.rows) {
+    for (const { cursor, now, value, words } of this.rows) {
       cursor.style.left = `${(100 * time) / this.end}%`;
       const present = value(iteration);
-      now.textContent = present === null || present === undefined ? "–" : figure(present);
+      now.textContent = present === null || present === undefined ? "–" : words(present);
     }
   }
+}
+
+/** The vertical axis of a series. */
+class SeriesScale {
+  constructor({ metric, unit, values, low, high }) {
+    this.unit = unitOf(unit);
+    /** The values are amounts over a limit, so the threshold 0 says nothing. */
+    this.overLimit = metric === "speed_limit_compliance";
+    this.limits = this.overLimit ? [] : [low, high].filter((limit) => limit !== null && limit !== undefined);
+    const known = values.filter((value) => value !== null).concat(this.limits);
+    let [bottom, top] = known.length ? [Math.min(...known), Math.max(...known)] : [0, 1];
+    if (top - bottom < 1e-6) [bottom, top] = bottom === 0 ? [0, 1] : [bottom - 0.5, top + 0.5];
+    const room = (top - bottom) * 0.08;
+    [this.bottom, this.top] = [bottom - room, top + room];
+    const few = ticks(bottom, top, 4);
+    this.marks = few.length > 1 ? few : ticks(bottom, top, 6);
+  }
+
+  /** Place of a value: 0 at the bottom, 1 at the top. */
+  at(value) {
+    return (value - this.bottom) / (this.top - this.bottom);
+  }
+}
+
+function thresholdWords({ limits, unit, overLimit }) {
+  if (overLimit) return "meters per second over the speed limit; 0 while the ego keeps it";
+  if (!limits.length) return "without threshold";
+  return `threshold ${limits.map(figure).join(" and ")}${unit ? ` ${unit}` : ""}`;
+}
+
+/** An amount over a limit: a dash for none. */
+function overWords(value) {
+  return value > 0 ? `+${figure(value)}` : "kept";
+}
+
+/** A number on an axis, as short as it can be. */
+function axisFigure(value) {
+  return String(Number(value.toPrecision(3)));
 }
 
 function bounded(series) {
@@ -73,6 +119,7 @@ function pathOf(values, x, y, take) {
   return path;
 }
 
-function seriesName(metric) {
-  return spaced(metric.replace(/^ego_/, "").replace(/_along_expert_route|_within_bound|_compliance$/, ""));
+function seriesTitle(metric) {
+  const words = spaced(metric.replace(/^ego_/, "").replace(/_within_bound|_compliance$/, ""));
+  return SERIES_TITLES[metric] ?? words.replace(/^lon /, "longitudinal ").replace(/^lat /, "lateral ");
 }

@@ -6,13 +6,6 @@ const PARTS = [
   ["progress", "progress"], ["time_to_collision", "TTC"], ["comfort", "comfort"],
 ];
 
-const ITERATIONS_A_SECOND = 10;
-
-const OUTCOMES = {
-  accepted: "accepted at once", rethought: "accepted after a rethink", exhausted: "all attempts refused",
-  none: "no plan",
-};
-
 class Transcript {
   /** Calls `onmark(attempt | null)` when the pointer enters or leaves an attempt, `onseek(call)` to show another call. */
   constructor(node, { onmark, onseek }) {
@@ -58,11 +51,12 @@ class Transcript {
     const head = h("header", { class: "call-head" },
       h("div", {},
         h("h3", {}, `Planning call ${place + 1} of ${replay.calls.length}`, h("span", { class: "at" }, `${call.at_s.toFixed(1)} s`)),
-        h("p", { class: `outcome ${outcome}` }, OUTCOMES[outcome], h("span", { class: "quiet" }, decisionWords(call)))),
+        h("p", { class: `outcome ${outcome}` }, OUTCOMES[outcome])),
       h("div", { class: "turn" }, h("button", go(-1), "‹"), h("button", go(1), "›")));
     const seen = this.showSeen(call);
+    const decided = h("p", { class: `decision ${outcome}` }, decisionWords(call, INDEX.runs[replay.simulation.run]));
     const attempts = call.attempts.map((attempt, i) => this.showAttempt(attempt, i, executed));
-    fill(this.node, head, seen, ...attempts);
+    fill(this.node, head, decided, seen, ...attempts);
   }
 
   /** The image and the text of the model's prompt. */
@@ -76,36 +70,27 @@ class Transcript {
     return h("div", { class: "seen" }, picture, text);
   }
 
+  showVerdict(reflection) {
+    if (!reflection) return h("span", { class: "verdict" }, "no reflection");
+    const { value, note } = thresholdOf(reflection, this.replay.simulation);
+    const passes = reflection.verdict === "execute";
+    return h("span", { class: `verdict ${reflection.verdict}` }, h("b", {}, reflection.score.toFixed(2)),
+      value === null ? null : ` ${passes ? "≥" : "<"} ${value}${note}`, h("em", {}, passes ? "accepted" : "refused"));
+  }
+
   showAttempt(attempt, i, executed) {
     const { reflection, code } = attempt;
-    const isExecuted = i === executed;
-    const threshold = INDEX.runs[this.replay.simulation.run].threshold;
-    const judged = reflection
-      ? h("span", { class: `verdict ${reflection.verdict}` }, h("b", {}, reflection.score.toFixed(2)),
-        reflection.verdict === "execute" ? ` ≥ ${threshold} execute` : ` < ${threshold} rethink`)
-      : h("span", { class: "verdict" }, "no reflection");
-    const attributes = { class: `attempt ${isExecuted ? "executed" : ""}`, onmouseenter: () => this.onmark(i), onmouseleave: () => this.onmark(null) };
+    const isRefused = reflection?.verdict === "rethink";
+    const state = i === executed ? (isRefused ? "refused executed" : "executed") : "";
+    const tag = i === executed ? h("span", { class: "executed-tag" }, isRefused ? "executed although refused" : "executed") : null;
+    const attributes = { class: `attempt ${state}`, onmouseenter: () => this.onmark(i), onmouseleave: () => this.onmark(null) };
     return h("article", attributes,
-      h("header", {}, h("h4", {}, `Attempt ${i + 1}`), isExecuted ? h("span", { class: "executed-tag" }, "executed") : null, judged),
+      h("header", {}, h("h4", {}, `Attempt ${i + 1}`), tag, this.showVerdict(reflection)),
       code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no planner code"),
       reflection ? partsTable(reflection.parts) : null,
       attempt.errors.length ? h("ul", { class: "errors" }, attempt.errors.map((error) => h("li", {}, errorWords(error)))) : null,
       h("ol", { class: "rounds" }, attempt.rounds.map(showRound)));
   }
-}
-
-function decisionWords({ decision, emergency_brakes: brakes, aborted_lane_change: aborted }) {
-  const braked = brakes ? `; the emergency brake acted in ${counted(brakes, "step")}` : "";
-  const words = {
-    execute: () => `attempt ${decision.attempt + 1} is executed`,
-    exhausted: () => `attempt ${decision.attempt + 1} is executed`,
-    keep_active_plan: () => `the active plan is kept: ${decision.why}`,
-    brake: () => `the ego brakes: ${decision.why}`,
-    gated: () => "call skipped; PDM-Closed plans",
-    rule_based: () => `PDM-Closed plans: ${decision.why}`,
-  };
-  const back = aborted == null ? "" : `; lane change aborted at ${(aborted / ITERATIONS_A_SECOND).toFixed(1)} s`;
-  return (words[decision.kind]?.() ?? decision.kind) + back + braked;
 }
 
 /** The text of an error. */

@@ -1,0 +1,155 @@
+//! The decision of a planning call in words: what is executed, and why.
+
+use super::call_record::DecisionRecord;
+use super::number::fixed;
+use crate::planner::{Decision, NoPlan, PlanningCall};
+
+/// Whether Reflection refused every attempt of a call.
+pub(super) fn all_refused(call: &PlanningCall) -> bool {
+    matches!(
+        call.decision,
+        Decision::Exhausted(_) | Decision::KeepActivePlan(NoPlan::Worse) | Decision::RuleBased(NoPlan::Outscored)
+    )
+}
+
+/// The decision of a planning call in words.
+pub fn decision_words(call: &PlanningCall) -> String {
+    let scores: Vec<Option<f64>> = call.attempts.iter().map(|a| Some(a.reflection.as_ref()?.score)).collect();
+    words(&DecisionRecord::of(&call.decision), &scores, call.aborted_lane_change == Some(call.iteration))
+}
+
+/// `scores` are Reflection's, by attempt; `keeps_lane` if a lane change of the executed plan is not begun.
+fn words(decision: &DecisionRecord, scores: &[Option<f64>], keeps_lane: bool) -> String {
+    let all_refused =
+        |cause: &str| !scores.is_empty() && [NoPlan::Worse, NoPlan::Outscored].iter().any(|why| why.cause() == cause);
+    match decision {
+        DecisionRecord::Execute { attempt } => format!("attempt {} is executed", attempt + 1),
+        DecisionRecord::Exhausted { attempt } => {
+            format!("{}; {}", refusals(scores), instead(scores, *attempt, keeps_lane))
+        }
+        DecisionRecord::KeepActivePlan { cause, .. } if all_refused(cause) => {
+            format!("{}; the active plan is kept, because it scores more than each of them", refusals(scores))
+        }
+        DecisionRecord::RuleBased { cause, .. } if all_refused(cause) => {
+            format!("{}; PDM-Closed plans, because its own proposal scores no less", refusals(scores))
+        }
+        DecisionRecord::KeepActivePlan { why, .. } => format!("the active plan is kept ({why})"),
+        DecisionRecord::Brake { why, .. } => format!("brake ({why})"),
+        DecisionRecord::Gated { score } => {
+            format!("call skipped; PDM-Closed plans, with a predicted score of {}", fixed(*score, 2))
+        }
+        DecisionRecord::RuleBased { why, .. } => format!("PDM-Closed plans ({why})"),
+    }
+}
+
+/// That all attempts were refused, and how many there were.
+fn refusals(scores: &[Option<f64>]) -> String {
+    let unreadable = scores.iter().filter(|score| score.is_none()).count();
+    match (scores.len(), unreadable) {
+        (1, _) => "the only attempt was refused".to_owned(),
+        (all, 0) => format!("all {all} attempts were refused"),
+        (all, unreadable) => format!("of {all} attempts, {} refused and {unreadable} without a plan", all - unreadable),
+    }
+}
+
+/// The refused attempt that is executed, and why.
+fn instead(scores: &[Option<f64>], index: usize, keeps_lane: bool) -> String {
+    let own = scores.get(index).copied().flatten();
+    let is_best = own.is_some_and(|own| scores.iter().flatten().all(|score| *score <= own));
+    let score = own.map(|own| format!(" (score {})", fixed(own, 2))).unwrap_or_default();
+    let why = match (scores.len(), is_best) {
+        (1, _) => "there is no better plan",
+        (_, true) => "no other attempt scores more",
+        (_, false) => "it is the last one",
+    };
+    let lane = if keeps_lane { ", in the ego's lane: a refused plan must not begin a lane change" } else { "" };
+    format!("attempt {}{score} is executed all the same, because {why}{lane}", index + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pdm::DrivableLayers;
+    use crate::planner::Attempt;
+    use crate::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
+
+    fn reflection(score: f64) -> ReflectionReport {
+        let parts = SubScores {
+            no_collision: 1.0,
+            drivable_area: 1.0,
+            driving_direction: 1.0,
+            progress: score,
+            time_to_collision: score,
+            comfort: 1.0,
+        };
+        let (progress_reference, drivable_layers) = (ProgressReference::PdmProposals, DrivableLayers::Lanes);
+        ReflectionReport {
+            score,
+            parts,
+            progress_reference,
+            drivable_layers,
+            verdict: Verdict::Rethink,
+            states: Vec::new(),
+        }
+    }
+
+    fn call(decision: Decision, scores: &[Option<f64>]) -> PlanningCall {
+        let attempt = |score: &Option<f64>| Attempt {
+            rounds: Vec::new(),
+            instruction: None,
+            answer: None,
+            errors: Vec::new(),
+            reflection: score.map(reflection),
+            path: Vec::new(),
+            reflection_ms: 0.0,
+        };
+        PlanningCall {
+            iteration: 20,
+            at_s: 2.0,
+            image: None,
+            image_hash: None,
+            scene_text: None,
+            attempts: scores.iter().map(attempt).collect(),
+            decision,
+            emergency_brakes: 0,
+            aborted_lane_change: None,
+            active_from: None,
+            environment_ms: 0.0,
+            total_ms: 0.0,
+        }
+    }
+
+    #[test]
+    fn a_refused_call_says_what_is_executed_and_why() {
+        let three = [Some(0.0), Some(0.41), Some(0.3)];
+        let best = call(Decision::Exhausted(1), &three);
+        assert_eq!(
+            decision_words(&best),
+            "all 3 attempts were refused; attempt 2 (score 0.41) is executed all the same, because no other attempt scores more"
+        );
+        let last = decision_words(&call(Decision::Exhausted(2), &three));
+        assert!(
+            last.ends_with("attempt 3 (score 0.30) is executed all the same, because it is the last one"),
+            "{last}"
+        );
+        let lane = PlanningCall { aborted_lane_change: Some(20), ..best.clone() };
+        assert!(decision_words(&lane).contains("in the ego's lane"), "{}", decision_words(&lane));
+        let later = PlanningCall { aborted_lane_change: Some(25), ..best };
+        assert!(!decision_words(&later).contains("in the ego's lane"), "{}", decision_words(&later));
+        let kept = decision_words(&call(Decision::KeepActivePlan(NoPlan::Worse), &[Some(0.2), None]));
+        assert_eq!(
+            kept,
+            "of 2 attempts, 1 refused and 1 without a plan; the active plan is kept, because it scores more than each of them"
+        );
+        let one = decision_words(&call(Decision::Exhausted(0), &[Some(0.0)]));
+        assert!(one.starts_with("the only attempt was refused; attempt 1 (score 0.00)"), "{one}");
+    }
+
+    #[test]
+    fn a_call_is_refused_when_its_plans_are_and_not_when_it_has_none() {
+        assert!(all_refused(&call(Decision::Exhausted(0), &[Some(0.1)])));
+        assert!(all_refused(&call(Decision::KeepActivePlan(NoPlan::Worse), &[Some(0.1)])));
+        assert!(!all_refused(&call(Decision::Execute(0), &[Some(0.9)])));
+        assert!(!all_refused(&call(Decision::KeepActivePlan(NoPlan::Unreadable), &[None])));
+    }
+}

@@ -1,0 +1,64 @@
+// The decision of a planning call: its outcome, what is executed, and why.
+
+const ITERATIONS_A_SECOND = 10;
+
+const OUTCOMES = {
+  accepted: "accepted at once", rethought: "accepted after a rethink", exhausted: "all attempts refused",
+  none: "no plan",
+};
+
+/** The executed attempt of a call, or null. */
+function executedAttempt(call) {
+  const { kind, attempt } = call.decision;
+  return kind === "execute" || kind === "exhausted" ? attempt : null;
+}
+
+/** Whether Reflection refused every attempt of a call. */
+function allRefused({ decision, attempts }) {
+  return decision.kind === "exhausted" || (attempts.length > 0 && ["worse", "outscored"].includes(decision.cause));
+}
+
+/** The outcome of a call: `accepted`, `rethought`, `exhausted` or `none`. */
+function outcomeOf(call) {
+  if (call.decision.kind === "execute") return call.attempts.length > 1 ? "rethought" : "accepted";
+  return allRefused(call) ? "exhausted" : "none";
+}
+
+/** What is executed after a call, and why; `run` has the settings. */
+function decisionWords(call, run) {
+  const { decision, emergency_brakes: brakes, aborted_lane_change: aborted, iteration } = call;
+  const words = {
+    execute: () => `Attempt ${decision.attempt + 1} is executed.`,
+    exhausted: () => refusedWords(call, run),
+    keep_active_plan: () => (decision.cause === "worse" ? "The active plan is kept, because it scores more than each attempt." : `The active plan is kept: ${decision.why}.`),
+    brake: () => `The ego brakes: ${decision.why}.`,
+    gated: () => "The call was skipped; PDM-Closed plans.",
+    rule_based: () => (decision.cause === "outscored" ? "PDM-Closed plans, because its own proposal scores no less." : `PDM-Closed plans: ${decision.why}.`),
+  };
+  const kept = decision.kind === "exhausted" && aborted === iteration;
+  return [words[decision.kind]?.() ?? decision.kind,
+    kept ? "A refused plan must not begin a lane change, so the ego keeps its lane." : null,
+    aborted == null || kept ? null : `Lane change aborted at ${(aborted / ITERATIONS_A_SECOND).toFixed(1)} s.`,
+    brakes ? `The emergency brake acted in ${counted(brakes, "step")}.` : null].filter(Boolean).join(" ");
+}
+
+/** The refused attempt that is executed, and why. */
+function refusedWords({ decision, attempts }, run) {
+  const number = decision.attempt + 1;
+  const scores = attempts.map((attempt) => attempt.reflection?.score ?? null);
+  const own = scores[decision.attempt];
+  const is = own === null ? `Attempt ${number}` : `Attempt ${number}, with ${own.toFixed(2)},`;
+  const best = own !== null && scores.every((score) => score === null || score <= own);
+  const why = attempts.length === 1 ? "there is no better plan" : run.after_max_exec === "last" || !best ? "it is the last one" : "no other attempt scores more";
+  const watched = run.monitoring ? " Monitoring scores it at every step and may execute a slower or lateral version, or a stop." : "";
+  return `${is} is executed all the same, because ${why}.${watched}`;
+}
+
+/** The score that an attempt needs, and which threshold that is. */
+function thresholdOf({ score, verdict }, simulation) {
+  const { keep_lane: keepLane, lane_change: laneChange, assist } = INDEX.runs[simulation.run].thresholds;
+  if (simulation.planner.startsWith("llm-assist")) return { value: assist, note: "" };
+  // A plan that reached the threshold and was refused, or the reverse, was held to that of lane changes.
+  const passes = score >= keepLane;
+  return passes === (verdict === "execute") ? { value: keepLane, note: "" } : { value: laneChange, note: " for a lane change" };
+}
