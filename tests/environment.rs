@@ -1,5 +1,8 @@
 //! Every frame of recorded and generated drives as prompts: a graph, two texts that parse back, facts, an image.
 
+#[path = "scene_text/mod.rs"]
+mod scene_text;
+
 use crate::womd::recordings;
 use planagent::internals::environment::facts::Question;
 use planagent::internals::environment::{
@@ -8,6 +11,8 @@ use planagent::internals::environment::{
 use planagent::internals::scenario::generator::{self, Spec, types};
 use planagent::internals::scenario::{Frame, Scenario};
 use planagent::internals::world::History;
+use planagent::internals::{environment, world};
+use scene_text::{COMPACT_WORDS, parse};
 use std::collections::BTreeSet;
 
 /// Frames between those that are looked at.
@@ -19,10 +24,10 @@ fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts
     let graph = LaneGraph::build(&scene, DEFAULT_NODE_LENGTH).unwrap_or_else(|e| panic!("{place}: {e}"));
     let description = Description::of(&graph);
     let paper = text::write(&description, TextForm::Paper);
-    assert_eq!(text::parse(&paper, TextForm::Paper), Ok(description.clone()), "{place}: {paper}");
+    assert_eq!(parse(&paper, TextForm::Paper), Ok(description.clone()), "{place}: {paper}");
     let compact = text::write(&description, TextForm::Compact);
-    assert_eq!(compact.split_whitespace().count(), text::COMPACT_WORDS);
-    assert_eq!(text::parse(&compact, TextForm::Compact), Ok(description.reduced()), "{place}: {compact}");
+    assert_eq!(compact.split_whitespace().count(), COMPACT_WORDS);
+    assert_eq!(parse(&compact, TextForm::Compact), Ok(description.reduced()), "{place}: {compact}");
     for agent in &graph.agents {
         assert!(paper.contains(&agent.name.to_string()), "{place}: {} is missing in {paper}", agent.name);
     }
@@ -54,7 +59,8 @@ fn generated_drives_become_prompts_with_varied_facts() {
     for scenario_type in types::in_suites() {
         let scenario = generator::generate(&Spec::new(scenario_type, 1)).unwrap();
         for frame in scenario.frames.iter().step_by(STRIDE) {
-            answers.extend(facts_of(&scenario, frame, &history).answers());
+            let facts = facts_of(&scenario, frame, &history);
+            answers.extend(Question::ALL.iter().map(|&question| (question.as_str(), facts.answer(question))));
         }
     }
     for &question in Question::ALL {

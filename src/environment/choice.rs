@@ -4,9 +4,7 @@
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{got}` is no {choice} (expected one of: {expected})")]
 pub struct UnknownChoice {
-    /// Name of the choice.
     pub choice: &'static str,
-    /// The text.
     pub got: String,
     /// The known texts, separated by commas.
     pub expected: String,
@@ -17,17 +15,16 @@ macro_rules! choice {
     ($(#[$meta:meta])* pub enum $name:ident { $($(#[$variant_meta:meta])* $variant:ident = $text:literal,)+ }) => {
         $(#[$meta])*
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+        #[allow(missing_docs, reason = "the text of a variant may say enough")]
         pub enum $name {
             $($(#[$variant_meta])* #[serde(rename = $text)] $variant,)+
         }
 
         impl $name {
-            /// Every variant, in order of declaration.
             pub const ALL: &'static [Self] = &[$(Self::$variant),+];
             /// The texts of [`Self::ALL`], in the same order.
             pub const TEXTS: &'static [&'static str] = &[$($text),+];
 
-            /// The text of the variant.
             pub const fn as_str(self) -> &'static str {
                 match self {
                     $(Self::$variant => $text,)+

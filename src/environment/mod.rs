@@ -4,7 +4,7 @@
 //!
 //! - [`bev`]: the image, ego-centered, heading up.
 //! - [`lane_graph`]: the node under the ego, its eight neighbors, who is on them, and the centerlines to follow.
-//! - [`text`]: the lane graph in words, in two prompt sets, and the way back.
+//! - [`text`]: the lane graph in words, in two prompt sets.
 //! - [`facts`]: what is true of the scene, as choices.
 //! - [`coordinates`]: the texts of other language-model planners, to compare with.
 

@@ -74,7 +74,6 @@ impl Drawn {
         self
     }
 
-    /// Sets every light.
     pub(super) fn all_lights(mut self, status: SignalStatus) -> Self {
         self.lights = self.map.lanes().iter().filter(|l| l.has_traffic_lights).map(|lane| (lane.id, status)).collect();
         self

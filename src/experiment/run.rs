@@ -19,19 +19,14 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// What the planners of a run are built from.
 #[derive(Clone, Default)]
 pub struct AgentParts {
-    /// The planners by name.
     pub registry: PlannerRegistry,
     /// The model, for planners that need one.
     pub model: Option<CodeSource>,
-    /// Settings of agents.
     pub settings: PlanAgentSettings,
 }
 
 impl AgentParts {
     /// The planner of one simulation. The scenario's name goes into the seed, so that no simulation depends on another.
-    ///
-    /// # Errors
-    /// When there is no such planner, or a part of it is missing.
     pub fn planner(&self, name: PlannerName, scenario: &Scenario) -> Result<Box<dyn Planner>, BuildError> {
         let entry = self.registry.find(name.as_str())?;
         let recording: Vec<EgoState> = match entry.needs {
@@ -68,7 +63,6 @@ impl AgentParts {
     }
 }
 
-/// Why a run cannot build a planner.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum BuildError {
@@ -106,7 +100,6 @@ pub struct SimulationOutcome {
     pub log: SimulationLog,
 }
 
-/// The record of one task.
 #[derive(Debug, Clone)]
 pub struct SimulationRecord {
     /// The word of the command line that names the scenario.
@@ -115,7 +108,6 @@ pub struct SimulationRecord {
     pub scenario: String,
     /// nuPlan's type of the scenario.
     pub scenario_type: String,
-    /// Name of the log.
     pub log_name: String,
     pub planner: PlannerName,
     pub challenge: Challenge,

@@ -19,9 +19,6 @@ pub(super) fn source() -> BevSource {
 }
 
 /// The BEV image of a generated scene at some time of its log; the same one for the same draw.
-///
-/// # Errors
-/// When the generator finds no scene for [`MAX_TRIES`] seeds.
 fn render(draw: u64, view: &BevView) -> Result<RgbImage, GeneratorError> {
     let kinds = types::nuplan14().count() as u64;
     let kind = types::nuplan14().nth((draw % kinds) as usize).unwrap_or(generator::DEFAULT.scenario_type);

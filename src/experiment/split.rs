@@ -3,7 +3,6 @@
 use super::suite::Suite;
 use crate::scenario::{OnProgress, ReaderError, Readers, Split};
 
-/// Why there is no list.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum SplitError {

@@ -11,7 +11,6 @@ pub struct Bootstrap {
     pub resamples: usize,
     /// Share of the means within the interval.
     pub level: f64,
-    /// Seed of the draws.
     pub seed: u64,
 }
 
@@ -24,13 +23,9 @@ impl Default for Bootstrap {
 /// Mean of paired differences with its interval, in the unit of the differences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PairedDifference {
-    /// The mean.
     pub mean: f64,
-    /// Lower end of the interval.
     pub low: f64,
-    /// Upper end of the interval.
     pub high: f64,
-    /// Number of pairs.
     pub pairs: usize,
 }
 

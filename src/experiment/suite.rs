@@ -55,10 +55,8 @@ impl Suite {
             own.into_iter().map(|spec| spec.with_traffic_seed(CANDIDATE_TRAFFIC)).collect()
         },
     };
-    /// All suites.
     pub const ALL: [Self; 4] = [Self::DEMONSTRATION, Self::GENERATED_14, Self::GENERATED_14_HARD, Self::CANDIDATES];
 
-    /// The suite of this name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|suite| suite.name == name)
     }
@@ -80,7 +78,6 @@ fn each(types: impl IntoIterator<Item = ScenarioType>, seeds: Range<u64>) -> Vec
     types.into_iter().flat_map(of_type).collect()
 }
 
-/// Why the hard scenarios cannot be selected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "{missing} of the {} scenarios of {} have no score of PDM-Closed with non-reactive agents, for example {first}",

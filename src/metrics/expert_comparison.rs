@@ -55,9 +55,6 @@ pub(super) fn mean(values: impl Iterator<Item = f64>) -> f64 {
 /// As in nuPlan, a trajectory that ends less than a second before the farthest horizon is compared at its own end. nuPlan's
 /// logs continue after every scenario; here seconds whose next eight are not recorded are left out, and the time series
 /// names those that count. One quirk is kept: nuPlan counts the last state of a scenario twice when it lies on a full second.
-///
-/// # Errors
-/// When a trajectory ends too early, or no second has a recorded future.
 pub fn compare_with_expert(
     trajectories: &[Trajectory],
     expert: &[EgoState],

@@ -50,9 +50,6 @@ pub struct MetricInput<'a> {
 
 impl<'a> MetricInput<'a> {
     /// Checks a simulation.
-    ///
-    /// # Errors
-    /// When it is too short, has no expert, times that do not grow, or values that are NaN or infinite.
     pub fn new(simulation: EvaluatedSimulation<'a>) -> Result<Self, MetricError> {
         let states: Vec<EgoState> = simulation.samples.iter().map(|sample| sample.ego).collect();
         check(&states, simulation.expert)?;
@@ -71,7 +68,6 @@ impl<'a> MetricInput<'a> {
         &self.states
     }
 
-    /// The lanes along the driven path.
     pub(super) fn lanes(&self) -> &DrivenLanes {
         self.lanes.get_or_init(|| DrivenLanes::of(self.simulation.map, &self.states))
     }
@@ -86,7 +82,6 @@ impl<'a> MetricInput<'a> {
         self.progress.get_or_init(|| Progress::of(map, &self.states, expert)).as_ref()
     }
 
-    /// The planned trajectories against the expert.
     pub(super) fn comparison(&self) -> Result<&PlannerExpertErrors, MetricError> {
         let EvaluatedSimulation { trajectories, expert, future, .. } = self.simulation;
         let compared = self.comparison.get_or_init(|| {

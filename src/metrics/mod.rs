@@ -50,9 +50,7 @@ pub use driving_direction_compliance::{
     DIRECTION_COMPLIANCE, DIRECTION_VIOLATION, direction_score, driving_direction_compliance,
 };
 pub use ego_lane_change::{LaneChange, ego_lane_change, find_lane_changes};
-pub use ego_progress_along_expert_route::{
-    MIN_PROGRESS_RATIO, ego_is_making_progress, ego_progress_along_expert_route,
-};
+pub use ego_progress_along_expert_route::{MIN_PROGRESS_RATIO, ego_is_making_progress};
 pub use ego_stop_at_stop_line::ego_stop_at_stop_line;
 pub use error::MetricError;
 pub use expert_comparison::{

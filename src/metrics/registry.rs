@@ -119,9 +119,6 @@ impl Evaluation {
 }
 
 /// Computes nuPlan's metrics of a list and their score.
-///
-/// # Errors
-/// As [`MetricRegistry::evaluate`].
 pub fn evaluate(list: MetricList, simulation: &EvaluatedSimulation<'_>) -> Result<Evaluation, MetricError> {
     MetricRegistry::default().evaluate(list, simulation)
 }

@@ -84,9 +84,6 @@ pub struct Score {
 
 impl Score {
     /// The score of the metrics of a list; other results are ignored.
-    ///
-    /// # Errors
-    /// When a multiplier or weighted metric of the list is missing or has no score.
     pub fn of(list: MetricList, specs: &[MetricSpec], results: &[MetricResult]) -> Result<Self, MetricError> {
         let part = |spec: &MetricSpec| {
             let score = results.iter().find(|r| r.name == spec.name).and_then(|r| r.score);

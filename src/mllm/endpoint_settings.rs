@@ -105,9 +105,6 @@ fn first_wait_ms() -> u64 {
 
 impl EndpointSettings {
     /// The address of chat completions.
-    ///
-    /// # Errors
-    /// When a setting is invalid; the text names it.
     pub(crate) fn url(&self) -> Result<String, String> {
         if self.endpoint.contains(['@', '?', '#']) {
             return Err("endpoint must be a plain address; key_env names the environment variable of the key".into());

@@ -9,7 +9,6 @@ use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
 use super::{MllmError, cogvlm, llava, llava_next};
 
-/// The families that are built in.
 const BUILT_IN: &[&Family] = &[&llava::FAMILY, &llava_next::FAMILY, &cogvlm::FAMILY];
 
 /// The families that models are looked for in: those that are built in, and those of a program that uses this one.
@@ -27,21 +26,16 @@ impl Default for Families {
 }
 
 impl Families {
-    /// Adds a family.
     pub fn with(mut self, family: &'static Family) -> Self {
         self.0.push(Architecture(family));
         self
     }
 
-    /// All families.
     pub fn iter(&self) -> impl Iterator<Item = Architecture> {
         self.0.iter().copied()
     }
 
     /// The family that the `config.json` of a folder names: by its `model_type`, else by the first of its `architectures`.
-    ///
-    /// # Errors
-    /// When there is no such file, it names none, or none of these.
     pub fn detect(&self, folder: &Path) -> Result<Architecture, MllmError> {
         self.of(&ModelFiles::folder(folder)?)
     }
@@ -73,12 +67,10 @@ impl Architecture {
         Families::default().iter().find(|family| family.name() == name)
     }
 
-    /// The name in model descriptions and results.
     pub fn name(self) -> &'static str {
         self.0.name
     }
 
-    /// What the family knows.
     pub fn family(self) -> &'static Family {
         self.0
     }

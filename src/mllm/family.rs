@@ -150,9 +150,7 @@ pub struct Chat<'a> {
     pub system: &'a str,
     /// Tokens of the image that the first prompt begins with; none without one.
     pub image_tokens: Option<usize>,
-    /// The rounds so far.
     pub turns: &'a [Turn],
-    /// The prompt that asks for the next answer.
     pub prompt: &'a str,
 }
 

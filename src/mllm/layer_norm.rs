@@ -63,7 +63,6 @@ impl Kernel for Rows<'_> {
     }
 }
 
-/// The sum of a function of numbers.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "kernels must be inlined into the functions that enable the instructions")]
 fn sum_of(row: &[f32], function: impl Fn(f64) -> f64) -> f64 {

@@ -60,7 +60,7 @@ pub use family::{
     Chat, ChatFormat, Family, LanguageModel, ModelInfo, OpenedModel, Positions, Tiles, VisionLanguageModel,
 };
 pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
-pub use latency::{LatencyProbe, PassTime, ProbeDescription, Step, StepTime};
+pub use latency::{LatencyProbe, PassTime, Step, StepTime};
 pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub use registry::{

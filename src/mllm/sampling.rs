@@ -6,7 +6,6 @@ use toktrie::SimpleVob;
 
 use super::{MllmError, Sampling};
 
-/// Samples the tokens of an answer.
 pub(crate) enum Sampler {
     /// The most likely token.
     Greedy,
@@ -15,8 +14,6 @@ pub(crate) enum Sampler {
 }
 
 impl Sampling {
-    /// # Errors
-    /// When temperature or nucleus is out of range.
     pub(crate) fn check(self) -> Result<(), MllmError> {
         match self {
             Self::Sample { temperature, top_p }
@@ -34,8 +31,6 @@ impl Sampling {
 }
 
 impl Sampler {
-    /// # Errors
-    /// When its temperature or nucleus is out of range.
     pub(crate) fn new(sampling: Sampling, seed: u64) -> Result<Self, MllmError> {
         sampling.check()?;
         Ok(match sampling {
@@ -48,9 +43,6 @@ impl Sampler {
     }
 
     /// Samples one of the allowed tokens, never `banned`. `position` is the position of the logits in the chat.
-    ///
-    /// # Errors
-    /// When a logit is NaN or infinite, or no token is allowed.
     pub(crate) fn choose(
         &mut self,
         mut logits: Vec<f32>,

@@ -7,9 +7,6 @@ use rayon::prelude::*;
 pub(crate) const PIECE: usize = 1 << 15;
 
 /// Runs `read` on the row-major numbers of a contiguous f32 tensor on the CPU, without a copy.
-///
-/// # Errors
-/// When the tensor is of another kind, or `read` fails.
 pub(crate) fn with_contiguous<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
     let (storage, layout) = tensor.storage_and_layout();
     let (Storage::Cpu(storage), Some((start, end))) = (&*storage, layout.contiguous_offsets()) else {
@@ -22,18 +19,12 @@ pub(crate) fn with_contiguous<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> R
 }
 
 /// Runs `read` on the row-major numbers of an f32 tensor, which is copied if it is not contiguous.
-///
-/// # Errors
-/// When the tensor has another number type, or `read` fails.
 pub(crate) fn with_values<T>(tensor: &Tensor, read: impl FnOnce(&[f32]) -> Result<T>) -> Result<T> {
     with_contiguous(&tensor.contiguous()?, read)
 }
 
 /// Maps rows of `inputs` numbers, the last dimension of an f32 tensor, to rows of `outputs` numbers, on all threads where
 /// that pays. `apply` takes the rows to write and as many rows to read.
-///
-/// # Errors
-/// When the tensor's rows have another width, or it has another number type.
 pub(crate) fn row_by_row(
     x: &Tensor,
     inputs: usize,

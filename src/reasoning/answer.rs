@@ -14,7 +14,6 @@ pub enum PlannerAnswer {
 }
 
 impl PlannerAnswer {
-    /// The planner code, if it is one.
     pub fn code(&self) -> Option<PlannerCode> {
         match self {
             Self::Code(code) => Some(*code),

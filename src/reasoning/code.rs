@@ -41,7 +41,6 @@ pub const ACCEL_MAX: Range = Range { min: 0.1, max: 5.0, unit: "m/s²" };
 pub const DECEL_MAX: Range = Range { min: 0.1, max: 9.0, unit: "m/s²" };
 
 impl Range {
-    /// Whether a value lies within.
     pub fn contains(&self, value: f64) -> bool {
         (self.min..=self.max).contains(&value)
     }

@@ -138,9 +138,6 @@ pub struct Reasoning<'a> {
 
 impl<'a> Reasoning<'a> {
     /// Opens the conversation of a planning call that must end by `deadline`.
-    ///
-    /// # Errors
-    /// When the system prompt cannot be rendered or the model cannot take the image.
     pub fn open(
         model: &'a dyn Mllm,
         prompts: &'a PromptSet,

@@ -37,9 +37,7 @@ pub enum InstructionForm {
 pub struct PromptForms {
     /// Form of the lane-graph text.
     pub scene_text: TextForm,
-    /// Form of round 1.
     pub understanding: UnderstandingForm,
-    /// Form of round 2.
     pub instruction: InstructionForm,
 }
 
@@ -71,9 +69,6 @@ const BUILT_IN: [(&str, &str, [&str; 5]); 2] = [built_in!("paper"), built_in!("c
 
 impl PromptSet {
     /// A built-in set by name, or the set in a folder.
-    ///
-    /// # Errors
-    /// When there is none of that name, a file is missing, or a template does not compile.
     pub fn open(name_or_folder: &str) -> Result<Self, PromptError> {
         if let Some((name, settings, sources)) = BUILT_IN.iter().find(|(name, ..)| *name == name_or_folder) {
             return Self::compile(name, Path::new("set.toml"), settings, sources.map(str::to_owned));
@@ -103,22 +98,18 @@ impl PromptSet {
         self.templates.set()
     }
 
-    /// The forms of texts and answers.
     pub fn forms(&self) -> &PromptForms {
         &self.forms
     }
 
-    /// The system prompt.
     pub(super) fn system(&self, context: Value) -> Result<String, PromptError> {
         self.templates.render("system", context)
     }
 
-    /// The prompt of a round.
     pub(super) fn round(&self, round: Round, context: Value) -> Result<String, PromptError> {
         self.templates.render(round.as_str(), context)
     }
 
-    /// The feedback on a refused plan.
     pub(super) fn feedback(&self, context: Value) -> Result<String, PromptError> {
         self.templates.render("feedback", context)
     }

@@ -17,7 +17,6 @@ pub enum Round {
 }
 
 impl Round {
-    /// All three, in order.
     pub const ALL: [Self; 3] = [Self::Understanding, Self::Instruction, Self::Code];
 
     /// The name in records and of the prompt template.

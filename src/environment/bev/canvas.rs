@@ -40,7 +40,6 @@ impl Canvas {
         Self { pixmap, view, center, to_pixel }
     }
 
-    /// The view.
     pub(super) fn view(&self) -> &BevView {
         &self.view
     }

@@ -57,9 +57,6 @@ impl BevView {
     pub const MAX_METRES: f64 = 1000.0;
 
     /// A view of `metres` a side in `pixels` a side.
-    ///
-    /// # Errors
-    /// When either lies outside its range.
     pub fn new(pixels: u32, metres: f64) -> Result<Self, BevError> {
         if !(Self::MIN_PIXELS..=Self::MAX_PIXELS).contains(&pixels) {
             return Err(BevError::Pixels(pixels));
@@ -70,12 +67,10 @@ impl BevView {
         Ok(Self { pixels, metres })
     }
 
-    /// Pixels a side.
     pub fn pixels(&self) -> u32 {
         self.pixels
     }
 
-    /// Meters a side.
     pub fn metres(&self) -> f64 {
         self.metres
     }
@@ -112,7 +107,6 @@ pub struct BevLine {
     pub points: Vec<Point>,
     /// Its width, meters.
     pub width: f64,
-    /// Its color.
     pub color: Rgb,
 }
 

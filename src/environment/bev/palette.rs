@@ -6,7 +6,6 @@ use crate::world::ObjectKind;
 /// A color: red, green, blue.
 pub type Rgb = [u8; 3];
 
-/// Background.
 pub const BACKGROUND: Rgb = [255, 255, 255];
 /// The speed arrow of a moving agent: the paper's red, which no element shares.
 pub const ARROW: Rgb = [230, 0, 0];
@@ -16,17 +15,12 @@ choice! {
     pub enum BevElement {
         /// Centerlines of lanes and connectors.
         Centerlines = "centerlines",
-        /// Crosswalks.
         Crosswalks = "crosswalks",
         /// Areas of lanes and connectors.
         Lanes = "lanes",
-        /// The ego vehicle.
         Ego = "ego",
-        /// Other vehicles.
         Vehicles = "vehicles",
-        /// Bicycles.
         Bicycles = "bicycles",
-        /// Pedestrians.
         Pedestrians = "pedestrians",
         /// Cones, barriers, signs and other static objects.
         StaticObstacles = "static_obstacles",
@@ -49,7 +43,6 @@ impl Palette {
         (BevElement::StaticObstacles, "black", [20, 20, 20]),
     ];
 
-    /// The color of an element.
     pub const fn color(element: BevElement) -> Rgb {
         Self::COLORS[element as usize].2
     }
@@ -60,15 +53,9 @@ impl Palette {
             Self::COLORS.iter().map(|(element, color, _)| format!("{} {color}", element.as_str().replace('_', " ")));
         format!("Colours: {}.", parts.collect::<Vec<_>>().join(", "))
     }
-
-    /// The name of an element's color.
-    pub const fn color_name(element: BevElement) -> &'static str {
-        Self::COLORS[element as usize].1
-    }
 }
 
 impl BevElement {
-    /// The element of an object.
     pub fn of(kind: ObjectKind) -> Self {
         match kind {
             ObjectKind::Vehicle => Self::Vehicles,

@@ -16,7 +16,6 @@ const HEAD_M: f64 = 1.5;
 /// Least length and width of an arrowhead, pixels: enough to tell its point from its base.
 const MIN_HEAD_PX: f64 = 4.0;
 
-/// Draws the road.
 pub(super) fn draw(canvas: &mut Canvas, map: &LaneMap) {
     let (center, reach) = (canvas.center().position(), canvas.reach());
     let lanes: Vec<&Lane> = map.lanes_near(center, reach).into_iter().map(|id| &map[id]).collect();

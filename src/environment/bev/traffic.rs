@@ -26,7 +26,6 @@ const HEAD_SHARE: f64 = 0.6;
 const ORDER: [BevElement; 4] =
     [BevElement::StaticObstacles, BevElement::Vehicles, BevElement::Bicycles, BevElement::Pedestrians];
 
-/// Draws objects, ego and arrows.
 pub(super) fn draw(canvas: &mut Canvas, scene: &SceneView<'_>) {
     let mut objects: Vec<&TrackedObject> = scene.objects.iter().filter(|object| may_show(canvas, object)).collect();
     objects.sort_by_key(|object| object.token);

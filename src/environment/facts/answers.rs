@@ -7,7 +7,6 @@ use crate::environment::lane_graph::Turn;
 choice! {
     /// A question; its text is the key in labels and results.
     pub enum Question {
-        /// Kind of place.
         SceneType = "scene_type",
         /// Next light.
         Light = "light",
@@ -15,53 +14,26 @@ choice! {
         LaneCount = "lane_count",
         /// The ego's lane among them.
         LaneIndex = "lane_index",
-        /// Crosswalk ahead.
         Crosswalk = "crosswalk",
-        /// Distance of the lead vehicle.
         LeadDistance = "lead_distance",
-        /// Speed of the lead vehicle.
         LeadSpeed = "lead_speed",
-        /// Pedestrian ahead.
         Pedestrian = "pedestrian",
         /// Obstacle in the ego's lane.
         Blocked = "blocked",
-        /// The lane to the left.
         LeftLane = "left_lane",
-        /// The lane to the right.
         RightLane = "right_lane",
         /// Vehicles in view.
         VehicleCount = "vehicle_count",
         /// Lanes of the other direction.
         Oncoming = "oncoming",
-        /// Speed of the ego.
         EgoSpeed = "ego_speed",
         /// Turn of the route.
         Turn = "turn",
     }
 }
 
-/// A question's key and the answers that it allows, as texts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct QuestionForm {
-    /// The key: [`Question::as_str`].
-    pub key: &'static str,
-    /// The texts of the answers: [`Question::choices`].
-    pub choices: &'static [&'static str],
-}
-
 impl Question {
-    /// Every question as texts, in order of [`Self::ALL`].
-    pub const FORMS: [QuestionForm; Self::ALL.len()] = {
-        let mut forms = [QuestionForm { key: "", choices: &[] }; Self::ALL.len()];
-        let mut i = 0;
-        while i < forms.len() {
-            forms[i] = QuestionForm { key: Self::ALL[i].as_str(), choices: Self::ALL[i].choices() };
-            i += 1;
-        }
-        forms
-    };
-
-    /// Its possible answers.
+    /// The texts of the possible answers.
     pub const fn choices(self) -> &'static [&'static str] {
         match self {
             Self::SceneType => SceneType::TEXTS,
@@ -100,11 +72,8 @@ choice! {
     pub enum Light {
         /// None near.
         None = "none",
-        /// Green.
         Green = "green",
-        /// Yellow.
         Yellow = "yellow",
-        /// Red.
         Red = "red",
     }
 }
@@ -112,13 +81,9 @@ choice! {
 choice! {
     /// Number of lanes of one direction.
     pub enum LaneCount {
-        /// One.
         One = "1",
-        /// Two.
         Two = "2",
-        /// Three.
         Three = "3",
-        /// Four or more.
         FourOrMore = "4+",
     }
 }
@@ -137,11 +102,8 @@ impl LaneCount {
 choice! {
     /// Number of a lane of one direction, from the left.
     pub enum LaneIndex {
-        /// The leftmost.
         First = "1",
-        /// The second.
         Second = "2",
-        /// The third.
         Third = "3",
         /// The fourth or one further right.
         FourthOrMore = "4+",
@@ -192,15 +154,12 @@ impl Ahead {
 }
 
 choice! {
-    /// Speed of the lead vehicle.
     pub enum LeadSpeed {
-        /// There is none in view.
         None = "none",
         /// Slower than [`super::STOPPED`].
         Stopped = "stopped",
         /// Slower than the ego by more than [`super::SAME_SPEED`].
         Slower = "slower",
-        /// Neither.
         SameOrFaster = "same_or_faster",
     }
 }
@@ -220,7 +179,6 @@ impl LeadSpeed {
 choice! {
     /// A lane of the same direction beside the ego's.
     pub enum SideLane {
-        /// There is none.
         None = "none",
         /// No object is beside the ego or near.
         Free = "free",
@@ -232,13 +190,9 @@ choice! {
 choice! {
     /// Vehicles in view without the ego.
     pub enum VehicleCount {
-        /// None.
         Zero = "0",
-        /// One or two.
         Few = "1-2",
-        /// Three to five.
         Some = "3-5",
-        /// Six or more.
         Many = "6+",
     }
 }
@@ -257,15 +211,12 @@ impl VehicleCount {
 choice! {
     /// Whether there are lanes of the other direction.
     pub enum Oncoming {
-        /// There are.
         Yes = "yes",
-        /// There are none.
         No = "no",
     }
 }
 
 choice! {
-    /// Speed of the ego.
     pub enum EgoSpeed {
         /// Slower than [`super::STOPPED`].
         Stopped = "stopped",
@@ -273,7 +224,6 @@ choice! {
         Slow = "slow",
         /// Slower than [`EgoSpeed::MEDIUM`].
         Medium = "medium",
-        /// Faster.
         Fast = "fast",
     }
 }

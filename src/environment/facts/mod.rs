@@ -11,8 +11,7 @@ mod roundabout;
 mod traffic;
 
 pub use answers::{
-    Ahead, EgoSpeed, LaneCount, LaneIndex, LeadSpeed, Light, Oncoming, Question, QuestionForm, SceneType, SideLane,
-    VehicleCount,
+    Ahead, EgoSpeed, LaneCount, LaneIndex, LeadSpeed, Light, Oncoming, Question, SceneType, SideLane, VehicleCount,
 };
 pub use road::{CURVE, ONCOMING_REACH};
 pub use roundabout::{ROUNDABOUT_LENGTH, ROUNDNESS};
@@ -41,7 +40,6 @@ pub struct SceneFacts {
     pub crosswalk: Ahead,
     /// The nearest vehicle or bicycle that moves along the path, or stands on it, and blocks it.
     pub lead_distance: Ahead,
-    /// Its speed.
     pub lead_speed: LeadSpeed,
     /// The nearest pedestrian with its center in the corridor of the path: the ego's width and [`CORRIDOR_MARGIN`] to both
     /// sides.
@@ -56,16 +54,12 @@ pub struct SceneFacts {
     pub vehicle_count: VehicleCount,
     /// Whether a lane of the opposite direction passes beside the ego within [`ONCOMING_REACH`].
     pub oncoming: Oncoming,
-    /// Speed of the ego.
     pub ego_speed: EgoSpeed,
     /// Turn of the route at the next intersection, as in the scene text.
     pub turn: Turn,
 }
 
 impl SceneFacts {
-    /// The questions, in the order of the answers.
-    pub const QUESTIONS: &'static [QuestionForm] = &Question::FORMS;
-
     /// The facts of a scene whose lane graph is `graph`.
     pub fn of(scene: &SceneView<'_>, graph: &LaneGraph) -> Self {
         let view = View { center: scene.ego.center() };
@@ -96,11 +90,6 @@ impl SceneFacts {
         }
     }
 
-    /// Every question's key with its answer, in order of [`Question::ALL`].
-    pub fn answers(&self) -> impl Iterator<Item = (&'static str, &'static str)> + '_ {
-        Question::ALL.iter().map(|&question| (question.as_str(), self.answer(question)))
-    }
-
     /// The answer to one question: one of [`Question::choices`].
     pub fn answer(&self, question: Question) -> &'static str {
         match question {
@@ -123,7 +112,6 @@ impl SceneFacts {
     }
 }
 
-/// The view.
 #[derive(Debug, Clone, Copy)]
 struct View {
     center: Pose,

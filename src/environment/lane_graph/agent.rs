@@ -9,11 +9,8 @@ use std::str::FromStr;
 choice! {
     /// Class of an object in its name.
     pub enum AgentClass {
-        /// A vehicle.
         Vehicle = "vehicle",
-        /// A bicycle.
         Bicycle = "bicycle",
-        /// A pedestrian.
         Pedestrian = "pedestrian",
         /// A cone, barrier, sign or other static object.
         Obstacle = "obstacle",
@@ -36,7 +33,6 @@ impl From<ObjectKind> for AgentClass {
 /// Name of an agent within one scene: its class and a number from 1, written together: `vehicle1`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct AgentName {
-    /// Its kind.
     pub class: AgentClass,
     /// Its number within the class, from 1.
     pub number: u16,
@@ -91,13 +87,9 @@ impl Heading {
 /// An agent or obstacle on one of the nodes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GraphAgent {
-    /// Its name in this scene.
     pub name: AgentName,
-    /// Its track.
     pub token: TrackToken,
-    /// Its kind.
     pub kind: ObjectKind,
-    /// The node that it is on.
     pub place: NodePlace,
     /// From the ego's center to its center along the lane, meters; negative behind.
     pub offset: f64,
@@ -109,7 +101,6 @@ pub struct GraphAgent {
     pub speed: f64,
     /// Velocity along the lane, m/s; negative against it.
     pub along_speed: f64,
-    /// Its direction of movement.
     pub heading: Heading,
 }
 

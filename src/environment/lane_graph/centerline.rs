@@ -37,9 +37,7 @@ choice! {
     pub enum Turn {
         /// Straight on, or no intersection near.
         Straight = "straight",
-        /// To the left.
         Left = "left",
-        /// To the right.
         Right = "right",
     }
 }
@@ -58,7 +56,6 @@ pub struct LightAhead {
 /// A centerline to follow.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Centerline {
-    /// Its name.
     pub name: CenterlineName,
     /// The way: from some meters behind the ego to at least 8 s at the limit and 100 m ahead of it, unless the road ends.
     pub path: LanePath,

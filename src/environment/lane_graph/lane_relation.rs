@@ -30,7 +30,6 @@ pub(in crate::environment) struct LaneRelation {
     pub blocks_path: bool,
     /// Velocity along the line, m/s.
     pub along_speed: f64,
-    /// Its direction of movement.
     pub heading: Heading,
 }
 

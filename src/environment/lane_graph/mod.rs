@@ -46,21 +46,16 @@ choice! {
         Back = "back",
         /// Beside on the left.
         Left = "left",
-        /// Ahead on the left.
         FrontLeft = "front_left",
-        /// Behind on the left.
         BackLeft = "back_left",
         /// Beside on the right.
         Right = "right",
-        /// Ahead on the right.
         FrontRight = "front_right",
-        /// Behind on the right.
         BackRight = "back_right",
     }
 }
 
 impl NodePlace {
-    /// The centerline on which the node lies.
     pub fn centerline(self) -> CenterlineName {
         match self {
             Self::Ego | Self::Front | Self::Back => CenterlineName::EgoLane,
@@ -98,11 +93,9 @@ choice! {
 /// A piece of a centerline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LaneNode {
-    /// Its position relative to the ego.
     pub place: NodePlace,
     /// The lane that holds its middle.
     pub lane: LaneId,
-    /// Its connection with the ego's lane.
     pub connection: Connection,
     /// Start on the path of its centerline, meters.
     pub from_s: f64,
@@ -145,14 +138,10 @@ pub struct LaneGraph {
 
 impl LaneGraph {
     /// Builds the graph of a scene with nodes of `node_length` meters ([`DEFAULT_NODE_LENGTH`] unless there is a reason).
-    ///
-    /// # Errors
-    /// When the ego is off the road or has a NaN or infinite pose, or the node length is out of range.
     pub fn build(scene: &SceneView<'_>, node_length: f64) -> Result<Self, LaneGraphError> {
         build::build(scene, node_length)
     }
 
-    /// The node at a place, if there is one.
     pub fn node(&self, place: NodePlace) -> Option<&LaneNode> {
         self.nodes.iter().find(|node| node.place == place)
     }
@@ -162,12 +151,10 @@ impl LaneGraph {
         self.centerlines.iter().find(|centerline| centerline.name == name)
     }
 
-    /// The ego's own centerline.
     pub fn ego_lane(&self) -> &Centerline {
         &self.centerlines[0]
     }
 
-    /// The agent of this name, if it is in the graph.
     pub fn agent(&self, name: AgentName) -> Option<&GraphAgent> {
         self.agents.iter().find(|agent| agent.name == name)
     }

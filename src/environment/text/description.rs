@@ -11,7 +11,6 @@ pub const MAX_NUMBER: u8 = 60;
 /// A traffic light ahead.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LightDescription {
-    /// What it shows.
     pub status: SignalStatus,
     /// Whole meters from the ego's front bumper to the stop line.
     pub distance: u8,
@@ -26,7 +25,6 @@ pub struct AgentDescription {
     pub distance: u8,
     /// Speed in whole m/s.
     pub speed: u8,
-    /// Which way it moves.
     pub heading: Heading,
 }
 
@@ -57,7 +55,6 @@ pub struct Description {
 }
 
 impl Description {
-    /// What there is to say of a lane graph.
     pub fn of(graph: &LaneGraph) -> Self {
         let ego_lane = graph.ego_lane();
         let lights = std::array::from_fn(|i| {
@@ -81,24 +78,13 @@ impl Description {
         }
     }
 
-    /// The node at a place.
     pub fn node(&self, place: NodePlace) -> Option<&NodeDescription> {
         self.nodes[place as usize].as_ref()
-    }
-
-    /// Whether a lane can be followed: its node beside (or under) the ego exists.
-    pub fn has(&self, centerline: CenterlineName) -> bool {
-        self.node(NodePlace::on(centerline)[0]).is_some()
     }
 
     /// The next light on the way of a lane.
     pub fn light(&self, centerline: CenterlineName) -> Option<LightDescription> {
         self.lights[centerline as usize]
-    }
-
-    /// All agents in order of the nodes.
-    pub fn agents(&self) -> impl Iterator<Item = &AgentDescription> {
-        self.nodes.iter().flatten().flat_map(|node| &node.agents)
     }
 
     /// What the compact text says: of each node the nearest agent, without its speed when it does not move along the lane,

@@ -1,9 +1,9 @@
-//! The lane graph in words, and the way back.
+//! The lane graph in words.
 //!
 //! A [`Description`] holds the facts that are put into words, already rounded to what the words say: whole meters and
 //! whole meters per second, both at most [`MAX_NUMBER`]. [`TextForm::Paper`] puts all of it into short English lines for
 //! general models; [`TextForm::Compact`] says its [`Description::reduced`] part in words at fixed places for a small model.
-//! [`parse`] reads either text back: `parse(write(d)) = d` (for the compact set: of the reduced description).
+//! Tests read either text back (`tests/scene_text`).
 //!
 //! **Paper set**, four lines; every agent on the nine nodes is named, and the next light of every lane:
 //!
@@ -17,19 +17,16 @@
 //! `free`: nobody on the node; `none`: no such node; `(apart)` before what is on it: its lane goes another way there;
 //! `crossing` or `oncoming` after a speed: the agent moves across or against the lane.
 //!
-//! **Compact set**, one line of [`COMPACT_WORDS`] words, whatever the scene: ego speed, limit (`-` if unknown), light and
+//! **Compact set**, one line of 47 words, whatever the scene: ego speed, limit (`-` if unknown), light and
 //! distance to its stop line (`none -`), turn of the route; for each of the nine nodes its name and the nearest agent on it,
 //! its distance, its speed (`crossing` or `oncoming` instead when it moves so), or `free - -`, or `none - -`; the number of
 //! agents left out. So at most the nearest on the ego's node and the nearest on the one ahead are named in the ego's lane.
 
 mod compact;
 mod description;
-mod lexer;
 mod paper;
 
-pub use compact::COMPACT_WORDS;
 pub use description::{AgentDescription, Description, LightDescription, MAX_NUMBER, NodeDescription};
-pub use lexer::TextError;
 
 use super::choice::choice;
 
@@ -48,17 +45,6 @@ pub fn write(description: &Description, set: TextForm) -> String {
     match set {
         TextForm::Paper => paper::write(description),
         TextForm::Compact => compact::write(description),
-    }
-}
-
-/// Reads a text of the given set back.
-///
-/// # Errors
-/// Everything that is not as [`write()`] would have written it, each with its place.
-pub fn parse(text: &str, set: TextForm) -> Result<Description, Vec<TextError>> {
-    match set {
-        TextForm::Paper => paper::parse(text),
-        TextForm::Compact => compact::parse(text),
     }
 }
 

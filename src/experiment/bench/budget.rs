@@ -12,7 +12,6 @@ pub struct CallBudget {
     /// The system prompt with the chat template's tokens. Before the image, it is computed once for all calls; after the
     /// image, in every call.
     pub prefix: usize,
-    /// The lane-graph text.
     pub scene: usize,
     /// The reflection's feedback in the first prompt of a later attempt.
     pub feedback: usize,
@@ -21,7 +20,6 @@ pub struct CallBudget {
     pub rethinks: usize,
 }
 
-/// The token counts of a round.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoundBudget {

@@ -65,7 +65,6 @@ pub enum Reply {
     Failed(String),
 }
 
-/// The loaded model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Loaded {
     /// Number of weights.

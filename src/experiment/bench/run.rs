@@ -34,7 +34,6 @@ pub struct BenchSettings {
     pub versus: Option<LlamaCpp>,
 }
 
-/// Progress of a benchmark.
 #[derive(Debug, Clone, Copy)]
 pub enum Progress<'a> {
     Loading(EngineName, &'a Candidate),

@@ -58,18 +58,17 @@ fn load(registry: &ModelRegistry, request: &LoadRequest) -> Result<(Loaded, Late
     };
     let probe = LatencyProbe::open(&place, &loading, request.seed)?;
     let load_s = start.elapsed().as_secs_f64();
-    let about = probe.describe()?;
-    let layout = if about.image_first { Layout::ImageFirst } else { Layout::PrefixFirst };
-    let version = env!("CARGO_PKG_VERSION").to_owned();
+    let (model, image_tokens) = (probe.model(), probe.image_tokens()?);
+    let info = model.info();
     let loaded = Loaded {
-        parameters: about.parameters,
-        weight_format: about.weight_format.to_string(),
-        image_side: about.image_side,
-        image_tokens: about.image_tokens,
-        context: about.context,
-        layout,
+        parameters: info.parameters,
+        weight_format: probe.weight_format().to_string(),
+        image_side: info.image_size as u32,
+        image_tokens,
+        context: model.context(image_tokens),
+        layout: if info.image_first { Layout::ImageFirst } else { Layout::PrefixFirst },
         load_s,
-        version,
+        version: env!("CARGO_PKG_VERSION").to_owned(),
     };
     Ok((loaded, probe))
 }

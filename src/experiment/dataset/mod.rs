@@ -69,7 +69,6 @@ const MIX: [ScenarioType; 20] = [
 /// A part of the seeds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Split {
-    /// For training.
     Train,
     /// For the evaluation during training.
     Validation,
@@ -96,7 +95,6 @@ impl Split {
         }
     }
 
-    /// Scenarios of a shard.
     fn scenarios(self, shard: usize, settings: &Settings<'_>) -> Result<Vec<Spec>, DatasetError> {
         let Range { start, end } = self.seeds();
         let own = start.saturating_add(settings.seed.saturating_mul(SCENARIOS_PER_SEED));
@@ -112,11 +110,9 @@ impl Split {
     }
 }
 
-/// Settings of a dataset.
 pub struct Settings<'a> {
     /// Seed of the scenarios and of the exploration.
     pub seed: u64,
-    /// Prompts of the conversations.
     pub prompts: &'a PromptSet,
     /// Size of the images and of the area that they show.
     pub view: BevView,
@@ -125,7 +121,6 @@ pub struct Settings<'a> {
     pub driver: Option<&'a AgentParts>,
 }
 
-/// Why a dataset cannot be made.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum DatasetError {
@@ -243,7 +238,6 @@ fn label_scenario(spec: &Spec, settings: &Settings<'_>) -> Result<Vec<(LabeledSt
     Ok(states)
 }
 
-/// True if Reflection rejected the attempt.
 fn is_rejected(attempt: &Attempt) -> bool {
     attempt.reflection.as_ref().is_some_and(|report| report.verdict == Verdict::Rethink)
 }

@@ -60,12 +60,10 @@ pub struct Candidate {
     pub value: f64,
     /// Speed after 3 s, m/s.
     pub speed_later: f64,
-    /// Reflection's report at the state.
     pub reflection: ReflectionReport,
 }
 
 impl Candidate {
-    /// True if Reflection accepts it.
     pub fn is_accepted(&self) -> bool {
         self.reflection.verdict == Verdict::Execute
     }

@@ -7,10 +7,8 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Version of the layout.
 pub const FORMAT: u32 = 1;
 
-/// Why a shard cannot be written.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum ShardError {
@@ -27,17 +25,13 @@ pub enum ShardError {
 /// `meta.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Meta {
-    /// [`FORMAT`].
     pub format: u32,
     /// Side of an image, pixels.
     pub image_pixels: u32,
     /// Side of the area that an image shows, meters.
     pub view_m: f64,
-    /// Prompt set of the conversations.
     pub prompt_set: String,
-    /// Seed of the dataset.
     pub seed: u64,
-    /// Version of the program.
     pub planagent: String,
 }
 

@@ -23,7 +23,6 @@ const BUILT_IN: &[(&str, &str)] = built_in![
     "latency-aware",
 ];
 
-/// Why there is no study.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum StudyError {
@@ -37,12 +36,10 @@ pub enum StudyError {
     Value { place: String, fault: String },
 }
 
-/// Names of the built-in studies.
 pub fn names() -> impl Iterator<Item = &'static str> {
     BUILT_IN.iter().map(|(name, _)| *name)
 }
 
-/// All built-in studies.
 pub fn all() -> Result<Vec<Study>, StudyError> {
     BUILT_IN.iter().map(|(name, text)| parse(name, text)).collect()
 }

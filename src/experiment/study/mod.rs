@@ -20,7 +20,6 @@ pub struct Study {
     /// The word that finds it: its name, or the path of a user's file.
     #[serde(skip)]
     pub word: String,
-    /// Its title, in a line.
     pub title: String,
     /// Where the paper has it.
     #[serde(default)]
@@ -38,7 +37,6 @@ pub struct Study {
     /// Columns beside the scores.
     #[serde(default)]
     pub columns: Vec<Column>,
-    /// Its figure.
     #[serde(default)]
     pub figure: Figure,
     /// Notes below its table.
@@ -54,7 +52,6 @@ pub struct Study {
 pub struct Variant {
     /// Its name, a text for each of the study's labels.
     pub labels: Vec<String>,
-    /// Name of its planner.
     #[serde(default = "plan_agent")]
     pub planner: String,
     /// Configuration keys that it replaces.
@@ -95,7 +92,6 @@ pub enum Column {
     Calls,
 }
 
-/// The figure of a study.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Figure {

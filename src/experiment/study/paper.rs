@@ -15,7 +15,6 @@ pub enum Benchmark {
 }
 
 impl Benchmark {
-    /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Val14 => "Val14",
@@ -43,7 +42,6 @@ pub struct Published {
     /// NR-CLS and R-CLS on Test14-hard.
     #[serde(default)]
     pub test14_hard: Option<[f64; 2]>,
-    /// Its model.
     #[serde(default)]
     pub model: Option<PublishedModel>,
 }

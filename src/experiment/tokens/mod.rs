@@ -38,7 +38,6 @@ impl SceneText {
     /// All of them, in the order of the table.
     pub const ALL: [Self; 5] = [Self::GptDriver, Self::GptDriverObjects, Self::LlmAssist, Self::Paper, Self::Compact];
 
-    /// Its name in the table.
     pub fn name(self) -> &'static str {
         match self {
             Self::Paper => "PlanAgent, lane graph (paper prompts)",
@@ -49,7 +48,6 @@ impl SceneText {
         }
     }
 
-    /// What is counted.
     pub fn definition(self) -> &'static str {
         match self {
             Self::Paper => {
@@ -80,7 +78,6 @@ impl SceneText {
         }
     }
 
-    /// The description of a scene.
     pub fn of(self, scene: &SceneView<'_>, graph: &LaneGraph) -> String {
         let turn = graph.ego_lane().turn;
         match self {
@@ -93,7 +90,6 @@ impl SceneText {
     }
 }
 
-/// Tokens of one description.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Tokens {
     /// By `cl100k_base`.

@@ -6,7 +6,6 @@ use serde::Serialize;
 /// Mean and 95th percentile (by rank) of a number of tokens.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TokenMean {
-    /// Mean.
     pub mean: f64,
     /// 95 of 100 descriptions take no more.
     pub p95: usize,
@@ -25,9 +24,7 @@ impl TokenMean {
 /// A way of describing scenes, and what it takes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TokenTableRow {
-    /// Which.
     pub text: SceneText,
-    /// What is counted.
     pub definition: &'static str,
     /// The paper's number, on nuPlan.
     pub published: Option<f64>,
@@ -37,7 +34,6 @@ pub struct TokenTableRow {
     pub model: Option<TokenMean>,
 }
 
-/// The table of a set of scenes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TokenTable {
     /// States that were counted.

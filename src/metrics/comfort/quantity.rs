@@ -109,9 +109,6 @@ impl ComfortQuantity {
     }
 
     /// The filtered signal along a sequence of states.
-    ///
-    /// # Errors
-    /// With fewer than 3 states, or 4 for the yaw acceleration.
     pub fn signal(self, states: &[EgoState]) -> Result<Vec<f64>, MetricError> {
         let of = |read: fn(&EgoState) -> f64| states.iter().map(read).collect::<Vec<f64>>();
         let step = mean_step_s(states);

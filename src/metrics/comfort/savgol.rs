@@ -19,9 +19,6 @@ impl SavitzkyGolay {
     /// Filters equally spaced values, `step` apart. The first and last half windows come from the fit to the first and
     /// last window; inside, an even window of size w around sample i spans i − w/2 + 1 … i + w/2 and is evaluated in
     /// its middle, half a sample late: scipy's behavior, on which nuPlan's accelerations rest.
-    ///
-    /// # Errors
-    /// When there are not more samples than the order of the polynomial.
     pub fn apply(&self, values: &[f64], step: f64) -> Result<Vec<f64>, MetricError> {
         let n = values.len();
         let window = self.window.min(n);
@@ -97,17 +94,11 @@ fn rounded(values: Vec<f64>) -> Vec<f64> {
 }
 
 /// A smoothed signal: order 2, `window` samples, rounded to 8 decimals.
-///
-/// # Errors
-/// When there are fewer than 3 values.
 pub fn smoothed(values: &[f64], window: usize) -> Result<Vec<f64>, MetricError> {
     SavitzkyGolay { window, order: 2, derivative: 0 }.apply(values, 1.0).map(rounded)
 }
 
 /// A filtered derivative of a signal sampled every `step` seconds, rounded to 8 decimals.
-///
-/// # Errors
-/// When there are not more values than the order of the filter.
 pub fn differentiated(values: &[f64], step: f64, filter: SavitzkyGolay) -> Result<Vec<f64>, MetricError> {
     filter.apply(values, step).map(rounded)
 }

@@ -126,9 +126,6 @@ impl KeyValues {
     }
 
     /// Writes the rotated keys and the values of rows to the positions from `start` on.
-    ///
-    /// # Errors
-    /// When the heads differ.
     pub(crate) fn write(&mut self, rows: &Projected<'_>, start: usize) -> candle_core::Result<()> {
         if rows.shape() != self.shape {
             candle_core::bail!("cannot write keys and values of {:?} to a cache of {:?}", rows.shape(), self.shape);

@@ -42,9 +42,6 @@ const UNIT_POSITIONS: usize = 8 * BLOCK_POSITIONS;
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 
 /// Attends from the queries of `rows` to cached positions; returns (tokens, query heads · head width).
-///
-/// # Errors
-/// When the shapes differ, or the mask allows a position that was never written.
 pub(crate) fn attend(rows: &Projected<'_>, held: &KeyValues, mask: AttentionMask) -> candle_core::Result<Tensor> {
     let tokens = rows.tokens();
     let shape = rows.shape();

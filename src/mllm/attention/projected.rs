@@ -44,10 +44,6 @@ pub(crate) struct Projected<'a> {
 
 impl<'a> Projected<'a> {
     /// Runs `read` on the rows of a tensor. `rotary` has the angles of queries and keys; `None` for no rotary embedding.
-    ///
-    /// # Errors
-    /// When the tensor is not contiguous f32 of (tokens, (query heads + 2 · key heads) · head width), or the number of
-    /// angles differs.
     pub(crate) fn of<T>(
         tensor: &Tensor,
         shape: HeadShape,
@@ -68,7 +64,6 @@ impl<'a> Projected<'a> {
         self.shape
     }
 
-    /// Number of tokens.
     pub(crate) fn tokens(&self) -> usize {
         self.values.len() / self.shape.row()
     }

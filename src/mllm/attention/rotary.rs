@@ -35,8 +35,6 @@ impl RotaryTable {
         Self { angles, pairs: frequencies.len() }
     }
 
-    /// # Errors
-    /// When a position is outside the context.
     pub(crate) fn rows(&self, positions: &[u32]) -> candle_core::Result<RotaryRows> {
         let mut angles = Vec::with_capacity(positions.len() * self.pairs);
         for position in positions {

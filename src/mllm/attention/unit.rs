@@ -22,7 +22,6 @@ pub(super) struct WorkUnit<'a, N> {
     /// The keys and values of all positions.
     pub(super) blocks: &'a [Arc<Block<N>>],
     pub(super) mask: AttentionMask,
-    /// Index of the key head.
     pub(super) head: usize,
     pub(super) tokens: Range<usize>,
     pub(super) positions: Range<usize>,

@@ -2,7 +2,6 @@
 
 use serde::Deserialize;
 
-/// Activation functions by their names in Hugging Face configurations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Activation {

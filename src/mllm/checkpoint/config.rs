@@ -40,7 +40,6 @@ impl<'a> ConfigObject<'a> {
         self
     }
 
-    /// A nested object; none if absent.
     pub(crate) fn child(&self, key: &str) -> Result<Option<Self>, MllmError> {
         match self.entries.get(key) {
             None => Ok(None),
@@ -72,7 +71,6 @@ impl<'a> ConfigObject<'a> {
         self.entries.contains_key(key)
     }
 
-    /// Reads the value of a key; none if absent.
     pub(crate) fn value<T: DeserializeOwned>(&self, key: &str) -> Result<Option<T>, MllmError> {
         self.entries.get(key).map(|value| T::deserialize(value).map_err(|error| self.error(key, error))).transpose()
     }
@@ -93,7 +91,6 @@ impl<'a> ConfigObject<'a> {
             .map_err(|error| self.error(&error.path().to_string(), error.inner()))
     }
 
-    /// The error of a key of this object.
     pub(crate) fn error(&self, key: &str, problem: impl Display) -> MllmError {
         MllmError::Config {
             path: self.path.to_path_buf(),
@@ -108,7 +105,6 @@ fn not_an_object(value: &Value) -> String {
     format!("expected an object, found {shown}")
 }
 
-/// One value or a list of them.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(untagged, expecting = "expected a whole number or a list of whole numbers")]
 pub(crate) enum OneOrMany<T> {

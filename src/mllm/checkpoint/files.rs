@@ -54,7 +54,6 @@ impl ModelFiles {
         packed.map_or_else(|| self.place.join(name), |(path, _)| path.clone())
     }
 
-    /// The text of a file; none if it does not exist.
     pub(crate) fn text(&self, name: &str) -> Result<Option<String>, MllmError> {
         if let Some(packed) = &self.packed {
             return Ok(packed.get(name).map(|(_, text)| text.clone()));
@@ -63,7 +62,6 @@ impl ModelFiles {
         if path.is_file() { read_text(&path).map(Some) } else { Ok(None) }
     }
 
-    /// The content of a JSON file; none if it does not exist.
     pub(crate) fn json(&self, name: &str) -> Result<Option<Value>, MllmError> {
         let parse = |text: String| {
             serde_json::from_str(&text).map_err(|source| MllmError::Json { path: self.path(name), source })
@@ -71,7 +69,6 @@ impl ModelFiles {
         self.text(name)?.map(parse).transpose()
     }
 
-    /// The content of a JSON file that a model must have.
     pub(crate) fn required_json(&self, name: &str) -> Result<Value, MllmError> {
         self.json(name)?.ok_or_else(|| self.missing(name))
     }

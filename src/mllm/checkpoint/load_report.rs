@@ -24,9 +24,7 @@ pub struct LoadReport {
 /// The tensors of one format.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WeightFormatShare {
-    /// Their format.
     pub weight_format: WeightFormat,
-    /// Their number.
     pub tensors: usize,
     /// Their bytes in memory.
     pub bytes: u64,
@@ -43,12 +41,10 @@ pub struct WeightFormatException {
     pub file: String,
     /// Its format in memory.
     pub weight_format: WeightFormat,
-    /// The reason.
     pub reason: String,
 }
 
 impl LoadReport {
-    /// Adds a matrix.
     pub(super) fn add_matrix(&mut self, name: &str, format: GgmlDType, planned: PlannedFormat, bytes: u64) {
         self.add(planned.weight_format, bytes);
         let Some(reason) = planned.reason else { return };
@@ -69,7 +65,6 @@ impl LoadReport {
         }
     }
 
-    /// Adds a tensor to the count of a format.
     pub(super) fn add(&mut self, weight_format: WeightFormat, bytes: u64) {
         match self.weight_formats.iter_mut().find(|share| share.weight_format == weight_format) {
             Some(share) => {
@@ -81,7 +76,6 @@ impl LoadReport {
         self.weight_formats.sort_by_key(|share| std::cmp::Reverse(share.bytes));
     }
 
-    /// Whether nothing was loaded.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }

@@ -25,20 +25,16 @@ pub(crate) use load_report::in_bytes;
 pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
 pub(crate) use row_order::{RowOrder, paired};
 pub(crate) use vision_config::VisionConfig;
-#[cfg(test)]
-pub(crate) use weight_file::widen;
 pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile};
 pub(crate) use weight_format_plan::{FileKind, WeightFormatPlan, held_as, is_matrix};
 pub use weights::Weights;
 
 use super::MllmError;
 
-/// Reads a file as text.
 pub(crate) fn read_text(path: &Path) -> Result<String, MllmError> {
     std::fs::read_to_string(path).map_err(|source| MllmError::Read { path: path.to_path_buf(), source })
 }
 
-/// Reads a JSON file.
 pub(crate) fn read_json(path: &Path) -> Result<Value, MllmError> {
     serde_json::from_str(&read_text(path)?).map_err(|source| MllmError::Json { path: path.to_path_buf(), source })
 }

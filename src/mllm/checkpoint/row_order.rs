@@ -1,6 +1,5 @@
 //! The order of the rows of queries and keys, in Hugging Face's and in llama.cpp's files.
 
-/// The order of a tensor's rows in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RowOrder {
     /// Hugging Face's.

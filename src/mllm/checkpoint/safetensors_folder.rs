@@ -71,7 +71,6 @@ fn add(
     Ok(())
 }
 
-/// A weight file in memory.
 #[derive(Debug)]
 struct MemoryFile {
     path: PathBuf,
@@ -143,7 +142,6 @@ fn read_header(path: &Path, source: &mut dyn Read, file_bytes: u64) -> Result<Ve
         .collect()
 }
 
-/// Whether a folder has safetensors or their index.
 pub(crate) fn has_safetensors(folder: &Path) -> bool {
     [WEIGHTS, INDEX].iter().any(|file| folder.join(file).is_file())
 }

@@ -27,7 +27,6 @@ pub(crate) struct VisionConfig {
     /// Side of a patch, pixels.
     #[serde(deserialize_with = "count")]
     pub patch_size: usize,
-    /// Activation of the feed-forward layers.
     #[serde(rename = "hidden_act")]
     pub act: Activation,
     #[serde(deserialize_with = "positive")]
@@ -102,7 +101,6 @@ impl VisionConfig {
         Ok(())
     }
 
-    /// Patches of an image.
     pub(crate) fn patches(&self) -> usize {
         let side = self.image_size / self.patch_size;
         side * side

@@ -7,9 +7,7 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use candle_core::CpuStorage;
 use candle_core::quantized::GgmlDType;
-use half::{bf16, f16};
 
 use crate::mllm::MllmError;
 
@@ -31,14 +29,12 @@ pub(crate) trait TensorSource: std::fmt::Debug + Send + Sync {
     /// What messages call it.
     fn path(&self) -> &Path;
 
-    /// The bytes of a tensor.
     fn bytes(&self, place: &TensorPlace) -> Result<Vec<u8>, MllmError>;
 
     /// Adds its whole content to a hash.
     fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError>;
 }
 
-/// An open weight file.
 #[derive(Debug)]
 pub(crate) struct WeightFile {
     path: PathBuf,
@@ -91,41 +87,5 @@ impl TensorSource for WeightFile {
         self.seek(0)?;
         hasher.update_reader(&self.file).map_err(|source| self.failed(source))?;
         Ok(())
-    }
-}
-
-/// The values of blocks of any read format, as f32.
-///
-/// # Errors
-/// When the bytes are no whole blocks.
-pub(crate) fn widen(format: GgmlDType, bytes: Vec<u8>) -> candle_core::Result<Vec<f32>> {
-    if !bytes.len().is_multiple_of(format.type_size()) {
-        candle_core::bail!("{} bytes are no whole blocks of {format:?}", bytes.len());
-    }
-    Ok(match format {
-        GgmlDType::F32 => bytes.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect(),
-        GgmlDType::F16 => bytes.as_chunks::<2>().0.iter().map(|bytes| f16::from_le_bytes(*bytes).to_f32()).collect(),
-        GgmlDType::BF16 => bytes.as_chunks::<2>().0.iter().map(|bytes| bf16::from_le_bytes(*bytes).to_f32()).collect(),
-        blocks => {
-            let count = bytes.len() / blocks.type_size() * blocks.block_size();
-            match blocks.from_data(bytes.into()).dequantize(count)? {
-                CpuStorage::F32(values) => values,
-                _ => candle_core::bail!("{format:?} is not widened to f32"),
-            }
-        }
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn half_precision_is_widened_exactly() {
-        let bytes = [f16::from_f32(1.5), f16::from_f32(-0.25)].iter().flat_map(|value| value.to_le_bytes()).collect();
-        assert_eq!(widen(GgmlDType::F16, bytes).unwrap(), [1.5, -0.25]);
-        let bytes = [half::bf16::from_f32(3.0)].iter().flat_map(|value| value.to_le_bytes()).collect();
-        assert_eq!(widen(GgmlDType::BF16, bytes).unwrap(), [3.0]);
-        assert!(widen(GgmlDType::Q4K, vec![0; 143]).is_err());
     }
 }

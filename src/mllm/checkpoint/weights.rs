@@ -9,10 +9,10 @@ use half::f16;
 
 use super::load_report::LoadReport;
 use super::row_order::{RowOrder, unpaired};
-use super::weight_file::{TensorPlace, TensorSource, widen};
+use super::weight_file::{TensorPlace, TensorSource};
 use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
 use crate::mllm::MllmError;
-use crate::mllm::matrix::{Matrix, WeightFormat};
+use crate::mllm::matrix::{Matrix, WeightFormat, widen};
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite, and converted
 /// as the [`WeightFormatPlan`] says, so that at most one tensor is in memory twice.
@@ -33,13 +33,11 @@ pub struct Weights {
 /// What taking a tensor does.
 #[derive(Debug)]
 enum Taking {
-    /// Reads it.
     Read,
     /// Checks that it exists and has the right shape; holds the errors so far.
     Look(Vec<MllmError>),
     /// Lists its name and shape, whether it exists or not.
     List(Vec<(String, Vec<usize>)>),
-    /// Draws random numbers.
     #[cfg(test)]
     Invent(rand_pcg::Pcg64Mcg),
 }
@@ -81,9 +79,6 @@ impl Weights {
     }
 
     /// Adds the tensor `name` of a file.
-    ///
-    /// # Errors
-    /// When the canonical name exists already.
     pub(crate) fn add(
         &mut self,
         canonical: String,
@@ -102,7 +97,6 @@ impl Weights {
         }
     }
 
-    /// Adds a fact about the files to the report.
     pub(crate) fn note(&mut self, note: String) {
         self.report.notes.push(note);
     }
@@ -132,7 +126,6 @@ impl Weights {
         self.tensors.values().map(|stored| stored.place.shape.iter().product::<usize>()).sum()
     }
 
-    /// Whether the checkpoint holds this tensor.
     pub(crate) fn contains(&self, name: &str) -> bool {
         self.tensors.contains_key(name)
     }
@@ -169,9 +162,6 @@ impl Weights {
     }
 
     /// Checks or lists a tensor where that is the task; gives whether a placeholder suffices.
-    ///
-    /// # Errors
-    /// When too many tensors are missing.
     fn looked(&mut self, name: &str, shape: &[usize]) -> Result<bool, MllmError> {
         if let Taking::List(asked) = &mut self.taking {
             asked.push((name.to_string(), shape.to_vec()));

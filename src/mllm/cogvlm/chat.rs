@@ -20,7 +20,6 @@ pub(super) struct QuestionFormat {
     pub bos: u32,
     /// The placeholder of the image's tokens.
     pub image_token: u32,
-    /// The end of a question.
     pub style: AnswerStyle,
 }
 

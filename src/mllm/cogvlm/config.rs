@@ -8,16 +8,13 @@ use serde_json::{Value, json};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{ConfigObject, LlamaConfig, ModelFiles, VisionConfig};
 
-/// A `CogVLM` model.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct CogVlmConfig {
     /// The EVA2-CLIP vision tower.
     pub vision: VisionConfig,
     /// The decoder, as wide and deep as each of its two experts.
     pub text: LlamaConfig,
-    /// The token that a chat begins with.
     pub bos: u32,
-    /// The end of a question.
     pub style: AnswerStyle,
 }
 
@@ -34,7 +31,6 @@ pub(crate) enum AnswerStyle {
 }
 
 impl CogVlmConfig {
-    /// Reads the `config.json` of a model.
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
         Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
     }

@@ -28,7 +28,6 @@ use super::decoder::Decoder;
 use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Positions, Tiles, VisionLanguageModel};
 use super::text::ChatTokenizer;
 
-/// The name in model descriptions and results.
 const NAME: &str = "cogvlm";
 
 /// `CogVLM`, first version.
@@ -54,7 +53,6 @@ pub(crate) struct CogVlm {
 }
 
 impl CogVlm {
-    /// Takes the weights of a configuration.
     fn take(weights: &mut Weights, config: CogVlmConfig) -> Result<Self, MllmError> {
         let before = weights.elements();
         let tower = EvaVisionTower::take(weights, &config.vision)?;
@@ -78,7 +76,6 @@ impl CogVlm {
 
 #[cfg(test)]
 impl CogVlm {
-    /// A model of this configuration with random weights.
     pub(crate) fn random(config: &serde_json::Value) -> Self {
         let config = CogVlmConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
         Self::take(&mut Weights::random(7), config).unwrap()

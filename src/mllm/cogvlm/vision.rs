@@ -9,7 +9,6 @@ use crate::mllm::linear::Linear;
 use crate::mllm::matrix::Matrix;
 use crate::mllm::vision::{SelfAttention, embed, unfold};
 
-/// The vision tower of `CogVLM`.
 #[derive(Debug)]
 pub(super) struct EvaVisionTower {
     class_embedding: Tensor,

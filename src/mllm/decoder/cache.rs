@@ -34,8 +34,6 @@ impl KvCache {
         self.len = self.len.min(len);
     }
 
-    /// # Errors
-    /// When `tokens` more positions do not fit.
     pub(crate) fn check_room(&self, tokens: usize) -> Result<()> {
         let needed = self.len + tokens;
         if needed > self.limit {
@@ -46,9 +44,6 @@ impl KvCache {
 
     /// Writes the keys and values of rows of a layer after the last position and returns all of that layer. When every layer
     /// has written, [`Self::advance`] counts the new positions.
-    ///
-    /// # Errors
-    /// When the layer does not exist, or the cache is full.
     pub(crate) fn write(&mut self, layer: usize, rows: &Projected<'_>) -> Result<&KeyValues> {
         self.check_room(rows.tokens())?;
         let Some(layer) = self.layers.get_mut(layer) else {
@@ -63,16 +58,12 @@ impl KvCache {
         self.len = (self.len + tokens).min(self.limit);
     }
 
-    /// The first `len` positions.
     pub(crate) fn prefix(&self, len: usize) -> KvPrefix {
         let len = len.min(self.len);
         KvPrefix { layers: self.layers.iter().map(|layer| layer.first(len)).collect(), len }
     }
 
     /// Replaces the contents by a prefix.
-    ///
-    /// # Errors
-    /// When the prefix does not fit.
     pub(crate) fn restore(&mut self, prefix: &KvPrefix) -> Result<()> {
         self.truncate(0);
         self.check_room(prefix.len)?;

@@ -12,7 +12,6 @@ use crate::mllm::linear::Linear;
 use crate::mllm::rms_norm::RmsNorm;
 
 pub(crate) trait DecoderLayer: Sized {
-    /// Takes the weights under `name`.
     fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError>;
 
     /// Maps (tokens, hidden) to the same shape and writes keys and values to the cache.
@@ -22,7 +21,6 @@ pub(crate) trait DecoderLayer: Sized {
 /// The data of a forward pass that a layer needs.
 #[derive(Debug)]
 pub(crate) struct Pass {
-    /// Index of the layer.
     pub layer: usize,
     /// Angles of the rows' positions.
     pub rotary: RotaryRows,
@@ -37,7 +35,6 @@ pub(crate) struct SwiGlu {
     down: Linear,
 }
 
-/// Names and widths of a [`SwiGlu`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SwiGluShape<'a> {
     /// Names of the gate, up and down projection.
@@ -50,7 +47,6 @@ pub(crate) struct SwiGluShape<'a> {
 }
 
 impl SwiGlu {
-    /// Takes the weights under `name`.
     pub(crate) fn take(weights: &mut Weights, name: &str, shape: SwiGluShape<'_>) -> Result<Self, MllmError> {
         let [gate, up, down] = shape.names.map(|part| format!("{name}.{part}"));
         let wide = shape.intermediate;
@@ -82,7 +78,6 @@ impl SwiGlu {
     }
 }
 
-/// Takes the RMS norm under `name`.
 pub(crate) fn rms_norm(weights: &mut Weights, name: &str, config: &LlamaConfig) -> Result<RmsNorm, MllmError> {
     RmsNorm::take(weights, name, config.hidden, config.rms_norm_eps)
 }

@@ -24,16 +24,11 @@ pub(super) struct Chat<'a> {
     pub(super) system: &'a str,
     /// The image of the first prompt, from [`data_url`].
     pub(super) image: Option<&'a str>,
-    /// The turns so far.
     pub(super) turns: &'a [Turn],
-    /// The prompt to answer.
     pub(super) prompt: &'a str,
 }
 
 /// The body of a request.
-///
-/// # Errors
-/// When the server's grammar language cannot express the constraint.
 pub(super) fn body(
     settings: &EndpointSettings,
     chat: &Chat<'_>,

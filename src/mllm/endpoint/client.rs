@@ -22,7 +22,6 @@ pub(super) struct Client {
     http: reqwest::blocking::Client,
     url: Url,
     key: Option<ApiKey>,
-    /// Time limit of a request.
     timeout: Duration,
     retries: usize,
     first_wait: Duration,
@@ -42,8 +41,6 @@ impl From<EndpointFailure> for Failed {
 }
 
 impl Client {
-    /// # Errors
-    /// When the TLS setup fails.
     pub(super) fn new(settings: &EndpointSettings, url: Url, key: Option<ApiKey>) -> Result<Self, MllmError> {
         let mut builder = reqwest::blocking::Client::builder()
             .connect_timeout(Duration::from_millis(settings.connect_timeout_ms))

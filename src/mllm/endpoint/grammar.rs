@@ -9,9 +9,6 @@ use crate::mllm::Constraint;
 const META: &str = r"\^$.|?*+()[]{}";
 
 /// A constraint as an unanchored regular expression that the whole answer must match.
-///
-/// # Errors
-/// When it is not made of choices, regular expressions and sequences.
 pub(super) fn pattern(constraint: &Constraint) -> Result<String, String> {
     match constraint {
         Constraint::Choice(texts) if texts.is_empty() => Err("the choice is empty".into()),

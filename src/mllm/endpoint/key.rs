@@ -42,7 +42,6 @@ impl ApiKey {
         self.header.clone()
     }
 
-    /// Replaces the key in a text.
     pub(super) fn hide(&self, text: &str) -> String {
         text.replace(&self.text, HIDDEN)
     }

@@ -19,7 +19,6 @@ use chat::Chat;
 use client::Client;
 use key::ApiKey;
 
-/// A model behind a server.
 #[derive(Debug)]
 pub struct Endpoint {
     name: String,
@@ -29,9 +28,6 @@ pub struct Endpoint {
 
 impl Endpoint {
     /// Reads the API key from the environment. Sends nothing before the first question. `name` is the model's name in results.
-    ///
-    /// # Errors
-    /// When a setting is invalid, or the API key is missing.
     pub fn open(name: &str, settings: &EndpointSettings) -> Result<Self, MllmError> {
         let invalid = |problem: String| MllmError::Request { problem };
         let url = settings.url().map_err(invalid)?;

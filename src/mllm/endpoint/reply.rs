@@ -117,9 +117,6 @@ impl Gathered {
 }
 
 /// Reads a chat completion in one piece.
-///
-/// # Errors
-/// When it is too long, incomplete, or not a chat completion.
 pub(super) fn read_whole(body: impl Read) -> Result<Reply, EndpointFailure> {
     let mut bytes = Vec::new();
     body.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(|error| incomplete(&error))?;

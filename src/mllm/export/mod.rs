@@ -26,7 +26,6 @@ use super::source::{Checkpoint, ModelPlace};
 use super::text::special_tokens;
 use writer::{Layout, PlannedTensor};
 
-/// The small files that a model may have.
 const FILES: [&str; 8] = [
     "config.json",
     "generation_config.json",
@@ -62,9 +61,6 @@ pub type CreateFile<'a> = dyn FnMut(GgufPart) -> io::Result<Box<dyn Write>> + 'a
 
 /// Writes a model as GGUF under the name `name`, its weights in the format that `loading` asks for. `progress` gets the bytes
 /// that are written so far, and all bytes.
-///
-/// # Errors
-/// When the model is broken, or a file cannot be written.
 pub fn export_model(
     name: &str,
     place: &ModelPlace,

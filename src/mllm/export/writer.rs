@@ -10,16 +10,13 @@ use crate::mllm::gguf::{DEFAULT_ALIGNMENT, Entries, number_of};
 /// A file without the tensors' data.
 #[derive(Debug, Default)]
 pub(super) struct Layout {
-    /// Metadata in the order of the file.
     pub metadata: Entries,
-    /// Tensors in the order of the file.
     pub tensors: Vec<PlannedTensor>,
 }
 
 /// A tensor without its data.
 #[derive(Debug, Clone)]
 pub(super) struct PlannedTensor {
-    /// Its name in the file.
     pub name: String,
     /// Number format of its blocks.
     pub format: GgmlDType,
@@ -28,7 +25,6 @@ pub(super) struct PlannedTensor {
 }
 
 impl PlannedTensor {
-    /// Bytes of its data.
     pub(super) fn bytes(&self) -> u64 {
         let elements = self.shape.iter().product::<usize>() as u64;
         elements / self.format.block_size() as u64 * self.format.type_size() as u64

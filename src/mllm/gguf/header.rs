@@ -37,9 +37,7 @@ const MAX_ELEMENTS: u64 = 1 << 22;
 #[derive(Debug)]
 pub struct Header {
     pub(crate) path: PathBuf,
-    /// Metadata by key.
     pub(crate) metadata: BTreeMap<String, Value>,
-    /// The tensors by their names in the file.
     pub(crate) tensors: BTreeMap<String, TensorPlace>,
 }
 

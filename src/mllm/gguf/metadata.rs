@@ -11,7 +11,6 @@ use crate::mllm::MllmError;
 const MAX_COUNT: u64 = 1 << 22;
 
 impl Header {
-    /// The error of a key.
     pub(crate) fn error(&self, key: &str, problem: impl Into<String>) -> MllmError {
         MllmError::Config { path: self.path.clone(), key: key.into(), problem: problem.into() }
     }
@@ -36,7 +35,6 @@ impl Header {
         })
     }
 
-    /// A positive integer.
     pub(crate) fn count(&self, key: &str) -> Result<Option<usize>, MllmError> {
         let count = |value: &Value| match value {
             // llama.cpp may write one number for each layer.
@@ -52,7 +50,6 @@ impl Header {
         })
     }
 
-    /// A positive integer that must exist.
     pub(crate) fn required_count(&self, key: &str) -> Result<usize, MllmError> {
         self.count(key)?.ok_or_else(|| self.missing(key))
     }
@@ -69,7 +66,6 @@ impl Header {
         self.typed(key, "a text", Value::as_str)
     }
 
-    /// A list of values of one type.
     pub(crate) fn list<T: DeserializeOwned>(&self, key: &str, expected: &str) -> Result<Option<Vec<T>>, MllmError> {
         self.typed(key, expected, |value| Vec::deserialize(value).ok())
     }

@@ -61,7 +61,6 @@ pub trait GgufLayout: Sync {
     fn metadata(&self, files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError>;
 }
 
-/// Opens a file and reads its header.
 pub(crate) fn open_header(path: &Path) -> Result<(Header, WeightFile), MllmError> {
     let file = WeightFile::open(path)?;
     let header = Header::read(path, &mut file.reader()?, file.len())?;
@@ -79,9 +78,6 @@ pub(crate) fn files(model: &Path, mmproj: Option<&Path>) -> Result<Vec<PathBuf>,
 }
 
 /// The decoder (or whole model) among a folder's GGUF files; none if it has no such file.
-///
-/// # Errors
-/// When there are several.
 pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>, MllmError> {
     let models = files_of(folder, |architecture| architecture != TOWER)?;
     match models.as_slice() {

@@ -6,5 +6,5 @@
 mod probe;
 mod step;
 
-pub use probe::{LatencyProbe, ProbeDescription};
+pub use probe::LatencyProbe;
 pub use step::{PassTime, Step, StepTime};

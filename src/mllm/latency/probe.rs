@@ -6,22 +6,18 @@ use candle_core::Tensor;
 use image::RgbImage;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use serde::{Deserialize, Serialize};
 
 use super::step::{Step, StepTime};
 use crate::mllm::decoder::Logits;
 use crate::mllm::family::VisionLanguageModel;
 use crate::mllm::local::Sequence;
 use crate::mllm::sampling::Sampler;
-use crate::mllm::{
-    Architecture, Deadline, LoadReport, Loading, MllmError, ModelPlace, Sampling, WeightFormat, milliseconds,
-};
+use crate::mllm::{Deadline, Loading, MllmError, ModelPlace, Sampling, WeightFormat, milliseconds};
 
 /// A model with one sequence of tokens, whose steps are timed.
 #[derive(Debug)]
 pub struct LatencyProbe {
-    architecture: Architecture,
-    load: LoadReport,
+    weight_format: WeightFormat,
     model: Box<dyn VisionLanguageModel>,
     sequence: Sequence,
     /// Tokens that are appended and not computed yet.
@@ -32,36 +28,17 @@ pub struct LatencyProbe {
     words: Pcg64Mcg,
 }
 
-/// The model that is measured.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ProbeDescription {
-    /// Its family.
-    pub architecture: Architecture,
-    /// Whether the image stands before the system prompt.
-    pub image_first: bool,
-    /// Number of weights.
-    pub parameters: u64,
-    /// The format of most of them.
-    pub weight_format: WeightFormat,
-    /// Side of the square image, pixels.
-    pub image_side: u32,
-    /// Tokens that the image becomes.
-    pub image_tokens: usize,
-    /// Longest sequence with the image in it, tokens.
-    pub context: usize,
-}
-
 impl LatencyProbe {
     /// Opens a model; `seed` draws the tokens that it reads.
     pub fn open(place: &ModelPlace, loading: &Loading, seed: u64) -> Result<Self, MllmError> {
         let mut checkpoint = loading.checkpoint(place)?;
         let model = checkpoint.open_model()?;
+        let formats = &checkpoint.weights.report().weight_formats;
         let mut words = Pcg64Mcg::seed_from_u64(seed);
         let side = model.info().image_size as u32;
         let image = RgbImage::from_fn(side, side, |_, _| image::Rgb(words.random()));
         Ok(Self {
-            architecture: checkpoint.family,
-            load: checkpoint.weights.report().clone(),
+            weight_format: formats.first().map_or_else(WeightFormat::default, |share| share.weight_format),
             sequence: Sequence::new(&*model),
             model,
             pending: Vec::new(),
@@ -72,35 +49,21 @@ impl LatencyProbe {
     }
 
     /// The model that is measured.
-    ///
-    /// # Errors
-    /// When the image cannot be used.
-    pub fn describe(&self) -> Result<ProbeDescription, MllmError> {
-        let info = self.model.info();
-        let image_tokens = self.image_tokens()?;
-        Ok(ProbeDescription {
-            architecture: self.architecture,
-            image_first: info.image_first,
-            parameters: info.parameters,
-            weight_format: self
-                .load
-                .weight_formats
-                .first()
-                .map_or_else(WeightFormat::default, |share| share.weight_format),
-            image_side: self.image.width(),
-            image_tokens,
-            context: self.model.context(image_tokens),
-        })
+    pub fn model(&self) -> &dyn VisionLanguageModel {
+        &*self.model
     }
 
-    fn image_tokens(&self) -> Result<usize, MllmError> {
+    /// The format of most weights.
+    pub fn weight_format(&self) -> WeightFormat {
+        self.weight_format
+    }
+
+    /// Tokens that the image becomes.
+    pub fn image_tokens(&self) -> Result<usize, MllmError> {
         self.model.image_tokens(self.image.width(), self.image.height())
     }
 
     /// Runs a step. After an error the sequence cannot be used.
-    ///
-    /// # Errors
-    /// When the sequence outgrows the context, an image token has no image, or the model computes NaN.
     pub fn run(&mut self, step: Step) -> Result<StepTime, MllmError> {
         let start = Instant::now();
         let mut time = StepTime::default();

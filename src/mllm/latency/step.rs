@@ -34,7 +34,6 @@ pub struct PassTime {
 }
 
 impl PassTime {
-    /// Adds a pass.
     pub fn add(&mut self, tokens: usize, ms: f64) {
         self.tokens += tokens;
         self.ms += ms;
@@ -67,7 +66,6 @@ pub struct StepTime {
 }
 
 impl StepTime {
-    /// Adds a forward pass of `tokens` tokens.
     pub fn add_pass(&mut self, tokens: usize, ms: f64) {
         match tokens {
             0 => {}

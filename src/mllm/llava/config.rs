@@ -13,9 +13,7 @@ use crate::mllm::checkpoint::{Activation, ConfigObject, LlamaConfig, ModelFiles,
 /// A LLaVA model: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LlavaConfig {
-    /// The CLIP vision tower.
     pub vision: VisionConfig,
-    /// The decoder.
     pub text: LlamaConfig,
     /// Token id that stands for an image patch in the prompt.
     pub image_token: u32,
@@ -24,7 +22,6 @@ pub(crate) struct LlavaConfig {
     pub feature_layers: Vec<usize>,
     /// Which rows of the hidden states are used.
     pub feature_select: FeatureSelect,
-    /// Activation between the projector's two layers.
     pub projector_act: Activation,
     /// Whether the projector's layers have biases.
     pub projector_bias: bool,
@@ -45,7 +42,6 @@ pub(crate) enum FeatureSelect {
 pub(crate) const IMAGE_TOKEN_BEYOND: &str = "image_token_beyond_vocabulary";
 
 impl LlavaConfig {
-    /// Reads the `config.json` of a model.
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
         Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
     }

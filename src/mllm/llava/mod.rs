@@ -27,7 +27,6 @@ use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Tiles, VisionL
 use super::text::ChatTokenizer;
 use super::vision::ClipImageProcessor;
 
-/// The name in model descriptions and results.
 const NAME: &str = "llava";
 
 /// LLaVA 1.5.
@@ -71,13 +70,11 @@ pub(crate) struct Llava {
 #[derive(Debug)]
 pub(crate) struct LlavaCore {
     pub config: LlavaConfig,
-    /// Vision tower and projector.
     pub encoder: ImageEncoder,
     pub decoder: Decoder<LlamaLayer>,
 }
 
 impl LlavaCore {
-    /// Takes the weights of a configuration.
     pub(crate) fn take(weights: &mut Weights, config: LlavaConfig) -> Result<Self, MllmError> {
         let encoder = ImageEncoder::take(weights, &config)?;
         let decoder = Decoder::take(weights, &config.text, "language_model.", config.text.tie_word_embeddings)?;
@@ -109,7 +106,6 @@ impl Llava {
         Self::take(weights, config, processor)
     }
 
-    /// Takes the weights of a configuration.
     pub(crate) fn take(
         weights: &mut Weights,
         config: LlavaConfig,
@@ -124,7 +120,6 @@ impl Llava {
 
 #[cfg(test)]
 impl Llava {
-    /// A model of this configuration with random weights.
     pub(crate) fn random(config: &serde_json::Value) -> Self {
         let config = LlavaConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
         let processor = ClipImageProcessor::square(config.vision.image_size as u32);

@@ -23,7 +23,6 @@ const MAX_PINPOINTS: usize = 64;
 const MAX_SIDE: u32 = 1 << 14;
 
 impl LlavaNextConfig {
-    /// Reads the `config.json` of a model.
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
         Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
     }

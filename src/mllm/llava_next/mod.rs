@@ -23,7 +23,6 @@ use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Tiles, VisionL
 use super::llava::{LlavaCore, LlavaGguf, TemplateFormat, canonical_name};
 use super::text::ChatTokenizer;
 
-/// The name in model descriptions and results.
 const NAME: &str = "llava-next";
 
 /// LLaVA 1.6.
@@ -62,7 +61,6 @@ impl LlavaNext {
         Self::take(weights, config, processor)
     }
 
-    /// Takes the weights of a configuration.
     fn take(
         weights: &mut Weights,
         config: LlavaNextConfig,
@@ -79,7 +77,6 @@ impl LlavaNext {
 
 #[cfg(test)]
 impl LlavaNext {
-    /// A model of this configuration with random weights.
     pub(crate) fn random(config: &serde_json::Value) -> Self {
         use super::vision::{Filter, PixelScale};
         let config = LlavaNextConfig::from_json(std::path::Path::new("config.json"), config).unwrap();

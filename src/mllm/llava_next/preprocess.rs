@@ -18,9 +18,6 @@ pub(crate) struct AnyresImageProcessor {
 
 impl AnyresImageProcessor {
     /// Reads the image processor of a model with these grids of tiles of `side` pixels.
-    ///
-    /// # Errors
-    /// When it is missing or broken, or its tiles differ from the model's.
     pub(crate) fn open(files: &ModelFiles, grids: &TileGrids, side: u32) -> Result<Self, MllmError> {
         read_processor(files, |_, object| Self::read(object, grids, side))
     }

@@ -9,7 +9,6 @@ use crate::mllm::families::Architecture;
 use crate::mllm::source::{Checkpoint, ModelPlace};
 use crate::mllm::text::ChatTokenizer;
 
-/// The findings of a check.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ModelCheck {
     /// The family of the model, if its files name one.
@@ -18,7 +17,6 @@ pub struct ModelCheck {
     pub parameters: u64,
     /// The formats of its weights in memory.
     pub load: LoadReport,
-    /// The memory that it needs.
     pub memory: Option<MemoryNeed>,
     /// All errors; empty if the model can be opened. Weights that are not finite show only when it is opened.
     pub problems: Vec<String>,

@@ -38,7 +38,6 @@ pub(super) struct End<'a> {
     pub(super) deadline: Deadline,
 }
 
-/// The state of a generation.
 struct Generation<'a> {
     model: &'a dyn VisionLanguageModel,
     sequence: &'a mut Sequence,
@@ -53,9 +52,6 @@ struct Generation<'a> {
 }
 
 /// Generates an answer after `prompt`, the part of the prompt that `sequence` does not hold yet.
-///
-/// # Errors
-/// When the constraint cannot be followed, a logit is not finite, or the deadline passes.
 #[expect(clippy::too_many_arguments, reason = "one call, and each argument is of another kind")]
 pub(super) fn generate(
     model: &dyn VisionLanguageModel,

@@ -20,7 +20,6 @@ pub enum MemoryCheck {
 /// Memory that a model needs, bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct MemoryNeed {
-    /// The weights.
     pub weights: u64,
     /// Keys and values of a chat.
     pub cache: u64,
@@ -54,7 +53,6 @@ impl MemoryNeed {
         }
     }
 
-    /// The sum.
     pub fn total(&self) -> u64 {
         [self.cache, self.work].into_iter().fold(self.weights, u64::saturating_add)
     }

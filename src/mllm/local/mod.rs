@@ -87,7 +87,6 @@ impl Loading {
         Ok(checkpoint)
     }
 
-    /// Checks that a model is of the expected family.
     pub(crate) fn check_family(&self, checkpoint: &Checkpoint) -> Result<(), MllmError> {
         let found = checkpoint.family;
         match &self.expected {
@@ -124,9 +123,6 @@ impl LocalModel {
     /// - `tokenizer.json`,
     /// - `preprocessor_config.json` and a chat template, where the family needs them,
     /// - `tokenizer_config.json` and `generation_config.json` if they exist.
-    ///
-    /// # Errors
-    /// When a file is missing or broken, or the files contradict each other. The error names the file, key or tensor.
     pub fn open(name: &str, folder: &Path) -> Result<Self, MllmError> {
         Self::load(name, &ModelPlace::Folder(folder.to_path_buf()), &Loading::default())
     }
@@ -155,7 +151,6 @@ impl LocalModel {
         })
     }
 
-    /// Token ids of a chat.
     fn prompt_ids(&self, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
         self.format.ids(&self.tokenizer, chat)
     }

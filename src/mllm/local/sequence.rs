@@ -31,21 +31,16 @@ pub(super) fn new_cache(model: &dyn VisionLanguageModel) -> KvCache {
 }
 
 impl Sequence {
-    /// An empty sequence.
     pub(crate) fn new(model: &dyn VisionLanguageModel) -> Self {
         Self { ids: Vec::new(), cache: new_cache(model) }
     }
 
-    /// The tokens.
     pub(crate) fn ids(&self) -> &[u32] {
         &self.ids
     }
 
     /// Appends tokens and gives the wanted logits (wanted positions, vocabulary). The n-th image token of the sequence takes
     /// the n-th row of `features`. After an error the sequence is unchanged.
-    ///
-    /// # Errors
-    /// When the sequence outgrows the cache, or an image token has no row.
     pub(crate) fn append(
         &mut self,
         model: &dyn VisionLanguageModel,

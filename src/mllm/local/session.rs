@@ -34,9 +34,6 @@ pub(super) struct LocalConversation<'a> {
 
 impl<'a> LocalConversation<'a> {
     /// Opens a conversation and computes or fetches the tokens before the image.
-    ///
-    /// # Errors
-    /// When the template refuses the system prompt, the image cannot be used, or the system prompt exceeds the context.
     pub(super) fn open(local: &'a LocalModel, prefix: &PromptPrefix, seed: u64) -> Result<Self, MllmError> {
         let start = Instant::now();
         let image_tokens =

@@ -22,9 +22,7 @@ const FAR: f32 = 100.0;
 
 /// Configuration and weights of a model, to change before it is opened.
 pub(crate) struct Parts {
-    /// The file of the configuration.
     pub path: PathBuf,
-    /// The configuration.
     pub config: Value,
     tensors: HashMap<String, Tensor>,
 }

@@ -56,7 +56,6 @@ impl Reference {
 pub(crate) struct Run {
     /// Pixels of the image, or of its tiles, (3, side, side) each.
     pub pixels: Vec<Tensor>,
-    /// The prompt.
     pub ids: Vec<u32>,
     /// Features of the image, (image tokens, hidden).
     pub features: Tensor,

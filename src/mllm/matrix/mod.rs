@@ -20,6 +20,7 @@ use candle_core::quantized::QTensor;
 use candle_core::{Device, Result, Tensor, bail};
 use rayon::prelude::*;
 
+pub(crate) use blocks::widen;
 pub(crate) use line::LANES;
 use packed_tiles::PackedTiles;
 use product::Columns;
@@ -53,9 +54,6 @@ impl Matrix {
     }
 
     /// Quantizes row-major values with ggml's reference quantizers.
-    ///
-    /// # Errors
-    /// When the weight format cannot hold this shape, or the number of values differs from it.
     pub fn quantize(values: &[f32], outputs: usize, inputs: usize, weight_format: WeightFormat) -> Result<Self> {
         check_shape(weight_format, outputs, inputs)?;
         if outputs.checked_mul(inputs) != Some(values.len()) {
@@ -76,17 +74,13 @@ impl Matrix {
     }
 
     /// Takes ggml's row-major blocks as a GGUF file stores them.
-    ///
-    /// # Errors
-    /// When the weight format cannot hold this shape, or the number of bytes differs from it.
     pub fn from_blocks(weight_format: WeightFormat, outputs: usize, inputs: usize, bytes: &[u8]) -> Result<Self> {
         check_shape(weight_format, outputs, inputs)?;
         if weight_format.matrix_bytes(outputs, inputs) != Some(bytes.len()) {
             bail!("{} bytes do not fill a {weight_format} matrix of {outputs} x {inputs}", bytes.len());
         }
         if weight_format == WeightFormat::F32 {
-            let mut values = vec![0.0; outputs * inputs];
-            blocks::decode_row(weight_format, bytes, &mut values);
+            let values = widen(weight_format.ggml(), bytes.to_vec())?;
             return Self::from_tensor(&Tensor::from_vec(values, (outputs, inputs), &Device::Cpu)?);
         }
         Ok(Self {
@@ -104,9 +98,6 @@ impl Matrix {
 
     /// Concatenates the outputs of matrices with the same inputs, so that one product replaces several. Their weight
     /// formats may differ.
-    ///
-    /// # Errors
-    /// When the inputs differ or the list is empty.
     pub fn stack(matrices: Vec<Self>) -> Result<Self> {
         let Some(inputs) = matrices.first().map(|matrix| matrix.inputs) else {
             bail!("cannot stack zero matrices");
@@ -150,9 +141,6 @@ impl Matrix {
     }
 
     /// Reads rows of the matrix as f32, (ids, inputs), as an embedding needs them.
-    ///
-    /// # Errors
-    /// When an id is not below the number of outputs.
     pub fn rows(&self, ids: &[u32]) -> Result<Tensor> {
         let mut values = vec![0.0; ids.len() * self.inputs];
         for (id, row) in ids.iter().zip(values.chunks_exact_mut(self.inputs)) {
@@ -173,17 +161,11 @@ impl Matrix {
     }
 
     /// Maps f32 rows (tokens, inputs) to (tokens, outputs).
-    ///
-    /// # Errors
-    /// When the rows have another width.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         self.forward_onto(x, None, None)
     }
 
     /// The product with rows (tokens, inputs) plus a bias (outputs) plus a residual (tokens, outputs).
-    ///
-    /// # Errors
-    /// When one of them has another shape.
     pub(crate) fn forward_onto(&self, x: &Tensor, bias: Option<&Tensor>, residual: Option<&Tensor>) -> Result<Tensor> {
         let (tokens, width) = x.dims2()?;
         if width != self.inputs {
@@ -274,10 +256,9 @@ impl Segment {
             Self::Tensor(weights) => with_values(&weights.get(index)?, |values| {
                 row.copy_from_slice(values);
                 Ok(())
-            })?,
+            }),
             Self::Tiles(tiles) => tiles.read_row(index, row),
         }
-        Ok(())
     }
 
     /// Adds the products with row-major activations to columns of a result.

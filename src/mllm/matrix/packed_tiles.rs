@@ -8,11 +8,10 @@ use std::io::{self, Write};
 
 use rayon::prelude::*;
 
-use super::blocks::decode_row;
+use super::blocks::widen;
 use super::line::{CacheLine, LANES};
 use super::weight_format::WeightFormat;
 
-/// Bytes of a cache line.
 const LINE: usize = size_of::<CacheLine>();
 
 /// The byte order of a group.
@@ -22,7 +21,6 @@ pub(super) struct Layout {
     span: usize,
     /// Bytes of a row in a group.
     row_bytes: usize,
-    /// Cache lines of a group.
     lines: usize,
     runs: Vec<Run>,
 }
@@ -39,40 +37,27 @@ struct Run {
     flip: u8,
 }
 
-struct LayoutBuilder {
-    runs: Vec<Run>,
-    end: usize,
-}
-
-impl LayoutBuilder {
-    /// Appends `count` runs of `width` bytes of each row; the first begins at `from`.
-    fn lay(mut self, from: usize, width: usize, count: usize, flip: u8) -> Self {
-        for index in 0..count {
-            self.runs.push(Run { from: from + index * width, width, to: self.end, flip });
-            self.end += width * LANES;
-        }
-        self
-    }
-}
-
 impl Layout {
     pub(super) fn of(weight_format: WeightFormat) -> Self {
-        let empty = LayoutBuilder { runs: Vec::new(), end: 0 };
-        let block = weight_format.block_bytes();
-        // Byte numbers come first, four of each row a cache line; then the scales of whole blocks.
-        let (built, span) = match weight_format {
-            WeightFormat::F32 => (empty.lay(0, 4, 1, 0), 1),
-            WeightFormat::F16 => (empty.lay(0, 2, 2, 0), 2),
+        // Byte numbers come first, four of each row a cache line; then the scales of whole blocks. Each entry is the first
+        // byte, the width and the count of runs, and their XOR mask.
+        let (span, entries): (usize, &[(usize, usize, usize, u8)]) = match weight_format {
+            WeightFormat::F32 => (1, &[(0, 4, 1, 0)]),
+            WeightFormat::F16 => (2, &[(0, 2, 2, 0)]),
             // Two blocks, so that their scales fill a cache line. The XOR adds 128 and makes the numbers unsigned.
-            WeightFormat::Q8_0 => {
-                let numbers = empty.lay(2, 4, 8, 0x80).lay(block + 2, 4, 8, 0x80);
-                (numbers.lay(0, 2, 1, 0).lay(block, 2, 1, 0), 64)
-            }
-            WeightFormat::Q6K => (empty.lay(0, 4, 48, 0).lay(192, 1, 16, 0).lay(208, 2, 1, 0), 256),
-            WeightFormat::Q4K => (empty.lay(16, 4, 32, 0).lay(0, 2, 2, 0).lay(4, 1, 12, 0), 256),
+            WeightFormat::Q8_0 => (64, &[(2, 4, 8, 0x80), (36, 4, 8, 0x80), (0, 2, 1, 0), (34, 2, 1, 0)]),
+            WeightFormat::Q6K => (256, &[(0, 4, 48, 0), (192, 1, 16, 0), (208, 2, 1, 0)]),
+            WeightFormat::Q4K => (256, &[(16, 4, 32, 0), (0, 2, 2, 0), (4, 1, 12, 0)]),
         };
-        let row_bytes = span / weight_format.block() * block;
-        Self { span, row_bytes, lines: built.end.div_ceil(LINE), runs: built.runs }
+        let (mut runs, mut end) = (Vec::new(), 0);
+        for &(from, width, count, flip) in entries {
+            for index in 0..count {
+                runs.push(Run { from: from + index * width, width, to: end, flip });
+                end += width * LANES;
+            }
+        }
+        let row_bytes = span / weight_format.block() * weight_format.block_bytes();
+        Self { span, row_bytes, lines: end.div_ceil(LINE), runs }
     }
 
     /// Writes a row's bytes of a group. The last group of a row may get fewer bytes.
@@ -165,7 +150,6 @@ impl PackedTiles {
         self.inputs.div_ceil(self.layout.span) * self.layout.lines
     }
 
-    /// The cache lines of all tiles.
     pub(super) fn lines(&self) -> &[CacheLine] {
         &self.lines
     }
@@ -180,8 +164,9 @@ impl PackedTiles {
         bytes
     }
 
-    pub(super) fn read_row(&self, index: usize, row: &mut [f32]) {
-        decode_row(self.weight_format, &self.row_blocks(index), row);
+    pub(super) fn read_row(&self, index: usize, row: &mut [f32]) -> candle_core::Result<()> {
+        row.copy_from_slice(&widen(self.weight_format.ggml(), self.row_blocks(index))?);
+        Ok(())
     }
 
     /// Writes the original row-major blocks, bit for bit.

@@ -48,10 +48,18 @@ trait Quantized {
     fn numbers<S: Simd>(simd: S, lines: &[CacheLine], step: usize) -> S::Bytes;
     /// Unpacks scales and minima. `lines` may end early: then zeros.
     fn unpack_scales<S: Simd>(simd: S, lines: &[CacheLine], block: &mut Block);
-    /// The value that the sum of a run with this word of activation sums starts from.
-    fn start<S: Simd>(simd: S, word: i32) -> S::Ints;
+
+    /// The value that the sum of a run without minima starts from; `word` is its word of activation sums.
+    #[inline(always)]
+    fn start<S: Simd>(simd: S, word: i32) -> S::Ints {
+        simd.ints(word)
+    }
+
     /// Adds the products of four numbers of each output.
-    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints;
+    #[inline(always)]
+    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
+        simd.dot(sum, weights, activations)
+    }
 }
 
 impl<Q: Quantized> Format for Q {
@@ -305,16 +313,6 @@ impl Quantized for Q6K {
             simd.store(simd.mul(scale, simd.load_signed(&lines[48 + run / 4].quarter(run % 4))), scales);
         }
     }
-
-    #[inline(always)]
-    fn start<S: Simd>(simd: S, word: i32) -> S::Ints {
-        simd.ints(word)
-    }
-
-    #[inline(always)]
-    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
-        simd.dot(sum, weights, activations)
-    }
 }
 
 /// ggml's `q4_k`: w = d · scale · number − dmin · minimum, with a scale and a minimum for every 32.
@@ -366,15 +364,5 @@ impl Quantized for Q4K {
             }
         }
         simd.store(simd.load_half(&lines[32].halves(1)), &mut block.minimum_scale);
-    }
-
-    #[inline(always)]
-    fn start<S: Simd>(simd: S, _: i32) -> S::Ints {
-        simd.ints(0)
-    }
-
-    #[inline(always)]
-    fn dot<S: Simd>(simd: S, sum: S::Ints, weights: S::Bytes, activations: i32) -> S::Ints {
-        simd.dot(sum, weights, activations)
     }
 }

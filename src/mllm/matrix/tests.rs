@@ -64,7 +64,7 @@ fn plain(tiles: &PackedTiles, x: &[f32]) -> Vec<(f64, f64)> {
     let mut weights = vec![0.0; tiles.inputs()];
     let mut result = vec![(0.0, 0.0); x.len() / tiles.inputs() * tiles.outputs()];
     for output in 0..tiles.outputs() {
-        tiles.read_row(output, &mut weights);
+        tiles.read_row(output, &mut weights).unwrap();
         for (row, results) in x.chunks_exact(tiles.inputs()).zip(result.chunks_exact_mut(tiles.outputs())) {
             let row = match tiles.weight_format() {
                 WeightFormat::F32 | WeightFormat::F16 => row.to_vec(),

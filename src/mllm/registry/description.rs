@@ -17,14 +17,11 @@ pub struct ModelSpec {
     /// The family that its `config.json` must name; none for any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub architecture: Option<Architecture>,
-    /// Where its files are.
     pub source: ModelSource,
     /// Where its tokenizer is; none if among its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tokenizer: Option<ModelSource>,
-    /// The set of prompts for it.
     pub prompt_set: PromptSet,
-    /// How its answers are generated.
     #[serde(default)]
     pub generation: GenerationSettings,
 }
@@ -35,7 +32,6 @@ pub struct ModelSpec {
 pub enum ModelSource {
     /// A folder; a relative path starts at the description.
     Folder {
-        /// The folder.
         folder: PathBuf,
     },
     /// A GGUF file; a relative path starts at the description.
@@ -62,10 +58,8 @@ pub enum ModelSource {
     },
     /// Files in the program.
     Embedded {
-        /// Name of the embedded model.
         embedded: String,
     },
-    /// A server.
     Endpoint(EndpointSettings),
 }
 
@@ -117,13 +111,11 @@ pub enum PromptSet {
     Paper,
 }
 
-/// How answers are generated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GenerationSettings {
     /// Longest answer of each round, tokens.
     pub max_new_tokens: RoundTokens,
-    /// How tokens are sampled.
     pub sampling: Sampling,
 }
 
@@ -152,7 +144,6 @@ impl Default for RoundTokens {
 }
 
 impl ModelSpec {
-    /// Reads a description.
     pub fn open(path: &Path) -> Result<Self, MllmError> {
         Self::parse(path, &read_text(path)?)
     }

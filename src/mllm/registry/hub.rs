@@ -67,7 +67,6 @@ fn owned(names: &[&str]) -> Vec<String> {
     names.iter().map(ToString::to_string).collect()
 }
 
-/// The progress of a download.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FetchProgress {
     /// Bytes so far.
@@ -76,10 +75,8 @@ pub struct FetchProgress {
     pub total: u64,
 }
 
-/// Receives the progress of a download.
 pub type FetchListener = dyn Fn(FetchProgress) + Send + Sync;
 
-/// Access to the hub.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct HubAccess {
     /// Whether to use the cache alone.

@@ -52,7 +52,6 @@ fn no_files(spec: &ModelSpec, settings: &EndpointSettings) -> MllmError {
     MllmError::NoFiles { name: spec.name.clone(), endpoint: settings.endpoint.clone() }
 }
 
-/// Whether a path has the extension of a GGUF file.
 fn is_gguf(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
 }
@@ -75,7 +74,6 @@ impl ModelRegistry {
         self
     }
 
-    /// Adds a model family.
     pub fn with_family(mut self, family: &'static Family) -> Self {
         self.loading.families = self.loading.families.with(family);
         self
@@ -115,9 +113,6 @@ impl ModelRegistry {
     /// 3. a hub id, or a hub id with a GGUF file (`org/name/file.gguf`).
     ///
     /// A model without a description gets the paper's prompts.
-    ///
-    /// # Errors
-    /// When there is no such model, or its description is broken.
     pub fn find(&self, name: &str) -> Result<ModelSpec, MllmError> {
         let described = self.models.join(format!("{name}.toml"));
         if !name.is_empty() && !name.contains(['/', '\\']) && described.is_file() {
@@ -156,9 +151,6 @@ impl ModelRegistry {
     }
 
     /// Where a model's files are; a hub model is downloaded if it is missing and downloads are allowed.
-    ///
-    /// # Errors
-    /// When a hub model cannot be downloaded, or a server computes the model.
     pub fn place(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         self.place_by(&self.hub, spec)
     }
@@ -170,9 +162,6 @@ impl ModelRegistry {
     }
 
     /// Where a model's files are on this machine.
-    ///
-    /// # Errors
-    /// When one is missing; the error names it.
     pub fn place_here(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         self.place_by(&HubAccess { offline: true, ..self.hub.clone() }, spec)
     }
@@ -243,9 +232,6 @@ impl ModelRegistry {
     }
 
     /// The settings for a described model.
-    ///
-    /// # Errors
-    /// When its tokenizer cannot be downloaded.
     pub fn loading(&self, spec: &ModelSpec) -> Result<Loading, MllmError> {
         let tokenizer = match &spec.tokenizer {
             None => None,

@@ -54,12 +54,10 @@ static EMBEDDED: &[EmbeddedModel] = &[
 ];
 
 impl EmbeddedModel {
-    /// All embedded models.
     pub fn all() -> &'static [Self] {
         EMBEDDED
     }
 
-    /// The embedded model of a name.
     pub fn find(name: &str) -> Option<&'static Self> {
         EMBEDDED.iter().find(|model| model.name == name)
     }

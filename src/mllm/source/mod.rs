@@ -22,7 +22,6 @@ use super::matrix::WeightFormat;
 pub enum ModelPlace {
     /// A folder as Hugging Face writes it, or one with GGUF files that belong together.
     Folder(PathBuf),
-    /// GGUF files.
     Gguf {
         /// The decoder, or the whole model.
         model: PathBuf,
@@ -32,12 +31,7 @@ pub enum ModelPlace {
     /// Files in the program.
     Embedded(&'static EmbeddedModel),
     /// Random weights in the shape of a known model, in [`DEFAULT_RANDOM_FORMAT`] unless another format is asked for.
-    Random {
-        /// The shape.
-        shape: &'static ModelShape,
-        /// Seed of the weights.
-        seed: u64,
-    },
+    Random { shape: &'static ModelShape, seed: u64 },
 }
 
 /// The format that the weights of known models are published in.
@@ -53,10 +47,6 @@ impl ModelPlace {
         }
     }
 
-    /// Bytes of its weight files.
-    ///
-    /// # Errors
-    /// When there are none.
     pub fn weight_bytes(&self) -> Result<u64, MllmError> {
         let files = match self {
             Self::Folder(folder) if safetensors_folder::has_safetensors(folder) => {
@@ -82,9 +72,7 @@ impl ModelPlace {
 #[derive(Debug)]
 pub(crate) struct Checkpoint {
     pub family: Architecture,
-    /// Configurations, tokenizer, chat template.
     pub files: ModelFiles,
-    /// The weights, not read yet.
     pub weights: Weights,
 }
 

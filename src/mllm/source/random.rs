@@ -135,7 +135,7 @@ pub(super) fn checkpoint(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mllm::checkpoint::widen;
+    use crate::mllm::matrix::widen;
 
     #[test]
     fn a_seed_gives_the_same_finite_numbers_in_every_format() {

@@ -26,7 +26,6 @@ macro_rules! shape {
 }
 
 impl ModelShape {
-    /// All shapes.
     pub const ALL: [Self; 8] = [
         shape!("nano"),
         shape!("llava-1.1b"),
@@ -38,10 +37,6 @@ impl ModelShape {
         shape!("cogvlm-chat-17b"),
     ];
 
-    /// The shape of this name.
-    ///
-    /// # Errors
-    /// When there is none; the error lists all.
     pub fn find(name: &str) -> Result<&'static Self, MllmError> {
         Self::ALL.iter().find(|shape| shape.name == name).ok_or_else(|| MllmError::UnknownShape {
             name: name.to_string(),
@@ -69,7 +64,6 @@ impl ModelShape {
 
 /// The special tokens of [`tokenizer`].
 const TOKENIZER_CONFIG: &str = r#"{"bos_token": "<s>", "eos_token": "</s>", "unk_token": "<unk>"}"#;
-/// The chat template.
 const CHAT_TEMPLATE: &str = include_str!("../../../models/nano/chat_template.jinja");
 
 /// A byte-pair tokenizer without merges: special tokens, the bytes, an image, and filling up to `vocabulary` tokens.

@@ -47,9 +47,6 @@ impl std::fmt::Debug for GrammarEngine {
 
 impl GrammarEngine {
     /// `end` are the ids that end an answer; at least one.
-    ///
-    /// # Errors
-    /// When the vocabulary cannot be indexed.
     pub(crate) fn new(tokenizer: &ChatTokenizer, end: &[u32]) -> Result<Self, MllmError> {
         let broken = |problem: String| MllmError::Tokenizer { path: tokenizer.path().to_path_buf(), problem };
         let words = tokenizer.bytes();
@@ -71,9 +68,6 @@ impl GrammarEngine {
     }
 
     /// Starts an answer under a constraint; `None` for [`Constraint::Free`].
-    ///
-    /// # Errors
-    /// When the constraint does not compile, or no text matches it.
     pub(crate) fn begin(&self, constraint: &Constraint) -> Result<Option<GrammarState>, MllmError> {
         let shown = shown(constraint);
         let fail = |problem: String| MllmError::Grammar { constraint: shown.clone(), problem };
@@ -129,9 +123,6 @@ impl GrammarState {
     }
 
     /// Adds generated tokens.
-    ///
-    /// # Errors
-    /// When the constraint does not allow them.
     pub(crate) fn consume(&mut self, tokens: &[TokenId]) -> Result<(), MllmError> {
         self.matcher.consume_tokens(tokens).map_err(|error| self.error(&error.to_string()))
     }

@@ -11,7 +11,6 @@ use serde::Deserialize;
 use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
 use crate::mllm::{MllmError, Turn};
 
-/// A compiled chat template.
 #[derive(Debug)]
 pub(crate) struct ChatTemplate {
     environment: Environment<'static>,
@@ -35,9 +34,6 @@ const NAME: &str = "chat";
 impl ChatTemplate {
     /// Opens the first of `chat_template.jinja`, `chat_template.json` and the `chat_template` of `tokenizer_config.json`.
     /// `special` has the special tokens by role; `image_token` is the placeholder of an image.
-    ///
-    /// # Errors
-    /// When there is none, it does not compile, or it renders neither lists of parts nor texts.
     pub(crate) fn open(
         files: &ModelFiles,
         special: &BTreeMap<String, String>,
@@ -57,9 +53,6 @@ impl ChatTemplate {
     }
 
     /// Renders a chat that ends with `prompt` and the beginning of the model's answer.
-    ///
-    /// # Errors
-    /// When the template rejects the chat.
     pub(crate) fn render(&self, system: &str, image: bool, turns: &[Turn], prompt: &str) -> Result<String, MllmError> {
         self.render_as(self.content, system, image, turns, prompt).map_err(|error| failure(&self.path, &error))
     }

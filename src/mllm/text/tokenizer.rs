@@ -26,9 +26,6 @@ const SPECIAL_TOKENS: [&str; 4] = ["bos_token", "eos_token", "unk_token", "pad_t
 impl ChatTokenizer {
     /// Opens `tokenizer.json`, and `tokenizer_config.json` if it exists, for a model with `vocabulary` token ids. Only the image
     /// placeholder may have an id outside of them.
-    ///
-    /// # Errors
-    /// When the file is missing or broken, or has ids outside the vocabulary.
     pub(crate) fn open(files: &ModelFiles, vocabulary: usize, image_token: u32) -> Result<Self, MllmError> {
         let json = files.required_json("tokenizer.json")?;
         let path = files.path("tokenizer.json");

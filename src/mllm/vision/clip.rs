@@ -58,9 +58,6 @@ impl ClipVisionTower {
 
     /// The `wanted` hidden states of images with pixels (3, side, side): 0 are the embeddings, n is the state after layer n.
     /// Each has shape (images, 1 + patches, hidden).
-    ///
-    /// # Errors
-    /// When a wanted state does not exist.
     pub(crate) fn hidden_states(&self, images: &[Tensor], wanted: &[usize]) -> candle_core::Result<Vec<Tensor>> {
         let patches = images.iter().map(|pixels| unfold(pixels, self.config.patch_size));
         let patches = Tensor::cat(&patches.collect::<candle_core::Result<Vec<_>>>()?, 0)?;

@@ -14,7 +14,6 @@ const CLIP_STD: [f32; 3] = [0.268_629_54, 0.261_302_6, 0.275_777_1];
 /// Factor from an 8-bit channel to [0, 1].
 const UNIT: f64 = 1.0 / 255.0;
 
-/// The keys of rescaling and normalization.
 #[derive(Deserialize)]
 #[serde(default)]
 struct ScaleKeys {
@@ -45,9 +44,6 @@ impl PixelScale {
     pub(crate) const CLIP: Self = Self { rescale: Some(UNIT), normalize: Some((CLIP_MEAN, CLIP_STD)) };
 
     /// Reads the keys of an image processor; absent keys have CLIP's values.
-    ///
-    /// # Errors
-    /// When a key has the wrong type or range.
     pub(crate) fn read(processor: &ConfigObject<'_>) -> Result<Self, MllmError> {
         let keys: ScaleKeys = processor.read()?;
         let finite = |numbers: [f32; 3]| numbers.iter().all(|number| number.is_finite());
@@ -90,8 +86,6 @@ impl PixelScale {
     }
 }
 
-/// # Errors
-/// When the image has no pixels.
 pub(crate) fn check_not_empty(image: &RgbImage) -> Result<(), MllmError> {
     if image.width() == 0 || image.height() == 0 {
         return Err(MllmError::Image { problem: "the image has no pixels".into() });

@@ -25,7 +25,6 @@ pub(crate) struct ClipImageProcessor {
     scale: PixelScale,
 }
 
-/// Target of the resizing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum TargetSize {
     /// Length of the shorter side; the aspect ratio stays.
@@ -37,8 +36,6 @@ enum TargetSize {
 }
 
 impl ClipImageProcessor {
-    /// # Errors
-    /// When the configuration is missing, or a key has the wrong type or an unsupported value.
     pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
         read_processor(files, Self::read)
     }
@@ -58,9 +55,6 @@ impl ClipImageProcessor {
     }
 
     /// Checks that the configured size is the square input of the vision tower, where one is configured.
-    ///
-    /// # Errors
-    /// When the size differs.
     pub(crate) fn check_side(&self, side: usize) -> Result<(), MllmError> {
         let (key, height, width) = match (self.crop, self.resize) {
             (Some((height, width)), _) => ("crop_size", height, width),
@@ -78,9 +72,6 @@ impl ClipImageProcessor {
     }
 
     /// Converts an image to pixel values (3, `side`, `side`).
-    ///
-    /// # Errors
-    /// When the image is empty, or the result is not a square of that side.
     pub(crate) fn process(&self, image: &RgbImage, side: usize) -> Result<Tensor, MllmError> {
         check_not_empty(image)?;
         let resized = match self.resize {
@@ -109,9 +100,6 @@ impl ClipImageProcessor {
 }
 
 /// Reads `preprocessor_config.json`, or the `image_processor` of `processor_config.json` (transformers 5).
-///
-/// # Errors
-/// When both are missing or one is broken, or `read` fails.
 pub(crate) fn read_processor<T>(
     files: &ModelFiles,
     read: impl FnOnce(&Path, &ConfigObject<'_>) -> Result<T, MllmError>,
@@ -157,9 +145,6 @@ impl Default for ProcessorKeys {
 
 impl ProcessorKeys {
     /// Reads a processor of this type; its `Fast` and `Pil` forms compute the same.
-    ///
-    /// # Errors
-    /// When the type differs, or a key is invalid.
     pub(crate) fn read(object: &ConfigObject<'_>, expected: &str) -> Result<Self, MllmError> {
         let keys: Self = object.read()?;
         match &keys.image_processor_type {

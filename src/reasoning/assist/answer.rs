@@ -3,9 +3,9 @@
 use super::AssistVariant;
 use crate::mllm::Constraint;
 use crate::reasoning::call_parser::{Call, Signature};
-use crate::reasoning::code::Range;
+use crate::reasoning::code::{ACCEL_MAX, DECEL_MAX, Range};
 use crate::reasoning::code_parser::Parsed;
-use crate::reasoning::grammar::{FASTEST, any_of, text};
+use crate::reasoning::grammar::{ACCELERATIONS, DECELERATIONS, FASTEST, any_of, text};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -28,18 +28,14 @@ const LEFT: Range = Range { min: -60.0, max: 60.0, unit: "m" };
 const SPEED_CAP: Range = Range { min: 1.0, max: 40.0, unit: "m/s" };
 const MIN_GAP: Range = Range { min: 0.1, max: 10.0, unit: "m" };
 const HEADWAY: Range = Range { min: 0.1, max: 5.0, unit: "s" };
-const ACCEL_MAX: Range = Range { min: 0.1, max: 5.0, unit: "m/s²" };
-const DECEL_MAX: Range = Range { min: 0.1, max: 9.0, unit: "m/s²" };
 
 /// Bound of `y` in the grammar, meters.
 const GRAMMAR_LEFT: i32 = 8;
 /// Step of `y` in the grammar, meters.
 const GRAMMAR_LEFT_STEP: f64 = 0.5;
-/// Values of `gap`, `headway`, `acc` and `dec` in the grammar; PDM-Closed's own are among them.
+/// Values of `gap` and `headway` in the grammar; PDM-Closed's own are among them, as for `acc` and `dec`.
 const GRAMMAR_GAPS: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
 const GRAMMAR_HEADWAYS: [f64; 4] = [0.8, 1.2, 1.5, 2.5];
-const GRAMMAR_ACCELERATIONS: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
-const GRAMMAR_DECELERATIONS: [f64; 4] = [2.0, 3.0, 4.0, 6.0];
 
 /// A position of the ego's center, in its frame at the time of the call, meters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -171,8 +167,8 @@ pub(super) fn grammar(variant: AssistVariant, limit: Option<u32>) -> Constraint 
                 any_of((1..=limit).map(|speed| speed.to_string())),
                 numbers(GRAMMAR_GAPS),
                 numbers(GRAMMAR_HEADWAYS),
-                numbers(GRAMMAR_ACCELERATIONS),
-                numbers(GRAMMAR_DECELERATIONS),
+                numbers(ACCELERATIONS),
+                numbers(DECELERATIONS),
                 any_of(SWITCH),
             ]
         }

@@ -16,7 +16,6 @@ const MIN_TOKENS: usize = 128;
 /// The input of a planning call to the model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AssistQuestion {
-    /// The scene as text.
     pub scene_text: String,
     /// The score of PDM-Closed's best proposal.
     pub score: f64,
@@ -40,9 +39,6 @@ pub struct AssistReasoning<'a> {
 
 impl<'a> AssistReasoning<'a> {
     /// Opens the conversation of a call that must end by `deadline`. There is no image: LLM-ASSIST's models read text alone.
-    ///
-    /// # Errors
-    /// When the system prompt cannot be rendered or does not fit into the model's context.
     pub fn open(
         variant: AssistVariant,
         model: &'a dyn Mllm,
@@ -58,9 +54,6 @@ impl<'a> AssistReasoning<'a> {
     }
 
     /// Asks once from the start, with feedback on the last answer.
-    ///
-    /// # Errors
-    /// On a permanent failure of the model, or when a prompt cannot be rendered.
     pub fn think(&mut self, feedback: Option<&Feedback>) -> Result<ReasoningTrace<Assistance>, ReasoningError> {
         self.conversation.rewind(self.start);
         self.attempts += 1;

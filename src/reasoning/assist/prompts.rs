@@ -37,7 +37,6 @@ impl AssistPrompts {
         Ok(Self { templates, variant, compact: form == TextForm::Compact })
     }
 
-    /// The system prompt.
     pub(super) fn system(&self) -> Result<String, PromptError> {
         let signature = signature(self.variant).to_string();
         self.templates.render("system", context! { compact => self.compact, signature => signature })

@@ -11,7 +11,6 @@ use crate::experiment::study::{Figure, Study};
 use crate::report::StudyResults;
 use crate::simulation::Challenge;
 
-/// Titles of the panels.
 fn panel(challenge: Challenge) -> &'static str {
     match challenge {
         Challenge::NonReactive => "NR: non-reactive agents",

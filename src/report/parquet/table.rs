@@ -78,7 +78,6 @@ impl TableWriter {
         Ok(table)
     }
 
-    /// Writes a further batch.
     pub(super) fn append(&mut self, columns: Columns) -> Result<(), ReportError> {
         self.write(arrays(columns).map(|(_, array)| array).collect())
     }
@@ -92,7 +91,6 @@ impl TableWriter {
         written.map_err(ReportError::at(&self.path))
     }
 
-    /// Completes the file.
     pub(super) fn finish(self) -> Result<(), ReportError> {
         self.writer.close().map_err(ReportError::at(&self.path))?;
         fs::rename(atomic::unfinished(&self.path), &self.path).map_err(ReportError::write(&self.path))

@@ -9,7 +9,6 @@ use crate::report::number::json_value;
 use crate::report::table::study_markdown;
 use std::path::{Path, PathBuf};
 
-/// The folder of an experiment's results.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StudyFolder {
     path: PathBuf,
@@ -21,7 +20,6 @@ impl StudyFolder {
         Self { path }
     }
 
-    /// The path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -12,7 +12,6 @@ use std::collections::BTreeMap;
 /// The simulations of a suite.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SuiteSimulations {
-    /// Name of the suite.
     pub name: String,
     /// Number of scenes.
     pub scenes: usize,
@@ -34,11 +33,9 @@ pub struct VariantSimulations {
 /// The simulations of a variant, or why it has none.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
-    /// It was simulated.
     Simulated {
         /// Folder of the run, relative to that of the results.
         run: String,
-        /// Its simulations.
         rows: Vec<SimulationRow>,
     },
     /// It was not simulated; the reason in a word or two.
@@ -48,34 +45,25 @@ pub enum Outcome {
 /// The whole file `results.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StudyResults {
-    /// Version of the program.
     pub planagent: &'static str,
-    /// Name of the experiment.
     pub experiment: String,
-    /// The title.
     pub title: String,
     /// The paper's table or figure.
     pub paper: Option<String>,
     /// Scenes of each type; none if all were simulated.
     pub quick: Option<Quick>,
-    /// Seed of the simulations.
     pub seed: u64,
-    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// The variant that the others are compared with.
     pub reference: String,
-    /// The suites.
     pub suites: Vec<SuiteResults>,
 }
 
-/// A suite.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SuiteResults {
-    /// Its name.
     pub name: String,
     /// The paper's benchmark that is compared.
     pub benchmark: Option<Benchmark>,
-    /// Number of scenes.
     pub scenes: usize,
     /// BLAKE3 of their names.
     pub blake3: String,
@@ -83,12 +71,9 @@ pub struct SuiteResults {
     pub variants: Vec<VariantResults>,
 }
 
-/// A variant in a suite.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct VariantResults {
-    /// Its name.
     pub name: String,
-    /// Name of the planner.
     pub planner: String,
     /// Configuration keys that it replaces.
     pub settings: toml::Table,
@@ -98,7 +83,6 @@ pub struct VariantResults {
     /// Why it was not simulated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub not_simulated: Option<&'static str>,
-    /// Its scores.
     pub challenges: Vec<ChallengeResults>,
     /// Scores by scenario type, if the experiment compares these.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -113,7 +97,6 @@ pub struct VariantResults {
 /// Scores in a challenge.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChallengeResults {
-    /// nuPlan's challenge.
     pub challenge: Challenge,
     /// Mean score of the completed simulations.
     pub score: Option<f64>,
@@ -132,9 +115,7 @@ pub struct ChallengeResults {
 /// Scores in a scenario type.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TypeResults {
-    /// nuPlan's type.
     pub scenario_type: String,
-    /// The scores.
     pub challenges: Vec<ChallengeResults>,
 }
 

@@ -9,7 +9,6 @@ use std::fmt::Write as _;
 const MEBI: f64 = (1 << 20) as f64;
 const GIBI: f64 = (1 << 30) as f64;
 
-/// One column of the table of models.
 struct Column {
     header: &'static str,
     meaning: &'static str,
@@ -109,7 +108,6 @@ fn failed(figures: &BenchFigures) -> impl Iterator<Item = String> {
     figures.failed.iter().map(|(model, problem)| format!("{model} failed: {problem}"))
 }
 
-/// The version of llama.cpp.
 fn other_engine(figures: &BenchFigures) -> String {
     let other = figures.models.iter().find(|model| model.about.engine == EngineName::LlamaCpp);
     let version = or_dash(other, |model| model.about.loaded.version.clone());

@@ -21,7 +21,6 @@ pub use study::{study_markdown, study_table};
 pub use terminal::fill;
 pub use tokens::{token_markdown, token_table};
 
-/// A table of text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Table {
     headers: Vec<String>,

@@ -35,7 +35,6 @@ fn cells(row: &SimulationRow) -> Vec<String> {
     head.into_iter().chain(metrics).chain([calls]).collect()
 }
 
-/// The meaning of the labels.
 pub(super) fn legend(list: MetricList, width: u16) -> String {
     let meanings = list.scored().map(|metric| format!("{} = {}", metric.label, metric.name));
     let challenges = match list {

@@ -49,7 +49,6 @@ pub fn study_markdown(study: &Study, results: &StudyResults, command: &str, figu
     text
 }
 
-/// How wide a table may be.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Width {
     /// A terminal of 80 columns.

@@ -24,7 +24,6 @@ struct SweepBox {
     shape: OrientedBox,
 }
 
-/// All boxes of a log.
 #[derive(Debug)]
 pub(super) struct Annotations {
     /// Boxes of each track in order of time; tracks in order of their uuid.

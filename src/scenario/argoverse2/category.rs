@@ -1,15 +1,5 @@
 //! Argoverse 2's categories as nuPlan's kinds of objects.
 //!
-//! | Argoverse 2 | nuPlan |
-//! |---|---|
-//! | `REGULAR_VEHICLE`, `LARGE_VEHICLE`, `BUS`, `ARTICULATED_BUS`, `SCHOOL_BUS`, `BOX_TRUCK`, `TRUCK`, `TRUCK_CAB`, `VEHICULAR_TRAILER`, `RAILED_VEHICLE`, `MESSAGE_BOARD_TRAILER`, `TRAFFIC_LIGHT_TRAILER` | vehicle |
-//! | `PEDESTRIAN`, `OFFICIAL_SIGNALER`, `STROLLER`, `WHEELCHAIR` | pedestrian |
-//! | `BICYCLE`, `BICYCLIST`, `MOTORCYCLE`, `MOTORCYCLIST`, `WHEELED_DEVICE`, `WHEELED_RIDER` | bicycle |
-//! | `CONSTRUCTION_CONE`, `CONSTRUCTION_BARREL` | traffic cone |
-//! | `MOBILE_PEDESTRIAN_CROSSING_SIGN` | construction-zone sign |
-//! | `BOLLARD`, `SIGN`, `ANIMAL`, `DOG` | generic object |
-//! | `EGO_VEHICLE`, `STOP_SIGN` | none |
-//!
 //! * nuPlan's bicycles include motorcycles, its generic objects permanent poles and animals.
 //! * A rider and the vehicle are two annotated boxes, hence two objects that overlap.
 //! * nuPlan's trailers are vehicles, also those that carry signs.

@@ -4,19 +4,15 @@ use super::error::{Argoverse2Error, LogFault};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Ego poses of a sensor log.
 const POSES: &str = "city_SE3_egovehicle.feather";
-/// Annotations of a sensor log, as published.
 const ANNOTATIONS: &str = "annotations.feather";
 
-/// The files of a log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum LogFiles {
     Sensor(SensorFiles),
     Forecasting { tracks: PathBuf, map: PathBuf },
 }
 
-/// The files of a sensor log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct SensorFiles {
     pub(super) poses: PathBuf,

@@ -2,17 +2,9 @@
 //!
 //! * The recording car is the track `AV`. Its position is the origin of its frame, the rear axle, since it does not move sideways
 //!   in bends. The positions of other tracks are the centers of their boxes.
-//! * The dataset has no sizes. They are those of typical road users (table in [`RoadUser::of`]).
+//! * The dataset has no sizes. They are those of typical road users ([`RoadUser::of`]).
 //! * Velocities are those recorded, also the ego's: its positions are smoothed and drift within the first and last second of a
 //!   scenario. Static kinds have no velocity, as in nuPlan.
-//!
-//! | Argoverse 2 | nuPlan |
-//! |---|---|
-//! | `vehicle`, `bus` | vehicle |
-//! | `pedestrian` | pedestrian |
-//! | `cyclist`, `motorcyclist`, `riderless_bicycle` | bicycle |
-//! | `construction` | traffic cone |
-//! | `static`, `background`, `unknown` | generic object |
 
 use super::Counts;
 use super::error::{Argoverse2Error, LogFault};
@@ -123,7 +115,6 @@ pub(super) fn scenario(path: &Path, map: &Path, id: String) -> Result<Scenario, 
     Ok(Recording { log_name: id.clone(), id, map, egos, objects, lights: Vec::new() }.scenario())
 }
 
-/// The counts of a scenario.
 pub(super) fn counts(path: &Path, map: &Path) -> Result<Counts, Argoverse2Error> {
     let table = Table::parquet(path)?;
     let steps = steps(&table).map_err(Argoverse2Error::at(path))?;

@@ -43,7 +43,6 @@ use crate::world::MICROS_PER_SECOND;
 use files::LogFiles;
 use std::path::Path;
 
-/// Opens the log in a folder.
 pub fn open(folder: &Path) -> Result<Scenario, Argoverse2Error> {
     let id = name(folder);
     match LogFiles::of(folder)? {
@@ -52,7 +51,6 @@ pub fn open(folder: &Path) -> Result<Scenario, Argoverse2Error> {
     }
 }
 
-/// The contents of the log in a folder.
 pub fn contents(folder: &Path) -> Result<Contents, Argoverse2Error> {
     let counts = match LogFiles::of(folder)? {
         LogFiles::Sensor(files) => sensor::counts(&files)?,

@@ -18,7 +18,6 @@ use crate::scenario::recording::window::{Recording, step_times};
 
 const NANOS_PER_SECOND: f64 = 1e9;
 
-/// Opens a log; `id` is the name of its folder.
 pub(super) fn scenario(files: &SensorFiles, id: String) -> Result<Scenario, Argoverse2Error> {
     let SensorFiles { poses, annotations, map } = files;
     let frames = EgoPoses::read(&Table::feather(poses)?).map_err(Argoverse2Error::at(poses))?;
@@ -43,7 +42,6 @@ pub(super) fn scenario(files: &SensorFiles, id: String) -> Result<Scenario, Argo
     Ok(Recording { log_name: id.clone(), id, map, egos, objects, lights: Vec::new() }.scenario())
 }
 
-/// The counts of a log.
 pub(super) fn counts(files: &SensorFiles) -> Result<Counts, Argoverse2Error> {
     let table = Table::feather(&files.annotations)?;
     let sweeps_ns = sweeps(&table).map_err(Argoverse2Error::at(&files.annotations))?;

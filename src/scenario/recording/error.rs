@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 /// A file or folder, and a part of it where one is known.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FilePlace {
-    /// The file or folder.
     pub path: PathBuf,
     /// For example `record 3 at byte 1024`.
     pub part: Option<String>,
@@ -25,9 +24,7 @@ impl fmt::Display for FilePlace {
 #[derive(Debug, thiserror::Error)]
 #[error("{place}: {fault}")]
 pub struct FileError<F: Error + 'static> {
-    /// Where the fault is.
     pub place: FilePlace,
-    /// What is wrong there.
     #[source]
     pub fault: F,
 }

@@ -48,23 +48,17 @@ impl<T> Sides<T> {
 /// A lane for motor vehicles as recorded.
 #[derive(Debug, Clone)]
 pub(crate) struct RecordedLane {
-    /// Id in the source.
     pub(crate) id: i64,
-    /// Centerline.
     pub(crate) trace: Trace,
     /// True if the source marks it as a connector.
     pub(crate) flagged: bool,
-    /// m/s.
     pub(crate) speed_limit: Option<f64>,
-    /// Lanes that lead into it.
     pub(crate) entries: Vec<usize>,
-    /// Lanes that it leads to.
     pub(crate) exits: Vec<usize>,
     pub(crate) neighbors: Sides<Vec<Beside>>,
 }
 
 impl RecordedLane {
-    /// Meters.
     pub(crate) fn length(&self) -> f64 {
         self.trace.line.length()
     }
@@ -148,12 +142,10 @@ impl Places<'_> {
 pub(crate) struct Joints(BTreeSet<(usize, usize)>);
 
 impl Joints {
-    /// The lanes that lead into a lane.
     pub(crate) fn before(&self, lane: usize) -> Vec<usize> {
         self.0.iter().filter(|(_, to)| *to == lane).map(|(from, _)| *from).collect()
     }
 
-    /// The lanes that a lane leads to.
     pub(crate) fn after(&self, lane: usize) -> Vec<usize> {
         self.0.iter().filter(|(from, _)| *from == lane).map(|(_, to)| *to).collect()
     }

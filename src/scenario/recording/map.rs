@@ -12,14 +12,12 @@ use std::collections::BTreeSet;
 /// Layers of a map. Lanes are indices; the n-th element of every list belongs to the n-th lane.
 #[derive(Debug)]
 pub(crate) struct Layers<'a> {
-    /// Name of the map, with its origin.
     pub(crate) name: String,
     pub(crate) lanes: &'a [RecordedLane],
     /// True for connectors.
     pub(crate) connector: &'a [bool],
     pub(crate) areas: Vec<Polygon>,
     pub(crate) clusters: &'a [Cluster],
-    /// Road edges.
     pub(crate) edges: &'a [Trace],
     /// Lanes with a traffic light.
     pub(crate) lit: BTreeSet<usize>,

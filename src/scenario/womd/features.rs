@@ -84,7 +84,7 @@ impl MapFeatures {
                 Some(FeatureData::StopSign(sign)) => signs.push(sign),
                 Some(FeatureData::Crosswalk(area)) => crosswalks.extend(outline(id, area, origin)?),
                 Some(FeatureData::Driveway(area)) => driveways.extend(outline(id, area, origin)?),
-                Some(FeatureData::SpeedBump(_)) | None => {}
+                None => {}
             }
         }
         let lanes: BTreeMap<i64, usize> = drivable.iter().enumerate().map(|(i, (id, ..))| (*id, i)).collect();

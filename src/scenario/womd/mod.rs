@@ -32,10 +32,8 @@ use super::recording::window::window;
 use super::{Contents, Scenario};
 use features::lane_count;
 use prost::Message;
-use std::fs::File;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
-use tfrecord::Records;
+use tfrecord::{Record, Records};
 
 /// Opens a recording by its number in the file, from 0. Only its map is derived.
 pub fn open_one(path: &Path, record: usize) -> Result<Scenario, WomdError> {
@@ -70,8 +68,8 @@ struct Decoded {
 
 impl Decoded {
     fn scenario(self, log_name: &str) -> Result<Scenario, WomdError> {
-        let part = || format!("{}, scenario `{}`", part(self.record, self.offset), self.recording.scenario_id);
-        convert::scenario(&self.recording, log_name).map_err(|fault| WomdError::at_part(&self.path, part())(fault))
+        let part = format!("{}, scenario `{}`", part(self.record, self.offset), self.recording.scenario_id);
+        convert::scenario(&self.recording, log_name).map_err(WomdError::at_part(&self.path, part))
     }
 
     fn contents(self) -> (String, Contents) {
@@ -94,31 +92,15 @@ fn part(record: usize, offset: u64) -> String {
     format!("record {record} at byte {offset}")
 }
 
-fn messages(path: &Path) -> Result<Messages, WomdError> {
+fn messages(path: &Path) -> Result<impl Iterator<Item = Result<Decoded, WomdError>>, WomdError> {
     let records = Records::open(path).map_err(WomdError::at(path))?;
     if records.is_empty() {
         return Err(WomdError::at(path)(WomdFault::Empty));
     }
-    Ok(Messages { path: path.to_owned(), records })
-}
-
-struct Messages {
-    path: PathBuf,
-    records: Records<BufReader<File>>,
-}
-
-impl Iterator for Messages {
-    type Item = Result<Decoded, WomdError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        let record = self.records.next()?;
-        let (number, offset) = (record.number, record.offset);
-        let decoded =
-            record.payload.map_err(WomdFault::from).and_then(|bytes| Ok(proto::Scenario::decode(&bytes[..])?));
-        let path = self.path.clone();
-        Some(match decoded {
-            Ok(recording) => Ok(Decoded { path, record: number, offset, recording }),
-            Err(fault) => Err(WomdError::at_part(&path, part(number, offset))(fault)),
-        })
-    }
+    let path = path.to_owned();
+    Ok(records.map(move |Record { number, offset, payload }| {
+        let decoded = payload.map_err(WomdFault::from).and_then(|bytes| Ok(proto::Scenario::decode(&bytes[..])?));
+        let recording = decoded.map_err(WomdError::at_part(&path, part(number, offset)))?;
+        Ok(Decoded { path: path.clone(), record: number, offset, recording })
+    }))
 }

@@ -101,7 +101,6 @@ pub(super) fn lane_areas(map: &MapFeatures, connector: &[bool]) -> Vec<Polygon> 
     areas
 }
 
-/// The area of a lane too short for an outline.
 fn minimal_area(lane: &RecordedLane) -> Polygon {
     /// Meters.
     const LENGTH: f64 = 0.1;

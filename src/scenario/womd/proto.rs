@@ -14,9 +14,6 @@ pub(super) struct Scenario {
     /// Time of each step, s.
     #[prost(double, repeated, tag = "1")]
     pub timestamps_seconds: Vec<f64>,
-    /// The current step of the prediction challenge.
-    #[prost(int32, tag = "10")]
-    pub current_time_index: i32,
     /// All objects, the recording car among them.
     #[prost(message, repeated, tag = "2")]
     pub tracks: Vec<Track>,
@@ -134,7 +131,7 @@ pub(super) struct MapFeature {
     /// Unique within the recording.
     #[prost(int64, tag = "1")]
     pub id: i64,
-    #[prost(oneof = "FeatureData", tags = "3, 4, 5, 7, 8, 9, 10")]
+    #[prost(oneof = "FeatureData", tags = "3, 4, 5, 7, 8, 10")]
     pub feature_data: Option<FeatureData>,
 }
 
@@ -152,8 +149,6 @@ pub(super) enum FeatureData {
     StopSign(StopSign),
     #[prost(message, tag = "8")]
     Crosswalk(Area),
-    #[prost(message, tag = "9")]
-    SpeedBump(Area),
     #[prost(message, tag = "10")]
     Driveway(Area),
 }
@@ -209,7 +204,7 @@ pub(super) struct BoundarySegment {
     pub boundary_feature_id: i64,
 }
 
-/// A neighboring lane; indices count the points of this lane and of the other.
+/// A neighboring lane; indices count the points of this lane.
 #[derive(Clone, Copy, PartialEq, Message)]
 pub(super) struct LaneNeighbor {
     #[prost(int64, tag = "1")]
@@ -218,10 +213,6 @@ pub(super) struct LaneNeighbor {
     pub self_start_index: i32,
     #[prost(int32, tag = "3")]
     pub self_end_index: i32,
-    #[prost(int32, tag = "4")]
-    pub neighbor_start_index: i32,
-    #[prost(int32, tag = "5")]
-    pub neighbor_end_index: i32,
 }
 
 /// A road line or a road edge; its type is not used.
@@ -237,8 +228,6 @@ pub(super) struct StopSign {
     /// The lanes that it governs.
     #[prost(int64, repeated, tag = "1")]
     pub lane: Vec<i64>,
-    #[prost(message, optional, tag = "2")]
-    pub position: Option<MapPoint>,
 }
 
 /// A crosswalk, speed bump or driveway.

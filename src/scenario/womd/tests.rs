@@ -57,10 +57,7 @@ fn crossing_map() -> Vec<MapFeature> {
         edge(101, &[(0.0, 8.5), (60.0, 8.5)]),
         edge(102, &[(0.0, -6.0), (60.0, -6.0)]),
     ];
-    let neighbor = |feature_id| {
-        let (self_end_index, neighbor_end_index) = (20, 20);
-        LaneNeighbor { feature_id, self_end_index, neighbor_end_index, ..LaneNeighbor::default() }
-    };
+    let neighbor = |feature_id| LaneNeighbor { feature_id, self_end_index: 20, ..LaneNeighbor::default() };
     for (own, left, right) in [(0, vec![], vec![2]), (1, vec![1], vec![]), (5, vec![], vec![22]), (6, vec![21], vec![])]
     {
         if let Some(FeatureData::Lane(lane)) = &mut map[own].feature_data {
@@ -107,7 +104,6 @@ fn recording() -> proto::Scenario {
     proto::Scenario {
         scenario_id: "synthetic".to_owned(),
         timestamps_seconds: (0..steps).map(|i| 3.0 + f64::from(i) * 0.1).collect(),
-        current_time_index: 10,
         tracks: vec![
             Track { id: 5, object_type: ObjectType::Pedestrian as i32, states: moving(1.0, 7.0, 0.8) },
             Track { id: 9, object_type: ObjectType::Vehicle as i32, states: moving(8.0, 0.0, 4.6) },

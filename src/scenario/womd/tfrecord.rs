@@ -64,7 +64,6 @@ impl Records<BufReader<File>> {
 }
 
 impl<R: Read> Records<R> {
-    /// Records of a source of `total` bytes.
     pub(super) fn new(reader: R, total: u64) -> Self {
         Self { reader, total, offset: 0, number: 0, broken: false }
     }

@@ -25,7 +25,6 @@ pub(crate) struct LlavaGguf {
     pub model_type: &'static str,
     /// The `image_processor_type` of the preprocessor.
     pub image_processor: &'static str,
-    /// Reads the configuration.
     pub config: fn(&ModelFiles) -> Result<Configured, MllmError>,
 }
 

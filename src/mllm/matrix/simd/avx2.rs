@@ -1,15 +1,8 @@
 //! AVX2 with FMA and F16C: Intel since Haswell, AMD since Zen. A vector takes two registers.
 #![allow(unsafe_code, reason = "vector instructions; an `Avx2` value exists only where the CPU has them")]
+#![allow(clippy::wildcard_imports, reason = "the names of intrinsics say where they are from")]
 
-use std::arch::x86_64::{
-    __m256, __m256i, _MM_FROUND_NO_EXC, _MM_FROUND_TO_NEAREST_INT, _MM_HINT_T0, _mm_loadl_epi64, _mm_loadu_si128,
-    _mm_prefetch, _mm256_abs_epi8, _mm256_add_epi32, _mm256_add_ps, _mm256_and_si256, _mm256_castsi256_ps,
-    _mm256_cvtepi8_epi32, _mm256_cvtepi32_ps, _mm256_cvtepu8_epi32, _mm256_cvtph_ps, _mm256_cvtps_epi32,
-    _mm256_fmadd_ps, _mm256_fnmadd_ps, _mm256_load_si256, _mm256_loadu_ps, _mm256_loadu_si256, _mm256_madd_epi16,
-    _mm256_maddubs_epi16, _mm256_max_ps, _mm256_mul_ps, _mm256_or_si256, _mm256_round_ps, _mm256_set1_epi8,
-    _mm256_set1_epi16, _mm256_set1_epi32, _mm256_set1_ps, _mm256_setzero_si256, _mm256_sign_epi8, _mm256_slli_epi16,
-    _mm256_slli_epi32, _mm256_srli_epi16, _mm256_store_si256, _mm256_storeu_ps, _mm256_xor_si256,
-};
+use std::arch::x86_64::*;
 
 use super::{Kernel, Simd};
 use crate::mllm::matrix::line::{CacheLine, LANES};
@@ -26,6 +19,9 @@ impl Avx2 {
     }
 }
 
+type Ints = [__m256i; 2];
+type Floats = [__m256; 2];
+
 /// Applies a function to both registers of vectors.
 #[inline(always)]
 fn both<A: Copy, B>(a: [A; 2], function: impl Fn(A) -> B) -> [B; 2] {
@@ -38,12 +34,18 @@ fn both_of_three<A: Copy>(a: [A; 2], b: [A; 2], c: [A; 2], function: impl Fn(A, 
     [function(a[0], b[0], c[0]), function(a[1], b[1], c[1])]
 }
 
+/// Where the numbers of each register begin.
+#[inline(always)]
+fn halves<T>(values: &[T; LANES]) -> [*const T; 2] {
+    [values.as_ptr(), values[LANES / 2..].as_ptr()]
+}
+
 // SAFETY of all blocks below: `self` exists, so the CPU has the instructions. Loads and stores take references to arrays
 // of twice the operand's size; cache lines have the operand's alignment.
 impl Simd for Avx2 {
-    type Ints = [__m256i; 2];
-    type Floats = [__m256; 2];
-    type Bytes = [__m256i; 2];
+    type Ints = Ints;
+    type Floats = Floats;
+    type Bytes = Ints;
     const REGISTERS: usize = 8;
 
     #[inline(always)]
@@ -56,21 +58,60 @@ impl Simd for Avx2 {
         unsafe { with_instructions(self, kernel) }
     }
 
-    #[inline(always)]
-    fn prefetch(self, line: &CacheLine) {
-        // SAFETY: as above.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(line.0.as_ptr().cast()) }
+    operations! {
+        prefetch(line: &CacheLine) = _mm_prefetch::<_MM_HINT_T0>(line.0.as_ptr().cast());
+        bytes(line: &CacheLine) -> Ints =
+            both([line.0.as_ptr(), line.0[32..].as_ptr()], |start| _mm256_load_si256(start.cast()));
+        low(bytes: Ints) -> Ints = both(bytes, |bytes| _mm256_and_si256(bytes, _mm256_set1_epi8(15)));
+        high(bytes: Ints) -> Ints =
+            both(bytes, |bytes| _mm256_and_si256(_mm256_srli_epi16::<4>(bytes), _mm256_set1_epi8(15)));
+        ints(value: i32) -> Ints = [_mm256_set1_epi32(value); 2];
+        // Two products of a weight below 128 and a signed byte fit in 16 bits.
+        dot(sum: Ints, weights: Ints, activations: i32) -> Ints = both_of_three(sum, weights, weights, |sum, weights, _| {
+            let pairs = _mm256_maddubs_epi16(weights, _mm256_set1_epi32(activations));
+            _mm256_add_epi32(sum, _mm256_madd_epi16(pairs, _mm256_set1_epi16(1)))
+        });
+        biased_start(_sum: i32) -> Ints = [_mm256_setzero_si256(); 2];
+        // Two products of an unsigned byte above 127 and a signed byte can overflow 16 bits, so the activation takes the
+        // weight's sign.
+        dot_biased(sum: Ints, weights: Ints, activations: i32) -> Ints =
+            both_of_three(sum, weights, weights, |sum, weights, _| {
+                let signed = _mm256_xor_si256(weights, _mm256_set1_epi8(i8::MIN));
+                let turned = _mm256_sign_epi8(_mm256_set1_epi32(activations), signed);
+                let pairs = _mm256_maddubs_epi16(_mm256_abs_epi8(signed), turned);
+                _mm256_add_epi32(sum, _mm256_madd_epi16(pairs, _mm256_set1_epi16(1)))
+            });
+        dot_pairs(sum: Ints, weights: Ints, activations: i32) -> Ints =
+            both_of_three(sum, weights, weights, |sum, weights, _| {
+                _mm256_add_epi32(sum, _mm256_madd_epi16(weights, _mm256_set1_epi32(activations)))
+            });
+        load_ints(values: &[i32; LANES]) -> Ints = both(halves(values), |start| _mm256_loadu_si256(start.cast()));
+        to_floats(values: Ints) -> Floats = both(values, |values| _mm256_cvtepi32_ps(values));
+        floats(value: f32) -> Floats = [_mm256_set1_ps(value); 2];
+        load(values: &[f32; LANES]) -> Floats = both(halves(values), |start| _mm256_loadu_ps(start));
+        load_half(values: &[u16; LANES]) -> Floats =
+            both(halves(values), |start| _mm256_cvtph_ps(_mm_loadu_si128(start.cast())));
+        load_signed(values: &[u8; LANES]) -> Floats =
+            both(halves(values), |start| _mm256_cvtepi32_ps(_mm256_cvtepi8_epi32(_mm_loadl_epi64(start.cast()))));
+        load_unsigned(values: &[u8; LANES]) -> Ints =
+            both(halves(values), |start| _mm256_cvtepu8_epi32(_mm_loadl_epi64(start.cast())));
+        mul(a: Floats, b: Floats) -> Floats = both_of_three(a, b, b, |a, b, _| _mm256_mul_ps(a, b));
+        mul_add(a: Floats, b: Floats, c: Floats) -> Floats =
+            both_of_three(a, b, c, |a, b, c| _mm256_fmadd_ps(a, b, c));
+        mul_sub_from(a: Floats, b: Floats, c: Floats) -> Floats =
+            both_of_three(a, b, c, |a, b, c| _mm256_fnmadd_ps(a, b, c));
+        add(a: Floats, b: Floats) -> Floats = both_of_three(a, b, b, |a, b, _| _mm256_add_ps(a, b));
+        max(a: Floats, b: Floats) -> Floats = both_of_three(a, b, b, |a, b, _| _mm256_max_ps(a, b));
+        round(a: Floats) -> Floats =
+            both(a, |a| _mm256_round_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>(a));
+        two_to_the(n: Floats) -> Floats = both(n, |n| {
+            let biased = _mm256_add_epi32(_mm256_cvtps_epi32(n), _mm256_set1_epi32(127));
+            _mm256_castsi256_ps(_mm256_slli_epi32::<23>(biased))
+        });
     }
 
     #[inline(always)]
-    fn bytes(self, line: &CacheLine) -> Self::Bytes {
-        let start = line.0.as_ptr();
-        // SAFETY: as above.
-        unsafe { [_mm256_load_si256(start.cast()), _mm256_load_si256(start.add(32).cast())] }
-    }
-
-    #[inline(always)]
-    fn store_bytes(self, bytes: Self::Bytes, line: &mut CacheLine) {
+    fn store_bytes(self, bytes: Ints, line: &mut CacheLine) {
         let start = line.0.as_mut_ptr();
         // SAFETY: as above.
         unsafe {
@@ -80,19 +121,16 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn low(self, bytes: Self::Bytes) -> Self::Bytes {
+    fn store(self, values: Floats, out: &mut [f32; LANES]) {
         // SAFETY: as above.
-        both(bytes, |bytes| unsafe { _mm256_and_si256(bytes, _mm256_set1_epi8(15)) })
+        unsafe {
+            _mm256_storeu_ps(out.as_mut_ptr(), values[0]);
+            _mm256_storeu_ps(out.as_mut_ptr().add(8), values[1]);
+        }
     }
 
     #[inline(always)]
-    fn high(self, bytes: Self::Bytes) -> Self::Bytes {
-        // SAFETY: as above.
-        both(bytes, |bytes| unsafe { _mm256_and_si256(_mm256_srli_epi16::<4>(bytes), _mm256_set1_epi8(15)) })
-    }
-
-    #[inline(always)]
-    fn with_two_bits<const RUN: u32>(self, low: Self::Bytes, high: Self::Bytes) -> Self::Bytes {
+    fn with_two_bits<const RUN: u32>(self, low: Ints, high: Ints) -> Ints {
         // SAFETY: as above.
         both_of_three(low, high, high, |low, high, _| unsafe {
             let shifted = match RUN {
@@ -103,153 +141,5 @@ impl Simd for Avx2 {
             };
             _mm256_or_si256(low, _mm256_and_si256(shifted, _mm256_set1_epi8(0x30)))
         })
-    }
-
-    #[inline(always)]
-    fn ints(self, value: i32) -> Self::Ints {
-        // SAFETY: as above.
-        unsafe { [_mm256_set1_epi32(value); 2] }
-    }
-
-    #[inline(always)]
-    fn dot(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints {
-        // Two products of a weight below 128 and a signed byte fit in 16 bits.
-        // SAFETY: as above.
-        both_of_three(sum, weights, weights, |sum, weights, _| unsafe {
-            let pairs = _mm256_maddubs_epi16(weights, _mm256_set1_epi32(activations));
-            _mm256_add_epi32(sum, _mm256_madd_epi16(pairs, _mm256_set1_epi16(1)))
-        })
-    }
-
-    #[inline(always)]
-    fn biased_start(self, _: i32) -> Self::Ints {
-        // SAFETY: as above.
-        unsafe { [_mm256_setzero_si256(); 2] }
-    }
-
-    // Two products of an unsigned byte above 127 and a signed byte can overflow 16 bits, so the activation takes the
-    // weight's sign.
-    #[inline(always)]
-    fn dot_biased(self, sum: Self::Ints, weights: Self::Bytes, activations: i32) -> Self::Ints {
-        // SAFETY: as above.
-        both_of_three(sum, weights, weights, |sum, weights, _| unsafe {
-            let signed = _mm256_xor_si256(weights, _mm256_set1_epi8(i8::MIN));
-            let turned = _mm256_sign_epi8(_mm256_set1_epi32(activations), signed);
-            let pairs = _mm256_maddubs_epi16(_mm256_abs_epi8(signed), turned);
-            _mm256_add_epi32(sum, _mm256_madd_epi16(pairs, _mm256_set1_epi16(1)))
-        })
-    }
-
-    #[inline(always)]
-    fn dot_pairs(self, sum: Self::Ints, weights: Self::Ints, activations: i32) -> Self::Ints {
-        // SAFETY: as above.
-        both_of_three(sum, weights, weights, |sum, weights, _| unsafe {
-            _mm256_add_epi32(sum, _mm256_madd_epi16(weights, _mm256_set1_epi32(activations)))
-        })
-    }
-
-    #[inline(always)]
-    fn load_ints(self, values: &[i32; LANES]) -> Self::Ints {
-        let start = values.as_ptr();
-        // SAFETY: as above.
-        unsafe { [_mm256_loadu_si256(start.cast()), _mm256_loadu_si256(start.add(8).cast())] }
-    }
-
-    #[inline(always)]
-    fn to_floats(self, values: Self::Ints) -> Self::Floats {
-        // SAFETY: as above.
-        both(values, |values| unsafe { _mm256_cvtepi32_ps(values) })
-    }
-
-    #[inline(always)]
-    fn floats(self, value: f32) -> Self::Floats {
-        // SAFETY: as above.
-        unsafe { [_mm256_set1_ps(value); 2] }
-    }
-
-    #[inline(always)]
-    fn load(self, values: &[f32; LANES]) -> Self::Floats {
-        // SAFETY: as above.
-        unsafe { [_mm256_loadu_ps(values.as_ptr()), _mm256_loadu_ps(values.as_ptr().add(8))] }
-    }
-
-    #[inline(always)]
-    fn store(self, values: Self::Floats, out: &mut [f32; LANES]) {
-        // SAFETY: as above.
-        unsafe {
-            _mm256_storeu_ps(out.as_mut_ptr(), values[0]);
-            _mm256_storeu_ps(out.as_mut_ptr().add(8), values[1]);
-        }
-    }
-
-    #[inline(always)]
-    fn load_half(self, values: &[u16; LANES]) -> Self::Floats {
-        let start = values.as_ptr();
-        // SAFETY: as above.
-        both([start, start.wrapping_add(8)], |start| unsafe { _mm256_cvtph_ps(_mm_loadu_si128(start.cast())) })
-    }
-
-    #[inline(always)]
-    fn load_signed(self, values: &[u8; LANES]) -> Self::Floats {
-        let start = values.as_ptr();
-        // SAFETY: as above.
-        both([start, start.wrapping_add(8)], |start| unsafe {
-            _mm256_cvtepi32_ps(_mm256_cvtepi8_epi32(_mm_loadl_epi64(start.cast())))
-        })
-    }
-
-    #[inline(always)]
-    fn load_unsigned(self, values: &[u8; LANES]) -> Self::Ints {
-        let start = values.as_ptr();
-        // SAFETY: as above.
-        both([start, start.wrapping_add(8)], |start| unsafe { _mm256_cvtepu8_epi32(_mm_loadl_epi64(start.cast())) })
-    }
-
-    #[inline(always)]
-    fn mul(self, a: Self::Floats, b: Self::Floats) -> Self::Floats {
-        // SAFETY: as above.
-        both_of_three(a, b, b, |a, b, _| unsafe { _mm256_mul_ps(a, b) })
-    }
-
-    #[inline(always)]
-    fn mul_add(self, a: Self::Floats, b: Self::Floats, c: Self::Floats) -> Self::Floats {
-        // SAFETY: as above.
-        both_of_three(a, b, c, |a, b, c| unsafe { _mm256_fmadd_ps(a, b, c) })
-    }
-
-    #[inline(always)]
-    fn mul_sub_from(self, a: Self::Floats, b: Self::Floats, c: Self::Floats) -> Self::Floats {
-        // SAFETY: as above.
-        both_of_three(a, b, c, |a, b, c| unsafe { _mm256_fnmadd_ps(a, b, c) })
-    }
-
-    #[inline(always)]
-    fn add(self, a: Self::Floats, b: Self::Floats) -> Self::Floats {
-        // SAFETY: as above.
-        unsafe { [_mm256_add_ps(a[0], b[0]), _mm256_add_ps(a[1], b[1])] }
-    }
-
-    #[inline(always)]
-    fn max(self, a: Self::Floats, b: Self::Floats) -> Self::Floats {
-        // SAFETY: as above.
-        unsafe { [_mm256_max_ps(a[0], b[0]), _mm256_max_ps(a[1], b[1])] }
-    }
-
-    #[inline(always)]
-    fn round(self, a: Self::Floats) -> Self::Floats {
-        const NEAREST: i32 = _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC;
-        // SAFETY: as above.
-        unsafe { [_mm256_round_ps::<NEAREST>(a[0]), _mm256_round_ps::<NEAREST>(a[1])] }
-    }
-
-    #[inline(always)]
-    fn two_to_the(self, n: Self::Floats) -> Self::Floats {
-        // SAFETY: as above.
-        unsafe {
-            let bias = _mm256_set1_epi32(127);
-            let low = _mm256_slli_epi32::<23>(_mm256_add_epi32(_mm256_cvtps_epi32(n[0]), bias));
-            let high = _mm256_slli_epi32::<23>(_mm256_add_epi32(_mm256_cvtps_epi32(n[1]), bias));
-            [_mm256_castsi256_ps(low), _mm256_castsi256_ps(high)]
-        }
     }
 }

@@ -3,6 +3,18 @@
 //! A kernel is generic over [`Simd`]. [`Instructions::run`] picks the instruction set at run time. Only x86-64 has vector
 //! code of its own; other processors run [`portable`], which the compiler vectorizes as far as it can.
 
+/// Writes methods of [`Simd`] that are one expression of intrinsics. The CPU has them where `self` exists.
+#[cfg(target_arch = "x86_64")]
+macro_rules! operations {
+    ($($name:ident($($argument:ident: $type:ty),*) $(-> $result:ty)? = $value:expr;)*) => {$(
+        #[inline(always)]
+        fn $name(self, $($argument: $type),*) $(-> $result)? {
+            // SAFETY: see the head of the implementation.
+            unsafe { $value }
+        }
+    )*};
+}
+
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
@@ -74,14 +86,12 @@ pub(crate) trait Simd: Copy + Send + Sync {
     fn round(self, a: Self::Floats) -> Self::Floats;
     /// 2ⁿ of integers from -126 to 127.
     fn two_to_the(self, n: Self::Floats) -> Self::Floats;
-    /// The sum of the lanes.
     #[inline(always)]
     fn sum(self, a: Self::Floats) -> f32 {
         let mut lanes = [0.0; LANES];
         self.store(a, &mut lanes);
         fold(lanes, |a, b| a + b)
     }
-    /// The largest lane.
     #[inline(always)]
     fn max_lane(self, a: Self::Floats) -> f32 {
         let mut lanes = [0.0; LANES];

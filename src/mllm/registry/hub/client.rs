@@ -13,9 +13,6 @@ use crate::mllm::MllmError;
 impl HubAccess {
     /// The folder with the files of a repository. Missing files are downloaded, if this is allowed; an interrupted file starts
     /// from its beginning.
-    ///
-    /// # Errors
-    /// When the id is malformed, the hub refuses, or (offline) a file is not in the cache.
     pub(in crate::mllm::registry) fn fetch(
         &self,
         id: &str,

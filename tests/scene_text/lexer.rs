@@ -1,18 +1,17 @@
 //! Words with their places, and a reader over them that collects errors.
 
-use super::MAX_NUMBER;
+use super::environment::text::MAX_NUMBER;
 use std::str::FromStr;
 
 /// A fault in a scene text.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}, column {column}: {what}")]
-pub struct TextError {
+pub(crate) struct TextError {
     /// Line, from 1.
-    pub line: usize,
+    pub(crate) line: usize,
     /// Column in characters, from 1.
-    pub column: usize,
-    /// The fault.
-    pub what: String,
+    pub(crate) column: usize,
+    what: String,
 }
 
 /// A word or a mark of a text.
@@ -79,7 +78,6 @@ impl<'a> Reader<'a> {
         Err(Failed)
     }
 
-    /// The next word, if there is one.
     pub(super) fn peek(&self) -> Option<&'a str> {
         self.words.get(self.next).map(|word| word.text)
     }

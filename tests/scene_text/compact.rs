@@ -1,0 +1,64 @@
+//! Reads the compact text.
+
+use super::environment::lane_graph::{AgentName, Heading, NodePlace};
+use super::environment::text::{AgentDescription, Description, LightDescription, NodeDescription};
+use super::lexer::{Failed, Reader, TextError};
+use super::paper::status;
+
+/// Stands where there is nothing to say.
+const NOTHING: &str = "-";
+
+pub(super) fn parse(text: &str) -> Result<Description, Vec<TextError>> {
+    let mut reader = Reader::new(text);
+    let description = read(&mut reader).ok();
+    reader.finish(description)
+}
+
+fn read(reader: &mut Reader<'_>) -> Result<Description, Failed> {
+    reader.expect(&["speed"])?;
+    let speed = reader.number("the ego's speed")?;
+    reader.expect(&["limit"])?;
+    let limit = if reader.accept(NOTHING) { None } else { Some(reader.number("the speed limit")?) };
+    reader.expect(&["light"])?;
+    let light = if reader.accept("none") {
+        reader.expect(&[NOTHING])?;
+        None
+    } else {
+        let status = status(reader)?;
+        Some(LightDescription { status, distance: reader.number("the distance to the light")? })
+    };
+    reader.expect(&["turn"])?;
+    let turn = reader.take("the turn of the route")?;
+    let mut nodes: [Option<NodeDescription>; 9] = std::array::from_fn(|_| None);
+    for &place in NodePlace::ALL {
+        reader.expect(&[place.as_str()])?;
+        nodes[place as usize] = read_node(reader)?;
+        if place == NodePlace::Ego && nodes[place as usize].is_none() {
+            return reader.fail("the node under the ego cannot be missing");
+        }
+    }
+    reader.expect(&["rest"])?;
+    let rest = reader.number("the number of other agents")?;
+    Ok(Description { speed, limit, lights: [light, None, None], turn, nodes, rest })
+}
+
+fn read_node(reader: &mut Reader<'_>) -> Result<Option<NodeDescription>, Failed> {
+    if reader.accept("none") {
+        reader.expect(&[NOTHING, NOTHING])?;
+        return Ok(None);
+    }
+    if reader.accept("free") {
+        reader.expect(&[NOTHING, NOTHING])?;
+        return Ok(Some(NodeDescription::default()));
+    }
+    let name: AgentName = reader.take("`free`, `none` or an agent's name")?;
+    let distance = reader.number("its distance")?;
+    let (speed, heading) = if reader.accept("crossing") {
+        (0, Heading::Crossing)
+    } else if reader.accept("oncoming") {
+        (0, Heading::Oncoming)
+    } else {
+        (reader.number("its speed, `crossing` or `oncoming`")?, Heading::Along)
+    };
+    Ok(Some(NodeDescription { apart: false, agents: vec![AgentDescription { name, distance, speed, heading }] }))
+}
