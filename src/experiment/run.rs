@@ -64,7 +64,6 @@ impl AgentParts {
 }
 
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum BuildError {
     #[error(transparent)]
     Unknown(#[from] UnknownPlanner),

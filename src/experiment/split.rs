@@ -4,7 +4,6 @@ use super::suite::Suite;
 use crate::scenario::{OnProgress, ReaderError, Readers, Split};
 
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum SplitError {
     #[error("unknown split `{name}`: there are {}; or name a scenario filter as FILE.yaml", known.join(", "))]
     Unknown { name: String, known: Vec<&'static str> },

@@ -18,37 +18,21 @@ pub struct ScenarioRow {
     pub metrics: Vec<(String, Option<f64>)>,
 }
 
-/// The kind of a row of the aggregate.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum RowKind {
-    /// One scenario of a log.
-    Scenario {
-        /// Its name.
-        scenario: String,
-        /// Its log.
-        log_name: String,
-        /// Its type.
-        scenario_type: String,
-    },
-    /// All scenarios of a type. Its metric columns are sums, its score is a mean: nuPlan's behavior.
-    ScenarioType {
-        /// The type.
-        scenario_type: String,
-        /// Number of scenarios.
-        scenarios: usize,
-    },
-    /// All scenarios of a planner.
-    FinalScore {
-        /// Number of scenarios.
-        scenarios: usize,
-    },
-}
+/// nuPlan's name of the last row of a planner.
+pub const FINAL_SCORE: &str = "final_score";
 
-/// One row of the aggregate.
+/// One row of the aggregate: a scenario, the scenarios of a type, or all of a planner. The metric columns of a type are sums,
+/// its score is a mean: nuPlan's behavior.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AggregateRow {
-    /// Its kind.
-    pub kind: RowKind,
+    /// Name of a single scenario, else the type or [`FINAL_SCORE`].
+    pub scenario: String,
+    /// Log of a single scenario.
+    pub log_name: Option<String>,
+    /// nuPlan's scenario type, or [`FINAL_SCORE`].
+    pub scenario_type: String,
+    /// Number of scenarios; `None` for a single one.
+    pub scenarios: Option<usize>,
     /// The planner.
     pub planner: String,
     /// Metric values, sorted by name; `None` where no scenario has one.
@@ -76,7 +60,7 @@ pub fn aggregate(rows: &[ScenarioRow], weighting: &Weighting) -> Vec<AggregateRo
         }
         let last = final_row(planner, scenarios.len(), &types, &columns);
         table.extend(scenarios);
-        table.extend(types.into_iter().map(|(_, row)| row));
+        table.extend(types);
         table.push(last);
     }
     table
@@ -96,11 +80,10 @@ pub(crate) fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> 
 fn scenario_row(row: &ScenarioRow, columns: &[&String], weighting: &Weighting) -> AggregateRow {
     let value = |column: &str| row.metrics.iter().find(|(name, _)| name == column).and_then(|&(_, score)| score);
     AggregateRow {
-        kind: RowKind::Scenario {
-            scenario: row.scenario.clone(),
-            log_name: row.log_name.clone(),
-            scenario_type: row.scenario_type.clone(),
-        },
+        scenario: row.scenario.clone(),
+        log_name: Some(row.log_name.clone()),
+        scenario_type: row.scenario_type.clone(),
+        scenarios: None,
         planner: row.planner.clone(),
         metrics: columns.iter().map(|&c| (c.clone(), value(c))).collect(),
         score: combine(row.metrics.iter().map(|(name, score)| (name.as_str(), *score)), weighting),
@@ -113,26 +96,29 @@ fn column_sum<'a>(rows: impl Iterator<Item = &'a AggregateRow>, column: usize) -
         .fold(None, |sum, value| Some(sum.unwrap_or(0.0) + value))
 }
 
-/// A type's row with its number of scenarios.
-fn type_row(scenario_type: &str, rows: &[&AggregateRow], columns: &[&String]) -> (usize, AggregateRow) {
-    let scenarios = rows.len();
+fn type_row(scenario_type: &str, rows: &[&AggregateRow], columns: &[&String]) -> AggregateRow {
     let metrics = columns.iter().enumerate();
-    let row = AggregateRow {
-        kind: RowKind::ScenarioType { scenario_type: scenario_type.to_owned(), scenarios },
+    AggregateRow {
+        scenario: scenario_type.to_owned(),
+        log_name: None,
+        scenario_type: scenario_type.to_owned(),
+        scenarios: Some(rows.len()),
         planner: rows.first().map(|row| row.planner.clone()).unwrap_or_default(),
         metrics: metrics.map(|(i, &c)| (c.clone(), column_sum(rows.iter().copied(), i))).collect(),
-        score: rows.iter().map(|row| row.score).sum::<f64>() / scenarios as f64,
-    };
-    (scenarios, row)
+        score: rows.iter().map(|row| row.score).sum::<f64>() / rows.len() as f64,
+    }
 }
 
-fn final_row(planner: &str, scenarios: usize, types: &[(usize, AggregateRow)], columns: &[&String]) -> AggregateRow {
+fn final_row(planner: &str, scenarios: usize, types: &[AggregateRow], columns: &[&String]) -> AggregateRow {
     let total = scenarios as f64;
-    let mean = |i| column_sum(types.iter().map(|(_, row)| row), i).map(|sum| sum / total);
+    let mean = |i| column_sum(types.iter(), i).map(|sum| sum / total);
     AggregateRow {
-        kind: RowKind::FinalScore { scenarios },
+        scenario: FINAL_SCORE.to_owned(),
+        log_name: None,
+        scenario_type: FINAL_SCORE.to_owned(),
+        scenarios: Some(scenarios),
         planner: planner.to_owned(),
         metrics: columns.iter().enumerate().map(|(i, &c)| (c.clone(), mean(i))).collect(),
-        score: types.iter().map(|(n, row)| row.score * *n as f64).sum::<f64>() / total,
+        score: types.iter().map(|row| row.score * row.scenarios.unwrap_or(1) as f64).sum::<f64>() / total,
     }
 }

@@ -3,17 +3,16 @@
 
 use super::route_progress::Progress;
 use super::{MetricList, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
-use crate::world::EgoState;
+use crate::world::{EgoState, LaneMap};
 
 /// Least ratio for `ego_is_making_progress` (devkit `ego_is_making_progress_statistics.yaml`).
 pub const MIN_PROGRESS_RATIO: f64 = 0.2;
 
-pub(super) const SPEC: MetricSpec = MetricSpec::new("ego_progress_along_expert_route", |input| {
-    Ok(Some(ego_progress_along_expert_route(input.states(), input.progress())))
-})
-.only(MetricList::ClosedLoop)
-.weight(5.0)
-.label("prog");
+pub(super) const SPEC: MetricSpec =
+    MetricSpec::new("ego_progress_along_expert_route", |input| Ok(Some(result(input.states(), input.progress()))))
+        .only(MetricList::ClosedLoop)
+        .weight(5.0)
+        .label("prog");
 pub(super) const MAKING_PROGRESS: MetricSpec = MetricSpec::new("ego_is_making_progress", |input| {
     Ok(Some(ego_is_making_progress(input.progress().map_or(1.0, Progress::ratio))))
 })
@@ -28,7 +27,11 @@ pub fn ego_is_making_progress(progress_ratio: f64) -> MetricResult {
 }
 
 /// The score is the [`progress_ratio`](super::progress_ratio); 1 without an expert route.
-fn ego_progress_along_expert_route(states: &[EgoState], progress: Option<&Progress>) -> MetricResult {
+pub fn ego_progress_along_expert_route(map: &LaneMap, states: &[EgoState], expert: &[EgoState]) -> MetricResult {
+    result(states, Progress::of(map, states, expert).as_ref())
+}
+
+fn result(states: &[EgoState], progress: Option<&Progress>) -> MetricResult {
     let value = |name: &str, value| Statistic::new(StatisticKind::Value, name, "meters", value);
     let ratio = |value| Statistic::new(StatisticKind::Ratio, "ego_expert_progress_along_route_ratio", "ratio", value);
     let Some(progress) = progress else {

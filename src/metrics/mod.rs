@@ -36,7 +36,7 @@ mod speed_limit_compliance;
 mod time_to_collision_within_bound;
 
 pub(crate) use aggregate::distinct;
-pub use aggregate::{AggregateRow, RowKind, ScenarioRow, aggregate};
+pub use aggregate::{AggregateRow, FINAL_SCORE, ScenarioRow, aggregate};
 pub use collision::{
     AHEAD_ANGLE, BEHIND_ANGLE, Collision, CollisionGroup, CollisionType, STOPPED_SPEED, classify_collision, delta_v,
     find_collisions, in_collision, is_ahead, is_behind,
@@ -50,7 +50,9 @@ pub use driving_direction_compliance::{
     DIRECTION_COMPLIANCE, DIRECTION_VIOLATION, direction_score, driving_direction_compliance,
 };
 pub use ego_lane_change::{LaneChange, ego_lane_change, find_lane_changes};
-pub use ego_progress_along_expert_route::{MIN_PROGRESS_RATIO, ego_is_making_progress};
+pub use ego_progress_along_expert_route::{
+    MIN_PROGRESS_RATIO, ego_is_making_progress, ego_progress_along_expert_route,
+};
 pub use ego_stop_at_stop_line::ego_stop_at_stop_line;
 pub use error::MetricError;
 pub use expert_comparison::{

@@ -7,7 +7,6 @@ use std::path::PathBuf;
 /// Each message names the file, key or tensor at fault, so that a user can repair a broken checkpoint from it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[allow(missing_docs)]
 pub enum MllmError {
     #[error("{folder}: the model folder has no {file}")]
     MissingFile { folder: PathBuf, file: String },
@@ -93,7 +92,6 @@ impl MllmError {
 
 /// Why a server gave no answer. No text contains the API key.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum EndpointFailure {
     #[error("cannot connect: {0}")]
     Connect(String),

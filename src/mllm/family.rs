@@ -14,7 +14,7 @@ use candle_core::Tensor;
 use image::RgbImage;
 
 use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
-use super::decoder::{Decoder, DecoderInput, DecoderLayer, KvCache, Logits};
+use super::decoder::LanguageModel;
 use super::gguf::GgufLayout;
 use super::text::ChatTokenizer;
 use super::{MllmError, Turn};
@@ -82,38 +82,6 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
     /// Encodes an image to input rows of the decoder.
     fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
         Ok(self.encode(&self.preprocess(image)?)?)
-    }
-}
-
-/// A decoder over a cache of keys and values.
-pub trait LanguageModel {
-    /// The input rows of text tokens: (tokens, hidden).
-    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor>;
-
-    /// An empty cache for at most `limit` tokens.
-    fn new_cache(&self, limit: usize) -> KvCache;
-
-    /// Runs rows through the decoder, adds them to the cache, and gives the logits (wanted positions, vocabulary).
-    fn forward(&self, input: &DecoderInput, cache: &mut KvCache, wanted: Logits)
-    -> candle_core::Result<Option<Tensor>>;
-}
-
-impl<L: DecoderLayer> LanguageModel for Decoder<L> {
-    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
-        self.embed(ids)
-    }
-
-    fn new_cache(&self, limit: usize) -> KvCache {
-        self.new_cache(limit)
-    }
-
-    fn forward(
-        &self,
-        input: &DecoderInput,
-        cache: &mut KvCache,
-        wanted: Logits,
-    ) -> candle_core::Result<Option<Tensor>> {
-        self.forward(input, cache, wanted)
     }
 }
 

@@ -49,16 +49,14 @@ pub use conversation::{
     RoundTime, Sampling, Server, TokenCounts, Turn, image_hash, prompt_hash,
 };
 pub use deadline::Deadline;
-pub use decoder::{DecoderInput, KvCache, Logits};
+pub use decoder::{DecoderInput, KvCache, LanguageModel, Logits};
 #[cfg(feature = "endpoint")]
 pub use endpoint::Endpoint;
 pub use endpoint_settings::{EndpointSettings, GrammarField, LimitField};
 pub use error::{EndpointFailure, MllmError};
 pub use export::{CreateFile, GgufPart, export_model};
 pub use families::{Architecture, Families};
-pub use family::{
-    Chat, ChatFormat, Family, LanguageModel, ModelInfo, OpenedModel, Positions, Tiles, VisionLanguageModel,
-};
+pub use family::{Chat, ChatFormat, Family, ModelInfo, OpenedModel, Positions, Tiles, VisionLanguageModel};
 pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
 pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 
 /// Why a prompt set cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum PromptError {
     #[error("prompt set '{0}' is neither built in (paper, compact) nor a folder with a set.toml")]
     Unknown(String),
@@ -19,7 +18,6 @@ pub enum PromptError {
 
 /// Why reasoning failed as a whole. A wrong answer is no such failure.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum ReasoningError {
     #[error(transparent)]
     Model(#[from] MllmError),

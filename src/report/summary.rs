@@ -1,7 +1,7 @@
 //! `summary.json`: the scores, without wall times; equal seeds give equal bytes.
 
 use super::simulation_row::{SimulationRow, is_zero};
-use crate::metrics::{AggregateRow, RowKind, Weighting, aggregate, distinct};
+use crate::metrics::{AggregateRow, FINAL_SCORE, Weighting, aggregate, distinct};
 use crate::mllm::ModelDescription;
 use crate::pdm::DrivableLayers;
 use crate::scenario::MissingTokens;
@@ -166,11 +166,8 @@ fn mean(
     challenge: Challenge,
     scenario_type: Option<&String>,
 ) -> Aggregate {
-    let row = table.iter().find(|row| match (&row.kind, scenario_type) {
-        (RowKind::FinalScore { .. }, None) => true,
-        (RowKind::ScenarioType { scenario_type: kind, .. }, Some(wanted)) => kind == wanted,
-        _ => false,
-    });
+    let wanted = scenario_type.map_or(FINAL_SCORE, String::as_str);
+    let row = table.iter().find(|row| row.scenarios.is_some() && row.scenario_type == wanted);
     let counted = own.iter().filter(|row| scenario_type.is_none_or(|wanted| row.scenario_type == *wanted));
     let failed = counted.clone().filter(|row| row.score.is_none()).count();
     Aggregate {

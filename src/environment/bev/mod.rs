@@ -29,7 +29,6 @@ pub struct BevView {
 
 /// Why a view cannot be drawn.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum BevError {
     #[error("a BEV image needs between {min} and {max} pixels a side, got {0}", min = BevView::MIN_PIXELS, max = BevView::MAX_PIXELS)]
     Pixels(u32),

@@ -105,7 +105,6 @@ pub struct LaneNode {
 
 /// Why a scene has no lane graph.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum LaneGraphError {
     #[error("the ego's pose has a NaN or infinite value: ({x}, {y}), heading {heading}")]
     NotFinite { x: f64, y: f64, heading: f64 },

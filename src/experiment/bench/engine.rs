@@ -27,7 +27,6 @@ impl fmt::Display for EngineName {
 
 /// Why an engine could not measure a model.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum EngineError {
     #[error("cannot start {program}: {source}")]
     Start { program: String, source: std::io::Error },

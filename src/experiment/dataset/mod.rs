@@ -122,7 +122,6 @@ pub struct Settings<'a> {
 }
 
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum DatasetError {
     #[error(transparent)]
     Shard(#[from] ShardError),

@@ -10,7 +10,6 @@ use std::path::{Path, PathBuf};
 pub const FORMAT: u32 = 1;
 
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum ShardError {
     #[error("cannot write {}: {source}", path.display())]
     Write { path: PathBuf, source: io::Error },

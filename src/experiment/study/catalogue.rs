@@ -24,7 +24,6 @@ const BUILT_IN: &[(&str, &str)] = built_in![
 ];
 
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum StudyError {
     #[error("unknown experiment '{word}'; known are {known}, or the path of a study FILE.toml")]
     Unknown { word: String, known: String },

@@ -137,16 +137,6 @@ impl KeyValues {
         Ok(())
     }
 
-    /// The first `len` positions.
-    pub(crate) fn first(&self, len: usize) -> Self {
-        let count = len.div_ceil(BLOCK_POSITIONS);
-        let blocks = match &self.blocks {
-            Blocks::Single(blocks) => Blocks::Single(blocks.iter().take(count).cloned().collect()),
-            Blocks::Half(blocks) => Blocks::Half(blocks.iter().take(count).cloned().collect()),
-        };
-        Self { shape: self.shape, blocks }
-    }
-
     /// Positions of the allocated blocks.
     pub(super) fn capacity(&self) -> usize {
         match &self.blocks {

@@ -147,7 +147,7 @@ fn a_copy_shares_memory_until_it_is_written_to() {
     let shape = HeadShape { query_heads: 2, key_heads: 1, width: 16 };
     let (first, second) = (projections(100, shape, 1.0, 2), projections(30, shape, 1.0, 3));
     let original = held(&first, shape, Precision::Single);
-    let mut copy = original.first(90);
+    let mut copy = original.clone();
     with(&second, shape, |rows| copy.write(rows, 90)).unwrap();
     let question = projections(1, shape, 1.0, 4);
     let ask = |held: &KeyValues, positions| -> Vec<f32> {

@@ -24,8 +24,8 @@ use vision::EvaVisionTower;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
-use super::decoder::Decoder;
-use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Positions, Tiles, VisionLanguageModel};
+use super::decoder::{Decoder, LanguageModel};
+use super::family::{ChatFormat, Family, ModelInfo, Positions, Tiles, VisionLanguageModel};
 use super::text::ChatTokenizer;
 
 const NAME: &str = "cogvlm";

@@ -4,19 +4,13 @@ use candle_core::Result;
 
 use crate::mllm::attention::{HeadShape, KeyValues, Precision, Projected};
 
-/// Keys and values of every layer. It only grows and truncates, so an earlier state is a length. Growth moves no data.
-#[derive(Debug)]
+/// Keys and values of every layer. It only grows and truncates, so an earlier state is a length. Growth moves no data. Clones
+/// share memory until one of them writes.
+#[derive(Debug, Clone)]
 pub struct KvCache {
     layers: Vec<KeyValues>,
     len: usize,
     limit: usize,
-}
-
-/// The first positions of a cache, from which other caches start. They share its memory until one of them writes.
-#[derive(Debug)]
-pub(crate) struct KvPrefix {
-    layers: Vec<KeyValues>,
-    len: usize,
 }
 
 impl KvCache {
@@ -56,19 +50,5 @@ impl KvCache {
     /// Counts `tokens` positions that every layer has written.
     pub(crate) fn advance(&mut self, tokens: usize) {
         self.len = (self.len + tokens).min(self.limit);
-    }
-
-    pub(crate) fn prefix(&self, len: usize) -> KvPrefix {
-        let len = len.min(self.len);
-        KvPrefix { layers: self.layers.iter().map(|layer| layer.first(len)).collect(), len }
-    }
-
-    /// Replaces the contents by a prefix.
-    pub(crate) fn restore(&mut self, prefix: &KvPrefix) -> Result<()> {
-        self.truncate(0);
-        self.check_room(prefix.len)?;
-        self.layers.clone_from(&prefix.layers);
-        self.len = prefix.len;
-        Ok(())
     }
 }

@@ -13,7 +13,6 @@ use candle_core::Tensor;
 
 pub(crate) use attention::CausalAttention;
 pub use cache::KvCache;
-pub(crate) use cache::KvPrefix;
 pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
 pub(crate) use llama::LlamaLayer;
 
@@ -57,6 +56,19 @@ pub enum Logits {
     All,
 }
 
+/// A decoder over a cache of keys and values.
+pub trait LanguageModel {
+    /// The input rows of text tokens: (tokens, hidden).
+    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor>;
+
+    /// An empty cache for at most `limit` tokens.
+    fn new_cache(&self, limit: usize) -> KvCache;
+
+    /// Runs rows that follow the cached positions, adds them to the cache, and gives the logits (wanted positions, vocabulary).
+    fn forward(&self, input: &DecoderInput, cache: &mut KvCache, wanted: Logits)
+    -> candle_core::Result<Option<Tensor>>;
+}
+
 impl<L: DecoderLayer> Decoder<L> {
     /// Takes the decoder's weights, whose names begin with `prefix`; the output layer is `lm_head.weight` in all families. With
     /// `tied`, the embedding is the output layer where there is no other.
@@ -90,20 +102,18 @@ impl<L: DecoderLayer> Decoder<L> {
             precision,
         })
     }
+}
 
-    /// An empty cache with room for `limit` positions.
-    pub(crate) fn new_cache(&self, limit: usize) -> KvCache {
+impl<L: DecoderLayer> LanguageModel for Decoder<L> {
+    fn new_cache(&self, limit: usize) -> KvCache {
         KvCache::new(self.layers.len(), self.heads, self.precision, limit)
     }
 
-    /// The embeddings of tokens, (tokens, hidden).
-    pub(crate) fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
+    fn embed(&self, ids: &[u32]) -> candle_core::Result<Tensor> {
         self.embedding.rows(ids)
     }
 
-    /// Runs rows that follow the cached positions and adds them to the cache. Returns the wanted logits, (positions,
-    /// vocabulary).
-    pub(crate) fn forward(
+    fn forward(
         &self,
         input: &DecoderInput,
         cache: &mut KvCache,

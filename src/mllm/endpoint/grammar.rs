@@ -55,7 +55,7 @@ fn expression(constraint: &Constraint) -> Result<String, String> {
         Constraint::Choice(texts) if texts.is_empty() => Err("the choice is empty".into()),
         Constraint::Choice(texts) => Ok(alternatives(texts.iter().map(|text| quoted(text)))),
         Constraint::Regex(pattern) => {
-            let parsed = regex_syntax::parse(pattern).map_err(|error| first_line(&error.to_string()))?;
+            let parsed = regex_syntax::parse(pattern).map_err(|error| last_line(&error.to_string()))?;
             regular(&parsed)
         }
         Constraint::Sequence(parts) => Ok(parts.iter().map(expression).collect::<Result<Vec<_>, _>>()?.join(" ")),
@@ -129,7 +129,7 @@ fn alternatives(parts: impl IntoIterator<Item = String>) -> String {
     format!("({})", parts.into_iter().collect::<Vec<_>>().join(" | "))
 }
 
-fn first_line(text: &str) -> String {
+fn last_line(text: &str) -> String {
     text.lines().last().unwrap_or_default().to_string()
 }
 

@@ -58,7 +58,7 @@ pub(crate) fn image_token(tokenizer: &mut Json) -> Result<u64, &'static str> {
 }
 
 /// A token that is matched before the text is split.
-fn added_token(id: u64, token: &str, special: bool) -> Json {
+pub(crate) fn added_token(id: u64, token: &str, special: bool) -> Json {
     json!({
         "id": id, "content": token, "special": special,
         "single_word": false, "lstrip": false, "rstrip": false, "normalized": false,

@@ -22,8 +22,8 @@ pub(crate) use vision::ImageEncoder;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
-use super::decoder::{Decoder, LlamaLayer};
-use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Tiles, VisionLanguageModel};
+use super::decoder::{Decoder, LanguageModel, LlamaLayer};
+use super::family::{ChatFormat, Family, ModelInfo, Tiles, VisionLanguageModel};
 use super::text::ChatTokenizer;
 use super::vision::ClipImageProcessor;
 

@@ -19,7 +19,8 @@ use preprocess::AnyresImageProcessor;
 
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
-use super::family::{ChatFormat, Family, LanguageModel, ModelInfo, Tiles, VisionLanguageModel};
+use super::decoder::LanguageModel;
+use super::family::{ChatFormat, Family, ModelInfo, Tiles, VisionLanguageModel};
 use super::llava::{LlavaCore, LlavaGguf, TemplateFormat, canonical_name};
 use super::text::ChatTokenizer;
 

@@ -9,8 +9,8 @@ use image::RgbImage;
 use super::LocalModel;
 use super::test_reference::{fixture, open_checkpoint};
 use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::decoder::{DecoderInput, KvCache, Logits};
-use crate::mllm::family::{ChatFormat, LanguageModel, ModelInfo, Positions, Tiles, VisionLanguageModel};
+use crate::mllm::decoder::{DecoderInput, KvCache, LanguageModel, Logits};
+use crate::mllm::family::{ChatFormat, ModelInfo, Positions, Tiles, VisionLanguageModel};
 use crate::mllm::text::ChatTokenizer;
 use crate::mllm::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
 

@@ -22,7 +22,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub use check::ModelCheck;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub(crate) use sequence::Sequence;
-use sequence::SequencePrefix;
 use session::LocalConversation;
 
 use super::checkpoint::{ConfigObject, LoadReport, ModelFiles, OneOrMany};
@@ -57,7 +56,7 @@ pub struct LocalModel {
 struct CallPrefix {
     system: String,
     image: bool,
-    sequence: SequencePrefix,
+    sequence: Sequence,
 }
 
 /// How a model is loaded.
@@ -179,7 +178,7 @@ impl LocalModel {
         }
         let mut sequence = Sequence::new(&*self.model);
         sequence.append(&*self.model, &ids[..len], None, Logits::None)?;
-        let prefix = Arc::new(CallPrefix { system: system.to_string(), image, sequence: sequence.to_prefix() });
+        let prefix = Arc::new(CallPrefix { system: system.to_string(), image, sequence });
         let mut prefixes = self.prefixes.lock().unwrap_or_else(PoisonError::into_inner);
         if !prefixes.iter().any(|known| same(&known)) {
             if prefixes.len() >= KEPT_PREFIXES {

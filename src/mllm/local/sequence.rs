@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use candle_core::Tensor;
 
-use crate::mllm::decoder::{DecoderInput, KvCache, KvPrefix, Logits};
+use crate::mllm::decoder::{DecoderInput, KvCache, Logits};
 use crate::mllm::family::{Positions, VisionLanguageModel};
 use crate::mllm::{Deadline, MllmError};
 
@@ -12,17 +12,10 @@ use crate::mllm::{Deadline, MllmError};
 const MAX_TOKENS_IN_PASS: usize = 512;
 
 /// Computed tokens with their keys and values.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Sequence {
     ids: Vec<u32>,
     cache: KvCache,
-}
-
-/// A sequence to start others from.
-#[derive(Debug)]
-pub(crate) struct SequencePrefix {
-    ids: Vec<u32>,
-    cache: KvPrefix,
 }
 
 /// An empty cache for the longest chat of a model.
@@ -117,18 +110,5 @@ impl Sequence {
     pub(crate) fn truncate(&mut self, len: usize) {
         self.ids.truncate(len);
         self.cache.truncate(len);
-    }
-
-    /// Copies the whole sequence.
-    pub(crate) fn to_prefix(&self) -> SequencePrefix {
-        SequencePrefix { ids: self.ids.clone(), cache: self.cache.prefix(self.cache.len()) }
-    }
-
-    /// Replaces the sequence by a copy of a prefix.
-    pub(crate) fn restore(&mut self, prefix: &SequencePrefix) -> Result<(), MllmError> {
-        self.ids.clear();
-        self.cache.restore(&prefix.cache)?;
-        self.ids.extend_from_slice(&prefix.ids);
-        Ok(())
     }
 }

@@ -39,8 +39,6 @@ impl<'a> LocalConversation<'a> {
         let image_tokens =
             prefix.image.as_ref().map(|image| local.model.image_tokens(image.width(), image.height())).transpose()?;
         let computed = local.call_prefix(&prefix.system, image_tokens)?;
-        let mut sequence = Sequence::new(&*local.model);
-        sequence.restore(&computed.sequence)?;
         Ok(Self {
             local,
             prefix: prefix.clone(),
@@ -48,7 +46,7 @@ impl<'a> LocalConversation<'a> {
             seed,
             answers: 0,
             turns: Vec::new(),
-            sequence,
+            sequence: computed.sequence.clone(),
             features: None,
             prefix_time: milliseconds(start.elapsed()),
         })

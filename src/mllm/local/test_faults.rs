@@ -14,7 +14,7 @@ use super::Sequence;
 use super::sequence::new_cache;
 use super::test_reference::{FEATURE_TOLERANCE, LOGIT_TOLERANCE, Run, feature_difference};
 use crate::mllm::checkpoint::{Weights, read_json, safetensors_folder};
-use crate::mllm::decoder::{Decoder, DecoderInput, DecoderLayer, Logits};
+use crate::mllm::decoder::{Decoder, DecoderInput, DecoderLayer, LanguageModel, Logits};
 use crate::mllm::family::{Family, VisionLanguageModel};
 
 /// Smallest deviation of an error, in multiples of the parity tests' tolerance.

@@ -8,6 +8,7 @@ use serde_json::{Map, Value, json};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::families::Families;
+use crate::mllm::gguf::tokenizer::added_token;
 
 /// A published model's configuration without its weights. Its outputs mean nothing, but it takes the same time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,12 +78,7 @@ fn tokenizer(vocabulary: usize, image: usize) -> Value {
         other => format!("[{other}]"),
     };
     let vocab: Map<String, Value> = (0..vocabulary).map(|id| (token(id), id.into())).collect();
-    let added: Vec<Value> = [0, 1, 2, image]
-        .map(|id| {
-            json!({"id": id, "content": token(id), "special": true, "single_word": false, "lstrip": false,
-                "rstrip": false, "normalized": false})
-        })
-        .into();
+    let added = [0, 1, 2, image].map(|id| added_token(id as u64, &token(id), true));
     json!({
         "version": "1.0", "truncation": null, "padding": null, "added_tokens": added, "normalizer": null,
         "pre_tokenizer": null, "post_processor": null, "decoder": {"type": "ByteFallback"},

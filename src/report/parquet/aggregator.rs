@@ -2,15 +2,13 @@
 //! planner.
 
 use super::table::{Column, Columns, TableWriter};
-use crate::metrics::{AggregateRow, MetricList, RowKind};
+use crate::metrics::{AggregateRow, MetricList};
 use crate::report::ReportError;
 use std::collections::BTreeSet;
 use std::path::Path;
 
 /// nuPlan's name of its only aggregation.
 const AGGREGATOR_TYPE: &str = "weighted_average";
-/// nuPlan's name of the last row of a planner.
-const FINAL_SCORE: &str = "final_score";
 
 /// Writes the table with the columns of the devkit's `WeightedAverageMetricAggregator`: metrics by name, the score last. A failed
 /// simulation has no row; if all failed, the table has its columns and no row, so that readers still work.
@@ -24,11 +22,13 @@ pub(in crate::report) fn write_aggregator(
 
 fn columns(rows: &[AggregateRow], list: MetricList) -> Columns {
     let text = |of: fn(&AggregateRow) -> &str| Column::text(rows.iter().map(of));
+    // A double, because pandas reads integers with gaps as doubles.
+    let scenarios = rows.iter().map(|row| row.scenarios.map(|count| count as f64));
     let mut all = vec![
-        ("scenario".to_owned(), text(scenario)),
-        ("log_name".to_owned(), Column::Text(rows.iter().map(log_name).collect())),
-        ("scenario_type".to_owned(), text(scenario_type)),
-        ("num_scenarios".to_owned(), Column::Float(rows.iter().map(num_scenarios).collect())),
+        ("scenario".to_owned(), text(|row| &row.scenario)),
+        ("log_name".to_owned(), Column::Text(rows.iter().map(|row| row.log_name.clone()).collect())),
+        ("scenario_type".to_owned(), text(|row| &row.scenario_type)),
+        ("num_scenarios".to_owned(), Column::Float(scenarios.collect())),
         ("planner_name".to_owned(), text(|row| &row.planner)),
         ("aggregator_type".to_owned(), text(|_| AGGREGATOR_TYPE)),
     ];
@@ -40,34 +40,4 @@ fn columns(rows: &[AggregateRow], list: MetricList) -> Columns {
     }
     all.push(("score".to_owned(), Column::Float(rows.iter().map(|row| Some(row.score)).collect())));
     all
-}
-
-fn scenario(row: &AggregateRow) -> &str {
-    match &row.kind {
-        RowKind::Scenario { scenario, .. } => scenario,
-        RowKind::ScenarioType { scenario_type, .. } => scenario_type,
-        RowKind::FinalScore { .. } => FINAL_SCORE,
-    }
-}
-
-fn log_name(row: &AggregateRow) -> Option<String> {
-    match &row.kind {
-        RowKind::Scenario { log_name, .. } => Some(log_name.clone()),
-        RowKind::ScenarioType { .. } | RowKind::FinalScore { .. } => None,
-    }
-}
-
-fn scenario_type(row: &AggregateRow) -> &str {
-    match &row.kind {
-        RowKind::Scenario { scenario_type, .. } | RowKind::ScenarioType { scenario_type, .. } => scenario_type,
-        RowKind::FinalScore { .. } => FINAL_SCORE,
-    }
-}
-
-/// A double, because pandas reads integers with gaps as doubles.
-fn num_scenarios(row: &AggregateRow) -> Option<f64> {
-    match &row.kind {
-        RowKind::Scenario { .. } => None,
-        RowKind::ScenarioType { scenarios, .. } | RowKind::FinalScore { scenarios } => Some(*scenarios as f64),
-    }
 }

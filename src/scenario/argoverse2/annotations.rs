@@ -67,11 +67,6 @@ pub(super) fn sweeps(table: &Table) -> Result<Vec<i64>, LogFault> {
     Ok(times.into_iter().collect())
 }
 
-/// Number of tracks, the ego's included.
-pub(super) fn track_count(table: &Table) -> Result<usize, LogFault> {
-    Ok(table.words("track_uuid")?.into_iter().collect::<BTreeSet<_>>().len())
-}
-
 impl Annotations {
     /// Reads the table and moves every box to the map frame. `sweeps_ns` are the sweeps of the table in order, `egos` the ego
     /// frames in the city frame at them. `origin` becomes the point (0, 0).

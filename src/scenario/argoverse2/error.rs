@@ -10,7 +10,6 @@ pub type Argoverse2Error = FileError<LogFault>;
 
 /// What is wrong with a log or a file of it. Rows count from 0.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum LogFault {
     #[error(
         "neither city_SE3_egovehicle.feather (a sensor log) nor scenario_*.parquet (a motion-forecasting scenario)"

@@ -6,17 +6,16 @@
 //! * Velocities are those recorded, also the ego's: its positions are smoothed and drift within the first and last second of a
 //!   scenario. Static kinds have no velocity, as in nuPlan.
 
-use super::Counts;
 use super::error::{Argoverse2Error, LogFault};
 use super::map::{lane_count, lane_map};
 use super::map_file::MapFile;
 use super::table::{Table, in_range};
 use crate::geometry::{OrientedBox, Pose, Vector, wrap_angle};
-use crate::scenario::Scenario;
 use crate::scenario::recording::motion::{self, MAX_SPEED};
-use crate::scenario::recording::window::{Recording, step_times};
+use crate::scenario::recording::window::{self, Recording, step_times};
+use crate::scenario::{Contents, Scenario};
 use crate::world::{ObjectKind, STEP_S, TrackToken, TrackedObject};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Id of the recording car's track.
@@ -115,12 +114,11 @@ pub(super) fn scenario(path: &Path, map: &Path, id: String) -> Result<Scenario, 
     Ok(Recording { log_name: id.clone(), id, map, egos, objects, lights: Vec::new() }.scenario())
 }
 
-pub(super) fn counts(path: &Path, map: &Path) -> Result<Counts, Argoverse2Error> {
+pub(super) fn contents(path: &Path, map: &Path) -> Result<Contents, Argoverse2Error> {
     let table = Table::parquet(path)?;
     let steps = steps(&table).map_err(Argoverse2Error::at(path))?;
-    let ids = table.words("track_id").map_err(Argoverse2Error::at(path))?;
-    let tracks = ids.into_iter().collect::<BTreeSet<_>>().len();
-    Ok(Counts { seconds: seconds(&steps), tracks, lanes: lane_count(&MapFile::read(map)?) })
+    let tracks = table.distinct("track_id").map_err(Argoverse2Error::at(path))?;
+    Ok(window::contents(&seconds(&steps), tracks, lane_count(&MapFile::read(map)?)))
 }
 
 fn moved(pose: Pose, origin: Vector) -> Pose {

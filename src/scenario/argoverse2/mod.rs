@@ -37,9 +37,7 @@ pub use error::{Argoverse2Error, LogFault};
 pub use files::{is_log, logs_in};
 pub use reader::Argoverse2Reader;
 
-use super::recording::window::window;
 use super::{Contents, Scenario};
-use crate::world::MICROS_PER_SECOND;
 use files::LogFiles;
 use std::path::Path;
 
@@ -52,27 +50,10 @@ pub fn open(folder: &Path) -> Result<Scenario, Argoverse2Error> {
 }
 
 pub fn contents(folder: &Path) -> Result<Contents, Argoverse2Error> {
-    let counts = match LogFiles::of(folder)? {
-        LogFiles::Sensor(files) => sensor::counts(&files)?,
-        LogFiles::Forecasting { tracks, map } => forecasting::counts(&tracks, &map)?,
-    };
-    let times_us: Vec<i64> = counts.seconds.iter().map(|t| (t * MICROS_PER_SECOND) as i64).collect();
-    Ok(Contents {
-        record: None,
-        steps: times_us.len(),
-        iterations: window(&times_us).len(),
-        tracks: counts.tracks,
-        lanes: counts.lanes,
-    })
-}
-
-/// Counts of a log.
-#[derive(Debug)]
-struct Counts {
-    /// Time of each step from the first, seconds.
-    seconds: Vec<f64>,
-    tracks: usize,
-    lanes: usize,
+    match LogFiles::of(folder)? {
+        LogFiles::Sensor(files) => sensor::contents(&files),
+        LogFiles::Forecasting { tracks, map } => forecasting::contents(&tracks, &map),
+    }
 }
 
 /// Name of the log in a folder: that of the folder.

@@ -3,8 +3,7 @@
 //! The steps are the annotated sweeps of the laser scanner, 10 per second. The ego's velocity is the slope of its position over
 //! five of them. Coordinates have their origin near the ego's first position, in whole meters.
 
-use super::Counts;
-use super::annotations::{Annotations, sweeps, track_count};
+use super::annotations::{Annotations, sweeps};
 use super::error::{Argoverse2Error, LogFault};
 use super::files::{SensorFiles, city_of};
 use super::map::{lane_count, lane_map};
@@ -12,9 +11,9 @@ use super::map_file::MapFile;
 use super::poses::{EgoPoses, heading};
 use super::table::Table;
 use crate::geometry::{Pose, Vector};
-use crate::scenario::Scenario;
 use crate::scenario::recording::motion::{self, slopes};
-use crate::scenario::recording::window::{Recording, step_times};
+use crate::scenario::recording::window::{self, Recording, step_times};
+use crate::scenario::{Contents, Scenario};
 
 const NANOS_PER_SECOND: f64 = 1e9;
 
@@ -42,11 +41,12 @@ pub(super) fn scenario(files: &SensorFiles, id: String) -> Result<Scenario, Argo
     Ok(Recording { log_name: id.clone(), id, map, egos, objects, lights: Vec::new() }.scenario())
 }
 
-pub(super) fn counts(files: &SensorFiles) -> Result<Counts, Argoverse2Error> {
+pub(super) fn contents(files: &SensorFiles) -> Result<Contents, Argoverse2Error> {
     let table = Table::feather(&files.annotations)?;
     let sweeps_ns = sweeps(&table).map_err(Argoverse2Error::at(&files.annotations))?;
-    let tracks = track_count(&table).map_err(Argoverse2Error::at(&files.annotations))?;
-    Ok(Counts { seconds: seconds(&sweeps_ns), tracks, lanes: lane_count(&MapFile::read(&files.map)?) })
+    // The ego is one of the tracks.
+    let tracks = table.distinct("track_uuid").map_err(Argoverse2Error::at(&files.annotations))?;
+    Ok(window::contents(&seconds(&sweeps_ns), tracks, lane_count(&MapFile::read(&files.map)?)))
 }
 
 /// Times of the sweeps from the first, seconds.

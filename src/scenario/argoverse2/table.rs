@@ -9,6 +9,7 @@ use arrow_schema::{ArrowError, SchemaRef};
 use arrow_select::concat::concat_batches;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::errors::ParquetError;
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::Cursor;
 use std::panic::{UnwindSafe, catch_unwind};
@@ -75,6 +76,11 @@ impl Table {
     /// A column of text without empty cells.
     pub(super) fn words(&self, column: &'static str) -> Result<Vec<String>, LogFault> {
         self.column(column, cells::words, "text")
+    }
+
+    /// Number of different texts in a column.
+    pub(super) fn distinct(&self, column: &'static str) -> Result<usize, LogFault> {
+        Ok(self.words(column)?.into_iter().collect::<BTreeSet<_>>().len())
     }
 
     /// A column without empty cells, by a function that gives nothing for another type of column.

@@ -43,7 +43,6 @@ impl<F: Error + 'static> FileError<F> {
 
 /// Faults of recordings from any source.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum RecordingFault {
     #[error("the recording has {steps} steps; at least {needed} are needed")]
     TooShort { steps: usize, needed: usize },

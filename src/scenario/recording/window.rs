@@ -6,7 +6,7 @@
 use super::error::RecordingFault;
 use super::route::route;
 use crate::geometry::Pose;
-use crate::scenario::{FUTURE_FRAMES, Frame, Scenario, UNKNOWN_TYPE};
+use crate::scenario::{Contents, FUTURE_FRAMES, Frame, Scenario, UNKNOWN_TYPE};
 use crate::world::{EgoState, LaneMap, MICROS_PER_SECOND, Route, TrackedObject, TrafficLights};
 use std::ops::{Range, RangeInclusive};
 use std::sync::Arc;
@@ -46,6 +46,13 @@ pub(crate) fn window(times_us: &[i64]) -> Range<usize> {
     let first = |after: f64| (0..times_us.len()).find(|&step| seconds(step) >= after).unwrap_or(times_us.len());
     let start = first(history - HALF_STEP);
     start..first(seconds(start) + MAX_DURATION + HALF_STEP)
+}
+
+/// The contents of a recording with steps at these times.
+pub(crate) fn contents(seconds: &[f64], tracks: usize, lanes: usize) -> Contents {
+    let first = seconds.first().copied().unwrap_or(0.0);
+    let times_us: Vec<i64> = seconds.iter().map(|t| ((t - first) * MICROS_PER_SECOND) as i64).collect();
+    Contents { record: None, steps: seconds.len(), iterations: window(&times_us).len(), tracks, lanes }
 }
 
 /// A recording in the map's coordinates.

@@ -9,7 +9,6 @@ pub type WomdError = FileError<WomdFault>;
 
 /// What is wrong with a file of recordings.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum WomdFault {
     #[error("cannot open: {0}")]
     Open(#[from] io::Error),

@@ -28,7 +28,7 @@ pub use error::{WomdError, WomdFault};
 pub use reader::WomdReader;
 pub use tfrecord::FramingFault;
 
-use super::recording::window::window;
+use super::recording::window;
 use super::{Contents, Scenario};
 use features::lane_count;
 use prost::Message;
@@ -73,18 +73,9 @@ impl Decoded {
     }
 
     fn contents(self) -> (String, Contents) {
-        let seconds = &self.recording.timestamps_seconds;
-        let first = seconds.first().copied().unwrap_or(0.0);
-        let times_us: Vec<i64> =
-            seconds.iter().map(|t| ((t - first) * crate::world::MICROS_PER_SECOND) as i64).collect();
-        let contents = Contents {
-            record: Some(self.record),
-            steps: seconds.len(),
-            iterations: window(&times_us).len(),
-            tracks: self.recording.tracks.len(),
-            lanes: lane_count(&self.recording.map_features),
-        };
-        (self.recording.scenario_id, contents)
+        let proto::Scenario { scenario_id, timestamps_seconds, tracks, map_features, .. } = self.recording;
+        let contents = window::contents(&timestamps_seconds, tracks.len(), lane_count(&map_features));
+        (scenario_id, Contents { record: Some(self.record), ..contents })
     }
 }
 

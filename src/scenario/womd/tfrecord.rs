@@ -18,7 +18,6 @@ const MAX_PAYLOAD: u64 = i32::MAX as u64;
 
 /// What is wrong with the framing.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)]
 pub enum FramingFault {
     #[error("the file ends inside the {part}: {needed} bytes needed, {left} left")]
     Truncated { part: &'static str, needed: u64, left: u64 },
