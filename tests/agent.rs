@@ -138,7 +138,7 @@ fn a_readable_code_is_executed_and_three_rounds_are_asked() {
         "Longitudinal: maintain, because free\nLateral: keep, because it serves",
         "Generate_IDM_Planner(c=ego_lane, la=None, v0=8, acc=1, dec=3)",
     ];
-    let (agent, log, asked) = drive(&answers, &Round::ALL, settings(), "generated/high_magnitude_speed/1");
+    let (agent, log, asked) = drive(&answers, Round::ALL, settings(), "generated/high_magnitude_speed/1");
     assert_eq!(agent.calls().len(), 8);
     assert!(asked[0].contains("Ego:") && asked[0].contains("Step 1"), "{}", asked[0]);
     assert!(asked[1].contains("Step 2") && !asked[1].contains("Ego:"));
@@ -196,7 +196,7 @@ fn a_deadline_ends_the_call_and_keeps_the_active_plan() {
     let mut settings = settings();
     settings.reflection.enabled = false;
     settings.agent.deadline_ms = Some(400);
-    let (agent, log, asked) = drive(&answers, &Round::ALL, settings, "generated/high_magnitude_speed/1");
+    let (agent, log, asked) = drive(&answers, Round::ALL, settings, "generated/high_magnitude_speed/1");
     assert_eq!((agent.calls().len(), asked.len()), (8, answers.len()));
     assert_eq!(agent.calls()[0].decision, Decision::Execute(0));
     let ended = Decision::KeepActivePlan(NoPlan::Interrupted(Interruption::Deadline));

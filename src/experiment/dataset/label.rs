@@ -105,7 +105,7 @@ pub(super) fn label(
     let names = Names::of(graph);
     let mut conversation =
         vec![Message { role: "system", content: system_prompt(prompts, "")?, learn: vec![], weights: vec![] }];
-    for round in Round::ALL {
+    for &round in Round::ALL {
         let first = round == Round::Understanding;
         let prompt =
             round_prompt(prompts, round, &names, first.then_some(scene_text.as_str()), feedback.filter(|_| first))?;
