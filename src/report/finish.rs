@@ -2,8 +2,9 @@
 
 use super::atomic;
 use super::error::ReportError;
-use super::layout::{SUMMARY, TIMING};
+use super::layout::{NUPLAN_AGGREGATOR, NUPLAN_METRICS, SUMMARY, TIMING};
 use super::manifest::Manifest;
+use super::nuboard::write_nuboard;
 use super::number::json_value;
 use super::parquet::{write_aggregator, write_metric_files, write_runner_report};
 use super::run_folder::RunFolder;
@@ -27,8 +28,8 @@ impl RunFolder {
         for challenge in distinct(rows.iter().map(|row| row.challenge)) {
             let own = || rows.iter().filter(|row| row.challenge == challenge);
             let folder = self.path().join(challenge.to_string());
-            let metrics = folder.join("metrics");
-            let aggregator = folder.join("aggregator_metric");
+            let metrics = folder.join(NUPLAN_METRICS);
+            let aggregator = folder.join(NUPLAN_AGGREGATOR);
             for folder in [&metrics, &aggregator] {
                 atomic::folder(folder)?;
                 atomic::sweep(folder)?;
@@ -37,6 +38,7 @@ impl RunFolder {
             let name = format!("{challenge}_weighted_average_metrics_{}.parquet", manifest.started);
             write_aggregator(&aggregator.join(name), &aggregated(challenge, own()), challenge.metric_list())?;
             write_runner_report(&folder.join("runner_report.parquet"), &own().collect::<Vec<_>>())?;
+            write_nuboard(&folder, challenge)?;
         }
         self.write_json(TIMING, timing)?;
         self.write_json(SUMMARY, summary)

@@ -17,6 +17,15 @@ pub const PAGE: &str = "report.html";
 /// File that a running process holds locked.
 pub(super) const LOCK: &str = ".lock";
 
+/// nuPlan's metric files, in the folder of a challenge.
+pub(super) const NUPLAN_METRICS: &str = "metrics";
+/// nuPlan's aggregated scores, in the folder of a challenge.
+pub(super) const NUPLAN_AGGREGATOR: &str = "aggregator_metric";
+/// nuPlan's simulation logs, in the folder of a challenge. Only the devkit can write them.
+pub(super) const NUPLAN_SIMULATION_LOGS: &str = "simulation_log";
+/// What nuBoard opens, in the folder of a challenge. It finds the file by its extension.
+pub(super) const NUBOARD: &str = "run.nuboard";
+
 /// Parent of the simulation folders.
 pub(super) const SIMULATIONS: &str = "simulations";
 /// The row of the simulation.

@@ -9,6 +9,7 @@ mod figure;
 mod finish;
 mod layout;
 mod manifest;
+mod nuboard;
 mod number;
 pub mod page;
 mod parquet;

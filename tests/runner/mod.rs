@@ -2,6 +2,7 @@
 
 mod failures;
 mod library;
+mod nuboard;
 mod nuplan_folders;
 mod parquet;
 mod pinned;

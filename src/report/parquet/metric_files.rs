@@ -9,9 +9,23 @@ use std::path::Path;
 /// Simulations in memory at a time.
 const BATCH: usize = 256;
 
+/// A statistic of a metric, with what is the same in all simulations.
+#[derive(Debug, Clone, PartialEq)]
+struct StatisticColumns {
+    name: String,
+    kind: StatisticKind,
+    unit: String,
+}
+
+impl From<&Statistic> for StatisticColumns {
+    fn from(statistic: &Statistic) -> Self {
+        Self { name: statistic.name.clone(), kind: statistic.kind, unit: statistic.unit.clone() }
+    }
+}
+
 /// Statistics of a metric in the order of their first occurrence. Some occur in few simulations, such as the energies of
 /// collisions.
-type Schema = Vec<(String, StatisticKind)>;
+type Schema = Vec<StatisticColumns>;
 
 /// A row: the simulation and its result.
 type Row<'a> = (&'a SimulationRow, MetricResult);
@@ -25,9 +39,9 @@ pub(in crate::report) fn write_metric_files<'a>(
     for simulation in simulations.clone() {
         for metric in simulation?.1 {
             let schema = schemas.entry(metric.name).or_default();
-            for statistic in metric.statistics {
-                if !schema.iter().any(|(name, _)| *name == statistic.name) {
-                    schema.push((statistic.name, statistic.kind));
+            for statistic in &metric.statistics {
+                if !schema.iter().any(|known| known.name == statistic.name) {
+                    schema.push(statistic.into());
                 }
             }
         }
@@ -97,13 +111,12 @@ fn columns(schema: &Schema, rows: &[Row<'_>]) -> Columns {
         ("metric_score_unit".to_owned(), of_metric(|metric| metric.score_unit.map(ScoreUnit::as_str))),
         ("metric_category".to_owned(), of_metric(|metric| Some(metric.category.as_str()))),
     ];
-    for (name, kind) in schema {
+    for StatisticColumns { name, kind, unit } in schema {
         let found: Vec<Option<&Statistic>> =
             rows.iter().map(|(_, metric)| metric.statistics.iter().find(|s| s.name == *name)).collect();
-        let kinds = found.iter().map(|statistic| statistic.map(|s| kind_name(s.kind).to_owned()));
-        let units = found.iter().map(|statistic| statistic.map(|s| s.unit.clone()));
-        all.push((format!("{name}_stat_type"), Column::Text(kinds.collect())));
-        all.push((format!("{name}_stat_unit"), Column::Text(units.collect())));
+        // Type and unit stand in every row, because nuBoard takes the unit of a planner's first row for all of its rows.
+        all.push((format!("{name}_stat_type"), Column::text(rows.iter().map(|_| kind_name(*kind)))));
+        all.push((format!("{name}_stat_unit"), Column::text(rows.iter().map(|_| unit.as_str()))));
         all.push((format!("{name}_stat_value"), values(*kind, &found)));
     }
     all.extend(time_series(rows));
@@ -159,17 +172,18 @@ mod tests {
     use crate::simulation::Challenge;
 
     #[test]
-    fn a_statistic_that_a_simulation_lacks_is_null() {
+    fn a_statistic_that_a_simulation_lacks_has_no_value() {
         let metric = metric("speed_limit_compliance").unwrap();
         let count = "number_of_violations_of_speed_limit_compliance";
         let kept = Statistic::boolean(metric.name, true);
         let broken = vec![Statistic::count(count, 2), Statistic::boolean(metric.name, false)];
-        let schema: Schema = broken.iter().map(|statistic| (statistic.name.clone(), statistic.kind)).collect();
+        let schema: Schema = broken.iter().map(StatisticColumns::from).collect();
         let row = SimulationRow::example("changing_lane", 0, "idm", Challenge::NonReactive, Some(1.0));
         let rows = [(&row, metric.scored(1.0, vec![kept])), (&row, metric.scored(0.5, broken))];
         let columns: BTreeMap<String, Column> = columns(&schema, &rows).into_iter().collect();
         assert_eq!(columns[&format!("{count}_stat_value")], Column::Integer(vec![None, Some(2)]));
-        assert_eq!(columns[&format!("{count}_stat_type")], Column::Text(vec![None, Some("COUNT".to_owned())]));
+        assert_eq!(columns[&format!("{count}_stat_type")], Column::text(["COUNT"; 2]));
+        assert_eq!(columns[&format!("{count}_stat_unit")], Column::text(["count"; 2]));
         assert_eq!(columns["speed_limit_compliance_stat_value"], Column::Boolean(vec![Some(true), Some(false)]));
     }
 }
