@@ -1,6 +1,6 @@
 use super::*;
 use crate::dynamics::test_road::{Stretch, ego_at, object, straight_road};
-use crate::world::{LaneId, PACIFICA, STEP_S};
+use crate::world::{BASELINE_SPACING, LaneId, PACIFICA, STEP_S};
 use proptest::prelude::*;
 
 const SIGNAL: LaneId = LaneId(1);
@@ -58,7 +58,7 @@ fn the_first_step_is_the_law_by_hand() {
     let moved = traffic.objects()[0];
     assert!((moved.shape.center.x - 30.8).abs() < 1e-9, "moves with the old speed");
     // 20 + 12·1.5 = 38 m of way are wanted and 89 are there, so the path ends at the lane's last vertex but one.
-    let gap = 119.0 - 30.0 - 2.3;
+    let gap = 120.0 - BASELINE_SPACING - 30.0 - 2.3;
     let desired: f64 = 1.0 + 8.0 * 1.5 + 8.0 * 8.0 / (2.0 * 2.0f64.sqrt());
     let acceleration = 1.0 - (8.0f64 / 12.0).powi(4) - (desired / gap).powi(2);
     assert!((moved.speed() - (8.0 + 0.1 * acceleration)).abs() < 1e-9);

@@ -34,10 +34,10 @@ fn the_crossing_becomes_nuplans_layers() {
 }
 
 #[test]
-fn centerlines_run_in_the_middle_with_a_vertex_per_meter() {
+fn centerlines_run_in_the_middle_with_a_vertex_every_half_meter() {
     let scenario = log(30).opened().unwrap();
     let straight = &lane_of(&scenario, 2).centerline;
-    assert_eq!(straight.vertices().len(), 61);
+    assert_eq!(straight.vertices().len(), 121);
     assert!(straight.vertices().iter().all(|v| v.y.abs() < 1e-9));
     assert!((straight.length() - 60.0).abs() < 1e-9);
     assert!((lane_of(&scenario, 2).polygon.area() - 210.0).abs() < 1e-6);
