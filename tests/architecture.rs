@@ -52,13 +52,14 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     (
         "runner",
         &[
+            &["sample"],
             &["event", "machine", "request", "result_version"],
             &["config"],
             &["error"],
             &["model", "selection"],
             &["run"],
             &["simulate"],
-            &["experiments"],
+            &["experiments", "merge"],
         ],
     ),
     (

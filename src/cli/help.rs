@@ -1,4 +1,4 @@
-//! Help texts that name what the registries hold.
+//! Help texts: what the registries hold, and examples.
 
 use super::args::ALL_EXPERIMENTS;
 use crate::experiment::study;
@@ -17,10 +17,24 @@ pub(super) fn version() -> &'static str {
     &VERSION
 }
 
+pub(super) fn planners_short() -> String {
+    format!("Planners, separated by commas, or exec:COMMAND [default: {}]", PlannerName::PLAN_AGENT)
+}
+
 pub(super) fn planners() -> String {
     let registry = PlannerRegistry::default();
     let names: Vec<&str> = registry.entries().iter().map(|entry| entry.name.as_str()).collect();
-    format!("Planners, separated by commas: {} [default: {}]", names.join(", "), PlannerName::PLAN_AGENT)
+    format!(
+        "Planners, separated by commas: {} [default: {}]. Or a command of your own, as exec:COMMAND or NAME=exec:COMMAND; it \
+         takes the rest of the value",
+        names.join(", "),
+        PlannerName::PLAN_AGENT
+    )
+}
+
+pub(super) fn splits_short() -> String {
+    let names = Suite::ALL.map(|suite| suite.name).join(", ");
+    format!("List of scenarios: {names}, a split of nuPlan, or FILE.yaml")
 }
 
 pub(super) fn splits() -> String {
@@ -34,7 +48,126 @@ pub(super) fn splits() -> String {
     format!("List of scenarios: {}; or a nuPlan scenario filter FILE.yaml", names.join(", "))
 }
 
+pub(super) fn experiments_short() -> String {
+    format!("A study, {TOKENS}, {ALL_EXPERIMENTS}, or the path of a study FILE.toml")
+}
+
 pub(super) fn experiments() -> String {
     let names: Vec<&str> = study::names().chain([TOKENS]).collect();
     format!("{}; {ALL_EXPERIMENTS} for all of these; or the path of a study FILE.toml", names.join(", "))
 }
+
+pub(super) const PROGRAM: &str = "\
+Examples:
+  planagent simulate
+  planagent report --open
+  planagent simulate --split generated --limit 28 --planner plan-agent,pdm-closed
+  planagent experiment main --quick
+
+Exit codes: 0 success; 1 a simulation, call or check failed; 2 wrong input.";
+
+pub(super) const SIMULATE: &str = "\
+Examples:
+  One generated scenario, with the model that ships:
+    planagent simulate
+  Two scenarios of each of 14 types, two planners, both closed-loop challenges:
+    planagent simulate --split generated-14 --limit 28 \\
+      --planner plan-agent,pdm-closed --challenge both
+  Random scenarios of two types:
+    planagent simulate --type changing_lane,on_pickup_dropoff --shuffle --limit 6
+  Recordings, and another threshold of Reflection:
+    planagent simulate --scenario folder/ --set reflection.threshold=0.5
+  A planner of your own, in any language:
+    planagent simulate --planner \"exec:python3 examples/exec_planner.py\"
+  The second of eight parts of a run, for a cluster:
+    planagent simulate --split generated-14 --shard 2/8 --out runs/part-2";
+
+pub(super) const PLAN: &str = "\
+Examples:
+  planagent plan --scenario generated/changing_lane/3 --at 3 --image bev.png
+  planagent plan --model local-server --json";
+
+pub(super) const REPORT: &str = "\
+Examples:
+  planagent report --open
+  planagent report runs/0001 runs/0002 --out comparison.html";
+
+pub(super) const RENDER: &str = "\
+Examples:
+  All simulations of the last run, to a folder:
+    planagent render --gif films/
+  One simulation of the last run, by its number:
+    planagent render 3 --gif film.gif
+  A sheet of eight frames:
+    planagent render runs/0001 generated/changing_lane/3 --png sheet.png";
+
+pub(super) const COMPARE: &str = "\
+Examples:
+  planagent compare runs/0001 runs/0002
+  planagent compare runs/0001 runs/0001 --planner pdm-closed,plan-agent
+  planagent compare runs/0001 runs/0002 --csv > scenes.csv";
+
+pub(super) const MERGE: &str = "\
+Example:
+  planagent simulate --split generated --shard 1/2 --out runs/part-1
+  planagent simulate --split generated --shard 2/2 --out runs/part-2
+  planagent merge runs/part-1 runs/part-2 --out runs/whole";
+
+pub(super) const DATASET: &str = "\
+Example:
+  planagent dataset --out data --states 300 --validation 50";
+
+pub(super) const EXPERIMENT: &str = "\
+Examples:
+  planagent experiment main --quick
+  planagent experiment environment --suite generated-14
+  planagent experiment main --suite recorded --scenario folder/of/recordings
+  planagent experiment my_study.toml";
+
+pub(super) const BENCH: &str = "\
+Examples:
+  planagent bench
+  planagent bench nano path/to/model.gguf --iterations 10
+  planagent bench --random-weights llava-1.5-7b --quantize q4_k";
+
+pub(super) const CONFIG: &str = "\
+Examples:
+  planagent config
+  planagent config --set environment.bev=false > without_bev.toml";
+
+pub(super) const COMPLETIONS: &str = "\
+Examples:
+  planagent completions bash > ~/.local/share/bash-completion/completions/planagent
+  planagent completions zsh > ~/.zfunc/_planagent
+  planagent completions fish > ~/.config/fish/completions/planagent.fish";
+
+pub(super) const MODELS_CHECK: &str = "\
+Examples:
+  planagent models check
+  planagent models check folder/of/model --quantize q4_k";
+
+pub(super) const MODELS_FETCH: &str = "\
+Example:
+  planagent models fetch llava-hf/llava-1.5-7b-hf";
+
+pub(super) const MODELS_QUANTIZE: &str = "\
+Example:
+  planagent models quantize llava-1.5-7b --to q4_k --out llava-1.5-7b.gguf";
+
+pub(super) const SCENARIOS_LIST: &str = "\
+Examples:
+  planagent scenarios list
+  planagent scenarios list folder/of/recordings
+  planagent scenarios list --split generated-14-hard --csv";
+
+pub(super) const SCENARIOS_SHOW: &str = "\
+Example:
+  planagent scenarios show generated/changing_lane/3 --image scene.png";
+
+pub(super) const SCENARIOS_GENERATE: &str = "\
+Example:
+  planagent scenarios generate --type changing_lane --from 100 --count 20";
+
+pub(super) const SCENARIOS_EXPORT: &str = "\
+Example:
+  planagent scenarios export generated/changing_lane/3 --format nuplan --out data";

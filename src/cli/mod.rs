@@ -2,19 +2,22 @@
 
 mod args;
 mod commands;
+mod csv;
 mod exit;
+mod film;
 mod help;
 mod picture;
 mod printer;
 mod progress;
+mod settings;
+mod suggest;
+mod words;
 
 use crate::experiment::panic_guard;
-use crate::runner::Config;
-use crate::scenario::absolute_path;
 use anyhow::bail;
-use args::{Arguments, Command, SimulateArguments};
+use args::{Arguments, Command};
 use clap::Parser;
-use std::path::Path;
+use settings::Settings;
 use std::process::ExitCode;
 
 pub use exit::Exit;
@@ -33,7 +36,8 @@ pub fn run() -> ExitCode {
             return if error.use_stderr() { Exit::Error.into() } else { Exit::Success.into() };
         }
     };
-    let printer = Printer::new(arguments.json, arguments.quiet).with_details(arguments.verbose);
+    let global = &arguments.global;
+    let printer = Printer::new(global.json, global.quiet).with_details(global.verbose);
     let outcome = execute(&arguments, printer).and_then(|exit| printer.finish().map(|()| exit));
     match outcome {
         Ok(exit) => exit.into(),
@@ -45,49 +49,27 @@ pub fn run() -> ExitCode {
 }
 
 fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
-    let mut config = configuration(arguments)?;
-    if let Some(seed) = arguments.seed {
-        config.seed = seed;
-    }
-    if let Some(model) = &arguments.model {
-        config.mllm.model.clone_from(model);
-    }
-    config.mllm.quantize = arguments.quantize.or(config.mllm.quantize);
-    config.mllm.ignore_memory |= arguments.ignore_memory;
-    config.mllm.offline |= arguments.offline;
-    // Absolute paths let `--resume` work from any directory.
-    for word in [Some(&mut config.mllm.model), config.reasoning.prompt_set.as_mut()].into_iter().flatten() {
-        if word.contains(['/', '\\']) && Path::new(word).exists() {
-            *word = absolute_path(word);
-        }
-    }
-    let threads = arguments.threads.unwrap_or(0);
+    let settings = Settings::of(arguments)?;
+    let config = &settings.config;
+    let threads = arguments.global.threads.unwrap_or(0);
     if threads > MAX_THREADS {
         bail!("--threads is {threads}; it must be at most {MAX_THREADS}");
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     pool.install(|| match &arguments.command {
-        Command::Simulate(flags) => commands::simulate::run(flags, &config, printer),
-        Command::Plan(flags) => commands::plan::run(flags, &config, printer),
+        Command::Simulate(flags) => commands::simulate::run(flags, config, printer),
+        Command::Plan(flags) => commands::plan::run(flags, config, printer),
         Command::Render(flags) => commands::render::run(flags, printer),
         Command::Report(flags) => commands::report::run(flags, printer),
+        Command::Compare(flags) => commands::compare::run(flags, printer),
+        Command::Merge(flags) => commands::merge::run(flags, printer),
         Command::Scenarios(command) => commands::scenarios::run(command, printer),
-        Command::Models(command) => commands::models::run(command, &config, printer),
-        Command::Dataset(flags) => commands::dataset::run(flags, &config, printer),
-        Command::Experiment(flags) => commands::experiment::run(flags, &config, printer),
-        Command::Bench(flags) => commands::bench::run(flags, &config, printer),
-        Command::BenchProcess => commands::bench::process(&config, printer),
-    })
-}
-
-/// The configuration of the file that `--config` names; without it, that of the run that is resumed.
-fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
-    Ok(match &arguments.command {
-        Command::Simulate(SimulateArguments { resume: Some(folder), .. }) if arguments.config.is_none() => {
-            Config::of_run(folder)?
-        }
-        // The parent process sends this one all that it needs.
-        Command::BenchProcess => Config::default(),
-        _ => Config::load(arguments.config.as_deref())?,
+        Command::Models(command) => commands::models::run(command, config, printer),
+        Command::Dataset(flags) => commands::dataset::run(flags, config, printer),
+        Command::Experiment(flags) => commands::experiment::run(flags, config, printer),
+        Command::Bench(flags) => commands::bench::run(flags, config, printer),
+        Command::Config(_) => commands::config::run(&settings, printer),
+        Command::Completions { shell } => commands::completions::run(*shell, printer),
+        Command::BenchProcess(_) => commands::bench::process(config, printer),
     })
 }

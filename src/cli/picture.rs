@@ -1,6 +1,7 @@
 //! Picture files of commands.
 
-use anyhow::Context;
+use anyhow::{Context, bail};
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use image::{ImageFormat, RgbImage};
 use std::path::{Path, PathBuf};
 
@@ -15,6 +16,23 @@ pub(super) struct PictureFile {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the name of a picture must end in .png, .jpg or .jpeg")]
 pub(super) struct UnknownEnding;
+
+/// Takes a path with the extension of a picture format.
+pub(super) fn picture_file() -> impl TypedValueParser<Value = PictureFile> {
+    PathBufValueParser::new().try_map(PictureFile::try_from)
+}
+
+/// Fails if a file cannot be created because its folder does not exist: said before the work, not after it.
+pub(super) fn check_folder(file: &Path) -> anyhow::Result<()> {
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        bail!("cannot write {}: there is no folder {}", file.display(), folder.display());
+    }
+    if file.is_dir() {
+        bail!("cannot write {}: it is a folder", file.display());
+    }
+    Ok(())
+}
 
 impl TryFrom<PathBuf> for PictureFile {
     type Error = UnknownEnding;

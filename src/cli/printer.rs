@@ -2,6 +2,8 @@
 
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "this is the printer")]
 
+use super::csv::csv_text;
+use super::suggest;
 use crate::report::json_value;
 use console::{Style, Term, measure_text_width};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -49,18 +51,27 @@ impl Printer {
     /// A name with details beside it, or below it where the line would be too long. The name is never broken, so that it can
     /// be copied.
     pub fn named(&self, name: &str, details: &str) {
-        if details.is_empty() || measure_text_width(name) + 2 + measure_text_width(details) <= usize::from(self.width())
-        {
-            self.line(format!("{name}  {details}").trim_end());
-        } else {
-            self.line(format!("{name}\n  {details}"));
-        }
+        self.line(named_within(name, details, self.columns()));
     }
 
     /// A value on stdout, as one line of JSON.
     pub fn json(&self, value: &impl serde::Serialize) -> anyhow::Result<()> {
         write_line(&json_value(value)?.to_string());
         Ok(())
+    }
+
+    /// Rows on stdout, as CSV.
+    pub fn csv(&self, rows: &[impl serde::Serialize]) -> anyhow::Result<()> {
+        let text = csv_text(rows)?;
+        if !text.is_empty() {
+            write_line(text.trim_end());
+        }
+        Ok(())
+    }
+
+    /// A text on stdout.
+    pub fn text(&self, text: &str) {
+        write_line(text);
     }
 
     /// A line on stderr.
@@ -83,6 +94,14 @@ impl Printer {
             }
         }
         eprintln!("{} {text}", red.apply_to("error:"));
+        if let Some(tip) = suggest::tip(error) {
+            eprintln!("  {} {tip}", Style::new().for_stderr().green().apply_to("tip:"));
+        }
+    }
+
+    /// A failure of a part of the work, on stderr even if quiet.
+    pub fn failure(&self, text: impl AsRef<str>) {
+        eprintln!("{}", text.as_ref());
     }
 
     /// Fails if some data could not be written to stdout, for example to a full disk; a closed pipe is no failure.
@@ -123,7 +142,22 @@ impl Printer {
 
     /// Columns of the terminal on stdout; 80 when it is none.
     pub fn width(&self) -> u16 {
-        Term::stdout().size_checked().map_or(80, |(_, columns)| columns)
+        self.columns().unwrap_or(80)
+    }
+
+    /// Columns of the terminal on stdout; none for a file or a pipe, whose lines stay whole.
+    pub fn columns(&self) -> Option<u16> {
+        Term::stdout().size_checked().map(|(_, columns)| columns)
+    }
+}
+
+/// A name with details beside it, or below it where the line would be wider than the terminal.
+fn named_within(name: &str, details: &str, columns: Option<u16>) -> String {
+    let width = measure_text_width(name) + 2 + measure_text_width(details);
+    if details.is_empty() || columns.is_none_or(|columns| width <= usize::from(columns)) {
+        format!("{name}  {details}").trim_end().to_owned()
+    } else {
+        format!("{name}\n  {details}")
     }
 }
 
@@ -135,5 +169,18 @@ fn write_line(text: &str) {
     let written = writeln!(std::io::stdout().lock(), "{text}");
     if written.is_err_and(|e| e.kind() != ErrorKind::BrokenPipe) {
         STDOUT_FAILED.store(true, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::named_within;
+
+    #[test]
+    fn details_move_below_a_name_only_on_a_narrow_terminal() {
+        assert_eq!(named_within("a-name", "details", Some(15)), "a-name  details");
+        assert_eq!(named_within("a-name", "details", Some(14)), "a-name\n  details");
+        assert_eq!(named_within("a-name", "details", None), "a-name  details");
+        assert_eq!(named_within("a-name", "", Some(3)), "a-name");
     }
 }

@@ -12,7 +12,11 @@ use std::time::{Duration, Instant};
 /// Time between two lines where stderr is no terminal. A shorter run prints none.
 const LINE_EVERY: Duration = Duration::from_secs(30);
 /// The bar, in 80 columns.
-const TEMPLATE: &str = "{bar:10} {pos}/{len} simulations {per_sec} {eta} left {msg}";
+const TEMPLATE: &str = "{bar:10} {pos}/{len} simulations {per_sec} {left} {msg}";
+/// Steps of a simulation of 15 s, for the estimate before the first one ends.
+const USUAL: usize = 149;
+/// Steps after which the time left is estimated: those between two planning calls.
+const MIN_STEPS: usize = 20;
 /// Unit of a bar that shows its numbers as bytes.
 const BYTES: &str = "bytes";
 
@@ -89,52 +93,77 @@ struct SimulationProgress {
     printer: Printer,
     bar: ProgressBar,
     is_terminal: bool,
+    counts: Arc<Counts>,
+    last_line: Mutex<Instant>,
+}
+
+/// What was done so far.
+struct Counts {
     total: usize,
     started: Instant,
     ended: AtomicUsize,
     failed: AtomicUsize,
     steps: AtomicUsize,
-    last_line: Mutex<Instant>,
+}
+
+impl Counts {
+    /// Time left at the present pace, in words.
+    fn left(&self) -> String {
+        let (ended, steps) = (self.ended.load(Ordering::Relaxed), self.steps.load(Ordering::Relaxed));
+        if ended == 0 && steps < MIN_STEPS {
+            return "estimating".to_owned();
+        }
+        let total = self.total as f64;
+        // Simulations in progress count by their steps: with a model of 7B parameters, one takes an hour.
+        let done = (ended as f64).max((steps as f64 / USUAL as f64).min(total));
+        let rest = self.started.elapsed().as_secs_f64() / done * (total - done);
+        let rest = Duration::try_from_secs_f64(rest).unwrap_or_default();
+        if rest < Duration::from_secs(1) { "0s left".to_owned() } else { format!("{:#} left", HumanDuration(rest)) }
+    }
 }
 
 impl SimulationProgress {
     /// Progress of `total` simulations.
     fn new(printer: Printer, total: usize) -> Self {
-        Self::with_bar(printer, printer.progress(total as u64, "simulations"), total)
-    }
-
-    fn with_bar(printer: Printer, bar: ProgressBar, total: usize) -> Self {
-        if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
-            bar.set_style(style.with_key("per_sec", per_minute));
-        }
-        Self {
-            printer,
-            bar,
-            is_terminal: Term::stderr().is_term(),
+        let bar = printer.progress(total as u64, "simulations");
+        let counts = Arc::new(Counts {
             total,
             started: Instant::now(),
             ended: AtomicUsize::new(0),
             failed: AtomicUsize::new(0),
             steps: AtomicUsize::new(0),
-            last_line: Mutex::new(Instant::now()),
-        }
+        });
+        Self::with_counts(printer, bar, counts)
     }
 
-    /// Counts a step of a simulation: with a model of 7B parameters, a simulation takes an hour.
+    fn with_counts(printer: Printer, bar: ProgressBar, counts: Arc<Counts>) -> Self {
+        if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
+            let of_bar = Arc::clone(&counts);
+            let left = move |_: &indicatif::ProgressState, out: &mut dyn std::fmt::Write| {
+                // A bar that cannot be written is no error of the run.
+                let _ = out.write_str(&of_bar.left());
+            };
+            bar.set_style(style.with_key("per_sec", per_minute).with_key("left", left));
+        }
+        let is_terminal = Term::stderr().is_term();
+        Self { printer, bar, is_terminal, counts, last_line: Mutex::new(Instant::now()) }
+    }
+
+    /// Counts a step of a simulation.
     fn step(&self) {
-        let steps = self.steps.fetch_add(1, Ordering::Relaxed) + 1;
+        let steps = self.counts.steps.fetch_add(1, Ordering::Relaxed) + 1;
         self.show(steps);
     }
 
     fn ended(&self, failed: bool) {
-        self.ended.fetch_add(1, Ordering::Relaxed);
-        self.failed.fetch_add(usize::from(failed), Ordering::Relaxed);
+        self.counts.ended.fetch_add(1, Ordering::Relaxed);
+        self.counts.failed.fetch_add(usize::from(failed), Ordering::Relaxed);
         self.bar.inc(1);
-        self.show(self.steps.load(Ordering::Relaxed));
+        self.show(self.counts.steps.load(Ordering::Relaxed));
     }
 
     fn show(&self, steps: usize) {
-        let failed = self.failed.load(Ordering::Relaxed);
+        let failed = self.counts.failed.load(Ordering::Relaxed);
         if self.is_terminal {
             self.bar.set_message(format!("{failed} failed {steps} steps"));
             return;
@@ -148,17 +177,10 @@ impl SimulationProgress {
     }
 
     fn line(&self, failed: usize, steps: usize) -> String {
-        let ended = self.ended.load(Ordering::Relaxed);
-        let passed = self.started.elapsed();
-        let left = match u32::try_from(ended) {
-            Ok(done) if done > 0 => {
-                let rest = passed / done * u32::try_from(self.total - ended.min(self.total)).unwrap_or(u32::MAX);
-                format!(", {:#} left", HumanDuration(rest))
-            }
-            _ => String::new(),
-        };
-        let rate = a_minute(ended as f64, passed);
-        format!("{ended}/{} simulations, {failed} failed, {steps} steps, {rate:.1}/min{left}", self.total)
+        let Counts { total, started, ended, .. } = &*self.counts;
+        let ended = ended.load(Ordering::Relaxed);
+        let (rate, left) = (a_minute(ended as f64, started.elapsed()), self.counts.left());
+        format!("{ended}/{total} simulations, {failed} failed, {steps} steps, {rate:.1}/min, {left}")
     }
 }
 
@@ -237,12 +259,17 @@ mod tests {
         let paper = Paper::default();
         let target = ProgressDrawTarget::term_like_with_hz(Box::new(paper.clone()), 255);
         let bar = ProgressBar::with_draw_target(Some(total as u64), target).with_elapsed(PASSED);
-        let progress = SimulationProgress::with_bar(Printer::new(false, true), bar, total);
         let started = Instant::now().checked_sub(PASSED).unwrap();
-        let progress = SimulationProgress { is_terminal: true, started, ..progress };
+        let counts = Counts {
+            total,
+            started,
+            ended: AtomicUsize::new(12_799),
+            failed: AtomicUsize::new(99),
+            steps: AtomicUsize::new(steps),
+        };
+        let progress = SimulationProgress::with_counts(Printer::new(false, true), bar, Arc::new(counts));
+        let progress = SimulationProgress { is_terminal: true, ..progress };
         progress.bar.set_position(12_799);
-        progress.ended.store(12_799, Ordering::Relaxed);
-        progress.failed.store(99, Ordering::Relaxed);
         progress.show(steps);
         progress.bar.force_draw();
         let drawn = paper.0.lock().unwrap().clone();
@@ -251,5 +278,23 @@ mod tests {
         for text in drawn.lines().chain([line.as_str()]) {
             assert!(console::measure_text_width(text) <= 80, "{text}");
         }
+    }
+
+    #[test]
+    fn the_time_left_is_estimated_from_steps_before_a_simulation_ends() {
+        let counts = |ended: usize, steps: usize| Counts {
+            total: 10,
+            started: Instant::now().checked_sub(PASSED).unwrap(),
+            ended: AtomicUsize::new(ended),
+            failed: AtomicUsize::new(0),
+            steps: AtomicUsize::new(steps),
+        };
+        assert_eq!(counts(0, MIN_STEPS - 1).left(), "estimating");
+        // A fifth of a simulation in 10 minutes: 49 more fifths take 490 minutes.
+        assert_eq!(counts(0, 30).left(), "8h left");
+        assert_eq!(counts(0, USUAL).left(), "90m left");
+        // Shorter simulations end with fewer steps.
+        assert_eq!(counts(5, 5 * 80).left(), "10m left");
+        assert_eq!(counts(10, 10 * USUAL).left(), "0s left");
     }
 }

@@ -5,7 +5,7 @@ use crate::scenario::{OnProgress, ReaderError, Readers, Split};
 
 #[derive(Debug, thiserror::Error)]
 pub enum SplitError {
-    #[error("unknown split `{name}`: there are {}; or name a scenario filter as FILE.yaml", known.join(", "))]
+    #[error("unknown split '{name}'; there are {}; or name a scenario filter FILE.yaml", known.join(", "))]
     Unknown { name: String, known: Vec<&'static str> },
     #[error(transparent)]
     Reader(#[from] ReaderError),

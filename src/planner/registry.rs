@@ -95,10 +95,12 @@ impl fmt::Debug for PlannerEntry {
 
 /// A name that no planner has.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown planner '{name}'; known planners are {known}")]
+#[error("unknown planner '{name}'; known planners are {}", known.join(", "))]
 pub struct UnknownPlanner {
-    name: String,
-    known: String,
+    /// The name.
+    pub name: String,
+    /// The names of all planners.
+    pub known: Vec<String>,
 }
 
 /// The planners by name.
@@ -159,8 +161,8 @@ impl PlannerRegistry {
     /// When no planner has it.
     pub fn find(&self, name: &str) -> Result<&PlannerEntry, UnknownPlanner> {
         self.entries.iter().find(|entry| entry.name.as_str() == name).ok_or_else(|| {
-            let known: Vec<&str> = self.entries.iter().map(|entry| entry.name.as_str()).collect();
-            UnknownPlanner { name: name.to_owned(), known: known.join(", ") }
+            let known = self.entries.iter().map(|entry| entry.name.to_string()).collect();
+            UnknownPlanner { name: name.to_owned(), known }
         })
     }
 }

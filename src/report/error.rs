@@ -24,8 +24,17 @@ pub enum ReportFault {
     NotEmpty,
     #[error("the folder holds a run; resume it with --resume, or name a new folder")]
     AlreadyRun,
+    #[error(
+        "the folder holds a run of format version {found}, which this program (version {FORMAT_VERSION}) cannot resume; name \
+         a new folder"
+    )]
+    OldRun { found: u32 },
     #[error("the folder holds no run: it has no {MANIFEST}")]
     NoRun,
+    #[error("cannot write: {} is a file and no folder", .0.display())]
+    NoFolder(PathBuf),
+    #[error("there is no run in this folder; name the folder of a run")]
+    NoRuns,
     #[error(
         "the run has format version {found}, this program reads version {FORMAT_VERSION}; start a new run, or use the \
          version of planagent that wrote it"
@@ -39,7 +48,7 @@ pub enum ReportFault {
     WrongRecord { found: String, expected: String },
     #[error("the run has no completed simulation; there is nothing to show")]
     NoSimulations,
-    #[error("no scenario of the runs has {0:?} in its name")]
+    #[error("no scenario of the runs has '{0}' in its name")]
     NoScenario(String),
     #[error("the replay has format {0}, which this version cannot read")]
     ReplayFormat(u32),

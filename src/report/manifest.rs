@@ -4,10 +4,15 @@ use crate::scenario::MissingTokens;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// The format of run folders that this program reads and writes.
 pub const FORMAT_VERSION: u32 = 2;
+
+/// Key of the planners in [`Manifest::flat`], and the start of the keys of the model.
+const PLANNERS: &str = "planners";
+const MODEL_KEYS: &str = "model.";
 
 /// What a run consists of. Runs with the same digest have equal results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -26,6 +31,9 @@ pub struct Manifest {
     pub started: String,
     /// Names of the planners, in order.
     pub planners: Vec<String>,
+    /// The commands of those planners that are commands, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub commands: BTreeMap<String, String>,
     /// nuPlan's names of the challenges, in order.
     pub challenges: Vec<String>,
     /// The scenarios.
@@ -53,10 +61,19 @@ pub struct ScenarioList {
     /// Absolute path of nuPlan's maps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub maps_root: Option<PathBuf>,
+    /// The values of `--type`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub types: Vec<String>,
+    /// The value of `--shuffle`.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub shuffle: bool,
     /// The value of `--limit`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit: Option<usize>,
-    /// Number of scenarios.
+    /// The part of them that this run simulates; none for all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shard: Option<ShardList>,
+    /// Number of scenarios, those of other shards included.
     pub count: usize,
     /// BLAKE3 of their names, one a line, in order.
     pub blake3: String,
@@ -65,7 +82,30 @@ pub struct ScenarioList {
     pub missing: Vec<MissingTokens>,
 }
 
+/// The scenarios of a shard.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ShardList {
+    /// Which shard, from 1.
+    pub index: usize,
+    /// Number of shards.
+    pub of: usize,
+    /// Number of its scenarios.
+    pub count: usize,
+}
+
+/// Lets serde omit a flag that most runs do not have.
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_false(flag: &bool) -> bool {
+    !flag
+}
+
 impl ScenarioList {
+    /// Number of scenarios that this run simulates.
+    pub fn simulated(&self) -> usize {
+        self.shard.map_or(self.count, |shard| shard.count)
+    }
+
     /// The value of [`ScenarioList::blake3`] for these names.
     pub fn digest(names: impl IntoIterator<Item = impl AsRef<str>>) -> String {
         let mut hasher = blake3::Hasher::new();
@@ -79,21 +119,28 @@ impl ScenarioList {
 impl Manifest {
     /// Number of simulations of the run.
     pub fn simulations(&self) -> usize {
-        self.scenarios.count * self.planners.len() * self.challenges.len()
+        self.scenarios.simulated() * self.planners.len() * self.challenges.len()
     }
 
     /// The differences from `now`, one a line, by dotted keys. The version and commit of the program, the start time, and the
     /// words and folders of the scenarios may differ.
     pub fn differences(&self, now: &Self) -> Vec<String> {
+        let other_planners = self.planners != now.planners;
+        let only_one_has_model = self.model.is_some() != now.model.is_some();
         let (then, now) = (self.flat(), now.flat());
         let text = |value: Option<&String>| value.map_or("none", String::as_str).to_owned();
         let mut keys: Vec<&String> = then.iter().map(|(key, _)| key).collect();
         keys.extend(now.iter().map(|(key, _)| key).filter(|key| !then.iter().any(|(k, _)| k == *key)));
         let value = |all: &[(String, String)], key: &str| text(all.iter().find(|(k, _)| k == key).map(|(_, v)| v));
         keys.into_iter()
+            // Other planners need another model or none: the line about the planners says it.
+            .filter(|key| !(other_planners && only_one_has_model && key.starts_with(MODEL_KEYS)))
             .map(|key| (key, value(&then, key), value(&now, key)))
             .filter(|(_, before, after)| before != after)
-            .map(|(key, before, after)| format!("{key}: was {before}, is {after}"))
+            .map(|(key, before, after)| match key.as_str() {
+                PLANNERS => format!("other planners: was {before}, is {after}"),
+                key => format!("{key}: was {before}, is {after}"),
+            })
             .collect()
     }
 
@@ -106,11 +153,14 @@ impl Manifest {
     fn flat(&self) -> Vec<(String, String)> {
         let mut all = vec![
             ("result_version".to_owned(), self.result_version.to_string()),
-            ("planners".to_owned(), self.planners.join(",")),
+            (PLANNERS.to_owned(), self.planners.join(",")),
             ("challenges".to_owned(), self.challenges.join(",")),
             ("scenarios.count".to_owned(), self.scenarios.count.to_string()),
             ("scenarios.blake3".to_owned(), self.scenarios.blake3.clone()),
         ];
+        all.extend(self.commands.iter().map(|(name, command)| (format!("commands.{name}"), command.clone())));
+        let shard = self.scenarios.shard.map(|shard| format!("{}/{}", shard.index, shard.of));
+        all.extend(shard.map(|shard| ("scenarios.shard".to_owned(), shard)));
         for (section, table) in [("model", self.model.as_ref()), ("config", Some(&self.config))] {
             flatten(section, table.into_iter().flatten(), &mut all);
         }
@@ -144,6 +194,7 @@ mod tests {
             planagent: "0.1.0".to_owned(),
             started: "2026.11.20.08.00.00".to_owned(),
             planners: vec!["idm".to_owned()],
+            commands: BTreeMap::new(),
             challenges: vec!["closed_loop_nonreactive_agents".to_owned()],
             scenarios: ScenarioList { count: 2, blake3: ScenarioList::digest(["a", "b"]), ..ScenarioList::default() },
             model: None,
@@ -167,12 +218,16 @@ mod tests {
         assert_eq!(
             lines,
             [
-                "planners: was idm, is idm,log-replay",
+                "other planners: was idm, is idm,log-replay",
                 "config.reflection.threshold: was 0.75, is 0.5",
                 "config.seed: was 0, is 1",
-                "model.name: was none, is \"nano\"",
             ]
         );
+        now.planners.pop();
+        assert_eq!(then.differences(&now).last().unwrap(), "model.name: was none, is \"nano\"");
+        now.scenarios.shard = Some(ShardList { index: 1, of: 2, count: 1 });
+        assert!(then.differences(&now).contains(&"scenarios.shard: was none, is 1/2".to_owned()));
+        assert_eq!((then.simulations(), now.simulations()), (2, 1));
     }
 
     #[test]

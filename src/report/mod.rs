@@ -12,6 +12,7 @@ mod manifest;
 mod nuboard;
 mod number;
 pub mod page;
+mod paired;
 mod parquet;
 pub mod render;
 mod replay;
@@ -33,9 +34,11 @@ pub use call_record::{CallRecord, DecisionRecord};
 pub use decision::decision_words;
 pub use error::{ReportError, ReportFault};
 pub use layout::{MANIFEST, SUMMARY};
-pub use manifest::{FORMAT_VERSION, Manifest, ScenarioList};
+pub use manifest::{FORMAT_VERSION, Manifest, ScenarioList, ShardList};
 pub use number::{fixed, json_value};
-pub use run_folder::{CompletedSimulations, RunFolder};
+pub use paired::{ComparedScene, ComparedScores, NoPair, PlannerPair, RunComparison};
+pub use run_folder::{CompletedSimulations, RunFolder, folders as simulation_folders, last_run};
+pub use simulation_folder::metrics as simulation_metrics;
 pub use simulation_row::{MetricScore, SimulationRow};
 pub use stamp::stamp;
 pub use study::{
@@ -44,7 +47,7 @@ pub use study::{
 };
 pub use summary::{Aggregate, ScenarioSummary, Summary};
 pub use table::{
-    bench_markdown, bench_table, failures, fill, main_table, study_markdown, study_table, token_markdown, token_table,
+    bench_markdown, bench_table, comparison_table, failures, fill, main_table, study_markdown, study_table, token_markdown, token_table,
 };
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};

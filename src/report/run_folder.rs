@@ -15,6 +15,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, TryLockError};
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// The folder of a run, locked against other processes as long as this lives.
@@ -38,6 +39,8 @@ pub struct CompletedSimulations {
 struct AnyManifest {
     #[serde(default)]
     format_version: u32,
+    #[serde(default)]
+    started: String,
 }
 
 impl RunFolder {
@@ -47,29 +50,41 @@ impl RunFolder {
     /// When the folder cannot be written, is not empty, or holds a run. The first simulation has not started then.
     pub fn create(path: Option<&Path>, manifest: &Manifest) -> Result<Self, ReportError> {
         let path = path.map_or_else(next_free, Path::to_owned);
-        let holds_run = |path: &Path| path.join(MANIFEST).exists();
-        if holds_run(&path) {
-            return Err(ReportError::at(&path)(ReportFault::AlreadyRun));
-        }
+        Self::check_new(&path)?;
         atomic::folder(&path)?;
-        for entry in fs::read_dir(&path).map_err(ReportError::read(&path))? {
-            let name = entry.map_err(ReportError::read(&path))?.file_name();
-            let name = name.to_string_lossy();
-            // A process that was killed before it wrote its manifest left no results.
-            if name != LOCK && !name.starts_with(UNFINISHED) {
-                return Err(ReportError::at(&path)(ReportFault::NotEmpty));
-            }
-        }
         let folder = Self::locked(path)?;
-        if holds_run(&folder.path) {
-            return Err(ReportError::at(&folder.path)(ReportFault::AlreadyRun));
-        }
+        check_holds_no_run(&folder.path)?;
         // The manifest comes first: from then on the run can be resumed.
         let text = toml::to_string_pretty(manifest).map_err(ReportError::at(&folder.path))?;
         folder.write(MANIFEST, text.as_bytes())?;
         folder.write_config(manifest)?;
         atomic::folder(&folder.path.join(SIMULATIONS))?;
         Ok(folder)
+    }
+
+    /// Checks that a run can be created in a folder, and writes nothing.
+    ///
+    /// # Errors
+    /// When the folder holds a run or other files, or something else stands where it should be.
+    pub fn check_new(path: &Path) -> Result<(), ReportError> {
+        check_holds_no_run(path)?;
+        // The nearest part of the path that exists must be a folder.
+        let existing = path.ancestors().find(|part| part.exists()).unwrap_or(path);
+        if existing.exists() && !existing.is_dir() {
+            return Err(ReportError::at(path)(ReportFault::NoFolder(existing.to_owned())));
+        }
+        if existing != path {
+            return Ok(());
+        }
+        for entry in fs::read_dir(path).map_err(ReportError::read(path))? {
+            let name = entry.map_err(ReportError::read(path))?.file_name();
+            let name = name.to_string_lossy();
+            // A process that was killed before it wrote its manifest left no results.
+            if name != LOCK && !name.starts_with(UNFINISHED) {
+                return Err(ReportError::at(path)(ReportFault::NotEmpty));
+            }
+        }
+        Ok(())
     }
 
     /// The manifest of the run in a folder.
@@ -81,7 +96,7 @@ impl RunFolder {
         if !file.is_file() {
             return Err(ReportError::at(path)(ReportFault::NoRun));
         }
-        let AnyManifest { format_version: found } = read_toml(&file)?;
+        let AnyManifest { format_version: found, .. } = read_toml(&file)?;
         if found == FORMAT_VERSION {
             read_toml(&file)
         } else {
@@ -161,6 +176,11 @@ impl RunFolder {
         Ok(completed)
     }
 
+    /// Copies the folder of a completed simulation from another run: all of it, or nothing.
+    pub fn adopt(&self, simulation: &Path) -> Result<(), ReportError> {
+        simulation_folder::copy(simulation, &self.path.join(SIMULATIONS))
+    }
+
     /// Deletes completed simulations, so that they run again.
     pub fn discard(&self, numbers: &BTreeSet<usize>) -> Result<(), ReportError> {
         let discarded = folders(&self.path)?.into_iter().filter(|(number, _)| numbers.contains(number));
@@ -187,7 +207,7 @@ impl RunFolder {
             let part = folder.join(CALLS);
             if part.is_file() {
                 let mut part = File::open(&part).map_err(ReportError::read(&part))?;
-                std::io::copy(&mut part, &mut all).map_err(ReportError::write(&temporary))?;
+                io::copy(&mut part, &mut all).map_err(ReportError::write(&temporary))?;
             }
         }
         fs::rename(&temporary, &path).map_err(ReportError::write(&path))
@@ -205,8 +225,23 @@ impl RunFolder {
     }
 }
 
+/// Fails if a folder holds a run, with what can be done about it.
+fn check_holds_no_run(path: &Path) -> Result<(), ReportError> {
+    let file = path.join(MANIFEST);
+    if !file.exists() {
+        return Ok(());
+    }
+    let fault = match read_toml::<AnyManifest>(&file) {
+        Ok(AnyManifest { format_version, .. }) if format_version != FORMAT_VERSION => {
+            ReportFault::OldRun { found: format_version }
+        }
+        _ => ReportFault::AlreadyRun,
+    };
+    Err(ReportError::at(path)(fault))
+}
+
 /// The folders of the completed simulations of a run, by number.
-pub(super) fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
+pub fn folders(run: &Path) -> Result<BTreeMap<usize, PathBuf>, ReportError> {
     let simulations = run.join(SIMULATIONS);
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(&simulations).map_err(ReportError::read(&simulations))? {
@@ -228,6 +263,20 @@ fn wrong_record(path: &Path, row: &SimulationRow, expected: String) -> ReportErr
 pub(super) fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, ReportError> {
     let text = fs::read_to_string(path).map_err(ReportError::read(path))?;
     toml::from_str(&text).map_err(|error| ReportError::at(path)(Box::new(error)))
+}
+
+/// The run of `runs/` that started last.
+///
+/// # Errors
+/// When there is none, or the folder cannot be read.
+pub fn last_run() -> Result<PathBuf, ReportError> {
+    let runs = Path::new(RUNS);
+    let entries = fs::read_dir(runs).map(|entries| entries.flatten().map(|entry| entry.path()).collect::<Vec<_>>());
+    let started = |path: &PathBuf| read_toml::<AnyManifest>(&path.join(MANIFEST)).ok().map(|run| run.started);
+    // Runs of one second are ordered by their names, which count up.
+    let runs_with_start = entries.unwrap_or_default().into_iter().filter_map(|path| Some((started(&path)?, path)));
+    let last = runs_with_start.max().map(|(_, path)| path);
+    last.ok_or_else(|| ReportError::at(runs)(ReportFault::NoRuns))
 }
 
 /// The first `runs/NNNN` that does not exist.

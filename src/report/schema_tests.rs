@@ -1,6 +1,7 @@
 //! The schemas of the records in `docs/schema/` have the structure of the types.
 
 use super::{CallRecord, Manifest, SimulationRow, Summary};
+use crate::planner::{ExecReply, ExecRequest};
 use schemars::{JsonSchema, schema_for};
 use serde_json::Value;
 use std::path::Path;
@@ -39,4 +40,6 @@ fn schemas_of_the_records_are_up_to_date() {
     check::<Manifest>("manifest");
     check::<SimulationRow>("record");
     check::<Summary>("summary");
+    check::<ExecRequest>("exec_request");
+    check::<ExecReply>("exec_reply");
 }

@@ -41,8 +41,31 @@ pub(super) fn write(parent: &Path, number: usize, record: &SimulationRecord) -> 
     fs::rename(&unfinished, &folder).map_err(ReportError::write(&folder))
 }
 
+/// Copies the folder of a simulation below `parent`: all of it, or nothing.
+pub(super) fn copy(simulation: &Path, parent: &Path) -> Result<(), ReportError> {
+    let folder = parent.join(simulation.file_name().unwrap_or_default());
+    let unfinished = atomic::unfinished(&folder);
+    copy_all(simulation, &unfinished)?;
+    fs::rename(&unfinished, &folder).map_err(ReportError::write(&folder))
+}
+
+/// Copies a folder with all that is in it.
+fn copy_all(from: &Path, to: &Path) -> Result<(), ReportError> {
+    atomic::folder(to)?;
+    for entry in fs::read_dir(from).map_err(ReportError::read(from))? {
+        let path = entry.map_err(ReportError::read(from))?.path();
+        let target = to.join(path.file_name().unwrap_or_default());
+        if path.is_dir() {
+            copy_all(&path, &target)?;
+        } else {
+            fs::copy(&path, &target).map_err(ReportError::write(&target))?;
+        }
+    }
+    Ok(())
+}
+
 /// The metrics of a simulation.
-pub(super) fn metrics(folder: &Path) -> Result<Vec<MetricResult>, ReportError> {
+pub fn metrics(folder: &Path) -> Result<Vec<MetricResult>, ReportError> {
     read_toml::<MetricsFile>(&folder.join(METRICS)).map(|file| file.metrics)
 }
 

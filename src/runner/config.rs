@@ -69,7 +69,7 @@ impl Config {
     pub fn load(path: Option<&Path>) -> Result<Self, ConfigError> {
         let found: Option<PathBuf> = match path {
             Some(path) => Some(path.to_owned()),
-            None => Some(PathBuf::from("planagent.toml")).filter(|default| default.is_file()),
+            None => Self::default_file(),
         };
         let Some(path) = found else { return Ok(Self::default()) };
         let place = path.display().to_string();
@@ -80,11 +80,21 @@ impl Config {
 
     /// This configuration with some keys replaced.
     pub fn overlaid(&self, settings: &toml::Table) -> Result<Self, ConfigError> {
-        let place = || format!("settings {settings}");
+        self.overlaid_at(settings, &format!("settings {settings}"))
+    }
+
+    /// The same; errors say that the keys come from `place`.
+    pub fn overlaid_at(&self, settings: &toml::Table, place: &str) -> Result<Self, ConfigError> {
+        let place = || place.to_owned();
         let parse_error = |source| ConfigError::Parse { place: place(), source: Box::new(source) };
         let mut table = toml::Table::try_from(self)?;
         overlay(&mut table, settings.clone());
         table.try_into::<Self>().map_err(parse_error)?.checked(place())
+    }
+
+    /// The file that is read if none is named: `planagent.toml` in the working directory, if it exists.
+    pub fn default_file() -> Option<PathBuf> {
+        Some(PathBuf::from("planagent.toml")).filter(|default| default.is_file())
     }
 
     fn checked(self, place: String) -> Result<Self, ConfigError> {

@@ -1,15 +1,43 @@
 //! Errors of runs.
 
 use super::config::ConfigError;
+use super::sample::NoSuchType;
 use crate::experiment::split::SplitError;
 use crate::experiment::study::StudyError;
 use crate::mllm::MllmError;
-use crate::planner::{PlannerName, UnknownPlanner};
+use crate::planner::{ExecError, PlannerName, UnknownPlanner};
 use crate::reasoning::PromptError;
 use crate::report::ReportError;
 use crate::scenario::ReaderError;
 use crate::simulation::UnknownChallenge;
 use std::path::PathBuf;
+
+/// Why runs cannot be merged.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum MergeError {
+    #[error("no run to merge; name the folders of the shards")]
+    NoRun,
+    #[error(
+        "cannot merge {} with {}, because it was started with other settings:\n  {}", other.display(), first.display(),
+        differences.join("\n  ")
+    )]
+    Differs { first: PathBuf, other: PathBuf, differences: Vec<String> },
+    #[error("{}: the record of a simulation is damaged; repeat it with --resume {}", record.display(), run.display())]
+    Damaged { record: PathBuf, run: PathBuf },
+    #[error(
+        "{} and {} both hold simulation {number} ({simulation}), with different results; leave one of them out",
+        first.display(), other.display()
+    )]
+    Overlap { first: PathBuf, other: PathBuf, number: usize, simulation: String },
+    #[error("{}: simulation {number} is {found}, expected {expected}", run.display())]
+    Unexpected { run: PathBuf, number: usize, found: String, expected: String },
+    #[error("the simulations are not those of the scenarios in the manifest of {}", run.display())]
+    OtherScenarios { run: PathBuf },
+    #[error("{missing} of {total} simulations are in none of the runs; {advice}")]
+    Incomplete { missing: usize, total: usize, advice: String },
+}
 
 /// Why a run cannot start, resume or end. A failed simulation is no such error: the run records it.
 #[derive(Debug, thiserror::Error)]
@@ -26,6 +54,13 @@ pub enum RunnerError {
     Study(#[from] StudyError),
     #[error(transparent)]
     Planner(#[from] UnknownPlanner),
+    #[error(transparent)]
+    Exec(#[from] ExecError),
+    #[error(
+        "the planner {planner} of this run is the command '{command}', which a run never starts by itself; name all planners of \
+         the run again, this one by --planner '{planner}=exec:{command}'"
+    )]
+    CommandNotGiven { planner: String, command: String },
     #[error("{source}; --challenge takes nonreactive, reactive, both or open-loop")]
     Challenge { source: UnknownChallenge },
     #[error(transparent)]
@@ -44,12 +79,21 @@ pub enum RunnerError {
     Json(#[from] serde_json::Error),
     #[error("the model of the run in {} is not what this program writes: {source}", folder.display())]
     ManifestModel { folder: PathBuf, source: toml::de::Error },
-    #[error("no scenario is left to simulate")]
+    #[error("there is no scenario to simulate")]
     NoScenario,
+    #[error(transparent)]
+    NoSuchType(#[from] NoSuchType),
+    #[error("--limit is 0; it must be at least 1")]
+    LimitZero,
     #[error("{key} is not supported by {planner}; remove one of them")]
     Unsupported { key: &'static str, planner: PlannerName },
     #[error("the scenario set changed since the run started: {then} then, {now} now, named by {words}")]
     ScenariosChanged { then: usize, now: usize, words: String },
+    #[error(
+        "{}: the run cannot be resumed, because it was started with other settings:\n  {}", folder.display(),
+        differences.join("\n  ")
+    )]
+    OtherSettings { folder: PathBuf, differences: Vec<String> },
     #[error("cannot resume the run in {} ({completed} of {total} simulations completed)", folder.display())]
     CannotResume { folder: PathBuf, completed: usize, total: usize, source: Box<Self> },
     #[error("{missing} of {total} simulations left no record in {}", folder.display())]
@@ -58,6 +102,8 @@ pub enum RunnerError {
     Suite { name: String, source: Box<Self> },
     #[error("no recordings: name some by --scenario, or name a folder that holds {folders} by ${variable}")]
     NoRecordings { folders: String, variable: &'static str },
+    #[error(transparent)]
+    Merge(#[from] MergeError),
     #[error("the bench in {} measured no model", .0.display())]
     EmptyBench(PathBuf),
 }

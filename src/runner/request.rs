@@ -1,7 +1,10 @@
 //! What a run is asked to simulate.
 
-use crate::planner::PlannerRegistry;
+use super::sample::Shard;
+use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, ExecError, PlannerRegistry};
 use crate::scenario::{DataRoots, Readers};
+use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// What to simulate, in the words of the command line. An empty field takes the value of the run that is resumed, else
 /// the default: one generated scenario, `plan-agent`, non-reactive agents.
@@ -11,10 +14,18 @@ pub struct Request {
     pub scenarios: Vec<String>,
     /// Names of splits, or filter files.
     pub splits: Vec<String>,
-    /// Only the first so many scenarios.
+    /// Only scenarios of these types; without any, all.
+    pub types: Vec<String>,
+    /// Whether the scenarios are taken in an order that the seed draws.
+    pub shuffle: bool,
+    /// Only so many scenarios, evenly from the types.
     pub limit: Option<usize>,
-    /// Names of planners.
+    /// Only one part of the scenarios; other processes simulate the others.
+    pub shard: Option<Shard>,
+    /// Names of planners, or commands as `exec:COMMAND` or `NAME=exec:COMMAND`.
     pub planners: Vec<String>,
+    /// Time that a command may take for a step.
+    pub exec_timeout: Duration,
     /// Names of challenges; `both` stands for the closed-loop ones.
     pub challenges: Vec<String>,
     /// The planners that names refer to.
@@ -32,8 +43,12 @@ impl Default for Request {
         Self {
             scenarios: Vec::new(),
             splits: Vec::new(),
+            types: Vec::new(),
+            shuffle: false,
             limit: None,
+            shard: None,
             planners: Vec::new(),
+            exec_timeout: DEFAULT_EXEC_TIMEOUT,
             challenges: Vec::new(),
             registry: PlannerRegistry::default(),
             readers: Readers::new,
@@ -46,7 +61,27 @@ impl Default for Request {
 impl Request {
     /// Whether it says which scenarios are meant.
     pub(super) fn names_scenarios(&self) -> bool {
-        !self.scenarios.is_empty() || !self.splits.is_empty() || self.limit.is_some()
+        !self.scenarios.is_empty() || !self.splits.is_empty() || self.draws() || self.shard.is_some()
+    }
+
+    /// Whether it selects from what words and splits name.
+    pub(super) fn draws(&self) -> bool {
+        !self.types.is_empty() || self.shuffle || self.limit.is_some()
+    }
+
+    /// The request with its commands in the registry and by their names, and the commands by these.
+    pub(super) fn with_commands(&self) -> Result<(Self, BTreeMap<String, String>), ExecError> {
+        let (mut request, mut commands) = (self.clone(), BTreeMap::new());
+        for word in &mut request.planners {
+            let Some(command) = ExecCommand::parse(word).transpose()? else { continue };
+            *word = command.name.to_string();
+            if commands.get(word.as_str()) == Some(&command.command) {
+                continue;
+            }
+            request.registry = request.registry.with_command(&command, self.exec_timeout)?;
+            commands.insert(word.clone(), command.command);
+        }
+        Ok((request, commands))
     }
 
     /// Whether it only resumes a run, as that was started.

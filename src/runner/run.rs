@@ -13,7 +13,10 @@ use std::time::Instant;
 /// What a run is made of, before it has a folder.
 pub(super) struct RunPlan {
     pub(super) manifest: Manifest,
+    /// The tasks of the run, those of other shards included.
     pub(super) tasks: Vec<SimulationTask>,
+    /// Places of the tasks that are simulated.
+    pub(super) numbers: Vec<usize>,
     pub(super) agent: AgentParts,
     /// Time that the model took to load, seconds.
     pub(super) load_s: Option<f64>,
@@ -53,7 +56,7 @@ impl Run {
     /// Starts a run in a new folder; without a name, in the next free `runs/NNNN`.
     pub(super) fn create(path: Option<&Path>, plan: RunPlan) -> Result<Self, RunnerError> {
         let folder = RunFolder::create(path, &plan.manifest)?;
-        let left = (0..plan.tasks.len()).collect();
+        let left = plan.numbers.clone();
         Ok(Self { plan, folder, left, rows: Vec::new(), simulated: 0, retried: 0 })
     }
 
@@ -75,7 +78,7 @@ impl Run {
             completed.rows.into_iter().partition(|row| retry_failed && row.error.is_some());
         folder.discard(&discarded.iter().map(|row| row.number).collect())?;
         let done: BTreeSet<usize> = rows.iter().map(|row| row.number).collect();
-        let left = (0..plan.tasks.len()).filter(|number| !done.contains(number)).collect();
+        let left = plan.numbers.iter().copied().filter(|number| !done.contains(number)).collect();
         Ok(Self { plan, folder, left, rows, simulated: 0, retried: discarded.len() })
     }
 
@@ -84,9 +87,9 @@ impl Run {
         &self.left
     }
 
-    /// How many tasks it has.
+    /// How many tasks it simulates.
     pub(super) fn total(&self) -> usize {
-        self.plan.tasks.len()
+        self.plan.numbers.len()
     }
 
     /// The tasks of its first scenario that are left.
@@ -119,7 +122,7 @@ impl Run {
     /// Writes the results of a run whose simulations are all completed, and unlocks its folder.
     pub(super) fn finish(self, started: Instant) -> Result<RunResults, RunnerError> {
         let Self { plan, folder, rows, simulated, .. } = self;
-        let (total, path) = (plan.tasks.len(), folder.path().to_owned());
+        let (total, path) = (plan.numbers.len(), folder.path().to_owned());
         if rows.len() != total {
             return Err(RunnerError::Unrecorded { missing: total - rows.len(), total, folder: path });
         }

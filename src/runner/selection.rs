@@ -3,8 +3,10 @@
 use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::request::Request;
+use super::sample::{Sample, Shard};
 use crate::experiment::run::SimulationTask;
 use crate::experiment::split::split;
+use crate::experiment::suite::Suite;
 use crate::planner::{PlannerName, PlannerRegistry};
 use crate::report::{Manifest, ScenarioList};
 use crate::scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
@@ -19,6 +21,8 @@ pub(super) struct Selection {
     pub(super) challenges: Vec<Challenge>,
     /// Every scenario with every planner in every challenge.
     pub(super) tasks: Vec<SimulationTask>,
+    /// Places of the tasks that this run simulates: all, or those of its shard.
+    pub(super) numbers: Vec<usize>,
     /// The readers that found the scenarios; they collect notes on the data that is opened.
     pub(super) readers: Readers,
 }
@@ -34,28 +38,41 @@ pub(super) struct Selected {
 }
 
 impl Selection {
-    pub(super) fn new(request: &Request, resumed: Option<&Manifest>, listener: &Listener) -> Result<Self, RunnerError> {
+    /// The tasks of a request; `seed` draws the order of shuffled scenarios.
+    pub(super) fn new(
+        request: &Request,
+        resumed: Option<&Manifest>,
+        seed: u64,
+        listener: &Listener,
+    ) -> Result<Self, RunnerError> {
         let own = |names: &[String], of: fn(&Manifest) -> &Vec<String>| match resumed {
             Some(manifest) if names.is_empty() => of(manifest).clone(),
             _ => names.to_vec(),
         };
+        if let Some(manifest) = resumed {
+            check_commands(request, manifest)?;
+        }
         let planners = planners(&request.registry, &own(&request.planners, |manifest| &manifest.planners))?;
         let challenges = challenges(&own(&request.challenges, |manifest| &manifest.challenges))?;
-        let (words, splits, limit) = match resumed {
-            Some(Manifest { scenarios, .. }) if !request.names_scenarios() => {
-                (scenarios.words.clone(), scenarios.splits.clone(), scenarios.limit)
-            }
-            _ => (request.scenarios.clone(), request.splits.clone(), request.limit),
+        let named = match resumed {
+            Some(Manifest { scenarios, .. }) if !request.names_scenarios() => Named::in_run(scenarios),
+            _ => Named::in_request(request)?,
         };
+        let Named { words, splits, types, shuffle, limit, shard } = named;
         let roots = roots(request, resumed)?;
         let readers = (request.readers)(&roots);
         // The run can be resumed from any working directory.
         let words: Vec<String> = words.iter().map(|word| readers.absolute_word(word)).collect();
-        let Selected { sources, splits, missing } = select(&words, &splits, limit, &readers, listener)?;
-        let list =
-            scenario_list(&sources, ScenarioList { words, splits, limit, missing, ..ScenarioList::default() }, roots)?;
+        let sample = Sample { types: types.clone(), shuffle: shuffle.then_some(seed), limit };
+        let Selected { sources, splits, missing } = select(&words, &splits, &sample, &readers, listener)?;
+        let shard_list = shard.map(|shard| shard.list(&sources));
+        let named =
+            ScenarioList { words, splits, types, shuffle, limit, shard: shard_list, missing, ..ScenarioList::default() };
+        let list = scenario_list(&sources, named, roots)?;
         let tasks = tasks(&sources, &planners, &challenges);
-        Ok(Self { list, planners, challenges, tasks, readers })
+        let is_own = |task: &SimulationTask| shard.is_none_or(|shard| shard.has(&task.source));
+        let numbers = tasks.iter().enumerate().filter(|(_, task)| is_own(task)).map(|(number, _)| number).collect();
+        Ok(Self { list, planners, challenges, tasks, numbers, readers })
     }
 
     /// Refuses a run whose scenarios changed since it started.
@@ -66,6 +83,61 @@ impl Selection {
         }
         let words = [&then.words[..], &then.splits[..]].concat().join(" ");
         Err(RunnerError::ScenariosChanged { then: then.count, now: now.count, words })
+    }
+}
+
+/// The scenarios as the user names them.
+struct Named {
+    words: Vec<String>,
+    splits: Vec<String>,
+    types: Vec<String>,
+    shuffle: bool,
+    limit: Option<usize>,
+    shard: Option<Shard>,
+}
+
+impl Named {
+    fn in_run(list: &ScenarioList) -> Self {
+        Self {
+            words: list.words.clone(),
+            splits: list.splits.clone(),
+            types: list.types.clone(),
+            shuffle: list.shuffle,
+            limit: list.limit,
+            shard: list.shard.map(Shard::from),
+        }
+    }
+
+    fn in_request(request: &Request) -> Result<Self, RunnerError> {
+        if request.limit == Some(0) {
+            return Err(RunnerError::LimitZero);
+        }
+        let mut splits = request.splits.clone();
+        // A draw from the one default scenario would be no draw.
+        if request.draws() && splits.is_empty() && request.scenarios.is_empty() {
+            splits.push(Suite::DEMONSTRATION.name.to_owned());
+        }
+        Ok(Self {
+            words: request.scenarios.clone(),
+            splits,
+            types: request.types.clone(),
+            shuffle: request.shuffle,
+            limit: request.limit,
+            shard: request.shard,
+        })
+    }
+}
+
+/// Refuses to take a command from a run that the request does not give: a folder from elsewhere must start no program.
+fn check_commands(request: &Request, manifest: &Manifest) -> Result<(), RunnerError> {
+    if !request.planners.is_empty() {
+        return Ok(());
+    }
+    match manifest.commands.iter().next() {
+        None => Ok(()),
+        Some((planner, command)) => {
+            Err(RunnerError::CommandNotGiven { planner: planner.clone(), command: command.clone() })
+        }
     }
 }
 
@@ -105,7 +177,7 @@ pub(super) fn absolute(DataRoots { data, maps }: DataRoots) -> Result<DataRoots,
 pub(super) fn select(
     words: &[String],
     splits: &[String],
-    limit: Option<usize>,
+    sample: &Sample,
     readers: &Readers,
     listener: &Listener,
 ) -> Result<Selected, RunnerError> {
@@ -130,12 +202,12 @@ pub(super) fn select(
     }
     readers.take_notes().into_iter().for_each(note);
     // A scenario that is named twice is simulated once, or it would count twice in the means.
-    let (mut sources, repeated) = ScenarioRef::distinct(found);
+    let (sources, repeated) = ScenarioRef::distinct(found);
     if let Some(first) = repeated.first() {
         let count = repeated.len();
         note(format!("{count} scenarios are named more than once and simulated once, for example {first}"));
     }
-    sources.truncate(limit.unwrap_or(usize::MAX));
+    let sources = sample.of(sources)?;
     if sources.is_empty() {
         return Err(RunnerError::NoScenario);
     }

@@ -10,6 +10,7 @@ use super::result_version::RESULT_VERSION;
 use super::run::{self, Run, RunPlan, RunResults};
 use super::selection::Selection;
 use crate::report::{FORMAT_VERSION, Manifest, RunFolder, ScenarioList, stamp};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Instant, SystemTime};
 
@@ -22,8 +23,13 @@ pub fn start(
     listener: &Listener,
 ) -> Result<RunResults, RunnerError> {
     let started = Instant::now();
-    let selection = Selection::new(request, None, listener)?;
-    let run = Run::create(folder, plan(request, &selection, config, listener)?)?;
+    let (request, commands) = &request.with_commands()?;
+    let selection = Selection::new(request, None, config.seed, listener)?;
+    // Loading a model takes long: what is wrong with the folder is said before.
+    if let Some(folder) = folder {
+        RunFolder::check_new(folder)?;
+    }
+    let run = Run::create(folder, plan(request, commands, &selection, config, listener)?)?;
     complete(run, &selection, started, listener)
 }
 
@@ -37,8 +43,9 @@ pub fn resume(
 ) -> Result<RunResults, RunnerError> {
     let started = Instant::now();
     let before = RunFolder::manifest(folder)?;
+    let (request, commands) = &request.with_commands()?;
     let is_plain = request.is_plain_resume();
-    let selected = Selection::new(request, Some(&before), listener);
+    let selected = Selection::new(request, Some(&before), config.seed, listener);
     let selected = selected.and_then(|selection| {
         if is_plain {
             selection.check_unchanged(&before)?;
@@ -50,7 +57,14 @@ pub fn resume(
         Err(cause) if is_plain => return without_scenarios(folder, &before, config, cause, listener),
         Err(cause) => return Err(cause),
     };
-    let run = Run::resume(folder, plan(request, &selection, config, listener)?, request.retry_failed, listener)?;
+    // Loading a model takes long: a run with other settings is refused before.
+    let now = of_selection(&selection, commands, None, config)?;
+    let differences = before.differences(&Manifest { model: before.model.clone(), ..now });
+    if !differences.is_empty() {
+        return Err(RunnerError::OtherSettings { folder: folder.to_owned(), differences });
+    }
+    let plan = plan(request, commands, &selection, config, listener)?;
+    let run = Run::resume(folder, plan, request.retry_failed, listener)?;
     let (total, left) = (run.total(), run.left().len());
     let failed = if run.retried > 0 { format!(", {} of them had failed", run.retried) } else { String::new() };
     let completed = total - left;
@@ -70,6 +84,7 @@ impl Config {
 /// Loads the model, if a planner needs it, and writes the manifest.
 fn plan(
     request: &Request,
+    commands: &BTreeMap<String, String>,
     selection: &Selection,
     config: &Config,
     listener: &Listener,
@@ -83,19 +98,30 @@ fn plan(
         needs_model |= entry.needs_model();
     }
     let loaded = if needs_model { Some(model::load_model(config, listener)?) } else { None };
-    let planners = selection.planners.iter().map(ToString::to_string).collect();
-    let challenges = selection.challenges.iter().map(ToString::to_string).collect();
     Ok(RunPlan {
-        manifest: manifest(planners, challenges, selection.list.clone(), loaded.as_ref(), config)?,
+        manifest: of_selection(selection, commands, loaded.as_ref(), config)?,
         tasks: selection.tasks.clone(),
+        numbers: selection.numbers.clone(),
         agent: model::agent_parts(config, request.registry.clone(), loaded.as_ref()),
         load_s: loaded.map(|loaded| loaded.load_s),
     })
 }
 
-/// What a run would be started with now.
+/// What a run of a selection would be started with now.
+fn of_selection(
+    selection: &Selection,
+    commands: &BTreeMap<String, String>,
+    loaded: Option<&LoadedModel>,
+    config: &Config,
+) -> Result<Manifest, RunnerError> {
+    let planners = selection.planners.iter().map(ToString::to_string).collect();
+    let challenges = selection.challenges.iter().map(ToString::to_string).collect();
+    manifest((planners, commands.clone()), challenges, selection.list.clone(), loaded, config)
+}
+
+/// What a run would be started with now; the planners stand beside the commands of those that are commands.
 pub(super) fn manifest(
-    planners: Vec<String>,
+    (planners, commands): (Vec<String>, BTreeMap<String, String>),
     challenges: Vec<String>,
     scenarios: ScenarioList,
     loaded: Option<&LoadedModel>,
@@ -108,6 +134,7 @@ pub(super) fn manifest(
         commit: build_commit().map(str::to_owned),
         started: stamp(SystemTime::now()),
         planners,
+        commands,
         challenges,
         scenarios,
         model: loaded.map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?,

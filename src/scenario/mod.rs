@@ -21,7 +21,7 @@ pub use reader::{
 };
 #[cfg(any(feature = "womd", feature = "argoverse2"))]
 pub use recording::error::{FileError, FilePlace, RecordingFault};
-pub use registry::Readers;
+pub use registry::{RECORDINGS, Readers};
 pub use split::{ExcludedToken, MissingTokens, Split};
 
 /// nuPlan's type of a scenario without a tag (devkit `DEFAULT_SCENARIO_NAME`).

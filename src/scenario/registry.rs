@@ -27,6 +27,9 @@ const READERS: &[BuildReader] = &[
     |roots| Box::new(nuplan::NuPlanReader::new(roots.clone())),
 ];
 
+/// Where recordings lie in a folder of data from several sources.
+pub const RECORDINGS: [&str; 3] = ["womd", "argoverse2/sensor", "argoverse2/motion_forecasting"];
+
 /// The readers of a program, with the maps and notes that they keep.
 pub struct Readers {
     readers: Vec<Box<dyn ScenarioReader>>,
@@ -52,7 +55,7 @@ impl Readers {
     }
 
     /// All scenarios that a word of the command line names: those of the reader that takes it, else those that all readers
-    /// find in the folder of that name.
+    /// find in the folder of that name, else in its folders of [`RECORDINGS`].
     pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
         let path = Path::new(word);
         if let Some(reader) = self.reader_of(word) {
@@ -67,6 +70,11 @@ impl Readers {
             if let Some(files) = reader.looks_for() {
                 all.extend(reader.list(word)?);
                 looked_for.push(format!("no {files}"));
+            }
+        }
+        if all.is_empty() {
+            for folder in RECORDINGS.map(|folder| path.join(folder)).iter().filter(|folder| folder.is_dir()) {
+                all.extend(self.find(&folder.to_string_lossy())?);
             }
         }
         match all.first() {

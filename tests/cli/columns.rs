@@ -1,27 +1,9 @@
-//! The output fits a terminal of 80 columns.
+//! Help and tables fit a terminal of 80 columns; lists stay whole in a pipe.
 
+use super::help::COMMANDS;
 use super::{planagent, run};
 use tempfile::TempDir;
 
-/// Every command with its own help.
-const COMMANDS: [&str; 16] = [
-    "",
-    "simulate",
-    "plan",
-    "scenarios",
-    "scenarios list",
-    "scenarios show",
-    "scenarios generate",
-    "scenarios export",
-    "dataset",
-    "models",
-    "models list",
-    "models check",
-    "models fetch",
-    "models quantize",
-    "experiment",
-    "bench",
-];
 /// The scenario type with the longest name.
 const LONGEST: &str = "starting_straight_traffic_light_intersection_traversal";
 
@@ -47,7 +29,7 @@ fn help_is_wrapped() {
 }
 
 #[test]
-fn lists_wrap_below_long_names() {
+fn a_piped_list_has_a_line_for_each_scenario() {
     let work = TempDir::new().unwrap();
     let out = work.path().join("exported");
     let longest = format!("generated/{LONGEST}/0");
@@ -61,14 +43,12 @@ fn lists_wrap_below_long_names() {
         let (code, stdout, stderr) = run(command);
         assert_eq!(code, 0, "{stderr}");
         assert!(stdout.contains(LONGEST), "{stdout}");
-        assert_narrow(&command.join(" "), &stdout);
+        assert!(stdout.lines().all(|line| !line.starts_with(' ')), "{command:?}: {stdout}");
     }
     let (code, stdout, stderr) = run(&["scenarios", "list", out.join("data").to_str().unwrap()]);
     assert_eq!(code, 0, "{stderr}");
-    // A path may be wider than the terminal, because users copy it.
-    let (names, details): (Vec<&str>, Vec<&str>) = stdout.lines().partition(|line| line.contains(".db#"));
-    assert_eq!(names.len(), 1, "{stdout}");
-    assert_eq!(details, [format!("  {LONGEST}")]);
+    let [line] = stdout.lines().collect::<Vec<_>>()[..] else { panic!("{stdout}") };
+    assert!(line.contains(".db#") && line.ends_with(&format!("  {LONGEST}")), "{line}");
 }
 
 #[test]

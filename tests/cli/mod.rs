@@ -1,8 +1,14 @@
 //! The program as its user runs it: output, exit codes, files.
 
 mod columns;
+mod errors;
+mod exec;
+mod help;
 mod open_loop;
+mod results;
 mod scenarios;
+mod settings;
+mod shards;
 
 use crate::outside::data;
 use assert_cmd::Command;
@@ -259,7 +265,7 @@ fn bad_input_is_refused_with_what_and_where() {
     let unwritable = file.join("run");
     let folder_error = refused(&["simulate", "--planner", "idm", "--out", unwritable.to_str().unwrap()]);
     assert!(folder_error.contains("cannot write"), "{folder_error}");
-    assert_eq!(folder_error.matches("os error").count(), 1, "a cause is printed once: {folder_error}");
+    assert_eq!(folder_error.matches("cannot write").count(), 1, "a cause is printed once: {folder_error}");
 
     let foreign = folder.path().join("foreign");
     fs::create_dir(&foreign).unwrap();
@@ -387,7 +393,7 @@ fn help_lists_planners_suites_and_experiments_with_their_sizes() {
     for part in ["generated (16 types x 10)", "generated-14 (14 types x 150)", "generated-14-hard (14 types x 20)"] {
         assert!(simulate.contains(part), "no {part} in {simulate}");
     }
-    assert!(simulate.contains("val14") && simulate.contains("grid-code [default: plan-agent]"), "{simulate}");
+    assert!(simulate.contains("val14") && simulate.contains("grid-code [default: plan-agent]. Or"), "{simulate}");
     let experiment = help("experiment");
     assert!(experiment.contains("latency-aware, tokens; all for all of these"), "{experiment}");
 }

@@ -50,11 +50,11 @@ fn a_generated_scenario_is_listed_by_its_name() {
     let (code, stdout, stderr) = run(&["scenarios", "list", SCENE]);
     assert_eq!((code, stdout.trim_end()), (0, SCENE), "{stderr}");
     let kind = refused(&["scenarios", "list", "generated/flying/1"]);
-    assert!(kind.contains("`flying` is not a scenario type"), "{kind}");
+    assert!(kind.contains("'flying' is not a scenario type"), "{kind}");
     let form = refused(&["scenarios", "list", "generated/changing_lane"]);
     assert!(form.contains("expected generated/<scenario type>/<seed>"), "{form}");
     let traffic = refused(&["scenarios", "list", "generated/changing_lane/3.x"]);
-    assert!(traffic.contains("traffic seed `x` of `generated/changing_lane/3.x`"), "{traffic}");
+    assert!(traffic.contains("traffic seed 'x' of 'generated/changing_lane/3.x'"), "{traffic}");
     let nowhere = refused(&["scenarios", "list", "nowhere"]);
     assert!(nowhere.contains("no file or folder nowhere"), "{nowhere}");
 }
@@ -92,7 +92,7 @@ fn an_instant_outside_the_window_is_refused_with_the_window() {
         }
     }
     let view = refused(&["scenarios", "show", SCENE, "--view", "-5"]);
-    assert!(view.contains("between 8 and 1000 metres"), "{view}");
+    assert!(view.contains("between 8 and 1000 meters"), "{view}");
 }
 
 #[test]

@@ -13,7 +13,7 @@ fn error_of(content: &str) -> String {
 #[test]
 fn errors_name_file_and_line() {
     let unquoted = error_of("scenario_types: null\nscenario_tokens:\n  - '0488dbdf03b55f00'\n  - 1234567890123456\n");
-    assert!(unquoted.contains("split.yaml, line 4: `1234567890123456` is read as a number"), "{unquoted}");
+    assert!(unquoted.contains("split.yaml, line 4: '1234567890123456' is read as a number"), "{unquoted}");
     assert!(unquoted.contains("put it in quotes"), "{unquoted}");
     let twice = error_of("scenario_tokens: ['0488dbdf03b55f00',\n  '0488dbdf03b55f00']\n");
     assert!(twice.contains("line 2: the token 0488dbdf03b55f00 stands in line 1 already"), "{twice}");

@@ -71,7 +71,7 @@ fn cells_that_cannot_be_used() {
             "UPDATE track SET category_token = x'0102030405060708'",
             ["table track", "names 0102030405060708, which table category"],
         ),
-        ("UPDATE category SET name = 'boat'", ["table category", "column name holds `boat`"]),
+        ("UPDATE category SET name = 'boat'", ["table category", "column name holds 'boat'"]),
         ("UPDATE ego_pose SET qw = 0, qx = 0, qy = 0, qz = 0", ["table ego_pose", "column qw holds 0"]),
         ("UPDATE ego_pose SET vx = NULL", ["table ego_pose", "column vx is NULL"]),
         (
@@ -100,8 +100,8 @@ fn routes_that_cannot_be_driven() {
     for (route, part) in [
         ("''", "its route is empty"),
         ("NULL", "its route is empty"),
-        ("'12,34'", "its route holds `12,34`"),
-        ("'None'", "its route holds `None`"),
+        ("'12,34'", "its route holds '12,34'"),
+        ("'None'", "its route holds 'None'"),
         ("'987654321'", "its route holds roadblock 987654321, which the map test-town"),
     ] {
         DataSet::log_with(&format!("UPDATE scene SET roadblock_ids = {route}")).assert_error_has(&[
@@ -110,7 +110,7 @@ fn routes_that_cannot_be_driven() {
             part,
         ]);
     }
-    DataSet::log_with("UPDATE log SET map_version = 'atlantis'").assert_error_has(&["no map of `atlantis`", LOCATION]);
+    DataSet::log_with("UPDATE log SET map_version = 'atlantis'").assert_error_has(&["no map of 'atlantis'", LOCATION]);
 }
 
 #[test]

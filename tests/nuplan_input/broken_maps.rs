@@ -20,7 +20,7 @@ fn the_maps_folder() {
     std::fs::write(&index, format!("{{\"{LOCATION}\": {{}}}}")).unwrap();
     set.assert_error_has(&[MAPS_INDEX, "has no version"]);
     std::fs::write(&index, "{\"us-ma-boston\": {\"version\": \"9.12.1817\"}}").unwrap();
-    set.assert_error_has(&["no map of `test-town`; there are us-ma-boston"]);
+    set.assert_error_has(&["no map of 'test-town'; there are us-ma-boston"]);
     std::fs::write(&index, "[").unwrap();
     set.assert_error_has(&[MAPS_INDEX, "not a JSON object"]);
     std::fs::remove_file(&index).unwrap();

@@ -156,7 +156,7 @@ fn token_sets_and_routes() {
     std::fs::write(&path, "{}").unwrap();
     assert!(in_set(0.5).unwrap_err().to_string().contains("a token set is a JSON list of tokens"));
     std::fs::write(&path, "[\"12\"]").unwrap();
-    assert!(in_set(0.5).unwrap_err().to_string().contains("`12` is no token"));
+    assert!(in_set(0.5).unwrap_err().to_string().contains("'12' is no token"));
     let near = |radius| passes(ScenarioFilter { ego_route_radius: Some(radius), ..Default::default() }).unwrap();
     assert!(near(5.0));
 }

@@ -21,7 +21,7 @@ fn logs_folders_and_tokens() {
     let source = readers.find(&only[0]).unwrap().remove(0);
     assert_eq!(source.open().unwrap().id, set.token.to_string());
     let error = |word: String| readers.find(&word).unwrap_err().to_string();
-    assert!(error(format!("{log}#12")).contains("`12` is no token"));
+    assert!(error(format!("{log}#12")).contains("'12' is no token"));
     assert!(error(format!("{log}#00000000000000aa")).contains("the log does not hold it"));
     assert!(error("nowhere.db".to_owned()).contains("there is no log nowhere.db; name it by its path"));
     assert!(error(set.folder.path().join("maps").display().to_string()).contains("no nuPlan logs (*.db)"));

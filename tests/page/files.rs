@@ -85,7 +85,7 @@ fn a_simulation_is_rendered() {
     let fails = |more: &[&str]| refused(&[&["render", run_folder], more].concat());
     let several = fails(&["changing_lane/1", "--png", &png]);
     assert!(several.contains("2 simulations") && several.contains("by log-replay, nonreactive"), "{several}");
-    assert!(fails(&["7", "--png", &png]).contains("no simulation 7"));
+    assert!(fails(&["7", "--png", &png]).contains("no simulation '7'"));
     assert!(fails(&["0", "--png", &png, "--at", "99"]).contains("outside the simulation"));
     assert!(fails(&["0"]).contains("--gif"));
     // Without ffmpeg the error has a hint; with it there is a film.

@@ -7,12 +7,16 @@ use crate::environment::BevView;
 use crate::experiment::dataset::{Settings, Split, write_split};
 use crate::reasoning::PromptSet;
 use crate::runner::{Config, load_model};
+use anyhow::bail;
 
 /// Prompt set of datasets: that of the models that are trained on them.
 const PROMPT_SET: &str = "compact";
 
 /// Writes labeled states.
 pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    if flags.out.is_file() {
+        bail!("--out {}: this is a file and no folder", flags.out.display());
+    }
     let prompts = PromptSet::open(config.reasoning.prompt_set.as_deref().unwrap_or(PROMPT_SET))?;
     let view = BevView::new(BevView::default().pixels(), config.environment.view_m)?;
     let loaded = if flags.driven { Some(load_model(config, &listener(printer))?) } else { None };

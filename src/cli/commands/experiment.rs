@@ -3,14 +3,16 @@
 use crate::cli::args::{ALL_EXPERIMENTS, ExperimentArguments};
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
-use crate::experiment::study;
-use crate::report::{failures, study_table, token_table};
+use crate::experiment::study::{self, StudyError};
+use crate::report::{ChallengeResults, StudyResults, failures, study_table, token_table};
 use crate::runner::{Config, Experiments, StudyOutcome, SuiteTokens, TOKENS, TOKENS_TITLE};
 use anyhow::anyhow;
+use serde::Serialize;
 use std::path::Path;
 
 /// Runs the simulations of experiments that are not completed; the results go to a folder, the tables to stdout.
 pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    check_name(&flags.name)?;
     let (request, listener) = (flags.request(), listener(printer));
     let mut experiments = Experiments::new(&request, config, &listener)?;
     let mut exit = Exit::Success;
@@ -21,28 +23,71 @@ pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer:
     if flags.name != TOKENS {
         let all = flags.name == ALL_EXPERIMENTS;
         let words = if all { study::names().collect() } else { vec![flags.name.as_str()] };
-        exit = exit.max(show(&experiments.simulate(words)?, printer)?);
+        exit = exit.max(show(&experiments.simulate(words)?, flags.csv, printer)?);
     }
     Ok(exit)
 }
 
+/// Refuses the name of no experiment. The list of a study lacks those that are no study.
+fn check_name(name: &str) -> anyhow::Result<()> {
+    if [ALL_EXPERIMENTS, TOKENS].contains(&name) {
+        return Ok(());
+    }
+    match study::find(name) {
+        Err(StudyError::Unknown { word, known }) => {
+            Err(StudyError::Unknown { word, known: format!("{known}, {TOKENS}, {ALL_EXPERIMENTS}") }.into())
+        }
+        other => Ok(other.map(|_| ())?),
+    }
+}
+
+/// A score of a variant for CSV.
+#[derive(Serialize)]
+struct Row<'a> {
+    experiment: &'a str,
+    suite: &'a str,
+    variant: &'a str,
+    planner: &'a str,
+    #[serde(flatten)]
+    result: &'a ChallengeResults,
+}
+
+fn csv_rows(results: &StudyResults) -> Vec<Row<'_>> {
+    let mut rows = Vec::new();
+    for suite in &results.suites {
+        for variant in &suite.variants {
+            rows.extend(variant.challenges.iter().map(|result| Row {
+                experiment: &results.experiment,
+                suite: &suite.name,
+                variant: &variant.name,
+                planner: &variant.planner,
+                result,
+            }));
+        }
+    }
+    rows
+}
+
 /// Prints tables to stdout, folders and failures to stderr.
-fn show(outcome: &StudyOutcome, printer: Printer) -> anyhow::Result<Exit> {
+fn show(outcome: &StudyOutcome, csv: bool, printer: Printer) -> anyhow::Result<Exit> {
+    if csv {
+        printer.csv(&outcome.studies.iter().flat_map(|(_, results, _)| csv_rows(results)).collect::<Vec<_>>())?;
+    }
     for (study, results, folder) in &outcome.studies {
         if printer.is_json() {
             printer.json(results)?;
-        } else {
+        } else if !csv {
             printer.line(study_table(study, results));
             printer.line("");
         }
         printer.note(format!("results in {}", folder.display()));
     }
     for line in failures(&outcome.failed) {
-        printer.note(format!("failed: {line}"));
+        printer.failure(format!("failed: {line}"));
     }
     let lost = outcome.failed_calls;
     if lost > 0 {
-        printer.note(format!("{lost} planning calls got no answer; calls.jsonl of the runs says why"));
+        printer.failure(format!("{lost} planning calls got no answer; calls.jsonl of the runs says why"));
     }
     for list in &outcome.missing {
         printer.error(&anyhow!("not simulated: {list}"));

@@ -1,8 +1,12 @@
 //! One file or folder a subcommand.
 
 pub(super) mod bench;
+pub(super) mod compare;
+pub(super) mod completions;
+pub(super) mod config;
 pub(super) mod dataset;
 pub(super) mod experiment;
+pub(super) mod merge;
 pub(super) mod models;
 pub(super) mod plan;
 pub(super) mod render;

@@ -1,6 +1,7 @@
 //! `planagent plan`.
 
 use crate::cli::args::PlanArguments;
+use crate::cli::picture::check_folder;
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
 use crate::planner::PlannerName;
@@ -17,6 +18,9 @@ use serde_json::{Value, json};
 pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let scenario = scenario(flags.scenario.as_deref(), &flags.data.readers())?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
+    if let Some(file) = &flags.image {
+        check_folder(file.path())?;
+    }
     let loaded = load_model(config, &listener(printer))?;
     let parts = loaded.agent_parts(config);
     let mut agent = parts.planner(PlannerName::PLAN_AGENT, &scenario)?;
@@ -106,8 +110,15 @@ fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, print
         printer.line(format!("{seconds:5.1} {forward:>8} {left:>7} {speed:>7}"));
     }
     let time = CallTimes::of(call);
+    let ms = |value: f64| fixed(value, 1);
     printer.line(format!(
-        "\nTime {:.1} ms: environment {:.1}, image encode {:.1}, prefill {:.1},\n  decode {:.1}, server {:.1}, reflection {:.1}",
-        time.total, time.environment, time.image_encode, time.prefill, time.decode, time.remote, time.reflection
+        "\nTime {} ms: environment {}, image encode {}, prefill {},\n  decode {}, server {}, reflection {}",
+        ms(time.total),
+        ms(time.environment),
+        ms(time.image_encode),
+        ms(time.prefill),
+        ms(time.decode),
+        ms(time.remote),
+        ms(time.reflection)
     ));
 }

@@ -1,45 +1,138 @@
 //! `planagent render`.
 
 use crate::cli::args::RenderArguments;
+use crate::cli::film::FilmFile;
+use crate::cli::suggest::{nearest, similar_exists};
 use crate::cli::{Exit, Printer};
 use crate::report::render::{Film, Look, RenderError, SimulationChoice, write_gif, write_mp4};
+use crate::report::{RunFolder, SimulationRow, last_run, simulation_folders};
+use crate::simulation::Challenge;
 use crate::world::STEP_S;
-use anyhow::Context;
+use anyhow::{Context, bail};
 use std::num::NonZeroU32;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// Writes a simulation as a film or a picture.
+/// Simulations that an error lists.
+const MAX_LISTED: usize = 10;
+
+/// Writes simulations as films or pictures: one to a file, or all that are chosen to a folder.
 pub(in crate::cli) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::Result<Exit> {
-    let challenge = flags.challenge.as_deref().map(str::parse).transpose();
+    let output = flags.output.film().context("name the output by --gif, --mp4 or --png")?;
+    let is_file = output.is_file()?;
+    let (run, simulation) = run_and_simulation(flags, printer)?;
+    let rows = chosen(flags, &run, simulation)?;
+    if is_file {
+        let [row] = rows.as_slice() else { return Err(several(&rows)) };
+        output.check_folder()?;
+        write(flags, &run, row, &output, printer)?;
+        return Ok(Exit::Success);
+    }
+    let folders = simulation_folders(&run)?;
+    let mut exit = Exit::Success;
+    for row in &rows {
+        let folder = folders.get(&row.number).and_then(|folder| folder.file_name());
+        let name = folder.map_or_else(|| row.number.to_string(), |name| name.to_string_lossy().into_owned());
+        let file = output.inside(&name);
+        if row.error.is_some() {
+            printer.failure(format!("simulation {} failed and has no film: {}", row.number, words(row)));
+            exit = Exit::SomeFailed;
+            continue;
+        }
+        let parent = file.path().parent().unwrap_or(Path::new("."));
+        std::fs::create_dir_all(parent).with_context(|| format!("cannot create the folder {}", parent.display()))?;
+        write(flags, &run, row, &file, printer)?;
+    }
+    Ok(exit)
+}
+
+/// The run and the simulation of the two arguments; one alone is a run if it is the folder of one.
+fn run_and_simulation(flags: &RenderArguments, printer: Printer) -> anyhow::Result<(PathBuf, Option<&str>)> {
+    let (run, simulation) = match (&flags.run, &flags.simulation) {
+        (Some(run), Some(simulation)) => return Ok((run.into(), Some(simulation))),
+        (Some(word), None) if Path::new(word).is_dir() => return Ok((word.into(), None)),
+        (Some(simulation), None) => (last_run()?, Some(simulation.as_str())),
+        (None, _) => (last_run()?, None),
+    };
+    printer.note(format!("run {}", run.display()));
+    Ok((run, simulation))
+}
+
+/// The completed simulations that the arguments choose.
+fn chosen(flags: &RenderArguments, run: &Path, simulation: Option<&str>) -> anyhow::Result<Vec<SimulationRow>> {
+    let challenge = flags.challenge.as_deref().map(str::parse::<Challenge>).transpose();
     let challenge = challenge.context("--challenge takes nonreactive, reactive or open-loop")?;
-    let choice = SimulationChoice { simulation: flags.simulation.clone(), planner: flags.planner.clone(), challenge };
+    RunFolder::manifest(run)?;
+    let mut rows = RunFolder::read_completed(run)?.rows;
+    if let Some(simulation) = simulation {
+        let all: Vec<String> = rows.iter().map(|row| row.scenario.clone()).collect();
+        rows.retain(|row| is_named(row, simulation));
+        if rows.is_empty() {
+            let similar = nearest(simulation, all.iter().map(String::as_str));
+            let tip = similar.map(|similar| format!("\n  tip: {}", similar_exists("simulation", similar)));
+            bail!(
+                "the run {} has no simulation '{simulation}'; name one by its number or its scenario{}",
+                run.display(),
+                tip.unwrap_or_default()
+            );
+        }
+    }
+    rows.retain(|row| flags.planner.as_ref().is_none_or(|planner| row.planner == *planner));
+    rows.retain(|row| challenge.is_none_or(|challenge| row.challenge == challenge));
+    if rows.is_empty() {
+        bail!("the run {} has no completed simulation of this planner and challenge", run.display());
+    }
+    Ok(rows)
+}
+
+fn is_named(row: &SimulationRow, simulation: &str) -> bool {
+    match simulation.parse::<usize>() {
+        Ok(number) => row.number == number,
+        Err(_) => row.scenario == simulation || row.scenario.ends_with(&format!("/{simulation}")),
+    }
+}
+
+fn several(rows: &[SimulationRow]) -> anyhow::Error {
+    let listed = rows.iter().take(MAX_LISTED).map(|row| format!("\n  {:>3}  {}", row.number, words(row)));
+    let more = rows.len().saturating_sub(MAX_LISTED);
+    let more = if more > 0 { format!("\n  and {more} more") } else { String::new() };
+    anyhow::anyhow!(
+        "a file holds one simulation, and {} simulations are named; name one by its number, or a folder for all:{}{more}",
+        rows.len(),
+        listed.collect::<String>()
+    )
+}
+
+/// Scenario, planner and challenge of a simulation.
+fn words(row: &SimulationRow) -> String {
+    format!("{} by {}, {}", row.scenario, row.planner, row.challenge.short_name())
+}
+
+/// Writes one simulation to a file.
+fn write(
+    flags: &RenderArguments,
+    run: &Path,
+    row: &SimulationRow,
+    output: &FilmFile,
+    printer: Printer,
+) -> anyhow::Result<()> {
     let rate = NonZeroU32::new(flags.fps).context("--fps is 0; a film needs frames")?;
-    let film = Film::open(&flags.run, &choice, Look { pixels: flags.pixels, meters: flags.view })?;
+    let choice = SimulationChoice { simulation: row.number.to_string(), planner: None, challenge: None };
+    let film = Film::open(run, &choice, Look { pixels: flags.pixels, meters: flags.view })?;
     let frames = (film.iterations() as f64 * STEP_S * f64::from(flags.fps)).ceil() as u64;
     let bar = printer.progress(frames, "frames");
     let on_frame = || bar.inc(1);
-    let output = &flags.output;
-    let path: &Path = match (&output.gif, &output.mp4, &output.png) {
-        (Some(path), ..) => {
-            write_gif(&film, rate, path, &on_frame)?;
-            path
-        }
-        (_, Some(path), _) => {
-            write_mp4(&film, rate, path, &on_frame)?;
-            path
-        }
-        (.., Some(path)) => {
+    match output {
+        FilmFile::Gif(path) => write_gif(&film, rate, path, &on_frame)?,
+        FilmFile::Mp4(path) => write_mp4(&film, rate, path, &on_frame)?,
+        FilmFile::Png(path) => {
             let picture = match flags.at {
                 Some(at_s) => film.frame(film.iteration_at(at_s)?),
                 None => film.sheet(),
             };
-            let written = picture.save_with_format(path, image::ImageFormat::Png);
-            written.map_err(RenderError::output(path))?;
-            path
+            picture.save_with_format(path, image::ImageFormat::Png).map_err(RenderError::output(path))?;
         }
-        (None, None, None) => anyhow::bail!("name the file by --gif, --mp4 or --png"),
-    };
+    }
     bar.finish_and_clear();
-    printer.line(path.display().to_string());
-    Ok(Exit::Success)
+    printer.line(output.path().display().to_string());
+    Ok(())
 }

@@ -1,7 +1,9 @@
 //! `planagent report`.
 
 use crate::cli::args::ReportArguments;
+use crate::cli::picture::check_folder;
 use crate::cli::{Exit, Printer};
+use crate::report::last_run;
 use crate::report::page::{self, PAGE, PageSettings};
 use anyhow::{Context, bail};
 
@@ -13,16 +15,25 @@ pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::
     if !flags.max_mb.is_finite() || flags.max_mb <= 0.0 {
         bail!("--max-mb is {}; it must be greater than 0", flags.max_mb);
     }
-    let first = flags.runs.first().context("name the folder of a run")?;
+    let mut runs = flags.runs.clone();
+    if runs.is_empty() {
+        runs.push(last_run()?);
+    }
+    let first = runs.first().context("name the folder of a run")?;
     let out = flags.out.clone().unwrap_or_else(|| first.join(PAGE));
+    check_folder(&out)?;
     let settings = PageSettings { max_bytes: (flags.max_mb * MEGABYTE) as usize, scenario: flags.scenario.clone() };
     let bar = printer.progress(0, "simulations");
-    let written = page::write(&flags.runs, &out, &settings, &|done, all| {
+    let written = page::write(&runs, &out, &settings, &|done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     });
     bar.finish_and_clear();
     let contents = written?;
+    if flags.open {
+        open::that_detached(&contents.page)
+            .with_context(|| format!("cannot open {} in a browser", contents.page.display()))?;
+    }
     if printer.is_json() {
         printer.json(&contents)?;
         return Ok(Exit::Success);

@@ -9,23 +9,21 @@ use anyhow::anyhow;
 
 /// Runs simulations; the results go to a folder, the table to stdout.
 pub(in crate::cli) fn run(flags: &SimulateArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    let (request, listener) = (flags.request(), listener(printer));
+    let (request, listener) = (flags.request()?, listener(printer));
     let results = match &flags.resume {
         Some(folder) => runner::resume(folder, &request, config, &listener)?,
         None => runner::start(&request, config, flags.out.as_deref(), &listener)?,
     };
-    let succeeded = show(&results, printer)?;
-    for list in &results.missing {
-        printer.error(&anyhow!("not simulated: {list}"));
-    }
-    Ok(if succeeded && results.missing.is_empty() { Exit::Success } else { Exit::SomeFailed })
+    show(&results, flags.csv, printer)
 }
 
-/// Prints tables to stdout, folder and failures to stderr. True if every simulation ended and every planning call was
+/// Prints tables to stdout, folder and failures to stderr. Success if every simulation ended and every planning call was
 /// answered.
-fn show(results: &RunResults, printer: Printer) -> anyhow::Result<bool> {
-    let RunResults { folder, summary, timing, rows, .. } = results;
-    if printer.is_json() {
+pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow::Result<Exit> {
+    let RunResults { folder, summary, timing, rows, missing } = results;
+    if csv {
+        printer.csv(&summary.scenarios)?;
+    } else if printer.is_json() {
         printer.json(summary)?;
     } else {
         printer.line(main_table(summary, &timing.planners, rows, printer.width()));
@@ -37,10 +35,10 @@ fn show(results: &RunResults, printer: Printer) -> anyhow::Result<bool> {
     printer.note(format!("results in {}", folder.display()));
     let failed = failures(rows);
     for line in &failed {
-        printer.note(format!("failed: {line}"));
+        printer.failure(format!("failed: {line}"));
     }
     if !failed.is_empty() {
-        printer.note(format!("{} of {} simulations failed", failed.len(), rows.len()));
+        printer.failure(format!("{} of {} simulations failed", failed.len(), rows.len()));
     }
     let count = |of: fn(&SimulationRow) -> usize| rows.iter().map(of).sum::<usize>();
     let (calls, deadlines, lost) =
@@ -53,7 +51,15 @@ fn show(results: &RunResults, printer: Printer) -> anyhow::Result<bool> {
         printer.note(format!("{deadlines} of {calls} planning calls ended at their deadline"));
     }
     if lost > 0 {
-        printer.note(format!("{lost} of {calls} planning calls got no answer; calls.jsonl says why"));
+        let calls_file = folder.join("calls.jsonl");
+        printer.failure(format!(
+            "{lost} of {calls} planning calls got no answer; {} says why",
+            calls_file.display()
+        ));
     }
-    Ok(failed.is_empty() && lost == 0)
+    for list in missing {
+        printer.error(&anyhow!("not simulated: {list}"));
+    }
+    let succeeded = failed.is_empty() && lost == 0 && missing.is_empty();
+    Ok(if succeeded { Exit::Success } else { Exit::SomeFailed })
 }

@@ -32,7 +32,7 @@ pub struct BevView {
 pub enum BevError {
     #[error("a BEV image needs between {min} and {max} pixels a side, got {0}", min = BevView::MIN_PIXELS, max = BevView::MAX_PIXELS)]
     Pixels(u32),
-    #[error("a BEV view needs between {min} and {max} metres a side, got {0}", min = BevView::MIN_METRES, max = BevView::MAX_METRES)]
+    #[error("a BEV view needs between {min} and {max} meters a side, got {0}", min = BevView::MIN_METRES, max = BevView::MAX_METRES)]
     Metres(f64),
 }
 

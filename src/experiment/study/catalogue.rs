@@ -25,7 +25,7 @@ const BUILT_IN: &[(&str, &str)] = built_in![
 
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
-    #[error("unknown experiment '{word}'; known are {known}, or the path of a study FILE.toml")]
+    #[error("unknown experiment '{word}'; there are {known}; or name the path of a study FILE.toml")]
     Unknown { word: String, known: String },
     #[error("cannot read the study {place}: {source}")]
     Read { place: String, source: std::io::Error },

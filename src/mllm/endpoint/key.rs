@@ -1,5 +1,6 @@
 //! The API key of a server. It comes from the environment and never appears in output.
 
+use std::ffi::OsString;
 use std::fmt;
 
 use reqwest::header::HeaderValue;
@@ -22,12 +23,13 @@ impl ApiKey {
     /// # Errors
     /// When the variable is not set or empty, or a header cannot carry its value. The error does not contain the key.
     pub(super) fn from_environment(variable: &str) -> Result<Self, MllmError> {
-        Self::parse(std::env::var_os(variable).and_then(|value| value.into_string().ok()))
+        Self::parse(std::env::var_os(variable))
             .map_err(|problem| MllmError::Key { variable: variable.to_string(), problem })
     }
 
-    fn parse(value: Option<String>) -> Result<Self, &'static str> {
-        let text = value.ok_or("is not set")?.trim().to_string();
+    fn parse(value: Option<OsString>) -> Result<Self, &'static str> {
+        let value = value.ok_or("is not set")?;
+        let text = value.to_str().ok_or("is not UTF-8")?.trim().to_string();
         if text.is_empty() {
             return Err("is empty");
         }
@@ -69,6 +71,12 @@ mod tests {
 
     #[test]
     fn a_missing_or_unusable_key_is_an_error_without_it() {
+        #[cfg(unix)]
+        {
+            use std::os::unix::ffi::OsStringExt;
+            let bytes = OsString::from_vec(b"sk-\xffsecret".to_vec());
+            assert_eq!(ApiKey::parse(Some(bytes)).unwrap_err(), "is not UTF-8");
+        }
         assert!(ApiKey::parse(None).is_err() && ApiKey::parse(Some(" ".into())).is_err());
         let problem = ApiKey::parse(Some("sk-\u{1}secret".into())).unwrap_err();
         assert!(!problem.contains("secret"), "{problem}");

@@ -3,6 +3,7 @@
 mod bench;
 mod markdown;
 mod overview;
+mod paired;
 mod simulations;
 mod study;
 mod terminal;
@@ -16,6 +17,7 @@ use crate::metrics::MetricList;
 use crate::simulation::Challenge;
 
 pub use bench::{bench_markdown, bench_table};
+pub use paired::comparison_table;
 pub use simulations::failures;
 pub use study::{study_markdown, study_table};
 pub use terminal::fill;
@@ -48,15 +50,17 @@ impl Table {
     }
 }
 
-/// The tables of a run: planners, scenario types if there are several, simulations with a legend for each list of metrics, and
-/// the multipliers that made scores 0, and how many planning calls were refused whole.
+/// The tables of a run: planners, scenario types if there are several, simulations, the multipliers that made scores 0, how many
+/// planning calls were refused whole, and one legend.
 pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[SimulationRow], width: u16) -> String {
     let scored = |list| rows.iter().any(|row| row.score.is_some() && row.challenge.metric_list() == list);
     let lists = [MetricList::ClosedLoop, MetricList::OpenLoop].into_iter().filter(|&list| scored(list));
     let mut parts = vec![overview::planners(summary, planners), overview::scenario_types(summary, width)];
-    parts.extend(lists.flat_map(|list| [simulations::table(rows, list), simulations::legend(list, width)]));
+    let lists: Vec<MetricList> = lists.collect();
+    parts.extend(lists.iter().map(|&list| simulations::table(rows, list)));
     parts.push(simulations::zeroed(rows));
     parts.push(simulations::refused(rows));
+    parts.push(simulations::legend(&lists, width));
     parts.retain(|part| !part.is_empty());
     parts.join("\n\n")
 }
@@ -80,6 +84,12 @@ fn percent(score: f64) -> String {
     fixed(score * 100.0, 2)
 }
 
+/// A difference of scores with its sign, unless it rounds to zero.
+fn signed(value: f64) -> String {
+    let text = fixed(value, 2);
+    if value > 0.0 && text != "0.00" { format!("+{text}") } else { text }
+}
+
 /// A measurement with three significant digits.
 fn three_digits(value: f64) -> String {
     let decimals = match value.abs() {
@@ -89,6 +99,18 @@ fn three_digits(value: f64) -> String {
         _ => 4,
     };
     fixed(value, decimals)
+}
+
+/// Measurements with equal decimals: as many as the smallest needs for two significant digits, at most three.
+fn measurements(values: &[Option<f64>]) -> Vec<String> {
+    let smallest = values.iter().flatten().map(|value| value.abs()).filter(|size| *size > 0.0).fold(f64::INFINITY, f64::min);
+    let decimals = match smallest {
+        size if size >= 10.0 => 0,
+        size if size >= 1.0 => 1,
+        size if size >= 0.1 => 2,
+        _ => 3,
+    };
+    values.iter().map(|value| or_dash(*value, |value| fixed(value, decimals))).collect()
 }
 
 /// A number of weights in millions or billions.

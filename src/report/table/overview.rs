@@ -1,6 +1,6 @@
 //! Mean scores of the planners, over all scenarios and by scenario type.
 
-use super::{Table, or_dash, percent, short, three_digits};
+use super::{Table, measurements, or_dash, percent, short};
 use crate::metrics::distinct;
 use crate::report::summary::{Aggregate, Summary};
 use crate::report::timing::PlannerTiming;
@@ -15,12 +15,14 @@ pub(super) fn planners(summary: &Summary, timings: &[PlannerTiming]) -> String {
     let scores = challenges.iter().map(|&challenge| short(challenge));
     let headers = ["planner"].into_iter().chain(scores).chain(["ms/step"]).chain(call).chain(["simulations", "failed"]);
     let planners = distinct(summary.aggregates.iter().map(|row| row.planner.as_str()));
-    let rows = planners.into_iter().map(|planner| {
+    let timing = |planner: &str| timings.iter().find(|timing| timing.planner == planner);
+    let steps: Vec<_> = planners.iter().map(|planner| timing(planner)?.mean_iteration_ms).collect();
+    let calls: Vec<_> = planners.iter().map(|planner| Some(timing(planner)?.planning_call_ms?.p50)).collect();
+    let times = measurements(&steps).into_iter().zip(measurements(&calls));
+    let rows = planners.into_iter().zip(times).map(|(planner, (step, call_time))| {
         let own = || summary.aggregates.iter().filter(|row| row.planner == planner);
         let score = |challenge| own().find(|row| row.challenge == challenge).and_then(|row| row.score);
-        let timing = timings.iter().find(|timing| timing.planner == planner);
-        let step = or_dash(timing.and_then(|timing| timing.mean_iteration_ms), three_digits);
-        let call = call.map(|_| or_dash(timing.and_then(|t| t.planning_call_ms).map(|call| call.p50), three_digits));
+        let call = call.map(|_| call_time);
         let simulations: usize = own().map(|row| row.scenarios + row.failed).sum();
         let failed: usize = own().map(|row| row.failed).sum();
         let scores = challenges.iter().map(|&challenge| or_dash(score(challenge), percent));
@@ -122,7 +124,7 @@ mod tests {
         let text = planners(&summary(&["plan-agent", "idm"]), &[agent, idm]);
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(words(lines[0]), ["planner", "NR", "R", "ms/step", "ms/call", "p50", "simulations", "failed"]);
-        assert_eq!(words(lines[1]), ["plan-agent", "90.00", "80.00", "2.34", "34.1", "20", "0"]);
+        assert_eq!(words(lines[1]), ["plan-agent", "90.00", "80.00", "2.34", "34", "20", "0"]);
         assert_eq!(words(lines[2]), ["idm", "90.00", "80.00", "0.25", "-", "20", "0"]);
         assert!(lines.iter().all(|line| line.chars().count() <= 80), "{text}");
     }

@@ -15,7 +15,8 @@ pub(super) fn table(rows: &[SimulationRow], list: MetricList) -> String {
     let completed = || rows.iter().filter(|row| row.score.is_some() && row.challenge.metric_list() == list);
     let labels = list.scored().map(|metric| metric.label);
     let headers = ["scenario", " planner", "", "score"].into_iter().chain(labels).chain(["calls"]);
-    let table = Table::new(headers, 3, completed().take(MAX_ROWS).map(cells));
+    let decimals = decimals(&completed().take(MAX_ROWS), list);
+    let table = Table::new(headers, 3, completed().take(MAX_ROWS).map(|row| cells(row, &decimals)));
     let left_out = completed().count() - table.rows.len();
     let mut text = table.terminal_below_names();
     if left_out > 0 {
@@ -25,23 +26,34 @@ pub(super) fn table(rows: &[SimulationRow], list: MetricList) -> String {
     text
 }
 
-fn cells(row: &SimulationRow) -> Vec<String> {
-    let decimals = |value: f64| if (value - value.round()).abs() < 1e-9 { 0 } else { 2 };
-    let list = row.challenge.metric_list().scored();
-    let metrics = list.map(|metric| or_dash(row.metric(metric.name), |value| fixed(value, decimals(value))));
+/// Decimals of the columns of metrics: none where all scores are whole, else two.
+fn decimals<'a>(rows: &(impl Iterator<Item = &'a SimulationRow> + Clone), list: MetricList) -> Vec<usize> {
+    let is_whole = |value: f64| (value - value.round()).abs() < 1e-9;
+    let of_metric = |name: &str| {
+        let whole = rows.clone().filter_map(|row| row.metric(name)).all(is_whole);
+        if whole { 0 } else { 2 }
+    };
+    list.scored().map(|metric| of_metric(metric.name)).collect()
+}
+
+fn cells(row: &SimulationRow, decimals: &[usize]) -> Vec<String> {
+    let list = row.challenge.metric_list().scored().zip(decimals);
+    let metrics = list.map(|(metric, &decimals)| or_dash(row.metric(metric.name), |value| fixed(value, decimals)));
     let calls = or_dash(Some(row.planning_calls).filter(|calls| *calls > 0), |calls| calls.to_string());
     let planner = format!(" {}", row.planner);
     let head = [row.scenario.clone(), planner, short(row.challenge).to_owned(), or_dash(row.score, percent)];
     head.into_iter().chain(metrics).chain([calls]).collect()
 }
 
-pub(super) fn legend(list: MetricList, width: u16) -> String {
-    let meanings = list.scored().map(|metric| format!("{} = {}", metric.label, metric.name));
-    let challenges = match list {
+/// The meaning of the labels of the metrics and of the challenges, each once.
+pub(super) fn legend(lists: &[MetricList], width: u16) -> String {
+    let metrics = lists.iter().flat_map(|list| list.scored());
+    let meanings = distinct(metrics.map(|metric| format!("{} = {}", metric.label, metric.name)));
+    let challenges = lists.iter().map(|list| match list {
         MetricList::ClosedLoop => "NR, R = non-reactive, reactive agents  score = nuPlan's closed-loop score x 100",
         MetricList::OpenLoop => "OLS = the ego replays the log  score = nuPlan's open-loop score x 100",
-    };
-    let lines = fill(meanings, usize::from(width)).into_iter().chain([challenges.to_owned()]);
+    });
+    let lines = fill(meanings, usize::from(width)).into_iter().chain(challenges.map(str::to_owned));
     lines.map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
 }
 
@@ -73,5 +85,10 @@ pub(super) fn refused(rows: &[SimulationRow]) -> String {
 /// A line for each failed simulation.
 pub fn failures(rows: &[SimulationRow]) -> Vec<String> {
     let failed = rows.iter().filter_map(|row| row.error.as_ref().map(|error| (row, error)));
-    failed.map(|(row, error)| format!("{} ({}, {}): {error}", row.scenario, row.planner, row.challenge)).collect()
+    let line = |(row, error): (&SimulationRow, &String)| {
+        // The error of a file begins with its path, which names the scenario too.
+        let error = error.strip_prefix(row.scenario.as_str()).and_then(|rest| rest.strip_prefix(": ")).unwrap_or(error);
+        format!("{} ({}, {}): {error}", row.scenario, row.planner, row.challenge)
+    };
+    failed.map(line).collect()
 }

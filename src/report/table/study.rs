@@ -1,7 +1,7 @@
 //! The tables of an experiment.
 
 use super::terminal::wrapped;
-use super::{Table, or_dash, short, three_digits, weights};
+use super::{Table, or_dash, short, signed, three_digits, weights};
 use crate::experiment::statistics::PairedDifference;
 use crate::experiment::study::{Column, Rows, Study, Variant};
 use crate::report::number::fixed;
@@ -208,12 +208,6 @@ fn difference(difference: Option<PairedDifference>, is_reference: bool) -> [Stri
     let interval = |difference: PairedDifference| format!("{} to {}", signed(difference.low), signed(difference.high));
     let missing = if is_reference { "reference" } else { "-" };
     [or_dash(difference, |d| signed(d.mean)), difference.map_or_else(|| missing.to_owned(), interval)]
-}
-
-/// A number with its sign, unless it rounds to zero.
-fn signed(value: f64) -> String {
-    let text = fixed(value, 2);
-    if value > 0.0 && text != "0.00" { format!("+{text}") } else { text }
 }
 
 fn number(value: Option<f64>) -> String {

@@ -98,7 +98,10 @@ impl<'a> Experiments<'a> {
         (self.listener)(Event::Planned { runs, completed, left });
         if left > 0 {
             open.simulate_first()?;
-            (self.listener)(Event::Estimated { left: open.counts().2, time: open.time_left() });
+            let left = open.counts().2;
+            if left > 0 {
+                (self.listener)(Event::Estimated { left, time: open.time_left() });
+            }
         }
         let rows = open.complete(started)?;
 
@@ -149,8 +152,18 @@ impl<'a> Experiments<'a> {
         if !self.request.suites.is_empty() {
             words.push(format!("--suite {}", self.request.suites.join(",")));
         }
+        if !self.request.scenarios.is_empty() {
+            let scenarios = self.request.scenarios.iter().map(|word| quoted(word)).collect::<Vec<_>>();
+            words.push(format!("--scenario {}", scenarios.join(" ")));
+        }
         words.join(" ")
     }
+}
+
+/// A word as a shell takes it.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./#:=@+,%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) { word.to_owned() } else { format!("'{}'", word.replace('\'', r"'\''")) }
 }
 
 /// The simulations of a suite, variant by variant.

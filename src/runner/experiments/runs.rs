@@ -3,7 +3,7 @@
 
 use super::suites::SelectedSuite;
 use crate::experiment::study::Variant;
-use crate::planner::{PlannerNeeds, PlannerRegistry};
+use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, PlannerNeeds, PlannerRegistry};
 use crate::report::{MANIFEST, RunFolder, SUMMARY, SimulationRow};
 use crate::runner::config::{Config, MllmConfig};
 use crate::runner::error::RunnerError;
@@ -52,7 +52,8 @@ impl<'a> PlannedRuns<'a> {
 
     /// Plans the run of a variant on a suite and gives its name; or why the variant cannot be simulated.
     pub(super) fn add(&mut self, suite: &SelectedSuite, variant: &Variant) -> Result<RunName, RunnerError> {
-        let entry = self.registry.find(&variant.planner)?;
+        let (registry, commands) = self.registry_for(variant)?;
+        let entry = registry.find(commands.keys().next().unwrap_or(&variant.planner))?;
         let (planner, needs) = (entry.name, entry.needs);
         let config = self.config.overlaid(&variant.settings)?;
         let loaded = match needs {
@@ -60,22 +61,36 @@ impl<'a> PlannedRuns<'a> {
             _ if !self.has_weights(&config)? => return Ok(Err(NO_WEIGHTS)),
             _ => Some(self.model(&config)?.with_prompts(&config)?),
         };
-        let agent = model::agent_parts(&config, self.registry.clone(), loaded.as_ref());
+        let agent = model::agent_parts(&config, registry, loaded.as_ref());
         let challenges = Challenge::CLOSED_LOOP.iter().map(ToString::to_string).collect();
         let relevant = relevant(config, needs);
-        let manifest = manifest(vec![planner.to_string()], challenges, suite.list.clone(), loaded.as_ref(), &relevant)?;
+        let planners = (vec![planner.to_string()], commands);
+        let manifest = manifest(planners, challenges, suite.list.clone(), loaded.as_ref(), &relevant)?;
         let digest = manifest.digest();
         let name = format!("{planner}-{}-{}", suite.name, digest.get(..DIGEST).unwrap_or(&digest));
         if let Some(loaded) = &loaded {
             self.parameters.insert(name.clone(), loaded.about.parameters);
         }
+        let tasks = tasks(&suite.sources, &[planner], &Challenge::CLOSED_LOOP);
         self.plans.entry(name.clone()).or_insert_with(|| RunPlan {
             manifest,
-            tasks: tasks(&suite.sources, &[planner], &Challenge::CLOSED_LOOP),
+            numbers: (0..tasks.len()).collect(),
+            tasks,
             agent,
             load_s: loaded.map(|loaded| loaded.load_s),
         });
         Ok(Ok(name))
+    }
+
+    /// The planners, with that of the variant if it is a command, and the command by its name.
+    fn registry_for(&self, variant: &Variant) -> Result<(PlannerRegistry, BTreeMap<String, String>), RunnerError> {
+        let mut commands = BTreeMap::new();
+        let mut registry = self.registry.clone();
+        if let Some(command) = ExecCommand::parse(&variant.planner).transpose()? {
+            registry = registry.with_command(&command, DEFAULT_EXEC_TIMEOUT)?;
+            commands.insert(command.name.to_string(), command.command);
+        }
+        Ok((registry, commands))
     }
 
     /// Whether the weights of a variant's own model are on this machine. The model of the user's configuration is not
@@ -115,7 +130,7 @@ impl<'a> PlannedRuns<'a> {
             let has_results = path.join(SUMMARY).is_file();
             let rows = if has_results { RunFolder::read_completed(&path)?.rows } else { Vec::new() };
             let retries = retry_failed && rows.iter().any(|row| row.error.is_some());
-            if has_results && rows.len() == plan.tasks.len() && !retries {
+            if has_results && rows.len() == plan.numbers.len() && !retries {
                 runs.ended.insert(name, rows);
             } else {
                 runs.open.insert(name, Run::resume(&path, plan, retry_failed, self.listener)?);

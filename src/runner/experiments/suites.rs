@@ -6,16 +6,15 @@ use crate::experiment::suite::RECORDED;
 use crate::report::ScenarioList;
 use crate::runner::error::RunnerError;
 use crate::runner::event::{Event, Listener};
+use crate::runner::sample::Sample;
 use crate::runner::selection::{Selected, absolute, scenario_list, select};
-use crate::scenario::{DataRoots, Readers, ScenarioRef, absolute_path};
+use crate::scenario::{DataRoots, RECORDINGS, Readers, ScenarioRef, absolute_path};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
-/// Environment variable that names a folder of recordings,
+/// Environment variable that names a folder of recordings.
 const DATA: &str = "PLANAGENT_DATA";
-/// and where they lie in it.
-const RECORDINGS: [&str; 3] = ["womd", "argoverse2/sensor", "argoverse2/motion_forecasting"];
 
 /// The scenarios of a suite, found in the data of this machine.
 pub(super) struct SelectedSuite {
@@ -79,7 +78,7 @@ impl<'a> Suites<'a> {
             return Err(RunnerError::NoRecordings { folders: RECORDINGS.join(", "), variable: DATA });
         }
         let Selected { mut sources, mut splits, missing } =
-            select(&words, &splits, None, &self.readers, self.listener)?;
+            select(&words, &splits, &Sample::default(), &self.readers, self.listener)?;
         if self.request.quick {
             sources = Quick::DEFAULT.of(sources);
             (words, splits) = (sources.iter().map(ToString::to_string).collect(), Vec::new());

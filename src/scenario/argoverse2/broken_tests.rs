@@ -16,24 +16,24 @@ fn broken_tables_are_reported_with_file_column_and_row() {
         assert!(message.contains(file) && message.contains(what), "{message}");
     };
     let drop_column = |name: &'static str| move |log: &mut Log| log.annotations.retain(|(column, _)| *column != name);
-    check(ANNOTATIONS, &drop_column("track_uuid"), "no column `track_uuid`");
-    check(ANNOTATIONS, &drop_column("tx_m"), "no column `tx_m`");
-    check(POSES, &|log| log.poses.retain(|(column, _)| *column != "qz"), "no column `qz`");
+    check(ANNOTATIONS, &drop_column("track_uuid"), "no column 'track_uuid'");
+    check(ANNOTATIONS, &drop_column("tx_m"), "no column 'tx_m'");
+    check(POSES, &|log| log.poses.retain(|(column, _)| *column != "qz"), "no column 'qz'");
     let number = |name: &'static str, row: usize, value: Option<f64>| {
         move |log: &mut Log| {
             let array = with(&log.annotations, name, row, value);
             set(&mut log.annotations, name, array);
         }
     };
-    check(ANNOTATIONS, &number("ty_m", 7, Some(f64::NAN)), "column `ty_m`, row 7: NaN");
-    check(ANNOTATIONS, &number("tx_m", 3, Some(f64::INFINITY)), "column `tx_m`, row 3: inf");
-    check(ANNOTATIONS, &number("tx_m", 3, None), "column `tx_m`, row 3: no value");
-    check(ANNOTATIONS, &number("width_m", 9, Some(0.0)), "column `width_m`, row 9: 0");
+    check(ANNOTATIONS, &number("ty_m", 7, Some(f64::NAN)), "column 'ty_m', row 7: NaN");
+    check(ANNOTATIONS, &number("tx_m", 3, Some(f64::INFINITY)), "column 'tx_m', row 3: inf");
+    check(ANNOTATIONS, &number("tx_m", 3, None), "column 'tx_m', row 3: no value");
+    check(ANNOTATIONS, &number("width_m", 9, Some(0.0)), "column 'width_m', row 9: 0");
     check(ANNOTATIONS, &number("qw", 2, Some(0.0)), "row 2: a quaternion of norm 0");
     check(ANNOTATIONS, &|log| set(&mut log.annotations, "qx", StringArray::from(vec!["x"; 95])), "not numbers");
     check(ANNOTATIONS, &|log| set(&mut log.annotations, "category", Int64Array::from(vec![1; 95])), "not text");
     let strange = |log: &mut Log| set(&mut log.annotations, "category", StringArray::from(vec!["SPACESHIP"; 95]));
-    check(ANNOTATIONS, &strange, "row 0: unknown category `SPACESHIP`");
+    check(ANNOTATIONS, &strange, "row 0: unknown category 'SPACESHIP'");
     let one_track = |log: &mut Log| set(&mut log.annotations, "track_uuid", StringArray::from(vec!["same"; 95]));
     check(ANNOTATIONS, &one_track, "row 1: a second row of track same");
     let empty = |log: &mut Log| log.annotations.iter_mut().for_each(|(_, array)| *array = array.slice(0, 0));

@@ -31,17 +31,17 @@ pub enum LogFault {
     Parquet(#[from] ParquetError),
     #[error("the table has no rows")]
     Empty,
-    #[error("there is no column `{column}`")]
+    #[error("there is no column '{column}'")]
     NoColumn { column: &'static str },
-    #[error("column `{column}` holds {found}, not {needed}")]
+    #[error("column '{column}' holds {found}, not {needed}")]
     WrongType { column: &'static str, found: String, needed: &'static str },
-    #[error("column `{column}`, row {row}: no value")]
+    #[error("column '{column}', row {row}: no value")]
     NoValue { column: &'static str, row: usize },
-    #[error("column `{column}`, row {row}: {value} is out of range")]
+    #[error("column '{column}', row {row}: {value} is out of range")]
     OutOfRange { column: &'static str, row: usize, value: f64 },
     #[error("columns `qw` to `qz`, row {row}: a quaternion of norm {norm} is no rotation")]
     NoRotation { row: usize, norm: f64 },
-    #[error("column `{column}`, row {row}: unknown category `{word}`")]
+    #[error("column '{column}', row {row}: unknown category '{word}'")]
     Category { column: &'static str, row: usize, word: String },
     #[error("row {row}: a second row of track {track} at the same time")]
     Twice { row: usize, track: String },

@@ -26,13 +26,13 @@ pub struct Spec {
 #[allow(missing_docs)]
 pub enum GeneratorError {
     #[error(
-        "`{0}` does not name a generated scenario: expected generated/<scenario type>/<seed> or \
+        "'{0}' does not name a generated scenario: expected generated/<scenario type>/<seed> or \
         generated/<scenario type>/<seed>.<traffic seed>"
     )]
     Form(String),
-    #[error("`{0}` is not a scenario type of the generator; `planagent scenarios list` names them")]
+    #[error("'{0}' is not a scenario type of the generator; `planagent scenarios list` names them")]
     UnknownType(String),
-    #[error("the {which} `{seed}` of `{id}` is not an integer from 0 to 2^64 - 1")]
+    #[error("the {which} '{seed}' of '{id}' is not an integer from 0 to 2^64 - 1")]
     Seed { which: &'static str, seed: String, id: String },
     #[error("cannot generate {id}: all {draws} draws were discarded, the last one because {last}")]
     Exhausted { id: String, draws: usize, last: Discard },

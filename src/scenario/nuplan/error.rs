@@ -56,7 +56,7 @@ pub enum CellFault {
     Number { got: f64, expected: &'static str },
     #[error("holds a token of {0} bytes, expected 8")]
     TokenLength(usize),
-    #[error("holds `{got}`, expected {expected}")]
+    #[error("holds '{got}', expected {expected}")]
     Word { got: String, expected: &'static str },
     /// Names a row that does not exist.
     #[error("names {target}, which table {table} does not hold")]
@@ -97,7 +97,7 @@ pub enum ScenarioFault {
 pub enum RouteFault {
     #[error("its route is empty (column roadblock_ids)")]
     Empty,
-    #[error("its route holds `{0}` in column roadblock_ids, expected ids separated by spaces")]
+    #[error("its route holds '{0}' in column roadblock_ids, expected ids separated by spaces")]
     Word(String),
     #[error("its route holds roadblock {id}, which the map {map} does not have; do log and map belong together?")]
     Unknown { id: i64, map: String },
@@ -131,7 +131,7 @@ pub enum FileFault {
     /// The list of maps.
     #[error("{0}")]
     MapsIndex(String),
-    #[error("no map of `{location}`; there are {}", known.join(", "))]
+    #[error("no map of '{location}'; there are {}", known.join(", "))]
     UnknownLocation { location: String, known: Vec<String> },
     #[error("missing; {}", versions(found))]
     MissingMap { found: Vec<String> },

@@ -31,7 +31,7 @@ pub struct FilterFile {
 pub enum FilterFault {
     #[error("not a scenario filter in YAML (lines of `key: value`): {0}")]
     Yaml(String),
-    #[error("`{0}` is read as a number by YAML: put it in quotes")]
+    #[error("'{0}' is read as a number by YAML: put it in quotes")]
     Unquoted(String),
     #[error("{key} must be {expected}")]
     Value { key: &'static str, expected: &'static str },
@@ -50,7 +50,7 @@ pub enum FilterFault {
          code rewrites; they are not in nuPlan's logs"
     )]
     InterPlan,
-    #[error("_target_ is `{0}`, not nuPlan's ScenarioFilter")]
+    #[error("_target_ is '{0}', not nuPlan's ScenarioFilter")]
     Target(String),
     #[error("token_set_path and fraction_in_token_set_threshold belong together: give both or neither")]
     HalfTokenSet,

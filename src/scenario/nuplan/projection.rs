@@ -20,7 +20,7 @@ const ZONES: u32 = 60;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum ProjectionError {
-    #[error("`{0}` does not name a coordinate system: expected for example `epsg:32611`")]
+    #[error("'{0}' does not name a coordinate system: expected for example `epsg:32611`")]
     Name(String),
     #[error("EPSG:{0} is not a UTM zone on WGS 84: expected 32601 to 32660 (north) or 32701 to 32760 (south)")]
     NotUtm(u32),

@@ -13,8 +13,8 @@ struct Published {
     name: &'static str,
     /// Names of the file that holds it.
     files: &'static [&'static str],
-    /// Where it is published.
-    origin: &'static str,
+    /// The repository of GitHub that publishes it, under the first of these names.
+    repository: &'static str,
     /// Number of its tokens.
     tokens: usize,
     /// BLAKE3 of the sorted tokens, each followed by a newline.
@@ -26,21 +26,21 @@ const PUBLISHED: [Published; 3] = [
     Published {
         name: "val14",
         files: &["val14_split.yaml", "tuplan_garage__val14_split.yaml", "val14.yaml"],
-        origin: "autonomousvision/tuplan_garage: val14_split.yaml",
+        repository: "autonomousvision/tuplan_garage",
         tokens: 1118,
         blake3: "e20b650606d77b6ce6b83d6286ca5504bc15b5d100e6964f88d4ec81fe8669cb",
     },
     Published {
         name: "reduced-val14",
         files: &["reduced_val14_split.yaml", "tuplan_garage__reduced_val14_split.yaml"],
-        origin: "autonomousvision/tuplan_garage: reduced_val14_split.yaml",
+        repository: "autonomousvision/tuplan_garage",
         tokens: 318,
         blake3: "fd3bcbe460caca701859b47a08251643fe50dc01c9b2c14825133e9809269b88",
     },
     Published {
         name: "test14-hard",
         files: &["test14-hard.yaml", "planTF__test14-hard.yaml"],
-        origin: "jchengai/planTF: test14-hard.yaml",
+        repository: "jchengai/planTF",
         tokens: 272,
         blake3: "5baddae5b2ecc5667d7b7c19984da56f955f0d6c9eafe9581fef202c4465db1f",
     },
@@ -50,9 +50,12 @@ const PUBLISHED: [Published; 3] = [
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum SplitError {
-    #[error("split {name} is published in {origin}; put that file into one of {}, or name it as FILE.yaml",
-        folders.iter().map(|f| f.display().to_string()).collect::<Vec<_>>().join(", "))]
-    NoFile { name: &'static str, origin: &'static str, folders: Vec<PathBuf> },
+    #[error(
+        "the split {name} is a list of {tokens} scenarios, and its file is not on this machine. Get {file} from \
+         https://github.com/{repository} and put it into the folder {folder}, or name it by --split path/to/{file}. The \
+         scenarios themselves are in nuPlan's logs, which --data-root names"
+    )]
+    NoFile { name: &'static str, tokens: usize, file: &'static str, repository: &'static str, folder: String },
     #[error(transparent)]
     Filter(#[from] FilterError),
     #[error(transparent)]
@@ -147,7 +150,9 @@ impl Published {
         let folders = folders();
         let path = folders.iter().flat_map(|folder| self.files.iter().map(|file| folder.join(file)));
         let Some(path) = path.into_iter().find(|path| path.is_file()) else {
-            return Err(SplitError::NoFile { name: self.name, origin: self.origin, folders });
+            let Self { name, tokens, repository, .. } = *self;
+            let (file, folder) = (self.files[0], folders.first().map_or_else(String::new, |f| f.display().to_string()));
+            return Err(SplitError::NoFile { name, tokens, file, repository, folder });
         };
         let file = FilterFile::open(&path)?;
         let tokens = file.filter.scenario_tokens.as_deref().unwrap_or_default();

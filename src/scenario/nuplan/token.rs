@@ -27,7 +27,7 @@ impl Token {
 
 /// A text that is no token.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no token: expected 16 hexadecimal digits in quotes")]
+#[error("'{0}' is no token: expected 16 hexadecimal digits in quotes")]
 pub struct TokenError(pub String);
 
 impl FromStr for Token {

@@ -1,7 +1,7 @@
 //! `planagent models check`.
 
 use crate::cli::{Exit, Printer};
-use crate::mllm::{ModelCheck, ModelRegistry, in_bytes};
+use crate::mllm::{MllmError, ModelCheck, ModelRegistry, ModelSource, in_bytes};
 use serde::Serialize;
 
 /// The check of a model.
@@ -17,18 +17,21 @@ struct Row<'a> {
     missing: Option<String>,
 }
 
-/// Checks models; without names, all described ones. A described model that is not on this machine is no error.
+/// Checks models; without names, all described ones with files.
 pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
-    let all = models.is_empty();
-    let names = if all { registry.names()? } else { models.to_vec() };
+    let names = if models.is_empty() { registry.names()? } else { models.to_vec() };
     let mut well = true;
     for model in &names {
-        let found = registry.find(model).and_then(|spec| registry.check(&spec));
-        let row = match found {
-            Ok(check) => Row { model, check: Some(check), missing: None },
-            Err(error) => Row { model, check: None, missing: Some(error.to_string()) },
+        let spec = match registry.find(model) {
+            // Who names no model asks about files.
+            Ok(spec) if models.is_empty() && matches!(spec.source, ModelSource::Endpoint(_)) => continue,
+            found => found,
         };
-        well &= row.check.as_ref().map_or(all, |check| check.problems.is_empty());
+        let row = match spec.and_then(|spec| registry.check(&spec)) {
+            Ok(check) => Row { model, check: Some(check), missing: None },
+            Err(error) => Row { model, check: None, missing: Some(reason(&error, model)) },
+        };
+        well &= row.check.as_ref().is_some_and(|check| check.problems.is_empty());
         if printer.is_json() {
             printer.json(&row)?;
         } else {
@@ -36,6 +39,14 @@ pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer)
         }
     }
     Ok(if well { Exit::Success } else { Exit::SomeFailed })
+}
+
+/// Why a model cannot be checked. Its files are only looked for on this machine, whatever the settings of the network.
+fn reason(error: &MllmError, model: &str) -> String {
+    match error {
+        MllmError::NotInCache { .. } => format!("not on this machine; `planagent models fetch {model}` downloads it"),
+        other => other.to_string(),
+    }
 }
 
 fn tell(row: &Row<'_>, printer: Printer) {

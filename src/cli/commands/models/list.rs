@@ -5,9 +5,6 @@ use crate::mllm::{ModelRegistry, ModelSource, in_bytes};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Width of a line, columns.
-const WIDTH: usize = 80;
-
 /// A described model.
 #[derive(Debug, Default, Serialize)]
 struct Row {
@@ -28,9 +25,13 @@ struct Row {
 }
 
 /// Lists the described models.
-pub(super) fn run(registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
-    for name in registry.names()? {
-        let row = row(name, registry);
+pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyhow::Result<Exit> {
+    let rows = registry.names()?.into_iter().map(|name| row(name, registry));
+    if csv {
+        printer.csv(&rows.collect::<Vec<_>>())?;
+        return Ok(Exit::Success);
+    }
+    for row in rows {
         if printer.is_json() {
             printer.json(&row)?;
             continue;
@@ -42,14 +43,9 @@ pub(super) fn run(registry: &ModelRegistry, printer: Printer) -> anyhow::Result<
             (None, None) => "broken".to_owned(),
         };
         let last = row.source.or(row.problem).unwrap_or_default();
-        let line = format!("{:<22} {:<10} {state:>9}  {last}", row.model, row.family.unwrap_or("-"));
-        if line.chars().count() <= WIDTH {
-            printer.line(line);
-        } else {
-            // The last field is often copied: it moves to a line of its own when the line is too long.
-            printer.line(line.strip_suffix(&last).unwrap_or(&line).trim_end());
-            printer.line(format!("  {last}"));
-        }
+        let line = format!("{:<22} {:<10} {state:>9}", row.model, row.family.unwrap_or("-"));
+        // The last field is often copied: on a narrow terminal it has a line of its own.
+        printer.named(line.trim_end(), &last);
     }
     Ok(Exit::Success)
 }

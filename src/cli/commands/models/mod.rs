@@ -14,9 +14,9 @@ use crate::runner::{Config, model_registry};
 pub(in crate::cli) fn run(command: &ModelsCommand, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let registry = model_registry(config, &listener(printer));
     match command {
-        ModelsCommand::List => list::run(&registry, printer),
-        ModelsCommand::Check { models } => check::run(models, &registry, printer),
-        ModelsCommand::Fetch { models } => fetch::run(models, &registry, printer),
+        ModelsCommand::List { csv } => list::run(&registry, *csv, printer),
+        ModelsCommand::Check { models, .. } => check::run(models, &registry, printer),
+        ModelsCommand::Fetch { models, .. } => fetch::run(models, &registry, printer),
         ModelsCommand::Quantize(flags) => quantize::run(flags, &registry, printer),
     }
 }

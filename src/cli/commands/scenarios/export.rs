@@ -5,7 +5,7 @@ use crate::cli::{Exit, Printer};
 use crate::geometry::Point;
 use crate::scenario::nuplan::export::{ExportChanges, ExportSettings, write_scenarios};
 use crate::scenario::{Scenario, ScenarioRef};
-use anyhow::{Context, bail};
+use anyhow::bail;
 use rayon::prelude::*;
 
 /// Writes scenarios in another format. A failure leaves no files behind.
@@ -18,7 +18,14 @@ pub(super) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Resu
     }
     let scenarios: Vec<Scenario> = sources
         .par_iter()
-        .map(|source| source.open().with_context(|| format!("cannot open {source}")))
+        .map(|source| {
+            source.open().map_err(|error| {
+                let (name, text) = (source.to_string(), error.to_string());
+                // The error of a file begins with its path.
+                let error = anyhow::Error::new(error);
+                if text.contains(&name) { error } else { error.context(format!("cannot open {name}")) }
+            })
+        })
         .collect::<Result<_, _>>()?;
     match arguments.format {
         ExportFormat::Nuplan => nuplan(arguments, &scenarios, printer),

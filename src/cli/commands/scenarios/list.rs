@@ -1,7 +1,7 @@
 //! `planagent scenarios list`: one scenario after another, as far as each is known before opening.
 
 use super::{About, Details};
-use crate::cli::args::SplitArguments;
+use crate::cli::args::ListArguments;
 use crate::cli::{Exit, Printer};
 use crate::experiment::split::split;
 use crate::scenario::generator::{Spec, types};
@@ -22,45 +22,71 @@ struct Recorded {
     tracks: usize,
 }
 
+/// How the scenarios are printed.
+#[derive(Clone, Copy)]
+struct Output {
+    printer: Printer,
+    csv: bool,
+}
+
+/// A row for CSV.
+#[derive(Debug, Serialize)]
+struct Row {
+    #[serde(flatten)]
+    about: About,
+    split: Option<String>,
+    #[serde(flatten)]
+    recorded: Option<Recorded>,
+}
+
 /// Lists the scenarios of words and splits, or the types of generated scenarios when neither is given.
-pub(super) fn run(words: &[String], flags: &SplitArguments, printer: Printer) -> anyhow::Result<Exit> {
-    if words.is_empty() && flags.splits.is_empty() {
-        return list_types(printer);
-    }
-    let readers = flags.data.readers();
-    let mut complete = list_splits(&flags.splits, &readers, printer)?;
-    for word in words {
-        for scenario in readers.find(word)? {
-            complete &= list(&scenario, None, printer)?;
+pub(super) fn run(arguments: &ListArguments, printer: Printer) -> anyhow::Result<Exit> {
+    let ListArguments { sources, split, csv } = arguments;
+    let output = Output { printer, csv: *csv };
+    let mut rows = Vec::new();
+    let complete = if sources.is_empty() && split.splits.is_empty() {
+        list_types(output, &mut rows)?
+    } else {
+        let readers = split.data.readers();
+        let mut complete = list_splits(&split.splits, &readers, output, &mut rows)?;
+        for word in sources {
+            for scenario in readers.find(word)? {
+                complete &= list(&scenario, None, output, &mut rows)?;
+            }
         }
-    }
-    for note in readers.take_notes() {
-        printer.note(note);
+        for note in readers.take_notes() {
+            printer.note(note);
+        }
+        complete
+    };
+    if *csv {
+        printer.csv(&rows)?;
     }
     Ok(if complete { Exit::Success } else { Exit::SomeFailed })
 }
 
-fn list_types(printer: Printer) -> anyhow::Result<Exit> {
-    printer.note("types of generated scenarios; name one as generated/TYPE/SEED or generated/TYPE/SEED.TRAFFIC");
+fn list_types(output: Output, rows: &mut Vec<Row>) -> anyhow::Result<bool> {
+    let note = "types of generated scenarios; name one as generated/TYPE/SEED or generated/TYPE/SEED.TRAFFIC";
+    output.printer.note(note);
     for scenario_type in types::in_suites() {
-        list(&Spec::new(scenario_type, 0).into(), None, printer)?;
+        list(&Spec::new(scenario_type, 0).into(), None, output, rows)?;
     }
-    Ok(Exit::Success)
+    Ok(true)
 }
 
 /// Whether all scenarios of the splits exist and all their files can be read.
-fn list_splits(names: &[String], readers: &Readers, printer: Printer) -> anyhow::Result<bool> {
+fn list_splits(names: &[String], readers: &Readers, output: Output, rows: &mut Vec<Row>) -> anyhow::Result<bool> {
     let mut complete = true;
     for name in names {
         let found = split(name, readers, &|_, _| {})?;
         for scenario in found.scenarios {
-            complete &= list(&scenario, Some(name), printer)?;
+            complete &= list(&scenario, Some(name), output, rows)?;
         }
         for note in found.notes {
-            printer.note(format!("{name}: {note}"));
+            output.printer.note(format!("{name}: {note}"));
         }
         if !found.missing.is_empty() {
-            printer.error(&anyhow!("{}", found.missing));
+            output.printer.error(&anyhow!("{}", found.missing));
             complete = false;
         }
     }
@@ -68,7 +94,8 @@ fn list_splits(names: &[String], readers: &Readers, printer: Printer) -> anyhow:
 }
 
 /// Lists a scenario; false when its file cannot be read.
-fn list(scenario: &ScenarioRef, split: Option<&str>, printer: Printer) -> anyhow::Result<bool> {
+fn list(scenario: &ScenarioRef, split: Option<&str>, output: Output, rows: &mut Vec<Row>) -> anyhow::Result<bool> {
+    let printer = output.printer;
     let contents = match (scenario.fault(), scenario.contents()) {
         (Some(fault), _) => {
             printer.error(&anyhow!("{fault}"));
@@ -89,6 +116,11 @@ fn list(scenario: &ScenarioRef, split: Option<&str>, printer: Printer) -> anyhow
         lanes: contents.map(|contents| contents.lanes),
         source,
     };
+    if output.csv {
+        let recorded = contents.map(|Contents { record, steps, tracks, .. }| Recorded { record, steps, tracks });
+        rows.push(Row { about, split: split.map(str::to_owned), recorded });
+        return Ok(true);
+    }
     let Some(Contents { record, steps, iterations, tracks, lanes }) = contents else {
         // The name of a generated scenario holds its type.
         let details = if about.source == about.id { "" } else { &about.scenario_type };

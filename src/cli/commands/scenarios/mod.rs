@@ -14,7 +14,7 @@ use serde::Serialize;
 /// Runs one of the subcommands.
 pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyhow::Result<Exit> {
     match command {
-        ScenariosCommand::List { sources, split } => list::run(sources, split, printer),
+        ScenariosCommand::List(arguments) => list::run(arguments, printer),
         ScenariosCommand::Show(arguments) => show::run(arguments, printer),
         ScenariosCommand::Generate(arguments) => generate::run(arguments, printer),
         ScenariosCommand::Export(arguments) => export::run(arguments, printer),

@@ -136,7 +136,7 @@ pub enum ExportError {
     Nothing,
     #[error("{} exists and is not empty; name a new folder", .0.display())]
     Exists(PathBuf),
-    #[error("`{0}` cannot name a map: letters, digits, dots, minuses and underscores only")]
+    #[error("'{0}' cannot name a map: letters, digits, dots, minuses and underscores only")]
     Location(String),
     #[error(
         "{first} and {second} have different maps, which cannot both be called `{location}`; export them one by one"

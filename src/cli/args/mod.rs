@@ -1,0 +1,150 @@
+//! The arguments of the command line.
+
+mod data;
+mod model;
+mod models;
+mod results;
+mod scenarios;
+mod simulate;
+mod studies;
+
+pub(super) use model::{ModelArguments, ModelFlags};
+pub(super) use models::{ModelsCommand, QuantizeArguments};
+pub(super) use results::{CompareArguments, MergeArguments, RenderArguments, ReportArguments};
+pub(super) use scenarios::{ExportArguments, ExportFormat, GenerateArguments, ListArguments, ScenariosCommand, ShowArguments};
+pub(super) use simulate::{PlanArguments, SimulateArguments};
+pub(super) use studies::{
+    ALL_EXPERIMENTS, BENCH_PROCESS, BenchArguments, DatasetArguments, ExperimentArguments, OtherEngine,
+};
+
+use super::help;
+use clap::{Args, Parser, Subcommand};
+use clap_complete::Shell;
+use std::path::PathBuf;
+
+/// Heading of the options that every command has.
+const GLOBAL: &str = "Global options";
+
+/// A driving agent that plans with a vision-language model, offline, on the CPU.
+#[derive(Debug, Parser)]
+#[command(name = "planagent", version = help::version(), max_term_width = 80, after_long_help = help::PROGRAM)]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    pub(super) command: Command,
+    #[command(flatten)]
+    pub(super) global: GlobalArguments,
+}
+
+/// The options that every command has.
+#[derive(Debug, Args)]
+pub(super) struct GlobalArguments {
+    /// Configuration file [default: planagent.toml here, if it exists].
+    #[arg(long, global = true, value_name = "FILE", help_heading = GLOBAL)]
+    pub(super) config: Option<PathBuf>,
+    /// Replace a setting, for example reflection.threshold=0.5.
+    ///
+    /// KEY is a key of planagent.toml with its section; VALUE is written as there, and quotes may be left out. May be given
+    /// several times. `planagent config` lists all settings.
+    #[arg(long, global = true, value_name = "KEY=VALUE", help_heading = GLOBAL)]
+    pub(super) set: Vec<String>,
+    /// Seed of all random numbers.
+    #[arg(long, global = true, help_heading = GLOBAL)]
+    pub(super) seed: Option<u64>,
+    /// Number of threads; 0 for one per core.
+    #[arg(long, global = true, value_name = "N", help_heading = GLOBAL, hide_short_help = true)]
+    pub(super) threads: Option<usize>,
+    /// Print data on stdout as JSON.
+    #[arg(long, global = true, help_heading = GLOBAL)]
+    pub(super) json: bool,
+    /// Print only errors on stderr.
+    #[arg(long, short, global = true, help_heading = GLOBAL)]
+    pub(super) quiet: bool,
+    /// Print details on stderr, for example the weight formats of a model.
+    #[arg(long, short, global = true, conflicts_with = "quiet", help_heading = GLOBAL, hide_short_help = true)]
+    pub(super) verbose: bool,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub(super) enum Command {
+    /// Simulate scenarios and score them with nuPlan's metrics.
+    ///
+    /// Every scenario is simulated with every planner in every challenge. The table goes to stdout, all else to a folder: scores,
+    /// transcripts, replays, nuPlan's Parquet files. An interrupted run continues with --resume.
+    #[command(after_long_help = help::SIMULATE)]
+    Simulate(SimulateArguments),
+    /// Run one planning call and show its input, answers, code and scores.
+    #[command(after_long_help = help::PLAN)]
+    Plan(PlanArguments),
+    /// Write an HTML page of runs: scores, histograms, and replays with their transcripts.
+    #[command(after_long_help = help::REPORT)]
+    Report(ReportArguments),
+    /// Write simulations of a run as films or pictures.
+    ///
+    /// Without SIMULATION, all simulations of the run are written to a folder. Without RUN, the last run in runs/ is taken.
+    #[command(after_long_help = help::RENDER)]
+    Render(RenderArguments),
+    /// Compare two runs on the scenes that both have.
+    ///
+    /// The difference is taken scene by scene; its interval is a bootstrap over scenes. Planners that both runs have are
+    /// compared, or the only ones.
+    #[command(after_long_help = help::COMPARE)]
+    Compare(CompareArguments),
+    /// Merge the shards of a run.
+    ///
+    /// The result is the run that one process would have made, apart from measured times. Settings, versions and scenarios of
+    /// the shards must be equal.
+    #[command(after_long_help = help::MERGE)]
+    Merge(MergeArguments),
+    /// List, show and generate scenarios.
+    #[command(subcommand)]
+    Scenarios(ScenariosCommand),
+    /// List, check, fetch and quantize models.
+    #[command(subcommand)]
+    Models(ModelsCommand),
+    /// Write labeled states for training: BEV images and the three rounds with their answers.
+    #[command(after_long_help = help::DATASET)]
+    Dataset(DatasetArguments),
+    /// Reproduce the paper's tables and figures, and run further studies.
+    #[command(after_long_help = help::EXPERIMENT)]
+    Experiment(ExperimentArguments),
+    /// Measure the time of a planning call with local models, also against llama.cpp.
+    #[command(after_long_help = help::BENCH)]
+    Bench(BenchArguments),
+    /// Print every setting with its value and its origin.
+    ///
+    /// The output is a configuration file for --config.
+    #[command(after_long_help = help::CONFIG)]
+    Config(ModelArguments),
+    /// Print a script that completes commands in a shell.
+    #[command(after_long_help = help::COMPLETIONS)]
+    Completions {
+        /// The shell.
+        #[arg(value_enum)]
+        shell: Shell,
+    },
+    /// The measuring process of `bench`: requests on stdin, replies on stdout.
+    #[command(name = BENCH_PROCESS, hide = true)]
+    BenchProcess(ModelArguments),
+}
+
+impl Command {
+    /// The options of the command about its model.
+    pub(super) fn model_flags(&self) -> ModelFlags {
+        match self {
+            Self::Simulate(flags) => flags.model.flags(),
+            Self::Plan(flags) => flags.model.flags(),
+            Self::Dataset(flags) => flags.model.flags(),
+            Self::Experiment(flags) => flags.model.flags(),
+            Self::Bench(flags) => flags.model.flags(),
+            Self::Models(command) => command.flags(),
+            Self::Config(flags) | Self::BenchProcess(flags) => flags.flags(),
+            Self::Report(_)
+            | Self::Render(_)
+            | Self::Compare(_)
+            | Self::Merge(_)
+            | Self::Scenarios(_)
+            | Self::Completions { .. } => ModelFlags::default(),
+        }
+    }
+}

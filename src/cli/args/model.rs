@@ -1,0 +1,84 @@
+//! The options about a model and how it is loaded.
+
+use crate::mllm::WeightFormat;
+use clap::Args;
+
+/// Heading of these options.
+const HEADING: &str = "Model";
+
+/// What the options say; empty for a command without such options.
+#[derive(Debug, Default)]
+pub(in crate::cli) struct ModelFlags {
+    pub(in crate::cli) model: Option<String>,
+    pub(in crate::cli) quantize: Option<WeightFormat>,
+    pub(in crate::cli) ignore_memory: bool,
+    pub(in crate::cli) offline: bool,
+}
+
+/// The model of a command.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct ModelArguments {
+    /// Model: a name of `models list`, a folder, a GGUF file, a hub id, or a description.
+    ///
+    /// A name of models/, a folder in Hugging Face's layout, a GGUF file, a hub id (ORG/NAME or ORG/NAME/FILE.gguf), or a
+    /// description FILE.toml. A description may name a server with OpenAI's chat completions.
+    #[arg(long, value_name = "MODEL", help_heading = HEADING)]
+    model: Option<String>,
+    #[command(flatten)]
+    format: FormatArgument,
+    #[command(flatten)]
+    memory: MemoryArgument,
+    #[command(flatten)]
+    network: NetworkArgument,
+}
+
+/// The format of weights in memory.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct FormatArgument {
+    /// Weight format in memory: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k`.
+    ///
+    /// The default is that of the files, and f32 for safetensors.
+    #[arg(long, value_name = "KIND", help_heading = HEADING)]
+    quantize: Option<WeightFormat>,
+}
+
+/// What to do without enough memory.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct MemoryArgument {
+    /// Load the model even if it seems to need more memory than is free.
+    #[arg(long, help_heading = HEADING, hide_short_help = true)]
+    ignore_memory: bool,
+}
+
+/// Whether the network may be used.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct NetworkArgument {
+    /// Do not use the network: models of the hub must be in the cache.
+    #[arg(long, help_heading = HEADING)]
+    offline: bool,
+}
+
+impl ModelArguments {
+    /// What the options say.
+    pub(super) fn flags(&self) -> ModelFlags {
+        let Self { model, format, memory, network } = self;
+        let rest = ModelFlags::of(Some(format), Some(memory), network);
+        ModelFlags { model: model.clone(), ..rest }
+    }
+}
+
+impl ModelFlags {
+    /// What the options of a command say that has some of them.
+    pub(super) fn of(
+        format: Option<&FormatArgument>,
+        memory: Option<&MemoryArgument>,
+        network: &NetworkArgument,
+    ) -> Self {
+        Self {
+            model: None,
+            quantize: format.and_then(|format| format.quantize),
+            ignore_memory: memory.is_some_and(|memory| memory.ignore_memory),
+            offline: network.offline,
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! `models`.
+
+use super::model::{FormatArgument, MemoryArgument, ModelFlags, NetworkArgument};
+use crate::cli::help;
+use crate::mllm::WeightFormat;
+use clap::{Args, Subcommand};
+use std::path::PathBuf;
+
+/// Subcommands of `models`.
+#[derive(Debug, Subcommand)]
+pub(in crate::cli) enum ModelsCommand {
+    /// List the described models: family, source, place of their files, size.
+    List {
+        /// Print data on stdout as CSV.
+        #[arg(long, conflicts_with = "json")]
+        csv: bool,
+    },
+    /// Check the files of models without reading the weights, and report every fault.
+    ///
+    /// The exit code is 1 if a model has a fault or is not on this machine.
+    #[command(after_long_help = help::MODELS_CHECK)]
+    Check {
+        /// Models as `--model` takes them [default: all described models with files].
+        models: Vec<String>,
+        #[command(flatten)]
+        format: FormatArgument,
+        #[command(flatten)]
+        memory: MemoryArgument,
+        #[command(flatten)]
+        network: NetworkArgument,
+    },
+    /// Download models of the hub.
+    #[command(after_long_help = help::MODELS_FETCH)]
+    Fetch {
+        /// Models as `--model` takes them.
+        #[arg(required = true)]
+        models: Vec<String>,
+        #[command(flatten)]
+        network: NetworkArgument,
+    },
+    /// Write a model as GGUF, for a faster start and for llama.cpp.
+    #[command(after_long_help = help::MODELS_QUANTIZE)]
+    Quantize(QuantizeArguments),
+}
+
+/// Arguments of `models quantize`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct QuantizeArguments {
+    /// The model, as `--model` takes it.
+    #[arg(value_name = "MODEL")]
+    pub(in crate::cli) source: String,
+    /// Weight format: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k`.
+    #[arg(long, value_name = "KIND")]
+    pub(in crate::cli) to: WeightFormat,
+    /// The file, NAME.gguf.
+    ///
+    /// The vision tower of a LLaVA is written beside it as mmproj-NAME.gguf.
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) out: PathBuf,
+    /// Overwrite existing files.
+    #[arg(long)]
+    pub(in crate::cli) force: bool,
+    #[command(flatten)]
+    memory: MemoryArgument,
+    #[command(flatten)]
+    network: NetworkArgument,
+}
+
+impl ModelsCommand {
+    /// What the options about models say.
+    pub(super) fn flags(&self) -> ModelFlags {
+        match self {
+            Self::List { .. } => ModelFlags::default(),
+            Self::Check { format, memory, network, .. } => ModelFlags::of(Some(format), Some(memory), network),
+            Self::Fetch { network, .. } => ModelFlags::of(None, None, network),
+            Self::Quantize(QuantizeArguments { memory, network, .. }) => ModelFlags::of(None, Some(memory), network),
+        }
+    }
+}

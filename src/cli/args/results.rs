@@ -1,0 +1,115 @@
+//! What is made of runs: `report`, `render`, `compare`, `merge`.
+
+use crate::cli::film::FilmFile;
+use clap::Args;
+use std::path::PathBuf;
+
+/// Arguments of `report`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct ReportArguments {
+    /// Folders of runs; the page compares several [default: the last run in runs/].
+    #[arg(value_name = "RUN")]
+    pub(in crate::cli) runs: Vec<PathBuf>,
+    /// The page [default: report.html in the folder of the first run].
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) out: Option<PathBuf>,
+    /// Open the page in the browser.
+    #[arg(long)]
+    pub(in crate::cli) open: bool,
+    /// Maximum size of the page, megabytes.
+    ///
+    /// Replays that do not fit are left out, by whole scenarios.
+    #[arg(long, value_name = "MB", default_value_t = 15.0, allow_negative_numbers = true)]
+    pub(in crate::cli) max_mb: f64,
+    /// Only replays of scenarios with this text in their name.
+    ///
+    /// Tables and histograms show all simulations.
+    #[arg(long, value_name = "TEXT")]
+    pub(in crate::cli) scenario: Option<String>,
+}
+
+/// Arguments of `render`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct RenderArguments {
+    /// Folder of the run [default: the last run in runs/].
+    #[arg(value_name = "RUN")]
+    pub(in crate::cli) run: Option<String>,
+    /// The simulation: its number, or the name of its scenario [default: all].
+    #[arg(value_name = "SIMULATION")]
+    pub(in crate::cli) simulation: Option<String>,
+    /// Only simulations of this planner.
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) planner: Option<String>,
+    /// Only simulations in this challenge.
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) challenge: Option<String>,
+    #[command(flatten)]
+    pub(in crate::cli) output: RenderOutput,
+    /// With --png: the frame at this time, seconds [default: a sheet of eight frames].
+    #[arg(long, value_name = "SECONDS", requires = "png", allow_negative_numbers = true)]
+    pub(in crate::cli) at: Option<f64>,
+    /// Side of the scene, pixels.
+    #[arg(long, value_name = "N", default_value_t = 640)]
+    pub(in crate::cli) pixels: u32,
+    /// Side of the scene, meters.
+    #[arg(long, value_name = "METERS", default_value_t = 64.0, allow_negative_numbers = true)]
+    pub(in crate::cli) view: f64,
+    /// Frames per second of a film; a simulation has 10.
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=10))]
+    pub(in crate::cli) fps: u32,
+}
+
+/// Output of `render`: one of these.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+pub(in crate::cli) struct RenderOutput {
+    /// Write GIFs: a file .gif for one simulation, or a folder.
+    #[arg(long, value_name = "PATH")]
+    pub(in crate::cli) gif: Option<PathBuf>,
+    /// Write MP4s: a file .mp4 for one simulation, or a folder. Needs ffmpeg.
+    #[arg(long, value_name = "PATH")]
+    pub(in crate::cli) mp4: Option<PathBuf>,
+    /// Write PNGs: a file .png for one simulation, or a folder.
+    #[arg(long, value_name = "PATH")]
+    pub(in crate::cli) png: Option<PathBuf>,
+}
+
+impl RenderOutput {
+    /// The format and its path.
+    pub(in crate::cli) fn film(&self) -> Option<FilmFile> {
+        let Self { gif, mp4, png } = self;
+        let gif = gif.clone().map(FilmFile::Gif);
+        gif.or_else(|| mp4.clone().map(FilmFile::Mp4)).or_else(|| png.clone().map(FilmFile::Png))
+    }
+}
+
+/// Arguments of `compare`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct CompareArguments {
+    /// Folder of the first run, A.
+    #[arg(value_name = "RUN")]
+    pub(in crate::cli) first: PathBuf,
+    /// Folder of the second run, B; the same one to compare two of its planners.
+    #[arg(value_name = "RUN")]
+    pub(in crate::cli) second: PathBuf,
+    /// A planner of the first run and one of the second, separated by a comma.
+    #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 2)]
+    pub(in crate::cli) planner: Vec<String>,
+    /// Show the scores by scenario type too.
+    #[arg(long)]
+    pub(in crate::cli) by_type: bool,
+    /// Print the common scenes on stdout as CSV.
+    #[arg(long, conflicts_with = "json")]
+    pub(in crate::cli) csv: bool,
+}
+
+/// Arguments of `merge`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct MergeArguments {
+    /// Folders of the shards.
+    #[arg(required = true, value_name = "RUN")]
+    pub(in crate::cli) runs: Vec<PathBuf>,
+    /// Folder for the merged run, new or empty [default: the next free runs/NNNN].
+    #[arg(long, value_name = "FOLDER")]
+    pub(in crate::cli) out: Option<PathBuf>,
+}

@@ -1,0 +1,123 @@
+//! `scenarios`.
+
+use super::data::{DataArguments, SplitArguments};
+use crate::cli::help;
+use crate::cli::picture::{PictureFile, picture_file};
+use clap::{Args, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Subcommands of `scenarios`.
+#[derive(Debug, Subcommand)]
+pub(in crate::cli) enum ScenariosCommand {
+    /// List scenarios: the records of files and folders, or the types that can be generated.
+    #[command(after_long_help = help::SCENARIOS_LIST)]
+    List(ListArguments),
+    /// Show one scenario: its map, route, objects and lights; with --image a picture.
+    #[command(after_long_help = help::SCENARIOS_SHOW)]
+    Show(ShowArguments),
+    /// Generate scenarios with their expert drivers, and print a line for each.
+    #[command(after_long_help = help::SCENARIOS_GENERATE)]
+    Generate(GenerateArguments),
+    /// Write scenarios in the format of another tool.
+    #[command(after_long_help = help::SCENARIOS_EXPORT)]
+    Export(ExportArguments),
+    /// Select the scenes of generated-14-hard from a run of PDM-Closed on generated-14-candidates.
+    Hard {
+        /// Folder of the run.
+        run: PathBuf,
+    },
+}
+
+/// Arguments of `scenarios list`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct ListArguments {
+    /// Scenarios, as `simulate` takes them [default: the types that can be generated].
+    #[arg(value_name = "SCENARIO")]
+    pub(in crate::cli) sources: Vec<String>,
+    #[command(flatten)]
+    pub(in crate::cli) split: SplitArguments,
+    /// Print data on stdout as CSV.
+    #[arg(long, conflicts_with = "json")]
+    pub(in crate::cli) csv: bool,
+}
+
+/// Arguments of `scenarios generate`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct GenerateArguments {
+    /// Types, separated by commas [default: all].
+    #[arg(long = "type", value_name = "TYPES", value_delimiter = ',')]
+    pub(in crate::cli) types: Vec<String>,
+    /// First seed.
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    pub(in crate::cli) from: u64,
+    /// Number of seeds of each type.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(in crate::cli) count: u64,
+    /// Traffic seed.
+    ///
+    /// Another one keeps roads, route and situation of a seed, and draws other traffic around them.
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    pub(in crate::cli) traffic: u64,
+}
+
+/// Arguments of `scenarios show`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct ShowArguments {
+    /// The scenario, as `simulate` takes it.
+    pub(in crate::cli) scenario: String,
+    #[command(flatten)]
+    pub(in crate::cli) data: DataArguments,
+    /// Seconds after the start of the window.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub(in crate::cli) at: f64,
+    /// Write a BEV picture to this file, a .png or .jpg.
+    #[arg(long, value_name = "FILE", value_parser = picture_file())]
+    pub(in crate::cli) image: Option<PictureFile>,
+    /// Side of the picture, meters.
+    #[arg(long, value_name = "METERS", default_value_t = 128.0, allow_negative_numbers = true)]
+    pub(in crate::cli) view: f64,
+}
+
+/// Arguments of `scenarios export`.
+#[derive(Debug, Args)]
+// clap does not wrap this line.
+#[command(
+    override_usage = "planagent scenarios export [OPTIONS] --format <FORMAT> --out <FOLDER>\n       <SCENARIO>..."
+)]
+pub(in crate::cli) struct ExportArguments {
+    /// Scenarios, as `simulate` takes them.
+    #[arg(required = true, value_name = "SCENARIO")]
+    pub(in crate::cli) scenarios: Vec<String>,
+    #[command(flatten)]
+    pub(in crate::cli) data: DataArguments,
+    /// Format: nuplan writes a log for each scenario and a package for each map.
+    #[arg(long, value_enum)]
+    pub(in crate::cli) format: ExportFormat,
+    /// Folder for the files, new or empty.
+    #[arg(long, value_name = "FOLDER")]
+    pub(in crate::cli) out: PathBuf,
+    /// Name of the map [default: a digest of its content].
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) location: Option<String>,
+    /// Write empty maps for those of nuPlan's locations that are missing.
+    ///
+    /// The devkit opens no folder without its four locations.
+    #[arg(long)]
+    pub(in crate::cli) stand_in_maps: bool,
+    /// Scenario type of all logs [default: that of each scenario].
+    #[arg(long, value_name = "TYPE")]
+    pub(in crate::cli) scenario_type: Option<String>,
+    /// UTM zone of the scenarios, as an EPSG code.
+    #[arg(long, value_name = "CODE", default_value_t = 32_611)]
+    pub(in crate::cli) epsg: u32,
+    /// Easting and northing of their origin, meters.
+    #[arg(long, value_name = "METERS", num_args = 2, default_values_t = [664_000.0, 3_998_000.0], allow_negative_numbers = true)]
+    pub(in crate::cli) origin: Vec<f64>,
+}
+
+/// Format of `scenarios export`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum ExportFormat {
+    /// nuPlan's log databases and map packages.
+    Nuplan,
+}

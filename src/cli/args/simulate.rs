@@ -1,0 +1,116 @@
+//! `simulate` and `plan`.
+
+use super::data::{DataArguments, SplitArguments};
+use super::model::ModelArguments;
+use crate::cli::help;
+use crate::cli::picture::{PictureFile, picture_file};
+use crate::cli::words::planner_words;
+use crate::planner::DEFAULT_EXEC_TIMEOUT;
+use crate::runner::{Request, Shard};
+use anyhow::Context;
+use clap::Args;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Arguments of `simulate`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct SimulateArguments {
+    /// Scenarios: files, folders, or generated/TYPE/SEED[.TRAFFIC].
+    ///
+    /// TFRecord files of Waymo Open Motion, nuPlan logs (LOG.db, or one scenario as LOG.db#TOKEN), Argoverse 2 logs, folders
+    /// of these, or generated/TYPE/SEED[.TRAFFIC]. The default is one generated scenario.
+    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
+    pub(in crate::cli) scenarios: Vec<String>,
+    #[command(flatten)]
+    pub(in crate::cli) split: SplitArguments,
+    #[command(flatten)]
+    pub(in crate::cli) sample: SampleArguments,
+    #[arg(long, value_name = "NAMES", help = help::planners_short(), long_help = help::planners())]
+    pub(in crate::cli) planner: Vec<String>,
+    /// With a command as planner: seconds that it may take for a step.
+    #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_EXEC_TIMEOUT.as_secs_f64(), hide_short_help = true)]
+    exec_timeout: f64,
+    /// Challenges: nonreactive, reactive, both or open-loop [default: nonreactive].
+    ///
+    /// Separated by commas. nonreactive: agents replay the log. reactive: agents are controlled by IDM. both: these two.
+    /// open-loop: plans are compared with the log. The default is nonreactive.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub(in crate::cli) challenge: Vec<String>,
+    /// Folder for the results, new or empty [default: the next free runs/NNNN].
+    #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
+    pub(in crate::cli) out: Option<PathBuf>,
+    /// Resume the run in this folder with its own settings; completed simulations stay.
+    #[arg(long, value_name = "FOLDER")]
+    pub(in crate::cli) resume: Option<PathBuf>,
+    /// With --resume: repeat failed simulations.
+    #[arg(long, requires = "resume")]
+    pub(in crate::cli) retry_failed: bool,
+    /// Print the simulations on stdout as CSV.
+    #[arg(long, conflicts_with = "json")]
+    pub(in crate::cli) csv: bool,
+    #[command(flatten)]
+    pub(super) model: ModelArguments,
+}
+
+/// Which of the scenarios are simulated.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct SampleArguments {
+    /// Only scenarios of these types, separated by commas.
+    ///
+    /// Without --scenario and --split, of the split generated.
+    #[arg(long = "type", value_name = "TYPES", value_delimiter = ',')]
+    types: Vec<String>,
+    /// Take the scenarios in a random order, which --seed draws.
+    #[arg(long)]
+    shuffle: bool,
+    /// Only N scenarios, evenly from the types.
+    ///
+    /// The first of each type, then the second of each, and so on. With --shuffle, random ones.
+    #[arg(long, value_name = "N")]
+    limit: Option<usize>,
+    /// Simulate one of N parts of the run, for example 2/8; `planagent merge` joins them.
+    ///
+    /// A scenario is always in the same part of N, whatever else is simulated.
+    #[arg(long, value_name = "I/N")]
+    shard: Option<Shard>,
+}
+
+impl SimulateArguments {
+    pub(in crate::cli) fn request(&self) -> anyhow::Result<Request> {
+        let exec_timeout = Duration::try_from_secs_f64(self.exec_timeout).ok().filter(|time| !time.is_zero());
+        let exec_timeout = exec_timeout
+            .with_context(|| format!("--exec-timeout is {}; it must be a number greater than 0", self.exec_timeout))?;
+        Ok(Request {
+            scenarios: self.scenarios.clone(),
+            splits: self.split.splits.clone(),
+            types: self.sample.types.clone(),
+            shuffle: self.sample.shuffle,
+            limit: self.sample.limit,
+            shard: self.sample.shard,
+            planners: planner_words(&self.planner),
+            exec_timeout,
+            challenges: self.challenge.clone(),
+            roots: self.split.data.roots(),
+            retry_failed: self.retry_failed,
+            ..Request::default()
+        })
+    }
+}
+
+/// Arguments of `plan`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct PlanArguments {
+    /// The scenario, as `simulate` takes it [default: one generated scenario].
+    #[arg(long, value_name = "SCENARIO")]
+    pub(in crate::cli) scenario: Option<String>,
+    #[command(flatten)]
+    pub(in crate::cli) data: DataArguments,
+    /// Seconds after the start of the window.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub(in crate::cli) at: f64,
+    /// Write the BEV image to this file, a .png or .jpg.
+    #[arg(long, value_name = "FILE", value_parser = picture_file())]
+    pub(in crate::cli) image: Option<PictureFile>,
+    #[command(flatten)]
+    pub(super) model: ModelArguments,
+}

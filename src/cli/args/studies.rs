@@ -1,0 +1,133 @@
+//! `experiment`, `bench` and `dataset`.
+
+use super::data::DataArguments;
+use super::model::ModelArguments;
+use crate::cli::help;
+use crate::planner::PlannerRegistry;
+use crate::runner::ExperimentsRequest;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+/// Word for every experiment.
+pub(in crate::cli) const ALL_EXPERIMENTS: &str = "all";
+
+/// Name of the hidden subcommand in which `bench` measures.
+pub(in crate::cli) const BENCH_PROCESS: &str = "bench-process";
+
+/// Arguments of `dataset`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct DatasetArguments {
+    /// Folder for the shards; an interrupted run continues where it stopped.
+    #[arg(long, value_name = "FOLDER")]
+    pub(in crate::cli) out: PathBuf,
+    /// Labeled states for training.
+    ///
+    /// There may be more, because shards are written whole.
+    #[arg(long, default_value_t = 20_000)]
+    pub(in crate::cli) states: usize,
+    /// Labeled states for validation, from seeds of their own.
+    #[arg(long, default_value_t = 2_000)]
+    pub(in crate::cli) validation: usize,
+    /// Label the states that PlanAgent reaches with the model in control.
+    ///
+    /// For training only. These shards may lie in the same folder as others.
+    #[arg(long)]
+    pub(in crate::cli) driven: bool,
+    #[command(flatten)]
+    pub(super) model: ModelArguments,
+}
+
+/// Arguments of `experiment`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct ExperimentArguments {
+    #[arg(value_name = "NAME", help = help::experiments_short(), long_help = help::experiments())]
+    pub(in crate::cli) name: String,
+    /// Only 2 scenes of each type and 14 recordings: a first look, in minutes.
+    #[arg(long)]
+    pub(in crate::cli) quick: bool,
+    /// Suites, separated by commas [default: those of the experiment].
+    ///
+    /// Splits as `simulate` takes them, or recorded, the recordings of --scenario.
+    #[arg(long = "suite", value_name = "NAMES", value_delimiter = ',')]
+    pub(in crate::cli) suites: Vec<String>,
+    /// Scenarios of the suite recorded, as `simulate` takes them [default: the recordings in `$PLANAGENT_DATA`].
+    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
+    pub(in crate::cli) scenarios: Vec<String>,
+    #[command(flatten)]
+    pub(in crate::cli) data: DataArguments,
+    /// Folder for results and runs; completed simulations in it are not repeated.
+    #[arg(long, value_name = "FOLDER", default_value = "runs/experiments")]
+    pub(in crate::cli) out: PathBuf,
+    /// Folder of a bench with the times of models whose weights are not on this machine.
+    #[arg(long, value_name = "FOLDER")]
+    pub(in crate::cli) bench: Option<PathBuf>,
+    /// Repeat failed simulations.
+    #[arg(long)]
+    pub(in crate::cli) retry_failed: bool,
+    /// Print the scores on stdout as CSV.
+    #[arg(long, conflicts_with = "json")]
+    pub(in crate::cli) csv: bool,
+    #[command(flatten)]
+    pub(super) model: ModelArguments,
+}
+
+impl ExperimentArguments {
+    pub(in crate::cli) fn request(&self) -> ExperimentsRequest {
+        ExperimentsRequest {
+            suites: self.suites.clone(),
+            scenarios: self.scenarios.clone(),
+            registry: PlannerRegistry::default(),
+            roots: self.data.roots(),
+            out: self.out.clone(),
+            bench: self.bench.clone(),
+            quick: self.quick,
+            retry_failed: self.retry_failed,
+        }
+    }
+}
+
+/// Arguments of `bench`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct BenchArguments {
+    /// Models, as `--model` takes them [default: that of --model].
+    ///
+    /// With --random-weights, none by default.
+    #[arg(value_name = "MODEL")]
+    pub(in crate::cli) models: Vec<String>,
+    /// Shapes of known models to fill with random weights, separated by commas.
+    ///
+    /// Nothing is downloaded. A wrong name lists the shapes.
+    #[arg(long, value_name = "SHAPES", value_delimiter = ',')]
+    pub(in crate::cli) random_weights: Vec<String>,
+    /// Planning calls of each model before the measurement.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(in crate::cli) warm_up: usize,
+    /// Measured planning calls of each model.
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    pub(in crate::cli) iterations: usize,
+    /// Compare with another engine on the same GGUF files, in alternation.
+    #[arg(long, value_name = "ENGINE", value_enum)]
+    pub(in crate::cli) vs: Option<OtherEngine>,
+    /// Python interpreter with the package llama-cpp-python [default: `$PLANAGENT_LLAMA_PYTHON`, else python3].
+    #[arg(long, value_name = "FILE", requires = "vs")]
+    pub(in crate::cli) llama_python: Option<PathBuf>,
+    /// Folder for the GGUF files of random weights for --vs [default: weights in the folder of the results].
+    #[arg(long, value_name = "FOLDER", requires = "vs")]
+    pub(in crate::cli) weights: Option<PathBuf>,
+    /// Folder for the results, new or empty [default: runs/bench-DATE].
+    #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
+    pub(in crate::cli) out: Option<PathBuf>,
+    /// Resume the bench in this folder; measured models stay.
+    #[arg(long, value_name = "FOLDER")]
+    pub(in crate::cli) resume: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) model: ModelArguments,
+}
+
+/// Engines that `bench` compares with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum OtherEngine {
+    /// llama.cpp through the low-level interface of llama-cpp-python.
+    #[value(name = "llama.cpp")]
+    LlamaCpp,
+}

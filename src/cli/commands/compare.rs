@@ -1,0 +1,26 @@
+//! `planagent compare`.
+
+use crate::cli::args::CompareArguments;
+use crate::cli::{Exit, Printer};
+use crate::report::{PlannerPair, RunComparison, RunFolder, comparison_table};
+
+/// Compares two runs; the table goes to stdout.
+pub(in crate::cli) fn run(flags: &CompareArguments, printer: Printer) -> anyhow::Result<Exit> {
+    let [first, second] = [&flags.first, &flags.second];
+    let manifests = [RunFolder::manifest(first)?, RunFolder::manifest(second)?];
+    let rows = [RunFolder::read_completed(first)?.rows, RunFolder::read_completed(second)?.rows];
+    let named = match flags.planner.as_slice() {
+        [first, second] => Some(PlannerPair { first: first.clone(), second: second.clone() }),
+        _ => None,
+    };
+    let comparison = RunComparison::new((&manifests[0], &rows[0]), (&manifests[1], &rows[1]), named)?;
+    if flags.csv {
+        printer.csv(&comparison.scenes)?;
+    } else if printer.is_json() {
+        printer.json(&comparison)?;
+    } else {
+        let names = [first.display().to_string(), second.display().to_string()];
+        printer.line(comparison_table(&comparison, [&names[0], &names[1]], flags.by_type));
+    }
+    Ok(Exit::Success)
+}

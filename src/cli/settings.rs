@@ -1,0 +1,205 @@
+//! The settings of a command, and where each comes from.
+
+use super::args::{Arguments, Command, SimulateArguments};
+use super::suggest::{nearest, similar_exists};
+use crate::runner::Config;
+use crate::scenario::absolute_path;
+use anyhow::{Context, bail};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+/// Keys without a default value; the others are those of [`Config::default`].
+pub(super) const OPTIONAL: [&str; 4] = ["mllm.quantize", "agent.deadline_ms", "agent.gate", "reasoning.prompt_set"];
+
+/// The settings of a command.
+pub(super) struct Settings {
+    /// The settings.
+    pub(super) config: Config,
+    /// What replaced defaults, in order, with its name.
+    layers: Vec<(String, Table)>,
+}
+
+/// A setting with its origin.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct Setting {
+    /// Its key with the section.
+    pub(super) key: String,
+    /// Its value; none for an optional setting that is not set.
+    pub(super) value: Option<Value>,
+    /// What set it.
+    pub(super) origin: String,
+}
+
+impl Settings {
+    /// The settings of arguments: a file or the run that is resumed, below `--set`, below options of their own.
+    pub(super) fn of(arguments: &Arguments) -> anyhow::Result<Self> {
+        let global = &arguments.global;
+        let mut settings = base(arguments)?;
+        for text in &global.set {
+            let table = parse(text)?;
+            let origin = format!("--set {text}");
+            settings.config = settings.config.overlaid_at(&table, &origin)?;
+            settings.layers.push(("--set".to_owned(), table));
+        }
+        settings.take_options(arguments);
+        Ok(settings)
+    }
+
+    fn take_options(&mut self, arguments: &Arguments) {
+        let flags = arguments.command.model_flags();
+        let mut note = |option: &str, key: &str, value: Value| {
+            self.layers.push((option.to_owned(), nested(key, value)));
+        };
+        let config = &mut self.config;
+        if let Some(seed) = arguments.global.seed {
+            config.seed = seed;
+            note("--seed", "seed", Value::Integer(seed as i64));
+        }
+        if let Some(model) = flags.model {
+            note("--model", "mllm.model", model.clone().into());
+            config.mllm.model = model;
+        }
+        if let Some(format) = flags.quantize {
+            note("--quantize", "mllm.quantize", format.to_string().into());
+            config.mllm.quantize = Some(format);
+        }
+        if flags.ignore_memory {
+            note("--ignore-memory", "mllm.ignore_memory", true.into());
+            config.mllm.ignore_memory = true;
+        }
+        if flags.offline {
+            note("--offline", "mllm.offline", true.into());
+            config.mllm.offline = true;
+        }
+        // Absolute paths let `--resume` work from any directory.
+        for word in [Some(&mut config.mllm.model), config.reasoning.prompt_set.as_mut()].into_iter().flatten() {
+            if word.contains(['/', '\\']) && Path::new(word).exists() {
+                *word = absolute_path(word);
+            }
+        }
+    }
+
+    /// Every setting in the order of the file, optional ones at the end of their section.
+    pub(super) fn list(&self) -> anyhow::Result<Vec<Setting>> {
+        let table = Table::try_from(&self.config)?;
+        Ok(keys()?
+            .into_iter()
+            .map(|key| {
+                let set_by = self.layers.iter().rev().find(|(_, layer)| value_at(layer, &key).is_some());
+                let origin = set_by.map_or("default", |(origin, _)| origin).to_owned();
+                let value = value_at(&table, &key).cloned();
+                Setting { key, value, origin }
+            })
+            .collect())
+    }
+}
+
+/// The settings before options: those of the file that `--config` names; without it, of the run that is resumed, or of
+/// planagent.toml.
+fn base(arguments: &Arguments) -> anyhow::Result<Settings> {
+    let file = arguments.global.config.as_deref();
+    let (config, layers) = match &arguments.command {
+        Command::Simulate(SimulateArguments { resume: Some(folder), .. }) if file.is_none() => {
+            let config = Config::of_run(folder)?;
+            let table = Table::try_from(&config)?;
+            (config, vec![(format!("run {}", folder.display()), table)])
+        }
+        // The parent process sends this one all that it needs.
+        Command::BenchProcess(_) => (Config::default(), Vec::new()),
+        _ => {
+            let config = Config::load(file)?;
+            let layers = match file.map_or_else(Config::default_file, |file| Some(PathBuf::from(file))) {
+                Some(path) => {
+                    let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+                    vec![(path.display().to_string(), text.parse()?)]
+                }
+                None => Vec::new(),
+            };
+            (config, layers)
+        }
+    };
+    Ok(Settings { config, layers })
+}
+
+/// The table of a value of `--set`.
+fn parse(text: &str) -> anyhow::Result<Table> {
+    let Some((key, value)) = text.split_once('=') else {
+        bail!("--set {text}: expected KEY=VALUE, for example reflection.threshold=0.5");
+    };
+    let (key, value) = (key.trim(), value.trim());
+    let known = keys()?;
+    if !known.iter().any(|one| one == key) {
+        let tip = match nearest(key, known.iter().map(String::as_str)) {
+            Some(similar) => similar_exists("setting", similar),
+            None => "`planagent config` lists all settings".to_owned(),
+        };
+        bail!("--set {text}: there is no setting '{key}'\n  tip: {tip}");
+    }
+    // Words need no quotes: what is no value of TOML is a text.
+    let parsed = format!("value = {value}").parse::<Table>().ok().and_then(|mut table| table.remove("value"));
+    Ok(nested(key, parsed.unwrap_or_else(|| Value::String(value.to_owned()))))
+}
+
+/// The keys of all settings, section by section.
+pub(super) fn keys() -> anyhow::Result<Vec<String>> {
+    let mut keys = Vec::new();
+    for (section, value) in Table::try_from(Config::default())? {
+        let Value::Table(table) = value else {
+            keys.push(section);
+            continue;
+        };
+        let prefix = format!("{section}.");
+        keys.extend(table.keys().map(|key| format!("{prefix}{key}")));
+        keys.extend(OPTIONAL.iter().filter(|key| key.starts_with(&prefix)).map(ToString::to_string));
+    }
+    Ok(keys)
+}
+
+fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+    match key.split_once('.') {
+        Some((section, key)) => table.get(section)?.get(key),
+        None => table.get(key),
+    }
+}
+
+fn nested(key: &str, value: Value) -> Table {
+    match key.split_once('.') {
+        Some((section, key)) => Table::from_iter([(section.to_owned(), Value::Table(nested(key, value)))]),
+        None => Table::from_iter([(key.to_owned(), value)]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn a_text_needs_no_quotes() {
+        let value = |text: &str| value_at(&parse(text).unwrap(), text.split('=').next().unwrap().trim()).cloned().unwrap();
+        assert_eq!(value("reflection.threshold=0.5"), Value::Float(0.5));
+        assert_eq!(value("mllm.model = nano"), Value::String("nano".to_owned()));
+        assert_eq!(value("mllm.model=\"nano\""), Value::String("nano".to_owned()));
+        assert_eq!(value("seed=3"), Value::Integer(3));
+        assert_eq!(value("reasoning.rounds=[\"code\"]"), Value::Array(vec!["code".into()]));
+        assert!(parse("reflection={}").is_err() && parse("seed").is_err());
+    }
+
+    #[test]
+    fn the_keys_are_those_of_the_configuration_file() {
+        let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/planagent.toml")).unwrap();
+        // Optional keys are shown as comments.
+        let mut section = String::new();
+        let mut shown = BTreeSet::new();
+        for line in text.lines() {
+            if let Some(name) = line.strip_prefix('[') {
+                section = name.replace(']', ".");
+            }
+            let assignment = line.trim_start_matches("# ").split_once(" = ");
+            let key = assignment.map(|(key, _)| key).filter(|key| key.chars().all(|c| c.is_ascii_lowercase() || c == '_'));
+            shown.extend(key.map(|key| format!("{section}{key}")));
+        }
+        assert_eq!(keys().unwrap().into_iter().collect::<BTreeSet<_>>(), shown);
+    }
+}

@@ -1,0 +1,126 @@
+//! The known name that a mistyped one is closest to.
+
+use crate::experiment::split::SplitError;
+use crate::experiment::study::StudyError;
+use crate::experiment::suite::Suite;
+use crate::mllm::MllmError;
+use crate::planner::UnknownPlanner;
+use crate::report::NoPair;
+use crate::runner::{NoSuchType, RunnerError};
+use crate::scenario::{DataRoots, ReaderError, Readers};
+use crate::scenario::generator::{GeneratorError, types};
+use std::error::Error;
+use std::path::Path;
+
+/// Similarity from which a name is suggested; clap uses the same for options and commands.
+const MIN_SIMILARITY: f64 = 0.7;
+
+/// A name that is not known.
+struct Mistyped {
+    /// What has the name.
+    what: &'static str,
+    name: String,
+    known: Vec<String>,
+}
+
+/// The known name closest to a mistyped one, if it is close.
+pub(super) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let similar = known.into_iter().map(|one| (strsim::jaro(name, one), one));
+    let close = similar.filter(|(similarity, _)| *similarity > MIN_SIMILARITY);
+    close.max_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, one)| one)
+}
+
+/// A tip for an error of a mistyped name.
+pub(super) fn tip(error: &anyhow::Error) -> Option<String> {
+    if let Some(tip) = error.chain().find_map(other_option) {
+        return Some(tip);
+    }
+    let Mistyped { what, name, known } = error.chain().find_map(mistyped)?;
+    let similar = nearest(&name, known.iter().map(String::as_str))?;
+    Some(similar_exists(what, similar))
+}
+
+/// The words of a tip, as clap has them.
+pub(super) fn similar_exists(what: &str, similar: &str) -> String {
+    format!("a similar {what} exists: '{similar}'")
+}
+
+/// A tip for a scenario that is named as a split, or a split that is named as a scenario.
+fn other_option(error: &(dyn Error + 'static)) -> Option<String> {
+    if let Some(RunnerError::Scenario(error)) = error.downcast_ref() {
+        return other_option(error);
+    }
+    if let Some(RunnerError::Split(error)) = error.downcast_ref() {
+        return other_option(error);
+    }
+    if let Some(ReaderError::Missing(path)) = error.downcast_ref() {
+        let name = path.file_name()?.to_str()?;
+        let splits = Readers::new(&DataRoots::default()).splits();
+        let is_split = Suite::named(name).is_some() || splits.contains(&name);
+        return is_split.then(|| format!("{name} is a split: --split {name}"));
+    }
+    if let Some(SplitError::Unknown { name, .. }) = error.downcast_ref() {
+        let is_scenario = Path::new(name).exists() || name.starts_with("generated/");
+        return is_scenario.then(|| format!("{name} names scenarios: --scenario {name}"));
+    }
+    None
+}
+
+fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
+    let owned = |known: &[&str]| known.iter().map(ToString::to_string).collect();
+    let listed = |known: &str| known.split(", ").map(str::to_owned).collect();
+    if let Some(error) = error.downcast_ref::<RunnerError>() {
+        return match error {
+            RunnerError::Planner(error) => mistyped(error),
+            RunnerError::Split(error) => mistyped(error),
+            RunnerError::Scenario(error) => mistyped(error),
+            RunnerError::Study(error) => mistyped(error),
+            RunnerError::NoSuchType(error) => mistyped(error),
+            RunnerError::FindModel(error) => mistyped(&**error),
+            _ => None,
+        };
+    }
+    if let Some(UnknownPlanner { name, known }) = error.downcast_ref() {
+        return Some(Mistyped { what: "planner", name: name.clone(), known: known.clone() });
+    }
+    if let Some(NoSuchType { name, known }) = error.downcast_ref() {
+        return Some(Mistyped { what: "type", name: name.clone(), known: known.clone() });
+    }
+    if let Some(NoPair::UnknownPlanner { name, known, .. }) = error.downcast_ref() {
+        return Some(Mistyped { what: "planner", name: name.clone(), known: known.clone() });
+    }
+    if let Some(error) = error.downcast_ref::<SplitError>() {
+        return match error {
+            SplitError::Unknown { name, known } => {
+                Some(Mistyped { what: "split", name: name.clone(), known: owned(known) })
+            }
+            SplitError::Reader(error) => mistyped(error),
+        };
+    }
+    if let Some(ReaderError::Source(source)) = error.downcast_ref() {
+        return mistyped(&**source);
+    }
+    if let Some(GeneratorError::UnknownType(name)) = error.downcast_ref() {
+        let known = types::in_suites().map(|kind| kind.to_string()).collect();
+        return Some(Mistyped { what: "type", name: name.clone(), known });
+    }
+    if let Some(MllmError::UnknownModel { name, known, .. }) = error.downcast_ref() {
+        return Some(Mistyped { what: "model", name: name.clone(), known: listed(known) });
+    }
+    if let Some(StudyError::Unknown { word, known }) = error.downcast_ref() {
+        return Some(Mistyped { what: "experiment", name: word.clone(), known: listed(known) });
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_close_names_are_suggested() {
+        assert_eq!(nearest("imd", ["plan-agent", "idm", "simple"]), Some("idm"));
+        assert_eq!(nearest("telepathy", ["plan-agent", "idm", "simple"]), None);
+        assert_eq!(nearest("generated-14-hrad", ["generated-14", "generated-14-hard"]), Some("generated-14-hard"));
+    }
+}

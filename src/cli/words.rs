@@ -1,0 +1,30 @@
+//! Words of the command line that are lists.
+
+use crate::planner::is_exec;
+
+/// The words of the values of `--planner`: names separated by commas. A command takes the rest of its value, commas included.
+pub(super) fn planner_words(values: &[String]) -> Vec<String> {
+    let mut words = Vec::new();
+    for value in values {
+        let mut rest = value.as_str();
+        while let Some((name, after)) = rest.split_once(',').filter(|_| !is_exec(rest)) {
+            words.push(name.trim().to_owned());
+            rest = after;
+        }
+        words.push(rest.trim().to_owned());
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_keeps_its_commas() {
+        let words = |values: &[&str]| planner_words(&values.iter().map(ToString::to_string).collect::<Vec<_>>());
+        assert_eq!(words(&["idm, pdm-closed", "simple"]), ["idm", "pdm-closed", "simple"]);
+        assert_eq!(words(&["idm,exec:python3 a.py --x 1,2"]), ["idm", "exec:python3 a.py --x 1,2"]);
+        assert_eq!(words(&["mine=exec:./a 1,2", "idm"]), ["mine=exec:./a 1,2", "idm"]);
+    }
+}

@@ -1,0 +1,274 @@
+//! Planners that are commands of other programs: `exec:COMMAND` or `NAME=exec:COMMAND` instead of a planner's name.
+//!
+//! The command runs once for each simulation. It reads a JSON object a line on stdin and answers each with one on stdout
+//! ([`ExecRequest`], [`ExecReply`]). A command that ends, is silent or answers wrongly fails its simulation.
+
+mod messages;
+mod process;
+
+pub use messages::{ExecReply, ExecRequest};
+
+use super::{
+    Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
+    PlannerRegistry,
+};
+use crate::world::Trajectory;
+use messages::{ExecInitialization, ExecStep, trajectory};
+use process::{Process, ProcessError};
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+/// Time for an answer to a step, unless the user sets another.
+pub const DEFAULT_EXEC_TIMEOUT: Duration = Duration::from_secs(10);
+/// Least time for the answer to the first message: an interpreter and its packages start slowly.
+const START_TIMEOUT: Duration = Duration::from_secs(60);
+/// What comes before the command.
+const MARK: &str = "exec:";
+/// Longest name of a command; it becomes part of file names.
+const MAX_NAME: usize = 40;
+/// Characters of a wrong answer that an error shows.
+const MAX_SHOWN: usize = 200;
+
+/// A planner that is a command.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ExecCommand {
+    /// Its name in tables and files.
+    pub name: PlannerName,
+    /// The command, for the shell.
+    pub command: String,
+}
+
+/// A word that names a command wrongly.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum ExecError {
+    #[error("'{0}' has no command; expected exec:COMMAND or NAME=exec:COMMAND")]
+    NoCommand(String),
+    #[error(
+        "'{0}' cannot name a planner; a name has lowercase letters, digits, minuses and underscores, and at most {MAX_NAME} \
+         characters"
+    )]
+    Name(String),
+    #[error("'{0}' is the name of another planner; name the command as NAME=exec:COMMAND")]
+    Taken(String),
+}
+
+/// Whether a word is a command instead of a planner's name.
+pub fn is_exec(word: &str) -> bool {
+    command_of(word).is_some()
+}
+
+/// The name before a command, if there is one, and the command.
+fn command_of(word: &str) -> Option<(Option<&str>, &str)> {
+    let word = word.trim();
+    if let Some(command) = word.strip_prefix(MARK) {
+        return Some((None, command.trim()));
+    }
+    let (name, rest) = word.split_once('=')?;
+    let command = rest.strip_prefix(MARK)?;
+    Some((Some(name.trim()), command.trim()))
+}
+
+impl ExecCommand {
+    /// The command of a word; `None` for the name of a planner.
+    pub fn parse(word: &str) -> Option<Result<Self, ExecError>> {
+        let (name, command) = command_of(word)?;
+        Some(Self::new(word, name, command))
+    }
+
+    fn new(word: &str, name: Option<&str>, command: &str) -> Result<Self, ExecError> {
+        if command.is_empty() {
+            return Err(ExecError::NoCommand(word.to_owned()));
+        }
+        let name = name.map_or_else(|| default_name(command), str::to_owned);
+        let fits = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
+        if name.is_empty() || name.len() > MAX_NAME || !name.chars().all(fits) {
+            return Err(ExecError::Name(name));
+        }
+        Ok(Self { name: PlannerName::new(kept(name)), command: command.to_owned() })
+    }
+
+    /// The command as an entry of the registry; an answer to a step may take `timeout`.
+    pub fn entry(&self, timeout: Duration) -> PlannerEntry {
+        let Self { name, command } = self.clone();
+        PlannerEntry::new(name, "a command", PlannerNeeds::Nothing, move |_| {
+            let planner = ExecPlanner { name, command: command.clone(), timeout, process: None };
+            Ok(Box::new(planner))
+        })
+    }
+}
+
+impl PlannerRegistry {
+    /// The registry with a command beside its planners.
+    ///
+    /// # Errors
+    /// When another planner has its name.
+    pub fn with_command(self, command: &ExecCommand, timeout: Duration) -> Result<Self, ExecError> {
+        if self.find(command.name.as_str()).is_ok() {
+            return Err(ExecError::Taken(command.name.to_string()));
+        }
+        Ok(self.with(command.entry(timeout)))
+    }
+}
+
+/// `exec-` and the name of the script, else of the program.
+fn default_name(command: &str) -> String {
+    let words = || command.split_whitespace().filter(|word| !word.starts_with('-') && !word.contains('='));
+    let script = words().find(|word| Path::new(word).extension().is_some());
+    let stem = script.or_else(|| words().next()).and_then(|word| Path::new(word).file_stem());
+    let stem = stem.map(|stem| stem.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    let fit = |c: char| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' };
+    let name: String = stem.chars().map(fit).collect();
+    format!("exec-{}", name.trim_matches(['-', '\'', '"'])).chars().take(MAX_NAME).collect()
+}
+
+/// The text as names of planners hold it. Each is kept once, as long as the process lives; there are few.
+fn kept(name: String) -> &'static str {
+    static NAMES: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
+    let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(known) = names.get(name.as_str()) {
+        return known;
+    }
+    let name: &'static str = Box::leak(name.into_boxed_str());
+    names.insert(name);
+    name
+}
+
+/// A planner that asks a command.
+#[derive(Debug)]
+struct ExecPlanner {
+    name: PlannerName,
+    command: String,
+    timeout: Duration,
+    /// The process with whether it has had a step.
+    process: Option<(Process, bool)>,
+}
+
+/// Why a command gives no trajectory.
+#[derive(Debug, thiserror::Error)]
+enum AnswerError {
+    #[error(transparent)]
+    Process(#[from] ProcessError),
+    #[error("the message to the command cannot be written: {0}")]
+    Request(serde_json::Error),
+    #[error("the command answered what is no message ({fault}): {answer}")]
+    NoMessage { fault: serde_json::Error, answer: String },
+    #[error("the command answered with another message than {expected}: {answer}")]
+    Other { expected: &'static str, answer: String },
+    #[error("the command says: {0}")]
+    Command(String),
+    #[error("the trajectory of the command cannot be used: {0}")]
+    Trajectory(String),
+}
+
+impl ExecPlanner {
+    fn ask(process: &mut Process, request: &ExecRequest, within: Duration) -> Result<(ExecReply, String), AnswerError> {
+        let line = serde_json::to_vec(request).map_err(AnswerError::Request)?;
+        let answer = process.ask(line, within)?;
+        let shown: String = answer.chars().take(MAX_SHOWN).collect();
+        match serde_json::from_str(&answer) {
+            Ok(ExecReply::Error { message }) => Err(AnswerError::Command(message)),
+            Ok(reply) => Ok((reply, shown)),
+            Err(fault) => Err(AnswerError::NoMessage { fault, answer: shown }),
+        }
+    }
+
+    fn start(&self, initialization: &PlannerInitialization<'_>) -> Result<Process, AnswerError> {
+        let mut process = Process::start(&self.command)?;
+        let request = ExecRequest::Initialize(Box::new(ExecInitialization::of(initialization)));
+        match Self::ask(&mut process, &request, self.timeout.max(START_TIMEOUT))? {
+            (ExecReply::Ready {}, _) => Ok(process),
+            (_, answer) => Err(AnswerError::Other { expected: "ready", answer }),
+        }
+    }
+
+    fn step(&mut self, input: &PlannerInput<'_>) -> Result<Option<Trajectory>, AnswerError> {
+        let Some((process, stepped)) = &mut self.process else { return Ok(None) };
+        let first = !std::mem::replace(stepped, true);
+        let request = ExecRequest::Step(Box::new(ExecStep::of(input, first)));
+        match Self::ask(process, &request, self.timeout)? {
+            (ExecReply::Trajectory { states }, _) => {
+                trajectory(&states, input.scene.ego).map(Some).map_err(AnswerError::Trajectory)
+            }
+            (_, answer) => Err(AnswerError::Other { expected: "trajectory", answer }),
+        }
+    }
+}
+
+fn failed(source: AnswerError) -> PlannerError {
+    PlannerError::Failed { doing: "planning with a command", source: Box::new(source) }
+}
+
+impl Planner for ExecPlanner {
+    fn name(&self) -> &str {
+        self.name.as_str()
+    }
+
+    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+        // A process that was asked before keeps nothing: it is ended.
+        self.process = None;
+        self.process = Some((self.start(initialization).map_err(failed)?, false));
+        Ok(())
+    }
+
+    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        let trajectory = self.step(input).map_err(failed)?;
+        trajectory.ok_or(PlannerError::NotInitialized)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn name(word: &str) -> String {
+        ExecCommand::parse(word).unwrap().unwrap().name.to_string()
+    }
+
+    #[test]
+    fn a_command_is_named_after_its_script_or_by_its_user() {
+        assert_eq!(name("exec:python3 my_planner.py --fast"), "exec-my_planner");
+        assert_eq!(name("exec:./build/Planner"), "exec-planner");
+        assert_eq!(name("exec:SEED=1 cargo run --release"), "exec-cargo");
+        assert_eq!(name("mine=exec:uv run planner.py"), "mine");
+        assert_eq!(ExecCommand::parse("idm"), None);
+        for (word, error) in [("exec:", "no command"), ("My Own=exec:x", "cannot name"), ("=exec:x", "cannot name")] {
+            let found = ExecCommand::parse(word).unwrap().unwrap_err().to_string();
+            assert!(found.contains(error), "{found}");
+        }
+        let taken = ExecCommand::parse("idm=exec:x").unwrap().unwrap();
+        let error = PlannerRegistry::default().with_command(&taken, DEFAULT_EXEC_TIMEOUT).unwrap_err();
+        assert_eq!(error, ExecError::Taken("idm".to_owned()));
+    }
+
+    #[test]
+    fn a_process_that_is_silent_or_ends_is_an_error_in_time() {
+        let mut silent = Process::start("sleep 60").unwrap();
+        let error = silent.ask(b"{}".to_vec(), Duration::from_millis(100)).unwrap_err().to_string();
+        assert_eq!(error, "the command gave no answer within 0.1 s");
+        let mut dead = Process::start("echo no module >&2; exit 3").unwrap();
+        let error = dead.ask(b"{}".to_vec(), Duration::from_secs(20)).unwrap_err().to_string();
+        assert!(error.starts_with("the command ended (exit status: 3)"), "{error}");
+        let mut echo = Process::start("cat").unwrap();
+        // More than a pipe holds.
+        let long = vec![b'x'; 1 << 20];
+        assert_eq!(echo.ask(long.clone(), Duration::from_secs(20)).unwrap().into_bytes(), long);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_process_ends_with_all_that_it_started() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("alive");
+        // The process in the background would write the file a second later.
+        let command = format!("(sleep 1; echo > {}) & cat", file.display());
+        let mut process = Process::start(&command).unwrap();
+        assert_eq!(process.ask(b"here".to_vec(), Duration::from_secs(20)).unwrap(), "here");
+        drop(process);
+        std::thread::sleep(Duration::from_millis(1500));
+        assert!(!file.exists());
+    }
+}

@@ -1,0 +1,87 @@
+//! The table of two runs on their common scenes.
+
+use super::terminal::wrapped;
+use super::{Table, short, signed};
+use crate::report::number::fixed;
+use crate::report::paired::{ComparedScene, ComparedScores, PlannerPair, RunComparison};
+
+/// Scenes in each of the lists of the largest changes.
+const MAX_SCENES: usize = 5;
+
+/// The scores, if asked for by scenario type, the scenes with the largest changes, and what the columns mean. `first` and
+/// `second` are names of the runs.
+pub fn comparison_table(comparison: &RunComparison, [first, second]: [&str; 2], by_type: bool) -> String {
+    let mut parts = vec![format!("A = {first}\nB = {second}"), scores(&comparison.scores)];
+    if by_type {
+        parts.push(types(&comparison.scenario_types));
+    }
+    let (lost, gained) = comparison.largest(MAX_SCENES);
+    for (heading, scenes) in [("largest losses", lost), ("largest gains", gained)] {
+        if !scenes.is_empty() {
+            parts.push(format!("{heading}\n{}", changes(&scenes)));
+        }
+    }
+    parts.push(notes(comparison));
+    parts.join("\n\n")
+}
+
+const SCORES: [&str; 4] = ["A", "B", "B - A", "95 % interval"];
+
+fn scores(all: &[ComparedScores]) -> String {
+    let rows = all.iter().map(|one| {
+        let name = [planners(&one.planners), short(one.challenge).to_owned()];
+        name.into_iter().chain([one.difference.pairs.to_string()]).chain(cells(one)).collect()
+    });
+    Table::new(["planner", "", "scenes"].into_iter().chain(SCORES), 2, rows).terminal()
+}
+
+fn types(all: &[ComparedScores]) -> String {
+    let rows = all.iter().map(|one| {
+        let kind = one.scenario_type.clone().unwrap_or_default();
+        let name = [kind, format!(" {}", planners(&one.planners)), short(one.challenge).to_owned()];
+        name.into_iter().chain([one.difference.pairs.to_string()]).chain(cells(one)).collect()
+    });
+    Table::new(["type", " planner", "", "scenes"].into_iter().chain(SCORES), 3, rows).terminal_below_names()
+}
+
+fn cells(one: &ComparedScores) -> [String; 4] {
+    let difference = one.difference;
+    let interval = format!("{} to {}", signed(difference.low), signed(difference.high));
+    [fixed(one.first, 2), fixed(one.second, 2), signed(difference.mean), interval]
+}
+
+fn changes(scenes: &[&ComparedScene]) -> String {
+    let rows = scenes.iter().map(|scene| {
+        let name = [scene.scenario.clone(), format!(" {}", planners(&scene.planners)), short(scene.challenge).to_owned()];
+        let scores = [fixed(scene.first, 2), fixed(scene.second, 2), signed(scene.difference())];
+        name.into_iter().chain(scores).collect()
+    });
+    Table::new(["scenario", " planner", "", "A", "B", "B - A"], 3, rows).terminal_below_names()
+}
+
+fn planners(pair: &PlannerPair) -> String {
+    if pair.first == pair.second { pair.first.clone() } else { format!("{} / {}", pair.first, pair.second) }
+}
+
+/// What the columns mean, and what else differs.
+fn notes(comparison: &RunComparison) -> String {
+    let bootstrap = comparison.bootstrap;
+    let mut text = wrapped(&format!(
+        "Scores are nuPlan's x 100, on the scenes that both runs completed. The {} % interval is a percentile bootstrap over \
+         scenes ({} resamples, seed {}).",
+        fixed(bootstrap.level * 100.0, 0),
+        bootstrap.resamples,
+        bootstrap.seed
+    ));
+    if comparison.unpaired > 0 {
+        text.extend(wrapped(&format!(
+            "{} simulations have no completed counterpart in the other run and do not count.",
+            comparison.unpaired
+        )));
+    }
+    if !comparison.differences.is_empty() {
+        text.push("B differs from A in:".to_owned());
+        text.extend(comparison.differences.iter().map(|line| format!("  {line}")));
+    }
+    text.join("\n")
+}

@@ -1,0 +1,215 @@
+//! Which of the scenarios that words and splits name are simulated: types, order, number, shard.
+
+use crate::report::ShardList;
+use crate::scenario::{ScenarioRef, UNKNOWN_TYPE};
+use std::collections::BTreeSet;
+use std::fmt;
+use std::str::FromStr;
+
+/// One of several parts of a run, which processes simulate independently: `2/8`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shard {
+    index: usize,
+    of: usize,
+}
+
+/// A text that names no shard.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("a shard is I/N with I from 1 to N, for example 2/8")]
+pub struct NoShard;
+
+impl FromStr for Shard {
+    type Err = NoShard;
+
+    fn from_str(text: &str) -> Result<Self, NoShard> {
+        let (index, of) = text.split_once('/').ok_or(NoShard)?;
+        let [index, of] = [index, of].map(|number| number.trim().parse::<usize>().map_err(|_| NoShard));
+        let (index, of) = (index?, of?);
+        if (1..=of).contains(&index) { Ok(Self { index, of }) } else { Err(NoShard) }
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.index, self.of)
+    }
+}
+
+impl From<ShardList> for Shard {
+    fn from(list: ShardList) -> Self {
+        Self { index: list.index, of: list.of }
+    }
+}
+
+impl Shard {
+    /// Whether it has a scenario. That depends on the name of the scenario alone, so that a scenario stays in its shard
+    /// whatever else is simulated.
+    pub(super) fn has(self, scenario: &ScenarioRef) -> bool {
+        let place = hash(b"shard", &key(scenario)) % (self.of as u64);
+        place == self.index as u64 - 1
+    }
+
+    /// What the manifest says of it, with the number of its scenarios.
+    pub(super) fn list(self, scenarios: &[ScenarioRef]) -> ShardList {
+        let count = scenarios.iter().filter(|scenario| self.has(scenario)).count();
+        ShardList { index: self.index, of: self.of, count }
+    }
+}
+
+/// What to take of the scenarios that are found.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Sample {
+    /// Only these types; without any, all.
+    pub(super) types: Vec<String>,
+    /// The seed of their order; without one, the order in which they are found.
+    pub(super) shuffle: Option<u64>,
+    /// Only so many, evenly from the types.
+    pub(super) limit: Option<usize>,
+}
+
+/// A type that no scenario has.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no scenario is of type '{name}'; there are {}", known.join(", "))]
+pub struct NoSuchType {
+    /// The type.
+    pub name: String,
+    /// The types of the scenarios.
+    pub known: Vec<String>,
+}
+
+impl Sample {
+    /// The scenarios that it takes of `found`.
+    pub(super) fn of(&self, found: Vec<ScenarioRef>) -> Result<Vec<ScenarioRef>, NoSuchType> {
+        let mut scenarios = self.of_types(found)?;
+        if let Some(seed) = self.shuffle {
+            // The order of two scenarios depends on nothing but the seed and their names.
+            scenarios.sort_by_cached_key(|scenario| hash(&seed.to_le_bytes(), &key(scenario)));
+        }
+        Ok(match self.limit {
+            Some(limit) => evenly(scenarios, limit),
+            None => scenarios,
+        })
+    }
+
+    fn of_types(&self, found: Vec<ScenarioRef>) -> Result<Vec<ScenarioRef>, NoSuchType> {
+        if self.types.is_empty() {
+            return Ok(found);
+        }
+        let known: BTreeSet<&str> = found.iter().map(type_of).collect();
+        if let Some(name) = self.types.iter().find(|name| !known.contains(name.as_str())) {
+            return Err(NoSuchType { name: name.clone(), known: known.into_iter().map(str::to_owned).collect() });
+        }
+        Ok(found.into_iter().filter(|scenario| self.types.iter().any(|name| name == type_of(scenario))).collect())
+    }
+}
+
+/// At most `limit` scenarios: of each type the first, then of each the second, and so on. They stay in their order.
+fn evenly(scenarios: Vec<ScenarioRef>, limit: usize) -> Vec<ScenarioRef> {
+    let mut by_type: Vec<(&str, Vec<usize>)> = Vec::new();
+    for (place, scenario) in scenarios.iter().enumerate() {
+        let own = type_of(scenario);
+        match by_type.iter_mut().find(|(kind, _)| *kind == own) {
+            Some((_, places)) => places.push(place),
+            None => by_type.push((own, vec![place])),
+        }
+    }
+    let longest = by_type.iter().map(|(_, places)| places.len()).max().unwrap_or(0);
+    let in_turn = (0..longest).flat_map(|turn| by_type.iter().filter_map(move |(_, places)| places.get(turn)));
+    let taken: BTreeSet<usize> = in_turn.take(limit).copied().collect();
+    let kept = scenarios.into_iter().enumerate().filter(|(place, _)| taken.contains(place));
+    kept.map(|(_, scenario)| scenario).collect()
+}
+
+fn type_of(scenario: &ScenarioRef) -> &str {
+    scenario.scenario_type().unwrap_or(UNKNOWN_TYPE)
+}
+
+/// A name of the scenario that does not depend on where its file lies.
+fn key(scenario: &ScenarioRef) -> String {
+    let file = || scenario.path()?.file_name().map(|name| name.to_string_lossy().into_owned());
+    scenario.id().map(str::to_owned).or_else(file).unwrap_or_else(|| scenario.to_string())
+}
+
+fn hash(salt: &[u8], text: &str) -> u64 {
+    let digest = blake3::Hasher::new().update(salt).update(b"\n").update(text.as_bytes()).finalize();
+    digest.as_bytes().iter().take(8).fold(0, |number, &byte| number << 8 | u64::from(byte))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::ReaderError;
+
+    fn scenario(kind: &str, seed: usize) -> ScenarioRef {
+        let word = format!("generated/{kind}/{seed}");
+        let unopened = || Err(ReaderError::Unreadable(String::new()));
+        ScenarioRef::new(word.clone(), unopened).with_id(word).with_type(kind)
+    }
+
+    fn scenarios() -> Vec<ScenarioRef> {
+        [("a", 5), ("b", 1), ("c", 3)].into_iter().flat_map(|(kind, n)| (0..n).map(move |i| scenario(kind, i))).collect()
+    }
+
+    fn names(scenarios: &[ScenarioRef]) -> Vec<String> {
+        scenarios.iter().map(|one| one.to_string().replace("generated/", "")).collect()
+    }
+
+    #[test]
+    fn a_limit_takes_evenly_and_keeps_the_order() {
+        let taken = |limit| names(&Sample { limit: Some(limit), ..Sample::default() }.of(scenarios()).unwrap());
+        assert_eq!(taken(2), ["a/0", "b/0"]);
+        assert_eq!(taken(4), ["a/0", "a/1", "b/0", "c/0"]);
+        assert_eq!(taken(7), ["a/0", "a/1", "a/2", "b/0", "c/0", "c/1", "c/2"]);
+        assert_eq!(taken(100), names(&scenarios()));
+    }
+
+    #[test]
+    fn types_are_kept_and_unknown_ones_refused() {
+        let of = |kind: &str| Sample { types: vec![kind.to_owned()], ..Sample::default() }.of(scenarios());
+        assert_eq!(names(&of("c").unwrap()), ["c/0", "c/1", "c/2"]);
+        let error = of("d").unwrap_err();
+        assert_eq!(error.to_string(), "no scenario is of type 'd'; there are a, b, c");
+    }
+
+    #[test]
+    fn a_seed_draws_an_order_that_other_scenarios_do_not_change() {
+        let order = |seed, found| names(&Sample { shuffle: Some(seed), ..Sample::default() }.of(found).unwrap());
+        let all = order(0, scenarios());
+        assert_ne!(all, names(&scenarios()));
+        assert_ne!(all, order(1, scenarios()));
+        let mut sorted = all.clone();
+        sorted.sort();
+        assert_eq!(sorted, names(&scenarios()));
+        let some = order(0, scenarios().into_iter().filter(|one| type_of(one) != "b").collect());
+        assert_eq!(some, all.into_iter().filter(|name| !name.starts_with('b')).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn shards_of_any_number_share_every_scenario_once() {
+        let all: Vec<ScenarioRef> = (0..200).map(|seed| scenario("a", seed)).collect();
+        for of in [1, 2, 3, 7, 300] {
+            let mut counts = vec![0; all.len()];
+            for index in 1..=of {
+                let shard: Shard = format!("{index}/{of}").parse().unwrap();
+                let has: Vec<bool> = all.iter().map(|one| shard.has(one)).collect();
+                assert_eq!(shard.list(&all).count, has.iter().filter(|has| **has).count());
+                counts.iter_mut().zip(has).for_each(|(count, has)| *count += usize::from(has));
+            }
+            assert!(counts.iter().all(|count| *count == 1), "{of}: {counts:?}");
+        }
+        // Pinned: another assignment would tear apart shards that were simulated before.
+        let first: Vec<usize> = all.iter().take(8).map(|one| 1 + (hash(b"shard", &key(one)) % 3) as usize).collect();
+        assert_eq!(first, PINNED);
+    }
+
+    /// Shards of three of the first scenarios.
+    const PINNED: [usize; 8] = [1, 1, 1, 1, 1, 1, 1, 1];
+
+    #[test]
+    fn what_names_no_shard_is_refused() {
+        assert_eq!("2/8".parse::<Shard>().unwrap().to_string(), "2/8");
+        for wrong in ["", "2", "0/2", "3/2", "1/0", "a/b", "1/2/3", "-1/2"] {
+            assert_eq!(wrong.parse::<Shard>(), Err(NoShard), "{wrong}");
+        }
+    }
+}

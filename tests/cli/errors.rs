@@ -1,0 +1,135 @@
+//! Errors as users read them.
+
+use super::{planagent, run};
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+/// Runs in a folder without data of nuPlan; gives the exit code and stderr.
+fn error(folder: &Path, arguments: &[&str]) -> (i32, String) {
+    let mut command = planagent();
+    for variable in ["NUPLAN_DATA_ROOT", "NUPLAN_MAPS_ROOT", "NUPLAN_SPLITS_ROOT", "PLANAGENT_DATA"] {
+        command.env_remove(variable);
+    }
+    let output = command.args(arguments).current_dir(folder).env("COLUMNS", "80").output().unwrap();
+    let text = String::from_utf8(output.stderr).unwrap();
+    let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models");
+    (output.status.code().unwrap(), text.replace(models, "[MODELS]").replace(folder.to_str().unwrap(), "[FOLDER]"))
+}
+
+/// What is mistyped or does not exist.
+const WRONG: &[&[&str]] = &[
+    &["simulat"],
+    &["simulate", "--plannr", "idm"],
+    &["simulate", "--planner", "imd"],
+    &["simulate", "--planner", "telepathy"],
+    &["simulate", "--planner", "exec:"],
+    &["simulate", "--planner", "idm=exec:true"],
+    &["simulate", "--model", "nanoo"],
+    &["simulate", "--split", "generated-14-hrad"],
+    &["simulate", "--split", "val14"],
+    &["simulate", "--scenario", "val14"],
+    &["simulate", "--split", "generated/changing_lane/3"],
+    &["simulate", "--scenario", "generated/chaning_lane/3"],
+    &["simulate", "--scenario", "nowhere.tfrecord"],
+    &["simulate", "--type", "chaning_lane"],
+    &["simulate", "--limit", "0"],
+    &["simulate", "--shard", "3/2"],
+    &["simulate", "--challenge", "reactiv"],
+    &["simulate", "--planner", "simple", "--exec-timeout", "0"],
+    &["simulate", "--set", "reflection.treshold=0.5"],
+    &["simulate", "--set", "threshold"],
+    &["simulate", "--set", "reflection.threshold=high"],
+    &["simulate", "--set", "reflection.threshold=7"],
+    &["simulate", "--csv", "--json"],
+    &["scenarios", "generate", "--type", "chaning_lane"],
+    &["experiment", "foo"],
+    &["experiment", "scenario-type"],
+    &["models", "fetch", "nnao"],
+    &["report"],
+    &["render", "--gif", "film.mp4"],
+    &["compare", "one", "two"],
+    &["merge"],
+    &["completions", "csh"],
+];
+
+#[test]
+fn errors_are_as_reviewed() {
+    let work = TempDir::new().unwrap();
+    let mut text = String::new();
+    for arguments in WRONG {
+        let (code, error) = error(work.path(), arguments);
+        assert_eq!(code, 2, "{arguments:?}: {error}");
+        assert!(!error.contains("panicked"), "{error}");
+        writeln!(text, "$ planagent {}\n{error}", arguments.join(" ")).unwrap();
+    }
+    insta::with_settings!({prepend_module_to_snapshot => false}, {
+        insta::assert_snapshot!("errors", text);
+    });
+}
+
+#[test]
+fn every_error_quotes_names_alike() {
+    let work = TempDir::new().unwrap();
+    for (arguments, quoted) in [
+        (&["simulate", "--planner", "imd"][..], "'imd'"),
+        (&["simulate", "--split", "vl14"], "'vl14'"),
+        (&["simulate", "--scenario", "generated/flying/1"], "'flying'"),
+        (&["experiment", "foo"], "'foo'"),
+        (&["simulate", "--type", "flying"], "'flying'"),
+    ] {
+        let (_, error) = error(work.path(), arguments);
+        assert!(error.contains(quoted), "{error}");
+    }
+}
+
+#[test]
+fn a_check_of_all_models_fails_for_missing_ones_and_says_how_to_get_them() {
+    let cache = TempDir::new().unwrap();
+    let mut command = planagent();
+    let output = command.args(["models", "check"]).env("HF_HOME", cache.path()).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("nano: llava") && text.contains("can be opened"), "{text}");
+    assert!(text.contains("llava-1.5-7b: not on this machine; `planagent models fetch llava-1.5-7b` downloads it"), "{text}");
+    assert!(!text.contains("mllm.offline") && !text.contains("openai"), "{text}");
+}
+
+#[test]
+fn a_quiet_run_with_a_dead_server_says_so() {
+    let work = TempDir::new().unwrap();
+    let description = work.path().join("dead.toml");
+    let server = "name = 'dead'\nprompt_set = 'compact'\n[source]\nendpoint = 'http://127.0.0.1:9'\nmodel = 'none'\nretries = 0\n";
+    fs::write(&description, server).unwrap();
+    let out = work.path().join("run");
+    let flags = ["simulate", "-q", "--model", description.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let (code, _, stderr) = run(&flags);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("8 of 8 planning calls got no answer") && stderr.contains("calls.jsonl"), "{stderr}");
+}
+
+#[test]
+fn an_unreadable_log_is_named_once() {
+    let work = TempDir::new().unwrap();
+    fs::create_dir(work.path().join("logs")).unwrap();
+    let log = work.path().join("logs/broken.db");
+    fs::write(&log, "no database").unwrap();
+    let exported = work.path().join("out");
+    let good = ["scenarios", "export", "generated/changing_lane/3", "--format", "nuplan", "--out", exported.to_str().unwrap()];
+    assert_eq!(run(&good).0, 0);
+    let data = exported.join("data");
+    let moved = fs::read_dir(&data).unwrap().map(|entry| entry.unwrap().path()).next().unwrap();
+    let from = if moved.is_dir() { fs::read_dir(&moved).unwrap().next().unwrap().unwrap().path() } else { moved };
+    fs::copy(&from, work.path().join("logs/good.db")).unwrap();
+    let maps = exported.join("maps");
+    let out = work.path().join("run");
+    let flags = ["simulate", "--planner", "simple", "--scenario", work.path().join("logs").to_str().unwrap()]
+        .map(str::to_owned);
+    let more = ["--maps-root", maps.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let arguments: Vec<&str> = flags.iter().map(String::as_str).chain(more).collect();
+    let (code, _, stderr) = run(&arguments);
+    assert_eq!(code, 1, "{stderr}");
+    let failed = stderr.lines().find(|line| line.starts_with("failed: ")).unwrap();
+    assert_eq!(failed.matches("broken.db").count(), 1, "{failed}");
+}

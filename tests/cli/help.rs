@@ -1,0 +1,79 @@
+//! The help of every command, short and long.
+
+use super::{planagent, run};
+
+/// Every command with its own help.
+pub(super) const COMMANDS: [&str; 24] = [
+    "",
+    "simulate",
+    "plan",
+    "report",
+    "render",
+    "compare",
+    "merge",
+    "scenarios",
+    "scenarios list",
+    "scenarios show",
+    "scenarios generate",
+    "scenarios export",
+    "scenarios hard",
+    "models",
+    "models list",
+    "models check",
+    "models fetch",
+    "models quantize",
+    "dataset",
+    "experiment",
+    "bench",
+    "config",
+    "completions",
+    "help",
+];
+
+#[test]
+fn help_is_as_reviewed() {
+    for command in COMMANDS {
+        let name = if command.is_empty() { "planagent".to_owned() } else { command.replace(' ', "_") };
+        for (form, flag) in [("short", "-h"), ("long", "--help")] {
+            let words = command.split_whitespace().chain([flag]);
+            let output = planagent().args(words).env("COLUMNS", "80").output().unwrap();
+            assert!(output.status.success(), "{command}");
+            let text = String::from_utf8(output.stdout).unwrap();
+            insta::with_settings!({prepend_module_to_snapshot => false}, {
+                insta::assert_snapshot!(format!("help_{name}_{form}"), text);
+            });
+        }
+    }
+}
+
+/// The short help of the commands that are used most fits a screen.
+#[test]
+fn the_short_help_is_short() {
+    for command in ["", "plan", "report", "compare", "merge", "models check"] {
+        let words: Vec<&str> = command.split_whitespace().chain(["-h"]).collect();
+        let lines = run(&words).1.lines().count();
+        assert!(lines <= 40, "{command}: {lines} lines");
+    }
+}
+
+#[test]
+fn options_about_models_stand_only_where_a_model_is_used() {
+    for command in COMMANDS {
+        let words: Vec<&str> = command.split_whitespace().chain(["--help"]).collect();
+        let text = run(&words).1;
+        let uses = ["simulate", "plan", "dataset", "experiment", "bench", "config"].contains(&command);
+        assert_eq!(text.contains("--model <MODEL>"), uses, "{command}");
+    }
+}
+
+#[test]
+fn completions_name_commands_and_options() {
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let (code, script, stderr) = run(&["completions", shell]);
+        assert_eq!(code, 0, "{stderr}");
+        for word in ["simulate", "--planner", "--retry-failed", "completions"] {
+            let bare = word.trim_start_matches("--");
+            assert!(script.contains(bare), "{shell}: no {word}");
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! `report` and `render`: the last run, all simulations, files and folders.
+
+use super::{planagent, refused, run};
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+/// Runs in a working directory; gives exit code, stdout and stderr.
+fn run_in(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
+    let output = planagent().args(arguments).current_dir(folder).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
+}
+
+const SIMULATE: [&str; 8] =
+    ["simulate", "--quiet", "--planner", "simple,idm", "--scenario", "generated/changing_lane/3", "--challenge", "both"];
+
+#[test]
+fn without_a_run_the_last_one_is_taken() {
+    let work = TempDir::new().unwrap();
+    let (code, _, stderr) = run_in(work.path(), &["report"]);
+    assert!(code == 2 && stderr.contains("there is no run in this folder"), "{stderr}");
+    for _ in 0..2 {
+        assert_eq!(run_in(work.path(), &SIMULATE).0, 0);
+    }
+    // An experiment's folder is none of the numbered runs.
+    fs::create_dir(work.path().join("runs/experiments")).unwrap();
+    let (code, stdout, stderr) = run_in(work.path(), &["report"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(Path::new(stdout.trim()), Path::new("runs/0002/report.html"));
+    assert!(work.path().join("runs/0002/report.html").is_file() && !work.path().join("runs/0001/report.html").exists());
+
+    let small = ["--pixels", "160"];
+    let (code, stdout, stderr) = run_in(work.path(), &[&["render", "2", "--png", "one.png"], &small[..]].concat());
+    assert!(code == 0 && stderr.contains("run runs/0002"), "{stderr}");
+    assert_eq!(stdout.trim(), "one.png");
+    // All simulations go to a folder.
+    let (code, stdout, stderr) = run_in(work.path(), &[&["render", "--png", "all/sheets"], &small[..]].concat());
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(stdout.lines().count(), 4, "{stdout}");
+    let name = "000001-generated_changing_lane_3-simple-reactive.png";
+    assert!(image::open(work.path().join("all/sheets").join(name)).unwrap().width() > 160);
+    let some = ["render", "runs/0001", "changing_lane/3", "--planner", "idm", "--png", "some"];
+    let (code, stdout, stderr) = run_in(work.path(), &[&some[..], &small].concat());
+    assert_eq!((code, stdout.lines().count()), (0, 2), "{stderr}");
+}
+
+#[test]
+fn a_film_has_the_format_of_its_name() {
+    let work = TempDir::new().unwrap();
+    assert_eq!(run_in(work.path(), &SIMULATE).0, 0);
+    for (option, name) in [("--gif", "a.mp4"), ("--png", "a.gif"), ("--mp4", "a.gif"), ("--png", "a.jpg")] {
+        let (code, _, stderr) = run_in(work.path(), &["render", "0", option, name]);
+        let own = option.trim_start_matches("--");
+        assert!(code == 2 && stderr.contains(&format!("must end in .{own}")), "{stderr}");
+    }
+    let (code, _, stderr) = run_in(work.path(), &["render", "0", "--png", "nowhere/a.png"]);
+    assert!(code == 2 && stderr.contains("there is no folder nowhere"), "{stderr}");
+    let (code, _, stderr) = run_in(work.path(), &["render", "changing_lane/4", "--png", "a.png"]);
+    assert!(code == 2 && stderr.contains("a similar simulation exists: 'generated/changing_lane/3'"), "{stderr}");
+}
+
+/// What is wrong with paths is said before the model is loaded, which takes long.
+#[test]
+fn paths_are_checked_before_a_model_is_loaded() {
+    let work = TempDir::new().unwrap();
+    let path = |name: &str| work.path().join(name).to_str().unwrap().to_owned();
+    let old = work.path().join("old");
+    fs::create_dir(&old).unwrap();
+    fs::write(old.join("manifest.toml"), "planagent = \"0.0.1\"\n").unwrap();
+    let never_loaded = |arguments: &[&str]| {
+        let error = refused(arguments);
+        assert!(!error.contains("model nano"), "{error}");
+        error
+    };
+    let format = never_loaded(&["simulate", "--out", old.to_str().unwrap()]);
+    assert!(format.contains("a run of format version 0") && !format.contains("--resume"), "{format}");
+    let image = never_loaded(&["plan", "--image", &path("nowhere/bev.png")]);
+    assert!(image.contains("there is no folder"), "{image}");
+    fs::write(path("file"), "").unwrap();
+    assert!(never_loaded(&["simulate", "--out", &path("file/run")]).contains("is a file and no folder"));
+    let out = path("run");
+    assert_eq!(run(&["simulate", "--planner", "simple", "--quiet", "--out", &out]).0, 0);
+    let other = never_loaded(&["simulate", "--resume", &out, "--planner", "plan-agent"]);
+    assert!(other.contains("other planners: was simple, is plan-agent") && !other.contains("was none"), "{other}");
+}
