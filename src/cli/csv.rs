@@ -59,7 +59,8 @@ mod tests {
 
     #[test]
     fn rows_of_different_fields_share_a_header() {
-        let rows = [json!({"id": "a,b", "score": 0.5, "by": ["x", "y"]}), json!({"id": "c", "error": null, "d": {"n": 1}})];
+        let rows =
+            [json!({"id": "a,b", "score": 0.5, "by": ["x", "y"]}), json!({"id": "c", "error": null, "d": {"n": 1}})];
         assert_eq!(csv_text(&rows).unwrap(), "id,score,by,error,d.n\n\"a,b\",0.5,x y,,\nc,,,,1\n");
         assert_eq!(csv_text(&[Value::Null; 0]).unwrap(), "");
     }

@@ -14,7 +14,7 @@ const LINE_EVERY: Duration = Duration::from_secs(30);
 /// The bar, in 80 columns.
 const TEMPLATE: &str = "{bar:10} {pos}/{len} simulations {per_sec} {left} {msg}";
 /// Steps of a simulation of 15 s, for the estimate before the first one ends.
-const USUAL: usize = 149;
+const USUAL: usize = 150;
 /// Steps after which the time left is estimated: those between two planning calls.
 const MIN_STEPS: usize = 20;
 /// Unit of a bar that shows its numbers as bytes.
@@ -292,7 +292,7 @@ mod tests {
         assert_eq!(counts(0, MIN_STEPS - 1).left(), "estimating");
         // A fifth of a simulation in 10 minutes: 49 more fifths take 490 minutes.
         assert_eq!(counts(0, 30).left(), "8h left");
-        assert_eq!(counts(0, USUAL).left(), "90m left");
+        assert_eq!(counts(0, 2 * USUAL).left(), "40m left");
         // Shorter simulations end with fewer steps.
         assert_eq!(counts(5, 5 * 80).left(), "10m left");
         assert_eq!(counts(10, 10 * USUAL).left(), "0s left");

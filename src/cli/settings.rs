@@ -111,7 +111,8 @@ fn base(arguments: &Arguments) -> anyhow::Result<Settings> {
             let config = Config::load(file)?;
             let layers = match file.map_or_else(Config::default_file, |file| Some(PathBuf::from(file))) {
                 Some(path) => {
-                    let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+                    let text =
+                        std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
                     vec![(path.display().to_string(), text.parse()?)]
                 }
                 None => Vec::new(),
@@ -177,7 +178,8 @@ mod tests {
 
     #[test]
     fn a_text_needs_no_quotes() {
-        let value = |text: &str| value_at(&parse(text).unwrap(), text.split('=').next().unwrap().trim()).cloned().unwrap();
+        let value =
+            |text: &str| value_at(&parse(text).unwrap(), text.split('=').next().unwrap().trim()).cloned().unwrap();
         assert_eq!(value("reflection.threshold=0.5"), Value::Float(0.5));
         assert_eq!(value("mllm.model = nano"), Value::String("nano".to_owned()));
         assert_eq!(value("mllm.model=\"nano\""), Value::String("nano".to_owned()));
@@ -197,7 +199,8 @@ mod tests {
                 section = name.replace(']', ".");
             }
             let assignment = line.trim_start_matches("# ").split_once(" = ");
-            let key = assignment.map(|(key, _)| key).filter(|key| key.chars().all(|c| c.is_ascii_lowercase() || c == '_'));
+            let key =
+                assignment.map(|(key, _)| key).filter(|key| key.chars().all(|c| c.is_ascii_lowercase() || c == '_'));
             shown.extend(key.map(|key| format!("{section}{key}")));
         }
         assert_eq!(keys().unwrap().into_iter().collect::<BTreeSet<_>>(), shown);

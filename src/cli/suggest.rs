@@ -7,8 +7,8 @@ use crate::mllm::MllmError;
 use crate::planner::UnknownPlanner;
 use crate::report::NoPair;
 use crate::runner::{NoSuchType, RunnerError};
-use crate::scenario::{DataRoots, ReaderError, Readers};
 use crate::scenario::generator::{GeneratorError, types};
+use crate::scenario::{DataRoots, ReaderError, Readers};
 use std::error::Error;
 use std::path::Path;
 

@@ -47,7 +47,8 @@ pub use study::{
 };
 pub use summary::{Aggregate, ScenarioSummary, Summary};
 pub use table::{
-    bench_markdown, bench_table, comparison_table, failures, fill, main_table, study_markdown, study_table, token_markdown, token_table,
+    bench_markdown, bench_table, comparison_table, failures, fill, main_table, study_markdown, study_table,
+    token_markdown, token_table,
 };
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};

@@ -151,7 +151,8 @@ fn pairs(first: &Manifest, second: &Manifest, named: Option<PlannerPair>) -> Res
         return Ok(vec![pair]);
     }
     let pair = |first: &String, second: &String| PlannerPair { first: first.clone(), second: second.clone() };
-    let common: Vec<PlannerPair> = one.iter().filter(|name| other.contains(name)).map(|name| pair(name, name)).collect();
+    let common: Vec<PlannerPair> =
+        one.iter().filter(|name| other.contains(name)).map(|name| pair(name, name)).collect();
     match (common.is_empty(), one.as_slice(), other.as_slice()) {
         (false, ..) => Ok(common),
         (true, [one], [other]) => Ok(vec![pair(one, other)]),
@@ -229,7 +230,8 @@ mod tests {
     #[test]
     fn only_common_scenes_are_paired() {
         let (one, other) = (manifest(&["idm", "simple"]), manifest(&["idm"]));
-        let first = [row(0, "idm", Some(0.5)), row(1, "idm", Some(0.25)), row(2, "idm", None), row(0, "simple", Some(0.0))];
+        let first =
+            [row(0, "idm", Some(0.5)), row(1, "idm", Some(0.25)), row(2, "idm", None), row(0, "simple", Some(0.0))];
         let second = [row(1, "idm", Some(0.75)), row(2, "idm", Some(1.0)), row(0, "idm", Some(0.25))];
         let found = RunComparison::new((&one, &first), (&other, &second), None).unwrap();
         let [scores] = found.scores.as_slice() else { panic!("{:?}", found.scores) };

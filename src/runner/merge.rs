@@ -152,9 +152,14 @@ fn check_identities(
             return Err(MergeError::Unexpected { run, number, found, expected });
         }
     }
-    let sources = simulations.values().step_by((planners.len() * challenges.len()).max(1)).map(|simulation| &simulation.row.source);
+    let sources = simulations
+        .values()
+        .step_by((planners.len() * challenges.len()).max(1))
+        .map(|simulation| &simulation.row.source);
     if ScenarioList::digest(sources) != manifest.scenarios.blake3 {
-        return Err(MergeError::OtherScenarios { run: parts.first().map(|part| part.path.clone()).unwrap_or_default() });
+        return Err(MergeError::OtherScenarios {
+            run: parts.first().map(|part| part.path.clone()).unwrap_or_default(),
+        });
     }
     Ok(())
 }

@@ -147,7 +147,10 @@ mod tests {
     }
 
     fn scenarios() -> Vec<ScenarioRef> {
-        [("a", 5), ("b", 1), ("c", 3)].into_iter().flat_map(|(kind, n)| (0..n).map(move |i| scenario(kind, i))).collect()
+        [("a", 5), ("b", 1), ("c", 3)]
+            .into_iter()
+            .flat_map(|(kind, n)| (0..n).map(move |i| scenario(kind, i)))
+            .collect()
     }
 
     fn names(scenarios: &[ScenarioRef]) -> Vec<String> {

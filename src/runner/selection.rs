@@ -66,8 +66,16 @@ impl Selection {
         let sample = Sample { types: types.clone(), shuffle: shuffle.then_some(seed), limit };
         let Selected { sources, splits, missing } = select(&words, &splits, &sample, &readers, listener)?;
         let shard_list = shard.map(|shard| shard.list(&sources));
-        let named =
-            ScenarioList { words, splits, types, shuffle, limit, shard: shard_list, missing, ..ScenarioList::default() };
+        let named = ScenarioList {
+            words,
+            splits,
+            types,
+            shuffle,
+            limit,
+            shard: shard_list,
+            missing,
+            ..ScenarioList::default()
+        };
         let list = scenario_list(&sources, named, roots)?;
         let tasks = tasks(&sources, &planners, &challenges);
         let is_own = |task: &SimulationTask| shard.is_none_or(|shard| shard.has(&task.source));

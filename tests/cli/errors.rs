@@ -92,7 +92,10 @@ fn a_check_of_all_models_fails_for_missing_ones_and_says_how_to_get_them() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("nano: llava") && text.contains("can be opened"), "{text}");
-    assert!(text.contains("llava-1.5-7b: not on this machine; `planagent models fetch llava-1.5-7b` downloads it"), "{text}");
+    assert!(
+        text.contains("llava-1.5-7b: not on this machine; `planagent models fetch llava-1.5-7b` downloads it"),
+        "{text}"
+    );
     assert!(!text.contains("mllm.offline") && !text.contains("openai"), "{text}");
 }
 
@@ -116,7 +119,8 @@ fn an_unreadable_log_is_named_once() {
     let log = work.path().join("logs/broken.db");
     fs::write(&log, "no database").unwrap();
     let exported = work.path().join("out");
-    let good = ["scenarios", "export", "generated/changing_lane/3", "--format", "nuplan", "--out", exported.to_str().unwrap()];
+    let good =
+        ["scenarios", "export", "generated/changing_lane/3", "--format", "nuplan", "--out", exported.to_str().unwrap()];
     assert_eq!(run(&good).0, 0);
     let data = exported.join("data");
     let moved = fs::read_dir(&data).unwrap().map(|entry| entry.unwrap().path()).next().unwrap();

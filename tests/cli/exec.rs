@@ -25,8 +25,11 @@ fn python() -> Option<String> {
 /// A planner of some lines of Python.
 fn script(folder: &Path, name: &str, lines: &str) -> Option<String> {
     let path = folder.join(name);
-    fs::write(&path, format!("import json, os, sys, time\nready = lambda: print('{{\"type\": \"ready\"}}', flush=True)\n{lines}"))
-        .unwrap();
+    fs::write(
+        &path,
+        format!("import json, os, sys, time\nready = lambda: print('{{\"type\": \"ready\"}}', flush=True)\n{lines}"),
+    )
+    .unwrap();
     Some(format!("{} {}", python()?, path.display()))
 }
 
@@ -52,10 +55,11 @@ fn a_command_plans_like_a_planner_of_ours() {
     assert!(own.iter().all(|row| row["score"].as_f64().unwrap() > 0.0), "{own:?}");
     let manifest: toml::Table = fs::read_to_string(one.join("manifest.toml")).unwrap().parse().unwrap();
     assert_eq!(manifest["commands"]["exec-exec_planner"].as_str(), Some(format!("{python} {EXAMPLE}").as_str()));
-    let folder = simulations(&one).into_iter().find(|path| path.display().to_string().contains("exec-exec_planner")).unwrap();
+    let folder =
+        simulations(&one).into_iter().find(|path| path.display().to_string().contains("exec-exec_planner")).unwrap();
     let record: toml::Table = fs::read_to_string(folder.join("record.toml")).unwrap().parse().unwrap();
     let times = record["time"]["planner_s"].as_array().unwrap();
-    assert!(times.len() == 149 && times.iter().all(|time| time.as_float().unwrap() > 0.0), "{}", times.len());
+    assert!(times.len() == 150 && times.iter().all(|time| time.as_float().unwrap() > 0.0), "{}", times.len());
     assert!(one.join("closed_loop_reactive_agents/runner_report.parquet").is_file());
     let (code, _, stderr) = run(&["report", one.to_str().unwrap()]);
     assert_eq!(code, 0, "{stderr}");
@@ -91,7 +95,10 @@ fn a_command_that_is_dead_silent_or_wrong_fails_its_simulation() {
     assert!(early.contains("another message than ready"), "{early}");
     let silent = failing(work.path(), "echo '{\"type\": \"ready\"}'; cat > /dev/null");
     assert!(silent.contains("gave no answer within 1 s") && silent.contains("iteration 0"), "{silent}");
-    let empty = failing(work.path(), "echo '{\"type\": \"ready\"}'; echo '{\"type\": \"trajectory\", \"states\": []}'; cat > /dev/null");
+    let empty = failing(
+        work.path(),
+        "echo '{\"type\": \"ready\"}'; echo '{\"type\": \"trajectory\", \"states\": []}'; cat > /dev/null",
+    );
     assert!(empty.contains("at least 2 states"), "{empty}");
     let error = failing(work.path(), "echo '{\"type\": \"error\", \"message\": \"no route\"}'; cat > /dev/null");
     assert!(error.contains("the command says: no route"), "{error}");

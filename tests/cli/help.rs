@@ -3,7 +3,7 @@
 use super::{planagent, run};
 
 /// Every command with its own help.
-pub(super) const COMMANDS: [&str; 24] = [
+pub(super) const COMMANDS: [&str; 23] = [
     "",
     "simulate",
     "plan",
@@ -27,7 +27,6 @@ pub(super) const COMMANDS: [&str; 24] = [
     "bench",
     "config",
     "completions",
-    "help",
 ];
 
 #[test]

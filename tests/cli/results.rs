@@ -12,8 +12,16 @@ fn run_in(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
     (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
 }
 
-const SIMULATE: [&str; 8] =
-    ["simulate", "--quiet", "--planner", "simple,idm", "--scenario", "generated/changing_lane/3", "--challenge", "both"];
+const SIMULATE: [&str; 8] = [
+    "simulate",
+    "--quiet",
+    "--planner",
+    "simple,idm",
+    "--scenario",
+    "generated/changing_lane/3",
+    "--challenge",
+    "both",
+];
 
 #[test]
 fn without_a_run_the_last_one_is_taken() {

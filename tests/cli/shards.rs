@@ -103,7 +103,8 @@ fn merged_shards_are_the_run_of_one_process() {
     assert!(stdout.contains("log-replay"), "{stdout}");
     let (one, other) = (timeless(&path("whole")), timeless(&merged));
     assert!(one.len() > 100, "{}", one.len());
-    let differing: Vec<&String> = one.keys().chain(other.keys()).filter(|name| one.get(*name) != other.get(*name)).collect();
+    let differing: Vec<&String> =
+        one.keys().chain(other.keys()).filter(|name| one.get(*name) != other.get(*name)).collect();
     assert!(differing.is_empty(), "these differ: {differing:?}");
     // A shard is resumed as a shard, and the merged run as a whole.
     for (folder, count) in [(first, simulations(&path("1-of-3")).len()), (out, 32)] {
@@ -176,7 +177,9 @@ fn tables_are_printed_as_csv() {
     let flags = ["simulate", "--planner", "simple", "--quiet", "--out", out.to_str().unwrap(), "--csv"];
     let (code, csv, stderr) = run(&flags);
     assert_eq!(code, 0, "{stderr}");
-    assert!(csv.starts_with("id,scenario_type,log_name,planner,challenge,succeeded,score,") && csv.lines().count() == 2);
+    assert!(
+        csv.starts_with("id,scenario_type,log_name,planner,challenge,succeeded,score,") && csv.lines().count() == 2
+    );
     let (_, models, _) = run(&["models", "list", "--csv"]);
     assert!(models.starts_with("model,family,source,server,place,bytes,problem\ncogvlm-chat-17b,cogvlm,"), "{models}");
     let (_, scenarios, _) = run(&["scenarios", "list", "generated/changing_lane/3", "--csv"]);

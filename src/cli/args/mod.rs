@@ -11,7 +11,9 @@ mod studies;
 pub(super) use model::{ModelArguments, ModelFlags};
 pub(super) use models::{ModelsCommand, QuantizeArguments};
 pub(super) use results::{CompareArguments, MergeArguments, RenderArguments, ReportArguments};
-pub(super) use scenarios::{ExportArguments, ExportFormat, GenerateArguments, ListArguments, ScenariosCommand, ShowArguments};
+pub(super) use scenarios::{
+    ExportArguments, ExportFormat, GenerateArguments, ListArguments, ScenariosCommand, ShowArguments,
+};
 pub(super) use simulate::{PlanArguments, SimulateArguments};
 pub(super) use studies::{
     ALL_EXPERIMENTS, BENCH_PROCESS, BenchArguments, DatasetArguments, ExperimentArguments, OtherEngine,

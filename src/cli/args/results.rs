@@ -93,7 +93,7 @@ pub(in crate::cli) struct CompareArguments {
     #[arg(value_name = "RUN")]
     pub(in crate::cli) second: PathBuf,
     /// A planner of the first run and one of the second, separated by a comma.
-    #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 2)]
+    #[arg(long, value_name = "A,B", value_delimiter = ',')]
     pub(in crate::cli) planner: Vec<String>,
     /// Show the scores by scenario type too.
     #[arg(long)]

@@ -3,6 +3,7 @@
 use crate::cli::args::CompareArguments;
 use crate::cli::{Exit, Printer};
 use crate::report::{PlannerPair, RunComparison, RunFolder, comparison_table};
+use anyhow::bail;
 
 /// Compares two runs; the table goes to stdout.
 pub(in crate::cli) fn run(flags: &CompareArguments, printer: Printer) -> anyhow::Result<Exit> {
@@ -10,8 +11,9 @@ pub(in crate::cli) fn run(flags: &CompareArguments, printer: Printer) -> anyhow:
     let manifests = [RunFolder::manifest(first)?, RunFolder::manifest(second)?];
     let rows = [RunFolder::read_completed(first)?.rows, RunFolder::read_completed(second)?.rows];
     let named = match flags.planner.as_slice() {
+        [] => None,
         [first, second] => Some(PlannerPair { first: first.clone(), second: second.clone() }),
-        _ => None,
+        other => bail!("--planner {}: expected two planners, FIRST,SECOND", other.join(",")),
     };
     let comparison = RunComparison::new((&manifests[0], &rows[0]), (&manifests[1], &rows[1]), named)?;
     if flags.csv {

@@ -52,10 +52,7 @@ pub(super) fn show(results: &RunResults, csv: bool, printer: Printer) -> anyhow:
     }
     if lost > 0 {
         let calls_file = folder.join("calls.jsonl");
-        printer.failure(format!(
-            "{lost} of {calls} planning calls got no answer; {} says why",
-            calls_file.display()
-        ));
+        printer.failure(format!("{lost} of {calls} planning calls got no answer; {} says why", calls_file.display()));
     }
     for list in missing {
         printer.error(&anyhow!("not simulated: {list}"));

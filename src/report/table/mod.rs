@@ -103,7 +103,8 @@ fn three_digits(value: f64) -> String {
 
 /// Measurements with equal decimals: as many as the smallest needs for two significant digits, at most three.
 fn measurements(values: &[Option<f64>]) -> Vec<String> {
-    let smallest = values.iter().flatten().map(|value| value.abs()).filter(|size| *size > 0.0).fold(f64::INFINITY, f64::min);
+    let smallest =
+        values.iter().flatten().map(|value| value.abs()).filter(|size| *size > 0.0).fold(f64::INFINITY, f64::min);
     let decimals = match smallest {
         size if size >= 10.0 => 0,
         size if size >= 1.0 => 1,

@@ -52,7 +52,8 @@ fn cells(one: &ComparedScores) -> [String; 4] {
 
 fn changes(scenes: &[&ComparedScene]) -> String {
     let rows = scenes.iter().map(|scene| {
-        let name = [scene.scenario.clone(), format!(" {}", planners(&scene.planners)), short(scene.challenge).to_owned()];
+        let name =
+            [scene.scenario.clone(), format!(" {}", planners(&scene.planners)), short(scene.challenge).to_owned()];
         let scores = [fixed(scene.first, 2), fixed(scene.second, 2), signed(scene.difference())];
         name.into_iter().chain(scores).collect()
     });
