@@ -4,32 +4,33 @@ planagent simulate --planner "exec:python3 examples/exec_planner.py"
 """
 import json, math, sys
 
-def dense(line):
-    for (ax, ay), (bx, by) in zip(line, line[1:]):
-        count = max(1, round(math.dist((ax, ay), (bx, by))))
-        yield from ((ax + (bx - ax) * i / count, ay + (by - ay) * i / count) for i in range(count))
-
-def path_ahead(x, y, heading):
-    lane = min(route, key=lambda id: min(math.dist((x, y), point) for point in points[id]))
-    nearest = min(range(len(points[lane])), key=lambda i: math.dist((x, y), points[lane][i]))
-    path = [(x, y)] + points[lane][nearest + 3:]
-    while lane is not None and len(path) < 100:
+def points_ahead(x, y, heading):
+    """Points of the route from here on, at least a meter apart."""
+    lane = min(route, key=lambda id: min(math.dist((x, y), point) for point in lanes[id]["centerline"]))
+    line = lanes[lane]["centerline"]
+    nearest = min(range(len(line)), key=lambda i: math.dist((x, y), line[i]))
+    ahead, path = line[nearest:], [(x, y)]
+    while lane is not None and len(ahead) < 300:
         lane = next((id for id in lanes[lane]["outgoing"] if id in route), None)
-        path += points.get(lane, [])
+        ahead = ahead + (lanes[lane]["centerline"] if lane is not None else [])
+    for point in ahead:
+        is_behind = (point[0] - x) * math.cos(heading) + (point[1] - y) * math.sin(heading) < 2.0 and len(path) == 1
+        if not is_behind and math.dist(path[-1], point) >= 1.0:
+            path.append(tuple(point))
     return path + [(path[-1][0] + 5 * math.cos(heading), path[-1][1] + 5 * math.sin(heading))]
 
 def plan(ego, objects):
-    path = path_ahead(ego["x"], ego["y"], ego["heading"])
+    path = points_ahead(ego["x"], ego["y"], ego["heading"])
     near = lambda point: any(math.dist(point, (one["x"], one["y"])) < 2.5 for one in objects)
-    blocked = next((i for i, point in enumerate(path) if i > 3 and near(point)), len(path) + 50)
+    blocked = next((i for i, point in enumerate(path) if i > 2 and near(point)), len(path) + 50)
     time, speed, heading, states = 0.0, math.hypot(*ego["velocity"]), ego["heading"], []
     for i, (x, y) in enumerate(path[:-1]):
         states.append({"t": time, "x": x, "y": y, "heading": heading, "speed": speed})
-        # Points are about a meter apart: stop eight of them before the first that is blocked.
+        # The ego stops eight points before the first that is blocked.
         target = min(8.0, math.sqrt(4.0 * max(0, blocked - 8 - i)))
         if time > 8.0 or (speed < 0.5 and target < 0.5):
             break
-        length, (nx, ny) = math.dist((x, y), path[i + 1]), path[i + 1]
+        (nx, ny), length = path[i + 1], math.dist((x, y), path[i + 1])
         elapsed = length / max(speed, 1.0)
         speed = min(max(target, speed - 3.0 * elapsed, 0.0), speed + 1.5 * elapsed)
         time, heading = time + elapsed, math.atan2(ny - y, nx - x)
@@ -38,7 +39,6 @@ def plan(ego, objects):
 for message in map(json.loads, sys.stdin):
     if message["type"] == "initialize":
         lanes = {lane["id"]: lane for lane in message["map"]["lanes"]}
-        points = {id: list(dense(lane["centerline"])) for id, lane in lanes.items()}
         route = message["route"]["lanes"] or list(lanes)
         print(json.dumps({"type": "ready"}), flush=True)
     else:
