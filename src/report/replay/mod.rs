@@ -6,13 +6,13 @@
 
 mod deltas;
 mod map;
+mod outline;
 mod record;
 mod scene;
-mod sketch;
 mod track;
 
+pub(super) use outline::Sketch;
 pub(super) use scene::{Moment, ReplayedSimulation};
-pub(super) use sketch::Sketch;
 
 use super::atomic;
 use super::error::{ReportError, ReportFault};

@@ -50,8 +50,8 @@ function refusedWords({ decision, attempts }, run) {
   const is = own === null ? `Attempt ${number}` : `Attempt ${number}, with ${own.toFixed(2)},`;
   const best = own !== null && scores.every((score) => score === null || score <= own);
   const why = attempts.length === 1 ? "there is no better plan" : run.after_max_exec === "last" || !best ? "it is the last one" : "no other attempt scores more";
-  const watched = run.monitoring ? " Monitoring scores it at every step and may execute a slower or lateral version, or a stop." : "";
-  return `${is} is executed all the same, because ${why}.${watched}`;
+  const monitored = run.monitoring ? " Monitoring scores it at every step and may execute a slower or lateral version, or a stop." : "";
+  return `${is} is executed all the same, because ${why}.${monitored}`;
 }
 
 /** The score that an attempt needs, and which threshold that is. */
