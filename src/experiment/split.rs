@@ -7,8 +7,15 @@ use crate::scenario::{OnProgress, ReaderError, Readers, Split};
 pub enum SplitError {
     #[error("unknown split '{name}'; there are {}; or name a scenario filter FILE.yaml", known.join(", "))]
     Unknown { name: String, known: Vec<&'static str> },
+    #[error("the scenes of split `{name}` cannot be made any more: lanes have more vertices now; use `{}`", successor(name))]
+    Retired { name: String },
     #[error(transparent)]
     Reader(#[from] ReaderError),
+}
+
+/// The suite that replaces a retired one.
+fn successor(retired: &str) -> String {
+    retired.replace("generated-14", "generated-test14")
 }
 
 /// The scenarios of a split: a suite or a published split by its name, or those of a scenario filter `FILE.yaml`.
@@ -17,6 +24,9 @@ pub fn split(name: &str, readers: &Readers, on_progress: OnProgress<'_>) -> Resu
     if let Some(suite) = Suite::named(name) {
         let scenarios = suite.specs().into_iter().map(Into::into).collect();
         return Ok(Split { scenarios, ..Split::default() });
+    }
+    if Suite::RETIRED.contains(&name) {
+        return Err(SplitError::Retired { name: name.to_owned() });
     }
     let Some(split) = readers.split(name, on_progress) else {
         let known = Suite::ALL.map(|suite| suite.name).into_iter().chain(readers.splits()).collect();
@@ -45,8 +55,9 @@ mod tests {
     #[test]
     fn unknown_names_and_files_say_what_to_do() {
         let error = |name: &str| split(name, &readers(), &|_, _| {}).unwrap_err().to_string();
-        assert!(error("val15").contains("generated-14, generated-14-hard"), "{}", error("val15"));
+        assert!(error("val15").contains("generated-test14, generated-test14-hard"), "{}", error("val15"));
         assert!(error("val15").contains("val14, reduced-val14"), "{}", error("val15"));
+        assert!(error("generated-14-hard").contains("use `generated-test14-hard`"));
         assert!(error("nowhere.yaml").contains("nowhere.yaml: cannot open"));
     }
 }

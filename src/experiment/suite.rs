@@ -8,23 +8,23 @@ use std::ops::Range;
 /// Seeds of each type in [`Suite::DEMONSTRATION`].
 const DEMONSTRATION_SEEDS: Range<u64> = 0..10;
 /// Test seeds of each type in [`Suite::CANDIDATES`].
-const CANDIDATE_SEEDS: Range<u64> = 100..200;
-/// Test seeds of each type in [`Suite::GENERATED_14`]. The first 50 test seeds were this suite before: three sets of weights were
-/// compared on them. With 50 seeds, differences of half a point were not significant.
-const GENERATED_14_SEEDS: Range<u64> = 200..350;
-/// Scenarios of each type in [`Suite::GENERATED_14_HARD`].
+const CANDIDATE_SEEDS: Range<u64> = 350..450;
+/// Test seeds of each type in [`Suite::TEST14`]. The first 350 test seeds belonged to suites before: they were simulated, with
+/// sparser lanes.
+const TEST14_SEEDS: Range<u64> = 450..600;
+/// Scenarios of each type in [`Suite::TEST14_HARD`].
 const HARD_SCENARIOS: usize = 20;
 /// Traffic seed of the candidates.
 const CANDIDATE_TRAFFIC: u64 = 1;
 /// Traffic seed of the hard scenarios. It differs, so that bad luck in the selection does not carry over.
 const HARD_TRAFFIC: u64 = 2;
-/// [`Suite::GENERATED_14_HARD`] as [`hard_list`] writes it.
-const HARD_LIST: &str = include_str!("../../suites/generated-14-hard.txt");
+/// [`Suite::TEST14_HARD`] as [`hard_list`] writes it.
+const HARD_LIST: &str = include_str!("../../suites/generated-test14-hard.txt");
 const HARD_HEADER: &str = "\
-# generated-14-hard: of each type the 20 of 100 scenarios with the lowest scores of PDM-Closed with non-reactive agents.
+# generated-test14-hard: of each type the 20 of 100 scenarios with the lowest scores of PDM-Closed with non-reactive agents.
 # Selected with traffic seed 1, simulated with traffic seed 2; equal scores are ordered by seed. Made by:
-#   planagent simulate --split generated-14-candidates --planner pdm-closed --out runs/candidates
-#   planagent scenarios hard runs/candidates > suites/generated-14-hard.txt
+#   planagent simulate --split generated-test14-candidates --planner pdm-closed --out runs/candidates
+#   planagent scenarios hard runs/candidates > suites/generated-test14-hard.txt
 ";
 
 /// Name of the suite of the recordings at hand, which has no fixed list.
@@ -42,20 +42,20 @@ impl Suite {
     /// Every type with the seeds 0 to 9, for tests and demonstrations.
     pub const DEMONSTRATION: Self = Self { name: "generated", specs: || each(types::in_suites(), DEMONSTRATION_SEEDS) };
     /// nuPlan's fourteen types with 150 test seeds each.
-    pub const GENERATED_14: Self =
-        Self { name: "generated-14", specs: || each(types::nuplan14(), test_seeds(GENERATED_14_SEEDS)) };
+    pub const TEST14: Self =
+        Self { name: "generated-test14", specs: || each(types::nuplan14(), test_seeds(TEST14_SEEDS)) };
     /// Of each of nuPlan's fourteen types the 20 candidates with the lowest scores of PDM-Closed, with other traffic.
-    pub const GENERATED_14_HARD: Self =
-        Self { name: "generated-14-hard", specs: || HARD_LIST.lines().filter_map(|line| line.parse().ok()).collect() };
+    pub const TEST14_HARD: Self =
+        Self { name: "generated-test14-hard", specs: || HARD_LIST.lines().filter_map(|line| line.parse().ok()).collect() };
     /// nuPlan's fourteen types with 100 test seeds each, from which the hard scenarios are selected.
     pub const CANDIDATES: Self = Self {
-        name: "generated-14-candidates",
+        name: "generated-test14-candidates",
         specs: || {
             let own = each(types::nuplan14(), test_seeds(CANDIDATE_SEEDS));
             own.into_iter().map(|spec| spec.with_traffic_seed(CANDIDATE_TRAFFIC)).collect()
         },
     };
-    pub const ALL: [Self; 4] = [Self::DEMONSTRATION, Self::GENERATED_14, Self::GENERATED_14_HARD, Self::CANDIDATES];
+    pub const ALL: [Self; 4] = [Self::DEMONSTRATION, Self::TEST14, Self::TEST14_HARD, Self::CANDIDATES];
 
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|suite| suite.name == name)
@@ -89,7 +89,7 @@ pub struct Unscored {
     first: Spec,
 }
 
-/// Selects [`Suite::GENERATED_14_HARD`] by PDM-Closed's scores on [`Suite::CANDIDATES`]: the lowest of each type, equal scores by
+/// Selects [`Suite::TEST14_HARD`] by PDM-Closed's scores on [`Suite::CANDIDATES`]: the lowest of each type, equal scores by
 /// seed, in the order of the candidates. Fails if a candidate has no score.
 pub fn hard_scenarios(scores: &BTreeMap<Spec, f64>) -> Result<Vec<Spec>, Unscored> {
     let candidates = Suite::CANDIDATES.specs();
@@ -111,7 +111,7 @@ fn lowest(specs: &[Spec], scores: &BTreeMap<Spec, f64>) -> Vec<Spec> {
     selected
 }
 
-/// The text of `suites/generated-14-hard.txt`.
+/// The text of `suites/generated-test14-hard.txt`.
 pub fn hard_list(specs: &[Spec]) -> String {
     specs.iter().fold(HARD_HEADER.to_owned(), |list, spec| format!("{list}{spec}\n"))
 }
@@ -126,7 +126,7 @@ mod tests {
         let sizes = Suite::ALL.map(|suite| suite.specs().len());
         assert_eq!(sizes, [160, 2100, 280, 1400]);
         let seeds = |suite: Suite| suite.specs().into_iter().map(|spec| spec.seed).collect::<BTreeSet<u64>>();
-        let (common, hard) = (seeds(Suite::GENERATED_14), seeds(Suite::GENERATED_14_HARD));
+        let (common, hard) = (seeds(Suite::TEST14), seeds(Suite::TEST14_HARD));
         assert!(common.is_disjoint(&hard) && hard.is_subset(&seeds(Suite::CANDIDATES)));
         let test = dataset::Split::Test.seeds();
         assert!(common.iter().chain(&hard).all(|seed| test.contains(seed)));
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn the_hard_list_is_as_it_is_written() {
-        let specs = Suite::GENERATED_14_HARD.specs();
+        let specs = Suite::TEST14_HARD.specs();
         assert_eq!(hard_list(&specs), HARD_LIST);
         for kind in types::nuplan14() {
             assert_eq!(specs.iter().filter(|spec| spec.scenario_type == kind).count(), HARD_SCENARIOS, "{kind}");
@@ -158,6 +158,6 @@ mod tests {
         scores.remove(&candidates[50]);
         let unscored = hard_scenarios(&scores).unwrap_err();
         assert_eq!(unscored, Unscored { missing: 2, first: low });
-        assert!(unscored.to_string().contains("2 of the 1400 scenarios of generated-14-candidates"), "{unscored}");
+        assert!(unscored.to_string().contains("2 of the 1400 scenarios of generated-test14-candidates"), "{unscored}");
     }
 }

@@ -60,7 +60,7 @@ fn a_filter_file_is_driven_and_what_is_missing_is_an_error_of_the_run() {
 fn the_generated_split_is_listed_whole() {
     let (code, stdout, _) = run(&["scenarios", "list", "--split", "generated"]);
     assert_eq!((code, stdout.lines().count()), (0, 160), "{stdout}");
-    let (code, stdout, _) = run(&["scenarios", "list", "--split", "generated-14-hard"]);
+    let (code, stdout, _) = run(&["scenarios", "list", "--split", "generated-test14-hard"]);
     assert_eq!((code, stdout.lines().count()), (0, 280), "{stdout}");
     let unknown = refused(&["simulate", "--split", "val15"]);
     assert!(unknown.contains("val15") && unknown.contains("generated"), "{unknown}");
@@ -71,9 +71,9 @@ fn the_generated_split_is_listed_whole() {
 fn suites_stay_as_they_are() {
     let listed = include_str!("../../docs/generator.md");
     for (suite, blake3) in [
-        (Suite::GENERATED_14, "d6a71913689e06822e02e890dc708fb6d6c73f1c285700f76736b2ce548a94d5"),
-        (Suite::CANDIDATES, "a395f61ad5ab6c225c20a2908ee2a8a3ca482c3f8577bbba736ffab67e815b14"),
-        (Suite::GENERATED_14_HARD, "c4a029ea0a99e9c86038ae29ef5f218c47ad3075be257c22f44dc2b28cbb5ec8"),
+        (Suite::TEST14, "a282d3b57337ccfc6577010da7b5841e83df57d235f9e2258f45b3b1c16142eb"),
+        (Suite::CANDIDATES, "4c717b086fa5aafcbc262df4c87058fb7415a801138ab7b8bfab0168defedd19"),
+        (Suite::TEST14_HARD, "c4a029ea0a99e9c86038ae29ef5f218c47ad3075be257c22f44dc2b28cbb5ec8"),
     ] {
         let names = suite.specs().into_iter().map(|spec| spec.to_string());
         assert_eq!(ScenarioList::digest(names), blake3, "{}", suite.name);

@@ -26,8 +26,8 @@ impl Benchmark {
 /// The benchmark of the paper that a suite stands for.
 pub fn benchmark(suite: &str) -> Option<Benchmark> {
     match suite {
-        "generated-14" | "generated" | "val14" | "reduced-val14" => Some(Benchmark::Val14),
-        "generated-14-hard" | "test14-hard" => Some(Benchmark::Test14Hard),
+        "generated-test14" | "generated" | "val14" | "reduced-val14" => Some(Benchmark::Val14),
+        "generated-test14-hard" | "test14-hard" => Some(Benchmark::Test14Hard),
         _ => None,
     }
 }

@@ -36,7 +36,7 @@ fn differences_are_paired_and_failed_simulations_do_not_count() {
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     let other = simulated([Some(0.9), None, Some(0.75), Some(1.0)]);
     let results =
-        StudyResults::new(&study, &[suite("generated-14-hard", vec![other, full.clone(), full])], None, 3, &[]);
+        StudyResults::new(&study, &[suite("generated-test14-hard", vec![other, full.clone(), full])], None, 3, &[]);
     let variants = &results.suites[0].variants;
     let first = &variants[0].challenges[0];
     assert_eq!((first.simulations, first.failed), (3, 1));
@@ -58,20 +58,20 @@ fn the_tables_read_well_in_80_columns() {
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     let worse = simulated([Some(0.0), Some(0.5), Some(0.25), Some(0.9)]);
     let variants = vec![worse.clone(), simulated([Some(1.0), None, Some(0.75), Some(0.95)]), worse, full];
-    let results = StudyResults::new(&study, &[suite("generated-14-hard", variants)], Some(Quick::DEFAULT), 0, &[]);
+    let results = StudyResults::new(&study, &[suite("generated-test14-hard", variants)], Some(Quick::DEFAULT), 0, &[]);
     let table = study_table(&study, &results);
     assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
     insta::assert_snapshot!(table, @r#"
     Rounds of the model, and whether its plans are scored
 
-    generated-14-hard, non-reactive agents: 4 scenes
+    generated-test14-hard, non-reactive agents: 4 scenes
     understanding  instruction  reflection     NR    diff   95 % interval  paper
     no             yes          yes         41.25  -37.50  -75.00 to 0.00  70.09
     yes            no           yes         90.00   +1.67   0.00 to +5.00  70.60
     yes            yes          no          41.25  -37.50  -75.00 to 0.00  69.84
     yes            yes          yes         78.75       -       reference  72.51
 
-    generated-14-hard, reactive agents: 4 scenes
+    generated-test14-hard, reactive agents: 4 scenes
     understanding  instruction  reflection      R    diff   95 % interval  paper
     no             yes          yes         41.25  -37.50  -75.00 to 0.00  75.26
     yes            no           yes         90.00   +1.67   0.00 to +5.00  75.39
@@ -83,8 +83,8 @@ fn the_tables_read_well_in_80_columns() {
     that of the whole agent on the same scenes. Its 95 % interval is a percentile
     bootstrap over scenes (10000 resamples, seed 0).
     paper = the paper's result on nuPlan's Test14-hard. Its scenes differ from
-    generated-14-hard: compare only the direction.
-    2 simulations of no instruction on generated-14-hard failed and do not count.
+    generated-test14-hard: compare only the direction.
+    2 simulations of no instruction on generated-test14-hard failed and do not count.
     "#);
 }
 
@@ -94,7 +94,7 @@ fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
     let study = find("mllm").unwrap();
     let mut variants = vec![full.clone(), full.clone()];
     variants.resize(study.variants.len(), NOT_SIMULATED);
-    let mllm = StudyResults::new(&study, &[suite("generated-14-hard", variants)], None, 0, &[]);
+    let mllm = StudyResults::new(&study, &[suite("generated-test14-hard", variants)], None, 0, &[]);
     let table = study_table(&study, &mllm);
     assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
     let of = |name: &str| -> Vec<&str> { table.lines().filter(|line| line.starts_with(name)).collect() };
@@ -105,7 +105,7 @@ fn unsimulated_models_have_a_reason_and_types_stand_on_lines_of_their_own() {
 
     let study = find("scenario-types").unwrap();
     let better = simulated([Some(1.0), Some(1.0), Some(1.0), Some(1.0)]);
-    let types = StudyResults::new(&study, &[suite("generated-14-hard", vec![full, better])], None, 0, &[]);
+    let types = StudyResults::new(&study, &[suite("generated-test14-hard", vec![full, better])], None, 0, &[]);
     let table = study_table(&study, &types);
     assert!(table.contains("\nchanging_lane\n"), "{table}");
     assert!(
@@ -120,16 +120,16 @@ fn markdown_has_both_challenges_and_the_paper_and_every_study_has_a_figure() {
     let full = simulated([Some(1.0), Some(0.5), Some(0.75), Some(0.9)]);
     for study in crate::experiment::study::all().unwrap() {
         let variants = vec![full.clone(); study.variants.len()];
-        let results = StudyResults::new(&study, &[suite("generated-14-hard", variants)], None, 0, &[]);
+        let results = StudyResults::new(&study, &[suite("generated-test14-hard", variants)], None, 0, &[]);
         let drawn = figures(&study, &results);
         assert!(
-            drawn.iter().all(|(name, svg)| name == "generated-14-hard.svg" && !svg.contains("NaN")),
+            drawn.iter().all(|(name, svg)| name == "generated-test14-hard.svg" && !svg.contains("NaN")),
             "{}",
             study.name
         );
         assert_eq!(drawn.len(), 1);
-        let text = study_markdown(&study, &results, "planagent experiment", &["generated-14-hard.svg".to_owned()]);
-        assert!(text.contains("(generated-14-hard.svg)"), "{text}");
+        let text = study_markdown(&study, &results, "planagent experiment", &["generated-test14-hard.svg".to_owned()]);
+        assert!(text.contains("(generated-test14-hard.svg)"), "{text}");
         let head = text.lines().find(|line| line.starts_with("| ")).unwrap();
         if study.figure == Figure::Differences {
             let columns = if study.paper.is_some() {

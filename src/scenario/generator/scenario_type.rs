@@ -30,7 +30,7 @@ pub struct TypeDefinition {
 /// Suites that hold a type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TypeGroup {
-    /// `generated-14` and its variants: the types of nuPlan's benchmarks (Val14, Test14).
+    /// `generated-test14` and its variants: the types of nuPlan's benchmarks (Val14, Test14).
     Nuplan14,
     /// `generated` alone.
     Additional,
