@@ -71,7 +71,7 @@ Examples:
   One generated scenario, with the model that ships:
     planagent simulate
   Two scenarios of each of 14 types, two planners, both closed-loop challenges:
-    planagent simulate --split generated-14 --limit 28 \\
+    planagent simulate --split generated-test14 --limit 28 \\
       --planner plan-agent,pdm-closed --challenge both
   Random scenarios of two types:
     planagent simulate --type changing_lane,on_pickup_dropoff --shuffle --limit 6
@@ -80,7 +80,7 @@ Examples:
   A planner of your own, in any language:
     planagent simulate --planner \"exec:python3 examples/exec_planner.py\"
   The second of eight parts of a run, for a cluster:
-    planagent simulate --split generated-14 --shard 2/8 --out runs/part-2";
+    planagent simulate --split generated-test14 --shard 2/8 --out runs/part-2";
 
 pub(super) const PLAN: &str = "\
 Examples:
@@ -120,7 +120,7 @@ Example:
 pub(super) const EXPERIMENT: &str = "\
 Examples:
   planagent experiment main --quick
-  planagent experiment environment --suite generated-14
+  planagent experiment environment --suite generated-test14
   planagent experiment main --suite recorded --scenario folder/of/recordings
   planagent experiment my_study.toml";
 
@@ -158,7 +158,7 @@ pub(super) const SCENARIOS_LIST: &str = "\
 Examples:
   planagent scenarios list
   planagent scenarios list folder/of/recordings
-  planagent scenarios list --split generated-14-hard --csv";
+  planagent scenarios list --split generated-test14-hard --csv";
 
 pub(super) const SCENARIOS_SHOW: &str = "\
 Example:

@@ -7,7 +7,10 @@ use crate::scenario::{OnProgress, ReaderError, Readers, Split};
 pub enum SplitError {
     #[error("unknown split '{name}'; there are {}; or name a scenario filter FILE.yaml", known.join(", "))]
     Unknown { name: String, known: Vec<&'static str> },
-    #[error("the scenes of split `{name}` cannot be made any more: lanes have more vertices now; use `{}`", successor(name))]
+    #[error(
+        "the scenes of split '{name}' cannot be made any more, because lanes have more vertices; take '{}'",
+        successor(name)
+    )]
     Retired { name: String },
     #[error(transparent)]
     Reader(#[from] ReaderError),
@@ -57,7 +60,7 @@ mod tests {
         let error = |name: &str| split(name, &readers(), &|_, _| {}).unwrap_err().to_string();
         assert!(error("val15").contains("generated-test14, generated-test14-hard"), "{}", error("val15"));
         assert!(error("val15").contains("val14, reduced-val14"), "{}", error("val15"));
-        assert!(error("generated-14-hard").contains("use `generated-test14-hard`"));
+        assert!(error("generated-14-hard").contains("take 'generated-test14-hard'"));
         assert!(error("nowhere.yaml").contains("nowhere.yaml: cannot open"));
     }
 }

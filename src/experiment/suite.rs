@@ -45,8 +45,10 @@ impl Suite {
     pub const TEST14: Self =
         Self { name: "generated-test14", specs: || each(types::nuplan14(), test_seeds(TEST14_SEEDS)) };
     /// Of each of nuPlan's fourteen types the 20 candidates with the lowest scores of PDM-Closed, with other traffic.
-    pub const TEST14_HARD: Self =
-        Self { name: "generated-test14-hard", specs: || HARD_LIST.lines().filter_map(|line| line.parse().ok()).collect() };
+    pub const TEST14_HARD: Self = Self {
+        name: "generated-test14-hard",
+        specs: || HARD_LIST.lines().filter_map(|line| line.parse().ok()).collect(),
+    };
     /// nuPlan's fourteen types with 100 test seeds each, from which the hard scenarios are selected.
     pub const CANDIDATES: Self = Self {
         name: "generated-test14-candidates",
@@ -55,6 +57,8 @@ impl Suite {
             own.into_iter().map(|spec| spec.with_traffic_seed(CANDIDATE_TRAFFIC)).collect()
         },
     };
+    /// Suites drawn before lanes had a vertex every half meter. Their scenes cannot be made any more.
+    pub const RETIRED: [&str; 3] = ["generated-14", "generated-14-hard", "generated-14-candidates"];
     pub const ALL: [Self; 4] = [Self::DEMONSTRATION, Self::TEST14, Self::TEST14_HARD, Self::CANDIDATES];
 
     pub fn named(name: &str) -> Option<Self> {

@@ -27,7 +27,7 @@ const WRONG: &[&[&str]] = &[
     &["simulate", "--planner", "exec:"],
     &["simulate", "--planner", "idm=exec:true"],
     &["simulate", "--model", "nanoo"],
-    &["simulate", "--split", "generated-14-hrad"],
+    &["simulate", "--split", "generated-test14-hrad"],
     &["simulate", "--split", "val14"],
     &["simulate", "--scenario", "val14"],
     &["simulate", "--split", "generated/changing_lane/3"],

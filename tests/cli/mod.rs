@@ -390,7 +390,9 @@ fn the_example_configuration_shows_every_default() {
 fn help_lists_planners_suites_and_experiments_with_their_sizes() {
     let help = |command: &str| run(&[command, "--help"]).1.split_whitespace().collect::<Vec<_>>().join(" ");
     let simulate = help("simulate");
-    for part in ["generated (16 types x 10)", "generated-14 (14 types x 150)", "generated-14-hard (14 types x 20)"] {
+    for part in
+        ["generated (16 types x 10)", "generated-test14 (14 types x 150)", "generated-test14-hard (14 types x 20)"]
+    {
         assert!(simulate.contains(part), "no {part} in {simulate}");
     }
     assert!(simulate.contains("val14") && simulate.contains("grid-code [default: plan-agent]. Or"), "{simulate}");

@@ -76,7 +76,8 @@ fn hard_scenes_are_chosen_out_of_a_whole_run_only() {
     let out = out.to_str().unwrap();
     let error = refused(&["scenarios", "hard", out]);
     assert!(error.contains(out), "{error}");
-    let drive = ["simulate", "--split", "generated-14-candidates", "--planner", "pdm-closed", "--limit", "1", "--out"];
+    let drive =
+        ["simulate", "--split", "generated-test14-candidates", "--planner", "pdm-closed", "--limit", "1", "--out"];
     let (code, _, stderr) = run(&[&drive[..], &[out]].concat());
     assert_eq!(code, 0, "{stderr}");
     let error = refused(&["scenarios", "hard", out]);

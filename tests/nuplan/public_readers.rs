@@ -124,7 +124,6 @@ fn checked(words: &[&Path]) -> Option<String> {
     let output = Command::new(&python).arg(script).args(words).output().unwrap();
     let (said, wrong) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success() && said.starts_with("ok: "), "{said}{wrong}");
-    eprint!("{said}");
     Some(said.into_owned())
 }
 

@@ -21,7 +21,7 @@ pub(in crate::cli) enum ScenariosCommand {
     /// Write scenarios in the format of another tool.
     #[command(after_long_help = help::SCENARIOS_EXPORT)]
     Export(ExportArguments),
-    /// Select the scenes of generated-14-hard from a run of PDM-Closed on generated-14-candidates.
+    /// Select the scenes of generated-test14-hard from a run of PDM-Closed on generated-test14-candidates.
     Hard {
         /// Folder of the run.
         run: PathBuf,

@@ -1,4 +1,4 @@
-//! `planagent scenarios hard`: selects the scenarios of generated-14-hard from a run.
+//! `planagent scenarios hard`: selects the scenarios of generated-test14-hard from a run.
 
 use crate::cli::{Exit, Printer};
 use crate::experiment::suite::{Suite, hard_list, hard_scenarios};
@@ -23,7 +23,7 @@ pub(super) fn run(folder: &Path, printer: Printer) -> anyhow::Result<Exit> {
     })?;
     printer.line(hard_list(&specs).trim_end());
     if printer.is_json() {
-        printer.json(&json!({"split": Suite::GENERATED_14_HARD.name, "scenarios": specs.iter().map(ToString::to_string).collect::<Vec<_>>()}))?;
+        printer.json(&json!({"split": Suite::TEST14_HARD.name, "scenarios": specs.iter().map(ToString::to_string).collect::<Vec<_>>()}))?;
     }
     Ok(Exit::Success)
 }

@@ -147,7 +147,6 @@ fn the_ego_after_the_end_goes_on_where_the_scenario_ends() {
         }
         assert!(scenario.future.len() <= crate::scenario::FUTURE_FRAMES);
         complete += usize::from(scenario.future.len() == crate::scenario::FUTURE_FRAMES);
-        eprintln!("{} {}", scenario.id, scenario.future.len());
     }
     // Where the roads end, so do the states.
     assert!(complete * 10 >= CORPUS.len() * 7, "{complete} of {}", CORPUS.len());
