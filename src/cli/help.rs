@@ -61,7 +61,7 @@ pub(super) const PROGRAM: &str = "\
 Examples:
   planagent simulate
   planagent report --open
-  planagent simulate --split generated --limit 28 --planner plan-agent,pdm-closed
+  planagent simulate --split generated --limit 28 --planner plan-agent,idm
   planagent experiment main --quick
 
 Exit codes: 0 success; 1 a simulation, call or check failed; 2 wrong input.";
@@ -74,7 +74,8 @@ Examples:
     planagent simulate --split generated-test14 --limit 28 \\
       --planner plan-agent,pdm-closed --challenge both
   Random scenarios of two types:
-    planagent simulate --type changing_lane,on_pickup_dropoff --shuffle --limit 6
+    planagent simulate --type changing_lane,starting_left_turn --shuffle \
+      --limit 6
   Recordings, and another threshold of Reflection:
     planagent simulate --scenario folder/ --set reflection.threshold=0.5
   A planner of your own, in any language:
@@ -137,7 +138,7 @@ Examples:
 
 pub(super) const COMPLETIONS: &str = "\
 Examples:
-  planagent completions bash > ~/.local/share/bash-completion/completions/planagent
+  planagent completions bash > ~/.bash_completion
   planagent completions zsh > ~/.zfunc/_planagent
   planagent completions fish > ~/.config/fish/completions/planagent.fish";
 
@@ -170,4 +171,5 @@ Example:
 
 pub(super) const SCENARIOS_EXPORT: &str = "\
 Example:
-  planagent scenarios export generated/changing_lane/3 --format nuplan --out data";
+  planagent scenarios export generated/changing_lane/3 --format nuplan \
+    --out data";

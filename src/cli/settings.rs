@@ -142,17 +142,21 @@ fn parse(text: &str) -> anyhow::Result<Table> {
     Ok(nested(key, parsed.unwrap_or_else(|| Value::String(value.to_owned()))))
 }
 
-/// The keys of all settings, section by section.
+/// The keys of all settings in the order of the file, optional ones at the end of their section.
 pub(super) fn keys() -> anyhow::Result<Vec<String>> {
-    let mut keys = Vec::new();
-    for (section, value) in Table::try_from(Config::default())? {
-        let Value::Table(table) = value else {
-            keys.push(section);
-            continue;
-        };
-        let prefix = format!("{section}.");
-        keys.extend(table.keys().map(|key| format!("{prefix}{key}")));
-        keys.extend(OPTIONAL.iter().filter(|key| key.starts_with(&prefix)).map(ToString::to_string));
+    let (mut keys, mut section) = (Vec::new(), String::new());
+    // A table forgets the order of its keys; the text of the defaults has it.
+    for line in toml::to_string(&Config::default())?.lines() {
+        if let Some(name) = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
+            section = format!("{name}.");
+        } else if let Some((key, _)) = line.split_once(" = ") {
+            keys.push(format!("{section}{key}"));
+        }
+    }
+    for optional in OPTIONAL {
+        let section = optional.split('.').next().unwrap_or_default();
+        let last = keys.iter().rposition(|key| key.split('.').next() == Some(section));
+        keys.insert(last.map_or(keys.len(), |place| place + 1), optional.to_owned());
     }
     Ok(keys)
 }

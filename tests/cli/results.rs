@@ -35,7 +35,7 @@ fn without_a_run_the_last_one_is_taken() {
     fs::create_dir(work.path().join("runs/experiments")).unwrap();
     let (code, stdout, stderr) = run_in(work.path(), &["report"]);
     assert_eq!(code, 0, "{stderr}");
-    assert_eq!(Path::new(stdout.trim()), Path::new("runs/0002/report.html"));
+    assert!(Path::new(stdout.trim()).ends_with("runs/0002/report.html"), "{stdout}");
     assert!(work.path().join("runs/0002/report.html").is_file() && !work.path().join("runs/0001/report.html").exists());
 
     let small = ["--pixels", "160"];

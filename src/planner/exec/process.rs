@@ -43,6 +43,8 @@ pub(super) struct Process {
     input: Sender<Vec<u8>>,
     output: Receiver<Result<String, ProcessError>>,
     stderr: Arc<Mutex<VecDeque<String>>>,
+    /// Disconnected when stderr has ended.
+    stderr_end: Receiver<()>,
 }
 
 impl Process {
@@ -67,11 +69,15 @@ impl Process {
             thread::spawn(move || send_lines(stdout, &sender));
         }
         let stderr = Arc::new(Mutex::new(VecDeque::new()));
+        let (at_end, stderr_end) = channel();
         if let Some(pipe) = child.stderr.take() {
             let kept = Arc::clone(&stderr);
-            thread::spawn(move || keep_last_lines(pipe, &kept));
+            thread::spawn(move || {
+                keep_last_lines(pipe, &kept);
+                drop(at_end);
+            });
         }
-        Ok(Self { child, input, output, stderr })
+        Ok(Self { child, input, output, stderr, stderr_end })
     }
 
     /// Writes a line and gives the line that answers it.
@@ -84,6 +90,8 @@ impl Process {
             Err(RecvTimeoutError::Timeout) => Err(ProcessError::Silent { within, stderr: self.last_words() }),
             Err(RecvTimeoutError::Disconnected) => {
                 let status = self.status();
+                // What a command writes before its end may still be on its way; a process that it left may keep stderr open.
+                let _ = self.stderr_end.recv_timeout(EXIT_WAIT);
                 Err(ProcessError::Ended { status, stderr: self.last_words() })
             }
         }
