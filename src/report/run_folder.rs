@@ -69,8 +69,8 @@ impl RunFolder {
     pub fn check_new(path: &Path) -> Result<(), ReportError> {
         check_holds_no_run(path)?;
         // The nearest part of the path that exists must be a folder.
-        let existing = path.ancestors().find(|part| part.exists()).unwrap_or(path);
-        if existing.exists() && !existing.is_dir() {
+        let Some(existing) = path.ancestors().find(|part| part.exists()) else { return Ok(()) };
+        if !existing.is_dir() {
             return Err(ReportError::at(path)(ReportFault::NoFolder(existing.to_owned())));
         }
         if existing != path {

@@ -45,7 +45,7 @@ pub struct SimulationRow {
     #[serde(default, skip_serializing_if = "is_zero")]
     pub gated_calls: usize,
     /// Planning calls in which Reflection refused all attempts.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     pub refused_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,

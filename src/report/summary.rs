@@ -43,7 +43,6 @@ pub struct ScenarioSummary {
     #[serde(skip_serializing_if = "is_zero")]
     pub gated_calls: usize,
     /// Planning calls in which Reflection refused all attempts.
-    #[serde(skip_serializing_if = "is_zero")]
     pub refused_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,

@@ -118,7 +118,7 @@ fn a_silent_command_is_ended_with_what_it_started() {
     assert!(error.contains("gave no answer within 1 s"), "{error}");
     let alive = |id: &str| {
         let status = fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
-        // A zombie is dead; whoever adopted it has to reap it.
+        // A zombie is dead; its adopter has to reap it.
         !status.is_empty() && !status.contains(") Z ")
     };
     let ids = fs::read_to_string(&ids).unwrap();

@@ -51,9 +51,9 @@ fn behind_a_leader_and_off_the_line_there_is_nothing_to_judge() {
     let map = lane();
     assert_eq!(judge(&map, &[(40.0, 5.0), (57.9, 1.0), (58.6, 1.0)], &[]), None);
     let car = |x: f64, y: f64| object(1, ObjectKind::Vehicle, Pose::new(x, y, 0.0), (4.0, 2.0), 0.0);
-    // The path of the lane ends at its last vertex but one, 59 m: from 59 to 63 the car just touches it.
-    assert_eq!(judge(&map, &[(58.2, 0.0)], &[car(61.0, 0.0)]), None);
-    assert!(judge(&map, &[(58.2, 0.0)], &[car(61.1, 0.0)]).is_some());
+    // The path of the lane ends at its last vertex but one, 59.5 m: from 59.5 to 63.5 the car just touches it.
+    assert_eq!(judge(&map, &[(58.2, 0.0)], &[car(61.5, 0.0)]), None);
+    assert!(judge(&map, &[(58.2, 0.0)], &[car(61.6, 0.0)]).is_some());
     assert!(judge(&map, &[(58.2, 0.0)], &[car(58.0, 2.2)]).is_some(), "beside");
 }
 

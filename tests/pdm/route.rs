@@ -191,5 +191,5 @@ fn baselines_are_joined_with_both_poses_at_the_joint() {
     let lanes = town.row(2);
     let poses = centerline_poses(&town.build(), &lanes);
     let at_joint = poses.iter().filter(|pose| (pose.position() - Point::new(20.0, 0.0)).norm() < 1e-12).count();
-    assert_eq!((poses.len(), at_joint), (10, 2));
+    assert_eq!((poses.len(), at_joint), (2 * 41, 2));
 }

@@ -18,8 +18,12 @@ use std::path::{Path, PathBuf};
 /// The flags of a run of `scenarios` generated scenes with planners that are quick.
 fn quick_run(scenarios: usize) -> Vec<String> {
     let count = scenarios.to_string();
-    let flags = ["simulate", "--split", "generated", "--limit", &count, "--planner", "log-replay,simple", "--quiet"];
-    flags.into_iter().chain(["--challenge", "both"]).map(str::to_owned).collect()
+    let scenes = ["simulate", "--split", "generated", "--type", "starting_left_turn", "--limit", &count];
+    scenes
+        .into_iter()
+        .chain(["--planner", "log-replay,simple", "--quiet", "--challenge", "both"])
+        .map(str::to_owned)
+        .collect()
 }
 
 /// Folders of the completed simulations, by name.

@@ -89,7 +89,7 @@ fn the_step_is_as_long_as_it_is_told() {
         let moved = traffic.objects()[0];
         assert!((moved.shape.center.x - (30.0 + 8.0 * dt)).abs() < 1e-9);
         // Free: the end of the path, at the last vertex but one, is a standing obstacle half a length early.
-        let free = law(8.0, 12.0, 299.0 - 30.0 - 2.3, 0.0);
+        let free = law(8.0, 12.0, 299.5 - 30.0 - 2.3, 0.0);
         assert!((moved.speed() - (8.0 + dt * free)).abs() < 1e-9);
     }
 }
@@ -109,7 +109,7 @@ fn crossing(light: bool) -> (Arc<LaneMap>, LaneId) {
 
 #[test]
 fn an_edge_with_lights_needs_green_and_one_without_only_no_red() {
-    // From x = 30 a path of 20 + 12·1.5 = 38 m is wanted and 29 m are there: the route continues if it may.
+    // From x = 30 a path of 20 + 12·1.5 = 38 m is wanted and 29.5 m are there: the route continues if it may.
     let goes_on = |light: bool, status: Option<SignalStatus>| {
         let (map, connector) = crossing(light);
         let mut traffic = IdmTraffic::new(&map, &[car(1, at(30.0), 8.0)], &bystander());
@@ -117,7 +117,7 @@ fn an_edge_with_lights_needs_green_and_one_without_only_no_red() {
         traffic.step(&bystander(), &[], &shown, STEP_S);
         let ends_at =
             |x: f64| (traffic.objects()[0].speed() - (8.0 + 0.1 * law(8.0, 12.0, x - 32.3, 0.0))).abs() < 1e-9;
-        let (stays, goes) = (ends_at(59.0), ends_at(79.0));
+        let (stays, goes) = (ends_at(59.5), ends_at(79.5));
         assert!(stays != goes, "{light} {status:?}: {}", traffic.objects()[0].speed());
         goes
     };
@@ -153,14 +153,14 @@ fn stop_lines_of_the_route_count_while_they_show_red() {
 #[test]
 fn an_agent_at_the_very_end_of_its_path_waits_and_sets_out_from_the_pose_before() {
     let (map, connector) = crossing(true);
-    // Centerd at 59.6, beyond the last pose of its path (59; the vertex at 60 is dropped): it is seen at that pose.
+    // Centered at 59.6, beyond the last pose of its path (59.5; the vertex at 60 is dropped): it is seen at that pose.
     let mut traffic = IdmTraffic::new(&map, &[car(1, at(59.6), 0.0)], &bystander());
     for _ in 0..5 {
         traffic.step(&bystander(), &[], &lights(connector, SignalStatus::Red), STEP_S);
-        assert!((traffic.objects()[0].shape.center.x - 59.0).abs() < 1e-9 && traffic.objects()[0].speed() < 1e-9);
+        assert!((traffic.objects()[0].shape.center.x - 59.5).abs() < 1e-9 && traffic.objects()[0].speed() < 1e-9);
     }
     traffic.step(&bystander(), &[], &lights(connector, SignalStatus::Green), STEP_S);
-    assert!((traffic.objects()[0].shape.center.x - 58.0).abs() < 1e-9, "{}", traffic.objects()[0].shape.center.x);
+    assert!((traffic.objects()[0].shape.center.x - 59.0).abs() < 1e-9, "{}", traffic.objects()[0].shape.center.x);
     traffic.step(&bystander(), &[], &lights(connector, SignalStatus::Green), STEP_S);
     assert!(traffic.objects()[0].speed() > 0.1);
 }

@@ -208,7 +208,7 @@ mod tests {
         assert_eq!((trajectory.start_us(), trajectory.end_us()), (7, 7 + 8_000_000));
         assert!((trajectory.states()[0].rear_axle.x - 5.0).abs() < 1e-9);
         // The first sample by hand: the end of the path (the last vertex dropped) is the lead.
-        let gap = 229.0 - (5.0 + PACIFICA.rear_axle_to_center()) - PACIFICA.length() / 2.0;
+        let gap = 229.5 - (5.0 + PACIFICA.rear_axle_to_center()) - PACIFICA.length() / 2.0;
         let desired: f64 = 1.0 + 8.0 * 1.5 + 64.0 / (2.0 * 3.0f64.sqrt());
         let acceleration = 1.0 - (8.0f64 / 12.0).powi(4) - (desired / gap).powi(2);
         let first = trajectory.states()[1];
@@ -291,13 +291,13 @@ mod tests {
         let route = whole_route(&map);
         let road = Road { lanes: route.lanes(&map), map, route };
         let path = road.path_from(LaneId(0), &ego).unwrap();
-        assert!((path.path.length() - 229.0).abs() < 1e-9);
+        assert!((path.path.length() - 229.5).abs() < 1e-9);
         let progress = path.progress(&ego);
         assert!((progress.s - 229.6).abs() < 1e-9, "{}", progress.s);
         let strip = path.corridor(progress).unwrap();
         let place = |x: f64| OrientedBox::new(Pose::new(x, 0.0, 0.0), 0.1, 0.1);
         let last_pose = path.path.between(progress.s, progress.s)[0].x;
-        assert!(strip.meets_box(&place(last_pose)) && !strip.meets_box(&place(229.0 + PACIFICA.width / 2.0 + 0.1)));
+        assert!(strip.meets_box(&place(last_pose)) && !strip.meets_box(&place(229.5 + PACIFICA.width / 2.0 + 0.1)));
     }
 
     /// The corridor reaches the target velocity times 8 s from where the ego is, and its cap is square.

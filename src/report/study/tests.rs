@@ -84,7 +84,8 @@ fn the_tables_read_well_in_80_columns() {
     bootstrap over scenes (10000 resamples, seed 0).
     paper = the paper's result on nuPlan's Test14-hard. Its scenes differ from
     generated-test14-hard: compare only the direction.
-    2 simulations of no instruction on generated-test14-hard failed and do not count.
+    2 simulations of no instruction on generated-test14-hard failed and do not
+    count.
     "#);
 }
 

@@ -47,7 +47,7 @@ pub enum LogFault {
     Twice { row: usize, track: String },
     #[error("no ego pose at {timestamp_ns} ns, nor two around it within 0.15 s of each other")]
     NoPose { timestamp_ns: i64 },
-    #[error("track `AV` is missing at step {step}")]
+    #[error("track 'AV' is missing at step {step}")]
     NoEgo { step: usize },
     #[error("not a map: {0}")]
     Json(#[from] serde_json::Error),

@@ -61,11 +61,11 @@ fn broken_forecasting_scenarios_are_reported() {
         forecasting_opened(columns).unwrap_err().to_string()
     };
     let no_ego = fault(&|columns| set(columns, "track_id", StringArray::from(vec!["7"; 60])));
-    assert!(no_ego.contains("track `AV` is missing at step 0"), "{no_ego}");
+    assert!(no_ego.contains("track 'AV' is missing at step 0"), "{no_ego}");
     let twice = fault(&|columns| set(columns, "timestep", Int64Array::from(vec![0; 60])));
     assert!(twice.contains("row 2: a second row of track AV"), "{twice}");
     let fast = fault(&|columns| set(columns, "velocity_y", with(columns, "velocity_y", 5, Some(1e6))));
-    assert!(fast.contains("column `velocity_y`, row 5"), "{fast}");
+    assert!(fast.contains("column 'velocity_y', row 5"), "{fast}");
     let endless = fault(&|columns| set(columns, "timestep", Int64Array::from(vec![i64::MAX; 60])));
-    assert!(endless.contains("column `timestep`, row 0"), "{endless}");
+    assert!(endless.contains("column 'timestep', row 0"), "{endless}");
 }

@@ -314,7 +314,7 @@ mod tests {
         assert_eq!(fault(text), (3, unquoted("1234567890123456")));
         assert_eq!(fault("scenario_tokens:\n  - 12345678901234e5\n"), (2, unquoted("12345678901234e5")));
         let (line, fault_) = fault("scenario_tokens:\n  - '0488dbdf03b55f0'");
-        assert!(line == 2 && fault_.to_string().contains("`0488dbdf03b55f0` is no token"), "{fault_}");
+        assert!(line == 2 && fault_.to_string().contains("'0488dbdf03b55f0' is no token"), "{fault_}");
         let twice = fault("scenario_tokens:\n- '0488dbdf03b55f00'\n- '0488DBDF03B55F00'\n");
         let token = "0488dbdf03b55f00".parse().unwrap();
         assert_eq!(twice, (3, FilterFault::DuplicateToken { token, first: 2 }));
@@ -336,7 +336,7 @@ mod tests {
             ("scenario_tokens: ${x}\n", 1, "scenario_tokens refers to ${x}"),
             ("token_set_path: a.json\n", 1, "belong together"),
             ("_target_: a.BenchmarkScenarioFilter\n", 1, "interPlan"),
-            ("_target_: a.SceneFilter\n", 1, "`a.SceneFilter`"),
+            ("_target_: a.SceneFilter\n", 1, "'a.SceneFilter'"),
             ("shuffle: true\nshuffle: false\n", 2, "shuffle"),
             ("shuffle: maybe\n", 1, "YAML"),
             ("- a\n", 1, "lines of `key: value`"),
