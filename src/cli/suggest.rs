@@ -25,7 +25,10 @@ struct Mistyped {
 
 /// The known name closest to a mistyped one, if it is close.
 pub(super) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    let similar = known.into_iter().map(|one| (strsim::jaro(name, one), one));
+    // One wrong, missing or swapped letter is close in a short name too.
+    let similarity =
+        |one: &str| if strsim::damerau_levenshtein(name, one) == 1 { 1.0 } else { strsim::jaro(name, one) };
+    let similar = known.into_iter().map(|one| (similarity(one), one));
     let close = similar.filter(|(similarity, _)| *similarity > MIN_SIMILARITY);
     close.max_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, one)| one)
 }

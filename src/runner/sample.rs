@@ -206,7 +206,7 @@ mod tests {
     }
 
     /// Shards of three of the first scenarios.
-    const PINNED: [usize; 8] = [1, 1, 1, 1, 1, 1, 1, 1];
+    const PINNED: [usize; 8] = [3, 3, 3, 1, 1, 1, 1, 3];
 
     #[test]
     fn what_names_no_shard_is_refused() {

@@ -103,7 +103,7 @@ fn a_check_of_all_models_fails_for_missing_ones_and_says_how_to_get_them() {
 fn a_quiet_run_with_a_dead_server_says_so() {
     let work = TempDir::new().unwrap();
     let description = work.path().join("dead.toml");
-    let server = "name = 'dead'\nprompt_set = 'compact'\n[source]\nendpoint = 'http://127.0.0.1:9'\nmodel = 'none'\nretries = 0\n";
+    let server = "name = 'dead'\nprompt_set = 'compact'\n[source]\nendpoint = 'http://127.0.0.1:9'\nmodel = 'none'\ngrammar = 'none'\nimage_size = 336\nretries = 0\n";
     fs::write(&description, server).unwrap();
     let out = work.path().join("run");
     let flags = ["simulate", "-q", "--model", description.to_str().unwrap(), "--out", out.to_str().unwrap()];

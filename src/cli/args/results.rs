@@ -30,6 +30,9 @@ pub(in crate::cli) struct ReportArguments {
 
 /// Arguments of `render`.
 #[derive(Debug, Args)]
+#[command(
+    override_usage = "planagent render [OPTIONS] <--gif <PATH>|--mp4 <PATH>|--png <PATH>>\n       [RUN] [SIMULATION]"
+)]
 pub(in crate::cli) struct RenderArguments {
     /// Folder of the run [default: the last run in runs/].
     #[arg(value_name = "RUN")]
