@@ -64,7 +64,7 @@ fn a_film_has_the_format_of_its_name() {
     }
     let (code, _, stderr) = run_in(work.path(), &["render", "0", "--png", "nowhere/a.png"]);
     assert!(code == 2 && stderr.contains("there is no folder nowhere"), "{stderr}");
-    let (code, _, stderr) = run_in(work.path(), &["render", "changing_lane/4", "--png", "a.png"]);
+    let (code, _, stderr) = run_in(work.path(), &["render", "generated/changing_lane/4", "--png", "a.png"]);
     assert!(code == 2 && stderr.contains("a similar simulation exists: 'generated/changing_lane/3'"), "{stderr}");
 }
 
