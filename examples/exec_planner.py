@@ -21,13 +21,13 @@ def points_ahead(x, y, heading):
 
 def plan(ego, objects):
     path = points_ahead(ego["x"], ego["y"], ego["heading"])
-    near = lambda point: any(math.dist(point, (one["x"], one["y"])) < 2.5 for one in objects)
-    blocked = next((i for i, point in enumerate(path) if i > 2 and near(point)), len(path) + 50)
+    on_path = lambda point, one: math.dist(point, (one["x"], one["y"])) < 2.5
+    stops = [i - 7 - one["length"] / 2 for i, point in enumerate(path) if i > 2 for one in objects if on_path(point, one)]
+    stop = min(stops, default=math.inf)
     time, speed, heading, states = 0.0, math.hypot(*ego["velocity"]), ego["heading"], []
     for i, (x, y) in enumerate(path[:-1]):
         states.append({"t": time, "x": x, "y": y, "heading": heading, "speed": speed})
-        # The ego stops eight points before the first that is blocked.
-        target = min(8.0, math.sqrt(4.0 * max(0, blocked - 8 - i)))
+        target = min(8.0, math.sqrt(4.0 * max(0.0, stop - i)))
         if time > 8.0 or (speed < 0.5 and target < 0.5):
             break
         (nx, ny), length = path[i + 1], math.dist((x, y), path[i + 1])

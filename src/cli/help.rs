@@ -74,7 +74,7 @@ Examples:
     planagent simulate --split generated-test14 --limit 28 \\
       --planner plan-agent,pdm-closed --challenge both
   Random scenarios of two types:
-    planagent simulate --type changing_lane,starting_left_turn --shuffle \
+    planagent simulate --type changing_lane,starting_left_turn --shuffle \\
       --limit 6
   Recordings, and another threshold of Reflection:
     planagent simulate --scenario folder/ --set reflection.threshold=0.5
@@ -171,5 +171,5 @@ Example:
 
 pub(super) const SCENARIOS_EXPORT: &str = "\
 Example:
-  planagent scenarios export generated/changing_lane/3 --format nuplan \
+  planagent scenarios export generated/changing_lane/3 --format nuplan \\
     --out data";

@@ -61,7 +61,7 @@ pub enum RunnerError {
          the run again, this one by --planner '{planner}=exec:{command}'"
     )]
     CommandNotGiven { planner: String, command: String },
-    #[error("{source}; --challenge takes nonreactive, reactive, both or open-loop")]
+    #[error("{source}; 'both' stands for the first two")]
     Challenge { source: UnknownChallenge },
     #[error(transparent)]
     Prompts(#[from] PromptError),

@@ -91,7 +91,7 @@ impl fmt::Display for Challenge {
 
 /// A name that no challenge has.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown challenge {0:?}; the challenges are nonreactive, reactive and open-loop")]
+#[error("unknown challenge '{0}'; the challenges are nonreactive, reactive and open-loop")]
 pub struct UnknownChallenge(String);
 
 impl FromStr for Challenge {

@@ -44,7 +44,16 @@ fn a_command_plans_like_a_planner_of_ours() {
     let [one, two] = ["one", "two"].map(|name| work.path().join(name));
     let planner = format!("idm,exec:{python} {EXAMPLE}");
     for out in [&one, &two] {
-        let flags = ["simulate", "--scenario", SCENE, "--challenge", "both", "--planner", &planner, "--out"];
+        let flags = [
+            "simulate",
+            "--scenario",
+            "generated/changing_lane/5",
+            "--challenge",
+            "both",
+            "--planner",
+            &planner,
+            "--out",
+        ];
         let (code, stdout, stderr) = run(&[&flags[..], &[out.to_str().unwrap()]].concat());
         assert_eq!(code, 0, "{stderr}");
         assert!(stdout.contains("exec-exec_planner"), "{stdout}");

@@ -4,7 +4,7 @@ use crate::cli::settings::{Setting, Settings};
 use crate::cli::{Exit, Printer};
 
 /// Column of the origins, behind values that leave room for it.
-const ORIGIN: usize = 44;
+const ORIGIN: usize = 43;
 
 /// Prints every setting with its origin, as a configuration file.
 pub(in crate::cli) fn run(settings: &Settings, printer: Printer) -> anyhow::Result<Exit> {
@@ -25,7 +25,7 @@ pub(in crate::cli) fn run(settings: &Settings, printer: Printer) -> anyhow::Resu
 
 fn line(key: &str, Setting { value, origin, .. }: &Setting) -> String {
     match value {
-        Some(value) => format!("{:<ORIGIN$}# {origin}", format!("{key} = {value}")),
+        Some(value) => format!("{:<ORIGIN$} # {origin}", format!("{key} = {value}")),
         None => format!("# {key} is not set"),
     }
 }
