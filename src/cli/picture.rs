@@ -56,6 +56,14 @@ impl PictureFile {
             .with_context(|| format!("cannot write {}", self.path.display()))
     }
 
+    /// A file beside this one, with a word before the extension: `scene.png` and `scene.model.png`.
+    pub(super) fn beside(&self, word: &str) -> Self {
+        let mut name = self.path.file_stem().unwrap_or_default().to_owned();
+        name.push(format!(".{word}."));
+        name.push(self.path.extension().unwrap_or_default());
+        Self { path: self.path.with_file_name(name), format: self.format }
+    }
+
     /// Path of the file.
     pub(super) fn path(&self) -> &Path {
         &self.path

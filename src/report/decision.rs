@@ -1,6 +1,6 @@
 //! The decision of a planning call in words: what is executed, and why.
 
-use super::call_record::DecisionRecord;
+use super::call_record::{CallRecord, DecisionRecord};
 use super::number::fixed;
 use crate::planner::{Decision, NoPlan, PlanningCall};
 
@@ -16,6 +16,12 @@ pub(super) fn all_refused(call: &PlanningCall) -> bool {
 pub fn decision_words(call: &PlanningCall) -> String {
     let scores: Vec<Option<f64>> = call.attempts.iter().map(|a| Some(a.reflection.as_ref()?.score)).collect();
     words(&DecisionRecord::of(&call.decision), &scores, call.aborted_lane_change == Some(call.iteration))
+}
+
+/// The decision of a recorded call in words.
+pub(super) fn recorded_words(call: &CallRecord) -> String {
+    let scores: Vec<Option<f64>> = call.attempts.iter().map(|a| Some(a.reflection.as_ref()?.score)).collect();
+    words(&call.decision, &scores, call.aborted_lane_change == Some(call.iteration))
 }
 
 /// `scores` are Reflection's, by attempt; `keeps_lane` if a lane change of the executed plan is not begun.

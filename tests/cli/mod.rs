@@ -180,7 +180,11 @@ fn plan_makes_one_call_for_people_and_for_programs() {
     for part in ["scene?", "lat=", "Generate_IDM_Planner(", "Reflection:", "Trajectory"] {
         assert!(stdout.contains(part), "no {part} in\n{stdout}");
     }
-    assert!(image::open(&image).is_ok());
+    // One picture for people, and the model's own.
+    let own = image::open(folder.path().join("bev.model.png")).unwrap();
+    let shown = image::open(&image).unwrap();
+    assert_eq!((own.width(), own.height()), (128, 128));
+    assert!(shown.width() > 1200 && shown.height() > 640, "{} x {}", shown.width(), shown.height());
     let (code, stdout, _) = run(&[&arguments[..], &["--json"]].concat());
     assert_eq!(code, 0);
     let record: Value = serde_json::from_str(&stdout).unwrap();

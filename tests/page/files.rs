@@ -53,6 +53,34 @@ fn pages_hold_runs_and_name_what_is_missing() {
     assert!(broken.contains("replay.json.gz"), "{broken}");
 }
 
+/// A larger picture has the page's colors and a legend.
+fn looks_like_the_page(run_folder: &str, png: &str) {
+    let style = include_str!("../../src/report/page/assets/theme.css");
+    let color = |name: &str| {
+        let (_, after) = style.split_once(&format!("--{name}: #")).unwrap();
+        [0, 2, 4].map(|i| u8::from_str_radix(&after[i..i + 2], 16).unwrap())
+    };
+    let pixels = 400;
+    let (code, _, stderr) = run(&["render", run_folder, "0", "--png", png, "--at", "2.0", "--pixels", "400"]);
+    assert_eq!(code, 0, "{stderr}");
+    let picture = image::open(png).unwrap().to_rgb8();
+    let count = |name: &str, rows: std::ops::Range<u32>| {
+        picture.enumerate_pixels().filter(|(_, y, pixel)| rows.contains(y) && pixel.0 == color(name)).count()
+    };
+    let (scene, text) = (0..pixels, pixels..picture.height());
+    for name in ["ground", "road", "route", "ego"] {
+        assert!(count(name, scene.clone()) > 100, "{name} in the scene");
+    }
+    // The swatches of the legend.
+    for name in ["route", "road", "ego", "vehicle"] {
+        assert!(count(name, text.clone()) > 20, "{name} in the legend");
+    }
+    // Antialiased letters have many shades.
+    let shades: std::collections::BTreeSet<[u8; 3]> =
+        picture.enumerate_pixels().filter(|(_, y, _)| text.contains(y)).map(|(_, _, pixel)| pixel.0).collect();
+    assert!(shades.len() > 40, "{} shades", shades.len());
+}
+
 #[test]
 fn a_simulation_is_rendered() {
     let work = TempDir::new().unwrap();
@@ -81,6 +109,7 @@ fn a_simulation_is_rendered() {
     assert!(same * 100 > 97 * seen.pixels().len(), "{same} of {} pixels", seen.pixels().len());
     render(&["0", "--png", &png]);
     assert!(image::open(&png).unwrap().width() > 4 * 160);
+    looks_like_the_page(run_folder, &png);
 
     let fails = |more: &[&str]| refused(&[&["render", run_folder], more].concat());
     let several = fails(&["changing_lane/1", "--png", &png]);

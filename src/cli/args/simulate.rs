@@ -108,7 +108,8 @@ pub(in crate::cli) struct PlanArguments {
     /// Seconds after the start of the window.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
     pub(in crate::cli) at: f64,
-    /// Write the BEV image to this file, a .png or .jpg.
+    /// Write a picture of the call to this file, a .png or .jpg: the scene with its plans, and the model's own picture beside
+    /// it. The model's picture as the model sees it goes to NAME.model.EXTENSION.
     #[arg(long, value_name = "FILE", value_parser = picture_file())]
     pub(in crate::cli) image: Option<PictureFile>,
     #[command(flatten)]

@@ -7,6 +7,7 @@ use crate::cli::{Exit, Printer};
 use crate::planner::PlannerName;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput, PlanningCall};
 use crate::reasoning::Interruption;
+use crate::report::render::call_picture;
 use crate::report::{CallRecord, CallTimes, attempt_markdown, decision_words, fixed};
 use crate::runner::{Config, load_model};
 use crate::scenario::{Frame, Readers, Scenario, generator};
@@ -29,8 +30,11 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
     // The planner starts at iteration 0; the record has the iteration of the scenario.
     let call = agent.calls().last().context("the planner made no call")?;
     let call = PlanningCall { iteration, at_s: iteration as f64 * STEP_S, ..call.clone() };
-    if let (Some(file), Some(image)) = (&flags.image, &call.image) {
-        file.save(image)?;
+    if let Some(file) = &flags.image {
+        file.save(&call_picture(&scenario, frame, &call, &trajectory))?;
+        if let Some(image) = &call.image {
+            file.beside("model").save(image)?;
+        }
     }
     if printer.is_json() {
         printer.json(&with_trajectory(&scenario, &call, &trajectory)?)?;

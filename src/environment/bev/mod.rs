@@ -96,26 +96,8 @@ impl BevView {
 
 /// Draws the scene as the module says. The same scene and view give the same bytes.
 pub fn render(scene: &SceneView<'_>, view: &BevView) -> RgbImage {
-    render_with_lines(scene, view, &[])
-}
-
-/// A line on the road for people: a plan or a driven path. The model never sees one.
-#[derive(Debug, Clone, PartialEq)]
-pub struct BevLine {
-    /// Its vertices, map frame.
-    pub points: Vec<Point>,
-    /// Its width, meters.
-    pub width: f64,
-    pub color: Rgb,
-}
-
-/// Draws the scene with lines on the road under the objects; later lines over earlier ones.
-pub fn render_with_lines(scene: &SceneView<'_>, view: &BevView, lines: &[BevLine]) -> RgbImage {
     let mut canvas = Canvas::new(*view, scene.ego.center());
     road::draw(&mut canvas, scene.map);
-    for line in lines {
-        canvas.lines([line.points.as_slice()], line.width * view.scale(), line.color);
-    }
     traffic::draw(&mut canvas, scene);
     canvas.into_image()
 }

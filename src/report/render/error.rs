@@ -2,7 +2,6 @@
 
 use crate::environment::BevError;
 use crate::report::ReportError;
-use crate::world::MapError;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -19,8 +18,6 @@ pub enum RenderError {
     SeveralSimulations { wanted: String, simulations: Vec<String> },
     #[error("{0} has no replay: it failed, or an older version ran it")]
     NoReplay(String),
-    #[error("cannot draw the map of the replay")]
-    Map(#[from] MapError),
     #[error(transparent)]
     View(#[from] BevError),
     #[error("{at_s} s is outside the simulation, which lasts {end_s:.1} s")]

@@ -1,12 +1,19 @@
-//! A simulation as a picture or a film: the BEV map in the model's style with the active plan and the refused plans, and a caption
-//! below.
+//! A simulation as a picture or a film, drawn as the page draws it: the scene with lights, plans and a scale, a legend, and a
+//! caption. One planning call as a picture.
 
+mod call;
+mod canvas;
 mod caption;
+mod colors;
 mod error;
 mod film;
 mod find;
 mod frame;
+mod legend;
+mod lettering;
+mod scene;
 
+pub use call::call_picture;
 pub use error::{OutputFault, RenderError};
 pub use film::{write_gif, write_mp4};
 pub use find::SimulationChoice;

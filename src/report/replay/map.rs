@@ -1,10 +1,11 @@
 //! The map along a simulation.
 
 use super::deltas::Points;
-use crate::geometry::{Bounds, Point, Polygon, Polyline, simplified};
+use crate::geometry::{Bounds, Point, Polygon, simplified};
 use crate::scenario::Scenario;
-use crate::world::{Lane, LaneId, LaneKind, LaneMap, MapError, MapParts, Roadblock, RoadblockId};
+use crate::world::{LaneId, LaneKind};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Simplification removes vertices that are nearer than this to the remaining line, meters.
 const DETAIL_M: f64 = 0.05;
@@ -61,42 +62,70 @@ impl ReplayMap {
     pub(super) fn lane_ids(&self) -> impl Iterator<Item = LaneId> + '_ {
         self.lanes.iter().map(|lane| lane.id)
     }
+}
 
-    /// A map for drawing: lanes and crosswalks without relations. It omits lanes that rounding made degenerate.
-    pub(super) fn to_map(&self) -> Result<LaneMap, MapError> {
-        let shapes = self.lanes.iter().filter_map(|lane| {
-            let centerline = Polyline::new(lane.centerline.points()).ok()?;
-            Some((lane.kind, centerline, Polygon::new(lane.ring.points()).ok()?))
-        });
-        let lanes: Vec<Lane> = shapes
-            .enumerate()
-            .map(|(i, (kind, centerline, polygon))| Lane {
-                id: LaneId(i as u32),
-                source_id: i as i64,
-                kind,
-                centerline,
-                polygon,
-                incoming: Vec::new(),
-                outgoing: Vec::new(),
-                left: Vec::new(),
-                right: Vec::new(),
-                roadblock: RoadblockId(0),
-                speed_limit: None,
-                has_traffic_lights: false,
-                stop_lines: Vec::new(),
-            })
-            .collect();
-        let block = Roadblock {
-            id: RoadblockId(0),
-            source_id: 0,
-            kind: LaneKind::Lane,
-            lanes: lanes.iter().map(|lane| lane.id).collect(),
-            areas: Vec::new(),
-            incoming: Vec::new(),
-            outgoing: Vec::new(),
+/// A map as it is drawn, map frame.
+#[derive(Debug, Clone, Default)]
+pub(in crate::report) struct DrawnMap {
+    /// Rings of each drivable area beside the lanes.
+    pub(in crate::report) drivable: Vec<Vec<Vec<Point>>>,
+    /// Rings of lanes and connectors.
+    pub(in crate::report) lanes: Vec<Vec<Point>>,
+    /// Those of the route.
+    pub(in crate::report) route: Vec<Vec<Point>>,
+    /// Centerlines of lanes.
+    pub(in crate::report) centerlines: Vec<Vec<Point>>,
+    /// Centerlines of connectors.
+    pub(in crate::report) connectors: Vec<Vec<Point>>,
+    /// Rings of crosswalks.
+    pub(in crate::report) crosswalks: Vec<Vec<Point>>,
+    /// Rings of stop lines.
+    pub(in crate::report) stop_lines: Vec<Vec<Point>>,
+    /// The first segment of each centerline.
+    starts: BTreeMap<LaneId, [Point; 2]>,
+}
+
+impl DrawnMap {
+    /// The part of a scenario's map within `bounds`.
+    pub(in crate::report) fn of(scenario: &Scenario, bounds: &Bounds) -> Self {
+        Self::from(&ReplayMap::of(scenario, bounds))
+    }
+
+    /// The first segment of a centerline.
+    pub(in crate::report) fn start_of(&self, lane: LaneId) -> Option<[Point; 2]> {
+        self.starts.get(&lane).copied()
+    }
+
+    /// The lanes with the first segments of their centerlines.
+    pub(in crate::report) fn starts(&self) -> impl Iterator<Item = (LaneId, [Point; 2])> + '_ {
+        self.starts.iter().map(|(lane, start)| (*lane, *start))
+    }
+}
+
+impl From<&ReplayMap> for DrawnMap {
+    fn from(map: &ReplayMap) -> Self {
+        let points = |ring: &Points| -> Vec<Point> { ring.points().collect() };
+        let mut drawn = Self {
+            drivable: map.drivable.iter().map(|rings| rings.iter().map(points).collect()).collect(),
+            crosswalks: map.crosswalks.iter().map(points).collect(),
+            stop_lines: map.stop_lines.iter().map(points).collect(),
+            ..Self::default()
         };
-        let crosswalks = self.crosswalks.iter().filter_map(|ring| Polygon::new(ring.points()).ok()).collect();
-        LaneMap::new(MapParts { lanes, roadblocks: vec![block], crosswalks, ..MapParts::default() })
+        for lane in &map.lanes {
+            let (ring, centerline) = (points(&lane.ring), points(&lane.centerline));
+            if let [first, second, ..] = centerline.as_slice() {
+                drawn.starts.insert(lane.id, [*first, *second]);
+            }
+            if lane.on_route {
+                drawn.route.push(ring.clone());
+            }
+            drawn.lanes.push(ring);
+            match lane.kind {
+                LaneKind::Lane => drawn.centerlines.push(centerline),
+                LaneKind::Connector => drawn.connectors.push(centerline),
+            }
+        }
+        drawn
     }
 }
 

@@ -11,6 +11,7 @@ mod record;
 mod scene;
 mod track;
 
+pub(super) use map::DrawnMap;
 pub(super) use outline::Sketch;
 pub(super) use scene::{Moment, ReplayedSimulation};
 

@@ -1,20 +1,21 @@
-//! The scenes and plans of a replay.
+//! The scenes and plans of a replay, ready for drawing.
 
 use super::Replay;
-use super::track::AgentTrack;
+use super::deltas::Points;
+use super::map::DrawnMap;
+use super::track::{AgentTrack, LightTrack};
 use crate::geometry::Point;
-use crate::world::{EgoState, History, LaneMap, MapError, Route, SceneView, TrackedObject, TrafficLights};
+use crate::world::{EgoState, SignalStatus, TrackedObject};
 
 /// A replay ready for drawing.
 #[derive(Debug, Clone)]
 pub(in crate::report) struct ReplayedSimulation {
-    map: LaneMap,
+    map: DrawnMap,
     moments: Vec<Moment>,
     /// Planning calls: iteration and the roll-out of each attempt.
     calls: Vec<(usize, Vec<Vec<Point>>)>,
-    route: Route,
-    lights: TrafficLights,
-    history: History,
+    /// Lights by the start of their connector, with the iterations of their changes.
+    lights: Vec<([Point; 2], LightTrack)>,
 }
 
 /// One iteration.
@@ -24,14 +25,15 @@ pub(in crate::report) struct Moment {
     pub(in crate::report) at_s: f64,
     /// The ego.
     pub(in crate::report) ego: EgoState,
-    /// The active plan: path of the rear axle.
+    /// The active plan: path of the rear axle, a point every half second.
     pub(in crate::report) plan: Vec<Point>,
-    objects: Vec<TrackedObject>,
+    /// All other objects.
+    pub(in crate::report) objects: Vec<TrackedObject>,
 }
 
 impl ReplayedSimulation {
     /// The scenes of a replay.
-    pub(in crate::report) fn new(replay: &Replay) -> Result<Self, MapError> {
+    pub(in crate::report) fn new(replay: &Replay) -> Self {
         let plans = replay.plans.iter().map(|plan| plan.points().collect()).chain(std::iter::repeat(Vec::new()));
         let mut moments: Vec<Moment> = replay
             .ego
@@ -45,17 +47,22 @@ impl ReplayedSimulation {
                 moment.objects.push(object);
             }
         }
-        let attempts = |tracks: &[Option<super::Points>]| {
-            tracks.iter().map(|track| track.iter().flat_map(super::Points::points).collect()).collect()
+        let attempts = |tracks: &[Option<Points>]| {
+            tracks.iter().map(|track| track.iter().flat_map(Points::points).collect()).collect()
         };
-        Ok(Self {
-            map: replay.map.to_map()?,
+        let map = DrawnMap::from(&replay.map);
+        let light = |light: &LightTrack| Some((map.start_of(light.lane())?, light.clone()));
+        Self {
             moments,
             calls: replay.calls.iter().map(|call| (call.iteration, attempts(&call.attempts))).collect(),
-            route: Route::default(),
-            lights: TrafficLights::default(),
-            history: History::default(),
-        })
+            lights: replay.lights.iter().filter_map(light).collect(),
+            map,
+        }
+    }
+
+    /// The map nearby.
+    pub(in crate::report) fn map(&self) -> &DrawnMap {
+        &self.map
     }
 
     /// The iterations in order.
@@ -63,16 +70,9 @@ impl ReplayedSimulation {
         &self.moments
     }
 
-    /// The scene of a moment, without route, lights and history.
-    pub(in crate::report) fn scene<'a>(&'a self, moment: &'a Moment) -> SceneView<'a> {
-        SceneView {
-            map: &self.map,
-            route: &self.route,
-            ego: &moment.ego,
-            objects: &moment.objects,
-            lights: &self.lights,
-            history: &self.history,
-        }
+    /// The lights at an iteration: the first segment of each connector with a light, and its status.
+    pub(in crate::report) fn lights_at(&self, iteration: usize) -> Vec<([Point; 2], SignalStatus)> {
+        self.lights.iter().filter_map(|(start, light)| Some((*start, light.at(iteration)?))).collect()
     }
 
     /// The last planning call up to an iteration: its number and the roll-outs of its attempts.

@@ -180,6 +180,16 @@ impl LightTrack {
         };
         lanes.filter_map(track).collect()
     }
+
+    /// The connector.
+    pub(super) fn lane(&self) -> LaneId {
+        self.lane
+    }
+
+    /// The status at a sample; none where no light is recorded.
+    pub(super) fn at(&self, sample: usize) -> Option<SignalStatus> {
+        self.changes.iter().take_while(|(from, _)| *from <= sample).last().and_then(|(_, status)| *status)
+    }
 }
 
 #[cfg(test)]
@@ -232,5 +242,7 @@ mod tests {
         });
         let changes = vec![(1, Some(SignalStatus::Red)), (3, Some(SignalStatus::Green)), (4, None)];
         assert_eq!(lights, [LightTrack { lane: LaneId(3), changes }]);
+        let [light] = lights.as_slice() else { panic!("{lights:?}") };
+        assert_eq!((0..shown.len()).map(|i| light.at(i)).collect::<Vec<_>>(), shown);
     }
 }
