@@ -43,11 +43,11 @@ fn assert_close(value: Option<f64>, expected: Option<f64>) {
     assert!(close || value == expected, "{value:?} is not {expected:?}");
 }
 
-/// A run of three scenes.
+/// A run of three scenes of one type.
 fn small_run(work: &TempDir) -> PathBuf {
     let out = work.path().join("run");
     let mut flags = quick_run(3);
-    flags.extend(["--out".to_owned(), out.to_str().unwrap().to_owned()]);
+    flags.extend(["--type", "starting_left_turn", "--out", out.to_str().unwrap()].map(str::to_owned));
     let (code, _, stderr) = run(&flags.iter().map(String::as_str).collect::<Vec<_>>());
     assert_eq!(code, 0, "{stderr}");
     assert_eq!(simulations(&out).len(), 12);
