@@ -47,7 +47,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--devkit", type=Path, required=True, help="a clone of nuplan-devkit")
     parser.add_argument("--tuplan", type=Path, help="a clone of tuplan_garage, for pdm-closed")
     parser.add_argument("--out", type=Path, required=True, help="folder for exports and results")
-    parser.add_argument("--scenarios", nargs="+", metavar="SCENARIO", help="[default: all generated types]")
+    parser.add_argument("--scenarios", nargs="*", metavar="SCENARIO", help="[default: all generated types]")
     parser.add_argument("--seeds", default=",".join(map(str, our_side.SEEDS)), help="of the generated types")
     parser.add_argument("--recordings", type=Path, metavar="FOLDER", help="data folder with womd and argoverse2")
     parser.add_argument("--planner", default=",".join(PLANNERS))
@@ -98,12 +98,13 @@ def prepare(options: argparse.Namespace) -> None:
 
 
 def sources(options: argparse.Namespace) -> list[str]:
-    if options.scenarios:
-        found = options.scenarios
-    else:
-        types = our_side.generated_types(options.program)
-        found = [f"generated/{kind}/{seed}" for seed in options.seeds.split(",") for kind in types]
-    return found + (our_side.recordings(options.recordings) if options.recordings else [])
+    """The scenarios in the order of their simulations: a seed of each type first, so that an early stop shows most."""
+    recorded = our_side.recordings(options.recordings) if options.recordings else []
+    if options.scenarios is not None:
+        return options.scenarios + recorded
+    types = our_side.generated_types(options.program)
+    found = [f"generated/{kind}/{seed}" for seed in options.seeds.split(",") for kind in types]
+    return found[: len(types)] + recorded + found[len(types) :]
 
 
 def tasks_of(options, scenarios, planners, challenges) -> list[Task]:
@@ -114,8 +115,8 @@ def tasks_of(options, scenarios, planners, challenges) -> list[Task]:
     return [
         Task(scenario, planner, challenge, folder / f"{scenario.digest}-{planner}-{challenge}.json.gz")
         for group in groups
-        for challenge in challenges
         for scenario in scenarios
+        for challenge in challenges
         for planner in group
     ]
 

@@ -12,6 +12,7 @@ import os
 import time
 import traceback
 import warnings
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -42,6 +43,8 @@ class Devkit:
         os.environ["NUPLAN_DATA_ROOT"] = self._data
         os.environ["NUPLAN_MAPS_ROOT"] = self._maps
         os.environ.setdefault("NUPLAN_EXP_ROOT", str(exported.resolve()))
+        # Its progress bars would hide ours.
+        os.environ["TQDM_DISABLE"] = "1"
         warnings.filterwarnings("ignore")
         logging.disable(logging.WARNING)
 
@@ -49,9 +52,11 @@ class Devkit:
         """The hydra configuration of a simulation, from the yaml files of both projects."""
         known = self._configurations
         if (planner, challenge) not in known:
-            known[planner, challenge] = self._compose(planner, challenge)
-        # The devkit takes parts out of the configuration that it builds from.
-        configuration = copy.deepcopy(known[planner, challenge])
+            composed = self._compose(planner, challenge)
+            known[planner, challenge] = (composed, copy.deepcopy(composed.simulation_metric))
+        configuration, metrics = known[planner, challenge]
+        # The devkit takes parts out of the metrics' configuration when it builds them.
+        configuration.simulation_metric = copy.deepcopy(metrics)
         configuration.output_dir = str(output)
         return configuration
 
@@ -59,6 +64,9 @@ class Devkit:
         from hydra import compose, initialize_config_dir
 
         metrics = f"simulation_{CHALLENGES[challenge]}"
+        places = ["pkg://nuplan.planning.script.config.common", "pkg://nuplan.planning.script.experiments"]
+        if find_spec("tuplan_garage") is not None:
+            places.insert(0, "pkg://tuplan_garage.planning.script.config.simulation")
         overrides = [
             f"+simulation={CHALLENGES[challenge]}",
             f"planner={PLANNERS[planner]}",
@@ -69,8 +77,7 @@ class Devkit:
             f"scenario_builder.map_root={self._maps}",
             "worker=sequential",
             "output_dir=unknown",
-            "hydra.searchpath=[pkg://tuplan_garage.planning.script.config.simulation,"
-            "pkg://nuplan.planning.script.config.common,pkg://nuplan.planning.script.experiments]",
+            f"hydra.searchpath=[{','.join(places)}]",
         ]
         with initialize_config_dir(str(self._config.resolve()), version_base="1.1"):
             return compose("default_simulation", overrides=overrides)

@@ -19,6 +19,7 @@ import our_side
 from devkit_side import CHALLENGES, PLANNERS
 
 SEED = 3
+COUNT = 64
 PACKAGES = ("numpy", "scipy", "shapely", "geopandas", "pandas", "pyarrow", "hydra-core", "SQLAlchemy")
 FILE = Path(__file__).parent.parent / "fixtures/devkit/values.json"
 
@@ -31,11 +32,17 @@ def main() -> None:
     options = parser.parse_args()
     every = our_side.exported_scenarios(options.out / "exported")
     scenarios = [one for one in every if one.source.startswith("generated/") and one.name.endswith(f"/{SEED}")]
+    # Both challenges in turn; where the devkit fails, a simulation of the other challenge takes the place.
+    wanted = [
+        (scenario, planner, [*CHALLENGES][(place + number + turn) % len(CHALLENGES)])
+        for turn in range(len(CHALLENGES))
+        for place, scenario in enumerate(scenarios)
+        for number, planner in enumerate(PLANNERS)
+    ]
     simulations = []
-    for place, scenario in enumerate(scenarios):
-        for number, planner in enumerate(PLANNERS):
-            challenge = [*CHALLENGES][(place + number) % len(CHALLENGES)]
-            path = options.out / "devkit" / f"{scenario.digest}-{planner}-{challenge}.json.gz"
+    for scenario, planner, challenge in wanted:
+        path = options.out / "devkit" / f"{scenario.digest}-{planner}-{challenge}.json.gz"
+        if len(simulations) < COUNT and path.is_file():
             result = json.loads(gzip.decompress(path.read_bytes()))
             if "error" not in result:
                 simulations.append((scenario.name, planner, challenge, result))

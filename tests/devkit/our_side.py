@@ -36,6 +36,7 @@ def program(binary: Path, *words: str, maps: Path | None = None) -> str:
     environment = dict(os.environ)
     if maps is not None:
         environment["NUPLAN_MAPS_ROOT"] = str(maps)
+        environment["PLANAGENT_CACHE"] = str(maps.parent / "cache")
     ran = subprocess.run([binary, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
     if ran.returncode not in (0, 1):
         sys.exit(f"planagent {' '.join(words[:6])} ... failed:\n{ran.stderr}")
@@ -66,7 +67,8 @@ def export(binary: Path, sources: list[str], folder: Path, extra: list[str]) -> 
         if len(logs) != len(sources):
             sys.exit(f"{len(sources)} scenarios were to be exported, and {len(logs)} were; name single scenarios")
         listing.write_text(json.dumps({"sources": sources, "logs": logs}, indent=1))
-    return [one for one in exported_scenarios(folder) if one.source in sources]
+    known = {one.source: one for one in exported_scenarios(folder)}
+    return [known[source] for source in sources]
 
 
 def exported_scenarios(folder: Path) -> list[ExportedScenario]:

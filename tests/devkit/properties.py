@@ -34,12 +34,16 @@ class Questions:
     def __init__(self):
         self.asked = Counter()
         self.wrong = {}
+        # What the devkit's own classes leave abstract.
+        self.abstract = Counter()
 
     @contextmanager
     def about(self, subject: str, place: str):
         self.asked[subject] += 1
         try:
             yield
+        except NotImplementedError:
+            self.abstract[subject] += 1
         except Exception as error:
             said = f"{subject}: {type(error).__name__}: {str(error)[:160]}"
             count, first = self.wrong.get(said, (0, place))
@@ -86,7 +90,10 @@ def report(questions: Questions, scenarios: int, maps: int) -> int:
     for subject, count in questions.asked.items():
         kinds[subject.split(".")[0]] += count
     print(", ".join(f"{count} of {kind}" for kind, count in sorted(kinds.items())))
-    print(f"{scenarios} scenarios, {maps} maps, {sum(kinds.values())} questions, {failed} exceptions")
+    print(f"not implemented in the devkit: {', '.join(sorted(questions.abstract)) or 'nothing'}")
+    abstract = sum(questions.abstract.values())
+    print(f"{scenarios} scenarios, {maps} maps, {sum(kinds.values())} questions, {abstract} of them not implemented")
+    print(f"{failed} exceptions")
     return 1 if failed else 0
 
 
