@@ -58,7 +58,13 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--only-compare", action="store_true", help="take the results that are there")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all compared values")
     parser.add_argument("--time", type=int, metavar="N", help="measure both programs N times instead")
-    return parser.parse_args()
+    options = parser.parse_args()
+    if "pdm-closed" in options.planner.split(",") and options.tuplan is None:
+        parser.error("pdm-closed needs --tuplan, or name other planners with --planner")
+    for clone, package in ((options.devkit, "nuplan"), (options.tuplan, "tuplan_garage")):
+        if clone is not None and not (clone / package).is_dir():
+            parser.error(f"{clone} has no folder {package}; name a clone of the project")
+    return options
 
 
 def main() -> int:
