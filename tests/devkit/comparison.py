@@ -145,21 +145,18 @@ def summary(compared: list[Compared]) -> list[dict]:
     for name, group in groups.items():
         both = [one for one in group if one.both]
         distances = [d.distance for one in both for d in one.differences]
-        values = sum(one.values for one in both)
         rows.append(
             {
                 "name": name,
                 "simulations": len(both),
                 "failed in the devkit": sum(one.devkit_error is not None for one in group),
-                "values": values,
-                "within 1e-6": values - len(distances),
-                "within 1e-3": sum(distance <= CLOSE for distance in distances),
-                "beyond": sum(distance > CLOSE for distance in distances),
-                "in simulations": sum(any(d.distance > CLOSE for d in one.differences) for one in both),
+                "values": sum(one.values for one in both),
+                "> 1e-6": len(distances),
+                "> 1e-3": sum(distance > CLOSE for distance in distances),
+                "in simulations": sum(bool(one.differences) for one in both),
                 "scores apart": sum(one.score_difference > SAME_SCORE for one in both),
                 "largest score difference": max((one.score_difference for one in both), default=0.0),
-                "time series": sum(one.series_values for one in both),
-                "series beyond": sum(len([w for w in one.series.values() if w > CLOSE]) for one in both),
+                "time series values": sum(one.series_values for one in both),
             }
         )
     return rows

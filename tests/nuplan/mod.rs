@@ -2,6 +2,7 @@
 
 mod command;
 mod compare;
+mod devkit;
 mod public_readers;
 mod recorded;
 mod round_trip;

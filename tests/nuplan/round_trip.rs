@@ -2,8 +2,8 @@
 
 use super::compare::{Pair, blocks};
 use planagent::internals::geometry::{Point, Vector};
-use planagent::internals::metrics::Score;
-use planagent::internals::planner::{IdmPlanner, LogReplay, PdmClosed, Planner};
+use planagent::internals::metrics::Evaluation;
+use planagent::internals::planner::{IdmPlanner, LogReplay, PdmClosed, Planner, SimplePlanner};
 use planagent::internals::scenario::Scenario;
 use planagent::internals::scenario::generator::{ScenarioType, Spec, generate, types};
 use planagent::internals::scenario::nuplan::export::{ExportChanges, ExportSettings, Exported, write_scenarios};
@@ -34,18 +34,23 @@ pub(super) fn read_back(exported: &Exported, settings: &ExportSettings, cache: &
     read.collect()
 }
 
-/// Scores of a planner on a scenario: the total, and of each metric.
-fn score(scenario: &Scenario, planner: &mut dyn Planner, challenge: Challenge) -> (f64, Vec<(String, Option<f64>)>) {
-    let log = simulate(scenario, planner, challenge).unwrap();
-    let evaluation = log.evaluate(scenario).unwrap();
-    let Score { value, .. } = evaluation.score;
-    (value, evaluation.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect())
+/// The metrics of a planner on a scenario.
+pub(super) fn simulated(scenario: &Scenario, planner: SimulatedPlanner, challenge: Challenge) -> Evaluation {
+    let evaluated =
+        |planner: &mut dyn Planner| simulate(scenario, planner, challenge).unwrap().evaluate(scenario).unwrap();
+    match planner {
+        SimulatedPlanner::LogReplay => evaluated(&mut LogReplay::new(scenario.recorded().copied().collect())),
+        SimulatedPlanner::Simple => evaluated(&mut SimplePlanner::default()),
+        SimulatedPlanner::Idm => evaluated(&mut IdmPlanner::default()),
+        SimulatedPlanner::PdmClosed => evaluated(&mut PdmClosed::new()),
+    }
 }
 
 /// The planner of a comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum SimulatedPlanner {
     LogReplay,
+    Simple,
     Idm,
     PdmClosed,
 }
@@ -67,20 +72,15 @@ pub(super) fn check_scores(
     (planner, challenge): (SimulatedPlanner, Challenge),
     close: f64,
 ) {
-    let simulated = |scenario: &Scenario| match planner {
-        SimulatedPlanner::LogReplay => {
-            score(scenario, &mut LogReplay::new(scenario.recorded().copied().collect()), challenge)
-        }
-        SimulatedPlanner::Idm => score(scenario, &mut IdmPlanner::default(), challenge),
-        SimulatedPlanner::PdmClosed => score(scenario, &mut PdmClosed::new(), challenge),
-    };
-    let ((value, metrics), (value_after, metrics_after)) = (simulated(before), simulated(after));
+    let (a, b) = (simulated(before, planner, challenge), simulated(after, planner, challenge));
+    let (value, value_after) = (a.score.value, b.score.value);
     let simulation = format!("{} {planner:?} {challenge:?}", before.id);
     assert!((value - value_after).abs() <= close, "{simulation}: {value} {value_after}");
-    for ((name, score), (_, score_after)) in metrics.iter().zip(&metrics_after) {
+    for (metric, metric_after) in a.metrics.iter().zip(&b.metrics) {
+        let (name, score, score_after) = (&metric.name, metric.score, metric_after.score);
         let same = match (score, score_after) {
             // Scores of 0, 1/2 and 1 come from binary metrics and must be equal.
-            (Some(a), Some(b)) if [0.0, 0.5, 1.0].contains(a) => a.total_cmp(b).is_eq(),
+            (Some(a), Some(b)) if [0.0, 0.5, 1.0].contains(&a) => a.total_cmp(&b).is_eq(),
             (Some(a), Some(b)) => (a - b).abs() <= close,
             (a, b) => a == b,
         };
