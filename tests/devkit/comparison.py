@@ -92,7 +92,8 @@ def compare(scenario: str, planner: str, challenge: str, devkit: dict, ours: dic
     names = [*theirs, *(name for name in own if name not in theirs and name.split("/")[0] in metrics)]
     for name in names:
         a, b = theirs.get(name), own.get(name)
-        found.values += 1
+        # Neither program has a score of a metric that only reports, nor a statistic that does not apply.
+        found.values += a is not None or b is not None
         if not same(a, b):
             found.differences.append(Difference(name, a, b))
     found.devkit_score, found.our_score = (None if s is None else 100 * s for s in (devkit["score"], ours["score"]))

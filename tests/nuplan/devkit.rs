@@ -16,10 +16,9 @@ use std::process::Command;
 
 /// Values that differ by no more are the same number in another order of operations.
 const SAME: f64 = 1e-6;
-/// The largest difference of a value. With reactive agents it is 2.2e-3 m of progress, since strips along their paths differ: see
-/// docs/devkit.md.
-const CLOSE: f64 = 5e-3;
-/// Share of the values that differ by no more than [`SAME`].
+/// The largest difference of a value. The tracker's state may differ by so much: it is a filter of the poses.
+const CLOSE: f64 = 1e-3;
+/// Share of the values that agree: within [`SAME`], those of the tracker's state within [`CLOSE`].
 const REACH: f64 = 0.99;
 /// Of a score of 1.
 const SAME_SCORE: f64 = 1e-4;
@@ -91,12 +90,18 @@ fn columns(metrics: &[MetricResult]) -> BTreeMap<String, f64> {
     scores.chain(statistics).collect()
 }
 
+/// Whether a column names the state that the devkit's tracker derives from poses: accelerations, jerks, yaw rates, comfort.
+fn of_tracker(column: &str) -> bool {
+    let metric = column.split('/').next().unwrap_or_default();
+    ["acceleration", "jerk", "yaw_rate", "is_comfortable"].iter().any(|end| metric.ends_with(end))
+}
+
 /// What differs in a simulation.
 #[derive(Debug, Default)]
 struct Differences {
     /// Number of the devkit's values.
     values: usize,
-    /// Number of those that differ by more than [`SAME`].
+    /// Number of those that do not agree.
     apart: usize,
     /// Values that differ by more than [`CLOSE`], and the score.
     wrong: Vec<String>,
@@ -115,7 +120,7 @@ impl Differences {
                 _ => f64::INFINITY,
             };
             found.values += 1;
-            found.apart += usize::from(distance > SAME);
+            found.apart += usize::from(distance > if of_tracker(name) { CLOSE } else { SAME });
             if distance > CLOSE {
                 found.wrong.push(format!("{name}: devkit {theirs:?}, ours {value:?}"));
             }
