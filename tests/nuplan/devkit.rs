@@ -1,4 +1,4 @@
-//! The values of nuplan-devkit and tuplan_garage on scenarios that we export. `tests/devkit` runs both programs; docs/devkit.md
+//! The values of nuplan-devkit and `tuplan_garage` on scenarios that we export. `tests/devkit` runs both programs; docs/devkit.md
 //! says how far they agree.
 
 use super::round_trip::{SimulatedPlanner, generated, read_back, simulated};
