@@ -163,9 +163,10 @@ class Scenarios {
     if (wait > 0) return;
     this.addressed = performance.now();
     clearTimeout(this.addressing);
-    // Scrubbing changes the time more often than browsers let a page change its address.
+    const address = location.hash;
+    // Scrubbing changes the time more often than browsers let a page change its address. Meanwhile the person may go elsewhere.
     this.addressing = setTimeout(() => {
-      if (!this.node.hidden) history.replaceState(null, "", hashOf(this.simulation, this.player.time));
+      if (!this.node.hidden && location.hash === address) history.replaceState(null, "", hashOf(this.simulation, this.player.time));
     }, this.player.playing ? 0 : ADDRESS_MS / 4);
   }
 
