@@ -39,6 +39,8 @@ trait Quantized {
     const SUM_WORDS: usize;
     /// Whether runs have minima beside scales.
     const MINIMA: bool;
+    /// Whether numbers are stored as bytes. Decoding reads these straight from the lines; unpacked twice, others would cost more.
+    const WHOLE_BYTES: bool;
     /// Activations that share a scale: a run, or the span.
     const SCALED: usize;
 
@@ -127,6 +129,13 @@ impl<Q: Quantized> Format for Q {
         words: &[i32],
         sums: &mut TileSums,
     ) {
+        if !Q::WHOLE_BYTES {
+            for (part, (lines, block)) in tiles.into_iter().zip(&mut *blocks).enumerate() {
+                prefetch_part(simd, ahead, part, TILES);
+                Self::unpack(simd, lines, block);
+            }
+            return Self::multiply::<S, 1>(simd, blocks, words, std::array::from_mut(sums));
+        }
         for (lines, block) in tiles.into_iter().zip(&mut *blocks) {
             Q::unpack_scales(simd, lines, block);
         }
@@ -243,6 +252,7 @@ impl Quantized for Q8_0 {
     const RUN: usize = 32;
     const SUM_WORDS: usize = 8;
     const MINIMA: bool = false;
+    const WHOLE_BYTES: bool = true;
     const SCALED: usize = 32;
 
     #[inline(always)]
@@ -284,6 +294,7 @@ impl Quantized for Q6K {
     const RUN: usize = 16;
     const SUM_WORDS: usize = 16;
     const MINIMA: bool = false;
+    const WHOLE_BYTES: bool = false;
     const SCALED: usize = SPAN;
 
     #[inline(always)]
@@ -325,6 +336,7 @@ impl Quantized for Q4K {
     const RUN: usize = 32;
     const SUM_WORDS: usize = 4;
     const MINIMA: bool = true;
+    const WHOLE_BYTES: bool = false;
     const SCALED: usize = SPAN;
 
     #[inline(always)]
