@@ -39,7 +39,8 @@ trait Quantized {
     const SUM_WORDS: usize;
     /// Whether runs have minima beside scales.
     const MINIMA: bool;
-    /// Whether numbers are stored as bytes. Decoding reads these straight from the lines; unpacked twice, others would cost more.
+    /// Whether numbers are stored as bytes. Decoding multiplies these straight from the lines; with other formats that was five times
+    /// slower (`docs/decisions/003-own-kernels.md`).
     const WHOLE_BYTES: bool;
     /// Activations that share a scale: a run, or the span.
     const SCALED: usize;
