@@ -4,7 +4,7 @@ use super::bicycle::Command;
 use super::profile::{JerkPenalty, MotionProfile};
 use crate::geometry::{Pose, wrap_angle};
 use crate::world::{EgoState, MICROS_PER_SECOND, PACIFICA, STEP_S, STEP_US, Trajectory, TrajectoryError};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 /// Horizon of the tracker, steps of 0.1 s.
 const HORIZON: usize = 10;
@@ -77,20 +77,21 @@ fn lateral(ego: &EgoState, target: Pose, acceleration: f64, profile: &MotionProf
     let (dx, dy) = (ego.rear_axle.x - target.x, ego.rear_axle.y - target.y);
     let errors =
         Vector3::new(-dx * sin + dy * cos, wrap_angle(ego.rear_axle.heading - target.heading), ego.steering_angle);
-    let mut a = Matrix3::identity();
+    // Columns of the product of the steps.
+    let mut a = [Vector3::x(), Vector3::y(), Vector3::z()];
     let mut b = Vector3::zeros();
     let mut drift = Vector3::zeros();
     for i in 0..HORIZON {
         let speed = ego.velocity.x + acceleration * STEP_S * i as f64;
-        let mut step = Matrix3::identity();
-        step[(0, 1)] = speed * STEP_S;
-        step[(1, 2)] = speed * STEP_S / PACIFICA.wheel_base;
-        a = step * a;
-        b = step * b + Vector3::new(0.0, 0.0, STEP_S);
+        // The matrix of a step is the identity with two numbers above its diagonal.
+        let (sideways, turn) = (speed * STEP_S, speed * STEP_S / PACIFICA.wheel_base);
+        let step = |v: Vector3<f64>| Vector3::new(v.x + sideways * v.y, v.y + turn * v.z, v.z);
+        a = a.map(step);
+        b = step(b) + Vector3::new(0.0, 0.0, STEP_S);
         let curvature = profile.curvature_at(steps + i as f64);
-        drift = step * drift - Vector3::new(0.0, speed * curvature * STEP_S, 0.0);
+        drift = step(drift) - Vector3::new(0.0, speed * curvature * STEP_S, 0.0);
     }
-    let mut terminal = a * errors + drift;
+    let mut terminal = a[0] * errors.x + a[1] * errors.y + a[2] * errors.z + drift;
     terminal[1] = wrap_angle(terminal[1]);
     terminal[2] = wrap_angle(terminal[2]);
     let weighted = b.component_mul(&Vector3::from(Q_LATERAL));

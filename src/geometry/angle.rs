@@ -3,6 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 /// The principal value of an angle, in [−π, π).
+#[inline]
 pub fn wrap_angle(angle: f64) -> f64 {
     let wrapped = (angle + PI).rem_euclid(TAU) - PI;
     // rem_euclid may round up to TAU itself for tiny negative inputs.

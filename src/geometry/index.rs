@@ -28,27 +28,32 @@ impl Bounds {
     }
 
     /// A square patch: all points within `half_size` of `center` on both axes (nuPlan's proximity query).
+    #[inline]
     pub fn square(center: Point, half_size: f64) -> Self {
         Self { min: center, max: center }.grown(half_size)
     }
 
     /// Moved outwards on every side.
+    #[inline]
     pub fn grown(self, by: f64) -> Self {
         let margin = nalgebra::Vector2::new(by, by);
         Self { min: self.min - margin, max: self.max + margin }
     }
 
     /// Smallest rectangle around both.
+    #[inline]
     pub fn joined(self, other: Self) -> Self {
         Self { min: self.min.inf(&other.min), max: self.max.sup(&other.max) }
     }
 
     /// Whether a point lies inside or on the edge.
+    #[inline]
     pub fn contains(&self, p: Point) -> bool {
         p.x >= self.min.x && p.x <= self.max.x && p.y >= self.min.y && p.y <= self.max.y
     }
 
     /// Squared distance from a point, m²; 0 inside.
+    #[inline]
     pub fn distance_squared(&self, p: Point) -> f64 {
         let x = (self.min.x - p.x).max(p.x - self.max.x).max(0.0);
         let y = (self.min.y - p.y).max(p.y - self.max.y).max(0.0);
@@ -56,11 +61,13 @@ impl Bounds {
     }
 
     /// Whether two rectangles share a point.
+    #[inline]
     pub fn overlaps(&self, other: &Self) -> bool {
         self.min.x <= other.max.x && other.min.x <= self.max.x && self.min.y <= other.max.y && other.min.y <= self.max.y
     }
 
     /// Distance from a point to the rectangle, meters; 0 inside.
+    #[inline]
     pub fn distance_to(&self, p: Point) -> f64 {
         let outside = |low: f64, at: f64, high: f64| (low - at).max(at - high).max(0.0);
         outside(self.min.x, p.x, self.max.x).hypot(outside(self.min.y, p.y, self.max.y))

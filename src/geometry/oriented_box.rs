@@ -18,11 +18,13 @@ pub struct OrientedBox {
 
 impl OrientedBox {
     /// A box around `center`.
+    #[inline]
     pub fn new(center: Pose, length: f64, width: f64) -> Self {
         Self { center, length, width }
     }
 
     /// Corners in nuPlan's order: front left, rear left, rear right, front right.
+    #[inline]
     pub fn corners(&self) -> [Point; 4] {
         let (l, w) = (self.length / 2.0, self.width / 2.0);
         [(l, w), (-l, w), (-l, -w), (l, -w)].map(|(x, y)| self.center.to_map(Point::new(x, y)))
@@ -45,17 +47,20 @@ impl OrientedBox {
     }
 
     /// Smallest axis-aligned rectangle around the box.
+    #[inline]
     pub fn bounds(&self) -> Bounds {
         Bounds::around(&self.corners())
     }
 
     /// Whether a point lies in the box or on its edge.
+    #[inline]
     pub fn contains(&self, point: Point) -> bool {
         let local = self.center.to_local(point);
         local.x.abs() <= self.length / 2.0 && local.y.abs() <= self.width / 2.0
     }
 
     /// The same box at another center pose.
+    #[inline]
     pub fn moved_to(&self, center: Pose) -> Self {
         Self { center, ..*self }
     }
@@ -89,6 +94,7 @@ impl OrientedBox {
     }
 
     /// The box with the sine and cosine of its heading, for many queries.
+    #[inline]
     pub(super) fn frame(&self) -> BoxFrame {
         let (sin, cos) = self.center.heading.sin_cos();
         let half = (self.length / 2.0, self.width / 2.0);
@@ -135,6 +141,7 @@ impl BoxFrame {
     }
 
     /// Squared distance from a point to the box, m²; 0 inside.
+    #[inline]
     pub(super) fn distance_squared(&self, point: Point) -> f64 {
         let d = point - self.center;
         let x = ((self.cos * d.x + self.sin * d.y).abs() - self.half.0).max(0.0);

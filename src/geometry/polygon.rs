@@ -59,11 +59,13 @@ impl Polygon {
     }
 
     /// Smallest axis-aligned rectangle around the polygon.
+    #[inline]
     pub fn bounds(&self) -> Bounds {
         self.bounds
     }
 
     /// The edges of all rings, the closing ones included.
+    #[inline]
     pub fn edges(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
         self.rings().flat_map(|ring| (0..ring.len()).map(|i| (ring[i], ring[(i + 1) % ring.len()])))
     }
@@ -215,6 +217,7 @@ fn ring_holds(ring: &[Point], point: Point) -> bool {
 }
 
 /// Distance from a point to the segment between two others, meters.
+#[inline]
 pub(super) fn segment_distance(point: Point, from: Point, to: Point) -> f64 {
     let along = to - from;
     let squared = along.norm_squared();
@@ -223,6 +226,7 @@ pub(super) fn segment_distance(point: Point, from: Point, to: Point) -> f64 {
 }
 
 /// Whether two closed segments share a point.
+#[inline]
 pub(super) fn segments_cross(a: Point, b: Point, c: Point, d: Point) -> bool {
     let side = |p: Point, q: Point, r: Point| (q - p).perp(&(r - p));
     let (d1, d2, d3, d4) = (side(c, d, a), side(c, d, b), side(a, b, c), side(a, b, d));

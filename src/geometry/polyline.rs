@@ -68,16 +68,19 @@ impl Polyline {
     }
 
     /// Total length, meters.
+    #[inline]
     pub fn length(&self) -> f64 {
         self.arc_lengths[self.arc_lengths.len() - 1]
     }
 
     /// First vertex.
+    #[inline]
     pub fn start(&self) -> Point {
         self.vertices[0]
     }
 
     /// Last vertex.
+    #[inline]
     pub fn end(&self) -> Point {
         self.vertices[self.vertices.len() - 1]
     }

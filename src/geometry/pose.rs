@@ -15,37 +15,44 @@ pub struct Pose {
 
 impl Pose {
     /// A pose from its three numbers.
+    #[inline]
     pub fn new(x: f64, y: f64, heading: f64) -> Self {
         Self { x, y, heading }
     }
 
     /// A pose at a point.
+    #[inline]
     pub fn at(position: Point, heading: f64) -> Self {
         Self { x: position.x, y: position.y, heading }
     }
 
     /// The position alone.
+    #[inline]
     pub fn position(&self) -> Point {
         Point::new(self.x, self.y)
     }
 
     /// Unit vector along the heading.
+    #[inline]
     pub fn direction(&self) -> Vector {
         Vector::new(self.heading.cos(), self.heading.sin())
     }
 
     /// Turns a vector of this pose's frame (x forward, y left) into the map frame.
+    #[inline]
     pub fn rotate(&self, local: Vector) -> Vector {
         let (sin, cos) = self.heading.sin_cos();
         Vector::new(cos * local.x - sin * local.y, sin * local.x + cos * local.y)
     }
 
     /// A point of this pose's frame (x forward, y left), in the map frame.
+    #[inline]
     pub fn to_map(&self, local: Point) -> Point {
         self.position() + self.rotate(local.coords)
     }
 
     /// A point of the map frame, in this pose's frame (x forward, y left).
+    #[inline]
     pub fn to_local(&self, point: Point) -> Point {
         let (sin, cos) = self.heading.sin_cos();
         let d = point - self.position();
@@ -53,11 +60,13 @@ impl Pose {
     }
 
     /// The pose moved along its own axes: `forward` meters ahead, `left` meters to the left; the heading stays.
+    #[inline]
     pub fn translated(&self, forward: f64, left: f64) -> Self {
         Self::at(self.to_map(Point::new(forward, left)), self.heading)
     }
 
     /// Straight-line distance between two positions, meters.
+    #[inline]
     pub fn distance(&self, other: &Self) -> f64 {
         (self.position() - other.position()).norm()
     }

@@ -66,6 +66,7 @@ impl ForecastObject {
     }
 
     /// The center after so many steps of 0.1 s, at the forecast's resolution: odd steps show the even step before.
+    #[inline]
     pub(super) fn center_at(&self, step: usize) -> Point {
         let seconds = (step / RESOLUTION_STEPS * RESOLUTION_STEPS) as f64 * STEP_S;
         self.track.shape.center.position() + self.velocity * seconds

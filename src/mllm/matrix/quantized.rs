@@ -39,9 +39,6 @@ trait Quantized {
     const SUM_WORDS: usize;
     /// Whether runs have minima beside scales.
     const MINIMA: bool;
-    /// Whether numbers are stored as bytes. Decoding multiplies these straight from the lines; with other formats that was five times
-    /// slower (`docs/decisions/003-own-kernels.md`).
-    const WHOLE_BYTES: bool;
     /// Activations that share a scale: a run, or the span.
     const SCALED: usize;
 
@@ -117,8 +114,7 @@ impl<Q: Quantized> Format for Q {
         words: &[i32],
         sums: &mut [TileSums; ROWS],
     ) {
-        let numbers = |step: usize| blocks.each_ref().map(|block| simd.bytes(&block.numbers[step]));
-        add_products::<Q, S, ROWS>(simd, blocks, numbers, |_| {}, words, sums);
+        add_products::<Q, S, Unpacked<'_>, ROWS>(simd, blocks, &Unpacked(blocks), words, sums);
     }
 
     #[inline(always)]
@@ -130,30 +126,67 @@ impl<Q: Quantized> Format for Q {
         words: &[i32],
         sums: &mut TileSums,
     ) {
-        if !Q::WHOLE_BYTES {
-            for (part, (lines, block)) in tiles.into_iter().zip(&mut *blocks).enumerate() {
-                prefetch_part(simd, ahead, part, TILES);
-                Self::unpack(simd, lines, block);
-            }
-            return Self::multiply::<S, 1>(simd, blocks, words, std::array::from_mut(sums));
-        }
         for (lines, block) in tiles.into_iter().zip(&mut *blocks) {
             Q::unpack_scales(simd, lines, block);
         }
-        let numbers = |step: usize| tiles.map(|lines| Q::numbers(simd, lines, step));
-        let prefetch = |run: usize| prefetch_part(simd, ahead, run, SPAN / Q::RUN);
-        add_products::<Q, S, 1>(simd, blocks, numbers, prefetch, words, std::array::from_mut(sums));
+        add_products::<Q, S, Packed<'_>, 1>(simd, blocks, &Packed { tiles, ahead }, words, std::array::from_mut(sums));
     }
 }
 
-/// Adds the products of a span with `ROWS` rows to their sums. `numbers` gives the numbers of a step of both tiles; `begin` is called
-/// with the index of each run of numbers that share a scale.
+/// Where the numbers of a span come from. A trait and not closures: a closure that is not inlined is compiled without the vector
+/// instructions of its caller, which made decoding five times slower.
+trait Numbers<Q: Quantized> {
+    /// Called before each run of numbers that share a scale.
+    fn begin<S: Simd>(&self, simd: S, run: usize);
+    /// The numbers of a step of each tile.
+    fn step<S: Simd>(&self, simd: S, step: usize) -> [S::Bytes; TILES];
+}
+
+/// Blocks that were unpacked before, for many rows.
+struct Unpacked<'a>(&'a [Block; TILES]);
+
+impl<Q: Quantized> Numbers<Q> for Unpacked<'_> {
+    #[inline(always)]
+    fn begin<S: Simd>(&self, _: S, _: usize) {}
+
+    #[inline(always)]
+    fn step<S: Simd>(&self, simd: S, step: usize) -> [S::Bytes; TILES] {
+        let mut numbers = [simd.bytes(&CacheLine::ZERO); TILES];
+        for (numbers, block) in numbers.iter_mut().zip(self.0) {
+            *numbers = simd.bytes(&block.numbers[step]);
+        }
+        numbers
+    }
+}
+
+/// The lines as they are stored, for one row, and the lines that come next.
+struct Packed<'a> {
+    tiles: [&'a [CacheLine]; TILES],
+    ahead: [&'a [CacheLine]; TILES],
+}
+
+impl<Q: Quantized> Numbers<Q> for Packed<'_> {
+    #[inline(always)]
+    fn begin<S: Simd>(&self, simd: S, run: usize) {
+        prefetch_part(simd, self.ahead, run, SPAN / Q::RUN);
+    }
+
+    #[inline(always)]
+    fn step<S: Simd>(&self, simd: S, step: usize) -> [S::Bytes; TILES] {
+        let mut numbers = [simd.bytes(&CacheLine::ZERO); TILES];
+        for (numbers, lines) in numbers.iter_mut().zip(self.tiles) {
+            *numbers = Q::numbers(simd, lines, step);
+        }
+        numbers
+    }
+}
+
+/// Adds the products of a span with `ROWS` rows to their sums.
 #[inline(always)]
-fn add_products<Q: Quantized, S: Simd, const ROWS: usize>(
+fn add_products<Q: Quantized, S: Simd, N: Numbers<Q>, const ROWS: usize>(
     simd: S,
     blocks: &[Block; TILES],
-    numbers: impl Fn(usize) -> [S::Bytes; TILES],
-    begin: impl Fn(usize),
+    numbers: &N,
     words: &[i32],
     sums: &mut [TileSums; ROWS],
 ) {
@@ -163,7 +196,7 @@ fn add_products<Q: Quantized, S: Simd, const ROWS: usize>(
     let mut spans = [[simd.floats(0.0); TILES]; ROWS];
     let steps = Q::RUN / 4;
     for (run, activations) in activations.chunks_exact(steps).enumerate() {
-        begin(run);
+        numbers.begin(simd, run);
         let mut products = [[simd.ints(0); TILES]; ROWS];
         if !Q::MINIMA {
             for (products, word) in products.iter_mut().zip(&run_sums[run]) {
@@ -171,7 +204,7 @@ fn add_products<Q: Quantized, S: Simd, const ROWS: usize>(
             }
         }
         for (step, activations) in activations.iter().enumerate() {
-            let weights = numbers(run * steps + step);
+            let weights = numbers.step(simd, run * steps + step);
             for (products, activations) in products.iter_mut().zip(activations) {
                 for (product, weights) in products.iter_mut().zip(weights) {
                     *product = Q::dot(simd, *product, weights, *activations);
@@ -253,7 +286,6 @@ impl Quantized for Q8_0 {
     const RUN: usize = 32;
     const SUM_WORDS: usize = 8;
     const MINIMA: bool = false;
-    const WHOLE_BYTES: bool = true;
     const SCALED: usize = 32;
 
     #[inline(always)]
@@ -295,7 +327,6 @@ impl Quantized for Q6K {
     const RUN: usize = 16;
     const SUM_WORDS: usize = 16;
     const MINIMA: bool = false;
-    const WHOLE_BYTES: bool = false;
     const SCALED: usize = SPAN;
 
     #[inline(always)]
@@ -337,7 +368,6 @@ impl Quantized for Q4K {
     const RUN: usize = 32;
     const SUM_WORDS: usize = 4;
     const MINIMA: bool = true;
-    const WHOLE_BYTES: bool = false;
     const SCALED: usize = SPAN;
 
     #[inline(always)]
