@@ -8,5 +8,19 @@ use mimalloc::MiMalloc;
 static ALLOCATOR: MiMalloc = MiMalloc;
 
 fn main() -> std::process::ExitCode {
+    name_threads();
     planagent::cli::run()
+}
+
+/// candle asks for its number of threads at each product. Without this variable it reads `/proc/cpuinfo` each time, which took a
+/// seventh of the CPU time of a simulation with nano.
+#[allow(unsafe_code)]
+fn name_threads() {
+    const THREADS: &str = "RAYON_NUM_THREADS";
+    if std::env::var_os(THREADS).is_none()
+        && let Ok(threads) = std::thread::available_parallelism()
+    {
+        // SAFETY: `main` calls this first, so no other thread can read the environment meanwhile.
+        unsafe { std::env::set_var(THREADS, threads.to_string()) }
+    }
 }
