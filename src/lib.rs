@@ -83,7 +83,9 @@ pub mod road {
 pub mod traffic {
     pub use crate::dynamics::{TrackingError, follow};
     pub use crate::scenario::Frame;
-    pub use crate::simulation::{AGENT_POLICIES, AgentPolicy, AgentPolicySpec, SimulationError, SimulationLog};
+    pub use crate::simulation::{
+        AGENT_POLICIES, AgentPolicy, AgentPolicyError, AgentPolicyName, AgentPolicySpec, SimulationError, SimulationLog,
+    };
     pub use crate::world::{
         ObjectKind, PACIFICA, SignalStatus, TrackToken, TrackedObject, TrafficLights, VehicleParameters,
     };

@@ -1,7 +1,7 @@
 //! The agent of the paper as a library type.
 
 use super::Result;
-use crate::mllm::{HubAccess, Mllm, ModelRegistry};
+use crate::mllm::{HubAccess, Mllm, ModelRegistry, data_folder};
 use crate::planner::{
     CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
     PlannerParts, PlannerRegistry, PlanningCall,
@@ -180,19 +180,14 @@ impl AgentBuilder {
         let registry = ModelRegistry::new(self.models.clone().unwrap_or_else(models_folder), hub);
         let spec = registry.find(&self.model)?;
         let model: Arc<dyn Mllm> = Arc::from(registry.open(&spec)?);
+        let asking = registry.asking(&spec)?;
         let config = ReasoningConfig { prompt_set: self.prompts.clone(), ..ReasoningConfig::default() };
-        let (prompts, reasoning) = (Arc::new(config.prompts(spec.prompt_set)?), config.settings(spec.generation));
+        let (prompts, reasoning) = (Arc::new(config.prompts(&asking.prompt_set)?), config.settings(asking.generation));
         Ok(CodeSource::Model { model, prompts, reasoning })
     }
 }
 
 /// `$PLANAGENT_MODELS`, else `models` in the working directory, else beside the program or the package being run.
 pub(crate) fn models_folder() -> PathBuf {
-    if let Some(folder) = std::env::var_os(MODELS_VARIABLE) {
-        return folder.into();
-    }
-    let beside_program = std::env::current_exe().ok().and_then(|exe| exe.parent().map(|folder| folder.join(MODELS)));
-    let package = std::env::var_os("CARGO_MANIFEST_DIR").map(|folder| PathBuf::from(folder).join(MODELS));
-    let places = [Some(PathBuf::from(MODELS)), beside_program, package];
-    places.into_iter().flatten().find(|folder| folder.is_dir()).unwrap_or_else(|| PathBuf::from(MODELS))
+    data_folder(MODELS_VARIABLE, MODELS)
 }

@@ -86,7 +86,15 @@ Examples:
 pub(super) const PLAN: &str = "\
 Examples:
   planagent plan --scenario generated/changing_lane/3 --at 3 --image bev.png
-  planagent plan --model local-server --json";
+  planagent plan --model local-server --json
+  Why would Reflection refuse this code?
+    planagent plan --code 'Generate_IDM_Planner(ego_lane, None, 13, 2, 3)'";
+
+pub(super) const ASK: &str = "\
+Examples:
+  planagent ask \"What blocks the ego's lane?\" --model llava-1.5-7b
+  planagent ask \"Is the light red?\" --scenario generated/changing_lane/3 \\
+    --at 3 --model local-server --image scene.png";
 
 pub(super) const REPORT: &str = "\
 Examples:

@@ -59,6 +59,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
     pool.install(|| match &arguments.command {
         Command::Simulate(flags) => commands::simulate::run(flags, config, printer),
         Command::Plan(flags) => commands::plan::run(flags, config, printer),
+        Command::Ask(flags) => commands::ask::run(flags, config, printer),
         Command::Render(flags) => commands::render::run(flags, printer),
         Command::Report(flags) => commands::report::run(flags, printer),
         Command::Compare(flags) => commands::compare::run(flags, printer),

@@ -48,6 +48,14 @@ impl Printer {
         }
     }
 
+    /// A piece of text on stdout at once, without the end of a line, unless stdout carries JSON.
+    pub fn piece(&self, text: &str) {
+        if !self.json {
+            let mut out = std::io::stdout().lock();
+            note_failure(&out.write_all(text.as_bytes()).and_then(|()| out.flush()));
+        }
+    }
+
     /// A name with details beside it, or below it where the line would be too long. The name is never broken, so that it can
     /// be copied.
     pub fn named(&self, name: &str, details: &str) {
@@ -166,8 +174,11 @@ static STDOUT_FAILED: AtomicBool = AtomicBool::new(false);
 
 /// Writes a line to stdout; a closed pipe ends the output, not the program.
 fn write_line(text: &str) {
-    let written = writeln!(std::io::stdout().lock(), "{text}");
-    if written.is_err_and(|e| e.kind() != ErrorKind::BrokenPipe) {
+    note_failure(&writeln!(std::io::stdout().lock(), "{text}"));
+}
+
+fn note_failure(written: &std::io::Result<()>) {
+    if written.as_ref().is_err_and(|e| e.kind() != ErrorKind::BrokenPipe) {
         STDOUT_FAILED.store(true, Ordering::Relaxed);
     }
 }

@@ -60,6 +60,10 @@ impl Settings {
             note("--model", "mllm.model", model.clone().into());
             config.mllm.model = model;
         }
+        if let Some(set) = flags.prompt_set {
+            note("--prompt-set", "reasoning.prompt_set", set.clone().into());
+            config.reasoning.prompt_set = Some(set);
+        }
         if let Some(format) = flags.quantize {
             note("--quantize", "mllm.quantize", format.to_string().into());
             config.mllm.quantize = Some(format);

@@ -9,7 +9,7 @@ use crate::planner::{
     PlannerParts, PlannerRegistry, PlanningCall, UnknownPlanner,
 };
 use crate::scenario::{Scenario, ScenarioRef, UNKNOWN_TYPE};
-use crate::simulation::{Challenge, Progress, SimulationLog, simulate_with_progress};
+use crate::simulation::{AgentCommand, Challenge, ClosedLoop, Progress, SimulationLog, simulate_prepared};
 use crate::world::EgoState;
 use rayon::prelude::*;
 use std::fmt;
@@ -23,6 +23,8 @@ pub struct AgentParts {
     /// The model, for planners that need one.
     pub model: Option<CodeSource>,
     pub settings: PlanAgentSettings,
+    /// The command that controls the other agents, for simulations under its policy.
+    pub agents: Option<AgentCommand>,
 }
 
 impl AgentParts {
@@ -187,7 +189,14 @@ fn simulate_task(
     on_iteration: &(dyn Fn(Progress) + Sync),
 ) -> Result<SimulationOutcome, String> {
     let mut planner = parts.planner(planner, scenario).map_err(|error| with_causes(&error))?;
-    let log = simulate_with_progress(scenario, planner.as_mut(), challenge, &mut |progress| on_iteration(progress))
+    // Only a policy that was given is started; without it, the first step fails.
+    let own = parts.agents.as_ref().filter(|agents| Some(agents.name) == challenge.own_agents());
+    let simulation = match own {
+        Some(agents) => ClosedLoop::with_agents(scenario, challenge, |first| agents.policy(scenario, first)),
+        None => ClosedLoop::new(scenario, challenge),
+    };
+    let log = simulation
+        .and_then(|simulation| simulate_prepared(simulation, planner.as_mut(), challenge, &mut |p| on_iteration(p)))
         .map_err(|error| with_causes(&error))?;
     let (calls, drivable_layers) = (planner.take_calls(), planner.drivable_layers());
     let Evaluation { score, metrics } = log.evaluate(scenario).map_err(|error| with_causes(&error))?;

@@ -40,6 +40,22 @@ pub trait Conversation: Send {
     /// request's deadline passes.
     fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError>;
 
+    /// As [`Self::ask`]. `on_text` gets the pieces of the answer as they are generated; joined, they are its text. A backend that
+    /// does not know the pieces gives the whole.
+    ///
+    /// # Errors
+    /// As [`Self::ask`].
+    fn ask_aloud(
+        &mut self,
+        prompt: &str,
+        request: &Request,
+        on_text: &mut dyn FnMut(&str),
+    ) -> Result<Answer, MllmError> {
+        let answer = self.ask(prompt, request)?;
+        on_text(&answer.text);
+        Ok(answer)
+    }
+
     /// The current point of the conversation.
     fn mark(&self) -> Mark;
 

@@ -112,7 +112,7 @@ impl EndpointSettings {
         let plain = |character: char| character.is_ascii_alphanumeric() || "-._~%:/[]".contains(character);
         if self.host().is_none() || !self.endpoint.chars().all(plain) {
             let endpoint = &self.endpoint;
-            return Err(format!("endpoint {endpoint:?} is not an address with http:// or https:// and a host"));
+            return Err(format!("endpoint '{endpoint}' is not an address with http:// or https:// and a host"));
         }
         if self.model.trim().is_empty() {
             return Err("model is empty".into());

@@ -36,7 +36,7 @@ pub enum MllmError {
     NonFiniteWeight { path: PathBuf, name: String, element: usize, value: f32 },
     #[error("{path}: {problem}")]
     Tokenizer { path: PathBuf, problem: String },
-    #[error("token {token:?} has id {id}, but the model's vocabulary has {vocabulary} entries")]
+    #[error("token '{}' has id {id}, but the model's vocabulary has {vocabulary} entries", token.escape_debug())]
     Vocabulary { token: String, id: u32, vocabulary: usize },
     #[error("the rendered prompt has {found} image tokens, expected {expected}")]
     ImagePlaceholder { expected: usize, found: usize },
@@ -56,11 +56,14 @@ pub enum MllmError {
     NonFiniteLogits { position: usize, token: usize, value: f32 },
     #[error("{path}: {problem}")]
     Description { path: PathBuf, problem: String },
-    #[error("unknown model {name:?}: not a description in {models}, a folder or a hub id; described models: {known}")]
+    #[error("unknown model '{name}': not a description in {models}, a folder or a hub id; described models: {known}")]
     UnknownModel { name: String, models: PathBuf, known: String },
-    #[error("unknown model shape {name:?}; choose one of {known}")]
+    #[error("unknown model shape '{name}'; choose one of {known}")]
     UnknownShape { name: String, known: String },
-    #[error("{id} (revision {revision}): {file} is not in the cache {cache}, and downloads are off (mllm.offline)")]
+    #[error(
+        "{id} (revision {revision}): {file} is not in the cache {cache}; download it without mllm.offline, for example by \
+         `planagent models fetch {id}`"
+    )]
     NotInCache { id: String, revision: String, file: String, cache: PathBuf },
     #[error("{id} (revision {revision}): {problem}")]
     Hub { id: String, revision: String, problem: String },
@@ -70,7 +73,7 @@ pub enum MllmError {
     Key { variable: String, problem: &'static str },
     #[error("mllm.offline forbids requests to {endpoint}")]
     Offline { endpoint: String },
-    #[error("model {name:?} has no files, because {endpoint} runs it")]
+    #[error("model '{name}' has no files, because {endpoint} runs it")]
     NoFiles { name: String, endpoint: String },
     #[error("{endpoint}: {failure}")]
     Endpoint { endpoint: String, failure: EndpointFailure },

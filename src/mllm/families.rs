@@ -56,7 +56,7 @@ impl Families {
         };
         self.iter().find(|family| family.0.config_names.contains(&found.as_str())).ok_or_else(|| {
             let known: Vec<&str> = self.iter().filter_map(|family| family.0.config_names.first().copied()).collect();
-            root.error(key, format!("{found:?} is not supported; supported are {}", known.join(", ")))
+            root.error(key, format!("'{found}' is not supported; supported are {}", known.join(", ")))
         })
     }
 }
@@ -95,7 +95,7 @@ impl<'de> Deserialize<'de> for Architecture {
         let name = String::deserialize(deserializer)?;
         Self::named(&name).ok_or_else(|| {
             let known: Vec<&str> = Families::default().iter().map(Self::name).collect();
-            D::Error::custom(format!("unknown architecture {name:?}; known are {}", known.join(", ")))
+            D::Error::custom(format!("unknown architecture '{name}'; known are {}", known.join(", ")))
         })
     }
 }

@@ -61,9 +61,10 @@ pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
 pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
+pub(crate) use registry::data_folder;
 pub use registry::{
-    FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelRegistry, ModelSource, ModelSpec, PromptSet,
-    RoundTokens,
+    Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelRegistry, ModelSource, ModelSpec,
+    NamedBy, PromptSet, RoundTokens,
 };
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::ChatTokenizer;

@@ -3,8 +3,8 @@
 use crate::environment::{AgentName, CenterlineName, LaneGraph};
 use crate::mllm::{Deadline, Mllm};
 use crate::reasoning::{
-    ACCELERATIONS, DECELERATIONS, Feedback, Names, PlannerCode, PromptSet, Reasoning, ReasoningError,
-    ReasoningSettings, ReasoningTrace, ScenarioPrompt, target_speeds,
+    ACCELERATIONS, DECELERATIONS, Feedback, Names, Parsed, PlannerCode, PromptSet, Reasoning, ReasoningError,
+    ReasoningSettings, ReasoningTrace, ScenarioPrompt, parse, target_speeds,
 };
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -34,6 +34,8 @@ pub enum CodeSource {
     /// A baseline: the code of a grid that Reflection scores best. Earlier codes win ties: the ego's lane before others, fast before
     /// slow.
     Grid,
+    /// One line that a person wrote, in one attempt.
+    Written(String),
 }
 
 impl CodeSource {
@@ -41,7 +43,7 @@ impl CodeSource {
     pub(super) fn image_size(&self) -> Option<u32> {
         match self {
             Self::Model { model, .. } => model.describe().image_size,
-            Self::Random | Self::Fixed | Self::Grid => None,
+            Self::Random | Self::Fixed | Self::Grid | Self::Written(_) => None,
         }
     }
 
@@ -49,7 +51,7 @@ impl CodeSource {
     pub(super) fn prompts(&self) -> Option<&PromptSet> {
         match self {
             Self::Model { prompts, .. } => Some(prompts),
-            Self::Random | Self::Fixed | Self::Grid => None,
+            Self::Random | Self::Fixed | Self::Grid | Self::Written(_) => None,
         }
     }
 
@@ -74,6 +76,7 @@ impl CodeSource {
             Self::Random => random_codes(&scenario.names, seed, attempts),
             Self::Fixed => fixed_code(graph),
             Self::Grid => grid(graph),
+            Self::Written(line) => return Ok(Codes::Written(Some(parse(line, &scenario.names)))),
         };
         Ok(Codes::Listed(codes.into_iter()))
     }
@@ -83,6 +86,7 @@ impl CodeSource {
 pub(super) enum Codes<'a> {
     Reasoned(Box<Reasoning<'a>>),
     Listed(std::vec::IntoIter<PlannerCode>),
+    Written(Option<Parsed<PlannerCode>>),
 }
 
 impl Codes<'_> {
@@ -94,6 +98,7 @@ impl Codes<'_> {
         match self {
             Self::Reasoned(reasoning) => reasoning.think(feedback).map(Some),
             Self::Listed(codes) => Ok(codes.next().map(ReasoningTrace::without_rounds)),
+            Self::Written(parsed) => Ok(parsed.take().map(ReasoningTrace::of_parsed)),
         }
     }
 }

@@ -30,7 +30,10 @@ pub use agent_state::{ActivePlan, AgentState};
 pub use code_source::{CodeSource, DEFAULT_ACCELERATIONS, planner_code};
 pub use delayed::Delayed;
 pub use error::PlannerError;
-pub use exec::{DEFAULT_EXEC_TIMEOUT, ExecCommand, ExecError, ExecReply, ExecRequest, is_exec};
+pub use exec::{
+    AnswerError, DEFAULT_EXEC_TIMEOUT, ExecAgent, ExecAgentsStep, ExecCommand, ExecError, ExecReply, ExecRequest,
+    ExecSession, is_exec, kept, moved,
+};
 pub use gated::Gated;
 pub use idm::IdmPlanner;
 pub use latency::Latency;

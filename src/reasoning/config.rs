@@ -1,14 +1,15 @@
 //! Section `reasoning` of the configuration.
 
 use super::{PromptError, PromptSet, ReasoningSettings, Round};
-use crate::mllm::{GenerationSettings, PromptSet as PromptSetName, Sampling};
+use crate::mllm::{GenerationSettings, Sampling};
 use serde::{Deserialize, Serialize};
 
 /// How the model is asked.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReasoningConfig {
-    /// `paper`, `compact` or a folder of templates; `None` for the set that the model's description names.
+    /// `paper`, `compact`, a folder of `prompts/`, or the path of a folder of templates; `None` for the set that the model's
+    /// description or its own files name.
     pub prompt_set: Option<String>,
     /// The rounds in order; the last must be `code`.
     pub rounds: Vec<Round>,
@@ -27,12 +28,9 @@ impl Default for ReasoningConfig {
 }
 
 impl ReasoningConfig {
-    /// The prompt set for a model whose description names `of_model`.
-    pub fn prompts(&self, of_model: PromptSetName) -> Result<PromptSet, PromptError> {
-        PromptSet::open(self.prompt_set.as_deref().unwrap_or(match of_model {
-            PromptSetName::Compact => "compact",
-            PromptSetName::Paper => "paper",
-        }))
+    /// The prompt set for a model whose own is `of_model`.
+    pub fn prompts(&self, of_model: &str) -> Result<PromptSet, PromptError> {
+        PromptSet::open(self.prompt_set.as_deref().unwrap_or(of_model))
     }
 
     /// The settings for a model with these generation settings.

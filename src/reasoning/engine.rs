@@ -97,7 +97,12 @@ pub struct ReasoningTrace<A> {
 impl<A> ReasoningTrace<A> {
     /// An answer that no model gave.
     pub fn without_rounds(answer: A) -> Self {
-        Self { rounds: Vec::new(), interruption: None, instruction: None, parsed: Parsed::of(answer) }
+        Self::of_parsed(Parsed::of(answer))
+    }
+
+    /// A line that no model gave, as it was read.
+    pub fn of_parsed(parsed: Parsed<A>) -> Self {
+        Self { rounds: Vec::new(), interruption: None, instruction: None, parsed }
     }
 }
 

@@ -6,7 +6,9 @@ use std::path::PathBuf;
 /// Why a prompt set cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum PromptError {
-    #[error("prompt set '{0}' is neither built in (paper, compact) nor a folder with a set.toml")]
+    #[error(
+        "prompt set '{0}' is neither built in (paper, compact), nor a folder of prompts/, nor a folder with a set.toml"
+    )]
     Unknown(String),
     #[error("cannot read {path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },

@@ -13,6 +13,8 @@ mod error;
 mod grammar;
 mod instruction;
 mod prompt_set;
+mod prompt_source;
+mod question;
 mod round;
 mod templates;
 
@@ -33,4 +35,6 @@ pub use error::{PromptError, ReasoningError};
 pub use grammar::{ACCELERATIONS, DECELERATIONS, target_speeds};
 pub use instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction};
 pub use prompt_set::{InstructionForm, PromptForms, PromptSet, UnderstandingForm};
+pub use prompt_source::PromptPlace;
+pub use question::{FreeQuestion, question_prompt};
 pub use round::Round;

@@ -1,15 +1,21 @@
-//! Prompt sets: folders of templates with a `set.toml`, two of them built in.
+//! Prompt sets: folders of templates with a `set.toml`. Two of them are built in.
 
 use super::error::PromptError;
+use super::prompt_source::{PromptFiles, PromptPlace};
 use super::round::Round;
 use super::templates::Templates;
 use crate::environment::text::TextForm;
 use minijinja::Value;
 use serde::Deserialize;
-use std::path::{Path, PathBuf};
 
-/// File names of the templates.
-const TEMPLATES: [&str; 5] = ["system", "understanding", "instruction", "code", "feedback"];
+/// The file with the forms.
+const SETTINGS: &str = "set.toml";
+/// The files of a set.
+const FILES: [&str; 6] =
+    [SETTINGS, "system.jinja", "understanding.jinja", "instruction.jinja", "code.jinja", "feedback.jinja"];
+/// Sets of a question outside the rounds, with their files.
+const QUESTION_SETS: [&str; 3] = ["llm_assist_unc", "llm_assist_par", "ask"];
+const QUESTION_FILES: [&str; 2] = ["system.jinja", "question.jinja"];
 
 /// The form of answers in round 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
@@ -41,56 +47,62 @@ pub struct PromptForms {
     pub instruction: InstructionForm,
 }
 
-/// A set of prompts: its forms and its compiled templates.
+/// A set of prompts: its forms and its compiled templates, and beside them those of LLM-ASSIST's questions.
 #[derive(Debug)]
 pub struct PromptSet {
     forms: PromptForms,
     templates: Templates,
+    questions: Vec<Templates>,
+    place: PromptPlace,
+    is_built_in: bool,
+    blake3: String,
 }
-
-macro_rules! built_in {
-    ($name:literal) => {
-        (
-            $name,
-            include_str!(concat!("../../prompts/", $name, "/set.toml")),
-            [
-                include_str!(concat!("../../prompts/", $name, "/system.jinja")),
-                include_str!(concat!("../../prompts/", $name, "/understanding.jinja")),
-                include_str!(concat!("../../prompts/", $name, "/instruction.jinja")),
-                include_str!(concat!("../../prompts/", $name, "/code.jinja")),
-                include_str!(concat!("../../prompts/", $name, "/feedback.jinja")),
-            ],
-        )
-    };
-}
-
-/// The sets that are compiled into the program: name, settings, templates in the order of [`TEMPLATES`].
-const BUILT_IN: [(&str, &str, [&str; 5]); 2] = [built_in!("paper"), built_in!("compact")];
 
 impl PromptSet {
-    /// A built-in set by name, or the set in a folder.
+    /// The set of a name, or the set in a folder. `prompts/NAME`, in the working directory or where `PLANAGENT_PROMPTS` says,
+    /// overrides the built-in set NAME.
     pub fn open(name_or_folder: &str) -> Result<Self, PromptError> {
-        if let Some((name, settings, sources)) = BUILT_IN.iter().find(|(name, ..)| *name == name_or_folder) {
-            return Self::compile(name, Path::new("set.toml"), settings, sources.map(str::to_owned));
-        }
-        let folder = Path::new(name_or_folder);
-        let settings_path = folder.join("set.toml");
-        if !settings_path.is_file() {
-            return Err(PromptError::Unknown(name_or_folder.to_owned()));
-        }
-        let read = |path: PathBuf| std::fs::read_to_string(&path).map_err(|source| PromptError::Read { path, source });
-        let settings = read(settings_path.clone())?;
-        let mut sources: [String; 5] = Default::default();
-        for (source, name) in sources.iter_mut().zip(TEMPLATES) {
-            *source = read(folder.join(name).with_extension("jinja"))?;
-        }
-        Self::compile(name_or_folder, &settings_path, &settings, sources)
+        let files = PromptFiles::find(name_or_folder, &FILES)?;
+        let questions = QUESTION_SETS.map(|set| PromptFiles::find(set, &QUESTION_FILES));
+        Self::compile(&files, &questions.into_iter().collect::<Result<Vec<_>, _>>()?)
     }
 
-    fn compile(name: &str, path: &Path, settings: &str, sources: [String; 5]) -> Result<Self, PromptError> {
-        let forms = toml::from_str(settings)
-            .map_err(|source| PromptError::Settings { path: path.to_owned(), source: Box::new(source) })?;
-        Ok(Self { forms, templates: Templates::compile(name, TEMPLATES.into_iter().zip(sources))? })
+    fn compile(files: &PromptFiles, questions: &[PromptFiles]) -> Result<Self, PromptError> {
+        let forms = toml::from_str(files.text(SETTINGS))
+            .map_err(|source| PromptError::Settings { path: files.path(SETTINGS), source: Box::new(source) })?;
+        let mut hasher = blake3::Hasher::new();
+        let all = || std::iter::once(files).chain(questions);
+        all().for_each(|files| files.hash(&mut hasher));
+        let compile = |files: &PromptFiles| Templates::compile(&files.name, files.templates());
+        Ok(Self {
+            forms,
+            templates: compile(files)?,
+            questions: questions.iter().map(compile).collect::<Result<_, _>>()?,
+            place: files.place.clone(),
+            is_built_in: all().all(PromptFiles::is_built_in),
+            blake3: hasher.finalize().to_hex().to_string(),
+        })
+    }
+
+    /// Where its templates are.
+    pub fn place(&self) -> &PromptPlace {
+        &self.place
+    }
+
+    /// Whether all templates are those of the program.
+    pub fn is_built_in(&self) -> bool {
+        self.is_built_in
+    }
+
+    /// BLAKE3 of its files, hexadecimal.
+    pub fn blake3(&self) -> &str {
+        &self.blake3
+    }
+
+    /// The templates of a question outside the rounds.
+    pub(super) fn question_set(&self, name: &'static str) -> Result<&Templates, PromptError> {
+        let found = self.questions.iter().find(|templates| templates.set() == name);
+        found.ok_or_else(|| PromptError::Unknown(name.to_owned()))
     }
 
     /// The name or folder that it was opened by.
@@ -121,8 +133,9 @@ mod tests {
 
     #[test]
     fn built_in_sets_compile() {
-        for (name, ..) in BUILT_IN {
-            assert_eq!(PromptSet::open(name).unwrap().name(), name);
+        for name in ["paper", "compact"] {
+            let set = PromptSet::open(name).unwrap();
+            assert_eq!((set.name(), set.is_built_in()), (name, true));
         }
     }
 
@@ -130,13 +143,18 @@ mod tests {
     fn wrong_sets_say_what_is_wrong() {
         assert!(matches!(PromptSet::open("nowhere"), Err(PromptError::Unknown(_))));
         let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("set.toml"), "scene_text = 'compact'\nunderstandng = 'free'").unwrap();
+        std::fs::write(folder.path().join(SETTINGS), "scene_text = 'compact'\nunderstandng = 'free'").unwrap();
         let missing = PromptSet::open(folder.path().to_str().unwrap()).unwrap_err().to_string();
         assert!(missing.contains("system.jinja"), "{missing}");
-        for name in TEMPLATES {
-            std::fs::write(folder.path().join(name).with_extension("jinja"), "x").unwrap();
+        for name in &FILES[1..] {
+            std::fs::write(folder.path().join(name), "x").unwrap();
         }
         let settings = PromptSet::open(folder.path().to_str().unwrap()).unwrap_err().to_string();
         assert!(settings.contains("understandng"), "{settings}");
+        let forms = "scene_text = 'compact'\nunderstanding = 'free'\ninstruction = 'choices'";
+        std::fs::write(folder.path().join(SETTINGS), forms).unwrap();
+        let own = PromptSet::open(folder.path().to_str().unwrap()).unwrap();
+        assert!(!own.is_built_in() && own.place() == &PromptPlace::Folder(folder.path().to_owned()));
+        assert_ne!(own.blake3(), PromptSet::open("paper").unwrap().blake3());
     }
 }

@@ -139,7 +139,11 @@ impl<'a> Judge<'a> {
             parts: parts(&score),
             progress_reference: self.reference,
             drivable_layers: self.instant.drivable.layers(),
+            threshold,
             verdict,
+            progress_m: score.progress_m,
+            first_at_fault_s: score.first_at_fault_s,
+            first_ttc_s: score.first_ttc_s,
             states,
         })
     }

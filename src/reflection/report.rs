@@ -66,8 +66,16 @@ pub struct ReflectionReport {
     pub progress_reference: ProgressReference,
     /// The areas that counted as drivable.
     pub drivable_layers: DrivableLayers,
+    /// λ: the score that the plan needs.
+    pub threshold: f64,
     /// Whether the plan is executed.
     pub verdict: Verdict,
+    /// Progress along the centerline, meters.
+    pub progress_m: f64,
+    /// Time of the first collision at fault, seconds from now.
+    pub first_at_fault_s: Option<f64>,
+    /// Time of the first state with a collision near, seconds from now.
+    pub first_ttc_s: Option<f64>,
     /// The simulated states, every 0.1 s, the present one first.
     pub states: Vec<EgoState>,
 }

@@ -94,7 +94,11 @@ mod tests {
             parts,
             progress_reference,
             drivable_layers,
+            threshold: 0.75,
             verdict: Verdict::Rethink,
+            progress_m: 10.0,
+            first_at_fault_s: None,
+            first_ttc_s: None,
             states: Vec::new(),
         }
     }

@@ -34,7 +34,10 @@ pub struct Manifest {
     /// The commands of those planners that are commands, by name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub commands: BTreeMap<String, String>,
-    /// nuPlan's names of the challenges, in order.
+    /// The command that controls the other agents, by the name of its policy.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub agents: BTreeMap<String, String>,
+    /// Names of the challenges, in order: nuPlan's, or `closed_loop_own_agents_` and the name of a policy.
     pub challenges: Vec<String>,
     /// The scenarios.
     pub scenarios: ScenarioList,
@@ -42,9 +45,28 @@ pub struct Manifest {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<Map<String, Value>>")]
     pub model: Option<toml::Table>,
+    /// The prompts that the model is asked with; none if no planner needs one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prompts: Option<PromptList>,
     /// The resolved configuration with its seed.
     #[schemars(with = "Map<String, Value>")]
     pub config: toml::Table,
+}
+
+/// The prompts of a run.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PromptList {
+    /// Name of the set, or the folder that it was opened by.
+    pub set: String,
+    /// What names the set: `reasoning.prompt_set`, the model's description, planagent.json of the model, or default.
+    pub named_by: String,
+    /// Where the templates are: `built in`, or a folder.
+    pub place: String,
+    /// Whether all templates are those of the program.
+    pub built_in: bool,
+    /// BLAKE3 of the templates.
+    pub blake3: String,
 }
 
 /// The scenarios of a run.
@@ -159,6 +181,10 @@ impl Manifest {
             ("scenarios.blake3".to_owned(), self.scenarios.blake3.clone()),
         ];
         all.extend(self.commands.iter().map(|(name, command)| (format!("commands.{name}"), command.clone())));
+        all.extend(self.agents.iter().map(|(name, command)| (format!("agents.{name}"), command.clone())));
+        // The program's own prompts belong to its result version.
+        let own_prompts = self.prompts.as_ref().filter(|prompts| !prompts.built_in);
+        all.extend(own_prompts.map(|prompts| ("prompts.blake3".to_owned(), prompts.blake3.clone())));
         let shard = self.scenarios.shard.map(|shard| format!("{}/{}", shard.index, shard.of));
         all.extend(shard.map(|shard| ("scenarios.shard".to_owned(), shard)));
         for (section, table) in [("model", self.model.as_ref()), ("config", Some(&self.config))] {
@@ -195,9 +221,11 @@ mod tests {
             started: "2026.11.20.08.00.00".to_owned(),
             planners: vec!["idm".to_owned()],
             commands: BTreeMap::new(),
+            agents: BTreeMap::new(),
             challenges: vec!["closed_loop_nonreactive_agents".to_owned()],
             scenarios: ScenarioList { count: 2, blake3: ScenarioList::digest(["a", "b"]), ..ScenarioList::default() },
             model: None,
+            prompts: None,
             config: "seed = 0\n[reflection]\nthreshold = 0.75\n".parse().unwrap(),
         }
     }
@@ -228,6 +256,16 @@ mod tests {
         now.scenarios.shard = Some(ShardList { index: 1, of: 2, count: 1 });
         assert!(then.differences(&now).contains(&"scenarios.shard: was none, is 1/2".to_owned()));
         assert_eq!((then.simulations(), now.simulations()), (2, 1));
+        let prompts = |built_in| PromptList {
+            set: "compact".to_owned(),
+            named_by: "default".to_owned(),
+            place: "prompts/compact".to_owned(),
+            built_in,
+            blake3: "ab".to_owned(),
+        };
+        let with = |built_in| Manifest { prompts: Some(prompts(built_in)), ..manifest() };
+        assert_eq!(with(true).digest(), manifest().digest());
+        assert_eq!(manifest().differences(&with(false)), ["prompts.blake3: was none, is ab"]);
     }
 
     #[test]

@@ -7,6 +7,7 @@ mod decision;
 mod error;
 mod figure;
 mod finish;
+mod judgement;
 mod layout;
 mod manifest;
 mod nuboard;
@@ -33,8 +34,9 @@ pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigur
 pub use call_record::{CallRecord, DecisionRecord};
 pub use decision::decision_words;
 pub use error::{ReportError, ReportFault};
+pub use judgement::{JudgedMetric, Judgement};
 pub use layout::{MANIFEST, SUMMARY};
-pub use manifest::{FORMAT_VERSION, Manifest, ScenarioList, ShardList};
+pub use manifest::{FORMAT_VERSION, Manifest, PromptList, ScenarioList, ShardList};
 pub use number::{fixed, json_value};
 pub use paired::{ComparedScene, ComparedScores, NoPair, PlannerPair, RunComparison};
 pub use run_folder::{CompletedSimulations, RunFolder, folders as simulation_folders, last_run};

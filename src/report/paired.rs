@@ -216,9 +216,11 @@ mod tests {
             started: "2026.11.20.08.00.00".to_owned(),
             planners: planners.iter().map(ToString::to_string).collect(),
             commands: BTreeMap::new(),
+            agents: BTreeMap::new(),
             challenges: vec![NR.to_string()],
             scenarios: ScenarioList::default(),
             model: None,
+            prompts: None,
             config: toml::Table::new(),
         }
     }

@@ -1,6 +1,7 @@
 //! Errors of runs.
 
 use super::config::ConfigError;
+use super::request::CommandError;
 use super::sample::NoSuchType;
 use crate::experiment::split::SplitError;
 use crate::experiment::study::StudyError;
@@ -61,6 +62,13 @@ pub enum RunnerError {
          the run again, this one by --planner '{planner}=exec:{command}'"
     )]
     CommandNotGiven { planner: String, command: String },
+    #[error(transparent)]
+    Command(#[from] CommandError),
+    #[error(
+        "the other agents of this run are controlled by the command '{command}', which a run never starts by itself; name it again \
+         by --agents '{policy}=exec:{command}'"
+    )]
+    AgentsNotGiven { policy: String, command: String },
     #[error("{source}; 'both' stands for the first two")]
     Challenge { source: UnknownChallenge },
     #[error(transparent)]

@@ -23,7 +23,7 @@ pub use experiments::{Experiments, ExperimentsRequest, StudyOutcome, SuiteTokens
 pub use machine::{build_commit, cpu, memory};
 pub use merge::merge;
 pub use model::{LoadedModel, load_model, model_registry};
-pub use request::Request;
+pub use request::{CommandError, Request};
 pub use result_version::RESULT_VERSION;
 pub use run::RunResults;
 pub use sample::{NoShard, NoSuchType, Shard};

@@ -5,8 +5,10 @@ use super::error::RunnerError;
 use super::event::{Event, Listener};
 use crate::api::models_folder;
 use crate::experiment::run::AgentParts;
-use crate::mllm::{HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry, ModelSpec};
+use crate::mllm::{Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry};
 use crate::planner::{CodeSource, PlannerRegistry};
+use crate::reasoning::{PromptPlace, PromptSet, ReasoningSettings};
+use crate::report::PromptList;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -17,24 +19,58 @@ pub struct LoadedModel {
     pub about: ModelDescription,
     /// How long loading took, seconds.
     pub load_s: f64,
+    /// What names its prompt set.
+    named_by: String,
 }
 
 /// A model in memory, which can be asked in several ways.
 pub(super) struct OpenModel {
     model: Arc<dyn Mllm>,
-    spec: ModelSpec,
+    asking: Asking,
     load_s: f64,
 }
 
 /// Loads the configured model and its prompt set.
 pub fn load_model(config: &Config, listener: &Listener) -> Result<LoadedModel, RunnerError> {
-    OpenModel::open(config, listener)?.with_prompts(config)
+    let loaded = OpenModel::open(config, listener)?.with_prompts(config)?;
+    if let Some(prompts) = loaded.prompt_list() {
+        let text = format!("prompts {} ({}): {}", prompts.set, prompts.named_by, prompts.place);
+        // Prompts of one's own are worth a line, the usual ones are not.
+        listener(if prompts.built_in { Event::Detail(text) } else { Event::Note(text) });
+    }
+    Ok(loaded)
 }
 
 impl LoadedModel {
     /// The parts of an agent with this model.
     pub fn agent_parts(&self, config: &Config) -> AgentParts {
         agent_parts(config, PlannerRegistry::default(), Some(self))
+    }
+
+    /// The model with its prompts and the way in which it samples.
+    pub fn parts(&self) -> Option<(&dyn Mllm, &PromptSet, &ReasoningSettings)> {
+        match &self.code_source {
+            CodeSource::Model { model, prompts, reasoning } => Some((model.as_ref(), prompts.as_ref(), reasoning)),
+            _ => None,
+        }
+    }
+
+    /// Where its prompts come from, for records.
+    pub fn prompt_list(&self) -> Option<PromptList> {
+        let (_, prompts, _) = self.parts()?;
+        let place = match prompts.place() {
+            PromptPlace::Folder(folder) => {
+                std::path::absolute(folder).unwrap_or_else(|_| folder.clone()).display().to_string()
+            }
+            PromptPlace::BuiltIn => PromptPlace::BuiltIn.to_string(),
+        };
+        Some(PromptList {
+            set: prompts.name().to_owned(),
+            named_by: self.named_by.clone(),
+            place,
+            built_in: prompts.is_built_in(),
+            blake3: prompts.blake3().to_owned(),
+        })
     }
 }
 
@@ -46,11 +82,14 @@ impl OpenModel {
         let model = registry
             .open(&spec)
             .map_err(|source| RunnerError::LoadModel { name: spec.name.clone(), source: Box::new(source) })?;
+        let asking = registry
+            .asking(&spec)
+            .map_err(|source| RunnerError::LoadModel { name: spec.name.clone(), source: Box::new(source) })?;
         let load_s = started.elapsed().as_secs_f64();
         let about = model.describe();
         about.load.lines().into_iter().for_each(|line| listener(Event::Detail(line)));
         listener(Event::Note(in_words(&about, load_s)));
-        Ok(Self { model: Arc::from(model), spec, load_s })
+        Ok(Self { model: Arc::from(model), asking, load_s })
     }
 
     pub(super) fn model(&self) -> &dyn Mllm {
@@ -59,16 +98,25 @@ impl OpenModel {
 
     /// The model with the prompts and the decoding of a configuration.
     pub(super) fn with_prompts(&self, config: &Config) -> Result<LoadedModel, RunnerError> {
-        let prompts = Arc::new(config.reasoning.prompts(self.spec.prompt_set)?);
-        let reasoning = config.reasoning.settings(self.spec.generation);
+        let prompts = Arc::new(config.reasoning.prompts(&self.asking.prompt_set)?);
+        let reasoning = config.reasoning.settings(self.asking.generation);
+        let named_by = match &config.reasoning.prompt_set {
+            Some(_) => "reasoning.prompt_set".to_owned(),
+            None => self.asking.named_by.to_string(),
+        };
         let code_source = CodeSource::Model { model: Arc::clone(&self.model), prompts, reasoning };
-        Ok(LoadedModel { code_source, about: self.model.describe(), load_s: self.load_s })
+        Ok(LoadedModel { code_source, about: self.model.describe(), load_s: self.load_s, named_by })
     }
 }
 
 /// The parts of an agent, with the model where one is loaded.
 pub(super) fn agent_parts(config: &Config, registry: PlannerRegistry, loaded: Option<&LoadedModel>) -> AgentParts {
-    AgentParts { registry, model: loaded.map(|loaded| loaded.code_source.clone()), settings: config.agent_settings() }
+    AgentParts {
+        registry,
+        model: loaded.map(|loaded| loaded.code_source.clone()),
+        settings: config.agent_settings(),
+        agents: None,
+    }
 }
 
 /// The models that the configuration can name.

@@ -3,6 +3,7 @@
 use super::sample::Shard;
 use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, ExecError, PlannerRegistry};
 use crate::scenario::{DataRoots, Readers};
+use crate::simulation::{AgentCommand, AgentPolicyName};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -28,6 +29,8 @@ pub struct Request {
     pub exec_timeout: Duration,
     /// Names of challenges; `both` stands for the closed-loop ones.
     pub challenges: Vec<String>,
+    /// A command that controls the other agents, as `exec:COMMAND` or `NAME=exec:COMMAND`.
+    pub agents: Option<String>,
     /// The planners that names refer to.
     pub registry: PlannerRegistry,
     /// Makes the readers that scenario words refer to.
@@ -50,12 +53,58 @@ impl Default for Request {
             planners: Vec::new(),
             exec_timeout: DEFAULT_EXEC_TIMEOUT,
             challenges: Vec::new(),
+            agents: None,
             registry: PlannerRegistry::default(),
             readers: Readers::new,
             roots: DataRoots::default(),
             retry_failed: false,
         }
     }
+}
+
+/// Why a command cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum CommandError {
+    #[error(
+        "'{0}' is no command; expected exec:COMMAND or NAME=exec:COMMAND. Agents that replay the log, or follow IDM, are those of \
+         --challenge nonreactive and reactive"
+    )]
+    NoCommand(String),
+    #[error("'{0}' is the name of a challenge; name the command as NAME=exec:COMMAND")]
+    Reserved(String),
+    #[error(transparent)]
+    Exec(#[from] ExecError),
+}
+
+/// The commands of a request.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Commands {
+    /// Those of planners, by name.
+    pub(super) planners: BTreeMap<String, String>,
+    /// That of the other agents.
+    pub(super) agents: Option<AgentCommand>,
+}
+
+impl Commands {
+    /// The policy of the other agents.
+    pub(super) fn policy(&self) -> Option<AgentPolicyName> {
+        self.agents.as_ref().map(|agents| agents.name)
+    }
+
+    /// The commands of agents, by name.
+    pub(super) fn of_agents(&self) -> BTreeMap<String, String> {
+        self.agents.iter().map(|agents| (agents.name.to_string(), agents.command.clone())).collect()
+    }
+}
+
+/// The command of a word of `--agents`.
+fn agent_command(word: &str, timeout: Duration) -> Result<AgentCommand, CommandError> {
+    let Some(parsed) = ExecCommand::parse(word) else { return Err(CommandError::NoCommand(word.to_owned())) };
+    let ExecCommand { name, command } = parsed?;
+    let name = AgentPolicyName::new(name.as_str()).ok_or_else(|| CommandError::Reserved(name.to_string()))?;
+    Ok(AgentCommand { name, command, timeout })
 }
 
 impl Request {
@@ -70,7 +119,7 @@ impl Request {
     }
 
     /// The request with its commands in the registry and by their names, and the commands by these.
-    pub(super) fn with_commands(&self) -> Result<(Self, BTreeMap<String, String>), ExecError> {
+    pub(super) fn with_commands(&self) -> Result<(Self, Commands), CommandError> {
         let (mut request, mut commands) = (self.clone(), BTreeMap::new());
         for word in &mut request.planners {
             let Some(command) = ExecCommand::parse(word).transpose()? else { continue };
@@ -81,11 +130,16 @@ impl Request {
             request.registry = request.registry.with_command(&command, self.exec_timeout)?;
             commands.insert(word.clone(), command.command);
         }
-        Ok((request, commands))
+        let agents = self.agents.as_deref().map(|word| agent_command(word, self.exec_timeout)).transpose()?;
+        Ok((request, Commands { planners: commands, agents }))
     }
 
     /// Whether it only resumes a run, as that was started.
     pub(super) fn is_plain_resume(&self) -> bool {
-        !self.names_scenarios() && self.planners.is_empty() && self.challenges.is_empty() && !self.retry_failed
+        !self.names_scenarios()
+            && self.planners.is_empty()
+            && self.challenges.is_empty()
+            && self.agents.is_none()
+            && !self.retry_failed
     }
 }

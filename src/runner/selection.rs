@@ -10,7 +10,7 @@ use crate::experiment::suite::Suite;
 use crate::planner::{PlannerName, PlannerRegistry};
 use crate::report::{Manifest, ScenarioList};
 use crate::scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
-use crate::simulation::Challenge;
+use crate::simulation::{AgentPolicyName, Challenge};
 use std::path::PathBuf;
 
 /// The tasks of a run.
@@ -38,9 +38,9 @@ pub(super) struct Selected {
 }
 
 impl Selection {
-    /// The tasks of a request; `seed` draws the order of shuffled scenarios.
+    /// The tasks of a request with the policy of its own agents; `seed` draws the order of shuffled scenarios.
     pub(super) fn new(
-        request: &Request,
+        (request, agents): (&Request, Option<AgentPolicyName>),
         resumed: Option<&Manifest>,
         seed: u64,
         listener: &Listener,
@@ -50,10 +50,10 @@ impl Selection {
             _ => names.to_vec(),
         };
         if let Some(manifest) = resumed {
-            check_commands(request, manifest)?;
+            check_commands(request, agents, manifest)?;
         }
         let planners = planners(&request.registry, &own(&request.planners, |manifest| &manifest.planners))?;
-        let challenges = challenges(&own(&request.challenges, |manifest| &manifest.challenges))?;
+        let challenges = challenges(&own(&request.challenges, |manifest| &manifest.challenges), agents)?;
         let named = match resumed {
             Some(Manifest { scenarios, .. }) if !request.names_scenarios() => Named::in_run(scenarios),
             _ => Named::in_request(request)?,
@@ -137,7 +137,10 @@ impl Named {
 }
 
 /// Refuses to take a command from a run that the request does not give: a folder from elsewhere must start no program.
-fn check_commands(request: &Request, manifest: &Manifest) -> Result<(), RunnerError> {
+fn check_commands(request: &Request, agents: Option<AgentPolicyName>, manifest: &Manifest) -> Result<(), RunnerError> {
+    if let (None, Some((policy, command))) = (agents, manifest.agents.iter().next()) {
+        return Err(RunnerError::AgentsNotGiven { policy: policy.clone(), command: command.clone() });
+    }
     if !request.planners.is_empty() {
         return Ok(());
     }
@@ -230,8 +233,9 @@ fn planners(registry: &PlannerRegistry, names: &[String]) -> Result<Vec<PlannerN
     Ok(distinct(planners.collect::<Result<_, _>>()?))
 }
 
-fn challenges(names: &[String]) -> Result<Vec<Challenge>, RunnerError> {
-    if names.is_empty() {
+/// The challenges by name, and the closed loop with own agents. These alone are simulated if no challenge is named.
+fn challenges(names: &[String], agents: Option<AgentPolicyName>) -> Result<Vec<Challenge>, RunnerError> {
+    if names.is_empty() && agents.is_none() {
         return Ok(vec![Challenge::NonReactive]);
     }
     let mut challenges = Vec::new();
@@ -241,6 +245,7 @@ fn challenges(names: &[String]) -> Result<Vec<Challenge>, RunnerError> {
             one => challenges.push(one.parse().map_err(|source| RunnerError::Challenge { source })?),
         }
     }
+    challenges.extend(agents.map(Challenge::OwnAgents));
     Ok(distinct(challenges))
 }
 

@@ -5,12 +5,12 @@ use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::machine::build_commit;
 use super::model::{self, LoadedModel};
-use super::request::Request;
+use super::request::{Commands, Request};
 use super::result_version::RESULT_VERSION;
 use super::run::{self, Run, RunPlan, RunResults};
 use super::selection::Selection;
+use crate::experiment::run::AgentParts;
 use crate::report::{FORMAT_VERSION, Manifest, RunFolder, ScenarioList, stamp};
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Instant, SystemTime};
 
@@ -24,7 +24,7 @@ pub fn start(
 ) -> Result<RunResults, RunnerError> {
     let started = Instant::now();
     let (request, commands) = &request.with_commands()?;
-    let selection = Selection::new(request, None, config.seed, listener)?;
+    let selection = Selection::new((request, commands.policy()), None, config.seed, listener)?;
     // Loading a model takes long: what is wrong with the folder is said before.
     if let Some(folder) = folder {
         RunFolder::check_new(folder)?;
@@ -45,7 +45,7 @@ pub fn resume(
     let before = RunFolder::manifest(folder)?;
     let (request, commands) = &request.with_commands()?;
     let is_plain = request.is_plain_resume();
-    let selected = Selection::new(request, Some(&before), config.seed, listener);
+    let selected = Selection::new((request, commands.policy()), Some(&before), config.seed, listener);
     let selected = selected.and_then(|selection| {
         if is_plain {
             selection.check_unchanged(&before)?;
@@ -59,7 +59,8 @@ pub fn resume(
     };
     // Loading a model takes long: a run with other settings is refused before.
     let now = of_selection(&selection, commands, None, config)?;
-    let differences = before.differences(&Manifest { model: before.model.clone(), ..now });
+    let differences =
+        before.differences(&Manifest { model: before.model.clone(), prompts: before.prompts.clone(), ..now });
     if !differences.is_empty() {
         return Err(RunnerError::OtherSettings { folder: folder.to_owned(), differences });
     }
@@ -84,7 +85,7 @@ impl Config {
 /// Loads the model, if a planner needs it, and writes the manifest.
 fn plan(
     request: &Request,
-    commands: &BTreeMap<String, String>,
+    commands: &Commands,
     selection: &Selection,
     config: &Config,
     listener: &Listener,
@@ -102,7 +103,10 @@ fn plan(
         manifest: of_selection(selection, commands, loaded.as_ref(), config)?,
         tasks: selection.tasks.clone(),
         numbers: selection.numbers.clone(),
-        agent: model::agent_parts(config, request.registry.clone(), loaded.as_ref()),
+        agent: AgentParts {
+            agents: commands.agents.clone(),
+            ..model::agent_parts(config, request.registry.clone(), loaded.as_ref())
+        },
         load_s: loaded.map(|loaded| loaded.load_s),
     })
 }
@@ -110,18 +114,18 @@ fn plan(
 /// What a run of a selection would be started with now.
 fn of_selection(
     selection: &Selection,
-    commands: &BTreeMap<String, String>,
+    commands: &Commands,
     loaded: Option<&LoadedModel>,
     config: &Config,
 ) -> Result<Manifest, RunnerError> {
     let planners = selection.planners.iter().map(ToString::to_string).collect();
     let challenges = selection.challenges.iter().map(ToString::to_string).collect();
-    manifest((planners, commands.clone()), challenges, selection.list.clone(), loaded, config)
+    manifest((planners, commands), challenges, selection.list.clone(), loaded, config)
 }
 
 /// What a run would be started with now; the planners stand beside the commands of those that are commands.
 pub(super) fn manifest(
-    (planners, commands): (Vec<String>, BTreeMap<String, String>),
+    (planners, commands): (Vec<String>, &Commands),
     challenges: Vec<String>,
     scenarios: ScenarioList,
     loaded: Option<&LoadedModel>,
@@ -134,10 +138,12 @@ pub(super) fn manifest(
         commit: build_commit().map(str::to_owned),
         started: stamp(SystemTime::now()),
         planners,
-        commands,
+        commands: commands.planners.clone(),
+        agents: commands.of_agents(),
         challenges,
         scenarios,
         model: loaded.map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?,
+        prompts: loaded.and_then(LoadedModel::prompt_list),
         config: toml::Table::try_from(config)?,
     })
 }

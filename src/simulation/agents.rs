@@ -3,8 +3,21 @@
 use crate::dynamics::IdmTraffic;
 use crate::scenario::{Frame, Scenario};
 use crate::world::{EgoState, TrackedObject};
+use std::error::Error;
 use std::fmt::Debug;
 use std::sync::Arc;
+
+/// Why a policy cannot move the agents.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
+pub struct AgentPolicyError(Box<dyn Error + Send + Sync>);
+
+impl AgentPolicyError {
+    /// The error of a policy.
+    pub fn new(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
+        Self(error.into())
+    }
+}
 
 /// Controls all objects around the ego of one simulation. nuPlan calls it an observation.
 pub trait AgentPolicy: Debug + Send + Sync {
@@ -13,7 +26,10 @@ pub trait AgentPolicy: Debug + Send + Sync {
 
     /// Moves to the next iteration, `dt_s` seconds later; `next` is its recorded frame. As in nuPlan, `ego` is still the
     /// state before the step.
-    fn step(&mut self, ego: &EgoState, next: &Frame, dt_s: f64);
+    ///
+    /// # Errors
+    /// When the policy fails; the simulation fails with it.
+    fn step(&mut self, ego: &EgoState, next: &Frame, dt_s: f64) -> Result<(), AgentPolicyError>;
 
     /// A copy in the same state. A simulation can be cloned at any iteration.
     fn boxed_clone(&self) -> Box<dyn AgentPolicy>;
@@ -44,6 +60,29 @@ pub(super) const IDM: AgentPolicySpec = AgentPolicySpec {
     new: |scenario, first| Box::new(IdmTraffic::new(&scenario.map, &first.objects, &first.ego)),
 };
 
+/// In place of a policy that the user has to bring: fails at the first step.
+pub(super) const NOT_GIVEN: AgentPolicySpec =
+    AgentPolicySpec { name: "own_agents", new: |_, first| Box::new(NotGiven(first.objects.clone())) };
+
+#[derive(Debug, Clone)]
+struct NotGiven(Arc<[TrackedObject]>);
+
+impl AgentPolicy for NotGiven {
+    fn objects(&self, _: &Frame) -> Arc<[TrackedObject]> {
+        Arc::clone(&self.0)
+    }
+
+    fn step(&mut self, _: &EgoState, _: &Frame, _: f64) -> Result<(), AgentPolicyError> {
+        Err(AgentPolicyError::new(
+            "the policy of the other agents is not given; name it by --agents, or use simulate_with_agents",
+        ))
+    }
+
+    fn boxed_clone(&self) -> Box<dyn AgentPolicy> {
+        Box::new(self.clone())
+    }
+}
+
 /// The policies of nuPlan's challenges.
 pub const AGENT_POLICIES: [AgentPolicySpec; 2] = [LOG_REPLAY, IDM];
 
@@ -55,7 +94,9 @@ impl AgentPolicy for LoggedAgents {
         Arc::clone(&logged.objects)
     }
 
-    fn step(&mut self, _: &EgoState, _: &Frame, _: f64) {}
+    fn step(&mut self, _: &EgoState, _: &Frame, _: f64) -> Result<(), AgentPolicyError> {
+        Ok(())
+    }
 
     fn boxed_clone(&self) -> Box<dyn AgentPolicy> {
         Box::new(*self)
@@ -67,8 +108,9 @@ impl AgentPolicy for IdmTraffic {
         Self::objects(self)
     }
 
-    fn step(&mut self, ego: &EgoState, next: &Frame, dt_s: f64) {
+    fn step(&mut self, ego: &EgoState, next: &Frame, dt_s: f64) -> Result<(), AgentPolicyError> {
         Self::step(self, ego, &next.objects, &next.lights, dt_s);
+        Ok(())
     }
 
     fn boxed_clone(&self) -> Box<dyn AgentPolicy> {

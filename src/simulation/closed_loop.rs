@@ -112,7 +112,7 @@ impl<'a> ClosedLoop<'a> {
     /// iteration. `planner` is the name for errors.
     ///
     /// # Errors
-    /// When the trajectory does not cover the present or leads to a state that is not finite.
+    /// When the trajectory does not cover the present or leads to a state that is not finite, or the agents' policy fails.
     pub fn advance(&mut self, trajectory: &Trajectory, planner: &str) -> Result<(), SimulationError> {
         if self.is_over() {
             return Ok(());
@@ -133,7 +133,12 @@ impl<'a> ClosedLoop<'a> {
                 iteration: self.iteration,
             });
         }
-        self.agents.step(&self.present.ego, next, dt_us as f64 / MICROS_PER_SECOND);
+        let stepped = self.agents.step(&self.present.ego, next, dt_us as f64 / MICROS_PER_SECOND);
+        stepped.map_err(|source| SimulationError::Agents {
+            scenario: self.scenario.id.clone(),
+            iteration: self.iteration + 1,
+            source,
+        })?;
         self.present = HistorySample { ego, objects: self.agents.objects(next) };
         self.history.push(self.present.clone());
         self.iteration += 1;

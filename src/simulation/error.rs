@@ -1,5 +1,6 @@
 //! Why a simulation ends early.
 
+use super::agents::AgentPolicyError;
 use crate::dynamics::TrackingError;
 use crate::planner::PlannerError;
 
@@ -22,4 +23,6 @@ pub enum SimulationError {
         "the ego state became NaN or infinite after iteration {iteration} of scenario {scenario} (planner {planner})"
     )]
     NotFinite { planner: String, scenario: String, iteration: usize },
+    #[error("the other agents cannot be moved to iteration {iteration} of scenario {scenario}")]
+    Agents { scenario: String, iteration: usize, source: AgentPolicyError },
 }

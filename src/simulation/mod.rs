@@ -6,20 +6,24 @@
 //! move to k+1 while they still see the ego at k.
 //!
 //! A [`Challenge`] names who controls the agents. To control them otherwise, implement [`AgentPolicy`] and run
-//! [`simulate_with_agents`].
+//! [`simulate_with_agents`], or write a command in any language ([`AgentCommand`]).
 
+mod agent_name;
 mod agents;
 mod challenge;
 mod closed_loop;
 mod controller;
 mod error;
+mod exec_agents;
 mod run;
 
 #[cfg(test)]
 mod tests;
 
-pub use agents::{AGENT_POLICIES, AgentPolicy, AgentPolicySpec};
+pub use agent_name::AgentPolicyName;
+pub use agents::{AGENT_POLICIES, AgentPolicy, AgentPolicyError, AgentPolicySpec};
 pub use challenge::{Challenge, UnknownChallenge};
 pub use closed_loop::ClosedLoop;
 pub use error::SimulationError;
-pub use run::{Progress, SimulationLog, simulate, simulate_with_agents, simulate_with_progress};
+pub use exec_agents::AgentCommand;
+pub use run::{Progress, SimulationLog, simulate, simulate_prepared, simulate_with_agents, simulate_with_progress};

@@ -78,7 +78,7 @@ pub fn simulate_with_progress(
     challenge: Challenge,
     on_progress: &mut dyn FnMut(Progress),
 ) -> Result<SimulationLog, SimulationError> {
-    run(ClosedLoop::new(scenario, challenge)?, planner, challenge, on_progress)
+    simulate_prepared(ClosedLoop::new(scenario, challenge)?, planner, challenge, on_progress)
 }
 
 /// Like [`simulate`], with other agents than the challenge's. `agents` makes their policy from the recorded frame of
@@ -92,10 +92,14 @@ pub fn simulate_with_agents(
     challenge: Challenge,
     agents: impl FnOnce(&Frame) -> Box<dyn AgentPolicy>,
 ) -> Result<SimulationLog, SimulationError> {
-    run(ClosedLoop::with_agents(scenario, challenge, agents)?, planner, challenge, &mut |_| ())
+    simulate_prepared(ClosedLoop::with_agents(scenario, challenge, agents)?, planner, challenge, &mut |_| ())
 }
 
-fn run(
+/// Runs a simulation that was prepared to its end.
+///
+/// # Errors
+/// As [`simulate`], and when the agents' policy fails.
+pub fn simulate_prepared(
     mut simulation: ClosedLoop<'_>,
     planner: &mut dyn Planner,
     challenge: Challenge,

@@ -13,7 +13,7 @@ use tempfile::TempDir;
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/exec_planner.py");
 
 /// A Python interpreter; says so when there is none.
-fn python() -> Option<String> {
+pub(super) fn python() -> Option<String> {
     let name = std::env::var("PLANAGENT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let found = Command::new(&name).arg("--version").output().is_ok_and(|output| output.status.success());
     if !found {
@@ -23,7 +23,7 @@ fn python() -> Option<String> {
 }
 
 /// A planner of some lines of Python.
-fn script(folder: &Path, name: &str, lines: &str) -> Option<String> {
+pub(super) fn script(folder: &Path, name: &str, lines: &str) -> Option<String> {
     let path = folder.join(name);
     fs::write(
         &path,
@@ -33,7 +33,7 @@ fn script(folder: &Path, name: &str, lines: &str) -> Option<String> {
     Some(format!("{} {}", python()?, path.display()))
 }
 
-fn rows(run: &Path) -> Vec<Value> {
+pub(super) fn rows(run: &Path) -> Vec<Value> {
     read_json(&run.join("summary.json"))["scenarios"].as_array().unwrap().clone()
 }
 

@@ -3,10 +3,11 @@
 use super::{planagent, run};
 
 /// Every command with its own help.
-pub(super) const COMMANDS: [&str; 23] = [
+pub(super) const COMMANDS: [&str; 24] = [
     "",
     "simulate",
     "plan",
+    "ask",
     "report",
     "render",
     "compare",
@@ -60,7 +61,7 @@ fn options_about_models_stand_only_where_a_model_is_used() {
     for command in COMMANDS {
         let words: Vec<&str> = command.split_whitespace().chain(["--help"]).collect();
         let text = run(&words).1;
-        let uses = ["simulate", "plan", "dataset", "experiment", "bench", "config"].contains(&command);
+        let uses = ["simulate", "plan", "ask", "dataset", "experiment", "bench", "config"].contains(&command);
         assert_eq!(text.contains("--model <MODEL>"), uses, "{command}");
     }
 }

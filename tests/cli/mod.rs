@@ -1,10 +1,14 @@
 //! The program as its user runs it: output, exit codes, files.
 
+mod agents;
+mod ask;
+mod code;
 mod columns;
 mod errors;
 mod exec;
 mod help;
 mod open_loop;
+mod prompts;
 mod results;
 mod scenarios;
 mod settings;
@@ -25,6 +29,7 @@ pub(crate) fn planagent() -> Command {
     let mut command = Command::cargo_bin("planagent").unwrap();
     // The package's models and configuration, whatever the working directory.
     command.env("PLANAGENT_MODELS", concat!(env!("CARGO_MANIFEST_DIR"), "/models")).env("NO_COLOR", "1");
+    command.env_remove("CARGO_MANIFEST_DIR");
     command
 }
 

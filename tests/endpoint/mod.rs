@@ -3,7 +3,7 @@
 mod deadline;
 mod llama_cpp;
 mod questions;
-mod server;
+pub(crate) mod server;
 mod simulation;
 mod troubles;
 

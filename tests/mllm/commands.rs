@@ -24,7 +24,11 @@ fn described_models_are_listed() {
     assert!(row("nano")["bytes"].as_u64().unwrap() > 8_000_000);
     assert_eq!(row("llava-1.5-7b")["source"], "llava-hf/llava-1.5-7b-hf");
     assert!(row("llava-1.5-7b")["place"].is_null());
-    assert!(row("llava-1.5-7b")["problem"].as_str().unwrap().contains("not in the cache"));
+    assert!(row("llava-1.5-7b")["problem"].as_str().unwrap().contains("planagent models fetch llava-1.5-7b"));
+    assert_eq!(
+        (row("nano")["prompt_set"].as_str(), row("openai")["prompt_set"].as_str()),
+        (Some("compact"), Some("paper"))
+    );
     let text =
         String::from_utf8(planagent(&["models", "list"]).assert().success().get_output().stdout.clone()).unwrap();
     assert_eq!(text.lines().count(), listed.len(), "piped, a model takes a line: {text}");
@@ -62,9 +66,9 @@ fn what_cannot_be_done_says_why() {
             "choose one of f32, f16, q8_0, q6_k, q4_k",
         ),
         (&["models", "quantize", "nano", "--to", "q4_k", "--out", "x.bin"], 2, "must end in .gguf"),
-        (&["models", "fetch", "no-such-model"], 2, "unknown model \"no-such-model\""),
+        (&["models", "fetch", "no-such-model"], 2, "unknown model 'no-such-model'"),
         (&["models", "fetch", "llava-1.5-7b", "--offline"], 2, "not in the cache"),
-        (&["plan", "--model", "nowhere.gguf"], 2, "unknown model \"nowhere.gguf\""),
+        (&["plan", "--model", "nowhere.gguf"], 2, "unknown model 'nowhere.gguf'"),
     ] {
         let output = planagent(arguments).assert().code(code).get_output().stderr.clone();
         let text = String::from_utf8_lossy(&output).into_owned();

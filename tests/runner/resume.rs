@@ -23,7 +23,10 @@ pub(crate) fn spawn(flags: &[&str]) -> Child {
     let program = planagent();
     let mut command = Command::new(program.get_program());
     for (name, value) in program.get_envs() {
-        command.env(name, value.unwrap());
+        match value {
+            Some(value) => command.env(name, value),
+            None => command.env_remove(name),
+        };
     }
     command.args(flags).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }

@@ -7,7 +7,9 @@ use planagent::internals::planner::{
     IdmPlanner, LogReplay, Planner, PlannerError, PlannerInitialization, PlannerInput, SimplePlanner,
 };
 use planagent::internals::scenario::{FUTURE_FRAMES, Frame, Scenario};
-use planagent::internals::simulation::{AGENT_POLICIES, AgentPolicy, Challenge, simulate, simulate_with_agents};
+use planagent::internals::simulation::{
+    AGENT_POLICIES, AgentPolicy, AgentPolicyError, Challenge, simulate, simulate_with_agents,
+};
 use planagent::internals::world::{EgoState, LaneId, LaneKind, Route, SignalStatus, TrackedObject, Trajectory};
 use std::sync::{Arc, Mutex};
 
@@ -194,9 +196,10 @@ impl AgentPolicy for Statues {
         if self.hidden { [].into() } else { Arc::clone(&self.objects) }
     }
 
-    fn step(&mut self, ego: &EgoState, _: &Frame, _: f64) {
+    fn step(&mut self, ego: &EgoState, _: &Frame, _: f64) -> Result<(), AgentPolicyError> {
         let near = |object: &TrackedObject| object.shape.center.distance(&ego.center()) < 20.0;
         self.hidden = self.objects.iter().any(near);
+        Ok(())
     }
 
     fn boxed_clone(&self) -> Box<dyn AgentPolicy> {

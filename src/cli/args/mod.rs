@@ -1,5 +1,6 @@
 //! The arguments of the command line.
 
+mod ask;
 mod data;
 mod model;
 mod models;
@@ -8,6 +9,7 @@ mod scenarios;
 mod simulate;
 mod studies;
 
+pub(super) use ask::AskArguments;
 pub(super) use model::{ModelArguments, ModelFlags};
 pub(super) use models::{ModelsCommand, QuantizeArguments};
 pub(super) use results::{CompareArguments, MergeArguments, RenderArguments, ReportArguments};
@@ -78,6 +80,11 @@ pub(super) enum Command {
     /// Run one planning call and show its input, answers, code and scores.
     #[command(after_long_help = help::PLAN)]
     Plan(PlanArguments),
+    /// Put a question about the picture of a scene to the model.
+    ///
+    /// The answer goes to stdout as it is generated. The models of models/ other than nano answer in sentences.
+    #[command(after_long_help = help::ASK)]
+    Ask(AskArguments),
     /// Write an HTML page of runs: scores, histograms, and replays with their transcripts.
     #[command(after_long_help = help::REPORT)]
     Report(ReportArguments),
@@ -136,6 +143,7 @@ impl Command {
         match self {
             Self::Simulate(flags) => flags.model.flags(),
             Self::Plan(flags) => flags.model.flags(),
+            Self::Ask(flags) => flags.model.flags(),
             Self::Dataset(flags) => flags.model.flags(),
             Self::Experiment(flags) => flags.model.flags(),
             Self::Bench(flags) => flags.model.flags(),

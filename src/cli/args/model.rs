@@ -10,6 +10,7 @@ const HEADING: &str = "Model";
 #[derive(Debug, Default)]
 pub(in crate::cli) struct ModelFlags {
     pub(in crate::cli) model: Option<String>,
+    pub(in crate::cli) prompt_set: Option<String>,
     pub(in crate::cli) quantize: Option<WeightFormat>,
     pub(in crate::cli) ignore_memory: bool,
     pub(in crate::cli) offline: bool,
@@ -24,6 +25,12 @@ pub(in crate::cli) struct ModelArguments {
     /// description FILE.toml. A description may name a server with OpenAI's chat completions.
     #[arg(long, value_name = "MODEL", help_heading = HEADING)]
     model: Option<String>,
+    /// Prompt set: paper, compact, or a folder [default: the model's own].
+    ///
+    /// paper, compact, a folder of prompts/, or the path of a folder of templates. By default, the description of the model
+    /// names it, or planagent.json among its files; else it is paper.
+    #[arg(long, value_name = "SET", help_heading = HEADING)]
+    prompt_set: Option<String>,
     #[command(flatten)]
     format: FormatArgument,
     #[command(flatten)]
@@ -61,9 +68,9 @@ pub(in crate::cli) struct NetworkArgument {
 impl ModelArguments {
     /// What the options say.
     pub(super) fn flags(&self) -> ModelFlags {
-        let Self { model, format, memory, network } = self;
+        let Self { model, prompt_set, format, memory, network } = self;
         let rest = ModelFlags::of(Some(format), Some(memory), network);
-        ModelFlags { model: model.clone(), ..rest }
+        ModelFlags { model: model.clone(), prompt_set: prompt_set.clone(), ..rest }
     }
 }
 
@@ -76,6 +83,7 @@ impl ModelFlags {
     ) -> Self {
         Self {
             model: None,
+            prompt_set: None,
             quantize: format.and_then(|format| format.quantize),
             ignore_memory: memory.is_some_and(|memory| memory.ignore_memory),
             offline: network.offline,

@@ -27,7 +27,7 @@ pub(in crate::cli) struct SimulateArguments {
     pub(in crate::cli) sample: SampleArguments,
     #[arg(long, value_name = "NAMES", help = help::planners_short(), long_help = help::planners())]
     pub(in crate::cli) planner: Vec<String>,
-    /// With a command as planner: seconds that it may take for a step.
+    /// With a command as planner or agents: seconds that it may take for a step.
     #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_EXEC_TIMEOUT.as_secs_f64(), hide_short_help = true)]
     exec_timeout: f64,
     /// Challenges: nonreactive, reactive, both or open-loop [default: nonreactive].
@@ -36,6 +36,12 @@ pub(in crate::cli) struct SimulateArguments {
     /// open-loop: plans are compared with the log. The default is nonreactive.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(in crate::cli) challenge: Vec<String>,
+    /// A command that controls the other agents: exec:COMMAND or NAME=exec:COMMAND.
+    ///
+    /// The closed loop with these agents is no challenge of nuPlan's: NAME stands in its place in tables and files. Without
+    /// --challenge, it alone is simulated. --exec-timeout bounds each step.
+    #[arg(long, value_name = "COMMAND")]
+    agents: Option<String>,
     /// Folder for the results, new or empty [default: the next free runs/NNNN].
     #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
     pub(in crate::cli) out: Option<PathBuf>,
@@ -90,6 +96,7 @@ impl SimulateArguments {
             planners: planner_words(&self.planner),
             exec_timeout,
             challenges: self.challenge.clone(),
+            agents: self.agents.clone(),
             roots: self.split.data.roots(),
             retry_failed: self.retry_failed,
             ..Request::default()
@@ -108,6 +115,12 @@ pub(in crate::cli) struct PlanArguments {
     /// Seconds after the start of the window.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
     pub(in crate::cli) at: f64,
+    /// Judge this planner code, quoted as one word, instead of asking a model.
+    ///
+    /// Reflection scores it as it scores the agent's own, with the settings of the section reflection. Prints every part of the
+    /// score, and whether the code would be executed. No model is loaded.
+    #[arg(long, value_name = "CODE", conflicts_with_all = ["model", "prompt_set", "quantize", "offline", "ignore_memory"])]
+    pub(in crate::cli) code: Option<String>,
     /// Write a picture of the call to this file, a .png or .jpg: the scene with its plans, and the model's own picture beside
     /// it. The model's picture as the model sees it goes to NAME.model.EXTENSION.
     #[arg(long, value_name = "FILE", value_parser = picture_file())]

@@ -95,11 +95,15 @@ fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry)
     let mut all = Vec::new();
     for name in named {
         let spec = registry.find(name)?;
-        all.push(Candidate { name: spec.name, model: ModelChoice::Named(name.clone()), prompts: spec.prompt_set });
+        let prompts = prompts(config, || Ok(registry.asking(&spec)?.prompt_set))?;
+        all.push(Candidate { name: spec.name, model: ModelChoice::Named(name.clone()), prompts });
     }
     for name in &flags.random_weights {
         let shape = ModelShape::find(name)?;
-        let prompts = registry.find(name).map_or(PromptSet::Paper, |spec| spec.prompt_set);
+        let own = || {
+            Ok(registry.find(name).ok().and_then(|spec| spec.prompt_set).unwrap_or(PromptSet::Paper).name().to_owned())
+        };
+        let prompts = prompts(config, own)?;
         all.push(Candidate { name: name.clone(), model: ModelChoice::Random(shape.name.to_owned()), prompts });
     }
     for (index, candidate) in all.iter().enumerate() {
@@ -108,6 +112,13 @@ fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry)
         }
     }
     Ok(all)
+}
+
+/// The prompt set whose tokens are measured: that of the settings, else the model's own.
+fn prompts(config: &Config, own: impl FnOnce() -> anyhow::Result<String>) -> anyhow::Result<PromptSet> {
+    let name = config.reasoning.prompt_set.clone().map_or_else(own, Ok)?;
+    PromptSet::named(&name)
+        .with_context(|| format!("bench knows the lengths of the prompt sets compact and paper, and not of '{name}'"))
 }
 
 /// A model as GGUF files that llama.cpp reads too: its own, or newly written ones.
@@ -146,7 +157,7 @@ fn as_gguf(
         printer.note(format!("{}: writing {}", candidate.name, decoder.display()));
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
         write_gguf(&decoder, printer, |create, progress| {
-            export_model(&candidate.name, &place, &loading, create, progress)
+            export_model(&candidate.name, &place, &loading, &[], create, progress)
         })
         .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
     }

@@ -1,5 +1,6 @@
 //! One file or folder a subcommand.
 
+pub(super) mod ask;
 pub(super) mod bench;
 pub(super) mod compare;
 pub(super) mod completions;

@@ -59,10 +59,9 @@ fn run_and_simulation(flags: &RenderArguments, printer: Printer) -> anyhow::Resu
 
 /// The completed simulations that the arguments choose.
 fn chosen(flags: &RenderArguments, run: &Path, simulation: Option<&str>) -> anyhow::Result<Vec<SimulationRow>> {
-    let challenge = flags.challenge.as_deref().map(str::parse::<Challenge>).transpose();
-    let challenge = challenge.context("--challenge takes nonreactive, reactive or open-loop")?;
     RunFolder::manifest(run)?;
     let mut rows = RunFolder::read_completed(run)?.rows;
+    let challenge = flags.challenge.as_deref().map(|word| challenge(word, &rows)).transpose()?;
     if let Some(simulation) = simulation {
         let all: Vec<String> = rows.iter().map(|row| row.scenario.clone()).collect();
         rows.retain(|row| is_named(row, simulation));
@@ -82,6 +81,13 @@ fn chosen(flags: &RenderArguments, run: &Path, simulation: Option<&str>) -> anyh
         bail!("the run {} has no completed simulation of this planner and challenge", run.display());
     }
     Ok(rows)
+}
+
+/// The challenge of a word: one of nuPlan's, or the name of a policy of the run's own agents.
+fn challenge(word: &str, rows: &[SimulationRow]) -> anyhow::Result<Challenge> {
+    let own = rows.iter().map(|row| row.challenge).find(|challenge| challenge.short_name() == word);
+    let named = own.map_or_else(|| word.parse(), Ok);
+    named.context("--challenge takes nonreactive, reactive, open-loop, or the name of a policy of --agents")
 }
 
 fn is_named(row: &SimulationRow, simulation: &str) -> bool {

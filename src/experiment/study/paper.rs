@@ -67,7 +67,7 @@ impl Published {
         match challenge {
             Challenge::NonReactive => Some(nonreactive),
             Challenge::Reactive => Some(reactive),
-            Challenge::OpenLoop => None,
+            Challenge::OpenLoop | Challenge::OwnAgents(_) => None,
         }
     }
 }

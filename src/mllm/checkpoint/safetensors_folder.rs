@@ -163,7 +163,7 @@ pub(crate) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
     let mut files: Vec<PathBuf> = Vec::new();
     for (tensor, file) in weight_map {
         if file.is_empty() || file.contains(['/', '\\']) || file == ".." {
-            let problem = format!("expected the name of a file in this folder, found {file:?}");
+            let problem = format!("expected the name of a file in this folder, found '{file}'");
             return Err(root.error(&format!("weight_map.{tensor}"), problem));
         }
         let path = folder.join(&file);

@@ -63,11 +63,19 @@ impl Client {
         })
     }
 
-    /// Sends a request, with retries as the settings allow; `seed` determines the random parts of the waits.
+    /// Sends a request, with retries as the settings allow; `seed` determines the random parts of the waits. `on_text` gets the
+    /// pieces of the answer; after the first, nothing is retried.
     ///
     /// # Errors
     /// The last failure, or [`MllmError::Deadline`] when the deadline passes or would pass during a wait.
-    pub(super) fn ask(&self, body: &Value, seed: u64, deadline: Deadline) -> Result<Reply, MllmError> {
+    pub(super) fn ask(
+        &self,
+        body: &Value,
+        seed: u64,
+        deadline: Deadline,
+        mut on_text: Option<&mut dyn FnMut(&str)>,
+    ) -> Result<Reply, MllmError> {
+        let mut spoken = false;
         let mut waits = ExponentialBuilder::default()
             .with_min_delay(self.first_wait)
             .with_max_delay(MAX_WAIT)
@@ -77,12 +85,17 @@ impl Client {
             .build();
         loop {
             deadline.check()?;
-            let Failed { failure, retry_after } = match self.ask_once(body, deadline) {
+            let Failed { failure, retry_after } = match self.ask_once(body, deadline, &mut |text| {
+                if let Some(on_text) = &mut on_text {
+                    spoken = true;
+                    on_text(text);
+                }
+            }) {
                 Ok(reply) => return Ok(reply),
                 Err(failed) => failed,
             };
             deadline.check()?;
-            let again = if may_retry(&failure) { waits.next() } else { None };
+            let again = if may_retry(&failure) && !spoken { waits.next() } else { None };
             let Some(wait) = again else { return Err(self.error(failure)) };
             let wait = retry_after.unwrap_or(wait);
             if let (EndpointFailure::Unavailable { status, .. }, true) = (&failure, wait > self.timeout) {
@@ -95,7 +108,7 @@ impl Client {
         }
     }
 
-    fn ask_once(&self, body: &Value, deadline: Deadline) -> Result<Reply, Failed> {
+    fn ask_once(&self, body: &Value, deadline: Deadline, on_text: &mut dyn FnMut(&str)) -> Result<Reply, Failed> {
         let limit = deadline.left().map_or(self.timeout, |left| left.min(self.timeout));
         let mut request = self.http.post(self.url.clone()).timeout(limit).json(body);
         if let Some(key) = &self.key {
@@ -110,7 +123,7 @@ impl Client {
             .get(CONTENT_TYPE)
             .and_then(|kind| kind.to_str().ok())
             .is_some_and(|kind| kind.starts_with("text/event-stream"));
-        let reply = if streamed { read_stream(response) } else { read_whole(response) };
+        let reply = if streamed { read_stream(response, on_text) } else { read_whole(response, on_text) };
         reply.map_err(|failure| self.redacted(failure).into())
     }
 

@@ -12,8 +12,8 @@ use reqwest::Url;
 
 use super::sampling::answer_seed;
 use super::{
-    Answer, Conversation, EndpointSettings, LoadReport, Mark, Mllm, MllmError, ModelDescription, PromptPrefix, Request,
-    RoundTime, Server, Turn, milliseconds, prompt_hash,
+    Answer, Constraint, Conversation, EndpointSettings, LoadReport, Mark, Mllm, MllmError, ModelDescription,
+    PromptPrefix, Request, RoundTime, Server, Turn, milliseconds, prompt_hash,
 };
 use chat::Chat;
 use client::Client;
@@ -83,6 +83,40 @@ struct EndpointConversation<'a> {
 
 impl Conversation for EndpointConversation<'_> {
     fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError> {
+        self.request(prompt, request, None)
+    }
+
+    fn ask_aloud(
+        &mut self,
+        prompt: &str,
+        request: &Request,
+        on_text: &mut dyn FnMut(&str),
+    ) -> Result<Answer, MllmError> {
+        if request.constraint != Constraint::Free {
+            // What the server sends may wrap the answer.
+            let answer = self.ask(prompt, request)?;
+            on_text(&answer.text);
+            return Ok(answer);
+        }
+        self.request(prompt, request, Some(on_text))
+    }
+
+    fn mark(&self) -> Mark {
+        Mark(self.turns.len())
+    }
+
+    fn rewind(&mut self, mark: Mark) {
+        self.turns.truncate(mark.0);
+    }
+}
+
+impl EndpointConversation<'_> {
+    fn request(
+        &mut self,
+        prompt: &str,
+        request: &Request,
+        on_text: Option<&mut dyn FnMut(&str)>,
+    ) -> Result<Answer, MllmError> {
         let start = Instant::now();
         let settings = &self.endpoint.settings;
         request.sampling.check()?;
@@ -90,7 +124,7 @@ impl Conversation for EndpointConversation<'_> {
         let chat = Chat { system: &self.system, image: self.image.as_deref(), turns: &self.turns, prompt };
         let body = chat::body(settings, &chat, request, seed)?;
         let asked = Instant::now();
-        let reply = self.endpoint.client.ask(&body, seed, request.deadline)?;
+        let reply = self.endpoint.client.ask(&body, seed, request.deadline, on_text)?;
         let remote = milliseconds(asked.elapsed());
         let text = chat::text(settings, &request.constraint, reply.content);
         self.answers += 1;
@@ -109,13 +143,5 @@ impl Conversation for EndpointConversation<'_> {
             },
             text,
         })
-    }
-
-    fn mark(&self) -> Mark {
-        Mark(self.turns.len())
-    }
-
-    fn rewind(&mut self, mark: Mark) {
-        self.turns.truncate(mark.0);
     }
 }

@@ -81,10 +81,10 @@ struct Gathered {
 }
 
 impl Gathered {
-    fn add(&mut self, text: &str) -> Result<(), EndpointFailure> {
+    fn add(&mut self, text: &str, on_text: &mut dyn FnMut(&str)) -> Result<(), EndpointFailure> {
         let invalid = |problem: String| EndpointFailure::InvalidReply(problem);
         let part: Completion =
-            serde_json::from_str(text).map_err(|error| invalid(format!("{error} in {:?}", shortened(text))))?;
+            serde_json::from_str(text).map_err(|error| invalid(format!("{error} in '{}'", shortened(text))))?;
         if let Some(error) = part.error {
             return Err(invalid(message_of(&error)));
         }
@@ -99,12 +99,13 @@ impl Gathered {
         if let Some(content) = message.content.filter(|content| !content.is_empty()) {
             self.first_text.get_or_insert_with(Instant::now);
             self.content.push_str(&content);
+            on_text(&content);
         }
         self.finish = match choice.finish_reason.as_deref() {
             None => self.finish,
             Some("stop") => Some(FinishReason::EndOfSequence),
             Some("length") => Some(FinishReason::Length),
-            Some(other) => return Err(invalid(format!("unknown finish_reason {:?}", shortened(other)))),
+            Some(other) => return Err(invalid(format!("unknown finish_reason '{}'", shortened(other)))),
         };
         Ok(())
     }
@@ -116,8 +117,8 @@ impl Gathered {
     }
 }
 
-/// Reads a chat completion in one piece.
-pub(super) fn read_whole(body: impl Read) -> Result<Reply, EndpointFailure> {
+/// Reads a chat completion in one piece. `on_text` gets its text.
+pub(super) fn read_whole(body: impl Read, on_text: &mut dyn FnMut(&str)) -> Result<Reply, EndpointFailure> {
     let mut bytes = Vec::new();
     body.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(|error| incomplete(&error))?;
     if bytes.len() as u64 > MAX_BYTES {
@@ -125,18 +126,18 @@ pub(super) fn read_whole(body: impl Read) -> Result<Reply, EndpointFailure> {
     }
     let text = String::from_utf8_lossy(&bytes);
     let mut gathered = Gathered::default();
-    gathered.add(&text)?;
+    gathered.add(&text, on_text)?;
     gathered.first_text = None;
     gathered
         .complete()
-        .ok_or_else(|| EndpointFailure::InvalidReply(format!("no finished choice in {:?}", shortened(&text))))
+        .ok_or_else(|| EndpointFailure::InvalidReply(format!("no finished choice in '{}'", shortened(&text))))
 }
 
-/// Reads a streamed chat completion.
+/// Reads a streamed chat completion. `on_text` gets its pieces.
 ///
 /// # Errors
 /// As [`read_whole`]; a stream without the end of the answer is incomplete.
-pub(super) fn read_stream(body: impl Read) -> Result<Reply, EndpointFailure> {
+pub(super) fn read_stream(body: impl Read, on_text: &mut dyn FnMut(&str)) -> Result<Reply, EndpointFailure> {
     let mut lines = BufReader::new(body.take(MAX_BYTES + 1));
     let mut gathered = Gathered::default();
     let mut read = 0;
@@ -152,7 +153,7 @@ pub(super) fn read_stream(body: impl Read) -> Result<Reply, EndpointFailure> {
         let text = String::from_utf8_lossy(&line);
         match text.strip_prefix("data:").map(str::trim) {
             Some("[DONE]") => break,
-            Some(event) if !event.is_empty() => gathered.add(event)?,
+            Some(event) if !event.is_empty() => gathered.add(event, on_text)?,
             _ if length == 0 => break,
             _ => {}
         }
@@ -204,7 +205,7 @@ mod tests {
         let body = r#"{"id": "x", "choices": [{"index": 0, "message": {"role": "assistant", "content": "keep"},
             "finish_reason": "length"}], "usage": {"prompt_tokens": 12, "completion_tokens": 3, "total_tokens": 15,
             "prompt_tokens_details": {"cached_tokens": 8}}}"#;
-        let reply = read_whole(body.as_bytes()).unwrap();
+        let reply = read_whole(body.as_bytes(), &mut |_| ()).unwrap();
         assert_eq!((reply.content.as_str(), reply.finish), ("keep", FinishReason::Length));
         assert_eq!(reply.tokens, TokenCounts { text: 4, cached: 8, sampled: 3, ..TokenCounts::default() });
         assert_eq!(reply.first_text, None);
@@ -217,7 +218,7 @@ mod tests {
             data:{\"choices\":[{\"delta\":{\"content\":\"ep\"}}]}\n\n\
             data: {\"choices\":[{\"delta\":{},\"finish_reason\":\"stop\"}]}\n\n\
             data: {\"choices\":[],\"usage\":{\"prompt_tokens\":5,\"completion_tokens\":2}}\n\ndata: [DONE]\n\n";
-        let reply = read_stream(body.as_bytes()).unwrap();
+        let reply = read_stream(body.as_bytes(), &mut |_| ()).unwrap();
         assert_eq!((reply.content.as_str(), reply.finish), ("keep", FinishReason::EndOfSequence));
         assert_eq!((reply.tokens.text, reply.tokens.sampled), (5, 2));
         assert!(reply.first_text.is_some());
@@ -225,14 +226,14 @@ mod tests {
 
     #[test]
     fn nonsense_and_broken_answers_are_told_apart() {
-        let whole = |body: &str| read_whole(body.as_bytes()).unwrap_err();
+        let whole = |body: &str| read_whole(body.as_bytes(), &mut |_| ()).unwrap_err();
         for invalid in ["", "<html>", "[]", "{}", r#"{"choices": []}"#, r#"{"choices": [{"message": {"content": 3}}]}"#]
         {
             assert!(matches!(whole(invalid), EndpointFailure::InvalidReply(_)), "{invalid}");
         }
         let refusal = r#"{"choices":[{"message":{"refusal":"I cannot"},"finish_reason":"stop"}]}"#;
         assert!(whole(refusal).to_string().contains("I cannot"));
-        let stream = |body: &str| read_stream(body.as_bytes()).unwrap_err();
+        let stream = |body: &str| read_stream(body.as_bytes(), &mut |_| ()).unwrap_err();
         let cut = "data: {\"choices\":[{\"delta\":{\"content\":\"ke\"}}]}\n\n";
         assert!(matches!(stream(cut), EndpointFailure::Closed(_)));
         assert!(
@@ -243,9 +244,9 @@ mod tests {
     #[test]
     fn an_endless_answer_is_not_read_to_its_end() {
         let endless = std::io::repeat(b' ');
-        assert_eq!(read_whole(endless).unwrap_err(), EndpointFailure::TooLong(MAX_BYTES));
+        assert_eq!(read_whole(endless, &mut |_| ()).unwrap_err(), EndpointFailure::TooLong(MAX_BYTES));
         let endless = std::io::repeat(b'\n');
-        assert_eq!(read_stream(endless).unwrap_err(), EndpointFailure::TooLong(MAX_BYTES));
+        assert_eq!(read_stream(endless, &mut |_| ()).unwrap_err(), EndpointFailure::TooLong(MAX_BYTES));
     }
 
     #[test]

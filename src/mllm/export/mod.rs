@@ -59,19 +59,21 @@ impl GgufPart {
 /// Creates the file of a part.
 pub type CreateFile<'a> = dyn FnMut(GgufPart) -> io::Result<Box<dyn Write>> + 'a;
 
-/// Writes a model as GGUF under the name `name`, its weights in the format that `loading` asks for. `progress` gets the bytes
+/// Writes a model as GGUF under the name `name`, its weights in the format that `loading` asks for. The small files `added`
+/// (name, text) are packed with the model's own. `progress` gets the bytes
 /// that are written so far, and all bytes.
 pub fn export_model(
     name: &str,
     place: &ModelPlace,
     loading: &Loading,
+    added: &[(String, String)],
     create: &mut CreateFile<'_>,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<LoadReport, MllmError> {
     let mut checkpoint = Checkpoint::open(place, loading.quantize, &loading.families)?;
     loading.check_family(&checkpoint)?;
     let tokenizer = loading.tokenizer(&checkpoint)?;
-    let parts = parts(&mut checkpoint, &tokenizer, name)?;
+    let parts = parts(&mut checkpoint, &tokenizer, name, added)?;
     let total = parts.iter().flat_map(|part| &part.layout.tensors).map(PlannedTensor::bytes).sum();
     let mut written = 0;
     for part in &parts {
@@ -120,9 +122,15 @@ impl Heads {
     }
 }
 
-fn parts(checkpoint: &mut Checkpoint, tokenizer: &ModelFiles, name: &str) -> Result<Vec<Part>, MllmError> {
+fn parts(
+    checkpoint: &mut Checkpoint,
+    tokenizer: &ModelFiles,
+    name: &str,
+    added: &[(String, String)],
+) -> Result<Vec<Part>, MllmError> {
     let files = &checkpoint.files;
-    let packed = packed_files(files, tokenizer)?;
+    let mut packed = packed_files(files, tokenizer)?;
+    packed.extend(added.iter().map(|(name, text)| (format!("{FILE}{name}"), json!(text))));
     let family = checkpoint.family.family();
     let general = |architecture: &str| {
         vec![

@@ -29,7 +29,7 @@ fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {
         |part: GgufPart| -> std::io::Result<Box<dyn Write>> { Ok(Box::new(File::create(part.path(&model))?)) };
     let loading = Loading { quantize: Some(weight_format), ..Loading::default() };
     let mut written = (0, 1);
-    export_model("tiny", &ModelPlace::Folder(from.to_path_buf()), &loading, &mut create, &mut |bytes, total| {
+    export_model("tiny", &ModelPlace::Folder(from.to_path_buf()), &loading, &[], &mut create, &mut |bytes, total| {
         assert!(written.0 < bytes);
         written = (bytes, total);
     })

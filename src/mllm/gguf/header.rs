@@ -89,7 +89,7 @@ impl Reader<'_> {
             let kind = self.u32()?;
             let value = self.value(kind, 0).map_err(|error| in_entry(error, &key))?;
             if metadata.insert(key.clone(), value).is_some() {
-                return Err(self.error(format!("the metadata key {key:?} occurs twice")));
+                return Err(self.error(format!("the metadata key '{}' occurs twice", key.escape_debug())));
             }
         }
         let declared = (0..tensors).map(|_| self.tensor()).collect::<Result<Vec<_>, _>>()?;

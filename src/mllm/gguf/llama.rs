@@ -61,7 +61,7 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
             config["rope_scaling"] = json!({"type": "linear", "factor": header.number("llama.rope.scaling.factor")?});
         }
         Some(other) => {
-            return Err(header.error("llama.rope.scaling.type", format!("{other:?} is not supported; linear is")));
+            return Err(header.error("llama.rope.scaling.type", format!("'{other}' is not supported; linear is")));
         }
     }
     Ok(config)

@@ -103,7 +103,7 @@ pub(crate) fn tower_beside(model: &Path) -> Result<PathBuf, MllmError> {
     match towers.as_slice() {
         [] => Err(MllmError::MissingFile {
             folder: folder.to_path_buf(),
-            file: "vision tower (a GGUF file of architecture clip, \"mmproj\"); put it beside the decoder, or name it under \
+            file: "vision tower (a GGUF file of architecture clip, 'mmproj'); put it beside the decoder, or name it under \
                    mmproj in the model's description"
                 .into(),
         }),

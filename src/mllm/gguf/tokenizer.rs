@@ -73,7 +73,7 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
         Some(other) => {
             return Err(header.error(
                 MODEL,
-                format!("{other:?} is not supported in GGUF (llama, SentencePiece, is); put the model's tokenizer.json beside it"),
+                format!("'{other}' is not supported in GGUF (llama, SentencePiece, is); put the model's tokenizer.json beside it"),
             ));
         }
         None => {
@@ -141,7 +141,9 @@ impl<'a> Pieces<'a> {
         let mut ids = HashMap::new();
         for (id, token) in tokens.iter().enumerate() {
             if let Some(other) = ids.insert(token, id) {
-                return Err(header.error(TOKENS, format!("{token:?} occurs twice, as {other} and {id}")));
+                return Err(
+                    header.error(TOKENS, format!("'{}' occurs twice, as {other} and {id}", token.escape_debug()))
+                );
             }
         }
         Ok(Self { tokens, scores, kinds })

@@ -48,6 +48,6 @@ fn placeholder(tokenizer: &ChatTokenizer, id: u32) -> Result<String, MllmError> 
     if ids.iter().filter(|found| **found == id).count() == 1 {
         Ok(token)
     } else {
-        Err(broken(format!("the image token {token:?}, id {id}, is split into the ids {ids:?}: it is no added token")))
+        Err(broken(format!("the image token '{token}', id {id}, is split into the ids {ids:?}: it is no added token")))
     }
 }

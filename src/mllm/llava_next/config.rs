@@ -34,7 +34,7 @@ impl LlavaNextConfig {
         if llava.feature_select == FeatureSelect::Full {
             return Err(root.error(
                 "vision_feature_select_strategy",
-                "\"full\" has class tokens, which have no place in a grid of tiles; \"default\" is supported",
+                "'full' has class tokens, which have no place in a grid of tiles; 'default' is supported",
             ));
         }
         let side = llava.vision.image_size as u32;

@@ -51,7 +51,8 @@ struct Generation<'a> {
     start: Instant,
 }
 
-/// Generates an answer after `prompt`, the part of the prompt that `sequence` does not hold yet.
+/// Generates an answer after `prompt`, the part of the prompt that `sequence` does not hold yet. `on_tokens` gets the answer so
+/// far whenever it has grown.
 #[expect(clippy::too_many_arguments, reason = "one call, and each argument is of another kind")]
 pub(super) fn generate(
     model: &dyn VisionLanguageModel,
@@ -62,6 +63,7 @@ pub(super) fn generate(
     mut sampler: Sampler,
     end: &End<'_>,
     start: Instant,
+    on_tokens: &mut dyn FnMut(&[u32]),
 ) -> Result<Generated, MllmError> {
     let room = end.context.saturating_sub(sequence.ids().len() + prompt.len());
     let (budget, at_budget) = if end.max_new_tokens <= room {
@@ -93,6 +95,7 @@ pub(super) fn generate(
             let cut = fast_forwarded.len() > left;
             fast_forwarded.truncate(left);
             generation.push_fast_forwarded(&fast_forwarded);
+            on_tokens(&generation.out.ids);
             if grammar.is_complete() && !cut {
                 generation.out.finish = FinishReason::Complete;
                 break;
@@ -115,6 +118,7 @@ pub(super) fn generate(
         } else {
             generation.push_fast_forwarded(&[token]);
         }
+        on_tokens(&generation.out.ids);
         if let Some(grammar) = &mut grammar {
             grammar.consume(&[token])?;
         }

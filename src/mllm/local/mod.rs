@@ -93,7 +93,7 @@ impl Loading {
                 path: checkpoint.files.path("config.json"),
                 key: "model_type".into(),
                 problem: format!(
-                    "this is a {} model, but the description {by:?} says {}",
+                    "this is a {} model, but the description '{by}' says {}",
                     found.name(),
                     expected.name()
                 ),

@@ -72,8 +72,55 @@ impl<'a> LocalConversation<'a> {
     }
 }
 
+/// The text of an answer that has been handed on.
+#[derive(Default)]
+struct Spoken {
+    text: String,
+}
+
+impl Spoken {
+    /// What is new in the text so far. Nothing while its last character is incomplete.
+    fn new_part<'t>(&mut self, text: &'t str) -> &'t str {
+        if text.ends_with(char::REPLACEMENT_CHARACTER) {
+            return "";
+        }
+        let new = text.strip_prefix(self.text.as_str()).unwrap_or_default();
+        self.text.push_str(new);
+        new
+    }
+}
+
 impl Conversation for LocalConversation<'_> {
     fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError> {
+        self.generate(prompt, request, None)
+    }
+
+    fn ask_aloud(
+        &mut self,
+        prompt: &str,
+        request: &Request,
+        on_text: &mut dyn FnMut(&str),
+    ) -> Result<Answer, MllmError> {
+        self.generate(prompt, request, Some(on_text))
+    }
+
+    fn mark(&self) -> Mark {
+        Mark(self.turns.len())
+    }
+
+    fn rewind(&mut self, mark: Mark) {
+        // The computed tokens stay; the next round keeps those that still agree.
+        self.turns.truncate(mark.0);
+    }
+}
+
+impl LocalConversation<'_> {
+    fn generate(
+        &mut self,
+        prompt: &str,
+        request: &Request,
+        mut on_text: Option<&mut dyn FnMut(&str)>,
+    ) -> Result<Answer, MllmError> {
         let start = Instant::now();
         request.deadline.check()?;
         let local = self.local;
@@ -98,6 +145,17 @@ impl Conversation for LocalConversation<'_> {
         let image_encode =
             if self.features.is_some() && !encoded_before { milliseconds(encode_start.elapsed()) } else { 0.0 };
 
+        let mut spoken = Spoken::default();
+        let free = request.constraint == Constraint::Free;
+        let mut speak = |ids: &[u32]| {
+            let Some(on_text) = &mut on_text else { return };
+            // A text that cannot be decoded yet is handed on with what follows.
+            let so_far = if free { local.tokenizer.decode(ids) } else { Ok(local.tokenizer.decode_verbatim(ids)) };
+            let new = so_far.map(|text| spoken.new_part(&text).to_owned()).unwrap_or_default();
+            if !new.is_empty() {
+                on_text(&new);
+            }
+        };
         let generated: Generated = generate(
             &*local.model,
             &mut self.sequence,
@@ -112,8 +170,15 @@ impl Conversation for LocalConversation<'_> {
                 deadline: request.deadline,
             },
             start,
+            &mut speak,
         )?;
         let text = self.decode(request, &generated.ids)?;
+        if let Some(on_text) = on_text {
+            let rest = text.strip_prefix(spoken.text.as_str()).unwrap_or_default();
+            if !rest.is_empty() {
+                on_text(rest);
+            }
+        }
         let computed = rest.get(..self.sequence.ids().len() - cached).unwrap_or(rest);
         let image_tokens = computed.iter().filter(|id| **id == image_token).count();
         let prefix_time = std::mem::take(&mut self.prefix_time);
@@ -145,13 +210,16 @@ impl Conversation for LocalConversation<'_> {
         self.answers += 1;
         Ok(answer)
     }
+}
 
-    fn mark(&self) -> Mark {
-        Mark(self.turns.len())
-    }
+#[cfg(test)]
+mod tests {
+    use super::Spoken;
 
-    fn rewind(&mut self, mark: Mark) {
-        // The computed tokens stay; the next round keeps those that still agree.
-        self.turns.truncate(mark.0);
+    #[test]
+    fn a_text_is_handed_on_in_whole_characters_and_once() {
+        let mut spoken = Spoken::default();
+        let said: Vec<&str> = ["A", "A \u{fffd}", "A ü", "A ü"].into_iter().map(|text| spoken.new_part(text)).collect();
+        assert_eq!(said, ["A", "", " ü", ""]);
     }
 }

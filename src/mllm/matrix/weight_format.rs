@@ -96,7 +96,7 @@ impl fmt::Display for WeightFormat {
 
 /// A name that is not in [`WeightFormat::ALL`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown weight format {name:?}; choose one of {}", WeightFormat::ALL.map(WeightFormat::name).join(", "))]
+#[error("unknown weight format '{name}'; choose one of {}", WeightFormat::ALL.map(WeightFormat::name).join(", "))]
 pub struct UnknownWeightFormat {
     name: String,
 }

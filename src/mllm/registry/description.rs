@@ -21,7 +21,9 @@ pub struct ModelSpec {
     /// Where its tokenizer is; none if among its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tokenizer: Option<ModelSource>,
-    pub prompt_set: PromptSet,
+    /// The prompts that it is asked with; a description names them. None for a model without one, whose files may say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prompt_set: Option<PromptSet>,
     #[serde(default)]
     pub generation: GenerationSettings,
 }
@@ -83,7 +85,7 @@ impl fmt::Display for ModelSource {
         match self {
             Self::Folder { folder } => write!(out, "{}", folder.display()),
             Self::File { file, .. } => write!(out, "{}", file.display()),
-            Self::Embedded { embedded } => write!(out, "{embedded}, in the program"),
+            Self::Embedded { .. } => out.write_str("built in"),
             Self::Endpoint(settings) => write!(out, "{} at {}", settings.model, settings.endpoint),
             Self::Hub { hub, revision, file, .. } => {
                 write!(out, "{hub}")?;
@@ -109,6 +111,23 @@ pub enum PromptSet {
     Compact,
     /// The paper's wording, for general models.
     Paper,
+}
+
+impl PromptSet {
+    const ALL: [Self; 2] = [Self::Compact, Self::Paper];
+
+    /// Its name in `prompts/`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Compact => "compact",
+            Self::Paper => "paper",
+        }
+    }
+
+    /// The set of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|set| set.name() == name)
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -155,6 +174,9 @@ impl ModelSpec {
             .map_err(|error| broken(endpoint_problem(text).unwrap_or_else(|| error.to_string())))?;
         if spec.name.trim().is_empty() {
             return Err(broken("name is empty".into()));
+        }
+        if spec.prompt_set.is_none() {
+            return Err(broken("prompt_set is missing; choose compact or paper".into()));
         }
         let tokens = spec.generation.max_new_tokens;
         if [tokens.scene, tokens.motion, tokens.code].contains(&0) {
@@ -274,6 +296,7 @@ mod tests {
             "",
             &valid.replace("llava", "blip"),
             &valid.replace("paper", "long"),
+            &valid.replace("prompt_set = 'paper'", ""),
             &valid.replace("folder", "path"),
             &valid.replace("'n'", "''"),
             &format!("{valid}colour = 'red'"),

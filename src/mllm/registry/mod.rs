@@ -1,15 +1,19 @@
 //! Models by name: a description in `models/`, a folder, a GGUF file, a repository of the hub, or a server.
 
 mod description;
+mod folder;
 mod hub;
+mod own_settings;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use description::{GenerationSettings, ModelSource, ModelSpec, PromptSet, RoundTokens};
+pub(crate) use folder::data_folder;
 use hub::HubFiles;
 pub use hub::{FetchListener, FetchProgress, HubAccess};
+pub use own_settings::{Asking, NamedBy};
 
 use super::{
     CreateFile, EmbeddedModel, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError,
@@ -112,10 +116,9 @@ impl ModelRegistry {
     /// 2. the path of a description, a model folder or a GGUF file,
     /// 3. a hub id, or a hub id with a GGUF file (`org/name/file.gguf`).
     ///
-    /// A model without a description gets the paper's prompts.
+    /// [`Self::asking`] says how it is asked.
     pub fn find(&self, name: &str) -> Result<ModelSpec, MllmError> {
-        let described = self.models.join(format!("{name}.toml"));
-        if !name.is_empty() && !name.contains(['/', '\\']) && described.is_file() {
+        if let Some(described) = self.description(name) {
             return ModelSpec::open(&described);
         }
         if let Some(model) = EmbeddedModel::find(name) {
@@ -145,7 +148,7 @@ impl ModelRegistry {
             architecture: None,
             source,
             tokenizer: None,
-            prompt_set: PromptSet::Paper,
+            prompt_set: None,
             generation: GenerationSettings::default(),
         })
     }
@@ -190,6 +193,31 @@ impl ModelRegistry {
         hub.fetch(id, revision, files, self.listener.clone())
     }
 
+    /// How a model is asked: as its description says, else its own files, else with the paper's prompts. A hub model without a
+    /// description is downloaded if it is missing and downloads are allowed.
+    pub fn asking(&self, spec: &ModelSpec) -> Result<Asking, MllmError> {
+        match spec.prompt_set {
+            Some(set) => Ok(Asking {
+                prompt_set: set.name().to_owned(),
+                named_by: NamedBy::Description,
+                generation: spec.generation,
+            }),
+            None => Asking::of_files(&self.place(spec)?),
+        }
+    }
+
+    /// As [`Self::asking`], without a download.
+    pub fn asking_here(&self, spec: &ModelSpec) -> Result<Asking, MllmError> {
+        let hub = HubAccess { offline: true, ..self.hub.clone() };
+        Self { hub, ..self.clone() }.asking(spec)
+    }
+
+    /// The description of a name, if `models/` has one.
+    pub fn description(&self, name: &str) -> Option<PathBuf> {
+        let described = self.models.join(format!("{name}.toml"));
+        (!name.is_empty() && !name.contains(['/', '\\']) && described.is_file()).then_some(described)
+    }
+
     /// Opens a model, or a connection to the server that computes it.
     ///
     /// # Errors
@@ -212,7 +240,7 @@ impl ModelRegistry {
         Ok(LocalModel::check(&self.place_here(spec)?, &self.loading(spec)?))
     }
 
-    /// Writes a model as GGUF with weights in `weight_format`; [`GgufPart`] lists the files. `progress` gets the bytes that are
+    /// Writes a model as GGUF with weights in `weight_format`, and how it is asked; [`GgufPart`] lists the files. `progress` gets the bytes that are
     /// written so far, and all bytes.
     pub fn export(
         &self,
@@ -223,7 +251,8 @@ impl ModelRegistry {
     ) -> Result<LoadReport, MllmError> {
         let place = self.place(spec)?;
         let loading = Loading { quantize: Some(weight_format), ..self.loading(spec)? };
-        export_model(&spec.name, &place, &loading, create, progress)
+        let added = [self.asking(spec)?.to_file()];
+        export_model(&spec.name, &place, &loading, &added, create, progress)
     }
 
     /// The settings for a model without a description.
@@ -268,7 +297,7 @@ mod tests {
         let (models, registry) = registry();
         assert_eq!(registry.names().unwrap(), ["broken", "nano"]);
         let nano = registry.find("nano").unwrap();
-        assert_eq!((nano.name.as_str(), nano.prompt_set), ("Nano", PromptSet::Compact));
+        assert_eq!((nano.name.as_str(), nano.prompt_set), ("Nano", Some(PromptSet::Compact)));
         assert_eq!(registry.place(&nano).unwrap(), ModelPlace::Folder(models.path().join("weights")));
         let by_path = models.path().join("nano.toml");
         assert_eq!(registry.find(by_path.to_str().unwrap()).unwrap(), nano);

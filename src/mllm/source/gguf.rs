@@ -11,6 +11,8 @@ use crate::mllm::gguf::{
 };
 use crate::mllm::matrix::WeightFormat;
 
+/// The small file that every model of this program's own has.
+const CONFIG: &str = "config.json";
 /// Small files that a user may put beside a GGUF file.
 const BESIDE: [&str; 2] = ["tokenizer_config.json", TEMPLATE];
 
@@ -44,7 +46,7 @@ pub(super) fn open(
         }
         other => Err(header.error(
             ARCHITECTURE,
-            format!("{other:?} is not supported; decoders of architecture {:?} are", llama::ARCHITECTURE),
+            format!("'{other}' is not supported; decoders of architecture '{}' are", llama::ARCHITECTURE),
         )),
     }
 }
@@ -79,12 +81,13 @@ fn open_pair(
     let model = decoder.path.as_path();
     let mut notes = Vec::new();
     let mut texts = packed_files(decoder)?;
-    if texts.is_empty() {
+    // A file of llama.cpp may say how the model is asked, and nothing else.
+    if !texts.contains_key(CONFIG) {
         let layouts = families.iter().filter_map(|family| family.family().gguf.ok());
         let Some(layout) = layouts.into_iter().find(|layout| layout.opens(decoder, tower)) else {
             return Err(tower.error("general.architecture", "no known model family has such a vision tower"));
         };
-        texts = layout.small_files(decoder, tower, &mut notes)?;
+        texts.extend(layout.small_files(decoder, tower, &mut notes)?);
     }
     let mut files = ModelFiles::packed(model, texts);
     files.prefer(model.parent().unwrap_or(Path::new("")), &BESIDE)?;

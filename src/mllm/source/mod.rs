@@ -14,7 +14,7 @@ use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights, safetensors_folder};
 use super::families::{Architecture, Families};
 use super::family::VisionLanguageModel;
-use super::gguf::{files as gguf_files, find as find_gguf};
+use super::gguf::{files as gguf_files, find as find_gguf, open_header, packed_files};
 use super::matrix::WeightFormat;
 
 /// Where the files of a model are.
@@ -45,6 +45,20 @@ impl ModelPlace {
             Self::Embedded(model) => Path::new(model.name),
             Self::Random { shape, .. } => Path::new(shape.name),
         }
+    }
+
+    /// A small file of the model: in its folder, or in the metadata of its GGUF file.
+    pub(crate) fn small_file(&self, name: &str) -> Result<Option<String>, MllmError> {
+        let model = match self {
+            Self::Folder(folder) if !safetensors_folder::has_safetensors(folder) => match find_gguf(folder)? {
+                Some(model) => model,
+                None => return ModelFiles::folder(folder)?.text(name),
+            },
+            Self::Folder(folder) => return ModelFiles::folder(folder)?.text(name),
+            Self::Gguf { model, .. } => model.clone(),
+            Self::Embedded(_) | Self::Random { .. } => return Ok(None),
+        };
+        Ok(packed_files(&open_header(&model)?.0)?.remove(name))
     }
 
     pub fn weight_bytes(&self) -> Result<u64, MllmError> {

@@ -111,7 +111,12 @@ impl ChatTemplate {
                 {
                     return Ok(content);
                 }
-                Ok(text) => last = Some(format!("a message with an image and the text {PROBE:?} renders as {text:?}")),
+                Ok(text) => {
+                    last = Some(format!(
+                        "a message with an image and the text '{PROBE}' renders as '{}'",
+                        text.escape_debug()
+                    ));
+                }
                 Err(error) => last = Some(describe(&error)),
             }
         }

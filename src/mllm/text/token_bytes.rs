@@ -24,8 +24,9 @@ pub(super) fn token_bytes(json: &Value, tokenizer: &Tokenizer, vocabulary: usize
     for (token, id) in tokenizer.get_vocab(false) {
         if let Some(entry) = bytes.get_mut(id as usize) {
             *entry = match spelling {
-                Spelling::ByteLevel => byte_level(&token)
-                    .ok_or_else(|| format!("token {token:?} has characters outside the byte-level spelling"))?,
+                Spelling::ByteLevel => byte_level(&token).ok_or_else(|| {
+                    format!("token '{}' has characters outside the byte-level spelling", token.escape_debug())
+                })?,
                 Spelling::SentencePiece => sentence_piece(&token),
             };
         }

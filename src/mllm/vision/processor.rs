@@ -149,7 +149,7 @@ impl ProcessorKeys {
         let keys: Self = object.read()?;
         match &keys.image_processor_type {
             Some(kind) if !kind.starts_with(expected) => {
-                Err(object.error("image_processor_type", format!("{kind:?} is not supported; {expected} is")))
+                Err(object.error("image_processor_type", format!("'{kind}' is not supported; {expected} is")))
             }
             _ => Ok(keys),
         }

@@ -1,11 +1,12 @@
 //! The messages between the program and a planner command: one JSON object a line. `docs/schema/exec_*.schema.json` has their
 //! schema.
 
+use super::agents::{ExecAgent, ExecAgentsStep};
 use crate::geometry::{OrientedBox, Point, Polygon, Pose, Vector};
 use crate::planner::{PlannerInitialization, PlannerInput};
 use crate::world::{
-    EgoState, HistorySample, Lane, LaneMap, MICROS_PER_SECOND, PACIFICA, STEP_S, TrackedObject, Trajectory,
-    TrajectoryState,
+    EgoState, HistorySample, Lane, LaneMap, MICROS_PER_SECOND, PACIFICA, STEP_S, TrackedObject, TrafficLights,
+    Trajectory, TrajectoryState,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -24,6 +25,8 @@ pub enum ExecRequest {
     Initialize(Box<ExecInitialization>),
     /// An iteration; the reply is `trajectory`.
     Step(Box<ExecStep>),
+    /// An iteration of a command that controls the other agents; the reply is `agents`.
+    Agents(Box<ExecAgentsStep>),
 }
 
 /// The first message of a simulation.
@@ -203,6 +206,11 @@ pub enum ExecReply {
         /// Its states, times increasing. They must reach beyond the next step.
         states: Vec<ExecState>,
     },
+    /// The next states of the other agents.
+    Agents {
+        /// The states. Objects that are left out follow the log.
+        objects: Vec<ExecAgent>,
+    },
     /// The command cannot plan; the simulation fails.
     Error {
         /// Why.
@@ -292,12 +300,11 @@ impl ExecStep {
         let scene = &input.scene;
         let past = scene.history.samples().len().saturating_sub(1);
         let history = scene.history.samples().take(if first { past } else { 0 }).map(ExecSample::of);
-        let lights = scene.lights.iter().map(|(lane, status)| ExecLight { lane: lane.0, status: status.to_string() });
         Self {
             iteration: input.iteration,
             ego: ExecEgo::of(scene.ego),
             objects: scene.objects.iter().map(ExecObject::of).collect(),
-            lights: lights.collect(),
+            lights: lights(scene.lights),
             history: history.collect(),
         }
     }
@@ -310,7 +317,7 @@ impl ExecSample {
 }
 
 impl ExecEgo {
-    fn of(ego: &EgoState) -> Self {
+    pub(super) fn of(ego: &EgoState) -> Self {
         let Pose { x, y, heading } = ego.rear_axle;
         Self {
             time_us: ego.time_us,
@@ -326,7 +333,7 @@ impl ExecEgo {
 }
 
 impl ExecObject {
-    fn of(object: &TrackedObject) -> Self {
+    pub(super) fn of(object: &TrackedObject) -> Self {
         let OrientedBox { center: Pose { x, y, heading }, length, width } = object.shape;
         let (kind, velocity) = (object.kind.to_string(), vector(object.velocity));
         Self { track: object.token.0, kind, x, y, heading, length, width, velocity }
@@ -348,6 +355,11 @@ pub(super) fn trajectory(states: &[ExecState], ego: &EgoState) -> Result<Traject
     };
     let present = states.first().is_some_and(|first| first.t > 0.0).then(|| TrajectoryState::from(ego));
     Trajectory::new(present.into_iter().chain(states.iter().map(own)).collect()).map_err(|error| error.to_string())
+}
+
+/// The lights as messages have them.
+pub(super) fn lights(lights: &TrafficLights) -> Vec<ExecLight> {
+    lights.iter().map(|(lane, status)| ExecLight { lane: lane.0, status: status.to_string() }).collect()
 }
 
 fn ring(polygon: &Polygon) -> Vec<[f64; 2]> {

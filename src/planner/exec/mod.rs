@@ -1,20 +1,23 @@
 //! Planners that are commands of other programs: `exec:COMMAND` or `NAME=exec:COMMAND` instead of a planner's name.
 //!
 //! The command runs once for each simulation. It reads a JSON object a line on stdin and answers each with one on stdout
-//! ([`ExecRequest`], [`ExecReply`]). A command that ends, is silent or answers wrongly fails its simulation.
+//! ([`ExecRequest`], [`ExecReply`]). A command may also control the other agents of a simulation. A command that ends, is silent or answers wrongly fails its simulation.
 
+mod agents;
 mod messages;
 mod process;
+mod session;
 
+pub use agents::{ExecAgent, ExecAgentsStep, moved};
 pub use messages::{ExecReply, ExecRequest};
+pub use session::{AnswerError, ExecSession};
 
 use super::{
     Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput, PlannerName, PlannerNeeds,
     PlannerRegistry,
 };
 use crate::world::Trajectory;
-use messages::{ExecInitialization, ExecStep, trajectory};
-use process::{Process, ProcessError};
+use messages::{ExecStep, trajectory};
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
@@ -22,14 +25,10 @@ use std::time::Duration;
 
 /// Time for an answer to a step, unless the user sets another.
 pub const DEFAULT_EXEC_TIMEOUT: Duration = Duration::from_secs(10);
-/// Least time for the answer to the first message: an interpreter and its packages start slowly.
-const START_TIMEOUT: Duration = Duration::from_secs(60);
 /// What comes before the command.
 const MARK: &str = "exec:";
 /// Longest name of a command; it becomes part of file names.
 const MAX_NAME: usize = 40;
-/// Characters of a wrong answer that an error shows.
-const MAX_SHOWN: usize = 200;
 
 /// A planner that is a command.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -95,7 +94,7 @@ impl ExecCommand {
     pub fn entry(&self, timeout: Duration) -> PlannerEntry {
         let Self { name, command } = self.clone();
         PlannerEntry::new(name, "a command", PlannerNeeds::Nothing, move |_| {
-            let planner = ExecPlanner { name, command: command.clone(), timeout, process: None };
+            let planner = ExecPlanner { name, command: command.clone(), timeout, session: None };
             Ok(Box::new(planner))
         })
     }
@@ -125,8 +124,8 @@ fn default_name(command: &str) -> String {
     format!("exec-{}", name.trim_matches(['-', '\'', '"'])).chars().take(MAX_NAME).collect()
 }
 
-/// The text as names of planners hold it. Each is kept once, as long as the process lives; there are few.
-fn kept(name: String) -> &'static str {
+/// The text as names hold it. Each is kept once, as long as the process lives; there are few.
+pub fn kept(name: String) -> &'static str {
     static NAMES: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
     let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(known) = names.get(name.as_str()) {
@@ -143,53 +142,16 @@ struct ExecPlanner {
     name: PlannerName,
     command: String,
     timeout: Duration,
-    /// The process with whether it has had a step.
-    process: Option<(Process, bool)>,
-}
-
-/// Why a command gives no trajectory.
-#[derive(Debug, thiserror::Error)]
-enum AnswerError {
-    #[error(transparent)]
-    Process(#[from] ProcessError),
-    #[error("the message to the command cannot be written: {0}")]
-    Request(serde_json::Error),
-    #[error("the command answered what is no message ({fault}): {answer}")]
-    NoMessage { fault: serde_json::Error, answer: String },
-    #[error("the command answered with another message than {expected}: {answer}")]
-    Other { expected: &'static str, answer: String },
-    #[error("the command says: {0}")]
-    Command(String),
-    #[error("the trajectory of the command cannot be used: {0}")]
-    Trajectory(String),
+    /// The running command with whether it has had a step.
+    session: Option<(ExecSession, bool)>,
 }
 
 impl ExecPlanner {
-    fn ask(process: &mut Process, request: &ExecRequest, within: Duration) -> Result<(ExecReply, String), AnswerError> {
-        let line = serde_json::to_vec(request).map_err(AnswerError::Request)?;
-        let answer = process.ask(line, within)?;
-        let shown: String = answer.chars().take(MAX_SHOWN).collect();
-        match serde_json::from_str(&answer) {
-            Ok(ExecReply::Error { message }) => Err(AnswerError::Command(message)),
-            Ok(reply) => Ok((reply, shown)),
-            Err(fault) => Err(AnswerError::NoMessage { fault, answer: shown }),
-        }
-    }
-
-    fn start(&self, initialization: &PlannerInitialization<'_>) -> Result<Process, AnswerError> {
-        let mut process = Process::start(&self.command)?;
-        let request = ExecRequest::Initialize(Box::new(ExecInitialization::of(initialization)));
-        match Self::ask(&mut process, &request, self.timeout.max(START_TIMEOUT))? {
-            (ExecReply::Ready {}, _) => Ok(process),
-            (_, answer) => Err(AnswerError::Other { expected: "ready", answer }),
-        }
-    }
-
     fn step(&mut self, input: &PlannerInput<'_>) -> Result<Option<Trajectory>, AnswerError> {
-        let Some((process, stepped)) = &mut self.process else { return Ok(None) };
+        let Some((session, stepped)) = &mut self.session else { return Ok(None) };
         let first = !std::mem::replace(stepped, true);
         let request = ExecRequest::Step(Box::new(ExecStep::of(input, first)));
-        match Self::ask(process, &request, self.timeout)? {
+        match session.ask(&request)? {
             (ExecReply::Trajectory { states }, _) => {
                 trajectory(&states, input.scene.ego).map(Some).map_err(AnswerError::Trajectory)
             }
@@ -208,9 +170,10 @@ impl Planner for ExecPlanner {
     }
 
     fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
-        // A process that was asked before keeps nothing: it is ended.
-        self.process = None;
-        self.process = Some((self.start(initialization).map_err(failed)?, false));
+        // A command that was asked before keeps nothing: it is ended.
+        self.session = None;
+        let session = ExecSession::start(&self.command, self.timeout, initialization).map_err(failed)?;
+        self.session = Some((session, false));
         Ok(())
     }
 
@@ -222,6 +185,7 @@ impl Planner for ExecPlanner {
 
 #[cfg(test)]
 mod tests {
+    use super::process::Process;
     use super::*;
 
     fn name(word: &str) -> String {

@@ -22,7 +22,7 @@ const EXIT_POLL: Duration = Duration::from_millis(5);
 /// Why a command gives no line.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
-pub(super) enum ProcessError {
+pub enum ProcessError {
     #[error("the command cannot be started: {0}")]
     Start(std::io::Error),
     #[error("the command gave no answer within {} s{stderr}", within.as_secs_f64())]

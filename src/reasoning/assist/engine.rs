@@ -28,7 +28,7 @@ pub struct AssistReasoning<'a> {
     variant: AssistVariant,
     conversation: Box<dyn Conversation + 'a>,
     start: Mark,
-    templates: AssistPrompts,
+    templates: AssistPrompts<'a>,
     /// The agent's own prompts, for the feedback.
     prompts: &'a PromptSet,
     settings: &'a ReasoningSettings,
@@ -47,7 +47,7 @@ impl<'a> AssistReasoning<'a> {
         seed: u64,
         deadline: Deadline,
     ) -> Result<Self, ReasoningError> {
-        let templates = AssistPrompts::new(variant, prompts.forms().scene_text)?;
+        let templates = AssistPrompts::new(variant, prompts)?;
         let conversation = model.converse(&PromptPrefix { system: templates.system()?, image: None }, seed)?;
         let start = conversation.mark();
         Ok(Self { variant, conversation, start, templates, prompts, settings, question, deadline, attempts: 0 })

@@ -4,37 +4,26 @@ use super::AssistVariant;
 use super::answer::signature;
 use crate::environment::TextForm;
 use crate::reasoning::error::PromptError;
+use crate::reasoning::prompt_set::PromptSet;
 use crate::reasoning::templates::Templates;
 use minijinja::context;
 
-/// Templates of the unconstrained variant: system prompt and question.
-const UNCONSTRAINED: [(&str, &str); 2] = [
-    ("system", include_str!("../../../prompts/llm_assist_unc/system.jinja")),
-    ("question", include_str!("../../../prompts/llm_assist_unc/question.jinja")),
-];
-/// Templates of the other variant.
-const PARAMETERS: [(&str, &str); 2] = [
-    ("system", include_str!("../../../prompts/llm_assist_par/system.jinja")),
-    ("question", include_str!("../../../prompts/llm_assist_par/question.jinja")),
-];
-
 /// The prompts of a variant; short ones for models that read the compact texts.
 #[derive(Debug)]
-pub(super) struct AssistPrompts {
-    templates: Templates,
+pub(super) struct AssistPrompts<'a> {
+    templates: &'a Templates,
     variant: AssistVariant,
     compact: bool,
 }
 
-impl AssistPrompts {
-    /// The prompts for models that read scene texts of this form.
-    pub(super) fn new(variant: AssistVariant, form: TextForm) -> Result<Self, PromptError> {
-        let (set, sources) = match variant {
-            AssistVariant::Unconstrained => ("llm_assist_unc", UNCONSTRAINED),
-            AssistVariant::Parameters => ("llm_assist_par", PARAMETERS),
-        };
-        let templates = Templates::compile(set, sources.map(|(name, source)| (name, source.to_owned())))?;
-        Ok(Self { templates, variant, compact: form == TextForm::Compact })
+impl<'a> AssistPrompts<'a> {
+    /// The prompts for models that are asked with a prompt set.
+    pub(super) fn new(variant: AssistVariant, prompts: &'a PromptSet) -> Result<Self, PromptError> {
+        let templates = prompts.question_set(match variant {
+            AssistVariant::Unconstrained => "llm_assist_unc",
+            AssistVariant::Parameters => "llm_assist_par",
+        })?;
+        Ok(Self { templates, variant, compact: prompts.forms().scene_text == TextForm::Compact })
     }
 
     pub(super) fn system(&self) -> Result<String, PromptError> {

@@ -16,6 +16,7 @@ fn panel(challenge: Challenge) -> &'static str {
         Challenge::NonReactive => "NR: non-reactive agents",
         Challenge::Reactive => "R: reactive agents",
         Challenge::OpenLoop => "open loop",
+        own => own.short_name(),
     }
 }
 

@@ -10,11 +10,12 @@ use super::scene::DrawnScene;
 use crate::environment::bev::Palette;
 use crate::geometry::{Bounds, Point};
 use crate::planner::PlanningCall;
+use crate::reflection::{ReflectionReport, Verdict};
 use crate::report::decision::decision_words;
 use crate::report::number::fixed;
 use crate::report::replay::DrawnMap;
 use crate::scenario::{Frame, Scenario};
-use crate::world::{MICROS_PER_SECOND, Trajectory};
+use crate::world::{MICROS_PER_SECOND, STEP_S, Trajectory};
 use image::imageops::{self, FilterType};
 use image::{GenericImage, RgbImage};
 
@@ -27,55 +28,81 @@ const ROLLOUT_STEP: usize = 5;
 /// The picture of a call at an iteration of a scenario. Without a picture of the model there is only the scene.
 pub fn call_picture(scenario: &Scenario, frame: &Frame, call: &PlanningCall, plan: &Trajectory) -> RgbImage {
     let layout = Layout::of(LOOK);
-    let own = plan_scene(scenario, frame, call, plan, &|scene| {
-        let legend = Legend::new(&Entry::of(scene), layout.letters, layout.width());
-        let caption = caption(scenario, call, scene.ego.speed());
-        let height = caption.height(layout.letters, layout.width());
-        picture(scene, LOOK, Some(&legend), &caption, height, layout)
-    });
+    let refused = call.attempts.iter().enumerate().filter(|(i, _)| Some(*i) != call.decision.attempt());
+    let refused = refused.filter_map(|(_, attempt)| attempt.reflection.as_ref()).map(refused_path).collect();
+    let caption = caption(scenario, call, frame.ego.speed());
+    let own = scene_picture(scenario, frame, call.iteration, &planned_path(plan), refused, &caption);
     match call.image.as_deref() {
         Some(image) => beside(&own, image, layout),
         None => own,
     }
 }
 
-/// Calls `draw` with the scene of a call.
-fn plan_scene<T>(
+/// The picture of a plan that was judged at an iteration of a scenario: its roll-out, as executed or as refused; `words` stand
+/// below.
+pub fn code_picture(
     scenario: &Scenario,
     frame: &Frame,
-    call: &PlanningCall,
-    plan: &Trajectory,
-    draw: &dyn Fn(&DrawnScene<'_>) -> T,
-) -> T {
-    let ego = &frame.ego;
-    let map = DrawnMap::of(scenario, &Bounds::around(&[ego.rear_axle.position()]).grown(LOOK.meters));
-    let past = scenario.frames.iter().skip(scenario.start).take(call.iteration + 1);
+    iteration: usize,
+    report: &ReflectionReport,
+    words: Vec<String>,
+) -> RgbImage {
+    let (path, score) = refused_path(report);
+    let (plan, refused) = match report.verdict {
+        Verdict::Execute => (path, Vec::new()),
+        Verdict::Rethink => (Vec::new(), vec![(path, score)]),
+    };
+    let caption = caption_of(scenario, (iteration as f64 * STEP_S, frame.ego.speed()), words);
+    scene_picture(scenario, frame, iteration, &plan, refused, &caption)
+}
+
+/// A plan, a point every half second.
+fn planned_path(plan: &Trajectory) -> Vec<Point> {
     let count = (plan.duration_s() / PLAN_STEP_S) as usize;
     let at = |k: usize| plan.at(plan.start_us() + (k as f64 * PLAN_STEP_S * MICROS_PER_SECOND) as i64);
-    let points: Vec<Point> = (0..=count).map_while(|k| Some(at(k).ok()?.rear_axle.position())).collect();
-    let refused = call.attempts.iter().enumerate().filter(|(i, _)| Some(*i) != call.decision.attempt());
-    let rolled_out = refused.filter_map(|(_, attempt)| attempt.reflection.as_ref()).map(|reflection| {
-        let states = reflection.states.iter().step_by(ROLLOUT_STEP);
-        (states.map(|state| state.rear_axle.position()).collect(), Some(reflection.score))
-    });
-    draw(&DrawnScene {
+    (0..=count).map_while(|k| Some(at(k).ok()?.rear_axle.position())).collect()
+}
+
+/// A roll-out, a point every half second, with its score.
+fn refused_path(report: &ReflectionReport) -> (Vec<Point>, Option<f64>) {
+    let states = report.states.iter().step_by(ROLLOUT_STEP);
+    (states.map(|state| state.rear_axle.position()).collect(), Some(report.score))
+}
+
+fn scene_picture(
+    scenario: &Scenario,
+    frame: &Frame,
+    iteration: usize,
+    plan: &[Point],
+    refused: Vec<(Vec<Point>, Option<f64>)>,
+    caption: &Caption,
+) -> RgbImage {
+    let ego = &frame.ego;
+    let map = DrawnMap::of(scenario, &Bounds::around(&[ego.rear_axle.position()]).grown(LOOK.meters));
+    let past = scenario.frames.iter().skip(scenario.start).take(iteration + 1);
+    let scene = DrawnScene {
         ego,
         objects: &frame.objects,
         lights: map.starts().filter_map(|(lane, start)| Some((start, frame.lights.status(lane)?))).collect(),
         trail: past.map(|frame| frame.ego.rear_axle.position()).collect(),
-        plan: &points,
-        refused: rolled_out.collect(),
+        plan,
+        refused,
         map: &map,
-    })
+    };
+    let layout = Layout::of(LOOK);
+    let legend = Legend::new(&Entry::of(&scene), layout.letters, layout.width());
+    let height = caption.height(layout.letters, layout.width());
+    picture(&scene, LOOK, Some(&legend), caption, height, layout)
 }
 
 fn caption(scenario: &Scenario, call: &PlanningCall, speed: f64) -> Caption {
     let code = call.decision.attempt().and_then(|index| call.attempts.get(index)?.line());
-    Caption {
-        title: scenario.id.clone(),
-        now: format!("{} s, {} m/s", fixed(call.at_s, 1), fixed(speed, 1)),
-        plan: std::iter::once(decision_words(call)).chain(code).collect(),
-    }
+    caption_of(scenario, (call.at_s, speed), std::iter::once(decision_words(call)).chain(code).collect())
+}
+
+fn caption_of(scenario: &Scenario, (at_s, speed): (f64, f64), plan: Vec<String>) -> Caption {
+    let now = format!("{} s, {} m/s", fixed(at_s, 1), fixed(speed, 1));
+    Caption { title: scenario.id.clone(), now, plan }
 }
 
 /// A picture with the model's own at its right, enlarged so that its pixels show.

@@ -13,7 +13,7 @@ mod legend;
 mod lettering;
 mod scene;
 
-pub use call::call_picture;
+pub use call::{call_picture, code_picture};
 pub use error::{OutputFault, RenderError};
 pub use film::{write_gif, write_mp4};
 pub use find::SimulationChoice;

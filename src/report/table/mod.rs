@@ -60,7 +60,7 @@ pub fn main_table(summary: &Summary, planners: &[PlannerTiming], rows: &[Simulat
     parts.extend(lists.iter().map(|&list| simulations::table(rows, list)));
     parts.push(simulations::zeroed(rows));
     parts.push(simulations::refused(rows));
-    parts.push(simulations::legend(&lists, width));
+    parts.push(simulations::legend(rows, &lists, width));
     parts.retain(|part| !part.is_empty());
     parts.join("\n\n")
 }
@@ -71,6 +71,7 @@ fn short(challenge: Challenge) -> &'static str {
         Challenge::NonReactive => "NR",
         Challenge::Reactive => "R",
         Challenge::OpenLoop => "OLS",
+        own => own.short_name(),
     }
 }
 

@@ -46,14 +46,18 @@ fn cells(row: &SimulationRow, decimals: &[usize]) -> Vec<String> {
 }
 
 /// The meaning of the labels of the metrics and of the challenges, each once.
-pub(super) fn legend(lists: &[MetricList], width: u16) -> String {
+pub(super) fn legend(rows: &[SimulationRow], lists: &[MetricList], width: u16) -> String {
     let metrics = lists.iter().flat_map(|list| list.scored());
     let meanings = distinct(metrics.map(|metric| format!("{} = {}", metric.label, metric.name)));
     let challenges = lists.iter().map(|list| match list {
         MetricList::ClosedLoop => "NR, R = non-reactive, reactive agents  score = nuPlan's closed-loop score x 100",
         MetricList::OpenLoop => "OLS = the ego replays the log  score = nuPlan's open-loop score x 100",
     });
-    let lines = fill(meanings, usize::from(width)).into_iter().chain(challenges.map(str::to_owned));
+    let own = distinct(rows.iter().filter_map(|row| row.challenge.own_agents()));
+    let own = own.iter().map(|name| {
+        format!("{name} = agents under the policy {name}: no challenge of nuPlan, so compare it with neither")
+    });
+    let lines = fill(meanings, usize::from(width)).into_iter().chain(challenges.map(str::to_owned)).chain(own);
     lines.map(|line| style(line).dim().to_string()).collect::<Vec<_>>().join("\n")
 }
 

@@ -200,6 +200,7 @@ fn agents(challenge: Challenge) -> &'static str {
         Challenge::NonReactive => "non-reactive agents",
         Challenge::Reactive => "reactive agents",
         Challenge::OpenLoop => "open loop",
+        own => own.short_name(),
     }
 }
 

@@ -9,6 +9,7 @@ use crate::runner::config::{Config, MllmConfig};
 use crate::runner::error::RunnerError;
 use crate::runner::event::{Event, Listener};
 use crate::runner::model::{self, OpenModel};
+use crate::runner::request::Commands;
 use crate::runner::run::{Run, RunPlan};
 use crate::runner::selection::tasks;
 use crate::runner::simulate::manifest;
@@ -53,7 +54,7 @@ impl<'a> PlannedRuns<'a> {
     /// Plans the run of a variant on a suite and gives its name; or why the variant cannot be simulated.
     pub(super) fn add(&mut self, suite: &SelectedSuite, variant: &Variant) -> Result<RunName, RunnerError> {
         let (registry, commands) = self.registry_for(variant)?;
-        let entry = registry.find(commands.keys().next().unwrap_or(&variant.planner))?;
+        let entry = registry.find(commands.planners.keys().next().unwrap_or(&variant.planner))?;
         let (planner, needs) = (entry.name, entry.needs);
         let config = self.config.overlaid(&variant.settings)?;
         let loaded = match needs {
@@ -64,7 +65,7 @@ impl<'a> PlannedRuns<'a> {
         let agent = model::agent_parts(&config, registry, loaded.as_ref());
         let challenges = Challenge::CLOSED_LOOP.iter().map(ToString::to_string).collect();
         let relevant = relevant(config, needs);
-        let planners = (vec![planner.to_string()], commands);
+        let planners = (vec![planner.to_string()], &commands);
         let manifest = manifest(planners, challenges, suite.list.clone(), loaded.as_ref(), &relevant)?;
         let digest = manifest.digest();
         let name = format!("{planner}-{}-{}", suite.name, digest.get(..DIGEST).unwrap_or(&digest));
@@ -83,12 +84,12 @@ impl<'a> PlannedRuns<'a> {
     }
 
     /// The planners, with that of the variant if it is a command, and the command by its name.
-    fn registry_for(&self, variant: &Variant) -> Result<(PlannerRegistry, BTreeMap<String, String>), RunnerError> {
-        let mut commands = BTreeMap::new();
+    fn registry_for(&self, variant: &Variant) -> Result<(PlannerRegistry, Commands), RunnerError> {
+        let mut commands = Commands::default();
         let mut registry = self.registry.clone();
         if let Some(command) = ExecCommand::parse(&variant.planner).transpose()? {
             registry = registry.with_command(&command, DEFAULT_EXEC_TIMEOUT)?;
-            commands.insert(command.name.to_string(), command.command);
+            commands.planners.insert(command.name.to_string(), command.command);
         }
         Ok((registry, commands))
     }

@@ -23,10 +23,13 @@ from .chat import ASSISTANT, BOS, EOS, IMAGE, PAD, TEMPLATE
 from .loop import load_model
 from .model import NanoLlava
 from .shapes import Shape
+from .train import PROMPTS
 from .weights import to_stock
 
 #: Largest difference of logits between this code and transformers, as a share of the largest logit.
 TOLERANCE = 1e-5
+#: Longest answers of the compact prompt set, tokens a round, with room.
+LONGEST_ANSWERS = {"scene": 96, "motion": 32, "code": 48}
 #: Largest file that may ship, bytes.
 LARGEST_FILE = 95 * 1024 * 1024
 
@@ -82,6 +85,18 @@ def write_processing(folder: Path, model: NanoLlava, tokenizer: Tokenizer) -> No
     (folder / "chat_template.jinja").write_text(TEMPLATE)
 
 
+def write_asking(out: Path, folder: Path) -> None:
+    """How planagent asks the model: with the prompts of its dataset. A stand-in dataset names none."""
+    prompts = out / PROMPTS
+    name = json.loads(prompts.read_text())["prompt_set"] if prompts.exists() else None
+    if name is None:
+        return
+    asking = {"prompt_set": name}
+    if name == "compact":
+        asking["generation"] = {"max_new_tokens": LONGEST_ANSWERS, "sampling": "greedy"}
+    (folder / "planagent.json").write_text(json.dumps(asking, indent=2) + "\n")
+
+
 def write(out: Path, folder: Path, dtype: str, reference: Path | None) -> float:
     """Exports the run folder's checkpoint, checks it, and writes the parity reference if asked; the largest difference of logits."""
     model, _ = load_model(out / "checkpoint.pt")
@@ -99,6 +114,7 @@ def write(out: Path, folder: Path, dtype: str, reference: Path | None) -> float:
         pad_token_id=config.text_config.pad_token_id, do_sample=False, max_new_tokens=128,
     ).save_pretrained(folder)  # fmt: skip
     write_processing(folder, model, tokenizer)
+    write_asking(out, folder)
     for file in folder.iterdir():
         # safetensors makes files that only their owner can read.
         file.chmod(0o644)

@@ -26,6 +26,9 @@ from .corpus import Corpus
 from .loop import Recipe, Trainer
 from .shapes import SHAPES
 
+#: File of a run that names the dataset's prompt set.
+PROMPTS = "prompts.json"
+
 
 def prepare(data: Path, out: Path, limit: int | None = None, start: str = "") -> None:
     """Builds tokenizer and arrays in `out` unless they are there; the tokenizer is that of the model to start from, if any."""
@@ -43,6 +46,10 @@ def prepare(data: Path, out: Path, limit: int | None = None, start: str = "") ->
         outside = tokenizers.pieces_outside(built, [*prompts, *answers])
         print(f"vocabulary {built.get_vocab_size()}, pre-tokens spelt in bytes {sum(outside.values())}: {outside.most_common(8)}", file=sys.stderr)
         built.save(str(path))
+    prompts_file = out / PROMPTS
+    if not prompts_file.exists():
+        # A stand-in dataset names no prompt set.
+        prompts_file.write_text(json.dumps({"prompt_set": shards.meta(data).get("prompt_set")}) + "\n")
     tokenizer = tokenizers.load(path)
     for split in ("train", "validation"):
         cache = out / "cache" / split

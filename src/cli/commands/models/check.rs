@@ -41,8 +41,8 @@ pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer)
     Ok(if well { Exit::Success } else { Exit::SomeFailed })
 }
 
-/// Why a model cannot be checked. Its files are only looked for on this machine, whatever the settings of the network.
-fn reason(error: &MllmError, model: &str) -> String {
+/// Why a model cannot be checked or listed. Its files are only looked for on this machine, whatever the settings of the network.
+pub(super) fn reason(error: &MllmError, model: &str) -> String {
     match error {
         MllmError::NotInCache { .. } => format!("not on this machine; `planagent models fetch {model}` downloads it"),
         other => other.to_string(),

@@ -35,7 +35,7 @@ pub(super) fn of<'a>(decoder: &'a Header, notes: &mut Vec<String>) -> Result<&'a
     let (template, called) =
         if name.to_lowercase().contains("mistral") { (MISTRAL, "Mistral") } else { (VICUNA, "Vicuna") };
     notes.push(format!(
-        "the file has no chat template; it gets that of {called}, by the model's name {name:?} (a {TEMPLATE} beside \
+        "the file has no chat template; it gets that of {called}, by the model's name '{name}' (a {TEMPLATE} beside \
          the file replaces it)"
     ));
     Ok(template)

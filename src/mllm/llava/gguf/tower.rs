@@ -29,7 +29,7 @@ pub(super) fn config(header: &Header, model_type: &str) -> Result<(Value, Option
     for key in ["clip.projector_type", "clip.vision.projector_type"] {
         match header.text(key)? {
             None | Some("mlp") => {}
-            Some(other) => return Err(header.error(key, format!("{other:?} is not supported; mlp (LLaVA's) is"))),
+            Some(other) => return Err(header.error(key, format!("'{other}' is not supported; mlp (LLaVA's) is"))),
         }
     }
     let layers = header.required_count("clip.vision.block_count")?;

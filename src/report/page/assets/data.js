@@ -35,7 +35,14 @@ async function loadIndex() {
     Object.assign(simulation, { entrant, scenario: id, type, score, error });
   }
   INDEX.challenges = distinct(INDEX.simulations.map((simulation) => simulation.challenge));
+  for (const challenge of INDEX.challenges) CHALLENGES[challenge] ??= ownAgents(challenge);
   INDEX.scenarios = distinct(INDEX.simulations.map((simulation) => simulation.id));
+}
+
+/** The words for a closed loop with agents under a policy of the user, which is no challenge of nuPlan's. */
+function ownAgents(challenge) {
+  const name = challenge.replace(/^closed_loop_own_agents_/, "");
+  return { short: name, long: `closed loop, agents under the policy ${name}; no challenge of nuPlan`, plain: name };
 }
 
 /** The color of an entrant: one of eight that color-blind readers can tell apart (Okabe and Ito). */

@@ -1,5 +1,7 @@
 //! `planagent plan`.
 
+mod code;
+
 use crate::cli::args::PlanArguments;
 use crate::cli::picture::check_folder;
 use crate::cli::progress::listener;
@@ -21,6 +23,9 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
     let (iteration, frame) = instant(&scenario, flags.at)?;
     if let Some(file) = &flags.image {
         check_folder(file.path())?;
+    }
+    if let Some(code) = &flags.code {
+        return code::run(code, (&scenario, iteration, frame), config, flags.image.as_ref(), printer);
     }
     let loaded = load_model(config, &listener(printer))?;
     let parts = loaded.agent_parts(config);
@@ -74,11 +79,17 @@ fn compute(
     frame: &Frame,
     agent: &mut dyn Planner,
 ) -> anyhow::Result<Trajectory> {
+    let history = history(scenario, iteration);
+    Ok(agent.compute_trajectory(&PlannerInput { iteration: 0, scene: scenario.scene(frame, &history) })?)
+}
+
+/// The recorded past up to an iteration.
+pub(in crate::cli) fn history(scenario: &Scenario, iteration: usize) -> History {
     let mut history = History::default();
     for frame in scenario.frames.iter().take(scenario.start + iteration + 1) {
         history.push(HistorySample { ego: frame.ego, objects: frame.objects.clone() });
     }
-    Ok(agent.compute_trajectory(&PlannerInput { iteration: 0, scene: scenario.scene(frame, &history) })?)
+    history
 }
 
 /// The call's record with the trajectory: seconds from now, x, y, heading (map frame), speed.

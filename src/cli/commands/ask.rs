@@ -1,0 +1,140 @@
+//! `planagent ask`.
+
+use crate::cli::args::AskArguments;
+use crate::cli::commands::plan::{history, instant, scenario};
+use crate::cli::picture::check_folder;
+use crate::cli::progress::listener;
+use crate::cli::{Exit, Printer};
+use crate::environment::bev::{Palette, render};
+use crate::environment::text::write;
+use crate::environment::{BevView, Description, LaneGraph, TextForm};
+use crate::mllm::{Answer, Constraint, Deadline, FinishReason, Mllm, PromptPrefix, Request, TokenCounts};
+use crate::reasoning::{FreeQuestion, PromptSet, question_prompt};
+use crate::report::fixed;
+use crate::runner::{Config, load_model};
+use crate::world::{STEP_S, SceneView};
+use anyhow::{Context, bail};
+use serde::Serialize;
+use std::sync::Arc;
+
+/// An answer as JSON.
+#[derive(Debug, Serialize)]
+struct Record<'a> {
+    model: &'a str,
+    scenario: &'a str,
+    iteration: usize,
+    at_s: f64,
+    question: &'a str,
+    answer: &'a str,
+    finish: FinishReason,
+    /// The system prompt and the prompt as the model read them.
+    system: &'a str,
+    prompt: &'a str,
+    tokens: TokenCounts,
+    /// Wall time of the answer, and to its first token.
+    seconds: f64,
+    first_token_s: f64,
+}
+
+/// Puts a question about a recorded scene to the model, and prints the answer as it is generated.
+pub(in crate::cli) fn run(flags: &AskArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    if flags.question.trim().is_empty() {
+        bail!("the question is empty; write it as one word of the command line, in quotes");
+    }
+    let scenario = scenario(flags.scenario.as_deref(), &flags.data.readers())?;
+    let (iteration, frame) = instant(&scenario, flags.at)?;
+    if let Some(file) = &flags.image {
+        check_folder(file.path())?;
+    }
+    let loaded = load_model(config, &listener(printer))?;
+    let (model, prompts, reasoning) = loaded.parts().context("there is no model to ask")?;
+    let history = history(&scenario, iteration);
+    let scene = scenario.scene(frame, &history);
+    let scene_text = flags.lane_graph.then(|| lane_graph(&scene, prompts, config)).transpose()?;
+    let image = match model.describe().image_size {
+        Some(pixels) => Arc::new(render(&scene, &BevView::new(pixels, config.environment.view_m)?)),
+        None => bail!("the model {} reads no pictures", model.name()),
+    };
+    if let Some(file) = &flags.image {
+        file.save(&image)?;
+    }
+    if prompts.forms().scene_text == TextForm::Compact {
+        let name = model.name();
+        printer.note(format!(
+            "{name} was trained on the prompts of its own set alone: expect no sensible answer to a free question"
+        ));
+    }
+    let legend = Palette::legend();
+    let question = FreeQuestion { question: &flags.question, scene_text: scene_text.as_deref(), legend: &legend };
+    let (system, prompt) = question_prompt(prompts, &question)?;
+    let request = Request {
+        constraint: Constraint::Free,
+        max_new_tokens: flags.max_tokens as usize,
+        sampling: reasoning.generation.sampling,
+        deadline: Deadline::NONE,
+    };
+    let prefix = PromptPrefix { system: system.clone(), image: Some(image) };
+    let answer = match asked(model, &prefix, &prompt, &request, config.seed, printer) {
+        Ok(answer) => answer,
+        Err(error) if error.is_transient() => {
+            printer.failure(format!("the model gave no answer: {error}"));
+            return Ok(Exit::SomeFailed);
+        }
+        Err(error) => return Err(error).context("the model cannot be asked"),
+    };
+    if printer.is_json() {
+        printer.json(&Record {
+            model: model.name(),
+            scenario: &scenario.id,
+            iteration,
+            at_s: iteration as f64 * STEP_S,
+            question: &flags.question,
+            answer: &answer.text,
+            finish: answer.finish,
+            system: &system,
+            prompt: &prompt,
+            tokens: answer.tokens,
+            seconds: answer.time.total / 1000.0,
+            first_token_s: answer.time.first_token / 1000.0,
+        })?;
+    }
+    tell(&answer, flags, printer);
+    Ok(Exit::Success)
+}
+
+/// The answer; unless stdout carries JSON, its pieces are printed as they come.
+fn asked(
+    model: &dyn Mllm,
+    prefix: &PromptPrefix,
+    prompt: &str,
+    request: &Request,
+    seed: u64,
+    printer: Printer,
+) -> Result<Answer, crate::mllm::MllmError> {
+    let mut conversation = model.converse(prefix, seed)?;
+    let answer = conversation.ask_aloud(prompt, request, &mut |piece| printer.piece(piece))?;
+    printer.piece("\n");
+    Ok(answer)
+}
+
+/// The lane-graph text in the form of the model's prompts.
+fn lane_graph(scene: &SceneView<'_>, prompts: &PromptSet, config: &Config) -> anyhow::Result<String> {
+    let graph = LaneGraph::build(scene, config.environment.node_length_m).context("--lane-graph")?;
+    Ok(write(&Description::of(&graph), prompts.forms().scene_text))
+}
+
+/// What the answer cost, and whether it is cut off.
+fn tell(answer: &Answer, flags: &AskArguments, printer: Printer) {
+    let Answer { tokens, time, .. } = answer;
+    let read = tokens.text + tokens.image + tokens.cached;
+    let seconds = fixed(time.total / 1000.0, 2);
+    printer.note(format!("{} tokens in {seconds} s, after {read} tokens of prompt and picture", tokens.sampled));
+    match answer.finish {
+        _ if answer.text.trim().is_empty() => printer.note("the model gave an empty answer"),
+        FinishReason::Length => {
+            printer.note(format!("the answer is cut off at --max-tokens {}", flags.max_tokens));
+        }
+        FinishReason::ContextFull => printer.note("the answer is cut off at the end of the model's context"),
+        _ => {}
+    }
+}

@@ -1,0 +1,80 @@
+//! A running command that answers messages.
+
+use super::messages::{ExecInitialization, ExecReply, ExecRequest};
+use super::process::{Process, ProcessError};
+use crate::planner::PlannerInitialization;
+use std::time::Duration;
+
+/// Least time for the answer to the first message: an interpreter and its packages start slowly.
+const START_TIMEOUT: Duration = Duration::from_secs(60);
+/// Characters of a wrong answer that an error shows.
+const MAX_SHOWN: usize = 200;
+
+/// Why a command gives no usable answer.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum AnswerError {
+    #[error(transparent)]
+    Process(#[from] ProcessError),
+    #[error("the message to the command cannot be written: {0}")]
+    Request(serde_json::Error),
+    #[error("the command answered what is no message ({fault}): {answer}")]
+    NoMessage { fault: serde_json::Error, answer: String },
+    #[error("the command answered with another message than {expected}: {answer}")]
+    Other { expected: &'static str, answer: String },
+    #[error("the command says: {0}")]
+    Command(String),
+    #[error("the trajectory of the command cannot be used: {0}")]
+    Trajectory(String),
+    #[error("the agents of the command cannot be used: {0}")]
+    Agents(String),
+    #[error("the command of another simulation cannot be asked")]
+    Copied,
+}
+
+/// A command that is ready. It is ended when this is dropped.
+#[derive(Debug)]
+pub struct ExecSession {
+    process: Process,
+    /// Time for an answer to a step.
+    timeout: Duration,
+}
+
+impl ExecSession {
+    /// Starts a command and waits until it is ready.
+    ///
+    /// # Errors
+    /// When it cannot be started, ends, is silent, or answers with anything but `ready`.
+    pub fn start(
+        command: &str,
+        timeout: Duration,
+        initialization: &PlannerInitialization<'_>,
+    ) -> Result<Self, AnswerError> {
+        let mut process = Process::start(command)?;
+        let request = ExecRequest::Initialize(Box::new(ExecInitialization::of(initialization)));
+        match ask(&mut process, &request, timeout.max(START_TIMEOUT))? {
+            (ExecReply::Ready {}, _) => Ok(Self { process, timeout }),
+            (_, answer) => Err(AnswerError::Other { expected: "ready", answer }),
+        }
+    }
+
+    /// The answer to a message of a step, and its beginning for errors.
+    ///
+    /// # Errors
+    /// When the command ends, is silent, answers with no message, or with an error.
+    pub fn ask(&mut self, request: &ExecRequest) -> Result<(ExecReply, String), AnswerError> {
+        ask(&mut self.process, request, self.timeout)
+    }
+}
+
+fn ask(process: &mut Process, request: &ExecRequest, within: Duration) -> Result<(ExecReply, String), AnswerError> {
+    let line = serde_json::to_vec(request).map_err(AnswerError::Request)?;
+    let answer = process.ask(line, within)?;
+    let shown: String = answer.chars().take(MAX_SHOWN).collect();
+    match serde_json::from_str(&answer) {
+        Ok(ExecReply::Error { message }) => Err(AnswerError::Command(message)),
+        Ok(reply) => Ok((reply, shown)),
+        Err(fault) => Err(AnswerError::NoMessage { fault, answer: shown }),
+    }
+}
