@@ -13,7 +13,7 @@ const STYLES: [&str; 5] = [
     include_str!("assets/transcript.css"),
 ];
 /// Scripts, in order: later ones use earlier ones.
-const SCRIPTS: [&str; 20] = [
+const SCRIPTS: [&str; 21] = [
     include_str!("assets/dom.js"),
     include_str!("assets/data.js"),
     include_str!("assets/moment.js"),
@@ -25,6 +25,7 @@ const SCRIPTS: [&str; 20] = [
     include_str!("assets/histograms.js"),
     include_str!("assets/player.js"),
     include_str!("assets/controls.js"),
+    include_str!("assets/score_labels.js"),
     include_str!("assets/bev.js"),
     include_str!("assets/legend.js"),
     include_str!("assets/thumbnails.js"),

@@ -9,7 +9,7 @@ use super::lettering::Lettering;
 use super::scene::DrawnScene;
 use crate::environment::bev::Palette;
 use crate::geometry::{Bounds, Point};
-use crate::planner::PlanningCall;
+use crate::planner::{Decision, PlanningCall};
 use crate::reflection::{ReflectionReport, Verdict};
 use crate::report::decision::decision_words;
 use crate::report::number::fixed;
@@ -28,7 +28,9 @@ const ROLLOUT_STEP: usize = 5;
 /// The picture of a call at an iteration of a scenario. Without a picture of the model there is only the scene.
 pub fn call_picture(scenario: &Scenario, frame: &Frame, call: &PlanningCall, plan: &Trajectory) -> RgbImage {
     let layout = Layout::of(LOOK);
-    let refused = call.attempts.iter().enumerate().filter(|(i, _)| Some(*i) != call.decision.attempt());
+    // A refused plan that is executed all the same is among the refused ones.
+    let is_accepted = |i: usize| matches!(call.decision, Decision::Execute(attempt) if attempt == i);
+    let refused = call.attempts.iter().enumerate().filter(|(i, _)| !is_accepted(*i));
     let refused = refused.filter_map(|(_, attempt)| attempt.reflection.as_ref()).map(refused_path).collect();
     let caption = caption(scenario, call, frame.ego.speed());
     let own = scene_picture(scenario, frame, call.iteration, &planned_path(plan), refused, &caption);

@@ -10,7 +10,7 @@ use super::lettering::Lettering;
 use super::scene::{self, DrawnScene, View};
 use crate::environment::bev::BevView;
 use crate::geometry::Point;
-use crate::report::call_record::{CallRecord, LineRecord, calls_in};
+use crate::report::call_record::{CallRecord, DecisionRecord, LineRecord, calls_in};
 use crate::report::decision::recorded_words;
 use crate::report::number::fixed;
 use crate::report::replay::{Moment, Replay, ReplayedSimulation};
@@ -141,9 +141,13 @@ impl Film {
         let mut refused = Vec::new();
         if let Some((call, attempts)) = self.simulation.call_at(iteration) {
             let record = self.calls.get(call);
-            let executed = record.and_then(|record| Some(record.accepted()?.0));
+            // A refused plan that is executed all the same is among the refused ones.
+            let accepted = record.and_then(|record| match record.decision {
+                DecisionRecord::Execute { attempt } => Some(attempt),
+                _ => None,
+            });
             let score = |i: usize| Some(record?.attempts.get(i)?.reflection.as_ref()?.score);
-            let others = attempts.iter().enumerate().filter(|(i, path)| Some(*i) != executed && !path.is_empty());
+            let others = attempts.iter().enumerate().filter(|(i, path)| Some(*i) != accepted && !path.is_empty());
             refused.extend(others.map(|(i, path)| (path.clone(), score(i))));
         }
         DrawnScene {

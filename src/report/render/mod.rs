@@ -12,6 +12,7 @@ mod frame;
 mod legend;
 mod lettering;
 mod scene;
+mod score_labels;
 
 pub use call::{call_picture, code_picture};
 pub use error::{OutputFault, RenderError};

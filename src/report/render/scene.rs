@@ -3,8 +3,8 @@
 use super::canvas::{Canvas, Pen, Pixel};
 use super::colors::{COLORS, Rgb};
 use super::lettering::Lettering;
+use super::score_labels;
 use crate::geometry::{OrientedBox, Point, Pose};
-use crate::report::number::fixed;
 use crate::report::replay::DrawnMap;
 use crate::world::{EgoState, ObjectKind, SignalStatus, TrackedObject};
 
@@ -36,7 +36,7 @@ pub(in crate::report) struct DrawnScene<'a> {
     pub(in crate::report) trail: Vec<Point>,
     /// The active plan, a point every half second.
     pub(in crate::report) plan: &'a [Point],
-    /// Refused plans with their scores.
+    /// Refused plans with their scores; one of them may be executed all the same.
     pub(in crate::report) refused: Vec<(Vec<Point>, Option<f64>)>,
 }
 
@@ -56,7 +56,7 @@ impl View {
         Self { center: ego.center(), side, scale: f64::from(side) / meters }
     }
 
-    fn pixel(&self, point: Point) -> Pixel {
+    pub(super) fn pixel(&self, point: Point) -> Pixel {
         let local = self.center.to_local(point);
         let side = f64::from(self.side);
         ((side / 2.0 - local.y * self.scale) as f32, (side * EGO_AT - local.x * self.scale) as f32)
@@ -88,8 +88,13 @@ impl View {
         -(heading - self.center.heading + std::f64::consts::FRAC_PI_2) as f32
     }
 
+    /// Pixels a side.
+    pub(super) fn side(&self) -> f32 {
+        self.side as f32
+    }
+
     /// Widths of the page in this picture.
-    fn zoom(&self) -> f32 {
+    pub(super) fn zoom(&self) -> f32 {
         self.side as f32 / PAGE_PIXELS
     }
 }
@@ -104,6 +109,7 @@ pub(super) fn draw(canvas: &mut Canvas, scene: &DrawnScene<'_>, view: &View) {
     }
     vehicle(canvas, &scene.ego.footprint(), COLORS.ego, true, view);
     arrow(canvas, scene.ego.center(), scene.ego.velocity.x.abs(), view);
+    score_labels::draw(canvas, scene, view);
     scale(canvas, view);
 }
 
@@ -146,7 +152,6 @@ fn lights(canvas: &mut Canvas, lights: &[([Point; 2], SignalStatus)], view: &Vie
 fn paths(canvas: &mut Canvas, scene: &DrawnScene<'_>, view: &View) {
     let (colors, zoom) = (&*COLORS, view.zoom());
     canvas.line(&view.pixels(&scene.trail), Pen::solid(colors.ego, 1.6 * zoom));
-    let letters = Lettering::bold(12.0 * zoom);
     for (path, _) in &scene.refused {
         let dash = [view.meters(1.2), view.meters(0.8)];
         canvas.line(&view.pixels(path), Pen::dashed(colors.tried, 5.0 * zoom, dash));
@@ -155,12 +160,6 @@ fn paths(canvas: &mut Canvas, scene: &DrawnScene<'_>, view: &View) {
     canvas.line(&plan, Pen::solid(colors.ego, 3.0 * zoom));
     for &dot in plan.iter().skip(2).step_by(2) {
         canvas.disc(dot, 3.2 * zoom, colors.ego);
-    }
-    for (i, (path, score)) in scene.refused.iter().enumerate() {
-        let (Some(&end), Some(score)) = (path.last(), score) else { continue };
-        let (x, y) = view.pixel(end);
-        let below = letters.line() * i as f32 + letters.size / 3.0;
-        canvas.label(&fixed(*score, 2), (x + 7.0 * zoom, y + below), letters, colors.tried, colors.panel);
     }
 }
 

@@ -176,10 +176,10 @@ class Bev {
     if (show.expert) this.drawExpert(moment);
     if (show.trail) this.drawLine(replay.ego, 0, moment.iteration + 1, colors.ego, thin, []);
     const call = replay.calls[callAt(replay, moment.iteration)];
-    const executed = call ? executedAttempt(call) : null;
+    const accepted = call ? acceptedAttempt(call) : null;
     if (call && show.tried) {
       call.tracks.forEach((track, i) => {
-        if (!track || (i === executed && this.marked !== i)) return;
+        if (!track || (i === accepted && this.marked !== i)) return;
         // Wider than the plan, which often covers it.
         const wide = (this.marked === i ? 7 : 5) / this.zoom;
         this.drawLine(track, 0, track.x.length, colors.tried, wide, [1.2, 0.8]);
@@ -221,44 +221,31 @@ class Bev {
     context.setLineDash([]);
   }
 
-  /** The scores of the refused plans, over the objects. */
+  /** The scores of the refused plans: over all else, where they cover least. */
   drawScores(moment) {
-    const { replay, colors } = this;
+    const { replay } = this;
     const call = replay.calls[callAt(replay, moment.iteration)];
     if (!call || !this.show.tried) return;
-    call.tracks.forEach((track, i) => {
-      if (track && (i !== executedAttempt(call) || this.marked === i)) this.drawScore(track, call.attempts[i], 14 * i, colors.tried);
-    });
+    const shown = call.tracks.map((track, i) => ({ track, score: call.attempts[i]?.reflection?.score, i }))
+      .filter(({ track, score, i }) => track && score !== undefined && (i !== acceptedAttempt(call) || this.marked === i));
+    if (!shown.length) return;
+    const boxes = replay.agents.map((agent) => this.boxOf(agent, moment)).filter(Boolean);
+    drawScoreLabels(this, shown, [...boxes, { ...center(moment), length: INDEX.vehicle.length, width: INDEX.vehicle.width }]);
   }
 
-  /** The score of a refused plan, at its end; `below` in pixels keeps scores of equal plans apart. */
-  drawScore({ x, y }, attempt, below, color) {
-    const score = attempt?.reflection?.score;
-    if (score === undefined) return;
-    const end = new DOMPoint(x[x.length - 1], y[y.length - 1]).matrixTransform(new DOMMatrix(this.onto));
-    this.drawLabel(score.toFixed(2), end.x, end.y + below * (window.devicePixelRatio || 1), color);
-  }
-
-  drawLabel(text, x, y, color) {
-    const { context, colors } = this;
-    const ratio = window.devicePixelRatio || 1;
-    context.save();
-    context.setTransform(ratio, 0, 0, ratio, x, y);
-    context.font = this.font;
-    context.textBaseline = "middle";
-    context.lineWidth = 3;
-    context.strokeStyle = colors.panel;
-    context.strokeText(text, 7, 0);
-    context.fillStyle = color;
-    context.fillText(text, 7, 0);
-    context.restore();
-  }
-
-  drawAgent(agent, { iteration, share }) {
-    if (iteration < agent.from || iteration > agent.to) return;
+  /** The box of an agent; null if there is none at this moment. */
+  boxOf(agent, { iteration, share }) {
+    if (iteration < agent.from || iteration > agent.to) return null;
     const i = iteration - agent.from;
     const j = Math.min(i + 1, agent.x.length - 1);
-    const pose = { x: mix(agent.x, i, j, share), y: mix(agent.y, i, j, share), heading: mix(agent.heading, i, j, share) };
+    const { length, width } = agent;
+    return { x: mix(agent.x, i, j, share), y: mix(agent.y, i, j, share), heading: mix(agent.heading, i, j, share), length, width };
+  }
+
+  drawAgent(agent, moment) {
+    const pose = this.boxOf(agent, moment);
+    if (!pose) return;
+    const i = moment.iteration - agent.from;
     const color = this.colors[agent.kind] ?? this.colors.static;
     if (agent.kind === "pedestrian") {
       this.context.beginPath();

@@ -13,6 +13,23 @@ function executedAttempt(call) {
   return kind === "execute" || kind === "exhausted" ? attempt : null;
 }
 
+/** The first attempt that an attempt repeats, and whether with all its answers; null if it is new. */
+function repeatOf(attempts, index) {
+  const { code, rounds } = attempts[index];
+  if (!code) return null;
+  const before = attempts.slice(0, index);
+  const answers = (attempt) => JSON.stringify(attempt.rounds.map((round) => round.answer));
+  const whole = rounds.length ? before.findIndex((other) => other.code?.text === code.text && answers(other) === answers(attempts[index])) : -1;
+  if (whole >= 0) return { of: whole, whole: true };
+  const of = before.findIndex((other) => other.code?.text === code.text);
+  return of < 0 ? null : { of, whole: false };
+}
+
+/** The accepted attempt of a call, or null. */
+function acceptedAttempt({ decision }) {
+  return decision.kind === "execute" ? decision.attempt : null;
+}
+
 /** Whether Reflection refused every attempt of a call. */
 function allRefused({ decision, attempts }) {
   return decision.kind === "exhausted" || (attempts.length > 0 && ["worse", "outscored"].includes(decision.cause));
@@ -49,9 +66,12 @@ function refusedWords({ decision, attempts }, run) {
   const own = scores[decision.attempt];
   const is = own === null ? `Attempt ${number}` : `Attempt ${number}, with ${own.toFixed(2)},`;
   const best = own !== null && scores.every((score) => score === null || score <= own);
-  const why = attempts.length === 1 ? "there is no better plan" : run.after_max_exec === "last" || !best ? "it is the last one" : "no other attempt scores more";
+  const [first] = attempts;
+  const oneCode = attempts.length > 1 && first.code && attempts.every(({ code }) => code?.text === first.code.text);
+  const same = oneCode ? `All ${attempts.length} attempts have the same code. ` : "";
+  const why = attempts.length === 1 || oneCode ? "there is no better plan" : run.after_max_exec === "last" || !best ? "it is the last one" : "no other attempt scores more";
   const monitored = run.monitoring ? " Monitoring scores it at every step and may execute a slower or lateral version, or a stop." : "";
-  return `${is} is executed all the same, because ${why}.${monitored}`;
+  return `${same}${is} is executed all the same, because ${why}.${monitored}`;
 }
 
 /** The score that an attempt needs, and which threshold that is. */

@@ -7,7 +7,7 @@ const STATIC_KINDS = ["traffic_cone", "barrier", "czone_sign", "generic_object"]
 const LEGEND = [
   ["ego", "ego", () => boxSwatch("--ego"), () => true],
   ["plan", "active plan, a dot each second", () => [lineSwatch("--ego", 3), s("circle", { cx: 17, cy: 6, r: 3, style: "fill:var(--ego)" })], () => true],
-  ["tried", "refused plan with its score", () => lineSwatch("--tried", 4, "5 3"), ({ calls }) => calls.some((call) => call.attempts.some((_, i) => i !== executedAttempt(call)))],
+  ["tried", "refused plan with its score", () => lineSwatch("--tried", 4, "5 3"), ({ calls }) => calls.some((call) => call.attempts.some((_, i) => i !== acceptedAttempt(call)))],
   ["trail", "trail of the ego", () => lineSwatch("--ego", 1.4), () => true],
   ["expert", "recorded ego", () => [lineSwatch("--expert", 1.8, "2 3"), s("circle", { cx: 12, cy: 6, r: 3, style: "fill:none;stroke:var(--expert);stroke-width:1.6" })], ({ expert }) => expert.x.length > 1],
   ["ghost", "ghost: ego of another planner", () => s("rect", { x: 3, y: 2, width: 18, height: 8, rx: 2, style: "fill:none;stroke:var(--ghost);stroke-width:1.8" }), (_, ghost) => ghost],
