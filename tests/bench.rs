@@ -108,6 +108,24 @@ fn a_broken_model_fails_alone() {
 }
 
 #[test]
+fn a_benchmark_without_a_measurement_leaves_no_folder() {
+    let folder = TempDir::new().unwrap();
+    let broken = folder.path().join("broken");
+    fs::create_dir(&broken).unwrap();
+    let bench = |arguments: &[&str]| {
+        let arguments = [&["bench", "--warm-up", "0", "--iterations", "1"], arguments].concat();
+        let output = planagent().current_dir(&folder).args(arguments).output().unwrap();
+        let left: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        assert_eq!(left, ["broken"]);
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, stderr) = bench(&[broken.to_str().unwrap()]);
+    assert!(code == Some(1) && stderr.contains("nothing was written"), "{stderr}");
+    let (code, stderr) = bench(&["nano", "--vs", "llama.cpp"]);
+    assert!(code == Some(2) && stderr.contains("--quantize"), "{stderr}");
+}
+
+#[test]
 fn a_model_is_measured_by_the_configuration_that_is_named() {
     let folder = TempDir::new().unwrap();
     // The measuring process must not read this file.

@@ -2,7 +2,7 @@
 
 use super::call_record::{CallRecord, DecisionRecord};
 use super::number::fixed;
-use crate::planner::{Decision, NoPlan, PlanningCall};
+use crate::planner::{Attempt, Decision, NoPlan, PlanningCall};
 
 /// Whether Reflection refused every attempt of a call.
 pub(super) fn all_refused(call: &PlanningCall) -> bool {
@@ -15,69 +15,101 @@ pub(super) fn all_refused(call: &PlanningCall) -> bool {
 /// The decision of a planning call in words.
 pub fn decision_words(call: &PlanningCall) -> String {
     let scores: Vec<Option<f64>> = call.attempts.iter().map(|a| Some(a.reflection.as_ref()?.score)).collect();
-    words(&DecisionRecord::of(&call.decision), &scores, call.aborted_lane_change == Some(call.iteration))
+    let refused = Refused { scores: &scores, one_code: is_one(call.attempts.iter().map(Attempt::line)) };
+    refused.words(&DecisionRecord::of(&call.decision), call.aborted_lane_change == Some(call.iteration))
 }
 
 /// The decision of a recorded call in words.
 pub(super) fn recorded_words(call: &CallRecord) -> String {
     let scores: Vec<Option<f64>> = call.attempts.iter().map(|a| Some(a.reflection.as_ref()?.score)).collect();
-    words(&call.decision, &scores, call.aborted_lane_change == Some(call.iteration))
+    let codes = call.attempts.iter().map(|attempt| Some(attempt.code.as_ref()?.text().to_owned()));
+    let refused = Refused { scores: &scores, one_code: is_one(codes) };
+    refused.words(&call.decision, call.aborted_lane_change == Some(call.iteration))
 }
 
-/// `scores` are Reflection's, by attempt; `keeps_lane` if a lane change of the executed plan is not begun.
-fn words(decision: &DecisionRecord, scores: &[Option<f64>], keeps_lane: bool) -> String {
-    let all_refused =
-        |cause: &str| !scores.is_empty() && [NoPlan::Worse, NoPlan::Outscored].iter().any(|why| why.cause() == cause);
-    match decision {
-        DecisionRecord::Execute { attempt } => format!("attempt {} is executed", attempt + 1),
-        DecisionRecord::Exhausted { attempt } => {
-            format!("{}; {}", refusals(scores), instead(scores, *attempt, keeps_lane))
+/// Whether all attempts have a planner code, and the same one.
+fn is_one(codes: impl Iterator<Item = Option<String>>) -> bool {
+    let codes: Vec<Option<String>> = codes.collect();
+    codes.first().is_some_and(Option::is_some) && codes.windows(2).all(|pair| pair[0] == pair[1])
+}
+
+/// The attempts of a call that may have been refused.
+struct Refused<'a> {
+    /// Reflection's scores, by attempt; none for an attempt without a plan.
+    scores: &'a [Option<f64>],
+    /// Whether all have the same planner code.
+    one_code: bool,
+}
+
+impl Refused<'_> {
+    /// A decision in words; `keeps_lane` if a lane change of the executed plan is not begun.
+    fn words(&self, decision: &DecisionRecord, keeps_lane: bool) -> String {
+        let all_refused = |cause: &str| {
+            !self.scores.is_empty() && [NoPlan::Worse, NoPlan::Outscored].iter().any(|why| why.cause() == cause)
+        };
+        match decision {
+            DecisionRecord::Execute { attempt } => format!("attempt {} is executed", attempt + 1),
+            DecisionRecord::Exhausted { attempt } => {
+                format!("{}; {}", self.refusals(), self.instead(*attempt, keeps_lane))
+            }
+            DecisionRecord::KeepActivePlan { cause, .. } if all_refused(cause) => {
+                format!("{}; the active plan is kept, because it scores more than each of them", self.refusals())
+            }
+            DecisionRecord::RuleBased { cause, .. } if all_refused(cause) => {
+                format!("{}; PDM-Closed plans, because its own proposal scores no less", self.refusals())
+            }
+            DecisionRecord::KeepActivePlan { why, .. } => format!("the active plan is kept ({why})"),
+            DecisionRecord::Brake { why, .. } => format!("brake ({why})"),
+            DecisionRecord::Gated { score } => {
+                format!("call skipped; PDM-Closed plans, with a predicted score of {}", fixed(*score, 2))
+            }
+            DecisionRecord::RuleBased { why, .. } => format!("PDM-Closed plans ({why})"),
         }
-        DecisionRecord::KeepActivePlan { cause, .. } if all_refused(cause) => {
-            format!("{}; the active plan is kept, because it scores more than each of them", refusals(scores))
-        }
-        DecisionRecord::RuleBased { cause, .. } if all_refused(cause) => {
-            format!("{}; PDM-Closed plans, because its own proposal scores no less", refusals(scores))
-        }
-        DecisionRecord::KeepActivePlan { why, .. } => format!("the active plan is kept ({why})"),
-        DecisionRecord::Brake { why, .. } => format!("brake ({why})"),
-        DecisionRecord::Gated { score } => {
-            format!("call skipped; PDM-Closed plans, with a predicted score of {}", fixed(*score, 2))
-        }
-        DecisionRecord::RuleBased { why, .. } => format!("PDM-Closed plans ({why})"),
     }
-}
 
-/// That all attempts were refused, and how many there were.
-fn refusals(scores: &[Option<f64>]) -> String {
-    let unreadable = scores.iter().filter(|score| score.is_none()).count();
-    match (scores.len(), unreadable) {
-        (1, _) => "the only attempt was refused".to_owned(),
-        (all, 0) => format!("all {all} attempts were refused"),
-        (all, unreadable) => format!("of {all} attempts, {} refused and {unreadable} without a plan", all - unreadable),
+    /// That all attempts were refused, how many there were, and whether they differ.
+    fn refusals(&self) -> String {
+        let unreadable = self.scores.iter().filter(|score| score.is_none()).count();
+        match (self.scores.len(), unreadable) {
+            (1, _) => "the only attempt was refused".to_owned(),
+            (all, 0) if self.one_code => format!("all {all} attempts have the same code and were refused"),
+            (all, 0) => format!("all {all} attempts were refused"),
+            (all, unreadable) => {
+                format!("of {all} attempts, {} refused and {unreadable} without a plan", all - unreadable)
+            }
+        }
     }
-}
 
-/// The refused attempt that is executed, and why.
-fn instead(scores: &[Option<f64>], index: usize, keeps_lane: bool) -> String {
-    let own = scores.get(index).copied().flatten();
-    let is_best = own.is_some_and(|own| scores.iter().flatten().all(|score| *score <= own));
-    let score = own.map(|own| format!(" (score {})", fixed(own, 2))).unwrap_or_default();
-    let why = match (scores.len(), is_best) {
-        (1, _) => "there is no better plan",
-        (_, true) => "no other attempt scores more",
-        (_, false) => "it is the last one",
-    };
-    let lane = if keeps_lane { ", in the ego's lane: a refused plan must not begin a lane change" } else { "" };
-    format!("attempt {}{score} is executed all the same, because {why}{lane}", index + 1)
+    /// The refused attempt that is executed, and why.
+    fn instead(&self, index: usize, keeps_lane: bool) -> String {
+        let own = self.scores.get(index).copied().flatten();
+        let is_best = own.is_some_and(|own| self.scores.iter().flatten().all(|score| *score <= own));
+        let score = own.map(|own| format!(" (score {})", fixed(own, 2))).unwrap_or_default();
+        let why = match is_best {
+            _ if self.one_code || self.scores.len() == 1 => "there is no better plan",
+            true => "no other attempt scores more",
+            false => "it is the last one",
+        };
+        let lane = if keeps_lane { ", in the ego's lane: a refused plan must not begin a lane change" } else { "" };
+        format!("attempt {}{score} is executed all the same, because {why}{lane}", index + 1)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::environment::CenterlineName;
     use crate::pdm::DrivableLayers;
-    use crate::planner::Attempt;
+    use crate::reasoning::PlannerCode;
     use crate::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
+
+    const CODE: PlannerCode = PlannerCode {
+        centerline: CenterlineName::EgoLane,
+        lead_agent: None,
+        target_speed: 10.0,
+        accel_max: 1.0,
+        decel_max: 2.0,
+    };
 
     fn reflection(score: f64) -> ReflectionReport {
         let parts = SubScores {
@@ -142,6 +174,13 @@ mod tests {
             last.ends_with("attempt 3 (score 0.30) is executed all the same, because it is the last one"),
             "{last}"
         );
+        let mut same = best.clone();
+        for attempt in &mut same.attempts {
+            attempt.answer = Some(CODE.into());
+        }
+        let same = decision_words(&same);
+        assert!(same.starts_with("all 3 attempts have the same code and were refused; attempt 2"), "{same}");
+        assert!(same.ends_with("because there is no better plan"), "{same}");
         let lane = PlanningCall { aborted_lane_change: Some(20), ..best.clone() };
         assert!(decision_words(&lane).contains("in the ego's lane"), "{}", decision_words(&lane));
         let later = PlanningCall { aborted_lane_change: Some(25), ..best };

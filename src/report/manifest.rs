@@ -144,26 +144,36 @@ impl Manifest {
         self.scenarios.simulated() * self.planners.len() * self.challenges.len()
     }
 
-    /// The differences from `now`, one a line, by dotted keys. The version and commit of the program, the start time, and the
-    /// words and folders of the scenarios may differ.
+    /// The differences from `now`, one a line, by dotted keys. Several keys that only one of both has share a line: another version
+    /// wrote the run. The version and commit of the program, the start time, and the words and folders of the scenarios may differ.
     pub fn differences(&self, now: &Self) -> Vec<String> {
         let other_planners = self.planners != now.planners;
         let only_one_has_model = self.model.is_some() != now.model.is_some();
         let (then, now) = (self.flat(), now.flat());
-        let text = |value: Option<&String>| value.map_or("none", String::as_str).to_owned();
         let mut keys: Vec<&String> = then.iter().map(|(key, _)| key).collect();
         keys.extend(now.iter().map(|(key, _)| key).filter(|key| !then.iter().any(|(k, _)| k == *key)));
-        let value = |all: &[(String, String)], key: &str| text(all.iter().find(|(k, _)| k == key).map(|(_, v)| v));
-        keys.into_iter()
+        let different = keys
+            .into_iter()
             // Other planners need another model or none: the line about the planners says it.
             .filter(|key| !(other_planners && only_one_has_model && key.starts_with(MODEL_KEYS)))
-            .map(|key| (key, value(&then, key), value(&now, key)))
-            .filter(|(_, before, after)| before != after)
-            .map(|(key, before, after)| match key.as_str() {
-                PLANNERS => format!("other planners: was {before}, is {after}"),
-                key => format!("{key}: was {before}, is {after}"),
-            })
-            .collect()
+            .map(|key| (key, value_of(&then, key), value_of(&now, key)))
+            .filter(|(_, before, after)| before != after);
+        let (mut lines, mut new, mut gone) = (Vec::new(), Vec::new(), Vec::new());
+        for (key, before, after) in different {
+            let (then, now) = (before.unwrap_or("none"), after.unwrap_or("none"));
+            let line = match key.as_str() {
+                PLANNERS => format!("other planners: was {then}, is {now}"),
+                key => format!("{key}: was {then}, is {now}"),
+            };
+            match (before, after) {
+                (None, _) => new.push((key.as_str(), line)),
+                (_, None) => gone.push((key.as_str(), line)),
+                _ => lines.push(line),
+            }
+        }
+        lines.extend(one_sided("the run does not have", new));
+        lines.extend(one_sided("only the run has", gone));
+        lines
     }
 
     /// BLAKE3 of everything that determines the results.
@@ -192,6 +202,22 @@ impl Manifest {
         }
         all
     }
+}
+
+/// The lines of keys that one side has; one line if they are many.
+fn one_sided(who: &str, keys: Vec<(&str, String)>) -> Vec<String> {
+    /// Maximum number of keys with a line each, and of those that the one line names.
+    const NAMED: usize = 3;
+    if keys.len() <= NAMED {
+        return keys.into_iter().map(|(_, line)| line).collect();
+    }
+    let named: Vec<&str> = keys.iter().take(NAMED).map(|(key, _)| *key).collect();
+    vec![format!("{} settings that {who}: {} and {} more", keys.len(), named.join(", "), keys.len() - NAMED)]
+}
+
+/// The value of a key.
+fn value_of<'a>(all: &'a [(String, String)], key: &str) -> Option<&'a str> {
+    all.iter().find(|(known, _)| known == key).map(|(_, value)| value.as_str())
 }
 
 fn flatten<'a>(
@@ -266,6 +292,14 @@ mod tests {
         let with = |built_in| Manifest { prompts: Some(prompts(built_in)), ..manifest() };
         assert_eq!(with(true).digest(), manifest().digest());
         assert_eq!(manifest().differences(&with(false)), ["prompts.blake3: was none, is ab"]);
+        // A run of a version with fewer settings.
+        let mut older = manifest();
+        older.config = "seed = 0\n".parse().unwrap();
+        let mut newer = manifest();
+        newer.config = "seed = 1\n[reflection]\na = 1\nb = 2\nc = 3\nd = 4\n".parse().unwrap();
+        let new = "4 settings that the run does not have: config.reflection.a, config.reflection.b, config.reflection.c and 1 more";
+        assert_eq!(older.differences(&newer), ["config.seed: was 0, is 1", new]);
+        assert!(newer.differences(&older)[1].starts_with("4 settings that only the run has: config.reflection.a"));
     }
 
     #[test]

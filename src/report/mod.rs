@@ -16,6 +16,7 @@ pub mod page;
 mod paired;
 mod parquet;
 pub mod render;
+mod repeats;
 mod replay;
 mod run_folder;
 #[cfg(test)]

@@ -2,9 +2,11 @@
 
 use super::decision::decision_words;
 use super::number::fixed;
+use super::repeats::Repeat;
 use super::times::CallTimes;
 use crate::experiment::run::{SimulationOutcome, SimulationRecord};
 use crate::planner::{Attempt, PlanningCall};
+use crate::reasoning::RoundRecord;
 use crate::world::STEP_S;
 use std::fmt::Write;
 
@@ -38,9 +40,9 @@ fn call_markdown(call: &PlanningCall, outcome: &SimulationOutcome, image: Option
     if let Some(image) = image {
         let _ = writeln!(text, "![BEV map]({image})\n");
     }
-    for (i, attempt) in call.attempts.iter().enumerate() {
+    for i in 0..call.attempts.len() {
         let _ = writeln!(text, "### Attempt {}\n", i + 1);
-        text.push_str(&attempt_markdown(attempt));
+        text.push_str(&attempt_markdown(&call.attempts, i));
     }
     let _ = writeln!(text, "**Decision:** {}.\n", decision_words(call));
     if let Some(iteration) = call.active_from {
@@ -61,9 +63,21 @@ fn call_markdown(call: &PlanningCall, outcome: &SimulationOutcome, image: Option
     text
 }
 
-/// One attempt: its rounds, its planner code, the reflection on it.
-pub fn attempt_markdown(attempt: &Attempt) -> String {
+/// One of the attempts of a call: its rounds, its planner code, the reflection on it. What it repeats of an earlier attempt is
+/// said, not written again.
+pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
+    let Some(attempt) = attempts.get(index) else { return String::new() };
     let mut text = String::new();
+    let repeat = Repeat::of(attempts, index);
+    if let Some(Repeat::Answers(of)) = repeat {
+        for round in new_prompts(attempts, of, attempt) {
+            let _ = writeln!(text, "*{}*\n\n{}\n", round.round, fenced(&round.prompt));
+        }
+        let score = attempt.reflection.as_ref().map(|reflection| format!(" Reflection: **{:.2}**", reflection.score));
+        let same = "the same answers, the same code and the same score";
+        let _ = writeln!(text, "The model repeated attempt {}: {same}.{}\n", of + 1, score.unwrap_or_default());
+        return text;
+    }
     for round in &attempt.rounds {
         let _ = writeln!(text, "*{}*\n\n{}\n\n{}\n", round.round, fenced(&round.prompt), quoted(&round.answer));
     }
@@ -71,7 +85,11 @@ pub fn attempt_markdown(attempt: &Attempt) -> String {
         let _ = writeln!(text, "- not understood: {error}");
     }
     if let Some(line) = attempt.line() {
-        let _ = writeln!(text, "Code: `{line}`\n");
+        let same = match repeat {
+            Some(Repeat::Code(of) | Repeat::Answers(of)) => format!(" (the code of attempt {})", of + 1),
+            None => String::new(),
+        };
+        let _ = writeln!(text, "Code: `{line}`{same}\n");
     }
     if let Some(reflection) = &attempt.reflection {
         let parts: Vec<String> =
@@ -79,6 +97,14 @@ pub fn attempt_markdown(attempt: &Attempt) -> String {
         let _ = writeln!(text, "Reflection: **{:.2}** ({})\n", reflection.score, parts.join(", "));
     }
     text
+}
+
+/// The rounds whose prompts differ from those of an earlier attempt.
+fn new_prompts<'a>(attempts: &'a [Attempt], of: usize, attempt: &'a Attempt) -> impl Iterator<Item = &'a RoundRecord> {
+    let before = attempts.get(of).map_or(&[][..], |earlier| &earlier.rounds);
+    let is_new =
+        move |(i, round): &(usize, &RoundRecord)| before.get(*i).is_none_or(|other| other.prompt != round.prompt);
+    attempt.rounds.iter().enumerate().filter(is_new).map(|(_, round)| round)
 }
 
 /// A fenced block; its fence is longer than any run of backticks inside.
@@ -90,4 +116,59 @@ fn fenced(text: &str) -> String {
 
 fn quoted(text: &str) -> String {
     text.lines().map(|line| format!("> {line}")).collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::environment::CenterlineName;
+    use crate::mllm::{ConstraintUse, FinishReason, RoundTime, TokenCounts};
+    use crate::reasoning::{PlannerCode, Round};
+
+    fn attempt(prompt: &str, answer: &str, target_speed: f64) -> Attempt {
+        let round = RoundRecord {
+            round: Round::Code,
+            prompt: prompt.to_owned(),
+            prompt_hash: String::new(),
+            answer: answer.to_owned(),
+            finish: FinishReason::Complete,
+            constraint: ConstraintUse::Unconstrained,
+            tokens: TokenCounts::default(),
+            time: RoundTime::default(),
+        };
+        let (centerline, lead_agent) = (CenterlineName::EgoLane, None);
+        let code = PlannerCode { centerline, lead_agent, target_speed, accel_max: 1.0, decel_max: 2.0 };
+        Attempt {
+            rounds: vec![round],
+            instruction: None,
+            answer: Some(code.into()),
+            errors: Vec::new(),
+            reflection: None,
+            path: Vec::new(),
+            reflection_ms: 0.0,
+        }
+    }
+
+    #[test]
+    fn what_an_attempt_repeats_is_said_and_not_written_again() {
+        let attempts = [
+            attempt("the scene", "go on", 10.0),
+            attempt("it was refused", "go on", 10.0),
+            attempt("it was refused", "go on, please", 10.0),
+            attempt("it was refused", "slow down", 5.0),
+        ];
+        let text = |index| attempt_markdown(&attempts, index);
+        assert!(
+            text(0).contains("> go on") && text(0).contains("Code: `") && !text(0).contains("attempt 1"),
+            "{}",
+            text(0)
+        );
+        let whole = text(1);
+        assert!(whole.contains("it was refused") && whole.contains("The model repeated attempt 1"), "{whole}");
+        assert!(!whole.contains("> go on") && !whole.contains("Code:"), "{whole}");
+        let code = text(2);
+        assert!(code.contains("> go on, please") && code.contains("` (the code of attempt 1)"), "{code}");
+        assert!(!text(3).contains("attempt 1") && text(3).contains("> slow down"), "{}", text(3));
+        assert_eq!(text(4), "");
+    }
 }

@@ -77,7 +77,11 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
     } else {
         printer.line(bench_table(&figures));
     }
-    printer.note(format!("results in {}", folder.path().display()));
+    if folder.has_measurements() {
+        printer.note(format!("results in {}", folder.path().display()));
+    } else {
+        printer.note("no model could be measured, so nothing was written");
+    }
     Ok(if figures.failed.is_empty() { Exit::Success } else { Exit::SomeFailed })
 }
 

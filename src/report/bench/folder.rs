@@ -32,25 +32,31 @@ pub struct BenchMetadata {
     pub settings: serde_json::Map<String, serde_json::Value>,
 }
 
-/// The folder of a benchmark. All rows of a model are written together.
+/// The folder of a benchmark. All rows of a model are written together. The folder exists from the first model on that could be
+/// measured, so a benchmark that fails leaves none.
 #[derive(Debug)]
 pub struct BenchFolder {
     path: PathBuf,
+    metadata: BenchMetadata,
     rows: Vec<Row>,
 }
 
 impl BenchFolder {
-    /// Creates the folder of a new benchmark.
+    /// The folder of a new benchmark.
     ///
     /// # Errors
     /// When the folder is not empty or cannot be written.
     pub fn create(path: &Path, metadata: &BenchMetadata) -> Result<Self, ReportError> {
+        let missing: Vec<&Path> = path.ancestors().take_while(|above| !above.exists()).collect();
         atomic::folder(path)?;
         if fs::read_dir(path).map_err(ReportError::read(path))?.next().is_some() {
             return Err(ReportError::at(path)(ReportFault::NotEmpty));
         }
-        atomic::write(&path.join(METADATA), &json(path, metadata)?)?;
-        Ok(Self { path: path.to_owned(), rows: Vec::new() })
+        // That it cannot be written shows before the first measurement, and not after it.
+        for folder in missing.into_iter().filter(|folder| !folder.as_os_str().is_empty()) {
+            fs::remove_dir(folder).map_err(ReportError::write(folder))?;
+        }
+        Ok(Self { path: path.to_owned(), metadata: metadata.clone(), rows: Vec::new() })
     }
 
     /// Opens the folder of a benchmark to resume it; `now` has the current settings.
@@ -75,7 +81,7 @@ impl BenchFolder {
         // Failed models run again.
         let rows = if file.is_file() { Self::read(path)? } else { Vec::new() };
         let rows: Vec<Row> = rows.into_iter().filter(|row| !matches!(row, Row::Failed(_))).collect();
-        Ok(Self { path: path.to_owned(), rows })
+        Ok(Self { path: path.to_owned(), metadata: then, rows })
     }
 
     pub fn read(path: &Path) -> Result<Vec<Row>, ReportError> {
@@ -96,8 +102,21 @@ impl BenchFolder {
         self.rows.iter().map(Row::model).collect()
     }
 
+    /// Whether a model could be measured.
+    pub fn has_measurements(&self) -> bool {
+        self.rows.iter().any(|row| !matches!(row, Row::Failed(_)))
+    }
+
     pub fn commit(&mut self, rows: &[Row]) -> Result<(), ReportError> {
         self.rows.extend_from_slice(rows);
+        if !self.has_measurements() {
+            return Ok(());
+        }
+        let metadata = self.path.join(METADATA);
+        if !metadata.is_file() {
+            atomic::folder(&self.path)?;
+            atomic::write(&metadata, &json(&self.path, &self.metadata)?)?;
+        }
         let mut text = Vec::new();
         for row in &self.rows {
             serde_json::to_writer(&mut text, row).map_err(ReportError::at(&self.path))?;
@@ -107,6 +126,9 @@ impl BenchFolder {
     }
 
     pub fn finish(&self, figures: &impl Serialize, table: &str) -> Result<(), ReportError> {
+        if !self.has_measurements() {
+            return Ok(());
+        }
         atomic::write(&self.path.join(FIGURES), &json(&self.path, figures)?)?;
         atomic::write(&self.path.join(TABLE), table.as_bytes())
     }

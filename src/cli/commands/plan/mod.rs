@@ -111,9 +111,9 @@ fn with_trajectory(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajec
 
 fn show(scenario: &Scenario, call: &PlanningCall, trajectory: &Trajectory, printer: Printer) {
     printer.line(format!("{} at {:.1} s\n", scenario.id, call.iteration as f64 * STEP_S));
-    for (i, attempt) in call.attempts.iter().enumerate() {
+    for i in 0..call.attempts.len() {
         printer.line(format!("Attempt {}\n", i + 1));
-        printer.line(attempt_markdown(attempt));
+        printer.line(attempt_markdown(&call.attempts, i));
     }
     printer.line(format!("Decision: {}", decision_words(call)));
     printer.line("Trajectory: time s, forward m, left m, speed m/s");

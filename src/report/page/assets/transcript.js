@@ -55,7 +55,7 @@ class Transcript {
       h("div", { class: "turn" }, h("button", go(-1), "‹"), h("button", go(1), "›")));
     const seen = this.showSeen(call);
     const decided = h("p", { class: `decision ${outcome}` }, decisionWords(call, INDEX.runs[replay.simulation.run]));
-    const attempts = call.attempts.map((attempt, i) => this.showAttempt(attempt, i, executed));
+    const attempts = call.attempts.map((attempt, i) => this.showAttempt(call, i, executed));
     fill(this.node, head, decided, seen, ...attempts);
   }
 
@@ -78,19 +78,31 @@ class Transcript {
       value === null ? null : ` ${passes ? "≥" : "<"} ${value}${note}`, h("em", {}, passes ? "accepted" : "refused"));
   }
 
-  showAttempt(attempt, i, executed) {
+  showAttempt(call, i, executed) {
+    const attempt = call.attempts[i];
     const { reflection, code } = attempt;
+    const repeat = repeatOf(call.attempts, i);
     const isRefused = reflection?.verdict === "rethink";
     const state = i === executed ? (isRefused ? "refused executed" : "executed") : "";
     const tag = i === executed ? h("span", { class: "executed-tag" }, isRefused ? "executed although refused" : "executed") : null;
     const attributes = { class: `attempt ${state}`, onmouseenter: () => this.onmark(i), onmouseleave: () => this.onmark(null) };
     return h("article", attributes,
       h("header", {}, h("h4", {}, `Attempt ${i + 1}`), tag, this.showVerdict(reflection)),
-      code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no planner code"),
-      reflection ? partsTable(reflection.parts) : null,
+      repeat ? h("p", { class: "repeats" }, repeatWords(repeat)) : null,
+      repeat ? null : code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no planner code"),
+      reflection && !repeat ? partsTable(reflection.parts) : null,
       attempt.errors.length ? h("ul", { class: "errors" }, attempt.errors.map((error) => h("li", {}, errorWords(error)))) : null,
-      h("ol", { class: "rounds" }, attempt.rounds.map(showRound)));
+      repeat?.whole ? h("details", {}, h("summary", {}, "prompts and answers"), showRounds(attempt)) : showRounds(attempt));
   }
+}
+
+function showRounds({ rounds }) {
+  return h("ol", { class: "rounds" }, rounds.map(showRound));
+}
+
+function repeatWords({ of, whole }) {
+  return whole ? `The model repeated attempt ${of + 1}: the same answers, the same code and the same score.`
+    : `The model wrote the code of attempt ${of + 1} again, after other answers.`;
 }
 
 /** The text of an error. */
