@@ -101,6 +101,11 @@ Examples:
   planagent report --open
   planagent report runs/0001 runs/0002 --out comparison.html";
 
+pub(super) const SERVE: &str = "\
+Examples:
+  planagent serve --open
+  planagent serve runs/0001 runs/0002 --port 0";
+
 pub(super) const RENDER: &str = "\
 Examples:
   All simulations of the last run, to a folder:

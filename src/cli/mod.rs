@@ -62,6 +62,7 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Ask(flags) => commands::ask::run(flags, config, printer),
         Command::Render(flags) => commands::render::run(flags, printer),
         Command::Report(flags) => commands::report::run(flags, printer),
+        Command::Serve(flags) => commands::serve::run(flags, printer),
         Command::Compare(flags) => commands::compare::run(flags, printer),
         Command::Merge(flags) => commands::merge::run(flags, printer),
         Command::Scenarios(command) => commands::scenarios::run(command, printer),

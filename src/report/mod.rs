@@ -21,6 +21,7 @@ mod replay;
 mod run_folder;
 #[cfg(test)]
 mod schema_tests;
+pub mod serve;
 mod simulation_folder;
 mod simulation_row;
 mod stamp;

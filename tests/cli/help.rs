@@ -3,12 +3,13 @@
 use super::{planagent, run};
 
 /// Every command with its own help.
-pub(super) const COMMANDS: [&str; 24] = [
+pub(super) const COMMANDS: [&str; 25] = [
     "",
     "simulate",
     "plan",
     "ask",
     "report",
+    "serve",
     "render",
     "compare",
     "merge",

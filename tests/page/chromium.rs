@@ -110,7 +110,11 @@ impl Chromium {
 
     /// Opens a file at a fragment and waits until the page is ready.
     pub(super) fn open(&mut self, page: &Path, fragment: &str) {
-        let url = format!("file://{}#{fragment}", page.display());
+        self.visit(&format!("file://{}#{fragment}", page.display()));
+    }
+
+    /// Opens an address and waits until the page is ready.
+    pub(super) fn visit(&mut self, url: &str) {
         self.call("Page.navigate", &json!({"url": url}));
         self.wait_for("document.body?.dataset.ready === 'true'");
     }

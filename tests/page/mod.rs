@@ -7,6 +7,9 @@ mod chromium;
 mod files;
 #[cfg(unix)]
 mod layout;
+#[cfg(unix)]
+mod live;
+mod serve;
 
 use crate::cli::run;
 use std::path::Path;

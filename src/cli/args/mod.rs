@@ -12,7 +12,7 @@ mod studies;
 pub(super) use ask::AskArguments;
 pub(super) use model::{ModelArguments, ModelFlags};
 pub(super) use models::{ModelsCommand, QuantizeArguments};
-pub(super) use results::{CompareArguments, MergeArguments, RenderArguments, ReportArguments};
+pub(super) use results::{CompareArguments, MergeArguments, RenderArguments, ReportArguments, ServeArguments};
 pub(super) use scenarios::{
     ExportArguments, ExportFormat, GenerateArguments, ListArguments, ScenariosCommand, ShowArguments,
 };
@@ -88,6 +88,12 @@ pub(super) enum Command {
     /// Write an HTML page of runs: scores, histograms, and replays with their transcripts.
     #[command(after_long_help = help::REPORT)]
     Report(ReportArguments),
+    /// Serve the page of runs while they go on.
+    ///
+    /// The page shows each simulation when it is complete. The server listens on 127.0.0.1 only and changes no file; Ctrl-C ends
+    /// it. Without RUN, the last run in runs/ is taken.
+    #[command(after_long_help = help::SERVE)]
+    Serve(ServeArguments),
     /// Write simulations of a run as films or pictures.
     ///
     /// Without SIMULATION, all simulations of the run are written to a folder. Without RUN, the last run in runs/ is taken.
@@ -150,6 +156,7 @@ impl Command {
             Self::Models(command) => command.flags(),
             Self::Config(flags) | Self::BenchProcess(flags) => flags.flags(),
             Self::Report(_)
+            | Self::Serve(_)
             | Self::Render(_)
             | Self::Compare(_)
             | Self::Merge(_)

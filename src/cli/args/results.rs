@@ -1,4 +1,4 @@
-//! What is made of runs: `report`, `render`, `compare`, `merge`.
+//! What is made of runs: `report`, `serve`, `render`, `compare`, `merge`.
 
 use crate::cli::film::FilmFile;
 use clap::Args;
@@ -26,6 +26,20 @@ pub(in crate::cli) struct ReportArguments {
     /// Tables and histograms show all simulations.
     #[arg(long, value_name = "TEXT")]
     pub(in crate::cli) scenario: Option<String>,
+}
+
+/// Arguments of `serve`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct ServeArguments {
+    /// Folders of runs; the page compares several [default: the last run in runs/].
+    #[arg(value_name = "RUN")]
+    pub(in crate::cli) runs: Vec<PathBuf>,
+    /// Port on 127.0.0.1; 0 for any free one.
+    #[arg(long, value_name = "N", default_value_t = 4747)]
+    pub(in crate::cli) port: u16,
+    /// Open the page in the browser.
+    #[arg(long)]
+    pub(in crate::cli) open: bool,
 }
 
 /// Arguments of `render`.

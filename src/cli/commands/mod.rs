@@ -13,4 +13,5 @@ pub(super) mod plan;
 pub(super) mod render;
 pub(super) mod report;
 pub(super) mod scenarios;
+pub(super) mod serve;
 pub(super) mod simulate;

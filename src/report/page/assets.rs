@@ -13,7 +13,7 @@ const STYLES: [&str; 5] = [
     include_str!("assets/transcript.css"),
 ];
 /// Scripts, in order: later ones use earlier ones.
-const SCRIPTS: [&str; 21] = [
+const SCRIPTS: [&str; 22] = [
     include_str!("assets/dom.js"),
     include_str!("assets/data.js"),
     include_str!("assets/moment.js"),
@@ -34,6 +34,7 @@ const SCRIPTS: [&str; 21] = [
     include_str!("assets/transcript.js"),
     include_str!("assets/latency.js"),
     include_str!("assets/scenarios.js"),
+    include_str!("assets/live.js"),
     include_str!("assets/main.js"),
 ];
 

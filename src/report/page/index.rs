@@ -39,6 +39,8 @@ struct RunEntry {
     version: String,
     started: String,
     model: Option<String>,
+    /// Names of its planners, in order.
+    planners: Vec<String>,
     seed: Option<f64>,
     thresholds: Thresholds,
     /// Whether the active plan is monitored between planning calls.
@@ -174,6 +176,7 @@ impl RunEntry {
             version: run.manifest.planagent.clone(),
             started: run.manifest.started.clone(),
             model: run.model().map(str::to_owned),
+            planners: run.manifest.planners.clone(),
             seed: run.setting("seed"),
             thresholds: Thresholds {
                 keep_lane: run.setting("reflection.threshold"),

@@ -6,6 +6,7 @@
 mod assets;
 mod comparison;
 mod index;
+mod live;
 mod simulation;
 mod source;
 
@@ -24,6 +25,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 pub use super::layout::PAGE;
+pub use live::{LivePage, LiveState};
 
 /// Default maximum size of a page, bytes: a browser opens it at once, and most mail servers accept it.
 pub const DEFAULT_MAX_BYTES: usize = 15_000_000;
@@ -102,13 +104,14 @@ pub fn write(
 
 /// The data elements of the page; sets the element numbers in the index.
 fn data(out: &Path, index: &mut Index, parts: &[SimulationParts], max_bytes: usize) -> Result<String, ReportError> {
-    let statistics = element("statistics", &text(out, &index::statistics(parts))?);
-    let taken = assets::size() + statistics.len() + text(out, index)?.len() + NUMBERS_BYTES * parts.len();
+    let statistics = element("statistics", &text_of(&packed_json(out, &index::statistics(parts))?));
+    let numberless = text_of(&packed_json(out, index)?);
+    let taken = assets::size() + statistics.len() + numberless.len() + NUMBERS_BYTES * parts.len();
     let mut elements = Elements { text: statistics, left: max_bytes.saturating_sub(taken) };
     add_replays(index, parts, &mut elements);
     add_images(index, parts, &mut elements);
     index.replays = index.simulations.iter().filter(|simulation| simulation.replay.is_some()).count();
-    elements.text.push_str(&element("index", &text(out, index)?));
+    elements.text.push_str(&element("index", &text_of(&packed_json(out, index)?)));
     Ok(elements.text)
 }
 
@@ -177,10 +180,15 @@ fn add_images(index: &mut Index, parts: &[SimulationParts], elements: &mut Eleme
     }
 }
 
-/// A value as base64 of gzip of JSON; `place` is for the error.
-fn text(place: &Path, value: &impl Serialize) -> Result<String, ReportError> {
+/// A value as gzip of JSON; `place` is for the error.
+fn packed_json(place: &Path, value: &impl Serialize) -> Result<Vec<u8>, ReportError> {
     let json = serde_json::to_vec(value).map_err(ReportError::at(place))?;
-    Ok(STANDARD.encode(packed(&json).map_err(ReportError::write(place))?))
+    packed(&json).map_err(ReportError::write(place))
+}
+
+/// Packed bytes as text for an element: base64.
+fn text_of(packed: &[u8]) -> String {
+    STANDARD.encode(packed)
 }
 
 fn element(id: &str, text: &str) -> String {

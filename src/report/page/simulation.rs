@@ -1,6 +1,6 @@
 //! The parts of one simulation: statistics for the histograms and, packed, the replay with calls and time series.
 
-use super::text;
+use super::{packed_json, text_of};
 use crate::metrics::{MetricResult, Statistic};
 use crate::report::call_record::{CallRecord, calls_in};
 use crate::report::error::ReportError;
@@ -16,7 +16,7 @@ use std::fs;
 use std::path::Path;
 
 /// The parts of a simulation.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct SimulationParts {
     /// Statistics with metric and category.
     pub(super) statistics: Vec<(String, &'static str, Statistic)>,
@@ -27,7 +27,7 @@ pub(super) struct SimulationParts {
 }
 
 /// A replay as base64 of gzip of JSON.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct PackedReplay {
     /// Tracks, planning calls and time series.
     pub(super) simulation: String,
@@ -37,7 +37,18 @@ pub(super) struct PackedReplay {
     pub(super) images: Option<String>,
 }
 
-/// The content of [`PackedReplay::simulation`].
+/// A part of a replay that a page asks a server for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum ReplayPart {
+    /// Tracks, planning calls and time series.
+    Simulation,
+    /// The map.
+    Map,
+    /// The model's images by iteration.
+    Images,
+}
+
+/// The content of [`ReplayPart::Simulation`].
 #[derive(Serialize)]
 struct SimulationReplay<'a> {
     replay: &'a Replay,
@@ -77,14 +88,39 @@ impl SimulationParts {
     }
 }
 
+impl ReplayPart {
+    /// The part of the replay in the folder of a simulation, as gzip of JSON; none if the run has no replay.
+    pub(super) fn read(self, folder: &Path) -> Result<Option<Vec<u8>>, ReportError> {
+        if self == Self::Images {
+            return packed_json(folder, &images(folder, &calls_in(folder)?)?).map(Some);
+        }
+        let Some(mut replay) = Replay::read(folder)? else { return Ok(None) };
+        let map = replay.take_map();
+        if self == Self::Map {
+            return packed_json(folder, &map).map(Some);
+        }
+        simulation(folder, &replay, &calls_in(folder)?, &simulation_folder::metrics(folder)?).map(Some)
+    }
+}
+
 fn packed(folder: &Path, mut replay: Replay, metrics: &[MetricResult]) -> Result<PackedReplay, ReportError> {
-    let map = text(folder, &replay.take_map())?;
+    let map = text_of(&packed_json(folder, &replay.take_map())?);
     let calls = calls_in(folder)?;
-    let series = metrics.iter().filter_map(Series::of).collect();
     let images = images(folder, &calls)?;
-    let simulation = text(folder, &SimulationReplay { replay: &replay, calls: &calls, series })?;
-    let images = if images.is_empty() { None } else { Some(text(folder, &images)?) };
+    let simulation = text_of(&simulation(folder, &replay, &calls, metrics)?);
+    let images = if images.is_empty() { None } else { Some(text_of(&packed_json(folder, &images)?)) };
     Ok(PackedReplay { simulation, map, images })
+}
+
+/// [`ReplayPart::Simulation`] of a replay without its map.
+fn simulation(
+    folder: &Path,
+    replay: &Replay,
+    calls: &[CallRecord],
+    metrics: &[MetricResult],
+) -> Result<Vec<u8>, ReportError> {
+    let series = metrics.iter().filter_map(Series::of).collect();
+    packed_json(folder, &SimulationReplay { replay, calls, series })
 }
 
 impl<'a> Series<'a> {

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A run with its completed simulations.
+#[derive(Debug)]
 pub(super) struct RunSimulations {
     /// Name of its folder.
     pub(super) name: String,
@@ -19,20 +20,12 @@ pub(super) struct RunSimulations {
 }
 
 impl RunSimulations {
-    /// Reads the folders of runs. Equal names get the parent folder as prefix.
+    /// Reads the folders of runs.
     pub(super) fn read_all(paths: &[PathBuf]) -> Result<Vec<Self>, ReportError> {
-        let mut runs: Vec<Self> = paths.iter().map(|path| Self::read(path)).collect::<Result<_, _>>()?;
-        let names: Vec<String> = runs.iter().map(|run| run.name.clone()).collect();
-        for (run, path) in runs.iter_mut().zip(paths) {
-            let above = std::path::absolute(path).ok().and_then(|path| Some(path.parent()?.file_name()?.to_owned()));
-            if let Some(above) = above.filter(|_| names.iter().filter(|name| **name == run.name).count() > 1) {
-                run.name = format!("{}/{}", above.to_string_lossy(), run.name);
-            }
-        }
-        Ok(runs)
+        paths.iter().zip(names(paths)?).map(|(path, name)| Self::read(path, name)).collect()
     }
 
-    fn read(path: &Path) -> Result<Self, ReportError> {
+    fn read(path: &Path, name: String) -> Result<Self, ReportError> {
         let manifest = RunFolder::manifest(path)?;
         let mut rows = RunFolder::read_completed(path)?.rows;
         let folders = folders(path)?;
@@ -41,8 +34,6 @@ impl RunSimulations {
         if rows.is_empty() {
             return Err(ReportError::at(path)(ReportFault::NoSimulations));
         }
-        let absolute = std::path::absolute(path).map_err(ReportError::read(path))?;
-        let name = absolute.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
         Ok(Self { name, manifest, rows, folders })
     }
 
@@ -76,4 +67,22 @@ impl RunSimulations {
     pub(super) fn model(&self) -> Option<&str> {
         self.manifest.model.as_ref()?.get("name")?.as_str()
     }
+}
+
+/// Names of runs: those of their folders. Equal names get the parent folder as prefix.
+pub(super) fn names(paths: &[PathBuf]) -> Result<Vec<String>, ReportError> {
+    let absolute = |path: &PathBuf| std::path::absolute(path).map_err(ReportError::read(path));
+    let paths: Vec<PathBuf> = paths.iter().map(absolute).collect::<Result<_, _>>()?;
+    let own =
+        |path: &Path| path.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
+    let names: Vec<String> = paths.iter().map(|path| own(path)).collect();
+    let name = |path: &PathBuf| {
+        let name = own(path);
+        let above = path.parent().and_then(Path::file_name);
+        match above.filter(|_| names.iter().filter(|other| **other == name).count() > 1) {
+            Some(above) => format!("{}/{name}", above.to_string_lossy()),
+            None => name,
+        }
+    };
+    Ok(paths.iter().map(name).collect())
 }

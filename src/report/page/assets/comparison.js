@@ -1,7 +1,7 @@
 // Final scores with intervals and paired differences, and scores by scenario type.
 
-/** Which scenes count, which entrant is subtracted, and how types are shown. */
-const COMPARED = { scope: "common", from: null, challenge: null, types: "chart" };
+/** Which scenes count, which entrant is subtracted and whether a person chose it (its label), and how types are shown. */
+const COMPARED = { scope: "common", from: null, chosen: null, challenge: null, types: "chart" };
 
 /** The comparison of a challenge. */
 function comparisonOf(challenge) {
@@ -37,7 +37,7 @@ function usualReference() {
 
 /** The section "Final scores". */
 function finalScores() {
-  COMPARED.from ??= usualReference();
+  COMPARED.from = INDEX.entrants.find(({ label }) => label === COMPARED.chosen) ?? usualReference();
   const node = h("section", { class: "final-scores" });
   const draw = () => fill(node,
     h("div", { class: "heading" }, h("h2", {}, "Final scores"), scopeChoice(redraw), referenceChoice(redraw)),
@@ -65,6 +65,7 @@ function referenceChoice(redraw) {
   if (INDEX.entrants.length < 2) return null;
   return h("label", { class: "reference" }, "difference from ", h("select", { onchange: (event) => {
     COMPARED.from = INDEX.entrants[event.target.selectedIndex];
+    COMPARED.chosen = COMPARED.from.label;
     redraw();
   } }, INDEX.entrants.map((entrant) => h("option", { selected: entrant === COMPARED.from }, entrant.label))));
 }

@@ -8,15 +8,26 @@ const VELOCITY = 0.1;
 /** Maximum number of unpacked replays. */
 const MAX_UNPACKED = 24;
 
+/** Whether a server has the data of the page (`planagent serve`). */
+const LIVE = document.getElementById("live") !== null;
+
 /** The index; filled by `loadIndex`. */
 let INDEX = null;
 
-/** The value in a packed element: base64 of gzip of JSON. */
+/** The value in a packed element: base64 of gzip of JSON. The server of a live page has it by the same name. */
 async function unpack(id) {
+  if (LIVE) return received(id);
   const text = document.getElementById(id).textContent.trim();
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Response(stream).json();
+}
+
+/** Asks the server for a value. */
+async function received(name) {
+  const response = await fetch(`data/${name}`, { cache: "no-store" });
+  if (!response.ok) throw new Error((await response.text()).trim());
+  return response.json();
 }
 
 /** Reads the index and gives each simulation its entrant: a planner of a run. */
@@ -24,18 +35,24 @@ async function loadIndex() {
   INDEX = await unpack("index");
   const several = INDEX.runs.length > 1;
   INDEX.entrants = [];
+  // The order of the runs, so that colors stay while simulations finish in any order.
+  const named = INDEX.runs.flatMap((run, i) => run.planners.map((planner) => `${i} ${planner}`));
+  const placeOf = (run, planner) => named.indexOf(`${run} ${planner}`);
   for (const simulation of INDEX.simulations) {
     let entrant = INDEX.entrants.find((known) => known.run === simulation.run && known.planner === simulation.planner);
     if (!entrant) {
       const label = several ? `${simulation.planner} · ${INDEX.runs[simulation.run].name}` : simulation.planner;
-      entrant = { run: simulation.run, planner: simulation.planner, label, place: INDEX.entrants.length };
+      entrant = { run: simulation.run, planner: simulation.planner, label, place: placeOf(simulation.run, simulation.planner) };
       INDEX.entrants.push(entrant);
     }
     const { id, scenario_type: type, score = null, error = null } = simulation;
     Object.assign(simulation, { entrant, scenario: id, type, score, error });
   }
-  INDEX.challenges = distinct(INDEX.simulations.map((simulation) => simulation.challenge));
-  for (const challenge of INDEX.challenges) CHALLENGES[challenge] ??= ownAgents(challenge);
+  INDEX.entrants.sort((one, other) => one.place - other.place);
+  const challenges = distinct(INDEX.simulations.map((simulation) => simulation.challenge));
+  for (const challenge of challenges) CHALLENGES[challenge] ??= ownAgents(challenge);
+  const order = Object.keys(CHALLENGES);
+  INDEX.challenges = challenges.sort((one, other) => order.indexOf(one) - order.indexOf(other));
   INDEX.scenarios = distinct(INDEX.simulations.map((simulation) => simulation.id));
 }
 
@@ -91,16 +108,18 @@ function points({ x, y }) {
   return { x: undelta(x, LENGTH), y: undelta(y, LENGTH) };
 }
 
+/** Unpacked replays by their numbers in the index. */
 const unpacked = new Map();
 
 /** The replay of a simulation; null if the page has none. */
 async function replayOf(simulation) {
   if (simulation.replay === null) return null;
-  if (!unpacked.has(simulation)) {
-    unpacked.set(simulation, readReplay(simulation));
+  const number = simulation.replay;
+  if (!unpacked.has(number)) {
+    unpacked.set(number, readReplay(simulation));
     if (unpacked.size > MAX_UNPACKED) unpacked.delete(unpacked.keys().next().value);
   }
-  return unpacked.get(simulation);
+  return unpacked.get(number);
 }
 
 async function readReplay(simulation) {

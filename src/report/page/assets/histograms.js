@@ -14,9 +14,16 @@ class Histograms {
 
   async show() {
     if (!this.statistics) {
-      this.statistics = await unpack("statistics");
+      // A server sends them with the index, so that both are of one moment.
+      this.statistics = INDEX.statistics ?? await unpack("statistics");
       this.build();
     }
+  }
+
+  /** Forgets the statistics of an index before the present one. */
+  forget() {
+    this.statistics = null;
+    if (!INDEX.challenges.includes(this.challenge)) this.challenge = INDEX.challenges[0];
   }
 
   build() {

@@ -93,18 +93,38 @@ async function begin() {
   if (typeof DecompressionStream === "undefined") throw new Error("this browser cannot unpack the data of the page; use Chrome 111, Firefox 113, Safari 16.4 or later");
   theme(window.matchMedia("(prefers-color-scheme: dark)").matches);
   await loadIndex();
-  document.getElementById("about").textContent = `${counted(INDEX.scenarios.length, "scenario")}, ${counted(INDEX.simulations.length, "simulation")}`
-    + (INDEX.replays < INDEX.simulations.length ? `, ${INDEX.replays} with replay` : "");
-  scenarios = new Scenarios(document.getElementById("scenarios"));
-  histograms = new Histograms(document.getElementById("histograms"));
-  showOverview(document.getElementById("overview"));
+  showAbout();
   document.getElementById("theme").addEventListener("click", () => theme(!isDark()));
   document.getElementById("help-open").addEventListener("click", openHelp);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (event) => theme(event.matches));
+  if (INDEX.simulations.length) await showViews();
+  else showWaiting();
+  document.body.dataset.ready = "true";
+  if (LIVE) new Follower(document.getElementById("live-state")).follow();
+}
+
+/** Counts in the head of the page. */
+function showAbout() {
+  document.getElementById("about").textContent = `${counted(INDEX.scenarios.length, "scenario")}, ${counted(INDEX.simulations.length, "simulation")}`
+    + (INDEX.replays < INDEX.simulations.length ? `, ${INDEX.replays} with replay` : "");
+}
+
+/** Builds the views. */
+async function showViews() {
+  scenarios = new Scenarios(document.getElementById("scenarios"));
+  histograms = new Histograms(document.getElementById("histograms"));
+  showOverview(document.getElementById("overview"));
   window.addEventListener("hashchange", () => route().catch(trouble));
   document.addEventListener("keydown", keyed, true);
   await route();
-  document.body.dataset.ready = "true";
+}
+
+/** A run without a complete simulation, before there is anything to view. */
+function showWaiting() {
+  const overview = document.getElementById("overview");
+  overview.hidden = false;
+  fill(overview, h("div", { class: "page" }, runsLine(),
+    h("p", { class: "waiting" }, "No simulation is complete yet. The page shows each as soon as it is.")));
 }
 
 function trouble(error) {

@@ -2,9 +2,16 @@
 
 /** Rows of a list before "Show all". */
 const FIRST_ROWS = 12;
+/** The lists that show all rows. */
+const WHOLE_LISTS = new Set();
+
+/** Ends the listeners of the last overview. */
+let overviewEvents = null;
 
 function showOverview(node) {
-  COMPARED.challenge = INDEX.challenges[0];
+  overviewEvents?.abort();
+  overviewEvents = new AbortController();
+  if (!INDEX.challenges.includes(COMPARED.challenge)) COMPARED.challenge = INDEX.challenges[0];
   fill(node, h("div", { class: "page" },
     runsLine(),
     finalScores(),
@@ -61,7 +68,7 @@ function scoresInDetail() {
     h("div", { class: "heading" }, h("h2", {}, "By metric"), challengeChoice()),
     h("div", { class: "scroll" }, metricMeans(COMPARED.challenge)),
     h("p", { class: "note" }, "Means over all completed scenes × 100; the lower, the stronger the tint."));
-  document.addEventListener("scope", draw);
+  document.addEventListener("scope", draw, { signal: overviewEvents.signal });
   draw();
   return node;
 }
@@ -104,11 +111,13 @@ function simulationList(simulations, last, words) {
   const body = h("tbody", {});
   const row = (simulation) => h("tr", {}, h("td", {}, simulationLink(simulation)), entrantCell(simulation.entrant),
     h("td", { title: CHALLENGES[simulation.challenge].long, "data-head": "challenge" }, CHALLENGES[simulation.challenge].short), h("td", { "data-head": last }, words(simulation)));
-  body.append(...simulations.slice(0, FIRST_ROWS).map(row));
+  const first = WHOLE_LISTS.has(last) ? simulations.length : FIRST_ROWS;
+  body.append(...simulations.slice(0, first).map(row));
   const table = h("table", { class: "list stacking" }, h("thead", {}, h("tr", {}, ["scenario", "planner", "challenge", last].map((name) => h("th", {}, name)))), body);
-  if (simulations.length <= FIRST_ROWS) return h("div", { class: "scroll" }, table);
+  if (simulations.length <= first) return h("div", { class: "scroll" }, table);
   const button = h("button", { type: "button", class: "more", onclick: () => {
-    body.append(...simulations.slice(FIRST_ROWS).map(row));
+    WHOLE_LISTS.add(last);
+    body.append(...simulations.slice(first).map(row));
     button.remove();
   } }, `Show all ${simulations.length}`);
   return h("div", {}, h("div", { class: "scroll" }, table), button);

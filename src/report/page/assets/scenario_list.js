@@ -30,6 +30,13 @@ class ScenarioList {
     this.draw();
   }
 
+  /** Shows the present index, where the reader is in the list. */
+  refresh(simulation) {
+    const { scrollTop } = this.listNode;
+    this.mark(simulation);
+    this.listNode.scrollTop = scrollTop;
+  }
+
   draw() {
     const shown = this.current?.entrant ?? INDEX.entrants[0];
     const challenge = this.current?.challenge ?? INDEX.challenges[0];

@@ -9,6 +9,8 @@ class Scenarios {
     this.player = new Player();
     this.simulation = null;
     this.replay = null;
+    /** The simulation of the ghost. */
+    this.haunted = null;
     this.addressed = 0;
     this.build();
   }
@@ -88,6 +90,7 @@ class Scenarios {
     this.player.pause();
     this.simulation = simulation;
     this.replay = null;
+    this.haunted = null;
     this.pick();
     this.list.mark(simulation);
     const replay = await replayOf(simulation);
@@ -114,9 +117,28 @@ class Scenarios {
     this.bev.resize();
   }
 
+  /** Shows the present index after a change, without moving the reader. */
+  async refresh() {
+    const before = this.simulation;
+    if (!before) return;
+    const now = INDEX.simulations.find((d) => d.run === before.run && d.number === before.number && d.scenario === before.scenario);
+    if (!now || now.replay !== before.replay) {
+      // It is gone, or was simulated again.
+      this.simulation = null;
+      const other = now ?? INDEX.simulations.find((d) => d.replay !== null) ?? INDEX.simulations[0];
+      await this.open(other, now ? this.player.time : 0);
+      return;
+    }
+    this.simulation = now;
+    if (this.replay) this.replay.simulation = now;
+    this.list.refresh(now);
+    // An open menu would close.
+    if (!this.picker.contains(document.activeElement)) this.pick();
+  }
+
   /** The name, and the menus for planner, challenge and ghost. */
   pick() {
-    const { simulation } = this;
+    const { simulation, haunted } = this;
     const same = (d) => d.scenario === simulation.scenario;
     const challenges = INDEX.simulations.filter((d) => same(d) && d.entrant === simulation.entrant);
     const planners = INDEX.simulations.filter((d) => same(d) && d.challenge === simulation.challenge);
@@ -125,18 +147,20 @@ class Scenarios {
     const select = (label, options, chosen, onchange) => h("label", { class: `${label}-choice`, title: label }, h("span", {}, label),
       h("select", { "aria-label": label, onchange: (event) => onchange(options[event.target.selectedIndex].value) },
         options.map(({ text, value }) => h("option", { selected: value === chosen }, text))));
+    const ghost = others.find((d) => haunted && d.run === haunted.run && d.number === haunted.number) ?? null;
     const { name, detail } = nameOf(simulation);
     fill(this.picker,
       h("button", { type: "button", class: "list-open", onclick: () => this.openList(true) }, "☰ Scenarios"),
       h("div", { class: "scenario-title", title: simulation.scenario }, h("h2", {}, name), h("p", { class: "quiet" }, detail)),
       select("planner", planners.map((d) => ({ text: d.entrant.label, value: d })), simulation, go),
       challenges.length > 1 ? select("agents", challenges.map((d) => ({ text: CHALLENGES[d.challenge].plain, value: d })), simulation, go) : null,
-      others.length ? select("ghost", [{ text: "none", value: null }, ...others.map((d) => ({ text: d.entrant.label, value: d }))], null,
+      others.length ? select("ghost", [{ text: "none", value: null }, ...others.map((d) => ({ text: d.entrant.label, value: d }))], ghost,
         (other) => this.haunt(other).catch(trouble)) : null);
   }
 
   /** Adds the ego of another simulation, or removes it. */
   async haunt(other) {
+    this.haunted = other;
     const ghost = other && await replayOf(other);
     this.bev.open(this.replay, ghost);
     this.legend.draw();

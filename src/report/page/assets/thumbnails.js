@@ -7,7 +7,9 @@ const THUMBNAIL_M = { margin: 14, extent: 48 };
 
 class Thumbnails {
   constructor() {
+    /** Scenarios by canvas, and canvases by scenario: a list that is drawn again keeps its pictures. */
     this.drawn = new Map();
+    this.canvases = new Map();
     // A list of many scenarios unpacks the maps of those in view only.
     this.observer = new IntersectionObserver((seen) => seen.filter((each) => each.isIntersecting).forEach(({ target }) => {
       this.observer.unobserve(target);
@@ -17,9 +19,13 @@ class Thumbnails {
 
   /** A canvas that draws itself when it comes into view. */
   of(scenario) {
+    const known = this.canvases.get(scenario);
+    if (known && !known.dataset.drawn) this.observer.observe(known);
+    if (known) return known;
     const ratio = Math.max(2, window.devicePixelRatio || 1);
     const canvas = h("canvas", { class: "thumbnail", width: THUMBNAIL.width * ratio, height: THUMBNAIL.height * ratio, "aria-hidden": "true" });
     this.drawn.set(canvas, scenario);
+    this.canvases.set(scenario, canvas);
     this.observer.observe(canvas);
     return canvas;
   }
@@ -27,8 +33,8 @@ class Thumbnails {
   /** Draws all again, in the colors of the theme. */
   recolor() {
     for (const canvas of this.drawn.keys()) {
+      delete canvas.dataset.drawn;
       if (canvas.isConnected) this.observer.observe(canvas);
-      else this.drawn.delete(canvas);
     }
   }
 
@@ -59,6 +65,7 @@ class Thumbnails {
     context.beginPath();
     context.arc(sketch.x[0], sketch.y[0], 6 / scale, 0, 7);
     context.fill();
+    canvas.dataset.drawn = "true";
   }
 
   /** Sets the transform from map meters; returns pixels per meter. */
