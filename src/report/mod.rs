@@ -8,6 +8,7 @@ mod error;
 mod figure;
 mod finish;
 mod judgement;
+mod key;
 mod layout;
 mod manifest;
 mod nuboard;
