@@ -118,6 +118,13 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "planagent simulate --scenario $NUPLAN_DATA_ROOT/2021.06.09.17.23.18_veh-38_00773_01140.db#0123456789abcdef",
         NUPLAN,
     ),
+    ("docs/results.md", "planagent experiment main", HOURS),
+    ("docs/results.md", "planagent experiment scenario-types --suite generated-14", HOURS),
+    ("docs/results.md", "planagent experiment controls --suite generated-14-hard,generated-14", HOURS),
+    ("docs/results.md", "planagent experiment environment", HOURS),
+    ("docs/results.md", "planagent experiment reasoning", HOURS),
+    ("docs/results.md", "planagent experiment inputs", HOURS),
+    ("docs/results.md", "planagent experiment tokens", HOURS),
     ("docs/report.md", "cd runs/mine", DEVKIT),
     (
         "docs/report.md",
@@ -256,6 +263,7 @@ pages! {
     commands_of_nuplan: "docs/nuplan.md",
     commands_of_prompts: "docs/prompts.md",
     commands_of_report: "docs/report.md",
+    commands_of_results: "docs/results.md",
     commands_of_runs: "docs/runs.md",
 }
 
