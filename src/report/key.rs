@@ -170,7 +170,7 @@ fn prompts() -> Vec<(String, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reasoning::{Feedback, PromptSet, Round, feedback_text, round_prompt};
+    use crate::reasoning::{Feedback, Names, PromptSet, Round, feedback_text, round_prompt};
     use std::collections::BTreeSet;
     use std::path::Path;
 
@@ -214,7 +214,7 @@ mod tests {
         }
         let set = PromptSet::open("compact").unwrap();
         for &round in Round::ALL {
-            used.extend(words(&round_prompt(&set, round, &Default::default(), None, None).unwrap()));
+            used.extend(words(&round_prompt(&set, round, &Names::default(), None, None).unwrap()));
         }
         let parts = crate::reflection::SubScores {
             no_collision: 0.0,
