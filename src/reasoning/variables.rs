@@ -2,6 +2,7 @@
 
 use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, TARGET_SPEED};
 use super::engine::Feedback;
+use super::question::FreeQuestion;
 use minijinja::{Value, context};
 
 /// Variables of `system`: the same for all calls of a run. `legend` is the meaning of the image's colors.
@@ -40,6 +41,23 @@ pub(super) fn feedback(feedback: &Feedback) -> Value {
     }
 }
 
+/// Variables of `ask`. `compact` says whether the model reads compact texts.
+pub(super) fn ask(question: &FreeQuestion<'_>, compact: bool) -> Value {
+    let FreeQuestion { question, scene_text, legend } = *question;
+    context! { compact => compact, question => question.trim(), scene_text => scene_text, legend => legend }
+}
+
+/// Variables of LLM-ASSIST's `system`.
+pub(super) fn assist_system(signature: &str, compact: bool) -> Value {
+    context! { compact => compact, signature => signature }
+}
+
+/// Variables of LLM-ASSIST's `question`: the scene and the score of PDM-Closed's best proposal, and feedback on the last answer.
+pub(super) fn assist_question((scene_text, score): (&str, f64), feedback: Option<&str>, compact: bool) -> Value {
+    let score = format!("{score:.2}");
+    context! { compact => compact, scene_text => scene_text, score => score, feedback => feedback }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -50,7 +68,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     /// The call that the examples of docs/prompts.md are from, and one in which everything optional is missing.
-    fn contexts() -> [(&'static str, [Value; 2]); 3] {
+    fn contexts() -> [(&'static str, [Value; 2]); 6] {
         let names = Names {
             centerlines: vec![CenterlineName::EgoLane, CenterlineName::LeftLane],
             lead_agents: vec!["vehicle1".parse().unwrap(), "pedestrian1".parse().unwrap()],
@@ -67,10 +85,16 @@ mod tests {
         let unread = Feedback { code: None, score: None, threshold: 0.75, parts: Vec::new(), errors: vec![error] };
         let scene = "Ego: 9 m/s, limit 13 m/s, route straight, light red in 24 m.";
         let last = "Your last planner was refused.";
+        let legend = Palette::legend();
+        let free = FreeQuestion { question: "What blocks us?", scene_text: Some(scene), legend: &legend };
+        let line = "Tune_PDM(v0, gap, headway, acc, dec, brake)";
         [
-            ("system", [system(&Palette::legend()), system("")]),
+            ("system", [system(&legend), system("")]),
             ("rounds", [round(&names, Some(scene), Some(last)), round(&Names::default(), None, None)]),
             ("feedback", [feedback(&refused), feedback(&unread)]),
+            ("ask", [ask(&free, false), ask(&FreeQuestion { scene_text: None, ..free }, false)]),
+            ("LLM-ASSIST's system", [false, false].map(|compact| assist_system(line, compact))),
+            ("LLM-ASSIST's question", [Some(last), None].map(|last| assist_question((scene, 0.414), last, false))),
         ]
     }
 
@@ -89,6 +113,7 @@ mod tests {
                 ValueKind::Seq => "list of strings",
                 ValueKind::None => "none",
                 ValueKind::Number => "number",
+                ValueKind::Bool => "true or false",
                 ValueKind::String => "string",
                 other => panic!("{other}"),
             };

@@ -109,6 +109,12 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
          llava-hf/llava-1.5-7b-hf",
         WEIGHTS,
     ),
+    ("docs/models.md", "planagent ask \"What blocks the ego's lane?\" --model llava-1.5-7b", WEIGHTS),
+    (
+        "docs/models.md",
+        "planagent ask \"Is the light red?\" --scenario generated/changing_lane/3 --at 3 --model local-server --image scene.png",
+        SERVER,
+    ),
     ("docs/models.md", "planagent models fetch llava-1.5-7b", NETWORK),
     ("docs/nuplan.md", "export NUPLAN_DATA_ROOT=/data/nuplan/dataset/nuplan-v1.1/splits/val", NUPLAN),
     ("docs/nuplan.md", "export NUPLAN_MAPS_ROOT=/data/nuplan/dataset/maps", NUPLAN),
