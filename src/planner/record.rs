@@ -151,7 +151,7 @@ pub struct PlanningCall {
     /// The lane-graph text.
     pub scene_text: Option<String>,
     /// The forms of scene text and answers; `None` where no model was asked.
-    pub forms: Option<PromptForms>,
+    pub(crate) forms: Option<PromptForms>,
     /// The attempts, in order.
     pub attempts: Vec<Attempt>,
     /// The outcome.
