@@ -120,6 +120,8 @@ mod environment;
 #[cfg(all(feature = "report", not(feature = "internals")))]
 mod experiment;
 #[cfg(not(feature = "internals"))]
+mod files;
+#[cfg(not(feature = "internals"))]
 mod geometry;
 #[cfg(not(feature = "internals"))]
 mod metrics;
@@ -153,6 +155,9 @@ pub mod environment;
 #[cfg(all(feature = "report", feature = "internals"))]
 #[doc(hidden)]
 pub mod experiment;
+#[cfg(feature = "internals")]
+#[doc(hidden)]
+pub mod files;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod geometry;
@@ -195,8 +200,8 @@ pub mod world;
 #[doc(hidden)]
 pub mod internals {
     pub use crate::{
-        cli, dynamics, environment, experiment, geometry, metrics, mllm, pdm, planner, reasoning, reflection, report,
-        runner, scenario, simulation, world,
+        cli, dynamics, environment, experiment, files, geometry, metrics, mllm, pdm, planner, reasoning, reflection,
+        report, runner, scenario, simulation, world,
     };
 }
 

@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use imports::Graph;
 
 /// Stages by rank: a module uses only modules of a smaller rank.
-const RANKS: [(&str, u8); 17] = [
+const RANKS: [(&str, u8); 18] = [
+    ("files", 0),
     ("geometry", 0),
     ("world", 1),
     ("dynamics", 2),
@@ -56,7 +57,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["event", "machine", "request", "result_version"],
             &["config"],
             &["error"],
-            &["model", "selection"],
+            &["inputs", "model", "selection"],
             &["run"],
             &["simulate"],
             &["experiments", "merge"],

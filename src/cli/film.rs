@@ -57,8 +57,8 @@ impl FilmFile {
         self.with_path(self.path().join(format!("{simulation}.{}", self.ending())))
     }
 
-    /// Checks, before a film is drawn, that its folder exists.
-    pub(super) fn check_folder(&self) -> anyhow::Result<()> {
-        super::picture::check_folder(self.path())
+    /// The file behind links. Checks, before a film is drawn, that it can be written.
+    pub(super) fn behind_links(&self) -> anyhow::Result<Self> {
+        Ok(self.with_path(super::picture::target_of(self.path())?))
     }
 }

@@ -1,5 +1,6 @@
 //! Picture files of commands.
 
+use crate::files::{check_target, target};
 use anyhow::{Context, bail};
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use image::{ImageFormat, RgbImage};
@@ -28,10 +29,13 @@ pub(super) fn check_folder(file: &Path) -> anyhow::Result<()> {
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
         bail!("cannot write {}: there is no folder {}", file.display(), folder.display());
     }
-    if file.is_dir() {
-        bail!("cannot write {}: it is a folder", file.display());
-    }
-    Ok(())
+    check_target(file).with_context(|| format!("cannot write {}", file.display()))
+}
+
+/// The file to write, behind links; see [`check_folder`].
+pub(super) fn target_of(file: &Path) -> anyhow::Result<PathBuf> {
+    check_folder(file)?;
+    target(file).with_context(|| format!("cannot write {}", file.display()))
 }
 
 impl TryFrom<PathBuf> for PictureFile {
@@ -51,6 +55,7 @@ impl TryFrom<PathBuf> for PictureFile {
 impl PictureFile {
     /// Writes the picture.
     pub(super) fn save(&self, picture: &RgbImage) -> anyhow::Result<()> {
+        check_folder(&self.path)?;
         picture
             .save_with_format(&self.path, self.format)
             .with_context(|| format!("cannot write {}", self.path.display()))

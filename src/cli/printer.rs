@@ -4,9 +4,11 @@
 
 use super::csv::csv_text;
 use super::suggest;
-use crate::report::json_value;
+use crate::files::shortened;
+use crate::report::{json_value, visible, visible_line};
 use console::{Style, Term, measure_text_width};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::borrow::Cow;
 use std::io::{ErrorKind, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -44,7 +46,7 @@ impl Printer {
     /// A line on stdout, unless stdout carries JSON.
     pub fn line(&self, text: impl AsRef<str>) {
         if !self.json {
-            write_line(text.as_ref());
+            write_line(&shown(text.as_ref()));
         }
     }
 
@@ -59,12 +61,12 @@ impl Printer {
     /// A name with details beside it, or below it where the line would be too long. The name is never broken, so that it can
     /// be copied.
     pub fn named(&self, name: &str, details: &str) {
-        self.line(named_within(name, details, self.columns()));
+        self.line(named_within(&visible_line(name), details, self.columns()));
     }
 
     /// A value on stdout, as one line of JSON.
     pub fn json(&self, value: &impl serde::Serialize) -> anyhow::Result<()> {
-        write_line(&json_value(value)?.to_string());
+        write_line(&visible(&json_value(value)?.to_string()));
         Ok(())
     }
 
@@ -72,12 +74,12 @@ impl Printer {
     pub fn csv(&self, rows: &[impl serde::Serialize]) -> anyhow::Result<()> {
         let text = csv_text(rows)?;
         if !text.is_empty() {
-            write_line(text.trim_end());
+            write_line(&visible(text.trim_end()));
         }
         Ok(())
     }
 
-    /// A text on stdout.
+    /// A text of the program on stdout.
     pub fn text(&self, text: &str) {
         write_line(text);
     }
@@ -85,7 +87,7 @@ impl Printer {
     /// A line on stderr.
     pub fn note(&self, text: impl AsRef<str>) {
         if !self.quiet {
-            eprintln!("{}", text.as_ref());
+            eprintln!("{}", shown(&shortened(text.as_ref())));
         }
     }
 
@@ -101,15 +103,15 @@ impl Printer {
                 text = format!("{text}: {cause}");
             }
         }
-        eprintln!("{} {text}", red.apply_to("error:"));
+        eprintln!("{} {}", red.apply_to("error:"), visible(&shortened(&text)));
         if let Some(tip) = suggest::tip(error) {
-            eprintln!("  {} {tip}", Style::new().for_stderr().green().apply_to("tip:"));
+            eprintln!("  {} {}", Style::new().for_stderr().green().apply_to("tip:"), visible(&tip));
         }
     }
 
     /// A failure of a part of the work, on stderr even if quiet.
     pub fn failure(&self, text: impl AsRef<str>) {
-        eprintln!("{}", text.as_ref());
+        eprintln!("{}", shown(&shortened(text.as_ref())));
     }
 
     /// Fails if some data could not be written to stdout, for example to a full disk; a closed pipe is no failure.
@@ -159,6 +161,27 @@ impl Printer {
     }
 }
 
+/// The emphasis that tables have: bold, dim, and its end.
+const EMPHASIS: [&str; 3] = ["\u{1b}[1m", "\u{1b}[2m", "\u{1b}[0m"];
+
+/// A text with visible control characters, apart from line feeds and the emphasis of tables.
+fn shown(text: &str) -> Cow<'_, str> {
+    if !text.contains('\u{1b}') {
+        return visible(text);
+    }
+    let mut out = String::new();
+    let mut rest = text;
+    while let Some(at) = rest.find('\u{1b}') {
+        let (before, from) = rest.split_at(at);
+        out.push_str(&visible(before));
+        let kept = EMPHASIS.into_iter().find(|emphasis| from.starts_with(emphasis));
+        out.push_str(kept.unwrap_or("\\u001b"));
+        rest = from.get(kept.map_or(1, str::len)..).unwrap_or_default();
+    }
+    out.push_str(&visible(rest));
+    Cow::Owned(out)
+}
+
 /// A name with details beside it, or below it where the line would be wider than the terminal.
 fn named_within(name: &str, details: &str, columns: Option<u16>) -> String {
     let width = measure_text_width(name) + 2 + measure_text_width(details);
@@ -185,7 +208,13 @@ fn note_failure(written: &std::io::Result<()>) {
 
 #[cfg(test)]
 mod tests {
-    use super::named_within;
+    use super::{named_within, shown};
+
+    #[test]
+    fn only_emphasis_reaches_a_terminal() {
+        assert_eq!(shown("\u{1b}[1mname\u{1b}[0m\n"), "\u{1b}[1mname\u{1b}[0m\n");
+        assert_eq!(shown("\u{1b}[2J\u{1b}]0;title\u{7}\u{9b}x"), "\\u001b[2J\\u001b]0;title\\u0007\\u009bx");
+    }
 
     #[test]
     fn details_move_below_a_name_only_on_a_narrow_terminal() {

@@ -2,6 +2,7 @@
 
 use super::args::{Arguments, Command, SimulateArguments};
 use super::suggest::{nearest, similar_exists};
+use crate::files;
 use crate::runner::Config;
 use crate::scenario::absolute_path;
 use anyhow::{Context, bail};
@@ -115,8 +116,8 @@ fn base(arguments: &Arguments) -> anyhow::Result<Settings> {
             let config = Config::load(file)?;
             let layers = match file.map_or_else(Config::default_file, |file| Some(PathBuf::from(file))) {
                 Some(path) => {
-                    let text =
-                        std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+                    let text = files::read_text(&path, files::MAX_SETTINGS_BYTES)
+                        .with_context(|| format!("cannot read {}", path.display()))?;
                     vec![(path.display().to_string(), text.parse()?)]
                 }
                 None => Vec::new(),

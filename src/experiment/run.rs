@@ -2,6 +2,7 @@
 
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
+use crate::files::shortened;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::pdm::DrivableLayers;
 use crate::planner::{
@@ -203,7 +204,7 @@ fn simulate_task(
     Ok(SimulationOutcome { scenario: Arc::clone(scenario), score, metrics, calls, drivable_layers, log })
 }
 
-/// An error with all its causes in one line.
+/// An error with all its causes in one line, without the middle of a long one.
 pub fn with_causes(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -214,5 +215,5 @@ pub fn with_causes(error: &dyn std::error::Error) -> String {
         }
         cause = inner.source();
     }
-    text
+    shortened(&text).into_owned()
 }

@@ -63,8 +63,8 @@ pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub(crate) use registry::data_folder;
 pub use registry::{
-    Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelRegistry, ModelSource, ModelSpec,
-    NamedBy, PromptSet, RoundTokens,
+    Asking, FetchListener, FetchProgress, GenerationSettings, HubAccess, ModelInputs, ModelRegistry, ModelSource,
+    ModelSpec, NamedBy, PromptSet, RoundTokens,
 };
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::ChatTokenizer;

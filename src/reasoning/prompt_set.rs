@@ -7,6 +7,7 @@ use super::templates::Templates;
 use crate::environment::text::TextForm;
 use minijinja::Value;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 
 /// The file with the forms.
 const SETTINGS: &str = "set.toml";
@@ -56,6 +57,7 @@ pub struct PromptSet {
     place: PromptPlace,
     is_built_in: bool,
     blake3: String,
+    digests: BTreeMap<String, String>,
 }
 
 impl PromptSet {
@@ -81,6 +83,7 @@ impl PromptSet {
             place: files.place.clone(),
             is_built_in: all().all(PromptFiles::is_built_in),
             blake3: hasher.finalize().to_hex().to_string(),
+            digests: all().flat_map(PromptFiles::digests).collect(),
         })
     }
 
@@ -97,6 +100,11 @@ impl PromptSet {
     /// BLAKE3 of its files, hexadecimal.
     pub fn blake3(&self) -> &str {
         &self.blake3
+    }
+
+    /// BLAKE3 of each of its files, hexadecimal, by set and name.
+    pub fn digests(&self) -> &BTreeMap<String, String> {
+        &self.digests
     }
 
     /// The templates of a question outside the rounds.

@@ -1,6 +1,7 @@
 //! Where the templates of a prompt set come from: a folder on disk, else the program.
 
 use super::error::PromptError;
+use crate::files;
 use crate::mllm::data_folder;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -85,7 +86,8 @@ impl PromptFiles {
     fn read(name: &str, folder: &Path, names: &[&'static str]) -> Result<Self, PromptError> {
         let read = |&file: &&'static str| {
             let path = folder.join(file);
-            std::fs::read_to_string(&path).map(|text| (file, text)).map_err(|source| PromptError::Read { path, source })
+            let text = files::read_text(&path, files::MAX_SETTINGS_BYTES);
+            text.map(|text| (file, text)).map_err(|source| PromptError::Read { path, source })
         };
         let texts = names.iter().map(read).collect::<Result<_, _>>()?;
         Ok(Self { name: name.to_owned(), place: PromptPlace::Folder(folder.to_owned()), texts })
@@ -112,6 +114,12 @@ impl PromptFiles {
     /// Whether the texts are those of the program.
     pub(super) fn is_built_in(&self) -> bool {
         Self::built_in(&self.name).is_some_and(|known| known.texts == self.texts)
+    }
+
+    /// BLAKE3 of each text, hexadecimal, by set and file.
+    pub(super) fn digests(&self) -> Vec<(String, String)> {
+        let digest = |text: &str| blake3::hash(text.as_bytes()).to_hex().to_string();
+        self.texts.iter().map(|(file, text)| (format!("{}/{file}", self.name), digest(text))).collect()
     }
 
     /// Adds name and texts to a digest.

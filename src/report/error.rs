@@ -31,6 +31,12 @@ pub enum ReportFault {
     OldRun { found: u32 },
     #[error("the folder holds no run: it has no {MANIFEST}")]
     NoRun,
+    #[error(
+        "{MANIFEST} is damaged, and the folder holds simulations; restore {MANIFEST} from a copy, or name a new folder"
+    )]
+    DamagedManifest,
+    #[error("the run did not begin: its {MANIFEST} is damaged and it has no simulation; start it again with --out")]
+    NotBegun,
     #[error("cannot write: {} is a file and no folder", .0.display())]
     NoFolder(PathBuf),
     #[error("there is no run in this folder; name the folder of a run")]
@@ -44,6 +50,11 @@ pub enum ReportFault {
     Locked,
     #[error("the run cannot be resumed, because it was started with other settings:\n  {}", .0.join("\n  "))]
     Differs(Vec<String>),
+    #[error(
+        "the run cannot be resumed, because what it reads changed:\n  {}\nresume it with --accept-changes to mix both, which the \
+         manifest then says, or start a new run", .0.join("\n  ")
+    )]
+    InputsChanged(Vec<String>),
     #[error("the record is of {found}, expected {expected}")]
     WrongRecord { found: String, expected: String },
     #[error("the run has no completed simulation; there is nothing to show")]
@@ -66,6 +77,13 @@ pub enum ReportFault {
     Image(#[from] image::ImageError),
     #[error("cannot write: {0}")]
     Parquet(#[from] parquet::errors::ParquetError),
+}
+
+impl ReportFault {
+    /// Whether the content of a file is damaged.
+    pub(super) fn is_damage(&self) -> bool {
+        matches!(self, Self::Toml(_) | Self::DamagedManifest)
+    }
 }
 
 impl ReportError {

@@ -1,5 +1,7 @@
 //! `manifest.toml`: what a run consists of, written before its first simulation.
 
+use super::inputs::{AcceptedChanges, Inputs};
+use crate::files::serde_path;
 use crate::scenario::MissingTokens;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -51,6 +53,12 @@ pub struct Manifest {
     /// The resolved configuration with its seed.
     #[schemars(with = "Map<String, Value>")]
     pub config: toml::Table,
+    /// Digests of what the run reads; none in runs of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inputs: Option<Inputs>,
+    /// Changes of the inputs that a user accepted.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub accepted: Vec<AcceptedChanges>,
 }
 
 /// The prompts of a run.
@@ -78,10 +86,12 @@ pub struct ScenarioList {
     /// Absolute paths of split files, or the names of built-in splits.
     pub splits: Vec<String>,
     /// Absolute path of nuPlan's logs.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "serde_path")]
+    #[schemars(with = "Option<PathBuf>")]
     pub data_root: Option<PathBuf>,
     /// Absolute path of nuPlan's maps.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "serde_path")]
+    #[schemars(with = "Option<PathBuf>")]
     pub maps_root: Option<PathBuf>,
     /// The values of `--type`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -176,7 +186,17 @@ impl Manifest {
         lines
     }
 
-    /// BLAKE3 of everything that determines the results.
+    /// The inputs that changed until `now`, one a line; none where they were not recorded.
+    pub fn changed_inputs(&self, now: &Self) -> Vec<String> {
+        self.inputs.as_ref().zip(now.inputs.as_ref()).map_or_else(Vec::new, |(then, now)| then.changes(now))
+    }
+
+    /// The inputs in which another run differs that may have other recordings, one a line.
+    pub fn conflicting_inputs(&self, other: &Self) -> Vec<String> {
+        self.inputs.as_ref().zip(other.inputs.as_ref()).map_or_else(Vec::new, |(own, other)| own.conflicts(other))
+    }
+
+    /// BLAKE3 of all settings. The inputs are compared file by file.
     pub fn digest(&self) -> String {
         ScenarioList::digest(self.flat().into_iter().map(|(key, value)| format!("{key}={value}")))
     }
@@ -253,6 +273,8 @@ mod tests {
             model: None,
             prompts: None,
             config: "seed = 0\n[reflection]\nthreshold = 0.75\n".parse().unwrap(),
+            inputs: None,
+            accepted: Vec::new(),
         }
     }
 

@@ -7,8 +7,8 @@ mod decision;
 mod error;
 mod figure;
 mod finish;
+mod inputs;
 mod judgement;
-mod key;
 mod layout;
 mod manifest;
 mod nuboard;
@@ -32,11 +32,13 @@ mod table;
 mod times;
 mod timing;
 mod transcript;
+mod visible;
 
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures, Spread};
 pub use call_record::{CallRecord, DecisionRecord};
 pub use decision::decision_words;
 pub use error::{ReportError, ReportFault};
+pub use inputs::{AcceptedChanges, DataFile, Inputs};
 pub use judgement::{JudgedMetric, Judgement};
 pub use layout::{MANIFEST, SUMMARY};
 pub use manifest::{FORMAT_VERSION, Manifest, PromptList, ScenarioList, ShardList};
@@ -58,3 +60,4 @@ pub use table::{
 pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};
 pub use transcript::{attempt_markdown, transcript};
+pub use visible::{visible, visible_line};

@@ -222,6 +222,8 @@ mod tests {
             model: None,
             prompts: None,
             config: toml::Table::new(),
+            inputs: None,
+            accepted: Vec::new(),
         }
     }
 

@@ -5,12 +5,15 @@
 
 use super::atomic::{self, UNFINISHED};
 use super::error::{ReportError, ReportFault};
+use super::inputs::AcceptedChanges;
 use super::layout::{CALLS, CONFIG, LOCK, MANIFEST, RECORD, RUNS, SIMULATIONS};
 use super::manifest::{FORMAT_VERSION, Manifest};
 use super::simulation_folder;
 use super::simulation_row::SimulationRow;
 use crate::experiment::run::{SimulationRecord, SimulationTask};
+use crate::files;
 use crate::metrics::MetricResult;
+use rayon::prelude::*;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::collections::{BTreeMap, BTreeSet};
@@ -30,9 +33,12 @@ pub struct RunFolder {
 pub struct CompletedSimulations {
     /// Their rows by number.
     pub rows: Vec<SimulationRow>,
-    /// Folders with a damaged record, for example after a power failure; they do not count as completed.
+    /// Folders with a damaged record or damaged results, for example after a power failure; they do not count as completed.
     pub damaged: Vec<PathBuf>,
 }
+
+/// What a run has before its first simulation.
+const BEGUN: [&str; 3] = [MANIFEST, CONFIG, SIMULATIONS];
 
 /// The part of a manifest that every format has.
 #[derive(Deserialize)]
@@ -55,8 +61,7 @@ impl RunFolder {
         let folder = Self::locked(path)?;
         check_holds_no_run(&folder.path)?;
         // The manifest comes first: from then on the run can be resumed.
-        let text = toml::to_string_pretty(manifest).map_err(ReportError::at(&folder.path))?;
-        folder.write(MANIFEST, text.as_bytes())?;
+        folder.write_manifest(manifest)?;
         folder.write_config(manifest)?;
         atomic::folder(&folder.path.join(SIMULATIONS))?;
         Ok(folder)
@@ -76,11 +81,13 @@ impl RunFolder {
         if existing != path {
             return Ok(());
         }
+        let begun = path.join(MANIFEST).exists();
         for entry in fs::read_dir(path).map_err(ReportError::read(path))? {
             let name = entry.map_err(ReportError::read(path))?.file_name();
             let name = name.to_string_lossy();
-            // A process that was killed before it wrote its manifest left no results.
-            if name != LOCK && !name.starts_with(UNFINISHED) {
+            // A process that was killed before its manifest was whole left no results.
+            let is_leftover = name == LOCK || name.starts_with(UNFINISHED) || begun && BEGUN.contains(&&*name);
+            if !is_leftover {
                 return Err(ReportError::at(path)(ReportFault::NotEmpty));
             }
         }
@@ -92,25 +99,33 @@ impl RunFolder {
     /// # Errors
     /// When the folder holds no run, one of another format version, or the manifest is damaged.
     pub fn manifest(path: &Path) -> Result<Manifest, ReportError> {
-        let file = path.join(MANIFEST);
-        if !file.is_file() {
+        if !path.join(MANIFEST).is_file() {
             return Err(ReportError::at(path)(ReportFault::NoRun));
         }
-        let AnyManifest { format_version: found, .. } = read_toml(&file)?;
-        if found == FORMAT_VERSION {
-            read_toml(&file)
-        } else {
-            Err(ReportError::at(path)(ReportFault::FormatVersion { found }))
+        match read_manifest(path) {
+            Err(error) if error.fault.is_damage() && !has_simulations(path) => {
+                Err(ReportError::at(path)(ReportFault::NotBegun))
+            }
+            read => read,
         }
     }
 
-    /// Opens the folder of a run to resume it; `now` is the manifest that a new run would have.
+    /// Opens the folder of a run to resume it; `now` is the manifest that a new run would have. With `accept_changes`, inputs
+    /// may have changed: the manifest then says so. Gives the manifest and what was accepted now.
     ///
     /// # Errors
-    /// When the folder holds no run, another process runs in it, or the two manifests differ.
-    pub fn resume(path: &Path, now: &Manifest) -> Result<(Self, Manifest), ReportError> {
-        let manifest = Self::manifest(path)?;
-        let differences = manifest.differences(now);
+    /// When the folder holds no run, another process runs in it, the two manifests differ, or inputs changed.
+    pub fn resume(
+        path: &Path,
+        now: &Manifest,
+        accept_changes: bool,
+    ) -> Result<(Self, Manifest, Vec<String>), ReportError> {
+        let mut manifest = Self::manifest(path)?;
+        let changes = manifest.changed_inputs(now);
+        Self::check_inputs(path, &changes, accept_changes)?;
+        // The digest of all prompts is that of the files in the changes.
+        let prompts = if changes.is_empty() { now.prompts.clone() } else { manifest.prompts.clone() };
+        let differences = manifest.differences(&Manifest { prompts, ..now.clone() });
         if !differences.is_empty() {
             return Err(ReportError::at(path)(ReportFault::Differs(differences)));
         }
@@ -118,7 +133,28 @@ impl RunFolder {
         atomic::folder(&folder.path.join(SIMULATIONS))?;
         atomic::sweep(&folder.path)?;
         atomic::sweep(&folder.path.join(SIMULATIONS))?;
-        Ok((folder, manifest))
+        if !changes.is_empty() {
+            manifest.accepted.push(AcceptedChanges { resumed: now.started.clone(), changes: changes.clone() });
+        }
+        if !changes.is_empty() || manifest.inputs.is_none() {
+            manifest.inputs.clone_from(&now.inputs);
+            manifest.prompts.clone_from(&now.prompts);
+            folder.write_manifest(&manifest)?;
+        }
+        Ok((folder, manifest, changes))
+    }
+
+    /// Refuses changed inputs, unless they are accepted.
+    pub fn check_inputs(path: &Path, changes: &[String], accept_changes: bool) -> Result<(), ReportError> {
+        if changes.is_empty() || accept_changes {
+            return Ok(());
+        }
+        Err(ReportError::at(path)(ReportFault::InputsChanged(changes.to_vec())))
+    }
+
+    fn write_manifest(&self, manifest: &Manifest) -> Result<(), ReportError> {
+        let text = toml::to_string_pretty(manifest).map_err(ReportError::at(&self.path))?;
+        self.write(MANIFEST, text.as_bytes())
     }
 
     fn locked(path: PathBuf) -> Result<Self, ReportError> {
@@ -147,9 +183,16 @@ impl RunFolder {
     /// When a record cannot be read or is in the folder of another simulation.
     pub fn read_completed(path: &Path) -> Result<CompletedSimulations, ReportError> {
         let mut completed = CompletedSimulations::default();
-        for (number, folder) in folders(path)? {
+        let folders: Vec<(usize, PathBuf)> = folders(path)?.into_iter().collect();
+        let read = folders.into_par_iter().map(|(number, folder)| {
+            let row = read_toml::<SimulationRow>(&folder.join(RECORD));
+            let is_whole = row.as_ref().is_ok_and(|row| simulation_folder::is_whole(&folder, row));
+            (number, folder, row, is_whole)
+        });
+        for (number, folder, row, is_whole) in read.collect::<Vec<_>>() {
             let path = folder.join(RECORD);
-            match read_toml::<SimulationRow>(&path) {
+            match row {
+                Ok(row) if row.number == number && !is_whole => completed.damaged.push(folder),
                 Ok(row) if row.number == number => completed.rows.push(row),
                 Ok(row) => return Err(wrong_record(&path, &row, format!("simulation {number}"))),
                 Err(ReportError { fault: ReportFault::Toml(_), .. }) => completed.damaged.push(folder),
@@ -225,19 +268,44 @@ impl RunFolder {
     }
 }
 
-/// Fails if a folder holds a run, with what can be done about it.
+/// Fails if a folder holds a run, with what can be done about it. A damaged manifest without simulations is no run: a process
+/// that died while it started left it.
 fn check_holds_no_run(path: &Path) -> Result<(), ReportError> {
     let file = path.join(MANIFEST);
     if !file.exists() {
         return Ok(());
     }
-    let fault = match read_toml::<AnyManifest>(&file) {
-        Ok(AnyManifest { format_version, .. }) if format_version != FORMAT_VERSION => {
-            ReportFault::OldRun { found: format_version }
-        }
-        _ => ReportFault::AlreadyRun,
+    let fault = match read_manifest(path) {
+        Ok(_) => ReportFault::AlreadyRun,
+        Err(ReportError { fault: ReportFault::FormatVersion { found }, .. }) => ReportFault::OldRun { found },
+        Err(error) if error.fault.is_damage() && !has_simulations(path) => return Ok(()),
+        Err(error) if error.fault.is_damage() => ReportFault::DamagedManifest,
+        Err(error) => return Err(error),
     };
     Err(ReportError::at(path)(fault))
+}
+
+/// The manifest of this format version.
+fn read_manifest(run: &Path) -> Result<Manifest, ReportError> {
+    let file = run.join(MANIFEST);
+    match read_toml(&file)? {
+        AnyManifest { format_version: FORMAT_VERSION, .. } => read_toml(&file),
+        // The first formats had no number.
+        AnyManifest { format_version: 0, .. } if is_blank(&file) => {
+            Err(ReportError::at(run)(ReportFault::DamagedManifest))
+        }
+        AnyManifest { format_version: found, .. } => Err(ReportError::at(run)(ReportFault::FormatVersion { found })),
+    }
+}
+
+/// Whether a file was cut off before its first line.
+fn is_blank(file: &Path) -> bool {
+    files::read_text(file, files::MAX_LIST_BYTES).is_ok_and(|text| text.trim().is_empty())
+}
+
+/// Whether a run has simulations, as far as that can be seen.
+fn has_simulations(run: &Path) -> bool {
+    folders(run).map_or_else(|_| run.join(SIMULATIONS).exists(), |simulations| !simulations.is_empty())
 }
 
 /// The folders of the completed simulations of a run, by number.
@@ -261,7 +329,7 @@ fn wrong_record(path: &Path, row: &SimulationRow, expected: String) -> ReportErr
 
 /// Reads a TOML file.
 pub(super) fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T, ReportError> {
-    let text = fs::read_to_string(path).map_err(ReportError::read(path))?;
+    let text = files::read_text(path, files::MAX_LIST_BYTES).map_err(ReportError::read(path))?;
     toml::from_str(&text).map_err(|error| ReportError::at(path)(Box::new(error)))
 }
 

@@ -3,15 +3,17 @@
 use super::atomic;
 use super::call_record::CallRecord;
 use super::error::ReportError;
-use super::layout::{BEV, CALLS, METRICS, RECORD, TRANSCRIPT, bev_name};
+use super::layout::{BEV, CALLS, METRICS, RECORD, REPLAY, TRANSCRIPT, bev_name};
 use super::number::without_negative_zeros;
 use super::replay::Replay;
 use super::run_folder::read_toml;
 use super::simulation_row::SimulationRow;
 use super::transcript::transcript;
 use crate::experiment::run::{SimulationOutcome, SimulationRecord};
+use crate::files;
 use crate::metrics::MetricResult;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
@@ -37,8 +39,41 @@ pub(super) fn write(parent: &Path, number: usize, record: &SimulationRecord) -> 
         write_toml(&unfinished.join(METRICS), &metrics)?;
         Replay::of(outcome).write(&unfinished)?;
     }
-    write_toml(&unfinished.join(RECORD), &SimulationRow::new(number, record))?;
+    let row = SimulationRow { files: digests(&unfinished)?, ..SimulationRow::new(number, record) };
+    write_toml(&unfinished.join(RECORD), &row)?;
     fs::rename(&unfinished, &folder).map_err(ReportError::write(&folder))
+}
+
+/// BLAKE3 of the files with results that exist, by name.
+fn digests(folder: &Path) -> Result<BTreeMap<String, String>, ReportError> {
+    let mut digests = BTreeMap::new();
+    for name in [METRICS, CALLS, REPLAY] {
+        let path = folder.join(name);
+        if path.is_file() {
+            digests.insert(name.to_owned(), digest(&path)?);
+        }
+    }
+    Ok(digests)
+}
+
+fn digest(path: &Path) -> Result<String, ReportError> {
+    let mut hasher = blake3::Hasher::new();
+    let hashed = files::open(path).and_then(|file| hasher.update_reader(file).map(|_| ()));
+    hashed.map_err(ReportError::read(path))?;
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// Whether the files of a completed simulation are those that were written. Records of earlier versions have no digests: their
+/// metrics must be there.
+pub(super) fn is_whole(folder: &Path, row: &SimulationRow) -> bool {
+    if row.files.is_empty() && row.score.is_some() {
+        let names = |metrics: Vec<MetricResult>| metrics.into_iter().map(|metric| metric.name).collect::<Vec<_>>();
+        return metrics(folder)
+            .is_ok_and(|found| names(found).iter().eq(row.metrics.iter().map(|metric| &metric.name)));
+    }
+    // The record may come from elsewhere: its names are those of this folder alone.
+    let is_own = |name: &String| [METRICS, CALLS, REPLAY].contains(&name.as_str());
+    row.files.iter().all(|(name, known)| is_own(name) && digest(&folder.join(name)).is_ok_and(|found| found == *known))
 }
 
 /// Copies the folder of a simulation below `parent`: all of it, or nothing.

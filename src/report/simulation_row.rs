@@ -11,6 +11,7 @@ use crate::reasoning::Interruption;
 use crate::simulation::Challenge;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// The result of a simulation, or why it failed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -60,6 +61,9 @@ pub struct SimulationRow {
     /// What `pdm-closed` counted as drivable.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drivable_layers: Option<DrivableLayers>,
+    /// BLAKE3 of the other files of the simulation, by name: a damaged one counts as no simulation.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub files: BTreeMap<String, String>,
     /// Wall times.
     pub time: SimulationTime,
     /// The metrics' scores, in nuPlan's order of computation; `metrics.toml` has their statistics.
@@ -113,6 +117,7 @@ impl SimulationRow {
             deadlines: interrupted(|why| matches!(why, Interruption::Deadline)),
             failed_calls: interrupted(|why| matches!(why, Interruption::Model(_))),
             drivable_layers: outcome.and_then(|outcome| outcome.drivable_layers),
+            files: BTreeMap::new(),
             time: SimulationTime {
                 started_s: record.started_s,
                 ended_s: record.ended_s,
@@ -175,6 +180,7 @@ impl SimulationRow {
             deadlines: 0,
             failed_calls: 0,
             drivable_layers: None,
+            files: BTreeMap::new(),
             time: SimulationTime::default(),
             metrics: Vec::new(),
         }

@@ -1,10 +1,10 @@
 //! The transcript of a simulation as Markdown: scene, prompts, answers, planner codes, scores.
 
 use super::decision::decision_words;
-use super::key::CompactParts;
 use super::number::fixed;
 use super::repeats::Repeat;
 use super::times::CallTimes;
+use super::visible::{in_markdown, visible, visible_line};
 use crate::experiment::run::{SimulationOutcome, SimulationRecord};
 use crate::planner::{Attempt, PlanningCall};
 use crate::reasoning::RoundRecord;
@@ -17,17 +17,13 @@ pub fn transcript(
     outcome: &SimulationOutcome,
     image: impl Fn(&PlanningCall) -> Option<String>,
 ) -> String {
-    let mut text = format!("# {} · {} · {}\n\n", record.scenario, record.planner, record.challenge);
+    let mut text = format!("# {} · {} · {}\n\n", one_line(&record.scenario), record.planner, record.challenge);
     let score = &outcome.score;
     // Writing to a string cannot fail.
-    let _ = writeln!(text, "Scenario type `{}`. Score **{:.4}**.\n", record.scenario_type, score.value);
+    let _ = writeln!(text, "Scenario type {}. Score **{:.4}**.\n", code(&record.scenario_type), score.value);
     text.push_str("| metric | score |\n|---|---|\n");
     for part in &score.parts {
         let _ = writeln!(text, "| `{}` | {:.4} |", part.name, part.score);
-    }
-    let key = CompactParts::of(&outcome.calls).key();
-    if !key.is_empty() {
-        let _ = write!(text, "\n## Key to the compact texts\n\n{}\n", key.trim_end());
     }
     for call in &outcome.calls {
         text.push('\n');
@@ -49,7 +45,7 @@ fn call_markdown(call: &PlanningCall, outcome: &SimulationOutcome, image: Option
         let _ = writeln!(text, "### Attempt {}\n", i + 1);
         text.push_str(&attempt_markdown(&call.attempts, i));
     }
-    let _ = writeln!(text, "**Decision:** {}.\n", decision_words(call));
+    let _ = writeln!(text, "**Decision:** {}.\n", one_line(&decision_words(call)));
     if let Some(iteration) = call.active_from {
         let _ = writeln!(text, "Active from {:.1} s on.\n", seconds(iteration));
     }
@@ -87,14 +83,14 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
         let _ = writeln!(text, "*{}*\n\n{}\n\n{}\n", round.round, fenced(&round.prompt), quoted(&round.answer));
     }
     for error in &attempt.errors {
-        let _ = writeln!(text, "- not understood: {error}");
+        let _ = writeln!(text, "- not understood: {}", one_line(&error.to_string()));
     }
     if let Some(line) = attempt.line() {
         let same = match repeat {
             Some(Repeat::Code(of) | Repeat::Answers(of)) => format!(" (the code of attempt {})", of + 1),
             None => String::new(),
         };
-        let _ = writeln!(text, "Code: `{line}`{same}\n");
+        let _ = writeln!(text, "Code: {}{same}\n", code(&line));
     }
     if let Some(reflection) = &attempt.reflection {
         let parts: Vec<String> =
@@ -116,11 +112,23 @@ fn new_prompts<'a>(attempts: &'a [Attempt], of: usize, attempt: &'a Attempt) -> 
 fn fenced(text: &str) -> String {
     let longest = text.split(|c| c != '`').map(str::len).max().unwrap_or(0);
     let fence = "`".repeat(longest.max(2) + 1);
-    format!("{fence}text\n{text}\n{fence}")
+    format!("{fence}text\n{}\n{fence}", visible(text))
 }
 
 fn quoted(text: &str) -> String {
-    text.lines().map(|line| format!("> {line}")).collect::<Vec<_>>().join("\n")
+    in_markdown(text).lines().map(|line| format!("> {line}")).collect::<Vec<_>>().join("\n")
+}
+
+/// A text that ends no line and begins no element.
+fn one_line(text: &str) -> String {
+    in_markdown(&visible_line(text))
+}
+
+/// A code span; its marks are longer than any run of backticks inside.
+fn code(text: &str) -> String {
+    let longest = text.split(|c| c != '`').map(str::len).max().unwrap_or(0);
+    let (marks, space) = ("`".repeat(longest + 1), if longest > 0 { " " } else { "" });
+    format!("{marks}{space}{}{space}{marks}", visible_line(text))
 }
 
 #[cfg(test)]

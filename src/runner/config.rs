@@ -2,6 +2,7 @@
 
 use crate::environment::BevView;
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
+use crate::files;
 use crate::mllm::WeightFormat;
 use crate::planner::{CallSettings, EnvironmentSettings, PlanAgentSettings, ReflectionSettings};
 use crate::reasoning::{ReasoningConfig, Round};
@@ -73,7 +74,8 @@ impl Config {
         };
         let Some(path) = found else { return Ok(Self::default()) };
         let place = path.display().to_string();
-        let text = std::fs::read_to_string(&path).map_err(|source| ConfigError::Read { path, source })?;
+        let text =
+            files::read_text(&path, files::MAX_SETTINGS_BYTES).map_err(|source| ConfigError::Read { path, source })?;
         let parsed = toml::from_str::<Self>(&text);
         parsed.map_err(|source| ConfigError::Parse { place: place.clone(), source: Box::new(source) })?.checked(place)
     }

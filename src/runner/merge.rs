@@ -3,7 +3,8 @@
 use super::error::{MergeError, RunnerError};
 use super::run::{self, RunResults};
 use crate::report::{
-    Manifest, RunFolder, ScenarioList, ShardList, SimulationRow, SimulationTime, simulation_folders, simulation_metrics,
+    Inputs, Manifest, RunFolder, ScenarioList, ShardList, SimulationRow, SimulationTime, simulation_folders,
+    simulation_metrics,
 };
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -47,7 +48,8 @@ fn merged(parts: &[Part]) -> Result<Manifest, MergeError> {
     let first = parts.first().ok_or(MergeError::NoRun)?;
     let whole = whole(&first.manifest);
     for other in parts {
-        let differences = whole.differences(&self::whole(&other.manifest));
+        let mut differences = whole.differences(&self::whole(&other.manifest));
+        differences.extend(whole.conflicting_inputs(&other.manifest));
         if !differences.is_empty() {
             let (first, other) = (first.path.clone(), other.path.clone());
             return Err(MergeError::Differs { first, other, differences });
@@ -55,7 +57,10 @@ fn merged(parts: &[Part]) -> Result<Manifest, MergeError> {
     }
     let all = || parts.iter().map(|part| &part.manifest);
     let one_commit = all().all(|manifest| manifest.commit == whole.commit);
+    let data = all().filter_map(|manifest| manifest.inputs.as_ref()).flat_map(|inputs| inputs.data.clone()).collect();
     Ok(Manifest {
+        inputs: whole.inputs.clone().map(|inputs| Inputs { data, ..inputs }),
+        accepted: all().flat_map(|manifest| manifest.accepted.clone()).collect(),
         started: all().map(|manifest| manifest.started.clone()).min().unwrap_or_default(),
         commit: whole.commit.clone().filter(|_| one_commit),
         ..whole
@@ -99,7 +104,11 @@ fn simulations(parts: &[Part]) -> Result<BTreeMap<usize, Simulation<'_>>, Runner
 impl Simulation<'_> {
     /// Whether the results are equal; measured times may differ.
     fn equals(&self, other: &Self) -> Result<bool, RunnerError> {
-        let timeless = |row: &SimulationRow| SimulationRow { time: SimulationTime::default(), ..row.clone() };
+        let timeless = |row: &SimulationRow| SimulationRow {
+            time: SimulationTime::default(),
+            files: BTreeMap::new(),
+            ..row.clone()
+        };
         if timeless(&self.row) != timeless(&other.row) {
             return Ok(false);
         }

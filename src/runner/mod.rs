@@ -6,6 +6,7 @@ mod config;
 mod error;
 mod event;
 mod experiments;
+mod inputs;
 mod machine;
 mod merge;
 mod model;

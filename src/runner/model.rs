@@ -5,10 +5,10 @@ use super::error::RunnerError;
 use super::event::{Event, Listener};
 use crate::api::models_folder;
 use crate::experiment::run::AgentParts;
-use crate::mllm::{Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelRegistry};
+use crate::mllm::{Asking, HubAccess, MemoryCheck, Mllm, ModelDescription, ModelInputs, ModelRegistry};
 use crate::planner::{CodeSource, PlannerRegistry};
 use crate::reasoning::{PromptPlace, PromptSet, ReasoningSettings};
-use crate::report::PromptList;
+use crate::report::{Inputs, PromptList};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -21,12 +21,15 @@ pub struct LoadedModel {
     pub load_s: f64,
     /// What names its prompt set.
     named_by: String,
+    /// Digests of its prompts, small files and description.
+    pub(super) inputs: Inputs,
 }
 
 /// A model in memory, which can be asked in several ways.
 pub(super) struct OpenModel {
     model: Arc<dyn Mllm>,
     asking: Asking,
+    inputs: ModelInputs,
     load_s: f64,
 }
 
@@ -89,7 +92,8 @@ impl OpenModel {
         let about = model.describe();
         about.load.lines().into_iter().for_each(|line| listener(Event::Detail(line)));
         listener(Event::Note(in_words(&about, load_s)));
-        Ok(Self { model: Arc::from(model), asking, load_s })
+        let inputs = registry.inputs(&spec).map_err(|error| RunnerError::FindModel(Box::new(error)))?;
+        Ok(Self { model: Arc::from(model), asking, inputs, load_s })
     }
 
     pub(super) fn model(&self) -> &dyn Mllm {
@@ -104,9 +108,27 @@ impl OpenModel {
             Some(_) => "reasoning.prompt_set".to_owned(),
             None => self.asking.named_by.to_string(),
         };
+        let inputs = of_model(self.inputs.clone(), &prompts);
         let code_source = CodeSource::Model { model: Arc::clone(&self.model), prompts, reasoning };
-        Ok(LoadedModel { code_source, about: self.model.describe(), load_s: self.load_s, named_by })
+        Ok(LoadedModel { code_source, about: self.model.describe(), load_s: self.load_s, named_by, inputs })
     }
+}
+
+/// Digests of the configured model and its prompts, without loading it.
+///
+/// # Errors
+/// When its files are not on this machine yet, among others.
+pub(super) fn inputs_here(config: &Config, listener: &Listener) -> Result<Inputs, RunnerError> {
+    let registry = model_registry(config, listener);
+    let find = |error| RunnerError::FindModel(Box::new(error));
+    let spec = registry.find(&config.mllm.model).map_err(find)?;
+    let inputs = registry.inputs(&spec).map_err(find)?;
+    let asking = registry.asking(&spec).map_err(find)?;
+    Ok(of_model(inputs, &config.reasoning.prompts(&asking.prompt_set)?))
+}
+
+fn of_model(ModelInputs { files, description }: ModelInputs, prompts: &PromptSet) -> Inputs {
+    Inputs { prompts: prompts.digests().clone(), model: files, description, ..Inputs::default() }
 }
 
 /// The parts of an agent, with the model where one is loaded.

@@ -39,6 +39,8 @@ pub struct Request {
     pub roots: DataRoots,
     /// Whether to repeat the failed simulations of the run that is resumed.
     pub retry_failed: bool,
+    /// Whether the run is resumed although what it reads changed; its manifest then says so.
+    pub accept_changes: bool,
 }
 
 impl Default for Request {
@@ -58,6 +60,7 @@ impl Default for Request {
             readers: Readers::new,
             roots: DataRoots::default(),
             retry_failed: false,
+            accept_changes: false,
         }
     }
 }

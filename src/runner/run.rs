@@ -4,11 +4,20 @@ use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::machine::cpu;
 use crate::experiment::run::{self, AgentParts, SimulationTask};
-use crate::report::{Manifest, RunFolder, Session, SimulationRow, Summary, Timing};
+use crate::report::{Manifest, RunFolder, SUMMARY, Session, SimulationRow, Summary, Timing};
 use crate::scenario::MissingTokens;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+/// How a run is resumed.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Resume {
+    /// Discard failed simulations, so that they are repeated.
+    pub(super) retry_failed: bool,
+    /// Go on although inputs changed.
+    pub(super) accept_changes: bool,
+}
 
 /// What a run is made of, before it has a folder.
 pub(super) struct RunPlan {
@@ -60,25 +69,43 @@ impl Run {
         Ok(Self { plan, folder, left, rows: Vec::new(), simulated: 0, retried: 0 })
     }
 
-    /// Resumes the run in a folder; with `retry_failed`, discards failed simulations.
+    /// Resumes the run in a folder.
     pub(super) fn resume(
         path: &Path,
         mut plan: RunPlan,
-        retry_failed: bool,
+        how: Resume,
         listener: &Listener,
     ) -> Result<Self, RunnerError> {
-        let (folder, manifest) = RunFolder::resume(path, &plan.manifest)?;
+        let recorded = RunFolder::manifest(path)?.inputs.is_some();
+        let (folder, manifest, accepted) = RunFolder::resume(path, &plan.manifest, how.accept_changes)?;
+        if !recorded {
+            let text = "the run was started by a version that recorded no digests of prompts, model files and recordings; \
+                        whether they changed is not known";
+            listener(Event::Note(text.to_owned()));
+        }
+        for change in accepted {
+            listener(Event::Note(format!("accepted: {change}")));
+        }
         plan.manifest = manifest;
         let completed = folder.completed(&plan.tasks)?;
         for path in &completed.damaged {
-            let text = format!("the record in {} is damaged; its simulation is repeated", path.display());
+            let text = format!("the record or a result in {} is damaged; its simulation is repeated", path.display());
             listener(Event::Note(text));
         }
         let (discarded, rows): (Vec<_>, Vec<_>) =
-            completed.rows.into_iter().partition(|row| retry_failed && row.error.is_some());
+            completed.rows.into_iter().partition(|row| how.retry_failed && row.error.is_some());
         folder.discard(&discarded.iter().map(|row| row.number).collect())?;
         let done: BTreeSet<usize> = rows.iter().map(|row| row.number).collect();
-        let left = plan.numbers.iter().copied().filter(|number| !done.contains(number)).collect();
+        let left: Vec<usize> = plan.numbers.iter().copied().filter(|number| !done.contains(number)).collect();
+        if folder.path().join(SUMMARY).is_file() {
+            let known = discarded.len() + completed.damaged.len();
+            let lost = left.len().saturating_sub(known);
+            if lost > 0 {
+                listener(Event::Note(format!(
+                    "{lost} simulations of this run, which had ended, have no folder any more; they are repeated"
+                )));
+            }
+        }
         Ok(Self { plan, folder, left, rows, simulated: 0, retried: discarded.len() })
     }
 

@@ -7,6 +7,7 @@ use super::sample::{Sample, Shard};
 use crate::experiment::run::SimulationTask;
 use crate::experiment::split::split;
 use crate::experiment::suite::Suite;
+use crate::files::word_of;
 use crate::planner::{PlannerName, PlannerRegistry};
 use crate::report::{Manifest, ScenarioList};
 use crate::scenario::{DataRoots, MissingTokens, Readers, ScenarioRef, absolute_path, generator};
@@ -81,6 +82,11 @@ impl Selection {
         let is_own = |task: &SimulationTask| shard.is_none_or(|shard| shard.has(&task.source));
         let numbers = tasks.iter().enumerate().filter(|(_, task)| is_own(task)).map(|(number, _)| number).collect();
         Ok(Self { list, planners, challenges, tasks, numbers, readers })
+    }
+
+    /// The scenarios that this run simulates, each at least once.
+    pub(super) fn own_sources(&self) -> impl Iterator<Item = &ScenarioRef> {
+        self.numbers.iter().filter_map(|&number| Some(&self.tasks.get(number)?.source))
     }
 
     /// Refuses a run whose scenarios changed since it started.
@@ -202,7 +208,7 @@ pub(super) fn select(
             note(of_split.missing.to_string());
             missing.push(of_split.missing);
         }
-        let file = of_split.file.map(|file| absolute_path(&file.to_string_lossy()));
+        let file = of_split.file.map(|file| absolute_path(&word_of(file.as_os_str())));
         lists.push(file.unwrap_or_else(|| name.clone()));
     }
     for word in words {

@@ -3,14 +3,16 @@
 use super::config::{Config, ConfigError};
 use super::error::RunnerError;
 use super::event::{Event, Listener};
+use super::inputs::data_files;
 use super::machine::build_commit;
 use super::model::{self, LoadedModel};
 use super::request::{Commands, Request};
 use super::result_version::RESULT_VERSION;
-use super::run::{self, Run, RunPlan, RunResults};
+use super::run::{self, Resume, Run, RunPlan, RunResults};
 use super::selection::Selection;
 use crate::experiment::run::AgentParts;
-use crate::report::{FORMAT_VERSION, Manifest, RunFolder, ScenarioList, stamp};
+use crate::report::{DataFile, FORMAT_VERSION, Inputs, Manifest, RunFolder, ScenarioList, stamp};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Instant, SystemTime};
 
@@ -29,7 +31,8 @@ pub fn start(
     if let Some(folder) = folder {
         RunFolder::check_new(folder)?;
     }
-    let run = Run::create(folder, plan(request, commands, &selection, config, listener)?)?;
+    let data = data_files(selection.own_sources(), None);
+    let run = Run::create(folder, plan(request, commands, &selection, data, config, listener)?)?;
     complete(run, &selection, started, listener)
 }
 
@@ -58,14 +61,34 @@ pub fn resume(
         Err(cause) => return Err(cause),
     };
     // Loading a model takes long: a run with other settings is refused before.
-    let now = of_selection(&selection, commands, None, config)?;
+    let data = data_files(selection.own_sources(), before.inputs.as_ref());
+    let now = of_selection(&selection, commands, None, data.clone(), config)?;
     let differences =
         before.differences(&Manifest { model: before.model.clone(), prompts: before.prompts.clone(), ..now });
     if !differences.is_empty() {
         return Err(RunnerError::OtherSettings { folder: folder.to_owned(), differences });
     }
-    let plan = plan(request, commands, &selection, config, listener)?;
-    let run = Run::resume(folder, plan, request.retry_failed, listener)?;
+    if let Some(then) = &before.inputs {
+        let mut inputs = Inputs { data: data.clone(), ..then.clone() };
+        // Files that are not on this machine yet are compared once the model is loaded.
+        if before.model.is_some()
+            && let Ok(of_model) = model::inputs_here(config, listener)
+        {
+            inputs = Inputs { data: data.clone(), ..of_model };
+        }
+        RunFolder::check_inputs(folder, &then.changes(&inputs), request.accept_changes)?;
+    }
+    let plan = plan(request, commands, &selection, data, config, listener)?;
+    let how = Resume { retry_failed: request.retry_failed, accept_changes: request.accept_changes };
+    let run = Run::resume(folder, plan, how, listener)?;
+    if let (Some(then), Some(now)) = (before.commit.as_deref(), build_commit())
+        && then != now
+        && !run.left().is_empty()
+    {
+        let text =
+            format!("the run was started by commit {then}, this program is {now}; both have the same result version");
+        listener(Event::Note(text));
+    }
     let (total, left) = (run.total(), run.left().len());
     let failed = if run.retried > 0 { format!(", {} of them had failed", run.retried) } else { String::new() };
     let completed = total - left;
@@ -87,6 +110,7 @@ fn plan(
     request: &Request,
     commands: &Commands,
     selection: &Selection,
+    data: BTreeMap<String, DataFile>,
     config: &Config,
     listener: &Listener,
 ) -> Result<RunPlan, RunnerError> {
@@ -100,7 +124,7 @@ fn plan(
     }
     let loaded = if needs_model { Some(model::load_model(config, listener)?) } else { None };
     Ok(RunPlan {
-        manifest: of_selection(selection, commands, loaded.as_ref(), config)?,
+        manifest: of_selection(selection, commands, loaded.as_ref(), data, config)?,
         tasks: selection.tasks.clone(),
         numbers: selection.numbers.clone(),
         agent: AgentParts {
@@ -116,18 +140,20 @@ fn of_selection(
     selection: &Selection,
     commands: &Commands,
     loaded: Option<&LoadedModel>,
+    data: BTreeMap<String, DataFile>,
     config: &Config,
 ) -> Result<Manifest, RunnerError> {
     let planners = selection.planners.iter().map(ToString::to_string).collect();
     let challenges = selection.challenges.iter().map(ToString::to_string).collect();
-    manifest((planners, commands), challenges, selection.list.clone(), loaded, config)
+    manifest((planners, commands), challenges, (selection.list.clone(), data), loaded, config)
 }
 
-/// What a run would be started with now; the planners stand beside the commands of those that are commands.
+/// What a run would be started with now; the planners stand beside the commands of those that are commands, the scenarios
+/// beside their files.
 pub(super) fn manifest(
     (planners, commands): (Vec<String>, &Commands),
     challenges: Vec<String>,
-    scenarios: ScenarioList,
+    (scenarios, data): (ScenarioList, BTreeMap<String, DataFile>),
     loaded: Option<&LoadedModel>,
     config: &Config,
 ) -> Result<Manifest, RunnerError> {
@@ -145,6 +171,8 @@ pub(super) fn manifest(
         model: loaded.map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?,
         prompts: loaded.and_then(LoadedModel::prompt_list),
         config: toml::Table::try_from(config)?,
+        inputs: Some(Inputs { data, ..loaded.map(|loaded| loaded.inputs.clone()).unwrap_or_default() }),
+        accepted: Vec::new(),
     })
 }
 
@@ -181,6 +209,6 @@ fn without_scenarios(
     }
     let shown = folder.display();
     listener(Event::Note(format!("the run in {shown} has ended; only its results are shown, because {cause}")));
-    let (locked, manifest) = RunFolder::resume(&folder, manifest)?;
+    let (locked, manifest, _) = RunFolder::resume(&folder, manifest, false)?;
     run::finish(&locked, manifest, run::session(started, 0, None), rows)
 }

@@ -2,6 +2,7 @@
 
 use super::split::Split;
 use super::{Contents, Scenario};
+use crate::files::{path_of, word_of};
 use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::fmt;
@@ -67,6 +68,11 @@ pub trait OpenScenario: Send + Sync {
         Ok(())
     }
 
+    /// The files that opening reads, as far as they can be named. Without any, the scenario's own file stands for it.
+    fn files(&self) -> Vec<PathBuf> {
+        Vec::new()
+    }
+
     /// What can be counted without building the scenario; `None` where that is nothing.
     fn contents(&self) -> Result<Option<Contents>, ReaderError> {
         Ok(None)
@@ -111,7 +117,7 @@ impl ScenarioRef {
     /// A file among others that cannot be read. Its contents are unknown: it stands for one scenario, which fails.
     pub fn unreadable(path: &Path, fault: String) -> Self {
         let cause = fault.clone();
-        let unopened = Self::new(path.display().to_string(), move || Err(ReaderError::Unreadable(cause.clone())));
+        let unopened = Self::new(word_of(path.as_os_str()), move || Err(ReaderError::Unreadable(cause.clone())));
         let log_name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         Self { log_name, fault: Some(fault), ..unopened.in_file(path, "") }
     }
@@ -179,6 +185,12 @@ impl ScenarioRef {
     /// As [`OpenScenario::check`].
     pub fn check(&self) -> Result<(), ReaderError> {
         self.source.check()
+    }
+
+    /// As [`OpenScenario::files`]; the file that names the scenario, where the reader names none.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let files = self.source.files();
+        if files.is_empty() { self.path.clone().filter(|path| path.is_file()).into_iter().collect() } else { files }
     }
 
     /// As [`OpenScenario::contents`].
@@ -253,8 +265,7 @@ impl ReaderError {
 
 /// A path independent of the working directory; a word that is no path stays.
 pub fn absolute_path(word: &str) -> String {
-    let absolute = || std::path::absolute(word).ok()?.into_os_string().into_string().ok();
-    absolute().unwrap_or_else(|| word.to_owned())
+    std::path::absolute(path_of(word)).map_or_else(|_| word.to_owned(), |path| word_of(path.as_os_str()))
 }
 
 /// The two folders of nuPlan's data, as nuPlan's environment variables name them.

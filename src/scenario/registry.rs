@@ -11,8 +11,8 @@ use super::reader::{DataRoots, OnProgress, ReaderError, Recognition, ScenarioRea
 use super::split::Split;
 #[cfg(feature = "womd")]
 use super::womd;
+use crate::files::{path_of, word_of};
 use std::fmt;
-use std::path::Path;
 
 type BuildReader = fn(&DataRoots) -> Box<dyn ScenarioReader>;
 
@@ -57,7 +57,7 @@ impl Readers {
     /// All scenarios that a word of the command line names: those of the reader that takes it, else those that all readers
     /// find in the folder of that name, else in its folders of [`RECORDINGS`].
     pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
-        let path = Path::new(word);
+        let path = &path_of(word);
         if let Some(reader) = self.reader_of(word) {
             return reader.list(word);
         }
@@ -65,16 +65,24 @@ impl Readers {
             let path = path.to_owned();
             return Err(if path.exists() { ReaderError::UnknownFile(path) } else { ReaderError::Missing(path) });
         }
-        let (mut all, mut looked_for) = (Vec::new(), Vec::new());
+        let (mut all, mut looked_for, mut faults) = (Vec::new(), Vec::new(), Vec::new());
         for reader in &self.readers {
             if let Some(files) = reader.looks_for() {
-                all.extend(reader.list(word)?);
+                match reader.list(word) {
+                    Ok(found) => all.extend(found),
+                    Err(error) => faults.push(error),
+                }
                 looked_for.push(format!("no {files}"));
             }
         }
-        if all.is_empty() {
+        // Files of one source that cannot be read do not hide those of another.
+        if !all.is_empty() {
+            all.extend(faults.iter().map(|fault| ScenarioRef::unreadable(path, fault.to_string())));
+        } else if !faults.is_empty() {
+            return Err(faults.swap_remove(0));
+        } else {
             for folder in RECORDINGS.map(|folder| path.join(folder)).iter().filter(|folder| folder.is_dir()) {
-                all.extend(self.find(&folder.to_string_lossy())?);
+                all.extend(self.find(&word_of(folder.as_os_str()))?);
             }
         }
         match all.first() {

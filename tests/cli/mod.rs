@@ -8,6 +8,7 @@ mod errors;
 mod exec;
 mod help;
 mod open_loop;
+mod outside_text;
 mod prompts;
 mod results;
 mod scenarios;

@@ -1,6 +1,7 @@
 //! Models behind a server: requests, answers, failures, and simulations that continue after them.
 
 mod deadline;
+mod key;
 mod llama_cpp;
 mod questions;
 pub(crate) mod server;

@@ -268,3 +268,39 @@ fn another_model_changes_one_line_of_the_configuration_and_nothing_else() {
     let url = &server.received()[0].body["messages"][1]["content"][0]["image_url"]["url"];
     assert!(url.as_str().unwrap().starts_with("data:image/png;base64,"), "the server sees the picture");
 }
+
+#[test]
+fn what_a_server_says_is_shown_and_not_obeyed() {
+    let hostile = format!("<img src=x onerror=alert(1)> & ![x](http://192.0.2.1/y) \u{1b}[2J\u{9b}31m {KEY}\n{ANSWER}");
+    let server = Server::always(move || completion(&hostile));
+    let run = Run::with(&description(&server, ""), "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n");
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let simulation = &crate::runner::simulations(&run.path())[0];
+    let transcript = fs::read_to_string(simulation.join("transcript.md")).unwrap();
+    assert!(transcript.contains("&lt;img src=x onerror=alert(1)> &amp; !\\[x]"), "{transcript}");
+    assert!(transcript.contains("\\u001b[2J\\u009b31m [key]") && !transcript.contains('\u{1b}'), "{transcript}");
+    assert!(!run.everything().contains(KEY));
+    // The record has the answer as it was, without the key.
+    let answer = run.calls()[0]["attempts"][0]["rounds"][0]["answer"].as_str().unwrap().to_owned();
+    assert!(answer.starts_with("<img src=x") && answer.contains("\u{1b}[2J\u{9b}31m [key]\n"), "{answer}");
+}
+
+#[test]
+fn another_description_of_the_server_is_no_way_to_resume() {
+    let server = Server::always(|| completion(ANSWER));
+    let run = Run::with(&description(&server, ""), "[reflection]\nenabled = false\n[reasoning]\ninterval = 1000\n");
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let resumed = |more: &str| {
+        fs::write(run.folder.path().join("server.toml"), description(&server, more)).unwrap();
+        let mut command = planagent();
+        command.env("TEST_KEY", KEY).args(["simulate", "--resume"]).arg(run.path());
+        let output = command.output().unwrap();
+        (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, stderr) = resumed(", timeout_ms = 1234");
+    assert_eq!(code, 0, "a time limit changes no answer: {stderr}");
+    let (code, stderr) = resumed(", extra = { top_k = 3 }");
+    assert!(code == 2 && stderr.contains("server description changed: extra"), "{stderr}");
+    let (code, stderr) = resumed("");
+    assert_eq!(code, 0, "{stderr}");
+}

@@ -5,6 +5,7 @@ mod broken_logs;
 mod broken_maps;
 mod filters;
 mod fixture;
+mod hostile_logs;
 mod indices;
 mod velocities;
 mod words;

@@ -1,6 +1,7 @@
 //! Runs: written simulation by simulation, resumed, and read by other programs.
 
 mod failures;
+mod inputs;
 mod library;
 mod nuboard;
 mod nuplan_folders;

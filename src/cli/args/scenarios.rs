@@ -3,6 +3,7 @@
 use super::data::{DataArguments, SplitArguments};
 use crate::cli::help;
 use crate::cli::picture::{PictureFile, picture_file};
+use crate::cli::words::path_word;
 use clap::{Args, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -32,7 +33,7 @@ pub(in crate::cli) enum ScenariosCommand {
 #[derive(Debug, Args)]
 pub(in crate::cli) struct ListArguments {
     /// Scenarios, as `simulate` takes them [default: the types that can be generated].
-    #[arg(value_name = "SCENARIO")]
+    #[arg(value_name = "SCENARIO", value_parser = path_word())]
     pub(in crate::cli) sources: Vec<String>,
     #[command(flatten)]
     pub(in crate::cli) split: SplitArguments,
@@ -64,6 +65,7 @@ pub(in crate::cli) struct GenerateArguments {
 #[derive(Debug, Args)]
 pub(in crate::cli) struct ShowArguments {
     /// The scenario, as `simulate` takes it.
+    #[arg(value_parser = path_word())]
     pub(in crate::cli) scenario: String,
     #[command(flatten)]
     pub(in crate::cli) data: DataArguments,
@@ -86,7 +88,7 @@ pub(in crate::cli) struct ShowArguments {
 )]
 pub(in crate::cli) struct ExportArguments {
     /// Scenarios, as `simulate` takes them.
-    #[arg(required = true, value_name = "SCENARIO")]
+    #[arg(required = true, value_name = "SCENARIO", value_parser = path_word())]
     pub(in crate::cli) scenarios: Vec<String>,
     #[command(flatten)]
     pub(in crate::cli) data: DataArguments,

@@ -4,7 +4,7 @@ use super::data::{DataArguments, SplitArguments};
 use super::model::ModelArguments;
 use crate::cli::help;
 use crate::cli::picture::{PictureFile, picture_file};
-use crate::cli::words::planner_words;
+use crate::cli::words::{path_word, planner_words};
 use crate::planner::DEFAULT_EXEC_TIMEOUT;
 use crate::runner::{Request, Shard};
 use anyhow::Context;
@@ -19,7 +19,7 @@ pub(in crate::cli) struct SimulateArguments {
     ///
     /// TFRecord files of Waymo Open Motion, nuPlan logs (LOG.db, or one scenario as LOG.db#TOKEN), Argoverse 2 logs, folders
     /// of these, or generated/TYPE/SEED[.TRAFFIC]. The default is one generated scenario.
-    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
+    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word())]
     pub(in crate::cli) scenarios: Vec<String>,
     #[command(flatten)]
     pub(in crate::cli) split: SplitArguments,
@@ -51,6 +51,12 @@ pub(in crate::cli) struct SimulateArguments {
     /// With --resume: repeat failed simulations.
     #[arg(long, requires = "resume")]
     pub(in crate::cli) retry_failed: bool,
+    /// With --resume: go on although prompts, model files or recordings changed.
+    ///
+    /// The manifest then lists the changes. Without this option such a run is refused, because its table would mix two
+    /// experiments.
+    #[arg(long, requires = "resume", hide_short_help = true)]
+    pub(in crate::cli) accept_changes: bool,
     /// Print the simulations on stdout as CSV.
     #[arg(long, conflicts_with = "json")]
     pub(in crate::cli) csv: bool,
@@ -99,6 +105,7 @@ impl SimulateArguments {
             agents: self.agents.clone(),
             roots: self.split.data.roots(),
             retry_failed: self.retry_failed,
+            accept_changes: self.accept_changes,
             ..Request::default()
         })
     }
@@ -108,7 +115,7 @@ impl SimulateArguments {
 #[derive(Debug, Args)]
 pub(in crate::cli) struct PlanArguments {
     /// The scenario, as `simulate` takes it [default: one generated scenario].
-    #[arg(long, value_name = "SCENARIO")]
+    #[arg(long, value_name = "SCENARIO", value_parser = path_word())]
     pub(in crate::cli) scenario: Option<String>,
     #[command(flatten)]
     pub(in crate::cli) data: DataArguments,

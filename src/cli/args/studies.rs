@@ -3,6 +3,7 @@
 use super::data::DataArguments;
 use super::model::ModelArguments;
 use crate::cli::help;
+use crate::cli::words::path_word;
 use crate::planner::PlannerRegistry;
 use crate::runner::ExperimentsRequest;
 use clap::{Args, ValueEnum};
@@ -51,7 +52,7 @@ pub(in crate::cli) struct ExperimentArguments {
     #[arg(long = "suite", value_name = "NAMES", value_delimiter = ',')]
     pub(in crate::cli) suites: Vec<String>,
     /// Scenarios of the suite recorded, as `simulate` takes them [default: the recordings in `$PLANAGENT_DATA`].
-    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1..)]
+    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word())]
     pub(in crate::cli) scenarios: Vec<String>,
     #[command(flatten)]
     pub(in crate::cli) data: DataArguments,

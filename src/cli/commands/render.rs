@@ -23,7 +23,6 @@ pub(in crate::cli) fn run(flags: &RenderArguments, printer: Printer) -> anyhow::
     let rows = chosen(flags, &run, simulation)?;
     if is_file {
         let [row] = rows.as_slice() else { return Err(several(&rows)) };
-        output.check_folder()?;
         write(flags, &run, row, &output, printer)?;
         return Ok(Exit::Success);
     }
@@ -122,12 +121,14 @@ fn write(
     printer: Printer,
 ) -> anyhow::Result<()> {
     let rate = NonZeroU32::new(flags.fps).context("--fps is 0; a film needs frames")?;
+    let shown = output.path();
+    let output = output.behind_links()?;
     let choice = SimulationChoice { simulation: row.number.to_string(), planner: None, challenge: None };
     let film = Film::open(run, &choice, Look { pixels: flags.pixels, meters: flags.view })?;
     let frames = (film.iterations() as f64 * STEP_S * f64::from(flags.fps)).ceil() as u64;
     let bar = printer.progress(frames, "frames");
     let on_frame = || bar.inc(1);
-    match output {
+    match &output {
         FilmFile::Gif(path) => write_gif(&film, rate, path, &on_frame)?,
         FilmFile::Mp4(path) => write_mp4(&film, rate, path, &on_frame)?,
         FilmFile::Png(path) => {
@@ -139,6 +140,6 @@ fn write(
         }
     }
     bar.finish_and_clear();
-    printer.line(output.path().display().to_string());
+    printer.line(shown.display().to_string());
     Ok(())
 }

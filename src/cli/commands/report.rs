@@ -1,7 +1,7 @@
 //! `planagent report`.
 
 use crate::cli::args::ReportArguments;
-use crate::cli::picture::check_folder;
+use crate::cli::picture::{check_folder, target_of};
 use crate::cli::{Exit, Printer};
 use crate::report::last_run;
 use crate::report::page::{self, PAGE, PageSettings};
@@ -20,7 +20,11 @@ pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::
         runs.push(last_run()?);
     }
     let first = runs.first().context("name the folder of a run")?;
-    let out = flags.out.clone().unwrap_or_else(|| first.join(PAGE));
+    // A link within the folder of a run is not followed: the run may come from elsewhere.
+    let out = match &flags.out {
+        Some(out) => target_of(out)?,
+        None => first.join(PAGE),
+    };
     check_folder(&out)?;
     let settings = PageSettings { max_bytes: (flags.max_mb * MEGABYTE) as usize, scenario: flags.scenario.clone() };
     let bar = printer.progress(0, "simulations");

@@ -10,7 +10,7 @@ use reqwest::{StatusCode, Url};
 use serde_json::Value;
 
 use super::key::ApiKey;
-use super::reply::{Reply, error_message, read_stream, read_whole};
+use super::reply::{Listen, Reply, error_message, read_stream, read_whole, shortened};
 use crate::mllm::{Deadline, EndpointFailure, EndpointSettings, MllmError};
 
 /// Maximum wait before a retry, unless the server asks for a longer one.
@@ -123,7 +123,11 @@ impl Client {
             .get(CONTENT_TYPE)
             .and_then(|kind| kind.to_str().ok())
             .is_some_and(|kind| kind.starts_with("text/event-stream"));
-        let reply = if streamed { read_stream(response, on_text) } else { read_whole(response, on_text) };
+        let hide = |text: &str| self.hide(text);
+        // A piece of an answer may end within the key: with one, the answer is shown as a whole.
+        let whole = self.key.is_some();
+        let listen = Listen { hide: &hide, whole, on_text };
+        let reply = if streamed { read_stream(response, listen) } else { read_whole(response, listen) };
         reply.map_err(|failure| self.redacted(failure).into())
     }
 
@@ -145,8 +149,8 @@ impl Client {
         let retry_after =
             response.headers().get(RETRY_AFTER).and_then(|wait| retry_after(wait.to_str().ok()?, SystemTime::now()));
         let message = match response.headers().get(reqwest::header::LOCATION).and_then(|place| place.to_str().ok()) {
-            Some(place) => format!("the address moved to {place}"),
-            None => error_message(response),
+            Some(place) => format!("the address moved to {}", shortened(&self.hide(place))),
+            None => error_message(response, &|text| self.hide(text)),
         };
         let failure = if status.is_server_error() || status == StatusCode::TOO_MANY_REQUESTS {
             EndpointFailure::Unavailable { status: status.as_u16(), message }
@@ -154,6 +158,11 @@ impl Client {
             EndpointFailure::Refused { status: status.as_u16(), message }
         };
         Failed { failure: self.redacted(failure), retry_after }
+    }
+
+    /// A text of the server without the API key.
+    fn hide(&self, text: &str) -> String {
+        self.key.as_ref().map_or_else(|| text.to_owned(), |key| key.hide(text))
     }
 
     /// Sets the time limit of a failure and removes the API key from its text.
@@ -165,9 +174,7 @@ impl Client {
             | EndpointFailure::InvalidReply(text)
             | EndpointFailure::Unavailable { message: text, .. }
             | EndpointFailure::Refused { message: text, .. } => {
-                if let Some(key) = &self.key {
-                    *text = key.hide(text);
-                }
+                *text = self.hide(text);
             }
             EndpointFailure::Wait { .. } | EndpointFailure::TooLong(_) => {}
         }

@@ -1,11 +1,14 @@
 //! The API key of a server. It comes from the environment and never appears in output.
 
+mod forms;
+
 use std::ffi::OsString;
 use std::fmt;
 
 use reqwest::header::HeaderValue;
 
 use crate::mllm::MllmError;
+use forms::Forms;
 
 /// Replacement of the key in texts.
 const HIDDEN: &str = "[key]";
@@ -13,7 +16,7 @@ const HIDDEN: &str = "[key]";
 /// A key. It has no `Display`, its `Debug` hides it, and [`Self::hide`] removes it from the server's texts.
 #[derive(Clone)]
 pub(super) struct ApiKey {
-    text: String,
+    forms: Forms,
     header: HeaderValue,
 }
 
@@ -36,7 +39,7 @@ impl ApiKey {
         let mut header = HeaderValue::from_str(&format!("Bearer {text}"))
             .map_err(|_| "has characters that a header cannot carry")?;
         header.set_sensitive(true);
-        Ok(Self { text, header })
+        Ok(Self { forms: Forms::of(&text), header })
     }
 
     /// The value of the `Authorization` header.
@@ -44,8 +47,15 @@ impl ApiKey {
         self.header.clone()
     }
 
+    /// The text without the key: as it is, escaped, in base64 or hexadecimal digits, and without its longer parts. It must be
+    /// called before a text is cut, because a short rest of the key would stay.
     pub(super) fn hide(&self, text: &str) -> String {
-        text.replace(&self.text, HIDDEN)
+        self.forms.replaced(text, HIDDEN)
+    }
+
+    /// Whether a text has the key in it.
+    pub(super) fn is_in(&self, text: &str) -> bool {
+        self.hide(text) != text
     }
 }
 

@@ -33,6 +33,13 @@ impl Endpoint {
         let url = settings.url().map_err(invalid)?;
         let url = Url::parse(&url).map_err(|error| invalid(format!("{url} is not an address: {error}")))?;
         let key = settings.key_env.as_deref().map(ApiKey::from_environment).transpose()?;
+        if let (Some(key), Some(variable)) = (&key, &settings.key_env)
+            && settings.extra.iter().any(|(field, value)| key.is_in(field) || key.is_in(&value.to_string()))
+        {
+            return Err(invalid(format!(
+                "extra of the description has the API key in it; remove it there, because the variable {variable} has it"
+            )));
+        }
         Ok(Self { name: name.to_string(), settings: settings.clone(), client: Client::new(settings, url, key)? })
     }
 }

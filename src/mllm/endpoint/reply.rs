@@ -12,6 +12,17 @@ pub(super) const MAX_BYTES: u64 = 4 << 20;
 /// Maximum characters of a server's text in a message.
 const MAX_SHOWN: usize = 300;
 
+/// Removes the API key from a text.
+pub(super) type Hide<'a> = &'a dyn Fn(&str) -> String;
+
+/// How an answer is passed on while it comes.
+pub(super) struct Listen<'a> {
+    pub(super) hide: Hide<'a>,
+    /// Whether the answer is passed on at its end and not in pieces.
+    pub(super) whole: bool,
+    pub(super) on_text: &'a mut dyn FnMut(&str),
+}
+
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Reply {
     pub(super) content: String,
@@ -81,12 +92,14 @@ struct Gathered {
 }
 
 impl Gathered {
-    fn add(&mut self, text: &str, on_text: &mut dyn FnMut(&str)) -> Result<(), EndpointFailure> {
+    fn add(&mut self, text: &str, listen: &mut Listen<'_>) -> Result<(), EndpointFailure> {
         let invalid = |problem: String| EndpointFailure::InvalidReply(problem);
-        let part: Completion =
-            serde_json::from_str(text).map_err(|error| invalid(format!("{error} in '{}'", shortened(text))))?;
+        let hide = listen.hide;
+        let shown = |text: &str| shortened(&hide(text));
+        let part: Completion = serde_json::from_str(text)
+            .map_err(|error| invalid(format!("{} in '{}'", shown(&error.to_string()), shown(text))))?;
         if let Some(error) = part.error {
-            return Err(invalid(message_of(&error)));
+            return Err(invalid(message_of(&error, hide)));
         }
         if let Some(usage) = &part.usage {
             self.tokens = usage.into();
@@ -94,31 +107,38 @@ impl Gathered {
         let Some(choice) = part.choices.into_iter().next() else { return Ok(()) };
         let message = choice.message.unwrap_or_default();
         if let Some(refusal) = message.refusal.filter(|refusal| !refusal.is_empty()) {
-            return Err(invalid(format!("the model refuses: {}", shortened(&refusal))));
+            return Err(invalid(format!("the model refuses: {}", shown(&refusal))));
         }
         if let Some(content) = message.content.filter(|content| !content.is_empty()) {
             self.first_text.get_or_insert_with(Instant::now);
             self.content.push_str(&content);
-            on_text(&content);
+            if !listen.whole {
+                (listen.on_text)(&content);
+            }
         }
         self.finish = match choice.finish_reason.as_deref() {
             None => self.finish,
             Some("stop") => Some(FinishReason::EndOfSequence),
             Some("length") => Some(FinishReason::Length),
-            Some(other) => return Err(invalid(format!("unknown finish_reason '{}'", shortened(other)))),
+            Some(other) => return Err(invalid(format!("unknown finish_reason '{}'", shown(other)))),
         };
         Ok(())
     }
 
     /// The complete answer; `None` before its finish reason arrived.
-    fn complete(self) -> Option<Reply> {
+    fn complete(self, listen: &mut Listen<'_>) -> Option<Reply> {
         let Self { content, finish, tokens, first_text } = self;
-        finish.map(|finish| Reply { content, finish, tokens, first_text })
+        // Only the whole answer: an event may end within the key.
+        let (finish, content) = (finish?, (listen.hide)(&content));
+        if listen.whole && !content.is_empty() {
+            (listen.on_text)(&content);
+        }
+        Some(Reply { content, finish, tokens, first_text })
     }
 }
 
-/// Reads a chat completion in one piece. `on_text` gets its text.
-pub(super) fn read_whole(body: impl Read, on_text: &mut dyn FnMut(&str)) -> Result<Reply, EndpointFailure> {
+/// Reads a chat completion in one piece.
+pub(super) fn read_whole(body: impl Read, mut listen: Listen<'_>) -> Result<Reply, EndpointFailure> {
     let mut bytes = Vec::new();
     body.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(|error| incomplete(&error))?;
     if bytes.len() as u64 > MAX_BYTES {
@@ -126,18 +146,17 @@ pub(super) fn read_whole(body: impl Read, on_text: &mut dyn FnMut(&str)) -> Resu
     }
     let text = String::from_utf8_lossy(&bytes);
     let mut gathered = Gathered::default();
-    gathered.add(&text, on_text)?;
+    gathered.add(&text, &mut listen)?;
     gathered.first_text = None;
-    gathered
-        .complete()
-        .ok_or_else(|| EndpointFailure::InvalidReply(format!("no finished choice in '{}'", shortened(&text))))
+    let unfinished = format!("no finished choice in '{}'", shortened(&(listen.hide)(&text)));
+    gathered.complete(&mut listen).ok_or(EndpointFailure::InvalidReply(unfinished))
 }
 
 /// Reads a streamed chat completion. `on_text` gets its pieces.
 ///
 /// # Errors
 /// As [`read_whole`]; a stream without the end of the answer is incomplete.
-pub(super) fn read_stream(body: impl Read, on_text: &mut dyn FnMut(&str)) -> Result<Reply, EndpointFailure> {
+pub(super) fn read_stream(body: impl Read, mut listen: Listen<'_>) -> Result<Reply, EndpointFailure> {
     let mut lines = BufReader::new(body.take(MAX_BYTES + 1));
     let mut gathered = Gathered::default();
     let mut read = 0;
@@ -153,29 +172,29 @@ pub(super) fn read_stream(body: impl Read, on_text: &mut dyn FnMut(&str)) -> Res
         let text = String::from_utf8_lossy(&line);
         match text.strip_prefix("data:").map(str::trim) {
             Some("[DONE]") => break,
-            Some(event) if !event.is_empty() => gathered.add(event, on_text)?,
+            Some(event) if !event.is_empty() => gathered.add(event, &mut listen)?,
             _ if length == 0 => break,
             _ => {}
         }
     }
-    gathered.complete().ok_or_else(|| EndpointFailure::Closed("the stream ended before the answer".into()))
+    gathered.complete(&mut listen).ok_or_else(|| EndpointFailure::Closed("the stream ended before the answer".into()))
 }
 
 /// The message of an error response: that of `OpenAI`'s error object, else the beginning of the body.
-pub(super) fn error_message(body: impl Read) -> String {
+pub(super) fn error_message(body: impl Read, hide: Hide<'_>) -> String {
     let mut bytes = Vec::new();
     // The status is the error; an unreadable explanation adds none.
     let _ = body.take(MAX_BYTES).read_to_end(&mut bytes);
     let text = String::from_utf8_lossy(&bytes);
     match serde_json::from_str::<Completion>(&text) {
-        Ok(Completion { error: Some(error), .. }) => message_of(&error),
-        _ => shortened(text.trim()),
+        Ok(Completion { error: Some(error), .. }) => message_of(&error, hide),
+        _ => shortened(&hide(text.trim())),
     }
 }
 
-fn message_of(error: &serde_json::Value) -> String {
+fn message_of(error: &serde_json::Value, hide: Hide<'_>) -> String {
     let message = error.get("message").unwrap_or(error);
-    shortened(&message.as_str().map_or_else(|| message.to_string(), ToString::to_string))
+    shortened(&hide(&message.as_str().map_or_else(|| message.to_string(), ToString::to_string)))
 }
 
 fn incomplete(error: &std::io::Error) -> EndpointFailure {
@@ -189,7 +208,8 @@ fn incomplete(error: &std::io::Error) -> EndpointFailure {
     }
 }
 
-fn shortened(text: &str) -> String {
+/// The beginning of a text, which must not have the key in it.
+pub(super) fn shortened(text: &str) -> String {
     match text.char_indices().nth(MAX_SHOWN) {
         None => text.to_string(),
         Some((end, _)) => format!("{}...", &text[..end]),
@@ -205,7 +225,8 @@ mod tests {
         let body = r#"{"id": "x", "choices": [{"index": 0, "message": {"role": "assistant", "content": "keep"},
             "finish_reason": "length"}], "usage": {"prompt_tokens": 12, "completion_tokens": 3, "total_tokens": 15,
             "prompt_tokens_details": {"cached_tokens": 8}}}"#;
-        let reply = read_whole(body.as_bytes(), &mut |_| ()).unwrap();
+        let reply =
+            read_whole(body.as_bytes(), Listen { hide: &str::to_owned, whole: false, on_text: &mut |_| () }).unwrap();
         assert_eq!((reply.content.as_str(), reply.finish), ("keep", FinishReason::Length));
         assert_eq!(reply.tokens, TokenCounts { text: 4, cached: 8, sampled: 3, ..TokenCounts::default() });
         assert_eq!(reply.first_text, None);
@@ -218,7 +239,8 @@ mod tests {
             data:{\"choices\":[{\"delta\":{\"content\":\"ep\"}}]}\n\n\
             data: {\"choices\":[{\"delta\":{},\"finish_reason\":\"stop\"}]}\n\n\
             data: {\"choices\":[],\"usage\":{\"prompt_tokens\":5,\"completion_tokens\":2}}\n\ndata: [DONE]\n\n";
-        let reply = read_stream(body.as_bytes(), &mut |_| ()).unwrap();
+        let reply =
+            read_stream(body.as_bytes(), Listen { hide: &str::to_owned, whole: false, on_text: &mut |_| () }).unwrap();
         assert_eq!((reply.content.as_str(), reply.finish), ("keep", FinishReason::EndOfSequence));
         assert_eq!((reply.tokens.text, reply.tokens.sampled), (5, 2));
         assert!(reply.first_text.is_some());
@@ -226,14 +248,20 @@ mod tests {
 
     #[test]
     fn nonsense_and_broken_answers_are_told_apart() {
-        let whole = |body: &str| read_whole(body.as_bytes(), &mut |_| ()).unwrap_err();
+        let whole = |body: &str| {
+            read_whole(body.as_bytes(), Listen { hide: &str::to_owned, whole: false, on_text: &mut |_| () })
+                .unwrap_err()
+        };
         for invalid in ["", "<html>", "[]", "{}", r#"{"choices": []}"#, r#"{"choices": [{"message": {"content": 3}}]}"#]
         {
             assert!(matches!(whole(invalid), EndpointFailure::InvalidReply(_)), "{invalid}");
         }
         let refusal = r#"{"choices":[{"message":{"refusal":"I cannot"},"finish_reason":"stop"}]}"#;
         assert!(whole(refusal).to_string().contains("I cannot"));
-        let stream = |body: &str| read_stream(body.as_bytes(), &mut |_| ()).unwrap_err();
+        let stream = |body: &str| {
+            read_stream(body.as_bytes(), Listen { hide: &str::to_owned, whole: false, on_text: &mut |_| () })
+                .unwrap_err()
+        };
         let cut = "data: {\"choices\":[{\"delta\":{\"content\":\"ke\"}}]}\n\n";
         assert!(matches!(stream(cut), EndpointFailure::Closed(_)));
         assert!(
@@ -244,16 +272,23 @@ mod tests {
     #[test]
     fn an_endless_answer_is_not_read_to_its_end() {
         let endless = std::io::repeat(b' ');
-        assert_eq!(read_whole(endless, &mut |_| ()).unwrap_err(), EndpointFailure::TooLong(MAX_BYTES));
+        assert_eq!(
+            read_whole(endless, Listen { hide: &str::to_owned, whole: false, on_text: &mut |_| () }).unwrap_err(),
+            EndpointFailure::TooLong(MAX_BYTES)
+        );
         let endless = std::io::repeat(b'\n');
-        assert_eq!(read_stream(endless, &mut |_| ()).unwrap_err(), EndpointFailure::TooLong(MAX_BYTES));
+        assert_eq!(
+            read_stream(endless, Listen { hide: &str::to_owned, whole: false, on_text: &mut |_| () }).unwrap_err(),
+            EndpointFailure::TooLong(MAX_BYTES)
+        );
     }
 
     #[test]
     fn errors_are_told_in_the_servers_words() {
-        assert_eq!(error_message(&br#"{"error": {"message": "no such model", "code": 404}}"#[..]), "no such model");
-        assert_eq!(error_message(&br#"{"error": "busy"}"#[..]), "busy");
-        assert_eq!(error_message(&b" Bad gateway\n"[..]), "Bad gateway");
-        assert_eq!(error_message("x".repeat(1000).as_bytes()).len(), MAX_SHOWN + 3);
+        let message = |body: &[u8]| error_message(body, &str::to_owned);
+        assert_eq!(message(br#"{"error": {"message": "no such model", "code": 404}}"#), "no such model");
+        assert_eq!(message(br#"{"error": "busy"}"#), "busy");
+        assert_eq!(message(b" Bad gateway\n"), "Bad gateway");
+        assert_eq!(message("x".repeat(1000).as_bytes()).len(), MAX_SHOWN + 3);
     }
 }

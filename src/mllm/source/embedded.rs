@@ -58,6 +58,11 @@ impl EmbeddedModel {
         EMBEDDED
     }
 
+    /// Its small files: names and texts.
+    pub(crate) fn texts(&self) -> &'static [(&'static str, &'static str)] {
+        self.texts
+    }
+
     pub fn find(name: &str) -> Option<&'static Self> {
         EMBEDDED.iter().find(|model| model.name == name)
     }

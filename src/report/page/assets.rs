@@ -45,14 +45,18 @@ pub(super) fn size() -> usize {
 
 /// The page; `data` is markup.
 pub(super) fn page(title: &str, data: &str) -> String {
-    let parts = [
-        ("{{title}}", escaped(title)),
-        ("{{style}}", STYLES.concat()),
-        ("{{script}}", SCRIPTS.concat()),
-        ("{{data}}", data.to_owned()),
-    ];
-    // The data comes last, so no placeholder is searched in it.
-    parts.iter().fold(MARKUP.to_owned(), |page, (place, text)| page.replacen(place, text, 1))
+    let (title, style, script) = (escaped(title), STYLES.concat(), SCRIPTS.concat());
+    let parts = [("{{title}}", title.as_str()), ("{{style}}", &style), ("{{data}}", data), ("{{script}}", &script)];
+    // Placeholders are looked for in the markup alone: a title or the data may have the same words.
+    let (mut page, mut rest) = (String::new(), MARKUP);
+    for (place, text) in parts {
+        if let Some((before, after)) = rest.split_once(place) {
+            page.push_str(before);
+            page.push_str(text);
+            rest = after;
+        }
+    }
+    page + rest
 }
 
 #[cfg(test)]
@@ -70,6 +74,15 @@ mod tests {
             assert!(!page.contains(word), "the page has {word}");
         }
         assert_eq!(SCRIPTS.iter().filter(|script| script.contains("</script")).count(), 0);
+    }
+
+    #[test]
+    fn a_title_may_look_like_a_placeholder() {
+        for title in ["{{data}}", "{{style}} {{script}} {{title}}"] {
+            let page = page(title, "<i>the data</i>");
+            assert!(page.contains(&format!("<title>{title}</title>")) && page.matches("<i>the data</i>").count() == 1);
+            assert!(page.contains(SCRIPTS[0]) && page.contains(STYLES[0]));
+        }
     }
 
     #[test]

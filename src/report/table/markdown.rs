@@ -11,6 +11,8 @@ impl Table {
         };
         let rules: Vec<String> = self.alignment.iter().map(rule).collect();
         let lines = [&self.headers, &rules].into_iter().chain(&self.rows);
-        lines.flat_map(|cells| ["| ".to_owned(), cells.join(" | "), " |\n".to_owned()]).collect()
+        let cell = |cell: &String| cell.replace('|', "\\|");
+        let line = |cells: &Vec<String>| cells.iter().map(cell).collect::<Vec<_>>().join(" | ");
+        lines.flat_map(|cells| ["| ".to_owned(), line(cells), " |\n".to_owned()]).collect()
     }
 }

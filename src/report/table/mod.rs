@@ -13,6 +13,7 @@ use super::number::fixed;
 use super::simulation_row::SimulationRow;
 use super::summary::Summary;
 use super::timing::PlannerTiming;
+use super::visible::visible_line;
 use crate::metrics::MetricList;
 use crate::simulation::Challenge;
 
@@ -46,7 +47,9 @@ impl Table {
     ) -> Self {
         let headers: Vec<String> = headers.into_iter().map(Into::into).collect();
         let side = |column| if column < names { Alignment::Left } else { Alignment::Right };
-        Self { alignment: (0..headers.len()).map(side).collect(), headers, rows: rows.into_iter().collect() }
+        // Names come from recordings and models.
+        let shown = |row: Vec<String>| row.into_iter().map(|cell| visible_line(&cell).into_owned()).collect();
+        Self { alignment: (0..headers.len()).map(side).collect(), headers, rows: rows.into_iter().map(shown).collect() }
     }
 }
 

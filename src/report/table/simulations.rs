@@ -4,6 +4,7 @@ use super::{Table, fill, or_dash, percent, short};
 use crate::metrics::{MetricList, distinct};
 use crate::report::number::fixed;
 use crate::report::simulation_row::SimulationRow;
+use crate::report::visible::visible_line;
 use console::style;
 use std::fmt::Write;
 
@@ -67,7 +68,7 @@ pub(super) fn zeroed(rows: &[SimulationRow]) -> String {
     let mut scenario = None;
     for row in rows.iter().filter(|row| !row.zeroed_by.is_empty()) {
         if scenario.replace(&row.scenario) != Some(&row.scenario) {
-            lines.push(row.scenario.clone());
+            lines.push(visible_line(&row.scenario).into_owned());
         }
         let names = row.zeroed_by.iter();
         lines.extend(names.map(|name| format!("  {} {}: 0 because of {name}", row.planner, short(row.challenge))));
@@ -92,7 +93,7 @@ pub fn failures(rows: &[SimulationRow]) -> Vec<String> {
     let line = |(row, error): (&SimulationRow, &String)| {
         // The error of a file begins with its path, which names the scenario too.
         let error = error.strip_prefix(row.scenario.as_str()).and_then(|rest| rest.strip_prefix(": ")).unwrap_or(error);
-        format!("{} ({}, {}): {error}", row.scenario, row.planner, row.challenge)
+        format!("{} ({}, {}): {error}", visible_line(&row.scenario), row.planner, row.challenge)
     };
     failed.map(line).collect()
 }

@@ -10,7 +10,7 @@ use crate::runner::error::RunnerError;
 use crate::runner::event::{Event, Listener};
 use crate::runner::model::{self, OpenModel};
 use crate::runner::request::Commands;
-use crate::runner::run::{Run, RunPlan};
+use crate::runner::run::{Resume, Run, RunPlan};
 use crate::runner::selection::tasks;
 use crate::runner::simulate::manifest;
 use crate::simulation::Challenge;
@@ -66,7 +66,8 @@ impl<'a> PlannedRuns<'a> {
         let challenges = Challenge::CLOSED_LOOP.iter().map(ToString::to_string).collect();
         let relevant = relevant(config, needs);
         let planners = (vec![planner.to_string()], &commands);
-        let manifest = manifest(planners, challenges, suite.list.clone(), loaded.as_ref(), &relevant)?;
+        let scenarios = (suite.list.clone(), suite.data.clone());
+        let manifest = manifest(planners, challenges, scenarios, loaded.as_ref(), &relevant)?;
         let digest = manifest.digest();
         let name = format!("{planner}-{}-{}", suite.name, digest.get(..DIGEST).unwrap_or(&digest));
         if let Some(loaded) = &loaded {
@@ -120,6 +121,7 @@ impl<'a> PlannedRuns<'a> {
 
     /// Opens the folders of all runs.
     pub(super) fn open(self, folder: &Path, retry_failed: bool) -> Result<OpenRuns<'a>, RunnerError> {
+        let how = Resume { retry_failed, accept_changes: false };
         let mut runs = OpenRuns { listener: self.listener, open: BTreeMap::new(), ended: BTreeMap::new() };
         for (name, plan) in self.plans {
             let path = folder.join(&name);
@@ -127,14 +129,15 @@ impl<'a> PlannedRuns<'a> {
                 runs.open.insert(name, Run::create(Some(&path), plan)?);
                 continue;
             }
-            RunFolder::manifest(&path)?;
+            let changes = RunFolder::manifest(&path)?.changed_inputs(&plan.manifest);
+            RunFolder::check_inputs(&path, &changes, false)?;
             let has_results = path.join(SUMMARY).is_file();
             let rows = if has_results { RunFolder::read_completed(&path)?.rows } else { Vec::new() };
             let retries = retry_failed && rows.iter().any(|row| row.error.is_some());
             if has_results && rows.len() == plan.numbers.len() && !retries {
                 runs.ended.insert(name, rows);
             } else {
-                runs.open.insert(name, Run::resume(&path, plan, retry_failed, self.listener)?);
+                runs.open.insert(name, Run::resume(&path, plan, how, self.listener)?);
             }
         }
         Ok(runs)

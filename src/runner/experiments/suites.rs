@@ -3,9 +3,11 @@
 use super::request::ExperimentsRequest;
 use crate::experiment::study::Quick;
 use crate::experiment::suite::RECORDED;
-use crate::report::ScenarioList;
+use crate::files::word_of;
+use crate::report::{DataFile, ScenarioList};
 use crate::runner::error::RunnerError;
 use crate::runner::event::{Event, Listener};
+use crate::runner::inputs::data_files;
 use crate::runner::sample::Sample;
 use crate::runner::selection::{Selected, absolute, scenario_list, select};
 use crate::scenario::{DataRoots, RECORDINGS, Readers, ScenarioRef, absolute_path};
@@ -22,6 +24,8 @@ pub(super) struct SelectedSuite {
     pub(super) sources: Vec<ScenarioRef>,
     /// The same as a run's manifest lists them.
     pub(super) list: ScenarioList,
+    /// Their files.
+    pub(super) data: BTreeMap<String, DataFile>,
 }
 
 /// The suites of a session; each is searched once.
@@ -87,7 +91,8 @@ impl<'a> Suites<'a> {
         let list = scenario_list(&sources, named, self.roots.clone())?;
         // A filter file goes by its name without the folder and the ending.
         let stem = Path::new(name).file_stem().map(|stem| stem.to_string_lossy().into_owned());
-        Ok(SelectedSuite { name: stem.unwrap_or_else(|| name.to_owned()), sources, list })
+        let data = data_files(&sources, None);
+        Ok(SelectedSuite { name: stem.unwrap_or_else(|| name.to_owned()), sources, list, data })
     }
 
     /// The words that name recordings.
@@ -97,7 +102,7 @@ impl<'a> Suites<'a> {
         }
         let data = std::env::var_os(DATA).filter(|folder| !folder.is_empty()).map(PathBuf::from);
         let folders = data.into_iter().flat_map(|data| RECORDINGS.map(|folder| data.join(folder)));
-        let words = folders.filter(|folder| folder.is_dir()).map(|folder| folder.to_string_lossy().into_owned());
+        let words = folders.filter(|folder| folder.is_dir()).map(|folder| word_of(folder.as_os_str()));
         words.map(|word| absolute_path(&word)).collect()
     }
 }

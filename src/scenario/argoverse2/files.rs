@@ -42,6 +42,14 @@ impl LogFiles {
         let map = map_in(folder)?.ok_or_else(|| missing("log_map_archive_*.json"))?;
         Ok(Self::Forecasting { tracks, map })
     }
+
+    /// All of them.
+    pub(super) fn paths(self) -> Vec<PathBuf> {
+        match self {
+            Self::Sensor(SensorFiles { poses, annotations, map }) => vec![poses, annotations, map],
+            Self::Forecasting { tracks, map } => vec![tracks, map],
+        }
+    }
 }
 
 fn map_in(folder: &Path) -> Result<Option<PathBuf>, Argoverse2Error> {

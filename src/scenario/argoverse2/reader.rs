@@ -1,23 +1,25 @@
 //! Argoverse 2 logs in the registry of readers.
 
+use super::files::LogFiles;
 use super::{contents, is_log, logs_in, name, open};
+use crate::files::{path_of, word_of};
 use crate::scenario::{Contents, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Takes folders that hold a log.
 pub struct Argoverse2Reader;
 
 impl ScenarioReader for Argoverse2Reader {
     fn recognizes(&self, word: &str) -> Recognition {
-        if is_log(Path::new(word)) { Recognition::Certain } else { Recognition::No }
+        if is_log(&path_of(word)) { Recognition::Certain } else { Recognition::No }
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
-        let path = Path::new(word);
-        let folders = if is_log(path) { vec![path.to_owned()] } else { logs_in(path).map_err(ReaderError::new)? };
+        let path = &path_of(word);
+        let folders = if is_log(path) { vec![path.clone()] } else { logs_in(path).map_err(ReaderError::new)? };
         let reference = |folder: PathBuf| {
             let name = name(&folder);
-            ScenarioRef::new(folder.display().to_string(), Log(folder.clone()))
+            ScenarioRef::new(word_of(folder.as_os_str()), Log(folder.clone()))
                 .with_id(name.clone())
                 .with_log_name(name)
                 .in_file(folder, "")
@@ -36,6 +38,10 @@ struct Log(PathBuf);
 impl OpenScenario for Log {
     fn open(&self) -> Result<Scenario, ReaderError> {
         open(&self.0).map_err(ReaderError::new)
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        LogFiles::of(&self.0).map(LogFiles::paths).unwrap_or_default()
     }
 
     fn contents(&self) -> Result<Option<Contents>, ReaderError> {

@@ -2,6 +2,7 @@
 
 use super::error::{Argoverse2Error, LogFault};
 use super::{cells, ipc_bounds};
+use crate::files;
 use crate::scenario::recording::motion::MAX_COORDINATE;
 use arrow_array::{Array, RecordBatch};
 use arrow_ipc::reader::FileReader;
@@ -11,7 +12,7 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::errors::ParquetError;
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::Cursor;
+use std::io::{Cursor, Read};
 use std::panic::{UnwindSafe, catch_unwind};
 use std::path::Path;
 
@@ -27,7 +28,9 @@ pub(super) struct Table {
 impl Table {
     /// Reads a Feather file of version 2 (an Arrow IPC file; uncompressed, LZ4 or ZSTD).
     pub(super) fn feather(path: &Path) -> Result<Self, Argoverse2Error> {
-        let bytes = std::fs::read(path).map_err(Argoverse2Error::at(path))?;
+        let mut bytes = Vec::new();
+        let read = files::open(path).and_then(|mut file| file.read_to_end(&mut bytes));
+        read.map_err(Argoverse2Error::at(path))?;
         let table =
             if bytes.starts_with(FEATHER_1) { Err(LogFault::OldFeather) } else { guarded(|| Self::of_ipc(&bytes)) };
         table.map_err(Argoverse2Error::at(path))
@@ -35,7 +38,7 @@ impl Table {
 
     /// Reads a Parquet file (uncompressed or Snappy).
     pub(super) fn parquet(path: &Path) -> Result<Self, Argoverse2Error> {
-        let file = File::open(path).map_err(Argoverse2Error::at(path))?;
+        let file = files::open(path).map_err(Argoverse2Error::at(path))?;
         guarded(|| Self::of_parquet(&file)).map_err(Argoverse2Error::at(path))
     }
 

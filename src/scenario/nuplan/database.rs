@@ -5,9 +5,11 @@
 use super::error::{CellFault, CellPlace, FileFault, NuPlanError, RowName};
 use super::schema::Table;
 use super::token::{TOKEN_BYTES, Token};
+use crate::files;
+use rusqlite::config::DbConfig;
+use rusqlite::limits::Limit;
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, ErrorCode, OpenFlags, Params, Row};
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -25,13 +27,16 @@ impl Database {
         check_bytes(path)?;
         check_finished(path)?;
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let connection = Connection::open_with_flags(immutable_uri(path), flags)
-            .map_err(|source| NuPlanError::file(path, FileFault::Sqlite { reading: "the file".to_owned(), source }))?;
+        let failed = |source| NuPlanError::file(path, FileFault::Sqlite { reading: "the file".to_owned(), source });
+        let mut connection = Connection::open_with_flags(immutable_uri(path), flags).map_err(failed)?;
+        let bytes = std::fs::metadata(path).map_err(|source| NuPlanError::file(path, FileFault::Open(source)))?.len();
+        harden(&mut connection, bytes).map_err(failed)?;
         Ok(Self { path: path.to_owned(), connection })
     }
 
     /// Checks that a table has its columns; `kind` says what the file should be.
     pub(super) fn require(&self, table: Table, kind: &'static str) -> Result<(), NuPlanError> {
+        self.require_real(table)?;
         let present = self.columns(table.name)?;
         if present.is_empty() {
             return Err(NuPlanError::file(&self.path, FileFault::MissingTable { table: table.name, kind }));
@@ -40,6 +45,28 @@ impl Database {
             Some(column) => Err(NuPlanError::file(&self.path, FileFault::MissingColumn { table: table.name, column })),
             None => Ok(()),
         }
+    }
+
+    /// Refuses a view or a virtual table of this name, which are programs: reading one may never end.
+    fn require_real(&self, table: Table) -> Result<(), NuPlanError> {
+        let read = || {
+            let query =
+                "SELECT type, rootpage FROM sqlite_schema WHERE name = ?1 COLLATE NOCASE AND type IN ('table', 'view')";
+            let mut statement = self.connection.prepare(query)?;
+            let found =
+                statement.query_map([table.name], |row| Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?)))?;
+            found.collect::<rusqlite::Result<Vec<_>>>()
+        };
+        let found = read().map_err(|source| self.failed("the list of tables", source))?;
+        for (kind, first_page) in found {
+            let kind = match (kind.as_str(), first_page) {
+                ("view", _) => "a view",
+                (_, 0) => "a virtual table",
+                _ => continue,
+            };
+            return Err(NuPlanError::file(&self.path, FileFault::NoRealTable { table: table.name, kind }));
+        }
+        Ok(())
     }
 
     fn columns(&self, table: &str) -> Result<Vec<String>, NuPlanError> {
@@ -113,6 +140,7 @@ impl Database {
         let reading = format!("table {reading}");
         let fault = match source.sqlite_error_code() {
             Some(ErrorCode::NotADatabase) => FileFault::NotADatabase,
+            Some(ErrorCode::OperationInterrupted) => FileFault::TooManySteps { reading },
             Some(ErrorCode::DatabaseCorrupt | ErrorCode::SystemIoFailure) => FileFault::Damaged { reading, source },
             _ => FileFault::Sqlite { reading, source },
         };
@@ -120,11 +148,43 @@ impl Database {
     }
 }
 
+/// Steps of `SQLite`'s machine between two looks at the budget.
+const STEPS_A_LOOK: i32 = 10_000;
+/// Steps that every file may take.
+const MIN_STEPS: u64 = 20_000_000;
+/// Steps for each byte of a file. Reading a table of a log takes about one for four bytes, and a log is read a few times.
+const STEPS_A_BYTE: u64 = 20;
+/// Longest text or blob, bytes. The outlines of the largest map features have less than a megabyte.
+const MAX_VALUE_BYTES: i32 = 64 << 20;
+
+/// Prepares a connection for a file of this size that anyone may have written: its schema runs no functions, its views are
+/// not read, and reading ends after as many steps as honest tables of that size never take.
+pub(super) fn harden(connection: &mut Connection, bytes: u64) -> rusqlite::Result<()> {
+    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
+    for off in [
+        DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA,
+        DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW,
+        DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER,
+    ] {
+        connection.set_db_config(off, false)?;
+    }
+    connection.set_limit(Limit::SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)?;
+    let budget = MIN_STEPS.saturating_add(bytes.saturating_mul(STEPS_A_BYTE));
+    let mut steps = 0;
+    connection.progress_handler(
+        STEPS_A_LOOK,
+        Some(move || {
+            steps += u64::from(STEPS_A_LOOK.unsigned_abs());
+            steps > budget
+        }),
+    )
+}
+
 /// `SQLite` takes an empty file for an empty database; neither is nuPlan data.
 fn check_bytes(path: &Path) -> Result<(), NuPlanError> {
     let io = |source| NuPlanError::file(path, FileFault::Open(source));
     let mut start = Vec::with_capacity(MAGIC.len());
-    File::open(path).map_err(io)?.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(io)?;
+    files::open(path).map_err(io)?.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(io)?;
     if start == MAGIC { Ok(()) } else { Err(NuPlanError::file(path, FileFault::NotADatabase)) }
 }
 

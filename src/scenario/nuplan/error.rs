@@ -123,6 +123,10 @@ pub enum FileFault {
     Sqlite { reading: String, source: rusqlite::Error },
     #[error("no table {table}; is it {kind}?")]
     MissingTable { table: &'static str, kind: &'static str },
+    #[error("{table} is {kind} and no table; is it a nuPlan file?")]
+    NoRealTable { table: &'static str, kind: &'static str },
+    #[error("reading {reading} takes more steps than its size allows; the file is damaged, or made to never end")]
+    TooManySteps { reading: String },
     #[error("table {table} has no column {column}")]
     MissingColumn { table: &'static str, column: &'static str },
     /// The list of maps.

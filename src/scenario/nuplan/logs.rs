@@ -88,7 +88,8 @@ impl Logs {
             return Ok(Self { logs: vec![Arc::new(Log::at(path))], notes: Vec::new() });
         }
         let mut files = Vec::new();
-        walk(path, MAX_FOLDER_DEPTH, &mut files)?;
+        let mut notes = Vec::new();
+        walk(path, MAX_FOLDER_DEPTH, &mut files, &mut notes)?;
         files.sort();
         let mut by_name: BTreeMap<String, Arc<Log>> = BTreeMap::new();
         let mut again = Vec::new();
@@ -104,14 +105,14 @@ impl Logs {
         if by_name.is_empty() {
             return Err(NuPlanError::file(path, FileFault::NoLogs));
         }
-        let notes = again.first().map(|log| {
+        notes.extend(again.first().map(|log| {
             format!("{} log(s) lie in two folders and are read once, for example {}", again.len(), log.path.display())
-        });
-        Ok(Self { logs: by_name.into_values().collect(), notes: notes.into_iter().collect() })
+        }));
+        Ok(Self { logs: by_name.into_values().collect(), notes })
     }
 }
 
-fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), NuPlanError> {
+fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>, notes: &mut Vec<String>) -> Result<(), NuPlanError> {
     let io = |source| NuPlanError::file(folder, FileFault::List(source));
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let entry = entry.map_err(io)?;
@@ -119,7 +120,10 @@ fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), NuP
         if path.is_dir() {
             let name = entry.file_name();
             if depth > 0 && !WITHOUT_LOGS.iter().any(|skipped| name == *skipped) {
-                walk(&path, depth - 1, files)?;
+                // A folder below that cannot be listed hides no logs beside it.
+                if let Err(error) = walk(&path, depth - 1, files, notes) {
+                    notes.push(error.to_string());
+                }
             }
         } else if path.extension().is_some_and(|ending| ending == LOG_ENDING) {
             files.push(path);

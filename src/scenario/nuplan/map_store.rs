@@ -5,6 +5,7 @@ use super::error::{FileFault, NuPlanError};
 use super::lane_map::{self, NuPlanMap};
 use super::schema::MAPS_INDEX;
 use super::side_index;
+use crate::files;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -21,9 +22,11 @@ pub struct MapStore {
     root: Option<PathBuf>,
     indices: side_index::SideIndices,
     maps: Mutex<BTreeMap<String, Slot>>,
-    /// Locations whose map file exists.
-    checked: Mutex<BTreeSet<String>>,
+    /// Map files that exist, by location.
+    checked: Mutex<BTreeMap<String, PathBuf>>,
     notes: Mutex<BTreeSet<String>>,
+    /// Agents without a velocity in the frames that were read, by log.
+    without_velocity: Mutex<BTreeMap<PathBuf, usize>>,
 }
 
 impl MapStore {
@@ -41,6 +44,7 @@ impl MapStore {
             maps: Mutex::default(),
             checked: Mutex::default(),
             notes: Mutex::default(),
+            without_velocity: Mutex::default(),
         }
     }
 
@@ -60,18 +64,31 @@ impl MapStore {
         Ok(map)
     }
 
-    /// Checks that the map of a location exists, without reading it.
-    pub fn check(&self, location: &str) -> Result<(), NuPlanError> {
-        if !lock(&self.checked).contains(location) {
-            self.file(location)?;
-            lock(&self.checked).insert(location.to_owned());
+    /// Checks that the map of a location exists, without reading it; gives its file.
+    pub fn check(&self, location: &str) -> Result<PathBuf, NuPlanError> {
+        if let Some(path) = lock(&self.checked).get(location) {
+            return Ok(path.clone());
         }
-        Ok(())
+        let (path, _) = self.file(location)?;
+        lock(&self.checked).insert(location.to_owned(), path.clone());
+        Ok(path)
     }
 
     /// Notes for the user about the maps and logs that were opened since the last call, in alphabetical order.
     pub fn take_notes(&self) -> Vec<String> {
-        std::mem::take(&mut *lock(&self.notes)).into_iter().collect()
+        let mut notes: Vec<String> = std::mem::take(&mut *lock(&self.notes)).into_iter().collect();
+        let derived = std::mem::take(&mut *lock(&self.without_velocity));
+        notes.extend(derived.into_iter().map(|(log, count)| {
+            format!("{}: {count} states of agents have no velocity; it is derived from their positions", log.display())
+        }));
+        notes
+    }
+
+    /// Counts the agents of a log whose velocity was derived.
+    pub(super) fn count_without_velocity(&self, log: &Path, count: usize) {
+        if count > 0 {
+            *lock(&self.without_velocity).entry(log.to_owned()).or_default() += count;
+        }
     }
 
     /// Provides indices for the rows of a log between two times, µs.
@@ -85,7 +102,7 @@ impl MapStore {
     fn file(&self, location: &str) -> Result<(PathBuf, String), NuPlanError> {
         let root = self.root.as_deref().ok_or(NuPlanError::NoMapsRoot)?;
         let index = root.join(MAPS_INDEX);
-        let text = std::fs::read_to_string(&index)
+        let text = files::read_text(&index, files::MAX_LIST_BYTES)
             .map_err(|source| NuPlanError::file(&index, FileFault::NoMapsIndex(source)))?;
         let wrong = |reason: String| NuPlanError::file(&index, FileFault::MapsIndex(reason));
         let known: BTreeMap<String, Value> =

@@ -3,7 +3,7 @@
 //! * `schema`, `database`: tables and columns, and access to them;
 //! * `logs`, `side_index`: logs on disk, which are never written;
 //! * `filter`, `filter_file`, `search`, `filter_steps`, `exclusion`: the scenarios that a filter takes;
-//! * `extraction`, `rows`, `route`, `open`: a scenario as [`super::Scenario`];
+//! * `extraction`, `rows`, `route`, `velocity`, `open`: a scenario as [`super::Scenario`];
 //! * [`geometry_blob`], [`projection`], `layers`, `lane_map`, `map_store`: the map around it;
 //! * `reader`, `split`: words of the command line, and published lists;
 //! * [`export`]: writes any scenario as a log and its map.
@@ -34,6 +34,7 @@ mod search;
 mod side_index;
 mod split;
 mod token;
+mod velocity;
 
 pub use error::{CellFault, CellPlace, FileFault, NuPlanError, RouteFault, RowName, ScenarioFault};
 pub use exclusion::{Exclusion, Exclusions};

@@ -12,6 +12,7 @@ use super::rows::{Rows, Sweep, ego_of};
 use super::schema::{CATEGORY, EGO_POSE, LIDAR_BOX, LIDAR_PC, TRACK, TRAFFIC_LIGHT_STATUS};
 use super::side_index;
 use super::token::Token;
+use super::velocity;
 use crate::geometry::{OrientedBox, Pose, Vector};
 use crate::scenario::{Frame, Scenario};
 use crate::world::{EgoState, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
@@ -27,7 +28,8 @@ pub fn open(maps: &MapStore, found: &LogScenario) -> Result<Scenario, NuPlanErro
     let route = route::read(&database, found, &map)?;
     let mut reader = Reader { database: &database, indices: &indices, map: &map, tracks: Tracks::default() };
     let frames = rows.past.iter().chain(rows.iterations()).map(|sweep| reader.frame(sweep));
-    let frames = frames.collect::<Result<_, _>>()?;
+    let mut frames: Vec<Frame> = frames.collect::<Result<_, _>>()?;
+    maps.count_without_velocity(&found.log.path, velocity::derive_missing(&mut frames));
     Ok(Scenario {
         frames,
         start: rows.past.len(),
@@ -91,7 +93,7 @@ impl Reader<'_> {
             let (token, kind) = self.track(record)?;
             let center = Pose::new(record.float("x")?, record.float("y")?, record.float("yaw")?);
             let shape = OrientedBox::new(map.to_local(center), extent(record, "length")?, extent(record, "width")?);
-            let velocity = if kind.is_agent() { velocity(record)? } else { Vector::zeros() };
+            let velocity = if kind.is_agent() { logged_velocity(record)? } else { Vector::zeros() };
             objects.push(TrackedObject { token, kind, shape, velocity });
             Ok(())
         })?;
@@ -181,8 +183,8 @@ fn extent(record: &Record<'_>, column: &'static str) -> Result<f64, NuPlanError>
     }
 }
 
-/// Velocity of an agent, map frame. NaN where the log has none, as in the devkit: a reactive agent then takes the ego's speed.
-fn velocity(record: &Record<'_>) -> Result<Vector, NuPlanError> {
+/// Velocity of an agent, map frame; NaN where the log has none, for [`velocity::derive_missing`].
+fn logged_velocity(record: &Record<'_>) -> Result<Vector, NuPlanError> {
     let part = |column| record.maybe_float(column).map(|speed| speed.unwrap_or(f64::NAN));
     Ok(Vector::new(part("vx")?, part("vy")?))
 }

@@ -8,6 +8,7 @@ use super::{
     Exclusion, Exclusions, LogScenario, Logs, MAX_FOLDER_DEPTH, MapStore, NuPlanError, ScenarioFilter, THRESHOLD_KEY,
     ThresholdScope, Token, TokenError, open,
 };
+use crate::files::{path_of, word_of};
 use crate::scenario::{
     DataRoots, OnProgress, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef, Split,
 };
@@ -59,7 +60,7 @@ impl NuPlanReader {
     /// The scenarios of a log: the named one, else the tagged ones.
     fn in_log(&self, word: &str) -> Result<Vec<ScenarioRef>, LogWordError> {
         let (file, token) = split_token(word);
-        let path = Path::new(file);
+        let path = &path_of(file);
         if !path.exists() {
             return Err(LogWordError::NoLog(path.to_owned()));
         }
@@ -135,7 +136,7 @@ impl NuPlanReader {
         let reference = |scenario: LogScenario| {
             let (log, token) = (scenario.log.clone(), scenario.token.to_string());
             let (word, scenario_type) =
-                (format!("{}{TOKEN_MARK}{token}", log.path.display()), scenario.scenario_type.clone());
+                (format!("{}{TOKEN_MARK}{token}", word_of(log.path.as_os_str())), scenario.scenario_type.clone());
             ScenarioRef::new(word, InLog { scenario, maps: self.maps.clone() })
                 .with_id(token.clone())
                 .with_type(scenario_type)
@@ -154,7 +155,7 @@ impl ScenarioReader for NuPlanReader {
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
         let listed = match self.recognizes(word) {
             Recognition::Certain => self.in_log(word),
-            _ => self.in_folder(Path::new(word)),
+            _ => self.in_folder(&path_of(word)),
         };
         listed.map_err(ReaderError::new)
     }
@@ -190,7 +191,12 @@ impl OpenScenario for InLog {
     }
 
     fn check(&self) -> Result<(), ReaderError> {
-        self.maps.check(&self.scenario.map_name).map_err(ReaderError::new)
+        self.maps.check(&self.scenario.map_name).map(|_| ()).map_err(ReaderError::new)
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        let map = self.maps.check(&self.scenario.map_name).ok();
+        [self.scenario.log.path.clone()].into_iter().chain(map).collect()
     }
 }
 

@@ -4,7 +4,7 @@
 //! user's files are never written. An index is a small database in the cache folder, named by path, size and modification time
 //! of the log, so that a changed log gets a new one. It gets its name only when it is complete.
 
-use super::database::{Database, immutable_uri};
+use super::database::{Database, harden, immutable_uri};
 use super::error::{FileFault, NuPlanError};
 use super::schema::{EGO_POSE, LIDAR_BOX, TRACK, TRAFFIC_LIGHT_STATUS, Table};
 use rusqlite::{Connection, OpenFlags};
@@ -197,12 +197,15 @@ fn build(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) 
 
 fn write(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) -> Result<(), IndexError> {
     let cache = |source: rusqlite::Error| IndexError::Cache(format!("{}: {source}", file.display()));
-    let index = Connection::open(file).map_err(cache)?;
+    let mut index = Connection::open(file).map_err(cache)?;
     index
         .execute_batch("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA temp_store = MEMORY;")
         .map_err(cache)?;
     index.execute("ATTACH DATABASE ?1 AS log", [immutable_uri(&log.path)]).map_err(cache)?;
     index.execute_batch("CREATE TABLE complete (name TEXT PRIMARY KEY)").map_err(cache)?;
+    let bytes = fs::metadata(&log.path)
+        .map_err(|source| IndexError::Log(NuPlanError::file(&log.path, FileFault::Open(source))))?;
+    harden(&mut index, bytes.len()).map_err(cache)?;
     for (table, column) in missing {
         let name = format!("{table}_{column}");
         index.execute_batch(&created("main", &name)).map_err(cache)?;
@@ -211,7 +214,9 @@ fn write(log: &Database, missing: &[(&'static str, &'static str)], file: &Path) 
             "INSERT INTO {name} SELECT \"{column}\", rowid FROM log.{table} WHERE \"{column}\" IS NOT NULL ORDER BY 1, 2"
         );
         index.execute(&filled, []).map_err(|source| match source.sqlite_error_code() {
-            Some(rusqlite::ErrorCode::DatabaseCorrupt) => IndexError::Log(log.failed(table, source)),
+            Some(rusqlite::ErrorCode::DatabaseCorrupt | rusqlite::ErrorCode::OperationInterrupted) => {
+                IndexError::Log(log.failed(table, source))
+            }
             _ => cache(source),
         })?;
         index.execute("INSERT INTO complete VALUES (?1)", [name]).map_err(cache)?;

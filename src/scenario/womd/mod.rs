@@ -32,20 +32,23 @@ use super::recording::window;
 use super::{Contents, Scenario};
 use features::lane_count;
 use prost::Message;
+use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use tfrecord::{Record, Records};
 
 /// Opens a recording by its number in the file, from 0. Only its map is derived.
 pub fn open_one(path: &Path, record: usize) -> Result<Scenario, WomdError> {
-    let mut records = 0;
-    for message in messages(path)? {
-        let message = message?;
-        if message.record == record {
-            return message.scenario(&log_name(path));
-        }
-        records += 1;
+    let mut records = records(path)?;
+    // Records before it are neither read nor decoded.
+    let found = match records.skip_to(record) {
+        Some(broken) => Some(broken),
+        None => records.next(),
+    };
+    match found {
+        Some(found) => decoded(path, found)?.scenario(&log_name(path)),
+        None => Err(WomdError::at(path)(WomdFault::NotFound { wanted: record, records: records.number() })),
     }
-    Err(WomdError::at(path)(WomdFault::NotFound { wanted: record, records }))
 }
 
 /// The scenario ids and contents of the recordings of a file, one after the other.
@@ -84,14 +87,21 @@ fn part(record: usize, offset: u64) -> String {
 }
 
 fn messages(path: &Path) -> Result<impl Iterator<Item = Result<Decoded, WomdError>>, WomdError> {
+    let records = records(path)?;
+    let path = path.to_owned();
+    Ok(records.map(move |record| decoded(&path, record)))
+}
+
+fn records(path: &Path) -> Result<Records<BufReader<File>>, WomdError> {
     let records = Records::open(path).map_err(WomdError::at(path))?;
     if records.is_empty() {
         return Err(WomdError::at(path)(WomdFault::Empty));
     }
-    let path = path.to_owned();
-    Ok(records.map(move |Record { number, offset, payload }| {
-        let decoded = payload.map_err(WomdFault::from).and_then(|bytes| Ok(proto::Scenario::decode(&bytes[..])?));
-        let recording = decoded.map_err(WomdError::at_part(&path, part(number, offset)))?;
-        Ok(Decoded { path: path.clone(), record: number, offset, recording })
-    }))
+    Ok(records)
+}
+
+fn decoded(path: &Path, Record { number, offset, payload }: Record) -> Result<Decoded, WomdError> {
+    let decoded = payload.map_err(WomdFault::from).and_then(|bytes| Ok(proto::Scenario::decode(&bytes[..])?));
+    let recording = decoded.map_err(WomdError::at_part(path, part(number, offset)))?;
+    Ok(Decoded { path: path.to_owned(), record: number, offset, recording })
 }

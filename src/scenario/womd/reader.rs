@@ -1,6 +1,7 @@
 //! Waymo recordings in the registry of readers.
 
 use super::{WomdError, contents, log_name, open_one};
+use crate::files::{path_of, word_of};
 use crate::scenario::{Contents, OpenScenario, ReaderError, Recognition, Scenario, ScenarioReader, ScenarioRef};
 use std::path::{Path, PathBuf};
 
@@ -12,11 +13,11 @@ pub struct WomdReader;
 
 impl ScenarioReader for WomdReader {
     fn recognizes(&self, word: &str) -> Recognition {
-        if Path::new(word).is_file() { Recognition::Possible } else { Recognition::No }
+        if path_of(word).exists() && !path_of(word).is_dir() { Recognition::Possible } else { Recognition::No }
     }
 
     fn list(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
-        let path = Path::new(word);
+        let path = &path_of(word);
         if !path.is_dir() {
             return records(path).map_err(ReaderError::new);
         }
@@ -48,7 +49,8 @@ fn recordings_in(folder: &Path) -> Result<Vec<PathBuf>, ReaderError> {
 fn records(path: &Path) -> Result<Vec<ScenarioRef>, WomdError> {
     let reference = |(id, contents): (String, Contents)| {
         let record = contents.record.unwrap_or_default();
-        let word = if record == 0 { path.display().to_string() } else { format!("{} record {record}", path.display()) };
+        let own = word_of(path.as_os_str());
+        let word = if record == 0 { own } else { format!("{own} record {record}") };
         ScenarioRef::new(word, Recording { path: path.to_owned(), record, contents })
             .with_id(id)
             .with_log_name(log_name(path))

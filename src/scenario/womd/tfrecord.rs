@@ -3,8 +3,9 @@
 //! A file is a sequence of records, each `{u64 length, u32 masked CRC32C of the length, payload, u32 masked CRC32C of the
 //! payload}`, little endian. Both checksums are verified, that of the length before the length is used.
 
+use crate::files;
 use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufReader, Read, Seek};
 use std::path::Path;
 
 /// Added to a rotated checksum by the TFRecord format ("masking").
@@ -53,12 +54,9 @@ pub(super) struct Records<R> {
 
 impl Records<BufReader<File>> {
     pub(super) fn open(path: &Path) -> io::Result<Self> {
-        let file = File::open(path)?;
-        let metadata = file.metadata()?;
-        if metadata.is_dir() {
-            return Err(io::Error::from(io::ErrorKind::IsADirectory));
-        }
-        Ok(Self::new(BufReader::new(file), metadata.len()))
+        let file = files::open(path)?;
+        let bytes = file.metadata()?.len();
+        Ok(Self::new(BufReader::new(file), bytes))
     }
 }
 
@@ -71,7 +69,8 @@ impl<R: Read> Records<R> {
         self.total == 0
     }
 
-    fn read_payload(&mut self) -> Result<Vec<u8>, FramingFault> {
+    /// The length of the next payload, whose own checksum is verified.
+    fn read_length(&mut self) -> Result<u64, FramingFault> {
         let header: [u8; HEADER_BYTES as usize] = self.read_array("length")?;
         let [l0, l1, l2, l3, l4, l5, l6, l7, c0, c1, c2, c3] = header;
         let length_bytes = [l0, l1, l2, l3, l4, l5, l6, l7];
@@ -84,6 +83,11 @@ impl<R: Read> Records<R> {
             return Err(FramingFault::TooLong(length));
         }
         self.demand("payload", length)?;
+        Ok(length)
+    }
+
+    fn read_payload(&mut self) -> Result<Vec<u8>, FramingFault> {
+        let length = self.read_length()?;
         let mut payload = Vec::new();
         let got = self.reader.by_ref().take(length).read_to_end(&mut payload)? as u64;
         if got < length {
@@ -110,6 +114,34 @@ impl<R: Read> Records<R> {
     fn demand(&self, part: &'static str, needed: u64) -> Result<(), FramingFault> {
         let left = self.total.saturating_sub(self.offset);
         if needed > left { Err(FramingFault::Truncated { part, needed, left }) } else { Ok(()) }
+    }
+}
+
+impl<R: Read + Seek> Records<R> {
+    /// Skips records without reading their payloads, until the next one has this number. Gives the record whose length is
+    /// broken, which is the last.
+    pub(super) fn skip_to(&mut self, number: usize) -> Option<Record> {
+        while self.number < number && self.offset < self.total {
+            let (own, offset) = (self.number, self.offset);
+            let skipped = self.read_length().and_then(|length| {
+                let bytes = length + FOOTER_BYTES;
+                self.demand("payload", bytes)?;
+                self.reader.seek_relative(i64::try_from(bytes).map_err(|_| FramingFault::TooLong(length))?)?;
+                self.offset += bytes;
+                Ok(())
+            });
+            if let Err(fault) = skipped {
+                self.broken = true;
+                return Some(Record { number: own, offset, payload: Err(fault) });
+            }
+            self.number += 1;
+        }
+        None
+    }
+
+    /// Number of the next record: after [`Self::skip_to`] beyond the end, the number of records.
+    pub(super) fn number(&self) -> usize {
+        self.number
     }
 }
 
@@ -205,6 +237,28 @@ mod tests {
         let bytes = [length.to_vec(), masked_crc(&length).to_le_bytes().to_vec(), vec![0; 64]].concat();
         let payload = records(&bytes).remove(0).payload;
         assert!(matches!(payload, Err(FramingFault::TooLong(u64::MAX))), "{payload:?}");
+    }
+
+    #[test]
+    fn a_record_is_reached_over_broken_payloads_before_it() {
+        let mut bytes = two_records();
+        bytes[20] ^= 1;
+        let mut records = Records::new(io::Cursor::new(&bytes), bytes.len() as u64);
+        assert!(records.skip_to(1).is_none());
+        let second = records.next().unwrap();
+        assert_eq!((second.number, second.offset, second.payload.unwrap()), (1, 29, b"second".to_vec()));
+        let mut records = Records::new(io::Cursor::new(&bytes), bytes.len() as u64);
+        assert!(records.skip_to(9).is_none());
+        assert!(records.number() == 2 && records.next().is_none());
+        bytes[3] ^= 1;
+        let mut records = Records::new(io::Cursor::new(&bytes), bytes.len() as u64);
+        let broken = records.skip_to(1).unwrap();
+        assert!(
+            matches!(broken.payload, Err(FramingFault::Checksum { part: "length", .. })) && records.next().is_none()
+        );
+        let cut = &two_records()[..27];
+        let mut records = Records::new(io::Cursor::new(cut), cut.len() as u64);
+        assert!(matches!(records.skip_to(1).unwrap().payload, Err(FramingFault::Truncated { .. })));
     }
 
     #[test]

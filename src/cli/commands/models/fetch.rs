@@ -12,7 +12,7 @@ pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer)
         let bytes = place.weight_bytes()?;
         let place = place.path();
         if printer.is_json() {
-            printer.json(&serde_json::json!({"model": model, "place": place, "bytes": bytes}))?;
+            printer.json(&serde_json::json!({"model": model, "place": place.to_string_lossy(), "bytes": bytes}))?;
         } else {
             printer.line(format!("{model}: {} in {}", in_bytes(bytes), place.display()));
         }

@@ -2,6 +2,7 @@
 
 use crate::cli::args::QuantizeArguments;
 use crate::cli::{Exit, Printer};
+use crate::files::target;
 use crate::mllm::{CreateFile, GgufPart, LoadReport, MllmError, ModelRegistry, in_bytes};
 use anyhow::{Context, bail};
 use std::fs::{self, File};
@@ -23,8 +24,10 @@ pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: 
         write(&flags.out, printer, |create, progress| registry.export(&spec, flags.to, create, progress))
             .with_context(|| format!("cannot write the model '{}' to {}", spec.name, flags.out.display()))?;
     if printer.is_json() {
-        let files: Vec<_> =
-            files.iter().map(|(bytes, path)| serde_json::json!({"path": path, "bytes": bytes})).collect();
+        let files: Vec<_> = files
+            .iter()
+            .map(|(bytes, path)| serde_json::json!({"path": path.to_string_lossy(), "bytes": bytes}))
+            .collect();
         printer.json(&serde_json::json!({"model": flags.source, "files": files, "load": report}))?;
     } else {
         report.lines().iter().for_each(|line| printer.line(line));
@@ -45,7 +48,7 @@ pub(in crate::cli) fn write(
     let bar = printer.byte_progress(0);
     let mut written = Vec::new();
     let mut create = |part: GgufPart| -> io::Result<Box<dyn Write>> {
-        let partial = partial(&part.path(out));
+        let partial = partial(&target(&part.path(out))?);
         written.push((part, partial.clone()));
         Ok(Box::new(BufWriter::with_capacity(1 << 20, File::create(&partial)?)))
     };
@@ -67,7 +70,7 @@ pub(in crate::cli) fn write(
     let mut files = Vec::new();
     for (part, partial) in written {
         let path = part.path(out);
-        fs::rename(&partial, &path).with_context(|| format!("cannot write {}", path.display()))?;
+        fs::rename(&partial, target(&path)?).with_context(|| format!("cannot write {}", path.display()))?;
         files.push((fs::metadata(&path)?.len(), path));
     }
     Ok((report, files))

@@ -18,6 +18,8 @@ impl Staging {
         if is_taken(target)? {
             return Err(io::ErrorKind::AlreadyExists.into());
         }
+        // A link to an empty folder stays a link.
+        let target = &fs::canonicalize(target).unwrap_or_else(|_| target.to_owned());
         let name = target.file_name().ok_or(io::ErrorKind::InvalidInput)?;
         let parent = target.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         fs::create_dir_all(parent)?;

@@ -1,0 +1,14 @@
+//! Files that a user names: only regular ones are read, of limited size, and errors show little of them.
+
+mod regular;
+mod shortened;
+mod word;
+
+pub use regular::{check_target, open, read_text, target};
+pub use shortened::{MAX_SHOWN_BYTES, shortened};
+pub use word::{path_of, serde_path, word_of};
+
+/// Largest file of settings, prompts or a study, bytes.
+pub const MAX_SETTINGS_BYTES: u64 = 1 << 20;
+/// Largest list of scenarios, or file of a run in TOML, bytes.
+pub const MAX_LIST_BYTES: u64 = 64 << 20;

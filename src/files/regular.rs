@@ -1,0 +1,120 @@
+//! Opening files and finding where to write: never a pipe, which would wait forever, nor a device or socket.
+
+use std::fs::{self, File, FileType};
+use std::io::{self, ErrorKind, Read};
+use std::path::{Path, PathBuf};
+
+/// Most links that lead to a file, as in Linux.
+const MAX_LINKS: usize = 40;
+
+/// Opens a regular file, also through links.
+///
+/// # Errors
+/// When it is missing, or a folder, pipe, device or socket.
+pub fn open(path: &Path) -> io::Result<File> {
+    check_regular(fs::metadata(path)?.file_type())?;
+    File::open(path)
+}
+
+/// Reads a text of at most `max_bytes` from a regular file. A larger one is not read at all.
+pub fn read_text(path: &Path, max_bytes: u64) -> io::Result<String> {
+    let file = open(path)?;
+    let bytes = file.metadata()?.len();
+    if bytes > max_bytes {
+        return Err(too_large(&format!("{bytes} bytes"), max_bytes));
+    }
+    let mut text = String::new();
+    // A file may grow, and those of the system say that they are empty.
+    if file.take(max_bytes + 1).read_to_string(&mut text)? as u64 > max_bytes {
+        return Err(too_large("more", max_bytes));
+    }
+    Ok(text)
+}
+
+fn too_large(bytes: &str, max_bytes: u64) -> io::Error {
+    io::Error::new(ErrorKind::InvalidData, format!("the file has {bytes}; at most {max_bytes} are read"))
+}
+
+/// The file that a user's path leads to through links, existing or not: who writes it under another name and renames it
+/// would otherwise replace the link.
+///
+/// # Errors
+/// When something else than a regular file is there.
+pub fn target(path: &Path) -> io::Result<PathBuf> {
+    let mut path = path.to_owned();
+    for _ in 0..MAX_LINKS {
+        let kind = match fs::symlink_metadata(&path) {
+            Ok(metadata) => metadata.file_type(),
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(path),
+            Err(error) => return Err(error),
+        };
+        if !kind.is_symlink() {
+            return check_regular(kind).map(|()| path);
+        }
+        let next = fs::read_link(&path)?;
+        path = path.parent().unwrap_or(Path::new("")).join(next);
+    }
+    Err(io::Error::other("too many links"))
+}
+
+/// Fails as [`target`]: for a file that is written in place, which follows links by itself.
+pub fn check_target(path: &Path) -> io::Result<()> {
+    target(path).map(|_| ())
+}
+
+fn check_regular(kind: FileType) -> io::Result<()> {
+    if kind.is_file() {
+        return Ok(());
+    }
+    let what = if kind.is_dir() { "a folder" } else { special(kind) };
+    Err(io::Error::new(ErrorKind::InvalidInput, format!("it is {what} and no regular file")))
+}
+
+#[cfg(unix)]
+fn special(kind: FileType) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    match kind {
+        kind if kind.is_fifo() => "a pipe (FIFO)",
+        kind if kind.is_socket() => "a socket",
+        _ => "a device",
+    }
+}
+
+#[cfg(not(unix))]
+fn special(_: FileType) -> &'static str {
+    "a device"
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
+    use std::os::unix::net::UnixListener;
+
+    #[test]
+    fn only_regular_files_are_opened_and_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, link, chain, dangling, ring, socket] =
+            ["file", "link", "chain", "dangling", "ring", "socket"].map(|name| folder.path().join(name));
+        fs::write(&file, "text").unwrap();
+        symlink("file", &link).unwrap();
+        symlink(&link, &chain).unwrap();
+        symlink("new", &dangling).unwrap();
+        symlink("ring", &ring).unwrap();
+        let _listener = UnixListener::bind(&socket).unwrap();
+        assert_eq!(read_text(&chain, 4).unwrap(), "text");
+        assert_eq!(read_text(&chain, 3).unwrap_err().to_string(), "the file has 4 bytes; at most 3 are read");
+        assert_eq!(
+            read_text(Path::new("/proc/self/status"), 3).unwrap_err().to_string(),
+            "the file has more; at most 3 are read"
+        );
+        assert_eq!(target(&chain).unwrap(), file);
+        assert_eq!(target(&dangling).unwrap(), folder.path().join("new"));
+        let said = |error: io::Error| error.to_string();
+        for (path, what) in [(folder.path(), "a folder"), (Path::new("/dev/null"), "a device"), (&socket, "a socket")] {
+            let expected = format!("it is {what} and no regular file");
+            assert_eq!((said(open(path).unwrap_err()), said(target(path).unwrap_err())), (expected.clone(), expected));
+        }
+        assert!(target(&ring).is_err() && open(&dangling).is_err());
+    }
+}

@@ -1,0 +1,95 @@
+//! Digests of what determines a model's answers besides its weights.
+
+use super::{ModelRegistry, ModelSource, ModelSpec};
+use crate::mllm::{MllmError, ModelPlace};
+use serde::Serialize;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Endings of a model's small files, as a repository of the hub has them.
+const SMALL_FILES: [&str; 2] = ["json", "jinja"];
+/// Fields of a server's description that determine how long a request may take, and no answer.
+const WITHOUT_EFFECT: [&str; 6] = ["key_env", "stream", "connect_timeout_ms", "timeout_ms", "retries", "first_wait_ms"];
+
+/// BLAKE3 digests, hexadecimal.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ModelInputs {
+    /// Of the small files, by path: configurations, tokenizer, chat template.
+    pub files: BTreeMap<String, String>,
+    /// Of the values of the description, by key; those of a server begin with `server.`.
+    pub description: BTreeMap<String, String>,
+}
+
+impl ModelRegistry {
+    /// Digests of a model's small files on this machine, and of its description.
+    pub fn inputs(&self, spec: &ModelSpec) -> Result<ModelInputs, MllmError> {
+        let description = description(spec);
+        if matches!(spec.source, ModelSource::Endpoint(_)) {
+            return Ok(ModelInputs { files: BTreeMap::new(), description });
+        }
+        let mut files = BTreeMap::new();
+        match self.place_here(spec)? {
+            ModelPlace::Embedded(model) => {
+                let digest = |&(name, text): &(&str, &str)| {
+                    (format!("{}/{name} (in the program)", model.name), digest(text.as_bytes()))
+                };
+                files.extend(model.texts().iter().map(digest));
+            }
+            ModelPlace::Random { .. } => {}
+            ModelPlace::Folder(folder) => add(&folder, &mut files)?,
+            ModelPlace::Gguf { model, .. } => add(folder_of(&model), &mut files)?,
+        }
+        if let Some(folder) = self.loading(spec)?.tokenizer {
+            add(&folder, &mut files)?;
+        }
+        Ok(ModelInputs { files, description })
+    }
+}
+
+fn folder_of(file: &Path) -> &Path {
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Adds the small files of a folder.
+fn add(folder: &Path, files: &mut BTreeMap<String, String>) -> Result<(), MllmError> {
+    let failed = |path: &Path| {
+        let path = path.to_path_buf();
+        move |source| MllmError::Read { path, source }
+    };
+    for entry in std::fs::read_dir(folder).map_err(failed(folder))? {
+        let path = entry.map_err(failed(folder))?.path();
+        let is_small = path.extension().is_some_and(|ending| SMALL_FILES.iter().any(|small| ending == *small));
+        if is_small && path.is_file() {
+            let mut hasher = blake3::Hasher::new();
+            let file = std::fs::File::open(&path).map_err(failed(&path))?;
+            hasher.update_reader(file).map_err(failed(&path))?;
+            let shown: PathBuf = std::path::absolute(&path).unwrap_or(path);
+            files.insert(shown.display().to_string(), hasher.finalize().to_hex().to_string());
+        }
+    }
+    Ok(())
+}
+
+fn description(spec: &ModelSpec) -> BTreeMap<String, String> {
+    let mut values = BTreeMap::from([
+        ("generation".to_owned(), digest_of(&spec.generation)),
+        ("prompt_set".to_owned(), digest_of(&spec.prompt_set)),
+    ]);
+    if let ModelSource::Endpoint(settings) = &spec.source
+        && let Ok(Value::Object(fields)) = serde_json::to_value(settings)
+    {
+        let with_effect = fields.iter().filter(|(field, _)| !WITHOUT_EFFECT.contains(&field.as_str()));
+        // A digest of `extra`, which may hold what nobody else should read.
+        values.extend(with_effect.map(|(field, value)| (format!("server.{field}"), digest_of(value))));
+    }
+    values
+}
+
+fn digest_of(value: &impl Serialize) -> String {
+    digest(serde_json::to_string(value).unwrap_or_default().as_bytes())
+}
+
+fn digest(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex().to_string()
+}
