@@ -7,6 +7,7 @@ mod argoverse2;
 mod bench;
 mod cases;
 mod cli;
+mod docs;
 mod endpoint;
 mod environment;
 mod experiment;

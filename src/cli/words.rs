@@ -32,6 +32,7 @@ mod tests {
         let words = |values: &[&str]| planner_words(&values.iter().map(ToString::to_string).collect::<Vec<_>>());
         assert_eq!(words(&["idm, pdm-closed", "simple"]), ["idm", "pdm-closed", "simple"]);
         assert_eq!(words(&["idm,exec:python3 a.py --x 1,2"]), ["idm", "exec:python3 a.py --x 1,2"]);
+        assert_eq!(words(&["idm,mine=exec:./a 1,2"]), ["idm", "mine=exec:./a 1,2"]);
         assert_eq!(words(&["mine=exec:./a 1,2", "idm"]), ["mine=exec:./a 1,2", "idm"]);
     }
 }

@@ -151,6 +151,7 @@ impl AgentLayer for PlanAgent {
             image_hash: prompt.image.as_deref().map(image_hash),
             image: prompt.image,
             scene_text: prompt.text,
+            forms: self.source.prompts().map(|prompts| *prompts.forms()),
             attempts,
             decision,
             emergency_brakes: 0,

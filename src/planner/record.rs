@@ -1,7 +1,9 @@
 //! The record that every planning call leaves.
 
 use crate::geometry::Pose;
-use crate::reasoning::{Feedback, Interruption, MotionInstruction, ParseError, PlannerAnswer, RoundRecord};
+use crate::reasoning::{
+    Feedback, Interruption, MotionInstruction, ParseError, PlannerAnswer, PromptForms, RoundRecord,
+};
 use crate::reflection::ReflectionReport;
 use image::RgbImage;
 use std::fmt;
@@ -148,6 +150,8 @@ pub struct PlanningCall {
     pub image_hash: Option<String>,
     /// The lane-graph text.
     pub scene_text: Option<String>,
+    /// The forms of scene text and answers; `None` where no model was asked.
+    pub(crate) forms: Option<PromptForms>,
     /// The attempts, in order.
     pub attempts: Vec<Attempt>,
     /// The outcome.
@@ -174,6 +178,7 @@ impl PlanningCall {
             image: None,
             image_hash: None,
             scene_text: None,
+            forms: None,
             attempts: Vec::new(),
             decision,
             emergency_brakes: 0,

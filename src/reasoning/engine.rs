@@ -1,19 +1,19 @@
 //! Asks a model the rounds of an attempt and reads its answers.
 
 use super::call_parser::ParseError;
-use super::code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, TARGET_SPEED};
+use super::code::{Names, PlannerCode};
 use super::code_parser::{Parsed, parse};
 use super::error::{PromptError, ReasoningError};
 use super::grammar;
 use super::instruction::MotionInstruction;
 use super::prompt_set::PromptSet;
 use super::round::Round;
+use super::variables;
 use crate::mllm::{
     Answer, Constraint, ConstraintUse, Conversation, Deadline, FinishReason, GenerationSettings, Mark, Mllm, MllmError,
     PromptPrefix, Request, RoundTime, Sampling, TokenCounts,
 };
 use image::RgbImage;
-use minijinja::context;
 use std::sync::Arc;
 
 /// The input of a planning call to the model.
@@ -206,13 +206,7 @@ impl<'a> Reasoning<'a> {
 
 /// The system prompt of a set: the same for all calls of a run.
 pub fn system_prompt(prompts: &PromptSet, legend: &str) -> Result<String, PromptError> {
-    prompts.system(context! {
-        function => FUNCTION,
-        legend => legend,
-        ranges => context! {
-            v0 => TARGET_SPEED.to_string(), acc => ACCEL_MAX.to_string(), dec => DECEL_MAX.to_string(),
-        },
-    })
+    prompts.system(variables::system(legend))
 }
 
 /// The prompt of a round; the first round that is asked carries the scene text and the feedback.
@@ -223,28 +217,12 @@ pub fn round_prompt(
     scene_text: Option<&str>,
     feedback: Option<&str>,
 ) -> Result<String, PromptError> {
-    fn words<T: ToString>(names: &[T]) -> Vec<String> {
-        names.iter().map(T::to_string).collect()
-    }
-    let context = context! {
-        scene_text => scene_text.unwrap_or_default(),
-        feedback => feedback,
-        centerlines => words(&names.centerlines),
-        leaders => words(&names.lead_agents),
-    };
-    prompts.round(round, context)
+    prompts.round(round, variables::round(names, scene_text, feedback))
 }
 
 /// The feedback on a refused plan that the model reads.
 pub fn feedback_text(prompts: &PromptSet, feedback: &Feedback) -> Result<String, PromptError> {
-    let rounded = |value: f64| format!("{value:.2}");
-    prompts.feedback(context! {
-        code => &feedback.code,
-        score => feedback.score.map(rounded),
-        threshold => feedback.threshold,
-        parts => feedback.parts.iter().map(|(name, value)| (name.clone(), rounded(*value))).collect::<Vec<_>>(),
-        errors => feedback.errors.iter().map(ToString::to_string).collect::<Vec<_>>(),
-    })
+    prompts.feedback(variables::feedback(feedback))
 }
 
 /// The record of an answered round.

@@ -17,6 +17,7 @@ mod prompt_source;
 mod question;
 mod round;
 mod templates;
+mod variables;
 
 pub use answer::PlannerAnswer;
 pub use assist::{

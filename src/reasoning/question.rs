@@ -2,8 +2,8 @@
 
 use super::error::PromptError;
 use super::prompt_set::PromptSet;
+use super::variables;
 use crate::environment::TextForm;
-use minijinja::context;
 
 /// The set of its templates.
 pub(super) const ASK: &str = "ask";
@@ -22,13 +22,7 @@ pub struct FreeQuestion<'a> {
 /// The system prompt and the prompt of a question, for a model that is asked with a prompt set.
 pub fn question_prompt(prompts: &PromptSet, question: &FreeQuestion<'_>) -> Result<(String, String), PromptError> {
     let templates = prompts.question_set(ASK)?;
-    let FreeQuestion { question, scene_text, legend } = *question;
-    let context = context! {
-        compact => prompts.forms().scene_text == TextForm::Compact,
-        question => question.trim(),
-        scene_text => scene_text,
-        legend => legend,
-    };
+    let context = variables::ask(question, prompts.forms().scene_text == TextForm::Compact);
     Ok((templates.render("system", context.clone())?, templates.render("question", context)?))
 }
 

@@ -151,6 +151,7 @@ mod tests {
             image: None,
             image_hash: None,
             scene_text: None,
+            forms: None,
             attempts: scores.iter().map(attempt).collect(),
             decision,
             emergency_brakes: 0,

@@ -9,6 +9,7 @@ mod figure;
 mod finish;
 mod inputs;
 mod judgement;
+mod key;
 mod layout;
 mod manifest;
 mod nuboard;

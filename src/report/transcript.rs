@@ -1,6 +1,7 @@
 //! The transcript of a simulation as Markdown: scene, prompts, answers, planner codes, scores.
 
 use super::decision::decision_words;
+use super::key::CompactParts;
 use super::number::fixed;
 use super::repeats::Repeat;
 use super::times::CallTimes;
@@ -24,6 +25,10 @@ pub fn transcript(
     text.push_str("| metric | score |\n|---|---|\n");
     for part in &score.parts {
         let _ = writeln!(text, "| `{}` | {:.4} |", part.name, part.score);
+    }
+    let key = CompactParts::of(&outcome.calls).key();
+    if !key.is_empty() {
+        let _ = write!(text, "\n## Key to the compact texts\n\n{}\n", key.trim_end());
     }
     for call in &outcome.calls {
         text.push('\n');

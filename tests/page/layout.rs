@@ -106,6 +106,11 @@ fn scene(browser: &mut Chromium, page: &Path) {
     assert!(names.contains(&json!("over the speed limit")), "{series}");
     let axes = "[...document.querySelectorAll('.series')].every((n) => n.querySelectorAll('.x-axis span').length > 1 && n.querySelectorAll('.y-axis span').length > 0)";
     assert_eq!(browser.value(axes), true);
+    // The numbers of an axis do not touch.
+    let touching = "[...document.querySelectorAll('.y-axis')].filter((axis) => { \
+                    const tops = [...axis.children].map((n) => n.getBoundingClientRect().top).sort((a, b) => a - b); \
+                    return tops.some((top, i) => i > 0 && top - tops[i - 1] < 11); }).length";
+    assert_eq!(browser.value(touching), 0);
     let limits = browser.value("scenarios.series.rows.length === document.querySelectorAll('.series').length && [...document.querySelectorAll('.series .plot')].map((n) => n.title)");
     assert!(!limits.to_string().contains("threshold 0 m/s"), "{limits}");
     // The thumbnails of the list are drawn.
@@ -131,4 +136,20 @@ fn decisions(browser: &mut Chromium) {
     assert_eq!(browser.value(&format!("outcomeOf({kept})")), "exhausted");
     let said = words(browser, kept);
     assert!(said.starts_with("The active plan is kept, because it scores more"), "{said}");
+
+    // The model wrote the same code three times, the third time after other answers.
+    let attempt =
+        |answer: &str| json!({"code": {"text": "code"}, "rounds": [{"answer": answer}], "reflection": {"score": 0.2}});
+    let attempts = json!([attempt("one"), attempt("one"), attempt("two")]);
+    let repeats = browser.value(&format!("[0, 1, 2].map((i) => repeatOf({attempts}, i))"));
+    assert_eq!(repeats, json!([null, {"of": 0, "whole": true}, {"of": 0, "whole": false}]));
+    let same = json!({"iteration": 20, "attempts": attempts, "decision": {"kind": "exhausted", "attempt": 0}, "emergency_brakes": 0});
+    let said = words(browser, same);
+    assert!(said.contains("All 3 attempts have the same code.") && said.contains("there is no better plan"), "{said}");
+
+    // A score stands beside a box, and inside the picture.
+    let place = "(() => { const box = { left: 105, right: 155, top: 88, bottom: 113 }; const area = labelPlace({ x: 100, y: 100 }, [40, 18], [box], 400, 300); \
+                 const far = labelPlace({ x: -500, y: 900 }, [40, 18], [], 400, 300); \
+                 return [overlap(area, box), far.left >= 0 && far.bottom <= 300]; })()";
+    assert_eq!(browser.value(place), json!([0, true]));
 }

@@ -1,5 +1,6 @@
 //! Models by name: a description in `models/`, a folder, a GGUF file, a repository of the hub, or a server.
 
+mod built_in;
 mod description;
 mod folder;
 mod hub;
@@ -91,10 +92,11 @@ impl ModelRegistry {
         self
     }
 
-    /// The names of the described and embedded models, sorted.
+    /// The names of the described models, in the folder and in the program, sorted.
     pub fn names(&self) -> Result<Vec<String>, MllmError> {
         let failed = |source| MllmError::Read { path: self.models.clone(), source };
-        let mut names: Vec<String> = EmbeddedModel::all().iter().map(|model| model.name.to_owned()).collect();
+        let embedded = EmbeddedModel::all().iter().map(|model| model.name);
+        let mut names: Vec<String> = embedded.chain(built_in::names()).map(str::to_owned).collect();
         if self.models.is_dir() {
             for entry in std::fs::read_dir(&self.models).map_err(failed)? {
                 let path = entry.map_err(failed)?.path();
@@ -114,7 +116,7 @@ impl ModelRegistry {
     }
 
     /// Finds a model. `name` is, in this order:
-    /// 1. the name of a description, then of an embedded model,
+    /// 1. the name of a description in the folder, then of one in the program,
     /// 2. the path of a description, a model folder or a GGUF file,
     /// 3. a hub id, or a hub id with a GGUF file (`org/name/file.gguf`).
     ///
@@ -126,6 +128,9 @@ impl ModelRegistry {
         if let Some(model) = EmbeddedModel::find(name) {
             let source = ModelSource::Embedded { embedded: name.to_owned() };
             return Ok(ModelSpec { source, ..ModelSpec::parse(Path::new(name), model.description)? });
+        }
+        if let Some(text) = built_in::find(name) {
+            return ModelSpec::parse(Path::new(name), text);
         }
         let path = Path::new(name);
         if path.extension().is_some_and(|extension| extension == "toml") && path.is_file() {
@@ -297,7 +302,8 @@ mod tests {
     #[test]
     fn names_folders_and_ids_are_found() {
         let (models, registry) = registry();
-        assert_eq!(registry.names().unwrap(), ["broken", "nano"]);
+        let names = registry.names().unwrap();
+        assert!(names.is_sorted() && ["broken", "nano", "openai"].iter().all(|name| names.iter().any(|n| n == name)));
         let nano = registry.find("nano").unwrap();
         assert_eq!((nano.name.as_str(), nano.prompt_set), ("Nano", Some(PromptSet::Compact)));
         assert_eq!(registry.place(&nano).unwrap(), ModelPlace::Folder(models.path().join("weights")));
@@ -334,6 +340,18 @@ mod tests {
     }
 
     #[test]
+    fn the_descriptions_in_the_program_are_those_of_the_folder() {
+        let nowhere = tempfile::tempdir().unwrap();
+        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+        let [bare, full] =
+            [nowhere.path(), repository.as_path()].map(|models| ModelRegistry::new(models, HubAccess::default()));
+        assert_eq!(bare.names().unwrap(), full.names().unwrap());
+        for name in built_in::names() {
+            assert_eq!(bare.find(name).unwrap(), full.find(name).unwrap());
+        }
+    }
+
+    #[test]
     fn every_description_that_ships_is_read() {
         let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
         let registry = ModelRegistry::new(&models, HubAccess { offline: true, ..HubAccess::default() });
@@ -354,7 +372,9 @@ mod tests {
     fn unknown_and_broken_models_are_errors() {
         let (_models, registry) = registry();
         match registry.find("nanoo") {
-            Err(MllmError::UnknownModel { known, .. }) => assert_eq!(known, "broken, nano"),
+            Err(MllmError::UnknownModel { known, .. }) => {
+                assert!(known.starts_with("broken, ") && known.contains(", nano, "), "{known}");
+            }
             other => panic!("{other:?}"),
         }
         for name in ["", "../no-such-folder/nano", "a b", "a/b/c", "a/b/../c.gguf"] {

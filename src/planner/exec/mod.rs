@@ -66,7 +66,8 @@ fn command_of(word: &str) -> Option<(Option<&str>, &str)> {
     if let Some(command) = word.strip_prefix(MARK) {
         return Some((None, command.trim()));
     }
-    let (name, rest) = word.split_once('=')?;
+    // A comma before the name separates planners.
+    let (name, rest) = word.split_once('=').filter(|(name, _)| !name.contains(','))?;
     let command = rest.strip_prefix(MARK)?;
     Some((Some(name.trim()), command.trim()))
 }

@@ -97,6 +97,7 @@ impl LlmAssist {
             image: None,
             image_hash: None,
             scene_text: Some(question.scene_text),
+            forms: Some(*self.prompts.forms()),
             attempts,
             decision,
             emergency_brakes: 0,

@@ -6,7 +6,7 @@ use crate::environment::TextForm;
 use crate::reasoning::error::PromptError;
 use crate::reasoning::prompt_set::PromptSet;
 use crate::reasoning::templates::Templates;
-use minijinja::context;
+use crate::reasoning::variables;
 
 /// The prompts of a variant; short ones for models that read the compact texts.
 #[derive(Debug)]
@@ -28,13 +28,11 @@ impl<'a> AssistPrompts<'a> {
 
     pub(super) fn system(&self) -> Result<String, PromptError> {
         let signature = signature(self.variant).to_string();
-        self.templates.render("system", context! { compact => self.compact, signature => signature })
+        self.templates.render("system", variables::assist_system(&signature, self.compact))
     }
 
     /// The question about a scene, with the score of PDM-Closed's best proposal and feedback on the last answer.
     pub(super) fn question(&self, scene: &str, score: f64, feedback: Option<&str>) -> Result<String, PromptError> {
-        let score = format!("{score:.2}");
-        let context = context! { compact => self.compact, scene_text => scene, score => score, feedback => feedback };
-        self.templates.render("question", context)
+        self.templates.render("question", variables::assist_question((scene, score), feedback, self.compact))
     }
 }

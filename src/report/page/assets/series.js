@@ -2,6 +2,8 @@
 
 /** Size of the drawing area, which is stretched to the box. */
 const SERIES_BOX = { width: 300, height: 100 };
+/** Height of the drawing area and of a number beside it, pixels of the page. */
+const SERIES_PX = { height: 48, number: 12 };
 /** Titles of series whose metric has another name than its values. */
 const SERIES_TITLES = {
   ego_speed: "speed", speed_limit_compliance: "over the speed limit", ego_progress_along_expert_route: "progress along the expert's route",
@@ -78,13 +80,20 @@ class SeriesScale {
     const room = (top - bottom) * 0.08;
     [this.bottom, this.top] = [bottom - room, top + room];
     const few = ticks(bottom, top, 4);
-    this.marks = few.length > 1 ? few : ticks(bottom, top, 6);
+    this.marks = sparse(few.length > 1 ? few : ticks(bottom, top, 6), this.top - this.bottom);
   }
 
   /** Place of a value: 0 at the bottom, 1 at the top. */
   at(value) {
     return (value - this.bottom) / (this.top - this.bottom);
   }
+}
+
+/** Every second of marks whose numbers would touch. */
+function sparse(marks, span) {
+  const step = marks[1] - marks[0];
+  if (marks.length < 3 || (SERIES_PX.height * step) / span >= SERIES_PX.number) return marks;
+  return sparse(marks.filter((mark) => Math.round(mark / step) % 2 === 0), span);
 }
 
 function thresholdWords({ limits, unit, overLimit }) {

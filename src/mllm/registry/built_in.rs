@@ -1,0 +1,29 @@
+//! The descriptions of `models/` that are compiled into the program, for any working directory. They name models of the hub and
+//! servers; weights are downloaded or asked for.
+
+macro_rules! described {
+    ($($name:literal),* $(,)?) => {
+        &[$(($name, include_str!(concat!("../../../models/", $name, ".toml")))),*]
+    };
+}
+
+/// Names and texts, by name.
+const DESCRIBED: &[(&str, &str)] = described![
+    "cogvlm-chat-17b",
+    "llava-1.5-13b",
+    "llava-1.5-7b",
+    "llava-v1.6-mistral-7b",
+    "llava-v1.6-vicuna-13b",
+    "llava-v1.6-vicuna-7b",
+    "local-server",
+    "openai",
+];
+
+pub(super) fn names() -> impl Iterator<Item = &'static str> {
+    DESCRIBED.iter().map(|(name, _)| *name)
+}
+
+/// The text of a description.
+pub(super) fn find(name: &str) -> Option<&'static str> {
+    DESCRIBED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
+}

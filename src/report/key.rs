@@ -1,0 +1,235 @@
+//! The key to the compact texts: what the words of scene text, answers and feedback mean. Transcripts begin with it, and
+//! docs/prompts.md has it.
+
+use crate::environment::TextForm;
+use crate::environment::facts::{
+    Ahead, CORRIDOR_MARGIN, EgoSpeed, ONCOMING_REACH, Question, SAME_SPEED, SIDE_GAP, STOPPED,
+};
+use crate::environment::text::MAX_NUMBER;
+use crate::planner::PlanningCall;
+use crate::reasoning::{InstructionForm, Lateral, LateralReason, Longitudinal, LongitudinalReason, UnderstandingForm};
+use std::fmt::Write;
+
+/// Which parts of a simulation's texts are compact.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct CompactParts {
+    scene: bool,
+    understanding: bool,
+    instruction: bool,
+}
+
+impl CompactParts {
+    #[cfg(test)]
+    const ALL: Self = Self { scene: true, understanding: true, instruction: true };
+
+    /// Those of the planning calls of a simulation.
+    pub(super) fn of(calls: &[PlanningCall]) -> Self {
+        let forms = calls.iter().find_map(|call| call.forms);
+        let asked = calls.iter().any(|call| call.attempts.iter().any(|attempt| attempt.rounds.len() > 1));
+        Self {
+            scene: forms.is_some_and(|forms| forms.scene_text == TextForm::Compact)
+                && calls.iter().any(|call| call.scene_text.is_some()),
+            understanding: asked && forms.is_some_and(|forms| forms.understanding == UnderstandingForm::Choices),
+            instruction: asked && forms.is_some_and(|forms| forms.instruction == InstructionForm::Choices),
+        }
+    }
+
+    /// The key as Markdown; empty without compact texts.
+    pub(super) fn key(self) -> String {
+        let mut text = String::new();
+        // Writing to a string cannot fail.
+        let mut table = |title: &str, rows: Vec<(String, String)>| {
+            let _ = writeln!(text, "| {title} | meaning |\n|---|---|");
+            for (words, meaning) in rows {
+                let _ = writeln!(text, "| {words} | {meaning} |");
+            }
+            text.push('\n');
+        };
+        if self.scene {
+            table("scene text", scene());
+        }
+        if self.understanding {
+            table(
+                "answers of `understanding`",
+                Question::ALL.iter().map(|&question| understanding(question)).collect(),
+            );
+        }
+        if self.instruction {
+            table("answers of `instruction`", instruction());
+        }
+        if self.scene {
+            table("prompts", prompts());
+        }
+        text
+    }
+}
+
+fn row(words: &str, meaning: impl Into<String>) -> (String, String) {
+    (words.to_owned(), meaning.into())
+}
+
+/// Numbers and names as `environment::text` writes them.
+fn scene() -> Vec<(String, String)> {
+    vec![
+        row("`speed 7`", format!("speed of the ego, m/s; all numbers are whole and at most {MAX_NUMBER}")),
+        row("`limit 11`", "speed limit, m/s; `-` where it is unknown"),
+        row(
+            "`light red 24`",
+            "next light in the ego's lane (`green`, `yellow`, `red`, `unknown`), and meters from the front bumper to its stop \
+             line; `none -` without a light",
+        ),
+        row("`turn straight`", "where the route goes at the next intersection: `straight`, `left` or `right`"),
+        row("`ego`, `front`, `back`", "parts of the ego's lane: under the ego, ahead of that, behind"),
+        row("`left`, `front_left`, `back_left`", "parts of the lane to the left: beside the ego, ahead, behind"),
+        row("`right`, `front_right`, `back_right`", "the same to the right"),
+        row(
+            "`front vehicle1 14 7`",
+            "the nearest agent on that part: its name (`vehicle`, `bicycle`, `pedestrian` or `obstacle`, and a number), meters \
+             from bumper to bumper, m/s",
+        ),
+        row(
+            "`front pedestrian1 14 crossing`",
+            "in place of the speed: it moves across the lane (`crossing`) or against it (`oncoming`)",
+        ),
+        row("`front free - -`", "nobody is on that part"),
+        row("`left none - -`", "there is no such lane"),
+        row("`rest 0`", "number of agents on these parts that the text does not name"),
+    ]
+}
+
+fn understanding(question: Question) -> (String, String) {
+    let distance = format!(
+        "`near` (under {} m), `mid` (under {} m), `far` (up to {} m), `none`",
+        Ahead::NEAR,
+        Ahead::MID,
+        Ahead::FAR
+    );
+    let choices = || question.choices().iter().map(|choice| format!("`{choice}`")).collect::<Vec<_>>().join(", ");
+    let listed = |what: &str| format!("{what}: {}", choices());
+    let meaning = match question {
+        Question::SceneType => listed("kind of place"),
+        Question::Light => listed("next light"),
+        Question::LaneCount => listed("lanes of the ego's direction"),
+        Question::LaneIndex => listed("the ego's lane among them, from the left"),
+        Question::Crosswalk => format!("next crosswalk on the path: {distance}"),
+        Question::LeadDistance => format!("nearest vehicle or bicycle on the path: {distance}"),
+        Question::LeadSpeed => format!(
+            "its speed: `stopped` (under {STOPPED} m/s), `slower` (than the ego by more than {SAME_SPEED} m/s), \
+             `same_or_faster`, `none`"
+        ),
+        Question::Pedestrian => {
+            format!("nearest pedestrian within {CORRIDOR_MARGIN} m beside the ego's path: {distance}")
+        }
+        Question::Blocked => format!("nearest obstacle or stopped vehicle on the path: {distance}"),
+        Question::LeftLane => {
+            format!("lane to the left: `none`, `free`, `occupied` (an object within {SIDE_GAP} m of the ego's bumpers)")
+        }
+        Question::RightLane => "the same to the right: `none`, `free`, `occupied`".to_owned(),
+        Question::VehicleCount => listed("other vehicles in the picture"),
+        Question::Oncoming => {
+            format!("whether a lane of the other direction is within {ONCOMING_REACH} m: {}", choices())
+        }
+        Question::EgoSpeed => format!(
+            "speed of the ego: `stopped` (under {STOPPED} m/s), `slow` (under {} m/s), `medium` (under {} m/s), `fast`",
+            EgoSpeed::SLOW,
+            EgoSpeed::MEDIUM
+        ),
+        Question::Turn => listed("where the route goes at the next intersection"),
+    };
+    (format!("`{question}=`"), meaning)
+}
+
+fn instruction() -> Vec<(String, String)> {
+    let words = |texts: &[&str]| texts.iter().map(|text| format!("`{text}`")).collect::<Vec<_>>().join(", ");
+    vec![
+        row("`lat=`", format!("motion across the road: {}", words(Lateral::TEXTS))),
+        row(
+            "`why=` before it",
+            format!(
+                "its reason: {} (the lane follows the route, is blocked, has a slow lead agent, or the other lane is faster)",
+                words(LateralReason::TEXTS)
+            ),
+        ),
+        row("`lon=`", format!("motion along the road: {}", words(Longitudinal::TEXTS))),
+        row("`why=` before it", format!("its reason, the strongest limit: {}", words(LongitudinalReason::TEXTS))),
+    ]
+}
+
+fn prompts() -> Vec<(String, String)> {
+    vec![
+        row("`scene?` `motion?` `code?`", "the questions of the three rounds: `understanding`, `instruction`, `code`"),
+        row(
+            "`again: collision=0.00 …`",
+            "the last code was refused; the parts of its score, each from 0 to 1: `collision` (no collision at fault), `area` \
+             (on drivable area), `direction` (not in oncoming lanes), `progress`, `ttc` (time to collision), `comfort`",
+        ),
+        row("`again: unread`", "the last answer held no code"),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reasoning::{Feedback, Names, PromptSet, Round, feedback_text, round_prompt};
+    use std::collections::BTreeSet;
+    use std::path::Path;
+
+    const BEGIN: &str = "<!-- key: begin -->\n";
+    const END: &str = "<!-- key: end -->\n";
+
+    #[test]
+    fn the_documented_key_is_that_of_transcripts() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/prompts.md");
+        let text = std::fs::read_to_string(&path).unwrap();
+        let (before, rest) = text.split_once(BEGIN).unwrap();
+        let (documented, after) = rest.split_once(END).unwrap();
+        let key = CompactParts::ALL.key();
+        if std::env::var_os("PLANAGENT_UPDATE_DOCS").is_some_and(|value| value == "1") {
+            std::fs::write(&path, format!("{before}{BEGIN}{key}{END}{after}")).unwrap();
+            return;
+        }
+        assert_eq!(documented, key, "docs/prompts.md is out of date: PLANAGENT_UPDATE_DOCS=1 cargo test --lib key");
+    }
+
+    /// The words of a text, without the numbers of agents.
+    fn words(text: &str) -> BTreeSet<String> {
+        let words = text.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == '-' || c == '+' || c == '?'));
+        let bare = words.map(|word| word.trim_end_matches(|c: char| c.is_ascii_digit()).to_owned());
+        bare.filter(|word| word.chars().any(char::is_alphabetic)).collect()
+    }
+
+    #[test]
+    fn the_key_has_every_word_of_the_compact_texts() {
+        let key = CompactParts::ALL.key();
+        let quoted: BTreeSet<String> = key.split('`').skip(1).step_by(2).flat_map(words).collect();
+        let mut used = BTreeSet::new();
+        let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/text");
+        for scene in ["crossing", "narrow", "road"] {
+            used.extend(words(&std::fs::read_to_string(golden.join(format!("{scene}.compact.txt"))).unwrap()));
+        }
+        used.extend(Question::ALL.iter().flat_map(|question| question.choices()).flat_map(|choice| words(choice)));
+        used.extend(Question::ALL.iter().flat_map(|question| words(question.as_str())));
+        for texts in [Lateral::TEXTS, LateralReason::TEXTS, Longitudinal::TEXTS, LongitudinalReason::TEXTS] {
+            used.extend(texts.iter().flat_map(|text| words(text)));
+        }
+        let set = PromptSet::open("compact").unwrap();
+        for &round in Round::ALL {
+            used.extend(words(&round_prompt(&set, round, &Names::default(), None, None).unwrap()));
+        }
+        let parts = crate::reflection::SubScores {
+            no_collision: 0.0,
+            drivable_area: 0.0,
+            driving_direction: 0.0,
+            progress: 0.0,
+            time_to_collision: 0.0,
+            comfort: 0.0,
+        };
+        for score in [None, Some(0.0)] {
+            let parts = parts.named().map(|(name, value)| (name.to_owned(), value)).to_vec();
+            let feedback = Feedback { code: None, score, threshold: 0.75, parts, errors: Vec::new() };
+            used.extend(words(&feedback_text(&set, &feedback).unwrap()));
+        }
+        let missing: Vec<&String> = used.difference(&quoted).collect();
+        assert!(used.len() > 60 && missing.is_empty(), "the key lacks {missing:?}");
+    }
+}

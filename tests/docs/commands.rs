@@ -1,0 +1,320 @@
+//! The commands of README.md and docs run as they stand there, in an empty folder, in their order.
+//!
+//! A command that cannot run here stands in [`NOT_RUN`] with its reason. The program must still know all of its subcommands,
+//! options and values.
+
+use super::text::{DocumentedCommand, commands};
+use super::{docs, name, read, root};
+use crate::outside::{data, skipped};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use tempfile::TempDir;
+
+const CARGO: &str = "builds this program";
+const HOURS: &str = "takes minutes to hours";
+const WEIGHTS: &str = "needs weights of gigabytes";
+const SERVER: &str = "needs a server";
+const NUPLAN: &str = "needs nuPlan's data";
+const DEVKIT: &str = "needs clones of nuplan-devkit and tuplan_garage";
+const NETWORK: &str = "downloads";
+const ENDLESS: &str = "runs until it is ended";
+const FORMER: &str = "needs the run of a command that is not run";
+
+/// Commands that are not run: page, command, reason.
+const NOT_RUN: &[(&str, &str, &str)] = &[
+    ("README.md", "cargo install --path .", CARGO),
+    ("README.md", "cargo test --release", CARGO),
+    (
+        "docs/devkit.md",
+        "git clone https://github.com/motional/nuplan-devkit && git -C nuplan-devkit checkout e924167",
+        NETWORK,
+    ),
+    (
+        "docs/devkit.md",
+        "git clone https://github.com/autonomousvision/tuplan_garage && git -C tuplan_garage checkout b51d5d0",
+        NETWORK,
+    ),
+    ("docs/devkit.md", "python3.11 -m venv devkit-python", DEVKIT),
+    ("docs/devkit.md", "devkit-python/bin/pip install -r tests/devkit/requirements.txt", NETWORK),
+    (
+        "docs/devkit.md",
+        "devkit-python/bin/python tests/devkit/compare.py --program target/release/planagent --devkit nuplan-devkit --tuplan \
+         tuplan_garage --out compared",
+        DEVKIT,
+    ),
+    (
+        "docs/devkit.md",
+        "devkit-python/bin/python tests/devkit/properties.py --devkit nuplan-devkit --exported compared/exported",
+        DEVKIT,
+    ),
+    ("docs/endpoint.md", "planagent simulate --model local-server", SERVER),
+    ("docs/endpoint.md", "OPENAI_API_KEY=… planagent simulate --model openai", SERVER),
+    ("docs/endpoint.md", "planagent simulate --model path/to/description.toml", SERVER),
+    ("docs/experiments.md", "planagent experiment main", HOURS),
+    ("docs/experiments.md", "planagent experiment all --quick", HOURS),
+    ("docs/experiments.md", "planagent experiment environment --suite generated-test14", HOURS),
+    ("docs/experiments.md", "planagent experiment main --suite recorded --scenario folder/of/recordings", HOURS),
+    (
+        "docs/experiments.md",
+        "NUPLAN_DATA_ROOT=… NUPLAN_MAPS_ROOT=… planagent experiment main --suite val14,test14-hard",
+        NUPLAN,
+    ),
+    ("docs/experiments.md", "planagent experiment mllm --bench runs/bench-2026.11.20.12.00.00", HOURS),
+    ("docs/experiments.md", "planagent experiment main --quick --csv", HOURS),
+    (
+        "docs/generator.md",
+        "planagent simulate --split generated-test14-candidates --planner pdm-closed --out runs/candidates",
+        HOURS,
+    ),
+    ("docs/generator.md", "planagent scenarios hard runs/candidates > suites/generated-test14-hard.txt", FORMER),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights nano,llava-1.5-7b,llava-1.5-13b,cogvlm-chat-17b --quantize q4_k",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights llava-1.1b,llava-1.5-7b --quantize q4_k --vs llama.cpp --llama-python venv/bin/python",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights nano,llava-1.5-7b,llava-1.5-13b,cogvlm-chat-17b --quantize q4_k --warm-up 0 \
+         --iterations 1",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights llava-1.1b --quantize q4_k --warm-up 0 --iterations 2 --vs llama.cpp",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights llava-1.1b --quantize q8_0 --warm-up 0 --iterations 1 --vs llama.cpp",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights llava-1.5-7b --quantize q4_k --warm-up 0 --iterations 1 --vs llama.cpp",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
+        "planagent bench --random-weights llava-1.5-7b --quantize q8_0 --warm-up 0 --iterations 1 --vs llama.cpp",
+        HOURS,
+    ),
+    (
+        "docs/llm_assist.md",
+        "planagent simulate --split generated --planner pdm-closed,llm-assist-unc,llm-assist-par --model \
+         llava-hf/llava-1.5-7b-hf",
+        WEIGHTS,
+    ),
+    ("docs/models.md", "planagent ask \"What blocks the ego's lane?\" --model llava-1.5-7b", WEIGHTS),
+    (
+        "docs/models.md",
+        "planagent ask \"Is the light red?\" --scenario generated/changing_lane/3 --at 3 --model local-server --image scene.png",
+        SERVER,
+    ),
+    ("docs/models.md", "planagent models fetch llava-1.5-7b", NETWORK),
+    ("docs/nuplan.md", "export NUPLAN_DATA_ROOT=/data/nuplan/dataset/nuplan-v1.1/splits/val", NUPLAN),
+    ("docs/nuplan.md", "export NUPLAN_MAPS_ROOT=/data/nuplan/dataset/maps", NUPLAN),
+    ("docs/nuplan.md", "planagent simulate --split val14 --planner idm,pdm-closed --challenge both", NUPLAN),
+    (
+        "docs/nuplan.md",
+        "planagent simulate --scenario $NUPLAN_DATA_ROOT/2021.06.09.17.23.18_veh-38_00773_01140.db#0123456789abcdef",
+        NUPLAN,
+    ),
+    ("docs/results.md", "planagent experiment main", HOURS),
+    ("docs/results.md", "planagent experiment scenario-types --suite generated-14", HOURS),
+    ("docs/results.md", "planagent experiment controls --suite generated-14-hard,generated-14", HOURS),
+    ("docs/results.md", "planagent experiment environment", HOURS),
+    ("docs/results.md", "planagent experiment reasoning", HOURS),
+    ("docs/results.md", "planagent experiment inputs", HOURS),
+    ("docs/results.md", "planagent experiment tokens", HOURS),
+    ("docs/report.md", "planagent serve runs/mine --open", ENDLESS),
+    ("docs/report.md", "cd runs/mine", DEVKIT),
+    (
+        "docs/report.md",
+        "NUPLAN_EXP_ROOT=$PWD python $DEVKIT/nuplan/planning/script/run_nuboard.py \
+         scenario_builder.map_root=$NUPLAN_MAPS_ROOT \
+         simulation_path=\"[$PWD/closed_loop_nonreactive_agents,$PWD/closed_loop_reactive_agents]\"",
+        DEVKIT,
+    ),
+    ("docs/report.md", "PYTHONPATH=$DEVKIT python tests/devkit/simulation_logs.py runs/exported exported", DEVKIT),
+];
+
+/// What of the world outside a command needs: a word of it, and whether it is here.
+fn lacks(command: &str) -> Option<&'static str> {
+    let runs = |program: &str| Command::new(program).arg("-version").output().is_ok();
+    let needs = |words: &[&str]| words.iter().any(|word| command.contains(word));
+    if needs(&["$PLANAGENT_DATA", ".tfrecord"]) && data("womd").is_none() {
+        return Some("recordings");
+    }
+    if needs(&["exec:"]) && !runs("python3") {
+        return Some("python3");
+    }
+    (needs(&["--mp4"]) && !runs("ffmpeg")).then_some("ffmpeg")
+}
+
+/// Writes what a page takes for granted into the folder of its commands.
+fn given(page: &str, folder: &Path) {
+    match page {
+        "docs/exec.md" => {
+            copy(&root().join("examples"), &folder.join("examples"));
+            for (script, example) in [("my_planner", "exec_planner.py"), ("my_agents", "exec_agents.py")] {
+                let script = folder.join(script);
+                fs::write(&script, format!("#!/bin/sh\nexec python3 examples/{example}\n")).unwrap();
+                make_executable(&script);
+            }
+        }
+        "docs/experiments.md" => {
+            let text = read(&root().join(page));
+            let (_, block) = text.split_once("```toml\n").unwrap();
+            fs::write(folder.join("my_study.toml"), block.split_once("```").unwrap().0).unwrap();
+        }
+        "docs/nuplan.md" => {
+            if let Some(recording) = data("womd/eb4b91b10ca94ff2.tfrecord") {
+                fs::copy(recording, folder.join("recording.tfrecord")).unwrap();
+            }
+        }
+        "docs/prompts.md" => {
+            copy(&root().join("prompts/compact"), &folder.join("my_prompts"));
+        }
+        "docs/runs.md" => {
+            if let Some(womd) = data("womd") {
+                fs::create_dir_all(folder.join("recordings/womd")).unwrap();
+                for file in ["61fa872f2d274223.tfrecord", "eb4b91b10ca94ff2.tfrecord"] {
+                    fs::copy(womd.join(file), folder.join("recordings/womd").join(file)).unwrap();
+                }
+            }
+        }
+        _ => {}
+    }
+}
+
+/// Copies the files of a folder.
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+    }
+}
+
+#[cfg(unix)]
+fn make_executable(path: &Path) {
+    use std::os::unix::fs::PermissionsExt;
+    fs::set_permissions(path, fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+#[cfg(not(unix))]
+fn make_executable(_: &Path) {}
+
+/// Runs a line in a shell that finds the built program.
+fn shell(line: &str, folder: &Path) -> Output {
+    let program = PathBuf::from(env!("CARGO_BIN_EXE_planagent"));
+    let mut paths = vec![program.parent().unwrap().to_owned()];
+    paths.extend(std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default()));
+    let mut command = Command::new("sh");
+    command.args(["-c", line]).current_dir(folder).env("PATH", std::env::join_paths(paths).unwrap());
+    for variable in
+        ["PLANAGENT_MODELS", "NUPLAN_DATA_ROOT", "NUPLAN_MAPS_ROOT", "NUPLAN_SPLITS_ROOT", "NUPLAN_EXP_ROOT"]
+    {
+        command.env_remove(variable);
+    }
+    let caches = [("PLANAGENT_CACHE", "cache"), ("HF_HOME", "hub"), ("PLANAGENT_DATA", "recordings")];
+    command.envs(caches.map(|(variable, name)| (variable, folder.join(name)))).env("NO_COLOR", "1");
+    command.output().unwrap()
+}
+
+fn text(output: &Output) -> String {
+    String::from_utf8_lossy(&[output.stdout.as_slice(), &output.stderr].concat()).into_owned()
+}
+
+/// Runs the commands of a page, in order.
+fn run_page(page: &str) {
+    let work = TempDir::new().unwrap();
+    given(page, work.path());
+    for DocumentedCommand { line, text: command, output: shown } in commands(&read(&root().join(page))) {
+        if let Some((.., why)) = NOT_RUN.iter().find(|(on, listed, _)| *on == page && *listed == command) {
+            assert!(!why.is_empty());
+            continue;
+        }
+        if let Some(what) = lacks(&command) {
+            skipped(format!("no {what}: {page}:{line}: {command}"));
+            continue;
+        }
+        let output = shell(&command, work.path());
+        assert!(output.status.success(), "{page}:{line}: {command}\n{}", text(&output));
+        for line in shown {
+            assert!(text(&output).contains(&line), "{page}: {command} does not print {line}\n{}", text(&output));
+        }
+    }
+}
+
+macro_rules! pages {
+    ($($name:ident: $page:literal,)+) => {
+        /// The pages with commands.
+        const PAGES: &[&str] = &[$($page),+];
+        $(#[test]
+        fn $name() {
+            run_page($page);
+        })+
+    };
+}
+
+pages! {
+    commands_of_the_readme: "README.md",
+    commands_of_devkit: "docs/devkit.md",
+    commands_of_endpoint: "docs/endpoint.md",
+    commands_of_exec: "docs/exec.md",
+    commands_of_experiments: "docs/experiments.md",
+    commands_of_generator: "docs/generator.md",
+    commands_of_latency: "docs/latency.md",
+    commands_of_llm_assist: "docs/llm_assist.md",
+    commands_of_models: "docs/models.md",
+    commands_of_nuplan: "docs/nuplan.md",
+    commands_of_prompts: "docs/prompts.md",
+    commands_of_report: "docs/report.md",
+    commands_of_results: "docs/results.md",
+    commands_of_runs: "docs/runs.md",
+}
+
+#[test]
+fn every_page_with_commands_is_tested() {
+    for page in docs() {
+        let page_name = name(&page);
+        let tested = PAGES.contains(&page_name.as_str());
+        assert_eq!(tested, !commands(&read(&page)).is_empty(), "{page_name}");
+    }
+}
+
+#[test]
+fn the_commands_that_are_not_run_are_documented() {
+    for (page, command, _) in NOT_RUN {
+        let documented = commands(&read(&root().join(page)));
+        assert!(documented.iter().any(|known| known.text == *command), "{page} has no {command}");
+    }
+}
+
+/// `--help` at the end keeps a command from running, after all before it was read.
+#[test]
+fn the_program_knows_the_options_of_commands_that_are_not_run() {
+    let work = TempDir::new().unwrap();
+    fs::create_dir(work.path().join("suites")).unwrap();
+    let mut known = 0;
+    for (page, command, _) in NOT_RUN {
+        // Settings of the environment stand before the program.
+        let program = command.split_whitespace().find(|word| !word.contains('='));
+        if program != Some("planagent") {
+            continue;
+        }
+        let output = shell(&format!("{} --help", command.trim_end_matches(" &")), work.path());
+        assert!(output.status.success(), "{page}: {command}\n{}", text(&output));
+        known += 1;
+    }
+    assert!(known > 10);
+    let wrong = shell("planagent simulate --plannr idm --help", work.path());
+    assert_eq!(wrong.status.code(), Some(2), "an unknown option goes unseen");
+}
