@@ -7,9 +7,17 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::checkpoint::{ConfigObject, ModelFiles};
 use super::family::Family;
-use super::{MllmError, cogvlm, llava, llava_next};
+use super::{MllmError, cogvlm, internvl, llava, llava_next, qwen2_5_vl, qwen3_vl, smolvlm};
 
-const BUILT_IN: &[&Family] = &[&llava::FAMILY, &llava_next::FAMILY, &cogvlm::FAMILY];
+const BUILT_IN: &[&Family] = &[
+    &llava::FAMILY,
+    &llava_next::FAMILY,
+    &cogvlm::FAMILY,
+    &smolvlm::FAMILY,
+    &internvl::FAMILY,
+    &qwen3_vl::FAMILY,
+    &qwen2_5_vl::FAMILY,
+];
 
 /// The families that models are looked for in: those that are built in, and those of a program that uses this one.
 #[derive(Debug, Clone)]

@@ -6,15 +6,19 @@
 //! 3. How does a chat become tokens, with placeholders for the image ([`VisionLanguageModel::chat_format`])?
 //! 4. Where do the tokens stand ([`VisionLanguageModel::positions`])?
 //! 5. What are its tensors called in safetensors and GGUF files (`canonical_name` and `gguf` of [`Family`])?
+//!
+//! An image has one [`ImageLayout`], which its width and height decide. The layout says how many tokens stand for the image,
+//! and which grid it is cut into. The chat format writes it, with separators between its parts. The positions follow from it.
 
 use std::fmt::{self, Debug, Formatter};
 use std::ops::Range;
 
 use candle_core::Tensor;
 use image::RgbImage;
+use serde::{Deserialize, Serialize};
 
 use super::checkpoint::{LlamaConfig, ModelFiles, Weights};
-use super::decoder::LanguageModel;
+use super::decoder::{LanguageModel, Position};
 use super::gguf::GgufLayout;
 use super::text::ChatTokenizer;
 use super::{MllmError, Turn};
@@ -52,22 +56,34 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
     /// Sizes and names that users of the model need.
     fn info(&self) -> &ModelInfo;
 
-    /// Tokens that an image of this width and height, pixels, becomes.
-    fn image_tokens(&self, width: u32, height: u32) -> Result<usize, MllmError>;
+    /// Changes how images are shown to the model.
+    ///
+    /// # Errors
+    /// When the family cannot show them so.
+    fn set_images(&mut self, settings: ImageSettings) -> Result<(), MllmError> {
+        if let Some(tiles) = settings.tiles {
+            let problem = format!("image.tiles = {tiles}: images of this family are not cut as a setting says");
+            return Err(MllmError::Image { problem });
+        }
+        settings.check_size(self.info().image_size)
+    }
+
+    /// How an image of this width and height, pixels, lies in a chat.
+    fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError>;
 
     /// Cuts and scales an image to the tiles that the vision tower takes.
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError>;
 
-    /// Encodes tiles to input rows of the decoder: (image tokens, hidden).
-    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor>;
+    /// Encodes tiles to input rows of the decoder.
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures>;
 
     /// How chats are written, from the model's files.
     fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError>;
 
-    /// Where the tokens `tokens` of a chat stand whose image has the tokens `image` (empty for none).
-    fn positions(&self, tokens: Range<usize>, image: &Range<usize>) -> Positions {
+    /// Where the tokens `tokens` of a chat with this image stand.
+    fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
         let _ = image;
-        Positions { rotary: (tokens.start as u32..tokens.end as u32).collect(), vision: 0..0 }
+        Positions::plain(tokens.start as u32..tokens.end as u32)
     }
 
     /// Longest chat, tokens, whose image (if it has one) becomes `image_tokens` tokens.
@@ -80,7 +96,7 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
     fn decoder(&self) -> &dyn LanguageModel;
 
     /// Encodes an image to input rows of the decoder.
-    fn encode_image(&self, image: &RgbImage) -> Result<Tensor, MllmError> {
+    fn encode_image(&self, image: &RgbImage) -> Result<ImageFeatures, MllmError> {
         Ok(self.encode(&self.preprocess(image)?)?)
     }
 }
@@ -88,7 +104,7 @@ pub trait VisionLanguageModel: Debug + Send + Sync {
 /// An image as the vision tower takes it.
 #[derive(Debug, Clone)]
 pub struct Tiles {
-    /// Pixel values of each tile, (3, side, side).
+    /// Pixel values of each tile, (3, height, width).
     pub pixels: Vec<Tensor>,
     /// Width of the image before it was cut, pixels.
     pub width: u32,
@@ -96,13 +112,99 @@ pub struct Tiles {
     pub height: u32,
 }
 
+/// How images are shown to a model, in its description; what is not set is as the model's files say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ImageSettings {
+    /// Side of the square image that is drawn for the model, pixels. Only towers that take any size have a choice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub size: Option<u32>,
+    /// Most tiles that an image is cut into.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tiles: Option<usize>,
+}
+
+impl ImageSettings {
+    pub(crate) fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Checks that the size is the one that a tower takes, if one is set.
+    pub(crate) fn check_size(self, side: usize) -> Result<(), MllmError> {
+        match self.size {
+            Some(size) if size as usize != side => {
+                Err(MllmError::Image { problem: format!("image.size = {size}: the vision tower takes {side}") })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// How an image lies in a chat.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ImageLayout {
+    /// Tokens that stand for the image, one for each row of its features. Separators between its parts are text.
+    pub tokens: usize,
+    /// Rows of the grid that it is cut into: tiles, or tokens of a tower that takes any size. 1 for an image in one piece.
+    pub rows: usize,
+    /// Columns of that grid.
+    pub columns: usize,
+}
+
+impl ImageLayout {
+    /// An image in one piece, whose tokens follow one another.
+    pub fn whole(tokens: usize) -> Self {
+        Self { tokens, rows: 1, columns: 1 }
+    }
+}
+
+/// An image in a chat.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PlacedImage {
+    /// Index of its first token.
+    pub first: usize,
+    pub layout: ImageLayout,
+}
+
+impl PlacedImage {
+    /// The tokens of an image whose tokens follow one another.
+    pub fn tokens(&self) -> Range<usize> {
+        self.first..self.first + self.layout.tokens
+    }
+}
+
+/// An image as the decoder takes it.
+#[derive(Debug, Clone)]
+pub struct ImageFeatures {
+    /// Input rows: (image tokens, hidden).
+    pub rows: Tensor,
+    /// Added to the hidden states of the image's tokens after the first layers, one for each: (image tokens, hidden). Most
+    /// families have none (`DeepStack`: Meng et al., arXiv:2406.04334).
+    pub deep: Vec<Tensor>,
+    pub layout: ImageLayout,
+}
+
+impl ImageFeatures {
+    /// The features of an image in one piece.
+    pub fn whole(rows: Tensor) -> candle_core::Result<Self> {
+        Ok(Self { layout: ImageLayout::whole(rows.dim(0)?), deep: Vec::new(), rows })
+    }
+}
+
 /// Where tokens of a chat stand.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Positions {
-    /// The position of each token for its rotary embedding, never falling.
-    pub rotary: Vec<u32>,
+    /// The position of each token for its rotary embedding.
+    pub rotary: Vec<Position>,
     /// Which of the tokens, by index, layers treat as parts of an image.
     pub vision: Range<usize>,
+}
+
+impl Positions {
+    /// Tokens with one position each, and without layers that tell an image from text.
+    pub fn plain(positions: impl IntoIterator<Item = u32>) -> Self {
+        Self { rotary: positions.into_iter().map(|position| [position; 3]).collect(), vision: 0..0 }
+    }
 }
 
 /// How a family writes a chat as tokens.
@@ -116,8 +218,8 @@ pub trait ChatFormat: Debug + Send + Sync {
 pub struct Chat<'a> {
     /// The system prompt; empty for none.
     pub system: &'a str,
-    /// Tokens of the image that the first prompt begins with; none without one.
-    pub image_tokens: Option<usize>,
+    /// The image that the first prompt begins with; none without one.
+    pub image: Option<ImageLayout>,
     pub turns: &'a [Turn],
     pub prompt: &'a str,
 }
@@ -131,7 +233,7 @@ pub struct ModelInfo {
     pub image_token: u32,
     /// Whether the image stands before the system prompt, so that no chat shares a prefix with another.
     pub image_first: bool,
-    /// Side of the square that the vision tower takes, pixels.
+    /// Side of the square that the vision tower takes, or that a tower for any size is shown by default, pixels.
     pub image_size: usize,
     /// Tokens of the image that becomes the most.
     pub max_image_tokens: usize,

@@ -3,7 +3,7 @@
 //! A planning call opens a [`Conversation`] with an [`Mllm`] and asks round after round. [`ModelRegistry`] finds a model by
 //! name, folder, file or hub id. `Endpoint` asks a server with `OpenAI`'s interface. A [`LocalModel`] runs here:
 //! 1. `source` opens the files of a model: safetensors, GGUF or random weights ([`ModelPlace`]).
-//! 2. A [`Family`] turns them into a [`VisionLanguageModel`]. `families` lists `llava`, `llava_next` and `cogvlm`; they share
+//! 2. A [`Family`] turns them into a [`VisionLanguageModel`]. `families` lists them; they share
 //!    `vision` and `decoder`.
 //! 3. `local` tokenizes a chat, computes what is new of it, and generates the answer under a grammar.
 //!
@@ -23,6 +23,7 @@ mod export;
 mod families;
 mod family;
 mod gguf;
+mod internvl;
 mod latency;
 mod layer_norm;
 mod linear;
@@ -31,10 +32,14 @@ mod llava_next;
 mod local;
 mod matrix;
 mod pointwise;
+mod qwen2_5_vl;
+mod qwen3_vl;
 mod registry;
 mod rms_norm;
 mod sampling;
+mod smolvlm;
 mod source;
+mod template_format;
 mod text;
 mod values;
 mod vision;
@@ -49,14 +54,17 @@ pub use conversation::{
     RoundTime, Sampling, Server, TokenCounts, Turn, image_hash, prompt_hash,
 };
 pub use deadline::Deadline;
-pub use decoder::{DecoderInput, KvCache, LanguageModel, Logits};
+pub use decoder::{DecoderInput, KvCache, LanguageModel, Logits, Position};
 #[cfg(feature = "endpoint")]
 pub use endpoint::Endpoint;
 pub use endpoint_settings::{EndpointSettings, GrammarField, LimitField};
 pub use error::{EndpointFailure, MllmError};
 pub use export::{CreateFile, GgufPart, export_model};
 pub use families::{Architecture, Families};
-pub use family::{Chat, ChatFormat, Family, ModelInfo, OpenedModel, Positions, Tiles, VisionLanguageModel};
+pub use family::{
+    Chat, ChatFormat, Family, ImageFeatures, ImageLayout, ImageSettings, ModelInfo, OpenedModel, PlacedImage,
+    Positions, Tiles, VisionLanguageModel,
+};
 pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
 pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};

@@ -26,6 +26,11 @@ impl RmsNorm {
         Ok(Self { weight, eps: eps as f32 })
     }
 
+    /// Numbers of a row.
+    pub(crate) fn width(&self) -> usize {
+        self.weight.len()
+    }
+
     /// Applies the norm to (rows, width).
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
         let width = self.weight.len();

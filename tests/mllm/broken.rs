@@ -190,7 +190,7 @@ fn set(config: &mut Value, path: &str, value: Value) {
 fn wrong_configuration_keys_are_named() {
     for (key, value) in [
         ("model_type", json!("blip")),
-        ("text_config.model_type", json!("qwen2")),
+        ("text_config.model_type", json!("gemma")),
         ("text_config.hidden_size", json!("wide")),
         ("text_config.hidden_size", json!(33)),
         ("text_config.hidden_size", json!(-32)),

@@ -213,6 +213,15 @@ fn the_described_models_are_all_readable() {
         ("llava-v1.6-vicuna-13b", "llava-next"),
         ("llava-v1.6-mistral-7b", "llava-next"),
         ("cogvlm-chat-17b", "cogvlm"),
+        ("smolvlm2-256m", "smolvlm"),
+        ("smolvlm2-500m", "smolvlm"),
+        ("smolvlm2-2.2b", "smolvlm"),
+        ("internvl3-1b", "internvl"),
+        ("internvl3-2b", "internvl"),
+        ("qwen3-vl-2b", "qwen3-vl"),
+        ("qwen3-vl-4b", "qwen3-vl"),
+        ("qwen2.5-vl-3b", "qwen2.5-vl"),
+        ("qwen2.5-vl-7b", "qwen2.5-vl"),
     ] {
         assert!(names.iter().any(|known| known == name), "{names:?}");
         let spec = registry.find(name).unwrap();

@@ -2,11 +2,10 @@
 
 use std::ops::Range;
 
-use candle_core::Tensor;
 use image::RgbImage;
 use planagent::internals::mllm::{
-    Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, LanguageModel, Mllm, MllmError, ModelFiles,
-    ModelInfo, ModelRegistry, Positions, Tiles, VisionLanguageModel,
+    Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, ImageFeatures, ImageLayout, LanguageModel,
+    Mllm, MllmError, ModelFiles, ModelInfo, ModelRegistry, PlacedImage, Positions, Tiles, VisionLanguageModel,
 };
 
 use super::{Copy, FIRST, free, open, prefix};
@@ -34,15 +33,15 @@ impl VisionLanguageModel for ToyModel {
         self.0.info()
     }
 
-    fn image_tokens(&self, width: u32, height: u32) -> Result<usize, MllmError> {
-        self.0.image_tokens(width, height)
+    fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError> {
+        self.0.image_layout(width, height)
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
         self.0.preprocess(&image::imageops::rotate180(image))
     }
 
-    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor> {
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
         self.0.encode(tiles)
     }
 
@@ -50,7 +49,7 @@ impl VisionLanguageModel for ToyModel {
         self.0.chat_format(files, tokenizer)
     }
 
-    fn positions(&self, tokens: Range<usize>, image: &Range<usize>) -> Positions {
+    fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
         self.0.positions(tokens, image)
     }
 

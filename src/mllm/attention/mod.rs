@@ -28,7 +28,8 @@ pub(crate) use mask::AttentionMask;
 #[cfg(feature = "internals")]
 pub use probe::AttentionProbe;
 pub(crate) use projected::{HeadShape, Projected};
-pub(crate) use rotary::{RotaryRows, RotaryTable};
+pub use rotary::Position;
+pub(crate) use rotary::{RotaryEmbedding, RotaryRows};
 use unit::{PartialOutput, WorkUnit};
 
 use super::matrix::Instructions;

@@ -1,17 +1,28 @@
 //! Rotary position embeddings.
 
-use crate::mllm::checkpoint::{LlamaConfig, Rope, RopeScaling};
+use crate::mllm::checkpoint::{LlamaConfig, Rope, RopeScaling, RotarySections};
 
-/// Cosines and sines of every position of a context.
+/// A position on three axes: time, height, width. Text, and families with one position a token, have three equal numbers.
+pub type Position = [u32; 3];
+
+/// Frequencies of the pairs of a head's channels, for the positions of a context.
 #[derive(Debug)]
-pub(crate) struct RotaryTable {
-    /// (context, head width / 2)
-    angles: Vec<Turn>,
-    pairs: usize,
+pub(crate) struct RotaryEmbedding {
+    pairs: Vec<Pair>,
+    context: usize,
+}
+
+/// Two channels of a head that are rotated together.
+#[derive(Debug, Clone, Copy)]
+struct Pair {
+    /// Angle per position.
+    frequency: f32,
+    /// The axis of the position that it is rotated by.
+    axis: usize,
 }
 
 /// Cosines and sines of the rows of one pass.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct RotaryRows {
     /// (tokens, head width / 2)
     angles: Vec<Turn>,
@@ -25,29 +36,68 @@ struct Turn {
     sin: f32,
 }
 
-impl RotaryTable {
+impl Turn {
+    fn by(angle: f32) -> Self {
+        Self { cos: angle.cos(), sin: angle.sin() }
+    }
+}
+
+impl RotaryEmbedding {
     pub(crate) fn new(config: &LlamaConfig) -> Self {
         let frequencies = frequencies(&config.rope, config.head_dim);
-        let angles = (0..config.context)
-            .flat_map(|position| frequencies.iter().map(move |frequency| position as f32 * frequency))
-            .map(|angle| Turn { cos: angle.cos(), sin: angle.sin() })
-            .collect();
-        Self { angles, pairs: frequencies.len() }
+        let axis = |pair| config.rope.sections.map_or(0, |sections| axis(sections, pair));
+        let pairs =
+            frequencies.iter().enumerate().map(|(pair, frequency)| Pair { frequency: *frequency, axis: axis(pair) });
+        Self { pairs: pairs.collect(), context: config.context }
     }
 
-    pub(crate) fn rows(&self, positions: &[u32]) -> candle_core::Result<RotaryRows> {
-        let mut angles = Vec::with_capacity(positions.len() * self.pairs);
+    pub(crate) fn rows(&self, positions: &[Position]) -> candle_core::Result<RotaryRows> {
+        let mut angles = Vec::with_capacity(positions.len() * self.pairs.len());
         for position in positions {
-            let Some(row) = self.angles.chunks_exact(self.pairs).nth(*position as usize) else {
-                candle_core::bail!("position {position} is outside the context");
-            };
-            angles.extend_from_slice(row);
+            if position.iter().any(|axis| *axis as usize >= self.context) {
+                candle_core::bail!("position {position:?} is outside the context");
+            }
+            angles.extend(self.pairs.iter().map(|pair| Turn::by(position[pair.axis] as f32 * pair.frequency)));
         }
-        Ok(RotaryRows { angles, pairs: self.pairs })
+        Ok(RotaryRows { angles, pairs: self.pairs.len() })
+    }
+}
+
+/// The axis of a pair (`apply_multimodal_rotary_pos_emb` and `apply_interleaved_mrope` in transformers).
+fn axis(sections: RotarySections, pair: usize) -> usize {
+    let RotarySections { lengths, interleaved } = sections;
+    if interleaved {
+        let axis = pair % 3;
+        if pair < 3 * lengths[axis] { axis } else { 0 }
+    } else if pair < lengths[0] {
+        0
+    } else {
+        1 + usize::from(pair >= lengths[0] + lengths[1])
     }
 }
 
 impl RotaryRows {
+    /// Angles of patches by row and column, for heads of `width` channels: the first half of the pairs turns by the row, the
+    /// second by the column.
+    pub(crate) fn of_patches(patches: impl Iterator<Item = [usize; 2]>, width: usize, base: f64) -> Self {
+        let pairs = width / 2;
+        let frequencies: Vec<f32> =
+            (0..pairs / 2).map(|pair| (1.0 / base.powf(2.0 * pair as f64 / pairs as f64)) as f32).collect();
+        let angles = patches
+            .flat_map(|[row, column]| {
+                let turned = |place: usize| frequencies.iter().map(move |frequency| Turn::by(place as f32 * frequency));
+                turned(row).chain(turned(column)).collect::<Vec<_>>()
+            })
+            .collect();
+        Self { angles, pairs }
+    }
+
+    /// The angles of some of the rows.
+    pub(crate) fn of_rows(&self, rows: std::ops::Range<usize>) -> Self {
+        let angles = self.angles.get(rows.start * self.pairs..rows.end * self.pairs).unwrap_or_default().to_vec();
+        Self { angles, pairs: self.pairs }
+    }
+
     pub(super) fn fits(&self, tokens: usize, width: usize) -> bool {
         self.pairs * 2 == width && self.angles.len() == tokens * self.pairs
     }
@@ -101,11 +151,23 @@ mod tests {
 
     #[test]
     fn frequencies_fall_from_one_by_the_base() {
-        let rope = Rope { theta: 10_000.0, scaling: RopeScaling::None };
+        let rope = Rope { theta: 10_000.0, scaling: RopeScaling::None, sections: None };
         let frequencies = frequencies(&rope, 8);
         for (frequency, expected) in frequencies.iter().zip([1.0, 0.1, 0.01, 0.001]) {
             assert!((frequency - expected).abs() < 1e-7);
         }
+    }
+
+    #[test]
+    fn sections_share_the_pairs_among_three_axes() {
+        let axes = |lengths, interleaved, pairs| -> Vec<usize> {
+            (0..pairs).map(|pair| axis(RotarySections { lengths, interleaved }, pair)).collect()
+        };
+        assert_eq!(axes([2, 3, 3], false, 8), [0, 0, 1, 1, 1, 2, 2, 2]);
+        assert_eq!(axes([4, 2, 2], true, 8), [0, 1, 2, 0, 1, 2, 0, 0]);
+        // Qwen3-VL: 24 for time, 20 each for height and width.
+        let published = axes([24, 20, 20], true, 64);
+        assert_eq!([0, 1, 2].map(|axis| published.iter().filter(|found| **found == axis).count()), [24, 20, 20]);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 
 use super::key_values::BLOCK_POSITIONS;
-use super::{AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryTable, attend, mix};
+use super::{AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryEmbedding, attend, mix};
 use crate::mllm::checkpoint::{ConfigObject, LlamaConfig};
 use crate::mllm::matrix::Instructions;
 
@@ -202,8 +202,8 @@ fn shapes_that_do_not_fit_are_errors() {
     });
     let config = serde_json::json!({"vocab_size": 8, "hidden_size": 32, "num_attention_heads": 2});
     let config = LlamaConfig::read(ConfigObject::root("config.json".as_ref(), &config).unwrap()).unwrap();
-    let table = RotaryTable::new(&config);
-    assert!(table.rows(&[config.context as u32]).is_err());
-    let angles = table.rows(&[0, 1]).unwrap();
+    let table = RotaryEmbedding::new(&config);
+    assert!(table.rows(&[[0, config.context as u32, 0]]).is_err());
+    let angles = table.rows(&[[0; 3], [1; 3]]).unwrap();
     assert!(Projected::of(&rows, shape, Some(&angles), |_| Ok(())).is_err());
 }

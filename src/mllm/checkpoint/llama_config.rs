@@ -1,4 +1,4 @@
-//! The configuration of a Llama or Mistral decoder.
+//! The configuration of a decoder of Llama's kind: Llama, Mistral, Qwen 2 and Qwen 3.
 
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -7,9 +7,11 @@ use super::activation::Activation;
 use super::config::{ConfigObject, count, optional_count, positive};
 use crate::mllm::MllmError;
 
-/// A Llama decoder (`LlamaConfig`), or a Mistral one (`MistralConfig`), which has other defaults and a window.
+/// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a window, Qwen 2 (`Qwen2Config`)
+/// biases of queries, keys and values, Qwen 3 (`Qwen3Config`) norms of queries and keys.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default)]
+#[expect(clippy::struct_excessive_bools, reason = "these are the keys of configuration files")]
 pub struct LlamaConfig {
     /// Number of token ids.
     #[serde(rename = "vocab_size", deserialize_with = "count")]
@@ -38,8 +40,14 @@ pub struct LlamaConfig {
     pub rms_norm_eps: f64,
     #[serde(skip)]
     pub(crate) rope: Rope,
-    /// Whether the attention's projections have biases.
+    /// Whether the projections to queries, keys and values have biases.
     pub attention_bias: bool,
+    /// Whether the attention's output projection has a bias.
+    #[serde(skip)]
+    pub(crate) output_bias: bool,
+    /// Whether queries and keys are normalized in each head.
+    #[serde(skip)]
+    pub(crate) head_norms: bool,
     /// Whether the feed-forward layers have biases.
     pub mlp_bias: bool,
     /// Positions that a token sees, its own among them; none for all.
@@ -64,6 +72,8 @@ impl Default for LlamaConfig {
             rms_norm_eps: 1e-6,
             rope: Rope::default(),
             attention_bias: false,
+            output_bias: false,
+            head_norms: false,
             mlp_bias: false,
             window: None,
             tie_word_embeddings: false,
@@ -77,11 +87,21 @@ pub(crate) struct Rope {
     /// Base of the frequencies.
     pub theta: f64,
     pub scaling: RopeScaling,
+    /// How the pairs of a head are shared by the axes of a position; none for one axis.
+    pub sections: Option<RotarySections>,
+}
+
+/// The pairs of a head's channels that each axis of a position turns: time, height, width (`mrope_section`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct RotarySections {
+    pub lengths: [usize; 3],
+    /// Whether the axes take turns, pair by pair (Qwen3-VL); otherwise each has one block (Qwen2.5-VL).
+    pub interleaved: bool,
 }
 
 impl Default for Rope {
     fn default() -> Self {
-        Self { theta: 10_000.0, scaling: RopeScaling::None }
+        Self { theta: 10_000.0, scaling: RopeScaling::None, sections: None }
     }
 }
 
@@ -105,15 +125,19 @@ pub(crate) enum RopeScaling {
     },
 }
 
-/// Longest context, positions: bounds the table of rotary angles.
+/// Longest context, positions: beyond it a configuration is taken for broken.
 const MAX_CONTEXT: usize = 1 << 20;
 
 /// Which decoder a `text_config` describes.
-#[derive(Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum ModelType {
+pub(crate) enum DecoderType {
     Llama,
     Mistral,
+    #[serde(alias = "qwen2_5_vl_text")]
+    Qwen2,
+    #[serde(alias = "qwen3_vl_text")]
+    Qwen3,
 }
 
 #[derive(Deserialize)]
@@ -122,21 +146,51 @@ enum RopeType {
     Default,
     Linear,
     Llama3,
+    /// Longer contexts than in training change the base; within it, this is the default.
+    Dynamic,
+    /// The default with sections.
+    Mrope,
 }
 
 impl LlamaConfig {
     /// Reads a `text_config`.
     pub(crate) fn read(text: ConfigObject<'_>) -> Result<Self, MllmError> {
-        match text.value("model_type")?.unwrap_or(ModelType::Llama) {
+        let kind = text.value("model_type")?.unwrap_or(DecoderType::Llama);
+        Self::read_as(text, kind)
+    }
+
+    /// Reads the keys of a decoder of this kind.
+    pub(crate) fn read_as(text: ConfigObject<'_>, kind: DecoderType) -> Result<Self, MllmError> {
+        match kind {
             // Only Mistral's layers have a window.
-            ModelType::Llama => Ok(Self { window: None, ..Self::read_with(text, Value::Null)? }),
-            ModelType::Mistral => Self::read_with(
+            DecoderType::Llama => Ok(Self { window: None, ..Self::read_with(text, Value::Null)? }),
+            DecoderType::Mistral => Self::read_with(
                 text,
                 json!({
                     "intermediate_size": 14_336, "num_key_value_heads": 8, "max_position_embeddings": 131_072,
                     "sliding_window": 4096,
                 }),
             ),
+            DecoderType::Qwen2 | DecoderType::Qwen3 => {
+                if text.value("use_sliding_window")?.unwrap_or(false) {
+                    return Err(text.error("use_sliding_window", "a window in some of the layers is not supported"));
+                }
+                let qwen2 = kind == DecoderType::Qwen2;
+                let mut defaults =
+                    json!({"vocab_size": 151_936, "intermediate_size": 22_016, "max_position_embeddings": 32_768});
+                if !qwen2 {
+                    defaults["head_dim"] = json!(128);
+                }
+                let config = Self::read_with(text, defaults)?;
+                let bias = config.attention_bias;
+                Ok(Self {
+                    window: None,
+                    attention_bias: qwen2 || bias,
+                    output_bias: !qwen2 && bias,
+                    head_norms: !qwen2,
+                    ..config
+                })
+            }
         }
     }
 
@@ -148,10 +202,15 @@ impl LlamaConfig {
         }
         let mut config: Self = text.read()?;
         config.rope = Rope::read(&text)?;
+        config.output_bias = config.attention_bias;
         if config.kv_heads == 0 {
             config.kv_heads = config.heads;
         }
         if config.head_dim == 0 {
+            if !config.hidden.is_multiple_of(config.heads) {
+                let problem = format!("{} is no multiple of {} attention heads", config.hidden, config.heads);
+                return Err(text.error("hidden_size", problem));
+            }
             config.head_dim = config.hidden / config.heads;
         }
         config.validate().map_err(|(key, problem)| text.error(key, problem))?;
@@ -160,15 +219,18 @@ impl LlamaConfig {
 
     /// The first key that contradicts another, and why.
     fn validate(&self) -> Result<(), (&'static str, String)> {
-        let Self { hidden, heads, kv_heads, head_dim, context, .. } = self;
-        if !hidden.is_multiple_of(*heads) {
-            return Err(("hidden_size", format!("{hidden} is no multiple of {heads} attention heads")));
-        }
+        let Self { heads, kv_heads, head_dim, context, .. } = self;
         if !heads.is_multiple_of(*kv_heads) {
             return Err(("num_key_value_heads", format!("{kv_heads} does not divide {heads} attention heads")));
         }
         if !head_dim.is_multiple_of(2) {
             return Err(("head_dim", format!("{head_dim} is odd; rotary embeddings need pairs")));
+        }
+        if let Some(RotarySections { lengths, .. }) = self.rope.sections
+            && lengths.iter().try_fold(0, |sum: usize, length| sum.checked_add(*length)) != Some(head_dim / 2)
+        {
+            let problem = format!("{lengths:?} do not add up to the {} pairs of a head", head_dim / 2);
+            return Err(("mrope_section", problem));
         }
         if *context > MAX_CONTEXT {
             return Err(("max_position_embeddings", format!("at most {MAX_CONTEXT} positions are supported")));
@@ -188,7 +250,7 @@ impl Rope {
             |key: &str| section.positive(key)?.ok_or_else(|| section.error(key, "is missing for this rope_type"));
         let kind = if section.contains("rope_type") { "rope_type" } else { "type" };
         let scaling = match section.value(kind)?.unwrap_or(RopeType::Default) {
-            RopeType::Default => RopeScaling::None,
+            RopeType::Default | RopeType::Dynamic | RopeType::Mrope => RopeScaling::None,
             RopeType::Linear => RopeScaling::Linear { factor: required("factor")? },
             RopeType::Llama3 => RopeScaling::Llama3 {
                 factor: required("factor")?,
@@ -198,6 +260,10 @@ impl Rope {
             },
         };
         let theta = text.positive("rope_theta")?.unwrap_or(Self::default().theta);
-        Ok(Self { theta: section.positive("rope_theta")?.unwrap_or(theta), scaling })
+        let sections = section.value("mrope_section")?.map(|lengths: [usize; 3]| -> Result<_, MllmError> {
+            Ok(RotarySections { lengths, interleaved: section.value("mrope_interleaved")?.unwrap_or(false) })
+        });
+        let theta = section.positive("rope_theta")?.unwrap_or(theta);
+        Ok(Self { theta, scaling, sections: sections.transpose()? })
     }
 }

@@ -20,7 +20,7 @@ pub(crate) use activation::Activation;
 pub(crate) use config::{ConfigObject, OneOrMany, positive};
 pub use files::ModelFiles;
 pub use llama_config::LlamaConfig;
-pub(crate) use llama_config::{Rope, RopeScaling};
+pub(crate) use llama_config::{DecoderType, Rope, RopeScaling, RotarySections};
 pub(crate) use load_report::in_bytes;
 pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
 pub(crate) use row_order::{RowOrder, paired};
@@ -28,6 +28,7 @@ pub(crate) use vision_config::VisionConfig;
 pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile};
 pub(crate) use weight_format_plan::{FileKind, WeightFormatPlan, held_as, is_matrix};
 pub use weights::Weights;
+pub(crate) use weights::in_four_dimensions;
 
 use super::MllmError;
 

@@ -7,7 +7,7 @@ use super::activation::Activation;
 use super::config::{ConfigObject, count, positive};
 use crate::mllm::MllmError;
 
-/// A vision transformer over the patches of a square image and a class token. `CogVLM` has other names for two keys.
+/// A vision transformer over the patches of a square image. `CogVLM` and Qwen have other names for some keys.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default)]
 pub(crate) struct VisionConfig {
@@ -17,7 +17,7 @@ pub(crate) struct VisionConfig {
     /// Width of the feed-forward layers.
     #[serde(rename = "intermediate_size", deserialize_with = "count")]
     pub intermediate: usize,
-    #[serde(rename = "num_hidden_layers", deserialize_with = "count")]
+    #[serde(rename = "num_hidden_layers", alias = "depth", deserialize_with = "count")]
     pub layers: usize,
     #[serde(rename = "num_attention_heads", alias = "num_heads", deserialize_with = "count")]
     pub heads: usize,

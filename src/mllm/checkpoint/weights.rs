@@ -130,6 +130,11 @@ impl Weights {
         self.tensors.contains_key(name)
     }
 
+    /// Whether the files of a model lack a tensor. A list of what a model takes has no files.
+    pub(crate) fn lacks(&self, name: &str) -> bool {
+        !matches!(self.taking, Taking::List(_)) && !self.contains(name)
+    }
+
     /// Names and shapes of all tensors that are not taken yet.
     pub(crate) fn shapes(&self) -> impl Iterator<Item = (&str, &[usize])> {
         self.tensors.iter().map(|(name, stored)| (name.as_str(), stored.place.shape.as_slice()))
@@ -225,6 +230,16 @@ impl Weights {
         Ok(Tensor::from_vec(self.values(&stored)?, shape, &Device::Cpu)?)
     }
 
+    /// Takes a tensor out, in f32, that a file may store with further sides of 1, or in four dimensions.
+    pub(crate) fn take_of_any_rank(&mut self, name: &str, shape: &[usize]) -> Result<Tensor, MllmError> {
+        let sides = |shape: &[usize]| shape.iter().copied().filter(|side| *side != 1).collect::<Vec<_>>();
+        let stored = self.tensors.get(name).map(|stored| stored.place.shape.clone());
+        match stored.filter(|stored| sides(stored) == sides(shape) || *stored == in_four_dimensions(shape)) {
+            Some(stored) => Ok(self.take(name, &stored)?.reshape(shape)?),
+            None => self.take(name, shape),
+        }
+    }
+
     /// Takes a tensor of shape [outputs, inputs] out as a matrix, in the format of the plan.
     pub(crate) fn take_matrix(&mut self, name: &str, shape: [usize; 2]) -> Result<Matrix, MllmError> {
         debug_assert!(is_matrix(name, &shape), "{name} is forecast to stay in f32");
@@ -313,6 +328,14 @@ impl Weights {
     fn not_finite(&self, stored: &StoredTensor, element: usize, value: f32) -> MllmError {
         MllmError::NonFiniteWeight { path: self.path(stored), name: stored.name.clone(), element, value }
     }
+}
+
+/// A shape with at most four dimensions, which GGUF allows: those behind the first are merged.
+pub(crate) fn in_four_dimensions(shape: &[usize]) -> Vec<usize> {
+    let extra = shape.len().saturating_sub(4);
+    let Some((first, rest)) = shape.split_first().filter(|_| extra > 0) else { return shape.to_vec() };
+    let (merged, last) = rest.split_at(extra + 1);
+    [&[*first, merged.iter().product()], last].concat()
 }
 
 /// The half-precision number at a byte of a block.

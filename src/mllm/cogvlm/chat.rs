@@ -26,8 +26,8 @@ pub(super) struct QuestionFormat {
 impl ChatFormat for QuestionFormat {
     fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
         let mut ids = vec![self.bos];
-        ids.extend(std::iter::repeat_n(self.image_token, chat.image_tokens.unwrap_or(0)));
-        let text = if chat.image_tokens.is_some() { self.questions(chat) } else { vicuna(chat) };
+        ids.extend(std::iter::repeat_n(self.image_token, chat.image.map_or(0, |image| image.tokens)));
+        let text = if chat.image.is_some() { self.questions(chat) } else { vicuna(chat) };
         ids.extend(tokenizer.encode_text(&text)?);
         Ok(ids)
     }
@@ -64,11 +64,12 @@ fn vicuna(chat: &Chat<'_>) -> String {
 mod tests {
     use super::*;
     use crate::mllm::Turn;
+    use crate::mllm::family::ImageLayout;
 
     #[test]
     fn questions_and_answers_follow_one_another() {
         let turns = [Turn { prompt: "one?".into(), answer: "two".into() }];
-        let chat = |system, turns| Chat { system, image_tokens: Some(3), turns, prompt: "three?" };
+        let chat = |system, turns| Chat { system, image: Some(ImageLayout::whole(3)), turns, prompt: "three?" };
         let format = |style| QuestionFormat { bos: 1, image_token: 9, style };
         assert_eq!(format(AnswerStyle::Chat).questions(&chat("", &[])), "Question: three? Answer:");
         assert_eq!(

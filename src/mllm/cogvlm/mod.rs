@@ -13,7 +13,6 @@ mod reference_tests;
 
 use std::ops::Range;
 
-use candle_core::Tensor;
 use image::RgbImage;
 
 use chat::QuestionFormat;
@@ -25,7 +24,9 @@ use vision::EvaVisionTower;
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel};
-use super::family::{ChatFormat, Family, ModelInfo, Positions, Tiles, VisionLanguageModel};
+use super::family::{
+    ChatFormat, Family, ImageFeatures, ImageLayout, ModelInfo, PlacedImage, Positions, Tiles, VisionLanguageModel,
+};
 use super::text::ChatTokenizer;
 
 const NAME: &str = "cogvlm";
@@ -91,8 +92,8 @@ impl VisionLanguageModel for CogVlm {
         self.info.positions + image_tokens.saturating_sub(IMAGE_POSITIONS)
     }
 
-    fn image_tokens(&self, _width: u32, _height: u32) -> Result<usize, MllmError> {
-        Ok(self.info.max_image_tokens)
+    fn image_layout(&self, _width: u32, _height: u32) -> Result<ImageLayout, MllmError> {
+        Ok(ImageLayout::whole(self.info.max_image_tokens))
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
@@ -100,13 +101,14 @@ impl VisionLanguageModel for CogVlm {
         Ok(Tiles { pixels, width: image.width(), height: image.height() })
     }
 
-    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor> {
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
         let Some(pixels) = tiles.pixels.first() else { candle_core::bail!("there is no tile") };
-        self.adapter.forward(&self.tower.forward(pixels)?)
+        ImageFeatures::whole(self.adapter.forward(&self.tower.forward(pixels)?)?)
     }
 
-    fn positions(&self, tokens: Range<usize>, image: &Range<usize>) -> Positions {
-        Positions { vision: vision_rows(&tokens, image), rotary: positions(tokens, image) }
+    fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
+        let image = image.map_or(0..0, |image| image.tokens());
+        Positions { vision: vision_rows(&tokens, &image), ..Positions::plain(positions(tokens, &image)) }
     }
 
     fn chat_format(&self, _files: &ModelFiles, _tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {

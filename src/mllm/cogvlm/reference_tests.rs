@@ -9,10 +9,11 @@ use super::config::CogVlmConfig;
 use super::language::positions;
 use super::preprocess::pixel_values;
 use super::{CogVlm, FAMILY};
+use crate::mllm::family::ImageFeatures;
 use crate::mllm::local::test_faults::{Deviation, Fault, Parts, one_further};
 use crate::mllm::local::test_reference::{
     FEATURE_TOLERANCE, Reference, Run, assert_chat, difference, feature_difference, fixture, shared_reference,
-    synthetic,
+    synthetic, whole,
 };
 use crate::mllm::vision::{Filter, resize};
 
@@ -32,8 +33,8 @@ fn references() -> impl Iterator<Item = (PathBuf, Run, CogVlm)> {
     })
 }
 
-fn features(model: &CogVlm, run: &Run) -> Tensor {
-    model.adapter.forward(&model.tower.forward(&run.pixels[0]).unwrap()).unwrap()
+fn features(model: &CogVlm, run: &Run) -> ImageFeatures {
+    whole(model.adapter.forward(&model.tower.forward(&run.pixels[0]).unwrap()).unwrap())
 }
 
 #[test]

@@ -6,8 +6,7 @@ use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{Activation, VisionConfig, Weights};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
-use crate::mllm::matrix::Matrix;
-use crate::mllm::vision::{SelfAttention, embed, unfold};
+use crate::mllm::vision::{Part, SelfAttention, embed, take_patch_embedding, unfold};
 
 #[derive(Debug)]
 pub(super) struct EvaVisionTower {
@@ -32,11 +31,10 @@ impl EvaVisionTower {
     pub(super) fn take(weights: &mut Weights, config: &VisionConfig) -> Result<Self, MllmError> {
         let (hidden, patch) = (config.hidden, config.patch_size);
         let embeddings = "vision.patch_embedding";
-        let kernel = weights.take(&format!("{embeddings}.proj.weight"), &[hidden, 3, patch, patch])?;
-        let bias = weights.take(&format!("{embeddings}.proj.bias"), &[hidden])?;
+        let patch_embedding = take_patch_embedding(weights, &format!("{embeddings}.proj"), hidden, patch, true)?;
         Ok(Self {
             class_embedding: weights.take(&format!("{embeddings}.cls_embedding"), &[1, hidden])?,
-            patch_embedding: Linear::from_matrix(Matrix::from_tensor(&kernel.flatten_from(1)?)?, Some(bias)),
+            patch_embedding,
             position_embedding: weights
                 .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches() + 1, hidden])?,
             layers: (0..config.layers)
@@ -50,8 +48,9 @@ impl EvaVisionTower {
     pub(super) fn forward(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
         let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
         let mut x = embed(&self.class_embedding, &patches, &self.position_embedding)?;
+        let parts = Part::images(1, x.dim(0)?);
         for layer in &self.layers {
-            x = layer.forward(&x)?;
+            x = layer.forward(&x, &parts)?;
         }
         x.narrow(0, 1, x.dim(0)? - 1)
     }
@@ -76,8 +75,8 @@ impl Layer {
     }
 
     /// x + norm(attention(x)), then x + norm(mlp(x)).
-    fn forward(&self, x: &Tensor) -> candle_core::Result<Tensor> {
-        let x = (x + self.attention_norm.forward(&self.attention.forward(x, 1)?)?)?;
+    fn forward(&self, x: &Tensor, parts: &[Part]) -> candle_core::Result<Tensor> {
+        let x = (x + self.attention_norm.forward(&self.attention.forward(x, parts)?)?)?;
         let wide = self.act.forward(&self.fc1.forward(&x)?)?;
         &x + self.mlp_norm.forward(&self.fc2.forward(&wide)?)?
     }

@@ -1,20 +1,22 @@
-//! The layer of Llama and Mistral.
+//! The layer of Llama, Mistral, Qwen 2 and Qwen 3.
 
 use candle_core::Tensor;
 
 use super::attention::CausalAttention;
 use super::cache::KvCache;
+use super::head_norms::HeadNorms;
 use super::layer::{DecoderLayer, Pass, SwiGlu, rms_norm};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{LlamaConfig, Weights};
 use crate::mllm::linear::Linear;
 use crate::mllm::rms_norm::RmsNorm;
 
-/// A Llama layer. Query, key and value projections are one matrix.
+/// A Llama layer. Query, key and value projections are one matrix. Qwen 3 normalizes the queries and keys of each head.
 #[derive(Debug)]
 pub(crate) struct LlamaLayer {
     input_norm: RmsNorm,
     qkv: Linear,
+    head_norms: Option<HeadNorms>,
     attention: CausalAttention,
     out: Linear,
     post_norm: RmsNorm,
@@ -27,12 +29,18 @@ impl DecoderLayer for LlamaLayer {
         let keys = config.kv_heads * config.head_dim;
         let parts = [("q_proj", queries), ("k_proj", keys), ("v_proj", keys)]
             .map(|(part, width)| (format!("{name}.self_attn.{part}"), width));
-        let bias = config.attention_bias;
         Ok(Self {
             input_norm: rms_norm(weights, &format!("{name}.input_layernorm"), config)?,
-            qkv: Linear::take_fused(weights, &parts, config.hidden, bias)?,
+            qkv: Linear::take_fused(weights, &parts, config.hidden, config.attention_bias)?,
+            head_norms: if config.head_norms { Some(HeadNorms::take(weights, config, name)?) } else { None },
             attention: CausalAttention::new(config),
-            out: Linear::take(weights, &format!("{name}.self_attn.o_proj"), queries, config.hidden, bias)?,
+            out: Linear::take(
+                weights,
+                &format!("{name}.self_attn.o_proj"),
+                queries,
+                config.hidden,
+                config.output_bias,
+            )?,
             post_norm: rms_norm(weights, &format!("{name}.post_attention_layernorm"), config)?,
             mlp: SwiGlu::take_mlp(weights, &format!("{name}.mlp"), config)?,
         })
@@ -40,6 +48,10 @@ impl DecoderLayer for LlamaLayer {
 
     fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
         let qkv = self.qkv.forward(&self.input_norm.forward(x)?)?;
+        let qkv = match &self.head_norms {
+            Some(norms) => norms.forward(&qkv)?,
+            None => qkv,
+        };
         let x = self.out.forward_onto(&self.attention.forward(&qkv, pass, cache)?, x)?;
         self.mlp.forward_onto(&self.post_norm.forward(&x)?, &x)
     }

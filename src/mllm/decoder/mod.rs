@@ -1,9 +1,10 @@
 //! Llama-style decoders: embedding, layers with a key-value cache, RMS norm, output layer.
 //!
-//! [`LlamaLayer`] is the layer of Llama and Mistral. A family with another layer implements [`DecoderLayer`].
+//! [`LlamaLayer`] is the layer of Llama, Mistral and Qwen. A family with another layer implements [`DecoderLayer`].
 
 mod attention;
 mod cache;
+mod head_norms;
 mod layer;
 mod llama;
 
@@ -17,7 +18,8 @@ pub(crate) use layer::{DecoderLayer, Pass, SwiGlu, SwiGluShape, rms_norm};
 pub(crate) use llama::LlamaLayer;
 
 use super::MllmError;
-use super::attention::{HeadShape, Precision, RotaryTable};
+pub use super::attention::Position;
+use super::attention::{HeadShape, Precision, RotaryEmbedding};
 use super::checkpoint::{LlamaConfig, Weights};
 use super::linear::Linear;
 use super::matrix::{Matrix, WeightFormat};
@@ -29,7 +31,7 @@ pub(crate) struct Decoder<L> {
     layers: Vec<L>,
     norm: RmsNorm,
     head: Linear,
-    rotary: RotaryTable,
+    rotary: RotaryEmbedding,
     heads: HeadShape,
     precision: Precision,
 }
@@ -40,9 +42,11 @@ pub struct DecoderInput {
     /// Input rows, (tokens, hidden).
     pub rows: Tensor,
     /// Position of each row for the rotary embedding.
-    pub positions: Vec<u32>,
+    pub positions: Vec<Position>,
     /// The rows of an image, for layers with weights of their own for them.
     pub vision: Range<usize>,
+    /// Added to the hidden states after the first layers, one for each: (tokens, hidden).
+    pub deep: Vec<Tensor>,
 }
 
 /// The positions of a forward pass whose logits the caller needs.
@@ -97,7 +101,7 @@ impl<L: DecoderLayer> Decoder<L> {
             layers,
             norm: rms_norm(weights, &format!("{prefix}norm"), config)?,
             head: Linear::from_matrix(head, None),
-            rotary: RotaryTable::new(config),
+            rotary: RotaryEmbedding::new(config),
             heads: config.into(),
             precision,
         })
@@ -126,6 +130,9 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
         for (index, layer) in self.layers.iter().enumerate() {
             pass.layer = index;
             x = layer.forward(&x, &pass, cache)?;
+            if let Some(deep) = input.deep.get(index) {
+                x = (x + deep)?;
+            }
         }
         cache.advance(tokens);
         let x = match wanted {

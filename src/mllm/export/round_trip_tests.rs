@@ -14,8 +14,9 @@ use super::{GgufPart, export_model};
 use crate::mllm::checkpoint::paired;
 use crate::mllm::decoder::Logits;
 use crate::mllm::families::Families;
-use crate::mllm::family::VisionLanguageModel;
+use crate::mllm::family::{ImageSettings, VisionLanguageModel};
 use crate::mllm::gguf::{FILE, Header, open_header, tokenizer_tests, tower_path};
+use crate::mllm::local::test_prompts::{Prompts, is_unsplit};
 use crate::mllm::local::test_reference::{assert_chat, fixture, synthetic};
 use crate::mllm::local::{Loading, LocalModel, Sequence};
 use crate::mllm::matrix::WeightFormat;
@@ -83,6 +84,19 @@ fn a_model_from_gguf_computes_what_transformers_computes() {
         assert_eq!(tower_path(&model).is_file(), name != "tiny_cogvlm");
         copy_reference(&fixture(name), folder.path());
         assert_chat(folder.path(), rounds);
+    }
+}
+
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn todays_families_from_gguf_compute_what_transformers_computes() {
+    for (name, below) in [("smolvlm", "."), ("internvl3", "original"), ("qwen3_vl", "."), ("qwen2_5_vl", ".")] {
+        let Some(prompts) = Prompts::of(name) else { return };
+        let folder = tempfile::tempdir().unwrap();
+        let model = export(&prompts.folder.join(below), folder.path(), WeightFormat::F32);
+        assert!(!tower_path(&model).is_file());
+        let place = ModelPlace::Gguf { model, mmproj: None };
+        prompts.check(&Prompts::load(&place, ImageSettings::default()), |run| !is_unsplit(run));
     }
 }
 
@@ -164,7 +178,7 @@ fn logits(place: &ModelPlace, quantize: Option<WeightFormat>) -> Vec<f32> {
     let features = model.encode_image(&synthetic(40, 50)).unwrap();
     let image = model.info().image_token;
     let mut ids = vec![1, 5];
-    ids.extend(std::iter::repeat_n(image, features.dims()[0]));
+    ids.extend(std::iter::repeat_n(image, features.layout.tokens));
     ids.extend([7, 8, 9]);
     let logits: Tensor = Sequence::new(model).append(model, &ids, Some(&features), Logits::All).unwrap().unwrap();
     logits.flatten_all().unwrap().to_vec1().unwrap()

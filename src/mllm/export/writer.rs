@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use candle_core::quantized::GgmlDType;
 use serde_json::Value;
 
+use crate::mllm::checkpoint::in_four_dimensions;
 use crate::mllm::gguf::{DEFAULT_ALIGNMENT, Entries, number_of};
 
 /// A file without the tensors' data.
@@ -45,8 +46,9 @@ impl Layout {
         let mut offset = 0_u64;
         for tensor in &self.tensors {
             put_text(&mut header, &tensor.name);
-            header.extend((tensor.shape.len() as u32).to_le_bytes());
-            for side in tensor.shape.iter().rev() {
+            let shape = in_four_dimensions(&tensor.shape);
+            header.extend((shape.len() as u32).to_le_bytes());
+            for side in shape.iter().rev() {
                 header.extend((*side as u64).to_le_bytes());
             }
             let number = number_of(tensor.format)

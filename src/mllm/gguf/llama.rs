@@ -1,4 +1,4 @@
-//! The configuration of a decoder in the metadata of a `llama` GGUF file, in both directions.
+//! The configuration of a decoder in the metadata of a GGUF file: any of Llama's kind is read, `llama` is written.
 
 use serde_json::{Value, json};
 
@@ -7,11 +7,32 @@ use super::header::Header;
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{LlamaConfig, RopeScaling};
 
-/// The value of `general.architecture`.
+/// The value of `general.architecture` of the decoders that this program writes.
 pub(crate) const ARCHITECTURE: &str = "llama";
+
+/// The decoders that are read: `general.architecture`, `model_type` of the configuration.
+const ARCHITECTURES: [(&str, &str); 5] = [
+    (ARCHITECTURE, "llama"),
+    ("qwen2", "qwen2"),
+    ("qwen3", "qwen3"),
+    ("qwen2vl", "qwen2_5_vl_text"),
+    (INTERLEAVED, "qwen3_vl_text"),
+];
+/// The architecture whose axes take turns in the rotary embedding; its files do not say so.
+const INTERLEAVED: &str = "qwen3vl";
+
+/// Names of the decoders that are read.
+pub(crate) fn architectures() -> impl Iterator<Item = &'static str> {
+    ARCHITECTURES.into_iter().map(|(name, _)| name)
+}
 
 /// The `text_config` of a decoder.
 pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
+    let architecture = header.architecture()?;
+    let Some((_, model_type)) = ARCHITECTURES.into_iter().find(|(name, _)| *name == architecture) else {
+        return Err(header.error("general.architecture", format!("'{architecture}' is not supported")));
+    };
+    let key = |name: &str| format!("{architecture}.{name}");
     let embedding = header.tensors.get("token_embd.weight").and_then(|place| place.shape.first().copied());
     let Some(vocabulary) = embedding else {
         return Err(MllmError::MissingTensor { folder: header.path.clone(), name: "token_embd.weight".into() });
@@ -23,46 +44,50 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
              safetensors, whose config.json says how they are scaled",
         ));
     }
-    if header.count("llama.expert_count")?.is_some() {
-        return Err(header.error("llama.expert_count", "a mixture of experts is not supported"));
+    if header.count(&key("expert_count"))?.is_some() {
+        return Err(header.error(&key("expert_count"), "a mixture of experts is not supported"));
     }
-    let hidden = header.required_count("llama.embedding_length")?;
-    let heads = header.required_count("llama.attention.head_count")?;
-    let kv_heads = header.count("llama.attention.head_count_kv")?.unwrap_or(heads);
-    let head_dim = header.count("llama.attention.key_length")?.unwrap_or(hidden / heads);
-    if let Some(rotated) = header.count("llama.rope.dimension_count")?.filter(|rotated| *rotated != head_dim) {
+    let hidden = header.required_count(&key("embedding_length"))?;
+    let heads = header.required_count(&key("attention.head_count"))?;
+    let kv_heads = header.count(&key("attention.head_count_kv"))?.unwrap_or(heads);
+    let head_dim = header.count(&key("attention.key_length"))?.unwrap_or(hidden / heads);
+    if let Some(rotated) = header.count(&key("rope.dimension_count"))?.filter(|rotated| *rotated != head_dim) {
         return Err(header.error(
-            "llama.rope.dimension_count",
+            &key("rope.dimension_count"),
             format!("{rotated} of {head_dim} dimensions of a head are rotated; all of them is supported"),
         ));
     }
-    let window = header.count("llama.attention.sliding_window")?;
+    let window = header.count(&key("attention.sliding_window"))?;
     let mut config = json!({
         // A window is the only difference of Mistral.
-        "model_type": if window.is_some() { "mistral" } else { "llama" },
+        "model_type": if window.is_some() && model_type == "llama" { "mistral" } else { model_type },
         "vocab_size": vocabulary,
         "hidden_size": hidden,
-        "intermediate_size": header.required_count("llama.feed_forward_length")?,
-        "num_hidden_layers": header.required_count("llama.block_count")?,
+        "intermediate_size": header.required_count(&key("feed_forward_length"))?,
+        "num_hidden_layers": header.required_count(&key("block_count"))?,
         "num_attention_heads": heads,
         "num_key_value_heads": kv_heads,
         "head_dim": head_dim,
-        "max_position_embeddings": header.required_count("llama.context_length")?,
-        "rms_norm_eps": header.number("llama.attention.layer_norm_rms_epsilon")?,
-        "rope_theta": header.number("llama.rope.freq_base")?,
+        "max_position_embeddings": header.required_count(&key("context_length"))?,
+        "rms_norm_eps": header.number(&key("attention.layer_norm_rms_epsilon"))?,
+        "rope_theta": header.number(&key("rope.freq_base"))?,
         "sliding_window": window,
         "attention_bias": header.tensors.contains_key("blk.0.attn_q.bias"),
         "mlp_bias": header.tensors.contains_key("blk.0.ffn_up.bias"),
         "tie_word_embeddings": !header.tensors.contains_key("output.weight"),
     });
-    match header.text("llama.rope.scaling.type")? {
+    match header.text(&key("rope.scaling.type"))? {
         None | Some("none") => {}
         Some("linear") => {
-            config["rope_scaling"] = json!({"type": "linear", "factor": header.number("llama.rope.scaling.factor")?});
+            config["rope_scaling"] = json!({"type": "linear", "factor": header.number(&key("rope.scaling.factor"))?});
         }
         Some(other) => {
-            return Err(header.error("llama.rope.scaling.type", format!("'{other}' is not supported; linear is")));
+            return Err(header.error(&key("rope.scaling.type"), format!("'{other}' is not supported; linear is")));
         }
+    }
+    if let Some(sections) = header.list::<u64>(&key("rope.dimension_sections"), "a list of counts")? {
+        config["rope_scaling"]["mrope_section"] = json!(sections.get(..3));
+        config["rope_scaling"]["mrope_interleaved"] = json!(architecture == INTERLEAVED);
     }
     Ok(config)
 }

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::header::Header;
 use crate::mllm::MllmError;
@@ -68,6 +68,35 @@ impl Header {
 
     pub(crate) fn list<T: DeserializeOwned>(&self, key: &str, expected: &str) -> Result<Option<Vec<T>>, MllmError> {
         self.typed(key, expected, |value| Vec::deserialize(value).ok())
+    }
+
+    /// The kind of a tower's projector; none if the file does not say.
+    pub(crate) fn projector(&self) -> Result<Option<&str>, MllmError> {
+        Ok(self.text("clip.vision.projector_type")?.or(self.text("clip.projector_type")?))
+    }
+
+    /// Mean and deviation of a tower's pixels, as an image processor's configuration has them.
+    pub(crate) fn pixel_scale(&self) -> Result<Value, MllmError> {
+        let mut scale = json!({});
+        for key in ["image_mean", "image_std"] {
+            if let Some(values) = self.list::<f64>(&format!("clip.vision.{key}"), "a list of numbers")? {
+                scale[key] = json!(values);
+            }
+        }
+        Ok(scale)
+    }
+
+    /// The sizes of a tower, as a `vision_config` has them.
+    pub(crate) fn vision_config(&self) -> Result<Value, MllmError> {
+        Ok(json!({
+            "hidden_size": self.required_count("clip.vision.embedding_length")?,
+            "intermediate_size": self.required_count("clip.vision.feed_forward_length")?,
+            "num_hidden_layers": self.required_count("clip.vision.block_count")?,
+            "num_attention_heads": self.required_count("clip.vision.attention.head_count")?,
+            "image_size": self.required_count("clip.vision.image_size")?,
+            "patch_size": self.required_count("clip.vision.patch_size")?,
+            "layer_norm_eps": self.number("clip.vision.attention.layer_norm_epsilon")?,
+        }))
     }
 
     /// The value of `general.architecture`.

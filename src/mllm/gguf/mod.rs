@@ -5,9 +5,12 @@
 //! llama.cpp, the model's family makes the small files from the metadata ([`GgufLayout`]), so that it reads the same JSON
 //! whatever the weights lie in.
 
+mod byte_level;
 mod header;
 pub(crate) mod llama;
 mod metadata;
+pub(crate) mod names;
+mod text_files;
 pub(crate) mod tokenizer;
 
 #[cfg(test)]
@@ -18,6 +21,7 @@ use std::path::{Path, PathBuf};
 
 pub use header::Header;
 pub(crate) use header::{DEFAULT_ALIGNMENT, number_of};
+pub(crate) use text_files::TextFiles;
 
 use serde_json::Value;
 
@@ -38,7 +42,7 @@ pub(crate) const TEMPLATE: &str = "chat_template.jinja";
 /// Metadata keys with their values. Floats are of 32 bits in a file.
 pub type Entries = Vec<(String, Value)>;
 
-/// How llama.cpp's files hold a model family: a `llama` decoder, and a vision tower beside it.
+/// How llama.cpp's files hold a model family: a decoder, and a vision tower beside it.
 pub trait GgufLayout: Sync {
     /// Whether a decoder and a tower belong to the family.
     fn opens(&self, decoder: &Header, tower: &Header) -> bool;
@@ -153,10 +157,13 @@ pub(crate) fn packed_files(header: &Header) -> Result<BTreeMap<String, String>, 
         .collect()
 }
 
-/// How a file has the rows of a tensor: llama.cpp writes those of queries and keys in pairs.
+/// How a file has the rows of a tensor: llama.cpp writes those of a `llama`'s queries and keys in pairs.
 pub(crate) fn row_order(header: &Header, name: &str, place: &TensorPlace) -> Result<RowOrder, MllmError> {
     const HEADS: &str = "llama.attention.head_count";
     const KEY_HEADS: &str = "llama.attention.head_count_kv";
+    if header.architecture()? != llama::ARCHITECTURE {
+        return Ok(RowOrder::Plain);
+    }
     let key = match llama::projection(name) {
         Some("attn_k") if header.metadata.contains_key(KEY_HEADS) => KEY_HEADS,
         Some("attn_q" | "attn_k") => HEADS,

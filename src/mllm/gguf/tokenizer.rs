@@ -1,14 +1,17 @@
-//! A SentencePiece tokenizer in GGUF metadata, converted to an equivalent `tokenizer.json`.
+//! A tokenizer in GGUF metadata, converted to an equivalent `tokenizer.json`.
 //!
-//! GGUF has pieces with scores (`tokenizer.ggml.model = llama`): the neighbors whose joint piece has the highest score are
-//! joined first. A byte-pair model with its merges in the order of the scores does the same.
+//! SentencePiece: GGUF has pieces with scores (`tokenizer.ggml.model = llama`): the neighbors whose joint piece has the highest score are
+//! joined first. A byte-pair model with its merges in the order of the scores does the same. Byte-level tokenizers are in
+//! `byte_level`.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use serde_json::{Value as Json, json};
 
 use super::header::Header;
+use super::{TOKENIZER, byte_level};
 use crate::mllm::MllmError;
+use crate::mllm::checkpoint::read_json;
 
 /// Kinds of pieces (`llama_token_type`).
 pub(crate) mod piece {
@@ -70,10 +73,14 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
     const MODEL: &str = "tokenizer.ggml.model";
     match header.text(MODEL)? {
         Some("llama") => {}
+        Some("gpt2") => return byte_level::read(header, vocabulary),
         Some(other) => {
             return Err(header.error(
                 MODEL,
-                format!("'{other}' is not supported in GGUF (llama, SentencePiece, is); put the model's tokenizer.json beside it"),
+                format!(
+                    "'{other}' is not supported in GGUF (llama, SentencePiece, and gpt2, byte-level, are); put the model's \
+                     tokenizer.json beside it"
+                ),
             ));
         }
         None => {
@@ -81,37 +88,82 @@ pub(crate) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles,
         }
     }
     let pieces = Pieces::read(header, vocabulary)?;
-    let special = |role: &str| -> Result<Option<(i64, &str)>, MllmError> {
-        let key = format!("tokenizer.ggml.{role}_token_id");
-        let Some(id) = header.metadata.get(&key).and_then(Json::as_u64) else { return Ok(None) };
-        let token = pieces.tokens.get(id as usize);
-        let token =
-            token.ok_or_else(|| header.error(&key, format!("{id} is none of {} tokens", pieces.tokens.len())))?;
-        Ok(Some((id as i64, *token)))
-    };
-    let (bos, eos, unknown) = (special("bos")?, special("eos")?, special("unknown")?);
-    let mut config = json!({});
-    for (key, token) in [("bos_token", bos), ("eos_token", eos), ("unk_token", unknown)] {
-        if let Some((_, token)) = token {
-            config[key] = json!(token);
-        }
+    let scores: Vec<f64> = header.list("tokenizer.ggml.scores", "a list of numbers")?.unwrap_or_default();
+    if scores.len() != pieces.tokens.len() {
+        return Err(header.error("tokenizer.ggml.scores", format!("expected {} scores", pieces.tokens.len())));
     }
+    let Special { bos, eos, unknown, config } = Special::read(header, &pieces)?;
     let flag = |key: &str| header.flag(&format!("tokenizer.ggml.{key}"));
     let bos = if flag("add_bos_token")?.unwrap_or(true) { bos } else { None };
     let prefix = flag("add_space_prefix")?.unwrap_or(true);
     let unknown = unknown.map(|(_, token)| token);
-    Ok(TokenizerFiles { tokenizer: pieces.to_json(bos, unknown, prefix), config, eos: eos.map(|(id, _)| id) })
+    let tokenizer = pieces.to_json(&scores, bos, unknown, prefix);
+    Ok(TokenizerFiles { tokenizer, config, eos: eos.map(|(id, _)| id) })
+}
+
+/// The tokenizer of a decoder: the file beside it, else that of the metadata, whose other small files go to `files`.
+pub(crate) fn files(
+    header: &Header,
+    vocabulary: usize,
+    files: &mut BTreeMap<String, String>,
+) -> Result<Json, MllmError> {
+    let beside = header.path.with_file_name(TOKENIZER);
+    if beside.is_file() {
+        return read_json(&beside);
+    }
+    let read = read(header, vocabulary)?;
+    files.insert("tokenizer_config.json".into(), read.config.to_string());
+    if let Some(eos) = read.eos {
+        files.insert("generation_config.json".into(), json!({"eos_token_id": eos}).to_string());
+    }
+    Ok(read.tokenizer)
+}
+
+/// The id of an added token in a `tokenizer.json`.
+pub(crate) fn added_id(tokenizer: &Json, token: &str) -> Option<u64> {
+    let mut tokens = tokenizer["added_tokens"].as_array()?.iter();
+    tokens.find(|added| added["content"] == token)?["id"].as_u64()
+}
+
+/// The tokens with a role.
+pub(super) struct Special<'a> {
+    pub(super) bos: Option<(i64, &'a str)>,
+    pub(super) eos: Option<(i64, &'a str)>,
+    pub(super) unknown: Option<(i64, &'a str)>,
+    /// `tokenizer_config.json`.
+    pub(super) config: Json,
+}
+
+impl<'a> Special<'a> {
+    pub(super) fn read(header: &Header, pieces: &Pieces<'a>) -> Result<Self, MllmError> {
+        let special = |role: &str| -> Result<Option<(i64, &'a str)>, MllmError> {
+            let key = format!("tokenizer.ggml.{role}_token_id");
+            let Some(id) = header.metadata.get(&key).and_then(Json::as_u64) else { return Ok(None) };
+            let token = pieces.tokens.get(id as usize);
+            let token =
+                token.ok_or_else(|| header.error(&key, format!("{id} is none of {} tokens", pieces.tokens.len())))?;
+            Ok(Some((id as i64, *token)))
+        };
+        let (bos, eos, unknown) = (special("bos")?, special("eos")?, special("unknown")?);
+        let mut config = json!({});
+        for (key, token) in [("bos_token", bos), ("eos_token", eos), ("unk_token", unknown)] {
+            if let Some((_, token)) = token {
+                config[key] = json!(token);
+            }
+        }
+        Ok(Self { bos, eos, unknown, config })
+    }
 }
 
 /// The pieces of a vocabulary, by id.
-struct Pieces<'a> {
-    tokens: Vec<&'a str>,
-    scores: Vec<f64>,
-    kinds: Vec<i64>,
+pub(super) struct Pieces<'a> {
+    pub(super) tokens: Vec<&'a str>,
+    /// Kinds of the pieces ([`piece`]).
+    pub(super) kinds: Vec<i64>,
 }
 
 impl<'a> Pieces<'a> {
-    fn read(header: &'a Header, vocabulary: usize) -> Result<Self, MllmError> {
+    pub(super) fn read(header: &'a Header, vocabulary: usize) -> Result<Self, MllmError> {
         const TOKENS: &str = "tokenizer.ggml.tokens";
         let Some(Json::Array(list)) = header.metadata.get(TOKENS) else {
             return Err(header.error(TOKENS, "expected a list of texts"));
@@ -125,10 +177,6 @@ impl<'a> Pieces<'a> {
         }
         if let Some((id, long)) = tokens.iter().enumerate().find(|(_, token)| token.len() > MAX_PIECE) {
             return Err(header.error(TOKENS, format!("token {id} has {} bytes", long.len())));
-        }
-        let scores: Vec<f64> = header.list("tokenizer.ggml.scores", "a list of numbers")?.unwrap_or_default();
-        if scores.len() != tokens.len() {
-            return Err(header.error("tokenizer.ggml.scores", format!("expected {} scores", tokens.len())));
         }
         let kinds = match header.list("tokenizer.ggml.token_type", "a list of integers")? {
             Some(kinds) if kinds.len() == tokens.len() => kinds,
@@ -146,11 +194,11 @@ impl<'a> Pieces<'a> {
                 );
             }
         }
-        Ok(Self { tokens, scores, kinds })
+        Ok(Self { tokens, kinds })
     }
 
     /// Every way to join two pieces to a third, by falling score; equal scores in the order of transformers.
-    fn merges(&self) -> Vec<[&'a str; 2]> {
+    fn merges(&self, scores: &[f64]) -> Vec<[&'a str; 2]> {
         let ids: HashMap<&str, usize> = self.tokens.iter().enumerate().map(|(id, token)| (*token, id)).collect();
         let mut merges = Vec::new();
         for (id, token) in self.tokens.iter().enumerate().filter(|(id, _)| self.kinds[*id] == piece::NORMAL) {
@@ -158,7 +206,7 @@ impl<'a> Pieces<'a> {
             let mut pairs: Vec<(usize, usize, [&str; 2])> =
                 halves.filter_map(|(left, right)| Some((*ids.get(left)?, *ids.get(right)?, [left, right]))).collect();
             pairs.sort_unstable_by_key(|(left, right, _)| (*left, *right));
-            merges.extend(pairs.into_iter().map(|(_, _, pair)| (self.scores[id], pair)));
+            merges.extend(pairs.into_iter().map(|(_, _, pair)| (scores[id], pair)));
         }
         let lengths = |[left, right]: [&str; 2]| (left.chars().count(), right.chars().count());
         merges.sort_by(|(score, pair), (other, rival)| {
@@ -167,15 +215,20 @@ impl<'a> Pieces<'a> {
         merges.into_iter().map(|(_, pair)| pair).collect()
     }
 
+    /// The tokens that are matched before a text is split.
+    pub(super) fn added(&self) -> Vec<Json> {
+        let all = self.tokens.iter().zip(&self.kinds).enumerate();
+        all.filter(|(_, (_, kind))| [piece::UNKNOWN, piece::CONTROL, piece::USER_DEFINED].contains(*kind))
+            .map(|(id, (token, kind))| added_token(id as u64, token, *kind != piece::USER_DEFINED || *token == IMAGE))
+            .collect()
+    }
+
     /// `tokenizer.json`.
-    fn to_json(&self, bos: Option<(i64, &str)>, unknown: Option<&str>, prefix: bool) -> Json {
+    fn to_json(&self, scores: &[f64], bos: Option<(i64, &str)>, unknown: Option<&str>, prefix: bool) -> Json {
         let all = || self.tokens.iter().enumerate();
         let vocabulary: serde_json::Map<String, Json> =
             all().map(|(id, token)| ((*token).to_string(), json!(id))).collect();
-        let tokens: Vec<Json> = all()
-            .filter(|(id, _)| [piece::UNKNOWN, piece::CONTROL, piece::USER_DEFINED].contains(&self.kinds[*id]))
-            .map(|(id, token)| added_token(id as u64, token, self.kinds[id] != piece::USER_DEFINED || *token == IMAGE))
-            .collect();
+        let tokens = self.added();
         let space = json!({"type": "Replace", "pattern": {"String": " "}, "content": "\u{2581}"});
         let normalizers =
             if prefix { vec![json!({"type": "Prepend", "prepend": "\u{2581}"}), space] } else { vec![space] };
@@ -197,14 +250,14 @@ impl<'a> Pieces<'a> {
             "model": {
                 "type": "BPE", "dropout": null, "unk_token": unknown, "continuing_subword_prefix": null,
                 "end_of_word_suffix": null, "fuse_unk": true, "byte_fallback": true, "ignore_merges": false,
-                "vocab": vocabulary, "merges": self.merges(),
+                "vocab": vocabulary, "merges": self.merges(scores),
             },
         })
     }
 }
 
 /// The post-processor that puts a token before every text.
-fn beginning(id: i64, token: &str) -> Json {
+pub(super) fn beginning(id: i64, token: &str) -> Json {
     let text = |part: &str, kind: u8| json!({"Sequence": {"id": part, "type_id": kind}});
     let special = |kind: u8| json!({"SpecialToken": {"id": token, "type_id": kind}});
     json!({

@@ -191,10 +191,10 @@ fn what_is_no_tokenizer_is_named() {
     };
     for (error, expected) in [
         (broken(&|metadata| metadata.clear()), "tokenizer.json beside"),
-        (broken(&set("model", json!("gpt2"))), "tokenizer.json beside"),
+        (broken(&set("model", json!("bert"))), "tokenizer.json beside"),
         (broken(&set("model", json!(3))), "expected a text, found 3"),
         (broken(&set("tokens", json!(vec!["a"; 513]))), "512 rows"),
-        (broken(&set("tokens", json!(vec!["a"; 3]))), "expected 3 scores"),
+        (broken(&set("tokens", json!(vec!["a"; 3]))), "types of 3 tokens"),
         (broken(&set("tokens", json!(["a".repeat(2000)]))), "2000 bytes"),
         (broken(&set("scores", json!(vec![f32::NAN; 512]))), "expected"),
         (broken(&set("token_type", json!([1]))), "1 types"),

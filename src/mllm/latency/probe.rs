@@ -9,7 +9,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::step::{Step, StepTime};
 use crate::mllm::decoder::Logits;
-use crate::mllm::family::VisionLanguageModel;
+use crate::mllm::family::{ImageFeatures, VisionLanguageModel};
 use crate::mllm::local::Sequence;
 use crate::mllm::sampling::Sampler;
 use crate::mllm::{Deadline, Loading, MllmError, ModelPlace, Sampling, WeightFormat, milliseconds};
@@ -23,7 +23,7 @@ pub struct LatencyProbe {
     /// Tokens that are appended and not computed yet.
     pending: Vec<u32>,
     /// Input rows of the image that was encoded last.
-    features: Option<Tensor>,
+    features: Option<ImageFeatures>,
     image: RgbImage,
     words: Pcg64Mcg,
 }
@@ -32,7 +32,8 @@ impl LatencyProbe {
     /// Opens a model; `seed` draws the tokens that it reads.
     pub fn open(place: &ModelPlace, loading: &Loading, seed: u64) -> Result<Self, MllmError> {
         let mut checkpoint = loading.checkpoint(place)?;
-        let model = checkpoint.open_model()?;
+        let mut model = checkpoint.open_model()?;
+        model.set_images(loading.image)?;
         let formats = &checkpoint.weights.report().weight_formats;
         let mut words = Pcg64Mcg::seed_from_u64(seed);
         let side = model.info().image_size as u32;
@@ -60,7 +61,7 @@ impl LatencyProbe {
 
     /// Tokens that the image becomes.
     pub fn image_tokens(&self) -> Result<usize, MllmError> {
-        self.model.image_tokens(self.image.width(), self.image.height())
+        Ok(self.model.image_layout(self.image.width(), self.image.height())?.tokens)
     }
 
     /// Runs a step. After an error the sequence cannot be used.

@@ -122,7 +122,7 @@ mod tests {
         assert_eq!((config.text.hidden, config.text.layers, config.text.kv_heads), (4096, 32, 32));
         assert_eq!((config.text.head_dim, config.text.context, config.text.vocabulary), (128, 2048, 32_000));
         assert_eq!(config.feature_layers, [23]);
-        assert_eq!(config.text.rope, Rope { theta: 10_000.0, scaling: RopeScaling::None });
+        assert_eq!(config.text.rope, Rope { theta: 10_000.0, scaling: RopeScaling::None, sections: None });
         assert!(matches!(parse(&json!({})), Err(MllmError::Config { key, .. }) if key == "image_token_index"));
     }
 
@@ -148,7 +148,7 @@ mod tests {
     fn scaled_rotary_embeddings_are_read_in_old_and_new_form() {
         let rope =
             |text: Value| parse(&json!({"image_token_index": 5, "text_config": text})).map(|config| config.text.rope);
-        let linear = Rope { theta: 500.0, scaling: RopeScaling::Linear { factor: 2.0 } };
+        let linear = Rope { theta: 500.0, scaling: RopeScaling::Linear { factor: 2.0 }, sections: None };
         let old = json!({"rope_theta": 500, "rope_scaling": {"type": "linear", "factor": 2.0}});
         assert_eq!(rope(old).unwrap(), linear);
         let new = json!({"rope_parameters": {"rope_type": "linear", "factor": 2, "rope_theta": 500}});

@@ -1,7 +1,6 @@
 //! LLaVA 1.5 (Liu et al., "Improved Baselines with Visual Instruction Tuning"): the patches of one image through a CLIP
 //! tower and a two-layer projector into a Llama decoder.
 
-mod chat;
 mod config;
 mod connector;
 mod gguf;
@@ -12,10 +11,8 @@ mod candle_tests;
 #[cfg(test)]
 mod reference_tests;
 
-use candle_core::Tensor;
 use image::RgbImage;
 
-pub(crate) use chat::TemplateFormat;
 pub(crate) use config::{FeatureSelect, LlavaConfig};
 pub(crate) use gguf::LlavaGguf;
 pub(crate) use vision::ImageEncoder;
@@ -23,7 +20,8 @@ pub(crate) use vision::ImageEncoder;
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel, LlamaLayer};
-use super::family::{ChatFormat, Family, ModelInfo, Tiles, VisionLanguageModel};
+use super::family::{ChatFormat, Family, ImageFeatures, ImageLayout, ModelInfo, Tiles, VisionLanguageModel};
+use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
 use super::vision::ClipImageProcessor;
 
@@ -132,8 +130,8 @@ impl VisionLanguageModel for Llava {
         &self.info
     }
 
-    fn image_tokens(&self, _width: u32, _height: u32) -> Result<usize, MllmError> {
-        Ok(self.info.max_image_tokens)
+    fn image_layout(&self, _width: u32, _height: u32) -> Result<ImageLayout, MllmError> {
+        Ok(ImageLayout::whole(self.info.max_image_tokens))
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
@@ -141,12 +139,12 @@ impl VisionLanguageModel for Llava {
         Ok(Tiles { pixels, width: image.width(), height: image.height() })
     }
 
-    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor> {
-        self.core.encoder.encode(&tiles.pixels)
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
+        ImageFeatures::whole(self.core.encoder.encode(&tiles.pixels)?)
     }
 
     fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token)?))
+        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token, ImageText::Repeated)?))
     }
 
     fn decoder(&self) -> &dyn LanguageModel {

@@ -5,17 +5,16 @@
 
 use std::path::{Path, PathBuf};
 
-use candle_core::Tensor;
 use serde_json::json;
 
 use super::config::LlavaConfig;
 use super::{FAMILY, Llava};
-use crate::mllm::family::VisionLanguageModel;
+use crate::mllm::family::{ImageFeatures, VisionLanguageModel};
 use crate::mllm::local::LocalModel;
 use crate::mllm::local::test_faults::{Deviation, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
 use crate::mllm::local::test_reference::{
     LOGIT_TOLERANCE, Reference, Run, assert_chat, difference, fixture, logits_deviation, open_checkpoint,
-    shared_reference,
+    shared_reference, whole,
 };
 use crate::mllm::vision::ClipImageProcessor;
 
@@ -40,8 +39,8 @@ fn open_llava(folder: &Path) -> Llava {
     Llava::open(&checkpoint.files, &mut checkpoint.weights).unwrap()
 }
 
-fn features(model: &Llava, run: &Run) -> Tensor {
-    model.core.encoder.encode(&run.pixels[..1]).unwrap()
+fn features(model: &Llava, run: &Run) -> ImageFeatures {
+    whole(model.core.encoder.encode(&run.pixels[..1]).unwrap())
 }
 
 #[test]
@@ -63,8 +62,8 @@ fn errors_that_are_easily_made_lead_far_away() {
             Deviation::of(&run, &model, &features(&model, &run)).assert_far(what);
         }
         let full = Parts::wrong(&folder, |parts| parts.config["vision_feature_select_strategy"] = json!("full"));
-        let with_class = features(&assembled(&full), &run).narrow(0, 0, run.features.dims()[0]).unwrap();
-        Deviation::of(&run, &right, &with_class).assert_far("the class token kept, the last patch lost");
+        let with_class = features(&assembled(&full), &run).rows.narrow(0, 0, run.features.dims()[0]).unwrap();
+        Deviation::of(&run, &right, &whole(with_class)).assert_far("the class token kept, the last patch lost");
         for (what, fault) in LLAVA_DECODER_FAULTS {
             let model = assembled(&Parts::wrong(&folder, fault));
             Deviation::of(&run, &model, &features(&model, &run)).assert_logits_far(what);

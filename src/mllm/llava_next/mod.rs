@@ -9,7 +9,6 @@ mod preprocess;
 #[cfg(test)]
 mod reference_tests;
 
-use candle_core::Tensor;
 use image::RgbImage;
 
 pub(crate) use config::LlavaNextConfig;
@@ -20,8 +19,9 @@ use preprocess::AnyresImageProcessor;
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::LanguageModel;
-use super::family::{ChatFormat, Family, ModelInfo, Tiles, VisionLanguageModel};
-use super::llava::{LlavaCore, LlavaGguf, TemplateFormat, canonical_name};
+use super::family::{ChatFormat, Family, ImageFeatures, ImageLayout, ModelInfo, Tiles, VisionLanguageModel};
+use super::llava::{LlavaCore, LlavaGguf, canonical_name};
+use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
 
 const NAME: &str = "llava-next";
@@ -91,11 +91,11 @@ impl VisionLanguageModel for LlavaNext {
         &self.info
     }
 
-    fn image_tokens(&self, width: u32, height: u32) -> Result<usize, MllmError> {
+    fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError> {
         if width == 0 || height == 0 {
             return Err(MllmError::Image { problem: "it has no pixels".into() });
         }
-        Ok(self.grids.tokens(&self.grids.tiling(Resolution { height, width })))
+        Ok(ImageLayout::whole(self.grids.tokens(&self.grids.tiling(Resolution { height, width }))))
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
@@ -104,13 +104,13 @@ impl VisionLanguageModel for LlavaNext {
         Ok(Tiles { pixels: self.processor.process(image, &tiling, self.info.image_size as u32)?, width, height })
     }
 
-    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor> {
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
         let tiling = self.grids.tiling(Resolution { height: tiles.height, width: tiles.width });
-        self.packer.pack(&self.core.encoder.encode(&tiles.pixels)?, &self.grids, &tiling)
+        ImageFeatures::whole(self.packer.pack(&self.core.encoder.encode(&tiles.pixels)?, &self.grids, &tiling)?)
     }
 
     fn chat_format(&self, files: &ModelFiles, tokenizer: &ChatTokenizer) -> Result<Box<dyn ChatFormat>, MllmError> {
-        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token)?))
+        Ok(Box::new(TemplateFormat::open(files, tokenizer, self.info.image_token, ImageText::Repeated)?))
     }
 
     fn decoder(&self) -> &dyn LanguageModel {

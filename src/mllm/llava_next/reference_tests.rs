@@ -10,12 +10,12 @@ use super::grid::{Resolution, TileGrids};
 use super::preprocess::AnyresImageProcessor;
 use super::{FAMILY, LlavaNext};
 use crate::mllm::checkpoint::read_json;
-use crate::mllm::family::{Tiles, VisionLanguageModel};
+use crate::mllm::family::{ImageFeatures, Tiles, VisionLanguageModel};
 use crate::mllm::llava::FeatureSelect;
 use crate::mllm::local::LocalModel;
 use crate::mllm::local::test_faults::{Deviation, Fault, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
 use crate::mllm::local::test_reference::{
-    Reference, Run, assert_chat, difference, fixture, open_checkpoint, shared_reference, synthetic,
+    Reference, Run, assert_chat, difference, fixture, open_checkpoint, shared_reference, synthetic, whole,
 };
 use crate::mllm::vision::{Filter, PixelScale};
 
@@ -57,7 +57,7 @@ impl Case {
         Tiles { pixels: self.run.pixels.clone(), width: self.size.width, height: self.size.height }
     }
 
-    fn features(&self, model: &LlavaNext) -> Tensor {
+    fn features(&self, model: &LlavaNext) -> ImageFeatures {
         model.encode(&self.tiles()).unwrap()
     }
 }
@@ -125,8 +125,8 @@ fn errors_that_are_easily_made_lead_far_away() {
 fn a_window_that_is_left_out_is_noticed() {
     let folder = fixture("tiny_llava_next_mistral");
     let run = Run::open(&folder.join("reference.safetensors"), 0);
-    let whole = Parts::wrong(&folder, |parts| parts.config["text_config"]["sliding_window"] = Value::Null);
-    Deviation::of(&run, &assembled(&whole), &run.features).assert_logits_far("no sliding window");
+    let no_window = Parts::wrong(&folder, |parts| parts.config["text_config"]["sliding_window"] = Value::Null);
+    Deviation::of(&run, &assembled(&no_window), &whole(run.features.clone())).assert_logits_far("no sliding window");
 }
 
 /// The size in a name `HEIGHTxWIDTH`.

@@ -10,7 +10,9 @@ use super::LocalModel;
 use super::test_reference::{fixture, open_checkpoint};
 use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::decoder::{DecoderInput, KvCache, LanguageModel, Logits};
-use crate::mllm::family::{ChatFormat, ModelInfo, Positions, Tiles, VisionLanguageModel};
+use crate::mllm::family::{
+    ChatFormat, ImageFeatures, ImageLayout, ModelInfo, PlacedImage, Positions, Tiles, VisionLanguageModel,
+};
 use crate::mllm::text::ChatTokenizer;
 use crate::mllm::{Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request, Sampling};
 
@@ -37,8 +39,8 @@ impl VisionLanguageModel for Counting {
         self.model.context(image_tokens)
     }
 
-    fn image_tokens(&self, width: u32, height: u32) -> Result<usize, MllmError> {
-        self.model.image_tokens(width, height)
+    fn image_layout(&self, width: u32, height: u32) -> Result<ImageLayout, MllmError> {
+        self.model.image_layout(width, height)
     }
 
     fn preprocess(&self, image: &RgbImage) -> Result<Tiles, MllmError> {
@@ -46,11 +48,11 @@ impl VisionLanguageModel for Counting {
         self.model.preprocess(image)
     }
 
-    fn encode(&self, tiles: &Tiles) -> candle_core::Result<Tensor> {
+    fn encode(&self, tiles: &Tiles) -> candle_core::Result<ImageFeatures> {
         self.model.encode(tiles)
     }
 
-    fn positions(&self, tokens: Range<usize>, image: &Range<usize>) -> Positions {
+    fn positions(&self, tokens: Range<usize>, image: Option<PlacedImage>) -> Positions {
         self.model.positions(tokens, image)
     }
 

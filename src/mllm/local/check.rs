@@ -55,7 +55,10 @@ fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) -> Result
     let model = checkpoint.open_model();
     check.problems.extend(checkpoint.weights.problems().iter().map(ToString::to_string));
     let model = match model {
-        Ok(model) => model,
+        Ok(mut model) => {
+            note(check, model.set_images(loading.image));
+            model
+        }
         // The collected errors say more than the one that ended the check.
         Err(_) if !check.problems.is_empty() => return Ok(()),
         Err(error) => return Err(error),

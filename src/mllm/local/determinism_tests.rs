@@ -48,7 +48,7 @@ fn logits_hash() -> String {
     for (model, image) in models() {
         let model = &*model;
         let features = model.encode_image(&image).unwrap();
-        let patches = features.dims()[0];
+        let patches = features.layout.tokens;
         let ids: Vec<u32> =
             (10..40).chain(std::iter::repeat_n(model.info().image_token, patches)).chain(100..190).collect();
         let mut sequence = Sequence::new(model);
@@ -108,7 +108,7 @@ fn a_prompt_in_chunks_gives_the_logits_of_the_whole_also_where_a_chunk_ends_insi
     for (model, image) in models() {
         let model = &*model;
         let features = model.encode_image(&image).unwrap();
-        let patches = features.dims()[0];
+        let patches = features.layout.tokens;
         let ids: Vec<u32> =
             (10..40).chain(std::iter::repeat_n(model.info().image_token, patches)).chain(100..150).collect();
         let logits = |chunk: usize| -> Vec<f32> {

@@ -7,7 +7,7 @@ use toktrie::SimpleVob;
 
 use super::sequence::Sequence;
 use crate::mllm::decoder::Logits;
-use crate::mllm::family::VisionLanguageModel;
+use crate::mllm::family::{ImageFeatures, VisionLanguageModel};
 use crate::mllm::sampling::Sampler;
 use crate::mllm::text::GrammarState;
 use crate::mllm::{Deadline, FinishReason, MllmError, milliseconds};
@@ -41,7 +41,7 @@ pub(super) struct End<'a> {
 struct Generation<'a> {
     model: &'a dyn VisionLanguageModel,
     sequence: &'a mut Sequence,
-    features: Option<&'a Tensor>,
+    features: Option<&'a ImageFeatures>,
     /// Tokens that the model has not computed yet: the rest of the prompt, then those appended since. Fast-forwarded tokens
     /// gather here and are computed in one pass before the next token is sampled.
     pending: Vec<u32>,
@@ -57,7 +57,7 @@ struct Generation<'a> {
 pub(super) fn generate(
     model: &dyn VisionLanguageModel,
     sequence: &mut Sequence,
-    features: Option<&Tensor>,
+    features: Option<&ImageFeatures>,
     prompt: &[u32],
     mut grammar: Option<GrammarState>,
     mut sampler: Sampler,

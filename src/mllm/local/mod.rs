@@ -13,6 +13,8 @@ mod determinism_tests;
 #[cfg(test)]
 pub(crate) mod test_faults;
 #[cfg(test)]
+pub(crate) mod test_prompts;
+#[cfg(test)]
 pub(crate) mod test_reference;
 
 use std::collections::VecDeque;
@@ -27,7 +29,7 @@ use session::LocalConversation;
 use super::checkpoint::{ConfigObject, LoadReport, ModelFiles, OneOrMany};
 use super::decoder::Logits;
 use super::families::{Architecture, Families};
-use super::family::{Chat, ChatFormat, VisionLanguageModel};
+use super::family::{Chat, ChatFormat, ImageLayout, ImageSettings, VisionLanguageModel};
 use super::matrix::WeightFormat;
 use super::source::{Checkpoint, ModelPlace};
 use super::text::{ChatTokenizer, GrammarEngine};
@@ -55,7 +57,7 @@ pub struct LocalModel {
 #[derive(Debug)]
 struct CallPrefix {
     system: String,
-    image: bool,
+    image: Option<ImageLayout>,
     sequence: Sequence,
 }
 
@@ -72,6 +74,8 @@ pub struct Loading {
     pub expected: Option<(Architecture, String)>,
     /// The families that it may have.
     pub families: Families,
+    /// How images are shown to it.
+    pub image: ImageSettings,
 }
 
 impl Loading {
@@ -132,7 +136,8 @@ impl LocalModel {
         // Before the weights are read, which takes minutes: a missing tokenizer is found at once.
         let tokenizer = loading.tokenizer(&checkpoint)?;
         checkpoint.weights.hash()?;
-        let model = checkpoint.open_model()?;
+        let mut model = checkpoint.open_model()?;
+        model.set_images(loading.image)?;
         let Checkpoint { files, weights, .. } = checkpoint;
         let vocabulary = model.info().vocabulary;
         let tokenizer = ChatTokenizer::open(&tokenizer, vocabulary, model.info().image_token)?;
@@ -156,8 +161,7 @@ impl LocalModel {
 
     /// The tokens before the image and the first prompt. They are always computed in a pass of their own, so that their keys
     /// and values do not depend on the first conversation.
-    fn call_prefix(&self, system: &str, image_tokens: Option<usize>) -> Result<Arc<CallPrefix>, MllmError> {
-        let image = image_tokens.is_some();
+    fn call_prefix(&self, system: &str, image: Option<ImageLayout>) -> Result<Arc<CallPrefix>, MllmError> {
         let same = |prefix: &&Arc<CallPrefix>| prefix.image == image && prefix.system == system;
         let known = {
             let prefixes = self.prefixes.lock().unwrap_or_else(PoisonError::into_inner);
@@ -167,12 +171,12 @@ impl LocalModel {
             return Ok(prefix);
         }
         // Prompts without a common character share the tokens that do not depend on the prompt.
-        let ids = self.prompt_ids(&Chat { system, image_tokens, turns: &[], prompt: "0" })?;
-        let other = self.prompt_ids(&Chat { system, image_tokens, turns: &[], prompt: "z" })?;
+        let ids = self.prompt_ids(&Chat { system, image, turns: &[], prompt: "0" })?;
+        let other = self.prompt_ids(&Chat { system, image, turns: &[], prompt: "z" })?;
         let image_token = self.model.info().image_token;
         let agree = ids.iter().zip(&other).take_while(|(a, b)| a == b && **a != image_token).count();
         let len = if agree < MIN_PREFIX { 0 } else { agree };
-        let context = self.model.context(image_tokens.unwrap_or(0));
+        let context = self.model.context(image.map_or(0, |image| image.tokens));
         if len > context {
             return Err(MllmError::PromptTooLong { tokens: ids.len(), context });
         }

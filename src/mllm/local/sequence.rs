@@ -1,11 +1,9 @@
 //! The computed tokens of a chat.
 
-use std::ops::Range;
-
 use candle_core::Tensor;
 
 use crate::mllm::decoder::{DecoderInput, KvCache, Logits};
-use crate::mllm::family::{Positions, VisionLanguageModel};
+use crate::mllm::family::{ImageFeatures, PlacedImage, Positions, VisionLanguageModel};
 use crate::mllm::{Deadline, MllmError};
 
 /// Tokens of one pass: bounds the activations, and the time between two looks at the deadline.
@@ -33,12 +31,12 @@ impl Sequence {
     }
 
     /// Appends tokens and gives the wanted logits (wanted positions, vocabulary). The n-th image token of the sequence takes
-    /// the n-th row of `features`. After an error the sequence is unchanged.
+    /// the n-th row of `features`, wherever it stands. After an error the sequence is unchanged.
     pub(crate) fn append(
         &mut self,
         model: &dyn VisionLanguageModel,
         ids: &[u32],
-        features: Option<&Tensor>,
+        features: Option<&ImageFeatures>,
         wanted: Logits,
     ) -> Result<Option<Tensor>, MllmError> {
         if ids.is_empty() {
@@ -56,7 +54,7 @@ impl Sequence {
         &mut self,
         model: &dyn VisionLanguageModel,
         ids: &[u32],
-        features: Option<&Tensor>,
+        features: Option<&ImageFeatures>,
         wanted: Logits,
         deadline: Deadline,
     ) -> Result<Option<Tensor>, MllmError> {
@@ -75,35 +73,47 @@ impl Sequence {
         &self,
         model: &dyn VisionLanguageModel,
         ids: &[u32],
-        features: Option<&Tensor>,
+        features: Option<&ImageFeatures>,
     ) -> Result<DecoderInput, MllmError> {
         let image_token = model.info().image_token;
         let is_image = |id: &u32| *id == image_token;
         let mut used = self.ids.iter().filter(|id| is_image(id)).count();
-        let known = features.map_or(Ok(used), |features| features.dim(0))?;
+        let known = features.map_or(0, |features| features.layout.tokens);
         let mut rows = Vec::new();
+        let layers = features.filter(|_| ids.iter().any(is_image)).map_or(0, |features| features.deep.len());
+        let mut deep = vec![Vec::new(); layers];
         for run in ids.chunk_by(|a, b| is_image(a) == is_image(b)) {
             if run.first().is_some_and(is_image) {
                 let Some(features) = features.filter(|_| used + run.len() <= known) else {
                     return Err(MllmError::ImagePlaceholder { expected: known, found: used + run.len() });
                 };
-                rows.push(features.narrow(0, used, run.len())?);
+                rows.push(features.rows.narrow(0, used, run.len())?);
+                for (deep, features) in deep.iter_mut().zip(&features.deep) {
+                    deep.push(features.narrow(0, used, run.len())?);
+                }
                 used += run.len();
             } else {
-                rows.push(model.decoder().embed(run)?);
+                let embedded = model.decoder().embed(run)?;
+                for deep in &mut deep {
+                    deep.push(embedded.zeros_like()?);
+                }
+                rows.push(embedded);
             }
         }
-        let image: Range<usize> = match self.ids.iter().chain(ids).position(is_image) {
-            Some(first) => first..first + known,
-            None => 0..0,
+        let first = self.ids.iter().chain(ids).position(is_image);
+        let image = match (first, features) {
+            (Some(first), Some(features)) => Some(PlacedImage { first, layout: features.layout }),
+            (Some(_), None) => return Err(MllmError::ImagePlaceholder { expected: 0, found: used }),
+            (None, _) => None,
         };
-        let Positions { rotary, vision } = model.positions(self.ids.len()..self.ids.len() + ids.len(), &image);
+        let Positions { rotary, vision } = model.positions(self.ids.len()..self.ids.len() + ids.len(), image);
         let context = model.info().positions;
-        if let Some(position) = rotary.last().filter(|position| **position as usize >= context) {
+        if let Some(position) = rotary.iter().flatten().max().filter(|position| **position as usize >= context) {
             let problem = format!("position {position} lies outside the context of {context}");
             return Err(candle_core::Error::msg(problem).into());
         }
-        Ok(DecoderInput { rows: Tensor::cat(&rows, 0)?, positions: rotary, vision })
+        let deep = deep.iter().map(|rows| Tensor::cat(rows, 0)).collect::<candle_core::Result<_>>()?;
+        Ok(DecoderInput { rows: Tensor::cat(&rows, 0)?, positions: rotary, vision, deep })
     }
 
     /// Drops the tokens from `len` on.

@@ -1,13 +1,14 @@
 //! A conversation with a model.
 
+use std::sync::Arc;
 use std::time::Instant;
 
-use candle_core::Tensor;
+use image::RgbImage;
 
 use super::LocalModel;
 use super::generate::{End, Generated, generate};
 use super::sequence::Sequence;
-use crate::mllm::family::Chat;
+use crate::mllm::family::{Chat, ImageFeatures, ImageLayout};
 use crate::mllm::sampling::{Sampler, answer_seed};
 use crate::mllm::{
     Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, PromptPrefix, Request, RoundTime, TokenCounts,
@@ -21,13 +22,13 @@ use crate::mllm::{
 pub(super) struct LocalConversation<'a> {
     local: &'a LocalModel,
     prefix: PromptPrefix,
-    /// Tokens that the image becomes; none without one.
-    image_tokens: Option<usize>,
+    /// How the image lies in the chat; none without one.
+    image: Option<ImageLayout>,
     seed: u64,
     answers: u64,
     turns: Vec<Turn>,
     sequence: Sequence,
-    features: Option<Tensor>,
+    features: Option<ImageFeatures>,
     /// Time spent on the system prompt before the first round, milliseconds.
     prefix_time: f64,
 }
@@ -36,13 +37,13 @@ impl<'a> LocalConversation<'a> {
     /// Opens a conversation and computes or fetches the tokens before the image.
     pub(super) fn open(local: &'a LocalModel, prefix: &PromptPrefix, seed: u64) -> Result<Self, MllmError> {
         let start = Instant::now();
-        let image_tokens =
-            prefix.image.as_ref().map(|image| local.model.image_tokens(image.width(), image.height())).transpose()?;
-        let computed = local.call_prefix(&prefix.system, image_tokens)?;
+        let layout = |image: &Arc<RgbImage>| local.model.image_layout(image.width(), image.height());
+        let image = prefix.image.as_ref().map(layout).transpose()?;
+        let computed = local.call_prefix(&prefix.system, image)?;
         Ok(Self {
             local,
             prefix: prefix.clone(),
-            image_tokens,
+            image,
             seed,
             answers: 0,
             turns: Vec::new(),
@@ -125,10 +126,10 @@ impl LocalConversation<'_> {
         request.deadline.check()?;
         let local = self.local;
         let image_token = local.model.info().image_token;
-        let context = local.model.context(self.image_tokens.unwrap_or(0));
+        let context = local.model.context(self.image.map_or(0, |image| image.tokens));
         let sampler = Sampler::new(request.sampling, answer_seed(self.seed, self.answers))?;
         let grammar = local.grammars.begin(&request.constraint)?;
-        let chat = Chat { system: &self.prefix.system, image_tokens: self.image_tokens, turns: &self.turns, prompt };
+        let chat = Chat { system: &self.prefix.system, image: self.image, turns: &self.turns, prompt };
         let ids = local.prompt_ids(&chat)?;
         if ids.len() >= context {
             return Err(MllmError::PromptTooLong { tokens: ids.len(), context });

@@ -12,10 +12,10 @@ use serde_json::{Value, json};
 
 use super::Sequence;
 use super::sequence::new_cache;
-use super::test_reference::{FEATURE_TOLERANCE, LOGIT_TOLERANCE, Run, feature_difference};
+use super::test_reference::{FEATURE_TOLERANCE, LOGIT_TOLERANCE, Run, feature_difference, whole};
 use crate::mllm::checkpoint::{Weights, read_json, safetensors_folder};
 use crate::mllm::decoder::{Decoder, DecoderInput, DecoderLayer, LanguageModel, Logits};
-use crate::mllm::family::{Family, VisionLanguageModel};
+use crate::mllm::family::{Family, ImageFeatures, Positions, VisionLanguageModel};
 
 /// Smallest deviation of an error, in multiples of the parity tests' tolerance.
 const FAR: f32 = 100.0;
@@ -115,8 +115,8 @@ pub(crate) fn one_further(positions: &[u32], part: &Range<usize>) -> Vec<u32> {
 /// The deviation of a model from a reference.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Deviation {
-    features: f32,
-    logits: f32,
+    pub features: f32,
+    pub logits: f32,
 }
 
 impl Deviation {
@@ -127,10 +127,10 @@ impl Deviation {
     }
 
     /// The deviation of a model with these features.
-    pub(crate) fn of(run: &Run, model: &dyn VisionLanguageModel, features: &Tensor) -> Self {
+    pub(crate) fn of(run: &Run, model: &dyn VisionLanguageModel, features: &ImageFeatures) -> Self {
         let mut sequence = Sequence::new(model);
         let logits = sequence.append(model, &run.ids, Some(features), Logits::All).unwrap().unwrap();
-        Self { features: feature_difference(features, &run.features), logits: run.logits_difference(&logits) }
+        Self { features: feature_difference(&features.rows, &run.features), logits: run.logits_difference(&logits) }
     }
 
     /// The deviation of a model with the right features, these positions, and image rows `vision`.
@@ -141,8 +141,10 @@ impl Deviation {
         positions: Vec<u32>,
         vision: Range<usize>,
     ) -> Self {
-        let rows = Sequence::new(model).decoder_input(model, &run.ids, Some(&run.features)).unwrap().rows;
-        let input = DecoderInput { rows, positions, vision };
+        let features = whole(run.features.clone());
+        let input = Sequence::new(model).decoder_input(model, &run.ids, Some(&features)).unwrap();
+        let positions = Positions::plain(positions).rotary;
+        let input = DecoderInput { positions, vision, ..input };
         let logits = decoder.forward(&input, &mut new_cache(model), Logits::All).unwrap().unwrap();
         Self { features: 0.0, logits: run.logits_difference(&logits) }
     }

@@ -9,7 +9,7 @@ use crate::mllm::Turn;
 use crate::mllm::checkpoint::read_json;
 use crate::mllm::decoder::Logits;
 use crate::mllm::families::Families;
-use crate::mllm::family::{Chat, VisionLanguageModel};
+use crate::mllm::family::{Chat, ImageFeatures, VisionLanguageModel};
 use crate::mllm::source::{Checkpoint, ModelPlace};
 
 /// Tolerance for image features, relative to the largest feature. torch's own f32 results differ from its f64 results by up
@@ -39,6 +39,10 @@ pub(crate) struct Reference(std::collections::HashMap<String, Tensor>);
 impl Reference {
     pub(crate) fn open(path: &Path) -> Self {
         Self(candle_core::safetensors::load(path, &Device::Cpu).unwrap())
+    }
+
+    pub(crate) fn contains(&self, name: &str) -> bool {
+        self.0.contains_key(name)
     }
 
     pub(crate) fn tensor(&self, name: &str) -> &Tensor {
@@ -96,17 +100,22 @@ impl Run {
     }
 
     /// Checks that a model gives the same outputs.
-    pub(crate) fn assert_same(&self, model: &dyn VisionLanguageModel, features: &Tensor) {
-        let found = feature_difference(features, &self.features);
+    pub(crate) fn assert_same(&self, model: &dyn VisionLanguageModel, features: &ImageFeatures) {
+        let found = feature_difference(&features.rows, &self.features);
         assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
-        assert_logits(model, &self.ids, features, &self.logits);
-        assert_greedy(model, &self.ids, features, &self.greedy);
+        assert_logits(model, &self.ids, Some(features), &self.logits);
+        assert_greedy(model, &self.ids, Some(features), &self.greedy);
     }
 
     /// Largest difference between the logits of the whole prompt and the reference.
     pub(crate) fn logits_difference(&self, logits: &Tensor) -> f32 {
         difference(&last_rows(logits, &self.logits), &self.logits)
     }
+}
+
+/// The features of an image in one piece.
+pub(crate) fn whole(rows: Tensor) -> ImageFeatures {
+    ImageFeatures::whole(rows).unwrap()
 }
 
 /// Largest difference between two tensors with equally many elements.
@@ -128,7 +137,7 @@ pub(crate) fn feature_difference(found: &Tensor, expected: &Tensor) -> f32 {
 pub(crate) fn logits_in_pieces(
     model: &dyn VisionLanguageModel,
     ids: &[u32],
-    features: &Tensor,
+    features: Option<&ImageFeatures>,
     pieces: &[usize],
 ) -> Tensor {
     let mut sequence = Sequence::new(model);
@@ -136,7 +145,7 @@ pub(crate) fn logits_in_pieces(
     let mut rest = ids;
     for piece in pieces.iter().copied().chain([ids.len()]) {
         let (now, later) = rest.split_at(piece.min(rest.len()));
-        rows.extend(sequence.append(model, now, Some(features), Logits::All).unwrap());
+        rows.extend(sequence.append(model, now, features, Logits::All).unwrap());
         rest = later;
     }
     assert_eq!(sequence.ids(), ids);
@@ -148,13 +157,13 @@ pub(crate) fn greedy(
     model: &dyn VisionLanguageModel,
     sequence: &mut Sequence,
     ids: &[u32],
-    features: &Tensor,
+    features: Option<&ImageFeatures>,
     count: usize,
 ) -> Vec<u32> {
     let mut tokens: Vec<u32> = Vec::new();
     let mut next = ids.to_vec();
     while tokens.len() < count {
-        let logits = sequence.append(model, &next, Some(features), Logits::Last).unwrap().unwrap();
+        let logits = sequence.append(model, &next, features, Logits::Last).unwrap().unwrap();
         let token = logits.argmax(1).unwrap().to_vec1::<u32>().unwrap()[0];
         tokens.push(token);
         next = vec![token];
@@ -162,24 +171,33 @@ pub(crate) fn greedy(
     tokens
 }
 
-/// Checks the logits of the reference's last positions, computed in one piece, in several, and token by token.
-pub(crate) fn assert_logits(model: &dyn VisionLanguageModel, ids: &[u32], features: &Tensor, expected: &Tensor) {
+/// Checks the logits of the reference's last positions, computed in one piece, in several, and token by token. Returns the
+/// largest difference.
+pub(crate) fn assert_logits(
+    model: &dyn VisionLanguageModel,
+    ids: &[u32],
+    features: Option<&ImageFeatures>,
+    expected: &Tensor,
+) -> f32 {
     let one_by_one = vec![1; ids.len()];
+    let mut worst = 0f32;
     for pieces in [&[][..], &[1], &[4, 3, 9], &[7, 12], &one_by_one] {
         let logits = logits_in_pieces(model, ids, features, pieces);
         let found = difference(&last_rows(&logits, expected), expected);
         assert!(found < LOGIT_TOLERANCE, "in pieces of {pieces:?} the logits differ by {found}");
+        worst = worst.max(found);
     }
+    worst
 }
 
 /// Largest difference between the logits of the whole prompt and the reference.
 pub(crate) fn logits_deviation(
     model: &dyn VisionLanguageModel,
     ids: &[u32],
-    features: &Tensor,
+    features: &ImageFeatures,
     expected: &Tensor,
 ) -> f32 {
-    difference(&last_rows(&logits_in_pieces(model, ids, features, &[]), expected), expected)
+    difference(&last_rows(&logits_in_pieces(model, ids, Some(features), &[]), expected), expected)
 }
 
 fn last_rows(logits: &Tensor, expected: &Tensor) -> Tensor {
@@ -189,7 +207,12 @@ fn last_rows(logits: &Tensor, expected: &Tensor) -> Tensor {
 }
 
 /// Checks greedy tokens, also after a truncation and from a copy.
-pub(crate) fn assert_greedy(model: &dyn VisionLanguageModel, ids: &[u32], features: &Tensor, expected: &[u32]) {
+pub(crate) fn assert_greedy(
+    model: &dyn VisionLanguageModel,
+    ids: &[u32],
+    features: Option<&ImageFeatures>,
+    expected: &[u32],
+) {
     let mut sequence = Sequence::new(model);
     let count = expected.len();
     assert_eq!(greedy(model, &mut sequence, ids, features, count), expected);
@@ -213,20 +236,20 @@ pub(crate) fn assert_chat(folder: &Path, rounds: &[&str]) {
 
     let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
     let features = model.encode_image(&image).unwrap();
-    let image_tokens = model.image_tokens(image.width(), image.height()).unwrap();
-    assert_eq!(features.dims()[0], image_tokens);
-    let found = feature_difference(&features, reference.tensor("features"));
+    let layout = model.image_layout(image.width(), image.height()).unwrap();
+    assert_eq!(features.rows.dims()[0], layout.tokens);
+    let found = feature_difference(&features.rows, reference.tensor("features"));
     assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
 
     let first = Turn { prompt: prompts[0].clone(), answer: text(&texts["first_answer"]) };
     for name in rounds {
         let (turns, prompt) = if *name == "chat_" { (vec![first.clone()], &prompts[1]) } else { (vec![], &prompts[0]) };
-        let image_tokens = (*name != "text_").then_some(image_tokens);
-        let ids = local.prompt_ids(&Chat { system: &system, image_tokens, turns: &turns, prompt }).unwrap();
+        let image = (*name != "text_").then_some(layout);
+        let ids = local.prompt_ids(&Chat { system: &system, image, turns: &turns, prompt }).unwrap();
         assert_eq!(ids, reference.ids(&format!("{name}input_ids"), model.info().image_token), "{name}");
-        assert_logits(model, &ids, &features, reference.tensor(&format!("{name}logits")));
-        if image_tokens.is_some() {
-            assert_greedy(model, &ids, &features, &reference.ids(&format!("{name}generated"), 0));
+        assert_logits(model, &ids, Some(&features), reference.tensor(&format!("{name}logits")));
+        if image.is_some() {
+            assert_greedy(model, &ids, Some(&features), &reference.ids(&format!("{name}generated"), 0));
         }
     }
 }

@@ -10,6 +10,8 @@ macro_rules! described {
 /// Names and texts, by name.
 const DESCRIBED: &[(&str, &str)] = described![
     "cogvlm-chat-17b",
+    "internvl3-1b",
+    "internvl3-2b",
     "llava-1.5-13b",
     "llava-1.5-7b",
     "llava-v1.6-mistral-7b",
@@ -17,6 +19,13 @@ const DESCRIBED: &[(&str, &str)] = described![
     "llava-v1.6-vicuna-7b",
     "local-server",
     "openai",
+    "qwen2.5-vl-3b",
+    "qwen2.5-vl-7b",
+    "qwen3-vl-2b",
+    "qwen3-vl-4b",
+    "smolvlm2-2.2b",
+    "smolvlm2-256m",
+    "smolvlm2-500m",
 ];
 
 pub(super) fn names() -> impl Iterator<Item = &'static str> {

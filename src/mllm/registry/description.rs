@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::mllm::checkpoint::read_text;
-use crate::mllm::{Architecture, EndpointSettings, MllmError, Sampling};
+use crate::mllm::{Architecture, EndpointSettings, ImageSettings, MllmError, Sampling};
 
 /// The description of a model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,6 +26,9 @@ pub struct ModelSpec {
     pub prompt_set: Option<PromptSet>,
     #[serde(default)]
     pub generation: GenerationSettings,
+    /// How images are shown to it.
+    #[serde(default, skip_serializing_if = "ImageSettings::is_default")]
+    pub image: ImageSettings,
 }
 
 /// Where the files of a model are, or the server that computes it.
@@ -188,6 +191,9 @@ impl ModelSpec {
                 return Err(broken("architecture and tokenizer belong to the server; remove them".into()));
             }
         }
+        if matches!(spec.source, ModelSource::Endpoint(_)) && !spec.image.is_default() {
+            return Err(broken("image belongs to models of this machine; a server has source.image_size".into()));
+        }
         if matches!(spec.tokenizer, Some(ModelSource::Endpoint(_))) {
             return Err(broken("tokenizer: expected files, found a server".into()));
         }
@@ -278,6 +284,14 @@ mod tests {
     }
 
     #[test]
+    fn images_are_shown_as_a_description_says() {
+        let valid = "name = 'n'\nsource = { folder = 'f' }\nprompt_set = 'paper'\n";
+        assert!(parse(valid).unwrap().image.is_default());
+        let image = parse(&format!("{valid}[image]\ntiles = 1\nsize = 448")).unwrap().image;
+        assert_eq!(image, ImageSettings { tiles: Some(1), size: Some(448) });
+    }
+
+    #[test]
     fn every_architecture_has_the_name_that_results_call_it() {
         for architecture in Families::default().iter() {
             let name = architecture.name();
@@ -300,6 +314,7 @@ mod tests {
             &valid.replace("folder", "path"),
             &valid.replace("'n'", "''"),
             &format!("{valid}colour = 'red'"),
+            &format!("{valid}[image]\ntile = 1"),
             &format!("{valid}[generation]\nmax_new_tokens = 3"),
             &format!("{valid}[generation.max_new_tokens]\nscene = 0"),
         ] {

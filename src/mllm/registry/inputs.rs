@@ -76,6 +76,9 @@ fn description(spec: &ModelSpec) -> BTreeMap<String, String> {
         ("generation".to_owned(), digest_of(&spec.generation)),
         ("prompt_set".to_owned(), digest_of(&spec.prompt_set)),
     ]);
+    if !spec.image.is_default() {
+        values.insert("image".to_owned(), digest_of(&spec.image));
+    }
     if let ModelSource::Endpoint(settings) = &spec.source
         && let Ok(Value::Object(fields)) = serde_json::to_value(settings)
     {

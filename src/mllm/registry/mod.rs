@@ -19,8 +19,8 @@ pub use inputs::ModelInputs;
 pub use own_settings::{Asking, NamedBy};
 
 use super::{
-    CreateFile, EmbeddedModel, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError,
-    ModelCheck, ModelPlace, WeightFormat, export_model,
+    CreateFile, EmbeddedModel, EndpointSettings, Family, ImageSettings, LoadReport, Loading, LocalModel, MemoryCheck,
+    Mllm, MllmError, ModelCheck, ModelPlace, WeightFormat, export_model,
 };
 
 /// Finds and opens models.
@@ -157,6 +157,7 @@ impl ModelRegistry {
             tokenizer: None,
             prompt_set: None,
             generation: GenerationSettings::default(),
+            image: ImageSettings::default(),
         })
     }
 
@@ -281,7 +282,7 @@ impl ModelRegistry {
             }
         };
         let expected = spec.architecture.map(|architecture| (architecture, spec.name.clone()));
-        Ok(Loading { tokenizer, expected, ..self.loading.clone() })
+        Ok(Loading { tokenizer, expected, image: spec.image, ..self.loading.clone() })
     }
 }
 

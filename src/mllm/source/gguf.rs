@@ -14,7 +14,7 @@ use crate::mllm::matrix::WeightFormat;
 /// The small file that every model of this program's own has.
 const CONFIG: &str = "config.json";
 /// Small files that a user may put beside a GGUF file.
-const BESIDE: [&str; 2] = ["tokenizer_config.json", TEMPLATE];
+const BESIDE: [&str; 3] = ["tokenizer_config.json", "preprocessor_config.json", TEMPLATE];
 
 /// Opens a model: its decoder, and its vision tower, by default the one that lies beside it.
 pub(super) fn open(
@@ -33,7 +33,7 @@ pub(super) fn open(
     }
     match header.architecture()? {
         WHOLE_MODEL => open_whole(&header, file, quantize, families),
-        llama::ARCHITECTURE => {
+        decoder if llama::architectures().any(|known| known == decoder) => {
             let beside = mmproj.map_or_else(|| tower_beside(model), |mmproj| Ok(mmproj.to_path_buf()))?;
             let (tower, tower_file) = open_header(&beside)?;
             if tower.architecture()? != TOWER {
@@ -46,7 +46,10 @@ pub(super) fn open(
         }
         other => Err(header.error(
             ARCHITECTURE,
-            format!("'{other}' is not supported; decoders of architecture '{}' are", llama::ARCHITECTURE),
+            format!(
+                "'{other}' is not supported; decoders of architecture {} are",
+                llama::architectures().collect::<Vec<_>>().join(", ")
+            ),
         )),
     }
 }
@@ -85,7 +88,13 @@ fn open_pair(
     if !texts.contains_key(CONFIG) {
         let layouts = families.iter().filter_map(|family| family.family().gguf.ok());
         let Some(layout) = layouts.into_iter().find(|layout| layout.opens(decoder, tower)) else {
-            return Err(tower.error("general.architecture", "no known model family has such a vision tower"));
+            let problem = match tower.projector()? {
+                Some(kind) => {
+                    format!("'{kind}' is not supported with a decoder of architecture {}", decoder.architecture()?)
+                }
+                None => "no known model family has such a vision tower".into(),
+            };
+            return Err(tower.error("clip.projector_type", problem));
         };
         texts.extend(layout.small_files(decoder, tower, &mut notes)?);
     }

@@ -27,7 +27,7 @@ macro_rules! shape {
 }
 
 impl ModelShape {
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 17] = [
         shape!("nano"),
         shape!("llava-1.1b"),
         shape!("llava-1.5-7b"),
@@ -36,6 +36,15 @@ impl ModelShape {
         shape!("llava-v1.6-mistral-7b"),
         shape!("llava-v1.6-vicuna-13b"),
         shape!("cogvlm-chat-17b"),
+        shape!("smolvlm2-256m"),
+        shape!("smolvlm2-500m"),
+        shape!("smolvlm2-2.2b"),
+        shape!("internvl3-1b"),
+        shape!("internvl3-2b"),
+        shape!("qwen3-vl-2b"),
+        shape!("qwen3-vl-4b"),
+        shape!("qwen2.5-vl-3b"),
+        shape!("qwen2.5-vl-7b"),
     ];
 
     pub fn find(name: &str) -> Result<&'static Self, MllmError> {
@@ -55,7 +64,8 @@ impl ModelShape {
         let files = ModelFiles::packed(place, texts.clone());
         let vocabulary = (families.of(&files)?.family().decoder_config)(&files)?.vocabulary;
         let config = files.required_json("config.json")?;
-        let image = config["image_token_index"].as_u64().map_or(vocabulary, |id| id as usize);
+        let image = config["image_token_index"].as_u64().or(config["image_token_id"].as_u64());
+        let image = image.map_or(vocabulary, |id| id as usize);
         texts.insert("tokenizer.json".into(), tokenizer(vocabulary, image).to_string());
         texts.insert("tokenizer_config.json".into(), TOKENIZER_CONFIG.into());
         texts.insert("chat_template.jinja".into(), CHAT_TEMPLATE.into());
@@ -106,6 +116,15 @@ mod tests {
             ("llava-v1.6-mistral-7b", 7.57),
             ("llava-v1.6-vicuna-13b", 13.35),
             ("cogvlm-chat-17b", 17.64),
+            ("smolvlm2-256m", 0.256_5),
+            ("smolvlm2-500m", 0.507_5),
+            ("smolvlm2-2.2b", 2.247),
+            ("internvl3-1b", 0.938_2),
+            ("internvl3-2b", 2.089),
+            ("qwen3-vl-2b", 2.127_5),
+            ("qwen3-vl-4b", 4.438),
+            ("qwen2.5-vl-3b", 3.755),
+            ("qwen2.5-vl-7b", 8.292),
         ] {
             let shape = ModelShape::find(name).unwrap();
             let place = ModelPlace::Random { shape, seed: 0 };

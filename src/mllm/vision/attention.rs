@@ -1,11 +1,13 @@
-//! Shared parts of vision transformers.
+//! Attention and class tokens of vision transformers.
 
 use candle_core::{Result, Tensor};
 
-use crate::mllm::attention::{AttentionMask, HeadShape, KeyValues, Precision, Projected, attend};
+use crate::mllm::MllmError;
+use crate::mllm::attention::{AttentionMask, HeadShape, KeyValues, Precision, Projected, RotaryRows, attend};
+use crate::mllm::checkpoint::Weights;
 use crate::mllm::linear::Linear;
 
-/// Attention among all tokens of an image. Query, key and value projections are one matrix.
+/// Attention among the tokens of each part of a batch. Query, key and value projections are one matrix.
 #[derive(Debug)]
 pub(crate) struct SelfAttention {
     /// (hidden) to (3, heads, head width).
@@ -14,45 +16,70 @@ pub(crate) struct SelfAttention {
     pub heads: usize,
 }
 
-impl SelfAttention {
-    /// Maps (images · tokens, hidden) to the same shape.
-    pub(crate) fn forward(&self, x: &Tensor, images: usize) -> Result<Tensor> {
-        self.out.forward(&self.mix(x, images)?)
-    }
+/// Consecutive tokens of a batch that attend to one another: an image, a tile or a window.
+#[derive(Debug)]
+pub(crate) struct Part {
+    pub tokens: usize,
+    /// The angles of the tokens' queries and keys; none for towers that learn their positions.
+    pub rotary: Option<RotaryRows>,
+}
 
-    /// residual + attention(x), both (images · tokens, hidden).
-    pub(crate) fn forward_onto(&self, x: &Tensor, images: usize, residual: &Tensor) -> Result<Tensor> {
-        self.out.forward_onto(&self.mix(x, images)?, residual)
-    }
-
-    /// The concatenated results of the heads.
-    fn mix(&self, x: &Tensor, images: usize) -> Result<Tensor> {
-        let (rows, hidden) = x.dims2()?;
-        let tokens = rows / images;
-        let shape = HeadShape { query_heads: self.heads, key_heads: self.heads, width: hidden / self.heads };
-        let qkv = self.qkv.forward(x)?;
-        let partial = (0..images).map(|image| {
-            Projected::of(&qkv.narrow(0, image * tokens, tokens)?, shape, None, |rows| {
-                let mut held = KeyValues::new(shape, Precision::Single);
-                held.write(rows, 0)?;
-                attend(rows, &held, AttentionMask::All { positions: tokens })
-            })
-        });
-        Tensor::cat(&partial.collect::<Result<Vec<_>>>()?, 0)
+impl Part {
+    /// Images of `tokens` tokens each, without rotary embeddings.
+    pub(crate) fn images(images: usize, tokens: usize) -> Vec<Self> {
+        (0..images).map(|_| Self { tokens, rotary: None }).collect()
     }
 }
 
-/// Cuts pixels (3, side, side) into patches, (patches, 3 · patch²), in the layout of a convolution kernel. Drops the remainder
-/// at the right and at the bottom.
-pub(crate) fn unfold(pixels: &Tensor, patch: usize) -> Result<Tensor> {
-    let grid = pixels.dim(1)? / patch;
-    let used = grid * patch;
-    pixels
-        .narrow(1, 0, used)?
-        .narrow(2, 0, used)?
-        .reshape(vec![3, grid, patch, grid, patch])?
-        .permute(vec![1, 3, 0, 2, 4])?
-        .reshape((grid * grid, 3 * patch * patch))
+impl SelfAttention {
+    /// Takes the projections of a layer called `name`: those to queries, keys and values are three matrices, or one.
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        hidden: usize,
+        heads: usize,
+    ) -> std::result::Result<Self, MllmError> {
+        let fused = format!("{name}.qkv");
+        let parts = if weights.contains(&format!("{fused}.weight")) {
+            vec![(fused, 3 * hidden)]
+        } else {
+            ["q_proj", "k_proj", "v_proj"].map(|part| (format!("{name}.{part}"), hidden)).to_vec()
+        };
+        Ok(Self {
+            qkv: Linear::take_fused(weights, &parts, hidden, true)?,
+            out: Linear::take(weights, &format!("{name}.out_proj"), hidden, hidden, true)?,
+            heads,
+        })
+    }
+
+    /// Maps (tokens of all parts, hidden) to the same shape.
+    pub(crate) fn forward(&self, x: &Tensor, parts: &[Part]) -> Result<Tensor> {
+        self.out.forward(&self.mix(x, parts)?)
+    }
+
+    /// residual + attention(x), both (tokens of all parts, hidden).
+    pub(crate) fn forward_onto(&self, x: &Tensor, parts: &[Part], residual: &Tensor) -> Result<Tensor> {
+        self.out.forward_onto(&self.mix(x, parts)?, residual)
+    }
+
+    /// The concatenated results of the heads.
+    fn mix(&self, x: &Tensor, parts: &[Part]) -> Result<Tensor> {
+        let (_, hidden) = x.dims2()?;
+        let shape = HeadShape { query_heads: self.heads, key_heads: self.heads, width: hidden / self.heads };
+        let qkv = self.qkv.forward(x)?;
+        let mut first = 0;
+        let mut mixed = Vec::with_capacity(parts.len());
+        for Part { tokens, rotary } in parts {
+            let rows = qkv.narrow(0, first, *tokens)?;
+            mixed.push(Projected::of(&rows, shape, rotary.as_ref(), |rows| {
+                let mut held = KeyValues::new(shape, Precision::Single);
+                held.write(rows, 0)?;
+                attend(rows, &held, AttentionMask::All { positions: *tokens })
+            })?);
+            first += tokens;
+        }
+        Tensor::cat(&mixed, 0)
+    }
 }
 
 /// Puts a class token, (1, hidden), before the patches of each image, (images · patches, hidden), and adds the position

@@ -2,12 +2,13 @@
 
 use candle_core::Tensor;
 
-use super::attention::{SelfAttention, embed, unfold};
+use super::attention::{Part, embed};
+use super::layer::VisionLayer;
+use super::patches::{take_patch_embedding, unfold};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, VisionConfig, Weights};
+use crate::mllm::checkpoint::{VisionConfig, Weights};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
-use crate::mllm::matrix::Matrix;
 
 /// The first layers of a CLIP vision tower.
 #[derive(Debug)]
@@ -16,18 +17,8 @@ pub(crate) struct ClipVisionTower {
     patch_embedding: Linear,
     position_embedding: Tensor,
     pre_norm: LayerNorm,
-    layers: Vec<Layer>,
+    layers: Vec<VisionLayer>,
     config: VisionConfig,
-}
-
-#[derive(Debug)]
-struct Layer {
-    norm1: LayerNorm,
-    attention: SelfAttention,
-    norm2: LayerNorm,
-    fc1: Linear,
-    fc2: Linear,
-    act: Activation,
 }
 
 impl ClipVisionTower {
@@ -36,17 +27,18 @@ impl ClipVisionTower {
         let hidden = config.hidden;
         let patch = config.patch_size;
         let embeddings = "vision_tower.embeddings";
-        let patch_kernel = weights.take(&format!("{embeddings}.patch_embedding.weight"), &[hidden, 3, patch, patch])?;
+        let patch_embedding =
+            take_patch_embedding(weights, &format!("{embeddings}.patch_embedding"), hidden, patch, false)?;
         let mut layers = Vec::with_capacity(config.layers.min(depth));
         for index in 0..config.layers {
-            let layer = Layer::take(weights, config, &format!("vision_tower.encoder.layers.{index}"))?;
+            let layer = VisionLayer::take(weights, config, &format!("vision_tower.encoder.layers.{index}"))?;
             if index < depth {
                 layers.push(layer);
             }
         }
         Ok(Self {
             class_embedding: weights.take(&format!("{embeddings}.class_embedding"), &[hidden])?.unsqueeze(0)?,
-            patch_embedding: Linear::from_matrix(Matrix::from_tensor(&patch_kernel.flatten_from(1)?)?, None),
+            patch_embedding,
             position_embedding: weights
                 .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches() + 1, hidden])?,
             // The misspelling is CLIP's own and is in every checkpoint.
@@ -64,43 +56,19 @@ impl ClipVisionTower {
         let patches = self.patch_embedding.forward(&patches)?;
         let embedded = embed(&self.class_embedding, &patches, &self.position_embedding)?;
         let mut state = self.pre_norm.forward(&embedded)?;
+        let parts = Part::images(images.len(), self.config.patches() + 1);
         let mut found = vec![None; wanted.len()];
         for index in 0..=self.layers.len() {
             for (found, _) in found.iter_mut().zip(wanted).filter(|(_, wanted)| **wanted == index) {
                 *found = Some(state.reshape((images.len(), (), self.config.hidden))?);
             }
             if let Some(layer) = self.layers.get(index) {
-                state = layer.forward(&state, images.len())?;
+                state = layer.forward(&state, &parts)?;
             }
         }
         found
             .into_iter()
             .collect::<Option<_>>()
             .ok_or_else(|| candle_core::Error::Msg(format!("the vision tower has no hidden states {wanted:?}")))
-    }
-}
-
-impl Layer {
-    fn take(weights: &mut Weights, config: &VisionConfig, name: &str) -> Result<Self, MllmError> {
-        let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);
-        let qkv = ["q_proj", "k_proj", "v_proj"].map(|part| (format!("{name}.self_attn.{part}"), hidden));
-        Ok(Self {
-            norm1: LayerNorm::take(weights, &format!("{name}.layer_norm1"), hidden, eps)?,
-            attention: SelfAttention {
-                qkv: Linear::take_fused(weights, &qkv, hidden, true)?,
-                out: Linear::take(weights, &format!("{name}.self_attn.out_proj"), hidden, hidden, true)?,
-                heads: config.heads,
-            },
-            norm2: LayerNorm::take(weights, &format!("{name}.layer_norm2"), hidden, eps)?,
-            fc1: Linear::take(weights, &format!("{name}.mlp.fc1"), hidden, wide, true)?,
-            fc2: Linear::take(weights, &format!("{name}.mlp.fc2"), wide, hidden, true)?,
-            act: config.act,
-        })
-    }
-
-    fn forward(&self, x: &Tensor, images: usize) -> candle_core::Result<Tensor> {
-        let x = self.attention.forward_onto(&self.norm1.forward(x)?, images, x)?;
-        let wide = self.act.forward(&self.fc1.forward(&self.norm2.forward(&x)?)?)?;
-        self.fc2.forward_onto(&wide, &x)
     }
 }

@@ -1,6 +1,5 @@
 //! LLaVA and LLaVA-NeXT in llama.cpp's GGUF files.
 
-mod names;
 mod template;
 mod tower;
 
@@ -10,9 +9,30 @@ use serde_json::json;
 
 use super::config::{IMAGE_TOKEN_BEYOND, LlavaConfig};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ModelFiles, read_json};
+use crate::mllm::checkpoint::ModelFiles;
+use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, VISION_LAYERS, unswapped};
 use crate::mllm::gguf::{Entries, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, tokenizer};
 use crate::mllm::vision::{PixelScale, read_processor};
+
+/// The names of a LLaVA's tensors, and the newline of a LLaVA-NeXT.
+const NAMES: Names = Names {
+    single: &[
+        EMBEDDING,
+        FINAL_NORM,
+        OUTPUT,
+        ("v.class_embd", "vision_tower.embeddings.class_embedding"),
+        ("v.patch_embd.weight", "vision_tower.embeddings.patch_embedding.weight"),
+        ("v.position_embd.weight", "vision_tower.embeddings.position_embedding.weight"),
+        ("v.pre_ln.weight", "vision_tower.pre_layrnorm.weight"),
+        ("v.pre_ln.bias", "vision_tower.pre_layrnorm.bias"),
+        ("mm.0.weight", "multi_modal_projector.linear_1.weight"),
+        ("mm.0.bias", "multi_modal_projector.linear_1.bias"),
+        ("mm.2.weight", "multi_modal_projector.linear_2.weight"),
+        ("mm.2.bias", "multi_modal_projector.linear_2.bias"),
+        ("model.image_newline", "image_newline"),
+    ],
+    layers: &[DECODER_LAYERS, VISION_LAYERS],
+};
 
 /// The configuration, and of a LLaVA-NeXT the resolutions (height, width) of its grids.
 type Configured = (LlavaConfig, Option<Vec<[u32; 2]>>);
@@ -30,7 +50,7 @@ pub(crate) struct LlavaGguf {
 
 impl GgufLayout for LlavaGguf {
     fn opens(&self, _decoder: &Header, tower: &Header) -> bool {
-        tower::is_next(tower) == self.next
+        tower::is_llava(tower) && tower::is_next(tower) == self.next
     }
 
     fn small_files(
@@ -46,20 +66,11 @@ impl GgufLayout for LlavaGguf {
         config["tie_word_embeddings"] = text["tie_word_embeddings"].clone();
         config["text_config"] = text;
         let mut files = BTreeMap::new();
-        let mut put = |name: &str, value: &serde_json::Value| files.insert(name.to_string(), value.to_string());
+        let mut tokenizer = tokenizer::files(decoder, vocabulary, &mut files)?;
         let beside = decoder.path.with_file_name(TOKENIZER);
-        let mut tokenizer = if beside.is_file() {
-            read_json(&beside)?
-        } else {
-            let read = tokenizer::read(decoder, vocabulary)?;
-            put("tokenizer_config.json", &read.config);
-            if let Some(eos) = read.eos {
-                put("generation_config.json", &json!({"eos_token_id": eos}));
-            }
-            read.tokenizer
-        };
         let image = tokenizer::image_token(&mut tokenizer)
             .map_err(|problem| MllmError::Tokenizer { path: beside, problem: problem.into() })?;
+        let mut put = |name: &str, value: &serde_json::Value| files.insert(name.to_string(), value.to_string());
         if image == vocabulary as u64 {
             config[IMAGE_TOKEN_BEYOND] = json!(true);
         } else {
@@ -77,11 +88,11 @@ impl GgufLayout for LlavaGguf {
 
     fn canonical_name(&self, file: &Header, name: &str) -> Result<Option<String>, MllmError> {
         let hidden = tower::hidden(file)?;
-        Ok(names::to_canonical(name).map(|canonical| unswapped(file, canonical, hidden)))
+        Ok(NAMES.to_canonical(name).map(|canonical| unswapped(file, canonical, hidden)))
     }
 
     fn gguf_name(&self, canonical: &str) -> Option<String> {
-        names::from_canonical(canonical)
+        NAMES.in_gguf(canonical)
     }
 
     fn metadata(&self, files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
@@ -91,23 +102,5 @@ impl GgufLayout for LlavaGguf {
         let decoder = llama::metadata(&config.text);
         let tower = tower::metadata(&config, pinpoints, scale);
         Ok(decoder.and_then(|decoder| Ok([decoder, tower?])))
-    }
-}
-
-/// Undoes a swap of llama.cpp's older converter, which calls the first layer of the tower's feed-forward part `ffn_down` and
-/// the second `ffn_up`. The first layer is the one whose input is the hidden states.
-fn unswapped(header: &Header, canonical: String, hidden: Option<usize>) -> String {
-    let Some(layer) = canonical.strip_prefix("vision_tower.encoder.layers.").and_then(|rest| rest.split('.').next())
-    else {
-        return canonical;
-    };
-    let down = header.tensors.get(&format!("v.blk.{layer}.ffn_down.weight"));
-    let swapped = down.is_some_and(|place| place.shape.get(1).copied() == hidden);
-    match canonical.split_once(".mlp.fc") {
-        Some((before, "1.weight")) if swapped => format!("{before}.mlp.fc2.weight"),
-        Some((before, "2.weight")) if swapped => format!("{before}.mlp.fc1.weight"),
-        Some((before, "1.bias")) if swapped => format!("{before}.mlp.fc2.bias"),
-        Some((before, "2.bias")) if swapped => format!("{before}.mlp.fc1.bias"),
-        _ => canonical,
     }
 }

@@ -14,6 +14,11 @@ const FEATURE_LAYER: &str = "clip.vision.feature_layer";
 /// Key of the resolutions of LLaVA-NeXT's grids, flattened.
 const PINPOINTS: &str = "clip.vision.image_grid_pinpoints";
 
+/// Whether the tower's projector is LLaVA's, or one that no file names.
+pub(super) fn is_llava(header: &Header) -> bool {
+    matches!(header.projector(), Ok(None | Some("mlp")))
+}
+
 /// Whether the tower belongs to a LLaVA-NeXT.
 pub(super) fn is_next(header: &Header) -> bool {
     header.tensors.contains_key(IMAGE_NEWLINE)
@@ -26,12 +31,6 @@ pub(super) fn hidden(header: &Header) -> Result<Option<usize>, MllmError> {
 
 /// The keys of `config.json` that describe tower and projector, and a note if the file leaves one open.
 pub(super) fn config(header: &Header, model_type: &str) -> Result<(Value, Option<String>), MllmError> {
-    for key in ["clip.projector_type", "clip.vision.projector_type"] {
-        match header.text(key)? {
-            None | Some("mlp") => {}
-            Some(other) => return Err(header.error(key, format!("'{other}' is not supported; mlp (LLaVA's) is"))),
-        }
-    }
     let layers = header.required_count("clip.vision.block_count")?;
     let act = match (header.flag("clip.use_gelu")?, header.flag("clip.use_silu")?) {
         (Some(true), _) => "gelu",

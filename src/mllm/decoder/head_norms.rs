@@ -1,0 +1,39 @@
+//! Normalization of each head's queries and keys.
+
+use candle_core::Tensor;
+
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{LlamaConfig, Weights};
+use crate::mllm::rms_norm::RmsNorm;
+
+/// RMS norms of the queries and keys of a layer, before their rotation (`q_norm`, `k_norm`).
+#[derive(Debug)]
+pub(super) struct HeadNorms {
+    query: RmsNorm,
+    key: RmsNorm,
+    /// Numbers of a token's queries, and of its keys.
+    widths: [usize; 2],
+}
+
+impl HeadNorms {
+    /// Takes the norms of the layer called `name`.
+    pub(super) fn take(weights: &mut Weights, config: &LlamaConfig, name: &str) -> Result<Self, MllmError> {
+        let mut norm = |part: &str| {
+            RmsNorm::take(weights, &format!("{name}.self_attn.{part}"), config.head_dim, config.rms_norm_eps)
+        };
+        let widths = [config.heads, config.kv_heads].map(|heads| heads * config.head_dim);
+        Ok(Self { query: norm("q_norm")?, key: norm("k_norm")?, widths })
+    }
+
+    /// Normalizes queries and keys in rows of queries, keys and values.
+    pub(super) fn forward(&self, qkv: &Tensor) -> candle_core::Result<Tensor> {
+        let rows = qkv.dim(0)?;
+        let [queries, keys] = self.widths;
+        let normed = |norm: &RmsNorm, start, width| {
+            let heads = qkv.narrow(1, start, width)?.reshape(((), norm.width()))?;
+            norm.forward(&heads)?.reshape((rows, width))
+        };
+        let values = qkv.narrow(1, queries + keys, keys)?;
+        Tensor::cat(&[normed(&self.query, 0, queries)?, normed(&self.key, queries, keys)?, values], 1)?.contiguous()
+    }
+}

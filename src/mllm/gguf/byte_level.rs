@@ -1,0 +1,88 @@
+//! A byte-level tokenizer in GGUF metadata (`tokenizer.ggml.model = gpt2`), converted to an equivalent `tokenizer.json`.
+//!
+//! The file has tokens and merges. How a text is split before that has only a name there (`tokenizer.ggml.pre`).
+
+use serde_json::{Map, Value as Json, json};
+
+use super::header::Header;
+use super::tokenizer::{Pieces, Special, TokenizerFiles, beginning, piece};
+use crate::mllm::MllmError;
+
+/// How texts are split (`llm_tokenizer_bpe` of llama.cpp, and the models' own files).
+const QWEN2: &str =
+    r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{N}| ?[^\s\p{L}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";
+const LLAMA3: &str = r"(?i:'s|'t|'re|'ve|'m|'ll|'d)|[^\r\n\p{L}\p{N}]?\p{L}+|\p{N}{1,3}| ?[^\s\p{L}\p{N}]+[\r\n]*|\s*[\r\n]+|\s+(?!\S)|\s+";
+/// The names that are known.
+const KNOWN: [&str; 5] = ["default", "gpt-2", "smollm", "qwen2", "llama-bpe"];
+
+/// Reads the tokenizer of a model whose embedding has `vocabulary` rows.
+pub(super) fn read(header: &Header, vocabulary: usize) -> Result<TokenizerFiles, MllmError> {
+    const MERGES: &str = "tokenizer.ggml.merges";
+    const PRE: &str = "tokenizer.ggml.pre";
+    let name = header.text(PRE)?.unwrap_or("default");
+    let Some((normalizer, pre_tokenizer)) = splitting(name) else {
+        let known = KNOWN.join(", ");
+        let problem = format!("'{name}' is not known ({known} are); put the model's tokenizer.json beside the file");
+        return Err(header.error(PRE, problem));
+    };
+    let pieces = Pieces::read(header, vocabulary)?;
+    let merges: Vec<String> = header.list(MERGES, "a list of texts")?.unwrap_or_default();
+    let Some(merges) = merges.iter().map(|merge| merge.split_once(' ')).collect::<Option<Vec<_>>>() else {
+        return Err(header.error(MERGES, "expected pairs of tokens with a space between"));
+    };
+    // Special tokens keep their ids only if the vocabulary has them too.
+    let all = pieces.tokens.iter().zip(&pieces.kinds).enumerate();
+    let vocab: Map<String, Json> = all
+        .filter(|(_, (_, kind))| **kind != piece::UNUSED)
+        .map(|(id, (token, _))| ((*token).to_string(), json!(id)))
+        .collect();
+    if let Some((left, right)) = merges.iter().find(|(left, right)| !vocab.contains_key(&format!("{left}{right}"))) {
+        return Err(
+            header.error(MERGES, format!("'{}' and '{}' make no token", left.escape_debug(), right.escape_debug()))
+        );
+    }
+    let Special { bos, eos, config, .. } = Special::read(header, &pieces)?;
+    let begins = header.flag("tokenizer.ggml.add_bos_token")?.unwrap_or(name == "llama-bpe");
+    let tokenizer = json!({
+        "version": "1.0",
+        "added_tokens": pieces.added(),
+        "normalizer": normalizer,
+        "pre_tokenizer": pre_tokenizer,
+        "post_processor": bos.filter(|_| begins).map(|(id, token)| beginning(id, token)),
+        "decoder": {"type": "ByteLevel", "add_prefix_space": true, "trim_offsets": true, "use_regex": true},
+        "model": {
+            "type": "BPE", "dropout": null, "unk_token": null, "continuing_subword_prefix": null,
+            "end_of_word_suffix": null, "fuse_unk": false, "byte_fallback": false,
+            "ignore_merges": name == "llama-bpe", "vocab": vocab, "merges": merges,
+        },
+    });
+    Ok(TokenizerFiles { tokenizer, config, eos: eos.map(|(id, _)| id) })
+}
+
+/// Normalizer and pre-tokenizer of a name.
+fn splitting(name: &str) -> Option<(Json, Json)> {
+    let bytes = |use_regex: bool| json!({"type": "ByteLevel", "add_prefix_space": false, "trim_offsets": true, "use_regex": use_regex});
+    let sequence = |first: Json, bytes: Json| json!({"type": "Sequence", "pretokenizers": [first, bytes]});
+    let pattern = |pattern: &str| {
+        let split = json!({"type": "Split", "pattern": {"Regex": pattern}, "behavior": "Isolated", "invert": false});
+        sequence(split, bytes(false))
+    };
+    match name {
+        "default" | "gpt-2" => Some((Json::Null, bytes(true))),
+        "smollm" => Some((Json::Null, sequence(json!({"type": "Digits", "individual_digits": true}), bytes(true)))),
+        "qwen2" => Some((json!({"type": "NFC"}), pattern(QWEN2))),
+        "llama-bpe" => Some((Json::Null, pattern(LLAMA3))),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_known_name_has_a_way_to_split() {
+        assert!(KNOWN.into_iter().all(|name| splitting(name).is_some()));
+        assert!(splitting("tekken").is_none());
+    }
+}

@@ -1,0 +1,133 @@
+//! The names of tensors in llama.cpp's GGUF files and the canonical names of a family.
+
+use super::Header;
+
+/// The names of a family's tensors: name in GGUF, canonical name.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Names {
+    /// Tensors outside of layers.
+    pub single: &'static [Pair],
+    /// Layers: prefix in GGUF, canonical prefix, parts before `.weight` or `.bias`.
+    pub layers: &'static [(&'static str, &'static str, &'static [Pair])],
+}
+
+/// Name in GGUF, canonical name.
+pub(crate) type Pair = (&'static str, &'static str);
+
+/// The decoder's tensors outside of layers.
+pub(crate) const EMBEDDING: Pair = ("token_embd.weight", "language_model.embed_tokens.weight");
+pub(crate) const FINAL_NORM: Pair = ("output_norm.weight", "language_model.norm.weight");
+pub(crate) const OUTPUT: Pair = ("output.weight", "lm_head.weight");
+
+/// The layers of a decoder.
+pub(crate) const DECODER_LAYERS: (&str, &str, &[Pair]) = ("blk.", "language_model.layers.", &DECODER_PARTS);
+
+const DECODER_PARTS: [Pair; 11] = [
+    ("attn_norm", "input_layernorm"),
+    ("attn_q", "self_attn.q_proj"),
+    ("attn_k", "self_attn.k_proj"),
+    ("attn_v", "self_attn.v_proj"),
+    ("attn_q_norm", "self_attn.q_norm"),
+    ("attn_k_norm", "self_attn.k_norm"),
+    ("attn_output", "self_attn.o_proj"),
+    ("ffn_norm", "post_attention_layernorm"),
+    ("ffn_gate", "mlp.gate_proj"),
+    ("ffn_up", "mlp.up_proj"),
+    ("ffn_down", "mlp.down_proj"),
+];
+
+/// The layers of a tower with CLIP's names.
+pub(crate) const VISION_LAYERS: (&str, &str, &[Pair]) = ("v.blk.", VISION_PREFIX, &VISION_PARTS);
+
+const VISION_PREFIX: &str = "vision_tower.encoder.layers.";
+
+const VISION_PARTS: [Pair; 11] = [
+    ("ln1", "layer_norm1"),
+    ("ln2", "layer_norm2"),
+    ("attn_q", "self_attn.q_proj"),
+    ("attn_k", "self_attn.k_proj"),
+    ("attn_v", "self_attn.v_proj"),
+    ("attn_qkv", "self_attn.qkv"),
+    ("attn_out", "self_attn.out_proj"),
+    ("ls1", "layer_scale1"),
+    ("ls2", "layer_scale2"),
+    ("ffn_up", "mlp.fc1"),
+    ("ffn_down", "mlp.fc2"),
+];
+
+impl Names {
+    /// The canonical name of a tensor in GGUF; none if the family has no such tensor.
+    pub(crate) fn to_canonical(self, name: &str) -> Option<String> {
+        if let Some((_, canonical)) = self.single.iter().find(|(known, _)| *known == name) {
+            return Some((*canonical).to_string());
+        }
+        self.layers.iter().find_map(|(prefix, canonical, parts)| {
+            let (number, part, kind) = layer(name.strip_prefix(prefix)?)?;
+            let (_, renamed) = parts.iter().find(|(known, _)| *known == part)?;
+            Some(format!("{canonical}{number}.{renamed}.{kind}"))
+        })
+    }
+
+    /// The name in GGUF of a canonical tensor; none if the format has no such tensor.
+    pub(crate) fn in_gguf(self, name: &str) -> Option<String> {
+        if let Some((known, _)) = self.single.iter().find(|(_, canonical)| *canonical == name) {
+            return Some((*known).to_string());
+        }
+        self.layers.iter().find_map(|(prefix, canonical, parts)| {
+            let (number, part, kind) = layer(name.strip_prefix(canonical)?)?;
+            let (renamed, _) = parts.iter().find(|(_, known)| *known == part)?;
+            Some(format!("{prefix}{number}.{renamed}.{kind}"))
+        })
+    }
+}
+
+/// Splits `3.attn_q.weight` into its three parts.
+fn layer(rest: &str) -> Option<(&str, &str, &str)> {
+    let (number, rest) = rest.split_once('.')?;
+    let (part, kind) = rest.rsplit_once('.')?;
+    let digits = !number.is_empty() && number.len() < 8 && number.bytes().all(|byte| byte.is_ascii_digit());
+    (digits && ["weight", "bias"].contains(&kind)).then_some((number, part, kind))
+}
+
+/// Undoes a swap of llama.cpp's older converter, which calls the first layer of the tower's feed-forward part `ffn_down` and
+/// the last `ffn_up`. The first is the one whose input is the hidden states of `hidden` numbers.
+pub(crate) fn unswapped(header: &Header, canonical: String, hidden: Option<usize>) -> String {
+    const SWAPS: [[&str; 2]; 2] = [["mlp.fc1", "mlp.fc2"], ["mlp.up_proj", "mlp.down_proj"]];
+    let Some((layer, part)) = canonical.strip_prefix(VISION_PREFIX).and_then(|rest| rest.split_once('.')) else {
+        return canonical;
+    };
+    let down = header.tensors.get(&format!("v.blk.{layer}.ffn_down.weight"));
+    if down.is_none_or(|place| place.shape.get(1).copied() != hidden) {
+        return canonical;
+    }
+    let swap =
+        |[one, other]: [&str; 2]| part.strip_prefix(one).map(|kind| format!("{VISION_PREFIX}{layer}.{other}{kind}"));
+    let swapped = SWAPS.into_iter().flat_map(|[up, down]| [[up, down], [down, up]]).find_map(swap);
+    swapped.unwrap_or(canonical)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_translated_both_ways() {
+        let names = Names { single: &[EMBEDDING, OUTPUT], layers: &[DECODER_LAYERS, VISION_LAYERS] };
+        for (name, canonical) in [
+            ("token_embd.weight", "language_model.embed_tokens.weight"),
+            ("blk.31.attn_output.weight", "language_model.layers.31.self_attn.o_proj.weight"),
+            ("blk.0.attn_k.bias", "language_model.layers.0.self_attn.k_proj.bias"),
+            ("v.blk.2.ffn_up.bias", "vision_tower.encoder.layers.2.mlp.fc1.bias"),
+            ("v.blk.2.ln1.weight", "vision_tower.encoder.layers.2.layer_norm1.weight"),
+            ("output.weight", "lm_head.weight"),
+        ] {
+            assert_eq!(names.to_canonical(name).as_deref(), Some(canonical));
+            assert_eq!(names.in_gguf(canonical).as_deref(), Some(name));
+        }
+        for name in
+            ["", "blk.", "blk.x.attn_q.weight", "blk.1.attn_q", "blk.1.ffn_gate_exps.weight", "v.post_ln.weight"]
+        {
+            assert_eq!(names.to_canonical(name), None, "{name}");
+        }
+    }
+}

@@ -1,0 +1,49 @@
+//! The small files of a decoder's part of a model, made from its metadata.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::{Header, TEMPLATE, TOKENIZER, llama, tokenizer};
+use crate::mllm::MllmError;
+
+/// Tokenizer, chat template and `text_config` of a decoder.
+pub(crate) struct TextFiles {
+    pub(crate) text_config: Value,
+    tokenizer: Value,
+    files: BTreeMap<String, String>,
+}
+
+impl TextFiles {
+    pub(crate) fn read(decoder: &Header) -> Result<Self, MllmError> {
+        const KEY: &str = "tokenizer.chat_template";
+        let text_config = llama::text_config(decoder)?;
+        let vocabulary = text_config["vocab_size"].as_u64().unwrap_or_default() as usize;
+        let mut files = BTreeMap::new();
+        let tokenizer = tokenizer::files(decoder, vocabulary, &mut files)?;
+        files.insert(TOKENIZER.to_string(), tokenizer.to_string());
+        if !decoder.path.with_file_name(TEMPLATE).is_file() {
+            let problem = format!("the file has no chat template; put the model's {TEMPLATE} beside it");
+            let template = decoder.text(KEY)?.ok_or_else(|| decoder.error(KEY, problem))?;
+            files.insert(TEMPLATE.to_string(), template.to_string());
+        }
+        Ok(Self { text_config, tokenizer, files })
+    }
+
+    /// The id of a special token.
+    pub(crate) fn added_id(&self, decoder: &Header, token: &str) -> Result<u64, MllmError> {
+        tokenizer::added_id(&self.tokenizer, token).ok_or_else(|| MllmError::Tokenizer {
+            path: decoder.path.with_file_name(TOKENIZER),
+            problem: format!("the special token {token} is missing"),
+        })
+    }
+
+    /// Adds a file.
+    pub(crate) fn put(&mut self, name: &str, value: &Value) {
+        self.files.insert(name.to_string(), value.to_string());
+    }
+
+    pub(crate) fn into_files(self) -> BTreeMap<String, String> {
+        self.files
+    }
+}

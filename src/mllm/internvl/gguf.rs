@@ -1,0 +1,89 @@
+//! `InternVL` in llama.cpp's GGUF files, which its converter makes from the authors' layout.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+
+use super::config::IMAGE;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::ModelFiles;
+use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, VISION_LAYERS, unswapped};
+use crate::mllm::gguf::{Entries, GgufLayout, Header, TextFiles};
+
+/// The files of an `InternVL`.
+pub(super) struct InternVlGguf;
+
+const NAMES: Names = Names {
+    single: &[
+        EMBEDDING,
+        FINAL_NORM,
+        OUTPUT,
+        ("v.class_embd", "vision_tower.embeddings.class_embedding"),
+        ("v.patch_embd.weight", "vision_tower.embeddings.patch_embedding.weight"),
+        ("v.patch_embd.bias", "vision_tower.embeddings.patch_embedding.bias"),
+        ("v.position_embd.weight", "vision_tower.embeddings.position_embedding.weight"),
+        ("mm.model.mlp.0.weight", "multi_modal_projector.layer_norm.weight"),
+        ("mm.model.mlp.0.bias", "multi_modal_projector.layer_norm.bias"),
+        ("mm.model.mlp.1.weight", "multi_modal_projector.linear_1.weight"),
+        ("mm.model.mlp.1.bias", "multi_modal_projector.linear_1.bias"),
+        ("mm.model.mlp.3.weight", "multi_modal_projector.linear_2.weight"),
+        ("mm.model.mlp.3.bias", "multi_modal_projector.linear_2.bias"),
+    ],
+    layers: &[DECODER_LAYERS, VISION_LAYERS],
+};
+
+/// Keys of the least and most tiles, with the published models' numbers.
+const TILES: [(&str, &str, usize); 2] =
+    [("clip.vision.preproc_min_tiles", "min_patches", 1), ("clip.vision.preproc_max_tiles", "max_patches", 12)];
+
+impl GgufLayout for InternVlGguf {
+    fn opens(&self, decoder: &Header, tower: &Header) -> bool {
+        matches!(decoder.architecture(), Ok("qwen2" | "qwen3" | "llama"))
+            && matches!(tower.projector(), Ok(Some("internvl")))
+    }
+
+    fn small_files(
+        &self,
+        decoder: &Header,
+        tower: &Header,
+        notes: &mut Vec<String>,
+    ) -> Result<BTreeMap<String, String>, MllmError> {
+        let mut files = TextFiles::read(decoder)?;
+        let image_token = files.added_id(decoder, IMAGE)?;
+        let mut vision = tower.vision_config()?;
+        vision["hidden_act"] = json!("gelu");
+        let mut processor = tower.pixel_scale()?;
+        processor["image_processor_type"] = json!("GotOcr2ImageProcessor");
+        for (key, name, published) in TILES {
+            let count = tower.count(key)?;
+            if count.is_none() {
+                notes.push(format!("the vision tower's file has no {key}; it is taken for {published}"));
+            }
+            processor[name] = json!(count.unwrap_or(published));
+        }
+        let scale = tower.required_count("clip.vision.projector.scale_factor")?;
+        let config: Value = json!({
+            "model_type": "internvl",
+            "image_token_id": image_token,
+            "downsample_ratio": 1.0 / scale as f64,
+            "text_config": files.text_config.clone(),
+            "vision_config": vision,
+        });
+        files.put("config.json", &config);
+        files.put("preprocessor_config.json", &processor);
+        Ok(files.into_files())
+    }
+
+    fn canonical_name(&self, file: &Header, name: &str) -> Result<Option<String>, MllmError> {
+        let hidden = file.count("clip.vision.embedding_length")?;
+        Ok(NAMES.to_canonical(name).map(|canonical| unswapped(file, canonical, hidden)))
+    }
+
+    fn gguf_name(&self, canonical: &str) -> Option<String> {
+        NAMES.in_gguf(canonical)
+    }
+
+    fn metadata(&self, _files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
+        Ok(Err("the filter that images are resized with"))
+    }
+}

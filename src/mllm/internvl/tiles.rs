@@ -1,0 +1,177 @@
+//! `GotOcr2ImageProcessor` and `dynamic_preprocess` of the authors: a grid of tiles that is nearest to the image's shape, then
+//! the whole image.
+
+use candle_core::Tensor;
+use image::{RgbImage, imageops};
+use serde::Deserialize;
+use serde_json::json;
+
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
+use crate::mllm::vision::{Filter, PixelScale, check_not_empty, read_processor, resize};
+
+/// Most tiles of a configuration: a larger number means a broken one.
+const MAX_TILES: u32 = 64;
+
+/// Cuts images into tiles of the tower's size.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct TileProcessor {
+    /// Side of a tile, pixels.
+    tile: u32,
+    min: u32,
+    max: u32,
+    /// Whether the whole image follows its tiles.
+    whole: bool,
+    filter: Filter,
+    scale: PixelScale,
+}
+
+/// A grid of tiles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Grid {
+    pub rows: u32,
+    pub columns: u32,
+    /// Whether the whole image follows.
+    whole: bool,
+}
+
+impl Grid {
+    fn tiles(&self) -> u32 {
+        self.rows * self.columns
+    }
+
+    /// Number of tiles and whole views.
+    pub(super) fn views(&self) -> usize {
+        (self.tiles() + u32::from(self.whole && self.tiles() > 1)) as usize
+    }
+}
+
+/// The keys of both layouts: of the `-hf` image processor, and of the authors' `config.json`.
+#[derive(Deserialize)]
+#[serde(default)]
+struct Keys {
+    image_processor_type: Option<String>,
+    #[serde(alias = "min_dynamic_patch")]
+    min_patches: u32,
+    #[serde(alias = "max_dynamic_patch")]
+    max_patches: u32,
+    use_thumbnail: bool,
+    dynamic_image_size: bool,
+    resample: Filter,
+}
+
+impl Default for Keys {
+    fn default() -> Self {
+        Self {
+            image_processor_type: None,
+            min_patches: 1,
+            max_patches: 12,
+            use_thumbnail: true,
+            dynamic_image_size: true,
+            resample: Filter::Bicubic,
+        }
+    }
+}
+
+impl TileProcessor {
+    /// Reads the image processor of a model whose tower takes squares of `side` pixels. In the authors' layout,
+    /// `config.json` says how images are cut. In that of transformers, `crop_to_patches` means nothing: the processor sets it.
+    pub(super) fn open(files: &ModelFiles, side: u32) -> Result<Self, MllmError> {
+        let config = files.required_json("config.json")?;
+        let path = files.path("config.json");
+        let config = ConfigObject::root(&path, &config)?;
+        if config.contains("llm_config") {
+            let scale = match read_processor(files, |_, object| pixel_scale(object)) {
+                Err(MllmError::MissingFile { .. }) => pixel_scale(&ConfigObject::root(&path, &json!({}))?)?,
+                scale => scale?,
+            };
+            return Self::read(&config, side, scale);
+        }
+        read_processor(files, |_, object| Self::read(object, side, pixel_scale(object)?))
+    }
+
+    fn read(object: &ConfigObject<'_>, tile: u32, scale: PixelScale) -> Result<Self, MllmError> {
+        let keys: Keys = object.read()?;
+        if let Some(kind) = keys.image_processor_type.filter(|kind| !kind.starts_with("GotOcr2ImageProcessor")) {
+            let problem = format!("'{kind}' is not supported; GotOcr2ImageProcessor is");
+            return Err(object.error("image_processor_type", problem));
+        }
+        let (min, max) = if keys.dynamic_image_size { (keys.min_patches, keys.max_patches) } else { (1, 1) };
+        if min == 0 || min > max || max > MAX_TILES {
+            return Err(object.error("max_patches", format!("{min} to {max} tiles; expected 1 to {MAX_TILES}")));
+        }
+        Ok(Self { tile, min, max, whole: keys.use_thumbnail, filter: keys.resample, scale })
+    }
+
+    #[cfg(test)]
+    pub(super) fn new(tile: u32, min: u32, max: u32) -> Self {
+        let object = json!({"min_patches": min, "max_patches": max});
+        let object = ConfigObject::root("preprocessor_config.json".as_ref(), &object).unwrap();
+        Self::read(&object, tile, pixel_scale(&object).unwrap()).unwrap()
+    }
+
+    /// Bounds the number of tiles.
+    pub(super) fn set_tiles(&mut self, tiles: usize) -> Result<(), MllmError> {
+        match u32::try_from(tiles) {
+            Ok(tiles @ 1..=MAX_TILES) => {
+                (self.min, self.max) = (self.min.min(tiles), tiles);
+                Ok(())
+            }
+            _ => Err(MllmError::Image { problem: format!("image.tiles = {tiles}: expected 1 to {MAX_TILES}") }),
+        }
+    }
+
+    /// Most views of an image.
+    pub(super) fn max_views(&self) -> usize {
+        (self.max + u32::from(self.whole && self.max > 1)) as usize
+    }
+
+    /// The grid of an image of this size (`get_optimal_tiled_canvas` in transformers).
+    pub(super) fn grid(&self, width: u32, height: u32) -> Result<Grid, MllmError> {
+        if width == 0 || height == 0 {
+            return Err(MllmError::Image { problem: "the image has no pixels".into() });
+        }
+        let all = (1..=self.max).flat_map(|columns| (1..=self.max).map(move |rows| (columns, rows)));
+        let mut grids: Vec<(u32, u32)> =
+            all.filter(|(columns, rows)| (self.min..=self.max).contains(&(columns * rows))).collect();
+        // Stable: of grids with equally many tiles, those with fewer columns come first.
+        grids.sort_by_key(|(columns, rows)| columns * rows);
+        let ratio = f64::from(width) / f64::from(height);
+        let area = f64::from(width) * f64::from(height);
+        let (mut best, mut least) = ((1, 1), f64::INFINITY);
+        for (columns, rows) in grids {
+            let apart = (ratio - f64::from(columns) / f64::from(rows)).abs();
+            let large = area > 0.5 * f64::from(self.tile).powi(2) * f64::from(columns * rows);
+            if apart < least || apart <= least && large {
+                (best, least) = ((columns, rows), apart);
+            }
+        }
+        Ok(Grid { columns: best.0, rows: best.1, whole: self.whole })
+    }
+
+    /// Pixel values, (3, side, side) each: of the tiles row by row, then of the whole image if there are several.
+    pub(super) fn process(&self, image: &RgbImage) -> Result<Vec<Tensor>, MllmError> {
+        check_not_empty(image)?;
+        let grid = self.grid(image.width(), image.height())?;
+        let side = self.tile;
+        let stretched = resize(image, side * grid.columns, side * grid.rows, self.filter);
+        let mut values = Vec::with_capacity(grid.views());
+        for row in 0..grid.rows {
+            for column in 0..grid.columns {
+                let tile = imageops::crop_imm(&stretched, column * side, row * side, side, side).to_image();
+                values.push(self.scale.values(&tile)?);
+            }
+        }
+        if values.len() < grid.views() {
+            values.push(self.scale.values(&resize(image, side, side, self.filter))?);
+        }
+        Ok(values)
+    }
+}
+
+/// Mean and deviation of the pixels: by default those of `ImageNet`.
+fn pixel_scale(object: &ConfigObject<'_>) -> Result<PixelScale, MllmError> {
+    PixelScale::read(&object.clone().with_defaults(json!({
+        "image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225],
+    })))
+}

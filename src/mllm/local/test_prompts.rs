@@ -1,0 +1,260 @@
+//! Parity with the references of today's families (`mllm_reference/MODERN.md`): two images, and several chats.
+
+use std::path::{Path, PathBuf};
+
+use candle_core::Tensor;
+use image::RgbImage;
+use serde_json::Value;
+
+use super::test_faults::Deviation;
+use super::test_reference::{
+    FEATURE_TOLERANCE, Reference, assert_greedy, assert_logits, difference, feature_difference, shared_reference,
+};
+use super::{Loading, LocalModel, Sequence};
+use crate::mllm::checkpoint::read_json;
+use crate::mllm::decoder::{DecoderInput, Logits, Position};
+use crate::mllm::family::{Chat, ImageFeatures, ImageSettings, PlacedImage, VisionLanguageModel};
+use crate::mllm::source::ModelPlace;
+use crate::mllm::{MllmError, Turn};
+
+/// A reference folder.
+pub(crate) struct Prompts {
+    pub folder: PathBuf,
+    texts: Value,
+    pub reference: Reference,
+}
+
+/// The largest deviations of a model from its reference.
+#[derive(Debug, Default, Clone, Copy)]
+pub(crate) struct Worst {
+    /// Of features, relative to the largest.
+    pub features: f32,
+    pub logits: f32,
+}
+
+impl Worst {
+    fn or(self, features: f32, logits: f32) -> Self {
+        Self { features: self.features.max(features), logits: self.logits.max(logits) }
+    }
+}
+
+impl Prompts {
+    /// The reference of a family; none where the outside data is missing.
+    pub(crate) fn of(family: &str) -> Option<Self> {
+        let folder = shared_reference(family)?;
+        let texts = read_json(&folder.join("prompts.json")).unwrap();
+        let reference = Reference::open(&folder.join("reference.safetensors"));
+        Some(Self { folder, texts, reference })
+    }
+
+    /// A model of the reference, from a folder below it.
+    pub(crate) fn open(&self, below: &str, image: ImageSettings) -> LocalModel {
+        Self::load(&ModelPlace::Folder(self.folder.join(below)), image)
+    }
+
+    /// The model in llama.cpp's files.
+    pub(crate) fn open_gguf(&self, image: ImageSettings) -> LocalModel {
+        let gguf = self.folder.join("gguf");
+        Self::load(
+            &ModelPlace::Gguf { model: gguf.join("model.gguf"), mmproj: Some(gguf.join("mmproj-model.gguf")) },
+            image,
+        )
+    }
+
+    /// A folder with llama.cpp's files and a file of the reference beside them.
+    pub(crate) fn gguf_with(&self, file: &str) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["gguf/model.gguf", "gguf/mmproj-model.gguf", file] {
+            let from = self.folder.join(name);
+            std::fs::copy(&from, folder.path().join(from.file_name().unwrap())).unwrap();
+        }
+        folder
+    }
+
+    /// A model in any folder.
+    pub(crate) fn open_at(folder: &Path) -> LocalModel {
+        Self::load(&ModelPlace::Folder(folder.to_path_buf()), ImageSettings::default())
+    }
+
+    pub(crate) fn load(place: &ModelPlace, image: ImageSettings) -> LocalModel {
+        LocalModel::load("tiny", place, &Loading { image, ..Loading::default() }).unwrap()
+    }
+
+    pub(crate) fn image(&self, index: u64) -> RgbImage {
+        image::open(self.folder.join(format!("image_{index}.png"))).unwrap().into_rgb8()
+    }
+
+    /// Checks ids, positions, features, logits and greedy tokens of the runs whose names `wanted` takes.
+    pub(crate) fn check(&self, local: &LocalModel, wanted: impl Fn(&str) -> bool) -> Worst {
+        let model = &*local.model;
+        let mut worst = Worst::default();
+        let runs = self.texts["runs"].as_object().unwrap();
+        let mut checked = 0;
+        for (name, run) in runs.iter().filter(|(name, _)| wanted(name)) {
+            let index = run["image"].as_u64();
+            let image = index.map(|index| self.image(index));
+            let layout = image.as_ref().map(|image| model.image_layout(image.width(), image.height()).unwrap());
+            let ids = local.prompt_ids(&self.chat(name, layout.as_ref(), &self.turns(name))).unwrap();
+            let expected = self.reference.ids(&format!("{name}input_ids"), 0);
+            assert_eq!(ids, expected, "{name}");
+            let logits = self.reference.tensor(&format!("{name}logits"));
+            let features = image.map(|image| model.encode_image(&image).unwrap());
+            let mut apart = 0.0;
+            if let (Some(features), Some(index)) = (&features, index) {
+                let base = self.features_of(name, index);
+                apart = feature_difference(&features.rows, self.reference.tensor(&format!("{base}features")));
+                for (layer, deep) in features.deep.iter().enumerate() {
+                    let expected = self.reference.tensor(&format!("{base}deepstack_{layer}"));
+                    apart = apart.max(feature_difference(deep, expected));
+                }
+                assert!(apart < FEATURE_TOLERANCE, "{name}: the features differ by {apart}");
+                self.check_positions(model, name, &ids, PlacedImage { first: 0, layout: features.layout });
+            }
+            let logits = assert_logits(model, &ids, features.as_ref(), logits);
+            assert_greedy(model, &ids, features.as_ref(), &self.reference.ids(&format!("{name}generated"), 0));
+            worst = worst.or(apart, logits);
+            checked += 1;
+        }
+        assert!(checked > 0, "no run was checked");
+        println!("{}: worst features {:.1e}, logits {:.1e}", self.folder.display(), worst.features, worst.logits);
+        worst
+    }
+
+    /// The prefix of the features of a run's image.
+    fn features_of(&self, name: &str, image: u64) -> String {
+        let own = format!("{name}features");
+        if self.reference.contains(&own) { name.to_string() } else { ["", "second_"][image as usize].to_string() }
+    }
+
+    fn turns(&self, name: &str) -> Vec<Turn> {
+        let text = |value: &Value| value.as_str().unwrap().to_string();
+        let first = Turn { prompt: text(&self.texts["prompts"][0]), answer: text(&self.texts["first_answer"]) };
+        if name == "chat_" { vec![first] } else { Vec::new() }
+    }
+
+    fn chat<'a>(&'a self, name: &str, layout: Option<&crate::mllm::ImageLayout>, turns: &'a [Turn]) -> Chat<'a> {
+        let plain = name == "nosystem_";
+        let prompt = usize::from(plain || name == "chat_");
+        Chat {
+            system: if plain { "" } else { self.texts["system"].as_str().unwrap() },
+            image: layout.copied(),
+            turns,
+            prompt: self.texts["prompts"][prompt].as_str().unwrap(),
+        }
+    }
+
+    /// Checks the positions on all axes, of the whole chat and of its parts.
+    fn check_positions(&self, model: &dyn VisionLanguageModel, name: &str, ids: &[u32], mut image: PlacedImage) {
+        image.first = ids.iter().position(|id| *id == model.info().image_token).unwrap();
+        let expected = self.reference.tensor(&format!("{name}position_ids"));
+        let expected = expected.flatten_all().unwrap().to_vec1::<i64>().unwrap();
+        let axis =
+            |axis: usize| if expected.len() == ids.len() { &expected[..] } else { &expected[axis * ids.len()..] };
+        let expected: Vec<[u32; 3]> =
+            (0..ids.len()).map(|token| [0, 1, 2].map(|number| u32::try_from(axis(number)[token]).unwrap())).collect();
+        for part in [0..ids.len(), 0..9, 9..21, 21..ids.len()] {
+            let found = model.positions(part.clone(), Some(image)).rotary;
+            assert_eq!(found, expected[part.clone()], "{name}: {part:?}");
+        }
+    }
+}
+
+/// One view of each image in the place of tiles.
+pub(crate) const ONE_TILE: ImageSettings = ImageSettings { size: None, tiles: Some(1) };
+
+/// Whether a run is one of a model whose images are not cut.
+pub(crate) fn is_unsplit(name: &str) -> bool {
+    name.starts_with("unsplit_")
+}
+
+/// A file of a reference folder.
+pub(crate) fn json_of(folder: &Path, name: &str) -> Value {
+    read_json(&folder.join(name)).unwrap()
+}
+
+/// The pixels of a run's image, (3, height, width), from the rows of patches that Qwen's processors write: blocks of 2 by 2
+/// patches in raster order, each patch as channel, frame, row and column.
+pub(crate) fn raster_pixels(reference: &Reference, name: &str, patch: usize) -> Tensor {
+    let grid = reference.tensor(&format!("{name}image_grid_thw")).flatten_all().unwrap().to_vec1::<i64>().unwrap();
+    let [rows, columns] = [1, 2].map(|axis| usize::try_from(grid[axis]).unwrap());
+    let rows_of_patches = reference.tensor(&format!("{name}pixel_values"));
+    let still = rows_of_patches.reshape(((), 3, 2, patch * patch)).unwrap().narrow(2, 0, 1).unwrap();
+    still
+        .reshape(vec![rows / 2, columns / 2, 2, 2, 3, patch, patch])
+        .unwrap()
+        .permute(vec![4, 0, 2, 5, 1, 3, 6])
+        .unwrap()
+        .reshape((3, rows * patch, columns * patch))
+        .unwrap()
+}
+
+/// Checks the sizes of resized images in `resize.json`.
+pub(crate) fn assert_resized(folder: &Path, key: &str, resized: impl Fn(u32, u32) -> Result<(u32, u32), MllmError>) {
+    let cases = json_of(folder, "resize.json");
+    let cases = cases["cases"].as_array().unwrap();
+    assert!(cases.len() > 40);
+    for case in cases {
+        let number = |value: &Value| u32::try_from(value.as_u64().unwrap()).unwrap();
+        let expected = (number(&case[key][0]), number(&case[key][1]));
+        assert_eq!(resized(number(&case["width"]), number(&case["height"])).unwrap(), expected, "{case}");
+    }
+}
+
+/// The run of the second image, which is no square.
+pub(crate) struct SecondImage<'a> {
+    reference: &'a Reference,
+    ids: Vec<u32>,
+}
+
+impl<'a> SecondImage<'a> {
+    pub(crate) fn of(prompts: &'a Prompts) -> Self {
+        Deviation::print_heading(&prompts.folder);
+        Self { reference: &prompts.reference, ids: prompts.reference.ids("second_input_ids", 0) }
+    }
+
+    /// The deviation of a model with these features.
+    pub(crate) fn logits(&self, model: &dyn VisionLanguageModel, features: &ImageFeatures) -> Deviation {
+        let input = Sequence::new(model).decoder_input(model, &self.ids, Some(features)).unwrap();
+        self.deviation(model, features, &input)
+    }
+
+    /// The deviation of a model whose tokens stand elsewhere.
+    pub(crate) fn placed(
+        &self,
+        model: &dyn VisionLanguageModel,
+        features: &ImageFeatures,
+        positions: Vec<Position>,
+    ) -> Deviation {
+        let input = Sequence::new(model).decoder_input(model, &self.ids, Some(features)).unwrap();
+        self.deviation(model, features, &DecoderInput { positions, ..input })
+    }
+
+    fn deviation(&self, model: &dyn VisionLanguageModel, features: &ImageFeatures, input: &DecoderInput) -> Deviation {
+        let decoder = model.decoder();
+        let logits = decoder.forward(input, &mut decoder.new_cache(self.ids.len()), Logits::All).unwrap().unwrap();
+        Deviation {
+            features: feature_difference(&features.rows, self.reference.tensor("second_features")),
+            logits: difference(&logits, self.reference.tensor("second_logits")),
+        }
+    }
+
+    /// Positions that are easily wrong.
+    pub(crate) fn wrong_positions(&self, model: &dyn VisionLanguageModel) -> Vec<(&'static str, Vec<Position>)> {
+        let image_token = model.info().image_token;
+        let flat = self.reference.tensor("second_position_ids").flatten_all().unwrap().to_vec1::<i64>().unwrap();
+        let count = self.ids.len();
+        let right: Vec<Position> =
+            (0..count).map(|token| [0, 1, 2].map(|axis| flat[axis * count + token] as u32)).collect();
+        let image = |token: &usize| self.ids[*token] == image_token;
+        let end = (0..count).filter(image).max().unwrap() + 1;
+        let tokens = (0..count).filter(image).count() as u32;
+        let taken = right[end][0] - right[end - tokens as usize][0];
+        let further = |[t, h, w]: Position| [t, h, w].map(|axis| axis + tokens - taken);
+        let behind = right.iter().enumerate().map(|(token, place)| if token < end { *place } else { further(*place) });
+        vec![
+            ("one position a token", (0..count as u32).map(|token| [token; 3]).collect()),
+            ("height and width exchanged", right.iter().map(|[t, h, w]| [*t, *w, *h]).collect()),
+            ("text behind the image's number of tokens", behind.collect()),
+        ]
+    }
+}

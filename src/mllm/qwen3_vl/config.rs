@@ -1,0 +1,136 @@
+//! `config.json` of a `Qwen3VLForConditionalGeneration` checkpoint.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles, RotarySections, VisionConfig};
+
+/// A Qwen3-VL: its vision tower, its decoder, and how they are joined.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Qwen3VlConfig {
+    /// The tower; its image size is that of the learned positions.
+    pub vision: VisionConfig,
+    /// Learned positions along a side.
+    pub positions: usize,
+    /// Side of the blocks of patches that become one token (`spatial_merge_size`).
+    pub merge: usize,
+    /// Frames that a patch holds (`temporal_patch_size`).
+    pub frames: usize,
+    /// Layers of the tower, from 0, whose output goes to a layer of the decoder.
+    pub deep: Vec<usize>,
+    pub text: LlamaConfig,
+    /// Token id that stands for a token of the image in the prompt.
+    pub image_token: u32,
+}
+
+/// The id of an image's token in the published tokenizers.
+const IMAGE_TOKEN: u32 = 151_655;
+
+impl Qwen3VlConfig {
+    pub(super) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
+        Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
+    }
+
+    /// Reads a configuration; `path` is for messages.
+    pub(super) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
+        let root = ConfigObject::root(path, value)?;
+        // The defaults of `Qwen3VLVisionConfig`.
+        let vision = root.child_or_empty("vision_config")?.with_defaults(json!({
+            "depth": 27, "hidden_size": 1152, "intermediate_size": 4304, "num_heads": 16, "patch_size": 16,
+            "hidden_act": "gelu_pytorch_tanh", "layer_norm_eps": 1e-6, "spatial_merge_size": 2,
+            "temporal_patch_size": 2, "num_position_embeddings": 2304, "deepstack_visual_indexes": [8, 16, 24],
+        }));
+        let count = |key: &str, most: usize| -> Result<usize, MllmError> {
+            let count = vision.value(key)?.unwrap_or(0);
+            if (1..=most).contains(&count) {
+                return Ok(count);
+            }
+            Err(vision.error(key, format!("expected a whole number from 1 to {most}, found {count}")))
+        };
+        let learned = count("num_position_embeddings", 1 << 16)?;
+        let positions = learned.isqrt();
+        if positions * positions != learned {
+            return Err(vision.error("num_position_embeddings", format!("{learned} is no square number")));
+        }
+        let patch = count("patch_size", 256)?;
+        let sized = vision.clone().with_defaults(json!({"image_size": positions * patch}));
+        let tower = VisionConfig::read(&sized)?;
+        if !(tower.hidden / tower.heads).is_multiple_of(4) {
+            return Err(vision.error("num_heads", "the width of a head must be a multiple of 4"));
+        }
+        let deep: Vec<usize> = vision.value("deepstack_visual_indexes")?.unwrap_or_default();
+        let text = text_config(&root, DecoderType::Qwen3)?;
+        if !deep.is_sorted() || deep.last().is_some_and(|last| *last >= tower.layers) || deep.len() > text.layers {
+            let problem = format!("{deep:?} are no rising layers of a tower of {}", tower.layers);
+            return Err(vision.error("deepstack_visual_indexes", problem));
+        }
+        if vision.value("out_hidden_size")?.is_some_and(|width: usize| width != text.hidden) {
+            return Err(vision.error("out_hidden_size", format!("the decoder takes {}", text.hidden)));
+        }
+        Ok(Self {
+            positions,
+            merge: count("spatial_merge_size", 16)?,
+            frames: count("temporal_patch_size", 16)?,
+            deep,
+            image_token: image_token(&root, text.vocabulary)?,
+            vision: tower,
+            text,
+        })
+    }
+}
+
+/// The decoder of a Qwen-VL, from `text_config` or, in older files, the root. Its kind decides how the axes share the pairs.
+pub(crate) fn text_config(root: &ConfigObject<'_>, kind: DecoderType) -> Result<LlamaConfig, MllmError> {
+    let text = root.child("text_config")?.unwrap_or_else(|| root.clone());
+    let mut config = LlamaConfig::read_as(text, kind)?;
+    config.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(false);
+    let Some(RotarySections { lengths, .. }) = config.rope.sections else {
+        return Err(root.error("rope_scaling.mrope_section", "is missing: images need positions on three axes"));
+    };
+    config.rope.sections = Some(RotarySections { lengths, interleaved: kind == DecoderType::Qwen3 });
+    Ok(config)
+}
+
+/// The id of an image's token.
+pub(crate) fn image_token(root: &ConfigObject<'_>, vocabulary: usize) -> Result<u32, MllmError> {
+    let id = root.first_id("image_token_id")?.unwrap_or(IMAGE_TOKEN);
+    if (id as usize) < vocabulary {
+        return Ok(id);
+    }
+    Err(root.error("image_token_id", format!("{id} lies outside the vocabulary of {vocabulary}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn old_and_new_files_are_read() {
+        let text = json!({"hidden_size": 2560, "num_attention_heads": 32, "num_key_value_heads": 8, "head_dim": 128,
+            "num_hidden_layers": 36, "intermediate_size": 9728, "vocab_size": 151_936});
+        let mut old = json!({"text_config": text, "vision_config": {"depth": 24, "hidden_size": 1024,
+            "intermediate_size": 4096, "deepstack_visual_indexes": [5, 11, 17], "out_hidden_size": 2560}});
+        let mut new = old.clone();
+        old["text_config"]["rope_theta"] = json!(5e6);
+        old["text_config"]["rope_scaling"] = json!({"rope_type": "default", "mrope_section": [24, 20, 20]});
+        new["text_config"]["rope_parameters"] = json!({"rope_type": "default", "rope_theta": 5e6, "mrope_interleaved": true, "mrope_section": [24, 20, 20]});
+        let read = |config: &Value| Qwen3VlConfig::from_json(Path::new("config.json"), config);
+        let config = read(&old).unwrap();
+        assert_eq!(config, read(&new).unwrap());
+        assert_eq!((config.positions, config.merge, config.text.head_dim), (48, 2, 128));
+        assert!(config.text.head_norms && !config.text.attention_bias);
+        for (key, pointer, value) in [
+            ("mrope_section", "/text_config/rope_scaling/mrope_section", json!([24, 20, 10])),
+            ("mrope_section", "/text_config/rope_scaling/mrope_section", Value::Null),
+            ("deepstack_visual_indexes", "/vision_config/deepstack_visual_indexes", json!([5, 40])),
+            ("out_hidden_size", "/vision_config/out_hidden_size", json!(7)),
+        ] {
+            let mut changed = old.clone();
+            *changed.pointer_mut(pointer).unwrap() = value;
+            let error = read(&changed).unwrap_err().to_string();
+            assert!(error.contains(key), "{error}");
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Qwen3-VL in llama.cpp's GGUF files.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+
+use super::patches::PatchProcessor;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::ModelFiles;
+use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, Pair, VISION_LAYERS, unswapped};
+use crate::mllm::gguf::{Entries, GgufLayout, Header, TextFiles};
+
+/// The files of a Qwen3-VL.
+pub(super) struct Qwen3VlGguf;
+
+/// The tensors outside of layers that Qwen's vision-language models share.
+pub(crate) const QWEN_NAMES: [Pair; 13] = [
+    EMBEDDING,
+    FINAL_NORM,
+    OUTPUT,
+    ("v.patch_embd.weight", "vision_tower.embeddings.patch_embedding.weight"),
+    ("v.patch_embd.weight.1", "vision_tower.embeddings.patch_embedding.second.weight"),
+    ("v.patch_embd.bias", "vision_tower.embeddings.patch_embedding.bias"),
+    ("v.position_embd.weight", "vision_tower.embeddings.position_embedding.weight"),
+    ("v.post_ln.weight", "multi_modal_projector.norm.weight"),
+    ("v.post_ln.bias", "multi_modal_projector.norm.bias"),
+    ("mm.0.weight", "multi_modal_projector.linear_fc1.weight"),
+    ("mm.0.bias", "multi_modal_projector.linear_fc1.bias"),
+    ("mm.2.weight", "multi_modal_projector.linear_fc2.weight"),
+    ("mm.2.bias", "multi_modal_projector.linear_fc2.bias"),
+];
+
+const DEEP: &str = "v.deepstack.";
+const NAMES: Names = Names {
+    single: &QWEN_NAMES,
+    layers: &[
+        DECODER_LAYERS,
+        VISION_LAYERS,
+        (DEEP, "multi_modal_projector.deepstack.", &[("norm", "norm"), ("fc1", "linear_fc1"), ("fc2", "linear_fc2")]),
+    ],
+};
+
+/// The placeholder of an image.
+pub(crate) const IMAGE: &str = "<|image_pad|>";
+/// Least and most pixels of the published processor.
+const PIXELS: [u64; 2] = [65_536, 16_777_216];
+
+/// The layers of the tower whose outputs go to the decoder.
+fn deep_layers(tower: &Header) -> Result<Vec<usize>, MllmError> {
+    let flags: Option<Vec<bool>> = tower.list("clip.vision.is_deepstack_layers", "a list of true and false")?;
+    let flags = flags.unwrap_or_default();
+    Ok(flags.iter().enumerate().filter(|(_, deep)| **deep).map(|(layer, _)| layer).collect())
+}
+
+/// The image processor of a tower whose file has no limits of an image's pixels, and a note of that.
+pub(crate) fn limits(
+    tower: &Header,
+    pixels: [u64; 2],
+    merge: usize,
+    notes: &mut Vec<String>,
+) -> Result<Value, MllmError> {
+    let [least, most] = pixels;
+    notes.push(format!(
+        "the vision tower's file has no limits of an image's pixels; {least} to {most} are taken, those of the published \
+         processor (a preprocessor_config.json beside the file replaces them)"
+    ));
+    let mut processor = tower.pixel_scale()?;
+    processor["image_processor_type"] = json!("Qwen2VLImageProcessor");
+    processor["size"] = PatchProcessor::limits(pixels);
+    processor["patch_size"] = json!(tower.required_count("clip.vision.patch_size")?);
+    processor["merge_size"] = json!(merge);
+    Ok(processor)
+}
+
+impl GgufLayout for Qwen3VlGguf {
+    fn opens(&self, decoder: &Header, tower: &Header) -> bool {
+        matches!(decoder.architecture(), Ok("qwen3vl")) && matches!(tower.projector(), Ok(Some("qwen3vl_merger")))
+    }
+
+    fn small_files(
+        &self,
+        decoder: &Header,
+        tower: &Header,
+        notes: &mut Vec<String>,
+    ) -> Result<BTreeMap<String, String>, MllmError> {
+        let mut files = TextFiles::read(decoder)?;
+        let sizes = tower.vision_config()?;
+        let patch = tower.required_count("clip.vision.patch_size")?;
+        let side = tower.required_count("clip.vision.image_size")? / patch.max(1);
+        let merge = tower.count("clip.vision.spatial_merge_size")?.unwrap_or(2);
+        let config: Value = json!({
+            "model_type": "qwen3_vl",
+            "image_token_id": files.added_id(decoder, IMAGE)?,
+            "text_config": files.text_config.clone(),
+            "vision_config": {
+                "depth": sizes["num_hidden_layers"],
+                "hidden_size": sizes["hidden_size"],
+                "intermediate_size": sizes["intermediate_size"],
+                "num_heads": sizes["num_attention_heads"],
+                "patch_size": patch,
+                "layer_norm_eps": sizes["layer_norm_eps"],
+                "hidden_act": "gelu_pytorch_tanh",
+                "spatial_merge_size": merge,
+                "num_position_embeddings": side * side,
+                "deepstack_visual_indexes": deep_layers(tower)?,
+            },
+        });
+        files.put("config.json", &config);
+        files.put("preprocessor_config.json", &limits(tower, PIXELS, merge, notes)?);
+        Ok(files.into_files())
+    }
+
+    fn canonical_name(&self, file: &Header, name: &str) -> Result<Option<String>, MllmError> {
+        // llama.cpp counts these mergers by the tower's layers, transformers from 0.
+        let counted = name.strip_prefix(DEEP).and_then(|rest| rest.split_once('.'));
+        let number = counted.and_then(|(layer, part)| Some((layer.parse::<usize>().ok()?, part)));
+        let name = match number {
+            Some((layer, part)) => match deep_layers(file)?.iter().position(|deep| *deep == layer) {
+                Some(index) => format!("{DEEP}{index}.{part}"),
+                None => return Ok(None),
+            },
+            None => name.to_string(),
+        };
+        let hidden = file.count("clip.vision.embedding_length")?;
+        Ok(NAMES.to_canonical(&name).map(|canonical| unswapped(file, canonical, hidden)))
+    }
+
+    fn gguf_name(&self, canonical: &str) -> Option<String> {
+        NAMES.in_gguf(canonical)
+    }
+
+    fn metadata(&self, _files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
+        Ok(Err("the limits of an image's pixels"))
+    }
+}

@@ -1,0 +1,34 @@
+//! The merger: blocks of patches to rows of the decoder's width.
+
+use candle_core::{Result, Tensor};
+
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{Activation, Weights};
+use crate::mllm::linear::Linear;
+
+/// Two layers with GELU between, over the patches of a block side by side.
+#[derive(Debug)]
+pub(crate) struct PatchMerger {
+    linear1: Linear,
+    linear2: Linear,
+}
+
+impl PatchMerger {
+    /// Takes the layers of the merger called `name`, from blocks of `merged` numbers to rows of `hidden`.
+    pub(crate) fn take(
+        weights: &mut Weights,
+        name: &str,
+        merged: usize,
+        hidden: usize,
+    ) -> std::result::Result<Self, MllmError> {
+        Ok(Self {
+            linear1: Linear::take(weights, &format!("{name}.linear_fc1"), merged, merged, true)?,
+            linear2: Linear::take(weights, &format!("{name}.linear_fc2"), merged, hidden, true)?,
+        })
+    }
+
+    /// Maps (tokens, merged) to (tokens, hidden).
+    pub(crate) fn forward(&self, merged: &Tensor) -> Result<Tensor> {
+        self.linear2.forward(&Activation::Gelu.forward(&self.linear1.forward(merged)?)?)
+    }
+}

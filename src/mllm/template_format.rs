@@ -1,0 +1,105 @@
+//! Prompts by the chat template of a model folder.
+
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::ModelFiles;
+use crate::mllm::family::{Chat, ChatFormat, ImageLayout};
+use crate::mllm::text::{ChatTemplate, ChatTokenizer};
+
+/// A chat template, which writes one placeholder for the image.
+#[derive(Debug)]
+pub(crate) struct TemplateFormat {
+    template: ChatTemplate,
+    placeholder: String,
+    image_token: u32,
+    image: ImageText,
+}
+
+/// What stands in a chat where the template writes the placeholder.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum ImageText {
+    /// A placeholder for each token of the image.
+    Repeated,
+    /// A text with separators around and between the image's parts, made from the placeholder.
+    Written(fn(placeholder: &str, layout: ImageLayout) -> String),
+}
+
+impl TemplateFormat {
+    /// Opens the template of a model whose placeholder has this id.
+    pub(crate) fn open(
+        files: &ModelFiles,
+        tokenizer: &ChatTokenizer,
+        image_token: u32,
+        image: ImageText,
+    ) -> Result<Self, MllmError> {
+        let placeholder = placeholder(tokenizer, image_token)?;
+        let template = ChatTemplate::open(files, tokenizer.special(), &placeholder)?;
+        Ok(Self { template, placeholder, image_token, image })
+    }
+
+    /// The ids of a rendered chat whose placeholder is one token for each token of the image.
+    fn repeated(
+        &self,
+        tokenizer: &ChatTokenizer,
+        rendered: &str,
+        tokens: Option<usize>,
+    ) -> Result<Vec<u32>, MllmError> {
+        let mut found = 0;
+        let mut ids = Vec::new();
+        for id in tokenizer.encode_chat(rendered)? {
+            if id == self.image_token {
+                found += 1;
+                ids.extend(std::iter::repeat_n(id, tokens.unwrap_or(0)));
+            } else {
+                ids.push(id);
+            }
+        }
+        let expected = usize::from(tokens.is_some());
+        if found == expected { Ok(ids) } else { Err(MllmError::ImagePlaceholder { expected, found }) }
+    }
+
+    /// The ids of a rendered chat whose placeholder becomes `image`. Separators may form one token with the text around
+    /// them, so the whole text is split at once.
+    fn written(
+        &self,
+        tokenizer: &ChatTokenizer,
+        rendered: &str,
+        image: Option<(String, usize)>,
+    ) -> Result<Vec<u32>, MllmError> {
+        let found = rendered.matches(&self.placeholder).count();
+        let expected = usize::from(image.is_some());
+        if found != expected {
+            return Err(MllmError::ImagePlaceholder { expected, found });
+        }
+        let (text, tokens) = image.unwrap_or_default();
+        let ids = tokenizer.encode_chat(&rendered.replace(&self.placeholder, &text))?;
+        let found = ids.iter().filter(|id| **id == self.image_token).count();
+        if found == tokens { Ok(ids) } else { Err(MllmError::ImagePlaceholder { expected: tokens, found }) }
+    }
+}
+
+impl ChatFormat for TemplateFormat {
+    fn ids(&self, tokenizer: &ChatTokenizer, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
+        let rendered = self.template.render(chat.system, chat.image.is_some(), chat.turns, chat.prompt)?;
+        match self.image {
+            ImageText::Repeated => self.repeated(tokenizer, &rendered, chat.image.map(|image| image.tokens)),
+            ImageText::Written(write) => {
+                let image = chat.image.map(|layout| (write(&self.placeholder, layout), layout.tokens));
+                self.written(tokenizer, &rendered, image)
+            }
+        }
+    }
+}
+
+/// The placeholder of an image, checked to be one token.
+fn placeholder(tokenizer: &ChatTokenizer, id: u32) -> Result<String, MllmError> {
+    let broken = |problem: String| MllmError::Tokenizer { path: tokenizer.path().to_path_buf(), problem };
+    let token = tokenizer
+        .token(id)
+        .ok_or_else(|| broken(format!("the image token, id {id} (image_token_index), is missing")))?;
+    let ids = tokenizer.encode_chat(&token)?;
+    if ids.iter().filter(|found| **found == id).count() == 1 {
+        Ok(token)
+    } else {
+        Err(broken(format!("the image token '{token}', id {id}, is split into the ids {ids:?}: it is no added token")))
+    }
+}

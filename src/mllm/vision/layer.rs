@@ -1,0 +1,59 @@
+//! The layer of vision transformers with a norm before each part (CLIP, `SigLIP`, `InternViT`, Qwen3-VL).
+
+use candle_core::Tensor;
+
+use super::attention::{Part, SelfAttention};
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{Activation, VisionConfig, Weights};
+use crate::mllm::layer_norm::LayerNorm;
+use crate::mllm::linear::Linear;
+
+/// x + s₁·attention(norm₁(x)), then x + s₂·mlp(norm₂(x)). Most towers have no scales s.
+#[derive(Debug)]
+pub(crate) struct VisionLayer {
+    norm1: LayerNorm,
+    attention: SelfAttention,
+    norm2: LayerNorm,
+    fc1: Linear,
+    fc2: Linear,
+    act: Activation,
+    /// Factors of the channels (`InternViT`).
+    scales: Option<[Tensor; 2]>,
+}
+
+impl VisionLayer {
+    /// Takes the layer called `name`, which has CLIP's names.
+    pub(crate) fn take(weights: &mut Weights, config: &VisionConfig, name: &str) -> Result<Self, MllmError> {
+        let (hidden, wide, eps) = (config.hidden, config.intermediate, config.layer_norm_eps);
+        Ok(Self {
+            norm1: LayerNorm::take(weights, &format!("{name}.layer_norm1"), hidden, eps)?,
+            attention: SelfAttention::take(weights, &format!("{name}.self_attn"), hidden, config.heads)?,
+            norm2: LayerNorm::take(weights, &format!("{name}.layer_norm2"), hidden, eps)?,
+            fc1: Linear::take(weights, &format!("{name}.mlp.fc1"), hidden, wide, true)?,
+            fc2: Linear::take(weights, &format!("{name}.mlp.fc2"), wide, hidden, true)?,
+            act: config.act,
+            scales: None,
+        })
+    }
+
+    /// Takes the layer with its scales.
+    pub(crate) fn take_scaled(weights: &mut Weights, config: &VisionConfig, name: &str) -> Result<Self, MllmError> {
+        let layer = Self::take(weights, config, name)?;
+        let mut scale = |number: usize| weights.take(&format!("{name}.layer_scale{number}.weight"), &[config.hidden]);
+        Ok(Self { scales: Some([scale(1)?, scale(2)?]), ..layer })
+    }
+
+    /// Maps (tokens of all parts, hidden) to the same shape.
+    pub(crate) fn forward(&self, x: &Tensor, parts: &[Part]) -> candle_core::Result<Tensor> {
+        let normed = self.norm1.forward(x)?;
+        let x = match &self.scales {
+            None => self.attention.forward_onto(&normed, parts, x)?,
+            Some([scale, _]) => (x + self.attention.forward(&normed, parts)?.broadcast_mul(scale)?)?,
+        };
+        let wide = self.act.forward(&self.fc1.forward(&self.norm2.forward(&x)?)?)?;
+        match &self.scales {
+            None => self.fc2.forward_onto(&wide, &x),
+            Some([_, scale]) => &x + self.fc2.forward(&wide)?.broadcast_mul(scale)?,
+        }
+    }
+}
