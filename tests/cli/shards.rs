@@ -181,7 +181,10 @@ fn tables_are_printed_as_csv() {
         csv.starts_with("id,scenario_type,log_name,planner,challenge,succeeded,score,") && csv.lines().count() == 2
     );
     let (_, models, _) = run(&["models", "list", "--csv"]);
-    assert!(models.starts_with("model,family,source,server,place,bytes,problem\n"), "{models}");
+    assert!(
+        models.starts_with("model,family,source,server,place,bytes,problem,description,prompt_set,prompts\n"),
+        "{models}"
+    );
     assert!(models.contains("\nnano,llava,"), "{models}");
     let (_, scenarios, _) = run(&["scenarios", "list", "generated/changing_lane/3", "--csv"]);
     assert!(scenarios.contains("\ngenerated/changing_lane/3,generated/changing_lane/3,changing_lane,"), "{scenarios}");

@@ -21,18 +21,18 @@ struct Row {
     source: Option<String>,
     /// Whether it runs on a server.
     server: bool,
-    /// Its description: a file, or `built in`.
-    description: Option<String>,
     /// Where its files are on this machine.
     place: Option<PathBuf>,
     /// Bytes of its weight files.
     bytes: Option<u64>,
+    /// Why it cannot be used.
+    problem: Option<String>,
+    /// Its description: a file, or `built in`.
+    description: Option<String>,
     /// Its prompt set.
     prompt_set: Option<String>,
     /// Where the templates of its prompt set are: a folder, or `built in`.
     prompts: Option<String>,
-    /// Why it cannot be used.
-    problem: Option<String>,
 }
 
 /// Lists the described models.
