@@ -61,7 +61,7 @@ impl Printer {
     /// A name with details beside it, or below it where the line would be too long. The name is never broken, so that it can
     /// be copied.
     pub fn named(&self, name: &str, details: &str) {
-        self.line(named_within(&visible_line(name), details, self.columns()));
+        self.line(named_within(&visible_line(name), &visible_line(details), self.columns()));
     }
 
     /// A value on stdout, as one line of JSON.
