@@ -35,6 +35,39 @@ pub(super) struct Colors {
     pub(super) green: Rgb,
 }
 
+impl Colors {
+    /// All of them.
+    pub(super) fn all(&self) -> [Rgb; 22] {
+        let Self { paper, panel, ink, ink_soft, line, line_strong, ground, drivable, road, route, centerline, .. } =
+            *self;
+        let Self { crosswalk, stop, ego, vehicle, bicycle, pedestrian, fixed, tried, red, amber, green, .. } = *self;
+        [
+            paper,
+            panel,
+            ink,
+            ink_soft,
+            line,
+            line_strong,
+            ground,
+            drivable,
+            road,
+            route,
+            centerline,
+            crosswalk,
+            stop,
+            ego,
+            vehicle,
+            bicycle,
+            pedestrian,
+            fixed,
+            tried,
+            red,
+            amber,
+            green,
+        ]
+    }
+}
+
 /// The colors of the light theme.
 pub(super) static COLORS: LazyLock<Colors> = LazyLock::new(|| {
     let theme = STYLE.split('}').next().unwrap_or_default();

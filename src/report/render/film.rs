@@ -2,11 +2,12 @@
 
 use super::error::{OutputFault, RenderError};
 use super::frame::Film;
+use super::palette;
 use crate::report::ReportError;
 use crate::report::atomic;
 use crate::world::STEP_S;
-use gif::{DisposalMethod, Encoder, Frame, Repeat};
-use image::{RgbImage, Rgba, RgbaImage};
+use gif::{Encoder, Repeat};
+use image::RgbImage;
 use rayon::prelude::*;
 use std::io::{Read, Write};
 use std::num::NonZeroU32;
@@ -14,8 +15,6 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// Quality of the color quantization of a GIF, 1 (best) to 30 (fastest).
-const GIF_SPEED: i32 = 10;
 /// Frames that are drawn in parallel.
 const BATCH: usize = 16;
 /// Time of the last frame of a GIF before it repeats.
@@ -37,11 +36,8 @@ pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &
             for (drawn, iteration) in drawn(film, batch).into_iter().zip(batch) {
                 let is_last = iterations.last() == Some(iteration);
                 let shown = if is_last { REST } else { Duration::from_secs(1) / frames_per_s.get() };
-                let mut changes = changes(last.as_ref(), &drawn).into_raw();
-                let mut frame = Frame::from_rgba_speed(width, height, &mut changes, GIF_SPEED);
+                let mut frame = palette::frame(last.as_ref(), &drawn, (width, height));
                 frame.delay = u16::try_from(shown.as_millis() / 10).unwrap_or(u16::MAX);
-                // Transparent pixels show the previous frame.
-                frame.dispose = DisposalMethod::Keep;
                 encoder.write_frame(&frame).map_err(&failed)?;
                 last = Some(drawn);
                 on_frame();
@@ -49,15 +45,6 @@ pub fn write_gif(film: &Film, frames_per_s: NonZeroU32, path: &Path, on_frame: &
         }
     }
     Ok(atomic::write(path, &bytes)?)
-}
-
-/// A frame in which unchanged pixels are transparent.
-fn changes(last: Option<&RgbImage>, frame: &RgbImage) -> RgbaImage {
-    RgbaImage::from_fn(frame.width(), frame.height(), |x, y| {
-        let [r, g, b] = frame.get_pixel(x, y).0;
-        let stays = last.is_some_and(|last| last.get_pixel(x, y).0 == [r, g, b]);
-        if stays { Rgba([0, 0, 0, 0]) } else { Rgba([r, g, b, 255]) }
-    })
 }
 
 /// Writes an MP4 (H.264) through ffmpeg.

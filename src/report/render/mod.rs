@@ -11,6 +11,7 @@ mod find;
 mod frame;
 mod legend;
 mod lettering;
+mod palette;
 mod scene;
 mod score_labels;
 

@@ -10,6 +10,8 @@ use crate::report::number::fixed;
 /// Height of the letters and space around them, pixels of the page.
 const LETTERS: f32 = 12.0;
 const PADDING: f32 = 3.0;
+/// Minimum height of the letters, pixels.
+const MIN_LETTERS: f32 = 8.0;
 /// Distance of a label from the end of its plan, pixels of the page.
 const AWAY: f32 = 8.0;
 /// Plans that end within this distance of each other with the same score share a label, pixels of the page.
@@ -32,7 +34,7 @@ struct Area {
 /// Draws the labels over all else.
 pub(super) fn draw(canvas: &mut Canvas, scene: &DrawnScene<'_>, view: &View) {
     let (colors, zoom) = (&*COLORS, view.zoom());
-    let letters = Lettering::bold(LETTERS * zoom);
+    let letters = Lettering::bold((LETTERS * zoom).max(MIN_LETTERS));
     let objects = scene.objects.iter().map(|object| Area::around(&object.shape, view));
     let mut taken: Vec<Area> = objects.chain([Area::around(&scene.ego.footprint(), view)]).collect();
     for (end, words) in labels(scene, view) {
