@@ -3,7 +3,7 @@
 use super::atomic;
 use super::call_record::CallRecord;
 use super::error::ReportError;
-use super::layout::{BEV, CALLS, METRICS, RECORD, REPLAY, TRANSCRIPT, bev_name};
+use super::layout::{BEV, CALLS, METRICS, RECORD, TRANSCRIPT, bev_name};
 use super::number::without_negative_zeros;
 use super::replay::Replay;
 use super::run_folder::read_toml;
@@ -47,7 +47,7 @@ pub(super) fn write(parent: &Path, number: usize, record: &SimulationRecord) -> 
 /// BLAKE3 of the files with results that exist, by name.
 fn digests(folder: &Path) -> Result<BTreeMap<String, String>, ReportError> {
     let mut digests = BTreeMap::new();
-    for name in [METRICS, CALLS, REPLAY] {
+    for name in [METRICS, CALLS] {
         let path = folder.join(name);
         if path.is_file() {
             digests.insert(name.to_owned(), digest(&path)?);
@@ -72,7 +72,7 @@ pub(super) fn is_whole(folder: &Path, row: &SimulationRow) -> bool {
             .is_ok_and(|found| names(found).iter().eq(row.metrics.iter().map(|metric| &metric.name)));
     }
     // The record may come from elsewhere: its names are those of this folder alone.
-    let is_own = |name: &String| [METRICS, CALLS, REPLAY].contains(&name.as_str());
+    let is_own = |name: &String| [METRICS, CALLS].contains(&name.as_str());
     row.files.iter().all(|(name, known)| is_own(name) && digest(&folder.join(name)).is_ok_and(|found| found == *known))
 }
 
