@@ -157,6 +157,8 @@ fn a_file_of_another_writer_needs_a_tokenizer_that_fits() {
         replace(&model, &format!("planagent.file.{file}.json"), &format!("someagent.file.{file}.json"));
     }
     replace(&model, "planagent.file.chat_template.jinja", "someagent.file.chat_template.jinja");
+    assert!(open(&model).is_ok(), "the tokenizer is in ggml's keys too");
+    replace(&model, "tokenizer.ggml.model", "tokenizer.some.model");
     assert!(error().to_string().contains("put the model's tokenizer.json beside it"), "{}", error());
 
     let from = Copy::new();
