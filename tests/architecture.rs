@@ -42,6 +42,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["decoder", "sampling", "text", "vision"],
             &["endpoint", "family"],
             &["template_format"],
+            &["tiled"],
             &["cogvlm", "internvl", "llava", "qwen3_vl", "smolvlm"],
             &["llava_next", "qwen2_5_vl"],
             &["families"],

@@ -246,3 +246,37 @@ pub struct ModelInfo {
     /// BLAKE3 of the weight files.
     pub blake3: String,
 }
+
+/// How a model takes images.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ImageInfo {
+    /// The id that stands for a token of the image.
+    pub token: u32,
+    /// Side of the square that the vision tower takes, or is shown by default, pixels.
+    pub side: usize,
+    /// Tokens of the image that becomes the most.
+    pub max_tokens: usize,
+}
+
+impl ModelInfo {
+    /// The facts of a model of the family `architecture` whose weights were just taken; before, `weights` had `before` numbers.
+    pub(crate) fn of(
+        architecture: &'static str,
+        text: &LlamaConfig,
+        image: ImageInfo,
+        weights: &Weights,
+        before: usize,
+    ) -> Self {
+        Self {
+            architecture,
+            image_token: image.token,
+            image_first: false,
+            image_size: image.side,
+            max_image_tokens: image.max_tokens,
+            vocabulary: text.vocabulary,
+            positions: text.context,
+            parameters: (before - weights.elements()) as u64,
+            blake3: weights.blake3().to_string(),
+        }
+    }
+}

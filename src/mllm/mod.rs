@@ -41,6 +41,7 @@ mod smolvlm;
 mod source;
 mod template_format;
 mod text;
+mod tiled;
 mod values;
 mod vision;
 

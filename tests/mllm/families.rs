@@ -1,6 +1,6 @@
 //! Every family through the registry, in conversations with rounds and rethinks, and in the agent.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use image::RgbImage;
@@ -19,12 +19,40 @@ use serde_json::json;
 use super::{Copy, FIRST, SECOND, fixture, free, request};
 
 /// Every family's tiny checkpoint.
-const FAMILIES: [(&str, &str); 4] = [
-    ("tiny_llava", "llava"),
-    ("tiny_llava_next", "llava-next"),
-    ("tiny_llava_next_mistral", "llava-next"),
-    ("tiny_cogvlm", "cogvlm"),
+const FAMILIES: [Tiny; 8] = [
+    Tiny { name: "tiny_llava", architecture: "llava", outside: false },
+    Tiny { name: "tiny_llava_next", architecture: "llava-next", outside: false },
+    Tiny { name: "tiny_llava_next_mistral", architecture: "llava-next", outside: false },
+    Tiny { name: "tiny_cogvlm", architecture: "cogvlm", outside: false },
+    Tiny { name: "smolvlm", architecture: "smolvlm", outside: true },
+    Tiny { name: "internvl3", architecture: "internvl", outside: true },
+    Tiny { name: "qwen3_vl", architecture: "qwen3-vl", outside: true },
+    Tiny { name: "qwen2_5_vl", architecture: "qwen2.5-vl", outside: true },
 ];
+
+/// A tiny checkpoint with references.
+struct Tiny {
+    /// Its folder.
+    name: &'static str,
+    architecture: &'static str,
+    /// Whether the folder is one of the outside data, not of the fixtures.
+    outside: bool,
+}
+
+/// The checkpoints whose folders are here.
+fn families() -> impl Iterator<Item = (&'static Tiny, PathBuf)> {
+    FAMILIES.iter().filter_map(|tiny| {
+        let outside = || crate::outside::data(&format!("mllm_reference/{}", tiny.name));
+        Some((tiny, if tiny.outside { outside()? } else { fixture(tiny.name) }))
+    })
+}
+
+#[test]
+fn every_family_has_a_checkpoint() {
+    for family in Families::default().iter() {
+        assert!(FAMILIES.iter().any(|tiny| tiny.architecture == family.name()), "{}", family.name());
+    }
+}
 
 fn registry() -> ModelRegistry {
     ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() })
@@ -38,36 +66,39 @@ fn open_folder(folder: &Path) -> Box<dyn Mllm> {
 
 /// The prompt prefix of a checkpoint's reference chat.
 fn prefix(folder: &Path) -> PromptPrefix {
-    let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
+    let image = ["image.png", "image_0.png"].map(|name| folder.join(name)).into_iter().find(|path| path.exists());
+    let image = image::open(image.unwrap()).unwrap().into_rgb8();
     PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) }
 }
 
-/// The text of a reference's greedy tokens.
+/// Tokens of an answer that is compared.
+const ANSWERED: usize = 12;
+
+/// The text of a reference's first greedy tokens.
 fn reference_answer(folder: &Path, name: &str) -> String {
     let tensors =
         candle_core::safetensors::load(folder.join("reference.safetensors"), &candle_core::Device::Cpu).unwrap();
-    let ids: Vec<u32> =
-        tensors[name].to_vec1::<i64>().unwrap().into_iter().map(|id| u32::try_from(id).unwrap()).collect();
+    let ids = tensors[name].flatten_all().unwrap().to_vec1::<i64>().unwrap();
+    let ids: Vec<u32> = ids.into_iter().take(ANSWERED).map(|id| u32::try_from(id).unwrap()).collect();
     tokenizers::Tokenizer::from_file(folder.join("tokenizer.json")).unwrap().decode(&ids, true).unwrap()
 }
 
 #[test]
 fn a_folder_is_opened_as_what_its_configuration_says_and_answers_as_the_reference() {
-    for (name, architecture) in FAMILIES {
-        let folder = fixture(name);
-        assert_eq!(Families::default().detect(&folder).unwrap().name(), architecture);
+    for (Tiny { name, architecture, .. }, folder) in families() {
+        assert_eq!(Families::default().detect(&folder).unwrap().name(), *architecture);
         let model = open_folder(&folder);
         let about = model.describe();
-        assert_eq!(about.architecture, architecture);
+        assert_eq!(about.architecture, *architecture);
         assert!(about.parameters > 60_000 && about.image_tokens > 0, "{about:?}");
         let mut conversation = model.converse(&prefix(&folder), 0).unwrap();
-        let answer = conversation.ask(FIRST, &free(12)).unwrap();
+        let answer = conversation.ask(FIRST, &free(ANSWERED)).unwrap();
         assert_eq!(answer.text, reference_answer(&folder, "generated"), "{name}");
         assert!(answer.tokens.image > 0 && answer.tokens.image <= about.image_tokens, "{:?}", answer.tokens);
-        if name != "tiny_llava_next_mistral" {
+        if *name != "tiny_llava_next_mistral" {
             let mut conversation = model.converse(&prefix(&folder), 0).unwrap();
             conversation.ask(FIRST, &request(Constraint::Choice(vec!["keep left".into()]), 12)).unwrap();
-            let second = conversation.ask(SECOND, &free(12)).unwrap();
+            let second = conversation.ask(SECOND, &free(ANSWERED)).unwrap();
             assert_eq!(second.text, reference_answer(&folder, "chat_generated"), "{name}");
         }
     }
@@ -76,8 +107,7 @@ fn a_folder_is_opened_as_what_its_configuration_says_and_answers_as_the_referenc
 #[test]
 fn rounds_and_rethinks_compute_the_image_once() {
     let code = r#"start: "Generate_IDM_Planner(c=" ("left" | "right") ", v0=" /[0-9]\.[0-9]/ ")""#;
-    for (name, architecture) in FAMILIES {
-        let folder = fixture(name);
+    for (Tiny { name, architecture, .. }, folder) in families() {
         let model = open_folder(&folder);
         let mut conversation = model.converse(&prefix(&folder), 7).unwrap();
         let start = conversation.mark();
@@ -88,7 +118,7 @@ fn rounds_and_rethinks_compute_the_image_once() {
             if attempt == 0 {
                 assert!(first.time.image_encode > 0.0 && first.tokens.image > 0);
                 // The chat of a CogVLM begins with the image.
-                assert_eq!(first.tokens.cached == 0, architecture == "cogvlm", "{:?}", first.tokens);
+                assert_eq!(first.tokens.cached == 0, *architecture == "cogvlm", "{:?}", first.tokens);
             } else {
                 assert!(first.time.image_encode.abs() < f64::EPSILON);
                 assert_eq!(first.tokens.image, 0);
@@ -108,22 +138,21 @@ fn rounds_and_rethinks_compute_the_image_once() {
 
 #[test]
 fn a_rewound_round_is_answered_as_in_a_new_conversation() {
-    for (name, _) in FAMILIES {
-        let folder = fixture(name);
+    for (Tiny { name, .. }, folder) in families() {
         let model = open_folder(&folder);
         let mut conversation = model.converse(&prefix(&folder), 0).unwrap();
         let start = conversation.mark();
         conversation.ask(SECOND, &free(6)).unwrap();
         conversation.rewind(start);
-        let again = conversation.ask(FIRST, &free(12)).unwrap();
+        let again = conversation.ask(FIRST, &free(ANSWERED)).unwrap();
         assert_eq!(again.text, reference_answer(&folder, "generated"), "{name}");
     }
 }
 
 #[test]
 fn images_of_any_shape_are_taken_and_empty_ones_refused() {
-    for (name, _) in FAMILIES {
-        let model = open_folder(&fixture(name));
+    for (Tiny { name, .. }, folder) in families() {
+        let model = open_folder(&folder);
         let most = model.describe().image_tokens;
         for (width, height) in [(336, 336), (90, 20), (3, 70), (1, 1)] {
             let image = RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, 99]));
@@ -181,7 +210,7 @@ fn a_tokenizer_may_lie_in_another_folder() {
     );
     std::fs::write(copy.path("cog.toml"), description).unwrap();
     let model = open_folder(&copy.path("cog.toml"));
-    let answer = model.converse(&prefix(copy.folder()), 0).unwrap().ask(FIRST, &free(12)).unwrap();
+    let answer = model.converse(&prefix(copy.folder()), 0).unwrap().ask(FIRST, &free(ANSWERED)).unwrap();
     assert_eq!(answer.text, expected);
     // Without it, the error says what to do.
     assert!(copy.error().to_string().contains("copy it here"), "{}", copy.error());
@@ -258,11 +287,11 @@ fn plan_once(model: Arc<dyn Mllm>) -> PlanAgent {
 
 #[test]
 fn the_agent_plans_with_every_family_and_nothing_else_changes() {
-    for (name, architecture) in FAMILIES {
-        let copy = Copy::of(name);
+    for (Tiny { name, architecture, .. }, folder) in families() {
+        let copy = Copy::of_folder(&folder);
         // Random weights spell long answers in single bytes, so the chat needs more room than the reference's.
         copy.edit("config.json", |config| {
-            let text = if architecture == "cogvlm" { config } else { &mut config["text_config"] };
+            let text = if *architecture == "cogvlm" { config } else { &mut config["text_config"] };
             text["max_position_embeddings"] = json!(4096);
         });
         let agent = plan_once(Arc::from(open_folder(copy.folder())));

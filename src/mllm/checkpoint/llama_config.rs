@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 
 use super::activation::Activation;
 use super::config::{ConfigObject, count, optional_count, positive};
+use super::weights::Weights;
 use crate::mllm::MllmError;
 
 /// A Llama decoder (`LlamaConfig`), or one of its relatives with other defaults: Mistral has a window, Qwen 2 (`Qwen2Config`)
@@ -215,6 +216,11 @@ impl LlamaConfig {
         }
         config.validate().map_err(|(key, problem)| text.error(key, problem))?;
         Ok(config)
+    }
+
+    /// Whether the embedding is the output layer: the configuration says so, or the files have no other.
+    pub(crate) fn is_tied(&self, weights: &Weights) -> bool {
+        self.tie_word_embeddings || weights.lacks("lm_head.weight")
     }
 
     /// The first key that contradicts another, and why.

@@ -25,7 +25,8 @@ use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel};
 use super::family::{
-    ChatFormat, Family, ImageFeatures, ImageLayout, ModelInfo, PlacedImage, Positions, Tiles, VisionLanguageModel,
+    ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, PlacedImage, Positions, Tiles,
+    VisionLanguageModel,
 };
 use super::text::ChatTokenizer;
 
@@ -59,27 +60,14 @@ impl CogVlm {
         let tower = EvaVisionTower::take(weights, &config.vision)?;
         let adapter = GluAdapter::take(weights, &config)?;
         let decoder = Decoder::take(weights, &config.text, "", config.text.tie_word_embeddings)?;
-        let info = ModelInfo {
-            architecture: NAME,
+        let image = ImageInfo {
             // No token of the vocabulary stands for an image, so the first number behind it does.
-            image_token: config.text.vocabulary as u32,
-            image_first: true,
-            image_size: config.vision.image_size,
-            max_image_tokens: config.image_tokens(),
-            vocabulary: config.text.vocabulary,
-            positions: config.text.context,
-            parameters: (before - weights.elements()) as u64,
-            blake3: weights.blake3().to_string(),
+            token: config.text.vocabulary as u32,
+            side: config.vision.image_size,
+            max_tokens: config.image_tokens(),
         };
+        let info = ModelInfo { image_first: true, ..ModelInfo::of(NAME, &config.text, image, weights, before) };
         Ok(Self { config, tower, adapter, decoder, info })
-    }
-}
-
-#[cfg(test)]
-impl CogVlm {
-    pub(crate) fn random(config: &serde_json::Value) -> Self {
-        let config = CogVlmConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
-        Self::take(&mut Weights::random(7), config).unwrap()
     }
 }
 

@@ -10,6 +10,7 @@ mod header;
 pub(crate) mod llama;
 mod metadata;
 pub(crate) mod names;
+mod read_only;
 mod text_files;
 pub(crate) mod tokenizer;
 
@@ -21,6 +22,7 @@ use std::path::{Path, PathBuf};
 
 pub use header::Header;
 pub(crate) use header::{DEFAULT_ALIGNMENT, number_of};
+pub(crate) use read_only::{ReadOnlyLayout, VisionFiles, as_stored};
 pub(crate) use text_files::TextFiles;
 
 use serde_json::Value;

@@ -1,17 +1,11 @@
 //! `InternVL` in llama.cpp's GGUF files, which its converter makes from the authors' layout.
 
-use std::collections::BTreeMap;
-
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::config::IMAGE;
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, VISION_LAYERS, unswapped};
-use crate::mllm::gguf::{Entries, GgufLayout, Header, TextFiles};
-
-/// The files of an `InternVL`.
-pub(super) struct InternVlGguf;
+use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, VISION_LAYERS};
+use crate::mllm::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
 
 const NAMES: Names = Names {
     single: &[
@@ -36,54 +30,30 @@ const NAMES: Names = Names {
 const TILES: [(&str, &str, usize); 2] =
     [("clip.vision.preproc_min_tiles", "min_patches", 1), ("clip.vision.preproc_max_tiles", "max_patches", 12)];
 
-impl GgufLayout for InternVlGguf {
-    fn opens(&self, decoder: &Header, tower: &Header) -> bool {
-        matches!(decoder.architecture(), Ok("qwen2" | "qwen3" | "llama"))
-            && matches!(tower.projector(), Ok(Some("internvl")))
-    }
+/// The files of an `InternVL`.
+pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
+    decoders: &["qwen2", "qwen3", "llama"],
+    projector: "internvl",
+    model_type: "internvl",
+    placeholder: IMAGE,
+    names: NAMES,
+    renamed: as_stored,
+    vision,
+    lacking: "the filter that images are resized with",
+};
 
-    fn small_files(
-        &self,
-        decoder: &Header,
-        tower: &Header,
-        notes: &mut Vec<String>,
-    ) -> Result<BTreeMap<String, String>, MllmError> {
-        let mut files = TextFiles::read(decoder)?;
-        let image_token = files.added_id(decoder, IMAGE)?;
-        let mut vision = tower.vision_config()?;
-        vision["hidden_act"] = json!("gelu");
-        let mut processor = tower.pixel_scale()?;
-        processor["image_processor_type"] = json!("GotOcr2ImageProcessor");
-        for (key, name, published) in TILES {
-            let count = tower.count(key)?;
-            if count.is_none() {
-                notes.push(format!("the vision tower's file has no {key}; it is taken for {published}"));
-            }
-            processor[name] = json!(count.unwrap_or(published));
+fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
+    let mut vision = tower.vision_config()?;
+    vision["hidden_act"] = json!("gelu");
+    let mut processor = tower.pixel_scale()?;
+    processor["image_processor_type"] = json!("GotOcr2ImageProcessor");
+    for (key, name, published) in TILES {
+        let count = tower.count(key)?;
+        if count.is_none() {
+            notes.push(format!("the vision tower's file has no {key}; it is taken for {published}"));
         }
-        let scale = tower.required_count("clip.vision.projector.scale_factor")?;
-        let config: Value = json!({
-            "model_type": "internvl",
-            "image_token_id": image_token,
-            "downsample_ratio": 1.0 / scale as f64,
-            "text_config": files.text_config.clone(),
-            "vision_config": vision,
-        });
-        files.put("config.json", &config);
-        files.put("preprocessor_config.json", &processor);
-        Ok(files.into_files())
+        processor[name] = json!(count.unwrap_or(published));
     }
-
-    fn canonical_name(&self, file: &Header, name: &str) -> Result<Option<String>, MllmError> {
-        let hidden = file.count("clip.vision.embedding_length")?;
-        Ok(NAMES.to_canonical(name).map(|canonical| unswapped(file, canonical, hidden)))
-    }
-
-    fn gguf_name(&self, canonical: &str) -> Option<String> {
-        NAMES.in_gguf(canonical)
-    }
-
-    fn metadata(&self, _files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
-        Ok(Err("the filter that images are resized with"))
-    }
+    let scale = tower.required_count("clip.vision.projector.scale_factor")?;
+    Ok(VisionFiles { config: json!({"downsample_ratio": 1.0 / scale as f64, "vision_config": vision}), processor })
 }

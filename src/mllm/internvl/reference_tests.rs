@@ -5,16 +5,17 @@ use serde_json::json;
 
 use super::config::InternVlConfig;
 use super::tiles::TileProcessor;
-use super::{FAMILY, InternVl};
+use super::{FAMILY, InternVl, take};
 use crate::mllm::family::{ImageFeatures, ImageLayout, ImageSettings, VisionLanguageModel};
 use crate::mllm::local::test_faults::{Deviation, Fault, Parts};
 use crate::mllm::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
 use crate::mllm::local::test_reference::{Run, difference};
+use crate::mllm::tiled::Tiler;
 
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> InternVl {
     let config = InternVlConfig::from_json(&parts.path, &parts.config, || Ok(None)).unwrap();
-    InternVl::take(&mut parts.weights(&FAMILY), config, TileProcessor::new(56, 1, 12)).unwrap()
+    take(&mut parts.weights(&FAMILY), &config, TileProcessor::new(56, 1, 12)).unwrap()
 }
 
 #[test]
@@ -40,7 +41,7 @@ fn llama_cpps_files_give_the_same() {
 fn views_have_the_pixels_of_transformers() {
     let Some(prompts) = Prompts::of("internvl3") else { return };
     for (name, index, most) in [("", 0, 12), ("second_", 1, 12), ("unsplit_", 0, 1)] {
-        let views = TileProcessor::new(56, 1, most).process(&prompts.image(index)).unwrap();
+        let views = TileProcessor::new(56, 1, most).views(&prompts.image(index)).unwrap();
         let found =
             difference(&Tensor::stack(&views, 0).unwrap(), prompts.reference.tensor(&format!("{name}pixel_values")));
         assert!(found < 1e-6, "{name}: the pixels differ by {found}");
@@ -56,7 +57,7 @@ fn grids_of_tiles_are_those_of_transformers() {
     assert!(cases.len() > 20);
     for case in cases {
         let number = |key: &str| case[key].as_u64().unwrap() as u32;
-        let found = TileProcessor::new(number("tile"), 1, 12).grid(number("width"), number("height")).unwrap();
+        let found = TileProcessor::new(number("tile"), 1, 12).grid(number("width"), number("height"));
         assert_eq!((found.columns, found.rows), (number("columns"), number("rows")), "{case}");
         assert_eq!(found.views(), number("tiles") as usize, "{case}");
     }
@@ -95,13 +96,12 @@ const WRONG_ORDERS: [(&str, [usize; 5]); 3] = [
 ];
 
 /// Features of the first image.
-fn features(rows: &[Tensor]) -> ImageFeatures {
-    let layout = ImageLayout { tokens: 52, rows: 3, columns: 4 };
-    ImageFeatures { rows: Tensor::cat(rows, 0).unwrap(), deep: Vec::new(), layout }
+fn features(rows: Tensor) -> ImageFeatures {
+    ImageFeatures { rows, deep: Vec::new(), layout: ImageLayout { tokens: 52, rows: 3, columns: 4 } }
 }
 
 fn encoded(model: &InternVl, views: &[Tensor]) -> ImageFeatures {
-    features(&views.iter().map(|pixels| model.encoder.encode(pixels).unwrap()).collect::<Vec<_>>())
+    features(model.encode_views(views).unwrap())
 }
 
 /// The features of a model whose connector takes the axes in another order.
@@ -111,7 +111,7 @@ fn shuffled(model: &InternVl, views: &[Tensor], order: [usize; 5]) -> ImageFeatu
         let merged = patches.permute(order.to_vec()).unwrap().reshape((4, 128)).unwrap();
         model.encoder.project(&merged).unwrap()
     });
-    features(&rows.collect::<Vec<_>>())
+    features(Tensor::cat(&rows.collect::<Vec<_>>(), 0).unwrap())
 }
 
 #[test]

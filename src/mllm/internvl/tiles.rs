@@ -2,20 +2,21 @@
 //! the whole image.
 
 use candle_core::Tensor;
-use image::{RgbImage, imageops};
+use image::RgbImage;
 use serde::Deserialize;
 use serde_json::json;
 
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
-use crate::mllm::vision::{Filter, PixelScale, check_not_empty, read_processor, resize};
+use crate::mllm::tiled::{Grid, Tiler};
+use crate::mllm::vision::{Filter, PixelScale, read_processor, resize};
 
 /// Most tiles of a configuration: a larger number means a broken one.
 const MAX_TILES: u32 = 64;
 
 /// Cuts images into tiles of the tower's size.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct TileProcessor {
+pub(crate) struct TileProcessor {
     /// Side of a tile, pixels.
     tile: u32,
     min: u32,
@@ -24,26 +25,6 @@ pub(super) struct TileProcessor {
     whole: bool,
     filter: Filter,
     scale: PixelScale,
-}
-
-/// A grid of tiles.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Grid {
-    pub rows: u32,
-    pub columns: u32,
-    /// Whether the whole image follows.
-    whole: bool,
-}
-
-impl Grid {
-    fn tiles(&self) -> u32 {
-        self.rows * self.columns
-    }
-
-    /// Number of tiles and whole views.
-    pub(super) fn views(&self) -> usize {
-        (self.tiles() + u32::from(self.whole && self.tiles() > 1)) as usize
-    }
 }
 
 /// The keys of both layouts: of the `-hf` image processor, and of the authors' `config.json`.
@@ -109,9 +90,10 @@ impl TileProcessor {
         let object = ConfigObject::root("preprocessor_config.json".as_ref(), &object).unwrap();
         Self::read(&object, tile, pixel_scale(&object).unwrap()).unwrap()
     }
+}
 
-    /// Bounds the number of tiles.
-    pub(super) fn set_tiles(&mut self, tiles: usize) -> Result<(), MllmError> {
+impl Tiler for TileProcessor {
+    fn set_tiles(&mut self, tiles: usize) -> Result<(), MllmError> {
         match u32::try_from(tiles) {
             Ok(tiles @ 1..=MAX_TILES) => {
                 (self.min, self.max) = (self.min.min(tiles), tiles);
@@ -121,16 +103,12 @@ impl TileProcessor {
         }
     }
 
-    /// Most views of an image.
-    pub(super) fn max_views(&self) -> usize {
-        (self.max + u32::from(self.whole && self.max > 1)) as usize
+    fn max_views(&self) -> usize {
+        Grid { rows: self.max, columns: 1, whole: self.whole }.views()
     }
 
-    /// The grid of an image of this size (`get_optimal_tiled_canvas` in transformers).
-    pub(super) fn grid(&self, width: u32, height: u32) -> Result<Grid, MllmError> {
-        if width == 0 || height == 0 {
-            return Err(MllmError::Image { problem: "the image has no pixels".into() });
-        }
+    /// The grid that is nearest to the image's shape (`get_optimal_tiled_canvas` in transformers).
+    fn grid(&self, width: u32, height: u32) -> Grid {
         let all = (1..=self.max).flat_map(|columns| (1..=self.max).map(move |rows| (columns, rows)));
         let mut grids: Vec<(u32, u32)> =
             all.filter(|(columns, rows)| (self.min..=self.max).contains(&(columns * rows))).collect();
@@ -146,26 +124,18 @@ impl TileProcessor {
                 (best, least) = ((columns, rows), apart);
             }
         }
-        Ok(Grid { columns: best.0, rows: best.1, whole: self.whole })
+        Grid { columns: best.0, rows: best.1, whole: self.whole }
     }
 
-    /// Pixel values, (3, side, side) each: of the tiles row by row, then of the whole image if there are several.
-    pub(super) fn process(&self, image: &RgbImage) -> Result<Vec<Tensor>, MllmError> {
-        check_not_empty(image)?;
-        let grid = self.grid(image.width(), image.height())?;
+    fn views(&self, image: &RgbImage) -> Result<Vec<Tensor>, MllmError> {
+        let grid = self.grid(image.width(), image.height());
         let side = self.tile;
         let stretched = resize(image, side * grid.columns, side * grid.rows, self.filter);
-        let mut values = Vec::with_capacity(grid.views());
-        for row in 0..grid.rows {
-            for column in 0..grid.columns {
-                let tile = imageops::crop_imm(&stretched, column * side, row * side, side, side).to_image();
-                values.push(self.scale.values(&tile)?);
-            }
+        let mut views: Vec<RgbImage> = grid.cut(&stretched).collect();
+        if views.len() < grid.views() {
+            views.push(resize(image, side, side, self.filter));
         }
-        if values.len() < grid.views() {
-            values.push(self.scale.values(&resize(image, side, side, self.filter))?);
-        }
-        Ok(values)
+        views.iter().map(|view| Ok(self.scale.values(view)?)).collect()
     }
 }
 

@@ -7,6 +7,7 @@ use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{Activation, Weights};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
+use crate::mllm::tiled::TileEncoder;
 use crate::mllm::vision::{Part, VisionLayer, embed, merge_blocks, take_patch_embedding, unfold};
 
 /// Epsilon of the projector's norm, torch's default.
@@ -14,7 +15,7 @@ const PROJECTOR_EPS: f64 = 1e-5;
 
 /// Vision tower and projector, from the pixel values of a tile to input rows of the decoder.
 #[derive(Debug)]
-pub(super) struct ImageEncoder {
+pub(crate) struct ImageEncoder {
     class_embedding: Tensor,
     patch_embedding: Linear,
     position_embedding: Tensor,
@@ -53,11 +54,6 @@ impl ImageEncoder {
         })
     }
 
-    /// Encodes pixel values (3, side, side) to (tokens of a tile, decoder width).
-    pub(super) fn encode(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        self.project(&merge_blocks(&self.patches(pixels)?, [self.side, self.side], self.scale)?)
-    }
-
     /// The tower's output without its class token: (patches, tower width). No norm follows the last layer.
     pub(super) fn patches(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
         let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
@@ -73,5 +69,11 @@ impl ImageEncoder {
     pub(super) fn project(&self, merged: &Tensor) -> candle_core::Result<Tensor> {
         let wide = self.linear1.forward(&self.projector_norm.forward(merged)?)?;
         self.linear2.forward(&Activation::Gelu.forward(&wide)?)
+    }
+}
+
+impl TileEncoder for ImageEncoder {
+    fn encode(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
+        self.project(&merge_blocks(&self.patches(pixels)?, [self.side, self.side], self.scale)?)
     }
 }

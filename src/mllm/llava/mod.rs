@@ -20,7 +20,7 @@ pub(crate) use vision::ImageEncoder;
 use super::MllmError;
 use super::checkpoint::{ModelFiles, Weights};
 use super::decoder::{Decoder, LanguageModel, LlamaLayer};
-use super::family::{ChatFormat, Family, ImageFeatures, ImageLayout, ModelInfo, Tiles, VisionLanguageModel};
+use super::family::{ChatFormat, Family, ImageFeatures, ImageInfo, ImageLayout, ModelInfo, Tiles, VisionLanguageModel};
 use super::template_format::{ImageText, TemplateFormat};
 use super::text::ChatTokenizer;
 use super::vision::ClipImageProcessor;
@@ -82,17 +82,9 @@ impl LlavaCore {
     /// Sizes and names of a model of the family `architecture`; `before` is the number of weights before it was taken.
     pub(crate) fn info(&self, architecture: &'static str, weights: &Weights, before: usize) -> ModelInfo {
         let config = &self.config;
-        ModelInfo {
-            architecture,
-            image_token: config.image_token,
-            image_first: false,
-            image_size: config.vision.image_size,
-            max_image_tokens: config.image_tokens(),
-            vocabulary: config.text.vocabulary,
-            positions: config.text.context,
-            parameters: (before - weights.elements()) as u64,
-            blake3: weights.blake3().to_string(),
-        }
+        let image =
+            ImageInfo { token: config.image_token, side: config.vision.image_size, max_tokens: config.image_tokens() };
+        ModelInfo::of(architecture, &config.text, image, weights, before)
     }
 }
 
@@ -113,15 +105,6 @@ impl Llava {
         let core = LlavaCore::take(weights, config)?;
         let info = core.info(NAME, weights, before);
         Ok(Self { core, processor, info })
-    }
-}
-
-#[cfg(test)]
-impl Llava {
-    pub(crate) fn random(config: &serde_json::Value) -> Self {
-        let config = LlavaConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
-        let processor = ClipImageProcessor::square(config.vision.image_size as u32);
-        Self::take(&mut Weights::random(7), config, processor).unwrap()
     }
 }
 

@@ -76,16 +76,6 @@ impl LlavaNext {
     }
 }
 
-#[cfg(test)]
-impl LlavaNext {
-    pub(crate) fn random(config: &serde_json::Value) -> Self {
-        use super::vision::{Filter, PixelScale};
-        let config = LlavaNextConfig::from_json(std::path::Path::new("config.json"), config).unwrap();
-        let processor = AnyresImageProcessor { filter: Filter::Bicubic, scale: PixelScale::CLIP };
-        Self::take(&mut Weights::random(7), config, processor).unwrap()
-    }
-}
-
 impl VisionLanguageModel for LlavaNext {
     fn info(&self) -> &ModelInfo {
         &self.info

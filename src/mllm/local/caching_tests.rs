@@ -1,13 +1,14 @@
 //! The work of a conversation, counted in passes of the decoder and images of the tower.
 
 use std::ops::Range;
+use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use candle_core::Tensor;
 use image::RgbImage;
 
 use super::LocalModel;
-use super::test_reference::{fixture, open_checkpoint};
+use super::test_reference::{fixture, open_checkpoint, shared_reference};
 use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::decoder::{DecoderInput, KvCache, LanguageModel, Logits};
 use crate::mllm::family::{
@@ -85,14 +86,20 @@ impl LanguageModel for Counting {
     }
 }
 
-/// A tiny checkpoint and its counts.
-fn counted(name: &str) -> (LocalModel, Arc<Mutex<Computed>>) {
-    let folder = fixture(name);
-    let mut local = LocalModel::open(name, &folder).unwrap();
+/// The checkpoint in a folder and its counts.
+fn counted(folder: &Path) -> (LocalModel, Arc<Mutex<Computed>>) {
+    let mut local = LocalModel::open("tiny", folder).unwrap();
     let computed = Arc::new(Mutex::new(Computed::default()));
-    let model = open_checkpoint(&folder).open_model().unwrap();
+    let model = open_checkpoint(folder).open_model().unwrap();
     local.model = Box::new(Counting { model, computed: Arc::clone(&computed) });
     (local, computed)
+}
+
+/// The system prompt and image of a checkpoint's reference.
+fn prefix(folder: &Path) -> PromptPrefix {
+    let image = ["image.png", "image_0.png"].map(|name| folder.join(name)).into_iter().find(|path| path.exists());
+    let image = image::open(image.unwrap()).unwrap().into_rgb8();
+    PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) }
 }
 
 fn request(constraint: Constraint, max_new_tokens: usize) -> Request {
@@ -102,54 +109,62 @@ fn request(constraint: Constraint, max_new_tokens: usize) -> Request {
 #[test]
 fn a_planning_call_encodes_its_image_once_and_computes_forced_tokens_in_one_pass() {
     for (name, shared) in [("tiny_llava", true), ("tiny_llava_next", true), ("tiny_cogvlm", false)] {
-        let (local, computed) = counted(name);
-        let take = || std::mem::take(&mut *computed.lock().unwrap());
-        let image = image::open(fixture(name).join("image.png")).unwrap().into_rgb8();
-        let prefix = PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) };
-        for call in 0..2 {
-            let mut conversation = local.converse(&prefix, 0).unwrap();
-            // Only the first call computes the system prompt before the image; a CogVLM has none there.
-            let before = take().passes;
-            assert_eq!(before.len(), usize::from(shared && call == 0), "{name}: {before:?}");
-            let start = conversation.mark();
-            let first = conversation.ask("Look.", &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
-            let Computed { passes, images } = take();
-            assert_eq!(images, 1, "{name}");
-            assert_eq!(passes[0], first.tokens.text + first.tokens.image, "{name}: {passes:?}");
-            assert!(
-                passes[1..].iter().all(|rows| *rows == 1) && passes.len() <= first.tokens.sampled,
-                "{name}: {passes:?}"
-            );
-            assert_eq!(first.tokens.cached > 0, shared);
-            let second = conversation.ask("Now?", &request(Constraint::Choice(vec!["keep left".into()]), 16)).unwrap();
-            assert_eq!(take(), Computed::default(), "{name}: nothing of {:?} is the model's choice", second.text);
-            let third = conversation.ask("Code?", &request(Constraint::Regex("x = [0-9]; end".into()), 32)).unwrap();
-            let Computed { passes, images } = take();
-            assert_eq!(
-                (passes.len(), images),
-                (third.tokens.sampled, 0),
-                "{name}: a pass for each free token: {passes:?}"
-            );
-            assert!(third.tokens.fast_forwarded > third.tokens.sampled, "{:?}", third.tokens);
-            // What the first two rounds left uncomputed, and the fast-forwarded tokens before the number.
-            assert!(passes[0] > third.tokens.text + third.tokens.image, "{passes:?} {:?}", third.tokens);
-            conversation.rewind(start);
-            let again = conversation.ask("Look again.", &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
-            let Computed { passes, images } = take();
-            assert_eq!((images, again.tokens.image), (0, 0), "{name}: the features are kept");
-            assert_eq!(passes[0], again.tokens.text, "{name}: {passes:?}");
-            assert!(again.tokens.cached >= first.tokens.cached + first.tokens.image, "{name}: {:?}", again.tokens);
-        }
+        check_planning_calls(name, &fixture(name), shared);
+    }
+}
+
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn families_of_today_compute_as_little() {
+    for name in ["smolvlm", "internvl3", "qwen3_vl", "qwen2_5_vl"] {
+        let Some(folder) = shared_reference(name) else { return };
+        check_planning_calls(name, &folder, true);
+    }
+}
+
+/// Counts the work of two planning calls; `shared` says whether they share the system prompt.
+fn check_planning_calls(name: &str, folder: &Path, shared: bool) {
+    let (local, computed) = counted(folder);
+    let take = || std::mem::take(&mut *computed.lock().unwrap());
+    let prefix = prefix(folder);
+    for call in 0..2 {
+        let mut conversation = local.converse(&prefix, 0).unwrap();
+        // Only the first call computes the system prompt before the image; a CogVLM has none there.
+        let before = take().passes;
+        assert_eq!(before.len(), usize::from(shared && call == 0), "{name}: {before:?}");
+        let start = conversation.mark();
+        let first = conversation.ask("Look.", &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
+        let Computed { passes, images } = take();
+        assert_eq!(images, 1, "{name}");
+        assert_eq!(passes[0], first.tokens.text + first.tokens.image, "{name}: {passes:?}");
+        assert!(
+            passes[1..].iter().all(|rows| *rows == 1) && passes.len() <= first.tokens.sampled,
+            "{name}: {passes:?}"
+        );
+        assert_eq!(first.tokens.cached > 0, shared);
+        let second = conversation.ask("Now?", &request(Constraint::Choice(vec!["keep left".into()]), 16)).unwrap();
+        assert_eq!(take(), Computed::default(), "{name}: nothing of {:?} is the model's choice", second.text);
+        let third = conversation.ask("Code?", &request(Constraint::Regex("x = [0-9]; end".into()), 32)).unwrap();
+        let Computed { passes, images } = take();
+        assert_eq!((passes.len(), images), (third.tokens.sampled, 0), "{name}: a pass for each free token: {passes:?}");
+        assert!(third.tokens.fast_forwarded > third.tokens.sampled, "{:?}", third.tokens);
+        // What the first two rounds left uncomputed, and the fast-forwarded tokens before the number.
+        assert!(passes[0] > third.tokens.text + third.tokens.image, "{passes:?} {:?}", third.tokens);
+        conversation.rewind(start);
+        let again = conversation.ask("Look again.", &request(Constraint::Regex("[a-f]{4}".into()), 8)).unwrap();
+        let Computed { passes, images } = take();
+        assert_eq!((images, again.tokens.image), (0, 0), "{name}: the features are kept");
+        assert_eq!(passes[0], again.tokens.text, "{name}: {passes:?}");
+        assert!(again.tokens.cached >= first.tokens.cached + first.tokens.image, "{name}: {:?}", again.tokens);
     }
 }
 
 #[test]
 fn a_prompt_that_leaves_no_choice_is_computed_and_counted_by_the_next_round() {
     for name in ["tiny_llava", "tiny_cogvlm"] {
-        let (local, computed) = counted(name);
+        let (local, computed) = counted(&fixture(name));
         let take = || std::mem::take(&mut *computed.lock().unwrap());
-        let image = image::open(fixture(name).join("image.png")).unwrap().into_rgb8();
-        let prefix = PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) };
+        let prefix = prefix(&fixture(name));
         let mut conversation = local.converse(&prefix, 0).unwrap();
         let known: usize = take().passes.iter().sum();
         let first = conversation.ask("Look.", &request(Constraint::Choice(vec!["keep".into()]), 8)).unwrap();

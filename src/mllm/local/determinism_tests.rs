@@ -6,40 +6,74 @@ use std::process::Command;
 
 use candle_core::Tensor;
 use image::RgbImage;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::Sequence;
-use crate::mllm::cogvlm::CogVlm;
+use crate::mllm::checkpoint::{ModelFiles, Weights};
 use crate::mllm::decoder::Logits;
+use crate::mllm::families::{Architecture, Families};
 use crate::mllm::family::VisionLanguageModel;
-use crate::mllm::llava::Llava;
-use crate::mllm::llava_next::LlavaNext;
 
 /// Set in the child process of the test: the folder for its result.
 const FOLDER: &str = "PLANAGENT_TEST_FOLDER";
 const TEST: &str = "mllm::local::determinism_tests::logits_are_the_same_bits_at_any_thread_count";
 
+/// A model with random weights in the shape of a configuration.
+fn random(architecture: &str, config: &Value, processor: &Value) -> Box<dyn VisionLanguageModel> {
+    let texts = [("config.json", config), ("preprocessor_config.json", processor)];
+    let texts = texts.map(|(name, value)| (name.to_string(), value.to_string()));
+    let files = ModelFiles::packed(Path::new(architecture), texts.into());
+    let family = Architecture::named(architecture).unwrap().family();
+    (family.open)(&files, &mut Weights::random(7)).unwrap()
+}
+
 /// Models of nano's size (vision 4 x 192, decoder 6 x 256) with random weights, large enough to split matrix products over
-/// threads.
+/// threads: every family that is built in.
 fn models() -> Vec<(Box<dyn VisionLanguageModel>, RgbImage)> {
-    let vision = |heads: &str| {
-        json!({"hidden_size": 192, "intermediate_size": 768, "num_hidden_layers": 4, heads: 6, "image_size": 128,
+    let tower = |heads: &str, image_size: u32| {
+        json!({"hidden_size": 192, "intermediate_size": 768, "num_hidden_layers": 4, heads: 6, "image_size": image_size,
             "patch_size": 16})
     };
     let text = json!({"hidden_size": 256, "intermediate_size": 688, "num_hidden_layers": 6, "num_attention_heads": 8,
         "num_key_value_heads": 4, "vocab_size": 512, "max_position_embeddings": 512});
-    let llava = json!({"image_token_index": 3, "vision_config": vision("num_attention_heads"), "text_config": text,
-        "image_grid_pinpoints": [[128, 256], [256, 128]]});
-    let mut cogvlm = text.clone();
-    cogvlm["num_key_value_heads"] = json!(8);
-    cogvlm["vision_config"] = vision("num_heads");
+    let with = |mut value: Value, keys: Value| {
+        value.as_object_mut().unwrap().extend(keys.as_object().unwrap().clone());
+        value
+    };
+    let grids = json!([[128, 256], [256, 128]]);
+    let llava = json!({"image_token_index": 3, "vision_config": tower("num_attention_heads", 128), "text_config": text,
+        "image_grid_pinpoints": grids});
+    let square = json!({"size": 128, "crop_size": 128, "image_grid_pinpoints": grids});
+    let cogvlm = with(text.clone(), json!({"num_key_value_heads": 8, "vision_config": tower("num_heads", 128)}));
+    let tiles = |keys: Value| {
+        with(keys, json!({"image_token_id": 3, "text_config": text, "vision_config": tower("num_attention_heads", 64)}))
+    };
+    let longest = json!({"size": {"longest_edge": 128}, "max_image_size": {"longest_edge": 64}});
+    let axes = |lengths: [u32; 3], vision: Value| {
+        let rope = json!({"rope_type": "default", "mrope_section": lengths});
+        // The epsilon and activation of these towers are their own.
+        let mut sizes = tower("num_heads", 128);
+        sizes.as_object_mut().unwrap().remove("num_hidden_layers");
+        json!({"image_token_id": 3, "text_config": with(text.clone(), json!({"head_dim": 32, "rope_parameters": rope})),
+            "vision_config": with(with(sizes, json!({"depth": 4})), vision)})
+    };
+    let deep = json!({"num_position_embeddings": 64, "deepstack_visual_indexes": [0, 2]});
+    let windows = json!({"window_size": 64, "fullatt_block_indexes": [1, 3]});
+    let pixels = json!({"size": {"shortest_edge": 1024, "longest_edge": 65_536}});
     let picture =
         |width, height| RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]));
-    vec![
-        (Box::new(Llava::random(&llava)), picture(128, 128)),
-        (Box::new(LlavaNext::random(&llava)), picture(200, 90)),
-        (Box::new(CogVlm::random(&cogvlm)), picture(140, 100)),
-    ]
+    let models = vec![
+        (random("llava", &llava, &square), picture(128, 128)),
+        (random("llava-next", &llava, &square), picture(200, 90)),
+        (random("cogvlm", &cogvlm, &json!({})), picture(140, 100)),
+        (random("smolvlm", &tiles(json!({})), &longest), picture(120, 90)),
+        (random("internvl", &tiles(json!({})), &json!({"max_patches": 4})), picture(100, 200)),
+        (random("qwen3-vl", &axes([6, 5, 5], deep), &pixels), picture(160, 100)),
+        (random("qwen2.5-vl", &axes([4, 6, 6], windows), &pixels), picture(130, 170)),
+    ];
+    let known: Vec<&str> = Families::default().iter().map(Architecture::name).collect();
+    assert_eq!(models.iter().map(|(model, _)| model.info().architecture).collect::<Vec<_>>(), known);
+    models
 }
 
 /// A hash of the logits of a prefill, ten single steps and a rewound piece, for every family.

@@ -4,13 +4,13 @@ use candle_core::Tensor;
 use serde_json::json;
 
 use super::config::Qwen25VlConfig;
-use super::{FAMILY, Qwen25Vl};
+use super::{FAMILY, Qwen25Vl, take};
 use crate::mllm::checkpoint::ConfigObject;
 use crate::mllm::family::ImageSettings;
 use crate::mllm::local::test_faults::{Fault, Parts};
 use crate::mllm::local::test_prompts::{Prompts, SecondImage, assert_resized, raster_pixels};
 use crate::mllm::local::test_reference::difference;
-use crate::mllm::qwen3_vl::PatchProcessor;
+use crate::mllm::qwen3_vl::{PatchEncoder, PatchProcessor};
 
 /// A processor for images of so many pixels.
 fn processor(pixels: [u64; 2]) -> PatchProcessor {
@@ -24,7 +24,7 @@ const TINY: [u64; 2] = [3136, 37_632];
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> Qwen25Vl {
     let config = Qwen25VlConfig::from_json(&parts.path, &parts.config).unwrap();
-    Qwen25Vl::take(&mut parts.weights(&FAMILY), &config, processor(TINY)).unwrap()
+    take(&mut parts.weights(&FAMILY), &config, processor(TINY)).unwrap()
 }
 
 #[test]

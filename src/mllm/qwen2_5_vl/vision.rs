@@ -9,7 +9,7 @@ use crate::mllm::checkpoint::{VisionConfig, Weights};
 use crate::mllm::decoder::{SwiGlu, SwiGluShape};
 use crate::mllm::family::{ImageFeatures, ImageLayout};
 use crate::mllm::linear::Linear;
-use crate::mllm::qwen3_vl::{PatchMerger, take_patch_embedding};
+use crate::mllm::qwen3_vl::{PatchEncoder, PatchMerger, take_patch_embedding};
 use crate::mllm::rms_norm::RmsNorm;
 use crate::mllm::vision::{Part, SelfAttention, merge_blocks, unfold};
 
@@ -18,7 +18,7 @@ const ROTARY_BASE: f64 = 10_000.0;
 
 /// Tower and merger, from pixel values to input rows of the decoder.
 #[derive(Debug)]
-pub(super) struct ImageEncoder {
+pub(crate) struct ImageEncoder {
     patch_embedding: Linear,
     layers: Vec<Layer>,
     norm: RmsNorm,
@@ -95,9 +95,10 @@ impl ImageEncoder {
             window: config.window,
         })
     }
+}
 
-    /// Encodes pixel values (3, height, width).
-    pub(super) fn encode(&self, pixels: &Tensor) -> candle_core::Result<ImageFeatures> {
+impl PatchEncoder for ImageEncoder {
+    fn encode(&self, pixels: &Tensor) -> candle_core::Result<ImageFeatures> {
         let grid = [pixels.dim(1)? / self.patch_size, pixels.dim(2)? / self.patch_size];
         let windows = Windows::new(grid, self.window);
         let select = |x: &Tensor, rows: Vec<u32>| x.index_select(&Tensor::new(rows, &Device::Cpu)?, 0);

@@ -1,17 +1,11 @@
 //! Qwen3-VL in llama.cpp's GGUF files.
 
-use std::collections::BTreeMap;
-
 use serde_json::{Value, json};
 
 use super::patches::PatchProcessor;
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, Pair, VISION_LAYERS, unswapped};
-use crate::mllm::gguf::{Entries, GgufLayout, Header, TextFiles};
-
-/// The files of a Qwen3-VL.
-pub(super) struct Qwen3VlGguf;
+use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, Pair, VISION_LAYERS};
+use crate::mllm::gguf::{Header, ReadOnlyLayout, VisionFiles};
 
 /// The tensors outside of layers that Qwen's vision-language models share.
 pub(crate) const QWEN_NAMES: [Pair; 13] = [
@@ -40,6 +34,8 @@ const NAMES: Names = Names {
     ],
 };
 
+/// What the files of a tower for any size have no key for.
+pub(crate) const LACKING: &str = "the limits of an image's pixels";
 /// The placeholder of an image.
 pub(crate) const IMAGE: &str = "<|image_pad|>";
 /// Least and most pixels of the published processor.
@@ -72,64 +68,46 @@ pub(crate) fn limits(
     Ok(processor)
 }
 
-impl GgufLayout for Qwen3VlGguf {
-    fn opens(&self, decoder: &Header, tower: &Header) -> bool {
-        matches!(decoder.architecture(), Ok("qwen3vl")) && matches!(tower.projector(), Ok(Some("qwen3vl_merger")))
-    }
+/// The files of a Qwen3-VL.
+pub(super) static LAYOUT: ReadOnlyLayout = ReadOnlyLayout {
+    decoders: &["qwen3vl"],
+    projector: "qwen3vl_merger",
+    model_type: "qwen3_vl",
+    placeholder: IMAGE,
+    names: NAMES,
+    renamed,
+    vision,
+    lacking: LACKING,
+};
 
-    fn small_files(
-        &self,
-        decoder: &Header,
-        tower: &Header,
-        notes: &mut Vec<String>,
-    ) -> Result<BTreeMap<String, String>, MllmError> {
-        let mut files = TextFiles::read(decoder)?;
-        let sizes = tower.vision_config()?;
-        let patch = tower.required_count("clip.vision.patch_size")?;
-        let side = tower.required_count("clip.vision.image_size")? / patch.max(1);
-        let merge = tower.count("clip.vision.spatial_merge_size")?.unwrap_or(2);
-        let config: Value = json!({
-            "model_type": "qwen3_vl",
-            "image_token_id": files.added_id(decoder, IMAGE)?,
-            "text_config": files.text_config.clone(),
-            "vision_config": {
-                "depth": sizes["num_hidden_layers"],
-                "hidden_size": sizes["hidden_size"],
-                "intermediate_size": sizes["intermediate_size"],
-                "num_heads": sizes["num_attention_heads"],
-                "patch_size": patch,
-                "layer_norm_eps": sizes["layer_norm_eps"],
-                "hidden_act": "gelu_pytorch_tanh",
-                "spatial_merge_size": merge,
-                "num_position_embeddings": side * side,
-                "deepstack_visual_indexes": deep_layers(tower)?,
-            },
-        });
-        files.put("config.json", &config);
-        files.put("preprocessor_config.json", &limits(tower, PIXELS, merge, notes)?);
-        Ok(files.into_files())
-    }
+fn vision(tower: &Header, notes: &mut Vec<String>) -> Result<VisionFiles, MllmError> {
+    let sizes = tower.vision_config()?;
+    let patch = tower.required_count("clip.vision.patch_size")?;
+    let side = tower.required_count("clip.vision.image_size")? / patch.max(1);
+    let merge = tower.count("clip.vision.spatial_merge_size")?.unwrap_or(2);
+    let config = json!({
+        "vision_config": {
+            "depth": sizes["num_hidden_layers"],
+            "hidden_size": sizes["hidden_size"],
+            "intermediate_size": sizes["intermediate_size"],
+            "num_heads": sizes["num_attention_heads"],
+            "patch_size": patch,
+            "layer_norm_eps": sizes["layer_norm_eps"],
+            "hidden_act": "gelu_pytorch_tanh",
+            "spatial_merge_size": merge,
+            "num_position_embeddings": side * side,
+            "deepstack_visual_indexes": deep_layers(tower)?,
+        },
+    });
+    Ok(VisionFiles { config, processor: limits(tower, PIXELS, merge, notes)? })
+}
 
-    fn canonical_name(&self, file: &Header, name: &str) -> Result<Option<String>, MllmError> {
-        // llama.cpp counts these mergers by the tower's layers, transformers from 0.
-        let counted = name.strip_prefix(DEEP).and_then(|rest| rest.split_once('.'));
-        let number = counted.and_then(|(layer, part)| Some((layer.parse::<usize>().ok()?, part)));
-        let name = match number {
-            Some((layer, part)) => match deep_layers(file)?.iter().position(|deep| *deep == layer) {
-                Some(index) => format!("{DEEP}{index}.{part}"),
-                None => return Ok(None),
-            },
-            None => name.to_string(),
-        };
-        let hidden = file.count("clip.vision.embedding_length")?;
-        Ok(NAMES.to_canonical(&name).map(|canonical| unswapped(file, canonical, hidden)))
-    }
-
-    fn gguf_name(&self, canonical: &str) -> Option<String> {
-        NAMES.in_gguf(canonical)
-    }
-
-    fn metadata(&self, _files: &ModelFiles) -> Result<Result<[Entries; 2], &'static str>, MllmError> {
-        Ok(Err("the limits of an image's pixels"))
-    }
+/// llama.cpp counts the mergers of early layers by the tower's layers, transformers from 0.
+fn renamed(file: &Header, name: &str) -> Result<Option<String>, MllmError> {
+    let counted = name.strip_prefix(DEEP).and_then(|rest| rest.split_once('.'));
+    let Some((layer, part)) = counted.and_then(|(layer, part)| Some((layer.parse::<usize>().ok()?, part))) else {
+        return Ok(Some(name.to_string()));
+    };
+    let index = deep_layers(file)?.iter().position(|deep| *deep == layer);
+    Ok(index.map(|index| format!("{DEEP}{index}.{part}")))
 }

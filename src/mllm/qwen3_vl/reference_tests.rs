@@ -5,7 +5,7 @@ use serde_json::json;
 
 use super::config::Qwen3VlConfig;
 use super::patches::PatchProcessor;
-use super::{FAMILY, Qwen3Vl};
+use super::{FAMILY, PatchEncoder, Qwen3Vl, take};
 use crate::mllm::checkpoint::{ConfigObject, RotarySections};
 use crate::mllm::family::{ImageFeatures, ImageSettings};
 use crate::mllm::local::test_faults::{Fault, Parts};
@@ -31,7 +31,7 @@ fn assembled(parts: &Parts) -> Qwen3Vl {
 fn assembled_after(parts: &Parts, change: impl FnOnce(&mut Qwen3VlConfig)) -> Qwen3Vl {
     let mut config = Qwen3VlConfig::from_json(&parts.path, &parts.config).unwrap();
     change(&mut config);
-    Qwen3Vl::take(&mut parts.weights(&FAMILY), &config, processor(TINY)).unwrap()
+    take(&mut parts.weights(&FAMILY), &config, processor(TINY)).unwrap()
 }
 
 #[test]

@@ -4,6 +4,7 @@ use candle_core::{Device, Tensor};
 
 use super::config::Qwen3VlConfig;
 use super::merger::PatchMerger;
+use super::model::PatchEncoder;
 use super::patches::take_patch_embedding;
 use crate::mllm::MllmError;
 use crate::mllm::attention::RotaryRows;
@@ -18,7 +19,7 @@ const ROTARY_BASE: f64 = 10_000.0;
 
 /// Tower and mergers, from pixel values to input rows of the decoder. The patches stay in raster order.
 #[derive(Debug)]
-pub(super) struct ImageEncoder {
+pub(crate) struct ImageEncoder {
     patch_embedding: Linear,
     /// (side · side, hidden)
     position_embedding: Vec<f32>,
@@ -65,8 +66,26 @@ impl ImageEncoder {
         })
     }
 
-    /// Encodes pixel values (3, height, width).
-    pub(super) fn encode(&self, pixels: &Tensor) -> candle_core::Result<ImageFeatures> {
+    /// The learned positions of a grid of patches, interpolated between the four nearest.
+    fn positions(&self, [rows, columns]: [usize; 2]) -> candle_core::Result<Tensor> {
+        let mut positions = vec![0f32; rows * columns * self.hidden];
+        let (vertical, horizontal) = (taps(self.side, rows), taps(self.side, columns));
+        let places = vertical.iter().flat_map(|row| horizontal.iter().map(move |column| (row, column)));
+        for (out, (row, column)) in positions.chunks_exact_mut(self.hidden).zip(places) {
+            for (above, by) in row {
+                for (left, weight) in column {
+                    let start = (above * self.side + left) * self.hidden;
+                    let learned = self.position_embedding.get(start..start + self.hidden).unwrap_or_default();
+                    out.iter_mut().zip(learned).for_each(|(out, value)| *out += by * weight * value);
+                }
+            }
+        }
+        Tensor::from_vec(positions, (rows * columns, self.hidden), &Device::Cpu)
+    }
+}
+
+impl PatchEncoder for ImageEncoder {
+    fn encode(&self, pixels: &Tensor) -> candle_core::Result<ImageFeatures> {
         let grid = [pixels.dim(1)? / self.patch_size, pixels.dim(2)? / self.patch_size];
         let [rows, columns] = grid;
         let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
@@ -84,23 +103,6 @@ impl ImageEncoder {
         let features = self.merger.forward(&merge_blocks(&self.norm.forward(&x)?, grid, self.merge)?)?;
         let [rows, columns] = grid.map(|side| side / self.merge);
         Ok(ImageFeatures { rows: features, deep, layout: ImageLayout { tokens: rows * columns, rows, columns } })
-    }
-
-    /// The learned positions of a grid of patches, interpolated between the four nearest.
-    fn positions(&self, [rows, columns]: [usize; 2]) -> candle_core::Result<Tensor> {
-        let mut positions = vec![0f32; rows * columns * self.hidden];
-        let (vertical, horizontal) = (taps(self.side, rows), taps(self.side, columns));
-        let places = vertical.iter().flat_map(|row| horizontal.iter().map(move |column| (row, column)));
-        for (out, (row, column)) in positions.chunks_exact_mut(self.hidden).zip(places) {
-            for (above, by) in row {
-                for (left, weight) in column {
-                    let start = (above * self.side + left) * self.hidden;
-                    let learned = self.position_embedding.get(start..start + self.hidden).unwrap_or_default();
-                    out.iter_mut().zip(learned).for_each(|(out, value)| *out += by * weight * value);
-                }
-            }
-        }
-        Tensor::from_vec(positions, (rows * columns, self.hidden), &Device::Cpu)
     }
 }
 

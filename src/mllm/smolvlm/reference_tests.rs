@@ -5,12 +5,13 @@ use serde_json::json;
 
 use super::config::SmolVlmConfig;
 use super::tiles::TileProcessor;
-use super::{FAMILY, SmolVlm};
+use super::{FAMILY, SmolVlm, take};
 use crate::mllm::checkpoint::ConfigObject;
 use crate::mllm::family::{ImageFeatures, ImageLayout, ImageSettings, VisionLanguageModel};
 use crate::mllm::local::test_faults::{Deviation, Fault, Parts};
 use crate::mllm::local::test_prompts::{ONE_TILE, Prompts, is_unsplit, json_of};
 use crate::mllm::local::test_reference::{Run, difference};
+use crate::mllm::tiled::{Grid, Tiler};
 
 /// A processor for these sizes, pixels.
 fn processor(longest: u64, tile: u32) -> TileProcessor {
@@ -22,7 +23,7 @@ fn processor(longest: u64, tile: u32) -> TileProcessor {
 /// Opens a model from parts.
 fn assembled(parts: &Parts) -> SmolVlm {
     let config = SmolVlmConfig::from_json(&parts.path, &parts.config).unwrap();
-    SmolVlm::take(&mut parts.weights(&FAMILY), config, processor(256, 64)).unwrap()
+    take(&mut parts.weights(&FAMILY), &config, processor(256, 64)).unwrap()
 }
 
 #[test]
@@ -48,11 +49,11 @@ fn llama_cpps_files_give_the_same() {
 fn views_have_the_pixels_of_transformers() {
     let Some(prompts) = Prompts::of("smolvlm") else { return };
     let mut one = processor(256, 64);
-    one.set_tiles(Some(1)).unwrap();
+    one.set_tiles(1).unwrap();
     let split = processor(256, 64);
     let cases = [("", 0, &split), ("second_", 1, &split), ("unsplit_", 0, &one), ("unsplit_second_", 1, &one)];
     for (name, index, processor) in cases {
-        let views = Tensor::stack(&processor.process(&prompts.image(index)).unwrap(), 0).unwrap();
+        let views = Tensor::stack(&processor.views(&prompts.image(index)).unwrap(), 0).unwrap();
         let found = difference(&views, prompts.reference.tensor(&format!("{name}pixel_values")));
         assert!(found < 1e-6, "{name}: the pixels differ by {found}");
     }
@@ -69,10 +70,10 @@ fn grids_of_tiles_are_those_of_transformers() {
         let number = |key: &str| case[key].as_u64().unwrap() as u32;
         let pair = |key: &str| [0, 1].map(|index| case[key][index].as_u64().unwrap() as u32).into();
         let found = processor(number("longest_edge").into(), number("tile")).tiling(number("width"), number("height"));
-        let found = found.unwrap();
         assert_eq!((found.first, found.second), (pair("first_resize"), pair("second_resize")), "{case}");
         // transformers counts no rows where an image is not cut.
-        assert_eq!((found.rows, found.columns), (number("rows").max(1), number("columns").max(1)), "{case}");
+        let Grid { rows, columns, .. } = found.grid;
+        assert_eq!((rows, columns), (number("rows").max(1), number("columns").max(1)), "{case}");
     }
 }
 
@@ -99,8 +100,8 @@ const WRONG_ORDERS: [(&str, [usize; 5]); 3] = [
 /// The features of a model whose connector takes the axes in another order.
 fn shuffled(model: &SmolVlm, run: &Run, order: [usize; 5]) -> ImageFeatures {
     let rows = run.pixels.iter().map(|pixels| {
-        let patches = model.tower.forward(pixels).unwrap().reshape(vec![2, 4, 2, 4, 32]).unwrap();
-        model.projection.forward(&patches.permute(order.to_vec()).unwrap().reshape((4, 512)).unwrap()).unwrap()
+        let patches = model.encoder.tower.forward(pixels).unwrap().reshape(vec![2, 4, 2, 4, 32]).unwrap();
+        model.encoder.projection.forward(&patches.permute(order.to_vec()).unwrap().reshape((4, 512)).unwrap()).unwrap()
     });
     features(Tensor::cat(&rows.collect::<Vec<_>>(), 0).unwrap())
 }
@@ -132,7 +133,7 @@ fn errors_that_are_easily_made_lead_far_away() {
     let picture = image::open(folder.join("image_0.png")).unwrap().into_rgb8();
     let bicubic = json!({"size": {"longest_edge": 256}, "max_image_size": {"longest_edge": 64}, "resample": 3});
     let root = ConfigObject::root("".as_ref(), &bicubic).unwrap();
-    let views = TileProcessor::read(&root, 64).unwrap().process(&picture).unwrap();
+    let views = TileProcessor::read(&root, 64).unwrap().views(&picture).unwrap();
     Deviation::of(&run, &right, &encoded(&right, &views)).assert_far("bicubic in the place of Lanczos");
     for (what, fault) in [
         (

@@ -1,19 +1,20 @@
 //! `SmolVLMImageProcessor` and `Idefics3ImageProcessor`: the image enlarged and cut into tiles, then the whole of it.
 
 use candle_core::Tensor;
-use image::{RgbImage, imageops};
+use image::RgbImage;
 use serde::Deserialize;
 
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
-use crate::mllm::vision::{Filter, PixelScale, Side, check_not_empty, read_processor, resize};
+use crate::mllm::tiled::{Grid, Tiler};
+use crate::mllm::vision::{Filter, PixelScale, Side, read_processor, resize};
 
 /// Longest side of an image before it is cut, pixels (`MAX_IMAGE_SIZE` in transformers).
 const MAX_SIDE: u32 = 4096;
 
 /// Cuts images into tiles of the tower's size.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct TileProcessor {
+pub(crate) struct TileProcessor {
     /// Longest side before the image is cut, pixels.
     longest: u32,
     /// Side of a tile, pixels.
@@ -29,16 +30,7 @@ pub(super) struct Tiling {
     pub first: (u32, u32),
     pub second: (u32, u32),
     /// 1 by 1 for an image that is not cut.
-    pub rows: u32,
-    pub columns: u32,
-}
-
-impl Tiling {
-    /// Number of tiles and whole views.
-    pub(super) fn views(&self) -> usize {
-        let tiles = (self.rows * self.columns) as usize;
-        if tiles > 1 { tiles + 1 } else { 1 }
-    }
+    pub grid: Grid,
 }
 
 #[derive(Deserialize)]
@@ -100,57 +92,42 @@ impl TileProcessor {
         Ok(Self { longest, tile, splitting: keys.do_image_splitting, filter: keys.resample, scale })
     }
 
-    /// Takes one view of an image in the place of tiles.
-    pub(super) fn set_tiles(&mut self, tiles: Option<usize>) -> Result<(), MllmError> {
-        match tiles {
-            None => Ok(()),
-            Some(1) => {
-                self.splitting = false;
-                Ok(())
-            }
-            Some(tiles) => Err(MllmError::Image {
-                problem: format!("image.tiles = {tiles}: this family takes 1, or its own number where none is set"),
-            }),
-        }
-    }
-
-    /// Most views of an image.
-    pub(super) fn max_views(&self) -> usize {
-        let side = self.longest.div_ceil(self.tile) as usize;
-        if self.splitting && side > 1 { side * side + 1 } else { 1 }
-    }
-
     /// How an image of this size is cut.
-    pub(super) fn tiling(&self, width: u32, height: u32) -> Result<Tiling, MllmError> {
-        if width == 0 || height == 0 {
-            return Err(MllmError::Image { problem: "the image has no pixels".into() });
-        }
+    pub(super) fn tiling(&self, width: u32, height: u32) -> Tiling {
         let first = enlarged(width, height, self.longest);
-        if !self.splitting {
-            return Ok(Tiling { first, second: (self.tile, self.tile), rows: 1, columns: 1 });
-        }
-        let second = whole_tiles(first, self.tile);
-        Ok(Tiling { first, second, rows: second.1 / self.tile, columns: second.0 / self.tile })
+        let second = if self.splitting { whole_tiles(first, self.tile) } else { (self.tile, self.tile) };
+        let grid = Grid { rows: second.1 / self.tile, columns: second.0 / self.tile, whole: true };
+        Tiling { first, second, grid }
+    }
+}
+
+impl Tiler for TileProcessor {
+    fn grid(&self, width: u32, height: u32) -> Grid {
+        self.tiling(width, height).grid
     }
 
-    /// Pixel values, (3, side, side) each: of the tiles row by row, then of the whole image.
-    pub(super) fn process(&self, image: &RgbImage) -> Result<Vec<Tensor>, MllmError> {
-        check_not_empty(image)?;
-        let tiling = self.tiling(image.width(), image.height())?;
-        let side = self.tile;
+    fn views(&self, image: &RgbImage) -> Result<Vec<Tensor>, MllmError> {
+        let Tiling { first, second, grid } = self.tiling(image.width(), image.height());
         let size = |image: &RgbImage, (width, height)| resize(image, width, height, self.filter);
-        let second = size(&size(image, tiling.first), tiling.second);
-        let mut values = Vec::with_capacity(tiling.views());
-        if tiling.views() > 1 {
-            for row in 0..tiling.rows {
-                for column in 0..tiling.columns {
-                    let tile = imageops::crop_imm(&second, column * side, row * side, side, side).to_image();
-                    values.push(self.scale.values(&tile)?);
-                }
-            }
+        let second = size(&size(image, first), second);
+        let tiles = if grid.views() > 1 { grid.cut(&second).collect() } else { Vec::new() };
+        let whole = size(&second, (self.tile, self.tile));
+        tiles.iter().chain([&whole]).map(|view| Ok(self.scale.values(view)?)).collect()
+    }
+
+    fn max_views(&self) -> usize {
+        let side = if self.splitting { self.longest.div_ceil(self.tile) } else { 1 };
+        Grid { rows: side, columns: side, whole: true }.views()
+    }
+
+    /// Takes one view of an image in the place of tiles.
+    fn set_tiles(&mut self, tiles: usize) -> Result<(), MllmError> {
+        if tiles == 1 {
+            self.splitting = false;
+            return Ok(());
         }
-        values.push(self.scale.values(&size(&second, (side, side)))?);
-        Ok(values)
+        let problem = format!("image.tiles = {tiles}: this family takes 1, or its own number where none is set");
+        Err(MllmError::Image { problem })
     }
 }
 
