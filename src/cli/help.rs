@@ -160,6 +160,11 @@ Examples:
   planagent models check
   planagent models check folder/of/model --quantize q4_k";
 
+pub(super) const MODELS_SHOW: &str = "\
+Examples:
+  planagent models show smolvlm2-500m
+  planagent models show folder/of/model --json";
+
 pub(super) const MODELS_FETCH: &str = "\
 Example:
   planagent models fetch llava-hf/llava-1.5-7b-hf";

@@ -68,7 +68,7 @@ pub use family::{
 };
 pub use gguf::{Entries, GgufLayout, Header as GgufHeader};
 pub use latency::{LatencyProbe, PassTime, Step, StepTime};
-pub use local::{Loading, LocalModel, MemoryCheck, MemoryNeed, ModelCheck};
+pub use local::{FormatOutline, Loading, LocalModel, MatrixShare, MemoryCheck, MemoryNeed, ModelCheck, ModelOutline};
 pub use matrix::{Matrix, UnknownWeightFormat, WeightFormat};
 pub(crate) use registry::data_folder;
 pub use registry::{

@@ -3,7 +3,7 @@
 use super::{planagent, run};
 
 /// Every command with its own help.
-pub(super) const COMMANDS: [&str; 25] = [
+pub(super) const COMMANDS: [&str; 26] = [
     "",
     "simulate",
     "plan",
@@ -21,6 +21,7 @@ pub(super) const COMMANDS: [&str; 25] = [
     "scenarios hard",
     "models",
     "models list",
+    "models show",
     "models check",
     "models fetch",
     "models quantize",

@@ -182,7 +182,7 @@ fn tables_are_printed_as_csv() {
     );
     let (_, models, _) = run(&["models", "list", "--csv"]);
     assert!(
-        models.starts_with("model,family,source,server,place,bytes,problem,description,prompt_set,prompts\n"),
+        models.starts_with("model,family,source,server,place,bytes,problem,description,prompt_set,prompts,license,"),
         "{models}"
     );
     assert!(models.contains("\nnano,llava,"), "{models}");

@@ -31,7 +31,56 @@ fn described_models_are_listed() {
     );
     let text =
         String::from_utf8(planagent(&["models", "list"]).assert().success().get_output().stdout.clone()).unwrap();
-    assert_eq!(text.lines().count(), listed.len(), "piped, a model takes a line: {text}");
+    assert_eq!(
+        text.lines().next().map(|head| head.contains("license") && head.contains("est s")),
+        Some(true),
+        "{text}"
+    );
+    let models = text.lines().skip(1).take_while(|line| !line.contains(" prompts in "));
+    assert_eq!(models.count(), listed.len(), "a model takes a line: {text}");
+    assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
+}
+
+#[test]
+fn a_list_says_what_a_model_takes() {
+    let listed = lines(&["models", "list", "--json"], 0);
+    let row = |name: &str| listed.iter().find(|row| row["model"] == name).unwrap();
+    let number = |name: &str, keys: &str| row(name).pointer(keys).and_then(Value::as_f64).unwrap();
+    // One view of the drawn map, not the 17 of the processor's default.
+    assert_eq!(row("smolvlm2-500m")["image_tokens"], 64);
+    assert_eq!(
+        (row("qwen3-vl-2b")["image_size"].as_u64(), row("qwen3-vl-2b")["image_tokens"].as_u64()),
+        (Some(448), Some(196))
+    );
+    assert_eq!(row("internvl3-1b")["license"], "MIT, decoder Apache-2.0");
+    assert!((number("llava-1.5-7b", "/parameters") / 7.06e9 - 1.0).abs() < 0.01);
+    // 32 layers of 4096 keys and values in 16 bits, for 4096 tokens.
+    assert_eq!(number("llava-1.5-7b", "/memory/q4_k/cache"), 2.0 * 2.0 * 4096.0 * 4096.0 * 32.0);
+    let weights = |format: &str| number("llava-1.5-7b", &format!("/memory/{format}/weights"));
+    assert!(weights("q4_k") < weights("q8_0") && weights("q8_0") < weights("f16") && weights("f16") < weights("f32"));
+    let seconds = |name: &str| number(name, "/estimated_seconds/q4_k");
+    assert!(seconds("smolvlm2-256m") < seconds("internvl3-1b") && seconds("internvl3-1b") < seconds("qwen3-vl-2b"));
+    assert!(row("openai").get("memory").is_none() && row("llava-1.5-7b")["estimated_seconds"].get("f32").is_none());
+    for name in listed.iter().filter(|row| row["server"] == false) {
+        assert!(name["license"].is_string() && name["parameters"].is_u64(), "{name}");
+    }
+}
+
+#[test]
+fn a_model_is_shown() {
+    let show = |name: &str| {
+        let output = planagent(&["models", "show", name]).assert().success().get_output().clone();
+        let [text, notes] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+        (text, notes)
+    };
+    let (text, notes) = show("smolvlm2-500m");
+    for said in ["Apache-2.0", "512 pixels, 64 tokens", "planagent models fetch smolvlm2-500m", "q8_0", "GiB"] {
+        assert!(text.contains(said), "{said}: {text}");
+    }
+    assert!(notes.contains("estimated") && notes.contains("planagent bench smolvlm2-500m"), "{notes}");
+    let (text, _) = show(fixture("tiny_cogvlm").to_str().unwrap());
+    assert!(text.contains("18 tokens of the drawn BEV map"), "{text}");
+    planagent(&["models", "show", "no-such-model"]).assert().code(2);
 }
 
 #[test]

@@ -114,7 +114,7 @@ pub(super) enum Command {
     /// List, show and generate scenarios.
     #[command(subcommand)]
     Scenarios(ScenariosCommand),
-    /// List, check, fetch and quantize models.
+    /// List, show, check, fetch and quantize models.
     #[command(subcommand)]
     Models(ModelsCommand),
     /// Write labeled states for training: BEV images and the three rounds with their answers.

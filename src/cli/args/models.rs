@@ -9,11 +9,21 @@ use std::path::PathBuf;
 /// Subcommands of `models`.
 #[derive(Debug, Subcommand)]
 pub(in crate::cli) enum ModelsCommand {
-    /// List the described models: family, source, place of their files, size.
+    /// List the described models: size, license, image tokens, memory, estimated time.
+    ///
+    /// `--json` and `--csv` have all that is known of them, bytes and sources among it.
     List {
         /// Print data on stdout as CSV.
         #[arg(long, conflicts_with = "json")]
         csv: bool,
+    },
+    /// Show what is known of a model: source, license, memory in every weight format, estimated time.
+    ///
+    /// No weights are read. Times are estimated from those of other models; `planagent bench` measures them.
+    #[command(after_long_help = help::MODELS_SHOW)]
+    Show {
+        /// The model, as `--model` takes it.
+        model: String,
     },
     /// Check the files of models without reading the weights, and report every fault.
     ///
@@ -70,7 +80,7 @@ impl ModelsCommand {
     /// What the options about models say.
     pub(super) fn flags(&self) -> ModelFlags {
         match self {
-            Self::List { .. } => ModelFlags::default(),
+            Self::List { .. } | Self::Show { .. } => ModelFlags::default(),
             Self::Check { format, memory, network, .. } => ModelFlags::of(Some(format), Some(memory), network),
             Self::Fetch { network, .. } => ModelFlags::of(None, None, network),
             Self::Quantize(QuantizeArguments { memory, network, .. }) => ModelFlags::of(None, Some(memory), network),

@@ -196,6 +196,21 @@ impl Weights {
         }
     }
 
+    /// Names, shapes and formats in memory of the matrices that are left, with another wanted format.
+    pub(crate) fn matrices(
+        &self,
+        quantize: Option<WeightFormat>,
+    ) -> impl Iterator<Item = (&str, [usize; 2], WeightFormat)> {
+        let plan = WeightFormatPlan { quantize, ..self.plan };
+        self.tensors.iter().filter_map(move |(name, stored)| match stored.place.shape.as_slice() {
+            shape @ &[outputs, inputs] if is_matrix(name, shape) => {
+                let planned = plan.matrix(name, stored.place.format, inputs);
+                Some((name.as_str(), [outputs, inputs], planned.weight_format))
+            }
+            _ => None,
+        })
+    }
+
     /// The report of taking all tensors that are left, with another wanted format.
     pub(crate) fn forecast(&self, quantize: Option<WeightFormat>) -> LoadReport {
         let plan = WeightFormatPlan { quantize, ..self.plan };

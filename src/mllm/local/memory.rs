@@ -36,6 +36,10 @@ impl MemoryNeed {
     /// The need of a checkpoint with this decoder and weights in the format `quantize`.
     pub(crate) fn of(checkpoint: &Checkpoint, decoder: &LlamaConfig, quantize: Option<WeightFormat>) -> Self {
         let float = size_of::<f32>() as u64;
+        let embedding = checkpoint.weights.matrices(quantize).find(|(name, ..)| name.ends_with("embed_tokens.weight"));
+        // As the decoder holds them: beside an embedding of fewer bits, keys and values have 16.
+        let single = embedding.is_none_or(|(.., weight_format)| weight_format == WeightFormat::F32);
+        let key_value = if single { float } else { size_of::<half::f16>() as u64 };
         let tokens = CALL_TOKENS.min(decoder.context as u64);
         let elements = |shape: &[usize]| shape.iter().product::<usize>() as u64;
         let shapes = || checkpoint.weights.shapes().map(|(_, shape)| shape);
@@ -47,7 +51,7 @@ impl MemoryNeed {
         let alive = ROWS.0 * width(decoder.hidden) + ROWS.1 * width(decoder.intermediate);
         Self {
             weights: checkpoint.weights.forecast(quantize).bytes(),
-            cache: 2 * float * tokens * width(decoder.kv_heads * decoder.head_dim) * layers,
+            cache: 2 * key_value * tokens * width(decoder.kv_heads * decoder.head_dim) * layers,
             // Once as in the file, once in f32.
             work: (float * tokens * alive).max(2 * float * largest),
         }
@@ -161,6 +165,7 @@ mod tests {
         assert!(check_against(need.total(), &checkpoint, &decoder, None).is_ok());
         let error = check_against(need.total() - 1, &checkpoint, &decoder, None).unwrap_err().to_string();
         assert!(error.contains("--quantize q8_0 would take") && error.contains("--ignore-memory"), "{error}");
-        assert!(MemoryNeed::of(&checkpoint, &decoder, Some(WeightFormat::Q8_0)).weights < need.weights / 2);
+        let rounded = MemoryNeed::of(&checkpoint, &decoder, Some(WeightFormat::Q8_0));
+        assert!(rounded.weights < need.weights / 2 && rounded.cache == need.cache / 2);
     }
 }

@@ -3,6 +3,7 @@
 mod check;
 mod generate;
 mod memory;
+mod outline;
 mod sequence;
 mod session;
 
@@ -23,6 +24,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 pub use check::ModelCheck;
 pub use memory::{MemoryCheck, MemoryNeed};
+pub use outline::{FormatOutline, MatrixShare, ModelOutline};
 pub(crate) use sequence::Sequence;
 use session::LocalConversation;
 

@@ -60,6 +60,11 @@ impl WeightFormat {
         }
     }
 
+    /// Bits of a number, its share of scales included.
+    pub(crate) fn bits(self) -> f64 {
+        (8 * self.block_bytes()) as f64 / self.block() as f64
+    }
+
     /// Bytes of a matrix of this shape; `None` if the format cannot hold it or the number overflows.
     pub(crate) fn matrix_bytes(self, outputs: usize, inputs: usize) -> Option<usize> {
         let blocks = inputs.is_multiple_of(self.block()).then(|| inputs / self.block())?;

@@ -18,9 +18,10 @@ pub use hub::{FetchListener, FetchProgress, HubAccess};
 pub use inputs::ModelInputs;
 pub use own_settings::{Asking, NamedBy};
 
+use super::source::Checkpoint;
 use super::{
     CreateFile, EmbeddedModel, EndpointSettings, Family, ImageSettings, LoadReport, Loading, LocalModel, MemoryCheck,
-    Mllm, MllmError, ModelCheck, ModelPlace, WeightFormat, export_model,
+    Mllm, MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat, export_model,
 };
 
 /// Finds and opens models.
@@ -158,6 +159,7 @@ impl ModelRegistry {
             prompt_set: None,
             generation: GenerationSettings::default(),
             image: ImageSettings::default(),
+            license: None,
         })
     }
 
@@ -246,6 +248,20 @@ impl ModelRegistry {
     /// Checks a model's files on this machine without reading its weights.
     pub fn check(&self, spec: &ModelSpec) -> Result<ModelCheck, MllmError> {
         Ok(LocalModel::check(&self.place_here(spec)?, &self.loading(spec)?))
+    }
+
+    /// What a model is and needs, by the headers of its files on this machine, else by the known shape of the repository that
+    /// it comes from.
+    pub fn outline(&self, spec: &ModelSpec) -> Result<ModelOutline, MllmError> {
+        let families = &self.loading.families;
+        let here = self.place_here(spec).and_then(|place| Checkpoint::open(&place, None, families));
+        let checkpoint = match (here, &spec.source) {
+            (Err(error), ModelSource::Hub { hub, file: None, .. }) => {
+                ModelShape::of_hub(hub).ok_or(error)?.checkpoint(families)?
+            }
+            (here, _) => here?,
+        };
+        ModelOutline::of(checkpoint, spec.image)
     }
 
     /// Writes a model as GGUF with weights in `weight_format`, and how it is asked; [`GgufPart`] lists the files. `progress` gets the bytes that are

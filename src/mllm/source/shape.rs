@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value, json};
 
+use super::{Checkpoint, DEFAULT_RANDOM_FORMAT, random};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::ModelFiles;
 use crate::mllm::families::Families;
@@ -54,13 +55,29 @@ impl ModelShape {
         })
     }
 
+    /// The shape of a repository of the hub.
+    pub(crate) fn of_hub(id: &str) -> Option<&'static Self> {
+        let origin = |shape: &Self| shape.texts().ok()?.remove(ORIGIN)?.as_str().map(str::to_owned);
+        // A comma and a remark may follow the id.
+        Self::ALL.iter().find(|shape| origin(shape).is_some_and(|origin| origin.split(',').next() == Some(id)))
+    }
+
+    /// The headers of a model of this shape in f16, without a tokenizer.
+    pub(crate) fn checkpoint(&self, families: &Families) -> Result<Checkpoint, MllmError> {
+        let texts = self.texts()?.into_iter().map(|(name, value)| (name, value.to_string()));
+        let files = ModelFiles::packed(Path::new(self.name), texts.collect());
+        random::checkpoint(files, DEFAULT_RANDOM_FORMAT, 0, families)
+    }
+
+    fn texts(&self) -> Result<BTreeMap<String, Value>, MllmError> {
+        serde_json::from_str(self.text).map_err(|source| MllmError::Json { path: self.name.into(), source })
+    }
+
     /// The small files of a model of this shape. Its tokenizer has a token for each byte, and fills up the vocabulary.
     pub(super) fn files(&self, families: &Families) -> Result<ModelFiles, MllmError> {
         let place = Path::new(self.name);
-        let broken = |source| MllmError::Json { path: place.to_path_buf(), source };
-        let texts: BTreeMap<String, Value> = serde_json::from_str(self.text).map_err(broken)?;
         let mut texts: BTreeMap<String, String> =
-            texts.into_iter().map(|(name, value)| (name, value.to_string())).collect();
+            self.texts()?.into_iter().map(|(name, value)| (name, value.to_string())).collect();
         let files = ModelFiles::packed(place, texts.clone());
         let vocabulary = (families.of(&files)?.family().decoder_config)(&files)?.vocabulary;
         let config = files.required_json("config.json")?;
@@ -72,6 +89,9 @@ impl ModelShape {
         Ok(ModelFiles::packed(place, texts))
     }
 }
+
+/// Where a configuration is from, among the texts of a shape.
+const ORIGIN: &str = "origin";
 
 /// The special tokens of [`tokenizer`].
 const TOKENIZER_CONFIG: &str = r#"{"bos_token": "<s>", "eos_token": "</s>", "unk_token": "<unk>"}"#;
@@ -101,7 +121,7 @@ fn tokenizer(vocabulary: usize, image: usize) -> Value {
 mod tests {
     use super::*;
     use crate::mllm::matrix::WeightFormat;
-    use crate::mllm::source::{Checkpoint, ModelPlace};
+    use crate::mllm::source::ModelPlace;
 
     /// Billions of weights by the sizes of decoders and towers that their papers and model cards give; the tower's last
     /// layer, which LLaVA leaves unused, is not among them.
@@ -134,6 +154,15 @@ mod tests {
         }
         assert!(ModelShape::find("llava").unwrap_err().to_string().contains("llava-1.5-7b"));
     }
+
+    #[test]
+    fn a_repository_of_the_hub_has_its_shape() {
+        let name = |id| ModelShape::of_hub(id).map(|shape| shape.name);
+        assert_eq!(name("Qwen/Qwen3-VL-2B-Instruct"), Some("qwen3-vl-2b"));
+        assert_eq!(name("THUDM/cogvlm-chat-hf"), Some("cogvlm-chat-17b"));
+        assert_eq!(name("Qwen/Qwen3-VL-2B"), None);
+    }
+
     #[test]
     fn the_shape_of_nano_is_that_of_its_files() {
         let files = ModelShape::find("nano").unwrap().files(&Families::default()).unwrap();

@@ -1,108 +1,77 @@
 //! `planagent models list`.
 
-use super::check::reason;
+use super::row::{BUILT_IN, Row, rounded};
 use crate::cli::{Exit, Printer};
-use crate::mllm::{ModelRegistry, ModelSource, in_bytes};
-use crate::reasoning::PromptSet;
-use serde::Serialize;
-use std::path::PathBuf;
+use crate::experiment::bench::ESTIMATED_ON;
+use crate::mllm::{ModelRegistry, WeightFormat};
+use std::collections::BTreeSet;
 
-/// Origin of what the program itself holds.
-const BUILT_IN: &str = "built in";
-
-/// A described model.
-#[derive(Debug, Default, Serialize)]
-struct Row {
-    /// Its name for `--model`.
-    model: String,
-    /// Its family; none if its files decide.
-    family: Option<&'static str>,
-    /// Where it comes from.
-    source: Option<String>,
-    /// Whether it runs on a server.
-    server: bool,
-    /// Where its files are on this machine.
-    place: Option<PathBuf>,
-    /// Bytes of its weight files.
-    bytes: Option<u64>,
-    /// Why it cannot be used.
-    problem: Option<String>,
-    /// Its description: a file, or `built in`.
-    description: Option<String>,
-    /// Its prompt set.
-    prompt_set: Option<String>,
-    /// Where the templates of its prompt set are: a folder, or `built in`.
-    prompts: Option<String>,
-}
+/// The weight formats of the table.
+const FORMATS: [WeightFormat; 4] = [WeightFormat::Q4K, WeightFormat::Q8_0, WeightFormat::F16, WeightFormat::F32];
+/// The format whose time and keys and values the table has.
+const USUAL: WeightFormat = WeightFormat::Q4K;
+const GIB: f64 = (1_u64 << 30) as f64;
 
 /// Lists the described models.
 pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyhow::Result<Exit> {
-    let rows = registry.names()?.into_iter().map(|name| row(name, registry));
+    let rows: Vec<Row> = registry.names()?.into_iter().map(|name| Row::of(name, registry)).collect();
     if csv {
-        printer.csv(&rows.collect::<Vec<_>>())?;
+        printer.csv(&rows)?;
         return Ok(Exit::Success);
     }
-    for row in rows {
-        if printer.is_json() {
-            printer.json(&row)?;
-            continue;
+    if printer.is_json() {
+        for row in &rows {
+            printer.json(row)?;
         }
-        let state = match (row.bytes, &row.source) {
-            (Some(bytes), _) => in_bytes(bytes),
-            _ if row.server => "server".to_owned(),
-            (None, Some(_)) => "not here".to_owned(),
-            (None, None) => "broken".to_owned(),
-        };
-        let set = row.prompt_set.as_deref().unwrap_or("-");
-        let line = format!("{:<22} {:<10} {state:>9}  {set:<7}", row.model, row.family.unwrap_or("-"));
-        let last = origin(&row);
-        // The last field is often copied: on a narrow terminal it has a line of its own.
-        printer.named(line.trim_end(), &last);
+        return Ok(Exit::Success);
     }
+    printer.line(line("", "model", "size", "license", ["image", "kv", "est s"], FORMATS.map(WeightFormat::name)));
+    for row in &rows {
+        printer.line(of(row));
+    }
+    let broken = rows.iter().filter(|row| row.source.is_none());
+    broken.for_each(|row| printer.line(format!("{}: {}", row.model, row.problem.as_deref().unwrap_or_default())));
+    let sets = rows.iter().filter_map(|row| Some((row.prompt_set.as_deref()?, row.prompts.as_deref()?)));
+    for (set, place) in sets.filter(|(_, place)| *place != BUILT_IN).collect::<BTreeSet<_>>() {
+        printer.line(format!("{set} prompts in {place}"));
+    }
+    printer.note(
+        "*: on this machine. image: tokens of the drawn BEV map. GiB of the weights in four\n\
+         formats; kv: GiB of 16-bit keys and values of a chat with up to 4096 tokens.",
+    );
+    printer.note(format!(
+        "est s: seconds of a planning call in {USUAL}, estimated for {ESTIMATED_ON},\n\
+         not measured; `planagent bench MODEL` measures them. `planagent models show MODEL` has more."
+    ));
     Ok(Exit::Success)
 }
 
-/// Where a model, its description and its prompts come from.
-fn origin(row: &Row) -> String {
-    let Some(source) = &row.source else { return row.problem.clone().unwrap_or_default() };
-    let mut text = source.clone();
-    if let Some(file) = row.description.as_ref().filter(|file| *file != BUILT_IN) {
-        text = format!("{text}, described in {file}");
-    }
-    match &row.prompts {
-        Some(folder) if folder != BUILT_IN => format!("{text}, prompts in {folder}"),
-        _ => text,
-    }
+/// The line of a model.
+fn of(row: &Row) -> String {
+    let unknown = || "-".to_owned();
+    let weights = |format: WeightFormat| row.memory.get(format.name()).map(|need| rounded(need.weights as f64 / GIB));
+    let image = row.image_tokens.map(|tokens| tokens.to_string());
+    let cache = row.memory.get(USUAL.name()).map(|need| rounded(need.cache as f64 / GIB));
+    let seconds = row.estimated_seconds.get(USUAL.name()).copied().map(rounded);
+    // What follows a comma is a remark.
+    let license = row.license.as_deref().and_then(|license| license.split(',').next()).unwrap_or("-");
+    let [image, cache, seconds] = [image, cache, seconds].map(|text| text.unwrap_or_else(unknown));
+    let here = if row.place.is_some() { "*" } else { "" };
+    let memory = FORMATS.map(|format| weights(format).unwrap_or_else(unknown));
+    let size = row.size().unwrap_or_else(unknown);
+    line(here, &row.model, &size, license, [&image, &cache, &seconds], memory.each_ref().map(String::as_str))
 }
 
-/// Where the templates of a prompt set are, or why they cannot be used.
-fn prompts(name: &str) -> String {
-    PromptSet::open(name).map_or_else(|error| error.to_string(), |set| set.place().to_string())
-}
-
-fn row(name: String, registry: &ModelRegistry) -> Row {
-    let spec = match registry.find(&name) {
-        Ok(spec) => spec,
-        Err(error) => return Row { model: name, problem: Some(error.to_string()), ..Row::default() },
-    };
-    let family = spec.architecture.map(crate::mllm::Architecture::name);
-    let description =
-        registry.description(&name).map_or_else(|| BUILT_IN.to_owned(), |path| path.display().to_string());
-    let prompt_set = registry.asking_here(&spec).ok().map(|asking| asking.prompt_set);
-    let row = Row {
-        family,
-        source: Some(spec.source.to_string()),
-        description: Some(description),
-        prompts: prompt_set.as_deref().map(prompts),
-        prompt_set,
-        ..Row::default()
-    };
-    let row = Row { model: name, ..row };
-    if matches!(spec.source, ModelSource::Endpoint(_)) {
-        return Row { server: true, ..row };
-    }
-    match registry.place_here(&spec).and_then(|place| Ok((place.weight_bytes()?, place))) {
-        Ok((bytes, place)) => Row { place: Some(place.path().to_path_buf()), bytes: Some(bytes), ..row },
-        Err(error) => Row { problem: Some(reason(&error, &row.model)), ..row },
-    }
+/// A line of at most 80 columns, where name and license are not longer than those that ship.
+fn line(
+    here: &str,
+    name: &str,
+    size: &str,
+    license: &str,
+    [image, cache, seconds]: [&str; 3],
+    [a, b, c, d]: [&str; 4],
+) -> String {
+    format!(
+        "{here:1} {name:<21} {size:>5} {license:<13} {image:>5} {a:>4} {b:>4} {c:>4} {d:>4} {cache:>4} {seconds:>5}"
+    )
 }

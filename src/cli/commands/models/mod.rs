@@ -4,17 +4,20 @@ mod check;
 mod fetch;
 mod list;
 pub(in crate::cli) mod quantize;
+mod row;
+mod show;
 
 use crate::cli::args::ModelsCommand;
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
 use crate::runner::{Config, model_registry};
 
-/// Lists, checks, fetches or quantizes models.
+/// Lists, shows, checks, fetches or quantizes models.
 pub(in crate::cli) fn run(command: &ModelsCommand, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     let registry = model_registry(config, &listener(printer));
     match command {
         ModelsCommand::List { csv } => list::run(&registry, *csv, printer),
+        ModelsCommand::Show { model } => show::run(model, &registry, printer),
         ModelsCommand::Check { models, .. } => check::run(models, &registry, printer),
         ModelsCommand::Fetch { models, .. } => fetch::run(models, &registry, printer),
         ModelsCommand::Quantize(flags) => quantize::run(flags, &registry, printer),

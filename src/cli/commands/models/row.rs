@@ -1,0 +1,145 @@
+//! What is known of a described model.
+
+use super::check::reason;
+use crate::experiment::bench::{CallBudget, ESTIMATED_FORMATS, estimated_seconds};
+use crate::mllm::{Architecture, MemoryNeed, ModelOutline, ModelRegistry, ModelSource, ModelSpec, PromptSet};
+use crate::reasoning;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Origin of what the program itself holds.
+pub(super) const BUILT_IN: &str = "built in";
+
+/// A described model.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct Row {
+    /// Its name for `--model`.
+    pub model: String,
+    /// Its family; none if its files decide.
+    pub family: Option<&'static str>,
+    /// Where it comes from.
+    pub source: Option<String>,
+    /// Whether it runs on a server.
+    pub server: bool,
+    /// Where its files are on this machine.
+    pub place: Option<PathBuf>,
+    /// Bytes of its weight files.
+    pub bytes: Option<u64>,
+    /// Why it cannot be used.
+    pub problem: Option<String>,
+    /// Its description: a file, or `built in`.
+    pub description: Option<String>,
+    /// Its prompt set.
+    pub prompt_set: Option<String>,
+    /// Where the templates of its prompt set are: a folder, or `built in`.
+    pub prompts: Option<String>,
+    /// The license of its weights.
+    pub license: Option<String>,
+    /// Number of weights.
+    pub parameters: Option<u64>,
+    /// Side of the BEV map that is drawn for it, pixels.
+    pub image_size: Option<usize>,
+    /// Tokens of that map.
+    pub image_tokens: Option<usize>,
+    /// Longest chat, tokens.
+    pub context: Option<usize>,
+    /// Memory in each weight format, bytes.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub memory: BTreeMap<&'static str, MemoryNeed>,
+    /// Estimated seconds of a planning call in each weight format whose speed was measured with other models.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub estimated_seconds: BTreeMap<&'static str, f64>,
+}
+
+impl Row {
+    pub(super) fn of(name: String, registry: &ModelRegistry) -> Self {
+        let spec = match registry.find(&name) {
+            Ok(spec) => spec,
+            Err(error) => return Self { model: name, problem: Some(error.to_string()), ..Self::default() },
+        };
+        let description =
+            registry.description(&name).map_or_else(|| BUILT_IN.to_owned(), |path| path.display().to_string());
+        let prompt_set = registry.asking_here(&spec).ok().map(|asking| asking.prompt_set);
+        let row = Self {
+            family: spec.architecture.map(Architecture::name),
+            source: Some(spec.source.to_string()),
+            description: Some(description),
+            prompts: prompt_set.as_deref().map(prompts),
+            license: spec.license.clone(),
+            prompt_set,
+            model: name,
+            ..Self::default()
+        };
+        if matches!(spec.source, ModelSource::Endpoint(_)) {
+            return Self { server: true, ..row };
+        }
+        match registry.place_here(&spec).and_then(|place| Ok((place.weight_bytes()?, place))) {
+            Ok((bytes, place)) => Self { place: Some(place.path().to_path_buf()), bytes: Some(bytes), ..row },
+            Err(error) => Self { problem: Some(reason(&error, &row.model)), ..row },
+        }
+        .outlined(&spec, registry)
+    }
+
+    /// Adds what follows from the model's shape.
+    fn outlined(self, spec: &ModelSpec, registry: &ModelRegistry) -> Self {
+        let outline = match registry.outline(spec) {
+            Ok(outline) => outline,
+            // A model that is not here has its reason already.
+            Err(error) => return Self { problem: self.problem.or_else(|| Some(error.to_string())), ..self },
+        };
+        let budget = self.prompt_set.as_deref().and_then(PromptSet::named).map(CallBudget::of);
+        let seconds = |budget: &CallBudget| {
+            let seconds = |format| Some((format, estimated_seconds(&outline, format, budget)?));
+            ESTIMATED_FORMATS.into_iter().filter_map(seconds).map(|(format, s)| (format.name(), s)).collect()
+        };
+        let ModelOutline { parameters, image_size, image_tokens, context, formats, .. } = &outline;
+        Self {
+            parameters: Some(*parameters),
+            image_size: Some(*image_size),
+            image_tokens: Some(*image_tokens),
+            context: Some(*context),
+            memory: formats.iter().map(|format| (format.weight_format.name(), format.memory)).collect(),
+            estimated_seconds: budget.as_ref().map(seconds).unwrap_or_default(),
+            ..self
+        }
+    }
+
+    /// Billions or millions of weights.
+    pub(super) fn size(&self) -> Option<String> {
+        self.parameters.map(|parameters| match parameters as f64 / 1e9 {
+            billions @ 9.995.. => format!("{billions:.1}B"),
+            billions @ 0.1.. => format!("{billions:.2}B"),
+            billions => format!("{:.1}M", billions * 1e3),
+        })
+    }
+}
+
+/// A number with three digits at most, or what it lies below.
+pub(super) fn rounded(number: f64) -> String {
+    match number {
+        9.95.. => format!("{number:.0}"),
+        0.05.. => format!("{number:.1}"),
+        _ => "<0.1".to_owned(),
+    }
+}
+
+/// Where the templates of a prompt set are, or why they cannot be used.
+fn prompts(name: &str) -> String {
+    reasoning::PromptSet::open(name).map_or_else(|error| error.to_string(), |set| set.place().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_have_five_characters_and_numbers_four() {
+        let size = |parameters| Row { parameters: Some(parameters), ..Row::default() }.size().unwrap();
+        assert_eq!(size(4_020_000), "4.0M");
+        assert_eq!(size(256_500_000), "0.26B");
+        assert_eq!(size(9_999_000_000), "10.0B");
+        assert_eq!(size(17_640_000_000), "17.6B");
+        assert_eq!([0.004, 0.26, 9.96, 142.6].map(rounded), ["<0.1", "0.3", "10", "143"]);
+    }
+}
