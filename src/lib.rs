@@ -43,6 +43,8 @@
 
 // Stages are public for this package's tests only; see `internals`.
 #![cfg_attr(not(feature = "internals"), allow(unreachable_pub, dead_code, unused_imports))]
+// What the Python package uses becomes public with it.
+#![cfg_attr(feature = "bindings", allow(missing_docs))]
 
 pub use api::{Agent, AgentBuilder, Error, Result, Run, Simulation, simulate};
 pub use metrics::Score;
@@ -101,6 +103,7 @@ pub mod sources {
 /// Runs of many simulations in a folder, resumed after an interruption, and the experiments that compare them.
 #[cfg(feature = "report")]
 pub mod runs {
+    pub use crate::experiment::StopSwitch;
     pub use crate::runner::{
         Config, Event, Experiments, ExperimentsRequest, Listener, Request, RunResults, resume, start,
     };
@@ -194,6 +197,32 @@ pub mod simulation;
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod world;
+
+/// What the Python package of this repository needs beyond the public API; not stable.
+#[cfg(feature = "bindings")]
+#[doc(hidden)]
+pub mod bindings {
+    pub use crate::dynamics::{JerkPenalty, simulate_proposal};
+    pub use crate::environment::bev::render as render_bev;
+    pub use crate::environment::text::write as write_lane_graph;
+    pub use crate::environment::{BevView, CenterlineName, Description, LaneGraph, TextForm};
+    pub use crate::experiment::panic_guard::{catch_panic, install_hook};
+    pub use crate::experiment::run::{AgentParts, with_causes};
+    pub use crate::metrics::MetricList;
+    pub use crate::mllm::{Answer, Constraint, Deadline, Mllm, MllmError, PromptPrefix, Request as Question};
+    pub use crate::pdm::PdmMemory;
+    pub use crate::planner::{ExecCommand, PlanAgent, kept, planner_code};
+    pub use crate::reasoning::PlannerCode;
+    pub use crate::reflection::{IdmPlan, Judge, PlanBuilder, ReflectionReport, steps_of};
+    pub use crate::report::render::{Look, observed_picture};
+    pub use crate::report::{CallRecord, SimulationRow};
+    pub use crate::runner::{LoadedModel, RunnerError, load_model, merge, silent};
+    pub use crate::scenario::HeldScenario;
+    pub use crate::scenario::nuplan::export::{ExportSettings, write_scenario};
+    pub use crate::scenario::nuplan::{MapStore, NuPlanMap};
+    pub use crate::simulation::ClosedLoop;
+    pub use crate::world::{HISTORY_SAMPLES, STEP_S, STEP_US};
+}
 
 /// All stages, for the tests and benches of this package; not stable.
 #[cfg(feature = "internals")]

@@ -25,6 +25,7 @@ mod own_reader;
 mod page;
 mod pdm;
 mod public_api;
+mod python_package;
 mod road;
 mod runner;
 mod simulation;

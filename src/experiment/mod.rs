@@ -7,6 +7,9 @@ pub mod run;
 mod shuffled_bev;
 pub mod split;
 pub mod statistics;
+mod stoppable;
 pub mod study;
 pub mod suite;
 pub mod tokens;
+
+pub use stoppable::StopSwitch;

@@ -18,7 +18,7 @@ enum Guard {
 }
 
 /// Runs `work`; a panic becomes an error with its message and, after [`install_hook`], its place.
-pub(super) fn catch_panic<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+pub fn catch_panic<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
     let before = GUARD.replace(Some(Guard::NoPanic));
     let outcome = panic::catch_unwind(AssertUnwindSafe(work));
     let guard = GUARD.replace(before);

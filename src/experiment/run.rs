@@ -2,6 +2,7 @@
 
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
+use super::stoppable::{StopSwitch, Stoppable};
 use crate::files::shortened;
 use crate::metrics::{Evaluation, MetricResult, Score};
 use crate::pdm::DrivableLayers;
@@ -26,6 +27,8 @@ pub struct AgentParts {
     pub settings: PlanAgentSettings,
     /// The command that controls the other agents, for simulations under its policy.
     pub agents: Option<AgentCommand>,
+    /// Ends the simulations early.
+    pub stop: Option<StopSwitch>,
 }
 
 impl AgentParts {
@@ -38,13 +41,17 @@ impl AgentParts {
         };
         let settings = self.settings_for(&scenario.id);
         let shuffled_bev = self.shuffled_bev();
-        Ok(entry.build(&PlannerParts {
+        let planner = entry.build(&PlannerParts {
             name,
             settings: &settings,
             model: self.model.as_ref(),
             recording: &recording,
             shuffled_bev: shuffled_bev.as_ref(),
-        })?)
+        })?;
+        Ok(match &self.stop {
+            Some(switch) => Box::new(Stoppable { planner, switch: switch.clone() }),
+            None => planner,
+        })
     }
 
     /// PlanAgent for one scenario; `None` without a model.

@@ -110,6 +110,8 @@ pub enum RunnerError {
     Suite { name: String, source: Box<Self> },
     #[error("no recordings: name some by --scenario, or name a folder that holds {folders} by ${variable}")]
     NoRecordings { folders: String, variable: &'static str },
+    #[error("the run in {} was stopped; resume it to simulate the rest", folder.display())]
+    Stopped { folder: PathBuf },
     #[error(transparent)]
     Merge(#[from] MergeError),
     #[error("the bench in {} measured no model", .0.display())]

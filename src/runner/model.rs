@@ -138,6 +138,7 @@ pub(super) fn agent_parts(config: &Config, registry: PlannerRegistry, loaded: Op
         model: loaded.map(|loaded| loaded.code_source.clone()),
         settings: config.agent_settings(),
         agents: None,
+        stop: None,
     }
 }
 

@@ -1,6 +1,7 @@
 //! What a run is asked to simulate.
 
 use super::sample::Shard;
+use crate::experiment::StopSwitch;
 use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, ExecError, PlannerRegistry};
 use crate::scenario::{DataRoots, Readers};
 use crate::simulation::{AgentCommand, AgentPolicyName};
@@ -41,6 +42,8 @@ pub struct Request {
     pub retry_failed: bool,
     /// Whether the run is resumed although what it reads changed; its manifest then says so.
     pub accept_changes: bool,
+    /// Ends the run early; what is completed by then can be resumed.
+    pub stop: Option<StopSwitch>,
 }
 
 impl Default for Request {
@@ -61,6 +64,7 @@ impl Default for Request {
             roots: DataRoots::default(),
             retry_failed: false,
             accept_changes: false,
+            stop: None,
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::machine::cpu;
+use crate::experiment::StopSwitch;
 use crate::experiment::run::{self, AgentParts, SimulationTask};
 use crate::report::{Manifest, RunFolder, SUMMARY, Session, SimulationRow, Summary, Timing};
 use crate::scenario::MissingTokens;
@@ -135,10 +136,15 @@ impl Run {
     /// Simulates some of the tasks that are left, and writes each as it ends.
     pub(super) fn simulate(&mut self, numbers: &[usize], listener: &Listener) -> Result<(), RunnerError> {
         let folder = &self.folder;
+        let is_stopped = || self.plan.agent.stop.as_ref().is_some_and(StopSwitch::is_stopped);
         run::run(&self.plan.tasks, numbers, &self.plan.agent, &|_| listener(Event::Stepped), &|number, record| {
+            // A simulation that was cut short is none.
+            if is_stopped() && record.outcome.is_err() {
+                return Err(RunnerError::Stopped { folder: folder.path().to_owned() });
+            }
             folder.commit(number, &record)?;
             listener(Event::Ended { failed: record.outcome.is_err() });
-            Ok::<_, RunnerError>(())
+            if is_stopped() { Err(RunnerError::Stopped { folder: folder.path().to_owned() }) } else { Ok(()) }
         })?;
         self.left.retain(|number| !numbers.contains(number));
         self.simulated += numbers.len();

@@ -129,6 +129,7 @@ fn plan(
         numbers: selection.numbers.clone(),
         agent: AgentParts {
             agents: commands.agents.clone(),
+            stop: request.stop.clone(),
             ..model::agent_parts(config, request.registry.clone(), loaded.as_ref())
         },
         load_s: loaded.map(|loaded| loaded.load_s),

@@ -6,6 +6,7 @@ use std::sync::Arc;
 #[cfg(feature = "argoverse2")]
 pub mod argoverse2;
 pub mod generator;
+mod held;
 #[cfg(feature = "nuplan")]
 pub mod nuplan;
 mod reader;
@@ -16,6 +17,7 @@ mod split;
 #[cfg(feature = "womd")]
 pub mod womd;
 
+pub use held::HeldScenario;
 pub use reader::{
     DataRoots, OnProgress, OpenScenario, ReaderError, Recognition, ScenarioReader, ScenarioRef, absolute_path,
 };

@@ -5,14 +5,14 @@ use super::challenge::Challenge;
 use super::controller::EgoController;
 use super::error::SimulationError;
 use crate::planner::{Planner, PlannerInitialization, PlannerInput};
-use crate::scenario::{Frame, Scenario};
+use crate::scenario::{Frame, HeldScenario, Scenario};
 use crate::world::{EgoState, History, HistorySample, MICROS_PER_SECOND, SceneView, Trajectory};
 
 /// A simulation in progress. In open loop the ego replays the log. Clone it at any iteration to try several planners from
 /// one state.
 #[derive(Debug, Clone)]
 pub struct ClosedLoop<'a> {
-    scenario: &'a Scenario,
+    scenario: HeldScenario<'a>,
     iteration: usize,
     present: HistorySample,
     history: History,
@@ -25,8 +25,10 @@ impl<'a> ClosedLoop<'a> {
     ///
     /// # Errors
     /// When the scenario has fewer than two iterations or its times do not grow.
-    pub fn new(scenario: &'a Scenario, challenge: Challenge) -> Result<Self, SimulationError> {
-        Self::with_agents(scenario, challenge, |first| (challenge.spec().agents.new)(scenario, first))
+    pub fn new(scenario: impl Into<HeldScenario<'a>>, challenge: Challenge) -> Result<Self, SimulationError> {
+        let scenario = scenario.into();
+        let policy = challenge.spec().agents.new;
+        Self::with_agents(scenario.clone(), challenge, |first| policy(&scenario, first))
     }
 
     /// Like [`Self::new`], with other agents. `agents` makes their policy from the recorded frame of iteration 0.
@@ -34,10 +36,11 @@ impl<'a> ClosedLoop<'a> {
     /// # Errors
     /// As [`Self::new`].
     pub fn with_agents(
-        scenario: &'a Scenario,
+        scenario: impl Into<HeldScenario<'a>>,
         challenge: Challenge,
         agents: impl FnOnce(&Frame) -> Box<dyn AgentPolicy>,
     ) -> Result<Self, SimulationError> {
+        let scenario = scenario.into();
         let iterations = scenario.iterations();
         let too_short = || SimulationError::TooShort { scenario: scenario.id.clone(), iterations };
         let first = scenario.frame(0).filter(|_| iterations >= 2).ok_or_else(too_short)?;
@@ -56,8 +59,8 @@ impl<'a> ClosedLoop<'a> {
     }
 
     /// The scenario.
-    pub fn scenario(&self) -> &'a Scenario {
-        self.scenario
+    pub fn scenario(&self) -> &Scenario {
+        &self.scenario
     }
 
     /// The present iteration, from 0.
@@ -82,7 +85,7 @@ impl<'a> ClosedLoop<'a> {
             route: &self.scenario.route,
             ego: &self.present.ego,
             objects: &self.present.objects,
-            lights: &self.frame(0).lights,
+            lights: &frame(&self.scenario, self.iteration).lights,
             history: &self.history,
         }
     }
@@ -117,8 +120,8 @@ impl<'a> ClosedLoop<'a> {
         if self.is_over() {
             return Ok(());
         }
-        let next = self.frame(1);
-        let dt_us = next.ego.time_us - self.frame(0).ego.time_us;
+        let next = frame(&self.scenario, self.iteration + 1);
+        let dt_us = next.ego.time_us - frame(&self.scenario, self.iteration).ego.time_us;
         let moved = self.controller.update(&self.present.ego, trajectory, next);
         let ego = moved.map_err(|source| SimulationError::Tracking {
             planner: planner.to_owned(),
@@ -144,11 +147,11 @@ impl<'a> ClosedLoop<'a> {
         self.iteration += 1;
         Ok(())
     }
+}
 
-    /// The frame `ahead` iterations after the present; the loop never passes the last one.
-    fn frame(&self, ahead: usize) -> &'a Frame {
-        &self.scenario.frames[self.scenario.start + self.iteration + ahead]
-    }
+/// The frame of an iteration; the loop never passes the last one.
+fn frame(scenario: &Scenario, iteration: usize) -> &Frame {
+    &scenario.frames[scenario.start + iteration]
 }
 
 fn is_finite(ego: &EgoState) -> bool {

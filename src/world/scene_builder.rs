@@ -49,6 +49,18 @@ impl Scene {
         SceneBuilder::default()
     }
 
+    /// The scene that a planner sees on a map, to keep beyond its step.
+    pub fn of_view(map: Arc<LaneMap>, view: &SceneView<'_>) -> Self {
+        Self {
+            map,
+            route: view.route.clone(),
+            ego: *view.ego,
+            objects: Arc::from(view.objects),
+            lights: view.lights.clone(),
+            history: view.history.clone(),
+        }
+    }
+
     /// What a planner sees.
     pub fn view(&self) -> SceneView<'_> {
         SceneView {

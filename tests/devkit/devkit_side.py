@@ -25,6 +25,12 @@ PLANNERS = {
     "idm": "idm_planner",
     "pdm-closed": "pdm_closed_planner",
 }
+# Ours inside the devkit, where the Python package is installed.
+IN_DEVKIT = {
+    "plan-agent in the devkit": "plan_agent",
+    "pdm-closed in the devkit": "pdm_closed_rust",
+    "idm in the devkit": "idm_rust",
+}
 # A file of nuPlan's maps folder, and the folder of versions in nuPlan's map configuration.
 MAP_VERSION = "nuplan-maps-v1.0"
 # Statistics columns of nuPlan's metric files end so.
@@ -67,9 +73,11 @@ class Devkit:
         places = ["pkg://nuplan.planning.script.config.common", "pkg://nuplan.planning.script.experiments"]
         if find_spec("tuplan_garage") is not None:
             places.insert(0, "pkg://tuplan_garage.planning.script.config.simulation")
+        if find_spec("planagent") is not None:
+            places.insert(0, "pkg://planagent.nuplan.config")
         overrides = [
             f"+simulation={CHALLENGES[challenge]}",
-            f"planner={PLANNERS[planner]}",
+            f"planner={(PLANNERS | IN_DEVKIT)[planner]}",
             f"simulation_metric=[{metrics},common_metrics]",
             "scenario_filter=all_scenarios",
             "scenario_builder=nuplan",

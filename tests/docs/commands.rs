@@ -23,6 +23,13 @@ const FORMER: &str = "needs the run of a command that is not run";
 
 /// Commands that are not run: page, command, reason.
 const NOT_RUN: &[(&str, &str, &str)] = &[
+    ("docs/python.md", "pip install ./python", CARGO),
+    (
+        "docs/python.md",
+        "python nuplan-devkit/nuplan/planning/script/run_simulation.py +simulation=closed_loop_reactive_agents planner=plan_agent \
+         'hydra.searchpath=[pkg://planagent.nuplan.config,pkg://nuplan.planning.script.config.common,pkg://nuplan.planning.script.experiments]'",
+        DEVKIT,
+    ),
     ("README.md", "cargo install --path .", CARGO),
     ("README.md", "cargo test --release", CARGO),
     (
@@ -271,6 +278,7 @@ pages! {
     commands_of_models: "docs/models.md",
     commands_of_nuplan: "docs/nuplan.md",
     commands_of_prompts: "docs/prompts.md",
+    commands_of_python: "docs/python.md",
     commands_of_report: "docs/report.md",
     commands_of_results: "docs/results.md",
     commands_of_runs: "docs/runs.md",

@@ -59,7 +59,7 @@ pub fn code_picture(
 }
 
 /// A plan, a point every half second.
-fn planned_path(plan: &Trajectory) -> Vec<Point> {
+pub(super) fn planned_path(plan: &Trajectory) -> Vec<Point> {
     let count = (plan.duration_s() / PLAN_STEP_S) as usize;
     let at = |k: usize| plan.at(plan.start_us() + (k as f64 * PLAN_STEP_S * MICROS_PER_SECOND) as i64);
     (0..=count).map_while(|k| Some(at(k).ok()?.rear_axle.position())).collect()
@@ -80,7 +80,8 @@ fn scene_picture(
     caption: &Caption,
 ) -> RgbImage {
     let ego = &frame.ego;
-    let map = DrawnMap::of(scenario, &Bounds::around(&[ego.rear_axle.position()]).grown(LOOK.meters));
+    let bounds = Bounds::around(&[ego.rear_axle.position()]).grown(LOOK.meters);
+    let map = DrawnMap::of(&scenario.map, &scenario.route, &bounds);
     let past = scenario.frames.iter().skip(scenario.start).take(iteration + 1);
     let scene = DrawnScene {
         ego,

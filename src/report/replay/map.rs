@@ -2,8 +2,7 @@
 
 use super::deltas::Points;
 use crate::geometry::{Bounds, Point, Polygon, simplified};
-use crate::scenario::Scenario;
-use crate::world::{LaneId, LaneKind};
+use crate::world::{LaneId, LaneKind, LaneMap, Route};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -32,14 +31,13 @@ struct ReplayLane {
 }
 
 impl ReplayMap {
-    /// The part of a scenario's map within `bounds`.
-    pub(super) fn of(scenario: &Scenario, bounds: &Bounds) -> Self {
-        let map = &scenario.map;
+    /// The part of a map with a route within `bounds`.
+    pub(super) fn of(map: &LaneMap, route: &Route, bounds: &Bounds) -> Self {
         let near = |polygon: &&Polygon| polygon.bounds().overlaps(bounds);
         let lanes = map.lanes().iter().filter(|lane| near(&&lane.polygon)).map(|lane| ReplayLane {
             id: lane.id,
             kind: lane.kind,
-            on_route: scenario.route.contains(lane.roadblock),
+            on_route: route.contains(lane.roadblock),
             centerline: Points::of(&simplified(lane.centerline.vertices(), DETAIL_M)),
             ring: ring(lane.polygon.ring()),
         });
@@ -86,9 +84,9 @@ pub(in crate::report) struct DrawnMap {
 }
 
 impl DrawnMap {
-    /// The part of a scenario's map within `bounds`.
-    pub(in crate::report) fn of(scenario: &Scenario, bounds: &Bounds) -> Self {
-        Self::from(&ReplayMap::of(scenario, bounds))
+    /// The part of a map with a route within `bounds`.
+    pub(in crate::report) fn of(map: &LaneMap, route: &Route, bounds: &Bounds) -> Self {
+        Self::from(&ReplayMap::of(map, route, bounds))
     }
 
     /// The first segment of a centerline.

@@ -20,7 +20,7 @@ impl Replay {
         let expert: Vec<Point> = scenario.expert().take(samples.len()).map(|ego| ego.rear_axle.position()).collect();
         let mut path: Vec<Point> = samples.iter().map(|sample| sample.ego.rear_axle.position()).collect();
         path.extend(&expert);
-        let map = ReplayMap::of(scenario, &Bounds::around(&path).grown(REACH_M));
+        let map = ReplayMap::of(&scenario.map, &scenario.route, &Bounds::around(&path).grown(REACH_M));
         let start = samples.first().map_or(0, |sample| sample.ego.time_us);
         let lights = LightTrack::all(map.lane_ids(), samples.len(), |i, lane| {
             scenario.frame(i).and_then(|frame| frame.lights.status(lane))

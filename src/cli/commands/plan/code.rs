@@ -37,7 +37,7 @@ pub(super) fn run(
         registry: PlannerRegistry::default(),
         model: Some(CodeSource::Written(line.to_owned())),
         settings,
-        agents: None,
+        ..AgentParts::default()
     };
     let mut agent = parts.planner(PlannerName::PLAN_AGENT, scenario)?;
     agent.initialize(&PlannerInitialization { map: &scenario.map, route: &scenario.route })?;

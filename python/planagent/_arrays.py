@@ -1,0 +1,70 @@
+"""Packed bytes as numpy arrays, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import ArgumentError
+
+#: Fields of an object; `kind` is a number of `KINDS`.
+OBJECT = np.dtype(
+    [
+        ("token", np.uint32),
+        ("kind", np.uint8),
+        ("unused", np.uint8, (3,)),
+        ("x", np.float64),
+        ("y", np.float64),
+        ("heading", np.float64),
+        ("length", np.float64),
+        ("width", np.float64),
+        ("vx", np.float64),
+        ("vy", np.float64),
+    ]
+)
+
+#: nuPlan's object types, in the order of their numbers.
+KINDS = (
+    "vehicle",
+    "pedestrian",
+    "bicycle",
+    "traffic_cone",
+    "barrier",
+    "czone_sign",
+    "generic_object",
+)
+
+
+def unpacked(data: bytearray | bytes, width: int) -> NDArray[np.float64]:
+    """Rows of numbers."""
+    return np.frombuffer(data, dtype=np.float64).reshape(-1, width)
+
+
+def objects(data: bytearray) -> NDArray[np.void]:
+    """Objects as a structured array."""
+    return np.frombuffer(data, dtype=OBJECT)
+
+
+def image(picture: tuple[bytearray, int, int]) -> NDArray[np.uint8]:
+    """A picture: height x width x 3."""
+    data, height, width = picture
+    return np.frombuffer(data, dtype=np.uint8).reshape(height, width, 3)
+
+
+def poses(values: ArrayLike, dimensions: int = 2) -> NDArray[np.float64]:
+    """Poses x, y, heading as contiguous numbers, checked.
+
+    Parameters
+    ----------
+    values
+        The last dimension holds x, y and heading.
+    dimensions
+        Number of dimensions that the array must have.
+    """
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.ndim != dimensions or array.shape[-1] != 3 or 0 in array.shape:
+        shape = " x ".join(["N"] * (dimensions - 2) + ["T", "3"])
+        raise ArgumentError(
+            f"expected an array of {shape} numbers (x, y, heading), got the shape {array.shape}"
+        )
+    return array

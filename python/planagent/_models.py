@@ -1,0 +1,148 @@
+"""Vision-language models."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import _core
+from ._planners import settings_json
+from .errors import ArgumentError
+
+__all__ = ["Answer", "Model"]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An answer of a model.
+
+    Attributes
+    ----------
+    text : str
+        The answer.
+    finish : str
+        Why it ended: `end_of_sequence`, `complete`, `length` or `context_full`.
+    tokens : dict
+        Numbers of tokens: `text`, `image` and `cached` of the prompt, `sampled` and `fast_forwarded` of the answer.
+    milliseconds : dict
+        Wall times of the parts, `total` among them.
+    """
+
+    text: str
+    finish: str
+    tokens: dict[str, int]
+    milliseconds: dict[str, float]
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class Model:
+    """A vision-language model.
+
+    Parameters
+    ----------
+    name
+        A name (`nano`), a folder as Hugging Face writes it, a GGUF file, a hub id, or a `.toml` file that describes one. It is
+        loaded once in a process.
+    settings
+        Other settings by the keys of `planagent.toml`, for example `{"mllm.quantize": "q8_0"}`.
+
+    Raises
+    ------
+    ModelError
+        Where there is no such model or it cannot be loaded.
+
+    Examples
+    --------
+    >>> import planagent
+    >>> model = planagent.Model("nano")
+    >>> observation = planagent.open("generated/changing_lane/2").observe()
+    >>> answer = model.ask(observation.image(), "Which lane?", choices=["left", "right"])
+    >>> answer.text in ("left", "right")
+    True
+    """
+
+    __slots__ = ("_arguments", "_native")
+
+    def __init__(self, name: str = "nano", *, settings: dict[str, Any] | None = None) -> None:
+        self._arguments = (name, settings)
+        self._native = _core.Model(settings_json(settings, mllm__model=name))
+
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        return _model, self._arguments
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Model:
+        return self
+
+    def __repr__(self) -> str:
+        return f"Model({self._arguments[0]!r})"
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Name, architecture, size, and the side of its pictures (`image_size`)."""
+        about: dict[str, Any] = json.loads(self._native.about())
+        return about
+
+    def count_tokens(self, text: str) -> int | None:
+        """Number of tokens of a text; `None` for a model behind a server."""
+        return self._native.count_tokens(text)
+
+    def ask(
+        self,
+        image: ArrayLike | None,
+        text: str,
+        *,
+        system: str = "",
+        max_tokens: int = 256,
+        choices: Sequence[str] | None = None,
+        regex: str | None = None,
+        deadline_s: float | None = None,
+        seed: int | None = None,
+    ) -> Answer:
+        """Puts a question, with a picture or without.
+
+        Parameters
+        ----------
+        image
+            Height x width x 3 numbers of type uint8, as `Observation.image` gives them, or `None`.
+        text
+            The question.
+        system
+            The system prompt.
+        max_tokens
+            Maximum tokens of the answer.
+        choices, regex
+            The answer is one of these texts, or matches this regular expression.
+        deadline_s
+            Time for the answer, seconds.
+        seed
+            Seed of samples; that of the settings by default.
+        """
+        picture = None
+        if image is not None:
+            array = np.ascontiguousarray(image)
+            if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3:
+                raise ArgumentError(
+                    f"expected a picture of height x width x 3 uint8 numbers, got {array.dtype} of shape {array.shape}"
+                )
+            picture = (array.tobytes(), array.shape[0], array.shape[1])
+        asked = {
+            "system": system,
+            "max_tokens": max_tokens,
+            "choices": None if choices is None else list(choices),
+            "regex": regex,
+            "deadline_s": deadline_s,
+            "seed": seed,
+        }
+        answer, finish, tokens, milliseconds = self._native.ask(text, picture, asked)
+        return Answer(answer, finish, json.loads(tokens), json.loads(milliseconds))
+
+
+def _model(name: str, settings: dict[str, Any] | None) -> Model:
+    return Model(name, settings=settings)

@@ -1,0 +1,297 @@
+"""Environments of gymnasium: `planagent/Trajectory-v0` and `planagent/Code-v0`.
+
+>>> import gymnasium, planagent.envs
+>>> environment = gymnasium.make("planagent/Code-v0", scenarios=["generated/changing_lane/2"])
+>>> observation, info = environment.reset(seed=1)
+>>> observation, reward, terminated, truncated, info = environment.step({"centerline": 0, "speed": 10, "accelerations": 0})
+>>> observation.shape, reward > 0
+((97,), True)
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from . import _arrays, _core
+from ._observation import Observation
+from ._scenario import Scenario
+from ._scenario import open as open_scenario
+from .errors import ArgumentError
+
+__all__ = ["CodeEnv", "CodeVectorEnv", "TrajectoryEnv", "TrajectoryVectorEnv", "register"]
+
+#: What is simulated where no scenario is named: one of each of some types.
+DEFAULT_SCENARIOS = (
+    "generated/changing_lane/2",
+    "generated/following_lane_with_lead/2",
+    "generated/stopping_with_lead/2",
+    "generated/traversing_roundabout/2",
+)
+#: Poses of an action of `Trajectory-v0`, and seconds between them.
+POSES, POSE_DT_S = 8, 0.5
+#: Bounds of a pose of an action relative to the ego: forward and left in meters, turn in radians.
+POSE_HIGH = (160.0, 80.0, np.pi)
+POSE_LOW = (-20.0, -80.0, -np.pi)
+#: Values of the three parts of an action of `Code-v0`.
+CODE = {"centerline": 3, "speed": 11, "accelerations": 4}
+#: Steps of 0.1 s that an action lasts: a code lasts two seconds, as the paper's.
+TRAJECTORY_STEPS, CODE_STEPS = 1, 20
+#: Time that the plan of a code reaches, and a step, seconds.
+CODE_S, STEP_S = 8.0, 0.1
+
+
+class _Rules:
+    """What both environments have in common."""
+
+    def __init__(
+        self,
+        scenarios: Sequence[str | os.PathLike[str] | Scenario],
+        challenge: str,
+        count: int,
+        steps: int,
+        pose_dt_s: float | None,
+    ) -> None:
+        longest = round((CODE_S if pose_dt_s is None else POSES * pose_dt_s) / STEP_S) - 1
+        if not 1 <= steps <= longest:
+            raise ArgumentError(f"an action lasts 1 to {longest} steps, got {steps}")
+        self.scenarios = [one if isinstance(one, Scenario) else open_scenario(one) for one in scenarios]
+        native = [scenario._native for scenario in self.scenarios]
+        self.native = _core.Vector(native, challenge, count, steps, pose_dt_s)
+        self.count = count
+
+    def reset(
+        self, seeds: Sequence[int | None], options: Mapping[str, Any] | None
+    ) -> tuple[NDArray[np.float32], list[str]]:
+        scenario = None
+        if options and options.get("scenario") is not None:
+            names = [one.id for one in self.scenarios]
+            if options["scenario"] not in names:
+                raise ArgumentError(f"the scenario {options['scenario']} is none of {', '.join(names)}")
+            scenario = names.index(options["scenario"])
+        return self.observations(self.native.reset(list(seeds), scenario)), self.ids()
+
+    def ids(self) -> list[str]:
+        return [self.scenarios[number].id for number in self.native.scenarios()]
+
+    def observations(self, data: bytearray) -> NDArray[np.float32]:
+        return np.frombuffer(data, dtype=np.float32).reshape(self.count, -1)
+
+    def step(
+        self, actions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+        data, rewards, terminated, truncated = self.native.step(np.ascontiguousarray(actions).tobytes())
+        return (
+            self.observations(data),
+            np.frombuffer(rewards, dtype=np.float64),
+            np.frombuffer(terminated, dtype=np.bool_),
+            np.frombuffer(truncated, dtype=np.bool_),
+        )
+
+
+def _observation_space() -> Any:
+    return spaces.Box(-np.inf, np.inf, (_core.Vector.OBSERVATION,), np.float32)
+
+
+def _poses_space() -> spaces.Box:
+    low, high = (np.tile(np.array(bound, dtype=np.float32), (POSES, 1)) for bound in (POSE_LOW, POSE_HIGH))
+    return spaces.Box(low, high, dtype=np.float32)
+
+
+def _code_space() -> spaces.Dict:
+    return spaces.Dict({name: spaces.Discrete(size) for name, size in CODE.items()})
+
+
+class _Env(gymnasium.Env[NDArray[np.float32], Any]):
+    """One episode."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+    def __init__(self, rules: _Rules, action_space: spaces.Space[Any], render_mode: str | None) -> None:
+        self._rules = rules
+        self.observation_space = _observation_space()
+        self.action_space = action_space
+        self.render_mode = render_mode
+        self._is_ended = True
+
+    def _action(self, action: Any) -> NDArray[np.float64]:
+        raise NotImplementedError
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begins an episode; `options={"scenario": ID}` chooses its scenario, else `seed` does."""
+        super().reset(seed=seed)
+        observations, ids = self._rules.reset([seed], options)
+        self._is_ended = False
+        return observations[0], {"scenario": ids[0]}
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """One action."""
+        if self._is_ended:
+            raise gymnasium.error.ResetNeeded("the episode is over; call reset")
+        observations, rewards, terminated, truncated = self._rules.step(self._action(action))
+        self._is_ended = bool(terminated[0] or truncated[0])
+        info = {"scenario": self._rules.ids()[0]}
+        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
+
+    def observe(self) -> Observation:
+        """What a planner would see now: the picture, the lane graph, the objects."""
+        return Observation._of(self._rules.native.observe(0))
+
+    def render(self) -> Any:
+        """The scene as a picture, with the render mode `rgb_array`."""
+        return self.observe().render() if self.render_mode == "rgb_array" else None
+
+
+class TrajectoryEnv(_Env):
+    """Acts by trajectories: 8 poses 0.5 s apart, relative to the ego (forward and left in meters, turn in radians).
+
+    The observation has 97 numbers: 5 of the ego, 10 points of the route's centerline, and 9 numbers of each of the 8 nearest
+    objects. The reward is 0.1 for a meter of progress along the route, and -10 for a collision or an ego off the road, which
+    end the episode. It is truncated at the end of the scenario.
+
+    Parameters
+    ----------
+    scenarios
+        Scenarios or their names; the seed of `reset` chooses one.
+    challenge
+        `reactive` or `nonreactive`.
+    steps
+        Steps of 0.1 s for each action.
+    render_mode
+        `rgb_array` or `None`.
+    """
+
+    def __init__(
+        self,
+        scenarios: Sequence[str | Scenario] = DEFAULT_SCENARIOS,
+        challenge: str = "reactive",
+        steps: int = TRAJECTORY_STEPS,
+        render_mode: str | None = None,
+    ) -> None:
+        super().__init__(_Rules(scenarios, challenge, 1, steps, POSE_DT_S), _poses_space(), render_mode)
+
+    def _action(self, action: Any) -> NDArray[np.float64]:
+        return _arrays.poses(action)
+
+
+class CodeEnv(_Env):
+    """Acts by planner codes: a centerline, tenths of the speed limit, and one of four pairs of accelerations.
+
+    Observation, reward and parameters are those of `TrajectoryEnv`; an action lasts 2 s. Where the scene has no such centerline,
+    the ego's lane is followed.
+    """
+
+    def __init__(
+        self,
+        scenarios: Sequence[str | Scenario] = DEFAULT_SCENARIOS,
+        challenge: str = "reactive",
+        steps: int = CODE_STEPS,
+        render_mode: str | None = None,
+    ) -> None:
+        super().__init__(_Rules(scenarios, challenge, 1, steps, None), _code_space(), render_mode)
+
+    def _action(self, action: Any) -> NDArray[np.float64]:
+        return np.array([float(action[name]) for name in CODE])
+
+
+class _VectorEnv(gymnasium.vector.VectorEnv[NDArray[np.float32], Any, NDArray[np.float64]]):
+    """Many episodes that step together in the native half."""
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def __init__(self, rules: _Rules, action_space: spaces.Space[Any]) -> None:
+        self._rules = rules
+        self.num_envs = rules.count
+        self.single_observation_space = _observation_space()
+        self.single_action_space = action_space
+        self.observation_space = batch_space(self.single_observation_space, rules.count)
+        self.action_space = batch_space(action_space, rules.count)
+
+    def _actions(self, actions: Any) -> NDArray[np.float64]:
+        raise NotImplementedError
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begins all episodes; a number seeds them by it and the following ones."""
+        if seed is None or isinstance(seed, int):
+            seeds = [None if seed is None else seed + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        super().reset(seed=seeds[0])
+        observations, _ = self._rules.reset(seeds, options)
+        return observations, {}
+
+    def step(  # type: ignore[override]
+        self, actions: Any
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """One action for each episode."""
+        return (*self._rules.step(self._actions(actions)), {})
+
+
+class TrajectoryVectorEnv(_VectorEnv):
+    """`TrajectoryEnv` for many episodes at once.
+
+    Examples
+    --------
+    >>> import gymnasium, planagent.envs
+    >>> vector = gymnasium.make_vec("planagent/Trajectory-v0", num_envs=4, vectorization_mode="vector_entry_point")
+    >>> observations, info = vector.reset(seed=0)
+    >>> observations.shape
+    (4, 97)
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenarios: Sequence[str | Scenario] = DEFAULT_SCENARIOS,
+        challenge: str = "reactive",
+        steps: int = TRAJECTORY_STEPS,
+        **_: Any,
+    ) -> None:
+        super().__init__(_Rules(scenarios, challenge, num_envs, steps, POSE_DT_S), _poses_space())
+
+    def _actions(self, actions: Any) -> NDArray[np.float64]:
+        return _arrays.poses(actions, 3)
+
+
+class CodeVectorEnv(_VectorEnv):
+    """`CodeEnv` for many episodes at once."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenarios: Sequence[str | Scenario] = DEFAULT_SCENARIOS,
+        challenge: str = "reactive",
+        steps: int = CODE_STEPS,
+        **_: Any,
+    ) -> None:
+        super().__init__(_Rules(scenarios, challenge, num_envs, steps, None), _code_space())
+
+    def _actions(self, actions: Any) -> NDArray[np.float64]:
+        return np.stack([np.asarray(actions[name], dtype=np.float64) for name in CODE], axis=1)
+
+
+def register() -> None:
+    """Registers the environments, as the import of this module does."""
+    for name, single, vector in (
+        ("planagent/Trajectory-v0", "TrajectoryEnv", "TrajectoryVectorEnv"),
+        ("planagent/Code-v0", "CodeEnv", "CodeVectorEnv"),
+    ):
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name, entry_point=f"planagent.envs:{single}", vector_entry_point=f"planagent.envs:{vector}"
+            )
+
+
+register()

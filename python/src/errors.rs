@@ -1,0 +1,109 @@
+//! Errors of the library as exceptions of `planagent.errors`.
+
+use planagent::bindings::{MllmError, RunnerError, with_causes};
+use planagent::planning::PlannerError;
+use planagent::sources::ReaderError;
+use planagent::traffic::SimulationError;
+use pyo3::prelude::*;
+use std::io::{Error as IoError, ErrorKind};
+
+/// An error with the name of its class in `planagent.errors`. It needs no interpreter until it is raised.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    class: &'static str,
+    text: String,
+}
+
+/// A result of work without the GIL.
+pub(crate) type Outcome<T> = Result<T, Failure>;
+
+impl Failure {
+    pub(crate) fn new(class: &'static str, text: impl Into<String>) -> Self {
+        Self { class, text: text.into() }
+    }
+
+    /// An argument that cannot be used.
+    pub(crate) fn argument(text: impl Into<String>) -> Self {
+        Self::new("ArgumentError", text)
+    }
+
+    /// A panic of the library.
+    pub(crate) fn panic(text: impl Into<String>) -> Self {
+        Self::new("InternalError", text)
+    }
+
+    /// The exception.
+    pub(crate) fn raised(self, py: Python<'_>) -> PyErr {
+        let class = py.import("planagent.errors").and_then(|module| module.getattr(self.class));
+        match class.and_then(|class| class.call1((self.text,))) {
+            Ok(instance) => PyErr::from_value(instance),
+            Err(error) => error,
+        }
+    }
+}
+
+/// Whether a missing file is among the causes.
+fn is_missing(error: &(dyn std::error::Error + 'static)) -> bool {
+    let mut cause = Some(error);
+    while let Some(error) = cause {
+        if error.downcast_ref::<IoError>().is_some_and(|io| io.kind() == ErrorKind::NotFound) {
+            return true;
+        }
+        cause = error.source();
+    }
+    false
+}
+
+impl From<ReaderError> for Failure {
+    fn from(error: ReaderError) -> Self {
+        let missing = matches!(error, ReaderError::Missing(_)) || is_missing(&error);
+        Self::new(if missing { "ScenarioNotFoundError" } else { "ScenarioError" }, with_causes(&error))
+    }
+}
+
+impl From<SimulationError> for Failure {
+    fn from(error: SimulationError) -> Self {
+        Self::new("SimulationError", with_causes(&error))
+    }
+}
+
+impl From<PlannerError> for Failure {
+    fn from(error: PlannerError) -> Self {
+        Self::new("PlannerError", with_causes(&error))
+    }
+}
+
+impl From<MllmError> for Failure {
+    fn from(error: MllmError) -> Self {
+        let class = if is_missing(&error) { "ModelNotFoundError" } else { "ModelError" };
+        Self::new(class, with_causes(&error))
+    }
+}
+
+impl From<RunnerError> for Failure {
+    fn from(error: RunnerError) -> Self {
+        let class = match &error {
+            RunnerError::Scenario(error) => match error {
+                ReaderError::Missing(_) => "ScenarioNotFoundError",
+                _ => "ScenarioError",
+            },
+            RunnerError::LoadModel { .. } | RunnerError::FindModel(_) if is_missing(&error) => "ModelNotFoundError",
+            RunnerError::LoadModel { .. } | RunnerError::FindModel(_) => "ModelError",
+            RunnerError::Planner(_) | RunnerError::Challenge { .. } | RunnerError::Config(_) => "ArgumentError",
+            _ if is_missing(&error) => "RunNotFoundError",
+            _ => "RunError",
+        };
+        Self::new(class, with_causes(&error))
+    }
+}
+
+/// Raises failures.
+pub(crate) trait Raise<T> {
+    fn or_raise(self, py: Python<'_>) -> PyResult<T>;
+}
+
+impl<T> Raise<T> for Outcome<T> {
+    fn or_raise(self, py: Python<'_>) -> PyResult<T> {
+        self.map_err(|failure| failure.raised(py))
+    }
+}

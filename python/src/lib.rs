@@ -1,0 +1,61 @@
+//! The native half of the Python package `planagent`: types and functions of `planagent._core`.
+//!
+//! `python/planagent` holds the public API with its documentation. What crosses the border is bytes, numbers and texts, so that
+//! numpy is needed on the Python side alone. All work runs without the GIL (`work`); a panic becomes an exception (`errors`).
+
+#![allow(clippy::needless_pass_by_value, reason = "PyO3 hands owned values over")]
+
+mod errors;
+mod model;
+mod nuplan;
+mod observation;
+mod planner;
+mod python_planner;
+mod run;
+mod scenario;
+mod settings;
+mod simulation;
+mod table;
+mod tables;
+mod trajectory;
+mod vector;
+mod work;
+
+use pyo3::prelude::*;
+
+/// The native half of `planagent`.
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use crate::model::Model;
+    #[pymodule_export]
+    use crate::nuplan::NuPlanWorld;
+    #[pymodule_export]
+    use crate::observation::{Observation, score_trajectories};
+    #[pymodule_export]
+    use crate::planner::{Planner, planners};
+    #[pymodule_export]
+    use crate::run::{RunResults, merge, run};
+    #[pymodule_export]
+    use crate::scenario::{Scenario, find, open};
+    #[pymodule_export]
+    use crate::simulation::Simulation;
+    #[pymodule_export]
+    use crate::table::Table;
+    #[pymodule_export]
+    use crate::tables::scenario_of_tables;
+    #[pymodule_export]
+    use crate::trajectory::Trajectory;
+    #[pymodule_export]
+    use crate::vector::Vector;
+    #[pymodule_export]
+    use crate::work::{set_threads, threads};
+
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        planagent::bindings::install_hook();
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

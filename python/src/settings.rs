@@ -1,0 +1,33 @@
+//! Settings of Python as configurations, and loaded models, kept once a process.
+
+use crate::errors::{Failure, Outcome};
+use crate::work::lock;
+use planagent::bindings::{LoadedModel, load_model, silent};
+use planagent::runs::Config;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+
+/// The configuration of settings as JSON, over the defaults.
+pub(crate) fn config(settings: &str) -> Outcome<Config> {
+    let invalid = |text: String| Failure::argument(text);
+    let table: toml::Table =
+        serde_json::from_str(settings).map_err(|error| invalid(format!("the settings: {error}")))?;
+    Config::default().overlaid(&table).map_err(|error| invalid(planagent::bindings::with_causes(&error)))
+}
+
+type Slot = Arc<Mutex<Option<Arc<LoadedModel>>>>;
+
+/// The configured model with its prompts. It is loaded at its first use in a process.
+pub(crate) fn model(config: &Config) -> Outcome<Arc<LoadedModel>> {
+    static LOADED: Mutex<Option<HashMap<String, Slot>>> = Mutex::new(None);
+    let key = format!("{:?}", (&config.mllm, &config.reasoning));
+    let slot = Arc::clone(lock(&LOADED).get_or_insert_default().entry(key).or_default());
+    // Threads that want the same model wait here.
+    let mut slot = lock(&slot);
+    if let Some(loaded) = &*slot {
+        return Ok(Arc::clone(loaded));
+    }
+    let loaded = Arc::new(load_model(config, &silent())?);
+    *slot = Some(Arc::clone(&loaded));
+    Ok(loaded)
+}

@@ -1,0 +1,63 @@
+//! Ends the simulations of a run that its user stops.
+
+use crate::pdm::DrivableLayers;
+use crate::planner::{Planner, PlannerError, PlannerInitialization, PlannerInput, PlanningCall};
+use crate::world::Trajectory;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A switch that ends a run: its simulations fail at their next step, and no further one starts.
+#[derive(Debug, Clone, Default)]
+pub struct StopSwitch(Arc<AtomicBool>);
+
+impl StopSwitch {
+    /// Stops the run.
+    pub fn stop(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the run is to stop.
+    pub fn is_stopped(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Why a stopped simulation has no trajectory.
+#[derive(Debug, thiserror::Error)]
+#[error("the run was stopped")]
+struct Stopped;
+
+/// A planner that fails once its run is stopped.
+pub(super) struct Stoppable {
+    pub(super) planner: Box<dyn Planner>,
+    pub(super) switch: StopSwitch,
+}
+
+impl Planner for Stoppable {
+    fn name(&self) -> &str {
+        self.planner.name()
+    }
+
+    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+        self.planner.initialize(initialization)
+    }
+
+    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        if self.switch.is_stopped() {
+            return Err(PlannerError::Failed { doing: "planning", source: Box::new(Stopped) });
+        }
+        self.planner.compute_trajectory(input)
+    }
+
+    fn calls(&self) -> &[PlanningCall] {
+        self.planner.calls()
+    }
+
+    fn take_calls(&mut self) -> Vec<PlanningCall> {
+        self.planner.take_calls()
+    }
+
+    fn drivable_layers(&self) -> Option<DrivableLayers> {
+        self.planner.drivable_layers()
+    }
+}
