@@ -25,6 +25,8 @@ fn facts_of(scenario: &Scenario, frame: &Frame, history: &History) -> SceneFacts
     let description = Description::of(&graph);
     let paper = text::write(&description, TextForm::Paper);
     assert_eq!(parse(&paper, TextForm::Paper), Ok(description.clone()), "{place}: {paper}");
+    let brief = text::write(&description, TextForm::Brief);
+    assert_eq!(parse(&brief, TextForm::Brief), Ok(description.nearest()), "{place}: {brief}");
     let compact = text::write(&description, TextForm::Compact);
     assert_eq!(compact.split_whitespace().count(), COMPACT_WORDS);
     assert_eq!(parse(&compact, TextForm::Compact), Ok(description.reduced()), "{place}: {compact}");

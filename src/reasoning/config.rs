@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReasoningConfig {
-    /// `paper`, `compact`, a folder of `prompts/`, or the path of a folder of templates; `None` for the set that the model's
+    /// `paper`, `brief`, `compact`, a folder of `prompts/`, or the path of a folder of templates; `None` for the set that the model's
     /// description or its own files name.
     pub prompt_set: Option<String>,
     /// The rounds in order; the last must be `code`.

@@ -199,7 +199,7 @@ impl<'a> Reasoning<'a> {
         };
         let sampling =
             if self.attempts > 1 { self.settings.rethink_sampling } else { self.settings.generation.sampling };
-        let max_new_tokens = self.settings.max_new_tokens(round);
+        let max_new_tokens = forms.max_tokens(round, self.settings.max_new_tokens(round));
         Request { constraint, max_new_tokens, sampling, deadline: self.deadline }
     }
 }

@@ -3,7 +3,7 @@
 use super::code::{FUNCTION, NO_LEAD_AGENT, Names};
 use super::instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason};
 use super::prompt_set::{InstructionForm, UnderstandingForm};
-use crate::environment::facts::Question;
+use crate::environment::facts::{Light, Question, SideLane};
 use crate::mllm::Constraint;
 use std::ops::RangeInclusive;
 
@@ -15,6 +15,10 @@ pub const ACCELERATIONS: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
 pub const DECELERATIONS: [f64; 4] = [2.0, 3.0, 4.0, 6.0];
 /// A reason in free text: one line that begins with a letter.
 const REASON: &str = r"[A-Za-z][^\n]{2,160}";
+/// The same in a few words, about twelve tokens.
+const SHORT_REASON: &str = r"[A-Za-z][^\n]{2,48}";
+/// What may be ahead in the ego's lane: the classes of agents in the scene text, or nothing.
+const AHEAD: [&str; 5] = ["nothing", "vehicle", "bicycle", "pedestrian", "obstacle"];
 
 /// One of these words.
 pub(super) fn any_of<S: AsRef<str>>(words: impl IntoIterator<Item = S>) -> Constraint {
@@ -36,6 +40,18 @@ pub(super) fn understanding(form: UnderstandingForm) -> Constraint {
             });
             Constraint::Sequence(answers.collect())
         }
+        UnderstandingForm::Short => Constraint::Sequence(vec![
+            text("Ahead: "),
+            any_of(AHEAD),
+            text("\nLight: "),
+            any_of(Light::TEXTS),
+            text("\nLeft lane: "),
+            any_of(SideLane::TEXTS),
+            text("\nRight lane: "),
+            any_of(SideLane::TEXTS),
+            text("\nNote: "),
+            Constraint::Regex(SHORT_REASON.to_owned()),
+        ]),
     }
 }
 
@@ -52,6 +68,15 @@ pub(super) fn instruction(form: InstructionForm) -> Constraint {
             any_of(LongitudinalReason::TEXTS),
             text(" lon="),
             longitudinal,
+        ],
+        // The reason comes last, so that a bound on the answer's tokens cuts nothing else.
+        InstructionForm::Short => vec![
+            text("Speed: "),
+            longitudinal,
+            text("\nLane: "),
+            lateral,
+            text("\nReason: "),
+            Constraint::Regex(SHORT_REASON.to_owned()),
         ],
         InstructionForm::Reasoned => {
             let reason = || Constraint::Regex(REASON.to_owned());

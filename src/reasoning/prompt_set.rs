@@ -1,4 +1,4 @@
-//! Prompt sets: folders of templates with a `set.toml`. Two of them are built in.
+//! Prompt sets: folders of templates with a `set.toml`. Three of them are built in.
 
 use super::error::PromptError;
 use super::prompt_source::{PromptFiles, PromptPlace};
@@ -24,6 +24,8 @@ const QUESTION_FILES: [&str; 2] = ["system.jinja", "question.jinja"];
 pub enum UnderstandingForm {
     /// In sentences.
     Free,
+    /// Four words after fixed keys, and a short note, under a grammar.
+    Short,
     /// `key=value` for each question, under a grammar.
     Choices,
 }
@@ -34,8 +36,20 @@ pub enum UnderstandingForm {
 pub enum InstructionForm {
     /// Two lines with a reason in free text, under a grammar.
     Reasoned,
+    /// Two words after fixed keys, and a short reason, under a grammar.
+    Short,
     /// `key=value`, under a grammar.
     Choices,
+}
+
+/// Bounds on answers that a set asks for, tokens; the model's own bounds hold too.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, serde::Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AnswerLimits {
+    /// Round 1.
+    pub understanding: Option<usize>,
+    /// Round 2.
+    pub instruction: Option<usize>,
 }
 
 /// `set.toml`.
@@ -46,6 +60,20 @@ pub struct PromptForms {
     pub scene_text: TextForm,
     pub understanding: UnderstandingForm,
     pub instruction: InstructionForm,
+    #[serde(default)]
+    pub max_tokens: AnswerLimits,
+}
+
+impl PromptForms {
+    /// The bound on a round's answer for a model whose own is `of_model`, tokens.
+    pub(super) fn max_tokens(&self, round: Round, of_model: usize) -> usize {
+        let of_set = match round {
+            Round::Understanding => self.max_tokens.understanding,
+            Round::Instruction => self.max_tokens.instruction,
+            Round::Code => None,
+        };
+        of_set.map_or(of_model, |limit| limit.min(of_model))
+    }
 }
 
 /// A set of prompts: its forms and its compiled templates, and beside them those of LLM-ASSIST's questions.
@@ -141,10 +169,20 @@ mod tests {
 
     #[test]
     fn built_in_sets_compile() {
-        for name in ["paper", "compact"] {
+        for name in ["paper", "brief", "compact"] {
             let set = PromptSet::open(name).unwrap();
             assert_eq!((set.name(), set.is_built_in()), (name, true));
         }
+    }
+
+    #[test]
+    fn a_set_may_bound_answers() {
+        let brief = *PromptSet::open("brief").unwrap().forms();
+        let limits = Round::ALL.iter().map(|&round| brief.max_tokens(round, 320)).collect::<Vec<_>>();
+        assert!(limits[0] < 50 && limits[1] < 50 && limits[2] == 320, "{limits:?}");
+        assert_eq!(brief.max_tokens(Round::Understanding, 8), 8);
+        let paper = *PromptSet::open("paper").unwrap().forms();
+        assert_eq!(paper.max_tokens(Round::Instruction, 320), 320);
     }
 
     #[test]

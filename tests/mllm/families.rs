@@ -261,7 +261,7 @@ fn the_described_models_are_all_readable() {
 }
 
 /// Runs the beginning of a generated scene with one planning call.
-fn plan_once(model: Arc<dyn Mllm>) -> PlanAgent {
+fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
     let max_new_tokens = RoundTokens { scene: 8, motion: 64, code: 64 };
     let mut settings = PlanAgentSettings { plan_interval_s: 100.0, ..PlanAgentSettings::default() };
     settings.reflection = ReflectionSettings {
@@ -278,7 +278,7 @@ fn plan_once(model: Arc<dyn Mllm>) -> PlanAgent {
         rethink_sampling: Sampling::Greedy,
         grammar: true,
     };
-    let code_source = CodeSource::Model { model, prompts: Arc::new(PromptSet::open("compact").unwrap()), reasoning };
+    let code_source = CodeSource::Model { model, prompts: Arc::new(PromptSet::open(prompts).unwrap()), reasoning };
     let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source, settings);
     let scenario = generator::generate(&"generated/high_magnitude_speed/1".parse().unwrap()).unwrap();
     simulate(&scenario, &mut agent, Challenge::NonReactive).unwrap();
@@ -294,15 +294,17 @@ fn the_agent_plans_with_every_family_and_nothing_else_changes() {
             let text = if *architecture == "cogvlm" { config } else { &mut config["text_config"] };
             text["max_position_embeddings"] = json!(4096);
         });
-        let agent = plan_once(Arc::from(open_folder(copy.folder())));
-        let call = agent.calls().first().unwrap();
-        assert!(!call.attempts.is_empty(), "{name}: {call:?}");
-        for (index, attempt) in call.attempts.iter().enumerate() {
-            let rounds = &attempt.rounds;
-            assert_eq!(rounds.len(), 3, "{name}");
-            assert!(attempt.answer.is_some(), "{name}: {}", rounds[2].answer);
-            let image = rounds.iter().map(|round| round.tokens.image).sum::<usize>();
-            assert_eq!(image > 0, index == 0, "{name}: the image is computed once, {image}");
+        for prompts in ["compact", "brief"] {
+            let agent = plan_once(Arc::from(open_folder(copy.folder())), prompts);
+            let call = agent.calls().first().unwrap();
+            assert!(!call.attempts.is_empty(), "{name}: {call:?}");
+            for (index, attempt) in call.attempts.iter().enumerate() {
+                let rounds = &attempt.rounds;
+                assert_eq!(rounds.len(), 3, "{name}");
+                assert!(attempt.answer.is_some(), "{name}: {}", rounds[2].answer);
+                let image = rounds.iter().map(|round| round.tokens.image).sum::<usize>();
+                assert_eq!(image > 0, index == 0, "{name}: the image is computed once, {image}");
+            }
         }
     }
 }

@@ -1,5 +1,5 @@
-//! The way back from scene text to its facts, which shows that the text loses none: `parse(write(d)) = d` (for the compact
-//! form: of the reduced description).
+//! The way back from scene text to its facts, which shows that the text loses none: `parse(write(d)) = d` (for the brief
+//! form: of the nearest agents; for the compact form: of the reduced description).
 //!
 //! Unit tests and integration tests share this folder. The module that includes it has `environment` and `world` in scope.
 
@@ -18,6 +18,7 @@ pub(crate) const COMPACT_WORDS: usize = 2 + 2 + 3 + 2 + 4 * 9 + 2;
 pub(crate) fn parse(text: &str, set: TextForm) -> Result<Description, Vec<TextError>> {
     match set {
         TextForm::Paper => paper::parse(text),
+        TextForm::Brief => paper::parse(text).map(|description| description.nearest()),
         TextForm::Compact => compact::parse(text),
     }
 }

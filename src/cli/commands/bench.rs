@@ -121,8 +121,9 @@ fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry)
 /// The prompt set whose tokens are measured: that of the settings, else the model's own.
 fn prompts(config: &Config, own: impl FnOnce() -> anyhow::Result<String>) -> anyhow::Result<PromptSet> {
     let name = config.reasoning.prompt_set.clone().map_or_else(own, Ok)?;
-    PromptSet::named(&name)
-        .with_context(|| format!("bench knows the lengths of the prompt sets compact and paper, and not of '{name}'"))
+    PromptSet::named(&name).with_context(|| {
+        format!("bench knows the lengths of the prompt sets brief, compact and paper, and not of '{name}'")
+    })
 }
 
 /// A model as GGUF files that llama.cpp reads too: its own, or newly written ones.

@@ -87,22 +87,30 @@ impl Description {
         self.lights[centerline as usize]
     }
 
-    /// What the compact text says: of each node the nearest agent, without its speed when it does not move along the lane,
-    /// and the number of the others; without what lies apart and without the lights of the lanes beside.
-    pub fn reduced(&self) -> Self {
+    /// What the brief text says: of each node the nearest agent, and the number of the others.
+    pub fn nearest(&self) -> Self {
         let mut rest = usize::from(self.rest);
         let nodes = std::array::from_fn(|i| {
-            let node = self.nodes[i].as_ref()?;
-            let nearest = node.agents.iter().copied().min_by_key(|agent| agent.distance);
-            rest += node.agents.len() - usize::from(nearest.is_some());
-            let agents = nearest.map(|agent| match agent.heading {
+            let NodeDescription { apart, agents } = self.nodes[i].as_ref()?;
+            let nearest = agents.iter().copied().min_by_key(|agent| agent.distance);
+            rest += agents.len() - usize::from(nearest.is_some());
+            Some(NodeDescription { apart: *apart, agents: nearest.into_iter().collect() })
+        });
+        Self { nodes, rest: u8::try_from(rest).unwrap_or(MAX_NUMBER).min(MAX_NUMBER), ..*self }
+    }
+
+    /// What the compact text says: the nearest agents, without the speed of one that does not move along the lane; without
+    /// what lies apart and without the lights of the lanes beside.
+    pub fn reduced(&self) -> Self {
+        let nearest = self.nearest();
+        let nodes = nearest.nodes.map(|node| {
+            let agents = node?.agents.into_iter().map(|agent| match agent.heading {
                 Heading::Along => agent,
                 Heading::Crossing | Heading::Oncoming => AgentDescription { speed: 0, ..agent },
             });
-            Some(NodeDescription { apart: false, agents: agents.into_iter().collect() })
+            Some(NodeDescription { apart: false, agents: agents.collect() })
         });
-        let lights = [self.lights[0], None, None];
-        Self { lights, nodes, rest: u8::try_from(rest).unwrap_or(MAX_NUMBER).min(MAX_NUMBER), ..*self }
+        Self { lights: [self.lights[0], None, None], nodes, rest: nearest.rest, ..*self }
     }
 }
 

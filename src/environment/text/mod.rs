@@ -17,6 +17,9 @@
 //! `free`: nobody on the node; `none`: no such node; `(apart)` before what is on it: its lane goes another way there;
 //! `crossing` or `oncoming` after a speed: the agent moves across or against the lane.
 //!
+//! **Brief set**: the same lines with the nearest agent of each node ([`Description::nearest`]); `2 more` after the light
+//! counts the others.
+//!
 //! **Compact set**, one line of 47 words, whatever the scene: ego speed, limit (`-` if unknown), light and
 //! distance to its stop line (`none -`), turn of the route; for each of the nine nodes its name and the nearest agent on it,
 //! its distance, its speed (`crossing` or `oncoming` instead when it moves so), or `free - -`, or `none - -`; the number of
@@ -31,10 +34,12 @@ pub use description::{AgentDescription, Description, LightDescription, MAX_NUMBE
 use super::choice::choice;
 
 choice! {
-    /// The two ways of putting a scene into words.
+    /// The ways of putting a scene into words.
     pub enum TextForm {
         /// Readable English, for general models.
         Paper = "paper",
+        /// The same with the nearest agents alone.
+        Brief = "brief",
         /// Few words at fixed places, for a small model of our own.
         Compact = "compact",
     }
@@ -44,6 +49,7 @@ choice! {
 pub fn write(description: &Description, set: TextForm) -> String {
     match set {
         TextForm::Paper => paper::write(description),
+        TextForm::Brief => paper::write(&description.nearest()),
         TextForm::Compact => compact::write(description),
     }
 }

@@ -61,6 +61,7 @@ fn described_facts_are_parsed_back() {
     for drawn in [road(), crossing(), sketch::roundabout(16.0, 5.0, 4.0), sketch::curve(30.0, 5.0, 6.0)] {
         let description = described(&drawn);
         assert_eq!(parse(&write(&description, TextForm::Paper), TextForm::Paper), Ok(description.clone()));
+        assert_eq!(parse(&write(&description, TextForm::Brief), TextForm::Brief), Ok(description.nearest()));
         assert_eq!(parse(&write(&description, TextForm::Compact), TextForm::Compact), Ok(description.reduced()));
     }
 }
@@ -157,6 +158,13 @@ proptest! {
         let back = parse(&text, TextForm::Paper);
         prop_assert_eq!(back.as_ref(), Ok(&description));
         prop_assert_eq!(write(&back.unwrap(), TextForm::Paper), text);
+    }
+
+    #[test]
+    fn brief_text_round_trips(description in description()) {
+        let text = write(&description, TextForm::Brief);
+        let back = parse(&text, TextForm::Brief);
+        prop_assert_eq!(back, Ok(description.nearest()));
     }
 
     #[test]

@@ -66,6 +66,21 @@ impl CallBudget {
                 ],
                 rethinks: 1,
             },
+            // The answers of the first rounds reach the set's bounds.
+            PromptSet::Brief => Self {
+                prefix: 290,
+                scene: 80,
+                feedback: 60,
+                rounds: vec![
+                    RoundBudget { question: 45, answer: [(3, 1), (3, 1), (4, 1), (4, 1), (4, 16)].map(part).into() },
+                    RoundBudget { question: 33, answer: [(2, 1), (3, 2), (3, 19)].map(part).into() },
+                    RoundBudget {
+                        question: 18,
+                        answer: [(11, 1), (5, 1), (2, 1), (4, 1), (3, 2), (4, 1), (1, 0)].map(part).into(),
+                    },
+                ],
+                rethinks: 0,
+            },
             PromptSet::Compact => Self {
                 prefix: 3,
                 scene: 47,
@@ -158,7 +173,12 @@ mod tests {
 
     #[test]
     fn tokens_are_counted_as_the_steps_append_them() {
-        for budget in [small(), CallBudget::of(PromptSet::Paper), CallBudget::of(PromptSet::Compact)] {
+        for budget in [
+            small(),
+            CallBudget::of(PromptSet::Paper),
+            CallBudget::of(PromptSet::Brief),
+            CallBudget::of(PromptSet::Compact),
+        ] {
             let (mut length, mut longest, mut prompt) = (0, 0, 0);
             let steps = [budget.prefix_steps(Layout::PrefixFirst), budget.call_steps(Layout::PrefixFirst, 0)];
             for step in steps.concat() {

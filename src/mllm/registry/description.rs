@@ -113,6 +113,8 @@ pub(super) fn default_revision() -> String {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PromptSet {
+    /// Plain English in few tokens, for general models on a small computer.
+    Brief,
     /// Few tokens, for models trained on them.
     Compact,
     /// The paper's wording, for general models.
@@ -120,11 +122,12 @@ pub enum PromptSet {
 }
 
 impl PromptSet {
-    const ALL: [Self; 2] = [Self::Compact, Self::Paper];
+    const ALL: [Self; 3] = [Self::Brief, Self::Compact, Self::Paper];
 
     /// Its name in `prompts/`.
     pub fn name(self) -> &'static str {
         match self {
+            Self::Brief => "brief",
             Self::Compact => "compact",
             Self::Paper => "paper",
         }
@@ -182,7 +185,7 @@ impl ModelSpec {
             return Err(broken("name is empty".into()));
         }
         if spec.prompt_set.is_none() {
-            return Err(broken("prompt_set is missing; choose compact or paper".into()));
+            return Err(broken("prompt_set is missing; choose brief, compact or paper".into()));
         }
         let tokens = spec.generation.max_new_tokens;
         if [tokens.scene, tokens.motion, tokens.code].contains(&0) {

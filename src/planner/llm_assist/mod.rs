@@ -111,7 +111,7 @@ impl LlmAssist {
 
     fn question(&self, scene: &SceneView<'_>, graph: &LaneGraph, rules: &PdmPlan) -> AssistQuestion {
         let scene_text = match self.prompts.forms().scene_text {
-            TextForm::Paper => llm_assist_text(scene, graph),
+            TextForm::Paper | TextForm::Brief => llm_assist_text(scene, graph),
             TextForm::Compact => text::write(&Description::of(graph), TextForm::Compact),
         };
         let speed_limit = Names::of(graph).speed_limit;
