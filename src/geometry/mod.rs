@@ -4,6 +4,7 @@
 //! counter-clockwise; lateral offsets are positive to the left.
 
 mod angle;
+mod borders;
 mod corridor;
 mod index;
 mod locator;
@@ -14,6 +15,7 @@ mod pose;
 mod simplify;
 
 pub use angle::{unwrap_angles, wrap_angle};
+pub use borders::{Borders, borders};
 pub use corridor::Corridor;
 pub use index::{Bounds, SpatialIndex};
 pub use locator::PointLocator;

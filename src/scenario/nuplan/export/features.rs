@@ -1,12 +1,11 @@
 //! The rows of every layer of a map package.
 
-use super::boundary::borders;
 use super::graph::{ConnectorRow, Graph, LaneRow};
 use super::lane_order::{changed_neighbors, lane_indices};
 use super::package::{Feature, LayerRows};
 use super::placement::{Placement, ShapeError};
 use super::stops::{StopRow, stop_rows};
-use crate::geometry::{Polygon, Polyline};
+use crate::geometry::{Polygon, Polyline, borders};
 use crate::scenario::nuplan::geometry_blob::StoredShape;
 use crate::scenario::nuplan::schema::{self, Table};
 use crate::world::{BASELINE_SPACING, LaneId, LaneKind, LaneMap};

@@ -5,7 +5,6 @@
 //! the same bytes. A log holds one scenario: only one row lies in a scene that nuPlan takes scenarios from, and the window
 //! around it is the scenario. [`ExportChanges`] counts what nuPlan's formats cannot express.
 
-mod boundary;
 mod continuation;
 mod features;
 mod graph;

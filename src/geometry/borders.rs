@@ -1,12 +1,14 @@
 //! The left and right borders of a lane, from its area.
 
-use crate::geometry::{Point, Polygon, Polyline};
+use super::{Point, Polygon, Polyline};
 
 /// The two borders of a lane, in driving direction.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Borders {
-    pub(super) left: Polyline,
-    pub(super) right: Polyline,
+pub struct Borders {
+    /// The left one.
+    pub left: Polyline,
+    /// The right one.
+    pub right: Polyline,
 }
 
 /// Distance of the borders from the centerline where the area does not give them, m.
@@ -14,7 +16,7 @@ const HALF_WIDTH: f64 = 1.75;
 
 /// The ring of the area without the edges across the lane's start and end. Where one edge is nearest to both ends, the
 /// centerline is offset instead.
-pub(super) fn borders(centerline: &Polyline, area: &Polygon) -> Borders {
+pub fn borders(centerline: &Polyline, area: &Polygon) -> Borders {
     from_ring(centerline, area.ring())
         .unwrap_or_else(|| Borders { left: centerline.offset(HALF_WIDTH), right: centerline.offset(-HALF_WIDTH) })
 }
