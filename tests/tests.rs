@@ -12,6 +12,8 @@ mod endpoint;
 mod environment;
 mod experiment;
 mod generator;
+#[cfg(feature = "learned")]
+mod learned;
 mod llm_assist;
 mod metrics;
 mod mllm;

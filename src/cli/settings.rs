@@ -2,7 +2,9 @@
 
 use super::args::{Arguments, Command, SimulateArguments};
 use super::suggest::{nearest, similar_exists};
+use super::words::planner_words;
 use crate::files;
+use crate::planner::LearnedSettings;
 use crate::runner::Config;
 use crate::scenario::absolute_path;
 use anyhow::{Context, bail};
@@ -11,7 +13,17 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Keys without a default value; the others are those of [`Config::default`].
-pub(super) const OPTIONAL: [&str; 4] = ["mllm.quantize", "agent.deadline_ms", "agent.gate", "reasoning.prompt_set"];
+pub(super) const OPTIONAL: [&str; 9] = [
+    "mllm.quantize",
+    "agent.deadline_ms",
+    "agent.gate",
+    "reasoning.prompt_set",
+    "learned.pdm_open",
+    "learned.pdm_hybrid",
+    "learned.plantf",
+    "learned.urban_driver",
+    "learned.raster_model",
+];
 
 /// The settings of a command.
 pub(super) struct Settings {
@@ -44,6 +56,7 @@ impl Settings {
             settings.layers.push(("--set".to_owned(), table));
         }
         settings.take_options(arguments);
+        settings.take_checkpoints(arguments)?;
         Ok(settings)
     }
 
@@ -78,11 +91,32 @@ impl Settings {
             config.mllm.offline = true;
         }
         // Absolute paths let `--resume` work from any directory.
+        config.learned.all_mut().for_each(|path| *path = absolute_path(path));
         for word in [Some(&mut config.mllm.model), config.reasoning.prompt_set.as_mut()].into_iter().flatten() {
             if word.contains(['/', '\\']) && Path::new(word).exists() {
                 *word = absolute_path(word);
             }
         }
+    }
+
+    /// Takes `--checkpoint FILE` for the one learned planner that is named, and `--checkpoint PLANNER=FILE`.
+    fn take_checkpoints(&mut self, arguments: &Arguments) -> anyhow::Result<()> {
+        let Command::Simulate(flags) = &arguments.command else { return Ok(()) };
+        for word in &flags.checkpoint {
+            let learned = &mut self.config.learned;
+            let named = word.split_once('=').filter(|(planner, _)| learned.checkpoint_mut(planner).is_some());
+            let (planner, file) = match named {
+                Some((planner, file)) => (planner.to_owned(), file),
+                None => (the_learned(flags, learned, word)?, word.as_str()),
+            };
+            let file = absolute_path(file);
+            let key = format!("learned.{}", planner.replace('-', "_"));
+            if let Some(place) = learned.checkpoint_mut(&planner) {
+                self.layers.push(("--checkpoint".to_owned(), nested(&key, file.clone().into())));
+                *place = Some(file);
+            }
+        }
+        Ok(())
     }
 
     /// Every setting in the order of the file, optional ones at the end of their section.
@@ -97,6 +131,21 @@ impl Settings {
                 Setting { key, value, origin }
             })
             .collect())
+    }
+}
+
+/// The one learned planner of a command, for the value of `--checkpoint` that names none.
+fn the_learned(flags: &SimulateArguments, learned: &mut LearnedSettings, word: &str) -> anyhow::Result<String> {
+    let mut planners = planner_words(&flags.planner);
+    planners.retain(|planner| learned.checkpoint_mut(planner).is_some());
+    match <[String; 1]>::try_from(planners) {
+        Ok([planner]) => Ok(planner),
+        Err(planners) if planners.is_empty() => {
+            bail!("--checkpoint {word}: no learned planner is named; add --planner, for example --planner plantf")
+        }
+        Err(planners) => {
+            bail!("--checkpoint {word}: {} are named; write --checkpoint PLANNER=FILE for each", planners.join(" and "))
+        }
     }
 }
 

@@ -30,6 +30,14 @@ pub enum PlannerError {
     Reflection(#[source] Box<ReflectionError>),
     #[error("planning with PDM-Closed failed")]
     Pdm(#[source] Box<PdmError>),
+    #[error(
+        "{planner} needs a checkpoint; name its file by --checkpoint FILE, or by the setting {key}. docs/learned.md says where to get \
+         one"
+    )]
+    NoCheckpoint { planner: PlannerName, key: String },
+    #[cfg(feature = "learned")]
+    #[error(transparent)]
+    Checkpoint(Box<super::learned::CheckpointError>),
     #[error("{doing} failed")]
     Failed { doing: &'static str, source: Box<dyn std::error::Error + Send + Sync> },
 }
@@ -40,6 +48,13 @@ impl From<PdmError> for PlannerError {
             PdmError::NoReferencePath(NoReferencePath::EmptyRoute) => Self::EmptyRoute,
             error => Self::Pdm(Box::new(error)),
         }
+    }
+}
+
+#[cfg(feature = "learned")]
+impl From<super::learned::CheckpointError> for PlannerError {
+    fn from(error: super::learned::CheckpointError) -> Self {
+        Self::Checkpoint(Box::new(error))
     }
 }
 

@@ -13,6 +13,8 @@ mod idm;
 mod latency;
 mod layer;
 mod layered;
+#[cfg(feature = "learned")]
+pub mod learned;
 mod llm_assist;
 mod log_replay;
 mod model_input;
@@ -46,7 +48,9 @@ pub use pdm_closed::PdmClosed;
 pub use plan_agent::PlanAgent;
 pub use record::{Attempt, Decision, NoPlan, PlanningCall, feedback};
 pub use registry::{PlannerEntry, PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner};
-pub use settings::{AfterMaxExec, CallSettings, EnvironmentSettings, PlanAgentSettings, ReflectionSettings};
+pub use settings::{
+    AfterMaxExec, CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings,
+};
 pub use simple::SimplePlanner;
 
 use crate::environment::BevView;

@@ -22,6 +22,8 @@ pub enum PlannerNeeds {
     Settings,
     /// The agent's settings and a model.
     Model,
+    /// A file with the weights of a network.
+    Checkpoint,
 }
 
 /// What a planner of one simulation is built from.
@@ -40,6 +42,7 @@ pub struct PlannerParts<'a> {
 }
 
 type Built = Result<Box<dyn Planner>, PlannerError>;
+type Prepare = dyn Fn(&PlanAgentSettings) -> Result<(), PlannerError> + Send + Sync;
 
 /// A planner in the registry.
 #[derive(Clone)]
@@ -52,6 +55,7 @@ pub struct PlannerEntry {
     pub needs: PlannerNeeds,
     build: Arc<dyn Fn(&PlannerParts<'_>) -> Built + Send + Sync>,
     unsupported: fn(&PlanAgentSettings) -> Option<&'static str>,
+    prepare: Arc<Prepare>,
 }
 
 impl PlannerEntry {
@@ -62,7 +66,25 @@ impl PlannerEntry {
         needs: PlannerNeeds,
         build: impl Fn(&PlannerParts<'_>) -> Built + Send + Sync + 'static,
     ) -> Self {
-        Self { name, summary, needs, build: Arc::new(build), unsupported: |_| None }
+        let prepare = Arc::new(|_: &PlanAgentSettings| Ok(()));
+        Self { name, summary, needs, build: Arc::new(build), unsupported: |_| None, prepare }
+    }
+
+    /// The same, with what a run does once before its first simulation.
+    #[cfg(feature = "learned")]
+    pub(super) fn prepared_by(
+        self,
+        prepare: impl Fn(&PlanAgentSettings) -> Result<(), PlannerError> + Send + Sync + 'static,
+    ) -> Self {
+        Self { prepare: Arc::new(prepare), ..self }
+    }
+
+    /// Prepares for the simulations of a run: loads the checkpoint of a planner that needs one.
+    ///
+    /// # Errors
+    /// When it has none, or one that cannot be used.
+    pub fn prepare(&self, settings: &PlanAgentSettings) -> Result<(), PlannerError> {
+        (self.prepare)(settings)
     }
 
     /// Whether it asks the configured model.
@@ -120,7 +142,8 @@ impl Default for PlannerRegistry {
             ..PlannerEntry::new(name, summary, Model, move |parts| llm_assist(parts, variant))
         };
         let name = PlannerName::new;
-        Self {
+        #[cfg_attr(not(feature = "learned"), allow(unused_mut))]
+        let mut registry = Self {
             entries: vec![
                 PlannerEntry::new(PlannerName::PLAN_AGENT, "the agent of the paper", Model, plan_agent),
                 PlannerEntry::new(name("log-replay"), "the recorded driver", Recording, |parts| {
@@ -137,7 +160,10 @@ impl Default for PlannerRegistry {
                 control(name("fixed-code"), "the agent with one fixed code (a control)", CodeSource::Fixed),
                 control(name("grid-code"), "the agent with the best code of a grid (a control)", CodeSource::Grid),
             ],
-        }
+        };
+        #[cfg(feature = "learned")]
+        registry.entries.extend(super::learned::entries());
+        registry
     }
 }
 

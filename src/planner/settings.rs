@@ -98,6 +98,64 @@ impl Default for ReflectionSettings {
     }
 }
 
+/// Section `learned`: the checkpoint of each learned planner, a file.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearnedSettings {
+    /// PDM-Open's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pdm_open: Option<String>,
+    /// PDM-Hybrid's, of PDM-Offset.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pdm_hybrid: Option<String>,
+    /// PlanTF's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plantf: Option<String>,
+    /// UrbanDriver's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub urban_driver: Option<String>,
+    /// RasterModel's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub raster_model: Option<String>,
+}
+
+impl LearnedSettings {
+    /// The checkpoint of a planner, by the planner's name; `None` where none is set, or the planner needs none.
+    pub fn checkpoint(&self, planner: &str) -> Option<&str> {
+        match planner {
+            "pdm-open" => self.pdm_open.as_deref(),
+            "pdm-hybrid" => self.pdm_hybrid.as_deref(),
+            "plantf" => self.plantf.as_deref(),
+            "urban-driver" => self.urban_driver.as_deref(),
+            "raster-model" => self.raster_model.as_deref(),
+            _ => None,
+        }
+    }
+
+    /// The place for a planner's checkpoint; `None` for a planner that needs none.
+    pub fn checkpoint_mut(&mut self, planner: &str) -> Option<&mut Option<String>> {
+        match planner {
+            "pdm-open" => Some(&mut self.pdm_open),
+            "pdm-hybrid" => Some(&mut self.pdm_hybrid),
+            "plantf" => Some(&mut self.plantf),
+            "urban-driver" => Some(&mut self.urban_driver),
+            "raster-model" => Some(&mut self.raster_model),
+            _ => None,
+        }
+    }
+
+    /// All checkpoints.
+    pub fn all_mut(&mut self) -> impl Iterator<Item = &mut String> {
+        let Self { pdm_open, pdm_hybrid, plantf, urban_driver, raster_model } = self;
+        [pdm_open, pdm_hybrid, plantf, urban_driver, raster_model].into_iter().flatten()
+    }
+
+    /// Whether no checkpoint is set.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
 /// Settings of the agent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanAgentSettings {
@@ -107,6 +165,8 @@ pub struct PlanAgentSettings {
     pub environment: EnvironmentSettings,
     /// Section `reflection`.
     pub reflection: ReflectionSettings,
+    /// Section `learned`.
+    pub learned: LearnedSettings,
     /// Time between planning calls, seconds (the paper: 2).
     pub plan_interval_s: f64,
     /// Seed of the simulation; each planning call draws from a stream of its own.
@@ -116,7 +176,8 @@ pub struct PlanAgentSettings {
 impl Default for PlanAgentSettings {
     fn default() -> Self {
         let (agent, environment) = (CallSettings::default(), EnvironmentSettings::default());
-        Self { agent, environment, reflection: ReflectionSettings::default(), plan_interval_s: 2.0, seed: 0 }
+        let (reflection, learned) = Default::default();
+        Self { agent, environment, reflection, learned, plan_interval_s: 2.0, seed: 0 }
     }
 }
 

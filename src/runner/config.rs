@@ -4,7 +4,7 @@ use crate::environment::BevView;
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use crate::files;
 use crate::mllm::WeightFormat;
-use crate::planner::{CallSettings, EnvironmentSettings, PlanAgentSettings, ReflectionSettings};
+use crate::planner::{CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings};
 use crate::reasoning::{ReasoningConfig, Round};
 use crate::world::STEP_S;
 use serde::{Deserialize, Serialize};
@@ -26,6 +26,9 @@ pub struct Config {
     pub reasoning: ReasoningConfig,
     /// How plans are scored and executed.
     pub reflection: ReflectionSettings,
+    /// Checkpoints of learned planners.
+    #[serde(skip_serializing_if = "LearnedSettings::is_empty")]
+    pub learned: LearnedSettings,
 }
 
 /// Section `mllm`.
@@ -112,6 +115,7 @@ impl Config {
             agent: self.agent.clone(),
             environment: self.environment.clone(),
             reflection: self.reflection.clone(),
+            learned: self.learned.clone(),
             plan_interval_s: self.reasoning.interval as f64 * STEP_S,
             seed: self.seed,
         }

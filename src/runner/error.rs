@@ -6,7 +6,7 @@ use super::sample::NoSuchType;
 use crate::experiment::split::SplitError;
 use crate::experiment::study::StudyError;
 use crate::mllm::MllmError;
-use crate::planner::{ExecError, PlannerName, UnknownPlanner};
+use crate::planner::{ExecError, PlannerError, PlannerName, UnknownPlanner};
 use crate::reasoning::PromptError;
 use crate::report::ReportError;
 use crate::scenario::ReaderError;
@@ -93,6 +93,8 @@ pub enum RunnerError {
     NoSuchType(#[from] NoSuchType),
     #[error("--limit is 0; it must be at least 1")]
     LimitZero,
+    #[error(transparent)]
+    Prepare(Box<PlannerError>),
     #[error("{key} is not supported by {planner}; remove one of them")]
     Unsupported { key: &'static str, planner: PlannerName },
     #[error("the scenario set changed since the run started: {then} then, {now} now, named by {words}")]

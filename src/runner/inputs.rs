@@ -1,6 +1,7 @@
 //! Digests of the recordings of a run.
 
-use crate::files::word_of;
+use super::config::Config;
+use crate::files::{path_of, word_of};
 use crate::report::{DataFile, Inputs};
 use crate::scenario::ScenarioRef;
 use rayon::prelude::*;
@@ -48,4 +49,14 @@ fn data_file(path: &Path, before: Option<&DataFile>) -> io::Result<DataFile> {
             Ok(DataFile { blake3: Some(hasher.finalize().to_hex().to_string()), ..stamp })
         }
     }
+}
+
+/// BLAKE3 of the checkpoints of these planners, by path. One that cannot be read is left out: preparing its planner says why.
+pub(super) fn checkpoint_digests(planners: &[String], config: &Config) -> BTreeMap<String, String> {
+    let digest = |path: &str| {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update_reader(crate::files::open(&path_of(path)).ok()?).ok()?;
+        Some((path.to_owned(), hasher.finalize().to_hex().to_string()))
+    };
+    planners.iter().filter_map(|planner| digest(config.learned.checkpoint(planner)?)).collect()
 }

@@ -3,7 +3,7 @@
 use super::config::{Config, ConfigError};
 use super::error::RunnerError;
 use super::event::{Event, Listener};
-use super::inputs::data_files;
+use super::inputs::{checkpoint_digests, data_files};
 use super::machine::build_commit;
 use super::model::{self, LoadedModel};
 use super::request::{Commands, Request};
@@ -120,6 +120,7 @@ fn plan(
         if let Some(key) = entry.unsupported(&config.agent_settings()) {
             return Err(RunnerError::Unsupported { key, planner });
         }
+        entry.prepare(&config.agent_settings()).map_err(|source| RunnerError::Prepare(Box::new(source)))?;
         needs_model |= entry.needs_model();
     }
     let loaded = if needs_model { Some(model::load_model(config, listener)?) } else { None };
@@ -158,6 +159,8 @@ pub(super) fn manifest(
     loaded: Option<&LoadedModel>,
     config: &Config,
 ) -> Result<Manifest, RunnerError> {
+    let mut inputs = Inputs { data, ..loaded.map(|loaded| loaded.inputs.clone()).unwrap_or_default() };
+    inputs.model.extend(checkpoint_digests(&planners, config));
     Ok(Manifest {
         format_version: FORMAT_VERSION,
         result_version: RESULT_VERSION,
@@ -172,7 +175,7 @@ pub(super) fn manifest(
         model: loaded.map(|loaded| toml::Table::try_from(&loaded.about)).transpose()?,
         prompts: loaded.and_then(LoadedModel::prompt_list),
         config: toml::Table::try_from(config)?,
-        inputs: Some(Inputs { data, ..loaded.map(|loaded| loaded.inputs.clone()).unwrap_or_default() }),
+        inputs: Some(inputs),
         accepted: Vec::new(),
     })
 }

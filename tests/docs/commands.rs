@@ -19,6 +19,7 @@ const NUPLAN: &str = "needs nuPlan's data";
 const DEVKIT: &str = "needs clones of nuplan-devkit and tuplan_garage";
 const NETWORK: &str = "downloads";
 const ENDLESS: &str = "runs until it is ended";
+const CHECKPOINT: &str = "needs a checkpoint of a learned planner";
 const FORMER: &str = "needs the run of a command that is not run";
 
 /// Commands that are not run: page, command, reason.
@@ -54,6 +55,12 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         "docs/devkit.md",
         "devkit-python/bin/python tests/devkit/properties.py --devkit nuplan-devkit --exported compared/exported",
         DEVKIT,
+    ),
+    ("docs/learned.md", "planagent simulate --planner plantf --checkpoint plantf.ckpt", CHECKPOINT),
+    (
+        "docs/learned.md",
+        "planagent simulate --planner plantf,pdm-open,idm --checkpoint plantf=plantf.ckpt --checkpoint pdm-open=pdm_open.ckpt",
+        CHECKPOINT,
     ),
     ("docs/endpoint.md", "planagent simulate --model local-server", SERVER),
     ("docs/endpoint.md", "OPENAI_API_KEY=… planagent simulate --model openai", SERVER),
@@ -274,6 +281,7 @@ pages! {
     commands_of_experiments: "docs/experiments.md",
     commands_of_generator: "docs/generator.md",
     commands_of_latency: "docs/latency.md",
+    commands_of_learned: "docs/learned.md",
     commands_of_llm_assist: "docs/llm_assist.md",
     commands_of_models: "docs/models.md",
     commands_of_nuplan: "docs/nuplan.md",

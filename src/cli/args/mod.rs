@@ -18,7 +18,7 @@ pub(super) use scenarios::{
 };
 pub(super) use simulate::{PlanArguments, SimulateArguments};
 pub(super) use studies::{
-    ALL_EXPERIMENTS, BENCH_PROCESS, BenchArguments, DatasetArguments, ExperimentArguments, OtherEngine,
+    ALL_EXPERIMENTS, BENCH_PROCESS, BenchArguments, DatasetArguments, DatasetKind, ExperimentArguments, OtherEngine,
 };
 
 use super::help;

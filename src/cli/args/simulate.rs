@@ -27,6 +27,12 @@ pub(in crate::cli) struct SimulateArguments {
     pub(in crate::cli) sample: SampleArguments,
     #[arg(long, value_name = "NAMES", help = help::planners_short(), long_help = help::planners())]
     pub(in crate::cli) planner: Vec<String>,
+    /// The checkpoint of a learned planner, or PLANNER=FILE for each of several.
+    ///
+    /// A Lightning .ckpt, a .pth or .safetensors file; its names and shapes must be those of the planner's authors. The setting
+    /// learned.PLANNER says the same.
+    #[arg(long, value_name = "FILE", value_parser = path_word())]
+    pub(in crate::cli) checkpoint: Vec<String>,
     /// With a command as planner or agents: seconds that it may take for a step.
     #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_EXEC_TIMEOUT.as_secs_f64(), hide_short_help = true)]
     exec_timeout: f64,

@@ -4,6 +4,8 @@ use super::data::DataArguments;
 use super::model::ModelArguments;
 use crate::cli::help;
 use crate::cli::words::path_word;
+#[cfg(feature = "learned")]
+use crate::experiment::dataset::imitation::ImitationPlanner;
 use crate::planner::PlannerRegistry;
 use crate::runner::ExperimentsRequest;
 use clap::{Args, ValueEnum};
@@ -18,6 +20,23 @@ pub(in crate::cli) const BENCH_PROCESS: &str = "bench-process";
 /// Arguments of `dataset`.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct DatasetArguments {
+    /// What is trained: a vision-language model (labels), or a learned planner (imitation).
+    ///
+    /// labels: images and planner codes, for a vision-language model. imitation: the features of a learned planner and what the
+    /// logged driver did, a sample a second, as safetensors.
+    #[arg(long = "for", value_name = "KIND", value_enum, default_value_t = DatasetKind::Labels)]
+    pub(in crate::cli) kind: DatasetKind,
+    /// With --for imitation: the learned planner.
+    #[cfg(feature = "learned")]
+    #[arg(long, value_name = "NAME", value_parser = imitation_planner(), default_value = "plantf")]
+    pub(in crate::cli) planner: String,
+    /// With --for imitation: logs, as `simulate` takes them [default: generated ones of training seeds].
+    #[cfg(feature = "learned")]
+    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word())]
+    pub(in crate::cli) scenarios: Vec<String>,
+    #[cfg(feature = "learned")]
+    #[command(flatten)]
+    pub(in crate::cli) data: DataArguments,
     /// Folder for the shards; an interrupted run continues where it stopped.
     #[arg(long, value_name = "FOLDER")]
     pub(in crate::cli) out: PathBuf,
@@ -36,6 +55,18 @@ pub(in crate::cli) struct DatasetArguments {
     pub(in crate::cli) driven: bool,
     #[command(flatten)]
     pub(super) model: ModelArguments,
+}
+
+/// What a dataset is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum DatasetKind {
+    Labels,
+    Imitation,
+}
+
+#[cfg(feature = "learned")]
+fn imitation_planner() -> clap::builder::PossibleValuesParser {
+    ImitationPlanner::ALL.map(ImitationPlanner::name).into()
 }
 
 /// Arguments of `experiment`.

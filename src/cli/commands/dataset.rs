@@ -1,13 +1,21 @@
 //! `planagent dataset`.
 
-use crate::cli::args::DatasetArguments;
+use crate::cli::args::{DatasetArguments, DatasetKind};
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
 use crate::environment::BevView;
+#[cfg(feature = "learned")]
+use crate::experiment::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
 use crate::experiment::dataset::{Settings, Split, write_split};
 use crate::reasoning::PromptSet;
 use crate::runner::{Config, load_model};
+#[cfg(feature = "learned")]
+use crate::scenario::Readers;
+#[cfg(feature = "learned")]
+use anyhow::Context;
 use anyhow::bail;
+#[cfg(feature = "learned")]
+use std::time::Instant;
 
 /// Prompt set of datasets: that of the models that are trained on them.
 const PROMPT_SET: &str = "compact";
@@ -16,6 +24,9 @@ const PROMPT_SET: &str = "compact";
 pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     if flags.out.is_file() {
         bail!("--out {}: this is a file and no folder", flags.out.display());
+    }
+    if flags.kind == DatasetKind::Imitation {
+        return imitation(flags, config, printer);
     }
     let prompts = PromptSet::open(config.reasoning.prompt_set.as_deref().unwrap_or(PROMPT_SET))?;
     let view = BevView::new(BevView::default().pixels(), config.environment.view_m)?;
@@ -34,4 +45,44 @@ pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Pr
         }
     }
     Ok(Exit::Success)
+}
+
+/// Writes the samples of a learned planner.
+#[cfg(feature = "learned")]
+fn imitation(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
+    if flags.driven {
+        bail!("--driven belongs to --for labels: the logged driver controls the ego in samples for imitation");
+    }
+    let planner = ImitationPlanner::ALL.into_iter().find(|planner| planner.name() == flags.planner);
+    let planner = planner.with_context(|| format!("--planner {}: no dataset is made for it", flags.planner))?;
+    let readers = Readers::new(&flags.data.roots());
+    let mut listed = Vec::new();
+    for word in &flags.scenarios {
+        listed.extend(readers.find(word)?);
+    }
+    readers.take_notes().into_iter().for_each(|text| printer.note(text));
+    let generated = |split| (split, ImitationSource::Generated { split, seed: config.seed });
+    let splits = if listed.is_empty() {
+        vec![(generated(Split::Train), flags.states), (generated(Split::Validation), flags.validation)]
+    } else {
+        vec![((Split::Train, ImitationSource::Listed(&listed)), flags.states)]
+    };
+    for ((split, source), samples) in splits {
+        let bar = printer.progress(samples as u64, "samples");
+        bar.set_message(split.as_str());
+        let started = Instant::now();
+        let written = write_samples(&flags.out, planner, source, samples, &|samples| bar.inc(samples as u64))?;
+        bar.finish_and_clear();
+        let minutes = started.elapsed().as_secs_f64() / 60.0;
+        printer.note(format!("{}: {written} samples in {minutes:.1} minutes", split.as_str()));
+        if printer.is_json() {
+            printer.json(&serde_json::json!({"split": split.as_str(), "samples": written}))?;
+        }
+    }
+    Ok(Exit::Success)
+}
+
+#[cfg(not(feature = "learned"))]
+fn imitation(_: &DatasetArguments, _: &Config, _: Printer) -> anyhow::Result<Exit> {
+    bail!("--for imitation: this program was built without the cargo feature learned")
 }

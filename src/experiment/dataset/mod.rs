@@ -3,6 +3,8 @@
 //!
 //! The seeds of training, validation and test are disjoint (see [`Split`]).
 
+#[cfg(feature = "learned")]
+pub mod imitation;
 mod label;
 mod label_weights;
 pub mod search;

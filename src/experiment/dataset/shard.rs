@@ -35,7 +35,7 @@ pub struct Meta {
 }
 
 /// Creates the folder with its `meta.json`, or resumes a dataset with the same `meta.json`.
-pub(super) fn open_folder(folder: &Path, meta: &Meta) -> Result<(), ShardError> {
+pub(super) fn open_folder(folder: &Path, meta: &impl Serialize) -> Result<(), ShardError> {
     let failed = |source| ShardError::Write { path: folder.to_owned(), source };
     fs::create_dir_all(folder).map_err(failed)?;
     let path = folder.join("meta.json");

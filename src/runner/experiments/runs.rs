@@ -191,6 +191,7 @@ fn relevant(mut config: Config, needs: PlannerNeeds) -> Config {
         PlannerNeeds::Model => (config.mllm.offline, config.mllm.ignore_memory) = (false, false),
         PlannerNeeds::Settings => config.mllm = MllmConfig::default(),
         PlannerNeeds::Nothing | PlannerNeeds::Recording => config = Config::default(),
+        PlannerNeeds::Checkpoint => config = Config { learned: config.learned, ..Config::default() },
     }
     config
 }

@@ -1,0 +1,80 @@
+//! Affine layers.
+
+use super::{Weights, relu};
+use candle_core::{Result, Tensor};
+
+/// y = x Wᵀ + b over the last dimension.
+#[derive(Debug, Clone)]
+pub(in crate::planner::learned) struct Linear {
+    /// Wᵀ, (inputs, outputs).
+    transposed: Tensor,
+    bias: Option<Tensor>,
+}
+
+impl Linear {
+    /// Takes `NAME.weight` and `NAME.bias`.
+    pub(in crate::planner::learned) fn take(
+        weights: &mut Weights,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Self> {
+        let layer = Self::without_bias(weights, name, inputs, outputs)?;
+        Ok(Self { bias: Some(weights.take(&format!("{name}.bias"), &[outputs])?), ..layer })
+    }
+
+    /// Takes `NAME.weight`.
+    pub(in crate::planner::learned) fn without_bias(
+        weights: &mut Weights,
+        name: &str,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Self> {
+        Self::of(&weights.take(&format!("{name}.weight"), &[outputs, inputs])?, None)
+    }
+
+    /// Of a weight (outputs, inputs) and a bias.
+    pub(super) fn of(weight: &Tensor, bias: Option<Tensor>) -> Result<Self> {
+        Ok(Self { transposed: weight.t()?.contiguous()?, bias })
+    }
+
+    /// Applies the layer to (…, inputs).
+    pub(in crate::planner::learned) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let (inputs, outputs) = self.transposed.dims2()?;
+        let mut shape = x.dims().to_vec();
+        let rows: usize = x.elem_count() / inputs;
+        let product = x.reshape((rows, inputs))?.matmul(&self.transposed)?;
+        let sum = match &self.bias {
+            Some(bias) => product.broadcast_add(bias)?,
+            None => product,
+        };
+        if let Some(last) = shape.last_mut() {
+            *last = outputs;
+        }
+        sum.reshape(shape)
+    }
+}
+
+/// Affine layers with ReLU between them, and none after the last.
+#[derive(Debug, Clone)]
+pub(in crate::planner::learned) struct Mlp {
+    layers: Vec<Linear>,
+}
+
+impl Mlp {
+    /// Takes layers of these names between these widths.
+    pub(in crate::planner::learned) fn take(weights: &mut Weights, names: &[String], widths: &[usize]) -> Result<Self> {
+        let layers = names.iter().zip(widths.windows(2));
+        let layers = layers.map(|(name, width)| Linear::take(weights, name, width[0], width[1]));
+        Ok(Self { layers: layers.collect::<Result<_>>()? })
+    }
+
+    /// Applies the layers to (…, inputs).
+    pub(in crate::planner::learned) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let mut x = x.clone();
+        for (i, layer) in self.layers.iter().enumerate() {
+            x = if i == 0 { layer.forward(&x)? } else { layer.forward(&relu(&x)?)? };
+        }
+        Ok(x)
+    }
+}

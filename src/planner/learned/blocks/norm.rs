@@ -1,0 +1,55 @@
+//! Normalizations.
+
+use super::Weights;
+use candle_core::{D, Result, Tensor};
+
+/// PyTorch's default ε of both.
+const EPSILON: f64 = 1e-5;
+
+/// Normalizes the last dimension.
+#[derive(Debug, Clone)]
+pub(in crate::planner::learned) struct LayerNorm {
+    weight: Tensor,
+    bias: Tensor,
+}
+
+impl LayerNorm {
+    /// Takes `NAME.weight` and `NAME.bias`.
+    pub(in crate::planner::learned) fn take(weights: &mut Weights, name: &str, width: usize) -> Result<Self> {
+        let mut vector = |part: &str| weights.take(&format!("{name}.{part}"), &[width]);
+        Ok(Self { weight: vector("weight")?, bias: vector("bias")? })
+    }
+
+    /// Applies the norm to (…, width).
+    pub(in crate::planner::learned) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let centered = x.broadcast_sub(&x.mean_keepdim(D::Minus1)?)?;
+        let variance = centered.sqr()?.mean_keepdim(D::Minus1)?;
+        let scaled = centered.broadcast_div(&(variance + EPSILON)?.sqrt()?)?;
+        scaled.broadcast_mul(&self.weight)?.broadcast_add(&self.bias)
+    }
+}
+
+/// Batch normalization with its running statistics, as one factor and one summand a channel.
+#[derive(Debug, Clone)]
+pub(in crate::planner::learned) struct BatchNorm {
+    factor: Tensor,
+    summand: Tensor,
+}
+
+impl BatchNorm {
+    /// Takes the four vectors of `NAME` and its counter of batches.
+    pub(in crate::planner::learned) fn take(weights: &mut Weights, name: &str, width: usize) -> Result<Self> {
+        let mut vector = |part: &str| weights.take(&format!("{name}.{part}"), &[width]);
+        let (weight, bias) = (vector("weight")?, vector("bias")?);
+        let (mean, variance) = (vector("running_mean")?, vector("running_var")?);
+        weights.skip(&format!("{name}.num_batches_tracked"), &[])?;
+        let factor = (weight / (variance + EPSILON)?.sqrt()?)?;
+        let summand = (bias - (mean * &factor)?)?;
+        Ok(Self { factor, summand })
+    }
+
+    /// Applies the norm to channels in the last dimension.
+    pub(in crate::planner::learned) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        x.broadcast_mul(&self.factor)?.broadcast_add(&self.summand)
+    }
+}

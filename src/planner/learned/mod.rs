@@ -1,0 +1,32 @@
+//! Learned planners: each computes what its authors' program computes, from a checkpoint of theirs or ours, without Python.
+//!
+//! A model is a folder: its features, its network under the names of its checkpoint, its planner. The layers that networks
+//! share are in `blocks`; [`Checkpoint`] opens the files; `prediction` makes a trajectory of a network's poses.
+
+mod blocks;
+mod checkpoint;
+pub mod dtpp;
+pub mod gameformer;
+pub mod gc_pgp;
+mod past;
+pub mod pdm_open;
+pub mod plantf;
+mod prediction;
+pub mod raster_model;
+mod slot;
+pub mod urban_driver;
+
+pub use blocks::{Mismatch, Probe, Weights};
+pub use checkpoint::{Checkpoint, CheckpointError};
+pub use prediction::trajectory;
+
+use super::{PlannerEntry, PlannerError};
+
+/// The learned planners.
+pub(super) fn entries() -> [PlannerEntry; 5] {
+    [pdm_open::entry(), pdm_open::hybrid_entry(), plantf::entry(), urban_driver::entry(), raster_model::entry()]
+}
+
+fn network_failed(source: candle_core::Error) -> PlannerError {
+    PlannerError::Failed { doing: "running the network", source: Box::new(source) }
+}

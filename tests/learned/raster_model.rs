@@ -1,0 +1,94 @@
+//! RasterModel's network.
+
+use super::scene::scene;
+use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, json, network, vectors};
+use candle_core::{DType, Tensor};
+use planagent::internals::planner::learned::Probe;
+use planagent::internals::planner::learned::raster_model::{Canvas, Raster, RasterModel, RasterModelConfig, Vertex};
+
+const TINY: RasterModelConfig = RasterModelConfig { widths: [4, 8, 16, 32] };
+
+fn halved(raster: &Tensor) -> Tensor {
+    (raster.to_dtype(DType::F32).unwrap() / 2.0).unwrap()
+}
+
+fn check(network: &RasterModel, tiny: &Vectors, file: &Vectors, name: &str) {
+    let mut probe = Probe::on();
+    let plan = network.forward(&halved(tiny.get("random64.in.raster_times_2")), &mut probe).unwrap();
+    for mid in ["bn1", "maxpool", "layer1", "layer2", "layer3", "layer4", "global_pool"] {
+        let found = probe.get(&format!("_model.{mid}")).unwrap().narrow(0, 0, 1).unwrap();
+        assert_close(&format!("{name} {mid}"), &found, file.get(&format!("random64.mid._model.{mid}")), NETWORK);
+    }
+    assert_close(&format!("{name} random64"), &plan, file.get("random64.out.trajectory"), NETWORK);
+}
+
+fn check_scene(network: &RasterModel, scene: &str, file: &Vectors, name: &str) {
+    let raster = Vectors::open(&fixture(&format!("raster/raster_{scene}.safetensors")));
+    let raster = halved(&raster.get("raster_chw_times_2").unsqueeze(0).unwrap());
+    let plan = network.forward(&raster, &mut Probe::off()).unwrap();
+    assert_close(&format!("{name} {scene}"), &plan, file.get(&format!("{scene}.out.trajectory")), NETWORK);
+}
+
+#[test]
+fn the_tiny_network_computes_what_pytorch_computes() {
+    let network = network(|weights| RasterModel::take(weights, TINY));
+    let file = Vectors::open(&fixture("raster/raster_model_tiny.io.safetensors"));
+    check(&network, &file, &file, "raster_model_tiny");
+    for scene in ["scene_a", "scene_b"] {
+        check_scene(&network, scene, &file, "raster_model_tiny");
+    }
+}
+
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn the_full_network_computes_what_pytorch_computes() {
+    let Some(path) = vectors("raster/raster_model_full.io.safetensors") else { return };
+    let network = network(|weights| RasterModel::take(weights, RasterModelConfig::PUBLISHED));
+    let tiny = Vectors::open(&fixture("raster/raster_model_tiny.io.safetensors"));
+    let file = Vectors::open(&path);
+    check(&network, &tiny, &file, "raster_model_full");
+    for scene in ["scene_a", "scene_b"] {
+        check_scene(&network, scene, &file, "raster_model_full");
+    }
+}
+
+#[test]
+fn the_tensors_are_those_of_the_manifest() {
+    let take = |weights: &mut _| RasterModel::take(weights, RasterModelConfig::PUBLISHED);
+    assert_manifest("raster/raster_model_full.manifest.json", take);
+}
+
+#[test]
+fn shapes_are_drawn_as_opencv_draws_them() {
+    let cases = json("raster/fill_cases.json");
+    for (i, case) in cases["cases"].as_array().unwrap().iter().enumerate() {
+        let place = |value: &serde_json::Value| value.as_i64().unwrap();
+        let vertices =
+            case["fixed_point"].as_array().unwrap().iter().map(|vertex| [place(&vertex[0]), place(&vertex[1])]);
+        let vertices: Vec<Vertex> = vertices.collect();
+        let shift = case["shift"].as_u64().unwrap() as u32;
+        let mut canvas = Canvas::new(24);
+        match case["op"].as_str().unwrap() {
+            "fillPoly" => canvas.polygon(&vertices, shift, 1.0),
+            "polylines_open" => canvas.line(&vertices, shift, 1.0),
+            other => panic!("{other}"),
+        }
+        let row = |row: &[f32]| row.iter().map(|value| if *value == 0.0 { '0' } else { '2' }).collect::<String>();
+        let drawn: Vec<String> = canvas.pixels.chunks_exact(24).map(row).collect();
+        let expected: Vec<&str> = case["rows"].as_array().unwrap().iter().map(|row| row.as_str().unwrap()).collect();
+        assert_eq!(drawn, expected, "case {i}: {}", case["op"]);
+    }
+}
+
+#[test]
+fn the_rasters_are_those_of_the_original() {
+    for name in ["scene_a", "scene_b"] {
+        let raster = Raster::of(&scene(name).view()).inputs().unwrap().squeeze(0).unwrap();
+        let expected = Vectors::open(&fixture(&format!("raster/raster_{name}.safetensors")));
+        let expected = halved(expected.get("raster_chw_times_2"));
+        for (channel, what) in ["ego", "agents", "road", "baselines"].iter().enumerate() {
+            let one = |raster: &Tensor| raster.narrow(0, channel, 1).unwrap();
+            assert_close(&format!("{name} {what}"), &one(&raster), &one(&expected), FEATURES);
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! UrbanDriver.
+
+use super::scene::scene;
+use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, network, vectors};
+use candle_core::DType;
+use planagent::internals::planner::learned::Probe;
+use planagent::internals::planner::learned::urban_driver::{
+    ElementLimits, Elements, UrbanDriver, UrbanDriverConfig, UrbanDriverFeatures,
+};
+
+const TINY: UrbanDriverConfig = UrbanDriverConfig { embedding: 32, layers: 2 };
+const TINY_LIMITS: ElementLimits = ElementLimits { vehicles: 6, layers: [8, 8, 8, 3, 4, 6] };
+
+fn check(network: &UrbanDriver, limits: ElementLimits, file: &Vectors, name: &str) {
+    let [a, b, c, d, e, f] = limits.layers;
+    let elements = Elements {
+        points: file.get("mid.elements").clone(),
+        available: file.of_kind(DType::U8, "mid.availability"),
+        counts: [1, limits.vehicles, a, b, c, d, e, f],
+    };
+    let mut probe = Probe::on();
+    let plan = network.forward(&elements, &mut probe).unwrap();
+    let embedded = probe.get("feature_embedding").unwrap().narrow(1, 0, 4).unwrap();
+    assert_close(&format!("{name} embedding"), &embedded, file.get("mid.feature_embedding_first4"), NETWORK);
+    assert_close(
+        &format!("{name} subgraph"),
+        probe.get("local_subgraph").unwrap(),
+        file.get("mid.local_subgraph"),
+        NETWORK,
+    );
+    let kinds = probe.get("type_embedding").unwrap().unsqueeze(0).unwrap();
+    assert_close(&format!("{name} kinds"), &kinds, file.get("mid.type_embedding"), NETWORK);
+    let mixed = probe.get("attention").unwrap().transpose(0, 1).unwrap();
+    assert_close(&format!("{name} attention"), &mixed, file.get("mid.attention"), NETWORK);
+    assert_close(name, &plan, file.get("out.trajectory"), NETWORK);
+}
+
+#[test]
+fn the_tiny_network_computes_what_pytorch_computes() {
+    let network = network(|weights| UrbanDriver::take(weights, TINY));
+    for source in ["random", "scene_a", "scene_b"] {
+        let file = Vectors::open(&fixture(&format!("urban_driver/urban_tiny.{source}.io.safetensors")));
+        check(&network, TINY_LIMITS, &file, &format!("urban_tiny.{source}"));
+    }
+}
+
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn the_full_network_computes_what_pytorch_computes() {
+    let network = network(|weights| UrbanDriver::take(weights, UrbanDriverConfig::PUBLISHED));
+    for source in ["random", "scene_a", "scene_b"] {
+        let Some(path) = vectors(&format!("urban_driver/urban_full.{source}.io.safetensors")) else { return };
+        check(&network, ElementLimits::PUBLISHED, &Vectors::open(&path), &format!("urban_full.{source}"));
+    }
+}
+
+#[test]
+fn the_tensors_are_those_of_the_manifest() {
+    let take = |weights: &mut _| UrbanDriver::take(weights, UrbanDriverConfig::PUBLISHED);
+    assert_manifest("urban_driver/urban_full.manifest.json", take);
+}
+
+#[test]
+fn the_features_are_those_of_the_original() {
+    for name in ["scene_a", "scene_b"] {
+        let features = UrbanDriverFeatures::of(&scene(name).view());
+        let file = Vectors::open(&fixture(&format!("urban_driver/urban_tiny.{name}.io.safetensors")));
+        let elements = Elements::of(&[features], TINY_LIMITS).unwrap();
+        assert_close(&format!("{name} available"), &elements.available, file.get("mid.availability"), FEATURES);
+        assert_close(&format!("{name} elements"), &elements.points, file.get("mid.elements"), FEATURES);
+    }
+}
+
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn the_features_are_those_of_the_original_within_the_published_limits() {
+    for name in ["scene_a", "scene_b"] {
+        let Some(path) = vectors(&format!("urban_driver/urban_full.{name}.io.safetensors")) else { return };
+        let elements = Elements::of(&[UrbanDriverFeatures::of(&scene(name).view())], ElementLimits::PUBLISHED).unwrap();
+        assert_close(&format!("{name} elements"), &elements.points, Vectors::open(&path).get("mid.elements"), FEATURES);
+    }
+}
