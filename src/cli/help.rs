@@ -32,10 +32,7 @@ pub(super) fn planners() -> String {
     )
 }
 
-pub(super) fn splits_short() -> String {
-    let names = Suite::ALL.map(|suite| suite.name).join(", ");
-    format!("List of scenarios: {names}, a split of nuPlan, or FILE.yaml")
-}
+pub(super) const SPLITS_SHORT: &str = "A named list of scenarios, or a nuPlan filter FILE.yaml";
 
 pub(super) fn splits() -> String {
     let suite = |suite: Suite| {
@@ -154,6 +151,27 @@ Examples:
   planagent completions bash > ~/.bash_completion
   planagent completions zsh > ~/.zfunc/_planagent
   planagent completions fish > ~/.config/fish/completions/planagent.fish";
+
+pub(super) const MODELS: &str = "\
+Examples:
+  planagent models list
+  planagent models check nano";
+
+pub(super) const MODELS_LIST: &str = "\
+Examples:
+  planagent models list
+  planagent models list --csv > models.csv";
+
+pub(super) const SCENARIOS: &str = "\
+Examples:
+  planagent scenarios list
+  planagent scenarios show generated/changing_lane/3";
+
+pub(super) const SCENARIOS_HARD: &str = "\
+Example:
+  planagent simulate --split generated-test14-candidates \\
+    --planner pdm-closed --out runs/candidates
+  planagent scenarios hard runs/candidates";
 
 pub(super) const MODELS_CHECK: &str = "\
 Examples:

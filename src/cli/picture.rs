@@ -1,9 +1,11 @@
 //! Picture files of commands.
 
-use crate::files::{check_target, target};
+use crate::files::target;
 use anyhow::{Context, bail};
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use image::{ImageFormat, RgbImage};
+use std::fs::{self, File};
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// A file for a picture; its extension names the format.
@@ -23,18 +25,27 @@ pub(super) fn picture_file() -> impl TypedValueParser<Value = PictureFile> {
     PathBufValueParser::new().try_map(PictureFile::try_from)
 }
 
-/// Fails if a file cannot be created because its folder does not exist: said before the work, not after it.
-pub(super) fn check_folder(file: &Path) -> anyhow::Result<()> {
+/// Fails if a file cannot be written: said before the work, not after it. A file that exists is not changed.
+pub(super) fn check_output(file: &Path) -> anyhow::Result<()> {
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
         bail!("cannot write {}: there is no folder {}", file.display(), folder.display());
     }
-    check_target(file).with_context(|| format!("cannot write {}", file.display()))
+    target(file).and_then(|file| open_once(&file)).with_context(|| format!("cannot write {}", file.display()))
 }
 
-/// The file to write, behind links; see [`check_folder`].
+/// Opens a file for writing; one that this creates is deleted again.
+fn open_once(file: &Path) -> io::Result<()> {
+    if file.exists() {
+        return File::options().append(true).open(file).map(|_| ());
+    }
+    File::create_new(file)?;
+    fs::remove_file(file)
+}
+
+/// The file to write, behind links; see [`check_output`].
 pub(super) fn target_of(file: &Path) -> anyhow::Result<PathBuf> {
-    check_folder(file)?;
+    check_output(file)?;
     target(file).with_context(|| format!("cannot write {}", file.display()))
 }
 
@@ -55,7 +66,7 @@ impl TryFrom<PathBuf> for PictureFile {
 impl PictureFile {
     /// Writes the picture.
     pub(super) fn save(&self, picture: &RgbImage) -> anyhow::Result<()> {
-        check_folder(&self.path)?;
+        check_output(&self.path)?;
         picture
             .save_with_format(&self.path, self.format)
             .with_context(|| format!("cannot write {}", self.path.display()))

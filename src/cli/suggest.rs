@@ -5,7 +5,8 @@ use crate::experiment::study::StudyError;
 use crate::experiment::suite::Suite;
 use crate::mllm::MllmError;
 use crate::planner::UnknownPlanner;
-use crate::report::NoPair;
+use crate::report::render::RenderError;
+use crate::report::{NoPair, ReportError, ReportFault};
 use crate::runner::{NoSuchType, RunnerError};
 use crate::scenario::generator::{GeneratorError, types};
 use crate::scenario::{DataRoots, ReaderError, Readers};
@@ -82,6 +83,12 @@ fn mistyped(error: &(dyn Error + 'static)) -> Option<Mistyped> {
             RunnerError::FindModel(error) => mistyped(&**error),
             _ => None,
         };
+    }
+    if let Some(RenderError::NoSimulation { wanted, known, .. }) = error.downcast_ref() {
+        return Some(Mistyped { what: "simulation", name: wanted.clone(), known: known.clone() });
+    }
+    if let Some(ReportError { fault: ReportFault::NoScenario { part, known }, .. }) = error.downcast_ref() {
+        return Some(Mistyped { what: "scenario", name: part.clone(), known: known.clone() });
     }
     if let Some(UnknownPlanner { name, known }) = error.downcast_ref() {
         return Some(Mistyped { what: "planner", name: name.clone(), known: known.clone() });

@@ -4,7 +4,7 @@ mod regular;
 mod shortened;
 mod word;
 
-pub use regular::{check_target, open, read_text, target};
+pub use regular::{open, read_text, target};
 pub use shortened::{MAX_SHOWN_BYTES, shortened};
 pub use word::{path_of, serde_path, word_of};
 

@@ -57,11 +57,6 @@ pub fn target(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("too many links"))
 }
 
-/// Fails as [`target`]: for a file that is written in place, which follows links by itself.
-pub fn check_target(path: &Path) -> io::Result<()> {
-    target(path).map(|_| ())
-}
-
 fn check_regular(kind: FileType) -> io::Result<()> {
     if kind.is_file() {
         return Ok(());

@@ -10,6 +10,8 @@ use std::path::PathBuf;
 pub enum MllmError {
     #[error("{folder}: the model folder has no {file}")]
     MissingFile { folder: PathBuf, file: String },
+    #[error("not on this machine: there is no {}", path.display())]
+    Absent { path: PathBuf },
     #[error("cannot read {path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{path}: {source}")]

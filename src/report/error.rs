@@ -59,8 +59,12 @@ pub enum ReportFault {
     WrongRecord { found: String, expected: String },
     #[error("the run has no completed simulation; there is nothing to show")]
     NoSimulations,
-    #[error("no scenario of the runs has '{0}' in its name")]
-    NoScenario(String),
+    #[error("no scenario of the runs has '{part}' in its name")]
+    NoScenario {
+        part: String,
+        /// The scenarios of the runs.
+        known: Vec<String>,
+    },
     #[error("the replay has format {0}, which this version cannot read")]
     ReplayFormat(u32),
     #[error("cannot read: {0}")]

@@ -1,14 +1,21 @@
 //! The key to the compact texts: what the words of scene text, answers and feedback mean. Transcripts begin with it, and
-//! docs/prompts.md has it.
+//! docs/prompts.md and the page have it.
 
 use crate::environment::TextForm;
 use crate::environment::facts::{
     Ahead, CORRIDOR_MARGIN, EgoSpeed, ONCOMING_REACH, Question, SAME_SPEED, SIDE_GAP, STOPPED,
 };
 use crate::environment::text::MAX_NUMBER;
+use super::call_record::CallRecord;
 use crate::planner::PlanningCall;
-use crate::reasoning::{InstructionForm, Lateral, LateralReason, Longitudinal, LongitudinalReason, UnderstandingForm};
+use crate::reasoning::{
+    InstructionForm, Lateral, LateralReason, Longitudinal, LongitudinalReason, Round, UnderstandingForm,
+};
+use serde::Serialize;
 use std::fmt::Write;
+
+/// Key of the lateral motion in the compact answers of `instruction`.
+const LATERAL_KEY: &str = "lat=";
 
 /// Which parts of a simulation's texts are compact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,34 +41,54 @@ impl CompactParts {
         }
     }
 
+    /// Those of recorded calls. A record has the texts and not their forms, and the forms show in the texts.
+    pub(super) fn seen_in(calls: &[CallRecord]) -> Self {
+        let answers = |round: Round| {
+            let rounds = calls.iter().flat_map(|call| &call.attempts).flat_map(|attempt| &attempt.rounds);
+            rounds.filter(move |one| one.round == round).map(|one| one.answer.as_str())
+        };
+        let is_choice = |answer: &str| Question::ALL.iter().any(|question| answer.starts_with(&format!("{question}=")));
+        Self {
+            scene: calls.iter().filter_map(|call| call.scene_text.as_deref()).any(TextForm::is_compact),
+            understanding: answers(Round::Understanding).any(is_choice),
+            instruction: answers(Round::Instruction).any(|answer| answer.contains(LATERAL_KEY)),
+        }
+    }
+
+    /// The tables of the key; none without compact texts.
+    pub(super) fn tables(self) -> Vec<KeyTable> {
+        let understanding = || Question::ALL.iter().map(|&question| understanding(question)).collect();
+        let tables = [
+            (self.scene, "scene text", scene()),
+            (self.understanding, "answers of `understanding`", understanding()),
+            (self.instruction, "answers of `instruction`", instruction()),
+            (self.scene, "prompts", prompts()),
+        ];
+        let shown = tables.into_iter().filter(|(is_shown, ..)| *is_shown);
+        shown.map(|(_, title, rows)| KeyTable { title: title.to_owned(), rows }).collect()
+    }
+
     /// The key as Markdown; empty without compact texts.
     pub(super) fn key(self) -> String {
         let mut text = String::new();
-        // Writing to a string cannot fail.
-        let mut table = |title: &str, rows: Vec<(String, String)>| {
+        for KeyTable { title, rows } in self.tables() {
+            // Writing to a string cannot fail.
             let _ = writeln!(text, "| {title} | meaning |\n|---|---|");
             for (words, meaning) in rows {
                 let _ = writeln!(text, "| {words} | {meaning} |");
             }
             text.push('\n');
-        };
-        if self.scene {
-            table("scene text", scene());
-        }
-        if self.understanding {
-            table(
-                "answers of `understanding`",
-                Question::ALL.iter().map(|&question| understanding(question)).collect(),
-            );
-        }
-        if self.instruction {
-            table("answers of `instruction`", instruction());
-        }
-        if self.scene {
-            table("prompts", prompts());
         }
         text
     }
+}
+
+/// A table of the key. Words of prompts and answers stand between backticks.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(super) struct KeyTable {
+    pub(super) title: String,
+    /// Words and what they mean.
+    pub(super) rows: Vec<(String, String)>,
 }
 
 fn row(words: &str, meaning: impl Into<String>) -> (String, String) {
@@ -142,7 +169,7 @@ fn understanding(question: Question) -> (String, String) {
 fn instruction() -> Vec<(String, String)> {
     let words = |texts: &[&str]| texts.iter().map(|text| format!("`{text}`")).collect::<Vec<_>>().join(", ");
     vec![
-        row("`lat=`", format!("motion across the road: {}", words(Lateral::TEXTS))),
+        row(&format!("`{LATERAL_KEY}`"), format!("motion across the road: {}", words(Lateral::TEXTS))),
         row(
             "`why=` before it",
             format!(
@@ -170,7 +197,9 @@ fn prompts() -> Vec<(String, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reasoning::{Feedback, Names, PromptSet, Round, feedback_text, round_prompt};
+    use crate::mllm::TokenCounts;
+    use crate::reasoning::{Feedback, Names, PromptSet, feedback_text, round_prompt};
+    use crate::report::CallTimes;
     use std::collections::BTreeSet;
     use std::path::Path;
 
@@ -189,6 +218,36 @@ mod tests {
             return;
         }
         assert_eq!(documented, key, "docs/prompts.md is out of date: PLANAGENT_UPDATE_DOCS=1 cargo test --lib key");
+    }
+
+    #[test]
+    fn the_forms_of_recorded_calls_show_in_their_texts() {
+        let round = |round: Round, answer: &str| {
+            serde_json::json!({
+                "round": round, "prompt": "", "prompt_hash": "", "answer": answer, "finish": "complete",
+                "constraint": "unconstrained", "tokens": TokenCounts::default(),
+            })
+        };
+        let call = |scene_text: &str, answers: [&str; 2]| -> CallRecord {
+            let rounds = [round(Round::Understanding, answers[0]), round(Round::Instruction, answers[1])];
+            let attempt =
+                serde_json::json!({"rounds": rounds, "instruction": null, "code": null, "errors": [], "reflection": null});
+            let times = serde_json::json!({"call": CallTimes::default(), "attempts": []});
+            serde_json::from_value(serde_json::json!({
+                "scenario": "s", "planner": "p", "iteration": 0, "at_s": 0.0, "image_blake3": null,
+                "scene_text": scene_text, "attempts": [attempt], "decision": {"kind": "gated", "score": 1.0},
+                "emergency_brakes": 0, "time": times,
+            }))
+            .unwrap()
+        };
+        let compact = call(
+            "speed 9 limit 13 light none - turn straight",
+            ["scene_type=straight light=none", "why=lane_serves lat=keep why=lead lon=maintain"],
+        );
+        assert_eq!(CompactParts::seen_in(&[compact]), CompactParts::ALL);
+        let sentences = call("Ego: 9 m/s, limit 13 m/s.", ["A straight road.", "Longitudinal: maintain, because of it"]);
+        assert!(CompactParts::seen_in(&[sentences]).tables().is_empty());
+        assert!(!TextForm::is_compact("speed limits do not matter") && !TextForm::is_compact(""));
     }
 
     /// The words of a text, without the numbers of agents.

@@ -34,6 +34,7 @@ mod times;
 mod timing;
 mod transcript;
 mod visible;
+mod writable;
 
 pub use bench::{BenchFigures, BenchFolder, BenchMetadata, Comparison, ModelFigures, Spread};
 pub use call_record::{CallRecord, DecisionRecord};
@@ -62,3 +63,4 @@ pub use times::{CallTimes, Quantiles, SimulationTime};
 pub use timing::{PlannerTiming, Session, SimulationTiming, Timing};
 pub use transcript::{attempt_markdown, transcript};
 pub use visible::{visible, visible_line};
+pub use writable::check_writable;

@@ -10,6 +10,7 @@ use super::layout::{CALLS, CONFIG, LOCK, MANIFEST, RECORD, RUNS, SIMULATIONS};
 use super::manifest::{FORMAT_VERSION, Manifest};
 use super::simulation_folder;
 use super::simulation_row::SimulationRow;
+use super::writable::check_writable;
 use crate::experiment::run::{SimulationRecord, SimulationTask};
 use crate::files;
 use crate::metrics::MetricResult;
@@ -55,8 +56,8 @@ impl RunFolder {
     /// # Errors
     /// When the folder cannot be written, is not empty, or holds a run. The first simulation has not started then.
     pub fn create(path: Option<&Path>, manifest: &Manifest) -> Result<Self, ReportError> {
+        Self::check_new(path)?;
         let path = path.map_or_else(next_free, Path::to_owned);
-        Self::check_new(&path)?;
         atomic::folder(&path)?;
         let folder = Self::locked(path)?;
         check_holds_no_run(&folder.path)?;
@@ -67,18 +68,15 @@ impl RunFolder {
         Ok(folder)
     }
 
-    /// Checks that a run can be created in a folder, and writes nothing.
+    /// Checks that a run can be created in a folder, without a path in the next free `runs/NNNN`. Leaves nothing behind.
     ///
     /// # Errors
-    /// When the folder holds a run or other files, or something else stands where it should be.
-    pub fn check_new(path: &Path) -> Result<(), ReportError> {
+    /// When the folder holds a run or other files, something else stands where it should be, or it cannot be written.
+    pub fn check_new(path: Option<&Path>) -> Result<(), ReportError> {
+        let path = &path.map_or_else(next_free, Path::to_owned);
         check_holds_no_run(path)?;
-        // The nearest part of the path that exists must be a folder.
-        let Some(existing) = path.ancestors().find(|part| part.exists()) else { return Ok(()) };
-        if !existing.is_dir() {
-            return Err(ReportError::at(path)(ReportFault::NoFolder(existing.to_owned())));
-        }
-        if existing != path {
+        check_writable(path)?;
+        if !path.exists() {
             return Ok(());
         }
         let begun = path.join(MANIFEST).exists();
@@ -92,6 +90,15 @@ impl RunFolder {
             }
         }
         Ok(())
+    }
+
+    /// Checks that the run in a folder can be resumed as far as the folder is concerned.
+    ///
+    /// # Errors
+    /// When the folder cannot be written, or another process runs in it.
+    pub fn check_resumable(path: &Path) -> Result<(), ReportError> {
+        check_writable(path)?;
+        Self::locked(path.to_owned()).map(|_| ())
     }
 
     /// The manifest of the run in a folder.

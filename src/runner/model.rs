@@ -82,12 +82,11 @@ impl OpenModel {
         let started = Instant::now();
         let registry = model_registry(config, listener);
         let spec = registry.find(&config.mllm.model).map_err(|error| RunnerError::FindModel(Box::new(error)))?;
-        let model = registry
-            .open(&spec)
-            .map_err(|source| RunnerError::LoadModel { name: spec.name.clone(), source: Box::new(source) })?;
-        let asking = registry
-            .asking(&spec)
-            .map_err(|source| RunnerError::LoadModel { name: spec.name.clone(), source: Box::new(source) })?;
+        let failed = |source| RunnerError::LoadModel { name: spec.name.clone(), source: Box::new(source) };
+        let asking = registry.asking(&spec).map_err(failed)?;
+        // Loading a model takes long: what is wrong with its prompts is said before.
+        config.reasoning.prompts(&asking.prompt_set)?;
+        let model = registry.open(&spec).map_err(failed)?;
         let load_s = started.elapsed().as_secs_f64();
         let about = model.describe();
         about.load.lines().into_iter().for_each(|line| listener(Event::Detail(line)));

@@ -28,9 +28,7 @@ pub fn start(
     let (request, commands) = &request.with_commands()?;
     let selection = Selection::new((request, commands.policy()), None, config.seed, listener)?;
     // Loading a model takes long: what is wrong with the folder is said before.
-    if let Some(folder) = folder {
-        RunFolder::check_new(folder)?;
-    }
+    RunFolder::check_new(folder)?;
     let data = data_files(selection.own_sources(), None);
     let run = Run::create(folder, plan(request, commands, &selection, data, config, listener)?)?;
     complete(run, &selection, started, listener)
@@ -78,6 +76,7 @@ pub fn resume(
         }
         RunFolder::check_inputs(folder, &then.changes(&inputs), request.accept_changes)?;
     }
+    RunFolder::check_resumable(folder)?;
     let plan = plan(request, commands, &selection, data, config, listener)?;
     let how = Resume { retry_failed: request.retry_failed, accept_changes: request.accept_changes };
     let run = Run::resume(folder, plan, how, listener)?;

@@ -84,19 +84,34 @@ fn every_error_quotes_names_alike() {
     }
 }
 
+/// Files of a model that nobody named may be absent; a broken folder is a fault.
 #[test]
-fn a_check_of_all_models_fails_for_missing_ones_and_says_how_to_get_them() {
-    let cache = TempDir::new().unwrap();
-    let mut command = planagent();
-    let output = command.args(["models", "check"]).env("HF_HOME", cache.path()).output().unwrap();
-    let text = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(output.status.code(), Some(1), "{text}");
+fn a_check_of_all_models_fails_for_broken_ones_only() {
+    let (cache, models) = (TempDir::new().unwrap(), TempDir::new().unwrap());
+    let check = |names: &[&str]| {
+        let mut command = planagent();
+        command.args(["models", "check"]).args(names);
+        let output = command.env("HF_HOME", cache.path()).env("PLANAGENT_MODELS", models.path()).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stdout).unwrap())
+    };
+    let describe = |name: &str| {
+        let text = format!("name = '{name}'\nprompt_set = 'compact'\nsource = {{ folder = '{name}' }}\n");
+        fs::write(models.path().join(format!("{name}.toml")), text).unwrap();
+    };
+    describe("nowhere");
+    let (code, text) = check(&[]);
+    assert_eq!(code, Some(0), "{text}");
     assert!(text.contains("nano: llava") && text.contains("can be opened"), "{text}");
-    assert!(
-        text.contains("llava-1.5-7b: not on this machine; `planagent models fetch llava-1.5-7b` downloads it"),
-        "{text}"
-    );
+    let fetched = "llava-1.5-7b: not on this machine; `planagent models fetch llava-1.5-7b` downloads it";
+    assert!(text.contains(fetched) && text.contains("nowhere: not on this machine"), "{text}");
     assert!(!text.contains("mllm.offline") && !text.contains("openai"), "{text}");
+    for named in ["llava-1.5-7b", "nowhere"] {
+        assert_eq!(check(&[named]).0, Some(1), "{named}");
+    }
+    describe("broken");
+    fs::create_dir(models.path().join("broken")).unwrap();
+    let (code, text) = check(&[]);
+    assert!(code == Some(1) && text.contains("config.json"), "{text}");
 }
 
 #[test]

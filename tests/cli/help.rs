@@ -48,13 +48,31 @@ fn help_is_as_reviewed() {
     }
 }
 
-/// The short help of the commands that are used most fits a screen.
+/// Lines of a short help at most: what a small terminal shows at once.
+const MAX_SHORT: usize = 32;
+
+/// The name of an option in a line of help.
+fn option(line: &str) -> Option<&str> {
+    line.split_whitespace().find(|word| word.starts_with("--")).map(|word| word.trim_end_matches(','))
+}
+
 #[test]
-fn the_short_help_is_short() {
-    for command in ["", "plan", "report", "compare", "merge", "models check"] {
-        let words: Vec<&str> = command.split_whitespace().chain(["-h"]).collect();
-        let lines = run(&words).1.lines().count();
-        assert!(lines <= 40, "{command}: {lines} lines");
+fn the_short_help_fits_a_screen_and_the_long_one_is_complete() {
+    for command in COMMANDS {
+        let help = |flag: &str| {
+            let words = command.split_whitespace().chain([flag]);
+            let output = planagent().args(words).env("COLUMNS", "80").output().unwrap();
+            String::from_utf8(output.stdout).unwrap()
+        };
+        let (short, long) = (help("-h"), help("--help"));
+        let lines = short.lines().count();
+        assert!(lines <= MAX_SHORT, "{command}: {lines} lines");
+        let shown = short.lines().filter(|line| line.trim_start().starts_with('-')).filter_map(option);
+        for option in shown.filter(|option| *option != "--help") {
+            assert!(long.contains(option), "{command}: no {option} in --help");
+        }
+        assert!(long.contains("\nExample:\n") || long.contains("\nExamples:\n"), "{command}: no example");
+        assert!(long.contains("--threads") && long.contains("--verbose"), "{command}: {long}");
     }
 }
 

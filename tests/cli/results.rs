@@ -68,6 +68,31 @@ fn a_film_has_the_format_of_its_name() {
     assert!(code == 2 && stderr.contains("a similar simulation exists: 'generated/changing_lane/3'"), "{stderr}");
 }
 
+#[test]
+fn a_part_of_a_scenario_that_no_other_has_names_it() {
+    let work = TempDir::new().unwrap();
+    let scenarios: Vec<String> = (1..8).map(|seed| format!("generated/stopping_with_lead/{seed}")).collect();
+    let words: Vec<&str> = scenarios.iter().map(String::as_str).collect();
+    let flags = ["simulate", "--quiet", "--planner", "simple", "--scenario", "generated/changing_lane/3"];
+    assert_eq!(run_in(work.path(), &[&flags[..], &words].concat()).0, 0);
+    let render = |word: &str| run_in(work.path(), &["render", word, "--png", "a.png", "--pixels", "160"]);
+    // The seed of a scenario is found too where it is no number of a simulation.
+    for part in ["changing", "lane/3", "g_lane/", "generated/changing_lane/3"] {
+        let (code, _, stderr) = render(part);
+        assert!(code == 0 && work.path().join("a.png").is_file(), "{part}: {stderr}");
+        fs::remove_file(work.path().join("a.png")).unwrap();
+    }
+    let (code, _, stderr) = render("stopping");
+    assert!(code == 2 && stderr.contains("'stopping' is in the names of 7 scenarios; name one of them:"), "{stderr}");
+    assert_eq!(stderr.matches("\n  generated/stopping_with_lead/").count(), 5, "{stderr}");
+    let (code, _, stderr) = render("Changing");
+    assert!(code == 2 && stderr.contains("has no simulation 'Changing'"), "{stderr}");
+    let (code, _, stderr) = run_in(work.path(), &["report", "--scenario", "generated/chaning_lane/3"]);
+    assert!(code == 2 && stderr.contains("a similar scenario exists: 'generated/changing_lane/3'"), "{stderr}");
+    let (code, _, stderr) = run_in(work.path(), &["report", "--scenario", "changing"]);
+    assert!(code == 0 && stderr.contains("8 simulations, 1 with replay"), "{stderr}");
+}
+
 /// What is wrong with paths is said before the model is loaded, which takes long.
 #[test]
 fn paths_are_checked_before_a_model_is_loaded() {
@@ -91,4 +116,39 @@ fn paths_are_checked_before_a_model_is_loaded() {
     assert_eq!(run(&["simulate", "--planner", "simple", "--quiet", "--out", &out]).0, 0);
     let other = never_loaded(&["simulate", "--resume", &out, "--planner", "plan-agent"]);
     assert!(other.contains("other planners: was simple, is plan-agent") && !other.contains("was none"), "{other}");
+    let prompts = never_loaded(&["simulate", "--prompt-set", &path("nowhere"), "--out", &path("new")]);
+    assert!(prompts.contains("nowhere"), "{prompts}");
+    let foreign = never_loaded(&["dataset", "--driven", "--out", &out]);
+    assert!(foreign.contains("holds other files"), "{foreign}");
+}
+
+/// No user can create a file in /proc.
+#[cfg(target_os = "linux")]
+#[test]
+fn outputs_that_cannot_be_written_are_found_before_a_model_is_loaded() {
+    let work = TempDir::new().unwrap();
+    let weights = work.path().join("nano.gguf");
+    for arguments in [
+        &["simulate", "--out", "/proc/run"][..],
+        &["plan", "--image", "/proc/scene.png"],
+        &["ask", "what?", "--image", "/proc/scene.png"],
+        &["dataset", "--driven", "--out", "/proc/data"],
+        &["experiment", "main", "--quick", "--out", "/proc/experiments"],
+        &["bench", "--out", "/proc/bench"],
+        &["bench", "--out", work.path().to_str().unwrap(), "--vs", "llama.cpp", "--weights", "/proc/weights"],
+        &["models", "quantize", "nano", "--to", "q8_0", "--out", "/proc/nano.gguf"],
+    ] {
+        let error = refused(arguments);
+        assert!(error.contains("/proc/") && error.contains("cannot write"), "{error}");
+        assert!(!error.contains("model nano") && !error.contains("loads the model"), "{error}");
+    }
+    // A run without a name goes below the working directory.
+    let output = planagent().args(["simulate"]).current_dir("/proc").output().unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && !error.contains("model nano"), "{error}");
+    // What is there already stays as it is.
+    fs::write(&weights, "mine").unwrap();
+    let quantize = ["models", "quantize", "nowhere", "--to", "q8_0", "--force", "--out", weights.to_str().unwrap()];
+    refused(&quantize);
+    assert_eq!(fs::read(&weights).unwrap(), b"mine");
 }

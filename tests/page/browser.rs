@@ -111,6 +111,20 @@ fn replay(browser: &mut Chromium, page: &Path, run: &Path) {
         assert_eq!(browser.value("document.querySelectorAll('.waterfall > div').length"), 1 + 4 * attempts.len());
     }
     assert!(browser.value("document.querySelectorAll('.thumb img').length") == 1, "no image of the prompt");
+    // The page has the key to nano's texts that the transcript begins with.
+    let transcript = fs::read_to_string(first.join("transcript.md")).unwrap();
+    let cells = "[...document.querySelectorAll('.text-key tbody tr')].map((row) => [...row.cells].map((cell) => cell.textContent))";
+    let shown = browser.value(cells);
+    let shown = shown.as_array().unwrap();
+    assert!(shown.len() > 30, "only {} rows in the key", shown.len());
+    let plain = transcript.replace('`', "");
+    for row in shown {
+        let line = format!("| {} | {} |", row[0].as_str().unwrap(), row[1].as_str().unwrap());
+        assert!(plain.contains(&line), "the transcript has no {line}");
+    }
+    let key = plain.split("## Key to the compact texts").nth(1).unwrap().split("\n## ").next().unwrap();
+    let (rows, titles) = (key.matches("\n| ").count(), key.matches("| meaning |").count());
+    assert_eq!(shown.len(), rows - titles, "the page and the transcript have different keys");
     let series = browser.value("document.querySelectorAll('.series').length").as_u64().unwrap();
     assert!(series >= 12, "only {series} time series");
     assert!(browser.value("document.querySelectorAll('.series .limit').length").as_u64().unwrap() >= 10);

@@ -9,10 +9,10 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 pub(in crate::cli) struct DataArguments {
     /// Folder of nuPlan's logs, with subfolders [default: `$NUPLAN_DATA_ROOT`].
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "FOLDER", hide_short_help = true)]
     data_root: Option<PathBuf>,
     /// Folder of nuPlan's maps [default: `$NUPLAN_MAPS_ROOT`].
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "FOLDER", hide_short_help = true)]
     maps_root: Option<PathBuf>,
 }
 
@@ -32,7 +32,7 @@ impl DataArguments {
 /// Named lists of scenarios.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct SplitArguments {
-    #[arg(long = "split", value_name = "NAME", help = help::splits_short(), long_help = help::splits())]
+    #[arg(long = "split", value_name = "NAME", help = help::SPLITS_SHORT, long_help = help::splits())]
     pub(in crate::cli) splits: Vec<String>,
     #[command(flatten)]
     pub(in crate::cli) data: DataArguments,

@@ -42,7 +42,9 @@ pub(super) struct Arguments {
 /// The options that every command has.
 #[derive(Debug, Args)]
 pub(super) struct GlobalArguments {
-    /// Configuration file [default: planagent.toml here, if it exists].
+    /// Configuration file [default: planagent.toml here].
+    ///
+    /// By default planagent.toml in the working directory, if it exists.
     #[arg(long, global = true, value_name = "FILE", help_heading = GLOBAL)]
     pub(super) config: Option<PathBuf>,
     /// Replace a setting, for example reflection.threshold=0.5.
@@ -77,7 +79,7 @@ pub(super) enum Command {
     /// transcripts, replays, nuPlan's Parquet files. An interrupted run continues with --resume.
     #[command(after_long_help = help::SIMULATE)]
     Simulate(SimulateArguments),
-    /// Run one planning call and show its input, answers, code and scores.
+    /// Run one planning call; show its input, answers, code and scores.
     #[command(after_long_help = help::PLAN)]
     Plan(PlanArguments),
     /// Put a question about the picture of a scene to the model.
@@ -85,7 +87,9 @@ pub(super) enum Command {
     /// The answer goes to stdout as it is generated. The models of models/ other than nano answer in sentences.
     #[command(after_long_help = help::ASK)]
     Ask(AskArguments),
-    /// Write an HTML page of runs: scores, histograms, and replays with their transcripts.
+    /// Write an HTML page of runs: scores, histograms, replays.
+    ///
+    /// A replay has the transcript of its planning calls beside it.
     #[command(after_long_help = help::REPORT)]
     Report(ReportArguments),
     /// Serve the page of runs while they go on.
@@ -112,18 +116,20 @@ pub(super) enum Command {
     #[command(after_long_help = help::MERGE)]
     Merge(MergeArguments),
     /// List, show and generate scenarios.
-    #[command(subcommand)]
+    #[command(subcommand, after_long_help = help::SCENARIOS)]
     Scenarios(ScenariosCommand),
     /// List, show, check, fetch and quantize models.
-    #[command(subcommand)]
+    #[command(subcommand, after_long_help = help::MODELS)]
     Models(ModelsCommand),
-    /// Write labeled states for training: BEV images and the three rounds with their answers.
+    /// Write labeled states for training.
+    ///
+    /// A state is a BEV image and the three rounds with their answers.
     #[command(after_long_help = help::DATASET)]
     Dataset(DatasetArguments),
     /// Reproduce the paper's tables and figures, and run further studies.
     #[command(after_long_help = help::EXPERIMENT)]
     Experiment(ExperimentArguments),
-    /// Measure the time of a planning call with local models, also against llama.cpp.
+    /// Measure planning calls of local models, also against llama.cpp.
     #[command(after_long_help = help::BENCH)]
     Bench(BenchArguments),
     /// Print every setting with its value and its origin.

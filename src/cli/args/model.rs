@@ -29,7 +29,7 @@ pub(in crate::cli) struct ModelArguments {
     ///
     /// paper, compact, a folder of prompts/, or the path of a folder of templates. By default, the description of the model
     /// names it, or planagent.json among its files; else it is paper.
-    #[arg(long, value_name = "SET", help_heading = HEADING)]
+    #[arg(long, value_name = "SET", help_heading = HEADING, hide_short_help = true)]
     prompt_set: Option<String>,
     #[command(flatten)]
     format: FormatArgument,
@@ -45,7 +45,7 @@ pub(in crate::cli) struct FormatArgument {
     /// Weight format in memory: `f32`, `f16`, `q8_0`, `q6_k` or `q4_k`.
     ///
     /// The default is that of the files, and f32 for safetensors.
-    #[arg(long, value_name = "KIND", help_heading = HEADING)]
+    #[arg(long, value_name = "KIND", help_heading = HEADING, hide_short_help = true)]
     quantize: Option<WeightFormat>,
 }
 
@@ -61,7 +61,7 @@ pub(in crate::cli) struct MemoryArgument {
 #[derive(Debug, Args)]
 pub(in crate::cli) struct NetworkArgument {
     /// Do not use the network: models of the hub must be in the cache.
-    #[arg(long, help_heading = HEADING)]
+    #[arg(long, help_heading = HEADING, hide_short_help = true)]
     offline: bool,
 }
 

@@ -12,6 +12,7 @@ pub(in crate::cli) enum ModelsCommand {
     /// List the described models: size, license, image tokens, memory, estimated time.
     ///
     /// `--json` and `--csv` have all that is known of them, bytes and sources among it.
+    #[command(after_long_help = help::MODELS_LIST)]
     List {
         /// Print data on stdout as CSV.
         #[arg(long, conflicts_with = "json")]
@@ -27,10 +28,10 @@ pub(in crate::cli) enum ModelsCommand {
     },
     /// Check the files of models without reading the weights, and report every fault.
     ///
-    /// The exit code is 1 if a model has a fault or is not on this machine.
+    /// The exit code is 1 if a model has a fault, or if one that is named is not on this machine.
     #[command(after_long_help = help::MODELS_CHECK)]
     Check {
-        /// Models as `--model` takes them [default: all described models with files].
+        /// Models as `--model` takes them [default: all described models].
         models: Vec<String>,
         #[command(flatten)]
         format: FormatArgument,

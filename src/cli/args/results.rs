@@ -51,7 +51,7 @@ pub(in crate::cli) struct RenderArguments {
     /// Folder of the run [default: the last run in runs/].
     #[arg(value_name = "RUN")]
     pub(in crate::cli) run: Option<String>,
-    /// The simulation: its number, or the name of its scenario [default: all].
+    /// The simulation: its number, or a part of its scenario's name that no other has [default: all].
     #[arg(value_name = "SIMULATION")]
     pub(in crate::cli) simulation: Option<String>,
     /// Only simulations of this planner.
@@ -66,10 +66,10 @@ pub(in crate::cli) struct RenderArguments {
     #[arg(long, value_name = "SECONDS", requires = "png", allow_negative_numbers = true)]
     pub(in crate::cli) at: Option<f64>,
     /// Side of the scene, pixels.
-    #[arg(long, value_name = "N", default_value_t = 640)]
+    #[arg(long, value_name = "N", default_value_t = 640, hide_short_help = true)]
     pub(in crate::cli) pixels: u32,
     /// Side of the scene, meters.
-    #[arg(long, value_name = "METERS", default_value_t = 64.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "METERS", default_value_t = 64.0, allow_negative_numbers = true, hide_short_help = true)]
     pub(in crate::cli) view: f64,
     /// Frames per second of a film; a simulation has 10.
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=10))]

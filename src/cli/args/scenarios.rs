@@ -23,6 +23,7 @@ pub(in crate::cli) enum ScenariosCommand {
     #[command(after_long_help = help::SCENARIOS_EXPORT)]
     Export(ExportArguments),
     /// Select the scenes of generated-test14-hard from a run of PDM-Closed on generated-test14-candidates.
+    #[command(after_long_help = help::SCENARIOS_HARD)]
     Hard {
         /// Folder of the run.
         run: PathBuf,
@@ -104,16 +105,16 @@ pub(in crate::cli) struct ExportArguments {
     /// Write empty maps for those of nuPlan's locations that are missing.
     ///
     /// The devkit opens no folder without its four locations.
-    #[arg(long)]
+    #[arg(long, hide_short_help = true)]
     pub(in crate::cli) stand_in_maps: bool,
     /// Scenario type of all logs [default: that of each scenario].
-    #[arg(long, value_name = "TYPE")]
+    #[arg(long, value_name = "TYPE", hide_short_help = true)]
     pub(in crate::cli) scenario_type: Option<String>,
     /// UTM zone of the scenarios, as an EPSG code.
-    #[arg(long, value_name = "CODE", default_value_t = 32_611)]
+    #[arg(long, value_name = "CODE", default_value_t = 32_611, hide_short_help = true)]
     pub(in crate::cli) epsg: u32,
     /// Easting and northing of their origin, meters.
-    #[arg(long, value_name = "METERS", num_args = 2, default_values_t = [664_000.0, 3_998_000.0], allow_negative_numbers = true)]
+    #[arg(long, value_name = "METERS", num_args = 2, default_values_t = [664_000.0, 3_998_000.0], allow_negative_numbers = true, hide_short_help = true)]
     pub(in crate::cli) origin: Vec<f64>,
 }
 

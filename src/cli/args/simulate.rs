@@ -46,7 +46,7 @@ pub(in crate::cli) struct SimulateArguments {
     ///
     /// The closed loop with these agents is no challenge of nuPlan's: NAME stands in its place in tables and files. Without
     /// --challenge, it alone is simulated. --exec-timeout bounds each step.
-    #[arg(long, value_name = "COMMAND")]
+    #[arg(long, value_name = "COMMAND", hide_short_help = true)]
     agents: Option<String>,
     /// Folder for the results, new or empty [default: the next free runs/NNNN].
     #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
@@ -55,7 +55,7 @@ pub(in crate::cli) struct SimulateArguments {
     #[arg(long, value_name = "FOLDER")]
     pub(in crate::cli) resume: Option<PathBuf>,
     /// With --resume: repeat failed simulations.
-    #[arg(long, requires = "resume")]
+    #[arg(long, requires = "resume", hide_short_help = true)]
     pub(in crate::cli) retry_failed: bool,
     /// With --resume: go on although prompts, model files or recordings changed.
     ///
@@ -73,13 +73,13 @@ pub(in crate::cli) struct SimulateArguments {
 /// Which of the scenarios are simulated.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct SampleArguments {
-    /// Only scenarios of these types, separated by commas.
+    /// Only scenarios of these types.
     ///
-    /// Without --scenario and --split, of the split generated.
+    /// Separated by commas. Without --scenario and --split, of the split generated.
     #[arg(long = "type", value_name = "TYPES", value_delimiter = ',')]
     types: Vec<String>,
     /// Take the scenarios in a random order, which --seed draws.
-    #[arg(long)]
+    #[arg(long, hide_short_help = true)]
     shuffle: bool,
     /// Only N scenarios, evenly from the types.
     ///
@@ -89,7 +89,7 @@ pub(in crate::cli) struct SampleArguments {
     /// Simulate one of N parts of the run, for example 2/8; `planagent merge` joins them.
     ///
     /// A scenario is always in the same part of N, whatever else is simulated.
-    #[arg(long, value_name = "I/N")]
+    #[arg(long, value_name = "I/N", hide_short_help = true)]
     shard: Option<Shard>,
 }
 

@@ -91,10 +91,10 @@ pub(in crate::cli) struct ExperimentArguments {
     #[arg(long, value_name = "FOLDER", default_value = "runs/experiments")]
     pub(in crate::cli) out: PathBuf,
     /// Folder of a bench with the times of models whose weights are not on this machine.
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "FOLDER", hide_short_help = true)]
     pub(in crate::cli) bench: Option<PathBuf>,
     /// Repeat failed simulations.
-    #[arg(long)]
+    #[arg(long, hide_short_help = true)]
     pub(in crate::cli) retry_failed: bool,
     /// Print the scores on stdout as CSV.
     #[arg(long, conflicts_with = "json")]
@@ -129,10 +129,10 @@ pub(in crate::cli) struct BenchArguments {
     /// Shapes of known models to fill with random weights, separated by commas.
     ///
     /// Nothing is downloaded. A wrong name lists the shapes.
-    #[arg(long, value_name = "SHAPES", value_delimiter = ',')]
+    #[arg(long, value_name = "SHAPES", value_delimiter = ',', hide_short_help = true)]
     pub(in crate::cli) random_weights: Vec<String>,
     /// Planning calls of each model before the measurement.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, hide_short_help = true)]
     pub(in crate::cli) warm_up: usize,
     /// Measured planning calls of each model.
     #[arg(long, value_name = "N", default_value_t = 5)]
@@ -141,10 +141,10 @@ pub(in crate::cli) struct BenchArguments {
     #[arg(long, value_name = "ENGINE", value_enum)]
     pub(in crate::cli) vs: Option<OtherEngine>,
     /// Python interpreter with the package llama-cpp-python [default: `$PLANAGENT_LLAMA_PYTHON`, else python3].
-    #[arg(long, value_name = "FILE", requires = "vs")]
+    #[arg(long, value_name = "FILE", requires = "vs", hide_short_help = true)]
     pub(in crate::cli) llama_python: Option<PathBuf>,
     /// Folder for the GGUF files of random weights for --vs [default: weights in the folder of the results].
-    #[arg(long, value_name = "FOLDER", requires = "vs")]
+    #[arg(long, value_name = "FOLDER", requires = "vs", hide_short_help = true)]
     pub(in crate::cli) weights: Option<PathBuf>,
     /// Folder for the results, new or empty [default: runs/bench-DATE].
     #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]

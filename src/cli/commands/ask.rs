@@ -2,7 +2,7 @@
 
 use crate::cli::args::AskArguments;
 use crate::cli::commands::plan::{history, instant, scenario};
-use crate::cli::picture::check_folder;
+use crate::cli::picture::check_output;
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
 use crate::environment::bev::{Palette, render};
@@ -44,7 +44,7 @@ pub(in crate::cli) fn run(flags: &AskArguments, config: &Config, printer: Printe
     let scenario = scenario(flags.scenario.as_deref(), &flags.data.readers())?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
     if let Some(file) = &flags.image {
-        check_folder(file.path())?;
+        check_output(file.path())?;
     }
     let loaded = load_model(config, &listener(printer))?;
     let (model, prompts, reasoning) = loaded.parts().context("there is no model to ask")?;

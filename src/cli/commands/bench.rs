@@ -7,7 +7,9 @@ use crate::cli::{Exit, Printer};
 use crate::experiment::bench::protocol::{GgufPair, ModelChoice};
 use crate::experiment::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
 use crate::mllm::{GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, export_model};
-use crate::report::{BenchFigures, BenchFolder, BenchMetadata, ReportError, bench_markdown, bench_table, stamp};
+use crate::report::{
+    BenchFigures, BenchFolder, BenchMetadata, ReportError, bench_markdown, bench_table, check_writable, stamp,
+};
 use crate::runner::{Config, build_commit, cpu, memory, model_registry};
 use anyhow::{Context, bail};
 use serde_json::{Map, Value, json};
@@ -24,14 +26,16 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
     if flags.iterations == 0 {
         bail!("--iterations is 0; it must be at least 1");
     }
+    let started = stamp(SystemTime::now());
+    let out = flags.out.clone().unwrap_or_else(|| Path::new("runs").join(format!("bench-{started}")));
+    check_writable(flags.resume.as_deref().unwrap_or(&out))?;
+    flags.weights.as_deref().map_or(Ok(()), check_writable)?;
     let registry = model_registry(config, &listener(printer));
     let candidates = candidates(flags, config, &registry)?;
-    let started = stamp(SystemTime::now());
     let metadata = metadata(flags, config, &candidates, &started)?;
-    let out = || flags.out.clone().unwrap_or_else(|| Path::new("runs").join(format!("bench-{started}")));
     let mut folder = match &flags.resume {
         Some(path) => BenchFolder::resume(path, &metadata)?,
-        None => BenchFolder::create(&out(), &metadata)?,
+        None => BenchFolder::create(&out, &metadata)?,
     };
     let mut left: Vec<Candidate> =
         candidates.into_iter().filter(|candidate| !folder.done().contains(candidate.name.as_str())).collect();

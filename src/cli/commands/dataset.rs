@@ -6,8 +6,9 @@ use crate::cli::{Exit, Printer};
 use crate::environment::BevView;
 #[cfg(feature = "learned")]
 use crate::experiment::dataset::imitation::{ImitationPlanner, ImitationSource, write_samples};
-use crate::experiment::dataset::{Settings, Split, write_split};
+use crate::experiment::dataset::{Settings, Split, check_folder, write_split};
 use crate::reasoning::PromptSet;
+use crate::report::check_writable;
 use crate::runner::{Config, load_model};
 #[cfg(feature = "learned")]
 use crate::scenario::Readers;
@@ -22,17 +23,17 @@ const PROMPT_SET: &str = "compact";
 
 /// Writes labeled states.
 pub(in crate::cli) fn run(flags: &DatasetArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    if flags.out.is_file() {
-        bail!("--out {}: this is a file and no folder", flags.out.display());
-    }
+    check_writable(&flags.out)?;
     if flags.kind == DatasetKind::Imitation {
         return imitation(flags, config, printer);
     }
     let prompts = PromptSet::open(config.reasoning.prompt_set.as_deref().unwrap_or(PROMPT_SET))?;
     let view = BevView::new(BevView::default().pixels(), config.environment.view_m)?;
+    let settings = Settings { seed: config.seed, prompts: &prompts, view, driver: None };
+    check_folder(&flags.out, &settings)?;
     let loaded = if flags.driven { Some(load_model(config, &listener(printer))?) } else { None };
     let driver = loaded.as_ref().map(|loaded| loaded.agent_parts(config));
-    let settings = Settings { seed: config.seed, prompts: &prompts, view, driver: driver.as_ref() };
+    let settings = Settings { driver: driver.as_ref(), ..settings };
     let splits = [(Split::Train, flags.states), (Split::Validation, flags.validation)];
     for (split, states) in splits.into_iter().filter(|(split, _)| *split == Split::Train || !flags.driven) {
         let bar = printer.progress(states as u64, "states");

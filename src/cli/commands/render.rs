@@ -2,9 +2,8 @@
 
 use crate::cli::args::RenderArguments;
 use crate::cli::film::FilmFile;
-use crate::cli::suggest::{nearest, similar_exists};
 use crate::cli::{Exit, Printer};
-use crate::report::render::{Film, Look, RenderError, SimulationChoice, write_gif, write_mp4};
+use crate::report::render::{Film, Look, RenderError, SimulationChoice, named, words, write_gif, write_mp4};
 use crate::report::{RunFolder, SimulationRow, last_run, simulation_folders};
 use crate::simulation::Challenge;
 use crate::world::STEP_S;
@@ -62,17 +61,7 @@ fn chosen(flags: &RenderArguments, run: &Path, simulation: Option<&str>) -> anyh
     let mut rows = RunFolder::read_completed(run)?.rows;
     let challenge = flags.challenge.as_deref().map(|word| challenge(word, &rows)).transpose()?;
     if let Some(simulation) = simulation {
-        let all: Vec<String> = rows.iter().map(|row| row.scenario.clone()).collect();
-        rows.retain(|row| is_named(row, simulation));
-        if rows.is_empty() {
-            let similar = nearest(simulation, all.iter().map(String::as_str));
-            let tip = similar.map(|similar| format!("\n  tip: {}", similar_exists("simulation", similar)));
-            bail!(
-                "the run {} has no simulation '{simulation}'; name one by its number or its scenario{}",
-                run.display(),
-                tip.unwrap_or_default()
-            );
-        }
+        rows = named(&rows, simulation, run)?;
     }
     rows.retain(|row| flags.planner.as_ref().is_none_or(|planner| row.planner == *planner));
     rows.retain(|row| challenge.is_none_or(|challenge| row.challenge == challenge));
@@ -89,13 +78,6 @@ fn challenge(word: &str, rows: &[SimulationRow]) -> anyhow::Result<Challenge> {
     named.context("--challenge takes nonreactive, reactive, open-loop, or the name of a policy of --agents")
 }
 
-fn is_named(row: &SimulationRow, simulation: &str) -> bool {
-    match simulation.parse::<usize>() {
-        Ok(number) => row.number == number,
-        Err(_) => row.scenario == simulation || row.scenario.ends_with(&format!("/{simulation}")),
-    }
-}
-
 fn several(rows: &[SimulationRow]) -> anyhow::Error {
     let listed = rows.iter().take(MAX_LISTED).map(|row| format!("\n  {:>3}  {}", row.number, words(row)));
     let more = rows.len().saturating_sub(MAX_LISTED);
@@ -105,11 +87,6 @@ fn several(rows: &[SimulationRow]) -> anyhow::Error {
         rows.len(),
         listed.collect::<String>()
     )
-}
-
-/// Scenario, planner and challenge of a simulation.
-fn words(row: &SimulationRow) -> String {
-    format!("{} by {}, {}", row.scenario, row.planner, row.challenge.short_name())
 }
 
 /// Writes one simulation to a file.

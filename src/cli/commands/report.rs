@@ -1,7 +1,7 @@
 //! `planagent report`.
 
 use crate::cli::args::ReportArguments;
-use crate::cli::picture::{check_folder, target_of};
+use crate::cli::picture::{check_output, target_of};
 use crate::cli::{Exit, Printer};
 use crate::report::last_run;
 use crate::report::page::{self, PAGE, PageSettings};
@@ -25,7 +25,7 @@ pub(in crate::cli) fn run(flags: &ReportArguments, printer: Printer) -> anyhow::
         Some(out) => target_of(out)?,
         None => first.join(PAGE),
     };
-    check_folder(&out)?;
+    check_output(&out)?;
     let settings = PageSettings { max_bytes: (flags.max_mb * MEGABYTE) as usize, scenario: flags.scenario.clone() };
     let bar = printer.progress(0, "simulations");
     let written = page::write(&runs, &out, &settings, &|done, all| {

@@ -5,6 +5,8 @@ use crate::environment::lane_graph::{Heading, NodePlace};
 
 /// Stands where there is nothing to say.
 const NOTHING: &str = "-";
+/// First word of a text.
+pub(super) const SPEED: &str = "speed";
 
 pub(super) fn write(description: &Description) -> String {
     let reduced = description.reduced();
@@ -13,7 +15,7 @@ pub(super) fn write(description: &Description) -> String {
         .map_or_else(|| format!("none {NOTHING}"), |light| format!("{} {}", light.status, light.distance));
     let nodes = NodePlace::ALL.iter().map(|&place| format!("{place} {}", node(reduced.node(place))));
     format!(
-        "speed {} limit {limit} light {light} turn {} {} rest {}",
+        "{SPEED} {} limit {limit} light {light} turn {} {} rest {}",
         reduced.speed,
         reduced.turn,
         nodes.collect::<Vec<_>>().join(" "),

@@ -45,6 +45,14 @@ choice! {
     }
 }
 
+impl TextForm {
+    /// Whether a text is a compact one: only these begin with the word `speed` and its number.
+    pub fn is_compact(text: &str) -> bool {
+        let mut words = text.split(' ');
+        words.next() == Some(compact::SPEED) && words.next().is_some_and(|number| number.parse::<u32>().is_ok())
+    }
+}
+
 /// The description in words; ends without a newline.
 pub fn write(description: &Description, set: TextForm) -> String {
     match set {

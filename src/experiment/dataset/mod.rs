@@ -137,6 +137,15 @@ pub enum DatasetError {
     NoScenarioLeft { split: &'static str, seed: u64 },
 }
 
+/// Checks that a dataset with these settings can be begun or resumed in a folder, and writes nothing.
+///
+/// # Errors
+/// When it holds other files, or a dataset with other settings.
+pub fn check_folder(folder: &Path, settings: &Settings<'_>) -> Result<(), DatasetError> {
+    shard::is_begun(folder, &meta(settings))?;
+    Ok(())
+}
+
 /// Writes shards until a split has `states` labeled states. Complete shards of an earlier run stay. Gives the number of states;
 /// `on_states` gets that of each shard.
 pub fn write_split(

@@ -34,20 +34,35 @@ pub struct Meta {
     pub planagent: String,
 }
 
+/// Name of the file with the settings of a dataset.
+const META: &str = "meta.json";
+
+/// Whether a folder holds a dataset with the same `meta.json`; not if it is new or empty.
+///
+/// # Errors
+/// When it holds other files, or a dataset with other settings.
+pub(super) fn is_begun(folder: &Path, meta: &impl Serialize) -> Result<bool, ShardError> {
+    let other = || ShardError::OtherSettings(folder.to_owned());
+    match fs::read_to_string(folder.join(META)) {
+        Ok(present) if present == text(meta)? => Ok(true),
+        Ok(_) => Err(other()),
+        Err(_) if fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) => Err(other()),
+        Err(_) => Ok(false),
+    }
+}
+
 /// Creates the folder with its `meta.json`, or resumes a dataset with the same `meta.json`.
 pub(super) fn open_folder(folder: &Path, meta: &impl Serialize) -> Result<(), ShardError> {
-    let failed = |source| ShardError::Write { path: folder.to_owned(), source };
-    fs::create_dir_all(folder).map_err(failed)?;
-    let path = folder.join("meta.json");
-    let text = serde_json::to_string_pretty(meta)? + "\n";
-    match fs::read_to_string(&path) {
-        Ok(present) if present == text => Ok(()),
-        Ok(_) => Err(ShardError::OtherSettings(folder.to_owned())),
-        Err(_) if fs::read_dir(folder).map_err(failed)?.next().is_some() => {
-            Err(ShardError::OtherSettings(folder.to_owned()))
-        }
-        Err(_) => fs::write(&path, text).map_err(|source| ShardError::Write { path, source }),
+    fs::create_dir_all(folder).map_err(|source| ShardError::Write { path: folder.to_owned(), source })?;
+    if is_begun(folder, meta)? {
+        return Ok(());
     }
+    let path = folder.join(META);
+    fs::write(&path, text(meta)?).map_err(|source| ShardError::Write { path, source })
+}
+
+fn text(meta: &impl Serialize) -> Result<String, ShardError> {
+    Ok(serde_json::to_string_pretty(meta)? + "\n")
 }
 
 /// The JSONL and PNG file of a shard.

@@ -47,6 +47,16 @@ impl ModelPlace {
         }
     }
 
+    /// Why there is nothing to open: the folder or the file of the decoder does not exist.
+    pub fn absent(&self) -> Option<MllmError> {
+        match self {
+            Self::Folder(path) | Self::Gguf { model: path, .. } if !path.exists() => {
+                Some(MllmError::Absent { path: path.clone() })
+            }
+            _ => None,
+        }
+    }
+
     /// A small file of the model: in its folder, or in the metadata of its GGUF file.
     pub(crate) fn small_file(&self, name: &str) -> Result<Option<String>, MllmError> {
         let model = match self {

@@ -2,7 +2,7 @@
 
 use crate::experiment::bench::Row;
 use crate::report::atomic;
-use crate::report::{ReportError, ReportFault};
+use crate::report::{ReportError, ReportFault, check_writable};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fs;
@@ -47,14 +47,9 @@ impl BenchFolder {
     /// # Errors
     /// When the folder is not empty or cannot be written.
     pub fn create(path: &Path, metadata: &BenchMetadata) -> Result<Self, ReportError> {
-        let missing: Vec<&Path> = path.ancestors().take_while(|above| !above.exists()).collect();
-        atomic::folder(path)?;
-        if fs::read_dir(path).map_err(ReportError::read(path))?.next().is_some() {
+        check_writable(path)?;
+        if path.exists() && fs::read_dir(path).map_err(ReportError::read(path))?.next().is_some() {
             return Err(ReportError::at(path)(ReportFault::NotEmpty));
-        }
-        // That it cannot be written shows before the first measurement, and not after it.
-        for folder in missing.into_iter().filter(|folder| !folder.as_os_str().is_empty()) {
-            fs::remove_dir(folder).map_err(ReportError::write(folder))?;
         }
         Ok(Self { path: path.to_owned(), metadata: metadata.clone(), rows: Vec::new() })
     }

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use simulation::SimulationParts;
 use source::RunSimulations;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -70,11 +70,14 @@ pub fn write(
 ) -> Result<PageContents, ReportError> {
     let runs = RunSimulations::read_all(folders)?;
     let wanted = |scenario: &str| settings.scenario.as_ref().is_none_or(|part| scenario.contains(part.as_str()));
+    let scenarios = || runs.iter().flat_map(|run| &run.rows).map(|row| row.scenario.as_str());
     if let Some(part) = &settings.scenario
-        && !runs.iter().flat_map(|run| &run.rows).any(|row| wanted(&row.scenario))
+        && !scenarios().any(wanted)
     {
         let place = folders.first().map_or(out, PathBuf::as_path);
-        return Err(ReportError::at(place)(ReportFault::NoScenario(part.clone())));
+        let known: BTreeSet<&str> = scenarios().collect();
+        let known = known.into_iter().map(str::to_owned).collect();
+        return Err(ReportError::at(place)(ReportFault::NoScenario { part: part.clone(), known }));
     }
     let done = AtomicUsize::new(0);
     let simulations: Vec<_> = runs.iter().flat_map(|run| run.rows.iter().map(move |row| (run, row))).collect();

@@ -4,6 +4,7 @@ use super::{packed_json, text_of};
 use crate::metrics::{MetricResult, Statistic};
 use crate::report::call_record::{CallRecord, calls_in};
 use crate::report::error::ReportError;
+use crate::report::key::{CompactParts, KeyTable};
 use crate::report::layout::bev_name;
 use crate::report::replay::{Replay, Sketch};
 use crate::report::simulation_folder;
@@ -54,6 +55,8 @@ struct SimulationReplay<'a> {
     replay: &'a Replay,
     calls: &'a [CallRecord],
     series: Vec<Series<'a>>,
+    /// The key to the compact texts of the calls; empty without such texts.
+    key: Vec<KeyTable>,
 }
 
 /// A metric's time series with its bounds.
@@ -120,7 +123,8 @@ fn simulation(
     metrics: &[MetricResult],
 ) -> Result<Vec<u8>, ReportError> {
     let series = metrics.iter().filter_map(Series::of).collect();
-    packed_json(folder, &SimulationReplay { replay, calls, series })
+    let key = CompactParts::seen_in(calls).tables();
+    packed_json(folder, &SimulationReplay { replay, calls, series, key })
 }
 
 impl<'a> Series<'a> {

@@ -12,8 +12,17 @@ use std::path::{Path, PathBuf};
 pub enum RenderError {
     #[error(transparent)]
     Report(#[from] ReportError),
-    #[error("the run has no simulation {0}; name one by its number or its scenario")]
-    NoSimulation(String),
+    #[error("the run {} has no simulation '{wanted}'; name one by its number, or by a part of its scenario", run.display())]
+    NoSimulation {
+        run: PathBuf,
+        wanted: String,
+        /// The scenarios of the run.
+        known: Vec<String>,
+    },
+    #[error(
+        "'{wanted}' is in the names of {} scenarios; name one of them:\n  {}", scenarios.len(), listed(scenarios)
+    )]
+    SeveralScenarios { wanted: String, scenarios: Vec<String> },
     #[error("{wanted} names {} simulations; name one by its number, or add --planner and --challenge:\n  {}", simulations.len(), simulations.join("\n  "))]
     SeveralSimulations { wanted: String, simulations: Vec<String> },
     #[error("{0} has no replay: it failed, or an older version ran it")]
@@ -26,6 +35,16 @@ pub enum RenderError {
     NoFfmpeg(io::Error),
     #[error("{}: cannot write: {fault}", place.display())]
     Output { place: PathBuf, fault: OutputFault },
+}
+
+/// Candidates that an error lists.
+const MAX_CANDIDATES: usize = 5;
+
+/// The first names, a line each.
+fn listed(names: &[String]) -> String {
+    let mut lines: Vec<&str> = names.iter().take(MAX_CANDIDATES).map(String::as_str).collect();
+    lines.extend((names.len() > MAX_CANDIDATES).then_some("…"));
+    lines.join("\n  ")
 }
 
 /// Why a picture or a film cannot be written.

@@ -19,6 +19,6 @@ mod score_labels;
 pub use call::{call_picture, code_picture};
 pub use error::{OutputFault, RenderError};
 pub use film::{write_gif, write_mp4};
-pub use find::SimulationChoice;
+pub use find::{SimulationChoice, named, words};
 pub use frame::{Film, Look};
 pub use observed::observed_picture;

@@ -14,7 +14,7 @@ use super::event::{Event, Listener};
 use crate::experiment::study::{Quick, Study, find};
 use crate::report::{
     BenchFigures, BenchFolder, ModelFigures, Outcome, SimulationRow, StudyFolder, StudyResults, SuiteSimulations,
-    VariantSimulations,
+    VariantSimulations, check_writable,
 };
 use crate::scenario::MissingTokens;
 use runs::{PlannedRuns, RunName};
@@ -68,6 +68,7 @@ impl<'a> Experiments<'a> {
 
     /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
     pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
+        check_writable(&self.folder(TOKENS))?;
         let suites = self.suites.of(TOKENS, tokens::SUITES)?;
         let counted = tokens::count_all(&suites, self.config, self.listener)?;
         let folder = StudyFolder::new(self.folder(TOKENS));
@@ -81,6 +82,9 @@ impl<'a> Experiments<'a> {
         let started = Instant::now();
         let studies = words.into_iter().map(find).collect::<Result<Vec<_>, _>>()?;
         let bench = self.bench()?;
+        // Planning loads the models, which takes long: what is wrong with a folder is said before.
+        check_writable(&self.request.out.join(RUNS))?;
+        studies.iter().try_for_each(|study| check_writable(&self.folder(&study.name)))?;
         let mut runs = PlannedRuns::new(self.config, &self.request.registry, self.listener);
         let mut planned = Vec::new();
         for study in studies {

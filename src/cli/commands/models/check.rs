@@ -17,7 +17,8 @@ struct Row<'a> {
     missing: Option<String>,
 }
 
-/// Checks models; without names, all described ones with files.
+/// Checks models; without names, all described ones. Files that are not on this machine are no fault of a model that nobody
+/// named.
 pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer) -> anyhow::Result<Exit> {
     let names = if models.is_empty() { registry.names()? } else { models.to_vec() };
     let mut well = true;
@@ -27,11 +28,17 @@ pub(super) fn run(models: &[String], registry: &ModelRegistry, printer: Printer)
             Ok(spec) if models.is_empty() && matches!(spec.source, ModelSource::Endpoint(_)) => continue,
             found => found,
         };
-        let row = match spec.and_then(|spec| registry.check(&spec)) {
+        let checked = spec.and_then(|spec| match registry.place_here(&spec)?.absent() {
+            Some(missing) => Err(missing),
+            None => registry.check(&spec),
+        });
+        let absent = matches!(checked, Err(MllmError::NotInCache { .. } | MllmError::Absent { .. }));
+        let row = match checked {
             Ok(check) => Row { model, check: Some(check), missing: None },
             Err(error) => Row { model, check: None, missing: Some(reason(&error, model)) },
         };
-        well &= row.check.as_ref().is_some_and(|check| check.problems.is_empty());
+        let is_absent = models.is_empty() && absent;
+        well &= is_absent || row.check.as_ref().is_some_and(|check| check.problems.is_empty());
         if printer.is_json() {
             printer.json(&row)?;
         } else {

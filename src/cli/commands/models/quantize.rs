@@ -1,6 +1,7 @@
 //! `planagent models quantize`.
 
 use crate::cli::args::QuantizeArguments;
+use crate::cli::picture::check_output;
 use crate::cli::{Exit, Printer};
 use crate::files::target;
 use crate::mllm::{CreateFile, GgufPart, LoadReport, MllmError, ModelRegistry, in_bytes};
@@ -20,6 +21,9 @@ pub(super) fn run(flags: &QuantizeArguments, registry: &ModelRegistry, printer: 
         bail!("{} exists; --force overwrites it", path.display());
     }
     let spec = registry.find(&flags.source)?;
+    for part in parts {
+        check_output(&part.path(&flags.out))?;
+    }
     let (report, files) =
         write(&flags.out, printer, |create, progress| registry.export(&spec, flags.to, create, progress))
             .with_context(|| format!("cannot write the model '{}' to {}", spec.name, flags.out.display()))?;

@@ -3,7 +3,7 @@
 mod code;
 
 use crate::cli::args::PlanArguments;
-use crate::cli::picture::check_folder;
+use crate::cli::picture::check_output;
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
 use crate::planner::PlannerName;
@@ -22,10 +22,13 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
     let scenario = scenario(flags.scenario.as_deref(), &flags.data.readers())?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
     if let Some(file) = &flags.image {
-        check_folder(file.path())?;
+        check_output(file.path())?;
     }
     if let Some(code) = &flags.code {
         return code::run(code, (&scenario, iteration, frame), config, flags.image.as_ref(), printer);
+    }
+    if let Some(file) = &flags.image {
+        check_output(file.beside("model").path())?;
     }
     let loaded = load_model(config, &listener(printer))?;
     let parts = loaded.agent_parts(config);

@@ -128,7 +128,7 @@ async function readReplay(simulation) {
     mapOf(simulation.map),
     simulation.images === null ? {} : unpack(`images-${simulation.images}`),
   ]);
-  const { replay, calls, series } = packed;
+  const { replay, calls, series, key } = packed;
   const { ego } = replay;
   return {
     simulation, map, images,
@@ -149,7 +149,7 @@ async function readReplay(simulation) {
       const tracks = replay.calls.find((track) => track.iteration === call.iteration)?.attempts ?? [];
       return { ...call, tracks: tracks.map((track) => (track ? points(track) : null)) };
     }),
-    series,
+    series, key,
   };
 }
 

@@ -67,7 +67,7 @@ class Transcript {
       onclick: () => openPicture(source) }, h("img", { src: source, alt: "BEV map of the prompt", width: 72, height: 72 }));
     const text = call.scene_text && h("details", { class: "scene-text" },
       h("summary", {}, "Scene as text"), h("pre", {}, call.scene_text));
-    return h("div", { class: "seen" }, picture, text);
+    return h("div", { class: "seen" }, picture, h("div", { class: "scene-texts" }, text, showKey(this.replay.key)));
   }
 
   showVerdict(reflection) {
@@ -94,6 +94,16 @@ class Transcript {
       attempt.errors.length ? h("ul", { class: "errors" }, attempt.errors.map((error) => h("li", {}, errorWords(error)))) : null,
       repeat?.whole ? h("details", {}, h("summary", {}, "prompts and answers"), showRounds(attempt)) : showRounds(attempt));
   }
+}
+
+/** What the words of compact texts mean; none for texts in sentences. */
+function showKey(tables) {
+  if (!tables.length) return null;
+  const words = (text) => text.split("`").map((part, i) => (i % 2 ? h("code", {}, part) : part));
+  const rows = ({ title, rows }) => h("table", {},
+    h("thead", {}, h("tr", {}, h("th", {}, words(title)), h("th", {}, "meaning"))),
+    h("tbody", {}, rows.map(([word, meaning]) => h("tr", {}, h("td", {}, words(word)), h("td", {}, words(meaning))))));
+  return h("details", { class: "text-key" }, h("summary", {}, "Key to the compact texts"), tables.map(rows));
 }
 
 function showRounds({ rounds }) {

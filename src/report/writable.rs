@@ -1,0 +1,60 @@
+//! Whether results can be written: found before the work, and not after it.
+
+use super::atomic::{self, UNFINISHED};
+use super::error::{ReportError, ReportFault};
+use std::fs::{self, File};
+use std::path::Path;
+
+/// Checks that files can be created in a folder, which need not exist yet. Leaves nothing behind.
+///
+/// # Errors
+/// When something else stands in its place, or the folder or a file in it cannot be created.
+pub fn check_writable(folder: &Path) -> Result<(), ReportError> {
+    let is_named = |part: &&Path| !part.as_os_str().is_empty();
+    if let Some(existing) = folder.ancestors().find(|part| part.exists())
+        && !existing.is_dir()
+    {
+        return Err(ReportError::at(folder)(ReportFault::NoFolder(existing.to_owned())));
+    }
+    let missing: Vec<&Path> = folder.ancestors().filter(is_named).take_while(|part| !part.exists()).collect();
+    let written = atomic::folder(folder).and_then(|()| write_file(folder));
+    for made in missing {
+        // Another process may use it by now.
+        let _ = fs::remove_dir(made);
+    }
+    written
+}
+
+fn write_file(folder: &Path) -> Result<(), ReportError> {
+    let file = folder.join(format!("{UNFINISHED}probe-{}", std::process::id()));
+    File::create(&file).map_err(ReportError::write(folder))?;
+    fs::remove_file(&file).map_err(ReportError::write(folder))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_left_behind() {
+        let work = tempfile::tempdir().unwrap();
+        let new = work.path().join("new/run");
+        check_writable(&new).unwrap();
+        assert_eq!(fs::read_dir(work.path()).unwrap().count(), 0);
+        fs::create_dir_all(&new).unwrap();
+        check_writable(&new).unwrap();
+        assert!(new.is_dir() && fs::read_dir(&new).unwrap().count() == 0);
+        fs::write(work.path().join("file"), "").unwrap();
+        let error = check_writable(&work.path().join("file/run")).unwrap_err().to_string();
+        assert!(error.contains("is a file and no folder"), "{error}");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_folder_that_takes_no_files_is_an_error() {
+        for folder in ["/proc", "/proc/run"] {
+            let error = check_writable(Path::new(folder)).unwrap_err().to_string();
+            assert!(error.starts_with(&format!("{folder}: cannot write: ")), "{error}");
+        }
+    }
+}
