@@ -12,7 +12,7 @@ fn main() -> planagent::Result<()> {
     let folder = std::env::args().nth(1).unwrap_or_else(|| nano.to_string_lossy().into_owned());
 
     // A folder says nothing about prompts. Nano was trained on the compact ones; other models get the paper's by default.
-    let mut agent = Agent::builder().model(folder).prompts("compact").offline().build()?;
+    let mut agent = Agent::builder().model(folder).trust_model().prompts("compact").offline().build()?;
     let scenario = Scenario::open("generated/stationary_in_traffic/1")?;
     let run = simulate(&scenario, &mut agent, Challenge::NonReactive)?;
     println!("score {:.3} after {} planning calls", run.score(), run.calls.len());

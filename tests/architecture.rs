@@ -48,7 +48,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["families"],
             &["source"],
             &["local"],
-            &["export", "latency"],
+            &["export", "latency", "trial"],
             &["registry"],
         ],
     ),
@@ -92,10 +92,11 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
 const MAX_CIRCLE: usize = 8;
 
 /// Modules that may write to disk, and nothing else may.
-const WRITERS: [&str; 5] = [
+const WRITERS: [&str; 6] = [
     "src/report/",
     "src/experiment/dataset/",
     "src/cli/",
+    "src/mllm/trial/verdicts.rs",
     "src/scenario/nuplan/side_index.rs",
     "src/scenario/nuplan/export/",
 ];

@@ -1,7 +1,7 @@
 //! The agent of the paper as a library type.
 
 use super::Result;
-use crate::mllm::{HubAccess, Mllm, ModelRegistry, data_folder};
+use crate::mllm::{HubAccess, Mllm, ModelRegistry, Trust, data_folder};
 use crate::planner::{
     CodeSource, PlanAgentSettings, Planner, PlannerError, PlannerInitialization, PlannerInput, PlannerName,
     PlannerParts, PlannerRegistry, PlanningCall,
@@ -101,6 +101,7 @@ pub struct AgentBuilder {
     models: Option<PathBuf>,
     prompts: Option<String>,
     offline: bool,
+    trusted: bool,
     settings: PlanAgentSettings,
 }
 
@@ -112,6 +113,7 @@ impl Default for AgentBuilder {
             models: None,
             prompts: None,
             offline: false,
+            trusted: false,
             settings: PlanAgentSettings::default(),
         }
     }
@@ -149,6 +151,15 @@ impl AgentBuilder {
         Self { offline: true, ..self }
     }
 
+    /// Vouches for the chat template and the tokenizer of the model. Both are programs by nature, and a downloaded folder is
+    /// hostile until shown otherwise: they may take all memory and time, or end the process. Without this, only models in the
+    /// library, servers, and models whose description says `trusted = true` are opened. `planagent models check` tries a folder
+    /// in a process with limits.
+    #[must_use]
+    pub fn trust_model(self) -> Self {
+        Self { trusted: true, ..self }
+    }
+
     /// Seed of the model's samples.
     #[must_use]
     pub fn seed(mut self, seed: u64) -> Self {
@@ -165,7 +176,7 @@ impl AgentBuilder {
     /// Loads the model.
     ///
     /// # Errors
-    /// When there is no such model, planner or prompt set, or the files of the model are broken.
+    /// When there is no such model, planner or prompt set, the files of the model are broken, or nobody vouches for them.
     pub fn build(self) -> Result<Agent> {
         let registry = PlannerRegistry::default();
         let entry = registry.find(&self.planner)?;
@@ -177,7 +188,8 @@ impl AgentBuilder {
 
     fn code_source(&self) -> Result<CodeSource> {
         let hub = HubAccess { offline: self.offline, ..HubAccess::default() };
-        let registry = ModelRegistry::new(self.models.clone().unwrap_or_else(models_folder), hub);
+        let trust = if self.trusted { Trust::Caller } else { Trust::Nobody };
+        let registry = ModelRegistry::new(self.models.clone().unwrap_or_else(models_folder), hub).with_trust(trust);
         let spec = registry.find(&self.model)?;
         let model: Arc<dyn Mllm> = Arc::from(registry.open(&spec)?);
         let asking = registry.asking(&spec)?;

@@ -73,5 +73,6 @@ fn execute(arguments: &Arguments, printer: Printer) -> anyhow::Result<Exit> {
         Command::Config(_) => commands::config::run(&settings, printer),
         Command::Completions { shell } => commands::completions::run(*shell, printer),
         Command::BenchProcess(_) => commands::bench::process(config, printer),
+        Command::TrialProcess => commands::trial::run(),
     })
 }

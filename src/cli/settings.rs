@@ -1,10 +1,13 @@
 //! The settings of a command, and where each comes from.
 
-use super::args::{Arguments, Command, SimulateArguments};
+use super::args::{Arguments, Command, SimulateArguments, TRIAL_PROCESS};
 use super::suggest::{nearest, similar_exists};
 use super::words::planner_words;
 use crate::files;
+use crate::mllm::Trust;
+use crate::mllm::trial::Trial;
 use crate::planner::LearnedSettings;
+use crate::reasoning::built_in_prompts;
 use crate::runner::Config;
 use crate::scenario::absolute_path;
 use anyhow::{Context, bail};
@@ -90,6 +93,7 @@ impl Settings {
             note("--offline", "mllm.offline", true.into());
             config.mllm.offline = true;
         }
+        config.mllm.trust = if flags.trust_model { Trust::Caller } else { trial() };
         // Absolute paths let `--resume` work from any directory.
         config.learned.all_mut().for_each(|path| *path = absolute_path(path));
         for word in [Some(&mut config.mllm.model), config.reasoning.prompt_set.as_mut()].into_iter().flatten() {
@@ -149,6 +153,15 @@ fn the_learned(flags: &SimulateArguments, learned: &mut LearnedSettings, word: &
     }
 }
 
+/// A trial of the model's files by this program.
+fn trial() -> Trust {
+    // Without a path of the program there is nothing to try with, and nobody vouches for the files.
+    std::env::current_exe().map_or(Trust::Nobody, |program| {
+        let samples = built_in_prompts().map(str::to_owned);
+        Trust::Trial(Trial::by(program, &[TRIAL_PROCESS, "--threads", "1"], samples))
+    })
+}
+
 /// The settings before options: those of the file that `--config` names; without it, of the run that is resumed, or of
 /// planagent.toml.
 fn base(arguments: &Arguments) -> anyhow::Result<Settings> {
@@ -160,7 +173,7 @@ fn base(arguments: &Arguments) -> anyhow::Result<Settings> {
             (config, vec![(format!("run {}", folder.display()), table)])
         }
         // The parent process sends this one all that it needs.
-        Command::BenchProcess(_) => (Config::default(), Vec::new()),
+        Command::BenchProcess(_) | Command::TrialProcess => (Config::default(), Vec::new()),
         _ => {
             let config = Config::load(file)?;
             let layers = match file.map_or_else(Config::default_file, |file| Some(PathBuf::from(file))) {

@@ -1,10 +1,12 @@
 //! Files that a user names: only regular ones are read, of limited size, and errors show little of them.
 
+mod cache;
 mod regular;
 mod shortened;
 mod word;
 
-pub use regular::{open, read_text, target};
+pub use cache::cache_folder;
+pub use regular::{open, read, read_text, target};
 pub use shortened::{MAX_SHOWN_BYTES, shortened};
 pub use word::{path_of, serde_path, word_of};
 

@@ -18,17 +18,23 @@ pub fn open(path: &Path) -> io::Result<File> {
 
 /// Reads a text of at most `max_bytes` from a regular file. A larger one is not read at all.
 pub fn read_text(path: &Path, max_bytes: u64) -> io::Result<String> {
+    String::from_utf8(read(path, max_bytes)?)
+        .map_err(|error| io::Error::new(ErrorKind::InvalidData, error.utf8_error()))
+}
+
+/// Reads at most `max_bytes` from a regular file. A larger one is not read at all.
+pub fn read(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
-    let bytes = file.metadata()?.len();
-    if bytes > max_bytes {
-        return Err(too_large(&format!("{bytes} bytes"), max_bytes));
+    let length = file.metadata()?.len();
+    if length > max_bytes {
+        return Err(too_large(&format!("{length} bytes"), max_bytes));
     }
-    let mut text = String::new();
+    let mut bytes = Vec::new();
     // A file may grow, and those of the system say that they are empty.
-    if file.take(max_bytes + 1).read_to_string(&mut text)? as u64 > max_bytes {
+    if file.take(max_bytes + 1).read_to_end(&mut bytes)? as u64 > max_bytes {
         return Err(too_large("more", max_bytes));
     }
-    Ok(text)
+    Ok(bytes)
 }
 
 fn too_large(bytes: &str, max_bytes: u64) -> io::Error {

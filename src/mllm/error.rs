@@ -12,6 +12,21 @@ pub enum MllmError {
     MissingFile { folder: PathBuf, file: String },
     #[error("not on this machine: there is no {}", path.display())]
     Absent { path: PathBuf },
+    #[error(
+        "{}: {problem}; if you trust these files, --trust-model or `trusted = true` in the model's description opens them \
+         untried", place.display()
+    )]
+    Trial { place: PathBuf, problem: String },
+    /// The child process that tried the files could not open them.
+    #[error("{problem}")]
+    Unopened { problem: String },
+    #[error(
+        "{}: a chat template and a tokenizer are programs by nature, and nobody vouches for these; AgentBuilder::trust_model \
+         does, or `trusted = true` in the model's description", place.display()
+    )]
+    Untrusted { place: PathBuf },
+    #[error("{}: opening the model panicked: {message}", place.display())]
+    Panicked { place: PathBuf, message: String },
     #[error("cannot read {path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{path}: {source}")]

@@ -42,6 +42,7 @@ mod source;
 mod template_format;
 mod text;
 mod tiled;
+pub mod trial;
 mod values;
 mod vision;
 
@@ -77,3 +78,4 @@ pub use registry::{
 };
 pub use source::{EmbeddedModel, ModelPlace, ModelShape};
 pub use text::ChatTokenizer;
+pub use trial::Trust;

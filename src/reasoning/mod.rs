@@ -36,6 +36,6 @@ pub use error::{PromptError, ReasoningError};
 pub use grammar::{ACCELERATIONS, DECELERATIONS, target_speeds};
 pub use instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction};
 pub use prompt_set::{InstructionForm, PromptForms, PromptSet, UnderstandingForm};
-pub use prompt_source::PromptPlace;
+pub use prompt_source::{PromptPlace, built_in_prompts};
 pub use question::{FreeQuestion, question_prompt};
 pub use round::Round;

@@ -56,6 +56,11 @@ const BUILT_IN: [BuiltIn; 6] = [
     built_in!("ask": "system.jinja", "question.jinja"),
 ];
 
+/// The texts of the prompt sets in the program.
+pub fn built_in_prompts() -> impl Iterator<Item = &'static str> {
+    BUILT_IN.iter().flat_map(|(_, files)| files.iter().map(|&(_, text)| text))
+}
+
 impl PromptFiles {
     /// The set of a name: from the folder of prompt sets, else from the program, else from the folder that the name is a path
     /// of. It has the files `names`, the first of which shows that a folder is a set.

@@ -1,12 +1,12 @@
 //! The key to the compact texts: what the words of scene text, answers and feedback mean. Transcripts begin with it, and
 //! docs/prompts.md and the page have it.
 
+use super::call_record::CallRecord;
 use crate::environment::TextForm;
 use crate::environment::facts::{
     Ahead, CORRIDOR_MARGIN, EgoSpeed, ONCOMING_REACH, Question, SAME_SPEED, SIDE_GAP, STOPPED,
 };
 use crate::environment::text::MAX_NUMBER;
-use super::call_record::CallRecord;
 use crate::planner::PlanningCall;
 use crate::reasoning::{
     InstructionForm, Lateral, LateralReason, Longitudinal, LongitudinalReason, Round, UnderstandingForm,
@@ -230,8 +230,7 @@ mod tests {
         };
         let call = |scene_text: &str, answers: [&str; 2]| -> CallRecord {
             let rounds = [round(Round::Understanding, answers[0]), round(Round::Instruction, answers[1])];
-            let attempt =
-                serde_json::json!({"rounds": rounds, "instruction": null, "code": null, "errors": [], "reflection": null});
+            let attempt = serde_json::json!({"rounds": rounds, "instruction": null, "code": null, "errors": [], "reflection": null});
             let times = serde_json::json!({"call": CallTimes::default(), "attempts": []});
             serde_json::from_value(serde_json::json!({
                 "scenario": "s", "planner": "p", "iteration": 0, "at_s": 0.0, "image_blake3": null,
@@ -245,7 +244,8 @@ mod tests {
             ["scene_type=straight light=none", "why=lane_serves lat=keep why=lead lon=maintain"],
         );
         assert_eq!(CompactParts::seen_in(&[compact]), CompactParts::ALL);
-        let sentences = call("Ego: 9 m/s, limit 13 m/s.", ["A straight road.", "Longitudinal: maintain, because of it"]);
+        let sentences =
+            call("Ego: 9 m/s, limit 13 m/s.", ["A straight road.", "Longitudinal: maintain, because of it"]);
         assert!(CompactParts::seen_in(&[sentences]).tables().is_empty());
         assert!(!TextForm::is_compact("speed limits do not matter") && !TextForm::is_compact(""));
     }

@@ -3,7 +3,7 @@
 use crate::environment::BevView;
 use crate::environment::lane_graph::{MAX_NODE_LENGTH, MIN_NODE_LENGTH};
 use crate::files;
-use crate::mllm::WeightFormat;
+use crate::mllm::{Trust, WeightFormat};
 use crate::planner::{CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings};
 use crate::reasoning::{ReasoningConfig, Round};
 use crate::world::STEP_S;
@@ -45,11 +45,14 @@ pub struct MllmConfig {
     pub quantize: Option<WeightFormat>,
     /// Load a model even if it seems to need more memory than is free.
     pub ignore_memory: bool,
+    /// Why the chat template and the tokenizer of a model may be opened. No file sets it.
+    #[serde(skip)]
+    pub trust: Trust,
 }
 
 impl Default for MllmConfig {
     fn default() -> Self {
-        Self { model: "nano".to_owned(), offline: false, quantize: None, ignore_memory: false }
+        Self { model: "nano".to_owned(), offline: false, quantize: None, ignore_memory: false, trust: Trust::default() }
     }
 }
 
@@ -94,7 +97,16 @@ impl Config {
         let parse_error = |source| ConfigError::Parse { place: place(), source: Box::new(source) };
         let mut table = toml::Table::try_from(self)?;
         overlay(&mut table, settings.clone());
-        table.try_into::<Self>().map_err(parse_error)?.checked(place())
+        let mut config = table.try_into::<Self>().map_err(parse_error)?;
+        config.mllm.trust = self.mllm.trust.clone();
+        config.checked(place())
+    }
+
+    /// Vouches for the chat template and the tokenizer of the model, as `AgentBuilder::trust_model` does.
+    #[must_use]
+    pub fn trust_model(mut self) -> Self {
+        self.mllm.trust = Trust::Caller;
+        self
     }
 
     /// The file that is read if none is named: `planagent.toml` in the working directory, if it exists.

@@ -30,7 +30,7 @@ pub(crate) fn planagent() -> Command {
     let mut command = Command::cargo_bin("planagent").unwrap();
     // The package's models and configuration, whatever the working directory.
     command.env("PLANAGENT_MODELS", concat!(env!("CARGO_MANIFEST_DIR"), "/models")).env("NO_COLOR", "1");
-    command.env_remove("CARGO_MANIFEST_DIR");
+    command.env_remove("CARGO_MANIFEST_DIR").env("PLANAGENT_CACHE", concat!(env!("CARGO_TARGET_TMPDIR"), "/cache"));
     command
 }
 

@@ -187,6 +187,9 @@ fn given(page: &str, folder: &Path) {
                 fs::copy(recording, folder.join("recording.tfrecord")).unwrap();
             }
         }
+        "docs/models.md" => {
+            copy(&root().join("models/nano"), &folder.join("my_model"));
+        }
         "docs/prompts.md" => {
             copy(&root().join("prompts/compact"), &folder.join("my_prompts"));
         }
@@ -207,7 +210,9 @@ fn copy(from: &Path, to: &Path) {
     fs::create_dir(to).unwrap();
     for entry in fs::read_dir(from).unwrap() {
         let path = entry.unwrap().path();
-        fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+        if path.is_file() {
+            fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+        }
     }
 }
 

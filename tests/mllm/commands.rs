@@ -8,6 +8,7 @@ use super::fixture;
 fn planagent(arguments: &[&str]) -> Command {
     let mut command = Command::cargo_bin("planagent").unwrap();
     command.args(arguments).env_remove("HF_HUB_CACHE").env("HF_HOME", "/nonexistent/cache");
+    command.env("PLANAGENT_CACHE", concat!(env!("CARGO_TARGET_TMPDIR"), "/cache"));
     command
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use image::RgbImage;
 use planagent::internals::mllm::{
     Architecture, Constraint, Families, FinishReason, GenerationSettings, HubAccess, Mllm, MllmError, ModelRegistry,
-    ModelSource, PromptPrefix, RoundTokens, Sampling,
+    ModelSource, PromptPrefix, RoundTokens, Sampling, Trust,
 };
 use planagent::internals::planner::{
     AfterMaxExec, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerName, ReflectionSettings,
@@ -55,7 +55,7 @@ fn every_family_has_a_checkpoint() {
 }
 
 fn registry() -> ModelRegistry {
-    ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() })
+    ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() }).with_trust(Trust::Caller)
 }
 
 /// Opens a folder as `--model FOLDER` does.

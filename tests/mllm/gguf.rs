@@ -5,13 +5,13 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use planagent::internals::mllm::{
-    GgufPart, HubAccess, LoadReport, MemoryCheck, Mllm, MllmError, ModelRegistry, ModelSource, WeightFormat,
+    GgufPart, HubAccess, LoadReport, MemoryCheck, Mllm, MllmError, ModelRegistry, ModelSource, Trust, WeightFormat,
 };
 
 use super::{Copy, FIRST, fixture, free, prefix};
 
 fn registry() -> ModelRegistry {
-    ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() })
+    ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() }).with_trust(Trust::Caller)
 }
 
 /// Writes a fixture as `m.gguf` and its vision tower beside it.

@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-use planagent::internals::mllm::{FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, WeightFormat};
+use planagent::internals::mllm::{
+    FetchProgress, GgufPart, HubAccess, Mllm, MllmError, ModelRegistry, Trust, WeightFormat,
+};
 
 use super::{FIRST, free, prefix, tiny};
 
@@ -112,7 +114,7 @@ fn a_hub_model_is_downloaded_once_and_then_found_offline() {
         endpoint: Some(endpoint.to_string()),
     };
     let nowhere = "http://127.0.0.1:9";
-    let registry = |access| ModelRegistry::new("models", access);
+    let registry = |access| ModelRegistry::new("models", access).with_trust(Trust::Caller);
     let spec = registry(access(true, nowhere)).find("org/tiny").unwrap();
     let before = registry(access(true, nowhere)).open(&spec).map(|_| ());
     assert!(matches!(before, Err(MllmError::NotInCache { .. })), "{before:?}");
@@ -137,6 +139,7 @@ fn listening(cache: &Path, endpoint: &str) -> (ModelRegistry, Arc<Mutex<Vec<Fetc
     let told = Arc::new(Mutex::new(Vec::new()));
     let listener = Arc::clone(&told);
     let registry = ModelRegistry::new("models", access)
+        .with_trust(Trust::Caller)
         .with_listener(Arc::new(move |progress| listener.lock().unwrap().push(progress)));
     (registry, told)
 }
@@ -179,7 +182,7 @@ fn a_download_that_was_broken_off_is_taken_up_file_by_file() {
 #[test]
 fn gguf_files_of_a_repository_are_fetched_by_name() {
     let folder = tempfile::tempdir().unwrap();
-    let local = ModelRegistry::new("models", HubAccess::default());
+    let local = ModelRegistry::new("models", HubAccess::default()).with_trust(Trust::Caller);
     let spec = local.find(tiny().to_str().unwrap()).unwrap();
     for (file, weight_format) in [("tiny-q8_0.gguf", WeightFormat::Q8_0), ("tiny-f32.gguf", WeightFormat::F32)] {
         let mut create = |part: GgufPart| -> std::io::Result<Box<dyn Write>> {

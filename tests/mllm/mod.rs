@@ -8,6 +8,7 @@ mod constraints;
 mod conversation;
 mod families;
 mod gguf;
+mod hostile;
 mod hub;
 mod layouts;
 mod own_family;

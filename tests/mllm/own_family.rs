@@ -5,7 +5,7 @@ use std::ops::Range;
 use image::RgbImage;
 use planagent::internals::mllm::{
     Architecture, ChatFormat, ChatTokenizer, Families, Family, HubAccess, ImageFeatures, ImageLayout, LanguageModel,
-    Mllm, MllmError, ModelFiles, ModelInfo, ModelRegistry, PlacedImage, Positions, Tiles, VisionLanguageModel,
+    Mllm, MllmError, ModelFiles, ModelInfo, ModelRegistry, PlacedImage, Positions, Tiles, Trust, VisionLanguageModel,
 };
 
 use super::{Copy, FIRST, free, open, prefix};
@@ -77,6 +77,7 @@ fn a_family_from_outside_opens_its_checkpoints() {
         *tensors = std::mem::take(tensors).into_iter().map(|(name, tensor)| (format!("toy.{name}"), tensor)).collect();
     });
     let registry = ModelRegistry::new("models", HubAccess { offline: true, ..HubAccess::default() });
+    let registry = registry.with_trust(Trust::Caller);
     let folder = copy.folder().to_str().unwrap();
     let unknown = registry.open(&registry.find(folder).unwrap());
     assert!(matches!(unknown, Err(MllmError::Config { key, .. }) if key == "model_type"));

@@ -26,6 +26,9 @@ use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 use std::path::PathBuf;
 
+/// Name of the hidden subcommand in which the files of a model are tried.
+pub(super) const TRIAL_PROCESS: &str = "trial-process";
+
 /// Heading of the options that every command has.
 const GLOBAL: &str = "Global options";
 
@@ -147,6 +150,9 @@ pub(super) enum Command {
     /// The measuring process of `bench`: requests on stdin, replies on stdout.
     #[command(name = BENCH_PROCESS, hide = true)]
     BenchProcess(ModelArguments),
+    /// The process that tries the files of a model: a request on stdin, what it tries and the outcome on stdout.
+    #[command(name = TRIAL_PROCESS, hide = true)]
+    TrialProcess,
 }
 
 impl Command {
@@ -167,6 +173,7 @@ impl Command {
             | Self::Compare(_)
             | Self::Merge(_)
             | Self::Scenarios(_)
+            | Self::TrialProcess
             | Self::Completions { .. } => ModelFlags::default(),
         }
     }

@@ -14,6 +14,7 @@ pub(in crate::cli) struct ModelFlags {
     pub(in crate::cli) quantize: Option<WeightFormat>,
     pub(in crate::cli) ignore_memory: bool,
     pub(in crate::cli) offline: bool,
+    pub(in crate::cli) trust_model: bool,
 }
 
 /// The model of a command.
@@ -37,6 +38,19 @@ pub(in crate::cli) struct ModelArguments {
     memory: MemoryArgument,
     #[command(flatten)]
     network: NetworkArgument,
+    #[command(flatten)]
+    trust: TrustArgument,
+}
+
+/// Whether the user vouches for the files of the model.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct TrustArgument {
+    /// Trust the model's files: open its tokenizer and chat template without a trial.
+    ///
+    /// Both are programs by nature. By default, a child process with limits of memory and time tries them first, once for each
+    /// content of the files.
+    #[arg(long, help_heading = HEADING, hide_short_help = true)]
+    trust_model: bool,
 }
 
 /// The format of weights in memory.
@@ -68,8 +82,8 @@ pub(in crate::cli) struct NetworkArgument {
 impl ModelArguments {
     /// What the options say.
     pub(super) fn flags(&self) -> ModelFlags {
-        let Self { model, prompt_set, format, memory, network } = self;
-        let rest = ModelFlags::of(Some(format), Some(memory), network);
+        let Self { model, prompt_set, format, memory, network, trust } = self;
+        let rest = ModelFlags::of(Some(format), Some(memory), network, Some(trust));
         ModelFlags { model: model.clone(), prompt_set: prompt_set.clone(), ..rest }
     }
 }
@@ -80,6 +94,7 @@ impl ModelFlags {
         format: Option<&FormatArgument>,
         memory: Option<&MemoryArgument>,
         network: &NetworkArgument,
+        trust: Option<&TrustArgument>,
     ) -> Self {
         Self {
             model: None,
@@ -87,6 +102,7 @@ impl ModelFlags {
             quantize: format.and_then(|format| format.quantize),
             ignore_memory: memory.is_some_and(|memory| memory.ignore_memory),
             offline: network.offline,
+            trust_model: trust.is_some_and(|trust| trust.trust_model),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! `models`.
 
-use super::model::{FormatArgument, MemoryArgument, ModelFlags, NetworkArgument};
+use super::model::{FormatArgument, MemoryArgument, ModelFlags, NetworkArgument, TrustArgument};
 use crate::cli::help;
 use crate::mllm::WeightFormat;
 use clap::{Args, Subcommand};
@@ -39,6 +39,8 @@ pub(in crate::cli) enum ModelsCommand {
         memory: MemoryArgument,
         #[command(flatten)]
         network: NetworkArgument,
+        #[command(flatten)]
+        trust: TrustArgument,
     },
     /// Download models of the hub.
     #[command(after_long_help = help::MODELS_FETCH)]
@@ -75,6 +77,8 @@ pub(in crate::cli) struct QuantizeArguments {
     memory: MemoryArgument,
     #[command(flatten)]
     network: NetworkArgument,
+    #[command(flatten)]
+    trust: TrustArgument,
 }
 
 impl ModelsCommand {
@@ -82,9 +86,13 @@ impl ModelsCommand {
     pub(super) fn flags(&self) -> ModelFlags {
         match self {
             Self::List { .. } | Self::Show { .. } => ModelFlags::default(),
-            Self::Check { format, memory, network, .. } => ModelFlags::of(Some(format), Some(memory), network),
-            Self::Fetch { network, .. } => ModelFlags::of(None, None, network),
-            Self::Quantize(QuantizeArguments { memory, network, .. }) => ModelFlags::of(None, Some(memory), network),
+            Self::Check { format, memory, network, trust, .. } => {
+                ModelFlags::of(Some(format), Some(memory), network, Some(trust))
+            }
+            Self::Fetch { network, .. } => ModelFlags::of(None, None, network, None),
+            Self::Quantize(QuantizeArguments { memory, network, trust, .. }) => {
+                ModelFlags::of(None, Some(memory), network, Some(trust))
+            }
         }
     }
 }

@@ -6,7 +6,7 @@ use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
 use crate::experiment::bench::protocol::{GgufPair, ModelChoice};
 use crate::experiment::bench::{BenchSettings, CallBudget, Candidate, LlamaCpp, Progress, run as measure, serve};
-use crate::mllm::{GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, export_model};
+use crate::mllm::{GgufPart, ModelPlace, ModelRegistry, ModelShape, PromptSet, Trust, export_model};
 use crate::report::{
     BenchFigures, BenchFolder, BenchMetadata, ReportError, bench_markdown, bench_table, check_writable, stamp,
 };
@@ -60,6 +60,7 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
         command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
         command.args(config.mllm.ignore_memory.then_some("--ignore-memory"));
         command.args(config.mllm.offline.then_some("--offline"));
+        command.args((config.mllm.trust == Trust::Caller).then_some("--trust-model"));
         command
     };
     let committed: Result<(), ReportError> =

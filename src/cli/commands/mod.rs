@@ -15,3 +15,4 @@ pub(super) mod report;
 pub(super) mod scenarios;
 pub(super) mod serve;
 pub(super) mod simulate;
+pub(super) mod trial;

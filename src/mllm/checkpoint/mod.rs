@@ -32,8 +32,31 @@ pub(crate) use weights::in_four_dimensions;
 
 use super::MllmError;
 
+/// Largest tokenizer.json, bytes. That of 262 thousand tokens has 34 MB.
+const MAX_TOKENIZER_BYTES: u64 = 128 << 20;
+/// Largest list of shards or of a tokenizer's special tokens, bytes. Published ones have up to 2 MB.
+const MAX_LIST_BYTES: u64 = 16 << 20;
+/// Largest configuration and chat template, bytes.
+const MAX_CONFIG_BYTES: u64 = 1 << 20;
+/// Most small files in a model's folder.
+pub(crate) const MAX_SMALL_FILES: usize = 256;
+
+/// Largest small file of this name, bytes. Others are refused before they are read.
+pub(crate) fn small_file_limit(path: &Path) -> u64 {
+    const CONFIGS: [&str; 4] = ["config.json", "generation_config.json", "preprocessor_config.json", "planagent.json"];
+    let is = |name: &str| path.file_name().is_some_and(|own| own == name);
+    if is("tokenizer.json") {
+        MAX_TOKENIZER_BYTES
+    } else if CONFIGS.into_iter().any(is) || path.extension().is_some_and(|ending| ending == "jinja") {
+        MAX_CONFIG_BYTES
+    } else {
+        MAX_LIST_BYTES
+    }
+}
+
 pub(crate) fn read_text(path: &Path) -> Result<String, MllmError> {
-    std::fs::read_to_string(path).map_err(|source| MllmError::Read { path: path.to_path_buf(), source })
+    crate::files::read_text(path, small_file_limit(path))
+        .map_err(|source| MllmError::Read { path: path.to_path_buf(), source })
 }
 
 pub(crate) fn read_json(path: &Path) -> Result<Value, MllmError> {

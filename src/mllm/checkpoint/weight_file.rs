@@ -45,7 +45,7 @@ pub(crate) struct WeightFile {
 impl WeightFile {
     pub(crate) fn open(path: &Path) -> Result<Self, MllmError> {
         let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
-        let file = File::open(path).map_err(failed)?;
+        let file = crate::files::open(path).map_err(failed)?;
         let bytes = file.metadata().map_err(failed)?.len();
         Ok(Self { path: path.to_path_buf(), file, bytes })
     }

@@ -22,6 +22,19 @@ pub struct ModelCheck {
     pub problems: Vec<String>,
 }
 
+impl ModelCheck {
+    /// The check of a model that is not opened because of an error.
+    pub(crate) fn refused(error: &MllmError) -> Self {
+        Self {
+            architecture: None,
+            parameters: 0,
+            load: LoadReport::default(),
+            memory: None,
+            problems: vec![error.to_string()],
+        }
+    }
+}
+
 impl LocalModel {
     /// Opens the small files of a model and the headers of its weights, and collects the errors.
     pub fn check(place: &ModelPlace, loading: &Loading) -> ModelCheck {

@@ -228,7 +228,11 @@ impl Mllm for LocalModel {
 }
 
 /// The tokens that end an answer: those of `generation_config.json`, else of `config.json`, else of the tokenizer.
-fn end_tokens(files: &ModelFiles, tokenizer: &ChatTokenizer, vocabulary: usize) -> Result<Vec<u32>, MllmError> {
+pub(crate) fn end_tokens(
+    files: &ModelFiles,
+    tokenizer: &ChatTokenizer,
+    vocabulary: usize,
+) -> Result<Vec<u32>, MllmError> {
     for file in ["generation_config.json", "config.json"] {
         let Some(value) = files.json(file)? else { continue };
         let path = files.path(file);

@@ -32,6 +32,9 @@ pub struct ModelSpec {
     /// How images are shown to it.
     #[serde(default, skip_serializing_if = "ImageSettings::is_default")]
     pub image: ImageSettings,
+    /// Whether its author vouches for its chat template and tokenizer, so that they need no trial.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub trusted: bool,
 }
 
 /// Where the files of a model are, or the server that computes it.

@@ -1,14 +1,13 @@
 //! Digests of what determines a model's answers besides its weights.
 
 use super::{ModelRegistry, ModelSource, ModelSpec};
+use crate::mllm::trial::{hash_file, small_files};
 use crate::mllm::{MllmError, ModelPlace};
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Endings of a model's small files, as a repository of the hub has them.
-const SMALL_FILES: [&str; 2] = ["json", "jinja"];
 /// Fields of a server's description that determine how long a request may take, and no answer.
 const WITHOUT_EFFECT: [&str; 6] = ["key_env", "stream", "connect_timeout_ms", "timeout_ms", "retries", "first_wait_ms"];
 
@@ -53,20 +52,11 @@ fn folder_of(file: &Path) -> &Path {
 
 /// Adds the small files of a folder.
 fn add(folder: &Path, files: &mut BTreeMap<String, String>) -> Result<(), MllmError> {
-    let failed = |path: &Path| {
-        let path = path.to_path_buf();
-        move |source| MllmError::Read { path, source }
-    };
-    for entry in std::fs::read_dir(folder).map_err(failed(folder))? {
-        let path = entry.map_err(failed(folder))?.path();
-        let is_small = path.extension().is_some_and(|ending| SMALL_FILES.iter().any(|small| ending == *small));
-        if is_small && path.is_file() {
-            let mut hasher = blake3::Hasher::new();
-            let file = std::fs::File::open(&path).map_err(failed(&path))?;
-            hasher.update_reader(file).map_err(failed(&path))?;
-            let shown: PathBuf = std::path::absolute(&path).unwrap_or(path);
-            files.insert(shown.display().to_string(), hasher.finalize().to_hex().to_string());
-        }
+    for path in small_files(folder)? {
+        let mut hasher = blake3::Hasher::new();
+        hash_file(&path, &mut hasher)?;
+        let shown: PathBuf = std::path::absolute(&path).unwrap_or(path);
+        files.insert(shown.display().to_string(), hasher.finalize().to_hex().to_string());
     }
     Ok(())
 }

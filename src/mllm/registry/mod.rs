@@ -19,6 +19,7 @@ pub use inputs::ModelInputs;
 pub use own_settings::{Asking, NamedBy};
 
 use super::source::Checkpoint;
+use super::trial::Trust;
 use super::{
     CreateFile, EmbeddedModel, EndpointSettings, Family, ImageSettings, LoadReport, Loading, LocalModel, MemoryCheck,
     Mllm, MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat, export_model,
@@ -31,6 +32,7 @@ pub struct ModelRegistry {
     models: PathBuf,
     hub: HubAccess,
     loading: Loading,
+    trust: Trust,
     listener: Option<Arc<FetchListener>>,
 }
 
@@ -60,6 +62,15 @@ fn no_files(spec: &ModelSpec, settings: &EndpointSettings) -> MllmError {
     MllmError::NoFiles { name: spec.name.clone(), endpoint: settings.endpoint.clone() }
 }
 
+/// Does work on a model's files. A panic, for example of the library that runs tokenizers, becomes an error.
+fn without_panic<T>(place: &ModelPlace, work: impl FnOnce() -> Result<T, MllmError>) -> Result<T, MllmError> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or_else(|payload| {
+        let text = payload.downcast_ref::<&str>().map(ToString::to_string);
+        let message = text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_default();
+        Err(MllmError::Panicked { place: place.path().to_path_buf(), message })
+    })
+}
+
 fn is_gguf(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gguf"))
 }
@@ -67,7 +78,7 @@ fn is_gguf(path: &Path) -> bool {
 impl ModelRegistry {
     /// A registry of the descriptions `models/*.toml`.
     pub fn new(models: impl Into<PathBuf>, hub: HubAccess) -> Self {
-        Self { models: models.into(), hub, loading: Loading::default(), listener: None }
+        Self { models: models.into(), hub, loading: Loading::default(), trust: Trust::default(), listener: None }
     }
 
     /// Sets the format of weights in memory; `None` keeps that of the files.
@@ -79,6 +90,12 @@ impl ModelRegistry {
     /// Sets what to do with a model that needs more memory than is free.
     pub fn with_memory_check(mut self, memory: MemoryCheck) -> Self {
         self.loading.memory = memory;
+        self
+    }
+
+    /// Sets why chat templates and tokenizers of files may be opened. By default nobody vouches for them.
+    pub fn with_trust(mut self, trust: Trust) -> Self {
+        self.trust = trust;
         self
     }
 
@@ -160,6 +177,7 @@ impl ModelRegistry {
             generation: GenerationSettings::default(),
             image: ImageSettings::default(),
             license: None,
+            trusted: false,
         })
     }
 
@@ -232,7 +250,7 @@ impl ModelRegistry {
     ///
     /// # Errors
     /// When its files are missing or broken, have another architecture than its description, or need more memory than is
-    /// free; when a server's key is missing, or it is remote and the network is off.
+    /// free; when nobody vouches for them, or they failed their trial; when a server's key is missing, or it is remote and the network is off.
     pub fn open(&self, spec: &ModelSpec) -> Result<Box<dyn Mllm>, MllmError> {
         if let ModelSource::Endpoint(settings) = &spec.source {
             if self.hub.offline && !settings.is_local() {
@@ -242,12 +260,30 @@ impl ModelRegistry {
         }
         let place = self.place(spec)?;
         let loading = self.loading(spec)?;
-        Ok(Box::new(LocalModel::load(&spec.name, &place, &loading)?))
+        self.admit(spec, &place, &loading)?;
+        Ok(Box::new(without_panic(&place, || LocalModel::load(&spec.name, &place, &loading))?))
+    }
+
+    /// Whether the chat template and the tokenizer of a model may be opened in this process.
+    fn admit(&self, spec: &ModelSpec, place: &ModelPlace, loading: &Loading) -> Result<(), MllmError> {
+        if spec.trusted { Ok(()) } else { self.trust.admit(place, loading) }
     }
 
     /// Checks a model's files on this machine without reading its weights.
     pub fn check(&self, spec: &ModelSpec) -> Result<ModelCheck, MllmError> {
-        Ok(LocalModel::check(&self.place_here(spec)?, &self.loading(spec)?))
+        let (place, loading) = (self.place_here(spec)?, self.loading(spec)?);
+        let unopened = match self.admit(spec, &place, &loading) {
+            Ok(()) => None,
+            // The check names all errors, and not the first one alone.
+            Err(MllmError::Unopened { problem }) => Some(problem),
+            Err(error) => return Ok(ModelCheck::refused(&error)),
+        };
+        let checked = without_panic(&place, || Ok(LocalModel::check(&place, &loading)));
+        let mut check = checked.unwrap_or_else(|error| ModelCheck::refused(&error));
+        if check.problems.is_empty() {
+            check.problems.extend(unopened);
+        }
+        Ok(check)
     }
 
     /// What a model is and needs, by the headers of its files on this machine, else by the known shape of the repository that
@@ -274,6 +310,7 @@ impl ModelRegistry {
         progress: &mut dyn FnMut(u64, u64),
     ) -> Result<LoadReport, MllmError> {
         let place = self.place(spec)?;
+        self.admit(spec, &place, &self.loading(spec)?)?;
         let loading = Loading { quantize: Some(weight_format), ..self.loading(spec)? };
         let added = [self.asking(spec)?.to_file()];
         export_model(&spec.name, &place, &loading, &added, create, progress)

@@ -2,6 +2,7 @@
 
 mod grammar;
 mod template;
+mod template_bounds;
 mod token_bytes;
 mod tokenizer;
 

@@ -8,6 +8,7 @@ use minijinja::value::Value;
 use minijinja::{Environment, Error, ErrorKind, context};
 use serde::Deserialize;
 
+use super::template_bounds::{BoundedText, MAX_CALLS, MAX_SOURCE_BYTES, MAX_STEPS, on_deep_stack};
 use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
 use crate::mllm::{MllmError, Turn};
 
@@ -40,7 +41,7 @@ impl ChatTemplate {
         image_token: &str,
     ) -> Result<Self, MllmError> {
         let (path, source) = find_source(files)?;
-        let environment = environment(&source).map_err(|error| failure(&path, &error))?;
+        let environment = compiled(&source).map_err(|error| failure(&path, &error))?;
         let mut template = Self {
             environment,
             path,
@@ -79,7 +80,16 @@ impl ChatTemplate {
         }
         say("user", image && turns.is_empty(), prompt);
         let special = Value::from_pairs(self.special.iter().map(|(role, token)| (role.as_str(), token.as_str())));
-        self.environment.get_template(NAME)?.render(context! { messages, add_generation_prompt => true, ..special })
+        let chat = context! { messages, add_generation_prompt => true, ..special };
+        let texts = turns.iter().map(|turn| turn.prompt.len() + turn.answer.len());
+        let mut text = BoundedText::of_chat(system.len() + prompt.len() + texts.sum::<usize>());
+        let template = self.environment.get_template(NAME)?;
+        let rendered = on_deep_stack(|| template.render_captured_to(chat, &mut text).map(drop))
+            .map_err(|error| no_thread(&error))?;
+        match text.into_text() {
+            Ok(text) => rendered.map(|()| text),
+            Err(problem) => Err(Error::new(ErrorKind::InvalidOperation, problem)),
+        }
     }
 
     fn content(&self, content: Content, image: bool, text: &str) -> Value {
@@ -124,9 +134,24 @@ impl ChatTemplate {
     }
 }
 
+/// The template of a source within the bounds.
+fn compiled(source: &str) -> Result<Environment<'static>, Error> {
+    if source.len() > MAX_SOURCE_BYTES {
+        let problem = format!("it has {} bytes; at most {MAX_SOURCE_BYTES} are read", source.len());
+        return Err(Error::new(ErrorKind::InvalidOperation, problem));
+    }
+    on_deep_stack(|| environment(source)).map_err(|error| no_thread(&error))?
+}
+
+fn no_thread(error: &std::io::Error) -> Error {
+    Error::new(ErrorKind::InvalidOperation, error.to_string())
+}
+
 /// The template engine, set up as in transformers.
 fn environment(source: &str) -> Result<Environment<'static>, Error> {
     let mut environment = Environment::new();
+    environment.set_fuel(Some(MAX_STEPS));
+    environment.set_recursion_limit(MAX_CALLS);
     environment.set_syntax(SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).build()?);
     environment.set_unknown_method_callback(minijinja_contrib::pycompat::unknown_method_callback);
     environment.add_function("raise_exception", |message: String| {
@@ -210,6 +235,9 @@ fn failure(path: &Path, error: &Error) -> MllmError {
 
 fn describe(error: &Error) -> String {
     let line = error.line().map_or_else(String::new, |line| format!("line {line}: "));
+    if error.kind() == ErrorKind::OutOfFuel {
+        return format!("{line}it takes more than {MAX_STEPS} steps");
+    }
     let detail = error.detail().map_or_else(|| error.kind().to_string(), ToString::to_string);
     format!("{line}{detail}")
 }
@@ -254,6 +282,46 @@ mod tests {
     }
 
     const FIXED_DATE: &str = "24 07 July Jul Friday Fri 208 00:00:00 12 AM 2024-07-26 00:00:00";
+
+    /// None of these ends by itself, or fits the stack of a thread.
+    #[test]
+    fn hostile_templates_are_errors() {
+        let nest = |begin: &str, part: &str, end: &str| {
+            let count = (MAX_SOURCE_BYTES - begin.len() - end.len()) / part.len();
+            format!("{begin}{}{end}", part.repeat(count))
+        };
+        for source in [
+            nest("{{ ", "not ", "true }}"),
+            nest("{{ ", "-", "1 }}"),
+            nest("{{ 1", "+1", " }}"),
+            nest("{{ 1", "~1", " }}"),
+            nest("{{ a", ".a", " }}"),
+            nest("{{ a", "[0]", " }}"),
+            nest("{{ a", "()", " }}"),
+            nest("{{ a", "|e", " }}"),
+            nest("{{ 1", " and 1", " }}"),
+            nest("{{ 1", " is odd", " }}"),
+            nest("{{ ", "1 if 1 else ", "1 }}"),
+            nest("{{ ", "[", " }}"),
+            nest("", "{% if 1 %}", ""),
+            "{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}probe<image>".to_owned(),
+            "{% for a in range(99999) %}0123456789{% endfor %}probe<image>".to_owned(),
+            "{% macro m() %}{{ m() }}{% endmacro %}{{ m() }}probe<image>".to_owned(),
+            "{% set n = namespace(x=[]) %}{% for i in range(60000) %}{% set n.x = [n.x] %}{% endfor %}{{ n.x }}"
+                .to_owned(),
+            format!("{}probe<image>", " ".repeat(MAX_SOURCE_BYTES)),
+        ] {
+            let shown: String = source.chars().take(60).collect();
+            match open(&source) {
+                Err(MllmError::ChatTemplate { problem, .. }) => assert!(problem.len() < 1 << 20, "{shown}"),
+                other => panic!("{shown}: {other:?}"),
+            }
+        }
+        let steps = open("{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}").unwrap_err();
+        assert!(steps.to_string().contains("more than 500000 steps"), "{steps}");
+        let long = open("{% for a in range(99999) %}0123456789{% endfor %}").unwrap_err();
+        assert!(long.to_string().contains("the rendered chat has more than"), "{long}");
+    }
 
     #[test]
     fn broken_and_refusing_templates_are_errors() {

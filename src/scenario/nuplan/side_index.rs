@@ -7,6 +7,7 @@
 use super::database::{Database, harden, immutable_uri};
 use super::error::{FileFault, NuPlanError};
 use super::schema::{EGO_POSE, LIDAR_BOX, TRACK, TRAFFIC_LIGHT_STATUS, Table};
+use crate::files;
 use rusqlite::{Connection, OpenFlags};
 use std::collections::BTreeMap;
 use std::fs;
@@ -236,18 +237,7 @@ fn remove_stale(folder: &Path, stem: &str, current: &str) {
     }
 }
 
-/// `$PLANAGENT_CACHE`, else a folder of ours in the cache folder of the platform.
+/// A folder in that of what can be made again.
 pub(super) fn default_folder() -> Option<PathBuf> {
-    let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-    let own = variable("PLANAGENT_CACHE").or_else(|| {
-        let platform = if cfg!(target_os = "macos") {
-            variable("HOME").map(|home| home.join("Library/Caches"))
-        } else if cfg!(windows) {
-            variable("LOCALAPPDATA")
-        } else {
-            variable("XDG_CACHE_HOME").or_else(|| variable("HOME").map(|home| home.join(".cache")))
-        };
-        platform.map(|folder| folder.join("planagent"))
-    });
-    own.map(|folder| folder.join("nuplan"))
+    files::cache_folder().map(|folder| folder.join("nuplan"))
 }
