@@ -11,6 +11,7 @@ mod docs;
 mod endpoint;
 mod environment;
 mod experiment;
+mod fuzz_corpus;
 mod generator;
 #[cfg(feature = "learned")]
 mod learned;

@@ -141,6 +141,14 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     ("docs/results.md", "planagent experiment main --suite generated-test14-hard,recorded", HOURS),
     ("docs/results.md", "planagent experiment controls", HOURS),
+    ("docs/reliability.md", "cargo test --release --test tests -- fuzz_corpus", CARGO),
+    ("docs/reliability.md", "cargo install cargo-fuzz", NETWORK),
+    (
+        "docs/reliability.md",
+        "cargo +nightly fuzz run gguf -- -max_total_time=600 -rss_limit_mb=4096 -timeout=20",
+        CARGO,
+    ),
+    ("docs/reliability.md", "cargo +nightly fuzz tmin gguf fuzz/artifacts/gguf/crash-0123", CARGO),
     ("docs/report.md", "planagent serve runs/mine --open", ENDLESS),
     ("docs/report.md", "cd runs/mine", DEVKIT),
     (
@@ -292,6 +300,7 @@ pages! {
     commands_of_nuplan: "docs/nuplan.md",
     commands_of_prompts: "docs/prompts.md",
     commands_of_python: "docs/python.md",
+    commands_of_reliability: "docs/reliability.md",
     commands_of_report: "docs/report.md",
     commands_of_results: "docs/results.md",
     commands_of_runs: "docs/runs.md",

@@ -1,0 +1,7 @@
+//! Gives bytes to the target `tfrecord` of `targets.rs`.
+#![no_main]
+
+#[path = "../targets.rs"]
+mod targets;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| targets::run("tfrecord", bytes));
