@@ -56,7 +56,7 @@ fn a_list_says_what_a_model_takes() {
     assert_eq!(row("internvl3-1b")["license"], "MIT, decoder Apache-2.0");
     assert!((number("llava-1.5-7b", "/parameters") / 7.06e9 - 1.0).abs() < 0.01);
     // 32 layers of 4096 keys and values in 16 bits, for 4096 tokens.
-    assert_eq!(number("llava-1.5-7b", "/memory/q4_k/cache"), 2.0 * 2.0 * 4096.0 * 4096.0 * 32.0);
+    assert!((number("llava-1.5-7b", "/memory/q4_k/cache") - 2.0 * 2.0 * 4096.0 * 4096.0 * 32.0).abs() < 0.5);
     let weights = |format: &str| number("llava-1.5-7b", &format!("/memory/{format}/weights"));
     assert!(weights("q4_k") < weights("q8_0") && weights("q8_0") < weights("f16") && weights("f16") < weights("f32"));
     let seconds = |name: &str| number(name, "/estimated_seconds/q4_k");
