@@ -6,6 +6,29 @@ from typing import Any, final
 
 from typing_extensions import CapsuleType
 
+__all__ = [
+    "Model",
+    "NuPlanWorld",
+    "Observation",
+    "Planner",
+    "RunResults",
+    "Scenario",
+    "Simulation",
+    "Table",
+    "Trajectory",
+    "Vector",
+    "__version__",
+    "find",
+    "merge",
+    "open",
+    "planners",
+    "run",
+    "scenario_of_tables",
+    "score_trajectories",
+    "set_threads",
+    "threads",
+]
+
 __version__: str
 
 _Ego = tuple[int, list[float]]

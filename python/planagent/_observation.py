@@ -164,7 +164,8 @@ class Trajectory:
 
     def at(self, time_us: int) -> NDArray[np.float64]:
         """The interpolated pose at a time in microseconds."""
-        return _arrays.unpacked(self._native.at(int(time_us)), 3)[0].copy()
+        pose: NDArray[np.float64] = _arrays.unpacked(self._native.at(int(time_us)), 3)[0].copy()
+        return pose
 
 
 @dataclass(frozen=True)
