@@ -31,7 +31,7 @@ pub(in crate::cli) struct SimulateArguments {
     ///
     /// A Lightning .ckpt, a .pth or .safetensors file; its names and shapes must be those of the planner's authors. The setting
     /// learned.PLANNER says the same.
-    #[arg(long, value_name = "FILE", value_parser = path_word())]
+    #[arg(long, value_name = "FILE", value_parser = path_word(), hide_short_help = true)]
     pub(in crate::cli) checkpoint: Vec<String>,
     /// With a command as planner or agents: seconds that it may take for a step.
     #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_EXEC_TIMEOUT.as_secs_f64(), hide_short_help = true)]

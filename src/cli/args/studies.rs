@@ -28,11 +28,11 @@ pub(in crate::cli) struct DatasetArguments {
     pub(in crate::cli) kind: DatasetKind,
     /// With --for imitation: the learned planner.
     #[cfg(feature = "learned")]
-    #[arg(long, value_name = "NAME", value_parser = imitation_planner(), default_value = "plantf")]
+    #[arg(long, value_name = "NAME", value_parser = imitation_planner(), default_value = "plantf", hide_short_help = true)]
     pub(in crate::cli) planner: String,
     /// With --for imitation: logs, as `simulate` takes them [default: generated ones of training seeds].
     #[cfg(feature = "learned")]
-    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word())]
+    #[arg(long = "scenario", value_name = "SCENARIO", num_args = 1.., value_parser = path_word(), hide_short_help = true)]
     pub(in crate::cli) scenarios: Vec<String>,
     #[cfg(feature = "learned")]
     #[command(flatten)]
