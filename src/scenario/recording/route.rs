@@ -2,8 +2,9 @@
 //!
 //! A Viterbi search matches the recorded poses to lanes. The cost of a lane at a pose grows with distance and heading difference.
 //! A step to another lane costs little along the lane graph, more to a neighbor, and much elsewhere. The route is the lanes'
-//! roadblocks, with those in between from the graph.
+//! roadblocks, with those in between from the graph. It goes on beyond the recording (`onward`).
 
+use super::onward::onward;
 use crate::geometry::{Point, Pose, wrap_angle};
 use crate::world::{Lane, LaneId, LaneMap, RoadblockId};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -28,16 +29,12 @@ const BACKWARDS: f64 = 3.0;
 /// The chain of roadblocks along the poses, at least one.
 pub(crate) fn route(map: &LaneMap, poses: &[Pose]) -> Vec<RoadblockId> {
     let samples = spaced(poses);
-    let matched = matched_lanes(map, &samples);
+    let mut matched = matched_lanes(map, &samples);
     if matched.is_empty() {
-        // The ego is parked off the road: the route is the lane that it would enter.
-        return samples
-            .first()
-            .and_then(|&pose| nearest_lane(map, pose))
-            .map(|lane| map[lane].roadblock)
-            .into_iter()
-            .collect();
+        // The ego is parked off the road: the route begins with the lane that it would enter.
+        matched.extend(samples.first().and_then(|&pose| nearest_lane(map, pose)));
     }
+    let end = matched.last().copied().zip(samples.last().copied());
     let mut lanes: Vec<LaneId> = Vec::new();
     for lane in matched {
         if let Some(&last) = lanes.last()
@@ -60,6 +57,9 @@ pub(crate) fn route(map: &LaneMap, poses: &[Pose]) -> Vec<RoadblockId> {
             blocks.extend(blocks_between(map, last, block));
             blocks.push(block);
         }
+    }
+    if let Some((lane, pose)) = end {
+        blocks.extend(onward(map, &blocks, lane, pose));
     }
     blocks
 }
