@@ -3,6 +3,7 @@
 
 use super::Placed;
 use crate::geometry::{Bounds, Point, PointLocator, Polygon};
+use crate::metrics::MAX_DISTANCE_OUTSIDE;
 use crate::world::{EgoState, LaneAreas, LaneId, LaneMap};
 use std::collections::BTreeSet;
 
@@ -121,6 +122,8 @@ pub struct DrivableMap<'a> {
     map: &'a LaneMap,
     areas: Vec<Area<'a>>,
     layers: DrivableLayers,
+    /// A corner may be outside by less than this, meters.
+    tolerance: f64,
 }
 
 impl<'a> DrivableMap<'a> {
@@ -137,7 +140,19 @@ impl<'a> DrivableMap<'a> {
             .map(|id| Area { polygon: &map[id].polygon, on_route: route_lanes.contains(&id) })
             .chain(carparks.map(|polygon| Area { polygon, on_route: false }))
             .collect();
-        Self { map, areas, layers }
+        Self { map, areas, layers, tolerance: 0.0 }
+    }
+
+    /// As nuPlan's metric of the drivable area judges, where the areas of lanes are derived: all of nuPlan's drivable area counts,
+    /// and a corner may be outside by its tolerance. Areas that the source draws stay as they are.
+    #[must_use]
+    pub fn judged_as_by_the_metric(self) -> Self {
+        match self.map.lane_areas() {
+            LaneAreas::Drawn => self,
+            LaneAreas::Derived => {
+                Self { layers: DrivableLayers::DrivableArea, tolerance: MAX_DISTANCE_OUTSIDE, ..self }
+            }
+        }
     }
 
     /// The layers that count as drivable.
@@ -160,7 +175,7 @@ impl<'a> DrivableMap<'a> {
     pub(super) fn near(&self, bounds: &Bounds) -> NearAreas<'a> {
         let near = self.areas.iter().filter(|area| area.polygon.bounds().overlaps(bounds));
         let areas = near.map(|area| (PointLocator::new(area.polygon), area.on_route)).collect();
-        NearAreas { map: self.map, areas, layers: self.layers }
+        NearAreas { map: self.map, areas, layers: self.layers, tolerance: self.tolerance }
     }
 }
 
@@ -169,6 +184,7 @@ pub(super) struct NearAreas<'a> {
     map: &'a LaneMap,
     areas: Vec<(PointLocator<'a>, bool)>,
     layers: DrivableLayers,
+    tolerance: f64,
 }
 
 impl NearAreas<'_> {
@@ -187,12 +203,17 @@ impl NearAreas<'_> {
             on_route = on_route || (*is_route && polygon.contains(ego.shape.center.position()));
         }
         let off = |(corner, covered): (&Point, bool)| {
-            !covered && (self.layers == DrivableLayers::Lanes || !self.map.is_drivable(*corner))
+            !covered && (self.layers == DrivableLayers::Lanes || !self.is_near_drivable(*corner))
         };
         EgoAreas {
             multiple_lanes: holders > 1 && !whole,
             non_drivable: ego.corners.iter().zip(covered).any(off),
             oncoming: !on_route,
         }
+    }
+
+    fn is_near_drivable(&self, point: Point) -> bool {
+        let near = || self.map.distance_to_drivable(point, self.tolerance).is_some_and(|d| d < self.tolerance);
+        self.map.is_drivable(point) || (self.tolerance > 0.0 && near())
     }
 }

@@ -31,15 +31,26 @@ pub fn steps_of(seconds: f64) -> usize {
     (seconds / STEP_S).round() as usize
 }
 
-/// PDM's view of the scene along the reference path in `memory`; without one, along the lanes of the route.
+/// PDM's view of the scene along the reference path in `memory`; without one, along the lanes of the route. Drivable is what
+/// nuPlan's metric will find so ([`DrivableMap::judged_as_by_the_metric`]).
+///
+/// [`DrivableMap::judged_as_by_the_metric`]: crate::pdm::DrivableMap::judged_as_by_the_metric
 pub(super) fn observe<'a>(scene: &SceneView<'a>, memory: &mut PdmMemory) -> PdmInstant<'a> {
     let PdmMemory { reference_path, collided } = memory;
     if let Some(reference_path) = reference_path {
-        return PdmInstant::along(reference_path, scene, collided);
+        return observe_along(reference_path, scene, collided);
     }
     let lanes = scene.route.lanes(scene.map);
     let layers = DrivableLayers::of(scene.map, &lanes, scene.ego.center().position());
-    PdmInstant::new(scene, &lanes, layers, collided)
+    judged(PdmInstant::new(scene, &lanes, layers, collided))
+}
+
+fn observe_along<'a>(reference_path: &ReferencePath, scene: &SceneView<'a>, collided: &mut Collided) -> PdmInstant<'a> {
+    judged(PdmInstant::along(reference_path, scene, collided))
+}
+
+fn judged(PdmInstant { drivable, forecast }: PdmInstant<'_>) -> PdmInstant<'_> {
+    PdmInstant { drivable: drivable.judged_as_by_the_metric(), forecast }
 }
 
 /// Why a plan cannot be scored or executed.
@@ -95,7 +106,7 @@ impl<'a> Judge<'a> {
         horizon_s: f64,
         collided: &mut Collided,
     ) -> Result<Self, ReflectionError> {
-        let (instant, steps) = (PdmInstant::along(reference_path, scene, collided), steps_of(horizon_s));
+        let (instant, steps) = (observe_along(reference_path, scene, collided), steps_of(horizon_s));
         let centerline = reference_path.centerline().line().clone();
         let proposals = instant.proposals(reference_path, scene.ego, steps);
         let simulated = simulate_proposals(scene.ego, proposals.all());
