@@ -7,6 +7,7 @@ mod path;
 mod plan_builder;
 mod report;
 mod rollout;
+mod shift;
 
 pub use judge::{Judge, ReflectionError, needs_emergency_brake, steps_of};
 pub use monitor::{Choice, MonitoredStep, PlanMonitor};

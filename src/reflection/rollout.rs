@@ -1,6 +1,7 @@
 //! Rolls plans out: IDM along the path of the plan, behind the lead object.
 
 use super::path::onto_centerline;
+use super::shift::shift;
 use crate::dynamics::{IdmParameters, Lead};
 use crate::geometry::{Corridor, GeometryError, OrientedBox, Polyline, Pose, Vector};
 use crate::pdm::{LATERAL_OFFSETS, SPEED_FRACTIONS};
@@ -49,7 +50,8 @@ pub struct IdmPlan {
     pub lead_agent: Option<TrackToken>,
     /// Which objects are followed.
     pub lead_policy: LeadPolicy,
-    /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline; the first is the code's.
+    /// Paths of the rear axle, one for each of the [`LATERAL_OFFSETS`] from the centerline; the first is the code's, which keeps a
+    /// distance from what stands at the edge of the lane.
     paths: [Polyline; LATERAL_OFFSETS.len()],
 }
 
@@ -188,7 +190,10 @@ fn lay_paths(
     horizon_s: f64,
 ) -> Result<[Polyline; LATERAL_OFFSETS.len()], GeometryError> {
     let length = code.target_speed.max(scene.ego.speed()) * horizon_s + PATH_MARGIN;
-    let [on, right, left] = LATERAL_OFFSETS.map(|beside| onto_centerline(scene.ego, &lanes.centerline, beside, length));
+    let [on, right, left] = LATERAL_OFFSETS;
+    let on = on + shift(scene, lanes);
+    let [on, right, left] =
+        [on, right, left].map(|beside| onto_centerline(scene.ego, &lanes.centerline, beside, length));
     Ok([on?, right?, left?])
 }
 
