@@ -7,6 +7,7 @@ use std::sync::Arc;
 pub mod argoverse2;
 pub mod generator;
 mod held;
+mod later_start;
 #[cfg(feature = "nuplan")]
 pub mod nuplan;
 mod reader;
@@ -18,6 +19,7 @@ mod split;
 pub mod womd;
 
 pub use held::HeldScenario;
+pub use later_start::without_start;
 pub use reader::{
     DataRoots, OnProgress, OpenScenario, ReaderError, Recognition, ScenarioReader, ScenarioRef, absolute_path,
 };

@@ -152,6 +152,16 @@ impl ScenarioRef {
         self
     }
 
+    /// The same with another source; `rename` gives word, id and part their new form.
+    pub(super) fn with_source(
+        self,
+        rename: impl Fn(&str) -> String,
+        wrap: impl FnOnce(Arc<dyn OpenScenario>) -> Arc<dyn OpenScenario>,
+    ) -> Self {
+        let (word, part) = (rename(&self.word), rename(&self.part));
+        Self { word, part, id: self.id.as_deref().map(rename), source: wrap(self.source), ..self }
+    }
+
     /// Id of the scenario, as far as it is known before opening.
     pub fn id(&self) -> Option<&str> {
         self.id.as_deref()
@@ -252,6 +262,11 @@ pub enum ReaderError {
     /// A file among others.
     #[error("{0}")]
     Unreadable(String),
+    /// A start behind the end of the scenario.
+    #[error(
+        "the scenario ends at {end_s:.1} s and cannot start at {start_s:.1} s; name an earlier start behind the '@'"
+    )]
+    StartsTooLate { start_s: f64, end_s: f64 },
     #[error("the folder {} holds no scenarios: {}", path.display(), looked_for.join(", "))]
     Empty { path: PathBuf, looked_for: Vec<String> },
 }

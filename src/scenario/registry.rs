@@ -5,6 +5,7 @@
 #[cfg(feature = "argoverse2")]
 use super::argoverse2;
 use super::generator;
+use super::later_start::LaterStart;
 #[cfg(feature = "nuplan")]
 use super::nuplan;
 use super::reader::{DataRoots, OnProgress, ReaderError, Recognition, ScenarioReader, ScenarioRef, absolute_path};
@@ -55,8 +56,11 @@ impl Readers {
     }
 
     /// All scenarios that a word of the command line names: those of the reader that takes it, else those that all readers
-    /// find in the folder of that name, else in its folders of [`RECORDINGS`].
+    /// find in the folder of that name, else in its folders of [`RECORDINGS`]. Behind `@SECONDS` they start so much later.
     pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
+        if let Some((base, LaterStart(iterations))) = start_in(word) {
+            return Ok(self.find(base)?.into_iter().map(|scenario| scenario.started_later(iterations)).collect());
+        }
         let path = &path_of(word);
         if let Some(reader) = self.reader_of(word) {
             return reader.list(word);
@@ -98,6 +102,9 @@ impl Readers {
 
     /// The word by which the same scenarios are found from any working directory.
     pub fn absolute_word(&self, word: &str) -> String {
+        if let Some((base, start)) = start_in(word) {
+            return start.mark(&self.absolute_word(base));
+        }
         self.reader_of(word).map_or_else(|| absolute_path(word), |reader| reader.absolute_word(word))
     }
 
@@ -115,6 +122,11 @@ impl Readers {
     pub fn take_notes(&self) -> Vec<String> {
         self.readers.iter().flat_map(|reader| reader.take_notes()).collect()
     }
+}
+
+/// The later start that a word ends in, unless it is the name of a file.
+fn start_in(word: &str) -> Option<(&str, LaterStart)> {
+    LaterStart::of(word).filter(|_| !path_of(word).exists())
 }
 
 impl fmt::Debug for Readers {
