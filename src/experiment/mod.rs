@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod dataset;
+mod oracle;
 pub mod panic_guard;
 pub mod run;
 mod shuffled_bev;

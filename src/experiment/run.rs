@@ -1,5 +1,6 @@
 //! Many simulations on all cores: scenarios x planners x challenges, each with its score or its error.
 
+use super::oracle::OracleAgent;
 use super::panic_guard::catch_panic;
 use super::shuffled_bev;
 use super::stoppable::{StopSwitch, Stoppable};
@@ -196,14 +197,21 @@ fn simulate_task(
     parts: &AgentParts,
     on_iteration: &(dyn Fn(Progress) + Sync),
 ) -> Result<SimulationOutcome, String> {
-    let mut planner = parts.planner(planner, scenario).map_err(|error| with_causes(&error))?;
     // Only a policy that was given is started; without it, the first step fails.
     let own = parts.agents.as_ref().filter(|agents| Some(agents.name) == challenge.own_agents());
-    let simulation = match own {
+    let prepared = || match own {
         Some(agents) => ClosedLoop::with_agents(scenario, challenge, |first| agents.policy(scenario, first)),
         None => ClosedLoop::new(scenario, challenge),
     };
-    let log = simulation
+    let needs = parts.registry.find(planner.as_str()).map_err(|error| with_causes(&error))?.needs;
+    let mut planner: Box<dyn Planner + '_> = match needs {
+        PlannerNeeds::Simulation => {
+            let ahead = prepared().map_err(|error| with_causes(&error))?;
+            Box::new(OracleAgent::new(planner, parts.settings_for(&scenario.id), ahead))
+        }
+        _ => parts.planner(planner, scenario).map_err(|error| with_causes(&error))?,
+    };
+    let log = prepared()
         .and_then(|simulation| simulate_prepared(simulation, planner.as_mut(), challenge, &mut |p| on_iteration(p)))
         .map_err(|error| with_causes(&error))?;
     let (calls, drivable_layers) = (planner.take_calls(), planner.drivable_layers());

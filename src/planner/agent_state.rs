@@ -69,6 +69,11 @@ impl AgentState {
         }
     }
 
+    /// Whether the next step, at this time of the scene in µs, begins with a planning call.
+    pub fn is_call_due(&self, now_us: i64) -> bool {
+        self.clock.clone().is_due(now_us)
+    }
+
     /// Makes a planning call due at the next step.
     pub fn request_call(&mut self) {
         self.clock.set_due();

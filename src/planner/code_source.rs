@@ -9,7 +9,7 @@ use crate::reasoning::{
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// acc and dec of the fixed code, m/s²; the label search of nano prefers them too.
 pub const DEFAULT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
@@ -36,6 +36,23 @@ pub enum CodeSource {
     Grid,
     /// One line that a person wrote, in one attempt.
     Written(String),
+    /// A baseline: a code that was found outside of the agent, in one attempt; the fixed one where none was.
+    Handed(HandedCode),
+}
+
+/// A code that is handed to an agent before its next planning call.
+#[derive(Debug, Clone, Default)]
+pub struct HandedCode(Arc<Mutex<Option<PlannerCode>>>);
+
+impl HandedCode {
+    /// Hands a code over, or none.
+    pub fn hand(&self, code: Option<PlannerCode>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = code;
+    }
+
+    fn take(&self) -> Option<PlannerCode> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
 }
 
 impl CodeSource {
@@ -43,7 +60,7 @@ impl CodeSource {
     pub(super) fn image_size(&self) -> Option<u32> {
         match self {
             Self::Model { model, .. } => model.describe().image_size,
-            Self::Random | Self::Fixed | Self::Grid | Self::Written(_) => None,
+            Self::Random | Self::Fixed | Self::Grid | Self::Written(_) | Self::Handed(_) => None,
         }
     }
 
@@ -51,7 +68,7 @@ impl CodeSource {
     pub(super) fn prompts(&self) -> Option<&PromptSet> {
         match self {
             Self::Model { prompts, .. } => Some(prompts),
-            Self::Random | Self::Fixed | Self::Grid | Self::Written(_) => None,
+            Self::Random | Self::Fixed | Self::Grid | Self::Written(_) | Self::Handed(_) => None,
         }
     }
 
@@ -76,6 +93,7 @@ impl CodeSource {
             Self::Random => random_codes(&scenario.names, seed, attempts),
             Self::Fixed => fixed_code(graph),
             Self::Grid => grid(graph),
+            Self::Handed(code) => code.take().map_or_else(|| fixed_code(graph), |code| vec![code]),
             Self::Written(line) => return Ok(Codes::Written(Some(parse(line, &scenario.names)))),
         };
         Ok(Codes::Listed(codes.into_iter()))

@@ -29,7 +29,7 @@ mod simple;
 mod stop;
 
 pub use agent_state::{ActivePlan, AgentState};
-pub use code_source::{CodeSource, DEFAULT_ACCELERATIONS, planner_code};
+pub use code_source::{CodeSource, DEFAULT_ACCELERATIONS, HandedCode, planner_code};
 pub use delayed::Delayed;
 pub use error::PlannerError;
 pub use exec::{

@@ -24,6 +24,8 @@ pub enum PlannerNeeds {
     Model,
     /// A file with the weights of a network.
     Checkpoint,
+    /// The agent's settings and the simulation itself, in which it looks ahead. Only runs have one to give.
+    Simulation,
 }
 
 /// What a planner of one simulation is built from.
@@ -133,7 +135,7 @@ pub struct PlannerRegistry {
 
 impl Default for PlannerRegistry {
     fn default() -> Self {
-        use PlannerNeeds::{Model, Nothing, Recording, Settings};
+        use PlannerNeeds::{Model, Nothing, Recording, Settings, Simulation};
         let control = |name, summary, source: CodeSource| {
             PlannerEntry::new(name, summary, Settings, move |parts| boxed(agent(parts, source.clone())))
         };
@@ -159,6 +161,14 @@ impl Default for PlannerRegistry {
                 control(name("random-code"), "the agent with random codes (a control)", CodeSource::Random),
                 control(name("fixed-code"), "the agent with one fixed code (a control)", CodeSource::Fixed),
                 control(name("grid-code"), "the agent with the best code of a grid (a control)", CodeSource::Grid),
+                PlannerEntry::new(
+                    PlannerName::ORACLE_CODE,
+                    "the agent with codes tried out ahead (a control)",
+                    Simulation,
+                    |parts| {
+                        Err(PlannerError::MissingPart { planner: parts.name, part: "a simulation to look ahead in" })
+                    },
+                ),
             ],
         };
         #[cfg(feature = "learned")]

@@ -76,12 +76,17 @@ impl Candidate {
 
 /// Simulates every candidate from the present state, in order. Candidates that fail in the simulation or the metrics are skipped.
 pub fn search(simulation: &ClosedLoop<'_>, graph: &LaneGraph) -> Vec<Candidate> {
+    search_ahead(simulation, graph, HORIZON)
+}
+
+/// As [`search`], over so many iterations.
+pub fn search_ahead(simulation: &ClosedLoop<'_>, graph: &LaneGraph, horizon: usize) -> Vec<Candidate> {
     let limit = graph.ego_lane().speed_limit.unwrap_or(FALLBACK_LIMIT);
     let mut tried: Vec<Candidate> = Vec::new();
     let scene = simulation.scene();
     let mut memory = PdmMemory::default();
     let Ok(judge) = Judge::new(&scene, graph, ROLLOUT_S, &mut memory) else { return tried };
-    let present = Present { simulation, graph, judge: &judge, memory: &memory, limit };
+    let present = Present { simulation, graph, judge: &judge, memory: &memory, limit, horizon };
     for centerline in &graph.centerlines {
         let fractions: &[f64] = match centerline.name {
             CenterlineName::EgoLane => &SPEED_FRACTIONS,
@@ -136,6 +141,8 @@ struct Present<'a> {
     memory: &'a PdmMemory,
     /// Speed limit, m/s.
     limit: f64,
+    /// Iterations to look ahead.
+    horizon: usize,
 }
 
 impl Present<'_> {
@@ -145,7 +152,7 @@ impl Present<'_> {
         let planner = planner(simulation, self.graph, code)?;
         let reflection = self.judge.reflect(&planner, THRESHOLD).ok()?;
         let mut future = simulation.clone();
-        let samples = follow(&mut future, &planner, &mut self.memory.clone(), HORIZON)?;
+        let samples = follow(&mut future, &planner, &mut self.memory.clone(), self.horizon)?;
         let scenario = simulation.scenario();
         let from = scenario.start + simulation.iteration();
         let expert: Vec<EgoState> =
@@ -154,7 +161,7 @@ impl Present<'_> {
         let score = metrics::evaluate(MetricList::ClosedLoop, &judged).ok()?.score.value;
         let driven: f64 = samples.windows(2).map(|w| w[0].ego.rear_axle.distance(&w[1].ego.rear_axle)).sum();
         let distance = driven + samples.last()?.ego.speed() * TERMINAL_S;
-        let possible = self.limit.max(1.0) * (HORIZON as f64 * STEP_S + TERMINAL_S);
+        let possible = self.limit.max(1.0) * (self.horizon as f64 * STEP_S + TERMINAL_S);
         let unusual = (planner.code.accel_max, planner.code.decel_max) != DEFAULT_ACCELERATIONS;
         let changes = planner.code.centerline != CenterlineName::EgoLane;
         let slow = planner.code.target_speed < NEAR_LIMIT * self.limit;

@@ -189,7 +189,7 @@ impl OpenRuns<'_> {
 fn relevant(mut config: Config, needs: PlannerNeeds) -> Config {
     match needs {
         PlannerNeeds::Model => (config.mllm.offline, config.mllm.ignore_memory) = (false, false),
-        PlannerNeeds::Settings => config.mllm = MllmConfig::default(),
+        PlannerNeeds::Settings | PlannerNeeds::Simulation => config.mllm = MllmConfig::default(),
         PlannerNeeds::Nothing | PlannerNeeds::Recording => config = Config::default(),
         PlannerNeeds::Checkpoint => config = Config { learned: config.learned, ..Config::default() },
     }

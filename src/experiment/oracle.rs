@@ -1,0 +1,66 @@
+//! `oracle-code`: the agent with the planner codes of the privileged search that labels datasets. A control: no model can do better
+//! by its codes, as far as six seconds tell.
+
+use super::dataset::search::{HORIZON, best, search_ahead};
+use crate::environment::{DEFAULT_NODE_LENGTH, LaneGraph};
+use crate::planner::{
+    AgentLayer, CodeSource, HandedCode, PlanAgent, PlanAgentSettings, Planner, PlannerError, PlannerInitialization,
+    PlannerInput, PlannerName, PlanningCall,
+};
+use crate::simulation::ClosedLoop;
+use crate::world::Trajectory;
+
+/// An agent beside the simulation that it takes part in: before a planning call it tries its codes out there.
+pub(super) struct OracleAgent<'a> {
+    /// The same simulation, with the same trajectories.
+    shadow: ClosedLoop<'a>,
+    agent: Box<dyn AgentLayer>,
+    code: HandedCode,
+}
+
+impl<'a> OracleAgent<'a> {
+    /// An agent in a simulation that has not begun.
+    pub(super) fn new(name: PlannerName, settings: PlanAgentSettings, simulation: ClosedLoop<'a>) -> Self {
+        let code = HandedCode::default();
+        let agent = PlanAgent::new(name, CodeSource::Handed(code.clone()), settings).layered();
+        Self { shadow: simulation, agent, code }
+    }
+
+    /// Hands the best code over. Near the end of the recording the search looks no further than that; where it finds nothing, the
+    /// agent takes the fixed code.
+    fn search(&self) {
+        let left = self.shadow.scenario().iterations() - 1 - self.shadow.iteration();
+        let graph = LaneGraph::build(&self.shadow.scene(), DEFAULT_NODE_LENGTH).ok();
+        let tried = graph.map(|graph| search_ahead(&self.shadow, &graph, HORIZON.min(left))).unwrap_or_default();
+        self.code.hand(best(&tried).map(|best| best.code));
+    }
+}
+
+impl Planner for OracleAgent<'_> {
+    fn name(&self) -> &str {
+        self.agent.name()
+    }
+
+    fn initialize(&mut self, initialization: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+        self.agent.initialize(initialization)
+    }
+
+    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        if self.agent.state().is_call_due(input.scene.ego.time_us) {
+            self.search();
+        }
+        let trajectory = self.agent.compute_trajectory(input)?;
+        let name = self.agent.name().to_owned();
+        let failed = |source| PlannerError::Failed { doing: "looking ahead", source: Box::new(source) };
+        self.shadow.advance(&trajectory, &name).map_err(failed)?;
+        Ok(trajectory)
+    }
+
+    fn calls(&self) -> &[PlanningCall] {
+        self.agent.calls()
+    }
+
+    fn take_calls(&mut self) -> Vec<PlanningCall> {
+        self.agent.take_calls()
+    }
+}
