@@ -33,18 +33,33 @@ impl Bootstrap {
     /// The mean of differences, one a scene, with its interval; `None` without a scene. Equal differences in equal order give
     /// the same interval on every machine.
     pub fn difference(&self, differences: &[f64]) -> Option<PairedDifference> {
-        let pairs = differences.len();
+        let single: Vec<&[f64]> = differences.chunks(1).collect();
+        self.clustered(&single)
+    }
+
+    /// As [`Self::difference`] for clusters of differences that are drawn together: scenes of one recording are alike. All
+    /// differences count equally in the mean.
+    pub fn clustered(&self, clusters: &[impl AsRef<[f64]>]) -> Option<PairedDifference> {
+        let sums: Vec<(f64, usize)> = clusters
+            .iter()
+            .map(|cluster| (cluster.as_ref().iter().sum(), cluster.as_ref().len()))
+            .filter(|&(_, count)| count > 0)
+            .collect();
+        let pairs: usize = sums.iter().map(|(_, count)| count).sum();
         if pairs == 0 {
             return None;
         }
         let mut random = Pcg64Mcg::seed_from_u64(self.seed);
-        let mut draw = || differences.get(below(&mut random, pairs)).copied().unwrap_or_default();
-        let mut means: Vec<f64> =
-            (0..self.resamples).map(|_| (0..pairs).map(|_| draw()).sum::<f64>() / pairs as f64).collect();
+        let mut mean_of_draws = || {
+            let drawn = (0..sums.len()).filter_map(|_| sums.get(below(&mut random, sums.len())));
+            let (sum, count) = drawn.fold((0.0, 0), |(sum, count), &(own, size)| (sum + own, count + size));
+            sum / count as f64
+        };
+        let mut means: Vec<f64> = (0..self.resamples).map(|_| mean_of_draws()).collect();
         means.sort_by(f64::total_cmp);
         let outside = (1.0 - self.level) / 2.0;
         Some(PairedDifference {
-            mean: differences.iter().sum::<f64>() / pairs as f64,
+            mean: sums.iter().map(|(sum, _)| sum).sum::<f64>() / pairs as f64,
             low: quantile(&means, outside)?,
             high: quantile(&means, 1.0 - outside)?,
             pairs,
@@ -105,6 +120,19 @@ mod tests {
         assert_eq!(interval(&[0.0, 1.0, 5.0]), interval(&[0.0, 1.0, 5.0]), "the same draws every time");
         let other = Bootstrap { seed: 1, resamples: 20, ..Bootstrap::default() };
         assert_ne!(other.difference(&[0.0, 1.0, 5.0]), Some(interval(&[0.0, 1.0, 5.0])));
+    }
+
+    #[test]
+    fn clusters_are_drawn_as_a_whole() {
+        // Two clusters of equal differences: a draw of two gives 0, 1/2 or 1, the extremes with probability 1/4 each.
+        let found = Bootstrap::default().clustered(&[vec![0.0; 50], vec![1.0; 50]]).unwrap();
+        assert_eq!((found.mean, found.low, found.high, found.pairs), (0.5, 0.0, 1.0, 100));
+        let alone = interval(&[vec![0.0; 50], vec![1.0; 50]].concat());
+        assert!(alone.low > 0.35 && alone.high < 0.65, "{alone:?}");
+        // Differences count equally, however large their cluster is.
+        let uneven = Bootstrap::default().clustered(&[vec![1.0], vec![], vec![0.0, 0.0, 0.0]]).unwrap();
+        assert_eq!((uneven.mean, uneven.pairs), (0.25, 4));
+        assert_eq!(Bootstrap::default().clustered(&[vec![]; 2]), None);
     }
 
     #[test]

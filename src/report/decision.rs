@@ -3,6 +3,7 @@
 use super::call_record::{CallRecord, DecisionRecord};
 use super::number::fixed;
 use crate::planner::{Attempt, Decision, NoPlan, PlanningCall};
+use crate::reflection::{SubScores, Verdict};
 
 /// Whether Reflection refused every attempt of a call.
 pub(super) fn all_refused(call: &PlanningCall) -> bool {
@@ -10,6 +11,20 @@ pub(super) fn all_refused(call: &PlanningCall) -> bool {
         call.decision,
         Decision::Exhausted(_) | Decision::KeepActivePlan(NoPlan::Worse) | Decision::RuleBased(NoPlan::Outscored)
     )
+}
+
+/// Whether Reflection refused the first attempt of a call, or it gave no plan.
+pub(super) fn first_refused(call: &PlanningCall) -> bool {
+    let report =
+        |attempt: &Attempt| attempt.reflection.as_ref().is_some_and(|report| report.verdict == Verdict::Execute);
+    call.attempts.first().is_some_and(|attempt| !report(attempt))
+}
+
+/// Whether Reflection gave every plan of a call, at least one, 0 in a part of the score.
+pub(super) fn all_are_zero(call: &PlanningCall, part: fn(&SubScores) -> f64) -> bool {
+    let mut parts =
+        call.attempts.iter().filter_map(|attempt| Some(part(&attempt.reflection.as_ref()?.parts))).peekable();
+    parts.peek().is_some() && parts.all(|part| part <= 0.0)
 }
 
 /// The decision of a planning call in words.
@@ -101,7 +116,7 @@ mod tests {
     use crate::environment::CenterlineName;
     use crate::pdm::DrivableLayers;
     use crate::reasoning::PlannerCode;
-    use crate::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
+    use crate::reflection::{ProgressReference, ReflectionReport};
 
     const CODE: PlannerCode = PlannerCode {
         centerline: CenterlineName::EgoLane,

@@ -1,6 +1,6 @@
 //! `record.toml`: the row of one simulation.
 
-use super::decision::all_refused;
+use super::decision::{all_are_zero, all_refused, first_refused};
 use super::number::positive_zero;
 use super::times::{CallTimes, SimulationTime};
 use crate::experiment::run::SimulationRecord;
@@ -48,6 +48,15 @@ pub struct SimulationRow {
     /// Planning calls in which Reflection refused all attempts.
     #[serde(default)]
     pub refused_calls: usize,
+    /// Planning calls in which Reflection refused the first attempt.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub first_refused_calls: usize,
+    /// Planning calls in which every plan leaves the drivable area.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub off_area_calls: usize,
+    /// Planning calls in which every plan leaves the route for more than 6 m.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub off_route_calls: usize,
     /// Attempts after the first of their call.
     pub rethinks: usize,
     /// Parse errors of the answers.
@@ -112,6 +121,9 @@ impl SimulationRow {
             planning_calls: calls.len() - gated_calls,
             gated_calls,
             refused_calls: calls.iter().filter(|call| all_refused(call)).count(),
+            first_refused_calls: calls.iter().filter(|call| first_refused(call)).count(),
+            off_area_calls: calls.iter().filter(|call| all_are_zero(call, |parts| parts.drivable_area)).count(),
+            off_route_calls: calls.iter().filter(|call| all_are_zero(call, |parts| parts.driving_direction)).count(),
             rethinks: calls.iter().map(PlanningCall::rethinks).sum(),
             parse_errors: calls.iter().map(PlanningCall::parse_errors).sum(),
             deadlines: interrupted(|why| matches!(why, Interruption::Deadline)),
@@ -175,6 +187,9 @@ impl SimulationRow {
             planning_calls: 8,
             gated_calls: 0,
             refused_calls: 0,
+            first_refused_calls: 0,
+            off_area_calls: 0,
+            off_route_calls: 0,
             rethinks: 0,
             parse_errors: 0,
             deadlines: 0,

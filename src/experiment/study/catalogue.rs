@@ -22,6 +22,7 @@ const BUILT_IN: &[(&str, &str)] = built_in![
     "execution",
     "gate",
     "latency-aware",
+    "recorded",
 ];
 
 #[derive(Debug, thiserror::Error)]

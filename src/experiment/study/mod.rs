@@ -34,6 +34,9 @@ pub struct Study {
     /// What a row of its table is.
     #[serde(default)]
     pub rows: Rows,
+    /// How the suite `recorded` is taken: once, or from several start times.
+    #[serde(default)]
+    pub starts: Option<Starts>,
     /// Columns beside the scores.
     #[serde(default)]
     pub columns: Vec<Column>,
@@ -69,6 +72,16 @@ fn plan_agent() -> String {
     crate::planner::PlannerName::PLAN_AGENT.to_string()
 }
 
+/// The start times of a recording: the usual one, and later ones while enough is left.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Starts {
+    /// Time between two of them, seconds.
+    pub every_s: f64,
+    /// Time that is left behind the last, seconds.
+    pub least_s: f64,
+}
+
 /// What a row of a table is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -78,6 +91,8 @@ pub enum Rows {
     Variants,
     /// A scenario type, with the variants side by side.
     ScenarioTypes,
+    /// A variant, and in further tables a recording. Intervals are over recordings: scenes of one recording are drawn together.
+    Recordings,
 }
 
 /// A column beside the scores.
@@ -138,6 +153,9 @@ impl Study {
         let count = self.variants.len();
         if self.reference >= count {
             return Err(format!("reference is {}; there are {count} variants, counted from 0", self.reference));
+        }
+        if self.starts.is_some_and(|starts| !(starts.every_s > 0.0 && starts.least_s > 0.0)) {
+            return Err("starts.every_s and starts.least_s must be above 0".to_owned());
         }
         let mut seen = BTreeSet::new();
         let needs_x = matches!(self.figure, Figure::Lines(_));

@@ -1,10 +1,12 @@
 //! `results.json` of an experiment. Scores and differences are nuPlan's scores x 100, as in the paper.
 
+use super::recordings::{CallShares, RecordingResults, recordings};
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use crate::experiment::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
 use crate::metrics::distinct;
 use crate::report::simulation_row::SimulationRow;
 use crate::report::{ModelFigures, Quantiles};
+use crate::scenario::without_start;
 use crate::simulation::Challenge;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -69,6 +71,9 @@ pub struct SuiteResults {
     pub blake3: String,
     /// The variants, in the study's order.
     pub variants: Vec<VariantResults>,
+    /// Each recording, in a study of recordings.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub recordings: Vec<RecordingResults>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -89,6 +94,9 @@ pub struct VariantResults {
     pub scenario_types: Vec<TypeResults>,
     /// Mean number of planning calls; none for planners without a model.
     pub calls_per_simulation: Option<f64>,
+    /// Its planning calls, in a study of recordings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calls: Option<CallShares>,
     /// Cost of its model, if the experiment compares it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<ModelCost>,
@@ -170,7 +178,9 @@ impl ResultSource<'_> {
         let benchmark = benchmark(&suite.name);
         let reference = suite.variants.get(self.study.reference).map_or(&[][..], VariantSimulations::rows);
         let variants = self.study.variants.iter().zip(&suite.variants).enumerate();
+        let of_recordings = self.study.rows == Rows::Recordings;
         SuiteResults {
+            recordings: of_recordings.then(|| recordings(&suite.variants, self.study.reference)).unwrap_or_default(),
             name: suite.name.clone(),
             benchmark,
             scenes: suite.scenes,
@@ -197,7 +207,7 @@ impl ResultSource<'_> {
             Outcome::NotSimulated(why) => (None, Some(*why)),
         };
         let scenario_types = match self.study.rows {
-            Rows::Variants => Vec::new(),
+            Rows::Variants | Rows::Recordings => Vec::new(),
             Rows::ScenarioTypes => distinct(rows.iter().map(|row| &row.scenario_type))
                 .into_iter()
                 .map(|kind| TypeResults {
@@ -218,6 +228,7 @@ impl ResultSource<'_> {
             scenario_types,
             calls_per_simulation: (calls > 0 || self.study.columns.contains(&Column::Calls))
                 .then(|| calls as f64 / completed.count() as f64),
+            calls: (self.study.rows == Rows::Recordings).then(|| CallShares::of(rows)),
             model: self.study.measures_models().then(|| self.cost(variant, simulations)),
         }
     }
@@ -242,8 +253,8 @@ impl ResultSource<'_> {
                 };
                 let scores = of(rows);
                 let others = against.map(of);
-                let differences: Vec<f64> =
-                    others.iter().flatten().filter_map(|(s, o)| Some(scores.get(s)? - o)).collect();
+                let differences: Vec<(&str, f64)> =
+                    others.iter().flatten().filter_map(|(s, o)| Some((s.as_str(), scores.get(s)? - o))).collect();
                 let paper = published(variant, challenge);
                 let reference = against.and(reference).and_then(|reference| published(reference, challenge));
                 ChallengeResults {
@@ -251,12 +262,24 @@ impl ResultSource<'_> {
                     score: (!scores.is_empty()).then(|| scores.values().sum::<f64>() / scores.len() as f64),
                     simulations: scores.len(),
                     failed: rows.iter().filter(own).filter(|row| row.score.is_none()).count(),
-                    difference: self.bootstrap.difference(&differences),
+                    difference: self.bootstrap.clustered(&self.clusters(&differences)),
                     paper,
                     paper_difference: paper.zip(reference).map(|(own, other)| own - other),
                 }
             })
             .collect()
+    }
+
+    /// Differences by source in the clusters that the bootstrap draws: each alone, or those of a recording together.
+    fn clusters(&self, differences: &[(&str, f64)]) -> Vec<Vec<f64>> {
+        if self.study.rows != Rows::Recordings {
+            return differences.iter().map(|&(_, difference)| vec![difference]).collect();
+        }
+        let mut clusters: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+        for &(source, difference) in differences {
+            clusters.entry(without_start(source)).or_default().push(difference);
+        }
+        clusters.into_values().collect()
     }
 
     /// The time is that of the planning calls, or of a bench for a model that was not simulated.
@@ -275,7 +298,7 @@ impl ResultSource<'_> {
 }
 
 impl VariantSimulations {
-    fn rows(&self) -> &[SimulationRow] {
+    pub(super) fn rows(&self) -> &[SimulationRow] {
         match &self.outcome {
             Outcome::Simulated { rows, .. } => rows,
             Outcome::NotSimulated(_) => &[],

@@ -4,6 +4,7 @@ mod bench;
 mod markdown;
 mod overview;
 mod paired;
+mod recordings;
 mod simulations;
 mod study;
 mod terminal;

@@ -1,5 +1,6 @@
 //! The tables of an experiment.
 
+use super::recordings;
 use super::terminal::wrapped;
 use super::{Table, or_dash, short, signed, three_digits, weights};
 use crate::experiment::statistics::PairedDifference;
@@ -17,12 +18,19 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
             let heading = format!("{}, {}: {} scenes", suite.name, agents(challenge), suite.scenes);
             let table = scores(study, suite, &[challenge], Width::Narrow);
             let table = match study.rows {
-                Rows::Variants => table.terminal(),
+                Rows::Variants | Rows::Recordings => table.terminal(),
                 Rows::ScenarioTypes => table.terminal_below_names(),
             };
             parts.push(format!("{heading}\n{table}"));
         }
         parts.extend(costs(study, suite).map(|table| table.terminal()));
+        if study.rows == Rows::Recordings {
+            parts.push(recordings::calls(study, suite).terminal_below_names());
+            parts.extend(
+                Challenge::CLOSED_LOOP
+                    .map(|challenge| recordings::recordings(suite, &[challenge]).terminal_below_names()),
+            );
+        }
     }
     parts.push(notes(study, results).iter().flat_map(|note| wrapped(note)).collect::<Vec<_>>().join("\n"));
     parts.join("\n\n")
@@ -35,7 +43,9 @@ pub fn study_markdown(study: &Study, results: &StudyResults, command: &str, figu
         // Writing to a string cannot fail.
         let _ = writeln!(text, "\n## {}: {} scenes", suite.name, suite.scenes);
         let table = scores(study, suite, &Challenge::CLOSED_LOOP, Width::Wide);
-        for table in std::iter::once(table).chain(costs(study, suite)) {
+        let of_recordings = (study.rows == Rows::Recordings)
+            .then(|| [recordings::calls(study, suite), recordings::recordings(suite, &Challenge::CLOSED_LOOP)]);
+        for table in std::iter::once(table).chain(costs(study, suite)).chain(of_recordings.into_iter().flatten()) {
             let _ = write!(text, "\n{}", table.markdown());
         }
         for figure in figures.iter().filter(|name| **name == format!("{}.svg", suite.name)) {
@@ -59,7 +69,7 @@ enum Width {
 
 fn scores(study: &Study, suite: &SuiteResults, challenges: &[Challenge], width: Width) -> Table {
     match study.rows {
-        Rows::Variants => variants(study, suite, challenges, width),
+        Rows::Variants | Rows::Recordings => variants(study, suite, challenges, width),
         Rows::ScenarioTypes => scenario_types(suite, challenges, width),
     }
 }
@@ -165,9 +175,10 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
     let bootstrap = results.bootstrap;
     notes.push(format!(
         "NR, R = non-reactive, reactive agents; nuPlan's score x 100. diff = score minus that of {} on the same scenes. Its \
-         {} % interval is a percentile bootstrap over scenes ({} resamples, seed {}).",
+         {} % interval is a percentile bootstrap over {} ({} resamples, seed {}).",
         results.reference,
         fixed(bootstrap.level * 100.0, 0),
+        if study.rows == Rows::Recordings { "recordings" } else { "scenes" },
         bootstrap.resamples,
         bootstrap.seed
     ));

@@ -69,7 +69,7 @@ impl<'a> Experiments<'a> {
     /// Counts the tokens of scene descriptions and writes the results; gives the folder of these.
     pub fn count_tokens(&mut self) -> Result<(Vec<SuiteTokens>, PathBuf), RunnerError> {
         check_writable(&self.folder(TOKENS))?;
-        let suites = self.suites.of(TOKENS, tokens::SUITES)?;
+        let suites = self.suites.of(TOKENS, tokens::SUITES, None)?;
         let counted = tokens::count_all(&suites, self.config, self.listener)?;
         let folder = StudyFolder::new(self.folder(TOKENS));
         tokens::write(&folder, &counted, &self.command(TOKENS))?;
@@ -89,7 +89,7 @@ impl<'a> Experiments<'a> {
         let mut planned = Vec::new();
         for study in studies {
             let mut suites = Vec::new();
-            for suite in self.suites.of(&study.name, &study.suites)? {
+            for suite in self.suites.of(&study.name, &study.suites, study.starts)? {
                 let names = study.variants.iter().map(|variant| runs.add(&suite, variant));
                 let names = names.collect::<Result<_, RunnerError>>()?;
                 suites.push((suite, names));

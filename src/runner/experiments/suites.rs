@@ -1,7 +1,7 @@
 //! The suites of experiments.
 
 use super::request::ExperimentsRequest;
-use crate::experiment::study::Quick;
+use crate::experiment::study::{Quick, Starts};
 use crate::experiment::suite::RECORDED;
 use crate::files::word_of;
 use crate::report::{DataFile, ScenarioList};
@@ -11,6 +11,7 @@ use crate::runner::inputs::data_files;
 use crate::runner::sample::Sample;
 use crate::runner::selection::{Selected, absolute, scenario_list, select};
 use crate::scenario::{DataRoots, RECORDINGS, Readers, ScenarioRef, absolute_path};
+use crate::world::STEP_S;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -34,6 +35,7 @@ pub(super) struct Suites<'a> {
     listener: &'a Listener,
     roots: DataRoots,
     readers: Readers,
+    /// By name and start times.
     found: BTreeMap<String, Rc<SelectedSuite>>,
 }
 
@@ -48,10 +50,11 @@ impl<'a> Suites<'a> {
         &mut self,
         experiment: &str,
         own: &[impl AsRef<str>],
+        starts: Option<Starts>,
     ) -> Result<Vec<Rc<SelectedSuite>>, RunnerError> {
         let request = self.request;
         if !request.suites.is_empty() {
-            return request.suites.iter().map(|name| self.named(name)).collect();
+            return request.suites.iter().map(|name| self.named(name, starts)).collect();
         }
         let mut suites = Vec::new();
         for name in own {
@@ -60,22 +63,24 @@ impl<'a> Suites<'a> {
                 let text = format!("{experiment}: no recordings: neither --scenario nor ${DATA} names any");
                 (self.listener)(Event::Note(text));
             } else {
-                suites.push(self.named(name)?);
+                suites.push(self.named(name, starts)?);
             }
         }
         Ok(suites)
     }
 
-    fn named(&mut self, name: &str) -> Result<Rc<SelectedSuite>, RunnerError> {
-        if let Some(suite) = self.found.get(name) {
+    fn named(&mut self, name: &str, starts: Option<Starts>) -> Result<Rc<SelectedSuite>, RunnerError> {
+        let starts = starts.filter(|_| name == RECORDED);
+        let key = format!("{name} {starts:?}");
+        if let Some(suite) = self.found.get(&key) {
             return Ok(Rc::clone(suite));
         }
-        let suite = self.find(name);
+        let suite = self.find(name, starts);
         let suite = suite.map_err(|source| RunnerError::Suite { name: name.to_owned(), source: Box::new(source) })?;
-        Ok(Rc::clone(self.found.entry(name.to_owned()).or_insert(Rc::new(suite))))
+        Ok(Rc::clone(self.found.entry(key).or_insert(Rc::new(suite))))
     }
 
-    fn find(&self, name: &str) -> Result<SelectedSuite, RunnerError> {
+    fn find(&self, name: &str, starts: Option<Starts>) -> Result<SelectedSuite, RunnerError> {
         let (mut words, splits) =
             if name == RECORDED { (self.recordings(), Vec::new()) } else { (Vec::new(), vec![name.to_owned()]) };
         if words.is_empty() && splits.is_empty() {
@@ -85,6 +90,10 @@ impl<'a> Suites<'a> {
             select(&words, &splits, &Sample::default(), &self.readers, self.listener)?;
         if self.request.quick {
             sources = Quick::DEFAULT.of(sources);
+            (words, splits) = (sources.iter().map(ToString::to_string).collect(), Vec::new());
+        }
+        if let Some(starts) = starts {
+            sources = sources.into_iter().flat_map(|source| from_every_start(source, starts)).collect();
             (words, splits) = (sources.iter().map(ToString::to_string).collect(), Vec::new());
         }
         let named = ScenarioList { words, splits, missing, ..ScenarioList::default() };
@@ -105,4 +114,13 @@ impl<'a> Suites<'a> {
         let words = folders.filter(|folder| folder.is_dir()).map(|folder| word_of(folder.as_os_str()));
         words.map(|word| absolute_path(&word)).collect()
     }
+}
+
+/// A recording from each of its start times; a scenario whose length is not known before it is opened, from its own.
+fn from_every_start(source: ScenarioRef, Starts { every_s, least_s }: Starts) -> Vec<ScenarioRef> {
+    let steps = |seconds: f64| (seconds / STEP_S).round().max(1.0) as usize;
+    let iterations = source.contents().ok().flatten().map_or(0, |contents| contents.iterations);
+    let last = iterations.saturating_sub(1 + steps(least_s));
+    let later = (1..).map(|i| i * steps(every_s)).take_while(|&start| start <= last);
+    std::iter::once(source.clone()).chain(later.map(|start| source.clone().started_later(start))).collect()
 }
