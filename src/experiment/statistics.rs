@@ -132,7 +132,7 @@ mod tests {
         // Differences count equally, however large their cluster is.
         let uneven = Bootstrap::default().clustered(&[vec![1.0], vec![], vec![0.0, 0.0, 0.0]]).unwrap();
         assert_eq!((uneven.mean, uneven.pairs), (0.25, 4));
-        assert_eq!(Bootstrap::default().clustered(&[vec![]; 2]), None);
+        assert_eq!(Bootstrap::default().clustered(&[Vec::new(), Vec::new()]), None);
     }
 
     #[test]

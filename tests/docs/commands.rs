@@ -149,6 +149,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         CARGO,
     ),
     ("docs/reliability.md", "cargo +nightly fuzz tmin gguf fuzz/artifacts/gguf/crash-0123", CARGO),
+    ("docs/recordings.md", "planagent experiment recorded", HOURS),
     ("docs/report.md", "planagent serve runs/mine --open", ENDLESS),
     ("docs/report.md", "cd runs/mine", DEVKIT),
     (

@@ -4,7 +4,7 @@ use super::*;
 use crate::experiment::study::{Figure, Quick, find};
 use crate::planner::PlannerName;
 use crate::report::figure::figures;
-use crate::report::{SimulationRow, study_markdown, study_table};
+use crate::report::{MetricScore, SimulationRow, study_markdown, study_table};
 use crate::simulation::Challenge;
 
 /// A simulation of a scene; without a score it failed.
@@ -141,4 +141,47 @@ fn markdown_has_both_challenges_and_the_paper_and_every_study_has_a_figure() {
             assert!(head.contains(columns), "{}: {head}", study.name);
         }
     }
+}
+
+/// A simulation of a recording from a start, with this score and a metric of the same value.
+fn recorded(start: &str, planner: &str, score: f64) -> SimulationRow {
+    let row = SimulationRow::example("unknown", 0, planner, Challenge::NonReactive, Some(score));
+    let metrics = vec![MetricScore { name: "ego_is_comfortable".to_owned(), score: Some(score) }];
+    SimulationRow { source: start.to_owned(), scenario: start.to_owned(), metrics, off_route_calls: 2, ..row }
+}
+
+#[test]
+fn recordings_are_drawn_together_and_have_a_row_each() {
+    let study = find("recorded").unwrap();
+    let starts = ["a", "a@3", "b", "b@3", "b@6"];
+    let variant = |planner: &str, scores: [f64; 5]| VariantSimulations {
+        outcome: Outcome::Simulated {
+            run: "../runs/a".to_owned(),
+            rows: starts.iter().zip(scores).map(|(start, score)| recorded(start, planner, score)).collect(),
+        },
+        parameters: None,
+    };
+    let (worse, full) = ([1.0, 1.0, 0.5, 0.5, 0.5], [1.0; 5]);
+    let variants = vec![
+        variant("plan-agent", worse),
+        variant("pdm-closed", full),
+        variant("fixed-code", full),
+        variant("oracle-code", full),
+    ];
+    let results = StudyResults::new(&study, &[suite("recorded", variants)], None, 0, &[]);
+    let [suite] = &results.suites[..] else { panic!("{results:?}") };
+    let difference = suite.variants[0].challenges[0].difference.unwrap();
+    // Of two recordings without a difference and with -50, a draw may have either one twice.
+    assert_eq!((difference.mean, difference.low, difference.high, difference.pairs), (-30.0, -50.0, 0.0, 5));
+    let [a, b] = &suite.recordings[..] else { panic!("{:?}", suite.recordings) };
+    assert_eq!((a.recording.as_str(), a.starts, &a.challenges[0].loss), ("a", 2, &None));
+    assert_eq!((b.recording.as_str(), b.starts, b.challenges[0].scores[0]), ("b", 3, Some(50.0)));
+    assert_eq!(b.challenges[0].loss.as_deref(), Some("ego_is_comfortable"));
+    let calls = suite.variants[0].calls.as_ref().unwrap();
+    assert_eq!((calls.planning_calls, calls.off_route, calls.off_area), (40, 10, 0));
+    let text = study_markdown(&study, &results, "planagent experiment recorded", &[]);
+    assert!(text.contains("| plan-agent | 0 | 0 | 40 | 25.0 % | 0.0 % |"), "{text}");
+    assert!(text.contains("bootstrap over recordings") && text.contains("| b | 3 | 50.00 | 100.00 |"), "{text}");
+    let table = study_table(&study, &results);
+    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
 }

@@ -2,6 +2,7 @@
 
 use super::{Table, or_dash, short};
 use crate::experiment::study::Study;
+use crate::metrics::METRICS;
 use crate::report::SuiteResults;
 use crate::report::number::fixed;
 use crate::simulation::Challenge;
@@ -10,14 +11,20 @@ use crate::simulation::Challenge;
 pub(super) fn recordings(suite: &SuiteResults, challenges: &[Challenge]) -> Table {
     let mut headers = vec!["recording".to_owned(), "starts".to_owned()];
     for &challenge in challenges {
-        headers.extend(suite.variants.iter().map(|variant| format!("{} {}", variant.name, short(challenge))));
-        headers.push(format!("loss {}", short(challenge)));
+        // A single challenge stands above the table.
+        let named = |name: &str| match challenges {
+            [_] => name.to_owned(),
+            _ => format!("{name} {}", short(challenge)),
+        };
+        headers.extend(suite.variants.iter().map(|variant| named(&variant.name)).chain([named("loss")]));
     }
+    let label =
+        |metric: String| METRICS.iter().find(|known| known.name == metric).map_or(metric, |m| m.label.to_owned());
     let rows = suite.recordings.iter().map(|recording| {
         let mut cells = vec![recording.recording.clone(), recording.starts.to_string()];
         for own in recording.challenges.iter().filter(|own| challenges.contains(&own.challenge)) {
             cells.extend(own.scores.iter().map(|&score| or_dash(score, |score| fixed(score, 2))));
-            cells.push(or_dash(own.loss.clone(), |loss| loss));
+            cells.push(or_dash(own.loss.clone(), label));
         }
         cells
     });

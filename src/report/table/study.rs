@@ -26,10 +26,10 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
         parts.extend(costs(study, suite).map(|table| table.terminal()));
         if study.rows == Rows::Recordings {
             parts.push(recordings::calls(study, suite).terminal_below_names());
-            parts.extend(
-                Challenge::CLOSED_LOOP
-                    .map(|challenge| recordings::recordings(suite, &[challenge]).terminal_below_names()),
-            );
+            parts.extend(Challenge::CLOSED_LOOP.map(|challenge| {
+                let table = recordings::recordings(suite, &[challenge]).terminal_below_names();
+                format!("{}, {}: each recording\n{table}", suite.name, agents(challenge))
+            }));
         }
     }
     parts.push(notes(study, results).iter().flat_map(|note| wrapped(note)).collect::<Vec<_>>().join("\n"));
