@@ -101,4 +101,11 @@ fn areas_tell_lanes_road_and_route_apart() {
     assert_eq!(areas(-1.0, DrivableLayers::Lanes), (false, true, false));
     assert_eq!(areas(-1.0, DrivableLayers::DrivableArea), (false, false, false));
     assert_eq!(areas(-30.0, DrivableLayers::DrivableArea), (false, true, true));
+    // The metric's tolerance is 0.3 m; the corners are 0.05 m and 0.35 m outside.
+    let judged = |y: f64| {
+        let around = DrivableMap::around(&map, &route, state(y).center().position(), DrivableLayers::Lanes);
+        around.judged_as_by_the_metric().areas_of(&state(y)).non_drivable
+    };
+    assert!(areas(-2.9, DrivableLayers::DrivableArea).1);
+    assert_eq!([-1.0, -2.9, -3.2].map(judged), [false, false, true]);
 }
