@@ -84,7 +84,13 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
     ),
     (
         "scenario/recording",
-        &[&["error", "motion", "route"], &["trace", "window"], &["lanes"], &["junctions", "roadblocks"], &["map"]],
+        &[
+            &["error", "motion", "onward"],
+            &["route", "trace"],
+            &["lanes", "window"],
+            &["junctions", "roadblocks"],
+            &["map"],
+        ],
     ),
 ];
 
