@@ -180,7 +180,7 @@ impl ResultSource<'_> {
         let variants = self.study.variants.iter().zip(&suite.variants).enumerate();
         let of_recordings = self.study.rows == Rows::Recordings;
         SuiteResults {
-            recordings: of_recordings.then(|| recordings(&suite.variants, self.study.reference)).unwrap_or_default(),
+            recordings: if of_recordings { recordings(&suite.variants, self.study.reference) } else { Vec::new() },
             name: suite.name.clone(),
             benchmark,
             scenes: suite.scenes,

@@ -93,7 +93,7 @@ impl<'a> Suites<'a> {
             (words, splits) = (sources.iter().map(ToString::to_string).collect(), Vec::new());
         }
         if let Some(starts) = starts {
-            sources = sources.into_iter().flat_map(|source| from_every_start(source, starts)).collect();
+            sources = sources.iter().flat_map(|source| from_every_start(source, starts)).collect();
             (words, splits) = (sources.iter().map(ToString::to_string).collect(), Vec::new());
         }
         let named = ScenarioList { words, splits, missing, ..ScenarioList::default() };
@@ -117,7 +117,7 @@ impl<'a> Suites<'a> {
 }
 
 /// A recording from each of its start times; a scenario whose length is not known before it is opened, from its own.
-fn from_every_start(source: ScenarioRef, Starts { every_s, least_s }: Starts) -> Vec<ScenarioRef> {
+fn from_every_start(source: &ScenarioRef, Starts { every_s, least_s }: Starts) -> Vec<ScenarioRef> {
     let steps = |seconds: f64| (seconds / STEP_S).round().max(1.0) as usize;
     let iterations = source.contents().ok().flatten().map_or(0, |contents| contents.iterations);
     let last = iterations.saturating_sub(1 + steps(least_s));
