@@ -49,10 +49,7 @@ impl AgentParts {
             recording: &recording,
             shuffled_bev: shuffled_bev.as_ref(),
         })?;
-        Ok(match &self.stop {
-            Some(switch) => Box::new(Stoppable { planner, switch: switch.clone() }),
-            None => planner,
-        })
+        Ok(self.stoppable(planner))
     }
 
     /// PlanAgent for one scenario; `None` without a model.
@@ -60,6 +57,14 @@ impl AgentParts {
         let settings = self.settings_for(scenario_id);
         let agent = PlanAgent::new(PlannerName::PLAN_AGENT, self.model.clone()?, settings);
         Some(agent.with_shuffled_bev(self.shuffled_bev()).layered())
+    }
+
+    /// The planner under the switch of the run.
+    fn stoppable<'a>(&self, planner: Box<dyn Planner + 'a>) -> Box<dyn Planner + 'a> {
+        match &self.stop {
+            Some(switch) => Box::new(Stoppable { planner, switch: switch.clone() }),
+            None => planner,
+        }
     }
 
     fn shuffled_bev(&self) -> Option<BevSource> {
@@ -207,7 +212,7 @@ fn simulate_task(
     let mut planner: Box<dyn Planner + '_> = match needs {
         PlannerNeeds::Simulation => {
             let ahead = prepared().map_err(|error| with_causes(&error))?;
-            Box::new(OracleAgent::new(planner, parts.settings_for(&scenario.id), ahead))
+            parts.stoppable(Box::new(OracleAgent::new(planner, parts.settings_for(&scenario.id), ahead)))
         }
         _ => parts.planner(planner, scenario).map_err(|error| with_causes(&error))?,
     };

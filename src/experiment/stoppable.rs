@@ -28,12 +28,12 @@ impl StopSwitch {
 struct Stopped;
 
 /// A planner that fails once its run is stopped.
-pub(super) struct Stoppable {
-    pub(super) planner: Box<dyn Planner>,
+pub(super) struct Stoppable<'a> {
+    pub(super) planner: Box<dyn Planner + 'a>,
     pub(super) switch: StopSwitch,
 }
 
-impl Planner for Stoppable {
+impl Planner for Stoppable<'_> {
     fn name(&self) -> &str {
         self.planner.name()
     }
