@@ -229,6 +229,7 @@ fn endpoint_reply(bytes: &[u8]) {
             max_new_tokens: 8,
             sampling: Sampling::Greedy,
             deadline: Deadline::NONE,
+            draft: None,
         };
         let prefix = PromptPrefix { system: String::new(), image: None };
         let _ = model.converse(&prefix, 0).and_then(|mut conversation| conversation.ask("?", &request));

@@ -10,7 +10,7 @@ use planagent::internals::planner::{
     AfterMaxExec, AgentLayer, CodeSource, Decision, NoPlan, PlanAgent, PlanAgentSettings, Planner, PlannerInput,
     PlannerName, PlanningCall,
 };
-use planagent::internals::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round};
+use planagent::internals::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round, Speculation};
 use planagent::internals::reflection::{
     Judge, LeadPolicy, PlanBuilder, ProgressReference, Verdict, needs_emergency_brake,
 };
@@ -68,6 +68,7 @@ impl Conversation for Scripted<'_> {
         }
         Ok(Answer {
             text,
+            ids: Vec::new(),
             tokens: TokenCounts::default(),
             time: RoundTime::default(),
             finish: FinishReason::Complete,
@@ -109,6 +110,7 @@ pub(crate) fn reasoning(rounds: &[Round]) -> ReasoningSettings {
         generation: GenerationSettings::default(),
         rethink_sampling: Sampling::Greedy,
         grammar: false,
+        speculation: Speculation::History,
     }
 }
 

@@ -16,11 +16,12 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Keys without a default value; the others are those of [`Config::default`].
-pub(super) const OPTIONAL: [&str; 9] = [
+pub(super) const OPTIONAL: [&str; 10] = [
     "mllm.quantize",
     "agent.deadline_ms",
     "agent.gate",
     "reasoning.prompt_set",
+    "reasoning.speculation",
     "learned.pdm_open",
     "learned.pdm_hybrid",
     "learned.plantf",

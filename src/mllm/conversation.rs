@@ -114,6 +114,9 @@ pub struct Request {
     pub sampling: Sampling,
     /// A local model checks it between tokens and between chunks of the prompt; for a server it limits the wait.
     pub deadline: Deadline,
+    /// Lets a local model draft the answer, from these tokens of an earlier answer and from the chat. `None` drafts nothing. Drafts
+    /// change the time that an answer takes, and nothing else.
+    pub draft: Option<Vec<u32>>,
 }
 
 /// The form of an answer. A constrained answer matches, except where `max_new_tokens` ends it ([`Answer::finish`]) or a server
@@ -168,6 +171,8 @@ pub enum Sampling {
 pub struct Answer {
     /// The text, without special tokens.
     pub text: String,
+    /// Its tokens, to draft a later answer from; none from a server.
+    pub ids: Vec<u32>,
     pub tokens: TokenCounts,
     pub time: RoundTime,
     pub finish: FinishReason,
@@ -193,6 +198,18 @@ pub struct TokenCounts {
     pub fast_forwarded: usize,
     /// Answer tokens that the model sampled.
     pub sampled: usize,
+    /// Tokens that were drafted and computed ahead of the model's choice.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub drafted: usize,
+    /// Drafted tokens that the answer has; they count as sampled or fast-forwarded too.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub accepted: usize,
+}
+
+/// Lets serde omit counts of what most answers do not have.
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// Wall time of one round, milliseconds. Parts that a backend does not measure are zero.

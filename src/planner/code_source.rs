@@ -3,8 +3,8 @@
 use crate::environment::{AgentName, CenterlineName, LaneGraph};
 use crate::mllm::{Deadline, Mllm};
 use crate::reasoning::{
-    ACCELERATIONS, DECELERATIONS, Feedback, Names, Parsed, PlannerCode, PromptSet, Reasoning, ReasoningError,
-    ReasoningSettings, ReasoningTrace, ScenarioPrompt, parse, target_speeds,
+    ACCELERATIONS, AnswerHistory, DECELERATIONS, Feedback, Names, Parsed, PlannerCode, PromptSet, Reasoning,
+    ReasoningError, ReasoningSettings, ReasoningTrace, ScenarioPrompt, parse, target_speeds,
 };
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -77,17 +77,19 @@ impl CodeSource {
         matches!(self, Self::Grid)
     }
 
-    /// Begins a planning call of at most `attempts` attempts; a grid gives all of its codes.
+    /// Begins a planning call of at most `attempts` attempts; a grid gives all of its codes. `history` has the answers of the
+    /// simulation so far.
     pub(super) fn open<'a>(
         &'a self,
         scenario: &'a ScenarioPrompt,
         graph: &LaneGraph,
         (seed, deadline): (u64, Deadline),
         attempts: usize,
+        history: &'a mut AnswerHistory,
     ) -> Result<Codes<'a>, ReasoningError> {
         let codes = match self {
             Self::Model { model, prompts, reasoning } => {
-                let reasoning = Reasoning::open(model.as_ref(), prompts, reasoning, scenario, seed, deadline)?;
+                let reasoning = Reasoning::open(model.as_ref(), prompts, reasoning, scenario, seed, deadline, history)?;
                 return Ok(Codes::Reasoned(Box::new(reasoning)));
             }
             Self::Random => random_codes(&scenario.names, seed, attempts),

@@ -15,7 +15,7 @@ use super::{BevSource, PlannerError, PlannerInput, PlannerName};
 use crate::environment::LaneGraph;
 use crate::mllm::{Deadline, image_hash, milliseconds};
 use crate::pdm::{TRAJECTORY_STEPS, emergency_brake, plan};
-use crate::reasoning::ScenarioPrompt;
+use crate::reasoning::{AnswerHistory, ScenarioPrompt};
 use crate::reflection::{IdmPlan, Judge, needs_emergency_brake};
 use crate::world::{SceneView, Trajectory};
 use std::time::Instant;
@@ -26,12 +26,19 @@ pub struct PlanAgent {
     source: CodeSource,
     settings: PlanAgentSettings,
     shuffled_bev: Option<BevSource>,
+    history: AnswerHistory,
 }
 
 impl PlanAgent {
     /// The paper's loop. Gate, latency and monitoring are layers around it: [`Self::layered`].
     pub fn new(name: PlannerName, source: CodeSource, settings: PlanAgentSettings) -> Self {
-        Self { state: AgentState::new(name, &settings), source, settings, shuffled_bev: None }
+        Self {
+            state: AgentState::new(name, &settings),
+            source,
+            settings,
+            shuffled_bev: None,
+            history: AnswerHistory::default(),
+        }
     }
 
     /// The same with a source of BEV images of other scenes, for the ablation that shows them.
@@ -55,9 +62,9 @@ impl PlanAgent {
         seed: u64,
         deadline: Deadline,
     ) -> Result<(Attempts<IdmPlan>, Option<f64>), PlannerError> {
-        let Self { state, source, settings, .. } = self;
+        let Self { state, source, settings, history, .. } = self;
         let ReflectionSettings { threshold, lane_change_threshold, max_exec, .. } = settings.reflection;
-        let codes = source.open(prompt, graph, (seed, deadline), max_exec)?;
+        let codes = source.open(prompt, graph, (seed, deadline), max_exec, history)?;
         let started = Instant::now();
         let judge = if settings.reflection.enabled {
             Some(Judge::new(scene, graph, settings.reflection.horizon_s, &mut state.memory)?)
@@ -109,6 +116,7 @@ impl AgentLayer for PlanAgent {
 
     fn reset(&mut self) {
         self.state.reset();
+        self.history = AnswerHistory::default();
     }
 
     fn advance(&mut self, _: &PlannerInput<'_>) -> Result<(), PlannerError> {
@@ -128,7 +136,7 @@ impl AgentLayer for PlanAgent {
                 return Ok(None);
             }
         };
-        let Self { state, source, settings, shuffled_bev } = &*self;
+        let Self { state, source, settings, shuffled_bev, .. } = &*self;
         let input = ModelInput { planner: state.name, source, settings, shuffled_bev: shuffled_bev.as_ref() };
         let prompt = input.of(scene, &graph)?;
         let environment_ms = milliseconds(started.elapsed());

@@ -1,6 +1,6 @@
 //! Section `reasoning` of the configuration.
 
-use super::{PromptError, PromptSet, ReasoningSettings, Round};
+use super::{PromptError, PromptSet, ReasoningSettings, Round, Speculation};
 use crate::mllm::{GenerationSettings, Sampling};
 use serde::{Deserialize, Serialize};
 
@@ -19,11 +19,21 @@ pub struct ReasoningConfig {
     pub rethink_temperature: f64,
     /// Whether answers are decoded under grammars.
     pub grammar: bool,
+    /// Where drafts of answers come from: `none` or `history`, the default. No answer depends on it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speculation: Option<Speculation>,
 }
 
 impl Default for ReasoningConfig {
     fn default() -> Self {
-        Self { prompt_set: None, rounds: Round::ALL.to_vec(), interval: 20, rethink_temperature: 0.7, grammar: true }
+        Self {
+            prompt_set: None,
+            rounds: Round::ALL.to_vec(),
+            interval: 20,
+            rethink_temperature: 0.7,
+            grammar: true,
+            speculation: None,
+        }
     }
 }
 
@@ -40,6 +50,13 @@ impl ReasoningConfig {
         } else {
             Sampling::Greedy
         };
-        ReasoningSettings { rounds: self.rounds.clone(), generation, rethink_sampling, grammar: self.grammar }
+        let speculation = self.speculation.unwrap_or_default();
+        ReasoningSettings {
+            rounds: self.rounds.clone(),
+            generation,
+            rethink_sampling,
+            grammar: self.grammar,
+            speculation,
+        }
     }
 }

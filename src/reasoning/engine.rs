@@ -5,6 +5,7 @@ use super::code::{Names, PlannerCode};
 use super::code_parser::{Parsed, parse};
 use super::error::{PromptError, ReasoningError};
 use super::grammar;
+use super::history::{AnswerHistory, Speculation};
 use super::instruction::MotionInstruction;
 use super::prompt_set::PromptSet;
 use super::round::Round;
@@ -117,6 +118,8 @@ pub struct ReasoningSettings {
     pub rethink_sampling: Sampling,
     /// Whether answers are decoded under grammars. Without, they may fail to parse.
     pub grammar: bool,
+    /// Where drafts of answers come from.
+    pub speculation: Speculation,
 }
 
 impl ReasoningSettings {
@@ -138,11 +141,12 @@ pub struct Reasoning<'a> {
     settings: &'a ReasoningSettings,
     scenario: &'a ScenarioPrompt,
     deadline: Deadline,
+    history: &'a mut AnswerHistory,
     attempts: usize,
 }
 
 impl<'a> Reasoning<'a> {
-    /// Opens the conversation of a planning call that must end by `deadline`.
+    /// Opens the conversation of a planning call that must end by `deadline`. `history` has the answers of the simulation so far.
     pub fn open(
         model: &'a dyn Mllm,
         prompts: &'a PromptSet,
@@ -150,11 +154,12 @@ impl<'a> Reasoning<'a> {
         scenario: &'a ScenarioPrompt,
         seed: u64,
         deadline: Deadline,
+        history: &'a mut AnswerHistory,
     ) -> Result<Self, ReasoningError> {
         let system = system_prompt(prompts, &scenario.legend)?;
         let conversation = model.converse(&PromptPrefix { system, image: scenario.image.clone() }, seed)?;
         let start = conversation.mark();
-        Ok(Self { conversation, start, prompts, settings, scenario, deadline, attempts: 0 })
+        Ok(Self { conversation, start, prompts, settings, scenario, deadline, history, attempts: 0 })
     }
 
     /// One attempt: all rounds from the start, with feedback on the last attempt in the first prompt.
@@ -182,6 +187,7 @@ impl<'a> Reasoning<'a> {
             if round == Round::Instruction {
                 instruction = MotionInstruction::find(&answer.text);
             }
+            self.history.set(round, answer.ids.clone());
             rounds.push(record(round, prompt, answer));
         }
         let code = rounds.last().filter(|last| last.round == Round::Code).map_or("", |last| last.answer.as_str());
@@ -200,7 +206,11 @@ impl<'a> Reasoning<'a> {
         let sampling =
             if self.attempts > 1 { self.settings.rethink_sampling } else { self.settings.generation.sampling };
         let max_new_tokens = forms.max_tokens(round, self.settings.max_new_tokens(round));
-        Request { constraint, max_new_tokens, sampling, deadline: self.deadline }
+        let draft = match self.settings.speculation {
+            Speculation::None => None,
+            Speculation::History => Some(self.history.last(round).to_vec()),
+        };
+        Request { constraint, max_new_tokens, sampling, deadline: self.deadline, draft }
     }
 }
 

@@ -11,6 +11,7 @@ mod config;
 mod engine;
 mod error;
 mod grammar;
+mod history;
 mod instruction;
 mod prompt_set;
 mod prompt_source;
@@ -34,6 +35,7 @@ pub use engine::{
 };
 pub use error::{PromptError, ReasoningError};
 pub use grammar::{ACCELERATIONS, DECELERATIONS, target_speeds};
+pub use history::{AnswerHistory, Speculation};
 pub use instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason, MotionInstruction};
 pub use prompt_set::{InstructionForm, PromptForms, PromptSet, UnderstandingForm};
 pub use prompt_source::{PromptPlace, built_in_prompts};

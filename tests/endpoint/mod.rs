@@ -32,7 +32,7 @@ fn open(server: &Server) -> Endpoint {
 }
 
 fn request(constraint: Constraint) -> Request {
-    Request { constraint, max_new_tokens: 50, sampling: Sampling::Greedy, deadline: Deadline::NONE }
+    Request { constraint, max_new_tokens: 50, sampling: Sampling::Greedy, deadline: Deadline::NONE, draft: None }
 }
 
 /// Asks one question.

@@ -91,6 +91,7 @@ fn sampled_answers_obey_as_well() {
             max_new_tokens: 20,
             sampling: Sampling::Sample { temperature: 5.0, top_p: 1.0 },
             deadline: Deadline::NONE,
+            draft: None,
         };
         seen.insert(conversation.ask(FIRST, &request).unwrap().text);
     }

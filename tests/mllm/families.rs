@@ -11,7 +11,7 @@ use planagent::internals::mllm::{
 use planagent::internals::planner::{
     AfterMaxExec, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerName, ReflectionSettings,
 };
-use planagent::internals::reasoning::{PromptSet, ReasoningSettings, Round};
+use planagent::internals::reasoning::{PromptSet, ReasoningSettings, Round, Speculation};
 use planagent::internals::scenario::generator;
 use planagent::internals::simulation::{Challenge, simulate};
 use serde_json::json;
@@ -277,6 +277,7 @@ fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
         generation: GenerationSettings { max_new_tokens, sampling: Sampling::Greedy },
         rethink_sampling: Sampling::Greedy,
         grammar: true,
+        speculation: Speculation::History,
     };
     let code_source = CodeSource::Model { model, prompts: Arc::new(PromptSet::open(prompts).unwrap()), reasoning };
     let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source, settings);

@@ -52,7 +52,7 @@ const FIRST: &str = "Is there a crosswalk ahead?";
 const SECOND: &str = "Which lane, left or right? Überholen \u{1f697}!";
 
 fn request(constraint: Constraint, max_new_tokens: usize) -> Request {
-    Request { constraint, max_new_tokens, sampling: Sampling::Greedy, deadline: Deadline::NONE }
+    Request { constraint, max_new_tokens, sampling: Sampling::Greedy, deadline: Deadline::NONE, draft: None }
 }
 
 fn free(max_new_tokens: usize) -> Request {

@@ -72,6 +72,7 @@ pub(in crate::cli) fn run(flags: &AskArguments, config: &Config, printer: Printe
         max_new_tokens: flags.max_tokens as usize,
         sampling: reasoning.generation.sampling,
         deadline: Deadline::NONE,
+        draft: None,
     };
     let prefix = PromptPrefix { system: system.clone(), image: Some(image) };
     let answer = match asked(model, &prefix, &prompt, &request, config.seed, printer) {

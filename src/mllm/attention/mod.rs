@@ -42,6 +42,12 @@ const UNIT_POSITIONS: usize = 8 * BLOCK_POSITIONS;
 /// Minimum multiplications for which other threads are worth waking: some 30 µs of one core.
 const MIN_PARALLEL_PRODUCTS: usize = 1 << 20;
 
+/// Most tokens whose results have the same bits as if each token attended alone: a unit takes all of them, and positions are cut
+/// as for one token.
+pub(crate) fn exact_tokens(shape: HeadShape) -> usize {
+    (MAX_UNIT_ROWS / shape.group()).max(1)
+}
+
 /// Attends from the queries of `rows` to cached positions; returns (tokens, query heads · head width).
 pub(crate) fn attend(rows: &Projected<'_>, held: &KeyValues, mask: AttentionMask) -> candle_core::Result<Tensor> {
     let tokens = rows.tokens();
@@ -79,7 +85,7 @@ impl<N: StoredFloat> Attention<'_, N> {
         if tokens == 0 {
             return out;
         }
-        let step = (MAX_UNIT_ROWS / shape.group()).max(1);
+        let step = exact_tokens(shape);
         if tokens <= step {
             let seen = self.mask.of(tokens - 1).end;
             self.attend_few(0..tokens, &mut out, tokens * width * seen >= MIN_PARALLEL_PRODUCTS);

@@ -81,6 +81,13 @@ impl DecoderLayer for ExpertLayer {
         })
     }
 
+    fn exact_pass(&self) -> usize {
+        let exact = [&self.language, &self.vision]
+            .into_iter()
+            .all(|Expert { qkv, out, mlp }| qkv.is_exact_by_row() && out.is_exact_by_row() && mlp.is_exact_by_row());
+        if exact { self.attention.exact_pass() } else { 1 }
+    }
+
     fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
         let normed = self.input_norm.forward(x)?;
         let qkv = self.route(&normed, &pass.vision, |expert, rows| expert.qkv.forward(rows))?;

@@ -4,7 +4,7 @@ use candle_core::Tensor;
 
 use super::cache::KvCache;
 use super::layer::Pass;
-use crate::mllm::attention::{AttentionMask, HeadShape, Projected, attend};
+use crate::mllm::attention::{AttentionMask, HeadShape, Projected, attend, exact_tokens};
 use crate::mllm::checkpoint::LlamaConfig;
 
 /// Causal attention of a layer, without the projections.
@@ -17,6 +17,11 @@ pub(crate) struct CausalAttention {
 impl CausalAttention {
     pub(crate) fn new(config: &LlamaConfig) -> Self {
         Self { shape: config.into(), window: config.window }
+    }
+
+    /// As [`LanguageModel::exact_pass`](super::LanguageModel::exact_pass). A window cuts the positions of each token elsewhere.
+    pub(crate) fn exact_pass(&self) -> usize {
+        if self.window.is_some() { 1 } else { exact_tokens(self.shape) }
     }
 
     /// Attends from tokens that follow the cached positions. `qkv` has their queries, keys and values, (tokens, (heads +

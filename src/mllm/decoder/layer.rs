@@ -16,6 +16,9 @@ pub(crate) trait DecoderLayer: Sized {
 
     /// Maps (tokens, hidden) to the same shape and writes keys and values to the cache.
     fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor>;
+
+    /// As [`LanguageModel::exact_pass`](super::LanguageModel::exact_pass).
+    fn exact_pass(&self) -> usize;
 }
 
 /// The data of a forward pass that a layer needs.
@@ -65,6 +68,11 @@ impl SwiGlu {
             bias: config.mlp_bias,
         };
         Self::take(weights, name, shape)
+    }
+
+    /// Whether the result for a token has the same bits whatever tokens are computed with it.
+    pub(crate) fn is_exact_by_row(&self) -> bool {
+        self.gate_up.is_exact_by_row() && self.down.is_exact_by_row()
     }
 
     /// Maps (tokens, hidden) to the same shape.

@@ -46,6 +46,11 @@ impl DecoderLayer for LlamaLayer {
         })
     }
 
+    fn exact_pass(&self) -> usize {
+        let exact = self.qkv.is_exact_by_row() && self.out.is_exact_by_row() && self.mlp.is_exact_by_row();
+        if exact { self.attention.exact_pass() } else { 1 }
+    }
+
     fn forward(&self, x: &Tensor, pass: &Pass, cache: &mut KvCache) -> candle_core::Result<Tensor> {
         let qkv = self.qkv.forward(&self.input_norm.forward(x)?)?;
         let qkv = match &self.head_norms {

@@ -56,6 +56,8 @@ pub enum Logits {
     None,
     /// The last position.
     Last,
+    /// So many of the last positions; at least one.
+    Tail(usize),
     /// Every position.
     All,
 }
@@ -71,6 +73,12 @@ pub trait LanguageModel {
     /// Runs rows that follow the cached positions, adds them to the cache, and gives the logits (wanted positions, vocabulary).
     fn forward(&self, input: &DecoderInput, cache: &mut KvCache, wanted: Logits)
     -> candle_core::Result<Option<Tensor>>;
+
+    /// Most text tokens of a pass that gives, bit for bit, the keys, values and logits of passes of one token each. 1 where longer
+    /// passes round differently; then nothing is drafted.
+    fn exact_pass(&self) -> usize {
+        1
+    }
 }
 
 impl<L: DecoderLayer> Decoder<L> {
@@ -117,6 +125,13 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
         self.embedding.rows(ids)
     }
 
+    fn exact_pass(&self) -> usize {
+        if !self.head.is_exact_by_row() {
+            return 1;
+        }
+        self.layers.iter().map(L::exact_pass).min().unwrap_or(1)
+    }
+
     fn forward(
         &self,
         input: &DecoderInput,
@@ -138,6 +153,10 @@ impl<L: DecoderLayer> LanguageModel for Decoder<L> {
         let x = match wanted {
             Logits::None => return Ok(None),
             Logits::Last => x.narrow(0, tokens - 1, 1)?.contiguous()?,
+            Logits::Tail(count) => {
+                let count = count.clamp(1, tokens);
+                x.narrow(0, tokens - count, count)?.contiguous()?
+            }
             Logits::All => x,
         };
         Ok(Some(self.head.forward(&self.norm.forward(&x)?)?))

@@ -138,6 +138,7 @@ impl EndpointConversation<'_> {
         let prompt_hash = prompt_hash(&self.system, &self.turns, prompt);
         self.turns.push(Turn { prompt: prompt.to_string(), answer: text.clone() });
         Ok(Answer {
+            ids: Vec::new(),
             tokens: reply.tokens,
             finish: reply.finish,
             constraint: chat::constraint_use(settings, &request.constraint, &text),

@@ -78,6 +78,8 @@ impl From<&Usage> for TokenCounts {
             cached: cached.min(usage.prompt_tokens),
             fast_forwarded: 0,
             sampled: usage.completion_tokens,
+            drafted: 0,
+            accepted: 0,
         }
     }
 }

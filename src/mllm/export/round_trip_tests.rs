@@ -140,8 +140,13 @@ fn a_model_of_llama_cpp_with_its_own_tokenizer_answers() {
     let image = synthetic(32, 32);
     let mut conversation =
         model.converse(&PromptPrefix { system: "keep lane".into(), image: Some(image.into()) }, 0).unwrap();
-    let request =
-        |constraint| Request { constraint, max_new_tokens: 8, sampling: Sampling::Greedy, deadline: Deadline::NONE };
+    let request = |constraint| Request {
+        constraint,
+        max_new_tokens: 8,
+        sampling: Sampling::Greedy,
+        deadline: Deadline::NONE,
+        draft: None,
+    };
     let first = conversation.ask("left?", &request(Constraint::Free)).unwrap().tokens;
     assert_eq!(first.image, 16);
     let second = conversation.ask("lane?", &request(Constraint::Choice(vec!["keep left".into()]))).unwrap();

@@ -71,6 +71,10 @@ impl LanguageModel for Counting {
         self.model.decoder().embed(ids)
     }
 
+    fn exact_pass(&self) -> usize {
+        self.model.decoder().exact_pass()
+    }
+
     fn new_cache(&self, limit: usize) -> KvCache {
         self.model.decoder().new_cache(limit)
     }
@@ -103,7 +107,7 @@ fn prefix(folder: &Path) -> PromptPrefix {
 }
 
 fn request(constraint: Constraint, max_new_tokens: usize) -> Request {
-    Request { constraint, max_new_tokens, sampling: Sampling::Greedy, deadline: Deadline::NONE }
+    Request { constraint, max_new_tokens, sampling: Sampling::Greedy, deadline: Deadline::NONE, draft: None }
 }
 
 #[test]

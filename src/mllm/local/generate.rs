@@ -5,6 +5,8 @@ use std::time::Instant;
 use candle_core::Tensor;
 use toktrie::SimpleVob;
 
+use super::ahead::Ahead;
+use super::draft::Drafter;
 use super::sequence::Sequence;
 use crate::mllm::decoder::Logits;
 use crate::mllm::family::{ImageFeatures, VisionLanguageModel};
@@ -19,6 +21,10 @@ pub(super) struct Generated {
     pub(super) ids: Vec<u32>,
     /// Number of tokens that the grammar fast-forwarded.
     pub(super) fast_forwarded: usize,
+    /// Number of tokens that were drafted and computed ahead.
+    pub(super) drafted: usize,
+    /// Number of those that the answer has.
+    pub(super) accepted: usize,
     pub(super) finish: FinishReason,
     /// Duration of the first forward pass, over the prompt.
     pub(super) prefill: f64,
@@ -42,9 +48,16 @@ struct Generation<'a> {
     model: &'a dyn VisionLanguageModel,
     sequence: &'a mut Sequence,
     features: Option<&'a ImageFeatures>,
-    /// Tokens that the model has not computed yet: the rest of the prompt, then those appended since. Fast-forwarded tokens
-    /// gather here and are computed in one pass before the next token is sampled.
+    /// Tokens since the last pass: the rest of the prompt, then those appended to the answer. Fast-forwarded tokens gather here and
+    /// are computed in one pass before the next token is sampled.
     pending: Vec<u32>,
+    /// Tokens that the sequence already holds behind its last token that is certain.
+    ahead: Ahead,
+    drafter: Option<Drafter<'a>>,
+    /// Tokens of the chat whose logits were needed: what a sequence without drafts holds.
+    needed: usize,
+    /// Maximum tokens of the answer.
+    budget: usize,
     deadline: Deadline,
     out: Generated,
     passes: usize,
@@ -52,7 +65,7 @@ struct Generation<'a> {
 }
 
 /// Generates an answer after `prompt`, the part of the prompt that `sequence` does not hold yet. `on_tokens` gets the answer so
-/// far whenever it has grown.
+/// far whenever it has grown. With a drafter, tokens and sequence are those without one.
 #[expect(clippy::too_many_arguments, reason = "one call, and each argument is of another kind")]
 pub(super) fn generate(
     model: &dyn VisionLanguageModel,
@@ -61,6 +74,7 @@ pub(super) fn generate(
     prompt: &[u32],
     mut grammar: Option<GrammarState>,
     mut sampler: Sampler,
+    drafter: Option<Drafter<'_>>,
     end: &End<'_>,
     start: Instant,
     on_tokens: &mut dyn FnMut(&[u32]),
@@ -73,13 +87,19 @@ pub(super) fn generate(
     };
     let mut generation = Generation {
         model,
+        needed: sequence.ids().len(),
         sequence,
         features,
         pending: prompt.to_vec(),
+        ahead: Ahead::default(),
+        drafter,
+        budget,
         deadline: end.deadline,
         out: Generated {
             ids: Vec::new(),
             fast_forwarded: 0,
+            drafted: 0,
+            accepted: 0,
             finish: at_budget,
             prefill: 0.0,
             prefill_end: milliseconds(start.elapsed()),
@@ -88,67 +108,132 @@ pub(super) fn generate(
         passes: 0,
         start,
     };
-    loop {
-        if let Some(grammar) = &mut grammar {
-            let mut fast_forwarded = grammar.take_fast_forwarded()?;
-            let left = budget - generation.out.ids.len();
-            let cut = fast_forwarded.len() > left;
-            fast_forwarded.truncate(left);
-            generation.push_fast_forwarded(&fast_forwarded);
-            on_tokens(&generation.out.ids);
-            if grammar.is_complete() && !cut {
-                generation.out.finish = FinishReason::Complete;
-                break;
-            }
-        }
-        if generation.out.ids.len() >= budget {
-            break;
-        }
-        let allowed = grammar.as_mut().map(GrammarState::allowed).transpose()?;
-        let (token, sampled) = match allowed.as_ref().and_then(only_token) {
-            Some(token) => (token, false),
-            None => (generation.choose(&mut sampler, allowed.as_ref())?, true),
-        };
-        if end.tokens.contains(&token) {
-            generation.out.finish = FinishReason::EndOfSequence;
-            break;
-        }
-        if sampled {
-            generation.push_sampled(token);
-        } else {
-            generation.push_fast_forwarded(&[token]);
-        }
-        on_tokens(&generation.out.ids);
-        if let Some(grammar) = &mut grammar {
-            grammar.consume(&[token])?;
-        }
-    }
-    Ok(generation.out)
+    let ran = generation.run(&mut grammar, &mut sampler, end.tokens, on_tokens);
+    generation.settle();
+    let needed = generation.needed;
+    generation.sequence.truncate(needed);
+    ran.map(|()| generation.out)
 }
 
 impl Generation<'_> {
-    /// Computes the pending tokens and samples one.
-    fn choose(&mut self, sampler: &mut Sampler, allowed: Option<&SimpleVob>) -> Result<u32, MllmError> {
+    fn run(
+        &mut self,
+        grammar: &mut Option<GrammarState>,
+        sampler: &mut Sampler,
+        end_tokens: &[u32],
+        on_tokens: &mut dyn FnMut(&[u32]),
+    ) -> Result<(), MllmError> {
+        loop {
+            if let Some(grammar) = grammar {
+                let mut fast_forwarded = grammar.take_fast_forwarded()?;
+                let left = self.budget - self.out.ids.len();
+                let cut = fast_forwarded.len() > left;
+                fast_forwarded.truncate(left);
+                self.push_fast_forwarded(&fast_forwarded);
+                on_tokens(&self.out.ids);
+                if grammar.is_complete() && !cut {
+                    self.out.finish = FinishReason::Complete;
+                    return Ok(());
+                }
+            }
+            if self.out.ids.len() >= self.budget {
+                return Ok(());
+            }
+            let allowed = grammar.as_mut().map(GrammarState::allowed).transpose()?;
+            let (token, sampled) = match allowed.as_ref().and_then(only_token) {
+                Some(token) => (token, false),
+                None => (self.choose(sampler, grammar.as_mut(), allowed.as_ref())?, true),
+            };
+            if end_tokens.contains(&token) {
+                self.out.finish = FinishReason::EndOfSequence;
+                return Ok(());
+            }
+            if sampled {
+                self.push_sampled(token);
+            } else {
+                self.push_fast_forwarded(&[token]);
+            }
+            on_tokens(&self.out.ids);
+            if let Some(grammar) = grammar {
+                grammar.consume(&[token])?;
+            }
+        }
+    }
+
+    /// Samples a token, from logits that are computed already, or else by a pass over the pending tokens and a draft.
+    fn choose(
+        &mut self,
+        sampler: &mut Sampler,
+        grammar: Option<&mut GrammarState>,
+        allowed: Option<&SimpleVob>,
+    ) -> Result<u32, MllmError> {
+        let logits = match self.ahead.take_logits(&self.pending) {
+            Some(logits) => logits,
+            None => self.compute(grammar)?,
+        };
+        self.needed = self.ahead.start() + self.pending.len();
+        // An answer has no image, so the placeholder is never sampled.
+        sampler.choose(logits, allowed, self.model.info().image_token, self.needed.saturating_sub(1))
+    }
+
+    /// Computes the pending tokens with a draft of those that may follow; gives the logits after the pending ones.
+    fn compute(&mut self, grammar: Option<&mut GrammarState>) -> Result<Vec<f32>, MllmError> {
+        self.settle();
         let pass_start = Instant::now();
-        let logits = self.compute_pending()?;
+        let draft = self.draft(grammar)?;
+        let tokens = [self.pending.as_slice(), &draft].concat();
+        let wanted = Logits::Tail(1 + draft.len());
+        let appended = self.sequence.append_in_passes(self.model, &tokens, self.features, wanted, self.deadline);
+        if appended.is_err() {
+            // The passes before the failed one had no draft.
+            self.needed = self.sequence.ids().len();
+        }
+        let logits = appended?;
         if self.passes == 0 {
             self.out.prefill = milliseconds(pass_start.elapsed());
             self.out.prefill_end = milliseconds(self.start.elapsed());
         }
         self.passes += 1;
-        let logits = match logits {
-            Some(logits) => logits.flatten_all()?.to_vec1()?,
-            None => Vec::new(),
-        };
-        let position = self.sequence.ids().len().saturating_sub(1);
-        // An answer has no image, so the placeholder is never sampled.
-        sampler.choose(logits, allowed, self.model.info().image_token, position)
+        self.out.drafted += draft.len();
+        self.pending.clear();
+        let mut rows = logits.as_ref().map_or_else(|| Ok(Vec::new()), Tensor::to_vec2)?.into_iter();
+        let first = rows.next().unwrap_or_default();
+        self.ahead = Ahead::new(self.sequence.ids().len() - draft.len(), draft, rows.collect());
+        Ok(first)
     }
 
-    /// Computes the pending tokens; gives the logits after the last one.
-    fn compute_pending(&mut self) -> Result<Option<Tensor>, MllmError> {
-        let pending = std::mem::take(&mut self.pending);
-        self.sequence.append_in_passes(self.model, &pending, self.features, Logits::Last, self.deadline)
+    /// Gives up what was computed ahead and is not what was chosen; the pending tokens are then those that are not computed.
+    fn settle(&mut self) {
+        let accepted = self.ahead.accepted(&self.pending);
+        if let Some(drafter) = &mut self.drafter {
+            drafter.learn(self.ahead.len(), accepted);
+        }
+        self.out.accepted += accepted;
+        if self.ahead.len() > 0 {
+            self.sequence.truncate(self.ahead.start() + accepted);
+        }
+        self.pending.drain(..accepted);
+        self.ahead = Ahead::default();
+    }
+
+    /// Tokens that may follow the pending ones, and that the grammar allows. None where a pass of several tokens could give
+    /// other numbers than passes of one.
+    fn draft(&self, grammar: Option<&mut GrammarState>) -> Result<Vec<u32>, MllmError> {
+        let Some(drafter) = &self.drafter else { return Ok(Vec::new()) };
+        let exact = self.model.decoder().exact_pass().saturating_sub(self.pending.len());
+        let limit = exact.min((self.budget - self.out.ids.len()).saturating_sub(1));
+        if limit == 0 {
+            return Ok(Vec::new());
+        }
+        let chat = [self.sequence.ids(), &self.pending].concat();
+        let mut draft = drafter.draft(&chat, &self.out.ids, self.model.info().image_token, limit);
+        let vocabulary = self.model.info().vocabulary;
+        let known = draft.iter().take_while(|token| (**token as usize) < vocabulary).count();
+        draft.truncate(known);
+        if let Some(grammar) = grammar {
+            draft.truncate(grammar.allowed_prefix(&draft)?);
+        }
+        Ok(draft)
     }
 
     fn push_sampled(&mut self, token: u32) {

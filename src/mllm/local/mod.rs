@@ -1,6 +1,8 @@
 //! Models that run in this process on the CPU.
 
+mod ahead;
 mod check;
+mod draft;
 mod generate;
 mod memory;
 mod outline;
@@ -11,6 +13,8 @@ mod session;
 mod caching_tests;
 #[cfg(test)]
 mod determinism_tests;
+#[cfg(test)]
+mod speculation_tests;
 #[cfg(test)]
 pub(crate) mod test_faults;
 #[cfg(test)]

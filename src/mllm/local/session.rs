@@ -6,6 +6,7 @@ use std::time::Instant;
 use image::RgbImage;
 
 use super::LocalModel;
+use super::draft::Drafter;
 use super::generate::{End, Generated, generate};
 use super::sequence::Sequence;
 use crate::mllm::family::{Chat, ImageFeatures, ImageLayout};
@@ -164,6 +165,7 @@ impl LocalConversation<'_> {
             rest,
             grammar,
             sampler,
+            request.draft.as_deref().map(Drafter::new),
             &End {
                 tokens: &local.end_tokens,
                 max_new_tokens: request.max_new_tokens,
@@ -191,6 +193,8 @@ impl LocalConversation<'_> {
                 cached,
                 fast_forwarded: generated.fast_forwarded,
                 sampled: generated.ids.len() - generated.fast_forwarded,
+                drafted: generated.drafted,
+                accepted: generated.accepted,
             },
             time: RoundTime {
                 image_encode,
@@ -206,6 +210,7 @@ impl LocalConversation<'_> {
                 _ => ConstraintUse::Enforced,
             },
             text,
+            ids: generated.ids,
         };
         self.turns.push(Turn { prompt: prompt.to_string(), answer: answer.text.clone() });
         self.answers += 1;

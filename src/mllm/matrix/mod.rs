@@ -130,6 +130,12 @@ impl Matrix {
         self.segments.first().map_or_else(WeightFormat::default, |segment| segment.weight_format())
     }
 
+    /// Whether the product of a row has the same bits whatever rows are multiplied with it. candle sums a single row in another
+    /// order than several.
+    pub(crate) fn is_exact_by_row(&self) -> bool {
+        self.segments.iter().all(|segment| matches!(**segment, Segment::Tiles(_)))
+    }
+
     /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         self.segments.iter().map(|segment| segment.bytes()).sum()

@@ -122,6 +122,14 @@ impl GrammarState {
         self.matcher.compute_mask().map_err(|error| self.error(&error.to_string()))
     }
 
+    /// How many of these tokens the grammar allows next, one after the other.
+    pub(crate) fn allowed_prefix(&mut self, tokens: &[TokenId]) -> Result<usize, MllmError> {
+        if tokens.is_empty() || self.matcher.is_stopped() {
+            return self.check().map(|()| 0);
+        }
+        self.matcher.validate_tokens(tokens).map_err(|error| self.error(&error.to_string()))
+    }
+
     /// Adds generated tokens.
     pub(crate) fn consume(&mut self, tokens: &[TokenId]) -> Result<(), MllmError> {
         self.matcher.consume_tokens(tokens).map_err(|error| self.error(&error.to_string()))
@@ -282,6 +290,10 @@ mod tests {
         for token in ["ep", "l", "<s>", "<unk>", "<0x0A>"] {
             assert!(!allows(token), "{token}");
         }
+        let ids = |tokens: &[&str]| tokens.iter().map(|token| tokenizer.id(token).unwrap()).collect::<Vec<_>>();
+        assert_eq!(state.allowed_prefix(&ids(&["ke", "ep", "ne"])).unwrap(), 2);
+        assert_eq!(state.allowed_prefix(&ids(&["ne"])).unwrap(), 0);
+        assert_eq!(state.allowed().unwrap(), allowed, "asking changes nothing");
         assert!(state.consume(&[tokenizer.id("ep").unwrap()]).is_err());
     }
 }

@@ -83,6 +83,6 @@ impl<'a> AssistReasoning<'a> {
         let constraint = if *constrained { grammar(self.variant, self.question.speed_limit) } else { Constraint::Free };
         let sampling = if self.attempts > 1 { *rethink_sampling } else { generation.sampling };
         let max_new_tokens = generation.max_new_tokens.code.max(MIN_TOKENS);
-        Request { constraint, max_new_tokens, sampling, deadline: self.deadline }
+        Request { constraint, max_new_tokens, sampling, deadline: self.deadline, draft: None }
     }
 }

@@ -1,0 +1,136 @@
+//! Drafts change no answer: the numbers of a pass of several tokens are those of passes of one, and so are the tokens.
+
+use std::path::{Path, PathBuf};
+
+use super::test_reference::{fixture, shared_reference};
+use super::{Loading, LocalModel, Sequence};
+use crate::mllm::decoder::Logits;
+use crate::mllm::family::VisionLanguageModel;
+use crate::mllm::source::ModelPlace;
+use crate::mllm::{
+    Answer, Constraint, Deadline, Mllm, ModelShape, PromptPrefix, Request, Sampling, TokenCounts, WeightFormat,
+};
+
+const GREEDY: Sampling = Sampling::Greedy;
+const WARM: Sampling = Sampling::Sample { temperature: 1.5, top_p: 0.95 };
+/// Formats whose products have a kernel of ours.
+const FORMATS: [WeightFormat; 2] = [WeightFormat::F16, WeightFormat::Q8_0];
+
+/// A checkpoint of every family, with its image. Those outside of the package are left out where they are missing.
+fn folders() -> Vec<(PathBuf, &'static str)> {
+    let own = ["tiny_llava", "tiny_llava_next", "tiny_llava_next_mistral", "tiny_cogvlm"];
+    let own = own.into_iter().map(|name| (fixture(name), "image.png"));
+    let shared = ["smolvlm", "internvl3", "qwen3_vl", "qwen2_5_vl"].into_iter().filter_map(shared_reference);
+    own.chain(shared.map(|folder| (folder, "image_0.png"))).collect()
+}
+
+fn open(folder: &Path, quantize: Option<WeightFormat>) -> LocalModel {
+    let loading = Loading { quantize, ..Loading::default() };
+    LocalModel::load("tiny", &ModelPlace::Folder(folder.to_path_buf()), &loading).unwrap()
+}
+
+/// Three rounds of a call: free, a form with choices and a reason, a choice behind fixed text.
+fn constraints() -> [Constraint; 3] {
+    let form = r"Speed: (up|down|same)\nLane: (left|right|keep)\nReason: [a-z ]{3,12}";
+    let choice = ["left", "right", "keep"].map(|word| format!("go({word}, v=1)"));
+    [Constraint::Free, Constraint::Regex(form.into()), Constraint::Choice(choice.into())]
+}
+
+/// The answers to three rounds, each with a draft.
+fn ask(local: &LocalModel, prefix: &PromptPrefix, sampling: Sampling, drafts: Option<&[Vec<u32>]>) -> Vec<Answer> {
+    let mut conversation = local.converse(prefix, 5).unwrap();
+    let rounds = constraints().into_iter().enumerate().map(|(round, constraint)| {
+        let draft = drafts.map(|drafts| drafts[round].clone());
+        let request = Request { constraint, max_new_tokens: 40, sampling, deadline: Deadline::NONE, draft };
+        conversation.ask(["What is ahead?", "What now?", "Write it."][round], &request).unwrap()
+    });
+    rounds.collect()
+}
+
+/// All that must not depend on drafts.
+fn answered(answers: &[Answer]) -> Vec<(&str, &[u32], TokenCounts)> {
+    let counts = |answer: &Answer| TokenCounts { drafted: 0, accepted: 0, ..answer.tokens };
+    answers.iter().map(|answer| (answer.text.as_str(), answer.ids.as_slice(), counts(answer))).collect()
+}
+
+fn sum(answers: &[Answer], of: fn(&TokenCounts) -> usize) -> usize {
+    answers.iter().map(|answer| of(&answer.tokens)).sum()
+}
+
+#[test]
+fn answers_are_the_same_tokens_with_and_without_drafts_in_every_family() {
+    // Accepted tokens of drafts that are the answer, nearly the answer, and unknown; sampled tokens.
+    let (mut accepted, mut chosen) = ([0; 3], 0);
+    for (folder, image) in folders() {
+        let image = image::open(folder.join(image)).unwrap().into_rgb8();
+        let prefix = PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) };
+        for format in FORMATS {
+            let local = open(&folder, Some(format));
+            let name = format!("{} {format}", folder.display());
+            for sampling in [GREEDY, WARM] {
+                let plain = ask(&local, &prefix, sampling, None);
+                assert_eq!(sum(&plain, |tokens| tokens.drafted), 0, "{name}");
+                let known: Vec<Vec<u32>> = plain.iter().map(|answer| answer.ids.clone()).collect();
+                let wrong: Vec<Vec<u32>> = known
+                    .iter()
+                    .map(|ids| ids.iter().enumerate().map(|(i, id)| if i % 5 == 3 { id ^ 1 } else { *id }).collect())
+                    .collect();
+                let nothing = vec![Vec::new(); known.len()];
+                for (drafts, accepted) in [known, wrong, nothing].iter().zip(&mut accepted) {
+                    let drafted = ask(&local, &prefix, sampling, Some(drafts));
+                    assert_eq!(answered(&drafted), answered(&plain), "{name} {sampling:?}");
+                    let kept = sum(&drafted, |tokens| tokens.accepted);
+                    assert!(kept <= sum(&drafted, |tokens| tokens.drafted), "{name} {sampling:?}: {kept}");
+                    *accepted += kept;
+                }
+                chosen += sum(&plain, |tokens| tokens.sampled);
+            }
+        }
+    }
+    assert!(accepted[0] > accepted[1] && accepted[1] > 0 && 2 * accepted[0] > chosen, "{accepted:?} of {chosen}");
+}
+
+#[test]
+fn nothing_is_drafted_where_a_longer_pass_rounds_differently() {
+    let folder = fixture("tiny_llava");
+    let local = open(&folder, None);
+    let plain = ask(&local, &PromptPrefix::default(), GREEDY, None);
+    let known: Vec<Vec<u32>> = plain.iter().map(|answer| answer.ids.clone()).collect();
+    let again = ask(&local, &PromptPrefix::default(), GREEDY, Some(&known));
+    assert_eq!(answered(&again), answered(&plain));
+    assert_eq!((local.model.decoder().exact_pass(), sum(&again, |tokens| tokens.drafted)), (1, 0));
+}
+
+/// The bits of the logits after each of the last tokens, in passes of these lengths.
+fn bits(model: &dyn VisionLanguageModel, known: usize, passes: &[usize]) -> Vec<Vec<u32>> {
+    let mut sequence = Sequence::new(model);
+    let ids: Vec<u32> = (0..800).map(|index| 4 + index * 7 % 500).collect();
+    sequence.append(model, &ids[..known], None, Logits::None).unwrap();
+    let mut found = Vec::new();
+    for &length in passes {
+        let from = sequence.ids().len();
+        let logits = sequence.append(model, &ids[from..from + length], None, Logits::Tail(length)).unwrap();
+        let rows = logits.unwrap().to_vec2::<f32>().unwrap();
+        found.extend(rows.into_iter().map(|row| row.into_iter().map(f32::to_bits).collect::<Vec<_>>()));
+    }
+    found
+}
+
+#[test]
+fn a_pass_of_several_tokens_gives_the_bits_of_passes_of_one() {
+    // The known tokens end before a block of keys, and before the positions that a second unit of work attends to.
+    for format in FORMATS {
+        let place = ModelPlace::Random { shape: ModelShape::find("nano").unwrap(), seed: 3 };
+        let loading = Loading { quantize: Some(format), ..Loading::default() };
+        let model = loading.checkpoint(&place).unwrap().open_model().unwrap();
+        assert!(model.decoder().exact_pass() >= 17);
+        for known in [58, 506] {
+            let single = bits(&*model, known, &[1; 17]);
+            for passes in [&[17][..], &[2, 3, 12], &[9, 1, 7]] {
+                let several = bits(&*model, known, passes);
+                let differ = several.iter().zip(&single).position(|(a, b)| a != b);
+                assert_eq!((several.len(), differ), (17, None), "{format}: {passes:?} after {known} tokens");
+            }
+        }
+    }
+}
