@@ -66,6 +66,34 @@ fn a_model_is_measured_by_its_steps() {
 }
 
 #[test]
+fn calls_of_several_prompt_sets_are_measured_with_and_without_drafts() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("bench");
+    let arguments = ["--random-weights", "nano", "--calls", "brief,compact", "--speculation"];
+    let (code, figures) = bench(&[&arguments[..], &["--warm-up", "0", "--iterations", "1"]].concat(), &out);
+    assert_eq!(code, 0, "{figures}");
+    let models = figures["models"].as_array().unwrap();
+    let names: Vec<&str> = models.iter().map(|model| model["model"].as_str().unwrap()).collect();
+    assert_eq!(names, ["nano brief", "nano compact"]);
+    for model in models {
+        let calls = model["drafted_calls"].as_array().unwrap();
+        let rates: Vec<f64> = calls.iter().map(|call| call["acceptance"].as_f64().unwrap()).collect();
+        assert_eq!(rates, [0.25, 0.5, 0.75]);
+        assert!(calls.iter().all(|call| call["ms"].as_f64().unwrap() > 0.0));
+    }
+    let passes = |workload: &str| {
+        let row = rows(&out).into_iter().find(|row| row["model"] == "nano compact" && row["workload"] == workload);
+        let steps = row.unwrap()["steps"].as_array().unwrap().clone();
+        steps.iter().filter(|timed| timed["time"]["first_token_ms"].is_number()).count()
+    };
+    assert!(
+        passes("call") >= passes("call-accepted-0.25") && passes("call-accepted-0.25") > passes("call-accepted-0.75")
+    );
+    let table = fs::read_to_string(out.join("table.md")).unwrap();
+    assert!(table.contains("| 0.75 (three quarters) |"), "{table}");
+}
+
+#[test]
 fn random_weights_have_the_shape_of_the_real_ones() {
     let folder = TempDir::new().unwrap();
     let quick = ["--warm-up", "0", "--iterations", "1"];

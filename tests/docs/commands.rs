@@ -89,6 +89,12 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     (
         "docs/latency.md",
+        "planagent bench --random-weights smolvlm2-256m,smolvlm2-500m,internvl3-1b,qwen3-vl-2b,qwen3-vl-4b,llava-1.5-7b --quantize \
+         q4_k --calls brief,paper --speculation --iterations 3",
+        HOURS,
+    ),
+    (
+        "docs/latency.md",
         "planagent bench --random-weights llava-1.1b,llava-1.5-7b --quantize q4_k --vs llama.cpp --llama-python venv/bin/python",
         HOURS,
     ),

@@ -137,6 +137,14 @@ pub(in crate::cli) struct BenchArguments {
     /// Measured planning calls of each model.
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub(in crate::cli) iterations: usize,
+    /// Prompt sets whose planning calls are measured, separated by commas [default: that of the model].
+    ///
+    /// A call with brief has one attempt, with paper and compact two.
+    #[arg(long, value_name = "SETS", value_delimiter = ',', conflicts_with = "prompt_set", hide_short_help = true)]
+    pub(in crate::cli) calls: Vec<String>,
+    /// Also measure calls with drafts of four tokens, of which a quarter, half and three quarters are accepted.
+    #[arg(long, hide_short_help = true)]
+    pub(in crate::cli) speculation: bool,
     /// Compare with another engine on the same GGUF files, in alternation.
     #[arg(long, value_name = "ENGINE", value_enum)]
     pub(in crate::cli) vs: Option<OtherEngine>,

@@ -51,6 +51,7 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
         threads: rayon::current_num_threads(),
         seed: config.seed,
         weight_format: config.mllm.quantize,
+        speculation: flags.speculation,
         versus: llama_cpp(flags),
     };
     let program =
@@ -104,16 +105,16 @@ fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry)
     let mut all = Vec::new();
     for name in named {
         let spec = registry.find(name)?;
-        let prompts = prompts(config, || Ok(registry.asking(&spec)?.prompt_set))?;
-        all.push(Candidate { name: spec.name, model: ModelChoice::Named(name.clone()), prompts });
+        let sets = prompt_sets(flags, config, || Ok(registry.asking(&spec)?.prompt_set))?;
+        all.extend(of_sets(&spec.name, &ModelChoice::Named(name.clone()), &sets));
     }
     for name in &flags.random_weights {
         let shape = ModelShape::find(name)?;
         let own = || {
             Ok(registry.find(name).ok().and_then(|spec| spec.prompt_set).unwrap_or(PromptSet::Paper).name().to_owned())
         };
-        let prompts = prompts(config, own)?;
-        all.push(Candidate { name: name.clone(), model: ModelChoice::Random(shape.name.to_owned()), prompts });
+        let sets = prompt_sets(flags, config, own)?;
+        all.extend(of_sets(name, &ModelChoice::Random(shape.name.to_owned()), &sets));
     }
     for (index, candidate) in all.iter().enumerate() {
         if all.iter().take(index).any(|other| other.name == candidate.name) {
@@ -123,12 +124,34 @@ fn candidates(flags: &BenchArguments, config: &Config, registry: &ModelRegistry)
     Ok(all)
 }
 
-/// The prompt set whose tokens are measured: that of the settings, else the model's own.
-fn prompts(config: &Config, own: impl FnOnce() -> anyhow::Result<String>) -> anyhow::Result<PromptSet> {
-    let name = config.reasoning.prompt_set.clone().map_or_else(own, Ok)?;
-    PromptSet::named(&name).with_context(|| {
-        format!("bench knows the lengths of the prompt sets brief, compact and paper, and not of '{name}'")
-    })
+/// The prompt sets whose tokens are measured: those of the flag, else that of the settings, else the model's own.
+fn prompt_sets(
+    flags: &BenchArguments,
+    config: &Config,
+    own: impl FnOnce() -> anyhow::Result<String>,
+) -> anyhow::Result<Vec<PromptSet>> {
+    let names = if flags.calls.is_empty() {
+        vec![config.reasoning.prompt_set.clone().map_or_else(own, Ok)?]
+    } else {
+        flags.calls.clone()
+    };
+    let set = |name: &String| {
+        PromptSet::named(name).with_context(|| {
+            format!("bench knows the lengths of the prompt sets brief, compact and paper, and not of '{name}'")
+        })
+    };
+    names.iter().map(set).collect()
+}
+
+/// A model once for each prompt set; its name says which, where there are several.
+fn of_sets(name: &str, model: &ModelChoice, sets: &[PromptSet]) -> Vec<Candidate> {
+    let candidate = |prompts: &PromptSet| Candidate {
+        name: if sets.len() > 1 { format!("{name} {}", prompts.name()) } else { name.to_owned() },
+        weights: name.to_owned(),
+        model: model.clone(),
+        prompts: *prompts,
+    };
+    sets.iter().map(candidate).collect()
 }
 
 /// A model as GGUF files that llama.cpp reads too: its own, or newly written ones.
@@ -161,13 +184,13 @@ fn as_gguf(
             "--vs needs --quantize, or a model of GGUF files with mmproj, because both engines must read the same files"
         );
     };
-    let decoder = folder.join(format!("{}-{weight_format}-seed-{}.gguf", candidate.name, config.seed));
+    let decoder = folder.join(format!("{}-{weight_format}-seed-{}.gguf", candidate.weights, config.seed));
     let projector = GgufPart::Tower.path(&decoder);
     if !decoder.is_file() || !projector.is_file() {
         printer.note(format!("{}: writing {}", candidate.name, decoder.display()));
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
         write_gguf(&decoder, printer, |create, progress| {
-            export_model(&candidate.name, &place, &loading, &[], create, progress)
+            export_model(&candidate.weights, &place, &loading, &[], create, progress)
         })
         .with_context(|| format!("cannot write {} as GGUF", candidate.name))?;
     }
@@ -206,6 +229,7 @@ fn metadata(
         "seed": config.seed,
         "quantize": config.mllm.quantize,
         "vs_llama_cpp": flags.vs.is_some(),
+        "speculation": flags.speculation,
     });
     let Value::Object(settings) = settings else { bail!("the settings are not a JSON object") };
     Ok(BenchMetadata {

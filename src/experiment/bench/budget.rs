@@ -18,7 +18,13 @@ pub struct CallBudget {
     pub rounds: Vec<RoundBudget>,
     /// Attempts after the first.
     pub rethinks: usize,
+    /// Of [`DRAFTED`] drafted tokens of an answer, so many are accepted; `None` for answers without drafts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub accepted: Option<usize>,
 }
+
+/// Tokens of a draft, as far as the answer has so many.
+pub const DRAFTED: usize = 4;
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -37,6 +43,40 @@ pub struct AnswerPart {
     pub sampled: usize,
 }
 
+impl AnswerPart {
+    fn steps(self) -> [Step; 2] {
+        [Step::FastForwarded(self.fast_forwarded), Step::Sampled(self.sampled)]
+    }
+}
+
+/// The steps of an answer with drafts. The first token comes from the pass over the prompt. Each later pass computes a draft too,
+/// accepts the first tokens of it, and samples the token behind them.
+fn add_drafted(answer: &[AnswerPart], accepted: usize, steps: &mut Vec<Step>) {
+    // Whether each token is sampled.
+    let tokens: Vec<bool> = answer
+        .iter()
+        .flat_map(|part| [(false, part.fast_forwarded), (true, part.sampled)])
+        .flat_map(|(sampled, count)| std::iter::repeat_n(sampled, count))
+        .collect();
+    let mut done = 0;
+    let mut is_first = true;
+    while done < tokens.len() {
+        let fast_forwarded = tokens.iter().skip(done).take_while(|sampled| !**sampled).count();
+        steps.push(Step::FastForwarded(fast_forwarded));
+        done += fast_forwarded;
+        let left = tokens.len() - done;
+        let drafted = if is_first { 0 } else { DRAFTED.min(left.saturating_sub(1)) };
+        let accepted = accepted.min(drafted);
+        match (left, drafted) {
+            (0, _) => break,
+            (_, 0) => steps.push(Step::Sampled(1)),
+            _ => steps.push(Step::Verified { drafted, accepted }),
+        }
+        done += accepted + 1;
+        is_first = false;
+    }
+}
+
 /// Position of a family's system prompt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -50,6 +90,7 @@ pub enum Layout {
 impl CallBudget {
     /// The token counts of a prompt set; `docs/latency.md` explains them.
     pub fn of(prompts: PromptSet) -> Self {
+        let accepted = None;
         let part = |(fast_forwarded, sampled)| AnswerPart { fast_forwarded, sampled };
         match prompts {
             PromptSet::Paper => Self {
@@ -65,21 +106,23 @@ impl CallBudget {
                     },
                 ],
                 rethinks: 1,
+                accepted,
             },
             // The answers of the first rounds reach the set's bounds.
             PromptSet::Brief => Self {
-                prefix: 290,
-                scene: 80,
-                feedback: 60,
+                prefix: 250,
+                scene: 74,
+                feedback: 34,
                 rounds: vec![
-                    RoundBudget { question: 45, answer: [(3, 1), (3, 1), (4, 1), (4, 1), (4, 16)].map(part).into() },
-                    RoundBudget { question: 33, answer: [(2, 1), (3, 2), (3, 19)].map(part).into() },
+                    RoundBudget { question: 32, answer: [(3, 1), (3, 1), (4, 1), (4, 1), (4, 16)].map(part).into() },
+                    RoundBudget { question: 31, answer: [(2, 1), (3, 2), (3, 19)].map(part).into() },
                     RoundBudget {
-                        question: 18,
+                        question: 17,
                         answer: [(11, 1), (5, 1), (2, 1), (4, 1), (3, 2), (4, 1), (1, 0)].map(part).into(),
                     },
                 ],
                 rethinks: 0,
+                accepted,
             },
             PromptSet::Compact => Self {
                 prefix: 3,
@@ -94,8 +137,20 @@ impl CallBudget {
                     },
                 ],
                 rethinks: 1,
+                accepted,
             },
         }
+    }
+
+    /// The same call with drafts.
+    #[must_use]
+    pub fn with_drafts(self, accepted: usize) -> Self {
+        Self { accepted: Some(accepted), ..self }
+    }
+
+    /// The share of drafted tokens that is accepted; `None` for answers without drafts.
+    pub fn acceptance(&self) -> Option<f64> {
+        self.accepted.map(|accepted| accepted as f64 / DRAFTED as f64)
     }
 
     /// Steps before the first call.
@@ -125,8 +180,9 @@ impl CallBudget {
     fn add_rounds(&self, steps: &mut Vec<Step>) {
         for round in &self.rounds {
             steps.push(Step::Text(round.question));
-            for part in &round.answer {
-                steps.extend([Step::FastForwarded(part.fast_forwarded), Step::Sampled(part.sampled)]);
+            match self.accepted {
+                Some(accepted) => add_drafted(&round.answer, accepted, steps),
+                None => steps.extend(round.answer.iter().flat_map(|part| part.steps())),
             }
         }
         steps.retain(|step| !matches!(step, Step::Text(0) | Step::FastForwarded(0) | Step::Sampled(0)));
@@ -156,7 +212,14 @@ mod tests {
             question,
             answer: vec![AnswerPart { fast_forwarded, sampled }],
         };
-        CallBudget { prefix: 7, scene: 5, feedback: 3, rounds: vec![round(2, 0, 4), round(1, 6, 8)], rethinks: 1 }
+        CallBudget {
+            prefix: 7,
+            scene: 5,
+            feedback: 3,
+            rounds: vec![round(2, 0, 4), round(1, 6, 8)],
+            rethinks: 1,
+            accepted: None,
+        }
     }
 
     #[test]
@@ -169,6 +232,40 @@ mod tests {
         let behind = small().call_steps(Layout::ImageFirst, 16);
         assert_eq!(behind[..4], [Step::Keep(0), Step::Encode, Step::Image, Step::Text(7)]);
         assert_eq!(behind[4..], steps[3..]);
+    }
+
+    #[test]
+    fn a_drafted_answer_has_the_same_tokens_in_fewer_passes() {
+        let verified = |drafted, accepted| Step::Verified { drafted, accepted };
+        let part = |(fast_forwarded, sampled)| AnswerPart { fast_forwarded, sampled };
+        let steps = |parts: &[(usize, usize)], accepted| {
+            let mut steps = Vec::new();
+            add_drafted(&parts.iter().copied().map(part).collect::<Vec<_>>(), accepted, &mut steps);
+            steps.retain(|step| *step != Step::FastForwarded(0));
+            steps
+        };
+        assert_eq!(steps(&[(2, 9)], 3), [Step::FastForwarded(2), Step::Sampled(1), verified(4, 3), verified(3, 3)]);
+        assert_eq!(steps(&[(0, 3)], 0), [Step::Sampled(1), verified(1, 0), Step::Sampled(1)]);
+        // A fast-forwarded token behind the accepted ones is the one that the step appends.
+        assert_eq!(
+            steps(&[(1, 1), (1, 1), (1, 1)], 1),
+            [Step::FastForwarded(1), Step::Sampled(1), Step::FastForwarded(1), verified(2, 1), Step::Sampled(1)]
+        );
+        for prompts in [PromptSet::Paper, PromptSet::Brief, PromptSet::Compact] {
+            let budget = CallBudget::of(prompts);
+            for accepted in 0..=DRAFTED {
+                let drafted = budget.clone().with_drafts(accepted).call_steps(Layout::PrefixFirst, 16);
+                let tokens = |steps: &[Step]| -> usize {
+                    let of = |step: &Step| match step {
+                        Step::FastForwarded(tokens) | Step::Sampled(tokens) => *tokens,
+                        Step::Verified { accepted, .. } => accepted + 1,
+                        _ => 0,
+                    };
+                    steps.iter().map(of).sum()
+                };
+                assert_eq!(tokens(&drafted), tokens(&budget.call_steps(Layout::PrefixFirst, 16)), "{prompts:?}");
+            }
+        }
     }
 
     #[test]
@@ -189,7 +286,7 @@ mod tests {
                         prompt += tokens;
                     }
                     Step::FastForwarded(tokens) | Step::Sampled(tokens) => length += tokens,
-                    Step::Encode | Step::Image | Step::Compute => {}
+                    Step::Encode | Step::Image | Step::Compute | Step::Verified { .. } => {}
                 }
                 longest = longest.max(length);
             }

@@ -54,6 +54,7 @@ pub fn estimated_seconds(model: &ModelOutline, weight_format: WeightFormat, budg
             Step::Image => pending += model.image_tokens,
             Step::Text(tokens) | Step::FastForwarded(tokens) => pending += tokens,
             Step::Compute => seconds += pass.seconds(std::mem::take(&mut pending)),
+            Step::Verified { drafted, .. } => seconds += pass.seconds(std::mem::replace(&mut pending, 1) + drafted),
             Step::Sampled(tokens) => {
                 // A sampled token is computed by the pass of the next.
                 seconds += pass.seconds(pending) + pass.seconds(1) * tokens.saturating_sub(1) as f64;

@@ -14,7 +14,7 @@ mod run;
 mod serve;
 mod workload;
 
-pub use budget::{AnswerPart, CallBudget, RoundBudget};
+pub use budget::{AnswerPart, CallBudget, DRAFTED, RoundBudget};
 pub use engine::{Engine, EngineError, EngineName};
 pub use estimate::{ESTIMATED_FORMATS, ESTIMATED_ON, estimated_seconds};
 pub use llama_cpp::LlamaCpp;

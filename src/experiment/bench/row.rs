@@ -103,7 +103,7 @@ impl IterationRow {
         for TimedStep { step, time } in &self.steps {
             match step {
                 Step::Text(_) | Step::Image => after_prompt = true,
-                Step::FastForwarded(_) | Step::Sampled(_) => {
+                Step::FastForwarded(_) | Step::Sampled(_) | Step::Verified { .. } => {
                     sum += time.single;
                     if !after_prompt {
                         sum += time.batch;

@@ -1,6 +1,6 @@
 //! The benchmark loop: one model after the other, engines in alternation.
 
-use super::budget::CallBudget;
+use super::budget::{CallBudget, DRAFTED};
 use super::engine::{Engine, EngineError, EngineName};
 use super::llama_cpp::LlamaCpp;
 use super::protocol::{Like, LoadRequest, Loaded, ModelChoice};
@@ -14,6 +14,8 @@ use std::process::Command;
 pub struct Candidate {
     /// The name in results.
     pub name: String,
+    /// The name of the model, for files of its weights.
+    pub weights: String,
     pub model: ModelChoice,
     /// The prompt set that determines the token counts of its calls.
     pub prompts: PromptSet,
@@ -30,6 +32,8 @@ pub struct BenchSettings {
     pub seed: u64,
     /// Weight format of the matrices; `None` for that of the files.
     pub weight_format: Option<WeightFormat>,
+    /// Whether this program also measures calls with drafts, of which a quarter, half and three quarters are accepted.
+    pub speculation: bool,
     /// llama.cpp, to compare with. It requires that all models are GGUF files.
     pub versus: Option<LlamaCpp>,
 }
@@ -107,6 +111,11 @@ impl Bench<'_> {
                 }
             }
             rows.extend(self.alternate(workload, &mut engines)?.into_iter().map(Row::Iteration));
+        }
+        for accepted in if self.settings.speculation { 1..DRAFTED } else { 0..0 } {
+            let workload = Workload::Call(CallBudget::of(self.candidate.prompts).with_drafts(accepted));
+            let own = engines.get_mut(..1).unwrap_or_default();
+            rows.extend(self.alternate(&workload, own)?.into_iter().map(Row::Iteration));
         }
         let prompt_tokens = CallBudget::of(self.candidate.prompts).prompt_tokens();
         rows.extend(engines.into_iter().map(|Ready { engine, loaded }| {

@@ -20,7 +20,10 @@ impl Workload {
     /// The name in rows.
     pub fn name(&self) -> String {
         match self {
-            Self::Call(_) => "call".to_owned(),
+            Self::Call(budget) => match budget.acceptance() {
+                Some(acceptance) => format!("call-accepted-{acceptance}"),
+                None => "call".to_owned(),
+            },
             Self::Depth(tokens) => format!("depth-{tokens}"),
         }
     }

@@ -92,6 +92,22 @@ impl LatencyProbe {
                     time.first_token_ms.get_or_insert_with(|| milliseconds(start.elapsed()));
                 }
             }
+            Step::Verified { drafted, accepted } => {
+                for _ in 0..drafted {
+                    let word = self.word();
+                    self.pending.push(word);
+                }
+                let logits = self.compute(Logits::Tail(1 + drafted), &mut time)?;
+                let rejected = drafted.saturating_sub(accepted);
+                self.sequence.truncate(self.sequence.ids().len() - rejected);
+                // Every accepted draft is one that was sampled.
+                for row in 0..=drafted - rejected {
+                    let logits = logits.as_ref().map(|logits| logits.get(row)).transpose()?;
+                    let word = self.choose(logits)?;
+                    self.pending = vec![word];
+                }
+                time.first_token_ms.get_or_insert_with(|| milliseconds(start.elapsed()));
+            }
             Step::Compute => {
                 self.compute(Logits::None, &mut time)?;
             }

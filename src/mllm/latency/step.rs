@@ -19,6 +19,9 @@ pub enum Step {
     FastForwarded(usize),
     /// Samples so many tokens, one after the other; the last one is appended and not computed yet.
     Sampled(usize),
+    /// Computes the appended tokens with so many drafted ones in one pass, keeps those of them that are accepted, and samples the
+    /// token after these; it is appended and not computed yet.
+    Verified { drafted: usize, accepted: usize },
     /// Computes the appended tokens and samples nothing.
     Compute,
 }
@@ -88,10 +91,14 @@ mod tests {
             Step::Text(9),
             Step::FastForwarded(2),
             Step::Sampled(4),
+            Step::Verified { drafted: 4, accepted: 1 },
             Step::Compute,
         ];
         let text = serde_json::to_string(&steps).unwrap();
-        assert_eq!(text, r#"[{"keep":3},"encode","image",{"text":9},{"fast_forwarded":2},{"sampled":4},"compute"]"#);
+        assert_eq!(
+            text,
+            r#"[{"keep":3},"encode","image",{"text":9},{"fast_forwarded":2},{"sampled":4},{"verified":{"drafted":4,"accepted":1}},"compute"]"#
+        );
         assert_eq!(serde_json::from_str::<Vec<Step>>(&text).unwrap(), steps);
     }
 

@@ -1,6 +1,6 @@
 //! Statistics of a benchmark.
 
-use crate::experiment::bench::{EngineName, IterationRow, ModelRow, Row};
+use crate::experiment::bench::{DRAFTED, EngineName, IterationRow, ModelRow, Row};
 use crate::report::Quantiles;
 use serde::Serialize;
 
@@ -32,6 +32,18 @@ pub struct ModelFigures {
     pub decode_tokens_per_s: Option<f64>,
     /// Planning call, milliseconds.
     pub call_ms: Option<Quantiles>,
+    /// Planning call with drafts; empty where none were measured.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub drafted_calls: Vec<DraftedCall>,
+}
+
+/// Planning calls whose answers are drafted.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct DraftedCall {
+    /// Share of drafted tokens that is accepted.
+    pub acceptance: f64,
+    /// Median, milliseconds.
+    pub ms: f64,
 }
 
 /// One measurement of this program and of llama.cpp, iteration by iteration.
@@ -65,6 +77,8 @@ const MS: &str = "ms";
 
 /// The workload of the table of models.
 const CALL: &str = "call";
+/// The start of the names of calls with drafts.
+const DRAFTED_CALL: &str = "call-accepted-";
 
 impl BenchFigures {
     pub fn of(rows: &[Row]) -> Self {
@@ -94,11 +108,19 @@ impl BenchFigures {
 
 impl ModelFigures {
     fn of(about: &ModelRow, iterations: &[&IterationRow]) -> Self {
-        let calls: Vec<&IterationRow> = iterations
-            .iter()
-            .filter(|row| row.model == about.model && row.engine == about.engine && row.workload == CALL)
-            .copied()
-            .collect();
+        let of = |workload: &str| -> Vec<&IterationRow> {
+            let same = |row: &&&IterationRow| {
+                row.model == about.model && row.engine == about.engine && row.workload == workload
+            };
+            iterations.iter().filter(same).copied().collect()
+        };
+        let calls = of(CALL);
+        let drafted_calls = (1..DRAFTED).filter_map(|accepted| {
+            let acceptance = accepted as f64 / DRAFTED as f64;
+            let calls = of(&format!("{DRAFTED_CALL}{acceptance}"));
+            let ms = Spread::of(calls.iter().map(|row| row.total_ms()).collect())?.median;
+            Some(DraftedCall { acceptance, ms })
+        });
         let median = |of: &dyn Fn(&IterationRow) -> Option<f64>| {
             Spread::of(calls.iter().filter_map(|row| of(row)).collect()).map(|spread| spread.median)
         };
@@ -110,6 +132,7 @@ impl ModelFigures {
             first_token_ms: median(&IterationRow::first_token_ms),
             decode_tokens_per_s: median(&|row| row.decode().rate()),
             call_ms: Quantiles::of(calls.iter().map(|row| row.total_ms()).collect()),
+            drafted_calls: drafted_calls.collect(),
         }
     }
 }
@@ -119,7 +142,9 @@ type Compared = (String, &'static str, fn(&IterationRow) -> Option<f64>);
 
 fn comparisons(model: &str, iterations: &[&IterationRow]) -> Vec<Comparison> {
     let mut workloads: Vec<&str> = Vec::new();
-    for row in iterations.iter().filter(|row| row.model == model) {
+    // llama.cpp makes no calls with drafts.
+    let shared = |row: &&&IterationRow| !row.workload.starts_with(DRAFTED_CALL);
+    for row in iterations.iter().filter(|row| row.model == model).filter(shared) {
         if !workloads.contains(&row.workload.as_str()) {
             workloads.push(&row.workload);
         }

@@ -39,12 +39,35 @@ const COST: [Column; 7] = [
     column("calls", "number of planning calls", |m| m.calls.to_string()),
 ];
 
+/// What it costs with drafts.
+const DRAFTED_COST: [Column; 4] = [
+    column("0", "planning call, ms, without drafts", |m| or_dash(m.call_ms, |call| three_digits(call.p50))),
+    column("0.25", "with drafts of four tokens, of which a quarter is accepted", |m| drafted_call(m, 0.25)),
+    column("0.5", "half of them", |m| drafted_call(m, 0.5)),
+    column("0.75", "three quarters", |m| drafted_call(m, 0.75)),
+];
+
+/// The planning call at an acceptance.
+fn drafted_call(model: &ModelFigures, acceptance: f64) -> String {
+    let call = model.drafted_calls.iter().find(|call| (call.acceptance - acceptance).abs() < f64::EPSILON);
+    or_dash(call, |call| three_digits(call.ms))
+}
+
+fn has_drafts(figures: &BenchFigures) -> bool {
+    figures.models.iter().any(|model| !model.drafted_calls.is_empty())
+}
+
 /// The tables for a terminal.
 pub fn bench_table(figures: &BenchFigures) -> String {
     let mut parts = Vec::new();
     if !figures.models.is_empty() {
         parts.extend([&LOADED[..], &COST].map(|columns| models(figures, columns, |c| c.header.to_owned()).terminal()));
         let meanings = LOADED.iter().chain(&COST).map(|column| format!("{} = {}", column.header, column.meaning));
+        parts.push(fill(meanings, COLUMNS).join("\n"));
+    }
+    if has_drafts(figures) {
+        parts.push(models(figures, &DRAFTED_COST, |c| c.header.to_owned()).terminal());
+        let meanings = DRAFTED_COST.iter().map(|column| format!("{} = {}", column.header, column.meaning));
         parts.push(fill(meanings, COLUMNS).join("\n"));
     }
     if !figures.comparisons.is_empty() {
@@ -62,6 +85,10 @@ pub fn bench_markdown(figures: &BenchFigures, command: &str, machine: &str) -> S
     if !figures.models.is_empty() {
         let all = LOADED.iter().chain(&COST);
         let table = models(figures, all, |column| format!("{} ({})", column.header, column.meaning));
+        let _ = write!(text, "\n{}", table.markdown());
+    }
+    if has_drafts(figures) {
+        let table = models(figures, &DRAFTED_COST, |column| format!("{} ({})", column.header, column.meaning));
         let _ = write!(text, "\n{}", table.markdown());
     }
     if !figures.comparisons.is_empty() {
