@@ -307,6 +307,7 @@ pages! {
     commands_of_nuplan: "docs/nuplan.md",
     commands_of_prompts: "docs/prompts.md",
     commands_of_python: "docs/python.md",
+    commands_of_recordings: "docs/recordings.md",
     commands_of_reliability: "docs/reliability.md",
     commands_of_report: "docs/report.md",
     commands_of_results: "docs/results.md",
