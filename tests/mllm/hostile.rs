@@ -63,7 +63,7 @@ fn templates_without_end_are_problems_and_nothing_hangs() {
     let endless = "{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}probe<image>";
     for (source, said) in [
         (endless.to_owned(), "more than 500000 steps"),
-        (DOUBLES.to_owned(), "child process tried it"),
+        (DOUBLES.to_owned(), "child process"),
         (format!("{{{{ {}true }}}}", "not ".repeat(10_000)), "chat template"),
         (format!("{{{{ 1{} }}}}", "+1".repeat(20_000)), "chat template"),
         (" ".repeat(100_000), "at most 65536 are read"),
@@ -109,11 +109,11 @@ fn a_hostile_gguf_file_is_a_problem() {
         |part: GgufPart| -> std::io::Result<Box<dyn Write>> { Ok(Box::new(File::create(part.path(&file))?)) };
     registry.export(&spec, WeightFormat::Q8_0, &mut create, &mut |_, _| {}).unwrap();
     let found = problem(&file);
-    assert!(found.contains("the chat template ") && found.contains("child process tried it"), "{found}");
+    assert!(found.contains("the chat template ") && found.contains("child process"), "{found}");
     let cache = tempfile::tempdir().unwrap();
     let output = planagent(cache.path()).args(["plan", "--model"]).arg(&file).output().unwrap();
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.code() == Some(2) && stderr.contains("child process tried it"), "{stderr}");
+    assert!(output.status.code() == Some(2) && stderr.contains("child process"), "{stderr}");
 }
 
 #[test]
