@@ -98,6 +98,7 @@ impl Model {
                 max_new_tokens: asked.max_tokens,
                 sampling: reasoning.generation.sampling,
                 deadline: asked.deadline()?,
+                draft: None,
             };
             let prefix = PromptPrefix { system: asked.system.clone(), image };
             let mut conversation = model.converse(&prefix, asked.seed.unwrap_or(config_seed))?;
