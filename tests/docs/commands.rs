@@ -155,6 +155,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
         CARGO,
     ),
     ("docs/reliability.md", "cargo +nightly fuzz tmin gguf fuzz/artifacts/gguf/crash-0123", CARGO),
+    ("docs/latency.md", "planagent simulate --split generated-test14-hard --limit 140 --quantize q8_0", HOURS),
     ("docs/recordings.md", "planagent experiment recorded", HOURS),
     ("docs/report.md", "planagent serve runs/mine --open", ENDLESS),
     ("docs/report.md", "cd runs/mine", DEVKIT),
