@@ -6,6 +6,7 @@
 mod blocks;
 mod checkpoint;
 pub mod dtpp;
+mod frame;
 pub mod gameformer;
 pub mod gc_pgp;
 mod past;

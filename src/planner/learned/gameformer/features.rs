@@ -1,7 +1,8 @@
 //! The features of GameFormer and DTPP (`MCZhi/GameFormer-Planner` `observation.py`, `MCZhi/DTPP` `obs_adapter.py`).
 
 use super::encoder::SceneInputs;
-use crate::geometry::{OrientedBox, Point, Pose, unwrap_angles, wrap_angle};
+use crate::geometry::{OrientedBox, Point, Pose, unwrap_angles};
+use crate::planner::learned::frame::{relative, rounded, single};
 use crate::planner::learned::past;
 use crate::world::{
     HISTORY_SAMPLES, HistorySample, Lane, LaneKind, MICROS_PER_SECOND, ObjectKind, RoadblockId, SceneView,
@@ -70,20 +71,6 @@ impl ActorFeatures {
     pub fn route_input(&self) -> Result<Tensor> {
         Tensor::from_slice(&self.route, &[1, ROUTE[0], ROUTE[1], LINE][..], &Device::Cpu)
     }
-}
-
-/// A number as f32 holds it.
-fn single(value: f64) -> f64 {
-    f64::from(value as f32)
-}
-
-fn rounded(pose: Pose) -> Pose {
-    Pose::new(single(pose.x), single(pose.y), single(pose.heading))
-}
-
-fn relative(frame: Pose, pose: Pose) -> [f32; 3] {
-    let place = frame.to_local(pose.position());
-    [place.x as f32, place.y as f32, wrap_angle(pose.heading - frame.heading) as f32]
 }
 
 /// Pose relative to now; velocity and acceleration in the frame of each step.

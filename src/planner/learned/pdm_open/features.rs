@@ -1,9 +1,9 @@
 //! The features of PDM-Open and PDM-Offset (`tuplan_garage` `pdm_feature_builder.py`, `pdm_feature_utils.py`).
 
 use super::network::{CENTERLINE, HISTORY, POSES, PdmInputs};
-use crate::geometry::{Pose, wrap_angle};
 use crate::metrics::{ComfortQuantity, MetricError};
 use crate::pdm::PdmPath;
+use crate::planner::learned::frame::relative;
 use crate::planner::learned::past;
 use crate::world::{EgoState, SceneView};
 use candle_core::{Device, Result, Tensor};
@@ -78,10 +78,4 @@ impl PdmFeatures {
         let trajectory = Tensor::from_slice(trajectory.as_flattened(), (1, POSES, 3), &Device::Cpu)?;
         Ok(PdmInputs { trajectory: Some(trajectory), ..self.inputs()? })
     }
-}
-
-/// A pose in the frame of another.
-pub(super) fn relative(frame: Pose, pose: Pose) -> [f32; 3] {
-    let local = frame.to_local(pose.position());
-    [local.x as f32, local.y as f32, wrap_angle(pose.heading - frame.heading) as f32]
 }

@@ -1,12 +1,13 @@
 //! PDM-Hybrid as a planner (`tuplan_garage` `pdm_hybrid_planner.py`): PDM-Closed, whose trajectory a network corrects from two seconds
 //! on.
 
-use super::features::{PdmFeatures, relative};
+use super::features::PdmFeatures;
 use super::network::{HIDDEN, POSES, PdmNetwork};
 use super::route::PdmRoute;
 use crate::geometry::Pose;
 use crate::pdm::{DrivableLayers, PdmMemory, ReferencePath, plan};
 use crate::planner::learned::blocks::Probe;
+use crate::planner::learned::frame::relative;
 use crate::planner::learned::slot::{Slot, learned_entry};
 use crate::planner::learned::{network_failed, prediction};
 use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};

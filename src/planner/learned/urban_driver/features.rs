@@ -1,7 +1,8 @@
 //! UrbanDriver's features (nuplan-devkit `vector_set_map_feature_builder.py`, `generic_agents_feature_builder.py`).
 
 use super::elements::{FRAMES, MapPoint, POINTS, UrbanDriverFeatures};
-use crate::geometry::{Borders, OrientedBox, Point, Polygon, Pose, borders, unwrap_angles, wrap_angle};
+use crate::geometry::{Borders, OrientedBox, Point, Polygon, Pose, borders, unwrap_angles};
+use crate::planner::learned::frame::{relative, rounded, single};
 use crate::planner::learned::past;
 use crate::world::{
     HistorySample, Lane, LaneKind, MICROS_PER_SECOND, ObjectKind, RoadblockId, SceneView, SignalStatus, TrackToken,
@@ -27,20 +28,6 @@ impl UrbanDriverFeatures {
         let ego = |i: usize| relative(frame, rounded(samples[i].ego.rear_axle));
         Self { ego: std::array::from_fn(ego), vehicles: vehicles(scene, &samples, frame), layers: layers(scene) }
     }
-}
-
-/// A number as f32 holds it.
-fn single(value: f64) -> f64 {
-    f64::from(value as f32)
-}
-
-fn rounded(pose: Pose) -> Pose {
-    Pose::new(single(pose.x), single(pose.y), single(pose.heading))
-}
-
-fn relative(frame: Pose, pose: Pose) -> [f32; 3] {
-    let place = frame.to_local(pose.position());
-    [place.x as f32, place.y as f32, wrap_angle(pose.heading - frame.heading) as f32]
 }
 
 /// The vehicles of the present, in its order. A missing past state is the next later one.
