@@ -40,8 +40,9 @@ pub(super) fn run(registry: &ModelRegistry, csv: bool, printer: Printer) -> anyh
          formats; kv: GiB of 16-bit keys and values of a chat with up to 4096 tokens.",
     );
     printer.note(format!(
-        "est s: seconds of a planning call in {USUAL}, estimated for {ESTIMATED_ON},\n\
-         not measured; `planagent bench MODEL` measures them. `planagent models show MODEL` has more."
+        "est s: seconds of a planning call in {USUAL}, estimated and not measured, for\n\
+         {ESTIMATED_ON}. `planagent bench MODEL` measures\n\
+         them; `planagent models show MODEL` has more."
     ));
     Ok(Exit::Success)
 }

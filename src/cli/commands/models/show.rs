@@ -50,8 +50,9 @@ pub(super) fn run(model: &str, registry: &ModelRegistry, printer: Printer) -> an
     }
     if !row.estimated_seconds.is_empty() {
         printer.note(format!(
-            "A planning call is estimated for {ESTIMATED_ON},\n\
-             from the speeds of other models (docs/latency.md); `planagent bench {}` measures it.",
+            "A planning call is estimated for {ESTIMATED_ON}\n\
+             from the speeds of other models (docs/latency.md).\n\
+             `planagent bench {}` measures it.",
             row.model
         ));
     }
