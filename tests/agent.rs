@@ -10,7 +10,9 @@ use planagent::internals::planner::{
     AfterMaxExec, AgentLayer, CodeSource, Decision, NoPlan, PlanAgent, PlanAgentSettings, Planner, PlannerInput,
     PlannerName, PlanningCall,
 };
-use planagent::internals::reasoning::{Interruption, PlannerCode, PromptSet, ReasoningSettings, Round, Speculation};
+use planagent::internals::reasoning::{
+    Interruption, PlannerCode, PromptSet, Proposals, ReasoningSettings, Round, Speculation,
+};
 use planagent::internals::reflection::{
     Judge, LeadPolicy, PlanBuilder, ProgressReference, Verdict, needs_emergency_brake,
 };
@@ -111,6 +113,7 @@ pub(crate) fn reasoning(rounds: &[Round]) -> ReasoningSettings {
         rethink_sampling: Sampling::Greedy,
         grammar: false,
         speculation: Speculation::History,
+        proposals: Proposals::default(),
     }
 }
 

@@ -27,6 +27,7 @@ mod own_planner;
 mod own_reader;
 mod page;
 mod pdm;
+mod proposals;
 mod public_api;
 mod python_package;
 mod road;

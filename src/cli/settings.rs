@@ -16,11 +16,12 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Keys without a default value; the others are those of [`Config::default`].
-pub(super) const OPTIONAL: [&str; 10] = [
+pub(super) const OPTIONAL: [&str; 11] = [
     "mllm.quantize",
     "agent.deadline_ms",
     "agent.gate",
     "reasoning.prompt_set",
+    "reasoning.proposals",
     "reasoning.speculation",
     "learned.pdm_open",
     "learned.pdm_hybrid",

@@ -56,6 +56,15 @@ pub trait Conversation: Send {
         Ok(answer)
     }
 
+    /// As [`Self::ask`], and gives at most `count` answers, the likeliest first. The turn is the first of them.
+    ///
+    /// # Errors
+    /// As [`Self::ask`], and where the backend does not know how likely its answers are.
+    fn ask_likeliest(&mut self, _: &str, _: &Request, count: usize) -> Result<Vec<Answer>, MllmError> {
+        let problem = format!("{count} proposals were asked for, but a server does not say how likely answers are");
+        Err(MllmError::Request { problem })
+    }
+
     /// The current point of the conversation.
     fn mark(&self) -> Mark;
 
@@ -131,6 +140,8 @@ pub enum Constraint {
     Regex(String),
     /// These in order; free text and Lark are not allowed.
     Sequence(Vec<Constraint>),
+    /// One of these; free text and Lark are not allowed.
+    OneOf(Vec<Constraint>),
     /// A text of this grammar in llguidance's dialect of Lark, with the start rule `start`.
     Lark(String),
 }

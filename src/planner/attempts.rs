@@ -1,7 +1,7 @@
 //! The attempts of a planning call: ask, try the answer out, ask again with feedback.
 
 use super::PlannerError;
-use super::record::Attempt;
+use super::record::{Attempt, Proposal};
 use crate::geometry::Pose;
 use crate::mllm::milliseconds;
 use crate::reasoning::{Feedback, Interruption, PlannerAnswer, ReasoningError, ReasoningTrace};
@@ -58,12 +58,6 @@ impl<P> Tried<P> {
     fn score(&self) -> f64 {
         self.record.reflection.as_ref().map_or(0.0, |report| report.score)
     }
-
-    /// Order among answers that are compared: accepted plans first, then by score.
-    fn rank(&self) -> (bool, f64) {
-        let report = self.record.reflection.as_ref();
-        report.map_or((false, f64::NEG_INFINITY), |report| (report.verdict == Verdict::Execute, report.score))
-    }
 }
 
 /// The attempts of a planning call.
@@ -93,13 +87,10 @@ impl<P> Attempts<P> {
                 break;
             }
             let started = Instant::now();
-            let trial = match trace.parsed.answer {
-                Some(answer) => question.try_out(answer)?,
-                None => None,
-            };
+            let (trial, proposals) = best_trial(question, &mut trace)?;
             needed = trial.as_ref().map_or(needed, |trial| trial.threshold);
             let reflection_ms = std::mem::take(&mut observation_ms) + milliseconds(started.elapsed());
-            let tried = tried(trace, trial, reflection_ms);
+            let tried = tried(trace, trial, proposals, reflection_ms);
             if limits.compares {
                 attempts.keep_better(tried);
                 continue;
@@ -116,7 +107,11 @@ impl<P> Attempts<P> {
     /// Keeps the better of two, the earlier of equals. Its record contains the reflection time of all.
     fn keep_better(&mut self, tried: Tried<P>) {
         let spent_ms = self.tried.first().map_or(0.0, |best| best.record.reflection_ms) + tried.record.reflection_ms;
-        if self.tried.first().is_none_or(|best| tried.rank() > best.rank()) {
+        if self
+            .tried
+            .first()
+            .is_none_or(|best| rank(tried.record.reflection.as_ref()) > rank(best.record.reflection.as_ref()))
+        {
             self.tried = vec![tried];
         }
         if let Some(best) = self.tried.first_mut() {
@@ -153,12 +148,52 @@ impl<P> Attempts<P> {
     }
 }
 
-fn tried<A: Into<PlannerAnswer>, P>(trace: ReasoningTrace<A>, trial: Option<Trial<P>>, reflection_ms: f64) -> Tried<P> {
+/// Tries out the answer of an attempt. Where it proposes others, each is tried out, and the best, of equals the likeliest, becomes
+/// its answer.
+#[allow(clippy::type_complexity, reason = "a trial and a record")]
+fn best_trial<Q: Question>(
+    question: &mut Q,
+    trace: &mut ReasoningTrace<Q::Answer>,
+) -> Result<(Option<Trial<Q::Plan>>, Vec<Proposal>), PlannerError> {
+    let Some(likeliest) = trace.parsed.answer else { return Ok((None, Vec::new())) };
+    let mut best = question.try_out(likeliest)?;
+    if trace.proposals.is_empty() {
+        return Ok((best, Vec::new()));
+    }
+    let mut proposals = vec![Proposal::of(likeliest, best.as_ref())];
+    for &answer in &trace.proposals {
+        let trial = question.try_out(answer)?;
+        proposals.push(Proposal::of(answer, trial.as_ref()));
+        let rank = |trial: &Option<Trial<_>>| trial.as_ref().map(|trial| rank(trial.reflection.as_ref()));
+        if rank(&trial) > rank(&best) {
+            (best, trace.parsed.answer) = (trial, Some(answer));
+        }
+    }
+    Ok((best, proposals))
+}
+
+impl Proposal {
+    fn of<P>(answer: impl Into<PlannerAnswer>, trial: Option<&Trial<P>>) -> Self {
+        Self { answer: answer.into(), reflection: trial.and_then(|trial| trial.reflection.clone()) }
+    }
+}
+
+/// Order among answers that are compared: accepted plans first, then by score.
+fn rank(report: Option<&ReflectionReport>) -> (bool, f64) {
+    report.map_or((false, f64::NEG_INFINITY), |report| (report.verdict == Verdict::Execute, report.score))
+}
+
+fn tried<A: Into<PlannerAnswer>, P>(
+    trace: ReasoningTrace<A>,
+    trial: Option<Trial<P>>,
+    proposals: Vec<Proposal>,
+    reflection_ms: f64,
+) -> Tried<P> {
     let (plan, path, reflection) = match trial {
         Some(Trial { plan, path, reflection, .. }) => (Some(plan), path, reflection),
         None => (None, Vec::new(), None),
     };
     let ReasoningTrace { rounds, instruction, parsed, .. } = trace;
     let (answer, errors) = (parsed.answer.map(A::into), parsed.errors);
-    Tried { record: Attempt { rounds, instruction, answer, errors, reflection, path, reflection_ms }, plan }
+    Tried { record: Attempt { rounds, instruction, answer, errors, reflection, proposals, path, reflection_ms }, plan }
 }

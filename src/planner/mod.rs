@@ -46,7 +46,7 @@ pub use monitored::Monitored;
 pub use name::PlannerName;
 pub use pdm_closed::PdmClosed;
 pub use plan_agent::PlanAgent;
-pub use record::{Attempt, Decision, NoPlan, PlanningCall, feedback};
+pub use record::{Attempt, Decision, NoPlan, PlanningCall, Proposal, feedback};
 pub use registry::{PlannerEntry, PlannerNeeds, PlannerParts, PlannerRegistry, UnknownPlanner};
 pub use settings::{
     AfterMaxExec, CallSettings, EnvironmentSettings, LearnedSettings, PlanAgentSettings, ReflectionSettings,

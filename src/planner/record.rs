@@ -101,10 +101,22 @@ pub struct Attempt {
     pub errors: Vec<ParseError>,
     /// Reflection's report; `None` without a plan or with Reflection off.
     pub reflection: Option<ReflectionReport>,
+    /// Where several answers were proposed: each, the likeliest first. The best one is the attempt's answer.
+    pub proposals: Vec<Proposal>,
     /// Path of the plan, map frame.
     pub path: Vec<Pose>,
     /// Wall time of the roll-out and its scoring, milliseconds.
     pub reflection_ms: f64,
+}
+
+/// An answer that an attempt proposed beside others.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Proposal {
+    /// The line.
+    pub answer: PlannerAnswer,
+    /// Reflection's report; `None` where the line stands for no plan here.
+    pub reflection: Option<ReflectionReport>,
 }
 
 impl Attempt {

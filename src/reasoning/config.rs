@@ -22,6 +22,53 @@ pub struct ReasoningConfig {
     /// Where drafts of answers come from: `none` or `history`, the default. No answer depends on it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speculation: Option<Speculation>,
+    /// Codes that an attempt proposes, 1 to 4: the likeliest ones under the grammar. Reflection tries all of them out, and the best
+    /// one is the attempt's. 1 is the paper's.
+    #[serde(skip_serializing_if = "Proposals::is_one")]
+    pub proposals: Proposals,
+}
+
+/// How many codes an attempt proposes, 1 to 4.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "usize", into = "usize")]
+pub struct Proposals(usize);
+
+impl Proposals {
+    /// Maximum number.
+    const MAX: usize = 4;
+
+    /// The number.
+    pub fn get(self) -> usize {
+        self.0
+    }
+
+    #[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+    fn is_one(&self) -> bool {
+        self.0 == 1
+    }
+}
+
+impl Default for Proposals {
+    fn default() -> Self {
+        Self(1)
+    }
+}
+
+impl From<Proposals> for usize {
+    fn from(proposals: Proposals) -> Self {
+        proposals.0
+    }
+}
+
+impl TryFrom<usize> for Proposals {
+    type Error = String;
+
+    fn try_from(count: usize) -> Result<Self, String> {
+        match count {
+            1..=Self::MAX => Ok(Self(count)),
+            _ => Err(format!("{count} proposals; an attempt has 1 to {}", Self::MAX)),
+        }
+    }
 }
 
 impl Default for ReasoningConfig {
@@ -33,6 +80,7 @@ impl Default for ReasoningConfig {
             rethink_temperature: 0.7,
             grammar: true,
             speculation: None,
+            proposals: Proposals::default(),
         }
     }
 }
@@ -57,6 +105,7 @@ impl ReasoningConfig {
             rethink_sampling,
             grammar: self.grammar,
             speculation,
+            proposals: self.proposals,
         }
     }
 }

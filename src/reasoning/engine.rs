@@ -3,6 +3,7 @@
 use super::call_parser::ParseError;
 use super::code::{Names, PlannerCode};
 use super::code_parser::{Parsed, parse};
+use super::config::Proposals;
 use super::error::{PromptError, ReasoningError};
 use super::grammar;
 use super::history::{AnswerHistory, Speculation};
@@ -93,6 +94,8 @@ pub struct ReasoningTrace<A> {
     pub instruction: Option<MotionInstruction>,
     /// The last answer as it was read.
     pub parsed: Parsed<A>,
+    /// Less likely answers, which are tried out too.
+    pub proposals: Vec<A>,
 }
 
 impl<A> ReasoningTrace<A> {
@@ -103,7 +106,7 @@ impl<A> ReasoningTrace<A> {
 
     /// A line that no model gave, as it was read.
     pub fn of_parsed(parsed: Parsed<A>) -> Self {
-        Self { rounds: Vec::new(), interruption: None, instruction: None, parsed }
+        Self { rounds: Vec::new(), interruption: None, instruction: None, parsed, proposals: Vec::new() }
     }
 }
 
@@ -120,6 +123,8 @@ pub struct ReasoningSettings {
     pub grammar: bool,
     /// Where drafts of answers come from.
     pub speculation: Speculation,
+    /// How many codes an attempt proposes.
+    pub proposals: Proposals,
 }
 
 impl ReasoningSettings {
@@ -143,6 +148,8 @@ pub struct Reasoning<'a> {
     deadline: Deadline,
     history: &'a mut AnswerHistory,
     attempts: usize,
+    /// The codes of the earlier attempts, which were all refused.
+    refused: Vec<PlannerCode>,
 }
 
 impl<'a> Reasoning<'a> {
@@ -159,7 +166,17 @@ impl<'a> Reasoning<'a> {
         let system = system_prompt(prompts, &scenario.legend)?;
         let conversation = model.converse(&PromptPrefix { system, image: scenario.image.clone() }, seed)?;
         let start = conversation.mark();
-        Ok(Self { conversation, start, prompts, settings, scenario, deadline, history, attempts: 0 })
+        Ok(Self {
+            conversation,
+            start,
+            prompts,
+            settings,
+            scenario,
+            deadline,
+            history,
+            attempts: 0,
+            refused: Vec::new(),
+        })
     }
 
     /// One attempt: all rounds from the start, with feedback on the last attempt in the first prompt.
@@ -172,15 +189,16 @@ impl<'a> Reasoning<'a> {
         let mut feedback = feedback.map(|f| feedback_text(self.prompts, f)).transpose()?;
         let mut scene_text = self.scenario.text.as_deref();
         let mut rounds = Vec::with_capacity(self.settings.rounds.len());
-        let mut instruction = None;
+        let (mut instruction, mut less_likely) = (None, Vec::new());
         for &round in &self.settings.rounds {
             let names = &self.scenario.names;
             let prompt = round_prompt(self.prompts, round, names, scene_text.take(), feedback.take().as_deref())?;
-            let answer = match self.conversation.ask(&prompt, &self.request(round)) {
-                Ok(answer) => answer,
+            let (answer, others) = match self.answer(round, &prompt) {
+                Ok(answers) => answers,
                 Err(error) if error.is_transient() => {
                     let interruption = Some(error.into());
-                    return Ok(ReasoningTrace { rounds, interruption, instruction, parsed: Parsed::NOTHING });
+                    let (parsed, proposals) = (Parsed::NOTHING, Vec::new());
+                    return Ok(ReasoningTrace { rounds, interruption, instruction, parsed, proposals });
                 }
                 Err(error) => return Err(error.into()),
             };
@@ -189,10 +207,33 @@ impl<'a> Reasoning<'a> {
             }
             self.history.set(round, answer.ids.clone());
             rounds.push(record(round, prompt, answer));
+            less_likely = others;
         }
         let code = rounds.last().filter(|last| last.round == Round::Code).map_or("", |last| last.answer.as_str());
-        let parsed = parse(code, &self.scenario.names);
-        Ok(ReasoningTrace { rounds, interruption: None, instruction, parsed })
+        let names = &self.scenario.names;
+        let parsed = parse(code, names);
+        let proposals: Vec<PlannerCode> = less_likely
+            .iter()
+            .filter_map(|text| parse(text, names).answer)
+            .filter(|code| parsed.answer != Some(*code))
+            .collect();
+        self.refused.extend(parsed.answer.iter().chain(&proposals));
+        Ok(ReasoningTrace { rounds, interruption: None, instruction, parsed, proposals })
+    }
+
+    /// The answer to a round, and the texts of less likely ones where several codes are proposed. Its counts and times contain
+    /// theirs.
+    fn answer(&mut self, round: Round, prompt: &str) -> Result<(Answer, Vec<String>), MllmError> {
+        let request = self.request(round);
+        let proposals = self.settings.proposals.get();
+        if round != Round::Code || proposals == 1 {
+            return Ok((self.conversation.ask(prompt, &request)?, Vec::new()));
+        }
+        let mut answers = self.conversation.ask_likeliest(prompt, &request, proposals)?;
+        let others = answers.split_off(1.min(answers.len()));
+        let nothing = || MllmError::Request { problem: "the model gave no proposal".to_owned() };
+        let likeliest = answers.pop().ok_or_else(nothing)?;
+        Ok((likeliest, others.into_iter().map(|answer| answer.text).collect()))
     }
 
     fn request(&self, round: Round) -> Request {
@@ -201,7 +242,7 @@ impl<'a> Reasoning<'a> {
             _ if !self.settings.grammar => Constraint::Free,
             Round::Understanding => grammar::understanding(forms.understanding),
             Round::Instruction => grammar::instruction(forms.instruction),
-            Round::Code => grammar::code(&self.scenario.names),
+            Round::Code => grammar::code(&self.scenario.names, &self.refused),
         };
         let sampling =
             if self.attempts > 1 { self.settings.rethink_sampling } else { self.settings.generation.sampling };

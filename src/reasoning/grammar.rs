@@ -1,6 +1,6 @@
 //! The grammars of the rounds, under which an answer always parses.
 
-use super::code::{FUNCTION, NO_LEAD_AGENT, Names};
+use super::code::{FUNCTION, NO_LEAD_AGENT, Names, PlannerCode};
 use super::instruction::{Lateral, LateralReason, Longitudinal, LongitudinalReason};
 use super::prompt_set::{InstructionForm, UnderstandingForm};
 use crate::environment::facts::{Light, Question, SideLane};
@@ -99,27 +99,76 @@ pub fn target_speeds(names: &Names) -> RangeInclusive<u32> {
     0..=names.speed_limit.unwrap_or(FASTEST)
 }
 
-/// The grammar of round 3: one call with the names of this scene.
-pub(super) fn code(names: &Names) -> Constraint {
-    Constraint::Sequence(vec![
-        text(format!("{FUNCTION}(c=")),
-        any_of(names.centerlines.iter().map(ToString::to_string)),
-        text(", la="),
-        any_of(names.lead_agents.iter().map(ToString::to_string).chain([NO_LEAD_AGENT.to_owned()])),
-        text(", v0="),
-        any_of(target_speeds(names).map(|v| v.to_string())),
-        text(", acc="),
-        any_of(ACCELERATIONS.iter().map(ToString::to_string)),
-        text(", dec="),
-        any_of(DECELERATIONS.iter().map(ToString::to_string)),
-        text(")"),
-    ])
+/// The grammar of round 3: one call with the names of this scene, other than those that were refused.
+pub(super) fn code(names: &Names, refused: &[PlannerCode]) -> Constraint {
+    let slots = [
+        names.centerlines.iter().map(ToString::to_string).collect(),
+        names.lead_agents.iter().map(ToString::to_string).chain([NO_LEAD_AGENT.to_owned()]).collect(),
+        target_speeds(names).map(|v| v.to_string()).collect(),
+        ACCELERATIONS.iter().map(ToString::to_string).collect(),
+        DECELERATIONS.iter().map(ToString::to_string).collect(),
+    ];
+    let refused: Vec<[String; SLOTS]> = refused.iter().map(filled).collect();
+    let refused: Vec<&[String]> = refused.iter().map(<[String; SLOTS]>::as_slice).collect();
+    let all = || Constraint::Sequence(call(&slots, 0).collect());
+    if refused.is_empty() {
+        return all();
+    }
+    // Where every code was refused, one has to be repeated.
+    other_call(&slots, 0, &refused).map_or_else(all, Constraint::Sequence)
+}
+
+/// Arguments of a code.
+const SLOTS: usize = 5;
+/// The text before each argument, and behind the last.
+const AROUND: [&str; SLOTS + 1] = ["(c=", ", la=", ", v0=", ", acc=", ", dec=", ")"];
+
+/// The arguments of a code as the grammar writes them.
+fn filled(code: &PlannerCode) -> [String; SLOTS] {
+    let PlannerCode { centerline, lead_agent, target_speed, accel_max, decel_max } = code;
+    let lead_agent = lead_agent.map_or_else(|| NO_LEAD_AGENT.to_owned(), |name| name.to_string());
+    [centerline.to_string(), lead_agent, target_speed.to_string(), accel_max.to_string(), decel_max.to_string()]
+}
+
+/// The text before an argument, or behind the last.
+fn around(slot: usize) -> Constraint {
+    let function = if slot == 0 { FUNCTION } else { "" };
+    text(format!("{function}{}", AROUND.get(slot).copied().unwrap_or_default()))
+}
+
+/// A call from an argument on.
+fn call(slots: &[Vec<String>], slot: usize) -> impl Iterator<Item = Constraint> + '_ {
+    let rest = slots.iter().enumerate().skip(slot);
+    rest.flat_map(|(slot, values)| [around(slot), any_of(values)]).chain([around(slots.len())])
+}
+
+/// A call from an argument on that differs from each of these; `None` where there is none.
+fn other_call(slots: &[Vec<String>], slot: usize, refused: &[&[String]]) -> Option<Vec<Constraint>> {
+    if refused.is_empty() {
+        return Some(call(slots, slot).collect());
+    }
+    let values = slots.get(slot)?;
+    let is_refused = |value: &&String| refused.iter().any(|code| code.first() == Some(value));
+    let (same, other): (Vec<&String>, Vec<&String>) = values.iter().partition(is_refused);
+    let mut ways = Vec::new();
+    if !other.is_empty() {
+        ways.push([vec![any_of(other)], call(slots, slot + 1).collect()].concat());
+    }
+    for value in same {
+        let begun = refused.iter().filter_map(|code| code.split_first().filter(|(first, _)| *first == value));
+        let rests: Vec<&[String]> = begun.map(|(_, rest)| rest).collect();
+        ways.extend(other_call(slots, slot + 1, &rests).map(|rest| [vec![text(value)], rest].concat()));
+    }
+    // The text behind a value belongs to its way.
+    (!ways.is_empty())
+        .then(|| vec![around(slot), Constraint::OneOf(ways.into_iter().map(Constraint::Sequence).collect())])
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::environment::CenterlineName;
+    use std::collections::BTreeSet;
 
     #[test]
     fn the_code_grammar_offers_the_names_of_the_scene() {
@@ -128,9 +177,43 @@ mod tests {
             lead_agents: vec!["vehicle1".parse().unwrap()],
             speed_limit: Some(2),
         };
-        let Constraint::Sequence(parts) = code(&names) else { panic!("not a sequence") };
+        let Constraint::Sequence(parts) = code(&names, &[]) else { panic!("not a sequence") };
         for offered in [&["0", "1", "2"][..], &["ego_lane"], &["vehicle1", "None"]] {
             assert!(parts.contains(&any_of(offered)), "{offered:?}: {parts:?}");
         }
+    }
+
+    /// All texts of a constraint without regular expressions.
+    fn texts(constraint: &Constraint) -> BTreeSet<String> {
+        match constraint {
+            Constraint::Choice(texts) => texts.iter().cloned().collect(),
+            Constraint::OneOf(ways) => ways.iter().flat_map(texts).collect(),
+            Constraint::Sequence(parts) => parts.iter().fold(BTreeSet::from([String::new()]), |before, part| {
+                let ends = texts(part);
+                before.iter().flat_map(|text| ends.iter().map(move |end| format!("{text}{end}"))).collect()
+            }),
+            other => panic!("{other:?} is not finite"),
+        }
+    }
+
+    #[test]
+    fn the_code_grammar_allows_every_code_but_the_refused_ones() {
+        let names = Names {
+            centerlines: vec![CenterlineName::EgoLane, CenterlineName::LeftLane],
+            lead_agents: vec!["vehicle1".parse().unwrap()],
+            speed_limit: Some(3),
+        };
+        let all = texts(&code(&names, &[]));
+        assert_eq!(all.len(), 2 * 2 * 4 * ACCELERATIONS.len() * DECELERATIONS.len());
+        let of = |line: &str| super::super::parse(line, &names).answer.unwrap();
+        let mut refused = Vec::new();
+        for line in all.iter().step_by(7).chain(all.iter().take(9)) {
+            refused.push(of(line));
+            let left = texts(&code(&names, &refused));
+            let expected: BTreeSet<String> = all.iter().filter(|line| !refused.contains(&of(line))).cloned().collect();
+            assert_eq!(left, expected, "without {refused:?}");
+        }
+        let every: Vec<PlannerCode> = all.iter().map(|line| of(line)).collect();
+        assert_eq!(texts(&code(&names, &every)), all, "a refused code is repeated where there is no other");
     }
 }

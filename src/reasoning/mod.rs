@@ -28,7 +28,7 @@ pub use assist::{
 pub use call_parser::ParseError;
 pub use code::{ACCEL_MAX, DECEL_MAX, FUNCTION, Names, PlannerCode, Range, TARGET_SPEED};
 pub use code_parser::{Parsed, parse};
-pub use config::ReasoningConfig;
+pub use config::{Proposals, ReasoningConfig};
 pub use engine::{
     Feedback, Interruption, Reasoning, ReasoningSettings, ReasoningTrace, RoundRecord, ScenarioPrompt, feedback_text,
     round_prompt, system_prompt,

@@ -8,7 +8,7 @@ use super::times::CallTimes;
 use crate::environment::CenterlineName;
 use crate::mllm::RoundTime;
 use crate::pdm::DrivableLayers;
-use crate::planner::{Attempt, Decision, NoPlan, PlanningCall};
+use crate::planner::{Attempt, Decision, NoPlan, PlanningCall, Proposal};
 use crate::reasoning::{Assistance, MotionInstruction, ParseError, PlannerAnswer, RoundRecord};
 use crate::reflection::{ProgressReference, ReflectionReport, SubScores, Verdict};
 use crate::simulation::Challenge;
@@ -66,6 +66,19 @@ pub struct AttemptRecord {
     /// The errors in the answer.
     pub errors: Vec<ParseError>,
     /// Reflection on the plan, if there is a plan and Reflection is on.
+    pub reflection: Option<ReflectionRecord>,
+    /// Where several lines were proposed: each, the likeliest first. The best one is the attempt's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub proposals: Vec<ProposalRecord>,
+}
+
+/// A line that an attempt proposed beside others.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProposalRecord {
+    /// The line.
+    pub code: LineRecord,
+    /// Reflection on its plan, if there is a plan and Reflection is on.
     pub reflection: Option<ReflectionRecord>,
 }
 
@@ -212,7 +225,15 @@ impl AttemptRecord {
             code: attempt.answer.map(LineRecord::of),
             errors: attempt.errors.clone(),
             reflection: attempt.reflection.as_ref().map(ReflectionRecord::of),
+            proposals: attempt.proposals.iter().map(ProposalRecord::of).collect(),
         }
+    }
+}
+
+impl ProposalRecord {
+    fn of(proposal: &Proposal) -> Self {
+        let reflection = proposal.reflection.as_ref().map(ReflectionRecord::of);
+        Self { code: LineRecord::of(proposal.answer), reflection }
     }
 }
 

@@ -158,6 +158,7 @@ mod tests {
             errors: Vec::new(),
             reflection: score.map(reflection),
             path: Vec::new(),
+            proposals: Vec::new(),
             reflection_ms: 0.0,
         };
         PlanningCall {

@@ -90,6 +90,14 @@ pub fn attempt_markdown(attempts: &[Attempt], index: usize) -> String {
     for error in &attempt.errors {
         let _ = writeln!(text, "- not understood: {}", one_line(&error.to_string()));
     }
+    if !attempt.proposals.is_empty() {
+        text.push_str("| proposal | score |\n|---|---:|\n");
+        for proposal in &attempt.proposals {
+            let score = proposal.reflection.as_ref().map_or_else(|| "-".to_owned(), |report| fixed(report.score, 2));
+            let _ = writeln!(text, "| {} | {score} |", code(&proposal.answer.to_string()));
+        }
+        text.push('\n');
+    }
     if let Some(line) = attempt.line() {
         let same = match repeat {
             Some(Repeat::Code(of) | Repeat::Answers(of)) => format!(" (the code of attempt {})", of + 1),
@@ -163,6 +171,7 @@ mod tests {
             errors: Vec::new(),
             reflection: None,
             path: Vec::new(),
+            proposals: Vec::new(),
             reflection_ms: 0.0,
         }
     }

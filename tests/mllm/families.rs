@@ -11,7 +11,7 @@ use planagent::internals::mllm::{
 use planagent::internals::planner::{
     AfterMaxExec, CodeSource, PlanAgent, PlanAgentSettings, Planner, PlannerName, ReflectionSettings,
 };
-use planagent::internals::reasoning::{PromptSet, ReasoningSettings, Round, Speculation};
+use planagent::internals::reasoning::{PromptSet, Proposals, ReasoningSettings, Round, Speculation};
 use planagent::internals::scenario::generator;
 use planagent::internals::simulation::{Challenge, simulate};
 use serde_json::json;
@@ -278,6 +278,7 @@ fn plan_once(model: Arc<dyn Mllm>, prompts: &str) -> PlanAgent {
         rethink_sampling: Sampling::Greedy,
         grammar: true,
         speculation: Speculation::History,
+        proposals: Proposals::default(),
     };
     let code_source = CodeSource::Model { model, prompts: Arc::new(PromptSet::open(prompts).unwrap()), reasoning };
     let mut agent = PlanAgent::new(PlannerName::PLAN_AGENT, code_source, settings);

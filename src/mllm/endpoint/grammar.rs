@@ -18,6 +18,10 @@ pub(super) fn pattern(constraint: &Constraint) -> Result<String, String> {
         },
         Constraint::Regex(pattern) => Ok(format!("({pattern})")),
         Constraint::Sequence(parts) => parts.iter().map(pattern).collect(),
+        Constraint::OneOf(parts) if parts.is_empty() => Err("the choice is empty".into()),
+        Constraint::OneOf(parts) => {
+            Ok(format!("({})", parts.iter().map(pattern).collect::<Result<Vec<_>, _>>()?.join("|")))
+        }
         Constraint::Free | Constraint::Lark(_) => Err(NOT_REGULAR.into()),
     }
 }
@@ -59,6 +63,8 @@ fn expression(constraint: &Constraint) -> Result<String, String> {
             regular(&parsed)
         }
         Constraint::Sequence(parts) => Ok(parts.iter().map(expression).collect::<Result<Vec<_>, _>>()?.join(" ")),
+        Constraint::OneOf(parts) if parts.is_empty() => Err("the choice is empty".into()),
+        Constraint::OneOf(parts) => Ok(alternatives(parts.iter().map(expression).collect::<Result<Vec<_>, _>>()?)),
         Constraint::Free | Constraint::Lark(_) => Err(NOT_REGULAR.into()),
     }
 }

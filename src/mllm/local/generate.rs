@@ -7,6 +7,7 @@ use toktrie::SimpleVob;
 
 use super::ahead::Ahead;
 use super::draft::Drafter;
+use super::likeliest::Search;
 use super::sequence::Sequence;
 use crate::mllm::decoder::Logits;
 use crate::mllm::family::{ImageFeatures, VisionLanguageModel};
@@ -54,6 +55,8 @@ struct Generation<'a> {
     /// Tokens that the sequence already holds behind its last token that is certain.
     ahead: Ahead,
     drafter: Option<Drafter<'a>>,
+    /// A search for likely answers, which gives the beginning of this one.
+    search: Option<&'a mut Search>,
     /// Tokens of the chat whose logits were needed: what a sequence without drafts holds.
     needed: usize,
     /// Maximum tokens of the answer.
@@ -75,6 +78,7 @@ pub(super) fn generate(
     mut grammar: Option<GrammarState>,
     mut sampler: Sampler,
     drafter: Option<Drafter<'_>>,
+    search: Option<&mut Search>,
     end: &End<'_>,
     start: Instant,
     on_tokens: &mut dyn FnMut(&[u32]),
@@ -93,6 +97,7 @@ pub(super) fn generate(
         pending: prompt.to_vec(),
         ahead: Ahead::default(),
         drafter,
+        search,
         budget,
         deadline: end.deadline,
         out: Generated {
@@ -140,7 +145,8 @@ impl Generation<'_> {
                 return Ok(());
             }
             let allowed = grammar.as_mut().map(GrammarState::allowed).transpose()?;
-            let (token, sampled) = match allowed.as_ref().and_then(only_token) {
+            let given = self.search.as_ref().and_then(|search| search.given(self.out.ids.len()));
+            let (token, sampled) = match given.or_else(|| allowed.as_ref().and_then(only_token)) {
                 Some(token) => (token, false),
                 None => (self.choose(sampler, grammar.as_mut(), allowed.as_ref())?, true),
             };
@@ -173,7 +179,11 @@ impl Generation<'_> {
         };
         self.needed = self.ahead.start() + self.pending.len();
         // An answer has no image, so the placeholder is never sampled.
-        sampler.choose(logits, allowed, self.model.info().image_token, self.needed.saturating_sub(1))
+        let (banned, position) = (self.model.info().image_token, self.needed.saturating_sub(1));
+        let Some(search) = &mut self.search else { return sampler.choose(logits, allowed, banned, position) };
+        let token = sampler.choose(logits.clone(), allowed, banned, position)?;
+        search.note(&self.out.ids, token, &logits, allowed, banned);
+        Ok(token)
     }
 
     /// Computes the pending tokens with a draft of those that may follow; gives the logits after the pending ones.

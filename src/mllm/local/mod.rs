@@ -4,6 +4,7 @@ mod ahead;
 mod check;
 mod draft;
 mod generate;
+mod likeliest;
 mod memory;
 mod outline;
 mod sequence;
@@ -13,6 +14,8 @@ mod session;
 mod caching_tests;
 #[cfg(test)]
 mod determinism_tests;
+#[cfg(test)]
+mod likeliest_tests;
 #[cfg(test)]
 mod speculation_tests;
 #[cfg(test)]

@@ -8,12 +8,13 @@ use image::RgbImage;
 use super::LocalModel;
 use super::draft::Drafter;
 use super::generate::{End, Generated, generate};
+use super::likeliest::Search;
 use super::sequence::Sequence;
 use crate::mllm::family::{Chat, ImageFeatures, ImageLayout};
 use crate::mllm::sampling::{Sampler, answer_seed};
 use crate::mllm::{
-    Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, PromptPrefix, Request, RoundTime, TokenCounts,
-    Turn, milliseconds, prompt_hash,
+    Answer, Constraint, ConstraintUse, Conversation, Mark, MllmError, PromptPrefix, Request, RoundTime, Sampling,
+    TokenCounts, Turn, milliseconds, prompt_hash,
 };
 
 /// A chat and its computed tokens.
@@ -74,6 +75,30 @@ impl<'a> LocalConversation<'a> {
     }
 }
 
+/// What several answers to a prompt cost together. The first one computes the prompt; what the later ones find of it cached is no
+/// cost.
+#[derive(Default)]
+struct Cost {
+    first: Option<(TokenCounts, RoundTime)>,
+    sampled: usize,
+    total: f64,
+}
+
+impl Cost {
+    fn add(&mut self, answer: &Answer) {
+        self.first.get_or_insert((answer.tokens, answer.time));
+        self.sampled += answer.tokens.sampled;
+        self.total += answer.time.total;
+    }
+
+    fn write_into(self, answer: &mut Answer) {
+        let Some((tokens, time)) = self.first else { return };
+        answer.tokens = TokenCounts { sampled: self.sampled, ..tokens };
+        let later = self.total - time.total;
+        answer.time = RoundTime { decode: time.decode + later, total: self.total, ..time };
+    }
+}
+
 /// The text of an answer that has been handed on.
 #[derive(Default)]
 struct Spoken {
@@ -94,7 +119,7 @@ impl Spoken {
 
 impl Conversation for LocalConversation<'_> {
     fn ask(&mut self, prompt: &str, request: &Request) -> Result<Answer, MllmError> {
-        self.generate(prompt, request, None)
+        self.generate(prompt, request, None, None)
     }
 
     fn ask_aloud(
@@ -103,7 +128,28 @@ impl Conversation for LocalConversation<'_> {
         request: &Request,
         on_text: &mut dyn FnMut(&str),
     ) -> Result<Answer, MllmError> {
-        self.generate(prompt, request, Some(on_text))
+        self.generate(prompt, request, Some(on_text), None)
+    }
+
+    /// The token of each place is the likeliest one, whatever the request's sampling is; drafts are not used.
+    fn ask_likeliest(&mut self, prompt: &str, request: &Request, count: usize) -> Result<Vec<Answer>, MllmError> {
+        let request = Request { sampling: Sampling::Greedy, draft: None, ..request.clone() };
+        let (before, mut search) = (self.mark(), Search::new(count));
+        let mut sum = Cost::default();
+        loop {
+            let answer = self.generate(prompt, &request, None, Some(&mut search))?;
+            self.rewind(before);
+            sum.add(&answer);
+            if !search.turn_to_next(answer) {
+                break;
+            }
+        }
+        let mut answers = search.into_answers();
+        if let Some(likeliest) = answers.first_mut() {
+            sum.write_into(likeliest);
+            self.turns.push(Turn { prompt: prompt.to_string(), answer: likeliest.text.clone() });
+        }
+        Ok(answers)
     }
 
     fn mark(&self) -> Mark {
@@ -122,6 +168,7 @@ impl LocalConversation<'_> {
         prompt: &str,
         request: &Request,
         mut on_text: Option<&mut dyn FnMut(&str)>,
+        search: Option<&mut Search>,
     ) -> Result<Answer, MllmError> {
         let start = Instant::now();
         request.deadline.check()?;
@@ -166,6 +213,7 @@ impl LocalConversation<'_> {
             grammar,
             sampler,
             request.draft.as_deref().map(Drafter::new),
+            search,
             &End {
                 tokens: &local.end_tokens,
                 max_new_tokens: request.max_new_tokens,

@@ -188,6 +188,11 @@ fn lark(constraint: &Constraint) -> Result<String, String> {
             let parts = parts.iter().map(|part| Ok(format!("({})", lark(part)?)));
             Ok(parts.collect::<Result<Vec<String>, String>>()?.join(" "))
         }
+        Constraint::OneOf(parts) if parts.is_empty() => Err("the choice is empty".into()),
+        Constraint::OneOf(parts) => {
+            let parts = parts.iter().map(|part| Ok(format!("({})", lark(part)?)));
+            Ok(parts.collect::<Result<Vec<String>, String>>()?.join(" | "))
+        }
         Constraint::Free | Constraint::Lark(_) => Err("a sequence cannot contain free text or Lark".into()),
     }
 }

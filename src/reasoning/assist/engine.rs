@@ -69,13 +69,14 @@ impl<'a> AssistReasoning<'a> {
                     interruption,
                     instruction: None,
                     parsed: Parsed::NOTHING,
+                    proposals: Vec::new(),
                 });
             }
             Err(error) => return Err(error.into()),
         };
         let parsed = parse_assistance(&answer.text, self.variant);
         let rounds = vec![record(Round::Code, prompt, answer)];
-        Ok(ReasoningTrace { rounds, interruption: None, instruction: None, parsed })
+        Ok(ReasoningTrace { rounds, interruption: None, instruction: None, parsed, proposals: Vec::new() })
     }
 
     fn request(&self) -> Request {

@@ -91,6 +91,7 @@ class Transcript {
       repeat ? h("p", { class: "repeats" }, repeatWords(repeat)) : null,
       repeat ? null : code ? h("code", { class: "planner-code" }, code.text) : h("p", { class: "quiet" }, "no planner code"),
       reflection && !repeat ? partsTable(reflection.parts) : null,
+      attempt.proposals?.length ? proposalsTable(attempt.proposals) : null,
       attempt.errors.length ? h("ul", { class: "errors" }, attempt.errors.map((error) => h("li", {}, errorWords(error)))) : null,
       repeat?.whole ? h("details", {}, h("summary", {}, "prompts and answers"), showRounds(attempt)) : showRounds(attempt));
   }
@@ -118,6 +119,12 @@ function repeatWords({ of, whole }) {
 /** The text of an error. */
 function errorWords(error) {
   return typeof error === "string" ? error : error.message ?? JSON.stringify(error);
+}
+
+/** The lines that an attempt proposed, the likeliest first. */
+function proposalsTable(proposals) {
+  const row = ({ code, reflection }) => h("tr", {}, h("td", {}, h("code", {}, code.text)), h("td", {}, reflection ? reflection.score.toFixed(2) : "-"));
+  return h("details", {}, h("summary", {}, `${proposals.length} proposals`), h("table", { class: "proposals" }, h("tbody", {}, proposals.map(row))));
 }
 
 function partsTable(parts) {
