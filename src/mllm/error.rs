@@ -29,6 +29,11 @@ pub enum MllmError {
     Panicked { place: PathBuf, message: String },
     #[error("cannot read {path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
+    #[error(
+        "{path}: this is a pointer of git-lfs, not the file; `git lfs pull` in its repository, or `planagent models fetch` \
+         with the model's hub id, brings the file"
+    )]
+    LfsPointer { path: PathBuf },
     #[error("{path}: {source}")]
     Json { path: PathBuf, source: serde_json::Error },
     #[error("{path}: {key}: {problem}")]
@@ -47,8 +52,16 @@ pub enum MllmError {
     MissingTensor { folder: PathBuf, name: String },
     #[error("{path}: tensor {name} has shape {found:?}; the configuration requires {expected:?}")]
     TensorShape { path: PathBuf, name: String, expected: Vec<usize>, found: Vec<usize> },
-    #[error("{path}: tensor {name} has number format {found}; supported are f32, f16 and bf16")]
+    #[error(
+        "{path}: tensor {name} has number format {found}; f32, f16 and bf16 are read from safetensors: take the model's \
+         original repository (--quantize makes it small), or a GGUF file"
+    )]
     TensorType { path: PathBuf, name: String, found: String },
+    #[error(
+        "{path}: tensor {name} has number format {format}, which is not read; take a file of the same model in Q4_K_M, \
+         Q5_K_M, Q6_K or Q8_0"
+    )]
+    GgufFormat { path: PathBuf, name: String, format: &'static str },
     #[error("{path}: element {element} of tensor {name} is {value}")]
     NonFiniteWeight { path: PathBuf, name: String, element: usize, value: f32 },
     #[error("{path}: {problem}")]

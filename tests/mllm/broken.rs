@@ -204,7 +204,7 @@ fn wrong_configuration_keys_are_named() {
         ("text_config.hidden_act", json!("gelu")),
         ("text_config.rope_parameters.rope_type", json!("yarn")),
         ("text_config.rope_parameters.rope_theta", json!(-1)),
-        ("vision_config.model_type", json!("siglip_vision_model")),
+        ("vision_config.model_type", json!("dinov2")),
         ("vision_config.patch_size", json!(64)),
         ("vision_config.image_size", json!(1_000_000)),
         ("vision_config.num_attention_heads", json!(5)),

@@ -80,7 +80,8 @@ fn a_model_is_shown() {
     }
     assert!(notes.contains("estimated") && notes.contains("planagent bench smolvlm2-500m"), "{notes}");
     let (text, _) = show(fixture("tiny_cogvlm").to_str().unwrap());
-    assert!(text.contains("18 tokens of the drawn BEV map"), "{text}");
+    assert!(text.contains("18 tokens of the drawn BEV map") && text.contains("cogvlm"), "{text}");
+    assert!(!text.contains("description"), "a folder has none: {text}");
     planagent(&["models", "show", "no-such-model"]).assert().code(2);
 }
 

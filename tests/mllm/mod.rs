@@ -13,6 +13,7 @@ mod hub;
 mod layouts;
 mod own_family;
 mod token_ids;
+mod unread;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -29,7 +29,7 @@ pub(crate) use mask::AttentionMask;
 pub use probe::AttentionProbe;
 pub(crate) use projected::{HeadShape, Projected};
 pub use rotary::Position;
-pub(crate) use rotary::{RotaryEmbedding, RotaryRows};
+pub(crate) use rotary::{RotaryEmbedding, RotaryRows, frequency_factors};
 use unit::{PartialOutput, WorkUnit};
 
 use super::matrix::Instructions;

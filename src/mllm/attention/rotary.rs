@@ -51,7 +51,18 @@ impl RotaryEmbedding {
         Self { pairs: pairs.collect(), context: config.context }
     }
 
+    /// The same with each frequency divided by a factor, which must be positive.
+    pub(crate) fn divided_by(mut self, factors: &[f32]) -> Self {
+        for (pair, factor) in self.pairs.iter_mut().zip(factors) {
+            pair.frequency = if *factor > 0.0 { pair.frequency / factor } else { f32::NAN };
+        }
+        self
+    }
+
     pub(crate) fn rows(&self, positions: &[Position]) -> candle_core::Result<RotaryRows> {
+        if let Some(pair) = self.pairs.iter().position(|pair| !pair.frequency.is_finite()) {
+            candle_core::bail!("rope_freqs.weight: the factor of pair {pair} is not positive");
+        }
         let mut angles = Vec::with_capacity(positions.len() * self.pairs.len());
         for position in positions {
             if position.iter().any(|axis| *axis as usize >= self.context) {
@@ -126,6 +137,14 @@ fn frequencies(rope: &Rope, head_dim: usize) -> Vec<f32> {
         .collect()
 }
 
+/// The divisor of each pair's frequency, where a configuration scales them one by one (Llama 3.1).
+pub(crate) fn frequency_factors(rope: &Rope, head_dim: usize) -> Option<Vec<f32>> {
+    matches!(rope.scaling, RopeScaling::Llama3 { .. }).then(|| {
+        let unscaled = frequencies(&Rope { scaling: RopeScaling::None, ..*rope }, head_dim);
+        unscaled.iter().zip(frequencies(rope, head_dim)).map(|(unscaled, scaled)| unscaled / scaled).collect()
+    })
+}
+
 /// Scaling of one frequency (`ROPE_INIT_FUNCTIONS` in transformers).
 fn scaled(frequency: f64, scaling: RopeScaling) -> f64 {
     match scaling {
@@ -168,6 +187,24 @@ mod tests {
         // Qwen3-VL: 24 for time, 20 each for height and width.
         let published = axes([24, 20, 20], true, 64);
         assert_eq!([0, 1, 2].map(|axis| published.iter().filter(|found| **found == axis).count()), [24, 20, 20]);
+    }
+
+    #[test]
+    fn factors_of_frequencies_scale_as_the_configuration() {
+        let scaling =
+            RopeScaling::Llama3 { factor: 8.0, low_freq_factor: 1.0, high_freq_factor: 4.0, original_context: 8192.0 };
+        let rope = Rope { theta: 500_000.0, scaling, sections: None };
+        let config = LlamaConfig { head_dim: 128, rope, ..LlamaConfig::default() };
+        let factors = frequency_factors(&rope, 128).unwrap();
+        assert!((factors[0] - 1.0).abs() < 1e-6 && (factors[63] - 8.0).abs() < 1e-4, "{factors:?}");
+        let plain = LlamaConfig { rope: Rope { scaling: RopeScaling::None, ..rope }, ..config.clone() };
+        let divided = RotaryEmbedding::new(&plain).divided_by(&factors);
+        for (found, expected) in divided.pairs.iter().zip(&RotaryEmbedding::new(&config).pairs) {
+            assert!((found.frequency / expected.frequency - 1.0).abs() < 1e-6);
+        }
+        assert!(divided.rows(&[[3; 3]]).is_ok());
+        assert!(RotaryEmbedding::new(&plain).divided_by(&[0.0]).rows(&[[3; 3]]).is_err());
+        assert!(frequency_factors(&plain.rope, 128).is_none());
     }
 
     #[test]

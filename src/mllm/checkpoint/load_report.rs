@@ -1,10 +1,9 @@
 //! In which formats the tensors of a checkpoint were loaded.
 
-use candle_core::quantized::GgmlDType;
 use serde::{Deserialize, Serialize};
 
-use super::weight_format_plan::{PlannedFormat, held_as};
-use crate::mllm::matrix::WeightFormat;
+use super::weight_format_plan::PlannedFormat;
+use crate::mllm::matrix::{StoredFormat, WeightFormat};
 
 /// The formats of a model's weights in memory.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -45,12 +44,11 @@ pub struct WeightFormatException {
 }
 
 impl LoadReport {
-    pub(super) fn add_matrix(&mut self, name: &str, format: GgmlDType, planned: PlannedFormat, bytes: u64) {
+    pub(super) fn add_matrix(&mut self, name: &str, format: StoredFormat, planned: PlannedFormat, bytes: u64) {
         self.add(planned.weight_format, bytes);
         let Some(reason) = planned.reason else { return };
         let name = any_layer(name);
-        let file = held_as(format)
-            .map_or_else(|| format!("{format:?}").to_lowercase(), |weight_format| weight_format.to_string());
+        let file = format.name();
         let same = |known: &&mut WeightFormatException| {
             known.name == name
                 && known.weight_format == planned.weight_format
@@ -124,13 +122,14 @@ pub(crate) fn in_bytes(bytes: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use candle_core::quantized::GgmlDType;
 
     #[test]
     fn tensors_of_all_layers_are_one_line() {
         let mut report = LoadReport::default();
         let planned = PlannedFormat { weight_format: WeightFormat::Q8_0, reason: Some("because") };
         for layer in 0..3 {
-            report.add_matrix(&format!("layers.{layer}.up.weight"), GgmlDType::F16, planned, 34);
+            report.add_matrix(&format!("layers.{layer}.up.weight"), GgmlDType::F16.into(), planned, 34);
         }
         report.add(WeightFormat::F32, 400);
         assert_eq!(

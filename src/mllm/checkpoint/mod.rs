@@ -24,7 +24,7 @@ pub(crate) use llama_config::{DecoderType, Rope, RopeScaling, RotarySections};
 pub(crate) use load_report::in_bytes;
 pub use load_report::{LoadReport, WeightFormatException, WeightFormatShare};
 pub(crate) use row_order::{RowOrder, paired};
-pub(crate) use vision_config::VisionConfig;
+pub(crate) use vision_config::{TowerType, VisionConfig};
 pub(crate) use weight_file::{TensorPlace, TensorSource, WeightFile};
 pub(crate) use weight_format_plan::{FileKind, WeightFormatPlan, held_as, is_matrix};
 pub use weights::Weights;
@@ -55,8 +55,12 @@ pub(crate) fn small_file_limit(path: &Path) -> u64 {
 }
 
 pub(crate) fn read_text(path: &Path) -> Result<String, MllmError> {
-    crate::files::read_text(path, small_file_limit(path))
-        .map_err(|source| MllmError::Read { path: path.to_path_buf(), source })
+    let text = crate::files::read_text(path, small_file_limit(path))
+        .map_err(|source| MllmError::Read { path: path.to_path_buf(), source })?;
+    if weight_file::is_lfs_pointer(text.as_bytes()) {
+        return Err(MllmError::LfsPointer { path: path.to_path_buf() });
+    }
+    Ok(text)
 }
 
 pub(crate) fn read_json(path: &Path) -> Result<Value, MllmError> {

@@ -22,6 +22,9 @@ use crate::mllm::matrix::WeightFormat;
 const WEIGHTS: &str = "model.safetensors";
 /// The index of a sharded checkpoint.
 const INDEX: &str = "model.safetensors.index.json";
+/// Weights as Python objects, which may run code.
+const PICKLE: &str = "pytorch_model.bin";
+const PICKLE_INDEX: &str = "pytorch_model.bin.index.json";
 /// Longest header, bytes (the format's own limit).
 const MAX_HEADER: u64 = 100_000_000;
 /// Bytes of the header's length.
@@ -126,7 +129,7 @@ fn read_header(path: &Path, source: &mut dyn Read, file_bytes: u64) -> Result<Ve
             }
         };
         let place = TensorPlace {
-            format,
+            format: format.into(),
             shape: info.shape.clone(),
             begin: LENGTH + length + begin as u64,
             bytes: (end - begin) as u64,
@@ -154,7 +157,13 @@ pub(crate) fn weight_files(folder: &Path) -> Result<Vec<PathBuf>, MllmError> {
     }
     let index_path = folder.join(INDEX);
     if !index_path.is_file() {
-        return Err(MllmError::MissingFile { folder: folder.to_path_buf(), file: format!("{WEIGHTS} and no {INDEX}") });
+        let hint = if folder.join(PICKLE).is_file() || folder.join(PICKLE_INDEX).is_file() {
+            format!(" ({PICKLE} is not read; take a repository or revision with safetensors)")
+        } else {
+            String::new()
+        };
+        let file = format!("{WEIGHTS} and no {INDEX}{hint}");
+        return Err(MllmError::MissingFile { folder: folder.to_path_buf(), file });
     }
     let index: Value = read_json(&index_path)?;
     let root = ConfigObject::root(&index_path, &index)?;

@@ -52,17 +52,20 @@ impl Default for VisionConfig {
 /// Largest image side, pixels: beyond it a configuration is taken for broken.
 const MAX_IMAGE_SIZE: usize = 8192;
 
-/// The supported `model_type` of a LLaVA's tower.
-#[derive(Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum TowerType {
-    ClipVisionModel,
+/// The `model_type` of a LLaVA's tower.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+pub(crate) enum TowerType {
+    #[serde(rename = "clip_vision_model")]
+    Clip,
+    /// Without a class token.
+    #[serde(rename = "siglip_vision_model")]
+    Siglip,
 }
 
 impl VisionConfig {
-    /// Reads the `vision_config` of a LLaVA, a `CLIPVisionConfig`. Without one, `LlavaConfig` and `LlavaNextConfig` take
-    /// CLIP ViT-L/14 at 336 pixels.
-    pub(crate) fn read_clip(root: &ConfigObject<'_>) -> Result<Self, MllmError> {
+    /// Reads the `vision_config` of a LLaVA, a `CLIPVisionConfig` or `SiglipVisionConfig`. Without one, `LlavaConfig` and
+    /// `LlavaNextConfig` take CLIP ViT-L/14 at 336 pixels.
+    pub(crate) fn read_tower(root: &ConfigObject<'_>) -> Result<(Self, TowerType), MllmError> {
         let vision = match root.child("vision_config")? {
             Some(vision) => vision,
             None => root.child_or_empty("vision_config")?.with_defaults(json!({
@@ -70,8 +73,14 @@ impl VisionConfig {
                 "image_size": 336, "patch_size": 14,
             })),
         };
-        vision.value::<TowerType>("model_type")?;
-        Self::read(&vision)
+        let tower = vision.value("model_type")?.unwrap_or(TowerType::Clip);
+        let vision = match tower {
+            TowerType::Clip => vision,
+            TowerType::Siglip => vision.with_defaults(json!({
+                "image_size": 224, "patch_size": 16, "hidden_act": "gelu_pytorch_tanh", "layer_norm_eps": 1e-6,
+            })),
+        };
+        Ok((Self::read(&vision)?, tower))
     }
 
     /// Reads the keys of a vision transformer of any kind.

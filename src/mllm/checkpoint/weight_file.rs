@@ -7,15 +7,14 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use candle_core::quantized::GgmlDType;
-
 use crate::mllm::MllmError;
+use crate::mllm::matrix::StoredFormat;
 
 /// Where and how a tensor lies in a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct TensorPlace {
     /// Number format of its blocks.
-    pub format: GgmlDType,
+    pub format: StoredFormat,
     /// Shape, the slowest dimension first.
     pub shape: Vec<usize>,
     /// First byte in the file.
@@ -35,6 +34,14 @@ pub(crate) trait TensorSource: std::fmt::Debug + Send + Sync {
     fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError>;
 }
 
+/// The beginning of a file that stands for another in a repository of git-lfs.
+const LFS_POINTER: &[u8] = b"version https://git-lfs.github.com/spec/";
+
+/// Whether a file is only a pointer of git-lfs.
+pub(crate) fn is_lfs_pointer(bytes: &[u8]) -> bool {
+    bytes.starts_with(LFS_POINTER)
+}
+
 #[derive(Debug)]
 pub(crate) struct WeightFile {
     path: PathBuf,
@@ -47,7 +54,13 @@ impl WeightFile {
         let failed = |source| MllmError::Read { path: path.to_path_buf(), source };
         let file = crate::files::open(path).map_err(failed)?;
         let bytes = file.metadata().map_err(failed)?.len();
-        Ok(Self { path: path.to_path_buf(), file, bytes })
+        let file = Self { path: path.to_path_buf(), file, bytes };
+        let mut beginning = Vec::new();
+        file.reader()?.take(LFS_POINTER.len() as u64).read_to_end(&mut beginning).map_err(failed)?;
+        if is_lfs_pointer(&beginning) {
+            return Err(MllmError::LfsPointer { path: path.to_path_buf() });
+        }
+        Ok(file)
     }
 
     /// Its length, bytes.
@@ -86,6 +99,29 @@ impl TensorSource for WeightFile {
     fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
         self.seek(0)?;
         hasher.update_reader(&self.file).map_err(|source| self.failed(source))?;
+        Ok(())
+    }
+}
+
+/// A tensor that no file of a model has.
+#[derive(Debug)]
+pub(crate) struct ComputedTensor {
+    /// The model.
+    pub place: PathBuf,
+    pub bytes: Vec<u8>,
+}
+
+impl TensorSource for ComputedTensor {
+    fn path(&self) -> &Path {
+        &self.place
+    }
+
+    fn bytes(&self, _place: &TensorPlace) -> Result<Vec<u8>, MllmError> {
+        Ok(self.bytes.clone())
+    }
+
+    fn hash(&self, hasher: &mut blake3::Hasher) -> Result<(), MllmError> {
+        hasher.update(&self.bytes);
         Ok(())
     }
 }

@@ -2,7 +2,7 @@
 
 use candle_core::quantized::GgmlDType;
 
-use crate::mllm::matrix::WeightFormat;
+use crate::mllm::matrix::{StoredFormat, WeightFormat};
 
 /// Chooses the format of tensors by the user's wish, their role, and their format in the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -49,7 +49,8 @@ pub(crate) fn is_matrix(name: &str, shape: &[usize]) -> bool {
 
 impl WeightFormatPlan {
     /// The format in memory of a matrix with so many inputs that has `format` in its file.
-    pub(crate) fn matrix(self, name: &str, format: GgmlDType, inputs: usize) -> PlannedFormat {
+    pub(crate) fn matrix(self, name: &str, format: impl Into<StoredFormat>, inputs: usize) -> PlannedFormat {
+        let format = format.into();
         let (wanted, reason) = match self.quantize {
             None => self.as_in_file(format),
             Some(asked) => asked_for(asked, self.role(name), format),
@@ -60,11 +61,11 @@ impl WeightFormatPlan {
         PlannedFormat { weight_format, reason }
     }
 
-    fn as_in_file(self, format: GgmlDType) -> (WeightFormat, Option<&'static str>) {
+    fn as_in_file(self, format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
         match (self.kind, held_as(format)) {
             (FileKind::Safetensors, _) => (WeightFormat::F32, None),
             (FileKind::Gguf, Some(weight_format)) => (weight_format, None),
-            (FileKind::Gguf, None) => (replacement(format), Some("the file's format has no fast product")),
+            (FileKind::Gguf, None) => replacement(format),
         }
     }
 
@@ -80,7 +81,7 @@ impl WeightFormatPlan {
     }
 }
 
-fn asked_for(asked: WeightFormat, role: Role, format: GgmlDType) -> (WeightFormat, Option<&'static str>) {
+fn asked_for(asked: WeightFormat, role: Role, format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
     let (wanted, reason) = match role {
         Role::Output if asked == WeightFormat::Q4K => (WeightFormat::Q6K, Some("the output layer gets more bits")),
         Role::Vision if matches!(asked, WeightFormat::Q4K | WeightFormat::Q6K) => {
@@ -90,13 +91,16 @@ fn asked_for(asked: WeightFormat, role: Role, format: GgmlDType) -> (WeightForma
     };
     match held_as(format) {
         // A matrix that was rounded to few bits gains nothing from more.
-        Some(held) if held.block() > 1 && bits(held) < bits(wanted) => (held, Some("the file has no more bits")),
+        Some(held) if held.block() > 1 && held.bits() < wanted.bits() => (held, Some("the file has no more bits")),
+        // To round it again to as few bits would lose what 8 bits hold.
+        None if format.is_within_q8_0() && format.bits() <= wanted.bits() => (WeightFormat::Q8_0, Some(SAME_NUMBERS)),
         _ => (wanted, reason),
     }
 }
 
 /// The format in memory that equals a file's format.
-pub(crate) fn held_as(format: GgmlDType) -> Option<WeightFormat> {
+pub(crate) fn held_as(format: impl Into<StoredFormat>) -> Option<WeightFormat> {
+    let StoredFormat::Ggml(format) = format.into() else { return None };
     match format {
         GgmlDType::F32 => Some(WeightFormat::F32),
         GgmlDType::F16 => Some(WeightFormat::F16),
@@ -107,19 +111,22 @@ pub(crate) fn held_as(format: GgmlDType) -> Option<WeightFormat> {
     }
 }
 
-/// The smallest format in memory with at least the bits of a file's format that has no equal. bf16 needs f32, whose range
-/// f16 does not have.
-fn replacement(format: GgmlDType) -> WeightFormat {
-    match format {
-        GgmlDType::Q2K | GgmlDType::Q3K | GgmlDType::Q4_0 => WeightFormat::Q4K,
-        GgmlDType::Q4_1 | GgmlDType::Q5_0 | GgmlDType::Q5_1 | GgmlDType::Q5K => WeightFormat::Q6K,
-        _ => WeightFormat::F32,
-    }
-}
+/// Why a file's format becomes another that holds its numbers.
+const SAME_NUMBERS: &str = "the same numbers in 8 bits; the file's format has no fast product";
 
-/// Bits of 32 numbers.
-fn bits(weight_format: WeightFormat) -> usize {
-    weight_format.block_bytes() * 8 * 32 / weight_format.block()
+/// The format in memory for a file's format that has no equal, and why: 8 bits, which hold the numbers of most formats exactly
+/// and round those of the others little. bf16 needs f32, whose range f16 does not have.
+fn replacement(format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
+    if format.is_within_q8_0() {
+        (WeightFormat::Q8_0, Some(SAME_NUMBERS))
+    } else if format.block_size() > 1 {
+        (
+            WeightFormat::Q8_0,
+            Some("rounded to 8 bits; the file's format has no fast product (--quantize f16 rounds less)"),
+        )
+    } else {
+        (WeightFormat::F32, Some("the file's format has no fast product"))
+    }
 }
 
 #[cfg(test)]
@@ -169,8 +176,9 @@ mod tests {
         for (format, expected, said) in [
             (GgmlDType::Q4K, WeightFormat::Q4K, false),
             (GgmlDType::F16, WeightFormat::F16, false),
-            (GgmlDType::Q4_0, WeightFormat::Q4K, true),
-            (GgmlDType::Q5K, WeightFormat::Q6K, true),
+            (GgmlDType::Q4_0, WeightFormat::Q8_0, true),
+            (GgmlDType::Q3K, WeightFormat::Q8_0, true),
+            (GgmlDType::Q5K, WeightFormat::Q8_0, true),
             (GgmlDType::BF16, WeightFormat::F32, true),
         ] {
             let planned = plan.matrix(DECODER, format, 512);
@@ -180,6 +188,13 @@ mod tests {
         let again = |weight_format| WeightFormatPlan { quantize: Some(weight_format), ..plan };
         assert_eq!(again(WeightFormat::Q8_0).matrix(DECODER, GgmlDType::Q4K, 512).weight_format, WeightFormat::Q4K);
         assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q8_0, 512).weight_format, WeightFormat::Q4K);
+        // Four bits are not rounded to four others; five bits are, where that is asked for.
+        assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q4_0, 512).weight_format, WeightFormat::Q8_0);
+        assert_eq!(again(WeightFormat::F32).matrix(DECODER, GgmlDType::Q4_0, 512).weight_format, WeightFormat::Q8_0);
+        assert_eq!(again(WeightFormat::Q4K).matrix(DECODER, GgmlDType::Q5_0, 512).weight_format, WeightFormat::Q4K);
+        assert_eq!(again(WeightFormat::F16).matrix(DECODER, GgmlDType::Q4_1, 512).weight_format, WeightFormat::F16);
+        let mxfp4 = again(WeightFormat::Q4K).matrix(DECODER, StoredFormat::Mxfp4, 512);
+        assert_eq!((mxfp4.weight_format, mxfp4.reason), (WeightFormat::Q8_0, Some(SAME_NUMBERS)));
         assert_eq!(WeightFormatPlan::default().matrix(DECODER, GgmlDType::BF16, 512).weight_format, WeightFormat::F32);
     }
 

@@ -9,10 +9,10 @@ use half::f16;
 
 use super::load_report::LoadReport;
 use super::row_order::{RowOrder, unpaired};
-use super::weight_file::{TensorPlace, TensorSource};
+use super::weight_file::{ComputedTensor, TensorPlace, TensorSource};
 use super::weight_format_plan::{WeightFormatPlan, held_as, is_matrix};
 use crate::mllm::MllmError;
-use crate::mllm::matrix::{Matrix, WeightFormat, widen};
+use crate::mllm::matrix::{Matrix, StoredFormat, WeightFormat};
 
 /// The tensors of a checkpoint by their canonical names. Each is read when it is taken, checked to be finite, and converted
 /// as the [`WeightFormatPlan`] says, so that at most one tensor is in memory twice.
@@ -42,6 +42,8 @@ enum Taking {
     Invent(rand_pcg::Pcg64Mcg),
 }
 
+/// Tensors of a model: beyond it a configuration is taken for broken.
+const MAX_LISTED: usize = 1 << 17;
 /// Errors after which a check gives up.
 const MAX_PROBLEMS: usize = 1000;
 /// A check gives up at a missing tensor of so many numbers, because the configuration is broken.
@@ -95,6 +97,15 @@ impl Weights {
             None => Ok(()),
             Some(other) => Err(MllmError::TwiceStored { place: self.place.clone(), name: other.name }),
         }
+    }
+
+    /// Adds a tensor of computed numbers.
+    pub(crate) fn add_numbers(&mut self, canonical: &str, numbers: &[f32]) -> Result<(), MllmError> {
+        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        let (format, shape) = (GgmlDType::F32.into(), vec![numbers.len()]);
+        let place = TensorPlace { format, shape, begin: 0, bytes: bytes.len() as u64 };
+        let file = self.add_file(ComputedTensor { place: self.place.clone(), bytes });
+        self.add(canonical.to_string(), file, canonical.to_string(), place, RowOrder::Plain)
     }
 
     pub(crate) fn note(&mut self, note: String) {
@@ -169,6 +180,10 @@ impl Weights {
     /// Checks or lists a tensor where that is the task; gives whether a placeholder suffices.
     fn looked(&mut self, name: &str, shape: &[usize]) -> Result<bool, MllmError> {
         if let Taking::List(asked) = &mut self.taking {
+            if asked.len() >= MAX_LISTED {
+                let problem = format!("the configuration asks for more than {MAX_LISTED} tensors");
+                return Err(candle_core::Error::Msg(problem).into());
+            }
             asked.push((name.to_string(), shape.to_vec()));
             return Ok(true);
         }
@@ -269,9 +284,14 @@ impl Weights {
         let stored = self.remove(name, &shape)?;
         let format = stored.place.format;
         let planned = self.plan.matrix(name, format, inputs);
-        let matrix = if held_as(format) == Some(planned.weight_format) {
+        let held = held_as(format) == Some(planned.weight_format);
+        let matrix = if held || planned.weight_format == WeightFormat::Q8_0 && format.is_within_q8_0() {
             let bytes = self.bytes(&stored)?;
-            self.check_blocks(&stored, &bytes)?;
+            let (bytes, format) = match format.to_q8_0(&bytes) {
+                Some(blocks) => (blocks, GgmlDType::Q8_0.into()),
+                None => (bytes, format),
+            };
+            self.check_blocks(&stored, format, &bytes)?;
             Matrix::from_blocks(planned.weight_format, outputs, inputs, &bytes)?
         } else {
             Matrix::quantize(&self.values(&stored)?, outputs, inputs, planned.weight_format)?
@@ -315,7 +335,7 @@ impl Weights {
 
     /// The numbers of a tensor, each checked.
     fn values(&self, stored: &StoredTensor) -> Result<Vec<f32>, MllmError> {
-        let values = widen(stored.place.format, self.bytes(stored)?)?;
+        let values = stored.place.format.widen(self.bytes(stored)?)?;
         match values.iter().position(|value| !value.is_finite()) {
             None => Ok(values),
             Some(element) => Err(self.not_finite(stored, element, values[element])),
@@ -323,13 +343,14 @@ impl Weights {
     }
 
     /// Checks that the numbers of blocks are finite; of a quantized block the scale decides.
-    fn check_blocks(&self, stored: &StoredTensor, bytes: &[u8]) -> Result<(), MllmError> {
-        let format = stored.place.format;
+    fn check_blocks(&self, stored: &StoredTensor, format: StoredFormat, bytes: &[u8]) -> Result<(), MllmError> {
         let block = bytes.chunks_exact(format.type_size()).enumerate();
         let worst = |block: &[u8]| match format {
-            GgmlDType::F32 => block.first_chunk().map(|value| f32::from_le_bytes(*value)),
-            GgmlDType::Q4K => half_at(block, 0).filter(|scale| !scale.is_finite()).or_else(|| half_at(block, 2)),
-            GgmlDType::Q6K => half_at(block, block.len() - 2),
+            StoredFormat::Ggml(GgmlDType::F32) => block.first_chunk().map(|value| f32::from_le_bytes(*value)),
+            StoredFormat::Ggml(GgmlDType::Q4K) => {
+                half_at(block, 0).filter(|scale| !scale.is_finite()).or_else(|| half_at(block, 2))
+            }
+            StoredFormat::Ggml(GgmlDType::Q6K) => half_at(block, block.len() - 2),
             _ => half_at(block, 0),
         };
         for (index, block) in block {

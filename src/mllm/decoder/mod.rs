@@ -20,7 +20,7 @@ pub(crate) use llama::LlamaLayer;
 use super::MllmError;
 pub use super::attention::Position;
 use super::attention::{HeadShape, Precision, RotaryEmbedding};
-use super::checkpoint::{LlamaConfig, Weights};
+use super::checkpoint::{LlamaConfig, RopeScaling, Weights};
 use super::linear::Linear;
 use super::matrix::{Matrix, WeightFormat};
 use super::rms_norm::RmsNorm;
@@ -101,6 +101,12 @@ impl<L: DecoderLayer> Decoder<L> {
         // Beside rounded weights, f16 keys and values lose no relevant accuracy, and reads take half of the time.
         let precision =
             if embedding.weight_format() == WeightFormat::F32 { Precision::Single } else { Precision::Half };
+        let mut rotary = RotaryEmbedding::new(config);
+        let factors = format!("{prefix}rope_freqs.weight");
+        // A configuration that says how frequencies are scaled comes first.
+        if config.rope.scaling == RopeScaling::None && weights.contains(&factors) {
+            rotary = rotary.divided_by(&weights.take(&factors, &[config.head_dim / 2])?.to_vec1::<f32>()?);
+        }
         let layers = (0..config.layers)
             .map(|index| L::take(weights, config, &format!("{prefix}layers.{index}")))
             .collect::<Result<Vec<_>, _>>()?;
@@ -109,7 +115,7 @@ impl<L: DecoderLayer> Decoder<L> {
             layers,
             norm: rms_norm(weights, &format!("{prefix}norm"), config)?,
             head: Linear::from_matrix(head, None),
-            rotary: RotaryEmbedding::new(config),
+            rotary,
             heads: config.into(),
             precision,
         })

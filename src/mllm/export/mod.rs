@@ -11,6 +11,8 @@ mod writer;
 mod header_tests;
 #[cfg(test)]
 mod round_trip_tests;
+#[cfg(test)]
+mod stored_format_tests;
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -18,7 +20,9 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::MllmError;
+use super::attention::frequency_factors;
 use super::checkpoint::{LoadReport, ModelFiles, Weights, is_matrix, paired};
+use super::gguf::names::ROTARY;
 use super::gguf::{Entries, FILE, TOWER, WHOLE_MODEL, llama, tower_path};
 use super::local::Loading;
 use super::matrix::WeightFormat;
@@ -72,7 +76,7 @@ pub fn export_model(
 ) -> Result<LoadReport, MllmError> {
     let mut checkpoint = Checkpoint::open(place, loading.quantize, &loading.families)?;
     loading.check_family(&checkpoint)?;
-    let tokenizer = loading.tokenizer(&checkpoint)?;
+    let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
     let parts = parts(&mut checkpoint, &tokenizer, name, added)?;
     let total = parts.iter().flat_map(|part| &part.layout.tensors).map(PlannedTensor::bytes).sum();
     let mut written = 0;
@@ -156,6 +160,10 @@ fn parts(
             return Ok(vec![Part { kind: GgufPart::Model, layout: file, canonical, heads: None }]);
         }
     };
+    let factors = frequency_factors(&text.rope, text.head_dim);
+    if let Some(factors) = factors.filter(|_| !checkpoint.weights.contains(ROTARY.1)) {
+        checkpoint.weights.add_numbers(ROTARY.1, &factors)?;
+    }
     let mut metadata = [general(llama::ARCHITECTURE), decoder].concat();
     let json = tokenizer.required_json("tokenizer.json")?;
     match tokenizer_metadata::metadata(&json, &special_tokens(tokenizer)?, text.vocabulary) {

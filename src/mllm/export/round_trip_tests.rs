@@ -19,12 +19,12 @@ use crate::mllm::gguf::{FILE, Header, open_header, tokenizer_tests, tower_path};
 use crate::mllm::local::test_prompts::{Prompts, is_unsplit};
 use crate::mllm::local::test_reference::{assert_chat, fixture, synthetic};
 use crate::mllm::local::{Loading, LocalModel, Sequence};
-use crate::mllm::matrix::WeightFormat;
+use crate::mllm::matrix::{StoredFormat, WeightFormat};
 use crate::mllm::source::{Checkpoint, ModelPlace};
 use crate::mllm::{Constraint, Deadline, Mllm, PromptPrefix, Request, Sampling};
 
 /// Exports a model folder to `m.gguf` in another folder.
-fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {
+pub(super) fn export(from: &Path, to: &Path, weight_format: WeightFormat) -> PathBuf {
     let model = to.join("m.gguf");
     let mut create =
         |part: GgufPart| -> std::io::Result<Box<dyn Write>> { Ok(Box::new(File::create(part.path(&model))?)) };
@@ -47,7 +47,7 @@ fn copy_reference(from: &Path, to: &Path) {
 }
 
 /// Rewrites a file with other metadata.
-fn edit(path: &Path, change: impl FnOnce(&mut Header, &mut Vec<PlannedTensor>)) {
+pub(super) fn edit(path: &Path, change: impl FnOnce(&mut Header, &mut Vec<PlannedTensor>)) {
     let bytes = fs::read(path).unwrap();
     let (mut header, _) = open_header(path).unwrap();
     let data: BTreeMap<String, Vec<u8>> = header
@@ -57,7 +57,10 @@ fn edit(path: &Path, change: impl FnOnce(&mut Header, &mut Vec<PlannedTensor>)) 
         .collect();
     let planned = header.tensors.iter();
     let mut tensors = planned
-        .map(|(name, place)| PlannedTensor { name: name.clone(), format: place.format, shape: place.shape.clone() })
+        .map(|(name, place)| {
+            let StoredFormat::Ggml(format) = place.format else { panic!("{name}: {:?}", place.format) };
+            PlannedTensor { name: name.clone(), format, shape: place.shape.clone() }
+        })
         .collect();
     change(&mut header, &mut tensors);
     let layout = Layout { metadata: header.metadata.into_iter().collect(), tensors };
@@ -176,7 +179,7 @@ fn rows_in_the_wrong_order_are_noticed() {
 }
 
 /// Logits of an image and some tokens.
-fn logits(place: &ModelPlace, quantize: Option<WeightFormat>) -> Vec<f32> {
+pub(super) fn logits(place: &ModelPlace, quantize: Option<WeightFormat>) -> Vec<f32> {
     let mut checkpoint = Checkpoint::open(place, quantize, &Families::default()).unwrap();
     let model = checkpoint.open_model().unwrap();
     let model: &dyn VisionLanguageModel = &*model;
@@ -190,7 +193,7 @@ fn logits(place: &ModelPlace, quantize: Option<WeightFormat>) -> Vec<f32> {
 }
 
 /// A checkpoint like a fixture, but wide enough for the k-quants and with random weights.
-fn widened(name: &str) -> tempfile::TempDir {
+pub(super) fn widened(name: &str) -> tempfile::TempDir {
     let from = fixture(name);
     let folder = tempfile::tempdir().unwrap();
     for entry in fs::read_dir(&from).unwrap() {

@@ -13,6 +13,7 @@ use serde_json::{Number, Value};
 
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::TensorPlace;
+use crate::mllm::matrix::StoredFormat;
 
 const MAGIC: &[u8; 4] = b"GGUF";
 /// Supported versions. 3 allows big-endian files, which are not supported.
@@ -61,7 +62,7 @@ struct Reader<'a> {
 /// A tensor before the place of the data is known.
 struct Declared {
     name: String,
-    format: GgmlDType,
+    format: StoredFormat,
     shape: Vec<usize>,
     offset: u64,
     bytes: u64,
@@ -124,8 +125,10 @@ impl Reader<'_> {
         }
         let number = self.u32()?;
         let offset = self.u64()?;
-        let Some(format) = format_of(number) else {
-            return Err(self.error(format!("tensor {name} has the unknown number format {number}")));
+        let format = match format_of(number) {
+            Ok(format) => format,
+            Err(Some(format)) => return Err(MllmError::GgufFormat { path: self.path.to_path_buf(), name, format }),
+            Err(None) => return Err(self.error(format!("tensor {name} has the unknown number format {number}"))),
         };
         // The first dimension of the file is the fastest, and rows consist of whole blocks.
         let fastest = shape.first().copied().unwrap_or_default();
@@ -136,7 +139,8 @@ impl Reader<'_> {
             .filter(|bytes| *bytes <= self.file_bytes);
         let Some(bytes) = bytes else {
             return Err(self.error(format!(
-                "tensor {name} of shape {shape:?} in {format:?} cannot lie in a file of {} bytes",
+                "tensor {name} of shape {shape:?} in {} cannot lie in a file of {} bytes",
+                format.name(),
                 self.file_bytes
             )));
         };
@@ -301,8 +305,37 @@ const FORMATS: [(u32, GgmlDType); 14] = [
     (30, GgmlDType::BF16),
 ];
 
-fn format_of(number: u32) -> Option<GgmlDType> {
-    FORMATS.iter().find(|(known, _)| *known == number).map(|(_, format)| *format)
+/// Formats that candle does not know, by their `ggml_type`.
+const FURTHER: [(u32, StoredFormat); 3] =
+    [(20, StoredFormat::Iq4Nl), (23, StoredFormat::Iq4Xs), (39, StoredFormat::Mxfp4)];
+
+/// Formats that are not read, by their `ggml_type`. Those of one to three bits have tables of their own.
+const UNREAD: [(u32, &str); 17] = [
+    (9, "Q8_1"),
+    (16, "IQ2_XXS"),
+    (17, "IQ2_XS"),
+    (18, "IQ3_XXS"),
+    (19, "IQ1_S"),
+    (21, "IQ3_S"),
+    (22, "IQ2_S"),
+    (24, "I8"),
+    (25, "I16"),
+    (26, "I32"),
+    (27, "I64"),
+    (28, "F64"),
+    (29, "IQ1_M"),
+    (31, "Q4_0_4_4"),
+    (34, "TQ1_0"),
+    (35, "TQ2_0"),
+    (40, "NVFP4"),
+];
+
+/// The format of a `ggml_type`, or the name of one that is not read.
+fn format_of(number: u32) -> Result<StoredFormat, Option<&'static str>> {
+    let by_number = |known: &u32| *known == number;
+    let known = FORMATS.iter().find(|(known, _)| by_number(known)).map(|(_, format)| StoredFormat::Ggml(*format));
+    let known = known.or_else(|| FURTHER.iter().find(|(known, _)| by_number(known)).map(|(_, format)| *format));
+    known.ok_or_else(|| UNREAD.iter().find(|(known, _)| by_number(known)).map(|(_, name)| *name))
 }
 
 /// The `ggml_type` of a format.

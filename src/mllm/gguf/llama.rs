@@ -37,13 +37,6 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
     let Some(vocabulary) = embedding else {
         return Err(MllmError::MissingTensor { folder: header.path.clone(), name: "token_embd.weight".into() });
     };
-    if header.tensors.contains_key("rope_freqs.weight") {
-        return Err(header.error(
-            "rope_freqs.weight",
-            "frequencies of rotary embeddings that are scaled one by one (Llama 3.1) are not read from a tensor; open the \
-             safetensors, whose config.json says how they are scaled",
-        ));
-    }
     if header.count(&key("expert_count"))?.is_some() {
         return Err(header.error(&key("expert_count"), "a mixture of experts is not supported"));
     }
@@ -97,6 +90,9 @@ pub(crate) fn text_config(header: &Header) -> Result<Value, MllmError> {
 /// # Errors
 /// The part that llama.cpp has no key for.
 pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
+    if config.head_norms {
+        return Err("norms of queries and keys in a llama decoder");
+    }
     let mut metadata = vec![
         ("llama.vocab_size", json!(config.vocabulary)),
         ("llama.embedding_length", json!(config.hidden)),
@@ -115,12 +111,12 @@ pub(crate) fn metadata(config: &LlamaConfig) -> Result<Entries, &'static str> {
         metadata.push(("llama.attention.sliding_window", json!(window)));
     }
     match config.rope.scaling {
-        RopeScaling::None => {}
+        // A tensor has the factors of Llama 3.
+        RopeScaling::None | RopeScaling::Llama3 { .. } => {}
         RopeScaling::Linear { factor } => {
             metadata.push(("llama.rope.scaling.type", json!("linear")));
             metadata.push(("llama.rope.scaling.factor", json!(factor)));
         }
-        RopeScaling::Llama3 { .. } => return Err("llama3 scaling of rotary embeddings"),
     }
     Ok(metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect())
 }

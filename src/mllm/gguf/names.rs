@@ -18,6 +18,8 @@ pub(crate) type Pair = (&'static str, &'static str);
 pub(crate) const EMBEDDING: Pair = ("token_embd.weight", "language_model.embed_tokens.weight");
 pub(crate) const FINAL_NORM: Pair = ("output_norm.weight", "language_model.norm.weight");
 pub(crate) const OUTPUT: Pair = ("output.weight", "lm_head.weight");
+/// The divisors of the rotary embedding's frequencies (Llama 3.1).
+pub(crate) const ROTARY: Pair = ("rope_freqs.weight", "language_model.rope_freqs.weight");
 
 /// The layers of a decoder.
 pub(crate) const DECODER_LAYERS: (&str, &str, &[Pair]) = ("blk.", "language_model.layers.", &DECODER_PARTS);

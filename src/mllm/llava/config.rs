@@ -8,12 +8,13 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{Activation, ConfigObject, LlamaConfig, ModelFiles, OneOrMany, VisionConfig};
+use crate::mllm::checkpoint::{Activation, ConfigObject, LlamaConfig, ModelFiles, OneOrMany, TowerType, VisionConfig};
 
 /// A LLaVA model: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LlavaConfig {
     pub vision: VisionConfig,
+    pub tower: TowerType,
     pub text: LlamaConfig,
     /// Token id that stands for an image patch in the prompt.
     pub image_token: u32,
@@ -31,9 +32,9 @@ pub(crate) struct LlavaConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum FeatureSelect {
-    /// The patches, without the class token.
+    /// All but the first row: the patches without the class token.
     Default,
-    /// All rows, class token first.
+    /// All rows, the class token first where there is one.
     Full,
 }
 
@@ -49,7 +50,7 @@ impl LlavaConfig {
     /// Reads a configuration; `path` is for messages.
     pub(crate) fn from_json(path: &Path, value: &Value) -> Result<Self, MllmError> {
         let root = ConfigObject::root(path, value)?;
-        let vision = VisionConfig::read_clip(&root)?;
+        let (vision, tower) = VisionConfig::read_tower(&root)?;
         let mut text = LlamaConfig::read(root.child_or_empty("text_config")?)?;
         text.tie_word_embeddings |= root.value("tie_word_embeddings")?.unwrap_or(false);
         Ok(Self {
@@ -59,14 +60,16 @@ impl LlavaConfig {
             projector_act: root.value("projector_hidden_act")?.unwrap_or(Activation::Gelu),
             projector_bias: root.value("multimodal_projector_bias")?.unwrap_or(true),
             vision,
+            tower,
             text,
         })
     }
 
     /// Tokens that one image, or one tile of it, becomes.
     pub(crate) fn image_tokens(&self) -> usize {
-        let class_token = usize::from(self.feature_select == FeatureSelect::Full);
-        self.vision.patches() + class_token
+        let class_token = usize::from(self.tower == TowerType::Clip);
+        let left_out = usize::from(self.feature_select == FeatureSelect::Default);
+        self.vision.patches() + class_token - left_out
     }
 }
 

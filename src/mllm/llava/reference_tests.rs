@@ -9,12 +9,13 @@ use serde_json::json;
 
 use super::config::LlavaConfig;
 use super::{FAMILY, Llava};
+use crate::mllm::checkpoint::TowerType;
 use crate::mllm::family::{ImageFeatures, VisionLanguageModel};
 use crate::mllm::local::LocalModel;
 use crate::mllm::local::test_faults::{Deviation, LLAVA_DECODER_FAULTS, LLAVA_IMAGE_FAULTS, Parts, one_further};
 use crate::mllm::local::test_reference::{
-    LOGIT_TOLERANCE, Reference, Run, assert_chat, difference, fixture, logits_deviation, open_checkpoint,
-    shared_reference, whole,
+    FEATURE_TOLERANCE, LOGIT_TOLERANCE, Reference, Run, assert_chat, assert_greedy, assert_logits, difference,
+    feature_difference, fixture, logits_deviation, open_checkpoint, shared_reference, whole,
 };
 use crate::mllm::vision::ClipImageProcessor;
 
@@ -106,4 +107,27 @@ fn the_model_that_ships_gives_the_pixels_and_logits_of_transformers() {
     let found = logits_deviation(&model, &ids, &features, reference.tensor("logits"));
     assert!(found < LOGIT_TOLERANCE, "the logits differ by {found}");
     assert!(LocalModel::open("nano", &folder).is_ok());
+}
+
+/// A LLaVA with a `SigLIP` tower and a Qwen 2 decoder has the weights of a LLaVA-OneVision. Its first view is the whole image.
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn a_siglip_tower_and_a_qwen2_decoder_compute_what_transformers_computes() {
+    let Some(folder) = shared_reference("llava_onevision") else { return };
+    let reference = Reference::open(&folder.join("reference.safetensors"));
+    let parts = Parts::of(&folder);
+    let model = assembled(&parts);
+    assert_eq!((model.core.config.tower, model.info().max_image_tokens), (TowerType::Siglip, 16));
+    let view = reference.tensor("pixel_values").get(0).unwrap();
+    let rows = model.core.encoder.encode(&[view]).unwrap();
+    let found = feature_difference(&rows, &reference.tensor("features").narrow(0, 0, 16).unwrap());
+    assert!(found < FEATURE_TOLERANCE, "the features differ by {found}");
+    let ids = reference.ids("text_input_ids", 0);
+    assert_logits(&model, &ids, None, reference.tensor("text_logits"));
+    assert_greedy(&model, &ids, None, &reference.ids("text_generated", 0));
+
+    let mut clip = parts;
+    clip.config["vision_config"]["hidden_act"] = json!("gelu");
+    let wrong = assembled(&clip).core.encoder.encode(&[reference.tensor("pixel_values").get(0).unwrap()]).unwrap();
+    assert!(feature_difference(&wrong, &rows) > 2.0 * FEATURE_TOLERANCE, "the other form of gelu is not noticed");
 }

@@ -1,27 +1,36 @@
-//! The image encoder: CLIP tower, selected hidden states, projector.
+//! The image encoder: CLIP or `SigLIP` tower, selected hidden states, projector.
 
 use candle_core::{D, Tensor};
 
 use super::config::{FeatureSelect, LlavaConfig};
 use super::connector::Projector;
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Weights;
-use crate::mllm::vision::ClipVisionTower;
+use crate::mllm::checkpoint::{TowerType, Weights};
+use crate::mllm::vision::{ClipVisionTower, SiglipVisionTower};
 
 /// Vision tower and projector, from pixel values to input rows of the decoder.
 #[derive(Debug)]
 pub(crate) struct ImageEncoder {
-    tower: ClipVisionTower,
+    tower: Tower,
     feature_layers: Vec<usize>,
     feature_select: FeatureSelect,
     projector: Projector,
+}
+
+#[derive(Debug)]
+enum Tower {
+    Clip(ClipVisionTower),
+    Siglip(SiglipVisionTower),
 }
 
 impl ImageEncoder {
     pub(crate) fn take(weights: &mut Weights, config: &LlavaConfig) -> Result<Self, MllmError> {
         let depth = config.feature_layers.iter().copied().max().unwrap_or(0);
         Ok(Self {
-            tower: ClipVisionTower::take(weights, &config.vision, depth)?,
+            tower: match config.tower {
+                TowerType::Clip => Tower::Clip(ClipVisionTower::take(weights, &config.vision, depth)?),
+                TowerType::Siglip => Tower::Siglip(SiglipVisionTower::take(weights, &config.vision, depth)?),
+            },
             feature_layers: config.feature_layers.clone(),
             feature_select: config.feature_select,
             projector: Projector::take(weights, config)?,
@@ -30,7 +39,11 @@ impl ImageEncoder {
 
     /// Encodes images, pixel values (3, side, side) each, to (images · image tokens, decoder width).
     pub(crate) fn encode(&self, images: &[Tensor]) -> candle_core::Result<Tensor> {
-        let states = Tensor::cat(&self.tower.hidden_states(images, &self.feature_layers)?, D::Minus1)?;
+        let states = match &self.tower {
+            Tower::Clip(tower) => tower.hidden_states(images, &self.feature_layers)?,
+            Tower::Siglip(tower) => tower.hidden_states(images, &self.feature_layers)?,
+        };
+        let states = Tensor::cat(&states, D::Minus1)?;
         let selected = match self.feature_select {
             FeatureSelect::Default => states.narrow(1, 1, states.dim(1)? - 1)?,
             FeatureSelect::Full => states,

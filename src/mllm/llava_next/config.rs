@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::grid::{Resolution, TileGrids};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
+use crate::mllm::checkpoint::{ConfigObject, ModelFiles, TowerType};
 use crate::mllm::llava::{FeatureSelect, LlavaConfig};
 
 /// A LLaVA-NeXT model: a LLaVA and the resolutions of its grids.
@@ -36,6 +36,10 @@ impl LlavaNextConfig {
                 "vision_feature_select_strategy",
                 "'full' has class tokens, which have no place in a grid of tiles; 'default' is supported",
             ));
+        }
+        if llava.tower == TowerType::Siglip {
+            let problem = "siglip_vision_model has no class token; a grid of tiles needs clip_vision_model";
+            return Err(root.error("vision_config.model_type", problem));
         }
         let side = llava.vision.image_size as u32;
         let patches = (llava.vision.image_size / llava.vision.patch_size) as u32;

@@ -4,8 +4,9 @@ use serde::Serialize;
 
 use super::{Loading, LocalModel, MemoryCheck, MemoryNeed, end_tokens, memory};
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::LoadReport;
+use crate::mllm::checkpoint::{LoadReport, ModelFiles, WeightFormatPlan, Weights};
 use crate::mllm::families::Architecture;
+use crate::mllm::family::VisionLanguageModel;
 use crate::mllm::source::{Checkpoint, ModelPlace};
 use crate::mllm::text::ChatTokenizer;
 
@@ -45,46 +46,99 @@ impl LocalModel {
             memory: None,
             problems: Vec::new(),
         };
-        if let Err(error) = look(place, loading, &mut check) {
-            check.problems.push(error.to_string());
-        }
+        look(place, loading, &mut check);
         check
     }
 }
 
-/// Collects errors that do not hinder further checks, and ends with the first one that does.
-fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) -> Result<(), MllmError> {
-    let mut checkpoint = Checkpoint::open(place, loading.quantize, &loading.families)?;
+/// Collects the errors of a model.
+fn look(place: &ModelPlace, loading: &Loading, check: &mut ModelCheck) {
+    let checkpoint = match Checkpoint::open(place, loading.quantize, &loading.families) {
+        Ok(checkpoint) => checkpoint,
+        Err(error) => {
+            check.problems.push(error.to_string());
+            // The small files may have errors of their own.
+            if let ModelPlace::Folder(folder) = place
+                && let Ok(files) = ModelFiles::folder(folder)
+                && let Ok(family) = loading.families.of(&files)
+            {
+                check.architecture = Some(family);
+                look_at_files(&files, family, loading, check);
+            }
+            return;
+        }
+    };
     check.load = checkpoint.weights.forecast(loading.quantize);
     check.parameters = checkpoint.weights.elements() as u64;
-    loading.check_family(&checkpoint)?;
-    check.architecture = Some(checkpoint.family);
-    let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-    check.memory = Some(MemoryNeed::of(&checkpoint, &decoder, loading.quantize));
-    if loading.memory == MemoryCheck::Refuse {
-        note(check, memory::check(&checkpoint, &decoder, loading.quantize));
+    let family = checkpoint.family;
+    note(check, loading.check_family(&checkpoint));
+    check.architecture = Some(family);
+    look_at_weights(checkpoint, loading, check);
+}
+
+/// Looks at the weights, then at the files of chats.
+fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut ModelCheck) {
+    let family = checkpoint.family;
+    match (family.family().decoder_config)(&checkpoint.files) {
+        Ok(decoder) => {
+            check.memory = Some(MemoryNeed::of(&checkpoint, &decoder, loading.quantize));
+            if loading.memory == MemoryCheck::Refuse {
+                note(check, memory::check(&checkpoint, &decoder, loading.quantize));
+            }
+        }
+        Err(error) => check.problems.push(error.to_string()),
     }
     checkpoint.weights.only_look();
     let model = checkpoint.open_model();
     check.problems.extend(checkpoint.weights.problems().iter().map(ToString::to_string));
-    let model = match model {
-        Ok(mut model) => {
-            note(check, model.set_images(loading.image));
-            model
+    match model {
+        Ok(model) => look_at_chats(model, &checkpoint.files, family, loading, check),
+        Err(error) => {
+            // The collected errors say more than the one that ended the check.
+            if check.problems.is_empty() {
+                check.problems.push(error.to_string());
+            }
+            look_at_files(&checkpoint.files, family, loading, check);
         }
-        // The collected errors say more than the one that ended the check.
-        Err(_) if !check.problems.is_empty() => return Ok(()),
-        Err(error) => return Err(error),
-    };
-    let files = &checkpoint.files;
-    let info = model.info();
-    let tokenizer = loading.tokenizer(&checkpoint)?;
-    let tokenizer = ChatTokenizer::open(&tokenizer, info.vocabulary, info.image_token)?;
-    note(check, model.chat_format(files, &tokenizer));
-    note(check, end_tokens(files, &tokenizer, info.vocabulary));
-    Ok(())
+    }
 }
 
+/// Looks at the small files of a model whose weights are not looked at.
+fn look_at_files(files: &ModelFiles, family: Architecture, loading: &Loading, check: &mut ModelCheck) {
+    let mut weights = Weights::empty(files.place(), WeightFormatPlan::default());
+    weights.only_list();
+    match (family.family().open)(files, &mut weights) {
+        Ok(model) => look_at_chats(model, files, family, loading, check),
+        Err(error) => {
+            note::<()>(check, Err(error));
+            let tokenizer = loading.tokenizer(files, family).and_then(|files| files.required_json("tokenizer.json"));
+            note(check, tokenizer);
+        }
+    }
+}
+
+/// Looks at what chats are written and ended with.
+fn look_at_chats(
+    mut model: Box<dyn VisionLanguageModel>,
+    files: &ModelFiles,
+    family: Architecture,
+    loading: &Loading,
+    check: &mut ModelCheck,
+) {
+    note(check, model.set_images(loading.image));
+    let info = model.info();
+    let open = |files: ModelFiles| ChatTokenizer::open(&files, info.vocabulary, info.image_token);
+    match loading.tokenizer(files, family).and_then(open) {
+        Ok(tokenizer) => {
+            note(check, model.chat_format(files, &tokenizer));
+            note(check, end_tokens(files, &tokenizer, info.vocabulary));
+        }
+        Err(error) => note::<()>(check, Err(error)),
+    }
+}
+
+/// Notes an error once.
 fn note<T>(check: &mut ModelCheck, outcome: Result<T, MllmError>) {
-    check.problems.extend(outcome.err().map(|error| error.to_string()));
+    let problem = outcome.err().map(|error| error.to_string());
+    check.problems.extend(problem.filter(|problem| !check.problems.contains(problem)));
 }

@@ -116,15 +116,15 @@ impl Loading {
     }
 
     /// The files of a model's tokenizer.
-    pub(crate) fn tokenizer(&self, checkpoint: &Checkpoint) -> Result<ModelFiles, MllmError> {
+    pub(crate) fn tokenizer(&self, files: &ModelFiles, family: Architecture) -> Result<ModelFiles, MllmError> {
         let tokenizer = match &self.tokenizer {
             Some(folder) => ModelFiles::folder(folder)?,
-            None => checkpoint.files.clone(),
+            None => files.clone(),
         };
         if tokenizer.text("tokenizer.json")?.is_some() {
             return Ok(tokenizer);
         }
-        Err(tokenizer.missing(checkpoint.family.family().missing_tokenizer))
+        Err(tokenizer.missing(family.family().missing_tokenizer))
     }
 }
 
@@ -143,7 +143,7 @@ impl LocalModel {
     pub fn load(name: &str, place: &ModelPlace, loading: &Loading) -> Result<Self, MllmError> {
         let mut checkpoint = loading.checkpoint(place)?;
         // Before the weights are read, which takes minutes: a missing tokenizer is found at once.
-        let tokenizer = loading.tokenizer(&checkpoint)?;
+        let tokenizer = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
         checkpoint.weights.hash()?;
         let mut model = checkpoint.open_model()?;
         model.set_images(loading.image)?;

@@ -1,18 +1,18 @@
 //! What a model is and needs, from its configuration and the headers of its weights alone.
 
-use image::RgbImage;
-
 use super::MemoryNeed;
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{LlamaConfig, Weights};
 use crate::mllm::families::Families;
-use crate::mllm::family::{ImageSettings, Tiles};
+use crate::mllm::family::ImageSettings;
 use crate::mllm::matrix::WeightFormat;
 use crate::mllm::source::{Checkpoint, ModelShape};
 
 /// A model as it is known before its weights are read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelOutline {
+    /// Name of its family.
+    pub family: &'static str,
     /// Number of weights.
     pub parameters: u64,
     /// Side of the image that is drawn for the model, pixels.
@@ -65,9 +65,10 @@ impl ModelOutline {
         let info = model.info().clone();
         let side = info.image_size as u32;
         let tokens = model.image_layout(side, side)?.tokens;
-        let operations = tower.operations(&model.preprocess(&RgbImage::new(side, side))?, tokens);
+        let operations = tower.operations(tokens);
         let formats = Self::FORMATS.into_iter().zip(memory).zip(shares);
         Ok(Self {
+            family: info.architecture,
             parameters: info.parameters,
             image_size: info.image_size,
             image_tokens: tokens,
@@ -141,11 +142,13 @@ struct Tower {
     weights: usize,
     /// Weights that a token of the image is multiplied with.
     projector: usize,
+    /// Numbers that the projector takes for a token.
+    merged: usize,
     layers: usize,
     /// Width of the hidden states.
     hidden: usize,
-    /// Side of a patch, pixels.
-    patch: usize,
+    /// Patches that attend to one another; 0 for all.
+    tile: usize,
 }
 
 impl Tower {
@@ -155,28 +158,32 @@ impl Tower {
             let numbers: usize = shape.iter().product();
             if name.starts_with(PROJECTOR) {
                 tower.projector += numbers;
+                // Its first matrix, by name too.
+                if let (&[_, inputs], 0) = (shape, tower.merged) {
+                    tower.merged = inputs;
+                }
                 continue;
             }
-            if !name.contains("position") {
+            if name.contains("position_embedding") {
+                tower.tile = shape.iter().rev().nth(1).copied().unwrap_or(0);
+            } else {
                 tower.weights += numbers;
             }
             let layer = name.split_once("layers.").and_then(|(_, rest)| rest.split('.').next()?.parse::<usize>().ok());
             tower.layers = tower.layers.max(layer.map_or(0, |layer| layer + 1));
-            if let ([hidden, .., side], true) = (shape, name.contains("patch_embedding") && shape.len() >= 4) {
-                (tower.hidden, tower.patch) = (*hidden, *side);
+            if let ([hidden, _, _, ..], true) = (shape, name.contains("patch_embedding")) {
+                tower.hidden = *hidden;
             }
         }
         tower
     }
 
-    /// Multiplications and additions that encode tiles to so many tokens, with all patches of a tile in one attention.
-    fn operations(self, tiles: &Tiles, tokens: usize) -> f64 {
-        let patches = tiles.pixels.iter().map(|pixels| match pixels.dims() {
-            [_, height, width] => (height / self.patch.max(1) * (width / self.patch.max(1))) as f64,
-            _ => 0.0,
-        });
-        let attention = 4.0 * (self.hidden * self.layers) as f64;
-        let tower = patches.map(|patches| patches * (2.0 * self.weights as f64 + attention * patches)).sum::<f64>();
-        tower + 2.0 * (self.projector * tokens) as f64
+    /// Multiplications and additions that encode an image to so many tokens.
+    fn operations(self, tokens: usize) -> f64 {
+        // A token is a block of patches side by side.
+        let patches = tokens * (self.merged / self.hidden.max(1)).max(1);
+        let attended = if self.tile == 0 { patches } else { self.tile.min(patches) };
+        let attention = 4.0 * (self.hidden * self.layers * attended) as f64;
+        patches as f64 * (2.0 * self.weights as f64 + attention) + 2.0 * (self.projector * tokens) as f64
     }
 }

@@ -9,6 +9,7 @@ mod packed_tiles;
 mod product;
 mod quantized;
 mod simd;
+mod stored_format;
 #[cfg(test)]
 mod tests;
 mod weight_format;
@@ -25,6 +26,7 @@ pub(crate) use line::LANES;
 use packed_tiles::PackedTiles;
 use product::Columns;
 pub(crate) use simd::{Instructions, Kernel, Simd};
+pub(crate) use stored_format::StoredFormat;
 pub use weight_format::{UnknownWeightFormat, WeightFormat};
 
 use super::values::{PIECE, with_values};

@@ -3,7 +3,7 @@
 use serde_json::json;
 
 use crate::mllm::MllmError;
-use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, VISION_LAYERS};
+use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS};
 use crate::mllm::gguf::{Header, ReadOnlyLayout, VisionFiles, as_stored};
 
 const NAMES: Names = Names {
@@ -11,6 +11,7 @@ const NAMES: Names = Names {
         EMBEDDING,
         FINAL_NORM,
         OUTPUT,
+        ROTARY,
         ("v.patch_embd.weight", "vision_tower.embeddings.patch_embedding.weight"),
         ("v.patch_embd.bias", "vision_tower.embeddings.patch_embedding.bias"),
         ("v.position_embd.weight", "vision_tower.embeddings.position_embedding.weight"),

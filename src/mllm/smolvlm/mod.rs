@@ -81,7 +81,7 @@ pub(crate) struct ImageEncoder {
 impl ImageEncoder {
     fn take(weights: &mut Weights, config: &SmolVlmConfig) -> Result<Self, MllmError> {
         let SmolVlmConfig { vision, text, scale, .. } = config;
-        let tower = SiglipVisionTower::take(weights, vision)?;
+        let tower = SiglipVisionTower::take_whole(weights, vision)?;
         let merged = vision.hidden * scale * scale;
         let projection = Linear::take(weights, "multi_modal_projector.proj", merged, text.hidden, false)?;
         Ok(Self { tower, projection, side: vision.image_size / vision.patch_size, scale: *scale })

@@ -4,6 +4,7 @@ mod embedded;
 mod gguf;
 mod random;
 mod shape;
+mod unread;
 
 use std::path::{Path, PathBuf};
 
@@ -122,6 +123,8 @@ impl Checkpoint {
         {
             return gguf::open(&model, None, quantize, families);
         }
+        unread::check_folder(folder)?;
+        unread::check_config(&files)?;
         let family = families.of(&files)?;
         let weights = safetensors_folder::open(folder, quantize, family.family().canonical_name)?;
         Ok(Self { family, files, weights })

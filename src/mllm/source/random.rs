@@ -125,7 +125,7 @@ pub(super) fn checkpoint(
         };
         let elements: usize = shape.iter().product();
         let bytes = (elements / weight_format.block() * weight_format.block_bytes()) as u64;
-        let place = TensorPlace { format: weight_format.ggml(), shape: shape.clone(), begin, bytes };
+        let place = TensorPlace { format: weight_format.ggml().into(), shape: shape.clone(), begin, bytes };
         weights.add(name.clone(), file, name.clone(), place, RowOrder::Plain)?;
         begin += bytes;
     }
@@ -142,7 +142,7 @@ mod tests {
         for weight_format in WeightFormat::ALL {
             let shape = vec![POOL + 40, 512];
             let bytes = |seed, begin| {
-                let place = TensorPlace { format: weight_format.ggml(), shape: shape.clone(), begin, bytes: 0 };
+                let place = TensorPlace { format: weight_format.ggml().into(), shape: shape.clone(), begin, bytes: 0 };
                 RandomTensors::new(Path::new(""), seed).bytes(&place).unwrap()
             };
             assert_eq!(bytes(1, 0).len(), weight_format.matrix_bytes(POOL + 40, 512).unwrap());

@@ -33,7 +33,8 @@ enum Content {
 const NAME: &str = "chat";
 
 impl ChatTemplate {
-    /// Opens the first of `chat_template.jinja`, `chat_template.json` and the `chat_template` of `tokenizer_config.json`.
+    /// Opens the first of `chat_template.jinja`, and the `chat_template` of `chat_template.json`, `processor_config.json` and
+    /// `tokenizer_config.json`.
     /// `special` has the special tokens by role; `image_token` is the placeholder of an image.
     pub(crate) fn open(
         files: &ModelFiles,
@@ -189,7 +190,7 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
     if let Some(source) = files.text(NAME)? {
         return Ok((files.path(NAME), source));
     }
-    for file in ["chat_template.json", "tokenizer_config.json"] {
+    for file in ["chat_template.json", "processor_config.json", "tokenizer_config.json"] {
         let Some(value) = files.json(file)? else { continue };
         let path = files.path(file);
         let root = ConfigObject::root(&path, &value)?;
@@ -203,7 +204,9 @@ fn find_source(files: &ModelFiles) -> Result<(PathBuf, String), MllmError> {
         };
         return Ok((path, source));
     }
-    Err(files.missing("chat_template.jinja (nor a chat_template in chat_template.json or tokenizer_config.json)"))
+    Err(files.missing(
+        "chat_template.jinja (nor a chat_template in chat_template.json, processor_config.json or tokenizer_config.json)",
+    ))
 }
 
 /// Replaces `{% generation %}`, which marks the model's text for training, by a block without effect.

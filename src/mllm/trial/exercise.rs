@@ -56,7 +56,7 @@ fn work(request: &TrialRequest, begins: &mut dyn FnMut(&str)) -> Result<(), Mllm
     let mut model = checkpoint.open_model()?;
     model.set_images(loading.image)?;
     let info = model.info();
-    let tokenizer_files = loading.tokenizer(&checkpoint)?;
+    let tokenizer_files = loading.tokenizer(&checkpoint.files, checkpoint.family)?;
     begins("the tokenizer");
     let tokenizer = ChatTokenizer::open(&tokenizer_files, info.vocabulary, info.image_token)?;
     for phrase in PHRASES {

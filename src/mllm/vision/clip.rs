@@ -2,8 +2,8 @@
 
 use candle_core::Tensor;
 
-use super::attention::{Part, embed};
-use super::layer::VisionLayer;
+use super::attention::embed;
+use super::layer::{VisionLayer, hidden_states, take_layers};
 use super::patches::{take_patch_embedding, unfold};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{VisionConfig, Weights};
@@ -18,7 +18,7 @@ pub(crate) struct ClipVisionTower {
     position_embedding: Tensor,
     pre_norm: LayerNorm,
     layers: Vec<VisionLayer>,
-    config: VisionConfig,
+    patch_size: usize,
 }
 
 impl ClipVisionTower {
@@ -29,13 +29,7 @@ impl ClipVisionTower {
         let embeddings = "vision_tower.embeddings";
         let patch_embedding =
             take_patch_embedding(weights, &format!("{embeddings}.patch_embedding"), hidden, patch, false)?;
-        let mut layers = Vec::with_capacity(config.layers.min(depth));
-        for index in 0..config.layers {
-            let layer = VisionLayer::take(weights, config, &format!("vision_tower.encoder.layers.{index}"))?;
-            if index < depth {
-                layers.push(layer);
-            }
-        }
+        let layers = take_layers(weights, config, depth)?;
         Ok(Self {
             class_embedding: weights.take(&format!("{embeddings}.class_embedding"), &[hidden])?.unsqueeze(0)?,
             patch_embedding,
@@ -44,31 +38,17 @@ impl ClipVisionTower {
             // The misspelling is CLIP's own and is in every checkpoint.
             pre_norm: LayerNorm::take(weights, "vision_tower.pre_layrnorm", hidden, config.layer_norm_eps)?,
             layers,
-            config: config.clone(),
+            patch_size: patch,
         })
     }
 
     /// The `wanted` hidden states of images with pixels (3, side, side): 0 are the embeddings, n is the state after layer n.
     /// Each has shape (images, 1 + patches, hidden).
     pub(crate) fn hidden_states(&self, images: &[Tensor], wanted: &[usize]) -> candle_core::Result<Vec<Tensor>> {
-        let patches = images.iter().map(|pixels| unfold(pixels, self.config.patch_size));
+        let patches = images.iter().map(|pixels| unfold(pixels, self.patch_size));
         let patches = Tensor::cat(&patches.collect::<candle_core::Result<Vec<_>>>()?, 0)?;
         let patches = self.patch_embedding.forward(&patches)?;
         let embedded = embed(&self.class_embedding, &patches, &self.position_embedding)?;
-        let mut state = self.pre_norm.forward(&embedded)?;
-        let parts = Part::images(images.len(), self.config.patches() + 1);
-        let mut found = vec![None; wanted.len()];
-        for index in 0..=self.layers.len() {
-            for (found, _) in found.iter_mut().zip(wanted).filter(|(_, wanted)| **wanted == index) {
-                *found = Some(state.reshape((images.len(), (), self.config.hidden))?);
-            }
-            if let Some(layer) = self.layers.get(index) {
-                state = layer.forward(&state, &parts)?;
-            }
-        }
-        found
-            .into_iter()
-            .collect::<Option<_>>()
-            .ok_or_else(|| candle_core::Error::Msg(format!("the vision tower has no hidden states {wanted:?}")))
+        hidden_states(&self.layers, self.pre_norm.forward(&embedded)?, images.len(), wanted)
     }
 }

@@ -8,6 +8,48 @@ use crate::mllm::checkpoint::{Activation, VisionConfig, Weights};
 use crate::mllm::layer_norm::LayerNorm;
 use crate::mllm::linear::Linear;
 
+/// The `wanted` hidden states of a tower, each of shape (images, tokens of an image, hidden): 0 is `state`, its embeddings;
+/// n is the state after layer n.
+pub(super) fn hidden_states(
+    layers: &[VisionLayer],
+    state: Tensor,
+    images: usize,
+    wanted: &[usize],
+) -> candle_core::Result<Vec<Tensor>> {
+    let (tokens, hidden) = state.dims2()?;
+    let parts = Part::images(images, tokens / images.max(1));
+    let mut state = state;
+    let mut found = vec![None; wanted.len()];
+    for index in 0..=layers.len() {
+        for (found, _) in found.iter_mut().zip(wanted).filter(|(_, wanted)| **wanted == index) {
+            *found = Some(state.reshape((images, (), hidden))?);
+        }
+        if let Some(layer) = layers.get(index) {
+            state = layer.forward(&state, &parts)?;
+        }
+    }
+    found
+        .into_iter()
+        .collect::<Option<_>>()
+        .ok_or_else(|| candle_core::Error::Msg(format!("the vision tower has no hidden states {wanted:?}")))
+}
+
+/// Takes the first `depth` layers of a tower with CLIP's names. The other layers must be in the checkpoint too.
+pub(super) fn take_layers(
+    weights: &mut Weights,
+    config: &VisionConfig,
+    depth: usize,
+) -> Result<Vec<VisionLayer>, MllmError> {
+    let mut layers = Vec::with_capacity(config.layers.min(depth));
+    for index in 0..config.layers {
+        let layer = VisionLayer::take(weights, config, &format!("vision_tower.encoder.layers.{index}"))?;
+        if index < depth {
+            layers.push(layer);
+        }
+    }
+    Ok(layers)
+}
+
 /// x + s₁·attention(norm₁(x)), then x + s₂·mlp(norm₂(x)). Most towers have no scales s.
 #[derive(Debug)]
 pub(crate) struct VisionLayer {

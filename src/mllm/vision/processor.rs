@@ -6,6 +6,7 @@ use candle_core::Tensor;
 use image::RgbImage;
 use image::imageops;
 use serde::Deserialize;
+use serde_json::json;
 
 use super::pixels::{PixelScale, check_not_empty};
 use super::resample::{Filter, resize};
@@ -15,7 +16,10 @@ use crate::mllm::checkpoint::{ConfigObject, ModelFiles};
 /// Default side of `CLIPImageProcessor`.
 const DEFAULT_SIDE: u32 = 224;
 
-/// `CLIPImageProcessor`: resize, center crop, rescale, normalize.
+/// The processor of `SigLIP`, which computes what CLIP's does with other defaults.
+const SIGLIP: &str = "SiglipImageProcessor";
+
+/// `CLIPImageProcessor` or `SiglipImageProcessor`: resize, center crop, rescale, normalize.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ClipImageProcessor {
     path: PathBuf,
@@ -41,7 +45,18 @@ impl ClipImageProcessor {
     }
 
     fn read(path: &Path, object: &ConfigObject<'_>) -> Result<Self, MllmError> {
-        let keys = ProcessorKeys::read(object, "CLIPImageProcessor")?;
+        let kind: Option<String> = object.value("image_processor_type")?;
+        let (object, expected) = if kind.is_some_and(|kind| kind.starts_with(SIGLIP)) {
+            let half = [0.5, 0.5, 0.5];
+            let defaults = json!({
+                "size": {"height": DEFAULT_SIDE, "width": DEFAULT_SIDE}, "do_center_crop": false, "image_mean": half,
+                "image_std": half,
+            });
+            (object.clone().with_defaults(defaults), SIGLIP)
+        } else {
+            (object.clone(), "CLIPImageProcessor")
+        };
+        let keys = ProcessorKeys::read(&object, expected)?;
         let target = match keys.size {
             Sides::One(edge) | Sides::ShortestEdge { shortest_edge: edge } => TargetSize::ShortestEdge(edge.0),
             Sides::Exact { height, width } => TargetSize::Exact { height: height.0, width: width.0 },
@@ -50,7 +65,7 @@ impl ClipImageProcessor {
             path: path.to_path_buf(),
             resize: keys.do_resize.then_some((target, keys.resample)),
             crop: keys.do_center_crop.then(|| keys.crop_size.height_width()),
-            scale: PixelScale::read(object)?,
+            scale: PixelScale::read(&object)?,
         })
     }
 
@@ -254,6 +269,18 @@ mod tests {
     }
 
     #[test]
+    fn siglips_processor_squeezes_and_centers_pixels_at_one_half() {
+        let keys = json!({"image_processor_type": "SiglipImageProcessor", "size": {"height": 4, "width": 4}});
+        let processor = processor(&keys).unwrap();
+        assert_eq!(processor.crop, None);
+        processor.check_side(4).unwrap();
+        let values = processor.process(&RgbImage::from_pixel(8, 3, image::Rgb([255, 0, 255])), 4).unwrap();
+        let values: Vec<f32> = values.flatten_all().unwrap().to_vec1().unwrap();
+        let all = |values: &[f32], expected: f32| values.iter().all(|value| (value - expected).abs() < 1e-6);
+        assert!(all(&values[..16], 1.0) && all(&values[16..32], -1.0));
+    }
+
+    #[test]
     fn values_are_rescaled_then_normalized() {
         let processor = processor(&json!({
             "do_resize": false, "do_center_crop": false,
@@ -277,7 +304,7 @@ mod tests {
             json!({"resample": 0}),
             json!({"image_std": [1, 0, 1]}),
             json!({"image_mean": [1, 2]}),
-            json!({"image_processor_type": "SiglipImageProcessor"}),
+            json!({"image_processor_type": "BlipImageProcessor"}),
         ] {
             assert!(matches!(processor(&wrong), Err(MllmError::Config { .. })), "{wrong}");
         }

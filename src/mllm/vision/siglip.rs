@@ -3,7 +3,7 @@
 use candle_core::Tensor;
 
 use super::attention::Part;
-use super::layer::VisionLayer;
+use super::layer::{VisionLayer, hidden_states, take_layers};
 use super::patches::{take_patch_embedding, unfold};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::{VisionConfig, Weights};
@@ -16,12 +16,14 @@ pub(crate) struct SiglipVisionTower {
     patch_embedding: Linear,
     position_embedding: Tensor,
     layers: Vec<VisionLayer>,
-    post_norm: LayerNorm,
+    /// Behind the last layer; none for a tower whose hidden states are the features.
+    post_norm: Option<LayerNorm>,
     patch_size: usize,
 }
 
 impl SiglipVisionTower {
-    pub(crate) fn take(weights: &mut Weights, config: &VisionConfig) -> Result<Self, MllmError> {
+    /// Takes the first `depth` layers for their hidden states.
+    pub(crate) fn take(weights: &mut Weights, config: &VisionConfig, depth: usize) -> Result<Self, MllmError> {
         let hidden = config.hidden;
         let embeddings = "vision_tower.embeddings";
         let patches = format!("{embeddings}.patch_embedding");
@@ -29,22 +31,37 @@ impl SiglipVisionTower {
             patch_embedding: take_patch_embedding(weights, &patches, hidden, config.patch_size, true)?,
             position_embedding: weights
                 .take(&format!("{embeddings}.position_embedding.weight"), &[config.patches(), hidden])?,
-            layers: (0..config.layers)
-                .map(|index| VisionLayer::take(weights, config, &format!("vision_tower.encoder.layers.{index}")))
-                .collect::<Result<_, _>>()?,
-            post_norm: LayerNorm::take(weights, "vision_tower.post_layernorm", hidden, config.layer_norm_eps)?,
+            layers: take_layers(weights, config, depth)?,
+            post_norm: None,
             patch_size: config.patch_size,
         })
     }
 
+    /// Takes all layers and the norm behind them.
+    pub(crate) fn take_whole(weights: &mut Weights, config: &VisionConfig) -> Result<Self, MllmError> {
+        let tower = Self::take(weights, config, config.layers)?;
+        let norm = LayerNorm::take(weights, "vision_tower.post_layernorm", config.hidden, config.layer_norm_eps)?;
+        Ok(Self { post_norm: Some(norm), ..tower })
+    }
+
+    /// The `wanted` hidden states of images with pixels (3, side, side): 0 are the embeddings, n is the state after layer n.
+    /// Each has shape (images, patches, hidden).
+    pub(crate) fn hidden_states(&self, images: &[Tensor], wanted: &[usize]) -> candle_core::Result<Vec<Tensor>> {
+        let embedded = images.iter().map(|pixels| self.embed(pixels)).collect::<candle_core::Result<Vec<_>>>()?;
+        hidden_states(&self.layers, Tensor::cat(&embedded, 0)?, images.len(), wanted)
+    }
+
+    fn embed(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
+        self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)? + &self.position_embedding
+    }
+
     /// Encodes pixel values (3, side, side) to (patches, hidden).
     pub(crate) fn forward(&self, pixels: &Tensor) -> candle_core::Result<Tensor> {
-        let patches = self.patch_embedding.forward(&unfold(pixels, self.patch_size)?)?;
-        let mut x = (patches + &self.position_embedding)?;
+        let mut x = self.embed(pixels)?;
         let parts = Part::images(1, x.dim(0)?);
         for layer in &self.layers {
             x = layer.forward(&x, &parts)?;
         }
-        self.post_norm.forward(&x)
+        self.post_norm.as_ref().map_or(Ok(x.clone()), |norm| norm.forward(&x))
     }
 }

@@ -16,7 +16,7 @@ pub(super) const BUILT_IN: &str = "built in";
 pub(super) struct Row {
     /// Its name for `--model`.
     pub model: String,
-    /// Its family; none if its files decide.
+    /// Its family; none if nothing says it.
     pub family: Option<&'static str>,
     /// Where it comes from.
     pub source: Option<String>,
@@ -58,13 +58,14 @@ impl Row {
             Ok(spec) => spec,
             Err(error) => return Self { model: name, problem: Some(error.to_string()), ..Self::default() },
         };
-        let description =
-            registry.description(&name).map_or_else(|| BUILT_IN.to_owned(), |path| path.display().to_string());
+        let described = registry.names().is_ok_and(|names| names.contains(&name));
+        let description = registry.description(&name).map(|path| path.display().to_string());
+        let description = description.or_else(|| described.then(|| BUILT_IN.to_owned()));
         let prompt_set = registry.asking_here(&spec).ok().map(|asking| asking.prompt_set);
         let row = Self {
             family: spec.architecture.map(Architecture::name),
             source: Some(spec.source.to_string()),
-            description: Some(description),
+            description,
             prompts: prompt_set.as_deref().map(prompts),
             license: spec.license.clone(),
             prompt_set,
@@ -93,8 +94,9 @@ impl Row {
             let seconds = |format| Some((format, estimated_seconds(&outline, format, budget)?));
             ESTIMATED_FORMATS.into_iter().filter_map(seconds).map(|(format, s)| (format.name(), s)).collect()
         };
-        let ModelOutline { parameters, image_size, image_tokens, context, formats, .. } = &outline;
+        let ModelOutline { family, parameters, image_size, image_tokens, context, formats, .. } = &outline;
         Self {
+            family: Some(*family),
             parameters: Some(*parameters),
             image_size: Some(*image_size),
             image_tokens: Some(*image_tokens),

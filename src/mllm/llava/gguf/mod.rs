@@ -10,7 +10,9 @@ use serde_json::json;
 use super::config::{IMAGE_TOKEN_BEYOND, LlavaConfig};
 use crate::mllm::MllmError;
 use crate::mllm::checkpoint::ModelFiles;
-use crate::mllm::gguf::names::{DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, VISION_LAYERS, unswapped};
+use crate::mllm::gguf::names::{
+    DECODER_LAYERS, EMBEDDING, FINAL_NORM, Names, OUTPUT, ROTARY, VISION_LAYERS, unswapped,
+};
 use crate::mllm::gguf::{Entries, GgufLayout, Header, TEMPLATE, TOKENIZER, llama, tokenizer};
 use crate::mllm::vision::{PixelScale, read_processor};
 
@@ -20,6 +22,7 @@ const NAMES: Names = Names {
         EMBEDDING,
         FINAL_NORM,
         OUTPUT,
+        ROTARY,
         ("v.class_embd", "vision_tower.embeddings.class_embedding"),
         ("v.patch_embd.weight", "vision_tower.embeddings.patch_embedding.weight"),
         ("v.position_embd.weight", "vision_tower.embeddings.position_embedding.weight"),

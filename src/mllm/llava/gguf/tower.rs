@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::mllm::MllmError;
-use crate::mllm::checkpoint::Activation;
+use crate::mllm::checkpoint::{Activation, TowerType};
 use crate::mllm::gguf::{Entries, Header};
 use crate::mllm::llava::LlavaConfig;
 
@@ -115,6 +115,9 @@ pub(super) fn metadata(
     pinpoints: Option<Vec<[u32; 2]>>,
     scale: [[f32; 3]; 2],
 ) -> Result<Entries, &'static str> {
+    if config.tower == TowerType::Siglip {
+        return Err("a SigLIP tower in a LLaVA");
+    }
     let vision = &config.vision;
     let [mean, deviation] = scale;
     let mut metadata = vec![

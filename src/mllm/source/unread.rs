@@ -1,0 +1,80 @@
+//! Forms of checkpoints that are not read, each with what to take instead.
+
+use std::path::Path;
+
+use super::ModelFiles;
+use crate::mllm::MllmError;
+use crate::mllm::checkpoint::{ConfigObject, read_json};
+
+/// The configuration of a `LoRA` adapter.
+const ADAPTER: &str = "adapter_config.json";
+/// Keys of LLaVA's own repositories, whose tensors have other names and whose towers lie elsewhere.
+const ORIGINAL_LLAVA: [&str; 2] = ["mm_vision_tower", "mm_projector_type"];
+
+/// Checks that a folder holds a model, not an adapter for one.
+pub(super) fn check_folder(folder: &Path) -> Result<(), MllmError> {
+    let path = folder.join(ADAPTER);
+    if !path.is_file() {
+        return Ok(());
+    }
+    let adapter = read_json(&path)?;
+    let root = ConfigObject::root(&path, &adapter)?;
+    let base: Option<String> = root.value("base_model_name_or_path")?;
+    let base = base.map_or_else(|| "its base model".to_owned(), |base| format!("'{base}'"));
+    let problem = format!(
+        "this folder holds a LoRA adapter for {base}, which is not read alone; merge it (merge_and_unload of peft, then \
+         save_pretrained) and name the merged folder"
+    );
+    Err(root.error("base_model_name_or_path", problem))
+}
+
+/// Checks that the configuration of a folder is one of transformers with plain weights.
+pub(super) fn check_config(files: &ModelFiles) -> Result<(), MllmError> {
+    let json = files.required_json("config.json")?;
+    let path = files.path("config.json");
+    let root = ConfigObject::root(&path, &json)?;
+    if let Some(key) = ORIGINAL_LLAVA.into_iter().find(|key| root.contains(key)) {
+        let problem = "this is a repository in LLaVA's original layout, which is not read; take the same model in the layout of \
+                       transformers, for example llava-hf/llava-1.5-7b-hf";
+        return Err(root.error(key, problem));
+    }
+    let nested = root.child("text_config")?;
+    let quantized = match root.child("quantization_config")? {
+        None => nested.map(|text| text.child("quantization_config")).transpose()?.flatten(),
+        quantized => quantized,
+    };
+    let Some(quantized) = quantized else { return Ok(()) };
+    let method: String = quantized.value("quant_method")?.unwrap_or_else(|| "unnamed".into());
+    let problem = format!(
+        "weights quantized by '{method}' are not read; take the model's original repository, which --quantize makes small, or a \
+         GGUF file"
+    );
+    Err(quantized.error("quant_method", problem))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn problem(file: &str, text: &str) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(file), text).unwrap();
+        let checked =
+            check_folder(folder.path()).and_then(|()| check_config(&ModelFiles::folder(folder.path()).unwrap()));
+        checked.unwrap_err().to_string()
+    }
+
+    #[test]
+    fn what_is_not_read_is_named_with_what_to_take() {
+        for (file, text, said) in [
+            (ADAPTER, r#"{"base_model_name_or_path": "org/base"}"#, ["'org/base'", "merge it"]),
+            ("config.json", r#"{"model_type": "llava", "mm_vision_tower": "x"}"#, ["original layout", "llava-hf/"]),
+            ("config.json", r#"{"quantization_config": {"quant_method": "awq"}}"#, ["'awq'", "--quantize"]),
+            ("config.json", r#"{"quantization_config": {"quant_method": "bitsandbytes"}}"#, ["bitsandbytes", "GGUF"]),
+            ("config.json", r#"{"text_config": {"quantization_config": {"quant_method": "fp8"}}}"#, ["'fp8'", "GGUF"]),
+        ] {
+            let found = problem(file, text);
+            assert!(found.contains(file) && said.iter().all(|said| found.contains(said)), "{found}");
+        }
+    }
+}
