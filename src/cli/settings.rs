@@ -18,6 +18,7 @@ use toml::{Table, Value};
 /// Keys without a default value; the others are those of [`Config::default`].
 pub(super) const OPTIONAL: [&str; 11] = [
     "mllm.quantize",
+    "mllm.context",
     "agent.deadline_ms",
     "agent.gate",
     "reasoning.prompt_set",
@@ -86,6 +87,10 @@ impl Settings {
         if let Some(format) = flags.quantize {
             note("--quantize", "mllm.quantize", format.to_string().into());
             config.mllm.quantize = Some(format);
+        }
+        if let Some(context) = flags.context {
+            note("--context", "mllm.context", Value::Integer(context as i64));
+            config.mllm.context = Some(context);
         }
         if flags.ignore_memory {
             note("--ignore-memory", "mllm.ignore_memory", true.into());

@@ -43,6 +43,9 @@ pub struct MllmConfig {
     /// Weight format in memory; `None` for that of the files (f32 for safetensors).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantize: Option<WeightFormat>,
+    /// Longest chat, tokens: prompts, image and answers. It bounds the memory of keys and values. `None` for that of the model.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub context: Option<usize>,
     /// Load a model even if it seems to need more memory than is free.
     pub ignore_memory: bool,
     /// Why the chat template and the tokenizer of a model may be opened. No file sets it.
@@ -52,7 +55,14 @@ pub struct MllmConfig {
 
 impl Default for MllmConfig {
     fn default() -> Self {
-        Self { model: "nano".to_owned(), offline: false, quantize: None, ignore_memory: false, trust: Trust::default() }
+        Self {
+            model: "nano".to_owned(),
+            offline: false,
+            quantize: None,
+            context: None,
+            ignore_memory: false,
+            trust: Trust::default(),
+        }
     }
 }
 
@@ -144,6 +154,9 @@ impl Config {
         let Self { environment, reasoning, reflection, .. } = self;
         if self.agent.deadline_ms == Some(0) {
             return Err("agent.deadline_ms is 0; it must be at least 1, or absent for no deadline".to_owned());
+        }
+        if self.mllm.context == Some(0) {
+            return Err("mllm.context is 0; it must be at least 1, or absent for the context of the model".to_owned());
         }
         within("agent.gate", self.agent.gate.unwrap_or(0.0), 0.0..=1.0)?;
         within("environment.view_m", environment.view_m, BevView::MIN_METRES..=BevView::MAX_METRES)?;

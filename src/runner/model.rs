@@ -148,6 +148,7 @@ pub fn model_registry(config: &Config, listener: &Listener) -> ModelRegistry {
     let listener = Arc::clone(listener);
     ModelRegistry::new(models_folder(), hub)
         .with_quantize(config.mllm.quantize)
+        .with_context(config.mllm.context)
         .with_memory_check(memory)
         .with_trust(config.mllm.trust.clone())
         .with_listener(Arc::new(move |progress| listener(Event::Fetched(progress))))

@@ -12,6 +12,7 @@ pub(in crate::cli) struct ModelFlags {
     pub(in crate::cli) model: Option<String>,
     pub(in crate::cli) prompt_set: Option<String>,
     pub(in crate::cli) quantize: Option<WeightFormat>,
+    pub(in crate::cli) context: Option<usize>,
     pub(in crate::cli) ignore_memory: bool,
     pub(in crate::cli) offline: bool,
     pub(in crate::cli) trust_model: bool,
@@ -63,9 +64,14 @@ pub(in crate::cli) struct FormatArgument {
     quantize: Option<WeightFormat>,
 }
 
-/// What to do without enough memory.
+/// How much memory a model may need, and what to do without enough.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct MemoryArgument {
+    /// Longest chat, tokens: prompts, image and answers [default: the model's].
+    ///
+    /// It bounds the memory of keys and values. A prompt that does not fit is an error; an answer ends there.
+    #[arg(long, alias = "ctx-size", value_name = "TOKENS", help_heading = HEADING, hide_short_help = true)]
+    context: Option<usize>,
     /// Load the model even if it seems to need more memory than is free.
     #[arg(long, help_heading = HEADING, hide_short_help = true)]
     ignore_memory: bool,
@@ -100,6 +106,7 @@ impl ModelFlags {
             model: None,
             prompt_set: None,
             quantize: format.and_then(|format| format.quantize),
+            context: memory.and_then(|memory| memory.context),
             ignore_memory: memory.is_some_and(|memory| memory.ignore_memory),
             offline: network.offline,
             trust_model: trust.is_some_and(|trust| trust.trust_model),

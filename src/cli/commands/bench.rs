@@ -59,6 +59,9 @@ pub(in crate::cli) fn run(flags: &BenchArguments, config: &Config, printer: Prin
     let own = || {
         let mut command = Command::new(&program);
         command.args([BENCH_PROCESS, "--threads", &settings.threads.to_string()]);
+        if let Some(context) = config.mllm.context {
+            command.args(["--context", &context.to_string()]);
+        }
         command.args(config.mllm.ignore_memory.then_some("--ignore-memory"));
         command.args(config.mllm.offline.then_some("--offline"));
         command.args((config.mllm.trust == Trust::Caller).then_some("--trust-model"));

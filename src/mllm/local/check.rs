@@ -81,9 +81,9 @@ fn look_at_weights(mut checkpoint: Checkpoint, loading: &Loading, check: &mut Mo
     let family = checkpoint.family;
     match (family.family().decoder_config)(&checkpoint.files) {
         Ok(decoder) => {
-            check.memory = Some(MemoryNeed::of(&checkpoint, &decoder, loading.quantize));
+            check.memory = Some(MemoryNeed::of(&checkpoint, &decoder, loading.quantize, loading.context));
             if loading.memory == MemoryCheck::Refuse {
-                note(check, memory::check(&checkpoint, &decoder, loading.quantize));
+                note(check, memory::check(&checkpoint, &decoder, loading.quantize, loading.context));
             }
         }
         Err(error) => check.problems.push(error.to_string()),

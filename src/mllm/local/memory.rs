@@ -33,14 +33,19 @@ const CALL_TOKENS: u64 = 4096;
 const ROWS: (u64, u64) = (8, 3);
 
 impl MemoryNeed {
-    /// The need of a checkpoint with this decoder and weights in the format `quantize`.
-    pub(crate) fn of(checkpoint: &Checkpoint, decoder: &LlamaConfig, quantize: Option<WeightFormat>) -> Self {
+    /// The need of a checkpoint with this decoder, weights in the format `quantize`, and chats of at most `context` tokens.
+    pub(crate) fn of(
+        checkpoint: &Checkpoint,
+        decoder: &LlamaConfig,
+        quantize: Option<WeightFormat>,
+        context: Option<usize>,
+    ) -> Self {
         let float = size_of::<f32>() as u64;
         let embedding = checkpoint.weights.matrices(quantize).find(|(name, ..)| name.ends_with("embed_tokens.weight"));
         // As the decoder holds them: beside an embedding of fewer bits, keys and values have 16.
         let single = embedding.is_none_or(|(.., weight_format)| weight_format == WeightFormat::F32);
         let key_value = if single { float } else { size_of::<half::f16>() as u64 };
-        let tokens = CALL_TOKENS.min(decoder.context as u64);
+        let tokens = context.map_or(CALL_TOKENS, |context| context as u64).min(decoder.context as u64);
         let elements = |shape: &[usize]| shape.iter().product::<usize>() as u64;
         let shapes = || checkpoint.weights.shapes().map(|(_, shape)| shape);
         let largest = shapes().map(elements).max().unwrap_or(0);
@@ -70,9 +75,10 @@ pub(super) fn check(
     checkpoint: &Checkpoint,
     decoder: &LlamaConfig,
     quantize: Option<WeightFormat>,
+    context: Option<usize>,
 ) -> Result<(), MllmError> {
     let Some(free) = free_memory() else { return Ok(()) };
-    check_against(free, checkpoint, decoder, quantize)
+    check_against(free, checkpoint, decoder, quantize, context)
 }
 
 fn check_against(
@@ -80,13 +86,14 @@ fn check_against(
     checkpoint: &Checkpoint,
     decoder: &LlamaConfig,
     quantize: Option<WeightFormat>,
+    context: Option<usize>,
 ) -> Result<(), MllmError> {
-    let need = MemoryNeed::of(checkpoint, decoder, quantize);
+    let need = MemoryNeed::of(checkpoint, decoder, quantize, context);
     if need.total() <= free {
         return Ok(());
     }
     let smaller = [WeightFormat::Q8_0, WeightFormat::Q4K]
-        .map(|weight_format| (weight_format, MemoryNeed::of(checkpoint, decoder, Some(weight_format)).total()))
+        .map(|weight_format| (weight_format, MemoryNeed::of(checkpoint, decoder, Some(weight_format), context).total()))
         .into_iter()
         .filter(|(_, total)| *total < need.total());
     let hints: Vec<String> = smaller
@@ -157,15 +164,17 @@ mod tests {
     fn a_model_that_does_not_fit_is_refused_with_what_would() {
         let checkpoint = open_checkpoint(&fixture("tiny_llava"));
         let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files).unwrap();
-        let need = MemoryNeed::of(&checkpoint, &decoder, None);
+        let need = MemoryNeed::of(&checkpoint, &decoder, None, None);
         // 299,352 bytes of f32, but for the header.
         assert!((280_000..299_352).contains(&need.weights), "{need:?}");
         // 256 positions, two layers, two heads of 8 numbers.
         assert_eq!(need.cache, 2 * 4 * 256 * 16 * 2);
-        assert!(check_against(need.total(), &checkpoint, &decoder, None).is_ok());
-        let error = check_against(need.total() - 1, &checkpoint, &decoder, None).unwrap_err().to_string();
+        assert!(check_against(need.total(), &checkpoint, &decoder, None, None).is_ok());
+        let error = check_against(need.total() - 1, &checkpoint, &decoder, None, None).unwrap_err().to_string();
         assert!(error.contains("--quantize q8_0 would take") && error.contains("--ignore-memory"), "{error}");
-        let rounded = MemoryNeed::of(&checkpoint, &decoder, Some(WeightFormat::Q8_0));
+        let rounded = MemoryNeed::of(&checkpoint, &decoder, Some(WeightFormat::Q8_0), None);
         assert!(rounded.weights < need.weights / 2 && rounded.cache == need.cache / 2);
+        let short = MemoryNeed::of(&checkpoint, &decoder, None, Some(64));
+        assert_eq!((short.cache, short.weights), (need.cache / 4, need.weights));
     }
 }

@@ -59,6 +59,8 @@ pub struct LocalModel {
     grammars: GrammarEngine,
     end_tokens: Vec<u32>,
     load: LoadReport,
+    /// Longest chat that the user allows, tokens; none for that of the model.
+    limit: Option<usize>,
     prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
 }
 
@@ -85,6 +87,8 @@ pub struct Loading {
     pub families: Families,
     /// How images are shown to it.
     pub image: ImageSettings,
+    /// Longest chat, tokens, which bounds the memory of keys and values; none for that of the model.
+    pub context: Option<usize>,
 }
 
 impl Loading {
@@ -94,7 +98,7 @@ impl Loading {
         self.check_family(&checkpoint)?;
         if self.memory == MemoryCheck::Refuse {
             let decoder = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-            memory::check(&checkpoint, &decoder, self.quantize)?;
+            memory::check(&checkpoint, &decoder, self.quantize, self.context)?;
         }
         Ok(checkpoint)
     }
@@ -160,8 +164,18 @@ impl LocalModel {
             tokenizer,
             end_tokens,
             load: weights.report().clone(),
+            limit: loading.context,
             prefixes: Mutex::new(VecDeque::new()),
         })
+    }
+
+    /// Longest chat, tokens, whose image (if it has one) becomes `image_tokens` tokens.
+    fn context(&self, image_tokens: usize) -> usize {
+        self.limited(self.model.context(image_tokens))
+    }
+
+    fn limited(&self, context: usize) -> usize {
+        self.limit.map_or(context, |limit| limit.min(context))
     }
 
     fn prompt_ids(&self, chat: &Chat<'_>) -> Result<Vec<u32>, MllmError> {
@@ -185,7 +199,7 @@ impl LocalModel {
         let image_token = self.model.info().image_token;
         let agree = ids.iter().zip(&other).take_while(|(a, b)| a == b && **a != image_token).count();
         let len = if agree < MIN_PREFIX { 0 } else { agree };
-        let context = self.model.context(image.map_or(0, |image| image.tokens));
+        let context = self.context(image.map_or(0, |image| image.tokens));
         if len > context {
             return Err(MllmError::PromptTooLong { tokens: ids.len(), context });
         }
@@ -218,7 +232,7 @@ impl Mllm for LocalModel {
             image_size: Some(info.image_size as u32),
             image_tokens: info.max_image_tokens,
             vocabulary: info.vocabulary,
-            context: info.positions,
+            context: self.limited(info.positions),
             weights_blake3: info.blake3.clone(),
             load: self.load.clone(),
             server: None,

@@ -56,7 +56,7 @@ impl ModelOutline {
     /// The outline of a model whose images are shown as `image` says.
     pub(crate) fn of(mut checkpoint: Checkpoint, image: ImageSettings) -> Result<Self, MllmError> {
         let config = (checkpoint.family.family().decoder_config)(&checkpoint.files)?;
-        let memory = Self::FORMATS.map(|format| MemoryNeed::of(&checkpoint, &config, Some(format)));
+        let memory = Self::FORMATS.map(|format| MemoryNeed::of(&checkpoint, &config, Some(format), None));
         let shares = Self::FORMATS.map(|format| decoder(&checkpoint.weights, &config, format));
         let tower = Tower::of(&checkpoint.weights);
         checkpoint.weights.only_look();

@@ -174,7 +174,7 @@ impl LocalConversation<'_> {
         request.deadline.check()?;
         let local = self.local;
         let image_token = local.model.info().image_token;
-        let context = local.model.context(self.image.map_or(0, |image| image.tokens));
+        let context = local.context(self.image.map_or(0, |image| image.tokens));
         let sampler = Sampler::new(request.sampling, answer_seed(self.seed, self.answers))?;
         let grammar = local.grammars.begin(&request.constraint)?;
         let chat = Chat { system: &self.prefix.system, image: self.image, turns: &self.turns, prompt };

@@ -87,6 +87,12 @@ impl ModelRegistry {
         self
     }
 
+    /// Sets the longest chat, tokens; `None` for that of the model.
+    pub fn with_context(mut self, context: Option<usize>) -> Self {
+        self.loading.context = context;
+        self
+    }
+
     /// Sets what to do with a model that needs more memory than is free.
     pub fn with_memory_check(mut self, memory: MemoryCheck) -> Self {
         self.loading.memory = memory;
