@@ -62,6 +62,8 @@ pub enum MllmError {
          Q5_K_M, Q6_K or Q8_0"
     )]
     GgufFormat { path: PathBuf, name: String, format: &'static str },
+    #[error("draft_model {place}: {problem}; a draft model has the vocabulary of the model that it drafts for")]
+    DraftModel { place: PathBuf, problem: String },
     #[error("{path}: element {element} of tensor {name} is {value}")]
     NonFiniteWeight { path: PathBuf, name: String, element: usize, value: f32 },
     #[error("{path}: {problem}")]

@@ -75,7 +75,7 @@ impl Sampler {
 }
 
 /// The token of the largest logit, the lowest of equals; `None` if all are minus infinity.
-fn most_likely(logits: &[f32]) -> Option<u32> {
+pub(crate) fn most_likely(logits: &[f32]) -> Option<u32> {
     let mut best = None;
     let mut highest = f32::NEG_INFINITY;
     for (token, logit) in logits.iter().enumerate() {

@@ -3,6 +3,9 @@
 
 use std::ops::RangeInclusive;
 
+use super::draft_model::Drafting;
+use crate::mllm::{Deadline, MllmError};
+
 /// Longest draft, tokens.
 const MAX_DRAFT: usize = 16;
 /// Length of the first draft of an answer, tokens.
@@ -17,17 +20,35 @@ const CHAT_MATCH: RangeInclusive<usize> = 2..=4;
 pub(super) struct Drafter<'a> {
     /// An earlier answer to the same question; empty for none.
     earlier: &'a [u32],
+    /// Drafts where no known text does.
+    model: Option<&'a mut Drafting>,
     length: usize,
 }
 
 impl<'a> Drafter<'a> {
-    pub(super) fn new(earlier: &'a [u32]) -> Self {
-        Self { earlier, length: FIRST_DRAFT }
+    pub(super) fn new(earlier: &'a [u32], model: Option<&'a mut Drafting>) -> Self {
+        Self { earlier, model, length: FIRST_DRAFT }
     }
 
     /// At most `limit` tokens that may follow `answer`, the last tokens of `chat`: those behind the same words in the earlier
-    /// answer, else behind the same words in the chat. None of them is `image`.
-    pub(super) fn draft(&self, chat: &[u32], answer: &[u32], image: u32, limit: usize) -> Vec<u32> {
+    /// answer, else behind the same words in the chat, else those that the draft model writes. None of them is `image`.
+    pub(super) fn draft(
+        &mut self,
+        chat: &[u32],
+        answer: &[u32],
+        image: u32,
+        limit: usize,
+        deadline: Deadline,
+    ) -> Result<Vec<u32>, MllmError> {
+        let known = self.known(chat, answer, image, limit);
+        match &mut self.model {
+            Some(model) if known.is_empty() => model.draft(chat, image, limit.min(self.length), deadline),
+            _ => Ok(known),
+        }
+    }
+
+    /// The part of [`Self::draft`] that needs no model.
+    fn known(&self, chat: &[u32], answer: &[u32], image: u32, limit: usize) -> Vec<u32> {
         let from_answer = if answer.is_empty() { self.earlier } else { behind_answer(self.earlier, answer) };
         let found = if from_answer.is_empty() { behind_last(chat) } else { from_answer };
         found.iter().copied().take_while(|token| *token != image).take(limit.min(self.length)).collect()
@@ -73,7 +94,7 @@ mod tests {
     const IMAGE: u32 = 99;
 
     fn draft(earlier: &[u32], chat: &[u32], answer: usize) -> Vec<u32> {
-        Drafter::new(earlier).draft(chat, &chat[chat.len() - answer..], IMAGE, 3)
+        Drafter::new(earlier, None).known(chat, &chat[chat.len() - answer..], IMAGE, 3)
     }
 
     #[test]
@@ -104,8 +125,8 @@ mod tests {
     #[test]
     fn drafts_grow_while_they_are_accepted() {
         let earlier: Vec<u32> = (0..40).collect();
-        let mut drafter = Drafter::new(&earlier);
-        let length = |drafter: &Drafter<'_>| drafter.draft(&[50], &[], IMAGE, 100).len();
+        let mut drafter = Drafter::new(&earlier, None);
+        let length = |drafter: &Drafter<'_>| drafter.known(&[50], &[], IMAGE, 100).len();
         assert_eq!(length(&drafter), FIRST_DRAFT);
         drafter.learn(8, 8);
         assert_eq!(length(&drafter), 16);

@@ -228,15 +228,15 @@ impl Generation<'_> {
 
     /// Tokens that may follow the pending ones, and that the grammar allows. None where a pass of several tokens could give
     /// other numbers than passes of one.
-    fn draft(&self, grammar: Option<&mut GrammarState>) -> Result<Vec<u32>, MllmError> {
-        let Some(drafter) = &self.drafter else { return Ok(Vec::new()) };
+    fn draft(&mut self, grammar: Option<&mut GrammarState>) -> Result<Vec<u32>, MllmError> {
+        let Some(drafter) = &mut self.drafter else { return Ok(Vec::new()) };
         let exact = self.model.decoder().exact_pass().saturating_sub(self.pending.len());
         let limit = exact.min((self.budget - self.out.ids.len()).saturating_sub(1));
         if limit == 0 {
             return Ok(Vec::new());
         }
         let chat = [self.sequence.ids(), &self.pending].concat();
-        let mut draft = drafter.draft(&chat, &self.out.ids, self.model.info().image_token, limit);
+        let mut draft = drafter.draft(&chat, &self.out.ids, self.model.info().image_token, limit, self.deadline)?;
         let vocabulary = self.model.info().vocabulary;
         let known = draft.iter().take_while(|token| (**token as usize) < vocabulary).count();
         draft.truncate(known);

@@ -3,6 +3,7 @@
 mod ahead;
 mod check;
 mod draft;
+mod draft_model;
 mod generate;
 mod likeliest;
 mod memory;
@@ -30,6 +31,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 pub use check::ModelCheck;
+use draft_model::DraftModel;
 pub use memory::{MemoryCheck, MemoryNeed};
 pub use outline::{FormatOutline, MatrixShare, ModelOutline};
 pub(crate) use sequence::Sequence;
@@ -61,6 +63,7 @@ pub struct LocalModel {
     load: LoadReport,
     /// Longest chat that the user allows, tokens; none for that of the model.
     limit: Option<usize>,
+    draft_model: Option<Arc<DraftModel>>,
     prefixes: Mutex<VecDeque<Arc<CallPrefix>>>,
 }
 
@@ -165,8 +168,16 @@ impl LocalModel {
             end_tokens,
             load: weights.report().clone(),
             limit: loading.context,
+            draft_model: None,
             prefixes: Mutex::new(VecDeque::new()),
         })
+    }
+
+    /// Lets another model draft answers, whose vocabulary must be the same. Answers stay as they are.
+    pub fn with_draft_model(mut self, place: &ModelPlace, loading: &Loading) -> Result<Self, MllmError> {
+        self.draft_model = Some(Arc::new(DraftModel::open(place, loading, &self.tokenizer)?));
+        self.load.notes.push(format!("answers are drafted by {}", place.path().display()));
+        Ok(self)
     }
 
     /// Longest chat, tokens, whose image (if it has one) becomes `image_tokens` tokens.

@@ -7,6 +7,7 @@ use image::RgbImage;
 
 use super::LocalModel;
 use super::draft::Drafter;
+use super::draft_model::Drafting;
 use super::generate::{End, Generated, generate};
 use super::likeliest::Search;
 use super::sequence::Sequence;
@@ -31,6 +32,8 @@ pub(super) struct LocalConversation<'a> {
     turns: Vec<Turn>,
     sequence: Sequence,
     features: Option<ImageFeatures>,
+    /// Of the draft model, if there is one.
+    drafting: Option<Drafting>,
     /// Time spent on the system prompt before the first round, milliseconds.
     prefix_time: f64,
 }
@@ -51,6 +54,7 @@ impl<'a> LocalConversation<'a> {
             turns: Vec::new(),
             sequence: computed.sequence.clone(),
             features: None,
+            drafting: local.draft_model.as_ref().map(Drafting::new),
             prefix_time: milliseconds(start.elapsed()),
         })
     }
@@ -212,7 +216,7 @@ impl LocalConversation<'_> {
             rest,
             grammar,
             sampler,
-            request.draft.as_deref().map(Drafter::new),
+            request.draft.as_deref().map(|earlier| Drafter::new(earlier, self.drafting.as_mut())),
             search,
             &End {
                 tokens: &local.end_tokens,

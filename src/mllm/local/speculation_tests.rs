@@ -134,3 +134,51 @@ fn a_pass_of_several_tokens_gives_the_bits_of_passes_of_one() {
         }
     }
 }
+
+/// Of equal seeds, sampled tokens are the same with and without drafts, so they follow the same distribution.
+#[test]
+fn answers_are_the_same_tokens_with_and_without_a_draft_model() {
+    let folder = fixture("tiny_llava");
+    let image = image::open(folder.join("image.png")).unwrap().into_rgb8();
+    let seen = PromptPrefix { system: "Drive safely.".into(), image: Some(image.into()) };
+    let unseen = PromptPrefix { image: None, ..seen.clone() };
+    let place = ModelPlace::Folder(folder.clone());
+    let (mut with_model, mut without) = (0, 0);
+    for format in FORMATS {
+        let plain = open(&folder, Some(format));
+        // The same weights with other roundings, and without the image: some of its tokens are chosen, and not all.
+        let drafted = open(&folder, Some(format)).with_draft_model(&place, &Loading::default()).unwrap();
+        for (prefix, sampling) in [(&seen, GREEDY), (&seen, WARM), (&unseen, GREEDY), (&unseen, WARM)] {
+            let expected = ask(&plain, prefix, sampling, None);
+            let nothing = vec![Vec::new(); expected.len()];
+            let found = ask(&drafted, prefix, sampling, Some(&nothing));
+            assert_eq!(answered(&found), answered(&expected), "{format} {sampling:?}");
+            with_model += sum(&found, |tokens| tokens.accepted);
+            without += sum(&ask(&plain, prefix, sampling, Some(&nothing)), |tokens| tokens.accepted);
+        }
+    }
+    assert!(with_model > 10 * without.max(1), "{with_model} with it, {without} without it");
+}
+
+#[test]
+fn a_draft_model_has_the_vocabulary_of_its_model() {
+    let folder = fixture("tiny_llava");
+    let copy = tempfile::tempdir().unwrap();
+    for entry in std::fs::read_dir(&folder).unwrap() {
+        let path = entry.unwrap().path();
+        std::fs::copy(&path, copy.path().join(path.file_name().unwrap())).unwrap();
+    }
+    let path = copy.path().join("tokenizer.json");
+    let mut json: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+    let vocabulary = json["model"]["vocab"].as_object_mut().unwrap();
+    let tokens: Vec<String> = vocabulary.keys().filter(|token| token.chars().count() == 1).cloned().collect();
+    let [one, other] = [&tokens[5], &tokens[9]];
+    let (id, swapped) = (vocabulary[one].clone(), vocabulary[other].clone());
+    (vocabulary[one], vocabulary[other]) = (swapped, id.clone());
+    std::fs::write(&path, json.to_string()).unwrap();
+    let model = open(&folder, Some(WeightFormat::F16));
+    let error = model.with_draft_model(&ModelPlace::Folder(copy.path().to_path_buf()), &Loading::default());
+    let error = error.unwrap_err().to_string();
+    let first = format!("its token {} is ", id.as_u64().unwrap().min(json["model"]["vocab"][one].as_u64().unwrap()));
+    assert!(error.contains("draft_model") && error.contains(&first), "{error}");
+}

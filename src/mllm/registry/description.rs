@@ -24,6 +24,9 @@ pub struct ModelSpec {
     /// Where its tokenizer is; none if among its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tokenizer: Option<ModelSource>,
+    /// A small model of the same vocabulary that drafts its answers. None of them changes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub draft_model: Option<ModelSource>,
     /// The prompts that it is asked with; a description names them. None for a model without one, whose files may say it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prompt_set: Option<PromptSet>,
@@ -175,6 +178,28 @@ impl Default for RoundTokens {
 }
 
 impl ModelSpec {
+    /// A model without a description.
+    pub(super) fn plain(name: String, source: ModelSource) -> Self {
+        Self {
+            name,
+            architecture: None,
+            source,
+            license: None,
+            tokenizer: None,
+            draft_model: None,
+            prompt_set: None,
+            generation: GenerationSettings::default(),
+            image: ImageSettings::default(),
+            trusted: false,
+        }
+    }
+
+    /// Its draft model, which its author vouches for as for itself.
+    pub(super) fn draft(&self) -> Option<Self> {
+        let source = self.draft_model.clone()?;
+        Some(Self { trusted: self.trusted, ..Self::plain(format!("draft_model of {}", self.name), source) })
+    }
+
     pub fn open(path: &Path) -> Result<Self, MllmError> {
         Self::parse(path, &read_text(path)?)
     }
@@ -206,7 +231,14 @@ impl ModelSpec {
         if matches!(spec.tokenizer, Some(ModelSource::Endpoint(_))) {
             return Err(broken("tokenizer: expected files, found a server".into()));
         }
-        for source in [Some(&mut spec.source), spec.tokenizer.as_mut()].into_iter().flatten() {
+        if matches!(spec.draft_model, Some(ModelSource::Endpoint(_) | ModelSource::Embedded { .. })) {
+            return Err(broken("draft_model: expected a folder, a GGUF file or a hub id".into()));
+        }
+        if spec.draft_model.is_some() && matches!(spec.source, ModelSource::Endpoint(_)) {
+            return Err(broken("draft_model belongs to models of this machine; a server drafts by itself".into()));
+        }
+        let sources = [Some(&mut spec.source), spec.tokenizer.as_mut(), spec.draft_model.as_mut()];
+        for source in sources.into_iter().flatten() {
             source.start_at(path.parent().unwrap_or(Path::new("")));
         }
         Ok(spec)

@@ -21,7 +21,7 @@ pub use own_settings::{Asking, NamedBy};
 use super::source::Checkpoint;
 use super::trial::Trust;
 use super::{
-    CreateFile, EmbeddedModel, EndpointSettings, Family, ImageSettings, LoadReport, Loading, LocalModel, MemoryCheck,
+    CreateFile, EmbeddedModel, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck,
     Mllm, MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat, export_model,
 };
 
@@ -174,17 +174,8 @@ impl ModelRegistry {
         } else {
             return Err(self.unknown(name));
         };
-        Ok(ModelSpec {
-            name: path.file_name().map_or_else(|| name.to_string(), |last| last.to_string_lossy().into_owned()),
-            architecture: None,
-            source,
-            tokenizer: None,
-            prompt_set: None,
-            generation: GenerationSettings::default(),
-            image: ImageSettings::default(),
-            license: None,
-            trusted: false,
-        })
+        let last = path.file_name().map_or_else(|| name.to_string(), |last| last.to_string_lossy().into_owned());
+        Ok(ModelSpec::plain(last, source))
     }
 
     /// Where a model's files are; a hub model is downloaded if it is missing and downloads are allowed.
@@ -192,9 +183,10 @@ impl ModelRegistry {
         self.place_by(&self.hub, spec)
     }
 
-    /// As [`Self::place`], and downloads the tokenizer too.
+    /// As [`Self::place`], and downloads the tokenizer and the draft model too.
     pub fn fetch(&self, spec: &ModelSpec) -> Result<ModelPlace, MllmError> {
         self.loading(spec)?;
+        spec.draft().map(|draft| self.place(&draft)).transpose()?;
         self.place(spec)
     }
 
@@ -267,7 +259,11 @@ impl ModelRegistry {
         let place = self.place(spec)?;
         let loading = self.loading(spec)?;
         self.admit(spec, &place, &loading)?;
-        Ok(Box::new(without_panic(&place, || LocalModel::load(&spec.name, &place, &loading))?))
+        let model = without_panic(&place, || LocalModel::load(&spec.name, &place, &loading))?;
+        let Some(draft) = spec.draft() else { return Ok(Box::new(model)) };
+        let (place, loading) = (self.place(&draft)?, self.loading(&draft)?);
+        self.admit(&draft, &place, &loading)?;
+        Ok(Box::new(without_panic(&place, || model.with_draft_model(&place, &loading))?))
     }
 
     /// Whether the chat template and the tokenizer of a model may be opened in this process.
@@ -288,6 +284,13 @@ impl ModelRegistry {
         let mut check = checked.unwrap_or_else(|error| ModelCheck::refused(&error));
         if check.problems.is_empty() {
             check.problems.extend(unopened);
+        }
+        if let Some(draft) = spec.draft() {
+            let problems = match self.check(&draft) {
+                Ok(checked) => checked.problems,
+                Err(error) => vec![error.to_string()],
+            };
+            check.problems.extend(problems.into_iter().map(|problem| format!("draft_model: {problem}")));
         }
         Ok(check)
     }

@@ -78,6 +78,19 @@ impl ChatTokenizer {
         self.tokenizer.id_to_token(id)
     }
 
+    /// How the vocabulary differs from another's, if it does: the first token id that stands for something else.
+    pub(crate) fn vocabulary_difference(&self, other: &Self) -> Option<String> {
+        let by_id = |tokenizer: &Self| -> BTreeMap<u32, String> {
+            tokenizer.tokenizer.get_vocab(true).into_iter().map(|(token, id)| (id, token)).collect()
+        };
+        let (own, others) = (by_id(self), by_id(other));
+        let id = own.keys().chain(others.keys()).filter(|id| own.get(id) != others.get(id)).min()?;
+        let quoted = |tokens: &BTreeMap<u32, String>| {
+            tokens.get(id).map_or_else(|| "no token".to_owned(), |token| format!("'{token}'"))
+        };
+        Some(format!("its token {id} is {}, that of the model is {}", quoted(&own), quoted(&others)))
+    }
+
     /// Ids of a rendered chat. As in transformers, the tokenizer adds its special tokens only if the rendered chat does not
     /// begin with the beginning-of-sequence token.
     pub(crate) fn encode_chat(&self, rendered: &str) -> Result<Vec<u32>, MllmError> {
