@@ -40,7 +40,7 @@ pub struct MllmConfig {
     pub model: String,
     /// Do not use the network: a hub id must be in the cache, a server on this machine.
     pub offline: bool,
-    /// Weight format in memory; `None` for that of the files (f32 for safetensors).
+    /// Weight format in memory; `None` for that of the description or the files.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantize: Option<WeightFormat>,
     /// Longest chat, tokens: prompts, image and answers. It bounds the memory of keys and values. `None` for that of the model.

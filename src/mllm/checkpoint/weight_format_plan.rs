@@ -61,8 +61,14 @@ impl WeightFormatPlan {
         PlannedFormat { weight_format, reason }
     }
 
+    /// Whether nothing is rounded on the way into memory, nor meant to be rounded while computing: safetensors as they are.
+    pub(crate) fn is_lossless(self) -> bool {
+        self.kind == FileKind::Safetensors && self.quantize.is_none()
+    }
+
     fn as_in_file(self, format: StoredFormat) -> (WeightFormat, Option<&'static str>) {
         match (self.kind, held_as(format)) {
+            (FileKind::Safetensors, Some(WeightFormat::F16)) => (WeightFormat::F16, None),
             (FileKind::Safetensors, _) => (WeightFormat::F32, None),
             (FileKind::Gguf, Some(weight_format)) => (weight_format, None),
             (FileKind::Gguf, None) => replacement(format),
@@ -195,7 +201,9 @@ mod tests {
         assert_eq!(again(WeightFormat::F16).matrix(DECODER, GgmlDType::Q4_1, 512).weight_format, WeightFormat::F16);
         let mxfp4 = again(WeightFormat::Q4K).matrix(DECODER, StoredFormat::Mxfp4, 512);
         assert_eq!((mxfp4.weight_format, mxfp4.reason), (WeightFormat::Q8_0, Some(SAME_NUMBERS)));
-        assert_eq!(WeightFormatPlan::default().matrix(DECODER, GgmlDType::BF16, 512).weight_format, WeightFormat::F32);
+        let safetensors = |format: GgmlDType| WeightFormatPlan::default().matrix(DECODER, format, 512).weight_format;
+        assert_eq!([GgmlDType::BF16, GgmlDType::F32].map(safetensors), [WeightFormat::F32; 2]);
+        assert_eq!(safetensors(GgmlDType::F16), WeightFormat::F16);
     }
 
     #[test]

@@ -108,6 +108,11 @@ impl Weights {
         self.add(canonical.to_string(), file, canonical.to_string(), place, RowOrder::Plain)
     }
 
+    /// Whether the weights are those of safetensors, in formats that hold their numbers.
+    pub(crate) fn is_lossless(&self) -> bool {
+        self.plan.is_lossless()
+    }
+
     pub(crate) fn note(&mut self, note: String) {
         self.report.notes.push(note);
     }

@@ -99,8 +99,8 @@ impl<L: DecoderLayer> Decoder<L> {
             weights.take_matrix("lm_head.weight", matrix)?
         };
         // Beside rounded weights, f16 keys and values lose no relevant accuracy, and reads take half of the time.
-        let precision =
-            if embedding.weight_format() == WeightFormat::F32 { Precision::Single } else { Precision::Half };
+        let single = weights.is_lossless() || embedding.weight_format() == WeightFormat::F32;
+        let precision = if single { Precision::Single } else { Precision::Half };
         let mut rotary = RotaryEmbedding::new(config);
         let factors = format!("{prefix}rope_freqs.weight");
         // A configuration that says how frequencies are scaled comes first.

@@ -42,8 +42,9 @@ impl MemoryNeed {
     ) -> Self {
         let float = size_of::<f32>() as u64;
         let embedding = checkpoint.weights.matrices(quantize).find(|(name, ..)| name.ends_with("embed_tokens.weight"));
-        // As the decoder holds them: beside an embedding of fewer bits, keys and values have 16.
-        let single = embedding.is_none_or(|(.., weight_format)| weight_format == WeightFormat::F32);
+        // As the decoder holds them: beside rounded weights, keys and values have 16 bits.
+        let lossless = quantize.is_none() && checkpoint.weights.is_lossless();
+        let single = lossless || embedding.is_none_or(|(.., weight_format)| weight_format == WeightFormat::F32);
         let key_value = if single { float } else { size_of::<half::f16>() as u64 };
         let tokens = context.map_or(CALL_TOKENS, |context| context as u64).min(decoder.context as u64);
         let elements = |shape: &[usize]| shape.iter().product::<usize>() as u64;

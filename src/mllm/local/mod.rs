@@ -78,7 +78,7 @@ struct CallPrefix {
 /// How a model is loaded.
 #[derive(Debug, Clone, Default)]
 pub struct Loading {
-    /// Format of the weights in memory; none for that of the files (f32 for safetensors).
+    /// Format of the weights in memory; none for that of the files.
     pub quantize: Option<WeightFormat>,
     /// The folder of the tokenizer, for models whose files have none.
     pub tokenizer: Option<PathBuf>,

@@ -122,6 +122,7 @@ impl PackedTiles {
         let whole = self.outputs.is_multiple_of(LANES);
         let alike = whole && self.weight_format == other.weight_format && self.inputs == other.inputs;
         if alike {
+            self.lines.reserve_exact(other.lines.len());
             self.lines.extend_from_slice(&other.lines);
             self.outputs += other.outputs;
         }

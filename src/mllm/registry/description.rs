@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::mllm::checkpoint::read_text;
-use crate::mllm::{Architecture, EndpointSettings, ImageSettings, MllmError, Sampling};
+use crate::mllm::{Architecture, EndpointSettings, ImageSettings, MllmError, Sampling, WeightFormat};
 
 /// The description of a model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -21,6 +21,9 @@ pub struct ModelSpec {
     /// The license of its weights: its name, perhaps with a comma and a remark behind it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub license: Option<String>,
+    /// Format of its weights in memory, where no setting names one; none for that of its files.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quantize: Option<WeightFormat>,
     /// Where its tokenizer is; none if among its files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tokenizer: Option<ModelSource>,
@@ -185,6 +188,7 @@ impl ModelSpec {
             architecture: None,
             source,
             license: None,
+            quantize: None,
             tokenizer: None,
             draft_model: None,
             prompt_set: None,
@@ -224,6 +228,9 @@ impl ModelSpec {
             if spec.architecture.is_some() || spec.tokenizer.is_some() {
                 return Err(broken("architecture and tokenizer belong to the server; remove them".into()));
             }
+        }
+        if matches!(spec.source, ModelSource::Endpoint(_)) && spec.quantize.is_some() {
+            return Err(broken("quantize belongs to models of this machine; remove it".into()));
         }
         if matches!(spec.source, ModelSource::Endpoint(_)) && !spec.image.is_default() {
             return Err(broken("image belongs to models of this machine; a server has source.image_size".into()));

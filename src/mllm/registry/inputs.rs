@@ -66,6 +66,9 @@ fn description(spec: &ModelSpec) -> BTreeMap<String, String> {
         ("generation".to_owned(), digest_of(&spec.generation)),
         ("prompt_set".to_owned(), digest_of(&spec.prompt_set)),
     ]);
+    if spec.quantize.is_some() {
+        values.insert("quantize".to_owned(), digest_of(&spec.quantize));
+    }
     if !spec.image.is_default() {
         values.insert("image".to_owned(), digest_of(&spec.image));
     }

@@ -21,8 +21,8 @@ pub use own_settings::{Asking, NamedBy};
 use super::source::Checkpoint;
 use super::trial::Trust;
 use super::{
-    CreateFile, EmbeddedModel, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck,
-    Mllm, MllmError, ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat, export_model,
+    CreateFile, EmbeddedModel, EndpointSettings, Family, LoadReport, Loading, LocalModel, MemoryCheck, Mllm, MllmError,
+    ModelCheck, ModelOutline, ModelPlace, ModelShape, WeightFormat, export_model,
 };
 
 /// Finds and opens models.
@@ -81,7 +81,7 @@ impl ModelRegistry {
         Self { models: models.into(), hub, loading: Loading::default(), trust: Trust::default(), listener: None }
     }
 
-    /// Sets the format of weights in memory; `None` keeps that of the files.
+    /// Sets the format of weights in memory; `None` keeps that of the description, else of the files.
     pub fn with_quantize(mut self, quantize: Option<WeightFormat>) -> Self {
         self.loading.quantize = quantize;
         self
@@ -344,7 +344,8 @@ impl ModelRegistry {
             }
         };
         let expected = spec.architecture.map(|architecture| (architecture, spec.name.clone()));
-        Ok(Loading { tokenizer, expected, image: spec.image, ..self.loading.clone() })
+        let quantize = self.loading.quantize.or(spec.quantize);
+        Ok(Loading { quantize, tokenizer, expected, image: spec.image, ..self.loading.clone() })
     }
 }
 
