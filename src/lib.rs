@@ -215,8 +215,8 @@ pub mod bindings {
     pub use crate::reasoning::PlannerCode;
     pub use crate::reflection::{IdmPlan, Judge, PlanBuilder, ReflectionReport, steps_of};
     pub use crate::report::render::{Look, observed_picture};
-    pub use crate::report::{CallRecord, SimulationRow};
-    pub use crate::runner::{LoadedModel, RunnerError, load_model, merge, silent};
+    pub use crate::report::{CallRecord, ReportFault, SimulationRow};
+    pub use crate::runner::{LoadedModel, RunnerError, Shard, load_model, merge, silent};
     pub use crate::scenario::HeldScenario;
     pub use crate::scenario::nuplan::export::{ExportSettings, write_scenario};
     pub use crate::scenario::nuplan::{MapStore, NuPlanMap};

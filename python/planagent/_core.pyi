@@ -1,6 +1,6 @@
 """The native half of the package."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -26,6 +26,7 @@ __all__ = [
     "scenario_of_tables",
     "score_trajectories",
     "set_threads",
+    "shard_of_environment",
     "threads",
 ]
 
@@ -56,6 +57,7 @@ def scenario_of_tables(
     route_lanes: Sequence[int] | None = None,
 ) -> Scenario: ...
 def score_trajectories(observation: Observation, packed_poses: bytes, steps: int) -> bytearray: ...
+def shard_of_environment(variables: Mapping[str, str]) -> str | None: ...
 def set_threads(count: int | None = None) -> None:
     """Sets the number of threads; `None` restores the default."""
 

@@ -238,8 +238,8 @@ def _planners(planners: Any) -> tuple[list[str], list[tuple[str, Callable[[], Bo
 def shard_of_environment(environment: Mapping[str, str] | None = None) -> str | None:
     """The shard of this process in a SLURM array or on one of several nodes; `None` elsewhere.
 
-    It is made of `SLURM_ARRAY_TASK_ID` with `SLURM_ARRAY_TASK_MIN` and `SLURM_ARRAY_TASK_COUNT`, else of `NODE_RANK` and
-    `NUM_NODES`, the names of nuplan-devkit.
+    It is made of `SLURM_ARRAY_TASK_ID` with `SLURM_ARRAY_TASK_COUNT` and what else SLURM says of the array, else of `NODE_RANK`
+    and `NUM_NODES`, the names of nuplan-devkit. `planagent simulate --shard auto` does the same.
 
     Examples
     --------
@@ -249,25 +249,7 @@ def shard_of_environment(environment: Mapping[str, str] | None = None) -> str | 
     >>> planagent.shard_of_environment({"NODE_RANK": "0", "NUM_NODES": "2"})
     '1/2'
     """
-    environment = os.environ if environment is None else environment
-
-    def number(name: str, default: int | None = None) -> int:
-        text = environment.get(name)
-        if text is None and default is not None:
-            return default
-        try:
-            return int(text or "")
-        except ValueError:
-            raise ArgumentError(f"{name} is {text!r}; it must be a whole number") from None
-
-    if "SLURM_ARRAY_TASK_ID" in environment:
-        first = number("SLURM_ARRAY_TASK_MIN", 0)
-        step = number("SLURM_ARRAY_TASK_STEP", 1)
-        index = (number("SLURM_ARRAY_TASK_ID") - first) // max(step, 1) + 1
-        return f"{index}/{number('SLURM_ARRAY_TASK_COUNT')}"
-    if "NODE_RANK" in environment:
-        return f"{number('NODE_RANK') + 1}/{number('NUM_NODES')}"
-    return None
+    return _core.shard_of_environment(dict(os.environ if environment is None else environment))
 
 
 def simulate(

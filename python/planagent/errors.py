@@ -10,6 +10,7 @@ __all__ = [
     "PlanAgentError",
     "PlannerError",
     "RunError",
+    "RunLockedError",
     "RunNotFoundError",
     "ScenarioError",
     "ScenarioNotFoundError",
@@ -56,6 +57,10 @@ class SimulationError(PlanAgentError, RuntimeError):
 
 class RunError(PlanAgentError, RuntimeError):
     """A run that cannot start, resume or end."""
+
+
+class RunLockedError(RunError):
+    """A folder in which another process runs."""
 
 
 class RunNotFoundError(RunError, FileNotFoundError):

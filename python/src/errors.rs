@@ -1,6 +1,6 @@
 //! Errors of the library as exceptions of `planagent.errors`.
 
-use planagent::bindings::{MllmError, RunnerError, with_causes};
+use planagent::bindings::{MllmError, ReportFault, RunnerError, with_causes};
 use planagent::planning::PlannerError;
 use planagent::sources::ReaderError;
 use planagent::traffic::SimulationError;
@@ -87,6 +87,7 @@ impl From<RunnerError> for Failure {
                 ReaderError::Missing(_) => "ScenarioNotFoundError",
                 _ => "ScenarioError",
             },
+            RunnerError::Report(error) if matches!(error.fault, ReportFault::Locked) => "RunLockedError",
             RunnerError::LoadModel { .. } | RunnerError::FindModel(_) if is_missing(&error) => "ModelNotFoundError",
             RunnerError::LoadModel { .. } | RunnerError::FindModel(_) => "ModelError",
             RunnerError::Planner(_) | RunnerError::Challenge { .. } | RunnerError::Config(_) => "ArgumentError",

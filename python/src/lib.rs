@@ -35,7 +35,7 @@ mod _core {
     #[pymodule_export]
     use crate::planner::{Planner, planners};
     #[pymodule_export]
-    use crate::run::{RunResults, merge, run};
+    use crate::run::{RunResults, merge, run, shard_of_environment};
     #[pymodule_export]
     use crate::scenario::{Scenario, find, open};
     #[pymodule_export]

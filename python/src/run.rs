@@ -2,15 +2,16 @@
 
 use crate::errors::{Failure, Outcome};
 use crate::python_planner::entry;
-use crate::settings::config;
+use crate::settings::{config, shared_model};
 use crate::table::Table;
 use crate::work::{lock, long};
-use planagent::bindings::{SimulationRow, merge as merge_runs};
+use planagent::bindings::{Shard, SimulationRow, merge as merge_runs};
 use planagent::planning::PlannerRegistry;
 use planagent::runs::{Config, Event, Request, RunResults as Finished, StopSwitch, resume, start};
 use planagent::sources::DataRoots;
 use pyo3::prelude::*;
 use serde::Deserialize;
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -45,6 +46,7 @@ impl Asked {
             planners: self.planners,
             challenges: self.challenges,
             registry,
+            loader: shared_model,
             roots: DataRoots::from_environment(),
             retry_failed: self.retry_failed,
             stop: Some(stop.clone()),
@@ -167,6 +169,15 @@ pub(crate) fn run(
         None => Ok(()),
     };
     long(py, work, &move || stop.stop(), &look)
+}
+
+/// The shard that environment variables name; none without any.
+#[pyfunction]
+pub(crate) fn shard_of_environment(py: Python<'_>, variables: HashMap<String, String>) -> PyResult<Option<String>> {
+    let shard = Shard::of_environment(|name| variables.get(name).cloned());
+    shard
+        .map(|shard| shard.map(|shard| shard.to_string()))
+        .map_err(|error| Failure::argument(error.to_string()).raised(py))
 }
 
 /// Merges the shards of a run into a new folder.

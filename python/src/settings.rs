@@ -2,8 +2,8 @@
 
 use crate::errors::{Failure, Outcome};
 use crate::work::lock;
-use planagent::bindings::{LoadedModel, load_model, silent};
-use planagent::runs::Config;
+use planagent::bindings::{LoadedModel, RunnerError, load_model, silent};
+use planagent::runs::{Config, Listener};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -19,6 +19,11 @@ type Slot = Arc<Mutex<Option<Arc<LoadedModel>>>>;
 
 /// The configured model with its prompts. It is loaded at its first use in a process.
 pub(crate) fn model(config: &Config) -> Outcome<Arc<LoadedModel>> {
+    Ok(shared_model(config, &silent())?)
+}
+
+/// As [`model`], for runs; a listener hears of the loading.
+pub(crate) fn shared_model(config: &Config, listener: &Listener) -> Result<Arc<LoadedModel>, RunnerError> {
     static LOADED: Mutex<Option<HashMap<String, Slot>>> = Mutex::new(None);
     let key = format!("{:?}", (&config.mllm, &config.reasoning));
     let slot = Arc::clone(lock(&LOADED).get_or_insert_default().entry(key).or_default());
@@ -27,7 +32,7 @@ pub(crate) fn model(config: &Config) -> Outcome<Arc<LoadedModel>> {
     if let Some(loaded) = &*slot {
         return Ok(Arc::clone(loaded));
     }
-    let loaded = Arc::new(load_model(config, &silent())?);
+    let loaded = Arc::new(load_model(config, listener)?);
     *slot = Some(Arc::clone(&loaded));
     Ok(loaded)
 }

@@ -78,7 +78,10 @@ Examples:
   A planner of your own, in any language:
     planagent simulate --planner \"exec:python3 examples/exec_planner.py\"
   The second of eight parts of a run, for a cluster:
-    planagent simulate --split generated-test14 --shard 2/8 --out runs/part-2";
+    planagent simulate --split generated-test14 --shard 2/8 --out runs/part-2
+  The part of a SLURM array that its task has:
+    planagent simulate --split generated-test14 --shard auto \\
+      --out runs/part-$SLURM_ARRAY_TASK_ID";
 
 pub(super) const PLAN: &str = "\
 Examples:

@@ -1,8 +1,10 @@
-//! Words of the command line that are lists.
+//! Words of the command line that are more than one value.
 
 use crate::files::word_of;
 use crate::planner::is_exec;
+use crate::runner::{NoShard, Shard, ShardEnvironmentError};
 use clap::builder::{OsStringValueParser, TypedValueParser};
+use std::env;
 
 /// Takes a path that need not be UTF-8, or another word.
 pub(super) fn path_word() -> impl TypedValueParser<Value = String> {
@@ -21,6 +23,25 @@ pub(super) fn planner_words(values: &[String]) -> Vec<String> {
         words.push(rest.trim().to_owned());
     }
     words
+}
+
+/// A word that names no shard.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ShardWordError {
+    #[error(transparent)]
+    NoShard(#[from] NoShard),
+    #[error(transparent)]
+    Environment(#[from] ShardEnvironmentError),
+    #[error("neither SLURM_ARRAY_TASK_ID nor NODE_RANK is set; name the shard as I/N, for example 2/8")]
+    NoEnvironment,
+}
+
+/// The value of `--shard`.
+pub(super) fn shard_word(word: &str) -> Result<Shard, ShardWordError> {
+    if word == "auto" {
+        return Shard::of_environment(|name| env::var(name).ok())?.ok_or(ShardWordError::NoEnvironment);
+    }
+    Ok(word.parse()?)
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Errors of runs.
 
+use super::commands::CommandError;
 use super::config::ConfigError;
-use super::request::CommandError;
 use super::sample::NoSuchType;
 use crate::experiment::split::SplitError;
 use crate::experiment::study::StudyError;

@@ -2,6 +2,7 @@
 //! ends, resumes after an interruption, and writes its results once all simulations are completed. Experiments are runs
 //! on the same scenarios whose scores are compared.
 
+mod commands;
 mod config;
 mod error;
 mod event;
@@ -15,8 +16,10 @@ mod result_version;
 mod run;
 mod sample;
 mod selection;
+mod shard;
 mod simulate;
 
+pub use commands::CommandError;
 pub use config::{Config, ConfigError, MllmConfig};
 pub use error::{MergeError, RunnerError};
 pub use event::{Event, Listener, silent};
@@ -24,8 +27,9 @@ pub use experiments::{Experiments, ExperimentsRequest, StudyOutcome, SuiteTokens
 pub use machine::{build_commit, cpu, memory};
 pub use merge::merge;
 pub use model::{LoadedModel, load_model, model_registry};
-pub use request::{CommandError, Request};
+pub use request::Request;
 pub use result_version::RESULT_VERSION;
 pub use run::RunResults;
-pub use sample::{NoShard, NoSuchType, Shard};
+pub use sample::NoSuchType;
+pub use shard::{NoShard, Shard, ShardEnvironmentError};
 pub use simulate::{resume, start};

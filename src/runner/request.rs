@@ -1,11 +1,16 @@
 //! What a run is asked to simulate.
 
-use super::sample::Shard;
+use super::commands::{CommandError, Commands, agent_command};
+use super::config::Config;
+use super::error::RunnerError;
+use super::event::Listener;
+use super::model::{LoadedModel, load_model};
+use super::shard::Shard;
 use crate::experiment::StopSwitch;
-use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, ExecError, PlannerRegistry};
+use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, PlannerRegistry};
 use crate::scenario::{DataRoots, Readers};
-use crate::simulation::{AgentCommand, AgentPolicyName};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// What to simulate, in the words of the command line. An empty field takes the value of the run that is resumed, else
@@ -36,6 +41,8 @@ pub struct Request {
     pub registry: PlannerRegistry,
     /// Makes the readers that scenario words refer to.
     pub readers: fn(&DataRoots) -> Readers,
+    /// Loads the model, once one of the planners needs it. A process of several runs may keep it.
+    pub loader: fn(&Config, &Listener) -> Result<Arc<LoadedModel>, RunnerError>,
     /// Folders of nuPlan's data.
     pub roots: DataRoots,
     /// Whether to repeat the failed simulations of the run that is resumed.
@@ -61,57 +68,13 @@ impl Default for Request {
             agents: None,
             registry: PlannerRegistry::default(),
             readers: Readers::new,
+            loader: |config, listener| load_model(config, listener).map(Arc::new),
             roots: DataRoots::default(),
             retry_failed: false,
             accept_changes: false,
             stop: None,
         }
     }
-}
-
-/// Why a command cannot be used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-#[allow(missing_docs)]
-pub enum CommandError {
-    #[error(
-        "'{0}' is no command; expected exec:COMMAND or NAME=exec:COMMAND. Agents that replay the log, or follow IDM, are those of \
-         --challenge nonreactive and reactive"
-    )]
-    NoCommand(String),
-    #[error("'{0}' is the name of a challenge; name the command as NAME=exec:COMMAND")]
-    Reserved(String),
-    #[error(transparent)]
-    Exec(#[from] ExecError),
-}
-
-/// The commands of a request.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Commands {
-    /// Those of planners, by name.
-    pub(super) planners: BTreeMap<String, String>,
-    /// That of the other agents.
-    pub(super) agents: Option<AgentCommand>,
-}
-
-impl Commands {
-    /// The policy of the other agents.
-    pub(super) fn policy(&self) -> Option<AgentPolicyName> {
-        self.agents.as_ref().map(|agents| agents.name)
-    }
-
-    /// The commands of agents, by name.
-    pub(super) fn of_agents(&self) -> BTreeMap<String, String> {
-        self.agents.iter().map(|agents| (agents.name.to_string(), agents.command.clone())).collect()
-    }
-}
-
-/// The command of a word of `--agents`.
-fn agent_command(word: &str, timeout: Duration) -> Result<AgentCommand, CommandError> {
-    let Some(parsed) = ExecCommand::parse(word) else { return Err(CommandError::NoCommand(word.to_owned())) };
-    let ExecCommand { name, command } = parsed?;
-    let name = AgentPolicyName::new(name.as_str()).ok_or_else(|| CommandError::Reserved(name.to_string()))?;
-    Ok(AgentCommand { name, command, timeout })
 }
 
 impl Request {

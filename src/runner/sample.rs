@@ -1,60 +1,7 @@
-//! Which of the scenarios that words and splits name are simulated: types, order, number, shard.
+//! Which of the scenarios that words and splits name are simulated: types, order, number.
 
-use crate::report::ShardList;
 use crate::scenario::{ScenarioRef, UNKNOWN_TYPE};
 use std::collections::BTreeSet;
-use std::fmt;
-use std::str::FromStr;
-
-/// One of several parts of a run, which processes simulate independently: `2/8`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shard {
-    index: usize,
-    of: usize,
-}
-
-/// A text that names no shard.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("a shard is I/N with I from 1 to N, for example 2/8")]
-pub struct NoShard;
-
-impl FromStr for Shard {
-    type Err = NoShard;
-
-    fn from_str(text: &str) -> Result<Self, NoShard> {
-        let (index, of) = text.split_once('/').ok_or(NoShard)?;
-        let [index, of] = [index, of].map(|number| number.trim().parse::<usize>().map_err(|_| NoShard));
-        let (index, of) = (index?, of?);
-        if (1..=of).contains(&index) { Ok(Self { index, of }) } else { Err(NoShard) }
-    }
-}
-
-impl fmt::Display for Shard {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}", self.index, self.of)
-    }
-}
-
-impl From<ShardList> for Shard {
-    fn from(list: ShardList) -> Self {
-        Self { index: list.index, of: list.of }
-    }
-}
-
-impl Shard {
-    /// Whether it has a scenario. That depends on the name of the scenario alone, so that a scenario stays in its shard
-    /// whatever else is simulated.
-    pub(super) fn has(self, scenario: &ScenarioRef) -> bool {
-        let place = hash(b"shard", &key(scenario)) % (self.of as u64);
-        place == self.index as u64 - 1
-    }
-
-    /// What the manifest says of it, with the number of its scenarios.
-    pub(super) fn list(self, scenarios: &[ScenarioRef]) -> ShardList {
-        let count = scenarios.iter().filter(|scenario| self.has(scenario)).count();
-        ShardList { index: self.index, of: self.of, count }
-    }
-}
 
 /// What to take of the scenarios that are found.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -125,12 +72,13 @@ fn type_of(scenario: &ScenarioRef) -> &str {
 }
 
 /// A name of the scenario that does not depend on where its file lies.
-fn key(scenario: &ScenarioRef) -> String {
+pub(super) fn key(scenario: &ScenarioRef) -> String {
     let file = || scenario.path()?.file_name().map(|name| name.to_string_lossy().into_owned());
     scenario.id().map(str::to_owned).or_else(file).unwrap_or_else(|| scenario.to_string())
 }
 
-fn hash(salt: &[u8], text: &str) -> u64 {
+/// A number that stays the same on every machine and in every version.
+pub(super) fn hash(salt: &[u8], text: &str) -> u64 {
     let digest = blake3::Hasher::new().update(salt).update(b"\n").update(text.as_bytes()).finalize();
     digest.as_bytes().iter().take(8).fold(0, |number, &byte| number << 8 | u64::from(byte))
 }
@@ -185,34 +133,5 @@ mod tests {
         assert_eq!(sorted, names(&scenarios()));
         let some = order(0, scenarios().into_iter().filter(|one| type_of(one) != "b").collect());
         assert_eq!(some, all.into_iter().filter(|name| !name.starts_with('b')).collect::<Vec<_>>());
-    }
-
-    #[test]
-    fn shards_of_any_number_share_every_scenario_once() {
-        let all: Vec<ScenarioRef> = (0..200).map(|seed| scenario("a", seed)).collect();
-        for of in [1, 2, 3, 7, 300] {
-            let mut counts = vec![0; all.len()];
-            for index in 1..=of {
-                let shard: Shard = format!("{index}/{of}").parse().unwrap();
-                let has: Vec<bool> = all.iter().map(|one| shard.has(one)).collect();
-                assert_eq!(shard.list(&all).count, has.iter().filter(|has| **has).count());
-                counts.iter_mut().zip(has).for_each(|(count, has)| *count += usize::from(has));
-            }
-            assert!(counts.iter().all(|count| *count == 1), "{of}: {counts:?}");
-        }
-        // Pinned: another assignment would tear apart shards that were simulated before.
-        let first: Vec<usize> = all.iter().take(8).map(|one| 1 + (hash(b"shard", &key(one)) % 3) as usize).collect();
-        assert_eq!(first, PINNED);
-    }
-
-    /// Shards of three of the first scenarios.
-    const PINNED: [usize; 8] = [3, 3, 3, 1, 1, 1, 1, 3];
-
-    #[test]
-    fn what_names_no_shard_is_refused() {
-        assert_eq!("2/8".parse::<Shard>().unwrap().to_string(), "2/8");
-        for wrong in ["", "2", "0/2", "3/2", "1/0", "a/b", "1/2/3", "-1/2"] {
-            assert_eq!(wrong.parse::<Shard>(), Err(NoShard), "{wrong}");
-        }
     }
 }

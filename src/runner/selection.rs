@@ -3,7 +3,8 @@
 use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::request::Request;
-use super::sample::{Sample, Shard};
+use super::sample::Sample;
+use super::shard::Shard;
 use crate::experiment::run::SimulationTask;
 use crate::experiment::split::split;
 use crate::experiment::suite::Suite;

@@ -1,12 +1,13 @@
 //! Starts and resumes runs.
 
+use super::commands::Commands;
 use super::config::{Config, ConfigError};
 use super::error::RunnerError;
 use super::event::{Event, Listener};
 use super::inputs::{checkpoint_digests, data_files};
 use super::machine::build_commit;
 use super::model::{self, LoadedModel};
-use super::request::{Commands, Request};
+use super::request::Request;
 use super::result_version::RESULT_VERSION;
 use super::run::{self, Resume, Run, RunPlan, RunResults};
 use super::selection::Selection;
@@ -122,15 +123,15 @@ fn plan(
         entry.prepare(&config.agent_settings()).map_err(|source| RunnerError::Prepare(Box::new(source)))?;
         needs_model |= entry.needs_model();
     }
-    let loaded = if needs_model { Some(model::load_model(config, listener)?) } else { None };
+    let loaded = if needs_model { Some((request.loader)(config, listener)?) } else { None };
     Ok(RunPlan {
-        manifest: of_selection(selection, commands, loaded.as_ref(), data, config)?,
+        manifest: of_selection(selection, commands, loaded.as_deref(), data, config)?,
         tasks: selection.tasks.clone(),
         numbers: selection.numbers.clone(),
         agent: AgentParts {
             agents: commands.agents.clone(),
             stop: request.stop.clone(),
-            ..model::agent_parts(config, request.registry.clone(), loaded.as_ref())
+            ..model::agent_parts(config, request.registry.clone(), loaded.as_deref())
         },
         load_s: loaded.map(|loaded| loaded.load_s),
     })

@@ -1,6 +1,6 @@
 //! `--limit`, `--type`, `--shuffle`, `--shard`, `merge`, `compare` and `--csv`.
 
-use super::{read_json, refused, run};
+use super::{planagent, read_json, refused, run};
 use crate::runner::simulations;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -126,6 +126,38 @@ fn merged_shards_are_the_run_of_one_process() {
     fs::write(&record, &text[..text.len() / 2]).unwrap();
     let damaged = refused(&["merge", first, second, third, "--out", path("never").to_str().unwrap()]);
     assert!(damaged.contains("is damaged"), "{damaged}");
+}
+
+#[test]
+fn a_slurm_array_or_a_node_names_its_shard() {
+    let work = TempDir::new().unwrap();
+    let names = ["SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_MAX", "SLURM_ARRAY_TASK_STEP"];
+    let shard = |out: &str, variables: &[(&str, &str)]| {
+        let mut command = planagent();
+        for name in names {
+            command.env_remove(name);
+        }
+        command.env_remove("SLURM_ARRAY_TASK_COUNT").env_remove("NODE_RANK").env_remove("NUM_NODES");
+        command.envs(variables.iter().copied()).current_dir(work.path());
+        let flags = ["simulate", "--split", "generated", "--limit", "8", "--planner", "simple", "--shard", "auto"];
+        let output = command.args(flags).args(["--quiet", "--out", out]).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let task = [("SLURM_ARRAY_TASK_ID", "5"), ("SLURM_ARRAY_TASK_MIN", "4"), ("SLURM_ARRAY_TASK_COUNT", "3")];
+    for (out, variables) in [("task", &task[..]), ("node", &[("NODE_RANK", "1"), ("NUM_NODES", "3")])] {
+        let (code, stderr) = shard(out, variables);
+        assert_eq!(code, Some(0), "{stderr}");
+        let manifest = fs::read_to_string(work.path().join(out).join("manifest.toml")).unwrap();
+        assert!(manifest.contains("index = 2\nof = 3\n"), "{manifest}");
+    }
+    for (variables, why) in [
+        (&[][..], "neither SLURM_ARRAY_TASK_ID nor NODE_RANK is set"),
+        (&[("SLURM_ARRAY_TASK_ID", "2")], "SLURM_ARRAY_TASK_COUNT is not"),
+        (&[("NODE_RANK", "two"), ("NUM_NODES", "3")], "NODE_RANK is 'two'"),
+    ] {
+        let (code, stderr) = shard("never", variables);
+        assert!(code == Some(2) && stderr.contains(why), "{stderr}");
+    }
 }
 
 #[test]

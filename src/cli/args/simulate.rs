@@ -4,7 +4,7 @@ use super::data::{DataArguments, SplitArguments};
 use super::model::ModelArguments;
 use crate::cli::help;
 use crate::cli::picture::{PictureFile, picture_file};
-use crate::cli::words::{path_word, planner_words};
+use crate::cli::words::{path_word, planner_words, shard_word};
 use crate::planner::DEFAULT_EXEC_TIMEOUT;
 use crate::runner::{Request, Shard};
 use anyhow::Context;
@@ -88,8 +88,9 @@ pub(in crate::cli) struct SampleArguments {
     limit: Option<usize>,
     /// Simulate one of N parts of the run, for example 2/8; `planagent merge` joins them.
     ///
-    /// A scenario is always in the same part of N, whatever else is simulated.
-    #[arg(long, value_name = "I/N", hide_short_help = true)]
+    /// A scenario is always in the same part of N, whatever else is simulated. `auto` takes the part from
+    /// `SLURM_ARRAY_TASK_ID` and `SLURM_ARRAY_TASK_COUNT`, else from `NODE_RANK` and `NUM_NODES`.
+    #[arg(long, value_name = "I/N", value_parser = shard_word, hide_short_help = true)]
     shard: Option<Shard>,
 }
 
