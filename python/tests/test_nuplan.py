@@ -20,8 +20,8 @@ pytestmark = [
 if DEVKIT is not None:
     sys.path[:0] = [DEVKIT, str(Path(__file__).parents[2] / "tests" / "devkit")]
 
-#: Simulations in which the two programs part: scene, planner, challenge. Reactive agents differ by millimeters (docs/devkit.md). Why
-#: PDM-Closed takes another proposal in the first scene is not known.
+#: Simulations in which the two programs part: scene, planner, challenge. Reactive agents differ by millimeters (docs/devkit.md). In the
+#: first scene rounding decides between two proposals of PDM-Closed, and the devkit's coordinates round otherwise (docs/python.md).
 PARTED = {
     ("changing_lane", "plan-agent", "reactive"),
     ("changing_lane", "pdm-closed", "nonreactive"),

@@ -44,7 +44,9 @@ def test_a_spawned_process_gives_the_same():
 def test_ctrl_c_stops_a_run_which_is_resumed(tmp_path):
     program = textwrap.dedent(
         f"""
-        import sys, planagent
+        import signal, sys, planagent
+        # A shell starts background jobs with the signal ignored.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         scenes = {SCENES!r}
         def tell(progress):
             if progress.done > 2:
@@ -60,8 +62,8 @@ def test_ctrl_c_stops_a_run_which_is_resumed(tmp_path):
     assert process.stdout.readline() == "go\n"
     started = time.monotonic()
     process.send_signal(signal.SIGINT)
-    while process.stdout.readline() != "stopped\n":
-        pass
+    while (line := process.stdout.readline()) != "stopped\n":
+        assert line == "go\n", "the run went on to its end"
     seconds = time.monotonic() - started
     process.stdout.close()
     assert process.wait(30) == 7
