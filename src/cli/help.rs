@@ -1,6 +1,7 @@
 //! Help texts: what the registries hold, and examples.
 
 use super::args::ALL_EXPERIMENTS;
+use crate::experiment::interactive::NAMES as INTERACTIVE;
 use crate::experiment::study;
 use crate::experiment::suite::Suite;
 use crate::planner::{PlannerName, PlannerRegistry};
@@ -41,7 +42,7 @@ pub(super) fn splits() -> String {
         format!("{} ({types} types x {})", suite.name, specs.len() / types.max(1))
     };
     let known = Readers::new(&DataRoots::default()).splits().into_iter().map(str::to_owned);
-    let names: Vec<String> = known.chain(Suite::ALL.map(suite)).collect();
+    let names: Vec<String> = known.chain(Suite::ALL.map(suite)).chain(INTERACTIVE.map(str::to_owned)).collect();
     format!("List of scenarios: {}; or a nuPlan scenario filter FILE.yaml", names.join(", "))
 }
 
@@ -169,6 +170,11 @@ pub(super) const SCENARIOS: &str = "\
 Examples:
   planagent scenarios list
   planagent scenarios show generated/changing_lane/3";
+
+pub(super) const SCENARIOS_INTERACTIVE: &str = "\
+Examples:
+  planagent scenarios interactive --count 2
+  planagent scenarios interactive --recordings folder/of/data";
 
 pub(super) const SCENARIOS_HARD: &str = "\
 Example:

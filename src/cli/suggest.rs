@@ -1,5 +1,6 @@
 //! The known name that a mistyped one is closest to.
 
+use crate::experiment::interactive::NAMES;
 use crate::experiment::split::SplitError;
 use crate::experiment::study::StudyError;
 use crate::experiment::suite::Suite;
@@ -60,7 +61,7 @@ fn other_option(error: &(dyn Error + 'static)) -> Option<String> {
     if let Some(ReaderError::Missing(path)) = error.downcast_ref() {
         let name = path.file_name()?.to_str()?;
         let splits = Readers::new(&DataRoots::default()).splits();
-        let is_split = Suite::named(name).is_some() || splits.contains(&name);
+        let is_split = Suite::named(name).is_some() || NAMES.contains(&name) || splits.contains(&name);
         return is_split.then(|| format!("{name} is a split: --split {name}"));
     }
     if let Some(SplitError::Unknown { name, .. }) = error.downcast_ref() {

@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod dataset;
+pub mod interactive;
 mod oracle;
 pub mod panic_guard;
 pub mod run;

@@ -1,6 +1,9 @@
 //! Named lists of scenarios: the suites of generated scenarios, and the splits of the scenario readers.
 
+use super::interactive;
 use super::suite::Suite;
+use crate::files::{path_of, word_of};
+use crate::scenario::modified::ModifiedName;
 use crate::scenario::{OnProgress, ReaderError, Readers, Split};
 
 #[derive(Debug, thiserror::Error)]
@@ -24,15 +27,27 @@ fn successor(retired: &str) -> String {
 /// The scenarios of a split: a suite or a published split by its name, or those of a scenario filter `FILE.yaml`.
 /// `on_progress` counts the searched logs.
 pub fn split(name: &str, readers: &Readers, on_progress: OnProgress<'_>) -> Result<Split, SplitError> {
+    if let Some((base, modified)) = ModifiedName::in_word(name) {
+        let modification = modified.read().map_err(ReaderError::new)?;
+        let of_base = split(base, readers, on_progress)?;
+        // The list alone does not make the scenarios: the name of the file is not enough.
+        let file = of_base.file.map(|file| path_of(&modified.mark(&word_of(file.as_os_str()))));
+        let scenarios = of_base.scenarios.into_iter().map(|scenario| modification.of(scenario)).collect();
+        return Ok(Split { scenarios, file, ..of_base });
+    }
     if let Some(suite) = Suite::named(name) {
         let scenarios = suite.specs().into_iter().map(Into::into).collect();
         return Ok(Split { scenarios, ..Split::default() });
+    }
+    if let Some(split) = interactive::split(name, readers) {
+        return split;
     }
     if Suite::RETIRED.contains(&name) {
         return Err(SplitError::Retired { name: name.to_owned() });
     }
     let Some(split) = readers.split(name, on_progress) else {
-        let known = Suite::ALL.map(|suite| suite.name).into_iter().chain(readers.splits()).collect();
+        let known =
+            Suite::ALL.map(|suite| suite.name).into_iter().chain(interactive::NAMES).chain(readers.splits()).collect();
         return Err(SplitError::Unknown { name: name.to_owned(), known });
     };
     Ok(split?)

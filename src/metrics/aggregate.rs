@@ -1,7 +1,10 @@
 //! Aggregation of the scores of many scenarios by scenario type and by planner (devkit
 //! `weighted_average_metric_aggregator.py`).
 
+use super::METRICS;
 use super::score::{Weighting, combine};
+use crate::world::InteractionKind;
+use std::borrow::Cow;
 
 /// The metric scores of one simulated scenario. A scenario whose simulation failed has no row at all.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,7 +80,17 @@ pub(crate) fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> 
     seen
 }
 
+/// The weighting of a row: interPlan's for the modified scenarios of its kinds, which alone have that metric.
+fn weighting_of<'a>(row: &ScenarioRow, weighting: &'a Weighting) -> Cow<'a, Weighting> {
+    let is_scored = row.metrics.iter().any(|(name, score)| name == "lane_changes_to_goal" && score.is_some());
+    match InteractionKind::named(&row.scenario_type).filter(|_| is_scored) {
+        Some(kind) => Cow::Owned(Weighting::of_kind(kind, &METRICS)),
+        None => Cow::Borrowed(weighting),
+    }
+}
+
 fn scenario_row(row: &ScenarioRow, columns: &[&String], weighting: &Weighting) -> AggregateRow {
+    let weighting = &weighting_of(row, weighting);
     let value = |column: &str| row.metrics.iter().find(|(name, _)| name == column).and_then(|&(_, score)| score);
     AggregateRow {
         scenario: row.scenario.clone(),

@@ -1,6 +1,9 @@
 //! nuPlan's `common_metrics.yaml`: metrics of any simulation, without score.
 
-use super::{MetricCategory, MetricError, MetricInput, MetricResult, MetricSpec, Statistic, StatisticKind, TimeSeries};
+use super::{
+    EvaluatedSimulation, MetricCategory, MetricError, MetricInput, MetricResult, MetricSpec, Statistic, StatisticKind,
+    TimeSeries,
+};
 use crate::geometry::wrap_angle;
 use crate::world::EgoState;
 
@@ -17,7 +20,10 @@ pub(super) const EXPERT_ERROR_WITH_YAW: MetricSpec = MetricSpec::new("ego_expert
 const HEADING_DIFF_WEIGHT: f64 = 2.5;
 
 fn expert<'a>(input: &MetricInput<'a>) -> &'a [EgoState] {
-    input.simulation.expert
+    // A modified scenario may end early, at its goal.
+    let EvaluatedSimulation { expert, interaction, samples, .. } = input.simulation;
+    let ends_early = interaction.is_some_and(|added| added.goal.is_some());
+    if ends_early { &expert[..expert.len().min(samples.len() + 1)] } else { expert }
 }
 
 /// The mean norm of the rear-axle velocity, m/s.

@@ -5,7 +5,7 @@ use super::collision::{Collision, find_collisions};
 use super::corners::DrivenLanes;
 use super::expert_comparison::{FRAMES_PER_SECOND, PlannerExpertErrors, compare_with_expert};
 use super::route_progress::Progress;
-use crate::world::{EgoState, HistorySample, LaneMap, Trajectory};
+use crate::world::{EgoState, HistorySample, Interaction, LaneMap, Trajectory};
 use std::cell::OnceCell;
 
 /// One simulation and its expert.
@@ -22,17 +22,24 @@ pub struct EvaluatedSimulation<'a> {
     pub trajectories: &'a [Trajectory],
     /// The recorded ego after `expert`, at the same rate; the closed-loop metrics need none.
     pub future: &'a [EgoState],
+    /// What a modification added to the scenario.
+    pub interaction: Option<&'a Interaction>,
 }
 
 impl<'a> EvaluatedSimulation<'a> {
     /// What the closed-loop metrics need.
     pub fn new(map: &'a LaneMap, samples: &'a [HistorySample], expert: &'a [EgoState]) -> Self {
-        Self { map, samples, expert, trajectories: &[], future: &[] }
+        Self { map, samples, expert, trajectories: &[], future: &[], interaction: None }
     }
 
     /// Adds what the open-loop metrics need.
     pub fn with_plans(self, trajectories: &'a [Trajectory], future: &'a [EgoState]) -> Self {
         Self { trajectories, future, ..self }
+    }
+
+    /// Adds what a modification added to the scenario: its kind decides the metrics of the score.
+    pub fn with_interaction(self, interaction: Option<&'a Interaction>) -> Self {
+        Self { interaction, ..self }
     }
 }
 
@@ -80,6 +87,11 @@ impl<'a> MetricInput<'a> {
     pub(super) fn progress(&self) -> Option<&Progress> {
         let EvaluatedSimulation { map, expert, .. } = self.simulation;
         self.progress.get_or_init(|| Progress::of(map, &self.states, expert)).as_ref()
+    }
+
+    /// The share of the expert's progress that the ego made; 1 without an expert route.
+    pub(super) fn progress_ratio(&self) -> f64 {
+        self.progress().map_or(1.0, Progress::ratio)
     }
 
     pub(super) fn comparison(&self) -> Result<&PlannerExpertErrors, MetricError> {

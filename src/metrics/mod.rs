@@ -24,6 +24,7 @@ mod ego_stop_at_stop_line;
 mod error;
 mod expert_comparison;
 mod input;
+mod interactive;
 mod no_ego_at_fault_collisions;
 mod open_loop;
 mod registry;
@@ -59,6 +60,9 @@ pub use expert_comparison::{
     COMPARISON_HORIZONS_S, FRAMES_PER_SECOND, HorizonErrors, PlannerExpertErrors, compare_with_expert,
 };
 pub use input::{EvaluatedSimulation, MetricInput};
+pub use interactive::{
+    INTERACTIVE_METRICS, LaneRelations, UNCOUNTED, changes_between, lane_changes_score, passing_ratio, sorted,
+};
 pub use no_ego_at_fault_collisions::no_ego_at_fault_collisions;
 pub use open_loop::{
     MAX_AVERAGE_HEADING_ERROR, MAX_AVERAGE_L2_ERROR, MAX_DISPLACEMENTS, MAX_FINAL_HEADING_ERROR, MAX_FINAL_L2_ERROR,
@@ -66,7 +70,7 @@ pub use open_loop::{
     planner_expert_final_heading_error_within_bound, planner_expert_final_l2_error_within_bound,
     planner_miss_rate_within_bound,
 };
-pub use registry::{Evaluation, METRICS, MetricRegistry, evaluate, metric};
+pub use registry::{Evaluation, METRICS, MetricRegistry, evaluate, metric, scored_names};
 pub use result::{MetricCategory, MetricResult, ScoreUnit, Statistic, StatisticKind, TimeSeries};
 pub use route::{driven_route, lanes_at};
 pub use route_progress::{RouteProgress, SCORE_PROGRESS, progress_ratio};

@@ -1,5 +1,6 @@
 //! The metric table, and the evaluation of a simulation with it.
 
+use super::interactive::{INTERACTIVE_METRICS, specs_of};
 use super::spec::scored;
 use super::{
     EvaluatedSimulation, MetricError, MetricInput, MetricList, MetricResult, MetricSpec, Score, Weighting, comfort,
@@ -7,6 +8,7 @@ use super::{
     ego_stop_at_stop_line, no_ego_at_fault_collisions, open_loop, speed_limit_compliance,
     time_to_collision_within_bound,
 };
+use crate::world::InteractionKind;
 
 /// nuPlan's metrics in the order of their results. A score takes the multipliers, then the weighted metrics, in this order.
 pub const METRICS: [MetricSpec; 27] = [
@@ -39,10 +41,11 @@ pub const METRICS: [MetricSpec; 27] = [
     open_loop::FINAL_HEADING,
 ];
 
-/// nuPlan's metric of this name.
+/// nuPlan's metric of this name, or one of modified scenarios.
 pub fn metric(name: &str) -> Option<&'static MetricSpec> {
     const ALL: &[MetricSpec] = &METRICS;
-    ALL.iter().find(|spec| spec.name == name)
+    const OWN: &[MetricSpec] = &INTERACTIVE_METRICS;
+    ALL.iter().chain(OWN).find(|spec| spec.name == name)
 }
 
 impl MetricList {
@@ -57,6 +60,19 @@ impl Weighting {
     /// nuPlan's weighting of a list of metrics; the same with non-reactive and reactive agents.
     pub fn of(list: MetricList) -> Self {
         Self::new(list.scored())
+    }
+
+    /// interPlan's weighting of these metrics for a kind.
+    pub fn of_kind(kind: InteractionKind, specs: &[MetricSpec]) -> Self {
+        Self::new(specs_of(kind, specs).iter())
+    }
+}
+
+/// The names of the metrics that enter a score, multipliers first: of a kind, or nuPlan's of a list.
+pub fn scored_names(list: MetricList, kind: Option<InteractionKind>) -> Vec<&'static str> {
+    match kind.filter(|_| list == MetricList::ClosedLoop) {
+        Some(kind) => scored(&specs_of(kind, &METRICS), list).map(|spec| spec.name).collect(),
+        None => list.scored().map(|spec| spec.name).collect(),
     }
 }
 
@@ -92,12 +108,14 @@ impl MetricRegistry {
     /// As [`MetricInput::new`], and when a metric cannot be computed: open-loop metrics need plans of more than 7 s.
     pub fn evaluate(&self, list: MetricList, simulation: &EvaluatedSimulation<'_>) -> Result<Evaluation, MetricError> {
         let input = MetricInput::new(*simulation)?;
-        let of_list = self.specs.iter().filter(|spec| spec.list.is_none_or(|own| own == list));
+        let kind = simulation.interaction.and_then(|added| added.kind).filter(|_| list == MetricList::ClosedLoop);
+        let specs = kind.map_or_else(|| self.specs.clone(), |kind| specs_of(kind, &self.specs));
+        let of_list = specs.iter().filter(|spec| spec.list.is_none_or(|own| own == list));
         let mut metrics = Vec::new();
         for spec in of_list {
             metrics.extend((spec.compute)(&input)?);
         }
-        Ok(Evaluation { score: Score::of(list, &self.specs, &metrics)?, metrics })
+        Ok(Evaluation { score: Score::of(list, &specs, &metrics)?, metrics })
     }
 }
 

@@ -169,6 +169,41 @@ pub fn plan_tuned(
     Ok(PdmPlan { proposals, simulated, scores, best, emergency_brake: brake, trajectory })
 }
 
+/// One step of PDM-Closed along several reference paths at once: the best of all proposals is executed. Progress is measured along the
+/// first path, and the collisions and areas are those of its route.
+///
+/// # Errors
+/// As [`plan_along`].
+pub fn plan_among(
+    own: &ReferencePath,
+    others: &[ReferencePath],
+    scene: &SceneView<'_>,
+    collided: &mut Collided,
+) -> Result<PdmPlan, PdmError> {
+    let (ego, parameters) = (scene.ego, PdmParameters::default());
+    let instant = PdmInstant::along(own, scene, collided);
+    let mut sets: Vec<Proposals<'_>> =
+        std::iter::once(own).chain(others).map(|path| instant.proposals(path, ego, PROPOSAL_STEPS)).collect();
+    let all = sets.iter().flat_map(|set| simulate_proposals(ego, set.all()));
+    let simulated: Vec<Vec<EgoState>> = all.collect();
+    let scores = score_proposals(&instant.scoring(own.centerline().line(), 0.0), &simulated)?;
+    let best = best_of(&scores).ok_or(MetricError::TooFewSamples { needed: 1, got: 0 })?;
+    let brake = parameters.emergency_brake && needs_emergency_brake(scores[best].first_at_fault_s, ego);
+    let (mut set, mut place) = (0, best);
+    while place >= sets[set].all().len() {
+        place -= sets[set].all().len();
+        set += 1;
+    }
+    let trajectory = if brake {
+        emergency_brake(ego, TRAJECTORY_STEPS)?
+    } else {
+        let poses = sets[set].continued(place, TRAJECTORY_STEPS).iter().enumerate();
+        Trajectory::new(poses.map(|(step, &pose)| standing(ego.time_us + step as i64 * STEP_US, pose)).collect())?
+    };
+    let proposals = sets.into_iter().flat_map(Proposals::into_all).collect();
+    Ok(PdmPlan { proposals, simulated, scores, best, emergency_brake: brake, trajectory })
+}
+
 /// One step of PDM-Closed; the reference path is chosen at the first one and kept in `memory`.
 ///
 /// # Errors

@@ -30,7 +30,9 @@ mod search;
 
 pub use areas::{DrivableLayers, DrivableMap, EgoAreas, MAP_RADIUS};
 pub use centerline::{centerline_poses, lane_chain};
-pub use closed::{PdmError, PdmInstant, PdmMemory, PdmPlan, best_of, plan, plan_along, plan_tuned, simulate_proposals};
+pub use closed::{
+    PdmError, PdmInstant, PdmMemory, PdmPlan, best_of, plan, plan_along, plan_among, plan_tuned, simulate_proposals,
+};
 pub use collision::{FirstTouch, no_at_fault_collisions, time_to_collision};
 pub use comfort::is_comfortable;
 pub use current_lane::{StartingBlock, current_lane, starting_block};

@@ -17,6 +17,8 @@ pub const DEFAULT_ACCELERATIONS: (f64, f64) = (1.5, 3.0);
 const GRID_SPEEDS: [f64; 7] = [1.0, 0.85, 0.7, 0.55, 0.4, 0.2, 0.0];
 /// Pairs of acc and dec of the grid, m/s²: default, gentle, firm, emergency.
 const GRID_ACCELERATIONS: [(f64, f64); 4] = [DEFAULT_ACCELERATIONS, (1.0, 2.0), (2.0, 4.0), (1.5, 6.0)];
+/// As many codes as a model proposes at most.
+const FOUR: usize = 4;
 /// Limit where the map has none, m/s.
 const FALLBACK_LIMIT: f64 = 15.0;
 
@@ -29,11 +31,15 @@ pub enum CodeSource {
     Model { model: Arc<dyn Mllm>, prompts: Arc<PromptSet>, reasoning: ReasoningSettings },
     /// A baseline: each attempt is drawn uniformly from the codes that the grammar allows.
     Random,
+    /// A baseline: the best of four random codes, as many as a model proposes at most.
+    RandomFour,
     /// A baseline: always the ego's lane at the speed limit, in one attempt.
     Fixed,
     /// A baseline: the code of a grid that Reflection scores best. Earlier codes win ties: the ego's lane before others, fast before
     /// slow.
     Grid,
+    /// A baseline: the best of four codes that do not look: each lane at the limit, then the ego's lane more slowly.
+    GridFour,
     /// One line that a person wrote, in one attempt.
     Written(String),
     /// A baseline: a code that was found outside of the agent, in one attempt; the fixed one where none was.
@@ -60,7 +66,13 @@ impl CodeSource {
     pub(super) fn image_size(&self) -> Option<u32> {
         match self {
             Self::Model { model, .. } => model.describe().image_size,
-            Self::Random | Self::Fixed | Self::Grid | Self::Written(_) | Self::Handed(_) => None,
+            Self::Random
+            | Self::RandomFour
+            | Self::Fixed
+            | Self::Grid
+            | Self::GridFour
+            | Self::Written(_)
+            | Self::Handed(_) => None,
         }
     }
 
@@ -68,13 +80,19 @@ impl CodeSource {
     pub(super) fn prompts(&self) -> Option<&PromptSet> {
         match self {
             Self::Model { prompts, .. } => Some(prompts),
-            Self::Random | Self::Fixed | Self::Grid | Self::Written(_) | Self::Handed(_) => None,
+            Self::Random
+            | Self::RandomFour
+            | Self::Fixed
+            | Self::Grid
+            | Self::GridFour
+            | Self::Written(_)
+            | Self::Handed(_) => None,
         }
     }
 
     /// Whether all of its codes are tried out and the best one is taken.
     pub(super) fn compares(&self) -> bool {
-        matches!(self, Self::Grid)
+        matches!(self, Self::Grid | Self::GridFour | Self::RandomFour)
     }
 
     /// Begins a planning call of at most `attempts` attempts; a grid gives all of its codes. `history` has the answers of the
@@ -94,7 +112,9 @@ impl CodeSource {
             }
             Self::Random => random_codes(&scenario.names, seed, attempts),
             Self::Fixed => fixed_code(graph),
+            Self::RandomFour => random_codes(&scenario.names, seed, FOUR),
             Self::Grid => grid(graph),
+            Self::GridFour => grid_of_four(graph),
             Self::Handed(code) => code.take().map_or_else(|| fixed_code(graph), |code| vec![code]),
             Self::Written(line) => return Ok(Codes::Written(Some(parse(line, &scenario.names)))),
         };
@@ -155,6 +175,14 @@ fn grid(graph: &LaneGraph) -> Vec<PlannerCode> {
     }
     codes.dedup();
     codes
+}
+
+/// Each lane at the limit, then the ego's lane more slowly: the first four.
+fn grid_of_four(graph: &LaneGraph) -> Vec<PlannerCode> {
+    let lanes = graph.centerlines.iter().map(|centerline| (centerline.name, 1.0));
+    let slower = GRID_SPEEDS[1..].iter().step_by(2).map(|&fraction| (CenterlineName::EgoLane, fraction));
+    let code = |(name, fraction)| planner_code(graph, name, fraction, DEFAULT_ACCELERATIONS);
+    lanes.chain(slower).map(code).take(FOUR).collect()
 }
 
 /// The code for a centerline of the scene behind its lead agent, at a fraction of the speed limit (whole m/s).

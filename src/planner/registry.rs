@@ -2,7 +2,7 @@
 //! own with [`PlannerRegistry::with`].
 
 use super::{
-    AgentLayer, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay, PdmClosed, PlanAgent,
+    AgentLayer, BevSource, CodeSource, IdmPlanner, Latency, LlmAssist, LogReplay, PdmClosed, PdmClosedPlus, PlanAgent,
     PlanAgentSettings, Planner, PlannerError, PlannerName, SimplePlanner,
 };
 use crate::reasoning::AssistVariant;
@@ -156,11 +156,27 @@ impl Default for PlannerRegistry {
                     boxed(SimplePlanner::default())
                 }),
                 PlannerEntry::new(PlannerName::PDM_CLOSED, "PDM-Closed", Nothing, |_| boxed(PdmClosed::new())),
+                PlannerEntry::new(
+                    name("pdm-closed-plus"),
+                    "PDM-Closed with proposals on every centerline (a control)",
+                    Nothing,
+                    |_| boxed(PdmClosedPlus::new()),
+                ),
                 assist(name("llm-assist-unc"), "LLM-ASSIST; the model gives waypoints", AssistVariant::Unconstrained),
                 assist(name("llm-assist-par"), "LLM-ASSIST; the model tunes PDM-Closed", AssistVariant::Parameters),
                 control(name("random-code"), "the agent with random codes (a control)", CodeSource::Random),
                 control(name("fixed-code"), "the agent with one fixed code (a control)", CodeSource::Fixed),
                 control(name("grid-code"), "the agent with the best code of a grid (a control)", CodeSource::Grid),
+                control(
+                    name("random-code-four"),
+                    "the agent with the best of four random codes (a control)",
+                    CodeSource::RandomFour,
+                ),
+                control(
+                    name("grid-code-four"),
+                    "the agent with the best of four fixed codes (a control)",
+                    CodeSource::GridFour,
+                ),
                 PlannerEntry::new(
                     PlannerName::ORACLE_CODE,
                     "the agent with codes tried out ahead (a control)",

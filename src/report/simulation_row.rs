@@ -4,11 +4,12 @@ use super::decision::{all_are_zero, all_refused, first_refused};
 use super::number::positive_zero;
 use super::times::{CallTimes, SimulationTime};
 use crate::experiment::run::SimulationRecord;
-use crate::metrics::ScenarioRow;
+use crate::metrics::{ScenarioRow, scored_names};
 use crate::pdm::DrivableLayers;
 use crate::planner::PlanningCall;
 use crate::reasoning::Interruption;
 use crate::simulation::Challenge;
+use crate::world::InteractionKind;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -153,11 +154,18 @@ impl SimulationRow {
         self.metrics.iter().find(|metric| metric.name == name).and_then(|metric| metric.score)
     }
 
+    /// The names of the metrics of its score, in the order of that: interPlan's in a modified scenario of its kinds.
+    pub fn scored(&self) -> Vec<&'static str> {
+        let kind =
+            InteractionKind::named(&self.scenario_type).filter(|_| self.metric("lane_changes_to_goal").is_some());
+        scored_names(self.challenge.metric_list(), kind)
+    }
+
     /// The input of nuPlan's aggregation; none for a failed simulation, which does not count. The scored metrics come first, in
     /// the order of the score, so that the aggregation sums in the same order to the last bit.
     pub fn scenario_row(&self) -> Option<ScenarioRow> {
-        let scored = self.challenge.metric_list().scored();
-        let place = |name: &str| scored.clone().position(|metric| metric.name == name).unwrap_or(usize::MAX);
+        let scored = self.scored();
+        let place = |name: &str| scored.iter().position(|metric| *metric == name).unwrap_or(usize::MAX);
         let mut metrics: Vec<_> = self.metrics.iter().map(|metric| (metric.name.clone(), metric.score)).collect();
         metrics.sort_by_key(|(name, _)| place(name));
         self.score.map(|_| ScenarioRow {

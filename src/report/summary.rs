@@ -59,7 +59,7 @@ pub struct ScenarioSummary {
 
 impl From<&SimulationRow> for ScenarioSummary {
     fn from(row: &SimulationRow) -> Self {
-        let scored = row.score.into_iter().flat_map(|_| row.challenge.metric_list().scored()).map(|metric| metric.name);
+        let scored = row.score.into_iter().flat_map(|_| row.scored());
         Self {
             id: row.scenario.clone(),
             scenario_type: row.scenario_type.clone(),

@@ -1,13 +1,15 @@
 //! Stage 1: scenarios from any source: map, recorded ego and agents, traffic lights, route.
 
-use crate::world::{EgoState, History, LaneMap, Route, SceneView, TrackedObject, TrafficLights};
+use crate::world::{EgoState, History, Interaction, LaneMap, Route, SceneView, TrackedObject, TrafficLights};
 use std::sync::Arc;
 
 #[cfg(feature = "argoverse2")]
 pub mod argoverse2;
 pub mod generator;
 mod held;
+pub mod interplan;
 mod later_start;
+pub mod modified;
 #[cfg(feature = "nuplan")]
 pub mod nuplan;
 mod reader;
@@ -65,6 +67,8 @@ pub struct Scenario {
     /// The recorded ego after the last frame at 10 Hz, up to eight seconds. The simulation ends before it. Log replay and the
     /// open-loop metrics use it, as in nuPlan.
     pub future: Vec<EgoState>,
+    /// What a modification added; `None` for a scenario as its source has it.
+    pub interaction: Option<Arc<Interaction>>,
 }
 
 impl Scenario {

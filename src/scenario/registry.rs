@@ -6,6 +6,7 @@
 use super::argoverse2;
 use super::generator;
 use super::later_start::LaterStart;
+use super::modified::ModifiedName;
 #[cfg(feature = "nuplan")]
 use super::nuplan;
 use super::reader::{DataRoots, OnProgress, ReaderError, Recognition, ScenarioReader, ScenarioRef, absolute_path};
@@ -57,7 +58,12 @@ impl Readers {
 
     /// All scenarios that a word of the command line names: those of the reader that takes it, else those that all readers
     /// find in the folder of that name, else in its folders of [`RECORDINGS`]. Behind `@SECONDS` they start so much later.
+    /// Behind `~NAME` or `~FILE.toml` they are modified.
     pub fn find(&self, word: &str) -> Result<Vec<ScenarioRef>, ReaderError> {
+        if let Some((base, name)) = ModifiedName::in_word(word) {
+            let modification = name.read().map_err(ReaderError::new)?;
+            return Ok(self.find(base)?.into_iter().map(|scenario| modification.of(scenario)).collect());
+        }
         if let Some((base, LaterStart(iterations))) = start_in(word) {
             return Ok(self.find(base)?.into_iter().map(|scenario| scenario.started_later(iterations)).collect());
         }
@@ -102,6 +108,9 @@ impl Readers {
 
     /// The word by which the same scenarios are found from any working directory.
     pub fn absolute_word(&self, word: &str) -> String {
+        if let Some((base, name)) = ModifiedName::in_word(word) {
+            return name.absolute().mark(&self.absolute_word(base));
+        }
         if let Some((base, start)) = start_in(word) {
             return start.mark(&self.absolute_word(base));
         }

@@ -1,6 +1,6 @@
 //! The policies that control the agents around the ego.
 
-use crate::dynamics::IdmTraffic;
+use crate::dynamics::{IdmTraffic, InteractiveTraffic, Jaywalkers};
 use crate::scenario::{Frame, Scenario};
 use crate::world::{EgoState, TrackedObject};
 use std::error::Error;
@@ -52,12 +52,20 @@ pub struct AgentPolicySpec {
 }
 
 /// All objects replay the log.
-pub(super) const LOG_REPLAY: AgentPolicySpec =
-    AgentPolicySpec { name: "box_observation", new: |_, _| Box::new(LoggedAgents) };
+pub(super) const LOG_REPLAY: AgentPolicySpec = AgentPolicySpec {
+    name: "box_observation",
+    new: |scenario, first| match scenario.interaction.as_deref().filter(|added| !added.jaywalkers.is_empty()) {
+        Some(added) => Box::new(LoggedAndJaywalkers(Jaywalkers::new(&added.jaywalkers, &first.ego))),
+        None => Box::new(LoggedAgents),
+    },
+};
 /// Vehicles follow their lanes by the intelligent driver model and react to the ego; the rest replays the log.
 pub(super) const IDM: AgentPolicySpec = AgentPolicySpec {
     name: "idm_agents_observation",
-    new: |scenario, first| Box::new(IdmTraffic::new(&scenario.map, &first.objects, &first.ego)),
+    new: |scenario, first| match &scenario.interaction {
+        Some(added) => Box::new(InteractiveTraffic::new(&scenario.map, &first.objects, &first.ego, added)),
+        None => Box::new(IdmTraffic::new(&scenario.map, &first.objects, &first.ego)),
+    },
 };
 
 /// In place of a policy that the user has to bring: fails at the first step.
@@ -100,6 +108,41 @@ impl AgentPolicy for LoggedAgents {
 
     fn boxed_clone(&self) -> Box<dyn AgentPolicy> {
         Box::new(*self)
+    }
+}
+
+/// The log, and people whom the ego triggers in place of their logged tracks.
+#[derive(Debug, Clone)]
+struct LoggedAndJaywalkers(Jaywalkers);
+
+impl AgentPolicy for LoggedAndJaywalkers {
+    fn objects(&self, logged: &Frame) -> Arc<[TrackedObject]> {
+        let others = logged.objects.iter().filter(|object| !self.0.has(object.token)).copied();
+        others.chain(self.0.objects()).collect()
+    }
+
+    fn step(&mut self, ego: &EgoState, _: &Frame, dt_s: f64) -> Result<(), AgentPolicyError> {
+        self.0.step(ego, dt_s);
+        Ok(())
+    }
+
+    fn boxed_clone(&self) -> Box<dyn AgentPolicy> {
+        Box::new(self.clone())
+    }
+}
+
+impl AgentPolicy for InteractiveTraffic {
+    fn objects(&self, _: &Frame) -> Arc<[TrackedObject]> {
+        Self::objects(self)
+    }
+
+    fn step(&mut self, ego: &EgoState, next: &Frame, dt_s: f64) -> Result<(), AgentPolicyError> {
+        Self::step(self, ego, &next.objects, &next.lights, dt_s);
+        Ok(())
+    }
+
+    fn boxed_clone(&self) -> Box<dyn AgentPolicy> {
+        Box::new(self.clone())
     }
 }
 

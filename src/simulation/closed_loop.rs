@@ -8,6 +8,9 @@ use crate::planner::{Planner, PlannerInitialization, PlannerInput};
 use crate::scenario::{Frame, HeldScenario, Scenario};
 use crate::world::{EgoState, History, HistorySample, MICROS_PER_SECOND, SceneView, Trajectory};
 
+/// A simulation has at least so many iterations: the metrics' filters need them.
+const MIN_ITERATIONS: usize = 10;
+
 /// A simulation in progress. In open loop the ego replays the log. Clone it at any iteration to try several planners from
 /// one state.
 #[derive(Debug, Clone)]
@@ -68,9 +71,14 @@ impl<'a> ClosedLoop<'a> {
         self.iteration
     }
 
-    /// Whether the last iteration is reached, which needs no trajectory.
+    /// Whether the last iteration is reached, which needs no trajectory, or the goal at which a modified scenario ends.
     pub fn is_over(&self) -> bool {
-        self.iteration + 1 >= self.scenario.iterations()
+        self.iteration + 1 >= self.scenario.iterations() || (self.iteration >= MIN_ITERATIONS && self.is_at_goal())
+    }
+
+    fn is_at_goal(&self) -> bool {
+        let goal = self.scenario.interaction.as_ref().and_then(|added| added.goal.as_ref());
+        goal.is_some_and(|goal| goal.is_reached(self.present.ego.center().position()))
     }
 
     /// The ego and the objects now.

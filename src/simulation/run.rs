@@ -42,7 +42,8 @@ impl SimulationLog {
     pub fn evaluate_with(&self, scenario: &Scenario, metrics: &MetricRegistry) -> Result<Evaluation, MetricError> {
         let expert: Vec<EgoState> = scenario.expert().copied().collect();
         let simulation = EvaluatedSimulation::new(&scenario.map, &self.samples, &expert)
-            .with_plans(&self.trajectories, &scenario.future);
+            .with_plans(&self.trajectories, &scenario.future)
+            .with_interaction(scenario.interaction.as_deref());
         metrics.evaluate(self.challenge.metric_list(), &simulation)
     }
 }

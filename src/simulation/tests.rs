@@ -31,6 +31,7 @@ fn straight_drive(speed: f64, objects: impl Fn(i64) -> Vec<TrackedObject>) -> Sc
         frames: (0..PAST + ITERATIONS).map(frame).collect(),
         start: PAST,
         future: vec![],
+        interaction: None,
     }
 }
 

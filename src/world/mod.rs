@@ -5,6 +5,7 @@
 
 mod ego;
 mod history;
+mod interaction;
 mod map;
 mod map_builder;
 mod map_query;
@@ -17,6 +18,7 @@ mod trajectory;
 
 pub use ego::{EgoState, PACIFICA, VehicleParameters};
 pub use history::{HISTORY_SAMPLES, History, HistorySample};
+pub use interaction::{DriverBehavior, Goal, Interaction, InteractionKind, Jaywalker};
 pub use map::{
     BASELINE_SPACING, Lane, LaneAreas, LaneId, LaneKind, LaneMap, MapError, MapParts, Neighbor, Roadblock, RoadblockId,
     StopLine, StopLineId,

@@ -7,6 +7,7 @@ mod columns;
 mod errors;
 mod exec;
 mod help;
+mod modified;
 mod open_loop;
 mod outside_text;
 mod prompts;
@@ -407,5 +408,5 @@ fn help_lists_planners_suites_and_experiments_with_their_sizes() {
     }
     assert!(simulate.contains("val14") && simulate.contains("raster-model [default: plan-agent]. Or"), "{simulate}");
     let experiment = help("experiment");
-    assert!(experiment.contains("latency-aware, recorded, tokens; all for all of these"), "{experiment}");
+    assert!(experiment.contains("latency-aware, recorded, interactive, tokens; all for all of these"), "{experiment}");
 }

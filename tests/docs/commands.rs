@@ -147,6 +147,7 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ),
     ("docs/results.md", "planagent experiment main --suite generated-test14-hard,recorded", HOURS),
     ("docs/results.md", "planagent experiment controls", HOURS),
+    ("docs/modified.md", "planagent experiment interactive --quick", HOURS),
     ("docs/reliability.md", "cargo test --release --test tests -- fuzz_corpus", CARGO),
     ("docs/reliability.md", "cargo install cargo-fuzz", NETWORK),
     (
@@ -192,6 +193,10 @@ fn given(page: &str, folder: &Path) {
                 fs::write(&script, format!("#!/bin/sh\nexec python3 examples/{example}\n")).unwrap();
                 make_executable(&script);
             }
+        }
+        "docs/modified.md" => {
+            fs::create_dir(folder.join("examples")).unwrap();
+            copy(&root().join("examples/modified"), &folder.join("examples/modified"));
         }
         "docs/experiments.md" => {
             let text = read(&root().join(page));
@@ -305,6 +310,7 @@ pages! {
     commands_of_learned: "docs/learned.md",
     commands_of_llm_assist: "docs/llm_assist.md",
     commands_of_models: "docs/models.md",
+    commands_of_modified: "docs/modified.md",
     commands_of_nuplan: "docs/nuplan.md",
     commands_of_prompts: "docs/prompts.md",
     commands_of_python: "docs/python.md",

@@ -2,9 +2,11 @@
 
 use super::simulations;
 use crate::cli::{read_json, refused, run};
+use planagent::internals::experiment::interactive::{GENERATED, RECORDED, suite_words};
 use planagent::internals::experiment::suite::Suite;
 use planagent::internals::report::ScenarioList;
 use planagent::internals::scenario::generator::{Spec, generate, types};
+use planagent::internals::scenario::modified::kind_texts;
 use planagent::internals::scenario::nuplan::export::{ExportSettings, write_scenario};
 use serde_json::{Value, json};
 use std::fs;
@@ -79,6 +81,19 @@ fn suites_stay_as_they_are() {
         assert_eq!(ScenarioList::digest(names), blake3, "{}", suite.name);
         assert!(listed.contains(&format!("`{blake3}`")), "docs/generator.md lacks the digest of {}", suite.name);
     }
+}
+
+/// So it is with the interactive suites, whose scenes depend on the files of the kinds too.
+#[test]
+fn interactive_suites_stay_as_they_are() {
+    let page = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/modified.md")).unwrap();
+    let digests = [
+        ScenarioList::digest(suite_words(GENERATED).unwrap()),
+        ScenarioList::digest(suite_words(RECORDED).unwrap()),
+        ScenarioList::digest(kind_texts().flat_map(|(_, text)| text.lines())),
+    ];
+    let missing: Vec<&String> = digests.iter().filter(|digest| !page.contains(&format!("`{digest}`"))).collect();
+    assert!(missing.is_empty(), "docs/modified.md pins the suites and the kinds; of {digests:?} it lacks {missing:?}");
 }
 
 /// The help names the size of every suite.

@@ -45,6 +45,7 @@ fn drive(times: &[i64], speed: f64, future: usize) -> Scenario {
         frames: times.iter().enumerate().map(frame).collect(),
         start: PAST,
         future: (1..=future as i64).map(|k| recorded(last + 100_000 * k)).collect(),
+        interaction: None,
     }
 }
 

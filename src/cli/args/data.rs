@@ -1,7 +1,11 @@
 //! Where scenarios come from.
 
 use crate::cli::help;
-use crate::scenario::{DataRoots, Readers};
+use crate::cli::words::path_word;
+use crate::scenario::modified::ModifiedName;
+use crate::scenario::{DataRoots, Readers, generator};
+use crate::world::InteractionKind;
+use anyhow::Context;
 use clap::Args;
 use std::path::PathBuf;
 
@@ -14,9 +18,38 @@ pub(in crate::cli) struct DataArguments {
     /// Folder of nuPlan's maps [default: `$NUPLAN_MAPS_ROOT`].
     #[arg(long, value_name = "FOLDER", hide_short_help = true)]
     maps_root: Option<PathBuf>,
+    /// Modify the scenarios: a TOML file, or the name of a kind.
+    ///
+    /// FILE.toml or KIND, with a seed as FILE.toml.SEED or KIND.SEED. A scenario SCENARIO~FILE.toml says the same of one. docs/modified.md
+    /// has the tables of the file and the names of the kinds.
+    #[arg(long, value_name = "FILE", value_parser = path_word(), hide_short_help = true)]
+    modify: Option<String>,
 }
 
 impl DataArguments {
+    /// Whether there is a modification.
+    pub(in crate::cli) fn modifies(&self) -> bool {
+        self.modify.is_some()
+    }
+
+    /// The words of scenarios or splits, with the modification.
+    pub(in crate::cli) fn modified(&self, words: &[String]) -> anyhow::Result<Vec<String>> {
+        let Some(word) = &self.modify else { return Ok(words.to_vec()) };
+        let known = || InteractionKind::ALL.map(InteractionKind::name).join(", ");
+        let name = ModifiedName::parse(word).with_context(|| {
+            format!("--modify {word}: neither a file whose name ends in .toml nor one of {}", known())
+        })?;
+        Ok(words.iter().map(|word| name.mark(word)).collect())
+    }
+
+    /// The scenarios of a command, with the modification; it applies to the default scenario where no word names one.
+    pub(in crate::cli) fn modified_or_default(&self, words: &[String]) -> anyhow::Result<Vec<String>> {
+        match &self.modify {
+            Some(_) if words.is_empty() => self.modified(&[generator::DEFAULT.to_string()]),
+            _ => self.modified(words),
+        }
+    }
+
     /// The folders of these flags, else of the environment.
     pub(in crate::cli) fn roots(&self) -> DataRoots {
         let known = DataRoots::from_environment();

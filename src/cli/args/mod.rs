@@ -10,11 +10,13 @@ mod simulate;
 mod studies;
 
 pub(super) use ask::AskArguments;
+pub(super) use data::DataArguments;
 pub(super) use model::{ModelArguments, ModelFlags};
 pub(super) use models::{ModelsCommand, QuantizeArguments};
 pub(super) use results::{CompareArguments, MergeArguments, RenderArguments, ReportArguments, ServeArguments};
 pub(super) use scenarios::{
-    ExportArguments, ExportFormat, GenerateArguments, ListArguments, ScenariosCommand, ShowArguments,
+    ExportArguments, ExportFormat, GenerateArguments, InteractiveArguments, ListArguments, ScenariosCommand,
+    ShowArguments,
 };
 pub(super) use simulate::{PlanArguments, SimulateArguments};
 pub(super) use studies::{

@@ -4,6 +4,7 @@ use super::data::{DataArguments, SplitArguments};
 use crate::cli::help;
 use crate::cli::picture::{PictureFile, picture_file};
 use crate::cli::words::path_word;
+use crate::experiment::interactive::SCENARIOS;
 use clap::{Args, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -22,12 +23,29 @@ pub(in crate::cli) enum ScenariosCommand {
     /// Write scenarios in the format of another tool.
     #[command(after_long_help = help::SCENARIOS_EXPORT)]
     Export(ExportArguments),
+    /// Draw the scenarios of an interactive suite, which simulates none.
+    #[command(after_long_help = help::SCENARIOS_INTERACTIVE)]
+    Interactive(InteractiveArguments),
     /// Select the scenes of generated-test14-hard from a run of PDM-Closed on generated-test14-candidates.
     #[command(after_long_help = help::SCENARIOS_HARD)]
     Hard {
         /// Folder of the run.
         run: PathBuf,
     },
+}
+
+/// Arguments of `scenarios interactive`.
+#[derive(Debug, Args)]
+pub(in crate::cli) struct InteractiveArguments {
+    /// Seeds of generated scenarios: train, validation or test.
+    #[arg(long, value_name = "SPLIT", default_value = "validation", value_parser = ["train", "validation", "test"])]
+    pub(in crate::cli) seeds: String,
+    /// Scenarios of each kind.
+    #[arg(long, value_name = "N", default_value_t = SCENARIOS)]
+    pub(in crate::cli) count: usize,
+    /// A folder with recordings in place of generated scenarios.
+    #[arg(long, value_name = "FOLDER", conflicts_with = "seeds")]
+    pub(in crate::cli) recordings: Option<PathBuf>,
 }
 
 /// Arguments of `scenarios list`.

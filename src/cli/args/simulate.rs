@@ -5,6 +5,7 @@ use super::model::ModelArguments;
 use crate::cli::help;
 use crate::cli::picture::{PictureFile, picture_file};
 use crate::cli::words::{path_word, planner_words, shard_word};
+use crate::experiment::suite::Suite;
 use crate::planner::DEFAULT_EXEC_TIMEOUT;
 use crate::runner::{Request, Shard};
 use anyhow::Context;
@@ -94,14 +95,30 @@ pub(in crate::cli) struct SampleArguments {
     shard: Option<Shard>,
 }
 
+impl SampleArguments {
+    /// Whether it selects from what words and splits name.
+    fn draws(&self) -> bool {
+        !self.types.is_empty() || self.shuffle || self.limit.is_some()
+    }
+}
+
 impl SimulateArguments {
     pub(in crate::cli) fn request(&self) -> anyhow::Result<Request> {
         let exec_timeout = Duration::try_from_secs_f64(self.exec_timeout).ok().filter(|time| !time.is_zero());
         let exec_timeout = exec_timeout
             .with_context(|| format!("--exec-timeout is {}; it must be a number greater than 0", self.exec_timeout))?;
+        let data = &self.split.data;
+        let mut splits = data.modified(&self.split.splits)?;
+        if data.modifies() && splits.is_empty() && self.scenarios.is_empty() && self.sample.draws() {
+            // A draw without --scenario and --split is one from this suite.
+            splits = data.modified(&[Suite::DEMONSTRATION.name.to_owned()])?;
+        }
+        let names_some = !splits.is_empty() || self.sample.draws() || self.resume.is_some();
+        let scenarios =
+            if names_some { data.modified(&self.scenarios)? } else { data.modified_or_default(&self.scenarios)? };
         Ok(Request {
-            scenarios: self.scenarios.clone(),
-            splits: self.split.splits.clone(),
+            scenarios,
+            splits,
             types: self.sample.types.clone(),
             shuffle: self.sample.shuffle,
             limit: self.sample.limit,

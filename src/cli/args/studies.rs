@@ -6,8 +6,10 @@ use crate::cli::help;
 use crate::cli::words::path_word;
 #[cfg(feature = "learned")]
 use crate::experiment::dataset::imitation::ImitationPlanner;
+use crate::experiment::suite::RECORDED;
 use crate::planner::PlannerRegistry;
 use crate::runner::ExperimentsRequest;
+use anyhow::bail;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -104,17 +106,26 @@ pub(in crate::cli) struct ExperimentArguments {
 }
 
 impl ExperimentArguments {
-    pub(in crate::cli) fn request(&self) -> ExperimentsRequest {
-        ExperimentsRequest {
-            suites: self.suites.clone(),
-            scenarios: self.scenarios.clone(),
+    pub(in crate::cli) fn request(&self) -> anyhow::Result<ExperimentsRequest> {
+        let modified = |suite: &String| match suite.as_str() {
+            // The words of its recordings carry the modification.
+            RECORDED => Ok(suite.clone()),
+            _ => self.data.modified(std::slice::from_ref(suite)).map(|words| words.concat()),
+        };
+        let scenarios = self.data.modified(&self.scenarios)?;
+        if self.data.modifies() && self.suites.is_empty() && scenarios.is_empty() {
+            bail!("--modify: name the suites by --suite, or recordings by --scenario");
+        }
+        Ok(ExperimentsRequest {
+            suites: self.suites.iter().map(modified).collect::<anyhow::Result<_>>()?,
+            scenarios,
             registry: PlannerRegistry::default(),
             roots: self.data.roots(),
             out: self.out.clone(),
             bench: self.bench.clone(),
             quick: self.quick,
             retry_failed: self.retry_failed,
-        }
+        })
     }
 }
 

@@ -58,7 +58,7 @@ fn imitation(flags: &DatasetArguments, config: &Config, printer: Printer) -> any
     let planner = planner.with_context(|| format!("--planner {}: no dataset is made for it", flags.planner))?;
     let readers = Readers::new(&flags.data.roots());
     let mut listed = Vec::new();
-    for word in &flags.scenarios {
+    for word in &flags.data.modified(&flags.scenarios)? {
         listed.extend(readers.find(word)?);
     }
     readers.take_notes().into_iter().for_each(|text| printer.note(text));

@@ -13,7 +13,7 @@ use std::path::Path;
 /// Runs the simulations of experiments that are not completed; the results go to a folder, the tables to stdout.
 pub(in crate::cli) fn run(flags: &ExperimentArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
     check_name(&flags.name)?;
-    let (request, listener) = (flags.request(), listener(printer));
+    let (request, listener) = (flags.request()?, listener(printer));
     let mut experiments = Experiments::new(&request, config, &listener)?;
     let mut exit = Exit::Success;
     if [ALL_EXPERIMENTS, TOKENS].contains(&flags.name.as_str()) {

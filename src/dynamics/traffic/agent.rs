@@ -3,13 +3,17 @@
 use super::footprint::Footprint;
 use crate::dynamics::idm::{IdmParameters, Lead};
 use crate::dynamics::progress_path::ProgressPath;
-use crate::geometry::{OrientedBox, Pose};
+use crate::geometry::{OrientedBox, Polyline, Pose};
 use crate::world::{LaneId, LaneMap, ObjectKind, SignalStatus, TrackToken, TrackedObject, TrafficLights};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Path length ahead of an agent in addition to its headway, meters.
 const MIN_PATH_LENGTH: f64 = 20.0;
+/// Duration of a lane change, seconds, its least length, meters, and the poses on the way.
+const LANE_CHANGE_S: f64 = 3.0;
+const MIN_LANE_CHANGE_LENGTH: f64 = 15.0;
+const LANE_CHANGE_POSES: u32 = 30;
 /// Segments of its route that an agent keeps.
 const ROUTE_SEGMENTS: usize = 5;
 
@@ -78,7 +82,49 @@ impl IdmAgent {
         self.path.pose_at(self.progress)
     }
 
-    fn shape(&self) -> OrientedBox {
+    /// Its length, meters.
+    pub(super) fn length(&self) -> f64 {
+        self.length
+    }
+
+    /// The parameters of its law.
+    pub(super) fn law(&self) -> &IdmParameters {
+        &self.idm
+    }
+
+    /// The lane of its route that holds its center.
+    pub(super) fn lane(&self, map: &LaneMap) -> Option<LaneId> {
+        let center = self.pose().position();
+        self.route().find(|&lane| map[lane].polygon.contains(center))
+    }
+
+    /// Turns into a lane beside its own: over the next seconds the path goes over to the baseline there. False where the lane is too
+    /// short for that.
+    pub(super) fn change_lane(&mut self, map: &LaneMap, target: LaneId) -> bool {
+        let line = &map[target].centerline;
+        let foot = line.project(self.pose().position());
+        let over = (self.speed * LANE_CHANGE_S).max(MIN_LANE_CHANGE_LENGTH);
+        if foot.s + over > line.length() {
+            return false;
+        }
+        // A smooth step from the lateral offset to 0, then the rest of the baseline.
+        let blend = |i: u32| {
+            let share = f64::from(i) / f64::from(LANE_CHANGE_POSES);
+            let left = foot.lateral * (1.0 - share * share * (3.0 - 2.0 * share));
+            line.frenet_to_map(foot.s + over * share, left)
+        };
+        let changing = (0..=LANE_CHANGE_POSES).map(blend);
+        let rest = line.vertices().iter().zip(line.arc_lengths()).filter(|&(_, &s)| s > foot.s + over).map(|(&p, _)| p);
+        let Ok(whole) = Polyline::new(changing.chain(rest)) else { return false };
+        let Some(path) = ProgressPath::new(&whole.vertex_poses()) else { return false };
+        self.path = Arc::new(path);
+        self.progress = 0.0;
+        let own = self.lane(map);
+        self.route = own.into_iter().chain([target]).collect();
+        true
+    }
+
+    pub(super) fn shape(&self) -> OrientedBox {
         OrientedBox::new(self.pose(), self.length, self.width)
     }
 

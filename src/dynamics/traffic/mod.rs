@@ -9,9 +9,12 @@
 mod agent;
 mod build;
 mod footprint;
+mod interactive;
 
 #[cfg(test)]
 mod tests;
+
+pub use interactive::{InteractiveTraffic, Jaywalkers};
 
 use super::idm::{IdmParameters, Lead};
 use crate::geometry::wrap_angle;
@@ -99,59 +102,64 @@ impl IdmTraffic {
         others.extend(self.open_loop.iter().map(|object| Obstacle::standing(Footprint::of_box(object.shape))));
         for index in 0..self.agents.len() {
             self.agents[index].extend_route(&self.map, lights);
-            let stop_lines = self.stop_lines_of(&self.agents[index], lights);
+            let stop_lines = stop_lines_of(&self.map, &self.agents[index], lights);
             let lead = self.lead_of(index, &others, &stop_lines);
             self.agents[index].propagate(lead, &self.map, dt);
         }
     }
 
-    /// The stop lines of those segments of an agent's route that show red.
-    fn stop_lines_of(&self, agent: &IdmAgent, lights: &TrafficLights) -> Vec<Obstacle> {
-        agent
-            .route()
-            .filter(|&lane| lights.status(lane) == Some(SignalStatus::Red))
-            .flat_map(|lane| &self.map[lane].stop_lines)
-            .map(|&line| Obstacle::standing(Footprint::of_polygon(&self.map[line].polygon)))
-            .collect()
-    }
-
     /// The nearest obstacle whose footprint meets the path of an agent; the distance is that between footprints.
     fn lead_of(&self, index: usize, others: &[Obstacle], stop_lines: &[Obstacle]) -> Option<Lead> {
         let agent = &self.agents[index];
-        let way = agent.way_ahead()?;
-        let heading = agent.pose().heading;
-        let own = agent.footprint();
-        let in_bounds = |footprint: &&Footprint| footprint.bounds().overlaps(way.bounds());
         let fellows = self.agents.iter().enumerate().filter(|&(i, _)| i != index);
         let fellows = fellows.map(|(i, fellow)| (Seen::Agent(i), fellow.footprint()));
         let rest = others.iter().chain(stop_lines).map(|other| (Seen::Obstacle(other), &other.footprint));
-        let mut candidates: Vec<(f64, Seen<'_>, &Footprint)> = fellows
-            .chain(rest)
-            .filter(|(_, footprint)| in_bounds(footprint))
-            .map(|(seen, footprint)| (own.distance_at_least(footprint), seen, footprint))
-            .collect();
-        candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
-
-        let mut nearest: Option<(f64, Seen<'_>)> = None;
-        for (at_least, seen, footprint) in candidates {
-            if nearest.is_some_and(|(best, _)| at_least >= best) {
-                break;
-            }
-            if way.meets(footprint) {
-                let distance = own.distance(footprint);
-                if nearest.is_none_or(|(best, _)| distance < best) {
-                    nearest = Some((distance, seen));
-                }
-            }
-        }
-        nearest.map(|(gap, seen)| {
+        nearest_in_way(agent, fellows.chain(rest)).map(|(gap, seen)| {
             let (speed, direction) = match seen {
                 Seen::Agent(i) => (self.agents[i].speed(), self.agents[i].pose().heading),
                 Seen::Obstacle(other) => (other.speed, other.heading),
             };
-            Lead { gap, speed: speed * wrap_angle(direction - heading).cos() }
+            Lead { gap, speed: speed * wrap_angle(direction - agent.pose().heading).cos() }
         })
     }
+}
+
+/// The stop lines of those segments of an agent's route that show red.
+fn stop_lines_of(map: &LaneMap, agent: &IdmAgent, lights: &TrafficLights) -> Vec<Obstacle> {
+    agent
+        .route()
+        .filter(|&lane| lights.status(lane) == Some(SignalStatus::Red))
+        .flat_map(|lane| &map[lane].stop_lines)
+        .map(|&line| Obstacle::standing(Footprint::of_polygon(&map[line].polygon)))
+        .collect()
+}
+
+/// The nearest of those footprints that meet the path of an agent, with its distance, meters.
+fn nearest_in_way<'a>(
+    agent: &IdmAgent,
+    seen: impl Iterator<Item = (Seen<'a>, &'a Footprint)>,
+) -> Option<(f64, Seen<'a>)> {
+    let way = agent.way_ahead()?;
+    let own = agent.footprint();
+    let mut candidates: Vec<(f64, Seen<'_>, &Footprint)> = seen
+        .filter(|(_, footprint)| footprint.bounds().overlaps(way.bounds()))
+        .map(|(seen, footprint)| (own.distance_at_least(footprint), seen, footprint))
+        .collect();
+    candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
+
+    let mut nearest: Option<(f64, Seen<'_>)> = None;
+    for (at_least, seen, footprint) in candidates {
+        if nearest.is_some_and(|(best, _)| at_least >= best) {
+            break;
+        }
+        if way.meets(footprint) {
+            let distance = own.distance(footprint);
+            if nearest.is_none_or(|(best, _)| distance < best) {
+                nearest = Some((distance, seen));
+            }
+        }
+    }
+    nearest
 }
 
 /// An obstacle that an agent sees.

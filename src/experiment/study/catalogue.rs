@@ -23,6 +23,7 @@ const BUILT_IN: &[(&str, &str)] = built_in![
     "gate",
     "latency-aware",
     "recorded",
+    "interactive",
 ];
 
 #[derive(Debug, thiserror::Error)]

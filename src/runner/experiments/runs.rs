@@ -2,6 +2,7 @@
 //! experiments share equal runs and resume interrupted ones.
 
 use super::suites::SelectedSuite;
+use crate::experiment::interactive;
 use crate::experiment::study::Variant;
 use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, PlannerNeeds, PlannerRegistry};
 use crate::report::{MANIFEST, RunFolder, SUMMARY, SimulationRow};
@@ -63,17 +64,18 @@ impl<'a> PlannedRuns<'a> {
             _ => Some(self.model(&config)?.with_prompts(&config)?),
         };
         let agent = model::agent_parts(&config, registry, loaded.as_ref());
-        let challenges = Challenge::CLOSED_LOOP.iter().map(ToString::to_string).collect();
+        let challenges = challenges_of(&suite.name);
+        let named = challenges.iter().map(ToString::to_string).collect();
         let relevant = relevant(config, needs);
         let planners = (vec![planner.to_string()], &commands);
         let scenarios = (suite.list.clone(), suite.data.clone());
-        let manifest = manifest(planners, challenges, scenarios, loaded.as_ref(), &relevant)?;
+        let manifest = manifest(planners, named, scenarios, loaded.as_ref(), &relevant)?;
         let digest = manifest.digest();
         let name = format!("{planner}-{}-{}", suite.name, digest.get(..DIGEST).unwrap_or(&digest));
         if let Some(loaded) = &loaded {
             self.parameters.insert(name.clone(), loaded.about.parameters);
         }
-        let tasks = tasks(&suite.sources, &[planner], &Challenge::CLOSED_LOOP);
+        let tasks = tasks(&suite.sources, &[planner], challenges);
         self.plans.entry(name.clone()).or_insert_with(|| RunPlan {
             manifest,
             numbers: (0..tasks.len()).collect(),
@@ -194,4 +196,10 @@ fn relevant(mut config: Config, needs: PlannerNeeds) -> Config {
         PlannerNeeds::Checkpoint => config = Config { learned: config.learned, ..Config::default() },
     }
     config
+}
+/// The challenges of a suite: both in the closed loop; the interactive suites only with reactive agents, as interPlan.
+fn challenges_of(suite: &str) -> &'static [Challenge] {
+    const REACTIVE: [Challenge; 1] = [Challenge::Reactive];
+    const BOTH: [Challenge; 2] = Challenge::CLOSED_LOOP;
+    if interactive::NAMES.contains(&suite) { &REACTIVE } else { &BOTH }
 }

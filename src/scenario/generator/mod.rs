@@ -127,5 +127,6 @@ fn draw(spec: &Spec, rng: &mut SeededRng) -> Result<Scenario, Discard> {
         frames: log.frames,
         start: PAST,
         future,
+        interaction: None,
     })
 }

@@ -39,6 +39,7 @@ pub fn open(maps: &MapStore, found: &LogScenario) -> Result<Scenario, NuPlanErro
         log_name: found.log.name.clone(),
         map: map.lanes.clone(),
         route,
+        interaction: None,
     })
 }
 

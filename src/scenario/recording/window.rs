@@ -88,6 +88,7 @@ impl Recording {
             frames: frames.map(|((ego, objects), lights)| Frame { ego, objects, lights }).collect(),
             start: window.start,
             future,
+            interaction: None,
         }
     }
 }

@@ -2,7 +2,7 @@
 
 mod code;
 
-use crate::cli::args::PlanArguments;
+use crate::cli::args::{DataArguments, PlanArguments};
 use crate::cli::picture::check_output;
 use crate::cli::progress::listener;
 use crate::cli::{Exit, Printer};
@@ -12,14 +12,14 @@ use crate::reasoning::Interruption;
 use crate::report::render::call_picture;
 use crate::report::{CallRecord, CallTimes, attempt_markdown, decision_words, fixed};
 use crate::runner::{Config, load_model};
-use crate::scenario::{Frame, Readers, Scenario, generator};
+use crate::scenario::{Frame, Scenario, generator};
 use crate::world::{History, HistorySample, MICROS_PER_SECOND, STEP_S, Trajectory};
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
 
 /// Runs one planning call at a time of the recorded scenario.
 pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Printer) -> anyhow::Result<Exit> {
-    let scenario = scenario(flags.scenario.as_deref(), &flags.data.readers())?;
+    let scenario = scenario(flags.scenario.as_deref(), &flags.data)?;
     let (iteration, frame) = instant(&scenario, flags.at)?;
     if let Some(file) = &flags.image {
         check_output(file.path())?;
@@ -54,9 +54,10 @@ pub(in crate::cli) fn run(flags: &PlanArguments, config: &Config, printer: Print
 }
 
 /// The one scenario that a word names.
-pub(in crate::cli) fn scenario(word: Option<&str>, readers: &Readers) -> anyhow::Result<Scenario> {
-    let mut sources = match word {
-        Some(word) => readers.find(word)?,
+pub(in crate::cli) fn scenario(word: Option<&str>, data: &DataArguments) -> anyhow::Result<Scenario> {
+    let words: Vec<String> = word.iter().map(ToString::to_string).collect();
+    let mut sources = match data.modified_or_default(&words)?.first() {
+        Some(word) => data.readers().find(word)?,
         None => vec![generator::DEFAULT.into()],
     };
     match (sources.pop(), sources.len()) {

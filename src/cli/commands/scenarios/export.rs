@@ -11,7 +11,8 @@ use rayon::prelude::*;
 /// Writes scenarios in another format. A failure leaves no files behind.
 pub(super) fn run(arguments: &ExportArguments, printer: Printer) -> anyhow::Result<Exit> {
     let readers = arguments.data.readers();
-    let found = arguments.scenarios.iter().map(|word| readers.find(word));
+    let words = arguments.data.modified(&arguments.scenarios)?;
+    let found = words.iter().map(|word| readers.find(word));
     let sources: Vec<ScenarioRef> = found.collect::<Result<Vec<_>, _>>()?.concat();
     for note in readers.take_notes() {
         printer.note(note);

@@ -48,8 +48,8 @@ pub(super) fn run(arguments: &ListArguments, printer: Printer) -> anyhow::Result
         list_types(output, &mut rows)?
     } else {
         let readers = split.data.readers();
-        let mut complete = list_splits(&split.splits, &readers, output, &mut rows)?;
-        for word in sources {
+        let mut complete = list_splits(&split.data.modified(&split.splits)?, &readers, output, &mut rows)?;
+        for word in &split.data.modified(sources)? {
             for scenario in readers.find(word)? {
                 complete &= list(&scenario, None, output, &mut rows)?;
             }

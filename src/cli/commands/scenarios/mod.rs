@@ -3,6 +3,7 @@
 mod export;
 mod generate;
 mod hard;
+mod interactive;
 mod list;
 mod show;
 
@@ -18,6 +19,7 @@ pub(in crate::cli) fn run(command: &ScenariosCommand, printer: Printer) -> anyho
         ScenariosCommand::Show(arguments) => show::run(arguments, printer),
         ScenariosCommand::Generate(arguments) => generate::run(arguments, printer),
         ScenariosCommand::Export(arguments) => export::run(arguments, printer),
+        ScenariosCommand::Interactive(arguments) => interactive::run(arguments, printer),
         ScenariosCommand::Hard { run } => hard::run(run, printer),
     }
 }

@@ -19,7 +19,7 @@ const INDENT: usize = 10;
 /// Shows a scenario at an instant.
 pub(super) fn run(arguments: &ShowArguments, printer: Printer) -> anyhow::Result<Exit> {
     let view = BevView::new(PICTURE, arguments.view)?;
-    let scenario = scenario(Some(&arguments.scenario), &arguments.data.readers())?;
+    let scenario = scenario(Some(&arguments.scenario), &arguments.data)?;
     let (iteration, frame) = instant(&scenario, arguments.at)?;
     let about = About::scenario(&scenario, &arguments.scenario);
     let at_s = iteration as f64 * STEP_S;

@@ -1,0 +1,191 @@
+//! The interactive suites: modified scenarios of interPlan's eight kinds, drawn before any was simulated.
+
+use super::dataset;
+use super::split::SplitError;
+use crate::files::word_of;
+use crate::scenario::generator::{Spec, types};
+use crate::scenario::modified::{ModifiedName, ReadModification};
+use crate::scenario::{MissingTokens, RECORDINGS, ReaderError, Readers, ScenarioRef, Split};
+use crate::world::InteractionKind;
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// Name of the suite of generated scenarios.
+pub const GENERATED: &str = "interactive-generated";
+/// Name of the suite of recordings.
+pub const RECORDED: &str = "interactive-recorded";
+/// Names of both.
+pub const NAMES: [&str; 2] = [GENERATED, RECORDED];
+
+/// Scenarios of each kind in [`GENERATED`].
+pub const SCENARIOS: usize = 100;
+/// First test seed of [`GENERATED`]: those before belong to other suites. Each kind has so many seeds of its own.
+const FIRST_SEED: u64 = 600;
+const SEEDS_OF_KIND: u64 = 100;
+/// Scenarios that are tried out at once; the order of the list does not depend on it.
+const BATCH: usize = 28;
+
+/// Environment variable that names a folder of recordings.
+const DATA: &str = "PLANAGENT_DATA";
+
+const GENERATED_LIST: &str = include_str!("../../suites/interactive-generated.txt");
+const RECORDED_LIST: &str = include_str!("../../suites/interactive-recorded.txt");
+const GENERATED_HEADER: &str = "\
+# interactive-generated: of each of the eight kinds the first 100 scenarios that its modification fits, seed by seed and type by type.
+# Drawn before any was simulated, by: planagent scenarios interactive --seeds test
+";
+const RECORDED_HEADER: &str = "\
+# interactive-recorded: the recordings of a folder of data that each kind fits, by their paths in that folder.
+# Drawn before any was simulated, by: planagent scenarios interactive --recordings FOLDER
+";
+
+/// The lines of a list without its comments.
+fn words(list: &'static str) -> impl Iterator<Item = &'static str> {
+    list.lines().filter(|line| !line.is_empty() && !line.starts_with('#'))
+}
+
+/// The words of a suite; `None` for other names. Those of recordings are paths in the folder of data.
+pub fn suite_words(name: &str) -> Option<Vec<&'static str>> {
+    match name {
+        GENERATED => Some(words(GENERATED_LIST).collect()),
+        RECORDED => Some(words(RECORDED_LIST).collect()),
+        _ => None,
+    }
+}
+
+/// The scenarios of a suite; `None` for other names. Recordings that the folder of data lacks are missing.
+pub fn split(name: &str, readers: &Readers) -> Option<Result<Split, SplitError>> {
+    let words = suite_words(name)?;
+    let found = |words: Vec<String>| -> Result<Vec<ScenarioRef>, ReaderError> {
+        let lists = words.iter().map(|word| readers.find(word));
+        Ok(lists.collect::<Result<Vec<_>, _>>()?.concat())
+    };
+    if name == GENERATED {
+        let scenarios = found(words.into_iter().map(str::to_owned).collect());
+        return Some(scenarios.map(|scenarios| Split { scenarios, ..Split::default() }).map_err(Into::into));
+    }
+    let data = std::env::var_os(DATA).filter(|folder| !folder.is_empty()).map(PathBuf::from);
+    let (mut here, mut absent) = (Vec::new(), Vec::new());
+    for word in &words {
+        let base = ModifiedName::in_word(word).map_or(*word, |(base, _)| base);
+        match data.as_ref().map(|data| data.join(base)).filter(|path| path.exists()) {
+            Some(_) => here.extend(data.as_ref().map(|data| word_of(data.join(word).as_os_str()))),
+            None => absent.push((*word).to_owned()),
+        }
+    }
+    let missing = MissingTokens { split: name.to_owned(), wanted: words.len(), absent, excluded: Vec::new() };
+    let notes = if data.is_none() { vec![format!("${DATA} names the folder of the recordings")] } else { Vec::new() };
+    let split = |scenarios| Split { scenarios, missing, notes, ..Split::default() };
+    Some(found(here).map(split).map_err(Into::into))
+}
+
+/// Draws the scenarios of [`GENERATED`] among the seeds of a split: the first that fit each kind.
+///
+/// # Errors
+/// When too few fit a kind.
+pub fn draw_generated(seeds: dataset::Split, per_kind: usize) -> Result<Vec<String>, ReaderError> {
+    let mut all = Vec::new();
+    for (place, kind) in InteractionKind::ALL.into_iter().enumerate() {
+        let modification = modification(kind)?;
+        let first = seeds.seeds().start + FIRST_SEED + place as u64 * SEEDS_OF_KIND;
+        let of_seed = |seed| types::nuplan14().map(move |scenario_type| Spec::new(scenario_type, seed));
+        let candidates: Vec<Spec> = (first..first + SEEDS_OF_KIND).flat_map(of_seed).collect();
+        let mut own = Vec::new();
+        for batch in candidates.chunks(BATCH) {
+            let fits = |spec: &Spec| fitting(&modification, (*spec).into());
+            own.extend(batch.par_iter().filter_map(fits).collect::<Vec<_>>());
+            if own.len() >= per_kind {
+                break;
+            }
+        }
+        own.truncate(per_kind);
+        all.extend(own);
+    }
+    Ok(all)
+}
+
+/// Draws the scenarios of [`RECORDED`] in a folder of data: every recording with every kind that fits it.
+///
+/// # Errors
+/// When the folder has no recordings.
+pub fn draw_recorded(data: &Path, readers: &Readers) -> Result<Vec<String>, ReaderError> {
+    let folders = RECORDINGS.map(|folder| data.join(folder)).into_iter().filter(|folder| folder.is_dir());
+    let mut recordings = Vec::new();
+    for folder in folders {
+        recordings.extend(readers.find(&word_of(folder.as_os_str()))?);
+    }
+    let prefix = format!("{}/", word_of(data.as_os_str()));
+    let mut all = Vec::new();
+    for kind in InteractionKind::ALL {
+        let modification = modification(kind)?;
+        let fits = |recording: &ScenarioRef| fitting(&modification, recording.clone());
+        let own: Vec<String> = recordings.par_iter().filter_map(fits).collect();
+        all.extend(own.into_iter().map(|word| word.strip_prefix(&prefix).unwrap_or(&word).to_owned()));
+    }
+    Ok(all)
+}
+
+fn modification(kind: InteractionKind) -> Result<ReadModification, ReaderError> {
+    ModifiedName::of(kind).read().map_err(ReaderError::new)
+}
+
+/// The word of a scenario that a modification fits.
+fn fitting(modification: &ReadModification, base: ScenarioRef) -> Option<String> {
+    let modified = modification.of(base);
+    modified.open().ok().map(|_| modified.to_string())
+}
+
+/// The text of `suites/interactive-generated.txt`.
+pub fn generated_list(words: &[String]) -> String {
+    listed(GENERATED_HEADER, words)
+}
+
+/// The text of `suites/interactive-recorded.txt`.
+pub fn recorded_list(words: &[String]) -> String {
+    listed(RECORDED_HEADER, words)
+}
+
+fn listed(header: &str, words: &[String]) -> String {
+    words.iter().fold(header.to_owned(), |list, word| format!("{list}{word}\n"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::DataRoots;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn each_kind_has_its_scenarios_of_test_seeds_of_its_own() {
+        let words = suite_words(GENERATED).unwrap();
+        assert_eq!(words.len(), 8 * SCENARIOS);
+        let mut seen = BTreeSet::new();
+        for (chunk, kind) in words.chunks(SCENARIOS).zip(InteractionKind::ALL) {
+            for word in chunk {
+                let (base, name) = ModifiedName::in_word(word).unwrap();
+                assert_eq!(name, ModifiedName::of(kind));
+                let spec: Spec = base.parse().unwrap();
+                assert!(dataset::Split::Test.seeds().contains(&spec.seed) && seen.insert(spec), "{word}");
+                assert!(spec.seed >= dataset::Split::Test.seeds().start + FIRST_SEED, "{word}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_lists_are_as_they_are_written() {
+        let owned = |name| suite_words(name).unwrap().into_iter().map(str::to_owned).collect::<Vec<_>>();
+        assert_eq!(generated_list(&owned(GENERATED)), GENERATED_LIST);
+        assert_eq!(recorded_list(&owned(RECORDED)), RECORDED_LIST);
+    }
+
+    #[test]
+    fn scenarios_of_the_generated_suite_open() {
+        let readers = Readers::new(&DataRoots::default());
+        let scenarios = split(GENERATED, &readers).unwrap().unwrap().scenarios;
+        for scenario in scenarios.iter().step_by(SCENARIOS) {
+            let opened = scenario.open().unwrap();
+            assert_eq!(Some(opened.id.as_str()), scenario.id());
+            assert_eq!(Some(opened.scenario_type.as_str()), scenario.scenario_type());
+        }
+    }
+}

@@ -1,0 +1,14 @@
+//! interPlan's own scenes (github.com/mh0797/interPlan, Apache-2.0): their names, their random numbers, and their traffic, bit for bit.
+//!
+//! A word `LOG.db#TOKEN~dhgloa` names the scene that interPlan calls `TOKEN-dhgloa`. Its special scenes (`s0` and so on) need the
+//! coordinates of its `interPlan_modifications.yaml`, which is not part of this package.
+
+mod density;
+mod name;
+mod python_random;
+#[cfg(test)]
+mod tests;
+
+pub use density::{Density, PlacedCar, Row, fill_row};
+pub use name::{Command, InterPlanName, NameFault, Observation};
+pub use python_random::PythonRandom;

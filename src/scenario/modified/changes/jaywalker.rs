@@ -1,0 +1,57 @@
+//! `jaywalker`: a person who crosses as the ego comes near.
+
+use crate::scenario::modified::change::{Change, Fault};
+use crate::scenario::modified::draft::Draft;
+use crate::scenario::modified::number::Number;
+use crate::world::Jaywalker;
+use serde::Deserialize;
+use std::sync::Arc;
+
+/// A person beside the ego's path.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::scenario::modified) struct CrossingPerson {
+    /// The crossing ahead of the ego's center, meters.
+    ahead_m: Number,
+    /// Where the person starts, left of the centerline, meters.
+    from_left_m: Number,
+    /// Where the person stops.
+    to_left_m: Number,
+    /// The person starts when the ego's center is so far before the crossing, meters.
+    trigger_m: Number,
+    /// m/s.
+    #[serde(default = "walking")]
+    speed: Number,
+}
+
+fn walking() -> Number {
+    Number::between(1.0, 1.6)
+}
+
+impl Change for CrossingPerson {
+    fn check(&self) -> Result<(), Fault> {
+        self.ahead_m.check("ahead_m", 0.0..=300.0)?;
+        self.from_left_m.check("from_left_m", -30.0..=30.0)?;
+        self.to_left_m.check("to_left_m", -30.0..=30.0)?;
+        self.trigger_m.check("trigger_m", 0.0..=300.0)?;
+        self.speed.check("speed", 0.1..=6.0)
+    }
+
+    fn apply(&self, draft: &mut Draft) -> Result<(), Fault> {
+        let [ahead, from, to, trigger_m, speed] =
+            [self.ahead_m, self.from_left_m, self.to_left_m, self.trigger_m, self.speed]
+                .map(|number| number.draw(&mut draft.draws));
+        let pose = draft.lanes.ahead(ahead)?;
+        let walker = Jaywalker {
+            token: draft.token(),
+            from: pose.translated(0.0, from).position(),
+            to: pose.translated(0.0, to).position(),
+            speed,
+            along: Arc::new(draft.lanes.path.centerline.clone()),
+            at_s: draft.lanes.start_s + ahead,
+            trigger_m,
+        };
+        draft.jaywalkers.push(walker);
+        Ok(())
+    }
+}

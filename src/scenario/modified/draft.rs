@@ -1,0 +1,131 @@
+//! A scenario while its changes are made.
+
+use super::draws::Draws;
+use super::error::ModifyError;
+use super::file::Modification;
+use super::lanes::EgoLanes;
+use crate::geometry::{OrientedBox, Pose, Vector};
+use crate::scenario::Scenario;
+use crate::world::{DriverBehavior, EgoState, Jaywalker, LaneId, ObjectKind, RoadblockId, TrackToken, TrackedObject};
+use std::collections::BTreeSet;
+
+/// A vehicle that drives from iteration 0 on.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct MovingVehicle {
+    pub(super) object: TrackedObject,
+    pub(super) behavior: Option<DriverBehavior>,
+}
+
+/// Where the expert drives instead of the log.
+#[derive(Debug)]
+pub(super) struct GoalPath {
+    /// The centerline of the lanes to the goal.
+    pub(super) path: crate::world::LanePath,
+    /// Where it is beside the ego's start, meters.
+    pub(super) from_s: f64,
+    /// How far the expert drives on it, meters.
+    pub(super) length: f64,
+    /// Its roadblocks.
+    pub(super) roadblocks: Vec<RoadblockId>,
+}
+
+/// A scenario with the changes so far.
+#[derive(Debug)]
+pub(super) struct Draft {
+    pub(super) scenario: Scenario,
+    pub(super) lanes: EgoLanes,
+    pub(super) draws: Draws,
+    /// Logged tracks that are left out.
+    pub(super) removed: BTreeSet<TrackToken>,
+    /// What never moves.
+    pub(super) standing: Vec<TrackedObject>,
+    pub(super) moving: Vec<MovingVehicle>,
+    pub(super) jaywalkers: Vec<Jaywalker>,
+    /// Speed of the ego at the start, m/s; without it, the logged one.
+    pub(super) ego_speed: Option<f64>,
+    pub(super) goal: Option<GoalPath>,
+    pub(super) behavior: DriverBehavior,
+    pub(super) lane_changes: bool,
+    next_token: u32,
+}
+
+impl Draft {
+    pub(super) fn new(scenario: Scenario, modification: &Modification, seed: u64) -> Result<Self, ModifyError> {
+        let unfit = |fault: &str| ModifyError::Unfit {
+            place: modification.place.clone(),
+            scenario: scenario.id.clone(),
+            fault: fault.to_owned(),
+        };
+        let first = scenario.frame(0).ok_or_else(|| unfit("the scenario has no frames"))?;
+        let lanes = EgoLanes::of(&scenario.map, &scenario.route, &first.ego)
+            .ok_or_else(|| unfit("the ego starts on no lane, and places are relative to its lane"))?;
+        let draws = Draws::new(&scenario.id, &modification.name, [modification.seed, seed]);
+        let tokens = scenario.frames.iter().flat_map(|frame| frame.objects.iter().map(|object| object.token.0));
+        let next_token = tokens.max().map_or(0, |token| token.saturating_add(1));
+        Ok(Self {
+            scenario,
+            lanes,
+            draws,
+            removed: BTreeSet::new(),
+            standing: Vec::new(),
+            moving: Vec::new(),
+            jaywalkers: Vec::new(),
+            ego_speed: None,
+            goal: None,
+            behavior: DriverBehavior::Default,
+            lane_changes: false,
+            next_token,
+        })
+    }
+
+    /// The ego at the start.
+    pub(super) fn ego(&self) -> &EgoState {
+        &self.scenario.frames[self.scenario.start].ego
+    }
+
+    /// A token that no other object has.
+    pub(super) fn token(&mut self) -> TrackToken {
+        let token = TrackToken(self.next_token);
+        self.next_token = self.next_token.saturating_add(1);
+        token
+    }
+
+    /// Adds an object that never moves.
+    pub(super) fn stand(&mut self, kind: ObjectKind, center: Pose, (length, width): (f64, f64)) {
+        let token = self.token();
+        let shape = OrientedBox::new(center, length, width);
+        self.standing.push(TrackedObject { token, kind, shape, velocity: Vector::zeros() });
+    }
+
+    /// Adds a vehicle that drives along its heading.
+    pub(super) fn drive(
+        &mut self,
+        center: Pose,
+        (length, width): (f64, f64),
+        speed: f64,
+        behavior: Option<DriverBehavior>,
+    ) {
+        let token = self.token();
+        let shape = OrientedBox::new(center, length, width);
+        let velocity = center.direction() * speed;
+        let object = TrackedObject { token, kind: ObjectKind::Vehicle, shape, velocity };
+        self.moving.push(MovingVehicle { object, behavior });
+    }
+
+    /// How far the recorded driver gets along the ego's path, meters from the start.
+    pub(super) fn driven_m(&self) -> f64 {
+        let line = &self.lanes.path.centerline;
+        let end =
+            self.scenario.expert().last().map_or(self.lanes.start_s, |ego| line.project(ego.center().position()).s);
+        end - self.lanes.start_s
+    }
+
+    /// Speed limit of a lane, m/s; where it has none, that of the ego's path or a usual one.
+    pub(super) fn limit(&self, lane: LaneId) -> f64 {
+        /// nuPlan's IDM agents drive so fast where a lane has no limit, m/s.
+        const FALLBACK: f64 = 10.0;
+        let map = &self.scenario.map;
+        let of_path = || self.lanes.path.lanes.iter().find_map(|&lane| map[lane].speed_limit);
+        map[lane].speed_limit.filter(|&limit| limit > 0.0).or_else(of_path).unwrap_or(FALLBACK)
+    }
+}

@@ -1,0 +1,87 @@
+//! The TOML file of a modification.
+
+use super::change::{Change, Fault};
+use super::changes::Changes;
+use super::error::ModifyError;
+use crate::files;
+use crate::scenario::interplan::InterPlanName;
+use crate::world::InteractionKind;
+use std::path::Path;
+
+/// A modification: what it is called, how its scenes are scored, and its changes.
+#[derive(Debug)]
+pub(super) struct Modification {
+    /// Where it comes from, for errors.
+    pub(super) place: String,
+    /// What ids of its scenarios end in.
+    pub(super) name: String,
+    /// interPlan's kind, which gives scenario type and score.
+    pub(super) kind: Option<InteractionKind>,
+    pub(super) seed: u64,
+    /// In the order in which they apply.
+    pub(super) changes: Vec<PlacedChange>,
+}
+
+/// A change with its place in the file.
+#[derive(Debug)]
+pub(super) struct PlacedChange {
+    pub(super) key: &'static str,
+    /// From 1.
+    pub(super) line: usize,
+    pub(super) change: Box<dyn Change>,
+}
+
+/// The head of the file; the tables beside it are the changes.
+#[derive(Debug)]
+pub(super) struct Head {
+    pub(super) name: Option<String>,
+    pub(super) kind: Option<String>,
+    pub(super) seed: u64,
+}
+
+impl Modification {
+    /// Reads a file; its name without the ending is the name of the modification, unless it says another.
+    pub(super) fn read(path: &Path) -> Result<Self, ModifyError> {
+        let place = path.display().to_string();
+        let text = files::read_text(path, files::MAX_SETTINGS_BYTES)
+            .map_err(|source| ModifyError::Read { place: place.clone(), source })?;
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        Self::parse(&place, &stem, &text)
+    }
+
+    /// A scene that interPlan names.
+    pub(super) fn of_scene(name: &InterPlanName) -> Result<Self, ModifyError> {
+        let place = format!("interPlan's {name}");
+        let refused = |fault| ModifyError::Head { place: place.clone(), fault };
+        name.check().map_err(refused)?;
+        let change = PlacedChange { key: "interplan", line: 1, change: Box::new(name.clone()) };
+        Ok(Self { place, name: name.to_string(), kind: name.kind(), seed: 0, changes: vec![change] })
+    }
+
+    /// Parses the text of a file.
+    pub(super) fn parse(place: &str, stem: &str, text: &str) -> Result<Self, ModifyError> {
+        let parsed: Result<(Head, Changes), _> = Changes::parse(text);
+        let (head, changes) =
+            parsed.map_err(|source| ModifyError::Parse { place: place.to_owned(), source: Box::new(source) })?;
+        let refused = |fault| ModifyError::Head { place: place.to_owned(), fault };
+        let name = head.name.unwrap_or_else(|| stem.to_owned());
+        let fits = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        if name.is_empty() || !name.chars().all(fits) {
+            let text = format!("{name:?} must be a word of letters, digits, '-', '_' and '.'");
+            return Err(refused(Fault::new("name", text)));
+        }
+        let kind = match head.kind {
+            None => None,
+            Some(word) => Some(InteractionKind::named(&word).ok_or_else(|| {
+                let known = InteractionKind::ALL.map(InteractionKind::name).join(", ");
+                refused(Fault::new("kind", format!("{word:?} is none of {known}")))
+            })?),
+        };
+        let line_of = |byte: usize| text.bytes().take(byte).filter(|&byte| byte == b'\n').count() + 1;
+        let changes = changes.placed(line_of);
+        for PlacedChange { key, line, change } in &changes {
+            change.check().map_err(|fault| ModifyError::Value { place: place.to_owned(), line: *line, key, fault })?;
+        }
+        Ok(Self { place: place.to_owned(), name, kind, seed: head.seed, changes })
+    }
+}

@@ -1,0 +1,47 @@
+//! Modified scenarios: a layer over a scenario of any source, read from a TOML file or one of the built-in kinds.
+//!
+//! A word `WORD~NAME` or `WORD~FILE.toml` names the scenario of `WORD` with a modification. Places are relative to the ego's lane,
+//! and numbers may be bounds between which the seed of the scene draws. A modification is a list of changes; each kind of change is
+//! one file of `changes` and one line of its table. The changes apply in the order of that table.
+
+mod change;
+mod changes;
+mod draft;
+mod draws;
+mod error;
+mod file;
+mod finish;
+mod kinds;
+mod lanes;
+mod named;
+mod number;
+#[cfg(test)]
+mod tests;
+mod word;
+
+pub use error::ModifyError;
+pub use kinds::kind_texts;
+pub use word::{MARK, ModifiedName, ReadModification};
+
+use super::Scenario;
+use draft::Draft;
+use file::Modification;
+
+/// The scenario with the changes of a modification; `seed` beside that of the file draws other numbers.
+///
+/// # Errors
+/// When a change does not fit the scenario.
+fn modified(base: Scenario, modification: &Modification, seed: u64) -> Result<Scenario, ModifyError> {
+    let id = base.id.clone();
+    let mut draft = Draft::new(base, modification, seed)?;
+    for change in &modification.changes {
+        change.change.apply(&mut draft).map_err(|fault| ModifyError::Misfit {
+            place: modification.place.clone(),
+            line: change.line,
+            change: change.key,
+            scenario: id.clone(),
+            fault,
+        })?;
+    }
+    finish::finish(draft, modification)
+}
