@@ -44,7 +44,7 @@ const INNER_RANKS: &[(&str, &[&[&str]])] = &[
             &["template_format"],
             &["tiled"],
             &["cogvlm", "internvl", "llava", "qwen3_vl", "smolvlm"],
-            &["llava_next", "qwen2_5_vl"],
+            &["candle_qwen3_vl", "llava_next", "qwen2_5_vl"],
             &["families"],
             &["source"],
             &["local"],

@@ -10,6 +10,7 @@
 //! Below them, `checkpoint` and `gguf` read weights and configurations, and `matrix` and `attention` hold the kernels.
 
 mod attention;
+mod candle_qwen3_vl;
 mod checkpoint;
 mod cogvlm;
 mod conversation;

@@ -9,7 +9,7 @@ use crate::mllm::checkpoint::{ConfigObject, DecoderType, LlamaConfig, ModelFiles
 
 /// A Qwen3-VL: its vision tower, its decoder, and how they are joined.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Qwen3VlConfig {
+pub(crate) struct Qwen3VlConfig {
     /// The tower; its image size is that of the learned positions.
     pub vision: VisionConfig,
     /// Learned positions along a side.
@@ -29,7 +29,7 @@ pub(super) struct Qwen3VlConfig {
 const IMAGE_TOKEN: u32 = 151_655;
 
 impl Qwen3VlConfig {
-    pub(super) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
+    pub(crate) fn open(files: &ModelFiles) -> Result<Self, MllmError> {
         Self::from_json(&files.path("config.json"), &files.required_json("config.json")?)
     }
 

@@ -13,8 +13,7 @@ mod vision;
 #[cfg(test)]
 mod reference_tests;
 
-use config::Qwen3VlConfig;
-pub(crate) use config::{image_token, text_config};
+pub(crate) use config::{Qwen3VlConfig, image_token, text_config};
 pub(crate) use gguf::{IMAGE, LACKING, QWEN_NAMES, limits};
 pub(crate) use merger::PatchMerger;
 pub(crate) use model::{PatchEncoder, PatchModel};
