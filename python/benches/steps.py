@@ -1,7 +1,9 @@
-"""Steps of 0.1 s a second of the environments on one core, beside highway-env.
+"""Steps of 0.1 s in a second of one core by the environments, beside highway-env.
+
+Time is CPU time of this process, which has one thread at work, so other work on the machine hardly matters.
 
 $ pip install highway-env
-$ taskset -c 0 python python/benches/steps.py
+$ python python/benches/steps.py
 """
 
 import sys
@@ -23,11 +25,11 @@ STRAIGHT = np.array([[4.0 * i, 0.0, 0.0] for i in range(1, 9)], dtype=np.float32
 def rate(step, steps=1):
     """Steps a second of a function that makes some at each call."""
     step()
-    begun, calls = time.perf_counter(), 0
-    while time.perf_counter() - begun < SECONDS:
+    begun, calls = time.process_time(), 0
+    while time.process_time() - begun < SECONDS:
         step()
         calls += 1
-    return calls * steps / (time.perf_counter() - begun)
+    return calls * steps / (time.process_time() - begun)
 
 
 def crowd(agents):
@@ -99,7 +101,7 @@ def main():
         ("the same with the model's picture", rate(single(lambda one: one.observe().image()))),
         ("highway-env `highway-v0`, 50 vehicles, at 10 Hz", rate(highway())),
     ]
-    print("| | steps a second |\n|---|---:|")
+    print("| | steps a second of a core |\n|---|---:|")
     for name, steps in rows:
         print(f"| {name} | {steps:,.0f} |")
 
