@@ -56,8 +56,8 @@ fn the_best_proposal_is_the_answer_of_the_attempt() {
     for attempt in refused_attempts(nano(4)).iter().flatten() {
         let score = |proposal: &Proposal| proposal.reflection.as_ref().map_or(f64::NEG_INFINITY, |report| report.score);
         assert!(attempt.proposals.len() == 4, "{:?}", attempt.proposals);
-        let best = attempt.proposals.iter().map(score).fold(f64::NEG_INFINITY, f64::max);
-        let first = attempt.proposals.iter().position(|proposal| score(proposal) == best).unwrap();
+        let better = |a: &usize, b: &usize| score(&attempt.proposals[*a]).total_cmp(&score(&attempt.proposals[*b]));
+        let first = (0..4).rev().max_by(better).unwrap();
         assert_eq!(attempt.answer, Some(attempt.proposals[first].answer));
         assert_eq!(attempt.reflection, attempt.proposals[first].reflection);
         // The round has the likeliest one.
