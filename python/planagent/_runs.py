@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -299,10 +300,14 @@ def simulate(
     """
     if out is not None:
         return _run(out, False, scenarios, planners, challenge, splits, types, shuffle, limit, shard, settings, progress)
-    with tempfile.TemporaryDirectory(prefix="planagent-", ignore_cleanup_errors=True) as folder:
+    folder = tempfile.mkdtemp(prefix="planagent-")
+    try:
         place = os.path.join(folder, "run")
         arguments = (scenarios, planners, challenge, splits, types, shuffle, limit, shard, settings, progress)
         return Results(_run(place, False, *arguments)._native, is_kept=False)
+    finally:
+        # Work that was interrupted may still write; TemporaryDirectory of Python 3.9 would fail then.
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def resume(

@@ -27,6 +27,12 @@ const NOT_RUN: &[(&str, &str, &str)] = &[
     ("docs/python.md", "pip install ./python", CARGO),
     (
         "docs/python.md",
+        "pip install maturin ziglang && cd python && maturin build --release --zig --compatibility manylinux2014 --target \
+         x86_64-unknown-linux-gnu",
+        CARGO,
+    ),
+    (
+        "docs/python.md",
         "python nuplan-devkit/nuplan/planning/script/run_simulation.py +simulation=closed_loop_reactive_agents planner=plan_agent \
          'hydra.searchpath=[pkg://planagent.nuplan.config,pkg://nuplan.planning.script.config.common,pkg://nuplan.planning.script.experiments]'",
         DEVKIT,
