@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 /// Keys without a default value; the others are those of [`Config::default`].
-pub(super) const OPTIONAL: [&str; 12] = [
+pub(super) const OPTIONAL: [&str; 15] = [
     "mllm.quantize",
     "mllm.context",
     "agent.deadline_ms",
@@ -29,6 +29,9 @@ pub(super) const OPTIONAL: [&str; 12] = [
     "learned.plantf",
     "learned.urban_driver",
     "learned.raster_model",
+    "learned.gc_pgp",
+    "learned.gameformer",
+    "learned.dtpp",
 ];
 
 /// The settings of a command.

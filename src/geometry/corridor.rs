@@ -83,6 +83,21 @@ impl Corridor {
             || self.bends.iter().any(|&bend| frame.distance_squared(bend) <= self.half_width.powi(2))
     }
 
+    /// Whether a line and the strip share a point.
+    pub(crate) fn meets_line(&self, line: &Polyline) -> bool {
+        let cut = |w: &[Point]| self.pieces.iter().any(|piece| piece.meets_segment(w[0], w[1]));
+        self.bounds.overlaps(&Bounds::around(line.vertices()))
+            && (line.vertices().windows(2).any(cut)
+                || self.bends.iter().any(|&bend| line.distance_to(bend) <= self.half_width))
+    }
+
+    /// Distance between a box and the strip, meters; 0 when they overlap.
+    pub(crate) fn distance_to_box(&self, shape: &OrientedBox) -> f64 {
+        let frame = shape.frame();
+        let to_bends = self.bends.iter().map(|&bend| (frame.distance_squared(bend).sqrt() - self.half_width).max(0.0));
+        self.pieces.iter().map(|piece| piece.distance(shape)).chain(to_bends).fold(f64::INFINITY, f64::min)
+    }
+
     /// Whether a polygon and the strip share a point.
     pub fn meets_polygon(&self, polygon: &Polygon) -> bool {
         self.bounds.overlaps(&polygon.bounds())
@@ -118,6 +133,10 @@ mod tests {
         let strip = Corridor::new(line, 1.0);
         assert!(!strip.meets_box(&OrientedBox::new(Pose::new(25.0, 2.2, 0.0), 4.0, 2.0)));
         assert!(strip.meets_box(&OrientedBox::new(Pose::new(25.0, 1.9, 0.0), 4.0, 2.0)));
+        let beside = OrientedBox::new(Pose::new(25.0, 4.0, 0.0), 4.0, 2.0);
+        assert!((strip.distance_to_box(&beside) - 2.0).abs() < 1e-12);
+        let along = |y: f64| Polyline::new([Point::new(-5.0, y), Point::new(55.0, y)]).unwrap();
+        assert!(strip.meets_line(&along(0.9)) && !strip.meets_line(&along(1.1)));
         assert!(strip.meets_polygon(&OrientedBox::new(Pose::new(25.0, 1.9, 0.0), 4.0, 2.0).to_polygon()));
     }
 }

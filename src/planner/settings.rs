@@ -117,6 +117,15 @@ pub struct LearnedSettings {
     /// RasterModel's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub raster_model: Option<String>,
+    /// GC-PGP's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gc_pgp: Option<String>,
+    /// GameFormer's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gameformer: Option<String>,
+    /// DTPP's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dtpp: Option<String>,
 }
 
 impl LearnedSettings {
@@ -128,6 +137,9 @@ impl LearnedSettings {
             "plantf" => self.plantf.as_deref(),
             "urban-driver" => self.urban_driver.as_deref(),
             "raster-model" => self.raster_model.as_deref(),
+            "gc-pgp" => self.gc_pgp.as_deref(),
+            "gameformer" => self.gameformer.as_deref(),
+            "dtpp" => self.dtpp.as_deref(),
             _ => None,
         }
     }
@@ -140,14 +152,17 @@ impl LearnedSettings {
             "plantf" => Some(&mut self.plantf),
             "urban-driver" => Some(&mut self.urban_driver),
             "raster-model" => Some(&mut self.raster_model),
+            "gc-pgp" => Some(&mut self.gc_pgp),
+            "gameformer" => Some(&mut self.gameformer),
+            "dtpp" => Some(&mut self.dtpp),
             _ => None,
         }
     }
 
     /// All checkpoints.
     pub fn all_mut(&mut self) -> impl Iterator<Item = &mut String> {
-        let Self { pdm_open, pdm_hybrid, plantf, urban_driver, raster_model } = self;
-        [pdm_open, pdm_hybrid, plantf, urban_driver, raster_model].into_iter().flatten()
+        let Self { pdm_open, pdm_hybrid, plantf, urban_driver, raster_model, gc_pgp, gameformer, dtpp } = self;
+        [pdm_open, pdm_hybrid, plantf, urban_driver, raster_model, gc_pgp, gameformer, dtpp].into_iter().flatten()
     }
 
     /// Whether no checkpoint is set.

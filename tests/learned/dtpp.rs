@@ -1,11 +1,16 @@
-//! DTPP's network.
+//! DTPP.
 
 use super::gameformer::{check_features, random_scene};
-use super::vectors::{NETWORK, Vectors, assert_close, assert_manifest, fixture, input, network, vectors};
+use super::scene::scene;
+use super::vectors::{
+    NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json_at, network, numbers, vectors,
+};
 use candle_core::{Device, Tensor};
 use planagent::internals::planner::learned::Probe;
-use planagent::internals::planner::learned::dtpp::{Dtpp, DtppConfig};
-use planagent::internals::planner::learned::gameformer::SceneInputs;
+use planagent::internals::planner::learned::dtpp::{
+    Dtpp, DtppConfig, Step, costed_paths, first_stage, paths, profile, scored_tree, second_stage,
+};
+use planagent::internals::planner::learned::gameformer::{ActorFeatures, SceneInputs};
 
 /// The tiny variant divides the width of the inner layer by sixteen twice.
 const TINY: DtppConfig = DtppConfig { dim: 16, inner: 4, encoder_layers: 2, neighbors: 4, branches: 6 };
@@ -114,5 +119,106 @@ fn the_features_are_those_of_the_original() {
     for name in ["scene_a", "scene_b"] {
         let Some(path) = vectors(&format!("dtpp/features_{name}.safetensors")) else { return };
         check_features(name, 80.0, &Vectors::open(&path));
+    }
+}
+
+/// A place that lies on the border of two rows of the path may fall on either side in f32: one row is 0.1 m.
+const ROW: f32 = 0.11;
+
+/// The largest distance between the places of two lists of steps, and the largest difference of speeds and accelerations.
+fn apart(found: &[Step], expected: &[Vec<f32>]) -> (f32, f32) {
+    assert_eq!(found.len(), expected.len());
+    let pairs = || found.iter().zip(expected);
+    let places = pairs().map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(0.0, f32::max);
+    let rates = pairs().map(|(a, b)| (a[3] - b[3]).abs().max((a[4] - b[4]).abs())).fold(0.0, f32::max);
+    (places, rates)
+}
+
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn speed_profiles_are_those_of_the_original() {
+    let Some(path) = vectors("dtpp/planner_cases.json") else { return };
+    let cases = &json_at(&path)["spline_planner"];
+    let row = |i: u32| {
+        let s = 0.1 * f64::from(i);
+        [s, 0.002 * s * s, (0.004 * s).atan(), 0.004 / (1.0 + (0.004 * s).powi(2)).powf(1.5)]
+    };
+    let path: Vec<[f64; 4]> = (0..1200).map(row).collect();
+    let rows = |value: &serde_json::Value| -> Vec<Vec<f32>> {
+        let row = |row| numbers(row).iter().map(|&value| value as f32).collect();
+        value.as_array().unwrap().iter().map(row).collect()
+    };
+    for case in cases["cases"].as_array().unwrap() {
+        let number = |key: &str| case[key].as_f64().unwrap() as f32;
+        let found = profile(&path, [number("v0"), number("a0"), number("vf")], number("tf"), number("offset"));
+        let (places, rates) = apart(&found.unwrap().unwrap(), &rows(&case["rows"])[1..]);
+        assert!(places < ROW && rates < 1e-4, "{places} {rates}");
+    }
+    let ends = |found: Vec<Vec<Step>>| found.iter().map(|steps| *steps.last().unwrap()).collect::<Vec<Step>>();
+    let state = |case: &serde_json::Value| numbers(&case["x0"]).iter().map(|&value| value as f32).collect::<Vec<f32>>();
+    let one = &cases["stage1"];
+    let x = state(one);
+    let limit = one["speed_limit"].as_f64().unwrap() as f32;
+    let paths = std::slice::from_ref(&path);
+    let (places, rates) = apart(&ends(first_stage(paths, [x[3], x[4]], limit).unwrap()), &rows(&one["ends"]));
+    assert!(places < ROW && rates < 1e-4, "{places} {rates}");
+    let two = &cases["stage2"];
+    let x = state(two);
+    let from = [x[0], x[1], x[2], x[3], x[4], 0.0];
+    let (places, rates) = apart(&ends(second_stage(paths, &from, limit).unwrap()), &rows(&two["ends"]));
+    assert!(places < ROW && rates < 1e-4, "{places} {rates}");
+}
+
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn paths_trees_and_plans_are_those_of_the_original() {
+    let Some(path) = vectors("dtpp/planner_cases.json") else { return };
+    let cases = json_at(&path);
+    let Some(path) = vectors("dtpp/planner_cases.safetensors") else { return };
+    let file = Vectors::open(&path);
+    let network = network(|weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
+    for name in ["scene_a", "scene_b"] {
+        let scene = scene(name);
+        let view = scene.view();
+        let costed = costed_paths(&view);
+        let expected = cases[name]["candidate_path_costs"].as_array().unwrap();
+        assert_eq!(costed.len(), expected.len());
+        for (path, expected) in costed.iter().zip(expected) {
+            let number = |key: &str| expected[key].as_f64().unwrap();
+            assert_eq!(path.points.len() as f64, number("n_points"));
+            assert_eq!(path.obstacle, number("obstacle"));
+            assert!((path.curvature - number("curvature_max")).abs() < 1e-6);
+            assert!((path.cost() - number("cost")).abs() < 1e-6);
+        }
+        let (courses, limit) = paths(&view);
+        assert_eq!(limit, cases[name]["speed_limit"].as_f64().unwrap());
+        for (i, course) in courses.iter().enumerate() {
+            let values: Vec<f32> = course.as_flattened().iter().map(|&value| value as f32).collect();
+            let found = Tensor::from_vec(values, (course.len(), 4), &Device::Cpu).unwrap();
+            assert_close(&format!("{name} path {i}"), &found, file.get(&format!("{name}.path.{i}")), NETWORK);
+        }
+        let inputs = ActorFeatures::of(&view, 80.0).inputs().unwrap();
+        let start = [view.ego.velocity.x as f32, view.ego.acceleration.x as f32];
+        let tree = scored_tree(&network, &inputs, (&courses, limit), start, 0).unwrap();
+        for (stage, (branches, scores)) in [("stage1", &tree.first), ("stage2", &tree.second)] {
+            let expected = file.get(&format!("{name}.{stage}.leaf_trajectories")).to_vec3::<f32>().unwrap();
+            assert_eq!(branches.len(), expected.len(), "{name} {stage}");
+            let theirs: Vec<f32> = file.get(&format!("{name}.{stage}.scores")).to_vec1().unwrap();
+            for (((found, expected), score), theirs) in branches.iter().zip(&expected).zip(scores).zip(theirs) {
+                let (places, rates) = apart(found, expected);
+                assert!(places < ROW && rates < 1e-3, "{name} {stage}: {places} m, {rates}");
+                // Where a place falls on the next row, the score of its trajectory changes with it.
+                let tolerance = if places < 1e-3 { 1e-3 } else { 0.05 };
+                assert!(
+                    (score - theirs).abs() < tolerance * (1.0 + theirs.abs()),
+                    "{name} {stage}: {score} instead of {theirs}, {places} m"
+                );
+            }
+        }
+        let best = file.get(&format!("{name}.best_trajectory")).to_vec2::<f32>().unwrap();
+        assert_eq!(tree.best.len(), best.len());
+        for (found, expected) in tree.best.iter().zip(&best) {
+            assert!((found[0] - expected[0]).hypot(found[1] - expected[1]) < ROW, "{name}: {found:?} {expected:?}");
+        }
     }
 }

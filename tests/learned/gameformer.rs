@@ -1,10 +1,17 @@
-//! GameFormer's network.
+//! GameFormer.
 
 use super::scene::scene;
-use super::vectors::{FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, input, network, vectors};
+use super::vectors::{
+    FEATURES, NETWORK, Vectors, assert_close, assert_manifest, fixture, input, json_at, network, numbers, vectors,
+};
 use candle_core::Tensor;
 use planagent::internals::planner::learned::Probe;
-use planagent::internals::planner::learned::gameformer::{ActorFeatures, GameFormer, GameFormerConfig, SceneInputs};
+use planagent::internals::planner::learned::gameformer::{
+    ActorFeatures, GameFormer, GameFormerConfig, PredictedAgent, STEPS, SceneInputs, costed_paths, placed,
+    reference_path, refinement,
+};
+use planagent::internals::planner::learned::lattice::starting_block;
+use planagent::internals::world::{Scene, TrafficLights};
 
 const TINY: GameFormerConfig = GameFormerConfig { dim: 16, encoder_layers: 2, levels: 2, modes: 3, neighbors: 4 };
 
@@ -171,4 +178,107 @@ fn the_features_are_those_of_the_original() {
     for name in ["scene_a", "scene_b"] {
         check_features(name, 60.0, &Vectors::open(&fixture(&format!("gameformer/features_{name}.safetensors"))));
     }
+}
+
+/// A scene with its lights or without any.
+fn lit(name: &str, lights: &str) -> Scene {
+    let mut scene = scene(name);
+    if lights == "no_tl" {
+        scene.lights = TrafficLights::default();
+    }
+    scene
+}
+
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn reference_paths_are_those_of_the_original() {
+    let Some(path) = vectors("gameformer/planner_cases.json") else { return };
+    let cases = json_at(&path);
+    let Some(path) = vectors("gameformer/planner_cases.safetensors") else { return };
+    let file = Vectors::open(&path);
+    for (name, lights) in [("scene_a", "red"), ("scene_a", "no_tl"), ("scene_b", "red"), ("scene_b", "no_tl")] {
+        let scene = lit(name, lights);
+        let view = scene.view();
+        let (block, _) = starting_block(&view).unwrap();
+        let costed = costed_paths(&view, block);
+        let expected = cases[format!("reference_path_{name}_{lights}")]["candidates"].as_array().unwrap();
+        assert_eq!(costed.len(), expected.len(), "{name} {lights}");
+        for ((points, cost), expected) in costed.iter().zip(expected) {
+            let number = |key: &str| expected[key].as_f64().unwrap();
+            assert_eq!(points.len() as f64, number("n_points"), "{name} {lights}");
+            let terms = &expected["terms"];
+            let term = |key: &str| terms[key].as_f64().unwrap();
+            assert_eq!(cost.obstacle, term("obstacle"), "{name} {lights}");
+            assert_eq!(cost.out_of_boundary, term("out_of_boundary"), "{name} {lights}");
+            assert_eq!(cost.target, term("target"), "{name} {lights}");
+            assert!((cost.curvature.unwrap() - term("max_curvature")).abs() < 1e-6, "{name} {lights}");
+            assert!((cost.sum().unwrap() - number("cost")).abs() < 1e-6, "{name} {lights}: {cost:?}");
+            for (place, key) in [(20, "p20"), (60, "p60")] {
+                let place = points[place];
+                let expected = numbers(&expected[key]);
+                assert!((place.x - expected[0]).hypot(place.y - expected[1]) < 1e-5, "{name} {lights} {key}");
+            }
+        }
+        let rows = reference_path(&view).unwrap();
+        let found = Tensor::from_vec(rows.concat(), (1200, 6), &candle_core::Device::Cpu).unwrap();
+        assert_close(&format!("{name} {lights}"), &found, file.get(&format!("ref.{name}.{lights}")), NETWORK);
+    }
+}
+
+/// The original refines in f32 and its objective has steps, so that iterates part: in f64 they are up to 0.04 m/s off.
+#[test]
+#[cfg_attr(not(outside_data), ignore = "needs PLANAGENT_DATA")]
+fn refinements_are_those_of_the_original() {
+    let Some(path) = vectors("gameformer/planner_cases.safetensors") else { return };
+    let file = Vectors::open(&path);
+    let worst = |found: &[f64], expected: &[f32]| {
+        found.iter().zip(expected).map(|(found, expected)| (found - f64::from(*expected)).abs()).fold(0.0, f64::max)
+    };
+    for source in ["scene_a.red", "scene_a.no_tl", "scene_b.red", "scene_b.no_tl"] {
+        let path: Vec<[f32; 6]> = rows(file.get(&format!("ref.{source}")));
+        for case in 0..4 {
+            let name = format!("refine.{source}.{case}");
+            let get = |part: &str| file.get(&format!("{name}.{part}"));
+            let states: Vec<[f32; 11]> = rows(get("in.neighbors"));
+            let scores = get("in.scores").to_vec2::<f32>().unwrap();
+            let predictions = get("in.predictions_xy");
+            let agent = |(i, state): (usize, &[f32; 11])| {
+                let scores = &scores[i + 1];
+                let best = (0..scores.len()).max_by(|&a, &b| scores[a].total_cmp(&scores[b])).unwrap();
+                let future = predictions.get(i).unwrap().get(best).unwrap();
+                PredictedAgent { state: *state, future: rows(&future) }
+            };
+            let agents: Vec<PredictedAgent> = states.iter().take(10).enumerate().map(agent).collect();
+            let ego: [f32; 7] = get("in.ego_state").to_vec1::<f32>().unwrap().try_into().unwrap();
+            let refinement = refinement(&path, &rows(get("in.plan")), &agents, ego);
+            let places: Vec<f32> = get("mid.initial_s").to_vec1().unwrap();
+            assert!(worst(&refinement.places, &places[1..]) < 1e-5, "{name} places");
+            let speeds: Vec<f32> = get("mid.initial_speed").to_vec1().unwrap();
+            assert!(worst(&refinement.speeds, &speeds) < 1e-4, "{name} speeds");
+            let cleared = refinement.occupancy.iter().enumerate().flat_map(|(step, cells)| {
+                let place = refinement.places[step];
+                cells.iter().enumerate().map(move |(cell, &occupied)| u8::from(occupied && cell as f64 > place))
+            });
+            let expected: Vec<u8> = get("mid.occupancy_30x120").flatten_all().unwrap().to_vec1().unwrap();
+            assert_eq!(cleared.collect::<Vec<u8>>(), expected, "{name} occupancy");
+            assert_eq!(refinement.occupancy.len(), STEPS);
+            let iterates = get("mid.iterates").to_vec2::<f32>().unwrap();
+            for (i, (found, expected)) in refinement.iterates().iter().zip(&iterates).take(4).enumerate() {
+                let off = worst(&found.0, expected);
+                assert!(off < 0.05, "{name} iterate {i}: {off} m/s off");
+            }
+            let solved = refinement.solve();
+            let off = worst(&solved, &get("out.speed").to_vec1::<f32>().unwrap());
+            assert!(off < 0.05, "{name} solution: {off} m/s off");
+            let plan: Vec<[f32; 3]> = rows(get("out.plan"));
+            for ([x, y, _], [u, v, _]) in placed(&path, &solved).iter().zip(&plan) {
+                assert!((x - u).hypot(y - v) < 0.35, "{name} plan");
+            }
+        }
+    }
+}
+
+/// The rows of a matrix.
+fn rows<const N: usize>(matrix: &Tensor) -> Vec<[f32; N]> {
+    matrix.to_vec2::<f32>().unwrap().into_iter().map(|row| row.try_into().unwrap()).collect()
 }

@@ -2,12 +2,15 @@
 
 mod checkpoint;
 mod dtpp;
+mod exported;
 mod gameformer;
 mod gc_pgp;
+mod odd_scenes;
 mod pdm_open;
 mod plantf;
 mod program;
 mod raster_model;
 mod scene;
+mod trained;
 mod urban_driver;
 mod vectors;

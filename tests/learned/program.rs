@@ -3,6 +3,9 @@
 use super::vectors::{fixture, manifest_of, tensors};
 use assert_cmd::Command;
 use candle_core::Tensor;
+use planagent::internals::planner::learned::dtpp::{Dtpp, DtppConfig};
+use planagent::internals::planner::learned::gameformer::{GameFormer, GameFormerConfig};
+use planagent::internals::planner::learned::gc_pgp::GcPgp;
 use planagent::internals::planner::learned::pdm_open::{HIDDEN, PdmNetwork};
 use std::collections::HashMap;
 use std::path::Path;
@@ -70,6 +73,29 @@ fn a_checkpoint_controls_the_ego_and_belongs_to_the_run() {
     let mut resume = Command::cargo_bin("planagent").unwrap();
     let said = refusal(resume.current_dir(work.path()).args(["simulate", "--resume", "run"]));
     assert!(said.contains("model changed: ") && said.contains("pdm.safetensors"), "{said}");
+}
+
+/// Generated weights plan nonsense; what counts is that simulations with them run from start to end.
+#[test]
+fn planners_that_search_paths_simulate_from_start_to_end() {
+    let work = tempfile::tempdir().unwrap();
+    let save = |name: &str, manifest: Vec<(String, Vec<usize>)>| {
+        let file: HashMap<String, Tensor> = tensors(&manifest).into_iter().collect();
+        candle_core::safetensors::save(&file, work.path().join(name)).unwrap();
+    };
+    save("gc_pgp.safetensors", manifest_of(GcPgp::take));
+    let gameformer = |weights: &mut _| GameFormer::take(weights, GameFormerConfig::PUBLISHED);
+    save("gameformer.safetensors", manifest_of(gameformer));
+    save("dtpp.safetensors", manifest_of(|weights: &mut _| Dtpp::take(weights, DtppConfig::PUBLISHED)));
+    let mut command = simulate(work.path());
+    command.args(["--planner", "gc-pgp,gameformer,dtpp", "--out", "run", "--csv"]);
+    for planner in ["gc-pgp=gc_pgp", "gameformer=gameformer", "dtpp=dtpp"] {
+        command.args(["--checkpoint", &format!("{planner}.safetensors")]);
+    }
+    let table = String::from_utf8(command.assert().success().get_output().stdout.clone()).unwrap();
+    for planner in ["gc-pgp", "gameformer", "dtpp"] {
+        assert!(table.lines().any(|line| line.contains(planner)), "{table}");
+    }
 }
 
 #[test]

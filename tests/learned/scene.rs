@@ -3,8 +3,8 @@
 use super::vectors::json;
 use planagent::internals::geometry::{OrientedBox, Point, Polygon, Polyline, Pose, Vector};
 use planagent::internals::world::{
-    EgoState, History, HistorySample, Lane, LaneId, LaneKind, LaneMap, MapParts, ObjectKind, Roadblock, RoadblockId,
-    Route, Scene, SignalStatus, StopLine, TrackToken, TrackedObject, TrafficLights,
+    EgoState, History, HistorySample, Lane, LaneId, LaneKind, LaneMap, MapParts, Neighbor, ObjectKind, Roadblock,
+    RoadblockId, Route, Scene, SignalStatus, StopLine, TrackToken, TrackedObject, TrafficLights,
 };
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -85,8 +85,8 @@ fn map(file: &Value, lane_ids: &BTreeMap<String, u32>, block_ids: &BTreeMap<Stri
         polygon: polygon(&lane["polygon"]),
         incoming: lanes_of(&lane["incoming"]),
         outgoing: lanes_of(&lane["outgoing"]),
-        left: vec![],
-        right: vec![],
+        left: beside(lane, "left_neighbour", lane_ids),
+        right: beside(lane, "right_neighbour", lane_ids),
         roadblock: RoadblockId(block_ids[text(&lane["roadblock"])]),
         speed_limit: lane["speed_limit"].as_f64(),
         has_traffic_lights: lane["has_traffic_lights"] == true,
@@ -116,6 +116,11 @@ fn map(file: &Value, lane_ids: &BTreeMap<String, u32>, block_ids: &BTreeMap<Stri
         ..MapParts::default()
     })
     .unwrap()
+}
+
+fn beside(lane: &Value, side: &str, lane_ids: &BTreeMap<String, u32>) -> Vec<Neighbor> {
+    let neighbor = |id: &str| Neighbor { lane: LaneId(lane_ids[id]), from_s: 0.0, to_s: f64::INFINITY };
+    lane[side].as_str().map(neighbor).into_iter().collect()
 }
 
 fn ego(state: &Value) -> EgoState {

@@ -25,7 +25,19 @@ pub(super) fn vectors(name: &str) -> Option<PathBuf> {
 }
 
 pub(super) fn json(name: &str) -> Value {
-    serde_json::from_str(&std::fs::read_to_string(fixture(name)).unwrap()).unwrap()
+    json_at(&fixture(name))
+}
+
+pub(super) fn json_at(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// The numbers of nested lists.
+pub(super) fn numbers(value: &Value) -> Vec<f64> {
+    match value {
+        Value::Array(items) => items.iter().flat_map(numbers).collect(),
+        number => vec![number.as_f64().unwrap()],
+    }
 }
 
 /// The tensors of a file.

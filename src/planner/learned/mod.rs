@@ -1,7 +1,7 @@
 //! Learned planners: each computes what its authors' program computes, from a checkpoint of theirs or ours, without Python.
 //!
 //! A model is a folder: its features, its network under the names of its checkpoint, its planner. The layers that networks
-//! share are in `blocks`; [`Checkpoint`] opens the files; `prediction` makes a trajectory of a network's poses.
+//! share are in `blocks`; candidate paths that planners share in `lattice`; [`Checkpoint`] opens the files; `prediction` makes a trajectory of a network's poses.
 
 mod blocks;
 mod checkpoint;
@@ -9,6 +9,7 @@ pub mod dtpp;
 mod frame;
 pub mod gameformer;
 pub mod gc_pgp;
+pub mod lattice;
 mod past;
 pub mod pdm_open;
 pub mod plantf;
@@ -24,8 +25,17 @@ pub use prediction::trajectory;
 use super::{PlannerEntry, PlannerError};
 
 /// The learned planners.
-pub(super) fn entries() -> [PlannerEntry; 5] {
-    [pdm_open::entry(), pdm_open::hybrid_entry(), plantf::entry(), urban_driver::entry(), raster_model::entry()]
+pub(super) fn entries() -> [PlannerEntry; 8] {
+    [
+        pdm_open::entry(),
+        pdm_open::hybrid_entry(),
+        plantf::entry(),
+        urban_driver::entry(),
+        raster_model::entry(),
+        gc_pgp::entry(),
+        gameformer::entry(),
+        dtpp::entry(),
+    ]
 }
 
 fn network_failed(source: candle_core::Error) -> PlannerError {

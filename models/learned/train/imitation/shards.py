@@ -29,7 +29,7 @@ class Flat:
 
 
 class Ragged:
-    """Samples of PlanTF: those tensors whose names begin with `agent.` or `map.` have a row an agent or polygon."""
+    """Samples with agents and polygons of different numbers: those tensors whose names begin with `agent.` or `map.` have a row an agent or polygon."""
 
     def __init__(self, tensors):
         self.tensors = tensors
@@ -53,4 +53,6 @@ class Ragged:
             mask = index < counts[:, None]
             taken = tensor[(starts[:, None] + index.clamp(max=rows)).clamp(max=len(tensor) - 1)]
             made[name] = torch.where(mask.view(*mask.shape, *[1] * (taken.dim() - 2)), taken, torch.zeros_like(taken))
+            if kind == "agent":
+                made["agent.present"] = mask
         return made

@@ -1,9 +1,14 @@
 //! Samples for imitation: the features of a learned planner in a logged scene, by its own feature builder, and what the logged
 //! driver did in the eight seconds after it.
 
+mod futures;
+mod gameformer;
+mod gc_pgp;
 mod pdm_open;
 mod plantf;
+mod raster_model;
 mod tensors;
+mod urban_driver;
 
 use super::shard::ShardError;
 use super::{MIX, SCENARIOS_PER_SEED, Split};
@@ -33,17 +38,33 @@ pub enum ImitationPlanner {
     PdmOpen,
     /// PlanTF.
     PlanTf,
+    /// UrbanDriver.
+    UrbanDriver,
+    /// RasterModel.
+    RasterModel,
+    /// GC-PGP.
+    GcPgp,
+    /// GameFormer.
+    GameFormer,
+    /// DTPP.
+    Dtpp,
 }
 
 impl ImitationPlanner {
     /// All, in the order of the registry.
-    pub const ALL: [Self; 2] = [Self::PdmOpen, Self::PlanTf];
+    pub const ALL: [Self; 7] =
+        [Self::PdmOpen, Self::PlanTf, Self::UrbanDriver, Self::RasterModel, Self::GcPgp, Self::GameFormer, Self::Dtpp];
 
     /// Name of the planner.
     pub fn name(self) -> &'static str {
         match self {
             Self::PdmOpen => "pdm-open",
             Self::PlanTf => "plantf",
+            Self::UrbanDriver => "urban-driver",
+            Self::RasterModel => "raster-model",
+            Self::GcPgp => "gc-pgp",
+            Self::GameFormer => "gameformer",
+            Self::Dtpp => "dtpp",
         }
     }
 
@@ -51,6 +72,11 @@ impl ImitationPlanner {
         match self {
             Self::PdmOpen => pdm_open::sample(moment),
             Self::PlanTf => plantf::sample(moment),
+            Self::UrbanDriver => urban_driver::sample(moment),
+            Self::RasterModel => raster_model::sample(moment),
+            Self::GcPgp => gc_pgp::sample(moment),
+            Self::GameFormer => gameformer::gameformer(moment),
+            Self::Dtpp => gameformer::dtpp(moment),
         }
     }
 }
@@ -200,7 +226,11 @@ mod tests {
         let log = generator::generate(&Spec::new(MIX[0], 10_000_000)).unwrap();
         for planner in ImitationPlanner::ALL {
             let samples = samples(planner, &log);
-            assert_eq!(samples.len(), log.iterations().div_ceil(STRIDE));
+            // DTPP's have a candidate near the driver.
+            let all = log.iterations().div_ceil(STRIDE);
+            assert!(
+                samples.len() == all || (planner == ImitationPlanner::Dtpp && (all / 2..=all).contains(&samples.len()))
+            );
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("a.safetensors");
             fs::write(&path, tensors::serialized(&samples).unwrap()).unwrap();

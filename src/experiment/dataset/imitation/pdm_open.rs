@@ -1,14 +1,10 @@
 //! Samples of PDM-Open.
 
-use super::Moment;
 use super::tensors::Columns;
-use crate::geometry::wrap_angle;
+use super::{Moment, futures};
 use crate::pdm::{PdmPath, centerline_poses, corrected_route, current_lane, lane_chain};
 use crate::planner::learned::pdm_open::PdmFeatures;
 use crate::world::LaneId;
-
-/// Frames between two poses of the target: 0.5 s.
-const STRIDE: usize = 5;
 
 /// Features and target (16, 3): the poses of the rear axle in its frame now. `None` off every route.
 pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
@@ -19,14 +15,7 @@ pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
     let chain = lane_chain(scene.map, &blocks, &lanes, start);
     let path = PdmPath::new(&centerline_poses(scene.map, &chain)).ok()?;
     let PdmFeatures { position, velocity, acceleration, centerline } = PdmFeatures::of(scene, &path).ok()?;
-    let here = scene.ego.rear_axle;
-    let poses = moment.future.iter().skip(STRIDE - 1).step_by(STRIDE);
-    let target: Vec<f32> = poses
-        .flat_map(|ego| {
-            let place = here.to_local(ego.rear_axle.position());
-            [place.x as f32, place.y as f32, wrap_angle(ego.rear_axle.heading - here.heading) as f32]
-        })
-        .collect();
+    let target = futures::half_seconds(moment);
     let history = [position.len(), 3];
     Some(
         Columns::default()

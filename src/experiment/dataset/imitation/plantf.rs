@@ -1,11 +1,11 @@
 //! Samples of PlanTF. Agents and polygons of all samples stand one behind the other; `agents` and `polygons` count those of each.
 
+use super::futures::pose_in;
 use super::tensors::Columns;
 use super::{HORIZON, Moment};
 use crate::geometry::Pose;
 use crate::pdm::corrected_route;
 use crate::planner::learned::plantf::{AgentHistory, PlanTfFeatures, PolygonFeatures};
-use crate::scenario::Frame;
 use crate::world::{ObjectKind, TrackToken};
 
 /// Features and targets: the ego's poses (80, 3) minus the present one in its frame, and those of all agents with their masks. The
@@ -61,10 +61,6 @@ pub(super) fn sample(moment: &Moment<'_>) -> Option<Columns> {
             .with_small("map.light", &[], flags(|polygon| polygon.light as u8))
             .with_small("map.valid", &[points], polygons.iter().flat_map(|one| one.valid).map(u8::from).collect()),
     )
-}
-
-fn pose_in(frame: &Frame, token: TrackToken) -> Option<Pose> {
-    frame.objects.iter().find(|object| object.token == token).map(|object| object.shape.center)
 }
 
 /// Vehicle, pedestrian, bicycle; the ego is 0.

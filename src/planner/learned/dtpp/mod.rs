@@ -1,6 +1,14 @@
-//! DTPP's network (Huang et al. 2024; `MCZhi/DTPP` `scenario_tree_prediction.py`, `prediction_modules.py`).
+//! DTPP (Huang et al. 2024; `MCZhi/DTPP`): the network, and the tree of trajectories that it scores.
 
 mod network;
+mod paths;
+mod planner;
 mod scorer;
+mod speed_profile;
+mod tree;
 
 pub use network::{Dtpp, DtppConfig, DtppOutputs};
+pub use paths::{CostedPath, costed_paths, paths};
+pub(in crate::planner) use planner::entry;
+pub use speed_profile::{NoPlan, Step, first_stage, profile, second_stage};
+pub use tree::{ScoredTree, TreeError, scored_tree};

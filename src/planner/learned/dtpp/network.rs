@@ -53,7 +53,7 @@ pub struct DtppOutputs {
 pub struct Dtpp {
     config: DtppConfig,
     encoder: SceneEncoder,
-    branches: Mlp,
+    trajectory: Mlp,
     times: Tensor,
     environment: Block,
     condition: Block,
@@ -79,7 +79,7 @@ impl Dtpp {
         Ok(Self {
             config,
             encoder: SceneEncoder::take(weights, "encoder.", dim, encoder_layers)?,
-            branches: Mlp::take(weights, &layers, &[COLUMNS, dim / 4, dim])?,
+            trajectory: Mlp::take(weights, &layers, &[COLUMNS, dim / 4, dim])?,
             times: weights.take("decoder.time_embed.weight", &[TOKENS, dim])?,
             environment,
             condition,
@@ -100,17 +100,34 @@ impl Dtpp {
     /// # Errors
     /// When an input has another shape.
     pub fn forward(&self, inputs: &SceneInputs, tree: &Tensor, steps: usize, probe: &mut Probe) -> Result<DtppOutputs> {
-        let scene = self.encoder.forward(inputs, probe)?;
+        let scene = self.encode(inputs, probe)?;
+        self.branches(inputs, &scene, tree, steps, probe)
+    }
+
+    /// Encodes a batch of scenes.
+    pub(super) fn encode(&self, inputs: &SceneInputs, probe: &mut Probe) -> Result<EncodedScene> {
+        self.encoder.forward(inputs, probe)
+    }
+
+    /// The outputs for trees in encoded scenes.
+    pub(super) fn branches(
+        &self,
+        inputs: &SceneInputs,
+        scene: &EncodedScene,
+        tree: &Tensor,
+        steps: usize,
+        probe: &mut Probe,
+    ) -> Result<DtppOutputs> {
         let DtppConfig { dim, neighbors, branches, .. } = self.config;
         let batch = tree.dim(0)?;
         let tokens = branches * TOKENS;
-        let encoded = self.branches.forward(tree)?;
+        let encoded = self.trajectory.forward(tree)?;
         probe.note("decoder.ego_traj_encoder", &encoded);
         let branch = encoded.narrow(2, steps - 1, 1)?;
         let pooled = encoded.reshape((batch, tokens, TOKEN_STEPS, dim))?.max(2)?;
         let embedded =
             branch.broadcast_add(&self.times.reshape((1, 1, TOKENS, dim))?)?.reshape((batch, tokens, dim))?;
-        let (environment, condition) = self.biases(&scene, tree)?;
+        let (environment, condition) = self.biases(scene, tree)?;
         let states = inputs.neighbors.narrow(1, 0, neighbors)?;
         let states = states.narrow(2, states.dim(2)? - 1, 1)?.squeeze(2)?;
         let mut futures = Vec::with_capacity(neighbors);

@@ -6,7 +6,7 @@ use crate::planner::learned::frame::{relative, rounded, single};
 use crate::planner::learned::past;
 use crate::world::{
     HISTORY_SAMPLES, HistorySample, Lane, LaneKind, MICROS_PER_SECOND, ObjectKind, RoadblockId, SceneView,
-    SignalStatus, TrackedObject,
+    SignalStatus, TrackToken, TrackedObject,
 };
 use candle_core::{Device, Result, Tensor};
 
@@ -32,6 +32,8 @@ pub struct ActorFeatures {
     pub ego: Vec<f32>,
     /// The other actors' steps (20, 21, 11).
     pub neighbors: Vec<f32>,
+    /// Their tokens.
+    pub tokens: Vec<TrackToken>,
     /// Lanes (40, 50, 7).
     pub lanes: Vec<f32>,
     /// Crosswalks (5, 30, 3).
@@ -47,7 +49,8 @@ impl ActorFeatures {
         let samples = past::samples(scene, HISTORY_SAMPLES);
         let frame = rounded(scene.ego.rear_axle);
         let [lanes, crosswalks, route] = lines(scene, radius);
-        Self { ego: ego(&samples, frame), neighbors: neighbors(scene, &samples, frame), lanes, crosswalks, route }
+        let (neighbors, tokens) = neighbors(scene, &samples, frame);
+        Self { ego: ego(&samples, frame), neighbors, tokens, lanes, crosswalks, route }
     }
 
     /// A batch of one.
@@ -62,6 +65,18 @@ impl ActorFeatures {
             lanes: tensor(&self.lanes, &[1, LANES[0], LANES[1], LANE])?,
             crosswalks: tensor(&self.crosswalks, &[1, CROSSWALKS[0], CROSSWALKS[1], LINE])?,
         })
+    }
+
+    /// The ego now: pose, velocity, acceleration.
+    pub fn present_ego(&self) -> [f32; 7] {
+        let last = self.ego.len().saturating_sub(EGO);
+        std::array::from_fn(|column| self.ego.get(last + column).copied().unwrap_or_default())
+    }
+
+    /// The present states of the other actors.
+    pub fn present_neighbors(&self) -> Vec<[f32; 11]> {
+        let last = |steps: &[f32]| std::array::from_fn(|column| steps[(STEPS - 1) * NEIGHBOR + column]);
+        self.neighbors.chunks_exact(STEPS * NEIGHBOR).map(last).collect()
     }
 
     /// The lanes of the route of a batch of one (1, 10, 50, 3).
@@ -84,7 +99,7 @@ fn ego(samples: &[HistorySample], frame: Pose) -> Vec<f32> {
     steps.flat_map(row).collect()
 }
 
-fn neighbors(scene: &SceneView<'_>, samples: &[HistorySample], frame: Pose) -> Vec<f32> {
+fn neighbors(scene: &SceneView<'_>, samples: &[HistorySample], frame: Pose) -> (Vec<f32>, Vec<TrackToken>) {
     let kinds = [ObjectKind::Vehicle, ObjectKind::Pedestrian, ObjectKind::Bicycle];
     let of_kind = |kind| scene.objects.iter().filter(move |object: &&TrackedObject| object.kind == kind);
     let mut present: Vec<(f64, usize, &TrackedObject)> = Vec::new();
@@ -96,11 +111,11 @@ fn neighbors(scene: &SceneView<'_>, samples: &[HistorySample], frame: Pose) -> V
     }
     present.sort_by(|a, b| a.0.total_cmp(&b.0));
     present.truncate(MAX_NEIGHBORS);
-    let ahead =
-        present.iter().filter(|(_, _, object)| f64::from(relative(frame, rounded(object.shape.center))[0]) >= BEHIND);
-    let mut rows: Vec<f32> = ahead.flat_map(|&(_, kind, object)| history(object, kind, samples, frame)).collect();
+    present.retain(|(_, _, object)| f64::from(relative(frame, rounded(object.shape.center))[0]) >= BEHIND);
+    let rows = present.iter().flat_map(|&(_, kind, object)| history(object, kind, samples, frame));
+    let mut rows: Vec<f32> = rows.collect();
     rows.resize(MAX_NEIGHBORS * STEPS * NEIGHBOR, 0.0);
-    rows
+    (rows, present.iter().map(|(_, _, object)| object.token).collect())
 }
 
 /// The steps of one agent. A missing past state is the next later one.

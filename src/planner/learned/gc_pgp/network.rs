@@ -8,9 +8,9 @@ use candle_core::{D, DType, Device, Result, Tensor};
 /// Steps of a traversal.
 pub(super) const TRAVERSAL: usize = 16;
 /// Poses of a trajectory, 0.5 s apart.
-const POSES: usize = 16;
+pub(super) const POSES: usize = 16;
 /// Numbers of a latent sample.
-const LATENT: usize = 5;
+pub(super) const LATENT: usize = 5;
 /// Width of the decoder.
 const HIDDEN: usize = 128;
 /// Edge types in the table of successors.

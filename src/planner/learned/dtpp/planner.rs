@@ -1,0 +1,54 @@
+//! DTPP as a planner (`MCZhi/DTPP` `planner.py`).
+
+use super::network::{Dtpp, DtppConfig, STEPS};
+use super::paths::paths;
+use super::tree::{TreeError, scored_tree};
+use crate::planner::learned::gameformer::ActorFeatures;
+use crate::planner::learned::slot::{Slot, learned_entry};
+use crate::planner::learned::{network_failed, prediction};
+use crate::planner::{Planner, PlannerEntry, PlannerError, PlannerInitialization, PlannerInput};
+use crate::world::Trajectory;
+use std::sync::Arc;
+
+/// Half side of the square of the map, meters.
+const RADIUS: f64 = 80.0;
+/// Time between the poses of the plan, µs.
+const STEP_US: i64 = 100_000;
+const NAME: &str = "dtpp";
+
+/// The planner `dtpp`.
+pub(in crate::planner) fn entry() -> PlannerEntry {
+    let slot = Slot::new("DTPP", |weights| Dtpp::take(weights, DtppConfig::PUBLISHED));
+    learned_entry(NAME, "DTPP, a learned planner", slot, |network| Box::new(DtppPlanner { network }))
+}
+
+/// DTPP: it plans again at every iteration.
+#[derive(Debug)]
+struct DtppPlanner {
+    network: Arc<Dtpp>,
+}
+
+impl Planner for DtppPlanner {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn initialize(&mut self, _: &PlannerInitialization<'_>) -> Result<(), PlannerError> {
+        Ok(())
+    }
+
+    fn compute_trajectory(&mut self, input: &PlannerInput<'_>) -> Result<Trajectory, PlannerError> {
+        let scene = &input.scene;
+        let inputs = ActorFeatures::of(scene, RADIUS).inputs().map_err(network_failed)?;
+        let (paths, limit) = paths(scene);
+        let start = [scene.ego.velocity.x as f32, scene.ego.acceleration.x as f32];
+        let seed = scene.ego.time_us.unsigned_abs();
+        let plan = match scored_tree(&self.network, &inputs, (&paths, limit), start, seed) {
+            Ok(tree) => tree.best,
+            // As upstream, which catches every exception.
+            Err(TreeError::NoPlan) => vec![[0.0; 3]; STEPS],
+            Err(TreeError::Network(error)) => return Err(network_failed(error)),
+        };
+        prediction::trajectory(&plan, STEP_US, scene)
+    }
+}

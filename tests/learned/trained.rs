@@ -1,0 +1,44 @@
+//! Checkpoints of `models/learned/train`: what PyTorch trains and exports computes the same here.
+
+use super::exported::{Exported, PLANNERS, Shape, network};
+use super::vectors::{NETWORK, assert_close};
+use crate::outside;
+use std::path::Path;
+use std::process::Command;
+
+/// The interpreter, if it has PyTorch.
+fn python() -> Option<Command> {
+    let interpreter = std::env::var_os("PLANAGENT_PYTHON").unwrap_or_else(|| "python3".into());
+    let found = Command::new(&interpreter).args(["-c", "import torch, safetensors"]).output();
+    if found.is_ok_and(|output| output.status.success()) {
+        let mut command = Command::new(interpreter);
+        command.env("PYTHONPATH", Path::new(env!("CARGO_MANIFEST_DIR")).join("models/learned/train"));
+        Some(command)
+    } else {
+        outside::skipped(
+            "training of learned planners: the interpreter in $PLANAGENT_PYTHON has no torch and safetensors",
+        );
+        None
+    }
+}
+
+#[test]
+fn exported_checkpoints_compute_what_pytorch_computes() {
+    let Some(mut python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let output = python.args(["-m", "imitation", "selftest", "--out"]).arg(folder.path()).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    for planner in PLANNERS {
+        let file = |kind: &str| folder.path().join(format!("{planner}{kind}.safetensors"));
+        let io = Exported::open(&file(".io"));
+        let found = network(planner, &file(""), &io, Shape::Small)();
+        let mut compared = 0;
+        for (name, expected) in io.outputs() {
+            let (_, found) = found.iter().find(|(own, _)| own == name).unwrap();
+            let finite = |tensor: &candle_core::Tensor| tensor.maximum(-1e9f64).unwrap();
+            assert_close(&format!("{planner} {name}"), &finite(found), &finite(expected), NETWORK);
+            compared += 1;
+        }
+        assert_eq!(compared, found.len(), "{planner}");
+    }
+}
