@@ -5,6 +5,7 @@ pub mod dataset;
 pub mod interactive;
 mod oracle;
 pub mod panic_guard;
+pub mod rank_correlation;
 pub mod run;
 mod shuffled_bev;
 pub mod split;

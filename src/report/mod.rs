@@ -51,8 +51,8 @@ pub use simulation_folder::metrics as simulation_metrics;
 pub use simulation_row::{MetricScore, SimulationRow};
 pub use stamp::stamp;
 pub use study::{
-    CallShares, ChallengeResults, ModelCost, Outcome, RecordingResults, RecordingScores, StudyFolder, StudyResults,
-    SuiteResults, SuiteSimulations, TypeResults, VariantResults, VariantSimulations,
+    Agreement, CallShares, ChallengeResults, ModelCost, Outcome, RecordingResults, RecordingScores, StudyFolder,
+    StudyResults, SuiteResults, SuiteSimulations, TypeResults, VariantResults, VariantSimulations,
 };
 pub use summary::{Aggregate, ScenarioSummary, Summary};
 pub use table::{

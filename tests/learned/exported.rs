@@ -19,11 +19,11 @@ pub(crate) const PLANNERS: [&str; 7] =
 
 /// Which shapes are exported.
 #[derive(Clone, Copy, PartialEq, Eq)]
+#[allow(dead_code, reason = "the tests have small ones, the bench published ones")]
 pub(crate) enum Shape {
     /// Those of `selftest`.
     Small,
     /// Those of `speed`.
-    #[allow(dead_code, reason = "only the bench has them")]
     Published,
 }
 

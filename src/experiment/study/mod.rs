@@ -5,7 +5,7 @@ mod catalogue;
 mod paper;
 
 pub use catalogue::{StudyError, all, find, names};
-pub use paper::{Benchmark, Published, PublishedModel, benchmark};
+pub use paper::{Benchmark, Published, PublishedModel, Reported, benchmark, reported_benchmarks};
 
 use crate::scenario::ScenarioRef;
 use serde::{Deserialize, Serialize};
@@ -63,6 +63,9 @@ pub struct Variant {
     /// The paper's numbers of it.
     #[serde(default)]
     pub published: Published,
+    /// What READMEs of planners report of it.
+    #[serde(default)]
+    pub reported: Reported,
     /// Its place on the horizontal axis of a line figure.
     #[serde(default)]
     pub x: Option<f64>,

@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 pub enum Benchmark {
     /// Common scenes.
     Val14,
+    /// Random scenes of the test logs (PlanTF).
+    #[serde(rename = "Test14-random")]
+    Test14Random,
     /// Scenes that are hard for PDM-Closed.
     #[serde(rename = "Test14-hard")]
     Test14Hard,
@@ -18,6 +21,7 @@ impl Benchmark {
     pub fn name(self) -> &'static str {
         match self {
             Self::Val14 => "Val14",
+            Self::Test14Random => "Test14-random",
             Self::Test14Hard => "Test14-hard",
         }
     }
@@ -29,6 +33,56 @@ pub fn benchmark(suite: &str) -> Option<Benchmark> {
         "generated-test14" | "generated" | "val14" | "reduced-val14" => Some(Benchmark::Val14),
         "generated-test14-hard" | "test14-hard" => Some(Benchmark::Test14Hard),
         _ => None,
+    }
+}
+
+/// The benchmarks whose reported scores a suite is compared with.
+pub fn reported_benchmarks(suite: &str) -> &'static [Benchmark] {
+    match benchmark(suite) {
+        Some(Benchmark::Val14) => &[Benchmark::Test14Random, Benchmark::Val14],
+        Some(Benchmark::Test14Hard) => &[Benchmark::Test14Hard],
+        Some(Benchmark::Test14Random) | None => &[],
+    }
+}
+
+/// What READMEs of planners report, scores x 100 with non-reactive and with reactive agents: PlanTF's for both Test14, that of
+/// tuplan_garage for Val14, and DiffusionPlanner's or the paper where they have none.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reported {
+    #[serde(default)]
+    pub test14_hard: Option<[f64; 2]>,
+    #[serde(default)]
+    pub test14_random: Option<[f64; 2]>,
+    #[serde(default)]
+    pub val14: Option<[f64; 2]>,
+}
+
+impl Reported {
+    /// All benchmarks, in the order of tables.
+    pub const BENCHMARKS: [Benchmark; 3] = [Benchmark::Test14Hard, Benchmark::Test14Random, Benchmark::Val14];
+
+    /// The scores on a benchmark.
+    pub fn scores(&self, benchmark: Benchmark) -> Option<[f64; 2]> {
+        match benchmark {
+            Benchmark::Test14Hard => self.test14_hard,
+            Benchmark::Test14Random => self.test14_random,
+            Benchmark::Val14 => self.val14,
+        }
+    }
+
+    /// The score in a challenge of a benchmark.
+    pub fn score(&self, benchmark: Benchmark, challenge: Challenge) -> Option<f64> {
+        of_challenge(self.scores(benchmark)?, challenge)
+    }
+}
+
+/// Of scores with non-reactive and with reactive agents, that of a challenge.
+fn of_challenge([nonreactive, reactive]: [f64; 2], challenge: Challenge) -> Option<f64> {
+    match challenge {
+        Challenge::NonReactive => Some(nonreactive),
+        Challenge::Reactive => Some(reactive),
+        Challenge::OpenLoop | Challenge::OwnAgents(_) => None,
     }
 }
 
@@ -60,15 +114,12 @@ pub struct PublishedModel {
 impl Published {
     /// The score in a challenge of a benchmark.
     pub fn score(&self, benchmark: Benchmark, challenge: Challenge) -> Option<f64> {
-        let [nonreactive, reactive] = match benchmark {
+        let scores = match benchmark {
             Benchmark::Val14 => self.val14,
             Benchmark::Test14Hard => self.test14_hard,
-        }?;
-        match challenge {
-            Challenge::NonReactive => Some(nonreactive),
-            Challenge::Reactive => Some(reactive),
-            Challenge::OpenLoop | Challenge::OwnAgents(_) => None,
-        }
+            Benchmark::Test14Random => None,
+        };
+        of_challenge(scores?, challenge)
     }
 }
 
@@ -114,6 +165,13 @@ mod tests {
             ("Log-replay", "log-replay"),
             ("{IDM", "idm"),
             ("{PDM-Closed", "pdm-closed"),
+            ("{PDM-Open", "pdm-open"),
+            ("{PlanTF", "plantf"),
+            ("{GameFormer", "gameformer"),
+            ("{DTPP", "dtpp"),
+            ("{GC-PGP", "gc-pgp"),
+            ("{UrbanDriver", "urban-driver"),
+            ("{RasterModel", "raster-model"),
             ("{UNC}", "llm-assist-unc"),
             ("{PAR}", "llm-assist-par"),
             ("PlanAgent(Ours)", "plan-agent (paper)"),
@@ -126,6 +184,16 @@ mod tests {
             let scores = [published.val14, published.test14_hard].into_iter().flatten().flatten();
             assert_eq!(row, Some(scores.collect()), "{name}");
         }
+    }
+
+    #[test]
+    fn seven_rows_of_the_papers_val14_are_test14_random() {
+        let study = find("main").unwrap();
+        let same = study.variants.iter().filter(|variant| {
+            variant.published.val14.is_some() && variant.published.val14 == variant.reported.test14_random
+        });
+        let names: Vec<&str> = same.map(|variant| variant.planner.as_str()).collect();
+        assert_eq!(names, ["log-replay", "idm", "pdm-open", "gameformer", "gc-pgp", "urban-driver", "raster-model"]);
     }
 
     #[test]

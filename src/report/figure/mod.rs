@@ -1,5 +1,6 @@
 //! The figures of experiments, as SVG that follows the reader's light or dark scheme.
 
+mod agreement;
 mod bars;
 mod differences;
 mod lines;
@@ -20,12 +21,16 @@ fn panel(challenge: Challenge) -> &'static str {
     }
 }
 
-/// The figures of a study, one for each suite: file name and text.
+/// File name of the figure of scores here and reported.
+pub(super) const AGREEMENT: &str = "agreement.svg";
+
+/// The figures of a study, one for each suite, and one of reported scores: file name and text.
 pub(super) fn figures(study: &Study, results: &StudyResults) -> Vec<(String, String)> {
     let draw = |suite| match &study.figure {
         Figure::Differences => differences::draw(study, results, suite),
         Figure::Lines(axis) => lines::draw(study, results, suite, axis),
         Figure::Bars => bars::draw(results, suite),
     };
-    results.suites.iter().map(|suite| (format!("{}.svg", suite.name), draw(suite))).collect()
+    let of_suites = results.suites.iter().map(|suite| (format!("{}.svg", suite.name), draw(suite)));
+    of_suites.chain(agreement::draw(results).map(|text| (AGREEMENT.to_owned(), text))).collect()
 }

@@ -1,11 +1,13 @@
 //! Results of an experiment: scores and paired differences with intervals, as Markdown, JSON and figures.
 
+mod agreement;
 mod folder;
 mod recordings;
 mod results;
 #[cfg(test)]
 mod tests;
 
+pub use agreement::{Agreement, RankedPlanner};
 pub use folder::StudyFolder;
 pub use recordings::{CallShares, RecordingResults, RecordingScores};
 pub use results::{

@@ -1,5 +1,6 @@
 //! `results.json` of an experiment. Scores and differences are nuPlan's scores x 100, as in the paper.
 
+use super::agreement::{Agreement, agreements};
 use super::recordings::{CallShares, RecordingResults, recordings};
 use crate::experiment::statistics::{Bootstrap, PairedDifference};
 use crate::experiment::study::{Benchmark, Column, PublishedModel, Quick, Rows, Study, Variant, benchmark};
@@ -74,6 +75,9 @@ pub struct SuiteResults {
     /// Each recording, in a study of recordings.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub recordings: Vec<RecordingResults>,
+    /// How far the order of the planners agrees with reported ones.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub agreement: Vec<Agreement>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -182,6 +186,7 @@ impl ResultSource<'_> {
         SuiteResults {
             recordings: if of_recordings { recordings(&suite.variants, self.study.reference) } else { Vec::new() },
             name: suite.name.clone(),
+            agreement: agreements(self.study, suite, self.bootstrap),
             benchmark,
             scenes: suite.scenes,
             blake3: suite.blake3.clone(),

@@ -1,7 +1,7 @@
 //! Results and tables of example simulations.
 
 use super::*;
-use crate::experiment::study::{Figure, Quick, find};
+use crate::experiment::study::{Figure, Quick, Reported, find};
 use crate::planner::PlannerName;
 use crate::report::figure::figures;
 use crate::report::{MetricScore, SimulationRow, study_markdown, study_table};
@@ -124,11 +124,14 @@ fn markdown_has_both_challenges_and_the_paper_and_every_study_has_a_figure() {
         let results = StudyResults::new(&study, &[suite("generated-test14-hard", variants)], None, 0, &[]);
         let drawn = figures(&study, &results);
         assert!(
-            drawn.iter().all(|(name, svg)| name == "generated-test14-hard.svg" && !svg.contains("NaN")),
+            drawn.iter().all(|(name, svg)| {
+                ["generated-test14-hard.svg", "agreement.svg"].contains(&name.as_str()) && !svg.contains("NaN")
+            }),
             "{}",
             study.name
         );
-        assert_eq!(drawn.len(), 1);
+        let reported = study.variants.iter().any(|variant| variant.reported != Reported::default());
+        assert_eq!(drawn.len(), 1 + usize::from(reported), "{}", study.name);
         let text = study_markdown(&study, &results, "planagent experiment", &["generated-test14-hard.svg".to_owned()]);
         assert!(text.contains("(generated-test14-hard.svg)"), "{text}");
         let head = text.lines().find(|line| line.starts_with("| ")).unwrap();
@@ -184,4 +187,35 @@ fn recordings_are_drawn_together_and_have_a_row_each() {
     assert!(text.contains("bootstrap over recordings") && text.contains("| b | 3 | 50.00 | 100.00 |"), "{text}");
     let table = study_table(&study, &results);
     assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
+}
+
+#[test]
+fn orders_are_compared_with_reported_ones_where_planners_were_simulated() {
+    let study = find("main").unwrap();
+    // In the order of the study; the first three are log-replay, idm and pdm-closed.
+    let mut variants = vec![
+        simulated([Some(0.9), Some(0.8), Some(1.0), Some(0.9)]),
+        simulated([Some(0.5), Some(0.6), Some(0.5), None]),
+        simulated([Some(0.7), Some(0.8), Some(0.6), Some(0.7)]),
+    ];
+    variants.resize(study.variants.len(), NOT_SIMULATED);
+    let results = StudyResults::new(&study, &[suite("generated-test14", variants)], None, 0, &[]);
+    let found = &results.suites[0].agreement;
+    let cases: Vec<(&str, usize, f64)> =
+        found.iter().map(|a| (a.benchmark.name(), a.planners.len(), a.kendall.unwrap().tau)).collect();
+    // Reported: log-replay, pdm-closed, idm without reactive agents; pdm-closed before log-replay with them.
+    let reactive = 1.0 / 3.0;
+    let expected = [("Test14-random", 1.0), ("Test14-random", reactive), ("Val14", 1.0), ("Val14", reactive)];
+    assert_eq!(cases.len(), expected.len());
+    for ((name, planners, tau), (benchmark, expected)) in cases.into_iter().zip(expected) {
+        assert_eq!((name, planners), (benchmark, 3));
+        assert!((tau - expected).abs() < 1e-12, "{benchmark}: {tau}");
+    }
+    assert_eq!(found[0].kendall.unwrap().scenes, 3, "only scenes that all have a score of");
+    let text = study_markdown(&study, &results, "planagent experiment main", &["agreement.svg".to_owned()]);
+    assert!(text.contains("## Reported scores") && text.contains("(agreement.svg)"), "{text}");
+    assert!(text.contains("Test14-random in PlanTF's README"), "{text}");
+    let table = study_table(&study, &results);
+    assert!(table.lines().all(|line| line.chars().count() <= 80), "{table}");
+    assert!(table.contains("no checkpoint") || table.contains("no weights"), "{table}");
 }

@@ -5,6 +5,7 @@ mod markdown;
 mod overview;
 mod paired;
 mod recordings;
+mod reported;
 mod simulations;
 mod study;
 mod terminal;

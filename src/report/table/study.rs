@@ -1,10 +1,11 @@
 //! The tables of an experiment.
 
-use super::recordings;
 use super::terminal::wrapped;
 use super::{Table, or_dash, short, signed, three_digits, weights};
+use super::{recordings, reported};
 use crate::experiment::statistics::PairedDifference;
 use crate::experiment::study::{Column, Rows, Study, Variant};
+use crate::report::figure::AGREEMENT;
 use crate::report::number::fixed;
 use crate::report::{ChallengeResults, StudyResults, SuiteResults, VariantResults};
 use crate::simulation::Challenge;
@@ -32,6 +33,8 @@ pub fn study_table(study: &Study, results: &StudyResults) -> String {
             }));
         }
     }
+    // In a terminal the table of reported scores would be too wide; it stands in results.md.
+    parts.extend(reported::agreement(results).map(|table| table.terminal()));
     parts.push(notes(study, results).iter().flat_map(|note| wrapped(note)).collect::<Vec<_>>().join("\n"));
     parts.join("\n\n")
 }
@@ -50,6 +53,15 @@ pub fn study_markdown(study: &Study, results: &StudyResults, command: &str, figu
         }
         for figure in figures.iter().filter(|name| **name == format!("{}.svg", suite.name)) {
             let _ = writeln!(text, "\n![{} on {}]({figure})", results.title, suite.name);
+        }
+    }
+    if let Some(table) = reported::reported(study) {
+        let _ = write!(text, "\n## Reported scores\n\n{}", table.markdown());
+    }
+    if let Some(table) = reported::agreement(results) {
+        let _ = write!(text, "\n## Agreement of the orders\n\n{}", table.markdown());
+        for figure in figures.iter().filter(|name| *name == AGREEMENT) {
+            let _ = writeln!(text, "\n![scores here and reported]({figure})");
         }
     }
     text.push('\n');
@@ -189,6 +201,9 @@ fn notes(study: &Study, results: &StudyResults) -> Vec<String> {
                 "paper = the paper's result on nuPlan's {paper}. Its scenes differ from {name}: compare only the direction."
             ));
         }
+    }
+    if results.suites.iter().any(|suite| !suite.agreement.is_empty()) {
+        notes.push(reported::NOTE.to_owned());
     }
     let variants =
         || results.suites.iter().flat_map(|suite| suite.variants.iter().map(move |variant| (suite, variant)));

@@ -4,7 +4,7 @@
 use super::suites::SelectedSuite;
 use crate::experiment::interactive;
 use crate::experiment::study::Variant;
-use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, PlannerNeeds, PlannerRegistry};
+use crate::planner::{DEFAULT_EXEC_TIMEOUT, ExecCommand, LearnedSettings, PlannerNeeds, PlannerRegistry};
 use crate::report::{MANIFEST, RunFolder, SUMMARY, SimulationRow};
 use crate::runner::commands::Commands;
 use crate::runner::config::{Config, MllmConfig};
@@ -24,6 +24,9 @@ use std::time::{Duration, Instant};
 const DIGEST: usize = 12;
 /// The cell of a model whose weights are not on this machine.
 const NO_WEIGHTS: &str = "no weights";
+
+/// The cell of a learned planner without a checkpoint.
+const NO_CHECKPOINT: &str = "no checkpoint";
 
 /// Name of a variant's run, or why there is none.
 pub(super) type RunName = Result<String, &'static str>;
@@ -54,10 +57,14 @@ impl<'a> PlannedRuns<'a> {
 
     /// Plans the run of a variant on a suite and gives its name; or why the variant cannot be simulated.
     pub(super) fn add(&mut self, suite: &SelectedSuite, variant: &Variant) -> Result<RunName, RunnerError> {
+        let config = self.config.overlaid(&variant.settings)?;
+        let is_learned = LearnedSettings::default().checkpoint_mut(&variant.planner).is_some();
+        if is_learned && config.learned.checkpoint(&variant.planner).is_none() {
+            return Ok(Err(NO_CHECKPOINT));
+        }
         let (registry, commands) = self.registry_for(variant)?;
         let entry = registry.find(commands.planners.keys().next().unwrap_or(&variant.planner))?;
         let (planner, needs) = (entry.name, entry.needs);
-        let config = self.config.overlaid(&variant.settings)?;
         let loaded = match needs {
             needs if needs != PlannerNeeds::Model => None,
             _ if !self.has_weights(&config)? => return Ok(Err(NO_WEIGHTS)),

@@ -139,6 +139,11 @@ def optimizer(model):
     return torch.optim.AdamW(model.parameters(), lr=2e-4)
 
 
+def clipped(model):
+    """Gradients of both parts are clipped by themselves."""
+    return [model.encoder, model.decoder]
+
+
 def learning_rate(epoch, epochs):
     """Halved every five of 30 epochs."""
     return 0.5 ** (30 * epoch // epochs // 5)

@@ -54,7 +54,7 @@ class Encoder(nn.Module):
         # As in the original, the mask of far agents is added: 1 for a far one. Agents that only fill a batch are hidden.
         present = batch["agent.present"]
         some = present.any(1)[:, None, None]
-        bias = far(batch).masked_fill(~present[:, None] & some, -torch.inf)
+        bias = (batch["far"] if "far" in batch else far(batch)).masked_fill(~present[:, None] & some, -torch.inf)
         query, key, value = self.query_emb(nodes), self.key_emb(agents), self.val_emb(agents)
         heard, _ = self.a_n_att(query, key, value, attn_mask=bias, need_weights=False)
         # Attention to nothing gives the bias of its last layer.

@@ -45,7 +45,8 @@ def train(planner, training, validation, options, model=None):
             optimizer.zero_grad()
             loss.backward()
             if planner.GRADIENT_NORM:
-                torch.nn.utils.clip_grad_norm_(model.parameters(), planner.GRADIENT_NORM)
+                for part in planner.clipped(model) if hasattr(planner, "clipped") else [model]:
+                    torch.nn.utils.clip_grad_norm_(part.parameters(), planner.GRADIENT_NORM)
             optimizer.step()
             total, steps = total + loss.item(), steps + 1
         own, straight = evaluate(planner, model, validation, options.batch, options.device)

@@ -139,6 +139,8 @@ def check_gc_pgp(folder):
         "ego": given("ego_feats")[:, 0],
         "agent.step": given("vehicle_agent_feats"),
         "agent.seen": 1 - given("vehicle_agent_masks")[..., 0],
+        # In the original, agents that only fill a batch are heard.
+        "far": given("vehicle_node_masks"),
         "agent.present": torch.ones(given("vehicle_agent_feats").shape[:2], dtype=torch.bool),
         "map.pose": given("lane_node_feats"),
         "map.length": (1 - given("lane_node_masks")[..., 0]).sum(-1),

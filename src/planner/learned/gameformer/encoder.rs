@@ -87,7 +87,7 @@ impl SceneEncoder {
         let neighbors = neighbors.reshape((batch, count, ()))?;
         let present = |x: &Tensor, time: usize| x.narrow(time, steps - 1, 1)?.narrow(D::Minus1, 0, STATE);
         let current = Tensor::cat(&[present(&inputs.ego, 1)?, present(&inputs.neighbors, 2)?.squeeze(2)?], 1)?;
-        let actors = current.sum(2)?.ne(0.0)?;
+        let actors = seen(&current)?;
         let (lanes, lanes_seen) = self.lanes.forward(&inputs.lanes, "encoder.lane_encoder", probe)?;
         let (crosswalks, crosswalks_seen) =
             self.crosswalks.forward(&inputs.crosswalks, "encoder.crosswalk_encoder", probe)?;
@@ -101,6 +101,15 @@ impl SceneEncoder {
         probe.note("encoder.fusion_encoder", &tokens);
         Ok(EncodedScene { current, tokens, seen })
     }
+}
+
+/// Which actors are seen (B, 1 + A): those whose state does not sum up to exactly 0, as upstream, which hides an ego that stands. Where
+/// none would be, the ego is: upstream's attention without keys is not a number.
+fn seen(current: &Tensor) -> Result<Tensor> {
+    let actors = current.sum(2)?.ne(0.0)?;
+    let nobody = actors.max_keepdim(1)?.eq(0u8)?;
+    let ego = actors.narrow(1, 0, 1)?.maximum(&nobody)?;
+    Tensor::cat(&[ego, actors.narrow(1, 1, actors.dim(1)? - 1)?], 1)
 }
 
 /// Tokens of pieces of lines.
