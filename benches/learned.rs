@@ -54,12 +54,16 @@ fn main() {
 /// Stops where an output is another one than PyTorch's.
 fn check(planner: &str, io: &Exported, run: &Run) {
     let found = run();
-    let numbers = |tensor: &candle_core::Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    // The scores of unused branches are -inf.
+    let numbers = |tensor: &candle_core::Tensor| {
+        let values = tensor.maximum(-1e9f64).unwrap();
+        values.flatten_all().unwrap().to_vec1::<f32>().unwrap()
+    };
     for (name, expected) in io.outputs() {
         let (_, found) = found.iter().find(|(own, _)| own == name).unwrap();
         for (found, expected) in numbers(found).into_iter().zip(numbers(expected)) {
             let off = (found - expected).abs() / (1.0 + expected.abs());
-            assert!(found == expected || off < MAX_DEVIATION, "{planner} {name}: {found} instead of {expected}");
+            assert!(off < MAX_DEVIATION, "{planner} {name}: {found} instead of {expected}");
         }
     }
 }

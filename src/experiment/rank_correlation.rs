@@ -83,7 +83,7 @@ mod tests {
             (0..10).map(|scene| 1.01 * f64::from((scene + 1) % 2)).collect(),
         ];
         let found = Bootstrap::default().rank_correlation(&close, &[1.0, 2.0, 3.0]).unwrap();
-        assert!(found.tau == 1.0 && found.low < 0.5 && found.high == 1.0, "{found:?}");
+        assert!(found.tau > 0.999 && found.low < 0.5 && found.high > 0.999, "{found:?}");
         assert_eq!(Bootstrap::default().rank_correlation(&clear[..2], &[1.0, 2.0]), None);
     }
 }

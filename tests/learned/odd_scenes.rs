@@ -61,7 +61,7 @@ fn each(check: impl Fn(&str, &SceneView<'_>)) {
                 }
                 history
             };
-            check(&word.to_string(), &log.scene(&frame, &history(None, 22)));
+            check(word, &log.scene(&frame, &history(None, 22)));
             check(&format!("{word} without history"), &log.scene(&frame, &history(None, 1)));
             for count in [0, 200] {
                 let objects = crowd(frame.ego.rear_axle, count);

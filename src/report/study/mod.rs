@@ -7,7 +7,7 @@ mod results;
 #[cfg(test)]
 mod tests;
 
-pub use agreement::{Agreement, RankedPlanner};
+pub use agreement::Agreement;
 pub use folder::StudyFolder;
 pub use recordings::{CallShares, RecordingResults, RecordingScores};
 pub use results::{

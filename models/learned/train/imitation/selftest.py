@@ -48,14 +48,17 @@ def plantf_samples(made, count=256, agents=3, polygons=4):
     speed, target = made.speeds(count, 80, 0.1)
     rows, areas = count * agents, count * polygons
     state = torch.cat([torch.zeros(count, 3), speed[:, None], 0.1 * made.normal(count, 3)], 1)
+    position, heading = made.normal(rows, 21, 2) * 30, made.normal(rows, 21)
+    # The first agent is the ego; it is at the origin now.
+    position[::agents, -1], heading[::agents, -1] = 0, 0
     return shards.Ragged(
         {
             "target": target,
             "current_state": state,
             "agents": torch.full((count,), agents, dtype=torch.uint8),
             "polygons": torch.full((count,), float(polygons)),
-            "agent.position": made.normal(rows, 21, 2) * 30,
-            "agent.heading": made.normal(rows, 21),
+            "agent.position": position,
+            "agent.heading": heading,
             "agent.velocity": made.normal(rows, 21, 2),
             "agent.shape": ones(rows, 21, 2).float() * 2,
             "agent.valid": ones(rows, 21),

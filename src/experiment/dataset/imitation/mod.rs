@@ -73,7 +73,7 @@ impl ImitationPlanner {
             Self::PdmOpen => pdm_open::sample(moment),
             Self::PlanTf => plantf::sample(moment),
             Self::UrbanDriver => urban_driver::sample(moment),
-            Self::RasterModel => raster_model::sample(moment),
+            Self::RasterModel => Some(raster_model::sample(moment)),
             Self::GcPgp => gc_pgp::sample(moment),
             Self::GameFormer => gameformer::gameformer(moment),
             Self::Dtpp => gameformer::dtpp(moment),

@@ -72,7 +72,7 @@ pub fn paths(scene: &SceneView<'_>) -> (Vec<Course>, f64) {
     let mut costed: Vec<CostedPath> = Vec::new();
     for path in costed_paths(scene) {
         // Of equally expensive paths upstream keeps the last.
-        costed.retain(|known| known.cost() != path.cost());
+        costed.retain(|known| known.cost().to_bits() != path.cost().to_bits());
         costed.push(path);
     }
     costed.sort_by(|a, b| a.cost().total_cmp(&b.cost()));

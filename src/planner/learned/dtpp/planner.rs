@@ -46,7 +46,7 @@ impl Planner for DtppPlanner {
         let plan = match scored_tree(&self.network, &inputs, (&paths, limit), start, seed) {
             Ok(tree) => tree.best,
             // As upstream, which catches every exception.
-            Err(TreeError::NoPlan) => vec![[0.0; 3]; STEPS],
+            Err(TreeError::NoTrajectory) => vec![[0.0; 3]; STEPS],
             Err(TreeError::Network(error)) => return Err(network_failed(error)),
         };
         prediction::trajectory(&plan, STEP_US, scene)

@@ -24,11 +24,16 @@ const ON_PATH: f32 = 0.1;
 
 /// Why upstream makes no plan and stays where it is: an exception of its program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct NoPlan;
+pub struct NoTrajectory;
 
 /// The steps after the first instant, of a path, speed and acceleration now, the speed at the end and the length of the stage; `None`
 /// where the path is too short.
-pub fn profile(path: &Course, [v0, a0, end]: [f32; 3], seconds: f32, offset: f32) -> Result<Option<Vec<Step>>, NoPlan> {
+pub fn profile(
+    path: &Course,
+    [v0, a0, end]: [f32; 3],
+    seconds: f32,
+    offset: f32,
+) -> Result<Option<Vec<Step>>, NoTrajectory> {
     let count = (seconds * STEPS_PER_S) as usize;
     let (two, three) = (seconds * seconds, seconds * seconds * seconds);
     let c2 = -2.0 * a0 / seconds - 3.0 * v0 / two + 3.0 * end / two;
@@ -49,23 +54,23 @@ pub fn profile(path: &Course, [v0, a0, end]: [f32; 3], seconds: f32, offset: f32
     let step = |&(row, speed, acceleration): &(i64, f32, f32)| {
         // Behind the path's start PyTorch counts from its end.
         let row = if row < 0 { row + path.len() as i64 } else { row };
-        let row = usize::try_from(row).ok().and_then(|row| path.get(row)).ok_or(NoPlan)?;
+        let row = usize::try_from(row).ok().and_then(|row| path.get(row)).ok_or(NoTrajectory)?;
         let [x, y, heading, curvature] = row.map(|value| value as f32);
         Ok([x, y, heading, speed, acceleration, curvature])
     };
-    let steps = steps.iter().skip(1).map(step).collect::<Result<Vec<Step>, NoPlan>>()?;
+    let steps = steps.iter().skip(1).map(step).collect::<Result<Vec<Step>, NoTrajectory>>()?;
     Ok(Some(steps))
 }
 
 /// The trajectories of the first three seconds from rest at the origin with a speed and an acceleration.
-pub fn first_stage(paths: &[Course], [v0, a0]: [f32; 2], limit: f32) -> Result<Vec<Vec<Step>>, NoPlan> {
+pub fn first_stage(paths: &[Course], [v0, a0]: [f32; 2], limit: f32) -> Result<Vec<Vec<Step>>, NoTrajectory> {
     let speeds = speeds::<FIRST_SPEEDS>(v0, limit, FIRST_BOUNDS.map(|bound| bound * FIRST_S));
     let starts: Vec<(&Course, f32)> = paths.iter().map(|path| (path, 0.0)).collect();
     stage(&starts, [v0, a0], &speeds, FIRST_S)
 }
 
 /// The trajectories of the next five seconds from the end of one of the first stage, on each path that passes through it.
-pub fn second_stage(paths: &[Course], from: &Step, limit: f32) -> Result<Vec<Vec<Step>>, NoPlan> {
+pub fn second_stage(paths: &[Course], from: &Step, limit: f32) -> Result<Vec<Vec<Step>>, NoTrajectory> {
     let &[x, y, _, v0, a0, _] = from;
     let speeds = speeds::<SECOND_SPEEDS>(v0, limit, SECOND_BOUNDS.map(|bound| bound * SECOND_S));
     let start = |path| {
@@ -83,7 +88,7 @@ fn stage(
     [v0, a0]: [f32; 2],
     speeds: &[f32],
     seconds: f32,
-) -> Result<Vec<Vec<Step>>, NoPlan> {
+) -> Result<Vec<Vec<Step>>, NoTrajectory> {
     let mut found: Vec<Vec<Step>> = Vec::new();
     for &(path, offset) in starts {
         for &end in speeds {
@@ -95,7 +100,7 @@ fn stage(
             }
         }
     }
-    if found.is_empty() { Err(NoPlan) } else { Ok(found) }
+    if found.is_empty() { Err(NoTrajectory) } else { Ok(found) }
 }
 
 /// Equally spaced speeds around the present one (PyTorch's `linspace`).

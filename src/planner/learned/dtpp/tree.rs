@@ -1,7 +1,7 @@
 //! DTPP's tree of trajectories: two stages, each scored by the network (`trajectory_tree_planner.py`).
 
 use super::network::{COLUMNS, Dtpp, STEPS};
-use super::speed_profile::{FIRST_S, NoPlan, STEPS_PER_S, Step, first_stage, second_stage};
+use super::speed_profile::{FIRST_S, NoTrajectory, STEPS_PER_S, Step, first_stage, second_stage};
 use crate::planner::learned::blocks::Probe;
 use crate::planner::learned::gameformer::SceneInputs;
 use crate::planner::learned::lattice::Course;
@@ -18,14 +18,14 @@ const BRANCHES: usize = 30;
 #[derive(Debug)]
 pub enum TreeError {
     /// Upstream's program raises an exception and plans to stay.
-    NoPlan,
+    NoTrajectory,
     /// The network failed.
     Network(candle_core::Error),
 }
 
-impl From<NoPlan> for TreeError {
-    fn from(_: NoPlan) -> Self {
-        Self::NoPlan
+impl From<NoTrajectory> for TreeError {
+    fn from(_: NoTrajectory) -> Self {
+        Self::NoTrajectory
     }
 }
 
@@ -59,7 +59,7 @@ pub fn scored_tree(
     seed: u64,
 ) -> Result<ScoredTree, TreeError> {
     if paths.is_empty() {
-        return Err(TreeError::NoPlan);
+        return Err(TreeError::NoTrajectory);
     }
     let limit = limit as f32;
     let scene = network.encode(inputs, &mut Probe::off())?;
@@ -76,7 +76,7 @@ pub fn scored_tree(
     // Children of each trajectory of the first stage, the whole eight seconds.
     let mut children: Vec<Vec<Vec<Step>>> = vec![Vec::new(); first.len()];
     for &parent in &parents {
-        let end = first[parent].last().ok_or(TreeError::NoPlan)?;
+        let end = first[parent].last().ok_or(TreeError::NoTrajectory)?;
         let later = second_stage(paths, end, limit)?;
         children[parent] = later.into_iter().map(|steps| [first[parent].clone(), steps].concat()).collect();
     }
@@ -93,15 +93,15 @@ pub fn scored_tree(
         // The first of equal scores.
         let top = own.enumerate().reduce(|top, next| if next.1 > top.1 { next } else { top });
         // Upstream raises where none of a parent's children was drawn.
-        let (child, score) = top.ok_or(TreeError::NoPlan)?;
+        let (child, score) = top.ok_or(TreeError::NoTrajectory)?;
         let sum = first_scores[parent] + score;
         if sum > best.map_or(f32::NEG_INFINITY, |(best, ..)| best) {
             best = Some((sum, parent, child));
         }
     }
-    let (_, parent, child) = best.ok_or(TreeError::NoPlan)?;
+    let (_, parent, child) = best.ok_or(TreeError::NoTrajectory)?;
     // As upstream, the place among the drawn children is read as one among all.
-    let best = children[parent].get(child).ok_or(TreeError::NoPlan)?;
+    let best = children[parent].get(child).ok_or(TreeError::NoTrajectory)?;
     let best = best.iter().map(|&[x, y, heading, ..]| [x, y, heading]).collect();
     Ok(ScoredTree { first: (first, first_scores), second: (second, second_scores), best })
 }

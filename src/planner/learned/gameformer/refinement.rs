@@ -122,7 +122,7 @@ impl Refinement {
             let row = (self.places.get(i).copied().unwrap_or_default().max(0.0) as f32 * 10.0) as usize;
             let limit = self.limits.get(row.min(self.limits.len().saturating_sub(1))).copied().unwrap_or_default();
             residuals.push(Residual { value: LIMIT * (speed - limit), derivatives: vec![(i, LIMIT)] });
-            let hard = if !(MIN_ACCELERATION..=MAX_ACCELERATION).contains(&a) { SOFT } else { 0.0 };
+            let hard = if (MIN_ACCELERATION..=MAX_ACCELERATION).contains(&a) { 0.0 } else { SOFT };
             residuals.push(Residual { value: hard * a, derivatives: of_acceleration(i, hard) });
             let before = if i == 0 { acceleration } else { accelerations[i - 1] };
             let mut derivatives = of_acceleration(i, JERK / STEP_S);

@@ -101,7 +101,7 @@ fn clustered(drawn: &[Vec<f32>], clusters: &Clusters) -> Vec<(f64, Places)> {
     let sizes: Vec<usize> = used.iter().map(|&cluster| counts[cluster]).collect();
     let centers: Vec<Vec<f64>> = used.iter().map(|&cluster| clusters.centers[cluster].clone()).collect();
     let mean = |cluster: usize| -> Places {
-        let mut sum = vec![0f32; 2 * POSES];
+        let mut sum = [0f32; 2 * POSES];
         for (values, _) in drawn.iter().zip(&clusters.labels).filter(|(_, label)| **label == cluster) {
             sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
         }
