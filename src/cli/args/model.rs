@@ -2,6 +2,7 @@
 
 use crate::mllm::WeightFormat;
 use clap::Args;
+use std::num::NonZeroUsize;
 
 /// Heading of these options.
 const HEADING: &str = "Model";
@@ -71,7 +72,7 @@ pub(in crate::cli) struct MemoryArgument {
     ///
     /// It bounds the memory of keys and values. A prompt that does not fit is an error; an answer ends there.
     #[arg(long, alias = "ctx-size", value_name = "TOKENS", help_heading = HEADING, hide_short_help = true)]
-    context: Option<usize>,
+    context: Option<NonZeroUsize>,
     /// Load the model even if it seems to need more memory than is free.
     #[arg(long, help_heading = HEADING, hide_short_help = true)]
     ignore_memory: bool,
@@ -106,7 +107,7 @@ impl ModelFlags {
             model: None,
             prompt_set: None,
             quantize: format.and_then(|format| format.quantize),
-            context: memory.and_then(|memory| memory.context),
+            context: memory.and_then(|memory| memory.context).map(NonZeroUsize::get),
             ignore_memory: memory.is_some_and(|memory| memory.ignore_memory),
             offline: network.offline,
             trust_model: trust.is_some_and(|trust| trust.trust_model),
